@@ -2,19 +2,24 @@
 
 import inspect
 from collections.abc import Callable, Iterable
+from copy import deepcopy
 from functools import wraps
 from typing import Any
 
 import pytest
+from numpy.random import Generator
 
 
-def each(names: str | tuple[str, ...], rows: Iterable[Any], ids: Any = None) -> Callable:
+def each(names: str | tuple[str, ...], rows: Iterable[Any]) -> Callable:
     """As `pytest.mark.parametrize`, in one item.
 
     Every row has what it would have in an item of its own: an empty `tmp_path`, a `monkeypatch`
-    that is undone after it, a `capsys` that has read nothing. Other fixtures are shared.
+    that is undone after it, a `capsys` that has read nothing, a generator of random numbers at its
+    start. Other fixtures are shared.
     """
     words = [word.strip() for word in names.split(",")] if isinstance(names, str) else [*names]
+    rows = list(rows)
+    assert not any(hasattr(row, "marks") for row in rows), "marks belong to items: parametrize"
     table = [(row,) if len(words) == 1 else tuple(row) for row in rows]
 
     def decorate(test: Callable[..., None]) -> Callable[..., None]:
@@ -29,7 +34,7 @@ def each(names: str | tuple[str, ...], rows: Iterable[Any], ids: Any = None) -> 
                 raise BaseExceptionGroup(f"{len(wrong)} of {len(table)} rows", wrong)
 
         def _failure(i: int, row: tuple[Any, ...], fixtures: dict[str, Any]) -> Any:
-            own = dict(fixtures)
+            own = {n: deepcopy(f) if isinstance(f, Generator) else f for n, f in fixtures.items()}
             if "tmp_path" in own:
                 own["tmp_path"] = own["tmp_path"] / f"row{i}"
                 own["tmp_path"].mkdir()

@@ -3,9 +3,10 @@
 import re
 from pathlib import Path
 
-import pytest
 import typer
 from typer.testing import CliRunner
+
+from tests.each import each
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 ROOT = Path(__file__).resolve().parents[1]
@@ -20,7 +21,7 @@ def test_list_of_formats_equals_the_output_of_the_command():
     assert printed in (DOCS / "formats.md").read_text()
 
 
-@pytest.mark.parametrize("page", [*sorted(DOCS.glob("unreal*.md")), DOCS / "formats.md"])
+@each("page", [*sorted(DOCS.glob("unreal*.md")), DOCS / "formats.md"])
 def test_links_and_paths_exist(page):
     text = page.read_text()
     for link in re.findall(r"\]\(([^)#]+)\)", text):
@@ -29,7 +30,7 @@ def test_links_and_paths_exist(page):
         assert (ROOT / path).exists(), path
 
 
-@pytest.mark.parametrize("page", sorted(DOCS.glob("unreal*.md")))
+@each("page", sorted(DOCS.glob("unreal*.md")))
 def test_functions_of_the_script_exist(page):
     script = (ROOT / "rig/unreal/deitalk_unreal.py").read_text()
     for function in re.findall(r"\bd\.(\w+)\(", page.read_text()):
@@ -48,7 +49,7 @@ def test_counts_of_the_pages_equal_those_of_the_code():
     assert sum(kind == "Vector2D" for kind in names.values()) == 14
 
 
-@pytest.mark.parametrize(("page", "equations"), [("deitalk.md", 13), ("sdfa.md", 8)])
+@each(("page", "equations"), [("deitalk.md", 13), ("sdfa.md", 8)])
 def test_every_equation_of_a_paper_stands_beside_its_code(page, equations):
     """Rows `| paper | equation | code |`; that the code exists is tested with all pages."""
     rows = re.findall(

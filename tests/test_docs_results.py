@@ -21,6 +21,8 @@ from result_tables import common, models, speed  # noqa: E402
 from result_tables.commands import COMMANDS, GROUPS, ONCE, PLACES, WEIGHTS  # noqa: E402
 from result_tables.comparisons import spread  # noqa: E402
 
+from tests.each import each  # noqa: E402
+
 
 @pytest.fixture
 def changed(tmp_path, monkeypatch):
@@ -89,7 +91,7 @@ def test_changed_report_changes_the_table(changed, page, row, keys):
     assert row in maker.written(text)
 
 
-@pytest.mark.parametrize("path", RESULTS, ids=lambda path: path.stem)
+@each("path", RESULTS)
 def test_reports_are_of_the_weights_of_today(path):
     """New weights need a new evaluation: `python docs/make_reports.py --group weights`."""
     report = json.loads(path.read_text(encoding="utf-8"))
@@ -141,7 +143,7 @@ def test_sizes_are_those_of_the_weights():
         assert models.numbers(name) == sum(part.size for file in files for part in file.values())
 
 
-@pytest.mark.parametrize("name", COMMANDS)
+@each("name", COMMANDS)
 def test_every_command_can_be_run_with_its_places(name, tmp_path):
     places = {word: str(tmp_path / "data") for word in PLACES}
     words = make_reports.filled(COMMANDS[name], places, tmp_path)

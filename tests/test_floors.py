@@ -5,7 +5,7 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
-import pytest
+from tests.each import each
 
 ROOT = Path(__file__).resolve().parents[1]
 FLOORS = {
@@ -94,7 +94,7 @@ def room(module: str) -> str:
     return parts[1] if len(parts) > 1 else "__init__"
 
 
-@pytest.mark.parametrize("package", FLOORS)
+@each("package", FLOORS)
 def test_every_folder_has_a_floor(package):
     rooms = {room(module_of(path)) for path in files(package)} - set(PUBLIC)
     assert rooms - {"unreal"} == set(
@@ -102,7 +102,7 @@ def test_every_folder_has_a_floor(package):
     )  # the script in Unreal imports nothing of the package
 
 
-@pytest.mark.parametrize("package", FLOORS)
+@each("package", FLOORS)
 def test_files_import_from_lower_floors_only(package):
     level = floors(package) | {"__init__": 99 if package == "rig" else -1, "unreal": 0}
     wrong = []
@@ -151,7 +151,7 @@ def circles(graph: dict[str, set[str]]) -> Iterator[tuple[str, ...]]:
         yield from visit(module, ())
 
 
-@pytest.mark.parametrize(("package", "most"), [("deitalk", 24), ("rig", 17), ("api", 16)])
+@each(("package", "most"), [("deitalk", 24), ("rig", 17), ("api", 16)])
 def test_packages_have_few_entries(package, most):
     entries = [
         p.name

@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.each import each
+
 ROOT = Path(__file__).resolve().parents[1]
 ALLOWED = {"rig": {"rig"}, "deitalk": {"deitalk", "rig"}, "api": {"api", "deitalk", "rig"}}
 HEAVY = {"torch", "transformers", "librosa", "fastapi", "soundfile", "accelerate", "safetensors"}
@@ -45,7 +47,7 @@ def imported(path: Path) -> set[str]:
     return found
 
 
-@pytest.mark.parametrize("path", FILES, ids=name_of)
+@each("path", FILES)
 def test_imports_point_down_only(path):
     package = path.relative_to(ROOT).parts[0]
     forbidden = (imported(path) & set(ALLOWED)) - ALLOWED[package]
@@ -57,7 +59,7 @@ def test_imports_point_down_only(path):
         assert imported(path) & SERVICE <= allowed
 
 
-@pytest.mark.parametrize("path", [p for p in FILES if "research" not in p.parts], ids=name_of)
+@each("path", [p for p in FILES if "research" not in p.parts])
 def test_product_imports_nothing_of_research(path):
     """A wheel lacks it; `deitalk.installed.research` imports it by name, and says so where absent."""
     text = path.read_text(encoding="utf-8")
@@ -91,7 +93,7 @@ main()
 """
 
 
-@pytest.mark.parametrize(
+@each(
     "arguments",
     [
         ("corpus", "build", "--hours", "1", "-o", "corpus"),
@@ -123,7 +125,7 @@ def test_walk_finds_imports_inside_functions(tmp_path):
     assert imported(path) == {"torch", "deitalk"}
 
 
-@pytest.mark.parametrize("path", FILES, ids=name_of)
+@each("path", FILES)
 def test_every_module_imports_and_has_its_exported_names(path):
     if (
         imported(path) & {"unreal", "bpy", "deitalk_clip", "deitalk_call", "hatchling"}
@@ -182,7 +184,7 @@ def test_help_loads_nothing_heavy_and_takes_under_half_a_second_of_cpu():
     assert seconds[-1] < most, (seconds, most)
 
 
-@pytest.mark.parametrize("package", ["rig", "deitalk"])
+@each("package", ["rig", "deitalk"])
 def test_importing_a_package_loads_nothing_heavy(package):
     done = run(f"import sys, {package}; print(sorted(set(sys.modules) & {HEAVY | {'scipy'}!r}))")
     assert done.stdout.strip() == "[]", done.stdout + done.stderr
@@ -213,7 +215,7 @@ SLOW = {
 SAMPLE = str(ROOT / "docs/samples/promise.flac")
 
 
-@pytest.mark.parametrize("out", ["take", "curves.csv"])
+@each("out", ["take", "curves.csv"])
 def test_animate_loads_no_slow_package_but_torch(tmp_path, out):
     done = run(ANIMATE.format(sample=SAMPLE, out=str(tmp_path / out), slow=SLOW))
     assert done.returncode == 0, done.stderr

@@ -10,6 +10,7 @@ import pytest
 from rig import RigCurves, limits, rest_curves
 from rig.curves import check_clip
 from rig.errors import CurveError, RigError, one_line, quoted, shorten
+from tests.each import each
 
 ROOT = Path(__file__).resolve().parents[1]
 UNITS = {"GiB": 2**30, "MiB": 2**20, "KiB": 2**10, "": 1}
@@ -93,12 +94,12 @@ def test_frames_are_counted_before_memory_is_taken():
         rest_curves(2000, fps=0.01).resample(1000)
 
 
-@pytest.mark.parametrize("fps", [limits.FPS_LOWEST, limits.FPS_HIGHEST])
+@each("fps", [limits.FPS_LOWEST, limits.FPS_HIGHEST])
 def test_rates_at_the_limits_are_accepted(fps):
     assert one_curve(1).resample(fps).fps == fps
 
 
-@pytest.mark.parametrize("fps", [0.0099, 1000.1, 1e-300, 1e308])
+@each("fps", [0.0099, 1000.1, 1e-300, 1e308])
 def test_rates_beyond_the_limits_are_refused(fps):
     with pytest.raises(CurveError, match=r"must be from 0\.01 to 1000"):
         one_curve(1).resample(fps)

@@ -5,11 +5,10 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
-import pytest
-
 from deitalk.errors import DeitalkError
 from rig.errors import RigError
 from rig.limits import MESSAGE_CHARACTERS
+from tests.each import each
 
 MEASURING = re.compile(r"parser\.add_argument\((?:\"-o\", )?\"--(?:out|json)\", type=(\w+)")
 
@@ -53,7 +52,7 @@ def test_options_are_found_in_messages():
     assert [found.partition(":")[0] for found in options(source)] == ["1"]
 
 
-@pytest.mark.parametrize("text", ["\0" * 1000, "a\n" * 300, "\udc80" * 400, "x" * 10_000])
+@each("text", ["\0" * 1000, "a\n" * 300, "\udc80" * 400, "x" * 10_000])
 def test_message_with_escapes_stays_within_its_limit(text):
     for kind in (RigError, DeitalkError):
         message = str(kind(f"name {text} end"))

@@ -11,12 +11,13 @@ from deitalk.emotions import EMOTIONS
 from deitalk.errors import ConfigError
 from rig.errors import UserError
 from rig.limits import SEED
+from tests.each import each
 
 KEYS = "time,emotion,strength\n0,happy,0.2\n1,angry,1\n"
 NUMBERS = {"intensity": (0.0, 4.0), "listen": (0.0, 600.0)}
 
 
-@pytest.mark.parametrize(
+@each(
     ("text", "value"),
     [
         ({"life": "brows=.8"}, {"life": {"brows": 0.8}}),
@@ -78,14 +79,14 @@ def test_numbers_are_within_their_range_or_refused_in_one_line(value, name):
         assert "\n" not in str(refused.value) and f"{high:g}" in str(refused.value)
 
 
-@pytest.mark.parametrize("seed", [-1, SEED + 1, 1.5, "1.5", True, "x", str(10**30)])
+@each("seed", [-1, SEED + 1, 1.5, "1.5", True, "x", str(10**30)])
 def test_seeds_are_whole_numbers_up_to_one_largest(seed):
     assert Acting.of(seed=SEED).seed == SEED
     with pytest.raises(ConfigError, match="seed"):
         Acting.of(seed=seed)
 
 
-@pytest.mark.parametrize(
+@each(
     ("field", "name", "content"),
     [
         ("emotion", "keys.csv", KEYS),
@@ -123,7 +124,7 @@ def test_requests_read_the_files_that_came_with_them_and_no_others(
     assert Acting.of(files={plain: sent}, **{field: name}) == here
 
 
-@pytest.mark.parametrize(
+@each(
     "text", ["../happy.csv", "happy=1/x.csv", "happy=0.5.json", "", "happy=", "a" * 500, "a\n.csv"]
 )
 def test_no_text_of_a_request_opens_a_path(text, tmp_path, monkeypatch):
@@ -137,7 +138,7 @@ def test_no_text_of_a_request_opens_a_path(text, tmp_path, monkeypatch):
             Acting.of(files={}, **{field: text})
 
 
-@pytest.mark.parametrize(
+@each(
     ("old", "value", "fields"),
     [
         ("idle", "false", {"life": "off"}),

@@ -10,6 +10,7 @@ from deitalk.audio.arrays import recording_from_array, recording_of
 from deitalk.audio.load import load_audio
 from deitalk.errors import AudioError
 from deitalk.evaluation.benchmark_curves import speechlike
+from tests.each import each
 
 RATE = 44_100
 
@@ -47,7 +48,7 @@ def test_sample_types_give_the_same_waveform(stereo, change):
     np.testing.assert_allclose(given, expected, atol=1e-6)
 
 
-@pytest.mark.parametrize(("kind", "offset"), [(np.int8, 0), (np.uint8, 128)])
+@each(("kind", "offset"), [(np.int8, 0), (np.uint8, 128)])
 def test_eight_bit_samples_are_scaled_to_full_scale(kind, offset):
     wave = np.rint(100 * np.sin(np.arange(16_000) / 20))
     made = recording_from_array((wave + offset).astype(kind), 16_000)
@@ -61,7 +62,7 @@ def test_one_channel_has_one_axis_or_two(stereo):
     )
 
 
-@pytest.mark.parametrize(
+@each(
     ("samples", "rate", "message"),
     [
         (np.zeros((2, 48_000)), 48_000, r"shape \(2, 48000\).*transpose"),

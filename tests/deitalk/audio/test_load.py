@@ -18,6 +18,7 @@ from deitalk.audio import load as audio
 from deitalk.audio.frames import frame_count, frame_times
 from deitalk.audio.load import load_audio, write_wav
 from deitalk.errors import AudioError
+from tests.each import each
 from tests.media import write_silent_video, write_sound
 
 
@@ -42,7 +43,7 @@ def test_frame_count_by_hand():
     assert frame_times(4).tolist() == [0, 1 / 30, 2 / 30, 3 / 30]
 
 
-@pytest.mark.parametrize("rate", [4000, 8000, 11025, 16000, 22050, 44100, 48000, 96000, 768000])
+@each("rate", [4000, 8000, 11025, 16000, 22050, 44100, 48000, 96000, 768000])
 def test_tone_keeps_frequency_level_and_time_at_any_rate(tmp_path, rate):
     path = tmp_path / "tone.wav"
     sf.write(path, tone(rate), rate, subtype="FLOAT")
@@ -54,7 +55,7 @@ def test_tone_keeps_frequency_level_and_time_at_any_rate(tmp_path, rate):
     assert np.abs(recording.waveform - tone(16000))[middle].max() < 2e-3
 
 
-@pytest.mark.parametrize(
+@each(
     ("suffix", "tolerance"),
     [("wav", 1e-4), ("flac", 1e-4), ("ogg", 0.05), ("mp3", 0.05), ("opus", 0.1)],
 )
@@ -66,7 +67,7 @@ def test_formats_give_the_same_waveform(tmp_path, suffix, tolerance):
     assert np.abs(waveform[2000:14000] - tone(16000)[2000:14000]).max() < tolerance
 
 
-@pytest.mark.parametrize("suffix", ["m4a", "mp4", "mov", "webm", "aac", "mka", "wma"])
+@each("suffix", ["m4a", "mp4", "mov", "webm", "aac", "mka", "wma"])
 def test_containers_keep_frequency_and_length(tmp_path, suffix):
     path = tmp_path / f"-tone.{suffix}"  # a leading dash is no option
     write_sound(path, np.stack([tone(48000)] * 2, 1), 48000, picture=suffix in ("mp4", "mov"))
@@ -78,7 +79,7 @@ def test_containers_keep_frequency_and_length(tmp_path, suffix):
         assert spectrum.argmax() * 2 == 440
 
 
-@pytest.mark.parametrize("suffix", ["m4a", "mp4", "mov", "webm", "mka", "mp3"])
+@each("suffix", ["m4a", "mp4", "mov", "webm", "mka", "mp3"])
 def test_containers_keep_the_time_of_a_click(tmp_path, suffix):
     samples = np.zeros((48000, 1))
     samples[24000] = 0.9
@@ -140,7 +141,7 @@ def test_load_audio_rejects_containers_without_content(tmp_path, capfd, name, co
     assert capfd.readouterr() == ("", "")
 
 
-@pytest.mark.parametrize("suffix", ["m4a", "mka", "mp3"])
+@each("suffix", ["m4a", "mka", "mp3"])
 def test_tags_that_are_no_utf_8_are_ignored(tmp_path, suffix):
     path = tmp_path / f"a.{suffix}"
     write_sound(path, np.stack([tone(48000)], 1), 48000, title="Zoe Z.")
@@ -163,7 +164,7 @@ def test_load_audio_rejects_video_without_sound(tmp_path):
     assert_one_line(error, "a.mp4", "export it with its sound")
 
 
-@pytest.mark.parametrize("suffix", ["m4a", "webm", "mp3"])
+@each("suffix", ["m4a", "webm", "mp3"])
 def test_cut_container_is_read_to_its_end(tmp_path, suffix):
     path = write_sound(tmp_path / f"a.{suffix}", np.stack([tone(48000, 4.0)], 1), 48000)
     content = path.read_bytes()
@@ -207,9 +208,7 @@ def test_header_with_negative_offset_prints_nothing(capfd):
     assert capfd.readouterr() == ("", "")
 
 
-@pytest.mark.parametrize(
-    "first", ["ffconcat version 1.0\nfile secret.wav\n", "#EXTM3U\nsecret.wav\n"]
-)
+@each("first", ["ffconcat version 1.0\nfile secret.wav\n", "#EXTM3U\nsecret.wav\n"])
 def test_playlist_opens_no_other_file(tmp_path, first):
     sf.write(tmp_path / "secret.wav", tone(16000), 16000)
     (tmp_path / "list.m4a").write_text(first)
@@ -317,7 +316,7 @@ def test_one_sample_is_read(tmp_path):
     assert load_audio(tmp_path / "a.wav").n_frames == 1
 
 
-@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, 1e30])
+@each("bad", [np.nan, np.inf, -np.inf, 1e30])
 def test_load_audio_rejects_samples_that_are_not_finite(tmp_path, bad):
     samples = tone(16000)
     samples[8000] = bad
@@ -328,7 +327,7 @@ def test_load_audio_rejects_samples_that_are_not_finite(tmp_path, bad):
         assert_one_line(error, "export it as 16-bit PCM")
 
 
-@pytest.mark.parametrize("rate", [1, 3999, 768001])
+@each("rate", [1, 3999, 768001])
 def test_load_audio_rejects_rates_out_of_range(tmp_path, rate):
     sf.write(tmp_path / "a.wav", tone(16000), rate)
     with pytest.raises(AudioError, match=f"sample rate is {rate} Hz") as error:
@@ -355,7 +354,7 @@ def test_the_default_limit_is_three_hours(tmp_path):
         load_audio(path)
 
 
-@pytest.mark.parametrize(("kind", "endian"), [("WAV", "LITTLE"), ("AIFF", "BIG")])
+@each(("kind", "endian"), [("WAV", "LITTLE"), ("AIFF", "BIG")])
 def test_wav_shorter_than_its_header_gives_a_warning(kind, endian):
     file = io.BytesIO()
     sf.write(file, np.stack([tone(16000, 4.0)] * 2, 1), 16000, format=kind, endian=endian)
@@ -366,7 +365,7 @@ def test_wav_shorter_than_its_header_gives_a_warning(kind, endian):
     assert any("cut short: 1.50 s of 4.00 s" in note for note in recording.warnings)
 
 
-@pytest.mark.parametrize("size", [0x7FFFFFFF, 0xFFFFFFFF])
+@each("size", [0x7FFFFFFF, 0xFFFFFFFF])
 def test_wav_written_to_a_pipe_gives_no_warning(size):
     file = io.BytesIO()
     sf.write(file, tone(16000), 16000, format="WAV")
@@ -392,7 +391,7 @@ def test_cut_file_is_read_to_its_end(tmp_path):
         assert "cut short" in recording.warnings[0]
 
 
-@pytest.mark.parametrize(
+@each(
     ("name", "content", "words"),
     [
         ("empty.wav", b"", "empty (0 bytes)"),

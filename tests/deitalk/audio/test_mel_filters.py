@@ -5,15 +5,16 @@ import numpy as np
 import pytest
 
 from deitalk.audio.mel_filters import hz_to_mel, mel_filters, mel_to_hz
+from tests.each import each
 
 
-@pytest.mark.parametrize(("hz", "mel"), [(0, 0), (200, 3), (1000, 15), (6400, 42)])
+@each(("hz", "mel"), [(0, 0), (200, 3), (1000, 15), (6400, 42)])
 def test_mel_scale_is_linear_to_one_kilohertz_then_27_steps_to_6400(hz, mel):
     assert hz_to_mel(hz) == pytest.approx(mel)
     assert mel_to_hz(np.array([float(mel)]))[0] == pytest.approx(hz)
 
 
-@pytest.mark.parametrize(("n_fft", "n_mels"), [(512, 80), (1024, 40), (256, 26)])
+@each(("n_fft", "n_mels"), [(512, 80), (1024, 40), (256, 26)])
 def test_filters_equal_those_of_librosa(n_fft, n_mels):
     ours = mel_filters(16_000, n_fft, n_mels, 50, 7600)
     theirs = librosa.filters.mel(

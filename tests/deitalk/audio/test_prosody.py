@@ -11,6 +11,7 @@ from deitalk.audio.prosody import (
     prosody_index,
     rms_db,
 )
+from tests.each import each
 
 RATE = 16_000
 
@@ -61,7 +62,7 @@ def test_measures_do_not_depend_on_the_piece_length(monkeypatch):
     assert PIECE > 150
 
 
-@pytest.mark.parametrize("gain", [0.01, 10.0])
+@each("gain", [0.01, 10.0])
 def test_gain_does_not_change_the_index(gain):
     waveform = voice()
     waveform[RATE:] *= 0.5

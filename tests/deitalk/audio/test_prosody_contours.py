@@ -6,6 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from deitalk.audio.prosody_contours import apply_contour, contour_at, prosody_index, random_contour
+from tests.each import each
 
 RATE = 16_000
 
@@ -24,7 +25,7 @@ def level_db(waveform: np.ndarray) -> float:
     return 10 * np.log10(np.mean(waveform[800:-800].astype(np.float64) ** 2))
 
 
-@pytest.mark.parametrize("z", [-1.0, 1.0])
+@each("z", [-1.0, 1.0])
 def test_one_deviation_is_4_5_db_and_5_percent_of_time_and_pitch(z):
     waveform = tone(200)
     moved, (source, target) = apply_contour(waveform, constant(z))

@@ -7,6 +7,7 @@ from deitalk.batch.lines import BadLine, Line, Written, parse_formats
 from deitalk.batch.source import distinct, read_manifest, read_source
 from deitalk.emotions import ActorReference
 from deitalk.errors import DataError, DeitalkError
+from tests.each import each
 
 NOTHING = Line(0, "", "")
 
@@ -42,7 +43,7 @@ def test_row_sets_every_column(tmp_path):
     )  # fmt: skip
 
 
-@pytest.mark.parametrize("name", Acting.model_fields)
+@each("name", Acting.model_fields)
 def test_every_field_of_an_acting_is_a_column(name):
     cell = {
         "emotion": "sad", "intensity_curve": "[{'time': 0, 'intensity': 1}]".replace("'", '""'),
@@ -74,9 +75,7 @@ def test_digits_and_time_code_of_a_row_are_checked():
         assert isinstance(bad, BadLine) and words in bad.error
 
 
-@pytest.mark.parametrize(
-    "text", ["audio\ta\nx.wav\t1\n", "sep=;\naudio;a\nx.wav;1\n", '"audio",a\n"x.wav",1\n\n,\n']
-)
+@each("text", ["audio\ta\nx.wav\t1\n", "sep=;\naudio;a\nx.wav;1\n", '"audio",a\n"x.wav",1\n\n,\n'])
 def test_any_spreadsheet_is_read_and_unused_columns_are_named(text):
     lines, notes = read_manifest(text, "lines.csv", "", NOTHING)
     assert [line.audio for line in lines] == ["x.wav"]
@@ -98,7 +97,7 @@ def test_files_are_found_from_the_manifest(tmp_path):
     assert isinstance(missing, BadLine) and "none.csv" in missing.error
 
 
-@pytest.mark.parametrize(
+@each(
     ("audio", "output"),
     [("/abs/one.wav", "one"), ("../up/two.wav", "two"), ("sub/three.v2.wav", "sub/three.v2")],
 )
@@ -112,7 +111,7 @@ def test_suffix_of_an_output_is_its_format():
     assert only("audio,output,formats\na.wav,b.csv,npz\n").targets == ("b.csv.npz",)
 
 
-@pytest.mark.parametrize(
+@each(
     ("row", "words"),
     [
         (",x,1,happy", "no recording"),
@@ -132,7 +131,7 @@ def test_bad_row_is_one_line_and_the_others_stay(row, words):
     assert isinstance(good, Line) and good.number == 2
 
 
-@pytest.mark.parametrize(
+@each(
     ("text", "words"),
     [
         ("", "no column 'audio'"),

@@ -13,6 +13,7 @@ from deitalk.cli.preview import _beside
 from deitalk.errors import DeitalkError
 from deitalk.models.devices import check_device, require_device
 from rig import default_controls, rest_curves, write_curves
+from tests.each import each
 
 NUMBERS = ["nan", "inf", "-inf", "", "x"]
 HUGE = str(10**30)
@@ -187,7 +188,7 @@ def test_live_rejects_hostile_addresses(refused, tmp_path):
         assert code == 1 and "cannot listen on" in line, line
 
 
-@pytest.mark.parametrize("name", ["Scene 1.2.csv", "a.b.c.json", "take.v2"])
+@each("name", ["Scene 1.2.csv", "a.b.c.json", "take.v2"])
 def test_preview_keeps_the_name_without_its_suffix(tmp_path, name):
     (tmp_path / "take.v2").mkdir()
     page = _beside(tmp_path / name)

@@ -18,7 +18,9 @@ from deitalk.evaluation.benchmark_curves import speechlike
 from deitalk.models.checkpoint import save_model
 from deitalk.models.curve_model import DEITalk
 from rig import default_controls, read_curves
+from tests.command import deitalk, refused
 from tests.deitalk.pipeline.test_curves import SMALL
+from tests.each import each
 
 ROOT = Path(__file__).resolve().parents[3]
 
@@ -30,37 +32,25 @@ def model(tmp_path_factory):
     return str(folder)
 
 
-@pytest.fixture
-def speech(tmp_path):
-    path = tmp_path / "speech.wav"
+@pytest.fixture(scope="module")
+def speech(tmp_path_factory):
+    path = tmp_path_factory.mktemp("speech") / "speech.wav"
     soundfile.write(path, speechlike(1.5), 16_000)
     return str(path)
 
 
-def deitalk(*arguments, stdin=None):
+def process(*arguments):
     """Run the installed command in a separate process."""
     return subprocess.run(
         [sys.executable, "-m", "deitalk", *map(str, arguments)],
-        input=stdin,
         capture_output=True,
         cwd=ROOT,
         timeout=120,
     )
 
 
-def refused(*arguments, code=1):
-    """Run a command that must fail with an exit code, one line on stderr and nothing on stdout."""
-    done = deitalk(*arguments)
-    assert done.returncode == code, done.stderr.decode()
-    assert done.stdout == b""
-    lines = done.stderr.decode().splitlines()
-    assert len(lines) == 1, lines
-    assert lines[0].startswith("deitalk: ")
-    return lines[0]
-
-
 def test_animate_writes_a_take_and_keeps_stdout_clean(tmp_path, model, speech):
-    done = deitalk("animate", speech, "-e", "happy", "--model", model, "-o", tmp_path / "take")
+    done = process("animate", speech, "-e", "happy", "--model", model, "-o", tmp_path / "take")
     assert done.returncode == 0, done.stderr.decode()
     assert done.stdout == b""
     assert b"45 frames" in done.stderr
@@ -71,12 +61,12 @@ def test_animate_writes_a_take_and_keeps_stdout_clean(tmp_path, model, speech):
 def test_animate_writes_one_file_by_its_suffix_and_prints_json(tmp_path, model, speech):
     out = tmp_path / "curves.json"
     done = deitalk("animate", speech, "--model", model, "-o", out, "--fps", 24, "--json")
-    summary = json.loads(done.stdout)
+    summary = json.loads(done.out)
     assert summary["frames"] == 45
     assert read_curves(out).fps == 24
 
 
-@pytest.mark.parametrize("name", ["take.v2/", "Scene 1.2", "br[/b]", "[red]"])
+@each("name", ["take.v2/", "Scene 1.2", "br[/b]", "[red]"])
 def test_animate_writes_a_take_into_a_folder_of_any_name(tmp_path, model, speech, name):
     arguments = ["animate", speech, "--model", model, "-o", f"{tmp_path}/{name}"]
     done = CliRunner().invoke(app, arguments)
@@ -85,7 +75,7 @@ def test_animate_writes_a_take_into_a_folder_of_any_name(tmp_path, model, speech
     assert f"{tmp_path / name}: 45 frames" in done.stderr
 
 
-@pytest.mark.parametrize(
+@each(
     ("options", "printed", "share"),
     [
         (["-e", "happy"], "applied intensity 0.{mean} on average (0.{mean} predicted", 1.0),
@@ -109,11 +99,11 @@ def test_animate_reads_stdin(tmp_path, model, speech):
     data = Path(speech).read_bytes()
     out = tmp_path / "c.npz"
     done = deitalk("animate", "-", "--model", model, "-o", out, stdin=data)
-    assert done.returncode == 0, done.stderr.decode()
+    assert done.code == 0, done.err
     assert len(read_curves(out)) == 45
 
 
-@pytest.mark.parametrize(
+@each(
     ("options", "expected"),
     [
         (["-e", "furious"], "neutral, angry, happy, sad, surprised"),
@@ -145,7 +135,7 @@ def test_animate_replaces_a_file_with_force(tmp_path, model, speech):
     out = tmp_path / "curves.csv"
     out.write_text("mine")
     done = deitalk("animate", speech, "--model", model, "-o", out, "--force")
-    assert done.returncode == 0, done.stderr.decode()
+    assert done.code == 0, done.err
     assert len(read_curves(out)) == 45
 
 
@@ -161,7 +151,7 @@ def test_errors_are_reported_before_the_network_is_loaded(tmp_path):
     assert done.stdout.strip() == "[]" and "no.wav" in done.stderr
 
 
-@pytest.mark.parametrize(
+@each(
     ("name", "data", "expected"),
     [
         ("missing.wav", None, "missing.wav"),
@@ -180,12 +170,12 @@ def test_silence_gives_a_face_at_rest(tmp_path, model):
     soundfile.write(tmp_path / "quiet.wav", np.zeros(16_000), 16_000)
     out = tmp_path / "c.npz"
     done = deitalk("animate", tmp_path / "quiet.wav", "-e", "angry", "--model", model, "-o", out)
-    assert done.returncode == 0, done.stderr.decode()
+    assert done.code == 0, done.err
     rest = default_controls().rest
     np.testing.assert_allclose(read_curves(out).values, np.tile(rest, (30, 1)))
 
 
-@pytest.mark.parametrize(
+@each(
     ("arguments", "expected"),
     [
         (["animate"], "deitalk: Missing argument 'speech'; see `deitalk animate --help`"),

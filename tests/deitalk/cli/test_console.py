@@ -17,12 +17,13 @@ from deitalk.cli.console import _Lines, bar, console, emit, emit_json, name_opti
 from deitalk.errors import DeitalkError
 from rig import default_controls, rest_curves, write_curves
 from rig.errors import RigError, as_line, decodable, decodable_values
+from tests.each import each
 
 ROOT = Path(__file__).resolve().parents[3]
 HOSTILE = ["[red]", "br[/b]", ":smile:", "[link=file:///]x", "\\[bold]"]
 
 
-@pytest.mark.parametrize("name", HOSTILE)
+@each("name", HOSTILE)
 def test_names_that_look_like_markup_are_printed_unchanged(name, capsys):
     console().print(f"{name}: 3 frames")
     console().note(name)
@@ -32,7 +33,7 @@ def test_names_that_look_like_markup_are_printed_unchanged(name, capsys):
     assert printed.out == f"{name}\n"
 
 
-@pytest.mark.parametrize(
+@each(
     ("name", "printed"),
     [
         ("caf\udce9.wav", r"caf\xe9.wav"),
@@ -158,7 +159,7 @@ def run(folder, *arguments, **environment):
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="other systems have no such file names")
-@pytest.mark.parametrize("locale", ["C", "C.UTF-8"])
+@each("locale", ["C", "C.UTF-8"])
 def test_convert_takes_file_names_that_are_no_utf8(tmp_path, locale):
     source, target = os.path.join(os.fsencode(tmp_path), b"\xff.csv"), b"t\xfe[b].json"
     write_curves(tmp_path / "c.csv", rest_curves(3, controls=default_controls()))
@@ -172,7 +173,7 @@ def test_convert_takes_file_names_that_are_no_utf8(tmp_path, locale):
     assert done.returncode == 1 and done.stderr.startswith(rb"deitalk: t\xfe[b].json exists")
 
 
-@pytest.mark.parametrize(
+@each(
     ("message", "parameter", "printed"),
     [
         ("a.csv exists, set `force=True`", "force", "a.csv exists, set --force"),

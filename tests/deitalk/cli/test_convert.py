@@ -17,6 +17,7 @@ from rig.errors import ExistsError, RigError
 from rig.formats.livelink_csv import read_take
 from rig.livelink import Receiver, make_protocol, osc, send
 from rig.livelink.sender import REST_REPEATS
+from tests.each import each
 
 BOARD = default_controls()
 
@@ -181,7 +182,7 @@ def test_recording_counts_and_names_other_subjects(tmp_path):
     assert curves["JawOpen"][0] == pytest.approx(0.5)
 
 
-@pytest.mark.parametrize(
+@each(
     ("suffix", "subtype"),
     [("wav", "PCM_16"), ("wav", "FLOAT"), ("flac", "PCM_16"), ("ogg", "VORBIS")],
 )

@@ -1,6 +1,5 @@
 """Heads on the command line."""
 
-import pytest
 import soundfile
 from typer.testing import CliRunner
 
@@ -8,6 +7,7 @@ from deitalk.cli import app
 from deitalk.evaluation.benchmark_curves import speechlike
 from rig.face import IDENTITIES
 from rig.face.identity import ROLES
+from tests.each import each
 
 
 def test_identities_are_listed_with_their_roles():
@@ -28,7 +28,7 @@ def test_unknown_identity_is_an_error_before_the_take_is_made(tmp_path):
     assert not (tmp_path / "take").exists()
 
 
-@pytest.mark.parametrize("out", ["take/", "a.csv"])
+@each("out", ["take/", "a.csv"])
 def test_identity_is_refused_where_no_head_is_written(tmp_path, out):
     command = ["animate", "docs/samples/amiable.flac", "--identity", "child"]
     result = CliRunner().invoke(app, [*command, "-o", f"{tmp_path}/{out}"])

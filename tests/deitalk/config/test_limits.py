@@ -11,6 +11,7 @@ from deitalk.models.checkpoint import load_model, save_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.models.weights_file import network_shapes
 from rig import limits
+from tests.each import each
 
 
 def refused(tree):
@@ -61,13 +62,13 @@ FIELDS = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize(("tree", "most"), FIELDS)
+@each(("tree", "most"), FIELDS)
 def test_field_at_its_limit_is_read_and_above_is_not(tree, most):
     parse_config(tree(most))
     assert "configuration: " in refused(tree(most + (2 if most == limits.KERNEL else 1)))
 
 
-@pytest.mark.parametrize(
+@each(
     "tree",
     [
         frontend(kind="mel", rig_layers=1_000_000),
@@ -97,7 +98,7 @@ def test_oversized_network_is_refused_before_it_is_built():
     assert time.process_time() - start < 5
 
 
-@pytest.mark.parametrize("name", ["mel", "default", "tiny"])
+@each("name", ["mel", "default", "tiny"])
 def test_shapes_without_memory_are_those_of_the_network(name):
     from pathlib import Path
 
@@ -110,7 +111,7 @@ def test_shapes_without_memory_are_those_of_the_network(name):
     }
 
 
-@pytest.mark.parametrize(
+@each(
     "override",
     ["model.decoder_channels=*a", "a" * 100_000, ".".join("a" * 40) + "=1", "train.steps=" + "[" * 999],
 )  # fmt: skip

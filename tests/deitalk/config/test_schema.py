@@ -16,6 +16,7 @@ from deitalk.config import (
 )
 from deitalk.config.section import Optimisation
 from deitalk.errors import ConfigError
+from tests.each import each
 
 FOLDER = Path(__file__).resolve().parents[3] / "configs"
 FILES = sorted(FOLDER.glob("*.yaml"))
@@ -34,7 +35,7 @@ def written(tmp_path, text):
     return path
 
 
-@pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
+@each("path", FILES)
 def test_every_file_loads_under_its_name(path):
     config = load_config(path)
     assert config.name == path.stem
@@ -87,7 +88,7 @@ def test_sdfa_encoder_has_the_numbers_of_the_paper():
     assert config.model_copy(update={"name": "deitalk"}).loss == Config().loss
 
 
-@pytest.mark.parametrize("kind", [TrainConfig, MeshTrainConfig])
+@each("kind", [TrainConfig, MeshTrainConfig])
 def test_both_trainings_have_the_settings_of_optimisation(kind):
     """Batches and epochs are of windows or of frames; all else is equal, limits included."""
     unlike = {"batch_size", "epochs"}
@@ -106,7 +107,7 @@ def test_embedded_weights_fit_their_recipe(recipe, model):
     assert (wanted.model, wanted.rules) == (embedded.model, embedded.rules)
 
 
-@pytest.mark.parametrize(
+@each(
     ("tree", "key"),
     [
         ({"bogus": 1}, "bogus=1"),
@@ -118,7 +119,7 @@ def test_unknown_key_is_in_the_message(tree, key):
     assert f"{key}: unknown key" in problem(tree)
 
 
-@pytest.mark.parametrize(
+@each(
     ("tree", "key"),
     [
         ({"train": {"batch_size": 0}}, "train.batch_size=0"),
@@ -170,7 +171,7 @@ def test_overrides_replace_values(tmp_path):
     assert load_config(path, ["train.learning_rate=1e-3"]).train.learning_rate == 1e-3
 
 
-@pytest.mark.parametrize(
+@each(
     ("override", "message"),
     [
         ("train.batch_size", "no '='"),
@@ -186,7 +187,7 @@ def test_load_config_rejects_invalid_overrides(tmp_path, override, message):
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("text", ["- a\n- b", "just words", "a: [1", "\tx: 1"])
+@each("text", ["- a\n- b", "just words", "a: [1", "\tx: 1"])
 def test_load_config_rejects_other_files(tmp_path, text):
     with pytest.raises(ConfigError) as caught:
         load_config(written(tmp_path, text))

@@ -10,6 +10,7 @@ from deitalk.config.yaml_text import load_yaml, read_yaml
 from deitalk.emotions import parse_emotion
 from deitalk.errors import ConfigError, EmotionError
 from rig import limits
+from tests.each import each
 
 
 def refused(text):
@@ -44,7 +45,7 @@ def test_aliases_written_by_pyyaml_are_read():
     assert load_yaml(text, "a") == [key, key]
 
 
-@pytest.mark.parametrize("levels", [6, 9, 20])
+@each("levels", [6, 9, 20])
 def test_alias_bomb_is_refused_before_it_is_built(levels):
     assert "more than 50000 values, aliases counted" in refused(bomb(levels))
 
@@ -55,7 +56,7 @@ def test_values_at_the_limit_are_read_and_above_are_not():
     assert "more than 50000 values" in refused(text[:-1] + "0,0]")
 
 
-@pytest.mark.parametrize("style", ["flow", "block", "alias"])
+@each("style", ["flow", "block", "alias"])
 def test_nesting_at_the_limit_is_read_and_above_is_not(style):
     def nested(depth):
         if style == "flow":
@@ -69,12 +70,12 @@ def test_nesting_at_the_limit_is_read_and_above_is_not(style):
     assert "deeper than 32 levels" in refused(nested(limits.NESTING + 1))
 
 
-@pytest.mark.parametrize("text", ["[" * 100_000, "- " * 50_000, "{a: " * 20_000, "? " * 20_000])
+@each("text", ["[" * 100_000, "- " * 50_000, "{a: " * 20_000, "? " * 20_000])
 def test_deep_nesting_is_refused_quickly(text):
     assert "deeper than 32 levels" in refused(text)
 
 
-@pytest.mark.parametrize("loader", ["CSafeLoader", "SafeLoader"])
+@each("loader", ["CSafeLoader", "SafeLoader"])
 def test_deep_nesting_is_told_alike_by_every_parser(monkeypatch, loader):
     if not hasattr(yaml, loader):
         pytest.skip("PyYAML was built without libyaml")
@@ -94,7 +95,7 @@ def test_text_beyond_the_limit_is_refused():
     assert "262145 characters of YAML; at most 262144" in refused("#" * (limits.YAML_BYTES + 1))
 
 
-@pytest.mark.parametrize(
+@each(
     "text",
     ["!!int x", "!!int ''", "!!float ''", "!!bool maybe", "!!timestamp x", "2024-99-99", "&a [*a]",
      "*a", "!!python/object/apply:os.getcwd []", "a: b: c", "\x00", "[1", "? [1, 2]\n: 3",

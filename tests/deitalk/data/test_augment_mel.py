@@ -20,6 +20,7 @@ from deitalk.data.mesh_segments import (
     stretch_time,
     zero_bins,
 )
+from tests.each import each
 
 RATE = 16_000
 
@@ -46,8 +47,8 @@ def test_shift_fills_half_a_frame_each_way(rng):
     assert 0.5 / 60 == pytest.approx(0.0083, abs=1e-4)  # §4.3: about 8.3 ms
 
 
-@pytest.mark.parametrize("pink", [False, True])
-@pytest.mark.parametrize("snr_db", [5.0, 30.0])
+@each("pink", [False, True])
+@each("snr_db", [5.0, 30.0])
 def test_noise_has_the_given_level(rng, pink, snr_db):
     x = tone()
     noise = add_noise(x, snr_db, rng, pink=pink) - x

@@ -17,6 +17,7 @@ from deitalk.data.augment_waveform import (
     speed_factor,
 )
 from deitalk.errors import DataError
+from tests.each import each
 
 RATE = 16_000
 
@@ -36,7 +37,7 @@ def rooms() -> Surroundings:
     return Surroundings((noise,), (room,))
 
 
-@pytest.mark.parametrize("seed", range(25))
+@each("seed", range(25))
 def test_augmented_sound_keeps_its_time(seed):
     x = burst()
     y = augment(x, np.random.default_rng(seed), rooms(), [burst(at=0.3)] * 4)
@@ -66,7 +67,7 @@ def test_augmentation_accepts_silence_and_empty_waveforms():
     assert len(change_speed(np.zeros(0, np.float32), 1.2)) == 0
 
 
-@pytest.mark.parametrize("factor", [0.82, 1.0, 1.25])
+@each("factor", [0.82, 1.0, 1.25])
 def test_speed_moves_pitch_and_time_together(factor):
     t = np.arange(RATE) / RATE
     fast = change_speed(np.sin(2 * np.pi * 500 * t).astype(np.float32), factor)
@@ -101,7 +102,7 @@ def bands(sound: np.ndarray) -> np.ndarray:
     return 10 * np.log10([power[mask].mean() + 1e-12 for mask in inside])
 
 
-@pytest.mark.parametrize("seed", range(30))
+@each("seed", range(30))
 def test_noise_of_every_kind_has_power_one(seed):
     rng = np.random.default_rng(seed)
     voices = [np.random.default_rng(i).standard_normal(RATE).astype(np.float32) for i in range(4)]
@@ -118,7 +119,7 @@ def test_hisses_have_many_spectra():
     assert 0.2 < (slopes > 0).mean() < 0.6
 
 
-@pytest.mark.parametrize("slope", [-6.0, 0.0, 4.5])
+@each("slope", [-6.0, 0.0, 4.5])
 def test_coloured_noise_has_the_given_slope(slope):
     white = np.random.default_rng(1).standard_normal(8 * RATE)
     turned = bands(_coloured(white, slope)) - bands(white)
@@ -133,7 +134,7 @@ def test_coloured_noise_has_a_hill_at_the_given_octave():
     assert raised[[5, 6]].min() > 3 and np.abs(raised[[0, 1, 2, 3]]).max() < 0.1
 
 
-@pytest.mark.parametrize("seed", range(10))
+@each("seed", range(10))
 def test_tone_has_a_pitch_and_no_overtone_folds_back(seed):
     tone = _tone(2 * RATE, np.random.default_rng(seed))
     power = np.square(np.abs(np.fft.rfft(tone * np.hanning(len(tone)))))

@@ -10,6 +10,7 @@ from deitalk.data.clips import read_clips, read_intensity, read_known, read_phon
 from deitalk.errors import DataError
 from rig import default_controls
 from tests.dataset import write_dataset
+from tests.each import each
 
 
 @pytest.fixture(scope="module")
@@ -117,7 +118,7 @@ def test_intensity_is_linear_between_its_rows_and_held_beyond(folder):
     np.testing.assert_allclose(values, [0, 0, 0.4, 0.8, 0.4, 0, 0], atol=1e-6)
 
 
-@pytest.mark.parametrize(
+@each(
     "text",
     [
         "time,intensity\n",
@@ -138,9 +139,7 @@ def test_read_intensity_rejects_damaged_files(tmp_path, text):
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize(
-    "text", ["start,end\n0,1\n", "start,end,phone\n0,x,AA\n", "start,end,phone\n1,0,AA\n", ""]
-)
+@each("text", ["start,end\n0,1\n", "start,end,phone\n0,x,AA\n", "start,end,phone\n1,0,AA\n", ""])
 def test_read_phones_rejects_damaged_files(tmp_path, text):
     path = tmp_path / "p.csv"
     path.write_text(text)

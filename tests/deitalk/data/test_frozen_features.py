@@ -19,6 +19,7 @@ from deitalk.models.curve_model import DEITalk
 from deitalk.research.training.ablation import Variant, ablate
 from deitalk.training.curves import train_curves
 from tests.dataset import write_dataset
+from tests.each import each
 
 TINY = Path(__file__).resolve().parents[3] / "configs" / "tiny.yaml"
 
@@ -46,7 +47,7 @@ def frontend(folder: Path) -> dict[str, torch.Tensor]:
     return load_model(folder).frontend.state_dict()
 
 
-@pytest.mark.parametrize("augment", [False, True])
+@each("augment", [False, True])
 def test_training_changes_all_weights_but_the_frontend(data, source, tmp_path, augment):
     config = tiny(f"train.frozen_frontend={source}", f"data.augment={augment}", "train.ema=0.5")
     train_curves(config, data, tmp_path / "run")

@@ -32,6 +32,7 @@ from rig.deformation.reconstruct import mesh_solver
 from rig.face import build_head
 from rig.mesh import TriMesh, write_ply, write_ply_sequence
 from tests.dataset import CLICKS, JAW, SECONDS, write_dataset
+from tests.each import each
 
 RATE = 16_000
 SMALL = SDFAMelConfig(
@@ -134,7 +135,7 @@ def test_triangles_at_rest_are_skipped_with_equal_results(tmp_path, rng):
     assert (kept[:, still] == 0).all() and (kept[:, ~still] != 0).any(axis=(0, 2)).all()
 
 
-@pytest.mark.parametrize(
+@each(
     ("change", "said"),
     [
         ({"speaker": "eve"}, "'eve' has no template"),
@@ -350,7 +351,7 @@ def test_derivatives_are_of_the_warped_spectrogram():
     assert (slope[3] == 0).all()
 
 
-@pytest.mark.parametrize("time", [-1.0, 0.0, 0.999, 5.0])
+@each("time", [-1.0, 0.0, 0.999, 5.0])
 def test_beyond_the_recording_is_silence(time):
     mel = Spectra(ENCODER, 16)(np.full(RATE, 0.1, np.float32), time, MelWarp())
     assert mel.shape == (3, 16, 16)

@@ -24,6 +24,7 @@ from deitalk.data.offset import (
 from deitalk.research.corpus.build import Shard, build
 from deitalk.research.corpus.engines import available_engines
 from rig import read_curves
+from tests.each import each
 
 SHIFTS = (-0.5, -0.2, -0.1, 0.1, 0.2, 0.5)
 needs_espeak = pytest.mark.skipif(
@@ -78,7 +79,7 @@ def test_short_clips_and_still_jaws_have_no_lag():
     assert not is_shifted(np.full(61, np.nan))
 
 
-@pytest.mark.parametrize(
+@each(
     ("best", "middle", "clear"),
     # 0.03 + 0.6 (1 - r): 0.09 for r = 0.9, 0.33 for r = 0.5
     [(0.9, 0.8, True), (0.9, 0.82, False), (0.5, 0.16, True), (0.5, 0.18, False)],

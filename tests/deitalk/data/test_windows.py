@@ -27,6 +27,7 @@ from deitalk.data.windows import (
 from deitalk.errors import DataError
 from rig import RigCurves, default_controls, read_curves, write_curves
 from tests.dataset import CLICKS, FPS, JAW, RATE, SECONDS, write_dataset
+from tests.each import each
 
 CONTROLS = default_controls()
 SECONDS_FRAMES = int(SECONDS * 30)
@@ -47,8 +48,8 @@ def step_material(at: float = 1.0, seconds: float = 2.0) -> Material:
     return Material(waveform, times, values, intensity, np.ones(3, bool))
 
 
-@pytest.mark.parametrize("speed", [0.82, 1.0, 1.1, 1.25])
-@pytest.mark.parametrize("first", [0, 7, 20])
+@each("speed", [0.82, 1.0, 1.1, 1.25])
+@each("first", [0, 7, 20])
 def test_click_stays_with_the_step_of_the_curves(speed, first):
     material = step_material()
     waveform, curves, _, total = cut(material, first, 45, speed)

@@ -11,6 +11,7 @@ import pytest
 from deitalk.emotions import parse_emotion, read_intensity_curve
 from deitalk.errors import EmotionError
 from rig import limits
+from tests.each import each
 
 
 def written(path, text, encoding="utf-8"):
@@ -35,9 +36,9 @@ def refused(read, path):
 KEYS = [(0.0, 0.45), (1.5, 1.25)]
 
 
-@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "utf-16-le", "utf-16-be"])
-@pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
-@pytest.mark.parametrize(
+@each("encoding", ["utf-8", "utf-8-sig", "utf-16", "utf-16-le", "utf-16-be"])
+@each("end", ["\n", "\r\n", "\r"])
+@each(
     "text",
     [
         "time,intensity\n0,0.45\n1.5,1.25\n",
@@ -71,7 +72,7 @@ def test_weights_in_columns_are_read_with_decimal_commas(tmp_path):
     assert parse_emotion(path).weights.tolist() == [[0.5, 0, 0.5, 0, 0], [0, 0, 1, 0, 0]]
 
 
-@pytest.mark.parametrize(
+@each(
     ("text", "words"),
     [
         ("time;intensity\n0;1,2,3\n", "key 1: intensity is '1,2,3'"),
@@ -101,7 +102,7 @@ def test_key_at_the_last_second_is_read(tmp_path):
     assert curve(written(tmp_path / "i.csv", "time,intensity\n10800,1\n")) == [(10800, 1)]
 
 
-@pytest.mark.parametrize(("most", "fits"), [(3, True), (2, False)])
+@each(("most", "fits"), [(3, True), (2, False)])
 def test_keys_are_counted(tmp_path, monkeypatch, most, fits):
     monkeypatch.setattr("rig.limits.KEYS", most)
     rows = [(0.0, 1.0), (1.0, 1.0), (2.0, 1.0)]
@@ -117,8 +118,8 @@ def test_keys_are_counted(tmp_path, monkeypatch, most, fits):
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no named pipes")
-@pytest.mark.parametrize("suffix", [".csv", ".json", ".yaml"])
-@pytest.mark.parametrize("read", [parse_emotion, read_intensity_curve])
+@each("suffix", [".csv", ".json", ".yaml"])
+@each("read", [parse_emotion, read_intensity_curve])
 def test_named_pipe_never_blocks(tmp_path, suffix, read):
     os.mkfifo(tmp_path / f"pipe{suffix}")
     errors = []

@@ -17,6 +17,7 @@ from deitalk.emotions import (
     write_intensity_csv,
 )
 from deitalk.errors import EmotionError
+from tests.each import each
 
 KEYS = [
     {"time": 1.0, "emotion": "happy", "strength": 1.0},
@@ -50,7 +51,7 @@ def weights(emotion, time=0.0):
     return dict(zip(EMOTIONS, parse_emotion(emotion).at([time])[0].tolist(), strict=True))
 
 
-@pytest.mark.parametrize("name", EMOTIONS)
+@each("name", EMOTIONS)
 def test_label_is_one_hot_at_all_times(name):
     track = parse_emotion(f" {name.upper()} ").at([-1, 0, 1e6])
     assert track.dtype == np.float32
@@ -77,7 +78,7 @@ def test_weights_are_a_distribution(strengths):
     assert row.sum() == pytest.approx(1, abs=1e-6)
 
 
-@pytest.mark.parametrize("suffix", [".csv", ".json", ".yaml"])
+@each("suffix", [".csv", ".json", ".yaml"])
 def test_keyframes_are_joined_by_lines_and_held_outside(tmp_path, suffix):
     path = write_track(tmp_path / f"track{suffix}", KEYS)
     for spelling in (path, str(path)):
@@ -110,7 +111,7 @@ def test_parse_emotion_returns_a_track_unchanged():
     assert isinstance(track, EmotionTrack)
 
 
-@pytest.mark.parametrize(
+@each(
     ("emotion", "words"),
     [
         ("furious", ["unknown emotion 'furious'", *EMOTIONS]),
@@ -133,8 +134,8 @@ def test_parse_emotion_rejects_in_one_line(emotion, words):
     assert_error(emotion, *words)
 
 
-@pytest.mark.parametrize("suffix", [".csv", ".json", ".yaml"])
-@pytest.mark.parametrize(
+@each("suffix", [".csv", ".json", ".yaml"])
+@each(
     ("keys", "words"),
     [
         ([KEYS[1], KEYS[0]], ["key 2", "time 1 comes after 3", "sort"]),
@@ -153,7 +154,7 @@ def test_read_emotion_track_rejects_in_one_line(tmp_path, suffix, keys, words):
     assert_error(path, *words)
 
 
-@pytest.mark.parametrize(
+@each(
     ("name", "content"),
     [
         ("t.json", b"{"),
@@ -217,7 +218,7 @@ def test_intensity_needs_only_time_and_intensity(tmp_path):
     assert read_intensity_curve(path).at([0.0, 0.5, 2.0]).tolist() == [0, 1, 4]
 
 
-@pytest.mark.parametrize(
+@each(
     ("rows", "words"),
     [
         ("0,-0.1", "intensity -0.1 must be 0 to 4"),

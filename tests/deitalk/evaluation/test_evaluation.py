@@ -30,6 +30,7 @@ from deitalk.evaluation.prosody_response import contours_report, level_curve, sp
 from deitalk.pipeline.curves import Performance
 from rig import RigCurves, default_controls, write_curves
 from tests.dataset import waveform
+from tests.each import each
 
 CONTROLS = default_controls()
 PHONES = [(0.0, 1.0, "SIL"), (1.0, 1.1, "M"), (1.1, 1.12, "IY"), (1.3, 1.5, "AA"), (1.8, 1.9, "F")]
@@ -62,7 +63,7 @@ def test_phone_table_counts_hits_over_the_alarm_level():
     assert np.isnan(table["B"]["hits"])
 
 
-@pytest.mark.parametrize(
+@each(
     ("gesture", "name", "n"),
     [(CLOSURE, "lipsTogetherU", 4), (BITE, "lipBiteD", 2), (ROUNDING, "purseU", 8)],
 )
@@ -78,7 +79,7 @@ def test_jaw_in_contact_uses_held_lips_only():
     assert np.isnan(jaw_in_contact(lips * 0.5, jaw))
 
 
-@pytest.mark.parametrize("late_ms", [-50.0, 0.0, 17.0, 100.0])
+@each("late_ms", [-50.0, 0.0, 17.0, 100.0])
 def test_lag_is_interpolated_between_frames(late_ms):
     times = np.arange(300) / 30
     target = np.sin(2 * np.pi * 1.3 * times)
@@ -215,7 +216,7 @@ def test_captured_curves_are_measured_or_refused(tmp_path: Path):
         captured_smoothness(tmp_path / "b.csv", CONTROLS)
 
 
-@pytest.mark.parametrize("snr_db", [20.0, 0.0])
+@each("snr_db", [20.0, 0.0])
 def test_noise_has_the_given_ratio(snr_db):
     speech = waveform(0)
     noise = mix(speech, pink_noise(16_000), snr_db) - speech

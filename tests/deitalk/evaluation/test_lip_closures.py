@@ -9,6 +9,7 @@ from deitalk.evaluation.lip_closures import (
     held_closures,
     summarise_closures,
 )
+from tests.each import each
 
 B = (0.3, 0.4, "B")  # frames 9 to 11; widened 7 to 14
 
@@ -20,7 +21,7 @@ def curve(values, n_frames=40):
     return lips
 
 
-@pytest.mark.parametrize(("frame", "counts"), [(6, 0), (7, 1), (10, 1), (14, 1), (15, 0)])
+@each(("frame", "counts"), [(6, 0), (7, 1), (10, 1), (14, 1), (15, 0)])
 def test_closure_is_widened_by_two_frames(frame, counts):
     scores = closure_scores(curve({frame: 0.8}), [B])
     assert scores.closures == pytest.approx([0.8 * counts])
@@ -31,7 +32,7 @@ def test_frames_inside_are_not_widened():
     assert scores.inside == pytest.approx([0.2, 0.3, 0.4])
 
 
-@pytest.mark.parametrize(
+@each(
     ("vowel", "clear"),
     [
         ((0.0, 0.23, "AH"), True),  # 70 ms before the closure
@@ -45,7 +46,7 @@ def test_vowels_near_closures_are_excluded(vowel, clear):
     assert len(closure_scores(curve({}), [B, vowel]).vowels) == clear
 
 
-@pytest.mark.parametrize("name", ["F", "V", "W"])
+@each("name", ["F", "V", "W"])
 def test_vowels_near_other_lip_sounds_are_excluded(name):
     near = closure_scores(curve({}), [(0.3, 0.4, name), (0.4, 0.6, "AA")])
     assert len(near.vowels) == 0
@@ -92,7 +93,7 @@ def test_summary_of_no_clips_is_nan():
     assert (summary.n_closures, summary.n_vowels) == (0, 0)
 
 
-@pytest.mark.parametrize("lag", [-4, -1, 0, 2, 4])
+@each("lag", [-4, -1, 0, 2, 4])
 def test_lag_is_positive_when_the_prediction_is_late(rng, lag):
     target = rng.standard_normal(200).astype(np.float32)
     assert best_lag(target, np.roll(target, lag)) == lag

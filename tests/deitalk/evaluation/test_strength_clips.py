@@ -13,6 +13,7 @@ from deitalk.evaluation.people.acted import (
 )
 from deitalk.research.evaluation.strength import measure_clips
 from tests.deitalk.audio.test_prosody import voice
+from tests.each import each
 
 
 @pytest.fixture
@@ -50,7 +51,7 @@ def test_speakers_are_in_one_split_and_all_splits_occur(tmp_path):
     assert splits[7] == StrengthClip(ACTORS, tmp_path / "b", "7", "7", "ANG", "HI").split
 
 
-@pytest.mark.parametrize(
+@each(
     ("text", "words"),
     [
         ("path,speaker\n", "needs rows with the columns"),

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from deitalk.data.captures.mend import LEAST_SHOWN_MS, shown_lags
+from tests.each import each
 
 
-@pytest.mark.parametrize("lags", [[], [-0.62], [-0.62, np.nan], [-1.0, 1.0]])
+@each("lags", [[], [-0.62], [-0.62, np.nan], [-1.0, 1.0]])
 def test_axis_of_small_lags_is_two_frames_long(lags):
     low, high = shown_lags(np.array(lags, np.float64))
     assert high - low == pytest.approx(LEAST_SHOWN_MS)

@@ -2,7 +2,6 @@
 
 from fractions import Fraction
 
-import pytest
 import torch
 
 from deitalk.audio.frames import SAMPLE_RATE
@@ -10,6 +9,7 @@ from deitalk.audio.mel import MelSpectrogram
 from deitalk.config import MelConfig
 from deitalk.frontends import build_frontend
 from deitalk.frontends.mel_bilstm import phase_shifts
+from tests.each import each
 
 MEL = {
     "n_mels": 16,
@@ -42,8 +42,8 @@ def test_phase_shifts_by_hand():
     assert phase_shifts(2, 60) == [-67, 67]  # of 266.7
 
 
-@pytest.mark.parametrize("phases", [1, 2, 3, 5])
-@pytest.mark.parametrize("rate", [60, 100, 125])
+@each("phases", [1, 2, 3, 5])
+@each("rate", [60, 100, 125])
 def test_phase_shifts_divide_a_period_evenly_about_0(phases, rate):
     shifts = phase_shifts(phases, rate)
     step = Fraction(SAMPLE_RATE, rate * phases)
@@ -52,7 +52,7 @@ def test_phase_shifts_divide_a_period_evenly_about_0(phases, rate):
         assert abs(after - before - step) <= 1
 
 
-@pytest.mark.parametrize("shift", [-67, 1, 67])
+@each("shift", [-67, 1, 67])
 def test_a_shifted_spectrum_is_that_of_the_sound_so_much_later(shift):
     waveform = torch.cat([torch.zeros(1000), noise(1)])  # so that nothing is cut off at its start
     mel = MelSpectrogram(0.032, 60.0, 16)
@@ -62,7 +62,7 @@ def test_a_shifted_spectrum_is_that_of_the_sound_so_much_later(shift):
         torch.testing.assert_close(spectra, mel(moved, 30, first))
 
 
-@pytest.mark.parametrize("make", FRONTENDS.values(), ids=FRONTENDS.keys())
+@each("make", FRONTENDS.values())
 @torch.no_grad()
 def test_two_phases_give_the_mean_of_two_encodings(make):
     n_frames = 70

@@ -9,6 +9,7 @@ from deitalk.config import MelConfig
 from deitalk.frontends import build_frontend, whole_clip
 from deitalk.frontends.mel_bilstm import SEGMENT_FRAMES, MelFrontend, TemporalAttention
 from tests.closeness import assert_same
+from tests.each import each
 
 SMALL = {
     "n_mels": 16,
@@ -149,14 +150,13 @@ def naive(model, waveform, n_frames):
     return torch.stack(rows)
 
 
-@pytest.mark.parametrize(
+@each(
     "settings",
     [
         SMALL,
         SMALL | {"window_frames": 9, "query_frames": 3},  # an odd window
         SMALL | {"centre": True, "weight_norm": False},
     ],
-    ids=["paper", "odd", "centre"],
 )
 @torch.no_grad()
 def test_windows_equal_a_loop_over_windows(settings):
@@ -207,8 +207,8 @@ def test_attention_gives_no_weight_beyond_the_memory():
     torch.testing.assert_close(along[0, 1], memory[0, 15:].mean(dim=0))
 
 
-@pytest.mark.parametrize("piece_frames", [7, 32, 90])
-@pytest.mark.parametrize(
+@each("piece_frames", [7, 32, 90])
+@each(
     "settings",
     [
         SEGMENT,
@@ -259,7 +259,7 @@ def test_progress_ends_at_one():
     assert shares == sorted(shares) and shares[0] < 0.2 and shares[-1] == 1
 
 
-@pytest.mark.parametrize("settings", [SMALL, SEGMENT], ids=["window", "segment"])
+@each("settings", [SMALL, SEGMENT])
 @torch.no_grad()
 def test_clips_of_a_batch_are_independent(settings):
     model = frontend(**settings)
@@ -287,7 +287,7 @@ def test_rig_layers_start_as_identity_and_reach_beyond_the_window():
         torch.testing.assert_close(alone, rows + context @ deep.rig[0].project.weight.T)
 
 
-@pytest.mark.parametrize("settings", [SMALL, SEGMENT], ids=["window", "segment"])
+@each("settings", [SMALL, SEGMENT])
 def test_mixed_precision_trains(settings):
     model = frontend(gain=1.0, **settings)
     with torch.no_grad():
@@ -299,7 +299,7 @@ def test_mixed_precision_trains(settings):
     torch.testing.assert_close(mixed.detach().float(), exact, atol=0.1, rtol=0.1)
 
 
-@pytest.mark.parametrize("settings", [SMALL, SEGMENT], ids=["window", "segment"])
+@each("settings", [SMALL, SEGMENT])
 def test_every_parameter_gets_a_gradient(settings):
     model = frontend(**settings).train()
     model(noise(1.0), 30)[:, ::3].sin().sum().backward()

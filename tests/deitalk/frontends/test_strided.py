@@ -6,6 +6,7 @@ from torch import nn
 
 from deitalk.errors import ConfigError
 from deitalk.frontends.strided import StridedFrontend
+from tests.each import each
 
 CHUNK, OVERLAP = 60, 15
 """Rig frames of a piece and of two in common: 2 s and 0.5 s."""
@@ -37,7 +38,7 @@ def clock(seconds):
     return torch.arange(round(seconds * 16_000), dtype=torch.float32) / 16_000
 
 
-@pytest.mark.parametrize("n_frames", [1, 30, 60, 61, 104, 106, 150, 240])
+@each("n_frames", [1, 30, 60, 61, 104, 106, 150, 240])
 def test_rows_are_exact_in_time_in_every_piece(n_frames):
     rows = Samples().encode(clock(n_frames / 30 + 0.1), n_frames)[:, 0]
     torch.testing.assert_close(rows, torch.arange(n_frames) / 30, atol=1e-5, rtol=0)
@@ -68,7 +69,7 @@ def test_only_clips_of_several_pieces_are_surveyed_with_their_gain():
     assert several == [pytest.approx(2 * (4 - 1 / 16_000))] * 3
 
 
-@pytest.mark.parametrize("n_frames", [45, 150])
+@each("n_frames", [45, 150])
 def test_gain_scales_every_piece(n_frames):
     sound = clock(n_frames / 30 + 0.1)
     plain, louder = (Samples().encode(sound, n_frames, gain=gain) for gain in (1.0, 3.0))
@@ -81,7 +82,7 @@ def test_progress_ends_at_one():
     assert shares == [60 / 120, 105 / 120, 1.0]
 
 
-@pytest.mark.parametrize(("chunk", "overlap"), [(2, 1.5), (2, -1), (0, 0)])
+@each(("chunk", "overlap"), [(2, 1.5), (2, -1), (0, 0)])
 def test_impossible_pieces_are_refused_in_one_line(chunk, overlap):
     with pytest.raises(ConfigError, match="at least twice") as error:
         Samples().encode(clock(1.0), 30, chunk_seconds=chunk, overlap_seconds=overlap)

@@ -23,6 +23,7 @@ from deitalk.config import Wav2VecConfig
 from deitalk.errors import CheckpointError, ConfigError
 from deitalk.frontends.wav2vec import PUBLISHED, SPEECH_SCALE, Wav2VecFrontend
 from tests.closeness import SHARE, assert_same
+from tests.each import each
 
 TINY = {
     "conv_dim": (32,) * 7,
@@ -170,7 +171,7 @@ def test_forward_has_the_contracts_shape(checkpoint, speech):
     torch.testing.assert_close(rows[:1], frontend(10 * batch[:1] + 1, 60), atol=1e-3, rtol=1e-3)
 
 
-@pytest.mark.parametrize("n_samples", [1, 399, 534])
+@each("n_samples", [1, 399, 534])
 def test_very_short_clips_are_encoded(n_samples):
     frontend = Wav2VecFrontend.from_config(TINY).eval()
     n_frames = -(-30 * n_samples // 16000)
@@ -228,7 +229,7 @@ def local_frontend():
     return frontend
 
 
-@pytest.mark.parametrize("n_frames", [61, 90, 119, 121, 200, 301])
+@each("n_frames", [61, 90, 119, 121, 200, 301])
 def test_chunks_of_a_local_encoder_equal_the_whole(rng, n_frames):
     """Without attention, chunks must equal the whole."""
     frontend = local_frontend()
@@ -244,7 +245,7 @@ def test_chunks_of_a_local_encoder_equal_the_whole(rng, n_frames):
     assert difference.max() < 0.15 * whole.std()
 
 
-@pytest.mark.parametrize("kind", ["group", "layer"])
+@each("kind", ["group", "layer"])
 def test_chunks_with_attention_stay_close_to_the_whole(rng, kind):
     """Random attention spans the whole chunk, the worst case; tolerance 5 % of the spread."""
     torch.manual_seed(0)
@@ -299,7 +300,7 @@ def test_missing_checkpoint_offline_names_the_way_out():
     assert_one_line(error, PUBLISHED, "hf download", "mel frontend")
 
 
-@pytest.mark.parametrize("name", ["no/such/folder/at/all", "not a name", "/", ""])
+@each("name", ["no/such/folder/at/all", "not a name", "/", ""])
 def test_from_pretrained_rejects_names_that_are_no_checkpoint(name):
     with pytest.raises(CheckpointError) as error:
         Wav2VecFrontend.from_pretrained(name)
@@ -410,7 +411,7 @@ def test_from_pretrained_rejects_another_sample_rate(checkpoint):
         Wav2VecFrontend.from_pretrained(str(checkpoint))
 
 
-@pytest.mark.parametrize(
+@each(
     ("encoder", "words"),
     [
         ({"hiden_size": 32}, "hiden_size"),

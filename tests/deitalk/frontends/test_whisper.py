@@ -22,6 +22,7 @@ from deitalk.models.checkpoint import load_model, save_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.models.folder import describe_model, weights_hash
 from tests.deitalk.models.test_curve_model import SMALL
+from tests.each import each
 
 TINY = {"n_mels": 16, "width": 32, "heads": 4, "intermediate": 48}
 THEIRS = {
@@ -98,7 +99,7 @@ def test_states_are_those_of_transformers(checkpoint):
     assert float((found[2] - found[1]).std()) > 0.1, "layers matter"
 
 
-@pytest.mark.parametrize("kind", [TheirEncoder, WhisperModel, WhisperForConditionalGeneration])
+@each("kind", [TheirEncoder, WhisperModel, WhisperForConditionalGeneration])
 def test_weights_are_read_from_any_whisper_model(kind, tmp_path):
     model = saved(kind, tmp_path)
     (prefix,) = {
@@ -116,7 +117,7 @@ def test_half_precision_checkpoints_become_float32(checkpoint, tmp_path):
     assert {w.dtype for w in frontend.encoder.parameters()} == {torch.float32}
 
 
-@pytest.mark.parametrize("n_mels", [80, 16])
+@each("n_mels", [80, 16])
 def test_spectrogram_inside_a_clip_is_that_of_transformers(n_mels):
     sound = speech(3.0)
     extractor = WhisperFeatureExtractor(feature_size=n_mels)
@@ -140,7 +141,7 @@ def test_frames_of_the_spectrogram_lie_on_their_samples():
     assert (power > -9).nonzero().flatten().tolist() == [49, 50, 51]
 
 
-@pytest.mark.parametrize("place", [0, 3199, 3200, 5001, 6390, 9999])
+@each("place", [0, 3199, 3200, 5001, 6390, 9999])
 def test_peak_of_a_clip_is_that_of_its_spectrogram(monkeypatch, place):
     """In pieces of 20 frames, wherever the loudest sound lies."""
     monkeypatch.setattr(log_mel, "BLOCK", 20)
@@ -173,7 +174,7 @@ def test_every_piece_has_the_floor_of_the_whole_clip():
     assert float((silent - (peak - 8 + 4) / 4).abs().max()) < 1e-6
 
 
-@pytest.mark.parametrize(("seconds", "n_frames"), [(1.0, 30), (3.3, 99)])
+@each(("seconds", "n_frames"), [(1.0, 30), (3.3, 99)])
 def test_a_clip_of_one_piece_is_encoded_at_once(seconds, n_frames):
     frontend, sound = tiny(), speech(seconds)
     with torch.no_grad():
@@ -195,20 +196,20 @@ def test_a_click_moves_the_rows_around_its_time():
     assert 58 <= moved.min() and moved.max() <= 62
 
 
-@pytest.mark.parametrize("n_samples", [1, 100, 533, 1600])
+@each("n_samples", [1, 100, 533, 1600])
 def test_very_short_clips_are_encoded(n_samples):
     n_frames = frame_count(n_samples)
     rows = tiny().encode(speech(1.0)[:n_samples], n_frames)
     assert rows.shape == (n_frames, 32) and rows.isfinite().all()
 
 
-@pytest.mark.parametrize("seconds", [2, 25])
+@each("seconds", [2, 25])
 def test_silence_gives_finite_rows(seconds):
     rows = tiny().encode(torch.zeros(seconds * 16_000), seconds * 30)
     assert rows.isfinite().all()
 
 
-@pytest.mark.parametrize("n_frames", [301, 330, 571, 700])
+@each("n_frames", [301, 330, 571, 700])
 def test_pieces_stay_close_to_the_whole(n_frames):
     """Positions and attention span a piece. Away from where pieces begin, rows of the first are
     those of a clip that ends there; a later piece is as close as its own positions allow."""
@@ -223,7 +224,7 @@ def test_pieces_stay_close_to_the_whole(n_frames):
     torch.testing.assert_close(rows[:270], first[:270], atol=1e-5, rtol=0)
 
 
-@pytest.mark.parametrize("n_frames", [200, 400])
+@each("n_frames", [200, 400])
 def test_gain_is_that_of_a_louder_sound(n_frames):
     frontend, sound = tiny(), speech(n_frames / 30)
     louder = frontend.encode(0.25 * sound, n_frames, gain=4.0)
@@ -260,7 +261,7 @@ def test_layers_are_mixed_by_learnt_weights():
     torch.testing.assert_close(mixed, 0.25 * single[0] + 0.75 * single[1], atol=1e-5, rtol=0)
 
 
-@pytest.mark.parametrize("learns", ["nothing", "everything"])
+@each("learns", ["nothing", "everything"])
 def test_what_learns_gets_a_gradient(learns):
     frontend = tiny(learns=learns).train()
     frontend(speech(1.0)[None], 30).square().sum().backward()
@@ -268,14 +269,14 @@ def test_what_learns_gets_a_gradient(learns):
     assert {w.grad is not None for w in frontend.encoder.parameters()} == {learns == "everything"}
 
 
-@pytest.mark.parametrize("name", ["no/such/folder/at/all", "not a name", "someone/whisper-none"])
+@each("name", ["no/such/folder/at/all", "not a name", "someone/whisper-none"])
 def test_missing_checkpoints_are_named_in_one_line(name):
     with pytest.raises(CheckpointError, match="no Whisper checkpoint") as error:
         WhisperFrontend.build(WhisperConfig(**TINY, checkpoint=name))
     assert_one_line(error, name, "name a folder or a model of the hub")
 
 
-@pytest.mark.parametrize(
+@each(
     ("changes", "word"),
     [
         ({"width": 64}, "conv1.weight"),
@@ -298,7 +299,7 @@ def test_damaged_checkpoints_are_refused_in_one_line(checkpoint, tmp_path):
     assert_one_line(error, str(tmp_path))
 
 
-@pytest.mark.parametrize(
+@each(
     ("changes", "word"), [({"heads": 5}, "multiple"), ({"layers": ()}, "layers"), ({"rate": 25}, "rate")]
 )  # fmt: skip
 def test_impossible_shapes_are_refused(changes, word):

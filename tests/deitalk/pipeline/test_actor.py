@@ -16,6 +16,7 @@ from deitalk.emotions.tracks import TRAITS
 from deitalk.errors import AudioError, EmotionError
 from deitalk.pipeline.speech import Speech, measure_actor
 from tests.deitalk.audio.test_prosody import voice
+from tests.each import each
 
 SOFT, USUAL, STRONG = voice(110, 1.6), voice(140, 1.2), voice(220, 0.8)
 
@@ -60,7 +61,7 @@ def test_reference_file_gives_the_reference_back(tmp_path):
 PLAIN = {"format": "deitalk-actor", "version": 1, "strength": 0, "recordings": 1, "seconds": 1}
 
 
-@pytest.mark.parametrize(
+@each(
     "content",
     [
         {},

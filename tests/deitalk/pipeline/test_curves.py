@@ -17,6 +17,7 @@ from deitalk.models.folder import embedded_models
 from deitalk.pipeline.speech import Speech
 from deitalk.postprocess.life.mouth import LEANS
 from rig.errors import ControlError
+from tests.each import each
 
 SMALL = ModelConfig(
     frontend=MelConfig(
@@ -132,7 +133,7 @@ def test_rules_are_those_of_the_model(network, monkeypatch):
     assert tuned[-1, jaw] == network.controls.rest[jaw]
 
 
-@pytest.mark.parametrize("emotion", EMOTIONAL)
+@each("emotion", EMOTIONAL)
 def test_intensity_0_gives_the_neutral_reading(network, emotion):
     speech = recording()
     still = animate(speech, emotion, model=network, intensity=0)
@@ -174,7 +175,7 @@ def test_written_intensity_curve_given_back_changes_nothing(network, tmp_path):
     np.testing.assert_allclose(second, first.curves.values, atol=2e-4)
 
 
-@pytest.mark.parametrize(("end", "n_notes"), [(2.9, 0), (3.4, 0), (8.7, 1)])
+@each(("end", "n_notes"), [(2.9, 0), (3.4, 0), (8.7, 1)])
 def test_intensity_curve_longer_than_the_recording_gives_a_note(network, end, n_notes):
     curve = IntensityCurve(np.array([0.0, end]), np.array([1.0, 1.0]))
     notes = animate(recording(3.0), "sad", model=network, intensity_curve=curve).recording.warnings
@@ -278,7 +279,7 @@ def test_gain_scales_both_readings_around_rest(network):
         animate(recording(), model=network, gain={"jar": 2})
 
 
-@pytest.mark.parametrize(
+@each(
     ("arguments", "message"),
     [
         ({"emotion": "furious"}, "angry"),
@@ -309,7 +310,7 @@ def test_emotions_give_different_faces(default, voice):
             assert distance > 0.25, f"{a} and {b} are {distance:.3f} apart"
 
 
-@pytest.mark.parametrize(
+@each(
     ("emotion", "control"),
     [
         ("happy", "CTRL_L_mouth_cornerPull.ty"),
@@ -328,7 +329,7 @@ def test_action_unit_of_an_emotion_grows_with_intensity(default, voice, emotion,
     assert means[2] > means[0] + 0.15
 
 
-@pytest.mark.parametrize("emotion", EMOTIONAL)
+@each("emotion", EMOTIONAL)
 def test_closures_survive_double_intensity(default, voice, emotion):
     controls = default.controls
     lips = [i for i, name in enumerate(controls.names) if "lipsTogether" in name]
@@ -341,7 +342,7 @@ def test_closures_survive_double_intensity(default, voice, emotion):
     assert (acted[closed, jaw] <= neutral[closed, jaw] + 0.02).all()
 
 
-@pytest.mark.parametrize("emotion", EMOTIONS)
+@each("emotion", EMOTIONS)
 def test_mouth_is_shut_in_silence(default, voice, emotion):
     acted = values(voice, emotion, model=default)
     opening = mouth_opening(acted, default.controls)

@@ -23,6 +23,7 @@ from rig.mesh.glb import read_container
 from rig.mesh.glb_reader import read_accessor, read_glb
 from rig.mesh.obj import write_obj
 from rig.retarget.retarget_files import RetargetReport
+from tests.each import each
 from tests.rig.retarget.test_retarget_files import ict
 
 SAMPLE = "docs/samples/promise.flac"
@@ -78,7 +79,7 @@ def corners_rise_mm(performance, neutral):
     return 10 * (performance.vertices - neutral.vertices)[:, corners, 1].mean()
 
 
-@pytest.mark.parametrize("emotion", ["neutral", "happy"])
+@each("emotion", ["neutral", "happy"])
 def test_lips_seal_at_bilabials(acted, emotion):
     assert_lips_seal(acted[emotion])
 

@@ -15,6 +15,7 @@ from rig import read_curves
 from rig.errors import ExistsError, TargetError
 from rig.files import is_folder_name
 from tests.deitalk.pipeline.test_curves import network, recording
+from tests.each import each
 
 __all__ = ["network"]
 
@@ -24,7 +25,7 @@ def happy(network):
     return animate(recording(1.5), "happy", model=network, intensity=1.5)
 
 
-@pytest.mark.parametrize("name", ["take", "take.v2/", "Scene 1.2", "Scene 1.a b", "x.animation12"])
+@each("name", ["take", "take.v2/", "Scene 1.2", "Scene 1.a b", "x.animation12"])
 def test_save_writes_a_take_where_the_name_is_a_folder(tmp_path, happy, name):
     saved = happy.save(f"{tmp_path}/{name}")
     about = json.loads((saved / "take.json").read_text())
@@ -38,7 +39,7 @@ def test_save_writes_into_an_existing_folder_whatever_its_suffix(tmp_path, happy
     assert (happy.save(tmp_path / "take.csv") / "curves.csv").is_file()
 
 
-@pytest.mark.parametrize("name", ["c.csv", "c.JSON", "Scene 1.2.npz", "a.v2.unreal.json"])
+@each("name", ["c.csv", "c.JSON", "Scene 1.2.npz", "a.v2.unreal.json"])
 def test_save_writes_one_file_by_its_suffix(tmp_path, happy, name):
     saved = happy.save(tmp_path / name, fps=60)
     assert saved.is_file()
@@ -54,7 +55,7 @@ def test_save_replaces_only_by_force(tmp_path, happy):
     happy.save(tmp_path / "c.csv", force=True)
 
 
-@pytest.mark.parametrize("name", ["take.v2", "c.xyz", "c.wav"])
+@each("name", ["take.v2", "c.xyz", "c.wav"])
 def test_save_rejects_a_suffix_that_is_none(tmp_path, happy, name):
     with pytest.raises(TargetError, match=r"a folder with a slash: .*/$"):
         happy.save(tmp_path / name)
@@ -67,7 +68,7 @@ def test_save_names_the_model_it_was_given(tmp_path, happy):
     assert about["model"]["name"] == "live" and len(about["model"]["sha256"]) == 64
 
 
-@pytest.mark.parametrize(
+@each(
     ("name", "is_folder"),
     [
         ("a", True),
@@ -145,9 +146,7 @@ def test_performances_print_as_one_short_line(happy, network):
     )
 
 
-@pytest.mark.parametrize(
-    ("name", "files"), [("m.glb", None), ("m.npz", None), ("m.v2/", 6), ("frames", 6)]
-)
+@each(("name", "files"), [("m.glb", None), ("m.npz", None), ("m.v2/", 6), ("frames", 6)])
 def test_mesh_performance_saves_by_the_same_rule(tmp_path, network, name, files):
     performance = animate_mesh(recording(0.2), model=network)
     saved = performance.save(f"{tmp_path}/{name}")
@@ -158,7 +157,7 @@ def test_mesh_performance_saves_by_the_same_rule(tmp_path, network, name, files)
         performance.save(tmp_path / "m.fbx")
 
 
-@pytest.mark.parametrize(
+@each(
     ("arguments", "error", "message"),
     [
         ({"emotion": 3}, EmotionError, "emotion 3 is a int"),
@@ -187,7 +186,7 @@ def test_mesh_performance_saves_by_the_same_rule(tmp_path, network, name, files)
         ({"sample_rate": 48_000}, AudioError, "belongs to an array"),
     ],
 )
-@pytest.mark.parametrize("function", [animate, animate_mesh])
+@each("function", [animate, animate_mesh])
 def test_arguments_reject_other_types(network, function, arguments, error, message):
     given = {"audio": recording(0.2), "emotion": "happy", "model": network} | arguments
     with pytest.raises(error) as raised:

@@ -37,6 +37,7 @@ from deitalk.research.training.suggestion import (
     predict,
     score,
 )
+from tests.each import each
 
 
 def test_map_is_a_softmax_of_standardised_features():
@@ -105,7 +106,7 @@ def test_window_is_what_a_recording_of_its_own_frames_has():
     assert not frames.window(slice(0, FEWEST_FRAMES - 1)).is_enough
 
 
-@pytest.mark.parametrize(
+@each(
     ("vote", "asked", "majority", "shares"),
     [
         ("S", "SAD", 3, (0, 0, 0, 1)),

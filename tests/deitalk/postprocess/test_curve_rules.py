@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from deitalk.config import RulesConfig
 from deitalk.postprocess.curve_rules import Expression, expression_scale
 from rig import default_controls
+from tests.each import each
 
 CONTROLS = default_controls()
 RULES = Expression(CONTROLS)
@@ -79,7 +80,7 @@ def test_contacts_are_never_lowered(seed, closed, applied):
     assert (blended[:, RULES.seals] >= neutral[:, RULES.seals]).all()
 
 
-@pytest.mark.parametrize("which", ["together", "bite"])
+@each("which", ["together", "bite"])
 def test_blend_does_not_part_closed_lips(which):
     neutral, emotional = readings()
     neutral[:, getattr(RULES, which)] = 0.8
@@ -160,7 +161,7 @@ def decided(curve: list[float]) -> np.ndarray:
     return values[:, place]
 
 
-@pytest.mark.parametrize(
+@each(
     ("height", "expected"),
     # odds of 0.5 and 0.2 against those of 0.25 are 3 and 3/4; to the fourth 81 and 81/256
     [(0, 0), (0.2, 81 / 337), (0.25, 0.5), (0.5, 81 / 82), (1, 1)],
@@ -176,7 +177,7 @@ def test_lips_part_between_two_contacts():
     assert between == pytest.approx(0.01501 * first, abs=1e-4)
 
 
-@pytest.mark.parametrize(
+@each(
     ("height", "share"),
     # shoulders at 0.72 and 0.96; odds of 0.8 against theirs are 14/9 and 1/6, to the fourth
     # 5.855 and 0.00077; a peak of 0.35 becomes (0.35/0.65 * 75/25)^4 = 6.809 to 1, 0.8719

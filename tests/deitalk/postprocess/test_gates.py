@@ -1,13 +1,13 @@
 """The laws of the gates: open in speech, smooth, at rest in silence and at the end."""
 
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from deitalk.audio.voice_activity import speech_activity
 from deitalk.postprocess.gates import expression_gate, mouth_gate
 from tests.deitalk.audio.test_voice_activity import placed
+from tests.each import each
 
 masks = st.lists(st.tuples(st.booleans(), st.integers(1, 120)), min_size=1, max_size=8).map(
     lambda runs: np.concatenate([np.full(n, float(b)) for b, n in runs])
@@ -39,7 +39,7 @@ def test_mouth_gate_opens_before_speech_and_closes_after_it():
     assert (np.diff(gate[29:37]) < 0).all()
 
 
-@pytest.mark.parametrize("pause", [10, 12, 30, 100])
+@each("pause", [10, 12, 30, 100])
 def test_mouth_gate_is_shut_in_pauses(pause):
     activity = np.concatenate([np.ones(20), np.zeros(pause), np.ones(20)])
     shut = mouth_gate(activity)[20 : 20 + pause] == 0
@@ -59,7 +59,7 @@ def test_expression_gate_decays_in_long_pauses_and_rises_before_speech():
     assert (np.diff(gate[157:171]) > 0).all()
 
 
-@pytest.mark.parametrize("trailing", [18, 25, 45, 60, 74, 75, 90, 300])
+@each("trailing", [18, 25, 45, 60, 74, 75, 90, 300])
 def test_gates_are_shut_at_the_end_of_trailing_silence(trailing):
     activity = np.concatenate([np.zeros(20), np.ones(20), np.zeros(trailing)])
     gate = expression_gate(activity)
@@ -72,7 +72,7 @@ def test_expression_of_a_clip_cut_in_speech_stays():
     assert expression_gate(np.concatenate([np.ones(20), np.zeros(6)]))[-1] == 1
 
 
-@pytest.mark.parametrize("trailing_seconds", [0.6, 1.0, 3.0])
+@each("trailing_seconds", [0.6, 1.0, 3.0])
 def test_gates_of_a_waveform_are_shut_at_its_end(rng, trailing_seconds):
     waveform, _ = placed(rng, [-0.5, 2, -trailing_seconds])
     activity = speech_activity(waveform)

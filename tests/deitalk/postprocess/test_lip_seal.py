@@ -11,6 +11,7 @@ from deitalk.models.checkpoint import new_mesh_model
 from deitalk.models.deformation_decoder import InversePCA
 from deitalk.postprocess.lip_seal import seal_lips
 from tests.deitalk.models.test_mesh_model import VOCA, sheet
+from tests.each import each
 
 
 def parted(gap_mm):
@@ -25,7 +26,7 @@ def parted(gap_mm):
     return frames, lips
 
 
-@pytest.mark.parametrize(("gap_mm", "left_mm"), [(0.9, 0), (1.0, 0), (1.5, 0.75), (2.0, 2.0)])
+@each(("gap_mm", "left_mm"), [(0.9, 0), (1.0, 0), (1.5, 0.75), (2.0, 2.0)])
 def test_seal_lips_by_hand(gap_mm, left_mm):
     frames, lips = parted(gap_mm)
     sealed = seal_lips(frames, 2.0, 10)

@@ -8,6 +8,7 @@ from deitalk.audio.voice_activity import speech_activity
 from deitalk.config import VoiceIntensity
 from deitalk.postprocess.voice_intensity import MOST_TAKE, take_z, voice_intensity
 from tests.deitalk.audio.test_prosody import voice
+from tests.each import each
 
 
 def corrected(waveform: np.ndarray, network: np.ndarray, strength: float = 0.0) -> np.ndarray:
@@ -15,7 +16,7 @@ def corrected(waveform: np.ndarray, network: np.ndarray, strength: float = 0.0) 
     return voice_intensity(network, prosody, speech_activity(waveform), strength)
 
 
-@pytest.mark.parametrize(("decibels", "base"), [(1.0, 0.1493), (5.0, 0.6766), (60.0, 1.3)])
+@each(("decibels", "base"), [(1.0, 0.1493), (5.0, 0.6766), (60.0, 1.3)])
 def test_mean_of_a_take_is_that_of_its_strength(decibels, base):
     """0.15 deviations a decibel, 1.3 at most, whatever moves in the take."""
     loud = voice(seconds=6)

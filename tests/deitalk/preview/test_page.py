@@ -24,6 +24,7 @@ from rig.errors import ExistsError, TargetError
 from rig.face import build_head
 from rig.face.contact_sheet import EMOTION_POSES, MOUTH_POSES, pose_values
 from tests.browser import chromium, lateness, needs_player, opened
+from tests.each import each
 
 CONTROLS = default_controls()
 RATE = 16000
@@ -498,7 +499,7 @@ def contrast(first: str, second: str) -> float:
     return (max(levels) + 0.05) / (min(levels) + 0.05)
 
 
-@pytest.mark.parametrize("scheme", ["dark", "light"])
+@each("scheme", ["dark", "light"])
 def test_narrow_page_does_not_scroll_sideways(browser, page_file, scheme):
     narrow = {"width": 390, "height": 844}
     with opened(browser, page_file / "three.html", viewport=narrow, color_scheme=scheme) as tab:

@@ -26,6 +26,7 @@ from rig import RigCurves, default_controls, write_curves
 from rig.curves import snap_fps
 from rig.curves.rig_curves import NTSC
 from rig.errors import ExistsError, RigError, TargetError
+from tests.each import each
 from tests.media import write_sound
 
 CONTROLS = default_controls()
@@ -162,7 +163,7 @@ def brightness(path) -> list[tuple[Fraction, float]]:
         ]
 
 
-@pytest.mark.parametrize("fps", [30.0, 25.0, NTSC, 23.976, 59.94])
+@each("fps", [30.0, 25.0, NTSC, 23.976, 59.94])
 def test_picture_i_is_at_i_over_fps_and_sound_starts_with_picture_0(tmp_path, monkeypatch, fps):
     monkeypatch.setattr(video, "draw_frames", flat_frames)
     source = make_source(15)
@@ -212,7 +213,7 @@ def test_sound_of_an_odd_rate_keeps_its_time(tmp_path, monkeypatch):
 HERE = [name for name, _ in encoding.ENCODERS if name in av.codecs_available]
 
 
-@pytest.mark.parametrize("name", HERE)
+@each("name", HERE)
 def test_every_encoder_of_this_installation_keeps_the_pictures_in_time(tmp_path, name):
     options = dict(encoding.ENCODERS)[name]
     frames = (np.full((96, 128, 3), 20 + 10 * k, np.uint8) for k in range(15))
@@ -241,7 +242,7 @@ def test_video_refuses_to_overwrite(tmp_path):
     assert path.read_bytes() == b"mine"
 
 
-@pytest.mark.parametrize(("name", "message"), [("v.avi", "avi"), ("no/v.mp4", "is not a folder")])
+@each(("name", "message"), [("v.avi", "avi"), ("no/v.mp4", "is not a folder")])
 def test_bad_targets_are_refused(tmp_path, name, message):
     with pytest.raises((PreviewError, TargetError), match=message):
         render_video(make_source(), tmp_path / name)
@@ -258,7 +259,7 @@ def test_missing_encoder_is_one_line_before_the_source_is_read(tmp_path, monkeyp
         render_video(tmp_path / "not there", tmp_path / "v.mp4")
 
 
-@pytest.mark.parametrize(
+@each(
     ("name", "backend", "error", "message"),
     [
         ("p.html", "auto", MissingError, "has no preview page"),
@@ -287,7 +288,7 @@ def test_commands_check_for_the_page_before_any_work(tmp_path, monkeypatch):
         assert "has no preview page" in str(done.exception)
 
 
-@pytest.mark.parametrize("command", ["plot", "attention"])
+@each("command", ["plot", "attention"])
 def test_commands_check_for_matplotlib_before_any_work(tmp_path, monkeypatch, command):
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     monkeypatch.setattr("deitalk.audio.load.open_sound", None)

@@ -3,6 +3,7 @@ import pytest
 
 from rig import Control, ControlSet, default_controls
 from rig.errors import ControlError
+from tests.each import each
 
 CONTROLS = default_controls()
 
@@ -24,7 +25,7 @@ def test_two_channels_exist_exactly_where_unreal_has_a_vector():
     assert sum(len(channels) == 2 for channels in by_control.values()) == 14
 
 
-@pytest.mark.parametrize(
+@each(
     ("name", "size"),
     [("lip", 86), ("upper_face", 18), ("lip_no_sticky", 86), ("upper_face_gaze", 18), ("all", 185)],
 )
@@ -76,7 +77,7 @@ def test_mirror_negates_sideways_values_and_keeps_the_jaw_opening():
     assert sign["CTRL_C_jaw.ty"] == sign["CTRL_L_mouth_corner.tx"] == 1
 
 
-@pytest.mark.parametrize(
+@each(
     ("spelling", "name"),
     [
         ("CTRL_C_jaw.Y", "CTRL_C_jaw.ty"),
@@ -155,7 +156,7 @@ def test_set_is_read_from_the_header_of_curves(tmp_path):
     )
 
 
-@pytest.mark.parametrize(
+@each(
     ("text", "message"),
     [
         ("frame,time,a,a\n", "'a' occurs twice"),

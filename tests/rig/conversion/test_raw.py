@@ -8,6 +8,7 @@ from rig import RigCurves, default_controls, rest_curves
 from rig.conversion.convert import convert
 from rig.conversion.raw import RAW_ID, board_to_raw, raw_controls, raw_to_board
 from rig.errors import ControlError
+from tests.each import each
 
 BOARD = default_controls()
 
@@ -50,7 +51,7 @@ def test_rest_is_converted_to_rest():
     assert rest.values == pytest.approx(rest_curves(1).values)
 
 
-@pytest.mark.parametrize(
+@each(
     ("channel", "value", "expected"),
     [
         ("CTRL_C_jaw__ty", 0.5, {"jawOpen": 0.5}),

@@ -19,6 +19,7 @@ from rig.conversion.visemes import (
     weights,
 )
 from rig.errors import FormatError
+from tests.each import each
 
 
 def frames(**amounts):
@@ -37,7 +38,7 @@ def test_sets_have_the_documented_names():
     assert names(RHUBARB) == tuple("ABCDEFGHX")
 
 
-@pytest.mark.parametrize(
+@each(
     ("amounts", "oculus", "rhubarb"),
     [
         ({}, "sil", "X"),
@@ -121,7 +122,7 @@ def test_rhubarb_xml_by_an_independent_parser(tmp_path):
     assert root.find("mouthCues/mouthCue").get("start") == "0.00"
 
 
-@pytest.mark.parametrize("suffix", ["tsv", "xml", "rhubarb.json"])
+@each("suffix", ["tsv", "xml", "rhubarb.json"])
 def test_all_three_read_back_to_the_same_mouth(tmp_path, suffix):
     _, curves = speech()
     write_curves(tmp_path / f"c.{suffix}", curves)
@@ -144,7 +145,7 @@ def test_visemes_json_has_the_documented_schema(tmp_path):
     assert np.sum(data["values"], axis=1) == pytest.approx(1, abs=1e-3)
 
 
-@pytest.mark.parametrize(
+@each(
     ("name", "text", "message"),
     [
         ("c.tsv", "0.00 X\n", "a time, a tab and a shape"),

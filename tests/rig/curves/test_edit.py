@@ -4,6 +4,7 @@ import pytest
 from rig import RigCurves, clamp, default_controls, gain, rest_curves, smooth
 from rig.curves.edit import parse_gains
 from rig.errors import ControlError, CurveError
+from tests.each import each
 
 JAW = "CTRL_C_jaw.ty"
 WRINKLE = "CTRL_L_nose_wrinkleUpper.ty"
@@ -67,7 +68,7 @@ def test_gains_are_read_from_a_text():
     assert parse_gains({"jaw": 2}) == {"jaw": 2} and parse_gains(None) == {}
 
 
-@pytest.mark.parametrize(
+@each(
     ("text", "message"),
     [
         ("brow", "NAME=FACTOR"),
@@ -119,7 +120,7 @@ def test_constant_curves_and_zero_width_stay():
     assert smooth(curves, 0.0) is curves
 
 
-@pytest.mark.parametrize("seconds", [-0.1, float("nan"), float("inf")])
+@each("seconds", [-0.1, float("nan"), float("inf")])
 def test_smooth_rejects_invalid_widths(seconds):
     with pytest.raises(CurveError, match="finite time of 0 or more"):
         smooth(rest_curves(3), seconds)

@@ -7,6 +7,7 @@ from scipy.linalg import polar as scipy_polar
 from scipy.spatial.transform import Rotation
 
 from rig.deformation.rotations import polar, rotation_exp, rotation_log, unwrap, unwrap_sequence
+from tests.each import each
 
 ANGLES = [0.0, 1e-12, 1e-9, 1e-4, 1.0, 3.0, np.pi - 1e-6, np.pi - 1e-9]
 
@@ -61,7 +62,7 @@ def test_polar_rejects_a_reflection():
         polar(np.diag([1.0, 1.0, -1.0]))
 
 
-@pytest.mark.parametrize("angle", ANGLES)
+@each("angle", ANGLES)
 def test_log_inverts_exp_at(angle, rng):
     vectors = angle * axes(rng)
     matrices = rotation_exp(vectors)

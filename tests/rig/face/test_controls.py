@@ -8,6 +8,7 @@ from rig.face import build_head
 from rig.face.contact_sheet import pose_values
 from rig.face.geometry.topology import EYE_L, EYE_R, MOUTH
 from rig.face.motion.bindings import NOTHING, ONLY_WITH
+from tests.each import each
 
 CONTROLS = default_controls()
 X, Y, Z = 0, 1, 2
@@ -192,7 +193,7 @@ CASES = [(f"CTRL_L_{stem}", *rest) for stem, rest in SIDED.items()] + [
 ]
 
 
-@pytest.mark.parametrize(("name", "landmark", "axis", "plus", "minus"), CASES)
+@each(("name", "landmark", "axis", "plus", "minus"), CASES)
 def test_control_moves_its_landmark_in_its_direction(
     head, landmarks, name, landmark, axis, plus, minus
 ):
@@ -207,7 +208,7 @@ def test_control_moves_its_landmark_in_its_direction(
             assert sign * moved > 0.015, f"{name}={value} moves {landmark} by {moved:.3f} cm"
 
 
-@pytest.mark.parametrize("stem", [*SIDED, "eye_pupil.ty"])
+@each("stem", [*SIDED, "eye_pupil.ty"])
 def test_sided_control_moves_its_own_side(head, stem):
     x = head.mesh.vertices[:, 0]
     for side, sign in (("L", 1), ("R", -1)):
@@ -235,14 +236,14 @@ def test_thick_tongue_is_taller(head):
     assert height(-1) < height(0) < height(1)
 
 
-@pytest.mark.parametrize("lip", ["U", "D"])
+@each("lip", ["U", "D"])
 def test_lips_together_moves_its_own_lip(head, lip):
     moved = motion(head, f"*mouth_lipsTogether{lip}.ty", 1.0, OPEN)
     upper, lower = (moved[head.features.loop(MOUTH, 0)[k], Y] for k in (13, 39))
     assert (upper < -0.1 and abs(lower) < 0.01) if lip == "U" else (lower > 0.1 > abs(upper) * 10)
 
 
-@pytest.mark.parametrize(("name", "u"), [("stickyInner", 0.45), ("stickyOuter", 0.85)])
+@each(("name", "u"), [("stickyInner", 0.45), ("stickyOuter", 0.85)])
 def test_sticky_closes_its_part_of_the_lips(head, name, u):
     both = {f"CTRL_L_mouth_{name}{lip}.ty": 1.0 for lip in "UD"}
     skin = head.pose(pose_values({**OPEN, **both}))

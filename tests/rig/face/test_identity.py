@@ -8,9 +8,10 @@ from rig.face import IDENTITIES, build_head
 from rig.face.contact_sheet import pose_values
 from rig.face.geometry.loops import anatomy
 from rig.face.identity import ROLES, resolve_identity
+from tests.each import each
 
 
-@pytest.mark.parametrize("role", ROLES)
+@each("role", ROLES)
 def test_role_is_one_of_the_people(role):
     person = resolve_identity(role)
     assert person in IDENTITIES
@@ -21,7 +22,7 @@ def test_number_is_read_from_text():
     assert resolve_identity("3") == resolve_identity(3) == IDENTITIES[3]
 
 
-@pytest.mark.parametrize("unknown", ["-1", -1, 12, "adult", ""])
+@each("unknown", ["-1", -1, 12, "adult", ""])
 def test_unknown_identity_is_an_error_that_names_the_roles(unknown):
     with pytest.raises(RigError, match="female, male, child"):
         resolve_identity(unknown)

@@ -14,6 +14,7 @@ from rig.face.geometry.eyes import IRIS_DEGREES
 from rig.face.geometry.loops import MOUTH_COUNT
 from rig.face.geometry.topology import EYE_L, EYE_R, MOUTH
 from rig.face.head import GAZE_DEGREES
+from tests.each import each
 
 CONTROLS = default_controls()
 SHEET = np.stack([pose_values(p) for p in (*MOUTH_POSES.values(), *EMOTION_POSES.values())])
@@ -50,7 +51,7 @@ def rim_middles(head, pose: dict[str, float]) -> np.ndarray:
     return middle - [0, head.features.anatomy.mouth_y, head._lip_z]
 
 
-@pytest.mark.parametrize(
+@each(
     "name",
     ["brow_down", "brow_raiseIn", "brow_raiseOut", "eye_cheekRaise", "eye_squintInner",
      "eye_faceScrunch", "eye_lidPress", "jaw_clench"],
@@ -62,7 +63,7 @@ def test_controls_of_eyes_and_jaw_angle_do_not_move_the_lips(head, name):
     assert np.abs(moved).max() > 0.1
 
 
-@pytest.mark.parametrize("name", ["purse", "funnel", "lipBite", "press", "lipsRoll"])
+@each("name", ["purse", "funnel", "lipBite", "press", "lipsRoll"])
 def test_lip_controls_do_not_move_the_tip_of_the_nose(head, name):
     tip = np.argmax(head.skin.vertices[:, 2])
     pose = {f"CTRL_{side}_mouth_{name}{lip}.ty": 1 for side in "LR" for lip in "UD"}
@@ -71,7 +72,7 @@ def test_lip_controls_do_not_move_the_tip_of_the_nose(head, name):
     assert np.abs(skin_of(head, moved)).max() > 0.1
 
 
-@pytest.mark.parametrize("name", ["cornerPull", "sharpCornerPull", "stretch", "cornerDepress"])
+@each("name", ["cornerPull", "sharpCornerPull", "stretch", "cornerDepress"])
 def test_smile_and_frown_alone_keep_the_lips_closed(head, name):
     gaps = rim_gaps(head, head.pose(pose_values({f"*mouth_{name}.ty": 1})[None]))
     assert np.linalg.norm(gaps, axis=-1).max() < 0.05
@@ -97,7 +98,7 @@ def test_rest_pose_is_the_neutral_head(head):
     assert np.abs(head.pose(CONTROLS.rest) - head.mesh.vertices).max() < 1e-5
 
 
-@pytest.mark.parametrize("share", [0.15, 1.0])
+@each("share", [0.15, 1.0])
 def test_seal_closes_the_lips_in_any_pose(head, share):
     values = random_values(60, 1, share)
     for name in CONTROLS.names:
@@ -141,7 +142,7 @@ def test_blink_closes_both_lids_exactly_and_half_blink_half(head):
     assert 0.3 < gap(0.5).max() / gap(0.0).max() < 0.7
 
 
-@pytest.mark.parametrize("number", [0, 1, 3])
+@each("number", [0, 1, 3])
 def test_lids_at_rest_cover_the_rim_of_the_iris_above_and_touch_it_below(number):
     """1 to 3 mm above (Farkas 1994); below, the sclera shows by less than 1 mm."""
     place, skin = build_head(number).features.anatomy, build_head(number).features
@@ -161,7 +162,7 @@ def test_profile_has_a_fold_between_the_lower_lip_and_the_chin(head):
     assert z[y < y[fold]].max() > z[fold] + 0.3
 
 
-@pytest.mark.parametrize("look", [-1.0, -0.5, 0.5, 1.0])
+@each("look", [-1.0, -0.5, 0.5, 1.0])
 def test_lids_follow_the_gaze(head, look):
     """The iris stays in sight, and the upper lid near its upper edge, wherever the eye looks."""
     rim = skin_of(head, head.pose(pose_values({"CTRL_C_eye.ty": look})))
@@ -278,7 +279,7 @@ def test_tongue_goes_between_the_teeth_for_th(head):
     assert outside[:, 1].min() >= front[:, 1].max() - 0.1
 
 
-@pytest.mark.parametrize("name", ["AA (father)", "SH CH", "OW (go)"])
+@each("name", ["AA (father)", "SH CH", "OW (go)"])
 def test_open_mouth_shows_the_lower_incisors_before_a_lower_tongue(head, name):
     pose = head.pose(pose_values(MOUTH_POSES[name]))
     lower, tongue = pose[head.slices["teeth_lower"]], pose[head.slices["tongue"]]
@@ -330,7 +331,7 @@ def test_a_frame_takes_milliseconds(head):
     assert best < 10e-3
 
 
-@pytest.mark.parametrize(
+@each(
     ("values", "message"),
     [
         (np.zeros(184), r"shape \(184,\)"),

@@ -27,6 +27,7 @@ from rig.files import (
 )
 from rig.files import folder as folders
 from rig.files.manifest import MANIFEST
+from tests.each import each
 
 
 def fill(target, contents, **options):
@@ -138,7 +139,7 @@ def test_check_file_rejects_existing_file_and_input(tmp_path):
         check_file(path, force=True, inputs=(link,))
 
 
-@pytest.mark.parametrize("place", [".", "..", "/", "~", "link", "file", "file/below", "/proc"])
+@each("place", [".", "..", "/", "~", "link", "file", "file/below", "/proc"])
 def test_check_folder_rejects_places_never_filled(tmp_path, monkeypatch, place):
     home = tmp_path / "home"
     here = tmp_path / "work/here"
@@ -159,7 +160,7 @@ def test_check_folder_rejects_places_never_filled(tmp_path, monkeypatch, place):
         pass
 
 
-@pytest.mark.parametrize("force", [False, True])
+@each("force", [False, True])
 def test_check_folder_rejects_foreign_folder(tmp_path, force):
     (tmp_path / "take").mkdir()
     check_folder(tmp_path / "take", kind="take", force=force)  # empty
@@ -190,7 +191,7 @@ def test_check_folder_rejects_other_kind_input_and_edited_file(tmp_path):
         check_folder(take, kind="take", force=True)
 
 
-@pytest.mark.parametrize("text", ["", "[]", "{}", "{" * 5000, '{"schema": 1, "files": 3}'])
+@each("text", ["", "[]", "{}", "{" * 5000, '{"schema": 1, "files": 3}'])
 def test_check_folder_rejects_damaged_manifest(tmp_path, text):
     fill(tmp_path / "take", {"a": "1"})
     (tmp_path / "take" / MANIFEST).write_text(text)
@@ -237,7 +238,7 @@ def test_output_folder_keeps_foreign_file_of_a_new_name(tmp_path):
     assert content(take) == {"curves.csv": "1", "preview.mp4": "mine"}
 
 
-@pytest.mark.parametrize("exists", [False, True])
+@each("exists", [False, True])
 def test_output_folder_is_as_before_after_an_error(tmp_path, exists):
     take = tmp_path / "take"
     if exists:
@@ -327,7 +328,7 @@ def test_recover_keeps_file_edited_after_the_kill(tmp_path, monkeypatch):
     assert content(take) == {"a": "new", "b": "edited by the user"}
 
 
-@pytest.mark.parametrize(
+@each(
     "journal",
     [
         "",
@@ -353,7 +354,7 @@ def test_recover_rejects_journal_that_leaves_its_folder(tmp_path, journal):
     assert not (take / "secret").exists()
 
 
-@pytest.mark.parametrize("side", ["staged", "target", "removed"])
+@each("side", ["staged", "target", "removed"])
 def test_recover_follows_no_linked_subfolder(tmp_path, side):
     take, outside = tmp_path / "take", tmp_path / "outside"
     fill(take, {"a": "1"})
@@ -401,7 +402,7 @@ def holder(target, seconds):
     return process
 
 
-@pytest.mark.parametrize("exists", [False, True])
+@each("exists", [False, True])
 def test_claim_rejects_a_second_process(tmp_path, exists):
     take = tmp_path / "take"
     if exists:

@@ -3,9 +3,8 @@
 import os
 from pathlib import Path
 
-import pytest
-
 from rig.files import changed_files, output_folder
+from tests.each import each
 
 OLD = {"a.csv": "old", "b.csv": "old", "gone.csv": "old"}
 NEW = {"a.csv": "new", "b.csv": "new", "added.csv": "new"}
@@ -21,7 +20,7 @@ def visible(folder: Path) -> dict[str, str]:
     return {path.name: path.read_text() for path in folder.glob("[!.]*")}
 
 
-@pytest.mark.parametrize("when", ["before", "after"])
+@each("when", ["before", "after"])
 def test_interrupted_replacement_leaves_the_old_or_new_folder_and_no_hidden_files(
     when, tmp_path, monkeypatch
 ):

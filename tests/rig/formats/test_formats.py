@@ -11,6 +11,7 @@ from rig import ControlSet, RigCurves, default_controls, read_curves, rest_curve
 from rig.errors import ControlError, FormatError, RigError
 from rig.formats.decimal_text import Block, rows
 from rig.formats.table import FORMATS as TABLE
+from tests.each import each
 
 CONTROLS = default_controls()
 JAW = "CTRL_C_jaw.ty"
@@ -109,7 +110,7 @@ def test_write_curves_resamples_to_a_given_rate(tmp_path):
     assert read_curves(tmp_path / "c.csv").fps == 24
 
 
-@pytest.mark.parametrize("fps", [24, 25, 29.97, 30, 50, 60, 23.976, 59.94])
+@each("fps", [24, 25, 29.97, 30, 50, 60, 23.976, 59.94])
 def test_rate_is_inferred_from_the_times_of_two_frames(tmp_path, fps):
     for n_frames in (2, 3, 1000):
         curves = rest_curves(n_frames, fps=fps)
@@ -164,7 +165,7 @@ def test_read_curves_rejects_wrong_controls(tmp_path):
         read_curves(save(table.assign(**{"CTRL_C_jaws.ty": 0}), tmp_path / "unknown.csv"))
 
 
-@pytest.mark.parametrize(
+@each(
     ("cell", "message"),
     [
         (1.5, r"data row 2, column 'CTRL_C_jaw.ty' is 1.5, outside 0 to 1"),
@@ -195,7 +196,7 @@ def test_read_curves_rejects_uneven_and_falling_times(tmp_path):
     assert read_curves(tmp_path / "c.csv", fps=25).fps == 25
 
 
-@pytest.mark.parametrize(
+@each(
     ("text", "message"),
     [
         ("", "is empty"),
@@ -222,7 +223,7 @@ def json_of_rest():
     }
 
 
-@pytest.mark.parametrize(
+@each(
     ("change", "message"),
     [
         ({"schema": "deitalk.curves/9"}, "schema is 'deitalk.curves/9'; this reads"),
@@ -250,9 +251,7 @@ def test_read_curves_rejects_invalid_json_fields(tmp_path, change, message):
         read_curves(tmp_path / "c.json")
 
 
-@pytest.mark.parametrize(
-    "text", ["[]", "{", "NaN", '{"a": NaN}', "[" * 100_000, "\x00", "1" * 5000]
-)
+@each("text", ["[]", "{", "NaN", '{"a": NaN}', "[" * 100_000, "\x00", "1" * 5000])
 def test_read_curves_rejects_other_json(tmp_path, text):
     (tmp_path / "c.json").write_text(text)
     with pytest.raises(
@@ -321,7 +320,7 @@ def test_read_and_write_reject_impossible_paths(tmp_path):
         write_curves(tmp_path / "c.csv", rest_curves(0))
 
 
-@pytest.mark.parametrize("suffix", FORMATS)
+@each("suffix", FORMATS)
 def test_failed_writer_leaves_the_old_file_only(tmp_path, monkeypatch, suffix):
     path = tmp_path / f"c.{suffix}"
     write_curves(path, rest_curves(1))

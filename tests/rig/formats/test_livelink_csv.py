@@ -20,6 +20,7 @@ from rig.formats.livelink_csv import (
 )
 from rig.validation.curves import validate
 from tests import unreal_live_link
+from tests.each import each
 from tests.rig.unreal.test_unreal import SUBJECTS
 
 ALEX = "data/curves/livelink/alex_rom_3.csv"
@@ -30,7 +31,7 @@ def codes(n_frames, fps):
     return [bytes(row).decode() for row in timecode_text(frame_ticks(n_frames, fps))]
 
 
-@pytest.mark.parametrize(
+@each(
     ("fps", "frame", "timecode"),
     [
         (30, 1, "00:00:00:02.000"),
@@ -51,7 +52,7 @@ def test_timecodes_of_hand_worked_times(fps, frame, timecode):
     assert codes(frame + 1, rate)[frame] == timecode
 
 
-@pytest.mark.parametrize("fps", [24, 25, 29.97, 30, 50, 60])
+@each("fps", [24, 25, 29.97, 30, 50, 60])
 def test_files_play_at_the_right_speed_by_the_importers_formula(tmp_path, fps):
     write_curves(tmp_path / "S_1_me.csv", rest_curves(300, fps=fps), format="livelink")
     times = unreal_live_link.import_csv(tmp_path / "S_1_me.csv").times
@@ -143,7 +144,7 @@ def test_more_columns_than_61_are_ignored(tmp_path):
     assert read_curves(tmp_path / "a.csv", control_set=None).names == arkit_controls().names
 
 
-@pytest.mark.parametrize(
+@each(
     ("row", "message"),
     [
         ("00:00:00:60.000,61" + ",0" * 61, "FF counts sixtieths, 00 to 59"),
@@ -171,31 +172,29 @@ def test_read_curves_rejects_doubled_and_foreign_columns(tmp_path):
         read_curves(tmp_path / "a.csv")
 
 
-@pytest.mark.parametrize(("name", "subject"), SUBJECTS)
+@each(("name", "subject"), SUBJECTS)
 def test_subject_is_what_the_importer_takes_from_the_name(tmp_path, name, subject):
     assert subject_of(tmp_path / name) == subject
     if name != "a_b_c_1.csv":  # nothing is left of it there
         assert unreal_live_link.subject(name.removesuffix(".csv")) == subject
 
 
-@pytest.mark.parametrize("slate", ["My_Slate", "speech", "2"])
-@pytest.mark.parametrize("subject", ["anna", "my_phone", "7"])
+@each("slate", ["My_Slate", "speech", "2"])
+@each("subject", ["anna", "my_phone", "7"])
 def test_names_of_takes_give_their_subject_in_unreal(slate, subject):
     name = take_name(slate, 3, subject)
     assert name == f"{slate}_take_3_{subject}.csv"
     assert unreal_live_link.subject(name.removesuffix(".csv")) == subject
 
 
-@pytest.mark.parametrize(
-    ("slate", "subject"), [("", "a"), ("a", ""), ("a_2_b", "c"), ("a", "b_cal")]
-)
+@each(("slate", "subject"), [("", "a"), ("a", ""), ("a_2_b", "c"), ("a", "b_cal")])
 def test_names_of_which_unreal_takes_another_subject_are_refused(slate, subject):
     with pytest.raises(CurveError, match="none may be empty"):
         take_name(slate, 1, subject)
 
 
-@pytest.mark.parametrize("n_frames", [1, 2, 5, 15, 16, 17, 30, 31, 32, 60, 100])
-@pytest.mark.parametrize("fps", [2, 24, 30, 60, 10000 / 167])
+@each("n_frames", [1, 2, 5, 15, 16, 17, 30, 31, 32, 60, 100])
+@each("fps", [2, 24, 30, 60, 10000 / 167])
 def test_files_of_any_length_play_at_the_right_speed_in_unreal(tmp_path, fps, n_frames):
     values = np.zeros((n_frames, 61), np.float32)
     values[:, 17] = np.linspace(0.1, 0.5, n_frames)
@@ -240,7 +239,7 @@ def test_take_rejects_hours_without_frames(tmp_path):
         read_take(path).to_curves(30)
 
 
-@pytest.mark.parametrize("stem", ["anna", "scene_take_2_anna"])
+@each("stem", ["anna", "scene_take_2_anna"])
 def test_name_with_the_apps_ending_keeps_the_subject_and_another_suffix_is_noted(tmp_path, stem):
     """Unreal leaves ``_cal`` out of the subject, and keeps what stands before ``.csv``."""
     report = write_curves(tmp_path / f"{stem}_cal.csv", rest_curves(40))

@@ -12,6 +12,7 @@ from rig.conversion.raw import RAW_ID, board_to_raw
 from rig.errors import ControlError, FormatError
 from rig.formats.emoface_txt import columns
 from rig.validation.curves import validate
+from tests.each import each
 
 BOARD = default_controls()
 NVIDIA = [
@@ -69,7 +70,7 @@ def test_rigmapper_fills_between_sparse_keys_and_rests_absent_curves(tmp_path):
     assert raw["CTRL_expressions_noseWrinkleUpperL"].tolist() == [1, 1, 1]
 
 
-@pytest.mark.parametrize(
+@each(
     ("keys", "message"),
     [
         ("", "no keys"),
@@ -190,8 +191,8 @@ def test_unreal_json_of_moving_faces_is_no_larger_than_curves_json(tmp_path, rng
     assert sizes[0] <= sizes[1]
 
 
-@pytest.mark.parametrize("suffix", [".csv", ".json", ".unreal.json", ".raw.csv"])
-@pytest.mark.parametrize("digits", [2, 4])
+@each("suffix", [".csv", ".json", ".unreal.json", ".raw.csv"])
+@each("digits", [2, 4])
 def test_fewer_digits_are_read_again_within_half_of_the_last(tmp_path, rng, suffix, digits):
     curves = RigCurves(rng.uniform(0, 1, (300, len(BOARD))).astype(np.float32), BOARD.names, 30)
     write_curves(tmp_path / f"a{suffix}", curves)
@@ -212,7 +213,7 @@ def test_digits_are_bounded_and_of_text_formats(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize(("last", "fits"), [(33_419, True), (33_420, False)])
+@each(("last", "fits"), [(33_419, True), (33_420, False)])
 def test_few_keys_far_apart_are_bounded(tmp_path, last, fits):
     """32 MiB of 251 raw curves are 33,420 frames."""
     path = tmp_path / "c.rigmapper.csv"
@@ -238,7 +239,7 @@ def test_rhubarb_files_name_the_sound_by_its_whole_path(tmp_path, curves):
     assert ElementTree.parse(tmp_path / "none.xml").getroot().findtext("metadata/soundFile") == ""
 
 
-@pytest.mark.parametrize(("fps", "seconds"), [(None, 8.72), (60, 8.71), (None, 8.73), (None, None)])
+@each(("fps", "seconds"), [(None, 8.72), (60, 8.71), (None, 8.73), (None, None)])
 def test_rhubarb_files_end_with_the_sound(tmp_path, fps, seconds):
     """8.71 and 8.72 s are 262 frames, of 8.73 s; lips that shut in the last one only are a cue."""
     values = rest_curves(262).values.copy()

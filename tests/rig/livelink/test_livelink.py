@@ -17,6 +17,7 @@ from rig.formats.livelink_csv import read_take, with_subject, write_take
 from rig.livelink import Packet, Receiver, decode, encode, make_protocol, osc, send
 from rig.livelink.protocols import MAX_JSON_BYTES, MAX_OSC_BYTES, PropertyJson, prepared, with_head
 from rig.livelink.sender import REST_REPEATS, Clock
+from tests.each import each
 
 DEVICE = "DEADBEEF-0000-4000-8000-000000000001"
 JAW = 17
@@ -79,7 +80,7 @@ def test_one_wrong_byte_is_decoded_or_rejected(place, byte, cut):
         assert str(error)
 
 
-@pytest.mark.parametrize(
+@each(
     ("change", "message"),
     [
         ({"rate": (30, 0)}, "frame rate 30/0: both must be above 0"),
@@ -409,7 +410,7 @@ def test_vmc_sends_an_avatars_shapes_and_its_head():
     assert bone[4:] == pytest.approx([0, 0.5**0.5, 0, 0.5**0.5], abs=1e-6)
 
 
-@pytest.mark.parametrize(
+@each(
     ("turn", "axis", "after"),
     [
         ({"HeadYaw": -90 / 50}, [0, 0, 1], [1, 0, 0]),  # to the right, x in Unity
@@ -433,7 +434,7 @@ def test_vmc_turns_the_bone_of_the_head_in_unitys_axes(turn, axis, after):
     np.testing.assert_allclose(Rotation.from_quat(bone[4:]).apply(axis), after, atol=1e-6)
 
 
-@pytest.mark.parametrize(
+@each(
     ("address", "arguments", "expected"),
     [
         (
@@ -452,7 +453,7 @@ def test_osc_messages_are_those_of_the_specification(address, arguments, expecte
     assert osc.message(address, *arguments) == bytes.fromhex(expected)
 
 
-@pytest.mark.parametrize("arguments", [(), (1 / 30,), ("Jöw", 0.5, 3), ("", "abc", "abcd")])
+@each("arguments", [(), (1 / 30,), ("Jöw", 0.5, 3), ("", "abc", "abcd")])
 def test_osc_messages_equal_those_of_python_osc(arguments):
     pytest.importorskip("pythonosc", reason="needs python-osc")
     from pythonosc.osc_message_builder import OscMessageBuilder
@@ -474,7 +475,7 @@ def test_osc_bundles_are_read_by_python_osc_in_order():
     assert [(m.address, m.params) for m in read] == [(f"/{k}", ["text", k]) for k in range(10)]
 
 
-@pytest.mark.parametrize("name", ["livelink", "vmc", "json"])
+@each("name", ["livelink", "vmc", "json"])
 def test_board_curves_are_converted_for_each_protocol(name):
     curves = rest_curves(2)
     report = send(

@@ -21,6 +21,7 @@ from rig.mesh.trimesh import (
     vertex_normals,
     without_degenerate,
 )
+from tests.each import each
 
 CUBE = TriMesh(
     [[x, y, z] for x in (0.0, 1.0) for y in (0.0, 1.0) for z in (0.0, 1.0)],
@@ -74,7 +75,7 @@ def test_degenerate_triangles_are_found_and_can_be_left_out():
     assert without_degenerate(mesh).faces.tolist() == [[0, 1, 3]]
 
 
-@pytest.mark.parametrize(
+@each(
     ("vertices", "faces", "error", "words"),
     [
         ([[0, 0]], [[0, 0, 0]], MeshError, r"\(V, 3\)"),
@@ -113,7 +114,7 @@ def test_obj_variants_of_exporters_are_read(tmp_path):
     assert len(mesh.vertices) == 5
 
 
-@pytest.mark.parametrize(
+@each(
     ("text", "error", "words"),
     [
         ("", FormatError, "is empty"),
@@ -153,7 +154,7 @@ def test_obj_folder_rejects(tmp_path, shapes):
 # --- PLY
 
 
-@pytest.mark.parametrize("ascii", [True, False])
+@each("ascii", [True, False])
 def test_ply_round_trip(tmp_path, rng, ascii):
     mesh = CUBE.with_vertices(rng.normal(size=(8, 3)))
     write_ply(tmp_path / "a.ply", mesh, ascii=ascii)
@@ -181,7 +182,7 @@ def test_ply_big_endian_with_colours_and_a_quad(tmp_path):
         read_ply(tmp_path / "a.ply")
 
 
-@pytest.mark.parametrize(
+@each(
     "text",
     ["", "plx\n", "ply\nformat ascii 1.0\nend_header\n", "ply\nformat odd 1.0\nend_header\n",
      "ply\nformat ascii 1.0\nelement vertex 99999999999\nproperty float x\nend_header\n",

@@ -18,6 +18,7 @@ from rig.mesh.shapes import check_shape_count, read_shapes_npz
 from rig.mesh.trimesh import check_length
 from rig.retarget.landmarks import LANDMARKS, read_landmarks
 from rig.retarget.retarget_files import read_mapping, read_shapes
+from tests.each import each
 
 SQUARE = TriMesh([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], [[0, 1, 2], [0, 2, 3]])
 OBJ = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf 1 2 3 4\n"
@@ -46,7 +47,7 @@ def test_coordinates_beyond_the_limit_are_rejected():
     )
 
 
-@pytest.mark.parametrize(("most", "fits"), [(4, True), (3, False)])
+@each(("most", "fits"), [(4, True), (3, False)])
 def test_obj_vertices_are_counted_while_reading(tmp_path, monkeypatch, most, fits):
     monkeypatch.setattr("rig.mesh.obj.VERTICES", most)
     path = written(tmp_path / "a.obj", OBJ)
@@ -56,7 +57,7 @@ def test_obj_vertices_are_counted_while_reading(tmp_path, monkeypatch, most, fit
         assert "more than 3 vertices" in refused(read_obj, path)
 
 
-@pytest.mark.parametrize(("most", "fits"), [(2, True), (1, False)])
+@each(("most", "fits"), [(2, True), (1, False)])
 def test_triangles_are_counted_while_reading(tmp_path, monkeypatch, most, fits):
     for module in ("obj", "ply"):
         monkeypatch.setattr(f"rig.mesh.{module}.TRIANGLES", most)
@@ -85,7 +86,7 @@ def test_sequences_at_the_limit_are_made_and_above_are_not():
 # --- OBJ
 
 
-@pytest.mark.parametrize(
+@each(
     ("text", "words"),
     [
         (OBJ + "f 1 2 99999999999999999999\n", "line 6: cannot read"),
@@ -118,7 +119,7 @@ CORNERS = "list uchar int vertex_indices"
 POINTS = np.array(SQUARE.vertices, "<f4").tobytes()
 
 
-@pytest.mark.parametrize(
+@each(
     ("data", "words"),
     [
         (ply(("vertex", 5_000_000, "float x", "float y", "float z")), "cut short"),
@@ -141,8 +142,8 @@ def test_ply_rejects(tmp_path, data, words):
     assert words in refused(read_ply, written(tmp_path / "a.ply", data))
 
 
-@pytest.mark.parametrize("order", ["<", ">", ""])
-@pytest.mark.parametrize("polygons", [[[0, 1, 2], [0, 2, 3]], [[0, 1, 2, 3]], [[0, 1, 2, 3], [1, 2], [3, 0, 2]]])  # fmt: skip
+@each("order", ["<", ">", ""])
+@each("polygons", [[[0, 1, 2], [0, 2, 3]], [[0, 1, 2, 3]], [[0, 1, 2, 3], [1, 2], [3, 0, 2]]])  # fmt: skip
 def test_ply_polygons_of_any_lengths_become_fans(tmp_path, order, polygons):
     name = {"<": "binary_little_endian", ">": "binary_big_endian", "": "ascii"}[order]
     if order:
@@ -250,7 +251,7 @@ def test_morph_names_reject_documents_that_do_not_fit(glb, change):
     assert "inconsistent" in refused(morph_names, glb(change))
 
 
-@pytest.mark.parametrize("length", [100, 2**28, 2**31 - 1])
+@each("length", [100, 2**28, 2**31 - 1])
 def test_ply_list_longer_than_its_file_takes_no_memory(tmp_path, length):
     data = b"ply\nformat binary_little_endian 1.0\nelement face 1\n"
     data += b"property list uint double vertex_indices\nend_header\n" + struct.pack("<I", length)
@@ -286,7 +287,7 @@ def test_glb_rejects_a_cut_file(glb, tmp_path, cut):
 # --- NPZ
 
 
-@pytest.mark.parametrize(
+@each(
     ("change", "words"),
     [
         ({"neutral": np.array(["a"])}, "'neutral' holds <U1"),
@@ -312,7 +313,7 @@ def test_shape_file_rejects(tmp_path, change, words):
 # --- landmarks and mappings
 
 
-@pytest.mark.parametrize(
+@each(
     ("name", "text", "words"),
     [
         ("a.json", '{"chin": [1e308, 0, 0]}', "'chin' is [1e+308, 0, 0]"),

@@ -16,6 +16,7 @@ from rig.retarget.arkit_head import (
     corrective_weights,
     write_head,
 )
+from tests.each import each
 
 
 @pytest.fixture(scope="module")
@@ -83,7 +84,7 @@ def test_tongue_comes_out_between_the_teeth(head, morphs):
     assert out[tongue, 2].max() > out[head.slices["skin"]][lips, 2].max() - 0.2
 
 
-@pytest.mark.parametrize("pose", CORRECTIVES.values(), ids=CORRECTIVES)
+@each("pose", CORRECTIVES.values())
 def test_correctives_make_their_pose_exact(head, morphs, pose):
     assert farthest_mm(linear(head, morphs, pose), arkit_pose(head, pose)) < 0.01
     without = head.mesh.vertices + sum(

@@ -15,6 +15,7 @@ from rig.retarget.landmarks import LANDMARKS, NEEDED, check_landmarks, read_land
 from rig.retarget.methods import _along_slit, fit_lids, lip_pairs, sequence_for
 from rig.retarget.registration import lip_labels, register
 from rig.retarget.transfer import local_jacobians, transfer_displacements
+from tests.each import each
 
 PLANES = TriMesh(
     [[0, 0, 0], [4, 0, 0], [0, 4, 0], [0, 0, 1], [4, 0, 1], [0, 4, 1]], [[0, 1, 2], [3, 5, 4]]
@@ -107,7 +108,7 @@ def test_landmarks_from_json_and_csv(tmp_path):
     assert read_landmarks(tmp_path / "b.csv", mesh) == wanted
 
 
-@pytest.mark.parametrize(
+@each(
     ("text", "error", "words"),
     [
         ("[1, 2]", FormatError, "is no landmark file"),

@@ -19,6 +19,7 @@ from rig.mesh.trimesh import TriMesh
 from rig.retarget.blendshapes import closing_weight
 from rig.retarget.landmarks import check_landmarks
 from rig.retarget.retarget_files import read_shapes, retarget_curves
+from tests.each import each
 
 MESH = TriMesh([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]], [[0, 1, 2], [1, 3, 2]])
 GRID = TriMesh(
@@ -107,7 +108,7 @@ def test_compressed_glb_is_driven_by_name(tmp_path, shapes, curves):
         retarget_curves(curves, tmp_path / "a.glb", tmp_path / "out.npz")
 
 
-@pytest.mark.parametrize("suffix", [".glb", ".npz"])
+@each("suffix", [".glb", ".npz"])
 def test_curves_of_a_rig_of_the_user_drive_the_shapes_of_their_names(tmp_path, suffix):
     """In any case of letters; other shapes stay, and a control without a shape is named."""
     square = TriMesh(np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]]), np.array([[0, 1, 2]]))

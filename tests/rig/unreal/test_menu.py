@@ -16,6 +16,7 @@ import pytest
 
 from rig import read_curves, write_curves
 from tests import fake_unreal, fake_unreal_editor
+from tests.each import each
 from tests.fake_unreal_editor import make_editor, metahuman
 from tests.rig.unreal.test_unreal import SCRIPT, SKELETON, controls_of_the_board, run_inside, speech
 
@@ -320,7 +321,7 @@ def test_service_is_called_instead_of_the_command(tmp_path, monkeypatch, sound, 
         menu.animate_audio(sound)
 
 
-@pytest.mark.parametrize(
+@each(
     ("text", "message"),
     [("{", "cannot read"), ("[]", "no object"), ('{"command": "x"}', "must be a list")],
 )

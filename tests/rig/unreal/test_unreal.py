@@ -16,6 +16,7 @@ from rig import RigCurves, default_controls, read_curves, rest_curves, write_cur
 from rig.conversion.raw import board_to_raw
 from rig.validation.curves import validate
 from tests import fake_unreal
+from tests.each import each
 from tests.splines import hermite
 
 SCRIPT = Path(__file__).resolve().parents[3] / "rig" / "unreal" / "deitalk_unreal.py"
@@ -120,7 +121,7 @@ def test_numbers_of_the_first_schema_are_read(tmp_path, monkeypatch):
     np.testing.assert_allclose(jaw, [0, 0.5, 1])
 
 
-@pytest.mark.parametrize(
+@each(
     "curve",
     [{"of": ["CTRL_C_jaw.z"], "knots": [[0, 0]]}, {"of": [], "knots": []}, {"of": ["a"]}, {}],
 )
@@ -173,7 +174,7 @@ def test_bracket_is_closed_when_a_curve_fails(take, monkeypatch):
     assert "/Game/deitalk/my_take" not in module.assets
 
 
-@pytest.mark.parametrize(
+@each(
     "rate", [(24, 1), (25, 1), (24000, 1001), (30000, 1001), (15, 1), (48, 1), (50, 1),
              (60000, 1001), (60, 1), (120, 1)],
 )  # fmt: skip
@@ -203,8 +204,8 @@ def test_odd_rate_of_a_phone_is_put_on_the_nearest_standard_rate_in_true_time(
     assert times[-1] == pytest.approx(599 * 0.0167, abs=1001 / 60000)
 
 
-@pytest.mark.parametrize("wanted", ["24", "25", "30000/1001", "60", "10000/167", "23/7"])
-@pytest.mark.parametrize("current", ["30", "24", "60000/1001"])
+@each("wanted", ["24", "25", "30000/1001", "60", "10000/167", "23/7"])
+@each("current", ["30", "24", "60000/1001"])
 def test_every_step_of_the_rate_is_a_multiple_or_a_factor(monkeypatch, current, wanted):
     script = run_inside(None, monkeypatch)
     steps = [Fraction(current), *script.rate_steps(Fraction(current), Fraction(wanted))]
@@ -486,7 +487,7 @@ def test_script_rejects_damaged_files(take, monkeypatch, change, message):
         script.anim_sequence(take, dry_run=True)
 
 
-@pytest.mark.parametrize(("name", "subject"), SUBJECTS)
+@each(("name", "subject"), SUBJECTS)
 def test_subject_is_the_one_of_unreals_importer(monkeypatch, name, subject):
     """More than three tokens: the first is dropped, then all up to the first number."""
     assert run_inside(None, monkeypatch).subject_of(f"C:/x/{name}") == subject

@@ -12,6 +12,7 @@ from rig.errors import FormatError
 from rig.formats.livelink_csv import LiveLinkTake, frame_ticks, write_take
 from rig.formats.table import FORMATS
 from rig.validation.curves import validate
+from tests.each import each
 from tests.unreal_live_link import import_csv
 
 BOARD = default_controls()
@@ -28,7 +29,7 @@ def talking(n_frames=90):
     return RigCurves(values, BOARD.names)
 
 
-@pytest.mark.parametrize("suffix", ["csv", "json", "npz", "raw.csv", "rigmapper.csv", "tsv"])
+@each("suffix", ["csv", "json", "npz", "raw.csv", "rigmapper.csv", "tsv"])
 def test_our_files_are_valid(tmp_path, suffix):
     write_curves(tmp_path / f"c.{suffix}", talking())
     validation = validate(tmp_path / f"c.{suffix}")
@@ -106,7 +107,7 @@ def spoilt(kind):
     return "\n".join(lines)
 
 
-@pytest.mark.parametrize(
+@each(
     ("kind", "message"),
     [
         ("spaces", "white space at ' BlendShapeCount'"),
@@ -135,7 +136,7 @@ def test_infinite_value_is_named_as_in_the_file(tmp_path):
     assert "data row 3, column 'EyeBlinkLeft' is inf;" in texts(tmp_path / "S_1_a.csv", "error")[0]
 
 
-@pytest.mark.parametrize(
+@each(
     ("name", "note"),
     [
         (
@@ -184,9 +185,7 @@ def test_jumps_and_dead_curves_are_found(tmp_path):
     assert "no curve moves at all" in texts(tmp_path / "c.csv", "warning")
 
 
-@pytest.mark.parametrize(
-    ("name", "text"), [("c.csv", "a,b\n1,2\n"), ("c.json", "{}"), ("c.npz", "x"), ("c.xyz", "x")]
-)
+@each(("name", "text"), [("c.csv", "a,b\n1,2\n"), ("c.json", "{}"), ("c.npz", "x"), ("c.xyz", "x")])
 def test_unreadable_files_are_errors(tmp_path, name, text):
     (tmp_path / name).write_text(text)
     assert not validate(tmp_path / name).ok
@@ -324,7 +323,7 @@ def test_raw_subjects_are_checked_by_the_face_blueprints_of_5_6(tmp_path):
     assert any("leaves the head still" in text for text in texts(path, "warning"))
 
 
-@pytest.mark.parametrize("suffix", ["maya.py", "txt"])
+@each("suffix", ["maya.py", "txt"])
 def test_files_for_maya_and_emoface_are_valid(tmp_path, suffix):
     write_curves(tmp_path / f"c.{suffix}", talking())
     assert validate(tmp_path / f"c.{suffix}").ok

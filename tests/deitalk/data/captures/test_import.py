@@ -21,6 +21,7 @@ from deitalk.errors import DataError
 from rig import RigCurves, default_controls, read_curves, rest_curves, write_curves
 from rig.errors import UserError
 from rig.formats.livelink_csv import read_take, write_take
+from tests.each import each
 from tests.media import write_sound
 from tests.takes import bursts, is_open, write_live_link
 
@@ -74,7 +75,7 @@ def test_curves_and_sound_of_a_clip_are_the_takes(tmp_path):
         assert np.corrcoef(opens, curves[JAW])[0, 1] > 0.99
 
 
-@pytest.mark.parametrize("fps", [24, 29.97, 60])
+@each("fps", [24, 29.97, 60])
 def test_clips_keep_the_rate_of_their_take(tmp_path, fps):
     write_live_link(tmp_path / "t" / "a.csv", 6, fps=fps)
     import_captures([tmp_path / "t"], tmp_path / "data", labels=ANNA)
@@ -185,7 +186,7 @@ def _short(path):
     soundfile.write(path.with_suffix(".wav"), bursts(0.3), 16000)
 
 
-@pytest.mark.parametrize(
+@each(
     ("spoil", "expected"),
     [
         (_no_sound, "no audio beside the take"),

@@ -7,13 +7,14 @@ import pytest
 from deitalk.data.captures.labels import Labelling
 from deitalk.data.captures.sources import Source
 from deitalk.errors import DataError
+from tests.each import each
 
 
 def source(place: str) -> Source:
     return Source(Path(place + ".csv"), place)
 
 
-@pytest.mark.parametrize(
+@each(
     ("place", "emotion"),
     [("takes/happy/a_1", "happy"), ("takes/anna_ANGER_03", "angry"), ("sad/joy-2", "happy")],
 )
@@ -41,7 +42,7 @@ def test_table_comes_before_option_before_pattern(tmp_path):
     assert (second.emotion, second.split, second.actor) == ("happy", "", "b")
 
 
-@pytest.mark.parametrize(
+@each(
     ("given", "expected"),
     [
         ({"emotion": "bored"}, "'bored' is unknown; known are neutral"),
@@ -58,7 +59,7 @@ def test_fault_is_one_line(given, expected):
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize(
+@each(
     ("text", "expected"),
     [
         ("name\na\n", "lacks the column take"),

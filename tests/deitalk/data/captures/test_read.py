@@ -12,12 +12,13 @@ from deitalk.data.captures.take import read_capture
 from deitalk.errors import DataError
 from rig import default_controls, rest_curves, write_curves
 from rig.errors import UserError
+from tests.each import each
 from tests.takes import write_live_link
 
 FRAMES = [{"time": i / 25, "blendShapes": {"jawOpen": i / 10, "jawLeft": 0}} for i in range(10)]
 
 
-@pytest.mark.parametrize(
+@each(
     "data",
     [
         FRAMES,
@@ -44,7 +45,7 @@ def test_uneven_times_are_put_on_an_even_grid(tmp_path):
     np.testing.assert_allclose(curves["jawOpen"], 2 * np.arange(8) / 30, atol=1e-9)
 
 
-@pytest.mark.parametrize(
+@each(
     ("name", "text", "expected"),
     [
         ("a.csv", "jawOpen,jawLeft\n0,0\n", "give `fps`"),
@@ -65,7 +66,7 @@ def test_fault_of_a_table_is_one_line(tmp_path, name, text, expected):
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize(
+@each(
     ("text", "expected"),
     [
         ("target,weight\na,1\n", "lacks the column source"),
@@ -94,7 +95,7 @@ def test_unknown_rig_needs_a_map(tmp_path):
         read_capture(tmp_path / "a.csv")
 
 
-@pytest.mark.parametrize(
+@each(
     ("suffix", "kind", "known"),
     [(".csv", "board", 185), (".raw.csv", "raw", 174), (".rigmapper.csv", "raw", 174),
      (".a2f.csv", "arkit", 73), (".livelink.csv", "livelink", 73), (".json", "board", 185),

@@ -6,6 +6,7 @@ from hypothesis import strategies as st
 
 from deitalk.data.captures.splits import APART_SECONDS, TEST, TRAIN, VALIDATION, Piece, divide
 from deitalk.errors import DataError
+from tests.each import each
 
 
 def take(actor: str, emotion: str, name: str, n: int, length: float = 10.0) -> list[Piece]:
@@ -58,8 +59,8 @@ def test_neighbours_alone_cannot_be_divided():
     assert divide(take("a", "sad", "t", 2)) == [TRAIN] * 2
 
 
-@pytest.mark.parametrize("clips", [1, 2, 3])
-@pytest.mark.parametrize("takes", [2, 3])
+@each("clips", [1, 2, 3])
+@each("takes", [2, 3])
 def test_two_and_three_takes_have_clips_to_train_on_and_to_validate(takes, clips):
     """The first take trains; three takes of one clip have a test too."""
     pieces = [p for i in range(takes) for p in take("a", "sad", f"t{i}", clips)]

@@ -19,6 +19,7 @@ from deitalk.models.folder import embedded_models
 from deitalk.pipeline.curves import animate
 from rig import RigCurves, default_controls
 from tests.deitalk.cli.test_cli import ROOT
+from tests.each import each
 
 NAMES = default_controls().names
 FRAME = 1 / 30
@@ -44,7 +45,7 @@ def test_clips_of_a_take_agree_on_one_lag():
     assert take.drift == 0 and take.is_shifted
 
 
-@pytest.mark.parametrize("drift", [NTSC_DRIFT, -NTSC_DRIFT])
+@each("drift", [NTSC_DRIFT, -NTSC_DRIFT])
 def test_drift_of_ntsc_rates_is_found_exactly(drift):
     clips = [bump(0.1 + drift * c, centre=c) for c in np.arange(8, 300, 15)]
     take = take_sync(clips)

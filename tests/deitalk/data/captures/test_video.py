@@ -20,6 +20,7 @@ from deitalk.errors import MissingError
 from rig import default_controls, read_curves, rest_curves
 from rig.face.head import build_head
 from tests.deitalk.data.video.test_decode import write_video
+from tests.each import each
 from tests.filmed_head import filmed_mesh, write_mesh
 from tests.takes import bursts, is_open
 
@@ -94,7 +95,7 @@ def test_videos_are_takes_where_no_curves_are(tmp_path):
     assert find_sound(only, "", (), [only]) == tmp_path / "talk.mp4"
 
 
-@pytest.mark.parametrize(
+@each(
     ("module", "message"),
     [
         (None, "a video needs MediaPipe .*deitalk\\[video\\].* or import a file of its landmarks"),

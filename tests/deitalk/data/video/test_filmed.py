@@ -10,6 +10,7 @@ from deitalk.data.video.measures import MEASURES, SIDES, HeadFace, measure
 from rig import default_controls
 from rig.face.head import build_head
 from rig.retarget.source_head import head_landmarks
+from tests.each import each
 from tests.filmed_head import SIZE, filmed_mesh
 
 CONTROLS = default_controls()
@@ -52,7 +53,7 @@ def r(a, b) -> float:
     return float(np.corrcoef(a, b)[0, 1])
 
 
-@pytest.mark.parametrize(
+@each(
     ("name", "least"),
     [
         (JAW, 0.97),

@@ -12,6 +12,7 @@ from deitalk.data.video.landmarks import (
     read_landmarks,
 )
 from deitalk.errors import DataError
+from tests.each import each
 
 
 def moving(times, speed=1.0):
@@ -21,7 +22,7 @@ def moving(times, speed=1.0):
     return FaceTrack(points, np.asarray(times, float))
 
 
-@pytest.mark.parametrize("fps", [15, 24, 25, 29.97, 30, 50, 60])
+@each("fps", [15, 24, 25, 29.97, 30, 50, 60])
 def test_any_rate_becomes_30_hertz_in_time(fps):
     even, seen = at_rig_frames(moving(np.arange(int(2 * fps)) / fps), "a.mp4")
     np.testing.assert_allclose(even.times, np.arange(len(even.times)) / 30)
@@ -55,7 +56,7 @@ def test_start_without_a_face_is_marked():
     assert seen[20:].all() and not seen[:18].any()
 
 
-@pytest.mark.parametrize(
+@each(
     ("fps", "n_seen", "message"),
     [(8, 30, "8 frames per second"), (30, 5, "a face is in 5 of 60 frames")],
 )
@@ -86,7 +87,7 @@ def test_file_of_landmarks_is_in_pixels(tmp_path):
     np.testing.assert_allclose(track.times[:2], [0, 1 / 30])
 
 
-@pytest.mark.parametrize("value", [0.5, 1e30])
+@each("value", [0.5, 1e30])
 def test_frame_whose_points_are_no_face_is_one_without_a_face(tmp_path, value):
     """All points in one place, or far outside any picture."""
     given = arrays()
@@ -96,7 +97,7 @@ def test_frame_whose_points_are_no_face_is_one_without_a_face(tmp_path, value):
     assert list(np.flatnonzero(~seen)) == [7]
 
 
-@pytest.mark.parametrize(
+@each(
     ("changes", "message"),
     [
         ({"landmarks": np.zeros((20, 68, 2), np.float32)}, r"\(frames, 478 or 468, 3\), not"),

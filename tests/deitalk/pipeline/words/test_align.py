@@ -11,6 +11,7 @@ from deitalk.phones import PHONES
 from deitalk.pipeline.words.align import RATE, PhoneEvidence, best_path, fit_words, phone_evidence
 from deitalk.pipeline.words.transcript import Transcript, Word
 from deitalk.research.corpus.engines import espeak
+from tests.each import each
 
 FLAT = np.full(len(PHONES), 1 / len(PHONES), np.float32)
 
@@ -28,7 +29,7 @@ def transcript(*words):
     return Transcript(tuple(words), "")
 
 
-@pytest.mark.parametrize("seed", range(4))
+@each("seed", range(4))
 def test_path_is_the_best_of_all(seed):
     rng = np.random.default_rng(seed)
     found = rng.normal(size=(6, 3)).astype(np.float32)

@@ -1,17 +1,16 @@
 import unicodedata
 
-import pytest
-
 from deitalk import phones
 from deitalk.phones import PHONES
 from deitalk.pipeline.words import phone_alphabets
 from deitalk.pipeline.words.phone_alphabets import festival_to_phone, ipa_to_phones
 from deitalk.research.corpus.utterance import Phone, contiguous
+from tests.each import each
 
 TABLES = ("IPA_CONSONANTS", "IPA_VOWELS", "IPA_NOT_ENGLISH", "MANDARIN", "FESTIVAL_NAMES")
 
 
-@pytest.mark.parametrize("table", TABLES)
+@each("table", TABLES)
 def test_every_target_is_a_phone(table):
     targets = {name for value in getattr(phone_alphabets, table).values() for name in value.split()}
     assert targets <= set(PHONES)
@@ -31,7 +30,7 @@ def test_ipa_vowel_symbols_give_vowels_and_consonants_do_not():
         assert not set(target.split()) & phones.VOWELS, symbol
 
 
-@pytest.mark.parametrize(
+@each(
     ("ipa", "expected"),
     [
         ("həlˈoʊ", "HH AX L OW"),
@@ -50,7 +49,7 @@ def test_english_words_give_their_phones(ipa, expected):
     assert ipa_to_phones(ipa) == tuple(expected.split())
 
 
-@pytest.mark.parametrize(
+@each(
     ("language", "ipa", "expected"),
     [
         ("de", "ʃøːn", "SH UH N"),

@@ -6,6 +6,7 @@ from deitalk.errors import ConfigError, DataError, MissingError
 from deitalk.pipeline.words import espeak
 from deitalk.pipeline.words.phone_alphabets import spoken_words
 from deitalk.pipeline.words.transcript import Transcript, Word, intervals_of
+from tests.each import each
 
 LONG = """File type = "ooTextFile"
 Object class = "TextGrid"
@@ -141,7 +142,7 @@ def test_phones_need_no_espeak(monkeypatch, tmp_path):
         Transcript.of("please")
 
 
-@pytest.mark.parametrize(
+@each(
     ("text", "message"),
     [
         ("start,end,label of\n0,1,a\n", "must name the columns start, end, word"),

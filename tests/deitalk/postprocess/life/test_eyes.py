@@ -7,6 +7,7 @@ from deitalk.config import Idle
 from deitalk.postprocess.life.blinks import Blink, Blinks
 from deitalk.postprocess.life.gaze import AVERSION_DEGREES, Gaze, as_controls
 from deitalk.postprocess.life.voice import Phrase, Voice
+from tests.each import each
 
 MINUTES = 20
 
@@ -125,8 +126,8 @@ def test_interval_follows_the_settings():
     assert len(few) < 0.45 * len(many)
 
 
-@pytest.mark.parametrize("seed", range(8))
-@pytest.mark.parametrize("n_frames", [1, 14, 40, 200, 601])
+@each("seed", range(8))
+@each("n_frames", [1, 14, 40, 200, 601])
 def test_eyes_are_still_before_the_end(n_frames, seed):
     voice = talk(n_frames / 30)
     lids = lids_of(voice, generator(seed)).at(0, n_frames)

@@ -29,6 +29,7 @@ from deitalk.postprocess.life.traits import Seeds, Traits
 from deitalk.postprocess.life.voice import Accent, Phrase, Voice
 from deitalk.research.evaluation.nods import find_nods
 from rig import default_controls
+from tests.each import each
 
 CONTROLS = default_controls()
 N_FRAMES = 900
@@ -103,7 +104,7 @@ def test_motion_that_is_off_is_absent():
     assert plan_motion(VOICE, shown("sad"), seeds, life=Life(head=0)).head is None
 
 
-@pytest.mark.parametrize("part", ["blinks", "brows"])
+@each("part", ["blinks", "brows"])
 def test_a_part_that_is_off_changes_no_other(part):
     whole, _ = moved("sad", head=0)
     without, _ = moved("sad", head=0, **{part: 0})
@@ -131,7 +132,7 @@ def test_neutral_brows_are_calm_and_alive():
     assert brows.max() < 0.3
 
 
-@pytest.mark.parametrize("emotion", EMOTIONS[1:])
+@each("emotion", EMOTIONS[1:])
 def test_every_upper_region_moves_in_an_emotion(emotion):
     curves, _ = moved(emotion, start=0.2)
     for region in ("brow_", "eye_squintInner|eye_blink", "eye_cheekRaise"):
@@ -140,7 +141,7 @@ def test_every_upper_region_moves_in_an_emotion(emotion):
         assert curves[90:780, places].std(axis=0).max() > 0.02, region
 
 
-@pytest.mark.parametrize(
+@each(
     ("emotion", "stem"),
     [("angry", "brow_down"), ("sad", "brow_raiseIn"), ("happy", "eye_cheekRaise"),
      ("surprised", "brow_raiseOut")],
@@ -246,7 +247,7 @@ def test_sides_differ_by_10_to_15_percent_of_an_event():
     assert 0.03 < np.abs(left - right).sum() / (0.5 * (left + right).sum()) < 0.25
 
 
-@pytest.mark.parametrize("emotion", EMOTIONS)
+@each("emotion", EMOTIONS)
 def test_controls_stay_in_their_ranges_at_twice_everything(emotion):
     curves, _ = moved(emotion, 4.0, start=0.9, brows=2, gaze=2, blinks=2, head=2)
     for stem in STEMS:
@@ -332,9 +333,7 @@ def test_nods_of_one_voice_come_in_phases():
     assert 0.5 < depths.std() / depths.mean() < 0.9
 
 
-@pytest.mark.parametrize(
-    ("emotion", "column", "sign"), [("sad", 1, -1), ("angry", 5, 1), ("surprised", 5, -1)]
-)
+@each(("emotion", "column", "sign"), [("sad", 1, -1), ("angry", 5, 1), ("surprised", 5, -1)])
 def test_posture_is_that_of_the_emotion(emotion, column, sign):
     _, posture = head_motion(VOICE, Traits(), shown(emotion), np.random.default_rng(0))
     middle = posture[200:600, column]
@@ -398,15 +397,13 @@ def test_gaze_rests_where_it_is_told():
     assert not (there - here)[-1].any()
 
 
-@pytest.mark.parametrize(
-    "text", ["brows=.8,head=1.2, gaze=0", {"brows": 0.8, "head": 1.2, "gaze": 0}]
-)
+@each("text", ["brows=.8,head=1.2, gaze=0", {"brows": 0.8, "head": 1.2, "gaze": 0}])
 def test_amounts_are_read_from_text_and_mappings(text):
     assert Life.of(text) == Life(brows=0.8, head=1.2, gaze=0.0)
     assert Life.of(str(Life.of(text))) == Life.of(text)
 
 
-@pytest.mark.parametrize(
+@each(
     "life",
     ["nose=1", "brows", "brows=3", "brows=-1", "brows=nan", "brows=1,brows=1", {"head": True}, 3,
      {"head": "1"}, "brows=1e9"],
@@ -417,7 +414,7 @@ def test_amounts_reject_other_names_and_numbers(life):
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("look", ["1", "1,2,3", "a,b", (90, 0), (float("nan"), 0), None])
+@each("look", ["1", "1,2,3", "a,b", (90, 0), (float("nan"), 0), None])
 def test_look_rejects_what_are_no_two_angles(look):
     with pytest.raises(DeitalkError, match="look_at"):
         place_of(look)

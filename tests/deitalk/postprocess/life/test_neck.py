@@ -8,6 +8,7 @@ from deitalk.postprocess.life.motion import plan_motion
 from deitalk.postprocess.life.neck import BREATH, SWALLOWS, TURNS, neck_tracks
 from deitalk.postprocess.life.traits import Seeds
 from deitalk.postprocess.life.voice import Phrase, Voice
+from tests.each import each
 
 N_FRAMES = 900
 PHRASES = tuple(Phrase(start, start + 75, False) for start in range(60, 800, 90))
@@ -46,7 +47,7 @@ def test_people_swallow_once_a_minute_and_never_while_they_speak():
     assert all(tracks[SWALLOWS].max() == 0 for tracks in necks(short, 20)), "pauses of 0.7 s"
 
 
-@pytest.mark.parametrize(("yaw", "contracts"), [(22.0, 0), (-22.0, 1)])
+@each(("yaw", "contracts"), [(22.0, 0), (-22.0, 1)])
 def test_the_muscle_of_the_other_side_turns_the_head(yaw, contracts):
     none = np.zeros(2)
     tracks = neck_tracks(none, none, np.array([yaw, yaw]))

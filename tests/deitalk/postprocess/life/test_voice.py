@@ -7,6 +7,7 @@ from deitalk.audio.prosody import Prosody, measure_prosody
 from deitalk.audio.voice_activity import speech_activity
 from deitalk.postprocess.life.traits import ASYMMETRY, Seeds, Traits
 from deitalk.postprocess.life.voice import measure_voice
+from tests.each import each
 
 
 def buzz(pitch, level):
@@ -40,7 +41,7 @@ def test_stresses_are_syllables_and_stronger_where_they_rise_further():
     assert min(strengths[::2]) > 1.5 * max(strengths[1::2])
 
 
-@pytest.mark.parametrize(("end", "is_question"), [(1.6, True), (0.8, False), (1.0, False)])
+@each(("end", "is_question"), [(1.6, True), (0.8, False), (1.0, False)])
 def test_final_rise_is_a_question(end, is_question):
     time = np.arange(2 * 16_000) / 16_000
     pitch = 140 * np.interp(time, [0, 1.4, 2], [1, 0.95, end])
@@ -48,7 +49,7 @@ def test_final_rise_is_a_question(end, is_question):
     assert [phrase.is_question for phrase in voice.phrases] == [is_question]
 
 
-@pytest.mark.parametrize("flaw", ["jump", "fragments"])
+@each("flaw", ["jump", "fragments"])
 def test_pitch_found_in_a_creaking_end_is_no_question(flaw):
     """Statements whose last voiced frames have twice the pitch, or stand alone."""
     frames = 90

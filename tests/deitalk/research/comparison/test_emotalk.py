@@ -2,7 +2,6 @@
 
 from pathlib import Path
 
-import pytest
 import torch
 from torch.nn import functional as F
 
@@ -14,6 +13,7 @@ from deitalk.models.checkpoint import load_model, network_class, save_model
 from deitalk.research.comparison.emotalk import EmoTalk, emotion_sources
 from deitalk.research.training.ablation import read_variants
 from tests.deitalk.models.test_curve_model import MEL
+from tests.each import each
 
 CONFIGS = Path(__file__).resolve().parents[4] / "configs"
 OWN = {
@@ -76,7 +76,7 @@ def test_batch_is_predicted_from_the_emotion_of_the_sources():
     torch.testing.assert_close(alone.curves, model.decoder(speech, shown, features))
 
 
-@pytest.mark.parametrize("labelled", [False, True])
+@each("labelled", [False, True])
 @torch.no_grad()
 def test_label_has_an_effect_only_where_it_is_given(labelled):
     model = build(decoder_labelled=labelled)
@@ -127,7 +127,7 @@ def test_comparison_differs_in_network_and_its_own_losses_only():
         assert other.loss.contact == ours.loss.contact
 
 
-@pytest.mark.parametrize("name", ["faceformer", "emotalk"])
+@each("name", ["faceformer", "emotalk"])
 def test_configurations_have_the_losses_of_their_papers(name):
     loss = load_config(CONFIGS / f"{name}.yaml").loss
     expected = {"faceformer": (0, 0.1, 0, 0), "emotalk": (0.5, 1, 0, 0)}[name]

@@ -14,6 +14,7 @@ from deitalk.training.tuning.task import FinetuneTask
 from tests.dataset import write_dataset
 from tests.deitalk.models.test_curve_model import MEL
 from tests.deitalk.training.conftest import recipe
+from tests.each import each
 
 OWN = {
     "decoder": "faceformer",
@@ -99,7 +100,7 @@ def test_network_is_not_fine_tuned(tmp_path):
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize(
+@each(
     ("settings", "message"),
     [
         ({"positions": True}, "takes positions: false"),

@@ -1,7 +1,6 @@
 """Dominance functions and contacts in the articulation of phrases."""
 
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -24,6 +23,7 @@ from deitalk.research.corpus.articulation import (
     targets,
 )
 from deitalk.research.corpus.utterance import Phone
+from tests.each import each
 
 
 def phones_of(names: str, seconds: float = 0.09, silence: float = 0.5) -> list[Phone]:
@@ -69,9 +69,9 @@ def test_targets_are_shares_and_only_lip_phones_shut_the_lips():
     assert targets()["TH"][OUT] == 1 and targets()["L"][TIP] > 0.9 and targets()["S"][HISS] == 1
 
 
-@pytest.mark.parametrize("name", sorted(BILABIALS))
-@pytest.mark.parametrize("seconds", [0.04, 0.08])
-@pytest.mark.parametrize("offset", [0.0, 0.009, 0.02])
+@each("name", sorted(BILABIALS))
+@each("seconds", [0.04, 0.08])
+@each("offset", [0.0, 0.009, 0.02])
 def test_a_bilabial_is_a_contact_of_two_frames_with_a_shut_jaw(name, seconds, offset):
     begin = 0.5 + offset
     phones = [
@@ -89,7 +89,7 @@ def test_a_bilabial_is_a_contact_of_two_frames_with_a_shut_jaw(name, seconds, of
     assert channels[away, TOGETHER].max() < 0.1, "vowels leave the lips open"
 
 
-@pytest.mark.parametrize("name", sorted(LABIODENTALS))
+@each("name", sorted(LABIODENTALS))
 def test_labiodental_is_a_bite_with_open_lips(name):
     channels, _ = channels_of(f"AA {name} AA", 0.07)
     bitten = channels[:, BITE] >= 0.9
@@ -97,8 +97,8 @@ def test_labiodental_is_a_bite_with_open_lips(name):
     assert channels[bitten, TOGETHER].max() < 0.1 and channels[bitten, JAW].max() <= 0.3
 
 
-@pytest.mark.parametrize("pair", ["M F", "V M", "P F", "F B", "V P", "M V"])
-@pytest.mark.parametrize("seconds", [0.04, 0.07])
+@each("pair", ["M F", "V M", "P F", "F B", "V P", "M V"])
+@each("seconds", [0.04, 0.07])
 def test_neighbouring_contacts_of_two_kinds_are_both_kept(pair, seconds):
     # "comfort", "of my": both contacts must be present.
     channels, _ = channels_of(f"AH {pair} AH", seconds)

@@ -31,6 +31,7 @@ from deitalk.research.corpus.performance import (
 from deitalk.research.corpus.recordings import Recording
 from deitalk.research.corpus.utterance import Phone, Utterance
 from rig import default_controls, read_curves
+from tests.each import each
 
 RATE = 16_000
 espeak = pytest.mark.skipif(
@@ -168,7 +169,7 @@ def quietest(waveform: np.ndarray, phone: Phone) -> float:
     return float(np.abs(piece).mean())
 
 
-@pytest.mark.parametrize("seed", range(4))
+@each("seed", range(4))
 def test_phones_curves_and_sound_of_a_performance_agree_in_time(seed):
     take = perform(utterance(), np.random.default_rng(seed))
     assert len(take.channels) == len(take.intensity)

@@ -12,6 +12,7 @@ from deitalk.research.corpus.figures import (
     plot_channels,
 )
 from rig import default_controls
+from tests.each import each
 
 CONTROLS = default_controls()
 
@@ -24,7 +25,7 @@ def test_evenly_timed_phones_are_contiguous():
     assert phones[0].end == phones[1].start
 
 
-@pytest.mark.parametrize(("names", "message"), [(["M", "QQ"], "'QQ' is no phone"), ([], "empty")])
+@each(("names", "message"), [(["M", "QQ"], "'QQ' is no phone"), ([], "empty")])
 def test_a_name_that_is_no_phone_is_refused(names, message):
     with pytest.raises(DataError, match=message):
         evenly_timed(names)

@@ -4,7 +4,6 @@ import csv
 from importlib import resources
 
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -21,6 +20,7 @@ from deitalk.research.corpus.rig_targets import (
 )
 from deitalk.research.corpus.utterance import Phone
 from rig import default_controls
+from tests.each import each
 
 CONTROLS = default_controls()
 NEUTRAL = np.eye(5)[0]
@@ -119,8 +119,8 @@ def test_mouth_widens_with_intensity_and_more_in_joy_than_in_sadness():
     assert widest("sad", 0.9) < 0.95 * widest("neutral", 0.9)
 
 
-@pytest.mark.parametrize("emotion", EMOTIONS)
-@pytest.mark.parametrize("intensity", [0.0, 0.5, 1.0])
+@each("emotion", EMOTIONS)
+@each("intensity", [0.0, 0.5, 1.0])
 def test_closures_are_kept_in_every_emotion(emotion, intensity):
     channels = phrase()
     face = act(channels, weights(emotion), np.full(len(channels), intensity), 60, CONTROLS)

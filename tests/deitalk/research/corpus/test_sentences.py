@@ -9,6 +9,7 @@ from deitalk.research.corpus import alignment, sentences
 from deitalk.research.corpus.engines import espeak
 from deitalk.research.corpus.sentences import english_sentence, foreign_sentence
 from deitalk.research.corpus.synthesis import FOREIGN_VOICES, held_ssml
+from tests.each import each
 
 
 def _texts(count):
@@ -50,7 +51,7 @@ def test_foreign_sentences_belong_to_their_language():
         assert foreign_sentence(language, rng).text in known
 
 
-@pytest.mark.parametrize("language", list(sentences.FOREIGN))
+@each("language", list(sentences.FOREIGN))
 def test_no_sentence_is_read_as_english(language):
     """espeak-ng marks what it reads in another language, such as Mandarin with tone marks."""
     if (reason := espeak.missing()) is not None:

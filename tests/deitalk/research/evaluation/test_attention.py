@@ -19,6 +19,7 @@ from deitalk.models.checkpoint import save_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.research.evaluation.attention import attention_of, corpus_attention
 from rig.errors import RigError
+from tests.each import each
 
 FRONTEND = {
     "kind": "mel", "window_seconds": 0.032, "frame_rate": 60, "n_mels": 16,
@@ -51,7 +52,7 @@ def speech(seconds=1.4):
     return (0.3 * np.sin(2 * np.pi * 150 * t) * (np.sin(9 * t) > 0)).astype(np.float32)
 
 
-@pytest.mark.parametrize("stack", [1, 2])
+@each("stack", [1, 2])
 def test_weights_equal_those_of_the_frontend(stack):
     """Applied to the memory they give the result of `along`, including the first and last frame."""
     frontend = network(time_stack=stack, spectral_size=8).frontend

@@ -17,6 +17,7 @@ from deitalk.research.evaluation.head import TOLERANCE, as_markdown, evaluate_he
 from deitalk.research.evaluation.nods import find_nods, measure_nods
 from deitalk.research.evaluation.stress import stress_track, stressed_times
 from tests.conftest import SHARED
+from tests.each import each
 
 SECONDS = 2.0
 
@@ -45,7 +46,7 @@ def folder(tmp_path_factory):
     return folder
 
 
-@pytest.mark.parametrize("gain", [1.0, 2.0])
+@each("gain", [1.0, 2.0])
 def test_ratios_are_those_of_the_motion(folder, gain):
     def mover(voice, drawing):
         return gain * turn(np.arange(voice.n_frames) / 30)

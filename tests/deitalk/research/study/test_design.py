@@ -14,18 +14,19 @@ from deitalk.research.study.design import (
     page_rows,
     plan_raters,
 )
+from tests.each import each
 
 ITEMS = ["a", "b", "c"]
 
 
-@pytest.mark.parametrize(("size", "n"), [(2, 3), (3, 1)])
+@each(("size", "n"), [(2, 3), (3, 1)])
 def test_trials_are_every_combination_in_every_task(size, n):
     trials = all_trials(["x", "y", "z"], ITEMS, ["lips", "emotion"], size)
     assert len(trials) == len({t.id for t in trials}) == 3 * 2 * n
 
 
-@pytest.mark.parametrize("size", [2, 3])
-@pytest.mark.parametrize("most", [None, 5])
+@each("size", [2, 3])
+@each("most", [None, 5])
 def test_trials_and_sides_are_balanced_over_raters(size, most):
     trials = all_trials(["x", "y", "z"], ITEMS, ["lips"], size)
     plans = plan_raters(trials, 36, most=most, seed=4)
@@ -63,7 +64,7 @@ def test_page_begins_with_practice_and_has_checks_of_a_still_face():
     ] * 3
 
 
-@pytest.mark.parametrize(
+@each(
     ("systems", "tasks", "size", "message"),
     [
         (["x"], ["lips"], 2, "1 systems, 2 at a time"),

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from deitalk.research.study.statistics import agreement, share_of, strengths
+from tests.each import each
 
 
 def test_share_has_the_exact_interval_of_clopper_and_pearson():
@@ -35,7 +36,7 @@ def test_agreement_of_equal_and_of_opposite_ratings():
     assert np.isnan(agreement({0: [1], 1: [2]}))
 
 
-@pytest.mark.parametrize("size", [2, 3])
+@each("size", [2, 3])
 def test_strengths_of_simulated_raters_are_recovered(size):
     """Raters choose by Luce's model with strengths 1, 0 and -1."""
     true = np.array([1.0, 0.0, -1.0])

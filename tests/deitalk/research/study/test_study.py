@@ -17,6 +17,7 @@ from deitalk.research.study.report import as_markdown, report_study
 from rig import RigCurves, default_controls, write_curves
 from rig.errors import TargetError
 from tests.browser import chromium
+from tests.each import each
 
 CONTROLS = default_controls()
 JAW = CONTROLS.index("CTRL_C_jaw.ty")
@@ -110,7 +111,7 @@ def test_bias_of_simulated_raters_is_recovered_and_careless_ones_are_left_out(bu
     )
 
 
-@pytest.mark.parametrize(
+@each(
     ("change", "message"),
     [
         ({"schema": "other"}, "holds no answers"),

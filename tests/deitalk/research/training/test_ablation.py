@@ -16,6 +16,7 @@ from rig.errors import TargetError
 from tests.dataset import write_dataset
 from tests.deitalk.models.test_mesh_model import VOCA
 from tests.deitalk.models.test_mesh_model import tiny as tiny_mesh
+from tests.each import each
 
 CONFIGS = Path(__file__).resolve().parents[4] / "configs"
 
@@ -51,7 +52,7 @@ def test_variants_change_the_settings_in_their_names():
     assert run.loss.contrast == 0  # the overrides of the variant come last
 
 
-@pytest.mark.parametrize(
+@each(
     ("text", "message"),
     [
         ("[]", "needs two keys"),

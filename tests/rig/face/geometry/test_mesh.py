@@ -10,6 +10,7 @@ from rig.face.geometry.mesh import Mesh, edge_counts, grid_faces, mirrored, vert
 from rig.face.geometry.sdf import ellipsoid, head_distance, project
 from rig.face.geometry.skin import build_skin
 from rig.face.geometry.topology import EYE_L, EYE_R, FILLER, MOUTH
+from tests.each import each
 
 
 @pytest.fixture(scope="module")
@@ -100,7 +101,7 @@ def test_wider_nose_is_wider():
     assert wide < narrow - 0.1
 
 
-@pytest.mark.parametrize("identity", [-1, 12, "Nobody"])
+@each("identity", [-1, 12, "Nobody"])
 def test_unknown_identity_lists_the_known_ones(identity):
     with pytest.raises(RigError, match="Ada, Bruno"):
         build_head(identity)

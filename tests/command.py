@@ -1,0 +1,39 @@
+"""The command line in this process: exit code, stdout and stderr of `deitalk.cli.main`."""
+
+import io
+import sys
+from contextlib import redirect_stderr, redirect_stdout
+from typing import NamedTuple
+from unittest.mock import patch
+
+from deitalk.cli import main
+
+
+class Done(NamedTuple):
+    """How a command ended."""
+
+    code: int
+    out: str
+    err: str
+
+
+def deitalk(*arguments: object, stdin: bytes = b"") -> Done:
+    """Run a command as its program does, but for the process."""
+    out, err = io.StringIO(), io.StringIO()
+    line = ["deitalk", *map(str, arguments)]
+    given = patch.multiple(sys, argv=line, stdin=io.TextIOWrapper(io.BytesIO(stdin)))
+    with given, redirect_stdout(out), redirect_stderr(err):
+        try:
+            main()
+        except SystemExit as ended:
+            return Done(int(ended.code or 0), out.getvalue(), err.getvalue())
+    raise AssertionError("main returns by an exit alone")
+
+
+def refused(*arguments: object, code: int = 1) -> str:
+    """The line of a command that must fail: one on stderr, nothing on stdout."""
+    done = deitalk(*arguments)
+    assert (done.code, done.out) == (code, ""), done
+    (line,) = done.err.splitlines()
+    assert line.startswith("deitalk: ")
+    return line
