@@ -33,7 +33,6 @@ from deitalk.models.curve_model import DEITalk
 from tests.api.conftest import bearer, wav
 from tests.api.server import free_port, serving
 from tests.deitalk.live.conftest import TINY
-from tests.each import each
 
 RATE = 16000
 
@@ -48,7 +47,7 @@ def marked(first: int, n_samples: int) -> np.ndarray:
     return np.repeat(np.arange(first, first + frames, dtype=np.float32)[:, None], 3, axis=1)
 
 
-@each("piece", [160, 1601, 16000, 100_000])
+@pytest.mark.parametrize("piece", [160, 1601, 16000, 100_000])
 def test_frames_come_once_in_order_and_with_their_own_values(piece):
     sound, stream, found = pcm(12.3), LiveStream(RATE, False), []
 
@@ -168,7 +167,7 @@ def test_frames_as_json_and_changes_in_the_stream(server):
     assert {len(frame["values"]) for frame in frames} == {185}
 
 
-@each(
+@pytest.mark.parametrize(
     ("messages", "code"),
     [
         (["no json"], "message_unknown"),
@@ -300,7 +299,7 @@ def test_causal_model_gives_the_frames_of_live_animator(causal_server):
     assert np.abs(np.array([values for *_, values in found]) - expected).max() < 1e-4
 
 
-@each("frames", ["binary", "json"])
+@pytest.mark.parametrize("frames", ["binary", "json"])
 def test_head_and_life_are_those_of_live_animator(causal_server, frames):
     server, folder = causal_server
     sound = pcm(2.0)
@@ -391,7 +390,7 @@ class StuckSocket:
         await asyncio.Event().wait()
 
 
-@each("fault", [None, Problem(413, "too long"), ValueError()])
+@pytest.mark.parametrize("fault", [None, Problem(413, "too long"), ValueError()])
 def test_end_of_a_session_does_not_wait_for_its_client(tmp_path, monkeypatch, fault):
     async def run(self):
         if fault is not None:

@@ -26,7 +26,6 @@ from deitalk.cli import app
 from deitalk.errors import AudioError, ConfigError, MissingError
 from rig.errors import CurveError
 from tests.browser import needs_player
-from tests.each import each
 
 
 def test_later_sources_replace_earlier_ones(tmp_path, monkeypatch):
@@ -38,7 +37,7 @@ def test_later_sources_replace_earlier_ones(tmp_path, monkeypatch):
     assert settings.host == "127.0.0.1" and settings.is_local
 
 
-@each(
+@pytest.mark.parametrize(
     ("text", "named"),
     [("prot: 1", "prot"), ("port: 99999", "port"), ("keys: [{name: a}]", "keys"), ("- 1", "lines")],
 )
@@ -99,7 +98,7 @@ def test_rate_refills_evenly(monkeypatch):
     rates.take("a", 60)
 
 
-@each(
+@pytest.mark.parametrize(
     ("accept", "expected"),
     [
         (None, "json"), ("*/*", "json"), ("text/csv", "csv"), ("model/gltf-binary", "glb"),
@@ -164,7 +163,7 @@ async def _answer(guard, path, host):
     return sent[0]["status"] if sent else 200
 
 
-@each("host", ["127.0.0.1:8000", "10.0.0.7", "[::1]:8000"])
+@pytest.mark.parametrize("host", ["127.0.0.1:8000", "10.0.0.7", "[::1]:8000"])
 def test_probes_by_address_are_answered_where_hosts_names_the_service(tmp_path, host):
     """The container's own check, and that of a balancer."""
 
@@ -209,7 +208,7 @@ def test_container_files_name_settings_and_paths_that_exist():
             assert (folder.parents[1] / name).exists(), name
 
 
-@each(
+@pytest.mark.parametrize(
     ("name", "value", "says"),
     [
         ("data", "{folder}/file/below", "Not a directory"),

@@ -23,7 +23,6 @@ from deitalk.models.folder import (
 )
 from deitalk.models.mesh_model import SDFA, MeshHead, MeshModel
 from rig import default_controls
-from tests.each import each
 
 TINY = Path(__file__).resolve().parents[3] / "configs" / "tiny.yaml"
 
@@ -179,7 +178,7 @@ def test_load_model_rejects_weights_beyond_the_limit(folder, monkeypatch):
     refused(folder, "at most 10 bytes are read")
 
 
-@each(
+@pytest.mark.parametrize(
     ("name", "kind"),
     [("default", DEITalk), ("live", DEITalk), ("sdfa", SDFA), ("mesh_head", MeshHead)],
 )
@@ -234,7 +233,7 @@ def test_another_encoder_is_not_named(live, tmp_path):
     assert not (tmp_path / "m").exists()
 
 
-@each("owner", ["other", "/etc/passwd", "../default", 3])
+@pytest.mark.parametrize("owner", ["other", "/etc/passwd", "../default", 3])
 def test_encoder_of_no_embedded_model_is_refused(live, tmp_path, owner):
     model, config = live
     save_model(tmp_path / "m", model, config, {}, half=True, encoder_of="default")

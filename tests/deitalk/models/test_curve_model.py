@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import numpy as np
+import pytest
 import torch
 from torch.nn import functional as F
 
@@ -11,7 +12,6 @@ from deitalk.config import MelConfig, ModelConfig, load_config
 from deitalk.models.curve_model import DECODE_FRAMES, Analysis, DEITalk, dynamic_positions
 from deitalk.models.intensity import temporal_maximum
 from tests.closeness import SHARE, assert_same
-from tests.each import each
 
 CONFIGS = Path(__file__).resolve().parents[3] / "configs"
 MEL = {
@@ -136,7 +136,7 @@ def test_whole_clip_equals_one_forward():
     assert_same(curves, one.curves[0])
 
 
-@each("saliency_frames", [None, 31, 121])
+@pytest.mark.parametrize("saliency_frames", [None, 31, 121])
 @torch.no_grad()
 def test_pieces_equal_one_piece(monkeypatch, saliency_frames):
     model = build(saliency_frames=saliency_frames)

@@ -30,7 +30,6 @@ from deitalk.training import mesh as train_module
 from deitalk.training.mesh import train_mesh
 from tests.dataset import write_dataset
 from tests.deitalk.models.test_mesh_model import LIPS, RATE, noise, sheet, spoken
-from tests.each import each
 
 CONFIGS = Path(__file__).resolve().parents[3] / "configs"
 STYLES = {"happy": 1.0, "sad": -0.8}
@@ -200,7 +199,9 @@ def test_folder_stores_the_hash_of_the_decoded_network(tmp_path):
         load_model(tmp_path / "m")
 
 
-@each("section", [{"data": {"fps": 60, "augment": False}}, {"data": {"fps": 30}}])
+@pytest.mark.parametrize(
+    "section", [{"data": {"fps": 60, "augment": False}}, {"data": {"fps": 30}}]
+)
 def test_configuration_rejects_augmentation_and_other_rates(section):
     tree = {"kind": "sdfa", "model": {"frontend": {"kind": "deitalk"}}}
     with pytest.raises(ConfigError, match=r"data\.fps=30, data\.augment=false") as caught:

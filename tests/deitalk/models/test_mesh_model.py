@@ -23,7 +23,6 @@ from deitalk.models.deformation_decoder import Deformation, InversePCA, Offsets
 from deitalk.pipeline.mesh import mesh_coefficients, predict_mesh
 from deitalk.pipeline.speech import Speech
 from rig.mesh import TriMesh
-from tests.each import each
 
 CONFIGS = Path(__file__).resolve().parents[3] / "configs"
 CONFIG = CONFIGS / "sdfa.yaml"
@@ -148,7 +147,7 @@ def test_configuration_sdfa_is_the_paper():
     assert len(config.data.identities) == 8
 
 
-@each(
+@pytest.mark.parametrize(
     ("tree", "said"),
     [
         ({"model": {"frontend": SEGMENT | {"time_stack": 2}}}, "uses every spectrum"),
@@ -164,7 +163,7 @@ def test_bad_configuration(tree, said):
     assert said in str(caught.value)
 
 
-@each("name", ["sdfa_small", "karras", "voca"])
+@pytest.mark.parametrize("name", ["sdfa_small", "karras", "voca"])
 def test_configurations_of_one_comparison_share_data_and_schedule(name):
     config, reference = (load_config(CONFIGS / f"{n}.yaml") for n in (name, "sdfa_small"))
     assert config.data == reference.data
@@ -213,7 +212,7 @@ def silence(sdfa):
     return sdfa.encoder.features(torch.zeros(1, 1000), 1, 0)[0]
 
 
-@each("name", list(ENCODERS))
+@pytest.mark.parametrize("name", list(ENCODERS))
 def test_prediction_in_pieces_equals_the_whole_clip(name, monkeypatch):
     """Pieces of 20 frames with their context, against all at once."""
     sdfa, sound = model(fps=30, frontend=ENCODERS[name]), noise(3.0)
@@ -229,7 +228,7 @@ def test_prediction_in_pieces_equals_the_whole_clip(name, monkeypatch):
     assert whole.s.std(dim=0).max() > (1e-4 if has_context else 2e-3)
 
 
-@each("name", list(ENCODERS))
+@pytest.mark.parametrize("name", list(ENCODERS))
 def test_encoders_depend_on_nearby_sound_only(name):
     """A click 1 s away changes nothing (a recurrence along the clip: little); one near does."""
     sdfa, sound = model(fps=30, frontend=ENCODERS[name]), noise(3.0)
@@ -256,7 +255,9 @@ def test_window_index_repeats_the_ends():
     assert index.tolist() == [[0, 0, 0, 1], [1, 2, 3, 4], [7, 8, 9, 9]]
 
 
-@each(("samples", "frames"), [(1, 1), (RATE // 60, 1), (RATE, 60), (RATE + 1, 61)])
+@pytest.mark.parametrize(
+    ("samples", "frames"), [(1, 1), (RATE // 60, 1), (RATE, 60), (RATE + 1, 61)]
+)
 def test_number_of_frames_covers_the_recording(samples, frames):
     vertices = predict_mesh(model(), noise(2)[:samples])
     assert vertices.shape == (frames, 16, 3)
@@ -285,7 +286,9 @@ def test_prediction_does_not_depend_on_the_level():
     np.testing.assert_allclose(one, two, atol=1e-3)
 
 
-@each("bad", [np.zeros(0), np.zeros((2, 100)), np.array([0.0, np.nan]), np.float32(1)])
+@pytest.mark.parametrize(
+    "bad", [np.zeros(0), np.zeros((2, 100)), np.array([0.0, np.nan]), np.float32(1)]
+)
 def test_prediction_rejects_what_is_no_row_of_finite_samples(bad):
     with pytest.raises(AudioError, match="16 kHz"):
         predict_mesh(model(), bad)

@@ -30,7 +30,6 @@ from tests.deitalk.models.test_curve_model import MEL, SMALL
 onnx = pytest.importorskip("onnx")
 pytest.importorskip("onnxruntime")
 from deitalk.models.onnx.export import OPSET, export_onnx, operators  # noqa: E402
-from tests.each import each  # noqa: E402
 
 RIG_LAYERS = MEL | {"rig_layers": 1, "phases": 2, "tapers": 3}
 TOLERANCE = 1e-4
@@ -113,7 +112,7 @@ def assert_equal(found, expected, controls=None):
         np.testing.assert_allclose(ours, theirs, atol=TOLERANCE)
 
 
-@each("n_frames", [1, 2, 7, 64, 65, 131])
+@pytest.mark.parametrize("n_frames", [1, 2, 7, 64, 65, 131])
 def test_onnx_equals_torch_at_any_length(model, exported, n_frames):
     sound = speechlike(n_frames / 30)[: n_frames * 1600 // 3]
     rows = weights(n_frames, happy=0.6, sad=0.4)
@@ -137,7 +136,7 @@ def exported_whisper(whisper, tmp_path_factory):
     return load_onnx(path)
 
 
-@each("n_frames", [1, 2, 30, 31, 299, 300, 301, 330, 571, 701])
+@pytest.mark.parametrize("n_frames", [1, 2, 30, 31, 299, 300, 301, 330, 571, 701])
 def test_whisper_equals_torch_at_any_length(whisper, exported_whisper, n_frames):
     """One piece, two and three; the last one is short, or begins a frame before the end."""
     sound = speechlike(n_frames / 30)[: n_frames * 1600 // 3]
@@ -165,7 +164,7 @@ def test_whisper_of_a_recording_in_parts_equals_torch(whisper, exported_whisper,
     assert np.abs(alone.emotional - expected.emotional).max() > 0.01, "the floor matters"
 
 
-@each("seconds", [3, 24])
+@pytest.mark.parametrize("seconds", [3, 24])
 def test_whisper_of_silence_equals_torch(whisper, exported_whisper, seconds):
     sound, rows = np.zeros(seconds * 16_000, np.float32), weights(30 * seconds, happy=1)
     assert_equal(exported_whisper.read(sound, rows), whisper.read(sound, rows))
@@ -306,7 +305,7 @@ def test_animate_gives_the_same_curves_with_either_backend(model, tmp_path, monk
     assert kept.stat().st_mtime_ns == written, "exported once"
 
 
-@each(
+@pytest.mark.parametrize(
     ("settings", "message"),
     [({"intensity": False}, "intensity module"), ({"frontend": MEL | {"recurrence": "window"}}, "recurrence: segment")],
 )  # fmt: skip

@@ -31,7 +31,6 @@ from deitalk.training.tuning.task import FinetuneTask, finetune
 from rig import RigCurves, read_curves, write_curves
 from tests.dataset import FPS, JAW, jaw, write_dataset
 from tests.deitalk.training.conftest import CONTROLS, recipe
-from tests.each import each
 
 TINY = Path(__file__).resolve().parents[3] / "configs" / "tiny.yaml"
 RIG = """
@@ -281,7 +280,7 @@ def test_actors_keep_their_last_layers_where_a_tuned_model_is_tuned(
         assert torch.equal(new[:2], old) and not new[2].any()
 
 
-@each(
+@pytest.mark.parametrize(
     ("text", "match"),
     [
         ("id: a\ncontrols: {x: {rest: 2}}", "rest"),

@@ -47,7 +47,6 @@ from tests.deitalk.models.test_mesh_model import (
     spoken,
     tiny,
 )
-from tests.each import each
 
 CONFIGS = Path(__file__).resolve().parents[3] / "configs"
 
@@ -79,7 +78,7 @@ def folder(sequences) -> MeshFolder:
 # Learning
 
 
-@each(
+@pytest.mark.parametrize(
     ("frontend", "motion", "steps", "more"),
     [
         (FRONTEND, "gradients", 400, {"schedule": "one_cycle"}),
@@ -92,6 +91,7 @@ def folder(sequences) -> MeshFolder:
         (KARRAS, "offsets", 200, {"segment_frames": 8, "schedule": "one_cycle"}),
         (VOCA, "offsets", 300, {"segment_frames": 8, "batch_size": 32}),
     ],
+    ids=["as printed", "segment", "karras", "voca"],
 )
 def test_tiny_model_learns_the_motion_of_two_speakers(
     sequences, tmp_path, frontend, motion, steps, more
@@ -179,7 +179,7 @@ class Killed(Exception):
     pass
 
 
-@each("workers", [0, 2])
+@pytest.mark.parametrize("workers", [0, 2])
 def test_resumed_run_has_the_weights_of_an_uninterrupted_one(
     sequences, finished, tmp_path, workers
 ):
@@ -410,9 +410,9 @@ def test_scores_of_a_still_face_are_the_motion_itself(folder, still):
     assert scores["lively_mm"] == pytest.approx(rims, rel=0.02)
     assert scores["score"] == -scores["lively_mm"]
     assert [clip.title for clip in clips] == ["ann (ann)", "bob (bob)"]
-    for clip, moved in zip(clips, motion, strict=True):
+    for clip, each in zip(clips, motion, strict=True):
         gap, error = clip.rows
-        np.testing.assert_allclose(error.predicted, moved[:, LIPS.both].mean(axis=1), atol=0.1)
+        np.testing.assert_allclose(error.predicted, each[:, LIPS.both].mean(axis=1), atol=0.1)
         assert error.target is None and gap.label == "lip gap, mm"
         vertices = sheet().vertices
         at_rest = 10 * np.linalg.norm(

@@ -8,7 +8,6 @@ from torch import nn
 
 from deitalk.config import Config, parse_config
 from deitalk.training.trainer import new_scheduler, restore_buffers, update_average
-from tests.each import each
 
 
 def rates(schedule: str, total: int = 100) -> list[float]:
@@ -45,7 +44,7 @@ def normalised(value: float) -> nn.BatchNorm1d:
     return layer
 
 
-@each(
+@pytest.mark.parametrize(
     ("step", "decay", "expected"),
     [(0, 0.99, 9.2), (8, 0.99, 6.0), (10**6, 0.99, 2.08), (10**6, None, 10.0)],
 )
