@@ -224,8 +224,7 @@ def test_start_is_the_result_where_no_step_is_better(tmp_path):
     task = LineTask(config(), scores=(5.0, 1.0, 2.0, 3.0))
     task.scores_start = True
     trained(tmp_path / "run", task)
-    about = json.loads((tmp_path / "run/best/model.json").read_text())
-    assert about["training"]["step"] == 0
+    assert json.loads((tmp_path / "run/best/summary.json").read_text())["step"] == 0
     rows = pd.read_csv(tmp_path / "run/development.csv")
     assert rows["step"].tolist() == [0, 2, 4, 6]
 
