@@ -400,7 +400,7 @@ def test_end_of_a_session_does_not_wait_for_its_client(tmp_path, monkeypatch, fa
     monkeypatch.setattr(live_route.Session, "run", run)
     stage = Stage(tmp_path)
     service = SimpleNamespace(stage=stage)
-    asyncio.run(asyncio.wait_for(live_route._serve(StuckSocket(), service), 5))
+    asyncio.run(asyncio.wait_for(live_route._serve(StuckSocket(), service, None), 5))
     stage.close()
 
 

@@ -15,7 +15,7 @@ _COLUMNS, _ROWS = 112, 18
 HAIR_AXIS = np.array([0.0, 2.2, -0.9])
 CAP_SHARE, CAP_BACK_DEGREES = 0.45, 2.5
 """The cap's thickness as a share of the hair's, and how far it keeps from the hairline."""
-LOCKS, WISPS, STEPS = 620, 160, 8
+LOCKS, WISPS, STEPS = 360, 110, 7
 HANGS_BELOW_CM = -4.0
 
 
@@ -149,8 +149,8 @@ def _locks(identity: Identity) -> Mesh:
     length[is_wisp] = rng.uniform(0.8, 2.0, is_wisp.sum()) * (1.6 if long else 1.0)
     rows = _grown(identity, roots, length, layer, sway)
     s = np.linspace(0, 1, STEPS)
-    width = (1.05 if long else 0.60) * rng.uniform(0.7, 1.2, count)
-    width[is_wisp] *= 0.22
+    width = (1.40 if long else 0.80) * rng.uniform(0.7, 1.2, count)
+    width[is_wisp] *= 0.17
     taper = np.minimum(0.45 + 3 * s, 1) * np.sqrt(1 - (0.965 if long else 0.985) * s**3)
     half = 0.5 * width[:, None] * taper
     along = unit(np.gradient(rows, axis=1) + 1e-9)

@@ -456,9 +456,15 @@ def test_search_finds_controls_by_words(page):
     assert found[0].replace("CTRL_", "") in page.inner_text("#curves")
 
 
-def test_status_gives_the_mean_of_the_applied_intensity(page):
-    source = make_source("first")
-    assert f"(mean {source.curves.intensity.mean():.2f})" in page.inner_text("#status")
+def test_status_gives_the_mean_of_the_applied_intensity_over_speech(browser, tmp_path, monkeypatch):
+    needs_player()
+    speech = (np.arange(90) >= 30) & (np.arange(90) < 60)
+    monkeypatch.setattr(page_module, "speech_activity", lambda samples: speech * 1.0)
+    source = make_source()
+    render_page(source, tmp_path / "page.html")
+    with opened(browser, tmp_path / "page.html") as tab:
+        mean = source.curves.intensity[30:60].mean()
+        assert f"(mean over speech {mean:.2f})" in tab.inner_text("#status")
 
 
 def test_other_takes_have_their_faces_and_curves(browser, page_file):
