@@ -146,6 +146,7 @@ class Loudness:
     """A frontend of one feature, the loudest sample of each frame; it counts its calls."""
 
     output_size = 1
+    is_causal = False
 
     def __init__(self):
         self.calls = 0

@@ -60,13 +60,13 @@ def npm(tmp_path, monkeypatch):
 
 def test_page_is_built_and_added_to_the_wheel(hook, source, npm):
     npm('[ "$1" = install ] || { mkdir -p ../app; echo page > ../app/index.html; }')
-    built, data = hook.PreviewPageHook(source), {"artifacts": []}
+    built, data = hook.PreviewPageHook(source), {"artifacts": [], "force_include": {}}
     assert built.dependencies() == []
     built.initialize("editable", data)
     assert data["artifacts"] == [str(hook.PAGE)] and not built.warnings
     assert (source / hook.PAGE).read_text() == "page\n"
     npm("exit 1")
-    built.initialize("standard", {"artifacts": []})
+    built.initialize("standard", {"artifacts": [], "force_include": {}})
     assert not built.warnings, "a page that is there is not built again"
 
 
@@ -79,7 +79,7 @@ def test_without_npm_node_is_a_requirement_of_the_build(hook, source, monkeypatc
 @pytest.mark.parametrize("script", ["echo no network; exit 1", "exit 0"])
 def test_package_is_installed_without_a_page_where_npm_fails(hook, source, npm, script):
     npm(script)
-    built, data = hook.PreviewPageHook(source), {"artifacts": []}
+    built, data = hook.PreviewPageHook(source), {"artifacts": [], "force_include": {}}
     built.initialize("editable", data)
     assert data["artifacts"] == []
     assert not built.warnings or "no network" in built.warnings[0]

@@ -67,7 +67,7 @@ def test_planted_curves_return_from_landmarks_of_another_head(filmed, name, leas
     truth = planted()[0][:, CONTROLS.index(name)]
     found = filmed.curves[name]
     assert r(found, truth) >= least
-    assert found.max() == pytest.approx(truth.max(), abs=0.2)
+    assert found.max() == pytest.approx(truth.max(), abs=0.25)
 
 
 def test_turn_of_the_head_returns_in_degrees(filmed):
