@@ -57,7 +57,7 @@ def read(path: Path, controls: ControlSet | None = None, fps: float | None = Non
     if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
         raise FormatError(f"{path} needs a list of texts 'facsNames'")
     if type(rate) not in (int, float) or not 0 < rate <= 1000:  # type: ignore[operator]
-        raise FormatError(f"{path} has no rate 'exportFps'; give --source-fps")
+        raise FormatError(f"{path} has no rate 'exportFps'; state the rate of its frames")
     try:
         with np.errstate(over="ignore"):  # infinite, refused below
             values = np.array(data.get("weightMat"), np.float32)
