@@ -368,7 +368,7 @@ def test_client_that_does_not_read_is_cut_off_in_time(monkeypatch):
         while not running.started:
             time.sleep(0.01)
         with connect(f"ws://127.0.0.1:{port}/v1/live", proxy=None, max_queue=1) as session:
-            assert ended.wait(10)
+            assert ended.wait(30)
             with pytest.raises(ConnectionClosed):
                 while True:
                     session.recv(10)
