@@ -53,7 +53,7 @@ def load_or_build(kind: str, identity: Identity, build: Callable[[Identity], Arr
     try:
         with np.load(path, allow_pickle=False) as stored:
             return {name: stored[name] for name in stored.files}
-    except (OSError, ValueError, zipfile.BadZipFile):
+    except (OSError, EOFError, ValueError, zipfile.BadZipFile):
         arrays = build(identity)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)

@@ -10,6 +10,7 @@ import struct
 import time
 import zipfile
 from contextlib import suppress
+from pathlib import Path
 
 import av
 import httpx
@@ -27,8 +28,8 @@ from tests.browser import needs_player
 
 SPEECH = wav(0.6)
 TRAVERSALS = (
-    "../../../../tmp/deitalk-attack",
-    "/tmp/deitalk-attack",
+    "../../../../deitalk-attack",
+    "/deitalk-attack",
     "..\\..\\deitalk-attack.glb",
     "a/../../deitalk-attack.csv",
     "%2e%2e%2fdeitalk-attack",
@@ -69,6 +70,7 @@ def test_names_of_a_request_never_become_paths(server, client, name, tmp_path):
         assert found.status_code in (400, 404, 422), (path, found.status_code)
     after = {path.name for path in server.log.parent.rglob("*")}
     assert not {left for left in after - before if "attack" in left}
+    assert not list(Path("/").glob("deitalk-attack*"))
 
 
 def test_emotion_of_a_file_on_the_server_is_not_read(client, tmp_path):

@@ -5,6 +5,7 @@ They take the places of the fragment stage of a graphics card; `shading.glsl` is
 
 # mypy: allow-untyped-decorators, allow-untyped-calls, allow-any-generics
 
+from collections.abc import Callable
 from math import sqrt
 from typing import Any
 
@@ -19,11 +20,22 @@ _COLOR = shading.LIGHT_COLORS
 _WRAP = shading.WRAPS
 _SKY, _GROUND = np.array(shading.SKY), np.array(shading.GROUND)
 N_LIGHTS = len(_COLOR)
+
+
+def compiled(function: Callable[..., Any]) -> Any:
+    """Compile at the first call; the machine code is kept where a folder can be written."""
+    options = {"fastmath": True, "error_model": "numpy"}
+    try:
+        return njit(cache=True, **options)(function)
+    except RuntimeError:  # numba finds no such folder: a read-only installation and home
+        return njit(**options)(function)
+
+
 # Columns of a vertex: place on the screen (2), normal (3), paint (4), light (2), accent, uv (2).
 X, Y, NORMAL, PAINT, LIGHT, ACCENT, UV, COLUMNS = 0, 1, 2, 5, 9, 11, 12, 14
 
 
-@njit(cache=True, fastmath=True, error_model="numpy")
+@compiled
 def fill(x: Any, y: Any, z: Any, faces: Any, nearest: Any, depth: Any) -> None:
     """Write the nearest face and its depth at every sample (H, W) that faces cover.
 
@@ -58,7 +70,7 @@ def fill(x: Any, y: Any, z: Any, faces: Any, nearest: Any, depth: Any) -> None:
                 value += per_x
 
 
-@njit(cache=True, fastmath=True, error_model="numpy")
+@compiled
 def _crossing(x: Any, y: Any, top: Any, bottom: Any, at: Any) -> Any:
     """Where the edge from `top` to `bottom` crosses a row."""
     height = y[bottom] - y[top]
@@ -67,7 +79,7 @@ def _crossing(x: Any, y: Any, top: Any, bottom: Any, at: Any) -> Any:
     return x[top] + (x[bottom] - x[top]) / height * (at - y[top])
 
 
-@njit(cache=True, fastmath=True, error_model="numpy")
+@compiled
 def color(
     samples: Any, surface: Any, to_eye: Any, maps: Any, step: Any, empty: Any, picture: Any
 ) -> None:
@@ -108,7 +120,7 @@ def color(
                 picture[row, column, k] = int(light[k] * 63.75 + 0.5)
 
 
-@njit(cache=True, fastmath=True, error_model="numpy")
+@compiled
 def _interpolate(table: Any, face: Any, x: Any, y: Any, values: Any) -> None:
     a, b, c = table[face[0]], table[face[1]], table[face[2]]
     bx, by, cx, cy = b[X] - a[X], b[Y] - a[Y], c[X] - a[X], c[Y] - a[Y]
@@ -119,13 +131,13 @@ def _interpolate(table: Any, face: Any, x: Any, y: Any, values: Any) -> None:
         values[k] = a[k] + to_b * (b[k] - a[k]) + to_c * (c[k] - a[k])
 
 
-@njit(cache=True, fastmath=True, error_model="numpy")
+@compiled
 def _unit(x: Any, y: Any, z: Any) -> Any:
     scale = 1 / sqrt(x * x + y * y + z * z + 1e-12)
     return x * scale, y * scale, z * scale
 
 
-@njit(cache=True, fastmath=True, error_model="numpy")
+@compiled
 def _skin(values: Any, creases: Any, pores: Any) -> None:
     """Put pores into the gloss and creases into the normal; leave in ACCENT what colours keep."""
     u, v, accent = values[UV], values[UV + 1], values[ACCENT]
@@ -144,7 +156,7 @@ def _skin(values: Any, creases: Any, pores: Any) -> None:
     values[ACCENT] = kept
 
 
-@njit(cache=True, fastmath=True, error_model="numpy")
+@compiled
 def _shade(values: Any, kind: Any, v: Any, maps: Any, out: Any) -> None:
     """Colour (3,) sRGB 0..1 of one place of a surface, as the shader of `shading.glsl` gives it."""
     atlas, creases, pores = maps
@@ -190,13 +202,13 @@ def _shade(values: Any, kind: Any, v: Any, maps: Any, out: Any) -> None:
     out[2] = _display(values[PAINT + 2] * tint_b / 127.5, kept * blue, shine_b + window)
 
 
-@njit(cache=True, fastmath=True, error_model="numpy")
+@compiled
 def _wrapped(cosine: Any, wrap: Any) -> Any:
     lit = min(max((cosine + wrap) / (1 + wrap), 0.0), 1.0)
     return lit * (0.72 + 0.28 * lit)
 
 
-@njit(cache=True, fastmath=True, error_model="numpy")
+@compiled
 def _window(nx: Any, ny: Any, nz: Any, v: Any, facing: Any) -> Any:
     """Reflection of a large lamp and of the sky on a wet eye."""
     dx, dy, dz = _TO_LIGHT[0, 0], _TO_LIGHT[0, 1], _TO_LIGHT[0, 2]
@@ -206,7 +218,7 @@ def _window(nx: Any, ny: Any, nz: Any, v: Any, facing: Any) -> Any:
     return 0.8 * glow * glow * (3 - 2 * glow) + 0.10 * min(max(2 * facing * ny - v[1], 0.0), 1.0)
 
 
-@njit(cache=True, fastmath=True, error_model="numpy")
+@compiled
 def _display(paint: Any, light: Any, shine: Any) -> Any:
     linear = paint * paint * light + shine
     return sqrt(min(max(linear * 1.12 / (1 + 0.12 * linear), 0.0), 1.0))
