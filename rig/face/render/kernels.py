@@ -24,7 +24,7 @@ N_LIGHTS = len(_COLOR)
 
 def compiled(function: Callable[..., Any]) -> Any:
     """Compile at the first call; the machine code is kept where a folder can be written."""
-    options = {"fastmath": True, "error_model": "numpy"}
+    options: dict[str, Any] = {"fastmath": True, "error_model": "numpy"}
     try:
         return njit(cache=True, **options)(function)
     except RuntimeError:  # numba finds no such folder: a read-only installation and home
