@@ -15,9 +15,10 @@ from pydantic_settings import BaseSettings, PydanticBaseSettingsSource, Settings
 from sqlalchemy.engine import make_url
 from sqlalchemy.exc import ArgumentError
 
+from deitalk.config.hub import is_hub_name
 from deitalk.config.yaml_text import read_yaml
 from deitalk.errors import ConfigError
-from deitalk.models.folder import embedded_models
+from deitalk.models.folder import embedded_models, model_folder
 from deitalk.models.load import Backend
 from rig.errors import quoted
 from rig.limits import MIB, SECONDS
@@ -125,7 +126,10 @@ class Settings(BaseSettings):
                 raise ValueError(
                     f"{quoted(name)} must be letters, digits, - and _, and no embedded model"
                 )
-        return models
+        return {
+            name: model_folder(path) if is_hub_name(path) else path.absolute()
+            for name, path in models.items()
+        }
 
     @field_validator("database")
     @classmethod

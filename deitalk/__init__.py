@@ -28,6 +28,7 @@ __all__ = [
     "animate_mesh",
     "load_audio",
     "load_model",
+    "push_to_hub",
     "recording_from_array",
     "suggest_emotion",
 ]
@@ -42,6 +43,7 @@ if TYPE_CHECKING:
     from deitalk.errors import DeitalkError
     from deitalk.live.animator import LiveAnimator
     from deitalk.models.checkpoint import load_model
+    from deitalk.models.model_card import push_to_hub
     from deitalk.pipeline.curves import animate
     from deitalk.pipeline.mesh import animate_mesh
     from deitalk.pipeline.performance import MeshPerformance, Performance
@@ -53,6 +55,7 @@ _HOMES = {
     "batch.report": ("BatchReport",),
     "batch.run": ("animate_batch",),
     "models.checkpoint": ("load_model",),
+    "models.model_card": ("push_to_hub",),
     "emotions": ("EMOTIONS", "EmotionTrack", "IntensityCurve"),
     "errors": ("DeitalkError",),
     "live.animator": ("LiveAnimator",),

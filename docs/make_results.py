@@ -53,7 +53,6 @@ TABLES: dict[str, Callable[[], str]] = {
     "attention": meshes.attention,
     "retargeting": meshes.retargeting,
     "facegood": finetuning.facegood,
-    "from-nothing": finetuning.from_nothing,
     "captured-lips": finetuning.captured_lips,
     "known-words": people.known_words,
     "head-motion": people.head_motion,

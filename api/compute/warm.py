@@ -9,6 +9,7 @@ import gc
 import numpy as np
 import pandas
 import torch
+from huggingface_hub import constants
 from scipy import linalg
 
 from api.compute.order import Limits
@@ -50,6 +51,7 @@ def prepare(limits: Limits) -> None:
 
 def _preload() -> None:
     """Read the default model and use it once, so that nothing is imported later."""
+    constants.HF_HUB_OFFLINE = True  # no request fetches a model
     torch.set_num_threads(1)  # threads do not survive the fork
     model = require_model("default", DEITalk)
     animate(np.zeros(1600, np.float32), sample_rate=16000, model=model)

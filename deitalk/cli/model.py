@@ -1,4 +1,4 @@
-"""`deitalk model`: description of a model, export of a copy, a mix of two."""
+"""`deitalk model`: description of a model, export of a copy, a mix of two, the hub."""
 
 import json
 from pathlib import Path
@@ -60,18 +60,16 @@ def _export_onnx(model: str, out: Path, force: bool) -> None:
 
 
 def _export_folder(model: str, out: Path, data: str, force: bool) -> None:
-    from deitalk.config.load import load_config, without_paths
     from deitalk.models.checkpoint import require_model, save_model
     from deitalk.models.curve_model import DEITalk
     from deitalk.models.folder import describe_model, model_folder
+    from deitalk.models.model_card import portable
 
     source = model_folder(model)
     reserve_folder(out, kind="model", force=force, inputs=(source / "model.safetensors",))
     network = require_model(model, DEITalk)
-    config = without_paths(load_config(source / "config.yaml"))
-    summary = describe_model(model)["training"] | ({"data": data} if data else {})
-    if "base" in summary:
-        summary["base"] = Path(summary["base"]).name
+    config, summary = portable(source)
+    summary |= {"data": data} if data else {}
     save_model(out, network, config, summary, half=True)
     console().print(f"{out}: {describe_model(out)['bytes'] / 1e6:.1f} MB")
 
@@ -95,24 +93,42 @@ def mix(
     --------
     deitalk model mix default runs/mine/best --share 0.6 -o softer/
     """
-    from deitalk.config.load import load_config, without_paths
     from deitalk.models.checkpoint import require_model, save_model
     from deitalk.models.curve_model import DEITalk
     from deitalk.models.folder import describe_model, model_folder, weights_hash
+    from deitalk.models.model_card import portable
     from deitalk.training.tuning.mix import mix_models
 
     folders = [model_folder(model) for model in (before, after)]
     inputs = tuple(folder / "model.safetensors" for folder in folders)
     reserve_folder(out, kind="model", force=force, inputs=inputs)
     network = mix_models(require_model(before, DEITalk), require_model(after, DEITalk), share)
-    config = without_paths(load_config(folders[1] / "config.yaml"))
-    summary = describe_model(after)["training"] | {
-        "mixed": {"share": share, "sha256": [weights_hash(folder) for folder in folders]}
-    }
-    if "base" in summary:
-        summary["base"] = Path(summary["base"]).name
+    config, summary = portable(folders[1])
+    summary["mixed"] = {"share": share, "sha256": [weights_hash(folder) for folder in folders]}
     save_model(out, network, config, summary, half=True)
     console().print(f"{out}: {describe_model(out)['bytes'] / 1e6:.1f} MB")
+
+
+@app.command()
+def push(
+    model: Annotated[str, typer.Argument(help="Model folder, such as runs/anna/best.")],
+    name: Annotated[str, typer.Argument(help="org/name on the Hugging Face hub.")],
+    license: Annotated[
+        str | None, typer.Option(help="The hub's name of a licence, for the card.")
+    ] = None,
+    public: Annotated[
+        bool, typer.Option("--public", help="A new repository is public; else private.")
+    ] = False,
+) -> None:
+    """Write a model and a card made of its run's report to the Hugging Face hub.
+
+    Examples
+    --------
+    deitalk model push runs/anna/best my_org/anna --license cc-by-4.0
+    """
+    from deitalk.models.model_card import push_to_hub
+
+    emit(push_to_hub(model, name, private=not public, license=license))
 
 
 @app.command()

@@ -72,6 +72,7 @@ def without_paths(config: AnyConfig) -> AnyConfig:
     tree = config.model_dump(mode="json")
     tree["data"] |= {"noise_folder": None, "room_folder": None}
     sections = [(tree["model"]["frontend"], "checkpoint")]
+    sections += [(tree["train"], key) for key in ("teacher", "frozen_frontend")]
     if "tune" in tree:
         tree["tune"]["corpus"] = None
         sections.append((tree["tune"], "base"))

@@ -8,12 +8,14 @@ K features at 50 Hz.
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
 from torch import Tensor, nn
 
 from deitalk.audio.frames import SAMPLE_RATE
 from deitalk.config import Wav2VecConfig
+from deitalk.config.hub import ask
 from deitalk.config.section import check_encoder
 from deitalk.errors import CheckpointError, ConfigError
 from deitalk.frontends.strided import StridedFrontend
@@ -304,6 +306,8 @@ def _cached_or_fetched(read: Any, name: str, **options: Any) -> Any:
     try:
         return read(name, local_files_only=True, **options)
     except OSError:
+        if Path(name).exists() or ask(name) is None:  # transformers would try for a long time
+            raise
         return read(name, **options)
 
 

@@ -80,7 +80,8 @@ def load_model(name_or_path: str | Path = "default", *, device: str = "cpu") -> 
     Parameters
     ----------
     name_or_path : str or Path
-        ``default``, ``live``, ``sdfa``, ``mesh_head``, or a folder that `save_model` wrote.
+        ``default``, ``live``, ``sdfa``, ``mesh_head``, a folder that `save_model` wrote, or
+        ``org/name`` or ``org/name@revision`` on the Hugging Face hub.
     device : str
         ``cpu``, ``cuda``, ``cuda:N`` or ``mps``.
 

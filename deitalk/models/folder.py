@@ -14,9 +14,10 @@
 import hashlib
 from functools import lru_cache
 from importlib import resources
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import Any, Literal
 
+from deitalk.config.hub import fetch, is_hub_name, pinned
 from deitalk.errors import CheckpointError
 from rig import limits
 from rig.errors import quoted
@@ -37,21 +38,23 @@ def embedded_models() -> list[str]:
 
 
 def model_folder(name_or_path: str | Path) -> Path:
-    """Folder of an embedded model or of one on disk.
+    """Folder of an embedded model, of one on disk, else of one on the hub (`deitalk.config.hub`).
 
     Raises
     ------
     CheckpointError
-        If there is neither; it lists the embedded ones.
+        If there is none; it lists the embedded ones.
     """
     if str(name_or_path) in EMBEDDED:
         folder = Path(str(resources.files("deitalk.models").joinpath("weights", str(name_or_path))))
+    elif is_hub_name(name_or_path):
+        return fetch(PurePath(name_or_path).as_posix())
     else:
         folder = Path(name_or_path)
     if not (folder / "model.safetensors").is_file() or not (folder / "config.yaml").is_file():
         raise CheckpointError(
-            f"{name_or_path}: no model there (config.yaml and model.safetensors); name a folder "
-            f"or one of {', '.join(embedded_models()) or 'no embedded models'}"
+            f"{name_or_path}: no model there (config.yaml and model.safetensors); name a folder, "
+            f"org/name on the hub, or one of {', '.join(embedded_models()) or 'no embedded models'}"
         )
     return folder
 
@@ -108,7 +111,7 @@ def describe_model(name_or_path: str | Path) -> dict[str, Any]:
     about.pop("controls", None)
     if (rules := read_rules(folder / "config.yaml")) is not None:
         about["rules"] = rules.model_dump(mode="json")
-    return {"name": str(name_or_path), **about, **_weights(folder)}
+    return {"name": pinned(name_or_path), **about, **_weights(folder)}
 
 
 def weight_files(folder: Path) -> list[Path]:

@@ -3,7 +3,6 @@
 _EVALUATE = "deitalk evaluate default"
 _ABLATE = "deitalk ablate --data corpus/ --steps 300"
 _TUNE = "deitalk finetune"
-_SHORT = "-o OUT --set train.steps=100 --set train.batch_size=4 --set train.evaluate_every=50"
 _PEOPLE = "python -m deitalk.research.evaluation"
 _TRAINING = "python -m deitalk.research.training"
 LIP_SPEAKERS = ("s03", "s32")
@@ -67,9 +66,6 @@ OTHER = {
     "blinks": f"{_PEOPLE}.blinks LIBRISPEECH",
     "retargeting": f"{_PEOPLE}.retargeting ICT.npz",
     "facegood": f"{_TUNE} facegood_data/ --rig facegood.yaml --folds takes -o OUT",
-    "facegood-one": f"{_TUNE} facegood_one/ --rig facegood.yaml --folds takes -o OUT",
-    "facegood-nothing": f"{_TUNE} facegood_data/ --rig facegood.yaml --leave-out 2_01 {_SHORT} "
-    "--from none --set train.learning_rate=1e-3",
     **{
         f"captured-lips-{speaker}": f"{_TUNE} lips_rig/ --rig lips_rig/rig.yaml "
         f"--leave-out {speaker} -o OUT"
@@ -96,7 +92,6 @@ PLACES = {
     "LINES": "folder of some hundred recordings of 2 to 6 s",
     "ICT.npz": "ICT-FaceKit's neutral face and 57 shapes (mesh.md)",
     "facegood_data/": "FACEGOOD's clips, imported (finetuning.md)",
-    "facegood_one/": "the same with `--actor tts` in place of the table",
     "facegood.yaml": "their rig",
     "lips_rig/": "measured lips as a rig (finetuning.md)",
 }

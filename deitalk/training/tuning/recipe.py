@@ -7,6 +7,7 @@ from typing import Any, cast
 import numpy as np
 
 from deitalk.config import Config, FinetuneConfig, load_config
+from deitalk.config.hub import pinned
 from deitalk.config.load import parse_config, read_tree
 from deitalk.data.clips import Clip
 from deitalk.errors import ConfigError
@@ -59,7 +60,8 @@ def read_recipe(
         tune |= NO_TEACHER | tune
         if tune["part"] != "all":
             raise ConfigError(f"tune.part={tune['part']}: random weights all learn; leave it out")
-    folder = model_folder(str(tune.get("base", "default")))
+    tune["base"] = pinned(str(tune.get("base", "default")))
+    folder = model_folder(tune["base"])
     network = load_config(folder / "config.yaml").model.model_dump(mode="json")
     if network.get("control_set") == RIG_FILE:
         network["control_set"] = str(folder / RIG_FILE)

@@ -14,6 +14,7 @@ from deitalk.config import (
     load_config,
     parse_config,
 )
+from deitalk.config.rules import RulesConfig
 from deitalk.config.section import Optimisation
 from deitalk.errors import ConfigError
 from tests.each import each
@@ -63,6 +64,7 @@ def test_deitalk_has_the_numbers_of_the_paper():
     assert model.intensity
     assert model.saliency_frames is None
     assert not model.decoder_residual
+    assert config.rules == RulesConfig.none()  # those of `default` were chosen for its targets
     assert model.dropout == 0
     weights = (loss.contrast, loss.classification, loss.position, loss.velocity)
     assert weights == (0.1, 0.1, 1.0, 4.0)  # §3.5

@@ -1,0 +1,199 @@
+"""Models that travel: pushed to a hub, fetched by name, kept in the cache, never by a request."""
+
+import json
+import os
+import subprocess
+import sys
+import time
+
+import pytest
+import yaml
+
+from api.settings import Settings
+from deitalk.config import Config, hub
+from deitalk.errors import CheckpointError
+from deitalk.models.checkpoint import save_model
+from deitalk.models.curve_model import DEITalk
+from deitalk.models.folder import model_folder, weights_hash
+from deitalk.training.tuning.recipe import read_recipe
+from tests.deitalk.pipeline.test_curves import SMALL
+from tests.each import each
+from tests.hub import TOKEN, serving
+
+NOWHERE = "http://127.0.0.1:9"
+REPORT = "# Before and after\n\nThe result is step 20.\n"
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    """A run folder: the model in ``best``, its report beside it."""
+    run = tmp_path_factory.mktemp("runs") / "anna"
+    run.mkdir()
+    config = Config(model=SMALL.model_copy(update={"actors": ("anna", "ben")}))
+    base = str(tmp_path_factory.getbasetemp() / "secret" / "base")
+    save_model(run / "best", DEITalk(config.model), config, {"step": 20, "base": base})
+    (run / "report.md").write_text(REPORT)
+    return run
+
+
+@pytest.fixture(scope="module")
+def the_hub(run, tmp_path_factory):
+    """A hub to which the model was pushed by the command, and the settings of its clients."""
+    with serving() as (state, address):
+        home = tmp_path_factory.mktemp("hf")
+        settings = {"HF_ENDPOINT": address, "HF_HOME": str(home), "HF_HUB_DISABLE_XET": "1"}
+        done = command(settings | {"HF_TOKEN": TOKEN}, "push", run / "best", "me/anna")
+        assert done.returncode == 0, done.stderr
+        yield state, settings, done.stdout.strip()
+
+
+def command(settings, *arguments):
+    return subprocess.run(
+        [sys.executable, "-m", "deitalk", "model", *map(str, arguments)],
+        env={k: v for k, v in os.environ.items() if not k.startswith("HF_")} | settings,
+        capture_output=True,
+        text=True,
+    )
+
+
+def test_a_pushed_model_has_a_card_of_its_report_and_no_folder_of_this_machine(the_hub, run):
+    state, _, address = the_hub
+    (files,) = state.repositories["me/anna"]
+    assert address.endswith(f"/me/anna/commit/{state.files('me/anna', 'main')[0]}")
+    assert state.private["me/anna"]
+    weights = (run / "best/model.safetensors").read_bytes()
+    assert files["model.safetensors"] == weights
+    _, header, text = files["README.md"].decode().split("---\n", 2)
+    assert yaml.safe_load(header)["library_name"] == "deitalk"
+    assert "anna, ben" in text and "--model me/anna" in text
+    assert text.endswith("\n#" + REPORT)
+    small = b"".join(data for name, data in files.items() if name != "model.safetensors")
+    assert b"secret" not in small
+    assert json.loads(files["model.json"])["training"]["base"] == "base"
+
+
+def test_a_model_is_fetched_by_name_once_and_then_read_from_the_cache(the_hub, run):
+    state, settings, _ = the_hub
+    commit, _ = state.files("me/anna", "main")
+    state.asked.clear()
+    about = json.loads(command(settings, "info", "me/anna", "--json").stdout)
+    assert about["name"] == f"me/anna@{commit}"
+    assert about["sha256"] == weights_hash(run / "best")
+    fetched = [path for kind, path in state.asked if kind == "GET" and "/resolve/" in path]
+    assert sorted(path.rpartition("/")[2] for path in fetched) == [
+        "config.yaml",
+        "model.json",
+        "model.safetensors",
+    ]
+    state.asked.clear()
+    for name in ("me/anna", f"me/anna@{commit}"):
+        again = json.loads(command(settings, "info", name, "--json").stdout)
+        assert again == about
+        without = command(settings | {"HF_ENDPOINT": NOWHERE}, "info", name, "--json")
+        assert json.loads(without.stdout) == about
+    assert not [path for _, path in state.asked if "/resolve/" in path]
+
+
+def test_a_revision_stays_when_the_model_moves_on(the_hub, run, tmp_path):
+    state, settings, _ = the_hub
+    before, files = state.files("me/anna", "main")
+    config = yaml.safe_load(files["config.yaml"]) | {"name": "newer"}
+    state.commit("me/anna", {"config.yaml": yaml.safe_dump(config).encode()})
+    names = {}
+    for revision in ("", f"@{before}"):
+        settings |= {"HF_HOME": str(tmp_path / f"home{revision[:3]}")}
+        about = json.loads(command(settings, "info", f"me/anna{revision}", "--json").stdout)
+        folder = next((tmp_path / f"home{revision[:3]}").rglob("config.yaml"))
+        names[about["name"]] = yaml.safe_load(folder.read_text())["name"]
+    after, _ = state.files("me/anna", "main")
+    assert names == {f"me/anna@{after}": "newer", f"me/anna@{before}": "deitalk"}
+
+
+@each(
+    ("name", "changes", "words"),
+    [
+        ("me/none", {}, "no such model"),
+        ("me/anna@v9", {}, "no such model or revision"),
+        ("me/other", {}, "config.yaml and model.safetensors"),
+        ("me/none", {"HF_ENDPOINT": NOWHERE}, "no answer of the hub"),
+        ("me/none", {"HF_HUB_OFFLINE": "1"}, "no answer of the hub"),
+        ("runs/none/best", {}, "no model there"),
+    ],
+)
+def test_what_cannot_be_fetched_is_one_line(the_hub, tmp_path, name, changes, words):
+    state, settings, _ = the_hub
+    state.repositories["me/other"] = [{"config.json": b"{}", "model.safetensors": b""}]
+    done = command(settings | {"HF_HOME": str(tmp_path)} | changes, "info", name)
+    assert done.returncode == 1
+    assert words in done.stderr and done.stderr.count("\n") == 1, done.stderr
+    assert not list(tmp_path.rglob("*.safetensors"))
+
+
+@each(
+    ("changes", "name", "words"),
+    [
+        ({"HF_TOKEN": "wrong"}, "me/anna", "hf auth login"),
+        ({"HF_ENDPOINT": NOWHERE}, "me/anna", "not pushed"),
+        ({}, "anna", "org/name"),
+        ({}, "me/anna@main", "org/name"),
+    ],
+)
+def test_what_cannot_be_pushed_is_one_line(the_hub, run, changes, name, words):
+    state, settings, _ = the_hub
+    commits = len(state.repositories["me/anna"])
+    done = command(settings | {"HF_TOKEN": TOKEN} | changes, "push", run / "best", name)
+    assert done.returncode == 1 and words in done.stderr and done.stderr.count("\n") == 1
+    assert len(state.repositories["me/anna"]) == commits
+
+
+def test_no_answer_is_no_wait(monkeypatch):
+    """An hour of retries would be the client's own; the hub is asked once."""
+    from huggingface_hub import constants
+
+    monkeypatch.setattr(constants, "ENDPOINT", NOWHERE)
+    monkeypatch.setattr(constants, "HF_HUB_OFFLINE", False)
+    begin = time.perf_counter()
+    with pytest.raises(CheckpointError, match="no answer of the hub"):
+        model_folder("nobody/nothing")
+    assert time.perf_counter() - begin < hub.SECONDS
+
+
+@pytest.fixture
+def no_hub(monkeypatch):
+    """Any question to the hub fails the test."""
+
+    def asked(name):
+        raise AssertionError(f"the hub was asked for {name}")
+
+    for function in ("ask", "fetch"):
+        monkeypatch.setattr(hub, function, asked)
+        monkeypatch.setattr(f"deitalk.models.folder.{function}", asked, raising=False)
+
+
+def test_a_folder_here_comes_before_the_hub(no_hub, run, tmp_path, monkeypatch):
+    (tmp_path / "me").symlink_to(run)
+    monkeypatch.chdir(tmp_path)
+    assert weights_hash(model_folder("me/best")) == weights_hash(run / "best")
+    (tmp_path / "you" / "empty").mkdir(parents=True)
+    with pytest.raises(CheckpointError, match="no model there"):
+        model_folder("you/empty")
+
+
+def test_a_tuning_keeps_the_commit_that_it_began_with(the_hub, run, monkeypatch):
+    monkeypatch.setattr(hub, "fetch", lambda name: run / "best")
+    monkeypatch.setattr("deitalk.models.folder.fetch", lambda name: run / "best")
+    assert read_recipe(None, base="me/anna").tune.base == "me/anna@best"
+
+
+def test_a_service_fetches_at_its_start_and_a_request_never(run, tmp_path, monkeypatch):
+    """Its models are folders by the time it answers, wherever its folder goes."""
+    monkeypatch.setattr("api.settings.model_folder", lambda path: run / "best")
+    settings = Settings(models={"anna": "me/anna", "mine": "runs/mine/best"}, data=tmp_path)
+    assert settings.models["anna"] == run / "best"
+    assert settings.models["mine"].is_absolute()
+
+
+def test_workers_of_a_service_never_fetch():
+    code = "import api.compute.warm; from huggingface_hub import constants as c; print(c.HF_HUB_OFFLINE)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.stdout.strip() == "True", done.stderr
