@@ -22,7 +22,7 @@ FILES = (
     "templates.npz",
 )
 """All that a model folder holds; nothing else of a repository is fetched."""
-NEEDED = ("config.yaml", "model.safetensors")
+NEEDED: tuple[str, ...] = ("config.yaml", "model.safetensors")
 SECONDS = 5.0
 """Longest wait for the hub's first answer."""
 _PART = r"[A-Za-z0-9_][A-Za-z0-9_.-]*"
