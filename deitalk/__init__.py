@@ -12,6 +12,7 @@ from deitalk.installed import __version__
 
 __all__ = [
     "EMOTIONS",
+    "LABELS",
     "Acting",
     "BatchReport",
     "DeitalkError",
@@ -39,7 +40,7 @@ if TYPE_CHECKING:
     from deitalk.audio.load import Recording, load_audio
     from deitalk.batch.report import BatchReport
     from deitalk.batch.run import animate_batch
-    from deitalk.emotions import EMOTIONS, EmotionTrack, IntensityCurve
+    from deitalk.emotions import EMOTIONS, LABELS, EmotionTrack, IntensityCurve
     from deitalk.errors import DeitalkError
     from deitalk.live.animator import LiveAnimator
     from deitalk.models.checkpoint import load_model
@@ -56,7 +57,7 @@ _HOMES = {
     "batch.run": ("animate_batch",),
     "models.checkpoint": ("load_model",),
     "models.model_card": ("push_to_hub",),
-    "emotions": ("EMOTIONS", "EmotionTrack", "IntensityCurve"),
+    "emotions": ("EMOTIONS", "LABELS", "EmotionTrack", "IntensityCurve"),
     "errors": ("DeitalkError",),
     "live.animator": ("LiveAnimator",),
     "pipeline.mesh": ("animate_mesh",),

@@ -26,7 +26,7 @@ from pydantic import (
 
 from deitalk.errors import ConfigError, DataError, EmotionError
 from rig import limits
-from rig.emotions import COLORS, EMOTIONS
+from rig.emotions import COLORS, EMOTIONS, MOODS
 from rig.errors import UserError, quoted
 
 if TYPE_CHECKING:
@@ -286,11 +286,12 @@ class Acting(BaseModel):
 
     emotion: Annotated[Track, PlainValidator(read_emotion), _STR, _TEXT] = Field(
         default_factory=neutral_track,
-        description=f"{', '.join(EMOTIONS)}; weights such as "
+        description=f"{', '.join(EMOTIONS)}; procedural: {', '.join(MOODS)}; weights such as "
         "happy=0.7,surprised=0.3; a track (.csv .json .yaml: time, emotion, strength); auto: "
         "suggested from the voice.",
         examples=["happy", "happy=0.7,surprised=0.3"],
-        json_schema_extra=_extra("change", default="neutral") | {"x-colors": COLORS},
+        json_schema_extra=_extra("change", default="neutral")
+        | {"x-colors": COLORS, "x-procedural": [*MOODS]},
     )
     intensity: Annotated[
         float,

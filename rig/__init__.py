@@ -4,12 +4,14 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from rig.controls import Control, ControlSet, default_controls
-    from rig.curves import EMOTIONS, RigCurves, concatenate, frames_to_time, rest_curves
+    from rig.curves import RigCurves, concatenate, frames_to_time, rest_curves
     from rig.curves.edit import ClampReport, clamp, gain, smooth
+    from rig.emotions import EMOTIONS, LABELS
     from rig.formats import WriteReport, read_curves, write_curves
 
 __all__ = [
     "EMOTIONS",
+    "LABELS",
     "ClampReport",
     "Control",
     "ControlSet",
@@ -28,8 +30,9 @@ __all__ = [
 
 _HOMES = {
     "controls": ("Control", "ControlSet", "default_controls"),
-    "curves": ("EMOTIONS", "RigCurves", "concatenate", "frames_to_time", "rest_curves"),
+    "curves": ("RigCurves", "concatenate", "frames_to_time", "rest_curves"),
     "curves.edit": ("ClampReport", "clamp", "gain", "smooth"),
+    "emotions": ("EMOTIONS", "LABELS"),
     "formats": ("WriteReport", "read_curves", "write_curves"),
 }
 

@@ -1,4 +1,8 @@
-"""The emotions, in the order of every track and table: the one list of their names."""
+"""The emotions, in the order of every track and table: the one list of their names.
+
+The network is trained on five. A mood is procedural: no capture taught it. It is shown as a mixture
+of the five (`MOODS`) and a pose of its own (`deitalk/postprocess/expressions.csv`).
+"""
 
 COLORS = {
     "neutral": "#969eaa",
@@ -6,8 +10,21 @@ COLORS = {
     "happy": "#f5be42",
     "sad": "#548edc",
     "surprised": "#b074dc",
+    "fear": "#58c4c0",
+    "disgust": "#84b24a",
+    "contempt": "#c28a5c",
+    "calm": "#a8c8de",
 }
 """Colour of each in the page and in videos. Other tables may have more of an emotion; one that they
 lack is there as calm as `neutral`."""
-EMOTIONS = tuple(COLORS)
+MOODS = {
+    "fear": {"surprised": 0.6, "sad": 0.25},
+    "disgust": {"angry": 0.45, "sad": 0.15},
+    "contempt": {"angry": 0.1, "happy": 0.1},
+    "calm": {},
+}
+"""Weights of the trained emotions that the network reads for a mood at weight 1; the rest is
+neutral."""
+LABELS = tuple(COLORS)
+EMOTIONS = LABELS[: -len(MOODS)]
 """DEITalk §3.1: the labels of ETH-3D."""

@@ -29,7 +29,7 @@ from tests.api.server import serving
 from tests.deitalk.batch.conftest import InProcess
 from tests.deitalk.live.conftest import RATE, TINY
 
-KEYS = "time,emotion,strength\n0,happy,0.2\n1.0,angry,1\n"
+KEYS = "time,emotion,strength\n0,happy,0.2\n1.0,angry,1\n2.0,contempt,1\n"
 CURVE = "time,intensity\n0,0.3\n1.5,2\n"
 VOICE = json.dumps({
     "format": "deitalk-actor", "version": 1, "strength": 3.5, "recordings": 4, "seconds": 20.0,
@@ -43,6 +43,7 @@ CASES = {
     "nothing": {},
     "label": {"emotion": "sad"},
     "weights": {"emotion": "happy=0.7,surprised=0.3"},
+    "moods": {"emotion": "fear=.6,sad=.4"},
     "keys": {"emotion": "keys.csv"},
     "intensity": {"emotion": "angry", "intensity": "1.5"},
     "intensity_curve": {"emotion": "angry", "intensity_curve": "intensity.csv"},

@@ -18,7 +18,7 @@ import soxr
 from api.errors import Problem
 from deitalk.acting import Acting
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
-from deitalk.emotions import EMOTIONS
+from deitalk.emotions import LABELS
 from deitalk.errors import ConfigError
 from rig.arrays import Float32
 
@@ -128,7 +128,7 @@ class LiveStream:
         """
         if len(acting.track.times) > 1:
             raise ConfigError("keyframes need a model for voices, such as live; name an emotion")
-        weights = zip(EMOTIONS, acting.track.weights[0].tolist(), strict=True)
+        weights = zip(LABELS, acting.track.weights[0].tolist(), strict=True)
         self.emotions.append((self.seconds, {name: w for name, w in weights if w}))
         self.intensities.append((self.seconds, acting.intensity))
         self.acting = acting

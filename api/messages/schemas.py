@@ -42,6 +42,8 @@ class EmotionsView(BaseModel):
     """Emotions, and the range of their intensity."""
 
     emotions: list[str]
+    procedural: list[str]
+    """Those of them that no capture taught the network."""
     intensity_minimum: float
     intensity_maximum: float
 

@@ -8,7 +8,7 @@ from api.errors import Problem
 from api.messages.formats import ANIMATION_FORMATS, MESH_FORMATS, OutputFormat
 from api.messages.schemas import ControlSetView, ControlView, EmotionsView, FormatView, ModelView
 from api.routes.deps import AnimatorDep, ServiceDep, problems
-from deitalk.emotions import EMOTIONS
+from deitalk.emotions import LABELS, MOODS
 from deitalk.emotions.tracks import MAX_INTENSITY
 from deitalk.models.folder import describe_model, product_of
 from rig.conversion.convert import KNOWN, known_controls
@@ -35,7 +35,10 @@ def list_models(service: ServiceDep, caller: AnimatorDep) -> list[ModelView]:
 def list_emotions(caller: AnimatorDep) -> EmotionsView:
     """Emotions, and the range of their intensity."""
     return EmotionsView(
-        emotions=list(EMOTIONS), intensity_minimum=0.0, intensity_maximum=MAX_INTENSITY
+        emotions=list(LABELS),
+        procedural=list(MOODS),
+        intensity_minimum=0.0,
+        intensity_maximum=MAX_INTENSITY,
     )
 
 

@@ -84,10 +84,11 @@ class Performer:
                 yield [result]
                 continue
             sound, prepared = result
-            group = ready.setdefault(len(prepared.weights), [])
+            length = len(prepared.inputs[1])
+            group = ready.setdefault(length, [])
             group.append((order, sound, prepared))
-            if len(group) >= self._most_together(len(prepared.weights)):
-                yield self._finished(ready.pop(len(prepared.weights)))
+            if len(group) >= self._most_together(length):
+                yield self._finished(ready.pop(length))
         for group in ready.values():
             yield self._finished(group)
 
@@ -136,9 +137,10 @@ class Performer:
         readings: Sequence[Reading | None] = [None] * len(group)
         if len(group) > 1:
             with suppress(Exception):
+                sounds, weights = zip(*(prepared.inputs for _, _, prepared in group), strict=True)
                 readings = self.network.read_together(
-                    [prepared.speech.sound for _, _, prepared in group],
-                    [prepared.weights for _, _, prepared in group],
+                    [sound * p.speech.gain for sound, (_, _, p) in zip(sounds, group, strict=True)],
+                    weights,
                     [prepared.style for _, _, prepared in group],
                 )
         return [

@@ -187,9 +187,10 @@ def _acted(performance: "Performance") -> str:
     emotion = performance.emotion
     if not performance.has_emotion:
         return f"emotion {emotion}: the neutral reading"
+    moods = f" ({', '.join(performance.moods)}: procedural)" if performance.moods else ""
     return (
-        f"emotion {emotion}, applied intensity {performance.mean_applied_intensity:.2f} on average "
-        f"({performance.mean_intensity:.2f} predicted from the voice)"
+        f"emotion {emotion}{moods}, applied intensity {performance.mean_applied_intensity:.2f} on "
+        f"average ({performance.mean_intensity:.2f} predicted from the voice)"
     )
 
 
@@ -355,10 +356,10 @@ def suggest(
 
 def _write(found: "Suggestion", out: Path) -> None:
     """Write the track as `deitalk animate -e` reads it."""
-    from deitalk.emotions import EMOTIONS
+    from deitalk.emotions import LABELS
     from rig.files import atomic_write
 
-    rows = [",".join(("time", *EMOTIONS))]
+    rows = [",".join(("time", *LABELS))]
     for time, weights in zip(found.track.times, found.track.weights, strict=True):
         rows.append(",".join((f"{time:.3f}", *(f"{w:.4f}" for w in weights))))
     with atomic_write(out) as beside:

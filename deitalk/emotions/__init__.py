@@ -14,10 +14,12 @@ from deitalk.emotions.tracks import (
     read_intensity_curve,
     write_intensity_csv,
 )
-from rig.emotions import EMOTIONS
+from rig.emotions import EMOTIONS, LABELS, MOODS
 
 __all__ = [
     "EMOTIONS",
+    "LABELS",
+    "MOODS",
     "ActorReference",
     "EmotionTrack",
     "IntensityCurve",

@@ -1,8 +1,8 @@
 """Emotion weights and intensity over time: labels, mixtures, keyframes, edited curves.
 
 DEITalk §3.1 conditions on one label per clip (ETH-3D: neutral, angry, happy, sad, surprised).
-Deviation: here the label becomes weights (T, 5) that may mix and change over time; a label is the
-special case of a constant one-hot.
+Deviation: here the label becomes weights (T, 9) that may mix and change over time; a label is the
+special case of a constant one-hot; four procedural moods follow the five (`rig.emotions`).
 
 Weights are not negative and sum to 1: the rest goes to neutral, so ``happy=0.7`` is 70 % happy and
 30 % neutral. K keys.
@@ -31,7 +31,8 @@ from deitalk.emotions.track_files import (
 from deitalk.errors import EmotionError
 from rig import limits
 from rig.arrays import Float32, Float64, Int64
-from rig.emotions import EMOTIONS
+from rig.curves.rig_curves import with_moods
+from rig.emotions import LABELS
 from rig.errors import quoted
 from rig.files import atomic_write
 from rig.files.reading import load_json, read_bytes
@@ -42,9 +43,9 @@ ROUNDING = 1e-4  # files round their weights
 
 
 def by_emotion(table: Mapping[str, Sequence[float]]) -> Float64:
-    """Rows of a table in the order of `EMOTIONS`; zeros for an emotion that it lacks."""
+    """Rows of a table in the order of `LABELS`; zeros for an emotion that it lacks."""
     none = [0.0] * len(table["neutral"])
-    return np.array([table.get(name, none) for name in EMOTIONS])
+    return np.array([table.get(name, none) for name in LABELS])
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,12 +56,15 @@ class EmotionTrack:
     ----------
     times : array [shape=(K,)]
         Seconds, strictly rising.
-    weights : array [shape=(K, 5), range 0 to 1]
-        In the order of `EMOTIONS`; each row sums to 1.
+    weights : array [shape=(K, 9), range 0 to 1]
+        In the order of `LABELS`, or (K, 5) of `EMOTIONS`; each row sums to 1.
     """
 
     times: Float64
     weights: Float64
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "weights", with_moods(self.weights))
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, EmotionTrack) and (
@@ -72,15 +76,15 @@ class EmotionTrack:
         if len(self.times) == 1:
             (row,) = self.weights
             if row.max() == 1:
-                return EMOTIONS[int(row.argmax())]
-            named = zip(EMOTIONS[1:], row[1:], strict=True)
+                return LABELS[int(row.argmax())]
+            named = zip(LABELS[1:], row[1:], strict=True)
             return ",".join(f"{name}={weight:.9g}" for name, weight in named if weight)
-        return _table_text(("time", *EMOTIONS), np.column_stack((self.times, self.weights)))
+        return _table_text(("time", *LABELS), np.column_stack((self.times, self.weights)))
 
     def at(self, times: npt.ArrayLike) -> Float32:
-        """Weights [shape=(T, 5)] at `times` [shape=(T,), seconds]."""
+        """Weights [shape=(T, 9)] at `times` [shape=(T,), seconds]."""
         seconds = np.asarray(times, float)
-        weights = np.empty((*seconds.shape, len(EMOTIONS)), np.float32)
+        weights = np.empty((*seconds.shape, len(LABELS)), np.float32)
         for i, column in enumerate(self.weights.T):
             weights[..., i] = np.interp(seconds, self.times, column)
         return weights
@@ -169,34 +173,34 @@ def read_emotion_track(path: str | Path) -> EmotionTrack:
 
 
 def _track(table: Table, path: object) -> EmotionTrack:
-    is_wide = "emotion" not in table.names and bool(set(EMOTIONS) & table.names)
+    is_wide = "emotion" not in table.names and bool(set(LABELS) & table.names)
     if is_wide:
         return _from_weights(path, table)
     keys = table.columns(("time", "strength"), ("emotion",))
     times = _checked_times(path, keys)
-    # Place of each name in `EMOTIONS`.
+    # Place of each name in `LABELS`.
     names = keys.texts["emotion"]
-    place = {name: i for i, name in enumerate(EMOTIONS)}
+    place = {name: i for i, name in enumerate(LABELS)}
     unknown = next((name for name in names if name not in place), None)
     if unknown is not None:
         raise _unknown(unknown)
     codes = np.array([place[name] for name in names], np.int64)
     first = np.concatenate([[True], np.diff(times) > 0])
     moment = np.cumsum(first) - 1  # keys at one time mix
-    doubled = _first_doubled(moment * len(EMOTIONS) + codes)
+    doubled = _first_doubled(moment * len(LABELS) + codes)
     if doubled is not None:
         raise EmotionError(
-            f"{path}, key {keys.rows[doubled]}: {EMOTIONS[codes[doubled]]!r} twice at the same "
+            f"{path}, key {keys.rows[doubled]}: {LABELS[codes[doubled]]!r} twice at the same "
             "time; keep one"
         )
-    weights = np.zeros((int(moment[-1]) + 1, len(EMOTIONS)))
+    weights = np.zeros((int(moment[-1]) + 1, len(LABELS)))
     weights[moment, codes] = keys.numbers["strength"]
     return EmotionTrack(times[first], _distributions(path, times[first], weights))
 
 
 def _from_weights(path: object, table: Table) -> EmotionTrack:
     """A table of weights, one row for each time."""
-    present = [name for name in EMOTIONS if name in table.names]
+    present = [name for name in LABELS if name in table.names]
     keys = table.columns(("time", *present))
     times = _checked_times(path, keys)
     still = np.diff(times) <= 0
@@ -205,9 +209,9 @@ def _from_weights(path: object, table: Table) -> EmotionTrack:
         raise EmotionError(
             f"{path}, key {keys.rows[row]}: {present[0]!r} twice at the same time; keep one"
         )
-    weights = np.zeros((len(times), len(EMOTIONS)))
+    weights = np.zeros((len(times), len(LABELS)))
     for name in present:
-        weights[:, EMOTIONS.index(name)] = keys.numbers[name]
+        weights[:, LABELS.index(name)] = keys.numbers[name]
     return EmotionTrack(times, _distributions(path, times, weights))
 
 
@@ -249,7 +253,7 @@ def _distributions(path: object, times: Float64, weights: Float64) -> Float64:
     bad = (weights < 0).any(axis=1) | (total > 1 + ROUNDING)
     if bad.any():
         row = int(np.argmax(bad))
-        named = dict(zip(EMOTIONS, weights[row].tolist(), strict=True))
+        named = dict(zip(LABELS, weights[row].tolist(), strict=True))
         _weights(named, f"{path}, time {times[row]:g}")  # raises the error
     whole = weights.copy()
     whole[:, 0] += np.maximum(0.0, 1 - total)
@@ -322,7 +326,7 @@ def write_intensity_csv(
     predicted: npt.ArrayLike,
     intensity: npt.ArrayLike,
 ) -> None:
-    """Write ``frame,time,<5 emotions>,saliency,predicted,intensity``, atomically.
+    """Write ``frame,time,<9 emotions>,saliency,predicted,intensity``, atomically.
 
     Parameters
     ----------
@@ -330,7 +334,7 @@ def write_intensity_csv(
         Replaced if it exists.
     times : array [shape=(T,)]
         Seconds.
-    weights : array [shape=(T, 5)]
+    weights : array [shape=(T, 9)]
         Emotion weights.
     saliency : array [shape=(T,), range -1 to 1]
         e_sim of DEITalk Eq. 5.
@@ -340,7 +344,7 @@ def write_intensity_csv(
         Intensity applied; `read_intensity_curve` reads this column back.
     """
     columns = np.column_stack([times, weights, saliency, predicted, intensity])
-    header = ("frame", "time", *EMOTIONS, "saliency", "predicted", "intensity")
+    header = ("frame", "time", *LABELS, "saliency", "predicted", "intensity")
     with atomic_write(path) as beside, beside.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(header)
@@ -358,15 +362,15 @@ def _constant(weights: Float64) -> EmotionTrack:
 
 
 def _weights(strengths: Mapping[str, float], where: str) -> Float64:
-    """Weights (5,) that sum to 1 from named strengths; the rest goes to neutral."""
-    weights = np.zeros(len(EMOTIONS))
+    """Weights (9,) that sum to 1 from named strengths; the rest goes to neutral."""
+    weights = np.zeros(len(LABELS))
     for name, strength in strengths.items():
-        if name not in EMOTIONS:
+        if name not in LABELS:
             raise _unknown(name)
         value = number(strength, name, where)
         if value < 0:
             raise EmotionError(f"{where}: {name} is {value:g}; strengths must be 0 to 1")
-        weights[EMOTIONS.index(name)] = value
+        weights[LABELS.index(name)] = value
     total = weights.sum()
     if total > 1 + ROUNDING:
         raise EmotionError(
@@ -379,7 +383,7 @@ def _weights(strengths: Mapping[str, float], where: str) -> Float64:
 
 
 def _unknown(name: str) -> EmotionError:
-    return EmotionError(f"unknown emotion {quoted(name)}; known are {', '.join(EMOTIONS)}")
+    return EmotionError(f"unknown emotion {quoted(name)}; known are {', '.join(LABELS)}")
 
 
 def _pairs(text: str) -> dict[str, float]:

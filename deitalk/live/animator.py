@@ -21,7 +21,15 @@ from deitalk.live.life import RunningLife
 from deitalk.live.rules import DueRows
 from deitalk.live.stream import Stream
 from deitalk.models.load import load_causal
-from deitalk.models.protocol import CausalNetwork, NetworkRows, chosen_actor, put, styles_of, take
+from deitalk.models.protocol import (
+    CausalNetwork,
+    NetworkRows,
+    chosen_actor,
+    put,
+    styles_of,
+    take,
+    trained_weights,
+)
 from rig.arrays import Float32
 from rig.curves import HEAD
 from rig.limits import SEED
@@ -237,7 +245,7 @@ class LiveAnimator:
             count = most if most <= FEW_FRAMES else 1 << (most.bit_length() - 1)
             taken = [self.streams[k].take(count) for k in ready]
             windows = np.stack([windows for windows, _ in taken])
-            emotion = np.stack([emotion for _, emotion in taken])
+            emotion = np.stack([trained_weights(emotion) for _, emotion in taken])
             actors, names = self.network.actors, (self.streams[k].style for k in ready)
             styles = [styles_of(*row) for row in zip(emotion, repeat(actors), names)]
             if len(ready) == len(self.streams):  # no copy

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from deitalk.emotions import EMOTIONS
+from deitalk.emotions import LABELS
 from deitalk.live.activity import GateRows
 from deitalk.postprocess.curve_rules import Expression
 from rig.arrays import Float32
@@ -36,7 +36,7 @@ class RawRows(NamedTuple):
     scale: Float32
     """Factor on the difference of the readings [shape=(n,)]."""
     emotion: Float32
-    """Weights of the emotions [shape=(n, 5)]."""
+    """Weights of the emotions [shape=(n, 9)]."""
     applied: Float32
     """Intensity to show in speech [shape=(n,), range 0 to 4]."""
 
@@ -52,7 +52,7 @@ class RawRows(NamedTuple):
 def rows_before(expression: Expression) -> RawRows:
     """Rows before the first frame: the face at rest."""
     rest = np.tile(expression.controls.rest, (BEHIND, 1)).astype(np.float32)
-    ones, emotion = np.ones(BEHIND, np.float32), np.zeros((BEHIND, len(EMOTIONS)), np.float32)
+    ones, emotion = np.ones(BEHIND, np.float32), np.zeros((BEHIND, len(LABELS)), np.float32)
     return RawRows(rest, rest.copy(), ones, ones, ones, emotion, ones)
 
 

@@ -156,7 +156,7 @@ class Stream:
         Returns
         -------
         windows : array [shape=(count P, W)]
-        emotion : array [shape=(count, 5)]
+        emotion : array [shape=(count, 9)]
             Of the frames that the network reads with them.
         """
         grid = self.grid
@@ -244,7 +244,7 @@ class Stream:
             self.changes.pop(0)
 
     def _directed(self, frames: Int64) -> tuple[Float32, Float32]:
-        """Emotion (n, 5) and intensity (n,) of frames."""
+        """Emotion (n, 9) and intensity (n,) of frames."""
         times = np.maximum(frames, 0) / FRAME_RATE
         first = self.changes[0]
         emotion = first.emotion.at(times)

@@ -19,7 +19,7 @@ import numpy as np
 
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
 from deitalk.config import RulesConfig
-from deitalk.emotions import EMOTIONS
+from deitalk.emotions import EMOTIONS, LABELS, MOODS
 from deitalk.errors import CheckpointError
 from rig import ControlSet
 from rig.arrays import Float32
@@ -43,6 +43,18 @@ class Reading(NamedTuple):
     emotional: Float32
     """Curves with the emotion; the same array as `neutral` if all weights are neutral."""
     tracks: Tracks
+
+    def first(self, n_frames: int) -> "Reading":
+        """Its first frames."""
+        neutral, emotional, tracks = self
+        if len(neutral) == n_frames:
+            return self
+        cut = neutral[:n_frames]
+        return Reading(
+            cut,
+            cut if emotional is neutral else emotional[:n_frames],
+            Tracks(*(None if track is None else track[:n_frames] for track in tracks)),
+        )
 
 
 def styles_of(emotion: Float32, actors: Sequence[str], actor: str) -> Float32:
@@ -229,6 +241,12 @@ def mean_actor_note(actors: Sequence[str], name: str) -> tuple[str, ...]:
     return (f"no actor is named: the mean of {', '.join(actors)}; `style` names one",)
 
 
+def trained_weights(weights: Float32) -> Float32:
+    """Weights (T, 5) that the network reads of a track's (T, 9): moods as their mixtures."""
+    trained: Float32 = weights @ _TRAINED
+    return trained
+
+
 def neutral_weights(n_frames: int) -> Float32:
     """Weights of the neutral reading [shape=(T, 5)]."""
     return np.tile(np.eye(len(EMOTIONS), dtype=np.float32)[_NEUTRAL], (n_frames, 1))
@@ -252,3 +270,10 @@ def neutral_and_acted(weights: Float32) -> tuple[Float32, ...]:
 
 
 _NEUTRAL = EMOTIONS.index("neutral")
+_TRAINED = np.zeros((len(LABELS), len(EMOTIONS)), np.float32)
+"""Row by label."""
+_TRAINED[: len(EMOTIONS)] = np.eye(len(EMOTIONS))
+for _mood, _mixture in MOODS.items():
+    _row = _TRAINED[LABELS.index(_mood)]
+    _row[[EMOTIONS.index(name) for name in _mixture]] = [*_mixture.values()]
+    _row[_NEUTRAL] = 1 - _row.sum()

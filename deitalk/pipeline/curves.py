@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
@@ -11,13 +11,19 @@ import numpy as np
 
 from deitalk.acting import AUTO, Acting, acted_as
 from deitalk.audio.arrays import Audio, recording_of
-from deitalk.audio.frames import FRAME_RATE
+from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE, frame_count
 from deitalk.audio.load import Recording
 from deitalk.config import RulesConfig
 from deitalk.emotions import EmotionTrack, IntensityCurve
 from deitalk.errors import DeitalkError
 from deitalk.models.load import load_network
-from deitalk.models.protocol import CurveNetwork, Reading, chosen_actor, mean_actor_note
+from deitalk.models.protocol import (
+    CurveNetwork,
+    Reading,
+    chosen_actor,
+    mean_actor_note,
+    trained_weights,
+)
 from deitalk.pipeline.performance import Performance
 from deitalk.pipeline.speech import Intensities, Speech, measure_intensities
 from deitalk.pipeline.words.transcript import Transcript
@@ -34,6 +40,7 @@ from rig.errors import quoted
 if TYPE_CHECKING:
     from deitalk.pipeline.words.align import WordFit
 
+READ_ON_SAMPLES = SAMPLE_RATE // 2
 CURVE_OVERHANG_SECONDS = 0.5  # by which an intensity curve may outlast the recording, without note
 
 
@@ -107,7 +114,7 @@ class Prepared:
     """With the emotion that the voice suggests in place of ``auto``."""
     speech: Speech
     weights: Float32
-    """Emotion of each frame [shape=(T, 5)]."""
+    """Emotion of each frame [shape=(T, 9)]."""
     style: str
     rules: RulesConfig
     gain: Float32
@@ -116,10 +123,23 @@ class Prepared:
     clock: "_Clock"
     suggestion: Mapping[str, float] | None = None
 
+    @cached_property
+    def inputs(self) -> tuple[Float32, Float32]:
+        """Sound [shape=(S,)] and weights of the trained emotions [shape=(T, 5)] for the network.
+
+        Of a recording that is cut in its speech `READ_ON_SAMPLES` more, which are its last ones
+        backwards: a network's emotion fades before the end of what it hears.
+        """
+        sound, weights = self.speech.waveform, trained_weights(self.weights)
+        if self.speech.is_cut:
+            sound = np.concatenate((sound, sound[: -1 - READ_ON_SAMPLES : -1]))
+            more = frame_count(len(sound)) - len(weights)
+            weights = np.pad(weights, ((0, more), (0, 0)), mode="edge")
+        return sound, weights
+
     def read(self, progress: Callable[[float], None] = lambda share: None) -> Reading:
-        """What the network reads."""
-        speech = self.speech
-        return self.network.read(speech.waveform, self.weights, self.style, progress, speech.gain)
+        """What the network reads, on beyond the end of a cut recording."""
+        return self.network.read(*self.inputs, self.style, progress, self.speech.gain)
 
 
 def prepare(
@@ -188,7 +208,7 @@ def finish(
     words : WordFit, optional
         Times of the words, if they are known already.
     """
-    neutral, emotional, tracks = reading
+    neutral, emotional, tracks = reading.first(len(prepared.weights))
     speech, rules, acting, clock = prepared.speech, prepared.rules, prepared.acting, prepared.clock
     controls, weights = prepared.network.controls, prepared.weights
     intensities = measure_intensities(speech, tracks, acting, rules.voice_intensity)
@@ -250,7 +270,7 @@ def _apply_rules(
 
 
 def _motion(prepared: Prepared, shown: Float32) -> Motion | None:
-    """Motion above the mouth for the emotion that is shown [shape=(T, 5)]; None: there is none."""
+    """Motion above the mouth for the emotion that is shown [shape=(T, 9)]; None: there is none."""
     speech, acting, idle = prepared.speech, prepared.acting, prepared.rules.idle
     life, actor = acting.motion, acting.voice
     if idle is None or life is None or not (acting.listen or speech.activity.any()):

@@ -30,7 +30,7 @@ from deitalk.models.checkpoint import Model, load_model, require_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.models.deformation_decoder import Coefficients
 from deitalk.models.mesh_model import SDFA, MeshHead, MeshModel
-from deitalk.models.protocol import neutral_and_acted
+from deitalk.models.protocol import neutral_and_acted, trained_weights
 from deitalk.pipeline.curves import animate, check_progress
 from deitalk.pipeline.performance import GLB_TOLERANCE_MM, MeshPerformance, Performance
 from deitalk.pipeline.speech import Speech, measure_intensities
@@ -203,7 +203,7 @@ def _head_coefficients(
 ) -> Iterator[Coefficients]:
     network = model.encoder.network
     analysis = network.analyse(torch.from_numpy(speech.sound), speech.n_frames)
-    weights = np.stack(neutral_and_acted(acting.track.at(speech.times)))
+    weights = np.stack(neutral_and_acted(trained_weights(acting.track.at(speech.times))))
     described = network.describe(analysis, torch.from_numpy(weights).to(network.device))
     scale = measure_intensities(speech, analysis.tracks, acting).scale
     readings = described[0], described[-1]

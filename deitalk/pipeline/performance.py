@@ -28,7 +28,7 @@ from deitalk.audio.frames import frame_times
 from deitalk.audio.load import Recording, write_wav
 from deitalk.audio.original import write_original
 from deitalk.audio.voice_activity import speech_activity
-from deitalk.emotions import write_intensity_csv
+from deitalk.emotions import EMOTIONS, MOODS, write_intensity_csv
 from deitalk.errors import AudioError
 from deitalk.installed import __version__
 from rig import RigCurves, write_curves
@@ -115,6 +115,13 @@ class Performance:
         """Whether any frame is other than neutral."""
         emotion = self.curves.emotion
         return emotion is not None and bool((emotion[:, 0] < 1).any())
+
+    @property
+    def moods(self) -> list[str]:
+        """Procedural emotions that are shown: no capture taught them."""
+        emotion = self.curves.emotion
+        shown = () if emotion is None else emotion[:, len(EMOTIONS) :].any(axis=0)
+        return [name for name, is_shown in zip(MOODS, shown, strict=False) if is_shown]
 
     @property
     def sound_file(self) -> str:
@@ -400,6 +407,7 @@ def _fill(
         "start_seconds": start,
         "frames": len(curves),
         "settings": performance.acting.settings,
+        "procedural_emotions": performance.moods,
         "clipped_values": performance.clipped,
         "timings_seconds": {name: round(lap, 4) for name, lap in performance.timings.items()},
         "files": files,

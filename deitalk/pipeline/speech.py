@@ -26,7 +26,7 @@ from deitalk.emotions.tracks import ActorReference
 from deitalk.errors import AudioError
 from deitalk.models.protocol import Tracks
 from deitalk.postprocess.curve_rules import expression_scale
-from deitalk.postprocess.gates import expression_gate, mouth_gate
+from deitalk.postprocess.gates import HOLD_AT_END, expression_gate, mouth_gate
 from deitalk.postprocess.life.traits import Seeds, Traits
 from deitalk.postprocess.voice_intensity import take_z, voice_intensity
 from rig.arrays import Float32, Float64
@@ -96,6 +96,11 @@ class Speech:
     def sound(self) -> Float32:
         """The waveform with its speech at the level of the training [shape=(S,)]."""
         return normalise_level(self.waveform, activity=self.activity)
+
+    @property
+    def is_cut(self) -> bool:
+        """Whether the recording ends in speech, as the expression gate has it."""
+        return bool(self.activity[-1 - HOLD_AT_END :].any())
 
     @cached_property
     def mouth(self) -> Float32:

@@ -22,7 +22,7 @@ from deitalk.audio.arrays import Audio, recording_of
 from deitalk.audio.frames import FRAME_RATE
 from deitalk.audio.prosody import BANDS, Prosody
 from deitalk.audio.vocal_strength import strength_frames, vocal_strength, without_level
-from deitalk.emotions import EMOTIONS, EmotionTrack
+from deitalk.emotions import LABELS, EmotionTrack
 from deitalk.errors import AudioError
 from deitalk.models.checkpoint import require_model
 from deitalk.models.curve_model import DEITalk
@@ -189,14 +189,14 @@ def _track(found: EmotionMap, frames: VoiceFrames) -> EmotionTrack:
         if not window.is_enough:
             continue
         probabilities = found.probabilities(window.numbers())
-        row = np.zeros(len(EMOTIONS))
+        row = np.zeros(len(LABELS))
         best = _chosen(probabilities)
-        row[EMOTIONS.index(NAMED[best])] = probabilities[best] if best else 1.0
-        row[EMOTIONS.index("neutral")] += 1 - row.sum()
+        row[LABELS.index(NAMED[best])] = probabilities[best] if best else 1.0
+        row[LABELS.index("neutral")] += 1 - row.sum()
         times.append((start + min(start + length, n_frames)) / 2 / FRAME_RATE)
         rows.append(row)
     if not times:
-        times, rows = [0.0], [np.eye(len(EMOTIONS))[EMOTIONS.index("neutral")]]
+        times, rows = [0.0], [np.eye(len(LABELS))[LABELS.index("neutral")]]
     return EmotionTrack(np.array(times), np.array(rows))
 
 

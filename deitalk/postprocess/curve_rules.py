@@ -108,7 +108,7 @@ class Expression:
         ----------
         curves, neutral : array [shape=(T, C)]
             The blend of both readings, and the neutral one.
-        weights : array [shape=(T, 5)]
+        weights : array [shape=(T, 9)]
             Emotion of each frame.
         scale : array [shape=(T,)]
             Factor on the difference of the readings.

@@ -7,6 +7,9 @@ intensity 1, with the action unit (Ekman, Friesen and Hager 2002). Both grow in 
 intensity. Sizes follow what acted faces do against the same actor's neutral face, and how raw
 controls move together in a MetaHuman take ("the take": the slope of one control on another).
 
+Moods are procedural: the network reads their mixture of the trained emotions (`rig.emotions.MOODS`)
+and the table adds the prototype of their action units; contempt is of one side.
+
 A smile yields to rounding: spread corners and a raised upper lip are muscles that act against those
 of /u/ and /o/.
 
@@ -21,7 +24,7 @@ from importlib import resources
 import numpy as np
 from numpy.typing import NDArray
 
-from deitalk.emotions import EMOTIONS
+from deitalk.emotions import LABELS
 from rig.arrays import Float32
 
 SPREADING = ("cornerPull", "CornerPull", "stretch", "dimple", "corner.", "upperLipRaise")
@@ -31,6 +34,8 @@ ROUNDED = (0.15, 0.6)
 """Mean of purse, or of funnel, at which an expression begins to yield, and yields fully."""
 YIELDED = 0.8
 """Share that is taken away by full rounding."""
+PARTING = ("jaw.ty", "lowerLipDepress")
+"""Parts of the names of the other controls whose poses do not part closed lips."""
 
 
 @dataclass(frozen=True)
@@ -43,8 +48,8 @@ class ExpressionTable:
         Columns of the controls.
     gains, poses : array [shape=(S, K)]
         Factor on the difference of the readings, and what is added to it at intensity 1.
-    spreading : array [shape=(K,), 0 or 1]
-        Whether a control yields to rounding.
+    spreading, parting : array [shape=(K,), 0 or 1]
+        Whether a control yields to rounding, and whether it may part closed lips.
     rounding : array [shape=(2, 4)]
         Columns of funnel, and of purse.
     """
@@ -53,6 +58,7 @@ class ExpressionTable:
     gains: Float32
     poses: Float32
     spreading: Float32
+    parting: Float32
     rounding: NDArray[np.intp]
 
     def add_to(
@@ -81,7 +87,7 @@ class ExpressionTable:
         base = neutral[:, self.places]
         shown = (curves[:, self.places] - base) * (weights @ self.gains)
         pose = (weights @ self.poses) * strength[:, None]
-        shown += pose * (1 - self.spreading + self.spreading * free[:, None])
+        shown += pose * (1 - self.parting + self.parting * free[:, None])
         kept = 1 - YIELDED * self._rounded(neutral)
         shown *= 1 - self.spreading + self.spreading * kept[:, None]
         curves[:, self.places] = base + shown
@@ -100,13 +106,13 @@ def expression_table(names: tuple[str, ...]) -> ExpressionTable:
     """The table for the columns of a rig; controls that it lacks are left out."""
     text = resources.files("deitalk.postprocess").joinpath("expressions.csv").read_text("utf-8")
     rows = [
-        (EMOTIONS.index(row["emotion"]), name, float(row["gain"]), float(row["pose"]))
+        (LABELS.index(row["emotion"]), name, float(row["gain"]), float(row["pose"]))
         for row in csv.DictReader(text.splitlines())
         for name in (row["control"].replace("*", side) for side in "LR")
         if name in names
     ]
     moved = sorted({name for _, name, _, _ in rows}, key=names.index)
-    gains = np.ones((len(EMOTIONS), len(moved)), np.float32)
+    gains = np.ones((len(LABELS), len(moved)), np.float32)
     poses = np.zeros_like(gains)
     for emotion, name, gain, pose in rows:
         place = emotion, moved.index(name)
@@ -115,6 +121,12 @@ def expression_table(names: tuple[str, ...]) -> ExpressionTable:
         np.array([names.index(name) for name in moved], np.intp),
         gains,
         poses,
-        np.array([any(part in name for part in SPREADING) for name in moved], np.float32),
+        _named(moved, SPREADING),
+        _named(moved, SPREADING + PARTING),
         np.array([[i for i, name in enumerate(names) if part in name] for part in ROUNDING]),
     )
+
+
+def _named(names: list[str], parts: tuple[str, ...]) -> Float32:
+    """1 for each name that has one of the parts, else 0."""
+    return np.array([any(part in name for part in parts) for name in names], np.float32)

@@ -28,7 +28,7 @@ from deitalk.preview.source import (
     sound_as_wav,
 )
 from deitalk.preview.warnings import find_warnings
-from rig.curves import EMOTIONS
+from rig.emotions import LABELS
 from rig.face import build_head
 from rig.face.identity import Identity
 from rig.face.render import VIEWS
@@ -207,7 +207,7 @@ def _take_arrays(source: PreviewSource) -> tuple[dict[str, NDArray[Any]], dict[s
     for name, track in curves.tracks.items():
         arrays[name] = np.ascontiguousarray(track, np.float32)
     facts = {
-        "title": source.title, "fps": curves.fps, "frames": len(curves), "emotions": list(EMOTIONS),
+        "title": source.title, "fps": curves.fps, "frames": len(curves), "emotions": list(LABELS),
         "audioSeconds": source.audio_seconds,
         "warnings": [{"time": time, "text": text} for time, text in find_warnings(source)],
     }  # fmt: skip

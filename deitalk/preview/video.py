@@ -10,7 +10,7 @@ from deitalk.preview.encoding import find_encoder, write_mp4
 from deitalk.preview.page import check_player
 from deitalk.preview.source import PreviewError, PreviewSource, check_board, load_source
 from rig.arrays import AnyFloat, Float32
-from rig.emotions import COLORS, EMOTIONS
+from rig.emotions import COLORS, LABELS
 from rig.face import build_head
 from rig.face.accents import accents
 from rig.face.geometry.mesh import vertex_normals
@@ -137,7 +137,7 @@ def _caption(picture: Picture, source: PreviewSource, time_code: str, frame: int
     words = []
     if curves.emotion is not None:
         strongest = int(curves.emotion[frame].argmax())
-        words.append(f"{EMOTIONS[strongest]} {curves.emotion[frame, strongest]:.0%}")
+        words.append(f"{LABELS[strongest]} {curves.emotion[frame, strongest]:.0%}")
     if curves.intensity is not None:
         words.append(f"intensity {curves.intensity[frame]:.2f}")
     if words:

@@ -1,7 +1,6 @@
 """Values of named controls over time, and edits of them."""
 
 from rig.curves.rig_curves import (
-    EMOTIONS,
     HEAD,
     RigCurves,
     check_clip,
@@ -14,7 +13,6 @@ from rig.curves.rig_curves import (
 )
 
 __all__ = [
-    "EMOTIONS",
     "HEAD",
     "RigCurves",
     "check_clip",

@@ -8,13 +8,14 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from rig.arrays import Float32, Float64
 from rig.controls import DEFAULT_ID, ControlSet, check_unique, default_controls
-from rig.emotions import EMOTIONS as EMOTIONS
+from rig.emotions import EMOTIONS, LABELS
 from rig.errors import ControlError, CurveError
 from rig.limits import FPS_HIGHEST, FPS_LOWEST, FRAMES, VALUES
 
@@ -43,8 +44,8 @@ class RigCurves:
     fps : float
         Frames per second, 0.01 to 1000. 23.976, 29.97 and 59.94 are taken as the exact
         fractions 24000/1001, 30000/1001 and 60000/1001.
-    emotion : array [shape=(T, 5), range 0 to 1], optional
-        Weights in the order of `EMOTIONS`.
+    emotion : array [shape=(T, 9), range 0 to 1], optional
+        Weights in the order of `rig.emotions.LABELS`; of the five `EMOTIONS` alone, too.
     intensity : array [shape=(T,), >= 0], optional
         Applied emotional intensity, no unit.
     head : array [shape=(T, 6)], optional
@@ -79,7 +80,7 @@ class RigCurves:
             "values": values,
             "names": names,
             "fps": snap_fps(self.fps),
-            "emotion": _track(self.emotion, "emotion", (n_frames, len(EMOTIONS))),
+            "emotion": _track(with_moods(self.emotion), "emotion", (n_frames, len(LABELS))),
             "intensity": _track(self.intensity, "intensity", (n_frames,)),
             "head": None if self.head is None else _array(self.head, "head", (n_frames, len(HEAD))),
         }
@@ -323,6 +324,13 @@ def _array(values: ArrayLike, what: str, shape: tuple[int | None, ...]) -> Float
         array = array.copy() if np.may_share_memory(array, np.asarray(values)) else array
         array.setflags(write=False)
     return array
+
+
+def with_moods(emotion: Any) -> Any:
+    """Weights of the five trained emotions alone get columns of 0 for the moods."""
+    if np.shape(emotion)[1:] != (len(EMOTIONS),):
+        return emotion
+    return np.pad(emotion, ((0, 0), (0, len(LABELS) - len(EMOTIONS))))
 
 
 def _track(values: ArrayLike | None, what: str, shape: tuple[int, ...]) -> Float32 | None:

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from rig.controls import ControlSet
-from rig.curves import EMOTIONS, HEAD, RigCurves
+from rig.curves import HEAD, RigCurves
+from rig.emotions import EMOTIONS, LABELS
 from rig.errors import CurveError, FormatError, quoted
 from rig.files.reading import read_json
 from rig.formats.curves_csv import DECIMALS, names_of_set
@@ -18,7 +19,7 @@ from rig.formats.decimal_text import Block, rows
 from rig.limits import CONTROLS, JSON_CURVES_BYTES
 
 SCHEMA = "deitalk.curves/1"
-COLUMNS = {"emotion": EMOTIONS, "head": HEAD}
+COLUMNS = {"emotion": LABELS, "head": HEAD}
 """Tracks of several columns."""
 
 
@@ -75,7 +76,9 @@ def read(path: Path, controls: ControlSet | None = None, fps: float | None = Non
     set_id = str(_field(path, data, "control_set", str))
     names, known = names_of_set(path, set_id, names, controls)
     for key, columns in COLUMNS.items():
-        if key in data and data.get(f"{key}_names", list(columns)) != list(columns):
+        named = data.get(f"{key}_names", list(columns))
+        without_moods = key == "emotion" and named == list(EMOTIONS)
+        if key in data and named != list(columns) and not without_moods:
             raise FormatError(f"{path}: '{key}_names' must be {', '.join(columns)}, in this order")
     try:
         curves = RigCurves(

@@ -24,7 +24,8 @@ from deitalk_clip import DeitalkError  # type: ignore[import-not-found]
 SETTINGS = "deitalk_settings.json"
 """Beside the scripts: ``command`` (a list: program and first arguments), ``service`` (an address,
 which goes before the command) and ``key`` (of that service)."""
-EMOTIONS = ("neutral", "angry", "happy", "sad", "surprised", "auto")
+EMOTIONS = ("neutral", "angry", "happy", "sad", "surprised", "fear", "disgust", "contempt",
+            "calm", "auto")  # fmt: skip
 """``auto`` is suggested from the voice, by the command line only."""
 POLL_SECONDS = 0.1
 JOB_POLL_SECONDS = 1.0

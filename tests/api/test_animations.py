@@ -263,7 +263,10 @@ def test_validation_finds_what_the_command_finds(client):
 def test_catalogue(client):
     models = {model["name"]: model["product"] for model in client.get("/v1/models").json()}
     assert models["default"] == "curves" and models["sdfa"] == "mesh"
-    assert client.get("/v1/emotions").json()["emotions"][0] == "neutral"
+    emotions = client.get("/v1/emotions").json()
+    assert emotions["emotions"][0] == "neutral"
+    assert set(emotions["procedural"]) == {"fear", "disgust", "contempt", "calm"}
+    assert {*emotions["procedural"]} < {*emotions["emotions"]}
     sets = {known["id"]: known["controls"] for known in client.get("/v1/control-sets").json()}
     assert sets["metahuman-185@mh4"] == 185
     assert len(client.get("/v1/control-sets/metahuman-185@mh4").json()) == 185

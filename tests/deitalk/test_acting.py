@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, strategies
 
 from deitalk.acting import LIVE_FIELDS, OLD_NAMES, Acting, Words, modern, renamed
-from deitalk.emotions import EMOTIONS
+from deitalk.emotions import LABELS
 from deitalk.errors import ConfigError
 from rig.errors import UserError
 from rig.limits import SEED
@@ -41,7 +41,7 @@ finite = strategies.floats(0, 2)
 actings = strategies.fixed_dictionaries(
     {},
     optional={
-        "emotion": strategies.sampled_from([*EMOTIONS, "happy=0.25,sad=0.5", KEYS, "auto"]),
+        "emotion": strategies.sampled_from([*LABELS, "happy=0.25,sad=0.5", KEYS, "auto"]),
         "intensity": strategies.floats(0, 4),
         "intensity_curve": strategies.just("time,intensity\n0,0.5\n1,2\n"),
         "style": strategies.text(min_size=1, max_size=20),
@@ -183,7 +183,7 @@ def test_schema_describes_every_field_with_its_default_as_text():
         assert schema["description"].endswith((".", "…")), name
         default = schema["default"]
         assert Acting.of(**{name: default}) == Acting(), name
-    assert all(name in properties["emotion"]["description"] for name in EMOTIONS)
+    assert all(name in properties["emotion"]["description"] for name in LABELS)
 
 
 def test_words_know_their_kind():

@@ -39,6 +39,10 @@ ACCENTS: dict[str, tuple[float, ...]] = {
     "happy": (-0.03, 0.04, 0.0, 0.0, 0.15, 0.28, 0.03),
     "sad": (0.15, -0.14, 0.10, 0.14, 0.10, 0.13, 0.04),
     "surprised": (0.13, 0.16, 0.0, 0.0, 0.0, 0.20, -0.16),
+    "fear": (0.16, 0.05, 0.06, 0.14, 0.0, 0.0, -0.14),
+    "disgust": (-0.16, -0.14, 0.14, 0.04, 0.16, 0.14, 0.02),
+    "contempt": (-0.06, 0.02, 0.0, 0.0, 0.04, 0.0, 0.05),
+    "calm": (-0.09, -0.08, 0.0, 0.0, -0.01, 0.0, 0.02),
 }
 """Motion of `STEMS` for a full accent; that of an emotion is added to the neutral one."""
 HELD: dict[str, tuple[float, ...]] = {

@@ -4,7 +4,8 @@
   al. 2004; Graf et al. 2002), lowering at the end of a phrase and a raise before the next one
   (McClave 2000), stillness in pauses, where the breath lifts head and shoulders a little.
 - An emotion has a posture and a liveliness: sadness lowers and tilts the head, anger lowers and
-  advances it, surprise draws it back (Coulson 2004); motion is wider and faster in happiness and
+  advances it, surprise and fear draw it back (Coulson 2004), disgust turns it away, contempt
+  raises it (amounts of the moods by eye); motion is wider and faster in happiness and
   anger, and smaller in sadness, than in neutral speech (Busso et al. 2007).
 - `NODS`, `SWAY` and `STIR` are set so that range and speed of a neutral take, and the correlation
   of its pitch with stressed syllables, are those of six readers on video (docs/life.md).
@@ -22,7 +23,7 @@ from typing import NamedTuple
 import numpy as np
 
 from deitalk.audio.frames import FRAME_RATE
-from deitalk.emotions import EMOTIONS, by_emotion
+from deitalk.emotions import LABELS, by_emotion
 from deitalk.postprocess.life.neck import (
     INHALE,
     INHALE_LEAD,
@@ -92,9 +93,14 @@ POSTURE: dict[str, tuple[float, ...]] = {
     "happy": (0.0, 1.0, 1.5, 0.0, 0.1, 0.1),
     "sad": (0.0, -4.5, 2.5, 0.0, -0.3, -0.1),
     "surprised": (0.0, 2.5, 0.0, 0.0, 0.15, -0.7),
+    "fear": (0.0, -1.0, 0.0, 0.0, -0.2, -1.0),
+    "disgust": (4.0, 1.5, -1.5, 0.0, 0.0, -0.6),
+    "contempt": (3.0, 3.5, 2.5, 0.0, 0.1, -0.3),
+    "calm": (0.0, 0.0, 1.0, 0.0, -0.05, 0.0),
 }
 """Held turn and shift of an emotion at intensity 1; its roll goes to the character's own side."""
-LIVELINESS = {"neutral": 1.0, "angry": 1.35, "happy": 1.4, "sad": 0.85, "surprised": 1.25}
+LIVELINESS = {"neutral": 1.0, "angry": 1.35, "happy": 1.4, "sad": 0.85, "surprised": 1.25,
+              "fear": 0.8, "disgust": 0.9, "contempt": 0.7, "calm": 0.5}  # fmt: skip
 POSTURE_SECONDS = 0.35
 """Over which a posture, and the raise of speech, come and go."""
 PITCH, UP, BREATH, SWALLOWS = 1, 4, 6, 7
@@ -268,6 +274,6 @@ class Head:
     def liveliness(self, mixture: Float32) -> Float64:
         """Factor on the motion [shape=(n,)]: of the emotion shown, and of the character."""
         calm = np.maximum(1 - mixture[:, 1:].sum(axis=1), 0)
-        lively = np.array([LIVELINESS.get(name, 1.0) for name in EMOTIONS])
+        lively = np.array([LIVELINESS.get(name, 1.0) for name in LABELS])
         factor: Float64 = (calm + mixture[:, 1:] @ lively[1:]) * self.traits.head_range
         return factor

@@ -14,7 +14,7 @@ import numpy as np
 
 from deitalk.audio.frames import FRAME_RATE
 from deitalk.config import Idle
-from deitalk.emotions import EMOTIONS
+from deitalk.emotions import LABELS
 from deitalk.postprocess.life.amounts import Life
 from deitalk.postprocess.life.blinks import Blinks
 from deitalk.postprocess.life.brows import BrowEvents, Brows, move_brows
@@ -122,7 +122,7 @@ def attend(gaze: Float64, held: Float64, mixture: Float32) -> Float64:
     mixture : array [shape=(n, S)]
         Emotion shown at each frame.
     """
-    angry, sad = (mixture[:, [EMOTIONS.index(name)]] for name in ("angry", "sad"))
+    angry, sad = (mixture[:, [LABELS.index(name)]] for name in ("angry", "sad"))
     shown: Float64 = gaze * np.maximum(1 - STARE * angry, 0) + held * np.maximum(1 - sad, 0)
     return shown
 

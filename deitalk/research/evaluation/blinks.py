@@ -19,7 +19,7 @@ import numpy as np
 
 from deitalk.audio.frames import FRAME_RATE
 from deitalk.audio.load import load_audio
-from deitalk.emotions import EMOTIONS
+from deitalk.emotions import LABELS
 from deitalk.errors import DataError, DeitalkError
 from deitalk.evaluation.report import table, write_json
 from deitalk.pipeline.speech import Speech
@@ -50,7 +50,7 @@ def draw_take(waveform: Float32, seed: int = 0) -> Take:
     """Take of a recording [shape=(S,)] at 16 kHz."""
     speech = Speech.of(waveform)
     voice = measure_voice(speech.activity, speech.prosody)
-    calm = np.zeros((voice.n_frames, len(EMOTIONS)), np.float32)
+    calm = np.zeros((voice.n_frames, len(LABELS)), np.float32)
     motion = plan_motion(voice, calm, Seeds.of(waveform, "", seed))
     ends = np.array([phrase.stop for phrase in voice.phrases], np.float64) / FRAME_RATE
     return Take(motion.lids[:, 0].astype(np.float32), ends, motion.gaze[1].astype(np.float32))

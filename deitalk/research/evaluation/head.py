@@ -29,7 +29,7 @@ import numpy as np
 from deitalk.audio.frames import FRAME_RATE
 from deitalk.audio.load import load_audio
 from deitalk.data.lips.measured import RATE, PoseClip, read_poses
-from deitalk.emotions import EMOTIONS
+from deitalk.emotions import LABELS
 from deitalk.errors import DeitalkError
 from deitalk.evaluation.report import table, write_json
 from deitalk.pipeline.speech import Speech
@@ -67,7 +67,7 @@ class Reader(NamedTuple):
 
 def move_head(voice: Voice, drawing: int) -> Float64:
     """Yaw, pitch and roll of a neutral head [shape=(T, 3)], degrees."""
-    calm = np.zeros((voice.n_frames, len(EMOTIONS)), np.float32)
+    calm = np.zeros((voice.n_frames, len(LABELS)), np.float32)
     motion = plan_motion(voice, calm, Seeds((0, 0, drawing)), traits=Traits())
     assert motion.head is not None
     return motion.head[:, :3].astype(np.float64)

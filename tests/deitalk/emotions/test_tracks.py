@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from deitalk.emotions import (
     EMOTIONS,
+    LABELS,
     EmotionTrack,
     check_intensity,
     parse_emotion,
@@ -17,6 +18,7 @@ from deitalk.emotions import (
     write_intensity_csv,
 )
 from deitalk.errors import EmotionError
+from deitalk.models.protocol import trained_weights
 from tests.each import each
 
 KEYS = [
@@ -48,19 +50,19 @@ def assert_error(emotion, *words):
 
 
 def weights(emotion, time=0.0):
-    return dict(zip(EMOTIONS, parse_emotion(emotion).at([time])[0].tolist(), strict=True))
+    return dict(zip(LABELS, parse_emotion(emotion).at([time])[0].tolist(), strict=True))
 
 
-@each("name", EMOTIONS)
+@each("name", LABELS)
 def test_label_is_one_hot_at_all_times(name):
     track = parse_emotion(f" {name.upper()} ").at([-1, 0, 1e6])
     assert track.dtype == np.float32
-    assert np.array_equal(track, np.tile(np.eye(5)[EMOTIONS.index(name)], (3, 1)))
+    assert np.array_equal(track, np.tile(np.eye(9)[LABELS.index(name)], (3, 1)))
 
 
 def test_missing_weight_goes_to_neutral():
     assert weights("happy=0.7") == pytest.approx(
-        {"neutral": 0.3, "angry": 0, "happy": 0.7, "sad": 0, "surprised": 0}
+        dict.fromkeys(LABELS, 0) | {"neutral": 0.3, "happy": 0.7}
     )
     assert weights("happy=0.7, Surprised=0.3")["neutral"] == pytest.approx(0, abs=1e-7)
     assert weights({"happy": 0.7}) == weights("happy=0.7")
@@ -68,12 +70,26 @@ def test_missing_weight_goes_to_neutral():
     assert weights({})["neutral"] == 1
 
 
-@given(st.lists(st.floats(0, 1), min_size=5, max_size=5))
+def test_the_network_reads_a_mood_as_its_mixture_of_the_trained_emotions():
+    """Fear is .6 surprised, .25 sad and .15 neutral (`rig.emotions.MOODS`); labels stay one-hot."""
+    row = trained_weights(parse_emotion("fear=0.5,sad=0.4").at([0.0]))[0]
+    expected = {"neutral": 0.1 + 0.5 * 0.15, "sad": 0.4 + 0.5 * 0.25, "surprised": 0.5 * 0.6}
+    assert row.tolist() == pytest.approx([expected.get(name, 0) for name in EMOTIONS])
+    labels = trained_weights(np.eye(9, dtype=np.float32))
+    assert np.array_equal(labels[:5], np.eye(5))
+    np.testing.assert_allclose(labels.sum(axis=1), 1, rtol=1e-6)
+    assert np.array_equal(labels[LABELS.index("calm")], np.eye(5)[0])
+
+
+def test_a_track_of_the_trained_emotions_alone_has_no_mood():
+    track = EmotionTrack(np.zeros(1), np.eye(5)[[2]])
+    assert track == parse_emotion("happy")
+
+
+@given(st.lists(st.floats(0, 1), min_size=9, max_size=9))
 def test_weights_are_a_distribution(strengths):
     total = max(sum(strengths), 1.0)
-    row = parse_emotion({n: s / total for n, s in zip(EMOTIONS, strengths, strict=True)}).at([0.0])[
-        0
-    ]
+    row = parse_emotion({n: s / total for n, s in zip(LABELS, strengths, strict=True)}).at([0.0])[0]
     assert row.min() >= 0
     assert row.sum() == pytest.approx(1, abs=1e-6)
 
@@ -84,7 +100,7 @@ def test_keyframes_are_joined_by_lines_and_held_outside(tmp_path, suffix):
     for spelling in (path, str(path)):
         track = parse_emotion(spelling).at([0.0, 1.0, 1.5, 3.0, 9.0])
         #        neutral angry happy sad surprised
-        assert track.tolist() == [
+        assert track[:, :5].tolist() == [
             [0, 0, 1, 0, 0],
             [0, 0, 1, 0, 0],
             [0.125, 0, 0.75, 0.125, 0],
@@ -114,7 +130,7 @@ def test_parse_emotion_returns_a_track_unchanged():
 @each(
     ("emotion", "words"),
     [
-        ("furious", ["unknown emotion 'furious'", *EMOTIONS]),
+        ("furious", ["unknown emotion 'furious'", *LABELS]),
         ("", ["unknown emotion ''", "neutral"]),
         ("joy=0.5", ["unknown emotion 'joy'", "surprised"]),
         ({"joy": 0.5}, ["unknown emotion 'joy'"]),
@@ -205,7 +221,7 @@ def test_written_intensity_is_read_back(tmp_path):
     path = tmp_path / "intensity.csv"
     times = intensity_csv(path)
     header = path.read_text().splitlines()[0]
-    assert header == "frame,time,neutral,angry,happy,sad,surprised,saliency,predicted,intensity"
+    assert header == ",".join(("frame", "time", *LABELS, "saliency", "predicted", "intensity"))
     curve = read_intensity_curve(path)
     np.testing.assert_allclose(curve.at(times), times, atol=1e-5)
     np.testing.assert_allclose(curve.at([0.01, 99.0]), [0.01, times[-1]], atol=1e-5)
@@ -251,7 +267,7 @@ def test_unwritable_intensity_leaves_the_old_file(tmp_path):
     before = path.read_bytes()
     with pytest.raises(ValueError):
         write_intensity_csv(
-            path, times=[0], weights=np.zeros((2, 5)), saliency=[0], predicted=[0], intensity=[0]
+            path, times=[0], weights=np.zeros((2, 9)), saliency=[0], predicted=[0], intensity=[0]
         )
     assert path.read_bytes() == before
     assert [p.name for p in tmp_path.iterdir()] == ["intensity.csv"]

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from deitalk.config import Idle
-from deitalk.emotions import EMOTIONS
+from deitalk.emotions import LABELS
 from deitalk.live.intensity import Measures
 from deitalk.live.life import RunningLife, RunningVoice
 from deitalk.postprocess.life.amounts import Life
@@ -35,8 +35,8 @@ def moved(
     """Curves and head of a face at rest."""
     running = RunningLife(CONTROLS, Idle(), life, seed, AHEAD)
     count, done, out, heads = len(speaking), 0, [], []
-    mixture = np.zeros((count, len(EMOTIONS)), np.float32)
-    mixture[:, EMOTIONS.index(emotion)] = strength
+    mixture = np.zeros((count, len(LABELS)), np.float32)
+    mixture[:, LABELS.index(emotion)] = strength
     for start in range(0, count, piece):
         part = slice(start, start + piece)
         running.feed(Measures(*(m[part] for m in measures)), speaking[part])
@@ -152,7 +152,7 @@ def test_motion_before_an_accent_does_not_depend_on_it():
 
 
 def test_emotion_decides_what_moves():
-    sizes = {e: {s: column(brows(emotion=e), s).max() for s in STEMS} for e in EMOTIONS}
+    sizes = {e: {s: column(brows(emotion=e), s).max() for s in STEMS} for e in LABELS}
     assert sizes["angry"]["brow_down"] > sizes["neutral"]["brow_down"] + 0.05
     assert sizes["happy"]["eye_cheekRaise"] > sizes["neutral"]["eye_cheekRaise"] + 0.05
     assert sizes["surprised"]["brow_raiseOut"] > sizes["neutral"]["brow_raiseOut"] + 0.02
@@ -222,7 +222,7 @@ def test_eyes_turn_to_another_place_within_a_fifth_of_a_second(piece):
     running.look_at((20.0, 0.0), 140)
     for _ in range(0, 210, piece):
         face = np.zeros((piece, len(CONTROLS)), np.float32)
-        running.add_to(face, face.copy(), np.zeros((piece, len(EMOTIONS)), np.float32))
+        running.add_to(face, face.copy(), np.zeros((piece, len(LABELS)), np.float32))
         given.append(face)
     faces = np.concatenate(given)
     eyes = np.abs(faces[:, np.abs(faces).max(axis=0).argmax()])

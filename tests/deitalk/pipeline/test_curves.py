@@ -1,19 +1,23 @@
 """`animate` on a small random network, and the default weights on real speech."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
 
 from deitalk import animate
+from deitalk.acting import Acting
 from deitalk.audio.load import Recording, load_audio
 from deitalk.config import MelConfig, ModelConfig, RulesConfig
-from deitalk.emotions import EMOTIONS, ActorReference, IntensityCurve
+from deitalk.emotions import EMOTIONS, LABELS, ActorReference, IntensityCurve
 from deitalk.errors import AudioError, ConfigError, DeitalkError
 from deitalk.evaluation.benchmark_curves import speechlike
 from deitalk.evaluation.lip_closures import mouth_opening
 from deitalk.models.checkpoint import load_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.models.folder import embedded_models
+from deitalk.pipeline.curves import READ_ON_SAMPLES, prepare
 from deitalk.pipeline.speech import Speech
 from deitalk.postprocess.life.mouth import LEANS
 from rig.errors import ControlError
@@ -39,7 +43,7 @@ SMALL = ModelConfig(
     motion_channels=(8,),
     decoder_channels=16,
 )
-EMOTIONAL = [emotion for emotion in EMOTIONS if emotion != "neutral"]
+EMOTIONAL = LABELS[1:]
 
 
 def recording(seconds=3.0, lead=0.0, trail=0.0):
@@ -101,7 +105,7 @@ def test_animate_gives_one_row_per_thirtieth_of_a_second(network):
     performance = animate(recording(2.01), "happy", model=network)
     assert len(performance.curves) == 61  # ceil(30 * 2.01)
     assert performance.curves.fps == 30
-    assert performance.curves.emotion.shape == (61, 5)
+    assert performance.curves.emotion.shape == (61, 9)
     assert performance.saliency.shape == performance.predicted.shape == (61,)
 
 
@@ -145,7 +149,7 @@ def test_intensity_0_gives_the_neutral_reading(network, emotion):
 def test_weights_of_an_emotion_lie_between_neutral_and_the_label(network):
     speech = recording()
     half = animate(speech, "happy=0.5", model=network).curves
-    np.testing.assert_allclose(half.emotion, np.tile([0.5, 0, 0.5, 0, 0], (len(half), 1)))
+    np.testing.assert_allclose(half.emotion[:, :5], np.tile([0.5, 0, 0.5, 0, 0], (len(half), 1)))
     away = [
         np.abs(values(speech, emotion, model=network) - values(speech, model=network)).sum()
         for emotion in ("happy=0.5", "happy")
@@ -340,6 +344,38 @@ def test_closures_survive_double_intensity(default, voice, emotion):
     assert (acted[closed][:, lips].mean(axis=1) > 0.75).all()
     jaw = controls.index("CTRL_C_jaw.ty")
     assert (acted[closed, jaw] <= neutral[closed, jaw] + 0.02).all()
+
+
+def test_a_shout_that_the_file_cuts_keeps_its_anger(default, voice):
+    """The knit brows of the last frames are those of the same frames within the whole recording.
+
+    Without sound read on they were .75 of them in eight actors and three readers.
+    """
+    cut = replace(voice, waveform=voice.waveform[: 9 * 16_000])
+    assert Speech.of_recording(cut).is_cut
+    knit = [i for i, name in enumerate(default.controls.names) if "brow_down" in name]
+    whole, short = (values(one, "angry", model=default, life="off") for one in (voice, cut))
+    last = slice(len(short) - 5, len(short))
+    assert short[last, knit].mean() > 0.85 * whole[last, knit].mean() > 0.1
+
+
+@each("trail", [0.25, 1.0])
+def test_what_ends_in_silence_is_read_as_it_is(network, trail):
+    prepared = prepare(recording(trail=trail), Acting(), lambda: network)
+    assert prepared.inputs[0] is prepared.speech.waveform
+    assert len(prepared.inputs[1]) == prepared.speech.n_frames
+
+
+def test_what_is_cut_is_read_on_backwards(network):
+    prepared = prepare(recording(2.01), Acting.of(None, emotion="fear"), lambda: network)
+    sound, weights = prepared.inputs
+    spoken = prepared.speech.waveform
+    assert np.array_equal(sound[: len(spoken)], spoken)
+    assert np.array_equal(sound[len(spoken) :], spoken[: -1 - READ_ON_SAMPLES : -1])
+    assert len(weights) == 76  # ceil(30 * 2.51)
+    performance = animate(recording(2.01), "fear", model=network)
+    assert len(performance.curves) == len(performance.predicted) == 61
+    assert performance.moods == ["fear"]
 
 
 @each("emotion", EMOTIONS)

@@ -5,7 +5,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from deitalk.emotions import EMOTIONS
+from deitalk.emotions import LABELS
 from deitalk.postprocess.curve_rules import Expression, expression_scale
 from deitalk.postprocess.expressions import expression_table
 from rig import default_controls
@@ -21,7 +21,7 @@ ROUNDED = [i for i, name in enumerate(CONTROLS.names) if "mouth_purse" in name]
 
 
 def weights_of(emotion, n_frames=1):
-    return np.eye(len(EMOTIONS), dtype=np.float32)[[EMOTIONS.index(emotion)] * n_frames]
+    return np.eye(len(LABELS), dtype=np.float32)[[LABELS.index(emotion)] * n_frames]
 
 
 def expressed(neutral, emotional, emotion, applied, predicted=0.5):
@@ -46,19 +46,19 @@ def test_pose_and_gain_are_those_of_the_table():
     """At intensity .6, angry lids: .6 of the pose; a network's smile of .2 at .5: .24 times."""
     rest = CONTROLS.rest[None].astype(np.float32)
     place = list(TABLE.places)
-    pose = TABLE.poses[EMOTIONS.index("angry"), place.index(LID)]
+    pose = TABLE.poses[LABELS.index("angry"), place.index(LID)]
     assert pose < 0  # lids off the pupil
     angry = expressed(rest, rest, "angry", 0.6)
     np.testing.assert_allclose(angry[0, LID], 0.6 * pose, rtol=1e-5)
     smiling = rest.copy()
     smiling[0, SMILE] += 0.2
-    gain = TABLE.gains[EMOTIONS.index("happy"), place.index(SMILE)]
+    gain = TABLE.gains[LABELS.index("happy"), place.index(SMILE)]
     assert gain > 1
     happy = expressed(rest, smiling, "happy", 0.6)
     np.testing.assert_allclose(happy[0, SMILE], 0.24 * gain, rtol=1e-5)
 
 
-@pytest.mark.parametrize("emotion", EMOTIONS)
+@pytest.mark.parametrize("emotion", LABELS)
 @pytest.mark.parametrize("seed", range(3))
 def test_no_intensity_is_the_neutral_reading_and_more_goes_further_the_same_way(emotion, seed):
     neutral, emotional = readings(seed)
@@ -69,13 +69,29 @@ def test_no_intensity_is_the_neutral_reading_and_more_goes_further_the_same_way(
         assert (more * less >= -1e-9).all()
 
 
-@pytest.mark.parametrize("emotion", EMOTIONS[1:])
+@pytest.mark.parametrize("emotion", LABELS[1:])
 def test_closed_lips_stay_closed(emotion):
     neutral = CONTROLS.rest[None].astype(np.float32).copy()
     neutral[:, RULES.seals] = 1
     curves = expressed(neutral, neutral.copy(), emotion, 1.5)
     np.testing.assert_array_equal(curves[:, RULES.opening], neutral[:, RULES.opening])
     np.testing.assert_array_equal(curves[:, RULES.seals], neutral[:, RULES.seals])
+
+
+def test_contempt_is_of_one_side():
+    """AU12 and AU14 of the left corner; a smile of the network is not of it."""
+    rest = CONTROLS.rest[None].astype(np.float32)
+    smiling = rest.copy()
+    right = CONTROLS.index("CTRL_R_mouth_cornerPull.ty")
+    smiling[0, [SMILE, right]] += 0.2
+    shown = expressed(rest, smiling, "contempt", 1.0)
+    assert shown[0, SMILE] > 0.3
+    assert shown[0, right] == pytest.approx(rest[0, right])
+
+
+def test_calm_lowers_the_lids_of_the_neutral_reading():
+    rest = CONTROLS.rest[None].astype(np.float32)
+    assert 0.1 < expressed(rest, rest, "calm", 1.0)[0, LID] < 0.4
 
 
 def test_a_smile_yields_to_rounding():

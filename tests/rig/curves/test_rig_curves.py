@@ -101,6 +101,11 @@ def test_tracks_are_resampled_with_the_values():
     assert curves.intensity.tolist() == [0, 1, 2, 2]
 
 
+def test_emotions_without_moods_get_columns_of_zeros():
+    curves = jaw([0.0], emotion=[[0, 0, 0.5, 0, 0.5]])
+    assert curves.emotion.tolist() == [[0, 0, 0.5, 0, 0.5, 0, 0, 0, 0]]
+
+
 def test_slices_by_frame_and_by_second_agree():
     curves = jaw(np.arange(60), intensity=np.arange(60))
     by_frame, by_second = curves.slice_frames(15, 45), curves.slice_seconds(0.5, 1.5)
@@ -165,7 +170,7 @@ def test_rest_curves_are_the_rest_values():
         ({"values": [[0.0], [np.nan]]}, r"values is nan at \(1, 0\)"),
         ({"values": [[np.inf]]}, "must be finite"),
         ({"values": [[1e39]]}, "must be finite"),
-        ({"values": [[0.0]], "emotion": np.zeros((1, 4))}, r"it must be \(1, 5\)"),
+        ({"values": [[0.0]], "emotion": np.zeros((1, 4))}, r"it must be \(1, 9\)"),
         ({"values": [[0.0]], "intensity": [1.0, 1.0]}, r"it must be \(1\)"),
         ({"values": [[0.0]], "intensity": [-0.5]}, "intensity falls to -0.5"),
     ],

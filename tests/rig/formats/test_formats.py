@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from rig import ControlSet, RigCurves, default_controls, read_curves, rest_curves, write_curves
+from rig.emotions import EMOTIONS
 from rig.errors import ControlError, FormatError, RigError
 from rig.formats.decimal_text import Block, rows
 from rig.formats.table import FORMATS as TABLE
@@ -249,6 +250,12 @@ def test_read_curves_rejects_invalid_json_fields(tmp_path, change, message):
     (tmp_path / "c.json").write_text(json.dumps(json_of_rest() | change))
     with pytest.raises(RigError, match=message):
         read_curves(tmp_path / "c.json")
+
+
+def test_curves_of_before_the_moods_are_read(tmp_path):
+    old = {"emotion": [[0, 0, 1, 0, 0]], "emotion_names": list(EMOTIONS)}
+    (tmp_path / "c.json").write_text(json.dumps(json_of_rest() | old))
+    assert read_curves(tmp_path / "c.json").emotion.tolist() == [[0, 0, 1, 0, 0, 0, 0, 0, 0]]
 
 
 @each("text", ["[]", "{", "NaN", '{"a": NaN}', "[" * 100_000, "\x00", "1" * 5000])

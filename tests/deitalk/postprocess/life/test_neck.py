@@ -16,7 +16,7 @@ VOICE = Voice(N_FRAMES, np.zeros(N_FRAMES, np.float32), (), PHRASES)
 
 
 def necks(voice, count=200):
-    calm, only_head = np.zeros((voice.n_frames, 5), np.float32), Life(blinks=0, gaze=0, brows=0)
+    calm, only_head = np.zeros((voice.n_frames, 9), np.float32), Life(blinks=0, gaze=0, brows=0)
     seeds = (Seeds((1, 2, seed)) for seed in range(count))
     return [plan_motion(voice, calm, one, life=only_head).neck for one in seeds]
 

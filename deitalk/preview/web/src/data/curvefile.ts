@@ -12,6 +12,7 @@ interface Columns {
   rows: number[][];
   fps: number;
   emotion?: number[][];
+  emotions?: string[];
   intensity?: number[];
   head?: number[][];
 }
@@ -66,7 +67,7 @@ function fromJson(text: string): Columns {
   if (!Array.isArray(data?.names) || !Array.isArray(data?.values)) {
     throw new Error("it holds no curves; give a curves.json or curves.csv of deitalk");
   }
-  return { names: data.names, rows: data.values, fps: data.fps, emotion: data.emotion, intensity: data.intensity, head: data.head };
+  return { names: data.names, rows: data.values, fps: data.fps, emotion: data.emotion, intensity: data.intensity, head: data.head, emotions: data.emotion_names };
 }
 
 function fromCsv(text: string): Columns {
@@ -80,7 +81,7 @@ function fromCsv(text: string): Columns {
   return { names: used.map((k) => head[k]), rows, fps: Math.round((1000 * (lines.length - 1)) / seconds) / 1000 };
 }
 
-function packed({ names, rows, fps, emotion, intensity, head }: Columns, board: Board, title: string): Packed {
+function packed({ names, rows, fps, emotion, intensity, head, emotions = EMOTIONS }: Columns, board: Board, title: string): Packed {
   const n = board.controls.length, values = new Float32Array(rows.length * n);
   const places = board.controls.map((name) => names.indexOf(name));
   if (places.every((place) => place < 0)) throw new Error("none of its curves is a control of the board");
@@ -90,5 +91,5 @@ function packed({ names, rows, fps, emotion, intensity, head }: Columns, board: 
   if (emotion) arrays.emotion = Float32Array.from(emotion.flat());
   if (intensity) arrays.intensity = Float32Array.from(intensity);
   if (head) arrays.head = Float32Array.from(head.flat());
-  return { facts: { title, fps, frames: rows.length, emotions: EMOTIONS, warnings: [] }, arrays };
+  return { facts: { title, fps, frames: rows.length, emotions, warnings: [] }, arrays };
 }

@@ -6,7 +6,7 @@ import { type Packed, unpackBytes } from "../data/packed";
 import { Take } from "../data/take";
 import { $, button, messageOf, notice, save } from "../dom";
 import type { Player } from "../player";
-import { COLORS } from "../timeline/emotion";
+import { COLORS, MOODS } from "../timeline/emotion";
 import { wavOf } from "./wav";
 import { bindForm, FIELDS } from "./form";
 import { Live } from "./live";
@@ -15,7 +15,7 @@ import { convert, emotionCsv, optionOf, optionsOf, order, type Source } from "./
 import { latestSession, loadSession, saveSession, type Session } from "./session";
 import { Work } from "./work";
 
-const EMOTIONS = Object.keys(COLORS);
+const LABELS = Object.keys(COLORS), EMOTIONS = LABELS.filter((name) => !MOODS.includes(name));
 /** Emotion of a first recording, and the face before it. */
 const FIRST = "happy";
 const SMILE = { "mouth_cornerPull.ty": 0.55, "mouth_dimple.ty": 0.2, "eye_cheekRaise.ty": 0.5, "eye_squintInner.ty": 0.2, "brow_raiseOut.ty": 0.12 };
@@ -70,7 +70,7 @@ export class Studio {
     bindMicrophone((file) => this.open(file));
     this.showForm = bindForm(player.history);
     this.showForm();
-    $("emotions").append(...EMOTIONS.map((name) => this.emotionButton(name)), this.autoButton());
+    $("emotions").append(...LABELS.map((name) => this.emotionButton(name)), this.autoButton());
     $("exports").append(
       ...EXPORTS.map(([label, format, isLong]) => button(label, () => void this.export(format, isLong))),
       button("Edits", () => this.exportEdits()),
@@ -183,6 +183,7 @@ export class Studio {
       this.player.workbench!.emotion.choose(name, this.player.transport.shown);
     });
     made.style.setProperty("--emotion", COLORS[name]);
+    if (MOODS.includes(name)) made.title = "Procedural: no capture taught it";
     return made;
   }
 

@@ -7,6 +7,7 @@ import { PointLane, type PointOwner } from "./points";
 import type { Span } from "./span";
 
 export const COLORS: Record<string, string> = schema.properties.emotion["x-colors"];
+export const MOODS: string[] = schema.properties.emotion["x-procedural"];
 const LEVEL_STEP = 0.05;
 
 export class EmotionLane implements PointOwner {
