@@ -200,7 +200,7 @@ def test_start_script_adds_the_menu_when_the_editor_has_one(tmp_path, monkeypatc
     for place in ("LevelEditor.MainMenu", "ContentBrowser.AssetContextMenu.SoundWave"):
         own = module.menus[place].menus["deitalk"]
         labels = [entry.label for entry in own.entries.values()]
-        assert labels[0] == "Animate audio…" and len(labels) == 7
+        assert labels[0] == "Animate audio…" and len(labels) == 11
     exec(own.entries["deitalk_sad"].command, {})
     words = words_of(tmp_path)
     assert words[words.index("-e") + 1] == "sad" and module.shown == []
