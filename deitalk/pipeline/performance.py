@@ -120,8 +120,10 @@ class Performance:
     def moods(self) -> list[str]:
         """Procedural emotions that are shown: no capture taught them."""
         emotion = self.curves.emotion
-        shown = () if emotion is None else emotion[:, len(EMOTIONS) :].any(axis=0)
-        return [name for name, is_shown in zip(MOODS, shown, strict=False) if is_shown]
+        if emotion is None:
+            return []
+        shown = emotion[:, len(EMOTIONS) :].any(axis=0)
+        return [name for name, is_shown in zip(MOODS, shown, strict=True) if is_shown]
 
     @property
     def sound_file(self) -> str:
