@@ -122,8 +122,7 @@ class Performance:
         emotion = self.curves.emotion
         if emotion is None:
             return []
-        shown = emotion[:, len(EMOTIONS) :].any(axis=0)
-        return [name for name, is_shown in zip(MOODS, shown, strict=True) if is_shown]
+        return [name for k, name in enumerate(MOODS, len(EMOTIONS)) if emotion[:, k].any()]
 
     @property
     def sound_file(self) -> str:

@@ -1,8 +1,9 @@
 """Order of acted strengths in the face: ``deitalk evaluate MODEL --acted TABLE``.
 
-Every recording of an actor in anger, joy or sadness at three strengths is animated in that emotion,
-with its gain removed as always; the mean intensity over speech and the mean distance of the curves
-from rest, of the whole face and of its parts, should be ordered as the strengths.
+Every recording of an actor in anger, joy, sadness, fear or disgust at three strengths is animated
+in that emotion, with its gain removed as always; the mean intensity over speech and the mean
+distance of the curves from rest, of the whole face and of its parts, should be ordered as the
+strengths.
 
 The three takes of an actor and emotion are also joined to one recording, with 0.4 s of silence
 between, at their own gain and each at one level; the mean level of the speech is the baseline.
@@ -126,9 +127,11 @@ def _clip(table: Path, kind: str, row: dict[str, str]) -> StrengthClip:
     return StrengthClip(kind, path, row["speaker"], chapter)
 
 
-EMOTIONS = {"ANG": "angry", "HAP": "happy", "SAD": "sad"}
-"""Emotions of the table (CREMA-D's names) that have a style."""
-GROUPS = {"anger and joy": ("ANG", "HAP"), "sadness": ("SAD",)}
+EMOTIONS = {"ANG": "angry", "HAP": "happy", "SAD": "sad", "FEA": "fear", "DIS": "disgust"}
+"""Emotions of the table (CREMA-D's names); the last two are procedural."""
+GROUPS = {
+    "anger and joy": ("ANG", "HAP"), "sadness": ("SAD",), "fear": ("FEA",), "disgust": ("DIS",),
+}  # fmt: skip
 PARTS = {"brows": ("brow",), "nose": ("nose",), "lips": ("mouth",), "jaw": ("jaw",)}
 """Parts of the face, by parts of the names of their controls."""
 JOINED = {"joined": False, "joined at one level": True}
