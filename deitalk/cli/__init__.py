@@ -54,13 +54,13 @@ def _add_research(app: CheckedCommands) -> None:
     if has_research():
         research("cli", "deitalk").register(app)
         return
-    for verb in VERBS:
-        options = {"allow_extra_args": True, "ignore_unknown_options": True}
-        app.command(verb, hidden=True, add_help_option=False, context_settings=options)(_absent)
+    options = {"allow_extra_args": True, "ignore_unknown_options": True}
+    for group, verb in (*((app, verb) for verb in VERBS), (data_app, "lips")):
+        group.command(verb, hidden=True, add_help_option=False, context_settings=options)(_absent)
 
 
 def _absent(context: typer.Context) -> None:
-    research("cli", f"deitalk {context.info_name}")
+    research("cli", context.command_path)
 
 
 _add_research(app)

@@ -1,4 +1,4 @@
-"""`deitalk data`: dataset folders of captured takes or measured lips, and an actor's voice."""
+"""`deitalk data`: dataset folders of captured takes, and an actor's voice."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -6,17 +6,16 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from deitalk.cli.console import bar, console, emit, emit_json
-from deitalk.cli.options import MAX_COUNT, CheckedCommands, Force, Json, Most
+from deitalk.cli.options import MAX_COUNT, CheckedCommands, Force, Json
 from deitalk.cli.paths import reserve_file, reserve_folder
 from deitalk.errors import DeitalkError
-from deitalk.installed import research
 from rig.errors import as_line
 
 if TYPE_CHECKING:
     from rig import ControlSet
 
 app = CheckedCommands(
-    help="Make a dataset folder of captured takes or measured lips, check it; measure a voice.",
+    help="Make a dataset folder of captured takes, check it; measure a voice.",
     no_args_is_help=True,
 )
 
@@ -38,7 +37,7 @@ def _controls(rig: str | None) -> "ControlSet | None":
 
 @app.callback()
 def _group() -> None:
-    """Make a dataset folder of captured takes or measured lips, check it; measure a voice."""
+    """Make a dataset folder of captured takes, check it; measure a voice."""
 
 
 @app.command("import")
@@ -212,104 +211,6 @@ def check(
         console().print(f"{mended.summary}; {folder / 'check' / 'report.md'}")
     if any(c.level == "error" for c in checks):
         raise typer.Exit(1)
-
-
-@app.command()
-def lips(
-    folder: Annotated[Path, typer.Argument(help="Measured lips (docs/dataset.md).")],
-    out: Annotated[Path, typer.Option("--out", "-o", help="Dataset folder.")],
-    model: Annotated[
-        str, typer.Option(help="Model whose curves are fitted to the measures.")
-    ] = "default",
-    listener: Annotated[
-        str | None,
-        typer.Option(help="Model whose speech features correct the corpus; by default MODEL."),
-    ] = None,
-    validation: Annotated[
-        list[str] | None, typer.Option(help="Speaker of the validation split; repeatable.")
-    ] = None,
-    test: Annotated[
-        list[str] | None, typer.Option(help="Speaker of the test split; repeatable.")
-    ] = None,
-    corpus: Annotated[
-        list[Path] | None,
-        typer.Option(help="Dataset folder whose clips are added, lips corrected; repeatable."),
-    ] = None,
-    corpus_clips: Annotated[
-        int, typer.Option(min=1, max=MAX_COUNT, help="Clips of each corpus.")
-    ] = 1000,
-    as_rig: Annotated[
-        bool,
-        typer.Option("--as-rig", help="The measures are the curves, of the rig in OUT/rig.yaml."),
-    ] = False,
-    most: Most = None,
-    force: Force = False,
-) -> None:
-    """Write a dataset folder of measured lips: curves fitted to them on the embedded head.
-
-    The curves of the model are changed by the smallest amount with which opening, jaw, width, lips
-    and corners of the head equal the measures. Other speakers are in the training split.
-
-    Examples
-    --------
-    deitalk data lips grid_lips/ --validation s02 --test s03 -o lips_data/
-
-    deitalk data lips grid_lips/ --corpus corpus/ -o lips_data/
-
-    deitalk data lips grid_lips/ --as-rig --most 20 -o lips_rig/
-    """
-    corpora = tuple(corpus or ())
-    reserve_folder(out, kind="dataset", force=force, inputs=(folder, *corpora))
-    if as_rig:
-        _write_measures(folder, out, corpora, validation, test, most, force)
-        return
-    with console().status("loading"):
-        from deitalk.data.lips.dataset import write_lip_dataset
-        from deitalk.models.checkpoint import require_model
-        from deitalk.models.curve_model import DEITalk
-
-        network = require_model(model, DEITalk)
-        heard = None if listener is None else require_model(listener, DEITalk)
-    with bar("fitting") as progress:
-        count = write_lip_dataset(
-            folder,
-            out,
-            network,
-            listener=heard,
-            validation=validation or (),
-            test=test or (),
-            most=most,
-            corpora=corpora,
-            corpus_clips=corpus_clips,
-            force=force,
-            progress=progress,
-        )
-    emit(as_line(f"{out}: {count} clips"))
-
-
-def _write_measures(
-    folder: Path,
-    out: Path,
-    corpora: tuple[Path, ...],
-    validation: list[str] | None,
-    test: list[str] | None,
-    most: int | None,
-    force: bool,
-) -> None:
-    """Write the measures as curves of a rig of their own."""
-    if corpora:
-        raise DeitalkError("--corpus: its curves are of the board; leave out --as-rig")
-    with bar("writing") as progress:
-        count = research("lips.own_rig", "data lips --as-rig").write_measure_dataset(
-            folder,
-            out,
-            validation=validation or (),
-            test=test or (),
-            most=most,
-            force=force,
-            progress=progress,
-        )
-    emit(as_line(f"{out}: {count} clips; {out / 'rig.yaml'}: their controls"))
 
 
 @app.command()

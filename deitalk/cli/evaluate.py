@@ -123,10 +123,10 @@ def evaluate(
     elif acted is not None:
         _refuse("not with acted strengths", noise=noise, captured=captured, picture=picture)
         _refuse("not with acted strengths", lips=lips, speaker=speaker)
-        report, markdown = _score_acted(model, acted, split=split)
+        report, markdown = _score_people(model, "acted", acted, split=split)
     elif lips is not None:
         _refuse("not with measured lips", noise=noise, captured=captured, picture=picture)
-        report, markdown = _score_lips(model, lips, speakers=speaker or (), most=most)
+        report, markdown = _score_people(model, "lips", lips, speakers=speaker or (), most=most)
     else:
         _refuse("for measured lips", speaker=speaker)
         _refuse("for mesh models", transitions=transitions or None)
@@ -152,24 +152,13 @@ def _score_curves(model: str, data: Path, **options: Any) -> tuple[dict[str, Any
     return report, as_markdown(report)
 
 
-def _score_lips(model: str, folder: Path, **options: Any) -> tuple[dict[str, Any], str]:
-    """Report on measured lips, and its Markdown."""
+def _score_people(model: str, kind: str, path: Path, **options: Any) -> tuple[dict[str, Any], str]:
+    """Report on measured lips or acted strengths, and its Markdown."""
+    scores = research(f"evaluation.{kind}", f"evaluate --{kind}")
     network = _curve_model(model)
-    from deitalk.evaluation.people.lips import as_markdown, evaluate_lips
-
     with bar("evaluating") as progress:
-        report = evaluate_lips(network, folder, **options, progress=progress)
-    return report, as_markdown(report)
-
-
-def _score_acted(model: str, path: Path, *, split: str) -> tuple[dict[str, Any], str]:
-    """Report on acted strengths, and its Markdown."""
-    network = _curve_model(model)
-    from deitalk.evaluation.people.acted import as_markdown, evaluate_acted
-
-    with bar("evaluating") as progress:
-        report = evaluate_acted(network, path, split=split, progress=progress)
-    return report, as_markdown(report)
+        report = scores.evaluate(network, path, **options, progress=progress)
+    return report, scores.as_markdown(report)
 
 
 def _score_mesh(model: str, data: Path, **options: Any) -> tuple[dict[str, Any], str]:

@@ -19,7 +19,7 @@ from deitalk.audio.load import Recording, load_audio
 from deitalk.audio.noise import SNRS_DB, mix, read_noises
 from deitalk.audio.voice_activity import speech_activity
 from deitalk.data.clips import Clip, read_clips
-from deitalk.data.lips.head import MEASURES, HeadLips
+from deitalk.data.head_lips import MEASURES, HeadLips
 from deitalk.emotions import EMOTIONS, IntensityCurve
 from deitalk.errors import DataError
 from deitalk.evaluation.clip_scores import ClipToScore, Scores, Tally, score_clip

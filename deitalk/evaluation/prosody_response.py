@@ -5,7 +5,7 @@ the prosody index, which is a term of the prediction too: a score on it is circu
 alone, which is printed beside, reaches nearly the same. The other is the contour along which
 `deitalk.audio.prosody_contours.apply_contour` changes level, treble, pitch and speed of a
 recording: it is known exactly, and no measure of the voice is in it. Labels of people: acted
-strengths (`deitalk.evaluation.people.acted`). Letters: T frames.
+strengths (`deitalk.research.evaluation.acted`). Letters: T frames.
 """
 
 from collections.abc import Sequence

@@ -8,7 +8,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from deitalk.config import LossConfig
-from deitalk.data.lips.head import HeadLips
+from deitalk.data.head_lips import HeadLips
 from deitalk.data.windows import Window
 from deitalk.errors import ConfigError
 from deitalk.models.checkpoint import require_model
@@ -244,7 +244,7 @@ LIP_SPREAD_CM = (0.45, 0.30, 0.22, 0.18, 0.38, 0.18)
 STILL = 0.1
 """Share of that deviation that counts as no movement."""
 LIP_WEIGHTS = (1.5, 1.0, 1.0, 0.7, 1.2, 0.5)
-"""Of `deitalk.data.lips.head.MEASURES`."""
+"""Of `deitalk.data.head_lips.MEASURES`."""
 
 
 def lip_loss(target: Tensor, predicted: Tensor) -> Tensor:

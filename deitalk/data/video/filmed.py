@@ -6,7 +6,7 @@ import numpy as np
 import torch
 
 from deitalk.audio.frames import FRAME_RATE
-from deitalk.data.lips.fit import nearest_curves
+from deitalk.data.lip_fit import nearest_curves
 from deitalk.data.video.landmarks import LIDS, PLACE, RIGID, RIGID_MIRROR, FaceTrack, at_rig_frames
 from deitalk.data.video.measures import MEASURES, SIDES, HeadFace, Measured, measure
 from rig import ControlSet, RigCurves, default_controls
@@ -231,7 +231,7 @@ def shown_controls(controls: ControlSet, *, gaze: bool) -> tuple[str, ...]:
 def solve_curves(measured: Measured, face: HeadFace, controls: ControlSet) -> Float32:
     """Curves near rest with which the head does what was measured [shape=(T, C)].
 
-    Bounded least squares (`deitalk.data.lips.fit.nearest_curves`): squared errors of the measures
+    Bounded least squares (`deitalk.data.lip_fit.nearest_curves`): squared errors of the measures
     over `TOLERANCE_CM` plus squared controls over `LOOSENESS`, within the ranges of the controls.
     The gaze is not solved for but taken, since lids follow it.
 

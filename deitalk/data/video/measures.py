@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from deitalk.data.lips.head import CENTRAL, HeadLips
+from deitalk.data.head_lips import CENTRAL, HeadLips
 from deitalk.data.video.landmarks import BROWS, CORNERS, IRIS, LIDS, MIDDLE, RIMS, FaceTrack
 from rig.arrays import Bool, Float32, Float64
 from rig.face.head import GAZE_DEGREES, Head
@@ -22,7 +22,7 @@ from rig.retarget.source_head import head_landmarks
 
 # Measures of a face that landmarks show, as a differentiable function of the 185 curves.
 #
-# Widens the lips of `deitalk.data.lips.head` by each side of the mouth, brows and lids; lids turn
+# Widens the lips of `deitalk.data.head_lips` by each side of the mouth, brows and lids; lids turn
 # about the eyeball as in `rig.face.motion.lids`.
 #
 # Letters: T frames, C controls, K inputs of the head, N points, P pairs of the rims, M measures.

@@ -1,6 +1,6 @@
 """Motion of the head against measured readers: ``python -m deitalk.research.evaluation.head DIR``.
 
-The folder holds measured lips with a pose (`deitalk.data.lips.measured`). Every speaker's
+The folder holds measured lips with a pose (`deitalk.research.lips.measured`). Every speaker's
 recordings are joined and their sound moves the head of `deitalk.postprocess.life.head`, neutral.
 Range and speed are compared recording by recording; what lies within the fades of a take's ends is
 left out. The exit code is 1 if a ratio lies beyond `TOLERANCE`.
@@ -28,7 +28,6 @@ import numpy as np
 
 from deitalk.audio.frames import FRAME_RATE
 from deitalk.audio.load import load_audio
-from deitalk.data.lips.measured import RATE, PoseClip, read_poses
 from deitalk.emotions import LABELS
 from deitalk.errors import DeitalkError
 from deitalk.evaluation.report import table, write_json
@@ -39,6 +38,7 @@ from deitalk.postprocess.life.voice import Accent, Phrase, Voice, measure_voice
 from deitalk.research.evaluation.nods import MEASURES as NODS
 from deitalk.research.evaluation.nods import measure_nods
 from deitalk.research.evaluation.stress import stress_track
+from deitalk.research.lips.measured import RATE, PoseClip, read_poses
 from rig.arrays import Float64
 from rig.curves.filters import gaussian_smooth
 from rig.files import new_file

@@ -20,7 +20,8 @@ from deitalk.audio.vocal_strength import (
     without_level,
 )
 from deitalk.audio.voice_activity import speech_activity
-from deitalk.evaluation.people.acted import (
+from deitalk.metrics import correlation
+from deitalk.research.evaluation.acted import (
     ACTORS,
     LEVELS,
     NEUTRAL,
@@ -29,7 +30,6 @@ from deitalk.evaluation.people.acted import (
     StrengthClip,
     acted_order,
 )
-from deitalk.metrics import correlation
 from rig.arrays import Float32, Float64
 
 GROUPS = {"anger and joy": ("ANG", "HAP"), "fear, disgust": ("FEA", "DIS"), "sadness": ("SAD",)}

@@ -1,8 +1,8 @@
 """Measured lips as captures of a rig of six controls, the measures themselves.
 
 What the embedded head would need to repeat them is left open, unlike in
-`deitalk.data.lips.dataset`: a model tuned on this folder (``deitalk finetune --rig``) predicts the
-measures, and its scores compare with a regression of them.
+`deitalk.research.lips.dataset`: a model tuned on this folder (``deitalk finetune --rig``) predicts
+the measures, and its scores compare with a regression of them.
 
 ::
 
@@ -21,10 +21,10 @@ import yaml
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
 from deitalk.audio.load import load_audio
 from deitalk.data.clips import SPLITS
-from deitalk.data.lips.dataset import check_names, check_speakers, first_clips
-from deitalk.data.lips.head import MEASURES, HeadLips
-from deitalk.data.lips.measured import LipClip, read_lips
+from deitalk.data.head_lips import MEASURES, HeadLips
 from deitalk.errors import DataError
+from deitalk.research.lips.dataset import check_names, check_speakers, first_clips
+from deitalk.research.lips.measured import LipClip, read_lips
 from rig import RigCurves, write_curves
 from rig.arrays import Bool, Float32
 from rig.face.head import build_head
@@ -57,7 +57,7 @@ def write_measure_dataset(
     Parameters
     ----------
     folder, out, validation, test, most, force, progress
-        As for `deitalk.data.lips.dataset.write_lip_dataset`.
+        As for `deitalk.research.lips.dataset.write_lip_dataset`.
 
     Returns
     -------

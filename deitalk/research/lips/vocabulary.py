@@ -17,8 +17,8 @@ from pathlib import Path
 
 import numpy as np
 
-from deitalk.data.lips.measured import MISSING, RATE, SOUNDS, read_lips, read_rows
 from deitalk.errors import DataError
+from deitalk.research.lips.measured import MISSING, RATE, SOUNDS, read_lips, read_rows
 from rig import limits
 from rig.arrays import Bool, Float64
 from rig.errors import UserError, one_line
@@ -39,7 +39,7 @@ def keep_half(folder: Path, out: Path, half: int, *, alone: bool = False) -> flo
     Parameters
     ----------
     folder : Path
-        As in `deitalk.data.lips.measured`, with words.
+        As in `deitalk.research.lips.measured`, with words.
     out : Path
         Folder to write.
     half : int

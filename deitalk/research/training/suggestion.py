@@ -6,7 +6,7 @@ for each of their emotions, and clips without a majority for one of `NAMED` with
 Classes, and actors against readers, are weighted alike. Multinomial
 logistic regression with a Gaussian prior.
 
-Whole speakers are divided as in `deitalk.evaluation.people.acted`. Training and validation
+Whole speakers are divided as in `deitalk.research.evaluation.acted`. Training and validation
 speakers are fitted together; their scores are those of five fits, each to four fifths of these
 speakers and scored on the rest. One temperature makes those probabilities true (Guo et al. 2017).
 
@@ -33,17 +33,17 @@ from torch.nn import functional as F
 
 from deitalk.audio.load import load_audio
 from deitalk.errors import DataError, DeitalkError
-from deitalk.evaluation.people.acted import (
-    ACTORS,
-    READERS,
-    StrengthClip,
-    read_strength_clips,
-)
 from deitalk.evaluation.report import identified, table, write_json
 from deitalk.models.checkpoint import require_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.pipeline.speech import Speech
 from deitalk.pipeline.suggest import MODEL, NAMED, SURE, EmotionMap, VoiceFrames, standardised
+from deitalk.research.evaluation.acted import (
+    ACTORS,
+    READERS,
+    StrengthClip,
+    read_strength_clips,
+)
 from rig.arrays import Bool, Float32, Float64, Int64
 from rig.files import atomic_write, new_file
 

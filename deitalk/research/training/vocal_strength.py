@@ -35,7 +35,7 @@ from deitalk.audio.vocal_strength import (
     without_level,
 )
 from deitalk.errors import DataError, DeitalkError
-from deitalk.evaluation.people.acted import (
+from deitalk.research.evaluation.acted import (
     ACTORS,
     LEVELS,
     NEUTRAL,

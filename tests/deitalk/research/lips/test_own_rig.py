@@ -8,13 +8,13 @@ from deitalk.cli import app
 from deitalk.config.rig_file import read_controls
 from deitalk.data.captures.splits import divide_clips
 from deitalk.data.clips import read_clips
-from deitalk.data.lips.head import MEASURES, HeadLips
-from deitalk.data.lips.measured import read_lips
+from deitalk.data.head_lips import MEASURES, HeadLips
 from deitalk.errors import DataError
 from deitalk.evaluation.validation import load_example
+from deitalk.research.lips.measured import read_lips
 from deitalk.research.lips.own_rig import write_measure_dataset
 from rig.face.head import build_head
-from tests.deitalk.data.test_lips import write_measured
+from tests.deitalk.research.lips.test_lips import write_measured
 
 
 def test_curves_are_the_measures_and_a_speaker_can_be_left_out(tmp_path):

@@ -8,7 +8,7 @@ import pytest
 from deitalk.audio.prosody import BANDS
 from deitalk.audio.vocal_strength import FEATURES, PITCH, VOICED
 from deitalk.errors import DataError
-from deitalk.evaluation.people.acted import ACTORS, LEVELS, NEUTRAL, READERS, StrengthClip
+from deitalk.research.evaluation.acted import ACTORS, LEVELS, NEUTRAL, READERS, StrengthClip
 from deitalk.research.evaluation.strength import (
     MeasuredClip,
     acted_order,

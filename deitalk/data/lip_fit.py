@@ -10,7 +10,7 @@ from torch import Tensor
 
 from deitalk.audio.load import Recording
 from deitalk.audio.voice_activity import normalise_level
-from deitalk.data.lips.head import HeadLips
+from deitalk.data.head_lips import HeadLips
 from deitalk.emotions import EMOTIONS
 from deitalk.models.curve_model import DEITalk
 from rig import ControlSet

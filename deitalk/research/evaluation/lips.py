@@ -1,7 +1,7 @@
 """Scores of predicted lips against measured lips: ``deitalk evaluate MODEL --lips FOLDER``.
 
 Every recording is animated in the neutral emotion; the lip measures of the embedded head
-(`deitalk.data.lips.head`) are compared with those of the speaker during speech. Three predictions
+(`deitalk.data.head_lips`) are compared with those of the speaker during speech. Three predictions
 are scored: the network alone, the curves of `deitalk.animate`, and the level of the recording as a
 baseline.
 
@@ -16,15 +16,15 @@ import numpy as np
 import torch
 
 from deitalk.audio.load import load_audio
-from deitalk.data.lips.fit import network_curves
-from deitalk.data.lips.head import MEASURES, HeadLips
-from deitalk.data.lips.measured import LipClip, read_lips
+from deitalk.data.head_lips import MEASURES, HeadLips
+from deitalk.data.lip_fit import network_curves
 from deitalk.errors import DataError
 from deitalk.evaluation.clip_scores import loudness
 from deitalk.evaluation.report import table
 from deitalk.metrics import correlation
 from deitalk.models.curve_model import DEITalk
 from deitalk.pipeline.curves import animate
+from deitalk.research.lips.measured import LipClip, read_lips
 from rig.arrays import Float32
 from rig.face.head import build_head
 
@@ -33,7 +33,7 @@ LOW, HIGH = 5, 95
 """Percentiles of a range."""
 
 
-def evaluate_lips(
+def evaluate(
     model: DEITalk,
     folder: Path,
     *,
@@ -48,7 +48,7 @@ def evaluate_lips(
     model : DEITalk
         In evaluation mode.
     folder : Path
-        Measured lips (`deitalk.data.lips.measured`).
+        Measured lips (`deitalk.research.lips.measured`).
     speakers : sequence of str
         Speakers to score; all if empty.
     most : int or None

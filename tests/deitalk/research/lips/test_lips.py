@@ -12,16 +12,16 @@ import torch
 
 from deitalk.data.checks import check_dataset
 from deitalk.data.clips import read_clips
-from deitalk.data.lips.dataset import CONTACT, LipRidge, LipTransfer, write_lip_dataset
-from deitalk.data.lips.fit import LOOSENESS, fit_curves, looseness
-from deitalk.data.lips.head import MEASURES, HeadLips
-from deitalk.data.lips.measured import COLUMNS, read_lips
+from deitalk.data.head_lips import MEASURES, HeadLips
+from deitalk.data.lip_fit import LOOSENESS, fit_curves, looseness
 from deitalk.data.windows import cut, load_material
 from deitalk.errors import DataError
-from deitalk.evaluation.people.lips import PREDICTIONS, as_markdown, evaluate_lips
 from deitalk.models.checkpoint import require_model
 from deitalk.models.curve_model import DEITalk
+from deitalk.research.evaluation.lips import PREDICTIONS, as_markdown, evaluate
 from deitalk.research.lips import vocabulary
+from deitalk.research.lips.dataset import CONTACT, LipRidge, LipTransfer, write_lip_dataset
+from deitalk.research.lips.measured import COLUMNS, read_lips
 from deitalk.research.lips.vocabulary import halves, keep_half
 from rig import default_controls, limits, read_curves
 from rig.errors import ExistsError
@@ -380,7 +380,7 @@ def test_corrected_clips_keep_contacts_and_all_but_the_lips(measured, tmp_path):
 
 def test_scores_of_the_measured_lips_themselves_are_perfect(measured, monkeypatch, lips):
     """A prediction that moves the head as was measured has r and ratios of 1."""
-    from deitalk.evaluation.people import lips as scoring
+    from deitalk.research.evaluation import lips as scoring
 
     clips = {clip.sound: clip for clip in read_lips(measured, lips.eye_distance)}
     monkeypatch.setattr(
@@ -393,7 +393,7 @@ def test_scores_of_the_measured_lips_themselves_are_perfect(measured, monkeypatc
         },
     )
     shutil.copy(measured / "video" / "a.wav", measured / "video" / "b.wav")
-    report = evaluate_lips(None, measured)
+    report = evaluate(None, measured)
     assert set(report) == set(PREDICTIONS)
     assert set(report["network"]) == {"one", "two", "mean"}
     for speaker in report["network"]:
@@ -406,16 +406,14 @@ def test_scores_of_the_measured_lips_themselves_are_perfect(measured, monkeypatc
     assert report["network"]["mean"]["clips"] == 3
     assert "opening r" in as_markdown(report)
     with pytest.raises(DataError, match="no speaker 'x'"):
-        evaluate_lips(None, measured, speakers=["x"])
+        evaluate(None, measured, speakers=["x"])
 
 
 def test_model_follows_real_lips_better_than_loudness_does(shared):
     folder = shared / "data" / "lips"
     if not folder.is_dir():
         pytest.skip("needs the measured lips in ../shared")
-    report = evaluate_lips(
-        require_model("default", DEITalk), folder, speakers=["s30", "s32"], most=5
-    )
+    report = evaluate(require_model("default", DEITalk), folder, speakers=["s30", "s32"], most=5)
     for measure in ("opening", "jaw", "lower_lip"):
         ours, level = (report[n]["mean"][f"{measure} r"] for n in ("network", "loudness"))
         assert ours > level + 0.1 and ours > 0.4

@@ -142,7 +142,7 @@ LEVEL_SIGMA = 4.0
 Scores = dict[str, dict[str, float]]
 
 
-def evaluate_acted(
+def evaluate(
     model: DEITalk,
     path: Path,
     *,

@@ -5,7 +5,7 @@ import pytest
 import soundfile as sf
 
 from deitalk.errors import DataError
-from deitalk.evaluation.people.acted import (
+from deitalk.research.evaluation.acted import (
     ACTORS,
     READERS,
     StrengthClip,

@@ -5,9 +5,15 @@ import pytest
 import soundfile as sf
 
 from deitalk.errors import DataError
-from deitalk.evaluation.people.acted import ACTORS, PARTS, StrengthClip, as_markdown, evaluate_acted
 from deitalk.models.checkpoint import require_model
 from deitalk.models.curve_model import DEITalk
+from deitalk.research.evaluation.acted import (
+    ACTORS,
+    PARTS,
+    StrengthClip,
+    as_markdown,
+    evaluate,
+)
 from tests.deitalk.audio.test_prosody import voice
 
 
@@ -29,7 +35,7 @@ def table(tmp_path_factory):
 
 
 def test_rising_voices_have_rising_intensity_and_faces(table):
-    report = evaluate_acted(require_model("default", DEITalk), table)
+    report = evaluate(require_model("default", DEITalk), table)
     scores = report["anger and joy"]
     assert scores["actors and emotions"] == 2
     for measure in ("intensity", "whole face", *PARTS):
@@ -46,4 +52,4 @@ def test_rising_voices_have_rising_intensity_and_faces(table):
 
 def test_evaluate_acted_rejects_a_split_without_actors(table):
     with pytest.raises(DataError, match="no actor of the train split"):
-        evaluate_acted(require_model("default", DEITalk), table, split="train")
+        evaluate(require_model("default", DEITalk), table, split="train")

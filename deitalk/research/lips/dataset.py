@@ -16,12 +16,12 @@ from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
 from deitalk.audio.load import load_audio
 from deitalk.audio.voice_activity import normalise_level, speech_activity
 from deitalk.data.clips import MEASURED, SPLITS, Clip, read_clips
-from deitalk.data.lips.fit import fit_curves, neutral_reading
-from deitalk.data.lips.head import MEASURES, HeadLips
-from deitalk.data.lips.measured import LipClip, read_lips
+from deitalk.data.head_lips import MEASURES, HeadLips
+from deitalk.data.lip_fit import fit_curves, neutral_reading
 from deitalk.data.windows import cut, load_material, n_clip_frames
 from deitalk.errors import DataError
 from deitalk.models.curve_model import DEITalk
+from deitalk.research.lips.measured import LipClip, read_lips
 from rig import ControlSet, RigCurves, write_curves
 from rig.arrays import Bool, Float32, Float64
 from rig.errors import quoted
@@ -204,7 +204,7 @@ class LipTransfer:
         Parameters
         ----------
         reading : (Tensor [shape=(T, D)], Tensor [shape=(T, C)])
-            Features and neutral curves of the recording (`deitalk.data.lips.fit.neutral_reading`).
+            Features and neutral curves of the recording (`deitalk.data.lip_fit.neutral_reading`).
         lips : HeadLips
             The head.
         controls : ControlSet
@@ -260,7 +260,7 @@ def write_lip_dataset(
     Parameters
     ----------
     folder : Path
-        Measured lips (`deitalk.data.lips.measured`).
+        Measured lips (`deitalk.research.lips.measured`).
     out : Path
         Dataset folder.
     model : DEITalk

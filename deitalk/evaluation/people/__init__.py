@@ -1,1 +1,0 @@
-"""Scores against people: measured lips, acted strength."""
