@@ -5,9 +5,8 @@ from contextlib import suppress
 from api.compute.order import Limits
 from deitalk.errors import CheckpointError
 from deitalk.models.folder import product_of
-from deitalk.models.onnx.causal_network import OnnxCausalNetwork
 from deitalk.models.onnx.load import cached_export, cached_path, load_onnx
-from deitalk.models.onnx.network import OnnxNetwork
+from deitalk.models.onnx.network import OnnxCausalNetwork, OnnxNetwork
 from rig.errors import UserError
 
 _networks: dict[str, OnnxNetwork | OnnxCausalNetwork] = {}

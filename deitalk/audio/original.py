@@ -16,9 +16,8 @@ from typing import IO
 
 import numpy as np
 
-from deitalk.audio.decoding import open_sound
+from deitalk.audio.decoding import MOST_CHUNKS, open_sound
 from deitalk.audio.frames import FRAME_RATE
-from deitalk.audio.headers import MOST_CHUNKS
 from deitalk.errors import AudioError, DeitalkError
 from rig.arrays import Float32
 from rig.files import atomic_write

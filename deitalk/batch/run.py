@@ -27,7 +27,7 @@ from deitalk.batch.source import SUMMARY, read_source
 from deitalk.batch.storage import is_url
 from deitalk.emotions import EmotionTrack
 from deitalk.errors import DeitalkError
-from deitalk.models.devices import check_device, require_device
+from deitalk.models.folder import check_device, require_device
 from deitalk.models.load import Backend
 from rig.errors import TargetError
 

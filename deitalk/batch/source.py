@@ -10,7 +10,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from deitalk.acting import OLD_NAMES, Acting, modern
-from deitalk.audio.headers import RECORDINGS
+from deitalk.audio.decoding import RECORDINGS
 from deitalk.batch.lines import TAKE, BadLine, Line, Written, parse_formats
 from deitalk.batch.storage import cloud_errors, file_system, is_url
 from deitalk.emotions.track_files import number

@@ -10,12 +10,11 @@ import typer
 
 from deitalk.cli.animate import animate, suggest
 from deitalk.cli.batch import batch
-from deitalk.cli.console import emit, escape_what_cannot_be_encoded, name_option
+from deitalk.cli.console import Commands, emit, escape_what_cannot_be_encoded, name_option
 from deitalk.cli.convert import convert, validate
 from deitalk.cli.data import app as data_app
 from deitalk.cli.evaluate import evaluate
 from deitalk.cli.face import app as face_app
-from deitalk.cli.former import Commands
 from deitalk.cli.install import app as install_app
 from deitalk.cli.live import live
 from deitalk.cli.mesh import retarget

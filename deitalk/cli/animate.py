@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from deitalk.cli.acting import Given, acting_options
 from deitalk.cli.console import bar, console, emit_json
 from deitalk.cli.mesh import animate_vertices
 from deitalk.cli.options import (
@@ -18,10 +17,12 @@ from deitalk.cli.options import (
     Device,
     Digits,
     Force,
+    Given,
     Json,
     Threads,
     Timecode,
     WrittenIdentity,
+    acting_options,
 )
 from deitalk.cli.paths import PICTURES, reserve_file, reserve_folder, reserve_picture
 from deitalk.errors import DeitalkError
@@ -160,15 +161,15 @@ def _plot(
     speech: str, out: Path, given: Given, load: "Callable[[], CurveNetwork]", *, force: bool
 ) -> None:
     """Draw curves and intensity against the waveform."""
-    from deitalk.figures.canvas import check_drawing
+    from deitalk.figures import check_drawing
 
     check_drawing()
     reserve_picture(out, force=force, inputs=(speech, *given.texts))
     performance = _perform(speech, given.acting, load)
-    from deitalk.figures.performance import plot
+    from deitalk.figures import draw_curves
 
     title = f"{Path(speech).name}, {performance.emotion}"
-    plot(performance.curves, performance.recording.waveform, out, title)
+    draw_curves(performance.curves, performance.recording.waveform, out, title)
     console().print(f"{out}")
 
 

@@ -4,7 +4,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from deitalk.cli.acting import Given, acting_options
 from deitalk.cli.console import bar, console, emit_json
 from deitalk.cli.options import (
     MAX_PROCESSES,
@@ -12,8 +11,10 @@ from deitalk.cli.options import (
     Backend,
     Device,
     Digits,
+    Given,
     Json,
     Timecode,
+    acting_options,
 )
 
 if TYPE_CHECKING:

@@ -7,9 +7,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from deitalk.cli.acting import Given, acting_options
 from deitalk.cli.console import console, emit, emit_json
-from deitalk.cli.options import Digits, Force, Json, WrittenIdentity, control_set_of
+from deitalk.cli.options import (
+    Digits,
+    Force,
+    Given,
+    Json,
+    WrittenIdentity,
+    acting_options,
+    control_set_of,
+)
 from deitalk.cli.paths import curves_of, reserve_file
 from deitalk.errors import DeitalkError
 from rig.errors import as_line
@@ -217,7 +224,7 @@ def validate(
     validation = check(path)
     findings = list(validation.findings)
     if validation.ok and given.acting.words is not None:
-        from deitalk.pipeline.words.check import check_closures
+        from deitalk.pipeline.words.align import check_closures
         from deitalk.pipeline.words.transcript import Transcript
 
         words = Transcript.of(given.acting.words, given.acting.language)

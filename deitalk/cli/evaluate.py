@@ -136,9 +136,9 @@ def evaluate(
     known = {"model": model, "sha256": describe_model(model)["sha256"]}
     write_report(known | report, markdown, out, as_json=as_json)
     if picture is not None:
-        from deitalk.figures.evaluation import draw
+        from deitalk.figures import draw_evaluation
 
-        draw(report, picture)
+        draw_evaluation(report, picture)
 
 
 def _score_curves(model: str, data: Path, **options: Any) -> tuple[dict[str, Any], str]:

@@ -2,32 +2,287 @@
 
 import gc
 import os
+import socket
 from collections.abc import Callable
+from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from deitalk.cli.acting import Given, acting_options
 from deitalk.cli.console import console
-from deitalk.cli.livelink import (
-    Link,
-    frame_of_day,
-    is_sound,
-    link_of,
-    record_face,
-    send_source,
-)
-from deitalk.cli.options import Backend, Force
-from deitalk.errors import DeitalkError
+from deitalk.cli.options import Backend, Force, Given, acting_options, control_set_of
+from deitalk.cli.paths import curves_of, reserve_file
+from deitalk.errors import DeitalkError, MissingError
 
 if TYPE_CHECKING:
     from deitalk.acting import Acting
     from deitalk.live.animator import LiveAnimator
     from deitalk.live.sources import Source
     from deitalk.models.protocol import CausalNetwork
+    from rig import RigCurves
+    from rig.formats.livelink_csv import LiveLinkTake
     from rig.livelink import LiveSender
     from rig.livelink.live import LiveReport
+
+# Faces over UDP for `deitalk live`: send a take or curves, record what is sent.
+
+PORT = 11111
+"""Of Live Link Face."""
+
+
+@dataclass(frozen=True)
+class Link:
+    """Where a face is sent, and how."""
+
+    host: str
+    port: int
+    protocol: str
+    subject: str
+    rig: str = "board"
+
+    @property
+    def avatar(self) -> str | None:
+        """Control set of VMC's values where they are an avatar's."""
+        from rig.conversion.avatars import AVATARS
+
+        return self.rig if self.protocol == "vmc" and self.rig in AVATARS else None
+
+    def __str__(self) -> str:
+        return f"{self.host}:{self.port} as {self.subject!r}"
+
+
+def link_of(
+    host: str, port: int | None, protocol: str, subject: str, rig: str, fps: float | None
+) -> Link:
+    """A link with the given port or the protocol's own; raises before anything is animated."""
+    from rig.curves import snap_fps
+    from rig.livelink import check_address, find_protocol, make_protocol
+
+    _check_rig(rig, protocol)
+    own = find_protocol(protocol).port
+    if port is not None and not 0 < port < 65536:
+        raise DeitalkError(f"port {port} must be 1 to 65535; leave it out for {own}")
+    make_protocol(protocol, subject, ())
+    if fps is not None:
+        snap_fps(fps)
+    port = own if port is None else port
+    check_address((host, port))
+    return Link(host, port, protocol, subject, rig)
+
+
+def frame_of_day(fps: float) -> int:
+    """Number of the frame that is now, counted from midnight."""
+    now = datetime.now().astimezone()
+    midnight = now.replace(hour=0, minute=0, second=0, microsecond=0)
+    return int((now - midnight).total_seconds() * fps)
+
+
+def record_face(
+    out: Path,
+    host: str,
+    port: int | None,
+    *,
+    subject: str | None,
+    seconds: float | None,
+    timeout: float | None,
+    force: bool,
+) -> None:
+    """Write Live Link Face packets to a file until Ctrl-C, SIGTERM, SIGHUP or a time.
+
+    Parameters
+    ----------
+    out : Path
+        A .csv keeps the packets' own times; any other format has an even rate.
+    host : str
+        Address to listen on; 0.0.0.0 is the whole network.
+    port : int, optional
+        0 takes a free one.
+    subject : str, optional
+        That of the first packet by default.
+    seconds, timeout : float, optional
+        Longest recording; longest time without a packet.
+    force : bool
+        Replace the file.
+    """
+    from deitalk.cli.signals import held
+    from rig.formats import find_format
+    from rig.livelink import Receiver
+
+    if port is not None and not 0 <= port < 65536:
+        raise DeitalkError(f"port {port} must be 0 to 65535; 0 takes a free one")
+    find_format(out, writable=True)
+    reserve_file(out, force=force)
+    with Receiver(host, PORT if port is None else port) as receiver, held() as signals:
+        console().print(f"listening on {host}:{receiver.port}, Ctrl-C ends the take")
+        recording = receiver.record(
+            subject=subject, seconds=seconds, idle_seconds=timeout, is_over=lambda: bool(signals)
+        )
+        take = recording.to_take()
+        _write_recording(out, take)
+        signals.clear()  # handled: the take has ended
+    console().print(
+        f"{out}: {len(take.ticks)} frames of {recording.subject!r}, {recording.n_lost} lost, "
+        f"{recording.n_late} late, {recording.n_garbage} invalid datagrams"
+    )
+    if recording.n_other:
+        names = ", ".join(map(repr, recording.others))
+        console().note(
+            f"{recording.n_other} frames of other subjects left out: {names}; "
+            "--subject takes one of them"
+        )
+
+
+def _write_recording(out: Path, take: "LiveLinkTake") -> None:
+    from rig import write_curves
+    from rig.files import atomic_write
+    from rig.formats import find_format
+    from rig.formats.livelink_csv import write_take
+
+    if find_format(out, writable=True).name in ("csv", "livelink"):
+        with atomic_write(out) as beside:
+            write_take(beside, take)
+    else:
+        write_curves(out, take.to_curves())
+
+
+def is_sound(source: Path) -> bool:
+    """Whether a source is a recording, not a take or a file of curves."""
+    from rig.errors import FormatError
+    from rig.formats.table import find_format
+
+    if not source.exists():
+        raise DeitalkError(f"{source} does not exist; give a take, a file of curves or a recording")
+    if source.is_dir():
+        return False
+    if not source.is_file():
+        raise DeitalkError(f"{source} is not a regular file; give a take, curves or a recording")
+    try:
+        find_format(source, readable=True)
+    except FormatError:
+        return True
+    return False
+
+
+def send_source(
+    source: Path,
+    acting: "Acting",
+    model: tuple[str, str],
+    link: Link,
+    *,
+    fps: float | None,
+    loop: bool,
+    play: bool,
+    start_signal: str | None,
+) -> None:
+    """Send a take, a file of curves, or a recording that a model and backend animate first."""
+    started = [_signal(start_signal)] if start_signal else []
+    curves, audio = _curves(source, acting, *model)
+    if link.protocol == "json":
+        curves = _as_rig(curves, link.rig)
+    if link.avatar is not None:
+        from rig.conversion.convert import convert_and_note
+
+        console().note(convert_and_note(curves, link.avatar)[1])
+    if play:
+        started = [_player(audio), *started]
+    if fps is not None:
+        curves = curves.resample(fps)
+    from rig.livelink import make_protocol, send
+
+    chosen = make_protocol(link.protocol, link.subject, curves.names, link.avatar)
+    console().print(f"sending {curves.duration:.1f} s to {link}, Ctrl-C stops")
+
+    def start() -> None:
+        for action in started:
+            action()
+
+    report = send(
+        curves,
+        chosen,
+        (link.host, link.port),
+        loop=loop,
+        first_frame=frame_of_day(curves.fps),
+        on_start=start,
+    )
+    console().print(
+        f"{report.n_sent} frames in {report.seconds:.2f} s, {report.n_skipped} skipped, "
+        f"at most {1000 * report.worst_lateness:.1f} ms late"
+    )
+
+
+def _curves(
+    source: Path, acting: "Acting", model: str, backend: str
+) -> "tuple[RigCurves, Path | None]":
+    """Return curves to send, and the audio that belongs to them."""
+    from rig import read_curves
+
+    if is_sound(source):
+        from deitalk.pipeline.curves import animate
+
+        console().print(f"animating {source.name}")
+        return animate(source, acting=acting, model=model, backend=backend).curves, source
+    curves = read_curves(curves_of(source), control_set=None)
+    audio = source / "audio.wav"
+    return curves, audio if audio.is_file() else None
+
+
+def _as_rig(curves: "RigCurves", rig: str) -> "RigCurves":
+    """Curves of a rig with their head, as a receiver of that rig takes it."""
+    from rig.conversion.convert import convert
+    from rig.formats.livelink_csv import with_subject
+    from rig.livelink.protocols import with_head
+
+    curves = convert(curves, control_set_of(rig))
+    return with_subject(curves) if rig == "raw" else with_head(curves)
+
+
+def _check_rig(rig: str, protocol: str) -> None:
+    """Raise for an unknown rig, and for one that the protocol does not send."""
+    from rig.conversion.avatars import AVATARS
+
+    control_set_of(rig)
+    if (rig == "raw" and protocol != "json") or (rig in AVATARS and protocol == "livelink"):
+        raise DeitalkError(
+            f"--rig {rig} does not apply to --protocol {protocol}, which sends ARKit's values; "
+            "use --protocol json, or leave it out"
+        )
+
+
+def _player(audio: Path | None) -> Callable[[], None]:
+    """Return a function that starts the sound and returns at once."""
+    if audio is None:
+        raise DeitalkError("there is no audio to play: send a take folder or a recording")
+    try:
+        import sounddevice  # type: ignore[import-untyped]
+    except (ImportError, OSError) as error:
+        raise MissingError(
+            f"playing audio needs the package sounddevice and PortAudio ({error}); "
+            "pip install sounddevice, or leave --play out"
+        ) from error
+    from deitalk.audio.frames import SAMPLE_RATE
+    from deitalk.audio.load import load_audio
+
+    recording = load_audio(audio)
+    return lambda: sounddevice.play(recording.waveform, SAMPLE_RATE)
+
+
+def _signal(address: str) -> Callable[[], None]:
+    """Return a function that signals the first frame to another program."""
+    from rig.livelink import check_address, osc
+
+    host, colon, port = address.rpartition(":")
+    if not (colon and host and port.isdigit() and 0 < int(port) < 65536):
+        raise DeitalkError(f"--start-signal {address!r} must be HOST:PORT, such as 127.0.0.1:8000")
+    check_address((host, int(port)))
+
+    def send_start() -> None:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
+            link.sendto(osc.message("/deitalk/start"), (host, int(port)))
+
+    return send_start
+
 
 POLL_SECONDS = 0.05
 """Longest wait for sound."""

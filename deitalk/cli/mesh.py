@@ -13,7 +13,7 @@ from deitalk.cli.paths import curves_of, reserve_file, reserve_mesh
 from deitalk.errors import DeitalkError
 
 if TYPE_CHECKING:
-    from deitalk.cli.acting import Given
+    from deitalk.cli.options import Given
     from deitalk.pipeline.performance import MeshPerformance
     from rig.retarget.retarget_files import RetargetReport
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import typer
 
-from deitalk.audio.headers import RECORDINGS
+from deitalk.audio.decoding import RECORDINGS
 from deitalk.cli.console import emit
 from deitalk.errors import DataError, DeitalkError
 

@@ -45,9 +45,8 @@ def preview(
     deitalk preview take/ --versus other/ -o compare.html
     """
     from deitalk.preview.page import render_page
-    from deitalk.preview.source import load_source
+    from deitalk.preview.source import find_warnings, load_source
     from deitalk.preview.video import PAGES, check_needs, render_video
-    from deitalk.preview.warnings import find_warnings
 
     others = versus or []
     shown = [load_source(path) for path in others]

@@ -21,7 +21,7 @@ from deitalk.audio.noise import mix_at_level, pink_noise
 from deitalk.audio.prosody import rms_db
 from deitalk.audio.voice_activity import normalise_level
 from deitalk.data.mesh_folder import MOTION, MeshClip
-from deitalk.data.seeded_batches import SeededBatches, Share
+from deitalk.data.windows import SeededBatches, Share
 from deitalk.errors import DataError
 from deitalk.frontends.base import Encoder
 from rig.arrays import Float32, Float64

@@ -3,16 +3,19 @@
 Letters: S samples, T frames of a window (128), C controls.
 """
 
+from abc import ABC, abstractmethod
 from collections import OrderedDict
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import cache, lru_cache
+from itertools import count
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
+from torch.utils.data import IterableDataset, get_worker_info
 
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE, frame_count
 from deitalk.audio.load import load_audio
@@ -20,7 +23,6 @@ from deitalk.audio.voice_activity import normalise_level
 from deitalk.config import DataConfig
 from deitalk.data.augment_waveform import Surroundings, augment, change_speed, speed_factor
 from deitalk.data.clips import MEASURED, REHEARSED, Clip, read_intensity, read_known
-from deitalk.data.seeded_batches import SeededBatches, Share
 from deitalk.emotions import EMOTIONS
 from deitalk.errors import DataError
 from rig import ControlSet, read_curves
@@ -29,6 +31,60 @@ from rig.controls import DEFAULT_ID
 
 if TYPE_CHECKING:
     from deitalk.data.frozen_features import EncodedPasses, FrozenFeatures
+
+# Endless batches of numbered items: item k depends on the seed and on k alone.
+#
+# Hence batch b is the same for any number of loading workers and of processes that share it, and an
+# interrupted training continues with the batch that would have come next.
+
+Item = TypeVar("Item", bound=tuple[Any, ...])
+"""A NamedTuple of tensors; a batch is the same with a leading axis."""
+
+
+class Share(NamedTuple):
+    """Where to begin, and this process's part of every batch."""
+
+    skip: int = 0
+    """Number of the first batch, for a training that is resumed."""
+    rank: int = 0
+    """Number of this process; it makes the items rank, rank + world, ... of every batch."""
+    world: int = 1
+    """Processes that share a batch."""
+
+
+class SeededBatches(ABC, IterableDataset[Item], Generic[Item]):
+    """Base of the data sets that training draws from.
+
+    Parameters
+    ----------
+    seed : int
+        Seed of all items.
+    batch_size : int
+        Items of a batch, over all processes.
+    share : Share
+        Where to begin, and this process's part; may be set until the iteration begins.
+    """
+
+    def __init__(self, seed: int, batch_size: int, share: Share) -> None:
+        self.seed, self.batch_size, self.share = seed, batch_size, share
+
+    def __iter__(self) -> Iterator[Item]:
+        """Yield this process's part of the batches of this worker, stacked."""
+        worker = get_worker_info()
+        n_workers, lane = (worker.num_workers, worker.id) if worker else (1, 0)
+        for batch in count(self.share.skip + lane, n_workers):
+            first = batch * self.batch_size
+            numbers = range(first + self.share.rank, first + self.batch_size, self.share.world)
+            items = [self.item(number) for number in numbers]
+            yield type(items[0])(*(torch.stack(field) for field in zip(*items, strict=True)))
+
+    def rng(self, number: int) -> np.random.Generator:
+        """Generator of random numbers for the item of a number."""
+        return np.random.default_rng((self.seed, number))
+
+    @abstractmethod
+    def item(self, number: int) -> Item:
+        """Make the item of a number."""
 
 
 class Window(NamedTuple):

@@ -22,15 +22,20 @@ from deitalk.data.clips import Clip, read_clips
 from deitalk.data.head_lips import MEASURES, HeadLips
 from deitalk.emotions import EMOTIONS, IntensityCurve
 from deitalk.errors import DataError
-from deitalk.evaluation.clip_scores import ClipToScore, Scores, Tally, score_clip
+from deitalk.evaluation.clip_scores import (
+    ClipToScore,
+    Scores,
+    Tally,
+    contours_report,
+    score_clip,
+    shut_table,
+)
 from deitalk.evaluation.lip_closures import (
     JAW,
     captured_smoothness,
     closure_scores,
     summarise_closures,
 )
-from deitalk.evaluation.phone_gestures import shut_table
-from deitalk.evaluation.prosody_response import contours_report
 from deitalk.evaluation.validation import lips_together, load_example
 from deitalk.metrics import correlation
 from deitalk.models.curve_model import DEITalk

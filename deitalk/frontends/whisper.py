@@ -16,9 +16,10 @@ B batch, S samples, M mel frames, K features, D width.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from fractions import Fraction
 from pathlib import Path
-from typing import Self
+from typing import Any, Self
 
 import torch
 from torch import Tensor, nn
@@ -36,8 +37,202 @@ from deitalk.audio.log_mel import (
     loudest,
 )
 from deitalk.config import WhisperShape
-from deitalk.errors import CheckpointError
-from deitalk.frontends.strided import StridedFrontend
+from deitalk.errors import CheckpointError, ConfigError
+from deitalk.frontends.base import Frontend
+from rig.arrays import Float32
+
+# Frontends whose encoder gives features at a regular stride, brought to the rig's 30 Hz.
+#
+# K features of the encoder, T rig frames, D width.
+
+MOMENTUM = 0.01
+"""Of the running mean and variance, where the encoder learns."""
+LARGEST = 6.0
+"""Standardised features are limited to this: a few dimensions have rare, huge values."""
+
+
+class StridedFrontend(Frontend):
+    """An encoder of 16 kHz sound with one row per rig frame.
+
+    Row i describes the time i/30 s. Feature k of the encoder describes the sample
+    `centre` + k `stride`, and row i is interpolated linearly between the two features around it
+    (the ends are held).
+
+    Deviation: DEITalk's "linear interpolation layer" is, in the code of its predecessors, a
+    resize of K rows to T with the corners aligned. That puts feature 0 (12.5 ms) at 0 ms and the
+    last one, up to 32 ms before the clip's end, at its last frame: rows drift against the audio
+    by up to a frame, and by how much depends on the length. Here every row is exact in time.
+
+    Attributes
+    ----------
+    stride, centre, margin : int or float
+        Samples between features, sample of feature 0, and samples around a row's own that its
+        features need.
+    """
+
+    stride: float
+    centre: float
+    margin: int
+    chunk_seconds, overlap_seconds = 24.0, 2.0
+    norms: nn.ModuleList
+    mix: nn.Parameter
+
+    def mix_layers(self, layers: Sequence[int], width: int) -> None:
+        """Prepare `mixed` of these layers; 0 is the input of the first."""
+        self.layers = tuple(layers)
+        # Running mean and variance of speech: a few dimensions vary a hundred times as much.
+        self.norms = nn.ModuleList(
+            nn.BatchNorm1d(width, affine=False, momentum=MOMENTUM) for _ in layers
+        )
+        self.mix = nn.Parameter(torch.zeros(len(layers)))
+
+    def mixed(self, states: Sequence[Tensor] | Mapping[int, Tensor]) -> Tensor:
+        """Standardised and mixed features (N, D) from the states (N, D) of the layers."""
+        scaled = [
+            weight * _standardised(states[layer], norm).clamp(-LARGEST, LARGEST)
+            for weight, norm, layer in zip(
+                self.mix.softmax(dim=0), self.norms, self.layers, strict=True
+            )
+        ]
+        return torch.stack(scaled).sum(dim=0)
+
+    @torch.no_grad()
+    def measure(self, sounds: Sequence[Float32]) -> None:
+        """Take mean and variance of the states from recordings at the normal level [shape=(S,)]."""
+        norms = [norm for norm in self.norms if isinstance(norm, nn.BatchNorm1d)]
+        for norm in norms:
+            norm.reset_running_stats()
+            norm.momentum = None  # the mean of all
+        self.norms.train()
+        for sound in sounds:
+            self.features(torch.from_numpy(sound[: 10 * SAMPLE_RATE]).unsqueeze(0))
+        for norm in norms:
+            norm.momentum = MOMENTUM
+        self.norms.eval()
+
+    def features(self, waveform: Tensor, context: Any = None) -> Tensor:
+        """Features (B, K, D) of (B, S), before interpolation; `context` is that of `survey`."""
+        raise NotImplementedError
+
+    def survey(self, waveform: Tensor, gain: float) -> Any:
+        """What a piece's features need to know of the whole clip (S,) times `gain`, if anything."""
+        return None
+
+    def forward(self, waveform: Tensor, n_frames: int) -> Tensor:
+        """Encode a batch of speech at 30 Hz.
+
+        Parameters
+        ----------
+        waveform : Tensor [shape=(B, S)]
+            float32, 16 kHz, speech at -23 dBFS.
+        n_frames : int
+            T.
+
+        Returns
+        -------
+        Tensor [shape=(B, T, D)]
+            Row i is time i/30 s.
+        """
+        return self.rows(self.features(waveform), 0, n_frames, first_sample=0)
+
+    @torch.no_grad()
+    def encode(
+        self,
+        waveform: Tensor,
+        n_frames: int,
+        chunk_seconds: float | None = None,
+        overlap_seconds: float | None = None,
+        *,
+        progress: Callable[[float], None] = lambda share: None,
+        gain: float = 1.0,
+    ) -> Tensor:
+        """Encode a whole clip in chunks of bounded memory, in evaluation mode.
+
+        Neighbouring chunks overlap and are cross-faded there, so that the frames at a chunk's
+        edge, which lack context, count least. A clip of up to one chunk is encoded at once and
+        equals `forward`. On longer ones attention spans a chunk instead of the whole clip: the
+        difference is more than rounding, but small wherever attention is local. Chunks start on the
+        encoder's own grid.
+
+        Parameters
+        ----------
+        waveform : Tensor [shape=(S,)]
+            As for `forward`; it may lie on the CPU, chunks are moved to the encoder.
+        n_frames : int
+            T.
+        chunk_seconds, overlap_seconds : float or None
+            A chunk is at least two overlaps long; None: the frontend's own.
+        progress : callable
+            Called with the share done, 0 to 1.
+        gain : float
+            Factor that brings the speech to -23 dBFS, if that is not done.
+
+        Returns
+        -------
+        Tensor [shape=(T, D)]
+        """
+        seconds = self.chunk_seconds if chunk_seconds is None else chunk_seconds
+        overlap_seconds = self.overlap_seconds if overlap_seconds is None else overlap_seconds
+        chunk, overlap = round(seconds * FRAME_RATE), round(overlap_seconds * FRAME_RATE)
+        if overlap < 0 or chunk < max(2 * overlap, 1):
+            raise ConfigError(
+                f"chunk_seconds={seconds:g} must be at least twice "
+                f"overlap_seconds={overlap_seconds:g}; lengthen the chunks"
+            )
+        device = next(self.parameters()).device
+        context = self.survey(waveform, gain) if n_frames > chunk else None
+        rows = torch.empty(n_frames, self.output_size, device=device)
+        done = 0
+        while done < n_frames:
+            start = done - overlap if done else 0
+            stop = min(start + chunk, n_frames)
+            first, last = self._sample_span(start, stop)
+            piece = waveform[first:last].unsqueeze(0).to(device) * gain
+            new = self.rows(self.features(piece, context), start, stop, first_sample=first)[0]
+            fade = torch.arange(1, done - start + 1, device=device).unsqueeze(1) / (overlap + 1)
+            rows[start:done].lerp_(new[: done - start], fade)
+            rows[done:stop] = new[done - start :]
+            done = stop
+            progress(done / n_frames)
+        return rows
+
+    def _sample_span(self, start: int, stop: int) -> tuple[int, int]:
+        """Samples [first, last) that the rows start … stop - 1 are interpolated from.
+
+        `first` is a whole number of strides, so a chunk's features lie on the whole clip's grid.
+        """
+        first = start * SAMPLE_RATE // FRAME_RATE - self.margin
+        last = -(-stop * SAMPLE_RATE // FRAME_RATE) + self.margin
+        grid = Fraction(self.stride).limit_denominator(FRAME_RATE)
+        step = grid.numerator  # the least number of samples that is whole in strides
+        return max(0, first // step * step), last
+
+    def rows(self, features: Tensor, start: int, stop: int, *, first_sample: int) -> Tensor:
+        """Interpolate features (B, K, D), begun at `first_sample`, at the times of rows (B, n, D).
+
+        With stride 320 and centre 199.5, rows 0, 1, 2, 3 (samples 0, 533.3, 1066.7, 1600) lie at
+        the feature positions -0.62 (held at 0), 1.04, 2.71 and 4.38.
+        """
+        # On the CPU: some devices (MPS) know no double precision.
+        frames = torch.arange(start, stop, device="cpu", dtype=torch.float64)
+        position = frames * SAMPLE_RATE / FRAME_RATE - (first_sample + self.centre)
+        position = (position / self.stride).clamp(0, features.shape[1] - 1)
+        below = position.long()
+        above = (below + 1).clamp(max=features.shape[1] - 1)
+        part = (position - below).to(features.dtype).unsqueeze(-1)  # (n, 1)
+        below, above, part = (row.to(features.device) for row in (below, above, part))
+        return torch.lerp(features[:, below], features[:, above], part)
+
+
+def _standardised(rows: Tensor, norm: nn.Module) -> Tensor:
+    """Rows (N, D) of mean 0 and deviation 1; in training those of the batch."""
+    assert isinstance(norm, nn.BatchNorm1d)
+    mean, variance = norm.running_mean, norm.running_var
+    if norm.training or mean is None or variance is None:
+        out: Tensor = norm(rows)
+        return out
+    return (rows - mean) * (variance + norm.eps).rsqrt()
+
 
 SPECTRA = {30: 3, 50: 2}
 """Mel frames of a feature, by the features a second."""

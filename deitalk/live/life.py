@@ -16,10 +16,9 @@ import numpy as np
 from deitalk.audio.frames import FRAME_RATE
 from deitalk.audio.prosody import LEVEL_DB, PITCH_SEMITONES, VOICED
 from deitalk.config import Idle
-from deitalk.live.intensity import Mean, Measures
 from deitalk.postprocess.life.amounts import Life
 from deitalk.postprocess.life.motion import MotionStream
-from deitalk.postprocess.life.traits import Seeds
+from deitalk.postprocess.life.tracks import Seeds
 from deitalk.postprocess.life.voice import (
     ACCENT_DISTANCE,
     FULL_PROMINENCE,
@@ -32,6 +31,7 @@ from deitalk.postprocess.life.voice import (
     Cue,
     pause_lengths,
 )
+from deitalk.postprocess.voice_intensity import Mean, Measures
 from rig import ControlSet
 from rig.arrays import Bool, Float32
 from rig.curves import HEAD

@@ -13,12 +13,19 @@ from deitalk.audio.voice_activity import WINDOW
 from deitalk.config import RulesConfig
 from deitalk.emotions import EmotionTrack
 from deitalk.live import rules as running
-from deitalk.live.activity import AHEAD, RunningActivity
-from deitalk.live.intensity import Measures, RunningIntensity
 from deitalk.live.life import RunningLife
-from deitalk.live.rules import BEHIND, DueRows, RawRows, RunningRules, rows_before
+from deitalk.live.rules import (
+    BEHIND,
+    GATE_AHEAD,
+    DueRows,
+    RawRows,
+    RunningActivity,
+    RunningRules,
+    rows_before,
+)
 from deitalk.models.protocol import SpectraGrid
 from deitalk.postprocess.curve_rules import LEAST_PREDICTED, Expression
+from deitalk.postprocess.voice_intensity import Measures, RunningIntensity
 from rig import ControlSet
 from rig.arrays import Bool, Float32, Float64, Int64
 from rig.curves import HEAD
@@ -26,7 +33,7 @@ from rig.curves.edit import gain_factors, scale_from_rest
 
 RAMP_SECONDS = 0.2
 """Time over which one emotion, or intensity, passes into the next."""
-MEASURED_AHEAD = AHEAD - running.AHEAD
+MEASURED_AHEAD = GATE_AHEAD - running.AHEAD
 """Frames after a row of the network whose activity is known when it is."""
 
 

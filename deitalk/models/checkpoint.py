@@ -32,19 +32,27 @@ from deitalk.frontends.base import Encoder
 from deitalk.installed import research
 from deitalk.models.curve_model import DEITalk
 from deitalk.models.deformation_decoder import InversePCA
-from deitalk.models.devices import require_device
 from deitalk.models.folder import (
     ENCODER,
     FORMAT_VERSION,
     RIG_FILE,
+    Shapes,
+    check_fit,
     model_folder,
+    network_shapes,
     read_about,
+    read_weights,
+    require_device,
     weight_files,
     weights_hash,
+    without_random_numbers,
 )
-from deitalk.models.mesh_model import SDFA, DEITalkFeatures, MeshHead, MeshModel
-from deitalk.models.mesh_weights import (
+from deitalk.models.mesh_model import (
     FROZEN,
+    SDFA,
+    DEITalkFeatures,
+    MeshHead,
+    MeshModel,
     all_numbers,
     empty_layers,
     only_moving,
@@ -54,13 +62,6 @@ from deitalk.models.mesh_weights import (
     write_templates,
 )
 from deitalk.models.protocol import NEEDED, check_product
-from deitalk.models.weights_file import (
-    Shapes,
-    check_fit,
-    network_shapes,
-    read_weights,
-    without_random_numbers,
-)
 from deitalk.postprocess.lip_seal import check_faces
 from rig.controls import DEFAULT_ID
 from rig.errors import quoted, shorten

@@ -27,7 +27,7 @@ from deitalk.errors import AudioError
 from deitalk.models.protocol import Tracks
 from deitalk.postprocess.curve_rules import expression_scale
 from deitalk.postprocess.gates import HOLD_AT_END, expression_gate, mouth_gate
-from deitalk.postprocess.life.traits import Seeds, Traits
+from deitalk.postprocess.life.tracks import Seeds, Traits
 from deitalk.postprocess.voice_intensity import take_z, voice_intensity
 from rig.arrays import Float32, Float64
 

@@ -24,10 +24,10 @@ from deitalk.preview.source import (
     PreviewError,
     PreviewSource,
     check_board,
+    find_warnings,
     load_source,
     sound_as_wav,
 )
-from deitalk.preview.warnings import find_warnings
 from rig.emotions import LABELS
 from rig.face import build_head
 from rig.face.identity import Identity

@@ -17,8 +17,14 @@ from deitalk.config.rig_file import read_controls
 from deitalk.data.augment_waveform import Surroundings
 from deitalk.data.clips import Clip, read_clips, spread_clips
 from deitalk.data.frozen_features import EncodedPasses, FrozenFeatures
-from deitalk.data.seeded_batches import SeededBatches, Share
-from deitalk.data.windows import Window, WindowBatches, count_windows, read_waveform
+from deitalk.data.windows import (
+    SeededBatches,
+    Share,
+    Window,
+    WindowBatches,
+    count_windows,
+    read_waveform,
+)
 from deitalk.errors import ConfigError
 from deitalk.evaluation.validation import (
     Example,
@@ -27,10 +33,10 @@ from deitalk.evaluation.validation import (
     load_example,
     predict,
 )
-from deitalk.figures.validation import ClipRows, Row
+from deitalk.figures import ClipRows, Row
 from deitalk.models.checkpoint import network_class, require_model, save_model
 from deitalk.models.curve_model import DEITalk
-from deitalk.models.weights_file import network_shapes
+from deitalk.models.folder import network_shapes
 from deitalk.training.curve_losses import (
     CurveLoss,
     Teacher,

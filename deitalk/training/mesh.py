@@ -19,11 +19,11 @@ from deitalk.config import SDFAConfig
 from deitalk.data.mesh_bases import MeshBases
 from deitalk.data.mesh_folder import MeshClip, MeshFolder, has_lips, open_meshes
 from deitalk.data.mesh_segments import ClipInMemory, Segment, SegmentBatches, Segments
-from deitalk.data.seeded_batches import Share
+from deitalk.data.windows import Share
 from deitalk.emotions import parse_emotion
 from deitalk.errors import ConfigError, DataError
 from deitalk.evaluation.mesh import lip_gap
-from deitalk.figures.validation import ClipRows, Row
+from deitalk.figures import ClipRows, Row
 from deitalk.frontends.base import Encoder
 from deitalk.frontends.mel_bilstm import MelFrontend
 from deitalk.frontends.sdfa import SDFAEncoder

@@ -21,10 +21,9 @@ from torch.utils.data import DataLoader
 from deitalk.config import AnyConfig
 from deitalk.config.curves import TrainConfig
 from deitalk.config.section import Optimisation
-from deitalk.data.seeded_batches import Item, SeededBatches, Share
+from deitalk.data.windows import Item, SeededBatches, Share
 from deitalk.errors import ConfigError, DataError
-from deitalk.figures.canvas import can_draw
-from deitalk.figures.validation import ClipRows, draw_clips
+from deitalk.figures import ClipRows, can_draw, draw_clips
 from deitalk.models.folder import describe_model, read_about
 from deitalk.training.run_folder import (
     Journal,

@@ -236,9 +236,8 @@ def _model_seeds(folder: Path) -> list[Seed]:
 
 def _read_model_file(path: Path) -> object:
     from deitalk.config import load_config
-    from deitalk.models.folder import read_about
-    from deitalk.models.mesh_weights import read_templates, whole_shapes
-    from deitalk.models.weights_file import read_weights
+    from deitalk.models.folder import read_about, read_weights
+    from deitalk.models.mesh_model import read_templates, whole_shapes
 
     if path.name == "config.yaml":
         return load_config(path)

@@ -22,7 +22,7 @@ from deitalk.data.captures.sync import LAGS, peak
 from deitalk.data.captures.verdicts import Row
 from deitalk.emotions import EMOTIONS
 from deitalk.errors import DataError
-from deitalk.figures.canvas import can_draw, drawing
+from deitalk.figures import can_draw, drawing
 from rig import ControlSet, read_curves, write_curves
 from rig.arrays import Bool, Float32, Float64
 from rig.controls import DEFAULT_ID

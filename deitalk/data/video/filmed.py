@@ -4,14 +4,330 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from deitalk.audio.frames import FRAME_RATE
+from deitalk.data.head_lips import CENTRAL, HeadLips
 from deitalk.data.lip_fit import nearest_curves
-from deitalk.data.video.landmarks import LIDS, PLACE, RIGID, RIGID_MIRROR, FaceTrack, at_rig_frames
-from deitalk.data.video.measures import MEASURES, SIDES, HeadFace, Measured, measure
+from deitalk.data.video.landmarks import (
+    BROWS,
+    CORNERS,
+    IRIS,
+    LIDS,
+    MIDDLE,
+    PLACE,
+    RIGID,
+    RIGID_MIRROR,
+    RIMS,
+    FaceTrack,
+    at_rig_frames,
+)
 from rig import ControlSet, RigCurves, default_controls
 from rig.arrays import Bool, Float32, Float64
-from rig.face.head import build_head
+from rig.face.head import GAZE_DEGREES, Head, build_head
+from rig.face.web_export import head_arrays
+from rig.retarget.source_head import head_landmarks
+
+# Straightened landmarks to the measures of a head's face, fitted to the person's proportions.
+#
+# People differ in size and in how their faces rest, so that measures become displacements from the
+# person's rest, in cm of the head: across by the widths of the mouths, up and down by the heights
+# from nose to chin, brows by the distances of the eyes, lids by the gaps of open and closed eyes.
+#
+# Letters: T frames, M measures (`MEASURES`).
+
+# Measures of a face that landmarks show, as a differentiable function of the 185 curves.
+#
+# Widens the lips of `deitalk.data.head_lips` by each side of the mouth, brows and lids; lids turn
+# about the eyeball as in `rig.face.motion.lids`.
+#
+# Letters: T frames, C controls, K inputs of the head, N points, P pairs of the rims, M measures.
+
+SIDES = ("L", "R")
+MOUTH = (
+    "opening", "jaw", "jaw_side", "upper_edge", "lower_edge",
+    *(f"{name}_{s}" for name in ("corner_out", "corner", "upper", "lower") for s in SIDES),
+)  # fmt: skip
+UPPER = tuple(
+    f"{name}_{s}"
+    for name in ("brow_in", "brow_mid", "brow_out", "brow_squeeze", "lid", "lower_lid")
+    for s in SIDES
+)
+MEASURES = MOUTH + UPPER
+"""Gap of the rims, chin to nose base, chin to the left, thickness of both lips; corners from the
+middle, and corners and rims below the nose base; brows above the eyes at three places, inner ends
+of the brows from the middle, gap of the lids, height of the lower lid. L is the person's left."""
+BROW_PLACES = {"in": 0.12, "mid": 0.5, "out": 0.85}
+"""Along a brow from its inner end."""
+
+
+class HeadFace(HeadLips):
+    """Curves to measures of one head's face.
+
+    Parameters
+    ----------
+    head : Head
+        An embedded head.
+
+    Attributes
+    ----------
+    eye_width, iris_radius : float
+        Between the corners of one eye, and of the iris's centre about the eye's, cm.
+    """
+
+    halves: Tensor
+    eye_centers: Tensor
+
+    def __init__(self, head: Head) -> None:
+        marks = head_landmarks(head)
+        brows = [_brow_vertex(head, s, place) for s in SIDES for place in BROW_PLACES.values()]
+        lids = [marks[f"eye_{part}_{s}"] for s in ("left", "right") for part in ("upper", "lower")]
+        edges = [marks["upper_lip_top"], marks["lower_lip_bottom"]]
+        super().__init__(head, (*edges, *brows, *lids))
+        arrays, facts = head_arrays(head)
+        left = np.asarray(arrays["seal.left"], np.float64)
+        central = np.abs(arrays["seal.u"]) <= CENTRAL
+        halves = np.stack([central * left, central * (1 - left)])
+        self._keep("halves", halves / halves.sum(axis=1, keepdims=True))
+        eye = np.asarray(facts["eye"])
+        self._keep("eye_centers", np.stack([eye, eye * [-1, 1, 1]]))
+        self._least, self._meet = float(facts["lidLeast"]), float(facts["lidMeet"])
+        outer, inner = (head.skin.vertices[marks[f"eye_{k}_left"]] for k in ("outer", "inner"))
+        self.eye_width = float(np.linalg.norm(outer - inner))
+        self.iris_radius = float(facts["eyeRadius"])
+
+    def forward(self, curves: Tensor) -> Tensor:
+        """Measure curves (..., C) as `HeadLips.forward`, by `MEASURES` of this module (..., M)."""
+        inputs = self.inputs(curves)
+        upper, lower, others = self.points(inputs)
+        left, right, chin, nose, top, bottom = others[..., :6, :].unbind(-2)
+        brows = others[..., 6:12, :].reshape(*curves.shape[:-1], 2, 3, 3)
+        rims = [(rim[..., 1] @ self.halves.T) for rim in (upper, lower)]
+        middle = [(rim * self.central[:, None]).sum(-2) for rim in (upper, lower)]
+        below = nose[..., 1, None]
+        corners = torch.stack((left, right), dim=-2)
+        signs = curves.new_tensor([1.0, -1.0])
+        lids = others[..., 12:16, :].reshape(*curves.shape[:-1], 2, 2, 3)
+        gap, low = self._lids(lids, inputs)
+        measures = (
+            torch.stack(
+                (
+                    (middle[0] - middle[1])[..., 1],
+                    (nose - chin)[..., 1],
+                    (chin - nose)[..., 0],
+                    (top - middle[0])[..., 1],
+                    (middle[1] - bottom)[..., 1],
+                ),
+                dim=-1,
+            ),
+            (corners[..., 0] - nose[..., 0, None]) * signs,
+            below - corners[..., 1],
+            below - rims[0],
+            below - rims[1],
+            *brows[..., 1].unbind(-1),
+            brows[..., 0, 0] * signs,
+            gap,
+            low,
+        )
+        return torch.cat(measures, dim=-1)
+
+    def _lids(self, lids: Tensor, inputs: Tensor) -> tuple[Tensor, Tensor]:
+        """Gap and height of the lower lid (..., 2) of both eyes; `lids` (..., 2 eyes, 2, 3)."""
+        height, depth = ((lids - self.eye_centers[:, None])[..., axis] for axis in (1, 2))
+        angle = torch.atan2(height, depth)
+        far = (height.square() + depth.square()).sqrt().clamp(min=self._least)
+        gap = (angle[..., 0] - angle[..., 1]).clamp(min=0)
+        up, low = self._turns(gap, inputs)
+        turned = far * torch.sin(angle + torch.stack((up, low), dim=-1))
+        return turned[..., 0] - turned[..., 1], turned[..., 1]
+
+    def _turns(self, gap: Tensor, inputs: Tensor) -> tuple[Tensor, Tensor]:
+        """Upward turns (..., 2) of the upper and the lower lids' middles, radians."""
+        get = {
+            kind: torch.stack(
+                [inputs[..., self._inputs[f"lid.{kind}_{s}"]] for s in SIDES], dim=-1
+            ).clamp(0, 1)
+            for kind in (
+                "close", "upper", "lower", "lookUp", "lookDown", "widen", "upperUp", "lowerDown",
+                "frown",
+            )
+        }  # fmt: skip
+        blink = get["close"]
+        open_ = 1 - blink
+        close = blink + open_ * (0.85 * get["upper"] + 0.60 * get["lookDown"])
+        close = (close + 0.15 * get["frown"]).clamp(0, 1)
+        rise = (open_ * 0.8 * get["lower"] + blink * self._meet).clamp(0, 1)
+        widen = (0.24 * get["widen"] + 0.20 * get["upperUp"] + 0.24 * get["lookUp"]) * open_
+        dip = (0.06 * get["widen"] + 0.16 * get["lowerDown"]).clamp(max=0.26)
+        ride = 0.30 * get["lookDown"] - 0.10 * get["lookUp"] * open_
+        room = 1 - (1 - self._meet) * close
+        up = -(1 - self._meet) * close * gap + widen.clamp(max=0.36) - ride
+        return up, torch.minimum(rise, room) * gap - dip * (1 - close) - ride
+
+
+def _brow_vertex(head: Head, side: str, place: float) -> int:
+    """Vertex of the skin under a place of a brow."""
+    brow: Float64 = head.parts[f"brow_{side}"].vertices
+    along = np.abs(brow[:, 0])
+    wanted = along.min() + place * np.ptp(along)
+    near = brow[np.abs(along - wanted) <= 0.08 * np.ptp(along)].mean(axis=0)
+    return int(np.argmin(np.linalg.norm(head.skin.vertices - near, axis=1)))
+
+
+CLOSED_PERCENTILE = 5
+"""Of the opening in a take: lips that touch."""
+SHUT_LIPS = 0.15
+"""Opening of lips at rest, as a share of the way from its 5th percentile to its 95th."""
+STILL_FRAMES = 15
+"""Of the first pause with shut, still lips, in which the face is taken to rest."""
+SHUT_SHARE = 0.25
+"""Gap of the lids in a blink over the open gap, where the take shows no blink."""
+BLINK_SHARE = 0.5
+"""Gap of the lids, as that, below which an eye is shut: the take shows a blink, no gaze is seen."""
+LEAST_SHUT = 2
+"""Frames of blinks that show where lids meet."""
+_GAP = slice(MEASURES.index("lid_L"), MEASURES.index("lid_R") + 1)
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """What landmarks show.
+
+    Parameters
+    ----------
+    displacements : array [shape=(T, M)], cm
+        From the rest of the head.
+    gaze : array [shape=(T, 2)] or None
+        Of both eyes to the character's left and up, -1 to 1; None if irises are not measured.
+    notes : tuple of str
+        Assumptions about the person's rest.
+    """
+
+    displacements: Float32
+    gaze: Float32 | None
+    notes: tuple[str, ...] = ()
+
+
+def measure(track: FaceTrack, seen: Bool, face: HeadFace) -> Measured:
+    """Measures of a straightened face as displacements of a head.
+
+    Parameters
+    ----------
+    track : FaceTrack
+        Of `deitalk.data.video.filmed.straightened`.
+    seen : array of bool [shape=(T,)]
+        Frames with a face.
+    face : HeadFace
+        The head.
+    """
+    values = person_measures(track)
+    rest = _rest(values, seen)
+    head = dict(zip(MEASURES, face(face.rest).tolist(), strict=True))
+    person = dict(zip(MEASURES, rest.tolist(), strict=True))
+    moved = (values - rest) * _scales(head, person, face.eye_distance)
+    gaps = values[:, _GAP]
+    shut, is_shown = _shut(gaps[seen], rest[_GAP])
+    share = (gaps - shut) / (rest[_GAP] - shut)
+    moved[:, _GAP] = (share.clip(min=0) - 1) * head["lid_L"]
+    notes = () if is_shown else ("no blink seen, lids taken to meet at a quarter of their gap",)
+    return Measured(moved.astype(np.float32), _gaze(track, gaps / rest[_GAP], seen, face), notes)
+
+
+def person_measures(track: FaceTrack) -> Float64:
+    """`MEASURES` of a straightened face [shape=(T, M)], in distances of the eyes."""
+    nose, chin = track.at(MIDDLE["nose"]), track.at(MIDDLE["chin"])
+    rims = {lip: {s: track.at(*RIMS[lip][s]) for s in SIDES} for lip in RIMS}
+    middle = {lip: track.at(*RIMS[lip]["L"], MIDDLE[lip], *RIMS[lip]["R"])[:, 1] for lip in RIMS}
+    signs = {"L": 1.0, "R": -1.0}
+    columns = [
+        middle["upper"] - middle["lower"],
+        nose[:, 1] - chin[:, 1],
+        chin[:, 0] - nose[:, 0],
+        track.at(MIDDLE["upper_edge"])[:, 1] - middle["upper"],
+        middle["lower"] - track.at(MIDDLE["lower_edge"])[:, 1],
+    ]
+    corners = {s: track.at(CORNERS[s]) for s in SIDES}
+    columns += [signs[s] * (corners[s][:, 0] - nose[:, 0]) for s in SIDES]
+    columns += [nose[:, 1] - corners[s][:, 1] for s in SIDES]
+    columns += [nose[:, 1] - rims[lip][s][:, 1] for lip in ("upper", "lower") for s in SIDES]
+    columns += [track.at(*BROWS[s][place])[:, 1] for place in ("in", "mid", "out") for s in SIDES]
+    columns += [signs[s] * track.at(*BROWS[s]["in"])[:, 0] for s in SIDES]
+    lids = {s: {lid: track.at(*LIDS[s][lid])[:, 1] for lid in ("upper", "lower")} for s in SIDES}
+    columns += [lids[s]["upper"] - lids[s]["lower"] for s in SIDES]
+    columns += [lids[s]["lower"] for s in SIDES]
+    return np.stack(columns, axis=1).astype(np.float64)
+
+
+def _rest(values: Float64, seen: Bool) -> Float64:
+    """Measures (M,) of the face at rest: in the first pause with shut, still lips; eyes open.
+
+    Takes without such a pause: the median of all frames with shut, still lips.
+    """
+    opening = values[:, 0]
+    low, high = np.percentile(opening[seen], [CLOSED_PERCENTILE, 100 - CLOSED_PERCENTILE])
+    speed = np.abs(np.gradient(values[:, : MEASURES.index("brow_in_L")], axis=0)).sum(axis=1)
+    shut = seen & (opening <= low + SHUT_LIPS * (high - low))
+    still = shut & (speed <= np.median(speed[seen]))
+    runs = np.lib.stride_tricks.sliding_window_view(still, min(STILL_FRAMES, len(still))).all(
+        axis=1
+    )
+    if runs.any():
+        first = int(runs.argmax())
+        still = still & (np.arange(len(still)) >= first)
+        still[first + STILL_FRAMES :] &= np.logical_and.accumulate(still[first + STILL_FRAMES :])
+    rest: Float64 = np.median(values[still if still.any() else seen], axis=0)
+    rest[0] = low
+    rest[_GAP.start :] = np.median(values[seen, _GAP.start :], axis=0)
+    return rest
+
+
+def _scales(head: dict[str, float], person: dict[str, float], eye_distance: float) -> Float64:
+    """Factors (M,) from the person's distances of the eyes to cm of the head."""
+
+    def ratio(*names: str) -> float:
+        return sum(head[n] for n in names) / max(sum(person[n] for n in names), 1e-6)
+
+    across = ratio("corner_out_L", "corner_out_R")
+    up = ratio("jaw")
+    lids = ratio("lid_L", "lid_R")
+    factors = {"jaw_side": across, "corner_out": across, "brow": eye_distance, "lower_lid": lids}
+    return np.array(
+        [next((f for part, f in factors.items() if name.startswith(part)), up) for name in MEASURES]
+    )
+
+
+def _shut(gaps: Float64, open_: Float64) -> tuple[Float64, bool]:
+    """Gaps (2,) at which the lids of each eye meet, and whether a blink shows them."""
+    share = (gaps / open_).mean(axis=1)
+    blinks = share < BLINK_SHARE
+    if blinks.sum() < LEAST_SHUT:
+        return SHUT_SHARE * open_, False
+    lowest = np.percentile(gaps[blinks], 25, axis=0)
+    return np.minimum(lowest, BLINK_SHARE * open_), True
+
+
+def _gaze(track: FaceTrack, gap_share: Float64, seen: Bool, face: HeadFace) -> Float32 | None:
+    """Gaze of both eyes together (T, 2), against its mean; shut eyes keep the gaze around."""
+    if not np.isfinite(track.at(IRIS["L"])[seen]).all():
+        return None
+    places = []
+    for side in SIDES:
+        outer, inner = (track.at(corner)[:, :2] for corner in LIDS[side]["corners"])
+        width = np.linalg.norm(outer - inner, axis=1, keepdims=True)
+        places.append((track.at(IRIS[side])[:, :2] - (outer + inner) / 2) / width)
+    moved: Float64 = np.asarray(np.mean(places, axis=0, dtype=np.float64))
+    looking = seen & (gap_share.min(axis=1) > BLINK_SHARE)
+    if not looking.any():
+        return None
+    moved -= moved[looking].mean(axis=0)
+    sine = np.clip(moved * face.eye_width / face.iris_radius, -1, 1)
+    degrees: Float64 = np.asarray(np.degrees(np.arcsin(sine)))
+    full = np.where(degrees[:, 1] > 0, GAZE_DEGREES["up"], GAZE_DEGREES["down"])
+    gaze = np.clip(degrees / np.stack([np.full_like(full, GAZE_DEGREES["side"]), full], 1), -1, 1)
+    at = np.arange(len(gaze))
+    kept = [np.interp(at, at[looking], column[looking]) for column in gaze.T]
+    return np.stack(kept, axis=1).astype(np.float32)
+
 
 SIDEWAYS_DEGREES = 30.0
 """Yaw from which on the far side of the face is guessed by the detector."""

@@ -6,19 +6,28 @@ before any rule. Letters: T frames, C controls.
 """
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import soundfile
+import torch
 
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
 from deitalk.data.clips import Clip
-from deitalk.evaluation.captures.scores import CaptureSet
+from deitalk.data.windows import load_material
 from deitalk.evaluation.clip_scores import loudness
-from deitalk.evaluation.lip_closures import JAW, closure_scores, smoothness, summarise_closures
+from deitalk.evaluation.lip_closures import (
+    JAW,
+    MOVING,
+    closure_scores,
+    smoothness,
+    summarise_closures,
+)
 from deitalk.evaluation.report import as_json, table, turned
 from deitalk.evaluation.validation import (
+    MAX_CLIPS,
     Example,
     knows_contact,
     lips_together,
@@ -26,13 +35,141 @@ from deitalk.evaluation.validation import (
     predict,
     speaking_frames,
 )
-from deitalk.figures.canvas import can_draw, drawing
-from deitalk.figures.validation import SHOWN_SECONDS
+from deitalk.figures import SHOWN_SECONDS, can_draw, drawing
 from deitalk.metrics import correlation, emotion_parameter_error, lip_parameter_error
 from deitalk.models.curve_model import DEITalk
-from rig import RigCurves, write_curves
-from rig.arrays import Float32
+from rig import ControlSet, RigCurves, write_curves
+from rig.arrays import Bool, Float32
 from rig.files import atomic_write
+
+# Scores of a model on captured curves, for any rig, and against the captures' mean pose.
+#
+# An error in control units says little by itself: a face that does not move errs little on a calm
+# actor. So the squared error is divided by that of the mean pose of the training captures: 1 is as
+# good as a still face, 0 perfect. Letters: T frames, C controls.
+
+DEAD = 1e-3
+"""Standard deviation over all captures below which a channel is dead."""
+STILL = 1e-5
+"""Standard deviation below which predicted curves have no correlation."""
+
+
+class MeanPose(NamedTuple):
+    """The face that captures have on the average."""
+
+    values: Float32
+    """Mean of every control over the clips that know it [shape=(C,)]; else its rest."""
+    moving: Bool
+    """Controls whose standard deviation is above 0.02 [shape=(C,)]."""
+    alive: Bool
+    """Known controls that move at all [shape=(C,)]: a dead channel shows nothing of an actor."""
+
+
+def mean_pose(clips: Sequence[Clip], controls: ControlSet, learnt: Bool) -> MeanPose:
+    """Mean and motion of captures.
+
+    Parameters
+    ----------
+    clips : sequence of Clip
+        At least one.
+    controls : ControlSet
+        Columns of the curves.
+    learnt : array [shape=(C,)]
+        Controls that were trained on captures; others do not count as moving.
+    """
+    count, total, square = (np.zeros(len(controls)) for _ in range(3))
+    for clip in clips:
+        material = load_material(clip, controls)
+        values = material.values.astype(np.float64)
+        count += len(values) * material.known
+        total += values.sum(axis=0) * material.known
+        square += np.square(values).sum(axis=0) * material.known
+    known = count > 0
+    mean = np.where(known, total / np.maximum(count, 1), controls.rest)
+    variance = square / np.maximum(count, 1) - np.square(mean)
+    moving = known & learnt & (variance > MOVING**2)
+    return MeanPose(mean.astype(np.float32), moving, known & (variance > DEAD**2))
+
+
+@dataclass(frozen=True)
+class CaptureSet:
+    """Captured clips that are held out."""
+
+    examples: tuple[Example, ...]
+    controls: ControlSet
+    pose: MeanPose
+    learnt: Bool
+
+    @classmethod
+    def of(
+        cls, clips: Sequence[Clip], controls: ControlSet, pose: MeanPose, learnt: Bool
+    ) -> "CaptureSet":
+        """Read up to 60 clips, evenly spread over the list."""
+        places = np.linspace(0, len(clips) - 1, min(MAX_CLIPS, len(clips))).round().astype(int)
+        return cls(tuple(load_example(clips[i], controls) for i in places), controls, pose, learnt)
+
+    @torch.no_grad()
+    def score(self, model: DEITalk) -> dict[str, float]:
+        """Scores of the network's curves before any rule; see `score_curves`."""
+        curves = [
+            np.clip(predict(model, example)[0], self.controls.minimum, self.controls.maximum)
+            for example in self.examples
+        ]
+        return self.score_curves(curves)
+
+    def score_curves(self, predicted: Sequence[Float32]) -> dict[str, float]:
+        """Squared error by that of the mean pose, and mean r.
+
+        Parameters
+        ----------
+        predicted : sequence of array [shape=(T, C)]
+            For each example.
+
+        Returns
+        -------
+        dict
+            ``error_of_mean_pose``: squared error of all moving and known controls over that of the
+            mean pose; ``error_at_best_gain``: the same where each predicted control has the
+            factor, at least 0, and the offset with which its error on these examples is least: what
+            timing and shape leave; ``mean_r``: Pearson's r, mean over clips and such controls;
+            ``range``: the predicted standard deviation over the captured one, median; ``score``:
+            1 less the first, the larger the better.
+        """
+        error, left, still, rs, ranges = 0.0, 0.0, 0.0, [], []
+        for place in np.flatnonzero(self.pose.moving):
+            pairs = [
+                (example.curves[:, place], curves[: len(example.curves), place])
+                for example, curves in zip(self.examples, predicted, strict=True)
+                if example.known[place]
+            ]
+            rs += [_r(*pair) for pair in pairs]
+            ranges += [_range(*pair) for pair in pairs]
+            if pairs:
+                target, given = (np.concatenate(values) for values in zip(*pairs, strict=True))
+                error += float(np.square(target - given).sum())
+                still += float(np.square(target - self.pose.values[place]).sum())
+                unexplained = 1 - max(np.nan_to_num(_r(target, given)), 0) ** 2
+                left += float(np.square(target - target.mean()).sum() * unexplained)
+        finite = [r for r in rs if np.isfinite(r)]
+        share = error / still if still > 0 else float("nan")
+        return {
+            "error_of_mean_pose": share,
+            "error_at_best_gain": left / still if still > 0 else float("nan"),
+            "mean_r": float(np.mean(finite)) if finite else float("nan"),
+            "range": float(np.nanmedian(ranges)) if np.isfinite(ranges).any() else float("nan"),
+            "score": 1 - share if np.isfinite(share) else 0.0,
+        }
+
+
+def _r(target: Float32, given: Float32) -> float:
+    """Pearson's r; NaN of a prediction that does not move."""
+    return float("nan") if given.std() < STILL else correlation(target, given)
+
+
+def _range(target: Float32, given: Float32) -> float:
+    """The predicted standard deviation over the captured one; NaN of a still target."""
+    return float(given.std() / target.std()) if target.std() > DEAD else float("nan")
+
 
 # Captured curves, and those of a model before and after it was tuned.
 

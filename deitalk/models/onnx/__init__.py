@@ -11,8 +11,7 @@
     load.py             name, folder or file -> network; exports into the cache at the first use
 """
 
-from deitalk.models.onnx.causal_network import OnnxCausalNetwork
 from deitalk.models.onnx.load import load_onnx
-from deitalk.models.onnx.network import OnnxNetwork
+from deitalk.models.onnx.network import OnnxCausalNetwork, OnnxNetwork
 
 __all__ = ["OnnxCausalNetwork", "OnnxNetwork", "load_onnx"]

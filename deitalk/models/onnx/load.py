@@ -9,8 +9,7 @@ from pathlib import Path
 from deitalk.errors import CheckpointError, DeitalkError
 from deitalk.installed import __version__
 from deitalk.models.folder import model_folder, weights_hash
-from deitalk.models.onnx.causal_network import OnnxCausalNetwork
-from deitalk.models.onnx.network import OnnxFile, OnnxNetwork
+from deitalk.models.onnx.network import OnnxCausalNetwork, OnnxFile, OnnxNetwork
 from rig.errors import quoted
 from rig.files import cache_folder
 

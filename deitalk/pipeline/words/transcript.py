@@ -14,7 +14,7 @@ import numpy as np
 from deitalk.acting import Words
 from deitalk.errors import ConfigError, DataError, MissingError
 from deitalk.phones import PHONES, SILENCE
-from deitalk.pipeline.words.phone_alphabets import ipa_to_phones, spoken_words
+from deitalk.pipeline.words.espeak import ipa_to_phones, spoken_words
 from rig import limits
 from rig.errors import quoted, shorten
 

@@ -23,8 +23,7 @@ from typing import NamedTuple
 import numpy as np
 
 from deitalk.emotions import by_emotion
-from deitalk.postprocess.life.tracks import Noise, Swells
-from deitalk.postprocess.life.traits import Traits
+from deitalk.postprocess.life.tracks import Noise, Swells, Traits
 from deitalk.postprocess.life.voice import Cue
 from rig import ControlSet
 from rig.arrays import Float32, Float64

@@ -44,7 +44,7 @@ def attention(
 
     deitalk attention DATA --clips 20 -o attention.png
     """
-    from deitalk.figures.canvas import check_drawing
+    from deitalk.figures import check_drawing
 
     check_drawing()
     reserve_picture(out, force=force, inputs=(source, phones))

@@ -11,7 +11,7 @@ import numpy as np
 
 from deitalk.emotions import EMOTIONS
 from deitalk.errors import DataError
-from deitalk.figures.canvas import drawing
+from deitalk.figures import drawing
 from deitalk.phones import PHONES
 from deitalk.research.corpus.articulation import CHANNELS, articulate
 from deitalk.research.corpus.rig_targets import act

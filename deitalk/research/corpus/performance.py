@@ -10,12 +10,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
-from deitalk.audio.prosody import level_db
-from deitalk.audio.prosody_contours import (
+from deitalk.audio.prosody import level_db, measure_prosody, prosody_index
+from deitalk.evaluation.clip_scores import (
     Contour,
     apply_contour,
     contour_at,
-    prosody_index,
     random_contour,
 )
 from deitalk.phones import VOWELS
@@ -74,7 +73,8 @@ def perform(utterance: Utterance, rng: np.random.Generator) -> Take:
     n_frames = -(-CURVE_RATE * len(waveform) // SAMPLE_RATE)
     source_times = np.interp(np.arange(n_frames) / CURVE_RATE, time_map[1], time_map[0])
     # Sum of the applied contour and the measured prosody, at seconds of the source.
-    natural = prosody_index(padded.waveform, -(-FRAME_RATE * len(padded.waveform) // SAMPLE_RATE))
+    n_frames = -(-FRAME_RATE * len(padded.waveform) // SAMPLE_RATE)
+    natural = prosody_index(measure_prosody(padded.waveform, n_frames))
     own = np.interp(source_times, np.arange(len(natural)) / FRAME_RATE, natural)
     z: Float64 = contour_at(contour, source_times) + NATURAL_WEIGHT * own
     return Take(

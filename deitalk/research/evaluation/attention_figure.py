@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from deitalk.errors import DataError
-from deitalk.figures.canvas import drawing
+from deitalk.figures import drawing
 from deitalk.phones import PLOSIVES, VOWELS, Phones
 from rig.arrays import Float32
 

@@ -19,7 +19,7 @@ import numpy as np
 from deitalk.emotions import EMOTIONS
 from deitalk.errors import DataError, DeitalkError
 from deitalk.evaluation.report import identified, table, write_json
-from deitalk.figures.canvas import drawing
+from deitalk.figures import drawing
 from deitalk.models.load import load_network
 from deitalk.pipeline.curves import animate
 from rig import read_curves

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Any
 
-from deitalk.figures.canvas import drawing
+from deitalk.figures import drawing
 
 
 def draw(report: dict[str, Any], path: Path) -> None:

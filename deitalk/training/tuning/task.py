@@ -23,14 +23,12 @@ from deitalk.config import FinetuneConfig
 from deitalk.data.captures.splits import divide_clips, shortage
 from deitalk.data.clips import REHEARSED, Clip, read_clips, read_known
 from deitalk.data.frozen_features import FrozenFeatures
-from deitalk.data.seeded_batches import Share
-from deitalk.data.windows import Window, WindowBatches, whole_sound
+from deitalk.data.windows import Share, Window, WindowBatches, whole_sound
 from deitalk.emotions import EMOTIONS
 from deitalk.errors import ConfigError, DataError
-from deitalk.evaluation.captures.comparison import write_comparison
-from deitalk.evaluation.captures.scores import CaptureSet, MeanPose, mean_pose
+from deitalk.evaluation.captures.comparison import CaptureSet, MeanPose, mean_pose, write_comparison
 from deitalk.evaluation.validation import load_example
-from deitalk.figures.validation import ClipRows
+from deitalk.figures import ClipRows
 from deitalk.models.checkpoint import require_model, save_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.models.folder import describe_model, model_folder, weights_hash

@@ -4,7 +4,7 @@ import librosa
 import numpy as np
 import pytest
 
-from deitalk.audio.mel_filters import hz_to_mel, mel_filters, mel_to_hz
+from deitalk.audio.log_mel import hz_to_mel, mel_filters, mel_to_hz
 from tests.each import each
 
 

@@ -5,7 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from deitalk.audio.prosody_contours import apply_contour, contour_at, prosody_index, random_contour
+from deitalk.audio.prosody import measure_prosody, prosody_index
+from deitalk.evaluation.clip_scores import apply_contour, contour_at, random_contour
 from tests.each import each
 
 RATE = 16_000
@@ -107,7 +108,7 @@ def test_the_index_measures_what_a_contour_applied(rng):
     contour = (np.array([0.0, 1.5, 2.5, 4.1]), np.array([-1.2, -1.2, 1.2, 1.2]))
     moved, (source, target) = apply_contour(speechlike(rng), contour)
     n = int(len(moved) / RATE * 30)
-    index = prosody_index(moved, n)
+    index = prosody_index(measure_prosody(moved, n))
     applied = contour_at(contour, np.interp(np.arange(n) / 30, target, source))
     assert np.corrcoef(index, applied)[0, 1] > 0.8
     assert index[applied > 0.8].mean() - index[applied < -0.8].mean() > 0.5

@@ -11,7 +11,7 @@ from typer.main import get_command
 from deitalk.cli import app, main
 from deitalk.cli.preview import _beside
 from deitalk.errors import DeitalkError
-from deitalk.models.devices import check_device, require_device
+from deitalk.models.folder import check_device, require_device
 from rig import default_controls, rest_curves, write_curves
 from tests.each import each
 

@@ -307,7 +307,7 @@ def test_live_errors_are_one_line(curves_file, tmp_path, monkeypatch):
 
 def test_modules_import_neither_torch_nor_librosa():
     code = (
-        "import sys, deitalk.cli.convert, deitalk.cli.livelink, deitalk.cli.convert;"
+        "import sys, deitalk.cli.convert, deitalk.cli.live, deitalk.cli.convert;"
         "print([m for m in ('torch', 'librosa', 'scipy', 'pandas') if m in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -7,7 +7,7 @@ from typer.main import get_command
 from typer.testing import CliRunner
 
 from deitalk.cli import app
-from deitalk.cli.former import FORMER, today
+from deitalk.cli.console import FORMER, today
 from deitalk.installed import VERBS as RESEARCH
 
 LINES = {

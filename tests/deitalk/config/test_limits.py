@@ -9,7 +9,7 @@ from deitalk.config import Config, load_config, parse_config
 from deitalk.errors import CheckpointError, ConfigError
 from deitalk.models.checkpoint import load_model, save_model
 from deitalk.models.curve_model import DEITalk
-from deitalk.models.weights_file import network_shapes
+from deitalk.models.folder import network_shapes
 from rig import limits
 from tests.each import each
 

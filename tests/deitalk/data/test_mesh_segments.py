@@ -23,7 +23,7 @@ from deitalk.data.mesh_folder import (
     write_mesh_folder,
 )
 from deitalk.data.mesh_segments import MelWarp, Segments, Spectra, between_frames
-from deitalk.data.seeded_batches import Share
+from deitalk.data.windows import Share
 from deitalk.errors import DataError
 from deitalk.frontends.sdfa import SDFAEncoder
 from rig import default_controls

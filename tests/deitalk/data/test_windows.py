@@ -14,10 +14,10 @@ from deitalk.audio.load import load_audio
 from deitalk.audio.voice_activity import normalise_level
 from deitalk.config import DataConfig
 from deitalk.data.clips import read_clips
-from deitalk.data.seeded_batches import Share
 from deitalk.data.windows import (
     Material,
     MaterialCache,
+    Share,
     WindowBatches,
     count_windows,
     cut,

@@ -17,7 +17,7 @@ from deitalk.evaluation.clip_scores import loudness
 from deitalk.evaluation.curves import _groups, evaluate
 from deitalk.evaluation.report import as_json, as_markdown
 from deitalk.evaluation.validation import load_example
-from deitalk.figures.evaluation import draw
+from deitalk.figures import draw_evaluation
 from deitalk.models.checkpoint import load_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.models.folder import embedded_models
@@ -81,7 +81,7 @@ def test_report_is_written_as_tables(report):
 
 def test_report_is_drawn(report, tmp_path):
     pytest.importorskip("matplotlib", reason="pictures need matplotlib")
-    draw(report, tmp_path / "report.png")
+    draw_evaluation(report, tmp_path / "report.png")
     assert (tmp_path / "report.png").read_bytes()[:4] == b"\x89PNG"
 
 

@@ -11,22 +11,25 @@ from deitalk.audio.load import Recording
 from deitalk.audio.noise import mix, pink_noise, read_noises
 from deitalk.audio.voice_activity import active_level_db
 from deitalk.errors import DataError
-from deitalk.evaluation.curves import lip_range, style_distances
-from deitalk.evaluation.lip_closures import captured_smoothness, opening_in_silence, smoothness
-from deitalk.evaluation.phone_gestures import (
+from deitalk.evaluation.clip_scores import (
     BITE,
     CLOSURE,
     ROUNDING,
+    contours_report,
     gesture_curve,
     gesture_peaks,
     global_lag_ms,
     jaw_in_contact,
     lag_scores,
+    level_curve,
     phone_table,
     shut_frames,
     shut_table,
+    spearman,
+    wandering,
 )
-from deitalk.evaluation.prosody_response import contours_report, level_curve, spearman, wandering
+from deitalk.evaluation.curves import lip_range, style_distances
+from deitalk.evaluation.lip_closures import captured_smoothness, opening_in_silence, smoothness
 from deitalk.pipeline.curves import Performance
 from rig import RigCurves, default_controls, write_curves
 from tests.dataset import waveform
@@ -181,7 +184,7 @@ def test_intensity_is_compared_with_level_and_its_error(monkeypatch):
         level = sign * level_curve(take.waveform, take.n_frames)
         return Performance(curves, curves, level, level, take, 0)
 
-    monkeypatch.setattr("deitalk.evaluation.prosody_response.animate", follows_the_level)
+    monkeypatch.setattr("deitalk.evaluation.clip_scores.animate", follows_the_level)
     model = SimpleNamespace(controls=CONTROLS)
     alone = contours_report(model, [flipped])  # type: ignore[arg-type]
     both = contours_report(model, [syllables(5, 5), flipped])  # type: ignore[arg-type]

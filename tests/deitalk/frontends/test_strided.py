@@ -5,7 +5,7 @@ import torch
 from torch import nn
 
 from deitalk.errors import ConfigError
-from deitalk.frontends.strided import StridedFrontend
+from deitalk.frontends.whisper import StridedFrontend
 from tests.each import each
 
 CHUNK, OVERLAP = 60, 15

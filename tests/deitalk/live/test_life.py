@@ -5,11 +5,11 @@ import pytest
 
 from deitalk.config import Idle
 from deitalk.emotions import LABELS
-from deitalk.live.intensity import Measures
 from deitalk.live.life import RunningLife, RunningVoice
 from deitalk.postprocess.life.amounts import Life
 from deitalk.postprocess.life.brows import STEMS
 from deitalk.postprocess.life.tracks import Noise
+from deitalk.postprocess.voice_intensity import Measures
 from rig import default_controls
 
 CONTROLS = default_controls()

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 import torch
 
-from deitalk.audio.running_level import USUAL_POWER, first_level, follow_level
 from deitalk.audio.voice_activity import BAND_EDGES_HZ
 from deitalk.config import Gates, VoiceIntensity
-from deitalk.live.activity import AHEAD, RunningActivity
-from deitalk.live.intensity import Measures, RunningIntensity
+from deitalk.frontends.causal_whisper import USUAL_POWER, first_level, follow_level
+from deitalk.live.rules import GATE_AHEAD, RunningActivity
+from deitalk.postprocess.voice_intensity import Measures, RunningIntensity
 
 BANDS = len(BAND_EDGES_HZ) - 1
 
@@ -21,7 +21,7 @@ def gates_of(speaking, *, noise_db=-75.0, piece=1000):
     known = 0
     for start in range(0, len(levels), piece):
         running.feed(levels[start : start + piece])
-        count = min(start + piece, len(levels)) - AHEAD - known
+        count = min(start + piece, len(levels)) - GATE_AHEAD - known
         if count > 0:
             mouth.append(running.gate(count))
             known += count

@@ -11,9 +11,8 @@ from typer.testing import CliRunner
 from deitalk.cli import app
 from deitalk.preview import page as page_module
 from deitalk.preview.page import render_page
-from deitalk.preview.source import PreviewError, PreviewSource
+from deitalk.preview.source import PreviewError, PreviewSource, find_warnings
 from deitalk.preview.video import render_video
-from deitalk.preview.warnings import find_warnings
 from rig import RigCurves, write_curves
 
 NAMES = ("still", "small</script>", "large")

@@ -17,8 +17,7 @@ from deitalk.emotions import read_intensity_curve
 from deitalk.errors import MissingError
 from deitalk.preview import page as page_module
 from deitalk.preview.page import pack, render_page
-from deitalk.preview.source import PreviewError, PreviewSource
-from deitalk.preview.warnings import bilabial_warnings
+from deitalk.preview.source import PreviewError, PreviewSource, bilabial_warnings
 from rig import RigCurves, clamp, default_controls, gain
 from rig.errors import ExistsError, TargetError
 from rig.face import build_head

@@ -278,7 +278,7 @@ def test_requirements_of_a_preview_are_reported(
 def test_commands_check_for_the_page_before_any_work(tmp_path, monkeypatch):
     monkeypatch.setattr(page, "BUNDLE", tmp_path / "none.html")
     monkeypatch.setattr("deitalk.audio.load.open_sound", None)  # no sound is read
-    monkeypatch.setattr("deitalk.preview.warnings.find_warnings", None)
+    monkeypatch.setattr("deitalk.preview.source.find_warnings", None)
     speech, take = "docs/samples/promise.flac", str(tmp_path / "take")
     curves = tmp_path / "curves.csv"
     write_curves(curves, RigCurves(np.zeros((3, 185), np.float32), default_controls().names))

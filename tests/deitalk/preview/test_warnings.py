@@ -7,8 +7,15 @@ import pytest
 import soundfile
 
 from deitalk.errors import DataError
-from deitalk.preview.source import PreviewError, PreviewSource, load_source
-from deitalk.preview.warnings import bilabial_warnings, find_warnings, lip_gaps, offset_warnings
+from deitalk.preview.source import (
+    PreviewError,
+    PreviewSource,
+    bilabial_warnings,
+    find_warnings,
+    lip_gaps,
+    load_source,
+    offset_warnings,
+)
 from rig import RigCurves, default_controls, write_curves
 from rig.face import build_head
 from rig.face.contact_sheet import MOUTH_POSES, pose_values

@@ -13,7 +13,7 @@ import torch
 from deitalk.config import Config, load_config
 from deitalk.data.clips import read_clips
 from deitalk.errors import ConfigError, DataError
-from deitalk.figures.canvas import can_draw
+from deitalk.figures import can_draw
 from deitalk.models.checkpoint import load_model
 from deitalk.models.curve_model import Analysis, DEITalk
 from deitalk.training.curve_losses import CurveLoss, control_weights

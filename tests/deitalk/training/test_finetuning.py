@@ -18,11 +18,11 @@ from deitalk.cli.console import name_option
 from deitalk.config import RulesConfig
 from deitalk.config.rig_file import read_controls
 from deitalk.data.clips import read_clips
-from deitalk.data.seeded_batches import Share
+from deitalk.data.windows import Share
 from deitalk.emotions import EMOTIONS
 from deitalk.errors import CheckpointError, ConfigError, DataError
 from deitalk.evaluation.benchmark_curves import speechlike
-from deitalk.evaluation.captures.scores import CaptureSet
+from deitalk.evaluation.captures.comparison import CaptureSet
 from deitalk.evaluation.validation import load_example, predict
 from deitalk.models.checkpoint import load_model
 from deitalk.models.folder import describe_model

@@ -24,7 +24,7 @@ from deitalk.data.mesh_folder import (
     write_mesh_folder,
 )
 from deitalk.errors import CheckpointError, ConfigError, DataError
-from deitalk.figures.canvas import can_draw
+from deitalk.figures import can_draw
 from deitalk.models.checkpoint import load_model, save_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.pipeline.mesh import predict_mesh

@@ -13,10 +13,9 @@ import torch
 from torch import Tensor, nn
 
 from deitalk.config import Config, parse_config
-from deitalk.data.seeded_batches import SeededBatches, Share
+from deitalk.data.windows import SeededBatches, Share
 from deitalk.errors import ConfigError, DataError
-from deitalk.figures.canvas import can_draw
-from deitalk.figures.validation import ClipRows, Row
+from deitalk.figures import ClipRows, Row, can_draw
 from deitalk.training import trainer as module
 from deitalk.training.trainer import MAX_BAD_STEPS, Task, Trainer, new_accelerator, run_training
 from rig.files import output_folder

@@ -13,8 +13,14 @@ import numpy as np
 
 from deitalk.errors import ConfigError, DataError
 from deitalk.phones import STOPS
-from deitalk.pipeline.words.espeak import has_voice, known_voice, library, missing, pronounce
-from deitalk.pipeline.words.phone_alphabets import ipa_to_phones
+from deitalk.pipeline.words.espeak import (
+    has_voice,
+    ipa_to_phones,
+    known_voice,
+    library,
+    missing,
+    pronounce,
+)
 from deitalk.research.corpus.engines.espeak_server import Server
 from deitalk.research.corpus.utterance import SAMPLE_RATE, Utterance, contiguous
 

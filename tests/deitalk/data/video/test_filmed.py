@@ -4,9 +4,18 @@ import numpy as np
 import pytest
 import torch
 
-from deitalk.data.video.filmed import GAZE, LOOSENESS, filmed_curves, shown_controls, straightened
+from deitalk.data.video.filmed import (
+    GAZE,
+    LOOSENESS,
+    MEASURES,
+    SIDES,
+    HeadFace,
+    filmed_curves,
+    measure,
+    shown_controls,
+    straightened,
+)
 from deitalk.data.video.landmarks import FaceTrack, pixels
-from deitalk.data.video.measures import MEASURES, SIDES, HeadFace, measure
 from rig import default_controls
 from rig.face.head import build_head
 from rig.retarget.source_head import head_landmarks

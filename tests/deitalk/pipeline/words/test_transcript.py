@@ -4,7 +4,7 @@ import pytest
 
 from deitalk.errors import ConfigError, DataError, MissingError
 from deitalk.pipeline.words import espeak
-from deitalk.pipeline.words.phone_alphabets import spoken_words
+from deitalk.pipeline.words.espeak import spoken_words
 from deitalk.pipeline.words.transcript import Transcript, Word, intervals_of
 from tests.each import each
 

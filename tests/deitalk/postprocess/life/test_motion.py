@@ -14,18 +14,24 @@ from deitalk.postprocess.life.brows import (
     move_brows,
 )
 from deitalk.postprocess.life.head import (
+    BREATH,
     MOST_ASIDE,
     NOD_SECONDS,
     NOD_SPEED,
+    SWALLOWS,
     TURN,
+    TURNS,
     Head,
     draw_nod,
 )
-from deitalk.postprocess.life.motion import LOWER_LID, move_eyes, plan_motion
-from deitalk.postprocess.life.mouth import lean_mouth, mouth_columns
-from deitalk.postprocess.life.neck import BREATH, SWALLOWS, TURNS
-from deitalk.postprocess.life.tracks import Swells, presence
-from deitalk.postprocess.life.traits import Seeds, Traits
+from deitalk.postprocess.life.motion import (
+    LOWER_LID,
+    lean_mouth,
+    mouth_columns,
+    move_eyes,
+    plan_motion,
+)
+from deitalk.postprocess.life.tracks import Seeds, Swells, Traits, presence
 from deitalk.postprocess.life.voice import Accent, Phrase, Voice
 from deitalk.research.evaluation.nods import find_nods
 from rig import default_controls

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from deitalk.postprocess.life.amounts import Life
+from deitalk.postprocess.life.head import BREATH, SWALLOWS, TURNS, neck_tracks
 from deitalk.postprocess.life.motion import plan_motion
-from deitalk.postprocess.life.neck import BREATH, SWALLOWS, TURNS, neck_tracks
-from deitalk.postprocess.life.traits import Seeds
+from deitalk.postprocess.life.tracks import Seeds
 from deitalk.postprocess.life.voice import Phrase, Voice
 from tests.each import each
 

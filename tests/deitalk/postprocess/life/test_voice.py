@@ -5,7 +5,7 @@ import pytest
 
 from deitalk.audio.prosody import Prosody, measure_prosody
 from deitalk.audio.voice_activity import speech_activity
-from deitalk.postprocess.life.traits import ASYMMETRY, Seeds, Traits
+from deitalk.postprocess.life.tracks import ASYMMETRY, Seeds, Traits
 from deitalk.postprocess.life.voice import measure_voice
 from tests.each import each
 

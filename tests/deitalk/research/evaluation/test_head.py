@@ -10,7 +10,7 @@ import soundfile
 from deitalk.errors import DataError
 from deitalk.pipeline.speech import Speech
 from deitalk.pipeline.words.align import FittedWord, WordFit
-from deitalk.pipeline.words.phone_alphabets import stressed_vowel
+from deitalk.pipeline.words.espeak import stressed_vowel
 from deitalk.postprocess.known_phones import KnownPhone
 from deitalk.research.corpus.engines import espeak
 from deitalk.research.evaluation.head import TOLERANCE, as_markdown, evaluate_head, main, ratios

@@ -17,7 +17,7 @@ interface Length {
 const MOST = 40;
 const STEP_SHARE = 0.15;
 
-/** The warnings of `deitalk.preview.warnings`, which has phones and loudness, and those found here. */
+/** The warnings of `deitalk.preview.source`, which has phones and loudness, and those found here. */
 export function findWarnings(values: Float32Array, length: Length, board: Board, known: Warning[]): Warning[] {
   const found = [...known], { fps, frames, seconds, audioSeconds } = length;
   const n = board.controls.length;

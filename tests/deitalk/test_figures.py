@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from deitalk.errors import MissingError
-from deitalk.figures.canvas import drawing
-from deitalk.figures.validation import ClipRows, Row, draw_clips
+from deitalk.figures import ClipRows, Row, draw_clips, drawing
 
 LIMITS = (-0.05, 1.05)
 WAVEFORM = np.sin(np.arange(3 * 16_000) / 20).astype(np.float32)
