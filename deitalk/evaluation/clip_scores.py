@@ -244,9 +244,8 @@ def global_lag_ms(scores: Sequence[Float64]) -> float:
 # Two labels. The corpus' own (`deitalk.research.corpus.performance`) holds ``NATURAL_WEIGHT`` times
 # the prosody index, which is a term of the prediction too: a score on it is circular, and the index
 # alone, which is printed beside, reaches nearly the same. The other is the contour along which
-# `deitalk.evaluation.clip_scores.apply_contour` changes level, treble, pitch and speed of a
-# recording: it is known exactly, and no measure of the voice is in it. Labels of people: acted
-# strengths (`deitalk.research.evaluation.acted`). Letters: T frames.
+# `apply_contour` changes level, treble, pitch and speed of a recording: it is known exactly, and no
+# measure of the voice is in it. Labels of people: `deitalk.research.evaluation.acted`.
 
 EMOTION = "happy"
 CONTOURS = 4
