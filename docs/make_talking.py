@@ -17,7 +17,7 @@ from rig.emotions import COLORS
 from rig.face import build_head
 from rig.face.accents import accents
 from rig.face.render import View, make_renderer
-from rig.face.render.picture import Picture, text_width, write_text
+from rig.face.render.shading import Picture, text_width, write_text
 
 DOCS = Path(__file__).parent
 RECORDING, PICTURE = DOCS / "samples/amiable.flac", DOCS / "pictures/talking.webp"

@@ -15,8 +15,8 @@ from deitalk.data.video.landmarks import (
     RIGID_MIRROR,
     RIMS,
 )
+from rig.face.accents import neck_share, turned
 from rig.face.head import Head
-from rig.face.turn import neck_share, turned
 from rig.face.web_export import head_arrays
 from rig.retarget.source_head import head_landmarks
 

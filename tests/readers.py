@@ -27,7 +27,7 @@ from rig import RigCurves, default_controls, write_curves
 from rig.conversion.arkit import ARKIT_ID, HEAD, HEAD_DEGREES, udp_order
 from rig.conversion.convert import convert
 from rig.conversion.raw import RAW_ID
-from rig.face.turn import quaternions
+from rig.face.accents import quaternions
 from rig.formats.blender import addon_text
 from rig.livelink import make_protocol
 from rig.livelink.protocols import prepared

@@ -22,7 +22,7 @@ FLOORS = {
         frontends figures postprocess
         audio emotions
         config
-        installed metrics phones workers
+        installed phones workers
         errors
     """,
     "rig": """

@@ -11,7 +11,7 @@ import numpy as np
 
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE, frame_centres
 from rig.arrays import Bool, Float32, Float64, Int64
-from rig.curves.filters import gaussian_smooth
+from rig.curves.edit import gaussian_smooth
 
 LEVEL_DB, PITCH_SEMITONES, TILT_DB = 5.0, 3.5, 5.0
 """One standard deviation of each measure within a lively reading."""

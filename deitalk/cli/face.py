@@ -44,7 +44,7 @@ def sheet(
     """
     from rig.face import build_head
     from rig.face.contact_sheet import draw_sheet, sheet_tiles
-    from rig.face.render.picture import write_png
+    from rig.face.render.shading import write_png
 
     if out.suffix.lower() != ".png":
         raise DeitalkError(f"{out} has suffix {out.suffix or 'none'!r}; a sheet is a .png file")
@@ -75,7 +75,7 @@ def identities(
     from rig.face import IDENTITIES
     from rig.face.contact_sheet import draw_people
     from rig.face.identity import ROLES
-    from rig.face.render.picture import write_png
+    from rig.face.render.shading import write_png
 
     roles = {name: role for role, name in ROLES.items()}
     for number, person in enumerate(IDENTITIES):

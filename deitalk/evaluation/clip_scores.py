@@ -20,6 +20,13 @@ from deitalk.audio.load import Recording, load_audio
 from deitalk.audio.prosody import SMOOTHING_SECONDS, level_db, measure_prosody, prosody_index
 from deitalk.audio.voice_activity import speech_activity
 from deitalk.data.clips import Clip
+from deitalk.data.offset import (
+    area_under_curve,
+    correlation,
+    emotion_parameter_error,
+    hit_rate,
+    lip_parameter_error,
+)
 from deitalk.evaluation.lip_closures import (
     JAW,
     ClosureScores,
@@ -39,13 +46,6 @@ from deitalk.evaluation.validation import (
     load_example,
 )
 from deitalk.live.animator import live_frames
-from deitalk.metrics import (
-    area_under_curve,
-    correlation,
-    emotion_parameter_error,
-    hit_rate,
-    lip_parameter_error,
-)
 from deitalk.models.curve_model import DEITalk
 from deitalk.phones import (
     BILABIALS,
@@ -527,7 +527,7 @@ def _contacts(
         tally.peaks[name].append(gesture_peaks(curve, example.phones, gesture))
 
 
-# `apply_contour` moves level, pitch and tilt of a voice (S samples) along a contour, an exact label.
+# `apply_contour` moves level, pitch and tilt of a voice along a contour, an exact label.
 
 Contour = tuple[Float64, Float64]
 """Knots: seconds, and standard deviations of prosody."""

@@ -20,6 +20,7 @@ from deitalk.audio.noise import SNRS_DB, mix, read_noises
 from deitalk.audio.voice_activity import speech_activity
 from deitalk.data.clips import Clip, read_clips
 from deitalk.data.head_lips import MEASURES, HeadLips
+from deitalk.data.offset import correlation
 from deitalk.emotions import EMOTIONS, IntensityCurve
 from deitalk.errors import DataError
 from deitalk.evaluation.clip_scores import (
@@ -37,7 +38,6 @@ from deitalk.evaluation.lip_closures import (
     summarise_closures,
 )
 from deitalk.evaluation.validation import lips_together, load_example
-from deitalk.metrics import correlation
 from deitalk.models.curve_model import DEITalk
 from deitalk.pipeline.curves import animate
 from rig.arrays import Bool, Float32

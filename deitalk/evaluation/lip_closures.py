@@ -12,8 +12,8 @@ from typing import NamedTuple
 import numpy as np
 
 from deitalk.audio.frames import FRAME_RATE
+from deitalk.data.offset import area_under_curve, correlation, hit_rate
 from deitalk.errors import DataError
-from deitalk.metrics import area_under_curve, correlation, hit_rate
 from deitalk.phones import (
     BILABIALS,
     CLEAR_SECONDS,

@@ -12,10 +12,10 @@ import torch
 
 from deitalk.audio.voice_activity import speech_activity
 from deitalk.data.clips import MEASURED, Clip, read_phones
+from deitalk.data.offset import correlation, emotion_parameter_error, lip_parameter_error
 from deitalk.data.windows import cut, load_material, n_clip_frames
 from deitalk.emotions import EMOTIONS
 from deitalk.evaluation.lip_closures import ClosureScores, closure_scores, summarise_closures
-from deitalk.metrics import correlation, emotion_parameter_error, lip_parameter_error
 from deitalk.models.curve_model import DEITalk
 from rig import ControlSet
 from rig.arrays import Bool, Float32

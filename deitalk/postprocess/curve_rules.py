@@ -17,7 +17,7 @@ from deitalk.postprocess.expressions import expression_table
 from rig import ControlSet
 from rig.arrays import Bool, Float32
 from rig.controls import DEFAULT_ID
-from rig.curves.filters import sliding_maximum
+from rig.curves.edit import sliding_maximum
 
 LEAST_PREDICTED = 0.15
 """Lower bound of the predicted intensity that an applied one is divided by."""

@@ -20,7 +20,7 @@ import numpy as np
 from deitalk.audio.prosody import LEVEL_DB, PITCH_SEMITONES, TILT_DB, VOICED, Prosody, sonority_db
 from deitalk.config import VoiceIntensity
 from rig.arrays import Bool, Float32, Float64
-from rig.curves.filters import gaussian_smooth
+from rig.curves.edit import gaussian_smooth
 
 # Intensity of a voice that has not ended: the causal form of `voice_intensity`.
 #

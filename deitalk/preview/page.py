@@ -30,10 +30,10 @@ from deitalk.preview.source import (
 )
 from rig.emotions import LABELS
 from rig.face import build_head
+from rig.face.accents import JOINT, neck_share
 from rig.face.identity import Identity
 from rig.face.render import VIEWS
 from rig.face.render.shading import glsl, glsl_background
-from rig.face.turn import JOINT, neck_share
 from rig.face.web_export import head_arrays
 from rig.files import atomic_write, check_file
 

@@ -15,13 +15,12 @@ from deitalk.preview.source import PreviewError, PreviewSource, check_board, loa
 from rig.arrays import AnyFloat, Float32
 from rig.emotions import COLORS, LABELS
 from rig.face import build_head
-from rig.face.accents import accents
+from rig.face.accents import accents, neck_share, turned
 from rig.face.geometry.mesh import vertex_normals
 from rig.face.identity import Identity
 from rig.face.render import VIEWS, Renderer, make_renderer
-from rig.face.render.picture import Picture, text_width, write_text
 from rig.face.render.renderer import Backend, check_backend
-from rig.face.turn import neck_share, turned
+from rig.face.render.shading import Picture, text_width, write_text
 from rig.files import atomic_write, check_file
 
 if TYPE_CHECKING:

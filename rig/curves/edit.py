@@ -4,14 +4,69 @@ import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from numbers import Real
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.arrays import Bool, Float32
+from rig.arrays import Bool, Float32, Float64
 from rig.controls import ControlSet, default_controls
 from rig.curves import RigCurves
 from rig.errors import CurveError, quoted
+
+# Filters along time in numpy: scipy.ndimage takes longer to import than a recording to animate.
+
+TRUNCATE = 4.0
+"""Standard deviations at which a Gaussian kernel ends, as in ``scipy.ndimage``."""
+
+
+def gaussian_smooth(
+    values: Float64, sigma: float, ends: Literal["zero", "mirror"] = "zero"
+) -> Float64:
+    """Convolve with a normalised Gaussian kernel.
+
+    Parameters
+    ----------
+    values : array [shape=(T,)]
+        Any finite numbers.
+    sigma : float
+        Standard deviation of the kernel, frames.
+    ends : str
+        Values beyond the ends: ``zero``, or ``mirror`` (the last value is repeated first), which
+        are ``constant`` and ``reflect`` of ``scipy.ndimage.gaussian_filter1d``.
+
+    Returns
+    -------
+    array [shape=(T,)]
+    """
+    radius = int(TRUNCATE * sigma + 0.5)
+    kernel = np.exp(-0.5 * (np.arange(-radius, radius + 1) / sigma) ** 2)
+    kernel /= kernel.sum()
+    if ends == "zero":
+        return np.convolve(values, kernel)[radius : radius + len(values)]
+    return np.convolve(np.pad(values, radius, mode="symmetric"), kernel, mode="valid")
+
+
+def sliding_maximum(values: Float32, size: int) -> Float32:
+    """Largest value of every column within `size // 2` frames of each frame.
+
+    Parameters
+    ----------
+    values : array [shape=(T, C)]
+        Any numbers.
+    size : int
+        Frames of the window, odd.
+
+    Returns
+    -------
+    array [shape=(T, C)]
+    """
+    largest = values.copy()
+    for step in range(1, min(size // 2, len(values) - 1) + 1):
+        np.maximum(largest[step:], values[:-step], out=largest[step:])
+        np.maximum(largest[:-step], values[step:], out=largest[:-step])
+    return largest
+
 
 CLOSURE_CONTROLS = (
     "CTRL_C_jaw.ty",

@@ -11,8 +11,8 @@ from rig.errors import RigError
 from rig.face.accents import accents
 from rig.face.head import Head
 from rig.face.render import VIEWS, Renderer, make_renderer
-from rig.face.render.picture import text_width, write_text
-from rig.face.render.renderer import Backend, Picture
+from rig.face.render.renderer import Backend
+from rig.face.render.shading import Picture, text_width, write_text
 
 SHEETS = (
     "mouth", "mouth-side", "emotions", "views", "brow", "eye", "nose", "cheek", "lips", "jaw",

@@ -24,9 +24,8 @@ from rig.face.motion.contact import Arch, Seal
 from rig.face.motion.jaw import Jaw
 from rig.face.motion.lids import Lids
 from rig.face.motion.shapes import ShapeMaker
-from rig.face.motion.shapes_face import FACE_SHAPES
+from rig.face.motion.shapes_face import FACE_SHAPES, neck_shapes, side_shapes
 from rig.face.motion.shapes_mouth import MOUTH_SHAPES
-from rig.face.motion.shapes_other import neck_shapes, side_shapes
 from rig.face.motion.tongue import Tongue
 from rig.files import atomic_write, cache_folder
 
@@ -333,8 +332,7 @@ def _build(identity: Identity) -> Arrays:
 
 def _build_look(identity: Identity, skin: Skin, shapes: dict[str, Float64]) -> Arrays:
     """Hair, maps and baked light of a head, as plain arrays."""
-    from rig.face.maps import build_maps
-    from rig.face.occlusion import occlusion
+    from rig.face.maps import build_maps, occlusion
 
     locks, uv = hair.hair(identity), skin_uv(skin)
     maps = build_maps(skin, uv, identity)

@@ -3,19 +3,16 @@
 ::
 
     atomic.py     one file: written beside, then renamed
-    targets.py    which paths a command may write to
-    lock.py       one process at a time per target
+    targets.py    which paths a command may write to; one process at a time for each
     manifest.py   the files that deitalk wrote into a folder, with hashes
-    recorded.py   single files of a folder that stays in use, such as a training run's
-    folder.py     a whole folder: staged, then exchanged file by file, with a journal
+    folder.py     a whole folder: staged, then exchanged file by file, with a journal; single files
+                  of one that stays in use, such as a training run's
 """
 
 from rig.files.atomic import atomic_write, remove_leftovers
-from rig.files.folder import check_folder, output_folder, recover
-from rig.files.lock import cache_folder, claim
+from rig.files.folder import begin_folder, check_folder, output_folder, recover, replace_recorded
 from rig.files.manifest import changed_files, kind_of, record
-from rig.files.recorded import begin_folder, replace_recorded
-from rig.files.targets import check_file, is_folder_name, new_file
+from rig.files.targets import cache_folder, check_file, claim, is_folder_name, new_file
 
 __all__ = [
     "atomic_write",

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 from rig.errors import TargetError
 from rig.files.atomic import atomic_write, remove_leftovers
-from rig.files.lock import claim
+from rig.files.targets import claim
 
 MANIFEST = ".deitalk-manifest.json"
 SCHEMA = "deitalk.manifest/1"

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from rig.conversion.arkit import ARKIT_ID
 from rig.curves import RigCurves
-from rig.face.turn import matrices, quaternions
+from rig.face.accents import matrices, quaternions
 from rig.mesh.glb import RigidMotion, WeightAnimation, write_glb
 from rig.retarget.morph_head import METRES_PER_CM, in_metres, morph_head, textured
 

@@ -17,7 +17,7 @@ from rig.controls import ControlSet
 from rig.conversion.raw import RAW_ID, board_to_raw, raw_controls
 from rig.curves import HEAD, RigCurves
 from rig.errors import FormatError
-from rig.face.turn import matrices
+from rig.face.accents import matrices
 from rig.files.reading import check_expansion, check_file
 from rig.limits import CURVES_BYTES, FRAMES, SPARSE_BYTES
 from rig.mesh.shapes import ShapeSet

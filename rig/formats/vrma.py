@@ -18,7 +18,7 @@ from rig.conversion.arkit import ARKIT_ID, arkit_controls
 from rig.conversion.convert import convert, convert_and_note
 from rig.curves import RigCurves, check_clip
 from rig.errors import FormatError
-from rig.face.turn import quaternions
+from rig.face.accents import quaternions
 from rig.mesh.glb import GlbBuilder, read_container, write_container
 from rig.mesh.glb_reader import read_accessor
 from rig.retarget.bones import gaze_turn

@@ -12,7 +12,7 @@ import numpy as np
 
 from rig.arrays import Float32
 from rig.controls import default_controls
-from rig.controls.control import NEWER_ONLY
+from rig.controls.control_set import NEWER_ONLY
 from rig.conversion.arkit import (
     ARKIT_ID,
     HEAD,

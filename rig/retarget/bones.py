@@ -17,7 +17,7 @@ from rig.conversion.arkit import GAZE_DOWN_DEGREES, GAZE_SIDE_DEGREES, GAZE_UP_D
 from rig.conversion.convert import convert
 from rig.conversion.raw import PREFIX, RAW_ID
 from rig.curves import RigCurves
-from rig.face.turn import quaternions
+from rig.face.accents import quaternions
 from rig.mesh.glb import read_container
 from rig.mesh.glb_reader import world_rotations
 

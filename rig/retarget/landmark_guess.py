@@ -14,8 +14,7 @@ from scipy.spatial import KDTree
 
 from rig.arrays import Float64, Int64
 from rig.errors import MeshError
-from rig.mesh.closest import ClosestPoints
-from rig.mesh.trimesh import TriMesh, boundary_edges, components, vertex_normals
+from rig.mesh.trimesh import ClosestPoints, TriMesh, boundary_edges, components, vertex_normals
 from rig.retarget.landmarks import similarity
 from rig.retarget.registration import Rounds, closest_rounds, edge_lengths
 

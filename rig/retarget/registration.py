@@ -17,8 +17,9 @@ from scipy.spatial import KDTree
 
 from rig.arrays import Float64, Int64
 from rig.errors import MeshError
-from rig.mesh.closest import ClosestPoints, SurfacePoints
 from rig.mesh.trimesh import (
+    ClosestPoints,
+    SurfacePoints,
     TriMesh,
     adjacency,
     boundary_edges,

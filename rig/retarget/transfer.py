@@ -19,8 +19,8 @@ from rig.arrays import Bool, Float64, Int64
 from rig.deformation.gradients import deformation_gradients
 from rig.deformation.reconstruct import DeformationSolver, rigid_motion
 from rig.errors import MeshError
-from rig.mesh.closest import ClosestPoints
 from rig.mesh.trimesh import (
+    ClosestPoints,
     TriMesh,
     adjacency,
     components,

@@ -19,7 +19,7 @@ from deitalk.data.video.landmarks import N_POINTS, USED, FaceTrack, pixels
 from deitalk.errors import DataError, MissingError
 from rig import limits
 from rig.arrays import Float32
-from rig.face.render.picture import Picture
+from rig.face.render.shading import Picture
 
 if TYPE_CHECKING:
     from av import VideoFrame

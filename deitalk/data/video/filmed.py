@@ -39,7 +39,7 @@ from rig.retarget.source_head import head_landmarks
 # Measures of a face that landmarks show, as a differentiable function of the 185 curves.
 #
 # Widens the lips of `deitalk.data.head_lips` by each side of the mouth, brows and lids; lids turn
-# about the eyeball as in `rig.face.motion.lids`.
+# about the eyeball as in `rig.face.motion.shapes`.
 #
 # Letters: T frames, C controls, K inputs of the head, N points, P pairs of the rims, M measures.
 

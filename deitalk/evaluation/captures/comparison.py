@@ -16,6 +16,7 @@ import torch
 
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
 from deitalk.data.clips import Clip
+from deitalk.data.offset import correlation, emotion_parameter_error, lip_parameter_error
 from deitalk.data.windows import load_material
 from deitalk.evaluation.clip_scores import loudness
 from deitalk.evaluation.lip_closures import (
@@ -36,7 +37,6 @@ from deitalk.evaluation.validation import (
     speaking_frames,
 )
 from deitalk.figures import SHOWN_SECONDS, can_draw, drawing
-from deitalk.metrics import correlation, emotion_parameter_error, lip_parameter_error
 from deitalk.models.curve_model import DEITalk
 from rig import ControlSet, RigCurves, write_curves
 from rig.arrays import Bool, Float32

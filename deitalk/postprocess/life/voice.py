@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from deitalk.audio.frames import FRAME_RATE
 from deitalk.audio.prosody import LEVEL_DB, PITCH_SEMITONES, Prosody
 from rig.arrays import Bool, Float32, Float64
-from rig.curves.filters import gaussian_smooth
+from rig.curves.edit import gaussian_smooth
 
 JOINED_SECONDS = 0.2
 """Pauses up to this length, such as that of a stop consonant, do not part phrases."""

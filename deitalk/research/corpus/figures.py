@@ -140,7 +140,7 @@ def draw_faces(
     """
     from rig.face import build_head
     from rig.face.contact_sheet import Tile, draw_sheet
-    from rig.face.render.picture import write_png
+    from rig.face.render.shading import write_png
 
     evenly_timed(phones)  # raises for unknown names
     tiles = [

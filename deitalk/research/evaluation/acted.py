@@ -24,16 +24,16 @@ from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
 from deitalk.audio.load import load_audio
 from deitalk.audio.prosody import measure_prosody
 from deitalk.audio.voice_activity import normalise_level, speech_activity
+from deitalk.data.offset import correlation
 from deitalk.errors import DataError
 from deitalk.evaluation.lip_closures import mouth_opening
 from deitalk.evaluation.report import table
-from deitalk.metrics import correlation
 from deitalk.models.curve_model import DEITalk
 from deitalk.pipeline.curves import animate
 from deitalk.pipeline.performance import Performance
 from rig import limits
 from rig.arrays import Bool, Float32
-from rig.curves.filters import gaussian_smooth
+from rig.curves.edit import gaussian_smooth
 from rig.errors import quoted
 from rig.files.reading import check_file
 

@@ -40,7 +40,7 @@ from deitalk.research.evaluation.nods import measure_nods
 from deitalk.research.evaluation.stress import stress_track
 from deitalk.research.lips.measured import RATE, PoseClip, read_poses
 from rig.arrays import Float64
-from rig.curves.filters import gaussian_smooth
+from rig.curves.edit import gaussian_smooth
 from rig.files import new_file
 
 TOLERANCE = 0.2

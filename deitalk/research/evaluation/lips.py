@@ -18,10 +18,10 @@ import torch
 from deitalk.audio.load import load_audio
 from deitalk.data.head_lips import MEASURES, HeadLips
 from deitalk.data.lip_fit import network_curves
+from deitalk.data.offset import correlation
 from deitalk.errors import DataError
 from deitalk.evaluation.clip_scores import loudness
 from deitalk.evaluation.report import table
-from deitalk.metrics import correlation
 from deitalk.models.curve_model import DEITalk
 from deitalk.pipeline.curves import animate
 from deitalk.research.lips.measured import LipClip, read_lips

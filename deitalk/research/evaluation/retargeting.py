@@ -17,9 +17,8 @@ import numpy as np
 
 from rig.arrays import Float64
 from rig.deformation.basis import choose_bases
-from rig.deformation.gradients import deformation_gradients, gradient_entries, pack_vertices
+from rig.deformation.gradients import deformation_gradients, gradient_entries, pack_vertices, polar
 from rig.deformation.reconstruct import DeformationSolver
-from rig.deformation.rotations import polar
 from rig.files import atomic_write, new_file
 from rig.mesh.trimesh import TriMesh
 from rig.retarget.landmark_guess import guess_landmarks

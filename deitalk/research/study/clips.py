@@ -21,7 +21,7 @@ from rig.face.accents import accents
 from rig.face.geometry.mesh import vertex_normals
 from rig.face.identity import Identity
 from rig.face.render import VIEWS, make_renderer
-from rig.face.render.picture import Picture
+from rig.face.render.shading import Picture
 from rig.formats.table import FORMATS
 
 VIDEO = ".mp4"

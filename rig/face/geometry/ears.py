@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from rig.face.geometry.mesh import SKIN, WHITE_UV, Mesh, grid_faces, painted
-from rig.face.geometry.sdf import project
+from rig.face.geometry.mesh import SKIN, WHITE_UV, Mesh, grid_faces, painted, project
 from rig.face.identity import Identity
 
 _COLUMNS = 44

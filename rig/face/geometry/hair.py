@@ -6,8 +6,7 @@ import numpy as np
 from scipy.interpolate import RegularGridInterpolator
 
 from rig.arrays import Float64
-from rig.face.geometry.mesh import HAIR, STRANDS_UV, Mesh, grid_faces, join, smoothstep, unit
-from rig.face.geometry.sdf import cast
+from rig.face.geometry.mesh import HAIR, STRANDS_UV, Mesh, cast, grid_faces, join, smoothstep, unit
 from rig.face.geometry.skin import direction_points
 from rig.face.identity import Identity
 

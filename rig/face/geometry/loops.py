@@ -9,8 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rig.arrays import Float64
-from rig.face.geometry.mesh import unit
-from rig.face.geometry.sdf import CENTER, project
+from rig.face.geometry.mesh import CENTER, project, unit
 from rig.face.identity import Identity
 
 MOUTH_COUNT, EYE_COUNT, NOSTRIL_COUNT = 52, 36, 12

@@ -7,8 +7,7 @@ import numpy as np
 from rig.arrays import Float64, Int64
 from rig.face.geometry import loops
 from rig.face.geometry.loops import Anatomy, anatomy
-from rig.face.geometry.mesh import adjacency, edge_counts, smoothstep, unit
-from rig.face.geometry.sdf import CENTER, project
+from rig.face.geometry.mesh import CENTER, adjacency, edge_counts, project, smoothstep, unit
 from rig.face.geometry.topology import (
     EYE_L,
     EYE_R,

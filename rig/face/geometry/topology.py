@@ -15,8 +15,7 @@ from scipy.spatial import ConvexHull, cKDTree
 
 from rig.arrays import Bool, Float64, Int64
 from rig.face.geometry import loops
-from rig.face.geometry.mesh import adjacency, unit
-from rig.face.geometry.sdf import project
+from rig.face.geometry.mesh import adjacency, project, unit
 from rig.face.identity import Identity
 
 FILLER, MOUTH, EYE_L, EYE_R, NOSTRIL_L, NOSTRIL_R = range(6)

@@ -9,9 +9,7 @@ import numpy as np
 from rig.arrays import Float32, Float64
 from rig.errors import RigError
 from rig.face.geometry.mesh import Mesh
-from rig.face.render.camera import View
-from rig.face.render.picture import Picture
-from rig.face.render.shading import glsl, glsl_background
+from rig.face.render.shading import Picture, View, glsl, glsl_background
 
 SUPERSAMPLE = 1.5
 """Side of the picture that is drawn, by the side of the one that is given back.

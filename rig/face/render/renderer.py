@@ -7,9 +7,8 @@ import numpy as np
 from rig.arrays import Float32, Float64
 from rig.errors import RigError
 from rig.face.geometry.mesh import Mesh, vertex_normals
-from rig.face.render.camera import View
 from rig.face.render.opengl import OpenGLRenderer, open_context
-from rig.face.render.picture import Picture
+from rig.face.render.shading import Picture, View
 
 Backend = Literal["auto", "opengl", "software"]
 __all__ = ["Backend", "Picture", "Renderer", "check_backend", "make_renderer"]

@@ -1,4 +1,4 @@
-"""Light and material, equal in GLSL and in the compiled loops of `kernels`.
+"""Light and material, equal in GLSL and in the compiled loops of `software`.
 
 Linear light, wrapped diffuse (red wraps further, as light that passes through skin does),
 Blinn-Phong highlights (Schlick's form without a power, 1994), a sky and ground ambient, baked
@@ -6,11 +6,69 @@ occlusion whose edge is red on skin, and a gentle shoulder. sRGB is approximated
 """
 
 from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import lru_cache
+from math import ceil
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rig.arrays import Float64
+from rig.errors import RigError
 from rig.face.geometry.mesh import EYE, HAIR, PORES, SKIN, unit
+from rig.files import atomic_write
+
+if TYPE_CHECKING:
+    from PIL.ImageFont import FreeTypeFont
+
+# Cameras: position, target and projection.
+
+NEAR, FAR = 15.0, 140.0
+
+
+@dataclass(frozen=True)
+class View:
+    """A camera at `position` looking at `target` (cm) with a vertical field of view."""
+
+    target: tuple[float, float, float]
+    position: tuple[float, float, float]
+    degrees: float
+
+    def matrix(self, aspect: float) -> Float64:
+        """World to clip space, (4, 4), for column vectors; `aspect` is width / height."""
+        eye, target = np.array(self.position), np.array(self.target)
+        back = unit(eye - target)
+        right = unit(np.cross([0.0, 1.0, 0.0], back))
+        look = np.eye(4)
+        look[:3, :3] = [right, np.cross(back, right), back]
+        look[:3, 3] = -look[:3, :3] @ eye
+        f = 1 / np.tan(np.radians(self.degrees) / 2)
+        lens = np.array(
+            [
+                [f / aspect, 0, 0, 0],
+                [0, f, 0, 0],
+                [0, 0, (FAR + NEAR) / (NEAR - FAR), 2 * FAR * NEAR / (NEAR - FAR)],
+                [0, 0, -1, 0],
+            ]
+        )
+        return np.asarray(lens @ look)
+
+
+VIEWS = {
+    "front": View((0, -3.4, 1), (0, -2.4, 66), 30),
+    "three_quarter": View((0, -3.2, 1), (38, 0.9, 52), 29),
+    "side": View((0, -3.2, -0.5), (66, -2.6, 2), 29),
+    "face": View((0, -2.5, 3), (0, -1.9, 62), 25.5),
+    "mouth": View((0, -8.1, 8), (0, -7.2, 46), 15),
+    "mouth_side": View((0, -8.1, 7.5), (30, -6.3, 36), 15.5),
+    "eyes": View((0, 0.6, 6), (0, 1.0, 46), 17),
+    "neck": View((0, -9.5, 2), (0, -9.0, 52), 18),
+    "ear": View((7, -1, -1), (42, 0, 24), 16),
+}
+"""Named cameras; +x (the character's left) is on the right of the picture."""
+
 
 LIGHTS = (
     # direction to the light, colour times strength
@@ -113,3 +171,75 @@ void main() {{
 }}
 """
     return vertex, fragment
+
+
+# Pictures (h, w, 3) uint8: text in them, and PNG files; both by Pillow.
+
+Picture = NDArray[np.uint8]
+
+_SIZE = 1.4
+"""Size of Pillow's own font over the height of its capitals."""
+
+
+def write_png(path: Path | str, picture: Picture) -> None:
+    """Write a picture (h, w, 3) uint8 to `path`, whole or not at all.
+
+    Raises
+    ------
+    RigError
+        If the array is not such a picture.
+    """
+    from PIL import Image
+
+    if picture.ndim != 3 or picture.shape[2] != 3 or picture.dtype != np.uint8:
+        raise RigError(
+            f"picture of shape {picture.shape} and type {picture.dtype}; PNG needs (h, w, 3) uint8"
+        )
+    with atomic_write(path) as beside:
+        Image.fromarray(picture).save(beside, "PNG")
+
+
+@lru_cache(maxsize=16)
+def _font(height: int) -> "FreeTypeFont":
+    """Return the font whose capitals are about `height` pixels tall."""
+    from PIL import ImageFont
+
+    font = ImageFont.load_default(_SIZE * height)
+    assert isinstance(font, ImageFont.FreeTypeFont)  # as given a size
+    return font
+
+
+def text_width(text: str, height: int = 11) -> int:
+    """Width of a text in pixels, rounded up."""
+    return ceil(_font(height).getlength(text))
+
+
+def write_text(
+    picture: Picture,
+    text: str,
+    place: tuple[int, int],
+    *,
+    height: int = 11,
+    color: tuple[int, int, int] = (240, 242, 245),
+) -> Picture:
+    """Return a copy of a picture with a line of text in it.
+
+    Parameters
+    ----------
+    picture : ndarray of uint8 [shape=(h, w, 3)]
+        Stays as it is.
+    text : str
+        What does not fit into the picture is cut off.
+    place : (int, int)
+        x and y of the top left of its capitals, pixels.
+    height : int
+        Of its capitals, pixels.
+    color : tuple of int
+        Red, green and blue, 0 to 255.
+    """
+    from PIL import Image, ImageDraw
+
+    image = Image.fromarray(picture)
+    x, y = place
+    ImageDraw.Draw(image).text((x, y + height), text, color, font=_font(height), anchor="ls")
+    return np.array(image)

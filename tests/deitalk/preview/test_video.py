@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 from deitalk.audio.load import load_audio
 from deitalk.cli import app
 from deitalk.errors import AudioError, MissingError
-from deitalk.preview import encoding, page, video
+from deitalk.preview import page, video
 from deitalk.preview.source import PreviewError, PreviewSource, load_source
 from deitalk.preview.video import (
     FACE_HEIGHT,
@@ -210,16 +210,16 @@ def test_sound_of_an_odd_rate_keeps_its_time(tmp_path, monkeypatch):
     assert np.abs(played.waveform).argmax() / 16000 == pytest.approx(4000 / 10007, abs=2e-4)
 
 
-HERE = [name for name, _ in encoding.ENCODERS if name in av.codecs_available]
+HERE = [name for name, _ in video.ENCODERS if name in av.codecs_available]
 
 
 @each("name", HERE)
 def test_every_encoder_of_this_installation_keeps_the_pictures_in_time(tmp_path, name):
-    options = dict(encoding.ENCODERS)[name]
+    options = dict(video.ENCODERS)[name]
     frames = (np.full((96, 128, 3), 20 + 10 * k, np.uint8) for k in range(15))
-    encoding.write_mp4(
+    video.write_mp4(
         tmp_path / "v.mp4", frames, fps=NTSC, size=(128, 96), samples=np.zeros(0, np.float32),
-        sample_rate=0, encoder=encoding.Encoder(name, options),
+        sample_rate=0, encoder=video.Encoder(name, options),
     )  # fmt: skip
     times, levels = zip(*brightness(tmp_path / "v.mp4"), strict=True)
     assert times == tuple(Fraction(1001 * k, 30000) for k in range(15))
@@ -228,10 +228,10 @@ def test_every_encoder_of_this_installation_keeps_the_pictures_in_time(tmp_path,
 
 def test_without_h264_the_encoder_is_mpeg4_with_a_note(monkeypatch):
     monkeypatch.setattr(av, "codecs_available", {"mpeg4", "aac"})
-    found = encoding.find_encoder()
+    found = video.find_encoder()
     assert found.name == "mpeg4"
     assert "no H.264 encoder" in found.note
-    assert encoding.Encoder("libx264", {}).note is None
+    assert video.Encoder("libx264", {}).note is None
 
 
 def test_video_refuses_to_overwrite(tmp_path):
@@ -312,7 +312,7 @@ def test_failing_encoder_leaves_no_file(tmp_path, monkeypatch):
 def test_video_has_bt709_colours_and_a_keyframe_every_half_second(tmp_path):
     red = np.zeros((64, 96, 3), np.uint8)
     red[..., 0] = 255
-    encoding.write_mp4(
+    video.write_mp4(
         tmp_path / "red.mp4",
         iter([red] * 40),
         fps=30,

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter1d, maximum_filter1d
 
-from rig.curves.filters import gaussian_smooth, sliding_maximum
+from rig.curves.edit import gaussian_smooth, sliding_maximum
 from tests.each import each
 
 

@@ -6,7 +6,7 @@ from scipy.linalg import expm
 from scipy.linalg import polar as scipy_polar
 from scipy.spatial.transform import Rotation
 
-from rig.deformation.rotations import polar, rotation_exp, rotation_log, unwrap, unwrap_sequence
+from rig.deformation.gradients import polar, rotation_exp, rotation_log, unwrap, unwrap_sequence
 from tests.each import each
 
 ANGLES = [0.0, 1e-12, 1e-9, 1e-4, 1.0, 3.0, np.pi - 1e-6, np.pi - 1e-9]

@@ -11,8 +11,7 @@ from rig.face.accents import SHADOW, accents
 from rig.face.contact_sheet import pose_values
 from rig.face.geometry.mesh import WHITE_UV, Mesh, join
 from rig.face.geometry.skin import skin_uv
-from rig.face.maps import build_maps
-from rig.face.occlusion import LEAST_AMBIENT, occlusion
+from rig.face.maps import LEAST_AMBIENT, build_maps, occlusion
 from rig.face.render.shading import TO_LIGHT
 from rig.retarget.morph_head import BRIGHTEST, srgb_to_linear, textured
 

@@ -14,7 +14,7 @@ from rig import RigCurves, default_controls, read_curves, rest_curves, write_cur
 from rig.conversion.arkit import arkit_controls
 from rig.errors import FormatError, RigError
 from rig.face import build_head
-from rig.face.turn import matrices
+from rig.face.accents import matrices
 from rig.retarget.arkit_head import arkit_pose
 from rig.retarget.morph_head import morph_head, srgb_to_linear
 from tests.rig.formats.test_other_tools import NVIDIA

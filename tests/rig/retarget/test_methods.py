@@ -8,8 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from rig.deformation.reconstruct import rigid_motion
 from rig.errors import FormatError, MeshError
-from rig.mesh.closest import ClosestPoints, closest_barycentric
-from rig.mesh.trimesh import TriMesh, components
+from rig.mesh.trimesh import ClosestPoints, TriMesh, closest_barycentric, components
 from rig.retarget.landmark_guess import guess_landmarks
 from rig.retarget.landmarks import LANDMARKS, NEEDED, check_landmarks, read_landmarks, similarity
 from rig.retarget.methods import _along_slit, fit_lids, lip_pairs, sequence_for

@@ -8,8 +8,8 @@ from deitalk.data.video.landmarks import LIDS, MIDDLE
 from rig import default_controls
 from rig.face.geometry.mesh import vertex_normals
 from rig.face.head import build_head
-from rig.face.render.camera import VIEWS
 from rig.face.render.renderer import make_renderer
+from rig.face.render.shading import VIEWS
 from tests.deitalk.data.video.test_decode import encode
 
 pytestmark = pytest.mark.slow

@@ -6,8 +6,16 @@ import pytest
 from rig.errors import RigError
 from rig.face import IDENTITIES, Identity, build_head
 from rig.face.geometry.loops import MOUTH_COUNT
-from rig.face.geometry.mesh import Mesh, edge_counts, grid_faces, mirrored, vertex_normals
-from rig.face.geometry.sdf import ellipsoid, head_distance, project
+from rig.face.geometry.mesh import (
+    Mesh,
+    edge_counts,
+    ellipsoid,
+    grid_faces,
+    head_distance,
+    mirrored,
+    project,
+    vertex_normals,
+)
 from rig.face.geometry.skin import build_skin
 from rig.face.geometry.topology import EYE_L, EYE_R, FILLER, MOUTH
 from tests.each import each

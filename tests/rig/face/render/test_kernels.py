@@ -2,7 +2,7 @@
 
 from numba.core import caching
 
-from rig.face.render.kernels import compiled
+from rig.face.render.software import compiled
 
 
 def test_loops_run_where_no_folder_can_be_written(monkeypatch):

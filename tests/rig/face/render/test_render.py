@@ -13,8 +13,7 @@ from rig.face.contact_sheet import SHEETS, Tile, draw_sheet, pose_values, sheet_
 from rig.face.geometry.mesh import Mesh
 from rig.face.render import VIEWS, View, make_renderer
 from rig.face.render import opengl as opengl_module
-from rig.face.render.picture import text_width, write_png, write_text
-from rig.face.render.shading import background
+from rig.face.render.shading import background, text_width, write_png, write_text
 from rig.face.render.software import Screen, front_faces, nearest_faces
 from tests.each import each
 

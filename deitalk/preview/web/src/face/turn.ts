@@ -1,4 +1,4 @@
-/** Turn of the head on its neck, the same mathematics as `rig.face.turn` in Python. */
+/** Turn of the head on its neck, the same mathematics as `rig.face.accents` in Python. */
 
 import * as THREE from "three";
 
