@@ -1,11 +1,10 @@
 """YAML from untrusted files: plain values only, with bounded size and nesting.
 
-With aliases a text of 1 kB may expand to gigabytes, so values are counted with every alias
-expanded, while the text is parsed and before anything is built.
+With aliases a text of 1 kB may expand to gigabytes, so they are refused; values are counted while
+the text is parsed and before anything is built.
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -83,45 +82,20 @@ def load_yaml(text: str, where: object, *, error: ErrorClass = ConfigError) -> A
         raise error(f"{where}: cannot be read as YAML ({shorten(reason, 200)})") from None
 
 
-@dataclass
-class _Node:
-    """A list or mapping that is being parsed: values in it, and levels below it."""
-
-    anchor: str | None
-    values: int = 1
-    height: int = 1
-
-
 def _check_events(events: Iterator[Any]) -> None:
-    """Raise ValueError if a text is too large or nested too deep, aliases expanded."""
-    open_nodes = [_Node(None)]
-    anchored: dict[str, _Node] = {}
+    """Raise ValueError if a text has aliases, is too large or is nested too deep."""
+    depth, values = 0, 1
     for event in events:
-        done = None
-        if isinstance(event, yaml.CollectionStartEvent):
-            open_nodes.append(_Node(event.anchor))
-        elif isinstance(event, yaml.CollectionEndEvent):
-            done = open_nodes.pop()
-        elif isinstance(event, yaml.ScalarEvent):
-            done = _Node(event.anchor, height=0)
-            if len(event.value) > limits.SCALAR_CHARACTERS:
-                raise ValueError(
-                    f"a value of {len(event.value)} characters; at most {limits.SCALAR_CHARACTERS}"
-                )
-        elif isinstance(event, yaml.AliasEvent):
-            done = anchored.get(str(event.anchor))
-            if done is None:
-                raise ValueError(f"alias {quoted(event.anchor)} has no complete anchor")
-        if done is not None:
-            _add(open_nodes[-1], done, anchored)
-        if len(open_nodes) - 2 + open_nodes[-1].height > limits.NESTING:
+        if isinstance(event, yaml.AliasEvent):
+            raise ValueError(f"alias {quoted('*' + event.anchor)} is not read; repeat the value")
+        depth += isinstance(event, yaml.CollectionStartEvent)
+        depth -= isinstance(event, yaml.CollectionEndEvent)
+        values += isinstance(event, yaml.CollectionStartEvent | yaml.ScalarEvent)
+        if depth > limits.NESTING:
             raise ValueError(_TOO_DEEP)
-
-
-def _add(parent: _Node, node: _Node, anchored: dict[str, _Node]) -> None:
-    parent.values += node.values
-    parent.height = max(parent.height, node.height + 1)
-    if node.anchor is not None:
-        anchored[node.anchor] = node
-    if parent.values > limits.YAML_VALUES:
-        raise ValueError(f"more than {limits.YAML_VALUES} values, aliases counted; shorten it")
+        if values > limits.YAML_VALUES:
+            raise ValueError(f"more than {limits.YAML_VALUES} values; shorten it")
+        if isinstance(event, yaml.ScalarEvent) and len(event.value) > limits.SCALAR_CHARACTERS:
+            raise ValueError(
+                f"a value of {len(event.value)} characters; at most {limits.SCALAR_CHARACTERS}"
+            )

@@ -103,8 +103,12 @@ def number(value: object, name: str, where: str) -> float:
     except (TypeError, ValueError, OverflowError):
         found = float("nan")
     if not np.isfinite(found):
-        raise EmotionError(f"{where}: {name} is {quoted(value)}; it must be a finite number")
+        raise _not_finite(value, name, where)
     return found
+
+
+def _not_finite(value: object, name: str, where: str) -> EmotionError:
+    return EmotionError(f"{where}: {name} is {quoted(value)}; it must be a finite number")
 
 
 def _number(value: object) -> float:
@@ -142,78 +146,49 @@ class _Sheet(Table):
         for name in wanted:
             if name not in self.header:
                 raise missing(self.path, 1, name, wanted)
-        for decimal in (".", ","):
-            table = self._parsed(wanted, numbers, decimal)
-            # pandas reads a column of True and False as 1 and 0: look at its cells.
-            if table is not None and not any(table[n].dropna().isin((0, 1)).all() for n in numbers):
-                found = _complete(table, numbers, texts)
-                if found is not None:
-                    return found
-        return self._checked(wanted, numbers, texts)
+        cells = self._cells(wanted)
+        is_empty = {name: (cells[name] == "").to_numpy(bool) for name in wanted}
+        kept = np.flatnonzero(~np.all(list(is_empty.values()), axis=0))
+        if not len(kept):
+            raise _no_keys(self.path)
+        values = {name: _numbers(cells[name])[kept] for name in numbers}
+        for name in wanted:
+            if is_empty[name][kept].any():
+                raise missing(self.path, kept[np.argmax(is_empty[name][kept])], name, wanted)
+        for name, column in values.items():
+            if not np.isfinite(column).all():
+                row = kept[np.argmin(np.isfinite(column))]
+                raise _not_finite(cells[name][row], name, f"{self.path}, key {row}")
+        words = {name: cells[name].str.lower().iloc[kept].tolist() for name in texts}
+        return Columns(values, words, kept)
 
-    def _checked(
-        self, wanted: Sequence[str], numbers: Sequence[str], texts: Sequence[str]
-    ) -> Columns:
-        """Columns with decimals of both kinds; or the error that names the first bad cell."""
-        import pandas as pd
-
-        table = self._parsed(wanted, (), ".")
-        assert table is not None
-        cells = table.fillna("").apply(lambda column: column.str.strip())
-        converted = cells.copy()
-        for name in numbers:
-            points = cells[name].str.replace(",", ".")
-            converted[name] = pd.to_numeric(points, errors="coerce").astype(float)
-        found = _complete(converted, numbers, texts)
-        if found is not None:
-            return found
-        for row, values in enumerate(cells.to_dict("records")):
-            if any(values.values()):
-                self._check_row(row, {str(k): v for k, v in values.items()}, numbers)
-        raise _no_keys(self.path)
-
-    def _check_row(self, row: int, cells: Mapping[str, str], numbers: Sequence[str]) -> None:
-        for name, cell in cells.items():
-            if not cell:
-                raise missing(self.path, row, name, tuple(cells))
-        for name in numbers:
-            number(cells[name], name, f"{self.path}, key {row}")
-
-    def _parsed(
-        self, wanted: Sequence[str], numbers: Sequence[str], decimal: str
-    ) -> "pd.DataFrame | None":
-        """Wanted columns; None if a number cannot be read so."""
+    def _cells(self, wanted: Sequence[str]) -> "pd.DataFrame":
+        """Texts of the wanted columns, without the spaces around them."""
         import pandas as pd
 
         beyond = len(self.header)
         places = {self.header.index(name): name for name in wanted} | {beyond: ""}
-        options: dict[str, Any] = {
-            "sep": self.separator,
-            "header": None,
-            "names": list(range(beyond + 1)),  # one more: a separator at the end
-            "usecols": list(places),
-            "dtype": {i: float if name in numbers else str for i, name in places.items()},
-            "na_values": {i: [""] for i, name in places.items() if name in numbers},
-            "decimal": decimal,
-            "keep_default_na": False,
-            "skipinitialspace": True,
-            "index_col": False,
-            "low_memory": False,  # in pieces, pandas before 3.1 asks every piece for every column
-        }
         # An empty row of all columns comes first, so that a row may be shorter: it is number 0.
         full = '""' + self.separator * len(self.header) + "\n"
         try:
-            table: pd.DataFrame = pd.read_csv(io.StringIO(full + self.text), **options)
+            table = pd.read_csv(
+                io.StringIO(full + self.text),
+                sep=self.separator,
+                header=None,
+                names=list(range(beyond + 1)),  # one more: a separator at the end
+                usecols=list(places),
+                dtype=str,
+                keep_default_na=False,
+                skipinitialspace=True,
+                index_col=False,
+            )
         except pd.errors.EmptyDataError:
             raise _no_keys(self.path) from None
         except (pd.errors.ParserError, csv.Error) as error:
             reason = " ".join(shorten(str(error), 200).split())
             raise EmotionError(f"{self.path} cannot be parsed: {reason}; mend the file") from None
-        except (ValueError, OverflowError):
-            if not numbers:
-                raise
-            return None
-        too_long = table[beyond].fillna("").str.strip() != ""
+        table = table.fillna("").apply(lambda column: column.str.strip())
+        too_long = table[beyond] != ""
         if too_long.any():
             raise EmotionError(
                 f"{self.path}, key {int(np.argmax(too_long))}: more cells than the {beyond} of the "
@@ -222,24 +197,13 @@ class _Sheet(Table):
         return table.rename(columns=places)[list(wanted)]
 
 
-def _complete(
-    table: "pd.DataFrame", numbers: Sequence[str], texts: Sequence[str]
-) -> Columns | None:
-    """Columns without empty rows; None if a cell is missing or no finite number."""
-    values = {name: table[name].to_numpy(np.float64) for name in numbers}
-    words = {name: table[name].fillna("").str.strip().str.lower() for name in texts}
-    is_empty = np.ones(len(table), bool)
-    for column in values.values():
-        is_empty &= np.isnan(column)
-    for text in words.values():
-        is_empty &= (text == "").to_numpy(bool)
-    kept = np.flatnonzero(~is_empty)
-    found = {name: column[kept] for name, column in values.items()}
-    kept_words = {name: text.iloc[kept].tolist() for name, text in words.items()}
-    whole = all(np.isfinite(column).all() for column in found.values())
-    if not len(kept) or not whole or not all(all(column) for column in kept_words.values()):
-        return None
-    return Columns(found, kept_words, kept)
+def _numbers(cells: "pd.Series") -> Float64:
+    """Numbers of cells, with a decimal point or comma; NaN where none."""
+    import pandas as pd
+
+    points = cells.str.replace(",", ".", regex=False)
+    numbers: Float64 = pd.to_numeric(points, errors="coerce").to_numpy(np.float64)
+    return numbers
 
 
 def _no_keys(path: object) -> EmotionError:

@@ -31,7 +31,7 @@ def write_track(path, keys):
     if path.suffix == ".json":
         path.write_text(json.dumps(keys))
     elif path.suffix == ".yaml":
-        path.write_text(yaml.safe_dump({"keys": keys}))
+        path.write_text(yaml.safe_dump({"keys": [dict(key) for key in keys]}))
     else:
         lines = [
             ",".join(str(key.get(c, "")) for c in ("time", "emotion", "strength")) for key in keys
