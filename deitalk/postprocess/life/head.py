@@ -55,7 +55,7 @@ SWALLOW = (0.45, 0.15, 0.4)
 FREE_DEGREES, FULL_DEGREES = 2.0, 40.0
 """Yaw from which a turning muscle shows, and what it takes more to contract in full."""
 
-BREATH_CONTROL, SWALLOW_CONTROLS = "CTRL_neck_throatExhaleInhale.ty", "CTRL_C_neck_swallow.ty"
+BREATH_CONTROL, SWALLOW_CONTROL = "CTRL_neck_throatExhaleInhale.ty", "CTRL_C_neck_swallow.ty"
 TURNS = ("CTRL_L_neck_mastoidContract.ty", "CTRL_R_neck_mastoidContract.ty")
 
 
@@ -64,7 +64,7 @@ def neck_tracks(breath: Float64, swallows: Float64, yaw: Float32 | Float64) -> d
     turns = (np.maximum(np.abs(yaw) - FREE_DEGREES, 0) / FULL_DEGREES).clip(max=1)
     tracks = {
         BREATH_CONTROL: breath,
-        SWALLOW_CONTROLS: swallows,
+        SWALLOW_CONTROL: swallows,
         TURNS[0]: turns * (yaw > 0),
         TURNS[1]: turns * (yaw < 0),
     }

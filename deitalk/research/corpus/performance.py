@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
+from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE, frame_count
 from deitalk.audio.prosody import level_db, measure_prosody, prosody_index
 from deitalk.evaluation.clip_scores import (
     Contour,
@@ -73,8 +73,8 @@ def perform(utterance: Utterance, rng: np.random.Generator) -> Take:
     n_frames = -(-CURVE_RATE * len(waveform) // SAMPLE_RATE)
     source_times = np.interp(np.arange(n_frames) / CURVE_RATE, time_map[1], time_map[0])
     # Sum of the applied contour and the measured prosody, at seconds of the source.
-    n_frames = -(-FRAME_RATE * len(padded.waveform) // SAMPLE_RATE)
-    natural = prosody_index(measure_prosody(padded.waveform, n_frames))
+    measured = measure_prosody(padded.waveform, frame_count(len(padded.waveform)))
+    natural = prosody_index(measured)
     own = np.interp(source_times, np.arange(len(natural)) / FRAME_RATE, natural)
     z: Float64 = contour_at(contour, source_times) + NATURAL_WEIGHT * own
     return Take(

@@ -14,11 +14,11 @@ from deitalk.postprocess.life.brows import (
     move_brows,
 )
 from deitalk.postprocess.life.head import (
-    BREATH,
+    BREATH_CONTROL,
     MOST_ASIDE,
     NOD_SECONDS,
     NOD_SPEED,
-    SWALLOWS,
+    SWALLOW_CONTROL,
     TURN,
     TURNS,
     Head,
@@ -91,7 +91,7 @@ def test_only_brows_lids_cheeks_eyes_and_neck_move():
     names = {CONTROLS.names[i] for i in np.flatnonzero((curves != rest).any(axis=0))}
     expected = {f"CTRL_{s}_{stem}.ty" for s in "LR" for stem in STEMS}
     expected |= {f"CTRL_{s}_eye.t{axis}" for s in "LR" for axis in "xy"}
-    assert {*names} - expected <= {*TURNS, SWALLOWS, BREATH} and expected <= names
+    assert {*names} - expected <= {*TURNS, SWALLOW_CONTROL, BREATH_CONTROL} and expected <= names
     assert np.array_equal(curves[0], rest[0])
     assert np.array_equal(curves[-14:], rest[-14:])
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from deitalk.postprocess.life.amounts import Life
-from deitalk.postprocess.life.head import BREATH, SWALLOWS, TURNS, neck_tracks
+from deitalk.postprocess.life.head import BREATH_CONTROL, SWALLOW_CONTROL, TURNS, neck_tracks
 from deitalk.postprocess.life.motion import plan_motion
 from deitalk.postprocess.life.tracks import Seeds
 from deitalk.postprocess.life.voice import Phrase, Voice
@@ -22,7 +22,7 @@ def necks(voice, count=200):
 
 
 def test_breath_is_drawn_before_phrases_and_is_over_within_them():
-    breath = necks(VOICE, 1)[0][BREATH]
+    breath = necks(VOICE, 1)[0][BREATH_CONTROL]
     for phrase in PHRASES[1:]:
         assert breath[phrase.start - 6 : phrase.start].max() > 0.3
         assert breath[phrase.start + 12 : phrase.stop - 20].max() == 0
@@ -34,7 +34,7 @@ def test_people_swallow_once_a_minute_and_never_while_they_speak():
     voice = Voice(18_060, np.zeros(18_060, np.float32), (), phrases)
     counts, speaking = [], voice.speaking > 0
     for tracks in necks(voice, 20):
-        above = tracks[SWALLOWS] > 0.5
+        above = tracks[SWALLOW_CONTROL] > 0.5
         counts.append(int((above[1:] & ~above[:-1]).sum()))
         assert not above[speaking].any()
     assert 7 <= np.mean(counts) <= 13
@@ -44,7 +44,7 @@ def test_people_swallow_once_a_minute_and_never_while_they_speak():
         (),
         tuple(Phrase(s, s + 60, False) for s in range(20, 860, 80)),
     )
-    assert all(tracks[SWALLOWS].max() == 0 for tracks in necks(short, 20)), "pauses of 0.7 s"
+    assert all(tracks[SWALLOW_CONTROL].max() == 0 for tracks in necks(short, 20)), "pauses of 0.7 s"
 
 
 @each(("yaw", "contracts"), [(22.0, 0), (-22.0, 1)])
