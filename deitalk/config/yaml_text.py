@@ -87,7 +87,7 @@ def _check_events(events: Iterator[Any]) -> None:
     depth, values = 0, 1
     for event in events:
         if isinstance(event, yaml.AliasEvent):
-            raise ValueError(f"alias {quoted('*' + event.anchor)} is not read; repeat the value")
+            raise ValueError(f"alias {quoted(f'*{event.anchor}')} is not read; repeat the value")
         depth += isinstance(event, yaml.CollectionStartEvent)
         depth -= isinstance(event, yaml.CollectionEndEvent)
         values += isinstance(event, yaml.CollectionStartEvent | yaml.ScalarEvent)

@@ -171,7 +171,7 @@ class _Sheet(Table):
         # An empty row of all columns comes first, so that a row may be shorter: it is number 0.
         full = '""' + self.separator * len(self.header) + "\n"
         try:
-            table = pd.read_csv(
+            table: pd.DataFrame = pd.read_csv(
                 io.StringIO(full + self.text),
                 sep=self.separator,
                 header=None,

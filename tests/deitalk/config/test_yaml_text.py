@@ -108,7 +108,7 @@ def test_yaml_rejects(text):
 
 def test_emotion_file_rejects_an_alias_bomb(tmp_path):
     (tmp_path / "e.yaml").write_text(bomb(9))
-    with pytest.raises(EmotionError, match="alias .* is not read"):
+    with pytest.raises(EmotionError, match=r"alias .* is not read"):
         parse_emotion(tmp_path / "e.yaml")
 
 
