@@ -243,6 +243,7 @@ class RunningRules:
             contacts.append(sharp)
         curves = rules.blend(readings[0], readings[1], own.scale)
         rules.express(curves, readings[0], own.emotion, own.scale, own.network)
+        rules.rest_lips(curves, readings[0])
         blended = (contacts[1] - contacts[0]) * rows.scale
         if rules.settings.keep_contacts is not None:
             blended = np.maximum(blended, 0)

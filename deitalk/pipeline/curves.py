@@ -262,6 +262,7 @@ def _apply_rules(
     out = None if emotional is neutral else emotional  # not needed any more
     values = rules.blend(neutral, emotional, intensities.scale, out)
     rules.express(values, neutral, weights, intensities.scale, intensities.network)
+    rules.rest_lips(values, neutral)
     for reading in (neutral, values):
         rules.limit_contact_speed(reading)
         rules.apply_dead_zone(reading)

@@ -120,6 +120,24 @@ class Expression:
             table = expression_table(self.controls.names)
             table.add_to(curves, neutral, weights, strength, 1 - self.contact(neutral))
 
+    def rest_lips(self, curves: Float32, neutral: Float32) -> None:
+        """Cover the teeth of the neutral reading, in place; the expression stays.
+
+        Parameters
+        ----------
+        curves, neutral : array [shape=(T, C)]
+            The blend of both readings, and the neutral one: both change by as much.
+        """
+        rule = self.settings.expressions
+        if rule is None or not len(self.lips):
+            return
+        jaw, upper, lower = self.lips[0], self.lips[1:3], self.lips[3:]
+        raised = np.minimum(neutral[:, upper], 2 * rule.upper)
+        above = neutral[:, lower] - rule.lower - rule.per_jaw * neutral[:, [jaw]]
+        for reading in (curves, neutral):
+            reading[:, upper] -= raised * (1 - raised / (4 * rule.upper))
+            reading[:, lower] -= rule.share * np.maximum(above, 0)
+
     def sharpen_contacts(self, curves: Float32) -> None:
         """Raise likely contacts and lower unlikely ones, in place.
 
@@ -259,6 +277,12 @@ class Expression:
     def lively(self) -> NDArray[np.intp]:
         """Controls that `scale_opening` scales; they rest at 0."""
         return self._named(*LIVELY)
+
+    @cached_property
+    def lips(self) -> NDArray[np.intp]:
+        """The jaw, the raises of the upper lip and the depressions of the lower one; or none."""
+        places = np.concatenate([self._named(part) for part in LIVELY])
+        return places if len(places) == 5 else places[:0]
 
     @cached_property
     def together(self) -> NDArray[np.intp]:

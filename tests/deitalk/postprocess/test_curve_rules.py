@@ -145,6 +145,23 @@ def test_dead_zone_removes_small_openings_only():
     assert (curves[:, brow] == np.float32(0.004)).all()
 
 
+def test_neutral_lips_cover_the_teeth():
+    """Upper lips .05, .2, .5 by .1: .05 - .05 (1 - .05 / .4), .1, .4; lower lips of .25 over a jaw
+    of .1 keep .16 and .4 of the rest; both readings change by as much."""
+    neutral = np.tile(CONTROLS.rest, (3, 1))
+    upper, lower = (
+        CONTROLS.index(f"CTRL_L_mouth_{name}.ty") for name in ("upperLipRaise", "lowerLipDepress")
+    )
+    neutral[:, upper], neutral[:, lower] = [0.05, 0.2, 0.5], 0.25
+    neutral[:, CONTROLS.index("CTRL_C_jaw.ty")] = [0.1, 0.3, 0.1]
+    acted = neutral + 0.3
+    before, shown = neutral.copy(), acted.copy()
+    RULES.rest_lips(shown, neutral)
+    np.testing.assert_allclose(neutral[:, upper], [0.00625, 0.1, 0.4], atol=1e-6)
+    np.testing.assert_allclose(neutral[:, lower], [0.16 + 0.4 * 0.09, 0.25, 0.196], atol=1e-6)
+    np.testing.assert_allclose(shown - acted, neutral - before, atol=1e-6)
+
+
 def test_groups_hold_their_controls():
     assert len(RULES.together) == 4
     assert len(RULES.bite) == 2
@@ -246,6 +263,7 @@ def test_rules_that_are_off_change_nothing():
         lambda rows: off.express(
             rows, rest, np.eye(5, dtype=np.float32)[[1] * 40], strength, strength
         ),
+        lambda rows: off.rest_lips(rows, rows.copy()),
         lambda rows: off.rest_in_silence(rows, 0 * strength, 0 * strength),
     ):
         changed = neutral.copy()
