@@ -15,9 +15,9 @@ import soundfile
 
 from deitalk.cli import main
 from deitalk.config import Config
-from deitalk.evaluation.benchmark_curves import speechlike
 from deitalk.models.checkpoint import save_model
 from deitalk.models.curve_model import DEITalk
+from deitalk.research.evaluation.benchmark_curves import speechlike
 from rig import default_controls, write_curves
 from rig.curves import RigCurves
 from rig.mesh import TriMesh, write_obj

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import soundfile
 
-from deitalk.evaluation.benchmark_curves import speechlike
+from deitalk.research.evaluation.benchmark_curves import speechlike
 from rig import read_curves
 
 from .contents import check_whole, contents, hidden

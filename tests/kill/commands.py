@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import soundfile
 
-from deitalk.evaluation.benchmark_curves import speechlike
+from deitalk.research.evaluation.benchmark_curves import speechlike
 from rig import RigCurves, default_controls, write_curves
 
 from .processes import Process

@@ -21,7 +21,6 @@ from torch import Tensor, nn
 from deitalk.audio.frames import SAMPLE_RATE
 from deitalk.config import KarrasConfig, SDFAConfig, SDFAModelConfig, VocaConfig, parse_config
 from deitalk.data.mesh_folder import head_templates
-from deitalk.evaluation.benchmark_curves import TABLE_4_SECONDS, speechlike
 from deitalk.frontends.base import window_index
 from deitalk.frontends.sdfa import SDFAEncoder
 from deitalk.models.checkpoint import new_mesh_model, require_model, save_model
@@ -29,6 +28,7 @@ from deitalk.models.deformation_decoder import InversePCA
 from deitalk.models.mesh_model import SDFA
 from deitalk.pipeline.mesh import predict_mesh
 from deitalk.pipeline.speech import Speech
+from deitalk.research.evaluation.benchmark_curves import TABLE_4_SECONDS, speechlike
 from rig.deformation.reconstruct import mesh_solver
 from rig.face.head import UNIT_MM
 

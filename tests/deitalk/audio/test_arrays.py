@@ -9,7 +9,7 @@ from deitalk import animate
 from deitalk.audio.arrays import recording_from_array, recording_of
 from deitalk.audio.load import load_audio
 from deitalk.errors import AudioError
-from deitalk.evaluation.benchmark_curves import speechlike
+from deitalk.research.evaluation.benchmark_curves import speechlike
 from tests.each import each
 
 RATE = 44_100

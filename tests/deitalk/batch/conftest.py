@@ -9,9 +9,9 @@ import torch
 
 from deitalk.batch.run import animate_batch
 from deitalk.config import Config
-from deitalk.evaluation.benchmark_curves import speechlike
 from deitalk.models.checkpoint import save_model
 from deitalk.models.curve_model import DEITalk
+from deitalk.research.evaluation.benchmark_curves import speechlike
 from tests.deitalk.pipeline.test_curves import SMALL
 
 

@@ -14,8 +14,8 @@ from deitalk.audio.load import write_wav
 from deitalk.batch.source import FAILED, SUMMARY
 from deitalk.emotions import read_actor
 from deitalk.errors import CheckpointError, DataError, DeitalkError
-from deitalk.evaluation.benchmark_curves import speechlike
 from deitalk.research.corpus.engines import espeak
+from deitalk.research.evaluation.benchmark_curves import speechlike
 from rig import read_curves, write_curves
 from rig.errors import TargetError
 from rig.files import changed_files

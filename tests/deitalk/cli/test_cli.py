@@ -14,9 +14,9 @@ from typer.testing import CliRunner
 
 from deitalk.cli import app
 from deitalk.config import Config
-from deitalk.evaluation.benchmark_curves import speechlike
 from deitalk.models.checkpoint import save_model
 from deitalk.models.curve_model import DEITalk
+from deitalk.research.evaluation.benchmark_curves import speechlike
 from rig import default_controls, read_curves
 from tests.command import deitalk, refused
 from tests.deitalk.pipeline.test_curves import SMALL

@@ -4,7 +4,7 @@ import soundfile
 from typer.testing import CliRunner
 
 from deitalk.cli import app
-from deitalk.evaluation.benchmark_curves import speechlike
+from deitalk.research.evaluation.benchmark_curves import speechlike
 from rig.face import IDENTITIES
 from rig.face.identity import ROLES
 from tests.each import each

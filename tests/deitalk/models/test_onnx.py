@@ -16,7 +16,6 @@ from deitalk import animate
 from deitalk.config import Config, MelConfig, ModelConfig, RulesConfig
 from deitalk.emotions import EMOTIONS
 from deitalk.errors import CheckpointError, DeitalkError, MissingError
-from deitalk.evaluation.benchmark_curves import speechlike
 from deitalk.live.animator import LiveAnimator, live_frames
 from deitalk.models.checkpoint import load_model, save_model
 from deitalk.models.curve_model import DEITalk
@@ -24,6 +23,7 @@ from deitalk.models.folder import embedded_models
 from deitalk.models.load import load_network
 from deitalk.models.onnx import OnnxNetwork, load_onnx
 from deitalk.models.onnx import network as network_module
+from deitalk.research.evaluation.benchmark_curves import speechlike
 from rig import default_controls, read_curves
 from tests.deitalk.models.test_curve_model import MEL, SMALL
 

@@ -12,7 +12,6 @@ from deitalk.audio.load import Recording, load_audio
 from deitalk.config import MelConfig, ModelConfig, RulesConfig
 from deitalk.emotions import EMOTIONS, LABELS, ActorReference, IntensityCurve
 from deitalk.errors import AudioError, ConfigError, DeitalkError
-from deitalk.evaluation.benchmark_curves import speechlike
 from deitalk.evaluation.lip_closures import mouth_opening
 from deitalk.models.checkpoint import load_model
 from deitalk.models.curve_model import DEITalk
@@ -20,6 +19,7 @@ from deitalk.models.folder import embedded_models
 from deitalk.pipeline.curves import READ_ON_SAMPLES, prepare
 from deitalk.pipeline.speech import Speech
 from deitalk.postprocess.life.motion import LEANS
+from deitalk.research.evaluation.benchmark_curves import speechlike
 from rig.errors import ControlError
 from tests.each import each
 
@@ -410,7 +410,7 @@ def test_two_divisions_of_ten_minutes_agree_within_a_hundredth(default, voice, m
 
 @pytest.mark.slow
 def test_an_hour_takes_under_thirteen_hundred_megabytes(default):
-    from deitalk.evaluation.benchmark_curves import peak_memory
+    from deitalk.research.evaluation.benchmark_curves import peak_memory
 
     assert peak_memory("default", 3600)["megabytes"] < 1300
 

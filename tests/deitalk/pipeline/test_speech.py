@@ -10,9 +10,9 @@ from deitalk.audio.load import load_audio, write_wav
 from deitalk.audio.voice_activity import active_level_db, speech_activity
 from deitalk.emotions import IntensityCurve
 from deitalk.errors import AudioError
-from deitalk.evaluation.benchmark_curves import speechlike
 from deitalk.models.protocol import Tracks, neutral_and_acted
 from deitalk.pipeline.speech import Speech, measure_intensities
+from deitalk.research.evaluation.benchmark_curves import speechlike
 from tests.each import each
 
 

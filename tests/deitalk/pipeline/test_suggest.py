@@ -11,7 +11,6 @@ from deitalk.audio.prosody import BANDS
 from deitalk.cli import app
 from deitalk.emotions import EMOTIONS, parse_emotion
 from deitalk.errors import AudioError
-from deitalk.evaluation.benchmark_curves import speechlike
 from deitalk.pipeline import suggest
 from deitalk.pipeline.speech import Speech
 from deitalk.pipeline.suggest import (
@@ -26,6 +25,7 @@ from deitalk.pipeline.suggest import (
     manner,
     suggest_emotion,
 )
+from deitalk.research.evaluation.benchmark_curves import speechlike
 from deitalk.research.training.suggestion import (
     ASKED,
     Label,

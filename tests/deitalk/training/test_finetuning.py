@@ -21,11 +21,11 @@ from deitalk.data.clips import read_clips
 from deitalk.data.windows import Share
 from deitalk.emotions import EMOTIONS
 from deitalk.errors import CheckpointError, ConfigError, DataError
-from deitalk.evaluation.benchmark_curves import speechlike
 from deitalk.evaluation.captures.comparison import CaptureSet
 from deitalk.evaluation.validation import load_example, predict
 from deitalk.models.checkpoint import load_model
 from deitalk.models.folder import describe_model
+from deitalk.research.evaluation.benchmark_curves import speechlike
 from deitalk.training.tuning.recipe import read_recipe
 from deitalk.training.tuning.task import FinetuneTask, finetune
 from rig import RigCurves, read_curves, write_curves

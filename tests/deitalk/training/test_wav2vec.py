@@ -9,8 +9,8 @@ import torch
 from deitalk import animate
 from deitalk.audio.load import Recording
 from deitalk.config import Wav2VecConfig, load_config
-from deitalk.evaluation.benchmark_curves import speechlike
 from deitalk.models.checkpoint import load_model
+from deitalk.research.evaluation.benchmark_curves import speechlike
 from deitalk.training.curves import train_curves
 from tests.dataset import write_dataset
 

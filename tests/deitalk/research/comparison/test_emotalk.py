@@ -8,9 +8,9 @@ from torch.nn import functional as F
 from deitalk import animate
 from deitalk.audio.load import Recording
 from deitalk.config import Config, MelConfig, ModelConfig, load_config
-from deitalk.evaluation.benchmark_curves import speechlike
 from deitalk.models.checkpoint import load_model, network_class, save_model
 from deitalk.research.comparison.emotalk import EmoTalk, emotion_sources
+from deitalk.research.evaluation.benchmark_curves import speechlike
 from deitalk.research.training.ablation import read_variants
 from tests.deitalk.models.test_curve_model import MEL
 from tests.each import each

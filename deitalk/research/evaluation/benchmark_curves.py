@@ -86,7 +86,7 @@ def peak_memory(model: str, seconds: float) -> dict[str, float]:
     """Peak memory of a process that animates one long clip, in MB, and its seconds."""
     script = (
         "import json, sys, time\n"
-        "from deitalk.evaluation.benchmark_curves import peak_megabytes, speechlike\n"
+        "from deitalk.research.evaluation.benchmark_curves import peak_megabytes, speechlike\n"
         "from deitalk.pipeline.curves import animate\n"
         "from deitalk.audio.load import Recording\n"
         "from deitalk.models.checkpoint import load_model\n"
