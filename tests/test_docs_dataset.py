@@ -6,7 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deitalk.config import DataConfig, load_config
+from deitalk.config.curves import DataConfig
+from deitalk.config.load import load_config
 from deitalk.data import clips as reader
 from deitalk.data.checks import check_dataset
 from deitalk.data.clips import REQUIRED, read_clips, read_intensity, read_phones

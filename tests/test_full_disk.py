@@ -14,7 +14,7 @@ import pytest
 import soundfile
 
 from deitalk.cli import main
-from deitalk.config import Config
+from deitalk.config.curves import Config
 from deitalk.models.checkpoint import save_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.research.evaluation.benchmark_curves import speechlike

@@ -18,7 +18,7 @@ from api.live.session import FRAME
 from deitalk import LiveAnimator, animate
 from deitalk.audio.load import load_audio
 from deitalk.cli import app
-from deitalk.config import Config
+from deitalk.config.curves import Config
 from deitalk.live.sources import PacedSound
 from deitalk.models.checkpoint import save_model
 from deitalk.models.curve_model import DEITalk

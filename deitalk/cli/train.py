@@ -13,7 +13,8 @@ from deitalk.cli.console import bar, console, emit
 
 if TYPE_CHECKING:
     from deitalk.cli.console import Advance
-    from deitalk.config import AnyConfig, FinetuneConfig
+    from deitalk.config.curves import FinetuneConfig
+    from deitalk.config.load import AnyConfig
     from deitalk.training.trainer import Progress
 
 
@@ -44,7 +45,7 @@ def train(
 
     deitalk train configs/sdfa.yaml --data corpus/ -o runs/sdfa
     """
-    from deitalk.config import load_config
+    from deitalk.config.load import load_config
 
     settings = load_config(config, overrides or ())
     with console().status("loading"):

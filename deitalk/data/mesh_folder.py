@@ -30,7 +30,7 @@ import pandas as pd
 
 from deitalk.audio.frames import SAMPLE_RATE
 from deitalk.audio.load import load_audio
-from deitalk.config import MeshDataConfig
+from deitalk.config.mesh import MeshDataConfig
 from deitalk.data.clips import SPLITS, Clip, read_clips, spread_clips
 from deitalk.data.mesh_bases import MeshBases, fit_mesh_bases, read_mesh_bases, write_mesh_bases
 from deitalk.errors import DataError

@@ -20,7 +20,7 @@ from torch.utils.data import IterableDataset, get_worker_info
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE, frame_count
 from deitalk.audio.load import load_audio
 from deitalk.audio.voice_activity import normalise_level
-from deitalk.config import DataConfig
+from deitalk.config.curves import DataConfig
 from deitalk.data.augment_waveform import Surroundings, augment, change_speed, speed_factor
 from deitalk.data.clips import MEASURED, REHEARSED, Clip, read_intensity, read_known
 from deitalk.emotions import EMOTIONS

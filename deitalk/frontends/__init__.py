@@ -6,7 +6,7 @@ for SDFA and its comparison models.
 
 from importlib import import_module
 
-from deitalk.config import (
+from deitalk.config.frontends import (
     CausalWhisperConfig,
     KarrasConfig,
     MelConfig,

@@ -25,7 +25,7 @@ from torch.nn import functional as F
 
 from deitalk.audio.frames import FRAME_RATE
 from deitalk.audio.log_mel import SILENCE
-from deitalk.config import CausalWhisperConfig
+from deitalk.config.frontends import CausalWhisperConfig
 from deitalk.frontends.whisper import Layer, WhisperFrontend, scaled
 
 # Running level of a voice that has not ended: the causal form of `normalise_level`.

@@ -17,7 +17,7 @@ from torch.nn.utils.parametrizations import weight_norm
 
 from deitalk.audio.frames import SAMPLE_RATE
 from deitalk.audio.mel import MelSpectrogram, nearest_spectra
-from deitalk.config import MelConfig
+from deitalk.config.frontends import MelConfig
 from deitalk.errors import CheckpointError
 from deitalk.frontends.base import Frontend
 from deitalk.frontends.whole_clip import encode_whole

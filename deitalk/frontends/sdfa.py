@@ -10,7 +10,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from deitalk.config import SDFAMelConfig
+from deitalk.config.frontends import SDFAMelConfig
 from deitalk.errors import CheckpointError
 from deitalk.frontends.base import NO_ATTENTION, Encoder, window_index
 from deitalk.frontends.mel_bilstm import (

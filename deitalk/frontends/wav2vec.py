@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Self
 from torch import Tensor, nn
 
 from deitalk.audio.frames import SAMPLE_RATE
-from deitalk.config import Wav2VecConfig
+from deitalk.config.frontends import Wav2VecConfig
 from deitalk.config.hub import ask
 from deitalk.config.section import check_encoder
 from deitalk.errors import CheckpointError, ConfigError

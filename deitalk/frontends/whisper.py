@@ -36,7 +36,7 @@ from deitalk.audio.log_mel import (
     log_mel_filters,
     loudest,
 )
-from deitalk.config import WhisperShape
+from deitalk.config.frontends import WhisperShape
 from deitalk.errors import CheckpointError, ConfigError
 from deitalk.frontends.base import Frontend
 from rig.arrays import Float32

@@ -17,7 +17,7 @@ import torch
 from torch import Tensor, nn
 
 from deitalk.audio.mel import MelSpectrogram, nearest_spectra
-from deitalk.config import MelConfig
+from deitalk.config.frontends import MelConfig
 
 PIECE_FRAMES = 240
 """Rig frames of a piece (8 s); what a piece needs beside the sequence grows with it."""

@@ -13,7 +13,7 @@ from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
 from deitalk.audio.prosody import measure_windows
 from deitalk.audio.resampling import RunningResampler
 from deitalk.audio.voice_activity import window_levels
-from deitalk.config import RulesConfig
+from deitalk.config.rules import RulesConfig
 from deitalk.emotions import EmotionTrack
 from deitalk.errors import AudioError, ConfigError
 from deitalk.live import rules

@@ -15,7 +15,7 @@ import numpy as np
 
 from deitalk.audio.frames import FRAME_RATE
 from deitalk.audio.prosody import LEVEL_DB, PITCH_SEMITONES, VOICED
-from deitalk.config import Idle
+from deitalk.config.rules import Idle
 from deitalk.postprocess.life.amounts import Life
 from deitalk.postprocess.life.motion import MotionStream
 from deitalk.postprocess.life.tracks import Seeds

@@ -28,7 +28,7 @@ from deitalk.audio.voice_activity import (
     SPEECH_RANGE_DB,
     TOP_BANDS,
 )
-from deitalk.config import Gates
+from deitalk.config.rules import Gates
 from deitalk.emotions import LABELS
 from deitalk.postprocess.curve_rules import Expression
 from deitalk.postprocess.gates import expression_between, mouth_between

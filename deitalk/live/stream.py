@@ -10,7 +10,7 @@ import numpy as np
 from deitalk.acting import Acting
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE, frame_count
 from deitalk.audio.voice_activity import WINDOW
-from deitalk.config import RulesConfig
+from deitalk.config.rules import RulesConfig
 from deitalk.emotions import EmotionTrack
 from deitalk.live import rules as running
 from deitalk.live.life import RunningLife

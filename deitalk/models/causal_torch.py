@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from deitalk.audio.log_mel import N_FFT
-from deitalk.config import RulesConfig
+from deitalk.config.rules import RulesConfig
 from deitalk.emotions import EMOTIONS
 from deitalk.frontends.causal_whisper import CausalState, CausalWhisperFrontend
 from deitalk.models.curve_model import DEITalk

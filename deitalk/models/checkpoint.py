@@ -13,18 +13,10 @@ import torch
 import yaml
 from safetensors.torch import save
 
-from deitalk.config import (
-    AnyConfig,
-    Config,
-    DEITalkFeaturesConfig,
-    KarrasConfig,
-    ModelConfig,
-    SDFAConfig,
-    SDFAMelConfig,
-    SDFAModelConfig,
-    VocaConfig,
-    load_config,
-)
+from deitalk.config.curves import Config, ModelConfig
+from deitalk.config.frontends import DEITalkFeaturesConfig, KarrasConfig, SDFAMelConfig, VocaConfig
+from deitalk.config.load import AnyConfig, load_config
+from deitalk.config.mesh import SDFAConfig, SDFAModelConfig
 from deitalk.config.rig_file import read_controls, rig_text
 from deitalk.errors import CheckpointError
 from deitalk.frontends import build_encoder

@@ -9,7 +9,8 @@ import torch
 from torch import Tensor, nn
 
 from deitalk.audio.frames import FRAME_RATE, frame_count
-from deitalk.config import ModelConfig, RulesConfig
+from deitalk.config.curves import ModelConfig
+from deitalk.config.rules import RulesConfig
 from deitalk.emotions import EMOTIONS
 from deitalk.errors import CheckpointError
 from deitalk.frontends import build_frontend

@@ -276,7 +276,7 @@ def model_folder(name_or_path: str | Path) -> Path:
 
 def is_causal(name_or_path: str | Path) -> bool:
     """Whether a model is for voices that have not ended (`deitalk.live`)."""
-    from deitalk.config import load_config
+    from deitalk.config.load import load_config
 
     config = load_config(model_folder(name_or_path) / "config.yaml")
     return config.model.frontend.kind == "causal_whisper"

@@ -22,7 +22,7 @@ import torch
 from torch import Tensor, nn
 
 from deitalk.audio.frames import SAMPLE_RATE
-from deitalk.config import SDFAModelConfig
+from deitalk.config.mesh import SDFAModelConfig
 from deitalk.errors import CheckpointError
 from deitalk.frontends.base import Encoder, nearest_places
 from deitalk.models.deformation_decoder import (

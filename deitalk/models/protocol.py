@@ -18,7 +18,7 @@ from typing import Any, Literal, NamedTuple, Protocol, Self, TypeAlias
 import numpy as np
 
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
-from deitalk.config import RulesConfig
+from deitalk.config.rules import RulesConfig
 from deitalk.emotions import EMOTIONS, LABELS, MOODS
 from deitalk.errors import CheckpointError
 from rig import ControlSet

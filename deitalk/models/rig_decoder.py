@@ -6,7 +6,7 @@ from typing import cast
 import torch
 from torch import Tensor, nn
 
-from deitalk.config import ModelConfig
+from deitalk.config.curves import ModelConfig
 from deitalk.emotions import EMOTIONS
 from deitalk.installed import research
 from deitalk.models.temporal_conv import JoinedRows, TemporalConv, receptive_margin

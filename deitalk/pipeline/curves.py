@@ -13,7 +13,7 @@ from deitalk.acting import AUTO, Acting, acted_as
 from deitalk.audio.arrays import Audio, recording_of
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE, frame_count
 from deitalk.audio.load import Recording
-from deitalk.config import RulesConfig
+from deitalk.config.rules import RulesConfig
 from deitalk.emotions import EmotionTrack, IntensityCurve
 from deitalk.errors import DeitalkError
 from deitalk.models.load import load_network

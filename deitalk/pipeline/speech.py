@@ -21,7 +21,7 @@ from deitalk.audio.load import Recording, checked_waveform
 from deitalk.audio.prosody import Prosody, measure_prosody
 from deitalk.audio.vocal_strength import strength_frames, vocal_strength
 from deitalk.audio.voice_activity import level_gain, normalise_level, speech_activity
-from deitalk.config import Gates, VoiceIntensity
+from deitalk.config.rules import Gates, VoiceIntensity
 from deitalk.emotions.tracks import ActorReference
 from deitalk.errors import AudioError
 from deitalk.models.protocol import Tracks

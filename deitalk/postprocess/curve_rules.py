@@ -12,7 +12,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from deitalk.config import KeepContacts, RulesConfig
+from deitalk.config.rules import KeepContacts, RulesConfig
 from deitalk.postprocess.expressions import expression_table
 from rig import ControlSet
 from rig.arrays import Bool, Float32

@@ -7,7 +7,7 @@ decays by these gates, which use the activity of the whole clip.
 import numpy as np
 import numpy.typing as npt
 
-from deitalk.config import Gates
+from deitalk.config.rules import Gates
 from rig.arrays import AnyFloat, Float32
 
 REST_AT_END = 13  # frames of trailing silence (0.43 s) that end in a face wholly at rest

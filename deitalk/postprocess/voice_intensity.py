@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from deitalk.audio.prosody import LEVEL_DB, PITCH_SEMITONES, TILT_DB, VOICED, Prosody, sonority_db
-from deitalk.config import VoiceIntensity
+from deitalk.config.rules import VoiceIntensity
 from rig.arrays import Bool, Float32, Float64
 from rig.curves.edit import gaussian_smooth
 

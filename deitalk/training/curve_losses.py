@@ -7,7 +7,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from deitalk.config import LossConfig
+from deitalk.config.curves import LossConfig
 from deitalk.data.head_lips import HeadLips
 from deitalk.data.windows import Window
 from deitalk.errors import ConfigError

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor, nn
 
 from deitalk.audio.frames import FRAME_RATE
-from deitalk.config import Config
+from deitalk.config.curves import Config
 from deitalk.config.rig_file import read_controls
 from deitalk.data.augment_waveform import Surroundings
 from deitalk.data.clips import Clip, read_clips, spread_clips

@@ -15,7 +15,7 @@ from torch import Tensor, nn
 from deitalk.acting import Acting
 from deitalk.audio.frames import frame_times
 from deitalk.audio.voice_activity import normalise_level
-from deitalk.config import SDFAConfig
+from deitalk.config.mesh import SDFAConfig
 from deitalk.data.mesh_bases import MeshBases
 from deitalk.data.mesh_folder import MeshClip, MeshFolder, has_lips, open_meshes
 from deitalk.data.mesh_segments import ClipInMemory, Segment, SegmentBatches, Segments

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from deitalk.config import MeshTrainConfig
+from deitalk.config.mesh import MeshTrainConfig
 from deitalk.data.mesh_folder import MeshFolder
 from deitalk.data.mesh_segments import Segment, SegmentBatches
 from deitalk.models.deformation_decoder import Coefficients

@@ -27,7 +27,7 @@ from typing import Any
 import torch
 import yaml
 
-from deitalk.config import AnyConfig, load_config
+from deitalk.config.load import AnyConfig, load_config
 from deitalk.errors import ConfigError, DataError, MissingError
 from deitalk.models.folder import RIG_FILE, WEIGHT_FILES
 from rig.files import (

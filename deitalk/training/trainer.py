@@ -18,8 +18,8 @@ import torch
 from torch import Tensor, nn
 from torch.utils.data import DataLoader
 
-from deitalk.config import AnyConfig
 from deitalk.config.curves import TrainConfig
+from deitalk.config.load import AnyConfig
 from deitalk.config.section import Optimisation
 from deitalk.data.windows import Item, SeededBatches, Share
 from deitalk.errors import ConfigError, DataError

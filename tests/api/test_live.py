@@ -27,7 +27,7 @@ from api.serving import server_config
 from api.settings import Settings
 from deitalk import LiveAnimator, animate
 from deitalk.acting import Acting
-from deitalk.config import Config
+from deitalk.config.curves import Config
 from deitalk.models.checkpoint import save_model
 from deitalk.models.curve_model import DEITalk
 from tests.api.conftest import bearer, wav

@@ -208,7 +208,8 @@ def _read_mapping(path: Path) -> object:
 
 
 def _tiny(folder: Path) -> Path:
-    from deitalk.config import Config, load_config
+    from deitalk.config.curves import Config
+    from deitalk.config.load import load_config
     from deitalk.models.checkpoint import save_model
     from deitalk.models.curve_model import DEITalk
 
@@ -235,7 +236,7 @@ def _model_seeds(folder: Path) -> list[Seed]:
 
 
 def _read_model_file(path: Path) -> object:
-    from deitalk.config import load_config
+    from deitalk.config.load import load_config
     from deitalk.models.folder import read_about, read_weights
     from deitalk.models.mesh_model import read_templates, whole_shapes
 
@@ -277,7 +278,7 @@ def _override_seeds(folder: Path) -> list[Seed]:
 
 
 def _read_override(path: Path) -> object:
-    from deitalk.config import load_config
+    from deitalk.config.load import load_config
 
     text = path.read_bytes().decode("utf-8", "surrogateescape")
     return load_config(CONFIGS / "tiny.yaml", [text])

@@ -29,7 +29,7 @@ def write_inputs(folder: Path, lines: int) -> None:
     """A tiny model, recordings of a third of a second, and a manifest."""
     import torch
 
-    from deitalk.config import Config
+    from deitalk.config.curves import Config
     from deitalk.models.checkpoint import save_model
     from deitalk.models.curve_model import DEITalk
     from tests.deitalk.pipeline.test_curves import SMALL

@@ -11,8 +11,8 @@ from pydantic import ValidationError
 
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE, frame_count
 from deitalk.audio.log_mel import loudest
-from deitalk.config import RulesConfig
 from deitalk.config.rig_file import parse_controls
+from deitalk.config.rules import RulesConfig
 from deitalk.errors import CheckpointError, MissingError
 from deitalk.models.protocol import (
     NetworkRows,

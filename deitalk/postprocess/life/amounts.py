@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
-from deitalk.config import Idle
+from deitalk.config.rules import Idle
 from deitalk.errors import DeitalkError
 from rig.errors import quoted
 

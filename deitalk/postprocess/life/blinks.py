@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from deitalk.audio.frames import FRAME_RATE
-from deitalk.config import Idle
+from deitalk.config.rules import Idle
 from deitalk.postprocess.life.voice import Cue
 from rig.arrays import Float64
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deitalk.audio.frames import FRAME_RATE
-from deitalk.config import Idle
+from deitalk.config.rules import Idle
 from deitalk.emotions import LABELS
 from deitalk.postprocess.life.amounts import Life
 from deitalk.postprocess.life.blinks import Blinks

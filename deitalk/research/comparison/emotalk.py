@@ -19,7 +19,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from deitalk.config import ModelConfig, RulesConfig
+from deitalk.config.curves import ModelConfig
+from deitalk.config.rules import RulesConfig
 from deitalk.emotions import EMOTIONS
 from deitalk.models.curve_model import Analysis, DEITalk, Output
 from deitalk.models.rig_decoder import Decoder

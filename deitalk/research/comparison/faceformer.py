@@ -8,7 +8,7 @@ have one rate.
 import torch
 from torch import Tensor, nn
 
-from deitalk.config import ModelConfig
+from deitalk.config.curves import ModelConfig
 from deitalk.emotions import EMOTIONS
 from deitalk.models.rig_decoder import Decoder
 from deitalk.research.comparison.biased_attention import (

@@ -14,7 +14,7 @@ from torch.nn import functional as F
 
 from deitalk.audio.frames import SAMPLE_RATE
 from deitalk.audio.mel import spectra_centres
-from deitalk.config import KarrasConfig
+from deitalk.config.frontends import KarrasConfig
 from deitalk.frontends.base import Encoder, window_index
 
 

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor, nn
 
 from deitalk.audio.mel import MelSpectrogram
-from deitalk.config import VocaConfig
+from deitalk.config.frontends import VocaConfig
 from deitalk.frontends.base import Encoder, window_index
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 
 from deitalk.audio.load import load_audio
-from deitalk.config import MelConfig
+from deitalk.config.frontends import MelConfig
 from deitalk.data.clips import Clip, read_clips, read_phones
 from deitalk.errors import CheckpointError, DataError
 from deitalk.frontends.base import NO_ATTENTION

@@ -19,7 +19,9 @@ import torch
 from torch import Tensor, nn
 
 from deitalk.audio.frames import SAMPLE_RATE
-from deitalk.config import KarrasConfig, SDFAConfig, SDFAModelConfig, VocaConfig, parse_config
+from deitalk.config.frontends import KarrasConfig, VocaConfig
+from deitalk.config.load import parse_config
+from deitalk.config.mesh import SDFAConfig, SDFAModelConfig
 from deitalk.data.mesh_folder import head_templates
 from deitalk.frontends.base import window_index
 from deitalk.frontends.sdfa import SDFAEncoder

@@ -19,7 +19,9 @@ from typing import Any
 
 import numpy as np
 
-from deitalk.config import AnyConfig, Config, SDFAConfig, load_config
+from deitalk.config.curves import Config
+from deitalk.config.load import AnyConfig, load_config
+from deitalk.config.mesh import SDFAConfig
 from deitalk.config.yaml_text import read_yaml
 from deitalk.data.frozen_features import FrozenFeatures
 from deitalk.errors import ConfigError, DataError

@@ -31,7 +31,7 @@ from torch import Tensor
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
 from deitalk.audio.load import load_audio
 from deitalk.audio.voice_activity import normalise_level
-from deitalk.config import WhisperConfig
+from deitalk.config.frontends import WhisperConfig
 from deitalk.data.augment_waveform import Surroundings, augment, change_speed, speed_factor
 from deitalk.errors import DeitalkError
 from deitalk.frontends.causal_whisper import LOOKAHEAD_FRAMES, PAST_FRAMES, PEAK, PERIOD

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import torch
 
-from deitalk.config import load_config
+from deitalk.config.load import load_config
 from deitalk.errors import ConfigError, DeitalkError
 from deitalk.models.checkpoint import require_model, save_model
 from deitalk.models.curve_model import DEITalk

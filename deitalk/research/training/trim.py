@@ -9,7 +9,8 @@ import sys
 from pathlib import Path
 from typing import TypeVar
 
-from deitalk.config import SDFAConfig, load_config
+from deitalk.config.load import load_config
+from deitalk.config.mesh import SDFAConfig
 from deitalk.errors import CheckpointError
 from deitalk.models.checkpoint import require_model, save_model
 from deitalk.models.deformation_decoder import InversePCA

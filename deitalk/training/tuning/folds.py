@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from deitalk.config import FinetuneConfig
+from deitalk.config.curves import FinetuneConfig
 from deitalk.data.captures.splits import names_of
 from deitalk.data.clips import read_clips
 from deitalk.data.frozen_features import FrozenFeatures

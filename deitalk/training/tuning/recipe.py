@@ -6,9 +6,9 @@ from typing import Any, cast
 
 import numpy as np
 
-from deitalk.config import Config, FinetuneConfig, load_config
+from deitalk.config.curves import Config, FinetuneConfig
 from deitalk.config.hub import pinned
-from deitalk.config.load import parse_config, read_tree
+from deitalk.config.load import load_config, parse_config, read_tree
 from deitalk.data.clips import Clip
 from deitalk.errors import ConfigError
 from deitalk.evaluation.validation import knows_contact

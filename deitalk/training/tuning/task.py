@@ -19,7 +19,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn.utils import parametrize
 
-from deitalk.config import FinetuneConfig
+from deitalk.config.curves import FinetuneConfig
 from deitalk.data.captures.splits import divide_clips, shortage
 from deitalk.data.clips import REHEARSED, Clip, read_clips, read_known
 from deitalk.data.frozen_features import FrozenFeatures

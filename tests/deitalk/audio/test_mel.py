@@ -14,7 +14,7 @@ from deitalk.audio.mel import (
     sine_tapers,
     spectra_centres,
 )
-from deitalk.config import MelConfig
+from deitalk.config.frontends import MelConfig
 
 SETTINGS = [(0.064, 125.0, 128), (0.032, 60.0, 80), (0.032, 60.0, 80, 3)]
 """SDFA's, and those of configs/mel.yaml by one window and by tapers."""

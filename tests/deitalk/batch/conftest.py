@@ -8,7 +8,7 @@ import soundfile
 import torch
 
 from deitalk.batch.run import animate_batch
-from deitalk.config import Config
+from deitalk.config.curves import Config
 from deitalk.models.checkpoint import save_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.research.evaluation.benchmark_curves import speechlike

@@ -13,7 +13,7 @@ from typer.main import get_command
 from typer.testing import CliRunner
 
 from deitalk.cli import app
-from deitalk.config import Config
+from deitalk.config.curves import Config
 from deitalk.models.checkpoint import save_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.research.evaluation.benchmark_curves import speechlike

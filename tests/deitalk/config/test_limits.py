@@ -5,7 +5,8 @@ import time
 import pytest
 import torch
 
-from deitalk.config import Config, load_config, parse_config
+from deitalk.config.curves import Config
+from deitalk.config.load import load_config, parse_config
 from deitalk.errors import CheckpointError, ConfigError
 from deitalk.models.checkpoint import load_model, save_model
 from deitalk.models.curve_model import DEITalk

@@ -5,15 +5,10 @@ from pathlib import Path
 import pytest
 import yaml
 
-from deitalk.config import (
-    Config,
-    MelConfig,
-    MeshTrainConfig,
-    TrainConfig,
-    Wav2VecConfig,
-    load_config,
-    parse_config,
-)
+from deitalk.config.curves import Config, TrainConfig
+from deitalk.config.frontends import MelConfig, Wav2VecConfig
+from deitalk.config.load import load_config, parse_config
+from deitalk.config.mesh import MeshTrainConfig
 from deitalk.config.rules import RulesConfig
 from deitalk.config.section import Optimisation
 from deitalk.errors import ConfigError

@@ -8,7 +8,8 @@ import pytest
 import torch
 
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
-from deitalk.config import Config, load_config
+from deitalk.config.curves import Config
+from deitalk.config.load import load_config
 from deitalk.data.augment_waveform import Surroundings
 from deitalk.data.clips import read_clips
 from deitalk.data.frozen_features import EncodedPasses, FrozenFeatures

@@ -9,7 +9,8 @@ import torch
 
 from deitalk.audio.mel import MelSpectrogram
 from deitalk.audio.voice_activity import normalise_level
-from deitalk.config import MeshDataConfig, SDFAMelConfig
+from deitalk.config.frontends import SDFAMelConfig
+from deitalk.config.mesh import MeshDataConfig
 from deitalk.data.mesh_bases import fit_mesh_bases
 from deitalk.data.mesh_folder import (
     Lips,

@@ -12,7 +12,7 @@ from torch.utils.data import DataLoader
 
 from deitalk.audio.load import load_audio
 from deitalk.audio.voice_activity import normalise_level
-from deitalk.config import DataConfig
+from deitalk.config.curves import DataConfig
 from deitalk.data.clips import read_clips
 from deitalk.data.windows import (
     Material,

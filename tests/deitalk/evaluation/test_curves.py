@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 import torch
 
-from deitalk.config import load_config
+from deitalk.config.load import load_config
 from deitalk.data.clips import read_clips
 from deitalk.emotions import EMOTIONS
 from deitalk.errors import DataError

@@ -7,7 +7,8 @@ import pytest
 from typer.testing import CliRunner
 
 from deitalk.cli import app
-from deitalk.config import SDFAModelConfig, parse_config
+from deitalk.config.load import parse_config
+from deitalk.config.mesh import SDFAModelConfig
 from deitalk.data.mesh_folder import Lips, act, acted_clips, head_lips, head_templates
 from deitalk.errors import CheckpointError, DataError
 from deitalk.evaluation.mesh import as_markdown, evaluate_mesh, lip_gap, smallest_gaps

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from deitalk.audio.log_mel import SILENCE
-from deitalk.config import CausalWhisperConfig
+from deitalk.config.frontends import CausalWhisperConfig
 from deitalk.frontends.causal_whisper import (
     LOOKAHEAD_FRAMES,
     PAST_FRAMES,

@@ -6,7 +6,7 @@ import torch
 
 from deitalk.audio.frames import SAMPLE_RATE
 from deitalk.audio.mel import MelSpectrogram
-from deitalk.config import MelConfig
+from deitalk.config.frontends import MelConfig
 from deitalk.frontends import build_frontend
 from deitalk.frontends.mel_bilstm import phase_shifts
 from tests.each import each

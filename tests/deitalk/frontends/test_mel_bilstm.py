@@ -5,7 +5,7 @@ import torch
 from torch.nn import functional as F
 
 from deitalk.audio.frames import SAMPLE_RATE
-from deitalk.config import MelConfig
+from deitalk.config.frontends import MelConfig
 from deitalk.frontends import build_frontend, whole_clip
 from deitalk.frontends.mel_bilstm import SEGMENT_FRAMES, MelFrontend, TemporalAttention
 from tests.closeness import assert_same

@@ -19,7 +19,7 @@ from transformers import (
     WhisperConfig,
 )
 
-from deitalk.config import Wav2VecConfig
+from deitalk.config.frontends import Wav2VecConfig
 from deitalk.errors import CheckpointError, ConfigError
 from deitalk.frontends.wav2vec import PUBLISHED, SPEECH_SCALE, Wav2VecFrontend
 from tests.closeness import SHARE, assert_same

@@ -14,7 +14,8 @@ from transformers.models.whisper.modeling_whisper import WhisperEncoder as Their
 from deitalk.audio import log_mel
 from deitalk.audio.frames import frame_count
 from deitalk.audio.log_mel import loudest
-from deitalk.config import Config, WhisperConfig
+from deitalk.config.curves import Config
+from deitalk.config.frontends import WhisperConfig
 from deitalk.errors import CheckpointError
 from deitalk.frontends import build_frontend
 from deitalk.frontends.whisper import LogMel, WhisperFrontend

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from deitalk.config import Config
+from deitalk.config.curves import Config
 from deitalk.models.curve_model import DEITalk
 
 RATE = 16_000

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from deitalk.config import Idle
+from deitalk.config.rules import Idle
 from deitalk.emotions import LABELS
 from deitalk.live.life import RunningLife, RunningVoice
 from deitalk.postprocess.life.amounts import Life

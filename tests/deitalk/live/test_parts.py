@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from deitalk.audio.voice_activity import BAND_EDGES_HZ
-from deitalk.config import Gates, VoiceIntensity
+from deitalk.config.rules import Gates, VoiceIntensity
 from deitalk.frontends.causal_whisper import USUAL_POWER, first_level, follow_level
 from deitalk.live.rules import GATE_AHEAD, RunningActivity
 from deitalk.postprocess.voice_intensity import Measures, RunningIntensity

@@ -10,7 +10,8 @@ import pytest
 import torch
 from safetensors.torch import load_file, save_file
 
-from deitalk.config import Config, load_config
+from deitalk.config.curves import Config
+from deitalk.config.load import load_config
 from deitalk.errors import CheckpointError
 from deitalk.models.checkpoint import load_model, require_model, save_model
 from deitalk.models.curve_model import DEITalk

@@ -8,7 +8,9 @@ import torch
 from torch.nn import functional as F
 
 import deitalk.models.curve_model
-from deitalk.config import MelConfig, ModelConfig, load_config
+from deitalk.config.curves import ModelConfig
+from deitalk.config.frontends import MelConfig
+from deitalk.config.load import load_config
 from deitalk.models.curve_model import DECODE_FRAMES, Analysis, DEITalk, dynamic_positions
 from deitalk.models.intensity import temporal_maximum
 from tests.closeness import SHARE, assert_same

@@ -10,7 +10,8 @@ import pytest
 import yaml
 
 from api.settings import Settings
-from deitalk.config import Config, hub
+from deitalk.config import hub
+from deitalk.config.curves import Config
 from deitalk.errors import CheckpointError
 from deitalk.models.checkpoint import save_model
 from deitalk.models.curve_model import DEITalk

@@ -8,7 +8,8 @@ import pytest
 import torch
 
 from deitalk.acting import Acting
-from deitalk.config import Config, load_config, parse_config
+from deitalk.config.curves import Config
+from deitalk.config.load import load_config, parse_config
 from deitalk.data.mesh_folder import (
     MeshSequence,
     act,

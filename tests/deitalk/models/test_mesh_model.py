@@ -7,13 +7,9 @@ import pytest
 import torch
 
 from deitalk.audio.voice_activity import normalise_level
-from deitalk.config import (
-    SDFAConfig,
-    SDFAMelConfig,
-    SDFAModelConfig,
-    load_config,
-    parse_config,
-)
+from deitalk.config.frontends import SDFAMelConfig
+from deitalk.config.load import load_config, parse_config
+from deitalk.config.mesh import SDFAConfig, SDFAModelConfig
 from deitalk.data.mesh_folder import Lips
 from deitalk.errors import AudioError, CheckpointError, ConfigError
 from deitalk.frontends.base import window_index

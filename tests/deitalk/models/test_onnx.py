@@ -13,7 +13,9 @@ import pytest
 import torch
 
 from deitalk import animate
-from deitalk.config import Config, MelConfig, ModelConfig, RulesConfig
+from deitalk.config.curves import Config, ModelConfig
+from deitalk.config.frontends import MelConfig
+from deitalk.config.rules import RulesConfig
 from deitalk.emotions import EMOTIONS
 from deitalk.errors import CheckpointError, DeitalkError, MissingError
 from deitalk.live.animator import LiveAnimator, live_frames

@@ -9,7 +9,9 @@ import torch
 from deitalk import animate
 from deitalk.acting import Acting
 from deitalk.audio.load import Recording, load_audio
-from deitalk.config import MelConfig, ModelConfig, RulesConfig
+from deitalk.config.curves import ModelConfig
+from deitalk.config.frontends import MelConfig
+from deitalk.config.rules import RulesConfig
 from deitalk.emotions import EMOTIONS, LABELS, ActorReference, IntensityCurve
 from deitalk.errors import AudioError, ConfigError, DeitalkError
 from deitalk.evaluation.lip_closures import mouth_opening

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from deitalk.config import RulesConfig
+from deitalk.config.rules import RulesConfig
 from deitalk.postprocess.curve_rules import Expression, expression_scale
 from rig import default_controls
 from tests.each import each

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from deitalk.config import SDFAModelConfig
+from deitalk.config.mesh import SDFAModelConfig
 from deitalk.data.mesh_folder import head_lips, head_templates
 from deitalk.errors import ConfigError
 from deitalk.evaluation.mesh import lip_gap

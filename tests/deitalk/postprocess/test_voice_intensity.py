@@ -5,7 +5,7 @@ import pytest
 
 from deitalk.audio.prosody import measure_prosody
 from deitalk.audio.voice_activity import speech_activity
-from deitalk.config import VoiceIntensity
+from deitalk.config.rules import VoiceIntensity
 from deitalk.postprocess.voice_intensity import MOST_TAKE, take_z, voice_intensity
 from tests.deitalk.audio.test_prosody import voice
 from tests.each import each

@@ -7,7 +7,8 @@ import pandas as pd
 import pytest
 import torch
 
-from deitalk.config import FinetuneConfig, load_config
+from deitalk.config.curves import FinetuneConfig
+from deitalk.config.load import load_config
 from deitalk.models.checkpoint import save_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.training.tuning.recipe import read_recipe

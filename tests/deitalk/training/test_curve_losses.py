@@ -5,7 +5,7 @@ import math
 import pytest
 import torch
 
-from deitalk.config import LossConfig
+from deitalk.config.curves import LossConfig
 from deitalk.models.curve_model import Output
 from deitalk.models.intensity import Intensity
 from deitalk.training.curve_losses import (

@@ -10,7 +10,8 @@ import pandas as pd
 import pytest
 import torch
 
-from deitalk.config import Config, load_config
+from deitalk.config.curves import Config
+from deitalk.config.load import load_config
 from deitalk.data.clips import read_clips
 from deitalk.errors import ConfigError, DataError
 from deitalk.figures import can_draw

@@ -6,7 +6,8 @@ import pandas as pd
 import pytest
 import torch
 
-from deitalk.config import Config, load_config
+from deitalk.config.curves import Config
+from deitalk.config.load import load_config
 from deitalk.errors import CheckpointError, ConfigError
 from deitalk.models.checkpoint import load_model, save_model
 from deitalk.models.curve_model import DEITalk

@@ -15,8 +15,8 @@ from deitalk import animate
 from deitalk.audio.load import Recording
 from deitalk.cli import app
 from deitalk.cli.console import name_option
-from deitalk.config import RulesConfig
 from deitalk.config.rig_file import read_controls
+from deitalk.config.rules import RulesConfig
 from deitalk.data.clips import read_clips
 from deitalk.data.windows import Share
 from deitalk.emotions import EMOTIONS

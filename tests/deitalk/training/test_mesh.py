@@ -16,7 +16,8 @@ import yaml
 from typer.testing import CliRunner
 
 from deitalk.cli import app
-from deitalk.config import SDFAConfig, load_config
+from deitalk.config.load import load_config
+from deitalk.config.mesh import SDFAConfig
 from deitalk.data.mesh_folder import (
     MeshFolder,
     MeshSequence,

@@ -5,7 +5,7 @@ import torch
 from typer.testing import CliRunner
 
 from deitalk.cli import app
-from deitalk.config import load_config, parse_config
+from deitalk.config.load import load_config, parse_config
 from deitalk.errors import CheckpointError
 from deitalk.models.checkpoint import load_model, save_model
 from deitalk.models.curve_model import DEITalk

@@ -6,7 +6,8 @@ import pytest
 import torch
 from torch import nn
 
-from deitalk.config import Config, parse_config
+from deitalk.config.curves import Config
+from deitalk.config.load import parse_config
 from deitalk.training.trainer import new_scheduler, restore_buffers, update_average
 
 

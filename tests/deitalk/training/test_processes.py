@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from deitalk.config import parse_config
+from deitalk.config.load import parse_config
 from deitalk.errors import ConfigError
 from deitalk.training.trainer import (
     gather_rows,

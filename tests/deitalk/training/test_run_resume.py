@@ -9,7 +9,8 @@ import pytest
 from safetensors.torch import load_file
 
 import deitalk.training.trainer
-from deitalk.config import Config, load_config
+from deitalk.config.curves import Config
+from deitalk.config.load import load_config
 from deitalk.data.mesh_folder import MeshSequence, write_mesh_folder
 from deitalk.errors import ConfigError, DataError
 from deitalk.training.curves import train_curves

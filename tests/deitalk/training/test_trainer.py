@@ -12,7 +12,8 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from deitalk.config import Config, parse_config
+from deitalk.config.curves import Config
+from deitalk.config.load import parse_config
 from deitalk.data.windows import SeededBatches, Share
 from deitalk.errors import ConfigError, DataError
 from deitalk.figures import ClipRows, Row, can_draw

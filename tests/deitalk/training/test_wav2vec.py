@@ -8,7 +8,8 @@ import torch
 
 from deitalk import animate
 from deitalk.audio.load import Recording
-from deitalk.config import Wav2VecConfig, load_config
+from deitalk.config.frontends import Wav2VecConfig
+from deitalk.config.load import load_config
 from deitalk.models.checkpoint import load_model
 from deitalk.research.evaluation.benchmark_curves import speechlike
 from deitalk.training.curves import train_curves

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from deitalk.config import Idle
+from deitalk.config.rules import Idle
 from deitalk.postprocess.life.blinks import Blink, Blinks
 from deitalk.postprocess.life.gaze import AVERSION_DEGREES, Gaze, as_controls
 from deitalk.postprocess.life.voice import Phrase, Voice

@@ -7,7 +7,9 @@ from torch.nn import functional as F
 
 from deitalk import animate
 from deitalk.audio.load import Recording
-from deitalk.config import Config, MelConfig, ModelConfig, load_config
+from deitalk.config.curves import Config, ModelConfig
+from deitalk.config.frontends import MelConfig
+from deitalk.config.load import load_config
 from deitalk.models.checkpoint import load_model, network_class, save_model
 from deitalk.research.comparison.emotalk import EmoTalk, emotion_sources
 from deitalk.research.evaluation.benchmark_curves import speechlike

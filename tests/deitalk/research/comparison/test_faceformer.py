@@ -4,7 +4,8 @@ import pytest
 import torch
 from torch.nn import functional as F
 
-from deitalk.config import Config, MelConfig, ModelConfig
+from deitalk.config.curves import Config, ModelConfig
+from deitalk.config.frontends import MelConfig
 from deitalk.errors import CheckpointError, ConfigError
 from deitalk.models.checkpoint import save_model
 from deitalk.models.curve_model import DEITalk

@@ -12,7 +12,9 @@ from deitalk.audio.load import write_wav
 from deitalk.audio.mel import nearest_spectra
 from deitalk.audio.voice_activity import normalise_level, speech_activity
 from deitalk.cli import app
-from deitalk.config import ModelConfig, WhisperConfig, parse_config
+from deitalk.config.curves import ModelConfig
+from deitalk.config.frontends import WhisperConfig
+from deitalk.config.load import parse_config
 from deitalk.errors import CheckpointError, DataError, DeitalkError
 from deitalk.evaluation.report import identified
 from deitalk.models.checkpoint import save_model

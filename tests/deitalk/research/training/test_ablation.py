@@ -9,7 +9,8 @@ import yaml
 
 import deitalk.research.training.ablation
 import deitalk.training.trainer
-from deitalk.config import Config, load_config
+from deitalk.config.curves import Config
+from deitalk.config.load import load_config
 from deitalk.errors import ConfigError, DataError
 from deitalk.research.training.ablation import Variant, ablate, as_markdown, read_variants
 from rig.errors import TargetError
