@@ -2,12 +2,9 @@
 
 ::
 
-    graph.py            the model as one graph: torch modules between its layers
-    mel_graph.py                      parts of it
-    causal_graph.py     one frame of a causal model, with its state
-    export.py           graph -> file with metadata
-    network.py          file -> `deitalk.models.protocol.CurveNetwork`; imports no torch
-    causal_network.py   file -> `deitalk.models.protocol.CausalNetwork`, as little
+    whisper_graph.py    the Whisper frontend as layers of a graph
+    export.py           the model as one graph, or one frame of a causal model with its state; file
+    network.py          file -> `deitalk.models.protocol` networks; imports no torch
     load.py             name, folder or file -> network; exports into the cache at the first use
 """
 

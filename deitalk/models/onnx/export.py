@@ -1,27 +1,288 @@
 """Export of a curve model to one ONNX file, with all that a reader needs beside the numbers."""
 
 import json
+import math
 import warnings
 from collections import Counter
-from copy import deepcopy
+from collections.abc import Callable
+from copy import copy, deepcopy
+from fractions import Fraction
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
 import torch
 from torch import Tensor, nn
+from torch.nn import functional as F
 
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
+from deitalk.audio.mel import FLOOR, MEAN, SPREAD, MelSpectrogram, derivative
 from deitalk.config.rig_file import rig_text
 from deitalk.emotions import EMOTIONS
-from deitalk.errors import MissingError
+from deitalk.errors import CheckpointError, MissingError
+from deitalk.frontends.mel_bilstm import MelFrontend, TemporalAttention
 from deitalk.frontends.whisper import WhisperFrontend
 from deitalk.installed import __version__
 from deitalk.models.causal_torch import TensorState, advance, causal_frontend, first_state, grid_of
 from deitalk.models.curve_model import DEITalk
-from deitalk.models.onnx.graph import CurveGraph, GraphOutput
+from deitalk.models.intensity import local_maximum
 from deitalk.models.onnx.network import CAUSAL_SCHEMA, NEXT, SCHEMA
-from deitalk.models.onnx.whisper_graph import ProductMel, parts_of
+from deitalk.models.onnx.whisper_graph import ProductMel, WhisperGraph, parts_of
+from deitalk.models.protocol import neutral_weights
 from rig.files import atomic_write
+
+# A curve model as one graph for ONNX: sound and emotion of a whole clip in, curves out.
+#
+# The layers are those of the model; what lies between them is written without operations that
+# other runtimes lack: the Fourier transform is a product with two matrices, windows along time
+# are strided slices.
+
+# Mel spectra in a graph: the Fourier transform is a product with two matrices.
+
+MARGIN = 4096
+"""Zeros on either side of the sound, longer than any window and shift."""
+
+
+def fourier_products(mel: MelSpectrogram) -> tuple[Tensor, Tensor]:
+    """Matrices of mel power: samples (W,) to parts of each taper's spectrum, squares to (F,)."""
+    angle = 2 * math.pi / mel.n_fft * torch.arange(mel.n_fft // 2 + 1, dtype=torch.float64)
+    angle = torch.arange(mel.length, dtype=torch.float64)[:, None] * angle
+    waves = torch.cat((angle.cos(), angle.sin()), dim=1)
+    tapers = mel.tapers.double()
+    transform = torch.cat([taper[:, None] * waves for taper in tapers], dim=1).float()
+    return transform, mel.filters.repeat(2 * len(tapers), 1) / (mel.length * len(tapers))
+
+
+class MelGraph(nn.Module):
+    """`MelSpectrogram` of a whole sound, at several shifts side by side."""
+
+    index: Tensor
+    transform: Tensor
+    filters: Tensor
+
+    def __init__(self, mel: MelSpectrogram, shifts: list[int]) -> None:
+        super().__init__()
+        step = Fraction(SAMPLE_RATE) / Fraction(mel.frame_rate).limit_denominator(1000)
+        self.period, self.count, self.phases = step.numerator, step.denominator, len(shifts)
+        self.length = mel.length
+        starts = torch.round(torch.arange(self.count, dtype=torch.float64) * float(step)).long()
+        within = torch.arange(mel.length) - mel.length // 2 + MARGIN
+        index = torch.tensor(shifts)[:, None, None] + starts[:, None] + within
+        self.register_buffer("index", index.flatten())
+        transform, filters = fourier_products(mel)
+        self.register_buffer("transform", transform)
+        self.register_buffer("filters", filters)
+
+    def forward(self, sound: Tensor, n_spectra: int) -> Tensor:
+        """Map (S,) to (phases, 3, F, n_spectra)."""
+        mel = self.scaled(sound, n_spectra)
+        slope = derivative(mel)
+        return torch.stack((mel, slope, derivative(slope)), dim=1)
+
+    def scaled(self, sound: Tensor, n_spectra: int) -> Tensor:
+        """Map (S,) to (phases, F, n_spectra), without the derivatives."""
+        periods = torch.arange((n_spectra + self.count - 1) // self.count) * self.period
+        padded = F.pad(sound, (MARGIN, MARGIN))
+        frames = padded[(periods[:, None] + self.index).flatten()]
+        frames = frames.view(-1, self.phases, self.count, self.length)
+        frames = frames.transpose(0, 1).reshape(self.phases, -1, self.length)[:, :n_spectra]
+        power = (frames @ self.transform).square() @ self.filters
+        return ((torch.log(power + FLOOR) - MEAN) / SPREAD).transpose(1, 2)
+
+
+BLOCK = 64
+"""Frames whose attention is applied in one product."""
+
+
+class GraphOutput(NamedTuple):
+    """Outputs of the graph, in their order."""
+
+    curves: Tensor
+    neutral: Tensor
+    saliency: Tensor
+    intensity: Tensor
+
+
+class MelFrontendGraph(nn.Module):
+    """`MelFrontend` of a whole clip, averaged over its phases."""
+
+    query_weight: Tensor
+    query_bias: Tensor
+
+    def __init__(self, frontend: MelFrontend) -> None:
+        super().__init__()
+        config = frontend.config
+        steps = config.frame_rate / config.time_stack / FRAME_RATE
+        if config.recurrence != "segment" or steps != round(steps):
+            raise CheckpointError(
+                "only models with recurrence: segment and a multiple of 30 spectra a second are "
+                "exported"
+            )
+        self.frontend, self.steps, self.stack = frontend, round(steps), config.time_stack
+        self.window = config.window_frames // config.time_stack
+        self.mel = MelGraph(frontend.mel, frontend.shifts)
+        with torch.no_grad():
+            weight, bias = frontend.attention.joined_query()
+        self.register_buffer("query_weight", weight)
+        self.register_buffer("query_bias", bias)
+        self.gather = copy(frontend.spectral.gather)
+        self.gather.batch_first = False
+
+    def forward(self, sound: Tensor, n_frames: int) -> Tensor:
+        """Map (S,) to (1, T, D)."""
+        frontend = self.frontend
+        length = self.steps * (n_frames - 1) + 1
+        spectral = self._spectral(self.mel(sound, length * self.stack))
+        memory, _ = frontend.recurrent(
+            spectral.reshape(self.mel.phases, -1, frontend.recurrent.input_size)
+        )
+        attended = self._attended(frontend.attention, memory)
+        rows: Tensor = frontend.rig(frontend.centred(attended, memory[:, :: self.steps]))
+        return rows.mean(dim=0, keepdim=True)
+
+    def _spectral(self, mel: Tensor) -> Tensor:
+        """`SpectralGathering`, with the frequencies in front for its LSTM."""
+        spectral = self.frontend.spectral
+        x = spectral.convolve(mel).permute(2, 0, 3, 1)  # (F / 4, B, L, C)
+        x, _ = self.gather(x.flatten(1, 2))
+        rows: Tensor = spectral.project(x.transpose(0, 1).flatten(1))
+        return rows.view(mel.shape[0], mel.shape[3], -1)
+
+    def _attended(self, attention: TemporalAttention, memory: Tensor) -> Tensor:
+        """`TemporalAttention.along` around every `steps`-th state."""
+        half, before = attention.query_frames // 2, self.window // 2
+        padded = F.pad(memory.transpose(1, 2), (half, half))
+        query = F.conv1d(padded, self.query_weight, self.query_bias, stride=self.steps)
+        query = query.transpose(1, 2)  # (B, T, C_att)
+        sides = (0, 0, before, self.window - before)
+        keys = F.pad(attention.key_project(memory), sides)
+        outside = F.pad(torch.zeros_like(memory[:, :, :1]), sides, value=-1e9)
+        n_frames = query.shape[1]
+        scores = [
+            attention.score(torch.tanh(self._at(keys, i, n_frames) + query))
+            + self._at(outside, i, n_frames)
+            for i in range(self.window)
+        ]
+        weights = torch.cat(scores, dim=-1).softmax(dim=-1)  # (B, T, window)
+        return self._weighted(
+            weights, F.pad(memory, (0, 0, before, BLOCK * self.steps + self.window))
+        )
+
+    def _weighted(self, weights: Tensor, memory: Tensor) -> Tensor:
+        """Sum of the memory's windows by the weights: products of banded blocks.
+
+        A block's rows of weights, each padded to one window and the block's steps, become a band
+        when they are read as rows that are `steps` shorter.
+        """
+        batch, n_frames, size = weights.shape[0], weights.shape[1], memory.shape[-1]
+        n_blocks = (n_frames + BLOCK - 1) // BLOCK
+        width = self.window + BLOCK * self.steps
+        rows = F.pad(weights, (0, BLOCK * self.steps, 0, BLOCK))[:, : n_blocks * BLOCK]
+        band = rows.reshape(batch, n_blocks, BLOCK * width)[:, :, : BLOCK * (width - self.steps)]
+        band = band.reshape(batch, n_blocks, BLOCK, width - self.steps)
+        starts = torch.arange(n_blocks) * (BLOCK * self.steps)
+        places = starts[:, None] + torch.arange(width - self.steps)
+        parts = memory[:, places.flatten()].reshape(batch, n_blocks, width - self.steps, size)
+        return (band @ parts).reshape(batch, n_blocks * BLOCK, size)[:, :n_frames]
+
+    def _at(self, padded: Tensor, offset: int, n_frames: int) -> Tensor:
+        last = offset + self.steps * (n_frames - 1) + 1
+        return padded[:, offset : last : self.steps]
+
+
+GRAPHS: dict[str, Callable[[Any], nn.Module]] = {"mel": MelFrontendGraph, "whisper": WhisperGraph}
+"""By the kinds of frontends that are exported."""
+
+
+class CurveGraph(nn.Module):
+    """A curve model, arguments and results without a batch.
+
+    Parameters
+    ----------
+    model : DEITalk
+        With a Whisper or mel frontend and an intensity module.
+
+    Raises
+    ------
+    CheckpointError
+        If it has other ones.
+    """
+
+    neutral: Tensor
+    frequency: Tensor
+
+    def __init__(self, model: DEITalk) -> None:
+        super().__init__()
+        self.model = model
+        graph = GRAPHS.get(model.config.frontend.kind)
+        if graph is None or not model.config.intensity:
+            raise CheckpointError(
+                "only models with a Whisper or mel frontend and an intensity module are exported, "
+                "such as default and live"
+            )
+        self.frontend = graph(model.frontend)
+        self.register_buffer("neutral", torch.from_numpy(neutral_weights(1)))
+        size = model.frontend.output_size
+        exponent = torch.arange(0, size, 2, dtype=torch.float32) / size
+        self.register_buffer("frequency", 20 * math.pi * 10000.0**-exponent)
+
+    def forward(
+        self, sound: Tensor, emotion: Tensor, place: Tensor, peak: Tensor | None = None
+    ) -> GraphOutput:
+        """Predict a clip.
+
+        Parameters
+        ----------
+        sound : Tensor [shape=(S,)]
+            16 kHz, level-normalised.
+        emotion : Tensor [shape=(T, 5 + actors)]
+            Weights of the styles.
+        place : Tensor [shape=(T,), range 0 to 1]
+            Frame i of T as i / T.
+        peak : Tensor [shape=()]
+            Of a Whisper frontend: see `WhisperGraph.forward`.
+        """
+        known = () if peak is None else (peak,)
+        speech = self.frontend(sound, emotion.shape[0], *known)
+        intensity = self._intensity(speech)
+        placed = speech
+        if self.model.config.positions:
+            angle = place[:, None] * self.frequency
+            waves = torch.stack((angle.sin(), angle.cos()), dim=-1).flatten(-2)
+            placed = speech + waves[:, : speech.shape[-1]]
+        n_emotions = self.neutral.shape[1]
+        plain = torch.cat((0 * emotion[:, :n_emotions] + self.neutral, emotion[:, n_emotions:]), 1)
+        saliency, strength, guidance = intensity
+        readings = self.model.decoder(
+            placed.expand(2, -1, -1), torch.stack((plain, emotion)), guidance.expand(2, -1, -1)
+        )
+        return GraphOutput(readings[1], readings[0], saliency[0], strength[0])
+
+    def _intensity(self, speech: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Saliency, strength (1, T) and guidance (1, T, E or 2 E), as `DynamicIntensity`."""
+        module = self.model.intensity
+        features = module.project(speech)
+        saliency = self._saliency(features)
+        strength = torch.sigmoid(4 * (F.softplus(module.slope) * saliency + module.offset))
+        guidance = saliency.unsqueeze(-1) * features
+        if module.kept is not None:
+            before = module.kept(speech)
+            kept = self._saliency(before).unsqueeze(-1) * before
+            guidance = torch.cat((guidance, kept), dim=-1)
+        return saliency, strength, guidance
+
+    def _saliency(self, features: Tensor) -> Tensor:
+        """Cosine of every frame with the largest values around it (1, T)."""
+        frames = self.model.intensity.saliency_frames
+        if frames is None:
+            around = features.amax(dim=1, keepdim=True)
+        else:
+            around = local_maximum(features, frames)
+        return (features * around).sum(dim=-1) / (_norm(features) * _norm(around))
+
+
+def _norm(features: Tensor) -> Tensor:
+    return features.square().sum(dim=-1).sqrt().clamp_min(1e-8)
+
 
 # One frame of a causal curve model as a graph for ONNX: sound and state in, curves and state out.
 #
