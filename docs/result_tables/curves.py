@@ -160,11 +160,13 @@ def live() -> str:
 
 ACTED = {"high above low": 3, "rank correlation": 2}
 """Scores of acted strengths, and their digits."""
+ACTED_GROUPS = ("anger and joy", "sadness", "fear", "disgust")
+"""The last two are procedural moods of the face."""
 
 
 def acted() -> str:
     """Order of acted strengths in the output of the default model."""
-    columns = [(group, s) for group in ("anger and joy", "sadness") for s in ACTED]
+    columns = [(group, s) for group in ACTED_GROUPS for s in ACTED]
     rows = [
         [text, *(short(report("default-acted")[g][f"{name}: {s}"], ACTED[s]) for g, s in columns)]
         for name, text in (
@@ -183,7 +185,6 @@ def acted() -> str:
 
 def acted_motion() -> str:
     """How far the intensity moves between and inside acted takes."""
-    groups = ("anger and joy", "sadness")
     names = {
         "joined, intensity: step": "high less low, takes in one recording",
         "joined at one level, intensity: step": "the same, each take at one level",
@@ -191,10 +192,10 @@ def acted_motion() -> str:
         "intensity: r with level inside takes": "r with the level of the syllables there",
     }
     rows = [
-        [text, *(short(report("default-acted")[group][name], 2) for group in groups)]
+        [text, *(short(report("default-acted")[group][name], 2) for group in ACTED_GROUPS)]
         for name, text in names.items()
     ]
-    return table([["predicted intensity, 26 test actors", *groups], *rows])
+    return table([["predicted intensity, 26 test actors", *ACTED_GROUPS], *rows])
 
 
 WAV2VEC: dict[str, tuple[str, int]] = {
