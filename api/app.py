@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
+from contextlib import AbstractAsyncContextManager, asynccontextmanager, nullcontext
 
 from fastapi import FastAPI, Request, Response
 from fastapi.exceptions import RequestValidationError
@@ -46,7 +46,8 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
         await service.start()
         try:
-            yield
+            async with _grpc(service):
+                yield
         finally:
             await service.stop()
 
@@ -70,6 +71,15 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     app.add_middleware(Guard, settings=settings, metrics=service.metrics, traffic=service.traffic)
     complete_schema(app)
     return app
+
+
+def _grpc(service: Service) -> AbstractAsyncContextManager[None]:
+    """The stream over gRPC, if it has a port."""
+    if not service.settings.grpc_port:
+        return nullcontext()
+    from api.live.audio2face import serving_grpc
+
+    return serving_grpc(service)
 
 
 def problem_answer(problem: Problem) -> Response:

@@ -5,8 +5,8 @@ from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from api.compute.exports import export_all
 from api.compute.live import Voices
+from api.compute.networks import export_all
 from api.compute.order import Limits, Order
 from api.compute.pool import Pool, Stage, checked, result_path
 from api.compute.worker import OutOfTime, Worker, WorkerLost
@@ -117,6 +117,12 @@ class Service:
             yield
         finally:
             self.live[caller.name] -= 1
+
+    async def count_live(self, caller: Caller, seconds: float) -> None:
+        """Count the sound of a live session, to the key's quota too."""
+        self.metrics.audio.labels("live").inc(seconds)
+        if caller.audio_seconds_per_hour:
+            await asyncio.shield(asyncio.to_thread(self.queue.use, caller.name, seconds))
 
     async def stop(self) -> None:
         """Stop the workers; jobs that run are put back."""

@@ -119,15 +119,17 @@ def print_settings(settings: Settings) -> None:
 def check_port(settings: Settings) -> None:
     """Refuse a port that is taken, before the workers start."""
     family = socket.AF_INET6 if ":" in settings.host else socket.AF_INET
-    with socket.socket(family) as probe:
-        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            probe.bind((settings.host, settings.port))
-        except OSError as error:
-            raise ConfigError(
-                f"port {settings.port} of {settings.host}: {os.strerror(error.errno or 0)}; give "
-                "another `port`", parameter="port",
-            ) from None  # fmt: skip
+    for name in ("port", "grpc_port"):
+        port = getattr(settings, name)
+        with socket.socket(family) as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            try:
+                probe.bind((settings.host, port))
+            except OSError as error:
+                raise ConfigError(
+                    f"port {port} of {settings.host}: {os.strerror(error.errno or 0)}; give "
+                    f"another `{name}`", parameter=name,
+                ) from None  # fmt: skip
 
 
 def check_places(settings: Settings) -> None:

@@ -6,6 +6,7 @@ A later one replaces an earlier one. Lists and mappings in the environment are J
 import base64
 import os
 import sys
+from importlib.util import find_spec
 from ipaddress import ip_address
 from pathlib import Path
 from typing import Any, Literal
@@ -70,6 +71,7 @@ class Settings(BaseSettings):
 
     host: str = "127.0.0.1"
     port: int = Field(default=8000, ge=0, le=65535)
+    grpc_port: int = Field(default=0, ge=0, le=65535)
     data: Path = Field(default_factory=lambda: _data_folder())
     database: str = ""
     storage: str = ""
@@ -178,6 +180,8 @@ class Settings(BaseSettings):
             raise ConfigError(
                 f"device {quoted(self.device)}: backend onnx runs on cpu only; leave device out"
             )
+        if self.grpc_port and find_spec("nvidia_audio2face_3d") is None:
+            raise ConfigError("grpc_port needs `pip install 'deitalk[audio2face]'`")
         unknown = [name for name in self.preload if name not in self.known_models]
         if unknown:
             raise ConfigError(

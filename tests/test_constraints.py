@@ -19,8 +19,8 @@ from tests.each import each
 
 ROOT = Path(__file__).resolve().parents[1]
 TORCH_INDEX = ROOT / "constraints/torch_index.py"
-TOOLS = {"dev", "video", "ray"}
-"""Extras of the checks, and those that need a Python or a machine of their own."""
+TOOLS = {"dev", "video", "ray", "audio2face"}
+"""Extras of the checks, and those that need a Python, a machine or another package of their own."""
 
 
 def requirements():

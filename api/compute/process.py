@@ -30,10 +30,8 @@ def work(connection: Connection, limits: Limits) -> None:
     for stream in (1, 2):
         os.dup2(nowhere, stream)
     os.close(nowhere)
-    if limits["backend"] == "onnx":
-        from api.compute.warm_onnx import prepare
-    else:
-        from api.compute.warm import prepare
+    from api.compute.networks import prepare
+
     prepare(limits)
     _limit_memory(limits["memory_bytes"])
     _send(connection, {"progress": 0.0})

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from api.compute.networks import causal_network, curve_network
+from api.compute.networks import causal_network, curve_network, model_of
 from api.compute.order import (
     ACTING,
     MOST_VOICES,
@@ -262,7 +262,6 @@ def _mesh(order: Order, limits: Limits, progress: Progress) -> Answer:
     options = order["options"]
     if limits["backend"] == "onnx":
         raise CheckpointError("meshes need torch; this service has the backend onnx")
-    from api.compute.warm import model_of
     from deitalk.pipeline.mesh import animate_mesh
 
     network = model_of(options.get("model", "default"), limits)

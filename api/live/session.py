@@ -261,15 +261,8 @@ class Session:
         finally:
             for task in (reading, writing):
                 task.cancel()
-            await self._count()
+            await self.service.count_live(self.caller, self.stream.seconds)
         await self._send({"type": "end", "frames": self.stream.next_frame})
-
-    async def _count(self) -> None:
-        """Count the sound of the session, to the key's quota too."""
-        self.service.metrics.audio.labels("live").inc(self.stream.seconds)
-        if self.caller.audio_seconds_per_hour:
-            use = self.service.queue.use
-            await asyncio.shield(asyncio.to_thread(use, self.caller.name, self.stream.seconds))
 
     def _model_folder(self) -> Path:
         models = self.service.settings.known_models

@@ -12,10 +12,11 @@ from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
 from pathlib import Path
 from time import monotonic
+from typing import TypeAlias
 
 from deitalk.batch.journal import DONE, PLACING, Entry, Journal
 from deitalk.batch.messages import Outcome
-from deitalk.batch.outputs import PRIVATE
+from deitalk.batch.outputs import PRIVATE, Outputs
 from deitalk.batch.storage import cloud_errors, file_system, version_of
 from rig.errors import TargetError
 from rig.files import cache_folder, claim
@@ -153,6 +154,10 @@ class CloudOutputs:
             self.system.makedirs(path.rpartition("/")[0], exist_ok=True)
             self.system.pipe_file(path, content)
             return version_of(self.system.info(path))
+
+
+AnyOutputs: TypeAlias = Outputs | CloudOutputs
+"""Results in a folder or at a URL."""
 
 
 @contextmanager

@@ -6,10 +6,10 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 
 from deitalk.acting import Acting
+from deitalk.batch.cloud import AnyOutputs
 from deitalk.batch.journal import DONE, FAILED, Entry, Journal
 from deitalk.batch.lines import BadLine, Line, line_key
 from deitalk.batch.messages import Order, Outcome
-from deitalk.batch.outputs import AnyOutputs
 from deitalk.batch.report import Pace, Progress, Row
 from deitalk.batch.source import ACTORS
 from deitalk.batch.storage import Recordings

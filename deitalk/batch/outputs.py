@@ -5,7 +5,6 @@ import shutil
 from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager, suppress
 from pathlib import Path
-from typing import Protocol
 
 from deitalk.batch.journal import DONE, FAILED, PLACING, Entry, File, Journal
 from deitalk.batch.messages import Outcome
@@ -28,57 +27,6 @@ KIND = "batch"
 """Kind of the output folder in its manifest."""
 PRIVATE = ".deitalk-batch"
 """Folder of the journal and of unfinished files."""
-
-
-class AnyOutputs(Protocol):
-    """Results of lines in a folder (`Outputs`) or at a URL (`deitalk.batch.cloud`)."""
-
-    journal: Journal
-    stage: str
-    """Folder of unfinished files; empty: temporary ones of the workers."""
-    url: str
-    """Where workers upload to; empty: the files are moved from the stage."""
-
-    @property
-    def folder(self) -> Path | str:
-        """The output folder."""
-        ...
-
-    def begin(self) -> None:
-        """Finish what a killed process placed, or leave it to be made again."""
-        ...
-
-    def state(self, output: str) -> str:
-        """Whether the files of a finished line are ``intact``, ``missing`` or ``edited``."""
-        ...
-
-    def check_free(self, targets: Sequence[str]) -> None:
-        """Refuse targets where files lie that the batch did not write."""
-        ...
-
-    def announce(self, entries: Sequence[Entry]) -> None:
-        """Enter lines before they are animated."""
-        ...
-
-    def place(self, results: Sequence[tuple[Entry, Outcome]]) -> None:
-        """Enter results, their files at their names."""
-        ...
-
-    def reference(self, name: str) -> bytes | None:
-        """Content of a reference of an actor."""
-        ...
-
-    def keep_reference(self, name: str, text: str) -> None:
-        """Write a reference of an actor."""
-        ...
-
-    def has_table(self, name: str) -> bool:
-        """Whether a table is there."""
-        ...
-
-    def write_table(self, name: str, text: str) -> None:
-        """Write a table; one that the user changed is refused."""
-        ...
 
 
 class Outputs:

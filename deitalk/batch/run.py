@@ -15,10 +15,10 @@ from time import monotonic
 from typing import Any
 
 from deitalk.acting import Acting, acted_as
-from deitalk.batch.cloud import opened_cloud
+from deitalk.batch.cloud import AnyOutputs, opened_cloud
 from deitalk.batch.lines import Line, Written, parse_formats
 from deitalk.batch.orders import Batch, model_identity
-from deitalk.batch.outputs import AnyOutputs, opened_folder
+from deitalk.batch.outputs import opened_folder
 from deitalk.batch.performer import Performer
 from deitalk.batch.processes import Make, Pool, Workers
 from deitalk.batch.report import FAILED, BatchReport, Progress, failed_text, summary_text
