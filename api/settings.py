@@ -101,7 +101,7 @@ class Settings(BaseSettings):
     connections: int = Field(default=256, ge=1, le=65_536)
     header_seconds: float = Field(default=10, gt=0, le=600)
     body_seconds: float = Field(default=60, gt=0, le=3600)
-    live_sessions: int = Field(default=4, ge=0, le=1000)
+    live_sessions: int = Field(default=8, ge=0, le=1000)
     live_seconds: float = Field(default=3600, gt=0, le=86_400)
     drain_notice_seconds: float = Field(default=0, ge=0, le=600)
     drain_seconds: float = Field(default=30, ge=0, le=86_400)

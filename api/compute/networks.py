@@ -1,7 +1,7 @@
 """Models of a worker process by the names of requests, on the settings' backend and device."""
 
 from contextlib import suppress
-from typing import Any
+from typing import Any, cast
 
 from api.compute.order import Limits
 from deitalk.errors import CheckpointError
@@ -56,13 +56,13 @@ def curve_network(name: str, limits: Limits) -> CurveNetwork:
     CheckpointError
         As `model_of`, or if the model makes a mesh.
     """
-    model: CurveNetwork = model_of(name, limits)
+    model = model_of(name, limits)
     if limits["backend"] == "torch":
         from deitalk.models.checkpoint import require_model
         from deitalk.models.curve_model import DEITalk
 
-        return require_model(model, DEITalk)
-    return model
+        model = require_model(model, DEITalk)
+    return cast("CurveNetwork", model)
 
 
 def causal_network(name: str, limits: Limits) -> CausalNetwork:

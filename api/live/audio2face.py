@@ -42,8 +42,8 @@ MESSAGE_BYTES = 1 << 20
 SHAPES = [name for name in arkit_controls().names if not name.endswith(("Yaw", "Pitch", "Roll"))]
 """The 52 blendshapes of ARKit."""
 EMOTIONS = {
-    "amazement": "surprised", "anger": "angry", "cheekiness": "happy", "disgust": "angry",
-    "fear": "surprised", "grief": "sad", "joy": "happy", "pain": "sad", "sadness": "sad",
+    "amazement": "surprised", "anger": "angry", "cheekiness": "happy", "disgust": "disgust",
+    "fear": "fear", "grief": "sad", "joy": "happy", "pain": "sad", "sadness": "sad",
 }  # fmt: skip
 """Our nearest to each of Audio2Face's emotions; ``outofbreath`` has none."""
 CODES = {

@@ -224,7 +224,8 @@ class Session:
         folder = self._model_folder()
         if not is_causal(folder):
             stream = LiveStream(self.start.sample_rate, self.start.encoding == "float32")
-            await self._serve(folder, stream, self._write, HOP_SECONDS, LOOKAHEAD_SECONDS)
+            with self.service.windows():
+                await self._serve(folder, stream, self._write, HOP_SECONDS, LOOKAHEAD_SECONDS)
             return
         if not self.start.head:  # the eyes do not turn against a head that is not sent
             life = replace(self.acting.life, head=0.0)

@@ -23,6 +23,7 @@ from api.guard import protocol
 from api.live.session import FRAME
 from api.live.stream import LOOKAHEAD_SECONDS, LiveStream
 from api.routes import live as live_route
+from api.service import Service
 from api.serving import server_config
 from api.settings import Settings
 from deitalk import LiveAnimator, animate
@@ -45,6 +46,16 @@ def marked(first: int, n_samples: int) -> np.ndarray:
     """Curves that name their own frames."""
     frames = -(-n_samples * 30 // RATE)
     return np.repeat(np.arange(first, first + frames, dtype=np.float32)[:, None], 3, axis=1)
+
+
+def test_sessions_in_windows_are_as_many_as_the_workers_can_read(tmp_path):
+    service = Service(Settings(data=tmp_path, workers=1))
+    with service.windows():
+        with service.windows(), pytest.raises(Problem, match="try again later") as refused:
+            service.windows().__enter__()
+        assert refused.value.status == 503 and refused.value.headers["Retry-After"]
+        with service.windows():  # one has ended
+            pass
 
 
 @pytest.mark.parametrize("piece", [160, 1601, 16000, 100_000])

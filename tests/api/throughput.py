@@ -69,10 +69,11 @@ def costs(network: Any, prepare: Callable[[], Any]) -> str:
     from deitalk.pipeline.curves import finish
 
     ready = prepare()
+    sound, weights = ready.inputs
     whole = least_ms(lambda: finish(prepare(), ready.read()))
     text = f"whole {whole:.0f} ms, network alone {least_ms(ready.read):.0f}"
     for count in (2, 4, 8):
-        group = [count * [part] for part in (ready.speech.sound, ready.weights, ready.style)]
+        group = [count * [part] for part in (sound * ready.speech.gain, weights, ready.style)]
         took = least_ms(partial(network.read_together, *group)) / count
         text += f", {count} together {took:.0f} each"
     return text
