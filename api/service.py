@@ -20,7 +20,6 @@ from api.jobs.schema import open_database
 from api.jobs.store import Store
 from api.settings import Settings
 
-
 WINDOWED_EACH = 2
 """Live sessions in windows for each worker: a window of 8 s takes .15 to .2 s, every .4 s. A voice
 of a causal model takes a tenth of a processor (`python -m tests.live_speed`)."""

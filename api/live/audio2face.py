@@ -60,7 +60,8 @@ async def serving_grpc(service: Service) -> AsyncIterator[None]:
     """Serve the stream on the settings' ``grpc_port`` during the block."""
     settings = service.settings
     server = grpc.aio.server(options=[("grpc.max_receive_message_length", MESSAGE_BYTES)])
-    audio2face_pb2_grpc.add_A2FControllerServiceServicer_to_server(Audio2Face(service), server)
+    add: Any = audio2face_pb2_grpc.add_A2FControllerServiceServicer_to_server
+    add(Audio2Face(service), server)
     server.add_insecure_port(f"{settings.host}:{settings.grpc_port}")
     await server.start()
     try:
