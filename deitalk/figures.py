@@ -112,7 +112,7 @@ def draw_curves(curves: RigCurves, waveform: Float32, path: Path, title: str) ->
         for axis, (label, names) in zip(axes[1:], ROWS, strict=True):
             for name in names:
                 short = name.removeprefix("CTRL_").removesuffix(".ty")
-                axis.draw_curves(times, curves[name], lw=1.2, label=short)
+                axis.plot(times, curves[name], lw=1.2, label=short)
             axis.set_ylabel(label, rotation=0, ha="right", va="center")
             axis.set_ylim(-0.05, 1.05)
             axis.legend(loc="upper right", fontsize=7, ncols=len(names), frameon=False)
@@ -122,7 +122,7 @@ def draw_curves(curves: RigCurves, waveform: Float32, path: Path, title: str) ->
 def _waveform(axis: Any, curves: RigCurves, waveform: Float32, title: str) -> None:
     draw_waveform(axis, waveform)
     strength = axis.twinx()
-    strength.draw_curves(curves.times, curves.intensity, color="crimson")
+    strength.plot(curves.times, curves.intensity, color="crimson")
     strength.set_ylim(0, 1.05)
     strength.set_ylabel("intensity", color="crimson")
     axis.set_title(title, loc="left")
