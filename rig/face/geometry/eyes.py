@@ -9,7 +9,7 @@ from rig.face.geometry.mesh import EYE, HAIR, IRIS_UV, Mesh, grid_faces, join, p
 from rig.face.geometry.skin import Skin
 from rig.face.identity import Identity
 
-PUPIL_DEGREES, IRIS_DEGREES = 9.5, 24.5
+PUPIL_DEGREES, IRIS_DEGREES = 10.5, 28.0
 _RINGS = np.array([0, 0.3, 0.6, 0.85, 1.0, 1.02, 1.3, 1.6, 1.8, 1.93, 2.0, 2.05])
 _COLUMNS = 40
 
@@ -49,7 +49,7 @@ def _polar_grid(polar: Float64, radius: float) -> Float64:
 def _eye_colors(identity: Identity, degrees: Float64, column: Int64) -> tuple[Float64, Float64]:
     iris = 0.85 * np.array(identity.iris) + 0.02
     fleck = 1 + 0.16 * np.sin(column * 2.9) * np.sin(column * 1.3)
-    stops = [0, PUPIL_DEGREES + 0.05, PUPIL_DEGREES + 0.3, 17, 22.5, IRIS_DEGREES, 25.6, 45, 180]
+    stops = [0, PUPIL_DEGREES + 0.05, PUPIL_DEGREES + 0.3, 19, 26, IRIS_DEGREES, 29.1, 48, 180]
     shades = np.array(
         [
             [0.015] * 3,

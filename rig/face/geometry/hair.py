@@ -247,7 +247,7 @@ def _beside_the_face(point: Float64, sway: Float64) -> Float64:
     return moved
 
 
-BROW_HAIRS = 150
+BROW_HAIRS = 190
 
 
 def brow_place(s: Float64, identity: Identity) -> tuple[Float64, Float64, Float64]:
@@ -277,7 +277,7 @@ def brow(identity: Identity) -> Mesh:
     over = np.stack([-way[:, 1], way[:, 0]], -1)
     base = np.stack([x, y + 0.8 * half * across], -1)
     line = base + (t * length)[..., None] * way + (0.10 * t**2 * length)[..., None] * over
-    thick = 0.024 * np.array([0.7, 1.0, 0.8, 0.1])[:, None, None] * over
+    thick = 0.015 * np.array([0.7, 1.0, 0.8, 0.1])[:, None, None] * over
     flat = np.stack([line + thick, line - thick], 2).transpose(1, 0, 2, 3)  # (N, 4, 2, 2)
     depth = 8.4 - 0.30 * np.maximum(flat[..., 0] - 2.0, 0)
     aim = np.concatenate([flat, depth[..., None]], -1).reshape(-1, 3)
@@ -285,6 +285,6 @@ def brow(identity: Identity) -> Mesh:
     lift = np.tile(np.repeat([0.02, 0.06, 0.09, 0.07], 2), BROW_HAIRS)[:, None]
     vertices = on_skin + lift * unit(on_skin - [0, 1, 0])
     faces = np.concatenate([grid_faces(4, 2, closed=False, start=8 * k) for k in range(BROW_HAIRS)])
-    shade = rng.uniform(0.55, 1.0, BROW_HAIRS)
+    shade = rng.uniform(0.8, 1.5, BROW_HAIRS)
     colors = np.array(identity.hair) * np.repeat(shade, 8)[:, None]
     return Mesh(vertices, faces, colors, np.full(len(vertices), 0.1), kind=np.array(HAIR))

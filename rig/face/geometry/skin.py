@@ -43,7 +43,7 @@ LID_BLEND = np.array([1.0, 1.0, 0.94, 0.75, 0.46, 0.20, 0.05])
 """Lid thickness over the eyeball, and how much of each loop lies on the eyeball's sphere."""
 LID_SHARE = np.array([1.0, 0.98, 0.86, 0.60, 0.32, 0.12, 0.0])
 """How far each loop of the eye turns about the eyeball with the rim."""
-LID_MIDDLE_DEGREES, LID_UPPER_DEGREES = -2.5, 20.0
+LID_MIDDLE_DEGREES, LID_UPPER_DEGREES = -2.5, 23.5
 """Middle of the open lids seen from the eyeball's centre, and the most of the upper rim: lids at
 rest cover 1 to 2 mm of the iris above and touch its rim below (Farkas 1994)."""
 UV_POWER = 0.62

@@ -208,7 +208,7 @@ export class Rig {
     const closeAll = blink + open * (0.85 * unit("upper") + 0.6 * unit("lookDown"));
     const raise = open * unit("lower") * 0.8 + blink * meet;
     const widen = Math.min(
-      (0.24 * unit("widen") + 0.2 * unit("upperUp") + 0.24 * unit("lookUp")) * open,
+      (0.24 * unit("widen") + 0.2 * unit("upperUp") + 0.28 * unit("lookUp")) * open,
       0.36,
     );
     const dip = Math.min(0.06 * unit("widen") + 0.16 * unit("lowerDown"), 0.26);
