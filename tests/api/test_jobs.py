@@ -6,6 +6,7 @@ from base64 import b64encode
 
 import numpy as np
 import pytest
+from prometheus_client.parser import text_string_to_metric_families
 from standardwebhooks.webhooks import Webhook
 
 from api.guard.keys import digest_of
@@ -44,6 +45,23 @@ def test_long_recording_becomes_a_job_with_the_same_result(client):
     assert job["id"] in {other["id"] for other in listed}
     assert client.delete(f"/v1/jobs/{job['id']}").status_code == 204
     assert client.get(f"/v1/jobs/{job['id']}").status_code == 404
+
+
+def test_job_is_counted_with_its_wait_work_and_sound(client):
+    def counts():
+        families = text_string_to_metric_families(client.get("/metrics").text)
+        samples = [sample for family in families for sample in family.samples]
+        return {(s.name.removeprefix("deitalk_"), *s.labels.values()): s.value for s in samples}
+
+    names = [
+        ("job_wait_seconds_count",), ("job_seconds_count", "csv"), ("audio_seconds_total", "job")
+    ]  # fmt: skip
+    before = counts()
+    wait(client, client.post("/v1/jobs?format=csv", content=LONG).json()["id"])
+    after = counts()
+    grown = [after[name] - before.get(name, 0.0) for name in names]
+    assert grown == pytest.approx([1, 1, 6.0])
+    assert after["jobs", "done"] >= 1 and after["job_seconds_sum", "csv"] > 0
 
 
 def test_events_end_with_the_job(client):
