@@ -1,5 +1,6 @@
 """docs/finetuning.md: its commands on captures run as written, on takes named as there."""
 
+import json
 import re
 import shlex
 from pathlib import Path
@@ -14,23 +15,26 @@ from deitalk.cli import app
 from deitalk.data.captures.sync import LEAST_CORRELATION, SHIFTED_SECONDS
 from deitalk.data.captures.take import LEAST_JAW
 from deitalk.models.checkpoint import load_model
-from deitalk.models.folder import embedded_models
+from deitalk.models.folder import describe_model, embedded_models
 from deitalk.pipeline.curves import animate
-from rig import write_curves
+from rig import read_curves, write_curves
 from tests.media import write_sound
 
 ROOT = Path(__file__).resolve().parents[1]
+APP = ROOT / "deitalk/preview/app/index.html"
+"""The page's program, which `make page` builds."""
 PAGE = (ROOT / "docs/finetuning.md").read_text(encoding="utf-8")
 
 
-def commands() -> list[list[str]]:
-    """Lines of the page's blocks that begin with ``deitalk data``."""
+def commands(verbs: str) -> list[list[str]]:
+    """Lines of the page's blocks with one of some verbs, for the takes of `anna`."""
     blocks = re.findall(r"^```\w*\n(.*?)^```", PAGE, re.S | re.M)
     lines = [line for block in blocks for line in block.splitlines()]
+    others = ("talk.mp4", "facegood", "my_rig", "my_org")
     return [
         shlex.split(line)[1:]
         for line in lines
-        if line.startswith("deitalk data ") and "talk.mp4" not in line
+        if re.match(f"deitalk ({verbs}) ", line) and not any(word in line for word in others)
     ]
 
 
@@ -38,7 +42,7 @@ def commands() -> list[list[str]]:
 def takes(tmp_path, monkeypatch) -> Path:
     """Two takes as Live Link Face leaves them, of a model's curves."""
     monkeypatch.chdir(tmp_path)
-    wave = np.tile(load_audio(ROOT / "docs/samples/amiable.flac").waveform, 2)
+    wave = np.tile(load_audio(ROOT / "docs/samples/amiable.flac").waveform, 5)
     for number, emotion in enumerate(("happy", "sad"), 1):
         name = f"anna_{emotion}_{number}"
         folder = tmp_path / "takes" / f"20260311_{name}"
@@ -53,14 +57,41 @@ def takes(tmp_path, monkeypatch) -> Path:
 
 @pytest.mark.skipif("default" not in embedded_models(), reason="needs the embedded weights")
 def test_commands_from_a_take_to_a_checked_dataset_run_as_written(takes):
-    lines = commands()
+    lines = commands("data")
     assert [line[1] for line in lines] == ["import", "check", "import", "check", "check"]
-    for line in lines:
-        done = CliRunner().invoke(app, line)
-        assert done.exit_code == 0, (line, done.output, done.exception)
+    run(lines)
     assert {p.name for p in (takes / "anna_data").iterdir()} >= {"clips.csv", "takes.csv", "check"}
     table = (takes / "anna_data/clips.csv").read_text()
     assert ",happy,anna," in table and ",sad,anna," in table
+
+
+def run(lines: list[list[str]]) -> None:
+    for line in lines:
+        done = CliRunner().invoke(app, line)
+        assert done.exit_code == 0, (line, done.output, done.exception)
+
+
+@pytest.mark.skipif("default" not in embedded_models(), reason="needs the embedded weights")
+def test_commands_from_two_takes_to_a_tuned_model_run_as_written(takes):
+    """With two steps, by the option that the page names; nothing else differs."""
+    assert "`--set train.steps=" in PAGE
+    lines = commands("finetune|animate|model mix")
+    assert [line[0] for line in lines] == ["finetune", "animate", "finetune", "model"]
+    few = ["--set", "train.steps=2"]
+    run(commands("data")[:2])
+    run([[*line, *few] if line[0] == "finetune" else line for line in lines])
+    report = json.loads((takes / "runs/anna/report.json").read_text())
+    assert {"before", "ridge", "after", "loudness", "mean pose"} <= report["scores"].keys()
+    errors = {name: report["scores"][name]["error_of_mean_pose"] for name in ("after", "mean pose")}
+    assert errors["after"] < errors["mean pose"]
+    assert (takes / "runs/anna/compare.html").is_file() == APP.is_file()
+    files = {p.stat().st_ino: p.stat().st_size for p in (takes / "runs/anna").rglob("*")}
+    assert sum(files.values()) < 60e6
+    assert set(json.loads((takes / "runs/anna_folds/folds.json").read_text())["folds"]) == {
+        p.name.removeprefix("20260311_") for p in (takes / "takes").iterdir()
+    }
+    assert np.isfinite(read_curves(takes / "take/curves.csv").values).all()
+    assert describe_model(takes / "softer")["training"]["mixed"]["share"] == 0.6
 
 
 def test_numbers_of_the_page_are_those_of_the_code():

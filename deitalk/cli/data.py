@@ -25,7 +25,11 @@ FIXABLE = ("offset", "drift", "rest pose", "dead")
 
 
 Rig = Annotated[
-    str | None, typer.Option(help="YAML of another rig, whose curves stay as they are.")
+    str | None,
+    typer.Option(
+        help="Another rig, whose curves stay as they are: YAML, arkit, metahuman-raw, cc4, daz8, "
+        "daz9 or facegood."
+    ),
 ]
 
 
@@ -117,6 +121,8 @@ def import_(
     deitalk data import mocap/ --rig my_rig.yaml --fps 30 -o data/
 
     deitalk data import mocap/ --rig-from mocap/ --fps 30 -o data/
+
+    deitalk data import mocap/ --rig cc4 --fps 30 -o data/
     """
     folders = tuple(audio or ())
     reserve_folder(out, kind="dataset", force=force, inputs=(*sources, table, mapping))

@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -82,7 +83,8 @@ def shown_on(advance: "Advance") -> "Progress":
     def progress(step: int, total: int, values: dict[str, float]) -> None:
         scores = [f"{name[4:]} {v:.4g}" for name, v in values.items() if name.startswith("dev_")]
         loss = [f"loss {values['total']:.4g}"] if "total" in values else []
-        text = ", ".join([f"step {step} of {total}", *loss, *scores])
+        rate = [f"{values['rate']:.3g} samples/s"] if "rate" in values else []
+        text = ", ".join([f"step {step} of {total}", *loss, *rate, *scores])
         advance(step / max(total, 1), text, always=bool(scores))
 
     return progress
@@ -182,6 +184,7 @@ def finetune(
     options: dict[str, Any] = {"resume": resume, "tensorboard": tensorboard}
     with bar("tuning") as advance:
         scores = tune(settings, data, out, progress=shown_on(advance), **options)
+    shutil.rmtree(out / "last", ignore_errors=True)  # of use to nobody beside the best
     _print_scores(scores)
     console().print(f"{out / 'best'}: the tuned model; {out / 'report.md'}: before and after")
     _write_page(out)

@@ -13,8 +13,16 @@
     upper_face: []
 
 The sets say which controls shut in silence (``lip``), and what LPE and EPE are measured on.
+
+Rigs of `RIGS` need no file. Their names are public: ARKit's 52 shapes and 9 rotations of Live Link
+Face, MetaHuman's raw curves, Character Creator 4, Daz Genesis 8 and 9 (tables of `rig.conversion`),
+and the 116 weights of FACEGOOD-Audio2Face (MIT), in the order of its files.
 """
 
+import re
+from collections.abc import Iterable
+from dataclasses import replace
+from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -26,11 +34,31 @@ from deitalk.config.yaml_text import load_yaml, read_yaml
 from deitalk.errors import ConfigError
 from rig import ControlSet, default_controls
 from rig.controls import DEFAULT_ID, Control
+from rig.conversion.arkit import ARKIT_ID
+from rig.conversion.convert import known_controls
+from rig.conversion.raw import RAW_ID
 from rig.errors import ControlError, quoted
 
 RIG_SUFFIXES = (".yaml", ".yml")
 DATASET_RIG = "rig.yaml"
 """Its name in a dataset folder of another rig than the board."""
+RIGS = {
+    "arkit": ARKIT_ID,
+    "metahuman-raw": RAW_ID,
+    "cc4": "cc4",
+    "daz8": "daz8",
+    "daz9": "daz9",
+    "facegood": "facegood-116",
+}
+"""Public rigs by name, and their control sets."""
+_SIDES = {"left": "right", "right": "left", "l": "r", "r": "l"}
+_SIDE = re.compile(r"left|right|[lr]$|(?<![a-z0-9])[lr](?=_)")
+"""Parts of names in lower case that differ between a pair."""
+_PARTS = {
+    "lip": re.compile("mouth|jaw|lip|tongue|tooth|teeth|viseme|^v_|ctrlv"),
+    "upper_face": re.compile("brow|eye|blink|lid"),
+}
+"""Names of controls that shut in silence, and of those that are scored as upper face."""
 
 
 class RigControl(Section):
@@ -53,22 +81,46 @@ class RigFile(Section):
 
 
 def read_controls(name: str) -> ControlSet:
-    """Control set of a configuration: the board by its id, else that of a rig file.
+    """Control set of a configuration: the board by its id, one of `RIGS`, or that of a rig file.
 
     Raises
     ------
     ConfigError
-        If it is neither, or the file describes no rig: unknown keys, doubled or unknown names, a
-        rest value outside its range.
+        If it is none, or the file describes no rig: unknown keys, doubled or unknown names, a rest
+        value outside its range.
     """
     if name == DEFAULT_ID:
         return default_controls()
+    if name in RIGS:
+        return _public(RIGS[name])
     path = Path(name)
     if path.suffix not in RIG_SUFFIXES:
         raise ConfigError(
-            f"model.control_set={quoted(name)} is neither {DEFAULT_ID!r} nor a rig file (.yaml)"
+            f"rig {quoted(name)} is no rig file (.yaml), and none of {DEFAULT_ID}, "
+            f"{', '.join(RIGS)}"
         )
     return _checked(path, read_yaml(path))
+
+
+def _public(id: str) -> ControlSet:
+    controls = known_controls(id)
+    if controls is None:
+        with resources.as_file(resources.files("rig.conversion").joinpath("facegood.csv")) as path:
+            controls = ControlSet.from_csv(path, id=id)
+    return told_by_names(id, controls.controls)
+
+
+def told_by_names(id: str, controls: Iterable[Control]) -> ControlSet:
+    """A control set whose sides, mouth and upper face are told by the controls' names."""
+    by_lower = {control.name.lower(): control for control in controls}
+    told = []
+    for lower, control in by_lower.items():
+        other = _SIDE.sub(lambda part: _SIDES[part[0]], lower)
+        mirror = by_lower[other].name if other != lower and other in by_lower else ""
+        part = next((part for part, names in _PARTS.items() if names.search(lower)), None)
+        sets = frozenset([part] if part else ())
+        told.append(replace(control, mirror=mirror, sets=sets))
+    return ControlSet(id, tuple(told))
 
 
 def rig_of_dataset(folder: Path, rig: str | None = None) -> str | None:

@@ -158,5 +158,8 @@ class Optimisation(Section):
         default="float32",
         description="bfloat16: faster on GPUs and on CPUs with AMX, far slower elsewhere",
     )
+    compile: bool = Field(
+        default=False, description="torch.compile: a slow start and faster steps on GPUs"
+    )
     seed: Seed = 0
     workers: Workers = Field(default=0, description="processes that prepare batches")

@@ -20,7 +20,7 @@ import math
 import os
 import pickle
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +29,7 @@ import yaml
 
 from deitalk.config.load import AnyConfig, load_config
 from deitalk.errors import ConfigError, DataError, MissingError
-from deitalk.models.folder import RIG_FILE, WEIGHT_FILES
+from deitalk.models.folder import ENCODER, RIG_FILE, WEIGHT_FILES
 from rig.files import (
     atomic_write,
     begin_folder,
@@ -171,9 +171,10 @@ def restore_state(out: Path, parts: dict[str, Any]) -> dict[str, float]:
     path = out / "state.pt"
     try:
         state = torch.load(path, weights_only=True, map_location="cpu")
-        for name, part in parts.items():
+        numbers = {name: state.pop(name) for name in ("step", "best_score")}
+        for name, part in parts.items() if state else ():  # nothing else where the run is over
             part.load_state_dict(state[name])
-        return {name: state[name] for name in ("step", "best_score")}
+        return numbers
     except (RuntimeError, KeyError, ValueError, TypeError, EOFError, pickle.UnpicklingError):
         raise DataError(
             f"{path}: damaged, or of another model; begin a run in another folder"
@@ -242,8 +243,17 @@ def save_checkpoints(
         best_score = scores["score"]
         save(out / "best", summary)
     save(out / "last", summary)
+    _share_encoder(out / "best", out / "last")
     save_state(out, parts, {"step": step, "best_score": best_score})
     return best_score
+
+
+def _share_encoder(best: Path, last: Path) -> None:
+    """Keep the encoder that did not learn once on disk, where that can be."""
+    if (best / ENCODER).is_file() and (last / ENCODER).is_file():
+        with suppress(OSError), atomic_write(last / ENCODER) as beside:
+            beside.unlink(missing_ok=True)
+            os.link(best / ENCODER, beside)
 
 
 def picture_path(out: Path, step: int) -> Path:

@@ -7,12 +7,13 @@ It depends on a `Task` and on no product; the tasks are `deitalk.training.curves
 
 import copy
 import math
+import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence, Set
 from datetime import timedelta
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Generic
+from typing import Any, Generic, cast
 
 import torch
 from torch import Tensor, nn
@@ -31,6 +32,7 @@ from deitalk.training.run_folder import (
     picture_path,
     resume_run,
     save_checkpoints,
+    save_state,
     summary_writer,
 )
 from deitalk.workers import end_with_parent
@@ -66,6 +68,8 @@ class Task(ABC, Generic[Item]):
         What ``state.pt`` keeps beside the model.
     scores_start : bool
         Whether the weights before the first step are scored, and kept if none are better.
+    keeps_state : bool
+        Whether ``state.pt`` of a run that is over still holds weights and optimiser.
     """
 
     config: AnyConfig
@@ -74,6 +78,7 @@ class Task(ABC, Generic[Item]):
     frozen: Set[str] = frozenset()
     state: Mapping[str, nn.Module] = MappingProxyType({})
     scores_start: bool = False
+    keeps_state: bool = True
 
     def read(self, out: Path) -> None:
         """Read the data, or build it in the run folder; the first process does so before others."""
@@ -182,6 +187,9 @@ def run_training(
             trainer.fit(journal)
         finally:
             journal.close()
+        if is_main and not task.keeps_state:
+            end = {"step": trainer.total, "best_score": trainer.best_score}
+            save_state(out, {}, end)
         return dict(describe_model(out / "best")["training"])
 
 
@@ -205,6 +213,8 @@ class Trainer(Generic[Item]):
         The averaged weights, which are scored and saved.
     gradient_norm : float
         Of the last step, before clipping.
+    seconds, taken : float, int
+        Time in steps, evaluations left out, and what they took of ``train.batch_size``.
     """
 
     def __init__(self, task: Task[Item], accelerator: Any, progress: Progress = silent) -> None:
@@ -218,6 +228,7 @@ class Trainer(Generic[Item]):
         self.scheduler = new_scheduler(self.optimizer, self.settings, self.total)
         self.step, self.best_score = 0, -math.inf
         self.gradient_norm, self.bad_steps = 0.0, 0
+        self.seconds, self.taken = 0.0, 0
 
     def _n_steps(self) -> int:
         settings = self.settings
@@ -229,9 +240,10 @@ class Trainer(Generic[Item]):
     @property
     def parts(self) -> dict[str, Any]:
         """What ``state.pt`` keeps."""
-        names = ("average", "optimizer", "scheduler")
-        own = {name: getattr(self, name) for name in names}
-        return {"model": self.task.model, **own, **self.task.state}
+        weights = {"model": self.task.model, "average": self.average}
+        learnt = {name: Learnt(module, self.task.frozen) for name, module in weights.items()}
+        rates = {"optimizer": self.optimizer, "scheduler": self.scheduler}
+        return {**learnt, **rates, **self.task.state}
 
     def resume(self, out: Path) -> None:
         """Continue the run of a folder from its last state."""
@@ -249,7 +261,10 @@ class Trainer(Generic[Item]):
             self._evaluate(journal)
         batches = self._batches()
         while self.step < self.total:
+            began = time.perf_counter()
             parts = self.update(network, batches)
+            self.seconds += time.perf_counter() - began
+            self.taken += self.settings.batch_size * self.settings.accumulate
             is_last = self.step == self.total
             if self.step % LOG_EVERY == 0 or is_last:
                 self._log(parts, journal)
@@ -279,6 +294,8 @@ class Trainer(Generic[Item]):
         """
         device = self.accelerator.device
         network = in_precision(self.task.model, self.settings.precision, device)
+        if self.settings.compile:
+            network = cast("nn.Module", torch.compile(network))
         shared: nn.Module
         shared, self.optimizer = self.accelerator.prepare(network, self.optimizer)
         self.average.to(device)
@@ -357,7 +374,7 @@ class Trainer(Generic[Item]):
         values["learning_rate"] = float(max(self.scheduler.get_last_lr()))
         if self.accelerator.is_main_process:
             journal.write("metrics", self.step, values)
-        self.progress(self.step, self.total, values)
+        self.progress(self.step, self.total, values | {"rate": self.taken / self.seconds})
 
     def evaluate(self, journal: Journal) -> dict[str, float]:
         """Score and draw the averaged weights, keep them if none were better, save the state."""
@@ -375,6 +392,29 @@ class Trainer(Generic[Item]):
             lambda folder, summary: self.task.save(folder, self.average, summary),
         )
         return named
+
+
+class Learnt:
+    """State of a module without what `Task.build` makes again.
+
+    Parameters
+    ----------
+    module : Module
+    frozen : set of str
+        As `Task.frozen`.
+    """
+
+    def __init__(self, module: nn.Module, frozen: Set[str]) -> None:
+        self.module, self.frozen = module, frozen
+
+    def state_dict(self) -> dict[str, Tensor]:
+        """The module's state but for what never changes."""
+        return {k: v for k, v in self.module.state_dict().items() if k not in self.frozen}
+
+    def load_state_dict(self, state: Mapping[str, Tensor]) -> None:
+        """Set the module's state; what never changes stays."""
+        fixed = {k: v for k, v in self.module.state_dict().items() if k in self.frozen}
+        self.module.load_state_dict({**fixed, **state})
 
 
 # The optimizer, the learning rate's schedule and the averaged weights of any training.

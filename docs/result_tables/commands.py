@@ -65,7 +65,7 @@ OTHER = {
     "head-motion": f"{_PEOPLE}.head LIPS",
     "blinks": f"{_PEOPLE}.blinks LIBRISPEECH",
     "retargeting": f"{_PEOPLE}.retargeting ICT.npz",
-    "facegood": f"{_TUNE} facegood_data/ --rig facegood.yaml --folds takes -o OUT",
+    "facegood": f"{_TUNE} facegood_data/ --folds takes -o OUT",
     **{
         f"captured-lips-{speaker}": f"{_TUNE} lips_rig/ --rig lips_rig/rig.yaml "
         f"--leave-out {speaker} -o OUT"
@@ -92,7 +92,6 @@ PLACES = {
     "LINES": "folder of some hundred recordings of 2 to 6 s",
     "ICT.npz": "ICT-FaceKit's neutral face and 57 shapes (mesh.md)",
     "facegood_data/": "FACEGOOD's clips, imported (finetuning.md)",
-    "facegood.yaml": "their rig",
     "lips_rig/": "measured lips as a rig (finetuning.md)",
 }
 """Words of the commands that stand for data."""

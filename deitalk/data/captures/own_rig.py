@@ -2,23 +2,18 @@
 
 import math
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
+from deitalk.config.rig_file import told_by_names
 from deitalk.data.captures.columns import read_named
 from deitalk.data.captures.sources import find_files
 from deitalk.errors import DataError
 from rig import ControlSet
 from rig.controls import Control
 from rig.errors import UserError
-
-MOUTH = ("mouth", "jaw", "lip", "tongue", "tooth", "teeth", "viseme")
-UPPER = ("brow", "eye", "blink", "lid")
-"""Parts of names by which a control shuts in silence, and is scored as upper face."""
-SIDES = (("left", "right"), ("l$", "r"), ("^l_", "r_"), ("_l_", "_r_"))
-"""What differs between the names of a pair, in lower case."""
 
 
 def rig_of_takes(sources: Sequence[Path], fps: float | None = None) -> ControlSet:
@@ -54,37 +49,8 @@ def rig_of_takes(sources: Sequence[Path], fps: float | None = None) -> ControlSe
             f"{sources[0]}: holds no table of named curves to make a rig of; give `rig`",
             parameter="rig",
         )
-    pairs = _pairs(low)
     name = re.sub(r"[^A-Za-z0-9]+", "_", sources[0].stem).strip("_") or "rig"
-    return ControlSet(
+    return told_by_names(
         f"{name.lower()}@1",
-        tuple(
-            Control(
-                column,
-                minimum=math.floor(low[column]),
-                maximum=math.ceil(high[column]),
-                mirror=pairs.get(column, ""),
-                sets=frozenset(_sets(column)),
-            )
-            for column in low
-        ),
+        (Control(column, math.floor(low[column]), math.ceil(high[column])) for column in low),
     )
-
-
-def _pairs(names: Iterable[str]) -> dict[str, str]:
-    """Controls that have one of the other side, and that one."""
-    by_lower = {name.lower(): name for name in names}
-    pairs: dict[str, str] = {}
-    for lower, name in by_lower.items():
-        for left, right in SIDES:
-            other = by_lower.get(re.sub(left, right, lower, count=1), name)
-            if other != name and not pairs.keys() & {name, other}:
-                pairs |= {name: other, other: name}
-    return pairs
-
-
-def _sets(name: str) -> list[str]:
-    lower = name.lower()
-    if any(part in lower for part in MOUTH):
-        return ["lip"]
-    return ["upper_face"] if any(part in lower for part in UPPER) else []

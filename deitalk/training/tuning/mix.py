@@ -14,6 +14,8 @@ from deitalk.models.curve_model import DEITalk
 from rig.errors import quoted
 
 LAST, ACTORS = "decoder.output.weight", "decoder.actor_layers."
+KEPT = ("decoder.kept.", "intensity.kept.")
+"""Parts of a tuned model that are those of its base, and did not learn."""
 
 
 def mix_models(before: DEITalk, after: DEITalk, share: float) -> DEITalk:
@@ -54,11 +56,13 @@ def mix_models(before: DEITalk, after: DEITalk, share: float) -> DEITalk:
 def _widened(
     old: Mapping[str, torch.Tensor], new: Mapping[str, torch.Tensor]
 ) -> dict[str, torch.Tensor]:
-    """The weights before, with zeros where a tuning gave last layers more inputs or actors."""
+    """The weights before, with what a tuning adds: inputs and actors at 0, parts of the base."""
     wide = dict(old)
     for name, value in new.items():
         if name.startswith(ACTORS):
             wide.setdefault(name, torch.zeros_like(value))
+        elif name.startswith(KEPT):
+            wide.setdefault(name, value)
         elif name == LAST and name in old and old[name].shape[1] < value.shape[1]:
             wide[name] = torch.zeros_like(value)
             wide[name][:, : old[name].shape[1]] = old[name]

@@ -7,6 +7,7 @@ with the mean pose of the captures and so serves any rig.
 """
 
 import copy
+import shutil
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from functools import partial
@@ -97,7 +98,7 @@ def finetune(
     """
     task = FinetuneTask(config, data, frozen_features)
     run_training(task, out, resume=resume, tensorboard=tensorboard, progress=progress)
-    return write_comparison(
+    scores = write_comparison(
         out,
         {
             "before": task.base.cpu() if task.is_same_rig else None,
@@ -109,6 +110,8 @@ def finetune(
         are_unseen=task.has_test,
         about=_about(config, out, task.model.actors),
     )
+    shutil.rmtree(out / "features", ignore_errors=True)  # a run that is over needs none
+    return scores
 
 
 def _about(config: FinetuneConfig, out: Path, actors: Sequence[str]) -> dict[str, Any]:
@@ -146,6 +149,7 @@ class FinetuneTask(CurveTask):
 
     config: FinetuneConfig
     scores_start = True
+    keeps_state = False
     features_folder: Path | None = None
     ridge: DEITalk | None = None
     """The model before the first step, where a regression is its start."""

@@ -10,6 +10,7 @@ import pytest
 import torch
 
 from deitalk.errors import MissingError
+from deitalk.models.folder import ENCODER
 from deitalk.training import run_folder
 from deitalk.training.run_folder import (
     Journal,
@@ -22,6 +23,20 @@ from deitalk.training.run_folder import (
 
 def parts() -> dict[str, torch.nn.Module]:
     return {"model": torch.nn.Linear(2, 1)}
+
+
+def test_an_encoder_that_both_models_have_is_one_file(tmp_path):
+    def save(folder, summary):
+        folder.mkdir(exist_ok=True)
+        (folder / ENCODER).unlink(missing_ok=True)  # as `output_folder`, which makes new files
+        (folder / ENCODER).write_bytes(b"weights")
+
+    best = -1.0
+    for step, score in enumerate((0.1, 0.3, 0.2)):
+        best = save_checkpoints(tmp_path, parts(), step, {"score": score}, best, save)
+        assert (tmp_path / "best" / ENCODER).samefile(tmp_path / "last" / ENCODER)
+        assert (tmp_path / "last" / ENCODER).read_bytes() == b"weights"
+        assert len(list((tmp_path / "last").iterdir())) == 1
 
 
 def test_best_weights_are_the_latest_of_the_highest_score(tmp_path):

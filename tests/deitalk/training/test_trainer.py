@@ -149,7 +149,7 @@ def test_progress_reports_the_start_every_log_and_every_evaluation(tmp_path):
     scores, losses = {"dev_score", "dev_error"}, {"error", "total"}
     assert [(step, total) for step, total, _ in calls] == [(0, 6), (2, 6), (4, 6), (6, 6), (6, 6)]
     assert calls[0][2] == set() and calls[1][2] == scores
-    assert calls[3][2] == {*losses, "gradient_norm", "learning_rate"}
+    assert calls[3][2] == {*losses, "gradient_norm", "learning_rate", "rate"}
 
 
 class Killed(Exception):
@@ -180,6 +180,46 @@ def test_resumed_run_has_the_weights_of_an_uninterrupted_one(tmp_path, workers):
     assert same_state(tmp_path / "run", tmp_path / "whole")
     for name in ("metrics.csv", "development.csv"):
         assert (tmp_path / "run" / name).read_text() == (tmp_path / "whole" / name).read_text()
+
+
+def test_state_has_nothing_that_never_changes(tmp_path, monkeypatch):
+    """And a resumed run has those weights from `Task.build`."""
+    trained(tmp_path / "whole")
+    names = set(torch.load(tmp_path / "whole/state.pt", weights_only=True)["model"])
+    fixed = min(names)
+    monkeypatch.setattr(LineTask, "frozen", {fixed})
+    with pytest.MonkeyPatch.context() as patch, pytest.raises(Killed):
+        kill_at(5, patch)
+        trained(tmp_path / "run")
+    state = torch.load(tmp_path / "run/state.pt", weights_only=True)
+    assert set(state["model"]) == set(state["average"]) == names - {fixed}
+    task = trained(tmp_path / "run", resume=True)
+    assert set(task.model.state_dict()) == names
+
+
+def test_state_of_a_run_that_is_over_may_be_numbers_alone(tmp_path, monkeypatch):
+    monkeypatch.setattr(LineTask, "keeps_state", False)
+    best = run_training(LineTask(config(), scores=(0.3, 0.2, 0.1)), tmp_path / "run")
+    state = torch.load(tmp_path / "run/state.pt", weights_only=True)
+    assert state == {"step": 6, "best_score": 0.3}
+    rows = (tmp_path / "run/development.csv").read_text()
+    task = trained(tmp_path / "run", resume=True)
+    assert not task.seen and best["step"] == 2
+    assert (tmp_path / "run/development.csv").read_text() == rows
+
+
+def test_compiled_network_learns_as_the_plain_one(tmp_path, monkeypatch):
+    """By the tracer without a compiler of C++, so that any machine can."""
+    used = []
+    compiled = torch.compile
+    monkeypatch.setattr(
+        torch, "compile", lambda n: used.append(n) or compiled(n, backend="aot_eager")
+    )
+    trained(tmp_path / "plain")
+    trained(tmp_path / "compiled", LineTask(config(compile=True)))
+    assert len(used) == 1
+    plain, other = (pd.read_csv(tmp_path / k / "metrics.csv") for k in ("plain", "compiled"))
+    pd.testing.assert_frame_equal(plain, other, rtol=1e-5)
 
 
 def test_finished_run_is_left_as_it_is(tmp_path):
