@@ -52,7 +52,6 @@ TABLES: dict[str, Callable[[], str]] = {
     "mesh-head": meshes.mesh_head,
     "attention": meshes.attention,
     "retargeting": meshes.retargeting,
-    "facegood": finetuning.facegood,
     "captured-lips": finetuning.captured_lips,
     "known-words": people.known_words,
     "head-motion": people.head_motion,

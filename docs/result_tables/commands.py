@@ -65,7 +65,6 @@ OTHER = {
     "head-motion": f"{_PEOPLE}.head LIPS",
     "blinks": f"{_PEOPLE}.blinks LIBRISPEECH",
     "retargeting": f"{_PEOPLE}.retargeting ICT.npz",
-    "facegood": f"{_TUNE} facegood_data/ --folds takes -o OUT",
     **{
         f"captured-lips-{speaker}": f"{_TUNE} lips_rig/ --rig lips_rig/rig.yaml "
         f"--leave-out {speaker} -o OUT"
@@ -91,7 +90,6 @@ PLACES = {
     "UNHEARD": "two recordings of noise, a tap and a cat, that no training used",
     "LINES": "folder of some hundred recordings of 2 to 6 s",
     "ICT.npz": "ICT-FaceKit's neutral face and 57 shapes (mesh.md)",
-    "facegood_data/": "FACEGOOD's clips, imported (finetuning.md)",
     "lips_rig/": "measured lips as a rig (finetuning.md)",
 }
 """Words of the commands that stand for data."""

@@ -6,19 +6,6 @@ from result_tables.common import Group, report, short, table
 FOLDS = ("error_of_mean_pose", "error_at_best_gain", "mean_r", "range")
 """Scores of a fine-tuning on what it never saw."""
 
-SYSTEMS = {"tuned": "after", "ridge": "ridge", "loudness": "loudness", "mean pose": "mean pose"}
-"""Columns, and what a report calls them."""
-FACEGOOD_JAW = "mouth_stretch_c"
-
-
-def facegood() -> str:
-    """A rig of its own, each take left out in turn."""
-    found = report("facegood")
-    systems = {name: found["mean"][key] for name, key in SYSTEMS.items() if key in found["mean"]}
-    rows = _systems(f"mean of the folds, from weights {found['base_sha256'][:8]}…", systems)
-    rs = [_known(found["controls"][FACEGOOD_JAW].get(f"{SYSTEMS[name]}_r")) for name in systems]
-    return table([*rows, [f"r of `{FACEGOOD_JAW}`", *rs]])
-
 
 def captured_lips() -> str:
     """Measured lips as a rig, speakers left out."""

@@ -114,7 +114,7 @@ def test_run_from_nothing_has_the_network_of_the_base_alone(base, data, tmp_path
         command += ["--set", override]
     done = CliRunner().invoke(app, command)
     assert done.exit_code == 0, done.output
-    model, given = load_model(tmp_path / "run/last"), load_model(base)
+    model, given = load_model(tmp_path / "run/best"), load_model(base)
     assert model.config == given.config
     pairs = zip(model.named_parameters(), given.parameters(), strict=True)
     same = [n for (n, p), q in pairs if p.dim() > 1 and torch.isclose(p, q, rtol=0.1).all()]
