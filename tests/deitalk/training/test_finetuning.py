@@ -299,7 +299,7 @@ def test_rig_file_rejects(tmp_path, text, match):
 
 
 def test_control_set_rejects_another_name():
-    with pytest.raises(ConfigError, match=r"neither 'metahuman-185@mh4' nor a rig file"):
+    with pytest.raises(ConfigError, match=r"no rig file \(.yaml\), and none of metahuman-185@mh4"):
         read_controls("metahuman-185@mh3")
 
 
