@@ -19,13 +19,14 @@ import errno
 import math
 import os
 import pickle
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Set
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 import torch
 import yaml
+from torch import Tensor, nn
 
 from deitalk.config.load import AnyConfig, load_config
 from deitalk.errors import ConfigError, DataError, MissingError
@@ -137,6 +138,29 @@ def _differences(a: dict[str, Any], b: dict[str, Any], prefix: str = "") -> list
         elif first != second:
             out.append(prefix + key)
     return out
+
+
+class Learnt:
+    """State of a module without what never changes, and is built again.
+
+    Parameters
+    ----------
+    module : Module
+    frozen : set of str
+        Names in its state dict.
+    """
+
+    def __init__(self, module: nn.Module, frozen: Set[str]) -> None:
+        self.module, self.frozen = module, frozen
+
+    def state_dict(self) -> dict[str, Tensor]:
+        """The module's state but for what never changes."""
+        return {k: v for k, v in self.module.state_dict().items() if k not in self.frozen}
+
+    def load_state_dict(self, state: Mapping[str, Tensor]) -> None:
+        """Set the module's state; what never changes stays."""
+        fixed = {k: v for k, v in self.module.state_dict().items() if k in self.frozen}
+        self.module.load_state_dict({**fixed, **state})
 
 
 def save_state(out: Path, parts: dict[str, Any], numbers: dict[str, float]) -> None:

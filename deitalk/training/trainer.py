@@ -28,6 +28,7 @@ from deitalk.figures import ClipRows, can_draw, draw_clips
 from deitalk.models.folder import describe_model, read_about
 from deitalk.training.run_folder import (
     Journal,
+    Learnt,
     open_folder,
     picture_path,
     resume_run,
@@ -188,8 +189,7 @@ def run_training(
         finally:
             journal.close()
         if is_main and not task.keeps_state:
-            end = {"step": trainer.total, "best_score": trainer.best_score}
-            save_state(out, {}, end)
+            save_state(out, {}, {"step": trainer.total, "best_score": trainer.best_score})
         return dict(describe_model(out / "best")["training"])
 
 
@@ -227,8 +227,7 @@ class Trainer(Generic[Item]):
         self.optimizer = task.optimizer()
         self.scheduler = new_scheduler(self.optimizer, self.settings, self.total)
         self.step, self.best_score = 0, -math.inf
-        self.gradient_norm, self.bad_steps = 0.0, 0
-        self.seconds, self.taken = 0.0, 0
+        self.gradient_norm, self.seconds, self.bad_steps, self.taken = 0.0, 0.0, 0, 0
 
     def _n_steps(self) -> int:
         settings = self.settings
@@ -240,10 +239,9 @@ class Trainer(Generic[Item]):
     @property
     def parts(self) -> dict[str, Any]:
         """What ``state.pt`` keeps."""
-        weights = {"model": self.task.model, "average": self.average}
-        learnt = {name: Learnt(module, self.task.frozen) for name, module in weights.items()}
-        rates = {"optimizer": self.optimizer, "scheduler": self.scheduler}
-        return {**learnt, **rates, **self.task.state}
+        model, average = (Learnt(m, self.task.frozen) for m in (self.task.model, self.average))
+        own = {"model": model, "average": average, "optimizer": self.optimizer}
+        return {**own, "scheduler": self.scheduler, **self.task.state}
 
     def resume(self, out: Path) -> None:
         """Continue the run of a folder from its last state."""
@@ -394,34 +392,7 @@ class Trainer(Generic[Item]):
         return named
 
 
-class Learnt:
-    """State of a module without what `Task.build` makes again.
-
-    Parameters
-    ----------
-    module : Module
-    frozen : set of str
-        As `Task.frozen`.
-    """
-
-    def __init__(self, module: nn.Module, frozen: Set[str]) -> None:
-        self.module, self.frozen = module, frozen
-
-    def state_dict(self) -> dict[str, Tensor]:
-        """The module's state but for what never changes."""
-        return {k: v for k, v in self.module.state_dict().items() if k not in self.frozen}
-
-    def load_state_dict(self, state: Mapping[str, Tensor]) -> None:
-        """Set the module's state; what never changes stays."""
-        fixed = {k: v for k, v in self.module.state_dict().items() if k in self.frozen}
-        self.module.load_state_dict({**fixed, **state})
-
-
 # The optimizer, the learning rate's schedule and the averaged weights of any training.
-
-
-WARM_UP = 0.08
-"""Share of the steps in which the rate of ``one_cycle`` rises."""
 
 
 def new_optimizer(
@@ -468,7 +439,7 @@ def new_scheduler(
         optimizer,
         [group["lr"] for group in optimizer.param_groups],
         total_steps=total + 1,
-        pct_start=WARM_UP,
+        pct_start=0.08,  # share of the steps in which the rate rises
         cycle_momentum=False,
         div_factor=10,
         final_div_factor=100,
