@@ -4,6 +4,7 @@ import asyncio
 import json
 import re
 import threading
+import tomllib
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
@@ -295,6 +296,22 @@ def test_every_setting_has_a_row_in_the_documentation():
         name for row in rows.splitlines()[2:] for name in re.findall(r"`(\w+)`", row.split("|")[1])
     }
     assert named == set(Settings.model_fields)
+
+
+def test_container_is_built_with_every_folder_that_the_package_needs():
+    """The packages, and what the build hook takes from elsewhere; the context holds no other."""
+    root = Path(api.__file__).parents[1]
+    file = (root / "api/container/Dockerfile").read_text()
+    copied = {name for line in re.findall(r"^COPY (.*) \S+$", file, re.MULTILINE)
+              for name in line.split()}  # fmt: skip
+    hook = (root / "deitalk/preview/web/hatch_build.py").read_text()
+    sample = Path(re.search(r'^SAMPLE = "(.*)"$', hook, re.MULTILINE).group(1))
+    project = tomllib.loads((root / "pyproject.toml").read_text())
+    needed = {"pyproject.toml", "README.md", "LICENSE", str(sample.parent)}
+    assert copied == needed | set(project["tool"]["hatch"]["build"]["targets"]["wheel"]["packages"])
+    ignored = (root / "api/container/Dockerfile.dockerignore").read_text().splitlines()
+    assert {line[1:] for line in ignored if line.startswith("!")} == copied
+    assert all((root / name).exists() for name in copied)
 
 
 def test_manifests_of_kubernetes_name_settings_and_probes_that_exist(tmp_path):
