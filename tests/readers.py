@@ -11,11 +11,14 @@ are fetched); the errors are the largest distances from the take's own values.
 import importlib.util
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
 import tempfile
 from collections.abc import Callable
+from functools import reduce
+from operator import mul
 from pathlib import Path
 from typing import Any
 
@@ -23,16 +26,19 @@ import numpy as np
 import yaml
 from scipy.spatial.transform import Rotation
 
-from rig import RigCurves, default_controls, write_curves
+from rig import RigCurves, default_controls, read_curves, write_curves
 from rig.conversion.arkit import ARKIT_ID, HEAD, HEAD_DEGREES, udp_order
 from rig.conversion.convert import convert
 from rig.conversion.raw import RAW_ID
 from rig.face.accents import quaternions
 from rig.formats.blender import addon_text
+from rig.formats.table import FORMATS
 from rig.livelink import make_protocol
 from rig.livelink.protocols import prepared
+from rig.retarget.retarget_files import retarget_curves
 from tests.rig.formats import test_independent_readers as js
 from tests.rig.formats.test_scene import accessor
+from tests.rig.retarget import test_bones as bones
 from tests.splines import hermite
 
 BOARD = default_controls()
@@ -215,6 +221,103 @@ def blender(curves: RigCurves, folder: Path) -> list[Any]:
     return rows
 
 
+BY_UFBX = """
+import json, sys
+import ufbx
+scene = ufbx.load_file(sys.argv[1])
+channels = [element for element in scene.blend_channels]
+out = {"frames": [], "turns": []}
+for frame in map(int, sys.argv[3:]):
+    time = frame / 30
+    weights = {c.name: ufbx.evaluate_blend_weight(scene.anim, c, time) for c in channels}
+    out["frames"].append(weights)
+    chain, node = [], ufbx.find_node(scene, sys.argv[2])
+    while node is not None:
+        q = ufbx.evaluate_transform(scene.anim, node, time).rotation
+        chain.append([q.x, q.y, q.z, q.w])
+        node = node.parent
+    out["turns"].append(chain[::-1])
+print("OUT " + json.dumps(out))
+sys.stdout.flush()
+"""
+
+
+def fbx(curves: RigCurves, folder: Path) -> list[Any]:
+    """FBX written by each Blender, read by ufbx and by that Blender."""
+    from importlib.metadata import version
+
+    shapes, rows = convert(curves, ARKIT_ID), []
+    (folder / "by_ufbx.py").write_text(BY_UFBX)
+    bones.avatar(folder / "avatar.glb", bones.NAMES["cc"])
+    for program in filter(None, os.environ.get("BPY_PYTHONS", "").split(os.pathsep)):
+        os.environ["BPY_PYTHON"] = program
+        asked = "import bpy; print(bpy.app.version_string)"
+        name = subprocess.run([program, "-c", asked], capture_output=True, text=True, check=True)
+        writer = f"FBX of Blender {name.stdout.split()[0]}"
+        write_curves(folder / "a.fbx", shapes)
+        retarget_curves(curves, folder / "avatar.glb", folder / "b.fbx")
+        turns = {}
+        for file, node in (("a.fbx", "face"), ("b.fbx", "CC_Base_Head")):
+            command = [sys.executable, "by_ufbx.py", file, node, *map(str, FRAMES)]
+            done = subprocess.run(command, capture_output=True, text=True, cwd=folder, timeout=300)
+            (line,) = [line for line in done.stdout.splitlines() if line.startswith("OUT ")]
+            out = json.loads(line[4:])
+            world = [reduce(mul, map(Rotation.from_quat, chain)) for chain in out["turns"]]
+            # at frame 0 the head is at rest
+            turned = [(turn * world[0].inv()).as_quat() for turn in world]
+            turns[node] = head_error(np.array(turned), curves, FRAMES)
+            if node == "face":
+                worst = max(
+                    abs(found[n[0].lower() + n[1:]] - shapes[n][i])
+                    for found, i in zip(out["frames"], FRAMES)  # noqa: B905
+                    for n in shapes.names[:52]
+                )
+        reader = f"ufbx {version('ufbx')}"
+        rows.append([writer, reader, "52 shapes, head", max(worst, turns["face"])])
+        rows.append([writer, reader, "bones of neck and head", turns["CC_Base_Head"]])
+        back = read_curves(folder / "a.fbx", control_set=None)
+        names = shapes.names[:52]
+        worst = float(np.abs(back.select(names).values - shapes.select(names).values).max())
+        turn = head_error(quaternions(back.head), curves, range(60))
+        rows.append([writer, "that Blender, convert", "52 shapes, head", max(worst, turn)])
+    return rows
+
+
+def ours(curves: RigCurves, folder: Path) -> list[Any]:
+    """Every format that is read back here, in its own controls; what it lacks is counted."""
+    rows = []
+    for known in FORMATS:
+        if known.name == "fbx" or known.name.startswith(("visemes", "rhubarb")):
+            continue
+        path = folder / f"own{known.suffixes[0]}"
+        report = write_curves(path, curves)
+        back = read_curves(path, control_set=None, fps=30)
+        expected = convert(curves, back.control_set)
+        told = re.search(r"does not show (\d+) moving", report.note)
+        off = [float(np.abs(back[n] - expected[n]).max()) for n in back.names]
+        if back.control_set == ARKIT_ID:
+            off = off[:52]  # its turns of eyes and head are the shapes' and the track's
+        if known.name == "glb":  # lips together: the least of two rows
+            off = [e for e, n in zip(off, back.names) if "lipsTogether" not in n]  # noqa: B905
+        shown = [error for error in off if error <= 1e-3]
+        assert len(off) - len(shown) == int(told[1] if told else 0), (known.name, report.note)
+        what = f"{len(shown)} values of {back.control_set}"
+        rows.append([known.name, "`read_curves`", what, max(shown)])
+    return rows
+
+
+def compliance(curves: RigCurves, folder: Path) -> list[Any]:
+    from pxr import Usd, UsdUtils
+
+    write_curves(folder / "a.usda", curves)
+    checker = UsdUtils.ComplianceChecker(skipARKitRootLayerCheck=True)
+    checker.CheckCompliance(str(folder / "a.usda"))
+    issues = [*checker.GetErrors(), *checker.GetFailedChecks(), *checker.GetWarnings()]
+    assert not issues, issues
+    version = ".".join(map(str, Usd.GetVersion()[1:]))
+    return [["USD", f"ComplianceChecker of usd-core {version}", "0 issues", 0.0]]
+
+
 def javascript(curves: RigCurves, folder: Path) -> list[Any]:
     packages = folder / "node"
     packages.mkdir()
@@ -254,8 +357,11 @@ READERS: dict[Callable[[RigCurves, Path], list[Any]], str] = {
     vmc: "pythonosc",
     glb: "pygltflib",
     usd: "pxr",
+    compliance: "pxr",
     unity: "yaml",
+    ours: "",
     blender: "",
+    fbx: "ufbx",
     javascript: "playwright",
 }
 

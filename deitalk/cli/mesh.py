@@ -160,7 +160,7 @@ def retarget(
 
     if method not in ("displacements", "gradients"):
         raise DeitalkError(f"--method {method!r} is unknown; use displacements or gradients")
-    reserve_mesh(out, force=force, inputs=(curves_of(take), mesh, landmarks, mapping))
+    reserve_mesh(out, force=force, inputs=(curves_of(take), mesh, landmarks, mapping), fbx=True)
     if write_mapping is not None:
         reserve_file(write_mapping, force=force, inputs=(curves_of(take), mesh, mapping))
     curves = read_known_or_own(curves_of(take))

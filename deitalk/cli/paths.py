@@ -63,11 +63,12 @@ def reserve_picture(path: Path, *, force: bool, inputs: Inputs = ()) -> None:
     reserve_file(path, force=force, inputs=inputs)
 
 
-def reserve_mesh(out: str, *, force: bool, inputs: Inputs = ()) -> None:
-    """As `reserve_file` for .glb and .npz, else as `reserve_folder` for a folder of frames."""
+def reserve_mesh(out: str, *, force: bool, inputs: Inputs = (), fbx: bool = False) -> None:
+    """As `reserve_file` for .glb, .npz (and .fbx), else as `reserve_folder` of frames."""
     from rig.mesh.sequence import check_out
 
-    if check_out(out) == "folder":
+    is_fbx = fbx and out.lower().endswith(".fbx")
+    if not is_fbx and check_out(out) == "folder":
         reserve_folder(Path(out), kind="frames", force=force, inputs=inputs)
     else:
         reserve_file(Path(out), force=force, inputs=inputs)

@@ -7,8 +7,9 @@ from rig.controls import DEFAULT_ID, ControlSet, default_controls
 from rig.conversion.arkit import ARKIT_ID, arkit_controls, arkit_to_raw, raw_to_arkit
 from rig.conversion.avatars import AVATARS, avatar_controls, avatar_to_raw, raw_to_avatar
 from rig.conversion.raw import RAW_ID, board_to_raw, raw_controls, raw_to_board
+from rig.conversion.shape_fit import shape_key
 from rig.curves import RigCurves
-from rig.errors import ControlError
+from rig.errors import ControlError, FormatError
 
 KNOWN: dict[str, Callable[[], ControlSet]] = {
     DEFAULT_ID: default_controls,
@@ -81,3 +82,35 @@ def controls_of(names: Sequence[str], *, where: str) -> ControlSet:
         except ControlError as error:
             raise ControlError(f"{where}: {error}") from None
     return best
+
+
+def shapes_named(
+    names: Sequence[str], where: str, sets: Sequence[ControlSet] = ()
+) -> tuple[ControlSet, list[int | None]]:
+    """Return the set with most of some names of shapes, and the place of each name in it.
+
+    Parameters
+    ----------
+    names : sequence of str
+        In any case of letters.
+    where : str
+        Beginning of a message.
+    sets : sequence of ControlSet
+        By default ARKit's, those of the avatars, and the raw curves.
+
+    Raises
+    ------
+    FormatError
+        If no set has any.
+    """
+    best: tuple[int, ControlSet, list[int | None]] | None = None
+    keys = [shape_key(name) for name in names]
+    for controls in sets or [KNOWN[known]() for known in (ARKIT_ID, *AVATARS, RAW_ID)]:
+        by_key = {shape_key(name): i for i, name in enumerate(controls.names)}
+        places = [by_key.get(key) for key in keys]
+        count = sum(place is not None for place in places)
+        if best is None or count > best[0]:
+            best = count, controls, places
+    if best is None or not best[0]:
+        raise FormatError(f"{where}: {', '.join(names[:4])} … are no shapes of ARKit or an avatar")
+    return best[1], best[2]

@@ -58,6 +58,12 @@ class Cue:
     shape: str
 
 
+def gesture_controls() -> frozenset[str]:
+    """Return the controls of all gestures."""
+    patterns = [pattern for controls in GESTURES.values() for pattern in controls]
+    return frozenset(pattern.replace("*", side) for pattern in patterns for side in "LR")
+
+
 def names(viseme_set: str) -> tuple[str, ...]:
     """Return the names of ``oculus`` (15) or ``rhubarb`` (9)."""
     return tuple(row["name"] for row in _rows(viseme_set))

@@ -364,3 +364,29 @@ def _finite(number: float, what: str) -> float:
     if not (math.isfinite(number) and abs(number) <= MAX_FACTOR):
         raise CurveError(f"{what} is {number:g}; it must be finite and within ±{MAX_FACTOR:g}")
     return number
+
+
+def hermite(times: Float64, rows: Float64, arrive: Float64, leave: Float64, at: Float64) -> Float64:
+    """Values of cubic curves with two slopes a key.
+
+    Parameters
+    ----------
+    times : array [shape=(K,)]
+        Rising.
+    rows, arrive, leave : array [shape=(K, C)]
+        Values, and slopes per unit of time before and after each key.
+    at : array [shape=(T,)]
+        Times; beyond the keys the curves are constant.
+
+    Returns
+    -------
+    array [shape=(T, C)]
+    """
+    if len(times) == 1:
+        return np.repeat(rows, len(at), axis=0)
+    i = np.clip(np.searchsorted(times, at, side="right") - 1, 0, len(times) - 2)
+    gap = (times[i + 1] - times[i])[:, None]
+    t = np.clip((at - times[i])[:, None] / gap, 0, 1)
+    slopes = t * (1 - t) ** 2 * leave[i] - t * t * (1 - t) * arrive[i + 1]
+    values: Float64 = rows[i] + t * t * (3 - 2 * t) * (rows[i + 1] - rows[i]) + gap * slopes
+    return values

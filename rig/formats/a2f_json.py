@@ -11,9 +11,7 @@ import numpy as np
 
 from rig.controls import ControlSet
 from rig.conversion.arkit import ARKIT_ID, udp_order
-from rig.conversion.avatars import AVATARS
-from rig.conversion.convert import known_controls
-from rig.conversion.shape_fit import shape_key
+from rig.conversion.convert import shapes_named
 from rig.curves import RigCurves, check_clip
 from rig.errors import FormatError
 from rig.formats.curves_json import read_object
@@ -65,26 +63,10 @@ def read(path: Path, controls: ControlSet | None = None, fps: float | None = Non
         values = np.empty(0, np.float32)
     if values.ndim != 2 or values.shape[1] != len(names) or not np.isfinite(values).all():
         raise FormatError(f"{path}: 'weightMat' must be rows of {len(names)} finite numbers")
-    chosen, places = _set_of(names, path)
+    chosen, places = shapes_named(names, str(path))
     check_clip(len(values), len(chosen))
     shown = np.zeros((len(values), len(chosen)), np.float32)
     for column, place in enumerate(places):
         if place is not None:
             shown[:, place] = np.clip(values[:, column], 0, 1)
     return RigCurves(shown, chosen.names, float(rate), control_set=chosen.id)  # type: ignore[arg-type]
-
-
-def _set_of(names: list[str], path: Path) -> tuple[ControlSet, list[int | None]]:
-    """Return the set with most of some names, and the place of each name in it."""
-    best: tuple[int, ControlSet, list[int | None]] | None = None
-    for known in (ARKIT_ID, *AVATARS):
-        controls = known_controls(known)
-        assert controls is not None
-        by_key = {shape_key(name): i for i, name in enumerate(controls.names)}
-        places = [by_key.get(shape_key(name)) for name in names]
-        count = sum(place is not None for place in places)
-        if best is None or count > best[0]:
-            best = count, controls, places
-    if best is None or not best[0]:
-        raise FormatError(f"{path}: {', '.join(names[:4])} … are no shapes of ARKit or an avatar")
-    return best[1], best[2]

@@ -2,16 +2,31 @@
 
 Curves of the board move shapes of its controls, ARKit's curves the 52 shapes of `arkit_head`.
 Opens in Blender, three.js, Windows' viewer and Unreal. For a face of your own, see
-``deitalk retarget``.
+``deitalk retarget``, whose files `read` reads too.
 """
 
 from pathlib import Path
+from typing import Any
 
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from rig.arrays import AnyFloat, Float32, Float64
+from rig.controls import ControlSet, default_controls
 from rig.conversion.arkit import ARKIT_ID
-from rig.curves import RigCurves
+from rig.conversion.convert import shapes_named
+from rig.curves import RigCurves, check_clip
+from rig.curves.edit import hermite
+from rig.errors import FormatError
 from rig.face.accents import matrices, quaternions
-from rig.mesh.glb import RigidMotion, WeightAnimation, write_glb
+from rig.mesh.glb import RigidMotion, WeightAnimation, read_container, write_glb
+from rig.mesh.glb_reader import consistent, morphing_nodes, read_accessor
+from rig.retarget.bake import control_halves
+from rig.retarget.bones import head_track, turn_of_bones
 from rig.retarget.morph_head import METRES_PER_CM, in_metres, morph_head, textured
+
+LEAST_JAW = 1e-3
+"""Opening below which lips together move nothing, and come back as less."""
 
 
 def write(path: Path, curves: RigCurves, identity: int | str = 0) -> None:
@@ -40,3 +55,132 @@ def _motion(curves: RigCurves) -> RigidMotion | None:
         return None
     _, translation = matrices(curves.head)
     return RigidMotion(quaternions(curves.head), translation * METRES_PER_CM)
+
+
+def read(path: Path, controls: ControlSet | None, fps: float | None) -> RigCurves:
+    """Read the last animation of shapes, of our head or of any file with known names of shapes.
+
+    Lips together come back from their correctives, the least of two rows times an open jaw. The
+    head track is the turn and shift of our head's node, or the turn of the bones of neck and head.
+
+    Parameters
+    ----------
+    path : Path
+        The GLB.
+    controls : ControlSet, optional
+        Of a user's own shapes, by name.
+    fps : float, optional
+        By default the rate of the densest keys.
+
+    Raises
+    ------
+    FormatError
+        If it has no animated shapes, or they are of no known set.
+    """
+    document, binary = read_container(path)
+    with consistent(path):
+        shapes = dict(morphing_nodes(document))
+        moved = _moved(document, binary)
+        driven = {node: moved[node, "weights"] for node in shapes if (node, "weights") in moved}
+        if not driven:
+            raise FormatError(f"{path.name} has no animated shapes")
+        tracks = [track for (_, part), track in moved.items() if part != "scale"]
+        steps = [float(np.diff(times).min()) for times, *_ in tracks if len(times) > 1]
+        rate = fps or _rate(min(steps, default=1.0))
+        n_frames = round(max(float(times[-1]) for times, *_ in tracks) * rate) + 1
+        names = list(dict.fromkeys(name for node in driven for name in shapes[node]))
+        check_clip(n_frames, len(names))
+        at = np.arange(n_frames) / rate
+        weights = np.zeros((n_frames, len(names)), np.float32)
+        for node, track in driven.items():
+            weights[:, [names.index(name) for name in shapes[node]]] = _sampled(track, at)
+        turns = {n: Rotation.from_quat(_sampled(t, at)) for (n, p), t in moved.items()
+                 if p == "rotation"}  # fmt: skip
+        head = _head(document, turns, moved, at)
+    chosen, values = _curves_of(names, weights, controls, path)
+    return RigCurves(values, chosen.names, rate, control_set=chosen.id, head=head)
+
+
+def _rate(step: float) -> float:
+    """Frames per second of a distance of keys in seconds, whole or a 1.001th of it."""
+    rate = 1 / step
+    near = [n for n in (round(rate), round(rate * 1.001) / 1.001) if abs(n / rate - 1) < 2e-4]
+    return float(min(near, key=lambda n: abs(n / rate - 1), default=rate))
+
+
+Track = tuple[Float64, Float64, str]
+"""Times (K,) in seconds, rows (K, columns) or (K, 3, columns), interpolation."""
+
+
+def _moved(document: dict[str, Any], binary: bytes) -> dict[tuple[int, str], Track]:
+    """Return what the last animation moves, by node and part."""
+    found: dict[tuple[int, str], Track] = {}
+    for animation in document.get("animations", [])[-1:]:
+        for channel in animation["channels"]:
+            sampler = animation["samplers"][channel["sampler"]]
+            times, rows = (
+                np.atleast_1d(read_accessor(document, binary, sampler[part]))
+                for part in ("input", "output")
+            )
+            way = sampler.get("interpolation", "LINEAR")
+            if times.ndim != 1 or not len(times) or not np.isfinite(times).all():
+                raise FormatError("times of keys must be finite numbers")
+            if (np.diff(times) <= 0).any() or not np.isfinite(rows).all():
+                raise FormatError("times of keys must rise, and their values be finite")
+            keys = (len(times), 3) if way == "CUBICSPLINE" else (len(times),)
+            target = channel["target"]
+            found[target["node"], target["path"]] = times, rows.reshape(*keys, -1), way
+    return found
+
+
+def _sampled(track: Track, at: Float64) -> Float64:
+    """Rows at times, seconds [shape=(T, columns)]."""
+    times, rows, way = track
+    if way == "CUBICSPLINE":
+        return hermite(times, rows[:, 1], rows[:, 0], rows[:, 2], at)
+    if way == "STEP":
+        return np.asarray(rows[np.clip(np.searchsorted(times, at + 1e-6) - 1, 0, None)])
+    return np.stack([np.interp(at, times, column) for column in rows.T], axis=1)
+
+
+def _curves_of(
+    names: list[str], weights: Float32, controls: ControlSet | None, path: Path
+) -> tuple[ControlSet, AnyFloat]:
+    """Return the control set of names of shapes, and its values."""
+    board = default_controls()
+    halves = [(n, d) for n, d in control_halves(board) if n in names]
+    if controls is None and len(halves) > len(names) / 2:
+        values = np.tile(board.rest, (len(weights), 1)).astype(np.float32)
+        for name, driver in halves:
+            half = driver.groups[0][0]
+            i, column = board.index(half.control), weights[:, names.index(name)]
+            end = board.maximum[i] if half.sign > 0 else board.minimum[i]
+            values[:, i] += (end - board.rest[i]) * column.clip(0, 1)
+        jaw = values[:, board.index("CTRL_C_jaw.ty")]
+        for side in [side for side in "LR" if f"seal_{side}" in names]:
+            together = weights[:, names.index(f"seal_{side}")] / np.maximum(jaw, LEAST_JAW)
+            for row in "UD":
+                place = board.index(f"CTRL_{side}_mouth_lipsTogether{row}.ty")
+                values[:, place] = together.clip(0, 1)
+        return board, values
+    chosen, places = shapes_named(names, str(path), (controls,) if controls else ())
+    values = np.tile(chosen.rest, (len(weights), 1)).astype(np.float32)
+    for column, place in enumerate(places):
+        if place is not None:
+            values[:, place] = np.clip(weights[:, column], 0, 1)
+    return chosen, values
+
+
+def _head(
+    document: dict[str, Any],
+    turns: dict[int, Rotation],
+    moved: dict[tuple[int, str], Track],
+    at: Float64,
+) -> Float32 | None:
+    """Head track of a mesh's node, or of bones; None if neither turns."""
+    for node, turn in turns.items():
+        if "mesh" in document["nodes"][node] and "skin" not in document["nodes"][node]:
+            place = moved.get((node, "translation"))
+            return head_track(turn, None if place is None else _sampled(place, at) / METRES_PER_CM)
+    found = turn_of_bones(document, turns)
+    return None if found is None else head_track(found)

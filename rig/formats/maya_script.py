@@ -6,20 +6,25 @@ The script runs in Maya's Python 2.7 and 3 and takes namespaces, the time unit o
 boards of 2021 to 2023 into account.
 """
 
+import ast
 import inspect
 import json
 import re
 from pathlib import Path
 
-from rig.controls import default_controls
-from rig.curves import RigCurves
+import numpy as np
+
+from rig.controls import ControlSet, default_controls
+from rig.curves import RigCurves, check_clip
+from rig.errors import FormatError
+from rig.files.reading import read_text
 from rig.formats.decimal_text import Block, rows
+from rig.formats.unreal_json import keyed_controls
+from rig.limits import CURVES_BYTES
 from rig.unreal.deitalk_clip import curve_keys, fit_segment, key_frames, split_curve
 
 DECIMALS = 4
 STILL = 5e-5
-ROLES = ("driver", "master")
-"""Switches and multipliers are not keyed."""
 ATTRIBUTES = {"x": "translateX", "y": "translateY"}
 TEMPLATE = Path(__file__).with_name("maya_template.txt")
 
@@ -31,18 +36,50 @@ def write(path: Path, curves: RigCurves) -> None:
     with path.open("wb") as stream:
         stream.write(head.replace("FPS = 30.0", f"FPS = {curves.fps!r}").encode())
         stream.write(f"OLDER = {json.dumps(_older_names())}\nCURVES = {{\n".encode())
-        for control in default_controls().controls:
-            if control.role not in ROLES:
-                continue
-            axis = control.name.rpartition(".")[2][-1]
-            name = f"{control.ue_control}.{ATTRIBUTES[axis]}"
-            values = curves[control.name]
+        for name, control in _attributes().items():
+            values = curves[control]
             stream.write(f'"{name}": ['.encode())
             if values.max() - values.min() < STILL:
                 values = values[:1]
             stream.writelines(rows([Block(values.reshape(1, -1), DECIMALS)]))
             stream.write(b"],\n")
         stream.write(b"}\n" + tail.encode())
+
+
+def _attributes() -> dict[str, str]:
+    """Controls by the attribute that is keyed."""
+    return {f"{c.ue_control}.{ATTRIBUTES[c.name[-1]]}": c.name for c in keyed_controls()}
+
+
+def read(path: Path, controls: ControlSet | None = None, fps: float | None = None) -> RigCurves:
+    """Read a script of `write`, which is parsed and not run; switches and multipliers rest.
+
+    Raises
+    ------
+    FormatError
+        If it is no script of ours: its rate or a curve is missing or damaged.
+    """
+    text, board = read_text(path, CURVES_BYTES), default_controls()
+    try:
+        given = {
+            node.targets[0].id: ast.literal_eval(node.value)
+            for node in ast.parse(text).body
+            if isinstance(node, ast.Assign)
+            and isinstance(node.targets[0], ast.Name)
+            and node.targets[0].id in ("FPS", "CURVES")
+        }
+        columns = {_attributes()[name]: given["CURVES"][name] for name in given["CURVES"]}
+        rate, frames = fps or float(given["FPS"]), max(map(len, columns.values()))
+        check_clip(frames, len(board))
+        values = np.tile(board.rest, (frames, 1)).astype(np.float32)
+        for control, numbers in columns.items():
+            values[:, board.index(control)] = np.broadcast_to(np.float32(numbers), frames)
+    except (SyntaxError, ValueError, TypeError, LookupError, AttributeError, RecursionError,
+            OverflowError) as error:  # fmt: skip
+        raise FormatError(f"{path} is no script of deitalk: FPS and CURVES are needed") from error
+    if not np.isfinite(values).all():
+        raise FormatError(f"{path} holds numbers that are not finite")
+    return RigCurves(values, board.names, rate)
 
 
 def key_frames_text() -> str:

@@ -1,7 +1,8 @@
 """The table of formats: names and suffixes to readers and writers."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +10,7 @@ from rig.controls import DEFAULT_ID, ControlSet
 from rig.conversion.arkit import ARKIT_ID
 from rig.conversion.avatars import AVATARS
 from rig.conversion.raw import RAW_ID
+from rig.conversion.visemes import gesture_controls
 from rig.curves import RigCurves
 from rig.errors import FormatError
 from rig.formats import (
@@ -57,6 +59,8 @@ class Format:
         First cells (lower case) of a CSV of this format, by which it is recognised.
     note : callable, optional
         A line on path and curves: what the writer adds, or an empty one.
+    shows : callable, optional
+        Names of the controls of the board that it shows. None: all of its control set.
     options : tuple of str
         Keywords that the writer takes: digits after the point, sound (the path that the file
         names) and seconds (its length), start (time of day of the first frame, seconds), identity.
@@ -72,34 +76,29 @@ class Format:
     tracks: tuple[str, ...] = ()
     begins: tuple[str, ...] = ()
     note: Callable[[Path, RigCurves], str] | None = None
+    shows: Callable[[], Iterable[str]] | None = None
     options: tuple[str, ...] = ()
 
 
-def _write_glb(path: Path, curves: RigCurves, identity: int | str = 0) -> None:
-    from rig.formats import glb  # the head is built for files that show it
+def _late(module: str, name: str) -> Callable[..., Any]:
+    """Return a function of a module that is loaded when it is called: heads, scipy, pxr."""
 
-    glb.write(path, curves, identity)
-
-
-def _vrma(name: str) -> Callable[..., Any]:
-    def call(*arguments: Any) -> Any:
-        from rig.formats import vrma  # scipy's rotations are loaded for files that need them
-
-        return getattr(vrma, name)(*arguments)
+    def call(*arguments: Any, **options: Any) -> Any:
+        return getattr(import_module(f"rig.formats.{module}"), name)(*arguments, **options)
 
     return call
 
 
-def _write_usd(path: Path, curves: RigCurves, identity: int | str = 0) -> None:
-    from rig.formats import usd
+def shown_controls() -> frozenset[str]:
+    """Return the controls that the shapes of the embedded heads show."""
+    from rig.retarget.morph_head import shown_controls as shown
 
-    usd.write(path, curves, identity)
+    return shown()
 
 
-def _read_usd(path: Path, controls: ControlSet | None, fps: float | None) -> RigCurves:
-    from rig.formats import usd
-
-    return usd.read(path, controls, fps)
+def keyed_controls() -> list[str]:
+    """Return the controls that scripts in Unreal and Maya key."""
+    return [control.name for control in unreal_json.keyed_controls()]
 
 
 FORMATS: tuple[Format, ...] = (
@@ -192,8 +191,9 @@ FORMATS: tuple[Format, ...] = (
         "unity",
         (".anim",),
         "Unity animation clip of blend shapes: ARKit's or an avatar's names (lossy)",
-        write=unity_anim.write,
-        control_set=ARKIT_ID,
+        unity_anim.read,
+        unity_anim.write,
+        ARKIT_ID,
         also=AVATARS,
     ),
     Format(
@@ -203,6 +203,7 @@ FORMATS: tuple[Format, ...] = (
         emoface_txt.read,
         emoface_txt.write,
         DEFAULT_ID,
+        shows=emoface_txt.columns,
     ),
     Format(
         "unreal",
@@ -211,6 +212,7 @@ FORMATS: tuple[Format, ...] = (
         unreal_json.read,
         unreal_json.write,
         DEFAULT_ID,
+        shows=keyed_controls,
         tracks=("head",),
         options=("digits", "start"),
     ),
@@ -218,8 +220,10 @@ FORMATS: tuple[Format, ...] = (
         "maya",
         (".maya.py",),
         "script that keys the MetaHuman face board in Maya: drag it into the viewport",
-        write=maya_script.write,
-        control_set=DEFAULT_ID,
+        maya_script.read,
+        maya_script.write,
+        DEFAULT_ID,
+        shows=keyed_controls,
     ),
     Format(
         "visemes",
@@ -228,6 +232,7 @@ FORMATS: tuple[Format, ...] = (
         viseme_json.read,
         viseme_json.write,
         DEFAULT_ID,
+        shows=gesture_controls,
     ),
     Format(
         "rhubarb-json",
@@ -236,6 +241,7 @@ FORMATS: tuple[Format, ...] = (
         rhubarb.read_json_cues,
         rhubarb.write_json,
         DEFAULT_ID,
+        shows=gesture_controls,
         options=("sound", "seconds"),
     ),
     Format(
@@ -245,6 +251,7 @@ FORMATS: tuple[Format, ...] = (
         rhubarb.read_tsv,
         rhubarb.write_tsv,
         DEFAULT_ID,
+        shows=gesture_controls,
         options=("seconds",),
     ),
     Format(
@@ -254,6 +261,7 @@ FORMATS: tuple[Format, ...] = (
         rhubarb.read_dat,
         rhubarb.write_dat,
         DEFAULT_ID,
+        shows=gesture_controls,
         options=("seconds",),
     ),
     Format(
@@ -263,34 +271,49 @@ FORMATS: tuple[Format, ...] = (
         rhubarb.read_xml,
         rhubarb.write_xml,
         DEFAULT_ID,
+        shows=gesture_controls,
         options=("sound", "seconds"),
     ),
     Format(
         "glb",
         (".glb",),
         "our head with morph targets and their animation; --rig arkit: ARKit's 52 names",
-        write=_write_glb,
-        options=("identity",),
-        control_set=DEFAULT_ID,
+        _late("glb", "read"),
+        _late("glb", "write"),
+        DEFAULT_ID,
         also=(ARKIT_ID,),
         tracks=("head",),
+        shows=shown_controls,
+        options=("identity",),
+    ),
+    Format(
+        "fbx",
+        (".fbx",),
+        "the same as FBX, written and read by Blender (extra fbx)",
+        _late("fbx", "read"),
+        _late("fbx", "write"),
+        DEFAULT_ID,
+        also=(ARKIT_ID,),
+        tracks=("head",),
+        shows=shown_controls,
+        options=("identity",),
     ),
     Format(
         "vrma",
         (".vrma",),
         "animation of any VRM avatar: vowels and blinks, ARKit's shapes, head, gaze (lossy)",
-        _vrma("read"),
-        _vrma("write"),
+        _late("vrma", "read"),
+        _late("vrma", "write"),
         DEFAULT_ID,
         tracks=("head",),
-        note=_vrma("note"),
+        note=_late("vrma", "note"),
     ),
     Format(
         "usd",
         (".usd", ".usda", ".usdc"),
         "our head as UsdSkel blend shapes, raw curves as custom:mh_curveValues (extra usd)",
-        _read_usd,
-        _write_usd,
+        _late("usd", "read"),
+        _late("usd", "write"),
         DEFAULT_ID,
         tracks=("head",),
         options=("identity",),

@@ -5,12 +5,19 @@ Text as the editor writes it (YAML). Weights are percent. Keys are few and cubic
 of the renderer is empty: the Animator is beside it; else replace ``path:`` by its path.
 """
 
+import re
 from pathlib import Path
 
 import numpy as np
 
+from rig.controls import ControlSet
 from rig.conversion.arkit import ARKIT_ID
-from rig.curves import RigCurves
+from rig.conversion.convert import shapes_named
+from rig.curves import RigCurves, check_clip
+from rig.curves.edit import hermite
+from rig.errors import FormatError
+from rig.files.reading import read_text
+from rig.limits import CURVES_BYTES, FRAMES
 from rig.unreal.deitalk_clip import curve_keys
 
 TOLERANCE = 5e-4
@@ -54,6 +61,7 @@ _KEY = """      - serializedVersion: 3
         inWeight: 0.33333334
         outWeight: 0.33333334
 """
+_ROW = r"time: (\S+)\s+value: (\S+)\s+inSlope: (\S+)\s+outSlope: (\S+)"
 _TAIL = """  m_PPtrCurves: []
   m_SampleRate: {rate:g}
   m_WrapMode: 0
@@ -87,3 +95,40 @@ def write(path: Path, curves: RigCurves) -> None:
             stream.write(_CURVE.format(keys=keys, name=shape))
         stop = (len(curves) - 1) / curves.fps
         stream.write(_TAIL.format(rate=curves.fps, stop=stop))
+
+
+def read(path: Path, controls: ControlSet | None = None, fps: float | None = None) -> RigCurves:
+    """Read the curves ``blendShape.<name>`` of a clip in text; other curves are passed over.
+
+    Raises
+    ------
+    FormatError
+        If there are none, their shapes are of no known set, or keys are stepped or damaged.
+    """
+    blocks = read_text(path, CURVES_BYTES).split("- curve:\n")
+    named = [(re.search(r"attribute: blendShape\.(.+)", block), block) for block in blocks[1:]]
+    found = {match[1].strip(): np.array(re.findall(_ROW, block)) for match, block in named if match}
+    rates = re.findall(r"m_SampleRate: (\S+)", blocks[-1])
+    try:
+        keyed = {name: rows.astype(np.float64).reshape(-1, 4) for name, rows in found.items()}
+        rate = fps or float(rates[0])
+        sound = all(
+            len(k) and np.isfinite(k).all() and (np.diff(k[:, 0]) > 0).all() for k in keyed.values()
+        )
+    except (ValueError, IndexError):
+        sound = False
+    if not sound or not keyed or not 0 < rate <= 1000:
+        raise FormatError(f"{path} has no curves of blend shapes with smooth keys at rising times")
+    chosen, places = shapes_named(list(keyed), str(path), (controls,) if controls else ())
+    last = max(keys[-1, 0] for keys in keyed.values())
+    if not last * rate < FRAMES:
+        raise FormatError(f"{path} ends at {last:g} s; at most {FRAMES} frames are read")
+    n_frames = round(last * rate) + 1
+    check_clip(n_frames, len(chosen))
+    at = np.arange(n_frames) / rate
+    values = np.tile(chosen.rest, (n_frames, 1)).astype(np.float32)
+    for keys, place in zip(keyed.values(), places, strict=True):
+        if place is not None:
+            rows, arrive, leave = (keys[:, i : i + 1] / PERCENT for i in (1, 2, 3))
+            values[:, place] = hermite(keys[:, 0], rows, arrive, leave, at)[:, 0].clip(0, 1)
+    return RigCurves(values, chosen.names, rate, control_set=chosen.id)

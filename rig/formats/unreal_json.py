@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from rig.arrays import Float32
-from rig.controls import DEFAULT_ID, ControlSet, default_controls
+from rig.controls import DEFAULT_ID, Control, ControlSet, default_controls
 from rig.conversion.raw import BOTH_EYES, RAW_ID, raw_controls, raw_knots
 from rig.curves import HEAD, RigCurves
 from rig.errors import CurveError, FormatError, quoted
@@ -184,15 +184,15 @@ def _functions() -> dict[str, dict[str, Any]]:
     return functions
 
 
-def _by_control() -> dict[str, dict[str, str]]:
-    """Return, by Unreal control, its channels: ``value``, or ``x`` and ``y``.
+def keyed_controls() -> list[Control]:
+    """Controls of the board but switches and multipliers, which are left to the animator."""
+    return [c for c in default_controls().controls if c.role in ("driver", "master")]
 
-    Switches and multipliers are left to the animator and not keyed.
-    """
+
+def _by_control() -> dict[str, dict[str, str]]:
+    """Return, by Unreal control, its channels: ``value``, or ``x`` and ``y``."""
     controls: dict[str, dict[str, str]] = {}
-    for c in default_controls().controls:
-        if c.role not in ("driver", "master"):
-            continue
+    for c in keyed_controls():
         axis = c.axis.lower() if c.type == "Vector2D" else "value"
         controls.setdefault(c.ue_control, {})[axis] = c.name
     return {name: dict(sorted(channels.items())) for name, channels in controls.items()}

@@ -21,7 +21,7 @@ from rig.errors import FormatError
 from rig.face.accents import quaternions
 from rig.mesh.glb import GlbBuilder, read_container, write_container
 from rig.mesh.glb_reader import read_accessor
-from rig.retarget.bones import gaze_turn
+from rig.retarget.bones import gaze_turn, head_track
 
 EXTENSION = "VRMC_vrm_animation"
 BONES = {"hips": 1.0, "spine": 0.1, "chest": 0.15, "neck": 0.25, "head": 0.1}
@@ -130,8 +130,5 @@ def _curves(document: dict[str, Any], binary: bytes, fps: float | None) -> RigCu
         node = own["humanoid"]["humanBones"].get(bone, {}).get("node")
         if node in moved:
             turn = turn * Rotation.from_quat(moved[node][1])
-    head = None
-    if turn.magnitude().any():
-        yaw, pitch, roll = (turn.as_euler("YXZ", degrees=True) * [-1, -1, 1]).T
-        head = np.stack([yaw, pitch, roll, *np.zeros((3, len(times)))], axis=1).astype(np.float32)
-    return RigCurves(values, arkit_controls().names, rate, control_set=ARKIT_ID, head=head)
+    names, head = arkit_controls().names, head_track(turn)
+    return RigCurves(values, names, rate, control_set=ARKIT_ID, head=head)

@@ -58,7 +58,7 @@ def read_glb(path: Path | str) -> ShapeSet:
     """
     path = Path(path)
     document, binary = read_container(path)
-    with _consistent(path), np.errstate(all="ignore"):  # what is not finite is refused later
+    with consistent(path), np.errstate(all="ignore"):  # what is not finite is refused later
         _refuse_compressed(document, path.name)
         pieces = _bounded(_pieces(document, binary))
         if not pieces:
@@ -67,7 +67,7 @@ def read_glb(path: Path | str) -> ShapeSet:
 
 
 @contextmanager
-def _consistent(path: Path) -> Iterator[None]:
+def consistent(path: Path) -> Iterator[None]:
     """Turn errors of an inconsistent document into a FormatError."""
     try:
         yield
@@ -297,12 +297,13 @@ def morph_names(path: Path | str) -> tuple[str, ...]:
     """Names of all morph targets in a GLB file, compressed or not, in file order."""
     path = Path(path)
     document, _ = read_container(path)
-    with _consistent(path):
-        names = [n for _, columns in _morphing_nodes(document) for n in columns]
+    with consistent(path):
+        names = [n for _, columns in morphing_nodes(document) for n in columns]
         return tuple(dict.fromkeys(names))
 
 
-def _morphing_nodes(document: dict[str, Any]) -> list[tuple[int, list[str]]]:
+def morphing_nodes(document: dict[str, Any]) -> list[tuple[int, list[str]]]:
+    """Return the nodes of meshes with morph targets, and the names of these."""
     found = []
     nodes = document.get("nodes", [])
     if len(nodes) > NODES:
@@ -340,8 +341,8 @@ def animate_glb(
         If none of the names is a morph target of the file.
     """
     document, binary = read_container(source)
-    with _consistent(Path(source)):
-        nodes = _morphing_nodes(document)
+    with consistent(Path(source)):
+        nodes = morphing_nodes(document)
     weights = np.asarray(animation.weights, dtype=np.float32)
     column = {name: i for i, name in enumerate(names)}
     driven: dict[int, Float32] = {}

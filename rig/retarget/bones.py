@@ -6,18 +6,21 @@ unless shapes of the file show the gaze. A VRM 0 faces -z, every other avatar +z
 """
 
 import re
+from collections.abc import Mapping
+from functools import reduce
+from operator import mul
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from rig.arrays import Float64
+from rig.arrays import Float32, Float64
 from rig.conversion.arkit import GAZE_DOWN_DEGREES, GAZE_SIDE_DEGREES, GAZE_UP_DEGREES
 from rig.conversion.convert import convert
 from rig.conversion.raw import PREFIX, RAW_ID
 from rig.curves import RigCurves
-from rig.face.accents import quaternions
+from rig.face.accents import JOINT, quaternions
 from rig.mesh.glb import read_container
 from rig.mesh.glb_reader import world_rotations
 
@@ -51,9 +54,7 @@ def turns_of(path: Path | str, curves: RigCurves, *, has_gaze: bool) -> dict[int
         Quaternions x, y, z, w of nodes; empty if there is no such bone or nothing moves.
     """
     document, _ = read_container(path)
-    found, facing = _bones(document), Rotation.identity()
-    if "VRM" in document.get("extensions", {}):
-        facing = Rotation.from_euler("y", 180, degrees=True)
+    found, facing = _bones(document), _facing(document)
     wanted: dict[str, Rotation] = {}
     if curves.head is not None:
         head = Rotation.from_quat(quaternions(curves.head))
@@ -69,6 +70,31 @@ def turns_of(path: Path | str, curves: RigCurves, *, has_gaze: bool) -> dict[int
             axes = parent.inv() * facing
             turns[found[bone]] = _steady((axes * turn * axes.inv() * local).as_quat())
     return turns
+
+
+def turn_of_bones(document: dict[str, Any], turns: Mapping[int, Rotation]) -> Rotation | None:
+    """Rotations of the head by those of its bone and the neck's, by node; None without them."""
+    found, rest, facing = _bones(document), world_rotations(document), _facing(document)
+    parts = []
+    for node in (found.get("neck"), found.get("head")):
+        if node in turns and node in rest:
+            parent, local = rest[node]
+            axes = parent.inv() * facing
+            parts.append(axes.inv() * turns[node] * local.inv() * axes)
+    return reduce(mul, parts) if parts else None
+
+
+def head_track(turn: Rotation, place: Float64 | None = None) -> Float32 | None:
+    """Head track of turns and of places as of `rig.face.accents.matrices`, cm; None if still."""
+    yaw, pitch, roll = (turn.as_euler("YXZ", degrees=True) * [-1, -1, 1]).T
+    shift = np.zeros((len(yaw), 3)) if place is None else place - JOINT + turn.apply(JOINT)
+    track = np.column_stack([yaw, pitch, roll, shift]).astype(np.float32)
+    return track if np.abs(track).max() > 1e-4 else None
+
+
+def _facing(document: dict[str, Any]) -> Rotation:
+    is_older = "VRM" in document.get("extensions", {})
+    return Rotation.from_euler("y", 180.0 * is_older, degrees=True)
 
 
 def _steady(rows: Float64) -> Float64:

@@ -54,6 +54,17 @@ def morph_head(identity: int | str = 0) -> tuple[BakedRig, Float64]:
     return rig, painted_colours(head)
 
 
+def shown_controls() -> frozenset[str]:
+    """Return the controls that a shape or corrective of the embedded heads shows."""
+    from rig.face.head import load_or_build
+    from rig.face.identity import resolve_identity
+
+    names = load_or_build("morphs", resolve_identity(0), _baked)["names"]
+    drivers = dict(control_halves(default_controls()) + face_correctives())
+    shown = [group for name in names for group in drivers[str(name)].groups]
+    return frozenset(half.control for group in shown for half in group)
+
+
 BRIGHTEST = 1.2
 """Largest factor of a texture: vertex colours carry it, textures are divided by it."""
 SKIN_ROUGHNESS, HAIR_ROUGHNESS, EYE_ROUGHNESS = 0.52, 0.45, 0.08

@@ -4,6 +4,7 @@ import csv
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, Literal
 
 import numpy as np
@@ -15,6 +16,7 @@ from rig.errors import FormatError, RigError
 from rig.files import atomic_write
 from rig.files.reading import load_json, read_text
 from rig.limits import MAPPED_VALUE, POINT_NAMES, POINTS_BYTES
+from rig.mesh.fbx import glb_to_fbx
 from rig.mesh.glb import WeightAnimation, write_glb
 from rig.mesh.glb_reader import animate_glb, morph_names, read_glb
 from rig.mesh.obj import read_obj, read_obj_folder
@@ -90,8 +92,9 @@ def retarget_curves(
         A blendshape set (GLB with morph targets, folder of OBJ, NPZ) or one neutral mesh (OBJ, PLY,
         GLB, NPZ without shapes).
     out : Path or str
-        ``.glb`` (morph targets and animation), ``.npz`` (`vertices` (T, V, 3) and `triangles`), or
-        a folder of PLY files: text that ends with a slash, or see `rig.files.is_folder_name`.
+        ``.glb`` (morph targets and animation), ``.fbx`` (the same by Blender), ``.npz``
+        (`vertices` (T, V, 3) and `triangles`), or a folder of PLY files: text that ends with a
+        slash, or see `rig.files.is_folder_name`.
     landmarks : Path or str, optional
         Where the landmarks of a neutral mesh are; guessed if not given.
     mapping : Path or str, optional
@@ -101,7 +104,8 @@ def retarget_curves(
     as_neutral : bool
         Ignore the mesh's own shapes.
     keys : float
-        Tolerance of few keys in a GLB whose own shapes are driven; see `WeightAnimation`.
+        Tolerance of few keys in a GLB whose own shapes are driven; see `WeightAnimation`. In an
+        FBX it is a share of a value; see `rig.mesh.fbx`.
 
     Raises
     ------
@@ -109,6 +113,15 @@ def retarget_curves(
         With one line on what to correct.
     """
     mesh = Path(mesh)
+    if str(out).lower().endswith(".fbx"):
+        with TemporaryDirectory(prefix="deitalk-") as folder, atomic_write(out) as beside:
+            between = Path(folder) / "take.glb"
+            report = retarget_curves(
+                curves, mesh, between, landmarks=landmarks, mapping=mapping, method=method,
+                as_neutral=as_neutral,
+            )  # fmt: skip
+            glb_to_fbx(between, beside, curves.fps, keys)
+        return replace(report, path=Path(out))
     check_out(out)
     if known_controls(curves.control_set) is None:
         return _drive_by_name(curves, mesh, out)

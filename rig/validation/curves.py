@@ -4,7 +4,6 @@ Every finding is an error (an importer refuses it or plays it wrong), a warning 
 played as intended) or a note (an effect of the import).
 """
 
-import ast
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,14 +15,12 @@ from rig.controls import DEFAULT_ID
 from rig.conversion.raw import PREFIX, RAW_ID, raw_controls
 from rig.curves import RigCurves
 from rig.errors import FormatError, RigError, quoted
-from rig.files.reading import read_text
 from rig.formats import read_curves
 from rig.formats.curves_json import read_object
-from rig.limits import CURVES_BYTES
 from rig.validation.findings import Finding, motion
 from rig.validation.live_link import check_live_link, is_live_link
 
-CURVE_SUFFIXES = (".csv", ".json", ".npz", ".tsv", ".xml", ".glb")
+CURVE_SUFFIXES = (".csv", ".json", ".npz", ".tsv", ".xml", ".glb", ".vrma", ".anim")
 OTHER_CSV = ("intensity.csv",)
 """Tables of a take that hold no curves."""
 FRAME_RATE = 30.0
@@ -106,7 +103,7 @@ def _file(path: Path) -> list[Finding]:
     try:
         for ending, check in CHECKS.items():
             if path.name.lower().endswith(ending):
-                return [Finding("note", path, check(path))]
+                return [Finding("note", path, check(path)), *_shapes(path)]
         if path.suffix.lower() == ".csv" and is_live_link(path):
             return check_live_link(path)
         if path.suffix.lower() == ".txt":  # EmoFace's hold no rate
@@ -116,6 +113,16 @@ def _file(path: Path) -> list[Finding]:
         return _curves(path, read_curves(path, control_set=None))
     except RigError as error:
         return [Finding("error", path, str(error))]
+
+
+def _shapes(path: Path) -> list[Finding]:
+    """Check the curves of a GLB's shapes, if their names are known."""
+    if path.suffix.lower() != ".glb":
+        return []
+    try:
+        return _curves(path, read_curves(path, control_set=None))
+    except RigError as error:
+        return [Finding("note", path, f"its values are not checked: {error}")]
 
 
 def _curves(path: Path, curves: RigCurves) -> list[Finding]:
@@ -199,32 +206,6 @@ def check_visemes(path: Path) -> Note:
     return f"{len(curves)} frames at {curves.fps:g} fps of visemes"
 
 
-def check_maya(path: Path) -> Note:
-    """Return a summary of a ``*.maya.py``, which is parsed and not run.
-
-    Raises
-    ------
-    FormatError
-        If it is no script of ours: its rate or a curve is missing or damaged.
-    """
-    text = read_text(path, CURVES_BYTES)
-    try:
-        given = {
-            node.targets[0].id: ast.literal_eval(node.value)
-            for node in ast.parse(text).body
-            if isinstance(node, ast.Assign)
-            and isinstance(node.targets[0], ast.Name)
-            and node.targets[0].id in ("FPS", "CURVES")
-        }
-        lengths = {len(values) for values in given["CURVES"].values()}
-        rate, frames = float(given["FPS"]), max(lengths)
-    except (SyntaxError, ValueError, TypeError, KeyError, AttributeError, RecursionError):
-        raise FormatError(f"{path} is no script of deitalk: FPS and CURVES are needed") from None
-    if lengths - {1, frames}:
-        raise FormatError(f"{path}: its curves have {sorted(lengths)} values; 1 or {frames}")
-    return f"{frames} frames at {rate:g} fps of {len(given['CURVES'])} channels; for Maya"
-
-
 def check_glb(path: Path) -> Note:
     """Return a summary of a GLB, of ours or of others.
 
@@ -252,7 +233,6 @@ def check_glb(path: Path) -> Note:
 CHECKS: dict[str, Callable[[Path], Note]] = {
     ".unreal.json": check_unreal_json,
     ".visemes.json": check_visemes,
-    ".maya.py": check_maya,
     ".glb": check_glb,
 }
 """Check by the end of the file name."""

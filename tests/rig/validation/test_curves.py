@@ -251,7 +251,7 @@ def test_glb_is_checked(tmp_path):
         ],
     }
     write_container(path, document, bytes(8))
-    assert texts(path, "note") == ["glTF 2.0, 2 morph targets, 3 keys of weights"]
+    assert texts(path, "note")[0] == "glTF 2.0, 2 morph targets, 3 keys of weights"
     document["accessors"][1]["count"] = 5
     write_container(path, document, bytes(8))
     assert "5 weights; 3 keys need 6" in texts(path, "error")[0]
