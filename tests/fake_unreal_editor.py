@@ -111,6 +111,38 @@ class SkeletalMeshComponent:
     def get_skeletal_mesh_asset(self):
         return self.mesh
 
+    def set_anim_instance_class(self, new_class):
+        self.instance = new_class()
+
+    def get_anim_instance(self):
+        return self.instance
+
+    def set_update_animation_in_editor(self, new_update_state):
+        self.updates = new_update_state
+
+
+class LiveLinkSubjectName:
+    def __init__(self, name="None"):
+        fake_unreal.check(name, str, "name")
+        self.name = name
+
+    def get_editor_property(self, name):
+        return {"name": self.name}[name]
+
+
+class LiveLinkBlueprint:
+    """An instance of ABP_MH_LiveLink, with the one variable that its users set."""
+
+    subject = LiveLinkSubjectName()
+
+    def set_editor_property(self, name, value):
+        fake_unreal.check(value, LiveLinkSubjectName, name)
+        assert name == "LLink_Face_Subj"
+        self.subject = value
+
+    def get_editor_property(self, name):
+        return {"LLink_Face_Subj": self.subject}[name]
+
 
 class Actor:
     world = object()
@@ -347,6 +379,8 @@ def make_editor(*, actors=(), selected=(), assets=(), saved, **options):
         new_object=new_object,
         ToolMenuEntry=ToolMenuEntry,
         Exporter=Exporter,
+        LiveLinkSubjectName=LiveLinkSubjectName,
+        load_class=lambda outer, name: module.assets[name.rpartition(".")[0]],
         SkeletalMeshComponent=SkeletalMeshComponent,
         MovieSceneSkeletalAnimationTrack=MovieSceneSkeletalAnimationTrack,
         MovieSceneSkeletalAnimationParams=MovieSceneSkeletalAnimationParams,

@@ -225,17 +225,18 @@ BY_UFBX = """
 import json, sys
 import ufbx
 scene = ufbx.load_file(sys.argv[1])
-channels = [element for element in scene.blend_channels]
+channels, nodes = list(scene.blend_channels), list(scene.nodes)
+above = {child.name: node for node in nodes for child in node.children}
 out = {"frames": [], "turns": []}
 for frame in map(int, sys.argv[3:]):
     time = frame / 30
     weights = {c.name: ufbx.evaluate_blend_weight(scene.anim, c, time) for c in channels}
     out["frames"].append(weights)
-    chain, node = [], ufbx.find_node(scene, sys.argv[2])
+    chain, (node,) = [], [n for n in nodes if n.name == sys.argv[2]]
     while node is not None:
         q = ufbx.evaluate_transform(scene.anim, node, time).rotation
         chain.append([q.x, q.y, q.z, q.w])
-        node = node.parent
+        node = above.get(node.name)
     out["turns"].append(chain[::-1])
 print("OUT " + json.dumps(out))
 sys.stdout.flush()
@@ -307,15 +308,16 @@ def ours(curves: RigCurves, folder: Path) -> list[Any]:
 
 
 def compliance(curves: RigCurves, folder: Path) -> list[Any]:
-    from pxr import Usd, UsdUtils
+    """All validators of the library that usdchecker runs."""
+    from pxr import Usd, UsdValidation
 
     write_curves(folder / "a.usda", curves)
-    checker = UsdUtils.ComplianceChecker(skipARKitRootLayerCheck=True)
-    checker.CheckCompliance(str(folder / "a.usda"))
-    issues = [*checker.GetErrors(), *checker.GetFailedChecks(), *checker.GetWarnings()]
-    assert not issues, issues
+    checks = UsdValidation.ValidationRegistry().GetOrLoadAllValidators()
+    stage = Usd.Stage.Open(str(folder / "a.usda"))
+    issues = UsdValidation.ValidationContext(checks).Validate(stage)
+    assert not issues, [issue.GetMessage() for issue in issues]
     version = ".".join(map(str, Usd.GetVersion()[1:]))
-    return [["USD", f"ComplianceChecker of usd-core {version}", "0 issues", 0.0]]
+    return [["USD", f"UsdValidation {version}", f"{len(checks)} validators, 0 issues", 0.0]]
 
 
 def javascript(curves: RigCurves, folder: Path) -> list[Any]:

@@ -1,4 +1,4 @@
-"""Export of captured animation from Unreal Engine (5.3 to 5.7) for deitalk, run inside the editor.
+"""Export of captured animation from Unreal Engine (5.3 to 5.8) for deitalk, run inside the editor.
 
 Lies beside ``deitalk_unreal.py`` and needs nothing else. In the editor's Python console::
 

@@ -1,4 +1,4 @@
-"""Menu *deitalk* of the Unreal editor (5.3 to 5.7): a recording on a MetaHuman in one step.
+"""Menu *deitalk* of the Unreal editor (5.3 to 5.8): a recording on a MetaHuman in one step.
 
 ``deitalk install unreal C:/Projects/MyGame`` lays this file and the others into the project, once;
 the editor then has a menu *deitalk* with *Animate audio…*, also in the context menu of sounds.

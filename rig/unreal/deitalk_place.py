@@ -17,6 +17,12 @@ import deitalk_unreal as importer  # type: ignore[import-not-found]
 
 unreal = importer.unreal
 DeitalkError = importer.DeitalkError
+LIVE_LINK = (
+    "/MetaHumanCharacter/Animation/ABP_MH_LiveLink",
+    "/Game/MetaHumans/Common/Animation/ABP_MH_LiveLink",
+)
+"""Epic's animation blueprint of a face that shows a subject, since 5.6 and before."""
+SUBJECT, SUBJECT_CLASS = "LLink_Face_Subj", "ABP_MH_LiveLink_C"
 FACE = "Face"
 """Name of the component of a MetaHuman's face; 5.6's assembled characters have it too."""
 
@@ -143,8 +149,41 @@ def export_sound(sound: Any, folder: str) -> str:
     return path
 
 
+def choose_subject(subject: str, actor: str = "") -> None:
+    """Let the face of a MetaHuman show a Live Link subject, as its *Live Link* details would.
+
+    The face gets Epic's animation blueprint for Live Link, whose variable holds the subject.
+
+    Parameters
+    ----------
+    subject : str
+        Name in the Live Link window.
+    actor : str
+        Label; by default the selected or the only MetaHuman.
+
+    Raises
+    ------
+    DeitalkError
+        If there is no such blueprint, or it does not take the name.
+    """
+    face = find_face(actor)
+    paths = [path for path in LIVE_LINK if unreal.EditorAssetLibrary.does_asset_exist(path)]
+    if not paths:
+        raise DeitalkError(f"no blueprint at {' or '.join(LIVE_LINK)}; enable the plugin Live Link")
+    face.set_anim_instance_class(unreal.load_class(None, f"{paths[0]}.{SUBJECT_CLASS}"))
+    face.set_update_animation_in_editor(True)
+    instance = face.get_anim_instance()
+    instance.set_editor_property(SUBJECT, unreal.LiveLinkSubjectName(subject))
+    kept = instance.get_editor_property(SUBJECT).get_editor_property("name")
+    if str(kept) != subject:
+        raise DeitalkError(f"{paths[0]} keeps the subject {kept}; choose {subject} by hand")
+    importer.say(f"{face.get_owner().get_actor_label()} shows the Live Link subject {subject}")
+
+
 def live_link_take(path: str, sound: str = "", folder: str = importer.FOLDER) -> Any:
-    """Import a Live Link Face CSV, and put its sound on the take's frames.
+    """Import a Live Link Face CSV, put its sound on the take's frames, and choose its subject.
+
+    The subject is chosen if one MetaHuman is selected, or the only one.
 
     Parameters
     ----------
@@ -173,6 +212,8 @@ def live_link_take(path: str, sound: str = "", folder: str = importer.FOLDER) ->
         stem = importer.asset_name(path)
         wave = import_sound(sound, folder, name=f"{stem}_sound")
         place(None, wave, sequence=sequences[0], start_frame=frame_of(start, sequences[0]))
+    if len(faces()) == 1:
+        choose_subject(deitalk_clip.subject_of(path))
     importer.say(f"{path}: from {start:g} s, sound {sound or 'none'}")
     return sequences[0]
 

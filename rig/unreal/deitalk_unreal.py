@@ -1,4 +1,4 @@
-"""Import of deitalk animation into Unreal Engine (5.3 to 5.7), run inside the editor.
+"""Import of deitalk animation into Unreal Engine (5.3 to 5.8), run inside the editor.
 
 Needs nothing but Unreal's own Python (3.9 or later) and a ``*.unreal.json`` that
 ``deitalk convert take/curves.json speech.unreal.json`` writes. In the editor's Python console::

@@ -376,6 +376,30 @@ def test_live_link_take_gets_its_sound_at_its_time_code(tmp_path, monkeypatch, s
     assert section.sound.path == str(take / "audio_48k.wav")
 
 
+@pytest.mark.parametrize("version", [0, 1])
+def test_live_link_take_chooses_its_subject_on_the_only_face(
+    tmp_path, monkeypatch, stand_in, version
+):
+    write_curves(tmp_path / "line_take_1_anna.csv", speech(61), format="livelink")
+    anna, lamp = metahuman("BP_Anna"), fake_unreal_editor.Actor("Lamp")
+    module = editor(tmp_path, lamp, anna)
+    placing = menu_inside(module, monkeypatch, stand_in).placing
+    with pytest.raises(
+        placing.DeitalkError, match=r"no blueprint at .*enable the plugin Live Link"
+    ):
+        placing.choose_subject("anna")
+    module.assets[placing.LIVE_LINK[version]] = fake_unreal_editor.LiveLinkBlueprint
+    placing.live_link_take(str(tmp_path / "line_take_1_anna.csv"))
+    face = anna.components[1]
+    assert face.instance.subject.name == "anna" and face.updates
+    assert "BP_Anna shows the Live Link subject anna" in module.messages
+    monkeypatch.setattr(
+        fake_unreal_editor.LiveLinkBlueprint, "set_editor_property", lambda *given: None
+    )
+    with pytest.raises(placing.DeitalkError, match="keeps the subject None; choose ben by hand"):
+        placing.choose_subject("ben", "BP_Anna")
+
+
 def test_take_without_time_codes_is_an_error_of_one_line(tmp_path, monkeypatch, stand_in):
     menu = menu_inside(editor(tmp_path), monkeypatch, stand_in)
     for text in ("", "a,b\n1,2\n"):

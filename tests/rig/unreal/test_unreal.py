@@ -204,7 +204,7 @@ def test_odd_rate_of_a_phone_is_put_on_the_nearest_standard_rate_in_true_time(
     assert times[-1] == pytest.approx(599 * 0.0167, abs=1001 / 60000)
 
 
-@each("wanted", ["24", "25", "30000/1001", "60", "10000/167", "23/7"])
+@each("wanted", ["24", "24000/1001", "25", "30000/1001", "60", "10000/167", "23/7"])
 @each("current", ["30", "24", "60000/1001"])
 def test_every_step_of_the_rate_is_a_multiple_or_a_factor(monkeypatch, current, wanted):
     script = run_inside(None, monkeypatch)
