@@ -17,8 +17,6 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable
-from functools import reduce
-from operator import mul
 from pathlib import Path
 from typing import Any
 
@@ -224,23 +222,26 @@ def blender(curves: RigCurves, folder: Path) -> list[Any]:
 BY_UFBX = """
 import json, sys
 import ufbx
-scene = ufbx.load_file(sys.argv[1])
-channels, nodes = list(scene.blend_channels), list(scene.nodes)
-above = {child.name: node for node in nodes for child in node.children}
-out = {"frames": [], "turns": []}
-for frame in map(int, sys.argv[3:]):
-    time = frame / 30
-    weights = {c.name: ufbx.evaluate_blend_weight(scene.anim, c, time) for c in channels}
-    out["frames"].append(weights)
-    chain, (node,) = [], [n for n in nodes if n.name == sys.argv[2]]
-    while node is not None:
-        q = ufbx.evaluate_transform(scene.anim, node, time).rotation
-        chain.append([q.x, q.y, q.z, q.w])
-        node = above.get(node.name)
-    out["turns"].append(chain[::-1])
-print("OUT " + json.dumps(out))
+file, name, frame = sys.argv[1:]
+scene = ufbx.load_file(file)
+shown = ufbx.evaluate_scene(scene, scene.anim, int(frame) / 30)
+weights = {channel.name: channel.weight for channel in shown.blend_channels}
+for node in shown.nodes:
+    if node.name == name:
+        m = node.node_to_world
+        turn = [[getattr(column, axis) for column in (m.c0, m.c1, m.c2)] for axis in "xyz"]
+print("OUT " + json.dumps([weights, turn]))
 sys.stdout.flush()
 """
+"""A process a frame: version 0.0.5 of the binding crashes when it evaluates twice."""
+
+
+def by_ufbx(folder: Path, *wanted: str) -> Any:
+    done = subprocess.run(
+        [sys.executable, "by_ufbx.py", *wanted], capture_output=True, text=True, cwd=folder
+    )
+    (line,) = [line for line in done.stdout.splitlines() if line.startswith("OUT ")]
+    return json.loads(line[4:])
 
 
 def fbx(curves: RigCurves, folder: Path) -> list[Any]:
@@ -259,18 +260,14 @@ def fbx(curves: RigCurves, folder: Path) -> list[Any]:
         retarget_curves(curves, folder / "avatar.glb", folder / "b.fbx")
         turns = {}
         for file, node in (("a.fbx", "face"), ("b.fbx", "CC_Base_Head")):
-            command = [sys.executable, "by_ufbx.py", file, node, *map(str, FRAMES)]
-            done = subprocess.run(command, capture_output=True, text=True, cwd=folder, timeout=300)
-            (line,) = [line for line in done.stdout.splitlines() if line.startswith("OUT ")]
-            out = json.loads(line[4:])
-            world = [reduce(mul, map(Rotation.from_quat, chain)) for chain in out["turns"]]
-            # at frame 0 the head is at rest
-            turned = [(turn * world[0].inv()).as_quat() for turn in world]
-            turns[node] = head_error(np.array(turned), curves, FRAMES)
+            found = [by_ufbx(folder, file, node, str(frame)) for frame in FRAMES]
+            # at frame 0 the head is at rest; axes may have a length
+            world = Rotation.from_matrix([turn / np.linalg.norm(turn, axis=0) for _, turn in found])
+            turns[node] = head_error((world * world[0].inv()).as_quat(), curves, FRAMES)
             if node == "face":
                 worst = max(
-                    abs(found[n[0].lower() + n[1:]] - shapes[n][i])
-                    for found, i in zip(out["frames"], FRAMES)  # noqa: B905
+                    abs(weights[n[0].lower() + n[1:]] - shapes[n][i])
+                    for (weights, _), i in zip(found, FRAMES)  # noqa: B905
                     for n in shapes.names[:52]
                 )
         reader = f"ufbx {version('ufbx')}"

@@ -133,7 +133,7 @@ def retarget(
         typer.Option(help="Shapes for a neutral mesh by displacements or gradients (slower)."),
     ] = "displacements",
     keys: Annotated[
-        float, typer.Option(min=0, max=0.1, help="Few cubic keys in a GLB, this near: .01.")
+        float, typer.Option(min=0, max=0.1, help="Few keys in a GLB or FBX, this near: .01.")
     ] = 0.0,
     as_neutral: Annotated[
         bool, typer.Option("--as-neutral", help="Ignore the mesh's own shapes and make new ones.")
