@@ -22,6 +22,7 @@ MEDIA_TYPES = {
     ".vrma": "model/gltf-binary",
     ".py": "text/x-python; charset=utf-8",
     ".glb": "model/gltf-binary",
+    ".fbx": "application/octet-stream",
     ".usd": "model/vnd.usd",
     ".zip": "application/zip",
     ".mp4": "video/mp4",
@@ -51,14 +52,16 @@ class OutputFormat:
         return MEDIA_TYPES["." + self.suffix.rpartition(".")[2]]
 
 
-COSTS = {"glb": 1.0, "usd": 0.2}
+COSTS = {"glb": 1.0, "fbx": 2.0, "usd": 0.2}
 """Of formats of curves that draw a head; others have the default."""
+PACKAGES = {"usd": "pxr", "fbx": "bpy"}
+"""Optional ones that a format needs."""
 CURVE_FORMATS = {
     known.name: OutputFormat(
         known.name, known.suffixes[0], known.description, COSTS.get(known.name, 0.1)
     )
     for known in FORMATS
-    if known.write and (known.name != "usd" or find_spec("pxr"))
+    if known.write and find_spec(PACKAGES.get(known.name, "numpy"))
 }
 ANIMATION_FORMATS = CURVE_FORMATS | {
     "take": OutputFormat("take", ".zip", "the take folder of `deitalk animate`, zipped"),

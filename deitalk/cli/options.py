@@ -270,7 +270,9 @@ WrittenIdentity = Annotated[
 ]
 MeshOut = Annotated[
     str,
-    typer.Option("--out", "-o", help=".glb, .fbx (retarget), .npz (vertices) or a folder/ for .ply files."),
+    typer.Option(
+        "--out", "-o", help=".glb, .fbx (retarget), .npz (vertices) or a folder/ for .ply files."
+    ),
 ]
 Force = Annotated[bool, typer.Option("--force", help="Replace existing files.")]
 Json = Annotated[bool, typer.Option("--json", help="Print a summary as JSON.")]

@@ -160,8 +160,8 @@ def _curves_of(
         for side in [side for side in "LR" if f"seal_{side}" in names]:
             together = weights[:, names.index(f"seal_{side}")] / np.maximum(jaw, LEAST_JAW)
             for row in "UD":
-                place = board.index(f"CTRL_{side}_mouth_lipsTogether{row}.ty")
-                values[:, place] = together.clip(0, 1)
+                lip = board.index(f"CTRL_{side}_mouth_lipsTogether{row}.ty")
+                values[:, lip] = together.clip(0, 1)
         return board, values
     chosen, places = shapes_named(names, str(path), (controls,) if controls else ())
     values = np.tile(chosen.rest, (len(weights), 1)).astype(np.float32)

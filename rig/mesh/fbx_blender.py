@@ -3,6 +3,7 @@
 ``fbx_blender.py SOURCE TARGET [FPS TOLERANCE]``; an FBX that is written has these two.
 """
 
+import os
 import sys
 from math import ceil
 from typing import Any
@@ -66,3 +67,4 @@ if __name__ == "__main__":
         to_glb(place, result)
     else:
         to_fbx(place, result, *map(float, numbers))
+    os._exit(0)  # some versions crash at the end

@@ -69,7 +69,9 @@ def _read_curves(path: Path) -> object:
 def _formats() -> list[str]:
     from rig.formats.table import FORMATS
 
-    return [f.suffixes[0] for f in FORMATS if f.read and f.write and f.name != "usd"]
+    return [
+        f.suffixes[0] for f in FORMATS if f.read and f.write and f.name not in ("usd", "glb", "fbx")
+    ]
 
 
 # --- emotion and intensity
