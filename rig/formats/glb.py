@@ -165,9 +165,9 @@ def _curves_of(
         return board, values
     chosen, places = shapes_named(names, str(path), (controls,) if controls else ())
     values = np.tile(chosen.rest, (len(weights), 1)).astype(np.float32)
-    for column, place in enumerate(places):
+    for i, place in enumerate(places):
         if place is not None:
-            values[:, place] = np.clip(weights[:, column], 0, 1)
+            values[:, place] = np.clip(weights[:, i], 0, 1)
     return chosen, values
 
 
