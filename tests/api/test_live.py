@@ -257,7 +257,7 @@ def test_sessions_beyond_the_limit_and_other_sites_are_refused(server, keyed_ser
         assert session.subprotocol == "deitalk" and key not in str(session.response)
         assert begin(session)["type"] == "header"
     with ExitStack() as sessions:
-        for _ in range(4):
+        for _ in range(Settings.model_fields["live_sessions"].default):
             sessions.enter_context(live(server))
         with pytest.raises(InvalidStatus):
             sessions.enter_context(live(server))
