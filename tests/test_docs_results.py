@@ -18,7 +18,7 @@ sys.path.insert(0, str(ROOT / "docs"))
 import make_reports  # noqa: E402
 import make_results as maker  # noqa: E402
 from result_tables import common, models, speed  # noqa: E402
-from result_tables.commands import COMMANDS, GROUPS, ONCE, PLACES, WEIGHTS  # noqa: E402
+from result_tables.commands import COMMANDS, GROUPS, PLACES, WEIGHTS  # noqa: E402
 from result_tables.comparisons import spread  # noqa: E402
 
 from tests.each import each  # noqa: E402
@@ -107,7 +107,7 @@ def test_reports_of_the_weights_name_them():
 
 
 def test_reports_and_commands_are_the_same():
-    assert {path.stem for path in RESULTS} == {*COMMANDS, *ONCE}
+    assert {path.stem for path in RESULTS} == {*COMMANDS}
     assert len(COMMANDS) == sum(map(len, GROUPS.values()))
 
 

@@ -40,8 +40,6 @@ TIMING = {
 OTHER = {
     "live-test": "deitalk evaluate live --data corpus/ --split test --most 90 --probes 0",
     "live-lips": "deitalk evaluate live --lips LIPS --speaker s03 --speaker s32",
-    "wav2vec": "deitalk evaluate runs/wav2vec/best --data corpus/ --split test --most 12 "
-    "--probes 0",
     "ablations": f"{_ABLATE} -o runs/ablations --seeds 2 --most 24 --only full --only no_dei "
     "--only no_dpe --only no_velocity --only no_classification --set train.frozen_frontend=mel "
     "--set data.augment=false --set train.batch_size=8 --set train.precision=bfloat16 "
@@ -74,8 +72,6 @@ OTHER = {
 """The rest. Reports of trainings state the weights that they began with."""
 GROUPS = {"weights": WEIGHTS, "timing": TIMING, "other": OTHER}
 COMMANDS = {**WEIGHTS, **TIMING, **OTHER}
-ONCE = ("voice-activity",)
-"""Measured for one decision; what measured it is in the history of this repository."""
 
 PLACES = {
     "corpus/": "`deitalk corpus build --hours 1 --recordings SPEECH`, as in the model card",

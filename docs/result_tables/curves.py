@@ -196,30 +196,3 @@ def acted_motion() -> str:
         for name, text in names.items()
     ]
     return table([["predicted intensity, 26 test actors", *ACTED_GROUPS], *rows])
-
-
-WAV2VEC: dict[str, tuple[str, int]] = {
-    "bilabial AUC": ("bilabial_window_auc", 3),
-    "bilabials found": ("bilabial_hits_at_5_percent", 2),
-    "AUC of loudness": ("loudness_bilabial_window_auc", 3),
-    "jaw r": ("jaw_r", 3),
-    "jaw r of loudness": ("loudness_jaw_r", 3),
-    "mean r": ("articulation_r", 3),
-}
-"""Scores of a small wav2vec 2.0 and of loudness, and their digits."""
-
-
-def wav2vec() -> str:
-    """A small wav2vec 2.0 trained end to end, the network alone, beside loudness."""
-    found = report("wav2vec")
-    rows = [
-        [
-            title,
-            *(
-                short({**found["groups"][name], **found["network"][name]}[key], digits)
-                for key, digits in WAV2VEC.values()
-            ),
-        ]
-        for name, title in SOURCES.items()
-    ]
-    return table([["test speakers", *WAV2VEC], *rows])

@@ -112,22 +112,3 @@ def phone_evidence() -> str:
     heads = ["rows (1/60 s) of validation speakers", "phone", "class of lips", "closed at p b m"]
     cells = [short(found[name], 2) for name in ("phone", "lips", "closed where p, b, m")]
     return table([heads, [f"{found['rows']}: the labelled one is the most probable", *cells]])
-
-
-DETECTORS = {"ours": "deitalk", "silero": "silero-vad", "webrtc": "WebRTC"}
-CONDITIONS = ("clean", "noise 10 dB", "noise 0 dB", "music 10 dB", "music 0 dB")
-
-
-def voice_activity() -> str:
-    """Balanced accuracy of speech detectors, and the time they take."""
-    found = report("voice-activity")
-    levels = found["levels"]
-    rows = [
-        [name, *(f"{100 * levels[name][d]['balanced accuracy']:.1f} %" for d in DETECTORS)]
-        for name in CONDITIONS
-    ]
-    rows.append(
-        ["CPU, ms per s", *(f"{levels['clean'][d]['CPU ms per s']:.1f}" for d in DETECTORS)]
-    )
-    title = f"balanced accuracy, {found['clips']} clips, {found['seconds']:.0f} s"
-    return table([[title, *DETECTORS.values()], *rows])

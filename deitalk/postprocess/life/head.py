@@ -31,9 +31,8 @@ from rig.curves import HEAD
 
 # Neck of a face whose head moves: breath before phrases, swallowing in pauses, the turning muscle.
 #
-# - The throat widens with the breath drawn in a pause before a phrase: 0.3 to 0.6 s (Winkworth et
-# al.
-#   1995 for reading and speech), with the lift of the head (`deitalk.postprocess.life.head`).
+# - The throat widens with the breath drawn in a pause before a phrase: 0.3 to 0.6 s (Winkworth
+#   et al. 1995 for reading and speech), with the lift of the head.
 # - People who are awake swallow about once a minute (Lear, Flanagan and Moorrees 1965), not while
 #   they speak: here in the first pause of at least 1.2 s after a time of that mean has passed.
 #   Hyoid and larynx take about a second (Logemann 1998).
