@@ -247,7 +247,8 @@ def _check_animations(path: Path, document: dict[str, Any], n_targets: list[int]
             sampler = animation["samplers"][channel["sampler"]]
             times = accessors[sampler["input"]]["count"]
             node = document["nodes"][channel["target"]["node"]]
-            wanted = times * n_targets[node["mesh"]]
+            numbers = 3 if sampler.get("interpolation") == "CUBICSPLINE" else 1
+            wanted = numbers * times * n_targets[node["mesh"]]
             got = accessors[sampler["output"]]["count"]
             if got != wanted:
                 raise FormatError(f"{path}: {got} weights; {times} keys need {wanted}")
