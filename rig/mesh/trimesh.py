@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
 
 from rig.arrays import AnyFloat, Bool, Float64, Int64
 from rig.errors import MeshError, TopologyError
@@ -333,6 +332,8 @@ class ClosestPoints:
     """
 
     def __init__(self, mesh: TriMesh, *, labels: Any = None, candidates: int = 32) -> None:
+        from scipy.spatial import KDTree
+
         self.mesh = mesh
         self._corners = mesh.vertices[mesh.faces]
         self._normals = triangle_normals(mesh)

@@ -25,6 +25,7 @@ from deitalk.data.video.landmarks import (
 from rig import ControlSet, RigCurves, default_controls
 from rig.arrays import Bool, Float32, Float64
 from rig.face.head import GAZE_DEGREES, Head, build_head
+from rig.face.motion.lids import LOOK_UP, UPPER_UP, WIDEN
 from rig.face.web_export import head_arrays
 from rig.retarget.source_head import head_landmarks
 
@@ -157,7 +158,7 @@ class HeadFace(HeadLips):
         close = blink + open_ * (0.85 * get["upper"] + 0.60 * get["lookDown"])
         close = (close + 0.15 * get["frown"]).clamp(0, 1)
         rise = (open_ * 0.8 * get["lower"] + blink * self._meet).clamp(0, 1)
-        widen = (0.24 * get["widen"] + 0.20 * get["upperUp"] + 0.24 * get["lookUp"]) * open_
+        widen = (WIDEN * get["widen"] + UPPER_UP * get["upperUp"] + LOOK_UP * get["lookUp"]) * open_
         dip = (0.06 * get["widen"] + 0.16 * get["lowerDown"]).clamp(max=0.26)
         ride = 0.30 * get["lookDown"] - 0.10 * get["lookUp"] * open_
         room = 1 - (1 - self._meet) * close

@@ -11,6 +11,8 @@ from rig.face.geometry.topology import EYE_L, EYE_R
 
 _MEET = 0.16
 """Where closed lids meet, as a share of the way from the lower to the upper rim."""
+WIDEN, UPPER_UP, LOOK_UP = 0.24, 0.20, 0.28
+"""Turn of the upper lid's rim by each full input, radians."""
 Inputs = dict[str, Float64]
 
 
@@ -99,7 +101,7 @@ def _lid_angles(inputs: Inputs, name: str) -> tuple[Float64, Float64, Float64]:
     get = {k: np.clip(inputs[f"lid.{k}_{name}"], 0, 1)
            for k in ("widen", "upperUp", "lowerDown", "lookUp", "lookDown", "close")}  # fmt: skip
     open_ = 1 - get["close"]
-    widen = (0.24 * get["widen"] + 0.20 * get["upperUp"] + 0.28 * get["lookUp"]) * open_
+    widen = (WIDEN * get["widen"] + UPPER_UP * get["upperUp"] + LOOK_UP * get["lookUp"]) * open_
     dip = 0.06 * get["widen"] + 0.16 * get["lowerDown"]
     ride = 0.30 * get["lookDown"] - 0.10 * get["lookUp"] * open_
     return np.minimum(widen, 0.36), np.minimum(dip, 0.26), ride

@@ -112,7 +112,7 @@ def test_describing_a_model_imports_no_torch(folder):
 
 
 def test_load_model_rejects_a_folder_without_a_model(tmp_path):
-    refused(tmp_path, "no model there .*name a folder or one of")
+    refused(tmp_path, "no model there .*name a folder, org/name on the hub, or one of")
     refused("no-such-model", "no-such-model: no model there")
     assert set(embedded_models()) == {"default", "mel", "live", "sdfa", "mesh_head"}
     for name in embedded_models():

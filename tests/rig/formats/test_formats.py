@@ -290,7 +290,7 @@ def test_read_curves_rejects_any_bytes_in_one_line(suffix, data, tmp_path_factor
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("suffix", EVERY_SUFFIX)
+@pytest.mark.parametrize("suffix", [known for known in EVERY_SUFFIX if ".fbx" not in known.values])
 @settings(max_examples=30, deadline=None)
 @given(place=st.floats(0, 1), byte=st.integers(0, 255), cut=st.booleans())
 def test_one_wrong_byte_is_read_or_rejected(suffix, place, byte, cut, tmp_path_factory):

