@@ -72,8 +72,9 @@ def read(path: Path, controls: ControlSet | None = None, fps: float | None = Non
         rate, frames = fps or float(given["FPS"]), max(map(len, columns.values()))
         check_clip(frames, len(board))
         values = np.tile(board.rest, (frames, 1)).astype(np.float32)
-        for control, numbers in columns.items():
-            values[:, board.index(control)] = np.broadcast_to(np.float32(numbers), frames)
+        with np.errstate(over="ignore"):  # refused below as not finite
+            for control, numbers in columns.items():
+                values[:, board.index(control)] = np.broadcast_to(np.float32(numbers), frames)
     except (SyntaxError, ValueError, TypeError, LookupError, AttributeError, RecursionError,
             OverflowError) as error:  # fmt: skip
         raise FormatError(f"{path} is no script of deitalk: FPS and CURVES are needed") from error

@@ -99,7 +99,7 @@ def _intensity_seeds(folder: Path) -> list[Seed]:
 
     times = np.arange(5) / 30
     write_intensity_csv(
-        folder / "i.csv", times=times, weights=np.full((5, 5), 0.2), saliency=times,
+        folder / "i.csv", times=times, weights=np.full((5, 9), 0.2), saliency=times,
         predicted=times, intensity=times,
     )  # fmt: skip
     keys = [{"time": float(t), "intensity": 1.0} for t in times]
