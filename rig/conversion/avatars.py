@@ -201,6 +201,7 @@ def known_poses() -> tuple[dict[str, Float64], frozenset[str]]:
     return known, frozenset(shape_key(name) for name, pose in rows if pose.startswith("viseme."))
 
 
+@cache
 def avatar_controls(avatar: str) -> ControlSet:
     """Return the shapes of an avatar of `AVATARS`, each in [0, 1]."""
     return ControlSet(avatar, tuple(Control(name) for name, _ in _rows(avatar)))
