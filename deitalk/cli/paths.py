@@ -9,7 +9,6 @@ from typing import Any
 
 import typer
 
-from deitalk.audio.decoding import RECORDINGS
 from deitalk.cli.console import emit
 from deitalk.errors import DataError, DeitalkError
 
@@ -92,6 +91,8 @@ def curves_of(source: Path) -> Path:
     from rig.files import recover
 
     if not source.is_dir():
+        from deitalk.audio.decoding import RECORDINGS
+
         if source.suffix.lower() in RECORDINGS:
             raise DeitalkError(
                 f"{source} is a recording: make a take with deitalk animate {source}"
