@@ -217,7 +217,7 @@ def read_manifest(
 
 
 def _notes(header: list[str]) -> Iterator[str]:
-    """What is to be said about the columns."""
+    """Notes about columns that are not used."""
     unused = [name for name in header if name and name not in (*COLUMNS, *_OLD)]
     if unused:
         shown = ", ".join(unused[:5]) + (" …" if len(unused) > 5 else "")

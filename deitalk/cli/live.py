@@ -407,7 +407,7 @@ def live(
 
 
 def _is_live(model: str) -> bool:
-    """Whether a model needs no more than what was said."""
+    """Whether a model is causal: made for a voice that has not ended."""
     from deitalk.models.folder import is_causal
     from deitalk.models.load import is_onnx
 

@@ -2,7 +2,6 @@
 
 import json
 import os
-import shutil
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -174,6 +173,7 @@ def finetune(
     with console().status("loading"):
         from deitalk.training.tuning.recipe import read_recipe
         from deitalk.training.tuning.task import finetune as tune
+        from rig.files import remove_written
 
         settings = read_recipe(
             recipe, [*changes, *(overrides or ())], base=None if base == NONE else base
@@ -184,7 +184,7 @@ def finetune(
     options: dict[str, Any] = {"resume": resume, "tensorboard": tensorboard}
     with bar("tuning") as advance:
         scores = tune(settings, data, out, progress=shown_on(advance), **options)
-    shutil.rmtree(out / "last", ignore_errors=True)  # of use to nobody beside the best
+    remove_written(out / "last")  # only the best is used
     _print_scores(scores)
     console().print(f"{out / 'best'}: the tuned model; {out / 'report.md'}: before and after")
     _write_page(out)

@@ -75,7 +75,7 @@ def fetch(name: str) -> Path:
 
     repo, _, revision = name.partition("@")
     branch = revision or None
-    if (info := ask(name)) is None:
+    if (info := hub_metadata(name)) is None:
         folder, wanted = _cached(repo, branch), NEEDED
     else:
         wanted = tuple(f for f in FILES if f in {file.rfilename for file in info.siblings or ()})
@@ -99,10 +99,10 @@ def fetch(name: str) -> Path:
 
 
 @lru_cache
-def ask(name: str) -> Any:
-    """What the hub says of a model, a `huggingface_hub.ModelInfo`; None if it does not answer.
+def hub_metadata(name: str) -> Any:
+    """Metadata of a model on the hub, a `huggingface_hub.ModelInfo`; None if it does not answer.
 
-    It is asked once, for `SECONDS` at most, where the package's own functions try for longer.
+    It is requested once, for `SECONDS` at most, where the package's own functions try for longer.
 
     Raises
     ------

@@ -107,11 +107,11 @@ def _public(id: str) -> ControlSet:
     if controls is None:
         with resources.as_file(resources.files("rig.conversion").joinpath("facegood.csv")) as path:
             controls = ControlSet.from_csv(path, id=id)
-    return told_by_names(id, controls.controls)
+    return classified_by_names(id, controls.controls)
 
 
-def told_by_names(id: str, controls: Iterable[Control]) -> ControlSet:
-    """A control set whose sides, mouth and upper face are told by the controls' names."""
+def classified_by_names(id: str, controls: Iterable[Control]) -> ControlSet:
+    """A control set whose sides, mouth and upper face follow from the controls' names."""
     by_lower = {control.name.lower(): control for control in controls}
     told = []
     for lower, control in by_lower.items():

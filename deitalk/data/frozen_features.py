@@ -9,8 +9,10 @@ Letters: S samples, T rig frames, D width of the features.
 """
 
 import hashlib
+import re
 from collections import OrderedDict
 from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -25,14 +27,28 @@ from deitalk.frontends.base import Frontend
 from deitalk.models.checkpoint import require_model
 from deitalk.models.curve_model import DEITalk
 from rig.arrays import Float32
-from rig.files import atomic_write
+from rig.files import atomic_write, remove_leftovers
 
 STREAM_GAIN_DB = (-18.0, 14.0)
 """Range of a recording's gain before a causal frontend, whose running level must make up for it."""
+_FILE = re.compile(r"[0-9a-f]{32}\.npy|\d+(\.table)?\.npy")
+"""Names of files of features."""
 OPEN_FILES = 256
 """Features that are mapped at once."""
 MOST_LEAD_FRAMES = 60
 """Frames of silence before it, as every stream begins."""
+
+
+def remove_features(folder: Path) -> None:
+    """Remove the files of features in a folder, and the folder if it holds no others."""
+    if not folder.is_dir() or folder.is_symlink():
+        return
+    remove_leftovers(folder)
+    for path in folder.iterdir():
+        if _FILE.fullmatch(path.name) and path.is_file():
+            path.unlink()
+    with suppress(OSError):
+        folder.rmdir()
 
 
 class FrozenFeatures:

@@ -15,7 +15,7 @@ from torch import Tensor, nn
 
 from deitalk.audio.frames import SAMPLE_RATE
 from deitalk.config.frontends import Wav2VecConfig
-from deitalk.config.hub import ask
+from deitalk.config.hub import hub_metadata
 from deitalk.config.section import check_encoder
 from deitalk.errors import CheckpointError, ConfigError
 from deitalk.frontends.whisper import StridedFrontend
@@ -306,7 +306,8 @@ def _cached_or_fetched(read: Any, name: str, **options: Any) -> Any:
     try:
         return read(name, local_files_only=True, **options)
     except OSError:
-        if Path(name).exists() or ask(name) is None:  # transformers would try for a long time
+        # Without an answer of the hub transformers would try for a long time.
+        if Path(name).exists() or hub_metadata(name) is None:
             raise
         return read(name, **options)
 

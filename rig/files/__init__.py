@@ -10,7 +10,14 @@
 """
 
 from rig.files.atomic import atomic_write, remove_leftovers
-from rig.files.folder import begin_folder, check_folder, output_folder, recover, replace_recorded
+from rig.files.folder import (
+    begin_folder,
+    check_folder,
+    output_folder,
+    recover,
+    remove_written,
+    replace_recorded,
+)
 from rig.files.manifest import changed_files, kind_of, record
 from rig.files.targets import cache_folder, check_file, claim, is_folder_name, new_file
 
@@ -29,5 +36,6 @@ __all__ = [
     "record",
     "recover",
     "remove_leftovers",
+    "remove_written",
     "replace_recorded",
 ]

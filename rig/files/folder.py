@@ -256,6 +256,32 @@ def _remove_empty(folder: Path, top: Path) -> None:
             folder = folder.parent
 
 
+def remove_written(folder: Path) -> None:
+    """Remove the unchanged files that a folder's manifest lists, and the folder if nothing is left.
+
+    Changed files, files of others and a folder without a manifest stay.
+
+    Raises
+    ------
+    TargetError
+        If the manifest is damaged.
+    """
+    with claim(folder):
+        manifest = None if folder.is_symlink() else read_manifest(folder)
+        if manifest is None:
+            return
+        changed = {n: d for n, d in manifest.files.items() if is_changed(folder / n, d)}
+        for name in manifest.files.keys() - changed.keys():
+            (folder / name).unlink(missing_ok=True)
+            _remove_empty((folder / name).parent, folder)
+        if changed:
+            write_manifest(folder, Manifest(manifest.kind, changed))
+            return
+        (folder / MANIFEST).unlink()
+        with suppress(OSError):  # files of others
+            folder.rmdir()
+
+
 def _check_kept(folder: Path, manifest: Manifest, names: Iterable[str]) -> None:
     """Raise where a file would be lost: an edited one of ours, or another's of the same name."""
     edited = [n for n, digest in manifest.files.items() if is_changed(folder / n, digest)]

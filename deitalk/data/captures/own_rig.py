@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from deitalk.config.rig_file import told_by_names
+from deitalk.config.rig_file import classified_by_names
 from deitalk.data.captures.columns import read_named
 from deitalk.data.captures.sources import find_files
 from deitalk.errors import DataError
@@ -50,7 +50,7 @@ def rig_of_takes(sources: Sequence[Path], fps: float | None = None) -> ControlSe
             parameter="rig",
         )
     name = re.sub(r"[^A-Za-z0-9]+", "_", sources[0].stem).strip("_") or "rig"
-    return told_by_names(
+    return classified_by_names(
         f"{name.lower()}@1",
         (Control(column, math.floor(low[column]), math.ceil(high[column])) for column in low),
     )

@@ -7,7 +7,6 @@ with the mean pose of the captures and so serves any rig.
 """
 
 import copy
-import shutil
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from functools import partial
@@ -23,7 +22,7 @@ from torch.nn.utils import parametrize
 from deitalk.config.curves import FinetuneConfig
 from deitalk.data.captures.splits import divide_clips, shortage
 from deitalk.data.clips import REHEARSED, Clip, read_clips, read_known
-from deitalk.data.frozen_features import FrozenFeatures
+from deitalk.data.frozen_features import FrozenFeatures, remove_features
 from deitalk.data.windows import Share, Window, WindowBatches, whole_sound
 from deitalk.emotions import EMOTIONS
 from deitalk.errors import ConfigError, DataError
@@ -110,7 +109,7 @@ def finetune(
         are_unseen=task.has_test,
         about=_about(config, out, task.model.actors),
     )
-    shutil.rmtree(out / "features", ignore_errors=True)  # a run that is over needs none
+    remove_features(out / "features")  # a run that is over needs none
     return scores
 
 

@@ -12,7 +12,7 @@ from deitalk.config.curves import Config
 from deitalk.config.load import load_config
 from deitalk.data.augment_waveform import Surroundings
 from deitalk.data.clips import read_clips
-from deitalk.data.frozen_features import EncodedPasses, FrozenFeatures
+from deitalk.data.frozen_features import EncodedPasses, FrozenFeatures, remove_features
 from deitalk.data.windows import WindowBatches, load_material, whole_sound
 from deitalk.errors import ConfigError
 from deitalk.models.checkpoint import load_model
@@ -227,3 +227,15 @@ def test_another_seed_gives_other_surroundings(tmp_path):
     one, other = (passes(tmp_path / str(seed), Loudness(), 2, seed) for seed in (1, 2))
     assert np.array_equal(one.rows[0], other.rows[0])
     assert {one.speed(1, path) for path in SOUNDS} != {other.speed(1, path) for path in SOUNDS}
+
+
+def test_files_that_are_no_features_stay(tmp_path):
+    folder = tmp_path / "features"
+    folder.mkdir()
+    for name in ("0.npy", "0.table.npy", f"{'0a' * 16}.npy", "mine.npy"):
+        (folder / name).write_bytes(b"x")
+    remove_features(folder)
+    assert [path.name for path in folder.iterdir()] == ["mine.npy"]
+    (folder / "mine.npy").unlink()
+    remove_features(folder)
+    assert not folder.exists()

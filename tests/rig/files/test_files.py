@@ -24,6 +24,7 @@ from rig.files import (
     record,
     recover,
     remove_leftovers,
+    remove_written,
 )
 from rig.files import folder as folders
 from rig.files.manifest import MANIFEST
@@ -247,6 +248,24 @@ def test_output_folder_is_as_before_after_an_error(tmp_path, exists):
         (stage / "curves.csv").write_text("2")
         raise OSError(28, "No space left on device")
     assert (content(take) == {"curves.csv": "1"}) if exists else (os.listdir(tmp_path) == [])
+
+
+def test_remove_written_keeps_what_it_did_not_write(tmp_path):
+    fill(tmp_path / "a", {"x": "1", "sub/y": "2"})
+    remove_written(tmp_path / "a")
+    assert not (tmp_path / "a").exists()
+
+    fill(tmp_path / "b", {"x": "1", "y": "2"})
+    (tmp_path / "b" / "y").write_text("edited")
+    (tmp_path / "b" / "notes.txt").write_text("mine")
+    remove_written(tmp_path / "b")
+    left = {path.name for path in (tmp_path / "b").iterdir()}
+    assert left == {"y", "notes.txt", MANIFEST} and changed_files(tmp_path / "b") == ["y"]
+
+    (tmp_path / "c").mkdir()
+    (tmp_path / "c" / "x").write_text("of another")
+    remove_written(tmp_path / "c")
+    assert (tmp_path / "c" / "x").exists()
 
 
 def test_record_lists_files_added_later(tmp_path):
