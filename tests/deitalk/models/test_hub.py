@@ -161,12 +161,12 @@ def test_no_answer_is_no_wait(monkeypatch):
 
 @pytest.fixture
 def no_hub(monkeypatch):
-    """Any question to the hub fails the test."""
+    """A request to the hub fails the test."""
 
     def asked(name):
         raise AssertionError(f"the hub was asked for {name}")
 
-    for function in ("ask", "fetch"):
+    for function in ("hub_metadata", "fetch"):
         monkeypatch.setattr(hub, function, asked)
         monkeypatch.setattr(f"deitalk.models.folder.{function}", asked, raising=False)
 
