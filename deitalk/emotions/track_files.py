@@ -181,6 +181,7 @@ class _Sheet(Table):
                 keep_default_na=False,
                 skipinitialspace=True,
                 index_col=False,
+                low_memory=False,  # pandas before 3.1 reads pieces, whose rows may all be shorter
             )
         except pd.errors.EmptyDataError:
             raise _no_keys(self.path) from None

@@ -16,8 +16,8 @@ from rig.face.head import Head
 REGIONS: dict[str, dict[str, float]] = {
     "forehead": {"brow_raiseIn.ty": 0.65, "brow_raiseOut.ty": 0.55},
     "glabella": {"brow_down.ty": 0.7, "brow_lateral.ty": 0.6, "nose.ty": 0.2},
-    "eye": {"eye_cheekRaise.ty": 0.8, "eye_squintInner.ty": 0.45, "mouth_cornerPull.ty": 0.3,
-            "eye_faceScrunch.ty": 1.0},
+    "eye": {"eye_cheekRaise.ty": 0.75, "eye_squintInner.ty": 0.12, "mouth_cornerPull.ty": 0.3,
+            "eye_faceScrunch.ty": 0.6},
     "nasolabial": {"mouth_cornerPull.ty": 0.75, "nose.tx": 0.5, "nose.ty": 0.45,
                    "mouth_upperLipRaise.ty": 0.45, "mouth_sharpCornerPull.ty": 0.6},
 }  # fmt: skip

@@ -92,9 +92,9 @@ def _atlas(skin: Skin, uv: Float64, identity: Identity, rng: np.random.Generator
     hair = np.minimum(np.divide(identity.hair, identity.skin), 1.0)
     color *= 1 - edge[..., None] * (1 - hair)
     scalp = smoothstep(
-        (rise(unit(place - HAIR_AXIS).reshape(-1, 3)).reshape(x.shape) + 0.055) / 0.075
+        (rise(unit(place - HAIR_AXIS).reshape(-1, 3)).reshape(x.shape) + 0.035) / 0.11
     )
-    color *= 1 - (scalp * (0.62 + 0.10 * np.clip(grain, -2, 2)))[..., None] * (1 - hair)
+    color *= 1 - (scalp * (0.55 + 0.08 * np.clip(grain, -2, 2)))[..., None] * (1 - hair)
     color[~is_skin] = 1.0
     atlas = _coded(color)
     for (u, v, wide), swatch in ((STRANDS_UV, _strands(rng)), (IRIS_UV, _iris(rng))):

@@ -107,6 +107,8 @@ def edit(tab) -> None:
     tab.get_by_role("slider", name="Gain of mouth").fill("0.5")
     tab.get_by_role("slider", name="Motion of brows").fill("2")
     tab.get_by_role("textbox", name="What is said").fill("Bob's promise")
+    change = "slider => slider.dispatchEvent(new Event('input', { bubbles: true }))"
+    tab.get_by_role("slider", name="Gain of mouth").evaluate(change)  # typed text outlasts it
     tab.get_by_role("textbox", name="What is said").press("Enter")
     tab.get_by_label("look at").fill("10,-5")
     tab.get_by_label("look at").press("Enter")

@@ -22,7 +22,7 @@ def _hairline(turn: Float64) -> Float64:
     """Elevation (degrees, from `HAIR_AXIS`) of the hair's edge at each turn (0 front, pi back)."""
     around = np.abs((turn + np.pi) % (2 * np.pi) - np.pi)
     stops = np.radians([0, 18, 34, 46, 56, 66, 74, 80, 88, 96, 104, 112, 122, 140, 180])
-    edge = [30, 31, 29, 24, 12, -6, -16, -17, 4, 7, 0, -17, -34, -42, -44]
+    edge = [27, 28, 27, 19, 5, -10, -17, -17, 4, 7, 0, -17, -34, -42, -44]
     return np.interp(around, stops, edge)
 
 

@@ -34,7 +34,7 @@ class Anatomy:
 def anatomy(identity: Identity) -> Anatomy:
     """Eye centre (left eye), eyeball radius, and where the lips meet."""
     radius = EYE_RADIUS * identity.eye_size
-    eye = np.array([3.12 * identity.eye_spacing, 0.0, 6.2 - 0.6 * (radius - EYE_RADIUS)])
+    eye = np.array([3.0 * identity.eye_spacing, 0.0, 6.2 - 0.6 * (radius - EYE_RADIUS)])
     mouth_y = -7.1 - 0.25 * identity.jaw_drop_cm + identity.mouth_lift_cm
     return Anatomy(eye, radius, mouth_y, MOUTH_HALF_WIDTH * identity.mouth_width)
 
@@ -73,9 +73,9 @@ def lid_outline(offset: float, identity: Identity) -> Float64:
     t = angles(EYE_COUNT)
     c, s = np.cos(t), np.sin(t)
     size, open_ = identity.eye_size, identity.eye_height
-    x = (1.47 * size + 0.74 * offset) * c
-    up = np.interp(offset, [0, 1.04], [0.67 * size * open_, 1.50])
-    down = np.interp(offset, [0, 1.04], [0.47 * size * open_, 1.25])
+    x = (1.36 * size + 0.74 * offset) * c
+    up = np.interp(offset, [0, 1.04], [0.66 * size * open_, 1.50])
+    down = np.interp(offset, [0, 1.04], [0.46 * size * open_, 1.25])
     skew = 1 - 0.16 * c * np.exp(-2 * offset)
     arch = np.where(s >= 0, up * np.abs(s) ** 0.82 * skew, -down * np.abs(s) ** 0.95)
     tilt = np.tan(np.radians(identity.eye_tilt_degrees)) * x

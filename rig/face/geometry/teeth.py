@@ -21,7 +21,7 @@ LIP_BACK, LIP_EDGE = 0.80, -0.36
 
 def arch_point(s: Float64, lip_z: float, *, is_upper: bool) -> tuple[Float64, Float64]:
     """Find x and z of the dental arch at s in -1..1 (0 between the front teeth)."""
-    width, depth = (2.06, 4.2) if is_upper else (1.94, 4.1)
+    width, depth = (2.06, 4.2) if is_upper else (1.84, 4.1)
     front = lip_z - (UPPER_BACK if is_upper else LOWER_BACK)
     return width * np.sin(s * 1.35), front - depth * (1 - np.cos(s * 1.35))
 
@@ -53,7 +53,7 @@ def dental_arch(mouth_y: float, lip_z: float, *, is_upper: bool) -> Mesh:
         turn = np.array([[np.cos(yaw), 0, np.sin(yaw)], [0, 1, 0], [-np.sin(yaw), 0, np.cos(yaw)]])
         place = np.array([x, edge + up * height, z])
         vertices = tooth.vertices @ turn.T + place
-        shade = _lip_shadow(vertices, edge, up, lip_z) * (1.0 if is_upper else 0.92)
+        shade = _lip_shadow(vertices, edge, up, lip_z) * (1.0 if is_upper else 0.8)
         tooth = Mesh(vertices, tooth.faces, tooth.colors * shade[:, None], tooth.gloss)
         parts += [tooth, mirrored(tooth)]
     parts.append(_gum(edge + up * 0.98, lip_z, is_upper=is_upper))
@@ -63,7 +63,7 @@ def dental_arch(mouth_y: float, lip_z: float, *, is_upper: bool) -> Mesh:
 def _lip_shadow(vertices: Float64, edge: float, up: int, lip_z: float) -> Float64:
     """Light (V,) that lips and cheeks leave to the teeth: least at the gums and at the back."""
     from_edge, behind = up * (vertices[:, 1] - edge), lip_z - vertices[:, 2]
-    back = np.interp(behind, [0.6, 1.4, 2.8, 4.2], [1.0, 0.85, 0.6, 0.4])
+    back = np.interp(behind, [0.6, 1.4, 2.8, 4.2], [1.0, 0.8, 0.45, 0.25])
     return np.asarray(back * np.interp(from_edge, [0.1, 0.8], [1.0, 0.72]))
 
 

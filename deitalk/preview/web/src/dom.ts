@@ -32,3 +32,9 @@ export function save(content: Blob, name: string): void {
   link.click();
   setTimeout(() => URL.revokeObjectURL(link.href), 60_000);
 }
+
+/** Shows the value of an edit in its field; text that is being typed there, and is not yet an edit, stays. */
+export function showValue(field: HTMLInputElement, value: string): void {
+  const isTyped = field === document.activeElement && field.value !== value && field.value !== (field.dataset.shown ?? "");
+  if (!isTyped) field.value = field.dataset.shown = value;
+}

@@ -2,7 +2,7 @@
 
 import schema from "../data/acting.json";
 import type { History } from "../data/edit";
-import { $ } from "../dom";
+import { $, showValue } from "../dom";
 
 /** Name of a field of `deitalk.Acting`. */
 export type ActingField = keyof typeof schema.properties;
@@ -48,7 +48,7 @@ function bindField(name: string, field: Field, history: History): () => void {
   return () => {
     const value = history.edit.acting?.[name] ?? String(field.default ?? "");
     if (input.type === "checkbox") input.checked = value === "true";
-    else if (!isFile) input.value = value;
+    else if (!isFile) showValue(input, value);
     else if (!history.edit.acting?.[name]) input.value = "";
   };
 }

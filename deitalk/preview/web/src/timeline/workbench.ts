@@ -2,7 +2,7 @@
 
 import type { History } from "../data/edit";
 import type { Take } from "../data/take";
-import { $, button, save, timeCode } from "../dom";
+import { $, button, save, showValue, timeCode } from "../dom";
 import { CurveLanes } from "./curves";
 import { EmotionLane } from "./emotion";
 import { IntensityLane } from "./intensity";
@@ -63,7 +63,7 @@ export class Workbench {
     $<HTMLButtonElement>("redo").disabled = !history.canRedo;
     this.regions.show();
     this.life.forEach((show) => show());
-    for (const name of WORDS) $<HTMLInputElement>(name).value = history.edit[name] ?? "";
+    for (const name of WORDS) showValue($(name), history.edit[name] ?? "");
     if (!take) return;
     for (const id of ["add-point", "save"]) $<HTMLButtonElement>(id).disabled = !take.isEditable;
     $<HTMLButtonElement>("reset").disabled = !history.edit.points.length;
