@@ -43,10 +43,11 @@ SUBJECT_REST = (
     "HeadTranslationY", "HeadTranslationZ", "MHFDSVersion", "DisableFaceOverride",
 )  # fmt: skip
 """Properties after the raw curves of every MetaHuman subject since Unreal 5.6, in their order
-(LiveLinkFaceSource.cpp): degrees, and cm forward, right and up."""
-_HEAD_COLUMNS = (2, 1, 0, 5, 3, 4)
-_HEAD_SIGNS = (1.0, 1.0, 1.0, 1.0, -1.0, 1.0)
-"""Columns and signs of `rig.curves.HEAD` for them: a shift to the right is negative there."""
+(LiveLinkFaceSource.cpp): degrees in the axes of the head's bone (up, forward, right), first about
+the upright one; cm back, left and up."""
+_BONE_TURN, _HEAD_TURN = "XZY", "YXZ"
+"""Orders of the angles about the axes left, up and forward, of the bone and of the track."""
+_HEAD_SIGNS = (-1.0, -1.0, 1.0)
 COUNT = "BlendshapeCount"
 """Second column. Unreal ignores case; other readers want the spelling of the app since 2024."""
 
@@ -245,7 +246,7 @@ def with_subject(curves: RigCurves) -> RigCurves:
     rest = np.zeros((len(curves), len(SUBJECT_REST)), np.float32)
     if curves.head is not None:
         rest[:, 0] = 1
-        rest[:, 1:7] = curves.head[:, _HEAD_COLUMNS] * _HEAD_SIGNS
+        rest[:, 1:7] = _subject_head(curves.head)
     rest[:, 7:] = 1
     values = np.column_stack([curves.values, rest])
     return replace(curves, values=values, names=(*curves.names, *SUBJECT_REST))
@@ -255,10 +256,22 @@ def _head_track(columns: Mapping[str, Float64]) -> Float32 | None:
     """The head track of columns of `SUBJECT_REST`; None unless the switch is on."""
     if any(name not in columns for name in SUBJECT_REST[:7]) or not columns[SUBJECT_REST[0]].any():
         return None
-    track = np.empty((len(columns[SUBJECT_REST[0]]), len(_HEAD_COLUMNS)), np.float32)
-    for place, sign, name in zip(_HEAD_COLUMNS, _HEAD_SIGNS, SUBJECT_REST[1:7], strict=True):
-        track[:, place] = sign * columns[name]
-    return track
+    roll, pitch, yaw, back, left, up = (columns[name] for name in SUBJECT_REST[1:7])
+    from scipy.spatial.transform import Rotation
+
+    turn = Rotation.from_euler(_BONE_TURN, np.column_stack([yaw, pitch, roll]), degrees=True)
+    angles = turn.as_euler(_HEAD_TURN, degrees=True) * _HEAD_SIGNS
+    return np.column_stack([angles, left, up, -back]).astype(np.float32)
+
+
+def _subject_head(track: Float32) -> Float64:
+    """Columns 1 to 6 of `SUBJECT_REST` [shape=(T, 6)]; `_head_track` is the inverse."""
+    from scipy.spatial.transform import Rotation
+
+    turn = Rotation.from_euler(_HEAD_TURN, track[:, :3] * _HEAD_SIGNS, degrees=True)
+    left, up, forward = track[:, 3:].T
+    roll_last = turn.as_euler(_BONE_TURN, degrees=True)
+    return np.column_stack([roll_last[:, ::-1], -forward, left, up])
 
 
 def frame_ticks(n_frames: int, fps: float) -> Int64:

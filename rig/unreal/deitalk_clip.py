@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 from fractions import Fraction
-from math import gcd, lcm
+from math import asin, atan2, cos, degrees, gcd, lcm, radians, sin
 from typing import Any
 
 SCHEMA = "deitalk.unreal/2"
@@ -19,16 +19,16 @@ class DeitalkError(RuntimeError):
     """An error that the user can correct; the message says how."""
 
 
-HEAD = {
-    "HeadYaw": ("yaw", 1.0),
-    "HeadPitch": ("pitch", 1.0),
-    "HeadRoll": ("roll", 1.0),
-    "HeadTranslationX": ("z", 1.0),
-    "HeadTranslationY": ("x", -1.0),
+TURNS = ("HeadYaw", "HeadPitch", "HeadRoll")
+"""Curves of the head's turn, degrees in the axes of its bone (up, forward, right): for small turns
+minus pitch, roll, minus yaw of a head track."""
+SHIFTS = {
+    "HeadTranslationX": ("z", -1.0),
+    "HeadTranslationY": ("x", 1.0),
     "HeadTranslationZ": ("y", 1.0),
 }
-"""Curves of the head, degrees and cm, from the columns of a head track; Unreal's axes are forward,
-right and up."""
+"""Curves of its shift, cm, from columns of a head track: Epic's mesh of a face looks along -x."""
+ANGLES = ("yaw", "pitch", "roll")
 
 
 VERSIONS = {"MHFDSVersion": 1.0, "DisableFaceOverride": 1.0}
@@ -38,7 +38,8 @@ VERSIONS = {"MHFDSVersion": 1.0, "DisableFaceOverride": 1.0}
 def load(path: str) -> dict[str, Any]:
     """Read and check a ``*.unreal.json``.
 
-    Raw curves become numbers, a head track becomes raw curves (see `HEAD`); `VERSIONS` are added.
+    Raw curves become numbers, a head track becomes curves of `TURNS` and `SHIFTS`; `VERSIONS` are
+    added.
     """
     try:
         with open(path, encoding="utf-8") as stream:
@@ -101,12 +102,56 @@ def _head_curves(head: Any) -> dict[str, Any]:
     """Curves of a head track and the switch that lets them turn the head; none without a track."""
     if head is None:
         return {}
-    curves: dict[str, Any] = {"HeadControlSwitch": 1.0}
-    for curve, (column, sign) in HEAD.items():
-        values = head[column]
-        is_list = isinstance(values, list)
-        curves[curve] = [sign * value for value in values] if is_list else sign * values
+    curves = {"HeadControlSwitch": 1.0, **turned([head[name] for name in ANGLES], TURNS, _in_bone)}
+    for curve, (column, sign) in SHIFTS.items():
+        curves[curve] = scaled(head[column], sign)
     return curves
+
+
+def head_of_curves(curves: dict[str, Any]) -> dict[str, Any]:
+    """Return the head track of curves of Unreal; those that are absent are 0."""
+    track = turned([curves.get(name, 0.0) for name in TURNS], ANGLES, _of_bone)
+    for curve, (column, sign) in SHIFTS.items():
+        track[column] = scaled(curves.get(curve, 0.0), sign)
+    return track
+
+
+def scaled(values: Any, factor: float) -> Any:
+    """Return a list of numbers, or one, times a factor."""
+    return [factor * v for v in values] if isinstance(values, list) else factor * values
+
+
+def turned(columns: list[Any], names: tuple[str, ...], change: Any) -> dict[str, Any]:
+    """Return three named columns of angles made of three by `change`, each a list or one number."""
+    size = max((len(values) for values in columns if isinstance(values, list)), default=0)
+    lists = [values if isinstance(values, list) else [values] * (size or 1) for values in columns]
+    rows = [change(*(radians(angle) for angle in row)) for row in zip(*lists)]  # noqa: B905
+    found = {name: [degrees(row[i]) + 0.0 for row in rows] for i, name in enumerate(names)}
+    return found if size else {name: values[0] for name, values in found.items()}
+
+
+def _in_bone(yaw: float, pitch: float, roll: float) -> tuple[float, float, float]:
+    """Yaw, pitch and roll of Unreal's rotator in the head bone's axes, of a head track's; radians.
+
+    A head track rolls, then pitches, then yaws; of the bone's axes the first turn is about the
+    upright one, then the forward and the sideways one.
+    """
+    sin_yaw, cos_yaw, sin_roll, cos_roll = sin(yaw), cos(yaw), sin(roll), cos(roll)
+    up, level = sin(pitch), cos(pitch)
+    tilt = cos_yaw * sin_roll - sin_yaw * up * cos_roll
+    nod = atan2(-sin_yaw * sin_roll - cos_yaw * up * cos_roll, level * cos_roll)
+    side = atan2(-sin_yaw * level, cos_yaw * cos_roll + sin_yaw * up * sin_roll)
+    return nod, asin(max(-1.0, min(1.0, tilt))), side
+
+
+def _of_bone(yaw: float, pitch: float, roll: float) -> tuple[float, float, float]:
+    """The inverse of `_in_bone`."""
+    sin_nod, cos_nod, sin_side, cos_side = sin(yaw), cos(yaw), sin(roll), cos(roll)
+    tilt, level = sin(pitch), cos(pitch)
+    up = cos_nod * tilt * sin_side - sin_nod * cos_side
+    around = atan2(-level * sin_side, sin_nod * tilt * sin_side + cos_nod * cos_side)
+    over = atan2(cos_nod * tilt * cos_side + sin_nod * sin_side, cos_nod * level)
+    return around, asin(max(-1.0, min(1.0, up))), over
 
 
 def asset_name(path: str) -> str:

@@ -148,7 +148,7 @@ def _head(sequence: Any, grid: list[float]) -> dict[str, Any] | None:
     """Return the head track of an AnimSequence; None without one, or with its switch at 0."""
     spelt = {name.lower(): name for name in _curve_names(sequence)}
     keys = {}
-    for name in ("HeadControlSwitch", *deitalk_clip.HEAD):
+    for name in ("HeadControlSwitch", *deitalk_clip.TURNS, *deitalk_clip.SHIFTS):
         if name.lower() in spelt:
             library = importer.unreal.AnimationLibrary
             times, values = library.get_float_keys(sequence, spelt[name.lower()])
@@ -156,12 +156,7 @@ def _head(sequence: Any, grid: list[float]) -> dict[str, Any] | None:
     switch = keys.pop("HeadControlSwitch", 1.0)
     if "HeadYaw" not in keys or switch == 0:
         return None
-    track = {}
-    for name, (column, sign) in deitalk_clip.HEAD.items():
-        values = keys.get(name, 0.0)
-        is_list = isinstance(values, list)
-        track[column] = [sign * value for value in values] if is_list else sign * values
-    return track
+    return deitalk_clip.head_of_curves(keys)
 
 
 def _curve_names(sequence: Any) -> list[str]:

@@ -6,9 +6,9 @@ Lies beside ``deitalk_unreal.py`` and needs nothing else::
     h.head_control(r"C:/take/speech.unreal.json", dry_run=True)
     h.head_control(r"C:/take/speech.unreal.json")            # head_ctrl of MetaHuman_ControlRig
 
-A control turns about axes of its own: in `AXES` yaw is about x, along the bone. That is read from
-the skeleton's bones and was not tried in the editor; if the head turns another way, name the axes
-or their signs, ``axes="x,-z,y"``.
+A control turns about axes of its own, taken here as those of the head's bone: x up, y forward, z to
+its right. That was not tried in the editor; if the head turns another way, name the axes or their
+signs, ``axes="x,y,-z"``.
 """
 
 from __future__ import annotations
@@ -21,9 +21,10 @@ import deitalk_unreal as importer  # type: ignore[import-not-found]
 
 BODY = "MetaHuman_ControlRig"
 CONTROL = "head_ctrl"
-AXES = "x,z,y"
-"""Channels of the rotation that yaw, pitch and roll are keyed on."""
-TURNS = ("HeadYaw", "HeadPitch", "HeadRoll")
+AXES = "x,y,z"
+"""Channels of the rotation that `TURNS` are keyed on."""
+TURNS = ("HeadRoll", "HeadPitch", "HeadYaw")
+"""Curves of the turn to the left, of the tilt to the right shoulder and of the nod."""
 
 
 def head_control(
@@ -48,7 +49,7 @@ def head_control(
     start_frame : int
         First frame, in the sequence's display rate.
     axes : str
-        Axes of yaw, pitch and roll, each x, y or z, with a minus to turn the other way.
+        Axes of turn, tilt and nod, each x, y or z, with a minus to turn the other way.
     dry_run : bool
         Print what would be done and change nothing.
 
@@ -87,7 +88,7 @@ def head_control(
 
 
 def _axes(text: str) -> list[tuple[str, float]]:
-    """Axes and signs of yaw, pitch and roll."""
+    """Axes and signs of turn, tilt and nod."""
     parts = [part.strip() for part in text.lower().split(",")]
     found = [re.fullmatch("(-?)([xyz])", part) for part in parts]
     if len(parts) != 3 or None in found or len({part[-1] for part in parts}) != 3:

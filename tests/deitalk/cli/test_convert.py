@@ -253,10 +253,10 @@ def test_json_sends_the_given_rig(curves_file):
 
 
 def test_raw_json_of_a_take_is_a_metahuman_subject(tmp_path):
-    """Head in degrees and cm, a shift to the right negative; the last packets are at rest."""
+    """A turn to the right is minus roll, in degrees; cm; the last packets are at rest."""
     values = np.tile(BOARD.rest, (2, 1)).astype(np.float32)
     values[:, BOARD.index("CTRL_C_jaw.ty")] = 0.5
-    head = np.tile(np.array([25, 10, -5, 1, 2, 3], np.float32), (2, 1))
+    head = np.tile(np.array([25, 0, 0, 1, 2, 3], np.float32), (2, 1))
     write_curves(tmp_path / "curves.json", RigCurves(values, BOARD.names, head=head))
     with Receiver(port=0) as probe:
         arguments = ["--protocol", "json", "--rig", "raw", "--port", probe.port]
@@ -270,7 +270,7 @@ def test_raw_json_of_a_take_is_a_metahuman_subject(tmp_path):
     assert first["CTRL_expressions_jawOpen"] == 0.5 and rest["CTRL_expressions_jawOpen"] == 0
     turn = [first[f"Head{name}"] for name in ("Yaw", "Pitch", "Roll")]
     shift = [first[f"HeadTranslation{axis}"] for axis in "XYZ"]
-    assert turn == [25, 10, -5] and shift == [3, -1, 2]
+    assert turn == [0, 0, -25] and shift == [-3, 1, 2]
     constants = ("MHFDSVersion", "DisableFaceOverride")
     assert [first[name] for name in ("HeadControlSwitch", *constants)] == [1, 1, 1]
     assert [rest[name] for name in ("HeadYaw", *constants)] == [0, 1, 1]

@@ -1,15 +1,27 @@
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from rig import RigCurves, read_curves, rest_curves, write_curves
-from rig.conversion.arkit import ARKIT_ID, arkit_controls
+from rig.conversion.arkit import (
+    ARKIT_ID,
+    GAZE_DOWN_DEGREES,
+    GAZE_SIDE_DEGREES,
+    GAZE_UP_DEGREES,
+    HEAD,
+    arkit_controls,
+)
 from rig.conversion.raw import RAW_ID, board_to_raw
 from rig.errors import CurveError, FormatError, RigError
+from rig.face.accents import quaternions
 from rig.formats.livelink_csv import (
+    SUBJECT_REST,
+    LiveLinkTake,
     frame_ticks,
     parse_timecode,
     read_take,
@@ -21,7 +33,7 @@ from rig.formats.livelink_csv import (
 from rig.validation.curves import validate
 from tests import unreal_live_link
 from tests.each import each
-from tests.rig.unreal.test_unreal import SUBJECTS
+from tests.rig.unreal.test_unreal import SUBJECTS, head_of_rotator
 
 ALEX = "data/curves/livelink/alex_rom_3.csv"
 HEADER = ",".join(["Timecode", "BlendShapeCount", *arkit_controls().names])
@@ -254,9 +266,9 @@ def test_name_with_the_apps_ending_keeps_the_subject_and_another_suffix_is_noted
 
 def test_raw_columns_are_those_of_a_metahuman_subject_in_its_order(tmp_path):
     """LiveLinkFaceSource.cpp: raw controls, switch, roll, pitch, yaw, X, Y, Z, version, override."""
-    track = np.array(
-        [[10, -5, 2, 0.1, 0.2, 0.3]] * 40, np.float32
-    )  # yaw pitch roll left up forward
+    track = np.zeros((40, 6), np.float32)  # yaw pitch roll left up forward
+    track[:10, 0], track[10:20, 1], track[20:30, 2] = 10, -5, 2
+    track[30:] = [10, -5, 2, 0.1, 0.2, 0.3]
     curves = replace(rest_curves(40), head=track)
     write_curves(tmp_path / "a_cal.csv", curves, format="livelink-raw")
     there = unreal_live_link.import_csv(tmp_path / "a_cal.csv")
@@ -266,10 +278,60 @@ def test_raw_columns_are_those_of_a_metahuman_subject_in_its_order(tmp_path):
         "HeadControlSwitch", "HeadRoll", "HeadPitch", "HeadYaw", "HeadTranslationX",
         "HeadTranslationY", "HeadTranslationZ", "MHFDSVersion", "DisableFaceOverride",
     ]  # fmt: skip
-    last = [there.columns[name][-1] for name in names[251:]]
-    assert last == pytest.approx([1, 2, -5, 10, 0.3, -0.1, 0.2, 1, 1])
+    # Bone: x up, y forward, z right. A turn to the right is minus roll, a nod down yaw, a tilt pitch.
+    rows = [[there.columns[name][i] for name in names[252:255]] for i in (0, 10, 20)]
+    np.testing.assert_allclose(rows, [[-10, 0, 0], [0, 0, 5], [0, 2, 0]], atol=1e-6)
+    turned = Rotation.from_quat(quaternions(track[-1:])).as_matrix()[0]
+    np.testing.assert_allclose(
+        head_of_rotator(*(there.columns[name][-1] for name in names[252:255])), turned, atol=1e-6
+    )
+    last = [there.columns[name][-1] for name in ("HeadControlSwitch", *names[255:])]
+    assert last == pytest.approx([1, -0.3, 0.1, 0.2, 1, 1])
     back = read_curves(tmp_path / "a_cal.csv", control_set=None)
     np.testing.assert_allclose(back.head, track, atol=1e-6)
     write_curves(tmp_path / "b.livelink-raw.csv", rest_curves(40))
     assert unreal_live_link.import_csv(tmp_path / "b.livelink-raw.csv").columns["HeadYaw"][0] == 0
     assert read_curves(tmp_path / "b.livelink-raw.csv", control_set=None).head is None
+
+
+@each("seconds, column", [((17.5, 20), "yaw"), ((0, 4.3), "pitch")])  # a shake, and nods
+def test_eyes_of_a_real_take_turn_against_the_head(shared, tmp_path, seconds, column):
+    """The vestibulo-ocular reflex: gaze against the turn of the head, about as fast."""
+    table = pd.read_csv(shared / "data/curves/metahuman/arkittest_mha.csv")
+    table["HeadControlSwitch"] = 1.0
+    raw = [name for name in table.columns if name.startswith("CTRL_")]
+    rest = [name for name in SUBJECT_REST if name in table.columns]
+    table[raw] = table[raw].clip(0, 1)
+    ticks = frame_ticks(len(table), 60000 / 1001)
+    write_take(
+        tmp_path / "a_cal.csv",
+        LiveLinkTake(ticks, table[[*raw, *rest]].to_numpy(), (*raw, *rest)),
+    )
+    curves = read_curves(tmp_path / "a_cal.csv", control_set=None).slice_seconds(*seconds)
+    look = {
+        way: curves[f"CTRL_expressions_eyeLook{way}L"] + curves[f"CTRL_expressions_eyeLook{way}R"]
+        for way in ("Right", "Left", "Up", "Down")
+    }
+    gaze = {
+        "yaw": GAZE_SIDE_DEGREES * (look["Right"] - look["Left"]) / 2,
+        "pitch": (GAZE_UP_DEGREES * look["Up"] - GAZE_DOWN_DEGREES * look["Down"]) / 2,
+    }[column]
+    turn = curves.head[:, ("yaw", "pitch").index(column)]
+    fast = turn[6:] - turn[:-6], gaze[6:] - gaze[:-6]  # a tenth of a second
+    assert np.corrcoef(*fast)[0, 1] < -0.8 and -1.5 < np.polyfit(*fast, 1)[0] < -0.8
+
+
+def test_eyes_of_real_takes_turn_as_we_write_them(shared):
+    """Positive yaw is to the character's right, positive pitch down; no take has a head's turn."""
+    paths = sorted((shared / "data/curves/livelink").glob("*.csv"))
+    assert len(paths) == 7
+    for path in paths:
+        table = pd.read_csv(path).dropna()
+        table.columns = [name[0].upper() + name[1:] for name in table.columns]
+        for side, (right, left) in {"Left": ("In", "Out"), "Right": ("Out", "In")}.items():
+            look = {way: table[f"EyeLook{way}{side}"] for way in (right, left, "Down", "Up")}
+            yaw = np.degrees(np.polyfit(look[right] - look[left], table[f"{side}EyeYaw"], 1)[0])
+            assert yaw == pytest.approx(GAZE_SIDE_DEGREES, rel=0.2)
+            down = look["Down"] - look["Up"]
+            assert np.corrcoef(down, table[f"{side}EyePitch"])[0, 1] > 0.98
+        assert not table[list(HEAD)].to_numpy().any()

@@ -11,9 +11,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from rig import RigCurves, default_controls, read_curves, rest_curves, write_curves
 from rig.conversion.raw import board_to_raw
+from rig.face.accents import quaternions
 from rig.validation.curves import validate
 from tests import fake_unreal
 from tests.each import each
@@ -137,18 +139,42 @@ def test_script_rejects_damaged_raw_curves(tmp_path, monkeypatch, curve):
     assert not validate(path).ok
 
 
-def test_head_track_becomes_curves_in_unreals_axes(tmp_path, monkeypatch):
+def head_of_rotator(roll, pitch, yaw):
+    """Turn of a MetaHuman's head by a rotator in its bone's axes [shape=(3, 3)]: left, up, forward.
+
+    By the rows of Unreal's FRotationMatrix; the bone lies as MetaHumanHeadTransform.cpp states it,
+    by the quaternion (0, .7071, 0, -.7071), on a face that looks along y with its left along x.
+    """
+    (sr, cr), (sp, cp), (sy, cy) = ((np.sin(a), np.cos(a)) for a in np.radians([roll, pitch, yaw]))
+    turn = np.array(
+        [
+            [cp * cy, cp * sy, sp],
+            [sr * sp * cy - cr * sy, sr * sp * sy + cr * cy, -sr * cp],
+            [-(cr * sp * cy + sr * sy), cy * sr - cr * sp * sy, cr * cp],
+        ]
+    ).T
+    bone = Rotation.from_quat([0, 0.5**0.5, 0, -(0.5**0.5)]).as_matrix()
+    return (bone @ turn @ bone.T)[np.ix_([0, 2, 1], [0, 2, 1])]
+
+
+def test_head_track_becomes_curves_in_the_axes_of_the_bone(tmp_path, monkeypatch):
     path = tmp_path / "nod.unreal.json"
-    track = np.array([[0, 0, 0, 0, 0, 0], [10, -5, 2, 0.1, 0.2, 0.3]], np.float32)
-    write_curves(path, replace(speech(2), head=track))
+    track = np.zeros((5, 6), np.float32)
+    track[1:] = [
+        [10, 0, 0, 0, 0, 0], [0, -5, 0, 0, 0, 0], [0, 0, 2, 0, 0, 0], [30, -25, 20, 0.1, 0.2, 0.3],
+    ]  # fmt: skip
+    write_curves(path, replace(speech(5), head=track))
     np.testing.assert_allclose(read_curves(path).head, track, atol=1e-6)
     module = fake_unreal.make_unreal(skeletons=[SKELETON])
     curves = run_inside(module, monkeypatch).anim_sequence(str(path)).curves
-    last = {name: values[-1] for name, (_, values) in curves.items() if name.startswith("Head")}
-    assert last == pytest.approx(
-        {"HeadControlSwitch": 1, "HeadYaw": 10, "HeadPitch": -5, "HeadRoll": 2,
-         "HeadTranslationX": 0.3, "HeadTranslationY": -0.1, "HeadTranslationZ": 0.2}
-    )  # fmt: skip
+    found = {name: values for name, (_, values) in curves.items() if name.startswith("Head")}
+    turns = np.array([found[name] for name in ("HeadRoll", "HeadPitch", "HeadYaw")]).T
+    # to the right is minus roll, down is yaw, to the right shoulder is pitch
+    np.testing.assert_allclose(turns[1:4], [[-10, 0, 0], [0, 0, 5], [0, 2, 0]], atol=1e-6)
+    for turn, expected in zip(turns, Rotation.from_quat(quaternions(track)), strict=True):
+        np.testing.assert_allclose(head_of_rotator(*turn), expected.as_matrix(), atol=1e-6)
+    shifts = [found[f"HeadTranslation{axis}"][-1] for axis in "XYZ"]
+    assert shifts == pytest.approx([-0.3, 0.1, 0.2]) and set(found["HeadControlSwitch"]) == {1}
 
 
 def test_bracket_is_closed_when_a_curve_fails(take, monkeypatch):
@@ -242,7 +268,7 @@ def test_board_is_keyed_on_the_channels_of_its_section(take, monkeypatch, unit):
 
 def nod(tmp_path):
     track = np.zeros((3, 6), np.float32)
-    track[:, :3] = [[0, 0, 0], [4, -6, 2], [8, -12, 4]]
+    track[:, 1] = [0, -6, -12]
     write_curves(tmp_path / "nod.unreal.json", replace(speech(3), head=track))
     return str(tmp_path / "nod.unreal.json")
 
@@ -252,10 +278,10 @@ def test_head_is_keyed_on_the_control_of_a_body_rig(tmp_path, monkeypatch):
     module = fake_unreal.make_unreal(level_sequence=fake_unreal.LevelSequence([body]))
     run_inside(module, monkeypatch)
     head = importlib.import_module("deitalk_head")
-    head.head_control(nod(tmp_path), start_frame=10, axes="x,-z,y")
-    assert body.keys("head_ctrl.Rotation.X") == ([10, 11, 12], pytest.approx([0, 4, 8]))
-    assert body.keys("head_ctrl.Rotation.Z")[1] == pytest.approx([0, 6, 12])
-    assert body.keys("head_ctrl.Rotation.Y")[1] == pytest.approx([0, 2, 4])
+    head.head_control(nod(tmp_path), start_frame=10, axes="x,y,-z")
+    assert body.keys("head_ctrl.Rotation.Z") == ([10, 11, 12], pytest.approx([0, -6, -12]))
+    for axis in "XY":
+        assert set(body.keys(f"head_ctrl.Rotation.{axis}")[1]) == {0}
     assert body.keys("head_ctrl.Location.X") == ([], [])
     with pytest.raises(head.importer.DeitalkError, match="no channel skull"):
         head.head_control(nod(tmp_path), control="skull")
@@ -265,7 +291,7 @@ def test_head_control_rejects_axes_and_takes_without_a_head(take, tmp_path, monk
     run_inside(None, monkeypatch)
     head = importlib.import_module("deitalk_head")
     assert head.head_control(nod(tmp_path), dry_run=True) == []
-    assert "head_ctrl rotation z: HeadPitch, 3 keys, -12 to 0" in capsys.readouterr().out
+    assert "head_ctrl rotation z: HeadYaw, 3 keys, 0 to 12" in capsys.readouterr().out
     with pytest.raises(head.importer.DeitalkError, match="no head track"):
         head.head_control(take, dry_run=True)
     for axes in ("x,y", "x,x,y", "x,y,w"):
