@@ -308,13 +308,15 @@ def compliance(curves: RigCurves, folder: Path) -> list[Any]:
     """All validators of the library that usdchecker runs."""
     from pxr import Usd, UsdValidation
 
-    write_curves(folder / "a.usda", curves)
     checks = UsdValidation.ValidationRegistry().GetOrLoadAllValidators()
-    stage = Usd.Stage.Open(str(folder / "a.usda"))
-    issues = UsdValidation.ValidationContext(checks).Validate(stage)
-    assert not issues, [issue.GetMessage() for issue in issues]
+    for name in ("a.usda", "a.usdz"):
+        write_curves(folder / name, curves)
+        stage = Usd.Stage.Open(str(folder / name))
+        issues = UsdValidation.ValidationContext(checks).Validate(stage)
+        assert not issues, [issue.GetMessage() for issue in issues]
     version = ".".join(map(str, Usd.GetVersion()[1:]))
-    return [["USD", f"UsdValidation {version}", f"{len(checks)} validators, 0 issues", 0.0]]
+    found = f"{len(checks)} validators, 0 issues"
+    return [["USD, USDZ", f"UsdValidation {version}", found, 0.0]]
 
 
 def javascript(curves: RigCurves, folder: Path) -> list[Any]:

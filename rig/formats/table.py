@@ -310,7 +310,7 @@ FORMATS: tuple[Format, ...] = (
     ),
     Format(
         "usd",
-        (".usd", ".usda", ".usdc"),
+        (".usd", ".usda", ".usdc", ".usdz"),
         "our head as UsdSkel blend shapes, raw curves as custom:mh_curveValues (extra usd)",
         _late("usd", "read"),
         _late("usd", "write"),

@@ -3,11 +3,13 @@
 Needs the package usd-core. The animation prim carries ``custom:mh_curveNames`` and
 ``custom:mh_curveValues``, which Omniverse's connector reads into an AnimSequence; `read` takes the
 curves from there. Unreal's own importer reads the blend shapes only. A head track turns the root
-about the joint of skull and spine, and is kept as ``custom:deitalk_head``.
+about the joint of skull and spine, and is kept as ``custom:deitalk_head``. A package (``.usdz``)
+has texture coordinates, materials and their picture: a preview surface takes no vertex colours.
 """
 
 from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -18,14 +20,26 @@ from rig.conversion.raw import RAW_ID, board_to_raw, raw_controls
 from rig.curves import HEAD, RigCurves
 from rig.errors import FormatError
 from rig.face.accents import matrices
+from rig.face.geometry.mesh import EYE, HAIR
 from rig.files.reading import check_expansion, check_file
 from rig.limits import CURVES_BYTES, FRAMES, SPARSE_BYTES
 from rig.mesh.shapes import ShapeSet
-from rig.retarget.morph_head import METRES_PER_CM, morph_head
+from rig.retarget.morph_head import (
+    EYE_ROUGHNESS,
+    HAIR_ROUGHNESS,
+    METRES_PER_CM,
+    SKIN_ROUGHNESS,
+    baked_picture,
+    morph_head,
+)
 
 NAMES, VALUES = "custom:mh_curveNames", "custom:mh_curveValues"
 HEAD_TRACK = "custom:deitalk_head"
 STILL_CM = 1e-3
+PICTURE = "head.jpg"
+KINDS = {"hair": HAIR, "eyes": EYE}
+ROUGHNESS = {"hair": HAIR_ROUGHNESS, "eyes": EYE_ROUGHNESS, "skin": SKIN_ROUGHNESS}
+"""Of the materials; what is of neither kind is skin."""
 
 
 def write(path: Path, curves: RigCurves, identity: int | str = 0) -> None:
@@ -69,8 +83,67 @@ def write(path: Path, curves: RigCurves, identity: int | str = 0) -> None:
     _samples(pxr, animation.GetPrim().CreateAttribute(VALUES, types.FloatArray), raw.values)
     if curves.head is not None:
         _add_head(pxr, root, animation.GetPrim(), curves.head)
-    if not stage.GetRootLayer().Export(str(path)):
+    if path.suffix.lower() == ".usdz":
+        _package(pxr, stage, mesh, path, identity)
+    elif not stage.GetRootLayer().Export(str(path)):
         raise OSError(f"usd-core could not write {path.name}")
+
+
+def _package(pxr: Any, stage: Any, mesh: Any, path: Path, identity: int | str) -> None:
+    """Write the stage with its materials and their picture as one file."""
+    from rig.face import build_head
+
+    head = build_head(identity)
+    uv, picture = baked_picture(head)
+    st = pxr.UsdGeom.PrimvarsAPI(mesh).CreatePrimvar(
+        "st", pxr.Sdf.ValueTypeNames.TexCoord2fArray, pxr.UsdGeom.Tokens.faceVarying
+    )
+    upwards = (uv.reshape(-1, 2) * [1, -1] + [0, 1]).astype(np.float32)
+    places, indices = np.unique(upwards, axis=0, return_inverse=True)
+    st.Set(pxr.Vt.Vec2fArray.FromNumpy(places))
+    st.SetIndices(pxr.Vt.IntArray.FromNumpy(indices.ravel().astype(np.int32)))
+    pxr.UsdGeom.Scope.Define(stage, "/head/materials")
+    kind = head.mesh.kind[head.mesh.faces[:, 0]]
+    for name, roughness in ROUGHNESS.items():
+        chosen = kind == KINDS[name] if name in KINDS else ~np.isin(kind, list(KINDS.values()))
+        faces = pxr.Vt.IntArray.FromNumpy(np.flatnonzero(chosen).astype(np.int32))
+        part = pxr.UsdGeom.Subset.CreateGeomSubset(mesh, name, "face", faces, "materialBind")
+        material = _material(pxr, stage, f"/head/materials/{name}", roughness)
+        pxr.UsdShade.MaterialBindingAPI.Apply(part.GetPrim()).Bind(material)
+    pxr.UsdGeom.Subset.SetFamilyType(mesh, "materialBind", pxr.UsdGeom.Tokens.partition)
+    with TemporaryDirectory(prefix="deitalk-") as folder:
+        layer = Path(folder) / "head.usdc"
+        (Path(folder) / PICTURE).write_bytes(picture)
+        stage.GetRootLayer().Export(str(layer))
+        if not pxr.UsdUtils.CreateNewUsdzPackage(pxr.Sdf.AssetPath(str(layer)), str(path)):
+            raise OSError(f"usd-core could not write {path.name}")
+
+
+def _material(pxr: Any, stage: Any, path: str, roughness: float) -> Any:
+    """Define a preview surface of the picture."""
+    types, nodes = pxr.Sdf.ValueTypeNames, {}
+    for name, kind in (
+        ("surface", "UsdPreviewSurface"),
+        ("picture", "UsdUVTexture"),
+        ("st", "UsdPrimvarReader_float2"),
+    ):
+        nodes[name] = pxr.UsdShade.Shader.Define(stage, f"{path}/{name}")
+        nodes[name].CreateIdAttr(kind)
+    material = pxr.UsdShade.Material.Define(stage, path)
+    surface, texture, reader = nodes.values()
+    reader.CreateInput("varname", types.String).Set("st")
+    place = reader.CreateOutput("result", types.Float2)
+    texture.CreateInput("file", types.Asset).Set(pxr.Sdf.AssetPath(f"./{PICTURE}"))
+    texture.CreateInput("sourceColorSpace", types.Token).Set("sRGB")
+    for wrap in ("wrapS", "wrapT"):
+        texture.CreateInput(wrap, types.Token).Set("clamp")
+    texture.CreateInput("st", types.Float2).ConnectToSource(place)
+    colour = texture.CreateOutput("rgb", types.Float3)
+    surface.CreateInput("diffuseColor", types.Color3f).ConnectToSource(colour)
+    surface.CreateInput("roughness", types.Float).Set(roughness)
+    shown = surface.CreateOutput("surface", types.Token)
+    material.CreateSurfaceOutput().ConnectToSource(shown)
+    return material
 
 
 def read(path: Path, controls: ControlSet | None = None, fps: float | None = None) -> RigCurves:
@@ -197,8 +270,8 @@ def _samples(pxr: Any, attribute: Any, rows: np.ndarray[Any, Any]) -> None:
 def _pxr() -> Any:
     try:
         import pxr  # type: ignore[import-untyped]
-        from pxr import Gf, Sdf, Tf, Usd, UsdGeom, UsdSkel, Vt
+        from pxr import Gf, Sdf, Tf, Usd, UsdGeom, UsdShade, UsdSkel, UsdUtils, Vt
     except ImportError as error:
         raise FormatError("USD needs the package usd-core: pip install deitalk[usd]") from error
-    assert all((Gf, Sdf, Tf, Usd, UsdGeom, UsdSkel, Vt))
+    assert all((Gf, Sdf, Tf, Usd, UsdGeom, UsdShade, UsdSkel, UsdUtils, Vt))
     return pxr

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.arrays import Float64
+from rig.arrays import AnyFloat, Float64
 from rig.controls import default_controls
 from rig.mesh.glb import Surface
 from rig.mesh.shapes import ShapeSet
@@ -98,7 +98,20 @@ def textured(head: "Head") -> tuple[Float64, Surface]:
     return colours, Surface(head.mesh.uv, file(base, "JPEG"), file(rough, "PNG"))
 
 
-def linear_to_srgb(light: Float64) -> Float64:
+def baked_picture(head: "Head") -> tuple[Float64, bytes]:
+    """Texture coordinates (N, 3, 2) and a JPEG of all colours of a head; see `rig.face.baked`."""
+    from PIL import Image
+
+    from rig.face.baked import baked
+
+    uv, picture = baked(head, painted_colours(head))
+    stream = BytesIO()
+    image = Image.fromarray(np.round(255 * linear_to_srgb(picture)).astype(np.uint8))
+    image.save(stream, "JPEG", quality=92, subsampling=0)  # neighbouring faces differ in colour
+    return uv, stream.getvalue()
+
+
+def linear_to_srgb(light: AnyFloat) -> Float64:
     """Return sRGB values of linear light (IEC 61966-2-1)."""
     return np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
 

@@ -1,9 +1,11 @@
 """GLB and USD against independent readers: pygltflib, usd-core, Blender."""
 
+import io
 import json
 import shutil
 import struct
 import subprocess
+import zipfile
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,7 +18,8 @@ from rig.errors import FormatError, RigError
 from rig.face import build_head
 from rig.face.accents import matrices
 from rig.retarget.arkit_head import arkit_pose
-from rig.retarget.morph_head import morph_head, srgb_to_linear
+from rig.retarget.morph_head import morph_head, painted_colours, srgb_to_linear
+from tests.each import each
 from tests.rig.formats.test_other_tools import NVIDIA
 
 BOARD = default_controls()
@@ -204,6 +207,14 @@ def usd_path(tmp_path_factory, curves):
     return path
 
 
+@pytest.fixture(scope="module")
+def package(tmp_path_factory, curves):
+    pytest.importorskip("pxr", reason="needs usd-core")
+    path = tmp_path_factory.mktemp("usdz") / "face.usdz"
+    write_curves(path, curves)
+    return path
+
+
 def test_usd_holds_the_posed_head_by_usd_core(usd_path, curves):
     from pxr import Gf, Usd, UsdGeom, UsdSkel, Vt
 
@@ -295,7 +306,8 @@ def test_usd_carries_the_raw_curves_and_reads_back(usd_path, curves):
     assert back.fps == 25 and back.values == pytest.approx(curves.values, abs=1e-5)
 
 
-def test_usd_passes_the_validators_of_usd_core(usd_path):
+@each("name", ["usd_path", "package"])
+def test_usd_passes_the_validators_of_usd_core(request, name):
     from pxr import Usd
 
     try:
@@ -304,9 +316,58 @@ def test_usd_passes_the_validators_of_usd_core(usd_path):
         pytest.skip("this usd-core has no UsdValidation")
     validators = UsdValidation.ValidationRegistry().GetOrLoadAllValidators()
     assert len(validators) > 5
-    stage = Usd.Stage.Open(str(usd_path))
+    stage = Usd.Stage.Open(str(request.getfixturevalue(name)))
     errors = UsdValidation.ValidationContext(validators).Validate(stage)
     assert [error.GetErrorAsString() for error in errors] == []
+
+
+def test_usdz_has_the_colours_of_the_glb_on_every_face(package, rng):
+    """At a random place of each face: vertex colour times atlas, as glTF multiplies them."""
+    from PIL import Image
+    from pxr import Usd, UsdGeom, UsdShade
+    from scipy.ndimage import map_coordinates
+
+    stage = Usd.Stage.Open(str(package))
+    mesh = stage.GetPrimAtPath("/head/face")
+    st = UsdGeom.PrimvarsAPI(mesh).GetPrimvar("st")
+    assert st.GetInterpolation() == "faceVarying"
+    corners = np.array(st.ComputeFlattened()).reshape(-1, 3, 2)
+    covered = []
+    for subset in UsdShade.MaterialBindingAPI(mesh).GetMaterialBindSubsets():
+        material, _ = UsdShade.MaterialBindingAPI(subset).ComputeBoundMaterial()
+        surface, _, _ = material.ComputeSurfaceSource()
+        (colour,) = surface.GetInput("diffuseColor").GetConnectedSources()[0]
+        texture = UsdShade.Shader(colour.source)
+        assert texture.GetInput("sourceColorSpace").Get() == "sRGB"
+        covered += list(subset.GetIndicesAttr().Get())
+    assert sorted(covered) == list(range(len(corners)))
+    with zipfile.ZipFile(package) as parts:
+        (name,) = (name for name in parts.namelist() if name.endswith(".jpg"))
+        picture = np.asarray(Image.open(io.BytesIO(parts.read(name))), np.float64) / 255
+
+    def sampled(image, uv):
+        places = [uv[:, 1] * image.shape[0] - 0.5, uv[:, 0] * image.shape[1] - 0.5]
+        return np.stack([map_coordinates(image[..., k], places, order=1) for k in range(3)], -1)
+
+    head = build_head(0)
+    share = rng.dirichlet([1, 1, 1], len(corners))
+    colours, place, found = (
+        np.einsum("nk,nkc->nc", share, values)
+        for values in (
+            painted_colours(head)[head.mesh.faces],
+            head.mesh.uv[head.mesh.faces],
+            corners,
+        )
+    )
+    expected = colours * sampled((head.mesh.maps.atlas / 127.5) ** 2, place)
+    shown = srgb_to_linear(sampled(picture, found * [1, -1] + [0, 1]))
+    off = np.abs(shown - expected).max(axis=1)
+    assert off.mean() < 0.01 and np.quantile(off, 0.99) < 0.05
+
+
+def test_usdz_is_read_back(package, curves):
+    back = read_curves(package)
+    assert back.fps == 25 and back.values == pytest.approx(curves.values, abs=1e-5)
 
 
 def test_read_rejects_broken_usd(tmp_path):
