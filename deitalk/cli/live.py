@@ -181,17 +181,16 @@ def send_source(
     curves, audio = _curves(source, acting, *model)
     if link.protocol == "json":
         curves = _as_rig(curves, link.rig)
-    if link.avatar is not None:
-        from rig.conversion.convert import convert_and_note
-
-        console().note(convert_and_note(curves, link.avatar)[1])
     if play:
         started = [_player(audio), *started]
     if fps is not None:
         curves = curves.resample(fps)
     from rig.livelink import make_protocol, send
+    from rig.livelink.protocols import lost_by
 
     chosen = make_protocol(link.protocol, link.subject, curves.names, link.avatar)
+    if lost := lost_by(curves, chosen):
+        console().note(lost)
     console().print(f"sending {curves.duration:.1f} s to {link}, Ctrl-C stops")
 
     def start() -> None:

@@ -1,7 +1,9 @@
 """Conversion between the known control sets: board, raw curves, ARKit shapes, avatars' shapes."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from functools import partial
+
+import numpy as np
 
 from rig.controls import DEFAULT_ID, ControlSet, default_controls
 from rig.conversion.arkit import ARKIT_ID, arkit_controls, arkit_to_raw, raw_to_arkit
@@ -62,6 +64,15 @@ def convert_and_note(curves: RigCurves, control_set: str) -> tuple[RigCurves, st
         shapes, found = raw_to_avatar(raw, control_set)
         return shapes, f"{control_set}: {found}"
     return (raw if control_set == RAW_ID else raw_to_board(raw)), ""
+
+
+def unshown(curves: RigCurves, shown: Iterable[str], target: str) -> str:
+    """Return a line on controls of the board that move and that a target does not show, or none."""
+    names = set(shown) if curves.control_set == DEFAULT_ID else set(curves.names)
+    lost = [name for name in curves.names if name not in names and np.ptp(curves[name]) > 1e-6]
+    more = " …" if len(lost) > 3 else ""
+    listed = ", ".join(lost[:3]) + more
+    return f"{target} does not show {len(lost)} moving controls: {listed}" if lost else ""
 
 
 def controls_of(names: Sequence[str], *, where: str) -> ControlSet:

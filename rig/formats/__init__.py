@@ -12,7 +12,7 @@ import numpy as np
 
 from rig.controls import DEFAULT_ID, ControlSet
 from rig.conversion.arkit import ARKIT_ID
-from rig.conversion.convert import convert, convert_and_note, known_controls
+from rig.conversion.convert import convert, convert_and_note, known_controls, unshown
 from rig.curves import RigCurves
 from rig.curves.edit import ClampReport, clamp
 from rig.errors import FormatError, quoted
@@ -246,18 +246,8 @@ def _prepared(path: Path, curves: RigCurves, chosen: Format) -> tuple[RigCurves,
     if wanted is not None and curves.control_set not in chosen.also:
         curves, note = convert_and_note(curves, wanted)
     more = chosen.note(path, curves) if chosen.note else ""
-    return curves, clipped, "; ".join(filter(None, (note, more, _unshown(curves, chosen))))
-
-
-def _unshown(curves: RigCurves, chosen: Format) -> str:
-    """Count the controls that move and that the format does not show."""
-    if chosen.shows is None or curves.control_set != DEFAULT_ID:
-        return ""
-    shown = set(chosen.shows())
-    lost = [name for name in curves.names if name not in shown and np.ptp(curves[name]) > 1e-6]
-    more = " …" if len(lost) > 3 else ""
-    names = ", ".join(lost[:3]) + more
-    return f"{chosen.name} does not show {len(lost)} moving controls: {names}" if lost else ""
+    lost = unshown(curves, chosen.shows(), chosen.name) if chosen.shows else ""
+    return curves, clipped, "; ".join(filter(None, (note, more, lost)))
 
 
 def check_range(curves: RigCurves, controls: ControlSet, *, where: str) -> RigCurves:

@@ -311,7 +311,7 @@ FORMATS: tuple[Format, ...] = (
     Format(
         "usd",
         (".usd", ".usda", ".usdc", ".usdz"),
-        "our head as UsdSkel blend shapes, raw curves as custom:mh_curveValues (extra usd)",
+        "our head as UsdSkel blend shapes, textured in .usdz; raw curves (extra usd)",
         _late("usd", "read"),
         _late("usd", "write"),
         DEFAULT_ID,

@@ -99,9 +99,7 @@ def _package(pxr: Any, stage: Any, mesh: Any, path: Path, identity: int | str) -
         "st", pxr.Sdf.ValueTypeNames.TexCoord2fArray, pxr.UsdGeom.Tokens.faceVarying
     )
     upwards = (uv.reshape(-1, 2) * [1, -1] + [0, 1]).astype(np.float32)
-    places, indices = np.unique(upwards, axis=0, return_inverse=True)
-    st.Set(pxr.Vt.Vec2fArray.FromNumpy(places))
-    st.SetIndices(pxr.Vt.IntArray.FromNumpy(indices.ravel().astype(np.int32)))
+    st.Set(pxr.Vt.Vec2fArray.FromNumpy(upwards))
     pxr.UsdGeom.Scope.Define(stage, "/head/materials")
     kind = head.mesh.kind[head.mesh.faces[:, 0]]
     for name, roughness in ROUGHNESS.items():

@@ -21,7 +21,7 @@ from rig.conversion.arkit import (
     head_values,
     udp_order,
 )
-from rig.conversion.convert import convert, known_controls
+from rig.conversion.convert import convert, convert_and_note, known_controls, unshown
 from rig.curves import RigCurves
 from rig.errors import FormatError, quoted
 from rig.formats.livelink_csv import SUBJECT_REST
@@ -125,6 +125,14 @@ def prepared(curves: RigCurves, protocol: LiveProtocol) -> RigCurves:
     if protocol.control_set is None:
         return curves
     return with_head(convert(curves, protocol.control_set))
+
+
+def lost_by(curves: RigCurves, protocol: LiveProtocol) -> str:
+    """Return a line on what a protocol does not show of curves, or none."""
+    if protocol.control_set is not None:
+        return convert_and_note(curves, protocol.control_set)[1]
+    spelt = facegood_names()
+    return unshown(curves, (name for name in curves.names if spelt.get(name, name)), "json")
 
 
 def rest_values(control_set: str, names: Sequence[str]) -> Float32:

@@ -3,6 +3,7 @@
 import os
 import re
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -32,11 +33,15 @@ def test_what_is_written_is_read_and_every_loss_is_counted(tmp_path, known):
     if known.name == "usd":
         pytest.importorskip("pxr", reason="needs usd-core")
     curves, path = take(), tmp_path / f"a{known.suffixes[0]}"
+    emotion = np.tile(np.eye(9, dtype=np.float32)[1], (len(curves), 1))
+    curves = replace(curves, emotion=emotion, intensity=np.ones(len(curves), np.float32))
     report = write_curves(path, curves)
     found = read_curves(path, control_set=None, fps=30)
     expected = convert(curves, found.control_set)
     assert len(found) == len(curves) and found.fps == 30
     assert (found.head is None) == ("head" not in known.tracks or known.name == "livelink")
+    absent = {track for track in ("emotion", "intensity", "head") if getattr(found, track) is None}
+    assert {*report.dropped} == absent - ({"head"} if known.name == "livelink" else set())
     if found.head is not None:
         assert np.abs(found.head[:, :3] - curves.head[:, :3]).max() < 1e-3
     told = re.search(r"does not show (\d+) moving", report.note)

@@ -1,5 +1,6 @@
 import hashlib
 import json
+import re
 import socket
 import struct
 import threading
@@ -9,15 +10,28 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from rig import RigCurves, default_controls, rest_curves
 from rig.conversion.arkit import ARKIT_ID, arkit_controls
+from rig.conversion.convert import convert
+from rig.conversion.raw import RAW_ID
 from rig.errors import FormatError
+from rig.face.accents import quaternions
 from rig.formats.livelink_csv import read_take, with_subject, write_take
 from rig.livelink import Packet, Receiver, decode, encode, make_protocol, osc, send
-from rig.livelink.protocols import MAX_JSON_BYTES, MAX_OSC_BYTES, PropertyJson, prepared, with_head
+from rig.livelink.protocols import (
+    MAX_JSON_BYTES,
+    MAX_OSC_BYTES,
+    PropertyJson,
+    lost_by,
+    prepared,
+    with_head,
+)
 from rig.livelink.sender import REST_REPEATS, Clock
 from tests.each import each
+from tests.readers import take
+from tests.rig.unreal.test_unreal import head_of_rotator
 
 DEVICE = "DEADBEEF-0000-4000-8000-000000000001"
 JAW = 17
@@ -505,6 +519,23 @@ def test_raw_curves_have_the_head_of_a_subject_in_degrees():
     curves = RigCurves(np.zeros((1, 1), np.float32), ("a",), control_set="mine", head=head)
     sent = with_subject(curves)
     row = dict(zip(sent.names, sent.values[0].tolist(), strict=True))
-    assert (row["HeadYaw"], row["HeadPitch"], row["HeadRoll"]) == (25, 10, -5)
+    turn = [row[name] for name in ("HeadRoll", "HeadPitch", "HeadYaw")]
+    expected = Rotation.from_quat(quaternions(head)).as_matrix()[0]
+    np.testing.assert_allclose(head_of_rotator(*turn), expected, atol=1e-6)
     assert row["HeadControlSwitch"] == row["MHFDSVersion"] == row["DisableFaceOverride"] == 1
     assert len(row) == 1 + 9
+
+
+def test_what_a_protocol_does_not_show_is_counted():
+    curves = take()
+    assert lost_by(curves, make_protocol("livelink", "a", ())).startswith(
+        "ARKit is a lossy preview"
+    )
+    assert "vrm1: the shapes show" in lost_by(curves, make_protocol("vmc", "", (), "vrm1"))
+    protocol = make_protocol("json", "a", curves.names)
+    (packet,) = (json.loads(data) for data in protocol.datagrams(0, 0.0, 30, curves.values[0]))
+    sent = len(packet["a"]["Properties"])
+    told = re.match(r"json does not show (\d+) moving controls", lost_by(curves, protocol))
+    assert sent + int(told[1]) == 185
+    raw = convert(curves, RAW_ID)
+    assert lost_by(raw, make_protocol("json", "a", raw.names)) == ""
