@@ -30,8 +30,8 @@ def glb_to_fbx(source: Path | str, target: Path | str, fps: float, tolerance: fl
     fps : float
         Rate of the file; every frame has keys.
     tolerance : float
-        Above 0: a key is left out if it differs from the last one by less than this share of its
-        value.
+        Above 0: few linear keys that stay this near to weights; to turns within ten times as many
+        degrees.
 
     Raises
     ------

@@ -4,11 +4,18 @@
 """
 
 import os
+import runpy
 import sys
 from math import ceil
+from pathlib import Path
 from typing import Any
 
 import bpy  # type: ignore[import-not-found]
+
+EQUAL = 1e-6
+"""Factor of the exporter by which only equal values are."""
+WIDTHS = {"DeformPercent": 100.0, "R": 10.0, "T": 0.1}
+"""Tolerance of percents, degrees and metres for a share of 1."""
 
 
 def to_fbx(source: str, target: str, fps: float, tolerance: float) -> None:
@@ -20,13 +27,44 @@ def to_fbx(source: str, target: str, fps: float, tolerance: float) -> None:
     set_range(scene)
     for material in bpy.data.materials:
         link_textures(material.node_tree)
-    # The exporter drops keys that differ from the last one by less than a share of the value.
+    if tolerance:
+        keep_few_keys(tolerance)
     bpy.ops.export_scene.fbx(
         filepath=target, check_existing=False, apply_scale_options="FBX_SCALE_ALL",
         use_mesh_modifiers=False, add_leaf_bones=False, path_mode="COPY", embed_textures=True,
         bake_anim_use_nla_strips=False, bake_anim_use_all_actions=False,
-        bake_anim_simplify_factor=1000 * tolerance,
+        bake_anim_simplify_factor=EQUAL * bool(tolerance),
     )  # fmt: skip
+
+
+def keep_few_keys(tolerance: float) -> None:
+    """Let the exporter write the keys between which straight lines stay within a tolerance.
+
+    Its own rule drops keys that differ little from the one before, and keeps most. Importers,
+    Blender's among them, take FBX keys for linear.
+    """
+    from io_scene_fbx.fbx_utils import AnimationCurveNodeWrapper  # type: ignore[import-not-found]
+
+    clip = Path(__file__).parents[1] / "unreal" / "deitalk_clip.py"
+    curve_keys = runpy.run_path(str(clip))["curve_keys"]
+    by_blender = AnimationCurveNodeWrapper.simplify
+
+    def simplify(node: Any, *options: Any) -> None:
+        by_blender(node, *options)
+        width = tolerance * WIDTHS.get(node.fbx_gname[0], 1.0)
+        for values, written in zip(node._frame_values_array, node._frame_write_mask_array):  # noqa: B905
+            if written.any():
+                row = values.tolist()
+
+                def off_line(first: int, last: int, row: list[float] = row) -> Any:
+                    start, slope = row[first], (row[last] - row[first]) / (last - first)
+                    off = max(abs(row[i] - start - slope * (i - first)) for i in range(first, last))
+                    return off, slope, slope
+
+                written[1:-1] = False
+                written[[key[0] for key in curve_keys(row, width, off_line)]] = True
+
+    AnimationCurveNodeWrapper.simplify = simplify
 
 
 def to_glb(source: str, target: str) -> None:

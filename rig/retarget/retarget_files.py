@@ -104,8 +104,8 @@ def retarget_curves(
     as_neutral : bool
         Ignore the mesh's own shapes.
     keys : float
-        Tolerance of few keys in a GLB whose own shapes are driven; see `WeightAnimation`. In an
-        FBX it is a share of a value; see `rig.mesh.fbx`.
+        Tolerance of few keys in a GLB whose own shapes are driven, see `WeightAnimation`, or in an
+        FBX, see `rig.mesh.fbx.glb_to_fbx`.
 
     Raises
     ------
