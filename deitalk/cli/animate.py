@@ -235,6 +235,8 @@ def _check(
     if preview:
         raise DeitalkError(f"--preview goes with a take folder; {out} is one file")
     reserve_file(out, force=force, inputs=inputs)
+    if out.suffix.lower() == ".fbx":  # it holds no sound
+        reserve_file(out.with_suffix(".wav"), force=force, inputs=inputs)
 
 
 def _check_head(out: Path, is_folder: bool, preview: bool, identity: str | None) -> None:
@@ -294,6 +296,7 @@ def _extras(preview: bool, identity: str | None) -> "tuple[Extra, ...]":
 
 
 def _write_file(out: Path, performance: "Performance", form: dict[str, Any]) -> None:
+    from deitalk.audio.load import write_wav
     from rig import write_curves
 
     sound, seconds = performance.sound_file, performance.recording.duration
@@ -302,6 +305,9 @@ def _write_file(out: Path, performance: "Performance", form: dict[str, Any]) -> 
         console().note(report.note)
     for track in report.dropped:
         console().note(f"{out.name} cannot contain the {track} track; a take folder can")
+    if out.suffix.lower() == ".fbx":
+        write_wav(out.with_suffix(".wav"), performance.recording.waveform, start=form["start"])
+        console().print(f"{out.with_suffix('.wav')}: its sound, from the first frame on")
 
 
 def _summary(out: Path, performance: "Performance") -> dict[str, Any]:

@@ -17,7 +17,7 @@ from deitalk.cli.options import (
     acting_options,
     control_set_of,
 )
-from deitalk.cli.paths import curves_of, reserve_file
+from deitalk.cli.paths import curves_of, reserve_file, reserve_sound, write_sound
 from deitalk.errors import DeitalkError
 from rig.errors import as_line
 
@@ -97,6 +97,7 @@ def convert(
     if source is None or target is None:
         raise typer.BadParameter("give a source and a target (or --list-formats)")
     reserve_file(target, force=force, inputs=(source, curves_of(source)))
+    sound = reserve_sound(target, source / "audio.wav", force=force)
     wanted, head = _control_set(rig, target, to), _head(identity)
     curves = read_curves(curves_of(source), format=from_, fps=source_fps, control_set=None)
     if start or end is not None:
@@ -110,6 +111,8 @@ def convert(
         target, curves, format=to, fps=fps, digits=digits, identity=head, **speech
     )
     _report(replace(report, note="; ".join(filter(None, (note, report.note)))), as_json)
+    if sound is not None:
+        write_sound(sound, source / "audio.wav", start, end)
 
 
 def _control_set(rig: str, target: Path, to: str | None) -> str | None:

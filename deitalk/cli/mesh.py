@@ -9,7 +9,13 @@ import typer
 
 from deitalk.cli.console import bar, console, emit_json
 from deitalk.cli.options import Force, Json, MeshOut
-from deitalk.cli.paths import curves_of, reserve_file, reserve_mesh
+from deitalk.cli.paths import (
+    curves_of,
+    reserve_file,
+    reserve_mesh,
+    reserve_sound,
+    write_sound,
+)
 from deitalk.errors import DeitalkError
 
 if TYPE_CHECKING:
@@ -161,6 +167,7 @@ def retarget(
     if method not in ("displacements", "gradients"):
         raise DeitalkError(f"--method {method!r} is unknown; use displacements or gradients")
     reserve_mesh(out, force=force, inputs=(curves_of(take), mesh, landmarks, mapping), fbx=True)
+    sound = reserve_sound(Path(out), take / "audio.wav", force=force)
     if write_mapping is not None:
         reserve_file(write_mapping, force=force, inputs=(curves_of(take), mesh, mapping))
     curves = read_known_or_own(curves_of(take))
@@ -178,6 +185,8 @@ def retarget(
     if write_mapping is not None:
         save(write_mapping, report.mapping)
     _retarget_report(report, as_json)
+    if sound is not None:
+        write_sound(sound, take / "audio.wav")
 
 
 def _retarget_report(report: "RetargetReport", as_json: bool) -> None:

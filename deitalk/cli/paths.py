@@ -9,7 +9,7 @@ from typing import Any
 
 import typer
 
-from deitalk.cli.console import emit
+from deitalk.cli.console import console, emit
 from deitalk.errors import DataError, DeitalkError
 
 PICTURES = (".png", ".svg", ".pdf")
@@ -71,6 +71,33 @@ def reserve_mesh(out: str, *, force: bool, inputs: Inputs = (), fbx: bool = Fals
         reserve_folder(Path(out), kind="frames", force=force, inputs=inputs)
     else:
         reserve_file(Path(out), force=force, inputs=inputs)
+
+
+def reserve_sound(out: Path, sound: Path | None, *, force: bool) -> Path | None:
+    """Reserve the ``.wav`` beside an FBX, which holds no sound; None for other files.
+
+    `sound` is that of the take; without one there is nothing to write.
+    """
+    if out.suffix.lower() != ".fbx" or sound is None or not sound.is_file():
+        return None
+    beside = out.with_suffix(".wav")
+    reserve_file(beside, force=force, inputs=(sound,))
+    return beside
+
+
+def write_sound(beside: Path, sound: Path, start: float = 0.0, end: float | None = None) -> None:
+    """Write the sound of a take from one second to another, and say so."""
+    import soundfile
+
+    from rig.files import atomic_write
+
+    with soundfile.SoundFile(sound) as opened:
+        first, last = (round(t * opened.samplerate) for t in (start, end or opened.frames))
+        opened.seek(min(first, opened.frames))
+        rows = opened.read(max(min(last, opened.frames) - first, 0), dtype="int16")
+        with atomic_write(beside) as path:
+            soundfile.write(path, rows, opened.samplerate)
+    console().print(f"{beside}: its sound, from the first frame on")
 
 
 def _refuse_stdout(path: Path) -> None:

@@ -17,6 +17,7 @@ from rig.errors import ExistsError, RigError
 from rig.formats.livelink_csv import read_take
 from rig.livelink import Receiver, make_protocol, osc, send
 from rig.livelink.sender import REST_REPEATS
+from rig.mesh import fbx
 from tests.each import each
 
 BOARD = default_controls()
@@ -205,6 +206,24 @@ def test_part_of_a_take_has_the_duration_of_the_part(curves_file, tmp_path):
     out = tmp_path / "part.rhubarb.json"
     assert run("convert", tmp_path, out, "--start", "0.2", "--end", "0.7").exit_code == 0
     assert json.loads(out.read_text())["metadata"]["duration"] == 0.5
+
+
+def test_sound_of_a_take_lies_beside_its_fbx(curves_file, tmp_path, monkeypatch):
+    """Of the same part; a file that is there stays, and so does the take's own."""
+    monkeypatch.setattr(fbx, "run_blender", lambda source, target, *rest: target.write_bytes(b"x"))
+    ramp = np.arange(16_000, dtype=np.int16)
+    soundfile.write(tmp_path / "audio.wav", ramp, 16_000)
+    out = tmp_path / "part.fbx"
+    result = run("convert", tmp_path, out, "--start", "0.2", "--end", "0.7")
+    assert result.exit_code == 0 and "part.wav: its sound" in result.stderr
+    found, rate = soundfile.read(tmp_path / "part.wav", dtype="int16")
+    assert rate == 16_000 and found.tolist() == ramp[3200:11200].tolist()
+    (tmp_path / "b.wav").write_bytes(b"mine")
+    result = run("convert", tmp_path, tmp_path / "b.fbx")
+    assert result.exit_code == 1 and "b.wav exists" in result.stderr
+    assert not (tmp_path / "b.fbx").exists() and (tmp_path / "b.wav").read_bytes() == b"mine"
+    assert run("convert", tmp_path, tmp_path / "audio.fbx", "--force").exit_code == 1
+    assert soundfile.info(tmp_path / "audio.wav").frames == 16_000
 
 
 @pytest.mark.parametrize("name", ["a.usda", "a.unreal.json", "a.txt"])
