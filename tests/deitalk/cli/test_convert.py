@@ -220,7 +220,7 @@ def test_sound_of_a_take_lies_beside_its_fbx(curves_file, tmp_path, monkeypatch)
     assert rate == 16_000 and found.tolist() == ramp[3200:11200].tolist()
     (tmp_path / "b.wav").write_bytes(b"mine")
     result = run("convert", tmp_path, tmp_path / "b.fbx")
-    assert result.exit_code == 1 and "b.wav exists" in result.stderr
+    assert result.exit_code == 1 and "b.wav exists" in str(result.exception)
     assert not (tmp_path / "b.fbx").exists() and (tmp_path / "b.wav").read_bytes() == b"mine"
     assert run("convert", tmp_path, tmp_path / "audio.fbx", "--force").exit_code == 1
     assert soundfile.info(tmp_path / "audio.wav").frames == 16_000
