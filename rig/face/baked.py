@@ -70,4 +70,4 @@ def _painted(head: Head, corners: Float64, values: Float64) -> Float32:
     factors = [map_coordinates(share[..., k], at, order=1, mode="nearest") for k in range(3)]
     painted = found[..., :3] * np.stack(factors, axis=-1).reshape(*nearest.shape, 3)
     _, place = distance_transform_edt(nearest < 0, return_indices=True)
-    return np.clip(painted[tuple(place)], 0, 1).astype(np.float32)
+    return np.asarray(np.clip(painted[tuple(place)], 0, 1), np.float32)

@@ -15,6 +15,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,7 +46,8 @@ SUBJECT_REST = (
 """Properties after the raw curves of every MetaHuman subject since Unreal 5.6, in their order
 (LiveLinkFaceSource.cpp): degrees in the axes of the head's bone (up, forward, right), first about
 the upright one; cm back, left and up."""
-_BONE_TURN, _HEAD_TURN = "XZY", "YXZ"
+_BONE_TURN: Final = "XZY"
+_HEAD_TURN: Final = "YXZ"
 """Orders of the angles about the axes left, up and forward, of the bone and of the track."""
 _HEAD_SIGNS = (-1.0, -1.0, 1.0)
 COUNT = "BlendshapeCount"

@@ -156,7 +156,8 @@ def _head(sequence: Any, grid: list[float]) -> dict[str, Any] | None:
     switch = keys.pop("HeadControlSwitch", 1.0)
     if "HeadYaw" not in keys or switch == 0:
         return None
-    return deitalk_clip.head_of_curves(keys)
+    track: dict[str, Any] = deitalk_clip.head_of_curves(keys)
+    return track
 
 
 def _curve_names(sequence: Any) -> list[str]:
