@@ -113,6 +113,15 @@ class OpenGLRenderer:
             self._things.pop().release()
 
 
+def has_graphics_processor() -> bool:
+    """Whether OpenGL works and is not itself drawn by the main processor (Mesa's slower drivers)."""
+    try:
+        name = open_context().info["GL_RENDERER"].lower()
+    except RigError:
+        return False
+    return not any(driver in name for driver in ("llvmpipe", "softpipe", "swrast", "swiftshader"))
+
+
 @lru_cache(maxsize=1)
 def open_context() -> Any:
     """The one OpenGL context of the process, so that none has to be made current."""

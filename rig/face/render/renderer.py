@@ -7,7 +7,7 @@ import numpy as np
 from rig.arrays import Float32, Float64
 from rig.errors import RigError
 from rig.face.geometry.mesh import Mesh, vertex_normals
-from rig.face.render.opengl import OpenGLRenderer, open_context
+from rig.face.render.opengl import OpenGLRenderer, has_graphics_processor, open_context
 from rig.face.render.shading import Picture, View
 
 Backend = Literal["auto", "opengl", "software"]
@@ -71,7 +71,7 @@ def check_backend(backend: Backend) -> None:
 def make_renderer(
     mesh: Mesh, *, size: tuple[int, int], view: View, backend: Backend = "auto"
 ) -> Renderer:
-    """Choose a backend: ``auto`` takes OpenGL where it works and numpy elsewhere.
+    """Choose a backend: ``auto`` takes OpenGL where a graphics processor draws, ours elsewhere.
 
     Raises
     ------
@@ -79,12 +79,8 @@ def make_renderer(
         For an unknown backend, or for ``opengl`` where it is not available.
     """
     check_backend(backend)
-    if backend != "software":
-        try:
-            return Renderer(mesh, OpenGLRenderer(mesh, size, view), "opengl")
-        except RigError:
-            if backend == "opengl":
-                raise
+    if backend == "opengl" or (backend == "auto" and has_graphics_processor()):
+        return Renderer(mesh, OpenGLRenderer(mesh, size, view), "opengl")
     from rig.face.render.software import SoftwareRenderer  # compiles; half a second to import
 
     return Renderer(mesh, SoftwareRenderer(mesh, size, view), "software")

@@ -1,6 +1,7 @@
 """Pictures: both backends, sheets, letters and PNG."""
 
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from rig.face.contact_sheet import SHEETS, Tile, draw_sheet, pose_values, sheet_
 from rig.face.geometry.mesh import Mesh
 from rig.face.render import VIEWS, View, make_renderer
 from rig.face.render import opengl as opengl_module
+from rig.face.render import renderer as renderer_module
 from rig.face.render.shading import background, text_width, write_png, write_text
 from rig.face.render.software import Screen, front_faces, nearest_faces
 from tests.each import each
@@ -208,6 +210,18 @@ def test_auto_falls_back_to_numpy_without_opengl(head, monkeypatch):
     assert make_renderer(mesh, size=SIZE, view=FROM_FRONT).backend == "software"
     with pytest.raises(RigError, match="no OpenGL here"):
         make_renderer(mesh, size=SIZE, view=FROM_FRONT, backend="opengl")
+
+
+@pytest.mark.parametrize(
+    ("driver", "chosen"),
+    [("llvmpipe (LLVM 19.1.7, 256 bits)", "software"), ("NVIDIA GeForce RTX 4070", "opengl")],
+)
+def test_auto_takes_opengl_where_a_graphics_processor_draws(driver, chosen, monkeypatch):
+    context = SimpleNamespace(info={"GL_RENDERER": driver})
+    monkeypatch.setattr(opengl_module, "open_context", lambda: context)
+    monkeypatch.setattr(renderer_module, "OpenGLRenderer", lambda *given: None)
+    mesh = square(0, (1, 0, 0))
+    assert make_renderer(mesh, size=SIZE, view=FROM_FRONT).backend == chosen
 
 
 def test_missing_moderngl_names_the_install_line(monkeypatch):
