@@ -21,15 +21,6 @@ def test_list_of_formats_equals_the_output_of_the_command():
     assert printed in (DOCS / "formats.md").read_text()
 
 
-@each("page", [*sorted(DOCS.glob("unreal*.md")), DOCS / "formats.md"])
-def test_links_and_paths_exist(page):
-    text = page.read_text()
-    for link in re.findall(r"\]\(([^)#]+)\)", text):
-        assert (page.parent / link).exists(), link
-    for path in re.findall(r"`(rig/[\w/.]+\.\w+)`", text):
-        assert (ROOT / path).exists(), path
-
-
 @each("page", sorted(DOCS.glob("unreal*.md")))
 def test_functions_of_the_script_exist(page):
     script = (ROOT / "rig/unreal/deitalk_unreal.py").read_text()

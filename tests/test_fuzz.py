@@ -1,4 +1,4 @@
-"""A thousand fuzzed inputs of every reader: read, or refused in one line, within the time limit.
+"""Fuzzed inputs of every reader: read, or refused in one line, within the time limit.
 
 ``python -m tests.fuzz --count 100000`` is the nightly size, in workers of bounded memory.
 """
@@ -14,7 +14,7 @@ from tests.fuzz.mutate import mutated
 from tests.fuzz.readers import SLOW, Reader, Seed, readers
 from tests.fuzz.run import attempt, in_process
 
-COUNT = int(os.environ.get("FUZZ_COUNT", "1000"))
+COUNT = int(os.environ.get("FUZZ_COUNT", "100"))
 READERS = readers()
 
 

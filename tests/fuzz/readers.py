@@ -74,6 +74,25 @@ def _formats() -> list[str]:
     ]
 
 
+def _checked_seeds(folder: Path) -> list[Seed]:
+    from rig.mesh.glb import write_container
+
+    write_container(folder / "c.glb", {"asset": {}, "meshes": [], "animations": []}, bytes(8))
+    seeds = [Seed("c.glb", (folder / "c.glb").read_bytes(), mutated_glb)]
+    for suffix in (".unreal.json", ".visemes.json", ".livelink.csv", ".maya.py", ".csv"):
+        seeds += _curve_seeds(suffix, folder)[:1]
+    return seeds
+
+
+def _check(path: Path) -> object:
+    """Check any file of curves: findings of one line each, also of a file that no reader reads."""
+    from rig.validation.curves import validate
+
+    texts = [finding.text for finding in validate(path).findings]
+    assert texts and not [text for text in texts if "\n" in text]
+    return texts
+
+
 # --- emotion and intensity
 
 
@@ -344,9 +363,10 @@ def readers() -> dict[str, Reader]:
         "model-load": Reader(_model_seeds, _read_whole_model),
         "override": Reader(_override_seeds, _read_override),
         "datagram": Reader(_datagram_seeds, _read_datagram),
+        "validation": Reader(_checked_seeds, _check),
         "audio": Reader(_audio_seeds, _read_audio),
     }
 
 
 SLOW = ("model-load", "audio")
-"""Readers that are too slow for a thousand inputs in the tests of every change."""
+"""Readers that are too slow for the tests of every change."""

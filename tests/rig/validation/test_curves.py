@@ -3,14 +3,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from rig import RigCurves, default_controls, rest_curves, write_curves
 from rig.conversion.arkit import arkit_controls
 from rig.errors import FormatError
 from rig.formats.livelink_csv import LiveLinkTake, frame_ticks, write_take
-from rig.formats.table import FORMATS
 from rig.validation.curves import validate
 from tests.each import each
 from tests.unreal_live_link import import_csv
@@ -275,39 +272,6 @@ def test_empty_folder_and_absent_path(tmp_path):
     assert not validate(tmp_path).ok
     with pytest.raises(FormatError, match="does not exist"):
         validate(tmp_path / "absent")
-
-
-SUFFIXES = sorted({s for f in FORMATS for s in f.suffixes if f.name != "usd"})
-
-
-@pytest.mark.parametrize("suffix", SUFFIXES)
-@settings(max_examples=25, deadline=None)
-@given(data=st.binary(max_size=300))
-def test_any_bytes_give_an_error_of_one_line(suffix, data, tmp_path_factory):
-    path = tmp_path_factory.mktemp("fuzz") / f"c{suffix}"
-    path.write_bytes(data)
-    validation = validate(path)
-    assert not validation.ok
-    assert all("\n" not in finding.text for finding in validation.findings)
-
-
-@pytest.mark.parametrize("suffix", [".unreal.json", ".visemes.json", ".glb"])
-@settings(max_examples=25, deadline=None)
-@given(place=st.floats(0, 1), byte=st.integers(0, 255), cut=st.booleans())
-def test_one_wrong_byte_gives_findings(suffix, place, byte, cut, tmp_path_factory):
-    folder = tmp_path_factory.mktemp("fuzz")
-    if suffix == ".glb":
-        from rig.mesh.glb import write_container
-
-        write_container(folder / "c.glb", {"asset": {}, "meshes": [], "animations": []}, bytes(8))
-    else:
-        write_curves(folder / f"c{suffix}", rest_curves(2))
-    path = folder / f"c{suffix}"
-    data = bytearray(path.read_bytes())
-    at = min(int(place * len(data)), len(data) - 1)
-    data[at : at + 1] = bytes([byte])
-    path.write_bytes(bytes(data[:at] if cut else data))
-    assert validate(path).findings
 
 
 def test_raw_subjects_are_checked_by_the_face_blueprints_of_5_6(tmp_path):
