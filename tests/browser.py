@@ -44,10 +44,18 @@ def chromium(*flags: str, player: bool = True) -> Iterator[Any]:
         launched.close()
 
 
+SHARPNESS = 0.25
+"""Drawn pixels by CSS pixel: software draws 16 times fewer of them, in a fifth of the time."""
+
+
 @contextmanager
 def opened(browser: Any, path: Path, **context: Any) -> Iterator[Any]:
     """A tab that shows a page; its console's errors and warnings are in ``tab.complaints``."""
-    context = {"viewport": {"width": 1280, "height": 860}, **context}
+    context = {
+        "viewport": {"width": 1280, "height": 860},
+        "device_scale_factor": SHARPNESS,
+        **context,
+    }
     # the page forbids eval, which Playwright's wait_for_function needs
     with browser.new_context(offline=True, bypass_csp=True, **context) as window:
         tab = window.new_page()

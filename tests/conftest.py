@@ -1,6 +1,7 @@
 """Fixtures that several test files share."""
 
 import signal
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -27,6 +28,14 @@ def shared() -> Path:
     if not SHARED.is_dir():
         pytest.skip("needs the development data in ../shared")
     return SHARED
+
+
+@pytest.fixture
+def empty_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Figures are written without content; matplotlib takes half of the time of a short training."""
+    if find_spec("matplotlib"):
+        figure = "matplotlib.figure.Figure.savefig"
+        monkeypatch.setattr(figure, lambda self, path, **_: Path(path).write_bytes(b""))
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

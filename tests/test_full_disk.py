@@ -24,7 +24,7 @@ from rig.mesh import TriMesh, write_obj
 from tests.deitalk.pipeline.test_curves import SMALL
 
 PAGE = 4096  # bytes; the block of a tmpfs
-SHARES = (0.0, 0.04, 0.3, 0.6, 0.9, 0.99)
+SHARES = (0.0, 0.3, 0.9)
 
 
 @pytest.fixture(scope="module")

@@ -1,5 +1,6 @@
 """One acting through every door: the same curves to 1e-5, the same settings in take.json."""
 
+import functools
 import importlib
 import io
 import json
@@ -95,10 +96,11 @@ def place(tmp_path_factory):
     return folder
 
 
-@pytest.fixture
-def here(place, monkeypatch):
-    monkeypatch.chdir(place)
-    return place
+@pytest.fixture(scope="module")
+def here(place):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(place)
+        yield place
 
 
 def fields_of(case):
@@ -113,10 +115,6 @@ def take_of(folder: Path) -> Made:
 
 
 # --- doors
-
-
-def python(fields):
-    return animate("line.wav", model="tiny", **fields)
 
 
 def run(*words):
@@ -181,6 +179,7 @@ def http(fields, server):
 
 
 def mesh(fields, tmp_path, monkeypatch):
+    monkeypatch.setattr(np, "savez_compressed", np.savez)  # for time
     run("animate", "line.wav", "--vertices", "-o", tmp_path / "m.npz", "--model", "tiny",
         *options(fields))  # fmt: skip
     return np.load(tmp_path / "m.npz")["vertices"]
@@ -256,14 +255,15 @@ def same(found, wanted):
     assert found.settings == wanted.settings
 
 
-@pytest.fixture
-def wanted(here, tmp_path):
+@pytest.fixture(scope="module")
+def wanted(here, tmp_path_factory):
     """The reference: Python, and its take."""
 
+    @functools.cache
     def make(case) -> Made:
-        performance = python(fields_of(case))
-        performance.save(tmp_path / "python")
-        return Made(performance.curves.values, take_of(tmp_path / "python").settings)
+        performance = animate("line.wav", model="tiny", **fields_of(case))
+        take = performance.save(tmp_path_factory.mktemp("python") / "take")
+        return Made(performance.curves.values, take_of(take).settings)
 
     return make
 

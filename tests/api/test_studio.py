@@ -14,7 +14,7 @@ from rig import default_controls, read_curves
 from tests.api.conftest import KEYS, wav
 from tests.api.server import ROOT
 from tests.api.test_live import resident_mb
-from tests.browser import chromium, lateness, needs_player
+from tests.browser import SHARPNESS, chromium, lateness, needs_player
 
 SECONDS = 2.0
 UNTIL_SECONDS = 300
@@ -39,7 +39,7 @@ def speech(tmp_path_factory):
 @contextmanager
 def studio(browser, server, **context):
     """A tab of the studio; addresses of its requests and its complaints are kept."""
-    with browser.new_context(**context) as window:
+    with browser.new_context(**{"device_scale_factor": SHARPNESS, **context}) as window:
         tab = window.new_page()
         tab.asked, tab.complaints = [], []
         tab.on("request", lambda request: tab.asked.append(request.url))

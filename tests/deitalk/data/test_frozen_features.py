@@ -22,6 +22,8 @@ from deitalk.training.curves import train_curves
 from tests.dataset import write_dataset
 from tests.each import each
 
+pytestmark = pytest.mark.usefixtures("empty_pictures")
+
 TINY = Path(__file__).resolve().parents[3] / "configs" / "tiny.yaml"
 
 

@@ -32,6 +32,8 @@ from deitalk.training.mesh import train_mesh
 from tests.dataset import write_dataset
 from tests.deitalk.models.test_mesh_model import LIPS, RATE, noise, sheet, spoken
 
+pytestmark = pytest.mark.usefixtures("empty_pictures")
+
 CONFIGS = Path(__file__).resolve().parents[3] / "configs"
 STYLES = {"happy": 1.0, "sad": -0.8}
 

@@ -57,3 +57,8 @@ def data(tmp_path_factory) -> Path:
     table.loc[:1, "known"] = "known.txt"
     table.to_csv(folder / "clips.csv", index=False)
     return folder
+
+
+@pytest.fixture(autouse=True)
+def no_pictures(empty_pictures) -> None:
+    """Pictures of runs are not what these tests are about."""

@@ -19,6 +19,8 @@ from tests.deitalk.models.test_mesh_model import VOCA
 from tests.deitalk.models.test_mesh_model import tiny as tiny_mesh
 from tests.each import each
 
+pytestmark = pytest.mark.usefixtures("empty_pictures")
+
 CONFIGS = Path(__file__).resolve().parents[4] / "configs"
 
 
