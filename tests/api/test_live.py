@@ -445,20 +445,6 @@ def test_documented_client_of_a_browser_gets_every_frame(server):
     assert (count, controls) == (60, 185) and last == pytest.approx(59 / 30)
 
 
-def test_first_session_gets_its_header_at_once(tmp_path):
-    """The model was read when the server started: reading it takes seconds."""
-    with serving(tmp_path, log="json") as running:
-        end = time.monotonic() + 120
-        while "live voices are ready" not in running.log.read_text():
-            assert time.monotonic() < end
-            time.sleep(0.2)
-        with connect(f"{running.url.replace('http', 'ws')}/v1/live", proxy=None) as live:
-            began = time.perf_counter()
-            live.send(json.dumps({"type": "start"}))
-            assert json.loads(live.recv())["type"] == "header"
-            assert time.perf_counter() - began < 0.5
-
-
 def test_eyes_turn_when_the_listener_moves(server):
     with connect(f"{server.url.replace('http', 'ws')}/v1/live", proxy=None) as live:
         live.send(json.dumps({"type": "start", "frames": "json", "life": "blinks=0,gaze=0"}))

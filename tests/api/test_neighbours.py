@@ -59,6 +59,17 @@ def wait_for(check, seconds=20.0):
         time.sleep(0.05)
 
 
+def test_first_session_gets_its_header_at_once(crowded):
+    """The model was read when the server started: reading it takes seconds."""
+    wait_for(lambda: "live voices are ready" in crowded.log.read_text(), 120)
+    url = f"{crowded.url.replace('http', 'ws')}/v1/live"
+    with connect(url, additional_headers=headers("anna"), proxy=None) as live:
+        began = time.perf_counter()
+        live.send(json.dumps({"type": "start"}))
+        assert json.loads(live.recv())["type"] == "header"
+        assert time.perf_counter() - began < 0.5
+
+
 def test_work_of_clients_that_left_is_dropped(crowded):
     """Ten abandoned requests, some at work and some waiting, keep nobody waiting."""
     began = time.perf_counter()
