@@ -45,7 +45,7 @@ def disk(tmp_path_factory):
 def sources(tmp_path_factory):
     """Inputs on another disk: speech, a model, a take and a mesh."""
     folder = tmp_path_factory.mktemp("sources")
-    soundfile.write(folder / "speech.wav", speechlike(1.0), 16_000)
+    soundfile.write(folder / "speech.wav", speechlike(0.4), 16_000)
     save_model(folder / "model", DEITalk(SMALL), Config(name="small", model=SMALL), {"steps": 0})
     controls = default_controls()
     rng = np.random.default_rng(0)

@@ -81,10 +81,10 @@ def test_one_stall_in_three_seconds_delays_no_other_frame():
     assert np.abs(np.delete(behind, [60, 61]) - MARGIN_SECONDS).max() < 0.001
 
 
-@each("drift", [-2e-4, 2e-4])
+@each("drift", [-2e-3, 2e-3])
 def test_another_clock_of_the_sound_adds_up_to_no_frame(drift):
-    run, frames = Run(), 30 * 60 * 30
-    for k in range(0, frames, 1):
+    run, frames = Run(), 3 * 60 * 30
+    for k in range(frames):
         run.come(100 + k / FPS * (1 + drift))
     run.sender.drain()
     behind = run.link.times[-1] - (100 + (frames - 1) / FPS * (1 + drift))
