@@ -44,7 +44,7 @@ lip: [mouth_open, smile_l, smile_r]
 """
 
 
-TUNED = ("train.steps=50", "train.evaluate_every=50", "train.learning_rate=1e-3")
+TUNED = ("train.steps=20", "train.evaluate_every=20", "train.learning_rate=3e-3")
 LIP = "CTRL_L_mouth_lipsTogetherU.ty"
 
 
@@ -236,7 +236,7 @@ def foreign(data, tmp_path_factory) -> Path:
 
 def test_model_of_another_rig_needs_no_file_beside_its_folder(base, foreign, tmp_path):
     rig = foreign / "rig.yaml"
-    config = recipe(base, f"model.control_set={rig}", "train.steps=20")
+    config = recipe(base, f"model.control_set={rig}")
     scores = finetune(config, foreign, tmp_path / "run")
     assert "before" not in scores and scores["after"]["error_of_mean_pose"] < 1
     shutil.move(tmp_path / "run" / "best", tmp_path / "moved")
@@ -316,7 +316,7 @@ def test_actors_of_one_model_move_in_their_own_style(base, data, tmp_path):
         write_curves(folder / f"{name}.npz", RigCurves(values, CONTROLS.names, fps=FPS))
         parts.append(known.assign(clip=name + known["clip"], speaker=name, curves=f"{name}.npz"))
     pd.concat(parts).to_csv(folder / "clips.csv", index=False)
-    config = recipe(base, "train.steps=60", "train.evaluate_every=60", "train.learning_rate=3e-3")
+    config = recipe(base, "train.steps=20", "train.evaluate_every=20", "train.learning_rate=1e-2")
     finetune(config, folder, tmp_path / "run")
     model = load_model(tmp_path / "run" / "last")
     assert model.config.actors == ("anna", "ben")

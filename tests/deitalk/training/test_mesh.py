@@ -82,15 +82,15 @@ def folder(sequences) -> MeshFolder:
 @pytest.mark.parametrize(
     ("frontend", "motion", "steps", "more"),
     [
-        (FRONTEND, "gradients", 400, {"schedule": "one_cycle"}),
+        (FRONTEND, "gradients", 150, {"schedule": "one_cycle"}),
         (
             SEGMENT,
             "gradients",
-            400,
+            200,
             {"segment_frames": 8, "lip_weight": 1.0, "ema": 0.9},
         ),
-        (KARRAS, "offsets", 200, {"segment_frames": 8, "schedule": "one_cycle"}),
-        (VOCA, "offsets", 300, {"segment_frames": 8, "batch_size": 32}),
+        (KARRAS, "offsets", 180, {"segment_frames": 8, "schedule": "one_cycle"}),
+        (VOCA, "offsets", 150, {"segment_frames": 8, "batch_size": 32}),
     ],
     ids=["as printed", "segment", "karras", "voca"],
 )
