@@ -21,6 +21,7 @@ from deitalk.pipeline.curves import animate
 from rig import read_curves, write_curves
 from tests.media import write_sound
 
+pytestmark = pytest.mark.usefixtures("empty_pictures")
 ROOT = Path(__file__).resolve().parents[1]
 APP = ROOT / "deitalk/preview/app/index.html"
 """The page's program, which `make page` builds."""

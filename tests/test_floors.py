@@ -1,6 +1,7 @@
 """The floors of both packages: a file imports from lower floors or its own folder only."""
 
 import ast
+import functools
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -69,6 +70,11 @@ def files(package: str) -> list[Path]:
     return [p for p in sorted((ROOT / package).rglob("*.py")) if "web" not in p.parts]
 
 
+@functools.cache
+def tree_of(path: Path) -> ast.Module:
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
 def module_of(path: Path) -> str:
     parts = path.relative_to(ROOT).with_suffix("").parts
     return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
@@ -110,7 +116,7 @@ def test_files_import_from_lower_floors_only(package):
         here = room(module_of(path))
         if here in (*PUBLIC, "unreal"):
             continue
-        for module, line in imports(ast.parse(path.read_text(encoding="utf-8"))):
+        for module, line in imports(tree_of(path)):
             there = room(module)
             if module.split(".")[0] == package and there != here and level[there] >= level[here]:
                 wrong.append(f"{path.relative_to(ROOT)}:{line} imports {module}")
@@ -130,9 +136,7 @@ def test_circles_are_found():
 
 def imported_by(path: Path) -> set[str]:
     """Modules that a file imports, also within functions and under `TYPE_CHECKING`."""
-    return {module for module, _ in imports(ast.parse(path.read_text(encoding="utf-8")))} - {
-        module_of(path)
-    }
+    return {module for module, _ in imports(tree_of(path))} - {module_of(path)}
 
 
 def circles(graph: dict[str, set[str]]) -> Iterator[tuple[str, ...]]:
@@ -191,7 +195,7 @@ def test_no_module_asks_for_the_class_of_a_model_or_its_configuration():
         f"{path.relative_to(ROOT)}:{line}"
         for path in files("deitalk") + files("api")
         if "research" not in path.parts
-        for line in kinds_asked(ast.parse(path.read_text(encoding="utf-8")))
+        for line in kinds_asked(tree_of(path))
     ]
     assert not wrong, "\n".join(wrong)
 
@@ -212,7 +216,7 @@ def test_functions_are_short():
     """Lines without the docstring; a command's signature is its list of options."""
     for package in FLOORS:
         for path in files(package):
-            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            for node in ast.walk(tree_of(path)):
                 if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
                     body = node.body[1:] if ast.get_docstring(node) else node.body
                     n_lines = (body[-1].end_lineno - body[0].lineno + 1) if body else 0

@@ -1,6 +1,7 @@
 """Structure of the packages: allowed imports, modules loaded by a command line, one version."""
 
 import ast
+import functools
 import importlib
 import re
 import subprocess
@@ -35,6 +36,7 @@ def name_of(path: Path) -> str:
     return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
 
+@functools.cache
 def imported(path: Path) -> set[str]:
     """Top-level packages of every import, also of those inside functions and strings of types."""
     found = set()

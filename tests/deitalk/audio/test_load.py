@@ -94,25 +94,6 @@ def test_mp3_samples_equal_those_of_libsndfile(tmp_path, rng):
     np.testing.assert_allclose(load_audio(path).waveform, expected - expected.mean(), atol=1e-5)
 
 
-@pytest.mark.parametrize("kept", [0.3, 0.6, 0.9])
-def test_mp3_with_invalid_bytes_prints_nothing(tmp_path, capfd, rng, kept):
-    sf.write(tmp_path / "a.mp3", tone(44100, 3.0), 44100)
-    content = (tmp_path / "a.mp3").read_bytes()
-    middle = int(kept * len(content))
-    garbage = rng.integers(0, 256, 3000, dtype=np.uint8).tobytes()
-    load_audio(content[:middle] + garbage + content[middle:])
-    assert capfd.readouterr() == ("", "")
-
-
-def test_mp3_after_padding_prints_nothing(tmp_path, capfd):
-    sf.write(tmp_path / "a.mp3", tone(44100, 3.0), 44100)
-    path = tmp_path / "padded.mp3"
-    path.write_bytes(bytes(3000) + (tmp_path / "a.mp3").read_bytes())
-    waveform = load_audio(path).waveform
-    assert np.abs(waveform[8000:40000]).max() == pytest.approx(np.abs(tone(16000)).max(), rel=0.1)
-    assert capfd.readouterr() == ("", "")
-
-
 @pytest.mark.parametrize("kept", [0, 4, 40])
 def test_load_audio_rejects_text_named_mp3_and_prints_nothing(tmp_path, capfd, rng, kept):
     sf.write(tmp_path / "a.mp3", tone(44100, 3.0), 44100)
@@ -150,27 +131,10 @@ def test_tags_that_are_no_utf_8_are_ignored(tmp_path, suffix):
     assert load_audio(content.replace(b"Zoe Z.", b"Zo\xeb Z.")).duration > 0.9
 
 
-def test_load_audio_rejects_half_written_m4a(tmp_path):
-    path = write_sound(tmp_path / "a.m4a", np.stack([tone(48000)], 1), 48000, faststart=False)
-    path.write_bytes(path.read_bytes()[:5000])  # the index comes last
-    with pytest.raises(AudioError, match="cut off or damaged") as error:
-        load_audio(path)
-    assert_one_line(error, "a.m4a", "export it again")
-
-
 def test_load_audio_rejects_video_without_sound(tmp_path):
     with pytest.raises(AudioError, match="has no sound track") as error:
         load_audio(write_silent_video(tmp_path / "a.mp4"))
     assert_one_line(error, "a.mp4", "export it with its sound")
-
-
-@each("suffix", ["m4a", "webm", "mp3"])
-def test_cut_container_is_read_to_its_end(tmp_path, suffix):
-    path = write_sound(tmp_path / f"a.{suffix}", np.stack([tone(48000, 4.0)], 1), 48000)
-    content = path.read_bytes()
-    recording = load_audio(content[: len(content) // 2])
-    assert 1.0 < recording.duration < 3.0
-    assert any("of 4.0" in note and "cut short" in note for note in recording.warnings)
 
 
 def test_damage_inside_a_container_becomes_silence_and_a_warning(tmp_path, rng):
@@ -191,20 +155,6 @@ def test_wav_that_begins_as_mpeg_prints_nothing(capfd, first):
     content[:2] = first
     with pytest.raises(AudioError):
         load_audio(bytes(content))
-    assert capfd.readouterr() == ("", "")
-
-
-def test_header_with_negative_offset_prints_nothing(capfd):
-    file = io.BytesIO()
-    sf.write(file, tone(16000), 16000, format="AIFF")
-    content = bytearray(file.getvalue())
-    for at in range(12, 60, 4):
-        damaged = content.copy()
-        damaged[at : at + 4] = b"\xff\xff\xff\xff"
-        try:
-            load_audio(bytes(damaged))
-        except AudioError as error:
-            assert "\n" not in str(error)
     assert capfd.readouterr() == ("", "")
 
 
@@ -303,19 +253,6 @@ def test_floats_scaled_like_integers_are_rescaled(tmp_path):
     assert recording.clipped_fraction == 0
 
 
-def test_silence_is_read(tmp_path):
-    sf.write(tmp_path / "a.wav", np.zeros((16000, 2)), 16000)
-    recording = load_audio(tmp_path / "a.wav")
-    assert not recording.waveform.any()
-    (note,) = recording.warnings
-    assert "silence" in note
-
-
-def test_one_sample_is_read(tmp_path):
-    sf.write(tmp_path / "a.wav", np.full(1, 0.5), 16000)
-    assert load_audio(tmp_path / "a.wav").n_frames == 1
-
-
 @each("bad", [np.nan, np.inf, -np.inf, 1e30])
 def test_load_audio_rejects_samples_that_are_not_finite(tmp_path, bad):
     samples = tone(16000)
@@ -345,15 +282,6 @@ def test_load_audio_rejects_recordings_too_long_by_header_or_content(tmp_path):
     assert len(load_audio(bytes(content), max_seconds=5).waveform) == 16000
 
 
-def test_the_default_limit_is_three_hours(tmp_path):
-    path = tmp_path / "long.wav"
-    with wave.open(str(path), "wb") as file:
-        file.setparams((1, 1, 4000, 0, "NONE", "NONE"))
-        file.writeframes(bytes(4000 * 10801))
-    with pytest.raises(AudioError, match=r"limit is 10800 s \(3 h\)"):
-        load_audio(path)
-
-
 @each(("kind", "endian"), [("WAV", "LITTLE"), ("AIFF", "BIG")])
 def test_wav_shorter_than_its_header_gives_a_warning(kind, endian):
     file = io.BytesIO()
@@ -363,16 +291,6 @@ def test_wav_shorter_than_its_header_gives_a_warning(kind, endian):
     recording = load_audio(content[: len(content) * 3 // 8])
     assert recording.duration == pytest.approx(1.5, abs=0.01)
     assert any("cut short: 1.50 s of 4.00 s" in note for note in recording.warnings)
-
-
-@each("size", [0x7FFFFFFF, 0xFFFFFFFF])
-def test_wav_written_to_a_pipe_gives_no_warning(size):
-    file = io.BytesIO()
-    sf.write(file, tone(16000), 16000, format="WAV")
-    content = bytearray(file.getvalue())
-    content[40:44] = struct.pack("<I", size)
-    recording = load_audio(bytes(content))
-    assert not any("cut short" in note for note in recording.warnings)
 
 
 def test_cut_file_is_read_to_its_end(tmp_path):
@@ -410,13 +328,6 @@ def test_load_audio_rejects_files_that_are_no_audio(tmp_path, name, content, wor
         assert_one_line(error, words)
 
 
-def test_load_audio_rejects_zero_samples(tmp_path):
-    for channels in (1, 2):
-        sf.write(tmp_path / "a.wav", np.zeros((0, channels)), 16000)
-        with pytest.raises(AudioError, match="holds 0 samples"):
-            load_audio(tmp_path / "a.wav")
-
-
 def test_load_audio_rejects_paths_that_cannot_be_read(tmp_path):
     with pytest.raises(AudioError, match="there is no recording"):
         load_audio(tmp_path / "missing.wav")
@@ -430,23 +341,6 @@ def test_load_audio_rejects_paths_that_cannot_be_read(tmp_path):
         load_audio(io.StringIO("text"))
     with pytest.raises(AudioError, match="a list is no recording"):
         load_audio([0.0])
-
-
-@pytest.mark.skipif(os.geteuid() == 0, reason="root may read everything")
-def test_load_audio_rejects_files_without_permission(tmp_path):
-    path = tmp_path / "a.wav"
-    sf.write(path, tone(16000), 16000)
-    path.chmod(0)
-    with pytest.raises(AudioError, match="permissions"):
-        load_audio(path)
-
-
-def test_write_wav_returns_sixteen_bits_unchanged(tmp_path, rng):
-    steps = rng.integers(-32768, 32768, 5000) / 32768
-    write_wav(tmp_path / "a.wav", steps)
-    samples, rate = sf.read(tmp_path / "a.wav")
-    assert rate == 16000
-    assert np.array_equal(samples, steps)
 
 
 def test_write_wav_clips_and_rejects_invalid_waveforms(tmp_path):

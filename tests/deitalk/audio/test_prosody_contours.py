@@ -38,12 +38,6 @@ def test_one_deviation_is_4_5_db_and_5_percent_of_time_and_pitch(z):
     assert (target[-1] - target[0]) / (source[-1] - source[0]) == pytest.approx(1 / (1 + 0.05 * z))
 
 
-def test_treble_rises_by_2_5_db_more():
-    low = level_db(apply_contour(tone(100), constant(1.0))[0]) - level_db(tone(100))
-    high = level_db(apply_contour(tone(6000), constant(1.0))[0]) - level_db(tone(6000))
-    assert high - low == pytest.approx(2.5, abs=0.4)
-
-
 def test_identity_contour_keeps_the_waveform():
     rng = np.random.default_rng(0)
     spectrum = np.fft.rfft(rng.standard_normal(2 * RATE))
@@ -112,14 +106,3 @@ def test_the_index_measures_what_a_contour_applied(rng):
     applied = contour_at(contour, np.interp(np.arange(n) / 30, target, source))
     assert np.corrcoef(index, applied)[0, 1] > 0.8
     assert index[applied > 0.8].mean() - index[applied < -0.8].mean() > 0.5
-
-
-def test_the_index_does_not_depend_on_the_recording_level(rng):
-    waveform = speechlike(rng)
-    quiet = prosody_index(measure_prosody((waveform * 0.1).astype(np.float32), 120))
-    np.testing.assert_allclose(prosody_index(measure_prosody(waveform, 120)), quiet, atol=0.02)
-
-
-def test_silence_and_short_pieces_have_no_prosody():
-    assert not prosody_index(measure_prosody(np.zeros(RATE, np.float32), 30)).any()
-    assert not prosody_index(measure_prosody(np.zeros(100, np.float32), 1)).any()

@@ -1,5 +1,6 @@
 """Every option of every command with invalid values: one line, before any work."""
 
+import functools
 import inspect
 import sys
 from pathlib import Path
@@ -29,6 +30,7 @@ def functions(group, *path):
         yield from functions(below.typer_instance, *path, below.name)
 
 
+@functools.cache
 def command_of(path):
     """The command object of typer."""
     found = get_command(app)
@@ -80,7 +82,9 @@ def refused(monkeypatch, capsys, tmp_path):
 def typed(command, option, value):
     """A command line with the option, and a missing file for every argument."""
     arguments = [
-        "no-such-file" for p in command_of(command.split()).params if not p.opts[0].startswith("-")
+        "no-such-file"
+        for p in command_of(tuple(command.split())).params
+        if not p.opts[0].startswith("-")
     ]
     return [*command.split(), *arguments, f"{option}={value}"]
 
@@ -100,7 +104,7 @@ def test_fractions_reject_numbers_that_are_not_finite(refused):
 
 def test_whole_numbers_reject_values_out_of_range(refused):
     for command, name, option in INTEGERS:
-        for value in (*NUMBERS, "1.5", HUGE, f"-{HUGE}"):
+        for value in ("nan", "", "1.5", HUGE, f"-{HUGE}"):
             code, line = refused(*typed(command, option, value))
             where = (command, option, value, line)
             assert code in (1, 2) and (option in line or "port" in line), where
@@ -112,7 +116,9 @@ def test_paths_reject_the_empty_name(refused):
     for command, name, option in PATHS:
         line = typed(command, option, "")
         if option is None:
-            places = [p.name for p in command_of(command.split()).params if p.opts[0][0] != "-"]
+            places = [
+                p.name for p in command_of(tuple(command.split())).params if p.opts[0][0] != "-"
+            ]
             empty = ["" if place == name else "no-such-file" for place in places]
             line = [*command.split(), *empty]
         code, message = refused(*line)

@@ -12,7 +12,6 @@ from typer.testing import CliRunner
 
 from deitalk.cli.data import app
 from deitalk.data.checks import check_dataset
-from deitalk.data.offset import loudness
 from deitalk.errors import DataError
 from rig import RigCurves, default_controls, read_curves, write_curves
 from tests.dataset import JAW, RATE, write_dataset
@@ -137,26 +136,6 @@ def test_mouth_that_stays_open_and_values_out_of_range_are_warned_of(folder):
     np.savez(folder / "curves/6.npz", **arrays)
     level, text = checks(folder)["files"]
     assert level == "error" and text.startswith("1 unreadable: clip6 (") and "1.8" in text
-
-
-def test_rare_emotions_are_named(folder):
-    for row in range(5):
-        edit(folder, "emotion", row, "happy")
-    level, text = checks(folder)["emotions"]
-    assert level == "warning" and text.startswith("4 of 5 are rare in train: neutral 0%, angry 0%")
-
-
-def test_most_limits_the_clips_that_are_read(folder):
-    assert checks(folder, most=3)["files"] == ("ok", "3 clips can be read")
-
-
-def test_loudness_is_1_at_the_loudest_and_falls_in_decibels():
-    t = np.arange(RATE) / RATE
-    tone = np.sin(2 * np.pi * 200 * t) * np.where(t < 0.5, 1.0, 0.1)
-    level = loudness(tone.astype(np.float32))
-    assert len(level) == 60
-    np.testing.assert_allclose(level[5:25], 1, atol=0.02)
-    np.testing.assert_allclose(level[35:55], 0.5, atol=0.02)
 
 
 def test_command_prints_a_table_or_json_and_fails_on_errors(folder):

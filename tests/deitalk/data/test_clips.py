@@ -59,16 +59,6 @@ def test_optional_columns_have_defaults(folder):
     assert clip.offset_seconds == 0 and clip.phones is None and clip.intensity is None
 
 
-def test_byte_order_mark_of_a_spreadsheet_is_no_column_name(folder):
-    text = (folder / "clips.csv").read_text()
-    (folder / "clips.csv").write_text(text, encoding="utf-8-sig")
-    assert len(read_clips(folder)) == 6
-
-
-def test_folder_without_clips_csv_is_refused(tmp_path):
-    one_line(tmp_path, r"holds no clips\.csv")
-
-
 @pytest.mark.parametrize(
     "content",
     [b"", b"\xff\xfe\x00\x01\x80", b'clip,audio\n"unclosed,1\n', b"a,b\n1,2,3\n4,5,6,7\n"],
@@ -107,11 +97,6 @@ def test_bad_value_is_named_with_the_rule(folder, column, value, match):
     one_line(folder, match)
 
 
-def test_offset_is_read_in_seconds(folder):
-    spoil(folder, "offset_s", "-0.25", row=2)
-    assert [clip.offset_seconds for clip in read_clips(folder)][1:4] == [0, -0.25, 0]
-
-
 def test_intensity_is_linear_between_its_rows_and_held_beyond(folder):
     clip = read_clips(folder)[0]
     values = read_intensity(clip.intensity, np.array([-1, 0, 0.5, 1, 2, 3, 9.0]))
@@ -148,12 +133,6 @@ def test_read_phones_rejects_damaged_files(tmp_path, text):
     assert "\n" not in str(caught.value)
 
 
-def test_phone_named_like_a_missing_value_stays_a_phone(tmp_path):
-    path = tmp_path / "p.csv"
-    path.write_text("start,end,phone\n0,0.5,NA\n0.5,1,N\n")
-    assert read_phones(path) == [(0, 0.5, "NA"), (0.5, 1, "N")]
-
-
 def test_known_controls_are_those_that_a_file_names(folder):
     controls = default_controls()
     assert read_clips(folder)[0].known is None and read_known(None, controls).all()
@@ -176,8 +155,3 @@ def test_known_controls_rejects(folder, text, match):
     with pytest.raises(DataError, match=match) as caught:
         read_known(path, default_controls())
     assert "known.txt" in str(caught.value) and "\n" not in str(caught.value)
-
-
-def test_file_of_known_controls_must_exist(folder):
-    spoil(folder, "known", "known.txt")
-    one_line(folder, "'known.txt' does not exist")

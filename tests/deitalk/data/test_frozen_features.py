@@ -14,7 +14,6 @@ from deitalk.data.augment_waveform import Surroundings
 from deitalk.data.clips import read_clips
 from deitalk.data.frozen_features import EncodedPasses, FrozenFeatures, remove_features
 from deitalk.data.windows import WindowBatches, load_material, whole_sound
-from deitalk.errors import ConfigError
 from deitalk.models.checkpoint import load_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.research.training.ablation import Variant, ablate
@@ -123,13 +122,6 @@ def test_features_of_a_clip_are_computed_once(data, source, monkeypatch):
     assert np.isfinite(first).all() and len(calls) <= 2
 
 
-def test_training_rejects_a_frontend_of_another_configuration(data, source, tmp_path):
-    config = tiny(f"train.frozen_frontend={source}", "model.frontend.time_hidden=8")
-    with pytest.raises(ConfigError, match=r"built otherwise than model\.frontend") as refused:
-        train_curves(config, data, tmp_path / "run")
-    assert "\n" not in str(refused.value)
-
-
 def test_variants_share_the_features(data, source, tmp_path, monkeypatch):
     made = []
     original = FrozenFeatures.__init__
@@ -223,12 +215,6 @@ def test_interrupted_passes_are_continued_and_finished_ones_kept(tmp_path):
     frontend = Loudness()
     passes(tmp_path / "parts", frontend, 3)
     assert frontend.calls == 0
-
-
-def test_another_seed_gives_other_surroundings(tmp_path):
-    one, other = (passes(tmp_path / str(seed), Loudness(), 2, seed) for seed in (1, 2))
-    assert np.array_equal(one.rows[0], other.rows[0])
-    assert {one.speed(1, path) for path in SOUNDS} != {other.speed(1, path) for path in SOUNDS}
 
 
 def test_files_that_are_no_features_stay(tmp_path):

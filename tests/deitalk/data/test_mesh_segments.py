@@ -15,7 +15,6 @@ from deitalk.data.mesh_bases import fit_mesh_bases
 from deitalk.data.mesh_folder import (
     Lips,
     MeshSequence,
-    acted_clips,
     build_meshes,
     head_lips,
     head_templates,
@@ -23,7 +22,7 @@ from deitalk.data.mesh_folder import (
     read_mesh_folder,
     write_mesh_folder,
 )
-from deitalk.data.mesh_segments import MelWarp, Segments, Spectra, between_frames
+from deitalk.data.mesh_segments import MelWarp, Segments, Spectra
 from deitalk.data.windows import Share
 from deitalk.errors import DataError
 from deitalk.frontends.sdfa import SDFAEncoder
@@ -154,28 +153,6 @@ def test_write_mesh_folder_rejects_a_bad_sequence_and_writes_nothing(tmp_path, r
     assert not list(tmp_path.iterdir())
 
 
-def test_write_mesh_folder_rejects_other_bad_sources(tmp_path, rng):
-    template = sheet()
-    one = sequence("a", "ann", "train", template, rng)
-    sound, vertices = one.load()
-    short = MeshSequence("s", "ann", "train", lambda: (sound, vertices[:1]))
-    unseen = MeshSequence("u", "ann", "test", one.load)
-    for sequences, said in (
-        ([one, one], "appears twice"),
-        ([short], "at least 2"),
-        ([], "no sequences to train on"),
-        ([unseen], "no sequences to train on"),
-    ):
-        with pytest.raises(DataError, match=said):
-            write_mesh_folder(tmp_path / "m", {"ann": template}, sequences, fps=30, unit_mm=1)
-        assert not list(tmp_path.iterdir())
-    with pytest.raises(DataError, match="one topology"):
-        templates = {"ann": template, "bob": sheet(4)}
-        write_mesh_folder(tmp_path / "m", templates, [one], fps=30, unit_mm=1)
-    with pytest.raises(DataError, match="exists already"):
-        write_mesh_folder(tmp_path, {"ann": template}, [one], fps=30, unit_mm=1)
-
-
 def test_read_mesh_folder_rejects_damaged_files(tmp_path, rng):
     folder, _ = written(tmp_path, rng)
     path = tmp_path / "m"
@@ -261,21 +238,6 @@ def test_vocaset_splits_follow_splits_csv(tmp_path, rng):
         build_meshes(root, MeshDataConfig(), tmp_path / "n")
 
 
-def test_build_meshes_rejects_an_incomplete_vocaset(tmp_path, rng):
-    root = tmp_path / "v"
-    vocaset(root, rng, ("ann",), 2)
-    recording = root / "audio/ann/sentence02.wav"
-    recording.unlink()
-    with pytest.raises(DataError, match=r"sentence02\.wav: missing"):
-        build_meshes(root, MeshDataConfig(), tmp_path / "m")
-    (root / "templates/ann.ply").unlink()
-    with pytest.raises(DataError, match=r"holds no \.ply"):
-        build_meshes(root, MeshDataConfig(), tmp_path / "m")
-    with pytest.raises(DataError, match="neither"):
-        build_meshes(tmp_path / "nothing", MeshDataConfig(), tmp_path / "m")
-    assert not (tmp_path / "m").exists()
-
-
 def test_heads_act_a_dataset_folder(tmp_path):
     data = write_dataset(tmp_path / "d", 3, 2)
     config = MeshDataConfig(fps=30, identities=(2, 5), clips=2, validation_clips=1)
@@ -306,14 +268,6 @@ def test_heads_act_a_dataset_folder(tmp_path):
     with pytest.raises(DataError, match=r"set data\.fps=30"):
         open_meshes(data, MeshDataConfig(), tmp_path / "m")
     assert SECONDS * 30 == 90
-
-
-def test_clips_are_chosen_by_emotion_and_spread(tmp_path):
-    data = write_dataset(tmp_path / "d", 10, 1)  # emotions take turns, five of them
-    names = [clip.name for clip in acted_clips(data, "train", None, 4)]
-    assert names == ["clip0", "clip3", "clip6", "clip9"]
-    assert {clip.emotion for clip in acted_clips(data, "train", ["sad"], None)} == {"sad"}
-    assert len(acted_clips(data, "train", ["sad", "angry"], None)) == 4
 
 
 # Spectra
@@ -423,16 +377,6 @@ def test_augmented_segments_have_one_shift_and_linear_targets(tmp_path):
     assert 0.3 < np.mean(np.abs(np.array(stretches) - 1) < 0.01) < 0.7  # half are as they were
 
 
-def test_augmentation_changes_the_sound(tmp_path, rng):
-    folder, _ = written(tmp_path, rng)
-    changed = 0
-    for number in range(20):
-        plain, rich = (segments(folder, augment=a).item(number) for a in (False, True))
-        assert torch.isfinite(rich.features).all()
-        changed += bool((plain.features - rich.features).abs().amax() > 0.1)
-    assert changed >= 18
-
-
 def test_batches_do_not_depend_on_workers_or_interruptions(tmp_path, rng):
     folder, _ = written(tmp_path, rng)
     first = [b for b, _ in zip(segments(folder, augment=True), range(4), strict=False)]
@@ -452,18 +396,6 @@ def test_clip_shorter_than_a_segment_holds_its_end(tmp_path, rng):
     folder, _ = written(tmp_path, rng, n_frames=4)
     segment = segments(folder, n_frames=12).item(0)
     assert torch.equal(segment.offsets[-1], segment.offsets[-2])
-
-
-def test_segments_reject_no_clips():
-    with pytest.raises(DataError, match="no mesh sequences"):
-        Segments([], (), 30, ENCODER, n_frames=2, seed=0, batch_size=1, augment=False)
-
-
-def test_between_frames_by_hand():
-    rows = np.array([[0.0, 3.0], [1.0, -3.0], [4.0, -3.0]], np.float32)
-    out = between_frames(rows, np.array([-1.0, 0.25, 0.75, 1.5, 9.0]))
-    np.testing.assert_allclose(out[:, 0], [0, 0.25, 0.75, 2.5, 4])
-    np.testing.assert_allclose(out[:, 1], [3, 1.5, -1.5, -3, -3])
 
 
 # Bases

@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-import soundfile
 import torch
 from torch.utils.data import DataLoader
 
@@ -17,14 +16,11 @@ from deitalk.data.clips import read_clips
 from deitalk.data.windows import (
     Material,
     MaterialCache,
-    Share,
     WindowBatches,
     count_windows,
     cut,
     load_material,
-    n_clip_frames,
 )
-from deitalk.errors import DataError
 from rig import RigCurves, default_controls, read_curves, write_curves
 from tests.dataset import CLICKS, FPS, JAW, RATE, SECONDS, write_dataset
 from tests.each import each
@@ -87,11 +83,6 @@ def test_window_begins_before_curves_that_start_late():
     assert np.flatnonzero(curves[:, 0] > 0.5)[0] == 45, "the step is at 1.5 s"
 
 
-def test_frames_of_a_clip_are_counted_in_integers():
-    assert n_clip_frames(132_800) == 249, "8.3 s: 30 * 8.3 is a little more than 249 in floats"
-    assert n_clip_frames(1) == 1 and n_clip_frames(0) == 1 and n_clip_frames(16_000, 1.25) == 24
-
-
 def test_clip_in_memory_is_the_recording_to_16_bits(folder):
     clip = read_clips(folder, "train")[0]
     material = load_material(clip, CONTROLS)
@@ -101,13 +92,6 @@ def test_clip_in_memory_is_the_recording_to_16_bits(folder):
     np.testing.assert_allclose(window, expected, rtol=0, atol=np.abs(expected).max() / 60_000)
     # 3 s: 48000 samples of 2 bytes; 180 rows of curves of 2 bytes, times of 8, intensities of 4
     assert material.n_bytes == 48_000 * 2 + 180 * (185 * 2 + 8 + 4)
-
-
-def test_silence_stays_silence_in_memory(tmp_path):
-    folder = write_dataset(tmp_path, 1, 0)
-    soundfile.write(folder / "audio/0.flac", np.zeros(3 * RATE), RATE, subtype="PCM_16")
-    window, *_ = cut(load_material(read_clips(folder)[0], CONTROLS), 0, SECONDS_FRAMES)
-    assert len(window) == 3 * RATE and not window.any()
 
 
 def test_memory_is_bounded_and_what_was_used_last_stays(folder, monkeypatch):
@@ -161,19 +145,6 @@ def test_batch_is_the_same_for_any_number_of_workers(folder):
         there = take(DataLoader(batches(folder), batch_size=None, num_workers=workers), 4)
         assert all(same(a, b) for a, b in zip(here, there, strict=True)), workers
     assert not same(here[0], here[1]) and not same(here[0], take(batches(folder, seed=4), 1)[0])
-
-
-def test_processes_share_the_batch_of_one(folder):
-    whole = take(batches(folder), 2)
-    parts = [take(batches(folder, share=Share(0, rank, 2)), 2) for rank in range(2)]
-    for k in range(2):
-        for field in range(len(whole[k])):
-            assert torch.equal(whole[k][field][0::2], parts[0][k][field])
-            assert torch.equal(whole[k][field][1::2], parts[1][k][field])
-
-
-def test_interrupted_training_continues_with_the_next_batch(folder):
-    assert same(take(batches(folder), 5)[3], take(batches(folder, share=Share(skip=3)), 1)[0])
 
 
 def test_window_holds_its_position_in_the_clip(folder):
@@ -231,11 +202,6 @@ def test_measured_clips_have_the_configured_share_and_equal_speakers(folder):
     assert np.mean([who == "few" for who in measured]) == pytest.approx(0.5, abs=0.08)
     only = WindowBatches(many, CONTROLS, share, 3, 4)
     assert only._draw(np.random.default_rng(0)).speaker == "many"
-
-
-def test_window_batches_reject_no_clips():
-    with pytest.raises(DataError, match="no clips to train on"):
-        WindowBatches([], CONTROLS, config(), 0, 4)
 
 
 def test_windows_are_counted_from_the_recordings_lengths(folder):

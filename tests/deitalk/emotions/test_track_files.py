@@ -8,7 +8,7 @@ import time
 import numpy as np
 import pytest
 
-from deitalk.emotions import EmotionTrack, parse_emotion, read_intensity_curve
+from deitalk.emotions import parse_emotion, read_intensity_curve
 from deitalk.errors import EmotionError
 from rig import limits
 from tests.each import each
@@ -60,13 +60,6 @@ def test_any_spreadsheet_gives_the_same_keys(tmp_path, text, end, encoding):
     assert curve(path) == KEYS
 
 
-def test_emotions_are_read_from_a_german_spreadsheet(tmp_path):
-    text = "sep=;\r\nTime;Emotion;Strength\r\n0;Happy;0,75\r\n0; SAD ;0,25\r\n2;neutral;1\r\n"
-    track = parse_emotion(written(tmp_path / "t.csv", text, "utf-16"))
-    assert track.times.tolist() == [0, 2]
-    assert track == EmotionTrack(track.times, np.array([[0, 0, 0.75, 0.25, 0], [1, 0, 0, 0, 0]]))
-
-
 def test_weights_in_columns_are_read_with_decimal_commas(tmp_path):
     path = written(tmp_path / "t.tsv", "Time\tHappy\tnote\n0\t0,5\tx\n1\t1\t\n")
     expected = np.array([[0.5, 0, 0.5, 0, 0], [0, 0, 1, 0, 0]])
@@ -97,10 +90,6 @@ def test_weights_in_columns_are_read_with_decimal_commas(tmp_path):
 )
 def test_spreadsheet_rejects(tmp_path, text, words):
     assert words in refused(read_intensity_curve, written(tmp_path / "i.csv", text))
-
-
-def test_key_at_the_last_second_is_read(tmp_path):
-    assert curve(written(tmp_path / "i.csv", "time,intensity\n10800,1\n")) == [(10800, 1)]
 
 
 @each(("most", "fits"), [(3, True), (2, False)])
@@ -141,8 +130,3 @@ def test_a_long_table_is_read_in_seconds(tmp_path):
     start = time.process_time()
     assert len(read_intensity_curve(path).times) == 300_000
     assert time.process_time() - start < 2
-
-
-def test_doubled_emotions_are_named_by_their_key(tmp_path):
-    text = "time,emotion,strength\n0,happy,.1\n0,sad,.1\n1,sad,1\n1,happy,0\n1,sad,0\n"
-    assert "key 5: 'sad' twice" in refused(parse_emotion, written(tmp_path / "t.csv", text))

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from deitalk.audio.load import Recording
-from deitalk.audio.noise import mix, pink_noise, read_noises
-from deitalk.audio.voice_activity import active_level_db
+from deitalk.audio.noise import read_noises
 from deitalk.errors import DataError
 from deitalk.evaluation.clip_scores import (
     BITE,
@@ -26,7 +25,6 @@ from deitalk.evaluation.clip_scores import (
     shut_frames,
     shut_table,
     spearman,
-    wandering,
 )
 from deitalk.evaluation.curves import lip_range, style_distances
 from deitalk.evaluation.lip_closures import captured_smoothness, opening_in_silence, smoothness
@@ -154,14 +152,6 @@ def test_level_curve_follows_a_step_of_20_db_and_ignores_pauses():
     assert level[55] == pytest.approx(level[20], abs=0.5)  # beside the pause
 
 
-def test_wandering_is_the_same_for_one_seed():
-    first, z = wandering(recording(), 3)
-    again = wandering(recording(), 3)
-    np.testing.assert_array_equal(first.waveform, again[0].waveform)
-    assert len(z) == first.n_frames
-    assert np.ptp(z) > 0.1
-
-
 def syllables(seconds: float, until: float) -> Recording:
     """Syllables of 0.2 s every 0.3 s, up to a moment."""
     t = np.arange(int(seconds * 16_000)) / 16_000
@@ -217,20 +207,6 @@ def test_captured_curves_are_measured_or_refused(tmp_path: Path):
     write_curves(tmp_path / "b.csv", RigCurves(values * 0, CONTROLS.names, fps=30))
     with pytest.raises(DataError, match="moves; give a take"):
         captured_smoothness(tmp_path / "b.csv", CONTROLS)
-
-
-@each("snr_db", [20.0, 0.0])
-def test_noise_has_the_given_ratio(snr_db):
-    speech = waveform(0)
-    noise = mix(speech, pink_noise(16_000), snr_db) - speech
-    level = 10 * np.log10(np.square(noise, dtype=np.float64).mean())
-    assert active_level_db(speech) - level == pytest.approx(snr_db, abs=0.2)
-
-
-def test_pink_noise_falls_3_db_an_octave():
-    power = np.abs(np.fft.rfft(pink_noise(160_000))) ** 2
-    octaves = [10 * np.log10(power[1000 * 2**k : 2000 * 2**k].mean()) for k in range(4)]
-    np.testing.assert_allclose(np.diff(octaves), -3, atol=0.4)
 
 
 def test_noise_comes_from_a_folder_with_recordings(tmp_path: Path):

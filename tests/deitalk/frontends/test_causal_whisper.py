@@ -107,15 +107,6 @@ def test_streams_of_different_age_do_not_change_each_other(frontend):
         torch.testing.assert_close(found[row], alone[0], atol=1e-5, rtol=1e-5)
 
 
-def test_a_day_of_frames_is_counted_exactly(frontend):
-    state = frontend.first_state(1)._replace(place=torch.full((1, 1), 2.0 * PERIOD - 1))
-    windows = windows_of(frontend, voice(0.1), 3)
-    with torch.no_grad():
-        _, after = frontend.advance(windows, state)
-    assert after.place.item() == PERIOD + 2  # the same position, and more than a layer looks back
-    assert PERIOD > PAST_FRAMES
-
-
 def test_level_of_the_recording_is_followed(frontend):
     sound = voice(12.0)
     rows = [frontend.encode(torch.from_numpy(sound * gain), 330)[240:] for gain in (0.1, 1.0, 3.0)]

@@ -76,12 +76,6 @@ def test_gain_scales_every_piece(n_frames):
     torch.testing.assert_close(louder, 3 * plain)
 
 
-def test_progress_ends_at_one():
-    shares = []
-    Samples().encode(clock(4.0), 120, progress=shares.append)
-    assert shares == [60 / 120, 105 / 120, 1.0]
-
-
 @each(("chunk", "overlap"), [(2, 1.5), (2, -1), (0, 0)])
 def test_impossible_pieces_are_refused_in_one_line(chunk, overlap):
     with pytest.raises(ConfigError, match="at least twice") as error:

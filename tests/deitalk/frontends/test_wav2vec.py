@@ -16,7 +16,6 @@ from transformers import (
     Wav2Vec2Model,
     WavLMConfig,
     WavLMModel,
-    WhisperConfig,
 )
 
 from deitalk.config.frontends import Wav2VecConfig
@@ -133,17 +132,6 @@ def test_rows_are_exact_in_time():
     assert rows[0] == seconds[0]
 
 
-def test_rows_by_hand():
-    frontend = Wav2VecFrontend.from_config(TINY)
-    ramp = torch.arange(6, dtype=torch.float64).view(1, -1, 1)
-    rows = frontend.rows(ramp, 0, 5, first_sample=0)[0, :, 0]
-    # (i * 533.33 - 199.5) / 320
-    expected = [0, 1.0432291667, 2.7098958333, 4.3765625, 5]
-    np.testing.assert_allclose(rows, expected, atol=1e-9)
-    later = frontend.rows(ramp, 3, 5, first_sample=640)[0, :, 0]
-    np.testing.assert_allclose(later, [2.3765625, 4.0432291667], atol=1e-9)
-
-
 class NoDouble(TorchDispatchMode):
     """Refuses double precision on any device but the CPU, as MPS does."""
 
@@ -162,24 +150,6 @@ def test_rows_need_no_double_precision_of_the_device():
     assert rows.device.type == "meta" and rows.shape == (2, 5, 4)
 
 
-def test_forward_has_the_contracts_shape(checkpoint, speech):
-    frontend = Wav2VecFrontend.from_pretrained(str(checkpoint)).eval()
-    batch = torch.stack([speech, speech.flip(0)])
-    rows = frontend(batch, 60)
-    assert rows.shape == (2, 60, frontend.output_size)
-    assert_same(rows[1:], frontend(batch[1:], 60))
-    torch.testing.assert_close(rows[:1], frontend(10 * batch[:1] + 1, 60), atol=1e-3, rtol=1e-3)
-
-
-@each("n_samples", [1, 399, 534])
-def test_very_short_clips_are_encoded(n_samples):
-    frontend = Wav2VecFrontend.from_config(TINY).eval()
-    n_frames = -(-30 * n_samples // 16000)
-    rows = frontend.encode(torch.zeros(n_samples), n_frames)
-    assert rows.shape == (n_frames, 32)
-    assert rows.isfinite().all()
-
-
 def test_frozen_stem_gets_no_gradient_and_the_rest_does(checkpoint, speech):
     frontend = Wav2VecFrontend.from_pretrained(str(checkpoint)).train()
     frontend(speech[None], 60).square().sum().backward()
@@ -190,15 +160,6 @@ def test_frozen_stem_gets_no_gradient_and_the_rest_does(checkpoint, speech):
     assert all(p.grad is not None for p in rest.values())  # nothing unused: fit for DDP
 
 
-@pytest.mark.parametrize("freeze_stem", [True, False])
-def test_freeze_stem_is_optional(checkpoint, speech, freeze_stem):
-    config = Wav2VecConfig(checkpoint=str(checkpoint), freeze_stem=freeze_stem)
-    frontend = Wav2VecFrontend.build(config)
-    frontend(speech[None], 60).sum().backward()
-    learns = [p.grad is not None for p in frontend.encoder.feature_extractor.parameters()]
-    assert learns == [not freeze_stem] * len(learns)
-
-
 def test_compact_encoder_trains_its_stem_and_is_small(speech):
     frontend = Wav2VecFrontend.build(Wav2VecConfig(checkpoint=None)).train()
     n_parameters = sum(p.numel() for p in frontend.parameters())
@@ -207,10 +168,6 @@ def test_compact_encoder_trains_its_stem_and_is_small(speech):
     assert frontend.input_scale == SPEECH_SCALE
     frontend(speech[None], 60).sum().backward()
     assert all(p.grad is not None for p in frontend.encoder.feature_extractor.parameters())
-
-
-def test_unit_variance_of_speech_at_the_normalised_level():
-    assert (10 ** (-23 / 20) * SPEECH_SCALE) == pytest.approx(1)
 
 
 def test_a_clip_of_one_chunk_is_encoded_at_once(checkpoint, speech):
@@ -273,19 +230,6 @@ def test_sizes_are_read_without_weights(checkpoint):
     assert frontend.input_scale == SPEECH_SCALE
 
 
-def test_shape_survives_a_configuration(checkpoint):
-    """The configuration of a saved model is enough to build it without the checkpoint."""
-    for normalise in (True, False):
-        Wav2Vec2FeatureExtractor(do_normalize=normalise).save_pretrained(checkpoint)
-        first = Wav2VecFrontend.from_pretrained(str(checkpoint))
-        config = first.described(Wav2VecConfig(checkpoint="someone/gone"))
-        assert json.dumps(config.encoder) and str(checkpoint) not in str(config)
-        again = Wav2VecFrontend.build(config, pretrained=False)
-        again.load_state_dict(first.state_dict())
-        assert again.input_scale == first.input_scale
-        assert again.described(config) == config
-
-
 @pytest.mark.slow
 def test_the_papers_encoder_is_built_without_the_hub():
     frontend = Wav2VecFrontend.build(Wav2VecConfig(), pretrained=False)
@@ -312,14 +256,6 @@ def test_from_pretrained_rejects_pickles(checkpoint):
     (checkpoint / "model.safetensors").unlink()
     torch.save(weights, checkpoint / "pytorch_model.bin")
     with pytest.raises(CheckpointError, match=r"model\.safetensors") as error:
-        Wav2VecFrontend.from_pretrained(str(checkpoint))
-    assert_one_line(error)
-
-
-def test_from_pretrained_rejects_damaged_weights(checkpoint):
-    path = checkpoint / "model.safetensors"
-    path.write_bytes(path.read_bytes()[:1000])
-    with pytest.raises(CheckpointError, match="save it again") as error:
         Wav2VecFrontend.from_pretrained(str(checkpoint))
     assert_one_line(error)
 
@@ -396,19 +332,6 @@ def test_layers_that_the_encoder_lacks_are_refused_in_one_line(checkpoint):
     with pytest.raises(ConfigError, match=r"layers=\[1, 3\]: the encoder has 2") as error:
         Wav2VecFrontend.build(Wav2VecConfig(checkpoint=str(checkpoint), layers=(1, 3)))
     assert_one_line(error)
-
-
-def test_from_pretrained_rejects_another_kind_of_model(tmp_path):
-    WhisperConfig().save_pretrained(tmp_path)
-    with pytest.raises(CheckpointError, match="'whisper' model") as error:
-        Wav2VecFrontend.from_pretrained(str(tmp_path))
-    assert_one_line(error, PUBLISHED, "hubert")
-
-
-def test_from_pretrained_rejects_another_sample_rate(checkpoint):
-    Wav2Vec2FeatureExtractor(sampling_rate=8000).save_pretrained(checkpoint)
-    with pytest.raises(CheckpointError, match="is for 8000 Hz"):
-        Wav2VecFrontend.from_pretrained(str(checkpoint))
 
 
 @each(

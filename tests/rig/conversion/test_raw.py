@@ -5,9 +5,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from rig import RigCurves, default_controls, rest_curves
-from rig.conversion.convert import convert
 from rig.conversion.raw import RAW_ID, board_to_raw, raw_controls, raw_to_board
-from rig.errors import ControlError
 from tests.each import each
 
 BOARD = default_controls()
@@ -134,11 +132,3 @@ def test_names_without_prefix_and_of_the_older_rig_resolve():
     raw = raw_controls()
     assert raw.canonical("jawOpen") == "CTRL_expressions_jawOpen"
     assert raw.canonical("CTRL_expressions_tongueRollUp") == "CTRL_expressions_tongueBendUp"
-
-
-def test_conversion_rejects_other_control_sets():
-    with pytest.raises(ControlError, match="raw curves are 'metahuman-raw-251@mh4'"):
-        raw_to_board(rest_curves(1))
-    own = RigCurves([[0.0]], ("smile",), control_set="puppet@1")
-    with pytest.raises(ControlError, match="no conversion from control set 'puppet@1'"):
-        convert(own, RAW_ID)

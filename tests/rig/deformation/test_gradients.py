@@ -11,13 +11,7 @@ from rig.deformation.gradients import (
     triangle_frames,
     unpack,
 )
-from rig.deformation.reconstruct import (
-    DeformationSolver,
-    RigidPart,
-    quietest_pins,
-    rigid_motion,
-    small_parts,
-)
+from rig.deformation.reconstruct import DeformationSolver, RigidPart, rigid_motion, small_parts
 from rig.errors import MeshError, TopologyError
 from rig.mesh.trimesh import TriMesh, triangle_areas
 
@@ -63,15 +57,6 @@ def test_a_rigid_motion_is_pure_rotation_and_leaves_the_stretch(rng):
     np.testing.assert_allclose(s_moved, s, atol=1e-12)
     only_moved = deformation_gradients(mesh, mesh.vertices @ turn.T + 7.0)
     np.testing.assert_allclose(only_moved, np.broadcast_to(turn, only_moved.shape), atol=1e-13)
-
-
-def test_uniform_scale_scales_every_direction():
-    # v4 grows with the edges (Eq. 1), so twice the size is T = 2 I, the normal included.
-    mesh = sheet()
-    gradients = deformation_gradients(mesh, 2 * mesh.vertices)
-    np.testing.assert_allclose(
-        gradients, np.broadcast_to(2 * np.eye(3), gradients.shape), atol=1e-13
-    )
 
 
 def test_determinant_is_the_area_ratio_to_the_three_halves(rng):
@@ -123,11 +108,6 @@ def test_degenerate_triangles_are_rejected_by_index():
         deformation_gradients(mesh, np.stack([mesh.vertices, vertices]))
     with pytest.raises(MeshError, match=r"\b7\b"):
         DeformationSolver(TriMesh(vertices, mesh.faces))
-
-
-def test_gradients_reject_another_vertex_count():
-    with pytest.raises(TopologyError, match="the template's"):
-        deformation_gradients(sheet(6), sheet(5).vertices)
 
 
 def test_solve_recovers_the_moved_vertices(rng):
@@ -186,17 +166,6 @@ def test_stretch_along_the_normal_has_no_effect(rng):
     )
 
 
-def test_every_component_gets_a_pin(rng):
-    mesh = joined(sheet(6), sheet(4, (20, 0, 0)), sheet(3, (0, 20, 0)))
-    solver = DeformationSolver(mesh)
-    assert len(solver.pins) == 3
-    moved = mesh.vertices + rng.normal(scale=0.1, size=mesh.vertices.shape)
-    solved = solver.solve_gradients(
-        deformation_gradients(mesh, moved), pin_positions=moved[solver.pins]
-    )
-    np.testing.assert_allclose(solved, moved, atol=1e-11)
-
-
 def test_unused_vertices_keep_their_positions(rng):
     mesh = sheet()
     extended = TriMesh(np.vstack([mesh.vertices, [[9, 9, 9]]]), mesh.faces)
@@ -227,13 +196,6 @@ def test_rigid_motion_never_mirrors(rng):
     points = rng.normal(size=(10, 3))
     rotation, _ = rigid_motion(points, points * [1, 1, -1])
     assert np.linalg.det(rotation) == pytest.approx(1.0)
-
-
-def test_quietest_pins_are_the_vertices_that_move_least():
-    mesh = sheet(5)
-    moved = np.tile(mesh.vertices, (2, 1, 1)) + 1.0
-    moved[:, 17] = mesh.vertices[17]
-    assert list(quietest_pins(mesh, moved)) == [17]
 
 
 def test_solver_rejects_wrong_shapes():

@@ -18,10 +18,6 @@ def test_role_is_one_of_the_people(role):
     assert person == resolve_identity(person.name.upper())
 
 
-def test_number_is_read_from_text():
-    assert resolve_identity("3") == resolve_identity(3) == IDENTITIES[3]
-
-
 @each("unknown", ["-1", -1, 12, "adult", ""])
 def test_unknown_identity_is_an_error_that_names_the_roles(unknown):
     with pytest.raises(RigError, match="female, male, child"):

@@ -1,6 +1,5 @@
 """OBJ, PLY, NPZ and GLB: round trips, variants of exporters, and errors of one line."""
 
-import json
 import struct
 
 import numpy as np
@@ -139,18 +138,6 @@ def test_obj_folder_round_trip(tmp_path, shapes):
         np.testing.assert_allclose(again.delta(name), shapes.delta(name), atol=1e-7)
 
 
-def test_obj_folder_rejects(tmp_path, shapes):
-    with pytest.raises(FormatError, match=r"holds no \.obj"):
-        read_obj_folder(tmp_path)
-    write_obj_folder(tmp_path / "set", shapes)
-    write(tmp_path / "set" / "short.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
-    with pytest.raises(TopologyError, match=r"short\.obj has 3 vertices and neutral\.obj 8"):
-        read_obj_folder(tmp_path / "set")
-    (tmp_path / "set" / "neutral.obj").rename(tmp_path / "set" / "zero.obj")
-    with pytest.raises(FormatError, match=r"must be named neutral\.obj .* found none"):
-        read_obj_folder(tmp_path / "set")
-
-
 # --- PLY
 
 
@@ -213,24 +200,6 @@ def test_npz_round_trip(tmp_path, shapes):
     assert again.names == shapes.names and dict(again.landmarks) == {"chin": 3}
     np.testing.assert_array_equal(again.deltas, shapes.deltas)
     np.testing.assert_array_equal(again.neutral.faces, CUBE.faces)
-
-
-def test_read_shapes_npz_rejects(tmp_path):
-    np.savez(tmp_path / "a.npz", neutral=np.eye(3))
-    with pytest.raises(FormatError, match="no array 'triangles'"):
-        read_shapes_npz(tmp_path / "a.npz")
-    np.savez(tmp_path / "b.npz", neutral=np.array([{}], dtype=object))
-    with pytest.raises(FormatError, match="no archive of numpy arrays"):
-        read_shapes_npz(tmp_path / "b.npz")
-
-
-def test_shape_set_rejects_invalid_arrays():
-    with pytest.raises(MeshError, match="'a' appears twice"):
-        ShapeSet(CUBE, ("a", "a"), np.zeros((2, 8, 3)))
-    with pytest.raises(MeshError, match=r"need \(1, 8, 3\)"):
-        ShapeSet(CUBE, ("a",), np.zeros((1, 7, 3)))
-    with pytest.raises(MeshError, match="'b' holds numbers that are not finite"):
-        ShapeSet(CUBE, ("a", "b"), np.stack([np.zeros((8, 3)), np.full((8, 3), np.inf)]))
 
 
 def test_evaluate_adds_weighted_shapes(shapes):
@@ -339,40 +308,3 @@ def test_read_glb_rejects_compression_in_one_line(tmp_path, shapes, extension, w
     with pytest.raises(FormatError, match=words) as caught:
         read_glb(tmp_path / "a.glb")
     assert "\n" not in str(caught.value)
-
-
-@pytest.mark.parametrize("change", ["accessor", "view", "type", "indices", "json"])
-def test_read_glb_rejects_broken_files(tmp_path, shapes, change):
-    write_glb(tmp_path / "a.glb", shapes)
-    document, binary = read_container(tmp_path / "a.glb")
-    if change == "accessor":
-        document["accessors"][0]["bufferView"] = 999
-    elif change == "view":
-        document["bufferViews"][-1]["byteOffset"] = len(binary)
-    elif change == "type":
-        document["accessors"][0]["componentType"] = 1
-    elif change == "indices":
-        document["accessors"][-1]["count"] = 10**9
-    data = json.dumps(document).encode()
-    if change == "json":
-        data = b"{" * len(data)
-    data += b" " * (-len(data) % 4)
-    head = struct.pack("<III", 0x46546C67, 2, 28 + len(data) + len(binary))
-    chunks = struct.pack("<II", len(data), 0x4E4F534A) + data
-    chunks += struct.pack("<II", len(binary), 0x004E4942) + binary
-    (tmp_path / "a.glb").write_bytes(head + chunks)
-    with pytest.raises((FormatError, MeshError)):
-        read_glb(tmp_path / "a.glb")
-
-
-def test_read_glb_rejects_other_files(tmp_path):
-    with pytest.raises(FormatError, match="not a binary glTF"):
-        read_glb(write(tmp_path / "a.glb", "glTF but text, and long enough to have a header"))
-    with pytest.raises(FormatError, match="does not exist"):
-        read_glb(tmp_path / "none.glb")
-
-
-def test_animation_rejects_wrong_columns(tmp_path, shapes):
-    with pytest.raises(MeshError, match=r"must be \(T, 3\)"):
-        write_glb(tmp_path / "a.glb", shapes, animation=WeightAnimation(np.zeros((4, 2))))
-    assert not (tmp_path / "a.glb").exists()

@@ -122,11 +122,6 @@ def test_read_landmarks_rejects(tmp_path, text, error, words):
         read_landmarks(tmp_path / "a.json", PLANES)
 
 
-def test_landmark_vertices_must_exist():
-    with pytest.raises(MeshError, match="vertex 99; the mesh has 20"):
-        check_landmarks(dict.fromkeys(NEEDED, 0) | {"chin": 99}, 20)
-
-
 # --- the embedded head as source
 
 
@@ -243,12 +238,6 @@ def test_landmarks_are_found_without_help(head):
     labels = lip_labels(head.mesh, head.landmarks)
     assert labels[guess.landmarks["upper_rim"]] == 1
     assert labels[guess.landmarks["lower_rim"]] == -1
-
-
-def test_register_rejects_lips_that_share_a_landmark(head):
-    wrong = head.landmarks | {"lower_rim": head.landmarks["upper_rim"]}
-    with pytest.raises(MeshError, match="landmark of the upper and of the lower lip"):
-        register(head.mesh, head.landmarks, head.mesh, wrong)
 
 
 def test_correction_of_one_pair_is_spread_along_the_slit():

@@ -37,13 +37,6 @@ def faults(values, speaking=None):
     )
 
 
-def test_smooth_face_has_no_faults(face):
-    found = faults(face)
-    assert (found.clipped, found.jittering, found.frozen_seconds) == ((), (), 0)
-    assert found.gaze == pytest.approx(1) and found.sideways == pytest.approx(1)
-    assert found.moving.all()
-
-
 def test_channel_at_the_end_of_its_range_is_clipped(face):
     face[50:80, JAW] = CONTROLS.maximum[JAW]
     assert faults(face).clipped == ("CTRL_C_jaw.ty",)

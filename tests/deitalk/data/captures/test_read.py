@@ -82,19 +82,6 @@ def test_fault_of_a_map_is_one_line(tmp_path, text, expected):
         read_mapping(tmp_path / "map.csv")
 
 
-def test_source_that_the_take_lacks_is_named(tmp_path):
-    (tmp_path / "map.csv").write_text("target,source\nJawOpen,mouth\n")
-    (tmp_path / "a.csv").write_text("time,open\n0,0\n0.1,1\n")
-    with pytest.raises(DataError, match=r"lacks 'mouth', a source of map\.csv"):
-        read_capture(tmp_path / "a.csv", mapping=read_mapping(tmp_path / "map.csv"))
-
-
-def test_unknown_rig_needs_a_map(tmp_path):
-    (tmp_path / "a.csv").write_text("time,brow_q,lip_w\n0,0,0\n0.1,1,1\n")
-    with pytest.raises(DataError, match="no controls of MetaHuman or ARKit; give `mapping`"):
-        read_capture(tmp_path / "a.csv")
-
-
 @each(
     ("suffix", "kind", "known"),
     [(".csv", "board", 185), (".raw.csv", "raw", 174), (".rigmapper.csv", "raw", 174),
@@ -113,14 +100,6 @@ def test_every_written_format_is_a_capture(tmp_path, suffix, kind, known):
         "CTRL_C_jaw.ty")], atol=0.02)  # fmt: skip
     if known is not None:
         assert len(capture.known) == known
-
-
-def test_emoface_text_needs_a_rate_and_knows_174(tmp_path):
-    write_curves(tmp_path / "a.txt", rest_curves(30, fps=30))
-    with pytest.raises(UserError, match="give `fps`"):
-        read_capture(tmp_path / "a.txt")
-    capture = read_capture(tmp_path / "a.txt", fps=25)
-    assert (capture.kind, capture.curves.fps, len(capture.known)) == ("emoface", 25, 174)
 
 
 def test_calibrated_variant_is_read_and_neutral_is_no_take(tmp_path):
@@ -162,14 +141,3 @@ def test_values_out_of_range_are_clamped_and_noted(tmp_path):
     capture = read_capture(tmp_path / "a.csv")
     assert capture.curves.values.max() <= default_controls().maximum.max()
     assert "were clamped to their ranges" in " ".join(capture.notes)
-
-
-def test_names_with_points_are_takes_of_their_own(tmp_path):
-    for name in ("scene.1.csv", "scene.2.csv"):
-        write_live_link(tmp_path / name, 1)
-    write_curves(tmp_path / "talk.unreal.json", rest_curves(30, fps=30))
-    write_live_link(tmp_path / "talk.csv", 1)  # another format of the same take
-    takes, _ = find_takes([tmp_path])
-    assert [take.stem for take in takes] == ["scene.1", "scene.2", "talk"]
-    assert takes[2].place.endswith("/talk")
-    assert find_sound(takes[1], "", (), takes).name == "scene.2.wav"

@@ -72,22 +72,8 @@ def test_two_and_three_takes_have_clips_to_train_on_and_to_validate(takes, clips
     assert homes["t0"] == {TRAIN}
 
 
-def test_all_can_train():
-    assert divide(take("a", "sad", "t", 9), "none") == [TRAIN] * 9
-
-
-def test_the_only_take_validates_with_its_last_clip():
-    """The clip between is nearer than five seconds to both."""
-    assert divide(take("a", "sad", "t", 3)) == [TRAIN, "", VALIDATION]
-
-
 def test_actors_need_three_and_the_way_is_checked():
     with pytest.raises(DataError, match="needs three actors; here are 1"):
         divide(take("a", "sad", "t", 5), "actor")
     with pytest.raises(DataError, match="must be one of auto, actor, time"):
         divide(take("a", "sad", "t", 5), "clip")
-
-
-def test_given_splits_are_kept():
-    pieces = [Piece("a", "sad", "t", 0, 1, TEST), Piece("a", "sad", "u", 0, 1)]
-    assert divide(pieces) == [TEST, TRAIN]

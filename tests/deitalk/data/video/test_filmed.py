@@ -5,14 +5,11 @@ import pytest
 import torch
 
 from deitalk.data.video.filmed import (
-    GAZE,
-    LOOSENESS,
     MEASURES,
     SIDES,
     HeadFace,
     filmed_curves,
     measure,
-    shown_controls,
     straightened,
 )
 from deitalk.data.video.landmarks import FaceTrack, pixels
@@ -95,13 +92,6 @@ def test_controls_that_landmarks_cannot_show_rest_and_are_not_known(filmed):
     assert not any(p in n for n in filmed.known for p in parts)
 
 
-def test_every_loose_control_exists_and_gaze_needs_irises():
-    for part in LOOSENESS:
-        assert any(part in name for name in CONTROLS.names), part
-    with_gaze = shown_controls(CONTROLS, gaze=True)
-    assert set(with_gaze) - set(shown_controls(CONTROLS, gaze=False)) == set(GAZE)
-
-
 def test_gaze_to_the_left_is_positive_and_shut_eyes_keep_it():
     values = np.tile(np.asarray(CONTROLS.rest, np.float64), (N_FRAMES, 1))
     side = np.where(TIMES < 1.5, 0.4, -0.4)
@@ -113,14 +103,6 @@ def test_gaze_to_the_left_is_positive_and_shut_eyes_keep_it():
     mesh[shut, 468:] += 0.1  # an iris behind a lid is guessed
     found = filmed_curves(track_of(mesh), "a.npz").curves["CTRL_L_eye.tx"]
     np.testing.assert_allclose(found, side, atol=0.06)
-
-
-def test_landmarks_without_irises_give_no_gaze():
-    values, head = planted()
-    mesh = filmed_mesh(build_head(), values[:30], head[:30])[:, :468]
-    filmed = filmed_curves(track_of(mesh), "a.npz")
-    assert not set(GAZE) & set(filmed.known)
-    assert not any(filmed.curves[name].any() for name in GAZE)
 
 
 def test_size_place_and_roll_of_the_picture_change_no_measure():

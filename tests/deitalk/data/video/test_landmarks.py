@@ -3,14 +3,7 @@
 import numpy as np
 import pytest
 
-from deitalk.data.video.landmarks import (
-    PLACE,
-    RIGID,
-    RIGID_MIRROR,
-    FaceTrack,
-    at_rig_frames,
-    read_landmarks,
-)
+from deitalk.data.video.landmarks import PLACE, FaceTrack, at_rig_frames, read_landmarks
 from deitalk.errors import DataError
 from tests.each import each
 
@@ -49,13 +42,6 @@ def test_frames_without_a_face_are_marked_and_flickers_bridged():
     assert np.isfinite(even.points).all()
 
 
-def test_start_without_a_face_is_marked():
-    track = moving(np.arange(60) / 30)
-    track.points[:20] = np.nan
-    seen = at_rig_frames(track, "a.mp4")[1]
-    assert seen[20:].all() and not seen[:18].any()
-
-
 @each(
     ("fps", "n_seen", "message"),
     [(8, 30, "8 frames per second"), (30, 5, "a face is in 5 of 60 frames")],
@@ -65,12 +51,6 @@ def test_slow_or_faceless_videos_are_refused(fps, n_seen, message):
     track.points[n_seen:] = np.nan
     with pytest.raises(DataError, match=message):
         at_rig_frames(track, "a.mp4")
-
-
-def test_mirrored_points_are_each_others():
-    pairs = dict(zip(RIGID, RIGID_MIRROR, strict=True))
-    assert all(pairs[pairs[n]] == n for n in RIGID)
-    assert pairs[33] == 263 and pairs[133] == 362 and pairs[6] == 6
 
 
 def arrays(**changes):

@@ -10,7 +10,6 @@ from rig.face.geometry.mesh import (
     Mesh,
     edge_counts,
     ellipsoid,
-    grid_faces,
     head_distance,
     mirrored,
     project,
@@ -103,12 +102,6 @@ def test_identities_are_distinct_people():
             assert np.percentile(distance, 90) > 0.15, (IDENTITIES[a].name, IDENTITIES[b].name)
 
 
-def test_wider_nose_is_wider():
-    middle = np.array([[1.9, -4.3, 9.0]])
-    narrow, wide = (head_distance(middle, Identity(nose_width=w))[0] for w in (0.9, 1.3))
-    assert wide < narrow - 0.1
-
-
 @each("identity", [-1, 12, "Nobody"])
 def test_unknown_identity_lists_the_known_ones(identity):
     with pytest.raises(RigError, match="Ada, Bruno"):
@@ -126,11 +119,6 @@ def test_projected_points_lie_on_the_surface():
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     points = project(directions, Identity())
     assert np.abs(head_distance(points, Identity())).max() < 1e-4
-
-
-def test_grid_of_two_by_two_is_one_square():
-    faces = grid_faces(2, 2, closed=False)
-    assert sorted(map(tuple, faces.tolist())) == [(0, 1, 3), (0, 3, 2)]
 
 
 def test_mirrored_mesh_keeps_its_volume_positive():
