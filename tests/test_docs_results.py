@@ -19,7 +19,6 @@ import make_reports  # noqa: E402
 import make_results as maker  # noqa: E402
 from result_tables import common, models, speed  # noqa: E402
 from result_tables.commands import COMMANDS, GROUPS, PLACES, WEIGHTS  # noqa: E402
-from result_tables.comparisons import spread  # noqa: E402
 
 from tests.each import each  # noqa: E402
 
@@ -48,12 +47,6 @@ def test_tables_are_those_of_the_reports():
     for path in maker.DOCUMENTS:
         text = path.read_text(encoding="utf-8")
         assert text == maker.written(text), f"{path.name}: run `make docs`"
-
-
-def test_every_table_stands_in_a_document():
-    texts = [path.read_text(encoding="utf-8") for path in maker.DOCUMENTS]
-    for name in maker.TABLES:
-        assert sum(f"<!-- table {name} -->" in text for text in texts) == 1, name
 
 
 def test_every_report_stands_in_a_table(changed):
@@ -120,19 +113,6 @@ def test_times_of_two_machines_share_no_table(changed):
     changed("mesh-speed-2", "machine", "processor", value="another")
     with pytest.raises(ValueError, match="different machines"):
         speed.table_4()
-
-
-def test_score_of_one_seed_has_no_deviation():
-    scores = {"lpe": {"mean": 0.0421, "sd": float("nan"), "n": 1}, "epe": {"mean": None, "n": 0}}
-    assert [spread(scores, name) for name in scores] == ["42.1", "–"]
-    scores["lpe"] |= {"sd": 0.001, "n": 2}
-    assert spread(scores, "lpe") == "42.1 ± 1.0"
-
-
-def test_number_is_written_without_its_zero():
-    numbers = [common.short(x) for x in (0.9588, 1.0, -0.25, 0.0)]
-    assert numbers == [".959", "1.000", "-.250", ".000"]
-    assert common.short(10.54, 1) == "10.5"
 
 
 def test_sizes_are_those_of_the_weights():

@@ -9,7 +9,7 @@ import pytest
 
 from rig import RigCurves, limits, rest_curves
 from rig.curves import check_clip
-from rig.errors import CurveError, RigError, one_line, quoted, shorten
+from rig.errors import CurveError, RigError, one_line, shorten
 from tests.each import each
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -56,11 +56,6 @@ def test_shorten_keeps_both_ends():
     assert shorten("abcdefghi", 9) == "abcdefghi"
     assert shorten("abcdefghij", 9) == "abcde…hij"
     assert len(shorten("x" * 5_000_058, 200)) == 200
-
-
-def test_quoted_value_is_bounded():
-    assert quoted("jaw") == "'jaw'"
-    assert len(quoted("x" * 10**7)) == len(quoted(list(range(10**5)))) == 60
 
 
 def test_messages_are_one_bounded_line():

@@ -47,11 +47,6 @@ def test_library_messages_name_no_option():
     assert not wrong, "\n".join(wrong)
 
 
-def test_options_are_found_in_messages():
-    source = "raise A(f'{x} exists; ' 'give --force')\nraise B('pip install --user a')\nx = ' --a'"
-    assert [found.partition(":")[0] for found in options(source)] == ["1"]
-
-
 @each("text", ["\0" * 1000, "a\n" * 300, "\udc80" * 400, "x" * 10_000])
 def test_message_with_escapes_stays_within_its_limit(text):
     for kind in (RigError, DeitalkError):

@@ -78,17 +78,6 @@ def test_frames_come_once_in_order_and_with_their_own_values(piece):
     assert found == pytest.approx(list(range(369)), abs=1e-3)
 
 
-def test_old_sound_is_dropped():
-    stream = LiveStream(48000, False)
-    for _ in range(100):
-        stream.feed(pcm(1.0, 48000))
-        while stream.is_due:
-            first, samples, _ = stream.window()
-            stream.take(first, marked(first, len(samples)))
-    assert stream.seconds == pytest.approx(100, abs=0.1)
-    assert len(stream.samples) < 12 * RATE and len(stream._arrivals) < 20
-
-
 def test_changes_hold_from_their_time_on():
     stream = LiveStream(RATE, False)
     stream.feed(pcm(2.0))
@@ -336,23 +325,6 @@ def test_head_and_life_are_those_of_live_animator(causal_server, frames):
     expected = np.concatenate(expected)
     assert expected[:, 185:].std(axis=0).min() > 0
     np.testing.assert_allclose(np.array(values), expected, atol=2e-4)
-
-
-def test_changes_reach_a_causal_model(causal_server):
-    server, _ = causal_server
-    sound = pcm(1.0)
-    with live(server) as session:
-        begin(session, model="tiny", frames="json")
-        session.send(sound)
-        session.send(
-            '{"type": "set", "emotion": "angry", "intensity": 2, "rules": false, "gain": "jaw=2"}'
-        )
-        session.send(sound)
-        session.send('{"type": "stop"}')
-        frames = []
-        while (message := json.loads(session.recv(60)))["type"] == "frames":
-            frames += message["frames"]
-    assert message == {"type": "end", "frames": 60} and len(frames) == 60
 
 
 def test_client_that_does_not_read_is_cut_off_in_time(monkeypatch):

@@ -43,26 +43,6 @@ def test_formats_and_models_are_listed_where_they_are_chosen(schema, client):
             assert options["model"]["enum"] == models
 
 
-def test_messages_of_sockets_and_webhooks_are_described(schema):
-    live = schema["x-websockets"]["/v1/live"]
-    assert {"sample_rate", "emotion", "seed"} <= set(live["client"]["start"]["properties"])
-    assert "seed" not in live["client"]["set"]["properties"]
-    assert set(live["server"]) == {"header", "frames", "end", "problem"}
-    assert "job-ended" in schema["webhooks"]
-
-
-def test_other_methods_get_the_allowed_ones(client):
-    for path, allowed in (("/v1/jobs", "GET, POST"), ("/v1/animations", "POST")):
-        answer = client.put(path)
-        assert (answer.status_code, answer.headers["allow"]) == (405, allowed)
-
-
-def test_no_answer_sends_a_client_elsewhere(client):
-    for path in ("/v1/models/", "/healthz/", "/v1//models"):
-        answer = client.get(path)
-        assert answer.status_code == 404 and "location" not in answer.headers
-
-
 def test_usd_is_offered_only_where_it_can_be_made(client, monkeypatch):
     import importlib
 

@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 import api
 from api import commands
 from api.app import create_app
-from api.errors import Problem, problem_of, without_paths
+from api.errors import Problem
 from api.guard.keys import KEY_PREFIX, Rates, digest_of, new_key
 from api.guard.metrics import Metrics
 from api.guard.middleware import Guard, Traffic
@@ -24,8 +24,7 @@ from api.messages.formats import ANIMATION_FORMATS, choose_format
 from api.serving import check_places
 from api.settings import Settings, load_settings
 from deitalk.cli import app
-from deitalk.errors import AudioError, ConfigError, MissingError
-from rig.errors import CurveError
+from deitalk.errors import ConfigError
 from tests.browser import needs_player
 
 
@@ -47,12 +46,6 @@ def test_wrong_settings_are_named(tmp_path, text, named):
     file.write_text(text)
     with pytest.raises(ConfigError, match=named):
         load_settings(file)
-
-
-def test_unknown_variable_is_named(monkeypatch):
-    monkeypatch.setenv("DEITALK_PROT", "1")
-    with pytest.raises(ConfigError, match="DEITALK_PROT"):
-        load_settings()
 
 
 def test_other_addresses_need_keys(tmp_path):
@@ -109,25 +102,6 @@ def test_rate_refills_evenly(monkeypatch):
 )  # fmt: skip
 def test_accept_header_chooses_the_format(accept, expected):
     assert choose_format(ANIMATION_FORMATS, None, accept, "json").name == expected
-
-
-def test_format_that_nothing_writes_is_refused():
-    for name, accept in (("fbx", None), (None, "image/png")):
-        with pytest.raises(Problem) as refused:
-            choose_format(ANIMATION_FORMATS, name, accept, "json")
-        assert refused.value.status == 400
-
-
-def test_errors_of_the_library_have_their_status():
-    statuses = {
-        kind: problem_of(kind("x")).status for kind in (AudioError, CurveError, MissingError)
-    }
-    assert statuses == {AudioError: 422, CurveError: 422, MissingError: 503}
-
-
-def test_paths_are_cut_from_messages():
-    text = "/srv/stage/abc/mesh.obj has 3; see http://a.b/c/d or POST /v1/jobs"
-    assert without_paths(text) == "mesh.obj has 3; see http://a.b/c/d or POST /v1/jobs"
 
 
 def test_webhooks_need_an_allowed_host():

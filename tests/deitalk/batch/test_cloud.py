@@ -10,7 +10,7 @@ import pytest
 from deitalk.batch import cloud
 from deitalk.batch.run import animate_batch
 from deitalk.batch.source import SUMMARY
-from deitalk.batch.storage import file_system, version_of
+from deitalk.batch.storage import file_system
 from deitalk.errors import DataError, MissingError
 from rig.errors import TargetError
 
@@ -78,13 +78,6 @@ def test_file_of_the_user_at_a_url_stays(run, memory):
     }  # fmt: skip
 
 
-def test_manifest_at_a_url_is_read(run, memory):
-    memory.pipe_file("/in/lines.csv", b"audio,output\nanna/a.wav,x\nnone.wav,y\n")
-    report = run("memory://in/lines.csv", "memory://out")
-    assert [row.status for row in report.rows] == ["done", "failed"]
-    assert "there is no recording memory://in/none.wav" in report.failed[0].error
-
-
 def test_url_that_cannot_be_used_is_one_line(run, memory):
     memory.pipe_file("/other/mine.txt", b"mine")
     with pytest.raises(TargetError, match="did not write"):
@@ -93,11 +86,6 @@ def test_url_that_cannot_be_used_is_one_line(run, memory):
         run("memory://nowhere", "memory://out")
     with pytest.raises(DataError, match="nosuch://"):
         run("nosuch://nowhere", "memory://out")
-
-
-def test_version_changes_with_the_content():
-    versions = {version_of(i) for i in ({"size": 1}, {"size": 2}, {"size": 1, "ETag": "a"})}
-    assert len(versions) == 3
 
 
 def test_missing_ray_is_one_line(run, monkeypatch):

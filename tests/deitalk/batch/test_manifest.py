@@ -105,12 +105,6 @@ def test_output_is_the_name_of_the_recording(audio, output):
     assert only(f"audio\n{audio}\n").output == output
 
 
-def test_suffix_of_an_output_is_its_format():
-    assert only("audio,output\na.wav,b.livelink.csv\n").targets == ("b.livelink.csv",)
-    assert only("audio,output,formats\na.wav,b.csv,csv json\n").targets == ("b.csv", "b.json")
-    assert only("audio,output,formats\na.wav,b.csv,npz\n").targets == ("b.csv.npz",)
-
-
 @each(
     ("row", "words"),
     [
@@ -174,10 +168,6 @@ def test_output_within_a_take_is_refused():
     assert "lies in the take of line 2" in first and not second and not third
 
 
-def test_tables_of_the_batch_are_no_outputs():
-    assert all(errors("audio,output\na.wav,batch-summary.csv\nb.wav,batch-actors/anna.json\n"))
-
-
 def test_folder_is_walked_without_hidden_files_and_outputs(tmp_path):
     for name in ("b/2.wav", "b/2.txt", "a.MP3", ".b/3.wav", "b/.4.wav", "out/take/audio.wav"):
         (tmp_path / name).parent.mkdir(exist_ok=True, parents=True)
@@ -187,13 +177,3 @@ def test_folder_is_walked_without_hidden_files_and_outputs(tmp_path):
     (tmp_path / "empty").mkdir()
     with pytest.raises(DataError, match="holds no recording"):
         read_source(tmp_path / "empty", tmp_path / "out", NOTHING)
-
-
-def test_hundred_thousand_rows_are_read_in_seconds():
-    text = "audio,emotion,intensity\n" + "".join(
-        f"{i % 100}/{i}.wav,happy,1\n" for i in range(100_000)
-    )
-    lines = distinct(rows(text))
-    assert len(lines) == 100_000 and lines[-1] == Line(
-        100_000, "base/99/99999.wav", "99/99999", Acting.of(emotion="happy")
-    )

@@ -1,6 +1,6 @@
 """Rate and time left of a batch."""
 
-from deitalk.batch.report import Pace, clock_text
+from deitalk.batch.report import Pace
 
 
 def test_pace_counts_from_the_first_result():
@@ -17,7 +17,3 @@ def test_pace_counts_from_the_first_result():
     pace.add(100, 20.0, failed=True)
     assert pace.share == 0.4
     assert pace.text() == "3 of 5 lines, 1 failed, 0.2 lines/s, 2 x real time, 0:30 left"
-
-
-def test_clock_text_has_hours_where_there_are_some():
-    assert [clock_text(s) for s in (-1, 59.6, 3599, 3661)] == ["0:00", "1:00", "59:59", "1:01:01"]

@@ -10,13 +10,11 @@ import pytest
 import soundfile
 
 from deitalk import animate
-from deitalk.audio.load import write_wav
 from deitalk.batch.source import FAILED, SUMMARY
 from deitalk.emotions import read_actor
 from deitalk.errors import CheckpointError, DataError, DeitalkError
-from deitalk.research.corpus.engines import espeak
 from deitalk.research.evaluation.benchmark_curves import speechlike
-from rig import read_curves, write_curves
+from rig import read_curves
 from rig.errors import TargetError
 from rig.files import changed_files
 from tests.deitalk.batch.conftest import InProcess
@@ -65,21 +63,6 @@ def test_lines_of_one_length_are_those_of_animate(run, lines, model, rng, monkey
     assert run(emotion="sad").counts["done"] == 13
 
 
-def test_words_of_a_manifest_are_used_and_what_they_hold_counts(run, lines, model, tmp_path):
-    said = espeak.synthesise("Bob may bring my map.").waveform
-    soundfile.write(lines / "said.wav", said, 16_000, subtype="FLOAT")
-    manifest, words = lines / "lines.csv", lines / "said.txt"
-    words.write_text("Bob may bring my map.")
-    manifest.write_text("audio,words\nsaid.wav,said.txt\n")
-    assert run(manifest, formats="csv").counts["done"] == 1
-    animate(lines / "said.wav", model=model, words=words).save(tmp_path / "one.csv")
-    assert (run.out / "said.csv").read_bytes() == (tmp_path / "one.csv").read_bytes()
-    words.write_text("Seven years since the ship sank.")
-    report = run(manifest, formats="csv")
-    assert report.counts["done"] == 1
-    assert "the words do not fit the sound" in table(run.out / SUMMARY)[0]["warnings"]
-
-
 def test_take_folders_are_those_of_animate(run, lines):
     run(formats="take", fps=60)
     take = run.out / "anna" / "a"
@@ -87,21 +70,6 @@ def test_take_folders_are_those_of_animate(run, lines):
     assert {"take.json", "audio.wav", "intensity.csv", "a.unreal.json"} <= set(os.listdir(take))
     assert changed_files(take) == []
     assert run(formats="take", fps=60).counts["unchanged"] == 3
-
-
-def test_digits_and_time_code_are_those_of_animate(run, lines, model, tmp_path):
-    write_wav(lines / "at_one.wav", speechlike(0.5), start=3600.0)
-    manifest = lines / "lines.csv"
-    manifest.write_text("audio\nat_one.wav\nc.flac\n")
-    report = run(manifest, formats="csv;livelink;npz", digits=3, timecode="recording")
-    assert report.counts["done"] == 2
-    curves = animate(lines / "at_one.wav", model=model).curves
-    write_curves(tmp_path / "a.csv", curves, digits=3)
-    assert (run.out / "at_one.csv").read_bytes() == (tmp_path / "a.csv").read_bytes()
-    assert table(run.out / "at_one.livelink.csv")[0]["Timecode"].startswith("01:00:00:00")
-    assert table(run.out / "c.livelink.csv")[0]["Timecode"].startswith("00:00:00:00")
-    first, second = (row["warnings"] for row in table(run.out / SUMMARY))
-    assert "time code" not in first and "no time code" in second
 
 
 def test_second_run_does_nothing(run, orders):
@@ -114,14 +82,6 @@ def test_second_run_does_nothing(run, orders):
     assert {n: d for n, d in files(run.out).items() if "/" in n} == {
         n: d for n, d in before.items() if "/" in n
     }
-
-
-def test_gain_of_a_row_is_that_of_animate(run, lines, model):
-    manifest = lines / "lines.csv"
-    manifest.write_text('audio,gain,formats\nc.flac,"jaw=0,brow=2",npz\n')
-    assert status(run(manifest)) == {"c": "done"}
-    wanted = animate(lines / "c.flac", model=model, gain="jaw=0,brow=2").curves.values
-    np.testing.assert_allclose(read_curves(run.out / "c.npz").values, wanted, atol=1e-6)
 
 
 def test_changed_row_is_the_only_one_done_again(run, orders, lines):
@@ -206,17 +166,6 @@ def test_edited_output_stays(run):
     assert (run.out / "c.csv").read_text() == "edited"
 
 
-def test_edited_take_stays(run):
-    run(formats="take")
-    edited = run.out / "c" / "intensity.csv"
-    edited.write_text("edited")
-    (run.out / "anna" / "a" / "mine.txt").write_text("mine")
-    report = run(formats="take", emotion="happy")
-    assert status(report) == {"anna/a": "done", "anna/b": "done", "c": "failed"}
-    assert edited.read_text() == "edited"
-    assert (run.out / "anna" / "a" / "mine.txt").read_text() == "mine"
-
-
 def test_file_of_the_user_is_never_replaced(run):
     run(formats="npz")
     (run.out / "c.csv").write_text("mine")
@@ -262,14 +211,6 @@ def test_bad_lines_are_reported_and_the_others_done(run, lines):
         assert words in row["error"]
     (lines / "none.wav").write_bytes((lines / "anna" / "a.wav").read_bytes())
     assert status(run(manifest))["none"] == "done"
-
-
-def test_failed_table_is_empty_once_nothing_fails(run, lines):
-    (lines / "empty.wav").touch()
-    assert run().counts["failed"] == 1
-    (lines / "empty.wav").unlink()
-    run()
-    assert table(run.out / FAILED) == []
 
 
 def test_warnings_of_a_recording_are_in_the_summary(run, lines):
@@ -397,10 +338,3 @@ def test_lines_of_an_actor_share_a_reference(run, orders, lines):
     assert run(manifest).counts["unchanged"] == 4 and not orders
     reference.unlink()
     assert run(manifest).counts["unchanged"] == 4, "measured again to the same value"
-
-
-def test_too_few_lines_give_no_reference(run, lines):
-    report = run(actor="anna")
-    assert report.counts["done"] == 3
-    report = run(lines / "anna", out=run.out.with_name("two"), actor="anna")
-    assert report.counts["done"] == 2 and "too few lines" in report.notes[0]

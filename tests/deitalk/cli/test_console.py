@@ -16,7 +16,7 @@ from deitalk.cli import app
 from deitalk.cli.console import _Lines, bar, console, emit, emit_json, name_option
 from deitalk.errors import DeitalkError
 from rig import default_controls, rest_curves, write_curves
-from rig.errors import RigError, as_line, decodable, decodable_values
+from rig.errors import RigError, as_line, decodable_values
 from tests.each import each
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -49,11 +49,6 @@ def test_one_line_escapes_unprintable_characters(name, printed):
     assert len(as_line(name).encode().splitlines()) == 1
 
 
-def test_decodable_keeps_line_ends_and_text():
-    assert decodable("a\n\tb é") == "a\n\tb é"
-    assert decodable(os.fsdecode(b"\xff\xc3\xa9")) == r"\xff" + "é"
-
-
 def test_emit_json_writes_names_that_are_no_utf8(capsys):
     emit_json({"\udcff": ["\udcff", ("é", 1.5, None)]})
     assert json.loads(capsys.readouterr().out) == {r"\xff": [r"\xff", ["é", 1.5, None]]}
@@ -79,32 +74,12 @@ def lines_of(seconds, steps):
     return printed
 
 
-def test_progress_of_short_work_prints_nothing():
-    assert lines_of(2.9, 100) == []
-
-
-def test_progress_prints_a_line_at_every_tenth():
-    printed = lines_of(50.0, 500)
-    assert [when for when, _ in printed] == pytest.approx(np.arange(5, 51, 5))
-    assert printed[0][1] == "working: 10% after 5 s, step 50"
-
-
 def test_progress_of_long_work_prints_every_ten_seconds_then_every_minute():
     times = np.array([when for when, _ in lines_of(10 * 3600, 36_000)])
     gaps = np.diff(times)
     assert gaps[times[1:] < 600] == pytest.approx(10)
     assert gaps.max() <= 61
     assert len(times) < 900
-
-
-def test_progress_prints_evaluations_at_once():
-    clock, printed = Clock(), []
-    advance = _Lines("training", printed.append, clock)
-    clock.now = 4.0
-    advance(0.01, "step 1", always=True)
-    clock.now = 4.5
-    advance(0.02, "step 2")
-    assert printed == ["training: 1% after 4 s, step 1"]
 
 
 def test_bar_off_a_terminal_writes_lines_to_stderr(capsys, monkeypatch):

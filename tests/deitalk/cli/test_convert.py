@@ -15,7 +15,7 @@ from rig import RigCurves, default_controls, read_curves, write_curves
 from rig.conversion.arkit import ARKIT_ID, arkit_controls
 from rig.errors import ExistsError, RigError
 from rig.formats.livelink_csv import read_take
-from rig.livelink import Receiver, make_protocol, osc, send
+from rig.livelink import Receiver, make_protocol, send
 from rig.livelink.sender import REST_REPEATS
 from rig.mesh import fbx
 from tests.each import each
@@ -121,11 +121,6 @@ def test_errors_are_one_line(curves_file, tmp_path, arguments, message, monkeypa
     assert message in str(result.exception) and "\n" not in str(result.exception)
 
 
-def test_formats_are_listed_and_a_lone_source_is_a_usage_error(curves_file):
-    assert "rigmapper" in run("convert", "--list-formats").stdout
-    assert run("convert", curves_file).exit_code == 2
-
-
 def test_validate_prints_findings_and_fails_on_errors(curves_file, tmp_path):
     good = run("validate", curves_file)
     assert good.exit_code == 0 and "30 frames at 30 fps" in good.stdout
@@ -199,13 +194,6 @@ def test_duration_of_rhubarb_is_that_of_any_sound(tmp_path, suffix, subtype):
     for name in ("saved", "animated", "converted"):
         text = json.loads((tmp_path / f"{name}.rhubarb.json").read_text())
         assert text["metadata"]["duration"] == text["mouthCues"][-1]["end"] == 1.01, name
-
-
-def test_part_of_a_take_has_the_duration_of_the_part(curves_file, tmp_path):
-    soundfile.write(tmp_path / "audio.wav", np.zeros(16_000), 16_000)
-    out = tmp_path / "part.rhubarb.json"
-    assert run("convert", tmp_path, out, "--start", "0.2", "--end", "0.7").exit_code == 0
-    assert json.loads(out.read_text())["metadata"]["duration"] == 0.5
 
 
 def test_sound_of_a_take_lies_beside_its_fbx(curves_file, tmp_path, monkeypatch):
@@ -293,14 +281,6 @@ def test_raw_json_of_a_take_is_a_metahuman_subject(tmp_path):
     constants = ("MHFDSVersion", "DisableFaceOverride")
     assert [first[name] for name in ("HeadControlSwitch", *constants)] == [1, 1, 1]
     assert [rest[name] for name in ("HeadYaw", *constants)] == [0, 1, 1]
-
-
-def test_start_signal_arrives_as_osc(curves_file):
-    with Receiver(port=0) as probe:
-        signal = f"127.0.0.1:{probe.port}"
-        result = run("live", curves_file, "--port", 9, "--start-signal", signal)
-        assert result.exit_code == 0, result.output
-        assert probe._socket.recv(100) == osc.message("/deitalk/start")
 
 
 def test_live_errors_are_one_line(curves_file, tmp_path, monkeypatch):

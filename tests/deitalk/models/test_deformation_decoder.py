@@ -77,28 +77,6 @@ def test_number_of_parameters_by_hand():
     assert sum(p.numel() for p in model.parameters()) == layer(520, 512) + branches == 1_133_330
 
 
-def test_weight_norm_is_on_all_but_the_frozen_layers():
-    model = decoder()
-    normalised = {
-        n.split(".parametrizations")[0] for n, _ in model.named_parameters() if "par" in n
-    }
-    assert normalised == {n for n, m in model.named_modules() if isinstance(m, torch.nn.Linear)}
-    assert not any("inverse_pca" in name for name, _ in model.named_parameters())
-    assert all(p.requires_grad for p in model.parameters())
-
-
-def test_frozen_layer_gets_no_gradient_and_all_others_do():
-    model = decoder()
-    before = {name: value.clone() for name, value in model.named_buffers()}
-    optimizer = torch.optim.Adam(model.parameters(), lr=0.1)
-    out = decode(model, torch.randn(5, 12), torch.eye(2)[[0, 1, 0, 1, 0]])
-    (out.s.square().sum() + out.r.square().sum()).backward()
-    optimizer.step()
-    assert all(p.grad is not None and p.grad.abs().sum() > 0 for p in model.parameters())
-    assert all(value.grad is None for value in model.buffers())
-    assert all(torch.equal(value, before[name]) for name, value in model.named_buffers())
-
-
 def test_zero_coefficients_are_the_mean_shape(fitted):
     bases, s, r = fitted
     for basis, frames in zip((bases.stretch, bases.rotation), (s, r), strict=True):

@@ -8,7 +8,6 @@ from deitalk.models.intensity import (
     MotionEncoder,
     emotional_saliency,
     local_maximum,
-    temporal_maximum,
 )
 
 
@@ -38,10 +37,6 @@ def test_equations_4_to_6_by_hand():
 def test_the_frame_that_is_the_maximum_has_saliency_one():
     output = identity()(torch.tensor([[[1.0, 0.0], [2.0, 5.0], [0.0, 1.0]]]))
     assert output.saliency[0, 1].item() == pytest.approx(1)
-
-
-def test_zero_vector_has_saliency_zero():
-    assert emotional_saliency(torch.zeros(1, 3, 4), torch.ones(1, 4)).tolist() == [[0, 0, 0]]
 
 
 def test_saliency_does_not_depend_on_scale():
@@ -85,17 +80,6 @@ def test_strength_rises_with_saliency_for_any_slope(slope):
     assert (output.strength.diff() < 0).all()
     assert output.strength.min() >= 0
     assert output.strength.max() <= 1
-
-
-def test_classifier_averages_the_logits_of_frames():
-    plain = module()
-    features = torch.randn(3, 8, 4)
-    each = torch.stack([plain.classify(features[:, t : t + 1]) for t in range(8)])
-    torch.testing.assert_close(plain.classify(features), each.mean(dim=0))
-
-
-def test_temporal_maximum_is_taken_feature_by_feature():
-    assert temporal_maximum(torch.tensor([[[1.0, 9.0], [5.0, 2.0]]])).tolist() == [[5, 9]]
 
 
 def test_motion_encoder_spans_fifteen_frames_on_either_side():

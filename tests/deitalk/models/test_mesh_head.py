@@ -19,7 +19,7 @@ from deitalk.data.mesh_folder import (
     write_mesh_folder,
 )
 from deitalk.emotions import EMOTIONS
-from deitalk.errors import CheckpointError, ConfigError, DataError
+from deitalk.errors import CheckpointError, ConfigError
 from deitalk.evaluation import mesh as expression_module
 from deitalk.evaluation.mesh import as_markdown, evaluate_mesh
 from deitalk.models.checkpoint import load_model, new_mesh_model, save_model
@@ -27,7 +27,6 @@ from deitalk.models.curve_model import DEITalk
 from deitalk.models.deformation_decoder import InversePCA
 from deitalk.pipeline import speech as speech_module
 from deitalk.pipeline.mesh import animate_mesh, mesh_coefficients, predict_mesh
-from deitalk.training import mesh as train_module
 from deitalk.training.mesh import train_mesh
 from tests.dataset import write_dataset
 from tests.deitalk.models.test_mesh_model import LIPS, RATE, noise, sheet, spoken
@@ -167,23 +166,6 @@ def test_training_separates_emotions_of_one_sound(network, tmp_path, no_gates):
         assert error.mean() < 0.25 * motion.mean()
 
 
-def test_fitted_features_have_mean_0_and_deviation_1(network):
-    encoder = head(network).encoder
-    rows = torch.randn(500, encoder.output_size) * 0.07 + 2
-    rows[:, 0] = 5  # one that never varies
-    encoder.fit(rows)
-    given = encoder(rows.T[None, None], torch.arange(0, 500, 2))[0]
-    torch.testing.assert_close(given, encoder.standardised(rows[::2]))
-    assert given.mean(dim=0).abs().max() < 0.2
-    assert given[:, 1:].std(dim=0).sub(1).abs().max() < 0.2 and given[:, 0].abs().max() < 1e-3
-
-
-def test_training_rejects_clips_without_an_emotion(network, tmp_path):
-    data = emotional_sheets(tmp_path / "meshes", emotions=["happy", ""])
-    with pytest.raises(DataError, match=r"clips\.csv has no emotion for sad; fill"):
-        train_mesh(tiny(network), data, tmp_path / "run")
-
-
 def test_folder_stores_the_hash_of_the_decoded_network(tmp_path):
     network = write_network(tmp_path / "network")
     model, sound = head(network), noise(0.5)
@@ -248,11 +230,3 @@ def test_evaluation_scores_every_emotion_and_the_curves(network, tmp_path, monke
     assert set(corners) == set(EMOTIONS[1:])
     assert np.abs(corners["happy"]["model"]).max() < 0.05
     assert "| corners | happy |" in as_markdown(report)
-
-
-def test_lip_weight_rejects_data_without_lips_before_building(tmp_path, monkeypatch):
-    (tmp_path / "vocaset/unposedcleaneddata").mkdir(parents=True)
-    monkeypatch.setattr(train_module, "open_meshes", lambda *a: pytest.fail("built first"))
-    config = load_config(CONFIGS / "sdfa_small.yaml")
-    with pytest.raises(ConfigError, match=r"train\.lip_weight=1: .* where the lips"):
-        train_mesh(config, tmp_path / "vocaset", tmp_path / "run")

@@ -12,7 +12,6 @@ from deitalk.config.load import load_config, parse_config
 from deitalk.config.mesh import SDFAConfig, SDFAModelConfig
 from deitalk.data.mesh_folder import Lips
 from deitalk.errors import AudioError, CheckpointError, ConfigError
-from deitalk.frontends.base import window_index
 from deitalk.models import mesh_model as sdfa_module
 from deitalk.models.checkpoint import new_mesh_model
 from deitalk.models.deformation_decoder import Deformation, InversePCA, Offsets
@@ -159,18 +158,6 @@ def test_bad_configuration(tree, said):
     assert said in str(caught.value)
 
 
-@pytest.mark.parametrize("name", ["sdfa_small", "karras", "voca"])
-def test_configurations_of_one_comparison_share_data_and_schedule(name):
-    config, reference = (load_config(CONFIGS / f"{n}.yaml") for n in (name, "sdfa_small"))
-    assert config.data == reference.data
-    train, wanted = config.train, reference.train
-    assert (train.schedule, train.lip_weight, train.ema) == (
-        wanted.schedule,
-        wanted.lip_weight,
-        wanted.ema,
-    )
-
-
 def test_forward_has_the_shapes_of_fig_1():
     sdfa = model()
     rows = sdfa(torch.randn(2, 3, 16, 40), torch.tensor([8, 12, 16]), torch.eye(2))
@@ -246,11 +233,6 @@ def test_offsets_are_added_to_the_template():
     assert np.ptp(vertices, axis=0).max() > 1e-3
 
 
-def test_window_index_repeats_the_ends():
-    index = window_index(torch.tensor([0, 3, 9]), 4, 10)
-    assert index.tolist() == [[0, 0, 0, 1], [1, 2, 3, 4], [7, 8, 9, 9]]
-
-
 @pytest.mark.parametrize(
     ("samples", "frames"), [(1, 1), (RATE // 60, 1), (RATE, 60), (RATE + 1, 61)]
 )
@@ -274,25 +256,12 @@ def test_another_template_of_the_same_triangles_is_moved():
     np.testing.assert_allclose(np.ptp(moved[..., 0], axis=1), 20, atol=4)
 
 
-def test_prediction_does_not_depend_on_the_level():
-    sdfa = model()
-    for weight in sdfa.parameters():
-        weight.data.div_(3)
-    one, two = (predict_mesh(sdfa, gain * noise(0.5)) for gain in (1.0, 0.2))
-    np.testing.assert_allclose(one, two, atol=1e-3)
-
-
 @pytest.mark.parametrize(
     "bad", [np.zeros(0), np.zeros((2, 100)), np.array([0.0, np.nan]), np.float32(1)]
 )
 def test_prediction_rejects_what_is_no_row_of_finite_samples(bad):
     with pytest.raises(AudioError, match="16 kHz"):
         predict_mesh(model(), bad)
-
-
-def test_prediction_rejects_an_unknown_speaker():
-    with pytest.raises(CheckpointError, match=r"'eve' is unknown.*ann, bob"):
-        predict_mesh(model(), noise(0.1), "eve")
 
 
 def test_attention_rows_sum_to_one():

@@ -6,11 +6,9 @@ import torch
 
 from deitalk.errors import CheckpointError
 from deitalk.models.checkpoint import load_model, require_model, save_model
-from deitalk.models.curve_model import DEITalk
 from deitalk.models.folder import describe_model
-from deitalk.models.mesh_model import SDFA, MeshModel
+from deitalk.models.mesh_model import MeshModel
 from deitalk.pipeline.mesh import mesh_coefficients, predict_mesh
-from deitalk.research.training.trim import main as trim_main
 from deitalk.research.training.trim import trimmed
 from tests.deitalk.models.test_mesh_model import model, noise, tiny
 
@@ -62,30 +60,6 @@ def test_trimmed_bases_keep_their_first_components():
     for sizes, said in (({"stretch": 4}, "4 of 3"), ({"offsets": 1}, "no branch")):
         with pytest.raises(CheckpointError, match=said):
             trimmed(sdfa, sizes)
-
-
-def test_trim_command_writes_a_model_once(tmp_path):
-    sdfa = model()
-    save_model(tmp_path / "m", sdfa, tiny(), {"step": 3})
-    arguments = [str(tmp_path / "m"), str(tmp_path / "t"), "stretch=2", "rotation=4"]
-    trim_main(arguments)
-    back = load_model(tmp_path / "t")
-    assert len(back.decoder.deviations["stretch"]) == 2
-    assert describe_model(tmp_path / "t")["training"]["components"]["stretch"] == 2
-    moved, whole = (predict_mesh(m, noise(0.3)) for m in (trimmed(sdfa, {"stretch": 2}), back))
-    np.testing.assert_allclose(moved, whole, atol=2e-2)
-    with pytest.raises(CheckpointError, match="exists already"):
-        trim_main(arguments)
-
-
-def test_require_model_rejects_another_kind(tmp_path):
-    save_model(tmp_path / "m", model(), tiny(), {})
-    assert isinstance(load_model(tmp_path / "m"), SDFA)
-    needed = r"m: makes mesh; a DEITalk model \(curves\) is needed, such as default"
-    with pytest.raises(CheckpointError, match=needed):
-        require_model(tmp_path / "m", DEITalk)
-    with pytest.raises(CheckpointError, match="makes mesh; a DEITalk model"):
-        require_model(model(), DEITalk)
 
 
 def test_load_model_rejects_damaged_templates(tmp_path):

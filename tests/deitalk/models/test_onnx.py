@@ -17,7 +17,7 @@ from deitalk.config.curves import Config, ModelConfig
 from deitalk.config.frontends import MelConfig
 from deitalk.config.rules import RulesConfig
 from deitalk.emotions import EMOTIONS
-from deitalk.errors import CheckpointError, DeitalkError, MissingError
+from deitalk.errors import CheckpointError, DeitalkError
 from deitalk.live.animator import LiveAnimator, live_frames
 from deitalk.models.checkpoint import load_model, save_model
 from deitalk.models.curve_model import DEITalk
@@ -166,12 +166,6 @@ def test_whisper_of_a_recording_in_parts_equals_torch(whisper, exported_whisper,
     assert np.abs(alone.emotional - expected.emotional).max() > 0.01, "the floor matters"
 
 
-@pytest.mark.parametrize("seconds", [3, 24])
-def test_whisper_of_silence_equals_torch(whisper, exported_whisper, seconds):
-    sound, rows = np.zeros(seconds * 16_000, np.float32), weights(30 * seconds, happy=1)
-    assert_equal(exported_whisper.read(sound, rows), whisper.read(sound, rows))
-
-
 def test_damaged_parts_are_refused_in_one_line(exported_whisper, tmp_path):
     content = onnx.load(str(exported_whisper.path))
     (entry,) = (entry for entry in content.metadata_props if entry.key == "parts")
@@ -221,26 +215,6 @@ def test_actors_differ_as_they_do_in_torch(model, exported):
     model.decoder.actors.weight.data.zero_()
 
 
-def test_last_layers_of_actors_are_exported(tmp_path):
-    model = tiny(actors=("ann", "bob"), actor_layers=True, decoder_direct=True)
-    with torch.no_grad():
-        for weight in model.decoder.actor_layers.parameters():
-            weight.normal_(std=0.1)
-    export_onnx(model, tmp_path / "layers.onnx", name="layers")
-    found, sound, rows = load_onnx(tmp_path / "layers.onnx"), speechlike(1.0), weights(30, sad=1)
-    for actor in ("ann", "bob", ""):
-        assert_equal(found.read(sound, rows, actor), model.read(sound, rows, actor))
-    assert (
-        np.abs(model.read(sound, rows, "ann").emotional - model.read(sound, rows).emotional).max()
-        > 0.1
-    )
-
-
-def test_neutral_weights_give_one_reading(exported):
-    found = exported.read(speechlike(0.5), weights(15, neutral=1))
-    assert found.emotional is found.neutral
-
-
 def test_long_recordings_are_divided_on_frames_that_lie_on_samples(exported, monkeypatch):
     """Parts of 90 frames with 60 of context, more than the tiny network remembers."""
     sound, rows = speechlike(8.0), weights(240, happy=1)
@@ -253,11 +227,6 @@ def test_long_recordings_are_divided_on_frames_that_lie_on_samples(exported, mon
     assert shares == [90 / 240, 180 / 240, 1]
     assert parts.emotional.shape == whole.emotional.shape
     assert np.abs(parts.emotional - whole.emotional).max() < 0.01
-
-
-def test_parts_begin_on_samples():
-    for frames in (network_module.PART_FRAMES, network_module.CONTEXT_FRAMES):
-        assert frames % 3 == 0, "frame 3 k lies on sample 1600 k"
 
 
 def test_metadata_describes_controls_rules_and_input(model, exported):
@@ -344,12 +313,6 @@ def test_onnx_rejects_other_devices_and_unknown_backends():
         load_network("default", backend="tensorflow")
 
 
-def test_missing_onnxruntime_is_named_with_its_install_line(monkeypatch, exported):
-    monkeypatch.setitem(sys.modules, "onnxruntime", None)
-    with pytest.raises(MissingError, match=r"pip install 'deitalk\[onnx\]'"):
-        load_onnx(exported.path)
-
-
 COMMAND = """
 import sys
 sys.argv = {argv!r}
@@ -402,16 +365,6 @@ def test_packages_of_the_small_installation_are_enough(exported, tmp_path):
     )
     assert done.returncode == 0, done.stderr
     assert len(read_curves(tmp_path / "take/curves.csv")) == 262
-
-
-def test_animate_with_an_onnx_file_imports_no_torch(exported, tmp_path):
-    sample = Path(__file__).parents[3] / "docs/samples/promise.flac"
-    take = str(tmp_path / "take")
-    run_without_torch(
-        "animate", str(sample), "-e", "happy", "-o", take, "--model", str(exported.path)
-    )
-    about = json.loads((tmp_path / "take/take.json").read_text())["model"]
-    assert about["name"] == str(exported.path) and about["bytes"] == exported.path.stat().st_size
 
 
 @pytest.mark.slow

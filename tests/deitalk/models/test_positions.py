@@ -20,10 +20,6 @@ def test_encoding_by_hand():
     torch.testing.assert_close(encode([1], 16, 4)[0], expected, atol=1e-6, rtol=0)
 
 
-def test_first_frame_is_zero_and_one():
-    assert encode([0], 77, 6)[0].tolist() == [0, 1, 0, 1, 0, 1]
-
-
 @given(st.integers(1, 5000).flatmap(lambda n: st.tuples(st.integers(0, n), st.just(n))))
 def test_encoding_depends_on_the_share_of_the_clip_only(place):
     t, total = place
@@ -42,10 +38,3 @@ def test_every_clip_of_a_batch_has_its_own_length():
     both = dynamic_positions(frames, torch.tensor([50, 80]), 8)
     assert torch.equal(both[0], encode([5, 6], 50))
     assert torch.equal(both[1], encode([5, 6], 80))
-
-
-def test_odd_width_ends_with_a_sine():
-    odd, place = encode([3], 40, 5), 3 / 40
-    assert odd.shape == (1, 5)
-    expected = math.sin(20 * math.pi * place / 10000 ** (4 / 5))
-    assert abs(float(odd[0, 4]) - expected) < 1e-6

@@ -88,22 +88,6 @@ def test_style_of_one_frame_acts_near_that_frame_only():
     assert moved[100:].any()
 
 
-def test_without_intensity_there_is_no_guidance():
-    net = decoder(guidance_size=0)
-    speech, emotion, _ = inputs()
-    assert net.layers[0].conv.in_channels == 10 + 3
-    assert net(speech, emotion, None).shape == (1, 90, 3)
-
-
-def test_dropout_is_off_in_evaluation_mode():
-    net = decoder(dropout=0.5)
-    net.eval()
-    data = inputs()
-    assert torch.equal(net(*data), net(*data))
-    net.train()
-    assert not torch.equal(net(*data), net(*data))
-
-
 @pytest.mark.parametrize(
     "options",
     [

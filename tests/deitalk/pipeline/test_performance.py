@@ -34,11 +34,6 @@ def test_save_writes_a_take_where_the_name_is_a_folder(tmp_path, happy, name):
     assert about["model"]["control_set"] == "metahuman-185@mh4"
 
 
-def test_save_writes_into_an_existing_folder_whatever_its_suffix(tmp_path, happy):
-    (tmp_path / "take.csv").mkdir()
-    assert (happy.save(tmp_path / "take.csv") / "curves.csv").is_file()
-
-
 @each("name", ["c.csv", "c.JSON", "Scene 1.2.npz", "a.v2.unreal.json"])
 def test_save_writes_one_file_by_its_suffix(tmp_path, happy, name):
     saved = happy.save(tmp_path / name, fps=60)
@@ -53,13 +48,6 @@ def test_save_replaces_only_by_force(tmp_path, happy):
     with pytest.raises(ExistsError, match=r"c\.csv exists"):
         happy.save(tmp_path / "c.csv")
     happy.save(tmp_path / "c.csv", force=True)
-
-
-@each("name", ["take.v2", "c.xyz", "c.wav"])
-def test_save_rejects_a_suffix_that_is_none(tmp_path, happy, name):
-    with pytest.raises(TargetError, match=r"a folder with a slash: .*/$"):
-        happy.save(tmp_path / name)
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_save_names_the_model_it_was_given(tmp_path, happy):
@@ -82,11 +70,6 @@ def test_save_names_the_model_it_was_given(tmp_path, happy):
 def test_is_folder_name_by_the_rule(tmp_path, monkeypatch, name, is_folder):
     monkeypatch.chdir(tmp_path)
     assert is_folder_name(name, (".csv",)) is is_folder
-
-
-def test_is_folder_name_rejects_the_empty_name():
-    with pytest.raises(TargetError, match="empty"):
-        is_folder_name("", (".csv",))
 
 
 def test_mean_intensities_are_of_predicted_and_applied(network):

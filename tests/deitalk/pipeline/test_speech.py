@@ -27,13 +27,6 @@ def tracks(speech, strength):
     return Tracks(2 * rows - 1, rows)
 
 
-def test_speech_has_a_row_for_each_thirtieth_of_a_second(speech):
-    assert speech.n_frames == 210 == len(speech.times)
-    assert speech.times[-1] == pytest.approx(209 / 30)
-    for track in (speech.activity, speech.mouth, speech.shown, speech.prosody.level):
-        assert track.shape == (210,)
-
-
 def test_gates_are_shut_in_silence_and_open_in_speech(speech):
     assert speech.mouth[:30].max() == speech.shown[:30].max() == 0
     assert speech.mouth[90:120].min() == speech.shown[90:120].min() == 1
@@ -86,12 +79,6 @@ def test_scale_is_one_where_the_network_predicts_what_is_applied(speech):
     np.testing.assert_array_equal(found.applied, np.float32(0.5))  # also where nobody speaks
     open_ = speech.shown == 1
     np.testing.assert_allclose(found.scale[open_], 1)
-    np.testing.assert_array_equal(found.saliency, 0)
-
-
-def test_network_without_intensity_predicts_one_everywhere(speech):
-    found = measure_intensities(speech, Tracks(None, None), Acting.of(emotion="happy"))
-    np.testing.assert_array_equal(found.network, 1)
     np.testing.assert_array_equal(found.saliency, 0)
 
 

@@ -220,13 +220,6 @@ def test_file_cut_short_is_refused(page, folder, tmp_path):
         )
 
 
-def test_file_above_the_limit_is_not_read(page):
-    page.evaluate(
-        "deitalk.page.opener.open({ name: 'big.glb', size: 3e9 })"
-    )  # nothing else to read
-    assert page.inner_text("#notice") == "big.glb is 3000 MB; at most 256 MB can be opened"
-
-
 def test_player_without_a_take_shows_a_glb(browser, folder):
     with opened(browser, folder / "bare.html") as tab:
         assert not tab.is_visible("#workbench")

@@ -19,7 +19,7 @@ from deitalk.preview import page as page_module
 from deitalk.preview.page import pack, render_page
 from deitalk.preview.source import PreviewError, PreviewSource, bilabial_warnings
 from rig import RigCurves, clamp, default_controls, gain
-from rig.errors import ExistsError, TargetError
+from rig.errors import TargetError
 from rig.face import build_head
 from rig.face.contact_sheet import EMOTION_POSES, MOUTH_POSES, pose_values
 from tests.browser import chromium, lateness, needs_player, opened
@@ -67,11 +67,6 @@ def test_pack_keeps_arrays_and_facts():
     assert facts == {"name": "Zoë", "n": [1, 2]}
     for name, array in arrays.items():
         assert np.array_equal(found[name], array.ravel())
-
-
-def test_pack_is_the_same_every_time():
-    arrays = {"a": np.arange(5, dtype=np.float32)}
-    assert pack(arrays, {}) == pack(arrays, {})
 
 
 @pytest.fixture
@@ -134,13 +129,6 @@ def test_page_holds_the_take_and_the_recording(tiny_player, tmp_path):
     assert np.allclose(arrays["vertices"].reshape(-1, 3), build_head(0).mesh.vertices, atol=1e-5)
 
 
-def test_page_without_recording_has_no_audio(tiny_player, tmp_path):
-    source = make_source()
-    silent = PreviewSource("s", source.curves, np.zeros(0, np.float32), 0)
-    page = render_page(silent, tmp_path / "p.html").read_text()
-    assert block(page, "audio-0") == ""
-
-
 def test_missing_player_error_gives_the_build_steps(tmp_path, monkeypatch):
     monkeypatch.setattr(page_module, "BUNDLE", tmp_path / "none.html")
     with pytest.raises(MissingError, match="make page"):
@@ -154,18 +142,6 @@ def test_missing_player_error_gives_the_build_steps(tmp_path, monkeypatch):
 def test_bad_targets_are_refused(tiny_player, tmp_path, name, message):
     with pytest.raises((PreviewError, TargetError), match=message):
         render_page(make_source(), tmp_path / name)
-
-
-def test_existing_page_is_kept_without_force(tiny_player, tmp_path):
-    (tmp_path / "p.html").write_text("mine")
-    with pytest.raises(ExistsError, match="exists"):
-        render_page(make_source(), tmp_path / "p.html")
-    assert (tmp_path / "p.html").read_text() == "mine"
-
-
-def test_seven_takes_are_refused(tiny_player, tmp_path):
-    with pytest.raises(PreviewError, match="7 takes"):
-        render_page([make_source()] * 7, tmp_path / "p.html")
 
 
 # ------------------------------------------------------------------- in a browser
@@ -218,13 +194,6 @@ def page(tab):
 
 def shown_vertices(page) -> np.ndarray:
     return np.array(page.evaluate("Array.from(deitalk.page.state().vertices)")).reshape(-1, 3)
-
-
-def test_page_opens_offline_without_console_errors(browser, page_file):
-    with opened(browser, page_file / "one.html") as tab:
-        tab.wait_for_timeout(300)
-        assert tab.complaints == []
-        assert tab.inner_text("#title") == "first"
 
 
 def test_rig_of_the_page_equals_that_of_python(page):
@@ -280,12 +249,6 @@ def drag(page, start: tuple[float, float], end: tuple[float, float]) -> None:
     page.mouse.down()
     page.mouse.move(*end, steps=4)
     page.mouse.up()
-
-
-def test_intensity_without_points_is_that_of_the_take(page, tmp_path):
-    assert page.locator("#intensity circle").count() == 0
-    intensity = make_source("first").curves.intensity
-    assert np.abs(applied_after(tmp_path, page) - intensity).max() < 1e-5
 
 
 def test_points_are_a_factor_on_the_intensity(page, tmp_path):
@@ -380,20 +343,6 @@ def test_warnings_of_python_are_listed_and_seek(page):
     assert page.evaluate("deitalk.page.state().time") == pytest.approx(found.time, abs=0.02)
 
 
-def test_keys_step_and_turn(page):
-    page.keyboard.press(".")
-    assert page.evaluate("deitalk.page.state().frame") == 1
-    page.keyboard.press("4")
-    page.keyboard.press("?")
-    assert page.is_visible("#help")
-
-
-def test_a_control_can_be_added_by_name(page):
-    page.fill("#search", "CTRL_C_tongue_inOut.ty")
-    page.press("#search", "Enter")
-    assert "C_tongue_inOut.ty" in page.inner_text("#curves")
-
-
 def frame_of(page) -> int:
     return page.evaluate("deitalk.page.state().frame")
 
@@ -430,11 +379,6 @@ def test_end_goes_to_the_last_frame_and_stays(page):
     page.keyboard.press("End")
     page.wait_for_timeout(150)
     assert frame_of(page) == 90 and not is_playing(page)
-
-
-def test_twice_the_speed_plays_twice_as_fast(page):
-    page.select_option("#speed", "2")
-    assert page.evaluate("deitalk.page.clock.audio.playbackRate") == 2
 
 
 def test_solo_is_undone_by_a_second_press(page):

@@ -150,41 +150,6 @@ def test_fine_tuning_begins_with_the_given_weights(data, finished, tmp_path):
         )
 
 
-def test_without_validation_clips_the_last_weights_are_the_best(data, tmp_path):
-    folder = write_dataset(tmp_path / "data", n_validation=0)
-    best = train_curves(tiny(), folder, tmp_path / "run")
-    assert best["step"] == 6 and equal(tmp_path / "run" / "best", tmp_path / "run" / "last")
-
-
-def test_tensorboard_holds_the_numbers_of_the_tables(data, tmp_path):
-    pytest.importorskip("tensorboard", reason="needs the extra 'tensorboard'")
-    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
-
-    train_curves(tiny("train.steps=3"), data, tmp_path / "run", tensorboard=True)
-    events = EventAccumulator(str(tmp_path / "run" / "tensorboard"))
-    events.Reload()
-    for table, column, tag in (
-        ("metrics", "total", "metrics/total"),
-        ("development", "dev_score", "development/score"),
-    ):
-        rows = pd.read_csv(tmp_path / "run" / f"{table}.csv")
-        reported = [(event.step, event.value) for event in events.Scalars(tag)]
-        assert reported == [(3, pytest.approx(rows[column].iloc[0], rel=1e-5))]
-
-
-def test_training_rejects_a_dataset_without_training_clips(tmp_path):
-    folder = write_dataset(tmp_path / "data", n_train=0)
-    with pytest.raises(DataError, match="no clips to train on"):
-        train_curves(tiny(), folder, tmp_path / "run")
-
-
-def test_epoch_is_all_windows_of_all_clips(data):
-    settings = {"window_frames": 40, "stride_frames": 5}
-    config = load_config(TINY, [f"data={settings}"])
-    # 4 clips of 90 frames: (90 - 40) / 5 + 1 = 11 windows each.
-    assert CurveTask(config, data).epoch_size() == 44
-
-
 def test_frozen_frontend_stays_in_evaluation_mode(data, finished):
     config = tiny("model.dropout=0.1", f"train.frozen_frontend={finished / 'last'}")
     task = CurveTask(config, data)
@@ -326,11 +291,3 @@ train:
   steps: 4
   evaluate_every: 4
 """
-
-
-def test_some_clips_are_taken_evenly(tmp_path):
-    data = write_dataset(tmp_path / "data", 5, 1)
-    every = [clip.name for clip in CurveTask(load_config(TINY), data).clips]
-    config = load_config(TINY, ["data.clips=3"])
-    taken = [clip.name for clip in CurveTask(config, data).clips]
-    assert taken == [every[0], every[len(every) // 2], every[-1]]

@@ -8,7 +8,6 @@ import torch
 
 from deitalk.config.curves import Config
 from deitalk.config.load import load_config
-from deitalk.errors import CheckpointError, ConfigError
 from deitalk.models.checkpoint import load_model, save_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.training.curve_losses import Teacher, read_teacher, start_as
@@ -118,11 +117,6 @@ def test_total_contains_the_weighted_distance(data, teacher, tmp_path):
     assert added == pytest.approx(2 * totals[1]["distillation"], rel=1e-4)
 
 
-def test_configuration_rejects_a_teacher_of_a_frozen_frontend():
-    with pytest.raises(ConfigError, match=r"train\.teacher='default': a frozen frontend cannot be"):
-        load_config(TINY, ["train.teacher=default", "train.frozen_frontend=default"])
-
-
 def test_saved_model_contains_no_teacher_and_loads_without_it(finished, teacher):
     config = student(teacher)
     names = set(DEITalk(config.model).state_dict())
@@ -170,12 +164,3 @@ def test_weights_that_begin_as_the_teachers_learn_at_a_third(data, teacher):
     alone = CurveTask(load_config(TINY), data)
     alone.build(torch.device("cpu"))
     assert len(alone.optimizer().param_groups) == 1
-
-
-def test_training_rejects_a_teacher_of_another_width_or_none(data, teacher, tmp_path):
-    wide = student(teacher, "model.frontend.width=48")
-    with pytest.raises(ConfigError, match=r"32 features a frame, the model 48; set .*\.width=32"):
-        train_curves(wide, data, tmp_path / "wide")
-    assert not (tmp_path / "wide" / "metrics.csv").exists()
-    with pytest.raises(CheckpointError, match="nobody: no model there"):
-        train_curves(student("nobody"), data, tmp_path / "nobody")

@@ -204,23 +204,6 @@ def test_resumed_run_has_the_weights_of_an_uninterrupted_one(
         assert (tmp_path / "run" / name).read_text() == (finished / name).read_text()
 
 
-def test_tensorboard_holds_the_numbers_of_the_tables(sequences, tmp_path):
-    pytest.importorskip("tensorboard", reason="needs the extra 'tensorboard'")
-    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
-
-    train_mesh(tiny(VOCA, "offsets"), sequences, tmp_path / "run", tensorboard=True)
-    events = EventAccumulator(str(tmp_path / "run" / "tensorboard"))
-    events.Reload()
-    for table, column, tag in (
-        ("metrics", "offsets_value", "metrics/offsets_value"),
-        ("development", "dev_lively_mm", "development/lively_mm"),
-    ):
-        rows = pd.read_csv(tmp_path / "run" / f"{table}.csv")
-        written = [(event.step, event.value) for event in events.Scalars(tag)]
-        expected = list(zip(rows["step"], rows[column], strict=True))
-        assert written == [(step, pytest.approx(value, rel=1e-5)) for step, value in expected]
-
-
 def test_pictures_show_what_the_training_changes(finished):
     pytest.importorskip("matplotlib", reason="pictures need matplotlib")
     from matplotlib.image import imread

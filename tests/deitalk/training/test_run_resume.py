@@ -155,20 +155,6 @@ def test_resuming_rejects_an_edited_file(data, run, name):
     assert path.read_text().endswith(" ")
 
 
-def test_other_files_beside_the_weights_stay(data, run):
-    (run / "best" / "notes.txt").write_text("mine")
-    (run / "state.pt").unlink()
-    train_curves(tiny(), data, run, resume=True)
-    assert (run / "best" / "notes.txt").read_text() == "mine"
-
-
-def test_run_without_manifests_is_resumed(data, finished, run):
-    for manifest in run.rglob(".deitalk-manifest.json"):
-        manifest.unlink()
-    train_curves(tiny(), data, run, resume=True)
-    assert contents(run) == contents(finished)
-
-
 def test_settings_that_may_change_are_updated(data, run):
     train_curves(tiny("name=other"), data, run, resume=True)
     assert load_config(run / "config.yaml").name == "other"

@@ -137,21 +137,6 @@ def test_evaluations_write_scores_pictures_and_the_best_weights(tmp_path):
         assert pictures == ["000002.png", "000004.png", "000006.png"]
 
 
-def test_without_validation_clips_nothing_is_drawn(tmp_path, monkeypatch):
-    monkeypatch.setattr(LineTask, "validate", lambda self, model: ({"score": 0.0}, []))
-    trained(tmp_path / "run")
-    assert not (tmp_path / "run/curves").exists()
-
-
-def test_progress_reports_the_start_every_log_and_every_evaluation(tmp_path):
-    calls: list[tuple[int, int, set[str]]] = []
-    trained(tmp_path / "run", progress=lambda s, n, values: calls.append((s, n, set(values))))
-    scores, losses = {"dev_score", "dev_error"}, {"error", "total"}
-    assert [(step, total) for step, total, _ in calls] == [(0, 6), (2, 6), (4, 6), (6, 6), (6, 6)]
-    assert calls[0][2] == set() and calls[1][2] == scores
-    assert calls[3][2] == {*losses, "gradient_norm", "learning_rate", "rate"}
-
-
 class Killed(Exception):
     pass
 
@@ -197,17 +182,6 @@ def test_state_has_nothing_that_never_changes(tmp_path, monkeypatch):
     assert set(task.model.state_dict()) == names
 
 
-def test_state_of_a_run_that_is_over_may_be_numbers_alone(tmp_path, monkeypatch):
-    monkeypatch.setattr(LineTask, "keeps_state", False)
-    best = run_training(LineTask(config(), scores=(0.3, 0.2, 0.1)), tmp_path / "run")
-    state = torch.load(tmp_path / "run/state.pt", weights_only=True)
-    assert state == {"step": 6, "best_score": 0.3}
-    rows = (tmp_path / "run/development.csv").read_text()
-    task = trained(tmp_path / "run", resume=True)
-    assert not task.seen and best["step"] == 2
-    assert (tmp_path / "run/development.csv").read_text() == rows
-
-
 def test_compiled_network_learns_as_the_plain_one(tmp_path, monkeypatch):
     """By the tracer without a compiler of C++, so that any machine can."""
     used = []
@@ -222,26 +196,12 @@ def test_compiled_network_learns_as_the_plain_one(tmp_path, monkeypatch):
     pd.testing.assert_frame_equal(plain, other, rtol=1e-5)
 
 
-def test_finished_run_is_left_as_it_is(tmp_path):
-    trained(tmp_path / "run")
-    before = (tmp_path / "run/state.pt").stat().st_mtime_ns
-    task = trained(tmp_path / "run", resume=True)
-    assert not task.seen and (tmp_path / "run/state.pt").stat().st_mtime_ns == before
-
-
 def test_used_folder_or_other_settings_are_refused(tmp_path):
     trained(tmp_path / "run")
     with pytest.raises(DataError, match="holds a run already; set `resume=True`"):
         trained(tmp_path / "run")
     with pytest.raises(ConfigError, match=r"begun with another train\.seed"):
         trained(tmp_path / "run", LineTask(config(seed=9)), resume=True)
-
-
-def test_steps_come_from_epochs_where_none_are_given(tmp_path):
-    task = trained(tmp_path / "run", LineTask(config(steps=None, epochs=2)))
-    assert len(task.seen) == 11  # 2 epochs of 21 in batches of 4
-    few = trained(tmp_path / "few", LineTask(config(steps=None, epochs=0.01)))
-    assert len(few.seen) == 1
 
 
 class PlainTask(LineTask):
