@@ -114,7 +114,7 @@ class OpenGLRenderer:
 
 
 def has_graphics_processor() -> bool:
-    """Whether OpenGL works and is not itself drawn by the main processor (Mesa's slower drivers)."""
+    """Whether OpenGL works and is not drawn by the main processor (Mesa's slower drivers)."""
     try:
         name = open_context().info["GL_RENDERER"].lower()
     except RigError:
