@@ -25,12 +25,6 @@ SAMPLES = "samples"
 MOST_VOICES = 64
 """Voices of one model."""
 MESH_SUFFIXES = (".glb", ".obj", ".ply", ".npz")
-CURVE_SUFFIXES = (
-    ".raw.csv", ".rigmapper.csv", ".livelink.csv", ".livelink-raw.csv", ".a2f.csv",
-    ".unreal.json", ".visemes.json", ".rhubarb.json", ".csv", ".json", ".npz", ".txt", ".tsv",
-    ".xml", ".glb", ".usd", ".usda", ".usdc",
-)  # fmt: skip
-"""Longer ones first."""
 
 
 class Limits(TypedDict):

@@ -63,6 +63,9 @@ CURVE_FORMATS = {
     for known in FORMATS
     if known.write and find_spec(PACKAGES.get(known.name, "numpy"))
 }
+_READ = [known for known in FORMATS if known.read and known.name != "fbx"]
+CURVE_SUFFIXES = tuple(sorted((s for known in _READ for s in known.suffixes), key=len))[::-1]
+"""Of curves that are read, longer ones first. An FBX would be opened by Blender, without limits."""
 ANIMATION_FORMATS = CURVE_FORMATS | {
     "take": OutputFormat("take", ".zip", "the take folder of `deitalk animate`, zipped"),
     "mp4": OutputFormat("mp4", ".mp4", "review video, 960 x 720", cost=3.0),

@@ -11,13 +11,14 @@ from starlette.datastructures import UploadFile
 from starlette.formparsers import MultiPartException
 from starlette.requests import ClientDisconnect
 
-from api.compute.order import CURVE_SUFFIXES, MESH_SUFFIXES, RECORDING, Kind, Order, suffix_of
+from api.compute.order import MESH_SUFFIXES, RECORDING, Kind, Order, suffix_of
 from api.errors import Problem
 from api.guard.keys import Caller
 from api.messages import body_docs
 from api.messages.formats import (
     ANIMATION_FORMATS,
     CURVE_FORMATS,
+    CURVE_SUFFIXES,
     MESH_FORMATS,
     OutputFormat,
     choose_format,

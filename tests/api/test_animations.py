@@ -209,13 +209,18 @@ def test_retarget_drives_the_shapes_of_the_mesh(client):
     assert (missing.status_code, missing.json()["code"]) == (422, "curves_missing")
 
 
-def test_validation_finds_what_the_command_finds(client):
+def test_validation_finds_what_the_command_finds(client, tmp_path):
     good = post(client, params={"format": "csv"}).content
+    (tmp_path / "good.csv").write_bytes(good)
     bad = good.replace(b"CTRL_C_jaw.ty", b"CTRL_C_jaw.tz")
     first = client.post("/v1/validate", files={"curves": ("curves.csv", good)}).json()
     second = client.post("/v1/validate", files={"curves": ("curves.csv", bad)}).json()
     assert first["ok"] and not second["ok"]
     assert any("CTRL_C_jaw.tz" in finding["text"] for finding in second["findings"])
+    for name in ("a.anim", "a.a2f.json", "a.maya.py", "a.vrma", "a.dat"):  # as it answers them
+        write_curves(tmp_path / name, read_curves(tmp_path / "good.csv"))
+        files = {"curves": (name, (tmp_path / name).read_bytes())}
+        assert client.post("/v1/validate", files=files).json()["ok"], name
     other = client.post("/v1/validate", files={"curves": ("curves.exe", good)})
     assert other.status_code == 415
 
