@@ -33,6 +33,7 @@ from rig.formats.blender import addon_text
 from rig.formats.table import FORMATS
 from rig.livelink import make_protocol
 from rig.livelink.protocols import prepared
+from rig.retarget.morph_head import morph_head
 from rig.retarget.retarget_files import retarget_curves
 from tests.rig.formats import test_independent_readers as js
 from tests.rig.formats.test_scene import accessor
@@ -44,7 +45,7 @@ FRAMES = (0, 17, 41)
 IN_BLENDER = """
 import importlib.util, json, os, sys
 import bpy
-addon_path, take, glb, *frames = sys.argv[1:]
+addon_path, take, glb, usd, *frames = sys.argv[1:]
 bpy.ops.wm.read_factory_settings(use_empty=True)
 spec = importlib.util.spec_from_file_location("deitalk_blender", addon_path)
 addon = importlib.util.module_from_spec(spec)
@@ -64,13 +65,18 @@ made.select_set(True)
 bpy.ops.import_anim.deitalk(filepath=take + "/a.unreal.json", start=0.0, with_sound=False)
 bpy.ops.import_scene.gltf(filepath=glb)
 face = next(o for o in bpy.data.objects if o.type == "MESH" and o is not made)
-out = {"version": bpy.app.version_string, "addon": [], "glb": [], "turn": []}
+bpy.ops.wm.usd_import(filepath=usd)
+head = next(o for o in bpy.data.objects if o.type == "MESH" and o not in (made, face))
+shown = {"addon": made, "glb": face, "usd": head}
+out = {"version": bpy.app.version_string, **{key: [] for key in shown}, "turn": [], "usd_turn": []}
+out["pictures"] = [image.size[:] for image in bpy.data.images if image.name.startswith("head")]
 for frame in map(int, frames):
     scene.frame_set(frame)
-    out["addon"].append({b.name: b.value for b in made.data.shape_keys.key_blocks[1:]})
-    out["glb"].append({b.name: b.value for b in face.data.shape_keys.key_blocks[1:]})
-    w, x, y, z = face.matrix_world.to_quaternion()
-    out["turn"].append([x, y, z, w])
+    for key, mesh in shown.items():
+        out[key].append({b.name: b.value for b in mesh.data.shape_keys.key_blocks[1:]})
+    for key, mesh in (("turn", face), ("usd_turn", head)):
+        w, x, y, z = mesh.matrix_world.to_quaternion()
+        out[key].append([x, y, z, w])
 print("OUT " + json.dumps(out))
 sys.stdout.flush()
 os._exit(0)
@@ -189,11 +195,17 @@ def blender(curves: RigCurves, folder: Path) -> list[Any]:
     raw, shapes = convert(curves, RAW_ID), convert(curves, ARKIT_ID)
     (folder / "names.json").write_text(json.dumps(list(raw.names)))
     write_curves(folder / "arkit.glb", shapes)
+    write_curves(folder / "head.usdz", curves)
+    rig, _ = morph_head()
+    weights = rig.weights(curves)
     (folder / "addon.py").write_text(addon_text())
     (folder / "inside.py").write_text(IN_BLENDER)
     rows = []
+    # y up in the file is z up in Blender: a quarter turn about x
+    upright = Rotation.from_euler("x", 90, degrees=True)
     for program in filter(None, os.environ.get("BPY_PYTHONS", "").split(os.pathsep)):
-        command = [program, "inside.py", "addon.py", ".", "arkit.glb", *map(str, FRAMES)]
+        files = ("addon.py", ".", "arkit.glb", "head.usdz")
+        command = [program, "inside.py", *files, *map(str, FRAMES)]
         environment = {k: v for k, v in os.environ.items() if k != "PYTHONPATH"}
         done = subprocess.run(
             command, capture_output=True, text=True, cwd=folder, timeout=300, env=environment
@@ -209,13 +221,22 @@ def blender(curves: RigCurves, folder: Path) -> list[Any]:
             for a, n in apple.items()
         )
         name = f"Blender {out['version']}"
-        # y up in the file is z up in Blender: a quarter turn about x
-        upright = Rotation.from_euler("x", 90, degrees=True)
-        turns = (upright.inv() * Rotation.from_quat(out["turn"])).as_quat()
-        rest = (upright.inv() * Rotation.from_quat(out["turn"][0])).inv()
-        turn = head_error((Rotation.from_quat(turns) * rest).as_quat(), curves, FRAMES)
+        turns = []
+        for key, where in (("turn", upright), ("usd_turn", Rotation.identity())):
+            found = where.inv() * Rotation.from_quat(out[key])
+            # the turn in the file's axes: by frame 0, at which the head is at rest
+            own = found * found[0].inv() if key == "turn" else upright.inv() * found
+            turns.append(head_error(own.as_quat(), curves, FRAMES))
+        held = max(
+            abs(f[re.sub(r"\W", "_", n)] - weights[i, k])
+            for f, i in zip(out["usd"], FRAMES)  # noqa: B905
+            for k, n in enumerate(rig.shapes.names)
+        )
+        assert out["pictures"] == [[2048, 1024]]
         rows.append(["Unreal JSON, add-on", name, "251 shape keys", keyed])
-        rows.append(["GLB", name, "52 shapes, head", max(played, turn)])
+        rows.append(["GLB", name, "52 shapes, head", max(played, turns[0])])
+        what = f"{len(rig.shapes.names)} shapes, head, texture"
+        rows.append(["USDZ", name, what, max(held, turns[1])])
     return rows
 
 
@@ -300,6 +321,10 @@ def ours(curves: RigCurves, folder: Path) -> list[Any]:
         shown = [error for error in off if error <= 1e-3]
         assert len(off) - len(shown) == int(told[1] if told else 0), (known.name, report.note)
         what = f"{len(shown)} values of {back.control_set}"
+        if "head" in known.tracks:
+            head = convert(back, RAW_ID).head  # ARKit has it as columns
+            shown.append(head_error(quaternions(head), curves, range(60)))
+            what += ", head"
         rows.append([known.name, "`read_curves`", what, max(shown)])
     return rows
 
