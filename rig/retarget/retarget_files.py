@@ -33,6 +33,7 @@ from rig.retarget.source_head import source_head
 
 LEAST_LOST = 1e-3
 """Share of the movement below which nothing is said."""
+CUBIC = "the keys are cubic: Blender ignores their slopes and needs all keys"
 Way = Literal["blendshapes", "neutral", "sequence"]
 
 
@@ -104,8 +105,8 @@ def retarget_curves(
     as_neutral : bool
         Ignore the mesh's own shapes.
     keys : float
-        Tolerance of few keys in a GLB whose own shapes are driven, see `WeightAnimation`, or in an
-        FBX, see `rig.mesh.fbx.glb_to_fbx`.
+        Tolerance of few keys in a GLB, see `WeightAnimation`, or an FBX, see
+        `rig.mesh.fbx.glb_to_fbx`.
 
     Raises
     ------
@@ -122,19 +123,35 @@ def retarget_curves(
             )  # fmt: skip
             glb_to_fbx(between, beside, curves.fps, keys)
         return replace(report, path=Path(out))
+    if keys and check_out(out) != "glb":
+        raise FormatError(f"keys={keys:g} does not apply to {out}; it does to .glb and .fbx")
+    report = _retarget(curves, mesh, out, landmarks, mapping, method, as_neutral, keys)
+    return replace(report, notes=(*report.notes, *[CUBIC][: bool(keys)]))
+
+
+def _retarget(
+    curves: RigCurves,
+    mesh: Path,
+    out: Path | str,
+    landmarks: Path | str | None,
+    mapping: Path | str | None,
+    method: Method,
+    as_neutral: bool,
+    keys: float,
+) -> RetargetReport:
     check_out(out)
     if known_controls(curves.control_set) is None:
-        return _drive_by_name(curves, mesh, out)
+        return _drive_by_name(curves, mesh, out, keys)
     if mesh.suffix.lower() == ".glb" and not as_neutral and morph_names(mesh):
         return _drive_glb(curves, mesh, out, mapping, keys)
     shapes = read_shapes(mesh)
     if shapes.names and not as_neutral:
         fit, poses = _fit(curves, shapes, mapping)
-        _write(out, shapes, fit.weights, curves.fps)
+        _write(out, shapes, fit.weights, curves.fps, keys)
         return _driven(out, fit, poses, len(curves))
     found, notes = _landmarks(shapes, landmarks)
     made = shapes_for(shapes.neutral, found, method=method)
-    _write(out, made.rig.shapes, made.rig.weights(curves), curves.fps)
+    _write(out, made.rig.shapes, made.rig.weights(curves), curves.fps, keys)
     notes += made.warnings
     return RetargetReport(
         Path(out), "neutral", len(made.rig.shapes.names), len(curves), None, notes
@@ -284,7 +301,7 @@ def _unturned(curves: RigCurves, turns: Mapping[int, Any]) -> tuple[str, ...]:
     return tuple(notes)
 
 
-def _drive_by_name(curves: RigCurves, mesh: Path, out: Path | str) -> RetargetReport:
+def _drive_by_name(curves: RigCurves, mesh: Path, out: Path | str, keys: float) -> RetargetReport:
     """Drive the shapes that have the names of a user's own controls, in any case of letters."""
     is_kept = mesh.suffix.lower() == ".glb" and check_out(out) == "glb"
     shapes = None if is_kept else read_shapes(mesh)
@@ -298,13 +315,14 @@ def _drive_by_name(curves: RigCurves, mesh: Path, out: Path | str) -> RetargetRe
         )
     if shapes is None:
         weights = curves.values[:, list(driven.values())]
-        animate_glb(mesh, Path(out), tuple(driven), WeightAnimation(weights, curves.fps))
+        animation = WeightAnimation(weights, curves.fps, tolerance=keys)
+        animate_glb(mesh, Path(out), tuple(driven), animation)
     else:
         weights = np.zeros((len(curves), len(names)), np.float32)
         for place, name in enumerate(names):
             if name in driven:
                 weights[:, place] = curves.values[:, driven[name]]
-        _write(out, shapes, weights, curves.fps)
+        _write(out, shapes, weights, curves.fps, keys)
     used = set(driven.values())
     idle = [
         name for i, name in enumerate(curves.names) if i not in used and np.ptp(curves.values[:, i])
@@ -338,9 +356,9 @@ def _driven(out: Path | str, fit: ShapeFit, poses: FacePoses, frames: int) -> Re
     return RetargetReport(Path(out), "blendshapes", count, frames, fit.lost, tuple(notes), mapping)
 
 
-def _write(out: Path | str, shapes: ShapeSet, weights: Any, fps: float) -> None:
+def _write(out: Path | str, shapes: ShapeSet, weights: Any, fps: float, keys: float = 0.0) -> None:
     if check_out(out) == "glb":
-        write_glb(Path(out), shapes, animation=WeightAnimation(weights, fps))
+        write_glb(Path(out), shapes, animation=WeightAnimation(weights, fps, tolerance=keys))
         return
     check_length(len(weights), len(shapes.neutral.vertices))
     vertices = shapes.evaluate(weights).astype(np.float32)

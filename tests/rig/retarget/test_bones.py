@@ -5,12 +5,13 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from rig import RigCurves, default_controls
+from rig.errors import FormatError
 from rig.mesh.glb import read_container, write_container, write_glb
 from rig.mesh.glb_reader import read_accessor
 from rig.mesh.shapes import ShapeSet
 from rig.mesh.trimesh import TriMesh
 from rig.retarget.bones import NECK_SHARE
-from rig.retarget.retarget_files import retarget_curves
+from rig.retarget.retarget_files import CUBIC, retarget_curves
 
 BOARD = default_controls()
 NAMES = {
@@ -119,7 +120,10 @@ def test_few_cubic_keys_stay_near_the_weights(tmp_path):
     curves = take(60)
     curves.values.setflags(write=True)
     curves.values[:, BOARD.index("CTRL_C_jaw.ty")] = 0.5 - 0.5 * np.cos(np.arange(60) / 6)
-    retarget_curves(curves, tmp_path / "a.glb", tmp_path / "out.glb", keys=0.01)
+    report = retarget_curves(curves, tmp_path / "a.glb", tmp_path / "out.glb", keys=0.01)
+    assert CUBIC in report.notes
+    with pytest.raises(FormatError, match=r"keys=0.01 does not apply to .*; it does to .glb and"):
+        retarget_curves(curves, tmp_path / "a.glb", tmp_path / "out.npz", keys=0.01)
     document, binary = read_container(tmp_path / "out.glb")
     animation = document["animations"][0]
     sampler = animation["samplers"][animation["channels"][0]["sampler"]]

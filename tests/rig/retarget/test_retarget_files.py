@@ -127,6 +127,12 @@ def test_curves_of_a_rig_of_the_user_drive_the_shapes_of_their_names(tmp_path, s
     else:
         moved = np.load(tmp_path / "out.npz")["vertices"] - square.vertices
         np.testing.assert_allclose(moved[:, 0], [[2.5, 0.1, 0], [5, 0.2, 0]], atol=1e-6)
+    if suffix == ".glb":
+        long = RigCurves(np.repeat(values, 20, axis=0), own.names, fps=30, control_set="mine@1")
+        retarget_curves(long, tmp_path / "face.glb", tmp_path / "few.glb", keys=0.01)
+        document, _ = read_container(tmp_path / "few.glb")
+        keys = document["animations"][0]["samplers"][0]["input"]
+        assert document["accessors"][keys]["count"] < 10
     named = RigCurves(values, ("a", "b", "c"), fps=30, control_set="mine@1")
     with pytest.raises(FormatError, match=r"none of its 3 shapes has the name of a control of"):
         retarget_curves(named, tmp_path / "face.glb", tmp_path / f"no{suffix}")
