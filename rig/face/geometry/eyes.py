@@ -49,7 +49,7 @@ def _polar_grid(polar: Float64, radius: float) -> Float64:
 def _eye_colors(identity: Identity, degrees: Float64, column: Int64) -> tuple[Float64, Float64]:
     iris = 0.85 * np.array(identity.iris) + 0.02
     fleck = 1 + 0.16 * np.sin(column * 2.9) * np.sin(column * 1.3)
-    stops = [0, PUPIL_DEGREES + 0.05, PUPIL_DEGREES + 0.3, 19, 26, IRIS_DEGREES, 29.1, 48, 180]
+    stops = [0, PUPIL_DEGREES + 0.05, PUPIL_DEGREES + 0.3, 19, 26, IRIS_DEGREES, 29.1, 40, 55, 180]
     shades = np.array(
         [
             [0.015] * 3,
@@ -58,9 +58,10 @@ def _eye_colors(identity: Identity, degrees: Float64, column: Int64) -> tuple[Fl
             iris * 1.15,
             iris * 0.8,
             iris * 0.28,
-            [0.80, 0.77, 0.76],
-            [0.83, 0.79, 0.77],
-            [0.76, 0.55, 0.51],
+            [0.76, 0.73, 0.72],
+            [0.78, 0.73, 0.71],
+            [0.76, 0.60, 0.56],
+            [0.74, 0.45, 0.42],
         ]
     )
     colors = np.stack([np.interp(degrees, stops, shades[:, k]) for k in range(3)], -1)

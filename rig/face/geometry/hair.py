@@ -247,14 +247,14 @@ def _beside_the_face(point: Float64, sway: Float64) -> Float64:
     return moved
 
 
-BROW_HAIRS = 190
+BROW_HAIRS = 260
 
 
 def brow_place(s: Float64, identity: Identity) -> tuple[Float64, Float64, Float64]:
     """x, y and half the height of the left brow at s in 0 (inner end) .. 1, cm."""
     x = (0.95 + 3.95 * s) * (0.5 + 0.5 * identity.eye_spacing)
     y = 1.72 + 0.66 * np.sin(np.pi * np.minimum(s * 0.84, 1)) - 0.36 * s**3 + identity.brow_lift_cm
-    half = 0.36 * (1 - 0.78 * s**1.6) * np.minimum(1, 0.45 + s * 4) * identity.brow_thickness
+    half = 0.36 * (1 - 0.78 * s**1.6) * np.minimum(1, 0.3 + s * 3) * identity.brow_thickness
     return x, y, half
 
 
@@ -270,6 +270,7 @@ def brow(identity: Identity) -> Mesh:
         0.62
         * rng.uniform(0.7, 1.15, BROW_HAIRS)
         * (1 - 0.3 * s)
+        * np.minimum(1, 0.55 + 2.5 * s)
         * (0.6 + 0.4 * identity.brow_thickness)
     )
     t = np.linspace(-0.45, 0.55, 4)[:, None]
@@ -277,7 +278,7 @@ def brow(identity: Identity) -> Mesh:
     over = np.stack([-way[:, 1], way[:, 0]], -1)
     base = np.stack([x, y + 0.8 * half * across], -1)
     line = base + (t * length)[..., None] * way + (0.10 * t**2 * length)[..., None] * over
-    thick = 0.015 * np.array([0.7, 1.0, 0.8, 0.1])[:, None, None] * over
+    thick = 0.012 * np.array([0.7, 1.0, 0.8, 0.1])[:, None, None] * over
     flat = np.stack([line + thick, line - thick], 2).transpose(1, 0, 2, 3)  # (N, 4, 2, 2)
     depth = 8.4 - 0.30 * np.maximum(flat[..., 0] - 2.0, 0)
     aim = np.concatenate([flat, depth[..., None]], -1).reshape(-1, 3)
@@ -285,6 +286,7 @@ def brow(identity: Identity) -> Mesh:
     lift = np.tile(np.repeat([0.02, 0.06, 0.09, 0.07], 2), BROW_HAIRS)[:, None]
     vertices = on_skin + lift * unit(on_skin - [0, 1, 0])
     faces = np.concatenate([grid_faces(4, 2, closed=False, start=8 * k) for k in range(BROW_HAIRS)])
-    shade = rng.uniform(0.8, 1.5, BROW_HAIRS)
-    colors = np.array(identity.hair) * np.repeat(shade, 8)[:, None]
+    shade = np.repeat(rng.uniform(0.8, 1.5, BROW_HAIRS), 8)[:, None]
+    fair = np.repeat(np.interp(s, [0, 0.2], [0.35, 0.0]), 8)[:, None]  # the inner end
+    colors = np.array(identity.hair) * shade * (1 - fair) + np.array(identity.skin) * fair
     return Mesh(vertices, faces, colors, np.full(len(vertices), 0.1), kind=np.array(HAIR))

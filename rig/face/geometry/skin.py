@@ -316,6 +316,8 @@ def paint_skin(skin: Skin, identity: Identity) -> tuple[Float64, Float64]:
     mix(is_eye * np.interp(ring, [-1, 0, 1, 2], [0.85, 0.6, 0.10, 0]), base * [0.55, 0.36, 0.34])
     is_upper = is_eye & (np.sin(loops.angles(loops.EYE_COUNT))[skin.slot % loops.EYE_COUNT] > 0.1)
     mix(is_upper * np.interp(ring, [-1, 0, 1], [0.8, 0.7, 0.0]), np.array(identity.hair) * 0.6)
+    fold = np.interp(ring, [2, 3, 4], [0, 0.5, 0])  # of the upper lid
+    mix(is_upper * fold, base * [0.62, 0.44, 0.40])
     is_nostril = (kind == NOSTRIL_L) | (kind == NOSTRIL_R)
     mix(is_nostril * np.interp(ring, [-3, -1, 0, 1, 2], [1, 1, 0.55, 0.15, 0]), base * 0.09)
     gloss = np.full(len(v), 0.25)
