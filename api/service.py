@@ -20,10 +20,6 @@ from api.jobs.schema import open_database
 from api.jobs.store import Store
 from api.settings import Settings
 
-WINDOWED_EACH = 2
-"""Live sessions in windows for each worker: a window of 8 s takes .15 to .2 s, every .4 s. A voice
-of a causal model takes a tenth of a processor (`python -m tests.live_speed`)."""
-
 
 class Service:
     """Objects made at the start of the application and closed at its end.
@@ -37,7 +33,6 @@ class Service:
         self.settings, self.metrics = settings, Metrics()
         self.traffic = Traffic()
         self.live: Counter[str] = Counter()
-        self.windowed = 0
         self.is_draining = False
         self.limits: Limits = {
             "memory_bytes": settings.memory_mb * 2**20,
@@ -122,18 +117,6 @@ class Service:
             yield
         finally:
             self.live[caller.name] -= 1
-
-    @contextmanager
-    def windows(self) -> Iterator[None]:
-        """Count a live session whose model reads windows; Problem 503 if workers lack the time."""
-        if self.windowed >= WINDOWED_EACH * self.settings.workers:
-            text = "all live sessions with this model are taken; try again later, or use live"
-            raise Problem(503, text, "busy", headers={"Retry-After": "10"})
-        self.windowed += 1
-        try:
-            yield
-        finally:
-            self.windowed -= 1
 
     async def count_live(self, caller: Caller, seconds: float) -> None:
         """Count the sound of a live session, to the key's quota too."""

@@ -1,55 +1,19 @@
-"""Worker processes that end with their parent: by an error, a signal or ``kill -9``.
-
-A pool of the standard library waits for running tasks, and its workers outlive a killed parent;
-both would write into folders that the next command uses.
-"""
+"""Worker processes that end with their parent: by an error, a signal or ``kill -9``."""
 
 import os
-import signal
 import threading
-from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor
-from contextlib import contextmanager
-from multiprocessing import get_context, parent_process
+from multiprocessing import parent_process
 from multiprocessing.connection import Connection, wait
-
-
-@contextmanager
-def worker_pool(workers: int) -> Iterator[ProcessPoolExecutor]:
-    """Yield a pool of new processes that end at once if the block fails or this process ends.
-
-    Parameters
-    ----------
-    workers : int
-        Processes, 1 or more.
-    """
-    context = get_context("spawn")
-    reader, writer = context.Pipe(duplex=False)
-    pool = ProcessPoolExecutor(workers, context, initializer=_end_with, initargs=(reader,))
-    try:
-        yield pool
-    except BaseException:
-        writer.close()  # running tasks are abandoned
-        raise
-    finally:
-        pool.shutdown(cancel_futures=True)
-        writer.close()
-        reader.close()
-
-
-def _end_with(reader: Connection) -> None:
-    """End this process when the pool's side of the pipe is closed; Ctrl-C is the parent's."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    threading.Thread(target=_exit_after, args=(reader,), daemon=True).start()
 
 
 def end_with_parent(worker_id: int = 0) -> None:
     """End this process when its parent does; as ``worker_init_fn`` of a `DataLoader`."""
     parent = parent_process()
     if parent is not None:
-        threading.Thread(target=_exit_after, args=(parent.sentinel,), daemon=True).start()
+        threading.Thread(target=exit_after, args=(parent.sentinel,), daemon=True).start()
 
 
-def _exit_after(end: Connection | int) -> None:
+def exit_after(end: Connection | int) -> None:
+    """End this process when a pipe is closed or another process has ended."""
     wait([end])
     os._exit(1)

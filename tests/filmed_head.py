@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from deitalk.data.video.landmarks import (
+from deitalk.research.video.landmarks import (
     BROWS,
     CORNERS,
     IRIS,

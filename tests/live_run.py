@@ -179,8 +179,8 @@ def main() -> None:
     if given.command:
         command(float(given.command[0]), *given.command[1:])
         return
-    from deitalk.evaluation.report import identified, write_json
     from deitalk.research.evaluation.benchmark_curves import machine
+    from deitalk.research.evaluation.report import identified, write_json
 
     found = measure(given.minutes, given.period, 1e-6 * given.ppm, given.backend)
     write_json(given.json, identified("live") | {"machine": machine(), "threads": 1, **found})

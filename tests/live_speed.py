@@ -13,8 +13,8 @@ import numpy as np
 import torch
 
 from deitalk import LiveAnimator, load_audio
-from deitalk.evaluation.report import identified, write_json
 from deitalk.research.evaluation.benchmark_curves import machine
+from deitalk.research.evaluation.report import identified, write_json
 from rig.files import new_file
 
 SAMPLE = Path(__file__).resolve().parents[1] / "docs/samples/amiable.flac"

@@ -17,10 +17,10 @@ import numpy as np
 
 from deitalk import load_audio
 from deitalk.audio.voice_activity import normalise_level
-from deitalk.evaluation.report import identified, write_json
 from deitalk.models.checkpoint import load_model
 from deitalk.models.onnx.export import export_onnx
 from deitalk.research.evaluation.benchmark_curves import machine
+from deitalk.research.evaluation.report import identified, write_json
 from rig import default_controls
 from rig.files import new_file
 

@@ -9,11 +9,11 @@ import pytest
 from deitalk.config.curves import DataConfig
 from deitalk.config.load import load_config
 from deitalk.data import clips as reader
-from deitalk.data.checks import check_dataset
+from deitalk.data.checks import inspect_dataset
 from deitalk.data.clips import REQUIRED, read_clips, read_intensity, read_phones
 from deitalk.data.windows import WindowBatches
-from deitalk.evaluation.curves import ADULT_YEARS
 from deitalk.research.corpus.build import COLUMNS
+from deitalk.research.evaluation.curves import ADULT_YEARS
 from rig import default_controls
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -63,7 +63,7 @@ def test_example_is_read_as_described(example):
 
 
 def test_example_has_no_errors(example):
-    checks = {check.name: check for check in check_dataset(example)}
+    checks = {check.name: check for check in inspect_dataset(example).checks}
     assert "error" not in {check.level for check in checks.values()}
     for name in ("files", "controls", "lengths", "speakers"):
         assert checks[name].level == "ok", checks[name]

@@ -13,9 +13,7 @@ Names of files are fixed here: no text of a request becomes a path.
 
 from typing import Any, Literal, TypedDict
 
-Kind = Literal[
-    "animation", "mesh", "retarget", "conversion", "validation", "live", "voices", "studio"
-]
+Kind = Literal["animation", "mesh", "retarget", "conversion", "validation", "voices", "studio"]
 RECORDING = "recording"
 OUT = "out"
 ACTING = "acting.json"

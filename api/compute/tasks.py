@@ -330,23 +330,6 @@ def _validation(order: Order, limits: Limits, progress: Progress) -> Answer:
     return {"facts": {"ok": validation.ok, "findings": findings}}
 
 
-def _live(order: Order, limits: Limits, progress: Progress) -> Answer:
-    """Curves of one window of a stream: samples as float32 in, values (T, C) as float32 out."""
-    options = order["options"]
-    samples = np.fromfile(RECORDING, "<f4")
-    network = curve_network(options.get("model", "default"), limits)
-    performance = animate(
-        samples,
-        sample_rate=SAMPLE_RATE,
-        model=network,
-        acting=_acting(order, limits),
-        progress=progress,
-    )
-    out = Path(OUT) / "frames"
-    performance.curves.values.astype("<f4").tofile(out)
-    return {"file": str(out), "facts": {"frames": len(performance.curves)}}
-
-
 def _studio(order: Order, limits: Limits, progress: Progress) -> Answer:
     """The page of the studio with a head."""
     from deitalk.preview.page import render_studio
@@ -362,7 +345,6 @@ TASKS: dict[str, Callable[[Order, Limits, Progress], Answer]] = {
     "retarget": _retarget,
     "conversion": _conversion,
     "validation": _validation,
-    "live": _live,
     "voices": perform_voices,
     "studio": _studio,
 }

@@ -19,7 +19,6 @@ from sqlalchemy import BigInteger, Column, Float, Integer, MetaData, String, Tab
 
 QUEUED, RUNNING, DONE, FAILED, CANCELLED = "queued", "running", "done", "failed", "cancelled"
 ENDED = (DONE, FAILED, CANCELLED)
-STATUSES = (QUEUED, RUNNING, *ENDED)
 
 METADATA = MetaData()
 JOBS = Table(
@@ -76,7 +75,7 @@ class Job:
     owner : str
         Name of the key it was made with.
     status : str
-        One of `STATUSES`.
+        `QUEUED`, `RUNNING` or one of `ENDED`.
     work : dict
         The order, and the format of its result.
     created, started, finished : float or None

@@ -1,1 +1,1 @@
-"""Frames while somebody speaks: the offline model, run again and again on the last seconds."""
+"""Frames while somebody speaks, over WebSocket and gRPC."""

@@ -26,8 +26,8 @@ from nvidia_audio2face_3d import messages_pb2 as a2f
 from api.compute.live import MODEL
 from api.errors import Problem, internal_problem, problem_of
 from api.guard.keys import Caller, KeyRing, require
-from api.live.session import QUIET_SECONDS, START_SECONDS, CausalStream
-from api.live.stream import BACKLOG_SECONDS
+from api.live.session import QUIET_SECONDS, START_SECONDS
+from api.live.stream import BACKLOG_SECONDS, LiveStream
 from api.service import Service
 from deitalk.acting import Acting
 from deitalk.audio.frames import FRAME_RATE
@@ -128,7 +128,7 @@ class _Voice:
         acting = Acting.of(None, life=life, emotion=emotion)
         voice, _ = await self.service.voices.open(MODEL, acting)
         self.rate = audio.samples_per_second
-        self.stream = CausalStream(self.rate, False, voice)
+        self.stream = LiveStream(self.rate, False, voice)
         reading = asyncio.create_task(self._read(acting))
         try:
             joints = ace.SkelAnimationHeader(blend_shapes=SHAPES)

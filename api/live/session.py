@@ -3,9 +3,7 @@
 import asyncio
 import json
 import struct
-from collections.abc import Callable, Coroutine
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from time import monotonic
 from typing import Any, Literal
@@ -15,22 +13,14 @@ from fastapi import WebSocket
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from starlette.websockets import WebSocketDisconnect
 
-from api.compute.live import MODEL, Voice
-from api.compute.order import ACTING, RECORDING, Order
-from api.compute.pool import result_path
+from api.compute.live import MODEL
 from api.errors import Problem
 from api.guard.keys import Caller
 from api.guard.protocol import SEND_SECONDS
-from api.live.stream import (
-    BACKLOG_SECONDS,
-    HOP_SECONDS,
-    LOOKAHEAD_SECONDS,
-    WINDOW_SECONDS,
-    LiveStream,
-)
+from api.live.stream import BACKLOG_SECONDS, LiveStream
 from api.service import Service
 from deitalk.acting import LIVE_FIELDS, Acting, modern, user_error
-from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
+from deitalk.audio.frames import FRAME_RATE
 from deitalk.errors import ConfigError
 from deitalk.models.folder import is_causal, model_folder, product_of, read_about
 from rig.arrays import Float32
@@ -52,7 +42,7 @@ FRAME = struct.Struct("<Ifd")
 
 
 class Start(BaseModel):
-    """The first message, but for its acting; `head` is for causal models."""
+    """The first message, but for its acting."""
 
     model_config = ConfigDict(extra="forbid")
 
@@ -78,7 +68,6 @@ def frames_message(
     first: int,
     values: Float32,
     late: list[float],
-    fps: float,
     *,
     as_json: bool,
     head: Float32 | None = None,
@@ -93,8 +82,6 @@ def frames_message(
         Curves.
     late : list of float
         Seconds between the arrival of each frame's sound and now.
-    fps : float
-        Frames per second.
     as_json : bool
         A mapping for JSON; else records of `FRAME` and C little-endian float32.
     head : array [shape=(T, 6)], optional
@@ -103,13 +90,13 @@ def frames_message(
     if not as_json:
         rows = (values if head is None else np.concatenate((values, head), axis=1)).astype("<f4")
         return b"".join(
-            FRAME.pack(first + k, late[k], (first + k) / fps) + rows[k].tobytes()
+            FRAME.pack(first + k, late[k], (first + k) / FRAME_RATE) + rows[k].tobytes()
             for k in range(len(rows))
         )
     listed = [
         {
             "index": first + k,
-            "time": (first + k) / fps,
+            "time": (first + k) / FRAME_RATE,
             "late": round(late[k], 4),
             "values": np.round(values[k].astype(float), 5).tolist(),
         }
@@ -119,69 +106,11 @@ def frames_message(
     return {"type": "frames", "frames": listed}
 
 
-class CausalStream(LiveStream):
-    """A stream whose sound goes to a voice as it comes; parameters as for `LiveStream`.
-
-    Parameters
-    ----------
-    sample_rate : int
-    is_float : bool
-    voice : Voice
-    """
-
-    def __init__(self, sample_rate: int, is_float: bool, voice: Voice) -> None:
-        super().__init__(sample_rate, is_float)
-        self.voice = voice
-
-    @property
-    def backlog_seconds(self) -> float:
-        """Sound whose frames have not come."""
-        return self.seconds - self.next_frame / FRAME_RATE
-
-    @property
-    def is_done(self) -> bool:
-        """Whether all frames of the whole sound have come."""
-        return self.is_whole and self.next_frame >= self.n_frames
-
-    def finish(self) -> None:
-        """Take the end of the sound."""
-        super().finish()
-        self.voice.finish()
-
-    def change(self, acting: Acting) -> None:
-        """Act otherwise from the sound on that comes next."""
-        fields = acting.model_dump(mode="json", include=acting.model_fields_set)
-        self.voice.change({n: v for n, v in fields.items() if LIVE_FIELDS.get(n) == "change"})
-
-    def come(self, frames: Float32) -> tuple[int, list[float]]:
-        """Take the next frames.
-
-        Returns
-        -------
-        first : int
-            Number of the first of them.
-        late : list of float
-            Seconds since each frame's sound came.
-        """
-        begin, now = self.next_frame, monotonic()
-        late = [now - self._arrival(begin + k) for k in range(len(frames))]
-        self.next_frame += len(frames)
-        sample = self.next_frame * SAMPLE_RATE // FRAME_RATE
-        self._arrivals = [arrival for arrival in self._arrivals if arrival[0] >= sample]
-        return begin, late
-
-    def _append(self, chunk: Float32) -> None:
-        self.begin += len(chunk)
-        self._arrivals.append((self.begin, monotonic()))
-        self.voice.feed(np.asarray(chunk, np.float32))
-
-
 START_SECONDS = 10.0
 QUIET_SECONDS = 60.0
 """Time without a message after which a session ends."""
 TEXT_CHARACTERS = 4096
 TEXTS_PER_SECOND, TEXTS_AT_ONCE = 20.0, 40.0
-SHORTEST_SAMPLES = 1600
 
 
 class Session:
@@ -193,16 +122,10 @@ class Session:
         Accepted.
     service : Service
     caller : Caller
-    folder : Path
-        Of the session's orders.
     """
 
-    def __init__(
-        self, websocket: WebSocket, service: Service, caller: Caller, folder: Path
-    ) -> None:
-        self.websocket, self.service, self.folder = websocket, service, folder
-        self.caller = caller
-        self.news = asyncio.Event()
+    def __init__(self, websocket: WebSocket, service: Service, caller: Caller) -> None:
+        self.websocket, self.service, self.caller = websocket, service, caller
         self.room = asyncio.Event()
         self.room.set()
         self._texts, self._since = TEXTS_AT_ONCE, monotonic()
@@ -222,45 +145,29 @@ class Session:
         own = {name: content.pop(name) for name in Start.model_fields if name in content}
         self.start, self.acting = _parsed(own), acting_of(content)
         folder = self._model_folder()
-        if not is_causal(folder):
-            stream = LiveStream(self.start.sample_rate, self.start.encoding == "float32")
-            with self.service.windows():
-                await self._serve(folder, stream, self._write, HOP_SECONDS, LOOKAHEAD_SECONDS)
-            return
         if not self.start.head:  # the eyes do not turn against a head that is not sent
             life = replace(self.acting.life, head=0.0)
             self.acting = Acting.of(self.acting, life=life)
         voice, lookahead = await self.service.voices.open(self.start.model, self.acting)
         try:
-            causal = CausalStream(self.start.sample_rate, self.start.encoding == "float32", voice)
-            await self._serve(
-                folder, causal, partial(self._pass_on, causal), 1 / FRAME_RATE, lookahead
-            )
+            is_float = self.start.encoding == "float32"
+            self.stream = LiveStream(self.start.sample_rate, is_float, voice)
+            await self._send(_header(folder, lookahead, [*HEAD] if self.start.head else []))
+            await self._serve()
         finally:
             voice.close()
 
-    async def _serve(
-        self,
-        folder: Path,
-        stream: LiveStream,
-        write: Callable[[], Coroutine[Any, Any, None]],
-        hop: float,
-        lookahead: float,
-    ) -> None:
-        """Read and write until one of the two ends; `hop` and `lookahead` are for the header."""
-        self.stream = stream
-        await self._send(_header(folder, hop, lookahead, self._head_columns(folder)))
-        self.stream.change(self.acting)
+    async def _serve(self) -> None:
+        """Read and write until one of the two ends."""
         self.end = monotonic() + self.service.settings.live_seconds
-        reading = asyncio.create_task(self._read())
-        writing = asyncio.create_task(write())
+        tasks = {asyncio.create_task(self._read()), asyncio.create_task(self._write())}
         try:
-            await asyncio.wait({reading, writing}, return_when=asyncio.FIRST_EXCEPTION)
-            for task in (reading, writing):
+            await asyncio.wait(tasks, return_when=asyncio.FIRST_EXCEPTION)
+            for task in tasks:
                 if task.done():
                     task.result()
         finally:
-            for task in (reading, writing):
+            for task in tasks:
                 task.cancel()
             await self.service.count_live(self.caller, self.stream.seconds)
         await self._send({"type": "end", "frames": self.stream.next_frame})
@@ -271,34 +178,23 @@ class Session:
             raise Problem(404, f"no such model; known models: {', '.join(models)}", "model_unknown")
         folder = models[self.start.model]
         if product_of(folder) != "curves":
-            raise Problem(422, "the model makes no curves; use default", "model_unfit")
+            raise Problem(422, "the model makes no curves; use live", "model_unfit")
+        if not is_causal(folder):
+            raise Problem(422, "the model needs the whole recording; use live", "model_unfit")
         return model_folder(folder)
 
-    def _head_columns(self, folder: Path) -> list[str]:
-        return [*HEAD] if self.start.head and is_causal(folder) else []
-
-    async def _pass_on(self, stream: CausalStream) -> None:
-        """Send the frames of a voice as they come."""
+    async def _write(self) -> None:
+        """Send the frames of the voice as they come."""
         as_json = self.start.frames == "json"
-        while not stream.is_done:
-            frames = await stream.voice.next_frames()
-            begin, late = stream.come(frames)
-            self._observe(late)
+        while not self.stream.is_done:
+            frames = await self.stream.voice.next_frames()
+            begin, late = self.stream.come(frames)
+            for seconds in late:
+                self.service.metrics.late.observe(seconds)
             self.room.set()
             values, head = frames[:, : -len(HEAD)], frames[:, -len(HEAD) :]
-            message = frames_message(
-                begin,
-                values,
-                late,
-                FRAME_RATE,
-                as_json=as_json,
-                head=head if self.start.head else None,
-            )
-            await self._send(message)
-
-    def _observe(self, late: list[float]) -> None:
-        for seconds in late:
-            self.service.metrics.late.observe(seconds)
+            shown = head if self.start.head else None
+            await self._send(frames_message(begin, values, late, as_json=as_json, head=shown))
 
     async def _read(self) -> None:
         """Take messages; none while too much sound waits."""
@@ -313,39 +209,6 @@ class Session:
                 self._command(message["text"])
             if self.stream.backlog_seconds > BACKLOG_SECONDS:
                 self.room.clear()
-            self.news.set()
-
-    async def _write(self) -> None:
-        """Animate windows that are due and send their frames."""
-        while True:
-            if not self.stream.is_due:
-                if self.stream.is_whole:
-                    return
-                await self.news.wait()
-                self.news.clear()
-                continue
-            first, samples, fields = self.stream.window()
-            self.room.set()
-            values = await self._animated(samples, fields)
-            begin, frames, late = self.stream.take(first, values)
-            if len(frames):
-                self._observe(late)
-                as_json = self.start.frames == "json"
-                await self._send(frames_message(begin, frames, late, FRAME_RATE, as_json=as_json))
-
-    async def _animated(self, samples: Float32, fields: dict[str, Any]) -> Float32:
-        padded = np.pad(samples, (0, max(0, SHORTEST_SAMPLES - len(samples))))
-        padded.astype("<f4").tofile(self.folder / RECORDING)
-        (self.folder / ACTING).write_text(json.dumps(fields))
-        order: Order = {
-            "kind": "live",
-            "folder": str(self.folder),
-            "options": {"model": self.start.model},
-        }
-        answer = await self.service.pool.run(order, self.caller)
-        values = np.fromfile(result_path(self.folder, answer), "<f4")
-        rows = values.reshape(answer["facts"]["frames"], -1).astype(np.float32)
-        return rows[: -(-len(samples) * FRAME_RATE // 16_000)]
 
     def _command(self, text: str) -> None:
         now = monotonic()
@@ -398,7 +261,7 @@ class Session:
             raise WebSocketDisconnect(1008, "the client does not read its frames") from None
 
 
-def _header(folder: Path, hop: float, lookahead: float, head: list[str]) -> dict[str, Any]:
+def _header(folder: Path, lookahead: float, head: list[str]) -> dict[str, Any]:
     about = read_about(folder)
     return {
         "type": "header",
@@ -407,8 +270,6 @@ def _header(folder: Path, hop: float, lookahead: float, head: list[str]) -> dict
         "head": head,
         "fps": FRAME_RATE,
         "lookahead_seconds": lookahead,
-        "hop_seconds": hop,
-        "window_seconds": WINDOW_SECONDS if lookahead == LOOKAHEAD_SECONDS else lookahead,
         "record": "uint32 index, float32 late, float64 time, float32 values, float32 head; "
         "little-endian",
     }

@@ -38,8 +38,7 @@ async def _serve(websocket: WebSocket, service: Service, caller: Caller) -> None
     """Serve a session, and close the connection within `SEND_SECONDS`."""
     problem = None
     try:
-        async with service.stage.folder() as folder:
-            await Session(websocket, service, caller, folder).run()
+        await Session(websocket, service, caller).run()
     except WebSocketDisconnect:
         return
     except Problem as error:

@@ -77,8 +77,6 @@ class Header(BaseModel):
     head: list[str]
     fps: float
     lookahead_seconds: float
-    hop_seconds: float
-    window_seconds: float
     record: str
 
 

@@ -9,9 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE, frame_centres
+from deitalk.audio.frames import SAMPLE_RATE, frame_centres
 from rig.arrays import Bool, Float32, Float64, Int64
-from rig.curves.edit import gaussian_smooth
 
 LEVEL_DB, PITCH_SEMITONES, TILT_DB = 5.0, 3.5, 5.0
 """One standard deviation of each measure within a lively reading."""
@@ -161,30 +160,3 @@ def measure_windows(windows: Float64) -> Float64:
             *bands.T,
         ]
     )
-
-
-def prosody_index(prosody: Prosody) -> Float64:
-    """Level, pitch and tilt relative to the clip's mean, in standard deviations [shape=(T,)].
-
-    Frames without speech are interpolated from their neighbours (weighted smoothing).
-    """
-    if prosody.active.sum() < 8:
-        return np.zeros(len(prosody.level))
-    parts = [
-        _standard(prosody.level, prosody.active, LEVEL_DB),
-        _standard(prosody.tilt, prosody.active, TILT_DB),
-        _standard(prosody.pitch, prosody.voiced, PITCH_SEMITONES),
-    ]
-    index: Float64 = np.mean(parts, axis=0)
-    return index
-
-
-def _standard(values: Float64, known: Bool, spread: float) -> Float64:
-    """Smoothed deviation from the mean of the known frames; the others are interpolated."""
-    if known.sum() < 5:
-        return np.zeros(len(values))
-    deviation = np.where(known, values - values[known].mean(), 0.0)
-    sigma = SMOOTHING_SECONDS * FRAME_RATE
-    weight = gaussian_smooth(known.astype(float), sigma)
-    smooth = gaussian_smooth(deviation, sigma) / (weight + 0.02)
-    return np.clip(smooth / spread, -2.5, 2.5)

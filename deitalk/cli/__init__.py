@@ -13,7 +13,6 @@ from deitalk.cli.batch import batch
 from deitalk.cli.console import Commands, emit, escape_what_cannot_be_encoded, name_option
 from deitalk.cli.convert import convert, validate
 from deitalk.cli.data import app as data_app
-from deitalk.cli.evaluate import evaluate
 from deitalk.cli.face import app as face_app
 from deitalk.cli.install import app as install_app
 from deitalk.cli.live import live
@@ -42,7 +41,7 @@ app.add_typer(face_app, name="face")
 app.add_typer(install_app, name="install")
 app.add_typer(serve_app, name="serve")
 app.add_typer(data_app, name="data")
-for _verb in (train, finetune, evaluate):
+for _verb in (train, finetune):
     app.command()(_verb)
 app.add_typer(model_app, name="model")
 app.command(hidden=True)(suggest)

@@ -9,6 +9,7 @@ from deitalk.cli.console import console, emit, emit_json
 from deitalk.cli.options import CheckedCommands, Force, Identity
 from deitalk.cli.paths import reserve_file
 from deitalk.errors import DeitalkError
+from deitalk.installed import research
 
 app = CheckedCommands(
     help="The embedded head: sheets, identities, export; its controls.",
@@ -43,17 +44,17 @@ def sheet(
     deitalk face sheet emotions --identity child --columns 5 -o child.png
     """
     from rig.face import build_head
-    from rig.face.contact_sheet import draw_sheet, sheet_tiles
     from rig.face.render.shading import write_png
 
     if out.suffix.lower() != ".png":
         raise DeitalkError(f"{out} has suffix {out.suffix or 'none'!r}; a sheet is a .png file")
     reserve_file(out, force=force)
-    tiles = sheet_tiles(name)
+    sheets = research("contact_sheet", "face sheet")
+    tiles = sheets.sheet_tiles(name)
     head = build_head(identity)
-    picture = draw_sheet(
+    picture = sheets.draw_sheet(
         head, tiles, columns=min(columns, len(tiles)), size=(round(tile * 1.12), tile),
-        backend=backend,  # type: ignore[arg-type]
+        backend=backend,
     )  # fmt: skip
     write_png(out, picture)
     console().print(f"{out}: {len(tiles)} pictures of {head.identity.name}")
@@ -73,7 +74,6 @@ def identities(
     deitalk face identities -o people.png
     """
     from rig.face import IDENTITIES
-    from rig.face.contact_sheet import draw_people
     from rig.face.identity import ROLES
     from rig.face.render.shading import write_png
 
@@ -82,7 +82,7 @@ def identities(
         emit("\t".join([str(number), person.name, *filter(None, [roles.get(person.name)])]))
     if out is not None:
         reserve_file(out, force=force)
-        write_png(out, draw_people())
+        write_png(out, research("contact_sheet", "face identities --out").draw_people())
         console().print(f"{out}: {len(IDENTITIES)} heads")
 
 

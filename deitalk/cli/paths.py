@@ -5,12 +5,11 @@ from collections.abc import Iterable
 from contextlib import ExitStack
 from contextvars import ContextVar
 from pathlib import Path
-from typing import Any
 
 import typer
 
-from deitalk.cli.console import console, emit
-from deitalk.errors import DataError, DeitalkError
+from deitalk.cli.console import console
+from deitalk.errors import DeitalkError
 
 PICTURES = (".png", ".svg", ".pdf")
 Inputs = Iterable[Path | str | None]
@@ -130,36 +129,3 @@ def curves_of(source: Path) -> Path:
         if (source / name).is_file():
             return source / name
     raise DeitalkError(f"{source} has no curves; give a take folder or a file of curves")
-
-
-# Reports of commands: printed, and written as Markdown or JSON.
-
-
-def reserve_report(out: Path | None, picture: Path | None, *, force: bool) -> None:
-    """Check the names of a report and of its picture.
-
-    Raises
-    ------
-    DataError
-        If the report is neither ``.md`` nor ``.json``.
-    TargetError
-        If a file is there and `force` is not set.
-    """
-    if out is not None:
-        if out.suffix not in (".md", ".json"):
-            raise DataError(f"{out}: a report is .md or .json")
-        reserve_file(out, force=force)
-    if picture is not None:
-        reserve_picture(picture, force=force)
-
-
-def write_report(report: Any, markdown: str, out: Path | None, *, as_json: bool) -> None:
-    """Print a report, and write it to `out`."""
-    from deitalk.evaluation.report import as_json as to_json
-    from rig.files import atomic_write
-
-    emit(to_json(report) if as_json else markdown)
-    if out is not None:
-        with atomic_write(out) as beside:
-            written = to_json(report) if out.suffix == ".json" else markdown
-            beside.write_text(written, encoding="utf-8")

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from deitalk.cli.console import bar, console, emit
+from deitalk.installed import research
 
 if TYPE_CHECKING:
     from deitalk.cli.console import Advance
@@ -65,11 +66,10 @@ def _training(settings: "AnyConfig", start_from: str | None) -> "Callable[..., d
     from deitalk.models.folder import model_folder
 
     if settings.kind == "sdfa":
-        from deitalk.training.mesh import train_mesh
-
         if start_from is not None:
             raise ConfigError("--from: not for mesh models; leave it out, or use --resume")
-        return partial(train_mesh, settings)
+        meshes = research("meshes.training", "train with kind sdfa")
+        return partial(meshes.train_mesh, settings)
     from deitalk.training.curves import train_curves
 
     start = None if start_from is None else model_folder(start_from)

@@ -104,17 +104,6 @@ class Inspection(NamedTuple):
     """Of the clips that state their take; None if there are none."""
 
 
-def check_dataset(
-    folder: Path | str,
-    *,
-    controls: ControlSet | None = None,
-    most: int | None = None,
-    progress: Callable[[float], None] = lambda share: None,
-) -> list[Check]:
-    """Checks of `inspect_dataset`: one for every check, also those without a fault."""
-    return inspect_dataset(folder, controls=controls, most=most, progress=progress).checks
-
-
 def inspect_dataset(
     folder: Path | str,
     *,

@@ -30,7 +30,7 @@ from rig.arrays import Bool, Float32, Float64
 from rig.controls import DEFAULT_ID
 
 if TYPE_CHECKING:
-    from deitalk.data.frozen_features import EncodedPasses, FrozenFeatures
+    from deitalk.data.frozen_features import FrozenFeatures
 
 # Endless batches of numbered items: item k depends on the seed and on k alone.
 #
@@ -276,7 +276,7 @@ class WindowBatches(SeededBatches[Window]):
     frozen_features : FrozenFeatures or None
         A frontend that does not learn: windows carry its features instead of the sound. Only
         without augmentation.
-    encoded : EncodedPasses or None
+    encoded : deitalk.research.training.encoded_passes.EncodedPasses or None
         Windows carry features of a random pass instead of the sound.
     clean : bool
         Windows carry the sound before augmentation too.
@@ -299,7 +299,7 @@ class WindowBatches(SeededBatches[Window]):
         share: Share = Share(),
         *,
         frozen_features: "FrozenFeatures | None" = None,
-        encoded: "EncodedPasses | None" = None,
+        encoded: Any = None,
         clean: bool = False,
         actors: Sequence[str] = (),
     ) -> None:

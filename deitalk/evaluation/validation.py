@@ -10,6 +10,8 @@ from typing import NamedTuple
 import numpy as np
 import torch
 
+from deitalk.audio.frames import frame_centres
+from deitalk.audio.prosody import level_db
 from deitalk.audio.voice_activity import speech_activity
 from deitalk.data.clips import MEASURED, Clip, read_phones
 from deitalk.data.offset import correlation, emotion_parameter_error, lip_parameter_error
@@ -170,3 +172,11 @@ def predict(model: DEITalk, example: Example) -> tuple[Float32, Float32 | None]:
 def _mean(values: list[float]) -> float:
     finite = [value for value in values if np.isfinite(value)]
     return float(np.mean(finite)) if finite else float("nan")
+
+
+def loudness(waveform: Float32, n_frames: int) -> Float32:
+    """Level of the recording on a scale of 40 dB [shape=(T,), range 0 to 1]: the baseline."""
+    level = level_db(waveform, frame_centres(np.arange(n_frames)))
+    top = np.percentile(level, 95)
+    scaled: Float32 = np.clip(1 + (level - top) / 40, 0, 1).astype(np.float32)
+    return scaled

@@ -543,23 +543,6 @@ class LiveAnimator:
         return self.streams[number].groups > 0
 
 
-def live_frames(
-    waveform: Float32, model: "str | Path | DEITalk | CausalNetwork", **options: Any
-) -> Float32:
-    """Frames of a whole recording, as they are given while it is spoken [shape=(T, C)].
-
-    Parameters
-    ----------
-    waveform : array [shape=(S,)]
-        As for `LiveAnimator.feed`.
-    model, options
-        As for `LiveAnimator`, of one stream.
-    """
-    animator = LiveAnimator(model, **options)
-    frames: Float32 = np.concatenate((animator.feed(waveform), animator.finish()))
-    return frames
-
-
 def checked_samples(samples: Samples) -> Float32:
     """Mono samples as floating point with full scale 1.
 

@@ -16,14 +16,13 @@ from safetensors.torch import save
 from deitalk.config.curves import Config, ModelConfig
 from deitalk.config.frontends import DEITalkFeaturesConfig, KarrasConfig, SDFAMelConfig, VocaConfig
 from deitalk.config.load import AnyConfig, load_config
-from deitalk.config.mesh import SDFAConfig, SDFAModelConfig
+from deitalk.config.mesh import SDFAConfig
 from deitalk.config.rig_file import read_controls, rig_text
 from deitalk.errors import CheckpointError
 from deitalk.frontends import build_encoder
 from deitalk.frontends.base import Encoder
 from deitalk.installed import research
 from deitalk.models.curve_model import DEITalk
-from deitalk.models.deformation_decoder import InversePCA
 from deitalk.models.folder import (
     ENCODER,
     FORMAT_VERSION,
@@ -58,7 +57,6 @@ from deitalk.postprocess.lip_seal import check_faces
 from rig.controls import DEFAULT_ID
 from rig.errors import quoted, shorten
 from rig.files import output_folder
-from rig.mesh import TriMesh
 
 Model: TypeAlias = DEITalk | MeshModel
 ModelT = TypeVar("ModelT", DEITalk, MeshModel)
@@ -222,31 +220,6 @@ def _complete(config: Config, model: DEITalk) -> Config:
 
 def _half(value: torch.Tensor) -> torch.Tensor:
     return value.half() if value.is_floating_point() else value
-
-
-def new_mesh_model(
-    config: SDFAModelConfig,
-    layers: Mapping[str, InversePCA],
-    templates: Mapping[str, TriMesh],
-    *,
-    fps: float,
-    unit_mm: float,
-) -> SDFA | MeshHead:
-    """Build a mesh model of new weights; parameters as for `deitalk.models.mesh_model.MeshModel`.
-
-    The DEITalk model that a mesh head decodes is loaded.
-
-    Raises
-    ------
-    CheckpointError
-        If that model cannot be loaded.
-    ConfigError
-        If `config` needs lips that the templates lack.
-    """
-    check_faces(config.seal_mm, templates.values())
-    kind = MeshHead if config.frontend.kind == "deitalk" else SDFA
-    encoder = new_encoder(config.frontend)
-    return kind(config, encoder, layers, templates, fps=fps, unit_mm=unit_mm)
 
 
 def new_encoder(

@@ -17,8 +17,6 @@ import torch
 from torch import Tensor, nn
 from torch.nn.utils.parametrizations import weight_norm
 
-from rig.deformation.basis import GradientBasis
-
 SLOPE = 0.2
 """Leak of every leaky ReLU (Table 3)."""
 
@@ -27,7 +25,7 @@ Coefficients = dict[str, Tensor]
 
 
 class Deformation(NamedTuple):
-    """Packed gradients of B frames, as `rig.mesh.pack` packs them."""
+    """Packed gradients of B frames, S - I and rotation vectors (SDFA §3.4)."""
 
     s: Tensor
     """Stretch S - I [shape=(B, 6 N)]."""
@@ -73,15 +71,6 @@ class InversePCA(nn.Module):
         self.register_buffer("mean", torch.zeros(width))
         self.register_buffer("components", torch.zeros(size, width))
         self.register_buffer("deviations", torch.ones(size))
-
-    @classmethod
-    def of(cls, basis: GradientBasis) -> "InversePCA":
-        """The layer of a fitted basis."""
-        layer = cls(*basis.components.shape)
-        layer.mean = torch.from_numpy(basis.mean.copy())
-        layer.components = torch.from_numpy(basis.components.astype("float32"))
-        layer.deviations = torch.from_numpy(basis.deviations.copy())
-        return layer
 
     def rest(self) -> Tensor:
         """Coefficients [shape=(K,)] of the smallest motion that the basis can give."""

@@ -30,11 +30,7 @@ from rig.files.reading import check_file, load_json, open_file, read_json
 if TYPE_CHECKING:
     from torch import Tensor, nn
 
-# Checks of weight files: the header before any number is read or a network is built.
-#
-# A safetensors file begins with the length of its header (8 bytes), then JSON: for each tensor
-# its type, shape and place. A file is read only if these agree with each other, with the file's
-# size and with the shapes of the network that its configuration describes.
+# Weight files: length of the header (8 bytes), then JSON of each tensor's type, shape and place.
 
 Shapes = dict[str, tuple[int, ...]]
 
@@ -192,8 +188,6 @@ def without_random_numbers() -> AbstractContextManager[Any]:
 
     return Without()
 
-
-# The processors a network may run on, by name: cpu, cuda, cuda:N, mps.
 
 _NAME = re.compile(r"cpu|cuda(:\d{1,3})?|mps")
 

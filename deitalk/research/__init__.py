@@ -4,11 +4,13 @@
 
     corpus/       synthetic and recorded speech with phone times and curves
     training/     ablations, trainers of small networks, tools that change a model's weights
+    meshes/       training and scores of mesh models
     comparison/   decoders and encoders of other papers
-    evaluation/   measurements that one table or picture needs
+    evaluation/   scores of a model on a dataset folder; measurements that one table needs
     lips/         datasets of measured lips for experiments
+    video/        filmed faces to curves
     study/        blind comparisons by people
-    cli/          the verbs ablate, attention, corpus and study
+    cli/          the verbs ablate, attention, corpus, evaluate and study
 
 Nothing outside imports it; `deitalk.installed.research` finds it at run time.
 """

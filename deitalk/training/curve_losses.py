@@ -3,61 +3,22 @@
 Letters: B batch, T frames, C controls, E width of the joint embedding.
 """
 
+from collections.abc import Callable
+from typing import Any
+
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
 from deitalk.config.curves import LossConfig
-from deitalk.data.head_lips import HeadLips
 from deitalk.data.windows import Window
 from deitalk.errors import ConfigError
-from deitalk.models.checkpoint import require_model
+from deitalk.installed import research
 from deitalk.models.curve_model import DEITalk, Output
 from deitalk.models.temporal_conv import TemporalConv
-from deitalk.training.trainer import gather_rows, in_precision
+from deitalk.training.trainer import gather_rows
 from rig import ControlSet
 from rig.controls import DEFAULT_ID
-from rig.face.head import build_head
-
-# Feature distillation: the speech features of a trained model, the teacher, as a second target.
-#
-# Curves constrain an encoder weakly, so that one with random weights needs many hours of them. The
-# squared distance to the features of the teacher's frontend (as FitNets, Romero et al. 2015) is
-# added to the loss. The student's input is augmented by rooms and noise, the teacher's is not, so
-# that a student of the teacher's own kind becomes robust to them. The student is initialised with
-# the teacher's weights of equal name and shape.
-#
-# Not in the papers, which initialise with published wav2vec 2.0 weights.
-#
-# Letters: B batch, S samples, T rig frames, D width of the features.
-
-
-def read_teacher(name: str | None, student: DEITalk) -> DEITalk | None:
-    """Read the teacher of `student`; None without a name.
-
-    Raises
-    ------
-    ConfigError
-        If its speech features are of another width than the student's.
-    CheckpointError
-        If there is no such model.
-    """
-    if name is None:
-        return None
-    teacher = require_model(name, DEITalk).requires_grad_(False)
-    width, wanted = student.frontend.output_size, teacher.frontend.output_size
-    if width != wanted:
-        way_out = {
-            "mel": f"time_hidden={wanted // 2}",
-            "causal_whisper": f"width={wanted}",
-            "whisper": f"width={wanted}",
-            "wav2vec": f"encoder.hidden_size={wanted}",
-        }
-        raise ConfigError(
-            f"train.teacher={name!r} has {wanted} features a frame, the model {width}; set "
-            f"model.frontend.{way_out[student.config.frontend.kind]}"
-        )
-    return teacher
 
 
 @torch.no_grad()
@@ -98,52 +59,6 @@ def turn_to_the_past(decoder: nn.Module) -> None:
             kernel.zero_()
             kernel[..., half:] = symmetric[..., : half + 1]
             kernel[..., -1] = symmetric[..., half:].sum(dim=-1)
-
-
-MOTION_WEIGHT = 4.0
-"""Of the distance between frames; the paper's lambda_4 to its lambda_3 of 1. Much of the features
-changes slowly (speaker, room); lips move faster."""
-
-
-class Teacher:
-    """The frozen frontend of a trained model.
-
-    Parameters
-    ----------
-    model : DEITalk
-        From `read_teacher`.
-    device : torch.device
-        Where batches are.
-    precision : str
-        ``float32`` or ``bfloat16``, as the student's.
-    """
-
-    def __init__(self, model: DEITalk, device: torch.device, precision: str = "float32") -> None:
-        # require_model returns it in evaluation mode, without dropout.
-        frontend = model.get_submodule("frontend").to(device)
-        self.frontend = in_precision(frontend, precision, device)
-
-    def distance(self, clean: Tensor, speech: Tensor) -> Tensor:
-        """Mean squared distance of the student's features and the teacher's, and of their motion.
-
-        The teacher's features are those of the sound before augmentation.
-
-        Parameters
-        ----------
-        clean : Tensor [shape=(B, S)]
-            The student's input before augmentation; or the teacher's features (B, T, D).
-        speech : Tensor [shape=(B, T, D)]
-            The student's features; gradients flow into them alone.
-
-        Returns
-        -------
-        Tensor, scalar
-            In units of the teacher's features, whose variance is about 1.
-        """
-        with torch.no_grad():
-            target: Tensor = clean if clean.dim() == 3 else self.frontend(clean, speech.shape[1])
-        error = speech.float() - target.float()
-        return error.square().mean() + MOTION_WEIGHT * error.diff(dim=1).square().mean()
 
 
 def contrast_loss(speech: Tensor, motion: Tensor, temperature: float) -> Tensor:
@@ -239,60 +154,6 @@ def contact_loss(target: Tensor, predicted: Tensor, known: Tensor | None = None)
     return (cost * known).sum() / known.sum().clamp(min=1)
 
 
-LIP_SPREAD_CM = (0.45, 0.30, 0.22, 0.18, 0.38, 0.18)
-"""Standard deviation of each lip measure of people who read aloud, on the embedded head."""
-STILL = 0.1
-"""Share of that deviation that counts as no movement."""
-LIP_WEIGHTS = (1.5, 1.0, 1.0, 0.7, 1.2, 0.5)
-"""Of `deitalk.data.head_lips.MEASURES`."""
-
-
-def lip_loss(target: Tensor, predicted: Tensor) -> Tensor:
-    """Distance of lips: squared error, squared error of the velocity, and lack of correlation.
-
-    Not in the paper, whose controls are equal in the loss whatever they move.
-
-    Parameters
-    ----------
-    target, predicted : Tensor [shape=(B, T, 6)]
-        Lip measures, cm.
-    """
-    spread, weights = target.new_tensor(LIP_SPREAD_CM), target.new_tensor(LIP_WEIGHTS)
-    a, b = target / spread, predicted / spread
-    square = (a - b).square().mean(dim=1)
-    velocity = (a - b).diff(dim=1).square().mean(dim=1)
-    a, b = a - a.mean(dim=1, keepdim=True), b - b.mean(dim=1, keepdim=True)
-    norm = (a.square().sum(dim=1) * b.square().sum(dim=1) + 1e-3).sqrt()
-    lack = 1 - (a * b).sum(dim=1) / norm
-    return ((square + 2 * velocity + lack) * weights).sum(dim=-1).mean()
-
-
-def range_loss(target: Tensor, predicted: Tensor) -> Tensor:
-    """Squared logarithm of how much further, and how much faster, the lips move than the target's.
-
-    Not in the paper. A mean of what may have been moves less than each of it: where the sound
-    explains a share r^2 of the motion, the least squared error has r times its range.
-
-    Parameters
-    ----------
-    target, predicted : Tensor [shape=(B, T, 6)]
-        Lip measures, cm.
-
-    Returns
-    -------
-    Tensor, scalar
-        0 for equal ranges and speeds; .96 if all measures move twice as far, and so twice as fast.
-    """
-    spread = target.new_tensor(LIP_SPREAD_CM)
-    weights = target.new_tensor(LIP_WEIGHTS)
-    least = (STILL * spread).square()
-    cost = torch.zeros_like(target[:, 0])
-    for a, b in ((target, predicted), (target.diff(dim=1), predicted.diff(dim=1))):
-        ratio = (b.var(dim=1) + least).log() - (a.var(dim=1) + least).log()
-        cost = cost + (ratio / 2).square()
-    return (cost * weights / weights.mean()).mean()
-
-
 def total_loss(
     output: Output,
     curves: Tensor,
@@ -304,7 +165,7 @@ def total_loss(
     weights: Tensor,
     hold: float = 0.0,
     contact_controls: Tensor,
-    lips: HeadLips | None = None,
+    lips: Callable[[Tensor, Tensor], dict[str, Tensor]] | None = None,
 ) -> dict[str, Tensor]:
     """Every part, and their weighted sum as ``total`` (Eq. 8).
 
@@ -328,8 +189,8 @@ def total_loss(
         Weight of controls that are not known, in Eq. 12-13; no other part depends on them.
     contact_controls : Tensor [shape=(K,)]
         Indices of the lips-together controls.
-    lips : HeadLips or None
-        The head whose lips are compared; None if `config.lips` and `config.range` are 0.
+    lips : callable or None
+        `deitalk.research.lips.losses.LipLoss`; None if `config.lips` and `config.range` are 0.
     """
     if output.taught is not None:
         known = known * output.taught[:, None]
@@ -354,10 +215,7 @@ def total_loss(
         )
     if lips is not None:
         predicted = torch.where(known[:, None] > 0, output.curves, curves)
-        moved = lips(curves), lips(predicted)
-        parts["lips"] = lip_loss(*moved)
-        if config.range:
-            parts["range"] = range_loss(*moved)
+        parts |= lips(curves, predicted)
     settings = config.model_dump()
     parts["total"] = torch.stack([settings[name] * part for name, part in parts.items()]).sum()
     return parts
@@ -374,7 +232,7 @@ class CurveLoss:
         Columns of the curves.
     device : torch.device
         Where batches are.
-    teacher : Teacher or None
+    teacher : deitalk.research.training.distillation.Teacher or None
         Whose features are a second target.
     hold : float
         As for `total_loss`.
@@ -391,7 +249,7 @@ class CurveLoss:
         config: LossConfig,
         controls: ControlSet,
         device: torch.device,
-        teacher: Teacher | None = None,
+        teacher: Any = None,
         hold: float = 0.0,
     ) -> None:
         self.config, self.teacher, self.hold = config, teacher, hold
@@ -403,8 +261,10 @@ class CurveLoss:
             raise ConfigError(
                 "loss.lips, loss.range: the embedded head has the board's controls only; set 0"
             )
-        is_compared = config.lips or config.range
-        self.lips = HeadLips(build_head()).to(device) if is_compared else None
+        self.lips = None
+        if config.lips or config.range:
+            losses = research("lips.losses", "loss.lips or loss.range")
+            self.lips = losses.LipLoss(bool(config.range), device)
 
     def __call__(
         self, network: nn.Module, batch: Window, motion: Tensor | None = None

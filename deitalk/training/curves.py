@@ -16,7 +16,7 @@ from deitalk.config.curves import Config
 from deitalk.config.rig_file import read_controls
 from deitalk.data.augment_waveform import Surroundings
 from deitalk.data.clips import Clip, read_clips, spread_clips
-from deitalk.data.frozen_features import EncodedPasses, FrozenFeatures
+from deitalk.data.frozen_features import FrozenFeatures
 from deitalk.data.windows import (
     SeededBatches,
     Share,
@@ -34,13 +34,12 @@ from deitalk.evaluation.validation import (
     predict,
 )
 from deitalk.figures import ClipRows, Row
+from deitalk.installed import research
 from deitalk.models.checkpoint import network_class, require_model, save_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.models.folder import network_shapes
 from deitalk.training.curve_losses import (
     CurveLoss,
-    Teacher,
-    read_teacher,
     start_as,
     turn_to_the_past,
 )
@@ -129,7 +128,7 @@ class CurveTask(Task[Window]):
     ) -> None:
         self.config, self.start_from = config, start_from
         self.frozen_features = frozen_features
-        self.encoded: EncodedPasses | None = None
+        self.encoded: Any = None
         self.controls = read_controls(config.model.control_set)
         network_shapes(self._network)  # not too large to be built
         self.clips = spread_clips(read_clips(data, "train"), config.data.clips)
@@ -144,9 +143,12 @@ class CurveTask(Task[Window]):
         """Build the model with the weights it starts from, its teacher and the validation clips."""
         config, settings = self.config, self.config.train
         self.model = self._network(pretrained=True)
-        teacher = read_teacher(settings.teacher, self.model)
-        if teacher is not None:
+        taught = None
+        if settings.teacher is not None:
+            distillation = research("training.distillation", "train.teacher")
+            teacher = distillation.read_teacher(settings.teacher, self.model)
             start_as(self.model, teacher)
+            taught = distillation.Teacher(teacher, device, settings.precision)
         if self.start_from is not None:
             _copy_weights(self.model, self.start_from)
         elif self.model.frontend.layers:
@@ -158,7 +160,6 @@ class CurveTask(Task[Window]):
             self.frozen_features = self.frozen_features or FrozenFeatures(settings.frozen_frontend)
             self.frozen_features.copy_into(self.model)
         controls = self.controls
-        taught = None if teacher is None else Teacher(teacher, device, settings.precision)
         self._loss = CurveLoss(config.loss, controls, device, taught)
         self.validation = ValidationSet.of(self.validation_clips, controls)
         self.shown = shown_examples(self.validation_clips, controls)
@@ -169,11 +170,12 @@ class CurveTask(Task[Window]):
         """Remember where features of recordings are kept."""
         self.out = out
 
-    def _encode(self) -> EncodedPasses:
+    def _encode(self) -> Any:
         """Encode every recording of the training clips several times."""
         config = self.config
         sounds = list(dict.fromkeys(clip.audio for clip in self.clips))
-        return EncodedPasses.write(
+        passes = research("training.encoded_passes", "data.encoded_passes")
+        return passes.EncodedPasses.write(
             self.out / "features",
             sounds,
             read_waveform,

@@ -1,8 +1,8 @@
 """The training loop of every model: step, average, evaluate, save, resume, log.
 
 It depends on a `Task` and on no product; the tasks are `deitalk.training.curves` and
-`deitalk.training.mesh`. The main path is `run_training`, then `Trainer.fit`, then `Trainer.update`;
-`deitalk.training.run_folder` writes the files.
+`deitalk.research.meshes.training`. The main path is `run_training`, then `Trainer.fit`, then
+`Trainer.update`; `deitalk.training.run_folder` writes the files.
 """
 
 import copy

@@ -244,19 +244,6 @@ def small_parts(template: TriMesh, *, most_share: float = 0.2) -> list[RigidPart
     return parts
 
 
-def quietest_pins(template: TriMesh, shapes: Any) -> Int64:
-    """For each component, the vertex that moves least over `shapes` [shape=(K, V, 3)].
-
-    The error of pinning a vertex at rest is the motion it had.
-    """
-    motion = np.linalg.norm(np.asarray(shapes) - template.vertices, axis=-1).max(axis=0)
-    labels = components(template)
-    order = np.lexsort((motion, labels))
-    first = order[np.unique(labels[order], return_index=True)[1]]
-    pins: Int64 = np.sort(first)
-    return pins
-
-
 def _membership(parts: Sequence[RigidPart], count: int) -> Bool:
     inside = np.zeros(count, dtype=bool)
     for part in parts:

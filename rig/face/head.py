@@ -69,10 +69,6 @@ UNIT_MM = 10.0
 GAZE_DEGREES = {"side": 40.0, "up": 30.0, "down": 40.0}
 """Full gaze (MetaHuman's board: 40 degrees sideways and down, 30 up)."""
 CONVERGENCE_DEGREES = 3.0
-PART_NAMES = (
-    "skin", "eye_L", "eye_R", "lash_L", "lash_R", "teeth_upper", "teeth_lower", "tongue",
-    "brow_L", "brow_R", "ear_L", "ear_R", "hair", "bust",
-)  # fmt: skip
 BATCH = 64
 
 

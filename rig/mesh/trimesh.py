@@ -271,19 +271,6 @@ def boundary_edges(mesh: TriMesh) -> Int64:
     return rim
 
 
-def same_topology(first: TriMesh, second: TriMesh) -> None:
-    """Raise TopologyError unless both meshes have equal triangles over equally many vertices."""
-    if len(first.vertices) != len(second.vertices):
-        raise TopologyError(
-            f"{len(second.vertices)} vertices where the neutral mesh has {len(first.vertices)}; "
-            "export every shape with the same vertex count and order"
-        )
-    if not np.array_equal(first.faces, second.faces):
-        raise TopologyError(
-            "the triangles differ from the neutral mesh's; export every shape with the same faces"
-        )
-
-
 # Closest points on a mesh, limited to triangles of the same side and direction.
 #
 # Letters: Q query points.

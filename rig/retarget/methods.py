@@ -1,8 +1,7 @@
-"""A take on a user's face: three methods, each from arrays to arrays.
+"""A take on a user's face: two methods, each from arrays to arrays.
 
 (a) their blendshapes, driven by name: `rig.retarget.blendshapes`;
-(b) their one neutral mesh: `shapes_for` registers the embedded head and bakes its shapes onto it;
-(c) any sequence of one head onto another, frame by frame: `sequence_for`.
+(b) their one neutral mesh: `shapes_for` registers the embedded head and bakes its shapes onto it.
 """
 
 from collections.abc import Mapping
@@ -298,19 +297,6 @@ def carry_shapes(
         carried[some] = repair_lips(registration, source_pairs, target_pairs, deltas, moved)
     shapes = ShapeSet(target, source.names, carried, landmarks)
     return Carried(shapes, registration, source_pairs, target_pairs)
-
-
-def sequence_for(registration: Registration, vertices: Any) -> Float64:
-    """Carry frames of the source head [shape=(T, V, 3)] to the target by their gradients.
-
-    SDFA's own way across topologies: T of each source triangle, Eq. 5-6 on the target.
-
-    Returns
-    -------
-    vertices : array [shape=(T, V_target, 3)]
-    """
-    deltas = np.asarray(vertices, dtype=np.float64) - registration.source.vertices
-    return registration.target.vertices + transfer_gradients(registration, deltas)
 
 
 def warnings_of(registration: Registration, pairs: LipPairs) -> tuple[str, ...]:

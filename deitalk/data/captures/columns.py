@@ -27,8 +27,6 @@ from rig.files.reading import read_json, read_npz
 from rig.formats.wide_csv import LARGEST, read_header, read_numbers
 from rig.limits import CONTROLS, FRAMES, JSON_CURVES_BYTES
 
-FOREIGN_ID = "foreign"
-"""Control set of curves whose names are not known yet."""
 TIMES = ("time", "timecode", "seconds", "time_s", "timestamp", "t")
 COUNTS = ("", "frame", "frames", "frame_number", "framenumber", "index", "blendshapecount")
 A2F_PREFIX = "blendShapes."

@@ -3,28 +3,25 @@
 Recordings and captured curves stay as they are. ``offset_s`` of the clips is changed; clips whose
 actor's rest pose is removed get a new file ``mended/<clip>.npz``; channels that never move are left
 out of new lists ``mended/known-<n>.txt``. ``clips.csv``, replaced last and whole, names these.
-``check/`` holds the report with its pictures, and the table as it was before the first change.
+``check/`` holds the report, and the table as it was before the first change.
 """
 
 import csv
 import io
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
 from deitalk.data.captures.labels import SPELLINGS
 from deitalk.data.captures.survey import ClipSurvey, Survey, without_rest
-from deitalk.data.captures.sync import LAGS, peak
 from deitalk.data.captures.verdicts import Row
 from deitalk.emotions import EMOTIONS
 from deitalk.errors import DataError
-from deitalk.figures import can_draw, drawing
 from rig import ControlSet, read_curves, write_curves
-from rig.arrays import Bool, Float32, Float64
+from rig.arrays import Bool, Float32
 from rig.controls import DEFAULT_ID
 from rig.errors import TargetError
 from rig.files import (
@@ -37,70 +34,6 @@ from rig.files import (
 )
 from rig.files.reading import read_text
 from rig.limits import DATASET_TABLE_BYTES
-
-# Pictures of a check of captures: lags of the takes, poses at rest.
-
-MOST_TAKES = 12
-MOST_CONTROLS = 30
-LEAST_SHOWN_MS = 67.0
-"""Height of an axis of lags, two frames: on less every take would look scattered."""
-
-
-class TakeLags(NamedTuple):
-    """Lags of one take; all times in milliseconds but `centres`."""
-
-    name: str
-    lags: Float64
-    """[shape=(L,)]."""
-    scores: Sequence[Float64]
-    """Of every clip, each [shape=(L,)]."""
-    centres: Float64
-    """Middle of every clip, seconds [shape=(K,)]."""
-    peaks: Float64
-    """Lag of every clip [shape=(K,)]."""
-    line: Float64
-    """Lag of the take at the centres [shape=(K,)]."""
-
-
-def draw_lags(takes: Sequence[TakeLags], path: Path) -> None:
-    """Draw the score by lag of the first takes, and the lags of their clips over time."""
-    shown = takes[:MOST_TAKES]
-    with drawing(path, (9, 1.0 + 1.5 * max(len(shown), 1))) as figure:
-        axes = figure.subplots(max(len(shown), 1), 2, squeeze=False)
-        for (left, right), take in zip(axes, shown, strict=False):
-            for scores in take.scores:
-                left.plot(take.lags, scores, color="0.8", lw=0.6)
-            left.plot(take.lags, np.mean(take.scores, axis=0), color="C0")
-            left.axvline(float(take.line.mean()), color="C3", lw=1)
-            left.set_ylabel(take.name, fontsize=7)
-            right.plot(take.centres, take.peaks, ".", color="C0")
-            right.plot(take.centres, take.line, color="C3", lw=1)
-            right.set_ylim(*shown_lags(np.concatenate([take.peaks, take.line])))
-            right.set_ylabel("lag, ms", fontsize=7)
-        axes[-1][0].set_xlabel("lag of the curves, ms")
-        axes[-1][1].set_xlabel("time in the take, s")
-
-
-def shown_lags(lags: Float64) -> tuple[float, float]:
-    """Ends of an axis with all lags around its middle, `LEAST_SHOWN_MS` long at the least."""
-    finite = lags[np.isfinite(lags)]
-    low, high = (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 0.0)
-    half = max(1.1 * (high - low), LEAST_SHOWN_MS) / 2
-    return (low + high) / 2 - half, (low + high) / 2 + half
-
-
-def draw_rests(poses: Mapping[str, Float32], controls: ControlSet, path: Path) -> None:
-    """Draw the distance from rest of every actor's pose at rest."""
-    with drawing(path, (9, 3.5 * len(poses))) as figure:
-        axes = figure.subplots(len(poses), 1, squeeze=False)[:, 0]
-        for axis, (actor, pose) in zip(axes, poses.items(), strict=True):
-            off = pose - controls.rest
-            order = np.argsort(-np.abs(off))[: min(MOST_CONTROLS, int((off != 0).sum()))]
-            axis.bar(range(len(order)), off[order])
-            names = [controls.names[i].removeprefix("CTRL_") for i in order]
-            axis.set_xticks(range(len(order)), names, rotation=90, fontsize=6)
-            axis.set_title(f"{actor} at rest", fontsize=9)
-
 
 KIND = "dataset"
 REPORT = "check/report.md"
@@ -270,46 +203,15 @@ def _written(folder: Path) -> list[str]:
 
 
 def _report(folder: Path, survey: Survey, rows: Sequence[Row], rests: dict[str, Float32]) -> None:
-    """Write the report and its pictures, the report last."""
+    """Write the report."""
     (folder / "check").mkdir(exist_ok=True)
     if (folder / "check").is_symlink():
         raise TargetError(f"{folder / 'check'} is a symbolic link; remove it")
-    files = [REPORT]
-    if can_draw():
-        draw_lags(_drawn(survey), folder / "check/lags.png")
-        files.append("check/lags.png")
-        if rests:
-            draw_rests(rests, survey.controls, folder / "check/rest.png")
-            files.append("check/rest.png")
-    with atomic_write(folder / files[0]) as beside:
-        beside.write_text(_markdown(survey, rows, rests, files), encoding="utf-8")
+    with atomic_write(folder / REPORT) as beside:
+        beside.write_text(_markdown(survey, rows, rests), encoding="utf-8")
 
 
-def _drawn(survey: Survey) -> list[TakeLags]:
-    drawn = []
-    groups = survey.by_take()
-    for name, take in survey.sync().items():
-        clips = [c.lags for c in groups[name] if c.lags is not None]
-        if take is None or not clips:
-            continue
-        line = np.array([take.lag_at(clip.centre) for clip in clips])
-        peaks = [peak(clip.scores, near=at) for clip, at in zip(clips, line, strict=True)]
-        drawn.append(
-            TakeLags(
-                name,
-                LAGS * 1000,
-                [clip.scores for clip in clips],
-                np.array([clip.centre for clip in clips]),
-                np.array(peaks) * 1000,
-                line * 1000,
-            )
-        )
-    return drawn
-
-
-def _markdown(
-    survey: Survey, rows: Sequence[Row], rests: dict[str, Float32], files: Sequence[str]
-) -> str:
+def _markdown(survey: Survey, rows: Sequence[Row], rests: dict[str, Float32]) -> str:
     lines = ["# Check of captures", "", "| check | level | result |", "|---|---|---|"]
     lines += [f"| {name} | {level} | {text.replace('|', '/')} |" for name, level, text in rows]
     lines += ["", "## Takes", "", "| take | actor | clips | s | lag ms | drift ms/s | r | by |",
@@ -333,5 +235,4 @@ def _markdown(
             )
             if value != rest
         ]
-    lines += ["", *(f"![]({Path(name).name})" for name in files if name.endswith(".png")), ""]
-    return "\n".join(lines)
+    return "\n".join([*lines, ""])

@@ -12,8 +12,7 @@ from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
 from pathlib import Path
 
-from deitalk.data.captures.take import kind_of
-from deitalk.data.video.detector import VIDEOS
+from deitalk.data.captures.take import VIDEOS, kind_of
 from deitalk.errors import DataError
 from rig.errors import UserError, quoted
 from rig.formats.table import FORMATS

@@ -11,8 +11,8 @@ import numpy as np
 
 from deitalk.data.captures.columns import NamedCurves, describe_columns, read_named
 from deitalk.data.captures.mapping import Mapping
-from deitalk.data.video.detector import VIDEOS
 from deitalk.errors import DataError
+from deitalk.installed import research
 from rig import ControlSet, RigCurves, default_controls, read_curves
 from rig.arrays import Bool
 from rig.controls import DEFAULT_ID
@@ -27,6 +27,7 @@ from rig.formats.table import format_of_header
 from rig.formats.wide_csv import read_header
 from rig.limits import JSON_CURVES_BYTES
 
+VIDEOS = (".mp4", ".mov", ".m4v", ".webm", ".mkv")
 LEAST_JAW = 0.03
 """`arkit_to_raw`'s: lips-together passes .9 in 8 % of the frames of a range-of-motion take, and in
 61 % by Unreal's rule."""
@@ -157,14 +158,8 @@ def _live_link(path: Path) -> CapturedCurves:
 
 
 def _filmed(path: Path, progress: Callable[[float], None]) -> CapturedCurves:
-    from deitalk.data.video.detector import track_face
-    from deitalk.data.video.filmed import filmed_curves
-    from deitalk.data.video.landmarks import read_landmarks
-
     is_video = path.suffix.lower() in VIDEOS
-    filmed = filmed_curves(
-        track_face(path, progress) if is_video else read_landmarks(path), str(path)
-    )
+    filmed = research("video.filmed", f"{path}, a video").read_filmed(path, is_video, progress)
     return CapturedCurves(
         filmed.curves, filmed.known, "video", notes=filmed.notes, seen=filmed.seen
     )

@@ -18,7 +18,6 @@ from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
 from deitalk.data.clips import Clip
 from deitalk.data.offset import correlation, emotion_parameter_error, lip_parameter_error
 from deitalk.data.windows import load_material
-from deitalk.evaluation.clip_scores import loudness
 from deitalk.evaluation.lip_closures import (
     JAW,
     MOVING,
@@ -33,6 +32,7 @@ from deitalk.evaluation.validation import (
     knows_contact,
     lips_together,
     load_example,
+    loudness,
     predict,
     speaking_frames,
 )

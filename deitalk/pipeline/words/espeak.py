@@ -1,4 +1,4 @@
-"""espeak-ng through ctypes: the pronunciation of words in many languages, and speech."""
+"""espeak-ng through ctypes: the pronunciation of words in many languages."""
 
 import atexit
 import ctypes
@@ -7,12 +7,10 @@ import re
 import tempfile
 import unicodedata
 from functools import cache, lru_cache
-from typing import Any
 
 from deitalk.errors import ConfigError, MissingError
-from deitalk.phones import PHONES, VOWELS
 
-# Other phone alphabets to ARPABET: IPA, festival's names and Mandarin.
+# Other phone alphabets to ARPABET: IPA and Mandarin.
 #
 # Phones are chosen by their articulation, so the tables map a foreign sound to the English phone
 # with the nearest lips and jaw, then the nearest tongue: the front rounded vowels become rounded
@@ -61,10 +59,6 @@ MANDARIN = {
 }  # fmt: skip
 
 # Names of the festival and flite American phone sets that differ from ours by more than case.
-FESTIVAL_NAMES = {
-    "pau": "SIL", "h#": "SIL", "#": "SIL", "brth": "SIL", "sil": "SIL", "ssil": "SIL",
-    "axr": "ER", "hv": "HH", "em": "M", "en": "N", "el": "L", "nx": "N", "eng": "NG", "q": "Q",
-}  # fmt: skip
 
 _STRESS = "ˈˌ"  # espeak-ng writes it into its phone events from 1.52 on
 _PLAIN = str.maketrans("", "", "ˈˌˑ˞ʰʲʷˠˤʼ̚˥˦˧˨˩0123456789.|‖_ -'\u200d\u0361\u035c\u0348")
@@ -129,19 +123,6 @@ def spoken_words(ipa: str, language: str = "en") -> list[tuple[str, ...]]:
     return [phones for phones in found if phones]
 
 
-def stressed_vowel(ipa: str, language: str = "en") -> int | None:
-    """Place, among the vowels of a word, of the one with primary stress; None without one.
-
-    >>> stressed_vowel("ɐɡˈɛn")
-    1
-    """
-    before, mark, _ = ipa.partition("ˈ")
-    if not mark:
-        return None
-    phones = spoken_words(before, language)
-    return sum(phone in VOWELS for phone in (phones[-1] if phones else ()))
-
-
 def _syllable(name: str) -> tuple[str, ...]:
     """Phones of a Mandarin syllable in espeak-ng's names, such as ``tsɑu2`` or ``thˈiɛ5n``."""
     left = re.sub(rf"[{_STRESS}0-9ɜ]", "", name)  # ɜ is a tone here
@@ -155,12 +136,6 @@ def _syllable(name: str) -> tuple[str, ...]:
         phones += known[1:] if phones[-1:] == known[:1] else known
         left = left[size:]
     return tuple(phones)
-
-
-def festival_to_phone(name: str) -> str:
-    """Phone of a festival or flite name; unknown names become AX."""
-    phone = FESTIVAL_NAMES.get(name.lower(), name.upper())
-    return phone if phone in PHONES else "AX"
 
 
 @lru_cache(maxsize=2)
@@ -179,34 +154,7 @@ LONGEST_PATH = 150
 
 # speak_lib.h of espeak-ng 1.51 and 1.52
 _SYNCHRONOUS, _PHONEME_EVENTS, _IPA_EVENTS, _DO_NOT_EXIT = 2, 0x0001, 0x0002, 0x8000
-_UTF8, _SSML, _PHONEMES_IPA, _PHONEME_EVENT, _LIST_END = 1, 0x10, 2, 7, 0
-_PARAMETERS = {"rate": 1, "volume": 2, "pitch": 3, "pitch_range": 4}
-
-
-class _EventId(ctypes.Union):
-    _fields_ = (
-        ("number", ctypes.c_int),
-        ("name", ctypes.c_char_p),
-        ("string", ctypes.c_char * 8),
-    )
-
-
-class _Event(ctypes.Structure):
-    _fields_ = (
-        ("type", ctypes.c_int),
-        ("unique_identifier", ctypes.c_uint),
-        ("text_position", ctypes.c_int),
-        ("length", ctypes.c_int),
-        ("audio_position", ctypes.c_int),
-        ("sample", ctypes.c_int),
-        ("user_data", ctypes.c_void_p),
-        ("id", _EventId),
-    )
-
-
-_Callback = ctypes.CFUNCTYPE(
-    ctypes.c_int, ctypes.POINTER(ctypes.c_short), ctypes.c_int, ctypes.POINTER(_Event)
-)
+UTF8, _PHONEMES_IPA = 1, 2
 
 
 def _loaded() -> tuple[ctypes.CDLL, int]:
@@ -255,54 +203,17 @@ class Library:
     def __init__(self) -> None:
         self._library, self.sample_rate = _loaded()
         self._library.espeak_TextToPhonemes.restype = ctypes.c_char_p
-        self._library.espeak_Info.restype = ctypes.c_char_p
-        self._samples = bytearray()
-        self._events: list[tuple[int, str]] = []
-        self._callback = _Callback(self._receive)
-        self._library.espeak_SetSynthCallback(self._callback)
-
-    def _receive(self, samples: Any, count: int, events: Any) -> int:
-        """Collect audio and phone events."""
-        if samples and count > 0:
-            self._samples += ctypes.string_at(samples, 2 * count)
-        i = 0
-        while events and events[i].type != _LIST_END:
-            if events[i].type == _PHONEME_EVENT:
-                # names are cut at 8 bytes, perhaps inside a letter
-                self._events.append((events[i].sample, events[i].id.string.decode(errors="ignore")))
-            i += 1
-        return 0
 
     def has_voice(self, name: str) -> bool:
         """Select the voice `name`; False if there is none."""
         return bool(self._library.espeak_SetVoiceByName(name.encode()) == 0)
-
-    def data_folder(self) -> str:
-        """Folder of the voices and their variants."""
-        path = ctypes.c_char_p()
-        self._library.espeak_Info(ctypes.byref(path))
-        return (path.value or b"").decode()
-
-    def synthesise(
-        self, text: str, voice: str, parameters: dict[str, int], *, ssml: bool
-    ) -> tuple[bytes, list[tuple[int, str]]]:
-        """Samples (16-bit) of `text`, and the sample and IPA name at which each phone begins."""
-        self.has_voice(voice)
-        for name, value in parameters.items():
-            self._library.espeak_SetParameter(_PARAMETERS[name], value, 0)
-        data = text.encode()
-        self._library.espeak_Synth(
-            data, len(data) + 1, 0, 1, 0, _UTF8 | (_SSML if ssml else 0), None, None
-        )
-        self._library.espeak_Synchronize()
-        return bytes(self._samples), self._events
 
     def pronounce(self, text: str, voice: str) -> str:
         """Pronunciation of `text` by `voice` in the International Phonetic Alphabet."""
         self.has_voice(voice)
         left, parts = ctypes.c_char_p(text.encode()), []
         while left.value is not None:
-            ipa = self._library.espeak_TextToPhonemes(ctypes.byref(left), _UTF8, _PHONEMES_IPA)
+            ipa = self._library.espeak_TextToPhonemes(ctypes.byref(left), UTF8, _PHONEMES_IPA)
             parts.append((ipa or b"").decode(errors="ignore"))
         return " ".join(parts)
 

@@ -29,19 +29,9 @@ from deitalk.postprocess.life.voice import LISTENING_SECONDS, Cue
 from rig.arrays import Float32, Float64
 from rig.curves import HEAD
 
-# Neck of a face whose head moves: breath before phrases, swallowing in pauses, the turning muscle.
-#
-# - The throat widens with the breath drawn in a pause before a phrase: 0.3 to 0.6 s (Winkworth
-#   et al. 1995 for reading and speech), with the lift of the head.
-# - People who are awake swallow about once a minute (Lear, Flanagan and Moorrees 1965), not while
-#   they speak: here in the first pause of at least 1.2 s after a time of that mean has passed.
-#   Hyoid and larynx take about a second (Logemann 1998).
-# - The sternocleidomastoid of one side turns the head to the other (Bexander, Mellor and Hodges
-#   2005): the left one shows from two degrees of turn to the right.
-#
-# Amounts are small, and set by eye: no data here measures a neck.
-#
-# Letters: T frames at 30 per second.
+# Neck: breath before phrases (.3 to .6 s: Winkworth et al. 1995), swallowing about once a minute in
+# pauses (Lear et al. 1965; it takes a second: Logemann 1998), the muscle that turns the head
+# (Bexander et al. 2005). Amounts are set by eye: no data here measures a neck.
 
 INHALE = 0.35
 INHALE_SECONDS, INHALE_LEAD = (0.45, 0.0, 0.35), 0.08

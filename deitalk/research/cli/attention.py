@@ -57,7 +57,7 @@ def attention(
         for name, kind in zip(("vowels", "plosives"), pooled, strict=False)
     }
     if as_json:
-        from deitalk.evaluation.report import identified
+        from deitalk.research.evaluation.report import identified
 
         emit_json({"out": str(out), **identified(model), **summary})
         return

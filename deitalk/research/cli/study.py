@@ -7,8 +7,9 @@ import typer
 
 from deitalk.cli.console import bar, console
 from deitalk.cli.options import MAX_COUNT, CheckedCommands, Force, Identity, Json
-from deitalk.cli.paths import reserve_folder, reserve_report, write_report
+from deitalk.cli.paths import reserve_folder
 from deitalk.errors import DataError
+from deitalk.research.cli.reports import reserve_report, write_report
 
 app = CheckedCommands(
     no_args_is_help=True, help="Let people compare takes of several systems, blind."

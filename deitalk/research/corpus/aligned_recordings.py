@@ -17,9 +17,9 @@ from deitalk.research.corpus.alignment import (
     missing,
     reason_against,
 )
+from deitalk.research.corpus.pool import worker_pool
 from deitalk.research.corpus.recordings import Recording, read_waveform
 from deitalk.research.corpus.utterance import Phone, Utterance
-from deitalk.workers import worker_pool
 from rig.files import atomic_write
 
 

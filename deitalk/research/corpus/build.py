@@ -26,11 +26,11 @@ from deitalk.emotions import EMOTIONS
 from deitalk.errors import DataError
 from deitalk.research.corpus.aligned_recordings import aligned_utterances
 from deitalk.research.corpus.performance import CURVE_RATE, Take, perform, split_of
+from deitalk.research.corpus.pool import worker_pool
 from deitalk.research.corpus.recordings import Recording
 from deitalk.research.corpus.rig_targets import act
 from deitalk.research.corpus.synthesis import synthetic_utterances
 from deitalk.research.corpus.utterance import Utterance
-from deitalk.workers import worker_pool
 from rig import ControlSet, RigCurves, default_controls, write_curves
 from rig.errors import TargetError
 from rig.files import (

@@ -138,8 +138,8 @@ def draw_faces(
     backend : {'auto', 'opengl', 'software'}
         Renderer.
     """
+    from deitalk.research.contact_sheet import Tile, draw_sheet
     from rig.face import build_head
-    from rig.face.contact_sheet import Tile, draw_sheet
     from rig.face.render.shading import write_png
 
     evenly_timed(phones)  # raises for unknown names

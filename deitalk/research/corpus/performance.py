@@ -10,17 +10,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE, frame_count
-from deitalk.audio.prosody import level_db, measure_prosody, prosody_index
-from deitalk.evaluation.clip_scores import (
-    Contour,
-    apply_contour,
-    contour_at,
-    random_contour,
-)
+from deitalk.audio.prosody import level_db, measure_prosody
 from deitalk.phones import VOWELS
 from deitalk.research.corpus.articulation import articulate
 from deitalk.research.corpus.rig_targets import intensity_envelope
 from deitalk.research.corpus.utterance import Phone, Utterance
+from deitalk.research.evaluation.contours import (
+    Contour,
+    apply_contour,
+    contour_at,
+    prosody_index,
+    random_contour,
+)
 from rig.arrays import Float32, Float64
 
 CURVE_RATE = 60

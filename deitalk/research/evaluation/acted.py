@@ -26,11 +26,11 @@ from deitalk.audio.prosody import measure_prosody
 from deitalk.audio.voice_activity import normalise_level, speech_activity
 from deitalk.data.offset import correlation
 from deitalk.errors import DataError
-from deitalk.evaluation.lip_closures import mouth_opening
 from deitalk.evaluation.report import table
 from deitalk.models.curve_model import DEITalk
 from deitalk.pipeline.curves import animate
 from deitalk.pipeline.performance import Performance
+from deitalk.research.evaluation.clip_scores import mouth_opening
 from rig import limits
 from rig.arrays import Bool, Float32
 from rig.curves.edit import gaussian_smooth

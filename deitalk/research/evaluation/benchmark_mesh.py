@@ -22,15 +22,16 @@ from deitalk.audio.frames import SAMPLE_RATE
 from deitalk.config.frontends import KarrasConfig, VocaConfig
 from deitalk.config.load import parse_config
 from deitalk.config.mesh import SDFAConfig, SDFAModelConfig
-from deitalk.data.mesh_folder import head_templates
 from deitalk.frontends.base import window_index
 from deitalk.frontends.sdfa import SDFAEncoder
-from deitalk.models.checkpoint import new_mesh_model, require_model, save_model
+from deitalk.models.checkpoint import require_model, save_model
 from deitalk.models.deformation_decoder import InversePCA
 from deitalk.models.mesh_model import SDFA
-from deitalk.pipeline.mesh import predict_mesh
 from deitalk.pipeline.speech import Speech
 from deitalk.research.evaluation.benchmark_curves import TABLE_4_SECONDS, speechlike
+from deitalk.research.meshes.folder import head_templates
+from deitalk.research.meshes.scores import predict_mesh
+from deitalk.research.meshes.training import new_mesh_model
 from rig.deformation.reconstruct import mesh_solver
 from rig.face.head import UNIT_MM
 

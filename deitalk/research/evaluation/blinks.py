@@ -21,12 +21,13 @@ from deitalk.audio.frames import FRAME_RATE
 from deitalk.audio.load import load_audio
 from deitalk.emotions import LABELS
 from deitalk.errors import DataError, DeitalkError
-from deitalk.evaluation.report import table, write_json
+from deitalk.evaluation.report import table
 from deitalk.pipeline.speech import Speech
 from deitalk.postprocess.life.motion import plan_motion
 from deitalk.postprocess.life.tracks import Seeds
 from deitalk.postprocess.life.voice import measure_voice
 from deitalk.research.corpus.recordings import AUDIO_SUFFIXES
+from deitalk.research.evaluation.report import write_json
 from rig.arrays import Float32, Float64
 from rig.files import new_file
 

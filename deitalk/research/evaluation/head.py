@@ -30,13 +30,14 @@ from deitalk.audio.frames import FRAME_RATE
 from deitalk.audio.load import load_audio
 from deitalk.emotions import LABELS
 from deitalk.errors import DeitalkError
-from deitalk.evaluation.report import table, write_json
+from deitalk.evaluation.report import table
 from deitalk.pipeline.speech import Speech
 from deitalk.postprocess.life.motion import plan_motion
 from deitalk.postprocess.life.tracks import Seeds, Traits
 from deitalk.postprocess.life.voice import Accent, Phrase, Voice, measure_voice
 from deitalk.research.evaluation.nods import MEASURES as NODS
 from deitalk.research.evaluation.nods import measure_nods
+from deitalk.research.evaluation.report import write_json
 from deitalk.research.evaluation.stress import stress_track
 from deitalk.research.lips.measured import RATE, PoseClip, read_poses
 from rig.arrays import Float64

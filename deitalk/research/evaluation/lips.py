@@ -1,7 +1,7 @@
 """Scores of predicted lips against measured lips: ``deitalk evaluate MODEL --lips FOLDER``.
 
 Every recording is animated in the neutral emotion; the lip measures of the embedded head
-(`deitalk.data.head_lips`) are compared with those of the speaker during speech. Three predictions
+(`deitalk.research.lips`) are compared with those of the speaker during speech. Three predictions
 are scored: the network alone, the curves of `deitalk.animate`, and the level of the recording as a
 baseline.
 
@@ -16,14 +16,14 @@ import numpy as np
 import torch
 
 from deitalk.audio.load import load_audio
-from deitalk.data.head_lips import MEASURES, HeadLips
-from deitalk.data.lip_fit import network_curves
 from deitalk.data.offset import correlation
 from deitalk.errors import DataError
-from deitalk.evaluation.clip_scores import loudness
 from deitalk.evaluation.report import table
+from deitalk.evaluation.validation import loudness
 from deitalk.models.curve_model import DEITalk
 from deitalk.pipeline.curves import animate
+from deitalk.research.lips.fit import network_curves
+from deitalk.research.lips.head_lips import MEASURES, HeadLips
 from deitalk.research.lips.measured import LipClip, read_lips
 from rig.arrays import Float32
 from rig.face.head import build_head

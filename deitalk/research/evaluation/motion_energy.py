@@ -18,10 +18,11 @@ import numpy as np
 
 from deitalk.emotions import EMOTIONS
 from deitalk.errors import DataError, DeitalkError
-from deitalk.evaluation.report import identified, table, write_json
+from deitalk.evaluation.report import table
 from deitalk.figures import drawing
 from deitalk.models.load import load_network
 from deitalk.pipeline.curves import animate
+from deitalk.research.evaluation.report import identified, write_json
 from rig import read_curves
 from rig.arrays import Float64
 from rig.controls import DEFAULT_ID

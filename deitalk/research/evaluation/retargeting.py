@@ -15,9 +15,10 @@ from typing import Any, cast
 
 import numpy as np
 
+from deitalk.research.meshes.gradient_bases import choose_bases
+from deitalk.research.meshes.packing import pack_vertices, polar
 from rig.arrays import Float64
-from rig.deformation.basis import choose_bases
-from rig.deformation.gradients import deformation_gradients, gradient_entries, pack_vertices, polar
+from rig.deformation.gradients import deformation_gradients, gradient_entries
 from rig.deformation.reconstruct import DeformationSolver
 from rig.files import atomic_write, new_file
 from rig.mesh.trimesh import TriMesh

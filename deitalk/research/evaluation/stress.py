@@ -8,7 +8,7 @@ from deitalk.audio.frames import FRAME_RATE
 from deitalk.phones import VOWELS
 from deitalk.pipeline.speech import Speech
 from deitalk.pipeline.words.align import WordFit, align_words
-from deitalk.pipeline.words.espeak import spoken_words, stressed_vowel
+from deitalk.pipeline.words.espeak import spoken_words
 from deitalk.pipeline.words.transcript import Transcript, Word
 from deitalk.research.corpus.engines import espeak
 from rig.arrays import Float64
@@ -58,3 +58,16 @@ def stressed_times(fit: WordFit, places: Sequence[int | None]) -> Float64:
         if place is not None and place < len(within):
             times.append(within[place])
     return np.array(times)
+
+
+def stressed_vowel(ipa: str, language: str = "en") -> int | None:
+    """Place, among the vowels of a word, of the one with primary stress; None without one.
+
+    >>> stressed_vowel("ɐɡˈɛn")
+    1
+    """
+    before, mark, _ = ipa.partition("ˈ")
+    if not mark:
+        return None
+    phones = spoken_words(before, language)
+    return sum(phone in VOWELS for phone in (phones[-1] if phones else ()))

@@ -22,7 +22,7 @@ from deitalk.audio.load import load_audio
 from deitalk.data.clips import read_clips, read_phones
 from deitalk.errors import DataError, DeitalkError
 from deitalk.evaluation.lip_closures import ClosureScores, closure_scores, summarise_closures
-from deitalk.evaluation.report import identified, table, write_json
+from deitalk.evaluation.report import table
 from deitalk.evaluation.validation import lips_together
 from deitalk.models.load import load_network
 from deitalk.models.protocol import CurveNetwork
@@ -31,6 +31,7 @@ from deitalk.pipeline.curves import finish, prepare
 from deitalk.pipeline.words.align import fit_words, measure_phones, phone_evidence
 from deitalk.pipeline.words.transcript import Transcript, Word
 from deitalk.research.corpus.engines import espeak
+from deitalk.research.evaluation.report import identified, write_json
 from rig.arrays import Float32
 from rig.files import new_file
 

@@ -16,11 +16,11 @@ from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
 from deitalk.audio.load import load_audio
 from deitalk.audio.voice_activity import normalise_level, speech_activity
 from deitalk.data.clips import MEASURED, SPLITS, Clip, read_clips
-from deitalk.data.head_lips import MEASURES, HeadLips
-from deitalk.data.lip_fit import fit_curves, neutral_reading
 from deitalk.data.windows import cut, load_material, n_clip_frames
 from deitalk.errors import DataError
 from deitalk.models.curve_model import DEITalk
+from deitalk.research.lips.fit import fit_curves, neutral_reading
+from deitalk.research.lips.head_lips import MEASURES, HeadLips
 from deitalk.research.lips.measured import LipClip, read_lips
 from rig import ControlSet, RigCurves, write_curves
 from rig.arrays import Bool, Float32, Float64
@@ -204,7 +204,7 @@ class LipTransfer:
         Parameters
         ----------
         reading : (Tensor [shape=(T, D)], Tensor [shape=(T, C)])
-            Features and neutral curves of the recording (`deitalk.data.lip_fit.neutral_reading`).
+            Features and neutral curves of the recording (`neutral_reading`).
         lips : HeadLips
             The head.
         controls : ControlSet

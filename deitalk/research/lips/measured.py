@@ -14,7 +14,7 @@ An npz may also hold ``pose`` [shape=(n, 3 or more)]: yaw, pitch and roll of the
 People differ in size and in how their lips rest, so measures become displacements from the rest
 of their speaker, in cm of a head (`speaker_rest`).
 
-Letters: T frames at 30 per second, M measures (`deitalk.data.head_lips.MEASURES`).
+Letters: T frames at 30 per second, M measures (`deitalk.research.lips.head_lips.MEASURES`).
 """
 
 import csv
@@ -32,7 +32,7 @@ from rig.errors import quoted
 from rig.files.reading import check_file, read_json, read_npz
 
 COLUMNS = ("open_in", "jaw", "width_out", "upper_lip_y", "lower_lip_y", "corner_y")
-"""Columns of a measurement, in the order of `deitalk.data.head_lips.MEASURES`."""
+"""Columns of a measurement, in the order of `deitalk.research.lips.head_lips.MEASURES`."""
 RATE, MISSING, UNIT = 25.0, -32768, 1e-4
 SOUNDS = (".opus", ".wav", ".flac", ".mp3", ".ogg", ".m4a")
 CLOSED_PERCENTILE = 5

@@ -21,9 +21,9 @@ import yaml
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
 from deitalk.audio.load import load_audio
 from deitalk.data.clips import SPLITS
-from deitalk.data.head_lips import MEASURES, HeadLips
 from deitalk.errors import DataError
 from deitalk.research.lips.dataset import check_names, check_speakers, first_clips
+from deitalk.research.lips.head_lips import MEASURES, HeadLips
 from deitalk.research.lips.measured import LipClip, read_lips
 from rig import RigCurves, write_curves
 from rig.arrays import Bool, Float32

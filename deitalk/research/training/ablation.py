@@ -25,14 +25,14 @@ from deitalk.config.mesh import SDFAConfig
 from deitalk.config.yaml_text import read_yaml
 from deitalk.data.frozen_features import FrozenFeatures
 from deitalk.errors import ConfigError, DataError
-from deitalk.evaluation.curves import evaluate
-from deitalk.evaluation.mesh import evaluate_mesh
 from deitalk.evaluation.report import as_json
 from deitalk.models.checkpoint import require_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.models.mesh_model import MeshModel
+from deitalk.research.evaluation.curves import evaluate
+from deitalk.research.meshes.scores import evaluate_mesh
+from deitalk.research.meshes.training import train_mesh
 from deitalk.training.curves import train_curves
-from deitalk.training.mesh import train_mesh
 from rig.files import atomic_write, begin_folder, claim, replace_recorded
 
 METRICS = {
@@ -133,7 +133,7 @@ def ablate(
     seeds : int
         Runs of every variant.
     split, most, probes
-        As for `deitalk.evaluation.curves.evaluate`.
+        As for `deitalk.research.evaluation.curves.evaluate`.
     overrides : sequence of str
         For all variants, such as ``data.noise_folder=noise``.
     progress : callable

@@ -22,7 +22,6 @@ from torch.nn import functional as F
 from deitalk.audio.load import load_audio
 from deitalk.data.clips import Clip, read_clips, read_phones
 from deitalk.errors import DataError, DeitalkError
-from deitalk.evaluation.report import identified, shipped, write_json
 from deitalk.models.checkpoint import require_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.phones import BILABIALS, LABIODENTALS, PHONES, Phones
@@ -36,6 +35,7 @@ from deitalk.pipeline.words.align import (
     phone_evidence,
     phone_features,
 )
+from deitalk.research.evaluation.report import identified, shipped, write_json
 from rig.arrays import Float32, Int64
 from rig.files import atomic_write, new_file
 

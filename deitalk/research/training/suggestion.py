@@ -33,7 +33,7 @@ from torch.nn import functional as F
 
 from deitalk.audio.load import load_audio
 from deitalk.errors import DataError, DeitalkError
-from deitalk.evaluation.report import identified, table, write_json
+from deitalk.evaluation.report import table
 from deitalk.models.checkpoint import require_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.pipeline.speech import Speech
@@ -44,6 +44,7 @@ from deitalk.research.evaluation.acted import (
     StrengthClip,
     read_strength_clips,
 )
+from deitalk.research.evaluation.report import identified, write_json
 from rig.arrays import Bool, Float32, Float64, Int64
 from rig.files import atomic_write, new_file
 

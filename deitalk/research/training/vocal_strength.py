@@ -244,7 +244,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def _run(given: argparse.Namespace) -> None:
-    from deitalk.evaluation.report import shipped, write_json
+    from deitalk.research.evaluation.report import shipped, write_json
     from deitalk.research.evaluation.strength import as_markdown, score_strength
 
     clips = read_strength_clips(given.readers, READERS) + read_strength_clips(given.actors, ACTORS)

@@ -144,20 +144,6 @@ NOTHING: dict[str, str] = {
 }
 """Controls without effect on this head, and the reason."""
 
-ONLY_WITH: dict[str, str] = {
-    "CTRL_L_nose_wrinkleUpper.ty": "scales the upper wrinkle of CTRL_L_nose.ty (rests at 1)",
-    "CTRL_R_nose_wrinkleUpper.ty": "scales the upper wrinkle of CTRL_R_nose.ty (rests at 1)",
-    **{
-        f"CTRL_{side}_mouth_{name}.ty": "closes lips that are apart; at rest they touch already"
-        for side in "LR"
-        for name in ("lipsTogetherU", "lipsTogetherD", "stickyInnerU", "stickyInnerD",
-                     "stickyOuterU", "stickyOuterD", "lipSticky")
-    },
-    "CTRL_C_mouth_stickyU.ty": "closes lips that are apart; at rest they touch already",
-    "CTRL_C_mouth_stickyD.ty": "closes lips that are apart; at rest they touch already",
-}  # fmt: skip
-"""Controls with an effect only together with another one."""
-
 
 class Bindings:
     """The map as a matrix: (T, 185) values to (T, K) inputs of the head.

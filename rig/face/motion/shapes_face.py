@@ -9,7 +9,6 @@ from rig.face.geometry.topology import MOUTH
 from rig.face.motion.shapes import Shape, ShapeMaker
 from rig.face.motion.shapes_mouth import NASOLABIAL
 
-_FOREHEAD = tuple((((3.0, y - 0.1), (1.6, y + 0.12), (0.0, y)), 0.07, 0.30) for y in (3.7, 4.9))
 _FOREHEAD_IN = tuple((((1.9, y + 0.1), (1.0, y), (0.0, y - 0.1)), 0.08, 0.28) for y in (3.7, 4.8))
 _FOREHEAD_OUT = tuple((((4.6, y - 0.4), (3.6, y), (2.4, y)), 0.07, 0.30) for y in (3.9, 5.1))
 _FROWN = (((0.62, 2.7), (0.52, 1.9), (0.60, 1.1)), 0.16, 0.24)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from deitalk.audio.noise import mix_at_level, pink_noise
+from deitalk.research.evaluation.noise import mix_at_level, pink_noise
 from tests.each import each
 
 RATE = 16_000

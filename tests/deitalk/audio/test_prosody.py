@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from deitalk.audio.prosody import BAND_EDGES_HZ, PIECE, level_db, measure_prosody, prosody_index
+from deitalk.audio.prosody import BAND_EDGES_HZ, PIECE, level_db, measure_prosody
+from deitalk.research.evaluation.contours import prosody_index
 from tests.each import each
 
 RATE = 16_000

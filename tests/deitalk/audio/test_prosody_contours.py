@@ -5,8 +5,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from deitalk.audio.prosody import measure_prosody, prosody_index
-from deitalk.evaluation.clip_scores import apply_contour, contour_at, random_contour
+from deitalk.audio.prosody import measure_prosody
+from deitalk.research.evaluation.contours import (
+    apply_contour,
+    contour_at,
+    prosody_index,
+    random_contour,
+)
 from tests.each import each
 
 RATE = 16_000

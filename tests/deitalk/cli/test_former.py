@@ -28,7 +28,7 @@ LINES = {
     "benchmark --model live --threads 2": "evaluate --speed live --threads 2",
 }
 VERBS = """animate batch live preview convert validate retarget face install serve data train finetune
-evaluate model""".split()
+model""".split()
 
 
 def test_former_lines_are_those_of_today():
@@ -51,11 +51,11 @@ def test_lines_of_today_exist_with_their_options():
         assert renamed | {o for o in former.added if o.startswith("-")} <= known
 
 
-def test_fifteen_verbs_are_shown():
-    """Fourteen, and `finetune`; the verbs of research are in a checkout alone."""
+def test_fourteen_verbs_are_shown():
+    """The verbs of research are in a checkout alone."""
     commands = get_command(app).commands
     shown = {name for name, command in commands.items() if not command.hidden}
-    assert shown - {*RESEARCH} == {*VERBS} and len(VERBS) == 15
+    assert shown - {*RESEARCH} == {*VERBS} and len(VERBS) == 14
 
 
 @pytest.mark.parametrize("line", ["controls --json", "suggest no-such.wav"])

@@ -11,7 +11,7 @@ import soundfile
 from typer.testing import CliRunner
 
 from deitalk.cli.data import app
-from deitalk.data.checks import check_dataset
+from deitalk.data.checks import inspect_dataset
 from deitalk.errors import DataError
 from rig import RigCurves, default_controls, read_curves, write_curves
 from tests.dataset import JAW, RATE, write_dataset
@@ -25,7 +25,7 @@ def folder(tmp_path) -> Path:
 
 
 def checks(folder: Path, **options: int) -> dict[str, tuple[str, str]]:
-    return {c.name: (c.level, c.text) for c in check_dataset(folder, **options)}
+    return {c.name: (c.level, c.text) for c in inspect_dataset(folder, **options).checks}
 
 
 def rewrite(folder: Path, i: int, change, fps: float | None = None) -> None:
@@ -153,7 +153,7 @@ def test_command_prints_a_table_or_json_and_fails_on_errors(folder):
 
 def test_check_rejects_a_folder_that_is_no_dataset(tmp_path):
     with pytest.raises(DataError, match=r"holds no clips\.csv"):
-        check_dataset(tmp_path)
+        inspect_dataset(tmp_path)
 
 
 def two_splits(folder: Path, gap: float) -> None:

@@ -12,11 +12,12 @@ from deitalk.config.curves import Config
 from deitalk.config.load import load_config
 from deitalk.data.augment_waveform import Surroundings
 from deitalk.data.clips import read_clips
-from deitalk.data.frozen_features import EncodedPasses, FrozenFeatures, remove_features
+from deitalk.data.frozen_features import FrozenFeatures, remove_features
 from deitalk.data.windows import WindowBatches, load_material, whole_sound
 from deitalk.models.checkpoint import load_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.research.training.ablation import Variant, ablate
+from deitalk.research.training.encoded_passes import EncodedPasses
 from deitalk.training.curves import train_curves
 from tests.dataset import write_dataset
 from tests.each import each

@@ -11,8 +11,10 @@ from deitalk.audio.mel import MelSpectrogram
 from deitalk.audio.voice_activity import normalise_level
 from deitalk.config.frontends import SDFAMelConfig
 from deitalk.config.mesh import MeshDataConfig
-from deitalk.data.mesh_bases import fit_mesh_bases
-from deitalk.data.mesh_folder import (
+from deitalk.data.windows import Share
+from deitalk.errors import DataError
+from deitalk.frontends.sdfa import SDFAEncoder
+from deitalk.research.meshes.folder import (
     Lips,
     MeshSequence,
     build_meshes,
@@ -22,12 +24,10 @@ from deitalk.data.mesh_folder import (
     read_mesh_folder,
     write_mesh_folder,
 )
-from deitalk.data.mesh_segments import MelWarp, Segments, Spectra
-from deitalk.data.windows import Share
-from deitalk.errors import DataError
-from deitalk.frontends.sdfa import SDFAEncoder
+from deitalk.research.meshes.mesh_bases import fit_mesh_bases
+from deitalk.research.meshes.packing import pack_vertices
+from deitalk.research.meshes.segments import MelWarp, Segments, Spectra
 from rig import default_controls
-from rig.deformation.gradients import pack_vertices
 from rig.deformation.reconstruct import mesh_solver
 from rig.face import build_head
 from rig.mesh import TriMesh, write_ply, write_ply_sequence

@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 
 from deitalk.audio.load import Recording, load_audio
-from deitalk.data.checks import check_dataset, jaw_motion
+from deitalk.data.checks import inspect_dataset, jaw_motion
 from deitalk.data.clips import read_clips
 from deitalk.data.offset import (
     REACH,
@@ -103,7 +103,7 @@ def test_vowel_band_keeps_vowels_and_drops_hiss():
 
 @needs_espeak
 def test_no_clip_of_a_built_corpus_is_called_shifted_and_moved_ones_are(corpus):
-    (offset,) = [check for check in check_dataset(corpus) if check.name == "offset"]
+    (offset,) = [check for check in inspect_dataset(corpus).checks if check.name == "offset"]
     assert offset.level == "ok", offset.text
 
     def clips() -> Iterator[tuple[Recording, np.ndarray]]:

@@ -13,13 +13,14 @@ from deitalk.config.load import load_config
 from deitalk.data.clips import read_clips
 from deitalk.emotions import EMOTIONS
 from deitalk.errors import DataError
-from deitalk.evaluation.curves import _groups, evaluate
-from deitalk.evaluation.report import as_json, as_markdown
+from deitalk.evaluation.report import as_json
 from deitalk.evaluation.validation import load_example
 from deitalk.models.checkpoint import load_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.models.folder import embedded_models
 from deitalk.pipeline.curves import Performance
+from deitalk.research.evaluation.curves import _groups, evaluate
+from deitalk.research.evaluation.report import as_markdown
 from rig import RigCurves, default_controls
 from tests.conftest import SHARED
 from tests.dataset import write_dataset
@@ -81,7 +82,7 @@ def test_model_that_gives_the_target_has_perfect_scores(tmp_path, monkeypatch):
         zeros = np.zeros(len(curves.values), np.float32)
         return Performance(curves, curves, zeros, zeros, recording, 0)
 
-    monkeypatch.setattr("deitalk.evaluation.clip_scores.animate", perfect)
+    monkeypatch.setattr("deitalk.research.evaluation.clip_scores.animate", perfect)
     model = SimpleNamespace(controls=controls, is_causal=False)
     report = evaluate(model, folder, split="validation", probes=0)
     scores, still = report["groups"]["test"], report["network"]["test"]

@@ -8,27 +8,28 @@ import numpy as np
 import pytest
 
 from deitalk.audio.load import Recording
-from deitalk.audio.noise import read_noises
 from deitalk.errors import DataError
-from deitalk.evaluation.clip_scores import (
+from deitalk.evaluation.lip_closures import smoothness
+from deitalk.pipeline.curves import Performance
+from deitalk.research.evaluation.clip_scores import (
     BITE,
     CLOSURE,
     ROUNDING,
+    captured_smoothness,
     contours_report,
     gesture_curve,
     gesture_peaks,
     global_lag_ms,
     jaw_in_contact,
     lag_scores,
-    level_curve,
+    opening_in_silence,
     phone_table,
     shut_frames,
     shut_table,
-    spearman,
 )
-from deitalk.evaluation.curves import lip_range, style_distances
-from deitalk.evaluation.lip_closures import captured_smoothness, opening_in_silence, smoothness
-from deitalk.pipeline.curves import Performance
+from deitalk.research.evaluation.contours import level_curve, spearman
+from deitalk.research.evaluation.curves import lip_range, style_distances
+from deitalk.research.evaluation.noise import read_noises
 from rig import RigCurves, default_controls, write_curves
 from tests.dataset import waveform
 from tests.each import each
@@ -174,7 +175,7 @@ def test_intensity_is_compared_with_level_and_its_error(monkeypatch):
         level = sign * level_curve(take.waveform, take.n_frames)
         return Performance(curves, curves, level, level, take, 0)
 
-    monkeypatch.setattr("deitalk.evaluation.clip_scores.animate", follows_the_level)
+    monkeypatch.setattr("deitalk.research.evaluation.clip_scores.animate", follows_the_level)
     model = SimpleNamespace(controls=CONTROLS)
     alone = contours_report(model, [flipped])  # type: ignore[arg-type]
     both = contours_report(model, [syllables(5, 5), flipped])  # type: ignore[arg-type]

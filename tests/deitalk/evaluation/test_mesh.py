@@ -9,11 +9,12 @@ from typer.testing import CliRunner
 from deitalk.cli import app
 from deitalk.config.load import parse_config
 from deitalk.config.mesh import SDFAModelConfig
-from deitalk.data.mesh_folder import Lips, act, acted_clips, head_lips, head_templates
 from deitalk.errors import CheckpointError, DataError
-from deitalk.evaluation.mesh import as_markdown, evaluate_mesh, lip_gap, smallest_gaps
-from deitalk.models.checkpoint import new_mesh_model, save_model
+from deitalk.models.checkpoint import save_model
 from deitalk.models.deformation_decoder import InversePCA
+from deitalk.research.meshes.folder import Lips, act, acted_clips, head_lips, head_templates
+from deitalk.research.meshes.scores import as_markdown, evaluate_mesh, lip_gap, smallest_gaps
+from deitalk.research.meshes.training import new_mesh_model
 from rig.mesh import TriMesh
 from tests.dataset import write_dataset
 

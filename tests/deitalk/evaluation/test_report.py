@@ -6,9 +6,9 @@ import os
 
 import pytest
 
-from deitalk.evaluation.report import identified, write_json
 from deitalk.models.folder import embedded_models, model_folder
 from deitalk.research.evaluation.benchmark_curves import machine
+from deitalk.research.evaluation.report import identified, write_json
 
 
 def test_json_has_null_for_what_is_not_finite(tmp_path):

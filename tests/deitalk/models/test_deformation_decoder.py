@@ -5,8 +5,9 @@ import pytest
 import torch
 
 from deitalk.models.deformation_decoder import InversePCA, MotionDecoder
-from rig.deformation.basis import Bases, fit_basis
-from rig.deformation.gradients import pack_vertices
+from deitalk.research.meshes.gradient_bases import Bases, fit_basis
+from deitalk.research.meshes.packing import pack_vertices
+from deitalk.research.meshes.training import frozen_layer
 from rig.mesh.trimesh import TriMesh, triangle_areas
 
 PAPER_TRIANGLES = 9976
@@ -80,7 +81,7 @@ def test_number_of_parameters_by_hand():
 def test_zero_coefficients_are_the_mean_shape(fitted):
     bases, s, r = fitted
     for basis, frames in zip((bases.stretch, bases.rotation), (s, r), strict=True):
-        layer = InversePCA.of(basis)
+        layer = frozen_layer(basis)
         out = layer(torch.zeros(1, len(layer.components)))[0].numpy()
         np.testing.assert_allclose(out, frames.mean(axis=0), atol=1e-6)
 
@@ -88,7 +89,7 @@ def test_zero_coefficients_are_the_mean_shape(fitted):
 def test_projected_frames_come_back_and_coefficients_have_unit_variance(fitted):
     bases, s, r = fitted
     for basis, frames in zip((bases.stretch, bases.rotation), (s, r), strict=True):
-        layer = InversePCA.of(basis)
+        layer = frozen_layer(basis)
         coefficients = basis.project(frames)
         np.testing.assert_allclose(coefficients.std(axis=0, ddof=1), 1, atol=2e-2)
         back = layer(torch.from_numpy(coefficients).float()).numpy()

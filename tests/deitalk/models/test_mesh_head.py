@@ -10,7 +10,15 @@ import torch
 from deitalk.acting import Acting
 from deitalk.config.curves import Config
 from deitalk.config.load import load_config, parse_config
-from deitalk.data.mesh_folder import (
+from deitalk.emotions import EMOTIONS
+from deitalk.errors import CheckpointError, ConfigError
+from deitalk.models.checkpoint import load_model, save_model
+from deitalk.models.curve_model import DEITalk
+from deitalk.models.deformation_decoder import InversePCA
+from deitalk.pipeline import speech as speech_module
+from deitalk.pipeline.mesh import animate_mesh, mesh_coefficients
+from deitalk.research.meshes import scores as expression_module
+from deitalk.research.meshes.folder import (
     MeshSequence,
     act,
     acted_clips,
@@ -18,16 +26,8 @@ from deitalk.data.mesh_folder import (
     read_mesh_folder,
     write_mesh_folder,
 )
-from deitalk.emotions import EMOTIONS
-from deitalk.errors import CheckpointError, ConfigError
-from deitalk.evaluation import mesh as expression_module
-from deitalk.evaluation.mesh import as_markdown, evaluate_mesh
-from deitalk.models.checkpoint import load_model, new_mesh_model, save_model
-from deitalk.models.curve_model import DEITalk
-from deitalk.models.deformation_decoder import InversePCA
-from deitalk.pipeline import speech as speech_module
-from deitalk.pipeline.mesh import animate_mesh, mesh_coefficients, predict_mesh
-from deitalk.training.mesh import train_mesh
+from deitalk.research.meshes.scores import as_markdown, evaluate_mesh, predict_mesh
+from deitalk.research.meshes.training import new_mesh_model, train_mesh
 from tests.dataset import write_dataset
 from tests.deitalk.models.test_mesh_model import LIPS, RATE, noise, sheet, spoken
 

@@ -10,13 +10,14 @@ from deitalk.audio.voice_activity import normalise_level
 from deitalk.config.frontends import SDFAMelConfig
 from deitalk.config.load import load_config, parse_config
 from deitalk.config.mesh import SDFAConfig, SDFAModelConfig
-from deitalk.data.mesh_folder import Lips
 from deitalk.errors import AudioError, CheckpointError, ConfigError
 from deitalk.models import mesh_model as sdfa_module
-from deitalk.models.checkpoint import new_mesh_model
 from deitalk.models.deformation_decoder import Deformation, InversePCA, Offsets
-from deitalk.pipeline.mesh import mesh_coefficients, predict_mesh
+from deitalk.pipeline.mesh import mesh_coefficients
 from deitalk.pipeline.speech import Speech
+from deitalk.research.meshes.folder import Lips
+from deitalk.research.meshes.scores import predict_mesh
+from deitalk.research.meshes.training import new_mesh_model
 from rig.mesh import TriMesh
 
 CONFIGS = Path(__file__).resolve().parents[3] / "configs"

@@ -18,7 +18,7 @@ from deitalk.config.frontends import MelConfig
 from deitalk.config.rules import RulesConfig
 from deitalk.emotions import EMOTIONS
 from deitalk.errors import CheckpointError, DeitalkError
-from deitalk.live.animator import LiveAnimator, live_frames
+from deitalk.live.animator import LiveAnimator
 from deitalk.models.checkpoint import load_model, save_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.models.folder import embedded_models
@@ -26,6 +26,7 @@ from deitalk.models.load import load_network
 from deitalk.models.onnx import OnnxNetwork, load_onnx
 from deitalk.models.onnx import network as network_module
 from deitalk.research.evaluation.benchmark_curves import speechlike
+from deitalk.research.evaluation.clip_scores import live_frames
 from rig import default_controls, read_curves
 from tests.deitalk.models.test_curve_model import MEL, SMALL
 

@@ -14,7 +14,6 @@ from deitalk.config.frontends import MelConfig
 from deitalk.config.rules import RulesConfig
 from deitalk.emotions import EMOTIONS, LABELS, ActorReference, IntensityCurve
 from deitalk.errors import ConfigError, DeitalkError
-from deitalk.evaluation.lip_closures import mouth_opening
 from deitalk.models.checkpoint import load_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.models.folder import embedded_models
@@ -22,6 +21,7 @@ from deitalk.pipeline.curves import READ_ON_SAMPLES, prepare
 from deitalk.pipeline.speech import Speech
 from deitalk.postprocess.life.motion import LEANS
 from deitalk.research.evaluation.benchmark_curves import speechlike
+from deitalk.research.evaluation.clip_scores import mouth_opening
 from rig.errors import ControlError
 from tests.each import each
 

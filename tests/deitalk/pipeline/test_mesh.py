@@ -13,7 +13,8 @@ from deitalk.errors import CheckpointError, DeitalkError, EmotionError
 from deitalk.models.checkpoint import load_model, save_model
 from deitalk.models.folder import embedded_models
 from deitalk.pipeline import mesh as module
-from deitalk.pipeline.mesh import animate_mesh, predict_mesh, retarget_speech
+from deitalk.pipeline.mesh import animate_mesh, retarget_speech
+from deitalk.research.meshes.scores import predict_mesh
 from rig.errors import ExistsError, RigError, TargetError
 from rig.face import build_head
 from rig.face.geometry.topology import MOUTH

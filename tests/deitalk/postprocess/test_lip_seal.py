@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from deitalk.config.mesh import SDFAModelConfig
-from deitalk.data.mesh_folder import head_lips, head_templates
 from deitalk.errors import ConfigError
-from deitalk.evaluation.mesh import lip_gap
-from deitalk.models.checkpoint import new_mesh_model
 from deitalk.models.deformation_decoder import InversePCA
 from deitalk.postprocess.lip_seal import seal_lips
+from deitalk.research.meshes.folder import head_lips, head_templates
+from deitalk.research.meshes.scores import lip_gap
+from deitalk.research.meshes.training import new_mesh_model
 from tests.deitalk.models.test_mesh_model import VOCA, sheet
 from tests.each import each
 

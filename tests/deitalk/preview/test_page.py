@@ -18,10 +18,10 @@ from deitalk.errors import MissingError
 from deitalk.preview import page as page_module
 from deitalk.preview.page import pack, render_page
 from deitalk.preview.source import PreviewError, PreviewSource, bilabial_warnings
+from deitalk.research.contact_sheet import EMOTION_POSES, MOUTH_POSES, pose_values
 from rig import RigCurves, clamp, default_controls, gain
 from rig.errors import TargetError
 from rig.face import build_head
-from rig.face.contact_sheet import EMOTION_POSES, MOUTH_POSES, pose_values
 from tests.browser import chromium, lateness, needs_player, opened
 from tests.each import each
 

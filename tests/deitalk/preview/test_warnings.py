@@ -15,9 +15,9 @@ from deitalk.preview.source import (
     load_source,
     offset_warnings,
 )
+from deitalk.research.contact_sheet import MOUTH_POSES, pose_values
 from rig import RigCurves, default_controls, write_curves
 from rig.face import build_head
-from rig.face.contact_sheet import MOUTH_POSES, pose_values
 from tests.each import each
 
 CONTROLS = default_controls()

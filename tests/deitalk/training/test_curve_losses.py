@@ -8,17 +8,14 @@ import torch
 from deitalk.config.curves import LossConfig
 from deitalk.models.curve_model import Output
 from deitalk.models.intensity import Intensity
+from deitalk.research.lips.losses import LIP_SPREAD_CM, LIP_WEIGHTS, lip_loss, range_loss
 from deitalk.training.curve_losses import (
-    LIP_SPREAD_CM,
-    LIP_WEIGHTS,
     CurveLoss,
     classification_loss,
     contact_loss,
     contrast_loss,
     intensity_loss,
-    lip_loss,
     position_loss,
-    range_loss,
     total_loss,
     velocity_loss,
 )

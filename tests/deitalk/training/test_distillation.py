@@ -10,7 +10,8 @@ from deitalk.config.curves import Config
 from deitalk.config.load import load_config
 from deitalk.models.checkpoint import load_model, save_model
 from deitalk.models.curve_model import DEITalk
-from deitalk.training.curve_losses import Teacher, read_teacher, start_as
+from deitalk.research.training.distillation import Teacher, read_teacher
+from deitalk.training.curve_losses import start_as
 from deitalk.training.curves import CurveTask, train_curves
 from deitalk.training.trainer import Trainer
 from tests.dataset import write_dataset

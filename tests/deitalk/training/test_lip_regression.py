@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from deitalk.data.mesh_folder import read_mesh_folder
-from deitalk.training.mesh_losses import LipRegression
+from deitalk.research.meshes.folder import read_mesh_folder
+from deitalk.research.meshes.losses import LipRegression
 from tests.deitalk.models.test_mesh_model import LIPS
 from tests.deitalk.training.test_mesh import write_sheets
 

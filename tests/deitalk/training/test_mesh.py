@@ -18,19 +18,19 @@ from typer.testing import CliRunner
 from deitalk.cli import app
 from deitalk.config.load import load_config
 from deitalk.config.mesh import SDFAConfig
-from deitalk.data.mesh_folder import (
+from deitalk.errors import CheckpointError, ConfigError, DataError
+from deitalk.figures import can_draw
+from deitalk.models.checkpoint import load_model, save_model
+from deitalk.models.curve_model import DEITalk
+from deitalk.research.meshes import training as module
+from deitalk.research.meshes.folder import (
     MeshFolder,
     MeshSequence,
     read_mesh_folder,
     write_mesh_folder,
 )
-from deitalk.errors import CheckpointError, ConfigError, DataError
-from deitalk.figures import can_draw
-from deitalk.models.checkpoint import load_model, save_model
-from deitalk.models.curve_model import DEITalk
-from deitalk.pipeline.mesh import predict_mesh
-from deitalk.training import mesh as module
-from deitalk.training.mesh import MeshTask, copy_encoder, train_mesh, validate_mesh
+from deitalk.research.meshes.scores import predict_mesh
+from deitalk.research.meshes.training import MeshTask, copy_encoder, train_mesh, validate_mesh
 from deitalk.training.trainer import Trainer
 from rig.face.identity import IDENTITIES
 from tests.dataset import write_dataset

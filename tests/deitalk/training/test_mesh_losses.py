@@ -6,7 +6,8 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from deitalk.training.mesh_losses import (
+from deitalk.research.meshes.gradient_bases import fit_basis
+from deitalk.research.meshes.losses import (
     LIPS,
     AutomaticWeights,
     difference_loss,
@@ -15,7 +16,6 @@ from deitalk.training.mesh_losses import (
     term_names,
     value_loss,
 )
-from rig.deformation.basis import fit_basis
 
 ONE = torch.ones(2)
 

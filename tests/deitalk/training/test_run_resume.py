@@ -11,10 +11,10 @@ from safetensors.torch import load_file
 import deitalk.training.trainer
 from deitalk.config.curves import Config
 from deitalk.config.load import load_config
-from deitalk.data.mesh_folder import MeshSequence, write_mesh_folder
 from deitalk.errors import ConfigError, DataError
+from deitalk.research.meshes.folder import MeshSequence, write_mesh_folder
+from deitalk.research.meshes.training import train_mesh
 from deitalk.training.curves import train_curves
-from deitalk.training.mesh import train_mesh
 from deitalk.training.run_folder import log, truncate_log
 from rig.errors import TargetError
 from tests.dataset import write_dataset

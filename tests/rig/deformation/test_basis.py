@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from rig.deformation.basis import choose_bases, fit_basis, read_bases, write_bases
+from deitalk.research.meshes.gradient_bases import choose_bases, fit_basis, read_bases, write_bases
 from rig.errors import FormatError, MeshError
 from rig.mesh.trimesh import TriMesh
 

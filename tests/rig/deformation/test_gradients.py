@@ -4,13 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from rig.deformation.gradients import (
-    deformation_gradients,
-    pack,
-    pack_vertices,
-    triangle_frames,
-    unpack,
-)
+from deitalk.research.meshes.packing import pack, pack_vertices, unpack
+from rig.deformation.gradients import deformation_gradients, triangle_frames
 from rig.deformation.reconstruct import DeformationSolver, RigidPart, rigid_motion, small_parts
 from rig.errors import MeshError, TopologyError
 from rig.mesh.trimesh import TriMesh, triangle_areas

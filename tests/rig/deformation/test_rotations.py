@@ -5,7 +5,13 @@ import pytest
 from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
-from rig.deformation.gradients import polar, rotation_exp, rotation_log, unwrap, unwrap_sequence
+from deitalk.research.meshes.packing import (
+    polar,
+    rotation_exp,
+    rotation_log,
+    unwrap,
+    unwrap_sequence,
+)
 from tests.each import each
 
 ANGLES = [0.0, 1e-12, 1e-9, 1e-4, 1.0, 3.0, np.pi - 1e-6, np.pi - 1e-9]

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
+from deitalk.research.contact_sheet import pose_values
 from rig import default_controls
 from rig.face import build_head
-from rig.face.contact_sheet import pose_values
 from rig.face.geometry.topology import EYE_L, EYE_R, MOUTH
-from rig.face.motion.bindings import NOTHING, ONLY_WITH
+from rig.face.motion.bindings import NOTHING
 from tests.each import each
 
 CONTROLS = default_controls()
@@ -290,6 +290,21 @@ def test_parallel_look_makes_the_eyes_parallel(head):
     assert abs(a[0] - b[0]) > 0.5
     a, b = aim({**crossed, "CTRL_C_eye_parallelLook.ty": 1})
     assert np.abs(a - b).max() < 1e-3
+
+
+ONLY_WITH = {
+    "CTRL_L_nose_wrinkleUpper.ty": "scales the upper wrinkle of CTRL_L_nose.ty (rests at 1)",
+    "CTRL_R_nose_wrinkleUpper.ty": "scales the upper wrinkle of CTRL_R_nose.ty (rests at 1)",
+    **{
+        f"CTRL_{side}_mouth_{name}.ty": "closes lips that are apart; at rest they touch already"
+        for side in "LR"
+        for name in ("lipsTogetherU", "lipsTogetherD", "stickyInnerU", "stickyInnerD",
+                     "stickyOuterU", "stickyOuterD", "lipSticky")
+    },
+    "CTRL_C_mouth_stickyU.ty": "closes lips that are apart; at rest they touch already",
+    "CTRL_C_mouth_stickyD.ty": "closes lips that are apart; at rest they touch already",
+}  # fmt: skip
+"""Controls with an effect only together with another one."""
 
 
 def test_every_control_has_an_effect_or_a_reason(head):

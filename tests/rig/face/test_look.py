@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from deitalk.research.contact_sheet import pose_values
 from rig.face import build_head
 from rig.face.accents import SHADOW, accents
-from rig.face.contact_sheet import pose_values
 from rig.face.geometry.mesh import WHITE_UV, Mesh, join
 from rig.face.geometry.skin import skin_uv
 from rig.face.maps import LEAST_AMBIENT, build_maps, occlusion

@@ -5,10 +5,10 @@ import time
 import numpy as np
 import pytest
 
+from deitalk.research.contact_sheet import EMOTION_POSES, MOUTH_POSES, pose_values
 from rig import default_controls
 from rig.errors import RigError
 from rig.face import build_head
-from rig.face.contact_sheet import EMOTION_POSES, MOUTH_POSES, pose_values
 from rig.face.geometry import teeth
 from rig.face.geometry.eyes import IRIS_DEGREES
 from rig.face.geometry.loops import MOUTH_COUNT

@@ -5,8 +5,8 @@ import pytest
 from typer.testing import CliRunner
 
 from deitalk.cli import app
+from deitalk.research.contact_sheet import pose_values
 from rig.face import build_head
-from rig.face.contact_sheet import pose_values
 from rig.mesh.glb_reader import read_glb
 from rig.retarget.arkit_head import (
     CORRECTIVES,

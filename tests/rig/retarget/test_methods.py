@@ -11,7 +11,7 @@ from rig.errors import FormatError, MeshError
 from rig.mesh.trimesh import ClosestPoints, TriMesh, closest_barycentric, components
 from rig.retarget.landmark_guess import guess_landmarks
 from rig.retarget.landmarks import LANDMARKS, NEEDED, check_landmarks, read_landmarks, similarity
-from rig.retarget.methods import _along_slit, fit_lids, lip_pairs, sequence_for
+from rig.retarget.methods import _along_slit, fit_lids, lip_pairs
 from rig.retarget.registration import lip_labels, register
 from rig.retarget.transfer import local_jacobians, transfer_displacements
 from tests.each import each
@@ -168,9 +168,6 @@ def test_shapes_follow_an_affine_map_of_the_head(head, rng):
     error = np.linalg.norm(moved - expected, axis=-1) / 0.01
     assert error[:, skin].mean() < 0.03  # cm of the head's size
     assert error.mean() < 0.02
-    frames = sequence_for(registration, head.mesh.vertices + source[:1])
-    error = np.linalg.norm(frames - target.vertices - expected[:1], axis=-1) / 0.01
-    assert error[:, skin].mean() < 0.3
 
 
 @pytest.mark.slow

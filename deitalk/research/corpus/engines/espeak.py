@@ -17,10 +17,10 @@ from deitalk.pipeline.words.espeak import (
     has_voice,
     ipa_to_phones,
     known_voice,
-    library,
     missing,
     pronounce,
 )
+from deitalk.research.corpus.engines.espeak_library import library
 from deitalk.research.corpus.engines.espeak_server import Server
 from deitalk.research.corpus.utterance import SAMPLE_RATE, Utterance, contiguous
 

@@ -18,7 +18,7 @@ import threading
 from typing import Any
 
 from deitalk.errors import DataError
-from deitalk.pipeline.words.espeak import library
+from deitalk.research.corpus.engines.espeak_library import library
 
 TIMEOUT_SECONDS = 20
 """Time limit of an utterance; usual are some milliseconds."""
@@ -39,7 +39,7 @@ class Server:
     def synthesise(
         self, text: str, voice: str, parameters: dict[str, int], *, ssml: bool
     ) -> tuple[bytes, list[tuple[int, str]]]:
-        """`Library.synthesise` in a fresh process.
+        """`Synthesiser.synthesise` in a fresh process.
 
         Raises
         ------

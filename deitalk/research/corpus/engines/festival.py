@@ -9,8 +9,8 @@ from functools import cache
 from pathlib import Path
 
 from deitalk.errors import AudioError, ConfigError, MissingError
-from deitalk.pipeline.words.espeak import festival_to_phone
 from deitalk.research.corpus.engines.espeak import check_ranges
+from deitalk.research.corpus.engines.flite import festival_to_phone
 from deitalk.research.corpus.recordings import read_waveform
 from deitalk.research.corpus.utterance import SAMPLE_RATE, Utterance, contiguous
 

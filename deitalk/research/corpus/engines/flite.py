@@ -6,7 +6,7 @@ import tempfile
 from pathlib import Path
 
 from deitalk.errors import AudioError, ConfigError, DataError, MissingError
-from deitalk.pipeline.words.espeak import festival_to_phone
+from deitalk.phones import PHONES
 from deitalk.research.corpus.engines.espeak import check_ranges
 from deitalk.research.corpus.recordings import read_waveform
 from deitalk.research.corpus.utterance import SAMPLE_RATE, Utterance, contiguous
@@ -128,3 +128,15 @@ def _run(command: list[str], text: str) -> str:
     except (subprocess.SubprocessError, OSError, ValueError) as error:
         raise DataError(f"text={text!r} cannot be synthesised by flite: {error}") from error
     return done.stdout
+
+
+FESTIVAL_NAMES = {
+    "pau": "SIL", "h#": "SIL", "#": "SIL", "brth": "SIL", "sil": "SIL", "ssil": "SIL",
+    "axr": "ER", "hv": "HH", "em": "M", "en": "N", "el": "L", "nx": "N", "eng": "NG", "q": "Q",
+}  # fmt: skip
+
+
+def festival_to_phone(name: str) -> str:
+    """Phone of a festival or flite name; unknown names become AX."""
+    phone = FESTIVAL_NAMES.get(name.lower(), name.upper())
+    return phone if phone in PHONES else "AX"

@@ -14,9 +14,9 @@ from deitalk.data.captures.labels import Labelling
 from deitalk.data.captures.sources import find_sound, find_takes
 from deitalk.data.captures.take import CapturedCurves, read_capture
 from deitalk.data.clips import read_clips, read_known
-from deitalk.data.video.detector import _chosen
-from deitalk.data.video.landmarks import USED
 from deitalk.errors import MissingError
+from deitalk.research.video.detector import _chosen
+from deitalk.research.video.landmarks import USED
 from rig import default_controls, read_curves, rest_curves
 from rig.face.head import build_head
 from tests.deitalk.data.video.test_decode import write_video

@@ -6,9 +6,9 @@ import av
 import numpy as np
 import pytest
 
-from deitalk.data.video import detector as decode
-from deitalk.data.video.detector import read_pictures
 from deitalk.errors import DataError
+from deitalk.research.video import detector as decode
+from deitalk.research.video.detector import read_pictures
 from rig import limits
 from tests.media import write_sound
 

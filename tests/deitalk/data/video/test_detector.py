@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from deitalk.data.video.detector import track_face
-from deitalk.data.video.landmarks import LIDS, MIDDLE
+from deitalk.research.video.detector import track_face
+from deitalk.research.video.landmarks import LIDS, MIDDLE
 from rig import default_controls
 from rig.face.geometry.mesh import vertex_normals
 from rig.face.head import build_head

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from deitalk.data.video.filmed import (
+from deitalk.research.video.filmed import (
     MEASURES,
     SIDES,
     HeadFace,
@@ -12,7 +12,7 @@ from deitalk.data.video.filmed import (
     measure,
     straightened,
 )
-from deitalk.data.video.landmarks import FaceTrack, pixels
+from deitalk.research.video.landmarks import FaceTrack, pixels
 from rig import default_controls
 from rig.face.head import build_head
 from rig.retarget.source_head import head_landmarks

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from deitalk.data.video.landmarks import PLACE, FaceTrack, at_rig_frames, read_landmarks
 from deitalk.errors import DataError
+from deitalk.research.video.landmarks import PLACE, FaceTrack, at_rig_frames, read_landmarks
 from tests.each import each
 
 

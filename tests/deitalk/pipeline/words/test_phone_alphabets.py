@@ -3,7 +3,8 @@ import unicodedata
 from deitalk import phones
 from deitalk.phones import PHONES
 from deitalk.pipeline.words import espeak as phone_alphabets
-from deitalk.pipeline.words.espeak import festival_to_phone, ipa_to_phones
+from deitalk.pipeline.words.espeak import ipa_to_phones
+from deitalk.research.corpus.engines.flite import festival_to_phone
 from deitalk.research.corpus.utterance import Phone, contiguous
 from tests.each import each
 

@@ -32,8 +32,8 @@ def engine(request, monkeypatch):
 
 
 WHICH = """
-from deitalk.pipeline.words.espeak import Library
-found = Library()
+from deitalk.research.corpus.engines.espeak_library import Synthesiser
+found = Synthesiser()
 print(found._library._name, found.data_folder(), found.has_voice("en-us+f1"))
 """
 

@@ -16,10 +16,10 @@ from deitalk.config.curves import ModelConfig
 from deitalk.config.frontends import WhisperConfig
 from deitalk.config.load import parse_config
 from deitalk.errors import CheckpointError, DataError, DeitalkError
-from deitalk.evaluation.report import identified
 from deitalk.models.checkpoint import save_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.research.evaluation.attention import attention_of, corpus_attention
+from deitalk.research.evaluation.report import identified
 from rig.errors import RigError
 from tests.each import each
 

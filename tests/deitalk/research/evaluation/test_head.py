@@ -10,12 +10,11 @@ import soundfile
 from deitalk.errors import DataError
 from deitalk.pipeline.speech import Speech
 from deitalk.pipeline.words.align import FittedWord, WordFit
-from deitalk.pipeline.words.espeak import stressed_vowel
 from deitalk.postprocess.known_phones import KnownPhone
 from deitalk.research.corpus.engines import espeak
 from deitalk.research.evaluation.head import TOLERANCE, as_markdown, evaluate_head, main, ratios
 from deitalk.research.evaluation.nods import find_nods, measure_nods
-from deitalk.research.evaluation.stress import stress_track, stressed_times
+from deitalk.research.evaluation.stress import stress_track, stressed_times, stressed_vowel
 from tests.conftest import SHARED
 from tests.each import each
 

@@ -10,10 +10,8 @@ import pytest
 import soundfile as sf
 import torch
 
-from deitalk.data.checks import check_dataset
+from deitalk.data.checks import inspect_dataset
 from deitalk.data.clips import read_clips
-from deitalk.data.head_lips import MEASURES, HeadLips
-from deitalk.data.lip_fit import LOOSENESS, fit_curves, looseness
 from deitalk.data.windows import cut, load_material
 from deitalk.errors import DataError
 from deitalk.models.checkpoint import require_model
@@ -21,6 +19,8 @@ from deitalk.models.curve_model import DEITalk
 from deitalk.research.evaluation.lips import PREDICTIONS, as_markdown, evaluate
 from deitalk.research.lips import vocabulary
 from deitalk.research.lips.dataset import CONTACT, LipRidge, LipTransfer, write_lip_dataset
+from deitalk.research.lips.fit import LOOSENESS, fit_curves, looseness
+from deitalk.research.lips.head_lips import MEASURES, HeadLips
 from deitalk.research.lips.measured import COLUMNS, read_lips
 from deitalk.research.lips.vocabulary import halves, keep_half
 from rig import default_controls, limits, read_curves
@@ -263,7 +263,9 @@ def test_lip_dataset_holds_curves_that_repeat_the_lips(measured, tmp_path, lips)
         "a": ("lips:one", "train", "neutral"),
         "c": ("lips:two", "validation", "neutral"),
     }
-    assert not [c for c in check_dataset(out) if c.level == "error" and c.name != "emotions"]
+    assert not [
+        c for c in inspect_dataset(out).checks if c.level == "error" and c.name != "emotions"
+    ]
     wanted = next(c for c in read_lips(measured, lips.eye_distance) if c.name == "a")
     curves = torch.tensor(read_curves(clips["a"].curves).values)
     given = (lips(curves) - lips(REST))[:, 0].numpy()

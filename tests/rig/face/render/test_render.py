@@ -7,9 +7,9 @@ import pytest
 from PIL import Image
 from scipy.spatial import Delaunay
 
+from deitalk.research.contact_sheet import SHEETS, Tile, draw_sheet, pose_values, sheet_tiles
 from rig.errors import RigError
 from rig.face import build_head
-from rig.face.contact_sheet import SHEETS, Tile, draw_sheet, pose_values, sheet_tiles
 from rig.face.geometry.mesh import Mesh
 from rig.face.render import VIEWS, View, make_renderer
 from rig.face.render import opengl as opengl_module

@@ -1,15 +1,17 @@
 """A filmed face to rig curves: landmarks, straightened, measured, repeated on the embedded head."""
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from deitalk.audio.frames import FRAME_RATE
-from deitalk.data.head_lips import CENTRAL, HeadLips
-from deitalk.data.lip_fit import nearest_curves
-from deitalk.data.video.landmarks import (
+from deitalk.research.lips.head_lips import CENTRAL, HeadLips
+from deitalk.research.lips.nearest import nearest_curves
+from deitalk.research.video.detector import Progress, track_face
+from deitalk.research.video.landmarks import (
     BROWS,
     CORNERS,
     IRIS,
@@ -21,6 +23,7 @@ from deitalk.data.video.landmarks import (
     RIMS,
     FaceTrack,
     at_rig_frames,
+    read_landmarks,
 )
 from rig import ControlSet, RigCurves, default_controls
 from rig.arrays import Bool, Float32, Float64
@@ -39,7 +42,7 @@ from rig.retarget.source_head import head_landmarks
 
 # Measures of a face that landmarks show, as a differentiable function of the 185 curves.
 #
-# Widens the lips of `deitalk.data.head_lips` by each side of the mouth, brows and lids; lids turn
+# Widens the lips of `HeadLips` by each side of the mouth, brows and lids; lids turn
 # about the eyeball as in `rig.face.motion.shapes`.
 #
 # Letters: T frames, C controls, K inputs of the head, N points, P pairs of the rims, M measures.
@@ -215,7 +218,7 @@ def measure(track: FaceTrack, seen: Bool, face: HeadFace) -> Measured:
     Parameters
     ----------
     track : FaceTrack
-        Of `deitalk.data.video.filmed.straightened`.
+        Of `deitalk.research.video.filmed.straightened`.
     seen : array of bool [shape=(T,)]
         Frames with a face.
     face : HeadFace
@@ -355,6 +358,12 @@ class Filmed:
     known: tuple[str, ...]
     seen: Bool
     notes: tuple[str, ...]
+
+
+def read_filmed(path: Path, is_video: bool, progress: Progress) -> Filmed:
+    """Curves of the face in a video, or of a file of its landmarks; errors as `filmed_curves`."""
+    track = track_face(path, progress) if is_video else read_landmarks(path)
+    return filmed_curves(track, str(path))
 
 
 def filmed_curves(track: FaceTrack, where: str) -> Filmed:
@@ -548,7 +557,7 @@ def shown_controls(controls: ControlSet, *, gaze: bool) -> tuple[str, ...]:
 def solve_curves(measured: Measured, face: HeadFace, controls: ControlSet) -> Float32:
     """Curves near rest with which the head does what was measured [shape=(T, C)].
 
-    Bounded least squares (`deitalk.data.lip_fit.nearest_curves`): squared errors of the measures
+    Bounded least squares (`nearest_curves`): squared errors of the measures
     over `TOLERANCE_CM` plus squared controls over `LOOSENESS`, within the ranges of the controls.
     The gaze is not solved for but taken, since lids follow it.
 

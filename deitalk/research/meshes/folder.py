@@ -6,7 +6,7 @@
     clips.csv              clip, speaker, split, emotion (empty where it is not known)
     templates/<speaker>.ply    the expressionless mesh; all have the same triangles
     audio/<clip>.flac      16 kHz
-    bases.npz              bases of stretch s and rotation r (`rig.deformation.basis`)
+    bases.npz              bases of stretch s and rotation r (`gradient_bases.py`)
     offsets.npz            basis of vertex offsets
     bases.csv              what each size of them costs on held-out frames
     lips.npz               upper, lower: facing vertices of the lips' rims; optional
@@ -32,11 +32,16 @@ from deitalk.audio.frames import SAMPLE_RATE
 from deitalk.audio.load import load_audio
 from deitalk.config.mesh import MeshDataConfig
 from deitalk.data.clips import SPLITS, Clip, read_clips, spread_clips
-from deitalk.data.mesh_bases import MeshBases, fit_mesh_bases, read_mesh_bases, write_mesh_bases
 from deitalk.errors import DataError
+from deitalk.research.meshes.mesh_bases import (
+    MeshBases,
+    fit_mesh_bases,
+    read_mesh_bases,
+    write_mesh_bases,
+)
+from deitalk.research.meshes.packing import pack_vertices
 from rig import default_controls, read_curves
 from rig.arrays import Bool, Float32, Float64, Int64
-from rig.deformation.gradients import pack_vertices
 from rig.face import build_head
 from rig.face.head import UNIT_MM
 from rig.face.identity import resolve_identity
@@ -196,7 +201,7 @@ def write_mesh_folder(
     lips : Lips, optional
         Rims of the lips, the same vertices on every template.
     basis_frames, basis_error_mm, basis_variance, weigh_triangles
-        As for `deitalk.data.mesh_bases.fit_mesh_bases`.
+        As for `deitalk.research.meshes.mesh_bases.fit_mesh_bases`.
 
     Raises
     ------

@@ -9,14 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deitalk.audio.frames import SAMPLE_RATE
-from deitalk.audio.load import load_audio
 from deitalk.audio.voice_activity import active_level_db
+from deitalk.data.augment_waveform import read_recordings
 from deitalk.errors import DataError
 from rig.arrays import Float32, Float64
 
 SNRS_DB = (20.0, 10.0, 5.0, 0.0)
 MAX_FILES = 50
-SUFFIXES = (".flac", ".wav", ".ogg")
 CHORDS = ((0, 4, 7, 12), (7, 11, 14, 19), (9, 12, 16, 21), (5, 9, 12, 17))
 """Semitones above the tonic: I, V, vi, IV."""
 
@@ -129,27 +128,6 @@ def named_noises(source: str) -> dict[str, Float32]:
             f"{source}: neither a folder of recordings nor one of the words pink, synthetic"
         )
     return dict(read_recordings(source, MAX_FILES))
-
-
-def read_recordings(folder: Path | str, most: int | None = None) -> list[tuple[str, Float32]]:
-    """File names without suffix and recordings of a folder, in alphabetical order.
-
-    Parameters
-    ----------
-    folder : Path or str
-        Only its own files are read, not those of subfolders.
-    most : int, optional
-        Number of files to read; all without it.
-
-    Raises
-    ------
-    DataError
-        If the folder holds no recording.
-    """
-    files = sorted(f for f in Path(folder).glob("*") if f.suffix.lower() in SUFFIXES)
-    if not files:
-        raise DataError(f"{folder}: holds no {', '.join(SUFFIXES)}; name a folder of recordings")
-    return [(file.stem, load_audio(file).waveform) for file in files[:most]]
 
 
 def mix(

@@ -11,8 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from deitalk.errors import DataError
-from rig.arrays import Float32, Float64, Int64
-from rig.deformation.basis import (
+from deitalk.research.meshes.gradient_bases import (
     VARIANCES,
     Bases,
     GradientBasis,
@@ -20,7 +19,8 @@ from rig.deformation.basis import (
     read_bases,
     write_bases,
 )
-from rig.deformation.gradients import pack_vertices
+from deitalk.research.meshes.packing import pack_vertices
+from rig.arrays import Float32, Float64, Int64
 from rig.deformation.reconstruct import mesh_solver
 from rig.errors import RigError
 from rig.mesh.trimesh import TriMesh, triangle_areas
@@ -107,7 +107,7 @@ def fit_mesh_bases(
     Notes
     -----
     Deviation: by default the size follows from the error and triangles are weighted, where the
-    paper keeps 97 % of the variance of unweighted numbers; see `rig.deformation.basis`. All
+    paper keeps 97 % of the variance of unweighted numbers; see `gradient_bases.py`. All
     speakers share the bases, and the weights are from the mean of their triangles' areas.
     """
     areas = np.mean([triangle_areas(t) for t in templates.values()], axis=0)

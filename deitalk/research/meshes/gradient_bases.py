@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from deitalk.research.meshes.packing import pack_vertices
 from rig.arrays import Float32, Float64
-from rig.deformation.gradients import pack_vertices
 from rig.deformation.reconstruct import DeformationSolver
 from rig.errors import FormatError, MeshError
 from rig.files import atomic_write

@@ -11,10 +11,10 @@ import torch
 from torch import Tensor, nn
 
 from deitalk.config.mesh import MeshTrainConfig
-from deitalk.data.mesh_folder import MeshFolder
-from deitalk.data.mesh_segments import Segment, SegmentBatches
 from deitalk.models.deformation_decoder import Coefficients
 from deitalk.models.mesh_model import MeshModel
+from deitalk.research.meshes.folder import MeshFolder
+from deitalk.research.meshes.segments import Segment, SegmentBatches
 from deitalk.training.trainer import mean_over_processes
 from rig.arrays import Float32, Float64
 

@@ -1,4 +1,4 @@
-"""Curves whose lips do on the head what was measured on people.
+"""Curves of a corpus whose lips do on the head what was measured on people.
 
 Letters: T frames at 30 per second, C controls, M measures.
 """
@@ -10,9 +10,10 @@ from torch import Tensor
 
 from deitalk.audio.load import Recording
 from deitalk.audio.voice_activity import normalise_level
-from deitalk.data.head_lips import HeadLips
 from deitalk.emotions import EMOTIONS
 from deitalk.models.curve_model import DEITalk
+from deitalk.research.lips.head_lips import HeadLips
+from deitalk.research.lips.nearest import nearest_curves
 from rig import ControlSet
 
 LOOSENESS = {
@@ -32,10 +33,13 @@ LOOSENESS = {
     "lipsTogether": 0.25,
 }
 """Controls that `fit_curves` moves, by parts of their names, and how far it readily does."""
+
+
 KEPT = ("neck", "tongue", "lipsTowardsTeeth")
+
+
 TOLERANCE_CM = (0.02, 0.03, 0.04, 0.03, 0.03, 0.04)
 """Error of each measure that costs as much as a control moved by its looseness."""
-ITERATIONS = 8
 
 
 @torch.no_grad()
@@ -127,66 +131,3 @@ def fit_curves(
         torch.tensor(TOLERANCE_CM),
         controls,
     )
-
-
-def nearest_curves(
-    prior: Tensor,
-    measures: Tensor,
-    face: HeadLips,
-    loose: Tensor,
-    tolerance: Tensor,
-    controls: ControlSet,
-) -> Tensor:
-    """Curves nearest a prior with which a head does what was measured.
-
-    Bounded least squares by Gauss-Newton steps.
-
-    Parameters
-    ----------
-    prior : Tensor [shape=(T, C)]
-        What the measures leave open stays as it is.
-    measures : Tensor [shape=(T, M)]
-        Displacements from rest, cm; rows with NaN leave the frame as in the prior.
-    face : HeadLips
-        The head; its `displacements` are the measures of curves.
-    loose : Tensor [shape=(C,)]
-        How far controls readily move; 0 keeps one.
-    tolerance : Tensor [shape=(M,)], cm
-        Error of each measure that costs as much as a control moved by its looseness.
-    controls : ControlSet
-        Columns of `prior`.
-
-    Returns
-    -------
-    Tensor [shape=(T, C)]
-        Within the ranges of the controls.
-    """
-    low, high = torch.tensor(controls.minimum), torch.tensor(controls.maximum)
-    loose, noise = loose.square(), torch.diag(tolerance.square())
-    known = torch.isfinite(measures).all(dim=1, keepdim=True)
-    wanted = torch.where(known, measures, 0.0)
-    curves, free = prior, torch.ones_like(prior)
-    for _ in range(ITERATIONS):
-        given, slope = _linearised(face, curves)
-        slope = slope * free[:, None]
-        back = (slope @ (curves - prior)[..., None])[..., 0]
-        moved = slope * loose
-        solved = torch.linalg.solve(moved @ slope.transpose(1, 2) + noise, wanted - given + back)
-        step = (solved[:, None] @ moved)[:, 0]
-        aim = torch.where(free > 0, prior + step * known, curves)
-        curves = aim.clamp(low, high)
-        free = free * (aim == curves)  # a control at the end of its range stays; others make up
-    return curves
-
-
-def _linearised(face: HeadLips, curves: Tensor) -> tuple[Tensor, Tensor]:
-    """Displacements (T, M) of a head by curves, and their slopes (T, M, C)."""
-    with torch.enable_grad():
-        point = curves.detach().requires_grad_(True)
-        given = face.displacements(point)
-        last = given.shape[1] - 1
-        slopes = [
-            torch.autograd.grad(given[:, i].sum(), point, retain_graph=i < last)[0]
-            for i in range(last + 1)
-        ]
-    return given.detach(), torch.stack(slopes, dim=1)

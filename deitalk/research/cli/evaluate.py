@@ -1,5 +1,6 @@
 """`deitalk evaluate`: score a model on a dataset folder."""
 
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -7,9 +8,8 @@ import typer
 
 from deitalk.cli.console import bar, console
 from deitalk.cli.options import MAX_COUNT, Force, Json, Most, Threads
-from deitalk.cli.paths import reserve_report, write_report
 from deitalk.errors import DataError
-from deitalk.installed import research
+from deitalk.research.cli.reports import reserve_report, write_report
 
 if TYPE_CHECKING:
     from deitalk.models.curve_model import DEITalk
@@ -110,8 +110,9 @@ def evaluate(
     deitalk evaluate default --speed --memory
     """
     if speed:
-        speeds = research("cli.speed", "evaluate --speed")
-        speeds.measure(model, seconds, threads, repeats, memory=memory, mesh=mesh, as_json=as_json)
+        from deitalk.research.cli.speed import measure
+
+        measure(model, seconds, threads, repeats, memory=memory, mesh=mesh, as_json=as_json)
         return
     reserve_report(out, picture, force=force)
     from deitalk.models.folder import describe_model, product_of
@@ -136,7 +137,7 @@ def evaluate(
     known = {"model": model, "sha256": describe_model(model)["sha256"]}
     write_report(known | report, markdown, out, as_json=as_json)
     if picture is not None:
-        from deitalk.figures import draw_evaluation
+        from deitalk.research.evaluation.curves_figure import draw_evaluation
 
         draw_evaluation(report, picture)
 
@@ -144,8 +145,8 @@ def evaluate(
 def _score_curves(model: str, data: Path, **options: Any) -> tuple[dict[str, Any], str]:
     """Report on a curve model, and its Markdown."""
     network = _curve_model(model)
-    from deitalk.evaluation.curves import evaluate
-    from deitalk.evaluation.report import as_markdown
+    from deitalk.research.evaluation.curves import evaluate
+    from deitalk.research.evaluation.report import as_markdown
 
     with bar("evaluating") as progress:
         report = evaluate(network, data, **options, progress=progress)
@@ -154,7 +155,7 @@ def _score_curves(model: str, data: Path, **options: Any) -> tuple[dict[str, Any
 
 def _score_people(model: str, kind: str, path: Path, **options: Any) -> tuple[dict[str, Any], str]:
     """Report on measured lips or acted strengths, and its Markdown."""
-    scores = research(f"evaluation.{kind}", f"evaluate --{kind}")
+    scores = import_module(f"deitalk.research.evaluation.{kind}")
     network = _curve_model(model)
     with bar("evaluating") as progress:
         report = scores.evaluate(network, path, **options, progress=progress)
@@ -164,9 +165,9 @@ def _score_people(model: str, kind: str, path: Path, **options: Any) -> tuple[di
 def _score_mesh(model: str, data: Path, **options: Any) -> tuple[dict[str, Any], str]:
     """Report on a mesh model, and its Markdown."""
     with console().status("loading"):
-        from deitalk.evaluation.mesh import as_markdown, evaluate_mesh
         from deitalk.models.checkpoint import require_model
         from deitalk.models.mesh_model import MeshModel
+        from deitalk.research.meshes.scores import as_markdown, evaluate_mesh
 
         network = require_model(model, MeshModel)
     with bar("evaluating") as progress:

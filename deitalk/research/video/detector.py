@@ -15,8 +15,8 @@ import numpy as np
 
 from deitalk.audio.decoding import lenient, refuse_other
 from deitalk.audio.frames import FRAME_RATE
-from deitalk.data.video.landmarks import N_POINTS, USED, FaceTrack, pixels
 from deitalk.errors import DataError, MissingError
+from deitalk.research.video.landmarks import N_POINTS, USED, FaceTrack, pixels
 from rig import limits
 from rig.arrays import Float32
 from rig.face.render.shading import Picture
@@ -41,7 +41,7 @@ def track_face(path: Path, progress: Progress = lambda share: None) -> FaceTrack
     Parameters
     ----------
     path : Path
-        A video (`VIDEOS`).
+        A video.
     progress : callable
         Given the share done.
 
@@ -153,7 +153,6 @@ def _notes(points: list[Float32], several: int) -> tuple[str, ...]:
 # Pictures of a video, upright, at most 30 a second, with their times on the clock of its sound.
 
 
-VIDEOS = (".mp4", ".mov", ".m4v", ".webm", ".mkv")
 LONG_SIDE = 1280
 """Larger pictures are scaled down: a face is measured at 192 pixels."""
 MOST_DAMAGED = 100
@@ -171,7 +170,7 @@ def read_pictures(path: Path) -> Iterator[tuple[float, Picture, float]]:
     Parameters
     ----------
     path : Path
-        A video of `VIDEOS`.
+        A video.
 
     Yields
     ------

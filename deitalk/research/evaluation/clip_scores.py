@@ -8,16 +8,16 @@ model is scored by the frames that it gives while the recording is spoken.
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.ndimage import gaussian_filter1d
-from scipy.signal import butter, sosfilt
-from scipy.stats import spearmanr
 
-from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE, frame_centres
+from deitalk.audio.frames import FRAME_RATE
 from deitalk.audio.load import Recording, load_audio
-from deitalk.audio.prosody import SMOOTHING_SECONDS, level_db, measure_prosody, prosody_index
+from deitalk.audio.prosody import (
+    measure_prosody,
+)
 from deitalk.audio.voice_activity import speech_activity
 from deitalk.data.clips import Clip
 from deitalk.data.offset import (
@@ -27,13 +27,11 @@ from deitalk.data.offset import (
     hit_rate,
     lip_parameter_error,
 )
+from deitalk.errors import DataError
 from deitalk.evaluation.lip_closures import (
     JAW,
     ClosureScores,
     closure_scores,
-    held_closures,
-    mouth_opening,
-    opening_in_silence,
     smoothness,
     summarise_closures,
 )
@@ -44,9 +42,11 @@ from deitalk.evaluation.validation import (
     knows_contact,
     lips_together,
     load_example,
+    loudness,
 )
-from deitalk.live.animator import live_frames
+from deitalk.live.animator import LiveAnimator
 from deitalk.models.curve_model import DEITalk
+from deitalk.models.protocol import CausalNetwork
 from deitalk.phones import (
     BILABIALS,
     CLEAR_SECONDS,
@@ -58,7 +58,15 @@ from deitalk.phones import (
 )
 from deitalk.pipeline.curves import animate
 from deitalk.pipeline.performance import Performance
-from rig import ControlSet
+from deitalk.research.evaluation.contours import (
+    apply_contour,
+    contour_at,
+    level_curve,
+    prosody_index,
+    random_contour,
+    spearman,
+)
+from rig import ControlSet, read_curves
 from rig.arrays import Bool, Float32, Float64
 
 # Detection scores of lip contacts, bite and rounding, by phone.
@@ -252,36 +260,6 @@ CONTOURS = 4
 """Random contours per recording; one contour of a few seconds has a large error."""
 
 
-def spearman(label: Float32, predicted: Float32 | Float64, within: Bool) -> float:
-    """Rank correlation over some frames; NaN if one is constant or there are under 10."""
-    a, b = np.asarray(label[within], np.float64), np.asarray(predicted[within], np.float64)
-    if len(a) < 10 or np.ptp(a) < 1e-6 or np.ptp(b) < 1e-6:
-        return float("nan")
-    return float(spearmanr(a, b).statistic)
-
-
-def level_curve(waveform: Float32, n_frames: int) -> Float32:
-    """Level in dB at a fixed gain, smoothed over half a second of speech [shape=(T,)].
-
-    Pauses are left out, as in the prosody index: the strongest baseline of level alone.
-
-    Parameters
-    ----------
-    waveform : ndarray [shape=(S,)]
-        16 kHz.
-    n_frames : int
-        Frames T, 30 per second.
-    """
-    level = level_db(waveform, frame_centres(np.arange(n_frames)))
-    speaking = level > np.percentile(level, 95) - 25
-    sigma = SMOOTHING_SECONDS * FRAME_RATE
-    usual = level[speaking].mean() if speaking.any() else 0.0
-    total = gaussian_filter1d(np.where(speaking, level - usual, 0), sigma, mode="constant")
-    weight = gaussian_filter1d(speaking.astype(float), sigma, mode="constant")
-    smooth: Float32 = (usual + total / (weight + 0.02)).astype(np.float32)
-    return smooth
-
-
 def follow(performance: Performance, network: Float32, label: Float32) -> dict[str, float]:
     """Spearman's rank correlation with a label, within speech.
 
@@ -360,14 +338,6 @@ def _error(values: Sequence[float] | Float64) -> float:
 def _finite(values: Sequence[float] | Float64) -> Float64:
     numbers = np.asarray(values, np.float64)
     return numbers[np.isfinite(numbers)]
-
-
-def loudness(waveform: Float32, n_frames: int) -> Float32:
-    """Level of the recording on a scale of 40 dB [shape=(T,), range 0 to 1]: the baseline."""
-    level = level_db(waveform, frame_centres(np.arange(n_frames)))
-    top = np.percentile(level, 95)
-    scaled: Float32 = np.clip(1 + (level - top) / 40, 0, 1).astype(np.float32)
-    return scaled
 
 
 class Tally:
@@ -527,74 +497,92 @@ def _contacts(
         tally.peaks[name].append(gesture_peaks(curve, example.phones, gesture))
 
 
-# `apply_contour` moves level, pitch and tilt of a voice along a contour, an exact label.
-
-Contour = tuple[Float64, Float64]
-"""Knots: seconds, and standard deviations of prosody."""
-
-GAIN_DB_PER_Z, SHELF_DB_PER_Z, SPEED_PER_Z = 4.5, 2.5, 0.05
-"""Change of gain, treble and speed (with pitch) per standard deviation of an applied contour."""
-
-
-def random_contour(seconds: float, rng: np.random.Generator) -> Contour:
-    """Knots (times, z) of a contour: 0.7 to 2 s apart, mean 0, at most 3.6 apart."""
-    times = np.concatenate(([0.0], np.cumsum(rng.uniform(0.7, 2.0, int(seconds / 0.7) + 2))))
-    z = np.clip(rng.normal(0, 1.0, len(times)), -1.8, 1.8)
-    return times, z - z[times <= seconds].mean()
+def held_closures(lips: Float32, phones: Phones, level: float = 0.9) -> list[bool]:
+    """For every bilabial, whether the curve is at least `level` for two frames of its window."""
+    times = np.arange(len(lips)) / FRAME_RATE
+    out = []
+    slack = WIDEN_FRAMES / FRAME_RATE + 1e-9
+    for start, end, name in phones:
+        window = (times >= start - slack) & (times <= end + slack)
+        if name in BILABIALS and window.any():
+            high = lips[window] >= level
+            out.append(bool((high[1:] & high[:-1]).any()))
+    return out
 
 
-def contour_at(contour: Contour, times: Float64) -> Float64:
-    """Value of a contour: cosine-eased between knots."""
-    knots, z = contour
-    place = np.interp(times, knots, np.arange(len(knots)))
-    below = np.minimum(place.astype(int), len(knots) - 2)
-    ease = (1 - np.cos(np.pi * (place - below))) / 2
-    eased: Float64 = z[below] + ease * (z[below + 1] - z[below])
-    return eased
+OPENING = (JAW, "CTRL_L_mouth_upperLipRaise.ty", "CTRL_R_mouth_upperLipRaise.ty",
+           "CTRL_L_mouth_lowerLipDepress.ty", "CTRL_R_mouth_lowerLipDepress.ty")  # fmt: skip
+"""Controls whose mean is the mouth's opening."""
 
 
-def apply_contour(waveform: Float32, contour: Contour) -> tuple[Float32, tuple[Float64, Float64]]:
-    """Modify gain, treble and speed of a voice along a contour.
+LONG_SECONDS = 0.6
+"""Least length of a pause in which the mouth should close."""
 
-    Gain, treble and speed (which carries pitch) follow the contour: one standard deviation is
-    4.5 dB, 2.5 dB more above 1.5 kHz, and 5 % of speed. A waveform that would clip is scaled down.
+
+def mouth_opening(curves: Float32, controls: ControlSet) -> Float32:
+    """Mean of jaw, upper-lip and lower-lip opening [shape=(T,)]."""
+    mean: Float32 = curves[:, [controls.index(name) for name in OPENING]].mean(axis=1)
+    return mean
+
+
+def opening_in_silence(opening: Float32, phones: Phones) -> float:
+    """Mean opening in long pauses over its 95th percentile in speech.
+
+    Pauses are those of the phones' times, not of the detector that closes the mouth in them. Their
+    first 0.25 s and last 0.15 s, in which people relax and prepare, do not count.
 
     Parameters
     ----------
-    waveform : ndarray [shape=(S,)]
-        16 kHz.
-    contour : Contour
-        At least two knots; constant before the first and after the last.
+    opening : ndarray [shape=(T,)]
+        At 30 frames per second.
+    phones : sequence of (start, end, name)
+        Seconds.
 
     Returns
     -------
-    waveform : ndarray [shape=(S',)]
-        Within ±1 (0.99 where it had to be scaled).
-    time_map : (ndarray, ndarray)
-        Seconds in the source and the corresponding seconds in the result; linear between.
+    float
+        NaN without a pause of `LONG_SECONDS`, or without speech.
     """
-    grid = np.arange(0, len(waveform) / SAMPLE_RATE + 0.02, 0.01)
-    z = contour_at(contour, grid)
-    moved = np.concatenate(([0.0], np.cumsum(0.01 / (1 + SPEED_PER_Z * z))))[:-1]
-    sections = butter(1, 1500, "highpass", fs=SAMPLE_RATE, output="sos")
-    treble = sosfilt(sections, waveform)
-    at = contour_at(contour, np.arange(len(waveform)) / SAMPLE_RATE)
-    shaped = waveform + (10 ** (SHELF_DB_PER_Z * at / 20) - 1) * treble
-    shaped = shaped * 10 ** (GAIN_DB_PER_Z * at / 20)
-    out = _warp(shaped, grid, moved)
-    peak = float(np.abs(out).max(initial=0))
-    if peak > 1:
-        out = out * (0.99 / peak)
-    return out.astype(np.float32), (grid, moved)
+    times = np.arange(len(opening)) / FRAME_RATE
+    silent, speaking = np.zeros(len(opening), bool), np.zeros(len(opening), bool)
+    for start, end, name in phones:
+        if name != SILENCE:
+            speaking |= (times >= start) & (times < end)
+        elif end - start > LONG_SECONDS:
+            silent |= (times > start + 0.25) & (times < end - 0.15)
+    if not silent.any() or not speaking.any():
+        return float("nan")
+    return float(opening[silent].mean() / (np.percentile(opening[speaking], 95) + 1e-9))
 
 
-def _warp(waveform: Float64, source: Float64, moved: Float64) -> Float64:
-    """Waveform at warped times, with four-fold oversampling (interpolation error below -60 dB)."""
-    import soxr
+def captured_smoothness(path: Path, controls: ControlSet) -> dict[str, float]:
+    """`smoothness` of captured curves at 30 frames per second, over controls of the rig.
 
-    fine = soxr.resample(waveform, SAMPLE_RATE, 4 * SAMPLE_RATE)
-    last = np.interp(len(waveform) / SAMPLE_RATE, source, moved)
-    times = np.arange(int(last * SAMPLE_RATE)) / SAMPLE_RATE
-    at = np.interp(times, moved, source) * 4 * SAMPLE_RATE
-    warped: Float64 = np.interp(at, np.arange(len(fine)), fine)
-    return warped
+    Raises
+    ------
+    DataError
+        If no control moves.
+    """
+    curves = read_curves(path).resample(30.0)
+    places = [i for i, name in enumerate(curves.names) if name in controls.names]
+    measured = smoothness(curves.values[:, places]) if places else {}
+    if not measured:
+        raise DataError(f"{path}: no control of {controls.id} moves; give a take of speech")
+    return measured
+
+
+def live_frames(
+    waveform: Float32, model: "str | Path | DEITalk | CausalNetwork", **options: Any
+) -> Float32:
+    """Frames of a whole recording, as they are given while it is spoken [shape=(T, C)].
+
+    Parameters
+    ----------
+    waveform : array [shape=(S,)]
+        As for `LiveAnimator.feed`.
+    model, options
+        As for `LiveAnimator`, of one stream.
+    """
+    animator = LiveAnimator(model, **options)
+    frames: Float32 = np.concatenate((animator.feed(waveform), animator.finish()))
+    return frames

@@ -4,7 +4,7 @@
 the run folder holds ``meshes/`` too where the data had to be built.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, cast
 
@@ -15,26 +15,28 @@ from torch import Tensor, nn
 from deitalk.acting import Acting
 from deitalk.audio.frames import frame_times
 from deitalk.audio.voice_activity import normalise_level
-from deitalk.config.mesh import SDFAConfig
-from deitalk.data.mesh_bases import MeshBases
-from deitalk.data.mesh_folder import MeshClip, MeshFolder, has_lips, open_meshes
-from deitalk.data.mesh_segments import ClipInMemory, Segment, SegmentBatches, Segments
+from deitalk.config.mesh import SDFAConfig, SDFAModelConfig
 from deitalk.data.windows import Share
 from deitalk.emotions import parse_emotion
 from deitalk.errors import ConfigError, DataError
-from deitalk.evaluation.mesh import lip_gap
 from deitalk.figures import ClipRows, Row
 from deitalk.frontends.base import Encoder
 from deitalk.frontends.mel_bilstm import MelFrontend
 from deitalk.frontends.sdfa import SDFAEncoder
-from deitalk.models.checkpoint import new_encoder, new_mesh_model, require_model, save_model
+from deitalk.models.checkpoint import new_encoder, require_model, save_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.models.deformation_decoder import InversePCA
-from deitalk.models.mesh_model import DEITalkFeatures, MeshModel
-from deitalk.pipeline.mesh import predict_mesh
-from deitalk.training.mesh_losses import MeshLoss
+from deitalk.models.mesh_model import SDFA, DEITalkFeatures, MeshHead, MeshModel
+from deitalk.postprocess.lip_seal import check_faces
+from deitalk.research.meshes.folder import MeshClip, MeshFolder, has_lips, open_meshes
+from deitalk.research.meshes.gradient_bases import GradientBasis
+from deitalk.research.meshes.losses import MeshLoss
+from deitalk.research.meshes.mesh_bases import MeshBases
+from deitalk.research.meshes.scores import lip_gap, predict_mesh
+from deitalk.research.meshes.segments import ClipInMemory, Segment, SegmentBatches, Segments
 from deitalk.training.trainer import Progress, Task, run_training, silent
 from rig.arrays import AnyFloat, Float32
+from rig.mesh.trimesh import TriMesh
 
 VALIDATION_CLIPS = 8
 """At most so many clips are scored at every evaluation; the first two are drawn."""
@@ -60,7 +62,7 @@ def train_mesh(
         Model, data and schedule.
     data : Path
         A mesh folder, a folder laid out as VOCASET, or a dataset folder whose curves the embedded
-        heads act (`deitalk.data.mesh_folder`).
+        heads act (`deitalk.research.meshes.folder`).
     out, resume, tensorboard, progress
         As for `deitalk.training.trainer.run_training`.
 
@@ -181,7 +183,16 @@ class MeshTask(Task[Segment]):
 def frozen_layers(bases: MeshBases, motion: str) -> dict[str, InversePCA]:
     """The last layers of what a model predicts: ``gradients`` or ``offsets``."""
     names = ("offsets",) if motion == "offsets" else ("stretch", "rotation")
-    return {name: InversePCA.of(getattr(bases, name)) for name in names}
+    return {name: frozen_layer(getattr(bases, name)) for name in names}
+
+
+def frozen_layer(basis: GradientBasis) -> InversePCA:
+    """The layer of a fitted basis."""
+    layer = InversePCA(*basis.components.shape)
+    layer.mean = torch.from_numpy(basis.mean.copy())
+    layer.components = torch.from_numpy(basis.components.astype("float32"))
+    layer.deviations = torch.from_numpy(basis.deviations.copy())
+    return layer
 
 
 def copy_encoder(model: MeshModel, name: str, new: Sequence[str]) -> None:
@@ -341,3 +352,28 @@ def clip_features(clip: MeshClip, encoder: DEITalkFeatures) -> Float32:
     network = encoder.network
     rows = network.describe(network.analyse(sound, n_frames), emotion)
     return np.asarray(rows.half().numpy())
+
+
+def new_mesh_model(
+    config: SDFAModelConfig,
+    layers: Mapping[str, InversePCA],
+    templates: Mapping[str, TriMesh],
+    *,
+    fps: float,
+    unit_mm: float,
+) -> SDFA | MeshHead:
+    """Build a mesh model of new weights; parameters as for `deitalk.models.mesh_model.MeshModel`.
+
+    The DEITalk model that a mesh head decodes is loaded.
+
+    Raises
+    ------
+    CheckpointError
+        If that model cannot be loaded.
+    ConfigError
+        If `config` needs lips that the templates lack.
+    """
+    check_faces(config.seal_mm, templates.values())
+    kind = MeshHead if config.frontend.kind == "deitalk" else SDFA
+    encoder = new_encoder(config.frontend)
+    return kind(config, encoder, layers, templates, fps=fps, unit_mm=unit_mm)

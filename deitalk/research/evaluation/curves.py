@@ -16,30 +16,26 @@ import pandas as pd
 import torch
 
 from deitalk.audio.load import Recording, load_audio
-from deitalk.audio.noise import SNRS_DB, mix, read_noises
 from deitalk.audio.voice_activity import speech_activity
 from deitalk.data.clips import Clip, read_clips
-from deitalk.data.head_lips import MEASURES, HeadLips
 from deitalk.data.offset import correlation
 from deitalk.emotions import EMOTIONS, IntensityCurve
 from deitalk.errors import DataError
-from deitalk.evaluation.clip_scores import (
+from deitalk.evaluation.lip_closures import JAW, closure_scores, summarise_closures
+from deitalk.evaluation.validation import lips_together, load_example
+from deitalk.models.curve_model import DEITalk
+from deitalk.pipeline.curves import animate
+from deitalk.research.evaluation.clip_scores import (
     ClipToScore,
     Scores,
     Tally,
+    captured_smoothness,
     contours_report,
     score_clip,
     shut_table,
 )
-from deitalk.evaluation.lip_closures import (
-    JAW,
-    captured_smoothness,
-    closure_scores,
-    summarise_closures,
-)
-from deitalk.evaluation.validation import lips_together, load_example
-from deitalk.models.curve_model import DEITalk
-from deitalk.pipeline.curves import animate
+from deitalk.research.evaluation.noise import SNRS_DB, mix, read_noises
+from deitalk.research.lips.head_lips import MEASURES, HeadLips
 from rig.arrays import Bool, Float32
 from rig.face import build_head
 

@@ -17,13 +17,13 @@ from torch.nn import functional as F
 
 from deitalk.audio.frames import SAMPLE_RATE
 from deitalk.audio.mel import FLOOR, derivative
-from deitalk.audio.noise import mix_at_level, pink_noise
 from deitalk.audio.prosody import rms_db
 from deitalk.audio.voice_activity import normalise_level
-from deitalk.data.mesh_folder import MOTION, MeshClip
 from deitalk.data.windows import SeededBatches, Share
 from deitalk.errors import DataError
 from deitalk.frontends.base import Encoder
+from deitalk.research.evaluation.noise import mix_at_level, pink_noise
+from deitalk.research.meshes.folder import MOTION, MeshClip
 from rig.arrays import Float32, Float64
 
 # Augmentations of SDFA §4.3: of the frame's time, of the audio, of the mel spectrogram.

@@ -18,17 +18,18 @@ from numpy.typing import NDArray
 from deitalk.acting import Acting
 from deitalk.audio.load import Recording, load_audio
 from deitalk.data.clips import Clip, read_phones
-from deitalk.data.mesh_folder import Lips, act, acted_clips, head_lips
 from deitalk.emotions import EMOTIONS
 from deitalk.errors import CheckpointError, DataError
 from deitalk.models.mesh_model import MeshHead, MeshModel
 from deitalk.phones import BILABIALS, CLEAR_SECONDS, NEAR_LIPS, VOWELS, WIDEN_FRAMES
 from deitalk.pipeline.curves import animate
-from deitalk.pipeline.mesh import predict_mesh
+from deitalk.pipeline.mesh import mesh_frames
 from deitalk.postprocess.lip_seal import seal_lips
+from deitalk.research.meshes.folder import Lips, act, acted_clips, head_lips
 from rig.arrays import Float32, Float64
 from rig.face import build_head
 from rig.face.identity import IDENTITIES
+from rig.mesh.trimesh import TriMesh
 from rig.retarget.source_head import head_landmarks
 
 Phones = Sequence[tuple[float, float, str]]
@@ -403,3 +404,45 @@ def expression_table(expression: Mapping[str, Any]) -> list[str]:
             cells = (" / ".join(f"{mm:.2f}" for mm in rises[who]) for who in ACTORS)
             lines.append(f"| {where} | {emotion} | " + " | ".join(cells) + " |")
     return lines
+
+
+def predict_mesh(
+    model: MeshModel,
+    waveform: Any,
+    speaker: str | int = 0,
+    acting: Acting | None = None,
+    template: TriMesh | None = None,
+    *,
+    sealed: bool = True,
+) -> Float32:
+    """Vertices of a whole recording, as a mesh model moves them.
+
+    Parameters
+    ----------
+    model : SDFA or MeshHead
+        In evaluation mode.
+    waveform : array [shape=(S,)]
+        16 kHz, any level.
+    speaker : str or int
+        Style, by name or number.
+    acting : Acting, optional
+        Emotion and intensity, for a mesh head only; neutral if not given.
+    template : TriMesh, optional
+        Face to move; it must have the templates' triangles. The speaker's own if not given.
+    sealed : bool
+        Close lips that nearly meet, if the model's `seal_mm` is not 0.
+
+    Returns
+    -------
+    array [shape=(T, V, 3)]
+        In the template's unit; frame i is at i / fps seconds, T = ceil(fps S / 16000).
+
+    Raises
+    ------
+    AudioError
+        If the waveform is not one row of finite samples.
+    EmotionError
+        If the model has no emotion and the acting is not neutral.
+    """
+    frames = mesh_frames(model, waveform, speaker, acting, template, sealed=sealed)
+    return np.concatenate(list(frames))
