@@ -3,8 +3,8 @@
 Needs the package usd-core. The animation prim carries ``custom:mh_curveNames`` and
 ``custom:mh_curveValues``, which Omniverse's connector reads into an AnimSequence; `read` takes the
 curves from there. Unreal's own importer reads the blend shapes only. A head track turns the root
-about the joint of skull and spine, and is kept as ``custom:deitalk_head``. A package (``.usdz``)
-has texture coordinates, materials and their picture: a preview surface takes no vertex colours.
+about the joint of skull and spine, and is kept as ``custom:deitalk_head``. Materials show the
+vertex colours, in a package (``.usdz``) a picture, which more programs know.
 """
 
 from dataclasses import replace
@@ -21,6 +21,7 @@ from rig.curves import HEAD, RigCurves
 from rig.errors import FormatError
 from rig.face.accents import matrices
 from rig.face.geometry.mesh import EYE, HAIR
+from rig.face.head import Head
 from rig.files.reading import check_expansion, check_file
 from rig.limits import CURVES_BYTES, FRAMES, SPARSE_BYTES
 from rig.mesh.shapes import ShapeSet
@@ -47,8 +48,10 @@ def write(path: Path, curves: RigCurves, identity: int | str = 0) -> None:
 
     `identity` is a number or name of an embedded head.
     """
+    from rig.face import build_head
+
     pxr = _pxr()
-    rig, colours = morph_head(identity)
+    (rig, colours), head = morph_head(identity), build_head(identity)
     stage = pxr.Usd.Stage.CreateInMemory()
     pxr.UsdGeom.SetStageUpAxis(stage, pxr.UsdGeom.Tokens.y)
     pxr.UsdGeom.SetStageMetersPerUnit(stage, METRES_PER_CM)
@@ -84,20 +87,30 @@ def write(path: Path, curves: RigCurves, identity: int | str = 0) -> None:
     if curves.head is not None:
         _add_head(pxr, root, animation.GetPrim(), curves.head)
     if path.suffix.lower() == ".usdz":
-        _package(pxr, stage, mesh, path, identity)
-    elif not stage.GetRootLayer().Export(str(path)):
+        uv, picture = baked_picture(head)
+        _dress(pxr, stage, mesh, head, uv, is_packed=True)
+        written = _package(pxr, stage, picture, path)
+    else:
+        _dress(pxr, stage, mesh, head, head.mesh.uv, is_packed=False)
+        written = stage.GetRootLayer().Export(str(path))
+    if not written:
         raise OSError(f"usd-core could not write {path.name}")
 
 
-def _package(pxr: Any, stage: Any, mesh: Any, path: Path, identity: int | str) -> None:
-    """Write the stage with its materials and their picture as one file."""
-    from rig.face import build_head
+def _package(pxr: Any, stage: Any, picture: bytes, path: Path) -> bool:
+    """Write the stage and the picture of its materials as one file."""
+    with TemporaryDirectory(prefix="deitalk-") as folder:
+        layer = Path(folder) / "head.usdc"
+        (Path(folder) / PICTURE).write_bytes(picture)
+        stage.GetRootLayer().Export(str(layer))
+        return bool(pxr.UsdUtils.CreateNewUsdzPackage(pxr.Sdf.AssetPath(str(layer)), str(path)))
 
-    head = build_head(identity)
-    uv, picture = baked_picture(head)
-    st = pxr.UsdGeom.PrimvarsAPI(mesh).CreatePrimvar(
-        "st", pxr.Sdf.ValueTypeNames.TexCoord2fArray, pxr.UsdGeom.Tokens.faceVarying
-    )
+
+def _dress(pxr: Any, stage: Any, mesh: Any, head: Head, uv: Float64, *, is_packed: bool) -> None:
+    """Define texture coordinates of vertices, or in a package of the faces' corners; materials."""
+    tokens, types = pxr.UsdGeom.Tokens, pxr.Sdf.ValueTypeNames
+    places = tokens.faceVarying if is_packed else tokens.vertex
+    st = pxr.UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("st", types.TexCoord2fArray, places)
     upwards = (uv.reshape(-1, 2) * [1, -1] + [0, 1]).astype(np.float32)
     st.Set(pxr.Vt.Vec2fArray.FromNumpy(upwards))
     pxr.UsdGeom.Scope.Define(stage, "/head/materials")
@@ -106,42 +119,42 @@ def _package(pxr: Any, stage: Any, mesh: Any, path: Path, identity: int | str) -
         chosen = kind == KINDS[name] if name in KINDS else ~np.isin(kind, list(KINDS.values()))
         faces = pxr.Vt.IntArray.FromNumpy(np.flatnonzero(chosen).astype(np.int32))
         part = pxr.UsdGeom.Subset.CreateGeomSubset(mesh, name, "face", faces, "materialBind")
-        material = _material(pxr, stage, f"/head/materials/{name}", roughness)
+        material = pxr.UsdShade.Material.Define(stage, f"/head/materials/{name}")
+        colour = _picture(pxr, material) if is_packed else _reader(pxr, material, "displayColor", 3)
+        surface = _shader(pxr, material, "UsdPreviewSurface")
+        surface.CreateInput("diffuseColor", types.Color3f).ConnectToSource(colour)
+        surface.CreateInput("roughness", types.Float).Set(roughness)
+        shown = surface.CreateOutput("surface", types.Token)
+        material.CreateSurfaceOutput().ConnectToSource(shown)
         pxr.UsdShade.MaterialBindingAPI.Apply(part.GetPrim()).Bind(material)
-    pxr.UsdGeom.Subset.SetFamilyType(mesh, "materialBind", pxr.UsdGeom.Tokens.partition)
-    with TemporaryDirectory(prefix="deitalk-") as folder:
-        layer = Path(folder) / "head.usdc"
-        (Path(folder) / PICTURE).write_bytes(picture)
-        stage.GetRootLayer().Export(str(layer))
-        if not pxr.UsdUtils.CreateNewUsdzPackage(pxr.Sdf.AssetPath(str(layer)), str(path)):
-            raise OSError(f"usd-core could not write {path.name}")
+    pxr.UsdGeom.Subset.SetFamilyType(mesh, "materialBind", tokens.partition)
 
 
-def _material(pxr: Any, stage: Any, path: str, roughness: float) -> Any:
-    """Define a preview surface of the picture."""
-    types, nodes = pxr.Sdf.ValueTypeNames, {}
-    for name, kind in (
-        ("surface", "UsdPreviewSurface"),
-        ("picture", "UsdUVTexture"),
-        ("st", "UsdPrimvarReader_float2"),
-    ):
-        nodes[name] = pxr.UsdShade.Shader.Define(stage, f"{path}/{name}")
-        nodes[name].CreateIdAttr(kind)
-    material = pxr.UsdShade.Material.Define(stage, path)
-    surface, texture, reader = nodes.values()
-    reader.CreateInput("varname", types.String).Set("st")
-    place = reader.CreateOutput("result", types.Float2)
+def _shader(pxr: Any, material: Any, kind: str) -> Any:
+    shader = pxr.UsdShade.Shader.Define(
+        material.GetPrim().GetStage(), f"{material.GetPath()}/{kind}"
+    )
+    shader.CreateIdAttr(kind)
+    return shader
+
+
+def _reader(pxr: Any, material: Any, name: str, width: int) -> Any:
+    """Output of a node that reads a primvar of so many floats."""
+    types = pxr.Sdf.ValueTypeNames
+    reader = _shader(pxr, material, f"UsdPrimvarReader_float{width}")
+    reader.CreateInput("varname", types.String).Set(name)
+    return reader.CreateOutput("result", types.Float2 if width == 2 else types.Float3)
+
+
+def _picture(pxr: Any, material: Any) -> Any:
+    """Output of a node that shows the picture."""
+    types, texture = pxr.Sdf.ValueTypeNames, _shader(pxr, material, "UsdUVTexture")
     texture.CreateInput("file", types.Asset).Set(pxr.Sdf.AssetPath(f"./{PICTURE}"))
     texture.CreateInput("sourceColorSpace", types.Token).Set("sRGB")
     for wrap in ("wrapS", "wrapT"):
         texture.CreateInput(wrap, types.Token).Set("clamp")
-    texture.CreateInput("st", types.Float2).ConnectToSource(place)
-    colour = texture.CreateOutput("rgb", types.Float3)
-    surface.CreateInput("diffuseColor", types.Color3f).ConnectToSource(colour)
-    surface.CreateInput("roughness", types.Float).Set(roughness)
-    shown = surface.CreateOutput("surface", types.Token)
-    material.CreateSurfaceOutput().ConnectToSource(shown)
-    return material
+    texture.CreateInput("st", types.Float2).ConnectToSource(_reader(pxr, material, "st", 2))
+    return texture.CreateOutput("rgb", types.Float3)
 
 
 def read(path: Path, controls: ControlSet | None = None, fps: float | None = None) -> RigCurves:

@@ -238,7 +238,7 @@ def test_usd_holds_the_posed_head_by_usd_core(usd_path, curves):
 
 def test_usd_has_the_head_that_is_asked_for(tmp_path):
     pytest.importorskip("pxr", reason="needs usd-core")
-    from pxr import Usd, UsdGeom
+    from pxr import Usd, UsdGeom, UsdShade
 
     path = tmp_path / "child.usda"
     write_curves(path, rest_curves(1), identity="child")
@@ -246,6 +246,15 @@ def test_usd_has_the_head_that_is_asked_for(tmp_path):
     mesh = UsdGeom.Mesh(stage.GetPrimAtPath("/head/face"))
     child = build_head("child").mesh.vertices
     assert np.abs(np.array(mesh.GetPointsAttr().Get()) - child).max() < 1e-3
+    st = UsdGeom.PrimvarsAPI(mesh).GetPrimvar("st")
+    uv = build_head("child").mesh.uv * [1, -1] + [0, 1]  # from the bottom of a picture
+    assert st.GetInterpolation() == "vertex" and np.abs(np.array(st.Get()) - uv).max() < 1e-6
+    skin, _ = UsdShade.MaterialBindingAPI(
+        stage.GetPrimAtPath("/head/face/skin")
+    ).ComputeBoundMaterial()
+    surface, _, _ = skin.ComputeSurfaceSource()
+    (colour,) = surface.GetInput("diffuseColor").GetConnectedSources()[0]
+    assert UsdShade.Shader(colour.source).GetInput("varname").Get() == "displayColor"
     low, high = np.array(mesh.GetExtentAttr().Get())
     assert np.abs(low - child.min(axis=0)).max() < 0.1 > np.abs(high - child.max(axis=0)).max()
 
