@@ -11,6 +11,9 @@ import sys
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+import numpy as np
+
+from rig.arrays import Float64
 from rig.errors import FormatError
 from rig.files.reading import check_file
 from rig.limits import MESH_BYTES
@@ -20,7 +23,13 @@ SCRIPT = Path(__file__).with_name("fbx_blender.py")
 SECONDS = 1800
 
 
-def glb_to_fbx(source: Path | str, target: Path | str, fps: float, tolerance: float = 0.0) -> None:
+def glb_to_fbx(
+    source: Path | str,
+    target: Path | str,
+    fps: float,
+    tolerance: float = 0.0,
+    paint: tuple[Float64, bytes] | None = None,
+) -> None:
     """Write the last animation of a GLB, its meshes, shapes and bones as FBX.
 
     Parameters
@@ -32,6 +41,9 @@ def glb_to_fbx(source: Path | str, target: Path | str, fps: float, tolerance: fl
     tolerance : float
         Above 0: few linear keys that stay this near to weights; to turns within ten times as many
         degrees.
+    paint : tuple of array [shape=(N, 3, 2), range 0 to 1] and bytes, optional
+        Texture coordinates of the faces' corners of the one mesh, from the top left, and a JPEG:
+        instead of its own texture, since an FBX shows no vertex colours.
 
     Raises
     ------
@@ -42,6 +54,9 @@ def glb_to_fbx(source: Path | str, target: Path | str, fps: float, tolerance: fl
     document["animations"] = document.get("animations", [])[-1:]
     with TemporaryDirectory(prefix="deitalk-") as folder:
         write_container(Path(folder) / "a.glb", document, binary)
+        if paint is not None:
+            np.save(Path(folder) / "a.npy", paint[0].reshape(-1, 2).astype(np.float32))
+            (Path(folder) / "a.jpg").write_bytes(paint[1])
         run_blender(Path(folder) / "a.glb", target, fps, tolerance)
 
 

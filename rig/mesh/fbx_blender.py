@@ -27,6 +27,8 @@ def to_fbx(source: str, target: str, fps: float, tolerance: float) -> None:
     set_range(scene)
     for material in bpy.data.materials:
         link_textures(material.node_tree)
+    if Path(source).with_suffix(".npy").is_file():
+        paint(Path(source))
     if tolerance:
         keep_few_keys(tolerance)
     bpy.ops.export_scene.fbx(
@@ -96,6 +98,20 @@ def link_textures(tree: Any) -> None:
                 tree.links.new(node.outputs["Color"], colour)
                 break
             waiting += [link.from_node for socket in node.inputs for link in socket.links]
+
+
+def paint(source: Path) -> None:
+    """Lay the picture beside a GLB over its one mesh, by the coordinates beside it."""
+    import numpy as np
+
+    (mesh,) = bpy.data.meshes
+    layer, uv = mesh.uv_layers[0], np.load(source.with_suffix(".npy"))
+    layer.data.foreach_set("uv", (uv * [1, -1] + [0, 1]).astype(np.float32).ravel())
+    picture = bpy.data.images.load(str(source.with_suffix(".jpg")))
+    for material in mesh.materials:
+        for surface in material.node_tree.nodes:
+            if surface.type == "BSDF_PRINCIPLED":
+                surface.inputs["Base Color"].links[0].from_node.image = picture
 
 
 if __name__ == "__main__":

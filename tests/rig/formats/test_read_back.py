@@ -9,12 +9,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rig import RigCurves, default_controls, read_curves, write_curves
+from rig import RigCurves, default_controls, read_curves, rest_curves, write_curves
 from rig.conversion.convert import convert
 from rig.conversion.raw import RAW_ID
 from rig.errors import FormatError
+from rig.face import build_head
+from rig.face.baked import baked
 from rig.formats.table import FORMATS
 from rig.mesh import fbx
+from rig.retarget.morph_head import painted_colours
 from rig.retarget.retarget_files import retarget_curves
 from rig.validation.curves import validate
 from tests.each import each
@@ -127,3 +130,33 @@ def test_fbx_of_the_head_by_blender_with_all_and_with_few_keys(tmp_path, monkeyp
         command = [sys.executable, "-c", COUNT, str(tmp_path / "a.fbx")]
         counts.append(int(subprocess.run(command, capture_output=True, text=True).stdout))
     assert counts[1] < 0.5 * counts[0]
+
+
+LOOK = """
+import os, sys
+import bpy, numpy as np
+bpy.ops.wm.read_factory_settings(use_empty=True)
+bpy.ops.import_scene.fbx(filepath=sys.argv[1])
+layer = bpy.data.meshes[0].uv_layers[0]
+uv = np.empty(2 * len(layer.data), np.float32)
+layer.data.foreach_get("uv", uv)
+np.save(sys.argv[2], uv)
+print("SIZE", *bpy.data.images[0].size, flush=True)
+os._exit(0)
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not PYTHONS, reason="needs BPY_PYTHONS, paths of Pythons with bpy")
+@each("python", PYTHONS)
+def test_fbx_of_the_head_has_one_picture_of_all_its_colours(tmp_path, monkeypatch, python):
+    monkeypatch.setenv("BPY_PYTHON", python)
+    monkeypatch.delenv("PYTHONPATH", raising=False)
+    write_curves(tmp_path / "a.fbx", rest_curves(2))
+    command = [python, "-c", LOOK, str(tmp_path / "a.fbx"), str(tmp_path / "uv.npy")]
+    shown = subprocess.run(command, capture_output=True, text=True).stdout
+    assert "SIZE 2048 1024" in shown
+    head = build_head(0)
+    expected, _ = baked(head, painted_colours(head))
+    found = np.load(tmp_path / "uv.npy").reshape(-1, 3, 2) * [1, -1] + [0, 1]
+    np.testing.assert_allclose(found, expected, atol=1e-5)
