@@ -69,11 +69,13 @@ class Curves:
     ----------
     lost : float [range 0 to 1]
         Share of the movement that the shapes do not show, where it is known.
+    turns : bool
+        Whether there is a head track, which no shape shows.
     """
 
     def __init__(self, times: Any, values: dict[str, Any], path: str) -> None:
         self.times, self.values, self.path = times, values, path
-        self.lost = 0.0
+        self.lost, self.turns = 0.0, False
 
 
 def read(path: str) -> Curves:
@@ -93,12 +95,16 @@ def _read_json(path: str) -> Curves:
     if schema.startswith("deitalk.unreal/"):
         n_frames, (over, under) = data["n_frames"], data["frame_rate"]
         raw = {name: _raw(curve, data["board"], n_frames) for name, curve in data["raw"].items()}
-        return Curves(np.arange(n_frames) * under / over, raw, path)
+        curves = Curves(np.arange(n_frames) * under / over, raw, path)
+        curves.turns = any(np.any(values) for values in data.get("head", {}).values())
+        return curves
     if not schema.startswith("deitalk.curves/"):
         raise ValueError(f"{os.path.basename(path)} has no curves of deitalk")
     rows = np.array(data["values"], float)
     values = {name: rows[:, i] for i, name in enumerate(data["names"])}
-    return Curves(np.arange(len(rows)) / data["fps"], values, path)
+    curves = Curves(np.arange(len(rows)) / data["fps"], values, path)
+    curves.turns = bool(np.any(data.get("head", 0)))
+    return curves
 
 
 def _raw(curve: Any, board: dict[str, Any], n_frames: int) -> Any:
@@ -206,6 +212,7 @@ def fitted(curves: Curves, keys: list[str]) -> Curves:
         missed[:, [name.startswith("mouthLipsTogether") for name in RAW]] = 0.0
     found = Curves(curves.times, {keys[i]: weights[:, i] for i in used}, curves.path)
     found.lost = float(np.sqrt((missed**2).sum() / max((moved**2).sum(), 1e-12)))
+    found.turns = curves.turns
     return found
 
 
@@ -261,11 +268,12 @@ def apply_board(
     start: float = 1.0,
     tolerance: float = 0.0,
     still: bool = True,
-) -> tuple[int, float]:
+) -> tuple[int, float, int]:
     """Key the pose bones of a MetaHuman face board with the controls of a take's curves.
 
     A control ``CTRL_C_jaw.ty`` is the y of the location of the bone ``CTRL_C_jaw``, in its own
-    axes. Returned are the number of channels and the last frame.
+    axes. Returned are the number of channels, the last frame, and the number of controls that move
+    and have no bone.
 
     Raises
     ------
@@ -290,7 +298,9 @@ def apply_board(
                 curve = lists.new(f'pose.bones["{bone}"].location', index="xy".index(axis))
                 key_curve(curve, frames, values, tolerance)
                 count += 1
-        return count, float(frames[-1])
+        shown = {name for name, *_ in keyed}
+        lost = sum(np.ptp(v) > 1e-6 for name, v in curves.values.items() if name not in shown)
+        return count, float(frames[-1]), int(lost)
     raise ValueError(f"{os.path.basename(path)} has no curves of the board; open curves.json")
 
 
@@ -479,8 +489,12 @@ class DEITALK_OT_import(bpy.types.Operator, ImportHelper):  # type: ignore[misc]
         """Key meshes and boards with one take and add its sound; return its last frame."""
         how, last = (scene, start, self.tolerance, self.still), start
         for board in boards:
-            count, last = apply_board(path, board, *how)
-            self.report({"INFO"}, f"{count} channels of {board.name} from {os.path.basename(path)}")
+            count, last, lost = apply_board(path, board, *how)
+            told = (
+                f"{count} channels of {board.name} from {os.path.basename(os.path.normpath(path))}"
+            )
+            without = f", {lost} moving controls have no bone" if lost else ""
+            self.report({"INFO"}, told + without)
         if meshes or not boards:
             last = max(last, self._key_shapes(path, meshes, how))
         scene.frame_end = max(scene.frame_end, math.ceil(last))
@@ -502,9 +516,25 @@ class DEITALK_OT_import(bpy.types.Operator, ImportHelper):  # type: ignore[misc]
             raise ValueError(
                 f"no shape key without a driver has a name of {os.path.basename(curves.path)}"
             )
-        lost = f", {curves.lost:.0%} of the movement has no shape" if curves.lost > 0.001 else ""
-        self.report({"INFO"}, f"{count} shape keys from {os.path.basename(curves.path)}{lost}")
+        told = [
+            f"{count} shape keys from {os.path.basename(curves.path)}",
+            *unshown(curves, meshes),
+        ]
+        self.report({"INFO"}, ", ".join(told))
         return last
+
+
+def unshown(curves: Curves, meshes: list[Any]) -> list[str]:
+    """Say what of the curves the shape keys do not show."""
+    have = {name for mesh in meshes for name in keys_of(mesh)}
+    moving = [name for name, values in curves.values.items() if np.ptp(values) > 1e-6]
+    without = [name for name in moving if shape_key(name) not in have]
+    told = (
+        [f"{len(without)} moving curves have no shape key: {_listed(without)}"] if without else []
+    )
+    if curves.lost > 0.001:
+        told.append(f"{curves.lost:.0%} of the movement has no shape")
+    return [*told, "the head does not turn"] if curves.turns else told
 
 
 def _listed(names: list[str]) -> str:

@@ -7,6 +7,7 @@ import os
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 
@@ -68,6 +69,15 @@ def test_raw_curves_of_the_file_for_unreal_are_those_of_the_rig(addon, take):
     for name, values in found.values.items():
         np.testing.assert_allclose(values, expected[name], atol=2e-6, err_msg=name)
     np.testing.assert_allclose(found.times, expected.times, atol=1e-6)
+
+
+def test_a_head_that_no_shape_shows_is_said(addon, tmp_path):
+    curves = RigCurves(np.tile(BOARD.rest, (2, 1)), BOARD.names, 30)
+    for turn, told in ((0, []), (5, ["the head does not turn"])):
+        head = np.full((2, 6), turn, np.float32)
+        for name in ("a.json", "a.unreal.json"):
+            write_curves(tmp_path / name, replace(curves, head=head))
+            assert addon.unshown(addon.read(str(tmp_path / name)), []) == told, name
 
 
 @pytest.mark.parametrize("fps", [24, 30, 60])
@@ -217,6 +227,9 @@ def test_blender_moves_the_face(take, tmp_path, program):
     assert out["driven_values"]["jawOpen"] == near(0.25)
     assert out["board"] == ["FINISHED"] == out["batch"]
     board = read_curves(take / "curves.json")
+    still = sum(bool(np.ptp(board[name]) < 1e-6) for name in board.names)
+    told = f"4 channels of board from take, {185 - 4 - still} moving controls have no bone"
+    assert told in printed
     for found, frame in zip(out["board_values"], (0, 7, 20), strict=True):
         names = ("CTRL_C_jaw.tx", "CTRL_C_jaw.ty", "CTRL_L_eye.tx", "CTRL_L_eye.ty")
         jaw_x, jaw_y, eye_x, eye_y = (board[name][frame] for name in names)
@@ -224,5 +237,7 @@ def test_blender_moves_the_face(take, tmp_path, program):
     assert out["strips"] == [["take", 1, 40], ["take2", 41, 80]]
     assert out["batch_values"] == near([shapes["JawOpen"][7]] * 2)
     assert "a driver moves jawOpen: no keys there" in printed
+    moving = sum(bool(np.ptp(shapes[name]) > 1e-6) for name in shapes.names)
+    assert f"{moving - 2} moving curves have no shape key: " in printed
     assert "none of 1 shape keys has a name" in out["errors"][0]
     assert "is no take folder" in out["errors"][1]
