@@ -17,12 +17,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from deitalk.audio.frames import SAMPLE_RATE
-from deitalk.errors import CheckpointError
 from rig.arrays import Float32
-
-NO_ATTENTION = (
-    "this model has no temporal attention over spectra; use one with it, such as sdfa or mel"
-)
 
 
 class Frontend(nn.Module):
@@ -67,16 +62,6 @@ class Frontend(nn.Module):
         """Map clips (S,) to (B, n_frames, D), as `encode` of each, to rounding."""
         raise NotImplementedError
 
-    def attention_weights(self, waveform: Tensor, n_frames: int) -> Tensor:
-        """Attention of each frame over its window [shape=(T, W)].
-
-        Raises
-        ------
-        CheckpointError
-            If there is no temporal attention.
-        """
-        raise CheckpointError(NO_ATTENTION)
-
     def described(self, config: Any) -> Any:
         """Configuration that builds this frontend where its checkpoint is no longer there."""
         return config
@@ -116,16 +101,6 @@ class Encoder(ABC, nn.Module):
     @abstractmethod
     def forward(self, features: Tensor, places: Tensor) -> Tensor:
         """Map (B, C, F, L) to rows (B, T, D) for the spectra `places` [shape=(T,)]."""
-
-    def attention_weights(self, features: Tensor, places: Tensor) -> Tensor:
-        """Attention over the windows at the places [shape=(T, W)].
-
-        Raises
-        ------
-        CheckpointError
-            If there is none.
-        """
-        raise CheckpointError(NO_ATTENTION)
 
     def features_between(self, waveform: Tensor, first: int, last: int) -> Tensor:
         """Features (B, C, F, last - first) of spectra first..last - 1; `first` may be negative."""

@@ -18,7 +18,6 @@ from torch.nn.utils.parametrizations import weight_norm
 from deitalk.audio.frames import SAMPLE_RATE
 from deitalk.audio.mel import MelSpectrogram, nearest_spectra
 from deitalk.config.frontends import MelConfig
-from deitalk.errors import CheckpointError
 from deitalk.frontends.base import Frontend
 from deitalk.frontends.whole_clip import encode_whole
 
@@ -296,43 +295,6 @@ class MelFrontend(Frontend):
         mel = torch.cat([self.mel(clips, n_spectra, 0, shift) for shift in self.shifts])
         rows = self._from_mel(mel, centres)
         return rows.view(len(self.shifts), len(clips), n_frames, -1).mean(dim=0)
-
-    @torch.no_grad()
-    def attention_weights(self, waveform: Tensor, n_frames: int) -> Tensor:
-        """Attention of each frame over its window [shape=(T, W)]; 0 outside the recording.
-
-        Parameters
-        ----------
-        waveform : Tensor [shape=(S,)]
-            16 kHz, level-normalised.
-        n_frames : int
-            T.
-
-        Raises
-        ------
-        CheckpointError
-            If the Time-BiLSTM runs once per window.
-        """
-        config = self.config
-        if config.recurrence == "window":
-            raise CheckpointError("maps are drawn for recurrence: segment; this model has window")
-        device = next(self.parameters()).device
-        centres = nearest_spectra(n_frames, config.frame_rate, config.time_stack)
-        length = int(centres[-1]) + 1
-        mel = self.mel(waveform.unsqueeze(0).to(device), length * config.time_stack, 0)
-        spectral = self.spectral(mel)
-        memory = self.recurrent(spectral.reshape(1, length, -1))[0][0]  # (K, D)
-        window, half = config.window_frames // config.time_stack, config.query_frames // 2
-        index = centres.unsqueeze(1) + torch.arange(window) - window // 2
-        about = centres.unsqueeze(1) + torch.arange(-half, half + 1)
-        silent = F.pad(memory, (0, 0, half, half))  # keys are 0 outside the recording
-        inside = (index >= 0) & (index < length)
-        rows = [
-            self.attention.windows(memory[part.clamp(0, length - 1)], silent[queries + half])[1]
-            for part, queries in zip(torch.split(index, 256), torch.split(about, 256), strict=True)
-        ]
-        weights = torch.cat(rows) * inside.to(device)
-        return weights / weights.sum(dim=1, keepdim=True)
 
     def _frames(self, waveform: Tensor, first: int, last: int, shift: int = 0) -> Tensor:
         """Rows first..last; the mel window may reach outside them, the recurrence may not."""

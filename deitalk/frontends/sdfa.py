@@ -7,8 +7,7 @@ import torch
 from torch import Tensor
 
 from deitalk.config.frontends import SDFAMelConfig
-from deitalk.errors import CheckpointError
-from deitalk.frontends.base import NO_ATTENTION, Encoder, window_index
+from deitalk.frontends.base import Encoder, window_index
 from deitalk.frontends.mel_bilstm import (
     MelFrontend,
 )
@@ -62,30 +61,16 @@ class SDFAEncoder(Encoder):
 
     def attend(self, spectral: Tensor) -> tuple[Tensor, Tensor]:
         """Articulation analysis of windows (§3.3): (N, W, 256) to z_att (N, D), weights (N, W)."""
-        memory, _ = self.frontend.recurrent(spectral)
-        return self._attend(memory)
+        return self.attend_in(self.frontend.recurrent(spectral)[0])
 
-    def _attend(self, memory: Tensor) -> tuple[Tensor, Tensor]:
+    def attend_in(self, memory: Tensor) -> tuple[Tensor, Tensor]:
+        """As `attend`, of the Time-BiLSTM's states of windows (N, W, D)."""
         config = self.config
         half = config.window_frames // 2
         first = half - config.query_frames // 2
         query = memory[:, first : first + config.query_frames]
         attended, weights = self.frontend.attention.windows(memory, query)
         return self._centred(attended, memory[:, half]), weights
-
-    @torch.no_grad()
-    def attention_weights(self, features: Tensor, places: Tensor) -> Tensor:
-        """Attention weights [shape=(T, W)] of each place in features (1, 3, F, L)."""
-        if self.config.summary != "attention":
-            raise CheckpointError(NO_ATTENTION)
-        spectral = self.frontend.spectral(features)[0]
-        index = window_index(places, self.config.window_frames, len(spectral))
-        if self.config.recurrence == "segment":
-            memory = self.frontend.recurrent(spectral)[0]
-            parts = [self._attend(memory[part])[1] for part in torch.split(index, WINDOWS_AT_ONCE)]
-        else:
-            parts = [self.attend(spectral[part])[1] for part in torch.split(index, WINDOWS_AT_ONCE)]
-        return torch.cat(parts)
 
     def _centred(self, attended: Tensor, centre: Tensor) -> Tensor:
         normalise = self.frontend.normalise

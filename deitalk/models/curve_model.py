@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from deitalk.audio.frames import FRAME_RATE, frame_count
+from deitalk.audio.frames import FRAME_RATE
 from deitalk.config.curves import ModelConfig
 from deitalk.config.rules import RulesConfig
 from deitalk.emotions import EMOTIONS
@@ -301,21 +301,6 @@ class DEITalk(nn.Module):
             guidance[start:stop] = output.guidance[0, inner]
             tracks[:, start:stop] = torch.cat((output.saliency, output.strength))[:, inner]
         return Analysis(speech, guidance, tracks[0], tracks[1])
-
-    def attention_weights(self, sound: Tensor) -> Tensor:
-        """Temporal attention of the frontend [shape=(T, W)]; rows sum to 1 (SDFA Fig. 9).
-
-        Parameters
-        ----------
-        sound : Tensor [shape=(S,)]
-            16 kHz, level-normalised.
-
-        Raises
-        ------
-        CheckpointError
-            If the frontend has no temporal attention.
-        """
-        return self.frontend.attention_weights(sound, frame_count(len(sound)))
 
     @torch.no_grad()
     def decode(self, analysis: Analysis, emotion: Tensor) -> Tensor:

@@ -268,26 +268,6 @@ class SDFA(MeshModel):
             kept = slice(start - begin, stop - begin)
             yield FeatureChunk(features, (places - first).to(self.device), kept)
 
-    @torch.no_grad()
-    def attention_weights(self, sound: Tensor) -> Tensor:
-        """Attention of each frame over its window [shape=(T, W)]; rows sum to 1 (Fig. 9).
-
-        Parameters
-        ----------
-        sound : Tensor [shape=(S,)]
-            16 kHz, level-normalised.
-
-        Raises
-        ------
-        CheckpointError
-            If this model has no attention.
-        """
-        rows = [
-            self.encoder.attention_weights(features, places)[kept]
-            for features, places, kept in self.feature_chunks(sound)
-        ]
-        return torch.cat(rows)
-
 
 @lru_cache(maxsize=16)
 def _solver(template: TriMesh) -> DeformationSolver:

@@ -8,16 +8,104 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import torch
+from torch import Tensor
+from torch.nn import functional as F
 
+from deitalk.audio.frames import frame_count
 from deitalk.audio.load import load_audio
+from deitalk.audio.mel import nearest_spectra
 from deitalk.config.frontends import MelConfig
 from deitalk.data.clips import Clip, read_clips, read_phones
 from deitalk.errors import CheckpointError, DataError
-from deitalk.frontends.base import NO_ATTENTION
+from deitalk.frontends.base import window_index
+from deitalk.frontends.sdfa import WINDOWS_AT_ONCE, SDFAEncoder
 from deitalk.phones import PLOSIVES, VOWELS
 from deitalk.pipeline.speech import Speech
 from deitalk.research.evaluation.attention_figure import AttentionMap, attention_at
 from rig.arrays import Float32
+
+NO_ATTENTION = (
+    "this model has no temporal attention over spectra; use one with it, such as sdfa or mel"
+)
+
+
+@torch.no_grad()
+def weights_of(network: Any, sound: Tensor) -> Tensor:
+    """Attention of each frame over its window [shape=(T, W)]; rows sum to 1 (Fig. 9).
+
+    Parameters
+    ----------
+    network : DEITalk or SDFA
+        In evaluation mode.
+    sound : Tensor [shape=(S,)]
+        16 kHz, level-normalised.
+
+    Raises
+    ------
+    CheckpointError
+        If this model has no attention.
+    """
+    config = network.config.frontend
+    if config.kind != "mel" or getattr(config, "summary", "attention") != "attention":
+        raise CheckpointError(NO_ATTENTION)
+    if network.product == "curves":
+        return frontend_weights(network.frontend, sound, frame_count(len(sound)))
+    rows = [
+        encoder_weights(network.encoder, features, places)[kept]
+        for features, places, kept in network.feature_chunks(sound)
+    ]
+    return torch.cat(rows)
+
+
+@torch.no_grad()
+def frontend_weights(frontend: Any, waveform: Tensor, n_frames: int) -> Tensor:
+    """Attention of each frame over its window [shape=(T, W)]; 0 outside the recording.
+
+    Parameters
+    ----------
+    frontend : MelFrontend
+        In evaluation mode.
+    waveform : Tensor [shape=(S,)]
+        16 kHz, level-normalised.
+    n_frames : int
+        T.
+
+    Raises
+    ------
+    CheckpointError
+        If the Time-BiLSTM runs once per window.
+    """
+    config = frontend.config
+    if config.recurrence == "window":
+        raise CheckpointError("maps are drawn for recurrence: segment; this model has window")
+    device = next(frontend.parameters()).device
+    centres = nearest_spectra(n_frames, config.frame_rate, config.time_stack)
+    length = int(centres[-1]) + 1
+    mel = frontend.mel(waveform.unsqueeze(0).to(device), length * config.time_stack, 0)
+    spectral = frontend.spectral(mel)
+    memory = frontend.recurrent(spectral.reshape(1, length, -1))[0][0]  # (K, D)
+    window, half = config.window_frames // config.time_stack, config.query_frames // 2
+    index = centres.unsqueeze(1) + torch.arange(window) - window // 2
+    about = centres.unsqueeze(1) + torch.arange(-half, half + 1)
+    silent = F.pad(memory, (0, 0, half, half))  # keys are 0 outside the recording
+    inside = (index >= 0) & (index < length)
+    rows = [
+        frontend.attention.windows(memory[part.clamp(0, length - 1)], silent[queries + half])[1]
+        for part, queries in zip(torch.split(index, 256), torch.split(about, 256), strict=True)
+    ]
+    weights = torch.cat(rows) * inside.to(device)
+    return weights / weights.sum(dim=1, keepdim=True)
+
+
+@torch.no_grad()
+def encoder_weights(encoder: SDFAEncoder, features: Tensor, places: Tensor) -> Tensor:
+    """Attention weights [shape=(T, W)] of each place in features (1, 3, F, L)."""
+    spectral = encoder.frontend.spectral(features)[0]
+    attend, states = encoder.attend, spectral
+    if encoder.config.recurrence == "segment":
+        attend, states = encoder.attend_in, encoder.frontend.recurrent(spectral)[0]
+    index = window_index(places, encoder.config.window_frames, len(spectral))
+    return torch.cat([attend(states[part])[1] for part in torch.split(index, WINDOWS_AT_ONCE)])
 
 
 class Attention(NamedTuple):
@@ -47,7 +135,7 @@ def attention_of(network: Any, waveform: Float32) -> Attention:
         If the model has no temporal attention.
     """
     rate = spectra_per_second(network)
-    weights = network.attention_weights(torch.from_numpy(Speech.of(waveform).sound))
+    weights = weights_of(network, torch.from_numpy(Speech.of(waveform).sound))
     return Attention(weights.cpu().numpy(), network.fps, rate)
 
 

@@ -15,6 +15,7 @@ from deitalk.models import mesh_model as sdfa_module
 from deitalk.models.deformation_decoder import Deformation, InversePCA, Offsets
 from deitalk.pipeline.mesh import mesh_coefficients
 from deitalk.pipeline.speech import Speech
+from deitalk.research.evaluation.attention import weights_of
 from deitalk.research.meshes.folder import Lips
 from deitalk.research.meshes.scores import predict_mesh
 from deitalk.research.meshes.training import new_mesh_model
@@ -267,12 +268,12 @@ def test_prediction_rejects_what_is_no_row_of_finite_samples(bad):
 
 def test_attention_rows_sum_to_one():
     for recurrence in ("window", "segment"):
-        weights = model(recurrence=recurrence).attention_weights(
-            torch.from_numpy(Speech.of(noise(0.5)).sound)
+        weights = weights_of(
+            model(recurrence=recurrence), torch.from_numpy(Speech.of(noise(0.5)).sound)
         )
         assert weights.shape == (30, 16)
         np.testing.assert_allclose(weights.sum(axis=1), 1, atol=1e-5)
         assert (weights >= 0).all()
     for other in (KARRAS, FRONTEND | {"summary": "convolution"}):
         with pytest.raises(CheckpointError, match="no temporal attention"):
-            model(frontend=other).attention_weights(torch.from_numpy(Speech.of(noise(0.5)).sound))
+            weights_of(model(frontend=other), torch.from_numpy(Speech.of(noise(0.5)).sound))

@@ -18,7 +18,7 @@ from deitalk.config.load import parse_config
 from deitalk.errors import CheckpointError, DataError, DeitalkError
 from deitalk.models.checkpoint import save_model
 from deitalk.models.curve_model import DEITalk
-from deitalk.research.evaluation.attention import attention_of, corpus_attention
+from deitalk.research.evaluation.attention import attention_of, corpus_attention, frontend_weights
 from deitalk.research.evaluation.report import identified
 from rig.errors import RigError
 from tests.each import each
@@ -59,7 +59,7 @@ def test_weights_equal_those_of_the_frontend(stack):
     """Applied to the memory they give the result of `along`, including the first and last frame."""
     frontend = network(time_stack=stack, spectral_size=8).frontend
     waveform, n_frames = torch.from_numpy(speech()), 42
-    weights = frontend.attention_weights(waveform, n_frames)
+    weights = frontend_weights(frontend, waveform, n_frames)
     centres = nearest_spectra(n_frames, 60, stack)
     length, window = int(centres[-1]) + 1, 16 // stack
     with torch.no_grad():
@@ -79,7 +79,7 @@ def test_rows_are_at_rig_frames():
     assert (result.fps, result.frame_rate) == (30, 60)
     np.testing.assert_allclose(result.weights.sum(axis=1), 1, rtol=1e-5)
     sound = normalise_level(speech(), activity=speech_activity(speech()))
-    again = network().frontend.attention_weights(torch.from_numpy(sound), 42)
+    again = frontend_weights(network().frontend, torch.from_numpy(sound), 42)
     np.testing.assert_allclose(result.weights, again, atol=1e-6)
 
 
