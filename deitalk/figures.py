@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from deitalk.audio.frames import SAMPLE_RATE
 from deitalk.errors import MissingError
 from rig import RigCurves
 from rig.arrays import AnyFloat, Float32
@@ -61,11 +62,11 @@ def drawing(path: Path, size: tuple[float, float], dpi: int = 90) -> Iterator[An
         figure.savefig(beside, dpi=dpi)
 
 
-def draw_waveform(axis: Any, waveform: Float32, sample_rate: int = 16_000) -> None:
+def draw_waveform(axis: Any, waveform: Float32) -> None:
     """Draw the band between the lowest and the highest sample of every column, over seconds."""
     step = max(len(waveform) // MOST_COLUMNS, 1)
     blocks = waveform[: len(waveform) // step * step].reshape(-1, step)
-    times = np.arange(len(blocks)) * step / sample_rate
+    times = np.arange(len(blocks)) * step / SAMPLE_RATE
     axis.fill_between(times, blocks.min(axis=1), blocks.max(axis=1), color="0.6", lw=0)
 
 

@@ -478,11 +478,10 @@ def transmit(
     animator: "LiveAnimator",
     sender: "LiveSender",
     seconds: float | None = None,
-    is_over: Callable[[], bool] = lambda: False,
 ) -> None:
     """Animate the sound of a source and send the frames, until it or the given time is over."""
     taken, most = 0, None if seconds is None else seconds * source.sample_rate
-    while not (source.is_over or is_over() or (most is not None and taken >= most)):
+    while not (source.is_over or (most is not None and taken >= most)):
         wait = sender.wait()
         block = source.read(POLL_SECONDS if wait is None else min(wait, POLL_SECONDS))
         if block is not None:

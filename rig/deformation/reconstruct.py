@@ -25,6 +25,8 @@ from rig.mesh.trimesh import TriMesh, components, triangle_areas
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
+MOST_SHARE = 0.2
+"""A component with more than this share of the largest one's vertices is solved, not rigid."""
 FRAMES_PER_SOLVE = 8
 """Right-hand sides go through the factors eight frames (24 columns) at a time, which stays in
 the cache; hundreds at once take twice as long."""
@@ -215,7 +217,7 @@ def rigid_motion(before: Any, after: Any) -> tuple[Float64, Float64]:
     return rotation, centre_b - rotation @ centre_a
 
 
-def small_parts(template: TriMesh, *, most_share: float = 0.2) -> list[RigidPart]:
+def small_parts(template: TriMesh) -> list[RigidPart]:
     """Rigid parts for every component but the largest and those not small.
 
     Eyeballs, teeth and gums of most heads are components of their own. Each follows the skin
@@ -225,15 +227,13 @@ def small_parts(template: TriMesh, *, most_share: float = 0.2) -> list[RigidPart
     ----------
     template : TriMesh
         The head with its eyes and teeth.
-    most_share : float [0 to 1]
-        A component with more than this share of the largest one's vertices is solved.
     """
     labels = components(template)
     sizes = np.bincount(labels)
     skin = np.flatnonzero(labels == 0)
     parts = []
     for label in range(1, len(sizes)):
-        if not 4 <= sizes[label] <= most_share * sizes[0]:
+        if not 4 <= sizes[label] <= MOST_SHARE * sizes[0]:
             continue
         own = np.flatnonzero(labels == label)
         distance = np.linalg.norm(

@@ -19,7 +19,7 @@ from rig.mesh.trimesh import TriMesh, components
 from rig.retarget.bake import BakedRig
 from rig.retarget.landmarks import CORNERS
 from rig.retarget.registration import POOR_MATCH, Registration, register
-from rig.retarget.source_head import SourceHead, source_head
+from rig.retarget.source_head import source_head
 from rig.retarget.transfer import local_jacobians, transfer_displacements, transfer_gradients
 
 # Pairs of points across the mouth's slit, and correction of the lips' contact after a transfer.
@@ -203,10 +203,9 @@ def shapes_for(
     mesh: TriMesh,
     landmarks: Mapping[str, int],
     *,
-    source: SourceHead | None = None,
     method: Method = "displacements",
 ) -> Retargeted:
-    """Bake the rig of a source head onto a neutral mesh of any topology.
+    """Bake the rig of the embedded head onto a neutral mesh of any topology.
 
     Parameters
     ----------
@@ -214,8 +213,6 @@ def shapes_for(
         The user's face, mouth closed, eyes open; any units and pose.
     landmarks : mapping of str to int
         Its vertices for at least `rig.retarget.landmarks.NEEDED`.
-    source : SourceHead, optional
-        The embedded head unless given.
     method : str
         "displacements" (default) or "gradients", see `rig.retarget.transfer`.
 
@@ -228,7 +225,7 @@ def shapes_for(
     MeshError
         If landmarks are missing, upper and lower lip cannot be separated, or the mesh is too large.
     """
-    source = source_head() if source is None else source
+    source = source_head()
     shapes = replace(source.rig.shapes, landmarks=source.landmarks)
     carried = carry_shapes(shapes, mesh, landmarks, method=method)
     return Retargeted(

@@ -311,13 +311,13 @@ def closest_rounds(
     return points
 
 
-def _carry_along(aligned: Float64, skin: Int64, surface: Float64, neighbours: int = 8) -> Float64:
+def _carry_along(aligned: Float64, skin: Int64, surface: Float64) -> Float64:
     """Move eyes, teeth, tongue with the skin nearest to them, by inverse distance."""
     placed = aligned.copy()
     placed[skin] = surface
     others = np.setdiff1d(np.arange(len(aligned)), skin)
     if len(others):
-        distance, nearest = KDTree(aligned[skin]).query(aligned[others], k=neighbours)
+        distance, nearest = KDTree(aligned[skin]).query(aligned[others], k=8)
         weight = 1.0 / np.maximum(distance, 1e-9)
         weight /= weight.sum(axis=1, keepdims=True)
         moved = (surface - aligned[skin])[nearest]

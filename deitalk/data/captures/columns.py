@@ -216,7 +216,7 @@ def _on_even_grid(
     return NamedCurves(names, even, fps, (note,))
 
 
-def describe_columns(names: Sequence[str], most: int = 3) -> str:
-    """The first few names, quoted."""
-    more = f" and {len(names) - most} more" if len(names) > most else ""
-    return ", ".join(quoted(name) for name in names[:most]) + more
+def describe_columns(names: Sequence[str]) -> str:
+    """The first three names, quoted."""
+    more = f" and {len(names) - 3} more" if len(names) > 3 else ""
+    return ", ".join(quoted(name) for name in names[:3]) + more
