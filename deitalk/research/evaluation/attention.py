@@ -94,18 +94,21 @@ def frontend_weights(frontend: Any, waveform: Tensor, n_frames: int) -> Tensor:
         for part, queries in zip(torch.split(index, 256), torch.split(about, 256), strict=True)
     ]
     weights = torch.cat(rows) * inside.to(device)
-    return weights / weights.sum(dim=1, keepdim=True)
+    shares: Tensor = weights / weights.sum(dim=1, keepdim=True)
+    return shares
 
 
 @torch.no_grad()
 def encoder_weights(encoder: SDFAEncoder, features: Tensor, places: Tensor) -> Tensor:
     """Attention weights [shape=(T, W)] of each place in features (1, 3, F, L)."""
     spectral = encoder.frontend.spectral(features)[0]
-    attend, states = encoder.attend, spectral
-    if encoder.config.recurrence == "segment":
-        attend, states = encoder.attend_in, encoder.frontend.recurrent(spectral)[0]
-    index = window_index(places, encoder.config.window_frames, len(spectral))
-    return torch.cat([attend(states[part])[1] for part in torch.split(index, WINDOWS_AT_ONCE)])
+    index = torch.split(
+        window_index(places, encoder.config.window_frames, len(spectral)), WINDOWS_AT_ONCE
+    )
+    if encoder.config.recurrence == "window":
+        return torch.cat([encoder.attend(spectral[part])[1] for part in index])
+    memory = encoder.frontend.recurrent(spectral)[0]
+    return torch.cat([encoder.attend_in(memory[part])[1] for part in index])
 
 
 class Attention(NamedTuple):
