@@ -3,8 +3,8 @@
 ``fbx_blender.py SOURCE TARGET [FPS TOLERANCE]``; an FBX that is written has these two.
 """
 
+import importlib.util
 import os
-import runpy
 import sys
 from math import ceil
 from pathlib import Path
@@ -48,7 +48,11 @@ def keep_few_keys(tolerance: float) -> None:
     from io_scene_fbx.fbx_utils import AnimationCurveNodeWrapper  # type: ignore[import-not-found]
 
     clip = Path(__file__).parents[1] / "unreal" / "deitalk_clip.py"
-    curve_keys = runpy.run_path(str(clip))["curve_keys"]
+    spec = importlib.util.spec_from_file_location("deitalk_clip", clip)
+    assert spec is not None and spec.loader is not None
+    keys: Any = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(keys)
+    keys.fit_segment = off_line
     by_blender = AnimationCurveNodeWrapper.simplify
 
     def simplify(node: Any, *options: Any) -> None:
@@ -56,17 +60,17 @@ def keep_few_keys(tolerance: float) -> None:
         width = tolerance * WIDTHS.get(node.fbx_gname[0], 1.0)
         for values, written in zip(node._frame_values_array, node._frame_write_mask_array):  # noqa: B905
             if written.any():
-                row = values.tolist()
-
-                def off_line(first: int, last: int, row: list[float] = row) -> Any:
-                    start, slope = row[first], (row[last] - row[first]) / (last - first)
-                    off = max(abs(row[i] - start - slope * (i - first)) for i in range(first, last))
-                    return off, slope, slope
-
                 written[1:-1] = False
-                written[[key[0] for key in curve_keys(row, width, off_line)]] = True
+                written[[key[0] for key in keys.curve_keys(values.tolist(), width)]] = True
 
     AnimationCurveNodeWrapper.simplify = simplify
+
+
+def off_line(values: list[float], first: int, last: int) -> tuple[float, float, float]:
+    """Largest distance of values from the line between two of them, and its slope twice."""
+    start, slope = values[first], (values[last] - values[first]) / (last - first)
+    off = max(abs(values[i] - start - slope * (i - first)) for i in range(first, last))
+    return off, slope, slope
 
 
 def to_glb(source: str, target: str) -> None:

@@ -236,8 +236,8 @@ def key_frames(values: list[float]) -> list[int]:
     return [i for i in range(len(values)) if i in (0, last) or min(around[i]) < max(around[i])]
 
 
-def curve_keys(values: list[float], tolerance: float, fit: Any = None) -> list[list[Any]]:
-    """Return few keys whose segments, cubic or by `fit`, stay within a tolerance of all values.
+def curve_keys(values: list[float], tolerance: float) -> list[list[Any]]:
+    """Return few keys whose cubic segments stay within a tolerance of all values.
 
     Each is [frame, arriving slope, leaving slope], slopes per frame; its value is that of the
     frame. First and last frame of every run at the highest value are keyed: lips that meet do so
@@ -248,8 +248,7 @@ def curve_keys(values: list[float], tolerance: float, fit: Any = None) -> list[l
         return [[0, 0.0, 0.0]]
     held = [value >= top - 1e-6 for value in values] + [False]
     ends = [i for i in range(1, last) if held[i] and not (held[i - 1] and held[i + 1])] + [last]
-    fit = fit or (lambda first, end: fit_segment(values, first, end))
-    return split_curve(ends, tolerance, fit)
+    return split_curve(ends, tolerance, lambda first, end: fit_segment(values, first, end))
 
 
 def split_curve(ends: list[int], tolerance: float, fit: Any) -> list[list[Any]]:
