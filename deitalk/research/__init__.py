@@ -8,7 +8,7 @@
     comparison/   decoders and encoders of other papers
     evaluation/   scores of a model on a dataset folder; measurements that one table needs
     lips/         datasets of measured lips for experiments
-    video/        filmed faces to curves
+    video/        filmed faces to curves; contact_sheet.py draws the head
     study/        blind comparisons by people
     cli/          the verbs ablate, attention, corpus, evaluate and study
 
