@@ -51,6 +51,12 @@ def test_expression_stays_through_a_pause_and_fades():
     assert expression[80:120].min() == 1 and expression[170:].max() == 0
 
 
+def test_gates_are_the_same_for_any_pieces():
+    speaking = spoken((20, 60), (70, 90), (140, 180))
+    one, other = gates_of(speaking), gates_of(speaking, piece=3)
+    assert all(np.array_equal(a, b) for a, b in zip(one, other, strict=True))
+
+
 def test_steady_noise_becomes_the_floor():
     levels = np.full((120, BANDS), -50, np.float32)
     on = RunningActivity(Gates()).feed(levels)
@@ -65,6 +71,14 @@ def test_running_level_finds_the_voice_and_keeps_it_through_a_pause(gain_db, rng
     found = 10 * np.log10(level[0].numpy() / USUAL_POWER) - gain_db
     assert abs(found[149]) < 4 and abs(found[60]) < 6  # syllables are half of the time
     assert found[149] == pytest.approx(found[-1], abs=1e-3)
+
+
+def test_running_level_goes_on_where_it_stopped(rng):
+    power = torch.tensor(rng.uniform(0, 0.01, (2, 50))).float()
+    whole, end = follow_level(power, first_level(2, power))
+    first, state = follow_level(power[:, :20], first_level(2, power))
+    second, last = follow_level(power[:, 20:], state)
+    assert torch.equal(torch.cat((first, second), dim=1), whole) and torch.equal(last, end)
 
 
 def intensity_of(level_db, network=0.5, rule=VoiceIntensity(), speaking=True):
