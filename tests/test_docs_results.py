@@ -60,7 +60,7 @@ def test_every_report_stands_in_a_table(changed):
         (common.RESULTS / "gone").rename(common.RESULTS / path.name)
 
 
-@pytest.mark.parametrize(
+@each(
     ("page", "row", "keys"),
     [
         (

@@ -14,7 +14,6 @@ from pathlib import Path
 import av
 import httpx
 import numpy as np
-import pytest
 from websockets.sync.client import connect
 
 from api.guard.keys import Caller
@@ -23,6 +22,7 @@ from api.jobs.schema import open_database
 from api.jobs.webhooks import Webhooks
 from api.settings import SCOPES
 from tests.api.conftest import KEYS, bearer, wav
+from tests.each import each
 
 SPEECH = wav(0.6)
 TRAVERSALS = (
@@ -52,7 +52,7 @@ def status_of(answer: bytes) -> int:
     return int(answer.split(b" ", 2)[1])
 
 
-@pytest.mark.parametrize("name", TRAVERSALS)
+@each("name", TRAVERSALS)
 def test_names_of_a_request_never_become_paths(server, client, name, tmp_path):
     before = {path.name for path in server.log.parent.rglob("*")}
     files = {
@@ -144,7 +144,7 @@ def test_idle_connections_keep_nobody_out(server, client):
             connection.close()
 
 
-@pytest.mark.parametrize(
+@each(
     "head",
     ["nobody", "../../etc/passwd", "0' OR 1=1", "\x00", "9" * 40, "a" * 41, "-1", "1e400", "٣"],
 )
@@ -243,7 +243,7 @@ def _encoded_silence(seconds: float, kind: str) -> bytes:
     return buffer.getvalue()
 
 
-@pytest.mark.parametrize("kind", ["FLAC", "OGG", "MP3", *ENCODERS])
+@each("kind", ["FLAC", "OGG", "MP3", *ENCODERS])
 def test_compressed_hours_are_refused_by_their_length(client, kind):
     bomb = _silence(2000, kind)
     assert len(bomb) < 4_000_000

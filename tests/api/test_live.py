@@ -31,6 +31,7 @@ from deitalk.models.curve_model import DEITalk
 from tests.api.conftest import bearer, wav
 from tests.api.server import free_port, serving
 from tests.deitalk.live.conftest import TINY
+from tests.each import each
 
 RATE = 16000
 
@@ -103,7 +104,7 @@ def test_frames_as_json_and_changes_in_the_stream(server):
     assert {len(frame["values"]) for frame in frames} == {185}
 
 
-@pytest.mark.parametrize(
+@each(
     ("messages", "code"),
     [
         (["no json"], "message_unknown"),
@@ -236,7 +237,7 @@ def test_causal_model_gives_the_frames_of_live_animator(causal_server):
     assert np.abs(np.array([values for *_, values in found]) - expected).max() < 1e-4
 
 
-@pytest.mark.parametrize("frames", ["binary", "json"])
+@each("frames", ["binary", "json"])
 def test_head_and_life_are_those_of_live_animator(causal_server, frames):
     server, folder = causal_server
     sound = pcm(2.0)
@@ -310,7 +311,7 @@ class StuckSocket:
         await asyncio.Event().wait()
 
 
-@pytest.mark.parametrize("fault", [None, Problem(413, "too long"), ValueError()])
+@each("fault", [None, Problem(413, "too long"), ValueError()])
 def test_end_of_a_session_does_not_wait_for_its_client(monkeypatch, fault):
     async def run(self):
         if fault is not None:

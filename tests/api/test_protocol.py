@@ -7,6 +7,7 @@ from api.routes.jobs import part_of
 from tests.api.conftest import wav
 from tests.api.server import serving
 from tests.api.test_jobs import submit, wait
+from tests.each import each
 
 
 @pytest.fixture(scope="module")
@@ -57,7 +58,7 @@ def test_usd_is_offered_only_where_it_can_be_made(client, monkeypatch):
         importlib.reload(formats)
 
 
-@pytest.mark.parametrize(
+@each(
     ("header", "part"),
     [
         ("bytes=0-9", (0, 10)), ("bytes=90-", (90, 100)), ("bytes=-5", (95, 100)),
@@ -70,7 +71,7 @@ def test_part_of_a_file_is_that_of_rfc_9110(header, part):
     assert part_of(header, 100) == part
 
 
-@pytest.mark.parametrize("header", ["bytes=100-", "bytes=-0", "bytes=500-600"])
+@each("header", ["bytes=100-", "bytes=-0", "bytes=500-600"])
 def test_part_beyond_a_file_is_refused_with_its_size(header):
     with pytest.raises(Problem) as refused:
         part_of(header, 100)

@@ -26,6 +26,7 @@ from api.settings import Settings, load_settings
 from deitalk.cli import app
 from deitalk.errors import ConfigError
 from tests.browser import needs_player
+from tests.each import each
 
 
 def test_later_sources_replace_earlier_ones(tmp_path, monkeypatch):
@@ -37,7 +38,7 @@ def test_later_sources_replace_earlier_ones(tmp_path, monkeypatch):
     assert settings.host == "127.0.0.1" and settings.is_local
 
 
-@pytest.mark.parametrize(
+@each(
     ("text", "named"),
     [("prot: 1", "prot"), ("port: 99999", "port"), ("keys: [{name: a}]", "keys"), ("- 1", "lines")],
 )
@@ -92,7 +93,7 @@ def test_rate_refills_evenly(monkeypatch):
     rates.take("a", 60)
 
 
-@pytest.mark.parametrize(
+@each(
     ("accept", "expected"),
     [
         (None, "json"), ("*/*", "json"), ("text/csv", "csv"), ("model/gltf-binary", "glb"),
@@ -138,7 +139,7 @@ async def _answer(guard, path, host):
     return sent[0]["status"] if sent else 200
 
 
-@pytest.mark.parametrize("host", ["127.0.0.1:8000", "10.0.0.7", "[::1]:8000"])
+@each("host", ["127.0.0.1:8000", "10.0.0.7", "[::1]:8000"])
 def test_probes_by_address_are_answered_where_hosts_names_the_service(tmp_path, host):
     """The container's own check, and that of a balancer."""
 
@@ -183,7 +184,7 @@ def test_container_files_name_settings_and_paths_that_exist():
             assert (folder.parents[1] / name).exists(), name
 
 
-@pytest.mark.parametrize(
+@each(
     ("name", "value", "says"),
     [
         ("data", "{folder}/file/below", "Not a directory"),

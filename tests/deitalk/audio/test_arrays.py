@@ -31,7 +31,7 @@ def test_array_equals_its_file(tmp_path, stereo):
     assert made.source == "<array>"
 
 
-@pytest.mark.parametrize(
+@each(
     "change",
     [
         lambda x: x / 2.0**15,

@@ -94,7 +94,7 @@ def test_mp3_samples_equal_those_of_libsndfile(tmp_path, rng):
     np.testing.assert_allclose(load_audio(path).waveform, expected - expected.mean(), atol=1e-5)
 
 
-@pytest.mark.parametrize("kept", [0, 4, 40])
+@each("kept", [0, 4, 40])
 def test_load_audio_rejects_text_named_mp3_and_prints_nothing(tmp_path, capfd, rng, kept):
     sf.write(tmp_path / "a.mp3", tone(44100, 3.0), 44100)
     head = rng.integers(1, 250, kept, dtype=np.uint8).tobytes()
@@ -105,7 +105,7 @@ def test_load_audio_rejects_text_named_mp3_and_prints_nothing(tmp_path, capfd, r
     assert capfd.readouterr() == ("", "")
 
 
-@pytest.mark.parametrize(
+@each(
     ("name", "content", "words"),
     [
         ("a.m4a", b"\0\0\0\x20ftypM4A " + bytes(100), "cut off or damaged"),
@@ -147,7 +147,7 @@ def test_damage_inside_a_container_becomes_silence_and_a_warning(tmp_path, rng):
     assert "damaged pieces are silent now, the first at" in recording.warnings[0]
 
 
-@pytest.mark.parametrize("first", [b"\xff\xff", b"\xff\xfb"])
+@each("first", [b"\xff\xff", b"\xff\xfb"])
 def test_wav_that_begins_as_mpeg_prints_nothing(capfd, first):
     file = io.BytesIO()
     sf.write(file, tone(16000), 16000, format="WAV", subtype="FLOAT")

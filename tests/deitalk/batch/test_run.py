@@ -18,6 +18,7 @@ from rig import read_curves
 from rig.errors import TargetError
 from rig.files import changed_files
 from tests.deitalk.batch.conftest import InProcess
+from tests.each import each
 from tests.interrupt import count_writes, kill_at_write
 
 
@@ -178,7 +179,7 @@ def test_file_of_the_user_is_never_replaced(run):
     assert (run.out / "c.npz").is_file() and not (run.out / "anna" / "a.npz").exists()
 
 
-@pytest.mark.parametrize("formats", ["csv", "take"])
+@each("formats", ["csv", "take"])
 def test_file_put_at_an_output_meanwhile_stays(run, orders, monkeypatch, tmp_path, formats):
     """Between the check before the first line and the end of its own."""
     out = tmp_path / "meanwhile"
@@ -278,7 +279,7 @@ def test_journal_of_another_version_or_damaged_is_refused(run):
         run()
 
 
-@pytest.mark.parametrize(
+@each(
     ("options", "error", "words"),
     [
         ({"model": "none"}, CheckpointError, "no model there"),

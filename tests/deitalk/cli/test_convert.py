@@ -101,7 +101,7 @@ def test_convert_refuses_to_overwrite_without_force(curves_file, tmp_path):
     assert run("convert", curves_file, tmp_path / "out.csv", "--force").exit_code == 0
 
 
-@pytest.mark.parametrize(
+@each(
     ("arguments", "message"),
     [
         (["absent.csv", "out.csv"], "does not exist"),
@@ -214,7 +214,7 @@ def test_sound_of_a_take_lies_beside_its_fbx(curves_file, tmp_path, monkeypatch)
     assert soundfile.info(tmp_path / "audio.wav").frames == 16_000
 
 
-@pytest.mark.parametrize("name", ["a.usda", "a.unreal.json", "a.txt"])
+@each("name", ["a.usda", "a.unreal.json", "a.txt"])
 def test_rig_that_a_format_cannot_hold_is_refused(curves_file, tmp_path, name):
     result = run("convert", curves_file, tmp_path / name, "--rig", "arkit")
     assert result.exit_code == 1
@@ -236,7 +236,7 @@ def test_recording_of_an_absent_subject_names_those_that_came(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("protocol", ["json", "vmc"])
+@each("protocol", ["json", "vmc"])
 def test_other_protocols_send_every_frame(curves_file, protocol):
     result = run("live", curves_file, "--protocol", protocol, "--port", 9)
     assert result.exit_code == 0

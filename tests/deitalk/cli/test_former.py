@@ -2,13 +2,13 @@
 
 import json
 
-import pytest
 from typer.main import get_command
 from typer.testing import CliRunner
 
 from deitalk.cli import app
 from deitalk.cli.console import FORMER, today
 from deitalk.installed import VERBS as RESEARCH
+from tests.each import each
 
 LINES = {
     "mesh a.wav --speaker Ada -o f.glb": "animate --vertices a.wav --identity Ada -o f.glb",
@@ -58,7 +58,7 @@ def test_fourteen_verbs_are_shown():
     assert shown - {*RESEARCH} == {*VERBS} and len(VERBS) == 14
 
 
-@pytest.mark.parametrize("line", ["controls --json", "suggest no-such.wav"])
+@each("line", ["controls --json", "suggest no-such.wav"])
 def test_former_names_print_the_line_of_today_on_stderr(line):
     done = CliRunner().invoke(app, line.split())
     note = done.stderr.splitlines()[0]

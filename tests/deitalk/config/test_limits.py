@@ -164,7 +164,7 @@ def test_oversized_model_folder_takes_no_memory(folder, before, after):
     assert time.process_time() - start < 3
 
 
-@pytest.mark.parametrize(
+@each(
     ("header", "words"),
     [
         (b"{}", "absent, not"),

@@ -92,7 +92,7 @@ def test_both_trainings_have_the_settings_of_optimisation(kind):
     assert unlike <= set(kind.model_fields)
 
 
-@pytest.mark.parametrize(("recipe", "model"), [("measured_lips", "mel")])
+@each(("recipe", "model"), [("measured_lips", "mel")])
 def test_embedded_weights_fit_their_recipe(recipe, model):
     embedded = load_config(FOLDER.parent / "deitalk/models/weights" / model / "config.yaml")
     wanted = load_config(FOLDER / f"{recipe}.yaml")

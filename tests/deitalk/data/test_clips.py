@@ -145,7 +145,7 @@ def test_known_controls_are_those_that_a_file_names(folder):
     assert read_clips(folder)[1].known is None
 
 
-@pytest.mark.parametrize(
+@each(
     ("text", "match"),
     [("jawOpen\n", "unknown control 'jawOpen'"), ("# none\n\n", "names no control")],
 )

@@ -280,7 +280,7 @@ KINDS = {
 }
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@each("kind", KINDS)
 def test_every_kind_of_encoder_reads_as_in_transformers(kind, tmp_path, speech):
     """By the name of its folder; a saved configuration builds it again."""
     torch.manual_seed(2)

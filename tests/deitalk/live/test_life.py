@@ -11,6 +11,7 @@ from deitalk.postprocess.life.brows import STEMS
 from deitalk.postprocess.life.tracks import Noise
 from deitalk.postprocess.voice_intensity import Measures
 from rig import default_controls
+from tests.each import each
 
 CONTROLS = default_controls()
 AHEAD = 2
@@ -95,7 +96,7 @@ def test_every_syllable_is_a_stress_and_phrases_begin_and_end():
     assert len(frames["speech"]) == 400 // 30 + 400 // 30
 
 
-@pytest.mark.parametrize("level", [-20.0, -60.0])
+@each("level", [-20.0, -60.0])
 def test_level_voice_and_silence_have_no_accent_and_no_stress(level):
     flat, zeros = np.full(200, level), np.zeros(200)
     measures = Measures(flat, zeros, zeros + 40, zeros + 1, flat)
@@ -103,7 +104,7 @@ def test_level_voice_and_silence_have_no_accent_and_no_stress(level):
     assert not {cue.kind for cue in found} & {"accent", "stress"}
 
 
-@pytest.mark.parametrize("seconds", [0.1, 0.7])
+@each("seconds", [0.1, 0.7])
 def test_noise_has_its_spread_and_the_speed_of_its_gaussian(seconds):
     noise = Noise((2.0, 0.5), (seconds, seconds), np.random.default_rng(0))
     values = np.concatenate([noise.at(7 * k, 7) for k in range(3000)])
@@ -213,7 +214,7 @@ def test_blinks_come_as_often_as_in_a_whole_take_and_gather_at_ends_of_phrases()
     assert begins[904:914].mean() > 2 * begins[60:900].mean()
 
 
-@pytest.mark.parametrize("piece", [1, 7])
+@each("piece", [1, 7])
 def test_eyes_turn_to_another_place_within_a_fifth_of_a_second(piece):
     """Without motion of their own they are where the listener is: ahead, then 20 degrees left."""
     running = RunningLife(CONTROLS, Idle(), Life(blinks=0, gaze=0, head=0, brows=0), 0, AHEAD)

@@ -9,6 +9,7 @@ from deitalk.config.rules import Gates, VoiceIntensity
 from deitalk.frontends.causal_whisper import USUAL_POWER, first_level, follow_level
 from deitalk.live.rules import GATE_AHEAD, RunningActivity
 from deitalk.postprocess.voice_intensity import Measures, RunningIntensity
+from tests.each import each
 
 BANDS = len(BAND_EDGES_HZ) - 1
 
@@ -63,7 +64,7 @@ def test_steady_noise_becomes_the_floor():
     assert on[:30].all() and not on[70:].any()
 
 
-@pytest.mark.parametrize("gain_db", [-20, 0, 15])
+@each("gain_db", [-20, 0, 15])
 def test_running_level_finds_the_voice_and_keeps_it_through_a_pause(gain_db, rng):
     syllables = np.clip(np.sin(np.arange(150) / 2), 0, 1) ** 2
     power = USUAL_POWER * 10 ** (gain_db / 10) * np.concatenate((syllables, np.zeros(300)))

@@ -22,6 +22,7 @@ from deitalk.models.folder import (
 )
 from deitalk.models.mesh_model import SDFA, MeshHead, MeshModel
 from rig import default_controls
+from tests.each import each
 
 TINY = Path(__file__).resolve().parents[3] / "configs" / "tiny.yaml"
 
@@ -104,7 +105,7 @@ def test_load_model_rejects_a_folder_without_a_model(tmp_path):
         assert model_folder(name).is_dir()
 
 
-@pytest.mark.parametrize("content", [b"", b"hello", b"\xff" * 64, b"\x10" + b"\0" * 7 + b"{" * 16])
+@each("content", [b"", b"hello", b"\xff" * 64, b"\x10" + b"\0" * 7 + b"{" * 16])
 def test_load_model_rejects_damaged_weights(folder, content):
     (folder / "model.safetensors").write_bytes(content)
     refused(folder, r"model\.safetensors(: no safetensors file| is empty|, its header, is no JSON)")
@@ -202,7 +203,7 @@ def test_another_encoder_is_not_named(live, tmp_path):
     assert not (tmp_path / "m").exists()
 
 
-@pytest.mark.parametrize("owner", ["other", "/etc/passwd", "../default", 3])
+@each("owner", ["other", "/etc/passwd", "../default", 3])
 def test_encoder_of_no_embedded_model_is_refused(live, tmp_path, owner):
     model, config = live
     save_model(tmp_path / "m", model, config, {}, half=True, encoder_of="default")

@@ -3,7 +3,6 @@
 from pathlib import Path
 
 import numpy as np
-import pytest
 import torch
 from torch.nn import functional as F
 
@@ -14,6 +13,7 @@ from deitalk.config.load import load_config
 from deitalk.models.curve_model import DECODE_FRAMES, DEITalk, dynamic_positions
 from deitalk.models.intensity import temporal_maximum
 from tests.closeness import assert_same
+from tests.each import each
 
 CONFIGS = Path(__file__).resolve().parents[3] / "configs"
 MEL = {
@@ -138,7 +138,7 @@ def test_whole_clip_equals_one_forward():
     assert_same(curves, one.curves[0])
 
 
-@pytest.mark.parametrize("saliency_frames", [None, 31, 121])
+@each("saliency_frames", [None, 31, 121])
 @torch.no_grad()
 def test_pieces_equal_one_piece(monkeypatch, saliency_frames):
     model = build(saliency_frames=saliency_frames)

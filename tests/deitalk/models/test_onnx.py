@@ -29,6 +29,7 @@ from deitalk.research.evaluation.benchmark_curves import speechlike
 from deitalk.research.evaluation.clip_scores import live_frames
 from rig import default_controls, read_curves
 from tests.deitalk.models.test_curve_model import MEL, SMALL
+from tests.each import each
 
 onnx = pytest.importorskip("onnx")
 pytest.importorskip("onnxruntime")
@@ -115,7 +116,7 @@ def assert_equal(found, expected, controls=None):
         np.testing.assert_allclose(ours, theirs, atol=TOLERANCE)
 
 
-@pytest.mark.parametrize("n_frames", [1, 2, 7, 64, 65, 131])
+@each("n_frames", [1, 2, 7, 64, 65, 131])
 def test_onnx_equals_torch_at_any_length(model, exported, n_frames):
     sound = speechlike(n_frames / 30)[: n_frames * 1600 // 3]
     rows = weights(n_frames, happy=0.6, sad=0.4)
@@ -139,7 +140,7 @@ def exported_whisper(whisper, tmp_path_factory):
     return load_onnx(path)
 
 
-@pytest.mark.parametrize("n_frames", [1, 2, 30, 31, 299, 300, 301, 330, 571, 701])
+@each("n_frames", [1, 2, 30, 31, 299, 300, 301, 330, 571, 701])
 def test_whisper_equals_torch_at_any_length(whisper, exported_whisper, n_frames):
     """One piece, two and three; the last one is short, or begins a frame before the end."""
     sound = speechlike(n_frames / 30)[: n_frames * 1600 // 3]
@@ -277,7 +278,7 @@ def test_animate_gives_the_same_curves_with_either_backend(model, tmp_path, monk
     assert kept.stat().st_mtime_ns == written, "exported once"
 
 
-@pytest.mark.parametrize(
+@each(
     ("settings", "message"),
     [({"intensity": False}, "intensity module"), ({"frontend": MEL | {"recurrence": "window"}}, "recurrence: segment")],
 )  # fmt: skip

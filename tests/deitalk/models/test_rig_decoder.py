@@ -1,10 +1,10 @@
 """Emotion-guided decoder against a loop over Eq. 7."""
 
-import pytest
 import torch
 from torch.nn import functional as F
 
 from deitalk.models.rig_decoder import RigDecoder
+from tests.each import each
 
 DILATIONS = (1, 2, 4, 8, 1, 2, 4, 8)
 
@@ -31,7 +31,7 @@ def inputs(frames=90, guidance_size=4):
     return torch.randn(1, frames, 10), emotion, torch.randn(1, frames, guidance_size)
 
 
-@pytest.mark.parametrize("residual", [False, True])
+@each("residual", [False, True])
 def test_decoder_equals_equation_7_frame_by_frame(residual):
     net = decoder(residual=residual)
     speech, emotion, guidance = inputs(25)
@@ -88,7 +88,7 @@ def test_style_of_one_frame_acts_near_that_frame_only():
     assert moved[100:].any()
 
 
-@pytest.mark.parametrize(
+@each(
     "options",
     [
         {},
@@ -98,7 +98,7 @@ def test_style_of_one_frame_acts_near_that_frame_only():
         {"direct": True, "actor_layers": True, "n_actors": 2},
     ],
 )
-@pytest.mark.parametrize("guidance_size", [0, 4])
+@each("guidance_size", [0, 4])
 def test_readings_equal_the_forward_pass_of_each(options, guidance_size):
     """Three readings of one speech; clips shorter and longer than the reach of the kernels."""
     net = decoder(guidance_size=guidance_size, **options).eval()

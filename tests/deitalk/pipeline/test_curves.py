@@ -179,7 +179,7 @@ def test_intensity_curve_gives_the_neutral_reading_where_it_is_0(network):
 UPPER = ("_brow_", "_eye_", "_eye.", "neck_")
 
 
-@pytest.mark.parametrize("changed", ["seed", "gain"])
+@each("changed", ["seed", "gain"])
 def test_another_seed_or_recording_changes_eyes_brows_and_sides_only(network, changed):
     """A gain of a thousandth is another recording, which the network takes as the same speech."""
     speech = recording(8)

@@ -160,7 +160,7 @@ def test_sdfa_rejects_emotion_and_other_rates(sdfa_folder, speech):
         animate_mesh(speech, model=sdfa_folder, speaker="eve")
 
 
-@pytest.mark.parametrize("kind", ["curves", "mesh"])
+@each("kind", ["curves", "mesh"])
 def test_retarget_speech_follows_the_product_of_the_model(
     kind, sdfa_folder, network, speech, tmp_path, monkeypatch
 ):

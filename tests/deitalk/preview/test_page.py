@@ -136,9 +136,7 @@ def test_missing_player_error_gives_the_build_steps(tmp_path, monkeypatch):
     assert not (tmp_path / "p.html").exists()
 
 
-@pytest.mark.parametrize(
-    ("name", "message"), [("p.txt", r"\.html file"), ("no/p.html", "is not a folder")]
-)
+@each(("name", "message"), [("p.txt", r"\.html file"), ("no/p.html", "is not a folder")])
 def test_bad_targets_are_refused(tiny_player, tmp_path, name, message):
     with pytest.raises((PreviewError, TargetError), match=message):
         render_page(make_source(), tmp_path / name)
@@ -215,7 +213,7 @@ def test_shown_frame_agrees_with_the_audio_clock(page):
     assert lateness(page, 0.034) <= 0.034
 
 
-@pytest.mark.parametrize("seconds", [0.4, 1.1, 2.5])
+@each("seconds", [0.4, 1.1, 2.5])
 def test_seeking_shows_the_curves_of_that_time(page, seconds):
     source, head = make_source("first"), build_head(0)
     page.evaluate("s => deitalk.page.seek(s)", seconds)
@@ -429,7 +427,7 @@ def test_targets_are_at_least_24_pixels(page):
     assert [small for small in sizes if min(small[1:]) < 24] == []
 
 
-@pytest.mark.parametrize("scheme", ["dark", "light"])
+@each("scheme", ["dark", "light"])
 def test_placeholder_has_the_contrast_of_text(page, scheme):
     page.emulate_media(color_scheme=scheme)
     color, back = page.evaluate(

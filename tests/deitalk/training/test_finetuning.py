@@ -31,6 +31,7 @@ from deitalk.training.tuning.task import FinetuneTask, finetune
 from rig import RigCurves, read_curves, write_curves
 from tests.dataset import FPS, JAW, jaw, write_dataset
 from tests.deitalk.training.conftest import CONTROLS, recipe
+from tests.each import each
 
 TINY = Path(__file__).resolve().parents[3] / "configs" / "tiny.yaml"
 RIG = """
@@ -58,7 +59,7 @@ def changed(base, folder) -> set[str]:
     return {".".join(k.split(".")[:2]) for k in first if not torch.equal(first[k], second[k])}
 
 
-@pytest.mark.parametrize(
+@each(
     ("part", "expected"),
     [
         ("head", {"decoder.output"}),
@@ -175,7 +176,7 @@ def test_rehearsed_speech_has_the_curves_of_the_base_as_targets(base, data, tmp_
     finetune(config, data, tmp_path / "run")
 
 
-@pytest.mark.parametrize("part", ["decoder", "adapters"])
+@each("part", ["decoder", "adapters"])
 def test_resumed_run_equals_the_uninterrupted_one(base, data, tmp_path, part):
     config = recipe(base, f"tune.part={part}")
     finetune(config, data, tmp_path / "whole")
@@ -263,7 +264,7 @@ def test_actors_keep_their_last_layers_where_a_tuned_model_is_tuned(
         assert torch.equal(new[:2], old) and not new[2].any()
 
 
-@pytest.mark.parametrize(
+@each(
     ("text", "match"),
     [
         ("id: a\ncontrols: {x: {rest: 2}}", "rest"),

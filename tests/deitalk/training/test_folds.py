@@ -14,6 +14,7 @@ from deitalk.training.tuning.folds import tune_folds
 from deitalk.training.tuning.task import FinetuneTask
 from tests.dataset import JAW, write_dataset
 from tests.deitalk.training.conftest import recipe
+from tests.each import each
 
 SHORT = ("train.steps=2", "train.evaluate_every=2", "train.batch_size=2", "data.window_frames=32")
 
@@ -78,7 +79,7 @@ def test_takes_of_one_folder_are_refused_before_any_training(base, two_takes, tm
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize(
+@each(
     ("options", "match"),
     [
         (["--leave-out", "2_01"], "`leave_out=2_01` must be one of several takes or actors"),

@@ -48,6 +48,7 @@ from tests.deitalk.models.test_mesh_model import (
     spoken,
     tiny,
 )
+from tests.each import each
 
 CONFIGS = Path(__file__).resolve().parents[3] / "configs"
 
@@ -79,7 +80,7 @@ def folder(sequences) -> MeshFolder:
 # Learning
 
 
-@pytest.mark.parametrize(
+@each(
     ("frontend", "motion", "steps", "more"),
     [
         (FRONTEND, "gradients", 150, {"schedule": "one_cycle"}),
@@ -92,7 +93,6 @@ def folder(sequences) -> MeshFolder:
         (KARRAS, "offsets", 180, {"segment_frames": 8, "schedule": "one_cycle"}),
         (VOCA, "offsets", 150, {"segment_frames": 8, "batch_size": 32}),
     ],
-    ids=["as printed", "segment", "karras", "voca"],
 )
 def test_tiny_model_learns_the_motion_of_two_speakers(
     sequences, tmp_path, frontend, motion, steps, more
@@ -180,7 +180,7 @@ class Killed(Exception):
     pass
 
 
-@pytest.mark.parametrize("workers", [0, 2])
+@each("workers", [0, 2])
 def test_resumed_run_has_the_weights_of_an_uninterrupted_one(
     sequences, finished, tmp_path, workers
 ):
@@ -394,9 +394,9 @@ def test_scores_of_a_still_face_are_the_motion_itself(folder, still):
     assert scores["lively_mm"] == pytest.approx(rims, rel=0.02)
     assert scores["score"] == -scores["lively_mm"]
     assert [clip.title for clip in clips] == ["ann (ann)", "bob (bob)"]
-    for clip, each in zip(clips, motion, strict=True):
+    for clip, moved in zip(clips, motion, strict=True):
         gap, error = clip.rows
-        np.testing.assert_allclose(error.predicted, each[:, LIPS.both].mean(axis=1), atol=0.1)
+        np.testing.assert_allclose(error.predicted, moved[:, LIPS.both].mean(axis=1), atol=0.1)
         assert error.target is None and gap.label == "lip gap, mm"
         vertices = sheet().vertices
         at_rest = 10 * np.linalg.norm(

@@ -20,6 +20,7 @@ from deitalk.figures import ClipRows, Row, can_draw
 from deitalk.training import trainer as module
 from deitalk.training.trainer import MAX_BAD_STEPS, Task, Trainer, new_accelerator, run_training
 from rig.files import output_folder
+from tests.each import each
 
 SLOPE = 2.0
 """Of the line that is learnt."""
@@ -152,7 +153,7 @@ def kill_at(step: int, patch: pytest.MonkeyPatch) -> None:
     patch.setattr(Trainer, "update", killed)
 
 
-@pytest.mark.parametrize("workers", [0, 2])
+@each("workers", [0, 2])
 def test_resumed_run_has_the_weights_of_an_uninterrupted_one(tmp_path, workers):
     """The order of batches, dropout, averages, running means and the state beside the model."""
     settings = config(ema=0.8, schedule="one_cycle", workers=workers)

@@ -14,6 +14,7 @@ from rig.face.geometry.skin import skin_uv
 from rig.face.maps import LEAST_AMBIENT, build_maps, occlusion
 from rig.face.render.shading import TO_LIGHT
 from rig.retarget.morph_head import BRIGHTEST, srgb_to_linear, textured
+from tests.each import each
 
 
 @pytest.fixture(scope="module")
@@ -26,7 +27,7 @@ def accented(head, pose: dict[str, float]) -> np.ndarray:
     return accents(head, values, head.pose(values))[0]
 
 
-@pytest.mark.parametrize(
+@each(
     ("control", "center"),
     [
         ("brow_raiseOut.ty", (2.5, 5.0)),

@@ -12,6 +12,7 @@ from rig.conversion.avatars import avatar_controls
 from rig.conversion.convert import convert
 from rig.conversion.visemes import Cue, cues_to_curves
 from rig.errors import FormatError
+from tests.each import each
 from tests.rig.formats.test_other_tools import NVIDIA
 from tests.splines import hermite
 
@@ -38,7 +39,7 @@ def test_audio2face_json_has_nvidias_names_and_reads_back(tmp_path, take):
     np.testing.assert_allclose(back.values[:, :52], expected.values[:, :52], atol=1e-6)
 
 
-@pytest.mark.parametrize("avatar", ["cc4", "vrm1"])
+@each("avatar", ["cc4", "vrm1"])
 def test_audio2face_json_of_an_avatar_is_recognised_by_its_names(tmp_path, take, avatar):
     write_curves(tmp_path / "a.a2f.json", convert(take, avatar))
     (tmp_path / "a.a2f.json").rename(tmp_path / "b.json")
@@ -47,7 +48,7 @@ def test_audio2face_json_of_an_avatar_is_recognised_by_its_names(tmp_path, take,
     np.testing.assert_allclose(back.values, convert(take, avatar).values, atol=1e-6)
 
 
-@pytest.mark.parametrize(
+@each(
     ("change", "message"),
     [
         ({"facsNames": ["a", 1]}, "list of texts"),
@@ -64,7 +65,7 @@ def test_damaged_audio2face_json_is_one_line(tmp_path, change, message):
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("avatar", [ARKIT_ID, "cc4"])
+@each("avatar", [ARKIT_ID, "cc4"])
 def test_unitys_curves_are_the_weights_in_percent(tmp_path, take, avatar):
     """As Unity evaluates a clip: Hermite with the slopes of both ends, per second."""
     shapes = convert(take, avatar)

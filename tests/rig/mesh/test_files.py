@@ -291,7 +291,7 @@ def test_glb_nodes_move_and_scale_their_meshes(tmp_path, shapes):
     )
 
 
-@pytest.mark.parametrize(
+@each(
     ("extension", "words"),
     [
         ("KHR_draco_mesh_compression", "Draco"),

@@ -240,7 +240,7 @@ def test_glb_nodes_in_a_circle_are_visited_once(glb):
     assert len(read_glb(path).neutral.vertices) == 4
 
 
-@pytest.mark.parametrize("change", [set_in("nodes", [{"mesh": 7}]), set_in("meshes", 0, "primitives", [])])  # fmt: skip
+@each("change", [set_in("nodes", [{"mesh": 7}]), set_in("meshes", 0, "primitives", [])])  # fmt: skip
 def test_morph_names_reject_documents_that_do_not_fit(glb, change):
     assert "inconsistent" in refused(morph_names, glb(change))
 

@@ -76,7 +76,7 @@ def glb_weights(path):
 EXPECTED = [[0, 1], [0.5, 0], [1, 0]]
 
 
-@pytest.mark.parametrize("kind", ["glb", "folder", "npz"])
+@each("kind", ["glb", "folder", "npz"])
 def test_own_shapes_are_driven_in_every_file_format(tmp_path, shapes, curves, kind):
     mesh = tmp_path / {"glb": "face.glb", "folder": "face", "npz": "face.npz"}[kind]
     {"glb": write_glb, "folder": write_obj_folder, "npz": write_shapes_npz}[kind](mesh, shapes)
@@ -146,14 +146,14 @@ def test_unknown_shapes_and_missing_curves_are_reported(tmp_path, curves):
     assert "Key 7" in report.notes[0] and "mouthCornerPullL" in report.notes[1]
 
 
-@pytest.mark.parametrize("mesh", [MESH, GRID], ids=["two triangles", "a sheet"])
+@each("mesh", [MESH, GRID])
 def test_retarget_rejects_meshes_that_are_no_face(tmp_path, curves, mesh):
     write_obj(tmp_path / "a.obj", mesh)
     with pytest.raises(MeshError, match="give `landmarks`"):
         retarget_curves(curves, tmp_path / "a.obj", tmp_path / "out.glb")
 
 
-@pytest.mark.parametrize("name", ["a.obj", "a.ply", "a.glb"])
+@each("name", ["a.obj", "a.ply", "a.glb"])
 def test_meshes_without_shapes_are_read_as_empty_sets(tmp_path, shapes, name):
     if name == "a.glb":
         write_glb(tmp_path / name, ShapeSet(MESH, (), np.zeros((0, 4, 3))))

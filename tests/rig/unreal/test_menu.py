@@ -357,7 +357,7 @@ def test_deitalk_itself_is_started(tmp_path, monkeypatch):
     assert read_curves(path).fps == 30 and Path(path).name == "promise.unreal.json"
 
 
-@pytest.mark.parametrize("start", [0.0, 36672.5])
+@each("start", [0.0, 36672.5])
 def test_live_link_take_gets_its_sound_at_its_time_code(tmp_path, monkeypatch, stand_in, start):
     take = tmp_path / "take"
     take.mkdir()
@@ -376,7 +376,7 @@ def test_live_link_take_gets_its_sound_at_its_time_code(tmp_path, monkeypatch, s
     assert section.sound.path == str(take / "audio_48k.wav")
 
 
-@pytest.mark.parametrize("version", [0, 1])
+@each("version", [0, 1])
 def test_live_link_take_chooses_its_subject_on_the_only_face(
     tmp_path, monkeypatch, stand_in, version
 ):

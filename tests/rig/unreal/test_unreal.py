@@ -249,7 +249,7 @@ def test_rate_that_unreal_keeps_is_an_error(take, monkeypatch):
         script.anim_sequence(take)
 
 
-@pytest.mark.parametrize("unit", ["MovieSceneTimeUnit", "SequenceTimeUnit"])
+@each("unit", ["MovieSceneTimeUnit", "SequenceTimeUnit"])
 def test_board_is_keyed_on_the_channels_of_its_section(take, monkeypatch, unit):
     rig = fake_unreal.ControlRig("Face_ControlBoard_CtrlRig", controls_of_the_board())
     other = fake_unreal.ControlRig("MetaHuman_ControlRig", {})
@@ -314,7 +314,7 @@ def hills(rng, n_frames=300):
     return np.minimum((rows - rows.min()) / (np.quantile(rows, 0.97) - rows.min()), 1).tolist()
 
 
-@pytest.mark.parametrize("tolerance", [0.002, 0.01, 0.1])
+@each("tolerance", [0.002, 0.01, 0.1])
 def test_curves_between_few_keys_stay_within_the_tolerance(monkeypatch, rng, tolerance):
     script = run_inside(None, monkeypatch)
     curve = hills(rng)
@@ -461,7 +461,7 @@ def test_existing_asset_is_not_overwritten(take, monkeypatch):
         script.anim_sequence(take)
 
 
-@pytest.mark.parametrize("route", ["anim", "rig"])
+@each("route", ["anim", "rig"])
 def test_dry_run_works_outside_unreal_and_prints_its_steps(take, monkeypatch, capsys, route):
     script = run_inside(None, monkeypatch)
     script.main([route, take, "--dry-run"])
@@ -472,7 +472,7 @@ def test_dry_run_works_outside_unreal_and_prints_its_steps(take, monkeypatch, ca
         script.main([route, take])
 
 
-@pytest.mark.parametrize(
+@each(
     ("arguments", "message"),
     [
         (["anim", "absent.json"], "cannot read absent.json"),

@@ -356,7 +356,7 @@ def test_eyes_turn_against_the_head():
     np.testing.assert_allclose(compensated[:, 1], -turned.head[:, 1], atol=1e-4)
 
 
-@pytest.mark.parametrize("emotion", ["angry", "surprised"])
+@each("emotion", ["angry", "surprised"])
 def test_anger_keeps_its_eyes_on_the_listener_under_a_lowered_head(emotion):
     """The posture is undone as the motion is; anger at 1.25 has no aversions left, surprise has."""
     motion = plan_motion(VOICE, shown(emotion, 1.25), Seeds((1, 2, 3)))
@@ -365,7 +365,7 @@ def test_anger_keeps_its_eyes_on_the_listener_under_a_lowered_head(emotion):
     assert np.abs(motion.head[:, 1]).max() > 2
 
 
-@pytest.mark.parametrize("silence", [0, 0.1, 3])
+@each("silence", [0, 0.1, 3])
 def test_a_take_that_is_cut_keeps_its_motion(silence):
     shares = presence(0, 300, 299 / 30, silence)
     assert shares[0] == 0

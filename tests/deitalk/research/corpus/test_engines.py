@@ -21,6 +21,7 @@ from deitalk.research.corpus.engines import (
 )
 from deitalk.research.corpus.synthesis import STYLE, synthetic_utterances
 from deitalk.research.corpus.utterance import SAMPLE_RATE
+from tests.each import each
 
 
 @pytest.fixture(params=ENGINES)
@@ -237,7 +238,7 @@ def test_every_foreign_voice_has_bilabials(needs_espeak):
     assert all(names & BILABIALS for names in output.values())
 
 
-@pytest.mark.parametrize(
+@each(
     ("arguments", "message"),
     [
         ({"voice": "klingonese"}, "voice='klingonese' is not an espeak-ng voice"),

@@ -440,7 +440,7 @@ def test_frames_of_the_other_half_of_the_words_are_missing(measured, tmp_path):
     assert one.any() and halves(["b", "a", "c", "b"]) == {"a": 0, "b": 1, "c": 0}
 
 
-@pytest.mark.parametrize(
+@each(
     "damage",
     [
         lambda folder: (folder / "columns.json").unlink(),

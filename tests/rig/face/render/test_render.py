@@ -152,7 +152,7 @@ def test_auto_falls_back_to_numpy_without_opengl(head, monkeypatch):
         make_renderer(mesh, size=SIZE, view=FROM_FRONT, backend="opengl")
 
 
-@pytest.mark.parametrize(
+@each(
     ("driver", "chosen"),
     [("llvmpipe (LLVM 19.1.7, 256 bits)", "software"), ("NVIDIA GeForce RTX 4070", "opengl")],
 )
