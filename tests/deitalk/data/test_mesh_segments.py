@@ -240,7 +240,7 @@ def test_vocaset_splits_follow_splits_csv(tmp_path, rng):
 
 def test_heads_act_a_dataset_folder(tmp_path):
     data = write_dataset(tmp_path / "d", 3, 2)
-    config = MeshDataConfig(fps=30, identities=(2, 5), clips=2, validation_clips=1)
+    config = MeshDataConfig(fps=30, identities=(2, 5), clips=2, validation_clips=1, basis_frames=60)
     folder = open_meshes(data, config, tmp_path / "m")
     assert folder.unit_mm == 10
     first, second, third = folder.clips
