@@ -83,7 +83,7 @@ def read_curves(
     ------
     FormatError
         If the format is unknown, or the file is missing, too large or invalid: NaN,
-        out of range (naming row and column), uneven times.
+        out of range (naming row and column; Live Link takes are clamped), uneven times.
     ControlError
         If a control is unknown or doubled.
     """
@@ -95,7 +95,10 @@ def read_curves(
     curves = chosen.read(path, controls, fps)
     known = controls or known_controls(curves.control_set)
     if known is not None and known.id != ARKIT_ID:  # calibrated captures exceed their ranges
-        curves = check_range(curves, known, where=str(path))
+        if chosen.name.startswith("livelink"):
+            curves, _ = clamp(curves, known)
+        else:
+            curves = check_range(curves, known, where=str(path))
     wanted = control_set if controls is None else controls.id
     return curves if wanted is None else convert(curves, wanted)
 

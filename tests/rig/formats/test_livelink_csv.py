@@ -269,7 +269,6 @@ def test_eyes_of_a_real_take_turn_against_the_head(shared, tmp_path, seconds, co
     table["HeadControlSwitch"] = 1.0
     raw = [name for name in table.columns if name.startswith("CTRL_")]
     rest = [name for name in SUBJECT_REST if name in table.columns]
-    table[raw] = table[raw].clip(0, 1)
     ticks = frame_ticks(len(table), 60000 / 1001)
     write_take(
         tmp_path / "a_cal.csv",
