@@ -21,7 +21,7 @@ from rig.limits import FPS_HIGHEST, FPS_LOWEST, FRAMES, VALUES
 
 HEAD = ("yaw", "pitch", "roll", "x", "y", "z")
 """Column order of the head track: turn to the character's right, up, and to the right shoulder in
-degrees, the signs of Unreal's rotators; shift to the character's left, up and forward in cm."""
+degrees; shift to the character's left, up and forward in cm."""
 HEAD_MIRROR = (-1.0, 1.0, -1.0, -1.0, 1.0, 1.0)
 NTSC_FILM = 24000 / 1001
 NTSC = 30000 / 1001

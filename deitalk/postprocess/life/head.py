@@ -11,7 +11,7 @@
   of its pitch with stressed syllables, are those of six readers on video (docs/life.md).
 
 The track has six columns (`rig.curves.HEAD`): yaw to the character's right, pitch up, roll to the
-right shoulder, degrees, the signs of Unreal's rotators; then the shift in cm to the character's
+right shoulder, degrees; then the shift in cm to the character's
 left, up and forward, the axes of the embedded head.
 
 Letters: T frames at 30 per second.
