@@ -24,6 +24,10 @@ def to_fbx(source: str, target: str, fps: float, tolerance: float) -> None:
     scene.render.fps = ceil(fps)
     scene.render.fps_base = ceil(fps) / fps
     bpy.ops.import_scene.gltf(filepath=source, bone_heuristic="BLENDER")
+    for collection in bpy.data.collections:
+        if collection.name.startswith("glTF_not_exported"):  # the importer's picture of a bone
+            for helper in list(collection.objects):
+                bpy.data.objects.remove(helper)
     set_range(scene)
     for material in bpy.data.materials:
         link_textures(material.node_tree)

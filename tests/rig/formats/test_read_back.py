@@ -17,6 +17,7 @@ from rig.face import build_head
 from rig.face.baked import baked
 from rig.formats.table import FORMATS
 from rig.mesh import fbx
+from rig.mesh.glb import read_container
 from rig.retarget.morph_head import painted_colours
 from rig.retarget.retarget_files import retarget_curves
 from rig.validation.curves import validate
@@ -130,6 +131,20 @@ def test_fbx_of_the_head_by_blender_with_all_and_with_few_keys(tmp_path, monkeyp
         command = [sys.executable, "-c", COUNT, str(tmp_path / "a.fbx")]
         counts.append(int(subprocess.run(command, capture_output=True, text=True).stdout))
     assert counts[1] < 0.5 * counts[0]
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not PYTHONS, reason="needs BPY_PYTHONS, paths of Pythons with bpy")
+@each("python", PYTHONS)
+def test_fbx_of_an_avatar_has_its_mesh_alone_and_turns_its_bones(tmp_path, monkeypatch, python):
+    monkeypatch.setenv("BPY_PYTHON", python)
+    bones.avatar(tmp_path / "a.glb", bones.NAMES["cc"], skinned=True)
+    retarget_curves(take(), tmp_path / "a.glb", tmp_path / "a.fbx")
+    found = read_curves(tmp_path / "a.fbx", control_set=None)
+    np.testing.assert_allclose(found.head[:, :3], take().head[:, :3], atol=1e-3)
+    fbx.fbx_to_glb(tmp_path / "a.fbx", tmp_path / "back.glb")
+    document, _ = read_container(tmp_path / "back.glb")
+    assert len(document["meshes"]) == 1
 
 
 LOOK = """

@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from rig import RigCurves, default_controls
 from rig.errors import FormatError
-from rig.mesh.glb import read_container, write_container, write_glb
+from rig.mesh.glb import GlbBuilder, read_container, write_container, write_glb
 from rig.mesh.glb_reader import read_accessor
 from rig.mesh.shapes import ShapeSet
 from rig.mesh.trimesh import TriMesh
@@ -26,7 +26,7 @@ REST = Rotation.from_euler(
 )
 
 
-def avatar(path, names, *, shapes=("jawOpen",), vrm0=False, matrix=False):
+def avatar(path, names, *, shapes=("jawOpen",), vrm0=False, matrix=False, skinned=False):
     """A triangle with shapes, and a chain hips, neck, head, eyes whose rest pose is turned."""
     mesh = TriMesh(np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]]), np.array([[0, 1, 2]]))
     write_glb(path, ShapeSet(mesh, shapes, np.ones((len(shapes), 3, 3), np.float32)))
@@ -43,6 +43,15 @@ def avatar(path, names, *, shapes=("jawOpen",), vrm0=False, matrix=False):
         nodes.append({"name": name, **turned, **({"children": children} if children else {})})
     document["scenes"][0]["nodes"].append(1)
     document["skins"] = [{"joints": [1, 2, 3, 4, 5]}]
+    if skinned:  # the triangle hangs on the head
+        builder = GlbBuilder(document, bytearray(binary))
+        places = builder.view(np.tile(np.array([2, 0, 0, 0], np.uint8), (3, 1)))
+        kind = {"componentType": 5121, "count": 3, "type": "VEC4"}
+        document["meshes"][0]["primitives"][0]["attributes"] |= {
+            "JOINTS_0": builder.accessor(bufferView=places, **kind),
+            "WEIGHTS_0": builder.dense(np.eye(4)[[0, 0, 0]], "VEC4"),
+        }
+        document["nodes"][0]["skin"], binary = 0, bytes(builder.binary)
     if vrm0:
         bones = zip(("neck", "head", "leftEye", "rightEye"), (2, 3, 4, 5), strict=True)
         human = [{"bone": bone, "node": node} for bone, node in bones]
