@@ -181,6 +181,8 @@ def _head(
     for node, turn in turns.items():
         if "mesh" in document["nodes"][node] and "skin" not in document["nodes"][node]:
             place = moved.get((node, "translation"))
-            return head_track(turn, None if place is None else _sampled(place, at) / METRES_PER_CM)
+            shift = None if place is None else _sampled(place, at) / METRES_PER_CM
+            if (track := head_track(turn, shift)) is not None:
+                return track
     found = turn_of_bones(document, turns)
     return None if found is None else head_track(found)

@@ -17,7 +17,7 @@ from rig.face import build_head
 from rig.face.baked import baked
 from rig.formats.table import FORMATS
 from rig.mesh import fbx
-from rig.mesh.glb import read_container
+from rig.mesh.glb import GlbBuilder, read_container, write_container
 from rig.retarget.morph_head import painted_colours
 from rig.retarget.retarget_files import retarget_curves
 from rig.validation.curves import validate
@@ -79,6 +79,14 @@ def test_a_retargeted_avatar_is_read_with_the_turn_of_its_bones(tmp_path, keys):
     shapes = ("jawOpen", "mouthFunnel", "mouthSmileLeft", "mouthSmileRight")
     bones.avatar(tmp_path / "a.glb", bones.NAMES["cc"], shapes=shapes)
     report = retarget_curves(take(), tmp_path / "a.glb", tmp_path / "b.glb", keys=keys)
+    document, binary = read_container(tmp_path / "b.glb")  # as Blender writes it: what is still too
+    builder, animation = GlbBuilder(document, bytearray(binary)), document["animations"][-1]
+    still = builder.dense(np.tile([0.0, 0, 0, 1], (2, 1)), "VEC4")
+    times = builder.dense(np.array([0.0, 1.0]), "SCALAR")
+    animation["samplers"].append({"input": times, "output": still})
+    target = {"node": 0, "path": "rotation"}
+    animation["channels"].append({"sampler": len(animation["samplers"]) - 1, "target": target})
+    write_container(tmp_path / "b.glb", document, bytes(builder.binary))
     found = read_curves(tmp_path / "b.glb", control_set=None, fps=30)
     assert report.bones == 4 and len(found) == 60
     assert found.control_set == "arkit-61" and np.ptp(found["JawOpen"]) > 0.1
