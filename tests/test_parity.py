@@ -29,6 +29,7 @@ from rig.face import build_head
 from tests.api.server import serving
 from tests.deitalk.batch.conftest import InProcess
 from tests.deitalk.live.conftest import RATE, TINY
+from tests.each import each
 
 KEYS = "time,emotion,strength\n0,happy,0.2\n1.0,angry,1\n2.0,contempt,1\n"
 CURVE = "time,intensity\n0,0.3\n1.5,2\n"
@@ -268,12 +269,12 @@ def wanted(here, tmp_path_factory):
     return make
 
 
-every_case = pytest.mark.parametrize("case", CASES)
-every_live_case = pytest.mark.parametrize("case", LIVE)
+every_case = each("case", CASES)
+every_live_case = each("case", LIVE)
 
 
 @every_case
-@pytest.mark.parametrize("door", [command_line, batch_line, manifest])
+@each("door", [command_line, batch_line, manifest])
 def test_commands_give_the_curves_and_keep_the_settings(wanted, door, case, tmp_path, monkeypatch):
     same(door(fields_of(case), tmp_path, monkeypatch), wanted(case))
 

@@ -3,10 +3,10 @@
 import pytest
 
 from deitalk.acting import Acting
-from deitalk.batch.lines import BadLine, Line, Written, parse_formats
+from deitalk.batch.lines import BadLine, Line, Written
 from deitalk.batch.source import distinct, read_manifest, read_source
 from deitalk.emotions import ActorReference
-from deitalk.errors import DataError, DeitalkError
+from deitalk.errors import DataError
 from tests.each import each
 
 NOTHING = Line(0, "", "")
@@ -139,14 +139,6 @@ def test_table_without_lines_is_refused(text, words):
         rows(text)
 
 
-def test_formats_are_names_or_suffixes():
-    assert parse_formats("csv, .NPZ;livelink|take usda csv") == (
-        ".csv", ".npz", ".livelink.csv", "take", ".usda",
-    )  # fmt: skip
-    with pytest.raises(DeitalkError, match="'mp3' is unknown"):
-        parse_formats("csv mp3")
-
-
 def errors(text):
     return [line.error if isinstance(line, BadLine) else "" for line in distinct(rows(text))]
 
@@ -159,13 +151,6 @@ def test_lines_of_one_output_are_refused_but_for_the_first():
         "",
         "",
     ]
-
-
-def test_output_within_a_take_is_refused():
-    first, second, third = errors(
-        "audio,output,formats\na.wav,x/y,csv\nb.wav,x,take\nc.wav,xy/z,csv\n"
-    )
-    assert "lies in the take of line 2" in first and not second and not third
 
 
 def test_folder_is_walked_without_hidden_files_and_outputs(tmp_path):

@@ -148,16 +148,6 @@ def test_removed_output_is_made_again(run):
     assert status(run())["c"] == "done" and (run.out / "c.csv").is_file()
 
 
-def test_outputs_that_are_no_longer_written_go(run):
-    run(formats="csv;take")
-    (run.out / "anna" / "a" / "mine.txt").write_text("mine")
-    run(formats="npz")
-    names = {name for name in files(run.out) if not name.startswith("batch-")}
-    assert names - {".deitalk-manifest.json"} == {
-        "anna/a.npz", "anna/b.npz", "c.npz", "anna/a/mine.txt",
-    }  # fmt: skip
-
-
 def test_edited_output_stays(run):
     run()
     (run.out / "c.csv").write_text("edited")
@@ -214,13 +204,6 @@ def test_bad_lines_are_reported_and_the_others_done(run, lines):
     assert status(run(manifest))["none"] == "done"
 
 
-def test_warnings_of_a_recording_are_in_the_summary(run, lines):
-    soundfile.write(lines / "silence.wav", np.zeros(8000), 16_000)
-    run()
-    rows = {row["output"]: row["warnings"] for row in table(run.out / SUMMARY)}
-    assert "silence" in rows["silence"]
-
-
 def test_killed_batch_goes_on_without_loss(run, lines, tmp_path):
     """Killed at any write, the next run gives the files of an uninterrupted one."""
     run(out=tmp_path / "whole", formats="csv;npz")
@@ -247,14 +230,6 @@ def test_killed_replacement_goes_on_without_loss(run, lines, tmp_path):
         report = run(out=out, formats="take", emotion="happy")
         assert report.counts["failed"] == 0, (number, report.failed)
         assert all(changed_files(out / row.output) == [] for row in report.rows)
-
-
-def test_another_source_is_refused(run, lines, tmp_path):
-    run()
-    other = shutil.copytree(lines, tmp_path / "other")
-    with pytest.raises(TargetError, match="was made from"):
-        run(other)
-    assert run(other, force=True).counts["unchanged"] == 3
 
 
 def test_folder_with_files_of_others_is_refused(run):

@@ -8,12 +8,11 @@ import subprocess
 import sys
 from pathlib import Path
 
-import numpy as np
 import pytest
 from typer.main import get_command
 
 from deitalk.cli import app
-from deitalk.cli.console import _Lines, bar, console, emit, emit_json, name_option
+from deitalk.cli.console import console, emit, emit_json, name_option
 from deitalk.errors import DeitalkError
 from rig import default_controls, rest_curves, write_curves
 from rig.errors import RigError, as_line, decodable_values
@@ -53,55 +52,6 @@ def test_emit_json_writes_names_that_are_no_utf8(capsys):
     emit_json({"\udcff": ["\udcff", ("é", 1.5, None)]})
     assert json.loads(capsys.readouterr().out) == {r"\xff": [r"\xff", ["é", 1.5, None]]}
     assert decodable_values({"a": True}) == {"a": True}
-
-
-class Clock:
-    """A clock whose seconds are set by a test."""
-
-    now = 0.0
-
-    def __call__(self):
-        return self.now
-
-
-def lines_of(seconds, steps):
-    """Progress of work of a given duration in even steps."""
-    clock, printed = Clock(), []
-    advance = _Lines("working", lambda line: printed.append((clock.now, line)), clock)
-    for step in range(1, steps + 1):
-        clock.now = seconds * step / steps
-        advance(step / steps, f"step {step}")
-    return printed
-
-
-def test_progress_of_long_work_prints_every_ten_seconds_then_every_minute():
-    times = np.array([when for when, _ in lines_of(10 * 3600, 36_000)])
-    gaps = np.diff(times)
-    assert gaps[times[1:] < 600] == pytest.approx(10)
-    assert gaps.max() <= 61
-    assert len(times) < 900
-
-
-def test_bar_off_a_terminal_writes_lines_to_stderr(capsys, monkeypatch):
-    clock = Clock()
-    monkeypatch.setattr("deitalk.cli.console.monotonic", clock)
-    with bar("[red]") as advance:
-        clock.now = 20.0
-        advance(0.5, "[/b]")
-    assert capsys.readouterr().err == "[red]: 50% after 20 s, [/b]\n"
-
-
-def test_train_shows_steps_loss_and_evaluations():
-    from deitalk.cli.train import shown_on
-
-    texts = []
-    progress = shown_on(lambda share, text, *, always: texts.append((share, text, always)))
-    progress(25, 100, {"total": 0.5, "learning_rate": 1e-3})
-    progress(50, 100, {"dev_score": 0.25})
-    assert texts == [
-        (0.25, "step 25 of 100, loss 0.5", False),
-        (0.5, "step 50 of 100, score 0.25", True),
-    ]
 
 
 def test_commands_print_through_the_console_only():

@@ -11,8 +11,6 @@ from deitalk.audio.mel import MelSpectrogram
 from deitalk.research.meshes.segments import (
     SILENCE,
     add_noise,
-    frame_shift,
-    pad_bins,
     pre_emphasise,
     scale_bins,
     stretch_time,
@@ -37,14 +35,6 @@ def test_silence_is_what_the_spectrogram_gives():
     torch.testing.assert_close(mel[0, 0], torch.full((128, 3), SILENCE))
 
 
-def test_shift_fills_half_a_frame_each_way(rng):
-    shifts = np.array([frame_shift(rng) for _ in range(2000)])
-    assert np.abs(shifts).max() <= 0.5
-    assert shifts.min() < -0.49 and shifts.max() > 0.49
-    assert abs(shifts.mean()) < 0.02
-    assert 0.5 / 60 == pytest.approx(0.0083, abs=1e-4)  # §4.3: about 8.3 ms
-
-
 @each("pink", [False, True])
 @each("snr_db", [5.0, 30.0])
 def test_noise_has_the_given_level(rng, pink, snr_db):
@@ -67,19 +57,6 @@ def test_pre_emphasis_by_hand():
     x = np.array([1, 2, 4, 4], np.float32)
     np.testing.assert_allclose(pre_emphasise(x, 0.5), [1, 1.5, 3, 2])
     np.testing.assert_array_equal(pre_emphasise(x, 0.0), x)
-
-
-def test_padding_moves_bins_away_from_the_padded_end():
-    mel = ramp()
-    low, high = pad_bins(mel, 4), pad_bins(mel, -4)
-    assert low.shape == high.shape == mel.shape
-    torch.testing.assert_close(low[0], torch.full((24,), SILENCE))
-    torch.testing.assert_close(high[-1], torch.full((24,), SILENCE))
-    torch.testing.assert_close(low[-1], mel[-1])
-    torch.testing.assert_close(high[0], mel[0])
-    # 20 bins onto 16: bin 10 lies at 10 * 19 / 15 of the padded ones.
-    torch.testing.assert_close(low[10], mel[0] + 100 * (10 * 19 / 15 - 4))
-    assert torch.equal(pad_bins(mel, 0), mel)
 
 
 @given(st.floats(0.8, 1.25))

@@ -165,12 +165,6 @@ def two_splits(folder: Path, gap: float) -> None:
             edit(folder, column, row, str(value))
 
 
-def test_blocks_of_one_speaker_that_are_apart_are_a_warning(folder):
-    two_splits(folder, gap=6.0)
-    level, text = checks(folder)["speakers"]
-    assert level == "warning" and "anna (test, train)" in text and "apart" in text
-
-
 def test_neighbours_of_one_speaker_in_two_splits_are_an_error(folder):
     two_splits(folder, gap=1.0)
     assert checks(folder)["speakers"][0] == "error"

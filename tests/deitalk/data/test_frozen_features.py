@@ -12,7 +12,7 @@ from deitalk.config.curves import Config
 from deitalk.config.load import load_config
 from deitalk.data.augment_waveform import Surroundings
 from deitalk.data.clips import read_clips
-from deitalk.data.frozen_features import FrozenFeatures, remove_features
+from deitalk.data.frozen_features import FrozenFeatures
 from deitalk.data.windows import WindowBatches, load_material, whole_sound
 from deitalk.models.checkpoint import load_model
 from deitalk.models.curve_model import DEITalk
@@ -193,15 +193,6 @@ def test_other_passes_change_speed_and_sound(tmp_path):
         )
 
 
-def test_beyond_its_end_a_recording_holds_its_last_row_and_reaches_no_other(tmp_path):
-    found = passes(tmp_path, Loudness(), 1)
-    whole = found.window(0, SOUNDS[1], 0, 40)
-    window = found.window(0, SOUNDS[1], 35, 12)
-    assert np.array_equal(window[:5], whole[35:])
-    assert np.array_equal(window[5:], np.repeat(whole[-1:], 7, axis=0))
-    assert np.array_equal(found.window(0, SOUNDS[1], 90, 3), np.repeat(whole[-1:], 3, axis=0))
-
-
 def test_interrupted_passes_are_continued_and_finished_ones_kept(tmp_path):
     """An interrupted pass has no table; it is encoded again, with the same result."""
     whole = passes(tmp_path / "whole", Loudness(), 3)
@@ -216,15 +207,3 @@ def test_interrupted_passes_are_continued_and_finished_ones_kept(tmp_path):
     frontend = Loudness()
     passes(tmp_path / "parts", frontend, 3)
     assert frontend.calls == 0
-
-
-def test_files_that_are_no_features_stay(tmp_path):
-    folder = tmp_path / "features"
-    folder.mkdir()
-    for name in ("0.npy", "0.table.npy", f"{'0a' * 16}.npy", "mine.npy"):
-        (folder / name).write_bytes(b"x")
-    remove_features(folder)
-    assert [path.name for path in folder.iterdir()] == ["mine.npy"]
-    (folder / "mine.npy").unlink()
-    remove_features(folder)
-    assert not folder.exists()

@@ -13,14 +13,7 @@ from deitalk.audio.load import load_audio
 from deitalk.audio.voice_activity import normalise_level
 from deitalk.config.curves import DataConfig
 from deitalk.data.clips import read_clips
-from deitalk.data.windows import (
-    Material,
-    MaterialCache,
-    WindowBatches,
-    count_windows,
-    cut,
-    load_material,
-)
+from deitalk.data.windows import Material, MaterialCache, WindowBatches, cut, load_material
 from rig import RigCurves, default_controls, read_curves, write_curves
 from tests.dataset import CLICKS, FPS, JAW, RATE, SECONDS, write_dataset
 from tests.each import each
@@ -63,24 +56,6 @@ def test_middle_of_a_clip_is_the_middle_of_the_whole():
     np.testing.assert_array_equal(wave, whole_wave[21 * RATE // 30 :][: len(wave)])
     np.testing.assert_allclose(curves, whole_curves[21:41], atol=1e-6)
     np.testing.assert_allclose(intensity, whole_intensity[21:41], atol=1e-6)
-
-
-def test_beyond_the_end_there_is_silence_and_the_curves_hold():
-    material = step_material(at=1.9)
-    waveform, curves, intensity, total = cut(material, 50, 128)
-    assert len(waveform) == round(128 / 30 * RATE) and len(curves) == 128 and total == 60
-    assert not waveform[round(10 / 30 * RATE) + 1 :].any()
-    assert (curves[12:] == 1).all()
-    assert (intensity[12:] == intensity[-1]).all()
-    outside, _, _, _ = cut(material, 500, 30, 1.1)
-    assert not outside.any()
-
-
-def test_window_begins_before_curves_that_start_late():
-    material = step_material()
-    late = material._replace(times=material.times + 0.5)
-    _, curves, _, _ = cut(late, 0, 60)
-    assert np.flatnonzero(curves[:, 0] > 0.5)[0] == 45, "the step is at 1.5 s"
 
 
 def test_clip_in_memory_is_the_recording_to_16_bits(folder):
@@ -202,13 +177,6 @@ def test_measured_clips_have_the_configured_share_and_equal_speakers(folder):
     assert np.mean([who == "few" for who in measured]) == pytest.approx(0.5, abs=0.08)
     only = WindowBatches(many, CONTROLS, share, 3, 4)
     assert only._draw(np.random.default_rng(0)).speaker == "many"
-
-
-def test_windows_are_counted_from_the_recordings_lengths(folder):
-    clips = read_clips(folder, "train")
-    # 90 frames: starts 0, 5 .. 55 leave a whole window of 32.
-    assert count_windows(clips, config()) == 4 * 12
-    assert count_windows(clips[:1], DataConfig(window_frames=128, stride_frames=5)) == 1
 
 
 def test_load_material_rejects_curves_without_frames_or_controls(folder, tmp_path):

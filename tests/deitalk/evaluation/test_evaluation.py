@@ -9,15 +9,11 @@ import pytest
 
 from deitalk.audio.load import Recording
 from deitalk.errors import DataError
-from deitalk.evaluation.lip_closures import smoothness
 from deitalk.pipeline.curves import Performance
 from deitalk.research.evaluation.clip_scores import (
-    BITE,
     CLOSURE,
-    ROUNDING,
     captured_smoothness,
     contours_report,
-    gesture_curve,
     gesture_peaks,
     global_lag_ms,
     jaw_in_contact,
@@ -49,13 +45,6 @@ def test_a_closure_two_frames_early_counts_and_three_frames_early_does_not():
         assert gesture_peaks(curve, PHONES, CLOSURE)["M"] == [found]
 
 
-def test_vowels_beside_a_closure_are_no_counter_examples():
-    curve = np.zeros(90, np.float32)
-    curve[33] = 0.7  # 1.1 s: IY, beside M
-    curve[42] = 0.3  # 1.4 s: AA, clear
-    assert gesture_peaks(curve, PHONES, CLOSURE)["-"] == pytest.approx([0.3])
-
-
 def test_phone_table_counts_hits_over_the_alarm_level():
     collected = [{"P": [0.9, 0.1], "-": [0.2] * 10}, {"M": [0.5], "-": [0.2] * 10}]
     table = phone_table(collected, CLOSURE)
@@ -63,16 +52,6 @@ def test_phone_table_counts_hits_over_the_alarm_level():
     assert table["M"]["hits"] == 1
     assert table["B"]["n"] == 0
     assert np.isnan(table["B"]["hits"])
-
-
-@each(
-    ("gesture", "name", "n"),
-    [(CLOSURE, "lipsTogetherU", 4), (BITE, "lipBiteD", 2), (ROUNDING, "purseU", 8)],
-)
-def test_gestures_average_their_controls(gesture, name, n):
-    curves = np.zeros((3, len(CONTROLS.names)), np.float32)
-    curves[1, CONTROLS.index(f"CTRL_L_mouth_{name}.ty")] = 1
-    np.testing.assert_allclose(gesture_curve(curves, CONTROLS, gesture), [0, 1 / n, 0])
 
 
 def test_jaw_in_contact_uses_held_lips_only():
@@ -143,16 +122,6 @@ def test_spearman_uses_frames_of_speech_only():
     assert np.isnan(spearman(label, predicted, np.arange(40) >= 20))
 
 
-def test_level_curve_follows_a_step_of_20_db_and_ignores_pauses():
-    tone = np.sin(2 * np.pi * 200 * np.arange(64_000) / 16_000).astype(np.float32) * 0.3
-    tone[32_000:] *= 0.1
-    level = level_curve(tone, 120)
-    assert level[20] - level[100] == pytest.approx(20, abs=0.5)
-    paused = np.concatenate((tone[:32_000], np.zeros(16_000, np.float32), tone[:32_000]))
-    level = level_curve(paused, 150)
-    assert level[55] == pytest.approx(level[20], abs=0.5)  # beside the pause
-
-
 def syllables(seconds: float, until: float) -> Recording:
     """Syllables of 0.2 s every 0.3 s, up to a moment."""
     t = np.arange(int(seconds * 16_000)) / 16_000
@@ -184,20 +153,6 @@ def test_intensity_is_compared_with_level_and_its_error(monkeypatch):
     assert np.isnan(alone["above_level_error"])
     assert both["above_level"] < 0
     assert both["above_level_error"] == pytest.approx(-both["above_level"])
-
-
-def test_smoothness_of_a_ramp_and_of_a_sine():
-    times = np.arange(90) / 30
-    sine = np.sin(2 * np.pi * times)[:, None].astype(np.float32)
-    still = np.zeros((90, 1), np.float32)
-    measured = smoothness(np.hstack((sine, still)))
-    # third over first derivative of sin(w t) is w squared, a little less on a grid
-    assert measured["jerk_per_speed"] == pytest.approx((2 * np.pi) ** 2, rel=0.05)
-    step = sine.copy()
-    step[45:] += 1
-    assert smoothness(step)["largest_step"] == pytest.approx(1, abs=0.25)
-    assert smoothness(step)["jerk_per_speed"] > 5 * measured["jerk_per_speed"]
-    assert smoothness(still) == {}
 
 
 def test_captured_curves_are_measured_or_refused(tmp_path: Path):

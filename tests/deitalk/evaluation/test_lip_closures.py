@@ -37,19 +37,6 @@ def test_vowels_near_closures_are_excluded(vowel, clear):
     assert len(closure_scores(curve({}), [B, vowel]).vowels) == clear
 
 
-@each("name", ["F", "V", "W"])
-def test_vowels_near_other_lip_sounds_are_excluded(name):
-    near = closure_scores(curve({}), [(0.3, 0.4, name), (0.4, 0.6, "AA")])
-    assert len(near.vowels) == 0
-    assert len(near.closures) == 0
-
-
-def test_vowel_scores_its_highest_frame():
-    scores = closure_scores(curve({20: 0.3, 22: 0.6, 25: 0.9}), [(0.6, 0.8, "AA")])  # 18 to 23
-    assert scores.vowels == pytest.approx([0.6])
-    assert sorted(scores.outside) == pytest.approx([0, 0, 0, 0, 0.3, 0.6])
-
-
 def test_closure_is_held_from_two_frames_in_a_row():
     assert held_closures(curve({9: 0.9, 10: 0.95}), [B]) == [True]
     assert held_closures(curve({9: 0.95, 11: 0.95}), [B]) == [False]

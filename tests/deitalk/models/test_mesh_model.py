@@ -12,7 +12,7 @@ from deitalk.config.load import load_config, parse_config
 from deitalk.config.mesh import SDFAConfig, SDFAModelConfig
 from deitalk.errors import AudioError, CheckpointError, ConfigError
 from deitalk.models import mesh_model as sdfa_module
-from deitalk.models.deformation_decoder import Deformation, InversePCA, Offsets
+from deitalk.models.deformation_decoder import InversePCA
 from deitalk.pipeline.mesh import mesh_coefficients
 from deitalk.pipeline.speech import Speech
 from deitalk.research.evaluation.attention import weights_of
@@ -161,17 +161,6 @@ def test_bad_configuration(tree, said):
     assert said in str(caught.value)
 
 
-def test_forward_has_the_shapes_of_fig_1():
-    sdfa = model()
-    rows = sdfa(torch.randn(2, 3, 16, 40), torch.tensor([8, 12, 16]), torch.eye(2))
-    assert {name: row.shape for name, row in rows.items()} == {
-        "stretch": (2, 3, 3),
-        "rotation": (2, 3, 4),
-    }
-    s, r = sdfa.decoder.expand({name: row[0] for name, row in rows.items()})
-    assert (s.shape, r.shape) == ((3, 6 * 18), (3, 3 * 18))
-
-
 def test_prediction_of_a_clip_equals_its_windows_one_by_one():
     """Spectra are computed once; every frame must equal that of its own window."""
     sdfa, (sound, _) = model(fps=25, frame_rate=125), spoken(sheet(), seconds=0.8)
@@ -224,16 +213,6 @@ def test_encoders_depend_on_nearby_sound_only(name):
     frame = 30
     before, moved, still = (motion_of(sdfa, x).s[frame] for x in (sound, near, far))
     assert (moved - before).abs().max() > 20 * (still - before).abs().max()
-
-
-def test_offsets_are_added_to_the_template():
-    sdfa = model(motion="offsets")
-    motion = motion_of(sdfa, noise(0.2), "bob")
-    assert isinstance(motion, Offsets) and isinstance(motion_of(model(), noise(0.2)), Deformation)
-    vertices = predict_mesh(sdfa, noise(0.2), "bob")
-    expected = sdfa.template("bob").vertices + motion.offsets.numpy().reshape(12, 16, 3)
-    np.testing.assert_allclose(vertices, expected, atol=1e-5)
-    assert np.ptp(vertices, axis=0).max() > 1e-3
 
 
 @each(("samples", "frames"), [(1, 1), (RATE // 60, 1), (RATE, 60), (RATE + 1, 61)])

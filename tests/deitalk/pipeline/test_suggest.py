@@ -14,7 +14,6 @@ from deitalk.errors import AudioError
 from deitalk.pipeline import suggest
 from deitalk.pipeline.speech import Speech
 from deitalk.pipeline.suggest import (
-    FEWEST_FRAMES,
     NAMED,
     SIZE,
     SURE,
@@ -86,13 +85,6 @@ def test_manner_tells_pitch_and_its_range():
     assert gliding[2] == pytest.approx(12, abs=1) and gliding[5] == pytest.approx(12, abs=1.5)
 
 
-def test_window_is_what_a_recording_of_its_own_frames_has():
-    frames = frames_of(speechlike(3.0))
-    part = frames.window(slice(20, 70))
-    assert len(part.prosody.level) == len(part.features) == 50 and part.features[0, 0] == 20
-    assert not frames.window(slice(0, FEWEST_FRAMES - 1)).is_enough
-
-
 @each(
     ("vote", "asked", "majority", "shares"),
     [
@@ -134,21 +126,6 @@ def test_fit_tells_classes_of_unseen_voices_and_readers_are_neutral():
     mixed = voices(shuffled=True)
     p = predict(fit(mixed, mixed.having("validation")), unseen.numbers)
     assert score(p, unseen, "test")["unweighted recall"] < 0.45
-
-
-def test_cross_validation_leaves_the_speaker_out():
-    """Each speaker's clips are at a place of their own, which tells nothing of another's."""
-    given = voices(shuffled=True)
-    places = np.array([int(name) for name in given.speakers])
-    numbers = np.eye(30, dtype=np.float32)[places] * 8
-    labels = [Label(k % 4, tuple(np.eye(4)[k % 4]), 1.0, k % 4) for k in places.tolist()]
-    told = given._replace(numbers=numbers, labels=labels, are_readers=[False] * 300)
-    p, _ = cross_validate(told)
-    fitted = told.having("validation")
-    assert np.isnan(p[~fitted]).all() and np.isfinite(p[fitted]).all()
-    assert score(p, told, "validation")["unweighted recall"] < 0.6
-    known = predict(fit(told, fitted), told.numbers)
-    assert score(known, told, "validation")["unweighted recall"] > 0.9
 
 
 def test_temperature_makes_probabilities_true():

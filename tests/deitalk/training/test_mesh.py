@@ -18,7 +18,7 @@ from typer.testing import CliRunner
 from deitalk.cli import app
 from deitalk.config.load import load_config
 from deitalk.config.mesh import SDFAConfig
-from deitalk.errors import CheckpointError, ConfigError, DataError
+from deitalk.errors import ConfigError, DataError
 from deitalk.figures import can_draw
 from deitalk.models.checkpoint import load_model, save_model
 from deitalk.models.curve_model import DEITalk
@@ -283,12 +283,6 @@ def built(config: SDFAConfig, sequences: Path) -> MeshTask:
     return task
 
 
-def test_batch_is_counted_in_frames(sequences):
-    task = built(tiny(VOCA, segment_frames=8, batch_size=32), sequences)
-    assert task.item_size == 8 and task.epoch_size() == 60  # two clips of a second
-    assert task.segments.batch_size == 4
-
-
 def test_bases_are_frozen_and_the_automatic_weights_are_saved(sequences):
     task = built(tiny(VOCA, lip_weight=1.0), sequences)
     names = {name for name, _ in task.model.named_buffers() if "pca" in name}
@@ -315,19 +309,6 @@ def test_encoder_that_begins_as_another_learns_at_a_third(tmp_path, sequences):
         rates[name is None] = encoder["lr"], decoder["lr"]
     assert rates[True] == (3e-3, 3e-3)
     assert rates[False] == (pytest.approx(1e-3), 3e-3)
-
-
-def test_lip_weight_rejects_data_without_lips(tmp_path):
-    write_sheets(tmp_path / "m", with_lips=False)
-    with pytest.raises(ConfigError, match=r"train\.lip_weight=1: .* where the lips"):
-        train_mesh(tiny(lip_weight=1.0), tmp_path / "m", tmp_path / "run")
-
-
-def test_start_encoder_rejects_other_sizes(sequences, tmp_path):
-    with pytest.raises(ConfigError, match="its encoder is built otherwise"):
-        train_mesh(tiny(start_encoder="default"), sequences, tmp_path / "run")
-    with pytest.raises(CheckpointError, match="no model there"):
-        train_mesh(tiny(start_encoder=str(tmp_path / "no")), sequences, tmp_path / "other")
 
 
 def test_start_encoder_rejects_another_analysis_of_the_sound(sequences, tmp_path):

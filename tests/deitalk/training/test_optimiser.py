@@ -34,10 +34,6 @@ def test_one_cycle_rises_from_a_tenth_and_falls_to_a_thousandth():
     assert all(a >= b for a, b in pairwise(rate[9:]))
 
 
-def test_constant_schedule_keeps_the_rate():
-    assert rates("constant") == [2.0] * 100
-
-
 def normalised(value: float) -> nn.BatchNorm1d:
     layer = nn.BatchNorm1d(1)
     nn.init.constant_(layer.weight, value)

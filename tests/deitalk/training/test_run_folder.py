@@ -1,7 +1,6 @@
 """Files of a run: tables, events, the best weights, the state and pictures."""
 
 import errno
-import sys
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -9,7 +8,6 @@ import numpy as np
 import pytest
 import torch
 
-from deitalk.errors import MissingError
 from deitalk.models.folder import ENCODER
 from deitalk.training import run_folder
 from deitalk.training.run_folder import (
@@ -85,19 +83,6 @@ def test_state_on_a_full_disk_is_an_os_error_with_its_path(tmp_path, monkeypatch
     assert caught.value.filename == str(tmp_path / "state.pt")
 
 
-def test_interrupt_while_a_state_is_written_is_raised(tmp_path, monkeypatch):
-    def save(*_: object) -> None:
-        try:
-            raise KeyboardInterrupt
-        except KeyboardInterrupt:
-            raise RuntimeError("unexpected pos 704 vs 598")  # noqa: B904
-
-    monkeypatch.setattr(torch, "save", save)
-    with pytest.raises(KeyboardInterrupt):
-        run_folder.save_state(tmp_path, parts(), {"step": 1})
-    assert list(tmp_path.iterdir()) == []
-
-
 def scalars(folder) -> dict[str, list[tuple[int, float]]]:
     from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
@@ -124,11 +109,3 @@ def test_tensorboard_holds_the_rows_of_the_tables(tmp_path):
         "metrics/gradient_norm": [(75, 1.0)],
         "development/score": [(50, 0.5)],
     }
-
-
-def test_journal_without_tensorboard_gives_the_install_line(tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "torch.utils.tensorboard", None)
-    with pytest.raises(MissingError, match=r"pip install 'deitalk\[tensorboard\]'"):
-        Journal(tmp_path, tensorboard=True)
-    Journal(tmp_path).write("metrics", 1, {"total": 1.0})
-    assert not (tmp_path / "tensorboard").exists()

@@ -16,7 +16,7 @@ from deitalk.config.curves import Config
 from deitalk.config.load import parse_config
 from deitalk.data.windows import SeededBatches, Share
 from deitalk.errors import ConfigError, DataError
-from deitalk.figures import ClipRows, Row, can_draw
+from deitalk.figures import ClipRows, Row
 from deitalk.training import trainer as module
 from deitalk.training.trainer import MAX_BAD_STEPS, Task, Trainer, new_accelerator, run_training
 from rig.files import output_folder
@@ -123,19 +123,6 @@ def test_line_is_learnt_and_the_loss_is_logged(tmp_path):
     scores = pd.read_csv(tmp_path / "run/development.csv")
     assert scores["dev_error"].iloc[-1] < 0.2 * SLOPE
     assert (metrics["learning_rate"] == 0.05).all()
-
-
-def test_evaluations_write_scores_pictures_and_the_best_weights(tmp_path):
-    best = run_training(LineTask(config(), scores=(0.1, 0.3, 0.2)), tmp_path / "run")
-    assert (best["step"], best["development"]["score"]) == (4, 0.3)
-    scores = pd.read_csv(tmp_path / "run/development.csv")
-    assert scores["step"].tolist() == [2, 4, 6]
-    assert scores["dev_score"].tolist() == [0.1, 0.3, 0.2]
-    states = [torch.load(tmp_path / "run" / k / "weights.pt") for k in ("best", "last")]
-    assert any(not torch.equal(states[0][k], states[1][k]) for k in states[0])
-    if can_draw():
-        pictures = sorted(path.name for path in (tmp_path / "run/curves").iterdir())
-        assert pictures == ["000002.png", "000004.png", "000006.png"]
 
 
 class Killed(Exception):
@@ -272,15 +259,6 @@ def test_gradient_is_clipped_and_its_norm_before_is_logged():
     left = torch.stack([p.grad.norm() for p in task.model.parameters()]).norm()
     assert float(left) == pytest.approx(1e-3, rel=1e-3)
     assert trainer.gradient_norm > 0.1
-
-
-def test_two_precisions_train_in_one_process(tmp_path):
-    """Accelerate's own mixed precision is fixed by the first training of a process."""
-    losses = []
-    for precision in ("float32", "bfloat16"):
-        trained(tmp_path / precision, LineTask(config(precision=precision)))
-        losses.append(pd.read_csv(tmp_path / precision / "metrics.csv")["error"].iloc[0])
-    assert losses[0] != losses[1] and losses[0] == pytest.approx(losses[1], rel=0.1)
 
 
 def test_other_processes_neither_write_nor_evaluate(tmp_path, monkeypatch):

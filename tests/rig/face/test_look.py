@@ -1,19 +1,15 @@
 """What a head looks like beside its shape: accents, baked light, maps, textures."""
 
-import io
-
 import numpy as np
 import pytest
-from PIL import Image
 
 from deitalk.research.contact_sheet import pose_values
 from rig.face import build_head
 from rig.face.accents import SHADOW, accents
-from rig.face.geometry.mesh import WHITE_UV, Mesh, join
+from rig.face.geometry.mesh import Mesh, join
 from rig.face.geometry.skin import skin_uv
 from rig.face.maps import LEAST_AMBIENT, build_maps, occlusion
 from rig.face.render.shading import TO_LIGHT
-from rig.retarget.morph_head import BRIGHTEST, srgb_to_linear, textured
 from tests.each import each
 
 
@@ -93,16 +89,3 @@ def test_maps_are_the_same_each_time_and_stubble_is_the_beards():
         made[name] = maps.atlas[v, u].mean()
     assert made["Bruno"] < 0.9 * made["Dana"]
     assert made["Dana"] == pytest.approx(127.5, rel=0.05)
-
-
-def test_vertex_colour_times_texture_is_the_colour_of_the_head(head):
-    colours, surface = textured(head)
-    picture = np.asarray(Image.open(io.BytesIO(surface.base_color)), float) / 255
-    row, column = (int(1024 * k) for k in WHITE_UV[::-1])
-    teeth = head.slices["teeth_upper"]
-    shown = colours[teeth] * srgb_to_linear(picture[row, column])
-    assert np.allclose(shown, srgb_to_linear(head.mesh.colors[teeth]), rtol=0.03)
-    assert (colours <= 1).all() and BRIGHTEST > 1
-    rough = np.asarray(Image.open(io.BytesIO(surface.roughness)))[..., 1]
-    u, v = (64 * surface.uv[head.slices["eye_L"]].T).astype(int)
-    assert rough[v, u].max() < 0.2 * 255  # eyes are wet

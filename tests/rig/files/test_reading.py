@@ -230,16 +230,3 @@ def test_expansion_is_bounded_by_the_file_above_a_floor():
     )
     with pytest.raises(FormatError, match="of 5 MiB expands"):
         check_expansion(100 * 5 * limits.MIB + 1, 5 * limits.MIB, "a", error=FormatError)
-
-
-def test_npz_of_python_2_is_read_without_a_warning(tmp_path):
-    """Its headers hold ``2L``, as numpy on Python 2 wrote long integers."""
-    header = "{'descr': '<f4', 'fortran_order': False, 'shape': (2L, 3L), }"
-    header += " " * (-(len(header) + 11) % 64) + "\n"
-    body = np.arange(6, dtype="<f4").tobytes()
-    npy = b"\x93NUMPY\x01\x00" + struct.pack("<H", len(header)) + header.encode() + body
-    with zipfile.ZipFile(tmp_path / "a.npz", "w") as archive:
-        archive.writestr("values.npy", npy)
-    np.testing.assert_array_equal(
-        read_npz(tmp_path / "a.npz", limit=10_000)["values"], [[0, 1, 2], [3, 4, 5]]
-    )

@@ -76,13 +76,6 @@ def test_mouth_close_is_a_share_of_the_open_jaw():
     assert fit.lost == pytest.approx(0.0, abs=1e-6)
 
 
-def test_pucker_and_funnel_are_distinguished():
-    funnel = {f"CTRL_{s}_mouth_funnel{r}": 0.8 for s in "LR" for r in "UD"}
-    found, _ = weights_of(ARKIT, funnel)
-    assert found[0].get("mouthFunnel", 0) == pytest.approx(0.8, abs=1e-3)
-    assert found[0].get("mouthPucker", 0) == pytest.approx(0.0, abs=1e-3)
-
-
 def test_a_middle_shape_split_by_side_moves_by_side():
     # ICT-FaceKit splits browInnerUp; a set without sides joins two.
     raised = {"CTRL_L_brow_raiseIn": 1.0}
@@ -98,14 +91,6 @@ def test_raw_and_board_names_are_driven_exactly():
     names = ("CTRL_expressions_mouthSharpCornerPullL", "CTRL_R_mouth_dimple")
     found, _ = weights_of(names, {"CTRL_L_mouth_sharpCornerPull": 0.7, "CTRL_R_mouth_dimple": 0.2})
     assert found[0] == pytest.approx({names[0]: 0.7, names[1]: 0.2})
-
-
-def test_substitute_replaces_a_missing_shape_and_the_loss_is_reported():
-    found, fit = weights_of(ARKIT, {"CTRL_L_mouth_sharpCornerPull": 1.0})
-    assert found[0] == pytest.approx({"mouthSmileLeft": 0.6, "mouthDimpleLeft": 0.5})
-    assert fit.replaced == ("mouthSharpCornerPullL",) and not fit.unsaid
-    assert "similar shapes show mouthSharpCornerPullL" in str(fit)
-    assert fit.lost == pytest.approx(0, abs=1e-6)
 
 
 def test_weights_stay_in_range_for_any_curves(rng):

@@ -18,7 +18,7 @@ from deitalk.data.captures.labels import Labelling
 from deitalk.data.captures.own_rig import rig_of_takes
 from deitalk.data.clips import read_clips, read_known
 from deitalk.errors import DataError
-from rig import RigCurves, default_controls, read_curves, rest_curves
+from rig import default_controls, read_curves, rest_curves
 from rig.errors import UserError
 from rig.formats.livelink_csv import read_take, write_take
 from tests.each import each
@@ -248,23 +248,6 @@ def test_takes_that_leave_nothing_to_validate_are_refused_and_nothing_is_written
     assert {row["split"] for row in rows_of(tmp_path / "data")} == {"train"}
 
 
-def test_warnings_name_little_material_one_emotion_and_mixed_rates(tmp_path):
-    write_live_link(tmp_path / "t" / "a.csv", 5, fps=30)
-    write_live_link(tmp_path / "t" / "b.csv", 5, fps=60)
-    text = " ".join(import_captures([tmp_path / "t"], tmp_path / "d", labels=ANNA).warnings)
-    assert "s of speech in all" in text and "one emotion only (happy)" in text
-    assert "mixed rates (1 at 30 Hz, 1 at 60 Hz)" in text
-
-
-def test_takes_csv_has_a_row_for_every_take(tmp_path):
-    for name in ("a", "b"):
-        write_live_link(tmp_path / name / "take.csv", 4)
-    import_captures([tmp_path / "a", tmp_path / "b"], tmp_path / "d", labels=ANNA)
-    table = pd.read_csv(tmp_path / "d" / "takes.csv")
-    assert list(table["take"]) == ["take", "take-2"] and list(table["kind"]) == ["livelink"] * 2
-    assert isinstance(read_curves(tmp_path / "d" / "curves" / "take-2_001.npz"), RigCurves)
-
-
 def test_command_prints_takes_and_the_dataset_passes_the_check(tmp_path):
     from typer.testing import CliRunner
 
@@ -280,15 +263,6 @@ def test_command_prints_takes_and_the_dataset_passes_the_check(tmp_path):
     checked = CliRunner().invoke(app, ["check", out])
     assert checked.exit_code == 0, checked.output
     assert "warning  speakers" in checked.stdout
-
-
-def test_command_names_its_own_options(tmp_path):
-    from deitalk.cli.console import name_option
-
-    (tmp_path / "a.csv").write_text("time,brow_q,lip_w\n0,0,0\n0.1,1,1\n")
-    with pytest.raises(UserError) as caught:
-        import_captures([tmp_path / "a.csv"], tmp_path / "data")
-    assert "give --mapping, a table" in name_option(caught.value)
 
 
 def test_curves_of_another_rig_stay_as_they_are(tmp_path, rng):

@@ -48,17 +48,6 @@ def test_many_takes_are_kept_whole_and_every_emotion_is_in_every_split():
         }  # fmt: skip
 
 
-def test_three_actors_are_each_in_one_split():
-    pieces = [p for i, who in enumerate("abcd") for p in take(who, "sad", who, 3 + i)]
-    homes = {(p.actor, s) for p, s in zip(pieces, divide(pieces), strict=True)}
-    assert len(homes) == 4 and {s for _, s in homes} == {TRAIN, VALIDATION, TEST}
-
-
-def test_neighbours_alone_cannot_be_divided():
-    assert divide(take("a", "sad", "t", 1)) == [TRAIN]
-    assert divide(take("a", "sad", "t", 2)) == [TRAIN] * 2
-
-
 @each("clips", [1, 2, 3])
 @each("takes", [2, 3])
 def test_two_and_three_takes_have_clips_to_train_on_and_to_validate(takes, clips):
