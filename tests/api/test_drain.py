@@ -62,7 +62,7 @@ def test_requests_at_work_are_answered_new_ones_refused_and_streams_told(server)
 
         following = threading.Thread(target=follow)
         following.start()
-        live.send(json.dumps({"type": "start", "model": "default"}))
+        live.send(json.dumps({"type": "start"}))
         live.recv()
         requests = Requests(server, 3)
         server.process.send_signal(signal.SIGTERM)
