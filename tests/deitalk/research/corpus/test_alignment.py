@@ -117,7 +117,7 @@ def test_reasons_name_the_fault(spoken):
     assert "has no words" in align_scored(spoken.waveform, " ... ").reason
     assert "shorter than 0.1 s" in align_scored(np.zeros(100), "hello").reason
     short = [Phone(i * 0.03, (i + 1) * 0.03, "T") for i in range(9)]
-    long = [Phone(0.27 + i * 0.1, 0.37 + i * 0.1, "AA") for i in range(20)]
+    long = [Phone(0.27 + i * 0.1, 0.37 + i * 0.1, "AA") for i in range(30)]
     assert "9 phones in a row" in alignment.reason_against([*short, *long], -10)
     assert "82% of the phones last the minimum" in alignment.reason_against(
         [*short, *long[:2]], -10
