@@ -88,12 +88,16 @@ class Store:
         return found
 
     def age(self, job_id: str) -> float:
-        """Seconds since the newest file of a job was written; a day where that is unknown."""
+        """Seconds since the newest file of a job was written; a day where that is unknown.
+
+        A folder without files counts itself: its first file may be on its way.
+        """
         newest = 0.0
         for kind in (INPUTS, RESULTS):
-            if self.files.exists(self._at(f"{kind}/{job_id}")):
-                for about in self.files.find(self._at(f"{kind}/{job_id}"), detail=True).values():
-                    newest = max(newest, _written(about))
+            folder = self._at(f"{kind}/{job_id}")
+            if self.files.exists(folder):
+                found = self.files.find(folder, detail=True) or {folder: self.files.info(folder)}
+                newest = max(newest, *(_written(about) for about in found.values()))
         return time() - newest if newest else UNKNOWN_SECONDS
 
     def _at(self, name: str) -> str:

@@ -101,6 +101,22 @@ def test_files_of_no_job_are_removed_after_a_while(queue, store, tmp_path, monke
     assert store.jobs() == set()
 
 
+def test_files_on_their_way_are_not_removed(queue, store, tmp_path, monkeypatch):
+    """The search for lost files may run when a request has made its folder and no file yet."""
+    put_file = store.files.put_file
+
+    def search_then_put(source, target):
+        remove_lost(queue, store)
+        put_file(source, target)
+
+    monkeypatch.setattr(store.files, "put_file", search_then_put)
+    sent = tmp_path / "sent"
+    sent.mkdir()
+    (sent / "recording").write_bytes(b"x")
+    store.put_folder(sent, "new")
+    assert store.jobs() == {"new"}
+
+
 def test_full_queues_refuse_jobs(queue, store, tmp_path):
     for _ in range(3):
         queue.check_room(CALLER)

@@ -104,7 +104,7 @@ def _factor(name: Any, value: Any) -> float:
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
     if not is_number or not (math.isfinite(value) and 0 <= value <= MOST):
         raise DeitalkError(f"life: {name}={quoted(value)} must be a number from 0 to {MOST:g}")
-    return float(value)
+    return float(f"{value:.9g}")  # as text has it
 
 
 def place_of(look_at: Any) -> tuple[float, float]:
