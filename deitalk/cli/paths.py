@@ -91,9 +91,11 @@ def write_sound(beside: Path, sound: Path, start: float = 0.0, end: float | None
     from rig.files import atomic_write
 
     with soundfile.SoundFile(sound) as opened:
-        first, last = (round(t * opened.samplerate) for t in (start, end or opened.frames))
-        opened.seek(min(first, opened.frames))
-        rows = opened.read(max(min(last, opened.frames) - first, 0), dtype="int16")
+        total, rate = opened.frames, opened.samplerate
+        first = min(round(start * rate), total)
+        last = total if end is None else min(round(end * rate), total)
+        opened.seek(first)
+        rows = opened.read(max(last - first, 0), dtype="int16")
         with atomic_write(beside) as path:
             soundfile.write(path, rows, opened.samplerate)
     console().print(f"{beside}: its sound, from the first frame on")
