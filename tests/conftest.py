@@ -1,8 +1,10 @@
 """Fixtures that several test files share."""
 
+import os
 import signal
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -46,6 +48,31 @@ def pytest_configure(config: pytest.Config) -> None:
     is_worker = hasattr(config, "workerinput")
     if config.getoption("--skipped-to") and not is_worker:
         config.pluginmanager.register(SkippedTests(Path(config.getoption("--skipped-to"))))
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_auto_num_workers() -> int:
+    """One process more than cores: tests of the service wait for servers, others for commands."""
+    return (os.cpu_count() or 1) + 1
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
+    """Files in the order of `pytest_collection_modifyitems`; tests/api as one, for its server."""
+    from xdist.scheduler import LoadFileScheduling
+
+    class Files(LoadFileScheduling):
+        def _split_scope(self, nodeid: str) -> str:
+            return "tests/api" if nodeid.startswith("tests/api/") else super()._split_scope(nodeid)
+
+    config.option.loadscopereorder = False
+    return Files(config, log)
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """The short files of tests/rig come last, so that all processes end together."""
+    items.sort(key=lambda item: item.nodeid.startswith("tests/rig/"))
 
 
 class SkippedTests:

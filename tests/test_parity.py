@@ -160,7 +160,7 @@ def manifest(fields, tmp_path, monkeypatch):
 @pytest.fixture(scope="module")
 def server(place, tmp_path_factory):
     models = json.dumps({"tiny": str(place / "tiny")})
-    with serving(tmp_path_factory.mktemp("service"), models=models) as running:
+    with serving(tmp_path_factory.mktemp("service"), models=models, job_workers=0) as running:
         yield running
 
 

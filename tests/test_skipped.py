@@ -1,5 +1,6 @@
 """The option that lists skipped tests for a later run."""
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -26,9 +27,10 @@ def test_skipped_tests_are_listed_and_can_be_run_again(tmp_path):
     (tmp_path / "test_a.py").write_text(TESTS)
     (tmp_path / "test_b.py").write_text("import pytest\npytest.importorskip('no_such_package')\n")
     command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider"]
-    first = subprocess.run(
-        [*command, "-n", "2", "--skipped-to=skipped"], cwd=tmp_path, capture_output=True, text=True
-    )
+    given = {"cwd": tmp_path, "capture_output": True, "text": True,
+             "env": os.environ | {"PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1"}}  # fmt: skip
+    split = ("-p", "xdist", "-n", "1")
+    first = subprocess.run([*command, *split, "--skipped-to=skipped"], **given)
     assert first.returncode == 0, first.stdout
     listed = (tmp_path / "skipped").read_text().split()
     assert listed == [
@@ -36,6 +38,6 @@ def test_skipped_tests_are_listed_and_can_be_run_again(tmp_path):
         "test_a.py::test_skips_by_mark",
         "test_b.py",
     ]
-    again = subprocess.run([*command, "@skipped"], cwd=tmp_path, capture_output=True, text=True)
+    again = subprocess.run([*command, "@skipped"], **given)
     assert again.returncode in (0, 5), again.stdout
     assert "4 skipped" in again.stdout

@@ -21,7 +21,7 @@ def server(tmp_path):
     running = []
 
     def make(**settings):
-        running.append(start(tmp_path / "data", waiting=9, **settings))
+        running.append(start(tmp_path / "data", waiting=9, job_workers=0, **settings))
         return running[0]
 
     yield make
@@ -50,7 +50,7 @@ class Requests:
 
 
 def test_requests_at_work_are_answered_new_ones_refused_and_streams_told(server):
-    server = server(job_workers=0)
+    server = server()
     socket = connect(f"{server.url.replace('http', 'ws')}/v1/live", proxy=None)
     with server.client() as client, socket as live:
         job = client.post("/v1/jobs", content=wav(1.0), headers={"Content-Type": "audio/wav"})
@@ -99,7 +99,7 @@ def test_requests_beyond_the_grace_get_a_problem(server):
 
 
 def test_notice_serves_on_while_balancers_look_elsewhere(server):
-    server = server(drain_notice_seconds=3)
+    server = server(drain_notice_seconds=2)
     server.process.send_signal(signal.SIGTERM)
     time.sleep(0.4)
     assert httpx.get(f"{server.url}/readyz", trust_env=False).status_code == 503

@@ -204,7 +204,7 @@ def causal_server(tmp_path_factory):
     folder = tmp_path_factory.mktemp("causal") / "tiny"
     save_model(folder, network, config, {})
     with serving(
-        tmp_path_factory.mktemp("data"), models=json.dumps({"tiny": str(folder)})
+        tmp_path_factory.mktemp("data"), models=json.dumps({"tiny": str(folder)}), job_workers=0
     ) as server:
         yield server, folder
 

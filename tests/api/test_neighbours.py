@@ -35,7 +35,7 @@ def crowded(tmp_path_factory):
     ]  # fmt: skip
     with serving(
         tmp_path_factory.mktemp("crowded"), keys=json.dumps(keys), waiting=3, connections=20,
-        log="json", live_sessions=2,
+        log="json", live_sessions=2, job_workers=0,
     ) as running:  # fmt: skip
         yield running
 
