@@ -140,9 +140,10 @@ def test_wrong_messages_end_the_session_with_a_problem(server, messages, code):
 def test_messages_beyond_the_size_close_the_connection(server):
     with live(server) as session:
         begin(session)
-        with pytest.raises(ConnectionClosed):
+        with pytest.raises(ConnectionClosed) as closed:
             session.send(bytes(2_000_000))
             session.recv(10)
+    assert closed.value.rcvd.code == 1009  # RFC 6455: message too big
 
 
 def resident_mb(pid: int) -> float:

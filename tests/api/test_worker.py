@@ -6,6 +6,7 @@ from api.compute.order import TooLarge
 from api.compute.worker import OutOfTime, Stopped, Worker, WorkerLost
 from tests.api.conftest import wav
 from tests.api.kill import kill
+from tests.each import each
 
 OPTIONS = {"format": "json", "suffix": ".json"}
 
@@ -57,29 +58,24 @@ def test_recording_that_is_not_for_now_is_answered_by_its_length(worker, tmp_pat
     assert beyond["error"] == [TooLarge.__name__]
 
 
-def test_order_beyond_its_time_ends_the_process_and_the_next_has_another(worker, tmp_path):
+@each(
+    ("seconds", "stopped", "error"),
+    [
+        (0.05, lambda worker: False, OutOfTime),
+        (60, lambda worker: True, Stopped),
+        (60, lambda worker: kill(worker.pid), WorkerLost),
+    ],
+)
+def test_order_that_ends_early_ends_its_process_and_the_next_has_another(
+    worker, tmp_path, seconds, stopped, error
+):
     worker.start()
     before = worker.pid
-    with pytest.raises(OutOfTime):
-        worker.run(order(tmp_path, wav(50.0)), 0.05)
+    with pytest.raises(error):
+        worker.run(order(tmp_path, wav(50.0)), seconds, stopped=lambda: stopped(worker))
+    assert worker.pid is None
     assert worker.run(order(tmp_path, wav(0.5)), 60)["facts"]["frames"] == 15
     assert worker.pid != before
-
-
-def test_order_is_stopped_by_its_owner(worker, tmp_path):
-    with pytest.raises(Stopped):
-        worker.run(order(tmp_path, wav(50.0)), 60, stopped=lambda: True)
-
-
-def test_process_that_is_killed_is_noticed(worker, tmp_path):
-    worker.start()
-
-    def kill_it() -> bool:
-        kill(worker.pid)
-        return False
-
-    with pytest.raises(WorkerLost):
-        worker.run(order(tmp_path, wav(50.0)), 60, stopped=kill_it)
 
 
 def test_order_beyond_the_memory_is_refused(tmp_path):

@@ -134,8 +134,10 @@ def test_no_text_of_a_request_opens_a_path(text, tmp_path, monkeypatch):
     monkeypatch.setattr("rig.files.reading.read_bytes", opened)
     monkeypatch.setattr("deitalk.emotions.tracks.read_table", opened)
     for field in ("emotion", "intensity_curve", "voice"):
-        with pytest.raises(UserError):
+        with pytest.raises(UserError) as caught:
             Acting.of(files={}, **{field: text})
+        told = str(caught.value)
+        assert "\n" not in told and ("../" not in text or "was not sent" in told)
 
 
 @each(

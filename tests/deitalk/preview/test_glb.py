@@ -218,6 +218,7 @@ def test_file_cut_short_is_refused(page, folder, tmp_path):
             "n => document.querySelector('#notice').textContent == n + ' is cut short'",
             arg=path.name,
         )
+        assert page.locator("figure.model").count() == 0 and page.complaints == []
 
 
 def test_player_without_a_take_shows_a_glb(browser, folder):

@@ -464,5 +464,5 @@ def test_claim_is_reentrant_in_its_thread_only(tmp_path):
 def test_claim_works_without_a_cache_folder(tmp_path, monkeypatch):
     (tmp_path / "file").write_text("")
     monkeypatch.setenv("DEITALK_CACHE", str(tmp_path / "file" / "below"))
-    with claim(tmp_path / "t"):
-        pass
+    fill(tmp_path / "t", {"a": "1"})
+    assert content(tmp_path / "t") == {"a": "1"}

@@ -338,3 +338,4 @@ def test_an_hour_is_written_in_ten_seconds(tmp_path, rng, suffix):
     start = time.process_time()
     write_curves(tmp_path / f"c{suffix}", curves)
     assert time.process_time() - start <= 10
+    assert (tmp_path / f"c{suffix}").stat().st_size > 108_000  # a byte a frame at least
