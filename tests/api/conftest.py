@@ -4,7 +4,6 @@ import io
 import json
 import os
 import threading
-import time
 import wave
 from contextlib import suppress
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -103,16 +102,15 @@ def bucket(tmp_path_factory):
 
 
 class Receiver(BaseHTTPRequestHandler):
-    """Notes what it is sent; ``/slow`` answers a byte a second, for ever."""
+    """Notes what it is sent; ``/slow`` answers a byte a second, to the end of the test."""
 
     def do_POST(self):
         body = self.rfile.read(int(self.headers["Content-Length"]))
         self.server.calls.append((dict(self.headers), body))
         if self.path == "/slow":
             with suppress(OSError):
-                while True:
+                while not self.server.ended.wait(1):
                     self.wfile.write(b"H")
-                    time.sleep(1)
             return
         self.send_response(204)
         self.end_headers()
@@ -124,7 +122,8 @@ class Receiver(BaseHTTPRequestHandler):
 @pytest.fixture
 def receiver():
     with ThreadingHTTPServer(("127.0.0.1", 0), Receiver) as made:
-        made.calls = []
+        made.calls, made.ended = [], threading.Event()
         threading.Thread(target=made.serve_forever, daemon=True).start()
         yield made
+        made.ended.set()
         made.shutdown()

@@ -268,7 +268,7 @@ def test_head_and_life_are_those_of_live_animator(causal_server, frames):
 
 def test_client_that_does_not_read_is_cut_off_in_time(monkeypatch):
     """Neither its connection nor the application's task outlasts the time for a message."""
-    monkeypatch.setattr(protocol, "SEND_SECONDS", 0.5)
+    monkeypatch.setattr(protocol.GuardedSocket, "read_seconds", 0.5)
     ended = threading.Event()
 
     async def app(scope, receive, send):
@@ -289,7 +289,8 @@ def test_client_that_does_not_read_is_cut_off_in_time(monkeypatch):
     try:
         while not running.started:
             time.sleep(0.01)
-        with connect(f"ws://127.0.0.1:{port}/v1/live", proxy=None, max_queue=1) as session:
+        url = f"ws://127.0.0.1:{port}/v1/live"
+        with connect(url, proxy=None, max_queue=1, close_timeout=0.1) as session:
             assert ended.wait(30)
             with pytest.raises(ConnectionClosed):
                 while True:
