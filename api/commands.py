@@ -49,7 +49,7 @@ def serve(
         _open_studio(settings)
     settings.check()
     if migrate:
-        from api.jobs.schema import open_database
+        from api.jobs.table import open_database
 
         settings.data.mkdir(parents=True, exist_ok=True, mode=0o700)
         open_database(settings.database_url, migrate=True).dispose()

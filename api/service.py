@@ -16,8 +16,8 @@ from api.guard.metrics import Metrics
 from api.guard.middleware import Traffic
 from api.jobs.queue import Queue
 from api.jobs.runner import Runner
-from api.jobs.schema import open_database
 from api.jobs.store import Store
+from api.jobs.table import open_database
 from api.settings import Settings
 
 

@@ -17,7 +17,7 @@ from sqlalchemy.engine import make_url
 from sqlalchemy.exc import ArgumentError
 
 from deitalk.config.hub import is_hub_name
-from deitalk.config.yaml_text import read_yaml
+from deitalk.config.section import read_yaml
 from deitalk.errors import ConfigError
 from deitalk.models.folder import embedded_models, model_folder
 from deitalk.models.load import Backend

@@ -21,7 +21,7 @@ SERVICE = {
     "prometheus_client", "fsspec", "httpx", "websockets",
 }  # fmt: skip
 """Packages of the service: nothing below `api` imports them."""
-CLOUD = Path("deitalk/batch/storage.py")
+CLOUD = Path("deitalk/batch/cloud.py")
 """The one file below the service that uses fsspec, which torch needs too."""
 FILES = [
     path

@@ -38,7 +38,7 @@ def _read(name: str, folder: str, limits: Limits) -> Any:
         from deitalk.models.checkpoint import load_model
 
         return load_model(folder)
-    from deitalk.models.onnx.load import cached_path, load_onnx
+    from deitalk.models.onnx.network import cached_path, load_onnx
 
     if product_of(folder) != "curves" or not cached_path(folder).is_file():
         raise CheckpointError(
@@ -83,7 +83,7 @@ def prepare(limits: Limits) -> None:
 
 def export_all(limits: Limits) -> None:
     """Write the files of all models that have one into the cache; torch runs in other processes."""
-    from deitalk.models.onnx.load import cached_export
+    from deitalk.models.onnx.network import cached_export
 
     for folder in limits["models"].values():
         with suppress(UserError, OSError):  # a request for that model gets the error

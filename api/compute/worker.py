@@ -1,14 +1,21 @@
-"""One worker process as its owner sees it: give it an order, wait, stop it at a limit."""
+"""One worker process and its owner, who gives it an order, waits, and stops it at a limit."""
 
 import json
 import multiprocessing
+import os
+import signal
 import sys
 from collections.abc import Callable
+from multiprocessing.connection import Connection
 from multiprocessing.context import BaseContext
+from pathlib import Path
 from time import monotonic
+from typing import Any
 
-from api.compute.order import Answer, Limits, Order
-from api.compute.process import work
+from api.compute.order import Answer, Limits, Order, TooLarge
+from api.errors import describe
+from deitalk.workers import end_with_parent
+from rig.errors import UserError
 
 START_SECONDS = 120.0
 """Longest time until a new worker is ready."""
@@ -151,3 +158,79 @@ def _context(backend: str) -> BaseContext:
     module = "api.compute.warm_onnx" if backend == "onnx" else "api.compute.warm"
     context.set_forkserver_preload([module])
     return context
+
+
+# The worker process: takes orders over a pipe, one at a time, and never ends by an error.
+#
+# It is forked from a process that has imported the packages and read the models
+# (`api.compute.warm`), so that a new one is ready in milliseconds after the old one was stopped.
+
+
+LARGEST_FILE = 8 * 2**30
+"""Bytes of a file that a worker may write."""
+
+
+def work(connection: Connection, limits: Limits) -> None:
+    """Answer orders until the other side closes the pipe."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    end_with_parent()
+    # Send what libraries print to nowhere: it may hold names of files.
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    for stream in (1, 2):
+        os.dup2(nowhere, stream)
+    os.close(nowhere)
+    from api.compute.networks import prepare
+
+    prepare(limits)
+    _limit_memory(limits["memory_bytes"])
+    _send(connection, {"progress": 0.0})
+    while True:
+        try:
+            order: Order = json.loads(connection.recv_bytes())
+        except (EOFError, OSError):
+            return
+        _send(connection, _answer(order, limits, connection))
+
+
+def _answer(order: Order, limits: Limits, connection: Connection) -> Answer:
+    from api.compute.tasks import perform
+
+    def report(share: float) -> None:
+        _send(connection, {"progress": float(share)})
+
+    try:
+        os.chdir(order["folder"])
+        return perform(order, limits, report)
+    except UserError as error:
+        return {"error": [kind.__name__ for kind in type(error).__mro__], "message": str(error)}
+    except TooLarge as error:
+        return {"error": [TooLarge.__name__], "message": str(error)}
+    except (MemoryError, RecursionError):
+        return {"error": [TooLarge.__name__], "message": "the request needs too much memory"}
+    except Exception as error:
+        # Whether torch or a C library could not allocate.
+        text = str(error).lower()
+        if "allocate" in text or "out of memory" in text or "bad_alloc" in text:
+            return {"error": [TooLarge.__name__], "message": "the request needs too much memory"}
+        return {"error": ["Internal"], "message": describe(error)}
+    finally:
+        os.chdir(os.sep)
+
+
+def _send(connection: Connection, answer: Answer) -> None:
+    connection.send_bytes(json.dumps(answer).encode())
+
+
+def _limit_memory(n_bytes: int) -> None:
+    """Limit the memory that this process may take beyond what it has now."""
+    if not sys.platform.startswith("linux"):
+        return
+    import resource
+
+    status: dict[str, Any] = dict(
+        line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines()
+    )
+    limit = int(status["VmData"].split()[0]) * 1024 + n_bytes
+    resource.setrlimit(resource.RLIMIT_DATA, (limit, limit))
+    resource.setrlimit(resource.RLIMIT_FSIZE, (LARGEST_FILE, LARGEST_FILE))
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))

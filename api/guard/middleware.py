@@ -23,8 +23,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from api.errors import MEDIA_TYPE, Problem, describe, internal_problem
 from api.guard.keys import KeyRing, Rates
-from api.guard.metrics import Metrics
-from api.guard.traces import Traces, parent_of
+from api.guard.metrics import Metrics, Traces, parent_of
 from api.settings import Settings, is_loopback
 
 STUDIO_PATH = "/"

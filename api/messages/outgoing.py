@@ -16,8 +16,8 @@ from api.compute.pool import result_path
 from api.errors import Problem
 from api.guard.keys import Caller, require
 from api.jobs.queue import new_id
+from api.jobs.runner import check_webhook
 from api.jobs.table import Job
-from api.jobs.webhooks import check_webhook
 from api.messages.formats import OutputFormat
 from api.messages.options import SpeechOptions
 from api.messages.schemas import view_of

@@ -14,7 +14,6 @@ from starlette.requests import ClientDisconnect
 from api.compute.order import MESH_SUFFIXES, RECORDING, Kind, Order, suffix_of
 from api.errors import Problem
 from api.guard.keys import Caller
-from api.messages import body_docs
 from api.messages.formats import (
     ANIMATION_FORMATS,
     CURVE_FORMATS,
@@ -37,6 +36,7 @@ from api.messages.options import (
 )
 from api.messages.outgoing import answer_order, file_answer
 from api.messages.schemas import JobView, ValidationView
+from api.routes import schema
 from api.routes.deps import AnimatorDep, ServiceDep, problems
 from api.service import Service
 from deitalk.acting import LONGEST_TEXT, WORDS_SUFFIXES, modern, user_error
@@ -52,8 +52,8 @@ RETARGET = ("mesh", "curves", "landmarks", "mapping", *SPEECH)
 @router.post(
     "/animations",
     response_class=Response,
-    responses=body_docs.answers(ANIMATION_FORMATS, JobView),
-    openapi_extra=body_docs.body(AnimationOptions, SPEECH, ANIMATION_FORMATS, raw=True),
+    responses=schema.answers(ANIMATION_FORMATS, JobView),
+    openapi_extra=schema.body(AnimationOptions, SPEECH, ANIMATION_FORMATS, raw=True),
 )
 async def animate(request: Request, service: ServiceDep, caller: AnimatorDep) -> Response:
     """Curves of a recording: at once up to `max_seconds` (60 s), a job (202) beyond."""
@@ -65,8 +65,8 @@ async def animate(request: Request, service: ServiceDep, caller: AnimatorDep) ->
 @router.post(
     "/meshes",
     response_class=Response,
-    responses=body_docs.answers(MESH_FORMATS, JobView),
-    openapi_extra=body_docs.body(MeshOptions, SPEECH, MESH_FORMATS, raw=True),
+    responses=schema.answers(MESH_FORMATS, JobView),
+    openapi_extra=schema.body(MeshOptions, SPEECH, MESH_FORMATS, raw=True),
 )
 async def animate_mesh(request: Request, service: ServiceDep, caller: AnimatorDep) -> Response:
     """A moving mesh of a recording: an embedded head, or a mesh model's template."""
@@ -76,8 +76,8 @@ async def animate_mesh(request: Request, service: ServiceDep, caller: AnimatorDe
 @router.post(
     "/retargets",
     response_class=Response,
-    responses=body_docs.answers(MESH_FORMATS, JobView),
-    openapi_extra=body_docs.body(
+    responses=schema.answers(MESH_FORMATS, JobView),
+    openapi_extra=schema.body(
         RetargetOptions,
         ("mesh", "curves", "landmarks", "mapping", *SPEECH),
         MESH_FORMATS,
@@ -94,8 +94,8 @@ async def retarget(request: Request, service: ServiceDep, caller: AnimatorDep) -
 @router.post(
     "/conversions",
     response_class=Response,
-    responses=body_docs.file_answers(CURVE_FORMATS),
-    openapi_extra=body_docs.body(ConversionOptions, ("curves",), CURVE_FORMATS, raw=False),
+    responses=schema.file_answers(CURVE_FORMATS),
+    openapi_extra=schema.body(ConversionOptions, ("curves",), CURVE_FORMATS, raw=False),
 )
 async def convert(request: Request, service: ServiceDep, caller: AnimatorDep) -> Response:
     """A file of curves in another format, on the control board."""
@@ -116,7 +116,7 @@ class NoOptions(BaseModel):
     model_config = ConfigDict(extra="forbid")
 
 
-@router.post("/validate", openapi_extra=body_docs.body(NoOptions, ("curves",), raw=False))
+@router.post("/validate", openapi_extra=schema.body(NoOptions, ("curves",), raw=False))
 async def validate(request: Request, service: ServiceDep, caller: AnimatorDep) -> ValidationView:
     """Check a file of curves by the rules of the programs that import it."""
     await service.check_room(caller, is_job=False)

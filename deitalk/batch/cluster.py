@@ -9,7 +9,7 @@ import pickle
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from deitalk.batch.messages import Order, Outcome
+from deitalk.batch.lines import Order, Outcome
 from deitalk.batch.processes import Make
 from deitalk.errors import DeitalkError, MissingError
 from rig.errors import UserError, one_line

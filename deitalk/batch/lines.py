@@ -6,9 +6,11 @@ import re
 from dataclasses import asdict, dataclass, field
 from functools import cache
 from pathlib import Path
+from typing import NamedTuple
 
 from deitalk.acting import Acting
 from deitalk.audio.original import ZERO, start_of
+from deitalk.batch.journal import File
 from deitalk.errors import DeitalkError
 from rig.curves import snap_fps
 from rig.errors import quoted
@@ -149,3 +151,55 @@ def line_key(line: Line, acting: Acting, model: str) -> str:
     if TAKE in line.written.formats:
         parts["name"] = Path(line.audio).name  # files of a take are named after it
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
+
+
+# What goes to a worker, and what comes back.
+
+
+@dataclass(frozen=True, slots=True)
+class Order:
+    """A line as a worker gets it."""
+
+    output: str
+    audio: str
+    acting: Acting = field(default_factory=Acting)
+    """With the voice of the actor, where one was measured."""
+    written: Written = field(default_factory=Written)
+    actor: str = ""
+    known: str = ""
+    """SHA-256 of the recording that the outputs are of; empty: they are to be made."""
+    size: float = 0.0
+    """Bytes of the recording."""
+    only_voice: bool = False
+    """Measure the strength of the voice and write nothing."""
+
+
+class Target(NamedTuple):
+    """A staged file or take folder, and its place below the output folder."""
+
+    name: str
+    path: str
+
+
+@dataclass(slots=True)
+class Outcome:
+    """What a worker made of a line.
+
+    Attributes
+    ----------
+    status : str
+        ``done``, ``unchanged`` (the recording is the known one), ``failed``, or ``full`` where the
+        disk is.
+    """
+
+    output: str
+    status: str
+    error: str = ""
+    sound: str = ""
+    seconds: float = 0.0
+    frames: int = 0
+    warnings: tuple[str, ...] = ()
+    strength: float | None = None
+    stage: str = ""
+    targets: tuple[Target, ...] = ()
+    files: tuple[File, ...] = ()

@@ -7,7 +7,7 @@ from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 
 from deitalk.batch.journal import DONE, FAILED, PLACING, Entry, File, Journal
-from deitalk.batch.messages import Outcome
+from deitalk.batch.lines import Outcome
 from deitalk.pipeline.performance import KIND as TAKE_KIND
 from rig import limits
 from rig.errors import TargetError
@@ -20,7 +20,7 @@ from rig.files import (
     recover,
     replace_recorded,
 )
-from rig.files.manifest import MANIFEST, digest_of
+from rig.files.folder import MANIFEST, digest_of
 from rig.files.reading import read_bytes
 
 KIND = "batch"

@@ -15,10 +15,9 @@ from weakref import finalize
 
 from deitalk.acting import Acting
 from deitalk.audio.frames import FRAME_RATE
+from deitalk.batch.cloud import read_recording, upload
 from deitalk.batch.journal import File
-from deitalk.batch.lines import TAKE, has_digits
-from deitalk.batch.messages import Order, Outcome, Target
-from deitalk.batch.storage import read_recording, upload
+from deitalk.batch.lines import TAKE, Order, Outcome, Target, has_digits
 from deitalk.models.load import Backend
 from deitalk.pipeline.performance import Performance
 from rig.errors import UserError, one_line

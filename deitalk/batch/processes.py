@@ -15,7 +15,7 @@ from multiprocessing import get_context
 from multiprocessing.connection import Connection, wait
 from typing import Protocol
 
-from deitalk.batch.messages import Order, Outcome
+from deitalk.batch.lines import Order, Outcome
 from deitalk.errors import DeitalkError
 from deitalk.workers import end_with_parent
 from rig.errors import UserError

@@ -11,8 +11,8 @@ from typing import Any
 
 from deitalk.acting import OLD_NAMES, Acting, modern
 from deitalk.audio.decoding import RECORDINGS
+from deitalk.batch.cloud import cloud_errors, file_system, is_url
 from deitalk.batch.lines import TAKE, BadLine, Line, Written, parse_formats
-from deitalk.batch.storage import cloud_errors, file_system, is_url
 from deitalk.emotions.track_files import number
 from deitalk.errors import DataError, DeitalkError
 from rig import limits

@@ -127,9 +127,8 @@ def import_(
     folders = tuple(audio or ())
     reserve_folder(out, kind="dataset", force=force, inputs=(*sources, table, mapping))
     with console().status("loading"):
-        from deitalk.data.captures.imported import import_captures
-        from deitalk.data.captures.labels import Labelling
-        from deitalk.data.captures.own_rig import rig_of_takes
+        from deitalk.data.captures.imported import import_captures, rig_of_takes
+        from deitalk.data.captures.sources import Labelling
 
         if rig is not None and rig_from is not None:
             raise DeitalkError("--rig-from makes the rig of the takes; leave --rig out")

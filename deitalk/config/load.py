@@ -8,8 +8,7 @@ from pydantic import Field, TypeAdapter
 
 from deitalk.config.curves import Config, FinetuneConfig
 from deitalk.config.mesh import SDFAConfig
-from deitalk.config.section import checked
-from deitalk.config.yaml_text import load_yaml, read_yaml
+from deitalk.config.section import checked, load_yaml, read_yaml
 from deitalk.errors import ConfigError
 from rig import limits
 from rig.errors import quoted

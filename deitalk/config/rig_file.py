@@ -29,8 +29,7 @@ from typing import Any
 import yaml
 from pydantic import Field, ValidationError
 
-from deitalk.config.section import Section
-from deitalk.config.yaml_text import load_yaml, read_yaml
+from deitalk.config.section import Section, load_yaml, read_yaml
 from deitalk.errors import ConfigError
 from rig import ControlSet, default_controls
 from rig.controls import DEFAULT_ID, Control

@@ -10,8 +10,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from deitalk.config.section import Section, checked
-from deitalk.config.yaml_text import read_yaml
+from deitalk.config.section import Section, checked, read_yaml
 from deitalk.errors import ConfigError
 from rig import limits
 

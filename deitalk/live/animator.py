@@ -18,13 +18,13 @@ from deitalk.emotions import EmotionTrack
 from deitalk.errors import AudioError, ConfigError
 from deitalk.live import rules
 from deitalk.live import rules as running
-from deitalk.live.life import RunningLife
 from deitalk.live.rules import (
     BEHIND,
     GATE_AHEAD,
     DueRows,
     RawRows,
     RunningActivity,
+    RunningLife,
     RunningRules,
     rows_before,
 )

@@ -6,9 +6,15 @@ from functools import partial
 import numpy as np
 
 from rig.controls import DEFAULT_ID, ControlSet, default_controls
-from rig.conversion.arkit import ARKIT_ID, arkit_controls, arkit_to_raw, raw_to_arkit
+from rig.conversion.arkit import (
+    ARKIT_ID,
+    arkit_controls,
+    arkit_to_raw,
+    raw_curves_of_shapes,
+    raw_to_arkit,
+)
 from rig.conversion.avatars import AVATARS, avatar_controls, avatar_to_raw, raw_to_avatar
-from rig.conversion.raw import RAW_ID, board_to_raw, raw_controls, raw_to_board
+from rig.conversion.raw import RAW_ID, board_of_raw_curves, board_to_raw, raw_controls, raw_to_board
 from rig.conversion.shape_fit import shape_key
 from rig.curves import RigCurves
 from rig.errors import ControlError, FormatError
@@ -125,3 +131,35 @@ def shapes_named(
     if best is None or not best[0]:
         raise FormatError(f"{where}: {', '.join(names[:4])} … are no shapes of ARKit or an avatar")
     return best[1], best[2]
+
+
+# Board channels that a source of curves can move at all: what a capture can know.
+#
+# A Live Link Face take of all shapes reaches 73 of 185 channels; the tongue, the lip bite and the
+# teeth are not among them, and their values at rest are no measurement.
+
+
+def reached_controls(names: Iterable[str], control_set: str) -> tuple[str, ...]:
+    """Return the board channels that some curves move, in the order of the board.
+
+    Parameters
+    ----------
+    names : iterable of str
+        Columns of a source, in any known spelling.
+    control_set : str
+        The set they belong to: board, raw curves or ARKit shapes.
+
+    Raises
+    ------
+    ControlError
+        If the set or a name is unknown.
+    """
+    if control_set == ARKIT_ID:
+        reached = board_of_raw_curves(raw_curves_of_shapes(arkit_controls().resolve(list(names))))
+    elif control_set == RAW_ID:
+        reached = board_of_raw_curves(raw_controls().resolve(list(names)))
+    elif control_set == DEFAULT_ID:
+        reached = set(default_controls().resolve(list(names)))
+    else:
+        raise ControlError(f"control set {control_set!r} is unknown; known: {', '.join(KNOWN)}")
+    return tuple(name for name in default_controls().names if name in reached)

@@ -4,21 +4,23 @@
 
     atomic.py     one file: written beside, then renamed
     targets.py    which paths a command may write to; one process at a time for each
-    manifest.py   the files that deitalk wrote into a folder, with hashes
-    folder.py     a whole folder: staged, then exchanged file by file, with a journal; single files
-                  of one that stays in use, such as a training run's
+    folder.py     a whole folder: staged, then exchanged file by file, with a journal; its manifest,
+                  of the files that deitalk wrote, with hashes; single files of one that stays in
+                  use, such as a training run's
 """
 
 from rig.files.atomic import atomic_write, remove_leftovers
 from rig.files.folder import (
     begin_folder,
+    changed_files,
     check_folder,
+    kind_of,
     output_folder,
+    record,
     recover,
     remove_written,
     replace_recorded,
 )
-from rig.files.manifest import changed_files, kind_of, record
 from rig.files.targets import cache_folder, check_file, claim, is_folder_name, new_file
 
 __all__ = [

@@ -18,8 +18,8 @@ from websockets.sync.client import connect
 
 from api.guard.keys import Caller
 from api.jobs.queue import Queue, new_id
-from api.jobs.schema import open_database
-from api.jobs.webhooks import Webhooks
+from api.jobs.runner import Webhooks
+from api.jobs.table import open_database
 from api.settings import SCOPES
 from tests.api.conftest import KEYS, bearer, wav
 from tests.each import each
@@ -159,7 +159,7 @@ def test_delivery_of_a_webhook_ends_in_its_time_whatever_the_receiver_does(
     receiver, tmp_path, monkeypatch
 ):
     """Two receivers send a byte a second; the third one's is delivered beside them."""
-    monkeypatch.setattr("api.jobs.webhooks.SECONDS", 1.5)
+    monkeypatch.setattr("api.jobs.runner.SECONDS", 1.5)
     queue = Queue(open_database(f"sqlite:///{tmp_path / 'jobs.sqlite'}"), 60.0, 3, 5)
     host = f"127.0.0.1:{receiver.server_port}"
     work = {"order": {"kind": "animation"}, "format": "json"}

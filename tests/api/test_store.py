@@ -14,9 +14,8 @@ from api.errors import Problem
 from api.guard.keys import Caller
 from api.jobs.queue import Queue, new_id
 from api.jobs.runner import remove_lost, remove_old
-from api.jobs.schema import open_database
 from api.jobs.store import Store
-from api.jobs.table import JOBS
+from api.jobs.table import JOBS, open_database
 from api.settings import SCOPES, Settings
 from tests.api.server import ROOT
 

@@ -1,6 +1,8 @@
 """Captured takes to a dataset folder (docs/dataset.md), whole or not at all."""
 
 import csv
+import math
+import re
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -13,10 +15,17 @@ from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
 from deitalk.audio.load import Recording, load_audio
 from deitalk.audio.prosody import measure_prosody
 from deitalk.audio.voice_activity import speech_activity
-from deitalk.config.rig_file import DATASET_RIG, rig_text
-from deitalk.data.captures.labels import Labelling, Labels
+from deitalk.config.rig_file import DATASET_RIG, classified_by_names, rig_text
+from deitalk.data.captures.columns import read_named
 from deitalk.data.captures.mapping import read_mapping
-from deitalk.data.captures.sources import Source, find_sound, find_takes
+from deitalk.data.captures.sources import (
+    Labelling,
+    Labels,
+    Source,
+    find_files,
+    find_sound,
+    find_takes,
+)
 from deitalk.data.captures.splits import (
     TRAIN,
     Piece,
@@ -38,6 +47,7 @@ from deitalk.data.captures.verdicts import (
 from deitalk.errors import DataError
 from rig import ControlSet, write_curves
 from rig.arrays import Bool, Float32, Float64
+from rig.controls import Control
 from rig.errors import UserError
 from rig.files import output_folder
 
@@ -487,3 +497,46 @@ def _notes(
     if not labels.is_emotion_given:
         notes.append("no emotion given, taken as neutral")
     return notes
+
+
+# The rig that captures are of, from the names and the motion of their columns.
+
+
+def rig_of_takes(sources: Sequence[Path], fps: float | None = None) -> ControlSet:
+    """Controls of the columns of tables of curves, in the order of the first table.
+
+    A control goes from 0 to 1, or to the whole numbers around what the takes show, and rests at 0.
+    Sides, mouth and upper face are told by the names.
+
+    Parameters
+    ----------
+    sources : sequence of Path
+        Files of curves, or folders that are searched to any depth.
+    fps : float or None
+        Of files without a rate.
+
+    Raises
+    ------
+    DataError
+        If no file holds named curves.
+    """
+    low: dict[str, float] = {}
+    high: dict[str, float] = {}
+    for path in (path for source in sources for path in find_files(source)):
+        try:
+            curves = read_named(path, fps)
+        except UserError:
+            continue  # no table of curves; if it is a take, its import says why
+        for name, values in zip(curves.names, curves.values.T, strict=True):
+            low[name] = min(low.get(name, 0.0), float(np.min(values)))
+            high[name] = max(high.get(name, 1.0), float(np.max(values)))
+    if not low:
+        raise DataError(
+            f"{sources[0]}: holds no table of named curves to make a rig of; give `rig`",
+            parameter="rig",
+        )
+    name = re.sub(r"[^A-Za-z0-9]+", "_", sources[0].stem).strip("_") or "rig"
+    return classified_by_names(
+        f"{name.lower()}@1",
+        (Control(column, math.floor(low[column]), math.ceil(high[column])) for column in low),
+    )

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from deitalk.data.captures.labels import SPELLINGS
+from deitalk.data.captures.sources import SPELLINGS
 from deitalk.data.captures.survey import ClipSurvey, Survey, without_rest
 from deitalk.data.captures.verdicts import Row
 from deitalk.emotions import EMOTIONS

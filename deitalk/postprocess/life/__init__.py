@@ -4,8 +4,7 @@
 
     voice.py     accents, phrases, questions and pauses of a recording
     tracks.py    shapes over time; random numbers of a take, and what tells characters apart
-    blinks.py    times and shapes of blinks
-    gaze.py      fixations, micro-saccades, aversions
+    eyes.py      times and shapes of blinks; fixations, micro-saccades, aversions
     brows.py     brows, lids and cheeks: accents, questions, drift, left and right
     head.py      turn and shift of the head; the neck
     amounts.py   how much of each is wanted

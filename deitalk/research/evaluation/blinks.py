@@ -4,7 +4,7 @@ The motion of each recording is drawn as for a neutral take of a nameless actor.
 how many takes there are and how many different ones (lids and gaze), blinks a minute, their
 intervals (median and 5th to 95th percentile), how long full blinks are more than half closed, and
 the share that begins within `NEAR_SECONDS` of the end of a phrase, beside the share of all times
-that lies there (chance). Published human ranges are in `deitalk.postprocess.life.blinks`.
+that lies there (chance). Published human ranges are in `deitalk.postprocess.life.eyes`.
 
 Letters: T frames at 30 per second.
 """

@@ -22,7 +22,7 @@ import numpy as np
 from deitalk.config.curves import Config
 from deitalk.config.load import AnyConfig, load_config
 from deitalk.config.mesh import SDFAConfig
-from deitalk.config.yaml_text import read_yaml
+from deitalk.config.section import read_yaml
 from deitalk.data.frozen_features import FrozenFeatures
 from deitalk.errors import ConfigError, DataError
 from deitalk.evaluation.report import as_json

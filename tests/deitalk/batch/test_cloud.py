@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 
 from deitalk.batch import cloud
+from deitalk.batch.cloud import file_system
 from deitalk.batch.run import animate_batch
 from deitalk.batch.source import SUMMARY
-from deitalk.batch.storage import file_system
 from deitalk.errors import DataError, MissingError
 from rig.errors import TargetError
 

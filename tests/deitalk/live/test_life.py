@@ -5,7 +5,7 @@ import pytest
 
 from deitalk.config.rules import Idle
 from deitalk.emotions import LABELS
-from deitalk.live.life import RunningLife, RunningVoice
+from deitalk.live.rules import RunningLife, RunningVoice
 from deitalk.postprocess.life.amounts import Life
 from deitalk.postprocess.life.brows import STEMS
 from deitalk.postprocess.life.tracks import Noise

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from deitalk.emotions import LABELS
-from deitalk.postprocess.curve_rules import Expression, expression_scale
-from deitalk.postprocess.expressions import expression_table
+from deitalk.postprocess.curve_rules import Expression, expression_scale, expression_table
 from rig import default_controls
 from tests.each import each
 

@@ -5,8 +5,13 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from deitalk.research.meshes.packing import pack, pack_vertices, unpack
-from rig.deformation.gradients import deformation_gradients
-from rig.deformation.reconstruct import DeformationSolver, RigidPart, rigid_motion, small_parts
+from rig.deformation.reconstruct import (
+    DeformationSolver,
+    RigidPart,
+    deformation_gradients,
+    rigid_motion,
+    small_parts,
+)
 from rig.errors import MeshError, TopologyError
 from rig.mesh.trimesh import TriMesh, triangle_areas
 

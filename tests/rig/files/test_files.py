@@ -27,7 +27,7 @@ from rig.files import (
     remove_written,
 )
 from rig.files import folder as folders
-from rig.files.manifest import MANIFEST
+from rig.files.folder import MANIFEST
 from tests.each import each
 
 

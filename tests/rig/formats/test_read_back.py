@@ -14,11 +14,10 @@ from rig.conversion.convert import convert
 from rig.conversion.raw import RAW_ID
 from rig.errors import FormatError
 from rig.face import build_head
-from rig.face.baked import baked
 from rig.formats.table import FORMATS
 from rig.mesh import fbx
 from rig.mesh.glb import GlbBuilder, read_container, write_container
-from rig.retarget.morph_head import painted_colours
+from rig.retarget.morph_head import baked, painted_colours
 from rig.retarget.retarget_files import retarget_curves
 from rig.validation.curves import validate
 from tests.each import each

@@ -14,8 +14,8 @@ from deitalk.audio.load import load_audio
 from deitalk.cli import app
 from deitalk.config.rig_file import read_controls, rig_of_dataset
 from deitalk.data.captures import imported
-from deitalk.data.captures.labels import Labelling
-from deitalk.data.captures.own_rig import rig_of_takes
+from deitalk.data.captures.imported import rig_of_takes
+from deitalk.data.captures.sources import Labelling
 from deitalk.data.clips import read_clips, read_known
 from deitalk.errors import DataError
 from rig import default_controls, read_curves, rest_curves

@@ -4,8 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from deitalk.data.captures.labels import Labelling
-from deitalk.data.captures.sources import Source
+from deitalk.data.captures.sources import Labelling, Source
 from deitalk.errors import DataError
 from tests.each import each
 

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from deitalk.config.rules import Idle
-from deitalk.postprocess.life.blinks import Blink, Blinks
-from deitalk.postprocess.life.gaze import AVERSION_DEGREES, Gaze, as_controls
+from deitalk.postprocess.life.eyes import AVERSION_DEGREES, Blink, Blinks, Gaze, as_controls
 from deitalk.postprocess.life.voice import Phrase, Voice
 from tests.each import each
 
