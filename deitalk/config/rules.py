@@ -59,6 +59,18 @@ class ScaleOpening(Section):
     )
 
 
+class PoseSize(Section):
+    """The expression is scaled by the size of the network's pose; off: by its own intensity.
+
+    The numbers are for the weights of a model; those of `default` are means of training actors.
+    """
+
+    angry: float = Field(gt=0, le=100, description="size of the pose over predicted intensity")
+    happy: float = Field(gt=0, le=100, description="the same of joy")
+    sad: float = Field(gt=0, le=100, description="the same of sadness")
+    surprised: float = Field(gt=0, le=100, description="the same of surprise")
+
+
 class KeepContacts(Section):
     """An expression does not part lips that are closed in the neutral reading."""
 
@@ -135,6 +147,7 @@ class RulesConfig(Section):
     voice_intensity: VoiceIntensity | None = VoiceIntensity()
     sharpen_contacts: SharpenContacts | None = SharpenContacts()
     scale_opening: ScaleOpening | None = ScaleOpening()
+    pose_size: PoseSize | None = None
     keep_contacts: KeepContacts | None = KeepContacts()
     expressions: Expressions | None = Expressions()
     limit_contact_speed: LimitContactSpeed | None = LimitContactSpeed()

@@ -211,9 +211,16 @@ def finish(
     neutral, emotional, tracks = reading.first(len(prepared.weights))
     speech, rules, acting, clock = prepared.speech, prepared.rules, prepared.acting, prepared.clock
     controls, weights = prepared.network.controls, prepared.weights
-    intensities = measure_intensities(speech, tracks, acting, rules.voice_intensity)
-    clock.lap("network")
     expression = Expression(controls, rules)
+    held = partial(
+        expression.held_intensity,
+        neutral,
+        emotional,
+        trained_weights(weights),
+        speech.activity > 0,
+    )
+    intensities = measure_intensities(speech, tracks, acting, rules.voice_intensity, held)
+    clock.lap("network")
     if words is None and prepared.words is not None:
         # Times of the words in the sound.
         from deitalk.pipeline.words.align import align_words
@@ -261,7 +268,7 @@ def _apply_rules(
         rules.scale_opening(reading, intensities.voice, intensities.network, intensities.take)
     out = None if emotional is neutral else emotional  # not needed any more
     values = rules.blend(neutral, emotional, intensities.scale, out)
-    rules.express(values, neutral, weights, intensities.scale, intensities.network)
+    rules.express(values, neutral, weights, intensities.scale, intensities.held)
     rules.rest_lips(values, neutral)
     for reading in (neutral, values):
         rules.limit_contact_speed(reading)

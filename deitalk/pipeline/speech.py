@@ -145,7 +145,9 @@ class Intensities(NamedTuple):
     saliency: Float32
     """e_sim (DEITalk Eq. 5), -1 to 1."""
     network: Float32
-    """Predicted by the network, 0 to 1; the emotional reading holds this much."""
+    """Predicted by the network, 0 to 1."""
+    held: Float32
+    """What the emotional reading holds, 0 to 2; by default as much as `network`."""
     voice: Float32
     """The same, corrected by the prosody, 0 to 1."""
     predicted: Float32
@@ -163,11 +165,13 @@ def measure_intensities(
     tracks: Tracks,
     acting: Acting,
     rule: VoiceIntensity | None = VoiceIntensity(),
+    held: Callable[[Float32], Float32] = lambda network: network,
 ) -> Intensities:
     """Intensity to apply in each frame, from the network, the voice and the acting.
 
     A network without an intensity module counts as one that predicts 1 everywhere. Without the
     `rule` that corrects the prediction the emotional reading is shown as it is, times the factor.
+    `held` gives the intensity that the emotional reading holds from the predicted one.
     """
     network = np.ones(speech.n_frames, np.float32)
     saliency = np.zeros(speech.n_frames, np.float32)
@@ -182,10 +186,11 @@ def measure_intensities(
     predicted = voice * speech.shown
     base = predicted if acting.intensity_curve is None else acting.intensity_curve.at(speech.times)
     applied = (base * acting.intensity).astype(np.float32)
-    scale = expression_scale(applied, network * speech.shown)
+    holds = held(network)
+    scale = expression_scale(applied, holds * speech.shown)
     if rule is None and acting.intensity_curve is None:
         scale = np.full(speech.n_frames, acting.intensity, np.float32)
-    return Intensities(saliency, network, voice, predicted, applied, scale, take)
+    return Intensities(saliency, network, holds, voice, predicted, applied, scale, take)
 
 
 # Measure the usual voice of an actor from recordings: ``deitalk data voice``.

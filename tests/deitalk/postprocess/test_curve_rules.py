@@ -281,3 +281,50 @@ def test_rule_uses_the_numbers_of_its_section():
     curves[:, jaw] = 0.3, 0.05
     Expression(CONTROLS, rules).apply_dead_zone(curves)
     np.testing.assert_allclose(curves[:, jaw], [0.2, 0.0], atol=1e-6)
+
+
+SIZED = Expression(
+    CONTROLS,
+    RulesConfig.model_validate({"pose_size": dict(angry=4, happy=2, sad=30, surprised=1)}),
+)
+
+
+def held(size, weights, predicted=0.5, rules=SIZED):
+    """Intensity of ten seconds whose one brow differs by `size` in every frame."""
+    neutral = np.zeros((300, len(CONTROLS)), np.float32)
+    emotional = neutral.copy()
+    emotional[:, CONTROLS.index("CTRL_L_brow_down.ty")] = size
+    emotional[:, CONTROLS.index("CTRL_C_jaw.ty")] = 1  # speech, not the size of a pose
+    rows = np.tile(np.array(weights, np.float32), (300, 1))
+    network = np.full(300, predicted, np.float32)
+    return rules.held_intensity(neutral, emotional, rows, np.ones(300, bool), network)
+
+
+def test_held_intensity_is_the_size_of_the_pose():
+    """1.2 in anger, whose pose is 4 at intensity 1: .3, whatever is predicted."""
+    angry = [0, 1, 0, 0, 0]
+    for predicted in (0.3, 0.5):
+        np.testing.assert_allclose(held(1.2, angry, predicted), 0.3, rtol=1e-4)
+    np.testing.assert_allclose(held(9, angry), 1, rtol=1e-4)  # at most twice the prediction
+    np.testing.assert_allclose(held(0, angry), 0.25, rtol=1e-4)  # at least half of it
+    np.testing.assert_array_equal(held(1.2, angry, rules=RULES), np.float32(0.5))  # off
+
+
+def test_held_intensity_of_a_mixture_is_the_predicted_one():
+    """Sizes of two poses do not add; three quarters of one emotion count half."""
+    np.testing.assert_allclose(held(0.6, [0.5, 0.5, 0, 0, 0]), 0.5, rtol=1e-4)
+    mostly = held(0.6, [0.25, 0, 0.75, 0, 0])  # .6 / (.75 * 2 * .5) = .8 of it, in part
+    np.testing.assert_allclose(mostly, 0.5 * 0.8**0.5, rtol=1e-4)
+    np.testing.assert_allclose(held(0.6, [1, 0, 0, 0, 0]), 0.5, rtol=1e-4)
+
+
+def test_strong_take_shows_as_much_more_as_is_applied_though_its_pose_is_no_larger():
+    neutral, emotional = readings()
+    rows = np.tile(np.eye(5, dtype=np.float32)[3], (T, 1))  # sad
+    shown = []
+    for predicted, applied in ((0.4, 0.3), (0.6, 0.6)):
+        network = constant(predicted)
+        holds = SIZED.held_intensity(neutral, emotional, rows, np.ones(T, bool), network)
+        curves = SIZED.blend(neutral, emotional, expression_scale(constant(applied), holds))
+        shown.append(np.abs(curves - neutral)[:, SIZED.posing].sum())
+    np.testing.assert_allclose(shown[1], 2 * shown[0], rtol=1e-4)
