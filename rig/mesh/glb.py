@@ -211,10 +211,10 @@ def _add_mesh(
     """Append mesh and material; return the vertices that were kept."""
     mesh, used = shapes.neutral.compact()
     normals = MovedNormals(mesh)
-    targets = []
+    still, targets = (_STILL * mesh.size) ** 2, []
     for shape in shapes.deltas:
         delta = shape if len(used) == len(shape) else shape[used]
-        moving = np.flatnonzero(np.einsum("vc,vc->v", delta, delta) > (_STILL * mesh.size) ** 2)
+        moving = np.flatnonzero(np.einsum("vc,vc->v", delta, delta) > still)
         turned, turn = normals.turn(moving, delta[moving])
         is_seen = np.einsum("vc,vc->v", turn, turn) > _NORMAL_STILL**2
         targets.append(

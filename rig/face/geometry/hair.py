@@ -3,7 +3,6 @@
 from collections.abc import Callable
 
 import numpy as np
-from scipy.interpolate import RegularGridInterpolator
 
 from rig.arrays import Float64
 from rig.face.geometry.mesh import HAIR, STRANDS_UV, Mesh, cast, grid_faces, join, smoothstep, unit
@@ -74,6 +73,8 @@ def _thickness(rise: Float64, turn: Float64, elevation: Float64, identity: Ident
 
 def _radius_table(identity: Identity) -> Callable[[Float64], Float64]:
     """Distance of the skin from `HAIR_AXIS` in any direction (n, 3), from a table of rays."""
+    from scipy.interpolate import RegularGridInterpolator
+
     elevation = np.radians(np.linspace(-80, 90, 48))
     turn = np.linspace(-np.pi, np.pi, 97)
     e, t = np.meshgrid(elevation, turn, indexing="ij")
