@@ -35,6 +35,11 @@ class ModelConfig(Section):
     )
     positions: bool = Field(default=True, description="dynamic positional encoding (Eq. 2-3)")
     intensity: bool = Field(default=True, description="dynamic emotional intensity (Eq. 4-6)")
+    effort: bool = Field(
+        default=False,
+        description="a linear readout of the speech features is the strength of the voice; not in "
+        "the paper",
+    )
     emotion_size: Width = Field(default=128, description="width of S_emo and E_in")
     saliency_frames: int | None = Field(
         default=None,

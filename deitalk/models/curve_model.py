@@ -51,13 +51,14 @@ class Analysis(NamedTuple):
     """e_sim [shape=(T,), range -1 to 1]."""
     strength: Tensor | None
     """Predicted intensity [shape=(T,), range 0 to 1]."""
+    effort: Tensor | None = None
+    """Strength of the voice [shape=(T,)], dB above the usual."""
 
     @property
     def tracks(self) -> Tracks:
-        """Saliency and strength as arrays."""
-        if self.saliency is None or self.strength is None:
-            return Tracks(None, None)
-        return Tracks(self.saliency.cpu().numpy(), self.strength.cpu().numpy())
+        """What is predicted of each frame, as arrays."""
+        rows = (self.saliency, self.strength, self.effort)
+        return Tracks(*(None if row is None else row.cpu().numpy() for row in rows))
 
 
 class DEITalk(nn.Module):
@@ -101,6 +102,7 @@ class DEITalk(nn.Module):
                 config.saliency_frames,
                 self.is_causal,
                 config.kept_intensity,
+                config.effort,
             )
             self.motion = MotionEncoder(
                 n_controls, config.motion_channels, config.kernel_size, config.emotion_size
@@ -294,13 +296,15 @@ class DEITalk(nn.Module):
             embedding = torch.stack(largest).amax(dim=0).unsqueeze(0)
         margin = (module.saliency_frames or 0) // (1 if module.causal else 2)
         guidance = speech.new_empty(n_frames, module.guidance_size)
-        tracks = speech.new_empty(2, n_frames, dtype=torch.float32)
+        tracks = speech.new_empty(3, n_frames, dtype=torch.float32)
         for first, last, start, stop in _pieces(n_frames, margin):
             output = module(speech[first:last].float().unsqueeze(0), embedding)
             inner = slice(start - first, stop - first)
             guidance[start:stop] = output.guidance[0, inner]
-            tracks[:, start:stop] = torch.cat((output.saliency, output.strength))[:, inner]
-        return Analysis(speech, guidance, tracks[0], tracks[1])
+            effort = output.strength if output.effort is None else output.effort
+            rows = torch.cat((output.saliency, output.strength, effort))
+            tracks[:, start:stop] = rows[:, inner]
+        return Analysis(speech, guidance, *tracks[: 2 if module.effort is None else 3])
 
     @torch.no_grad()
     def decode(self, analysis: Analysis, emotion: Tensor) -> Tensor:
@@ -356,8 +360,8 @@ def _analysis_of(speech: Tensor, intensity: Intensity | None, row: int) -> Analy
     """Analysis of one recording of several."""
     if intensity is None:
         return Analysis(speech[row], None, None, None)
-    rows = intensity.guidance[row], intensity.saliency[row], intensity.strength[row]
-    return Analysis(speech[row], *rows)
+    rows = intensity.guidance, intensity.saliency, intensity.strength, intensity.effort
+    return Analysis(speech[row], *(None if part is None else part[row] for part in rows))
 
 
 def _pieces(total: int, margin: int) -> Iterator[tuple[int, int, int, int]]:

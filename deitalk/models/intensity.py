@@ -29,6 +29,8 @@ class Intensity(NamedTuple):
     """E_in [shape=(B, T, E)] (Eq. 6); that of a kept projection follows, (B, T, 2 E)."""
     strength: Tensor
     """Predicted intensity [shape=(B, T), range 0 to 1]: the saliency, calibrated."""
+    effort: Tensor | None = None
+    """Strength of the voice [shape=(B, T)], dB above the usual, where there is a readout."""
 
 
 def temporal_maximum(features: Tensor) -> Tensor:
@@ -100,6 +102,10 @@ class DynamicIntensity(nn.Module):
     kept : bool
         A second projection, that of the model before its fine-tuning, gives the guidance of the
         decoder that was kept too (`deitalk.models.rig_decoder.RigDecoder`; not in the paper).
+    effort : bool
+        A linear readout of the speech features is the strength of the voice. Not in the paper,
+        whose saliency compares frames of one clip: between an actor's weak and strong takes it is
+        at chance.
     """
 
     def __init__(
@@ -111,11 +117,13 @@ class DynamicIntensity(nn.Module):
         saliency_frames: int | None,
         causal: bool = False,
         kept: bool = False,
+        effort: bool = False,
     ) -> None:
         super().__init__()
         self.saliency_frames, self.causal = saliency_frames, causal
         self.project = nn.Linear(in_size, emotion_size)
         self.kept = nn.Linear(in_size, emotion_size) if kept else None
+        self.effort = nn.Linear(in_size, 1) if effort else None
         self.guidance_size = (2 if kept else 1) * emotion_size
         self.classifier = nn.Sequential(
             nn.Linear(emotion_size, classifier_size),
@@ -140,6 +148,8 @@ class DynamicIntensity(nn.Module):
             maximum = past_maximum if self.causal else local_maximum
             around = maximum(features, self.saliency_frames)
         intensity = self._compared(features, embedding, around)
+        if self.effort is not None:
+            intensity = intensity._replace(effort=self.effort(speech).squeeze(-1))
         if self.kept is None or self.saliency_frames is None:
             return intensity
         before = self.kept(speech)

@@ -33,6 +33,8 @@ class Tracks(NamedTuple):
     """e_sim (DEITalk Eq. 5) [shape=(T,), range -1 to 1]."""
     strength: Float32 | None
     """Predicted intensity [shape=(T,), range 0 to 1]."""
+    effort: Float32 | None = None
+    """Strength of the voice [shape=(T,)], dB above the usual."""
 
 
 class Reading(NamedTuple):

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from copy import copy, deepcopy
 from fractions import Fraction
 from pathlib import Path
-from typing import Any, NamedTuple, cast
+from typing import Any, cast
 
 import torch
 from torch import Tensor, nn
@@ -93,13 +93,8 @@ BLOCK = 64
 """Frames whose attention is applied in one product."""
 
 
-class GraphOutput(NamedTuple):
-    """Outputs of the graph, in their order."""
-
-    curves: Tensor
-    neutral: Tensor
-    saliency: Tensor
-    intensity: Tensor
+OUTPUTS, EFFORT = ("curves", "neutral", "saliency", "intensity"), "effort"
+"""Outputs of the graphs, in their order; the last one of models with a readout of the effort."""
 
 
 class MelFrontendGraph(nn.Module):
@@ -227,8 +222,8 @@ class CurveGraph(nn.Module):
 
     def forward(
         self, sound: Tensor, emotion: Tensor, place: Tensor, peak: Tensor | None = None
-    ) -> GraphOutput:
-        """Predict a clip.
+    ) -> tuple[Tensor, ...]:
+        """Predict a clip: `OUTPUTS`, and `EFFORT`.
 
         Parameters
         ----------
@@ -255,7 +250,9 @@ class CurveGraph(nn.Module):
         readings = self.model.decoder(
             placed.expand(2, -1, -1), torch.stack((plain, emotion)), guidance.expand(2, -1, -1)
         )
-        return GraphOutput(readings[1], readings[0], saliency[0], strength[0])
+        rows = readings[1], readings[0], saliency[0], strength[0]
+        effort = self.model.intensity.effort
+        return rows if effort is None else (*rows, effort(speech)[0, :, 0])
 
     def _intensity(self, speech: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Saliency, strength (1, T) and guidance (1, T, E or 2 E), as `DynamicIntensity`."""
@@ -288,8 +285,6 @@ def _norm(features: Tensor) -> Tensor:
 #
 # The level of the sound follows itself from frame to frame, so a graph of several frames would
 # need a loop; one frame a call needs none.
-
-OUTPUTS = ("curves", "neutral", "saliency", "intensity")
 
 
 class CausalGraph(nn.Module):
@@ -420,7 +415,8 @@ def _trace(graph: CurveGraph, path: Path) -> dict[str, str]:
     )
     inputs = {"sound": "S", "emotion": "T", "place": "T"}
     axes = {name: {0: size} for name, size in inputs.items()}
-    axes |= {name: {0: "T"} for name in GraphOutput._fields}
+    outputs = [*OUTPUTS, *[EFFORT] * model.config.effort]
+    axes |= {name: {0: "T"} for name in outputs}
     names, texts = list(inputs), {}
     if model.config.frontend.kind == "whisper":
         example, names = (*example, torch.tensor(0.0)), [*names, "peak"]
@@ -429,7 +425,7 @@ def _trace(graph: CurveGraph, path: Path) -> dict[str, str]:
         sizes = {"n_mels": frontend.config.n_mels, "mel_rate": frontend.mel.rate}
         parts = parts_of(around)._asdict() | sizes
         texts = {"parts": json.dumps(parts)}
-    _export(graph, example, path, names, list(GraphOutput._fields), axes)
+    _export(graph, example, path, names, outputs, axes)
     return texts
 
 

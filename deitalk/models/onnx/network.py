@@ -144,11 +144,11 @@ class OnnxNetwork:
             rows = self._session.run(None, inputs | known)
             parts.append([row[start - first : stop - first] for row in rows])
             progress(stop / total)
-        curves, neutral, saliency, strength = (
+        curves, neutral, *tracks = (
             np.concatenate(part) if len(part) > 1 else part[0] for part in zip(*parts, strict=True)
         )
         emotional = neutral if is_neutral(weights) else curves
-        return Reading(neutral, emotional, Tracks(saliency, strength))
+        return Reading(neutral, emotional, Tracks(*tracks))
 
     def _known(self, sound: Float32, gain: float) -> dict[str, Float32]:
         """What a part must know of the whole recording: of a Whisper frontend, its peak."""

@@ -107,3 +107,17 @@ def test_kept_projection_gives_the_guidance_that_it_gave_alone():
     assert guidance.shape == (2, 20, tuned.guidance_size) == (2, 20, 8)
     torch.testing.assert_close(guidance[..., 4:], before(speech).guidance)
     assert not torch.allclose(guidance[..., :4], guidance[..., 4:])
+
+
+def test_effort_is_a_linear_readout_and_changes_nothing_else():
+    torch.manual_seed(0)
+    with_it = DynamicIntensity(6, 4, 3, 5, saliency_frames=5, effort=True).eval()
+    without = DynamicIntensity(6, 4, 3, 5, saliency_frames=5).eval()
+    without.load_state_dict({k: v for k, v in with_it.state_dict().items() if "effort" not in k})
+    speech = torch.randn(2, 9, 6)
+    found, plain = with_it(speech), without(speech)
+    wanted = speech @ with_it.effort.weight[0] + with_it.effort.bias
+    torch.testing.assert_close(found.effort, wanted)
+    assert plain.effort is None
+    for name in ("features", "saliency", "guidance", "strength"):
+        torch.testing.assert_close(getattr(found, name), getattr(plain, name))

@@ -11,7 +11,7 @@ from deitalk.audio.voice_activity import active_level_db, speech_activity
 from deitalk.emotions import IntensityCurve
 from deitalk.errors import AudioError
 from deitalk.models.protocol import Tracks, neutral_and_acted
-from deitalk.pipeline.speech import Speech, measure_intensities
+from deitalk.pipeline.speech import EFFORT_SHARE, Speech, measure_intensities
 from deitalk.research.evaluation.benchmark_curves import speechlike
 from tests.each import each
 
@@ -89,3 +89,24 @@ def test_neutral_weights_are_read_once():
     np.testing.assert_array_equal(alone, neutral)
     for found, expected in zip(neutral_and_acted(happy), (neutral, happy), strict=True):
         np.testing.assert_array_equal(found, expected)
+
+
+def test_strength_is_the_mean_of_prosody_and_readout(speech):
+    """A constant readout moves the whole and every frame by its share of the distance to it."""
+    whole, around = speech.strengths()
+    with_it, near = speech.strengths(np.full(speech.n_frames, 6.0, np.float32))
+    assert with_it == pytest.approx(whole + EFFORT_SHARE * (6 - whole))
+    speaking = speech.activity > 0
+    assert near[speaking].mean() == pytest.approx(with_it, abs=1e-4)
+    spread = (near - near[speaking].mean())[speaking]
+    expected = (1 - EFFORT_SHARE) * (around - around[speaking].mean())[speaking]
+    np.testing.assert_allclose(spread, expected, atol=1e-4)
+
+
+def test_louder_readout_in_one_half_raises_that_half(speech):
+    effort = np.zeros(speech.n_frames, np.float32)
+    effort[speech.n_frames // 2 :] = 9
+    _, near = speech.strengths(effort)
+    _, plain = speech.strengths(np.zeros_like(effort))
+    voiced = np.flatnonzero(speech.activity > 0)
+    assert (near - plain)[voiced[-1]] > (near - plain)[voiced[0]] + 4
