@@ -24,6 +24,8 @@ from deitalk.frontends.base import Encoder
 from deitalk.installed import research
 from deitalk.models.curve_model import DEITalk
 from deitalk.models.folder import (
+    EFFORT,
+    EFFORT_WEIGHTS,
     ENCODER,
     FORMAT_VERSION,
     RIG_FILE,
@@ -187,6 +189,7 @@ def save_model(
         "parameters": sum(p.numel() for p in model.parameters()),
         "training": dict(summary),
     }
+    effort = {name: weights.pop(name) for name in list(weights) if name.startswith(EFFORT_WEIGHTS)}
     fixed = {name: weights.pop(name) for name in list(weights) if model.is_fixed(name)}
     encoder = save({name: _half(value) for name, value in fixed.items()})
     if encoder_of is not None:
@@ -197,6 +200,8 @@ def save_model(
         # save_file would make a file that nobody else may read.
         if fixed:
             (beside / ENCODER).write_bytes(encoder)
+        if effort:
+            (beside / EFFORT).write_bytes(save(effort))
         (beside / "model.safetensors").write_bytes(save(weights))
         if model.product == "mesh":
             write_templates(beside, cast("MeshModel", model), half=half)

@@ -5,6 +5,7 @@
     config.yaml          every setting; `kind: sdfa` marks a mesh model
     model.safetensors    weights, float16 in shipped models
     encoder.safetensors  those of a pretrained encoder that did not learn, where there is one
+    effort.safetensors   readout of the voice's strength from its features, where there is one
     model.json           format version, control set or speakers, training summary; with
                          "encoder_of", the embedded model whose encoder.safetensors it uses
     controls.yaml        the rig, where it is not the board: see `deitalk.config.rig_file`
@@ -235,7 +236,8 @@ def require_device(name: str) -> str:
 FORMAT_VERSION = 1
 RIG_FILE = "controls.yaml"
 ENCODER = "encoder.safetensors"
-WEIGHT_FILES = ("model.safetensors", ENCODER)
+EFFORT, EFFORT_WEIGHTS = "effort.safetensors", "intensity.effort."
+WEIGHT_FILES = ("model.safetensors", ENCODER, EFFORT)
 EMBEDDED = ("default", "mel", "live", "sdfa", "mesh_head")
 """Models that come with the package; `embedded_models` lists those that are there."""
 
@@ -344,13 +346,16 @@ def weight_files(folder: Path) -> list[Path]:
 
 
 def weights_hash(folder: Path) -> str:
-    """SHA-256 of a folder's weights, in hexadecimal; of two files, of their hashes in turn."""
+    """SHA-256 of a folder's weights, in hexadecimal; of two files, of their hashes in turn.
+
+    The readout of the voice's strength, which the network's curves do not need, is left out.
+    """
     return str(_weights(folder)["sha256"])
 
 
 def _weights(folder: Path) -> dict[str, int | str]:
     """Size and hash of all weights of a folder."""
-    parts = [_size_and_hash(path) for path in weight_files(folder)]
+    parts = [_size_and_hash(path) for path in weight_files(folder) if path.name != EFFORT]
     if len(parts) == 1:
         return parts[0]
     hashes = "".join(str(part["sha256"]) for part in parts)

@@ -5,7 +5,8 @@ are differences that no rule of this project made: of an actor's takes of one em
 two strengths (1 between low and high), also with other noise and equalisation, and of pieces of a
 reader's chapter, whose level is known. A take and its noisy copy should differ by nothing.
 
-The result is in dB and 0 for the mean reader; ``-o`` writes the weights of the model with it.
+The result is in dB, and 0 half-way between the mean reader and the mean neutral take; ``-o``
+writes a model's ``effort.safetensors``.
 """
 
 import argparse
@@ -18,6 +19,7 @@ from typing import NamedTuple
 import numpy as np
 import torch
 from numpy.random import Generator
+from safetensors.torch import save_file
 from scipy.signal import firwin2, lfilter
 
 from deitalk.audio.load import load_audio
@@ -25,10 +27,11 @@ from deitalk.audio.prosody import measure_prosody
 from deitalk.audio.voice_activity import normalise_level, speech_activity
 from deitalk.models.checkpoint import load_model
 from deitalk.models.curve_model import DEITalk
-from deitalk.models.folder import read_weights
+from deitalk.models.folder import EFFORT_WEIGHTS
 from deitalk.research.evaluation.acted import (
     ACTORS,
     LEVELS,
+    NEUTRAL,
     READERS,
     StrengthClip,
     acted_order,
@@ -43,9 +46,10 @@ STEPS = {("HI", "LO"): (1.0, 1.0), ("HI", "MD"): (0.7, 0.6), ("MD", "LO"): (0.7,
 """Weight and target of each pair of strengths."""
 CLEAR, UNCLEAR = ("ANG", "HAP"), 0.6
 """Emotions whose strength is clear in the voice, and the weight of others."""
-STEP_DB = 9.0
-"""Decibels between low and high."""
-RIDGE, NUISANCE, READING = 1000.0, 1.0, 0.02
+STEP_DB = 16.0
+"""Decibels between low and high; with the penalty the step of anger is that of
+`deitalk.audio.vocal_strength`, 12 dB."""
+RIDGE, NUISANCE, READING = 2000.0, 1.0, 0.05
 """Penalties on the weights and on changes by noise, and weight of the readers' pieces; chosen by
 nine folds over the actors that are not for tests."""
 
@@ -110,7 +114,8 @@ def fit(heard: Sequence[Heard], ridge: float = RIDGE) -> tuple[Float64, float]:
     normal = (rows * weights[:, None]).T @ rows + ridge * np.eye(len(scale))
     readout = STEP_DB * np.linalg.solve(normal, rows.T @ (weights * targets)) / scale
     readers = [one.mean @ readout for one in heard if one.clip.kind == READERS]
-    return readout, -float(np.mean(readers))
+    neutral = [one.mean @ readout for one in acted if one.clip.emotion == NEUTRAL] or readers
+    return readout, -float(np.mean(readers) + np.mean(neutral)) / 2
 
 
 def _between_takes(acted: Sequence[Heard]) -> Iterator[Row]:
@@ -143,7 +148,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--readers", type=Path, required=True, help="table of readers")
     parser.add_argument("--actors", type=Path, required=True, help="table of actors")
     parser.add_argument("--folds", type=int, default=9, help="over actors, for the printed scores")
-    parser.add_argument("-o", "--out", type=new_file, help="model.safetensors with the readout")
+    parser.add_argument("-o", "--out", type=new_file, help="effort.safetensors")
     given = parser.parse_args(arguments)
     clips = read_strength_clips(given.readers, READERS) + read_strength_clips(given.actors, ACTORS)
     model, rng = load_model("default"), np.random.default_rng(5)
@@ -171,15 +176,9 @@ def _scores(heard: Sequence[Heard], folds: int) -> str:
 
 
 def _write(path: Path, weights: Float64, offset: float) -> None:
-    from safetensors.torch import save_file
-
-    from deitalk.models.folder import model_folder
-
-    state = read_weights(model_folder("default") / "model.safetensors")
-    state["intensity.effort.weight"] = torch.tensor(weights)[None].half()
-    state["intensity.effort.bias"] = torch.tensor([offset]).half()
+    state = {"weight": torch.tensor(weights)[None].float(), "bias": torch.tensor([offset]).float()}
     with atomic_write(path) as beside:
-        save_file(state, beside)
+        save_file({EFFORT_WEIGHTS + name: value for name, value in state.items()}, beside)
 
 
 if __name__ == "__main__":

@@ -197,3 +197,22 @@ def test_encoder_of_no_embedded_model_is_refused(live, tmp_path, owner):
     about = json.loads((tmp_path / "m/model.json").read_text())
     (tmp_path / "m/model.json").write_text(json.dumps(about | {"encoder_of": owner}))
     refused(tmp_path / "m", "is no embedded model")
+
+
+def test_readout_of_the_voice_has_a_file_of_its_own_and_leaves_the_hash(config, tmp_path):
+    """The hash is of what makes curves."""
+    heard = config.model_copy(update={"model": config.model.model_copy(update={"effort": True})})
+    model, folder = DEITalk(heard.model).eval(), tmp_path / "model"
+    hashes = []
+    for value in (1.0, 2.0):
+        torch.nn.init.constant_(model.intensity.effort.weight, value)
+        save_model(folder, model, heard, {})
+        assert set(load_file(folder / "effort.safetensors")) == {
+            "intensity.effort.weight",
+            "intensity.effort.bias",
+        }
+        assert load_model(folder).intensity.effort.weight.unique() == value
+        hashes.append(weights_hash(folder))
+    assert hashes[0] == hashes[1]
+    (folder / "effort.safetensors").unlink()
+    refused(folder, "intensity.effort.weight' is absent")
