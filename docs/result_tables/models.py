@@ -49,7 +49,7 @@ def megabytes(name: str) -> float:
 
 def numbers(name: str) -> int:
     """Numbers in the weights of a model."""
-    files = ("model.safetensors", "encoder.safetensors")
+    files = ("model.safetensors", "encoder.safetensors", "effort.safetensors")
     paths = (WEIGHTS / name / file for file in files)
     return sum(_numbers(path) for path in paths if path.is_file())
 

@@ -113,7 +113,9 @@ def assert_equal(found, expected, controls=None):
         assert ours.shape == theirs.shape
         assert np.abs((ours - theirs) / span).max() <= TOLERANCE
     for ours, theirs in zip(found.tracks, expected.tracks, strict=True):
-        np.testing.assert_allclose(ours, theirs, atol=TOLERANCE)
+        assert (ours is None) == (theirs is None)
+        if ours is not None:
+            np.testing.assert_allclose(ours, theirs, atol=TOLERANCE)
 
 
 @each("n_frames", [1, 2, 7, 64, 65, 131])
@@ -125,7 +127,7 @@ def test_onnx_equals_torch_at_any_length(model, exported, n_frames):
 
 @pytest.fixture(scope="module")
 def whisper():
-    network = of_frontend(WHISPER, actors=("ann", "bob"))
+    network = of_frontend(WHISPER, actors=("ann", "bob"), effort=True)
     with torch.no_grad():  # layers and positions that matter
         for weight in network.frontend.encoder.parameters():
             weight.normal_(std=0.2)
