@@ -13,7 +13,9 @@ _COLUMNS, _ROWS = 112, 18
 HAIR_AXIS = np.array([0.0, 2.2, -0.9])
 CAP_SHARE, CAP_BACK_DEGREES = 0.45, 2.5
 """The cap's thickness as a share of the hair's, and how far it keeps from the hairline."""
-LOCKS, WISPS, STEPS = 360, 110, 7
+LOCKS, WISPS, STEPS = 540, 150, 7
+CAP_FOLDS = 14
+"""Times that the cap shows the strands of the maps, to and fro, around the head."""
 HANGS_BELOW_CM = -4.0
 
 
@@ -47,10 +49,15 @@ def _cap(identity: Identity) -> Mesh:
     faces = grid_faces(len(vertices), _COLUMNS)[:, ::-1]
     flat = vertices.reshape(-1, 3)
     strand = 1 + 0.13 * np.sin(turn * 28) * np.sin(turn * 11 + 1.0)
-    colors = 0.62 * np.array(identity.hair) * np.tile(strand, len(vertices))[:, None]
+    colors = 0.78 * np.array(identity.hair) * np.tile(strand, len(vertices))[:, None]
+    u0, v0, wide = STRANDS_UV
+    across = np.abs((turn / np.pi * CAP_FOLDS) % 2 - 1)
+    along = np.concatenate([[0], rise])[:, None]
+    uv = np.stack(np.broadcast_arrays(u0 + wide * across, v0 + wide * along), -1)
     return Mesh(
-        flat, faces[:, ::-1], np.clip(colors, 0, 1), np.full(len(flat), 0.2), kind=np.array(HAIR)
-    )
+        flat, faces[:, ::-1], np.clip(colors, 0, 1), np.full(len(flat), 0.3), uv.reshape(-1, 2),
+        kind=np.array(HAIR),
+    )  # fmt: skip
 
 
 def _thickness(rise: Float64, turn: Float64, elevation: Float64, identity: Identity) -> Float64:
@@ -142,14 +149,14 @@ def _locks(identity: Identity) -> Mesh:
     rng = np.random.default_rng(7)
     roots = _roots(identity, rng)
     count, is_wisp = len(roots), np.arange(len(roots)) >= LOCKS
-    sway = 0.22 * rng.standard_normal(count)
-    layer = np.where(is_wisp, 0.55, rng.choice([0.70, 0.88, 1.06], count))
+    sway = 0.14 * rng.standard_normal(count)
+    layer = np.where(is_wisp, 0.55, rng.choice([0.78, 0.90, 1.02], count))
     long = identity.hair_length_cm
     length = rng.uniform(0.75, 1.15, count) * (11.0 + long if long else 4.4)
     length[is_wisp] = rng.uniform(0.8, 2.0, is_wisp.sum()) * (1.6 if long else 1.0)
     rows = _grown(identity, roots, length, layer, sway)
     s = np.linspace(0, 1, STEPS)
-    width = (1.40 if long else 0.80) * rng.uniform(0.7, 1.2, count)
+    width = (0.85 if long else 0.55) * rng.uniform(0.7, 1.2, count)
     width[is_wisp] *= 0.17
     taper = np.minimum(0.45 + 3 * s, 1) * np.sqrt(1 - (0.965 if long else 0.985) * s**3)
     half = 0.5 * width[:, None] * taper
