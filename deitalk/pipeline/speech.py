@@ -34,7 +34,7 @@ from rig.curves.edit import gaussian_smooth
 
 AROUND_WEIGHT = 1.75
 """Of the strength around a frame less its mean: two seconds of a take differ less than takes."""
-EFFORT_SHARE, EFFORT_FRAMES = 0.67, 25.0
+EFFORT_SHARE, EFFORT_FRAMES = 0.8, 15.0
 """Share of a network's readout in the strength, and sigma of what counts around a frame."""
 
 

@@ -211,10 +211,13 @@ def evaluate(
     return report
 
 
-def _joined(
-    model: DEITalk, takes: Mapping[str, StrengthClip], is_levelled: bool
-) -> dict[tuple[str, str, str], dict[str, float]]:
-    """Measures of the takes of one actor and emotion within one recording, in any fixed order."""
+def joined_takes(
+    takes: Mapping[str, StrengthClip], is_levelled: bool
+) -> tuple[Float32, dict[str, tuple[int, int]]]:
+    """Takes of one actor and emotion in one recording, in any fixed order, and their samples.
+
+    Each is at its own gain, or brought to one level.
+    """
     one = next(iter(takes.values()))
     seed = hashlib.sha256(f"{one.speaker}{one.emotion}".encode()).digest()
     gap = np.zeros(round(GAP_SECONDS * SAMPLE_RATE), np.float32)
@@ -226,7 +229,15 @@ def _joined(
         parts += [sound, gap]
         length += len(sound) + len(gap)
     joined = np.concatenate(parts)
-    sound = joined if np.abs(joined).max() <= 1 else joined / np.abs(joined).max()
+    return joined / max(1.0, float(np.abs(joined).max())), spans
+
+
+def _joined(
+    model: DEITalk, takes: Mapping[str, StrengthClip], is_levelled: bool
+) -> dict[tuple[str, str, str], dict[str, float]]:
+    """Measures of the takes of one actor and emotion within one recording."""
+    one = next(iter(takes.values()))
+    sound, spans = joined_takes(takes, is_levelled)
     performance = animate(
         sound, EMOTIONS[one.emotion], model=model, sample_rate=SAMPLE_RATE, life="off"
     )

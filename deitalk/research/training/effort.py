@@ -2,8 +2,9 @@
 
 A ridge regression on the mean over speech of the features of `default`'s frozen encoder. Its rows
 are differences that no rule of this project made: of an actor's takes of one emotion asked for at
-two strengths (1 between low and high), also with other noise and equalisation, and of pieces of a
-reader's chapter, whose level is known. A take and its noisy copy should differ by nothing.
+two strengths (1 between low and high), alone, with other noise and equalisation, and in one
+recording; and of pieces of a reader's chapter, whose level is known. A take and its noisy copy
+should differ by nothing.
 
 The result is in dB, and 0 half-way between the mean reader and the mean neutral take; ``-o``
 writes a model's ``effort.safetensors``.
@@ -22,6 +23,7 @@ from numpy.random import Generator
 from safetensors.torch import save_file
 from scipy.signal import firwin2, lfilter
 
+from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
 from deitalk.audio.load import load_audio
 from deitalk.audio.prosody import measure_prosody
 from deitalk.audio.voice_activity import normalise_level, speech_activity
@@ -35,8 +37,10 @@ from deitalk.research.evaluation.acted import (
     READERS,
     StrengthClip,
     acted_order,
+    joined_takes,
     read_strength_clips,
 )
+from deitalk.research.evaluation.acted import JOINED as JOINED_GAINS
 from rig.arrays import Bool, Float32, Float64
 from rig.files import atomic_write, new_file
 
@@ -46,12 +50,13 @@ STEPS = {("HI", "LO"): (1.0, 1.0), ("HI", "MD"): (0.7, 0.6), ("MD", "LO"): (0.7,
 """Weight and target of each pair of strengths."""
 CLEAR, UNCLEAR = ("ANG", "HAP"), 0.6
 """Emotions whose strength is clear in the voice, and the weight of others."""
+JOINED_EMOTIONS = (*CLEAR, "SAD")
 STEP_DB = 16.0
 """Decibels between low and high; with the penalty the step of anger is that of
 `deitalk.audio.vocal_strength`, 12 dB."""
-RIDGE, NUISANCE, READING = 2000.0, 1.0, 0.05
-"""Penalties on the weights and on changes by noise, and weight of the readers' pieces; chosen by
-nine folds over the actors that are not for tests."""
+RIDGE, NUISANCE, READING, JOINED = 2000.0, 1.0, 0.05, 0.3
+"""Penalties on the weights and on changes by noise, weights of the readers' pieces and of takes in
+one recording; chosen by nine folds over the actors that are not for tests."""
 
 
 class Heard(NamedTuple):
@@ -59,21 +64,49 @@ class Heard(NamedTuple):
 
     clip: StrengthClip
     mean: Float64
-    noisy: Float64
-    pieces: list[tuple[Float64, float]]
+    noisy: Float64 | None = None
+    """Of a copy with noise: actors' recordings alone."""
+    pieces: Sequence[tuple[Float64, float]] = ()
     """Of a reader: means of pieces, and their level in dB."""
+    recording: str = ""
+    """Which recording joins the take with others of the actor and emotion."""
 
 
 @torch.inference_mode()
 def hear(model: DEITalk, clip: StrengthClip, rng: Generator) -> Heard:
     """Features of one recording, and of a noisy copy of an actor's."""
     sound = load_audio(clip.path).waveform
+    speaking = _speaking(sound)
+    rows = _features(model, sound, len(speaking))
+    mean = rows[speaking].mean(axis=0)
+    if clip.kind == READERS:
+        return Heard(clip, mean, pieces=_pieces(rows, sound, speaking))
+    copy = _features(model, _changed(sound, rng), len(speaking))
+    return Heard(clip, mean, copy[speaking].mean(axis=0))
+
+
+@torch.inference_mode()
+def hear_joined(model: DEITalk, clips: Sequence[StrengthClip]) -> Iterator[Heard]:
+    """Features of the takes of an actor and emotion within one recording, at two gains each."""
+    takes: dict[tuple[str, str], dict[str, StrengthClip]] = defaultdict(dict)
+    for clip in clips:
+        if clip.level in LEVELS:
+            takes[clip.speaker, clip.emotion][clip.level] = clip
+    for own in takes.values():
+        for name, is_levelled in JOINED_GAINS.items():
+            sound, spans = joined_takes(own, is_levelled)
+            speaking = _speaking(sound)
+            rows = _features(model, sound, len(speaking))
+            times = np.arange(len(rows)) * SAMPLE_RATE / FRAME_RATE
+            for level, (first, last) in spans.items():
+                inside = speaking & (times >= first) & (times < last)
+                if inside.any():
+                    yield Heard(own[level], rows[inside].mean(axis=0), recording=name)
+
+
+def _speaking(sound: Float32) -> Bool:
     activity = speech_activity(sound)
-    speaking = activity > 0 if (activity > 0).sum() >= 3 else np.ones(len(activity), bool)
-    rows = _features(model, sound, len(activity))
-    pieces = _pieces(rows, sound, speaking) if clip.kind == READERS else []
-    copy = rows if pieces else _features(model, _changed(sound, rng), len(activity))
-    return Heard(clip, rows[speaking].mean(axis=0), copy[speaking].mean(axis=0), pieces)
+    return activity > 0 if (activity > 0).sum() >= 3 else np.ones(len(activity), bool)
 
 
 def _features(model: DEITalk, sound: Float32, n_frames: int) -> Float64:
@@ -105,9 +138,11 @@ Row = tuple[Float64, float, float]
 
 def fit(heard: Sequence[Heard], ridge: float = RIDGE) -> tuple[Float64, float]:
     """Weights (D,) and offset of the readout, dB."""
-    scale = np.std([one.mean for one in heard], axis=0) + 1e-3
+    alone = [one for one in heard if not one.recording]
+    scale = np.std([one.mean for one in alone], axis=0) + 1e-3
     acted = [one for one in heard if one.clip.kind == ACTORS]
-    differences = [(one.noisy - one.mean, 0.0, NUISANCE) for one in acted]
+    noisy = [one for one in acted if one.noisy is not None]
+    differences = [(one.noisy - one.mean, 0.0, NUISANCE) for one in noisy]
     differences += [*_between_takes(acted), *_within_chapters(heard)]
     rows, targets, weights = (np.array(part) for part in zip(*differences, strict=True))
     rows = rows / scale
@@ -119,16 +154,17 @@ def fit(heard: Sequence[Heard], ridge: float = RIDGE) -> tuple[Float64, float]:
 
 
 def _between_takes(acted: Sequence[Heard]) -> Iterator[Row]:
-    takes: dict[tuple[str, str], dict[str, Heard]] = defaultdict(dict)
+    takes: dict[tuple[str, str, str], dict[str, Heard]] = defaultdict(dict)
     for one in acted:
-        takes[one.clip.speaker, one.clip.emotion][one.clip.level] = one
-    for (_, emotion), levels in takes.items():
-        clear = 1.0 if emotion in CLEAR else UNCLEAR
+        takes[one.clip.speaker, one.clip.emotion, one.recording][one.clip.level] = one
+    for (_, emotion, recording), levels in takes.items():
+        clear = (1.0 if emotion in CLEAR else UNCLEAR) * (JOINED if recording else 0.5)
         for (upper, lower), (weight, target) in STEPS.items():
             if upper in levels and lower in levels:
                 high, low = levels[upper], levels[lower]
-                yield high.mean - low.mean, target, weight * clear / 2
-                yield high.noisy - low.noisy, target, weight * clear / 2
+                yield high.mean - low.mean, target, weight * clear
+                if high.noisy is not None and low.noisy is not None:
+                    yield high.noisy - low.noisy, target, weight * clear
 
 
 def _within_chapters(heard: Sequence[Heard]) -> Iterator[Row]:
@@ -153,7 +189,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     clips = read_strength_clips(given.readers, READERS) + read_strength_clips(given.actors, ACTORS)
     model, rng = load_model("default"), np.random.default_rng(5)
     assert isinstance(model, DEITalk)
-    heard = [hear(model, clip, rng) for clip in clips if clip.split != "test"]
+    clips = [clip for clip in clips if clip.split != "test"]
+    heard = [hear(model, clip, rng) for clip in clips]
+    heard += hear_joined(model, [clip for clip in clips if clip.emotion in JOINED_EMOTIONS])
     sys.stdout.write(_scores(heard, given.folds) + "\n")
     if given.out is not None:
         _write(given.out, *fit(heard))
@@ -162,17 +200,19 @@ def main(arguments: Sequence[str] | None = None) -> None:
 def _scores(heard: Sequence[Heard], folds: int) -> str:
     """Order of the strengths of actors that the readout was not fitted on, by emotion."""
     actors = sorted({one.clip.speaker for one in heard if one.clip.kind == ACTORS})
-    found = {}
+    found: dict[str, dict[tuple[str, str, str], float]] = defaultdict(dict)
     for fold in range(folds):
         left = set(np.random.default_rng(0).permutation(actors)[fold::folds])
         weights, _ = fit([one for one in heard if one.clip.speaker not in left])
-        found |= {
-            (one.clip.speaker, one.clip.emotion, one.clip.level): float(one.mean @ weights)
-            for one in heard
-            if one.clip.speaker in left and one.clip.level in LEVELS
-        }
-    emotions = sorted({emotion for _, emotion, _ in found})
-    return "\n".join(f"{emotion}: {acted_order(found, (emotion,))}" for emotion in emotions)
+        for one in heard:
+            if one.clip.speaker in left and one.clip.level in LEVELS:
+                key = one.clip.speaker, one.clip.emotion, one.clip.level
+                found[one.recording or "alone"][key] = float(one.mean @ weights)
+    return "\n".join(
+        f"{recording}, {emotion}: {acted_order(values, (emotion,))}"
+        for recording, values in found.items()
+        for emotion in sorted({key[1] for key in values})
+    )
 
 
 def _write(path: Path, weights: Float64, offset: float) -> None:

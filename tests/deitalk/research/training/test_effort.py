@@ -21,12 +21,12 @@ def heard():
             room = rng.normal(0, 2) + strength  # strong takes come from nearer
             mean = own + strength * VOICE + room * ROOM
             clip = StrengthClip(ACTORS, Path("x"), str(actor), str(actor), "ANG", level)
-            found.append(Heard(clip, 100 * mean, 100 * (mean + rng.normal(0, 5) * ROOM), []))
+            found.append(Heard(clip, 100 * mean, 100 * (mean + rng.normal(0, 5) * ROOM)))
     for reader in range(6):
         own = rng.normal(0, 3, D)
         pieces = [(100 * (own + k * VOICE), k * STEP_DB / 2) for k in range(5)]
         clip = StrengthClip(READERS, Path("x"), str(reader), str(reader))
-        found.append(Heard(clip, 100 * own, 100 * own, pieces))
+        found.append(Heard(clip, 100 * own, pieces=pieces))
     return found
 
 
