@@ -149,7 +149,7 @@ class Speech:
             near = gaussian_smooth(used * effort, EFFORT_FRAMES)
             near = near / np.maximum(gaussian_smooth(used, EFFORT_FRAMES), 1e-6)
             strength += EFFORT_SHARE * (float(effort[speaking].mean()) - strength)
-            around = around + EFFORT_SHARE * (near - around)
+            around = (around + EFFORT_SHARE * (near - around)).astype(np.float32)
         rows = strength + AROUND_WEIGHT * (around - around[speaking].mean())
         return strength, rows.astype(np.float32)
 

@@ -229,7 +229,7 @@ def joined_takes(
         parts += [sound, gap]
         length += len(sound) + len(gap)
     joined = np.concatenate(parts)
-    return joined / max(1.0, float(np.abs(joined).max())), spans
+    return np.asarray(joined / max(1.0, float(np.abs(joined).max())), np.float32), spans
 
 
 def _joined(

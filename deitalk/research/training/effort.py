@@ -126,7 +126,7 @@ def _changed(sound: Float32, rng: Generator) -> Float32:
     place = np.linspace(0, 1, 9)
     gain_db = rng.normal(0, 6) * (place - 0.5)
     gain_db = gain_db + sum(rng.normal(0, 2) * np.cos(np.pi * k * place) for k in (1, 2, 3))
-    changed = lfilter(firwin2(129, place, 10 ** (gain_db / 20)), 1, sound)
+    changed = lfilter(firwin2(129, place, 10 ** (gain_db / 20)), [1.0], sound.astype(np.float64))
     noise = np.convolve(rng.standard_normal(len(sound)), [1, 0.7, 0.4, 0.2], "same")
     power = np.mean(changed**2) / 10 ** (rng.uniform(1.2, 4.5)) / np.mean(noise**2)
     return np.asarray(changed + np.sqrt(power) * noise, np.float32)
@@ -141,8 +141,9 @@ def fit(heard: Sequence[Heard], ridge: float = RIDGE) -> tuple[Float64, float]:
     alone = [one for one in heard if not one.recording]
     scale = np.std([one.mean for one in alone], axis=0) + 1e-3
     acted = [one for one in heard if one.clip.kind == ACTORS]
-    noisy = [one for one in acted if one.noisy is not None]
-    differences = [(one.noisy - one.mean, 0.0, NUISANCE) for one in noisy]
+    differences: list[Row] = [
+        (one.noisy - one.mean, 0.0, NUISANCE) for one in acted if one.noisy is not None
+    ]
     differences += [*_between_takes(acted), *_within_chapters(heard)]
     rows, targets, weights = (np.array(part) for part in zip(*differences, strict=True))
     rows = rows / scale

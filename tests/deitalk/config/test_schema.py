@@ -174,7 +174,7 @@ def test_load_config_rejects_other_files(tmp_path, text):
 
 
 def test_yaml_tags_run_no_code(tmp_path):
-    with pytest.raises(ConfigError, match="no constructor|determine a constructor for the tag"):
+    with pytest.raises(ConfigError, match=r"no constructor|determine a constructor for the tag"):
         load_config(written(tmp_path, "name: !!python/object/apply:os.getcwd []"))
 
 
