@@ -1,5 +1,6 @@
 """Debian's chromium for tests of the preview page: no network, no GPU."""
 
+import base64
 import math
 import shutil
 import statistics
@@ -9,6 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from deitalk.preview import page as page_module
@@ -67,6 +69,20 @@ def opened(browser: Any, path: Path, **context: Any) -> Iterator[Any]:
         tab.goto(path.as_uri())
         tab.wait_for_function("window.deitalk?.ready", timeout=120_000)
         yield tab
+
+
+def numbers(tab: Any, array: str, given: Any = None) -> np.ndarray:
+    """A numeric array of the page, in which an argument is ``given``.
+
+    Playwright would send it number by number: seconds for the vertices of a head.
+    """
+    script = f"""given => {{
+      const bytes = new Uint8Array(Float64Array.from({array}).buffer), parts = [];
+      for (let i = 0; i < bytes.length; i += 4096)
+        parts.push(String.fromCharCode(...bytes.subarray(i, i + 4096)));
+      return btoa(parts.join(""));
+    }}"""
+    return np.frombuffer(base64.b64decode(tab.evaluate(script, given)))
 
 
 FRAME = """() => new Promise(done => requestAnimationFrame(() => setTimeout(() => {

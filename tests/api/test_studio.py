@@ -1,5 +1,6 @@
 """The studio at `/` in a browser: from a recording to edits and files, with this service alone."""
 
+import base64
 import time
 from contextlib import contextmanager
 
@@ -14,7 +15,7 @@ from rig import default_controls, read_curves
 from tests.api.conftest import KEYS, wav
 from tests.api.server import ROOT
 from tests.api.test_live import resident_mb
-from tests.browser import SHARPNESS, chromium, lateness, needs_player
+from tests.browser import SHARPNESS, chromium, lateness, needs_player, numbers
 
 SECONDS = 2.0
 UNTIL_SECONDS = 300
@@ -58,15 +59,15 @@ def until(tab, condition: str) -> None:
         time.sleep(0.05)
 
 
-DROP = """async ([name, bytes]) => {
-  const data = new DataTransfer();
-  data.items.add(new File([new Uint8Array(bytes)], name));
+DROP = """([name, content]) => {
+  const data = new DataTransfer(), bytes = Uint8Array.from(atob(content), c => c.charCodeAt(0));
+  data.items.add(new File([bytes], name));
   document.body.dispatchEvent(new DragEvent("drop", { dataTransfer: data, bubbles: true, cancelable: true }));
 }"""
 
 
 def drop(tab, path) -> None:
-    tab.evaluate(DROP, [path.name, list(path.read_bytes())])
+    tab.evaluate(DROP, [path.name, base64.b64encode(path.read_bytes()).decode()])
 
 
 def is_quiet(tab) -> None:
@@ -184,7 +185,7 @@ def test_head_of_the_page_is_chosen_in_its_address(server):
 
 
 def shown_values(tab) -> np.ndarray:
-    return np.array(tab.evaluate("Array.from(deitalk.page.take.frame(40))"))
+    return numbers(tab, "deitalk.page.take.frame(40)")
 
 
 @pytest.mark.slow
@@ -272,7 +273,7 @@ def test_emotions_are_compared_and_a_take_folder_is_read_back(browser, server, s
         is_quiet(tab)
         assert tab.locator("#faces figure").count() == 2
         tab.click("#wipe")
-        kept = np.array(tab.evaluate("Array.from(deitalk.page.takes[1].frame(40))"))
+        kept = numbers(tab, "deitalk.page.takes[1].frame(40)")
         assert (
             np.abs(kept - values).max() < 1e-6 and np.abs(shown_values(tab) - values).max() > 0.05
         )
@@ -327,14 +328,14 @@ def test_microphone_is_recorded_and_spoken(browser, server):
 @pytest.mark.slow
 def test_live_microphone_moves_the_face(browser, server):
     with studio(browser, server, permissions=["microphone"]) as tab:
-        rest = np.array(tab.evaluate("Array.from(deitalk.page.state().vertices)"))
+        rest = numbers(tab, "deitalk.page.state().vertices")
         tab.click("#live")
         until(tab, "document.getElementById('recorded').textContent.endsWith('late')")
         tab.get_by_role("button", name="surprised", exact=True).click()
         seen = 0.0
         for _ in range(40):
             time.sleep(0.1)
-            shown = np.array(tab.evaluate("Array.from(deitalk.page.state().vertices)"))
+            shown = numbers(tab, "deitalk.page.state().vertices")
             seen = max(seen, np.abs(shown - rest).max())
         assert seen > 0.05
         tab.click("#live")

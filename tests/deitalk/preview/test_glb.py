@@ -18,7 +18,7 @@ from rig.mesh.glb import GlbBuilder, WeightAnimation, write_container, write_glb
 from rig.mesh.glb_reader import read_glb
 from rig.mesh.shapes import ShapeSet
 from rig.mesh.trimesh import TriMesh
-from tests.browser import chromium, opened
+from tests.browser import chromium, numbers, opened
 
 CORNERS = np.array([[-1, 0, 0], [1, 0, 0], [0, 1.5, 0], [0, 0.5, 0.5]], float)
 FACES = np.array([[0, 1, 3], [1, 2, 3], [2, 0, 3]])
@@ -70,8 +70,7 @@ def open_glb(page, path) -> None:
 
 def vertices(page) -> np.ndarray:
     """Shown vertices from the page's state, (V, 3) in metres."""
-    flat = page.evaluate("Array.from(deitalk.page.state().model.vertices)")
-    return np.array(flat).reshape(-1, 3)
+    return numbers(page, "deitalk.page.state().model.vertices").reshape(-1, 3)
 
 
 def seek(page, seconds: float) -> None:

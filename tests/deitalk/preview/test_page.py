@@ -22,7 +22,7 @@ from deitalk.research.contact_sheet import EMOTION_POSES, MOUTH_POSES, pose_valu
 from rig import RigCurves, clamp, default_controls, gain
 from rig.errors import TargetError
 from rig.face import build_head
-from tests.browser import chromium, lateness, needs_player, opened
+from tests.browser import chromium, lateness, needs_player, numbers, opened
 from tests.each import each
 
 CONTROLS = default_controls()
@@ -191,7 +191,7 @@ def page(tab):
 
 
 def shown_vertices(page) -> np.ndarray:
-    return np.array(page.evaluate("Array.from(deitalk.page.state().vertices)")).reshape(-1, 3)
+    return numbers(page, "deitalk.page.state().vertices").reshape(-1, 3)
 
 
 def test_rig_of_the_page_equals_that_of_python(page):
@@ -199,8 +199,8 @@ def test_rig_of_the_page_equals_that_of_python(page):
     full = CONTROLS.minimum + (CONTROLS.maximum - CONTROLS.minimum) * rng.random((6, 185))
     values = np.where(rng.random((6, 185)) < 0.5, full, CONTROLS.rest)
     for row, expected in zip(values, head.pose(values), strict=True):
-        posed = page.evaluate("v => Array.from(deitalk.page.pose(v))", row.tolist())
-        assert np.abs(np.array(posed).reshape(-1, 3) - expected).max() < 0.01  # 0.1 mm
+        posed = numbers(page, "deitalk.page.pose(given)", row.tolist()).reshape(-1, 3)
+        assert np.abs(posed - expected).max() < 0.01  # 0.1 mm
 
 
 def test_buttons_of_the_studio_are_not_in_a_file(page):
