@@ -2,6 +2,7 @@
 
 import os
 import signal
+from collections.abc import Iterator
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -38,6 +39,24 @@ def empty_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
     if find_spec("matplotlib"):
         figure = "matplotlib.figure.Figure.savefig"
         monkeypatch.setattr(figure, lambda self, path, **_: Path(path).write_bytes(b""))
+
+
+@pytest.fixture(scope="module")
+def one_analysis() -> Iterator[None]:
+    """A network analyses equal sound once in a file, which animates one recording in many ways."""
+    from deitalk.models.curve_model import DEITalk
+
+    kept, analyse = {}, DEITalk.analyse
+
+    def once(network, sound, n_frames, progress=lambda share: None, gain=1.0):
+        key = (network, sound.numpy().tobytes(), n_frames, gain)
+        if network.training or key not in kept:
+            kept[key] = analyse(network, sound, n_frames, progress, gain)
+        return kept[key]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(DEITalk, "analyse", once)
+        yield
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

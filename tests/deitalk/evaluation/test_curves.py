@@ -25,6 +25,8 @@ from rig import RigCurves, default_controls
 from tests.conftest import SHARED
 from tests.dataset import write_dataset
 
+pytestmark = pytest.mark.usefixtures("one_analysis")
+
 
 @pytest.fixture(scope="module")
 def report(tmp_path_factory):

@@ -25,6 +25,7 @@ from deitalk.research.evaluation.clip_scores import mouth_opening
 from rig.errors import ControlError
 from tests.each import each
 
+pytestmark = pytest.mark.usefixtures("one_analysis")
 SMALL = ModelConfig(
     frontend=MelConfig(
         window_seconds=0.032,

@@ -26,6 +26,7 @@ from rig.retarget.retarget_files import RetargetReport
 from tests.each import each
 from tests.rig.retarget.test_retarget_files import ict
 
+pytestmark = pytest.mark.usefixtures("one_analysis")
 SAMPLE = "docs/samples/promise.flac"
 SAMPLE_BILABIALS = (
     (0.22, 0.26), (0.42, 0.46), (0.74, 0.80), (1.12, 1.22), (1.74, 1.82), (2.74, 2.84),
