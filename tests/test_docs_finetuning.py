@@ -42,7 +42,7 @@ def commands(verbs: str) -> list[list[str]]:
 def takes(tmp_path, monkeypatch) -> Path:
     """Two takes as Live Link Face leaves them, of a model's curves."""
     monkeypatch.chdir(tmp_path)
-    wave = np.tile(load_audio(ROOT / "docs/samples/amiable.flac").waveform, 5)
+    wave = np.tile(load_audio(ROOT / "docs/samples/amiable.flac").waveform, 3)
     for number, emotion in enumerate(("happy", "sad"), 1):
         name = f"anna_{emotion}_{number}"
         folder = tmp_path / "takes" / f"20260311_{name}"
