@@ -102,25 +102,18 @@ class FakeTime:
         self.t += seconds + 0.0004 + (self.stall if self.n in self.stall_at else 0)
 
 
-def received(receiver, n):
-    data = []
-    receiver._socket.settimeout(2)
-    for _ in range(n):
-        data.append(receiver._socket.recv(65535))
-    return data
+def sent(curves, n_packets=0, *, subject="a", fake=None, **options):
+    """Send curves on a clock of steps; the report and the first packets that arrive."""
+    with Receiver(port=0) as receiver:
+        address = ("127.0.0.1", receiver.port)
+        options["clock"] = (fake or FakeTime()).clock
+        report = send(curves, make_protocol("livelink", subject, ()), address, **options)
+        receiver._socket.settimeout(2)
+        return report, [decode(receiver._socket.recv(65535)) for _ in range(n_packets)]
 
 
 def test_frames_arrive_in_order_and_the_face_ends_at_rest():
-    with Receiver(port=0) as receiver:
-        fake = FakeTime()
-        report = send(
-            arkit_curves(5),
-            make_protocol("livelink", "anna", ()),
-            ("127.0.0.1", receiver.port),
-            first_frame=1000,
-            clock=fake.clock,
-        )
-        packets = [decode(data) for data in received(receiver, 5 + REST_REPEATS)]
+    report, packets = sent(arkit_curves(5), 5 + REST_REPEATS, subject="anna", first_frame=1000)
     assert report.n_sent == 5 and report.n_skipped == 0
     assert [p.frame for p in packets] == list(range(1000, 1000 + 5 + REST_REPEATS))
     assert {(p.subject, p.rate) for p in packets} == {("anna", (30, 1))}
@@ -131,82 +124,47 @@ def test_frames_arrive_in_order_and_the_face_ends_at_rest():
 
 def test_delays_do_not_add_up_over_ten_minutes():
     fake = FakeTime(stall_at=range(50, 18000, 50), stall=0.02)
-    report = send(
-        arkit_curves(18_000), make_protocol("livelink", "a", ()), ("127.0.0.1", 9), clock=fake.clock
-    )
+    report, _ = sent(arkit_curves(18_000), fake=fake)
     assert report.seconds == pytest.approx(17_999 / 30, abs=1 / 30)
     assert report.n_skipped == 0 and report.worst_lateness < 1 / 30
 
 
 def test_last_frame_is_sent_however_late():
-    with Receiver(port=0) as receiver:
-        fake = FakeTime(stall_at=[4], stall=0.5)
-        report = send(
-            arkit_curves(5),
-            make_protocol("livelink", "anna", ()),
-            ("127.0.0.1", receiver.port),
-            clock=fake.clock,
-        )
-        packets = [decode(data) for data in received(receiver, report.n_sent)]
-    assert report.n_sent + report.n_skipped == 5
+    report, packets = sent(arkit_curves(5), 5, fake=FakeTime(stall_at=[4], stall=0.5))
+    assert (report.n_sent, report.n_skipped) == (5, 0) and report.worst_lateness > 0.4
     assert packets[-1].values[JAW] == pytest.approx(1.0)
 
 
 def test_frames_whose_time_has_passed_are_skipped():
-    fake = FakeTime(stall_at=[3], stall=0.5)
-    report = send(
-        arkit_curves(60), make_protocol("livelink", "a", ()), ("127.0.0.1", 9), clock=fake.clock
-    )
+    report, _ = sent(arkit_curves(60), fake=FakeTime(stall_at=[3], stall=0.5))
     assert report.n_skipped == 15 and report.n_sent == 45
     assert report.seconds == pytest.approx(59 / 30, abs=1 / 30)
 
 
 def test_loop_goes_on_with_rising_numbers_until_stopped():
-    stop = threading.Event()
-    seen = []
+    stop, seen = threading.Event(), []
 
     def count(index):
         seen.append(index)
         if len(seen) == 7:
             stop.set()
 
-    with Receiver(port=0) as receiver:
-        send(
-            arkit_curves(3),
-            make_protocol("livelink", "a", ()),
-            ("127.0.0.1", receiver.port),
-            loop=True,
-            stop=stop,
-            on_frame=count,
-            clock=FakeTime().clock,
-        )
-        frames = [decode(data).frame for data in received(receiver, 7 + REST_REPEATS)]
+    _, packets = sent(arkit_curves(3), 7 + REST_REPEATS, loop=True, stop=stop, on_frame=count)
     assert seen == [0, 1, 2, 0, 1, 2, 0]
-    assert frames == list(range(7 + REST_REPEATS))
+    assert [packet.frame for packet in packets] == list(range(7 + REST_REPEATS))
 
 
 def test_interrupt_still_sends_the_face_at_rest():
     def interrupt(_index):
         raise KeyboardInterrupt
 
-    with Receiver(port=0) as receiver:
-        address = ("127.0.0.1", receiver.port)
-        protocol = make_protocol("livelink", "a", ())
-        send(arkit_curves(9), protocol, address, on_frame=interrupt, clock=FakeTime().clock)
-        packets = [decode(data) for data in received(receiver, 1 + REST_REPEATS)]
+    _, packets = sent(arkit_curves(9), 1 + REST_REPEATS, on_frame=interrupt)
     assert packets[-1].values.tolist() == [0] * 61
 
 
 def test_start_is_signalled_before_the_first_frame():
     order = []
-    send(
-        arkit_curves(2),
-        make_protocol("livelink", "a", ()),
-        ("127.0.0.1", 9),
-        on_start=lambda: order.append("start"),
-        on_frame=lambda i: order.append(i),
-        clock=FakeTime().clock,
-    )
+    sent(arkit_curves(2), on_start=lambda: order.append("start"), on_frame=order.append)
     assert order == ["start", 0, 1]
 
 
