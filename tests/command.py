@@ -3,10 +3,12 @@
 import io
 import sys
 from contextlib import redirect_stderr, redirect_stdout
-from typing import NamedTuple
+from typing import Any, NamedTuple
 from unittest.mock import patch
 
-from deitalk.cli import main
+from typer.testing import CliRunner
+
+from deitalk.cli import app, main
 
 
 class Done(NamedTuple):
@@ -37,3 +39,10 @@ def refused(*arguments: object, code: int = 1) -> str:
     (line,) = done.err.splitlines()
     assert line.startswith("deitalk: ")
     return line
+
+
+def ran(*arguments: object) -> Any:
+    """The result of a command, run by Typer, that must succeed."""
+    done = CliRunner().invoke(app, [str(argument) for argument in arguments])
+    assert done.exit_code == 0, (done.output, done.exception)
+    return done

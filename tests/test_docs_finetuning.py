@@ -9,14 +9,13 @@ import numpy as np
 import pandas as pd
 import pytest
 import soundfile
-from typer.testing import CliRunner
 
 from deitalk.audio.load import load_audio
-from deitalk.cli import app
 from deitalk.models.checkpoint import load_model
 from deitalk.models.folder import describe_model, embedded_models
 from deitalk.pipeline.curves import animate
 from rig import read_curves, write_curves
+from tests.command import ran
 from tests.media import write_sound
 
 pytestmark = pytest.mark.usefixtures("empty_pictures")
@@ -42,7 +41,7 @@ def commands(verbs: str) -> list[list[str]]:
 def takes(tmp_path, monkeypatch) -> Path:
     """Two takes as Live Link Face leaves them, of a model's curves."""
     monkeypatch.chdir(tmp_path)
-    wave = np.tile(load_audio(ROOT / "docs/samples/amiable.flac").waveform, 3)
+    wave = np.tile(load_audio(ROOT / "docs/samples/amiable.flac").waveform, 5)
     for number, emotion in enumerate(("happy", "sad"), 1):
         name = f"anna_{emotion}_{number}"
         folder = tmp_path / "takes" / f"20260311_{name}"
@@ -67,8 +66,7 @@ def test_commands_from_a_take_to_a_checked_dataset_run_as_written(takes):
 
 def run(lines: list[list[str]]) -> None:
     for line in lines:
-        done = CliRunner().invoke(app, line)
-        assert done.exit_code == 0, (line, done.output, done.exception)
+        ran(*line)
 
 
 @pytest.mark.skipif("default" not in embedded_models(), reason="needs the embedded weights")

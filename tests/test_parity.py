@@ -12,13 +12,11 @@ import numpy as np
 import pytest
 import soundfile
 import torch
-from typer.testing import CliRunner
 from websockets.sync.client import connect
 
 from api.live.session import FRAME
 from deitalk import LiveAnimator, animate
 from deitalk.audio.load import load_audio
-from deitalk.cli import app
 from deitalk.config.curves import Config
 from deitalk.live.sources import PacedSound
 from deitalk.models.checkpoint import save_model
@@ -27,6 +25,7 @@ from deitalk.research.corpus.engines import espeak
 from rig import read_curves
 from rig.face import build_head
 from tests.api.server import serving
+from tests.command import ran
 from tests.deitalk.batch.conftest import InProcess
 from tests.deitalk.live.conftest import RATE, TINY
 from tests.each import each
@@ -119,8 +118,7 @@ def take_of(folder: Path) -> Made:
 
 
 def run(*words):
-    done = CliRunner().invoke(app, [str(word) for word in words])
-    assert done.exit_code == 0, (done.output, done.exception)
+    done = ran(*[str(word) for word in words])
     return done.output
 
 

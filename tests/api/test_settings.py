@@ -26,6 +26,7 @@ from api.settings import Settings, load_settings
 from deitalk.cli import app
 from deitalk.errors import ConfigError
 from tests.browser import needs_player
+from tests.command import ran
 from tests.each import each
 
 
@@ -161,7 +162,7 @@ def test_probes_by_address_are_answered_where_hosts_names_the_service(tmp_path, 
 
 def test_command_writes_the_schema(tmp_path):
     out = tmp_path / "openapi.json"
-    assert CliRunner().invoke(app, ["openapi", "-o", str(out)]).exit_code == 0
+    ran("openapi", "-o", out)
     schema = json.loads(out.read_text())
     assert schema["openapi"].startswith("3.") and "/v1/animations" in schema["paths"]
     body = schema["paths"]["/v1/animations"]["post"]["requestBody"]["content"]

@@ -6,16 +6,15 @@ from contextlib import contextmanager
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 from deitalk import animate
 from deitalk.audio.load import load_audio, write_wav
-from deitalk.cli import app
 from rig import default_controls, read_curves
 from tests.api.conftest import KEYS, wav
 from tests.api.server import ROOT
 from tests.api.test_live import resident_mb
 from tests.browser import SHARPNESS, chromium, lateness, needs_player, numbers
+from tests.command import ran
 
 SECONDS = 2.0
 UNTIL_SECONDS = 300
@@ -88,8 +87,7 @@ def download(tab, name: str, folder):
 
 
 def command(*words) -> None:
-    result = CliRunner().invoke(app, [str(word) for word in words])
-    assert result.exit_code == 0, result.output
+    ran(*[str(word) for word in words])
 
 
 def edit(tab) -> None:

@@ -12,6 +12,7 @@ from deitalk.errors import ConfigError
 from rig.errors import UserError
 from rig.limits import SEED
 from tests.each import each
+from tests.errors import one_line
 
 KEYS = "time,emotion,strength\n0,happy,0.2\n1,angry,1\n"
 NUMBERS = {"intensity": (0.0, 4.0), "listen": (0.0, 600.0)}
@@ -74,9 +75,8 @@ def test_numbers_are_within_their_range_or_refused_in_one_line(value, name):
         if low <= value <= high:
             assert getattr(Acting.of(**{name: given_value}), name) == value
             continue
-        with pytest.raises(ConfigError, match=name) as refused:
+        with one_line(ConfigError, f"{high:g}", match=name):
             Acting.of(**{name: given_value})
-        assert "\n" not in str(refused.value) and f"{high:g}" in str(refused.value)
 
 
 @each("seed", [-1, SEED + 1, 1.5, "1.5", True, "x", str(10**30)])
@@ -115,9 +115,8 @@ def test_requests_read_the_files_that_came_with_them_and_no_others(
         name.replace(plain, str(tmp_path / plain)),
         name.replace(plain, f"../{plain}"),
     ):
-        with pytest.raises(UserError, match="was not sent") as refused:
+        with one_line(UserError, match="was not sent"):
             Acting.of(files={}, **{field: named})
-        assert "\n" not in str(refused.value)
     with pytest.raises(UserError):
         Acting.of(files={}, **{field: Path(plain)})
     sent = Path(plain).rename(f"sent{Path(plain).suffix}")

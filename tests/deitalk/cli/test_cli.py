@@ -18,7 +18,7 @@ from deitalk.models.checkpoint import save_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.research.evaluation.benchmark_curves import speechlike
 from rig import default_controls, read_curves
-from tests.command import deitalk, refused
+from tests.command import deitalk, ran, refused
 from tests.deitalk.pipeline.test_curves import SMALL
 from tests.each import each
 
@@ -61,8 +61,7 @@ def test_animate_writes_a_take_and_keeps_stdout_clean(tmp_path, model, speech):
 @each("name", ["take.v2/", "Scene 1.2", "br[/b]", "[red]"])
 def test_animate_writes_a_take_into_a_folder_of_any_name(tmp_path, model, speech, name):
     arguments = ["animate", speech, "--model", model, "-o", f"{tmp_path}/{name}"]
-    done = CliRunner().invoke(app, arguments)
-    assert done.exit_code == 0, done.stderr
+    done = ran(*arguments)
     assert (tmp_path / name / "take.json").is_file()
     assert f"{tmp_path / name}: 45 frames" in done.stderr
 
@@ -231,7 +230,6 @@ def test_raw_controls_are_sent_by_json_alone(speech):
 
 def test_a_recording_is_sent_by_a_model_that_reads_all_of_it_first(model, speech):
     words = ["live", speech, "--model", model, "--words", "a", "--port", "9"]
-    done = CliRunner().invoke(app, words)
-    assert done.exit_code == 0, done.output
+    done = ran(*words)
     told = r"animating speech.wav\nnote: ARKit is a lossy .*\nsending 1.5 s .*\n\d+ frames in"
     assert re.search(told, done.stderr)

@@ -16,6 +16,7 @@ from deitalk.research.meshes.folder import Lips, act, acted_clips, head_lips, he
 from deitalk.research.meshes.scores import as_markdown, evaluate_mesh, lip_gap, smallest_gaps
 from deitalk.research.meshes.training import new_mesh_model
 from rig.mesh import TriMesh
+from tests.command import ran
 from tests.dataset import write_dataset
 
 VOCA = {"kind": "voca", "n_mels": 16, "n_mfcc": 10, "channels": [8, 8, 12, 12]}
@@ -109,8 +110,7 @@ def test_command_writes_a_report_and_refuses_other_options(tmp_path):
     )
     save_model(tmp_path / "m", still(), config, {})
     arguments = ["evaluate", str(tmp_path / "m"), "--data", str(data), "--split", "validation"]
-    result = CliRunner().invoke(app, [*arguments, "-o", str(tmp_path / "r.json")])
-    assert result.exit_code == 0, result.output
+    result = ran(*arguments, "-o", tmp_path / "r.json")
     assert "| p b m |" in result.output
     report = json.loads((tmp_path / "r.json").read_text())
     assert report["encoder"] == "voca" and report["groups"]["all"]["bilabials"] == 1

@@ -31,6 +31,7 @@ from deitalk.research.meshes.training import new_mesh_model, train_mesh
 from tests.dataset import write_dataset
 from tests.deitalk.models.test_mesh_model import LIPS, RATE, noise, sheet, spoken
 from tests.each import each
+from tests.errors import one_line
 
 pytestmark = pytest.mark.usefixtures("empty_pictures")
 
@@ -188,9 +189,8 @@ def test_folder_stores_the_hash_of_the_decoded_network(tmp_path):
 @each("section", [{"data": {"fps": 60, "augment": False}}, {"data": {"fps": 30}}])
 def test_configuration_rejects_augmentation_and_other_rates(section):
     tree = {"kind": "sdfa", "model": {"frontend": {"kind": "deitalk"}}}
-    with pytest.raises(ConfigError, match=r"data\.fps=30, data\.augment=false") as caught:
+    with one_line(ConfigError, match=r"data\.fps=30, data\.augment=false"):
         parse_config(tree | section)
-    assert "\n" not in str(caught.value)
 
 
 def test_animate_mesh_applies_the_emotion_of_a_mesh_head(network, tmp_path, no_gates):

@@ -35,6 +35,7 @@ from deitalk.research.training.suggestion import (
     predict,
     score,
 )
+from tests.command import ran
 from tests.each import each
 
 
@@ -204,9 +205,6 @@ def test_command_writes_a_track_that_animate_reads(certain, tmp_path):
 def test_animate_takes_the_suggested_emotion(certain, tmp_path):
     certain(0.1, 0.0, 0.0, 0.9)
     soundfile.write(tmp_path / "a.wav", speechlike(2.0), 16_000)
-    done = CliRunner().invoke(
-        app, ["animate", f"{tmp_path}/a.wav", "-e", "auto", "-o", f"{tmp_path}/a.json"]
-    )
-    assert done.exit_code == 0, done.output
+    done = ran("animate", f"{tmp_path}/a.wav", "-e", "auto", "-o", f"{tmp_path}/a.json")
     assert "suggested from the voice: sad (0.90)" in done.output
     assert "emotion sad" in done.output

@@ -6,14 +6,13 @@ import re
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
-from deitalk.cli import app
 from deitalk.preview import page as page_module
 from deitalk.preview.page import render_page
 from deitalk.preview.source import PreviewError, PreviewSource, find_warnings
 from deitalk.preview.video import render_video
 from rig import RigCurves, write_curves
+from tests.command import ran
 
 NAMES = ("still", "small</script>", "large")
 
@@ -58,7 +57,6 @@ def test_video_of_another_rig_is_refused_and_there_are_no_warnings(tmp_path):
 
 def test_command_writes_the_page_beside_curves(tmp_path):
     write_curves(tmp_path / "x.npz", source(names=("a", "b", "c")).curves)
-    done = CliRunner().invoke(app, ["preview", str(tmp_path / "x.npz")])
-    assert done.exit_code == 0, done.output
+    ran("preview", tmp_path / "x.npz")
     assert facts((tmp_path / "x.html").read_text())["names"] == ["c", "b", "a"]
     assert not (tmp_path / "x.mp4").exists()

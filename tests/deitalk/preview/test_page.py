@@ -23,6 +23,7 @@ from rig import RigCurves, clamp, default_controls, gain
 from rig.errors import TargetError
 from rig.face import build_head
 from tests.browser import chromium, lateness, needs_player, numbers, opened
+from tests.command import ran
 from tests.each import each
 
 CONTROLS = default_controls()
@@ -83,15 +84,12 @@ def block(page: str, name: str) -> str:
 
 
 def test_a_take_gets_a_page_and_no_video_unless_one_is_asked_for(tiny_player, tmp_path):
-    from typer.testing import CliRunner
 
     from deitalk import animate
-    from deitalk.cli import app
 
     take = animate(np.zeros(16_000, np.float32), sample_rate=16_000).save(tmp_path / "take")
     before = {path.name for path in take.iterdir()}
-    done = CliRunner().invoke(app, ["preview", str(take)])
-    assert done.exit_code == 0, done.output
+    ran("preview", take)
     assert {path.name for path in take.iterdir()} - before == {"preview.html"}
     assert list(tmp_path.rglob("*.mp4")) == []
 
@@ -99,15 +97,11 @@ def test_a_take_gets_a_page_and_no_video_unless_one_is_asked_for(tiny_player, tm
 def test_animate_adds_a_page_alone_and_needs_no_encoder(tiny_player, tmp_path, monkeypatch):
     import av
     import soundfile
-    from typer.testing import CliRunner
-
-    from deitalk.cli import app
 
     monkeypatch.setattr(av, "codecs_available", set())  # of a video
     soundfile.write(tmp_path / "a.wav", np.zeros(8_000), 16_000)
     command = ["animate", str(tmp_path / "a.wav"), "--preview", "-o", str(tmp_path / "take")]
-    done = CliRunner().invoke(app, command)
-    assert done.exit_code == 0, done.exception
+    ran(*command)
     files = json.loads((tmp_path / "take/take.json").read_text())["files"]
     assert [name for name in files if "preview" in name] == ["preview.html"]
     assert [path.name for path in tmp_path.rglob("preview.*")] == ["preview.html"]

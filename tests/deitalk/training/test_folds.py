@@ -12,6 +12,7 @@ from deitalk.data.clips import read_clips
 from deitalk.errors import DataError
 from deitalk.training.tuning.folds import tune_folds
 from deitalk.training.tuning.task import FinetuneTask
+from tests.command import ran
 from tests.dataset import JAW, write_dataset
 from tests.deitalk.training.conftest import recipe
 from tests.each import each
@@ -50,8 +51,7 @@ def test_means_are_those_of_the_folds(base, two_takes, tmp_path, monkeypatch):
     monkeypatch.delattr("deitalk.training.tuning.task.FrozenFeatures")
     sets = [part for override in SHORT for part in ("--set", override)]
     command = ["finetune", str(two_takes), "--from", base, "-o", f"{tmp_path}/out", *sets]
-    done = CliRunner().invoke(app, [*command, "--folds", "takes"])
-    assert done.exit_code == 0, done.output
+    done = ran(*command, "--folds", "takes")
     assert [line.split("\t")[0] for line in done.stdout.splitlines()][:3] == ["a", "b", "before"]
     reports = [json.loads((tmp_path / f"out/{n}/report.json").read_text()) for n in "ab"]
     result = json.loads((tmp_path / "out/folds.json").read_text())

@@ -33,6 +33,7 @@ from deitalk.research.meshes.scores import predict_mesh
 from deitalk.research.meshes.training import MeshTask, copy_encoder, train_mesh, validate_mesh
 from deitalk.training.trainer import Trainer
 from rig.face.identity import IDENTITIES
+from tests.command import ran
 from tests.dataset import write_dataset
 from tests.deitalk.models.test_mesh_head import emotional_sheets, write_network
 from tests.deitalk.models.test_mesh_head import tiny as tiny_head
@@ -116,10 +117,7 @@ def test_command_trains_on_embedded_heads(tmp_path):
     settings = tmp_path / "tiny.yaml"
     settings.write_text(yaml.safe_dump(tiny(steps=2).model_dump(mode="json")))
     run = tmp_path / "run"
-    result = CliRunner().invoke(
-        app, ["train", str(settings), "--data", str(data), "-o", str(run), "--set", "train.seed=1"]
-    )
-    assert result.exit_code == 0, result.output
+    ran("train", settings, "--data", data, "-o", run, "--set", "train.seed=1")
     sdfa = load_model(run / "best")
     assert sdfa.speakers == tuple(sorted(IDENTITIES[i].name for i in (0, 3)))
     scores, _ = validate_mesh(sdfa, read_mesh_folder(run / "meshes"))

@@ -12,6 +12,7 @@ from deitalk.models.curve_model import DEITalk
 from deitalk.models.folder import describe_model, weights_hash
 from deitalk.training.tuning.mix import mix_models
 from rig.errors import ExistsError
+from tests.command import ran
 from tests.deitalk.training.test_finetuning import TINY
 
 
@@ -65,8 +66,7 @@ def test_command_writes_a_model_that_names_both(tmp_path):
         save_model(tmp_path / name, model(seed), settings, {"steps": 7, "base": str(tmp_path)})
     folders = [str(tmp_path / name) for name in ("before", "after")]
     command = ["model", "mix", *folders, "--share", "0.25", "-o", str(tmp_path / "out")]
-    done = CliRunner().invoke(app, command)
-    assert done.exit_code == 0, done.output
+    ran(*command)
     mixed = load_model(tmp_path / "out").state_dict()
     first, second = (m.state_dict() for m in map(load_model, folders))
     for name, value in mixed.items():

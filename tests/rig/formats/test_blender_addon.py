@@ -21,6 +21,7 @@ from rig.conversion.raw import board_to_raw
 from rig.conversion.shape_fit import shape_key
 from rig.formats.blender import addon_text
 from rig.formats.exchange import write_exchange_files
+from tests.errors import one_line
 
 SESSION = Path(__file__).with_name("inside_blender.py")
 BOARD = default_controls()
@@ -155,9 +156,8 @@ def test_files_of_a_folder_are_those_of_a_file_of_it(addon, take):
 )
 def test_other_files_are_an_error_of_one_line(addon, tmp_path, name, text, message):
     (tmp_path / name).write_text(text)
-    with pytest.raises(ValueError, match=message) as error:
+    with one_line(ValueError, match=message):
         addon.read(str(tmp_path / name))
-    assert "\n" not in str(error.value)
 
 
 def blenders() -> list:

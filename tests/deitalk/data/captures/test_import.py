@@ -11,7 +11,6 @@ import soundfile
 from typer.testing import CliRunner
 
 from deitalk.audio.load import load_audio
-from deitalk.cli import app
 from deitalk.config.rig_file import read_controls, rig_of_dataset
 from deitalk.data.captures import imported
 from deitalk.data.captures.imported import rig_of_takes
@@ -21,7 +20,9 @@ from deitalk.errors import DataError
 from rig import default_controls, read_curves, rest_curves
 from rig.errors import UserError
 from rig.formats.livelink_csv import read_take, write_take
+from tests.command import ran
 from tests.each import each
+from tests.errors import one_line
 from tests.media import write_sound
 from tests.takes import bursts, is_open, write_live_link
 
@@ -182,9 +183,8 @@ def _short(path):
 )
 def test_fault_of_a_take_is_one_line_and_nothing_is_written(tmp_path, spoil, expected):
     spoil(write_live_link(tmp_path / "t" / "a.csv", 6))
-    with pytest.raises(UserError, match=expected) as caught:
+    with one_line(UserError, match=expected):
         import_captures([tmp_path / "t"], tmp_path / "data", labels=ANNA)
-    assert "\n" not in str(caught.value)
     assert not (tmp_path / "data").exists()
     assert [p.name for p in tmp_path.iterdir() if p.name != "t"] == []
 
@@ -215,8 +215,7 @@ def test_rig_is_made_of_the_columns_of_takes(tmp_path):
     }
     (folder / "b.npz").unlink()
     command = ["data", "import", str(folder), "--rig-from", str(folder), "-o", f"{tmp_path}/data"]
-    done = CliRunner().invoke(app, [*command, "--actor", "anna", "--split-by", "none"])
-    assert done.exit_code == 0, done.output
+    ran(*command, "--actor", "anna", "--split-by", "none")
     own = rig_of_dataset(tmp_path / "data")
     assert own is not None and read_controls(own).names == names
     assert rig_of_dataset(tmp_path / "data", "other.yaml") == "other.yaml"
@@ -240,33 +239,26 @@ def test_rows_of_a_table_find_takes_of_one_name_or_are_refused(tmp_path):
 
 def test_takes_that_leave_nothing_to_validate_are_refused_and_nothing_is_written(tmp_path):
     write_live_link(tmp_path / "t" / "a.csv", 4)
-    with pytest.raises(DataError, match="0 to validate, needs one of each") as caught:
+    with one_line(DataError, match="0 to validate, needs one of each"):
         imported.import_captures([tmp_path / "t"], tmp_path / "data", labels=ANNA)
-    assert "\n" not in str(caught.value)
     assert [p.name for p in tmp_path.iterdir()] == ["t"]
     import_captures([tmp_path / "t"], tmp_path / "data", labels=ANNA)
     assert {row["split"] for row in rows_of(tmp_path / "data")} == {"train"}
 
 
 def test_command_prints_takes_and_the_dataset_passes_the_check(tmp_path):
-    from typer.testing import CliRunner
-
-    from deitalk.cli.data import app
 
     for number in range(4):
         write_live_link(tmp_path / "t" / f"joy_{number}.csv", 8)
     out = str(tmp_path / "data")
-    done = CliRunner().invoke(app, ["import", str(tmp_path / "t"), "--actor", "anna", "-o", out])
-    assert done.exit_code == 0, done.output
+    done = ran("data", "import", tmp_path / "t", "--actor", "anna", "-o", out)
     assert "joy_0  livelink anna       happy" in done.stdout
     assert "(2 train, 1 validation, 1 test)" in done.stdout
-    checked = CliRunner().invoke(app, ["check", out])
-    assert checked.exit_code == 0, checked.output
+    checked = ran("data", "check", out)
     assert "warning  speakers" in checked.stdout
 
 
 def test_curves_of_another_rig_stay_as_they_are(tmp_path, rng):
-    from typer.testing import CliRunner
 
     from deitalk.cli.data import app
     from deitalk.config.rig_file import read_controls

@@ -7,6 +7,7 @@ import pytest
 from deitalk.data.captures.sources import Labelling, Source
 from deitalk.errors import DataError
 from tests.each import each
+from tests.errors import one_line
 
 
 def source(place: str) -> Source:
@@ -53,9 +54,8 @@ def test_table_comes_before_option_before_pattern(tmp_path):
     ],
 )
 def test_fault_is_one_line(given, expected):
-    with pytest.raises(DataError, match=expected.replace("(", "\\(")) as caught:
+    with one_line(DataError, match=expected.replace("(", "\\(")):
         Labelling(**given).of(source("x/a_1"))
-    assert "\n" not in str(caught.value)
 
 
 @each(

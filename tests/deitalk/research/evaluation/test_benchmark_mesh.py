@@ -9,6 +9,7 @@ from deitalk.cli import app
 from deitalk.research.evaluation import benchmark_mesh as mesh_timing
 from deitalk.research.evaluation.benchmark_mesh import PUBLISHED, STAGES, as_markdown, table_4
 from tests.closeness import SHARE
+from tests.command import ran
 
 
 @pytest.mark.slow  # the recogniser's 123 million weights
@@ -45,8 +46,7 @@ def test_command_prints_the_table(monkeypatch):
     }  # fmt: skip
     calls = []
     monkeypatch.setattr(mesh_timing, "table_4", lambda *given: calls.append(given) or report)
-    result = CliRunner().invoke(app, ["evaluate", "--speed", "--mesh", "--threads", "2"])
-    assert result.exit_code == 0, result.output
+    result = ran("evaluate", "--speed", "--mesh", "--threads", "2")
     assert calls == [(2, 3)]
     assert "| audio feature | 1.5 | 376 | 1.5 | 9253 | 1.5 | 4201 |" in result.output
     assert "5.0 times 10" in result.output

@@ -14,6 +14,7 @@ from deitalk.research.evaluation.acted import (
 from deitalk.research.evaluation.strength import measure_clips
 from tests.deitalk.audio.test_prosody import voice
 from tests.each import each
+from tests.errors import one_line
 
 
 @pytest.fixture
@@ -64,6 +65,5 @@ def test_speakers_are_in_one_split_and_all_splits_occur(tmp_path):
 def test_read_strength_clips_rejects_bad_tables(tmp_path, text, words):
     path = tmp_path / "table.csv"
     path.write_text(text)
-    with pytest.raises(DataError) as error:
+    with one_line(DataError, words):
         read_strength_clips(path, READERS)
-    assert words in str(error.value) and "\n" not in str(error.value)

@@ -30,6 +30,7 @@ from rig.face.head import build_head
 from rig.retarget.source_head import head_landmarks
 from tests.dataset import write_dataset
 from tests.each import each
+from tests.errors import one_line
 
 CONTROLS = default_controls()
 PLACE = {name: i for i, name in enumerate(CONTROLS.names)}
@@ -249,9 +250,8 @@ def test_missing_measures_are_nan(measured):
 )  # fmt: skip
 def test_read_lips_rejects_damaged_folders(measured, damage, words):
     damage(measured)
-    with pytest.raises(DataError) as error:
+    with one_line(DataError, words):
         read_lips(measured, 9.0)
-    assert words in str(error.value) and "\n" not in str(error.value)
 
 
 def test_lip_dataset_holds_curves_that_repeat_the_lips(measured, tmp_path, lips):

@@ -2,9 +2,7 @@
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
-from deitalk.cli import app
 from deitalk.config.rig_file import read_controls
 from deitalk.data.captures.splits import divide_clips
 from deitalk.data.clips import read_clips
@@ -14,6 +12,7 @@ from deitalk.research.lips.head_lips import MEASURES, HeadLips
 from deitalk.research.lips.measured import read_lips
 from deitalk.research.lips.own_rig import write_measure_dataset
 from rig.face.head import build_head
+from tests.command import ran
 from tests.deitalk.research.lips.test_lips import write_measured
 
 
@@ -25,8 +24,7 @@ def test_curves_are_the_measures_and_a_speaker_can_be_left_out(tmp_path):
     table = np.load(path)["meas"]
     table[20:22, 3] = -32768
     np.savez(path, meas=table)
-    done = CliRunner().invoke(app, ["data", "lips", str(folder), "--as-rig", "-o", str(out)])
-    assert done.exit_code == 0, done.output
+    ran("data", "lips", folder, "--as-rig", "-o", out)
     controls = read_controls(str(out / "rig.yaml"))
     assert controls.names == MEASURES
     measured = {c.name: c for c in read_lips(folder, HeadLips(build_head()).eye_distance)}

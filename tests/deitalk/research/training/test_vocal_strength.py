@@ -16,6 +16,7 @@ from deitalk.research.evaluation.strength import (
     score_strength,
 )
 from deitalk.research.training.vocal_strength import main, train
+from tests.errors import one_line
 
 
 def planted(rng, kind, speaker, group, strength, emotion="", level=""):
@@ -89,6 +90,5 @@ def test_train_rejects_too_few_speakers(clips):
 
 def test_command_rejects_a_missing_table_in_one_line(tmp_path):
     table = str(tmp_path / "none.csv")
-    with pytest.raises(SystemExit) as error:
+    with one_line(SystemExit, "none.csv"):
         main(["--readers", table, "--actors", table])
-    assert "none.csv" in str(error.value) and "\n" not in str(error.value)
