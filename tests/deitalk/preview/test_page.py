@@ -84,7 +84,6 @@ def block(page: str, name: str) -> str:
 
 
 def test_a_take_gets_a_page_and_no_video_unless_one_is_asked_for(tiny_player, tmp_path):
-
     from deitalk import animate
 
     take = animate(np.zeros(16_000, np.float32), sample_rate=16_000).save(tmp_path / "take")

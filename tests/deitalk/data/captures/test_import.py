@@ -247,7 +247,6 @@ def test_takes_that_leave_nothing_to_validate_are_refused_and_nothing_is_written
 
 
 def test_command_prints_takes_and_the_dataset_passes_the_check(tmp_path):
-
     for number in range(4):
         write_live_link(tmp_path / "t" / f"joy_{number}.csv", 8)
     out = str(tmp_path / "data")
@@ -259,7 +258,6 @@ def test_command_prints_takes_and_the_dataset_passes_the_check(tmp_path):
 
 
 def test_curves_of_another_rig_stay_as_they_are(tmp_path, rng):
-
     from deitalk.cli.data import app
     from deitalk.config.rig_file import read_controls
 
