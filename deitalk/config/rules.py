@@ -48,8 +48,9 @@ class ScaleOpening(Section):
     """The mouth opens for the corrected intensity of the voice.
 
     Intense anger and joy of actors widen the range of the lips to 1.41 and 1.32 times that of their
-    neutral take (a measurement of video that is not repeated here); with `take` that of the
-    embedded head's lips was 1.4 and 1.5 times on validation actors.
+    neutral take (a measurement of video that is not repeated here). On validation actors the lips
+    of the embedded head moved 1.4 and 1.5 times as far; `default`, whose intensity tells strong
+    takes from weak ones, needs no `take` for it.
     """
 
     gain: Share = Field(default=0.45, description="increase of the opening per unit of intensity")
