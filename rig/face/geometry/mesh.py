@@ -202,8 +202,8 @@ def _with_face(d: Float64, p: Float64, i: Identity) -> Float64:
     drop = i.jaw_drop_cm
     w, jaw = i.face_width, i.jaw_width
     d = blend(d, ellipsoid(p, (0, -3.8, 1.8), (5.8 * w, 7.0, 6.45)), 2.4)
-    corner = (4.75 * w * jaw, -6.6 - 0.4 * drop, -0.6)
-    d = blend(d, capsule(p, corner, (1.5 * jaw, -9.6 - drop, 6.0), 1.05, 1.4), 2.0)
+    corner = (4.65 * w * jaw, -6.6 - 0.4 * drop, -0.6)
+    d = blend(d, capsule(p, corner, (1.5 * jaw, -9.6 - drop, 6.0), 1.05, 1.4), 2.6)
     chin = (0, -9.95 - drop, 7.3 + i.chin_forward_cm)
     d = blend(d, ellipsoid(p, chin, (2.1 * i.chin_width, 1.3, 1.65)), 1.5)
     cheek = (3.9 * w, -2.2, 4.7)
@@ -232,7 +232,7 @@ def _with_nose(d: Float64, p: Float64, i: Identity) -> Float64:
 
 def _with_neck(d: Float64, p: Float64, i: Identity) -> Float64:
     neck = capsule(p, (0, -6, -2.9), (0, -26, -4.6), 4.5 * i.neck_width, 5.3 * i.neck_width)
-    d = blend(d, neck, 0.8)
+    d = blend(d, neck, 1.3)
     thin = min(i.neck_width / 0.8, 1.0) ** 2  # a child's neck shows no tendons
     sternal = capsule(p, (4.0 * i.neck_width, -8, -2.6), (1.2, -17, 1.2), 0.8 * thin, 0.9 * thin)
     return blend(d, sternal, 1.2)
