@@ -14,6 +14,7 @@ from deitalk.errors import DataError
 
 TRAIN, VALIDATION, TEST = "train", "validation", "test"
 LEFT_OUT = ""
+SPLITS = (TRAIN, VALIDATION, TEST, LEFT_OUT)
 APART_SECONDS = 5.0
 """Longer than a training window of 128 frames."""
 SHARE = 1 / 8
@@ -114,11 +115,12 @@ def _few(pieces: Sequence[Piece]) -> list[str]:
 
 
 class Division(NamedTuple):
-    """Clips of a dataset folder by split."""
+    """Clips of a dataset folder by split, and those that are in none."""
 
     train: list[Clip]
     validation: list[Clip]
     test: list[Clip]
+    between: list[Clip]
 
 
 def divide_clips(clips: Sequence[Clip], leave_out: str | None = None) -> Division:
@@ -140,7 +142,7 @@ def divide_clips(clips: Sequence[Clip], leave_out: str | None = None) -> Divisio
         If no clip, or every clip, is of that name.
     """
     if leave_out is None:
-        return Division(*([c for c in clips if c.split == s] for s in (TRAIN, VALIDATION, TEST)))
+        return Division(*([c for c in clips if c.split == s] for s in SPLITS))
     is_held = [leave_out in (_take(clip), clip.speaker) for clip in clips]
     if not any(is_held) or all(is_held):
         some = ", ".join([*names_of(clips, "takes"), *names_of(clips, "actors")][:6])
@@ -152,11 +154,12 @@ def divide_clips(clips: Sequence[Clip], leave_out: str | None = None) -> Divisio
     splits = _apart(
         [Piece(c.speaker, c.emotion, _take(c), *c.span) for c in rest], _last_of_takes(rest)
     )
-    return Division(
-        [clip for clip, split in zip(rest, splits, strict=True) if split == TRAIN],
-        [clip for clip, split in zip(rest, splits, strict=True) if split == VALIDATION],
-        [clip for clip, held in zip(clips, is_held, strict=True) if held],
+    train, validation, _, between = (
+        [clip for clip, given in zip(rest, splits, strict=True) if given == split]
+        for split in SPLITS
     )
+    test = [clip for clip, held in zip(clips, is_held, strict=True) if held]
+    return Division(train, validation, test, between)
 
 
 def _last_of_takes(clips: Sequence[Clip]) -> list[str]:

@@ -3,8 +3,9 @@
 Captures are few and features many, so that a penalty holds the weights; which, is chosen for every
 control by cross-validation over takes. Actors are pooled in part: all share a map, and each has a
 change of it with a penalty of its own and an offset without one (a ridge with one block of features
-for all and one for each actor; Daumé, "Frustratingly Easy Domain Adaptation", 2007). What is
-returned is the mean of the actors' maps, which a stranger gets, and how each differs from it.
+for all and one for each actor; Daumé, "Frustratingly Easy Domain Adaptation", 2007). A stranger
+gets the mean of the actors' maps; of three actors and more a map without changes, whose penalty is
+the one with which each actor is best predicted from the others.
 
 Everything is computed from sums of products, so that hours of captures need no more memory than
 minutes. Letters: T frames, F features, C controls, A actors, K folds.
@@ -18,15 +19,21 @@ import scipy.linalg
 import torch
 
 from deitalk.models.rig_decoder import RigDecoder
-from rig.arrays import Bool, Float32, Float64
+from rig.arrays import Bool, Float32, Float64, Int64
 
 SHARED = (1.0, 3.0, 10.0, 100.0)
 """Penalties of the shared map to choose from, as shares of the squares of its features; the last
 leaves hardly more than the mean."""
 OWN = (1.0, 10.0)
 """Penalty of an actor's change over that of the shared map: as free, or nearly none."""
+LEAST_ACTORS = 3
+"""From which on a stranger's penalty is told by leaving actors out."""
 FOLDS = 4
 """Most parts of the captures of which each is predicted from the others."""
+
+
+Pair = tuple[float, float | None]
+"""Shared and own penalty; without one of its own no actor has a change."""
 
 
 class Capture(NamedTuple):
@@ -54,7 +61,7 @@ class Maps(NamedTuple):
     Attributes
     ----------
     weight : ndarray [shape=(A + 1, C, F)]
-        The mean actor's map, then how each actor differs from it.
+        A stranger's map, then how each actor differs from it.
     bias : ndarray [shape=(A + 1, C)]
     penalty : ndarray [shape=(C, 2)]
         The chosen shared and own one.
@@ -64,14 +71,14 @@ class Maps(NamedTuple):
     bias: Float64
     penalty: Float64
 
-    def add_to(self, decoder: RigDecoder) -> None:
-        """Add the maps to the last layer of a decoder and to those of its actors."""
+    def add_to(self, decoder: RigDecoder, share: float = 1.0) -> None:
+        """Add a share of the maps to the last layer of a decoder and to those of its actors."""
         with torch.no_grad():
-            decoder.output.weight.add_(_tensor(self.weight[0], decoder))
-            decoder.output.bias.add_(_tensor(self.bias[0], decoder))
+            decoder.output.weight.add_(_tensor(self.weight[0], decoder), alpha=share)
+            decoder.output.bias.add_(_tensor(self.bias[0], decoder), alpha=share)
             if decoder.actor_layers is not None:
-                decoder.actor_layers.weight.add_(_tensor(self.weight[1:], decoder))
-                decoder.actor_layers.bias.add_(_tensor(self.bias[1:], decoder))
+                decoder.actor_layers.weight.add_(_tensor(self.weight[1:], decoder), alpha=share)
+                decoder.actor_layers.bias.add_(_tensor(self.bias[1:], decoder), alpha=share)
 
 
 def _tensor(values: Float64, decoder: RigDecoder) -> torch.Tensor:
@@ -158,7 +165,7 @@ def _grams(
 
 def _chosen(grams: Float64, n_controls: int) -> tuple[Float64, Float64, Float64]:
     """Weights, biases and penalties, each control's of the penalties with the least error."""
-    pairs = [(shared, shared * own) for shared in SHARED for own in OWN]
+    pairs: list[Pair] = [(shared, shared * own) for shared in SHARED for own in OWN]
     if grams.shape[1] == 1:
         pairs = [(shared, shared) for shared in SHARED]
     total = grams.sum(axis=0)
@@ -171,23 +178,54 @@ def _chosen(grams: Float64, n_controls: int) -> tuple[Float64, Float64, Float64]
             for fold in folds:
                 errors[place] += _error(fold, *_solve(total - fold, n_controls, *pair))
         best = errors.argmin(axis=0)
-    weight, bias = _solve(total, n_controls, *pairs[best[0]])
+    weight, bias = _each_solved(total, n_controls, pairs, best)
+    strange = _of_stranger(total, n_controls) if len(total) >= LEAST_ACTORS else None
+    maps = (
+        _about(each, each.mean(axis=0) if strange is None else strange[i])
+        for i, each in enumerate((weight[:1] + weight[1:], bias[:1] + bias[1:]))
+    )
+    return *maps, np.array(pairs)[best]
+
+
+def _each_solved(
+    grams: Float64, n_controls: int, pairs: Sequence[Pair], best: Int64
+) -> tuple[Float64, Float64]:
+    """`_solve` of every control with the penalties of its place in `pairs`."""
+    weight, bias = _solve(grams, n_controls, *pairs[best[0]])
     for place in set(best.tolist()) - {best[0]}:
-        weights, biases = _solve(total, n_controls, *pairs[place])
+        weights, biases = _solve(grams, n_controls, *pairs[place])
         weight[:, best == place], bias[:, best == place] = (
             weights[:, best == place],
             biases[:, best == place],
         )
-    return _about_mean(weight), _about_mean(bias), np.array(pairs)[best]
+    return weight, bias
 
 
-def _about_mean(maps: Float64) -> Float64:
-    """The mean actor and how each differs [shape=(A + 1, …)], of a shared map and its changes."""
-    mean = maps[1:].mean(axis=0)
-    return np.concatenate((maps[:1] + mean, maps[1:] - mean))
+def _of_stranger(grams: Float64, n_controls: int) -> tuple[Float64, Float64]:
+    """Weights (C, F) and biases (C,) for an actor of no capture, from the products of each.
+
+    Offsets have no part in the choice: no speech tells how a stranger's face rests.
+    """
+    pairs: list[Pair] = [(shared, None) for shared in SHARED]
+    errors = np.zeros((len(pairs), n_controls))
+    for left, of_actor in enumerate(grams):
+        others = np.delete(grams, left, axis=0)
+        own = of_actor - np.outer(of_actor[:, 0], of_actor[0]) / max(of_actor[0, 0], 1)
+        for place, pair in enumerate(pairs):
+            weight, bias = _solve(others, n_controls, *pair)
+            errors[place] += _error(own[None], weight[:2], bias[:2])
+    weight, bias = _each_solved(grams, n_controls, pairs, errors.argmin(axis=0))
+    return weight[0], bias[0]
 
 
-def _solve(grams: Float64, n_controls: int, shared: float, own: float) -> tuple[Float64, Float64]:
+def _about(actors: Float64, stranger: Float64) -> Float64:
+    """The stranger, and how each actor (A, …) differs [shape=(A + 1, …)]."""
+    return np.concatenate((stranger[None], actors - stranger))
+
+
+def _solve(
+    grams: Float64, n_controls: int, shared: float, own: float | None
+) -> tuple[Float64, Float64]:
     """Weights (A + 1, C, F) and biases (A + 1, C) from the products of each actor (A, …).
 
     Each actor's change is eliminated: with S its centred products, D the penalty and b the centred
@@ -199,8 +237,9 @@ def _solve(grams: Float64, n_controls: int, shared: float, own: float) -> tuple[
     squares, products = centred[:, 1:size, 1:size], centred[:, 1:size, size:]
     scale = np.maximum(np.einsum("aii->i", squares), 1e-6 * grams[:, 0, 0].sum())
     left, right = np.diag(shared * scale), np.zeros((size - 1, n_controls))
-    if len(grams) == 1:
-        weight = [_positive(left + squares[0], products[0])]
+    if own is None or len(grams) == 1:
+        common = _positive(left + squares.sum(axis=0), products.sum(axis=0))
+        weight = [common, *(0 * common for _ in grams)]
     else:
         parts = []
         for square, product in zip(squares, products, strict=True):
@@ -221,8 +260,6 @@ def _with_biases(weight: Float64, means: Float64, size: int) -> tuple[Float64, F
     shared, change = weight[0], weight[1:]
     bias = [mean[size:] - shared @ mean[1:size] for mean in means if mean[0]]
     centre = np.mean(bias, axis=0)
-    if not len(change):
-        return np.concatenate((weight, 0 * weight)), np.stack((centre, 0 * centre))
     own = [
         (mean[size:] - (shared + each) @ mean[1:size] - centre) * mean[0]
         for mean, each in zip(means, change, strict=True)

@@ -44,7 +44,7 @@ from deitalk.training.tuning.recipe import (
     with_captured_intensity,
     with_direct_layers,
 )
-from deitalk.training.tuning.ridge import Capture, Rows, fit_ridge
+from deitalk.training.tuning.ridge import Capture, Maps, Rows, fit_ridge
 from deitalk.training.tuning.strength import ExpressionAxis, expression_axes, label_intensity
 from rig.errors import ControlError
 
@@ -99,11 +99,7 @@ def finetune(
     run_training(task, out, resume=resume, tensorboard=tensorboard, progress=progress)
     scores = write_comparison(
         out,
-        {
-            "before": task.base.cpu() if task.is_same_rig else None,
-            "ridge": task.ridge,
-            "after": require_model(out / "best", DEITalk),
-        },
+        task.systems(require_model(out / "best", DEITalk)),
         CaptureSet.of(task.test_clips, task.controls, task.pose, task.learnt),
         task.clips,
         are_unseen=task.has_test,
@@ -152,6 +148,8 @@ class FinetuneTask(CurveTask):
     features_folder: Path | None = None
     ridge: DEITalk | None = None
     """The model before the first step, where a regression is its start."""
+    late: Maps | None = None
+    """What validation clips add to the regression; saved models have it, which choosing has not."""
 
     def __init__(
         self, config: FinetuneConfig, data: Path, frozen_features: FrozenFeatures | None = None
@@ -161,6 +159,9 @@ class FinetuneTask(CurveTask):
         super().__init__(complete, data, frozen_features=frozen_features)
         config = self.config
         self.clips, self.validation_clips = division.train, division.validation
+        speakers = {clip.speaker for clip in division.train}
+        others = (*division.validation, *division.between)
+        self.late_clips = [clip for clip in others if clip.speaker in speakers]
         if config.model.decoder != "convolution":
             raise ConfigError(
                 f"tune.base: {config.tune.base!r} has decoder: {config.model.decoder}, which is "
@@ -278,14 +279,32 @@ class FinetuneTask(CurveTask):
 
     def _fit_last_layers(self) -> None:
         """Add what a ridge regression finds to the last layers: the start of the tuning."""
-        clips = [
-            Capture(clip.take or clip.name, clip.speaker, read_known(clip.known, self.controls))
-            for clip in self.clips
-        ]
-        actors = self.config.model.actors
-        maps = fit_ridge(clips, lambda place: self._rows(self.clips[place]), actors, self.learnt)
+        maps = self._regression(self.clips)
+        if self.late_clips and self.config.tune.part != "all":
+            whole = self._regression([*self.clips, *self.late_clips])
+            self.late = Maps(
+                whole.weight - maps.weight, whole.bias - maps.bias, whole.penalty - maps.penalty
+            )
         maps.add_to(self.model.rig_decoder)
         self.ridge = copy.deepcopy(self.model).eval()
+
+    def _regression(self, clips: Sequence[Clip]) -> Maps:
+        """What a ridge regression on clips adds to the last layers."""
+        captures = [
+            Capture(clip.take or clip.name, clip.speaker, read_known(clip.known, self.controls))
+            for clip in clips
+        ]
+        actors = self.config.model.actors
+        return fit_ridge(captures, lambda place: self._rows(clips[place]), actors, self.learnt)
+
+    def systems(self, after: DEITalk) -> dict[str, DEITalk | None]:
+        """The models to compare, none of which learnt from the clips that are scored."""
+        if self.late is not None and self.has_test and self.ridge is not None:
+            self.late.add_to(self.ridge.rig_decoder)
+        elif self.late is not None:
+            self.late.add_to(after.rig_decoder, -1)
+        before = self.base.cpu() if self.is_same_rig else None
+        return {"before": before, "ridge": self.ridge, "after": after}
 
     def _choose(self, part: str) -> None:
         """Let only the weights of a part learn."""
@@ -422,6 +441,8 @@ class FinetuneTask(CurveTask):
         """Write a model folder; adapters become part of the weights."""
         whole = self._network()
         whole.load_state_dict(merged_weights(model))
+        if self.late is not None:
+            self.late.add_to(whole.rig_decoder)
         save_model(folder, whole, self.config, summary | {"base": self.config.tune.base})
 
 
