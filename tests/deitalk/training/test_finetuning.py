@@ -365,6 +365,12 @@ def test_report_compares_before_after_and_baselines(base, data, tmp_path):
 
 def test_held_out_clip_lies_beside_its_curves_before_and_after(base, data, tmp_path, monkeypatch):
     """And the command makes a page of them."""
+    folder = tmp_path / "data"
+    shutil.copytree(data, folder)
+    table = pd.read_csv(folder / "clips.csv", dtype=str, keep_default_na=False)
+    table.loc[5, "split"] = "test"
+    table.to_csv(folder / "clips.csv", index=False)
+    clip = read_clips(folder, "test")[0]
     player = tmp_path / "player.html"
     player.write_text("<html><!--deitalk-data--></html>")
     monkeypatch.setattr("deitalk.preview.page.BUNDLE", player)
@@ -375,8 +381,8 @@ def test_held_out_clip_lies_beside_its_curves_before_and_after(base, data, tmp_p
         "data.window_frames=32",
     )
     sets = [part for override in short for part in ("--set", override)]
-    ran("finetune", data, "--from", base, "-o", f"{tmp_path}/run", *sets)
-    folder, clip = tmp_path / "run" / "compare", read_clips(data, "validation")[0]
+    ran("finetune", folder, "--from", base, "-o", f"{tmp_path}/run", *sets)
+    folder = tmp_path / "run" / "compare"
     example = load_example(clip, CONTROLS)
     np.testing.assert_allclose(
         read_curves(folder / "capture.npz").values, example.curves, atol=1e-6
@@ -389,6 +395,38 @@ def test_held_out_clip_lies_beside_its_curves_before_and_after(base, data, tmp_p
     assert rate == 16_000 and len(sound) == len(example.waveform)
     page = (tmp_path / "run" / "compare.html").read_text()
     assert all(f'id="take-{k}"' in page for k in range(3)) and 'id="take-3"' not in page
+
+
+def test_saved_model_has_what_validation_clips_add_and_the_choice_has_not(base, data, tmp_path):
+    """A regression meets the mean of what it learnt from: the jaw is wider in validation clips."""
+    folder = tmp_path / "data"
+    shutil.copytree(data, folder)
+    held = read_clips(folder, "validation")
+    for clip in held:
+        curves = read_curves(clip.curves)
+        values = curves.values + np.float32(0.3) * (np.array(curves.names) == JAW)
+        write_curves(clip.curves, RigCurves(values, curves.names, fps=curves.fps))
+    train = read_clips(folder, "train")
+    task = FinetuneTask(recipe(base), folder)
+    task.read(tmp_path)
+    task.build(torch.device("cpu"))
+    task.save(tmp_path / "saved", task.model, {"step": 0})
+    saved = load_model(tmp_path / "saved")
+
+    def mean_error(model, clips):
+        errors = []
+        for clip in clips:
+            example = load_example(clip, CONTROLS)
+            column = CONTROLS.index(JAW)
+            errors.append(predict(model, example)[0][:, column] - example.curves[:, column])
+        return np.mean(errors)
+
+    assert mean_error(task.model.eval(), train) == pytest.approx(0, abs=2e-3)
+    assert mean_error(task.model, held) < -0.15
+    assert mean_error(saved, [*train, *held]) == pytest.approx(0, abs=2e-3)
+    compared = task.systems(saved)  # no test clips: as chosen, so that none is scored on its own
+    assert mean_error(compared["after"], train) == pytest.approx(0, abs=2e-3)
+    assert mean_error(compared["ridge"], train) == pytest.approx(0, abs=2e-3)
 
 
 def test_blinks_are_learnt_only_where_no_rule_adds_them(base, data):

@@ -66,6 +66,27 @@ def test_a_stranger_gets_the_mean_of_the_actors(rng):
     assert not found.weight[2].any() and not found.bias[2].any()
 
 
+def test_a_stranger_to_three_actors_gets_what_they_share(rng, monkeypatch):
+    """All follow the first feature; the second moves each their own way, so that it is held for a
+    stranger. The third control has neither, but other offsets, whose mean is a stranger's."""
+    monkeypatch.setattr(ridge, "SHARED", (0.001, 100.0))
+    names = ("ann", "bob", "eve")
+    maps = {
+        name: (np.array([[1.0, 0.0, 0.0], [0.0, way, 0.0]]), np.array([0.0, 0.0, offset]))
+        for name, way, offset in zip(names, (1.0, -1.0, 2.0), (1.0, 2.0, 6.0), strict=True)
+    }
+    labels, rows = captures(rng, maps, noise=0.1)
+    labels = [label._replace(known=np.ones(3, bool)) for label in labels]
+    found = fit_ridge(labels, rows.__getitem__, names, np.ones(3, bool))
+    np.testing.assert_allclose(found.weight[0, 0], [1, 0], atol=0.02)
+    assert np.abs(found.weight[0, 1]).max() < 0.02
+    assert found.bias[0, 2] == pytest.approx(3, abs=0.05)
+    for place, (weight, bias) in enumerate(maps.values()):
+        own = found.weight[0] + found.weight[place + 1]
+        np.testing.assert_allclose(own, weight.T, atol=0.02)
+        assert found.bias[0, 2] + found.bias[place + 1, 2] == pytest.approx(bias[2], abs=0.1)
+
+
 def test_penalty_is_that_which_predicts_takes_best(rng, monkeypatch):
     """The first control follows the features, the second is noise: held, but for its mean."""
     monkeypatch.setattr(ridge, "SHARED", (0.001, 100.0))
