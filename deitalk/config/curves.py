@@ -331,7 +331,7 @@ class FinetuneConfig(Config):
     loss: LossConfig = LossConfig(contrast=0, classification=0, velocity=2.0)
     data: DataConfig = DataConfig(real_fraction=0.7)
     train: TrainConfig = TrainConfig(
-        learning_rate=5e-4,
+        learning_rate=1e-4,
         optimizer="adamw",
         weight_decay=0.05,
         schedule="one_cycle",
