@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from rig.arrays import Float32, Float64, Int64
 from rig.controls import default_controls
 from rig.errors import RigError
-from rig.face.geometry import features, hair
+from rig.face.geometry import details, hair
 from rig.face.geometry.mesh import MESH_ARRAYS, NO_MAPS, SKIN, Maps, Mesh, join, mirrored
 from rig.face.geometry.skin import Skin, build_skin, paint_skin, skin_uv
 from rig.face.geometry.topology import EYE_L, EYE_R, FILLER, MOUTH
@@ -141,7 +141,7 @@ class Head:
         i, skin = self.identity, self.features
         colors, gloss = paint_skin(skin, i)
         place = skin.anatomy
-        eye, self._pupil = features.eyeball(i, place.eye_radius)
+        eye, self._pupil = details.eyeball(i, place.eye_radius)
         self._eye_rest = eye.vertices
         uv = self._look.uv
         parts = {"skin": Mesh(skin.vertices, skin.faces, colors, gloss, uv, kind=np.array(SKIN))}
@@ -153,26 +153,26 @@ class Head:
             parts[name] = replace(eye, vertices=turned + place.eye * [side, 1, 1])
         self._lash_root, self._lash_along = {}, {}
         for s, kind in (("L", EYE_L), ("R", EYE_R)):
-            mesh, root, along = features.lashes(skin, kind, i)
+            mesh, root, along = details.lashes(skin, kind, i)
             parts[f"lash_{s}"] = mesh
             self._lash_root[s], self._lash_along[s] = root, along
-        parts["teeth_upper"] = features.dental_arch(place.mouth_y, self._lip_z, is_upper=True)
-        parts["teeth_lower"] = features.dental_arch(place.mouth_y, self._lip_z, is_upper=False)
-        parts["tongue"], self._tongue_place = features.tongue(place.mouth_y, self._lip_z)
+        parts["teeth_upper"] = details.dental_arch(place.mouth_y, self._lip_z, is_upper=True)
+        parts["teeth_lower"] = details.dental_arch(place.mouth_y, self._lip_z, is_upper=False)
+        parts["tongue"], self._tongue_place = details.tongue(place.mouth_y, self._lip_z)
         parts["brow_L"] = hair.brow(i)
         parts["brow_R"] = mirrored(parts["brow_L"])
-        parts["ear_L"] = features.ear(i)
+        parts["ear_L"] = details.ear(i)
         parts["ear_R"] = mirrored(parts["ear_L"])
         parts["hair"] = self._look.hair
-        parts["bust"] = features.bust(i)
+        parts["bust"] = details.bust(i)
         return parts
 
     def _make_arches(self) -> dict[str, Arch]:
         y = self.features.anatomy.mouth_y
         arches = {}
         for name, width, depth, back, edge, up in (
-            ("upper", 2.06, 4.2, features.UPPER_BACK, features.UPPER_EDGE, 1),
-            ("lower", 1.94, 4.1, features.LIP_BACK, features.LIP_EDGE, -1),
+            ("upper", 2.06, 4.2, details.UPPER_BACK, details.UPPER_EDGE, 1),
+            ("lower", 1.94, 4.1, details.LIP_BACK, details.LIP_EDGE, -1),
         ):
             center_z = self._lip_z - back - depth
             arches[name] = Arch(self.features, width, depth, center_z, y + edge, up)
@@ -245,8 +245,8 @@ class Head:
         lower = vertices[:, self.slices["teeth_lower"]] + lower_shift
         vertices[:, self.slices["teeth_lower"]] = self.jaw.ride(lower, inputs)
         tongue = self.jaw.ride(self._tongue.shape(inputs), inputs, self._tongue.jaw_share)
-        edge = np.array([[[0, self.features.anatomy.mouth_y + features.LOWER_EDGE,
-                           self._lip_z - features.LOWER_BACK]]])  # fmt: skip
+        edge = np.array([[[0, self.features.anatomy.mouth_y + details.LOWER_EDGE,
+                           self._lip_z - details.LOWER_BACK]]])  # fmt: skip
         edge = self.jaw.ride(np.repeat(edge, len(vertices), 0) + lower_shift, inputs)
         skin = vertices[:, self.slices["skin"]]
         high, low = (skin[:, k, 1:] for k in self._rim_middle)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from rig.arrays import Float32
 from rig.controls import default_controls
 from rig.face import accents
-from rig.face.geometry import features
+from rig.face.geometry import details
 from rig.face.geometry.topology import EYE_L, EYE_R
 from rig.face.head import CONVERGENCE_DEGREES, GAZE_DEGREES, Head
 from rig.face.motion import jaw, lids, tongue
@@ -216,10 +216,10 @@ def _facts(head: Head) -> dict[str, Any]:
         },
         "convergence": CONVERGENCE_DEGREES,
         "teeth": {
-            "upperEdge": features.UPPER_EDGE,
-            "lowerEdge": features.LOWER_EDGE,
-            "upperBack": features.UPPER_BACK,
-            "lowerBack": features.LOWER_BACK,
+            "upperEdge": details.UPPER_EDGE,
+            "lowerEdge": details.LOWER_EDGE,
+            "upperBack": details.UPPER_BACK,
+            "lowerBack": details.LOWER_BACK,
         },
         "archCenter": {name: float(arch._center_z) for name, arch in head._arches.items()},
         "archEdge": {name: float(arch._edge_y) for name, arch in head._arches.items()},

@@ -3,7 +3,7 @@
 import numpy as np
 
 from rig.arrays import Float64
-from rig.face.geometry import features
+from rig.face.geometry import details
 from rig.face.geometry.mesh import smoothstep
 
 Inputs = dict[str, Float64]
@@ -26,14 +26,14 @@ class Tongue:
 
     def __init__(self, rest: Float64, place: Float64, mouth_y: float, lip_z: float) -> None:
         self._rest, self._s = rest, place
-        rows = rest.reshape(features.TONGUE_ROWS, features.TONGUE_COLUMNS, 3)
-        self._axis = np.repeat(rows.mean(1), features.TONGUE_COLUMNS, 0)
+        rows = rest.reshape(details.TONGUE_ROWS, details.TONGUE_COLUMNS, 3)
+        self._axis = np.repeat(rows.mean(1), details.TONGUE_COLUMNS, 0)
         half = np.abs(rows[..., 0]).max(1)
-        self._across = rest[:, 0] / np.repeat(half, features.TONGUE_COLUMNS)
-        self._upper_edge = mouth_y + features.UPPER_EDGE
-        self._lower_edge = mouth_y + features.LOWER_EDGE
-        self._teeth_z = lip_z - features.UPPER_BACK
-        self._behind_z = lip_z - features.LOWER_BACK - 0.29
+        self._across = rest[:, 0] / np.repeat(half, details.TONGUE_COLUMNS)
+        self._upper_edge = mouth_y + details.UPPER_EDGE
+        self._lower_edge = mouth_y + details.LOWER_EDGE
+        self._teeth_z = lip_z - details.UPPER_BACK
+        self._behind_z = lip_z - details.LOWER_BACK - 0.29
         self.jaw_share = 0.70 + 0.27 * (1 - place)
 
     def shape(self, inputs: Inputs) -> Float64:

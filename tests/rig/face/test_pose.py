@@ -9,8 +9,8 @@ from deitalk.research.contact_sheet import EMOTION_POSES, MOUTH_POSES, pose_valu
 from rig import default_controls
 from rig.errors import RigError
 from rig.face import build_head
-from rig.face.geometry import features
-from rig.face.geometry.features import IRIS_DEGREES
+from rig.face.geometry import details
+from rig.face.geometry.details import IRIS_DEGREES
 from rig.face.geometry.loops import MOUTH_COUNT
 from rig.face.geometry.topology import EYE_L, EYE_R, MOUTH
 from rig.face.head import GAZE_DEGREES
@@ -80,16 +80,16 @@ def test_smile_and_frown_alone_keep_the_lips_closed(head, name):
 
 def test_upper_teeth_rest_on_the_lower_lip_for_f_and_stand_clear_of_it_for_m(head):
     upper, lower = rim_middles(head, MOUTH_POSES["F V"])
-    assert lower[1] == pytest.approx(features.UPPER_EDGE, abs=0.08)
-    assert lower[2] == pytest.approx(-features.UPPER_BACK, abs=0.2)  # under them, not before them
-    assert upper[1] > features.UPPER_EDGE + 0.25  # and the teeth show
+    assert lower[1] == pytest.approx(details.UPPER_EDGE, abs=0.08)
+    assert lower[2] == pytest.approx(-details.UPPER_BACK, abs=0.2)  # under them, not before them
+    assert upper[1] > details.UPPER_EDGE + 0.25  # and the teeth show
     closed = rim_middles(head, MOUTH_POSES["M B P"])
     assert closed[1, 2] > lower[2] + 0.2
 
 
 def test_pursed_upper_lip_covers_its_teeth(head):
     upper, lower = rim_middles(head, MOUTH_POSES["UW (you)"])
-    assert upper[1] < features.UPPER_EDGE + 0.05
+    assert upper[1] < details.UPPER_EDGE + 0.05
     assert lower[1] < upper[1]
     assert upper[2] > 0.7  # and stands out
 
@@ -261,8 +261,8 @@ def test_eyes_turn_by_the_boards_angles(head):
 def test_tongue_tip_touches_the_ridge_for_l_and_n(head):
     pose = head.pose(pose_values(MOUTH_POSES["L N T D"]))
     tongue, upper = pose[head.slices["tongue"]], pose[head.slices["teeth_upper"]]
-    edge = head.features.anatomy.mouth_y + features.UPPER_EDGE
-    tip = tongue[: 3 * features.TONGUE_COLUMNS]
+    edge = head.features.anatomy.mouth_y + details.UPPER_EDGE
+    tip = tongue[: 3 * details.TONGUE_COLUMNS]
     assert tip[:, 1].max() > edge  # above the biting edge,
     assert tip[:, 2].max() < upper[:, 2].max() - 0.2  # behind the front teeth
 
