@@ -18,7 +18,7 @@ from deitalk.research.video.landmarks import (
 from rig.face.accents import neck_share, turned
 from rig.face.head import Head
 from rig.face.web_export import head_arrays
-from rig.retarget.source_head import head_landmarks
+from rig.retarget.morph_head import head_landmarks
 
 SIZE = (720, 1280)
 PIXELS_PER_CM = 40.0

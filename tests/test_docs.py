@@ -30,8 +30,7 @@ def test_functions_of_the_script_exist(page):
 
 def test_counts_of_the_pages_equal_those_of_the_code():
     from rig import default_controls
-    from rig.conversion.arkit import arkit_controls
-    from rig.conversion.raw import raw_controls
+    from rig.conversion.arkit import arkit_controls, raw_controls
 
     keyed = [c for c in default_controls().controls if c.role in ("driver", "master")]
     names = {c.ue_control: c.type for c in keyed}

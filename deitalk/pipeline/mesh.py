@@ -43,9 +43,8 @@ from rig.face.identity import IDENTITIES
 from rig.limits import PREDICTED_BYTES
 from rig.mesh import TriMesh
 from rig.mesh.trimesh import check_length
-from rig.retarget.morph_head import srgb_to_linear
+from rig.retarget.morph_head import head_landmarks, srgb_to_linear
 from rig.retarget.retarget_files import RetargetReport, retarget_curves, retarget_sequence
-from rig.retarget.source_head import head_landmarks
 
 Progress: TypeAlias = Callable[[float], None]
 

@@ -2,7 +2,7 @@
 
 Deviation: not in the paper, whose lips are used as the solve gives them. A bilabial missed by a
 millimetre looks missed; the embedded heads' own motion ends in the same operator
-(`rig.face.motion.contact`).
+(`rig.face.motion.rigid`).
 """
 
 from collections.abc import Iterable

@@ -21,8 +21,14 @@ import numpy as np
 
 from rig.arrays import Bool, Float32, Float64
 from rig.controls import Control, ControlSet, default_controls
-from rig.conversion.arkit import arkit_controls, arkit_to_raw
-from rig.conversion.raw import PREFIX, RAW_ID, board_to_raw, raw_controls
+from rig.conversion.arkit import (
+    PREFIX,
+    RAW_ID,
+    arkit_controls,
+    arkit_to_raw,
+    board_to_raw,
+    raw_controls,
+)
 from rig.conversion.shape_fit import (
     close_lips,
     closing_columns,

@@ -20,13 +20,10 @@ from rig.face.geometry.skin import Skin, build_skin, paint_skin, skin_uv
 from rig.face.geometry.topology import EYE_L, EYE_R, FILLER, MOUTH
 from rig.face.identity import Identity, resolve_identity
 from rig.face.motion.bindings import bindings
-from rig.face.motion.contact import Arch, Seal
-from rig.face.motion.jaw import Jaw
-from rig.face.motion.lids import Lids
+from rig.face.motion.rigid import Arch, Jaw, Lids, Seal, Tongue
 from rig.face.motion.shapes import ShapeMaker
 from rig.face.motion.shapes_face import FACE_SHAPES, neck_shapes, side_shapes
 from rig.face.motion.shapes_mouth import MOUTH_SHAPES
-from rig.face.motion.tongue import Tongue
 from rig.files import atomic_write, cache_folder
 
 # Cache of heads on disk: plain arrays in the user's cache folder.

@@ -15,7 +15,7 @@ from rig.face import accents
 from rig.face.geometry import details
 from rig.face.geometry.topology import EYE_L, EYE_R
 from rig.face.head import CONVERGENCE_DEGREES, GAZE_DEGREES, Head
-from rig.face.motion import jaw, lids, tongue
+from rig.face.motion import rigid
 from rig.face.motion.bindings import bindings
 
 Arrays = dict[str, NDArray[Any]]
@@ -151,13 +151,13 @@ def _arch_arrays(head: Head) -> Arrays:
 
 
 def _tongue_arrays(head: Head) -> Arrays:
-    tongue = head._tongue
+    rigid = head._tongue
     return {
-        "tongue.rest": _real(tongue._rest),
-        "tongue.place": _real(tongue._s),
-        "tongue.axis": _real(tongue._axis),
-        "tongue.across": _real(tongue._across),
-        "tongue.jaw": _real(tongue.jaw_share),
+        "tongue.rest": _real(rigid._rest),
+        "tongue.place": _real(rigid._s),
+        "tongue.axis": _real(rigid._axis),
+        "tongue.across": _real(rigid._across),
+        "tongue.jaw": _real(rigid.jaw_share),
     }
 
 
@@ -201,12 +201,12 @@ def _facts(head: Head) -> dict[str, Any]:
         "lipZ": float(head._lip_z),
         "rimMiddle": [int(k) for k in head._rim_middle],
         "sealRim": int(head._seal._rim),
-        "hinge": [float(x) for x in jaw.HINGE],
-        "openDegrees": jaw.OPEN_DEGREES,
-        "slide": [jaw._SLIDE_OPEN, jaw._SIDE, jaw._FORWARD],
+        "hinge": [float(x) for x in rigid.HINGE],
+        "openDegrees": rigid.OPEN_DEGREES,
+        "slide": [rigid._SLIDE_OPEN, rigid._SIDE, rigid._FORWARD],
         "lidLeast": float(head._lids._least),
-        "lidMeet": lids._MEET,
-        "tongueSink": tongue.SINK_CM,
+        "lidMeet": rigid._MEET,
+        "tongueSink": rigid.SINK_CM,
         "gaze": [GAZE_DEGREES["side"], GAZE_DEGREES["up"], GAZE_DEGREES["down"]],
         "accents": {
             "least": accents.least().tolist(),

@@ -2,14 +2,13 @@
 
 ::
 
-    atomic.py     one file: written beside, then renamed
-    targets.py    which paths a command may write to; one process at a time for each
+    targets.py    one file: written beside, then renamed; which paths a command may write to; one
+                  process at a time for each
     folder.py     a whole folder: staged, then exchanged file by file, with a journal; its manifest,
                   of the files that deitalk wrote, with hashes; single files of one that stays in
                   use, such as a training run's
 """
 
-from rig.files.atomic import atomic_write, remove_leftovers
 from rig.files.folder import (
     begin_folder,
     changed_files,
@@ -21,7 +20,15 @@ from rig.files.folder import (
     remove_written,
     replace_recorded,
 )
-from rig.files.targets import cache_folder, check_file, claim, is_folder_name, new_file
+from rig.files.targets import (
+    atomic_write,
+    cache_folder,
+    check_file,
+    claim,
+    is_folder_name,
+    new_file,
+    remove_leftovers,
+)
 
 __all__ = [
     "atomic_write",

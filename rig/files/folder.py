@@ -23,8 +23,16 @@ from pathlib import Path, PurePosixPath
 from typing import Any, NamedTuple
 
 from rig.errors import ExistsError, TargetError
-from rig.files.atomic import PREFIX, atomic_write, remove_leftovers, temporary_name
-from rig.files.targets import Inputs, check_place, claim, is_same
+from rig.files.targets import (
+    PREFIX,
+    Inputs,
+    atomic_write,
+    check_place,
+    claim,
+    is_same,
+    remove_leftovers,
+    temporary_name,
+)
 
 # Manifest of the files that deitalk wrote into a folder: a hidden JSON file of names and hashes.
 #

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 
 from rig.conversion import shape_fit
+from rig.conversion.arkit import raw_controls
 from rig.conversion.avatars import bare_names, known_poses
-from rig.conversion.raw import raw_controls
 from rig.unreal.deitalk_clip import curve_keys, fit_segment, key_frames, split_curve
 
 KEYS = (key_frames, curve_keys, split_curve, fit_segment)

@@ -22,7 +22,7 @@ from rig.face.accents import matrices, quaternions
 from rig.mesh.glb import RigidMotion, WeightAnimation, read_container, write_glb
 from rig.mesh.glb_reader import consistent, morphing_nodes, read_accessor
 from rig.retarget.bake import control_halves
-from rig.retarget.bones import head_track, turn_of_bones
+from rig.retarget.blendshapes import head_track, turn_of_bones
 from rig.retarget.morph_head import METRES_PER_CM, in_metres, morph_head, textured
 
 LEAST_JAW = 1e-3

@@ -23,8 +23,7 @@ from numpy.typing import NDArray
 from rig import limits
 from rig.arrays import Float32, Float64, Int64
 from rig.controls import ControlSet, check_unique
-from rig.conversion.arkit import ARKIT_ID, arkit_controls
-from rig.conversion.raw import PREFIX, RAW_ID, raw_controls
+from rig.conversion.arkit import ARKIT_ID, PREFIX, RAW_ID, arkit_controls, raw_controls
 from rig.curves import RigCurves, check_clip, snap_fps
 from rig.errors import CurveError, FormatError
 from rig.formats.decimal_text import Block, Text, rows

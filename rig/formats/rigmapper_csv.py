@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from rig.controls import ControlSet
+from rig.conversion.arkit import raw_controls
 from rig.conversion.convert import controls_of
-from rig.conversion.raw import raw_controls
 from rig.curves import RigCurves
 from rig.errors import FormatError, quoted, shorten
 from rig.files.reading import check_expansion, check_file

@@ -7,15 +7,13 @@ from pathlib import Path
 from typing import Any
 
 from rig.controls import DEFAULT_ID, ControlSet
-from rig.conversion.arkit import ARKIT_ID
+from rig.conversion.arkit import ARKIT_ID, RAW_ID
 from rig.conversion.avatars import AVATARS
-from rig.conversion.raw import RAW_ID
 from rig.conversion.visemes import gesture_controls
 from rig.curves import RigCurves
 from rig.errors import FormatError
 from rig.formats import (
-    a2f_csv,
-    a2f_json,
+    audio2face,
     curves_csv,
     curves_json,
     curves_npz,
@@ -26,7 +24,6 @@ from rig.formats import (
     rigmapper_csv,
     unity_anim,
     unreal_json,
-    viseme_json,
 )
 
 Reader = Callable[[Path, ControlSet | None, float | None], RigCurves]
@@ -172,8 +169,8 @@ FORMATS: tuple[Format, ...] = (
         "a2f",
         (".a2f.csv", "animation_frames.csv"),
         "animation_frames.csv of NVIDIA Audio2Face-3D, 52 ARKit shapes (lossy)",
-        a2f_csv.read,
-        a2f_csv.write,
+        audio2face.read,
+        audio2face.write,
         ARKIT_ID,
         begins=("", "timecode"),
     ),
@@ -181,8 +178,8 @@ FORMATS: tuple[Format, ...] = (
         "a2f-json",
         (".a2f.json",),
         "facsNames and weightMat of the Audio2Face application: ARKit or an avatar (lossy)",
-        a2f_json.read,
-        a2f_json.write,
+        audio2face.read_json,
+        audio2face.write_json,
         ARKIT_ID,
         also=AVATARS,
         options=("sound",),
@@ -229,8 +226,8 @@ FORMATS: tuple[Format, ...] = (
         "visemes",
         (".visemes.json",),
         "weights of the 15 Oculus visemes",
-        viseme_json.read,
-        viseme_json.write,
+        rhubarb.read,
+        rhubarb.write,
         DEFAULT_ID,
         shows=gesture_controls,
     ),

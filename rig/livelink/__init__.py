@@ -1,8 +1,7 @@
 """Live curves over UDP: to Unreal's Live Link, JSON receivers and VMC programs, and back."""
 
-from rig.livelink.packet import Packet, decode, encode
 from rig.livelink.protocols import PROTOCOLS, find_protocol, make_protocol
-from rig.livelink.receiver import Receiver, Recording
+from rig.livelink.receiver import Packet, Receiver, Recording, decode, encode
 from rig.livelink.sender import LiveReport, LiveSender, SendReport, check_address, send
 
 __all__ = [

@@ -26,7 +26,7 @@ from rig.curves import RigCurves
 from rig.errors import FormatError, quoted
 from rig.formats.livelink_csv import SUBJECT_REST
 from rig.livelink import osc
-from rig.livelink.packet import MAX_TEXT_BYTES, PORT, Packet, encode
+from rig.livelink.receiver import MAX_TEXT_BYTES, PORT, Packet, encode
 
 DEVICE = "DEADBEEF-0000-4000-8000-000000000001"
 """Our device id: 36 characters, the length that some receivers assume."""

@@ -18,8 +18,8 @@ from rig.mesh.shapes import ShapeSet
 from rig.mesh.trimesh import TriMesh, components
 from rig.retarget.bake import BakedRig
 from rig.retarget.landmarks import CORNERS
+from rig.retarget.morph_head import source_head
 from rig.retarget.registration import POOR_MATCH, Registration, register
-from rig.retarget.source_head import source_head
 from rig.retarget.transfer import local_jacobians, transfer_displacements, transfer_gradients
 
 # Pairs of points across the mouth's slit, and correction of the lips' contact after a transfer.

@@ -14,9 +14,8 @@ import numpy as np
 
 from rig.arrays import AnyFloat
 from rig.controls import DEFAULT_ID
-from rig.conversion.arkit import ARKIT_ID, arkit_controls
+from rig.conversion.arkit import ARKIT_ID, PREFIX, RAW_ID, arkit_controls, raw_controls
 from rig.conversion.convert import known_controls
-from rig.conversion.raw import PREFIX, RAW_ID, raw_controls
 from rig.curves import RigCurves
 from rig.errors import FormatError, RigError, quoted
 from rig.files.reading import decode_text, open_file
@@ -266,9 +265,9 @@ def check_visemes(path: Path) -> Note:
     Raises
     ------
     FormatError
-        As `rig.formats.viseme_json.read`.
+        As `rig.formats.rhubarb.read`.
     """
-    from rig.formats.viseme_json import read
+    from rig.formats.rhubarb import read
 
     curves = read(path)
     return f"{len(curves)} frames at {curves.fps:g} fps of visemes"

@@ -314,8 +314,7 @@ def _datagram_seeds(folder: Path) -> list[Seed]:
 
 
 def _read_datagram(path: Path) -> object:
-    from rig.livelink.packet import decode
-    from rig.livelink.receiver import Recording
+    from rig.livelink.receiver import Recording, decode
 
     packet = decode(path.read_bytes())
     return Recording(packet.subject, (packet,)).to_take().to_curves()

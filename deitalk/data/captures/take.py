@@ -16,9 +16,8 @@ from deitalk.installed import research
 from rig import ControlSet, RigCurves, default_controls, read_curves
 from rig.arrays import Bool
 from rig.controls import DEFAULT_ID
-from rig.conversion.arkit import ARKIT_ID, arkit_to_raw
+from rig.conversion.arkit import ARKIT_ID, RAW_ID, arkit_to_raw
 from rig.conversion.convert import KNOWN, convert, reached_controls
-from rig.conversion.raw import RAW_ID
 from rig.curves.edit import clamp
 from rig.files.reading import open_file, read_npz
 from rig.formats import emoface_txt, livelink_csv, unreal_json

@@ -23,8 +23,8 @@ from rig.files import atomic_write, new_file
 from rig.mesh.trimesh import TriMesh
 from rig.retarget.landmark_guess import guess_landmarks
 from rig.retarget.methods import Method, carry_shapes
+from rig.retarget.morph_head import source_head
 from rig.retarget.registration import lip_labels
-from rig.retarget.source_head import source_head
 
 RUNS = 5
 PAPER_TRIANGLES = 9976

@@ -22,9 +22,9 @@ from torch import Tensor, nn
 from rig.arrays import Float32, Float64, Int64
 from rig.face.geometry.mesh import smoothstep
 from rig.face.head import Head
-from rig.face.motion.contact import UPPER_PART
+from rig.face.motion.rigid import UPPER_PART
 from rig.face.web_export import head_arrays
-from rig.retarget.source_head import head_landmarks
+from rig.retarget.morph_head import head_landmarks
 
 MEASURES = ("opening", "jaw", "width", "upper_lip", "lower_lip", "corner")
 """Mean gap of the rims, chin to nose base, distance of the corners; upper rim, lower rim and
@@ -166,7 +166,7 @@ class HeadLips(nn.Module):
         return measures
 
     def _open(self, points: Tensor, inputs: Tensor) -> Tensor:
-        """Rotate and slide the points (..., N, 3) with the jaw (`rig.face.motion.jaw`)."""
+        """Rotate and slide the points (..., N, 3) with the jaw (`rig.face.motion.rigid`)."""
         opening = inputs[..., self._inputs["jaw.open"]].clamp(0, 1.35).unsqueeze(-1)
         angle = self._radians * opening * self.share
         hinge = points.new_tensor(self._hinge)
@@ -180,7 +180,7 @@ class HeadLips(nn.Module):
         return turned + slide.unsqueeze(-2) * self.share[:, None]
 
     def _seal(self, upper: Tensor, lower: Tensor, inputs: Tensor) -> tuple[Tensor, Tensor]:
-        """Bring the rims (..., P, 3) together (`rig.face.motion.contact.Seal`)."""
+        """Bring the rims (..., P, 3) together (`rig.face.motion.rigid.Seal`)."""
         left, right, far = self.zips
         zipped = torch.zeros_like(upper[..., 0])
         for side, name in ((left, "seal.zip_L"), (right, "seal.zip_R")):

@@ -30,7 +30,7 @@ from rig.arrays import Float32, Float64
 from rig.face import build_head
 from rig.face.identity import IDENTITIES
 from rig.mesh.trimesh import TriMesh
-from rig.retarget.source_head import head_landmarks
+from rig.retarget.morph_head import head_landmarks
 
 Phones = Sequence[tuple[float, float, str]]
 

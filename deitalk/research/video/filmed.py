@@ -28,9 +28,9 @@ from deitalk.research.video.landmarks import (
 from rig import ControlSet, RigCurves, default_controls
 from rig.arrays import Bool, Float32, Float64
 from rig.face.head import GAZE_DEGREES, Head, build_head
-from rig.face.motion.lids import LOOK_UP, UPPER_UP, WIDEN
+from rig.face.motion.rigid import LOOK_UP, UPPER_UP, WIDEN
 from rig.face.web_export import head_arrays
-from rig.retarget.source_head import head_landmarks
+from rig.retarget.morph_head import head_landmarks
 
 # Straightened landmarks to the measures of a head's face, fitted to the person's proportions.
 #

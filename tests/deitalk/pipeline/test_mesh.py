@@ -267,8 +267,8 @@ def test_speech_moves_the_ict_face(shared, tmp_path, acted, request):
 def test_retargeted_sequence_closes_the_lips_of_another_head(acted, network, tmp_path):
     """Ada's motion on Bruno's mesh, against Bruno's head in the poses of the same curves."""
     from rig.mesh import TriMesh
+    from rig.retarget.morph_head import head_landmarks
     from rig.retarget.retarget_files import retarget_sequence
-    from rig.retarget.source_head import head_landmarks
 
     happy, skin = acted["happy"], build_head(0).slices["skin"]
     ada, bruno = build_head(0), build_head("Bruno")

@@ -16,8 +16,7 @@ import pytest
 import soundfile
 
 from rig import RigCurves, default_controls, read_curves, write_curves
-from rig.conversion.arkit import arkit_controls
-from rig.conversion.raw import board_to_raw
+from rig.conversion.arkit import arkit_controls, board_to_raw
 from rig.conversion.shape_fit import shape_key
 from rig.formats.blender import addon_text
 from rig.formats.exchange import write_exchange_files
@@ -116,7 +115,7 @@ def test_names_of_shape_keys_are_those_of_the_curves(addon, theirs, ours):
 
 
 def test_no_two_curves_of_a_set_have_one_name():
-    from rig.conversion.raw import raw_controls
+    from rig.conversion.arkit import raw_controls
 
     for controls in (arkit_controls(), raw_controls()):
         assert len({shape_key(name) for name in controls.names}) == len(controls)

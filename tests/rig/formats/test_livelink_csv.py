@@ -14,9 +14,10 @@ from rig.conversion.arkit import (
     GAZE_SIDE_DEGREES,
     GAZE_UP_DEGREES,
     HEAD,
+    RAW_ID,
     arkit_controls,
+    board_to_raw,
 )
-from rig.conversion.raw import RAW_ID, board_to_raw
 from rig.errors import FormatError
 from rig.face.accents import quaternions
 from rig.formats.livelink_csv import (

@@ -24,7 +24,7 @@ PLANES = TriMesh(
 
 @pytest.fixture(scope="module")
 def head():
-    from rig.retarget.source_head import source_head
+    from rig.retarget.morph_head import source_head
 
     return source_head()
 

@@ -206,7 +206,7 @@ def test_command_rejects_invalid_arguments(tmp_path, shapes):
 def test_our_head_on_the_ict_face(shared, tmp_path, curves):
     """A neutral ICT face with landmarks: right motion, and lips that seal where ours do."""
     from rig.retarget.methods import shapes_for
-    from rig.retarget.source_head import source_head
+    from rig.retarget.morph_head import source_head
 
     mesh, landmarks = ict(shared)
     made = shapes_for(mesh, landmarks)
@@ -250,7 +250,7 @@ def test_our_head_on_the_ict_face(shared, tmp_path, curves):
 def test_landmarks_of_the_ict_face_are_found(shared):
     """In metres and with z up, as Blender may write it; within 4 mm on average, 1 cm at worst."""
     from rig.retarget.landmark_guess import guess_landmarks
-    from rig.retarget.source_head import source_head
+    from rig.retarget.morph_head import source_head
 
     mesh, landmarks = ict(shared)
     source = source_head()
@@ -273,7 +273,7 @@ def test_landmarks_of_the_ict_face_are_found(shared):
 def test_ict_shapes_on_our_head(shared):
     """The reverse: every ICT shape moves our head where it moves the ICT face."""
     from rig.retarget.methods import carry_shapes
-    from rig.retarget.source_head import source_head
+    from rig.retarget.morph_head import source_head
 
     mesh, landmarks = ict(shared)
     theirs = ShapeSet(mesh, *ict_shapes(shared), landmarks)

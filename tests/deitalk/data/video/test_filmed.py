@@ -15,7 +15,7 @@ from deitalk.research.video.filmed import (
 from deitalk.research.video.landmarks import FaceTrack, pixels
 from rig import default_controls
 from rig.face.head import build_head
-from rig.retarget.source_head import head_landmarks
+from rig.retarget.morph_head import head_landmarks
 from tests.each import each
 from tests.filmed_head import SIZE, filmed_mesh
 

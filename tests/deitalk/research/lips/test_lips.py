@@ -27,7 +27,7 @@ from rig import default_controls, limits, read_curves
 from rig.errors import ExistsError
 from rig.face.geometry.topology import MOUTH
 from rig.face.head import build_head
-from rig.retarget.source_head import head_landmarks
+from rig.retarget.morph_head import head_landmarks
 from tests.dataset import write_dataset
 from tests.each import each
 from tests.errors import one_line

@@ -1,8 +1,4 @@
-"""Blendshape weights as NVIDIA's Audio2Face application exports them: ``facsNames``, ``weightMat``.
-
-``exportFps``, ``trackPath``, ``numPoses``, ``numFrames``, ``facsNames`` and one row of weights a
-frame. Names are ARKit's in any spelling, or those of an avatar of `rig.conversion.avatars`.
-"""
+"""Curves of NVIDIA's Audio2Face: ``animation_frames.csv``, and JSON of its application."""
 
 import json
 from pathlib import Path
@@ -10,18 +6,58 @@ from pathlib import Path
 import numpy as np
 
 from rig.controls import ControlSet
-from rig.conversion.arkit import ARKIT_ID, udp_order
+from rig.conversion.arkit import ARKIT_ID, arkit_controls, udp_order
 from rig.conversion.convert import shapes_named
 from rig.curves import RigCurves, check_clip
 from rig.errors import FormatError
+from rig.formats.curves_csv import fps_of
 from rig.formats.curves_json import read_object
 from rig.formats.decimal_text import Block, rows
+from rig.formats.wide_csv import read_header, read_numbers
 
+PREFIX = "blendShapes."
 DECIMALS = 6
 N_SHAPES = 52
 
 
-def write(path: Path, curves: RigCurves, sound: str = "") -> None:
+def write(path: Path, curves: RigCurves) -> None:
+    """Write the 52 shapes, without rotations."""
+    order = udp_order()[:N_SHAPES]
+    names = [curves.names[i] for i in order]
+    frame = np.arange(len(curves)).reshape(-1, 1)
+    blocks = [
+        Block(frame, 0),
+        Block(curves.times.reshape(-1, 1), 9),
+        Block(curves.values[:, order], DECIMALS),
+    ]
+    with path.open("wb") as stream:
+        header = ("", "timeCode", *(PREFIX + name for name in names))
+        stream.write(",".join(header).encode() + b"\n")
+        stream.writelines(rows(blocks))
+
+
+def read(path: Path, controls: ControlSet | None = None, fps: float | None = None) -> RigCurves:
+    """Read the ARKit shapes; tongue shapes that ARKit lacks are left out."""
+    header = read_header(path)
+    arkit = arkit_controls()
+    known = {PREFIX + spelling: c.name for c in arkit.controls for spelling in (c.name, *c.aliases)}
+    columns = [i for i, name in enumerate(header) if name in known]
+    if "timeCode" not in header or not columns:
+        raise FormatError(f"{path} needs a column 'timeCode' and columns '{PREFIX}<ARKit name>'")
+    numbers, _ = read_numbers(path, header)
+    fps = fps or fps_of(numbers[:, header.index("timeCode")], where=str(path))
+    names = tuple(known[header[i]] for i in columns)
+    values = numbers[:, columns].astype(np.float32)
+    return RigCurves(values, names, fps, control_set=ARKIT_ID).reorder(arkit)
+
+
+# Blendshape weights as NVIDIA's Audio2Face application exports them: ``facsNames``, ``weightMat``.
+#
+# ``exportFps``, ``trackPath``, ``numPoses``, ``numFrames``, ``facsNames`` and one row of weights a
+# frame. Names are ARKit's in any spelling, or those of an avatar of `rig.conversion.avatars`.
+
+
+def write_json(path: Path, curves: RigCurves, sound: str = "") -> None:
     """Write the shapes; ARKit's 52 in NVIDIA's order, without rotations."""
     order = (
         udp_order()[:N_SHAPES] if curves.control_set == ARKIT_ID else np.arange(len(curves.names))
@@ -34,15 +70,17 @@ def write(path: Path, curves: RigCurves, sound: str = "") -> None:
         "numFrames": len(curves), "facsNames": names,
     }  # fmt: skip
     with path.open("wb") as stream:
-        stream.write(json.dumps(head, indent=1)[:-2].encode() + b',\n "weightMat": [\n')
+        stream.write_json(json.dumps(head, indent=1)[:-2].encode() + b',\n "weightMat": [\n')
         last = b""
         for text in rows([Block(curves.values[:, order], DECIMALS)], before=b"  [", after=b"],\n"):
-            stream.write(last + text[:-2])
+            stream.write_json(last + text[:-2])
             last = text[-2:]
-        stream.write(b"\n ]\n}\n")
+        stream.write_json(b"\n ]\n}\n")
 
 
-def read(path: Path, controls: ControlSet | None = None, fps: float | None = None) -> RigCurves:
+def read_json(
+    path: Path, controls: ControlSet | None = None, fps: float | None = None
+) -> RigCurves:
     """Read weights of ARKit's or an avatar's shapes; shapes that are not named rest.
 
     Raises
