@@ -6,17 +6,16 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from api.compute.live import Voices
-from api.compute.networks import export_all
 from api.compute.order import Limits, Order
 from api.compute.pool import Pool, Stage, checked, result_path
+from api.compute.tasks import export_all
 from api.compute.worker import OutOfTime, Worker, WorkerLost
 from api.errors import Problem
 from api.guard.keys import Caller
 from api.guard.metrics import Metrics
 from api.guard.middleware import Traffic
 from api.jobs.queue import Queue
-from api.jobs.runner import Runner
-from api.jobs.store import Store
+from api.jobs.runner import Runner, Store
 from api.jobs.table import open_database
 from api.settings import Settings
 

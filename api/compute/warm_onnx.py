@@ -4,7 +4,7 @@ import onnxruntime
 import pandas
 from scipy import linalg
 
-from api.compute import networks
+from api.compute import tasks
 from deitalk.pipeline.curves import animate
 
-__all__ = ["animate", "linalg", "networks", "onnxruntime", "pandas"]
+__all__ = ["animate", "linalg", "onnxruntime", "pandas", "tasks"]

@@ -179,7 +179,7 @@ def work(connection: Connection, limits: Limits) -> None:
     for stream in (1, 2):
         os.dup2(nowhere, stream)
     os.close(nowhere)
-    from api.compute.networks import prepare
+    from api.compute.tasks import prepare
 
     prepare(limits)
     _limit_memory(limits["memory_bytes"])

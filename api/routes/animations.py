@@ -14,28 +14,25 @@ from starlette.requests import ClientDisconnect
 from api.compute.order import MESH_SUFFIXES, RECORDING, Kind, Order, suffix_of
 from api.errors import Problem
 from api.guard.keys import Caller
-from api.messages.formats import (
+from api.messages.options import (
     ANIMATION_FORMATS,
     CURVE_FORMATS,
     CURVE_SUFFIXES,
-    MESH_FORMATS,
-    OutputFormat,
-    choose_format,
-)
-from api.messages.options import (
     FIELD_FILES,
+    MESH_FORMATS,
     AnimationOptions,
     ConversionOptions,
     MeshOptions,
     Options,
+    OutputFormat,
     Received,
     RetargetOptions,
     SpeechOptions,
+    choose_format,
     is_deferred,
     order_options,
 )
-from api.messages.outgoing import answer_order, file_answer
-from api.messages.schemas import JobView, ValidationView
+from api.messages.outgoing import JobView, ValidationView, answer_order, file_answer
 from api.routes import schema
 from api.routes.deps import AnimatorDep, ServiceDep, problems
 from api.service import Service

@@ -12,10 +12,8 @@ from starlette.responses import StreamingResponse
 from api.errors import Problem
 from api.guard.keys import Caller
 from api.jobs.table import DONE, Job
-from api.messages.formats import ANIMATION_FORMATS
-from api.messages.options import AnimationOptions
-from api.messages.outgoing import result_headers
-from api.messages.schemas import JOB_EXAMPLE, JobsView, JobView, view_of
+from api.messages.options import ANIMATION_FORMATS, AnimationOptions
+from api.messages.outgoing import JOB_EXAMPLE, JobsView, JobView, result_headers, view_of
 from api.routes import schema
 from api.routes.animations import SPEECH, speech
 from api.routes.deps import JobCallerDep, ServiceDep, problems

@@ -6,8 +6,8 @@ from fastapi import FastAPI
 from pydantic import BaseModel
 
 from api.live.session import Start
-from api.messages.formats import OutputFormat
-from api.messages.schemas import JobEndedView, ProblemView
+from api.messages.options import OutputFormat
+from api.messages.outgoing import JobEndedView, ProblemView
 from deitalk.acting import LIVE_FIELDS, Acting
 
 _TEXT: dict[str, Any] = {"schema": {"type": "string"}}

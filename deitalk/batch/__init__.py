@@ -2,13 +2,13 @@
 
 ::
 
-    lines.py       one recording and its settings; the key of its outputs; orders and outcomes
+    lines.py       one recording and its settings; the key of its outputs; orders, outcomes, rows;
+                   progress of a run and its tables
     source.py      a manifest or a folder -> lines that can be animated, and those that cannot
     journal.py     SQLite: what was written, from what
     outputs.py     files moved to their names, none of the user's replaced
     cloud.py       files wherever fsspec reaches: recordings, and outputs at a URL
     performer.py   one line in a worker: sound -> staged files
     processes.py   worker processes, one model each; cluster.py: machines of a Ray cluster
-    report.py      progress of a run and its tables
     run.py         lines -> orders, results -> rows; `animate_batch`: all of it
 """

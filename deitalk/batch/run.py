@@ -19,11 +19,24 @@ from typing import Any
 from deitalk.acting import Acting, acted_as
 from deitalk.batch.cloud import AnyOutputs, Recordings, is_url, opened_cloud
 from deitalk.batch.journal import DONE, FAILED, Entry, Journal
-from deitalk.batch.lines import BadLine, Line, Order, Outcome, Written, line_key, parse_formats
+from deitalk.batch.lines import (
+    BadLine,
+    BatchReport,
+    Line,
+    Order,
+    Outcome,
+    Pace,
+    Progress,
+    Row,
+    Written,
+    failed_text,
+    line_key,
+    parse_formats,
+    summary_text,
+)
 from deitalk.batch.outputs import opened_folder
 from deitalk.batch.performer import Performer
 from deitalk.batch.processes import Make, Pool, Workers
-from deitalk.batch.report import BatchReport, Pace, Progress, Row, failed_text, summary_text
 from deitalk.batch.source import ACTORS, SUMMARY, read_source
 from deitalk.batch.source import FAILED as FAILED_TABLE
 from deitalk.emotions import ActorReference, EmotionTrack, parse_actor

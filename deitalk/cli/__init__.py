@@ -10,20 +10,25 @@ import typer
 
 from deitalk.cli.animate import animate, suggest
 from deitalk.cli.batch import batch
-from deitalk.cli.console import Commands, emit, escape_what_cannot_be_encoded, name_option
+from deitalk.cli.console import (
+    Commands,
+    emit,
+    escape_what_cannot_be_encoded,
+    hold_targets,
+    name_option,
+)
 from deitalk.cli.convert import convert, validate
 from deitalk.cli.data import app as data_app
 from deitalk.cli.face import app as face_app
+from deitalk.cli.face import preview
 from deitalk.cli.install import app as install_app
 from deitalk.cli.live import live
 from deitalk.cli.mesh import retarget
-from deitalk.cli.model import app as model_app
+from deitalk.cli.models import app as model_app
+from deitalk.cli.models import finetune, train
 from deitalk.cli.options import CheckedCommands
-from deitalk.cli.paths import hold_targets
-from deitalk.cli.preview import preview
 from deitalk.cli.serve import app as serve_app
 from deitalk.cli.signals import CTRL_C_CODE, Terminated, install, received, uninstall
-from deitalk.cli.train import finetune, train
 from deitalk.installed import VERBS, __version__, has_research, research
 from rig.errors import UserError, one_line
 

@@ -18,7 +18,7 @@ from deitalk.cli.options import (
 )
 
 if TYPE_CHECKING:
-    from deitalk.batch.report import BatchReport
+    from deitalk.batch.lines import BatchReport
 
 
 @acting_options

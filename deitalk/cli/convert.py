@@ -7,7 +7,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from deitalk.cli.console import console, emit, emit_json
+from deitalk.cli.console import (
+    console,
+    curves_of,
+    emit,
+    emit_json,
+    reserve_file,
+    reserve_sound,
+    write_sound,
+)
 from deitalk.cli.options import (
     Digits,
     Force,
@@ -17,7 +25,6 @@ from deitalk.cli.options import (
     acting_options,
     control_set_of,
 )
-from deitalk.cli.paths import curves_of, reserve_file, reserve_sound, write_sound
 from deitalk.errors import DeitalkError
 from rig.errors import as_line
 

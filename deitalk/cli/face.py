@@ -1,13 +1,12 @@
-"""`deitalk face`: the embedded head in pictures, and the controls of its rig."""
+"""`deitalk preview`, and `deitalk face`: the embedded head in pictures, its rig's controls."""
 
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from deitalk.cli.console import console, emit, emit_json
+from deitalk.cli.console import bar, console, emit, emit_json, reserve_file
 from deitalk.cli.options import CheckedCommands, Force, Identity
-from deitalk.cli.paths import reserve_file
 from deitalk.errors import DeitalkError
 from deitalk.installed import research
 
@@ -162,3 +161,78 @@ def controls(
     for row in rows:
         emit("\t".join(str(value) for value in row.values()))
     console().print(f"{everything.id}: {len(rows)} " + ("sets" if sets else "controls"))
+
+
+# `deitalk preview`: page or review video of a take.
+
+
+def preview(
+    source: Annotated[Path, typer.Argument(help="Take folder, or curves (.csv .json .npz …).")],
+    audio: Annotated[
+        Path | None, typer.Option(help="Recording; by default that of the take folder.")
+    ] = None,
+    phones: Annotated[
+        Path | None,
+        typer.Option(help="CSV start,end,phone for warnings of m, b, p that stay open."),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", "-o", help=".html, or .mp4 for a video; preview.html in the take."),
+    ] = None,
+    identity: Identity = "0",
+    view: Annotated[
+        str, typer.Option(help="Second view of the video: mouth, three_quarter, side, eyes.")
+    ] = "mouth",
+    backend: Annotated[str, typer.Option(help="auto, opengl or software.")] = "auto",
+    versus: Annotated[
+        list[Path] | None,
+        typer.Option(help="Another take beside the first in the page; repeatable."),
+    ] = None,
+    force: Force = False,
+) -> None:
+    """Write an interactive page of a take, or a review video.
+
+    Examples
+    --------
+    deitalk preview take/
+
+    deitalk preview curves.csv --audio speech.wav -o review.mp4
+
+    deitalk preview take/ --versus other/ -o compare.html
+    """
+    from deitalk.preview.page import render_page
+    from deitalk.preview.source import find_warnings, load_source
+    from deitalk.preview.video import PAGES, check_needs, render_video
+
+    others = versus or []
+    shown = [load_source(path) for path in others]
+    shown = [load_source(source, audio, phones), *shown]
+    target = out or _beside(source)
+    if shown[0].is_board:
+        for note in check_needs([target], backend):  # type: ignore[arg-type]
+            console().note(note)
+    reserve_file(target, force=force, inputs=(source, audio, phones, *others))
+    for time, text in find_warnings(shown[0]):
+        console().print(f"{time:6.2f} s  {text}")
+    if target.suffix.lower() in PAGES:
+        render_page(shown, target, identity=identity, force=force)
+    else:
+        with bar("drawing") as progress:
+            render_video(
+                shown[0], target, identity=identity, second_view=view,
+                backend=backend,  # type: ignore[arg-type]
+                force=force, progress=progress,
+            )  # fmt: skip
+    # Add a preview to the take's manifest, so that a new take removes it.
+    from deitalk.pipeline.performance import KIND, PREVIEW_FILES
+    from rig.files import kind_of, record
+
+    is_own = target.parent == source and target.name in PREVIEW_FILES
+    if is_own and kind_of(source) == KIND:
+        record(source, [target.name], kind=KIND)
+    console().print(str(target))
+
+
+def _beside(source: Path) -> Path:
+    """Default page: in a take folder, or beside a file of curves."""
+    return source / "preview.html" if source.is_dir() else source.with_name(source.stem + ".html")

@@ -11,9 +11,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from deitalk.cli.console import console
+from deitalk.cli.console import console, curves_of, reserve_file
 from deitalk.cli.options import Backend, Force, Given, acting_options, control_set_of
-from deitalk.cli.paths import curves_of, reserve_file
 from deitalk.errors import DeitalkError, MissingError
 
 if TYPE_CHECKING:

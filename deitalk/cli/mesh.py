@@ -7,15 +7,17 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from deitalk.cli.console import bar, console, emit_json
-from deitalk.cli.options import Force, Json, MeshOut
-from deitalk.cli.paths import (
+from deitalk.cli.console import (
+    bar,
+    console,
     curves_of,
+    emit_json,
     reserve_file,
     reserve_mesh,
     reserve_sound,
     write_sound,
 )
+from deitalk.cli.options import Force, Json, MeshOut
 from deitalk.errors import DeitalkError
 
 if TYPE_CHECKING:

@@ -23,9 +23,9 @@ import numpy as np
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
 from deitalk.audio.load import Recording, load_audio
 from deitalk.audio.voice_activity import speech_activity
+from deitalk.data.captures.mend import capture_rows
 from deitalk.data.captures.splits import APART_SECONDS, can_tune, shortage
 from deitalk.data.captures.survey import Survey
-from deitalk.data.captures.verdicts import capture_rows
 from deitalk.data.clips import (
     SPLITS,
     Clip,

@@ -3,9 +3,12 @@
 Letters: S samples, T frames of a window (128), C controls.
 """
 
+import hashlib
+import re
 from abc import ABC, abstractmethod
 from collections import OrderedDict
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
 from functools import cache, lru_cache
 from itertools import count
 from pathlib import Path
@@ -24,13 +27,17 @@ from deitalk.config.curves import DataConfig
 from deitalk.data.augment_waveform import Surroundings, augment, change_speed, speed_factor
 from deitalk.data.clips import MEASURED, REHEARSED, Clip, read_intensity, read_known
 from deitalk.emotions import EMOTIONS
-from deitalk.errors import DataError
+from deitalk.errors import ConfigError, DataError
+from deitalk.models.checkpoint import require_model
+from deitalk.models.curve_model import DEITalk
 from rig import ControlSet, read_curves
 from rig.arrays import Bool, Float32, Float64
 from rig.controls import DEFAULT_ID
+from rig.files import atomic_write, remove_leftovers
 
 if TYPE_CHECKING:
-    from deitalk.data.frozen_features import FrozenFeatures
+    pass
+
 
 # Endless batches of numbered items: item k depends on the seed and on k alone.
 #
@@ -421,3 +428,153 @@ def _other_voices(clips: Sequence[Clip], rng: np.random.Generator) -> list[Float
 def _one_hot(name: str, names: Sequence[str]) -> Tensor:
     """1 at the place of a name, if it is there [shape=(names,)]."""
     return torch.tensor([float(name == other) for other in names])
+
+
+# The frozen frontend of another model: only the layers behind it are trained.
+#
+# The paper trains behind a published encoder, ours may train behind that of another model. Without
+# augmentation the features of a clip never change, so that they are computed once per clip and a
+# step costs a fraction: captures can be fitted, or variants compared, in minutes.
+#
+# Letters: S samples, T rig frames, D width of the features.
+
+
+_FILE = re.compile(r"[0-9a-f]{32}\.npy|\d+(\.table)?\.npy")
+"""Names of files of features."""
+OPEN_FILES = 256
+"""Features that are mapped at once."""
+
+
+def remove_features(folder: Path) -> None:
+    """Remove the files of features in a folder, and the folder if it holds no others."""
+    if not folder.is_dir() or folder.is_symlink():
+        return
+    remove_leftovers(folder)
+    for path in folder.iterdir():
+        if _FILE.fullmatch(path.name) and path.is_file():
+            path.unlink()
+    with suppress(OSError):
+        folder.rmdir()
+
+
+class FrozenFeatures:
+    """The frontend of a trained model, and its features of each recording.
+
+    With a folder they lie on disk and are memory-mapped, so that hours need no more memory than
+    minutes, and processes that load windows share them::
+
+        FOLDER/<hash of path, time of change and size>.npy    (T, D) float16
+
+    Parameters
+    ----------
+    name : str
+        An embedded model or a model folder.
+    folder : Path or None
+        Of one model's features; None keeps them in memory.
+
+    Raises
+    ------
+    CheckpointError
+        If there is no such model.
+
+    Attributes
+    ----------
+    owner : DEITalk
+        The model.
+    """
+
+    def __init__(self, name: str, folder: Path | None = None) -> None:
+        self.name, self.folder = name, folder
+        self.owner = require_model(name, DEITalk)
+        self._features: OrderedDict[Path, NDArray[np.float16]] = OrderedDict()
+
+    def copy_into(self, model: DEITalk) -> None:
+        """Copy the frontend into `model`; no gradient reaches it there.
+
+        Raises
+        ------
+        ConfigError
+            If the model's frontend is built otherwise.
+        """
+        if model.config.frontend != self.owner.config.frontend:
+            raise ConfigError(
+                f"train.frozen_frontend={self.name!r} is built otherwise than model.frontend; "
+                "use that model's own config.yaml"
+            )
+        frontend = model.get_submodule("frontend").requires_grad_(False)
+        frontend.load_state_dict(self.owner.get_submodule("frontend").state_dict())
+
+    def features(self, clip: Clip, waveform: Float32, n_frames: int) -> NDArray[np.float16]:
+        """Features of a whole clip, computed once for all clips of its recording.
+
+        Parameters
+        ----------
+        clip : Clip
+            Its recording is the key of the cache.
+        waveform : ndarray [shape=(S,)]
+            16 kHz, level-normalised.
+        n_frames : int
+            Rig frames T; beyond the recording there is silence.
+
+        Returns
+        -------
+        ndarray [shape=(T, D)]
+        """
+        known = self._known(clip.audio)
+        if known is None or len(known) < n_frames:
+            length = n_frames * SAMPLE_RATE // FRAME_RATE
+            padded = np.pad(waveform, (0, max(length - len(waveform), 0)))
+            features = self.owner.frontend.encode(torch.from_numpy(padded), n_frames)
+            known = self._keep(clip.audio, features.cpu().numpy().astype(np.float16))
+        return known
+
+    def prepare(
+        self,
+        clips: Iterable[Clip],
+        read: Callable[[Clip], tuple[Float32, int]],
+        device: torch.device | str = "cpu",
+    ) -> None:
+        """Compute the features of clips on a device, before other processes map them.
+
+        Parameters
+        ----------
+        clips : iterable of Clip
+            Recordings whose features are on disk are not read again.
+        read : callable
+            Gives a clip's sound and frames, as for `features`.
+        device : device
+            Where the frontend computes; it returns to the CPU.
+        """
+        if self.folder is not None:
+            self.folder.mkdir(parents=True, exist_ok=True)
+        self.owner.frontend.to(device)
+        for clip in clips:
+            if self._known(clip.audio) is None:
+                self.features(clip, *read(clip))
+        self.owner.frontend.to("cpu")
+
+    def _known(self, sound: Path) -> NDArray[np.float16] | None:
+        if sound in self._features:
+            self._features.move_to_end(sound)
+        elif self.folder is not None and (path := self._file(sound)).is_file():
+            self._remember(sound, np.load(path, mmap_mode="r"))
+        return self._features.get(sound)
+
+    def _keep(self, sound: Path, features: NDArray[np.float16]) -> NDArray[np.float16]:
+        if self.folder is not None and self.folder.is_dir():
+            with atomic_write(self._file(sound)) as beside, beside.open("wb") as file:
+                np.save(file, features)
+            features = np.load(self._file(sound), mmap_mode="r")
+        self._remember(sound, features)
+        return features
+
+    def _remember(self, sound: Path, features: NDArray[np.float16]) -> None:
+        self._features[sound] = features
+        while self.folder is not None and len(self._features) > OPEN_FILES:
+            self._features.popitem(last=False)
+
+    def _file(self, sound: Path) -> Path:
+        assert self.folder is not None
+        found = sound.stat()
+        text = f"{sound.resolve()}\n{found.st_mtime_ns}\n{found.st_size}"
+        return self.folder / f"{hashlib.sha256(text.encode()).hexdigest()[:32]}.npy"

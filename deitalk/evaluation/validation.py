@@ -1,26 +1,169 @@
-"""A small fixed set of validation clips that selects weights in training.
+"""Validation clips that select weights in training, closures of lips, tables of reports.
 
 Recordings of people come first, where the data has any: the score is measured on voices and
 microphones that are not in the loss.
 """
 
+import json
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
 
-from deitalk.audio.frames import frame_centres
+from deitalk.audio.frames import FRAME_RATE, frame_centres
 from deitalk.audio.prosody import level_db
 from deitalk.audio.voice_activity import speech_activity
 from deitalk.data.clips import MEASURED, Clip, read_phones
-from deitalk.data.offset import correlation, emotion_parameter_error, lip_parameter_error
+from deitalk.data.offset import (
+    area_under_curve,
+    correlation,
+    emotion_parameter_error,
+    hit_rate,
+    lip_parameter_error,
+)
 from deitalk.data.windows import cut, load_material, n_clip_frames
 from deitalk.emotions import EMOTIONS
-from deitalk.evaluation.lip_closures import ClosureScores, closure_scores, summarise_closures
 from deitalk.models.curve_model import DEITalk
+from deitalk.phones import (
+    BILABIALS,
+    CLEAR_SECONDS,
+    NEAR_LIPS,
+    VOWELS,
+    WIDEN_FRAMES,
+    Phones,
+)
 from rig import ControlSet
 from rig.arrays import Bool, Float32
+
+# Detection scores of bilabial closures against vowels.
+#
+# A closure's score is the highest value of the lips-together curve within the closure widened by
+# two frames; a vowel's is the same within the vowel, if it stays 67 ms away from every closure and
+# every f, v, w. Letters: T frames at 30 per second, N events.
+
+
+class ClosureScores(NamedTuple):
+    """Highest lips-together values of events, and frames inside and outside closures."""
+
+    closures: Float32
+    """[shape=(N,)]."""
+    vowels: Float32
+    inside: Float32
+    """Values of the frames within closures."""
+    outside: Float32
+    """Values of the frames within clear vowels."""
+
+
+class Closures(NamedTuple):
+    """Detection scores of closures."""
+
+    hit_rate: float
+    """Hit rate at 5 % false alarms over vowels."""
+    window_auc: float
+    frame_auc: float
+    reached: float
+    """Share of found closures with a curve of at least 0.9 for two frames."""
+    n_closures: int
+    n_vowels: int
+
+
+def closure_scores(lips: Float32, phones: Phones) -> ClosureScores:
+    """Score one clip.
+
+    Parameters
+    ----------
+    lips : ndarray [shape=(T,)]
+        Mean of the lips-together controls at 30 frames per second.
+    phones : sequence of (start, end, name)
+        Seconds.
+    """
+    times = np.arange(len(lips)) / FRAME_RATE
+    busy = [(start, end) for start, end, name in phones if name in NEAR_LIPS]
+    closures, vowels = [], []
+    inside, outside = np.zeros(len(lips), bool), np.zeros(len(lips), bool)
+    for start, end, name in phones:
+        within = (times >= start) & (times < end)
+        if name in BILABIALS:
+            slack = WIDEN_FRAMES / FRAME_RATE
+            window = (times >= start - slack - 1e-9) & (times <= end + slack + 1e-9)
+            if window.any():
+                closures.append(lips[window].max())
+            inside |= within
+        elif name in VOWELS and within.any() and _clear(start, end, busy):
+            vowels.append(lips[within].max())
+            outside |= within
+    return ClosureScores(
+        np.array(closures, np.float32), np.array(vowels, np.float32), lips[inside], lips[outside]
+    )
+
+
+def _clear(start: float, end: float, busy: Sequence[tuple[float, float]]) -> bool:
+    return all(end + CLEAR_SECONDS <= b or start - CLEAR_SECONDS >= e for b, e in busy)
+
+
+def summarise_closures(scores: Sequence[ClosureScores], held: Sequence[bool] = ()) -> Closures:
+    """Scores of several clips; `held` is true for closures of at least 0.9 for two frames."""
+    closures, vowels, inside, outside = (
+        np.concatenate([score[i] for score in scores]) if scores else np.zeros(0, np.float32)
+        for i in range(4)
+    )
+    found = closures > (np.quantile(vowels, 0.95) if len(vowels) else np.inf)
+    kept = np.asarray(held, bool)
+    reached = float(kept[found].mean()) if len(kept) and found.any() else float("nan")
+    return Closures(
+        hit_rate(closures, vowels),
+        area_under_curve(closures, vowels),
+        area_under_curve(inside, outside),
+        reached,
+        len(closures),
+        len(vowels),
+    )
+
+
+JAW = "CTRL_C_jaw.ty"
+
+
+# Steps and jerk of curves, for comparison with captured curves.
+#
+# Letters: T frames, C controls.
+
+
+MOVING = 0.02
+"""Least standard deviation of a moving control."""
+
+
+def smoothness(curves: Float32, fps: float = 30.0) -> dict[str, float]:
+    """Steps and jerk of the controls that move.
+
+    Parameters
+    ----------
+    curves : ndarray [shape=(T, C)]
+        Values.
+    fps : float
+        Frames per second.
+
+    Returns
+    -------
+    dict
+        ``largest_step`` (control units per frame), ``step_p99`` (99th percentile of steps), and
+        ``jerk_per_speed``: RMS of the third derivative over RMS of the first, 1/s², median of
+        the controls; independent of their range.
+    """
+    moving = curves[:, curves.std(axis=0) > MOVING].astype(np.float64)
+    if len(moving) < 4 or not moving.shape[1]:
+        return {}
+    steps = np.diff(moving, axis=0)
+    speed = np.sqrt(np.square(steps).mean(axis=0)) * fps
+    jerk = np.sqrt(np.square(np.diff(moving, 3, axis=0)).mean(axis=0)) * fps**3
+    return {
+        "largest_step": float(np.abs(steps).max()),
+        "step_p99": float(np.percentile(np.abs(steps), 99)),
+        "jerk_per_speed": float(np.median(jerk / speed)),
+    }
+
 
 MAX_CLIPS = 60
 ARTICULATION = (
@@ -180,3 +323,48 @@ def loudness(waveform: Float32, n_frames: int) -> Float32:
     top = np.percentile(level, 95)
     scaled: Float32 = np.clip(1 + (level - top) / 40, 0, 1).astype(np.float32)
     return scaled
+
+
+# Reports of the evaluation: Markdown tables, and JSON without NaN.
+
+
+def as_json(report: dict[str, Any]) -> str:
+    """JSON; values that are not finite are null."""
+    return json.dumps(_known(report), indent=1) + "\n"
+
+
+def _known(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _known(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_known(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def turned(rows: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
+    """Columns from rows, for `table`."""
+    names = dict.fromkeys(name for row in rows.values() for name in row)
+    return {
+        name: {row: values[name] for row, values in rows.items() if name in values}
+        for name in names
+    }
+
+
+def table(corner: str, columns: dict[str, dict[str, Any]]) -> list[str]:
+    """Table with a column per key and a row per name of any column."""
+    names = list(dict.fromkeys(name for column in columns.values() for name in column))
+    rows = [[name, *(column.get(name) for column in columns.values())] for name in names]
+    return rows_of([corner, *columns], rows)
+
+
+def rows_of(header: Sequence[str], rows: Sequence[Sequence[Any]]) -> list[str]:
+    """Lines of a table."""
+    lines = ["| " + " | ".join(header) + " |", "|---" * len(header) + "|"]
+    return lines + ["| " + " | ".join(map(cell, row)) + " |" for row in rows]
+
+
+def cell(value: Any) -> str:
+    """Text of a value: four digits of a number, a dash for none."""
+    if value is None or (isinstance(value, float) and not math.isfinite(value)):
+        return "–"
+    return f"{value:.4g}" if isinstance(value, int | float) else str(value)

@@ -48,7 +48,7 @@ def build_frontend(
 def build_encoder(config: SDFAMelConfig | KarrasConfig | VocaConfig) -> Encoder:
     """Build the encoder of a mesh model, by the kind of its configuration."""
     if config.kind == "mel":
-        from deitalk.frontends.sdfa import SDFAEncoder
+        from deitalk.frontends.mel_bilstm import SDFAEncoder
 
         return SDFAEncoder(config)
     kinds = {"karras": "KarrasEncoder", "voca": "VocaEncoder"}

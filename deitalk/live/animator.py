@@ -9,9 +9,9 @@ import numpy as np
 import numpy.typing as npt
 
 from deitalk.acting import LIVE_FIELDS, Acting, acted_as
+from deitalk.audio.arrays import RunningResampler
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE, frame_count
 from deitalk.audio.prosody import measure_windows
-from deitalk.audio.resampling import RunningResampler
 from deitalk.audio.voice_activity import WINDOW, window_levels
 from deitalk.config.rules import RulesConfig
 from deitalk.emotions import EmotionTrack

@@ -33,7 +33,6 @@ from deitalk.audio.voice_activity import (
 from deitalk.config.rules import Gates, Idle
 from deitalk.emotions import LABELS
 from deitalk.postprocess.curve_rules import Expression
-from deitalk.postprocess.gates import expression_between, mouth_between
 from deitalk.postprocess.life.amounts import Life
 from deitalk.postprocess.life.motion import MotionStream
 from deitalk.postprocess.life.tracks import Seeds
@@ -49,15 +48,16 @@ from deitalk.postprocess.life.voice import (
     Cue,
     pause_lengths,
 )
-from deitalk.postprocess.voice_intensity import Mean, Measures
+from deitalk.postprocess.voice_intensity import Mean, Measures, expression_between, mouth_between
 from rig import ControlSet
 from rig.arrays import Bool, Float32
 from rig.curves import HEAD
 
 # Voice activity and gates of a voice that has not ended.
 #
-# The causal form of `deitalk.audio.voice_activity.speech_activity` and `deitalk.postprocess.gates`:
-# the noise floor is of the last 12 s, and a frame depends on `GATE_AHEAD` frames after it.
+# The causal form of `deitalk.audio.voice_activity.speech_activity` and of the gates in
+# `deitalk.postprocess.voice_intensity`: the noise floor is of the last 12 s, and a frame depends on
+# `GATE_AHEAD` frames after it.
 #
 # Letters: K frequency bands, n frames of a call.
 

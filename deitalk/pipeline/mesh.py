@@ -34,7 +34,7 @@ from deitalk.models.protocol import neutral_and_acted, trained_weights
 from deitalk.pipeline.curves import animate, check_progress
 from deitalk.pipeline.performance import GLB_TOLERANCE_MM, MeshPerformance, Performance
 from deitalk.pipeline.speech import Speech, measure_intensities
-from deitalk.postprocess.lip_seal import seal_lips
+from deitalk.postprocess.known_phones import seal_lips
 from rig.arrays import Float32
 from rig.curves import snap_fps
 from rig.face import build_head

@@ -26,9 +26,14 @@ from deitalk.emotions.tracks import ActorReference
 from deitalk.errors import AudioError
 from deitalk.models.protocol import Tracks
 from deitalk.postprocess.curve_rules import expression_scale
-from deitalk.postprocess.gates import HOLD_AT_END, expression_gate, mouth_gate
 from deitalk.postprocess.life.tracks import Seeds, Traits
-from deitalk.postprocess.voice_intensity import take_z, voice_intensity
+from deitalk.postprocess.voice_intensity import (
+    HOLD_AT_END,
+    expression_gate,
+    mouth_gate,
+    take_z,
+    voice_intensity,
+)
 from rig.arrays import Float32, Float64
 from rig.curves.edit import gaussian_smooth
 

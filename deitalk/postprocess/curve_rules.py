@@ -415,7 +415,7 @@ class Expression:
         curves : array [shape=(T, C)]
             Changed.
         mouth, expression : array [shape=(T,), range 0 to 1]
-            From `deitalk.postprocess.gates.mouth_gate` and `expression_gate`.
+            From `deitalk.postprocess.voice_intensity.mouth_gate` and `expression_gate`.
         """
         if self.settings.gates is None:
             return

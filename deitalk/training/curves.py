@@ -16,8 +16,8 @@ from deitalk.config.curves import Config
 from deitalk.config.rig_file import read_controls
 from deitalk.data.augment_waveform import Surroundings
 from deitalk.data.clips import Clip, read_clips, spread_clips
-from deitalk.data.frozen_features import FrozenFeatures
 from deitalk.data.windows import (
+    FrozenFeatures,
     SeededBatches,
     Share,
     Window,

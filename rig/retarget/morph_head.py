@@ -7,14 +7,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt, map_coordinates
 
 from rig.arrays import AnyFloat, Float32, Float64, Int64
 from rig.controls import default_controls
 from rig.face import Head, build_head
 from rig.face.geometry.topology import EYE_L, EYE_R, MOUTH, NOSTRIL_L, NOSTRIL_R
 from rig.face.maps import ATLAS
-from rig.face.render.software import Screen, nearest_faces, planes
 from rig.mesh.glb import Surface
 from rig.mesh.shapes import ShapeSet
 from rig.mesh.trimesh import TriMesh
@@ -75,6 +73,10 @@ def baked(head: Head, colours: Float64) -> tuple[Float64, Float32]:
 
 def _painted(head: Head, corners: Float64, values: Float64) -> Float32:
     """Colours of every texel, of the values of corners: colours, and places in the atlas."""
+    from scipy.ndimage import distance_transform_edt, map_coordinates
+
+    from rig.face.render.software import Screen, nearest_faces, planes  # compiles
+
     x, y = corners.reshape(-1, 2).T.astype(np.float32)
     screen = Screen(2 * ATLAS, ATLAS, x, y, np.zeros(len(x), np.float32))
     apart = np.arange(len(x)).reshape(-1, 3)

@@ -33,29 +33,29 @@ def test_every_operation_has_a_name_of_its_own_and_every_answer_its_headers(sche
 
 
 def test_formats_and_models_are_listed_where_they_are_chosen(schema, client):
-    formats = client.get("/v1/formats").json()
+    options = client.get("/v1/formats").json()
     models = [model["name"] for model in client.get("/v1/models").json()]
     for path, kind in (("/v1/animations", "animations"), ("/v1/meshes", "meshes")):
         route = schema["paths"][path]["post"]
         form = route["requestBody"]["content"]["multipart/form-data"]["schema"]["properties"]
         query = {option["name"]: option["schema"] for option in route["parameters"]}
         for options in (form, query):
-            assert options["format"]["enum"] == [known["name"] for known in formats[kind]]
+            assert options["format"]["enum"] == [known["name"] for known in options[kind]]
             assert options["model"]["enum"] == models
 
 
 def test_usd_is_offered_only_where_it_can_be_made(client, monkeypatch):
     import importlib
 
-    from api.messages import formats
+    from api.messages import options
 
-    assert "usd" in formats.ANIMATION_FORMATS
+    assert "usd" in options.ANIMATION_FORMATS
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     try:
-        assert "usd" not in importlib.reload(formats).ANIMATION_FORMATS
+        assert "usd" not in importlib.reload(options).ANIMATION_FORMATS
     finally:
         monkeypatch.undo()
-        importlib.reload(formats)
+        importlib.reload(options)
 
 
 @each(

@@ -13,8 +13,7 @@ from api.compute.pool import SERVER_PREFIX, Stage
 from api.errors import Problem
 from api.guard.keys import Caller
 from api.jobs.queue import Queue, new_id
-from api.jobs.runner import remove_lost, remove_old
-from api.jobs.store import Store
+from api.jobs.runner import Store, remove_lost, remove_old
 from api.jobs.table import JOBS, open_database
 from api.settings import SCOPES, Settings
 from tests.api.server import ROOT

@@ -46,7 +46,7 @@ def _map_seeds(folder: Path) -> list[Seed]:
 
 
 def _read_map(path: Path) -> object:
-    from deitalk.data.captures.mapping import read_mapping
+    from deitalk.data.captures.columns import read_mapping
 
     return read_mapping(path)
 

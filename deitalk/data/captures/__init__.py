@@ -4,14 +4,13 @@
 
     sources.py     files and folders to takes: curves and the recording beside them;
                    actor, emotion and style from options, a pattern, folders or a table
-    columns.py     tables of named curves of any rig: CSV, JSON, NPZ
-    mapping.py     another rig's curves to known controls by a table
+    columns.py     tables of named curves of any rig: CSV, JSON, NPZ;
+                   another rig's curves to known controls by a table
     take.py        one file of curves to board channels, with those it can know
     splits.py      train, validation and test, by actors or by blocks of time
     imported.py    all of it, into a staged folder; a rig from names of columns
 
     sync.py        offset and drift of a take against the model's curves of its sound
     survey.py      measures of all clips, takes and actors
-    verdicts.py    rows of `deitalk data check`
-    mend.py        `deitalk data check --fix`
+    mend.py        rows of `deitalk data check`; its `--fix`
 """

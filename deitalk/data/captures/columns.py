@@ -1,4 +1,4 @@
-"""Tables of named curves of any rig: a column per curve, or its like in JSON and NPZ.
+"""Tables of named curves of any rig (CSV, JSON, NPZ), and tables that map them to known controls.
 
 ::
 
@@ -10,6 +10,8 @@
             {"names": […], "frames": [{"time": 0.0, "weights": […]}, …]}
 """
 
+import csv
+import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,11 +23,12 @@ from deitalk.errors import DataError
 from rig import RigCurves
 from rig.arrays import Float64
 from rig.controls import check_unique
+from rig.conversion.convert import KNOWN
 from rig.curves import check_clip, snap_fps
 from rig.errors import quoted
-from rig.files.reading import read_json, read_npz
+from rig.files.reading import read_json, read_npz, read_text
 from rig.formats.wide_csv import LARGEST, read_header, read_numbers
-from rig.limits import CONTROLS, FRAMES, JSON_CURVES_BYTES
+from rig.limits import CONTROLS, FRAMES, JSON_CURVES_BYTES, POINTS_BYTES
 
 TIMES = ("time", "timecode", "seconds", "time_s", "timestamp", "t")
 COUNTS = ("", "frame", "frames", "frame_number", "framenumber", "index", "blendshapecount")
@@ -220,3 +223,143 @@ def describe_columns(names: Sequence[str]) -> str:
     """The first three names, quoted."""
     more = f" and {len(names) - 3} more" if len(names) > 3 else ""
     return ", ".join(quoted(name) for name in names[:3]) + more
+
+
+# Another rig's curves to known controls, by a table.
+#
+# ``map.csv``::
+#
+#     target,source,weight,offset
+#     JawOpen,mouth_stretch_c,1,0
+#     MouthPucker,mouth_pucker_l|mouth_pucker_r,1,0
+#
+# A target is a board channel, a raw curve or an ARKit shape, all rows of one set. It is the sum
+# over its rows of weight * source + offset; of sources with ``|`` between them the largest counts.
+
+
+HEADER = ("target", "source", "weight", "offset")
+LARGEST_WEIGHT = 100.0
+"""Most of a weight or an offset."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """A row of the table."""
+
+    target: str
+    sources: tuple[str, ...]
+    weight: float
+    offset: float
+
+
+@dataclass(frozen=True)
+class Mapping:
+    """A table of one control set."""
+
+    path: Path
+    control_set: str
+    rows: tuple[Row, ...]
+
+    @property
+    def targets(self) -> tuple[str, ...]:
+        """Controls that the table gives, each once, canonical."""
+        return tuple(dict.fromkeys(row.target for row in self.rows))
+
+    @property
+    def sources(self) -> set[str]:
+        """Curves that the table takes."""
+        return {name for row in self.rows for name in row.sources}
+
+    def apply(self, curves: NamedCurves, where: Path) -> RigCurves:
+        """Return the targets' curves.
+
+        Raises
+        ------
+        DataError
+            If the file lacks a source of the table.
+        """
+        missing = sorted(self.sources - set(curves.names))
+        if missing:
+            raise DataError(
+                f"{where}: lacks {describe_columns(missing)}, a source of {self.path.name}; mend "
+                f"the table (the file has {describe_columns(curves.names)})"
+            )
+        values = np.zeros((len(curves.values), len(self.targets)))
+        for row in self.rows:
+            largest = np.max([curves[name] for name in row.sources], axis=0)
+            values[:, self.targets.index(row.target)] += row.weight * largest + row.offset
+        with np.errstate(over="ignore"):  # what becomes infinite is named by RigCurves
+            rounded = values.astype(np.float32)
+        return RigCurves(rounded, self.targets, curves.fps, control_set=self.control_set)
+
+
+def read_mapping(path: Path) -> Mapping:
+    """Read a table of targets and sources.
+
+    Raises
+    ------
+    DataError
+        If it lacks a column, holds something that is no number or no control, or targets of
+        several sets.
+    """
+    lines = csv.DictReader(io.StringIO(read_text(path, POINTS_BYTES, error=DataError)))
+    try:
+        header = [name.strip() for name in lines.fieldnames or ()]
+        lines.fieldnames = header
+        missing = [name for name in HEADER[:2] if name not in header]
+        if missing:
+            raise DataError(
+                f"{path}: lacks the column {missing[0]}; the header is {','.join(HEADER)}"
+            )
+        rows = [_row(path, number, cells) for number, cells in enumerate(lines, 1)]
+    except csv.Error as error:
+        raise DataError(f"{path}: is no CSV: {error}") from None
+    rows = [row for row in rows if row is not None]
+    if not rows:
+        raise DataError(f"{path}: has no rows; each names a target and a source")
+    control_set = _set_of(path, [row.target for row in rows if row])
+    names = KNOWN[control_set]()
+    canonical = (
+        Row(names.canonical(row.target), row.sources, row.weight, row.offset) for row in rows if row
+    )
+    return Mapping(path, control_set, tuple(canonical))
+
+
+def _row(path: Path, number: int, cells: dict[str, str]) -> Row | None:
+    target, source = ((cells.get(name) or "").strip() for name in HEADER[:2])
+    if not target and not source:
+        return None
+    sources = tuple(filter(None, (name.strip() for name in source.split("|"))))
+    if not target or not sources:
+        raise DataError(f"{path}: row {number} needs a target and a source; remove or fill it")
+    weight, offset = (
+        _number(path, number, name, (cells.get(name) or "").strip() or default)
+        for name, default in (("weight", "1"), ("offset", "0"))
+    )
+    return Row(target, sources, weight, offset)
+
+
+def _number(path: Path, row: int, name: str, text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = float("nan")
+    if not abs(value) <= LARGEST_WEIGHT:
+        raise DataError(
+            f"{path}: row {row}, {name} {quoted(text)} must be a number within ±{LARGEST_WEIGHT:g}"
+        )
+    return value
+
+
+def _set_of(path: Path, targets: Sequence[str]) -> str:
+    """The known set that has all targets."""
+    unknown = {}
+    for control_set, make in KNOWN.items():
+        unknown[control_set] = [name for name in targets if name not in make()]
+        if not unknown[control_set]:
+            return control_set
+    best = min(unknown, key=lambda name: len(unknown[name]))
+    raise DataError(
+        f"{path}: target {quoted(unknown[best][0])} is no control of {best}; all targets are of "
+        "one set: board, raw curves or ARKit (`deitalk face controls` lists the board)"
+    )

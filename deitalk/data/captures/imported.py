@@ -16,8 +16,16 @@ from deitalk.audio.load import Recording, load_audio
 from deitalk.audio.prosody import measure_prosody
 from deitalk.audio.voice_activity import speech_activity
 from deitalk.config.rig_file import DATASET_RIG, classified_by_names, rig_text
-from deitalk.data.captures.columns import read_named
-from deitalk.data.captures.mapping import read_mapping
+from deitalk.data.captures.columns import read_mapping, read_named
+from deitalk.data.captures.mend import (
+    TAKE_HEADER,
+    VOICED_FRAMES,
+    Imported,
+    TakeReport,
+    row_of,
+    skipped_files,
+    warnings_of,
+)
 from deitalk.data.captures.sources import (
     Labelling,
     Labels,
@@ -35,15 +43,6 @@ from deitalk.data.captures.splits import (
     shortage,
 )
 from deitalk.data.captures.take import CapturedCurves, read_capture
-from deitalk.data.captures.verdicts import (
-    TAKE_HEADER,
-    VOICED_FRAMES,
-    Imported,
-    TakeReport,
-    row_of,
-    skipped_files,
-    warnings_of,
-)
 from deitalk.errors import DataError
 from rig import ControlSet, write_curves
 from rig.arrays import Bool, Float32, Float64
@@ -231,7 +230,7 @@ def import_captures(
     labels : Labelling
         Actor, emotion and style of the takes.
     mapping : Path or None
-        Table of another rig's curves to the board (`deitalk.data.captures.mapping`).
+        Table of another rig's curves to the board (`deitalk.data.captures.columns`).
     rig : ControlSet or None
         Another rig, whose curves stay as they are; the dataset is for models of that rig, and
         holds its file.

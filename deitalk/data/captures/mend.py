@@ -1,4 +1,6 @@
-"""`deitalk data check --fix`: offsets, drift, rest poses, known controls and names of emotions.
+"""Rows of `deitalk data check` about captures, and its `--fix`.
+
+Offsets, drift, rest poses, known controls and names of emotions are corrected.
 
 Recordings and captured curves stay as they are. ``offset_s`` of the clips is changed; clips whose
 actor's rest pose is removed get a new file ``mended/<clip>.npz``; channels that never move are left
@@ -9,21 +11,23 @@ out of new lists ``mended/known-<n>.txt``. ``clips.csv``, replaced last and whol
 import csv
 import io
 import itertools
+from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
 from deitalk.data.captures.sources import SPELLINGS
 from deitalk.data.captures.survey import ClipSurvey, Survey, without_rest
-from deitalk.data.captures.verdicts import Row
+from deitalk.data.clips import SPLITS
 from deitalk.emotions import EMOTIONS
 from deitalk.errors import DataError
 from rig import ControlSet, read_curves, write_curves
 from rig.arrays import Bool, Float32
 from rig.controls import DEFAULT_ID
-from rig.errors import TargetError
+from rig.errors import TargetError, as_line
 from rig.files import (
     atomic_write,
     claim,
@@ -34,6 +38,256 @@ from rig.files import (
 )
 from rig.files.reading import read_text
 from rig.limits import DATASET_TABLE_BYTES
+
+# Rows of `deitalk data check` about captures, from their survey.
+
+
+Row = tuple[str, Literal["ok", "warning", "error"], str]
+"""Name, level and text."""
+
+
+def capture_rows(survey: Survey) -> list[Row]:
+    """Rows about offset, drift, rest pose, channels, sides, expressions and usable minutes."""
+    return [
+        *_sync(survey),
+        _rest(survey),
+        *_channels(survey),
+        _listed("sides", survey.swapped(), "left and right agree", "takes seem mirrored in part"),
+        _listed(
+            "expressions",
+            [f"{take} ({label}, face {seen})" for take, label, seen in survey.unlike()],
+            "faces show their labels",
+            "takes show another emotion than their label",
+        ),
+        _voices(survey),
+        _usable(survey),
+    ]
+
+
+def _listed(name: str, wrong: Sequence[str], well: str, fault: str) -> Row:
+    if not wrong:
+        return name, "ok", well
+    more = f" and {len(wrong) - NAMED} more" if len(wrong) > NAMED else ""
+    return name, "warning", f"{len(wrong)} {fault}: {', '.join(wrong[:NAMED])}{more}"
+
+
+def _sync(survey: Survey) -> list[Row]:
+    sync = survey.sync()
+    known = {take: s for take, s in sync.items() if s is not None and s.is_known}
+    foreign = [
+        f"{take} (r {0 if s is None else s.correlation:.2f})"
+        for take, s in sync.items()
+        if take not in known
+    ]
+    late = [f"{take} ({s.lag * 1000:+.0f} ms)" for take, s in known.items()
+            if s.is_shifted and abs(s.lag) > 0.01]  # fmt: skip
+    drift = [
+        f"{take} ({s.drift * 1000:+.1f} ms a second{_cause(s.drift)})"
+        for take, s in known.items()
+        if s.drift
+    ]
+    lags = [abs(s.lag) * 1000 for s in known.values()]
+    well = f"curves within {max(lags, default=0):.0f} ms of the sound ({len(known)} takes)"
+    rows = [
+        _listed("offset", late, well, "takes are early or late, offset_s is to correct"),
+        _listed("drift", drift, "none", "takes drift, offset_s of every clip is to correct"),
+    ]
+    if foreign:
+        text = "takes do not follow their sound; is it the right recording?"
+        rows.append(_listed("sound", foreign, "", text))
+    return rows
+
+
+def _cause(drift: float) -> str:
+    return ", as 29.97 against 30 or 48 against 48.048 kHz" if abs(abs(drift) - 1e-3) < 2e-5 else ""
+
+
+def _rest(survey: Survey) -> Row:
+    names = survey.controls.names
+    rest = survey.controls.rest
+    found = []
+    for actor, pose in survey.rests().items():
+        off = pose - rest
+        moved = np.argsort(-np.abs(off))[: int((off != 0).sum())]
+        if len(moved):
+            found.append(f"{actor} ({len(moved)} controls, {names[moved[0]]} {off[moved[0]]:+.2f})")
+    return _listed("rest pose", found, "faces rest", "actors have another pose at rest")
+
+
+def _channels(survey: Survey) -> list[Row]:
+    rows = []
+    for name, well in (("clipped", "no channel held at its end"), ("jittering", "none")):
+        counts = Counter(n for c in survey.clips for n in getattr(c.faults, name))
+        found = [f"{control} ({n} clips)" for control, n in counts.most_common()]
+        fault = (
+            "channels stay at the end of their range" if name == "clipped" else "channels jitter"
+        )
+        rows.append(_listed(f"{name}", found, well, fault))
+    frozen = [
+        f"{c.clip.name} ({c.faults.frozen_seconds:.1f} s)"
+        for c in survey.clips
+        if c.faults.frozen_seconds
+    ]
+    rows.append(_listed("frozen", frozen, "the face moves in every frame", "clips stand still"))
+    known = np.any([c.known for c in survey.clips], axis=0)
+    dead = [survey.controls.names[i] for i in np.flatnonzero(survey.dead())]
+    fault = "channels never move, and would be learnt as still"
+    rows.append(_listed("dead", dead, f"all {known.sum()} known move", fault))
+    return rows
+
+
+def _voices(survey: Survey) -> Row:
+    found = []
+    for actor, clips in survey.by_actor().items():
+        takes: dict[str, list[float]] = {}
+        for c in clips:
+            takes.setdefault(c.clip.take, []).extend(c.voiced.tolist())
+        pitch = {take: float(np.median(v)) for take, v in takes.items() if len(v) >= VOICED_FRAMES}
+        if pitch and max(pitch.values()) - min(pitch.values()) > VOICES_SEMITONES:
+            low, high = min(pitch, key=lambda t: pitch[t]), max(pitch, key=lambda t: pitch[t])
+            found.append(f"{actor} ({low}, {high})")
+    return _listed("voices", found, "one an actor", "actors have two voices under one name")
+
+
+def _usable(survey: Survey) -> Row:
+    seconds = survey.usable_seconds()
+    total = sum(seconds.values())
+    parts = ", ".join(f"{a} {e} {s / 60:.1f}" for (a, e), s in sorted(seconds.items()))
+    emotions = {emotion for (_, emotion), s in seconds.items() if s}
+    text = f"{total / 60:.1f} min ({parts})"
+    if total < LITTLE_SECONDS:
+        return "usable", "warning", f"{text}; at least 2, better 10 minutes of an actor"
+    if len(emotions) == 1:
+        return "usable", "warning", f"{text}; one emotion only"
+    return "usable", "ok", text
+
+
+# What an import has done: a row for every take, and warnings about the takes as a whole.
+
+
+TAKE_HEADER = (
+    "take", "kind", "actor", "emotion", "fps", "seconds", "speech_s", "clips", "notes",
+)  # fmt: skip
+LITTLE_SECONDS = 120.0
+"""Speech of all takes below which little can be learnt."""
+VOICES_SEMITONES = 7.0
+"""Difference of median pitch from which on one actor's takes are two voices; a woman's and a man's
+differ by about 9, an actor's emotions by less than 6."""
+VOICED_FRAMES = 60
+"""From which on the median pitch of a take is known."""
+NAMED = 3
+"""Takes, files or controls that a line names."""
+
+
+@dataclass(frozen=True)
+class TakeReport:
+    """What became of one take: a row of the table."""
+
+    take: str
+    kind: str
+    actor: str
+    emotion: str
+    fps: float
+    seconds: float
+    speech_seconds: float
+    n_clips: int
+    pitch: float
+    """Median of the voice, semitones over 100 Hz; NaN where unknown."""
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Imported:
+    """What was written."""
+
+    n_clips: int
+    seconds: float
+    takes: tuple[TakeReport, ...]
+    splits: dict[str, int]
+    left_out: int
+    """Clips between splits."""
+    warnings: tuple[str, ...]
+
+    @property
+    def summary(self) -> str:
+        """One line."""
+        splits = ", ".join(f"{self.splits.get(name, 0)} {name}" for name in SPLITS)
+        left_out = f"; {self.left_out} between the splits left out" if self.left_out else ""
+        return f"{self.n_clips} clips, {self.seconds / 60:.1f} min ({splits}){left_out}"
+
+    def lines(self) -> list[str]:
+        """A line for every take."""
+        width = max(len(take.take) for take in self.takes)
+        return [
+            f"{t.take:{width}}  {t.kind:8} {t.actor:10} {t.emotion:9} {t.fps:6g} Hz "
+            f"{t.seconds:7.1f} s {t.n_clips:3d} clips  {'; '.join(t.notes)}".rstrip()
+            for t in self.takes
+        ]
+
+    def as_dict(self) -> dict[str, object]:
+        """What JSON can hold."""
+        takes = [
+            asdict(t) | {"pitch": t.pitch if np.isfinite(t.pitch) else None} for t in self.takes
+        ]
+        return asdict(self) | {"takes": takes}
+
+
+def row_of(report: TakeReport) -> dict[str, str]:
+    """A row of ``takes.csv``."""
+    return {
+        "take": report.take,
+        "kind": report.kind,
+        "actor": report.actor,
+        "emotion": report.emotion,
+        "fps": f"{report.fps:.6g}",
+        "seconds": f"{report.seconds:.2f}",
+        "speech_s": f"{report.speech_seconds:.2f}",
+        "clips": str(report.n_clips),
+        "notes": as_line("; ".join(report.notes)),
+    }
+
+
+def skipped_files(paths: Sequence[Path]) -> list[str]:
+    """A warning about files of a folder that are no takes; none without any."""
+    if not paths:
+        return []
+    more = f" and {len(paths) - NAMED} more" if len(paths) > NAMED else ""
+    names = ", ".join(path.name for path in paths[:NAMED])
+    return [f"{len(paths)} files hold no known curves and were left out: {names}{more}"]
+
+
+def warnings_of(reports: Sequence[TakeReport]) -> list[str]:
+    """Faults of the takes as a whole."""
+    warnings = []
+    speech = sum(report.speech_seconds for report in reports)
+    if speech < LITTLE_SECONDS:
+        warnings.append(
+            f"{speech:.0f} s of speech in all; a model learns an actor from 2 minutes on, better 10"
+        )
+    emotions = {report.emotion for report in reports}
+    if len(emotions) == 1:
+        warnings.append(f"one emotion only ({emotions.pop()}); others stay as the base model's")
+    rates = Counter(report.fps for report in reports)
+    if len(rates) > 1:
+        counts = ", ".join(f"{n} at {rate:g} Hz" for rate, n in sorted(rates.items()))
+        warnings.append(f"takes of mixed rates ({counts}); each keeps its own")
+    return warnings + _two_voices(reports)
+
+
+def _two_voices(reports: Sequence[TakeReport]) -> list[str]:
+    """Actors whose takes have voices of two people."""
+    warnings = []
+    for actor in dict.fromkeys(report.actor for report in reports):
+        own = [r for r in reports if r.actor == actor and np.isfinite(r.pitch)]
+        own.sort(key=lambda report: report.pitch)
+        if own and own[-1].pitch - own[0].pitch > VOICES_SEMITONES:
+            warnings.append(
+                f"actor {actor!r}: the voices of {own[0].take} and {own[-1].take} are "
+                f"{own[-1].pitch - own[0].pitch:.0f} semitones apart; name them differently if "
+                "they are two people"
+            )
+    return warnings
+
 
 KIND = "dataset"
 REPORT = "check/report.md"

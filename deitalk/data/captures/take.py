@@ -9,8 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from deitalk.data.captures.columns import NamedCurves, describe_columns, read_named
-from deitalk.data.captures.mapping import Mapping
+from deitalk.data.captures.columns import Mapping, NamedCurves, describe_columns, read_named
 from deitalk.errors import DataError
 from deitalk.installed import research
 from rig import ControlSet, RigCurves, default_controls, read_curves

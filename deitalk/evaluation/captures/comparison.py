@@ -18,23 +18,23 @@ from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
 from deitalk.data.clips import Clip
 from deitalk.data.offset import correlation, emotion_parameter_error, lip_parameter_error
 from deitalk.data.windows import load_material
-from deitalk.evaluation.lip_closures import (
-    JAW,
-    MOVING,
-    closure_scores,
-    smoothness,
-    summarise_closures,
-)
-from deitalk.evaluation.report import as_json, table, turned
 from deitalk.evaluation.validation import (
+    JAW,
     MAX_CLIPS,
+    MOVING,
     Example,
+    as_json,
+    closure_scores,
     knows_contact,
     lips_together,
     load_example,
     loudness,
     predict,
+    smoothness,
     speaking_frames,
+    summarise_closures,
+    table,
+    turned,
 )
 from deitalk.figures import SHOWN_SECONDS, can_draw, drawing
 from deitalk.models.curve_model import DEITalk

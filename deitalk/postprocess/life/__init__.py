@@ -5,8 +5,8 @@
     voice.py     accents, phrases, questions and pauses of a recording
     tracks.py    shapes over time; random numbers of a take, and what tells characters apart
     eyes.py      times and shapes of blinks; fixations, micro-saccades, aversions
-    brows.py     brows, lids and cheeks: accents, questions, drift, left and right
-    head.py      turn and shift of the head; the neck
+    head.py      brows, lids and cheeks: accents, questions, drift, left and right; turn and shift
+                 of the head; the neck
     amounts.py   how much of each is wanted
     motion.py    all of them on the curves of a take; left and right of the mouth
 

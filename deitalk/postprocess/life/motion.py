@@ -18,9 +18,16 @@ from deitalk.audio.frames import FRAME_RATE
 from deitalk.config.rules import Idle
 from deitalk.emotions import LABELS
 from deitalk.postprocess.life.amounts import Life
-from deitalk.postprocess.life.brows import BrowEvents, Brows, move_brows
 from deitalk.postprocess.life.eyes import LID_SHARE, Blinks, Gaze, as_controls
-from deitalk.postprocess.life.head import BREATH, SWALLOWS, Head, neck_tracks
+from deitalk.postprocess.life.head import (
+    BREATH,
+    SWALLOWS,
+    BrowEvents,
+    Brows,
+    Head,
+    move_brows,
+    neck_tracks,
+)
 from deitalk.postprocess.life.tracks import STILL_SECONDS, Seeds, Traits, presence
 from deitalk.postprocess.life.voice import Cue, Voice
 from rig import ControlSet

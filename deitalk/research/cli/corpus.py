@@ -5,9 +5,8 @@ from typing import Annotated
 
 import typer
 
-from deitalk.cli.console import bar, console
+from deitalk.cli.console import bar, console, reserve_folder
 from deitalk.cli.options import MAX_PROCESSES, MAX_SEED, CheckedCommands, Force
-from deitalk.cli.paths import reserve_folder
 from deitalk.errors import DataError
 
 MAX_HOURS = 10_000

@@ -5,9 +5,8 @@ from typing import Annotated
 
 import typer
 
-from deitalk.cli.console import bar, console, emit
+from deitalk.cli.console import bar, console, emit, reserve_folder
 from deitalk.cli.options import MAX_COUNT, Force, Most
-from deitalk.cli.paths import reserve_folder
 from deitalk.errors import DeitalkError
 from rig.errors import as_line
 

@@ -26,7 +26,7 @@ from deitalk.audio.prosody import measure_prosody
 from deitalk.audio.voice_activity import normalise_level, speech_activity
 from deitalk.data.offset import correlation
 from deitalk.errors import DataError
-from deitalk.evaluation.report import table
+from deitalk.evaluation.validation import table
 from deitalk.models.curve_model import DEITalk
 from deitalk.pipeline.curves import animate
 from deitalk.pipeline.performance import Performance

@@ -28,21 +28,19 @@ from deitalk.data.offset import (
     lip_parameter_error,
 )
 from deitalk.errors import DataError
-from deitalk.evaluation.lip_closures import (
-    JAW,
-    ClosureScores,
-    closure_scores,
-    smoothness,
-    summarise_closures,
-)
 from deitalk.evaluation.validation import (
     ARTICULATION,
+    JAW,
+    ClosureScores,
     Example,
     articulation,
+    closure_scores,
     knows_contact,
     lips_together,
     load_example,
     loudness,
+    smoothness,
+    summarise_closures,
 )
 from deitalk.live.animator import LiveAnimator
 from deitalk.models.curve_model import DEITalk
@@ -71,7 +69,7 @@ from rig.arrays import Bool, Float32, Float64
 
 # Detection scores of lip contacts, bite and rounding, by phone.
 #
-# The protocol is that of `deitalk.evaluation.lip_closures`: the highest value of a curve within a
+# The protocol is that of `deitalk.evaluation.validation`: the highest value of a curve within a
 # phone widened by two frames, against the same in phones that are 67 ms away from all phones of
 # the gesture. Letters: T frames.
 

@@ -18,8 +18,7 @@ import torch
 from deitalk.audio.load import load_audio
 from deitalk.data.offset import correlation
 from deitalk.errors import DataError
-from deitalk.evaluation.report import table
-from deitalk.evaluation.validation import loudness
+from deitalk.evaluation.validation import loudness, table
 from deitalk.models.curve_model import DEITalk
 from deitalk.pipeline.curves import animate
 from deitalk.research.lips.fit import network_curves

@@ -3,7 +3,7 @@
 Every recording of a dataset folder that has phone times and a transcript is animated neutral
 without words, with its own, with those of another recording, and with every fourth of its words
 exchanged; then German and Mandarin lines of espeak-ng, which are in no training corpus, without and
-with words. Bilabials found are counted as in `deitalk.evaluation.lip_closures`: at 5 % false alarms
+with words. Bilabials found are counted as in `deitalk.evaluation.validation`: at 5 % false alarms
 over clear vowels of the same condition, within the phone ±2 frames.
 """
 
@@ -21,9 +21,13 @@ from deitalk.acting import Acting
 from deitalk.audio.load import load_audio
 from deitalk.data.clips import read_clips, read_phones
 from deitalk.errors import DataError, DeitalkError
-from deitalk.evaluation.lip_closures import ClosureScores, closure_scores, summarise_closures
-from deitalk.evaluation.report import table
-from deitalk.evaluation.validation import lips_together
+from deitalk.evaluation.validation import (
+    ClosureScores,
+    closure_scores,
+    lips_together,
+    summarise_closures,
+    table,
+)
 from deitalk.models.load import load_network
 from deitalk.models.protocol import CurveNetwork
 from deitalk.phones import Phones

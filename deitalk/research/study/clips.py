@@ -10,8 +10,7 @@ import soxr
 
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE, frame_times
 from deitalk.errors import DataError
-from deitalk.evaluation.lip_closures import JAW
-from deitalk.evaluation.validation import loudness
+from deitalk.evaluation.validation import JAW, loudness
 from deitalk.preview.source import PreviewSource, load_source
 from deitalk.preview.video import write_mp4
 from rig import RigCurves

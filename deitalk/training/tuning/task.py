@@ -22,8 +22,14 @@ from torch.nn.utils import parametrize
 from deitalk.config.curves import FinetuneConfig
 from deitalk.data.captures.splits import divide_clips, shortage
 from deitalk.data.clips import REHEARSED, Clip, read_clips, read_known
-from deitalk.data.frozen_features import FrozenFeatures, remove_features
-from deitalk.data.windows import Share, Window, WindowBatches, whole_sound
+from deitalk.data.windows import (
+    FrozenFeatures,
+    Share,
+    Window,
+    WindowBatches,
+    remove_features,
+    whole_sound,
+)
 from deitalk.emotions import EMOTIONS
 from deitalk.errors import ConfigError, DataError
 from deitalk.evaluation.captures.comparison import CaptureSet, MeanPose, mean_pose, write_comparison
@@ -44,8 +50,15 @@ from deitalk.training.tuning.recipe import (
     with_captured_intensity,
     with_direct_layers,
 )
-from deitalk.training.tuning.ridge import Capture, Maps, Rows, fit_ridge
-from deitalk.training.tuning.strength import ExpressionAxis, expression_axes, label_intensity
+from deitalk.training.tuning.ridge import (
+    Capture,
+    ExpressionAxis,
+    Maps,
+    Rows,
+    expression_axes,
+    fit_ridge,
+    label_intensity,
+)
 from rig.errors import ControlError
 
 ACTORS_FASTER = 30

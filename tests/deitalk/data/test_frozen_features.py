@@ -12,8 +12,7 @@ from deitalk.config.curves import Config
 from deitalk.config.load import load_config
 from deitalk.data.augment_waveform import Surroundings
 from deitalk.data.clips import read_clips
-from deitalk.data.frozen_features import FrozenFeatures
-from deitalk.data.windows import WindowBatches, load_material, whole_sound
+from deitalk.data.windows import FrozenFeatures, WindowBatches, load_material, whole_sound
 from deitalk.models.checkpoint import load_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.research.training.ablation import Variant, ablate

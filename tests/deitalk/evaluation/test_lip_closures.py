@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from deitalk.evaluation.lip_closures import closure_scores, summarise_closures
+from deitalk.evaluation.validation import closure_scores, summarise_closures
 from deitalk.research.evaluation.clip_scores import held_closures
 from tests.each import each
 

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from deitalk.audio.voice_activity import speech_activity
-from deitalk.postprocess.gates import expression_gate, mouth_gate
+from deitalk.postprocess.voice_intensity import expression_gate, mouth_gate
 from tests.deitalk.audio.test_voice_activity import placed
 from tests.each import each
 

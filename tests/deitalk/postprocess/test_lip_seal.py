@@ -6,7 +6,7 @@ import pytest
 from deitalk.config.mesh import SDFAModelConfig
 from deitalk.errors import ConfigError
 from deitalk.models.deformation_decoder import InversePCA
-from deitalk.postprocess.lip_seal import seal_lips
+from deitalk.postprocess.known_phones import seal_lips
 from deitalk.research.meshes.folder import head_lips, head_templates
 from deitalk.research.meshes.scores import lip_gap
 from deitalk.research.meshes.training import new_mesh_model

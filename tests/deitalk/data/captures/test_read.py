@@ -5,8 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from deitalk.data.captures.columns import read_named
-from deitalk.data.captures.mapping import read_mapping
+from deitalk.data.captures.columns import read_mapping, read_named
 from deitalk.data.captures.sources import find_sound, find_takes
 from deitalk.data.captures.take import read_capture
 from deitalk.errors import DataError

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import numpy as np
 
+from deitalk.data.captures.mend import capture_rows
 from deitalk.data.captures.survey import ChannelFaults, ClipSurvey, Survey
 from deitalk.data.captures.sync import LAGS, ClipLags
-from deitalk.data.captures.verdicts import capture_rows
 from deitalk.data.clips import Clip
 from rig import default_controls
 from tests.each import each

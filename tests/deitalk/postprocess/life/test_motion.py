@@ -6,23 +6,21 @@ import pytest
 from deitalk.emotions import EMOTIONS, LABELS
 from deitalk.errors import DeitalkError
 from deitalk.postprocess.life.amounts import Life, place_of
-from deitalk.postprocess.life.brows import (
-    STEMS,
-    BrowEvents,
-    Brows,
-    draw_accent,
-    move_brows,
-)
 from deitalk.postprocess.life.head import (
     BREATH_CONTROL,
     MOST_ASIDE,
     NOD_SECONDS,
     NOD_SPEED,
+    STEMS,
     SWALLOW_CONTROL,
     TURN,
     TURNS,
+    BrowEvents,
+    Brows,
     Head,
+    draw_accent,
     draw_nod,
+    move_brows,
 )
 from deitalk.postprocess.life.motion import (
     LOWER_LID,

@@ -1,4 +1,4 @@
-"""`deitalk train`: fit a model to a dataset folder."""
+"""`deitalk train`, `deitalk finetune` and `deitalk model`."""
 
 import json
 import os
@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from deitalk.cli.console import bar, console, emit
+from deitalk.cli.console import bar, console, emit, emit_json, reserve_file, reserve_folder
+from deitalk.cli.options import CheckedCommands
 from deitalk.installed import research
 
 if TYPE_CHECKING:
@@ -232,3 +233,142 @@ def _write_page(out: Path) -> None:
         console().note(str(error))
     else:
         console().print(f"{page}: capture, before and after, side by side")
+
+
+# `deitalk model`: description of a model, export of a copy, a mix of two, the hub.
+
+
+app = CheckedCommands(help="Describe or export a model.", no_args_is_help=True)
+
+
+@app.callback()
+def _group() -> None:
+    """Describe or export a model."""
+
+
+@app.command()
+def export(
+    model: Annotated[str, typer.Argument(help="Model folder, such as runs/mel/best.")],
+    out: Annotated[Path | None, typer.Option("--out", "-o", help="Folder to write.")] = None,
+    onnx: Annotated[
+        Path | None, typer.Option("--onnx", help="File.onnx to write, for ONNX Runtime and Unreal.")
+    ] = None,
+    data: Annotated[str, typer.Option(help="Description of the training data.")] = "",
+    force: Annotated[bool, typer.Option("--force", help="Replace the folder.")] = False,
+) -> None:
+    """Write a model for distribution: a folder in half precision, or an ONNX file.
+
+    Examples
+    --------
+    deitalk model export runs/mel/best -o my_model --data "my captures"
+
+    deitalk model export default --onnx default.onnx
+    """
+    from deitalk.errors import DeitalkError
+
+    if (out is None) == (onnx is None):
+        raise DeitalkError("give either --out FOLDER or --onnx FILE.onnx")
+    if onnx is not None:
+        _export_onnx(model, onnx, force)
+    elif out is not None:
+        _export_folder(model, out, data, force)
+
+
+def _export_onnx(model: str, out: Path, force: bool) -> None:
+    from deitalk.models.checkpoint import require_model
+    from deitalk.models.curve_model import DEITalk
+    from deitalk.models.folder import model_folder
+    from deitalk.models.onnx.export import export_onnx, operators
+
+    source = model_folder(model)
+    reserve_file(out, force=force, inputs=(source / "model.safetensors",))
+    export_onnx(require_model(model, DEITalk), out, name=model)
+    console().print(f"{out}: {out.stat().st_size / 1e6:.1f} MB")
+    console().note(f"operators: {', '.join(sorted(operators(out)))}")
+
+
+def _export_folder(model: str, out: Path, data: str, force: bool) -> None:
+    from deitalk.models.checkpoint import portable, require_model, save_model
+    from deitalk.models.curve_model import DEITalk
+    from deitalk.models.folder import describe_model, model_folder
+
+    source = model_folder(model)
+    reserve_folder(out, kind="model", force=force, inputs=(source / "model.safetensors",))
+    network = require_model(model, DEITalk)
+    config, summary = portable(source)
+    summary |= {"data": data} if data else {}
+    save_model(out, network, config, summary, half=True)
+    console().print(f"{out}: {describe_model(out)['bytes'] / 1e6:.1f} MB")
+
+
+@app.command()
+def mix(
+    before: Annotated[str, typer.Argument(help="Model before a training, such as default.")],
+    after: Annotated[str, typer.Argument(help="Model after it, such as runs/mine/best.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder to write.")],
+    share: Annotated[
+        float, typer.Option(min=0, max=1, help="Of the second model's weights; 0 is the first.")
+    ] = 0.5,
+    force: Annotated[bool, typer.Option("--force", help="Replace the folder.")] = False,
+) -> None:
+    """Write a model between two of the same network: a part of what a training changed.
+
+    Rules and other settings are those of the second model. The weights are stored in half
+    precision.
+
+    Examples
+    --------
+    deitalk model mix default runs/mine/best --share 0.6 -o softer/
+    """
+    from deitalk.models.checkpoint import portable, require_model, save_model
+    from deitalk.models.curve_model import DEITalk
+    from deitalk.models.folder import describe_model, model_folder, weights_hash
+    from deitalk.training.tuning.recipe import mix_models
+
+    folders = [model_folder(model) for model in (before, after)]
+    inputs = tuple(folder / "model.safetensors" for folder in folders)
+    reserve_folder(out, kind="model", force=force, inputs=inputs)
+    network = mix_models(require_model(before, DEITalk), require_model(after, DEITalk), share)
+    config, summary = portable(folders[1])
+    summary["mixed"] = {"share": share, "sha256": [weights_hash(folder) for folder in folders]}
+    save_model(out, network, config, summary, half=True)
+    console().print(f"{out}: {describe_model(out)['bytes'] / 1e6:.1f} MB")
+
+
+@app.command()
+def push(
+    model: Annotated[str, typer.Argument(help="Model folder, such as runs/anna/best.")],
+    name: Annotated[str, typer.Argument(help="org/name on the Hugging Face hub.")],
+    license: Annotated[
+        str | None, typer.Option(help="The hub's name of a licence, for the card.")
+    ] = None,
+    public: Annotated[
+        bool, typer.Option("--public", help="A new repository is public; else private.")
+    ] = False,
+) -> None:
+    """Write a model and a card made of its run's report to the Hugging Face hub.
+
+    Examples
+    --------
+    deitalk model push runs/anna/best my_org/anna --license cc-by-4.0
+    """
+    from deitalk.models.checkpoint import push_to_hub
+
+    emit(push_to_hub(model, name, private=not public, license=license))
+
+
+@app.command()
+def info(
+    model: Annotated[str, typer.Argument(help="an embedded model, or a model folder.")] = "default",
+    as_json: Annotated[bool, typer.Option("--json", help="Print as JSON.")] = False,
+) -> None:
+    """Show control set, size, hash, training and rules of a model."""
+    from deitalk.models.folder import describe_model, embedded_models
+
+    about = describe_model(model)
+    if as_json:
+        emit_json(about)
+        return
+    for key, value in about.items():
+        emit(f"{key}\t{json.dumps(value) if isinstance(value, dict) else value}")
+    console().print(f"embedded models: {', '.join(embedded_models()) or 'none'}")
