@@ -171,10 +171,9 @@ def kinds_asked(tree: ast.AST) -> list[int]:
     classes = {
         alias.asname or alias.name
         for node in ast.walk(tree)
-        if isinstance(node, ast.ImportFrom)
-        and (node.module or "").startswith(homes)
-        and node.module != "deitalk.models.temporal_conv"  # a layer
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith(homes)
         for alias in node.names
+        if alias.name != "TemporalConv"  # a layer
     }
     asked = [
         node

@@ -8,7 +8,7 @@
     journal.py     SQLite: what was written, from what
     outputs.py     files moved to their names, none of the user's replaced
     cloud.py       files wherever fsspec reaches: recordings, and outputs at a URL
-    performer.py   one line in a worker: sound -> staged files
-    processes.py   worker processes, one model each; cluster.py: machines of a Ray cluster
+    processes.py   worker processes, one model each: sound -> staged files
+    cluster.py     machines of a Ray cluster in their place
     run.py         lines -> orders, results -> rows; `animate_batch`: all of it
 """

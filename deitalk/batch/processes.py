@@ -1,4 +1,6 @@
-"""Worker processes of a batch, one model each; one that ends takes one line with it at most.
+"""Worker processes of a batch, one model each: recordings to staged files.
+
+One that ends takes one line with it at most.
 
 Lines go to a process in chunks, so that those of one length are animated together. A pool of the
 standard library loses all running tasks when a process ends. Here each process has its own pipe:
@@ -6,20 +8,39 @@ the lines of a chunk that ended it are given out alone, and the one that ends a 
 given up.
 """
 
+import errno
+import hashlib
 import os
+import shutil
 import signal
+import socket
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
+from functools import partial
 from multiprocessing import get_context
 from multiprocessing.connection import Connection, wait
-from typing import Protocol
+from pathlib import Path
+from tempfile import mkdtemp
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar
+from weakref import finalize
 
-from deitalk.batch.lines import Order, Outcome
+from deitalk.acting import Acting
+from deitalk.audio.frames import FRAME_RATE
+from deitalk.batch.cloud import read_recording, upload
+from deitalk.batch.journal import File
+from deitalk.batch.lines import TAKE, Order, Outcome, Target, has_digits
 from deitalk.errors import DeitalkError
+from deitalk.models.load import Backend
+from deitalk.pipeline.performance import Performance
 from deitalk.workers import end_with_parent
-from rig.errors import UserError
+from rig.errors import UserError, one_line
 from rig.limits import MIB
+
+if TYPE_CHECKING:
+    from deitalk.models.protocol import Reading
+    from deitalk.pipeline.curves import Prepared
+
 
 Perform = Callable[[Sequence[Order]], Iterator[list[Outcome]]]
 """Animates lines; yields results as they come."""
@@ -56,7 +77,7 @@ class Workers:
     count : int
         Processes, 1 or more.
     make : callable
-        Makes what animates a line, such as a `deitalk.batch.performer.Performer`; called once in
+        Makes what animates a line, such as a `deitalk.batch.processes.Performer`; called once in
         each process.
     """
 
@@ -204,3 +225,262 @@ def _serve(pipe: Connection, make: Make) -> None:
                 pipe.send(outcomes)
     except (EOFError, OSError):
         return
+
+
+# One line in a worker process: a recording to staged files.
+
+
+TOGETHER = 8
+"""Most recordings of one length that the network reads in one call."""
+TOGETHER_FRAMES = 1500
+"""Most of their frames: eight of 6 s, which take some 300 MB."""
+T = TypeVar("T")
+_FULL = {errno.ENOSPC, errno.EDQUOT}
+
+
+class Performer:
+    """A model in a worker process, with a folder for unfinished files.
+
+    Parameters
+    ----------
+    model : str
+        Name or folder.
+    stage : str
+        Folder on the disk of the outputs; empty: a temporary one.
+    url : str
+        Where files are uploaded to; empty: they stay staged.
+    backend : str
+        ``torch`` or ``onnx``.
+    device : str
+        Where the network is, as for `deitalk.models.load.load_network`.
+    """
+
+    def __init__(
+        self,
+        model: str,
+        stage: str,
+        url: str = "",
+        backend: Backend = "torch",
+        device: str = "cpu",
+    ) -> None:
+        from deitalk.models.folder import describe_model
+        from deitalk.models.load import is_onnx, load_network
+
+        if not is_onnx(model, backend):
+            import torch
+
+            torch.set_num_threads(1)
+        self.network: Any = load_network(model, backend=backend, device=device)
+        self.about = describe_model(model)
+        if not stage:
+            stage = mkdtemp(prefix="deitalk-batch-")
+            finalize(self, shutil.rmtree, stage, ignore_errors=True)
+        self.stage = Path(stage) / f"{socket.gethostname()}-{os.getpid()}"
+        self.url, self.count = url, 0
+
+    def __call__(self, orders: Sequence[Order]) -> Iterator[list[Outcome]]:
+        """Animate lines, those of one length together; what is wrong with one is in its result."""
+        ready: dict[int, list[tuple[Order, str, Prepared]]] = {}
+        for order in orders:
+            result = self._guarded(order, partial(self._prepared, order))
+            if isinstance(result, Outcome):
+                yield [result]
+                continue
+            sound, prepared = result
+            length = len(prepared.inputs[1])
+            group = ready.setdefault(length, [])
+            group.append((order, sound, prepared))
+            if len(group) >= self._most_together(length):
+                yield self._finished(ready.pop(length))
+        for group in ready.values():
+            yield self._finished(group)
+
+    def _guarded(self, order: Order, work: Callable[[], T]) -> T | Outcome:
+        """The result of some work on a line, or of the line if it fails."""
+        try:
+            return work()
+        except UserError as error:
+            return Outcome(order.output, "full" if _is_full(error) else "failed", str(error))
+        except MemoryError:
+            text = "not enough memory; give a shorter recording, or use fewer workers"
+            return Outcome(order.output, "failed", text)
+        except OSError as error:
+            text = one_line(error.strerror or error)
+            return Outcome(order.output, "full" if _is_full(error) else "failed", text)
+        except Exception as error:  # one line must not end a night's work
+            text = one_line(f"{type(error).__name__}: {error}")
+            return Outcome(order.output, "failed", text)
+
+    def _prepared(self, order: Order) -> tuple[str, "Prepared"] | Outcome:
+        """Hash of a line's recording, and the line ready for the network; or its result."""
+        from deitalk.pipeline.curves import prepare
+        from deitalk.pipeline.speech import voice_strength
+
+        data, sound = read_recording(order.audio)
+        if sound == order.known:
+            return Outcome(order.output, "unchanged", sound=sound)
+        recording = decoded(order.audio, data)
+        if order.only_voice:
+            strength = voice_strength(recording)
+            return Outcome(order.output, "done", seconds=recording.duration, strength=strength)
+        acting = order.acting
+        if acting.style is None and order.actor in self.network.actors:
+            acting = Acting.of(acting, style=order.actor)
+        return sound, prepare(recording, acting, lambda: self.network)
+
+    def _most_together(self, n_frames: int) -> int:
+        """Recordings of a length that are animated in one call."""
+        can = getattr(self.network, "reads_together", None)
+        if can is None or not can(n_frames):
+            return 1
+        return max(min(TOGETHER, TOGETHER_FRAMES // n_frames), 1)
+
+    def _finished(self, group: list[tuple[Order, str, "Prepared"]]) -> list[Outcome]:
+        """Results of prepared lines of one length; each alone if they fail together."""
+        readings: Sequence[Reading | None] = [None] * len(group)
+        if len(group) > 1:
+            with suppress(Exception):
+                sounds, weights = zip(*(prepared.inputs for _, _, prepared in group), strict=True)
+                readings = self.network.read_together(
+                    [sound * p.speech.gain for sound, (_, _, p) in zip(sounds, group, strict=True)],
+                    weights,
+                    [prepared.style for _, _, prepared in group],
+                )
+        return [
+            self._guarded(line[0], partial(self._performed, *line, reading))
+            for line, reading in zip(group, readings, strict=True)
+        ]
+
+    def _performed(
+        self, order: Order, sound: str, prepared: "Prepared", reading: "Reading | None"
+    ) -> Outcome:
+        from deitalk.audio.original import start_of
+        from deitalk.pipeline.curves import finish
+
+        if reading is None:
+            reading = prepared.read()
+        performance = finish(prepared, reading)
+        written = order.written
+        start, note = start_of(written.timecode, written.fps, prepared.recording.start)
+        folder, targets = self._write(order, performance, start)
+        staged = _files(folder, targets)
+        files = tuple(staged.values())
+        if self.url:
+            files = tuple(upload(self.url, path, file) for path, file in staged.items())
+            shutil.rmtree(folder)
+        return Outcome(
+            order.output,
+            "done",
+            sound=sound,
+            seconds=prepared.recording.duration,
+            frames=len(performance.curves),
+            warnings=(
+                *performance.recording.warnings,
+                *filter(None, [note]),
+                *findings(performance),
+            ),
+            stage=str(folder),
+            targets=targets,
+            files=files,
+        )
+
+    def _write(
+        self, order: Order, performance: Any, start: float
+    ) -> tuple[Path, tuple[Target, ...]]:
+        """Stage the files of a line; `start` is the time of day of its first frame, seconds."""
+        from rig import write_curves
+
+        form = {"fps": order.written.fps, "start": start}
+        seconds = performance.recording.duration
+        spoken = {"sound": performance.sound_file, "seconds": seconds}
+        digits = {"digits": order.written.digits}
+        self.count += 1
+        folder = self.stage / str(self.count)
+        folder.mkdir(parents=True)
+        targets = []
+        for place, suffix in enumerate(order.written.formats):
+            if suffix == TAKE:
+                self._write_take(folder / TAKE, performance, form | digits)
+                targets.append(Target(TAKE, order.output))
+            else:
+                name = f"{place}{suffix}"
+                given: Any = form | spoken | (digits if has_digits(suffix) else {})
+                write_curves(folder / name, performance.curves, **given)
+                targets.append(Target(name, order.output + suffix))
+        return folder, tuple(targets)
+
+    def _write_take(self, folder: Path, performance: Any, form: dict[str, Any]) -> None:
+        from deitalk.pipeline.performance import write_take
+
+        beside = self.stage / TAKE  # one name for all, as each has a lock
+        write_take(beside, performance, model=self.about, **form)
+        os.rename(beside, folder)
+
+
+def decoded(path: str, data: bytes | None) -> Any:
+    """The recording of a file that was read; warnings and errors name its path."""
+    from deitalk.audio.decoding import open_sound
+    from deitalk.audio.load import load_audio, read_sound
+    from deitalk.audio.original import start_seconds
+
+    if data is None:
+        return load_audio(path)
+    with open_sound(path, data) as sound:
+        return read_sound(path, sound, start=start_seconds(data))
+
+
+def _files(folder: Path, targets: tuple[Target, ...]) -> dict[Path, File]:
+    """Staged files, and their hashes under the names that they will have; take.json is the last."""
+    found: dict[Path, File] = {}
+    for name, place in targets:
+        staged = folder / name
+        if staged.is_dir():
+            paths = sorted(staged.iterdir(), key=lambda path: (path.name == "take.json", path.name))
+            found |= {path: _file(path, f"{place}/{path.name}") for path in paths}
+        else:
+            found[staged] = _file(staged, place)
+    return found
+
+
+def _file(path: Path, place: str) -> File:
+    status = path.stat()
+    sha = hashlib.sha256(path.read_bytes()).hexdigest()
+    return File(place, sha, status.st_size, status.st_mtime_ns)
+
+
+def _is_full(error: BaseException | None) -> bool:
+    """Whether an error comes from a full disk."""
+    while error is not None:
+        if isinstance(error, OSError) and error.errno in _FULL:
+            return True
+        error = error.__cause__ or error.__context__
+    return False
+
+
+# Warnings about the curves of a line, beside those of its recording.
+#
+# Bilabials (p, b, m) come about once a second in speech, and each shuts the lips: of 528 pieces of
+# LibriSpeech of 2 to 6 s, 2 % have no contact, of those of 5 s or more none.
+
+
+CONTACT = 0.5
+"""Value of the lips-together controls in a contact; closures of readers reach 0.9."""
+MOVING_JAW = 0.05
+MOVING_SECONDS = 5.0
+"""Time of a moving jaw in which the lips meet; shorter lines may have no p, b or m."""
+JAW, LIPS = "CTRL_C_jaw.ty", "lipsTogether"
+
+
+def findings(performance: Performance) -> tuple[str, ...]:
+    """Warnings about a performance that a person should look at."""
+    found = []
+    curves = performance.curves
+    lips = [i for i, name in enumerate(curves.names) if LIPS in name]
+    if lips and JAW in curves.names:
+        moving = int((curves[JAW] > MOVING_JAW).sum()) / FRAME_RATE
+        if moving >= MOVING_SECONDS and curves.values[:, lips].mean(axis=1).max() < CONTACT:
+            found.append(
+                f"the lips never meet in {moving:.1f} s of speech: look at it; the recording "
+                "may be muffled, or no speech"
+            )
+    return tuple(found)

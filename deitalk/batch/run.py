@@ -35,8 +35,7 @@ from deitalk.batch.lines import (
     summary_text,
 )
 from deitalk.batch.outputs import opened_folder
-from deitalk.batch.performer import Performer
-from deitalk.batch.processes import Make, Pool, Workers
+from deitalk.batch.processes import Make, Performer, Pool, Workers
 from deitalk.batch.source import ACTORS, SUMMARY, read_source
 from deitalk.batch.source import FAILED as FAILED_TABLE
 from deitalk.emotions import ActorReference, EmotionTrack, parse_actor

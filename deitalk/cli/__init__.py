@@ -8,8 +8,7 @@ from typing import Annotated, Any, cast
 
 import typer
 
-from deitalk.cli.animate import animate, suggest
-from deitalk.cli.batch import batch
+from deitalk.cli.animate import animate, batch, suggest
 from deitalk.cli.console import (
     Commands,
     emit,

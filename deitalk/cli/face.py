@@ -100,7 +100,7 @@ def export(
     deitalk face export --identity Dana -o dana.glb
     """
     from rig.face import build_head
-    from rig.retarget.arkit_head import CORRECTIVES, write_head
+    from rig.retarget.morph_head import CORRECTIVES, write_head
 
     if out.suffix.lower() != ".glb":
         raise DeitalkError(f"{out} has suffix {out.suffix or 'none'!r}; a head is a .glb file")

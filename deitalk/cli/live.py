@@ -268,7 +268,7 @@ def _player(audio: Path | None) -> Callable[[], None]:
 
 def _signal(address: str) -> Callable[[], None]:
     """Return a function that signals the first frame to another program."""
-    from rig.livelink import check_address, osc
+    from rig.livelink import check_address, protocols
 
     host, colon, port = address.rpartition(":")
     if not (colon and host and port.isdigit() and 0 < int(port) < 65536):
@@ -277,7 +277,7 @@ def _signal(address: str) -> Callable[[], None]:
 
     def send_start() -> None:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
-            link.sendto(osc.message("/deitalk/start"), (host, int(port)))
+            link.sendto(protocols.message("/deitalk/start"), (host, int(port)))
 
     return send_start
 

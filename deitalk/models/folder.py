@@ -22,7 +22,7 @@ from importlib import resources
 from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Any, Literal
 
-from deitalk.config.hub import fetch, is_hub_name, pinned
+from deitalk.config.load import fetch, is_hub_name, pinned
 from deitalk.errors import CheckpointError, ConfigError, DeitalkError
 from rig import limits
 from rig.errors import quoted
@@ -249,7 +249,7 @@ def embedded_models() -> list[str]:
 
 
 def model_folder(name_or_path: str | Path) -> Path:
-    """Folder of an embedded model, of one on disk, else of one on the hub (`deitalk.config.hub`).
+    """Folder of an embedded model, of one on disk, else of one on the hub (`deitalk.config.load`).
 
     Raises
     ------

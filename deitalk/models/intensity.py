@@ -13,7 +13,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from deitalk.models.temporal_conv import TemporalConv
+from deitalk.models.rig_decoder import TemporalConv
 
 
 class Intensity(NamedTuple):

@@ -83,6 +83,6 @@ def load_causal(
         )
     if hasattr(network, "first_state"):
         return cast("CausalNetwork", network)
-    from deitalk.models.causal_torch import TorchNetwork
+    from deitalk.models.curve_model import TorchNetwork
 
     return TorchNetwork(cast(Any, network))

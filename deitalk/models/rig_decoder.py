@@ -5,12 +5,162 @@ from typing import cast
 
 import torch
 from torch import Tensor, nn
+from torch.nn import functional as F
 
 from deitalk.config.curves import ModelConfig
 from deitalk.emotions import EMOTIONS
 from deitalk.installed import research
-from deitalk.models.temporal_conv import JoinedRows, TemporalConv, receptive_margin
 from rig import ControlSet
+
+# Dilated convolutions over time, shared by motion encoder and decoder (DEITalk §4.1).
+
+
+FEW_FRAMES = 4
+"""Frames up to which a causal layer is one product of matrices."""
+
+
+class TemporalConv(nn.Module):
+    """One layer: dilated convolution that keeps the length, ReLU, dropout.
+
+    Parameters
+    ----------
+    in_channels, out_channels : int
+    kernel_size : int
+        Odd. Padding is ``dilation * (kernel_size - 1) / 2``: with kernel 3 and dilation 4, the
+        output at frame t depends on t-4, t and t+4; outside the clip there are zeros.
+    dilation : int
+    dropout : float
+    causal : bool
+        The output at frame t depends on t-8, t-4 and t instead.
+
+    Attributes
+    ----------
+    span : int
+        Frames that the kernel reaches over, besides its own.
+    """
+
+    def __init__(
+        self,
+        in_channels: int,
+        out_channels: int,
+        kernel_size: int,
+        dilation: int,
+        dropout: float,
+        *,
+        causal: bool = False,
+    ) -> None:
+        super().__init__()
+        self.causal, self.span = causal, dilation * (kernel_size - 1)
+        self._kept: tuple[tuple[int, int], Tensor] | None = None
+        self.conv = nn.Conv1d(
+            in_channels,
+            out_channels,
+            kernel_size,
+            dilation=dilation,
+            padding=0 if causal else self.span // 2,
+        )
+        # Paper silent: initialisation. torch's own loses 60 % of the signal per layer; after
+        # eight of them only the inputs that join at every layer are left, not speech.
+        nn.init.kaiming_normal_(self.conv.weight, nonlinearity="relu")
+        assert self.conv.bias is not None
+        nn.init.zeros_(self.conv.bias)
+        self.after = nn.Sequential(nn.ReLU(), nn.Dropout(dropout))
+
+    def forward(self, x: Tensor, past: Tensor | None = None) -> Tensor:
+        """Map (B, in_channels, T) to (B, out_channels, T).
+
+        `past` (B, in_channels, span) is what a causal layer was given before; zeros without it.
+        """
+        if self.causal:
+            x = F.pad(x, (self.span, 0)) if past is None else torch.cat((past, x), dim=2)
+            if x.shape[2] - self.span <= FEW_FRAMES:
+                return self._few(x)
+        out: Tensor = self.after(self.conv(x))
+        return out
+
+    def _few(self, x: Tensor) -> Tensor:
+        """The same for so few frames that a convolution's preparations cost more than its work."""
+        frames = x.shape[2] - self.span
+        taps = [x[:, :, start : start + frames] for start in self._starts]
+        rows = torch.cat(taps, dim=1).transpose(1, 2)  # (B, T, K in_channels)
+        out: Tensor = self.after(F.linear(rows, self._flat(), self.conv.bias).transpose(1, 2))
+        return out
+
+    @property
+    def reach(self) -> int:
+        """Frames before an output's own that it depends on, and if not causal, after it."""
+        return self.span if self.causal else self.span // 2
+
+    def add_products(self, out: Tensor, x: "JoinedRows", given: slice, weights: slice) -> None:
+        """Add the convolution of some inputs to rows, as products of matrices.
+
+        Parameters
+        ----------
+        out : Tensor [shape=(N, out_channels)]
+            Rows as of `JoinedRows.inner`; changed.
+        x : JoinedRows
+            Rows of inputs, with gaps of `reach` or more.
+        given : slice
+            Columns of `x`.
+        weights : slice
+            Input channels of the convolution that they are.
+        """
+        kernel = self._flat().view(self.conv.out_channels, -1, self.conv.in_channels)
+        for tap, start in enumerate(self._starts):
+            out.addmm_(x.inner(start - self.reach)[:, given], kernel[:, tap, weights].T)
+
+    @property
+    def _starts(self) -> range:
+        """Place of each tap of the kernel, frames after the first."""
+        return range(0, self.span + 1, self.conv.dilation[0])
+
+    def _flat(self) -> Tensor:
+        """Weights as one matrix (out_channels, K in_channels), kept until they change."""
+        weight = self.conv.weight
+        if weight.requires_grad and torch.is_grad_enabled():
+            return weight.permute(0, 2, 1).flatten(1)
+        state = (weight.data_ptr(), weight._version)
+        if self._kept is None or self._kept[0] != state:
+            self._kept = (state, weight.detach().permute(0, 2, 1).flatten(1).contiguous())
+        return self._kept[1]
+
+
+class JoinedRows:
+    """Sequences of one length as rows of one matrix, with rows of zeros before and after each.
+
+    A dilated convolution of all of them is then a product of matrices for each tap of the kernel,
+    half the time of a convolution of torch on a processor.
+
+    Parameters
+    ----------
+    count, length, width : int
+        Of the sequences.
+    gap : int
+        Rows of zeros.
+    like : Tensor
+        Gives type and device.
+    """
+
+    def __init__(self, count: int, length: int, width: int, gap: int, like: Tensor) -> None:
+        self.gap = gap
+        self.matrix = like.new_zeros(gap + count * (length + gap), width)
+        blocks = self.matrix[gap:].view(count, length + gap, width)
+        self.rows = blocks[:, :length]
+        """Views of the sequences [shape=(count, length, width)]."""
+        self.gaps = blocks[:, length:]
+        """Views of the rows after each [shape=(count, gap, width)]."""
+
+    def inner(self, shift: int = 0) -> Tensor:
+        """All rows but the first and the last gap, or those some frames after them, (N, width)."""
+        return self.matrix[self.gap + shift : len(self.matrix) - self.gap + shift]
+
+
+def receptive_margin(dilations: Sequence[int], kernel_size: int, *, causal: bool = False) -> int:
+    """Frames on either side that a stack of `TemporalConv` spans: 30 for 1 2 4 8 1 2 4 8, k=3.
+
+    Of causal layers, twice as many, before the frame.
+    """
+    return sum(dilations) * (kernel_size - 1) // (1 if causal else 2)
 
 
 class Decoder(nn.Module):

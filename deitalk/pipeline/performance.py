@@ -16,6 +16,7 @@
 
 import json
 import os
+import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
@@ -31,16 +32,75 @@ from deitalk.audio.voice_activity import speech_activity
 from deitalk.emotions import EMOTIONS, MOODS, write_intensity_csv
 from deitalk.errors import AudioError
 from deitalk.installed import __version__
-from rig import RigCurves, write_curves
 from rig.arrays import Bool, Float32, Float64
 from rig.controls import DEFAULT_ID
+from rig.curves import RigCurves
 from rig.errors import TargetError, decodable_values
 from rig.files import check_folder, output_folder
-from rig.formats.exchange import exchange_names, write_exchange_files
+from rig.formats import write_curves
+from rig.formats.livelink_csv import take_name
 
 if TYPE_CHECKING:
     from deitalk.pipeline.words.align import WordFit
     from rig.mesh import TriMesh
+
+
+# Files of a take for other programs.
+
+
+SUBJECT = "deitalk"
+MAX_SLATE = 100
+"""Letters of a slate; file systems take 255 bytes for a whole name."""
+
+
+def exchange_names(slate: str, *, take: int = 1, subject: str = SUBJECT) -> tuple[str, str]:
+    """Names of the Live Link Face CSV and of the file for Unreal; see `write_exchange_files`."""
+    slate = re.sub(r"[^0-9A-Za-z]+", "-", slate)[:MAX_SLATE].strip("-") or "take"
+    return take_name(slate, take, subject), f"{slate}.unreal.json"
+
+
+def write_exchange_files(
+    folder: Path,
+    curves: RigCurves,
+    *,
+    slate: str,
+    take: int = 1,
+    subject: str = SUBJECT,
+    digits: int | None = None,
+    start: float = 0.0,
+) -> dict[str, str]:
+    """Write a Live Link Face CSV and the file for the script inside Unreal.
+
+    Parameters
+    ----------
+    folder : Path
+        Must exist.
+    curves : RigCurves
+        Of the default board.
+    slate : str
+        Name of the recording; characters other than letters and digits become ``-``.
+    take : int
+        Number of the take.
+    subject : str
+        Live Link subject that Unreal's importer makes of the CSV.
+    digits : int, optional
+        Of the file for Unreal; see `rig.write_curves`.
+    start : float
+        Time of day of the first frame, seconds.
+
+    Returns
+    -------
+    dict
+        File names and a line on each, for ``take.json``.
+    """
+    live_link, unreal = exchange_names(slate, take=take, subject=subject)
+    report = write_curves(folder / live_link, curves, format="livelink", start=start)
+    write_curves(folder / unreal, curves, format="unreal", digits=digits, start=start)
+    return {
+        live_link: f"Live Link Face CSV, subject {subject}; {report.note}",
+        unreal: "raw curves and board keys for rig/unreal/deitalk_unreal.py",
+    }
+
 
 SCHEMA = "deitalk.pipeline.take/1"
 FILES = {

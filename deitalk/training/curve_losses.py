@@ -15,7 +15,7 @@ from deitalk.data.windows import Window
 from deitalk.errors import ConfigError
 from deitalk.installed import research
 from deitalk.models.curve_model import DEITalk, Output
-from deitalk.models.temporal_conv import TemporalConv
+from deitalk.models.rig_decoder import TemporalConv
 from deitalk.training.trainer import gather_rows
 from rig import ControlSet
 from rig.controls import DEFAULT_ID

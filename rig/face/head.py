@@ -21,9 +21,8 @@ from rig.face.geometry.topology import EYE_L, EYE_R, FILLER, MOUTH
 from rig.face.identity import Identity, resolve_identity
 from rig.face.motion.bindings import bindings
 from rig.face.motion.rigid import Arch, Jaw, Lids, Seal, Tongue
+from rig.face.motion.shape_list import FACE_SHAPES, MOUTH_SHAPES, neck_shapes, side_shapes
 from rig.face.motion.shapes import ShapeMaker
-from rig.face.motion.shapes_face import FACE_SHAPES, neck_shapes, side_shapes
-from rig.face.motion.shapes_mouth import MOUTH_SHAPES
 from rig.files import atomic_write, cache_folder
 
 # Cache of heads on disk: plain arrays in the user's cache folder.
@@ -362,7 +361,7 @@ def build_head(identity: int | str | Identity = 0) -> Head:
 
 @lru_cache(maxsize=16)
 def _head(identity: Identity) -> Head:
-    from rig.face.geometry.loops import anatomy
+    from rig.face.geometry.topology import anatomy
 
     arrays = load_or_build("head", identity, _build)
     skin = Skin(

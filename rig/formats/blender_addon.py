@@ -30,7 +30,7 @@ import bpy  # type: ignore[import-not-found]
 import numpy as np
 from bpy_extras.io_utils import ImportHelper  # type: ignore[import-not-found]
 
-from rig.conversion.shape_fit import (
+from rig.conversion.avatars import (
     close_lips,
     closing_columns,
     fit_shapes,

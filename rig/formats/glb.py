@@ -38,7 +38,7 @@ def write(path: Path, curves: RigCurves, identity: int | str = 0) -> None:
     `identity` is a number or name of an embedded head.
     """
     if curves.control_set == ARKIT_ID:
-        from rig.retarget.arkit_head import write_animation
+        from rig.retarget.morph_head import write_animation
 
         write_animation(path, curves, identity, motion=_motion(curves))
         return

@@ -1,8 +1,9 @@
-"""Protocols of live curves, frames to datagrams: Live Link Face, JSON properties, VMC."""
+"""Protocols of live curves, frames to datagrams: Live Link Face, JSON, VMC over OSC."""
 
 import json
 import math
-from collections.abc import Callable, Sequence
+import struct
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from functools import cache, cached_property
@@ -25,8 +26,45 @@ from rig.conversion.convert import convert, convert_and_note, known_controls, un
 from rig.curves import RigCurves
 from rig.errors import FormatError, quoted
 from rig.formats.livelink_csv import SUBJECT_REST
-from rig.livelink import osc
 from rig.livelink.receiver import MAX_TEXT_BYTES, PORT, Packet, encode
+
+# Open Sound Control 1.0, as far as VMC needs it: messages of int, float and text; bundles.
+
+
+BUNDLE = b"#bundle\x00"
+IMMEDIATELY = 1
+Argument = int | float | str
+
+
+def message(address: str, *arguments: Argument) -> bytes:
+    """Return one message; its arguments are of types i (int32), f (float32) and s (UTF-8)."""
+    tags = "".join({int: "i", float: "f", str: "s"}[type(argument)] for argument in arguments)
+    parts = [_padded(address), _padded("," + tags)]
+    for tag, argument in zip(tags, arguments, strict=True):
+        parts.append(_padded(str(argument)) if tag == "s" else struct.pack(f"!{tag}", argument))
+    return b"".join(parts)
+
+
+def bundles(messages: Sequence[bytes], *, max_bytes: int) -> Iterator[bytes]:
+    """Yield bundles of messages, none larger than `max_bytes` unless one message alone is."""
+    head = BUNDLE + struct.pack("!Q", IMMEDIATELY)
+    body: list[bytes] = []
+    size = len(head)
+    for data in messages:
+        if body and size + 4 + len(data) > max_bytes:
+            yield head + b"".join(body)
+            body, size = [], len(head)
+        body.append(struct.pack("!i", len(data)) + data)
+        size += 4 + len(data)
+    if body:
+        yield head + b"".join(body)
+
+
+def _padded(text: str) -> bytes:
+    """Return text ended by zeros up to a multiple of four bytes."""
+    data = text.encode("utf-8")
+    return data + b"\x00" * (4 - len(data) % 4)
+
 
 DEVICE = "DEADBEEF-0000-4000-8000-000000000001"
 """Our device id: 36 characters, the length that some receivers assume."""
@@ -181,16 +219,16 @@ class Vmc:
     def datagrams(self, frame: int, seconds: float, fps: float, values: Float32) -> list[bytes]:
         """Return bundles that fit an Ethernet frame each."""
         messages = [
-            osc.message("/VMC/Ext/OK", 1),
-            osc.message("/VMC/Ext/T", float(seconds)),
+            message("/VMC/Ext/OK", 1),
+            message("/VMC/Ext/T", float(seconds)),
             *self._head(values),
             *(
-                osc.message("/VMC/Ext/Blend/Val", name, float(value))
+                message("/VMC/Ext/Blend/Val", name, float(value))
                 for name, value in zip(self.names, values, strict=False)
             ),
-            osc.message("/VMC/Ext/Blend/Apply"),
+            message("/VMC/Ext/Blend/Apply"),
         ]
-        return list(osc.bundles(messages, max_bytes=MAX_OSC_BYTES))
+        return list(bundles(messages, max_bytes=MAX_OSC_BYTES))
 
     def _head(self, values: Float32) -> list[bytes]:
         """The message of a turned head."""
@@ -207,7 +245,7 @@ class Vmc:
             cy * cx * sz - sy * sx * cz,
             cy * cx * cz + sy * sx * sz,
         )
-        return [osc.message("/VMC/Ext/Bone/Pos", "Head", 0.0, HEAD_METRES, 0.0, *rotation)]
+        return [message("/VMC/Ext/Bone/Pos", "Head", 0.0, HEAD_METRES, 0.0, *rotation)]
 
 
 @dataclass(frozen=True)

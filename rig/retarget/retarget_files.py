@@ -25,10 +25,10 @@ from rig.mesh.sequence import check_out, principal_shapes, write_sequence
 from rig.mesh.shapes import ShapeSet, read_shapes_npz
 from rig.mesh.trimesh import TriMesh, check_length
 from rig.retarget.blendshapes import FacePoses, match_shapes, turns_of
-from rig.retarget.landmark_guess import guess_landmarks
 from rig.retarget.landmarks import read_landmarks
 from rig.retarget.methods import Method, carry_shapes, shapes_for, warnings_of
 from rig.retarget.morph_head import source_head
+from rig.retarget.registration import guess_landmarks
 
 LEAST_LOST = 1e-3
 """Share of the movement below which nothing is said."""

@@ -22,8 +22,14 @@ from deitalk.errors import CheckpointError, MissingError
 from deitalk.frontends.mel_bilstm import MelFrontend, TemporalAttention
 from deitalk.frontends.whisper import WhisperFrontend
 from deitalk.installed import __version__
-from deitalk.models.causal_torch import TensorState, advance, causal_frontend, first_state, grid_of
-from deitalk.models.curve_model import DEITalk
+from deitalk.models.curve_model import (
+    DEITalk,
+    TensorState,
+    advance,
+    causal_frontend,
+    first_state,
+    grid_of,
+)
 from deitalk.models.intensity import local_maximum
 from deitalk.models.onnx.network import CAUSAL_SCHEMA, NEXT, SCHEMA
 from deitalk.models.onnx.whisper_graph import ProductMel, WhisperGraph, parts_of

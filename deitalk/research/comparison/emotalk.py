@@ -23,8 +23,7 @@ from deitalk.config.curves import ModelConfig
 from deitalk.config.rules import RulesConfig
 from deitalk.emotions import EMOTIONS
 from deitalk.models.curve_model import Analysis, DEITalk, Output
-from deitalk.models.rig_decoder import Decoder
-from deitalk.models.temporal_conv import TemporalConv
+from deitalk.models.rig_decoder import Decoder, TemporalConv
 from deitalk.research.comparison.biased_attention import BiasedLayer
 from deitalk.research.comparison.faceformer import CONTEXT_FRAMES, output_layer, style_layers
 from rig import ControlSet

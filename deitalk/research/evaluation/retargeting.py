@@ -21,10 +21,9 @@ from rig.arrays import Float64
 from rig.deformation.reconstruct import DeformationSolver, deformation_gradients, gradient_entries
 from rig.files import atomic_write, new_file
 from rig.mesh.trimesh import TriMesh
-from rig.retarget.landmark_guess import guess_landmarks
 from rig.retarget.methods import Method, carry_shapes
 from rig.retarget.morph_head import source_head
-from rig.retarget.registration import lip_labels
+from rig.retarget.registration import guess_landmarks, lip_labels
 
 RUNS = 5
 PAPER_TRIANGLES = 9976

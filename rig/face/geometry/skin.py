@@ -5,8 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rig.arrays import Float64, Int64
-from rig.face.geometry import loops
-from rig.face.geometry.loops import Anatomy, anatomy
+from rig.face.geometry import topology
 from rig.face.geometry.mesh import CENTER, adjacency, edge_counts, project, smoothstep, unit
 from rig.face.geometry.topology import (
     EYE_L,
@@ -17,7 +16,9 @@ from rig.face.geometry.topology import (
     NECK_Y,
     NOSTRIL_L,
     NOSTRIL_R,
+    Anatomy,
     Topology,
+    anatomy,
     build_topology,
     directions_for,
 )
@@ -125,16 +126,16 @@ def _with_chin_fold(skin: Skin, identity: Identity) -> Skin:
 def _with_lips(skin: Skin, identity: Identity) -> Skin:
     """Give the mouth's loops the profile of lips; the rims meet within 0.1 mm."""
     vertices = skin.vertices.copy()
-    t = loops.angles(loops.MOUTH_COUNT)
+    t = topology.angles(topology.MOUTH_COUNT)
     s, is_upper = np.sin(t), np.sin(t) >= 0
     fade = np.abs(s) ** 0.7
     full = 0.45 + 0.55 * identity.lip_fullness
-    for k, offset in enumerate(loops.MOUTH_OFFSETS):
+    for k, offset in enumerate(topology.MOUTH_OFFSETS):
         row = skin.loop(MOUTH, k)
         bulge = np.where(is_upper, LIP_UPPER[k], LIP_LOWER[k]) * full
         vertices[row, 2] += bulge * fade - 0.13 * (1 - fade) * np.exp(-offset * 1.6)
     rim = skin.loop(MOUTH, 0)
-    vertices[rim, :2] = loops.mouth_loop(0.0, identity)[:, :2]
+    vertices[rim, :2] = topology.mouth_loop(0.0, identity)[:, :2]
     return replace(skin, vertices=vertices)
 
 
@@ -176,7 +177,7 @@ def _inner_faces(skin: Skin, rim: Int64, n_rows: int, flipped: bool) -> list[Int
 def _with_mouth_bag(skin: Skin, identity: Identity) -> Skin:
     """Fold the lips inwards into a closed bag that holds teeth and tongue."""
     rim = skin.loop(MOUTH, 0)
-    s = np.sin(loops.angles(loops.MOUTH_COUNT))
+    s = np.sin(topology.angles(topology.MOUTH_COUNT))
     rows = []
     for depth, opening, narrow, extra in BAG:
         row = skin.vertices[rim].copy()
@@ -192,10 +193,10 @@ def _with_lids(skin: Skin, identity: Identity) -> Skin:
     place = skin.anatomy
     for kind, side in ((EYE_L, 1), (EYE_R, -1)):
         vertices = skin.vertices.copy()
-        s = np.sin(loops.angles(loops.EYE_COUNT))
-        for j, offset in enumerate(loops.EYE_OFFSETS):
+        s = np.sin(topology.angles(topology.EYE_COUNT))
+        for j, offset in enumerate(topology.EYE_OFFSETS):
             row = skin.loop(kind, j)
-            outline = loops.lid_outline(offset, identity)
+            outline = topology.lid_outline(offset, identity)
             radius = place.eye_radius + LID_LIFT[j]
             flat2 = (outline**2).sum(1)
             z = np.sqrt(np.maximum(radius**2 - flat2, 0.30**2))
@@ -213,10 +214,10 @@ def _with_lids(skin: Skin, identity: Identity) -> Skin:
 def _with_lids_at_rest(skin: Skin, kind: int, side: int) -> Skin:
     """Turn the lids down about the eyeball, so that the upper one covers the iris's rim."""
     center = skin.anatomy.eye * [side, 1, 1]
-    t = loops.angles(loops.EYE_COUNT)
+    t = topology.angles(topology.EYE_COUNT)
     rim = skin.vertices[skin.loop(kind, 0)] - center
     angle = np.degrees(np.arctan2(rim[:, 1], rim[:, 2]))
-    upper, lower = angle[loops.EYE_COUNT // 4], angle[3 * loops.EYE_COUNT // 4]
+    upper, lower = angle[topology.EYE_COUNT // 4], angle[3 * topology.EYE_COUNT // 4]
     down = 0.5 * (upper + lower) - LID_MIDDLE_DEGREES
     close = np.maximum(upper - down - LID_UPPER_DEGREES, 0)
     turn = np.radians(down + close * np.sign(np.sin(t))) * np.abs(np.sin(t)) ** 0.6
@@ -314,7 +315,9 @@ def paint_skin(skin: Skin, identity: Identity) -> tuple[Float64, Float64]:
     mix(is_mouth * (ring < 0) * np.interp(-ring, [0, 1, 3, 5, 9], [0, 0.25, 0.85, 1, 1]),
         np.array([0.16, 0.035, 0.04]))  # fmt: skip
     mix(is_eye * np.interp(ring, [-1, 0, 1, 2], [0.85, 0.6, 0.10, 0]), base * [0.55, 0.36, 0.34])
-    is_upper = is_eye & (np.sin(loops.angles(loops.EYE_COUNT))[skin.slot % loops.EYE_COUNT] > 0.1)
+    is_upper = is_eye & (
+        np.sin(topology.angles(topology.EYE_COUNT))[skin.slot % topology.EYE_COUNT] > 0.1
+    )
     mix(is_upper * np.interp(ring, [-1, 0, 1], [0.8, 0.7, 0.0]), np.array(identity.hair) * 0.6)
     fold = np.interp(ring, [2, 3, 4], [0, 0.5, 0])  # of the upper lid
     mix(is_upper * fold, base * [0.62, 0.44, 0.40])

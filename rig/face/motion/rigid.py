@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rig.arrays import Float64, Int64
-from rig.face.geometry import details, loops
+from rig.face.geometry import details, topology
 from rig.face.geometry.mesh import smoothstep
 from rig.face.geometry.skin import LID_SHARE, Skin
 from rig.face.geometry.topology import EYE_L, EYE_R, FILLER, MOUTH
@@ -111,8 +111,8 @@ class Lids:
 
     def __init__(self, skin: Skin) -> None:
         self._least = skin.anatomy.eye_radius + 0.012
-        t = loops.angles(loops.EYE_COUNT)
-        self._opposite = (loops.EYE_COUNT - np.arange(loops.EYE_COUNT)) % loops.EYE_COUNT
+        t = topology.angles(topology.EYE_COUNT)
+        self._opposite = (topology.EYE_COUNT - np.arange(topology.EYE_COUNT)) % topology.EYE_COUNT
         self._eyes = {}
         for name, kind, side in (("L", EYE_L, 1), ("R", EYE_R, -1)):
             ids = np.flatnonzero(skin.kind == kind)
@@ -159,7 +159,7 @@ class Lids:
 
 def _inner(eye: _Eye) -> Float64:
     """1 towards the nose, 0 at the outer corner: where a frown presses the lid."""
-    t = loops.angles(loops.EYE_COUNT)
+    t = topology.angles(topology.EYE_COUNT)
     return np.asarray(0.5 - 0.5 * np.cos(t))
 
 
@@ -319,7 +319,7 @@ class Arch:
     def _is_under(self, skin: Skin) -> Float64:
         """1 at the rim of the lower lip, which F tucks under the upper teeth; 0 past its red."""
         ring, slot = skin.ring[self.ids], skin.slot[self.ids]
-        is_lower = (skin.kind[self.ids] == MOUTH) & (slot > loops.MOUTH_COUNT // 2)
+        is_lower = (skin.kind[self.ids] == MOUTH) & (slot > topology.MOUTH_COUNT // 2)
         return np.asarray(is_lower * np.interp(ring, [-2, 0, 2, 4], [1, 1, 0.6, 0]))
 
     def _ratio(self, points: Float64) -> Float64:
@@ -342,15 +342,15 @@ class Seal:
     """Brings the rims of the lips together."""
 
     def __init__(self, skin: Skin) -> None:
-        half = loops.MOUTH_COUNT // 2
+        half = topology.MOUTH_COUNT // 2
         upper = np.arange(1, half)
         rows = [skin.loop(MOUTH, int(r)) for r in _SEAL_RINGS]
         self._upper = np.stack([row[upper] for row in rows])
-        self._lower = np.stack([row[loops.MOUTH_COUNT - upper] for row in rows])
+        self._lower = np.stack([row[topology.MOUTH_COUNT - upper] for row in rows])
         self._rim = int(np.flatnonzero(_SEAL_RINGS == 0)[0])
         self._share = _SEAL_SHARE[:, None]
-        self._u = np.cos(upper / loops.MOUTH_COUNT * 2 * np.pi)
-        left = smoothstep(0.5 + self._u * loops.MOUTH_HALF_WIDTH / 1.3)
+        self._u = np.cos(upper / topology.MOUTH_COUNT * 2 * np.pi)
+        left = smoothstep(0.5 + self._u * topology.MOUTH_HALF_WIDTH / 1.3)
         self._sides = {"L": left, "R": 1 - left}
 
     def amounts(self, inputs: Inputs) -> tuple[Float64, Float64]:

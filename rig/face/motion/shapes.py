@@ -13,7 +13,7 @@ import scipy.sparse as sp
 from scipy.sparse.linalg import SuperLU, splu
 
 from rig.arrays import Bool, Float64, Int64
-from rig.face.geometry import loops
+from rig.face.geometry import topology
 from rig.face.geometry.mesh import adjacency, smoothstep, vertex_normals
 from rig.face.geometry.skin import Skin
 from rig.face.geometry.topology import EYE_L, EYE_R, FILLER, MOUTH, NOSTRIL_L
@@ -86,7 +86,7 @@ class ShapeMaker:
         v = skin.vertices
         self.normals = vertex_normals(v, skin.faces)
         self.left_share = smoothstep(0.5 + v[:, 0] / 1.3)
-        self._t = np.where(skin.kind == MOUTH, skin.slot / loops.MOUTH_COUNT * 2 * np.pi, 0.0)
+        self._t = np.where(skin.kind == MOUTH, skin.slot / topology.MOUTH_COUNT * 2 * np.pi, 0.0)
         is_eye = (skin.kind == EYE_L) | (skin.kind == EYE_R)
         self.lid = is_eye & (skin.ring <= 1)
         far = (v[:, 1] < -13.8) | (v[:, 2] < -1.8) | (v[:, 1] > 8.2) | (np.abs(v[:, 0]) > 6.75)

@@ -41,7 +41,7 @@ class Renderer:
         """Picture (height, width, 3) uint8 of the mesh with these vertices (V, 3).
 
         `normals` (V, 3) may be given where several views share them; `accents` (V,) are those of
-        `rig.face.accents` (none: 0).
+        `rig.face.web_export` (none: 0).
         """
         if normals is None:
             normals = vertex_normals(vertices, self._mesh.faces)

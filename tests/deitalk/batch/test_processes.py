@@ -9,8 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from deitalk.batch.performer import Order, Outcome
-from deitalk.batch.processes import CHUNK_BYTES, ENDED, Workers, chunks
+from deitalk.batch.processes import CHUNK_BYTES, ENDED, Order, Outcome, Workers, chunks
 from deitalk.errors import CheckpointError, DeitalkError
 from tests.each import each
 

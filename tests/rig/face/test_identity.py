@@ -6,7 +6,7 @@ import pytest
 from deitalk.research.contact_sheet import pose_values
 from rig.errors import RigError
 from rig.face import IDENTITIES, build_head
-from rig.face.geometry.loops import anatomy
+from rig.face.geometry.topology import anatomy
 from rig.face.identity import ROLES, resolve_identity
 from tests.each import each
 

@@ -11,8 +11,7 @@ from rig.errors import RigError
 from rig.face import build_head
 from rig.face.geometry import details
 from rig.face.geometry.details import IRIS_DEGREES
-from rig.face.geometry.loops import MOUTH_COUNT
-from rig.face.geometry.topology import EYE_L, EYE_R, MOUTH
+from rig.face.geometry.topology import EYE_L, EYE_R, MOUTH, MOUTH_COUNT
 from rig.face.head import GAZE_DEGREES
 from tests.each import each
 

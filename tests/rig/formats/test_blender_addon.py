@@ -15,11 +15,11 @@ import numpy as np
 import pytest
 import soundfile
 
+from deitalk.pipeline.performance import write_exchange_files
 from rig import RigCurves, default_controls, read_curves, write_curves
 from rig.conversion.arkit import arkit_controls, board_to_raw
-from rig.conversion.shape_fit import shape_key
+from rig.conversion.avatars import shape_key
 from rig.formats.blender import addon_text
-from rig.formats.exchange import write_exchange_files
 from tests.errors import one_line
 
 SESSION = Path(__file__).with_name("inside_blender.py")

@@ -2,9 +2,9 @@ import json
 
 import pytest
 
+from deitalk.pipeline.performance import write_exchange_files
 from rig import rest_curves
 from rig.errors import RigError
-from rig.formats.exchange import write_exchange_files
 from rig.formats.livelink_csv import read_take, subject_of
 from rig.validation.curves import validate
 

@@ -17,8 +17,7 @@ from rig.conversion.arkit import arkit_controls
 from rig.errors import FormatError, RigError
 from rig.face import build_head
 from rig.face.accents import matrices
-from rig.retarget.arkit_head import arkit_pose
-from rig.retarget.morph_head import painted_colours, srgb_to_linear
+from rig.retarget.morph_head import arkit_pose, painted_colours, srgb_to_linear
 from tests.each import each
 from tests.rig.formats.test_other_tools import NVIDIA
 

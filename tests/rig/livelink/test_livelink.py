@@ -17,7 +17,7 @@ from rig.conversion.convert import convert
 from rig.errors import FormatError
 from rig.face.accents import quaternions
 from rig.formats.livelink_csv import read_take, with_subject, write_take
-from rig.livelink import Packet, Receiver, decode, encode, make_protocol, osc, send
+from rig.livelink import Packet, Receiver, decode, encode, make_protocol, protocols, send
 from rig.livelink.protocols import (
     MAX_JSON_BYTES,
     MAX_OSC_BYTES,
@@ -381,7 +381,7 @@ def test_vmc_turns_the_bone_of_the_head_in_unitys_axes(turn, axis, after):
 )  # fmt: skip
 def test_osc_messages_are_those_of_the_specification(address, arguments, expected):
     """OSC 1.0, section "Examples": message bytes as printed there."""
-    assert osc.message(address, *arguments) == bytes.fromhex(expected)
+    assert protocols.message(address, *arguments) == bytes.fromhex(expected)
 
 
 @each("arguments", [(), (1 / 30,), ("Jöw", 0.5, 3), ("", "abc", "abcd")])
@@ -392,15 +392,15 @@ def test_osc_messages_equal_those_of_python_osc(arguments):
     builder = OscMessageBuilder("/VMC/Ext/Blend/Val")
     for argument in arguments:
         builder.add_arg(argument)
-    assert osc.message("/VMC/Ext/Blend/Val", *arguments) == builder.build().dgram
+    assert protocols.message("/VMC/Ext/Blend/Val", *arguments) == builder.build().dgram
 
 
 def test_osc_bundles_are_read_by_python_osc_in_order():
     pytest.importorskip("pythonosc", reason="needs python-osc")
     from pythonosc.osc_packet import OscPacket
 
-    messages = [osc.message(f"/{k}", "text", k) for k in range(10)]  # 20 bytes each
-    bundles = list(osc.bundles(messages, max_bytes=16 + 3 * 24))
+    messages = [protocols.message(f"/{k}", "text", k) for k in range(10)]  # 20 bytes each
+    bundles = list(protocols.bundles(messages, max_bytes=16 + 3 * 24))
     assert [len(data) for data in bundles] == [88, 88, 88, 40]
     read = [timed.message for data in bundles for timed in OscPacket(data).messages]
     assert [(m.address, m.params) for m in read] == [(f"/{k}", ["text", k]) for k in range(10)]

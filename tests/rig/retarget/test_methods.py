@@ -9,10 +9,9 @@ from scipy.spatial.transform import Rotation
 from rig.deformation.reconstruct import rigid_motion
 from rig.errors import FormatError, MeshError
 from rig.mesh.trimesh import ClosestPoints, TriMesh, closest_barycentric, components
-from rig.retarget.landmark_guess import guess_landmarks
 from rig.retarget.landmarks import LANDMARKS, NEEDED, check_landmarks, read_landmarks, similarity
 from rig.retarget.methods import _along_slit, fit_lids, lip_pairs
-from rig.retarget.registration import lip_labels, register
+from rig.retarget.registration import guess_landmarks, lip_labels, register
 from rig.retarget.transfer import local_jacobians, transfer_displacements
 from tests.each import each
 

@@ -249,8 +249,8 @@ def test_our_head_on_the_ict_face(shared, tmp_path, curves):
 @pytest.mark.slow
 def test_landmarks_of_the_ict_face_are_found(shared):
     """In metres and with z up, as Blender may write it; within 4 mm on average, 1 cm at worst."""
-    from rig.retarget.landmark_guess import guess_landmarks
     from rig.retarget.morph_head import source_head
+    from rig.retarget.registration import guess_landmarks
 
     mesh, landmarks = ict(shared)
     source = source_head()

@@ -5,7 +5,6 @@ import pytest
 
 from rig.errors import RigError
 from rig.face import IDENTITIES, Identity, build_head
-from rig.face.geometry.loops import MOUTH_COUNT
 from rig.face.geometry.mesh import (
     Mesh,
     edge_counts,
@@ -16,7 +15,7 @@ from rig.face.geometry.mesh import (
     vertex_normals,
 )
 from rig.face.geometry.skin import build_skin
-from rig.face.geometry.topology import EYE_L, EYE_R, FILLER, MOUTH
+from rig.face.geometry.topology import EYE_L, EYE_R, FILLER, MOUTH, MOUTH_COUNT
 from tests.each import each
 
 
