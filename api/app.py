@@ -11,7 +11,8 @@ from starlette.routing import Route
 
 from api.errors import MEDIA_TYPE, STATUS_CODES, Problem, problem_of
 from api.guard.middleware import Guard
-from api.routes import animations, catalogue, docs_page, health, jobs, live, studio
+from api.live import session as live
+from api.routes import animations, catalogue, health, jobs, studio
 from api.routes.schema import complete_schema
 from api.service import Service
 from api.settings import Settings, load_settings
@@ -66,7 +67,6 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     app.state.service = service
     for module in ROUTES:
         app.include_router(module.router)
-    app.add_api_route("/docs", docs_page.show, include_in_schema=False)
     _add_handlers(app)
     app.add_middleware(Guard, settings=settings, metrics=service.metrics, traffic=service.traffic)
     complete_schema(app)

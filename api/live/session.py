@@ -1,8 +1,9 @@
-"""One session of `WS /v1/live`: its sound and frames, read and sent each at its own pace."""
+"""`WS /v1/live`: sound in, frames out, read and sent each at its own pace."""
 
 import asyncio
 import json
 import struct
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from time import monotonic
@@ -10,13 +11,14 @@ from typing import Any, Literal
 
 import numpy as np
 import soxr
-from fastapi import WebSocket
+from fastapi import APIRouter, WebSocket
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from starlette.websockets import WebSocketDisconnect
 
 from api.compute.live import MODEL, Voice
-from api.errors import Problem
-from api.guard.keys import Caller
+from api.errors import Problem, internal_problem, problem_of
+from api.guard.keys import Caller, require
+from api.guard.middleware import SUBPROTOCOL
 from api.guard.protocol import SEND_SECONDS
 from api.service import Service
 from deitalk.acting import LIVE_FIELDS, Acting, modern, user_error
@@ -25,6 +27,7 @@ from deitalk.errors import ConfigError
 from deitalk.models.folder import is_causal, model_folder, product_of, read_about
 from rig.arrays import Float32
 from rig.curves import HEAD
+from rig.errors import UserError
 
 # Sound of a client to a voice as it comes, and the frames of the voice with their times.
 
@@ -406,3 +409,50 @@ def _parsed(content: dict[str, Any]) -> Start:
         return Start.model_validate(content)
     except ValidationError as error:
         raise Problem(422, str(user_error(error)), "option_invalid") from None
+
+
+# `WS /v1/live`: sound in, frames out.
+
+
+router = APIRouter()
+CLOSE_CODES = {400: 1008, 403: 1008, 404: 1008, 413: 1009, 422: 1007, 429: 1008, 503: 1013}
+"""Of WebSocket, by the status of HTTP; others are 1011."""
+
+
+@router.websocket("/v1/live")
+async def live(websocket: WebSocket) -> None:
+    """Serve one session; a problem is sent as JSON before the connection is closed."""
+    service: Service = websocket.app.state.service
+    caller: Caller = websocket.state.caller
+    require(caller, "live")
+    if caller.audio_seconds_per_hour:
+        await asyncio.to_thread(service.queue.check_quota, caller)
+    with service.session(caller):
+        is_offered = SUBPROTOCOL in websocket.scope.get("subprotocols", [])
+        await websocket.accept(subprotocol=SUBPROTOCOL if is_offered else None)
+        await _serve(websocket, service, caller)
+
+
+async def _serve(websocket: WebSocket, service: Service, caller: Caller) -> None:
+    """Serve a session, and close the connection within `SEND_SECONDS`."""
+    problem = None
+    try:
+        await Session(websocket, service, caller).run()
+    except WebSocketDisconnect:
+        return
+    except Problem as error:
+        problem = error
+    except UserError as error:
+        problem = problem_of(error)
+    except Exception as error:
+        problem = internal_problem(error)
+    with suppress(RuntimeError, WebSocketDisconnect, TimeoutError):
+        await asyncio.wait_for(_close(websocket, problem), SEND_SECONDS)
+
+
+async def _close(websocket: WebSocket, problem: Problem | None) -> None:
+    if problem is None:
+        await websocket.close()
+        return
+    await websocket.send_text(json.dumps({"type": "problem", **problem.content}))
+    await websocket.close(CLOSE_CODES.get(problem.status, 1011))

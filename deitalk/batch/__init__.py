@@ -5,8 +5,8 @@
     lines.py       one recording and its settings; the key of its outputs; orders, outcomes, rows;
                    progress of a run and its tables
     source.py      a manifest or a folder -> lines that can be animated, and those that cannot
-    journal.py     SQLite: what was written, from what
-    outputs.py     files moved to their names, none of the user's replaced
+    outputs.py     SQLite journal of what was written, from what; files moved to their names, none
+                   of the user's replaced
     cloud.py       files wherever fsspec reaches: recordings, and outputs at a URL
     processes.py   worker processes, one model each: sound -> staged files
     cluster.py     machines of a Ray cluster in their place

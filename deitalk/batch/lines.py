@@ -15,7 +15,6 @@ from typing import NamedTuple
 
 from deitalk.acting import Acting
 from deitalk.audio.original import ZERO, start_of
-from deitalk.batch.journal import File
 from deitalk.errors import DeitalkError
 from rig.curves import snap_fps
 from rig.errors import as_line, quoted
@@ -159,6 +158,17 @@ def line_key(line: Line, acting: Acting, model: str) -> str:
 
 
 # What goes to a worker, and what comes back.
+
+
+class File(NamedTuple):
+    """A file of a line."""
+
+    path: str
+    """Below the output folder, with ``/``."""
+    sha: str
+    size: int
+    mtime: int
+    """Nanoseconds."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -28,8 +28,7 @@ from weakref import finalize
 from deitalk.acting import Acting
 from deitalk.audio.frames import FRAME_RATE
 from deitalk.batch.cloud import read_recording, upload
-from deitalk.batch.journal import File
-from deitalk.batch.lines import TAKE, Order, Outcome, Target, has_digits
+from deitalk.batch.lines import TAKE, File, Order, Outcome, Target, has_digits
 from deitalk.errors import DeitalkError
 from deitalk.models.load import Backend
 from deitalk.pipeline.performance import Performance

@@ -18,7 +18,6 @@ from typing import Any
 
 from deitalk.acting import Acting, acted_as
 from deitalk.batch.cloud import AnyOutputs, Recordings, is_url, opened_cloud
-from deitalk.batch.journal import DONE, FAILED, Entry, Journal
 from deitalk.batch.lines import (
     BadLine,
     BatchReport,
@@ -34,7 +33,7 @@ from deitalk.batch.lines import (
     parse_formats,
     summary_text,
 )
-from deitalk.batch.outputs import opened_folder
+from deitalk.batch.outputs import DONE, FAILED, Entry, Journal, opened_folder
 from deitalk.batch.processes import Make, Performer, Pool, Workers
 from deitalk.batch.source import ACTORS, SUMMARY, read_source
 from deitalk.batch.source import FAILED as FAILED_TABLE

@@ -16,7 +16,6 @@ from rig.formats import (
     audio2face,
     curves_csv,
     curves_json,
-    curves_npz,
     emoface_txt,
     livelink_csv,
     maya_script,
@@ -120,8 +119,8 @@ FORMATS: tuple[Format, ...] = (
         "npz",
         (".npz",),
         "numpy archive, exact, with tracks",
-        curves_npz.read,
-        curves_npz.write,
+        curves_json.read_archive,
+        curves_json.write_archive,
         tracks=ALL_TRACKS,
     ),
     Format(
