@@ -16,7 +16,7 @@ from pydantic_settings import BaseSettings, PydanticBaseSettingsSource, Settings
 from sqlalchemy.engine import make_url
 from sqlalchemy.exc import ArgumentError
 
-from deitalk.config.load import is_hub_name
+from deitalk.config.hub import is_hub_name
 from deitalk.config.section import read_yaml
 from deitalk.errors import ConfigError
 from deitalk.models.folder import embedded_models, model_folder

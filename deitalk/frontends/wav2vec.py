@@ -15,7 +15,7 @@ from torch import Tensor, nn
 
 from deitalk.audio.frames import SAMPLE_RATE
 from deitalk.config.frontends import Wav2VecConfig
-from deitalk.config.load import hub_metadata
+from deitalk.config.hub import hub_metadata
 from deitalk.config.section import check_encoder
 from deitalk.errors import CheckpointError, ConfigError
 from deitalk.frontends.whisper import StridedFrontend

@@ -15,7 +15,8 @@ from safetensors.torch import save
 
 from deitalk.config.curves import Config, ModelConfig
 from deitalk.config.frontends import DEITalkFeaturesConfig, KarrasConfig, SDFAMelConfig, VocaConfig
-from deitalk.config.load import FILES, AnyConfig, check_repository, load_config, without_paths
+from deitalk.config.hub import FILES, check_repository
+from deitalk.config.load import AnyConfig, load_config, without_paths
 from deitalk.config.mesh import SDFAConfig
 from deitalk.config.rig_file import read_controls, rig_text
 from deitalk.errors import CheckpointError

@@ -22,7 +22,7 @@ from importlib import resources
 from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Any, Literal
 
-from deitalk.config.load import fetch, is_hub_name, pinned
+from deitalk.config.hub import fetch, is_hub_name, pinned
 from deitalk.errors import CheckpointError, ConfigError, DeitalkError
 from rig import limits
 from rig.errors import quoted

@@ -9,7 +9,8 @@ import numpy as np
 import torch
 
 from deitalk.config.curves import Config, FinetuneConfig
-from deitalk.config.load import load_config, parse_config, pinned, read_tree
+from deitalk.config.hub import pinned
+from deitalk.config.load import load_config, parse_config, read_tree
 from deitalk.data.clips import Clip
 from deitalk.errors import CheckpointError, ConfigError
 from deitalk.evaluation.validation import knows_contact
