@@ -18,7 +18,8 @@ from rig.conversion.arkit import (
     raw_to_arkit,
     raw_to_board,
 )
-from rig.conversion.avatars import AVATARS, avatar_controls, avatar_to_raw, raw_to_avatar, shape_key
+from rig.conversion.avatars import AVATARS, avatar_controls, avatar_to_raw, raw_to_avatar
+from rig.conversion.shape_fit import shape_key
 from rig.curves import RigCurves
 from rig.errors import ControlError, FormatError
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from rig.conversion import avatars
+from rig.conversion import shape_fit
 from rig.conversion.arkit import raw_controls
 from rig.conversion.avatars import bare_names, known_poses
 from rig.unreal.deitalk_clip import curve_keys, fit_segment, key_frames, split_curve
@@ -24,7 +24,7 @@ POSES: dict[str, dict[int, float]] = {
 
 def addon_text() -> str:
     """Return the text of the add-on: its file with the matcher and its table for their imports."""
-    own = [_table(), inspect.getsource(avatars), *(inspect.getsource(key) for key in KEYS)]
+    own = [_table(), inspect.getsource(shape_fit), *(inspect.getsource(key) for key in KEYS)]
     head, rest = ADDON.read_text(encoding="utf-8").split("from rig.", 1)
     return head + "\n\n".join(own) + "\n" + rest[rest.index("\nbl_info") :]
 

@@ -30,13 +30,7 @@ import bpy  # type: ignore[import-not-found]
 import numpy as np
 from bpy_extras.io_utils import ImportHelper  # type: ignore[import-not-found]
 
-from rig.conversion.avatars import (
-    close_lips,
-    closing_columns,
-    fit_shapes,
-    pose_of,
-    shape_key,
-)
+from rig.conversion.shape_fit import close_lips, closing_columns, fit_shapes, pose_of, shape_key
 from rig.formats.blender import POSES, RAW, REST, VISEMES
 from rig.unreal.deitalk_clip import curve_keys
 

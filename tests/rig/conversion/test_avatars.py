@@ -5,8 +5,9 @@ import pytest
 
 from rig import RigCurves
 from rig.conversion.arkit import PREFIX, RAW_ID, arkit_controls, raw_controls
-from rig.conversion.avatars import AVATARS, avatar_controls, bounded_fit, poses_of, shape_key
+from rig.conversion.avatars import AVATARS, avatar_controls, poses_of
 from rig.conversion.convert import convert, convert_and_note
+from rig.conversion.shape_fit import bounded_fit, shape_key
 from rig.errors import FormatError
 from rig.retarget.blendshapes import match_shapes
 from rig.retarget.retarget_files import read_mapping, write_mapping

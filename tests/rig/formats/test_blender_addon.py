@@ -18,7 +18,7 @@ import soundfile
 from deitalk.pipeline.performance import write_exchange_files
 from rig import RigCurves, default_controls, read_curves, write_curves
 from rig.conversion.arkit import arkit_controls, board_to_raw
-from rig.conversion.avatars import shape_key
+from rig.conversion.shape_fit import shape_key
 from rig.formats.blender import addon_text
 from tests.errors import one_line
 

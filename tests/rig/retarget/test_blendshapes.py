@@ -7,7 +7,7 @@ import pytest
 
 from rig import RigCurves, default_controls
 from rig.controls import Control, ControlSet
-from rig.conversion.avatars import shape_key
+from rig.conversion.shape_fit import shape_key
 from rig.errors import ControlError, FormatError, MeshError
 from rig.mesh.shapes import ShapeSet
 from rig.mesh.trimesh import TriMesh
@@ -106,7 +106,7 @@ def test_weights_stay_in_range_for_any_curves(rng):
 def test_fit_is_the_bounded_least_squares_solution(rng):
     from scipy.optimize import lsq_linear
 
-    from rig.conversion.avatars import bounded_fit
+    from rig.conversion.shape_fit import bounded_fit
 
     poses = rng.normal(size=(8, 30)) * (rng.random((8, 30)) < 0.4)
     moved = rng.normal(size=(20, 30))
