@@ -15,7 +15,7 @@ import numpy.typing as npt
 from deitalk.audio.decoding import SoundSource, open_sound
 from deitalk.audio.frames import SAMPLE_RATE, frame_count
 from deitalk.audio.original import start_seconds, wav_header
-from deitalk.audio.prosody import rms_db
+from deitalk.audio.vocal_strength import rms_db
 from deitalk.audio.voice_activity import (
     SHORT_SECONDS,
     active_level_db,

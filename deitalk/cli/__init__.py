@@ -10,11 +10,16 @@ import typer
 
 from deitalk.cli.animate import animate, batch, suggest
 from deitalk.cli.console import (
+    CTRL_C_CODE,
     Commands,
+    Terminated,
+    catch_signals,
     emit,
     escape_what_cannot_be_encoded,
     hold_targets,
     name_option,
+    received,
+    release_signals,
 )
 from deitalk.cli.convert import convert, validate
 from deitalk.cli.data import app as data_app
@@ -27,7 +32,6 @@ from deitalk.cli.models import app as model_app
 from deitalk.cli.models import finetune, train
 from deitalk.cli.options import CheckedCommands
 from deitalk.cli.serve import app as serve_app
-from deitalk.cli.signals import CTRL_C_CODE, Terminated, install, received, uninstall
 from deitalk.installed import VERBS, __version__, has_research, research
 from rig.errors import UserError, one_line
 
@@ -98,7 +102,7 @@ def main() -> None:
     gc.set_threshold(10_000)  # imports make many objects and few cycles to search for
     escape_what_cannot_be_encoded()
     try:
-        install()
+        catch_signals()
         code = app(prog_name="deitalk", standalone_mode=False)
         if code == CTRL_C_CODE:
             _fail("stopped", CTRL_C_CODE)
@@ -118,7 +122,7 @@ def main() -> None:
         where = f"{error.filename}: " if error.filename else ""
         _fail(f"{where}{error.strerror or error}; check the path, the permissions and the space")
     finally:
-        uninstall()
+        release_signals()
         gc.set_threshold(*usual)
         gc.freeze()  # the last search for cycles would take a quarter of a second in torch
 

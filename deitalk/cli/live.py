@@ -105,7 +105,7 @@ def record_face(
     force : bool
         Replace the file.
     """
-    from deitalk.cli.signals import held
+    from deitalk.cli.console import held
     from rig.formats import find_format
     from rig.livelink import Receiver
 

@@ -218,7 +218,7 @@ def _print_scores(scores: dict[str, dict[str, float]]) -> None:
 def _write_page(out: Path) -> None:
     """Play a held-out clip: captured, before and after, side by side or as lines."""
     from deitalk.errors import MissingError
-    from deitalk.evaluation.captures.comparison import COMPARED
+    from deitalk.evaluation.comparison import COMPARED
     from deitalk.preview.page import render_page
     from deitalk.preview.source import load_source
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from deitalk.audio.frames import SAMPLE_RATE
 from deitalk.audio.load import Recording
-from deitalk.audio.prosody import level_db
+from deitalk.audio.vocal_strength import level_db
 from rig import ControlSet, RigCurves
 from rig.arrays import AnyFloat, Bool, Float32, Float64
 

@@ -420,7 +420,7 @@ TRAITS = {
     "head_range": (0.0, 2.0),
     "avoids": (-1.0, 1.0),
 }
-"""Names and ranges of the traits, see `deitalk.postprocess.life.tracks.Traits`."""
+"""Names and ranges of the traits, see `deitalk.postprocess.life.voice.Traits`."""
 
 
 @dataclass(frozen=True)

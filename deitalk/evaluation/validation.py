@@ -14,7 +14,7 @@ import numpy as np
 import torch
 
 from deitalk.audio.frames import FRAME_RATE, frame_centres
-from deitalk.audio.prosody import level_db
+from deitalk.audio.vocal_strength import level_db
 from deitalk.audio.voice_activity import speech_activity
 from deitalk.data.clips import MEASURED, Clip, read_phones
 from deitalk.data.offset import (

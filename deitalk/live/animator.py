@@ -11,7 +11,7 @@ import numpy.typing as npt
 from deitalk.acting import LIVE_FIELDS, Acting, acted_as
 from deitalk.audio.arrays import RunningResampler
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE, frame_count
-from deitalk.audio.prosody import measure_windows
+from deitalk.audio.vocal_strength import measure_windows
 from deitalk.audio.voice_activity import WINDOW, window_levels
 from deitalk.config.rules import RulesConfig
 from deitalk.emotions import EmotionTrack

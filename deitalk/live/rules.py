@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from deitalk.audio.frames import FRAME_RATE
-from deitalk.audio.prosody import LEVEL_DB, PITCH_SEMITONES, VOICED
+from deitalk.audio.vocal_strength import LEVEL_DB, PITCH_SEMITONES, VOICED
 from deitalk.audio.voice_activity import (
     BAND_EDGES_HZ,
     CLEAN_DB,
@@ -35,7 +35,6 @@ from deitalk.emotions import LABELS
 from deitalk.postprocess.curve_rules import Expression
 from deitalk.postprocess.life.amounts import Life
 from deitalk.postprocess.life.motion import MotionStream
-from deitalk.postprocess.life.tracks import Seeds
 from deitalk.postprocess.life.voice import (
     ACCENT_DISTANCE,
     FULL_PROMINENCE,
@@ -46,6 +45,7 @@ from deitalk.postprocess.life.voice import (
     SONORITY_DB,
     STRESS_DISTANCE,
     Cue,
+    Seeds,
     pause_lengths,
 )
 from deitalk.postprocess.voice_intensity import Mean, Measures, expression_between, mouth_between

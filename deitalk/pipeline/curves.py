@@ -30,8 +30,7 @@ from deitalk.pipeline.words.transcript import Transcript
 from deitalk.postprocess.curve_rules import Expression
 from deitalk.postprocess.known_phones import KnownPhone, meet_phones
 from deitalk.postprocess.life.motion import Motion, plan_motion
-from deitalk.postprocess.life.tracks import Seeds, Traits
-from deitalk.postprocess.life.voice import measure_voice
+from deitalk.postprocess.life.voice import Seeds, Traits, measure_voice
 from rig import ControlSet, RigCurves
 from rig.arrays import Float32
 from rig.curves.edit import gain_factors, scale_from_rest

@@ -18,15 +18,14 @@ from deitalk.acting import Acting
 from deitalk.audio.arrays import Audio, recording_of
 from deitalk.audio.frames import frame_count, frame_times
 from deitalk.audio.load import Recording, checked_waveform
-from deitalk.audio.prosody import Prosody, measure_prosody
-from deitalk.audio.vocal_strength import strength_frames, vocal_strength
+from deitalk.audio.vocal_strength import Prosody, measure_prosody, strength_frames, vocal_strength
 from deitalk.audio.voice_activity import level_gain, normalise_level, speech_activity
 from deitalk.config.rules import Gates, VoiceIntensity
 from deitalk.emotions.tracks import ActorReference
 from deitalk.errors import AudioError
 from deitalk.models.protocol import Tracks
 from deitalk.postprocess.curve_rules import expression_scale
-from deitalk.postprocess.life.tracks import Seeds, Traits
+from deitalk.postprocess.life.voice import Seeds, Traits
 from deitalk.postprocess.voice_intensity import (
     HOLD_AT_END,
     expression_gate,

@@ -20,8 +20,13 @@ import torch
 
 from deitalk.audio.arrays import Audio, recording_of
 from deitalk.audio.frames import FRAME_RATE
-from deitalk.audio.prosody import BANDS, Prosody
-from deitalk.audio.vocal_strength import strength_frames, vocal_strength, without_level
+from deitalk.audio.vocal_strength import (
+    BANDS,
+    Prosody,
+    strength_frames,
+    vocal_strength,
+    without_level,
+)
 from deitalk.emotions import LABELS, EmotionTrack
 from deitalk.errors import AudioError
 from deitalk.models.checkpoint import require_model

@@ -18,7 +18,14 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from deitalk.audio.prosody import LEVEL_DB, PITCH_SEMITONES, TILT_DB, VOICED, Prosody, sonority_db
+from deitalk.audio.vocal_strength import (
+    LEVEL_DB,
+    PITCH_SEMITONES,
+    TILT_DB,
+    VOICED,
+    Prosody,
+    sonority_db,
+)
 from deitalk.config.rules import Gates, VoiceIntensity
 from rig.arrays import AnyFloat, Bool, Float32, Float64
 from rig.curves.edit import gaussian_smooth
@@ -148,7 +155,7 @@ class Mean:
 
 
 class Measures(NamedTuple):
-    """Prosody of consecutive frames [shape=(n,)], from `deitalk.audio.prosody.measure_windows`."""
+    """Prosody of consecutive frames [shape=(n,)], from `measure_windows`."""
 
     level: Float64
     tilt: Float64
@@ -261,7 +268,7 @@ def voice_intensity(
     network : array [shape=(T,), range 0 to 1]
         Predicted by the network.
     prosody : Prosody
-        Of the same T frames, from `deitalk.audio.prosody.measure_prosody`.
+        Of the same T frames, from `deitalk.audio.vocal_strength.measure_prosody`.
     activity : array [shape=(T,)]
         From `deitalk.audio.voice_activity.speech_activity`.
     strength : float or array [shape=(T,)]

@@ -8,7 +8,7 @@ import numpy as np
 
 from deitalk.audio.frames import FRAME_RATE
 from deitalk.audio.load import Recording
-from deitalk.audio.prosody import measure_prosody
+from deitalk.audio.vocal_strength import measure_prosody
 from deitalk.audio.voice_activity import speech_activity
 from deitalk.data.captures.sync import ClipLags, TakeSync, clip_lags, take_sync
 from deitalk.data.clips import Clip, read_known

@@ -310,7 +310,7 @@ def _traced(lows: Int64, moves: list[np.ndarray], last: int) -> Int64:
 # A linear map of the speech features of `default`, fitted to phone times of the training corpus
 # (`deitalk.research.training.phone_evidence`). Features are computed twice, the second time half a
 # frame later, so that there are 60 rows per second: a phone may last 30 ms. The phones are classes
-# of articulation (`deitalk.pipeline.words.espeak`), which all languages share.
+# of articulation (`deitalk.pipeline.words.transcript`), which all languages share.
 #
 # Letters: T frames at 30 per second, D features, P phones.
 

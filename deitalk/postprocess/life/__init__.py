@@ -2,8 +2,8 @@
 
 ::
 
-    voice.py     accents, phrases, questions and pauses of a recording
-    tracks.py    shapes over time; random numbers of a take, and what tells characters apart
+    voice.py     accents, phrases, questions and pauses of a recording; shapes over time; random
+                 numbers of a take, and what tells characters apart
     eyes.py      times and shapes of blinks; fixations, micro-saccades, aversions
     head.py      brows, lids and cheeks: accents, questions, drift, left and right; turn and shift
                  of the head; the neck

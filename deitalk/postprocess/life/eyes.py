@@ -7,8 +7,7 @@ import numpy as np
 
 from deitalk.audio.frames import FRAME_RATE
 from deitalk.config.rules import Idle
-from deitalk.postprocess.life.tracks import STILL_SECONDS
-from deitalk.postprocess.life.voice import Cue
+from deitalk.postprocess.life.voice import STILL_SECONDS, Cue
 from rig.arrays import Float32, Float64
 
 # Blinks: their times on the voice, and the closure of the lids.

@@ -24,8 +24,7 @@ import numpy as np
 
 from deitalk.audio.frames import FRAME_RATE
 from deitalk.emotions import LABELS, by_emotion
-from deitalk.postprocess.life.tracks import Noise, Swells, Traits
-from deitalk.postprocess.life.voice import LISTENING_SECONDS, Cue
+from deitalk.postprocess.life.voice import LISTENING_SECONDS, Cue, Noise, Swells, Traits
 from rig import ControlSet
 from rig.arrays import Float32, Float64
 from rig.curves import HEAD

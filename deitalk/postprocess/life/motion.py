@@ -28,8 +28,7 @@ from deitalk.postprocess.life.head import (
     move_brows,
     neck_tracks,
 )
-from deitalk.postprocess.life.tracks import STILL_SECONDS, Seeds, Traits, presence
-from deitalk.postprocess.life.voice import Cue, Voice
+from deitalk.postprocess.life.voice import STILL_SECONDS, Cue, Seeds, Traits, Voice, presence
 from rig import ControlSet
 from rig.arrays import Float32, Float64
 from rig.controls import DEFAULT_ID

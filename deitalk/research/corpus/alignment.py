@@ -17,7 +17,7 @@ import numpy as np
 
 from deitalk.errors import MissingError
 from deitalk.phones import VOWELS
-from deitalk.pipeline.words.espeak import ipa_to_phones
+from deitalk.pipeline.words.transcript import ipa_to_phones
 from deitalk.research.corpus.engines import espeak
 from deitalk.research.corpus.utterance import SAMPLE_RATE, Phone, contiguous
 

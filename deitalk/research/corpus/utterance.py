@@ -17,7 +17,7 @@ class Phone:
     start, end : float
         Seconds from the beginning of the waveform.
     name : str
-        A member of `deitalk.pipeline.words.espeak.PHONES`; ``SIL`` for silence.
+        A member of `deitalk.pipeline.words.transcript.PHONES`; ``SIL`` for silence.
     """
 
     start: float

@@ -24,8 +24,7 @@ from deitalk.errors import DataError, DeitalkError
 from deitalk.evaluation.validation import table
 from deitalk.pipeline.speech import Speech
 from deitalk.postprocess.life.motion import plan_motion
-from deitalk.postprocess.life.tracks import Seeds
-from deitalk.postprocess.life.voice import measure_voice
+from deitalk.postprocess.life.voice import Seeds, measure_voice
 from deitalk.research.corpus.recordings import AUDIO_SUFFIXES
 from deitalk.research.evaluation.report import write_json
 from rig.arrays import Float32, Float64

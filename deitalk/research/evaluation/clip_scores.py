@@ -15,7 +15,7 @@ import numpy as np
 
 from deitalk.audio.frames import FRAME_RATE
 from deitalk.audio.load import Recording, load_audio
-from deitalk.audio.prosody import (
+from deitalk.audio.vocal_strength import (
     measure_prosody,
 )
 from deitalk.audio.voice_activity import speech_activity

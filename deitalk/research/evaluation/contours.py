@@ -6,7 +6,7 @@ from scipy.signal import butter, sosfilt
 from scipy.stats import spearmanr
 
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE, frame_centres
-from deitalk.audio.prosody import (
+from deitalk.audio.vocal_strength import (
     LEVEL_DB,
     PITCH_SEMITONES,
     SMOOTHING_SECONDS,

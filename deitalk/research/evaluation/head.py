@@ -33,8 +33,7 @@ from deitalk.errors import DeitalkError
 from deitalk.evaluation.validation import table
 from deitalk.pipeline.speech import Speech
 from deitalk.postprocess.life.motion import plan_motion
-from deitalk.postprocess.life.tracks import Seeds, Traits
-from deitalk.postprocess.life.voice import Accent, Phrase, Voice, measure_voice
+from deitalk.postprocess.life.voice import Accent, Phrase, Seeds, Traits, Voice, measure_voice
 from deitalk.research.evaluation.nods import MEASURES as NODS
 from deitalk.research.evaluation.nods import measure_nods
 from deitalk.research.evaluation.report import write_json

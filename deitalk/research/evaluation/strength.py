@@ -11,11 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from deitalk.audio.load import load_audio
-from deitalk.audio.prosody import measure_prosody
 from deitalk.audio.vocal_strength import (
+    IS_VOICED,
     PITCH,
-    VOICED,
     VocalStrength,
+    measure_prosody,
     strength_frames,
     without_level,
 )
@@ -80,7 +80,7 @@ def score_strength(network: VocalStrength, clips: Sequence[MeasuredClip]) -> Sco
 
 
 def _pitch(clip: MeasuredClip) -> float:
-    voiced = clip.frames[:, VOICED] > 0
+    voiced = clip.frames[:, IS_VOICED] > 0
     return float(np.median(clip.frames[voiced, PITCH]))
 
 

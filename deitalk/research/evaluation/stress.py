@@ -8,8 +8,7 @@ from deitalk.audio.frames import FRAME_RATE
 from deitalk.phones import VOWELS
 from deitalk.pipeline.speech import Speech
 from deitalk.pipeline.words.align import WordFit, align_words
-from deitalk.pipeline.words.espeak import spoken_words
-from deitalk.pipeline.words.transcript import Transcript, Word
+from deitalk.pipeline.words.transcript import Transcript, Word, spoken_words
 from deitalk.research.corpus.engines import espeak
 from rig.arrays import Float64
 

@@ -32,7 +32,7 @@ from deitalk.data.windows import (
 )
 from deitalk.emotions import EMOTIONS
 from deitalk.errors import ConfigError, DataError
-from deitalk.evaluation.captures.comparison import CaptureSet, MeanPose, mean_pose, write_comparison
+from deitalk.evaluation.comparison import CaptureSet, MeanPose, mean_pose, write_comparison
 from deitalk.evaluation.validation import load_example
 from deitalk.figures import ClipRows
 from deitalk.models.checkpoint import require_model, save_model
@@ -101,7 +101,7 @@ def finetune(
     Returns
     -------
     dict
-        Scores of each system, as in ``report.json`` (`deitalk.evaluation.captures.comparison`).
+        Scores of each system, as in ``report.json`` (`deitalk.evaluation.comparison`).
 
     Raises
     ------

@@ -9,7 +9,7 @@ import time
 import pytest
 
 from deitalk.cli import main
-from deitalk.cli.signals import Terminated, held, install
+from deitalk.cli.console import Terminated, catch_signals, held
 from deitalk.errors import DeitalkError
 from rig import RigCurves
 from rig.conversion.arkit import ARKIT_ID, arkit_controls
@@ -104,7 +104,7 @@ def test_a_signal_ends_a_live_recording_and_what_was_received_is_written(number,
 
 
 def test_installed_handlers_raise_once_and_then_let_the_program_clean_up():
-    install()
+    catch_signals()
     with pytest.raises(Terminated) as caught:
         signal.raise_signal(signal.SIGTERM)
     assert (caught.value.name, caught.value.exit_code) == ("SIGTERM", 143)
@@ -135,7 +135,7 @@ def test_after_a_command_sigterm_ends_the_process_at_once(monkeypatch, capsys):
 
 @each(("number", "kind"), [(signal.SIGTERM, Terminated), (signal.SIGINT, KeyboardInterrupt)])
 def test_held_signals_act_after_the_block(number, kind):
-    install()
+    catch_signals()
     reached = []
     with pytest.raises(kind), held() as signals:
         signal.raise_signal(number)
@@ -149,7 +149,7 @@ def test_held_signals_act_after_the_block(number, kind):
 def test_signals_that_nothing_handles_are_not_held():
     code = (
         "import os, signal\n"
-        "from deitalk.cli.signals import held\n"
+        "from deitalk.cli.console import held\n"
         "with held():\n    os.kill(os.getpid(), signal.SIGTERM)\n"
     )
     assert subprocess.run([sys.executable, "-c", code], timeout=60).returncode == -signal.SIGTERM

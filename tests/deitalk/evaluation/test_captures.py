@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from deitalk.data.clips import read_clips
-from deitalk.evaluation.captures.comparison import CaptureSet, mean_pose
+from deitalk.evaluation.comparison import CaptureSet, mean_pose
 from rig import default_controls
 from tests.dataset import JAW, jaw, write_dataset
 

@@ -8,7 +8,7 @@ from deitalk.emotions import LABELS
 from deitalk.live.rules import RunningLife, RunningVoice
 from deitalk.postprocess.life.amounts import Life
 from deitalk.postprocess.life.head import STEMS
-from deitalk.postprocess.life.tracks import Noise
+from deitalk.postprocess.life.voice import Noise
 from deitalk.postprocess.voice_intensity import Measures
 from rig import default_controls
 from tests.each import each

@@ -7,7 +7,7 @@ import pytest
 import soundfile
 from typer.testing import CliRunner
 
-from deitalk.audio.prosody import BANDS
+from deitalk.audio.vocal_strength import BANDS
 from deitalk.cli import app
 from deitalk.emotions import EMOTIONS, parse_emotion
 from deitalk.errors import AudioError

@@ -19,7 +19,7 @@ from deitalk.data.clips import read_clips
 from deitalk.data.windows import Share
 from deitalk.emotions import EMOTIONS
 from deitalk.errors import CheckpointError, ConfigError, DataError
-from deitalk.evaluation.captures.comparison import CaptureSet
+from deitalk.evaluation.comparison import CaptureSet
 from deitalk.evaluation.validation import load_example, predict
 from deitalk.models.checkpoint import load_model
 from deitalk.models.folder import describe_model

@@ -13,7 +13,7 @@ import numpy as np
 
 from deitalk.errors import ConfigError, DataError
 from deitalk.phones import STOPS
-from deitalk.pipeline.words.espeak import (
+from deitalk.pipeline.words.transcript import (
     has_voice,
     ipa_to_phones,
     known_voice,

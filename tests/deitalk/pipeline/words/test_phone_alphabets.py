@@ -1,7 +1,7 @@
 from deitalk import phones
 from deitalk.phones import PHONES
-from deitalk.pipeline.words import espeak
-from deitalk.pipeline.words.espeak import ipa_to_phones
+from deitalk.pipeline.words import transcript
+from deitalk.pipeline.words.transcript import ipa_to_phones
 from deitalk.research.corpus.engines.flite import festival_to_phone
 from deitalk.research.corpus.utterance import Phone, contiguous
 from tests.each import each
@@ -15,9 +15,9 @@ def test_sets_are_phones_and_classes_do_not_overlap():
 
 
 def test_ipa_vowel_symbols_give_vowels_and_consonants_do_not():
-    for symbol, target in espeak.IPA_VOWELS.items():
+    for symbol, target in transcript.IPA_VOWELS.items():
         assert target.split()[0] in phones.VOWELS, symbol
-    for symbol, target in espeak.IPA_CONSONANTS.items():
+    for symbol, target in transcript.IPA_CONSONANTS.items():
         assert not set(target.split()) & phones.VOWELS, symbol
 
 

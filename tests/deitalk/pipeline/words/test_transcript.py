@@ -3,9 +3,8 @@
 import pytest
 
 from deitalk.errors import ConfigError, DataError, MissingError
-from deitalk.pipeline.words import espeak
-from deitalk.pipeline.words.espeak import spoken_words
-from deitalk.pipeline.words.transcript import Transcript, Word, intervals_of
+from deitalk.pipeline.words import transcript
+from deitalk.pipeline.words.transcript import Transcript, Word, intervals_of, spoken_words
 from tests.each import each
 
 LONG = """File type = "ooTextFile"
@@ -127,7 +126,9 @@ def test_timed_words_of_a_textgrid_and_of_a_table_are_equal(tmp_path):
 
 
 def test_phones_need_no_espeak(monkeypatch, tmp_path):
-    monkeypatch.setattr(espeak, "missing", lambda: "espeak: absent; pip install espeakng-loader")
+    monkeypatch.setattr(
+        transcript, "missing", lambda: "espeak: absent; pip install espeakng-loader"
+    )
     assert Transcript.of("phones: P L IY1 Z | SIL B AY").words == (
         Word("P L IY1 Z", ("P", "L", "IY", "Z")), Word("SIL B AY", ("B", "AY"))
     )  # fmt: skip

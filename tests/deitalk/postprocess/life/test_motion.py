@@ -29,8 +29,7 @@ from deitalk.postprocess.life.motion import (
     move_eyes,
     plan_motion,
 )
-from deitalk.postprocess.life.tracks import Seeds, Swells, Traits, presence
-from deitalk.postprocess.life.voice import Accent, Phrase, Voice
+from deitalk.postprocess.life.voice import Accent, Phrase, Seeds, Swells, Traits, Voice, presence
 from deitalk.research.evaluation.nods import find_nods
 from rig import default_controls
 from tests.each import each

@@ -6,8 +6,7 @@ import pytest
 from deitalk.postprocess.life.amounts import Life
 from deitalk.postprocess.life.head import BREATH_CONTROL, SWALLOW_CONTROL, TURNS, neck_tracks
 from deitalk.postprocess.life.motion import plan_motion
-from deitalk.postprocess.life.tracks import Seeds
-from deitalk.postprocess.life.voice import Phrase, Voice
+from deitalk.postprocess.life.voice import Phrase, Seeds, Voice
 from tests.each import each
 
 N_FRAMES = 900

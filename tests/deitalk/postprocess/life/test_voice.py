@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 
-from deitalk.audio.prosody import Prosody, measure_prosody
+from deitalk.audio.vocal_strength import Prosody, measure_prosody
 from deitalk.audio.voice_activity import speech_activity
-from deitalk.postprocess.life.tracks import ASYMMETRY, Seeds, Traits
-from deitalk.postprocess.life.voice import measure_voice
+from deitalk.postprocess.life.voice import ASYMMETRY, Seeds, Traits, measure_voice
 from tests.each import each
 
 

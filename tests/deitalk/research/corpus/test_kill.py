@@ -22,7 +22,7 @@ pytestmark = pytest.mark.skipif(
 SHARDS = [Shard(f"espeak-{i:03d}", "espeak", 2.0, i) for i in range(2)]
 LONG = """
 from pathlib import Path
-from deitalk.cli.signals import install
+from deitalk.cli.console import install
 from deitalk.research.corpus.build import Shard, build
 import sys
 install()

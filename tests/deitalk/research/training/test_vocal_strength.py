@@ -5,8 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deitalk.audio.prosody import BANDS
-from deitalk.audio.vocal_strength import FEATURES, PITCH, VOICED
+from deitalk.audio.vocal_strength import BANDS, FEATURES, IS_VOICED, PITCH
 from deitalk.errors import DataError
 from deitalk.research.evaluation.acted import ACTORS, LEVELS, NEUTRAL, READERS, StrengthClip
 from deitalk.research.evaluation.strength import (
@@ -25,7 +24,7 @@ def planted(rng, kind, speaker, group, strength, emotion="", level=""):
     offset = hash_offset(speaker)
     frames[:, :BANDS] += 0.3 * strength + offset  # powers of ten: 3 dB for each unit
     frames[:, PITCH] += 0.3 * strength
-    frames[:, VOICED], frames[:, -1] = 1, 1
+    frames[:, IS_VOICED], frames[:, -1] = 1, 1
     clip = StrengthClip(kind, Path("x"), speaker, group, emotion, level)
     return MeasuredClip(clip, frames, 3 * strength + 10 * offset)
 

@@ -12,7 +12,7 @@ from rig.errors import RigError
 from rig.face import build_head
 from rig.face.geometry.mesh import Mesh
 from rig.face.render import VIEWS, View, make_renderer
-from rig.face.render import opengl as opengl_module
+from rig.face.render import renderer as opengl_module
 from rig.face.render import renderer as renderer_module
 from rig.face.render.shading import background, text_width, write_png, write_text
 from rig.face.render.software import Screen, front_faces, nearest_faces

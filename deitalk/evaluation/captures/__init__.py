@@ -1,1 +1,0 @@
-"""Scores on captured curves, and a tuned model before and after."""
