@@ -44,7 +44,7 @@ from rig.errors import UserError
 from rig.formats import read_curves, write_curves
 from rig.limits import STREAM_BYTES
 from rig.retarget.retarget_files import retarget_curves
-from rig.validation.curves import validate
+from rig.validation import validate
 
 # Voices that are animated while they are spoken, in the worker process that keeps their state.
 #

@@ -229,7 +229,7 @@ def validate(
 
     deitalk validate take/ --words "My promise is big."
     """
-    from rig.validation.curves import validate as check
+    from rig.validation import validate as check
 
     validation = check(path)
     findings = list(validation.findings)

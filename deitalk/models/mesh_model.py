@@ -35,7 +35,7 @@ from deitalk.models.folder import Shapes, read_shapes
 from deitalk.models.protocol import Product
 from rig import limits
 from rig.arrays import Float32
-from rig.deformation.reconstruct import DeformationSolver, mesh_solver
+from rig.deformation import DeformationSolver, mesh_solver
 from rig.files.reading import check_expansion, check_file, read_npz
 from rig.mesh import TriMesh
 

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from rig.controls import ControlSet, default_controls
-from rig.conversion.visemes import (
+from rig.conversion.avatars import (
     OCULUS,
     Cue,
     cues,

@@ -8,8 +8,7 @@ from typing import Any
 
 from rig.controls import DEFAULT_ID, ControlSet
 from rig.conversion.arkit import ARKIT_ID, RAW_ID
-from rig.conversion.avatars import AVATARS
-from rig.conversion.visemes import gesture_controls
+from rig.conversion.avatars import AVATARS, gesture_controls
 from rig.curves import RigCurves
 from rig.errors import FormatError
 from rig.formats import (

@@ -19,10 +19,9 @@ from rig.limits import MAPPED_VALUE, POINT_NAMES, POINTS_BYTES
 from rig.mesh.fbx import glb_to_fbx
 from rig.mesh.glb import WeightAnimation, write_glb
 from rig.mesh.glb_reader import animate_glb, morph_names, read_glb
-from rig.mesh.obj import read_obj, read_obj_folder
 from rig.mesh.ply import read_ply
 from rig.mesh.sequence import check_out, principal_shapes, write_sequence
-from rig.mesh.shapes import ShapeSet, read_shapes_npz
+from rig.mesh.shapes import ShapeSet, read_obj, read_obj_folder, read_shapes_npz
 from rig.mesh.trimesh import TriMesh, check_length
 from rig.retarget.blendshapes import FacePoses, match_shapes, turns_of
 from rig.retarget.landmarks import read_landmarks

@@ -10,7 +10,7 @@
     splits.py      train, validation and test, by actors or by blocks of time
     imported.py    all of it, into a staged folder; a rig from names of columns
 
-    sync.py        offset and drift of a take against the model's curves of its sound
+    (deitalk.data.offset: offset and drift of a take against the curves of its sound)
     survey.py      measures of all clips, takes and actors
     mend.py        rows of `deitalk data check`; its `--fix`
 """

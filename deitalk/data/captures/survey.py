@@ -10,9 +10,8 @@ from deitalk.audio.frames import FRAME_RATE
 from deitalk.audio.load import Recording
 from deitalk.audio.vocal_strength import measure_prosody
 from deitalk.audio.voice_activity import speech_activity
-from deitalk.data.captures.sync import ClipLags, TakeSync, clip_lags, take_sync
 from deitalk.data.clips import Clip, read_known
-from deitalk.data.offset import predicted_curves
+from deitalk.data.offset import ClipLags, TakeSync, clip_lags, predicted_curves, take_sync
 from rig import ControlSet, RigCurves
 from rig.arrays import Bool, Float32, Float64
 from rig.controls import DEFAULT_ID

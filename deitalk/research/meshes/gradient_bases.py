@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from deitalk.research.meshes.packing import pack_vertices
 from rig.arrays import Float32, Float64
-from rig.deformation.reconstruct import DeformationSolver
+from rig.deformation import DeformationSolver
 from rig.errors import FormatError, MeshError
 from rig.files import atomic_write
 from rig.mesh.trimesh import TriMesh, triangle_areas

@@ -21,7 +21,7 @@ from deitalk.research.meshes.gradient_bases import (
 )
 from deitalk.research.meshes.packing import pack_vertices
 from rig.arrays import Float32, Float64, Int64
-from rig.deformation.reconstruct import mesh_solver
+from rig.deformation import mesh_solver
 from rig.errors import RigError
 from rig.mesh.trimesh import TriMesh, triangle_areas
 

@@ -9,7 +9,7 @@ from typing import Any, cast
 import numpy as np
 
 from rig.arrays import Float64
-from rig.deformation.reconstruct import deformation_gradients, exp_entries, gradient_entries
+from rig.deformation import deformation_gradients, exp_entries, gradient_entries
 from rig.errors import MeshError
 from rig.mesh.trimesh import TriMesh
 
@@ -201,7 +201,7 @@ def pack(gradients: Any, *, continuous: bool = False) -> tuple[Float64, Float64]
         T of each triangle, det T > 0.
     continuous : bool
         The frames follow one another: each rotation vector is taken nearest to the one before
-        (`rig.deformation.reconstruct.unwrap`). False for single poses, and for training data,
+        (`rig.deformation.unwrap`). False for single poses, and for training data,
         where one pose must always give the same numbers.
 
     Returns

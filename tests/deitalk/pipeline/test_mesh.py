@@ -21,7 +21,7 @@ from rig.face.geometry.topology import MOUTH
 from rig.mesh import read_ply_sequence
 from rig.mesh.glb import read_container
 from rig.mesh.glb_reader import read_accessor, read_glb
-from rig.mesh.obj import write_obj
+from rig.mesh.shapes import write_obj
 from rig.retarget.retarget_files import RetargetReport
 from tests.each import each
 from tests.rig.retarget.test_retarget_files import ict

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rig import read_curves, write_curves
-from rig.conversion.visemes import (
+from rig.conversion.avatars import (
     GESTURES,
     OCULUS,
     RHUBARB,

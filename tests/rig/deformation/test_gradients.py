@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from deitalk.research.meshes.packing import pack, pack_vertices, unpack
-from rig.deformation.reconstruct import (
+from rig.deformation import (
     DeformationSolver,
     RigidPart,
     deformation_gradients,

@@ -8,9 +8,8 @@ import yaml
 
 from rig import RigCurves, default_controls, read_curves, write_curves
 from rig.conversion.arkit import ARKIT_ID
-from rig.conversion.avatars import avatar_controls
+from rig.conversion.avatars import Cue, avatar_controls, cues_to_curves
 from rig.conversion.convert import convert
-from rig.conversion.visemes import Cue, cues_to_curves
 from rig.errors import FormatError
 from tests.each import each
 from tests.errors import one_line

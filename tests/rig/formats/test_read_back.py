@@ -19,7 +19,7 @@ from rig.mesh import fbx
 from rig.mesh.glb import GlbBuilder, read_container, write_container
 from rig.retarget.morph_head import baked, painted_colours
 from rig.retarget.retarget_files import retarget_curves
-from rig.validation.curves import validate
+from rig.validation import validate
 from tests.each import each
 from tests.errors import one_line
 from tests.readers import take

@@ -8,9 +8,16 @@ import pytest
 from rig.errors import FormatError, MeshError, TopologyError
 from rig.mesh.glb import WeightAnimation, read_container, write_container, write_glb
 from rig.mesh.glb_reader import animate_glb, morph_names, read_accessor, read_glb
-from rig.mesh.obj import read_obj, read_obj_folder, write_obj, write_obj_folder
 from rig.mesh.ply import read_ply, read_ply_sequence, write_ply, write_ply_sequence
-from rig.mesh.shapes import ShapeSet, read_shapes_npz, write_shapes_npz
+from rig.mesh.shapes import (
+    ShapeSet,
+    read_obj,
+    read_obj_folder,
+    read_shapes_npz,
+    write_obj,
+    write_obj_folder,
+    write_shapes_npz,
+)
 from rig.mesh.trimesh import (
     TriMesh,
     boundary_edges,

@@ -12,9 +12,8 @@ from rig import RigCurves, default_controls, write_curves
 from rig.errors import ExistsError, FormatError, MeshError
 from rig.mesh.glb import read_container, write_container, write_glb
 from rig.mesh.glb_reader import read_accessor
-from rig.mesh.obj import write_obj, write_obj_folder
 from rig.mesh.ply import read_ply_sequence, write_ply
-from rig.mesh.shapes import ShapeSet, write_shapes_npz
+from rig.mesh.shapes import ShapeSet, write_obj, write_obj_folder, write_shapes_npz
 from rig.mesh.trimesh import TriMesh
 from rig.retarget.blendshapes import closing_weight
 from rig.retarget.landmarks import check_landmarks

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from deitalk.audio.load import load_audio
-from deitalk.data.captures.sync import (
+from deitalk.data.offset import (
     LAGS,
     NTSC_DRIFT,
     ClipLags,

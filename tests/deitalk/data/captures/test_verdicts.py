@@ -7,8 +7,8 @@ import numpy as np
 
 from deitalk.data.captures.mend import capture_rows
 from deitalk.data.captures.survey import ChannelFaults, ClipSurvey, Survey
-from deitalk.data.captures.sync import LAGS, ClipLags
 from deitalk.data.clips import Clip
+from deitalk.data.offset import LAGS, ClipLags
 from rig import default_controls
 from tests.each import each
 

@@ -1,1 +1,0 @@
-"""Checks of files by the rules of the programs that import them."""
