@@ -70,12 +70,12 @@ def write_json(path: Path, curves: RigCurves, sound: str = "") -> None:
         "numFrames": len(curves), "facsNames": names,
     }  # fmt: skip
     with path.open("wb") as stream:
-        stream.write_json(json.dumps(head, indent=1)[:-2].encode() + b',\n "weightMat": [\n')
+        stream.write(json.dumps(head, indent=1)[:-2].encode() + b',\n "weightMat": [\n')
         last = b""
         for text in rows([Block(curves.values[:, order], DECIMALS)], before=b"  [", after=b"],\n"):
-            stream.write_json(last + text[:-2])
+            stream.write(last + text[:-2])
             last = text[-2:]
-        stream.write_json(b"\n ]\n}\n")
+        stream.write(b"\n ]\n}\n")
 
 
 def read_json(

@@ -208,9 +208,7 @@ def read_archive(
 
 def _names(path: Path, names: np.ndarray[Any, Any]) -> list[str]:
     if names.ndim > 1 or names.size > CONTROLS:
-        raise FormatError(
-            f"{path}: names have shape {names.shape}; at most {CONTROLS} are read_archive"
-        )
+        raise FormatError(f"{path}: names have shape {names.shape}; at most {CONTROLS} are read")
     return [str(name) for name in np.atleast_1d(names)]
 
 
