@@ -8,7 +8,7 @@ import zipfile
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
@@ -31,8 +31,7 @@ from deitalk.audio.original import ZERO, start_of, start_seconds
 from deitalk.errors import CheckpointError
 from deitalk.live.animator import LiveAnimator
 from deitalk.models.folder import describe_model, product_of
-from deitalk.models.load import load_causal
-from deitalk.models.protocol import CausalNetwork, CurveNetwork
+from deitalk.models.load import load_causal, load_network
 from deitalk.pipeline.curves import animate
 from deitalk.pipeline.performance import Performance, write_take
 from rig.arrays import Float32
@@ -85,7 +84,7 @@ class Voices:
     def _open(self, voice: int, model: str, fields: dict[str, Any], limits: Limits) -> float:
         """Give a voice a place; return the look-ahead of its model."""
         if model not in self.animators:
-            network = causal_network(model, limits)
+            network = load_causal(model_of(model, limits))
             self.animators[model] = LiveAnimator(network, streams=MOST_VOICES, life="off")
         taken = {place for name, place in self.places.values() if name == model}
         place = min(set(range(MOST_VOICES)) - taken)
@@ -159,7 +158,7 @@ def _animation(order: Order, limits: Limits, progress: Progress) -> Answer:
 
 def _performed(order: Order, limits: Limits, progress: Progress) -> Performance:
     options = order["options"]
-    network = curve_network(options.get("model", "default"), limits)
+    network = load_network(model_of(options.get("model", "default"), limits))
     return animate(
         _recording(order, limits), acting=_acting(order, limits), model=network, progress=progress
     )
@@ -391,28 +390,6 @@ def _read(name: str, folder: str, limits: Limits) -> Any:
             "can use it"
         )
     return load_onnx(cached_path(folder), threads=limits["threads"])
-
-
-def curve_network(name: str, limits: Limits) -> CurveNetwork:
-    """Return a network for whole recordings.
-
-    Raises
-    ------
-    CheckpointError
-        As `model_of`, or if the model makes a mesh.
-    """
-    model = model_of(name, limits)
-    if limits["backend"] == "torch":
-        from deitalk.models.checkpoint import require_model
-        from deitalk.models.curve_model import DEITalk
-
-        model = require_model(model, DEITalk)
-    return cast("CurveNetwork", model)
-
-
-def causal_network(name: str, limits: Limits) -> CausalNetwork:
-    """Return a network for voices that have not ended; errors as `curve_network`."""
-    return load_causal(curve_network(name, limits))
 
 
 def prepare(limits: Limits) -> None:

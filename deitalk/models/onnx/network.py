@@ -88,8 +88,8 @@ def damaged(path: Path) -> CheckpointError:
     return CheckpointError(f"{path}: damaged metadata; export the model again")
 
 
-class OnnxNetwork:
-    """A model for whole recordings; a `deitalk.models.protocol.CurveNetwork`.
+class _Network:
+    """What both kinds of models have.
 
     Parameters
     ----------
@@ -102,23 +102,34 @@ class OnnxNetwork:
     """
 
     product: Product = "curves"
-    is_causal = False
 
     def __init__(self, file: OnnxFile) -> None:
         self.path, self.metadata, self._session = file.path, file.metadata, file.session
         self.controls, self.rules, self.actors = file.controls, file.rules, file.actors
         try:
-            parts = json.loads(self.metadata.get("parts", "{}"))
-            self._mel = parts.get("n_mels"), parts.get("mel_rate")
-            self._part: int = parts.get("frames", PART_FRAMES)
-            self._before: int = parts.get("before", CONTEXT_FRAMES)
-            self._after: int = parts.get("after", CONTEXT_FRAMES)
-        except (AttributeError, ValueError):
+            self._read_metadata()
+        except (AttributeError, KeyError, TypeError, ValueError):
             raise damaged(self.path) from None
+
+    def _read_metadata(self) -> None:
+        raise NotImplementedError
 
     def eval(self) -> Self:
         """The network itself: it has no other mode."""
         return self
+
+
+class OnnxNetwork(_Network):
+    """A model for whole recordings; a `deitalk.models.protocol.CurveNetwork`."""
+
+    is_causal = False
+
+    def _read_metadata(self) -> None:
+        parts = json.loads(self.metadata.get("parts", "{}"))
+        self._mel = parts.get("n_mels"), parts.get("mel_rate")
+        self._part: int = parts.get("frames", PART_FRAMES)
+        self._before: int = parts.get("before", CONTEXT_FRAMES)
+        self._after: int = parts.get("after", CONTEXT_FRAMES)
 
     def read(
         self,
@@ -195,37 +206,17 @@ def _controls(path: Path, metadata: Mapping[str, str]) -> ControlSet:
 PROGRESS_FRAMES = 300
 
 
-class OnnxCausalNetwork:
-    """A causal model; a `CausalNetwork`, and a `CurveNetwork` for whole recordings.
+class OnnxCausalNetwork(_Network):
+    """A causal model; a `CausalNetwork`, and a `CurveNetwork` for whole recordings."""
 
-    Parameters
-    ----------
-    file : OnnxFile
-
-    Raises
-    ------
-    CheckpointError
-        If its metadata are damaged.
-    """
-
-    product: Product = "curves"
     is_causal = True
 
-    def __init__(self, file: OnnxFile) -> None:
-        self.path, self.metadata, self._session = file.path, file.metadata, file.session
-        self.controls, self.rules, self.actors = file.controls, file.rules, file.actors
-        try:
-            self.grid = SpectraGrid(**json.loads(self.metadata["grid"]))
-            states = json.loads(self.metadata["state"])
-            self._frontend = int(self.metadata["frontend_states"])
-            self._names = [str(state["name"]) for state in states]
-            self._first = [np.full(state["shape"], state["first"], np.float32) for state in states]
-        except (KeyError, TypeError, ValueError):
-            raise damaged(self.path) from None
-
-    def eval(self) -> Self:
-        """The network itself: it has no other mode."""
-        return self
+    def _read_metadata(self) -> None:
+        self.grid = SpectraGrid(**json.loads(self.metadata["grid"]))
+        states = json.loads(self.metadata["state"])
+        self._frontend = int(self.metadata["frontend_states"])
+        self._names = [str(state["name"]) for state in states]
+        self._first = [np.full(state["shape"], state["first"], np.float32) for state in states]
 
     def first_state(self, batch: int) -> State:
         """See `CausalNetwork`; so the next two methods."""
