@@ -1,9 +1,11 @@
 """Curves and live frames sent by a monotonic clock; late ones are skipped, the end is at rest."""
 
+import math
 import socket
 import time
 from collections import deque
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from threading import Event
 
@@ -92,91 +94,40 @@ def send(
     """
     if not len(curves):
         raise FormatError("there are no frames to send")
-    curves = prepared(curves, protocol)
-    clock = clock or Clock()
+    curves, clock, stop = prepared(curves, protocol), clock or Clock(), stop or Event()
+    fps, index, n_sent, n_skipped, worst = curves.fps, 0, 0, 0, 0.0
+    end = math.inf if loop else len(curves)
     with connected(address) as link:
-        run = _Run(curves, protocol, link, clock, first_frame, loop=loop)
+
+        def put(index: int, values: Float32) -> None:
+            for datagram in protocol.datagrams(first_frame + index, index / fps, fps, values):
+                with suppress(ConnectionRefusedError):  # no receiver yet: UDP goes on
+                    link.send(datagram)
+
         if on_start is not None:
             on_start()
-        run.begin()
+        start = clock.now()
         try:
-            while run.step(on_frame, stop):
-                if run.index >= len(curves) and not loop:
-                    break
+            while index < end and not stop.is_set():
+                due = start + index / fps
+                if (wait := due - clock.now()) > 0:
+                    clock.sleep(wait)
+                late = clock.now() - due
+                missed = int(min(max(late * fps, 0), end - 1 - index))  # the last is always sent
+                n_skipped, index = n_skipped + missed, index + missed
+                at = index % len(curves)
+                put(index, curves.values[at])
+                worst = max(worst, late - missed / fps)
+                n_sent, index = n_sent + 1, index + 1
+                if on_frame is not None:
+                    on_frame(at)
         except KeyboardInterrupt:
             pass
         finally:
-            run.rest()
-        return run.report()
-
-
-class _Run:
-    """One sending, frame by frame."""
-
-    def __init__(
-        self,
-        curves: RigCurves,
-        protocol: LiveProtocol,
-        link: socket.socket,
-        clock: Clock,
-        first_frame: int,
-        *,
-        loop: bool,
-    ) -> None:
-        self.curves, self.protocol, self.link, self.clock = curves, protocol, link, clock
-        self.first_frame, self.loop = first_frame, loop
-        self.index = self.n_sent = self.n_skipped = 0
-        self.start = self.worst = 0.0
-
-    def begin(self) -> None:
-        """Start the clock."""
-        self.start = self.clock.now()
-
-    def step(self, on_frame: Callable[[int], None] | None, stop: Event | None) -> bool:
-        """Wait for the next frame and send it; return whether to go on."""
-        fps = self.curves.fps
-        due = self.start + self.index / fps
-        if stop is not None and stop.is_set():
-            return False
-        wait = due - self.clock.now()
-        if wait > 0:
-            self.clock.sleep(wait)
-        late = self.clock.now() - due
-        missed = int(late * fps)
-        if not self.loop:  # the last frame is sent however late: none follows it
-            missed = min(missed, len(self.curves) - 1 - self.index)
-        if missed > 0:
-            self.n_skipped += missed
-            self.index += missed
-            late -= missed / fps
-        at = self.index % len(self.curves)
-        self._send(self.index, self.curves.values[at])
-        self.worst = max(self.worst, late)
-        self.n_sent += 1
-        self.index += 1
-        if on_frame is not None:
-            on_frame(at)
-        return True
-
-    def rest(self) -> None:
-        """Send the face at rest, in the frames that follow."""
-        values = rest_values(self.curves.control_set, self.curves.names)
-        for i in range(REST_REPEATS):
-            self._send(self.index + i, values)
-
-    def report(self) -> SendReport:
-        """Return the statistics so far."""
-        seconds = self.clock.now() - self.start
-        return SendReport(self.n_sent, self.n_skipped, seconds, max(self.worst, 0.0))
-
-    def _send(self, index: int, values: Float32) -> None:
-        frame = self.first_frame + index
-        fps = self.curves.fps
-        for datagram in self.protocol.datagrams(frame, index / fps, fps, values):
-            try:
-                self.link.send(datagram)
-            except ConnectionRefusedError:
-                pass  # no receiver yet: UDP goes on
+            values = rest_values(curves.control_set, curves.names)
+            for i in range(REST_REPEATS):
+                put(index + i, values)
+        return SendReport(n_sent, n_skipped, clock.now() - start, worst)
 
 
 def check_address(address: tuple[str, int]) -> None:
