@@ -318,7 +318,7 @@ def turn_of_bones(document: dict[str, Any], turns: Mapping[int, Rotation]) -> Ro
 
 
 def head_track(turn: Rotation, place: Float64 | None = None) -> Float32 | None:
-    """Head track of turns and of places as of `rig.face.web_export.matrices`, cm; None if still."""
+    """Head track of turns and of places as of `rig.face.accents.matrices`, cm; None if still."""
     yaw, pitch, roll = (turn.as_euler("YXZ", degrees=True) * [-1, -1, 1]).T
     shift = np.zeros((len(yaw), 3)) if place is None else place - JOINT + turn.apply(JOINT)
     track = np.column_stack([yaw, pitch, roll, shift]).astype(np.float32)

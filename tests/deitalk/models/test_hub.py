@@ -10,7 +10,7 @@ import pytest
 import yaml
 
 from api.settings import Settings
-from deitalk.config import load
+from deitalk.config import hub
 from deitalk.config.curves import Config
 from deitalk.errors import CheckpointError
 from deitalk.models.checkpoint import save_model
@@ -156,7 +156,7 @@ def test_no_answer_is_no_wait(monkeypatch):
     begin = time.perf_counter()
     with pytest.raises(CheckpointError, match="no answer of the hub"):
         model_folder("nobody/nothing")
-    assert time.perf_counter() - begin < load.SECONDS
+    assert time.perf_counter() - begin < hub.SECONDS
 
 
 @pytest.fixture
@@ -167,7 +167,7 @@ def no_hub(monkeypatch):
         raise AssertionError(f"the hub was asked for {name}")
 
     for function in ("hub_metadata", "fetch"):
-        monkeypatch.setattr(load, function, asked)
+        monkeypatch.setattr(hub, function, asked)
         monkeypatch.setattr(f"deitalk.models.folder.{function}", asked, raising=False)
 
 
@@ -181,7 +181,7 @@ def test_a_folder_here_comes_before_the_hub(no_hub, run, tmp_path, monkeypatch):
 
 
 def test_a_tuning_keeps_the_commit_that_it_began_with(the_hub, run, monkeypatch):
-    monkeypatch.setattr(load, "fetch", lambda name: run / "best")
+    monkeypatch.setattr(hub, "fetch", lambda name: run / "best")
     monkeypatch.setattr("deitalk.models.folder.fetch", lambda name: run / "best")
     assert read_recipe(None, base="me/anna").tune.base == "me/anna@best"
 

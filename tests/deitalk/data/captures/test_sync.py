@@ -11,7 +11,7 @@ from deitalk.data.offset import (
     NTSC_DRIFT,
     ClipLags,
     clip_lags,
-    peak,
+    sharpest_peak,
     take_sync,
 )
 from deitalk.models.checkpoint import load_model
@@ -30,10 +30,10 @@ def bump(at: float, seconds: float = 10.0, centre: float = 5.0, height: float = 
 
 
 def test_peak_is_found_between_frames_and_near_a_lag():
-    assert peak(bump(0.1234).scores) == pytest.approx(0.1234, abs=5e-4)
+    assert sharpest_peak(bump(0.1234).scores) == pytest.approx(0.1234, abs=5e-4)
     two = bump(-0.3).scores + 0.5 * bump(0.2).scores
-    assert peak(two) == pytest.approx(-0.3, abs=5e-4)
-    assert peak(two, near=0.19) == pytest.approx(0.2, abs=5e-4)
+    assert sharpest_peak(two) == pytest.approx(-0.3, abs=5e-4)
+    assert sharpest_peak(two, near=0.19) == pytest.approx(0.2, abs=5e-4)
 
 
 def test_clips_of_a_take_agree_on_one_lag():
@@ -72,7 +72,7 @@ def test_planted_offsets_are_found_to_a_third_of_a_frame():
         for frames in SHIFTS:
             moved = clip_lags(captured, recording, predicted=predicted, offset=frames * FRAME)
             assert moved is not None
-            found.append(abs(peak(moved.scores) - frames * FRAME) < FRAME / 3)
+            found.append(abs(sharpest_peak(moved.scores) - frames * FRAME) < FRAME / 3)
     assert np.mean(found) >= 0.95, found
 
 
@@ -82,7 +82,7 @@ def test_loudness_replaces_the_model():
     face = animate(recording, "neutral", model=load_model("default")).curves
     lags = clip_lags(face, recording, predicted=None, offset=0.2)
     assert lags is not None and lags.n_groups == 1
-    assert peak(lags.scores) == pytest.approx(0.2, abs=0.06)
+    assert sharpest_peak(lags.scores) == pytest.approx(0.2, abs=0.06)
 
 
 @pytest.mark.skipif("default" not in embedded_models(), reason="needs the embedded weights")
@@ -95,9 +95,9 @@ def test_offset_of_another_rig_is_found_by_its_components(rng):
     names = tuple(f"puppet_{i}" for i in range(12))
     puppet = RigCurves(mixed, names, fps=face.fps, control_set="puppet@1")
     still = clip_lags(puppet, recording, predicted=predicted)
-    assert still is not None and abs(peak(still.scores)) < FRAME
+    assert still is not None and abs(sharpest_peak(still.scores)) < FRAME
     for frames in SHIFTS:
         moved = clip_lags(puppet, recording, predicted=predicted, offset=frames * FRAME)
         assert moved is not None
-        found = peak(moved.scores) - peak(still.scores)
+        found = sharpest_peak(moved.scores) - sharpest_peak(still.scores)
         assert found == pytest.approx(frames * FRAME, abs=FRAME / 3)
