@@ -201,7 +201,7 @@ def pack(gradients: Any, *, continuous: bool = False) -> tuple[Float64, Float64]
         T of each triangle, det T > 0.
     continuous : bool
         The frames follow one another: each rotation vector is taken nearest to the one before
-        (`rig.deformation.unwrap`). False for single poses, and for training data,
+        (`unwrap`). False for single poses, and for training data,
         where one pose must always give the same numbers.
 
     Returns
