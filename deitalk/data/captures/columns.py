@@ -253,7 +253,7 @@ class Row:
 
 
 @dataclass(frozen=True)
-class Mapping:
+class RigMapping:
     """A table of one control set."""
 
     path: Path
@@ -293,7 +293,7 @@ class Mapping:
         return RigCurves(rounded, self.targets, curves.fps, control_set=self.control_set)
 
 
-def read_mapping(path: Path) -> Mapping:
+def read_mapping(path: Path) -> RigMapping:
     """Read a table of targets and sources.
 
     Raises
@@ -322,7 +322,7 @@ def read_mapping(path: Path) -> Mapping:
     canonical = (
         Row(names.canonical(row.target), row.sources, row.weight, row.offset) for row in rows if row
     )
-    return Mapping(path, control_set, tuple(canonical))
+    return RigMapping(path, control_set, tuple(canonical))
 
 
 def _row(path: Path, number: int, cells: dict[str, str]) -> Row | None:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from deitalk.data.captures.columns import Mapping, NamedCurves, describe_columns, read_named
+from deitalk.data.captures.columns import NamedCurves, RigMapping, describe_columns, read_named
 from deitalk.errors import DataError
 from deitalk.installed import research
 from rig import ControlSet, RigCurves, default_controls, read_curves
@@ -62,7 +62,7 @@ class CapturedCurves:
 def read_capture(
     path: Path,
     *,
-    mapping: Mapping | None = None,
+    mapping: RigMapping | None = None,
     rig: ControlSet | None = None,
     fps: float | None = None,
     progress: Callable[[float], None] = lambda share: None,
@@ -75,7 +75,7 @@ def read_capture(
         Live Link Face, board, raw, RigMapper, ARKit or Audio2Face CSV; JSON and NPZ of curves;
         what the script inside Unreal exports; EmoFace text; a video of a face, or the landmarks
         measured on one; with `mapping` any table of curves.
-    mapping : Mapping or None
+    mapping : RigMapping or None
         Of another rig's curves to the board.
     rig : ControlSet or None
         Another rig, whose curves stay as they are.
@@ -184,7 +184,7 @@ def _table(path: Path, curves: NamedCurves) -> CapturedCurves:
     )
 
 
-def _mapped(path: Path, mapping: Mapping, fps: float | None) -> CapturedCurves:
+def _mapped(path: Path, mapping: RigMapping, fps: float | None) -> CapturedCurves:
     named = read_named(path, fps)
     unused = [name for name in named.names if name not in mapping.sources]
     notes = [f"{len(unused)} columns are in no row of the map: {describe_columns(unused)}"]
