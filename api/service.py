@@ -8,7 +8,6 @@ from contextlib import contextmanager
 from api.compute.live import Voices
 from api.compute.order import Limits, Order
 from api.compute.pool import Pool, Stage, checked, result_path
-from api.compute.tasks import export_all
 from api.compute.worker import OutOfTime, Worker, WorkerLost
 from api.errors import Problem
 from api.guard.keys import Caller
@@ -75,6 +74,8 @@ class Service:
 
     async def _start_workers(self) -> None:
         if self.settings.backend == "onnx":
+            from api.compute.tasks import export_all  # of the workers: the server needs no task
+
             await asyncio.to_thread(export_all, self.limits)
         await self.pool.start()
         self.runner.start()
