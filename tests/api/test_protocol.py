@@ -33,14 +33,14 @@ def test_every_operation_has_a_name_of_its_own_and_every_answer_its_headers(sche
 
 
 def test_formats_and_models_are_listed_where_they_are_chosen(schema, client):
-    options = client.get("/v1/formats").json()
+    formats = client.get("/v1/formats").json()
     models = [model["name"] for model in client.get("/v1/models").json()]
     for path, kind in (("/v1/animations", "animations"), ("/v1/meshes", "meshes")):
         route = schema["paths"][path]["post"]
         form = route["requestBody"]["content"]["multipart/form-data"]["schema"]["properties"]
         query = {option["name"]: option["schema"] for option in route["parameters"]}
         for options in (form, query):
-            assert options["format"]["enum"] == [known["name"] for known in options[kind]]
+            assert options["format"]["enum"] == [known["name"] for known in formats[kind]]
             assert options["model"]["enum"] == models
 
 
