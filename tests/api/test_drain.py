@@ -1,6 +1,7 @@
 """The end of a server: not ready, no new work, streams told, answers given; nothing of its paths."""
 
 import json
+import re
 import signal
 import threading
 import time
@@ -29,6 +30,11 @@ def server(tmp_path):
         stop(server)
 
 
+def busy_orders(server):
+    text = httpx.get(f"{server.url}/metrics", trust_env=False).text
+    return float(re.search(r"^deitalk_busy_orders (.*)$", text, re.M)[1])
+
+
 class Requests:
     """Long requests in threads of their own, and their answers."""
 
@@ -37,7 +43,8 @@ class Requests:
         self.threads = [threading.Thread(target=self.send, args=(server,)) for _ in range(count)]
         for thread in self.threads:
             thread.start()
-        time.sleep(0.3)
+        while busy_orders(server) < count and not self.answers:
+            time.sleep(0.02)
 
     def send(self, server):
         with server.client() as client:
