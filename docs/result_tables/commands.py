@@ -68,6 +68,7 @@ OTHER = {
         f"--leave-out {speaker} -o OUT"
         for speaker in LIP_SPEAKERS
     },
+    "facegood": f"{_TUNE} facegood_data/ --folds takes -o OUT",
 }
 """The rest. Reports of trainings state the weights that they began with."""
 GROUPS = {"weights": WEIGHTS, "timing": TIMING, "other": OTHER}
@@ -87,5 +88,8 @@ PLACES = {
     "LINES": "folder of some hundred recordings of 2 to 6 s",
     "ICT.npz": "ICT-FaceKit's neutral face and 57 shapes (mesh.md)",
     "lips_rig/": "measured lips as a rig (finetuning.md)",
+    "facegood_data/": "FACEGOOD's clips 2_01 to 2_05 of the actors both, pucker, oh, pucker, oh "
+    "(`data import --rig facegood --fps 30 --emotion neutral --keep-listening --split-by time`, "
+    "then `data check --fix`)",
 }
 """Words of the commands that stand for data."""

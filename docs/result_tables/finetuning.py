@@ -8,12 +8,14 @@ FOLDS = ("error_of_mean_pose", "error_at_best_gain", "mean_r", "range")
 
 
 def captured_lips() -> str:
-    """Measured lips as a rig, speakers left out."""
+    """Measured lips as a rig, speakers left out; FACEGOOD's takes, left out in turn."""
     systems = {}
     for speaker in LIP_SPEAKERS:
         found = report(f"captured-lips-{speaker}")
         systems[f"{speaker}, tuned"] = found["scores"]["after"]
         systems[f"{speaker}, loudness"] = found["scores"]["loudness"]
+    takes = report("facegood")["mean"]
+    systems |= {"FACEGOOD, tuned": takes["after"], "FACEGOOD, loudness": takes["loudness"]}
     return table(_systems(f"left out, from weights {found['base_sha256'][:8]}…", systems))
 
 
