@@ -22,10 +22,10 @@ pytestmark = pytest.mark.skipif(
 SHARDS = [Shard(f"espeak-{i:03d}", "espeak", 2.0, i) for i in range(2)]
 LONG = """
 from pathlib import Path
-from deitalk.cli.console import install
+from deitalk.cli.console import catch_signals
 from deitalk.research.corpus.build import Shard, build
 import sys
-install()
+catch_signals()
 shards = [Shard(f"espeak-{i:03d}", "espeak", 60.0, i) for i in range(4)]
 build(Path(sys.argv[1]), shards, workers=2)
 """
