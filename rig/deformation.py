@@ -245,7 +245,7 @@ class DeformationSolver:
         Parameters
         ----------
         s : array [shape=(T, 6 N) or (6 N,)]
-            Packed stretch, see `rig.mesh.pack`.
+            Packed stretch, see `gradient_entries`.
         r : array [shape=(T, 3 N) or (3 N,), radians]
             Packed rotation.
         pin_positions : array [shape=(T, P, 3) or (P, 3)], optional

@@ -1,4 +1,4 @@
-/** Reads the arrays packed by `deitalk.preview.pack`: gzip, base64, one JSON header, then the bytes. */
+/** Reads the arrays packed by `deitalk.preview.page.pack`: gzip, base64, one JSON header, then the bytes. */
 
 type TypedArray = Float32Array | Uint16Array | Uint32Array | Int16Array | Uint8Array;
 
