@@ -228,6 +228,7 @@ def test_player_without_a_take_shows_a_glb(browser, folder):
         seek(tab, 9)  # the duration is that of the file
         assert tab.evaluate("deitalk.page.state().shown") == pytest.approx(1.5, abs=1e-3)
         assert np.abs(vertices(tab) - (CORNERS + 0.5 * OPEN + 0.5 * SMILE)).max() < 1e-6
+        tab.select_option("#speed", "0.25")  # a slow machine draws a frame a second
         tab.click("#play")
         tab.wait_for_function("deitalk.page.state().shown > 0.1 && deitalk.page.state().shown < 1")
         assert tab.complaints == []
