@@ -175,8 +175,8 @@ def textured(head: "Head") -> tuple[Float64, Surface]:
         Image.fromarray(picture).save(stream, kind, quality=86)
         return stream.getvalue()
 
-    share = (head.mesh.maps.atlas / 127.5) ** 2 / BRIGHTEST
-    base = np.round(255 * linear_to_srgb(share.clip(0, 1))).astype(np.uint8)
+    levels = (np.arange(256) / 127.5) ** 2 / BRIGHTEST
+    base = np.round(255 * linear_to_srgb(levels.clip(0, 1))).astype(np.uint8)[head.mesh.maps.atlas]
     rough = np.full((64, 64, 3), 255 * SKIN_ROUGHNESS, np.uint8)
     for (u, v, side), value in ((STRANDS_UV, HAIR_ROUGHNESS), (IRIS_UV, EYE_ROUGHNESS)):
         rough[int(64 * v) : int(64 * (v + side)) + 2, int(64 * u) : int(64 * (u + side)) + 2] = (
@@ -232,7 +232,9 @@ def srgb_to_linear(colours: Float64) -> Float64:
 def in_metres(shapes: ShapeSet) -> ShapeSet:
     """Return shapes that are in cm in glTF's unit."""
     neutral = shapes.neutral.with_vertices(shapes.neutral.vertices * METRES_PER_CM)
-    return ShapeSet(neutral, shapes.names, shapes.deltas * METRES_PER_CM)
+    deltas = shapes.deltas * METRES_PER_CM
+    deltas.setflags(write=False)  # not copied: 120 MB
+    return ShapeSet(neutral, shapes.names, deltas)
 
 
 # The embedded head as a source of shapes: its mesh, landmarks and baked rig.
