@@ -1,6 +1,5 @@
 """Fixtures that several test files share."""
 
-import os
 import signal
 from collections.abc import Iterator
 from importlib.util import find_spec
@@ -67,12 +66,6 @@ def pytest_configure(config: pytest.Config) -> None:
     is_worker = hasattr(config, "workerinput")
     if config.getoption("--skipped-to") and not is_worker:
         config.pluginmanager.register(SkippedTests(Path(config.getoption("--skipped-to"))))
-
-
-@pytest.hookimpl(optionalhook=True)
-def pytest_xdist_auto_num_workers() -> int:
-    """One process more than cores: tests of the service wait for servers, others for commands."""
-    return (os.cpu_count() or 1) + 1
 
 
 @pytest.hookimpl(optionalhook=True)
