@@ -48,9 +48,8 @@ class ScaleOpening(Section):
     """The mouth opens for the corrected intensity of the voice.
 
     Intense anger and joy of actors widen the range of the lips to 1.41 and 1.32 times that of their
-    neutral take (a measurement of video that is not repeated here). On validation actors the lips
-    of the embedded head moved 1.4 and 1.5 times as far; `default`, whose intensity tells strong
-    takes from weak ones, needs no `take` for it.
+    neutral take (a measurement of video that is not repeated here). `default`, whose intensity
+    tells strong takes from weak ones, needs no `take` for it.
     """
 
     gain: Share = Field(default=0.45, description="increase of the opening per unit of intensity")
@@ -63,7 +62,7 @@ class ScaleOpening(Section):
 class PoseSize(Section):
     """The expression is scaled by the size of the network's pose; off: by its own intensity.
 
-    The numbers are for the weights of a model; those of `default` are means of training actors.
+    The numbers are for the weights of a model: `deitalk.research.training.pose_size`.
     """
 
     angry: float = Field(gt=0, le=100, description="size of the pose over predicted intensity")

@@ -104,8 +104,7 @@ class DynamicIntensity(nn.Module):
         decoder that was kept too (`deitalk.models.rig_decoder.RigDecoder`; not in the paper).
     effort : bool
         A linear readout of the speech features is the strength of the voice. Not in the paper,
-        whose saliency compares frames of one clip: between an actor's weak and strong takes it is
-        at chance.
+        whose saliency compares frames of one clip, not clips.
     """
 
     def __init__(

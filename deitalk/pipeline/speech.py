@@ -140,9 +140,8 @@ class Speech:
     def strengths(self, effort: Float32 | None = None) -> tuple[float, Float32]:
         """The same, and around each frame [shape=(T,)]: its mean over speech is that of the voice.
 
-        With a network's readout of the effort [shape=(T,), dB] the two are averaged: prosody alone
-        put .93 and .90 of strong takes in anger and joy above weak ones of actors that it had not
-        heard, with the readout .97 and .97.
+        With a network's readout of the effort [shape=(T,), dB] the two are averaged; the command
+        of `deitalk.research.training.effort` prints how it orders the takes of unheard actors.
         """
         strength, around = self._followed_strength
         speaking = self.activity > 0

@@ -212,9 +212,8 @@ class Expression:
         """Intensity that the emotional reading holds [shape=(T,), range 0 to 2].
 
         The predicted one; with the rule `pose_size` the measured size of the pose, over about 2 s
-        of speech and as far as one trained emotion is shown. In takes of training actors the pose
-        of anger grows with the power .54 of the prediction: divided by the prediction, a strong
-        take would show less of it.
+        of speech and as far as one trained emotion is shown. The pose of anger grows less than
+        the prediction: divided by it, a strong take would show less.
 
         Parameters
         ----------

@@ -45,7 +45,7 @@ def test_rising_voices_have_rising_intensity_and_faces(table):
         assert scores[f"{name}, intensity: high above low"] == 1
         assert scores[f"{name}, intensity: step"] > 0.1
     assert 0.05 < scores["intensity: range inside takes"] < 0.6
-    # Of syllables, the louder; the encoder heard no such tones (actors: .77, in the model card).
+    # Of syllables, the louder; the encoder heard no such tones; the model card has that of actors.
     assert scores["intensity: r with level inside takes"] > 0.2
     assert np.isnan(report["sadness"]["intensity: high above low"])
     assert "whole face: high above low" in as_markdown(report)
