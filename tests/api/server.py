@@ -50,7 +50,11 @@ def start(
     log = data / "server.log"
     with log.open("ab") as out:
         process = subprocess.Popen(
-            [sys.executable, "-m", "deitalk", "serve"], env=environment, stdout=out, stderr=out
+            [sys.executable, "-m", "deitalk", "serve"],
+            cwd=root,  # `-m` looks there first
+            env=environment,
+            stdout=out,
+            stderr=out,
         )
     server = Server(f"http://127.0.0.1:{port}", process, log)
     wait_until(server, "/readyz" if ready else "/healthz")
