@@ -493,6 +493,8 @@ def _notes(
         notes.append(f"{longer} {abs(difference):.2f} s longer than {shorter}, cut")
     if not spans:
         notes.append("no speech, left out")
+    if not labels.is_actor_given:
+        notes.append("no actor given, taken as one")
     if not labels.is_emotion_given:
         notes.append("no emotion given, taken as neutral")
     return notes
@@ -521,17 +523,20 @@ def rig_of_takes(sources: Sequence[Path], fps: float | None = None) -> ControlSe
     """
     low: dict[str, float] = {}
     high: dict[str, float] = {}
+    refused: UserError | None = None
     for path in (path for source in sources for path in find_files(source)):
         try:
             curves = read_named(path, fps)
-        except UserError:
+        except UserError as error:
+            refused = refused or error
             continue  # no table of curves; if it is a take, its import says why
         for name, values in zip(curves.names, curves.values.T, strict=True):
             low[name] = min(low.get(name, 0.0), float(np.min(values)))
             high[name] = max(high.get(name, 1.0), float(np.max(values)))
     if not low:
         raise DataError(
-            f"{sources[0]}: holds no table of named curves to make a rig of; give `rig`",
+            f"{sources[0]}: holds no table of named curves to make a rig of"
+            f"{f' ({refused})' if refused else ''}; give `rig`",
             parameter="rig",
         )
     name = re.sub(r"[^A-Za-z0-9]+", "_", sources[0].stem).strip("_") or "rig"

@@ -261,6 +261,7 @@ class Labels:
     split: str = ""
     """As the table gives it; empty: chosen by `deitalk.data.captures.splits`."""
     voice: str = ""
+    is_actor_given: bool = True
     is_emotion_given: bool = True
 
 
@@ -314,12 +315,14 @@ class Labelling:
         split = row.get("split", "")
         if split and split not in SPLITS:
             raise DataError(f"{where}: split {quoted(split)} must be {', '.join(SPLITS)}")
+        actor = found["actor"].strip()
         return Labels(
-            found["actor"].strip() or UNNAMED,
+            actor or UNNAMED,
             emotion or "neutral",
             found["style"].strip(),
             split,
             emotion_of(row["voice"], where) if row.get("voice") else "",
+            is_actor_given=bool(actor),
             is_emotion_given=bool(emotion),
         )
 

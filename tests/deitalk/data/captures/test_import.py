@@ -222,6 +222,13 @@ def test_rig_is_made_of_the_columns_of_takes(tmp_path):
     assert rig_of_dataset(folder) is None
 
 
+def test_takes_of_which_no_rig_can_be_made_are_refused_with_the_reason(tmp_path):
+    (tmp_path / "a.csv").write_text("frame,jaw\n0,0.5\n1,0.5\n")
+    with one_line(DataError, match=r"to make a rig of .*a\.csv: holds no times and no rate; give"):
+        rig_of_takes([tmp_path])
+    assert rig_of_takes([tmp_path], 30.0).names == ("jaw",)
+
+
 def test_rows_of_a_table_find_takes_of_one_name_or_are_refused(tmp_path):
     """Two folders have a `shapes.csv`: the second is `shapes-2` in the dataset and in the table."""
     for name in ("one", "two"):
@@ -252,6 +259,7 @@ def test_command_prints_takes_and_the_dataset_passes_the_check(tmp_path):
     out = str(tmp_path / "data")
     done = ran("data", "import", tmp_path / "t", "--actor", "anna", "-o", out)
     assert "joy_0  livelink anna       happy" in done.stdout
+    assert "no actor given" not in done.stdout
     assert "(2 train, 1 validation, 1 test)" in done.stdout
     checked = ran("data", "check", out)
     assert "warning  speakers" in checked.stdout

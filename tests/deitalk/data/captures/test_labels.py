@@ -22,9 +22,10 @@ def test_names_of_folders_and_files_give_the_emotion(place, emotion):
     assert Labelling().of(source(place)).emotion == emotion
 
 
-def test_a_take_without_any_label_is_neutral_and_says_so():
+def test_a_take_without_any_label_is_of_one_neutral_actor_and_says_so():
     labels = Labelling().of(source("takes/a_1"))
-    assert (labels.actor, labels.emotion, labels.is_emotion_given) == ("actor", "neutral", False)
+    assert (labels.actor, labels.emotion) == ("actor", "neutral")
+    assert not labels.is_emotion_given and not labels.is_actor_given
 
 
 def test_pattern_names_actor_emotion_and_style():
