@@ -425,7 +425,7 @@ class FinetuneTask(CurveTask):
         base = self._base_curves(batch, batch.emotion)
         curves = acted = torch.where(batch.known[:, None] > 0, batch.curves, base)
         other = self._other_emotion(batch.emotion)
-        if (other != batch.emotion).any():
+        if other is not batch.emotion:
             curves = curves + self._base_curves(batch, other) - base
         return batch._replace(curves=curves, emotion=other), acted
 
