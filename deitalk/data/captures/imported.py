@@ -269,8 +269,7 @@ def import_captures(
             parameter="mapping",
         )
     table = None if mapping is None else read_mapping(mapping)
-    columns = set(rig.names) if rig is not None else None if table is None else table.sources
-    takes, skipped = find_takes(sources, columns)
+    takes, skipped = find_takes(sources, rig if table is None else table.sources)
     faults = []
     with output_folder(out, kind="dataset", force=force, inputs=[*sources, mapping]) as stage:
         writer = _Writer(stage, longest, keep_listening)

@@ -19,6 +19,7 @@ from deitalk.data.captures.take import VIDEOS, kind_of
 from deitalk.data.clips import SPLITS
 from deitalk.emotions import EMOTIONS
 from deitalk.errors import DataError
+from rig import ControlSet
 from rig.errors import UserError, quoted
 from rig.formats.table import FORMATS
 from rig.formats.wide_csv import read_header
@@ -54,7 +55,7 @@ class Source:
 
 
 def find_takes(
-    sources: Sequence[Path], columns: AbstractSet[str] | None = None
+    sources: Sequence[Path], columns: ControlSet | AbstractSet[str] | None = None
 ) -> tuple[list[Source], list[Path]]:
     """Find the takes of files and folders.
 
@@ -62,7 +63,7 @@ def find_takes(
     ----------
     sources : sequence of Path
         Files of curves, videos, or folders that are searched to any depth.
-    columns : set of str or None
+    columns : ControlSet, set of str or None
         Names of another rig: tables that have some of them are the takes.
 
     Returns
@@ -92,7 +93,7 @@ def find_takes(
         if not chosen and columns is not None:
             raise DataError(
                 f"{source} holds no takes: no file of {', '.join(CURVES)} has a column of the map "
-                f"or rig, such as {quoted(min(columns))}"
+                f"or rig, such as {quoted(min(getattr(columns, 'names', columns)))}"
             )
         if not chosen:
             raise DataError(
@@ -184,11 +185,11 @@ def _may_hold_curves(path: Path, top: Path) -> bool:
     return known and not _is_hidden(path, top) and not is_neutral and path.is_file()
 
 
-def _holds_curves(path: Path, columns: AbstractSet[str] | None) -> bool:
+def _holds_curves(path: Path, columns: ControlSet | AbstractSet[str] | None) -> bool:
     try:
         if columns is not None:
             is_csv = path.suffix.lower() == ".csv"
-            return not is_csv or not columns.isdisjoint(read_header(path))
+            return not is_csv or any(name in columns for name in read_header(path))
         return kind_of(path) is not None
     except UserError:
         return True  # its error is reported with the take

@@ -222,6 +222,20 @@ def test_rig_is_made_of_the_columns_of_takes(tmp_path):
     assert rig_of_dataset(folder) is None
 
 
+def test_a_rig_is_found_in_any_spelling_of_its_controls(tmp_path):
+    """ARKit's shapes as Apple spells them."""
+    (tmp_path / "t").mkdir()
+    pd.DataFrame({"eyeBlinkLeft": np.linspace(0, 1, 240), "jawOpen": 0.5}).to_csv(
+        tmp_path / "t/a.csv", index=False
+    )
+    soundfile.write(tmp_path / "t/a.wav", bursts(8), 16000)
+    result = import_captures([tmp_path / "t"], tmp_path / "d", rig=read_controls("arkit"), fps=30)
+    assert "no actor given, taken as one" in result.takes[0].notes
+    (clip, *_) = read_clips(tmp_path / "d")
+    known = read_known(clip.known, read_controls("arkit"))
+    assert known.sum() == 2 and known[read_controls("arkit").index("JawOpen")]
+
+
 def test_takes_of_which_no_rig_can_be_made_are_refused_with_the_reason(tmp_path):
     (tmp_path / "a.csv").write_text("frame,jaw\n0,0.5\n1,0.5\n")
     with one_line(DataError, match=r"to make a rig of .*a\.csv: holds no times and no rate; give"):
