@@ -37,7 +37,7 @@ def test_losses_and_gradients_stay_on_the_device_of_the_model(base, data):
     task._loss = CurveLoss(task.config.loss, task.controls, DEVICE, hold=task.config.tune.hold)
     with OneDevice():
         there = type(batch)(*(part.to(DEVICE) for part in batch))
-        with pytest.raises(AssertionError, match="on {"):
+        with pytest.raises(AssertionError, match=r"on \{"):
             _ = there.curves + batch.curves
         parts = task.loss(task.model, there)
         parts["total"].backward()
