@@ -91,9 +91,10 @@ def find_takes(
         skipped += [p for p in files if p not in set(curves)]
         chosen = _one_a_take(curves) or (_videos(source) if columns is None else [])
         if not chosen and columns is not None:
+            names = columns.names if isinstance(columns, ControlSet) else columns
             raise DataError(
                 f"{source} holds no takes: no file of {', '.join(CURVES)} has a column of the map "
-                f"or rig, such as {quoted(min(getattr(columns, 'names', columns)))}"
+                f"or rig, such as {quoted(min(names))}"
             )
         if not chosen:
             raise DataError(
