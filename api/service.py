@@ -5,7 +5,7 @@ from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from api.compute.live import Voices
+from api.compute.live import MODEL, Voices
 from api.compute.order import Limits, Order
 from api.compute.pool import Pool, Stage, checked, result_path
 from api.compute.worker import OutOfTime, Worker, WorkerLost
@@ -50,7 +50,10 @@ class Service:
         settings = self.settings
         settings.data.mkdir(parents=True, exist_ok=True, mode=0o700)
         self.stage = Stage(settings.data / "stage")
-        self.voices, self.pages = Voices(self.limits, self.stage), Pages(self.limits, self.stage)
+        live: Limits = {**self.limits, "backend": settings.backend_of_live, "preload": [MODEL]}
+        if live["backend"] == "onnx":
+            live["device"] = "cpu"
+        self.voices, self.pages = Voices(live, self.stage), Pages(self.limits, self.stage)
         self.pool = Pool(self.limits, settings.workers, settings.work_seconds, settings.waiting)
         engine = await asyncio.to_thread(open_database, settings.database_url)
         self.queue = Queue(
@@ -73,10 +76,11 @@ class Service:
         self._starting = asyncio.create_task(self._start_workers())
 
     async def _start_workers(self) -> None:
-        if self.settings.backend == "onnx":
+        if "onnx" in (self.settings.backend, self.settings.backend_of_live):
             from api.compute.tasks import export_all  # of the workers: the server needs no task
 
-            await asyncio.to_thread(export_all, self.limits)
+            only_live = self.settings.backend != "onnx"
+            await asyncio.to_thread(export_all, self.limits, only_live=only_live)
         await self.pool.start()
         self.runner.start()
         if self.settings.live_sessions:

@@ -84,6 +84,7 @@ class Settings(BaseSettings):
     preload: tuple[str, ...] = ("default",)
     device: str = "cpu"
     backend: Backend = "torch"
+    live_backend: Backend | Literal[""] = ""
     workers: int = Field(default_factory=lambda: min(os.cpu_count() or 1, 4), ge=1, le=64)
     job_workers: int = Field(default=1, ge=0, le=64)
     memory_mb: int = Field(default=4096, ge=256, le=1_000_000)
@@ -180,6 +181,8 @@ class Settings(BaseSettings):
             raise ConfigError(
                 f"device {quoted(self.device)}: backend onnx runs on cpu only; leave device out"
             )
+        if "onnx" in (self.backend, self.live_backend) and find_spec("onnxruntime") is None:
+            raise ConfigError("backend onnx needs `pip install 'deitalk[onnx]'`")
         if self.grpc_port and find_spec("nvidia_audio2face_3d") is None:
             raise ConfigError("grpc_port needs `pip install 'deitalk[audio2face]'`")
         unknown = [name for name in self.preload if name not in self.known_models]
@@ -187,6 +190,11 @@ class Settings(BaseSettings):
             raise ConfigError(
                 f"preload names {quoted(unknown[0])}; known models: {', '.join(self.known_models)}"
             )
+
+    @property
+    def backend_of_live(self) -> Backend:
+        """Of live sessions; that of all others by default."""
+        return self.live_backend or self.backend
 
     @property
     def shown(self) -> dict[str, str]:

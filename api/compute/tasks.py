@@ -30,7 +30,7 @@ from deitalk.audio.load import Recording, read_sound
 from deitalk.audio.original import ZERO, start_of, start_seconds
 from deitalk.errors import CheckpointError
 from deitalk.live.animator import LiveAnimator
-from deitalk.models.folder import describe_model, product_of
+from deitalk.models.folder import describe_model, is_causal, product_of
 from deitalk.models.load import load_causal, load_network
 from deitalk.pipeline.curves import animate
 from deitalk.pipeline.performance import Performance, write_take
@@ -403,11 +403,13 @@ def prepare(limits: Limits) -> None:
             model_of(name, limits)
 
 
-def export_all(limits: Limits) -> None:
-    """Write the files of all models that have one into the cache; torch runs in other processes."""
+def export_all(limits: Limits, *, only_live: bool = False) -> None:
+    """Write the files of models that have one into the cache; torch runs in other processes."""
     from deitalk.models.onnx.network import cached_export
 
     for folder in limits["models"].values():
         with suppress(UserError, OSError):  # a request for that model gets the error
-            if product_of(folder) == "curves" and not folder.endswith(".onnx"):
+            if product_of(folder) != "curves" or folder.endswith(".onnx"):
+                continue
+            if is_causal(folder) or not only_live:
                 cached_export(folder)

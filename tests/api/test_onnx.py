@@ -53,6 +53,18 @@ def test_curves_are_those_of_torch(server, model, tmp_path):
 
 
 def test_live_session_has_the_frames_of_live_animator(server):
+    check_live(server)
+
+
+def test_live_sessions_alone_have_onnx(tmp_path):
+    with serving(tmp_path, live_backend="onnx") as server:
+        check_live(server)
+        assert post(server, "/v1/meshes", emotion="happy", format="npz").is_success
+        loaded = libraries(server)
+    assert "onnxruntime" in loaded and "libtorch" in loaded
+
+
+def check_live(server):
     sound = pcm(1.0)
     with live(server) as session:
         begin(session, model="live", emotion="happy", life="off")
