@@ -8,7 +8,7 @@ from typing import Annotated, Any, cast
 
 import typer
 
-from deitalk.cli.animate import animate, batch, suggest
+from deitalk.cli.animate import animate, batch
 from deitalk.cli.console import (
     CTRL_C_CODE,
     Commands,
@@ -52,7 +52,6 @@ app.add_typer(data_app, name="data")
 for _verb in (train, finetune):
     app.command()(_verb)
 app.add_typer(model_app, name="model")
-app.command(hidden=True)(suggest)
 
 
 def _add_research(app: CheckedCommands) -> None:
@@ -61,7 +60,8 @@ def _add_research(app: CheckedCommands) -> None:
         research("cli", "deitalk").register(app)
         return
     options = {"allow_extra_args": True, "ignore_unknown_options": True}
-    for group, verb in (*((app, verb) for verb in VERBS), (data_app, "lips")):
+    verbs = (*((app, verb) for verb in VERBS), (data_app, "lips"), (face_app, "sheet"))
+    for group, verb in verbs:
         group.command(verb, hidden=True, add_help_option=False, context_settings=options)(_absent)
 
 

@@ -43,7 +43,6 @@ if TYPE_CHECKING:
     from deitalk.batch.lines import BatchReport
     from deitalk.models.protocol import CurveNetwork
     from deitalk.pipeline.performance import Extra, Performance
-    from deitalk.pipeline.suggest import Suggestion
 
 
 @acting_options
@@ -332,54 +331,6 @@ def _summary(out: Path, performance: "Performance") -> dict[str, Any]:
         "settings": performance.acting.settings,
         "timings_seconds": performance.timings,
     }
-
-
-# `deitalk suggest`, which is now a part of `animate -e auto`: to be removed with the next release.
-
-
-def suggest(
-    speech: Annotated[Path, typer.Argument(help="Recording.")],
-    out: Annotated[
-        Path | None,
-        typer.Option("--out", "-o", help="Keyframed track to edit and give to `animate -e`: .csv."),
-    ] = None,
-    force: Force = False,
-    as_json: Json = False,
-) -> None:
-    """Suggest an emotion from the voice; now a part of `animate -e auto`."""
-    console().note(
-        f"this command is now: deitalk animate {speech} -e auto --json -o take/ (emotions over "
-        "time are in intensity.csv)"
-    )
-    if out is not None:
-        if out.suffix != ".csv":
-            raise DeitalkError(f"{out}: a track of emotions is a .csv")
-        reserve_file(out, force=force, inputs=[speech])
-    with console().status("measuring the voice"):
-        from deitalk.pipeline.suggest import suggest_emotion
-
-        found = suggest_emotion(speech)
-    if out is not None:
-        _write(found, out)
-    if as_json:
-        emit_json({"label": found.label, "probabilities": dict(found.probabilities)})
-        return
-    shown = ", ".join(f"{name} {p:.2f}" for name, p in found.probabilities.items())
-    console().print(f"{found.label} ({shown})")
-    if out is not None:
-        console().print(str(out))
-
-
-def _write(found: "Suggestion", out: Path) -> None:
-    """Write the track as `deitalk animate -e` reads it."""
-    from deitalk.emotions import LABELS
-    from rig.files import atomic_write
-
-    rows = [",".join(("time", *LABELS))]
-    for time, weights in zip(found.track.times, found.track.weights, strict=True):
-        rows.append(",".join((f"{time:.3f}", *(f"{w:.4f}" for w in weights))))
-    with atomic_write(out) as beside:
-        beside.write_text("\n".join(rows) + "\n", encoding="utf-8")
 
 
 # `deitalk batch`: all lines of a manifest or a folder.

@@ -30,7 +30,7 @@ from rig.errors import UserError, as_line, decodable, decodable_values
 
 # Names of commands before this release: each still works, and prints the line of today.
 #
-# To be removed with the next release, as is `deitalk.cli.animate.suggest`.
+# To be removed with the next release.
 
 
 class Former(NamedTuple):
@@ -44,6 +44,7 @@ class Former(NamedTuple):
 FORMER = {
     ("mesh",): Former(("animate",), ("--vertices",), {"--speaker": ("--identity",)}),
     ("plot",): Former(("animate",)),
+    ("suggest",): Former(("animate",), ("-e", "auto")),
     ("livelink", "send"): Former(("live",), ("--model", "default")),
     ("livelink", "replay"): Former(("live",)),
     ("livelink", "receive"): Former(

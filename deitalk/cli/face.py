@@ -17,49 +17,6 @@ app = CheckedCommands(
 
 
 @app.command()
-def sheet(
-    name: Annotated[
-        str,
-        typer.Argument(
-            help="mouth, mouth-side, emotions, views, or a region: brow, eye, nose, "
-            "cheek, lips, jaw, tongue, teeth, neck, ear."
-        ),
-    ] = "mouth",
-    out: Annotated[Path, typer.Option("--out", "-o", help="PNG file to write.")] = Path(
-        "sheet.png"
-    ),
-    identity: Identity = "0",
-    columns: Annotated[int, typer.Option(min=1, max=12, help="Tiles in a row.")] = 4,
-    tile: Annotated[int, typer.Option(min=64, max=2048, help="Height of a tile, pixels.")] = 340,
-    backend: Annotated[str, typer.Option(help="auto, opengl or software.")] = "auto",
-    force: Force = False,
-) -> None:
-    """Draw a contact sheet of the head.
-
-    Examples
-    --------
-    deitalk face sheet mouth -o mouth.png
-
-    deitalk face sheet emotions --identity child --columns 5 -o child.png
-    """
-    from rig.face import build_head
-    from rig.face.render.shading import write_png
-
-    if out.suffix.lower() != ".png":
-        raise DeitalkError(f"{out} has suffix {out.suffix or 'none'!r}; a sheet is a .png file")
-    reserve_file(out, force=force)
-    sheets = research("contact_sheet", "face sheet")
-    tiles = sheets.sheet_tiles(name)
-    head = build_head(identity)
-    picture = sheets.draw_sheet(
-        head, tiles, columns=min(columns, len(tiles)), size=(round(tile * 1.12), tile),
-        backend=backend,
-    )  # fmt: skip
-    write_png(out, picture)
-    console().print(f"{out}: {len(tiles)} pictures of {head.identity.name}")
-
-
-@app.command()
 def identities(
     out: Annotated[
         Path | None, typer.Option("--out", "-o", help="Also draw all heads into this PNG file.")

@@ -13,6 +13,7 @@ from tests.each import each
 LINES = {
     "mesh a.wav --speaker Ada -o f.glb": "animate --vertices a.wav --identity Ada -o f.glb",
     "plot a.wav -e happy -o c.png": "animate a.wav -e happy -o c.png",
+    "suggest a.wav --json": "animate -e auto a.wav --json",
     "livelink send take/ --play": "live --model default take/ --play",
     "livelink replay c.csv --loop": "live c.csv --loop",
     "livelink receive -o a.csv --idle=2": "live --record a.csv --timeout 2",

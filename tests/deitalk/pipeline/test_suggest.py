@@ -5,11 +5,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import soundfile
-from typer.testing import CliRunner
 
 from deitalk.audio.vocal_strength import BANDS
-from deitalk.cli import app
-from deitalk.emotions import EMOTIONS, parse_emotion
+from deitalk.emotions import EMOTIONS
 from deitalk.errors import AudioError
 from deitalk.pipeline import suggest
 from deitalk.pipeline.speech import Speech
@@ -185,21 +183,6 @@ def test_unsure_voices_are_neutral(certain):
 def test_silence_is_refused():
     with pytest.raises(AudioError, match="less than half a second of speech"):
         suggest_emotion(np.zeros(32_000, np.float32), sample_rate=16_000)
-
-
-def test_command_writes_a_track_that_animate_reads(certain, tmp_path):
-    certain(0.1, 0.0, 0.9, 0.0)
-    soundfile.write(tmp_path / "a.wav", speechlike(5.0), 16_000)
-    done = CliRunner().invoke(
-        app, ["suggest", f"{tmp_path}/a.wav", "-o", f"{tmp_path}/emotion.csv", "--json"]
-    )
-    assert done.exit_code == 0 and '"label": "happy"' in done.stdout
-    track = parse_emotion(tmp_path / "emotion.csv")
-    assert track.at([2.0])[0, EMOTIONS.index("happy")] == pytest.approx(0.9)
-    again = CliRunner().invoke(
-        app, ["suggest", f"{tmp_path}/a.wav", "-o", f"{tmp_path}/emotion.csv"]
-    )
-    assert again.exit_code != 0
 
 
 def test_animate_takes_the_suggested_emotion(certain, tmp_path):
