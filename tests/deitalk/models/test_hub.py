@@ -5,9 +5,12 @@ import os
 import subprocess
 import sys
 import time
+from pathlib import Path
+from unittest.mock import patch
 
 import pytest
 import yaml
+from huggingface_hub import constants
 
 from api.settings import Settings
 from deitalk.config import hub
@@ -17,6 +20,7 @@ from deitalk.models.checkpoint import save_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.models.folder import model_folder, weights_hash
 from deitalk.training.tuning.recipe import read_recipe
+from tests.command import deitalk
 from tests.deitalk.pipeline.test_curves import SMALL
 from tests.each import each
 from tests.hub import TOKEN, serving
@@ -43,18 +47,35 @@ def the_hub(run, tmp_path_factory):
     with serving() as (state, address):
         home = tmp_path_factory.mktemp("hf")
         settings = {"HF_ENDPOINT": address, "HF_HOME": str(home), "HF_HUB_DISABLE_XET": "1"}
-        done = command(settings | {"HF_TOKEN": TOKEN}, "push", run / "best", "me/anna")
+        # A process of its own: the client reads its variables when it is imported.
+        done = subprocess.run(
+            [sys.executable, "-m", "deitalk", "model", "push", run / "best", "me/anna"],
+            env={k: v for k, v in os.environ.items() if not k.startswith("HF_")}
+            | settings
+            | {"HF_TOKEN": TOKEN},
+            capture_output=True,
+            text=True,
+        )
         assert done.returncode == 0, done.stderr
         yield state, settings, done.stdout.strip()
 
 
 def command(settings, *arguments):
-    return subprocess.run(
-        [sys.executable, "-m", "deitalk", "model", *map(str, arguments)],
-        env={k: v for k, v in os.environ.items() if not k.startswith("HF_")} | settings,
-        capture_output=True,
-        text=True,
-    )
+    """`deitalk model` in this process, with the client as these variables would make it."""
+    hub.fetch.cache_clear()
+    hub.hub_metadata.cache_clear()
+    found = {
+        "ENDPOINT": settings["HF_ENDPOINT"],
+        "HUGGINGFACE_CO_URL_TEMPLATE": settings["HF_ENDPOINT"]
+        + "/{repo_id}/resolve/{revision}/{filename}",
+        "HF_HUB_CACHE": str(Path(settings["HF_HOME"]) / "hub"),
+        "HF_TOKEN_PATH": str(Path(settings["HF_HOME"]) / "token"),
+        "HF_HUB_OFFLINE": "HF_HUB_OFFLINE" in settings,
+        "HF_HUB_DISABLE_XET": True,
+    }
+    token = {"HF_TOKEN": settings.get("HF_TOKEN", "")}
+    with patch.multiple(constants, **found), patch.dict(os.environ, token):
+        return deitalk("model", *arguments)
 
 
 def test_a_pushed_model_has_a_card_of_its_report_and_no_folder_of_this_machine(the_hub, run):
@@ -77,7 +98,7 @@ def test_a_model_is_fetched_by_name_once_and_then_read_from_the_cache(the_hub, r
     state, settings, _ = the_hub
     commit, _ = state.files("me/anna", "main")
     state.asked.clear()
-    about = json.loads(command(settings, "info", "me/anna", "--json").stdout)
+    about = json.loads(command(settings, "info", "me/anna", "--json").out)
     assert about["name"] == f"me/anna@{commit}"
     assert about["sha256"] == weights_hash(run / "best")
     fetched = [path for kind, path in state.asked if kind == "GET" and "/resolve/" in path]
@@ -88,10 +109,10 @@ def test_a_model_is_fetched_by_name_once_and_then_read_from_the_cache(the_hub, r
     ]
     state.asked.clear()
     for name in ("me/anna", f"me/anna@{commit}"):
-        again = json.loads(command(settings, "info", name, "--json").stdout)
+        again = json.loads(command(settings, "info", name, "--json").out)
         assert again == about
         without = command(settings | {"HF_ENDPOINT": NOWHERE}, "info", name, "--json")
-        assert json.loads(without.stdout) == about
+        assert json.loads(without.out) == about
     assert not [path for _, path in state.asked if "/resolve/" in path]
 
 
@@ -103,7 +124,7 @@ def test_a_revision_stays_when_the_model_moves_on(the_hub, run, tmp_path):
     names = {}
     for revision in ("", f"@{before}"):
         settings |= {"HF_HOME": str(tmp_path / f"home{revision[:3]}")}
-        about = json.loads(command(settings, "info", f"me/anna{revision}", "--json").stdout)
+        about = json.loads(command(settings, "info", f"me/anna{revision}", "--json").out)
         folder = next((tmp_path / f"home{revision[:3]}").rglob("config.yaml"))
         names[about["name"]] = yaml.safe_load(folder.read_text())["name"]
     after, _ = state.files("me/anna", "main")
@@ -125,8 +146,8 @@ def test_what_cannot_be_fetched_is_one_line(the_hub, tmp_path, name, changes, wo
     state, settings, _ = the_hub
     state.repositories["me/other"] = [{"config.json": b"{}", "model.safetensors": b""}]
     done = command(settings | {"HF_HOME": str(tmp_path)} | changes, "info", name)
-    assert done.returncode == 1
-    assert words in done.stderr and done.stderr.count("\n") == 1, done.stderr
+    assert done.code == 1
+    assert words in done.err and done.err.count("\n") == 1, done.err
     assert not list(tmp_path.rglob("*.safetensors"))
 
 
@@ -143,14 +164,12 @@ def test_what_cannot_be_pushed_is_one_line(the_hub, run, changes, name, words):
     state, settings, _ = the_hub
     commits = len(state.repositories["me/anna"])
     done = command(settings | {"HF_TOKEN": TOKEN} | changes, "push", run / "best", name)
-    assert done.returncode == 1 and words in done.stderr and done.stderr.count("\n") == 1
+    assert done.code == 1 and words in done.err and done.err.count("\n") == 1
     assert len(state.repositories["me/anna"]) == commits
 
 
 def test_no_answer_is_no_wait(monkeypatch):
     """An hour of retries would be the client's own; the hub is asked once."""
-    from huggingface_hub import constants
-
     monkeypatch.setattr(constants, "ENDPOINT", NOWHERE)
     monkeypatch.setattr(constants, "HF_HUB_OFFLINE", False)
     begin = time.perf_counter()
