@@ -84,10 +84,10 @@ def folder(sequences) -> MeshFolder:
 @each(
     ("frontend", "motion", "steps", "more"),
     [
-        (FRONTEND, "gradients", 200, {"schedule": "one_cycle"}),
-        (SEGMENT, "gradients", 400, {"segment_frames": 8, "lip_weight": 1.0, "ema": 0.9}),
-        (KARRAS, "offsets", 200, {"segment_frames": 8, "schedule": "one_cycle"}),
-        (VOCA, "offsets", 300, {"segment_frames": 8, "batch_size": 32}),
+        (FRONTEND, "gradients", 160, {"schedule": "one_cycle"}),
+        (SEGMENT, "gradients", 220, {"segment_frames": 8, "lip_weight": 1.0, "ema": 0.9}),
+        (KARRAS, "offsets", 150, {"segment_frames": 8, "schedule": "one_cycle"}),
+        (VOCA, "offsets", 150, {"segment_frames": 8, "batch_size": 32}),
     ],
 )
 def test_tiny_model_learns_the_motion_of_two_speakers(
