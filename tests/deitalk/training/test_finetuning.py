@@ -2,6 +2,8 @@
 
 import json
 import shutil
+from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +15,7 @@ import torch
 from deitalk import animate
 from deitalk.audio.load import Recording
 from deitalk.cli.console import name_option
+from deitalk.config.curves import FinetuneConfig
 from deitalk.config.rig_file import read_controls
 from deitalk.config.rules import RulesConfig
 from deitalk.data.clips import read_clips
@@ -59,6 +62,23 @@ def changed(base, folder) -> set[str]:
     return {".".join(k.split(".")[:2]) for k in first if not torch.equal(first[k], second[k])}
 
 
+def of_part(base: str, part: str) -> FinetuneConfig:
+    return recipe(base, f"tune.part={part}", "tune.rank=2")
+
+
+@pytest.fixture(scope="module")
+def tuned(base, data, tmp_path_factory) -> Callable[[str], Path]:
+    """A run that tunes a part, once for all tests."""
+
+    @cache
+    def make(part: str) -> Path:
+        out = tmp_path_factory.mktemp(part) / "run"
+        finetune(of_part(base, part), data, out)
+        return out
+
+    return make
+
+
 @each(
     ("part", "expected"),
     [
@@ -67,16 +87,14 @@ def changed(base, folder) -> set[str]:
         ("adapters", {"decoder.output", "decoder.layers", "decoder.style"}),
     ],
 )
-def test_only_the_tuned_part_changes(base, data, tmp_path, part, expected):
-    finetune(recipe(base, f"tune.part={part}"), data, tmp_path / "run")
-    last = tmp_path / "run" / "last"
+def test_only_the_tuned_part_changes(base, tuned, part, expected):
+    last = tuned(part) / "last"
     assert changed(base, last) == expected
     assert load_model(last).rules == RulesConfig.for_captures()
 
 
-def test_adapters_are_changes_of_low_rank(base, data, tmp_path):
-    finetune(recipe(base, "tune.part=adapters", "tune.rank=2"), data, tmp_path / "run")
-    first, second = weights(base), weights(tmp_path / "run" / "last")
+def test_adapters_are_changes_of_low_rank(base, tuned):
+    first, second = weights(base), weights(tuned("adapters") / "last")
     assert first.keys() == second.keys(), "adapters are merged when the model is saved"
     name = "decoder.layers.2.conv.weight"
     change = (second[name] - first[name]).flatten(1)
@@ -108,21 +126,28 @@ def test_run_from_nothing_has_the_network_of_the_base_alone(base, data, tmp_path
         recipe(base, "tune.start=random", "tune.part=head")
 
 
-def test_what_captures_do_not_know_stays_as_the_base_has_it(base, data, tmp_path):
-    """No clip knows more than the jaw; the columns of the lips are far from the base's."""
-    folder = tmp_path / "data"
-    shutil.copytree(data, folder)
-    table = pd.read_csv(folder / "clips.csv", dtype=str).assign(known="known.txt")
-    table.to_csv(folder / "clips.csv", index=False)
-    finetune(recipe(base, *TUNED), folder, tmp_path / "run")
+@pytest.fixture(scope="module")
+def jaw_alone(base, data, tmp_path_factory) -> tuple[Path, Path]:
+    """Captures of which no clip knows more than the jaw, and a run on them."""
+    place = tmp_path_factory.mktemp("jaw")
+    shutil.copytree(data, place / "data")
+    table = pd.read_csv(place / "data/clips.csv", dtype=str).assign(known="known.txt")
+    table.to_csv(place / "data/clips.csv", index=False)
+    finetune(recipe(base, *TUNED), place / "data", place / "run")
+    return place / "data", place / "run/last"
+
+
+def test_what_captures_do_not_know_stays_as_the_base_has_it(base, jaw_alone, tmp_path):
+    """The columns of the lips are far from the base's."""
+    folder, last = jaw_alone
     example = load_example(read_clips(folder, "validation")[0], CONTROLS)
-    before, after = (predict(load_model(f), example)[0] for f in (base, tmp_path / "run" / "last"))
+    before, after = (predict(load_model(f), example)[0] for f in (base, last))
     moved = np.abs(after - before).mean(axis=0)
     place = CONTROLS.index(JAW)
     error = [np.square(c[:, place] - example.curves[:, place]).mean() for c in (before, after)]
     assert error[1] < 0.6 * error[0], "the jaw is learnt"
     assert np.delete(moved, place).max() == 0, "the rest is the base's, exactly"
-    assert load_model(tmp_path / "run" / "last").config.kept_controls == tuple(
+    assert load_model(last).config.kept_controls == tuple(
         name for name in CONTROLS.names if name != JAW
     )
     held = [*TUNED, "tune.keep=false", "tune.hold=1"]
@@ -132,21 +157,19 @@ def test_what_captures_do_not_know_stays_as_the_base_has_it(base, data, tmp_path
     assert 0 < np.delete(moved, place).mean() < 0.25 * moved[place]
 
 
-def test_tuning_a_tuned_model_keeps_the_first_base(base, data, tmp_path):
+def test_tuning_a_tuned_model_keeps_the_first_base(base, jaw_alone, tmp_path):
     """The second captures know the jaw and a lip: both are learnt, all others are the first base's."""
+    first, one = jaw_alone
     folder = tmp_path / "data"
-    shutil.copytree(data, folder)
-    table = pd.read_csv(folder / "clips.csv", dtype=str).assign(known="known.txt")
-    table.to_csv(folder / "clips.csv", index=False)
-    finetune(recipe(base, *TUNED), folder, tmp_path / "one")
+    shutil.copytree(first, folder)
     (folder / "known.txt").write_text(f"{JAW}\n{LIP}\n")
-    finetune(recipe(str(tmp_path / "one/last"), *TUNED), folder, tmp_path / "two")
+    finetune(recipe(str(one), *TUNED), folder, tmp_path / "two")
     example = load_example(read_clips(folder, "validation")[0], CONTROLS)
     before, after = (predict(load_model(f), example)[0] for f in (base, tmp_path / "two" / "last"))
     moved = np.abs(after - before).max(axis=0)
     assert {CONTROLS.names[i] for i in np.flatnonzero(moved)} == {JAW, LIP}
     with pytest.raises(ConfigError, match="tune that base"):
-        FinetuneTask(recipe(str(tmp_path / "one/last"), "tune.part=all"), folder)
+        FinetuneTask(recipe(str(one), "tune.part=all"), folder)
 
 
 def test_targets_of_emotions_that_no_capture_has_change_as_the_base(base, data):
@@ -176,9 +199,8 @@ def test_rehearsed_speech_has_the_curves_of_the_base_as_targets(base, data, tmp_
 
 
 @each("part", ["decoder", "adapters"])
-def test_resumed_run_equals_the_uninterrupted_one(base, data, tmp_path, part):
-    config = recipe(base, f"tune.part={part}")
-    finetune(config, data, tmp_path / "whole")
+def test_resumed_run_equals_the_uninterrupted_one(base, data, tuned, tmp_path, part):
+    config = of_part(base, part)
 
     def stop(step, total, values):
         if step == 2 and "dev_score" in values:
@@ -187,7 +209,7 @@ def test_resumed_run_equals_the_uninterrupted_one(base, data, tmp_path, part):
     with pytest.raises(KeyboardInterrupt):
         finetune(config, data, tmp_path / "cut", progress=stop)
     finetune(config, data, tmp_path / "cut", resume=True)
-    first, second = (weights(tmp_path / name / "last") for name in ("whole", "cut"))
+    first, second = (weights(run / "last") for run in (tuned(part), tmp_path / "cut"))
     assert all(torch.equal(first[name], second[name]) for name in first)
 
 
@@ -351,16 +373,17 @@ def test_exported_model_names_no_folder_of_the_machine(base, data, tmp_path):
     assert load_model(tmp_path / "small").rules == RulesConfig.for_captures()
 
 
-def test_report_compares_before_after_and_baselines(base, data, tmp_path):
-    scores = finetune(recipe(base), data, tmp_path / "run")
+def test_report_compares_before_after_and_baselines(tuned):
+    run = tuned("decoder")
+    report = json.loads((run / "report.json").read_text())
+    scores = report["scores"]
     assert list(scores) == ["before", "ridge", "after", "mean pose", "loudness", "capture"]
     assert scores["mean pose"]["error_of_mean_pose"] == pytest.approx(1)
     assert scores["loudness"]["error_of_mean_pose"] < 0.9, "the jaw follows bursts of sound"
     assert {"jaw_r", "lips_together_r", "bilabial_window_auc", "lpe"} <= scores["after"].keys()
-    report = json.loads((tmp_path / "run" / "report.json").read_text())
     assert report["clips"] == 2 and report["learning"]["step"] == [0, 2, 4]
-    assert "| step 0 |" in (tmp_path / "run" / "report.md").read_text()
-    assert "| error_of_mean_pose |" in (tmp_path / "run" / "report.md").read_text()
+    text = (run / "report.md").read_text()
+    assert "| step 0 |" in text and "| error_of_mean_pose |" in text
 
 
 def test_held_out_clip_lies_beside_its_curves_before_and_after(base, data, tmp_path, monkeypatch):
