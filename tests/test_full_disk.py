@@ -64,7 +64,7 @@ def commands(sources, out):
         "take": ["animate", speech, "-e", "happy", "--model", model, "-o", out / "take"],
         "animate-file": ["animate", speech, "--model", model, "-o", out / "a.json"],
         "face-export": ["face", "export", "-o", out / "head.glb"],
-        "face-sheet": ["face", "sheet", "mouth", "--tile", "64", "-o", out / "s.png"],
+        "face-sheet": ["face", "sheet", "ear", "--tile", "64", "-o", out / "s.png"],
         "mesh-glb": ["animate", speech, "--vertices", "--model", model, "-o", out / "m.glb"],
         "mesh-ply": ["animate", speech, "--vertices", "--model", model, "-o", out / "frames"],
         "model-export": ["model", "export", model, "-o", out / "exported"],

@@ -21,9 +21,7 @@ SETTINGS = [(0.064, 125.0, 128), (0.032, 60.0, 80), (0.032, 60.0, 80, 3)]
 """SDFA's, and those of configs/mel.yaml by one window and by tapers."""
 
 
-@pytest.fixture(params=SETTINGS, ids=["sdfa", "mel", "tapers"])
-def mel(request):
-    return MelSpectrogram(*request.param)
+every_mel = each("mel", [MelSpectrogram(*settings) for settings in SETTINGS])
 
 
 def noise(seconds=1.0, seed=0):
@@ -48,6 +46,7 @@ def test_linear_ramp_has_constant_derivative():
     assert derivative(slope)[0, 2:-2].tolist() == [0] * 6
 
 
+@every_mel
 def test_channels_are_the_spectrum_and_its_derivatives(mel):
     spectrum, slope, curvature = mel(noise(), 30)[0]
     torch.testing.assert_close(slope[:, 4], (spectrum[:, 5] - spectrum[:, 3]) / 2)
@@ -56,6 +55,7 @@ def test_channels_are_the_spectrum_and_its_derivatives(mel):
     )
 
 
+@every_mel
 def test_piece_has_the_spectra_of_the_whole_clip(mel):
     waveform = noise(2.0)
     whole, piece = mel(waveform, 100), mel(waveform, 30, first=40)
@@ -64,6 +64,7 @@ def test_piece_has_the_spectra_of_the_whole_clip(mel):
     torch.testing.assert_close(piece[..., 2:-2], whole[..., 42:68])
 
 
+@every_mel
 @each("frame", [1, 7, 20, 29])
 def test_click_at_a_frame_peaks_at_its_spectrum(mel, frame):
     waveform = torch.zeros(1, SAMPLE_RATE)
@@ -80,6 +81,7 @@ def test_frames_and_spectra_of_the_default_coincide():
     assert nearest_spectra(7, 125).tolist() == [0, 4, 8, 12, 17, 21, 25]  # 4.17 apart
 
 
+@every_mel
 def test_a_pure_tone_peaks_in_its_band(mel):
     t = torch.arange(SAMPLE_RATE) / SAMPLE_RATE
     n_mels = mel.filters.shape[1]
@@ -91,6 +93,7 @@ def test_a_pure_tone_peaks_in_its_band(mel):
         assert abs(band - int(np.abs(bands - frequency).argmin())) <= 1
 
 
+@every_mel
 def test_ten_times_louder_adds_log_of_a_hundred(mel):
     quiet, loud = mel(noise() * 10, 30), mel(noise() * 100, 30)
     difference = (loud - quiet)[0, 0, :, 5:25]
@@ -99,6 +102,7 @@ def test_ten_times_louder_adds_log_of_a_hundred(mel):
     )
 
 
+@every_mel
 def test_silence_and_beyond_the_clip_are_the_floor(mel):
     floor = (np.log(FLOOR) + 6.5) / 3.5
     silent = mel(torch.zeros(1, 100), 20)

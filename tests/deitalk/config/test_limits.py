@@ -1,5 +1,6 @@
 """Limits of configurations: of every field, then of the network's size before it is built."""
 
+import shutil
 import time
 
 import pytest
@@ -134,13 +135,11 @@ def tiny(tmp_path_factory):
 
 @pytest.fixture
 def folder(tiny, tmp_path):
-    import shutil
-
     shutil.copytree(tiny, tmp_path / "tiny")
     return tmp_path / "tiny"
 
 
-@pytest.mark.parametrize(
+@each(
     ("before", "after"),
     [
         ("rig_layers: 0", "rig_layers: 1000000"),
@@ -151,7 +150,8 @@ def folder(tiny, tmp_path):
         ("name: tiny", "name: &a [" + "*a," * 100 + "1]"),
     ],
 )
-def test_oversized_model_folder_takes_no_memory(folder, before, after):
+def test_oversized_model_folder_takes_no_memory(tiny, tmp_path, before, after):
+    folder = shutil.copytree(tiny, tmp_path / "tiny")
     path = folder / "config.yaml"
     text = path.read_text()
     assert before in text

@@ -19,13 +19,17 @@ def written(tmp_path_factory) -> Path:
     return write_dataset(tmp_path_factory.mktemp("data"))
 
 
-@pytest.fixture
-def folder(written, tmp_path) -> Path:
+def copied(written: Path, place: Path) -> Path:
     """A copy whose clips.csv may be changed; the files are linked."""
     for part in ("audio", "curves", "phones", "intensity"):
-        (tmp_path / part).symlink_to(written / part)
-    (tmp_path / "clips.csv").write_bytes((written / "clips.csv").read_bytes())
-    return tmp_path
+        (place / part).symlink_to(written / part)
+    (place / "clips.csv").write_bytes((written / "clips.csv").read_bytes())
+    return place
+
+
+@pytest.fixture
+def folder(written, tmp_path) -> Path:
+    return copied(written, tmp_path)
 
 
 def spoil(folder: Path, column: str, value: str, row: int = 0) -> None:
@@ -59,11 +63,12 @@ def test_optional_columns_have_defaults(folder):
     assert clip.offset_seconds == 0 and clip.phones is None and clip.intensity is None
 
 
-@pytest.mark.parametrize(
+@each(
     "content",
     [b"", b"\xff\xfe\x00\x01\x80", b'clip,audio\n"unclosed,1\n', b"a,b\n1,2,3\n4,5,6,7\n"],
 )
-def test_file_that_is_no_table_is_refused(folder, content):
+def test_file_that_is_no_table_is_refused(written, tmp_path, content):
+    folder = copied(written, tmp_path)
     (folder / "clips.csv").write_bytes(content)
     refused(folder, r"clips\.csv: (cannot be read as CSV|lacks the column)")
 
@@ -74,7 +79,7 @@ def test_missing_column_is_named(folder):
     refused(folder, r"lacks the column speaker; needs clip, audio")
 
 
-@pytest.mark.parametrize(
+@each(
     ("column", "value", "match"),
     [
         ("clip", "clip1", "'clip1' appears twice"),
@@ -92,7 +97,8 @@ def test_missing_column_is_named(folder):
         ("offset_s", "1e9", "within ±3600"),
     ],
 )
-def test_bad_value_is_named_with_the_rule(folder, column, value, match):
+def test_bad_value_is_named_with_the_rule(written, tmp_path, column, value, match):
+    folder = copied(written, tmp_path)
     spoil(folder, column, value)
     refused(folder, match)
 

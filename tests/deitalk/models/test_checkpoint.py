@@ -135,7 +135,7 @@ def test_load_model_rejects_another_control_set(folder):
     refused(folder, "made for control set")
 
 
-@pytest.mark.parametrize(
+@each(
     ("name", "kind"),
     [("default", DEITalk), ("live", DEITalk), ("sdfa", SDFA), ("mesh_head", MeshHead)],
 )

@@ -153,19 +153,14 @@ def test_ply_polygons_of_any_lengths_become_fans(tmp_path, order, polygons):
 # --- GLB
 
 
-@pytest.fixture
-def glb(tmp_path):
+def changed_glb(folder, change):
     deltas = np.zeros((2, 4, 3))
     deltas[:, 1] = 0.5
-    write_glb(tmp_path / "a.glb", ShapeSet(SQUARE, ("jawOpen", "blink"), deltas))
-    document, binary = read_container(tmp_path / "a.glb")
-
-    def changed(change):
-        change(document)
-        write_container(tmp_path / "b.glb", document, binary)
-        return tmp_path / "b.glb"
-
-    return changed
+    write_glb(folder / "a.glb", ShapeSet(SQUARE, ("jawOpen", "blink"), deltas))
+    document, binary = read_container(folder / "a.glb")
+    change(document)
+    write_container(folder / "b.glb", document, binary)
+    return folder / "b.glb"
 
 
 def bare(document):
@@ -209,7 +204,7 @@ def set_in(*path):
     return change
 
 
-@pytest.mark.parametrize(
+@each(
     ("change", "words"),
     [
         (bare, "with data"),
@@ -228,18 +223,18 @@ def set_in(*path):
         (set_in("scenes", 0, "nodes", [10**9]), "inconsistent"),
     ],
 )
-def test_glb_rejects(glb, change, words):
-    assert words in refused(read_shapes, glb(change))
+def test_glb_rejects(tmp_path, change, words):
+    assert words in refused(read_shapes, changed_glb(tmp_path, change))
 
 
-def test_glb_nodes_in_a_circle_are_visited_once(glb):
-    path = glb(set_in("nodes", 0, "children", [0] * 1000))
+def test_glb_nodes_in_a_circle_are_visited_once(tmp_path):
+    path = changed_glb(tmp_path, set_in("nodes", 0, "children", [0] * 1000))
     assert len(read_glb(path).neutral.vertices) == 4
 
 
 @each("change", [set_in("nodes", [{"mesh": 7}]), set_in("meshes", 0, "primitives", [])])  # fmt: skip
-def test_morph_names_reject_documents_that_do_not_fit(glb, change):
-    assert "inconsistent" in refused(morph_names, glb(change))
+def test_morph_names_reject_documents_that_do_not_fit(tmp_path, change):
+    assert "inconsistent" in refused(morph_names, changed_glb(tmp_path, change))
 
 
 @each("length", [100, 2**28, 2**31 - 1])

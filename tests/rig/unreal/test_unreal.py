@@ -491,7 +491,7 @@ def test_mistake_on_the_command_line_is_one_line_of_the_log(take, monkeypatch, a
     assert module.messages[-1].startswith("deitalk: ")
 
 
-@pytest.mark.parametrize(
+@each(
     ("change", "message"),
     [
         ({"raw": {"CTRL_expressions_jawOpen": [0, 1]}}, "a curve has 2 values, not 4"),
@@ -506,11 +506,12 @@ def test_mistake_on_the_command_line_is_one_line_of_the_log(take, monkeypatch, a
         ({"n_frames": "4"}, "must be 1 or more"),
     ],
 )
-def test_script_rejects_damaged_files(take, monkeypatch, change, message):
-    Path(take).write_text(json.dumps(json.loads(Path(take).read_text()) | change))
+def test_script_rejects_damaged_files(take, tmp_path, monkeypatch, change, message):
+    bad = tmp_path / "bad.unreal.json"
+    bad.write_text(json.dumps(json.loads(Path(take).read_text()) | change))
     script = run_inside(None, monkeypatch)
     with pytest.raises(script.DeitalkError, match=message):
-        script.anim_sequence(take, dry_run=True)
+        script.anim_sequence(str(bad), dry_run=True)
 
 
 @each(("name", "subject"), SUBJECTS)

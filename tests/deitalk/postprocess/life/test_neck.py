@@ -32,7 +32,7 @@ def test_people_swallow_once_a_minute_and_never_while_they_speak():
     phrases = tuple(Phrase(start, start + 120, False) for start in range(60, 18_000, 180))
     voice = Voice(18_060, np.zeros(18_060, np.float32), (), phrases)
     counts, speaking = [], voice.speaking > 0
-    for tracks in necks(voice, 20):
+    for tracks in necks(voice, 10):
         above = tracks[SWALLOW_CONTROL] > 0.5
         counts.append(int((above[1:] & ~above[:-1]).sum()))
         assert not above[speaking].any()
@@ -43,7 +43,7 @@ def test_people_swallow_once_a_minute_and_never_while_they_speak():
         (),
         tuple(Phrase(s, s + 60, False) for s in range(20, 860, 80)),
     )
-    assert all(tracks[SWALLOW_CONTROL].max() == 0 for tracks in necks(short, 20)), "pauses of 0.7 s"
+    assert all(tracks[SWALLOW_CONTROL].max() == 0 for tracks in necks(short, 10)), "pauses of 0.7 s"
 
 
 @each(("yaw", "contracts"), [(22.0, 0), (-22.0, 1)])

@@ -191,12 +191,16 @@ def write_measured(folder, openings, *, rate=16000, seconds=2.0):
     return folder
 
 
-@pytest.fixture
-def measured(tmp_path):
+def three_clips(place):
     wave = 0.05 * (1 - np.cos(np.arange(50) / 25 * 2 * np.pi))  # closed at 0, 1 and 2 s
     return write_measured(
-        tmp_path / "lips", {"a": ("one", wave), "b": ("one", wave), "c": ("two", wave + 0.01)}
+        place / "lips", {"a": ("one", wave), "b": ("one", wave), "c": ("two", wave + 0.01)}
     )
+
+
+@pytest.fixture
+def measured(tmp_path):
+    return three_clips(tmp_path)
 
 
 def test_measures_are_displacements_from_rest_at_30_frames(measured):
@@ -229,7 +233,7 @@ def test_missing_measures_are_nan(measured):
     assert not known[round(20.5 / 25 * 30), 2] and known[:, 0].mean() > 0.95
 
 
-@pytest.mark.parametrize(
+@each(
     ("damage", "words"),
     [
         (lambda f: (f / "clips.csv").unlink(), "clips.csv"),
@@ -248,7 +252,8 @@ def test_missing_measures_are_nan(measured):
         (lambda f: os.truncate(f / "clips.csv", limits.TRACK_BYTES + 1), "at most 32 MiB"),
     ],
 )  # fmt: skip
-def test_read_lips_rejects_damaged_folders(measured, damage, words):
+def test_read_lips_rejects_damaged_folders(tmp_path, damage, words):
+    measured = three_clips(tmp_path)
     damage(measured)
     with one_line(DataError, words):
         read_lips(measured, 9.0)
