@@ -46,7 +46,7 @@ def sheet(
     head = build_head(identity)
     picture = draw_sheet(
         head, tiles, columns=min(columns, len(tiles)), size=(round(tile * 1.12), tile),
-        backend=backend,
+        backend=backend,  # type: ignore[arg-type]
     )  # fmt: skip
     write_png(out, picture)
     console().print(f"{out}: {len(tiles)} pictures of {head.identity.name}")
