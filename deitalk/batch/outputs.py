@@ -11,6 +11,7 @@ from typing import Any
 
 from deitalk.batch.lines import File, Outcome
 from deitalk.pipeline.performance import KIND as TAKE_KIND
+from deitalk.pipeline.speech import HeardVoice
 from rig import limits
 from rig.errors import TargetError
 from rig.files import (
@@ -35,7 +36,7 @@ from rig.files.reading import read_bytes
 #     about   format, source of the batch
 #     lines   one row for each output: recording, key, state, result
 #     files   path, hash, size, time; `is_new` until the line is done
-#     voices  strength of recordings, measured for references of actors
+#     heard   voices of recordings, measured for references of actors
 
 
 FORMAT = "1"
@@ -50,8 +51,8 @@ CREATE TABLE IF NOT EXISTS files (
     PRIMARY KEY (path, sha)
 ) WITHOUT ROWID;
 CREATE INDEX IF NOT EXISTS files_of ON files (output);
-CREATE TABLE IF NOT EXISTS voices (
-    audio TEXT PRIMARY KEY, signature TEXT, strength REAL, seconds REAL
+CREATE TABLE IF NOT EXISTS heard (
+    audio TEXT PRIMARY KEY, signature TEXT, strength REAL, effort REAL, seconds REAL
 ) WITHOUT ROWID;
 """
 
@@ -196,18 +197,15 @@ class Journal:
         self._run("DELETE FROM files WHERE output = ? AND is_new = 0", output)
         self._run("UPDATE files SET is_new = 0 WHERE output = ?", output)
 
-    def voice(self, audio: str, signature: str) -> tuple[float | None, float] | None:
-        """Strength (None without voice) and seconds of a recording, if they were measured."""
-        query = "SELECT strength, seconds FROM voices WHERE audio = ? AND signature = ?"
-        row: tuple[float | None, float] | None = self._one(query, audio, signature)
-        return row
+    def voice(self, audio: str, signature: str) -> HeardVoice | None:
+        """Voice of a recording, if it was measured."""
+        query = "SELECT strength, effort, seconds FROM heard WHERE audio = ? AND signature = ?"
+        row = self._one(query, audio, signature)
+        return None if row is None else HeardVoice(*row)
 
-    def write_voice(
-        self, audio: str, signature: str, strength: float | None, seconds: float
-    ) -> None:
-        """Keep the strength of a recording."""
-        row = (audio, signature, strength, seconds)
-        self._run("INSERT OR REPLACE INTO voices VALUES (?, ?, ?, ?)", *row)
+    def write_voice(self, audio: str, signature: str, voice: HeardVoice) -> None:
+        """Keep the voice of a recording."""
+        self._run("INSERT OR REPLACE INTO heard VALUES (?, ?, ?, ?, ?)", audio, signature, *voice)
 
     def _run(self, query: str, *values: Any) -> None:
         with self._errors():

@@ -92,7 +92,7 @@ class Batch:
     def prepare(self, run: Run) -> None:
         """Measure the actors, then find what is to be done."""
         good = [line for line in self.lines if isinstance(line, Line)]
-        voices = references(good, self.outputs, self.recordings.signature, run)
+        voices = references(good, self.outputs, self._heard_by, run)
         actors = {line.actor for line in good if line.acting.voice is None} - {""}
         if unmeasured := sorted(actors - voices.keys()):
             self.notes.append(
@@ -100,6 +100,11 @@ class Batch:
             )
         for line in self.lines:
             self.rows.append(self._row(line, voices))
+
+    def _heard_by(self, audio: str) -> str:
+        """State of a recording's file and the model; empty if the file is not there."""
+        signature = self.recordings.signature(audio)
+        return signature and f"{signature} {self.model}"
 
     def perform(self, run: Run, progress: Progress) -> None:
         """Animate what is to be done, the longest recordings first."""
@@ -251,9 +256,9 @@ def references(
     lines : iterable of Line
         All lines of the batch.
     outputs : Outputs or CloudOutputs
-        The output folder; its journal keeps the strength of each recording.
+        The output folder; its journal keeps the voice of each recording.
     signature : callable
-        State of a recording's file; empty if it is not there.
+        What the voice of a recording depends on; empty if its file is not there.
     run : callable
         Measures recordings: orders to results.
 
@@ -275,10 +280,9 @@ def references(
     journal = outputs.journal
     _measure([sample for group in samples.values() for sample in group], journal, run)
     for actor, group in samples.items():
-        measured = [journal.voice(*sample) for sample in group]
-        voiced = [m for m in measured if m is not None and m[0] is not None]
-        if len(voiced) >= FEWEST_LINES:
-            text = reference_of(voiced).as_json()
+        heard = [voice for sample in group if (voice := journal.voice(*sample))]
+        if sum(voice.strength is not None for voice in heard) >= FEWEST_LINES:
+            text = reference_of(heard).as_json()
             outputs.keep_reference(file_of(actor), text)
             found[actor] = parse_actor(text.encode(), actor)  # rounded, as later runs read it
     return found
@@ -303,15 +307,14 @@ def _measure(
     journal: Journal,
     run: Callable[[Sequence[Order]], Iterator[list[Outcome]]],
 ) -> None:
-    """Enter the strength of every recording that is not known yet."""
+    """Enter the voice of every recording that is not known yet."""
     signs = {audio: sign for audio, sign in samples if journal.voice(audio, sign) is None}
     orders = [Order(audio, audio, only_voice=True) for audio in signs]
     for outcomes in run(orders) if orders else ():
         with journal.transaction():
             for outcome in outcomes:
-                if outcome.status == "done":
-                    row = (outcome.strength, outcome.seconds)
-                    journal.write_voice(outcome.output, signs[outcome.output], *row)
+                if outcome.voice is not None:
+                    journal.write_voice(outcome.output, signs[outcome.output], outcome.voice)
 
 
 def animate_batch(

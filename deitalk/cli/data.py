@@ -221,6 +221,7 @@ def check(
 def voice(
     recordings: Annotated[list[Path], typer.Argument(help="Recordings of one actor.")],
     out: Annotated[Path, typer.Option("--out", "-o", help="Reference file, .json.")],
+    model: Annotated[str, typer.Option(help="Model whose takes count from it.")] = "default",
     force: Force = False,
 ) -> None:
     """Write the reference of an actor, for `deitalk animate --voice`.
@@ -241,7 +242,9 @@ def voice(
     from rig.files import atomic_write
 
     with bar("measuring") as progress:
-        actor = measure_actor(recordings, lambda done: progress(done / len(recordings)))
+        actor = measure_actor(
+            recordings, lambda done: progress(done / len(recordings)), model=model
+        )
     with atomic_write(out) as path:
         path.write_text(actor.as_json(), encoding="utf-8")
     emit(

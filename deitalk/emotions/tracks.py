@@ -404,7 +404,8 @@ def _pairs(text: str) -> dict[str, float]:
 #
 # Written by `deitalk data voice`::
 #
-#     {"format": "deitalk-actor", "version": 1, "strength": 0.41, "recordings": 12, "seconds": 63.5,
+#     {"format": "deitalk-actor", "version": 1, "strength": 0.41, "effort": -0.27,
+#      "recordings": 12, "seconds": 63.5,
 #      "traits": {"blink_interval": 1.1, "side": -0.09, "brow_range": 1, "head_range": 1.05,
 #                 "avoids": 0.3}}
 #
@@ -438,12 +439,16 @@ class ActorReference:
         Their length.
     traits : mapping of str to float
         Some of `TRAITS`; empty: drawn for each recording.
+    effort : float or None
+        Median of a network's readout of the strength (`Tracks.effort`), dB; None where the network
+        that measured has none.
     """
 
     strength: float
     recordings: int
     seconds: float
     traits: Mapping[str, float] = field(default_factory=dict)
+    effort: float | None = None
 
     @property
     def content(self) -> dict[str, Any]:
@@ -455,6 +460,7 @@ class ActorReference:
             "recordings": self.recordings,
             "seconds": self.seconds,
         }
+        content |= {} if self.effort is None else {"effort": self.effort}
         return content | ({"traits": dict(self.traits)} if self.traits else {})
 
     def as_json(self) -> str:
@@ -462,6 +468,7 @@ class ActorReference:
         rounded = replace(
             self,
             strength=round(self.strength, 4),
+            effort=None if self.effort is None else round(self.effort, 4),
             seconds=round(self.seconds, 2),
             traits={name: round(value, 4) for name, value in self.traits.items()},
         )
@@ -491,13 +498,14 @@ def parse_actor(data: bytes, path: object) -> ActorReference:
     try:
         strength, seconds = float(content["strength"]), float(content["seconds"])
         recordings = int(content["recordings"])
+        effort = None if content.get("effort") is None else float(content["effort"])
     except (KeyError, TypeError, ValueError, OverflowError):
         raise EmotionError(f"{path}: {rule}") from None
-    if not (math.isfinite(strength) and abs(strength) <= LARGEST):
-        raise EmotionError(
-            f"{path}: strength {strength:g} must be from -{LARGEST:g} to {LARGEST:g}"
-        )
-    return ActorReference(strength, recordings, seconds, _traits(path, content.get("traits", {})))
+    for name, value in (("strength", strength), ("effort", effort or 0.0)):
+        if not (math.isfinite(value) and abs(value) <= LARGEST):
+            raise EmotionError(f"{path}: {name} {value:g} must be from -{LARGEST:g} to {LARGEST:g}")
+    traits = _traits(path, content.get("traits", {}))
+    return ActorReference(strength, recordings, seconds, traits, effort)
 
 
 def _traits(path: object, traits: Any) -> dict[str, float]:

@@ -10,6 +10,7 @@
 from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,9 +22,11 @@ from deitalk.audio.load import Recording, checked_waveform
 from deitalk.audio.vocal_strength import Prosody, measure_prosody, strength_frames, vocal_strength
 from deitalk.audio.voice_activity import level_gain, normalise_level, speech_activity
 from deitalk.config.rules import Gates, VoiceIntensity
+from deitalk.emotions import EMOTIONS
 from deitalk.emotions.tracks import ActorReference
 from deitalk.errors import AudioError
-from deitalk.models.protocol import Tracks
+from deitalk.models.load import load_network
+from deitalk.models.protocol import CurveNetwork, Tracks
 from deitalk.postprocess.curve_rules import expression_scale
 from deitalk.postprocess.life.voice import Seeds, Traits
 from deitalk.postprocess.voice_intensity import (
@@ -151,10 +154,22 @@ class Speech:
             used = speaking.astype(np.float64)
             near = gaussian_smooth(used * effort, EFFORT_FRAMES)
             near = near / np.maximum(gaussian_smooth(used, EFFORT_FRAMES), 1e-6)
-            strength += EFFORT_SHARE * (float(effort[speaking].mean()) - strength)
-            around = (around + EFFORT_SHARE * (near - around)).astype(np.float32)
+            strength = _shared(strength, float(effort[speaking].mean()))
+            around = _shared(around, near).astype(np.float32)
         rows = strength + AROUND_WEIGHT * (around - around[speaking].mean())
         return strength, rows.astype(np.float32)
+
+
+def _shared(strength: Any, effort: Any) -> Any:
+    """Mean of the strength by the prosody and of a network's readout, by `EFFORT_SHARE`."""
+    return strength + EFFORT_SHARE * (effort - strength)
+
+
+def _usual(actor: ActorReference, tracks: Tracks) -> float:
+    """Usual strength of an actor as a network's takes are measured, dB."""
+    if tracks.effort is None or actor.effort is None:
+        return actor.strength
+    return float(_shared(actor.strength, actor.effort))
 
 
 class Intensities(NamedTuple):
@@ -197,7 +212,7 @@ def measure_intensities(
         network, saliency = tracks.strength, tracks.saliency
     voice, take = network, 0.0
     if rule is not None:
-        usual = 0.0 if acting.voice is None else acting.voice.strength
+        usual = 0.0 if acting.voice is None else _usual(acting.voice, tracks)
         whole, around = speech.strengths(tracks.effort)
         take = take_z(whole - usual, rule)
         voice = voice_intensity(network, speech.prosody, speech.activity, around - usual, rule)
@@ -214,8 +229,21 @@ def measure_intensities(
 # Measure the usual voice of an actor from recordings: ``deitalk data voice``.
 
 
+class HeardVoice(NamedTuple):
+    """Strength of a recording's voice."""
+
+    strength: float | None
+    """By its prosody, dB above the usual; None without voice."""
+    effort: float | None
+    """By the network's readout, dB; None without voice or without one."""
+    seconds: float
+
+
 def measure_actor(
-    recordings: Iterable[Audio], progress: Callable[[int], None] = lambda done: None
+    recordings: Iterable[Audio],
+    progress: Callable[[int], None] = lambda done: None,
+    *,
+    model: str | Path | CurveNetwork = "default",
 ) -> ActorReference:
     """Median strength of an actor's recordings; those without voice are left out.
 
@@ -226,28 +254,40 @@ def measure_actor(
         matter.
     progress : callable
         Called with the number of recordings that are done.
+    model : str, Path or CurveNetwork
+        The model whose takes count from it.
 
     Raises
     ------
     AudioError
         If one cannot be read, or none holds a voice.
+    CheckpointError
+        If there is no such model.
     """
+    network = load_network(model)
     measured = []
     for number, audio in enumerate(recordings, 1):
-        recording = recording_of(audio)
-        measured.append((voice_strength(recording), recording.duration))
+        measured.append(hear_voice(recording_of(audio), network))
         progress(number)
     return reference_of(measured)
 
 
-def voice_strength(recording: Recording) -> float | None:
-    """Strength of a recording's voice, dB above the usual; None without voice."""
+def hear_voice(recording: Recording, network: CurveNetwork) -> HeardVoice:
+    """Strength of a recording's voice, as takes of a network are measured."""
     speech = Speech.of_recording(recording)
-    return speech.strength if speech.prosody.voiced.any() else None
+    if not speech.prosody.voiced.any():
+        return HeardVoice(None, None, recording.duration)
+    weights = np.zeros((speech.n_frames, len(EMOTIONS)), np.float32)
+    weights[:, 0] = 1
+    effort = network.read(speech.waveform, weights, gain=speech.gain).tracks.effort
+    speaking = speech.activity > 0
+    if effort is None or not speaking.any():
+        return HeardVoice(speech.strength, None, recording.duration)
+    return HeardVoice(speech.strength, float(effort[speaking].mean()), recording.duration)
 
 
-def reference_of(measured: Iterable[tuple[float | None, float]]) -> ActorReference:
-    """Reference of an actor from the strength and the seconds of each recording.
+def reference_of(measured: Iterable[HeardVoice]) -> ActorReference:
+    """Reference of an actor from the voices of recordings.
 
     The traits of the actor's motion are drawn from them: equal recordings give equal traits.
 
@@ -256,11 +296,14 @@ def reference_of(measured: Iterable[tuple[float | None, float]]) -> ActorReferen
     AudioError
         If no recording holds a voice.
     """
-    voiced = [(strength, seconds) for strength, seconds in measured if strength is not None]
+    voiced = [voice for voice in measured if voice.strength is not None]
     if not voiced:
         raise AudioError("no voice in the recordings of the actor; give some with speech")
-    strengths, lengths = zip(*voiced, strict=True)
-    facts = np.array([*strengths, *lengths]) / 1000
-    seeds = Seeds.of(facts.astype(np.float32), "", 0)
-    traits = asdict(Traits.of(seeds.character()))
-    return ActorReference(float(np.median(strengths)), len(voiced), sum(lengths), traits)
+    strengths, seconds = [voice.strength for voice in voiced], [voice.seconds for voice in voiced]
+    efforts = [voice.effort for voice in voiced if voice.effort is not None]
+    facts = np.array([*strengths, *seconds], float) / 1000
+    traits = asdict(Traits.of(Seeds.of(facts.astype(np.float32), "", 0).character()))
+    effort = float(np.median(efforts)) if efforts else None
+    return ActorReference(
+        float(np.median(np.array(strengths, float))), len(voiced), sum(seconds), traits, effort
+    )

@@ -1,10 +1,12 @@
 """The usual voice of an actor, and its effect on the intensity."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import soundfile as sf
+from pytest import approx
 from typer.testing import CliRunner
 
 from deitalk import animate
@@ -14,7 +16,8 @@ from deitalk.cli import app
 from deitalk.emotions import ActorReference, read_actor
 from deitalk.emotions.tracks import TRAITS
 from deitalk.errors import AudioError, EmotionError
-from deitalk.pipeline.speech import Speech, measure_actor
+from deitalk.models.load import load_network
+from deitalk.pipeline.speech import Speech, measure_actor, measure_intensities
 from tests.deitalk.audio.test_prosody import voice
 from tests.each import each
 from tests.errors import one_line
@@ -36,10 +39,25 @@ def test_usual_strength_is_the_median_and_silence_does_not_count(recordings):
         Speech.of(load_audio(recordings / f"{n}.wav").waveform).strength
         for n in ("soft", "usual", "strong")
     )
-    assert actor.strength == pytest.approx(strengths[1])
-    assert (actor.recordings, actor.seconds) == (3, pytest.approx(9))
+    assert actor.strength == approx(strengths[1])
+    assert (actor.recordings, actor.seconds) == (3, approx(9))
     with pytest.raises(AudioError, match="no voice"):
         measure_actor([recordings / "silence.wav"])
+
+
+def test_usual_takes_count_as_usual_in_a_network_with_a_readout_and_in_one_without(recordings):
+    """The take that an actor is measured on is 0 deviations from the usual one, by either."""
+    sound = Speech.of_recording(load_audio(recordings / "usual.wav"))
+    weights = np.eye(1, 5).repeat(sound.n_frames, axis=0).astype(np.float32)
+    for model in ("default", "mel"):
+        actor = measure_actor([recordings / "usual.wav"], model=model)
+        tracks = load_network(model).read(sound.waveform, weights, gain=sound.gain).tracks
+        assert (actor.effort is None) == (tracks.effort is None) == (model == "mel")
+        assert measure_intensities(sound, tracks, Acting.of(voice=actor)).take == approx(
+            0, abs=1e-4
+        )
+    heard = replace(actor, effort=actor.strength + 5)  # what `mel` does not read it does not use
+    assert measure_intensities(sound, tracks, Acting.of(voice=heard)).take == approx(0, abs=1e-4)
 
 
 def test_traits_are_drawn_from_the_recordings_within_their_ranges(recordings):
@@ -51,8 +69,9 @@ def test_traits_are_drawn_from_the_recordings_within_their_ranges(recordings):
     assert all(low <= first.traits[name] <= high for name, (low, high) in TRAITS.items())
 
 
-def test_reference_file_gives_the_reference_back(tmp_path):
-    actor = ActorReference(1.25, 12, 63.5, {"side": -0.1, "blink_interval": 1.2})
+@each("effort", [None, -0.25])
+def test_reference_file_gives_the_reference_back(tmp_path, effort):
+    actor = ActorReference(1.25, 12, 63.5, {"side": -0.1, "blink_interval": 1.2}, effort)
     path = tmp_path / "anna.json"
     path.write_text(actor.as_json())
     assert read_actor(path) == actor
@@ -71,6 +90,8 @@ PLAIN = {"format": "deitalk-actor", "version": 1, "strength": 0, "recordings": 1
         {"format": "deitalk-actor", "version": 1, "strength": "x", "recordings": 1, "seconds": 1},
         {"format": "deitalk-actor", "version": 1, "strength": 1e9, "recordings": 1, "seconds": 1},
         {"format": "deitalk-actor", "version": 1, "recordings": 1, "seconds": 1},
+        {**PLAIN, "effort": "x"},
+        {**PLAIN, "effort": 1e9},
         {**PLAIN, "traits": {"nose": 1}},
         {**PLAIN, "traits": {"side": 2}},
         {**PLAIN, "traits": {"side": None}},
