@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from math import sqrt
 from typing import Any
 
 import numpy as np
@@ -21,10 +20,11 @@ from rig.face.render.shading import FAR, NEAR, Picture, View, background
 # mypy: allow-untyped-decorators, allow-untyped-calls, allow-any-generics
 
 
-_TO_LIGHT = shading.TO_LIGHT
-_COLOR = shading.LIGHT_COLORS
-_WRAP = shading.WRAPS
-_SKY, _GROUND = np.array(shading.SKY), np.array(shading.GROUND)
+F = np.float32
+_TO_LIGHT, _COLOR = shading.TO_LIGHT.astype(F), shading.LIGHT_COLORS.astype(F)
+_WRAP = shading.WRAPS.astype(F)
+_SLOPE = 1 / (1 + _WRAP)
+_SKY, _GROUND = np.array(shading.SKY, F), np.array(shading.GROUND, F)
 N_LIGHTS = len(_COLOR)
 
 
@@ -37,20 +37,39 @@ def compiled(function: Callable[..., Any]) -> Any:
         return njit(**options)(function)
 
 
+TILE = 8
+"""Side of a tile, samples."""
+
 # Columns of a vertex: place on the screen (2), normal (3), paint (4), light (2), accent, uv (2).
-X, Y, NORMAL, PAINT, LIGHT, ACCENT, UV, COLUMNS = 0, 1, 2, 5, 9, 11, 12, 14
+X, Y, NORMAL, COLUMNS = 0, 1, 2, 14
+PLACES = 512
+"""Most places whose light is worked out together: a power of two, four for each pixel."""
+# Where the rows of numbers of places begin in one array, those of the vertices first. With known
+# distances between rows the compiler can tell that they do not overlap.
+NX, NY, NZ, RED, GREEN, BLUE, GLOSS, AMBIENT, SEEN, ACCENT, U, V = (
+    PLACES * column for column in range(NORMAL, COLUMNS)
+)
+DEPTH, SHARE, STRAND, KEPT, BLEED, RIM, WINDOW = (
+    PLACES * row for row in range(COLUMNS, COLUMNS + 7)
+)
+TO_EYE, WRAP, SLOPE, ROWS = 21 * PLACES, 24 * PLACES, 27 * PLACES, 30
 
 
 @compiled
-def fill(x: Any, y: Any, z: Any, faces: Any, nearest: Any, depth: Any) -> None:
+def fill(
+    x: Any, y: Any, z: Any, faces: Any, first_face: Any, far: Any, nearest: Any, depth: Any
+) -> None:
     """Write the nearest face and its depth at every sample (H, W) that faces cover.
 
     Neighbours compute a shared edge from its upper to its lower end, with the same numbers: they
-    share no sample and leave none out.
+    share no sample and leave none out. Faces behind `far`, the depth of tiles of samples
+    (`farthest`), are left out.
     """
     height, width = nearest.shape
-    for f in range(len(faces)):
+    for f in range(first_face, len(faces)):
         a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+        if _is_behind(x, y, z, a, b, c, far):
+            continue
         area = (x[b] - x[a]) * (y[c] - y[a]) - (y[b] - y[a]) * (x[c] - x[a])
         per_x = ((z[b] - z[a]) * (y[c] - y[a]) - (z[c] - z[a]) * (y[b] - y[a])) / area
         per_y = ((z[c] - z[a]) * (x[b] - x[a]) - (z[b] - z[a]) * (x[c] - x[a])) / area
@@ -60,12 +79,14 @@ def fill(x: Any, y: Any, z: Any, faces: Any, nearest: Any, depth: Any) -> None:
             a, c = c, a
         if y[c] < y[b]:
             b, c = c, b
+        long, upper, lower = _slope(x, y, a, c), _slope(x, y, a, b), _slope(x, y, b, c)
         first = max(int(np.ceil(y[a] - 0.5)), 0)
+        middle = int(np.ceil(y[b] - 0.5))
         last = min(int(np.ceil(y[c] - 0.5)), height)
         for row in range(first, last):
             at = row + 0.5
-            one = _crossing(x, y, a, c, at)
-            other = _crossing(x, y, a, b, at) if at < y[b] else _crossing(x, y, b, c, at)
+            one = x[a] + long * (at - y[a])
+            other = x[a] + upper * (at - y[a]) if row < middle else x[b] + lower * (at - y[b])
             left = max(int(np.ceil(min(one, other) - 0.5)), 0)
             right = min(int(np.ceil(max(one, other) - 0.5)), width)
             value = z[a] + per_y * (at - y[a]) + per_x * (left + 0.5 - x[a])
@@ -77,12 +98,33 @@ def fill(x: Any, y: Any, z: Any, faces: Any, nearest: Any, depth: Any) -> None:
 
 
 @compiled
-def _crossing(x: Any, y: Any, top: Any, bottom: Any, at: Any) -> Any:
-    """Where the edge from `top` to `bottom` crosses a row."""
+def _is_behind(x: Any, y: Any, z: Any, a: Any, b: Any, c: Any, far: Any) -> Any:
+    """Whether a face lies behind all samples of the tiles that it touches."""
+    left, right = min(x[a], x[b], x[c]), max(x[a], x[b], x[c])
+    top, bottom = min(y[a], y[b], y[c]), max(y[a], y[b], y[c])
+    near = min(z[a], z[b], z[c])
+    for row in range(max(int(top) // TILE, 0), min(int(bottom) // TILE + 1, far.shape[0])):
+        for column in range(max(int(left) // TILE, 0), min(int(right) // TILE + 1, far.shape[1])):
+            if near < far[row, column]:
+                return False
+    return True
+
+
+@compiled
+def farthest(depth: Any, far: Any) -> None:
+    """Write the largest depth of each tile of `TILE` by `TILE` samples."""
+    far[:] = 0
+    for row in range(depth.shape[0]):
+        for column in range(depth.shape[1]):
+            at = row // TILE, column // TILE
+            far[at] = max(far[at], depth[row, column])
+
+
+@compiled
+def _slope(x: Any, y: Any, top: Any, bottom: Any) -> Any:
+    """Of an edge: columns per row; 0 of a level one, which no row crosses."""
     height = y[bottom] - y[top]
-    if height == 0:
-        return x[top]
-    return x[top] + (x[bottom] - x[top]) / height * (at - y[top])
+    return (x[bottom] - x[top]) / height if height > 0 else 0.0 * height
 
 
 @compiled
@@ -91,143 +133,204 @@ def color(
 ) -> None:
     """Write a picture (H, W, 3) of the faces at its samples (2 H, 2 W).
 
-    Light is worked out once a pixel, and once more for each sample on another surface than the
-    pixel's first sample (multisampling).
+    Light is worked out once a pixel for each surface that its samples show (multisampling), of
+    many pixels together: loops that compile to instructions on many numbers.
     """
-    nearest, depth = samples
-    faces, table, kind, part = surface
     height, width = picture.shape[:2]
-    light, first = np.zeros(3), np.zeros(3)
-    own, values = np.zeros(3), np.zeros(COLUMNS)
+    places, shown = np.zeros(ROWS * PLACES, F), np.zeros(PLACES, np.int64)
+    columns, kinds = np.zeros(PLACES, np.int64), np.zeros(PLACES, np.int64)
     for row in range(height):
-        for column in range(width):
-            light[:] = 0
-            face = -2
-            for sample in range(4):
-                sy, sx = 2 * row + sample // 2, 2 * column + sample % 2
-                f = nearest[sy, sx]
-                is_same = sample > 0 and f == face
-                if not is_same and sample > 0 and f >= 0 and face >= 0:
-                    near = abs(depth[sy, sx] - depth[2 * row, 2 * column]) <= step
-                    is_same = near and part[faces[f, 0]] == part[faces[face, 0]]
-                if is_same:
-                    light += first
-                    continue
-                if f < 0:
-                    own[:] = empty[row]
-                else:
-                    _interpolate(table, faces[f], sx + 0.5, sy + 0.5, values)
-                    _shade(values, kind[faces[f, 0]], to_eye[row, column], maps, own)
-                light += own
-                if sample == 0:
-                    first[:] = own
-                    face = f
-            for k in range(3):
-                picture[row, column, k] = int(light[k] * 63.75 + 0.5)
+        for left in range(0, width, PLACES // 4):
+            right = min(left + PLACES // 4, width)
+            count = _find(row, left, right, samples, surface, step, places, shown, columns)
+            _interpolate(count, surface, places, shown, kinds)
+            _paint(row, count, to_eye, maps, places, columns, kinds)
+            _light(count, places)
+            i = 0
+            for column in range(left, right):
+                red, green, blue = empty[row, 0], empty[row, 1], empty[row, 2]
+                while i < count and columns[i] == column:
+                    share = F(0.25) * places[SHARE + i]
+                    red += share * (places[RED + i] - empty[row, 0])
+                    green += share * (places[GREEN + i] - empty[row, 1])
+                    blue += share * (places[BLUE + i] - empty[row, 2])
+                    i += 1
+                picture[row, column, 0] = int(red * F(255) + F(0.5))
+                picture[row, column, 1] = int(green * F(255) + F(0.5))
+                picture[row, column, 2] = int(blue * F(255) + F(0.5))
 
 
 @compiled
-def _interpolate(table: Any, face: Any, x: Any, y: Any, values: Any) -> None:
-    a, b, c = table[face[0]], table[face[1]], table[face[2]]
-    bx, by, cx, cy = b[X] - a[X], b[Y] - a[Y], c[X] - a[X], c[Y] - a[Y]
-    area = bx * cy - by * cx
-    to_b = ((x - a[X]) * cy - (y - a[Y]) * cx) / area
-    to_c = ((y - a[Y]) * bx - (x - a[X]) * by) / area
-    for k in range(NORMAL, COLUMNS):
-        values[k] = a[k] + to_b * (b[k] - a[k]) + to_c * (c[k] - a[k])
+def _find(
+    row: Any, left: Any, right: Any, samples: Any, surface: Any, step: Any, places: Any,
+    shown: Any, columns: Any,
+) -> Any:  # fmt: skip
+    """Find the surfaces that some pixels of a row show; return how many places."""
+    nearest, depth = samples
+    faces, _, _, part = surface
+    count = 0
+    for column in range(left, right):
+        first = count
+        for sample in range(4):
+            sy, sx = 2 * row + sample // 2, 2 * column + sample % 2
+            f, far = nearest[sy, sx], depth[sy, sx]
+            if f < 0:
+                continue
+            i = first
+            while i < count and shown[i] != f:
+                is_near = abs(far - places[DEPTH + i]) <= step
+                if is_near and part[faces[f, 0]] == part[faces[shown[i], 0]]:
+                    break
+                i += 1
+            if i == count:
+                places[X * PLACES + i], places[Y * PLACES + i] = sx + 0.5, sy + 0.5
+                places[DEPTH + i], places[SHARE + i] = far, 0
+                shown[i], columns[i] = f, column
+                count += 1
+            places[SHARE + i] += 1
+    return count
+
+
+@compiled
+def _interpolate(count: Any, surface: Any, places: Any, shown: Any, kinds: Any) -> None:
+    """Write the values of the vertices and the kind of surface at each place."""
+    faces, table, kind, _ = surface
+    for i in range(count):
+        a, b, c = faces[shown[i], 0], faces[shown[i], 1], faces[shown[i], 2]
+        kinds[i] = kind[a]
+        ax, ay = table[a, X], table[a, Y]
+        bx, by, cx, cy = table[b, X] - ax, table[b, Y] - ay, table[c, X] - ax, table[c, Y] - ay
+        x, y, area = places[X * PLACES + i] - ax, places[Y * PLACES + i] - ay, bx * cy - by * cx
+        to_b, to_c = (x * cy - y * cx) / area, (y * bx - x * by) / area
+        for k in range(NORMAL, COLUMNS):
+            first = table[a, k]
+            rise = to_b * (table[b, k] - first) + to_c * (table[c, k] - first)
+            places[k * PLACES + i] = first + rise
 
 
 @compiled
 def _unit(x: Any, y: Any, z: Any) -> Any:
-    scale = 1 / sqrt(x * x + y * y + z * z + 1e-12)
+    scale = F(1) / np.sqrt(x * x + y * y + z * z + F(1e-12))
     return x * scale, y * scale, z * scale
 
 
 @compiled
-def _skin(values: Any, creases: Any, pores: Any) -> None:
-    """Put pores into the gloss and creases into the normal; leave in ACCENT what colours keep."""
-    u, v, accent = values[UV], values[UV + 1], values[ACCENT]
-    side = len(pores)
-    row, column = int(v * PORES * side) % side, int(u * PORES * side) % side
-    kept = 1 + 0.16 * (pores[row, column, 0] / 127.5 - 1)
-    values[PAINT + 3] *= 1 + 0.7 * (pores[row, column, 1] / 127.5 - 1)
-    nx, ny, nz = _unit(values[NORMAL], values[NORMAL + 1], values[NORMAL + 2])
-    if accent > 0.01:
-        row, column = int(v * len(creases)), int(u * len(creases))
-        nx += accent * (creases[row, column, 0] / 127.5 - 1)
-        ny += accent * (creases[row, column, 1] / 127.5 - 1)
-        nz += accent * (creases[row, column, 2] / 127.5 - 1)
-        kept *= 1 - accent * (1 - creases[row, column, 3] / 255)
-    values[NORMAL], values[NORMAL + 1], values[NORMAL + 2] = nx, ny, nz
-    values[ACCENT] = kept
+def _paint(
+    row: Any, count: Any, to_eye: Any, maps: Any, places: Any, columns: Any, kinds: Any
+) -> None:
+    """Put the maps, and what each kind of surface has, into the places of a row."""
+    atlas, creases, pores = maps
+    for i in range(count):
+        kind, u, v, accent = kinds[i], places[U + i], places[V + i], places[ACCENT + i]
+        nx, ny, nz = _unit(places[NX + i], places[NY + i], places[NZ + i])
+        vx, vy, vz = (to_eye[row, columns[i], 0], to_eye[row, columns[i], 1],
+                      to_eye[row, columns[i], 2])  # fmt: skip
+        y, x = int(v * len(atlas)), int(u * len(atlas))
+        tint = atlas[y, x, 0] / F(127.5)
+        places[RED + i] *= tint
+        places[GREEN + i] *= atlas[y, x, 1] / F(127.5)
+        places[BLUE + i] *= atlas[y, x, 2] / F(127.5)
+        places[STRAND + i] = tint * tint if kind == HAIR else F(1)
+        places[KEPT + i] = F(1) if kind == HAIR else F(1) - F(0.85) * accent
+        places[RIM + i] = F(0) if kind == EYE else F(0.35)
+        places[WINDOW + i] = F(0)
+        places[BLEED + i] = F(1) if kind == SKIN else F(0)
+        places[TO_EYE + i], places[TO_EYE + PLACES + i], places[TO_EYE + 2 * PLACES + i] = (
+            vx,
+            vy,
+            vz,
+        )
+        for k in range(3):
+            places[WRAP + k * PLACES + i] = _WRAP[kind, k]
+            places[SLOPE + k * PLACES + i] = _SLOPE[kind, k]
+        if kind == EYE:
+            places[WINDOW + i] = _window(nx, ny, nz, vx, vy, vz) * (F(1) - accent)
+        elif kind == SKIN:
+            side = len(pores)
+            y, x = int(v * PORES * side) % side, int(u * PORES * side) % side
+            kept = F(1) + F(0.16) * (pores[y, x, 0] / F(127.5) - F(1))
+            places[GLOSS + i] *= F(1) + F(0.7) * (pores[y, x, 1] / F(127.5) - F(1))
+            if accent > F(0.01):
+                y, x = int(v * len(creases)), int(u * len(creases))
+                nx += accent * (creases[y, x, 0] / F(127.5) - F(1))
+                ny += accent * (creases[y, x, 1] / F(127.5) - F(1))
+                nz += accent * (creases[y, x, 2] / F(127.5) - F(1))
+                kept *= F(1) - accent * (F(1) - creases[y, x, 3] / F(255))
+                nx, ny, nz = _unit(nx, ny, nz)
+            places[KEPT + i] = kept
+        places[NX + i], places[NY + i], places[NZ + i] = nx, ny, nz
 
 
 @compiled
-def _shade(values: Any, kind: Any, v: Any, maps: Any, out: Any) -> None:
-    """Colour (3,) sRGB 0..1 of one place of a surface, as the shader of `shading.glsl` gives it."""
-    atlas, creases, pores = maps
-    row, column = int(values[UV + 1] * len(atlas)), int(values[UV] * len(atlas))
-    tint_r, tint_g, tint_b = atlas[row, column, 0], atlas[row, column, 1], atlas[row, column, 2]
-    strand = (tint_r / 127.5) ** 2 if kind == HAIR else 1.0
-    dark = values[ACCENT]
-    if kind == SKIN:
-        _skin(values, creases, pores)
-        kept = values[ACCENT]
-    else:
-        kept = 1.0 if kind == HAIR else 1 - 0.85 * dark
-    nx, ny, nz = _unit(values[NORMAL], values[NORMAL + 1], values[NORMAL + 2])
-    gloss, ambient = values[PAINT + 3], values[LIGHT]
-    facing = nx * v[0] + ny * v[1] + nz * v[2]
-    up = 0.5 + 0.5 * ny
-    rim = (1 - max(facing, 0.0)) ** 3 * 0.35 if kind != EYE else 0.0
-    red = (_GROUND[0] + (_SKY[0] - _GROUND[0]) * up + rim * _SKY[0]) * ambient
-    green = (_GROUND[1] + (_SKY[1] - _GROUND[1]) * up + rim * _SKY[1]) * ambient
-    blue = (_GROUND[2] + (_SKY[2] - _GROUND[2]) * up + rim * _SKY[2]) * ambient
-    shine_r = shine_g = shine_b = 0.0
-    power = 14 + 340 * gloss * gloss
-    strength = (0.16 * min(gloss, 0.28) + 0.50 * gloss * gloss * sqrt(max(gloss, 0.0))) * strand
-    for k in range(N_LIGHTS):
-        dx, dy, dz = _TO_LIGHT[k, 0], _TO_LIGHT[k, 1], _TO_LIGHT[k, 2]
-        cosine = nx * dx + ny * dy + nz * dz
-        seen = values[LIGHT + 1] if k == 0 else 0.35 + 0.65 * ambient
-        bleed = seen * (1 - seen) if kind == SKIN else 0.0
-        red += _COLOR[k, 0] * _wrapped(cosine, _WRAP[kind, 0]) * (seen + 0.55 * bleed)
-        green += _COLOR[k, 1] * _wrapped(cosine, _WRAP[kind, 1]) * (seen + 0.12 * bleed)
-        blue += _COLOR[k, 2] * _wrapped(cosine, _WRAP[kind, 2]) * seen
-        if cosine > 0:
-            along = 1 + dx * v[0] + dy * v[1] + dz * v[2]
-            half = (cosine + facing) / sqrt(max(2 * along, 1e-6))
-            half = min(max(half, 0.0), 1.0)
+def _window(nx: Any, ny: Any, nz: Any, vx: Any, vy: Any, vz: Any) -> Any:
+    """Reflection of a large lamp and of the sky on a wet eye."""
+    facing = nx * vx + ny * vy + nz * vz
+    dx, dy, dz = _TO_LIGHT[0, 0], _TO_LIGHT[0, 1], _TO_LIGHT[0, 2]
+    toward = dx * vx + dy * vy + dz * vz
+    mirror = F(2) * facing * (nx * dx + ny * dy + nz * dz) - toward
+    glow = _limited((mirror - F(0.955)) / F(0.02))
+    sky = _limited(F(2) * facing * ny - vy)
+    return F(0.8) * glow * glow * (F(3) - F(2) * glow) + F(0.10) * sky
+
+
+@compiled
+def _light(count: Any, places: Any) -> None:
+    """Put light on the paint of each place: the colour, sRGB 0 to 1, that `shading.glsl` gives."""
+    for i in range(count):
+        nx, ny, nz = places[NX + i], places[NY + i], places[NZ + i]
+        vx, vy, vz = (places[TO_EYE + i], places[TO_EYE + PLACES + i],
+                      places[TO_EYE + 2 * PLACES + i])  # fmt: skip
+        gloss, ambient = places[GLOSS + i], places[AMBIENT + i]
+        facing = nx * vx + ny * vy + nz * vz
+        up, away = F(0.5) + F(0.5) * ny, F(1) - max(facing, F(0))
+        rim = away * away * away * places[RIM + i]
+        red = (_GROUND[0] + (_SKY[0] - _GROUND[0]) * up + rim * _SKY[0]) * ambient
+        green = (_GROUND[1] + (_SKY[1] - _GROUND[1]) * up + rim * _SKY[1]) * ambient
+        blue = (_GROUND[2] + (_SKY[2] - _GROUND[2]) * up + rim * _SKY[2]) * ambient
+        shine_r = shine_g = shine_b = places[WINDOW + i]
+        power = F(14) + F(340) * gloss * gloss
+        strength = F(0.16) * min(gloss, F(0.28))
+        strength += F(0.50) * gloss * gloss * np.sqrt(max(gloss, F(0)))
+        strength *= places[STRAND + i]
+        for k in range(N_LIGHTS):
+            dx, dy, dz = _TO_LIGHT[k, 0], _TO_LIGHT[k, 1], _TO_LIGHT[k, 2]
+            cosine = nx * dx + ny * dy + nz * dz
+            seen = places[SEEN + i] if k == 0 else F(0.35) + F(0.65) * ambient
+            bleed = seen * (F(1) - seen) * places[BLEED + i]
+            lit = _wrapped(cosine, places[WRAP + i], places[SLOPE + i])
+            red += _COLOR[k, 0] * lit * (seen + F(0.55) * bleed)
+            lit = _wrapped(cosine, places[WRAP + PLACES + i], places[SLOPE + PLACES + i])
+            green += _COLOR[k, 1] * lit * (seen + F(0.12) * bleed)
+            lit = _wrapped(cosine, places[WRAP + 2 * PLACES + i], places[SLOPE + 2 * PLACES + i])
+            blue += _COLOR[k, 2] * lit * seen
+            along = F(1) + dx * vx + dy * vy + dz * vz
+            half = _limited((cosine + facing) / np.sqrt(max(F(2) * along, F(1e-6))))
+            half = half if cosine > F(0) else F(0)
             shine = half / (power - power * half + half) * strength * seen
             shine_r += shine * _COLOR[k, 0]
             shine_g += shine * _COLOR[k, 1]
             shine_b += shine * _COLOR[k, 2]
-    window = _window(nx, ny, nz, v, facing) * (1 - dark) if kind == EYE else 0.0
-    out[0] = _display(values[PAINT] * tint_r / 127.5, kept * red, shine_r + window)
-    out[1] = _display(values[PAINT + 1] * tint_g / 127.5, kept * green, shine_g + window)
-    out[2] = _display(values[PAINT + 2] * tint_b / 127.5, kept * blue, shine_b + window)
+        kept = places[KEPT + i]
+        places[RED + i] = _display(places[RED + i], kept * red, shine_r)
+        places[GREEN + i] = _display(places[GREEN + i], kept * green, shine_g)
+        places[BLUE + i] = _display(places[BLUE + i], kept * blue, shine_b)
 
 
 @compiled
-def _wrapped(cosine: Any, wrap: Any) -> Any:
-    lit = min(max((cosine + wrap) / (1 + wrap), 0.0), 1.0)
-    return lit * (0.72 + 0.28 * lit)
+def _limited(x: Any) -> Any:
+    return min(max(x, F(0)), F(1))
 
 
 @compiled
-def _window(nx: Any, ny: Any, nz: Any, v: Any, facing: Any) -> Any:
-    """Reflection of a large lamp and of the sky on a wet eye."""
-    dx, dy, dz = _TO_LIGHT[0, 0], _TO_LIGHT[0, 1], _TO_LIGHT[0, 2]
-    toward = dx * v[0] + dy * v[1] + dz * v[2]
-    mirror = 2 * facing * (nx * dx + ny * dy + nz * dz) - toward
-    glow = min(max((mirror - 0.955) / 0.02, 0.0), 1.0)
-    return 0.8 * glow * glow * (3 - 2 * glow) + 0.10 * min(max(2 * facing * ny - v[1], 0.0), 1.0)
+def _wrapped(cosine: Any, wrap: Any, slope: Any) -> Any:
+    lit = _limited((cosine + wrap) * slope)
+    return lit * (F(0.72) + F(0.28) * lit)
 
 
 @compiled
 def _display(paint: Any, light: Any, shine: Any) -> Any:
     linear = paint * paint * light + shine
-    return sqrt(min(max(linear * 1.12 / (1 + 0.12 * linear), 0.0), 1.0))
+    return np.sqrt(_limited(linear * F(1.12) / (F(1) + F(0.12) * linear)))
 
 
 @dataclass(frozen=True)
@@ -273,7 +376,7 @@ def planes(screen: Screen, faces: Int64, values: Float32) -> tuple[Float32, Floa
     return first, per_x, per_y
 
 
-def nearest_faces(screen: Screen, faces: Int64) -> tuple[Int32, Float32]:
+def nearest_faces(screen: Screen, faces: Int64, n_first: int = 0) -> tuple[Int32, Float32]:
     """Nearest face and its depth (height, width) at every sample; -1 and inf where there is none.
 
     Parameters
@@ -282,10 +385,16 @@ def nearest_faces(screen: Screen, faces: Int64) -> tuple[Int32, Float32]:
         The picture and where vertices fall on it.
     faces : ndarray [shape=(N, 3)]
         Faces to draw, all from their outside (`front_faces`).
+    n_first : int
+        How many are filled first, behind which the others are left out early.
     """
     nearest = np.full((screen.height, screen.width), -1, np.int32)
     depth = np.full(nearest.shape, np.inf, np.float32)
-    fill(screen.x, screen.y, screen.depth, faces, nearest, depth)
+    far = np.full((-(-screen.height // TILE), -(-screen.width // TILE)), np.inf, np.float32)
+    place = screen.x, screen.y, screen.depth
+    fill(*place, faces[:n_first], 0, far, nearest, depth)
+    farthest(depth, far)
+    fill(*place, faces, n_first, far, nearest, depth)
     return nearest, depth
 
 
@@ -297,7 +406,9 @@ class SoftwareRenderer:
     """Draws one mesh's poses."""
 
     def __init__(self, mesh: Mesh, size: tuple[int, int], view: View) -> None:
-        self._mesh, self._size = mesh, size
+        self._size = size
+        is_hair = mesh.kind[mesh.faces[:, 0]] == HAIR
+        self._faces = mesh.faces[np.argsort(is_hair, kind="stable")]  # hair last
         self._matrix = view.matrix(size[0] / size[1])
         paint = np.c_[mesh.colors, mesh.gloss, mesh.light]
         self._paint, self._uv = paint.astype(np.float32), mesh.uv.astype(np.float32)
@@ -323,11 +434,12 @@ class SoftwareRenderer:
         screen = Screen(
             width, height, (x + 1) * (width / 2), (1 - y) * (height / 2), np.maximum(z + 1, 0) / 2
         )
-        faces = front_faces(screen, self._mesh.faces)
+        faces = front_faces(screen, self._faces)
         columns = [screen.x, screen.y, normals, self._paint, accents, self._uv]
         surface = faces, np.column_stack(columns).astype(np.float32), self._kind, self._part
         picture = np.empty((*self._size[::-1], 3), np.uint8)
-        samples = nearest_faces(screen, faces)
+        is_hair = self._kind[faces[:, 0]] == HAIR
+        samples = nearest_faces(screen, faces, int(is_hair.argmax()) if is_hair.any() else 0)
         color(samples, surface, self._to_eye, self._maps, self._step, self._empty, picture)
         return picture
 
