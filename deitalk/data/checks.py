@@ -35,9 +35,9 @@ from deitalk.data.clips import (
     read_phones,
 )
 from deitalk.data.offset import (
-    JAW,
     RATE,
     is_shifted,
+    jaw_motion,
     lag_correlations,
     loudness,
     model_lags,
@@ -202,15 +202,6 @@ def _curves(clip: Clip, controls: ControlSet) -> RigCurves:
 @lru_cache(maxsize=8)
 def _recording(path: str) -> Recording:
     return load_audio(path)
-
-
-def jaw_motion(curves: RigCurves, offset: float, seconds: float) -> Float64:
-    """The jaw on the audio's axis at 60 frames per second; still if there is none."""
-    at = np.arange(int(seconds * RATE)) / RATE
-    if JAW not in curves.names:
-        return np.zeros(len(at))
-    jaw: Float64 = np.interp(at, curves.times + offset, curves[JAW].astype(np.float64))
-    return jaw
 
 
 def _open_in_silence(jaw: Float64, speaking: Bool) -> float:

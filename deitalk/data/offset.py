@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter1d
 
 from deitalk.audio.frames import SAMPLE_RATE
 from deitalk.audio.load import Recording
@@ -132,6 +131,15 @@ def vowel_band(waveform: Float32) -> Float32:
     hertz = np.fft.rfftfreq(len(waveform), 1 / SAMPLE_RATE)
     spectrum[(hertz < VOWEL_BAND_HZ[0]) | (hertz > VOWEL_BAND_HZ[1])] = 0
     return np.fft.irfft(spectrum, len(waveform)).astype(np.float32)
+
+
+def jaw_motion(curves: RigCurves, offset: float, seconds: float) -> Float64:
+    """The jaw on the audio's axis at 60 frames per second; still if there is none."""
+    at = np.arange(int(seconds * RATE)) / RATE
+    if JAW not in curves.names:
+        return np.zeros(len(at))
+    jaw: Float64 = np.interp(at, curves.times + offset, curves[JAW].astype(np.float64))
+    return jaw
 
 
 def lag_correlations(signal: Float64, jaw: Float64) -> Float64:
@@ -471,6 +479,8 @@ def _level(recording: Recording, at: Float64) -> Float64:
 
 
 def _quick(signal: Float64) -> Float64:
+    from scipy.ndimage import gaussian_filter1d  # takes a fifth of a second
+
     slow: Float64 = gaussian_filter1d(signal, SMOOTH_SECONDS * SYNC_RATE, mode="nearest")
     return signal - slow
 

@@ -10,7 +10,6 @@ import numpy as np
 
 from deitalk.audio.decoding import open_sound
 from deitalk.audio.frames import SAMPLE_RATE
-from deitalk.data import checks as check
 from deitalk.data import offset
 from deitalk.data.clips import read_phones
 from deitalk.errors import DeitalkError
@@ -237,7 +236,7 @@ def offset_warnings(source: PreviewSource) -> list[Finding]:
     if not source.sample_rate:
         return []
     samples = _at_16_khz(source.samples, source.sample_rate)
-    jaw = check.jaw_motion(source.curves, 0.0, len(samples) / SAMPLE_RATE)
+    jaw = offset.jaw_motion(source.curves, 0.0, len(samples) / SAMPLE_RATE)
     lags = offset.lag_correlations(offset.loudness(offset.vowel_band(samples)), jaw)
     if not np.isfinite(lags).all() or not offset.is_clear(lags):
         return []

@@ -9,12 +9,13 @@ import pandas as pd
 import pytest
 
 from deitalk.audio.load import Recording, load_audio
-from deitalk.data.checks import inspect_dataset, jaw_motion
+from deitalk.data.checks import inspect_dataset
 from deitalk.data.clips import read_clips
 from deitalk.data.offset import (
     REACH,
     is_clear,
     is_shifted,
+    jaw_motion,
     lag_correlations,
     loudness,
     model_lags,
