@@ -85,7 +85,7 @@ pictures: setup-dev page  ## Draw docs/pictures: head, moving picture, architect
 	$(BIN)/deitalk face sheet mouth --tile 150 -o docs/pictures/face-mouth.png --force
 	$(BIN)/deitalk face sheet emotions --columns 5 --tile 150 -o docs/pictures/face-emotions.png --force
 	$(BIN)/python docs/make_architecture.py
-	$(BIN)/python docs/make_talking.py
+	$(if $(CREMA),$(BIN)/python docs/make_talking.py $(CREMA))
 	PYTHONPATH=. $(BIN)/python docs/make_studio.py
 
 figure: setup-dev  ## Draw docs/curves.png: curves over the waveform

@@ -39,7 +39,7 @@ from deitalk.postprocess.voice_intensity import (
 from rig.arrays import Float32, Float64
 from rig.curves.edit import gaussian_smooth
 
-AROUND_WEIGHT = 1.75
+AROUND_WEIGHT = 2.6
 """Of the strength around a frame less its mean: two seconds of a take differ less than takes."""
 EFFORT_SHARE, EFFORT_FRAMES = 0.8, 15.0
 """Share of a network's readout in the strength, and sigma of what counts around a frame."""

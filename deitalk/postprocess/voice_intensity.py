@@ -4,7 +4,8 @@ The sum of two parts, in standard deviations z of liveliness. The *base*, the op
 how strong the voice is at any gain over two seconds (`deitalk.audio.vocal_strength`), relative to
 the actor's own where it is given; it is bounded, so that a shouted take still has a range to vary
 in. The *variation* within the take is that of level, pitch, tilt and the network's prediction about
-their means; the mean intensity of the take stays that of its base. The intensity is
+their means, half of it about those of the seconds around, whose strength the base has; the mean
+intensity of the take stays that of its base. The intensity is
 e = 0.15 + 0.85 / (1 + exp(-1.3 z)), the scale of the corpus's labels. In pauses it decays towards
 0.15, and rises just before the voice returns.
 
@@ -236,6 +237,8 @@ MOST_TAKE = 3.0
 """Limit of the standard deviations of a whole take."""
 MOST_BASE, MOST_VARIATION = 1.3, 3.0
 """Limits of the two parts, standard deviations."""
+NEAR_SHARE, NEAR_FRAMES = 0.5, 20.0
+"""Share of the variation's own mean around a frame that is taken off it, and its sigma, 0.67 s."""
 LEVEL_SHARE, TONE_SHARE = 1.5, 0.5
 """Of level, and of pitch and of tilt, in `VoiceIntensity.index_weight`."""
 NETWORK_WEIGHT = 0.8
@@ -323,7 +326,7 @@ def _variation(network: Float32, prosody: Prosody, speaking: Bool, rule: VoiceIn
             index = index + TONE_SHARE * _smoothed(tone, voiced)
     z = NETWORK_WEIGHT * _centred(deviation(network), speaking) + rule.index_weight * index
     limited: Float64 = MOST_VARIATION * np.tanh(z / MOST_VARIATION)
-    return limited
+    return limited - NEAR_SHARE * _smoothed(limited, speaking, NEAR_FRAMES)
 
 
 def _decayed(intensity: Float64, speaking: Bool) -> Float64:
@@ -368,8 +371,8 @@ def _centred(track: Float64, frames: Bool) -> Float64:
     return centred
 
 
-def _smoothed(z: Float64, frames: Bool) -> Float64:
+def _smoothed(z: Float64, frames: Bool, sigma: float = SMOOTHING_FRAMES) -> Float64:
     """Gaussian mean over some frames; 0 far from them."""
-    weight = gaussian_smooth(frames.astype(float), SMOOTHING_FRAMES)
-    total = gaussian_smooth(np.where(frames, z, 0), SMOOTHING_FRAMES)
+    weight = gaussian_smooth(frames.astype(float), sigma)
+    total = gaussian_smooth(np.where(frames, z, 0), sigma)
     return np.where(weight > 1e-3, total / np.maximum(weight, 1e-3), 0)

@@ -44,19 +44,22 @@ def test_mean_of_the_network_over_a_take_is_not_used():
 
 
 def test_louder_second_half_has_a_higher_intensity():
-    """9.5 dB are 1.9 units of level, 1.7 deviations: 0.45 to 0.75 of the range between them."""
+    """9.5 dB are 1.9 units of level, 1.7 deviations, half of which is about the mean around.
+
+    From z = -0.43 to 0.43 the intensity rises from 0.46 to 0.69.
+    """
     waveform = voice(seconds=6)
     waveform[3 * 16_000 :] *= 3
     intensity = corrected(waveform, np.full(180, 0.5, np.float32))
-    assert 0.3 < intensity[110:160].mean() - intensity[20:70].mean() < 0.5
+    assert 0.15 < intensity[110:160].mean() - intensity[20:70].mean() < 0.3
 
 
 def test_whole_range_is_left_to_a_shouted_take():
-    """A base at its limit, 1.3, and a variation of about one deviation to either side."""
+    """A base at its limit, 1.3, and a variation of 0.43 deviations to either side: 0.79 to 0.92."""
     waveform = voice(seconds=6)
     waveform[3 * 16_000 :] *= 3
     intensity = corrected(waveform, np.full(180, 0.5, np.float32), 60.0)
-    assert intensity[110:160].mean() - intensity[20:70].mean() > 0.15
+    assert intensity[110:160].mean() - intensity[20:70].mean() > 0.1
 
 
 def test_fast_changes_are_smoothed_and_the_mean_stays():
