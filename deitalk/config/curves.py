@@ -304,7 +304,7 @@ class TuneConfig(Section):
         "of the actors",
     )
     contact_rules: Literal["auto", "base", "recipe"] = Field(
-        default="auto",
+        default="base",
         description="rules of lip contacts: the base's, or those of the section `rules`; auto is "
         "the base's where no capture knows the lips-together controls",
     )

@@ -137,8 +137,8 @@ def _with_contact_rules(
 ) -> FinetuneConfig:
     """`CONTACT_RULES` as the base has them, where the recipe has none.
 
-    Contacts that no capture shows are those of the base's network, which needs its rules: without
-    them one in ten of the found contacts is held, with them nine.
+    A network predicts a mean: its contacts, the base's and those learnt from captures, are seldom
+    full, and without rules few of the found closures are held.
     """
     wanted = config.tune.contact_rules
     if wanted == "recipe" or (wanted == "auto" and knows_contact(captured, controls)):

@@ -27,7 +27,7 @@ from deitalk.evaluation.validation import load_example, predict
 from deitalk.models.checkpoint import load_model
 from deitalk.models.folder import describe_model
 from deitalk.research.evaluation.benchmark_curves import speechlike
-from deitalk.training.tuning.recipe import read_recipe
+from deitalk.training.tuning.recipe import CONTACT_RULES, read_recipe
 from deitalk.training.tuning.task import FinetuneTask, finetune
 from rig import RigCurves, read_curves, write_curves
 from tests.command import ran
@@ -90,7 +90,8 @@ def tuned(base, data, tmp_path_factory) -> Callable[[str], Path]:
 def test_only_the_tuned_part_changes(base, tuned, part, expected):
     last = tuned(part) / "last"
     assert changed(base, last) == expected
-    assert load_model(last).rules == RulesConfig.for_captures()
+    contacts = {name: getattr(load_model(base).rules, name) for name in CONTACT_RULES}
+    assert load_model(last).rules == RulesConfig.for_captures().model_copy(update=contacts)
 
 
 def test_adapters_are_changes_of_low_rank(base, tuned):
@@ -370,7 +371,7 @@ def test_exported_model_names_no_folder_of_the_machine(base, data, tmp_path):
     for name in ("config.yaml", "model.json"):
         text = (tmp_path / "small" / name).read_text()
         assert str(tmp_path) not in text and str(Path(base).parent) not in text
-    assert load_model(tmp_path / "small").rules == RulesConfig.for_captures()
+    assert load_model(tmp_path / "small").rules == load_model(tmp_path / "run/best").rules
 
 
 def test_report_compares_before_after_and_baselines(tuned):
@@ -471,8 +472,8 @@ def test_dead_channels_stay_as_the_base_has_them(base, tmp_path):
     assert not off.config.model.kept_controls and (off.learnt == task.learnt).all()
 
 
-def test_contacts_that_no_capture_holds_keep_the_rules_of_the_base(base, data, tmp_path):
-    """Numbers of the recipe stay; captures that know the contacts keep what the actor did."""
+def test_contacts_keep_the_rules_of_the_base(base, data, tmp_path):
+    """Numbers of the recipe stay; `auto` has none where captures know the contacts."""
     folder = tmp_path / "data"
     shutil.copytree(data, folder)
     (folder / "known.txt").write_text("CTRL_C_jaw.ty\n")
@@ -487,4 +488,7 @@ def test_contacts_that_no_capture_holds_keep_the_rules_of_the_base(base, data, t
     off = FinetuneTask(recipe(base, "tune.contact_rules=recipe"), folder).config.rules
     assert off.sharpen_contacts is None
     table.assign(known="").to_csv(folder / "clips.csv", index=False)
-    assert FinetuneTask(recipe(base), folder).config.rules.sharpen_contacts is None
+    held = FinetuneTask(recipe(base), folder).config.rules
+    assert held.sharpen_contacts == rules.sharpen_contacts
+    auto = FinetuneTask(recipe(base, "tune.contact_rules=auto"), folder).config.rules
+    assert auto.sharpen_contacts is None
