@@ -116,4 +116,5 @@ def _methods(path: str) -> list[str]:
     """Methods of every route that has a path."""
     routes = [route for module in ROUTES for route in module.router.routes]
     fitting = [r for r in routes if isinstance(r, Route) and r.path_regex.match(path)]
-    return sorted({method for route in fitting for method in route.methods or ()})
+    methods = {method for route in fitting for method in route.methods or ()}
+    return sorted(methods | {"HEAD"} if "GET" in methods else methods)

@@ -134,9 +134,12 @@ class Guard:
 
     async def _run(self, active: _Active, receive: Receive, send: Send) -> None:
         scope = active.scope
+        inner = dict(scope)
+        if scope.get("method") == "HEAD":
+            inner["method"] = "GET"  # uvicorn leaves out the body
         try:
             self._admit(scope)
-            await self.app(scope, receive, send)
+            await self.app(inner, receive, send)
         except Problem as problem:
             await _refuse(scope, problem, send)
         except Exception as error:
@@ -144,6 +147,8 @@ class Guard:
                 log.error("an answer broke off: %s", describe(error))
                 return
             await _refuse(scope, internal_problem(error), send)
+        finally:
+            scope["route"] = inner.get("route")
 
     def _admit(self, scope: Scope) -> None:
         n_bytes = sum(len(name) + len(value) for name, value in scope["headers"])

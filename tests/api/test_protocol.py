@@ -92,6 +92,17 @@ def test_results_are_sent_in_parts_and_only_if_they_are_new(client):
     assert client.get(job["result"], headers={"Range": f"bytes={size}-"}).status_code == 416
 
 
+def test_head_has_the_headers_of_get_and_no_body(client):
+    job = wait(client, submit(client, recording=wav(0.5), format="csv").json()["id"])
+    for path in ("/healthz", "/v1/models", "/v1/formats", job["result"]):
+        head, get = client.head(path), client.get(path)
+        assert (head.status_code, head.content) == (200, b"")
+        for name in ("content-length", "content-type", "etag"):
+            assert head.headers.get(name) == get.headers.get(name), (path, name)
+    assert client.head("/v1/none").status_code == 404
+    assert client.delete("/v1/models").headers["allow"] == "GET, HEAD"
+
+
 def test_video_becomes_a_job_by_itself(client):
     """A second of it is seconds of work: no client waits for that, and no worker is held."""
     answer = client.post("/v1/animations?format=mp4", content=wav(3.5))
