@@ -142,6 +142,7 @@ def test_place_that_is_missing_or_unknown_is_named(tmp_path):
 
 def test_command_that_fails_leaves_the_report(tmp_path, monkeypatch):
     monkeypatch.setattr(make_reports, "RESULTS", tmp_path)
+    monkeypatch.setitem(make_reports.COMMANDS, "head-motion", "python -m rig.absent LIPS")
     (tmp_path / "head-motion.json").write_text("before")
     with pytest.raises(ValueError, match="wrote no report"):
         make_reports.make("head-motion", {"LIPS": str(tmp_path / "none")})
