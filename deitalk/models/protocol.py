@@ -240,7 +240,7 @@ def mean_actor_note(actors: Sequence[str], name: str) -> tuple[str, ...]:
     """What a take states where several actors are known and none is named."""
     if name or not actors:
         return ()
-    return (f"no actor is named: the mean of {', '.join(actors)}; `style` names one",)
+    return (f"no actor is named: the mean of {', '.join(actors)}; a style names one",)
 
 
 def trained_weights(weights: Float32) -> Float32:

@@ -96,7 +96,7 @@ def names_of_set(
     if known is None:
         return list(names), None
     if set_id != known.id:
-        raise FormatError(f"{path} is of control set {set_id!r}; {known.id!r} is wanted")
+        raise FormatError(f"{path} is of control set {set_id!r}, not {known.id!r}; name its rig")
     require_all(path, known, names)
     return list(known.resolve(names)), known
 
