@@ -47,7 +47,7 @@ STAGES = {
     "deformation": Stage(
         "deformation decoder", "deitalk.models.deformation_decoder", "MotionDecoder", "mesh", 1, 2
     ),
-    "mesh": Stage("mesh", "rig.deformation", "DeformationSolver", "mesh", 2, 2),
+    "mesh": Stage("mesh", "rig.mesh.deformation", "DeformationSolver", "mesh", 2, 2),
 }
 ARROWS = (
     ("recording", "features"),

@@ -35,9 +35,9 @@ from deitalk.models.folder import Shapes, read_shapes
 from deitalk.models.protocol import Product
 from rig import limits
 from rig.arrays import Float32
-from rig.deformation import DeformationSolver, mesh_solver
 from rig.files.reading import check_expansion, check_file, read_npz
 from rig.mesh import TriMesh
+from rig.mesh.deformation import DeformationSolver, mesh_solver
 
 if TYPE_CHECKING:
     from deitalk.models.curve_model import DEITalk

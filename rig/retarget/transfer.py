@@ -16,8 +16,8 @@ from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import splu
 
 from rig.arrays import Bool, Float64, Int64
-from rig.deformation import DeformationSolver, deformation_gradients, rigid_motion
 from rig.errors import MeshError
+from rig.mesh.deformation import DeformationSolver, deformation_gradients, rigid_motion
 from rig.mesh.trimesh import (
     ClosestPoints,
     TriMesh,

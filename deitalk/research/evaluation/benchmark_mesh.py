@@ -32,8 +32,8 @@ from deitalk.research.evaluation.benchmark_curves import TABLE_4_SECONDS, speech
 from deitalk.research.meshes.folder import head_templates
 from deitalk.research.meshes.scores import predict_mesh
 from deitalk.research.meshes.training import new_mesh_model
-from rig.deformation import mesh_solver
 from rig.face.head import UNIT_MM
+from rig.mesh.deformation import mesh_solver
 
 FPS = 60
 SPEAKERS = 8

@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 
 from deitalk.research.meshes.packing import pack_vertices
 from rig.arrays import Float32, Float64
-from rig.deformation import DeformationSolver
 from rig.errors import FormatError, MeshError
 from rig.files import atomic_write
+from rig.mesh.deformation import DeformationSolver
 from rig.mesh.trimesh import TriMesh, triangle_areas
 
 VARIANCES = (0.9, 0.95, 0.97, 0.98, 0.99, 0.995, 0.998, 0.999, 0.9995, 0.9999)

@@ -21,8 +21,8 @@ from deitalk.research.meshes.gradient_bases import (
 )
 from deitalk.research.meshes.packing import pack_vertices
 from rig.arrays import Float32, Float64, Int64
-from rig.deformation import mesh_solver
 from rig.errors import RigError
+from rig.mesh.deformation import mesh_solver
 from rig.mesh.trimesh import TriMesh, triangle_areas
 
 Moving = Sequence[tuple[str, Callable[[], Float32]]]

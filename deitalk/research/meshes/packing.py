@@ -9,8 +9,8 @@ from typing import Any, cast
 import numpy as np
 
 from rig.arrays import Float64
-from rig.deformation import deformation_gradients, exp_entries, gradient_entries
 from rig.errors import MeshError
+from rig.mesh.deformation import deformation_gradients, exp_entries, gradient_entries
 from rig.mesh.trimesh import TriMesh
 
 _NEWTON_STEPS = 40

@@ -27,9 +27,9 @@ from deitalk.research.meshes.mesh_bases import fit_mesh_bases
 from deitalk.research.meshes.packing import pack_vertices
 from deitalk.research.meshes.segments import MelWarp, Segments, Spectra
 from rig import default_controls
-from rig.deformation import mesh_solver
 from rig.face import build_head
 from rig.mesh import TriMesh, write_ply, write_ply_sequence
+from rig.mesh.deformation import mesh_solver
 from tests.dataset import CLICKS, JAW, SECONDS, write_dataset
 from tests.each import each
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from rig.deformation import rigid_motion
 from rig.errors import FormatError, MeshError
+from rig.mesh.deformation import rigid_motion
 from rig.mesh.trimesh import ClosestPoints, TriMesh, closest_barycentric, components
 from rig.retarget.landmarks import LANDMARKS, NEEDED, check_landmarks, read_landmarks, similarity
 from rig.retarget.methods import _along_slit, fit_lids, lip_pairs

@@ -5,14 +5,14 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from deitalk.research.meshes.packing import pack, pack_vertices, unpack
-from rig.deformation import (
+from rig.errors import MeshError, TopologyError
+from rig.mesh.deformation import (
     DeformationSolver,
     RigidPart,
     deformation_gradients,
     rigid_motion,
     small_parts,
 )
-from rig.errors import MeshError, TopologyError
 from rig.mesh.trimesh import TriMesh, triangle_areas
 
 
