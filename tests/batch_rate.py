@@ -14,9 +14,9 @@ from pathlib import Path
 import torch
 
 from deitalk import animate, load_audio, load_model
+from deitalk.research.arguments import new_file
 from deitalk.research.evaluation.benchmark_curves import machine
 from deitalk.research.evaluation.report import identified, write_json
-from rig.files import new_file
 from tests.cold_start import environment, spent
 
 WARM_UP = 5

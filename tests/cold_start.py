@@ -14,9 +14,9 @@ import tempfile
 import time
 from pathlib import Path
 
+from deitalk.research.arguments import new_file
 from deitalk.research.evaluation.benchmark_curves import machine
 from deitalk.research.evaluation.report import identified, write_json
-from rig.files import new_file
 
 SAMPLE = Path(__file__).resolve().parents[1] / "docs/samples/promise.flac"
 RUNS = 7

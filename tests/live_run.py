@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from rig.files import new_file
+from deitalk.research.arguments import new_file
 
 SAMPLE = Path(__file__).resolve().parents[1] / "docs/samples/amiable.flac"
 RATE, FPS = 48_000, 30

@@ -13,9 +13,9 @@ import numpy as np
 import torch
 
 from deitalk import LiveAnimator, load_audio
+from deitalk.research.arguments import new_file
 from deitalk.research.evaluation.benchmark_curves import machine
 from deitalk.research.evaluation.report import identified, write_json
-from rig.files import new_file
 
 SAMPLE = Path(__file__).resolve().parents[1] / "docs/samples/amiable.flac"
 BLOCK, FIRST_FRAMES, SECONDS, VOICES = 160, 30, 30.0, 20

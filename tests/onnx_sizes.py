@@ -19,10 +19,10 @@ from deitalk import load_audio
 from deitalk.audio.voice_activity import normalise_level
 from deitalk.models.checkpoint import load_model
 from deitalk.models.onnx.export import export_onnx
+from deitalk.research.arguments import new_file
 from deitalk.research.evaluation.benchmark_curves import machine
 from deitalk.research.evaluation.report import identified, write_json
 from rig import default_controls
-from rig.files import new_file
 
 SAMPLE = Path(__file__).resolve().parents[1] / "docs/samples/amiable.flac"
 SECONDS, RUNS = 60, 3

@@ -11,7 +11,6 @@
 
 from rig.files.folder import (
     begin_folder,
-    changed_files,
     check_folder,
     kind_of,
     output_folder,
@@ -26,7 +25,6 @@ from rig.files.targets import (
     check_file,
     claim,
     is_folder_name,
-    new_file,
     remove_leftovers,
 )
 
@@ -34,13 +32,11 @@ __all__ = [
     "atomic_write",
     "begin_folder",
     "cache_folder",
-    "changed_files",
     "check_file",
     "check_folder",
     "claim",
     "is_folder_name",
     "kind_of",
-    "new_file",
     "output_folder",
     "record",
     "recover",

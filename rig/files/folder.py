@@ -119,23 +119,6 @@ def kind_of(folder: Path) -> str | None:
     return None if manifest is None else manifest.kind
 
 
-def changed_files(folder: Path, names: Iterable[str] | None = None) -> list[str]:
-    """Files of the manifest that were changed since they were written; removed ones are not.
-
-    Parameters
-    ----------
-    folder : Path
-        Without a manifest the list is empty.
-    names : iterable of str, optional
-        Only these; all listed ones by default.
-    """
-    manifest = read_manifest(folder)
-    if manifest is None:
-        return []
-    chosen = manifest.files if names is None else set(names) & manifest.files.keys()
-    return sorted(name for name in chosen if is_changed(folder / name, manifest.files[name]))
-
-
 def is_changed(path: Path, digest: str) -> bool:
     """Whether the path exists and is not the file with this hash."""
     if not os.path.lexists(path):

@@ -15,7 +15,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from rig.errors import ExistsError, TargetError, one_line
+from rig.errors import ExistsError, TargetError
 
 # Atomic writing of one file: written beside its place, then renamed.
 
@@ -161,19 +161,6 @@ def check_file(path: Path | str, *, force: bool = False, inputs: Inputs = ()) ->
         raise TargetError(f"{parent} is not a folder; make it first, or name another file")
     if not os.access(parent, os.W_OK | os.X_OK):
         raise TargetError(f"{parent} cannot be written to; name another folder")
-
-
-def new_file(text: str) -> Path:
-    """Path of a file to write, a ``type`` for `argparse` that refuses what `check_file` does."""
-    import argparse  # not needed to start other commands
-
-    try:
-        check_file(text)
-    except ExistsError:
-        raise argparse.ArgumentTypeError(f"{text} exists; name another file") from None
-    except TargetError as error:
-        raise argparse.ArgumentTypeError(one_line(str(error))) from None
-    return Path(text)
 
 
 def is_folder_name(target: Path | str, suffixes: Sequence[str]) -> bool:

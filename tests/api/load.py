@@ -25,9 +25,9 @@ os.environ["OMP_NUM_THREADS"] = "1"
 import httpx
 
 from deitalk.errors import MissingError
+from deitalk.research.arguments import new_file
 from deitalk.research.evaluation.benchmark_curves import machine
 from deitalk.research.evaluation.report import identified, write_json
-from rig.files import new_file
 from tests.api.conftest import wav
 from tests.api.kill import descendants
 from tests.api.server import Server, start, stop, wait_until

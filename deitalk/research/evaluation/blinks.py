@@ -25,10 +25,10 @@ from deitalk.evaluation.validation import table
 from deitalk.pipeline.speech import Speech
 from deitalk.postprocess.life.motion import plan_motion
 from deitalk.postprocess.life.voice import Seeds, measure_voice
+from deitalk.research.arguments import new_file
 from deitalk.research.corpus.recordings import AUDIO_SUFFIXES
 from deitalk.research.evaluation.report import write_json
 from rig.arrays import Float32, Float64
-from rig.files import new_file
 
 NEAR_SECONDS = (-0.15, 0.45)
 STEP = 0.01

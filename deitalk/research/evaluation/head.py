@@ -34,6 +34,7 @@ from deitalk.evaluation.validation import table
 from deitalk.pipeline.speech import Speech
 from deitalk.postprocess.life.motion import plan_motion
 from deitalk.postprocess.life.voice import Accent, Phrase, Seeds, Traits, Voice, measure_voice
+from deitalk.research.arguments import new_file
 from deitalk.research.evaluation.nods import MEASURES as NODS
 from deitalk.research.evaluation.nods import measure_nods
 from deitalk.research.evaluation.report import write_json
@@ -41,7 +42,6 @@ from deitalk.research.evaluation.stress import stress_track
 from deitalk.research.lips.measured import RATE, PoseClip, read_poses
 from rig.arrays import Float64
 from rig.curves.edit import gaussian_smooth
-from rig.files import new_file
 
 TOLERANCE = 0.2
 SMOOTH_SECONDS = 0.06

@@ -22,6 +22,7 @@ from deitalk.evaluation.validation import table
 from deitalk.figures import drawing
 from deitalk.models.load import load_network
 from deitalk.pipeline.curves import animate
+from deitalk.research.arguments import new_file
 from deitalk.research.evaluation.report import identified, write_json
 from rig import read_curves
 from rig.arrays import Float64
@@ -29,7 +30,6 @@ from rig.controls import DEFAULT_ID
 from rig.conversion.convert import convert
 from rig.curves import RigCurves
 from rig.errors import RigError
-from rig.files import new_file
 
 REGIONS: dict[str, tuple[str, ...]] = {
     "brows": ("_brow_",),

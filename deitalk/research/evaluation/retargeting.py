@@ -15,10 +15,11 @@ from typing import Any, cast
 
 import numpy as np
 
+from deitalk.research.arguments import new_file
 from deitalk.research.meshes.gradient_bases import choose_bases
 from deitalk.research.meshes.packing import pack_vertices, polar
 from rig.arrays import Float64
-from rig.files import atomic_write, new_file
+from rig.files import atomic_write
 from rig.mesh.deformation import DeformationSolver, deformation_gradients, gradient_entries
 from rig.mesh.trimesh import TriMesh
 from rig.retarget.methods import Method, carry_shapes

@@ -34,10 +34,10 @@ from deitalk.phones import Phones
 from deitalk.pipeline.curves import finish, prepare
 from deitalk.pipeline.words.align import fit_words, measure_phones, phone_evidence
 from deitalk.pipeline.words.transcript import Transcript, Word
+from deitalk.research.arguments import new_file
 from deitalk.research.corpus.engines import espeak
 from deitalk.research.evaluation.report import identified, write_json
 from rig.arrays import Float32
-from rig.files import new_file
 
 CONDITIONS = ("no words", "own words", "words of another", "a quarter exchanged")
 VOICES = ("f2", "m3")

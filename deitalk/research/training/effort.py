@@ -30,6 +30,7 @@ from deitalk.audio.voice_activity import normalise_level, speech_activity
 from deitalk.models.checkpoint import load_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.models.folder import EFFORT_WEIGHTS
+from deitalk.research.arguments import new_file
 from deitalk.research.evaluation.acted import (
     ACTORS,
     LEVELS,
@@ -42,7 +43,7 @@ from deitalk.research.evaluation.acted import (
 )
 from deitalk.research.evaluation.acted import JOINED as JOINED_GAINS
 from rig.arrays import Bool, Float32, Float64
-from rig.files import atomic_write, new_file
+from rig.files import atomic_write
 
 PIECE, FEWEST = 60, 25
 """Frames of a reader's piece, and of speech in it."""

@@ -36,10 +36,11 @@ from deitalk.data.augment_waveform import Surroundings, augment, change_speed, s
 from deitalk.errors import DeitalkError
 from deitalk.frontends.causal_whisper import LOOKAHEAD_FRAMES, PAST_FRAMES, PEAK, PERIOD
 from deitalk.frontends.whisper import LARGEST, WhisperFrontend, encoder_weights, scaled
+from deitalk.research.arguments import new_file
 from deitalk.research.corpus.performance import split_of
 from deitalk.research.corpus.recordings import recordings
 from rig.arrays import Float32
-from rig.files import atomic_write, new_file
+from rig.files import atomic_write
 
 WINDOW_FRAMES = 120
 """Rig frames of a window: 4 s."""

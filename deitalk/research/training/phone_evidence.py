@@ -35,9 +35,10 @@ from deitalk.pipeline.words.align import (
     phone_evidence,
     phone_features,
 )
+from deitalk.research.arguments import new_file
 from deitalk.research.evaluation.report import identified, shipped, write_json
 from rig.arrays import Float32, Int64
-from rig.files import atomic_write, new_file
+from rig.files import atomic_write
 
 EPOCHS, BATCH, RATE_OF_LEARNING, DECAY, SMOOTHING = 4, 1024, 2e-3, 1e-3, 0.02
 LEAST_PRIOR = 1e-4

@@ -38,6 +38,7 @@ from deitalk.models.checkpoint import require_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.pipeline.speech import Speech
 from deitalk.pipeline.suggest import MODEL, NAMED, SURE, EmotionMap, VoiceFrames, standardised
+from deitalk.research.arguments import new_file
 from deitalk.research.evaluation.acted import (
     ACTORS,
     READERS,
@@ -46,7 +47,7 @@ from deitalk.research.evaluation.acted import (
 )
 from deitalk.research.evaluation.report import identified, write_json
 from rig.arrays import Bool, Float32, Float64, Int64
-from rig.files import atomic_write, new_file
+from rig.files import atomic_write
 
 VOTES = {"N": 0, "A": 1, "H": 2, "S": 3}
 """CREMA-D's letters of a vote, and places in `NAMED`."""

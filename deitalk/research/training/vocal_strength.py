@@ -35,6 +35,7 @@ from deitalk.audio.vocal_strength import (
     without_level,
 )
 from deitalk.errors import DataError, DeitalkError
+from deitalk.research.arguments import new_file
 from deitalk.research.evaluation.acted import (
     ACTORS,
     LEVELS,
@@ -45,7 +46,7 @@ from deitalk.research.evaluation.acted import (
 from deitalk.research.evaluation.strength import MeasuredClip, measure_clips
 from deitalk.research.training.strength_network import Member, StrengthNetwork
 from rig.arrays import Float32
-from rig.files import atomic_write, new_file
+from rig.files import atomic_write
 
 STEPS, LEARNING_RATE, WEIGHT_DECAY = 1200, 2e-3, 0.05
 CHAPTERS, PIECES, ACTORS_AT_ONCE = 4, 8, 3

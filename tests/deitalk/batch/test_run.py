@@ -16,10 +16,10 @@ from deitalk.errors import CheckpointError, DataError, DeitalkError
 from deitalk.research.evaluation.benchmark_curves import speechlike
 from rig import read_curves
 from rig.errors import TargetError
-from rig.files import changed_files
 from tests.deitalk.batch.conftest import InProcess
 from tests.each import each
 from tests.interrupt import count_writes, kill_at_write
+from tests.written import changed_files
 
 
 def table(path):

@@ -15,7 +15,6 @@ import pytest
 from rig.errors import ExistsError, TargetError
 from rig.files import (
     atomic_write,
-    changed_files,
     check_file,
     check_folder,
     claim,
@@ -30,6 +29,7 @@ from rig.files import folder as folders
 from rig.files.folder import MANIFEST
 from tests.each import each
 from tests.errors import one_line
+from tests.written import changed_files
 
 
 def fill(target, contents, **options):

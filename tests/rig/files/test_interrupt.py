@@ -3,8 +3,9 @@
 import os
 from pathlib import Path
 
-from rig.files import changed_files, output_folder
+from rig.files import output_folder
 from tests.each import each
+from tests.written import changed_files
 
 OLD = {"a.csv": "old", "b.csv": "old", "gone.csv": "old"}
 NEW = {"a.csv": "new", "b.csv": "new", "added.csv": "new"}

@@ -5,9 +5,10 @@ from pathlib import Path
 import pytest
 
 from rig.errors import TargetError
-from rig.files import begin_folder, changed_files, kind_of, record, replace_recorded
+from rig.files import begin_folder, kind_of, record, replace_recorded
 from rig.files.folder import settle
 from tests.interrupt import count_writes, kill_at_write
+from tests.written import changed_files
 
 
 def write(folder: Path, text: str) -> None:

@@ -18,8 +18,8 @@ from deitalk.models.checkpoint import load_model
 from deitalk.models.folder import embedded_models
 from deitalk.pipeline.curves import animate
 from rig import RigCurves, default_controls, read_curves, write_curves
-from rig.files import changed_files
 from tests.deitalk.cli.test_cli import ROOT
+from tests.written import changed_files
 
 CONTROLS = default_controls()
 JAW = "CTRL_C_jaw.ty"
