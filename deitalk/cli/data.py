@@ -210,8 +210,7 @@ def check(
     if not fix and survey is not None and wrong:
         console().note(f"--fix corrects {', '.join(wrong)}")
     if fix and survey is not None:
-        rows = [(c.name, c.level, c.text) for c in checks]
-        mended = mend(folder, survey, rows, emotions=renamed)
+        mended = mend(folder, survey, checks, emotions=renamed)
         console().print(f"{mended.summary}; {folder / 'check' / 'report.md'}")
     if any(c.level == "error" for c in checks):
         raise typer.Exit(1)

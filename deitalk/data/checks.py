@@ -12,18 +12,17 @@ Letters: T frames at 60 per second, L lags, C controls.
 
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
 from deitalk.audio.load import Recording, load_audio
 from deitalk.audio.voice_activity import speech_activity
-from deitalk.data.captures.mend import capture_rows
+from deitalk.data.captures.mend import Check, capture_rows, verdict
 from deitalk.data.captures.splits import APART_SECONDS, can_tune, shortage
 from deitalk.data.captures.survey import Survey
 from deitalk.data.clips import (
@@ -57,19 +56,6 @@ DEAD = 1e-3
 FEW = 0.05
 OPEN_SHARE = 0.25
 CLIPPED_SHARE = 0.01
-NAMED = 3
-"""Clips or controls that a line names."""
-
-Level = Literal["ok", "warning", "error"]
-
-
-@dataclass(frozen=True)
-class Check:
-    """One row of the table: what was checked, and the result."""
-
-    name: str
-    level: Level
-    text: str
 
 
 class Measured(NamedTuple):
@@ -147,13 +133,13 @@ def inspect_dataset(
             unreadable.append(f"{clip.name} ({error})")
         progress((done + 1) / len(places))
     checks = [
-        _verdict("files", "error", unreadable, f"{len(measured)} clips can be read", "unreadable"),
+        verdict("files", unreadable, f"{len(measured)} clips can be read", "unreadable", "error"),
         *_of_the_table(clips),
     ]
     checks += _of_the_clips(measured, controls) if measured else []
     if not survey.clips:
         return Inspection(checks, None)
-    rows = [Check(*row) for row in capture_rows(survey)]
+    rows = capture_rows(survey)
     names = {row.name for row in rows}
     return Inspection([c for c in checks if c.name not in names] + rows, survey)
 
@@ -212,14 +198,6 @@ def _open_in_silence(jaw: Float64, speaking: Bool) -> float:
     return float(jaw[~speech].mean() / max(float(np.percentile(jaw[speech], 95)), 1e-3))
 
 
-def _verdict(name: str, level: Level, wrong: Sequence[str], well: str, fault: str) -> Check:
-    """A row without a fault, or with the first few clips that have it."""
-    if not wrong:
-        return Check(name, "ok", well)
-    more = f" and {len(wrong) - NAMED} more" if len(wrong) > NAMED else ""
-    return Check(name, level, f"{len(wrong)} {fault}: {', '.join(wrong[:NAMED])}{more}")
-
-
 def _of_the_table(clips: Sequence[Clip]) -> list[Check]:
     """Splits, speakers and emotions."""
     splits = Counter(clip.split for clip in clips)
@@ -229,13 +207,13 @@ def _of_the_table(clips: Sequence[Clip]) -> list[Check]:
     total = max(sum(emotions.values()), 1)
     rare = [f"{e} {emotions[e] / total:.0%}" for e in EMOTIONS if emotions[e] / total < FEW]
     shares = ", ".join(f"{e} {emotions[e] / total:.0%}" for e in EMOTIONS)
-    split = _verdict("splits", "warning", missing, counts, f"of three splits are empty ({counts})")
+    split = verdict("splits", missing, counts, f"of three splits are empty ({counts})")
     if not can_tune(splits):
         split = Check("splits", "error", shortage(splits["train"], splits["validation"]))
     return [
         split,
         _speakers(clips),
-        _verdict("emotions", "warning", rare, shares, f"of {len(EMOTIONS)} are rare in train"),
+        verdict("emotions", rare, shares, f"of {len(EMOTIONS)} are rare in train"),
     ]
 
 
@@ -248,9 +226,9 @@ def _speakers(clips: Sequence[Clip]) -> Check:
     well = f"{len(homes)}, each in one split"
     close = [who for who in mixed if not are_apart([c for c in clips if c.speaker == who])]
     if close:
-        return _verdict("speakers", "error", [mixed[w] for w in close], well, "in several splits")
+        return verdict("speakers", [mixed[w] for w in close], well, "in several splits", "error")
     apart = "in several splits, in takes or blocks that are apart: scores hold for them only"
-    return _verdict("speakers", "warning", list(mixed.values()), well, apart)
+    return verdict("speakers", list(mixed.values()), well, apart)
 
 
 def are_apart(clips: Sequence[Clip]) -> bool:
@@ -284,14 +262,14 @@ def _of_the_clips(clips: Sequence[Measured], controls: ControlSet) -> list[Check
     mute = [c.name for c in clips if c.speech_share == 0]
     gaping = [f"{c.name} ({c.open_share:.0%})" for c in clips if c.open_share > OPEN_SHARE]
     return [
-        _verdict("controls", "error", incomplete, "every clip holds those it knows", "clips"),
+        verdict("controls", incomplete, "every clip holds those it knows", "clips", "error"),
         Check("frame rates", "ok", frames),
-        _verdict("sample rates", "warning", narrow, "16 kHz or more", "below 16 kHz"),
-        _verdict("lengths", "warning", lengths, "sound and curves end together", "differ"),
+        verdict("sample rates", narrow, "16 kHz or more", "below 16 kHz"),
+        verdict("lengths", lengths, "sound and curves end together", "differ"),
         _offset(clips),
-        _verdict("clipping", "warning", clipped, "none", "clips distort"),
-        _verdict("speech", "warning", mute, "in every clip", "clips hold none"),
-        _verdict("silence", "warning", gaping, "the mouth shuts", "clips keep it open"),
+        verdict("clipping", clipped, "none", "clips distort"),
+        verdict("speech", mute, "in every clip", "clips hold none"),
+        verdict("silence", gaping, "the mouth shuts", "clips keep it open"),
         _movement(clips, controls),
     ]
 
@@ -311,7 +289,7 @@ def _offset(clips: Sequence[Measured]) -> Check:
         for clip in known
         if clip.model_lags is not None and is_shifted(clip.model_lags)
     ]
-    return _verdict("offset", "warning", shifted, text, f"clips seem shifted; all: {text}")
+    return verdict("offset", shifted, text, f"clips seem shifted; all: {text}")
 
 
 def _movement(clips: Sequence[Measured], controls: ControlSet) -> Check:
@@ -323,4 +301,4 @@ def _movement(clips: Sequence[Measured], controls: ControlSet) -> Check:
     moves = travel >= DEAD
     lips = [controls.names[i] for i in controls.subset("lip") if present[i] and not moves[i]]
     text = f"{moves.sum()} of {len(controls)} controls move"
-    return _verdict("movement", "warning", lips, text, f"lip controls never move ({text})")
+    return verdict("movement", lips, text, f"lip controls never move ({text})")

@@ -15,7 +15,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -42,18 +42,35 @@ from rig.limits import DATASET_TABLE_BYTES
 # Rows of `deitalk data check` about captures, from their survey.
 
 
-Row = tuple[str, Literal["ok", "warning", "error"], str]
-"""Name, level and text."""
+Level = Literal["ok", "warning", "error"]
 
 
-def capture_rows(survey: Survey) -> list[Row]:
+class Check(NamedTuple):
+    """One row of the table: what was checked, and the result."""
+
+    name: str
+    level: Level
+    text: str
+
+
+def verdict(
+    name: str, wrong: Sequence[str], well: str, fault: str, level: Level = "warning"
+) -> Check:
+    """A row without a fault, or with the first few clips or takes that have it."""
+    if not wrong:
+        return Check(name, "ok", well)
+    more = f" and {len(wrong) - NAMED} more" if len(wrong) > NAMED else ""
+    return Check(name, level, f"{len(wrong)} {fault}: {', '.join(wrong[:NAMED])}{more}")
+
+
+def capture_rows(survey: Survey) -> list[Check]:
     """Rows about offset, drift, rest pose, channels, sides, expressions and usable minutes."""
     return [
         *_sync(survey),
         _rest(survey),
         *_channels(survey),
-        _listed("sides", survey.swapped(), "left and right agree", "takes seem mirrored in part"),
-        _listed(
+        verdict("sides", survey.swapped(), "left and right agree", "takes seem mirrored in part"),
+        verdict(
             "expressions",
             [f"{take} ({label}, face {seen})" for take, label, seen in survey.unlike()],
             "faces show their labels",
@@ -64,14 +81,7 @@ def capture_rows(survey: Survey) -> list[Row]:
     ]
 
 
-def _listed(name: str, wrong: Sequence[str], well: str, fault: str) -> Row:
-    if not wrong:
-        return name, "ok", well
-    more = f" and {len(wrong) - NAMED} more" if len(wrong) > NAMED else ""
-    return name, "warning", f"{len(wrong)} {fault}: {', '.join(wrong[:NAMED])}{more}"
-
-
-def _sync(survey: Survey) -> list[Row]:
+def _sync(survey: Survey) -> list[Check]:
     sync = survey.sync()
     known = {take: s for take, s in sync.items() if s is not None and s.is_known}
     foreign = [
@@ -89,12 +99,12 @@ def _sync(survey: Survey) -> list[Row]:
     lags = [abs(s.lag) * 1000 for s in known.values()]
     well = f"curves within {max(lags, default=0):.0f} ms of the sound ({len(known)} takes)"
     rows = [
-        _listed("offset", late, well, "takes are early or late, offset_s is to correct"),
-        _listed("drift", drift, "none", "takes drift, offset_s of every clip is to correct"),
+        verdict("offset", late, well, "takes are early or late, offset_s is to correct"),
+        verdict("drift", drift, "none", "takes drift, offset_s of every clip is to correct"),
     ]
     if foreign:
         text = "takes do not follow their sound; is it the right recording?"
-        rows.append(_listed("sound", foreign, "", text))
+        rows.append(verdict("sound", foreign, "", text))
     return rows
 
 
@@ -102,7 +112,7 @@ def _cause(drift: float) -> str:
     return ", as 29.97 against 30 or 48 against 48.048 kHz" if abs(abs(drift) - 1e-3) < 2e-5 else ""
 
 
-def _rest(survey: Survey) -> Row:
+def _rest(survey: Survey) -> Check:
     names = survey.controls.names
     rest = survey.controls.rest
     found = []
@@ -111,10 +121,10 @@ def _rest(survey: Survey) -> Row:
         moved = np.argsort(-np.abs(off))[: int((off != 0).sum())]
         if len(moved):
             found.append(f"{actor} ({len(moved)} controls, {names[moved[0]]} {off[moved[0]]:+.2f})")
-    return _listed("rest pose", found, "faces rest", "actors have another pose at rest")
+    return verdict("rest pose", found, "faces rest", "actors have another pose at rest")
 
 
-def _channels(survey: Survey) -> list[Row]:
+def _channels(survey: Survey) -> list[Check]:
     rows = []
     for name, well in (("clipped", "no channel held at its end"), ("jittering", "none")):
         counts = Counter(n for c in survey.clips for n in getattr(c.faults, name))
@@ -122,21 +132,21 @@ def _channels(survey: Survey) -> list[Row]:
         fault = (
             "channels stay at the end of their range" if name == "clipped" else "channels jitter"
         )
-        rows.append(_listed(f"{name}", found, well, fault))
+        rows.append(verdict(f"{name}", found, well, fault))
     frozen = [
         f"{c.clip.name} ({c.faults.frozen_seconds:.1f} s)"
         for c in survey.clips
         if c.faults.frozen_seconds
     ]
-    rows.append(_listed("frozen", frozen, "the face moves in every frame", "clips stand still"))
+    rows.append(verdict("frozen", frozen, "the face moves in every frame", "clips stand still"))
     known = np.any([c.known for c in survey.clips], axis=0)
     dead = [survey.controls.names[i] for i in np.flatnonzero(survey.dead())]
     fault = "channels never move, and would be learnt as still"
-    rows.append(_listed("dead", dead, f"all {known.sum()} known move", fault))
+    rows.append(verdict("dead", dead, f"all {known.sum()} known move", fault))
     return rows
 
 
-def _voices(survey: Survey) -> Row:
+def _voices(survey: Survey) -> Check:
     found = []
     for actor, clips in survey.by_actor().items():
         takes: dict[str, list[float]] = {}
@@ -146,20 +156,20 @@ def _voices(survey: Survey) -> Row:
         if pitch and max(pitch.values()) - min(pitch.values()) > VOICES_SEMITONES:
             low, high = min(pitch, key=lambda t: pitch[t]), max(pitch, key=lambda t: pitch[t])
             found.append(f"{actor} ({low}, {high})")
-    return _listed("voices", found, "one an actor", "actors have two voices under one name")
+    return verdict("voices", found, "one an actor", "actors have two voices under one name")
 
 
-def _usable(survey: Survey) -> Row:
+def _usable(survey: Survey) -> Check:
     seconds = survey.usable_seconds()
     total = sum(seconds.values())
     parts = ", ".join(f"{a} {e} {s / 60:.1f}" for (a, e), s in sorted(seconds.items()))
     emotions = {emotion for (_, emotion), s in seconds.items() if s}
     text = f"{total / 60:.1f} min ({parts})"
     if total < LITTLE_SECONDS:
-        return "usable", "warning", f"{text}; at least 2, better 10 minutes of an actor"
+        return Check("usable", "warning", f"{text}; at least 2, better 10 minutes of an actor")
     if len(emotions) == 1:
-        return "usable", "warning", f"{text}; one emotion only"
-    return "usable", "ok", text
+        return Check("usable", "warning", f"{text}; one emotion only")
+    return Check("usable", "ok", text)
 
 
 # What an import has done: a row for every take, and warnings about the takes as a whole.
@@ -335,7 +345,7 @@ def rename_emotions(folder: Path) -> int:
     return count
 
 
-def mend(folder: Path, survey: Survey, rows: Sequence[Row], *, emotions: int = 0) -> Mended:
+def mend(folder: Path, survey: Survey, rows: Sequence[Check], *, emotions: int = 0) -> Mended:
     """Write offsets and curves without rest pose into a dataset, and a report beside.
 
     Parameters
@@ -344,7 +354,7 @@ def mend(folder: Path, survey: Survey, rows: Sequence[Row], *, emotions: int = 0
         Dataset folder.
     survey : Survey
         Of its captured clips.
-    rows : sequence of Row
+    rows : sequence of Check
         All rows of the check, for the report.
     emotions : int
         Names that `rename_emotions` changed.
@@ -456,7 +466,7 @@ def _written(folder: Path) -> list[str]:
     ]
 
 
-def _report(folder: Path, survey: Survey, rows: Sequence[Row], rests: dict[str, Float32]) -> None:
+def _report(folder: Path, survey: Survey, rows: Sequence[Check], rests: dict[str, Float32]) -> None:
     """Write the report."""
     (folder / "check").mkdir(exist_ok=True)
     if (folder / "check").is_symlink():
@@ -465,7 +475,7 @@ def _report(folder: Path, survey: Survey, rows: Sequence[Row], rests: dict[str, 
         beside.write_text(_markdown(survey, rows, rests), encoding="utf-8")
 
 
-def _markdown(survey: Survey, rows: Sequence[Row], rests: dict[str, Float32]) -> str:
+def _markdown(survey: Survey, rows: Sequence[Check], rests: dict[str, Float32]) -> str:
     lines = ["# Check of captures", "", "| check | level | result |", "|---|---|---|"]
     lines += [f"| {name} | {level} | {text.replace('|', '/')} |" for name, level, text in rows]
     lines += ["", "## Takes", "", "| take | actor | clips | s | lag ms | drift ms/s | r | by |",
