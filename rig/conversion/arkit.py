@@ -68,7 +68,7 @@ def raw_controls() -> ControlSet:
                 aliases=(row["name"],),
                 mh3_name=PREFIX + OLDER_TONGUE[row["name"]] if row["name"] in OLDER_TONGUE else "",
             )
-            for row in _raw_table()
+            for row in rows_of("raw.csv")
         ),
     )
 
@@ -126,7 +126,9 @@ def raw_to_board(curves: RigCurves) -> RigCurves:
 
 def raw_knots() -> dict[str, tuple[str, tuple[list[float], list[float]]]]:
     """Return, by raw curve, its board channel and its knots: places there, and values."""
-    return {PREFIX + row["name"]: (row["driver"], _knots(row["knots"])) for row in _raw_table()}
+    return {
+        PREFIX + row["name"]: (row["driver"], _knots(row["knots"])) for row in rows_of("raw.csv")
+    }
 
 
 def board_of_raw_curves(names: Iterable[str]) -> set[str]:
@@ -157,7 +159,7 @@ def _nearest(points: Float32, inputs: Float32, outputs: Float32) -> Float32:
 def _paths() -> dict[str, tuple[NDArray[np.intp], Float32, Float32]]:
     """Return, by board channel: its raw columns, its knots (K,), and their values (K, columns)."""
     by_driver: dict[str, list[tuple[int, str]]] = {}
-    for column, row in enumerate(_raw_table()):
+    for column, row in enumerate(rows_of("raw.csv")):
         by_driver.setdefault(row["driver"], []).append((column, row["knots"]))
     paths = {}
     for driver, curves in by_driver.items():
@@ -175,8 +177,9 @@ def _knots(text: str) -> tuple[list[float], list[float]]:
 
 
 @cache
-def _raw_table() -> list[dict[str, str]]:
-    with resources.files("rig.conversion").joinpath("raw.csv").open(encoding="utf-8") as stream:
+def rows_of(table: str) -> list[dict[str, str]]:
+    """Rows of a table of this folder, such as ``raw.csv``."""
+    with resources.files("rig.conversion").joinpath(table).open(encoding="utf-8") as stream:
         return list(csv.DictReader(stream))
 
 
@@ -229,7 +232,7 @@ class ArkitFit:
 def arkit_controls() -> ControlSet:
     """Return the 52 shapes and 9 rotations in the order of a Live Link Face CSV, ``arkit-61``."""
     controls = []
-    for row in _table():
+    for row in rows_of("arkit.csv"):
         is_shape = row["kind"] == "blendshape"
         low, high = (0.0, 1.0) if is_shape else (-ROTATION_LIMIT, ROTATION_LIMIT)
         aliases = tuple(filter(None, [row["apple_name"]]))
@@ -240,7 +243,7 @@ def arkit_controls() -> ControlSet:
 @cache
 def udp_order() -> NDArray[np.intp]:
     """Return the CSV columns in the order of a Live Link Face packet [shape=(61,)]."""
-    return np.argsort([int(row["udp_index"]) for row in _table()])
+    return np.argsort([int(row["udp_index"]) for row in rows_of("arkit.csv")])
 
 
 def arkit_to_raw(curves: RigCurves, *, least_jaw: float = 0.0) -> RigCurves:
@@ -410,16 +413,10 @@ def _head_track(shapes: RigCurves) -> Float32 | None:
 def _poses() -> Float32:
     """Return the raw curves that each shape moves [shape=(61, 251)]."""
     raw = raw_controls()
-    table = _table()
+    table = rows_of("arkit.csv")
     poses = np.zeros((len(table), len(raw)), np.float32)
     for i, row in enumerate(table):
         for term in filter(None, row["pose"].split("|")):
             name, weight = term.split(":")
             poses[i, raw.index(name)] = float(weight)
     return poses
-
-
-@cache
-def _table() -> list[dict[str, str]]:
-    with resources.files("rig.conversion").joinpath("arkit.csv").open(encoding="utf-8") as stream:
-        return list(csv.DictReader(stream))

@@ -10,12 +10,10 @@ Creator's and Daz' own ARKit profiles agree where they have the shape. Expressio
 Letters of shapes: T frames, K shapes.
 """
 
-import csv
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
-from importlib import resources
 
 import numpy as np
 
@@ -28,6 +26,7 @@ from rig.conversion.arkit import (
     arkit_to_raw,
     board_to_raw,
     raw_controls,
+    rows_of,
 )
 from rig.conversion.shape_fit import (
     close_lips,
@@ -270,7 +269,7 @@ def _viseme(name: str) -> Float64:
 def _rows(avatar: str) -> tuple[tuple[str, str], ...]:
     """Names and poses of an avatar's shapes, both sides written out."""
     rows = []
-    for row in _table():
+    for row in rows_of("avatars.csv"):
         if row["set"] == avatar:
             is_sided = "@" in row["name"] or "$" in row["name"]
             for side, word in (("L", "Left"), ("R", "Right")) if is_sided else (("", ""),):
@@ -279,13 +278,7 @@ def _rows(avatar: str) -> tuple[tuple[str, str], ...]:
     return tuple(rows)
 
 
-@cache
-def _table() -> list[dict[str, str]]:
-    with resources.files("rig.conversion").joinpath("avatars.csv").open(encoding="utf-8") as stream:
-        return list(csv.DictReader(stream))
-
-
-AVATARS = tuple(dict.fromkeys(row["set"] for row in _table()))
+AVATARS = tuple(dict.fromkeys(row["set"] for row in rows_of("avatars.csv")))
 """Sets of the table."""
 
 # Curves to mouth shapes and back: the 15 Oculus visemes, and Rhubarb's cues A to H and X.
@@ -471,13 +464,7 @@ def _poses(viseme_set: str) -> Float32:
 
 
 def _viseme_rows(viseme_set: str) -> list[dict[str, str]]:
-    rows = [row for row in _viseme_table() if row["set"] == viseme_set]
+    rows = [row for row in rows_of("visemes.csv") if row["set"] == viseme_set]
     if not rows:
         raise FormatError(f"unknown set of visemes {viseme_set!r}; known: {OCULUS}, {RHUBARB}")
     return rows
-
-
-@cache
-def _viseme_table() -> list[dict[str, str]]:
-    with resources.files("rig.conversion").joinpath("visemes.csv").open(encoding="utf-8") as stream:
-        return list(csv.DictReader(stream))
