@@ -175,9 +175,11 @@ def acted() -> str:
             ("level", "mean level, the baseline"),
             ("joined, intensity", "intensity of the three takes in one recording"),
             ("joined, whole face", "distance from rest in it"),
+            ("joined, brows", "brows in it"),
             ("joined, level", "mean level in it, the baseline"),
             ("joined at one level, intensity", "intensity, each take at one level"),
             ("joined at one level, whole face", "distance from rest, each at one level"),
+            ("joined at one level, brows", "brows, each at one level"),
         )
     ]
     return table([["26 test actors", *(f"{g}: {s}" for g, s in columns)], *rows])

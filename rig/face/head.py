@@ -82,6 +82,7 @@ class Look:
     """What takes long to make of a head's look: hair, places in the maps, maps, baked light."""
 
     hair: Mesh
+    brow: Mesh
     uv: Float64
     maps: Maps = NO_MAPS
     light: Float64 = field(default_factory=lambda: np.ones(2))
@@ -155,7 +156,7 @@ class Head:
         parts["teeth_upper"] = details.dental_arch(place.mouth_y, self._lip_z, is_upper=True)
         parts["teeth_lower"] = details.dental_arch(place.mouth_y, self._lip_z, is_upper=False)
         parts["tongue"], self._tongue_place = details.tongue(place.mouth_y, self._lip_z)
-        parts["brow_L"] = hair.brow(i)
+        parts["brow_L"] = self._look.brow
         parts["brow_R"] = mirrored(parts["brow_L"])
         parts["ear_L"] = details.ear(i)
         parts["ear_R"] = mirrored(parts["ear_L"])
@@ -327,9 +328,9 @@ def _build_look(identity: Identity, skin: Skin, shapes: dict[str, Float64]) -> A
     """Hair, maps and baked light of a head, as plain arrays."""
     from rig.face.maps import build_maps, occlusion
 
-    locks, uv = hair.hair(identity), skin_uv(skin)
+    locks, brow, uv = hair.hair(identity), hair.brow(identity), skin_uv(skin)
     maps = build_maps(skin, uv, identity)
-    bare = Head(identity, skin, shapes, Look(locks, uv))
+    bare = Head(identity, skin, shapes, Look(locks, brow, uv))
     solid = [bare.parts[name] for name in ("skin", "ear_L", "ear_R", "hair", "bust")]
     baked = np.split(occlusion(join(solid)), np.cumsum([len(p.vertices) for p in solid])[:-1])
     light = np.ones((len(bare.mesh.vertices), 2))
@@ -338,6 +339,7 @@ def _build_look(identity: Identity, skin: Skin, shapes: dict[str, Float64]) -> A
     light[bare.slices["skin"]][skin.ring < 0] = 1  # the mouth is painted dark, and opens
     return {
         **{f"hair.{name}": getattr(locks, name) for name in MESH_ARRAYS},
+        **{f"brow.{name}": getattr(brow, name) for name in MESH_ARRAYS},
         **{f"maps.{name}": value for name, value in vars(maps).items()},
         "uv": uv, "light": light.astype(np.float32),
     }  # fmt: skip
@@ -369,6 +371,9 @@ def _head(identity: Identity) -> Head:
         arrays["slot"], arrays["mirror"], anatomy(identity),
     )  # fmt: skip
     shapes = {k.removeprefix("shape."): v for k, v in arrays.items() if k.startswith("shape.")}
-    kept: dict[str, Any] = {name: arrays[f"hair.{name}"] for name in MESH_ARRAYS}
+    locks, brow = (
+        Mesh(**{name: arrays[f"{part}.{name}"] for name in MESH_ARRAYS})  # type: ignore[arg-type]
+        for part in ("hair", "brow")
+    )
     maps = Maps(**{name: arrays[f"maps.{name}"] for name in ("atlas", "creases", "pores")})
-    return Head(identity, skin, shapes, Look(Mesh(**kept), arrays["uv"], maps, arrays["light"]))
+    return Head(identity, skin, shapes, Look(locks, brow, arrays["uv"], maps, arrays["light"]))

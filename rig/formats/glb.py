@@ -23,7 +23,7 @@ from rig.mesh.glb import RigidMotion, WeightAnimation, read_container, write_glb
 from rig.mesh.glb_reader import consistent, morphing_nodes, read_accessor
 from rig.retarget.bake import control_halves
 from rig.retarget.blendshapes import head_track, turn_of_bones
-from rig.retarget.morph_head import METRES_PER_CM, in_metres, morph_head, textured
+from rig.retarget.morph_head import METRES_PER_CM, morph_head, textured
 
 LEAST_JAW = 1e-3
 """Opening below which lips together move nothing, and come back as less."""
@@ -47,7 +47,10 @@ def write(path: Path, curves: RigCurves, identity: int | str = 0) -> None:
     rig, _ = morph_head(identity)
     colours, surface = textured(build_head(identity))
     animation = WeightAnimation(rig.weights(curves), curves.fps, motion=_motion(curves))
-    write_glb(path, in_metres(rig.shapes), animation=animation, colours=colours, surface=surface)
+    write_glb(
+        path, rig.shapes, animation=animation, colours=colours, surface=surface,
+        metres=METRES_PER_CM,
+    )  # fmt: skip
 
 
 def _motion(curves: RigCurves) -> RigidMotion | None:

@@ -163,6 +163,7 @@ def write_glb(
     colour: Sequence[float] = (0.80, 0.62, 0.53),
     colours: NDArray[Any] | None = None,
     surface: Surface | None = None,
+    metres: float = 1.0,
 ) -> None:
     """Write a neutral mesh, its shapes as sparse morph targets, and their animation.
 
@@ -174,7 +175,7 @@ def write_glb(
     path : Path or str
         The .glb file.
     shapes : ShapeSet
-        y up, facing +z; glTF's unit is the metre, and positions are written as they are.
+        y up, facing +z.
     animation : WeightAnimation, optional
         Weights of the shapes, in their order.
     colour : sequence of 3 floats [0 to 1]
@@ -183,6 +184,8 @@ def write_glb(
         Linear colours of the vertices, instead.
     surface : Surface, optional
         Textures, which multiply the colours.
+    metres : float
+        Length of the shapes' unit; glTF's is the metre.
 
     Raises
     ------
@@ -191,7 +194,7 @@ def write_glb(
     """
     builder = GlbBuilder()
     builder.json["asset"] = {"version": "2.0", "generator": "deitalk"}
-    used = _add_mesh(builder, shapes, colour, colours)
+    used = _add_mesh(builder, shapes, colour, colours, metres)
     if surface is not None:
         _add_surface(builder, surface, used)
     builder.json["nodes"] = [{"mesh": 0, "name": "face"}]
@@ -207,25 +210,28 @@ def _add_mesh(
     shapes: ShapeSet,
     colour: Sequence[float],
     colours: NDArray[Any] | None,
+    metres: float,
 ) -> Int64:
     """Append mesh and material; return the vertices that were kept."""
     mesh, used = shapes.neutral.compact()
-    normals = MovedNormals(mesh)
     still, targets = (_STILL * mesh.size) ** 2, []
-    for shape in shapes.deltas:
-        delta = shape if len(used) == len(shape) else shape[used]
-        moving = np.flatnonzero(np.einsum("vc,vc->v", delta, delta) > still)
+    deltas = shapes.deltas if len(used) == shapes.deltas.shape[1] else shapes.deltas[:, used]
+    moved = [np.flatnonzero(np.einsum("vc,vc->v", delta, delta) > still) for delta in deltas]
+    moves = np.zeros(len(used), bool)
+    moves[np.concatenate([[], *moved]).astype(np.int64)] = True
+    normals = MovedNormals(mesh, moves)
+    for delta, moving in zip(deltas, moved, strict=True):
         turned, turn = normals.turn(moving, delta[moving])
         is_seen = np.einsum("vc,vc->v", turn, turn) > _NORMAL_STILL**2
         targets.append(
             {
-                "POSITION": builder.sparse(len(delta), moving, delta[moving]),
-                "NORMAL": builder.sparse(len(delta), turned[is_seen], turn[is_seen]),
+                "POSITION": builder.sparse(len(used), moving, metres * delta[moving]),
+                "NORMAL": builder.sparse(len(used), turned[is_seen], turn[is_seen]),
             }
         )
     primitive: dict[str, Any] = {
         "attributes": {
-            "POSITION": builder.dense(mesh.vertices, "VEC3", _ARRAY_BUFFER),
+            "POSITION": builder.dense(metres * mesh.vertices, "VEC3", _ARRAY_BUFFER),
             "NORMAL": builder.dense(normals.rest, "VEC3", _ARRAY_BUFFER),
         },
         "indices": builder.dense(mesh.faces.ravel(), "SCALAR", _INDEX_BUFFER),

@@ -4,7 +4,6 @@ NPZ and PLY hold every vertex of every frame. GLB players support only morph tar
 sequence is first approximated by a few of them.
 """
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -86,7 +85,7 @@ def write_sequence(
     if kind == "glb":
         shapes, weights = principal_shapes(mesh, vertices, tolerance or 1e-5 * mesh.size)
         animation = WeightAnimation(weights, fps)
-        write_glb(out, scaled(shapes, unit_metres), animation=animation, colours=colours)
+        write_glb(out, shapes, animation=animation, colours=colours, metres=unit_metres)
         return
     check_length(len(vertices), len(mesh.vertices))
     if kind == "folder":
@@ -99,12 +98,6 @@ def write_sequence(
             triangles=mesh.faces.astype(np.int32),
             fps=fps,
         )
-
-
-def scaled(shapes: ShapeSet, factor: float) -> ShapeSet:
-    """The same shapes in another unit."""
-    neutral = shapes.neutral.with_vertices(factor * shapes.neutral.vertices)
-    return replace(shapes, neutral=neutral, deltas=np.float32(factor) * shapes.deltas)
 
 
 def principal_shapes(mesh: TriMesh, vertices: Any, tolerance: float) -> tuple[ShapeSet, Float32]:

@@ -185,23 +185,31 @@ class MovedNormals:
     ----------
     rest : array [shape=(V, 3)]
         `vertex_normals` of the mesh.
+
+    Parameters
+    ----------
+    mesh : TriMesh
+        At rest.
+    moves : array of bool [shape=(V,)], optional
+        Vertices that any pose may move; without it all.
     """
 
-    def __init__(self, mesh: TriMesh) -> None:
-        self._mesh = mesh
-        self._products = cross_products(mesh)
-        self._sums = _corner_sums(mesh.faces, self._products, len(mesh.vertices))
+    def __init__(self, mesh: TriMesh, moves: Bool | None = None) -> None:
+        self._vertices, products = mesh.vertices, cross_products(mesh)
+        self._sums = _corner_sums(mesh.faces, products, len(mesh.vertices))
         self.rest = _unit(self._sums)
+        kept = slice(None) if moves is None else moves[mesh.faces].any(axis=1)
+        self._faces, self._products = mesh.faces[kept], products[kept]
 
     def turn(self, moving: Int64, delta: AnyFloat) -> tuple[Int64, Float64]:
         """Vertices (n,) whose faces move with `moving` by `delta`, and the change (n, 3) there."""
-        vertices = self._mesh.vertices.copy()
+        vertices = self._vertices.copy()
         vertices[moving] += delta
         is_moving = np.zeros(len(vertices), bool)
         is_moving[moving] = True
-        a, b, c = self._mesh.faces.T
+        a, b, c = self._faces.T
         touched = np.flatnonzero(is_moving[a] | is_moving[b] | is_moving[c])
-        turned, faces = np.unique(self._mesh.faces[touched], return_inverse=True)
+        turned, faces = np.unique(self._faces[touched], return_inverse=True)
         faces = faces.reshape(-1, 3)
         change = _cross_products(vertices[turned], faces) - self._products[touched]
         sums = _corner_sums(faces, change, len(turned))

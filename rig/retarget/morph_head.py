@@ -229,14 +229,6 @@ def srgb_to_linear(colours: Float64) -> Float64:
     return np.where(low, colours / 12.92, ((colours + 0.055) / 1.055) ** 2.4)
 
 
-def in_metres(shapes: ShapeSet) -> ShapeSet:
-    """Return shapes that are in cm in glTF's unit."""
-    neutral = shapes.neutral.with_vertices(shapes.neutral.vertices * METRES_PER_CM)
-    deltas = shapes.deltas * METRES_PER_CM
-    deltas.setflags(write=False)  # not copied: 120 MB
-    return ShapeSet(neutral, shapes.names, deltas)
-
-
 # The embedded head as a source of shapes: its mesh, landmarks and baked rig.
 
 
@@ -493,7 +485,9 @@ def write_head(path: Path | str, head: Head, *, animation: WeightAnimation | Non
     morphs = arkit_morphs(head)
     shapes = ShapeSet(TriMesh(head.mesh.vertices, head.mesh.faces), morphs.names, morphs.deltas)
     colours, surface = textured(head)
-    write_glb(path, in_metres(shapes), animation=animation, colours=colours, surface=surface)
+    write_glb(
+        path, shapes, animation=animation, colours=colours, surface=surface, metres=METRES_PER_CM
+    )
     # Extras of the file: whose head it is, and the pose in which each corrective is fully on.
     document, binary = read_container(path)
     (mesh,) = document["meshes"]

@@ -247,7 +247,7 @@ def _joined(
         of_take = (times >= first / SAMPLE_RATE) & (times < last / SAMPLE_RATE)
         measures = _measures(model, performance, speaking & of_take)
         found[one.speaker, one.emotion, level] = {
-            k: measures[k] for k in ("intensity", "level", "whole face")
+            k: measures[k] for k in ("intensity", "level", "whole face", "brows")
         }
     return found
 
