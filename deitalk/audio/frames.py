@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from rig.arrays import Float64, Int64
+from rig.arrays import Bool, Float64, Int64
 
 SAMPLE_RATE = 16_000  # Hz; input of wav2vec 2.0 and of the mel frontend
 FRAME_RATE = 30  # rig frames per second
@@ -21,3 +21,9 @@ def frame_centres(frames: Int64) -> Int64:
 def frame_times(n_frames: int) -> Float64:
     """Time of every rig frame in seconds: (T,), frame i at i/30."""
     return np.arange(n_frames) / FRAME_RATE
+
+
+def runs(mask: Bool) -> Int64:
+    """[start, stop) of every run of True [shape=(n, 2)]."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(np.int8), [0]])))
+    return edges.reshape(-1, 2)

@@ -6,7 +6,7 @@ Letters: K frequency bands.
 import numpy as np
 import numpy.typing as npt
 
-from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE, frame_count
+from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE, frame_count, runs
 from rig.arrays import Bool, Float32, Int64
 
 WINDOW = 1024  # samples, 64 ms, centred on the frame's time
@@ -66,7 +66,7 @@ def speech_activity(waveform: npt.ArrayLike) -> Float32:
     opens = excess >= OPEN_DB
     keeps = excess >= KEEP_DB
     speech = np.zeros_like(keeps)
-    for start, stop in _runs(keeps):
+    for start, stop in runs(keeps):
         speech[start:stop] = opens[start:stop].any()
     # Frames without speech that are no pause, by how far the loudest speech is above the noise.
     loudest = np.percentile(excess, 95)
@@ -95,7 +95,7 @@ def active_level_db(waveform: npt.ArrayLike, activity: npt.ArrayLike | None = No
     samples = np.asarray(waveform, dtype=np.float32)
     active = np.asarray(speech_activity(samples) if activity is None else activity) > 0.5
     energy, count = 0.0, 0
-    for start, stop in _runs(active) * SAMPLE_RATE // FRAME_RATE:
+    for start, stop in runs(active) * SAMPLE_RATE // FRAME_RATE:
         piece = samples[start:stop]
         energy, count = energy + float(piece @ piece), count + len(piece)
     return 10 * float(np.log10(energy / count)) if energy > 0 else -np.inf
@@ -207,16 +207,10 @@ def _noise_floor(levels: Float32) -> Float32:
     return floor
 
 
-def _runs(mask: Bool) -> Int64:
-    """[start, stop) of every run of True [shape=(n, 2)]."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(np.int8), [0]])))
-    return edges.reshape(-1, 2)
-
-
 def _without_short(mask: Bool, longest: int, *, keep_ends: bool = False) -> Bool:
     """`mask` without its runs of up to `longest` frames, those at the clip's ends aside."""
     result = mask.copy()
-    for start, stop in _runs(mask):
+    for start, stop in runs(mask):
         at_end = keep_ends and (start == 0 or stop == len(mask))
         if stop - start <= longest and not at_end:
             result[start:stop] = False

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import soundfile
 
-from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
+from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE, runs
 from deitalk.audio.load import Recording, load_audio
 from deitalk.audio.vocal_strength import measure_prosody
 from deitalk.audio.voice_activity import speech_activity
@@ -98,11 +98,12 @@ def cut_at_silences(
     """
     active: Bool = np.asarray(speaking, np.float32) > 0.5
     active = active[: max(int(seconds * FRAME_RATE), 1)]
-    runs = [part for run in _runs(active) for part in _divided(run, level, longest)]
+    spoken = (runs(active) / FRAME_RATE).tolist()
+    parts = [part for a, b in spoken for part in _divided((a, b), level, longest)]
     if keep_listening:
-        return _whole(runs, seconds, longest)
+        return _whole(parts, seconds, longest)
     groups: list[list[Span]] = []
-    for start, stop in runs:
+    for start, stop in parts:
         last = groups[-1] if groups else None
         if (
             last is not None
@@ -127,16 +128,9 @@ def within_captured(spans: Sequence[Span], seen: Bool, fps: float) -> list[Span]
     fps : float
         Frames per second.
     """
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], seen.astype(np.int8), [0]])))
-    runs = (edges / fps).reshape(-1, 2).tolist()
-    parts = [(max(a, start), min(b, stop)) for a, b in spans for start, stop in runs]
+    captured = (runs(seen) / fps).tolist()
+    parts = [(max(a, start), min(b, stop)) for a, b in spans for start, stop in captured]
     return [(a, b) for a, b in parts if b - a >= SHORTEST_SECONDS]
-
-
-def _runs(active: Bool) -> list[Span]:
-    """Seconds of every run of speech."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], active.astype(np.int8), [0]])))
-    return [(float(a), float(b)) for a, b in edges.reshape(-1, 2) / FRAME_RATE]
 
 
 def _divided(run: Span, level: Float64, longest: float) -> list[Span]:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from deitalk.audio.frames import FRAME_RATE
+from deitalk.audio.frames import FRAME_RATE, runs
 from deitalk.audio.load import Recording
 from deitalk.audio.vocal_strength import measure_prosody
 from deitalk.audio.voice_activity import speech_activity
@@ -93,9 +93,7 @@ def _is_clipped(column: Float32, place: int, fps: float, controls: ControlSet) -
         at_end |= column >= rest + EDGE * (high - rest)
     if low < rest:
         at_end |= column <= rest - EDGE * (rest - low)
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], at_end.astype(np.int8), [0]])))
-    runs = edges.reshape(-1, 2)
-    lengths = runs[:, 1] - runs[:, 0]
+    lengths = np.diff(runs(at_end), axis=1)
     held = int(lengths[lengths >= max(CLIPPED_SECONDS * fps, 2)].sum())
     return held >= CLIPPED_SHARE * len(column)
 
@@ -113,8 +111,7 @@ def _frozen(values: Float32, fps: float, speaking: Bool) -> float:
     if values.shape[1] < 3 or len(values) < 3:
         return 0.0
     still = (np.abs(np.diff(values, axis=0)) < 1e-6).all(axis=1) & speaking[1:]
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], still.astype(np.int8), [0]])))
-    lengths = np.diff(edges.reshape(-1, 2), axis=1)[:, 0]
+    lengths = np.diff(runs(still), axis=1)
     return float(lengths[lengths >= FROZEN_SECONDS * fps].sum() / fps)
 
 
