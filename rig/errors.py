@@ -92,6 +92,12 @@ def quoted(value: object, most: int = QUOTED_CHARACTERS) -> str:
     return shorten(repr(value), most)
 
 
+def listed(names: Any, most: int = 3) -> str:
+    """The first few of a sequence of names or numbers: "3, 14, 15 and 90 more"."""
+    more = f" and {len(names) - most} more" if len(names) > most else ""
+    return ", ".join(map(str, names[:most])) + more
+
+
 def one_line(message: object) -> str:
     """Return a message of one line and at most `MESSAGE_CHARACTERS` characters.
 

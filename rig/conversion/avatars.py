@@ -36,7 +36,7 @@ from rig.conversion.shape_fit import (
     shape_key,
 )
 from rig.curves import RigCurves, check_clip, n_frames_for, rest_curves
-from rig.errors import ControlError, FormatError, quoted
+from rig.errors import ControlError, FormatError, listed, quoted
 
 LIPS_TOGETHER = "mouthLipsTogether"
 MOST_NAMED = 6
@@ -68,8 +68,7 @@ class ShapeFit:
     def __str__(self) -> str:
         line = f"the shapes show {1 - self.lost:.0%} of the movement"
         for curves, what in ((self.replaced, "similar shapes show"), (self.unsaid, "no shape for")):
-            more = f" and {len(curves) - MOST_NAMED} more" if len(curves) > MOST_NAMED else ""
-            line += f"; {what} {', '.join(curves[:MOST_NAMED])}{more}" if curves else ""
+            line += f"; {what} {listed(curves, MOST_NAMED)}" if curves else ""
         return line
 
 

@@ -22,7 +22,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path, PurePosixPath
 from typing import Any, NamedTuple
 
-from rig.errors import ExistsError, TargetError
+from rig.errors import ExistsError, TargetError, listed
 from rig.files.targets import (
     PREFIX,
     Inputs,
@@ -142,8 +142,6 @@ JOURNAL = ".deitalk-journal.json"
 _STAGE = "stage"
 _IGNORED = (".DS_Store", "Thumbs.db", "desktop.ini")
 """Files that file managers leave in any folder they show."""
-_NAMED = 3
-"""Most files that a message names."""
 
 
 def check_folder(
@@ -185,7 +183,7 @@ def check_folder(
     manifest = read_manifest(folder)
     if manifest is None:
         raise TargetError(
-            f"{folder} holds files that deitalk did not write ({_list(_visible(folder))}); "
+            f"{folder} holds files that deitalk did not write ({listed(_visible(folder))}); "
             "name another folder"
         )
     if manifest.kind != kind:
@@ -389,13 +387,13 @@ def _check_kept(folder: Path, manifest: Manifest, names: Iterable[str]) -> None:
     edited = [n for n, digest in manifest.files.items() if is_changed(folder / n, digest)]
     if edited:
         raise TargetError(
-            f"{_list([str(folder / n) for n in edited])} was changed since deitalk wrote it; "
+            f"{listed([str(folder / n) for n in edited])} was changed since deitalk wrote it; "
             "move it away, or name another folder"
         )
     foreign = [n for n in names if n not in manifest.files and os.path.lexists(folder / n)]
     if foreign:
         raise TargetError(
-            f"{_list([str(folder / n) for n in foreign])} was not written by deitalk and would be "
+            f"{listed([str(folder / n) for n in foreign])} was not written by deitalk and would be "
             "replaced; move it away, or name another folder"
         )
 
@@ -418,11 +416,6 @@ def _visible(folder: Path) -> list[str]:
     return sorted(
         n for n in names if n not in _IGNORED and (not n.startswith(PREFIX) or n == MANIFEST)
     )
-
-
-def _list(names: list[str]) -> str:
-    more = len(names) - _NAMED
-    return ", ".join(names[:_NAMED]) + (f" and {more} more" if more > 0 else "")
 
 
 # Single files of a folder that stays in use; replaced only while they are unedited.

@@ -18,8 +18,8 @@ import numpy as np
 from threadpoolctl import ThreadpoolController  # type: ignore[import-untyped]
 
 from rig.arrays import Bool, Float64, Int64
-from rig.errors import MeshError, TopologyError
-from rig.mesh.trimesh import TriMesh, components, degenerate_triangles, listed, triangle_areas
+from rig.errors import MeshError, TopologyError, listed
+from rig.mesh.trimesh import TriMesh, components, degenerate_triangles, triangle_areas
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -88,7 +88,7 @@ def refuse_degenerate(mesh: TriMesh) -> None:
     flat = degenerate_triangles(mesh)
     if len(flat):
         raise MeshError(
-            f"triangles {listed(flat)} of the neutral mesh have no area; "
+            f"triangles {listed(flat, 8)} of the neutral mesh have no area; "
             "remove them (rig.mesh.without_degenerate) or merge their vertices"
         )
 
@@ -138,7 +138,7 @@ def _refuse_collapsed(moved: Float64, size: float) -> None:
     frame = f" of frame {int(where[0][0])}" if where.shape[1] > 1 else ""
     same = where[(where[:, :-1] == where[0][:-1]).all(axis=1)][:, -1]
     raise MeshError(
-        f"triangles {listed(same)}{frame} collapse to no area; "
+        f"triangles {listed(same, 8)}{frame} collapse to no area; "
         "keep a small gap between vertices that meet, or remove those triangles"
     )
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.arrays import AnyFloat, Bool, Float64, Int64
-from rig.errors import MeshError, TopologyError
+from rig.errors import MeshError, TopologyError, listed
 from rig.limits import COORDINATE, SEQUENCE_BYTES, TRIANGLES, VERTICES
 
 if TYPE_CHECKING:
@@ -103,7 +103,7 @@ def _check_shapes(vertices: Float64, faces: NDArray[Any]) -> None:
     if not is_usable.all():
         bad = np.flatnonzero(~is_usable.all(axis=1))
         raise MeshError(
-            f"vertices {listed(bad)} are not finite numbers within ±{COORDINATE:g}; export the "
+            f"vertices {listed(bad, 8)} are not finite numbers within ±{COORDINATE:g}; export the "
             "mesh again"
         )
 
@@ -112,13 +112,13 @@ def _check_indices(faces: Int64, count: int) -> None:
     outside = np.flatnonzero((faces < 0).any(axis=1) | (faces >= count).any(axis=1))
     if len(outside):
         raise TopologyError(
-            f"triangles {listed(outside)} name vertices outside 0..{count - 1}; "
+            f"triangles {listed(outside, 8)} name vertices outside 0..{count - 1}; "
             "the file is cut short or its indices are wrong"
         )
     doubled = (faces == np.roll(faces, 1, axis=1)).any(axis=1)
     if doubled.any():
         raise TopologyError(
-            f"triangles {listed(np.flatnonzero(doubled))} name a vertex twice; remove them"
+            f"triangles {listed(np.flatnonzero(doubled), 8)} name a vertex twice; remove them"
         )
 
 
@@ -136,12 +136,6 @@ def check_length(frames: int, vertices: int, *, most: int = SEQUENCE_BYTES) -> N
             f"{frames} frames of {vertices} vertices are {size / 2**30:.1f} GiB, at most "
             f"{most / 2**30:g} are made; cut the recording, or write curves, which stay small"
         )
-
-
-def listed(indices: NDArray[Any], most: int = 8) -> str:
-    """Write the first few indices: "3, 14, 15 and 90 more"."""
-    words = ", ".join(str(int(i)) for i in indices[:most])
-    return words + (f" and {len(indices) - most} more" if len(indices) > most else "")
 
 
 def cross_products(mesh: TriMesh) -> Float64:

@@ -25,7 +25,7 @@ from rig.arrays import Float64
 from rig.controls import check_unique
 from rig.conversion.convert import KNOWN
 from rig.curves import check_clip, snap_fps
-from rig.errors import quoted
+from rig.errors import listed, quoted
 from rig.files.reading import read_json, read_npz, read_text
 from rig.formats.wide_csv import LARGEST, read_header, read_numbers
 from rig.limits import CONTROLS, FRAMES, JSON_CURVES_BYTES, POINTS_BYTES
@@ -221,8 +221,7 @@ def _on_even_grid(
 
 def describe_columns(names: Sequence[str]) -> str:
     """The first three names, quoted."""
-    more = f" and {len(names) - 3} more" if len(names) > 3 else ""
-    return ", ".join(quoted(name) for name in names[:3]) + more
+    return listed([quoted(name) for name in names])
 
 
 # Another rig's curves to known controls, by a table.

@@ -27,7 +27,7 @@ from deitalk.errors import DataError
 from rig import ControlSet, read_curves, write_curves
 from rig.arrays import Bool, Float32
 from rig.controls import DEFAULT_ID
-from rig.errors import TargetError, as_line
+from rig.errors import TargetError, as_line, listed
 from rig.files import (
     atomic_write,
     claim,
@@ -59,8 +59,7 @@ def verdict(
     """A row without a fault, or with the first few clips or takes that have it."""
     if not wrong:
         return Check(name, "ok", well)
-    more = f" and {len(wrong) - NAMED} more" if len(wrong) > NAMED else ""
-    return Check(name, level, f"{len(wrong)} {fault}: {', '.join(wrong[:NAMED])}{more}")
+    return Check(name, level, f"{len(wrong)} {fault}: {listed(wrong)}")
 
 
 def capture_rows(survey: Survey) -> list[Check]:
@@ -185,8 +184,6 @@ VOICES_SEMITONES = 7.0
 differ by about 9, an actor's emotions by less than 6."""
 VOICED_FRAMES = 60
 """From which on the median pitch of a take is known."""
-NAMED = 3
-"""Takes, files or controls that a line names."""
 
 
 @dataclass(frozen=True)
@@ -259,11 +256,9 @@ def row_of(report: TakeReport) -> dict[str, str]:
 
 def skipped_files(paths: Sequence[Path]) -> list[str]:
     """A warning about files of a folder that are no takes; none without any."""
-    if not paths:
-        return []
-    more = f" and {len(paths) - NAMED} more" if len(paths) > NAMED else ""
-    names = ", ".join(path.name for path in paths[:NAMED])
-    return [f"{len(paths)} files hold no known curves and were left out: {names}{more}"]
+    names = [path.name for path in paths]
+    text = f"{len(paths)} files hold no known curves and were left out: {listed(names)}"
+    return [text] if paths else []
 
 
 def warnings_of(reports: Sequence[TakeReport]) -> list[str]:
