@@ -10,7 +10,7 @@
     lips/         datasets of measured lips for experiments
     video/        filmed faces to curves; contact_sheet.py draws the head
     study/        blind comparisons by people
-    cli/          the verbs ablate, attention, corpus, evaluate and study
+    cli/          the verbs ablate, attention, corpus, evaluate and study, and face sheet
 
 Nothing outside imports it; `deitalk.installed.research` finds it at run time.
 """

@@ -6,7 +6,7 @@ from tempfile import TemporaryDirectory
 from rig.controls import ControlSet
 from rig.curves import RigCurves
 from rig.formats import glb
-from rig.mesh.fbx import fbx_to_glb, glb_to_fbx
+from rig.mesh.fbx import blender, fbx_to_glb, glb_to_fbx
 from rig.retarget.morph_head import baked_picture
 
 
@@ -14,6 +14,7 @@ def write(path: Path, curves: RigCurves, identity: int | str = 0) -> None:
     """Write the head of a GLB as FBX, in metres, y up, one key a frame; one picture for colours."""
     from rig.face import build_head
 
+    blender()
     with TemporaryDirectory(prefix="deitalk-") as folder:
         between = Path(folder) / "take.glb"
         glb.write(between, curves, identity)

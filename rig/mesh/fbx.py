@@ -66,16 +66,27 @@ def fbx_to_glb(source: Path | str, target: Path | str) -> None:
     run_blender(source, target)
 
 
-def run_blender(source: Path | str, target: Path | str, *numbers: float) -> None:
-    """Run the script of this module in a Python with bpy."""
+def blender() -> str:
+    """The Python that has bpy; to be asked for before long work.
+
+    Raises
+    ------
+    FormatError
+        If there is none.
+    """
     python = os.environ.get("BPY_PYTHON", "")
     if not python and importlib.util.find_spec("bpy") is None:
         raise FormatError(
             "FBX needs the package bpy: pip install deitalk[fbx], or name a Python that has it: "
             "BPY_PYTHON=/path/to/python"
         )
+    return python or sys.executable
+
+
+def run_blender(source: Path | str, target: Path | str, *numbers: float) -> None:
+    """Run the script of this module in a Python with bpy."""
     places = [os.path.abspath(path) for path in (source, target)]
-    command = [python or sys.executable, str(SCRIPT), *places, *map(str, numbers)]
+    command = [blender(), str(SCRIPT), *places, *map(str, numbers)]
     clean = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
     try:
         done = subprocess.run(

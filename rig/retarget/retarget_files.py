@@ -16,7 +16,7 @@ from rig.errors import FormatError, RigError
 from rig.files import atomic_write
 from rig.files.reading import load_json, read_text
 from rig.limits import MAPPED_VALUE, POINT_NAMES, POINTS_BYTES
-from rig.mesh.fbx import glb_to_fbx
+from rig.mesh.fbx import blender, glb_to_fbx
 from rig.mesh.glb import WeightAnimation, write_glb
 from rig.mesh.glb_reader import animate_glb, morph_names, read_glb
 from rig.mesh.ply import read_ply
@@ -113,6 +113,7 @@ def retarget_curves(
     """
     mesh = Path(mesh)
     if str(out).lower().endswith(".fbx"):
+        blender()
         with TemporaryDirectory(prefix="deitalk-") as folder, atomic_write(out) as beside:
             between = Path(folder) / "take.glb"
             report = retarget_curves(
