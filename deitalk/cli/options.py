@@ -119,8 +119,6 @@ def _spelled(name: str, value: Any) -> str:
 # Numbers with a fraction must be finite, paths must not be empty. `CheckedCommands` adds these
 # checks to each of its commands.
 
-MAX_SEED = 2**32 - 1
-"""Largest seed of every generator."""
 MAX_THREADS = 1024
 """Most threads; more end the process on most systems."""
 MAX_PROCESSES = 256
@@ -247,10 +245,6 @@ Threads = Annotated[
         help="CPU threads, at most one per processor; more than one seldom helps so small a "
         "network.",
     ),
-]
-Most = Annotated[
-    int | None,
-    typer.Option(min=1, max=MAX_COUNT, help="Most recordings of every source."),
 ]
 Identity = Annotated[
     str,

@@ -6,7 +6,8 @@ from typing import Annotated
 import typer
 
 from deitalk.cli.console import bar, console, emit
-from deitalk.cli.options import MAX_COUNT, Most
+from deitalk.cli.options import MAX_COUNT
+from deitalk.research.cli.options import Most
 
 
 def ablate(

@@ -6,8 +6,9 @@ from typing import Annotated
 import typer
 
 from deitalk.cli.console import bar, console, reserve_folder
-from deitalk.cli.options import MAX_PROCESSES, MAX_SEED, CheckedCommands, Force
+from deitalk.cli.options import MAX_PROCESSES, CheckedCommands, Force
 from deitalk.errors import DataError
+from deitalk.research.cli.options import MAX_SEED
 
 MAX_HOURS = 10_000
 """Most hours of synthetic speech."""

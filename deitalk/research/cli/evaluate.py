@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from deitalk.cli.console import bar, console
-from deitalk.cli.options import MAX_COUNT, Force, Json, Most, Threads
+from deitalk.cli.options import MAX_COUNT, Force, Json, Threads
 from deitalk.errors import DataError
+from deitalk.research.cli.options import Most
 from deitalk.research.cli.reports import reserve_report, write_report
 
 if TYPE_CHECKING:

@@ -6,8 +6,9 @@ from typing import Annotated
 import typer
 
 from deitalk.cli.console import bar, console, emit, reserve_folder
-from deitalk.cli.options import MAX_COUNT, Force, Most
+from deitalk.cli.options import MAX_COUNT, Force
 from deitalk.errors import DeitalkError
+from deitalk.research.cli.options import Most
 from rig.errors import as_line
 
 
