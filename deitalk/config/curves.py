@@ -138,8 +138,6 @@ class ModelConfig(Section):
                 raise ValueError("causal_whisper takes no positions; set positions: false")
             if self.intensity and self.saliency_frames is None:
                 raise ValueError("causal_whisper needs saliency_frames; 121 is 4 s")
-            if self.effort:
-                raise ValueError("causal_whisper takes effort: false")
         return self
 
 

@@ -209,12 +209,13 @@ class Stream:
         self.speaking = np.concatenate((self.speaking, self.activity.feed(levels)))
         self.prosody = np.concatenate((self.prosody, prosody), axis=1)
 
-    def accept(self, neutral: Float32, emotional: Float32, strength: Float32) -> None:
-        """Take the network's rows for the groups taken last."""
-        stop, network = self.groups - self.grid.delay, strength
+    def accept(self, rows: NetworkRows) -> None:
+        """Take the network's rows of this stream for the groups taken last."""
+        neutral, emotional, _, network, effort = rows
+        stop = self.groups - self.grid.delay
         frames = np.arange(stop - len(neutral), stop)
         measures, speaking = self._measured(len(frames))
-        voice = self.intensity.feed(network, measures, speaking)
+        voice = self.intensity.feed(network, measures, speaking, effort)
         if self.life is not None:
             self.life.feed(measures, speaking)
         emotion, factor = self._directed(frames)
@@ -519,7 +520,7 @@ class LiveAnimator:
         due: dict[int, list[tuple[Stream, DueRows]]] = {}
         for k, stream in enumerate(streams):
             stream.measure(levels[k], prosody[k])
-            stream.accept(rows.neutral[k], rows.emotional[k], rows.strength[k])
+            stream.accept(NetworkRows(*(part[k] for part in rows)))
             if (one := stream.due()) is not None:
                 due.setdefault(id(stream.settings), []).append((stream, one))
         for group in due.values():

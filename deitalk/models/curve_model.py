@@ -455,6 +455,7 @@ class TensorRows(NamedTuple):
     emotional: Tensor
     saliency: Tensor
     strength: Tensor
+    effort: Tensor
 
 
 class TorchNetwork:
@@ -545,11 +546,12 @@ def advance(
     speech, frontend = causal_frontend(model).advance(windows, state.frontend)
     guidance, kept = None, state.saliency
     strength = speech.new_ones(speech.shape[:2])
-    saliency = speech.new_zeros(speech.shape[:2])
+    saliency = effort = speech.new_zeros(speech.shape[:2])
     if model.config.intensity:
         intensity, kept = model.intensity.advance(speech, state.saliency)
         guidance, saliency = intensity.guidance, intensity.saliency
         strength = intensity.strength
+        effort = effort if intensity.effort is None else intensity.effort
     neutral_style = torch.eye(len(EMOTIONS), device=styles.device)[NEUTRAL]
     plain = 0 * styles[..., : len(EMOTIONS)] + neutral_style
     plain = torch.cat((plain, styles[..., len(EMOTIONS) :]), dim=-1)
@@ -563,7 +565,7 @@ def advance(
     neutral, emotional = curves.chunk(2)
     halves = tuple(zip(*(part.chunk(2) for part in past), strict=True))
     return (
-        TensorRows(neutral, emotional, saliency, strength),
+        TensorRows(neutral, emotional, saliency, strength, effort),
         TensorState(frontend, kept, halves[0], halves[1]),
     )
 

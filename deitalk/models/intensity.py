@@ -146,9 +146,7 @@ class DynamicIntensity(nn.Module):
         if self.saliency_frames is not None:
             maximum = past_maximum if self.causal else local_maximum
             around = maximum(features, self.saliency_frames)
-        intensity = self._compared(features, embedding, around)
-        if self.effort is not None:
-            intensity = intensity._replace(effort=self.effort(speech).squeeze(-1))
+        intensity = self._compared(speech, features, embedding, around)
         if self.kept is None or self.saliency_frames is None:
             return intensity
         before = self.kept(speech)
@@ -168,12 +166,16 @@ class DynamicIntensity(nn.Module):
         features = self.project(speech)
         around = past_maximum(features, self.saliency_frames, past)
         kept = torch.cat((past, features), dim=1)[:, features.shape[1] :]
-        return self._compared(features, around[:, -1], around), kept
+        return self._compared(speech, features, around[:, -1], around), kept
 
-    def _compared(self, features: Tensor, embedding: Tensor, around: Tensor) -> Intensity:
+    def _compared(
+        self, speech: Tensor, features: Tensor, embedding: Tensor, around: Tensor
+    ) -> Intensity:
         saliency = emotional_saliency(features, around)
         strength = torch.sigmoid(4 * (F.softplus(self.slope) * saliency + self.offset))
-        return Intensity(features, embedding, saliency, saliency.unsqueeze(-1) * features, strength)
+        guidance = saliency.unsqueeze(-1) * features
+        effort = None if self.effort is None else self.effort(speech).squeeze(-1)
+        return Intensity(features, embedding, saliency, guidance, strength, effort)
 
     def classify(self, features: Tensor) -> Tensor:
         """Emotion logits (B, n_emotions) from S_emo (B, T, E).

@@ -164,6 +164,8 @@ class NetworkRows(NamedTuple):
     """[shape=(B, G), range -1 to 1]; 0 without the intensity module."""
     strength: Float32
     """Predicted intensity [shape=(B, G), range 0 to 1]; 1 without the intensity module."""
+    effort: Float32
+    """Strength of the voice [shape=(B, G)], dB above the usual; 0 without a readout."""
 
 
 class CausalNetwork(Network, Protocol):

@@ -30,6 +30,7 @@ from deitalk.models.protocol import CurveNetwork, Tracks
 from deitalk.postprocess.curve_rules import expression_scale
 from deitalk.postprocess.life.voice import Seeds, Traits
 from deitalk.postprocess.voice_intensity import (
+    AROUND_WEIGHT,
     HOLD_AT_END,
     expression_gate,
     mouth_gate,
@@ -39,8 +40,6 @@ from deitalk.postprocess.voice_intensity import (
 from rig.arrays import Float32, Float64
 from rig.curves.edit import gaussian_smooth
 
-AROUND_WEIGHT = 2.6
-"""Of the strength around a frame less its mean: two seconds of a take differ less than takes."""
 EFFORT_SHARE, EFFORT_FRAMES = 0.8, 15.0
 """Share of a network's readout in the strength, and sigma of what counts around a frame."""
 

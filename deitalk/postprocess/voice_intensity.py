@@ -122,7 +122,7 @@ def fade(progress: AnyFloat) -> Float32:
 #
 # The variation is the same sum, about running means that forget; smoothing looks back instead of
 # to both sides, and after a pause the intensity rises with the voice instead of before it. The
-# strength of the voice, which needs seconds of it, is left out.
+# strength of the voice is the network's readout alone.
 
 FORGET_FRAMES = 900.0
 """Frames of speech that a mean remembers (30 s)."""
@@ -130,6 +130,8 @@ USUAL_FRAMES = 30.0
 """Weight of the usual intensity at the start, frames."""
 SMOOTHING = 1 / 8
 """Share of a new frame in the smoothed values: 0.27 s."""
+AROUND_SMOOTHING = 1 / 30
+"""The same in the strength around a frame: a second."""
 MOST_LEVEL = 4.0
 """Limit of the standard deviations of the level, whose mean is young at first."""
 
@@ -185,9 +187,12 @@ class RunningIntensity:
         self.rule = rule
         self.usual = Mean(0.0, USUAL_FRAMES)
         self.level, self.tilt, self.pitch = Mean(), Mean(), Mean()
-        self.z = self.kept = 0.0
+        self.strength = Mean(0.0, USUAL_FRAMES)
+        self.z = self.kept = self.around = self.near = 0.0
 
-    def feed(self, network: Float32, measures: Measures, speaking: Bool) -> Float32:
+    def feed(
+        self, network: Float32, measures: Measures, speaking: Bool, effort: Float32
+    ) -> Float32:
         """Corrected intensity of the next frames [shape=(n,), range 0 to 1].
 
         Parameters
@@ -198,15 +203,18 @@ class RunningIntensity:
             Prosody of the same frames.
         speaking : array of bool [shape=(n,)]
             Frames of speech; in others the intensity decays.
+        effort : array [shape=(n,)]
+            Strength of the voice, dB above the usual; 0 where no network has read it.
         """
         if self.rule is None:
             return network
-        rows = zip(deviation(network), *measures[:4], speaking, strict=True)
+        rows = zip(deviation(network), effort, *measures[:4], speaking, strict=True)
         return np.array([self._next(*row) for row in rows], np.float32)
 
     def _next(
-        self, z: float, level: float, tilt: float, pitch: float, periodicity: float, speaks: bool
-    ) -> float:
+        self, z: float, effort: float, level: float, tilt: float, pitch: float, periodicity: float,
+        speaks: bool,
+    ) -> float:  # fmt: skip
         assert self.rule is not None
         if not speaks:
             self.kept *= math.exp(-1 / FALL_FRAMES)
@@ -220,8 +228,14 @@ class RunningIntensity:
                     index += TONE_SHARE * _limited(semitones / PITCH_SEMITONES, MOST_TONE)
             new = NETWORK_WEIGHT * self.usual.add(z) + self.rule.index_weight * index
             self.z += SMOOTHING * (new - self.z)
-        limited = MOST_VARIATION * math.tanh(self.z / MOST_VARIATION)
-        share = (1 - FAINTEST) / (1 + math.exp(-STEEPNESS * limited))
+            self.near += AROUND_SMOOTHING * (self.z - self.near)
+            self.strength.add(effort)
+            self.around += AROUND_SMOOTHING * (effort - self.around)
+        strength = self.strength.value
+        strength += AROUND_WEIGHT * (self.around - strength)
+        variation = MOST_VARIATION * math.tanh(self.z / MOST_VARIATION) - NEAR_SHARE * self.near
+        z = variation + float(_base(strength, self.rule))
+        share = (1 - FAINTEST) / (1 + math.exp(-STEEPNESS * z))
         return FAINTEST + share * self.kept
 
 
@@ -237,6 +251,8 @@ MOST_TAKE = 3.0
 """Limit of the standard deviations of a whole take."""
 MOST_BASE, MOST_VARIATION = 1.3, 3.0
 """Limits of the two parts, standard deviations."""
+AROUND_WEIGHT = 2.6
+"""Of the strength around a frame less its mean: two seconds of a take differ less than takes."""
 NEAR_SHARE, NEAR_FRAMES = 0.5, 20.0
 """Share of the variation's own mean around a frame that is taken off it, and its sigma, 0.67 s."""
 LEVEL_SHARE, TONE_SHARE = 1.5, 0.5
@@ -291,11 +307,16 @@ def voice_intensity(
     speaking = activity > 0
     if not prosody.voiced.any() or not speaking.any():
         return network
-    base = MOST_BASE * np.tanh(rule.strength_weight * np.asarray(strength) / MOST_BASE)
-    base = np.broadcast_to(base, network.shape)
+    base = np.broadcast_to(_base(strength, rule), network.shape)
     z = _variation(network, prosody, speaking, rule) + base
     z = z + _shift(z[speaking], _intensity(base[speaking]).mean())
     return _decayed(_intensity(z), speaking).astype(np.float32)
+
+
+def _base(strength: Float32 | float, rule: VoiceIntensity) -> Float64:
+    """Operating point of a strength in dB, standard deviations."""
+    base: Float64 = MOST_BASE * np.tanh(rule.strength_weight * np.asarray(strength) / MOST_BASE)
+    return base
 
 
 def _intensity(z: Float64) -> Float64:

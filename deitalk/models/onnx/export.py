@@ -100,7 +100,7 @@ BLOCK = 64
 
 
 OUTPUTS, EFFORT = ("curves", "neutral", "saliency", "intensity"), "effort"
-"""Outputs of the graphs, in their order; the last one of models with a readout of the effort."""
+"""Outputs of the graphs, in their order; a whole clip has the last one where a model reads it."""
 
 
 class MelFrontendGraph(nn.Module):
@@ -322,7 +322,7 @@ class CausalGraph(nn.Module):
         """
         before = TensorState.of(state, causal_frontend(self.model).n_states)
         rows, after = advance(self.model, windows, emotion[:, None], before)
-        frame = (rows.emotional, rows.neutral, rows.saliency, rows.strength)
+        frame = (rows.emotional, rows.neutral, rows.saliency, rows.strength, rows.effort)
         return (*(part[:, 0] for part in frame), *after.tensors())
 
 
@@ -445,7 +445,7 @@ def _trace_causal(model: DEITalk, path: Path) -> dict[str, str]:
         *(first.expand(batch, *first.shape).clone() for first in states.values()),
     )
     inputs = ["windows", "emotion", *states]
-    outputs = [*OUTPUTS, *(NEXT + name for name in states)]
+    outputs = [*OUTPUTS, EFFORT, *(NEXT + name for name in states)]
     axes = {name: {0: "B"} for name in (*inputs, *outputs)}
     _export(graph, example, path, inputs, outputs, axes)
     described = [

@@ -37,7 +37,7 @@ from rig.errors import quoted
 from rig.files import cache_folder
 from rig.files.reading import check_file
 
-SCHEMA, CAUSAL_SCHEMA = "deitalk.onnx/1", "deitalk.onnx-live/1"
+SCHEMA, CAUSAL_SCHEMA = "deitalk.onnx/1", "deitalk.onnx-live/2"
 NEXT = "next_"
 """Before the names of the outputs that are the state for the next call."""
 PART_FRAMES, CONTEXT_FRAMES = 8640, 2880
@@ -236,12 +236,10 @@ class OnnxCausalNetwork(_Network):
             group = windows[:, k * self.grid.spectra : (k + 1) * self.grid.spectra]
             inputs = {"windows": np.ascontiguousarray(group), "emotion": styles[:, k]}
             found = self._session.run(None, inputs | dict(zip(self._names, state, strict=True)))
-            frames.append(found[:4])
-            state = tuple(found[4:])
-        curves, neutral, saliency, strength = (
-            np.stack(part, axis=1) for part in zip(*frames, strict=True)
-        )
-        return NetworkRows(neutral, curves, saliency, strength), state
+            frames.append(found[: len(NetworkRows._fields)])
+            state = tuple(found[len(NetworkRows._fields) :])
+        curves, neutral, *others = (np.stack(part, axis=1) for part in zip(*frames, strict=True))
+        return NetworkRows(neutral, curves, *others), state
 
     def read(
         self,

@@ -1,6 +1,6 @@
 """Readout of the voice's strength from the speech encoder: run it by ``python -m`` and its name.
 
-A ridge regression on the mean over speech of the features of `default`'s frozen encoder. Its rows
+A ridge regression on the mean over speech of the features of a model's frozen encoder. Its rows
 are differences that no rule of this project made: of an actor's takes of one emotion asked for at
 two strengths (1 between low and high), alone, with other noise and equalisation, and in one
 recording; and of pieces of a reader's chapter, whose level is known. A take and its noisy copy
@@ -185,11 +185,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(prog="python -m deitalk.research.training.effort")
     parser.add_argument("--readers", type=Path, required=True, help="table of readers")
     parser.add_argument("--actors", type=Path, required=True, help="table of actors")
+    parser.add_argument("--model", default="default", help="whose encoder: default or live")
     parser.add_argument("--folds", type=int, default=9, help="over actors, for the printed scores")
     parser.add_argument("-o", "--out", type=new_file, help="effort.safetensors")
     given = parser.parse_args(arguments)
     clips = read_strength_clips(given.readers, READERS) + read_strength_clips(given.actors, ACTORS)
-    model, rng = load_model("default"), np.random.default_rng(5)
+    model, rng = load_model(given.model), np.random.default_rng(5)
     assert isinstance(model, DEITalk)
     clips = [clip for clip in clips if clip.split != "test"]
     heard = [hear(model, clip, rng) for clip in clips]

@@ -82,12 +82,27 @@ def test_running_level_goes_on_where_it_stopped(rng):
     assert torch.equal(torch.cat((first, second), dim=1), whole) and torch.equal(last, end)
 
 
-def intensity_of(level_db, network=0.5, rule=VoiceIntensity(), speaking=True):
+def intensity_of(level_db, network=0.5, rule=VoiceIntensity(), speaking=True, effort=0.0):
     n = len(level_db)
     zeros, ones = np.zeros(n), np.ones(n)
     measures = Measures(np.asarray(level_db, float), zeros, zeros, ones, zeros)
     flags = np.full(n, speaking)
-    return RunningIntensity(rule).feed(np.full(n, network, np.float32), measures, flags)
+    network, effort = np.full(n, network, np.float32), np.broadcast_to(effort, n)
+    return RunningIntensity(rule).feed(network, measures, flags, effort)
+
+
+def test_steady_effort_gives_in_time_the_operating_point_of_a_take_of_that_strength():
+    """0.15 deviations a decibel, 1.3 at most, as `voice_intensity` has it for a whole take."""
+    for effort, base in ((0.0, 0.0), (5.0, 0.6766), (-5.0, -0.6766), (60.0, 1.3)):
+        found = intensity_of(np.full(3000, -20.0), effort=effort)[-1]
+        assert found == pytest.approx(0.15 + 0.85 / (1 + np.exp(-1.3 * base)), abs=0.01)
+
+
+def test_effort_is_followed_within_a_second_or_two():
+    """Ten usual seconds and two of a shout, of the same level."""
+    effort = np.repeat([0.0, 12.0], [300, 60])
+    found = intensity_of(np.full(360, -20.0), effort=effort)
+    assert found[330] > found[299] + 0.1 and found[359] > found[299] + 0.2
 
 
 def test_intensity_rises_with_the_level_and_not_with_the_gain():
