@@ -454,6 +454,7 @@ def _trace_causal(model: DEITalk, path: Path) -> dict[str, str]:
     ]
     texts = {"grid": json.dumps(grid._asdict()), "state": json.dumps(described)}
     texts["frontend_states"] = str(list(states).index("saliency_past"))
+    texts["effort"] = json.dumps(model.config.effort)
     return texts | {"schema": CAUSAL_SCHEMA}
 
 

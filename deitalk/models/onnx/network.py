@@ -215,6 +215,7 @@ class OnnxCausalNetwork(_Network):
         self.grid = SpectraGrid(**json.loads(self.metadata["grid"]))
         states = json.loads(self.metadata["state"])
         self._frontend = int(self.metadata["frontend_states"])
+        self._reads_effort = self.metadata["effort"] == "true"
         self._names = [str(state["name"]) for state in states]
         self._first = [np.full(state["shape"], state["first"], np.float32) for state in states]
 
@@ -267,11 +268,12 @@ class OnnxCausalNetwork(_Network):
             found, state = self.advance(rows[places][None], styles[:, start:stop], state)
             parts.append([part[0] for part in found])
             progress(stop / total)
-        neutral, curves, saliency, strength = (
+        neutral, curves, saliency, strength, effort = (
             np.concatenate(part) for part in zip(*parts, strict=True)
         )
         emotional = neutral if is_neutral(weights) else curves
-        return Reading(neutral, emotional, Tracks(saliency, strength))
+        tracks = Tracks(saliency, strength, effort if self._reads_effort else None)
+        return Reading(neutral, emotional, tracks)
 
 
 # Networks of ONNX Runtime by the names of models.
