@@ -183,6 +183,7 @@ def save_model(
         If the folder holds files that deitalk did not write, or edited ones.
     """
     weights = only_moving({name: w.detach().cpu() for name, w in model.state_dict().items()})
+    effort = {name: weights.pop(name) for name in list(weights) if name.startswith(EFFORT_WEIGHTS)}
     weights = {
         name: (_half(value) if half or (half_bases and FROZEN in name) else value).contiguous()
         for name, value in weights.items()
@@ -193,7 +194,6 @@ def save_model(
         "parameters": sum(p.numel() for p in model.parameters()),
         "training": dict(summary),
     }
-    effort = {name: weights.pop(name) for name in list(weights) if name.startswith(EFFORT_WEIGHTS)}
     fixed = {name: weights.pop(name) for name in list(weights) if model.is_fixed(name)}
     encoder = save({name: _half(value) for name, value in fixed.items()})
     if encoder_of is not None:
