@@ -32,6 +32,17 @@ Rig = Annotated[
 ]
 
 
+RigMap = Annotated[
+    Path | None,
+    typer.Option(
+        "--map",
+        "--mapping",
+        help="Curves of another rig: CSV of target, source, weight, offset.",
+    ),
+]
+Fps = Annotated[float | None, typer.Option(help="Frames per second of files that hold no rate.")]
+
+
 def _controls(rig: str | None) -> "ControlSet | None":
     from deitalk.config.rig_file import read_controls
 
@@ -68,22 +79,13 @@ def import_(
             help="CSV with a column take, and any of actor, emotion, style, voice, split."
         ),
     ] = None,
-    mapping: Annotated[
-        Path | None,
-        typer.Option(
-            "--map",
-            "--mapping",
-            help="Curves of another rig: CSV of target, source, weight, offset.",
-        ),
-    ] = None,
+    mapping: RigMap = None,
     rig: Rig = None,
     rig_from: Annotated[
         Path | None,
         typer.Option(help="Takes whose columns are the rig; its file is OUT/rig.yaml."),
     ] = None,
-    fps: Annotated[
-        float | None, typer.Option(help="Frames per second of files that hold no rate.")
-    ] = None,
+    fps: Fps = None,
     audio: Annotated[
         list[Path] | None, typer.Option(help="Folder of recordings that lie elsewhere; repeatable.")
     ] = None,
@@ -218,8 +220,16 @@ def check(
 
 @app.command()
 def voice(
-    recordings: Annotated[list[Path], typer.Argument(help="Recordings of one actor.")],
     out: Annotated[Path, typer.Option("--out", "-o", help="Reference file, .json.")],
+    recordings: Annotated[
+        list[Path] | None, typer.Argument(help="Recordings of one actor; none with --takes alone.")
+    ] = None,
+    takes: Annotated[
+        list[Path] | None,
+        typer.Option(help="Captured takes of the actor, with or without sound; repeatable."),
+    ] = None,
+    mapping: RigMap = None,
+    fps: Fps = None,
     model: Annotated[str, typer.Option(help="Model whose takes count from it.")] = "default",
     force: Force = False,
 ) -> None:
@@ -228,21 +238,35 @@ def voice(
     Intensity then counts from this actor's usual voice instead of an average speaker's: a soft
     voice is not always faint, a sharp one not always strong. A dozen lines are enough.
 
+    Traits of the actor's motion are drawn, or measured on 20 s and more of captured takes
+    (--takes): blinks, the stronger side, width of brows and head, the side of averted looks.
+
     Examples
     --------
     deitalk data voice anna/*.wav -o anna.json
+
+    deitalk data voice anna/*.wav --takes captured/ -o anna.json
     """
     from deitalk.errors import AudioError
 
+    sounds, sources = recordings or [], takes or []
     if out.suffix != ".json":
         raise AudioError(f"{out}: an actor reference is a .json file")
-    reserve_file(out, force=force, inputs=recordings)
+    if not sounds and not sources:
+        raise AudioError("nothing to measure; name recordings of the actor, or --takes")
+    reserve_file(out, force=force, inputs=[*sounds, *sources, mapping])
     from deitalk.pipeline.speech import measure_actor
     from rig.files import atomic_write
 
+    traits = _traits(sources, mapping, fps) if sources else {}
+    if not sounds and not traits:
+        raise AudioError(
+            f"{sources[0]}: the takes tell no trait; give 20 s and more of moving lids, brows, "
+            "eyes or head, or recordings"
+        )
     with bar("measuring") as progress:
         actor = measure_actor(
-            recordings, lambda done: progress(done / len(recordings)), model=model
+            sounds, lambda done: progress(done / len(sounds)), model=model, traits=traits
         )
     with atomic_write(out) as path:
         path.write_text(actor.as_json(), encoding="utf-8")
@@ -252,3 +276,24 @@ def voice(
             f"({actor.seconds:.0f} s)"
         )
     )
+    if sources:
+        told = ", ".join(f"{name} {value:.2f}" for name, value in traits.items()) or "nothing"
+        drawn = ", ".join(name for name in actor.traits if name not in traits) or "none"
+        emit(as_line(f"told by the takes: {told}; not told, so drawn: {drawn}"))
+
+
+def _traits(sources: list[Path], mapping: Path | None, fps: float | None) -> dict[str, float]:
+    """What captured takes tell of an actor's motion."""
+    from deitalk.data.captures.columns import read_mapping
+    from deitalk.data.captures.sources import find_takes
+    from deitalk.data.captures.survey import measure_traits
+    from deitalk.data.captures.take import read_capture
+
+    table = None if mapping is None else read_mapping(mapping)
+    takes, _ = find_takes(sources, None if table is None else table.sources)
+    with bar("reading") as progress:
+        captures = []
+        for done, take in enumerate(takes, 1):
+            captures.append(read_capture(take.curves, mapping=table, fps=fps))
+            progress(done / len(takes))
+    return measure_traits(captures)

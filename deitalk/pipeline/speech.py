@@ -7,7 +7,7 @@
               -> prosody -> intensity of the voice -> applied intensity
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -243,6 +243,7 @@ def measure_actor(
     progress: Callable[[int], None] = lambda done: None,
     *,
     model: str | Path | CurveNetwork = "default",
+    traits: Mapping[str, float] | None = None,
 ) -> ActorReference:
     """Median strength of an actor's recordings; those without voice are left out.
 
@@ -255,6 +256,9 @@ def measure_actor(
         Called with the number of recordings that are done.
     model : str, Path or CurveNetwork
         The model whose takes count from it.
+    traits : mapping of str to float, optional
+        Those that captured takes tell (`deitalk.data.captures.survey.measure_traits`); the others
+        are drawn. With them there may be no recordings: the usual strength is 0 then.
 
     Raises
     ------
@@ -268,7 +272,7 @@ def measure_actor(
     for number, audio in enumerate(recordings, 1):
         measured.append(hear_voice(recording_of(audio), network))
         progress(number)
-    return reference_of(measured)
+    return reference_of(measured, traits)
 
 
 def hear_voice(recording: Recording, network: CurveNetwork) -> HeardVoice:
@@ -285,24 +289,27 @@ def hear_voice(recording: Recording, network: CurveNetwork) -> HeardVoice:
     return HeardVoice(speech.strength, float(effort[speaking].mean()), recording.duration)
 
 
-def reference_of(measured: Iterable[HeardVoice]) -> ActorReference:
+def reference_of(
+    measured: Sequence[HeardVoice], traits: Mapping[str, float] | None = None
+) -> ActorReference:
     """Reference of an actor from the voices of recordings.
 
-    The traits of the actor's motion are drawn from them: equal recordings give equal traits.
+    Traits of the actor's motion that are not given are drawn from them: equal recordings give
+    equal traits.
 
     Raises
     ------
     AudioError
-        If no recording holds a voice.
+        If no recording holds a voice, and none with no traits.
     """
     voiced = [voice for voice in measured if voice.strength is not None]
-    if not voiced:
+    if not voiced and (measured or not traits):
         raise AudioError("no voice in the recordings of the actor; give some with speech")
     strengths, seconds = [voice.strength for voice in voiced], [voice.seconds for voice in voiced]
     efforts = [voice.effort for voice in voiced if voice.effort is not None]
-    facts = np.array([*strengths, *seconds], float) / 1000
-    traits = asdict(Traits.of(Seeds.of(facts.astype(np.float32), "", 0).character()))
+    told = dict(traits or {})
+    facts = np.array([*strengths, *seconds] or list(told.values()), float) / 1000
+    drawn = asdict(Traits.of(Seeds.of(facts.astype(np.float32), "", 0).character()))
+    strength = float(np.median(np.array(strengths, float))) if voiced else 0.0
     effort = float(np.median(efforts)) if efforts else None
-    return ActorReference(
-        float(np.median(np.array(strengths, float))), len(voiced), sum(seconds), traits, effort
-    )
+    return ActorReference(strength, len(voiced), sum(seconds), drawn | told, effort)

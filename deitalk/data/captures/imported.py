@@ -359,8 +359,8 @@ class _Writer:
         speaking = speech_activity(sound.waveform)
         if not speaking.any() and not self.keep_listening:
             raise DataError(
-                f"{source.curves}: its recording holds no speech; leave the take out, or "
-                "`keep_listening=True` keeps silence too",
+                f"{source.curves}: its recording holds no speech; leave the take out (`deitalk "
+                "data voice` takes silent ones), or `keep_listening=True` keeps silence too",
                 parameter="keep_listening",
             )
         prosody = measure_prosody(sound.waveform, len(speaking))

@@ -155,7 +155,8 @@ def find_sound(
         return own[0]
     wanted = f"{source.stem}.wav, .mov or .mp4"
     raise DataError(
-        f"{source.curves}: no audio beside the take; lay {wanted} there or give `audio`, a folder",
+        f"{source.curves}: no audio beside the take; lay {wanted} there or give `audio`, a folder; "
+        "`deitalk data voice` takes silent ones, for the traits of an actor",
         parameter="audio",
     )
 
