@@ -56,7 +56,7 @@ $(PAGE): $(wildcard deitalk/preview/web/*.json deitalk/preview/web/*.ts deitalk/
 # Without npm the tests of the page are skipped.
 test test-slow: $(if $(shell command -v npm),page)
 
-# One thread a process: there are as many processes as cores, and one more.
+# One thread a process: there are as many processes as cores.
 test: setup-dev  ## Run the tests, or TESTS=tests/rig; CONSTRAINTS=constraints/lowest.txt
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --maxprocesses 4 --dist loadfile $(TESTS)
 

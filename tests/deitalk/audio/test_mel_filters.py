@@ -1,10 +1,11 @@
-"""Mel filters: Slaney's scale at known points, and the matrix of transformers."""
+"""Mel filters: Slaney's scale at known points, and the matrices of transformers and librosa."""
 
+import librosa
 import numpy as np
 import pytest
 from transformers.audio_utils import mel_filter_bank
 
-from deitalk.audio.log_mel import hz_to_mel, mel_filters, mel_to_hz
+from deitalk.audio.log_mel import N_FFT, hz_to_mel, log_mel_filters, mel_filters, mel_to_hz
 from tests.each import each
 
 
@@ -20,3 +21,9 @@ def test_filters_equal_those_of_transformers(n_fft, n_mels):
     theirs = mel_filter_bank(n_fft // 2 + 1, n_mels, 50, 7600, 16_000, mel_scale="slaney").T
     assert ours.dtype == np.float32
     np.testing.assert_allclose(ours, theirs, atol=1e-7)
+
+
+@each("n_mels", [80, 128])
+def test_filters_of_whisper_equal_those_of_librosa(n_mels):
+    theirs = librosa.filters.mel(sr=16_000, n_fft=N_FFT, n_mels=n_mels)
+    np.testing.assert_allclose(log_mel_filters(n_mels), theirs, atol=1e-7)
