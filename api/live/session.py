@@ -325,11 +325,12 @@ class Session:
             if (data := message.get("bytes")) is not None:
                 self.stream.feed(data)
             else:
-                self._command(message["text"])
+                await self._command(message["text"])
             if self.stream.backlog_seconds > BACKLOG_SECONDS:
                 self.room.clear()
 
-    def _command(self, text: str) -> None:
+    async def _command(self, text: str) -> None:
+        """Do what a message says; one that changes nothing for a wrong field is answered."""
         now = monotonic()
         self._texts = min(TEXTS_AT_ONCE, self._texts + (now - self._since) * TEXTS_PER_SECOND) - 1
         self._since = now
@@ -340,7 +341,10 @@ class Session:
         if kind == "stop" and not content:
             self.stream.finish()
         elif kind == "set":
-            self._change(content)
+            try:
+                self._change(content)
+            except UserError as error:  # a voice on stage goes on as it was
+                await self._send(problem_message(problem_of(error)))
         else:
             raise Problem(422, "type must be set or stop after the start", "message_unknown")
 
@@ -378,6 +382,11 @@ class Session:
             await asyncio.wait_for(sending, SEND_SECONDS)
         except TimeoutError:
             raise WebSocketDisconnect(1008, "the client does not read its frames") from None
+
+
+def problem_message(problem: Problem) -> dict[str, Any]:
+    """What a client is told of a problem."""
+    return {"type": "problem", **problem.content}
 
 
 def _header(folder: Path, lookahead: float, head: list[str]) -> dict[str, Any]:
@@ -454,5 +463,5 @@ async def _close(websocket: WebSocket, problem: Problem | None) -> None:
     if problem is None:
         await websocket.close()
         return
-    await websocket.send_text(json.dumps({"type": "problem", **problem.content}))
+    await websocket.send_text(json.dumps(problem_message(problem)))
     await websocket.close(CLOSE_CODES.get(problem.status, 1011))

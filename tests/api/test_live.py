@@ -111,7 +111,6 @@ def test_frames_as_json_and_changes_in_the_stream(server):
         (['{"type": "start", "emotion": "moods.csv"}'], "emotion_invalid"),
         (['{"type": "start", "words": "Bob"}'], "option_invalid"),
         (['{"type": "start", "voice": "/etc/passwd"}'], "emotion_invalid"),
-        (['{"type": "start"}', '{"type": "set", "seed": 3}'], "option_invalid"),
         (['{"type": "start", "model": "../x"}'], "model_unknown"),
         (['{"type": "start", "model": "sdfa"}'], "model_unfit"),
         (['{"type": "start", "model": "default"}'], "model_unfit"),
@@ -134,6 +133,19 @@ def test_wrong_messages_end_the_session_with_a_problem(server, messages, code):
         assert answer["code"] == code
         with pytest.raises(ConnectionClosed):
             session.recv(10)
+
+
+def test_wrong_change_is_answered_and_the_session_goes_on(server):
+    with live(server) as session:
+        begin(session, frames="json")
+        told = []
+        for change in ({"emotion": "glad"}, {"seed": 3}, {"intensity": 1.5}):
+            session.send(json.dumps({"type": "set", **change}))
+        session.send(np.zeros(16000, "<i2").tobytes())
+        session.send('{"type": "stop"}')
+        while (message := json.loads(session.recv(60)))["type"] != "end":
+            told += [message["code"]] if message["type"] == "problem" else []
+    assert told == ["emotion_invalid", "option_invalid"] and message["frames"] == 30
 
 
 def test_messages_beyond_the_size_close_the_connection(server):
