@@ -149,8 +149,8 @@ class Service:
 
 DRAW_SECONDS = 120.0
 """Longest time that drawing one page may take."""
-DRAW_BYTES = 2**30
-"""Memory that it may take."""
+DRAW_BYTES = 2**31
+"""Memory that it may take: a head that is not in the cache takes 1.3 GB."""
 
 
 class Pages:

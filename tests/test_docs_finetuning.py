@@ -41,8 +41,7 @@ def commands(verbs: str) -> list[list[str]]:
 def takes(tmp_path, monkeypatch) -> Path:
     """Two takes as Live Link Face leaves them, of a model's curves."""
     monkeypatch.chdir(tmp_path)
-    line = load_audio(ROOT / "docs/samples/amiable.flac").waveform[: 4 * 16_000]
-    wave = np.tile(np.pad(line, (0, 2 * 16_000)), 3)  # three clips
+    wave = np.tile(load_audio(ROOT / "docs/samples/amiable.flac").waveform, 5)
     for number, emotion in enumerate(("happy", "sad"), 1):
         name = f"anna_{emotion}_{number}"
         folder = tmp_path / "takes" / f"20260311_{name}"
