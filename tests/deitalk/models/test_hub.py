@@ -10,7 +10,7 @@ from unittest.mock import patch
 
 import pytest
 import yaml
-from huggingface_hub import constants
+from huggingface_hub import constants, file_download
 
 from api.settings import Settings
 from deitalk.config import hub
@@ -26,6 +26,7 @@ from tests.each import each
 from tests.hub import TOKEN, serving
 
 NOWHERE = "http://127.0.0.1:9"
+TEMPLATE = "HUGGINGFACE_CO_URL_TEMPLATE"
 REPORT = "# Before and after\n\nThe result is step 20.\n"
 
 
@@ -64,17 +65,18 @@ def command(settings, *arguments):
     """`deitalk model` in this process, with the client as these variables would make it."""
     hub.fetch.cache_clear()
     hub.hub_metadata.cache_clear()
+    address = settings["HF_ENDPOINT"] + "/{repo_id}/resolve/{revision}/{filename}"
     found = {
         "ENDPOINT": settings["HF_ENDPOINT"],
-        "HUGGINGFACE_CO_URL_TEMPLATE": settings["HF_ENDPOINT"]
-        + "/{repo_id}/resolve/{revision}/{filename}",
+        TEMPLATE: address,
         "HF_HUB_CACHE": str(Path(settings["HF_HOME"]) / "hub"),
         "HF_TOKEN_PATH": str(Path(settings["HF_HOME"]) / "token"),
         "HF_HUB_OFFLINE": "HF_HUB_OFFLINE" in settings,
         "HF_HUB_DISABLE_XET": True,
     }
     token = {"HF_TOKEN": settings.get("HF_TOKEN", "")}
-    with patch.multiple(constants, **found), patch.dict(os.environ, token):
+    copied = patch.object(file_download, TEMPLATE, address, create=True)  # by huggingface_hub < 1
+    with patch.multiple(constants, **found), copied, patch.dict(os.environ, token):
         return deitalk("model", *arguments)
 
 
