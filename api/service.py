@@ -150,7 +150,7 @@ class Service:
 DRAW_SECONDS = 120.0
 """Longest time that drawing one page may take."""
 DRAW_BYTES = 2**31
-"""Memory that it may take: a head that is not in the cache takes 1.3 GB."""
+"""Memory that it may take, with the building of a head that is not in the cache."""
 
 
 class Pages:

@@ -330,7 +330,7 @@ class Session:
                 self.room.clear()
 
     async def _command(self, text: str) -> None:
-        """Do what a message says; one that changes nothing for a wrong field is answered."""
+        """Carry out a text message; a change with a wrong field is answered by a problem."""
         now = monotonic()
         self._texts = min(TEXTS_AT_ONCE, self._texts + (now - self._since) * TEXTS_PER_SECOND) - 1
         self._since = now
@@ -343,7 +343,7 @@ class Session:
         elif kind == "set":
             try:
                 self._change(content)
-            except UserError as error:  # a voice on stage goes on as it was
+            except UserError as error:  # the session goes on unchanged
                 await self._send(problem_message(problem_of(error)))
         else:
             raise Problem(422, "type must be set or stop after the start", "message_unknown")
@@ -385,7 +385,7 @@ class Session:
 
 
 def problem_message(problem: Problem) -> dict[str, Any]:
-    """What a client is told of a problem."""
+    """Message of a problem."""
     return {"type": "problem", **problem.content}
 
 

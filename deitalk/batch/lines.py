@@ -16,7 +16,7 @@ from typing import NamedTuple
 from deitalk.acting import Acting
 from deitalk.audio.original import ZERO, start_of
 from deitalk.errors import DeitalkError
-from deitalk.pipeline.speech import HeardVoice
+from deitalk.pipeline.speech import MeasuredVoice
 from rig.curves import snap_fps
 from rig.errors import as_line, quoted
 from rig.formats import checked_digits, find_format
@@ -215,7 +215,7 @@ class Outcome:
     seconds: float = 0.0
     frames: int = 0
     warnings: tuple[str, ...] = ()
-    voice: HeardVoice | None = None
+    voice: MeasuredVoice | None = None
     stage: str = ""
     targets: tuple[Target, ...] = ()
     files: tuple[File, ...] = ()

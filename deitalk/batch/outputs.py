@@ -11,7 +11,7 @@ from typing import Any
 
 from deitalk.batch.lines import File, Outcome
 from deitalk.pipeline.performance import KIND as TAKE_KIND
-from deitalk.pipeline.speech import HeardVoice
+from deitalk.pipeline.speech import MeasuredVoice
 from rig import limits
 from rig.errors import TargetError
 from rig.files import (
@@ -36,7 +36,7 @@ from rig.files.reading import read_bytes
 #     about   format, source of the batch
 #     lines   one row for each output: recording, key, state, result
 #     files   path, hash, size, time; `is_new` until the line is done
-#     heard   voices of recordings, measured for references of actors
+#     voice_strengths   measured on recordings for references of actors
 
 
 FORMAT = "1"
@@ -51,7 +51,7 @@ CREATE TABLE IF NOT EXISTS files (
     PRIMARY KEY (path, sha)
 ) WITHOUT ROWID;
 CREATE INDEX IF NOT EXISTS files_of ON files (output);
-CREATE TABLE IF NOT EXISTS heard (
+CREATE TABLE IF NOT EXISTS voice_strengths (
     audio TEXT PRIMARY KEY, signature TEXT, strength REAL, effort REAL, seconds REAL
 ) WITHOUT ROWID;
 """
@@ -197,15 +197,16 @@ class Journal:
         self._run("DELETE FROM files WHERE output = ? AND is_new = 0", output)
         self._run("UPDATE files SET is_new = 0 WHERE output = ?", output)
 
-    def voice(self, audio: str, signature: str) -> HeardVoice | None:
+    def voice(self, audio: str, signature: str) -> MeasuredVoice | None:
         """Voice of a recording, if it was measured."""
-        query = "SELECT strength, effort, seconds FROM heard WHERE audio = ? AND signature = ?"
-        row = self._one(query, audio, signature)
-        return None if row is None else HeardVoice(*row)
+        query = "SELECT strength, effort, seconds FROM voice_strengths"
+        row = self._one(f"{query} WHERE audio = ? AND signature = ?", audio, signature)
+        return None if row is None else MeasuredVoice(*row)
 
-    def write_voice(self, audio: str, signature: str, voice: HeardVoice) -> None:
+    def write_voice(self, audio: str, signature: str, voice: MeasuredVoice) -> None:
         """Keep the voice of a recording."""
-        self._run("INSERT OR REPLACE INTO heard VALUES (?, ?, ?, ?, ?)", audio, signature, *voice)
+        row = (audio, signature, *voice)
+        self._run("INSERT OR REPLACE INTO voice_strengths VALUES (?, ?, ?, ?, ?)", *row)
 
     def _run(self, query: str, *values: Any) -> None:
         with self._errors():

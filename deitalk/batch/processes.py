@@ -313,14 +313,14 @@ class Performer:
     def _prepared(self, order: Order) -> tuple[str, "Prepared"] | Outcome:
         """Hash of a line's recording, and the line ready for the network; or its result."""
         from deitalk.pipeline.curves import prepare
-        from deitalk.pipeline.speech import hear_voice
+        from deitalk.pipeline.speech import measure_voice
 
         data, sound = read_recording(order.audio)
         if sound == order.known:
             return Outcome(order.output, "unchanged", sound=sound)
         recording = decoded(order.audio, data)
         if order.only_voice:
-            return Outcome(order.output, "done", voice=hear_voice(recording, self.network))
+            return Outcome(order.output, "done", voice=measure_voice(recording, self.network))
         acting = order.acting
         if acting.style is None and order.actor in self.network.actors:
             acting = Acting.of(acting, style=order.actor)

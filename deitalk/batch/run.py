@@ -92,7 +92,7 @@ class Batch:
     def prepare(self, run: Run) -> None:
         """Measure the actors, then find what is to be done."""
         good = [line for line in self.lines if isinstance(line, Line)]
-        voices = references(good, self.outputs, self._heard_by, run)
+        voices = references(good, self.outputs, self._voice_signature, run)
         actors = {line.actor for line in good if line.acting.voice is None} - {""}
         if unmeasured := sorted(actors - voices.keys()):
             self.notes.append(
@@ -101,7 +101,7 @@ class Batch:
         for line in self.lines:
             self.rows.append(self._row(line, voices))
 
-    def _heard_by(self, audio: str) -> str:
+    def _voice_signature(self, audio: str) -> str:
         """State of a recording's file and the model; empty if the file is not there."""
         signature = self.recordings.signature(audio)
         return signature and f"{signature} {self.model}"
@@ -280,9 +280,9 @@ def references(
     journal = outputs.journal
     _measure([sample for group in samples.values() for sample in group], journal, run)
     for actor, group in samples.items():
-        heard = [voice for sample in group if (voice := journal.voice(*sample))]
-        if sum(voice.strength is not None for voice in heard) >= FEWEST_LINES:
-            text = reference_of(heard).as_json()
+        measured = [voice for sample in group if (voice := journal.voice(*sample))]
+        if sum(voice.strength is not None for voice in measured) >= FEWEST_LINES:
+            text = reference_of(measured).as_json()
             outputs.keep_reference(file_of(actor), text)
             found[actor] = parse_actor(text.encode(), actor)  # rounded, as later runs read it
     return found

@@ -261,8 +261,8 @@ def voice(
     traits = _traits(sources, mapping, fps) if sources else {}
     if not sounds and not traits:
         raise AudioError(
-            f"{sources[0]}: the takes tell no trait; give 20 s and more of moving lids, brows, "
-            "eyes or head, or recordings"
+            f"{sources[0]}: no trait can be measured on the takes; give 20 s and more of moving "
+            "lids, brows, eyes or head, or recordings"
         )
     with bar("measuring") as progress:
         actor = measure_actor(
@@ -277,13 +277,13 @@ def voice(
         )
     )
     if sources:
-        told = ", ".join(f"{name} {value:.2f}" for name, value in traits.items()) or "nothing"
+        found = ", ".join(f"{name} {value:.2f}" for name, value in traits.items()) or "nothing"
         drawn = ", ".join(name for name in actor.traits if name not in traits) or "none"
-        emit(as_line(f"told by the takes: {told}; not told, so drawn: {drawn}"))
+        emit(as_line(f"measured on the takes: {found}; drawn at random: {drawn}"))
 
 
 def _traits(sources: list[Path], mapping: Path | None, fps: float | None) -> dict[str, float]:
-    """What captured takes tell of an actor's motion."""
+    """Traits of an actor's motion, measured on captured takes."""
     from deitalk.data.captures.columns import read_mapping
     from deitalk.data.captures.sources import find_takes
     from deitalk.data.captures.survey import measure_traits

@@ -228,7 +228,7 @@ def measure_intensities(
 # Measure the usual voice of an actor from recordings: ``deitalk data voice``.
 
 
-class HeardVoice(NamedTuple):
+class MeasuredVoice(NamedTuple):
     """Strength of a recording's voice."""
 
     strength: float | None
@@ -257,7 +257,7 @@ def measure_actor(
     model : str, Path or CurveNetwork
         The model whose takes count from it.
     traits : mapping of str to float, optional
-        Those that captured takes tell (`deitalk.data.captures.survey.measure_traits`); the others
+        Those measured on captured takes (`deitalk.data.captures.survey.measure_traits`); the others
         are drawn. With them there may be no recordings: the usual strength is 0 then.
 
     Raises
@@ -267,30 +267,31 @@ def measure_actor(
     CheckpointError
         If there is no such model.
     """
-    network = load_network(model)
-    measured = []
+    measured: list[MeasuredVoice] = []
+    network: CurveNetwork | None = None
     for number, audio in enumerate(recordings, 1):
-        measured.append(hear_voice(recording_of(audio), network))
+        network = network or load_network(model)
+        measured.append(measure_voice(recording_of(audio), network))
         progress(number)
     return reference_of(measured, traits)
 
 
-def hear_voice(recording: Recording, network: CurveNetwork) -> HeardVoice:
+def measure_voice(recording: Recording, network: CurveNetwork) -> MeasuredVoice:
     """Strength of a recording's voice, as takes of a network are measured."""
     speech = Speech.of_recording(recording)
     if not speech.prosody.voiced.any():
-        return HeardVoice(None, None, recording.duration)
+        return MeasuredVoice(None, None, recording.duration)
     weights = np.zeros((speech.n_frames, len(EMOTIONS)), np.float32)
     weights[:, 0] = 1
     effort = network.read(speech.waveform, weights, gain=speech.gain).tracks.effort
     speaking = speech.activity > 0
     if effort is None or not speaking.any():
-        return HeardVoice(speech.strength, None, recording.duration)
-    return HeardVoice(speech.strength, float(effort[speaking].mean()), recording.duration)
+        return MeasuredVoice(speech.strength, None, recording.duration)
+    return MeasuredVoice(speech.strength, float(effort[speaking].mean()), recording.duration)
 
 
 def reference_of(
-    measured: Sequence[HeardVoice], traits: Mapping[str, float] | None = None
+    measured: Sequence[MeasuredVoice], traits: Mapping[str, float] | None = None
 ) -> ActorReference:
     """Reference of an actor from the voices of recordings.
 
@@ -307,9 +308,9 @@ def reference_of(
         raise AudioError("no voice in the recordings of the actor; give some with speech")
     strengths, seconds = [voice.strength for voice in voiced], [voice.seconds for voice in voiced]
     efforts = [voice.effort for voice in voiced if voice.effort is not None]
-    told = dict(traits or {})
-    facts = np.array([*strengths, *seconds] or list(told.values()), float) / 1000
+    given = dict(traits or {})
+    facts = np.array([*strengths, *seconds] or list(given.values()), float) / 1000
     drawn = asdict(Traits.of(Seeds.of(facts.astype(np.float32), "", 0).character()))
     strength = float(np.median(np.array(strengths, float))) if voiced else 0.0
     effort = float(np.median(efforts)) if efforts else None
-    return ActorReference(strength, len(voiced), sum(seconds), drawn | told, effort)
+    return ActorReference(strength, len(voiced), sum(seconds), drawn | given, effort)

@@ -228,15 +228,20 @@ class RunningIntensity:
                     index += TONE_SHARE * _limited(semitones / PITCH_SEMITONES, MOST_TONE)
             new = NETWORK_WEIGHT * self.usual.add(z) + self.rule.index_weight * index
             self.z += SMOOTHING * (new - self.z)
-            self.near += AROUND_SMOOTHING * (self.z - self.near)
+            self.near += AROUND_SMOOTHING * (_bounded(self.z) - self.near)
             self.strength.add(effort)
             self.around += AROUND_SMOOTHING * (effort - self.around)
         strength = self.strength.value
         strength += AROUND_WEIGHT * (self.around - strength)
-        variation = MOST_VARIATION * math.tanh(self.z / MOST_VARIATION) - NEAR_SHARE * self.near
+        variation = _bounded(self.z) - NEAR_SHARE * self.near
         z = variation + float(_base(strength, self.rule))
         share = (1 - FAINTEST) / (1 + math.exp(-STEEPNESS * z))
         return FAINTEST + share * self.kept
+
+
+def _bounded(z: float) -> float:
+    """Variation within `MOST_VARIATION`, as `_variation` bounds it."""
+    return MOST_VARIATION * math.tanh(z / MOST_VARIATION)
 
 
 def _limited(z: float, most: float) -> float:

@@ -443,13 +443,13 @@ def _ratio(above: Float64, below: Float64) -> Float64:
 
 
 TRAIT_SECONDS, WINDOW_SECONDS, TRACKER_SECONDS = 20.0, 3.0, 0.06
-"""Least length of what tells a trait; windows in which motion is measured, so that postures and
-moods do not count; sigma of the Gaussian against a tracker's noise."""
+"""Least length of takes to measure a trait on; windows in which motion is measured, so that
+postures and moods do not count; sigma of the Gaussian against a tracker's noise."""
 BLINK_RISE, BLINK_SECONDS, LEAST_WAITS = 0.3, 0.5, 6
 """Closure of the lids in a blink, its most seconds at half of that (more is a look down), and the
-least intervals, double blinks apart, that tell their median."""
+least intervals, double blinks apart, for their median."""
 AVERTED_DEGREES, AVERTED_SECONDS, LEAST_LOOKS = 4.0, 0.25, 8
-"""What counts as a look aside, and how many tell their balance."""
+"""What counts as a look aside, and the least number for their balance."""
 USUAL_BROWS = {"raiseIn": 0.031, "raiseOut": 0.026, "down": 0.0086}
 USUAL_HEAD = (0.54, 0.77, 0.36)
 """Mean standard deviation within a window: of a side's control, and of yaw, pitch and roll in
@@ -469,8 +469,8 @@ def measure_traits(captures: Sequence[CapturedCurves]) -> dict[str, float]:
     Returns
     -------
     dict of str to float
-        Those of `deitalk.emotions.tracks.TRAITS` that the takes tell, within their ranges. None is
-        told by less than `TRAIT_SECONDS`, nor by controls that are not known or never move.
+        Those of `deitalk.emotions.tracks.TRAITS` that can be measured, within their ranges: none on
+        less than `TRAIT_SECONDS`, nor on controls that are not known or never move.
     """
     parts = [part for capture in captures for part in _captured_parts(capture)]
     brows = {
@@ -489,8 +489,8 @@ def measure_traits(captures: Sequence[CapturedCurves]) -> dict[str, float]:
         "head_range": _over(heads, USUAL_HEAD),
         "avoids": _avoids(parts),
     }
-    told = {name: value for name, value in found.items() if value is not None}
-    return {name: float(np.clip(value, *TRAITS[name])) for name, value in told.items()}
+    known = {name: value for name, value in found.items() if value is not None}
+    return {name: float(np.clip(value, *TRAITS[name])) for name, value in known.items()}
 
 
 def _over(spreads: Sequence[float], usual: Sequence[float]) -> float | None:
@@ -540,7 +540,7 @@ def _blink_interval(parts: Sequence[RigCurves]) -> float | None:
 
 
 def _side(brows: Mapping[tuple[str, str], float]) -> float | None:
-    """How much wider the left brow moves, by controls whose sides the source tells apart."""
+    """Relative difference of the brows' ranges, on controls with different values on both sides."""
     pairs = [(brows.get(("L", stem)), brows.get(("R", stem))) for stem in USUAL_BROWS]
     apart = [(left, right) for left, right in pairs if left and right and left != right]
     left, right = np.sum(apart, axis=0) if apart else (0.0, 0.0)
@@ -551,8 +551,8 @@ def _avoids(parts: Sequence[RigCurves]) -> float | None:
     """Balance of the looks to the left and to the right of where the actor looks most."""
     looks: list[float] = []
     eyes = ("CTRL_L_eye.tx", "CTRL_R_eye.tx")
-    told = [part for part in parts if set(eyes) <= set(part.names)]
-    for part, (track, fps) in zip(told, _tracks(parts, *eyes), strict=False):
+    seen = [part for part in parts if set(eyes) <= set(part.names)]
+    for part, (track, fps) in zip(seen, _tracks(parts, *eyes), strict=False):
         left = SIDE_DEGREES * track - (0.0 if part.head is None else part.head[:, 0])
         aside = gaussian_smooth(left - np.median(left), TRACKER_SECONDS * fps, "mirror")
         for sign in (1.0, -1.0):

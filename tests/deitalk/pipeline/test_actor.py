@@ -253,7 +253,7 @@ def test_command_measures_traits_on_takes_without_sound(tmp_path, recordings):
     silent = ["data", "voice", "--takes", str(folder), "-o", str(out)]
     done = run(app, silent)
     assert done.exit_code == 0, done.output
-    assert "not told, so drawn: side, brow_range, avoids" in " ".join(done.output.split())
+    assert "drawn at random: side, brow_range, avoids" in " ".join(done.output.split())
     alone = read_actor(out)
     assert alone.traits["blink_interval"] == approx(0.625, rel=0.01)
     assert alone.strength == alone.recordings == 0
@@ -266,7 +266,7 @@ def test_command_measures_traits_on_takes_without_sound(tmp_path, recordings):
         assert both.traits[name] == approx(told if is_told else heard.traits[name], abs=1e-3)
     write_take(folder / "a.csv", LiveLinkTake(frame_ticks(90, 30.0), values[:90], names))
     for arguments, told in (
-        ([*silent, "--force"], "the takes tell no trait"),
+        ([*silent, "--force"], "no trait can be measured"),
         (["data", "voice", "-o", str(out), "--force"], "name recordings of the actor"),
         (
             ["data", "import", str(folder), "-o", str(tmp_path / "d")],

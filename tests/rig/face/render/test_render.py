@@ -127,6 +127,18 @@ def test_nearest_face_equals_that_of_exhaustive_search(rng):
     assert np.isinf(depth[face < 0]).all()
 
 
+@each("n_first", [1, 30, 60])
+def test_what_is_filled_first_changes_no_sample(rng, n_first):
+    """Faces behind whole tiles are left out: the first one covers most of the picture, in front."""
+    screen, faces = random_screen(rng)
+    front = faces[np.argsort(-np.ptp(screen.x[faces], 1) * np.ptp(screen.y[faces], 1))]
+    screen.depth[front[0]] = 0.0
+    for found, wanted in zip(
+        nearest_faces(screen, front, n_first), nearest_faces(screen, front), strict=True
+    ):
+        np.testing.assert_array_equal(found, wanted)
+
+
 def test_neighbouring_triangles_leave_no_crack_and_share_no_sample(rng):
     corners = np.array([[0, 0], [48, 0], [48, 48], [0, 48]], np.float32)
     inner = rng.uniform(1, 47, (80, 2)).astype(np.float32)
