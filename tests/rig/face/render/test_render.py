@@ -127,16 +127,19 @@ def test_nearest_face_equals_that_of_exhaustive_search(rng):
     assert np.isinf(depth[face < 0]).all()
 
 
-@each("n_first", [1, 30, 60])
-def test_what_is_filled_first_changes_no_sample(rng, n_first):
-    """Faces behind whole tiles are left out: the first one covers most of the picture, in front."""
+def test_faces_behind_what_is_filled_first_are_left_out_and_no_other(rng):
+    """A face that covers the picture at half of the depth, before others at any depth."""
     screen, faces = random_screen(rng)
-    front = faces[np.argsort(-np.ptp(screen.x[faces], 1) * np.ptp(screen.y[faces], 1))]
-    screen.depth[front[0]] = 0.0
-    for found, wanted in zip(
-        nearest_faces(screen, front, n_first), nearest_faces(screen, front), strict=True
-    ):
-        np.testing.assert_array_equal(found, wanted)
+    x, y = np.append(screen.x, [-99, -99, 200]), np.append(screen.y, [-99, 200, -99])
+    depth = np.append(screen.depth, [0.4, 0.5, 0.6])
+    screen = Screen(48, 48, *(part.astype(np.float32) for part in (x, y, depth)))
+    last = np.arange(len(x) - 3, len(x))
+    cover = front_faces(screen, np.stack([last, last[::-1]]))
+    order = np.concatenate([cover, faces])
+    found, wanted = nearest_faces(screen, order, 1), nearest_faces(screen, order)
+    assert 5 < len(np.unique(wanted[0])) < 60  # some lie in front of it, some behind
+    np.testing.assert_array_equal(found[0], wanted[0])
+    np.testing.assert_array_equal(found[1], wanted[1])
 
 
 def test_neighbouring_triangles_leave_no_crack_and_share_no_sample(rng):
