@@ -217,6 +217,31 @@ def test_animate_loads_no_slow_package_but_torch(tmp_path):
     assert done.stdout.splitlines()[-2:] == ["LOADED []", "False"]
 
 
+GLB = """
+import sys
+from deitalk.cli import main
+sys.argv = ["deitalk", "convert", {source!r}, {out!r}, "--force"]
+try:
+    main()
+except SystemExit as exit:
+    assert not exit.code, exit.code
+print("LOADED", sorted({{name.split(".")[0] for name in sys.modules}} & {slow!r}))
+"""
+
+
+def test_a_table_of_curves_becomes_a_glb_without_slow_packages(tmp_path):
+    """Once the head is in the cache, which needs scipy to build."""
+    from rig import rest_curves, write_curves
+
+    source = tmp_path / "curves.csv"
+    write_curves(source, rest_curves(3))
+    code = GLB.format(source=str(source), out=str(tmp_path / "face.glb"), slow=SLOW | {"torch"})
+    for _ in range(2):
+        done = run(code)
+        assert done.returncode == 0, done.stderr
+    assert done.stdout.splitlines()[-1] == "LOADED []"
+
+
 def test_animate_by_onnx_loads_no_settings_of_trainings(tmp_path):
     """They are the classes of pydantic that take longest to build; the rules are read without."""
     pytest.importorskip("onnxruntime", reason="needs the extra onnx")

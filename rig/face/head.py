@@ -4,7 +4,7 @@ import hashlib
 import zipfile
 from collections.abc import Callable
 from dataclasses import astuple, dataclass, field, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -21,8 +21,6 @@ from rig.face.geometry.topology import EYE_L, EYE_R, FILLER, MOUTH
 from rig.face.identity import Identity, resolve_identity
 from rig.face.motion.bindings import bindings
 from rig.face.motion.rigid import Arch, Jaw, Lids, Seal, Tongue
-from rig.face.motion.shape_list import FACE_SHAPES, MOUTH_SHAPES, neck_shapes, side_shapes
-from rig.face.motion.shapes import ShapeMaker
 from rig.files import atomic_write, cache_folder
 
 # Cache of heads on disk: plain arrays in the user's cache folder.
@@ -130,7 +128,6 @@ class Head:
         self._tongue = Tongue(
             self.parts["tongue"].vertices, self._tongue_place, place.mouth_y, self._lip_z
         )
-        self._brows = {s: self._follow(self.parts[f"brow_{s}"].vertices) for s in "LR"}
         rim, lip = features.loop(MOUTH, 0), len(features.loop(MOUTH, 0)) // 4
         self._rim_middle = rim[lip], rim[3 * lip]
 
@@ -174,6 +171,10 @@ class Head:
             center_z = self._lip_z - back - depth
             arches[name] = Arch(self.features, width, depth, center_z, y + edge, up)
         return arches
+
+    @cached_property
+    def _brows(self) -> dict[str, _Follow]:
+        return {s: self._follow(self.parts[f"brow_{s}"].vertices) for s in "LR"}
 
     def _follow(self, vertices: Float64, count: int = 16, reach_cm: float = 0.45) -> _Follow:
         from scipy.spatial import cKDTree
@@ -308,6 +309,9 @@ def _gaze_matrix(pitch_degrees: Float64, yaw_degrees: Float64) -> Float64:
 
 def _build(identity: Identity) -> Arrays:
     """Neutral skin and every linear shape of one identity, as plain arrays."""
+    from rig.face.motion.shape_list import FACE_SHAPES, MOUTH_SHAPES, neck_shapes, side_shapes
+    from rig.face.motion.shapes import ShapeMaker
+
     skin = build_skin(identity)
     maker = ShapeMaker(skin)
     shapes: dict[str, Float64] = {}

@@ -6,10 +6,9 @@ Opens in Blender, three.js, Windows' viewer and Unreal. For a face of your own, 
 """
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from rig.arrays import AnyFloat, Float32, Float64
 from rig.controls import ControlSet, default_controls
@@ -22,8 +21,10 @@ from rig.face.accents import matrices, quaternions
 from rig.mesh.glb import RigidMotion, WeightAnimation, read_container, write_glb
 from rig.mesh.glb_reader import consistent, morphing_nodes, read_accessor
 from rig.retarget.bake import control_halves
-from rig.retarget.blendshapes import head_track, turn_of_bones
 from rig.retarget.morph_head import METRES_PER_CM, morph_head, textured
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation
 
 LEAST_JAW = 1e-3
 """Opening below which lips together move nothing, and come back as less."""
@@ -80,6 +81,8 @@ def read(path: Path, controls: ControlSet | None, fps: float | None) -> RigCurve
     FormatError
         If it has no animated shapes, or they are of no known set.
     """
+    from scipy.spatial.transform import Rotation
+
     document, binary = read_container(path)
     with consistent(path):
         shapes = dict(morphing_nodes(document))
@@ -176,11 +179,13 @@ def _curves_of(
 
 def _head(
     document: dict[str, Any],
-    turns: dict[int, Rotation],
+    turns: "dict[int, Rotation]",
     moved: dict[tuple[int, str], Track],
     at: Float64,
 ) -> Float32 | None:
     """Head track of a mesh's node, or of bones; None if neither turns."""
+    from rig.retarget.blendshapes import head_track, turn_of_bones
+
     for node, turn in turns.items():
         if "mesh" in document["nodes"][node] and "skin" not in document["nodes"][node]:
             place = moved.get((node, "translation"))

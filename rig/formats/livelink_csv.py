@@ -121,7 +121,7 @@ class LiveLinkTake:
             for name in SUBJECT_REST
             if name in self.names
         }
-        return _head_track(columns)
+        return subject_head(columns)
 
     def _check_gaps(self, n_frames: int) -> None:
         most = limits.GAP_FRAMES + limits.GAP_SHARE * len(self.ticks)
@@ -253,8 +253,8 @@ def with_subject(curves: RigCurves) -> RigCurves:
     return replace(curves, values=values, names=(*curves.names, *SUBJECT_REST))
 
 
-def _head_track(columns: Mapping[str, Float64]) -> Float32 | None:
-    """The head track of columns of `SUBJECT_REST`; None unless the switch is on."""
+def subject_head(columns: Mapping[str, Float64]) -> Float32 | None:
+    """The head track [shape=(T, 6)] of columns of `SUBJECT_REST`; None unless the switch is on."""
     if any(name not in columns for name in SUBJECT_REST[:7]) or not columns[SUBJECT_REST[0]].any():
         return None
     roll, pitch, yaw, back, left, up = (columns[name] for name in SUBJECT_REST[1:7])
@@ -266,7 +266,7 @@ def _head_track(columns: Mapping[str, Float64]) -> Float32 | None:
 
 
 def _subject_head(track: Float32) -> Float64:
-    """Columns 1 to 6 of `SUBJECT_REST` [shape=(T, 6)]; `_head_track` is the inverse."""
+    """Columns 1 to 6 of `SUBJECT_REST` [shape=(T, 6)]; `subject_head` is the inverse."""
     from scipy.spatial.transform import Rotation
 
     turn = Rotation.from_euler(_HEAD_TURN, track[:, :3] * _HEAD_SIGNS, degrees=True)

@@ -21,6 +21,8 @@ MAX_COLUMNS = CONTROLS + 16
 LARGEST = float(np.finfo(np.float32).max)
 """Curves are kept as float32."""
 _CHUNK = 1 << 24
+_SMALL = 1 << 22
+"""Bytes of a table that is read sooner than pandas is imported."""
 
 
 def read_header(path: Path) -> tuple[str, ...]:
@@ -94,6 +96,8 @@ def read_numbers(
     FormatError
         Naming row and column, if a cell is empty or no finite number, or rows differ in length.
     """
+    if not text_columns and (plain := _read_plain(path, len(header), skip_rows)) is not None:
+        return plain, []
     table = _read_table(path, header, dict.fromkeys(text_columns, str), skip_rows)
     too_long = table[len(header)].notna().to_numpy()
     if too_long.any():
@@ -133,6 +137,23 @@ def read_quietly(path: Path, **options: Any) -> "pd.DataFrame":
         warnings.simplefilter("error", pd.errors.ParserWarning)
         table: pd.DataFrame = pd.read_csv(stream, **options)
     return table
+
+
+def _read_plain(path: Path, n_columns: int, skip_rows: int) -> Float64 | None:
+    """A small table of finite numbers alone; None of any other, which pandas reads or refuses."""
+    if check_file(path, CURVES_BYTES) > _SMALL:
+        return None
+    count_rows(path, n_columns + 1)
+    try:
+        with warnings.catch_warnings(), open_file(path, CURVES_BYTES) as stream:
+            warnings.simplefilter("error", UserWarning)  # no rows
+            numbers = np.loadtxt(
+                stream, delimiter=",", skiprows=skip_rows, comments=None, ndmin=2, encoding="ascii"
+            )
+    except (ValueError, UserWarning):
+        return None
+    is_fit = numbers.shape[1] == n_columns and numbers.size and (np.abs(numbers) <= LARGEST).all()
+    return numbers if is_fit else None
 
 
 def _read_table(

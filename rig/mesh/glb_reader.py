@@ -9,11 +9,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from rig.arrays import Float32, Float64, Int64
 from rig.errors import FormatError, MeshError, quoted
@@ -21,6 +20,9 @@ from rig.limits import NODES, PRIMITIVES, SHAPES, TARGETS, TRIANGLES, VERTICES
 from rig.mesh.glb import GlbBuilder, WeightAnimation, add_animation, read_container, write_container
 from rig.mesh.shapes import ShapeSet, check_shape_count
 from rig.mesh.trimesh import TriMesh
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation
 
 _COMPONENTS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
@@ -272,13 +274,13 @@ def _separate(node: dict[str, Any]) -> None:
     if "matrix" in node:
         local = _local_transform(node)
         scale = np.linalg.norm(local[:3, :3], axis=0)
-        turn = Rotation.from_matrix(local[:3, :3] / scale).as_quat()
+        turn = _rotation(local).as_quat()
         parts = {"translation": local[:3, 3], "rotation": turn, "scale": scale}
         del node["matrix"]
         node |= {name: part.tolist() for name, part in parts.items()}
 
 
-def world_rotations(document: dict[str, Any]) -> dict[int, tuple[Rotation, Rotation]]:
+def world_rotations(document: dict[str, Any]) -> dict[int, "tuple[Rotation, Rotation]"]:
     """Return, by node of the scene, the rotations of its parent in the scene and of itself."""
     found: dict[int, tuple[Rotation, Rotation]] = {}
     for index, world in _walk(document):
@@ -288,7 +290,9 @@ def world_rotations(document: dict[str, Any]) -> dict[int, tuple[Rotation, Rotat
     return found
 
 
-def _rotation(matrix: Float64) -> Rotation:
+def _rotation(matrix: Float64) -> "Rotation":
+    from scipy.spatial.transform import Rotation
+
     turned = matrix[:3, :3]
     return Rotation.from_matrix(turned / np.linalg.norm(turned, axis=0))
 

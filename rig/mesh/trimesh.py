@@ -194,6 +194,7 @@ class MovedNormals:
         self.rest = _unit(self._sums)
         kept = slice(None) if moves is None else moves[mesh.faces].any(axis=1)
         self._faces, self._products = mesh.faces[kept], products[kept]
+        self._corners = np.ascontiguousarray(self._faces.T)
 
     def turn(self, moving: Int64, delta: AnyFloat) -> tuple[Int64, Float64]:
         """Vertices (n,) whose faces move with `moving` by `delta`, and the change (n, 3) there."""
@@ -201,10 +202,12 @@ class MovedNormals:
         vertices[moving] += delta
         is_moving = np.zeros(len(vertices), bool)
         is_moving[moving] = True
-        a, b, c = self._faces.T
-        touched = np.flatnonzero(is_moving[a] | is_moving[b] | is_moving[c])
-        turned, faces = np.unique(self._faces[touched], return_inverse=True)
-        faces = faces.reshape(-1, 3)
+        touched = np.flatnonzero(is_moving[self._corners].any(axis=0))
+        is_turned = np.zeros(len(vertices), bool)
+        is_turned[self._faces[touched]] = True
+        turned = np.flatnonzero(is_turned)
+        place = np.cumsum(is_turned) - 1
+        faces = place[self._faces[touched]]
         change = _cross_products(vertices[turned], faces) - self._products[touched]
         sums = _corner_sums(faces, change, len(turned))
         return turned, _unit(self._sums[turned] + sums) - self.rest[turned]

@@ -17,7 +17,6 @@ from rig.conversion.convert import convert
 from rig.curves import RigCurves
 from rig.face import Head, build_head
 from rig.face.geometry.topology import EYE_L, EYE_R, MOUTH, NOSTRIL_L, NOSTRIL_R
-from rig.face.maps import ATLAS
 from rig.mesh.glb import (
     RigidMotion,
     Surface,
@@ -65,7 +64,8 @@ def baked(head: Head, colours: Float64) -> tuple[Float64, Float32]:
         Linear colours.
     """
     faces, atlas_uv = head.mesh.faces, head.mesh.uv[head.mesh.faces]
-    place = ATLAS * atlas_uv
+    side = len(head.mesh.maps.atlas)
+    place = side * atlas_uv
     to_b, to_c = place[:, 1] - place[:, 0], place[:, 2] - place[:, 0]
     is_own = to_b[:, 0] * to_c[:, 1] - to_b[:, 1] * to_c[:, 0] < -1e-6  # as drawn, y downwards
     is_own &= np.arange(len(faces)) < len(head.skin.faces)
@@ -75,12 +75,12 @@ def baked(head: Head, colours: Float64) -> tuple[Float64, Float32]:
     columns = int(np.ceil(np.sqrt(len(other) / 2)))
     cell, half = np.divmod(np.arange(len(other)), 2)
     squares = np.stack([cell % columns, cell // columns], axis=-1)[:, None] + CORNERS[half]
-    corners[other] = (squares / columns + [1, 0]) * ATLAS
+    corners[other] = (squares / columns + [1, 0]) * side
     middle = corners.mean(axis=1, keepdims=True)
     shown = np.where(is_own[:, None, None], corners, middle + INSET * (corners - middle))
     mean = values[other].mean(axis=1, keepdims=True)
     values[other] = mean + (values[other] - mean) / INSET
-    return shown / [2 * ATLAS, ATLAS], _painted(head, corners, values)
+    return shown / [2 * side, side], _painted(head, corners, values)
 
 
 def _painted(head: Head, corners: Float64, values: Float64) -> Float32:
@@ -90,7 +90,8 @@ def _painted(head: Head, corners: Float64, values: Float64) -> Float32:
     from rig.face.render.software import Screen, nearest_faces, planes  # compiles
 
     x, y = corners.reshape(-1, 2).T.astype(np.float32)
-    screen = Screen(2 * ATLAS, ATLAS, x, y, np.zeros(len(x), np.float32))
+    side = len(head.mesh.maps.atlas)
+    screen = Screen(2 * side, side, x, y, np.zeros(len(x), np.float32))
     apart = np.arange(len(x)).reshape(-1, 3)
     nearest, _ = nearest_faces(screen, apart)
     first, per_x, per_y = planes(screen, apart, values.reshape(len(x), -1).astype(np.float32))
@@ -99,7 +100,7 @@ def _painted(head: Head, corners: Float64, values: Float64) -> Float32:
     found = first[nearest] + per_x[nearest] * (column - x[corner])[..., None]
     found += per_y[nearest] * (row - y[corner])[..., None]
     share = (head.mesh.maps.atlas / 127.5) ** 2
-    at = ATLAS * found[..., :2:-1].reshape(-1, 2).T - 0.5  # row and column
+    at = side * found[..., :2:-1].reshape(-1, 2).T - 0.5  # row and column
     factors = [map_coordinates(share[..., k], at, order=1, mode="nearest") for k in range(3)]
     painted = found[..., :3] * np.stack(factors, axis=-1).reshape(*nearest.shape, 3)
     _, place = distance_transform_edt(nearest < 0, return_indices=True)

@@ -4,7 +4,7 @@ Whatever a source has no column for is not known: zeros in its place are no meas
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -174,11 +174,14 @@ def _table(path: Path, curves: NamedCurves) -> CapturedCurves:
     present = [name for name in curves.names if name in controls]
     notes = _check_columns(path, curves.names, controls, present)
     canonical = dict(zip(present, controls.resolve(present), strict=True))
-    kind = _kind_of_set(control_set)
+    captured = curves.to_curves(canonical, control_set)
+    if control_set == RAW_ID:
+        rest = {name: curves[name] for name in livelink_csv.SUBJECT_REST if name in curves.names}
+        captured = replace(captured, head=livelink_csv.subject_head(rest))
     return _from_set(
         path,
-        curves.to_curves(canonical, control_set),
-        kind,
+        captured,
+        _kind_of_set(control_set),
         present=present,
         notes=(*curves.notes, *notes),
     )
@@ -252,7 +255,8 @@ def _check_columns(
     wanted = controls.names[:N_SHAPES] if controls.id == ARKIT_ID else controls.names
     resolved = set(controls.resolve(list(present)))
     missing = [name for name in wanted if name not in resolved]
-    unknown = [name for name in names if name not in controls]
+    of_head = livelink_csv.SUBJECT_REST if controls.id == RAW_ID else ()
+    unknown = [name for name in names if name not in controls and name not in of_head]
     if missing and unknown:
         raise DataError(
             f"{path}: column {unknown[0]!r} is unknown and {missing[0]!r} is missing: rename the "

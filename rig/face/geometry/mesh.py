@@ -1,14 +1,16 @@
 """A triangle mesh with vertex colours, and the few operations the head needs on it."""
 
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
 from rig.arrays import Float64, Int64
 from rig.face.identity import Identity
+
+if TYPE_CHECKING:
+    import scipy.sparse as sp
 
 PLAIN, SKIN, HAIR, EYE, CLOTH = range(5)
 """Materials of `Mesh.kind`."""
@@ -100,8 +102,10 @@ def grid_faces(rows: int, columns: int, *, closed: bool = True, start: int = 0) 
     return np.concatenate([quad[:, [0, 1, 2]], quad[:, [0, 2, 3]]])
 
 
-def adjacency(faces: Int64, n_vertices: int) -> sp.csr_matrix:
+def adjacency(faces: Int64, n_vertices: int) -> "sp.csr_matrix":
     """Symmetric 0/1 matrix of the mesh's edges."""
+    import scipy.sparse as sp
+
     edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
     one_way = sp.coo_matrix(
         (np.ones(len(edges)), (edges[:, 0], edges[:, 1])), (n_vertices, n_vertices)

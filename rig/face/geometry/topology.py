@@ -11,8 +11,6 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
-import scipy.sparse as sp
-from scipy.sparse.linalg import splu
 
 from rig.arrays import Float64, Int64
 from rig.face.geometry.mesh import CENTER, adjacency, project, unit
@@ -68,6 +66,9 @@ def directions_for(identity: Identity) -> Float64:
 
     The filler follows the loops harmonically, so that triangles keep their shape.
     """
+    import scipy.sparse as sp
+    from scipy.sparse.linalg import splu
+
     topology = build_topology()
     rows = np.concatenate([r.reshape(-1, 3) for _, r in loop_directions(identity)])
     n, n_rows = len(topology.directions), len(rows)

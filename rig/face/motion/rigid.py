@@ -1,6 +1,7 @@
 """What moves after the linear shapes: jaw, lids, tongue, and lips that meet teeth or lips."""
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -9,7 +10,9 @@ from rig.face.geometry import details, topology
 from rig.face.geometry.mesh import smoothstep
 from rig.face.geometry.skin import LID_SHARE, Skin
 from rig.face.geometry.topology import EYE_L, EYE_R, FILLER, MOUTH
-from rig.face.motion.shapes import ShapeMaker
+
+if TYPE_CHECKING:
+    from rig.face.motion.shapes import ShapeMaker
 
 # The lower jaw: a rotation about a hinge in front of the ears, then a slide.
 
@@ -27,7 +30,7 @@ class Jaw:
         self.skin_weights = weights
 
     @staticmethod
-    def weights(maker: ShapeMaker) -> Float64:
+    def weights(maker: "ShapeMaker") -> Float64:
         """Weight (V,) of the jaw's motion at each skin vertex, 0..1.
 
         A thin plate between the skull (0) and the chin (1). On the lips the weights follow

@@ -12,6 +12,7 @@ from rig.emotions import EMOTIONS
 from rig.errors import ControlError, FormatError, RigError
 from rig.formats.decimal_text import Block, rows
 from rig.formats.table import FORMATS as TABLE
+from rig.formats.wide_csv import read_numbers
 from tests.each import each
 
 CONTROLS = default_controls()
@@ -155,6 +156,15 @@ def test_older_board_is_read_with_rest_for_newer_controls(tmp_path):
     curves = read_curves(save(table, tmp_path / "c.csv"))
     assert (curves["CTRL_C_tongue_bendTwist.ty"] == 0.75).all()
     assert (curves["CTRL_C_tongue_roll.ty"] == 0).all()
+
+
+def test_small_tables_are_read_as_pandas_reads_them(tmp_path):
+    text = "a,b,c\r\n1,-2.5e-3, 0.1 \r\n\r\n+.5,7.,0.3333333333333333\r\n"
+    (tmp_path / "c.csv").write_bytes(text.encode())
+    numbers, _ = read_numbers(tmp_path / "c.csv", ("a", "b", "c"))
+    table = pd.read_csv(tmp_path / "c.csv", float_precision="round_trip")
+    assert numbers.tolist() == table.to_numpy().tolist()
+    assert numbers.tolist() == [[1, -0.0025, 0.1], [0.5, 7, 1 / 3]]
 
 
 def test_read_curves_rejects_wrong_controls(tmp_path):

@@ -10,7 +10,9 @@ from deitalk.data.captures.sources import find_sound, find_takes
 from deitalk.data.captures.take import read_capture
 from deitalk.errors import DataError
 from rig import default_controls, rest_curves, write_curves
+from rig.conversion.arkit import raw_controls
 from rig.errors import UserError
+from rig.formats.livelink_csv import SUBJECT_REST
 from tests.each import each
 from tests.errors import one_line
 from tests.takes import write_live_link
@@ -140,3 +142,22 @@ def test_values_out_of_range_are_clamped_and_noted(tmp_path):
     capture = read_capture(tmp_path / "a.csv")
     assert capture.curves.values.max() <= default_controls().maximum.max()
     assert "were clamped to their ranges" in " ".join(capture.notes)
+
+
+@each("left_out", [0, 3])
+def test_table_of_a_metahuman_subject_keeps_the_head(tmp_path, left_out):
+    """Of Unreal's axes: a turn to the right is minus HeadRoll; translations are back, left, up."""
+    raw = raw_controls().names[: 251 - left_out]
+    header = ",".join(("time", *raw, *SUBJECT_REST))
+    rows = [[i / 30, *[i / 100] * len(raw), 1, -10 * i, 0, 0, 0, 2 * i, 0, 1, 1] for i in range(4)]
+    lines = [header, *(",".join(map(str, row)) for row in rows)]
+    (tmp_path / "a.csv").write_text("\n".join(lines) + "\n")
+    capture = read_capture(tmp_path / "a.csv")
+    wanted = np.zeros((4, 6))  # yaw, pitch, roll, left, up, forward
+    wanted[:, 0], wanted[:, 3] = 10 * np.arange(4), 2 * np.arange(4)
+    np.testing.assert_allclose(capture.curves.head, wanted, atol=1e-5)
+    assert "left out" not in " ".join(capture.notes)
+    (tmp_path / "b.csv").write_text("\n".join(lines).replace("HeadControlSwitch", "Other"))
+    if not left_out:  # with columns missing it would be a renamed one
+        capture = read_capture(tmp_path / "b.csv")
+        assert capture.curves.head is None and "1 columns are left out: 'Other'" in capture.notes
