@@ -162,9 +162,8 @@ def test_small_tables_are_read_as_pandas_reads_them(tmp_path):
     text = "a,b,c\r\n1,-2.5e-3, 0.1 \r\n\r\n+.5,7.,0.3333333333333333\r\n"
     (tmp_path / "c.csv").write_bytes(text.encode())
     numbers, _ = read_numbers(tmp_path / "c.csv", ("a", "b", "c"))
-    table = pd.read_csv(tmp_path / "c.csv", float_precision="round_trip")
-    assert numbers.tolist() == table.to_numpy().tolist()
     assert numbers.tolist() == [[1, -0.0025, 0.1], [0.5, 7, 1 / 3]]
+    np.testing.assert_allclose(numbers, pd.read_csv(tmp_path / "c.csv"), rtol=1e-15)
 
 
 def test_read_curves_rejects_wrong_controls(tmp_path):
