@@ -85,6 +85,8 @@ def shown_on(advance: "Advance") -> "Progress":
         loss = [f"loss {values['total']:.4g}"] if "total" in values else []
         rate = [f"{values['rate']:.3g} samples/s"] if "rate" in values else []
         text = ", ".join([f"step {step} of {total}", *loss, *rate, *scores])
+        if "encoded" in values:
+            text = f"{values['encoded']:.0%} of the captures encoded"
         advance(step / max(total, 1), text, always=bool(scores))
 
     return progress
@@ -172,6 +174,7 @@ def finetune(
         given["tune.start"] = "random"
     changes = [f"{key}={json.dumps(value)}" for key, value in given.items() if value is not None]
     with console().status("loading"):
+        from deitalk.evaluation.comparison import nearer_base
         from deitalk.training.tuning.recipe import read_recipe
         from deitalk.training.tuning.task import finetune as tune
         from rig.files import remove_written
@@ -188,6 +191,8 @@ def finetune(
     remove_written(out / "last")  # only the best is used
     _print_scores(scores)
     console().print(f"{out / 'best'}: the tuned model; {out / 'report.md'}: before and after")
+    if line := nearer_base(scores):
+        console().note(line)
     _write_page(out)
 
 
@@ -195,6 +200,7 @@ def _tune_folds(
     settings: "FinetuneConfig", data: Path, out: Path, kind: str, **options: bool
 ) -> None:
     """Leave out each take or actor in turn, and print the scores."""
+    from deitalk.evaluation.comparison import nearer_base
     from deitalk.training.tuning.folds import tune_folds
 
     with bar("tuning") as advance:
@@ -202,6 +208,8 @@ def _tune_folds(
     _print_scores(result["folds"])
     console().print("means over the folds:")
     _print_scores(result["mean"])
+    if line := nearer_base(result["mean"]):
+        console().note(line)
     console().print(f"{out / 'folds.md'}: all scores, of each control too")
 
 

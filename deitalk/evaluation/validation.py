@@ -24,7 +24,7 @@ from deitalk.data.offset import (
     hit_rate,
     lip_parameter_error,
 )
-from deitalk.data.windows import cut, load_material, n_clip_frames
+from deitalk.data.windows import cut, load_material, n_clip_frames, recorded_frames
 from deitalk.emotions import EMOTIONS
 from deitalk.models.curve_model import DEITalk
 from deitalk.phones import (
@@ -291,10 +291,11 @@ def articulation(
     ]
 
 
-def load_example(clip: Clip, controls: ControlSet) -> Example:
-    """Read a whole clip, resampled to 30 frames per second."""
-    material = load_material(clip, controls)
-    n_frames = n_clip_frames(len(material.waveform))
+def load_example(clip: Clip, controls: ControlSet, *, sound: bool = True) -> Example:
+    """Read a whole clip, resampled to 30 frames per second; without `sound` it is silent."""
+    material = load_material(clip, controls, sound=sound)
+    heard = len(material.waveform)
+    n_frames = n_clip_frames(heard) if sound else recorded_frames(str(clip.audio))
     waveform, curves, intensity, _ = cut(material, 0, n_frames)
     phones = read_phones(clip.phones) if clip.phones else []
     return Example(waveform, curves, clip.emotion, intensity, phones, material.known, clip.speaker)

@@ -147,9 +147,9 @@ def swapped_takes(takes: Sequence[Float64]) -> list[int]:
     """
     if len(takes) < 3:
         return []
-    swapped = []
+    swapped, total = [], np.sum(takes, axis=0)
     for place, own in enumerate(takes):
-        others = np.mean([t for i, t in enumerate(takes) if i != place], axis=0)
+        others = (total - own) / (len(takes) - 1)
         size = float(np.linalg.norm(own) * np.linalg.norm(others))
         strong = min(np.linalg.norm(own), np.linalg.norm(others)) > LEAST_MOVEMENT
         if strong and float(own @ others) / size < SWAPPED:
@@ -180,13 +180,39 @@ class ClipSurvey:
     """Pitch of the voiced frames, semitones over 100 Hz."""
 
 
+MOST_FRAMES = 12_000
+"""Frames whose median is a pose: 200 s at 60 per second, 9 MB."""
+
+
+@dataclass
+class Frames:
+    """Evenly spread frames of any number: when there are too many, every second one goes."""
+
+    parts: list[Float32] = field(default_factory=list)
+    count: int = 0
+    step: int = 1
+
+    def add(self, values: Float32) -> None:
+        """Take every `step`-th of some frames [shape=(T, C)]."""
+        self.parts.append(values[:: self.step].copy())
+        self.count += len(self.parts[-1])
+        if self.count > MOST_FRAMES:
+            self.parts = [self.rows[::2].copy()]
+            self.count, self.step = len(self.parts[0]), 2 * self.step
+
+    @property
+    def rows(self) -> Float32:
+        """All that are kept [shape=(T, C)]."""
+        return np.concatenate(self.parts)
+
+
 @dataclass
 class Survey:
     """Measures of all captured clips."""
 
     controls: ControlSet
     clips: list[ClipSurvey] = field(default_factory=list)
-    silent: dict[str, dict[str, list[Float32]]] = field(default_factory=dict)
+    silent: dict[str, dict[str, Frames]] = field(default_factory=dict)
     """Silent frames by actor and emotion."""
     rates: dict[str, dict[str, float]] = field(default_factory=dict)
     by: str = "model"
@@ -204,7 +230,7 @@ class Survey:
         loud = _at(speech, board, clip.offset_seconds, beyond=True)
         near = np.convolve(loud, np.ones(2 * margin + 1), mode="same") > 0
         emotions = self.silent.setdefault(clip.speaker, {})
-        emotions.setdefault(clip.emotion, []).append(values[~near])
+        emotions.setdefault(clip.emotion, Frames()).add(values[~near])
         self.rates.setdefault(clip.speaker, {})[clip.emotion] = curves.fps
         prosody = measure_prosody(recording.waveform, recording.n_frames)
         self.clips.append(
@@ -248,7 +274,11 @@ class Survey:
     def rests(self) -> dict[str, Float32]:
         """Pose at rest of the actors whose silence shows it."""
         poses = {
-            actor: rest_pose(emotions, self.rates[actor], self.controls)
+            actor: rest_pose(
+                {emotion: frames.rows for emotion, frames in emotions.items()},
+                self.rates[actor],
+                self.controls,
+            )
             for actor, emotions in self.silent.items()
         }
         return {actor: pose for actor, pose in poses.items() if pose is not None}
@@ -385,13 +415,13 @@ NOT_REST = ("eye.tx", "eye.ty")
 
 
 def rest_pose(
-    silent: Mapping[str, Sequence[Float32]], fps: Mapping[str, float], controls: ControlSet
+    silent: Mapping[str, Float32], fps: Mapping[str, float], controls: ControlSet
 ) -> Float32 | None:
     """Pose of an actor at rest [shape=(C,)]; None if there is too little silence.
 
     Parameters
     ----------
-    silent : mapping of str to sequence of array [shape=(T, C)]
+    silent : mapping of str to array [shape=(T, C)]
         Silent frames of the actor's clips by emotion.
     fps : mapping of str to float
         Frames per second by emotion.
@@ -399,8 +429,7 @@ def rest_pose(
         Columns.
     """
     poses = []
-    for emotion, parts in silent.items():
-        frames = np.concatenate(list(parts)) if parts else np.zeros((0, len(controls)))
+    for emotion, frames in silent.items():
         if len(frames) >= LEAST_SECONDS * fps[emotion]:
             poses.append(np.median(frames, axis=0))
     if not poses:

@@ -12,7 +12,7 @@ minutes. Letters: T frames, F features, C controls, A actors, K folds.
 """
 
 import hashlib
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -142,7 +142,7 @@ def take_folds(clips: Sequence[tuple[str, str]]) -> list[int]:
         of_actor.setdefault(take, len(of_actor))
     if min(len(of_actor) for of_actor in takes.values()) >= 2:
         return [takes[actor][take] % FOLDS for take, actor in clips]
-    sizes = {pair: clips.count(pair) for pair in set(clips)}
+    sizes = Counter(clips)
     seen = dict.fromkeys(sizes, 0)
     folds = []
     for pair in clips:
@@ -401,7 +401,7 @@ def label_intensity(
             continue
         path = folder / f"{hashlib.sha256(clip.name.encode()).hexdigest()[:12]}.csv"
         if not path.exists():
-            material = load_material(clip, controls)
+            material = load_material(clip, controls, sound=False)
             values = axis.strength(material) if axis else np.zeros(len(material.times))
             rows = zip(material.times, values, strict=True)
             lines = [f"{time:.4f},{value:.4f}" for time, value in rows]
@@ -436,7 +436,7 @@ def _moments(clips: Sequence[Clip], controls: ControlSet) -> tuple[Float64, Floa
     count, total, square = 0, np.zeros(len(controls)), np.zeros(len(controls))
     known = np.ones(len(controls), bool)
     for clip in clips:
-        material = load_material(clip, controls)
+        material = load_material(clip, controls, sound=False)
         values = material.values.astype(np.float64)
         count += len(values)
         total += values.sum(axis=0)
@@ -448,7 +448,8 @@ def _moments(clips: Sequence[Clip], controls: ControlSet) -> tuple[Float64, Floa
 
 def _projections(clips: Sequence[Clip], controls: ControlSet, weights: Float64) -> Float64:
     """Smoothed projections of the frames of all clips."""
-    return np.concatenate([_projected(load_material(clip, controls), weights) for clip in clips])
+    read = (load_material(clip, controls, sound=False) for clip in clips)
+    return np.concatenate([_projected(material, weights) for material in read])
 
 
 def _projected(material: Material, weights: Float64) -> Float64:

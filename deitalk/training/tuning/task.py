@@ -9,7 +9,6 @@ with the mean pose of the captures and so serves any rig.
 import copy
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any, cast
 
@@ -28,7 +27,6 @@ from deitalk.data.windows import (
     Window,
     WindowBatches,
     remove_features,
-    whole_sound,
 )
 from deitalk.emotions import EMOTIONS
 from deitalk.errors import ConfigError, DataError
@@ -108,7 +106,7 @@ def finetune(
     DataError, ConfigError, MissingError, rig.errors.TargetError
         As `run_training`, and as `FinetuneTask`.
     """
-    task = FinetuneTask(config, data, frozen_features)
+    task = FinetuneTask(config, data, frozen_features, progress)
     run_training(task, out, resume=resume, tensorboard=tensorboard, progress=progress)
     scores = write_comparison(
         out,
@@ -146,6 +144,8 @@ class FinetuneTask(CurveTask):
         Dataset folder.
     frozen_features : FrozenFeatures or None
         As for `finetune`.
+    progress : callable
+        Called before the first step with the share of the captures that is encoded.
 
     Raises
     ------
@@ -165,8 +165,13 @@ class FinetuneTask(CurveTask):
     """What validation clips add to the regression; saved models have it, which choosing has not."""
 
     def __init__(
-        self, config: FinetuneConfig, data: Path, frozen_features: FrozenFeatures | None = None
+        self,
+        config: FinetuneConfig,
+        data: Path,
+        frozen_features: FrozenFeatures | None = None,
+        progress: Progress = silent,
     ) -> None:
+        self.progress = progress
         division = divide_clips(read_clips(data), config.tune.leave_out)
         complete = with_direct_layers(with_actors(config, division.train))
         super().__init__(complete, data, frozen_features=frozen_features)
@@ -259,9 +264,14 @@ class FinetuneTask(CurveTask):
         """Features of the captures, and of speech that is rehearsed, in the run folder."""
         found = self.frozen_features or FrozenFeatures(self.config.tune.base, self.features_folder)
         self.frozen_features = found
-        if not self.config.data.augment:
-            read = partial(whole_sound, config=self.config.data)
-            found.prepare([*self.clips, *self._rehearsed()], read, device)
+        data = self.config.data
+        if not data.augment:
+            found.prepare(
+                [*self.clips, *self._rehearsed()],
+                data.window_frames,
+                device,
+                lambda share: self.progress(0, 1, {"encoded": share}),
+            )
 
     @torch.no_grad()
     def _start_as(self, base: DEITalk) -> None:
@@ -346,11 +356,11 @@ class FinetuneTask(CurveTask):
     @torch.no_grad()
     def _rows(self, clip: Clip) -> Rows:
         """A clip as the last layer is given it, and what is missing in the curves."""
-        model, example = self.model.eval(), load_example(clip, self.controls)
+        model, frozen = self.model.eval(), self.frozen_features
+        example = load_example(clip, self.controls, sound=frozen is None)
         n_frames, sound = len(example.curves), example.waveform
-        if self.frozen_features is not None:
-            features = self.frozen_features.features(clip, sound, n_frames)
-            sound = features[:n_frames].astype(np.float32)
+        if frozen is not None:
+            sound = frozen.features(clip, n_frames)[:n_frames].astype(np.float32)
         analysis = model.analyse(torch.from_numpy(sound), n_frames)
         emotion = torch.eye(len(EMOTIONS))[EMOTIONS.index(clip.emotion)].expand(n_frames, -1)
         style = model.styles(emotion, clip.speaker)

@@ -1,6 +1,5 @@
 """A frozen frontend: its weights stay, and its features are computed once per clip."""
 
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +11,12 @@ from deitalk.config.curves import Config
 from deitalk.config.load import load_config
 from deitalk.data.augment_waveform import Surroundings
 from deitalk.data.clips import read_clips
-from deitalk.data.windows import FrozenFeatures, WindowBatches, load_material, whole_sound
+from deitalk.data.windows import (
+    FrozenFeatures,
+    WindowBatches,
+    load_material,
+    recorded_frames,
+)
 from deitalk.models.checkpoint import load_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.research.training.ablation import Variant, ablate
@@ -63,20 +67,25 @@ def test_training_changes_all_weights_but_the_frontend(data, source, tmp_path, a
 
 def test_features_on_disk_are_mapped_and_computed_once(data, source, tmp_path, monkeypatch):
     clips = read_clips(data, "train")
-    read = partial(whole_sound, config=tiny().data)
-    found = FrozenFeatures(str(source), tmp_path / "features")
-    found.prepare(clips, read)
+    length = tiny().data.window_frames
+    found, shares = FrozenFeatures(str(source), tmp_path / "features"), []
+    found.prepare(clips, length, progress=shares.append)
+    assert shares == [n / len(clips) for n in range(1, len(clips) + 1)]
     assert len(list((tmp_path / "features").iterdir())) == len({clip.audio for clip in clips})
-    sound, n_frames = read(clips[0])
-    features = found.features(clips[0], sound, n_frames)
+    n_frames = max(recorded_frames(str(clips[0].audio)), length)
+    features = found.features(clips[0], n_frames)
     assert isinstance(features, np.memmap)
     np.testing.assert_array_equal(
-        features, FrozenFeatures(str(source)).features(clips[0], sound, n_frames)
+        features, FrozenFeatures(str(source)).features(clips[0], n_frames)
     )
     again = FrozenFeatures(str(source), tmp_path / "features")
     monkeypatch.setattr(again.owner, "frontend", torch.nn.Identity())  # encodes nothing
-    again.prepare(clips, read)
-    assert again.features(clips[0], sound, n_frames).shape == features.shape
+    again.prepare(clips, length)
+    assert again.features(clips[0], n_frames).shape == features.shape
+    monkeypatch.setattr("deitalk.data.windows.load_audio", None)  # nor do windows read a sound
+    controls = load_model(source).controls
+    batches = WindowBatches(clips, controls, tiny().data, 0, 2, frozen_features=again)
+    assert batches.item(0).waveform.shape == (length, features.shape[1])
 
 
 def test_windows_hold_the_features_of_the_whole_clip(data, source):
@@ -89,7 +98,8 @@ def test_windows_hold_the_features_of_the_whole_clip(data, source):
         clips, model.controls, config.data, seed=3, batch_size=2, frozen_features=frozen_features
     )
     window, same = frozen.item(5), plain.item(5)
-    assert torch.equal(window.curves, same.curves) and torch.equal(window.frames, same.frames)
+    for name in ("curves", "frames", "total", "intensity", "known"):
+        assert torch.equal(getattr(window, name), getattr(same, name)), name
     places = window.frames.tolist()
     materials = [load_material(clip, model.controls) for clip in clips]
     offered = []
@@ -118,7 +128,7 @@ def test_features_of_a_clip_are_computed_once(data, source, monkeypatch):
     for number in range(12):
         batches.item(number)
     assert 1 <= len(calls) <= 2  # again only for a window that reaches further beyond the end
-    first = frozen_features.features(clips[0], np.zeros(16_000, np.float32), 10)
+    first = frozen_features.features(clips[0], 10)
     assert np.isfinite(first).all() and len(calls) <= 2
 
 

@@ -76,7 +76,7 @@ def test_memory_is_bounded_and_what_was_used_last_stays(folder, monkeypatch):
     size = load_material(clips[0], CONTROLS).n_bytes
     read: list[str] = []
 
-    def reads(clip, controls):
+    def reads(clip, controls, **options):
         read.append(clip.name)
         return load_material(clip, controls)
 

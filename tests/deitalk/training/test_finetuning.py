@@ -22,7 +22,7 @@ from deitalk.data.clips import read_clips
 from deitalk.data.windows import Share
 from deitalk.emotions import EMOTIONS
 from deitalk.errors import CheckpointError, ConfigError, DataError
-from deitalk.evaluation.comparison import CaptureSet
+from deitalk.evaluation.comparison import CaptureSet, nearer_base
 from deitalk.evaluation.validation import load_example, predict
 from deitalk.models.checkpoint import load_model
 from deitalk.models.folder import describe_model
@@ -385,6 +385,29 @@ def test_report_compares_before_after_and_baselines(tuned):
     assert report["clips"] == 2 and report["learning"]["step"] == [0, 2, 4]
     text = (run / "report.md").read_text()
     assert "| step 0 |" in text and "| error_of_mean_pose |" in text
+
+
+def test_command_says_that_the_base_is_nearer(base, data, tmp_path):
+    """To a held-out clip that moves exactly as the base does; the tuned model does not."""
+    folder = tmp_path / "data"
+    shutil.copytree(data, folder)
+    table = pd.read_csv(folder / "clips.csv", dtype=str, keep_default_na=False)
+    table.loc[5, "split"] = "test"
+    table.to_csv(folder / "clips.csv", index=False)
+    clip = read_clips(folder, "test")[0]
+    values, _ = predict(load_model(base), load_example(clip, CONTROLS))
+    values = np.clip(values, CONTROLS.minimum, CONTROLS.maximum)
+    write_curves(clip.curves, RigCurves(values, CONTROLS.names, FPS))
+    short = ("train.steps=2", "train.batch_size=2", "data.window_frames=32")
+    sets = [part for override in short for part in ("--set", override)]
+    done = ran("finetune", folder, "--from", base, "-o", f"{tmp_path}/run", *sets)
+    line = "The base is nearer to the held-out clips than the tuned model"
+    assert line in " ".join(done.stderr.split())
+    assert line in (tmp_path / "run/report.md").read_text()
+    scores = json.loads((tmp_path / "run/report.json").read_text())["scores"]
+    farther = {"error_of_mean_pose": 1.01 * scores["after"]["error_of_mean_pose"]}
+    assert nearer_base(scores) and not nearer_base(scores | {"before": farther})
+    assert not nearer_base({"after": scores["after"]}), "another rig has no base to compare with"
 
 
 def test_held_out_clip_lies_beside_its_curves_before_and_after(base, data, tmp_path, monkeypatch):

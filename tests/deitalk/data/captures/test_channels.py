@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 
 from deitalk.data.captures.survey import (
+    MOST_FRAMES,
+    Frames,
     asymmetry,
     channel_faults,
     rest_pose,
@@ -80,12 +82,22 @@ def test_rest_pose_is_the_median_of_silence_and_ignores_held_expressions():
     happy[smile] += 0.5
     gaze = CONTROLS.index("CTRL_L_eye.ty")
     pose[gaze] = happy[gaze] = -0.4
-    silent = {"neutral": [np.tile(pose, (100, 1))], "happy": [np.tile(happy, (100, 1))]}
+    silent = {"neutral": np.tile(pose, (100, 1)), "happy": np.tile(happy, (100, 1))}
     found = rest_pose(silent, {"neutral": 30, "happy": 30}, CONTROLS)
     assert found is not None
     moved = {CONTROLS.names[i]: found[i] for i in np.flatnonzero(found != CONTROLS.rest)}
     assert moved == {"CTRL_C_jaw.ty": pytest.approx(0.1)}
-    assert rest_pose({"sad": [np.tile(pose, (50, 1))]}, {"sad": 30}, CONTROLS) is None
+    assert rest_pose({"sad": np.tile(pose, (50, 1))}, {"sad": 30}, CONTROLS) is None
+
+
+def test_hours_of_silence_take_the_memory_of_minutes():
+    """Kept frames are spread over all of them: those of a ramp have its median."""
+    frames, count = Frames(), 100 * MOST_FRAMES
+    for part in np.split(np.linspace(0, 1, count, dtype=np.float32)[:, None], 2500):
+        frames.add(part)
+        assert frames.count <= MOST_FRAMES
+    assert len(frames.rows) == frames.count >= MOST_FRAMES // 2
+    assert np.median(frames.rows) == pytest.approx(0.5, abs=0.01)
 
 
 def test_rest_pose_goes_to_rest_and_the_ends_of_the_range_stay():
