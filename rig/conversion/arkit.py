@@ -13,11 +13,9 @@ clamp(MouthClose / JawOpen, 0, 1); we use the same rule, both ways. So MouthClos
 JawOpen: lips meet and do not cross.
 """
 
-import csv
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cache
-from importlib import resources
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +24,7 @@ from rig.arrays import Float32
 from rig.controls import DEFAULT_ID, Control, ControlSet, default_controls
 from rig.curves import RigCurves
 from rig.errors import ControlError
+from rig.files.reading import rows_of
 
 # Board channels to the 251 raw curves ``CTRL_expressions_*`` of a MetaHuman face, and back.
 #
@@ -68,7 +67,7 @@ def raw_controls() -> ControlSet:
                 aliases=(row["name"],),
                 mh3_name=PREFIX + OLDER_TONGUE[row["name"]] if row["name"] in OLDER_TONGUE else "",
             )
-            for row in rows_of("raw.csv")
+            for row in rows_of("conversion/raw.csv")
         ),
     )
 
@@ -127,7 +126,8 @@ def raw_to_board(curves: RigCurves) -> RigCurves:
 def raw_knots() -> dict[str, tuple[str, tuple[list[float], list[float]]]]:
     """Return, by raw curve, its board channel and its knots: places there, and values."""
     return {
-        PREFIX + row["name"]: (row["driver"], _knots(row["knots"])) for row in rows_of("raw.csv")
+        PREFIX + row["name"]: (row["driver"], _knots(row["knots"]))
+        for row in rows_of("conversion/raw.csv")
     }
 
 
@@ -159,7 +159,7 @@ def _nearest(points: Float32, inputs: Float32, outputs: Float32) -> Float32:
 def _paths() -> dict[str, tuple[NDArray[np.intp], Float32, Float32]]:
     """Return, by board channel: its raw columns, its knots (K,), and their values (K, columns)."""
     by_driver: dict[str, list[tuple[int, str]]] = {}
-    for column, row in enumerate(rows_of("raw.csv")):
+    for column, row in enumerate(rows_of("conversion/raw.csv")):
         by_driver.setdefault(row["driver"], []).append((column, row["knots"]))
     paths = {}
     for driver, curves in by_driver.items():
@@ -174,13 +174,6 @@ def _paths() -> dict[str, tuple[NDArray[np.intp], Float32, Float32]]:
 def _knots(text: str) -> tuple[list[float], list[float]]:
     pairs = [pair.split(":") for pair in text.split()]
     return [float(x) for x, _ in pairs], [float(y) for _, y in pairs]
-
-
-@cache
-def rows_of(table: str) -> list[dict[str, str]]:
-    """Rows of a table of this folder, such as ``raw.csv``."""
-    with resources.files("rig.conversion").joinpath(table).open(encoding="utf-8") as stream:
-        return list(csv.DictReader(stream))
 
 
 ARKIT_ID = "arkit-61"
@@ -232,7 +225,7 @@ class ArkitFit:
 def arkit_controls() -> ControlSet:
     """Return the 52 shapes and 9 rotations in the order of a Live Link Face CSV, ``arkit-61``."""
     controls = []
-    for row in rows_of("arkit.csv"):
+    for row in rows_of("conversion/arkit.csv"):
         is_shape = row["kind"] == "blendshape"
         low, high = (0.0, 1.0) if is_shape else (-ROTATION_LIMIT, ROTATION_LIMIT)
         aliases = tuple(filter(None, [row["apple_name"]]))
@@ -243,7 +236,7 @@ def arkit_controls() -> ControlSet:
 @cache
 def udp_order() -> NDArray[np.intp]:
     """Return the CSV columns in the order of a Live Link Face packet [shape=(61,)]."""
-    return np.argsort([int(row["udp_index"]) for row in rows_of("arkit.csv")])
+    return np.argsort([int(row["udp_index"]) for row in rows_of("conversion/arkit.csv")])
 
 
 def arkit_to_raw(curves: RigCurves, *, least_jaw: float = 0.0) -> RigCurves:
@@ -413,7 +406,7 @@ def _head_track(shapes: RigCurves) -> Float32 | None:
 def _poses() -> Float32:
     """Return the raw curves that each shape moves [shape=(61, 251)]."""
     raw = raw_controls()
-    table = rows_of("arkit.csv")
+    table = rows_of("conversion/arkit.csv")
     poses = np.zeros((len(table), len(raw)), np.float32)
     for i, row in enumerate(table):
         for term in filter(None, row["pose"].split("|")):

@@ -26,7 +26,6 @@ from rig.conversion.arkit import (
     arkit_to_raw,
     board_to_raw,
     raw_controls,
-    rows_of,
 )
 from rig.conversion.shape_fit import (
     close_lips,
@@ -37,6 +36,7 @@ from rig.conversion.shape_fit import (
 )
 from rig.curves import RigCurves, check_clip, n_frames_for, rest_curves
 from rig.errors import ControlError, FormatError, listed, quoted
+from rig.files.reading import rows_of
 
 LIPS_TOGETHER = "mouthLipsTogether"
 MOST_NAMED = 6
@@ -268,7 +268,7 @@ def _viseme(name: str) -> Float64:
 def _rows(avatar: str) -> tuple[tuple[str, str], ...]:
     """Names and poses of an avatar's shapes, both sides written out."""
     rows = []
-    for row in rows_of("avatars.csv"):
+    for row in rows_of("conversion/avatars.csv"):
         if row["set"] == avatar:
             is_sided = "@" in row["name"] or "$" in row["name"]
             for side, word in (("L", "Left"), ("R", "Right")) if is_sided else (("", ""),):
@@ -277,7 +277,7 @@ def _rows(avatar: str) -> tuple[tuple[str, str], ...]:
     return tuple(rows)
 
 
-AVATARS = tuple(dict.fromkeys(row["set"] for row in rows_of("avatars.csv")))
+AVATARS = tuple(dict.fromkeys(row["set"] for row in rows_of("conversion/avatars.csv")))
 """Sets of the table."""
 
 # Curves to mouth shapes and back: the 15 Oculus visemes, and Rhubarb's cues A to H and X.
@@ -463,7 +463,7 @@ def _poses(viseme_set: str) -> Float32:
 
 
 def _viseme_rows(viseme_set: str) -> list[dict[str, str]]:
-    rows = [row for row in rows_of("visemes.csv") if row["set"] == viseme_set]
+    rows = [row for row in rows_of("conversion/visemes.csv") if row["set"] == viseme_set]
     if not rows:
         raise FormatError(f"unknown set of visemes {viseme_set!r}; known: {OCULUS}, {RHUBARB}")
     return rows

@@ -5,6 +5,7 @@ never blocks, and checks sizes before it allocates. Errors are one line; other p
 own class of errors.
 """
 
+import csv
 import json
 import math
 import os
@@ -53,6 +54,12 @@ _ARCHIVE_ERRORS = (
     zlib.error,
     tokenize.TokenError,
 )
+
+
+def rows_of(table: str) -> list[dict[str, str]]:
+    """Rows of a table of this package, such as ``conversion/raw.csv``."""
+    with (Path(__file__).parents[1] / table).open(encoding="utf-8", newline="") as stream:
+        return list(csv.DictReader(stream))
 
 
 def check_file(

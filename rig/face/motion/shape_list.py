@@ -1,5 +1,8 @@
 """Linear shapes of mouth, face and neck, by input."""
 
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 
 from rig.arrays import Float64
@@ -7,9 +10,30 @@ from rig.face.geometry.mesh import smoothstep
 from rig.face.geometry.skin import Skin
 from rig.face.geometry.topology import MOUTH
 from rig.face.motion.shapes import LipPoints, Shape, ShapeMaker, Triple
+from rig.files.reading import rows_of
 
-NASOLABIAL = ((1.62, -3.9), (2.15, -4.9), (2.9, -5.9), (3.45, -7.2), (3.5, -8.0))
-"""The fold from the wing of the nose around the corner of the mouth (cheek on its left)."""
+POINTS, CREASES = rows_of("face/motion/points.csv"), rows_of("face/motion/creases.csv")
+"""Where points of the face go, and where the skin folds, by shape: as `Shape` has them."""
+
+
+def _shape(name: str, lips: Callable[[LipPoints], Triple] | None = None, **options: Any) -> Shape:
+    """A shape with its rows of both tables."""
+    points = [
+        (float(row["x"]), float(row["y"]), *(float(row[axis]) for axis in ("dx", "dy", "dz")))
+        for row in POINTS
+        if row["shape"] == name
+    ]
+    creases = [
+        (_line(row["line"]), float(row["depth"]), float(row["half_width"]))
+        for row in CREASES
+        if row["shape"] == name
+    ]
+    return Shape(name, lips, tuple(points), tuple(creases), **options)
+
+
+def _line(text: str) -> tuple[tuple[float, ...], ...]:
+    """Points ``x y|x y``."""
+    return tuple(tuple(map(float, point.split())) for point in text.split("|"))
 
 
 def _towards(side: str) -> int:
@@ -69,8 +93,7 @@ def _funnel(side: str) -> Shape:
         flare = p.rings(m1=0.74, r0=0.96, r2=1.02, r3=0.96, r5=0.64, r6=0.46)
         return -0.72 * p.u * m, -s * open_ * m, out * flare * m
 
-    chin = ((0, -10.4, 0, 0.09, -0.02),) if side == "D" else ()
-    return Shape(f"funnel{side}", lips, chin, reach=6)
+    return _shape(f"funnel{side}", lips, reach=6)
 
 
 def _purse(side: str) -> Shape:
@@ -85,8 +108,7 @@ def _purse(side: str) -> Shape:
         curl = p.rings(m1=0.80, r0=0.98, r1=1.06, r2=1.02, r3=0.90, r5=0.25 + far, r6=0.05 + far)
         return -1.28 * p.u * p.rings(r0=1, r4=1, r6=0.72) * m, s * close * m, out * curl * m
 
-    chin = ((0, -10.4, 0, 0, -0.06),) if side == "D" else ()
-    return Shape(f"purse{side}", lips, chin, reach=6)
+    return _shape(f"purse{side}", lips, reach=6)
 
 
 def _roll(side: str, *, is_in: bool) -> Shape:
@@ -94,11 +116,11 @@ def _roll(side: str, *, is_in: bool) -> Shape:
         m, s, bell = _share(p, side), _towards(side), p.bell**0.5
         if is_in:
             dy = s * 0.14 * bell * p.rings(m1=0.0, r0=0.25, r2=1.7, r4=0.9, r5=0.4)
-            return 0.0 * p.u, dy * m, -0.42 * bell * p.rings(m1=1, r1=1, r3=0.7, r5=0.2) * m
+            return 0.0, dy * m, -0.42 * bell * p.rings(m1=1, r1=1, r3=0.7, r5=0.2) * m
         dy = -s * 0.13 * bell * p.rings(m1=1.3, r0=1.2, r2=1.0, r4=0.3, r5=0.1)
-        return 0.0 * p.u, dy * m, 0.24 * bell * p.rings(m1=1.0, r0=1.1, r2=0.6, r5=0.1) * m
+        return 0.0, dy * m, 0.24 * bell * p.rings(m1=1.0, r0=1.1, r2=0.6, r5=0.1) * m
 
-    return Shape(f"roll{'In' if is_in else 'Out'}{side}", lips)
+    return _shape(f"roll{'In' if is_in else 'Out'}{side}", lips)
 
 
 def _bite(side: str) -> Shape:
@@ -108,7 +130,7 @@ def _bite(side: str) -> Shape:
         dz = -bell * p.rings(m1=0.56, r0=0.55, r1=0.50, r2=0.36, r3=0.26, r5=0.1)
         return -0.03 * p.u * m, dy * m, dz * m
 
-    return Shape(f"bite{side}", lips)
+    return _shape(f"bite{side}", lips)
 
 
 def _press(side: str) -> Shape:
@@ -117,7 +139,7 @@ def _press(side: str) -> Shape:
         dy = s * 0.12 * bell * p.rings(m1=0, r0=0.05, r2=1.2, r4=0.7, r5=0.3)
         return 0.04 * p.corner * m, dy * m, -0.15 * bell * m
 
-    return Shape(f"press{side}", lips)
+    return _shape(f"press{side}", lips)
 
 
 def _tighten(side: str) -> Shape:
@@ -126,31 +148,31 @@ def _tighten(side: str) -> Shape:
         dy = s * 0.11 * bell * p.rings(m1=0, r0=0.0, r2=1.1, r4=0.5, r5=0.2)
         return -0.24 * p.u * m, dy * m, -0.06 * bell * m
 
-    return Shape(f"tighten{side}", lips)
+    return _shape(f"tighten{side}", lips)
 
 
 def _towards_other(side: str) -> Shape:
     def lips(p: LipPoints) -> Triple:
         m, s = _share(p, side), _towards(side)
-        return 0.0 * p.u, s * 0.22 * p.bell**0.6 * p.rings(r0=1, r5=0.5) * m, 0.03 * p.bell * m
+        return 0.0, s * 0.22 * p.bell**0.6 * p.rings(r0=1, r5=0.5) * m, 0.03 * p.bell * m
 
-    return Shape(f"towards{side}", lips)
+    return _shape(f"towards{side}", lips)
 
 
 def _towards_teeth(side: str) -> Shape:
     def lips(p: LipPoints) -> Triple:
         m = _share(p, side)
-        return 0.0 * p.u, 0.0 * p.u, -0.28 * p.bell**0.5 * p.rings(r0=1, r5=0.5) * m
+        return 0.0, 0.0, -0.28 * p.bell**0.5 * p.rings(r0=1, r5=0.5) * m
 
-    return Shape(f"towardsTeeth{side}", lips)
+    return _shape(f"towardsTeeth{side}", lips)
 
 
 def _push(side: str) -> Shape:
     def lips(p: LipPoints) -> Triple:
         m = _share(p, side)
-        return -0.12 * p.u * m, 0.0 * p.u, (0.12 + 0.30 * p.bell) * p.rings(r0=1, r5=0.6) * m
+        return -0.12 * p.u * m, 0.0, (0.12 + 0.30 * p.bell) * p.rings(r0=1, r5=0.6) * m
 
-    return Shape(f"push{side}", lips)
+    return _shape(f"push{side}", lips)
 
 
 def _thick(side: str) -> Shape:
@@ -159,9 +181,9 @@ def _thick(side: str) -> Shape:
     def lips(p: LipPoints) -> Triple:
         m, s, bell = _share(p, side), _towards(side), p.bell**0.5
         grow = p.rings(m1=0, r0=0, r1=0.5, r2=1.0, r3=0.9, r5=0.2) * bell
-        return 0.0 * p.u, -s * 0.16 * grow * m, 0.12 * grow * m
+        return 0.0, -s * 0.16 * grow * m, 0.12 * grow * m
 
-    return Shape(f"thick{side}", lips)
+    return _shape(f"thick{side}", lips)
 
 
 def _thick_inward(side: str) -> Shape:
@@ -170,9 +192,9 @@ def _thick_inward(side: str) -> Shape:
     def lips(p: LipPoints) -> Triple:
         m, s, bell = _share(p, side), _towards(side), p.bell**0.5
         grow = p.rings(m1=1, r0=1.0, r1=0.6, r2=0.2, r3=0) * bell
-        return 0.0 * p.u, s * 0.13 * grow * m, 0.05 * grow * m
+        return 0.0, s * 0.13 * grow * m, 0.05 * grow * m
 
-    return Shape(f"thickInward{side}", lips)
+    return _shape(f"thickInward{side}", lips)
 
 
 def _corner_sharp(side: str) -> Shape:
@@ -181,264 +203,58 @@ def _corner_sharp(side: str) -> Shape:
     def lips(p: LipPoints) -> Triple:
         m, s = _share(p, side), _towards(side)
         near = 4 * p.u**6 * (1 - p.u**4)
-        return 0.05 * p.u**8 * m, s * 0.14 * near * p.rings(m1=1, r0=1, r3=0.8, r5=0) * m, 0.0 * p.u
+        return 0.05 * p.u**8 * m, s * 0.14 * near * p.rings(m1=1, r0=1, r3=0.8, r5=0) * m, 0.0
 
-    return Shape(f"cornerSharp{side}", lips)
+    return _shape(f"cornerSharp{side}", lips)
 
 
-PAIRED = tuple(
-    make(side)
-    for make in (
-        _funnel,
-        _purse,
-        _bite,
-        _press,
-        _tighten,
-        _towards_other,
-        _towards_teeth,
-        _push,
-        _thick,
-        _thick_inward,
-        _corner_sharp,
-    )
-    for side in "UD"
-)
+def _lips_blow(p: LipPoints) -> Triple:
+    dy = 0.10 * p.bell * (p.upper - p.lower) * p.rings(r0=0, r3=1, r5=1)
+    return -0.05 * p.u, dy, 0.34 * p.bell**0.6 * p.rings(m1=0.8, r0=0.8, r3=1.0, r5=0.9)
 
-MOUTH_SHAPES: tuple[Shape, ...] = (
-    Shape(
-        "cornerPull",
-        _corner_pull,
-        (
-            (3.9, -2.9, 0.10, 0.55, 0.50),
-            (2.7, -4.6, 0.30, 0.40, 0.34),
-            (4.0, -4.5, 0.30, 0.42, 0.50),
-            (4.3, -5.6, 0.42, 0.34, 0.30),
-            (0, -10.4, 0, -0.24, -0.10),
-        ),
-        ((NASOLABIAL, 0.20, 0.40),),
-    ),
-    Shape(
-        "sharpCornerPull",
-        _sharp_corner_pull,
-        (
-            (3.9, -2.9, 0.06, 0.30, 0.14),
-            (2.7, -4.6, 0.18, 0.34, 0.22),
-            (4.2, -5.8, 0.30, 0.30, 0.12),
-        ),
-        ((NASOLABIAL[:4], 0.16, 0.40),),
-    ),
-    Shape("stretch", _stretch, ((4.1, -7.0, 0.36, -0.05, 0.0), (3.0, -9.6, 0.12, -0.14, 0.0))),
-    Shape(
-        "dimple",
-        _dimple,
-        ((4.0, -6.9, 0.20, 0.04, 0.12),),
-        ((((3.25, -6.3), (3.42, -7.0), (3.3, -7.8)), 0.20, 0.24),),
-    ),
-    Shape(
-        "cornerDepress",
-        _corner_depress,
-        ((1.7, -9.7, 0.04, -0.06, 0.10), (4.2, -6.0, 0.0, -0.16, -0.02)),
-        ((((2.6, -8.9), (3.1, -8.2), (3.05, -7.4)), 0.08, 0.34),),
-    ),
-    Shape(
-        "upperLipRaise",
-        _upper_lip_raise,
-        ((1.25, -4.4, 0.05, 0.14, 0.0), (2.3, -4.9, 0.08, 0.32, 0.16)),
-        ((NASOLABIAL[:3], 0.10, 0.28),),
-    ),
-    Shape("lowerLipDepress", _lower_lip_depress, ((0, -10.1, 0, -0.06, 0),)),
-    *PAIRED,
+
+PAIRED = (
+    _funnel, _purse, _bite, _press, _tighten, _towards_other, _towards_teeth, _push, _thick,
+    _thick_inward, _corner_sharp,
+)  # fmt: skip
+"""Shapes of the upper and of the lower lip."""
+
+MOUTH_SHAPES = (
+    _shape("cornerPull", _corner_pull),
+    _shape("sharpCornerPull", _sharp_corner_pull),
+    _shape("stretch", _stretch),
+    _shape("dimple", _dimple),
+    _shape("cornerDepress", _corner_depress),
+    _shape("upperLipRaise", _upper_lip_raise),
+    _shape("lowerLipDepress", _lower_lip_depress),
+    *(make(side) for make in PAIRED for side in "UD"),
     *(_roll(side, is_in=is_in) for side in "UD" for is_in in (True, False)),
-    Shape("cornerUp", lambda p: (0.0 * p.u, 0.52 * p.corner, 0.0 * p.u)),
-    Shape("cornerWide", lambda p: (0.45 * p.corner, 0.0 * p.u, -0.22 * p.corner)),
-    Shape(
-        "mouthUp",
-        lambda p: (0.0 * p.u, 0.42 + 0 * p.u, 0.06 * p.bell),
-        ((0, -9.9, 0, 0.34, 0.06),),
-        is_split=False,
+    _shape("cornerUp", lambda p: (0.0, 0.52 * p.corner, 0.0)),
+    _shape("cornerWide", lambda p: (0.45 * p.corner, 0.0, -0.22 * p.corner)),
+    _shape("mouthUp", lambda p: (0.0, 0.42, 0.06 * p.bell), is_split=False),
+    _shape("mouthDown", lambda p: (0.0, -0.42, 0.0), is_split=False),
+    _shape("chinRaiseU", lambda p: (0.0, 0.20 * p.bell * p.upper, 0.08 * p.bell * p.upper)),
+    _shape(
+        "chinRaiseD", lambda p: (0.0, (0.10 + 0.24 * p.bell) * p.lower, 0.24 * p.bell * p.lower)
     ),
-    Shape(
-        "mouthDown",
-        lambda p: (0.0 * p.u, -0.42 + 0 * p.u, 0.0 * p.u),
-        ((0, -9.9, 0, -0.16, 0.04),),
-        is_split=False,
-    ),
-    Shape("chinRaiseU", lambda p: (0.0 * p.u, 0.20 * p.bell * p.upper, 0.08 * p.bell * p.upper)),
-    Shape(
-        "chinRaiseD",
-        lambda p: (0.0 * p.u, (0.10 + 0.24 * p.bell) * p.lower, 0.24 * p.bell * p.lower),
-        ((0, -9.9, 0, 0.46, 0.06), (1.2, -9.8, 0, 0.38, 0.04)),
-        ((((2.4, -9.1), (1.2, -8.75), (0, -8.7)), -0.10, 0.26),),
-    ),
-    Shape(
-        "chinCompress",
-        lambda p: (0.0 * p.u, 0.08 * p.bell * p.lower, 0.04 * p.bell * p.lower),
-        ((0, -9.9, 0, 0.22, 0.10), (0.9, -10.2, 0.05, 0.16, 0.08)),
-        ((((1.6, -9.6), (0.8, -9.35), (0, -9.3)), -0.08, 0.22),),
-    ),
-    Shape(
-        "cheekBlow",
-        lambda p: (0.05 * p.u, 0.0 * p.u, 0.05 * p.bell),
-        ((4.6, -5.9, 1.0, 0.0, 0.55), (3.7, -7.6, 0.55, -0.05, 0.5), (5.2, -7.0, 0.75, 0, 0.2)),
-    ),
-    Shape(
-        "cheekSuck",
-        lambda p: (-0.08 * p.u, 0.0 * p.u, 0.0 * p.u),
-        ((4.6, -5.9, -0.55, 0.0, -0.40), (5.2, -7.0, -0.40, 0, -0.15)),
-    ),
-    Shape(
-        "lipsBlow",
-        lambda p: (
-            -0.05 * p.u,
-            0.10 * p.bell * (p.upper - p.lower) * p.rings(r0=0, r3=1, r5=1),
-            0.34 * p.bell**0.6 * p.rings(m1=0.8, r0=0.8, r3=1.0, r5=0.9),
-        ),
-        ((1.6, -5.9, 0.03, 0.02, 0.30), (1.8, -9.0, 0.03, -0.02, 0.22)),
-    ),
+    _shape("chinCompress", lambda p: (0.0, 0.08 * p.bell * p.lower, 0.04 * p.bell * p.lower)),
+    _shape("cheekBlow", lambda p: (0.05 * p.u, 0.0, 0.05 * p.bell)),
+    _shape("cheekSuck", lambda p: (-0.08 * p.u, 0.0, 0.0)),
+    _shape("lipsBlow", _lips_blow),
 )
-"""Every lip shape that is symmetric; sideways ones are in `shapes_side`."""
+"""Every lip shape that is symmetric; sideways ones are in `side_shapes`."""
 
 # Shapes of brows, nose, cheeks, eyes' surroundings and neck (cm at full strength, left side).
 
-
-_FOREHEAD_IN = tuple((((1.9, y + 0.1), (1.0, y), (0.0, y - 0.1)), 0.08, 0.28) for y in (3.7, 4.8))
-_FOREHEAD_OUT = tuple((((4.6, y - 0.4), (3.6, y), (2.4, y)), 0.07, 0.30) for y in (3.9, 5.1))
-_FROWN = (((0.62, 2.7), (0.52, 1.9), (0.60, 1.1)), 0.16, 0.24)
-_PROCERUS = (((0.95, 0.85), (0.45, 0.72), (0.0, 0.70)), 0.12, 0.22)
-_LOWER_LID = (((4.7, -1.15), (3.2, -1.75), (1.7, -1.35)), 0.10, 0.24)
-_NOSE_SIDE = (((1.35, -1.75), (0.9, -0.9), (0.55, -0.1)), 0.12, 0.22)
-_CROW = (((5.5, -0.9), (5.0, -0.1), (5.6, 0.6)), 0.06, 0.22)
-
-FACE_SHAPES: tuple[Shape, ...] = (
-    Shape(
-        "browDown",
-        None,
-        (
-            (0.7, 1.7, -0.20, -0.60, 0.20),
-            (1.6, 1.75, -0.20, -0.66, 0.24),
-            (2.7, 1.95, -0.12, -0.52, 0.16),
-            (3.9, 2.0, 0.0, -0.26, 0.04),
-            (4.9, 1.6, 0.0, -0.04, 0.0),
-            (0, 1.9, 0, -0.42, 0.14),
-            (1.4, 4.0, -0.05, -0.22, 0.0),
-            (2.0, 1.15, -0.06, -0.42, 0.20),
-        ),
-        (_FROWN, _PROCERUS),
-    ),
-    Shape(
-        "browLateral",
-        None,
-        (
-            (0.7, 1.8, -0.26, -0.06, 0.10),
-            (1.6, 1.9, -0.26, -0.10, 0.10),
-            (2.8, 2.1, -0.14, -0.08, 0.04),
-            (4.4, 1.9, 0.0, 0.0, 0.0),
-        ),
-        (_FROWN,),
-    ),
-    Shape(
-        "browRaiseIn",
-        None,
-        (
-            (0.7, 1.8, 0, 1.06, 0.02),
-            (1.6, 1.9, 0, 0.94, 0.0),
-            (2.7, 2.2, 0, 0.38, 0.0),
-            (4.6, 1.8, 0, -0.04, 0),
-            (0, 2.0, 0, 0.68, 0.0),
-            (1.3, 3.9, 0, 0.60, 0),
-            (1.9, 1.2, 0, 0.26, 0.0),
-        ),
-        _FOREHEAD_IN,
-    ),
-    Shape(
-        "browRaiseOut",
-        None,
-        (
-            (0.7, 1.8, 0, 0.05, 0),
-            (1.6, 1.9, 0, 0.12, 0),
-            (2.7, 2.2, 0, 0.62, 0),
-            (3.8, 2.2, 0.02, 1.00, 0.02),
-            (4.8, 1.7, 0.04, 0.78, 0),
-            (3.6, 4.1, 0, 0.58, 0),
-            (3.4, 1.4, 0, 0.32, 0.0),
-        ),
-        _FOREHEAD_OUT,
-    ),
-    Shape(
-        "squintInner",
-        None,
-        (
-            (3.1, -1.9, -0.05, 0.16, 0.10),
-            (2.2, -1.7, -0.02, 0.16, 0.08),
-            (4.2, -1.7, -0.06, 0.14, 0.06),
-        ),
-        (_LOWER_LID,),
-    ),
-    Shape(
-        "cheekRaise",
-        None,
-        (
-            (3.7, -2.5, 0.02, 0.58, 0.58),
-            (4.8, -2.2, 0.04, 0.38, 0.26),
-            (2.6, -2.6, 0.0, 0.28, 0.26),
-            (3.4, -1.75, 0, 0.38, 0.26),
-            (5.3, 0.2, 0.0, -0.04, 0.02),
-        ),
-        (_LOWER_LID, _CROW),
-    ),
-    Shape(
-        "scrunch",
-        None,
-        (
-            (3.7, -2.5, -0.06, 0.34, 0.24),
-            (1.6, 1.75, -0.12, -0.40, 0.18),
-            (3.2, 2.0, -0.06, -0.36, 0.12),
-            (4.9, 1.3, -0.10, -0.16, 0.0),
-            (0.9, -1.2, 0.0, 0.14, 0.08),
-        ),
-        (_LOWER_LID, _CROW, _NOSE_SIDE),
-    ),
-    Shape("lidPress", None, ((3.1, -1.8, 0, 0.08, 0.05), (3.1, 1.5, 0, -0.08, 0.05))),
-    Shape(
-        "noseWrinkle",
-        lambda p: (0.0 * p.u, 0.15 * p.bell * p.upper, 0.0 * p.u),
-        (
-            (1.25, -4.3, 0.10, 0.32, 0.02),
-            (0, -3.9, 0, 0.10, 0),
-            (0.9, -1.3, 0.0, 0.20, 0.14),
-            (2.4, -4.5, 0.10, 0.40, 0.20),
-            (2.4, -2.2, 0, 0.18, 0.10),
-        ),
-        (_NOSE_SIDE, (NASOLABIAL[:3], 0.16, 0.26)),
-    ),
-    Shape(
-        "noseWrinkleUpper",
-        None,
-        (
-            (0, 1.6, 0, -0.22, 0.06),
-            (0.8, 1.7, -0.10, -0.28, 0.12),
-            (2.0, 1.8, -0.04, -0.18, 0.06),
-            (4.0, 2.0, 0, 0, 0),
-        ),
-        (_PROCERUS,),
-    ),
-    Shape(
-        "nostrilDepress",
-        lambda p: (0.0 * p.u, 0.0 * p.u, 0.0 * p.u),
-        ((1.3, -4.3, -0.03, -0.20, 0.0), (0, -4.3, 0, -0.20, 0.0)),
-    ),
-    Shape(
-        "nostrilDilate",
-        lambda p: (0.0 * p.u, 0.0 * p.u, 0.0 * p.u),
-        ((1.45, -4.3, 0.26, 0.05, 0.02), (0, -4.3, 0, 0.0, 0.0)),
-    ),
-    Shape(
-        "nasolabialDeepen",
-        lambda p: (0.0 * p.u, 0.03 * p.bell * p.upper, 0.0 * p.u),
-        ((2.9, -4.4, 0.02, 0.10, 0.14),),
-        ((NASOLABIAL, 0.20, 0.28),),
-    ),
-    Shape("jawClench", None, ((5.3, -5.6, 0.24, 0.0, 0.12), (5.0, -7.0, 0.20, 0.0, 0.14))),
+FACE_SHAPES = (
+    *map(_shape, ("browDown", "browLateral", "browRaiseIn", "browRaiseOut", "squintInner")),
+    *map(_shape, ("cheekRaise", "scrunch", "lidPress")),
+    _shape("noseWrinkle", lambda p: (0.0, 0.15 * p.bell * p.upper, 0.0)),
+    _shape("noseWrinkleUpper"),
+    _shape("nostrilDepress", lambda p: (0.0, 0.0, 0.0)),
+    _shape("nostrilDilate", lambda p: (0.0, 0.0, 0.0)),
+    _shape("nasolabialDeepen", lambda p: (0.0, 0.03 * p.bell * p.upper, 0.0)),
+    _shape("jawClench"),
 )
 """Shapes outside the lips."""
 
