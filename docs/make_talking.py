@@ -22,8 +22,9 @@ from rig import RigCurves
 from rig.emotions import COLORS
 from rig.face import build_head
 from rig.face.accents import accents, neck_share, turned
-from rig.face.render import View, make_renderer
+from rig.face.render import View
 from rig.face.render.shading import Picture, text_width
+from rig.face.render.software import Renderer
 
 PICTURE = Path(__file__).parent / "pictures/talking.webp"
 SENTENCE, LEVELS = "IEO", ("LO", "HI")
@@ -71,7 +72,7 @@ def _joined(paths: list[Path]) -> np.ndarray:
 def _column(curves: RigCurves, emotion: str, name: str, strip: Picture) -> Iterator[Picture]:
     """A picture (height, width, 3) of a take for every second frame, over its strip."""
     head = build_head(name)
-    renderer = make_renderer(head.mesh, size=FACE, view=VIEW, backend="software")
+    renderer = Renderer(head.mesh, FACE, VIEW)
     values = curves.values[::STEP]
     poses = head.pose(values)
     if curves.head is not None:
@@ -82,7 +83,6 @@ def _column(curves: RigCurves, emotion: str, name: str, strip: Picture) -> Itera
         column = int(k / len(values) * FACE[0])
         lower[:, column : column + 2] = 255
         yield np.vstack([face, lower])
-    renderer.close()
 
 
 def _strip(waveform: np.ndarray, intensity: np.ndarray, color: bytes) -> Picture:

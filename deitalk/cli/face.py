@@ -140,7 +140,6 @@ def preview(
     view: Annotated[
         str, typer.Option(help="Second view of the video: mouth, three_quarter, side, eyes.")
     ] = "mouth",
-    backend: Annotated[str, typer.Option(help="auto, opengl or software.")] = "auto",
     versus: Annotated[
         list[Path] | None,
         typer.Option(help="Another take beside the first in the page; repeatable."),
@@ -166,7 +165,7 @@ def preview(
     shown = [load_source(source, audio, phones), *shown]
     target = out or _beside(source)
     if shown[0].is_board:
-        for note in check_needs([target], backend):  # type: ignore[arg-type]
+        for note in check_needs([target]):
             console().note(note)
     reserve_file(target, force=force, inputs=(source, audio, phones, *others))
     for time, text in find_warnings(shown[0]):
@@ -176,9 +175,8 @@ def preview(
     else:
         with bar("drawing") as progress:
             render_video(
-                shown[0], target, identity=identity, second_view=view,
-                backend=backend,  # type: ignore[arg-type]
-                force=force, progress=progress,
+                shown[0], target, identity=identity, second_view=view, force=force,
+                progress=progress,
             )  # fmt: skip
     # Add a preview to the take's manifest, so that a new take removes it.
     from deitalk.pipeline.performance import KIND, PREVIEW_FILES

@@ -18,8 +18,7 @@ from rig.face import build_head
 from rig.face.accents import accents, neck_share, turned
 from rig.face.geometry.mesh import vertex_normals
 from rig.face.identity import Identity
-from rig.face.render import VIEWS, Renderer, make_renderer
-from rig.face.render.renderer import Backend, check_backend
+from rig.face.render import VIEWS
 from rig.face.render.shading import Picture, text_width, write_text
 from rig.files import atomic_write, check_file
 
@@ -237,7 +236,6 @@ def render_video(
     audio: Path | str | None = None,
     identity: int | str | Identity = 0,
     second_view: str = "mouth",
-    backend: Backend = "auto",
     force: bool = False,
     progress: Progress | None = None,
 ) -> Path:
@@ -258,8 +256,6 @@ def render_video(
         Head of the video.
     second_view : str, optional
         Name of the right-hand camera, one of `rig.face.render.VIEWS`.
-    backend : {'auto', 'opengl', 'software'}, optional
-        Renderer.
     force : bool, optional
         Replace an existing file.
     progress : callable, optional
@@ -283,7 +279,7 @@ def render_video(
     encoder = find_encoder()
     shown = source if isinstance(source, PreviewSource) else load_source(source, audio)
     check_board(shown)
-    frames = draw_frames(shown, identity=identity, second_view=second_view, backend=backend)
+    frames = draw_frames(shown, identity=identity, second_view=second_view)
     with atomic_write(out) as beside:
         write_mp4(
             beside,
@@ -302,34 +298,28 @@ def draw_frames(
     *,
     identity: int | str | Identity = 0,
     second_view: str = "mouth",
-    backend: Backend = "auto",
 ) -> Iterator[Picture]:
     """Pictures (720, 960, 3) of every frame, in order."""
+    from rig.face.render.software import Renderer  # compiles; half a second to import
+
     head = build_head(identity)
     sizes = {"face": (FACE_WIDTH, FACE_HEIGHT), second_view: (WIDTH - FACE_WIDTH, FACE_HEIGHT)}
-    views: list[Renderer] = [
-        make_renderer(head.mesh, size=size, view=VIEWS[name], backend=backend)
-        for name, size in sizes.items()
-    ]
+    views = [Renderer(head.mesh, size, VIEWS[name]) for name, size in sizes.items()]
     panel = Panel(source, (WIDTH, PANEL_HEIGHT))
     values, share = source.curves.values, neck_share(head.mesh.vertices)
-    try:
-        for start in range(0, len(values), BATCH):
-            poses: AnyFloat = head.pose(values[start : start + BATCH])
-            accent = accents(head, values[start : start + BATCH], poses)
-            if source.curves.head is not None:
-                poses = turned(poses, source.curves.head[start : start + BATCH], share)
-            for k, pose in enumerate(poses):
-                normals = vertex_normals(pose, head.mesh.faces)
-                picture = np.empty((FACE_HEIGHT + PANEL_HEIGHT, WIDTH, 3), np.uint8)
-                picture[:FACE_HEIGHT, :FACE_WIDTH] = views[0].render(pose, normals, accent[k])
-                picture[:FACE_HEIGHT, FACE_WIDTH:] = views[1].render(pose, normals, accent[k])
-                picture[FACE_HEIGHT:] = panel.at(start + k)
-                _caption(picture, source, panel.time_code(start + k), start + k)
-                yield picture
-    finally:
-        for view in views:
-            view.close()
+    for start in range(0, len(values), BATCH):
+        poses: AnyFloat = head.pose(values[start : start + BATCH])
+        accent = accents(head, values[start : start + BATCH], poses)
+        if source.curves.head is not None:
+            poses = turned(poses, source.curves.head[start : start + BATCH], share)
+        for k, pose in enumerate(poses):
+            normals = vertex_normals(pose, head.mesh.faces)
+            picture = np.empty((FACE_HEIGHT + PANEL_HEIGHT, WIDTH, 3), np.uint8)
+            picture[:FACE_HEIGHT, :FACE_WIDTH] = views[0].render(pose, normals, accent[k])
+            picture[:FACE_HEIGHT, FACE_WIDTH:] = views[1].render(pose, normals, accent[k])
+            picture[FACE_HEIGHT:] = panel.at(start + k)
+            _caption(picture, source, panel.time_code(start + k), start + k)
+            yield picture
 
 
 def _caption(picture: Picture, source: PreviewSource, time_code: str, frame: int) -> None:
@@ -507,15 +497,13 @@ def label(picture: Picture, text: str, place: tuple[int, int], height: int = 11)
 PAGES, VIDEOS = (".html", ".htm"), (".mp4",)
 
 
-def check_needs(targets: Iterable[Path], backend: Backend = "auto") -> tuple[str, ...]:
+def check_needs(targets: Iterable[Path]) -> tuple[str, ...]:
     """Check that this installation can make every given file.
 
     Parameters
     ----------
     targets : paths
         ``.html`` and ``.mp4`` files to write.
-    backend : {'auto', 'opengl', 'software'}
-        Renderer of a video.
 
     Returns
     -------
@@ -528,8 +516,6 @@ def check_needs(targets: Iterable[Path], backend: Backend = "auto") -> tuple[str
         For another suffix.
     MissingError
         Without the built page, or without a video encoder.
-    RigError
-        If the backend is unknown, or is ``opengl`` and OpenGL is missing.
     """
     notes = []
     for target in targets:
@@ -538,7 +524,6 @@ def check_needs(targets: Iterable[Path], backend: Backend = "auto") -> tuple[str
             check_player()
         elif suffix in VIDEOS:
             notes.append(find_encoder().note)
-            check_backend(backend)
         else:
             raise PreviewError(
                 f"{target} has suffix {target.suffix or 'none'!r}; use .mp4 or .html"

@@ -10,8 +10,7 @@ from rig.controls import default_controls
 from rig.errors import RigError
 from rig.face.accents import accents
 from rig.face.head import Head
-from rig.face.render import VIEWS, Renderer, make_renderer
-from rig.face.render.renderer import Backend
+from rig.face.render import VIEWS
 from rig.face.render.shading import Picture, text_width, write_text
 
 SHEETS = (
@@ -90,7 +89,6 @@ def draw_sheet(
     *,
     columns: int = 4,
     size: tuple[int, int] = (380, 320),
-    backend: Backend = "auto",
 ) -> Picture:
     """Draw tiles row by row.
 
@@ -104,22 +102,20 @@ def draw_sheet(
         Tiles in a row.
     size : (int, int), optional
         Width and height of a tile, pixels.
-    backend : {'auto', 'opengl', 'software'}, optional
-        Renderer.
 
     Returns
     -------
     picture : ndarray [shape=(rows * height, columns * width, 3)], uint8
     """
+    from rig.face.render.software import Renderer  # compiles; half a second to import
+
     renderers: dict[str, Renderer] = {}
     width, height = size
     rows = -(-len(tiles) // columns)
     picture = np.zeros((rows * height, columns * width, 3), np.uint8)
     for k, tile in enumerate(tiles):
         if tile.view not in renderers:
-            renderers[tile.view] = make_renderer(
-                head.mesh, size=size, view=VIEWS[tile.view], backend=backend
-            )
+            renderers[tile.view] = Renderer(head.mesh, size, VIEWS[tile.view])
         values = tile.values[None]
         pose = head.pose(values)
         drawn = renderers[tile.view].render(
@@ -129,8 +125,6 @@ def draw_sheet(
         drawn = write_text(drawn, tile.title, (8, 8), height=next(fitting, 6))
         y, x = k // columns * height, k % columns * width
         picture[y : y + height, x : x + width] = drawn
-    for renderer in renderers.values():
-        renderer.close()
     return picture
 
 

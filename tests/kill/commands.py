@@ -73,7 +73,7 @@ def all_commands() -> dict[str, Command]:
             _curves, "out.csv", ("curves.npz", "notes.txt"),
         ),
         "preview": Command(
-            ("preview", "take", "--backend", "software", "--force"),
+            ("preview", "take", "--force"),
             partial(_old_take, seconds=0.2), "take", (*speech, "take/mine.txt", "take/sub/mine.txt"),
         ),
         "receive": Command(

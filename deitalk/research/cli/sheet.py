@@ -24,7 +24,6 @@ def sheet(
     identity: Identity = "0",
     columns: Annotated[int, typer.Option(min=1, max=12, help="Tiles in a row.")] = 4,
     tile: Annotated[int, typer.Option(min=64, max=2048, help="Height of a tile, pixels.")] = 340,
-    backend: Annotated[str, typer.Option(help="auto, opengl or software.")] = "auto",
     force: Force = False,
 ) -> None:
     """Draw a contact sheet of the head.
@@ -45,8 +44,7 @@ def sheet(
     tiles = sheet_tiles(name)
     head = build_head(identity)
     picture = draw_sheet(
-        head, tiles, columns=min(columns, len(tiles)), size=(round(tile * 1.12), tile),
-        backend=backend,  # type: ignore[arg-type]
-    )  # fmt: skip
+        head, tiles, columns=min(columns, len(tiles)), size=(round(tile * 1.12), tile)
+    )
     write_png(out, picture)
     console().print(f"{out}: {len(tiles)} pictures of {head.identity.name}")

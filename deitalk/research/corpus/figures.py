@@ -17,7 +17,6 @@ from deitalk.research.corpus.articulation import CHANNELS, articulate
 from deitalk.research.corpus.rig_targets import act
 from deitalk.research.corpus.utterance import Phone
 from rig import default_controls
-from rig.face.render.renderer import Backend
 
 SENTENCE = "SIL B OY Z F IY V AA M T UH N SH UW SIL DH AX W AO M P S L IY P IH NG F AE M L IY SIL"
 """Phones of the default picture: contacts, rounding, fricatives and diphthongs."""
@@ -117,7 +116,6 @@ def draw_faces(
     identity: int | str = 0,
     tile: int = 220,
     view: str = "face",
-    backend: Backend = "auto",
 ) -> None:
     """Draw a contact sheet of the embedded head: phones in rows, emotions in columns.
 
@@ -135,8 +133,6 @@ def draw_faces(
         Height of a picture, pixels.
     view : str
         A view of the embedded head, such as ``face`` or ``mouth``.
-    backend : {'auto', 'opengl', 'software'}
-        Renderer.
     """
     from deitalk.research.contact_sheet import Tile, draw_sheet
     from rig.face import build_head
@@ -153,6 +149,5 @@ def draw_faces(
         tiles,
         columns=len(emotions),
         size=(round(tile * 1.12), tile),
-        backend=backend,
     )
     write_png(path, picture)

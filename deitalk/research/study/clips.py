@@ -17,9 +17,8 @@ from rig import RigCurves
 from rig.arrays import Float32
 from rig.face import build_head
 from rig.face.accents import accents
-from rig.face.geometry.mesh import vertex_normals
 from rig.face.identity import Identity
-from rig.face.render import VIEWS, make_renderer
+from rig.face.render import VIEWS
 from rig.face.render.shading import Picture
 from rig.formats.table import FORMATS
 
@@ -171,13 +170,12 @@ def _with_curves(source: PreviewSource, values: Float32) -> Clip:
 
 def _pictures(values: Float32, identity: int | str | Identity) -> Iterator[Picture]:
     """The face alone, frame by frame."""
+    from rig.face.render.software import Renderer  # compiles; half a second to import
+
     head = build_head(identity)
-    renderer = make_renderer(head.mesh, size=SIZE, view=VIEWS["face"], backend="auto")
-    try:
-        for start in range(0, len(values), BATCH):
-            shown = values[start : start + BATCH]
-            poses = head.pose(shown)
-            for pose, accent in zip(poses, accents(head, shown, poses), strict=True):
-                yield renderer.render(pose, vertex_normals(pose, head.mesh.faces), accent)
-    finally:
-        renderer.close()
+    renderer = Renderer(head.mesh, SIZE, VIEWS["face"])
+    for start in range(0, len(values), BATCH):
+        shown = values[start : start + BATCH]
+        poses = head.pose(shown)
+        for pose, accent in zip(poses, accents(head, shown, poses), strict=True):
+            yield renderer.render(pose, accents=accent)

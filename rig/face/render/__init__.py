@@ -1,6 +1,5 @@
-"""Pictures of a head: by OpenGL (moderngl over EGL) or in plain numpy."""
+"""Pictures of a head; `rig.face.render.software` draws them."""
 
-from rig.face.render.renderer import Renderer, make_renderer
 from rig.face.render.shading import VIEWS, View
 
-__all__ = ["VIEWS", "Renderer", "View", "make_renderer"]
+__all__ = ["VIEWS", "View"]

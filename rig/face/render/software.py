@@ -8,8 +8,18 @@ import numpy as np
 from numba import njit
 from scipy.sparse.csgraph import connected_components
 
-from rig.arrays import Float32, Float64, Int32, Int64
-from rig.face.geometry.mesh import EYE, HAIR, PORES, SKIN, Maps, Mesh, adjacency, unit
+from rig.arrays import AnyFloat, Float32, Float64, Int32, Int64
+from rig.face.geometry.mesh import (
+    EYE,
+    HAIR,
+    PORES,
+    SKIN,
+    Maps,
+    Mesh,
+    adjacency,
+    unit,
+    vertex_normals,
+)
 from rig.face.render import shading
 from rig.face.render.shading import FAR, NEAR, Picture, View, background
 
@@ -402,11 +412,11 @@ STEP_CM = 0.2
 """Largest difference of depth between samples of one surface."""
 
 
-class SoftwareRenderer:
-    """Draws one mesh's poses."""
+class Renderer:
+    """Draws poses of one mesh, in `size` (width, height), from one view."""
 
     def __init__(self, mesh: Mesh, size: tuple[int, int], view: View) -> None:
-        self._size = size
+        self._size, self._mesh = size, mesh
         is_hair = mesh.kind[mesh.faces[:, 0]] == HAIR
         self._faces = mesh.faces[np.argsort(is_hair, kind="stable")]  # hair last
         self._matrix = view.matrix(size[0] / size[1])
@@ -426,8 +436,21 @@ class SoftwareRenderer:
         pixels_per_cm = height / (2 * distance * np.tan(np.radians(view.degrees) / 2))
         self._maps = _sharp_maps(mesh.maps, pixels_per_cm)
 
-    def draw(self, vertices: Float64, normals: Float64, accents: Float32) -> Picture:
-        """Picture (height, width, 3) uint8 of the mesh with these vertices and normals."""
+    def render(
+        self,
+        vertices: AnyFloat,
+        normals: Float64 | None = None,
+        accents: Float32 | None = None,
+    ) -> Picture:
+        """Picture (height, width, 3) uint8 of the mesh with these vertices (V, 3).
+
+        `normals` (V, 3) may be given where several views share them; `accents` (V,) are those of
+        `rig.face.accents` (none: 0).
+        """
+        if normals is None:
+            normals = vertex_normals(vertices, self._mesh.faces)
+        if accents is None:
+            accents = np.zeros(len(vertices), np.float32)
         width, height = 2 * self._size[0], 2 * self._size[1]
         clip = vertices @ self._matrix[:, :3].T + self._matrix[:, 3]
         x, y, z = (clip[:, :3] / clip[:, 3:]).astype(np.float32).T
@@ -442,9 +465,6 @@ class SoftwareRenderer:
         samples = nearest_faces(screen, faces, int(is_hair.argmax()) if is_hair.any() else 0)
         color(samples, surface, self._to_eye, self._maps, self._step, self._empty, picture)
         return picture
-
-    def close(self) -> None:
-        """Nothing to free."""
 
 
 def _parts(mesh: Mesh) -> Int32:

@@ -24,7 +24,6 @@ from deitalk.preview.video import (
 from rig import RigCurves, default_controls, write_curves
 from rig.curves import snap_fps
 from rig.curves.rig_curves import NTSC
-from rig.errors import RigError
 from tests.each import each
 from tests.media import write_sound
 
@@ -94,7 +93,7 @@ def test_jaw_frames_differ_in_the_mouth(monkeypatch):
     monkeypatch.setattr(video, "FACE_WIDTH", 120)
     monkeypatch.setattr(video, "WIDTH", 400)
     source = make_source(3)
-    frames = list(draw_frames(source, backend="software"))
+    frames = list(draw_frames(source))
     assert frames[0].shape == (96 + PANEL_HEIGHT, 400, 3)
     change = np.abs(frames[0].astype(int) - frames[2].astype(int)).sum(2)
     assert (change[30:80, 120:] > 60).mean() > 0.05
@@ -179,19 +178,16 @@ def test_missing_encoder_is_one_line_before_the_source_is_read(tmp_path, monkeyp
 
 
 @each(
-    ("name", "backend", "error", "message"),
+    ("name", "error", "message"),
     [
-        ("p.html", "auto", MissingError, "has no preview page"),
-        ("p.avi", "auto", PreviewError, "use .mp4 or .html"),
-        ("p.mp4", "paint", RigError, "backend 'paint' is unknown"),
+        ("p.html", MissingError, "has no preview page"),
+        ("p.avi", PreviewError, "use .mp4 or .html"),
     ],
 )
-def test_requirements_of_a_preview_are_reported(
-    tmp_path, monkeypatch, name, backend, error, message
-):
+def test_requirements_of_a_preview_are_reported(tmp_path, monkeypatch, name, error, message):
     monkeypatch.setattr(page, "BUNDLE", tmp_path / "none.html")
     with pytest.raises(error, match=message):
-        check_needs([tmp_path / "fine.mp4", tmp_path / name], backend)
+        check_needs([tmp_path / "fine.mp4", tmp_path / name])
 
 
 def test_commands_check_for_the_page_before_any_work(tmp_path, monkeypatch):

@@ -8,8 +8,8 @@ from deitalk.research.video.landmarks import LIDS, MIDDLE
 from rig import default_controls
 from rig.face.geometry.mesh import vertex_normals
 from rig.face.head import build_head
-from rig.face.render.renderer import make_renderer
 from rig.face.render.shading import VIEWS
+from rig.face.render.software import Renderer
 from tests.deitalk.data.video.test_decode import encode
 
 pytestmark = pytest.mark.slow
@@ -25,7 +25,7 @@ def test_open_mouth_shut_eyes_and_a_missing_face_are_seen(tmp_path, capfd):
     opened[CONTROLS.index("CTRL_C_jaw.ty")] = 0.6
     for side in "LR":
         shut[CONTROLS.index(f"CTRL_{side}_eye_blink.ty")] = 1
-    renderer = make_renderer(head.mesh, size=(360, 480), view=VIEWS["face"], backend="software")
+    renderer = Renderer(head.mesh, (360, 480), VIEWS["face"])
     poses = head.pose(np.stack([rest, opened, shut]))
     drawn = [renderer.render(pose, vertex_normals(pose, head.mesh.faces)) for pose in poses]
     pictures = [p for p in (*drawn, np.zeros_like(drawn[0])) for _ in range(6)]

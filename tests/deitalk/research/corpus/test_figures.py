@@ -53,8 +53,6 @@ def test_faces_are_drawn_and_differ(tmp_path, monkeypatch):
     monkeypatch.setattr(
         "rig.face.render.shading.write_png", lambda path, picture: drawn.append(picture)
     )
-    draw_faces(
-        tmp_path / "a.png", phones=("AA", "M"), emotions=("happy",), tile=64, backend="software"
-    )
+    draw_faces(tmp_path / "a.png", phones=("AA", "M"), emotions=("happy",), tile=64)
     assert drawn[0].shape == (128, 72, 3)
     assert np.abs(drawn[0][:64].astype(int) - drawn[0][64:]).max() > 50

@@ -1,6 +1,4 @@
-"""Pictures: both backends, sheets, letters and PNG."""
-
-from types import SimpleNamespace
+"""Pictures: light and edges as of OpenGL, sheets, letters and PNG."""
 
 import numpy as np
 import pytest
@@ -8,14 +6,11 @@ from PIL import Image
 from scipy.spatial import Delaunay
 
 from deitalk.research.contact_sheet import SHEETS, Tile, draw_sheet, pose_values, sheet_tiles
-from rig.errors import RigError
 from rig.face import build_head
-from rig.face.geometry.mesh import Mesh
-from rig.face.render import VIEWS, View, make_renderer
-from rig.face.render import renderer as opengl_module
-from rig.face.render import renderer as renderer_module
-from rig.face.render.shading import background, text_width, write_png, write_text
-from rig.face.render.software import Screen, front_faces, nearest_faces
+from rig.face.geometry.mesh import Mesh, vertex_normals
+from rig.face.render import VIEWS, View
+from rig.face.render.shading import background, glsl, text_width, write_png, write_text
+from rig.face.render.software import Renderer, Screen, front_faces, nearest_faces
 from tests.each import each
 
 SIZE = (72, 80)
@@ -28,11 +23,8 @@ def square(z: float, color: tuple[float, float, float], half: float = 4.0) -> Me
     return Mesh(corner, faces, np.tile(color, (4, 1)).astype(float), np.zeros(4))
 
 
-def draw(mesh: Mesh, backend: str, size=SIZE, view=FROM_FRONT) -> np.ndarray:
-    renderer = make_renderer(mesh, size=size, view=view, backend=backend)
-    picture = renderer.render(mesh.vertices)
-    renderer.close()
-    return picture
+def draw(mesh: Mesh, size=SIZE, view=FROM_FRONT) -> np.ndarray:
+    return Renderer(mesh, size, view).render(mesh.vertices)
 
 
 @pytest.fixture(scope="module")
@@ -40,17 +32,9 @@ def head():
     return build_head(0)
 
 
-@pytest.fixture
-def opengl():
-    try:
-        opengl_module.open_context()
-    except RigError as error:
-        pytest.skip(str(error))
-
-
 def test_square_covers_its_projected_pixels():
     # 8 cm at 60 cm under 20 degrees of 80 pixels: 80 * 8 / (2 * 60 * tan 10 deg) = 30.2 pixels
-    red = draw(square(0, (1, 0, 0)), "software")[..., 0] > 120
+    red = draw(square(0, (1, 0, 0)))[..., 0] > 120
     assert red.sum(0).max() == pytest.approx(30.2, abs=1.5)
     assert red.any(0).sum() == pytest.approx(30.2, abs=1.5)
     assert red[40, 36]
@@ -65,7 +49,7 @@ def test_nearer_square_hides_the_farther():
         np.concatenate([near.colors, far.colors]),
         np.zeros(8),
     )
-    picture = draw(both, "software").astype(int)
+    picture = draw(both).astype(int)
     assert picture[40, 36, 1] > picture[40, 36, 0] + 50  # green in the middle
     assert picture[40, 36 + 16, 0] > picture[40, 36 + 16, 1] + 50  # red beside it
 
@@ -74,12 +58,12 @@ def test_back_faces_are_not_drawn():
     front = square(0, (1, 0, 0))
     back = Mesh(front.vertices, front.faces[:, ::-1], front.colors, front.gloss)
     empty = np.broadcast_to(background(80), (80, 72, 3)) * 255
-    assert np.abs(draw(back, "software") - empty).max() < 2
+    assert np.abs(draw(back) - empty).max() < 2
 
 
 def test_characters_left_is_on_the_right_of_the_picture(head):
     shut = pose_values({"CTRL_L_eye_blink.ty": 1})
-    renderer = make_renderer(head.mesh, size=(160, 120), view=VIEWS["eyes"], backend="software")
+    renderer = Renderer(head.mesh, (160, 120), VIEWS["eyes"])
     change = np.abs(
         renderer.render(head.pose(shut)).astype(int)
         - renderer.render(head.mesh.vertices).astype(int)
@@ -87,16 +71,53 @@ def test_characters_left_is_on_the_right_of_the_picture(head):
     assert change[:, 80:].sum() > 20 * max(change[:, :80].sum(), 1)
 
 
-def test_both_backends_draw_the_same_face(head, opengl):
+def drawn_by_opengl(mesh: Mesh, size: tuple[int, int], view: View) -> np.ndarray:
+    """The mesh by the shaders of the page, four samples a pixel."""
+    moderngl = pytest.importorskip("moderngl")
+    try:
+        context = moderngl.create_context(standalone=True, backend="egl")
+    except Exception as error:  # moderngl raises bare Exception when EGL or a driver is missing
+        pytest.skip(str(error))
+    vertex, fragment = glsl()
+    program = context.program(vertex_shader=vertex, fragment_shader=fragment)
+    n, normals = len(mesh.vertices), vertex_normals(mesh.vertices, mesh.faces)
+    columns = [mesh.vertices, normals, mesh.colors, mesh.gloss, mesh.light, mesh.kind / 4]
+    table = np.column_stack([*columns, np.zeros(n), mesh.uv]).astype("f4")
+    names = ("position", "normal", "paint", "light", "accent", "place")
+    parts = [(context.buffer(table.tobytes()), "3f 3f 4f 3f 1f 2f", *names)]
+    array = context.vertex_array(program, parts, context.buffer(mesh.faces.astype("i4").tobytes()))
+    for slot, name in enumerate(("atlas", "creases", "pores")):
+        map_ = getattr(mesh.maps, name)
+        texture = context.texture(map_.shape[1::-1], map_.shape[2], map_.tobytes(), alignment=1)
+        texture.build_mipmaps()
+        texture.use(slot)
+        program[name].value = slot
+    program["view"].write(view.matrix(size[0] / size[1]).T.astype("f4").tobytes())
+    program["eye"].value = tuple(map(float, view.position))
+    many = context.simple_framebuffer(size, samples=4)
+    many.use()
+    many.clear()
+    context.enable(context.DEPTH_TEST | context.CULL_FACE)
+    array.render()
+    one = context.simple_framebuffer(size)
+    context.copy_framebuffer(one, many)
+    raw = np.frombuffer(one.read(components=3, alignment=1), np.uint8)
+    context.release()
+    return raw.reshape(*size[::-1], 3)[::-1].astype(int)
+
+
+def test_face_is_drawn_as_by_the_shaders_of_the_page(head):
     size = (300, 330)
     pictures = [
-        draw(head.mesh, backend, size, VIEWS["face"]).astype(int)
-        for backend in ("software", "opengl")
+        draw(head.mesh, size, VIEWS["face"]).astype(int),
+        drawn_by_opengl(head.mesh, size, VIEWS["face"]),
     ]
     # Means of 3 x 3 pixels: edges of single hairs are sampled differently.
     blocks = [p.reshape(110, 3, 100, 3, 3).mean((1, 3)) for p in pictures]
-    difference = np.abs(blocks[0] - blocks[1]).mean(2)
-    assert difference.mean() < 1.2
+    inside = pictures[1].any(axis=2).reshape(110, 3, 100, 3).all((1, 3))  # no backdrop
+    assert 0.3 < inside.mean() < 0.9
+    difference = np.abs(blocks[0] - blocks[1]).mean(2)[inside]
+    assert difference.mean() < 2.2  # 3.5 where one of both has 5 % less light
     assert np.percentile(difference, 97) < 10
 
 
@@ -156,40 +177,6 @@ def test_neighbouring_triangles_leave_no_crack_and_share_no_sample(rng):
     assert (alone == 1).all()
 
 
-def test_auto_falls_back_to_numpy_without_opengl(head, monkeypatch):
-    def missing():
-        raise RigError("no OpenGL here")
-
-    monkeypatch.setattr(opengl_module, "open_context", missing)
-    mesh = square(0, (1, 0, 0))
-    assert make_renderer(mesh, size=SIZE, view=FROM_FRONT).backend == "software"
-    with pytest.raises(RigError, match="no OpenGL here"):
-        make_renderer(mesh, size=SIZE, view=FROM_FRONT, backend="opengl")
-
-
-@each(
-    ("driver", "chosen"),
-    [("llvmpipe (LLVM 19.1.7, 256 bits)", "software"), ("NVIDIA GeForce RTX 4070", "opengl")],
-)
-def test_auto_takes_opengl_where_a_graphics_processor_draws(driver, chosen, monkeypatch):
-    context = SimpleNamespace(info={"GL_RENDERER": driver})
-    monkeypatch.setattr(opengl_module, "open_context", lambda: context)
-    monkeypatch.setattr(renderer_module, "OpenGLRenderer", lambda *given: None)
-    mesh = square(0, (1, 0, 0))
-    assert make_renderer(mesh, size=SIZE, view=FROM_FRONT).backend == chosen
-
-
-def test_missing_moderngl_names_the_install_line(monkeypatch):
-    def missing(name):
-        raise ImportError(name)
-
-    opengl_module.open_context.cache_clear()
-    monkeypatch.setattr(opengl_module, "import_module", missing)
-    with pytest.raises(RigError, match=r"pip install 'deitalk\[preview\]'"):
-        opengl_module.open_context()
-    opengl_module.open_context.cache_clear()
-
-
 @each("name", SHEETS)
 def test_every_sheet_has_named_tiles(name):
     tiles = sheet_tiles(name)
@@ -199,7 +186,7 @@ def test_every_sheet_has_named_tiles(name):
 
 def test_sheet_places_tiles_row_by_row(head):
     tiles = [Tile(str(k), pose_values({"CTRL_C_jaw.ty": k / 3}), "mouth") for k in range(3)]
-    picture = draw_sheet(head, tiles, columns=2, size=(64, 48), backend="software")
+    picture = draw_sheet(head, tiles, columns=2, size=(64, 48))
     assert picture.shape == (96, 128, 3)
     assert not picture[48:, 64:].any()  # the fourth place is empty
     assert (picture[:48, :64] != picture[48:, :64]).any()
