@@ -7,23 +7,21 @@ columns are compared without case and without spaces around them. K keys.
 
 import csv
 import io
+import math
 import re
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from deitalk.errors import EmotionError
 from rig import limits
 from rig.arrays import Float64, Int64
-from rig.errors import quoted, shorten
+from rig.errors import quoted
 from rig.files.reading import load_json, read_text
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 SHEET_SUFFIXES = (".csv", ".tsv")
 TRACK_SUFFIXES = (*SHEET_SUFFIXES, ".json", ".yaml", ".yml")
@@ -57,8 +55,34 @@ class Table(ABC):
     names: frozenset[str]
 
     @abstractmethod
+    def cells(self, wanted: Sequence[str]) -> Iterator[tuple[int, list[Any]]]:
+        """Number of each key in its file, from 1, and its values of the wanted columns."""
+
     def columns(self, numbers: Sequence[str], texts: Sequence[str] = ()) -> Columns:
         """Return columns by name; EmotionError names the first cell that is missing or bad."""
+        wanted = (*numbers, *texts)
+        for name in wanted:
+            if name not in self.names:
+                raise missing(self.path, 1, name, wanted)
+        rows, cells = [], []
+        for row, values in self.cells(wanted):
+            if "" in values or None in values:
+                name = next(
+                    n for n, value in zip(wanted, values, strict=True) if value in ("", None)
+                )
+                raise missing(self.path, row, name, wanted)
+            rows.append(row)
+            cells.append(values)
+        if not rows:
+            raise _no_keys(self.path)
+        columns = dict(zip(wanted, zip(*cells, strict=True), strict=True))
+        found = {name: np.array([_number(value) for value in columns[name]]) for name in numbers}
+        for name, column in found.items():
+            if not np.isfinite(column).all():
+                bad = int(np.argmin(np.isfinite(column)))
+                raise _not_finite(columns[name][bad], name, f"{self.path}, key {rows[bad]}")
+        words = {name: [str(value).strip().lower() for value in columns[name]] for name in texts}
+        return Columns(found, words, np.array(rows))
 
 
 def read_table(path: Path) -> Table:
@@ -98,10 +122,7 @@ def table_of(content: Any, where: object) -> Table:
 
 def number(value: object, name: str, where: str) -> float:
     """Return a value, with a decimal point or comma, as a finite number; else EmotionError."""
-    try:
-        found = _number(value)
-    except (TypeError, ValueError, OverflowError):
-        found = float("nan")
+    found = _number(value)
     if not np.isfinite(found):
         raise _not_finite(value, name, where)
     return found
@@ -111,12 +132,14 @@ def _not_finite(value: object, name: str, where: str) -> EmotionError:
     return EmotionError(f"{where}: {name} is {quoted(value)}; it must be a finite number")
 
 
-def _number(value: object) -> float:
-    if isinstance(value, bool):
-        raise TypeError("a truth value is no number")
-    if isinstance(value, str) and re.fullmatch(r"\s*[-+]?\d*,\d+\s*", value[:40]):
-        value = value.replace(",", ".")
-    return float(value)  # type: ignore[arg-type]
+def _number(value: Any) -> float:
+    """A number; NaN where it is none."""
+    try:
+        if isinstance(value, bool):
+            return math.nan
+        return float(value.replace(",", ".") if isinstance(value, str) else value)
+    except (TypeError, ValueError, OverflowError):
+        return math.nan
 
 
 def missing(path: object, row: int, name: str, needed: Sequence[str]) -> EmotionError:
@@ -141,70 +164,30 @@ class _Sheet(Table):
     def names(self) -> frozenset[str]:  # type: ignore[override]
         return frozenset(self.header)
 
-    def columns(self, numbers: Sequence[str], texts: Sequence[str] = ()) -> Columns:
-        wanted = (*numbers, *texts)
-        for name in wanted:
-            if name not in self.header:
-                raise missing(self.path, 1, name, wanted)
-        cells = self._cells(wanted)
-        is_empty = {name: (cells[name] == "").to_numpy(bool) for name in wanted}
-        kept = np.flatnonzero(~np.all(list(is_empty.values()), axis=0))
-        if not len(kept):
-            raise _no_keys(self.path)
-        values = {name: _numbers(cells[name])[kept] for name in numbers}
-        for name in wanted:
-            if is_empty[name][kept].any():
-                raise missing(self.path, kept[np.argmax(is_empty[name][kept])], name, wanted)
-        for name, column in values.items():
-            if not np.isfinite(column).all():
-                row = kept[np.argmin(np.isfinite(column))]
-                raise _not_finite(cells[name][row], name, f"{self.path}, key {row}")
-        words = {name: cells[name].str.lower().iloc[kept].tolist() for name in texts}
-        return Columns(values, words, kept)
-
-    def _cells(self, wanted: Sequence[str]) -> "pd.DataFrame":
-        """Texts of the wanted columns, without the spaces around them."""
-        import pandas as pd
-
-        beyond = len(self.header)
-        places = {self.header.index(name): name for name in wanted} | {beyond: ""}
-        # An empty row of all columns comes first, so that a row may be shorter: it is number 0.
-        full = '""' + self.separator * len(self.header) + "\n"
-        try:
-            table: pd.DataFrame = pd.read_csv(
-                io.StringIO(full + self.text),
-                sep=self.separator,
-                header=None,
-                names=list(range(beyond + 1)),  # one more: a separator at the end
-                usecols=list(places),
-                dtype=str,
-                keep_default_na=False,
-                skipinitialspace=True,
-                index_col=False,
-                low_memory=False,  # pandas before 3.1 reads pieces, whose rows may all be shorter
-            )
-        except pd.errors.EmptyDataError:
-            raise _no_keys(self.path) from None
-        except (pd.errors.ParserError, csv.Error) as error:
-            reason = " ".join(shorten(str(error), 200).split())
-            raise EmotionError(f"{self.path} cannot be parsed: {reason}; mend the file") from None
-        table = table.fillna("").apply(lambda column: column.str.strip())
-        too_long = table[beyond] != ""
-        if too_long.any():
-            raise EmotionError(
-                f"{self.path}, key {int(np.argmax(too_long))}: more cells than the {beyond} of the "
-                "header; quote numbers with decimal commas, or use semicolons between cells"
-            )
-        return table.rename(columns=places)[list(wanted)]
+    def cells(self, wanted: Sequence[str]) -> Iterator[tuple[int, list[Any]]]:
+        places, most = [self.header.index(name) for name in wanted], len(self.header)
+        row = 0
+        for cells in _csv(self.path, self.text, self.separator):
+            if not any(map(str.strip, cells)) and len(cells) < 2:
+                continue
+            row += 1
+            if len(cells) > most and any(map(str.strip, cells[most:])):
+                raise EmotionError(
+                    f"{self.path}, key {row}: more cells than the {most} of the header; quote "
+                    "numbers with decimal commas, or use semicolons between cells"
+                )
+            values = [cells[k].strip() if k < len(cells) else "" for k in places]
+            if any(values):
+                yield row, values
 
 
-def _numbers(cells: "pd.Series") -> Float64:
-    """Numbers of cells, with a decimal point or comma; NaN where none."""
-    import pandas as pd
-
-    points = cells.str.replace(",", ".", regex=False)
-    numbers: Float64 = pd.to_numeric(points, errors="coerce").to_numpy(np.float64)
-    return numbers
+def _csv(path: object, text: str, separator: str) -> Iterator[list[str]]:
+    """Rows of cells; EmotionError where they cannot be parsed."""
+    lines = io.StringIO(text, newline="")
+    try:
+        yield from csv.reader(lines, delimiter=separator, skipinitialspace=True, strict=True)
+    except csv.Error as error:
+        raise EmotionError(f"{path} cannot be parsed: {error}; mend the file") from None
 
 
 def _no_keys(path: object) -> EmotionError:
@@ -223,11 +206,7 @@ def _sheet(path: object, text: str) -> _Sheet:
     separator = given[1] if given else max(_SEPARATORS, key=re.sub(r'"[^"]*"?', "", line).count)
     if separator not in _SEPARATORS:
         raise EmotionError(f"{path}: 'sep={separator}' is none of comma, semicolon and tab")
-    try:
-        cells = next(csv.reader([line], delimiter=separator, skipinitialspace=True), [])
-    except csv.Error as error:
-        raise EmotionError(f"{path} cannot be parsed: {error}; mend the file") from None
-    header = tuple(cell.strip().lower() for cell in cells)
+    header = tuple(cell.strip().lower() for cell in next(_csv(path, line, separator), []))
     if len(header) > limits.TRACK_COLUMNS:
         raise EmotionError(
             f"{path} has {len(header)} columns; at most {limits.TRACK_COLUMNS} are read"
@@ -257,19 +236,9 @@ class _Keys(Table):
     def names(self) -> frozenset[str]:  # type: ignore[override]
         return frozenset(name for key in self.content for name in key)
 
-    def columns(self, numbers: Sequence[str], texts: Sequence[str] = ()) -> Columns:
-        wanted = (*numbers, *texts)
-        found: dict[str, Float64] = {name: np.empty(len(self.content)) for name in numbers}
-        words: dict[str, list[str]] = {name: [] for name in texts}
-        for i, key in enumerate(self.content):
-            for name in wanted:
-                if key.get(name) in (None, ""):
-                    raise missing(self.path, i + 1, name, wanted)
-            for name in numbers:
-                found[name][i] = number(key[name], name, f"{self.path}, key {i + 1}")
-            for name in texts:
-                words[name].append(str(key[name]).strip().lower())
-        return Columns(found, words, np.arange(1, len(self.content) + 1))
+    def cells(self, wanted: Sequence[str]) -> Iterator[tuple[int, list[Any]]]:
+        for row, key in enumerate(self.content, 1):
+            yield row, [key.get(name) for name in wanted]
 
 
 def _keys(path: object, content: Any) -> _Keys:
