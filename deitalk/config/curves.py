@@ -12,11 +12,17 @@ from deitalk.config.frontends import (
 )
 from deitalk.config.rules import RulesConfig
 from deitalk.config.section import (
+    AboveZero,
+    Batch,
     Dilation,
+    Dropout,
     Odd,
     Optimisation,
+    Passes,
     Positive,
     Section,
+    Share,
+    Weight,
     Width,
     Window,
 )
@@ -29,74 +35,56 @@ class ModelConfig(Section):
     frontend: MelConfig | CausalWhisperConfig | Wav2VecConfig | WhisperConfig = Field(
         default_factory=Wav2VecConfig, discriminator="kind"
     )
-    control_set: str = Field(
-        default="metahuman-185@mh4",
-        description="the board, or a file that describes another rig (see docs/finetuning.md)",
-    )
-    positions: bool = Field(default=True, description="dynamic positional encoding (Eq. 2-3)")
-    intensity: bool = Field(default=True, description="dynamic emotional intensity (Eq. 4-6)")
-    effort: bool = Field(
-        default=False,
-        description="a linear readout of the speech features is the strength of the voice; not in "
-        "the paper",
-    )
-    emotion_size: Width = Field(default=128, description="width of S_emo and E_in")
-    saliency_frames: int | None = Field(
-        default=None,
-        ge=1,
-        le=limits.SALIENCY_FRAMES,
-        description="frames the embedding of Eq. 5 is pooled over; null: the whole clip",
-    )
-    style_size: Width = Field(default=16, description="width of the emotional style embedding")
+    control_set: str = "metahuman-185@mh4"
+    """The board, or a file that describes another rig (see docs/finetuning.md)."""
+    positions: bool = True
+    """Dynamic positional encoding (Eq. 2-3)."""
+    intensity: bool = True
+    """Dynamic emotional intensity (Eq. 4-6)."""
+    effort: bool = False
+    """A linear readout of the speech features is the strength of the voice; not in the paper."""
+    emotion_size: Width = 128
+    """Width of S_emo and E_in."""
+    saliency_frames: int | None = Field(default=None, ge=1, le=limits.SALIENCY_FRAMES)
+    """Frames the embedding of Eq. 5 is pooled over; null: the whole clip."""
+    style_size: Width = 16
+    """Width of the emotional style embedding."""
     actors: tuple[Annotated[str, Field(min_length=1, max_length=100)], ...] = Field(
-        default=(),
-        max_length=limits.WIDTH,
-        description="actors whose styles are added to the emotional one; not in the paper",
+        default=(), max_length=limits.WIDTH
     )
-    actor_layers: bool = Field(
-        default=False,
-        description="a last layer of each actor, as a change of that of all; not in the paper",
-    )
+    """Actors whose styles are added to the emotional one; not in the paper."""
+    actor_layers: bool = False
+    """A last layer of each actor, as a change of that of all; not in the paper."""
     kept_controls: tuple[Annotated[str, Field(min_length=1, max_length=200)], ...] = Field(
-        default=(),
-        max_length=limits.CONTROLS,
-        description="controls that a second decoder moves, the base's of a fine-tuned model; not "
-        "in the paper",
+        default=(), max_length=limits.CONTROLS
     )
-    kept_intensity: bool = Field(
-        default=False,
-        description="a second projection of Eq. 4 guides the decoder of the kept controls, the "
-        "base's of a fine-tuned model; not in the paper",
-    )
+    """Controls that a second decoder moves, the base's of a fine-tuned model; not in the paper."""
+    kept_intensity: bool = False
+    """A second projection of Eq. 4 guides the decoder of the kept controls, the base's of a
+    fine-tuned model; not in the paper."""
     motion_channels: tuple[Width, ...] = Field(
         default=(384, 384, 768, 768), min_length=1, max_length=limits.MOTION_LAYERS
     )
     classifier_size: Width = 64
-    decoder: Literal["convolution", "faceformer", "emotalk"] = Field(
-        default="convolution",
-        description="Eq. 7, or that of FaceFormer or EmoTalk, for comparison; these take "
-        "positions: false and intensity: false",
-    )
+    decoder: Literal["convolution", "faceformer", "emotalk"] = "convolution"
+    """Eq. 7, or that of FaceFormer or EmoTalk, for comparison; these take positions: false and
+    intensity: false."""
     decoder_channels: Width = 512
-    decoder_heads: Width = Field(default=4, description="heads of faceformer and emotalk")
-    decoder_period: Window = Field(
-        default=30, description="frames of a period of faceformer and emotalk"
-    )
-    decoder_labelled: bool = Field(
-        default=True, description="emotalk: the emotion is given; false: it is the voice's only"
-    )
+    decoder_heads: Width = 4
+    """Heads of faceformer and emotalk."""
+    decoder_period: Window = 30
+    """Frames of a period of faceformer and emotalk."""
+    decoder_labelled: bool = True
+    """emotalk: the emotion is given; false: it is the voice's only."""
     decoder_dilations: tuple[Dilation, ...] = Field(
         default=(1, 2, 4, 8, 1, 2, 4, 8), min_length=1, max_length=limits.LAYERS
     )
-    decoder_residual: bool = Field(
-        default=False, description="carry every layer's input past it; not in the paper"
-    )
-    decoder_direct: bool = Field(
-        default=False,
-        description="the last layer has the speech features too; not in the paper",
-    )
+    decoder_residual: bool = False
+    """Carry every layer's input past it; not in the paper."""
+    decoder_direct: bool = False
+    """The last layer has the speech features too; not in the paper."""
     kernel_size: Odd = 3
-    dropout: float = Field(default=0.0, ge=0, lt=1)
+    dropout: Dropout = 0.0
 
     @field_validator("frontend", mode="before")
     @classmethod
@@ -144,94 +132,70 @@ class ModelConfig(Section):
 class LossConfig(Section):
     """The four-part loss (DEITalk Eq. 8) and our additions."""
 
-    contrast: float = Field(default=0.1, ge=0, description="lambda_1")
-    classification: float = Field(default=0.1, ge=0, description="lambda_2")
-    position: float = Field(default=1.0, ge=0, description="lambda_3")
-    velocity: float = Field(default=4.0, ge=0, description="lambda_4")
-    temperature: float = Field(default=0.07, gt=0, description="tau of Eq. 10")
-    intensity: float = Field(
-        default=0.0,
-        ge=0,
-        description="weight of labelled intensity on the saliency; not in the paper",
-    )
-    contact: float = Field(
-        default=0.0, ge=0, description="weight of the lip-contact loss; not in the paper"
-    )
-    lips: float = Field(
-        default=0.0,
-        ge=0,
-        description="weight of the lips of the embedded head, which the curves move; not in the "
-        "paper",
-    )
-    range: float = Field(
-        default=0.0,
-        ge=0,
-        description="weight of how far and how fast these lips move, against the target's; not in "
-        "the paper",
-    )
-    distillation: float = Field(
-        default=1.0,
-        ge=0,
-        description="weight of the distance to the features of train.teacher; not in the paper",
-    )
-    control_weights: dict[str, Annotated[float, Field(ge=0)]] = Field(
-        default_factory=dict, description="weight of a control or subset in Eq. 12-13 (default 1)"
-    )
+    contrast: Weight = 0.1
+    """lambda_1."""
+    classification: Weight = 0.1
+    """lambda_2."""
+    position: Weight = 1.0
+    """lambda_3."""
+    velocity: Weight = 4.0
+    """lambda_4."""
+    temperature: AboveZero = 0.07
+    """Tau of Eq. 10."""
+    intensity: Weight = 0.0
+    """Weight of labelled intensity on the saliency; not in the paper."""
+    contact: Weight = 0.0
+    """Weight of the lip-contact loss; not in the paper."""
+    lips: Weight = 0.0
+    """Weight of the lips of the embedded head, which the curves move; not in the paper."""
+    range: Weight = 0.0
+    """Weight of how far and how fast these lips move, against the target's; not in the paper."""
+    distillation: Weight = 1.0
+    """Weight of the distance to the features of train.teacher; not in the paper."""
+    control_weights: dict[str, Weight] = Field(default_factory=dict)
+    """Weight of a control or subset in Eq. 12-13 (default 1)."""
+
+
+WindowFrames = Annotated[int, Field(ge=1, le=limits.TRAINING_FRAMES)]
 
 
 class DataConfig(Section):
     """How clips become windows (DEITalk §4.1)."""
 
-    window_frames: int = Field(default=128, ge=1, le=limits.TRAINING_FRAMES)
-    stride_frames: int = Field(default=5, ge=1, le=limits.TRAINING_FRAMES)
-    augment: bool = Field(
-        default=False, description="deitalk.data.augment_waveform on every training window"
-    )
-    noise_folder: str | None = Field(default=None, description="recordings of noise to mix in")
-    room_folder: str | None = Field(default=None, description="room impulse responses")
-    real_fraction: float | None = Field(
-        default=None,
-        ge=0,
-        le=1,
-        description="share of windows from recorded (not synthetic) speech",
-    )
-    measured_fraction: float | None = Field(
-        default=None,
-        ge=0,
-        le=1,
-        description="share of windows from clips whose lips were measured, their speakers alike",
-    )
-    clips: Positive | None = Field(
-        default=None, description="clips taken of the training split, evenly spread; null: all"
-    )
-    encoded_passes: int = Field(
-        default=0,
-        ge=0,
-        le=100,
-        description="times that every recording is encoded before training, all but the first "
-        "changed in speed, room and noise; needs a frontend that does not learn",
-    )
-    cache_gigabytes: float = Field(
-        default=1.0, gt=0, description="clips a loading process keeps in memory; 0.2 an hour"
-    )
+    window_frames: WindowFrames = 128
+    stride_frames: WindowFrames = 5
+    augment: bool = False
+    """deitalk.data.augment_waveform on every training window."""
+    noise_folder: str | None = None
+    """Recordings of noise to mix in."""
+    room_folder: str | None = None
+    """Room impulse responses."""
+    real_fraction: Share | None = None
+    """Share of windows from recorded (not synthetic) speech."""
+    measured_fraction: Share | None = None
+    """Share of windows from clips whose lips were measured, their speakers alike."""
+    clips: Positive | None = None
+    """Clips taken of the training split, evenly spread; null: all."""
+    encoded_passes: int = Field(default=0, ge=0, le=100)
+    """Times that every recording is encoded before training, all but the first changed in speed,
+    room and noise; needs a frontend that does not learn."""
+    cache_gigabytes: AboveZero = 1.0
+    """Clips a loading process keeps in memory; 0.2 an hour."""
 
 
 class TrainConfig(Optimisation):
     """Optimiser and schedule (DEITalk §4.1)."""
 
-    batch_size: int = Field(default=32, ge=1, le=limits.BATCH, description="windows")
-    epochs: float = Field(
-        default=300, gt=0, le=limits.TRAINING_PASSES, description="passes over all training windows"
-    )
+    batch_size: Batch = 32
+    """Windows."""
+    epochs: Passes = 300
+    """Passes over all training windows."""
     optimizer: Literal["adam", "adamw"] = "adam"
-    weight_decay: float = Field(default=0.0, ge=0)
-    frozen_frontend: str | None = Field(
-        default=None, description="model whose frontend is taken and does not learn"
-    )
-    teacher: str | None = Field(
-        default=None,
-        description="model (name or folder) whose speech features are learnt; not in the paper",
-    )
+    weight_decay: Weight = 0.0
+    frozen_frontend: str | None = None
+    """Model whose frontend is taken and does not learn."""
+    teacher: str | None = None
+    """Model (name or folder) whose speech features are learnt; not in the paper."""
 
     @field_validator("teacher")
     @classmethod
@@ -263,61 +227,37 @@ class Config(Section):
 class TuneConfig(Section):
     """What is tuned, and what holds the base model's abilities."""
 
-    base: str = Field(default="default", description="model that is tuned: a name or a folder")
-    part: Literal["head", "decoder", "adapters", "all"] = Field(
-        default="decoder",
-        description="the last layer; the decoder; changes of low rank of it; every weight",
-    )
-    start: Literal["base", "random"] = Field(
-        default="base",
-        description="weights before the first step: the base's, or random ones of the same "
-        "network, all of which learn, to compare with",
-    )
-    rank: Annotated[int, Field(ge=1, le=limits.WIDTH)] = Field(
-        default=8, description="of the changes that `adapters` learns"
-    )
-    hold: float = Field(
-        default=1.0,
-        ge=0,
-        description="weight of the base's curves as the target of controls that a clip does not "
-        "know",
-    )
-    keep: bool = Field(
-        default=True,
-        description="controls that no capture knows stay those of the base, by its own decoder; "
-        "not where the frontend learns",
-    )
-    rehearsal: float = Field(
-        default=0.25,
-        ge=0,
-        le=1,
-        description="share of windows shown in an emotion that no capture has: the captured "
-        "curves, changed as the base's",
-    )
-    anonymous: float = Field(
-        default=0.2,
-        ge=0,
-        le=1,
-        description="share of windows shown without their actor: what a stranger gets is the mean "
-        "of the actors",
-    )
-    contact_rules: Literal["auto", "base", "recipe"] = Field(
-        default="base",
-        description="rules of lip contacts: the base's, or those of the section `rules`; auto is "
-        "the base's where no capture knows the lips-together controls",
-    )
-    intensity: Literal["auto", "base", "captured"] = Field(
-        default="auto",
-        description="emotional intensity: the base's, or learnt from captured motion (DEITalk Eq. "
-        "4-11) with the strength of the captured expressions; auto learns it where emotions differ "
-        "from neutral in the captures",
-    )
-    corpus: str | None = Field(
-        default=None, description="dataset folder whose speech the base's curves are learnt on"
-    )
-    leave_out: str | None = Field(
-        default=None, description="take or actor that is tested on and never trained on"
-    )
+    base: str = "default"
+    """Model that is tuned: a name or a folder."""
+    part: Literal["head", "decoder", "adapters", "all"] = "decoder"
+    """The last layer; the decoder; changes of low rank of it; every weight."""
+    start: Literal["base", "random"] = "base"
+    """Weights before the first step: the base's, or random ones of the same network, all of which
+    learn, to compare with."""
+    rank: Annotated[int, Field(ge=1, le=limits.WIDTH)] = 8
+    """Of the changes that `adapters` learns."""
+    hold: Weight = 1.0
+    """Weight of the base's curves as the target of controls that a clip does not know."""
+    keep: bool = True
+    """Controls that no capture knows stay those of the base, by its own decoder; not where the
+    frontend learns."""
+    rehearsal: Share = 0.25
+    """Share of windows shown in an emotion that no capture has: the captured curves, changed as the
+    base's."""
+    anonymous: Share = 0.2
+    """Share of windows shown without their actor: what a stranger gets is the mean of the actors.
+    """
+    contact_rules: Literal["auto", "base", "recipe"] = "base"
+    """Rules of lip contacts: the base's, or those of the section `rules`; auto is the base's where
+    no capture knows the lips-together controls."""
+    intensity: Literal["auto", "base", "captured"] = "auto"
+    """Emotional intensity: the base's, or learnt from captured motion (DEITalk Eq. 4-11) with the
+    strength of the captured expressions; auto learns it where emotions differ from neutral in the
+    captures."""
+    corpus: str | None = None
+    """Dataset folder whose speech the base's curves are learnt on."""
+    leave_out: str | None = None
+    """Take or actor that is tested on and never trained on."""
 
 
 class FinetuneConfig(Config):

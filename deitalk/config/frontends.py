@@ -9,6 +9,8 @@ from pydantic import (
 )
 
 from deitalk.config.section import (
+    Dropout,
+    MelBins,
     Odd,
     Phases,
     Recurrent,
@@ -27,42 +29,40 @@ class MelConfig(Section):
     """Mel spectrogram, Spec-BiLSTM, Time-BiLSTM and temporal attention (SDFA §3.1-3.3, §4.4)."""
 
     kind: Literal["mel"] = "mel"
-    window_seconds: SpectrumSeconds = Field(
-        default=0.064, description="length of one spectrum (FFT_win)"
-    )
-    frame_rate: SpectraRate = Field(default=125.0, description="spectra per second; 1 / FFT_hop")
+    window_seconds: SpectrumSeconds = 0.064
+    """Length of one spectrum (FFT_win)."""
+    frame_rate: SpectraRate = 125.0
+    """Spectra per second; 1 / FFT_hop."""
     tapers: Tapers = 1
-    n_mels: int = Field(default=128, ge=4, le=limits.MEL_BINS, description="mel bins (F)")
+    n_mels: MelBins = 128
+    """Mel bins (F)."""
     conv_channels: tuple[Width, Width, Width] = (32, 64, 64)
-    spec_hidden: Width = Field(default=32, description="Spec-BiLSTM units per direction")
-    spectral_size: Width = Field(default=256, description="features of one spectrum (C_spec)")
-    time_stack: Window = Field(default=1, description="spectra joined before the Time-BiLSTM")
-    time_hidden: Width = Field(default=256, description="Time-BiLSTM units per direction")
+    spec_hidden: Width = 32
+    """Spec-BiLSTM units per direction."""
+    spectral_size: Width = 256
+    """Features of one spectrum (C_spec)."""
+    time_stack: Window = 1
+    """Spectra joined before the Time-BiLSTM."""
+    time_hidden: Width = 256
+    """Time-BiLSTM units per direction."""
     time_layers: Recurrent = 2
-    window_frames: Window = Field(default=64, description="spectra of the attention (L)")
-    query_frames: Odd = Field(default=7, description="K_qry; Paper silent")
-    attention_size: Width = Field(default=128, description="C_att; Paper silent")
-    recurrence: Literal["window", "segment"] = Field(
-        default="window", description="Time-BiLSTM once per window (the paper) or along the clip"
-    )
-    weight_norm: bool = Field(
-        default=True, description="weight normalisation on every weight (§4.4)"
-    )
-    centre: bool = Field(
-        default=False,
-        description="add the window's own centre to what it attends to, and normalise",
-    )
-    rig_layers: int = Field(
-        default=0,
-        ge=0,
-        le=limits.RECURRENT_LAYERS,
-        description="BiLSTMs along rig frames behind the attention; not in SDFA",
-    )
-    phases: Phases = Field(
-        default=1,
-        description="passes over a clip, shifted by parts of a spectrum; features are their mean",
-    )
-    dropout: float = Field(default=0.0, ge=0, lt=1)
+    window_frames: Window = 64
+    """Spectra of the attention (L)."""
+    query_frames: Odd = 7
+    """K_qry; Paper silent."""
+    attention_size: Width = 128
+    """C_att; Paper silent."""
+    recurrence: Literal["window", "segment"] = "window"
+    """Time-BiLSTM once per window (the paper) or along the clip."""
+    weight_norm: bool = True
+    """Weight normalisation on every weight (§4.4)."""
+    centre: bool = False
+    """Add the window's own centre to what it attends to, and normalise."""
+    rig_layers: int = Field(default=0, ge=0, le=limits.RECURRENT_LAYERS)
+    """BiLSTMs along rig frames behind the attention; not in SDFA."""
+    phases: Phases = 1
+    """Passes over a clip, shifted by parts of a spectrum; features are their mean."""
+    dropout: Dropout = 0.0
 
     @field_validator("recurrence")
     @classmethod
@@ -86,28 +86,21 @@ class Wav2VecConfig(Section):
     """
 
     kind: Literal["wav2vec"] = "wav2vec"
-    checkpoint: str | None = Field(
-        default="facebook/wav2vec2-base-960h",
-        description="hub name or folder; null builds `encoder`",
-    )
-    encoder: dict[str, Any] = Field(
-        default_factory=dict,
-        description="keys of transformers' configuration, of the model_type among them; a saved "
-        "model has those of its checkpoint",
-    )
-    normalise: bool = Field(
-        default=True,
-        description="speech to unit variance, as published models expect; with `encoder`",
-    )
-    freeze_stem: bool = Field(default=True, description="keep the convolutional stem fixed (§4.1)")
+    checkpoint: str | None = "facebook/wav2vec2-base-960h"
+    """Hub name or folder; null builds `encoder`."""
+    encoder: dict[str, Any] = Field(default_factory=dict)
+    """Keys of transformers' configuration, of the model_type among them; a saved model has those of
+    its checkpoint."""
+    normalise: bool = True
+    """Speech to unit variance, as published models expect; with `encoder`."""
+    freeze_stem: bool = True
+    """Keep the convolutional stem fixed (§4.1)."""
     layers: tuple[Annotated[int, Field(ge=0, le=limits.LAYERS)], ...] = Field(
-        default=(),
-        max_length=limits.LAYERS,
-        description="layers whose states are mixed, 0 is the input of the first; none: the output",
+        default=(), max_length=limits.LAYERS
     )
-    learns: Literal["nothing", "everything"] = Field(
-        default="everything", description="what of the encoder is trained, but for a fixed stem"
-    )
+    """Layers whose states are mixed, 0 is the input of the first; none: the output."""
+    learns: Literal["nothing", "everything"] = "everything"
+    """What of the encoder is trained, but for a fixed stem."""
 
     @field_validator("encoder")
     @classmethod
@@ -119,26 +112,22 @@ class Wav2VecConfig(Section):
 class WhisperShape(Section):
     """Shape of the first layers of Whisper's encoder; the numbers are those of Whisper base."""
 
-    checkpoint: str | None = Field(
-        default="openai/whisper-base",
-        description="hub name or folder, read before training; null: random weights",
-    )
-    n_mels: int = Field(default=80, ge=4, le=limits.MEL_BINS, description="mel bins (F)")
+    checkpoint: str | None = "openai/whisper-base"
+    """Hub name or folder, read before training; null: random weights."""
+    n_mels: MelBins = 80
+    """Mel bins (F)."""
     width: Width = 512
     heads: Width = 8
-    intermediate: Width = Field(default=2048, description="width within a layer")
-    rate: Literal[30, 50] = Field(
-        default=30, description="features a second: the rig's own, or 50 as the encoder had them"
-    )
+    intermediate: Width = 2048
+    """Width within a layer."""
+    rate: Literal[30, 50] = 30
+    """Features a second: the rig's own, or 50 as the encoder had them."""
     layers: tuple[Annotated[int, Field(ge=0, le=limits.LAYERS)], ...] = Field(
-        default=(2, 3),
-        min_length=1,
-        max_length=limits.LAYERS,
-        description="layers whose states are mixed; 0 is the input of the first",
+        default=(2, 3), min_length=1, max_length=limits.LAYERS
     )
-    learns: Literal["nothing", "everything"] = Field(
-        default="nothing", description="what of the encoder is trained"
-    )
+    """Layers whose states are mixed; 0 is the input of the first."""
+    learns: Literal["nothing", "everything"] = "nothing"
+    """What of the encoder is trained."""
 
     @field_validator("heads")
     @classmethod
@@ -177,12 +166,10 @@ class CausalWhisperConfig(WhisperShape):
 class SDFAMelConfig(MelConfig):
     """SDFA's encoder, and its two ablations (SDFA §5.2.2)."""
 
-    gathering: Literal["bilstm", "convolution"] = Field(
-        default="bilstm", description="what gathers a spectrum: Spec-BiLSTM, or convolutions"
-    )
-    summary: Literal["attention", "convolution"] = Field(
-        default="attention", description="what sums up a window: attention, or convolutions"
-    )
+    gathering: Literal["bilstm", "convolution"] = "bilstm"
+    """What gathers a spectrum: Spec-BiLSTM, or convolutions."""
+    summary: Literal["attention", "convolution"] = "attention"
+    """What sums up a window: attention, or convolutions."""
 
     @field_validator("time_stack")
     @classmethod
@@ -203,10 +190,14 @@ class KarrasConfig(Section):
     """Convolutions over frequency, then over time (after Karras et al. 2017)."""
 
     kind: Literal["karras"] = "karras"
-    window_seconds: SpectrumSeconds = Field(default=0.016, description="length of one spectrum")
-    frame_rate: SpectraRate = Field(default=125.0, description="spectra per second")
-    lags: int = Field(default=32, ge=8, le=limits.MEL_BINS, description="autocorrelation numbers")
-    window_frames: Window = Field(default=64, ge=2, description="spectra a frame")
+    window_seconds: SpectrumSeconds = 0.016
+    """Length of one spectrum."""
+    frame_rate: SpectraRate = 125.0
+    """Spectra per second."""
+    lags: int = Field(default=32, ge=8, le=limits.MEL_BINS)
+    """Autocorrelation numbers."""
+    window_frames: Window = Field(default=64, ge=2)
+    """Spectra a frame."""
     formant_channels: tuple[Width, ...] = Field(
         default=(72, 108, 162, 243, 256), min_length=1, max_length=limits.LAYERS
     )
@@ -219,11 +210,16 @@ class VocaConfig(Section):
     """Convolutions over a window of speech features (after Cudeiro et al. 2019)."""
 
     kind: Literal["voca"] = "voca"
-    window_seconds: SpectrumSeconds = Field(default=0.032, description="length of one spectrum")
-    frame_rate: SpectraRate = Field(default=60.0, description="feature rows per second")
-    n_mels: int = Field(default=40, ge=8, le=limits.MEL_BINS, description="mel bins before the DCT")
-    n_mfcc: int = Field(default=26, ge=2, le=limits.MEL_BINS, description="cepstral coefficients")
-    window_frames: Window = Field(default=16, ge=2, description="rows a frame")
+    window_seconds: SpectrumSeconds = 0.032
+    """Length of one spectrum."""
+    frame_rate: SpectraRate = 60.0
+    """Feature rows per second."""
+    n_mels: int = Field(default=40, ge=8, le=limits.MEL_BINS)
+    """Mel bins before the DCT."""
+    n_mfcc: int = Field(default=26, ge=2, le=limits.MEL_BINS)
+    """Cepstral coefficients."""
+    window_frames: Window = Field(default=16, ge=2)
+    """Rows a frame."""
     channels: tuple[Width, ...] = Field(
         default=(32, 32, 64, 64), min_length=1, max_length=limits.LAYERS
     )
@@ -233,4 +229,5 @@ class DEITalkFeaturesConfig(Section):
     """Features of speech and emotion of a trained DEITalk model, whose weights are frozen."""
 
     kind: Literal["deitalk"] = "deitalk"
-    model: str = Field(default="mel", description="name or folder of the DEITalk model")
+    model: str = "mel"
+    """Name or folder of the DEITalk model."""

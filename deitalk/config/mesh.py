@@ -6,9 +6,13 @@ from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from deitalk.config.frontends import DEITalkFeaturesConfig, KarrasConfig, SDFAMelConfig, VocaConfig
 from deitalk.config.section import (
+    AboveZero,
+    Inner,
     Optimisation,
+    Passes,
     Positive,
     Section,
+    Weight,
     Width,
 )
 from rig import limits
@@ -20,94 +24,64 @@ class SDFAModelConfig(Section):
     frontend: SDFAMelConfig | KarrasConfig | VocaConfig | DEITalkFeaturesConfig = Field(
         default_factory=SDFAMelConfig, discriminator="kind"
     )
-    motion: Literal["gradients", "offsets"] = Field(
-        default="gradients", description="what is predicted: deformation gradients, vertex offsets"
-    )
-    shared_size: Width | None = Field(
-        default=512, description="width of z_dec; null: the encoder's output goes on as it is"
-    )
+    motion: Literal["gradients", "offsets"] = "gradients"
+    """What is predicted: deformation gradients, vertex offsets."""
+    shared_size: Width | None = 512
+    """Width of z_dec; null: the encoder's output goes on as it is."""
     branch_sizes: tuple[Width, ...] = Field(default=(512, 256), max_length=limits.LAYERS)
-    weight_norm: bool = Field(default=True, description="in the decoder, but on no frozen layer")
-    seal_mm: float = Field(
-        default=0.0,
-        ge=0,
-        description="embedded heads: lips no further apart are brought together; not in the paper",
-    )
+    weight_norm: bool = True
+    """In the decoder, but on no frozen layer."""
+    seal_mm: Weight = 0.0
+    """Embedded heads: lips no further apart are brought together; not in the paper."""
 
 
 class MeshDataConfig(Section):
     """Mesh sequences and the bases of their gradients (SDFA §4.1, §4.3, §4.4)."""
 
-    fps: float = Field(default=60.0, gt=0, le=240, description="frames per second of the meshes")
+    fps: float = Field(default=60.0, gt=0, le=240)
+    """Frames per second of the meshes."""
     identities: tuple[Annotated[int, Field(ge=0, le=limits.SEED)], ...] = Field(
-        default=(0, 1, 2, 3, 4, 5, 6, 7),
-        min_length=1,
-        max_length=limits.SPEAKERS,
-        description="embedded heads that act a dataset folder's curves",
+        default=(0, 1, 2, 3, 4, 5, 6, 7), min_length=1, max_length=limits.SPEAKERS
     )
-    emotions: tuple[str, ...] | None = Field(
-        default=None, description="emotions of such a folder that are acted; null: all"
-    )
-    clips: Positive | None = Field(
-        default=None, description="clips taken of its training split, evenly spread; null: all"
-    )
-    validation_clips: Positive = Field(
-        default=24, description="clips taken of its validation split; its test split stays unseen"
-    )
-    augment: bool = Field(default=True, description="all of §4.3")
-    basis_error_mm: float = Field(
-        default=0.5, gt=0, description="what the bases may cost where the face moves most"
-    )
-    basis_variance: float | None = Field(
-        default=None,
-        gt=0,
-        le=1,
-        description="share of the variance that the bases keep, .97 in §4.4; null: the fewest "
-        "components within basis_error_mm",
-    )
-    weigh_triangles: bool = Field(
-        default=True,
-        description="count triangles by their area in the bases and the loss; false: all alike, as "
-        "Eq. 5-8 are printed",
-    )
-    basis_frames: int = Field(
-        default=400,
-        ge=2,
-        le=limits.TRAINING_FRAMES,
-        description="frames that the bases are fitted to",
-    )
+    """Embedded heads that act a dataset folder's curves."""
+    emotions: tuple[str, ...] | None = None
+    """Emotions of such a folder that are acted; null: all."""
+    clips: Positive | None = None
+    """Clips taken of its training split, evenly spread; null: all."""
+    validation_clips: Positive = 24
+    """Clips taken of its validation split; its test split stays unseen."""
+    augment: bool = True
+    """All of §4.3."""
+    basis_error_mm: AboveZero = 0.5
+    """What the bases may cost where the face moves most."""
+    basis_variance: float | None = Field(default=None, gt=0, le=1)
+    """Share of the variance that the bases keep, .97 in §4.4; null: the fewest components within
+    basis_error_mm."""
+    weigh_triangles: bool = True
+    """Count triangles by their area in the bases and the loss; false: all alike, as Eq. 5-8 are
+    printed."""
+    basis_frames: int = Field(default=400, ge=2, le=limits.TRAINING_FRAMES)
+    """Frames that the bases are fitted to."""
 
 
 class MeshTrainConfig(Optimisation):
     """Adam at a constant rate on pairs of adjacent frames (SDFA §4.4), and our additions."""
 
-    batch_size: int = Field(
-        default=100, ge=2, le=limits.BATCH, description="frames; a multiple of segment_frames"
-    )
-    epochs: float = Field(
-        default=50, gt=0, le=limits.TRAINING_PASSES, description="passes over all training frames"
-    )
-    segment_frames: int = Field(
-        default=2,
-        ge=2,
-        le=limits.BATCH,
-        description="adjacent frames drawn together; 2: the paper's pairs",
-    )
-    loss_decay: float = Field(
-        default=0.99, gt=0, lt=1, description="of the loss terms' second moments"
-    )
-    start_encoder: str | None = Field(
-        default=None,
-        description="DEITalk model whose mel encoder is the start; it then learns at a third of "
-        "the rate; not in the paper",
-    )
-    start_new: tuple[Literal["spectral", "recurrent", "attention"], ...] = Field(
-        default=(),
-        description="parts of the encoder that are not copied from it: what an ablation replaces",
-    )
-    lip_weight: float = Field(
-        default=0.0, ge=0, description="weight of the lips' rims; not in the paper"
-    )
+    batch_size: int = Field(default=100, ge=2, le=limits.BATCH)
+    """frames; a multiple of segment_frames."""
+    epochs: Passes = 50
+    """Passes over all training frames."""
+    segment_frames: int = Field(default=2, ge=2, le=limits.BATCH)
+    """Adjacent frames drawn together; 2: the paper's pairs."""
+    loss_decay: Inner = 0.99
+    """Of the loss terms' second moments."""
+    start_encoder: str | None = None
+    """DEITalk model whose mel encoder is the start; it then learns at a third of the rate; not in
+    the paper."""
+    start_new: tuple[Literal["spectral", "recurrent", "attention"], ...] = ()
+    """Parts of the encoder that are not copied from it: what an ablation replaces."""
+    lip_weight: Weight = 0.0
+    """Weight of the lips' rims; not in the paper."""
 
     @field_validator("segment_frames")
     @classmethod

@@ -10,38 +10,37 @@ from typing import Annotated
 
 from pydantic import Field
 
-from deitalk.config.section import Section, checked, read_yaml
+from deitalk.config.section import Inner, Section, Share, checked, read_yaml
 from deitalk.errors import ConfigError
 from rig import limits
 
-Share = Annotated[float, Field(ge=0, le=1)]
-Inner = Annotated[float, Field(gt=0, lt=1)]
+Slope = Annotated[float, Field(ge=0, le=10)]
+Size = Annotated[float, Field(gt=0, le=100)]
 Frames = Annotated[int, Field(ge=0, le=limits.TRAINING_FRAMES)]
 
 
 class VoiceIntensity(Section):
     """The predicted intensity is corrected by measured prosody; off: the network's own."""
 
-    index_weight: float = Field(
-        default=0.6, ge=0, le=10, description="deviations of liveliness per one of the prosody"
-    )
-    strength_weight: float = Field(
-        default=0.15, ge=0, le=10, description="deviations per decibel of the voice's strength"
-    )
+    index_weight: Slope = 0.6
+    """Deviations of liveliness per one of the prosody."""
+    strength_weight: Slope = 0.15
+    """Deviations per decibel of the voice's strength."""
 
 
 class SharpenContacts(Section):
     """Likely lip contacts are raised, and unlikely ones lowered."""
 
-    peak: Inner = Field(default=0.25, description="height of a peak that becomes one half")
-    steepness: float = Field(
-        default=4.0, gt=0, le=100, description="factor on the distance from it, in logits"
-    )
-    shoulder: Inner = Field(
-        default=0.7, description="share of a peak of 1 at which a frame beside it becomes one half"
-    )
-    doubt: Share = Field(default=0.4, description="how much more as the peak goes to 0")
-    sharpest: Inner = Field(default=0.97, description="shoulder at most")
+    peak: Inner = 0.25
+    """Height of a peak that becomes one half."""
+    steepness: Size = 4.0
+    """Factor on the distance from it, in logits."""
+    shoulder: Inner = 0.7
+    """Share of a peak of 1 at which a frame beside it becomes one half."""
+    doubt: Share = 0.4
+    """How much more as the peak goes to 0."""
+    sharpest: Inner = 0.97
+    """Shoulder at most."""
 
 
 class ScaleOpening(Section):
@@ -52,11 +51,12 @@ class ScaleOpening(Section):
     tells strong takes from weak ones, needs no `take` for it.
     """
 
-    gain: Share = Field(default=0.45, description="increase of the opening per unit of intensity")
-    usual: Share = Field(default=0.575, description="intensity at which the increase is 0")
-    take: Share = Field(
-        default=0.04, description="increase of a take per standard deviation of its strength"
-    )
+    gain: Share = 0.45
+    """Increase of the opening per unit of intensity."""
+    usual: Share = 0.575
+    """Intensity at which the increase is 0."""
+    take: Share = 0.04
+    """Increase of a take per standard deviation of its strength."""
 
 
 class PoseSize(Section):
@@ -65,17 +65,23 @@ class PoseSize(Section):
     The numbers are for the weights of a model: `deitalk.research.training.pose_size`.
     """
 
-    angry: float = Field(gt=0, le=100, description="size of the pose over predicted intensity")
-    happy: float = Field(gt=0, le=100, description="the same of joy")
-    sad: float = Field(gt=0, le=100, description="the same of sadness")
-    surprised: float = Field(gt=0, le=100, description="the same of surprise")
+    angry: Size
+    """Size of the pose over predicted intensity."""
+    happy: Size
+    """The same of joy."""
+    sad: Size
+    """The same of sadness."""
+    surprised: Size
+    """The same of surprise."""
 
 
 class KeepContacts(Section):
     """An expression does not part lips that are closed in the neutral reading."""
 
-    begin: Share = Field(default=0.25, description="contact from which it is kept in part")
-    full: Share = Field(default=0.75, description="contact that is kept in full")
+    begin: Share = 0.25
+    """Contact from which it is kept in part."""
+    full: Share = 0.75
+    """Contact that is kept in full."""
 
 
 class Expressions(Section):
@@ -87,35 +93,41 @@ class Expressions(Section):
     these, with which the range of the lips stays that of two measured speakers.
     """
 
-    upper: Inner = Field(default=0.1, description="by which the upper lip is lowered")
-    lower: Share = Field(default=0.05, description="lower lip's depression that is kept, jaw shut")
-    per_jaw: float = Field(
-        default=1.1, ge=0, le=10, description="more of it per opening of the jaw"
-    )
-    share: Share = Field(default=0.6, description="of what is above it, taken away")
+    upper: Inner = 0.1
+    """By which the upper lip is lowered."""
+    lower: Share = 0.05
+    """Lower lip's depression that is kept, jaw shut."""
+    per_jaw: Slope = 1.1
+    """More of it per opening of the jaw."""
+    share: Share = 0.6
+    """Of what is above it, taken away."""
 
 
 class LimitContactSpeed(Section):
     """Lips start to close earlier and part later."""
 
-    step: float = Field(
-        default=0.4, gt=0, le=1, description="largest step of a contact in a frame, at 30 Hz"
-    )
+    step: float = Field(default=0.4, gt=0, le=1)
+    """Largest step of a contact in a frame, at 30 Hz."""
 
 
 class DeadZone(Section):
     """Small values of the controls that part the lips become 0."""
 
-    width: Share = Field(default=0.01, description="values below it are noise of the network")
+    width: Share = 0.01
+    """Values below it are noise of the network."""
 
 
 class Gates(Section):
     """The mouth shuts and the expression decays in silence."""
 
-    mouth_opens: Frames = Field(default=3, description="frames before speech")
-    mouth_closes: Frames = Field(default=6, description="frames after speech")
-    expression_rises: Frames = Field(default=12, description="frames before speech")
-    expression_holds: Frames = Field(default=45, description="frames of a pause that it stays")
+    mouth_opens: Frames = 3
+    """Frames before speech."""
+    mouth_closes: Frames = 6
+    """Frames after speech."""
+    expression_rises: Frames = 12
+    """Frames before speech."""
+    expression_holds: Frames = 45
+    """Frames of a pause that it stays."""
     expression_fades: Annotated[int, Field(ge=1, le=limits.TRAINING_FRAMES)] = 30
 
 
@@ -128,17 +140,18 @@ class Idle(Section):
     The factors are those of `deitalk.animate`'s ``life``, which multiplies them.
     """
 
-    interval_seconds: float = Field(
-        default=3.2, ge=0.6, le=3600, description="median interval between blinks"
-    )
-    interval_spread: float = Field(default=0.55, ge=0, le=3, description="sigma of its logarithm")
-    blinks: Factor = Field(default=1.0, description="more or fewer; 0: none")
-    gaze: Factor = Field(default=1.0, description="width of fixations and aversions")
-    brows: Factor = Field(default=1.0, description="size of accents of brows, lids and cheeks")
-    head: Factor = Field(
-        default=1.0,
-        description="size of the motion of the head, a track of its own, and of the neck",
-    )
+    interval_seconds: float = Field(default=3.2, ge=0.6, le=3600)
+    """Median interval between blinks."""
+    interval_spread: float = Field(default=0.55, ge=0, le=3)
+    """Sigma of its logarithm."""
+    blinks: Factor = 1.0
+    """More or fewer; 0: none."""
+    gaze: Factor = 1.0
+    """Width of fixations and aversions."""
+    brows: Factor = 1.0
+    """Size of accents of brows, lids and cheeks."""
+    head: Factor = 1.0
+    """Size of the motion of the head, a track of its own, and of the neck."""
 
 
 class RulesConfig(Section):

@@ -29,17 +29,22 @@ Recurrent = Annotated[int, Field(ge=1, le=limits.RECURRENT_LAYERS)]
 Dilation = Annotated[int, Field(ge=1, le=limits.DILATION)]
 Phases = Annotated[int, Field(ge=1, le=limits.PHASES)]
 SpectrumSeconds = Annotated[float, Field(gt=0, le=limits.WINDOW_SECONDS)]
-Tapers = Annotated[
-    int,
-    Field(
-        ge=1, le=limits.TAPERS, description="windows of a spectrum; 1: a Hann window (the paper)"
-    ),
-]
+Tapers = Annotated[int, Field(ge=1, le=limits.TAPERS)]
+"""Windows of a spectrum; 1: a Hann window (the paper)."""
 SpectraRate = Annotated[float, Field(gt=1, le=limits.SPECTRA_PER_SECOND)]
 Steps = Annotated[int, Field(ge=1, le=limits.TRAINING_STEPS)]
 Seed = Annotated[int, Field(ge=0, le=limits.SEED)]
 Workers = Annotated[int, Field(ge=0, le=limits.WORKERS)]
 Positive = Annotated[int, Field(ge=1, le=limits.TRAINING_STEPS)]
+Batch = Annotated[int, Field(ge=1, le=limits.BATCH)]
+Passes = Annotated[float, Field(gt=0, le=limits.TRAINING_PASSES)]
+"""Over all training data."""
+MelBins = Annotated[int, Field(ge=4, le=limits.MEL_BINS)]
+Weight = Annotated[float, Field(ge=0)]
+AboveZero = Annotated[float, Field(gt=0)]
+Share = Annotated[float, Field(ge=0, le=1)]
+Inner = Annotated[float, Field(gt=0, lt=1)]
+Dropout = Annotated[float, Field(ge=0, lt=1)]
 
 
 _ENCODER_LIMITS: dict[str, int] = {
@@ -137,35 +142,30 @@ def _problem(item: Any) -> str:
 class Optimisation(Section):
     """How any model is trained: steps, batches, learning rate and what is kept."""
 
-    learning_rate: float = Field(default=1e-4, gt=0)
+    learning_rate: AboveZero = 1e-4
     schedule: Literal["constant", "one_cycle"] = "constant"
-    batch_size: int = Field(default=32, ge=1, le=limits.BATCH)
-    epochs: float = Field(
-        default=300, gt=0, le=limits.TRAINING_PASSES, description="passes over all training data"
-    )
-    steps: Steps | None = Field(default=None, description="stop after this many steps instead")
-    gradient_clip: float | None = Field(
-        default=None, gt=0, description="largest norm of the gradient of all weights"
-    )
-    accumulate: Positive = Field(
-        default=1, description="batches whose gradients make one step, for batches beyond memory"
-    )
-    ema: float | None = Field(default=None, gt=0, lt=1, description="decay of the averaged weights")
-    evaluate_every: Steps = Field(
-        default=500, description="steps between evaluations and checkpoints"
-    )
-    patience: Annotated[int, Field(ge=1, le=limits.TRAINING_STEPS)] | None = Field(
-        default=None, description="end after so many evaluations without a better score"
-    )
-    precision: Literal["float32", "bfloat16"] = Field(
-        default="float32",
-        description="bfloat16: faster on GPUs and on CPUs with AMX, far slower elsewhere",
-    )
-    compile: bool = Field(
-        default=False, description="torch.compile: a slow start and faster steps on GPUs"
-    )
+    batch_size: Batch = 32
+    epochs: Passes = 300
+    """Passes over all training data."""
+    steps: Steps | None = None
+    """Stop after this many steps instead."""
+    gradient_clip: AboveZero | None = None
+    """Largest norm of the gradient of all weights."""
+    accumulate: Positive = 1
+    """Batches whose gradients make one step, for batches beyond memory."""
+    ema: Inner | None = None
+    """Decay of the averaged weights."""
+    evaluate_every: Steps = 500
+    """Steps between evaluations and checkpoints."""
+    patience: Annotated[int, Field(ge=1, le=limits.TRAINING_STEPS)] | None = None
+    """End after so many evaluations without a better score."""
+    precision: Literal["float32", "bfloat16"] = "float32"
+    """bfloat16: faster on GPUs and on CPUs with AMX, far slower elsewhere."""
+    compile: bool = False
+    """torch.compile: a slow start and faster steps on GPUs."""
     seed: Seed = 0
-    workers: Workers = Field(default=0, description="processes that prepare batches")
+    workers: Workers = 0
+    """Processes that prepare batches."""
 
 
 # YAML from untrusted files: plain values only, with bounded size and nesting.
