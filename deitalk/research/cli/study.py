@@ -59,7 +59,7 @@ def build(
     from deitalk.research.study.build import build_study
     from deitalk.research.study.design import TASKS
 
-    for note in check_needs([Path("clip.mp4")], "auto"):
+    for note in check_needs([Path("clip.mp4")]):
         console().note(note)
     with bar("drawing") as progress:
         key = build_study(

@@ -32,8 +32,8 @@ class Bindings:
         for control, name in enumerate(controls.names):
             for sign, text in enumerate(effects[name]):
                 for effect in filter(None, text.split("|")):
-                    target, _, gain = effect.partition(":")
-                    links.append((control, sign, target, float(gain)))
+                    target, _, factor = effect.partition(":")
+                    links.append((control, sign, target, float(factor)))
         self.inputs = tuple(dict.fromkeys(link[2] for link in links))
         self._place = {name: k for k, name in enumerate(self.inputs)}
         count = len(controls.names)

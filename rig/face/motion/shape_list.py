@@ -19,7 +19,7 @@ POINTS, CREASES = rows_of("face/motion/points.csv"), rows_of("face/motion/crease
 def _shape(name: str, lips: Callable[[LipPoints], Triple] | None = None, **options: Any) -> Shape:
     """A shape with its rows of both tables."""
     points = [
-        (float(row["x"]), float(row["y"]), *(float(row[axis]) for axis in ("dx", "dy", "dz")))
+        tuple(float(row[column]) for column in ("x", "y", "dx", "dy", "dz"))
         for row in POINTS
         if row["shape"] == name
     ]

@@ -56,7 +56,7 @@ class LipPoints:
         return np.interp(self.ring, where, list(at.values()))
 
 
-Crease = tuple[tuple[tuple[float, float], ...], float, float]
+Crease = tuple[tuple[tuple[float, ...], ...], float, float]
 """A line of (x, y) points on the face, its depth (cm) and its half width (cm)."""
 
 
@@ -71,7 +71,7 @@ class Shape:
 
     name: str
     lips: Callable[[LipPoints], Triple] | None = None
-    points: tuple[tuple[float, float, float, float, float], ...] = ()
+    points: tuple[tuple[float, ...], ...] = ()
     creases: tuple[Crease, ...] = ()
     is_split: bool = True
     reach: int = 5

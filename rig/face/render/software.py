@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 from scipy.sparse.csgraph import connected_components
 
-from rig.arrays import AnyFloat, Float32, Float64, Int32, Int64
+from rig.arrays import Float32, Float64, Int32, Int64
 from rig.face.geometry.mesh import (
     EYE,
     HAIR,
@@ -438,7 +438,7 @@ class Renderer:
 
     def render(
         self,
-        vertices: AnyFloat,
+        vertices: Float64,
         normals: Float64 | None = None,
         accents: Float32 | None = None,
     ) -> Picture:
