@@ -83,9 +83,10 @@ def _atlas(skin: Skin, uv: Float64, identity: Identity, rng: np.random.Generator
     color *= 1 - freckles[..., None] * np.array([0.5, 0.9, 1.2])
     socket = np.exp(-(((far - skin.anatomy.eye[0]) / 1.9) ** 2) - ((y + 1.25) / 0.75) ** 2)
     color *= 1 - (0.07 * socket * front)[..., None] * np.array([0.7, 1.0, 0.75])
-    stubble = _beard(far, y, z, mouth_y) * (1 - lip) * identity.beard
-    dots = 0.78 + 0.22 * smoothstep((grain + 0.6) / 1.6)
-    color *= 1 - (stubble * dots)[..., None] * np.array([0.42, 0.36, 0.30])
+    grows = _beard(far, y, z, mouth_y) * (1 - lip)
+    hairs = smoothstep((_noise(rng, ATLAS, 0.55) - 1.3 + 1.7 * grows) / 1.5) * grows
+    stubble = identity.beard * (0.42 * grows + 0.40 * hairs)
+    color *= 1 - stubble[..., None] * np.array([0.66, 0.60, 0.54])
     lines = np.sin(17 * x + 2.2 * blotches) * np.sin(7 * x + 0.7 * patches)
     color *= 1 + (lip * (0.075 * lines + 0.03 * fine))[..., None]
     edge = 0.30 * _under_brow(far, y, identity) * front
@@ -108,7 +109,7 @@ def _atlas(skin: Skin, uv: Float64, identity: Identity, rng: np.random.Generator
 
 def _beard(far: Float64, y: Float64, z: Float64, mouth_y: float) -> Float64:
     """Where stubble grows, 0..1: jaw, chin, lip and sideburns."""
-    cheek = mouth_y + 1.5 + 0.55 * np.maximum(far - 3.2, 0) ** 1.4
+    cheek = mouth_y + 1.5 + 0.55 * np.maximum(far - 3.2, 0) ** 1.4 + np.exp(-((far / 1.7) ** 2))
     jaw = smoothstep((cheek - y) / 1.6) * smoothstep((y + 14.5) / 2.5) * smoothstep((z + 1.5) / 2)
     bare = np.exp(-(((far - 3.4) / 0.9) ** 2) - ((y - mouth_y - 0.6) / 1.2) ** 2)
     return np.asarray(jaw * (1 - 0.6 * bare))

@@ -1,6 +1,7 @@
 """Parts of a head beside its skin and hair: eyes, teeth and tongue, ears, shoulders."""
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -246,39 +247,78 @@ def tongue(mouth_y: float, lip_z: float) -> tuple[Mesh, Float64]:
     return Mesh(vertices, mesh.faces, colors, mesh.gloss), np.repeat(s, TONGUE_COLUMNS)
 
 
-# An ear from rings: bowl, inner ridge, groove, rim, and back into the skull.
+# An ear: a relief over a disc of rings, and a skirt that sinks into the skull.
 
 
-_EAR_COLUMNS = 44
-_EAR_RADIUS = np.array(
-    [0.01, 0.18, 0.30, 0.40, 0.47, 0.53, 0.59, 0.66, 0.73, 0.80, 0.87, 0.93, 0.98, 1.0, 0.98,
-     0.92, 0.84, 0.74, 0.66, 0.60]
-)  # fmt: skip
-_EAR_DEPTH = np.array(
-    [-0.42, -0.41, -0.37, -0.26, -0.06, 0.10, 0.15, 0.12, 0.02, -0.05, -0.02, 0.12, 0.17, 0.08,
-     -0.06, -0.20, -0.34, -0.55, -0.9, -1.5]
-)  # fmt: skip
-_LOBE = np.array(
-    [-0.32, -0.29, -0.22, -0.12, -0.03, 0.03, 0.06, 0.08, 0.09, 0.09, 0.08, 0.06, 0.02, -0.06,
-     -0.16, -0.24, -0.32, -0.5, -0.9, -1.5]
-)  # fmt: skip
+_EAR_COLUMNS, _EAR_RINGS = 60, 24
+_EAR_WIDE, _EAR_TALL = 1.75, 2.95
+"""Half the width and height, cm, where the outline is 1."""
+_EAR_SKIRT = ((1.0, -0.16), (0.97, -0.28), (0.90, -0.42), (0.80, -0.62), (0.68, -1.0), (0.6, -1.6))
+"""Radius and depth (cm) of the rings behind the rim."""
+_ANTIHELIX = ((0.04, -0.50), (-0.24, -0.43), (-0.44, -0.22), (-0.47, 0.08), (-0.36, 0.34))
+_CRURA = (
+    ((-0.36, 0.34), (-0.26, 0.54), (-0.08, 0.72)),
+    ((-0.36, 0.34), (-0.08, 0.36), (0.3, 0.32)),
+)
+_HELIX_ROOT = ((0.72, 0.24), (0.46, 0.10), (0.12, 0.02))
+"""Ridges, as (forward, up) of a disc of radius 1."""
+
+
+def _ridge(x: Float64, y: Float64, line: tuple[tuple[float, float], ...], wide: float) -> Float64:
+    """1 on a line and 0 away from it."""
+    nearest = np.full(x.shape, np.inf)
+    for (x0, y0), (x1, y1) in pairwise(line):
+        dx, dy = x1 - x0, y1 - y0
+        t = np.clip(((x - x0) * dx + (y - y0) * dy) / (dx * dx + dy * dy), 0, 1)
+        nearest = np.minimum(nearest, (x - x0 - t * dx) ** 2 + (y - y0 - t * dy) ** 2)
+    return np.asarray(np.exp(-nearest / wide**2))
+
+
+def _bump(x: Float64, y: Float64, at: tuple[float, float], wide: float, tall: float) -> Float64:
+    return np.asarray(np.exp(-(((x - at[0]) / wide) ** 2) - ((y - at[1]) / tall) ** 2))
+
+
+def _ear_relief(radius: Float64, turn: Float64) -> Float64:
+    """Height over the ear's plane, cm, at places of the disc; turn 0 front, pi/2 top, pi back."""
+    x, y = radius * np.cos(turn), radius * np.sin(turn)
+    degrees = np.degrees(turn)
+    rolled = np.interp(
+        degrees, [0, 20, 45, 170, 215, 250, 330, 360], [0.4, 1, 1, 0.9, 0.6, 0, 0, 0.4]
+    )
+    helix = rolled * np.exp(-(((radius - 0.90) / 0.085) ** 2))
+    behind = np.interp(degrees, [40, 70, 190, 225], [0, 1, 1, 0])
+    scapha = behind * np.exp(-(((radius - 0.74) / 0.085) ** 2))
+    ridges = np.maximum(_ridge(x, y, _ANTIHELIX, 0.13), 0.8 * _ridge(x, y, _CRURA[0], 0.12))
+    ridges = np.maximum(ridges, 0.75 * _ridge(x, y, _CRURA[1], 0.09))
+    away = np.hypot((x - 0.16) / 0.60, (y + 0.08) / 0.50)
+    bowl = smoothstep((1.12 - away) / 0.55)
+    height = 0.26 * helix - 0.12 * scapha + 0.24 * ridges - 0.50 * bowl * (1 - 0.8 * ridges)
+    height += 0.26 * bowl * _ridge(x, y, _HELIX_ROOT, 0.10)
+    height += 0.50 * _bump(x, y, (0.62, -0.16), 0.17, 0.20)  # tragus
+    height += 0.22 * _bump(x, y, (0.10, -0.55), 0.16, 0.11)  # antitragus
+    height -= 0.16 * _bump(x, y, (0.40, -0.18), 0.13, 0.15)  # canal
+    height += 0.06 * _bump(x, y, (0.0, -0.80), 0.35, 0.16)  # lobe
+    return np.asarray(height - 0.20 * np.clip((radius - 0.90) / 0.1, 0, 1) ** 2)
 
 
 def ear(identity: Identity) -> Mesh:
     """The left ear, its back sunk into the head."""
-    turn = np.arange(_EAR_COLUMNS) / _EAR_COLUMNS * 2 * np.pi  # 0 front, pi/2 top, pi back
-    c, s = np.cos(turn), np.sin(turn)
-    outline = 1 + 0.10 * np.maximum(s, 0) * np.maximum(-c, 0) * 2 - 0.22 * np.maximum(-s, 0) ** 1.5
-    wide, tall = 1.52 * outline, 2.75 * (1 + 0.06 * s)
-    is_lobe = np.clip(-s * 1.9 - 0.85, 0, 1)
-    is_front = np.clip(c * 2.4 - 1.1, 0, 1) * np.clip(1 - np.abs(s + 0.1) * 1.3, 0, 1)
-    depth = _EAR_DEPTH[:, None] * (1 - is_lobe) + _LOBE[:, None] * is_lobe
-    depth = depth * (1 - is_front) + np.minimum(_LOBE, 0.03)[:, None] * is_front
-    tragus = 0.30 * np.exp(-(((_EAR_RADIUS[:, None] - 0.50) / 0.14) ** 2)) * is_front
-    front = _EAR_RADIUS[:, None] * wide * c
-    up = _EAR_RADIUS[:, None] * tall * s
-    local = np.stack([front, up, depth + tragus], -1).reshape(-1, 3) * identity.ear_size
-    yaw, roll = np.radians(28), np.radians(-9)
+    rings = np.linspace(0.001, 1, _EAR_RINGS)
+    skirt, depth = np.array(_EAR_SKIRT).T
+    turn = np.arange(_EAR_COLUMNS) / _EAR_COLUMNS * 2 * np.pi
+    outline = np.interp(
+        np.degrees(turn),
+        [0, 30, 60, 90, 120, 150, 180, 210, 240, 270, 300, 330, 360],
+        [0.80, 0.88, 0.96, 1.0, 1.05, 1.06, 1.0, 0.92, 0.86, 0.91, 0.86, 0.79, 0.80],
+    )
+    outline = (outline + np.roll(outline, 1) + np.roll(outline, -1)) / 3
+    radius = np.concatenate([rings, skirt])[:, None] * np.ones(_EAR_COLUMNS)
+    relief = _ear_relief(*np.broadcast_arrays(rings[:, None], turn))
+    height = np.concatenate([relief, relief[-1] + depth[:, None]])
+    front = _EAR_WIDE * radius * outline * np.cos(turn)
+    up = _EAR_TALL * radius * outline * np.sin(turn)
+    local = np.stack([front, up, height], -1).reshape(-1, 3) * identity.ear_size
+    yaw, roll = np.radians(24), np.radians(-9)
     forward = np.array([-np.sin(yaw), 0, np.cos(yaw)])
     outward = np.array([np.cos(yaw), 0, np.sin(yaw)])
     upward = np.array([0.0, 1.0, 0.0])
@@ -287,16 +327,16 @@ def ear(identity: Identity) -> Mesh:
     # Just outside the side of the head, level with the nose.
     direction = np.array([[1.0, -0.14, -0.22]])
     on_skin = project(direction / np.linalg.norm(direction), identity)[0]
-    center = np.asarray(on_skin + np.array([0.86, 0.0, -0.25]))
+    center = np.asarray(on_skin + np.array([0.92, 0.0, -0.25]))
     vertices = center + local @ np.stack([lean_f, lean_u, outward])
-    mesh = painted(vertices, grid_faces(len(_EAR_RADIUS), _EAR_COLUMNS), identity.skin, 0.2)
-    # The bowl is darker, the rim a little redder.
-    radius = np.repeat(_EAR_RADIUS, _EAR_COLUMNS)
-    back = np.repeat(np.arange(len(_EAR_RADIUS)) > 13, _EAR_COLUMNS)
-    shade = np.where(back, 0.9, np.interp(radius, [0, 0.3, 0.5, 1.0], [0.6, 0.72, 0.97, 1.0]))
-    colors = mesh.colors * shade[:, None] * [1.0, 0.95, 0.94]
+    mesh = painted(vertices, grid_faces(len(radius), _EAR_COLUMNS), identity.skin, 0.2)
+    # Less light in the bowl, more blood in the rim.
+    deep = np.interp(height, [-0.8, -0.45, -0.1, 0.1], [0.42, 0.68, 0.93, 1.02])
+    deep[_EAR_RINGS:] = 0.85
+    red = np.clip((radius - 0.6) / 0.4, 0, 1) * [[[0.0]], [[0.07]], [[0.07]]]
+    colors = mesh.colors * deep.reshape(-1, 1) * (1 - red).reshape(3, -1).T
     uv = np.add(WHITE_UV, 0.03 * np.stack([front, up], -1).reshape(-1, 2) / 3)
-    return Mesh(vertices, mesh.faces, colors, mesh.gloss, uv, kind=np.array(SKIN))
+    return Mesh(vertices, mesh.faces, np.clip(colors, 0, 1), mesh.gloss, uv, kind=np.array(SKIN))
 
 
 # Shoulders in a shirt with a ribbed collar, which the neck stands in.

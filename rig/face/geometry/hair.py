@@ -11,9 +11,9 @@ from rig.face.identity import Identity
 
 _COLUMNS, _ROWS = 112, 18
 HAIR_AXIS = np.array([0.0, 2.2, -0.9])
-CAP_SHARE, CAP_BACK_DEGREES = 0.45, 2.5
+CAP_SHARE, CAP_BACK_DEGREES = 0.45, 4.5
 """The cap's thickness as a share of the hair's, and how far it keeps from the hairline."""
-LOCKS, WISPS, STEPS = 540, 150, 7
+LOCKS, WISPS, STEPS = 540, 200, 7
 CAP_FOLDS = 14
 """Times that the cap shows the strands of the maps, to and fro, around the head."""
 HANGS_BELOW_CM = -4.0
@@ -24,7 +24,8 @@ def _hairline(turn: Float64) -> Float64:
     around = np.abs((turn + np.pi) % (2 * np.pi) - np.pi)
     stops = np.radians([0, 18, 34, 46, 56, 66, 74, 80, 88, 96, 104, 112, 122, 140, 180])
     edge = [27, 28, 27, 19, 5, -10, -17, -17, 4, 7, 0, -17, -34, -42, -44]
-    return np.interp(around, stops, edge)
+    uneven = np.sin(11 * turn + 0.6) + 0.8 * np.sin(23 * turn) + 0.6 * np.sin(41 * turn + 2)
+    return np.interp(around, stops, edge) + 0.9 * uneven * smoothstep((1.6 - around) / 0.4)
 
 
 def hair(identity: Identity) -> Mesh:
@@ -155,10 +156,11 @@ def _locks(identity: Identity) -> Mesh:
     length = rng.uniform(0.75, 1.15, count) * (11.0 + long if long else 4.4)
     length[is_wisp] = rng.uniform(0.8, 2.0, is_wisp.sum()) * (1.6 if long else 1.0)
     rows = _grown(identity, roots, length, layer, sway)
-    s = np.linspace(0, 1, STEPS)
+    steps = np.linalg.norm(np.diff(rows, axis=1), axis=-1)
+    s = np.cumsum(np.pad(steps, ((0, 0), (1, 0))), axis=1) / steps.sum(1, keepdims=True)
     width = (0.85 if long else 0.55) * rng.uniform(0.7, 1.2, count)
     width[is_wisp] *= 0.17
-    taper = np.minimum(0.45 + 3 * s, 1) * np.sqrt(1 - (0.965 if long else 0.985) * s**3)
+    taper = np.minimum(0.45 + 3 * s, 1) * np.sqrt(1 - 0.99 * s ** (3 if long else 2))
     half = 0.5 * width[:, None] * taper
     along = unit(np.gradient(rows, axis=1) + 1e-9)
     out = unit(rows - HAIR_AXIS * [1, 0.3, 1])
@@ -169,15 +171,14 @@ def _locks(identity: Identity) -> Mesh:
     quads = np.concatenate(
         [grid_faces(STEPS, 3, closed=False, start=k * 3 * STEPS) for k in range(count)]
     )
-    shade = (
-        rng.uniform(0.84, 1.18, count)[:, None, None]
-        * (0.62 + 0.48 * np.minimum(s * 3, 1))[:, None]
-    )
-    colors = np.array(identity.hair) * np.broadcast_to(shade[..., None], vertices.shape)
+    shade = (rng.uniform(0.84, 1.18, count)[:, None] * (0.62 + 0.48 * np.minimum(s * 3, 1)))[
+        ..., None, None
+    ]
+    colors = np.array(identity.hair) * np.broadcast_to(shade, vertices.shape)
     start = rng.uniform(0, 0.75, count)
     u = start[:, None, None] + np.array([0, 0.125, 0.25])[None, None]
     u0, v0, wide = STRANDS_UV
-    uv = np.stack(np.broadcast_arrays(u0 + wide * u, v0 + wide * s[:, None]), -1)
+    uv = np.stack(np.broadcast_arrays(u0 + wide * u, v0 + wide * s[..., None]), -1)
     n = count * STEPS * 3
     locks = Mesh(
         vertices.reshape(-1, 3), quads, np.clip(colors, 0, 1).reshape(-1, 3),
@@ -234,7 +235,7 @@ def _grown(
                 -(((np.degrees(np.abs(turn)) - 92) / 24) ** 2)
                 - (((np.degrees(elevation) + 12) / 26) ** 2)
             )
-            least = least + (0.35 + 0.75 * layer) * over_ear
+            least = least + (0.75 + 0.75 * layer) * over_ear
         lift = least - np.linalg.norm(point - HAIR_AXIS, axis=1)
         point = point + np.maximum(lift, lift * (1 - hang))[:, None] * direction
         if long:

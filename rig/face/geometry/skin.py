@@ -315,9 +315,10 @@ def paint_skin(skin: Skin, identity: Identity) -> tuple[Float64, Float64]:
     mix(is_mouth * (ring < 0) * np.interp(-ring, [0, 1, 3, 5, 9], [0, 0.25, 0.85, 1, 1]),
         np.array([0.16, 0.035, 0.04]))  # fmt: skip
     mix(is_eye * np.interp(ring, [-1, 0, 1, 2], [0.85, 0.6, 0.10, 0]), base * [0.55, 0.36, 0.34])
-    is_upper = is_eye & (
-        np.sin(topology.angles(topology.EYE_COUNT))[skin.slot % topology.EYE_COUNT] > 0.1
-    )
+    height = np.sin(topology.angles(topology.EYE_COUNT))[skin.slot % topology.EYE_COUNT]
+    is_upper, is_lower = is_eye & (height > 0.1), is_eye & (height < -0.1)
+    wet = is_lower * np.interp(ring, [-1, 0, 1], [0.7, 0.9, 0.0])
+    mix(wet, 0.5 * base + [0.46, 0.36, 0.36])
     mix(is_upper * np.interp(ring, [-1, 0, 1], [0.8, 0.7, 0.0]), np.array(identity.hair) * 0.6)
     fold = np.interp(ring, [2, 3, 4], [0, 0.5, 0])  # of the upper lid
     mix(is_upper * fold, base * [0.62, 0.44, 0.40])
@@ -328,6 +329,7 @@ def paint_skin(skin: Skin, identity: Identity) -> tuple[Float64, Float64]:
         ring[is_mouth], [-9, -3, -1, 0, 3, 5], [0.0, 0.02, 0.4, 0.5, 0.42, 0.25]
     )
     gloss[is_nostril & (ring < 1)] = 0.0
+    gloss += (1 - gloss) * wet
     return colors, gloss
 
 
