@@ -95,8 +95,20 @@ def _tensor(values: Float64, decoder: RigDecoder) -> torch.Tensor:
     return torch.from_numpy(values).to(decoder.output.weight)
 
 
+class Sums(NamedTuple):
+    """Products of the rows of the first clips, to go on with when others are added."""
+
+    folds: list[int]
+    """Of these clips."""
+    grams: Float64
+
+
 def fit_ridge(
-    clips: Sequence[Capture], read: Callable[[int], Rows], actors: Sequence[str], learnt: Bool
+    clips: Sequence[Capture],
+    read: Callable[[int], Rows],
+    actors: Sequence[str],
+    learnt: Bool,
+    sums: dict[tuple[int, ...], Sums] | None = None,
 ) -> Maps:
     """Fit the maps of all learnt controls.
 
@@ -110,7 +122,11 @@ def fit_ridge(
         Those that have a change of their own, in the model's order; one without clips has none.
     learnt : array [shape=(C,)]
         Controls to fit; the maps of the others are 0.
+    sums : dict or None
+        Gets the products, by the places of the controls; those of a call with the same actors on
+        the first of the clips are gone on with, so that these are read once.
     """
+    sums = {} if sums is None else sums
     names = [name for name in actors if any(clip.actor == name for clip in clips)]
     folds = take_folds([(clip.take, clip.actor) for clip in clips])
     shows = np.stack([clip.known & learnt for clip in clips])  # clips by controls
@@ -119,7 +135,9 @@ def fit_ridge(
     for pattern in np.unique(shows[:, shows.any(axis=0)], axis=1).T:
         columns = np.flatnonzero((shows == pattern[:, None]).all(axis=0))
         shown = np.flatnonzero(pattern).tolist()
-        grams = _grams(clips, read, shown, folds, names, columns.tolist())
+        key = (*places.tolist(), *columns.tolist())
+        grams = _grams(clips, read, shown, folds, names, columns.tolist(), sums.get(key))
+        sums[key] = Sums(folds, grams)
         weight, bias, penalty = _chosen(grams, len(columns))
         if maps is None:
             shape = len(actors) + 1, len(learnt), weight.shape[-1]
@@ -158,10 +176,15 @@ def _grams(
     folds: Sequence[int],
     names: Sequence[str],
     columns: Sequence[int],
+    before: Sums | None,
 ) -> Float64:
     """Products of rows (1, features, targets) [shape=(K, A, 1 + F + C, 1 + F + C)]."""
-    grams = np.zeros(0)
-    for place in shown:
+    grams, done = np.zeros(0), 0
+    if before is not None and folds[: len(before.folds)] == before.folds:
+        grams, done = before.grams, len(before.folds)
+        if (more := max(folds) + 1 - len(grams)) > 0:
+            grams = np.concatenate((grams, np.zeros((more, *grams.shape[1:]))))
+    for place in [place for place in shown if place >= done]:
         features, targets = read(place)
         ones = np.ones((len(features), 1), np.float32)
         rows = np.concatenate((ones, features, targets[:, columns]), axis=1)

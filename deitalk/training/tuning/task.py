@@ -53,6 +53,7 @@ from deitalk.training.tuning.ridge import (
     ExpressionAxis,
     Maps,
     Rows,
+    Sums,
     expression_axes,
     fit_ridge,
     label_intensity,
@@ -267,7 +268,7 @@ class FinetuneTask(CurveTask):
         data = self.config.data
         if not data.augment:
             found.prepare(
-                [*self.clips, *self._rehearsed()],
+                [*self.clips, *self.late_clips, *self._rehearsed()],
                 data.window_frames,
                 device,
                 lambda share: self.progress(0, 1, {"encoded": share}),
@@ -302,23 +303,26 @@ class FinetuneTask(CurveTask):
 
     def _fit_last_layers(self) -> None:
         """Add what a ridge regression finds to the last layers: the start of the tuning."""
-        maps = self._regression(self.clips)
+        sums: dict[tuple[int, ...], Sums] = {}
+        maps = self._regression(self.clips, sums)
         if self.late_clips and self.config.tune.part != "all":
-            whole = self._regression([*self.clips, *self.late_clips])
+            whole = self._regression([*self.clips, *self.late_clips], sums)
             self.late = Maps(
                 whole.weight - maps.weight, whole.bias - maps.bias, whole.penalty - maps.penalty
             )
         maps.add_to(self.model.rig_decoder)
         self.ridge = copy.deepcopy(self.model).eval()
 
-    def _regression(self, clips: Sequence[Clip]) -> Maps:
+    def _regression(self, clips: Sequence[Clip], sums: dict[tuple[int, ...], Sums]) -> Maps:
         """What a ridge regression on clips adds to the last layers."""
         captures = [
             Capture(clip.take or clip.name, clip.speaker, read_known(clip.known, self.controls))
             for clip in clips
         ]
         actors = self.config.model.actors
-        return fit_ridge(captures, lambda place: self._rows(clips[place]), actors, self.learnt)
+        return fit_ridge(
+            captures, lambda place: self._rows(clips[place]), actors, self.learnt, sums
+        )
 
     def systems(self, after: DEITalk) -> dict[str, DEITalk | None]:
         """The models to compare, none of which learnt from the clips that are scored."""

@@ -7,6 +7,7 @@ import torch
 from deitalk.models.rig_decoder import RigDecoder
 from deitalk.training.tuning import ridge
 from deitalk.training.tuning.ridge import Capture, fit_ridge, take_folds
+from tests.each import each
 
 EVERY = np.ones(2, bool)
 
@@ -110,6 +111,22 @@ def test_clips_teach_only_what_they_show(rng):
     np.testing.assert_allclose(found.weight[:, 1], expected.weight[:, 1])
     none = fit_ridge(labels, rows.__getitem__, (), np.array([False, True]))
     assert not none.weight[:, 0].any() and not none.bias[:, 0].any()
+
+
+@each("n_first", [2, 5, 6])
+def test_clips_that_are_added_are_read_alone(rng, n_first):
+    """Unless the clips before them are in other folds with them."""
+    maps = {"ann": (rng.normal(size=(5, 2)), np.zeros(2))}
+    labels, rows = captures(rng, maps, noise=0.5, clips=8)
+    labels = [label._replace(take=f"{i // 2}") for i, label in enumerate(labels)]
+    labels[0] = labels[0]._replace(known=np.array([False, True]))
+    sums, read = {}, []
+    fit_ridge(labels[:n_first], rows.__getitem__, ("ann",), EVERY, sums)
+    found = fit_ridge(labels, lambda i: read.append(i) or rows[i], ("ann",), EVERY, sums)
+    wanted = fit_ridge(labels, rows.__getitem__, ("ann",), EVERY)
+    for one, other in zip(found, wanted, strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-6, atol=1e-9)
+    assert min(read) == (0 if n_first == 2 else n_first)
 
 
 def test_folds_are_takes_or_parts_of_them():
