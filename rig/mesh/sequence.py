@@ -23,7 +23,7 @@ _FRAMES_AT_FIRST = 384
 """Frames that principal shapes are first taken from, evenly over the sequence."""
 _FRAMES_MORE = 128
 """Frames that are added at a time, those with the largest error, until the bound holds."""
-_FRAMES_AT_ONCE = 256
+_FRAMES_AT_ONCE = 64
 
 
 def check_out(out: Path | str) -> Kind:
@@ -135,7 +135,11 @@ def principal_shapes(mesh: TriMesh, vertices: Any, tolerance: float) -> tuple[Sh
             f"a sequence of shape {frames.shape} is not of this mesh; it must be "
             f"(T, {len(mesh.vertices)}, 3)"
         )
-    rest = mesh.vertices.astype(np.float32)
+    moving = np.zeros(len(mesh.vertices), bool)
+    for frame in frames:
+        moving |= (frame != mesh.vertices.astype(np.float32)).any(axis=1)
+    moving[0] |= not moving.any()
+    frames, rest = frames[:, moving], mesh.vertices[moving].astype(np.float32)
     chosen = np.unique(np.linspace(0, len(frames) - 1, _FRAMES_AT_FIRST).round().astype(int))
     while True:
         directions = _directions(frames[chosen] - rest)
@@ -144,7 +148,7 @@ def principal_shapes(mesh: TriMesh, vertices: Any, tolerance: float) -> tuple[Sh
             break
         told_worst = np.argsort(errors)[-_FRAMES_MORE:]
         chosen = np.union1d(chosen, told_worst)
-    directions = _fewest(frames, rest, directions, tolerance)
+    directions = _fewest(frames[np.argsort(-errors)], rest, directions, tolerance)
     # Of every frame along the directions [shape=(T, K)].
     weights = np.concatenate(
         [
@@ -153,7 +157,8 @@ def principal_shapes(mesh: TriMesh, vertices: Any, tolerance: float) -> tuple[Sh
         ]
     )
     largest = np.maximum(np.abs(weights).max(axis=0, initial=0.0), 1e-12)
-    deltas = (directions * largest[:, None]).reshape(-1, *rest.shape)
+    deltas = np.zeros((len(directions), *mesh.vertices.shape))
+    deltas[:, moving] = (directions * largest[:, None]).reshape(-1, *rest.shape)
     names = tuple(f"motion_{k:03d}" for k in range(len(deltas)))
     return ShapeSet(mesh, names, deltas), (weights / largest).astype(np.float32)
 
@@ -168,14 +173,17 @@ def _directions(deltas: Float32) -> Float64:
     return np.asarray((left[:, kept] / np.sqrt(power[kept])).T @ flat)
 
 
-def _errors(frames: Float32, rest: Float32, directions: Float64) -> Float64:
-    """Largest vertex error of each frame [shape=(T,)]."""
-    worst = np.empty(len(frames))
+def _errors(frames: Float32, rest: Float32, directions: Float64, most: float = np.inf) -> Float64:
+    """Largest vertex error of each frame [shape=(T,)]; 0 of those behind one above `most`."""
+    worst = np.zeros(len(frames))
     for k in range(0, len(frames), _FRAMES_AT_ONCE):
         deltas = (frames[k : k + _FRAMES_AT_ONCE] - rest).reshape(-1, rest.size)
         left = deltas - (deltas @ directions.T) @ directions
-        off = np.linalg.norm(left.reshape(-1, *rest.shape), axis=-1)
-        worst[k : k + _FRAMES_AT_ONCE] = off.max(axis=1)
+        left = left.reshape(-1, *rest.shape)
+        off = np.einsum("tvc,tvc->tv", left, left)
+        worst[k : k + _FRAMES_AT_ONCE] = np.sqrt(off.max(axis=1))
+        if worst.max() > most:
+            break
     return worst
 
 
@@ -184,7 +192,7 @@ def _fewest(frames: Float32, rest: Float32, directions: Float64, tolerance: floa
     low, high = 1, len(directions)
     while low < high:
         middle = (low + high) // 2
-        if _errors(frames, rest, directions[:middle]).max() <= tolerance:
+        if _errors(frames, rest, directions[:middle], tolerance).max() <= tolerance:
             high = middle
         else:
             low = middle + 1
