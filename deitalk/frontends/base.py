@@ -32,7 +32,7 @@ class Frontend(nn.Module):
     layers : tuple of int
         Layers whose standardised states are mixed; none: the output is taken.
     most_together : int
-        Most frames of recordings that `encode_together` takes; longer ones gain nothing.
+        Most frames of recordings that gain from `encode_together` on a processor.
     """
 
     output_size: int
@@ -58,9 +58,13 @@ class Frontend(nn.Module):
         """Take what standardises the states of `layers` from recordings at the normal level."""
         raise NotImplementedError
 
-    def encode_together(self, waveforms: Sequence[Tensor], n_frames: int) -> Tensor:
-        """Map clips (S,) to (B, n_frames, D), as `encode` of each, to rounding."""
-        raise NotImplementedError
+    def encode_together(self, waveforms: Sequence[Tensor], counts: Sequence[int]) -> list[Tensor]:
+        """Map clips (S,) to rows (T, D) of each, as `encode` of each, to rounding.
+
+        `counts` are the rows T of each. Here one after the other; frontends that read several in
+        one pass do so on any device.
+        """
+        return [self.encode(*given) for given in zip(waveforms, counts, strict=True)]
 
     def described(self, config: Any) -> Any:
         """Configuration that builds this frontend where its checkpoint is no longer there."""

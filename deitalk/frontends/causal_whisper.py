@@ -26,6 +26,7 @@ from torch.nn import functional as F
 from deitalk.audio.frames import FRAME_RATE
 from deitalk.audio.log_mel import SILENCE
 from deitalk.config.frontends import CausalWhisperConfig
+from deitalk.frontends.base import Frontend
 from deitalk.frontends.whisper import Layer, WhisperFrontend, scaled
 
 # Running level of a voice that has not ended: the causal form of `normalise_level`.
@@ -139,6 +140,7 @@ class CausalWhisperFrontend(WhisperFrontend):
 
     is_causal = True
     most_together = 0
+    encode_together = Frontend.encode_together
 
     def __init__(self, config: CausalWhisperConfig) -> None:
         super().__init__(config)

@@ -19,7 +19,7 @@ from deitalk.audio.frames import SAMPLE_RATE
 from deitalk.audio.mel import MelSpectrogram, nearest_spectra
 from deitalk.config.frontends import MelConfig, SDFAMelConfig
 from deitalk.frontends.base import Encoder, Frontend, window_index
-from deitalk.frontends.whole_clip import encode_whole
+from deitalk.frontends.whole_clip import ONE_PIECE_FRAMES, encode_whole
 from deitalk.installed import research
 
 SEGMENT_FRAMES = 960
@@ -284,11 +284,26 @@ class MelFrontend(Frontend):
         )
 
     @torch.no_grad()
-    def encode_together(self, waveforms: Sequence[Tensor], n_frames: int) -> Tensor:
-        """Map short clips (S,) to (B, n_frames, D), as `encode` of each, to rounding.
+    def encode_together(self, waveforms: Sequence[Tensor], counts: Sequence[int]) -> list[Tensor]:
+        """Map clips (S,) to rows (T, D) of each, as `encode` of each, to rounding.
 
-        All phases of all clips are one batch; for ``recurrence: segment``.
+        Clips of one number of frames, up to 20 s, are one batch if ``recurrence: segment``.
         """
+        if self.config.recurrence != "segment":
+            return super().encode_together(waveforms, counts)
+        rows: dict[int, Tensor] = {}
+        for count in set(counts):
+            places = [place for place, other in enumerate(counts) if other == count]
+            clips = [waveforms[place] for place in places]
+            if count <= ONE_PIECE_FRAMES:
+                found = list(self._together(clips, count))
+            else:
+                found = super().encode_together(clips, [count] * len(clips))
+            rows.update(zip(places, found, strict=True))
+        return [rows[place] for place in range(len(counts))]
+
+    def _together(self, waveforms: Sequence[Tensor], n_frames: int) -> Tensor:
+        """Rows (B, n_frames, D) of clips (S,): all phases of all clips are one batch."""
         config = self.config
         clips = nn.utils.rnn.pad_sequence(list(waveforms), batch_first=True)
         centres = nearest_spectra(n_frames, config.frame_rate, config.time_stack)

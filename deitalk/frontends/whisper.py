@@ -16,10 +16,10 @@ B batch, S samples, M mel frames, K features, D width.
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from fractions import Fraction
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, NamedTuple, Self, TypeVar
 
 import torch
 from torch import Tensor, nn
@@ -45,10 +45,24 @@ from rig.arrays import Float32
 #
 # K features of the encoder, T rig frames, D width.
 
+T = TypeVar("T")
+BATCH, PADDING = 64, 1 / 3
+"""Pieces that are read in one pass, and the most of one that is padding."""
 MOMENTUM = 0.01
 """Of the running mean and variance, where the encoder learns."""
 LARGEST = 6.0
 """Standardised features are limited to this: a few dimensions have rare, huge values."""
+
+
+class Piece(NamedTuple):
+    """Rows `start` to `stop` of a clip, those to `done` shared with the piece before."""
+
+    start: int
+    done: int
+    stop: int
+    first: int
+    """First sample, and the one after the last."""
+    last: int
 
 
 class StridedFrontend(Frontend):
@@ -182,19 +196,28 @@ class StridedFrontend(Frontend):
         device = next(self.parameters()).device
         context = self.survey(waveform, gain) if n_frames > chunk else None
         rows = torch.empty(n_frames, self.output_size, device=device)
+        for piece in self._pieces_of(n_frames, chunk, overlap):
+            sound = waveform[piece.first : piece.last].unsqueeze(0).to(device) * gain
+            self._add(rows, piece, self.features(sound, context))
+            progress(piece.stop / n_frames)
+        return rows
+
+    def _pieces_of(self, n_frames: int, chunk: int, overlap: int) -> Iterator["Piece"]:
+        """Pieces of a clip of `n_frames` rows, of `chunk` rows each."""
         done = 0
         while done < n_frames:
             start = done - overlap if done else 0
             stop = min(start + chunk, n_frames)
-            first, last = self._sample_span(start, stop)
-            piece = waveform[first:last].unsqueeze(0).to(device) * gain
-            new = self.rows(self.features(piece, context), start, stop, first_sample=first)[0]
-            fade = torch.arange(1, done - start + 1, device=device).unsqueeze(1) / (overlap + 1)
-            rows[start:done].lerp_(new[: done - start], fade)
-            rows[done:stop] = new[done - start :]
+            yield Piece(start, done, stop, *self._sample_span(start, stop))
             done = stop
-            progress(done / n_frames)
-        return rows
+
+    def _add(self, rows: Tensor, piece: "Piece", features: Tensor) -> None:
+        """Write a piece's features (1, K, D) into the rows (T, D) of its clip."""
+        start, done, stop, first, _ = piece
+        new = self.rows(features, start, stop, first_sample=first)[0]
+        fade = torch.arange(1, done - start + 1, device=rows.device).unsqueeze(1)
+        rows[start:done].lerp_(new[: done - start], fade / (done - start + 1))
+        rows[done:stop] = new[done - start :]
 
     def _sample_span(self, start: int, stop: int) -> tuple[int, int]:
         """Samples [first, last) that the rows start … stop - 1 are interpolated from.
@@ -388,7 +411,7 @@ class WhisperEncoder(nn.Module):
         ----------
         mel : Tensor [shape=(B, F, M)]
             Of at most 30 s.
-        mask : Tensor [shape=(K, K) or (B, 1, K, K), dtype=bool] or None
+        mask : Tensor [shape=(K, K), (B, 1, K, K) or (B, 1, 1, K), dtype=bool] or None
             Which feature (row) attends to which; None: each to all.
         places : Tensor [shape=(B, K), dtype=int64] or None
             Places in the table of positions; None: 0 to K - 1.
@@ -478,25 +501,65 @@ class WhisperFrontend(StridedFrontend):
 
     def features(self, waveform: Tensor, context: float | None = None) -> Tensor:
         """Features (B, K, D) of (B, S), at most 30 s."""
-        mel = self.mel(waveform, self.count(waveform.shape[1]) * self.spectra, context)
-        states = self.encoder(mel)
+        return self._features(self._spectrogram(waveform, context))
+
+    def _spectrogram(self, waveform: Tensor, context: float | None) -> Tensor:
+        return self.mel(waveform, self.count(waveform.shape[1]) * self.spectra, context)
+
+    def _features(self, mel: Tensor, mask: Tensor | None = None) -> Tensor:
+        states = self.encoder(mel, mask)
         return self.mixed([state.flatten(0, 1) for state in states]).view_as(states[0])
 
     @torch.no_grad()
-    def encode_together(self, waveforms: Sequence[Tensor], n_frames: int) -> Tensor:
-        """Rows (B, n_frames, D) of clips (S,) of one piece, as `encode` of each, to rounding.
+    def encode_together(self, waveforms: Sequence[Tensor], counts: Sequence[int]) -> list[Tensor]:
+        """Rows (T, D) of clips (S,), as `encode` of each, to rounding.
 
-        Those with equally many features are one batch.
+        Pieces of all clips are read in batches; none is lengthened by more than `PADDING`.
         """
-        sizes = [
-            self.count(len(waveform)) * SAMPLE_RATE // self.config.rate for waveform in waveforms
-        ]
-        rows = waveforms[0].new_empty(len(waveforms), n_frames, self.output_size)
-        for size in set(sizes):
-            places = [place for place, other in enumerate(sizes) if other == size]
-            padded = [F.pad(waveforms[p], (0, size - len(waveforms[p]))) for p in places]
-            rows[places] = self(torch.stack(padded), n_frames)
+        device = self.mel.window.device
+        rows = [torch.empty(count, self.output_size, device=device) for count in counts]
+        chunk, overlap = (
+            round(seconds * FRAME_RATE) for seconds in (self.chunk_seconds, self.overlap_seconds)
+        )
+        pieces: list[tuple[int, Piece, Tensor]] = []
+        for clip, (waveform, count) in enumerate(zip(waveforms, counts, strict=True)):
+            peak = self.survey(waveform, 1.0) if count > chunk else None
+            for piece in self._pieces_of(count, chunk, overlap):
+                sound = waveform[piece.first : piece.last].unsqueeze(0).to(device)
+                pieces.append((clip, piece, self._spectrogram(sound, peak)[0]))
+        found: dict[tuple[int, int], Tensor] = {}
+        for batch in _alike(pieces, lambda entry: entry[2].shape[1]):
+            features = self._padded([mel for _, _, mel in batch])
+            for (clip, piece, _), part in zip(batch, features, strict=True):
+                found[clip, piece.start] = part
+        for clip, piece, _ in pieces:  # in their order: each is laid over the one before
+            self._add(rows[clip], piece, found[clip, piece.start])
         return rows
+
+    def _padded(self, mels: Sequence[Tensor]) -> list[Tensor]:
+        """Features (1, K, D) of each spectrogram (F, M), in one pass."""
+        sizes = [mel.shape[1] // self.spectra for mel in mels]
+        joined = torch.stack([F.pad(mel, (0, mels[0].shape[1] - mel.shape[1])) for mel in mels])
+        mask = None
+        if len(set(sizes)) > 1:
+            # Zeros after the end are what the first convolution reads there, the second reads
+            # nothing there, and attention leaves them out.
+            inside = torch.arange(sizes[0]) < torch.tensor(sizes).unsqueeze(1)
+            mask = inside[:, None, None].to(joined.device)
+        features = self._features(joined, mask)
+        return [features[place : place + 1, :size] for place, size in enumerate(sizes)]
+
+
+def _alike(entries: Sequence[T], size: Callable[[T], int]) -> list[list[T]]:
+    """Batches, the largest entry first; of `BATCH` at most, that differ by `PADDING` at most."""
+    batches: list[list[T]] = []
+    for entry in sorted(entries, key=size, reverse=True):
+        batch = batches[-1] if batches else []
+        if batch and len(batch) < BATCH and size(entry) >= (1 - PADDING) * size(batch[0]):
+            batch.append(entry)
+        else:
+            batches.append([entry])
+    return batches
 
 
 def encoder_weights(name: str, wanted: Mapping[str, Tensor]) -> dict[str, Tensor]:

@@ -41,8 +41,8 @@ class MelLayers(Protocol):
     attention: Any
     rig: nn.Sequential
 
-    def encode_together(self, waveforms: Sequence[Tensor], n_frames: int) -> Tensor:
-        """Features (B, T, D) of clips (S,)."""
+    def encode_together(self, waveforms: Sequence[Tensor], counts: Sequence[int]) -> list[Tensor]:
+        """Features (T, D) of clips (S,)."""
 
     def centred(self, attended: Tensor, centre: Tensor) -> Tensor:
         """Attended states with their own centre."""
@@ -76,7 +76,7 @@ def encode_whole(
         In float16 if the clip is longer than `EXACT_FRAMES`, else in float32.
     """
     if n_frames <= ONE_PIECE_FRAMES:
-        features = frontend.encode_together([waveform * gain], n_frames)[0]
+        features = frontend.encode_together([waveform * gain], [n_frames])[0]
         progress(1.0)
         return features
     phases = len(frontend.shifts)

@@ -10,6 +10,7 @@ from transformers import WhisperConfig as TheirConfig
 from transformers import WhisperFeatureExtractor, WhisperForConditionalGeneration, WhisperModel
 from transformers.models.whisper.modeling_whisper import WhisperEncoder as TheirEncoder
 
+from deitalk.audio.frames import frame_count
 from deitalk.config.curves import Config
 from deitalk.config.frontends import WhisperConfig
 from deitalk.errors import CheckpointError
@@ -266,14 +267,14 @@ def test_a_model_without_its_encoder_is_refused_in_one_line(tmp_path):
     assert json.loads((tmp_path / "m" / "model.json").read_text())["control_set"]
 
 
-def test_short_recordings_read_together_are_as_read_one_by_one(tmp_path):
-    """Also where one has a feature more than another."""
+@each("seconds", [(2.0, 1.99, 1.98, 1.97), (2.0, 1.5, 1.4, 0.3), (23.4, 10.0, 9.1, 12.0, 0.05)])
+def test_recordings_read_together_are_as_read_one_by_one(tmp_path, seconds):
+    """Also where some are padded for others, and where some are read in pieces."""
     model, _ = network(tmp_path / "m")
-    sounds = [speech(2.0, seed=k).numpy()[: 32_000 - 200 * k] for k in range(4)]
-    assert len({model.frontend.count(len(sound)) for sound in sounds}) == 2
-    weights = [np.eye(5, dtype=np.float32)[[k] * 60] for k in range(4)]
-    assert model.reads_together(60) and not model.reads_together(400)
-    together = model.read_together(sounds, weights, [""] * 4)
+    sounds = [speech(length, seed=k).numpy() for k, length in enumerate(seconds)]
+    counts = [frame_count(len(sound)) for sound in sounds]
+    weights = [np.eye(5, dtype=np.float32)[[k] * count] for k, count in enumerate(counts)]
+    together = model.read_together(sounds, weights, [""] * len(sounds))
     for sound, rows, found in zip(sounds, weights, together, strict=True):
         expected = model.read(sound, rows)
         np.testing.assert_allclose(found.emotional, expected.emotional, atol=1e-5)

@@ -162,8 +162,11 @@ def test_place_in_the_clip_changes_curves_only_with_positions():
         assert torch.equal(start, later) is not positions
 
 
-def test_recordings_of_one_length_are_read_together_as_each_alone(rng):
-    """Lengths differ by less than a frame; emotions and actors by recording."""
+SAMPLES = (24_000, 23_700, 16_000, 23_480)
+
+
+def test_recordings_are_read_together_as_each_alone(rng):
+    """Three of one number of frames; emotions and actors by recording."""
     frontend = MelConfig(**MEL, phases=2, rig_layers=1)
     config = ModelConfig(
         frontend=frontend, motion_channels=(8,), decoder_channels=16, actors=("anna", "bo")
@@ -173,12 +176,13 @@ def test_recordings_of_one_length_are_read_together_as_each_alone(rng):
         model.decoder.output.weight.normal_(std=0.15)
         model.decoder.actors.weight.normal_()
         model.frontend.rig[0].project.weight.normal_(std=0.3)
-    sounds = [0.1 * rng.standard_normal(n).astype(np.float32) for n in (24_000, 23_700, 23_480)]
-    weights = np.zeros((3, 45, 5), np.float32)
-    weights[0, :, 0] = weights[1, :, 2] = weights[2, :20, 1] = weights[2, 20:, 0] = 1
-    names = ["anna", "", "bo"]
+    sounds = [0.1 * rng.standard_normal(n).astype(np.float32) for n in SAMPLES]
+    weights = [np.zeros((n, 5), np.float32) for n in (45, 45, 30, 45)]
+    weights[0][:, 0] = weights[1][:, 2] = weights[2][:, 1] = 1
+    weights[3][:20, 1] = weights[3][20:, 0] = 1
+    names = ["anna", "", "", "bo"]
     assert model.reads_together(45) and not model.reads_together(10_000)
-    together = model.read_together(sounds, list(weights), names)
+    together = model.read_together(sounds, weights, names)
     for found, alone in zip(together, map(model.read, sounds, weights, names), strict=True):
         np.testing.assert_allclose(found.neutral, alone.neutral, atol=1e-5)
         np.testing.assert_allclose(found.emotional, alone.emotional, atol=1e-5)
