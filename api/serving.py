@@ -24,6 +24,7 @@ from api.service import Service
 from api.settings import Settings
 from deitalk.errors import ConfigError
 from deitalk.installed import __version__
+from deitalk.models.folder import require_device
 from rig.errors import one_line
 
 LIVE_MESSAGE_BYTES = 1 << 20
@@ -37,7 +38,11 @@ def run(settings: Settings) -> None:
     ------
     ConfigError
         If a setting is wrong, the port is taken, or a place of jobs cannot be used.
+    DeitalkError
+        If there is no such device.
     """
+    if settings.device != "cpu":
+        require_device(settings.device)
     app = create_app(settings)
     print_settings(settings)
     log_to_stderr(settings.log)

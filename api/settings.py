@@ -18,8 +18,8 @@ from sqlalchemy.exc import ArgumentError
 
 from deitalk.config.hub import is_hub_name
 from deitalk.config.section import read_yaml
-from deitalk.errors import ConfigError
-from deitalk.models.folder import embedded_models, model_folder
+from deitalk.errors import ConfigError, DeitalkError
+from deitalk.models.folder import check_device, embedded_models, model_folder
 from deitalk.models.load import Backend
 from rig.errors import quoted
 from rig.limits import MIB, SECONDS
@@ -31,6 +31,8 @@ LOOPBACK_NAMES = ("localhost", "127.0.0.1", "::1")
 Scope = Literal["animate", "jobs", "live", "metrics"]
 SCOPES: tuple[Scope, ...] = ("animate", "jobs", "live", "metrics")
 
+GPU_TOGETHER = 16
+"""Default of `read_together` on a GPU."""
 SECRET_PREFIX = "whsec_"
 
 
@@ -83,6 +85,7 @@ class Settings(BaseSettings):
     models: dict[str, Path] = {}
     preload: tuple[str, ...] = ("default",)
     device: str = "cpu"
+    read_together: int = Field(default=0, ge=0, le=64)
     backend: Backend = "torch"
     live_backend: Backend | Literal[""] = ""
     workers: int = Field(default_factory=lambda: min(os.cpu_count() or 1, 4), ge=1, le=64)
@@ -134,6 +137,14 @@ class Settings(BaseSettings):
             for name, path in models.items()
         }
 
+    @field_validator("device")
+    @classmethod
+    def _is_device(cls, name: str) -> str:
+        try:
+            return check_device(name)
+        except DeitalkError as error:
+            raise ValueError(str(error)) from None
+
     @field_validator("database")
     @classmethod
     def _is_url(cls, url: str) -> str:
@@ -181,6 +192,10 @@ class Settings(BaseSettings):
             raise ConfigError(
                 f"device {quoted(self.device)}: backend onnx runs on cpu only; leave device out"
             )
+        if self.backend == "onnx" and self.read_together > 1:
+            raise ConfigError(
+                f"read_together {self.read_together}: backend onnx reads one by one; leave it out"
+            )
         if "onnx" in (self.backend, self.live_backend) and find_spec("onnxruntime") is None:
             raise ConfigError("backend onnx needs `pip install 'deitalk[onnx]'`")
         if self.grpc_port and find_spec("nvidia_audio2face_3d") is None:
@@ -190,6 +205,11 @@ class Settings(BaseSettings):
             raise ConfigError(
                 f"preload names {quoted(unknown[0])}; known models: {', '.join(self.known_models)}"
             )
+
+    @property
+    def together(self) -> int:
+        """Most recordings that the network reads in one pass."""
+        return self.read_together or (GPU_TOGETHER if self.device != "cpu" else 1)
 
     @property
     def backend_of_live(self) -> Backend:

@@ -23,6 +23,7 @@ from api.compute.order import (
     Order,
     TooLarge,
 )
+from api.compute.shared import SharedNetwork
 from deitalk.acting import AUTO, Acting
 from deitalk.audio.decoding import open_sound
 from deitalk.audio.frames import SAMPLE_RATE
@@ -84,7 +85,7 @@ class Voices:
     def _open(self, voice: int, model: str, fields: dict[str, Any], limits: Limits) -> float:
         """Give a voice a place; return the look-ahead of its model."""
         if model not in self.animators:
-            network = load_causal(model_of(model, limits))
+            network = load_causal(placed(model_of(model, limits), limits))
             self.animators[model] = LiveAnimator(network, streams=MOST_VOICES, life="off")
         taken = {place for name, place in self.places.values() if name == model}
         place = min(set(range(MOST_VOICES)) - taken)
@@ -144,7 +145,7 @@ def _animation(order: Order, limits: Limits, progress: Progress) -> Answer:
     options = order["options"]
     is_video = options["format"] == "mp4"
     share = NETWORK_SHARE if is_video else 1.0
-    performance = _performed(order, limits, lambda done: progress(share * done))
+    performance, read = _performed(order, limits, lambda done: progress(share * done))
     out = Path(OUT) / f"{options.get('name') or NAME}{options['suffix']}"
     notes = [*options.get("renamed", ()), *performance.recording.warnings]
     if performance.words is not None and performance.words.fits:
@@ -153,15 +154,23 @@ def _animation(order: Order, limits: Limits, progress: Progress) -> Answer:
         _preview(out, performance, order, limits, lambda done: progress(share + (1 - share) * done))
     else:
         notes += _write(out, options["format"], performance, options, limits)
-    return {"file": str(out), "notes": notes, "facts": _facts(performance)}
+    return {"file": str(out), "notes": notes, "facts": _facts(performance), **read}
 
 
-def _performed(order: Order, limits: Limits, progress: Progress) -> Performance:
-    options = order["options"]
-    network = load_network(model_of(options.get("model", "default"), limits))
-    return animate(
-        _recording(order, limits), acting=_acting(order, limits), model=network, progress=progress
+def _performed(order: Order, limits: Limits, progress: Progress) -> tuple[Performance, Answer]:
+    """The performance, and how its recording was read if there is a reader."""
+    name = order["options"].get("model", "default")
+    network, read = load_network(model_of(name, limits)), Answer()
+    shared = SharedNetwork(network, name, limits) if limits["reader"] else None
+    performance = animate(
+        _recording(order, limits),
+        acting=_acting(order, limits),
+        model=shared or placed(network, limits),
+        progress=progress,
     )
+    if shared is not None:
+        read["together"] = shared.together
+    return performance, read
 
 
 def _acting(order: Order, limits: Limits) -> Acting:
@@ -266,7 +275,7 @@ def _mesh(order: Order, limits: Limits, progress: Progress) -> Answer:
         raise CheckpointError("meshes need torch; this service has the backend onnx")
     from deitalk.pipeline.mesh import animate_mesh
 
-    network = model_of(options.get("model", "default"), limits)
+    network = placed(model_of(options.get("model", "default"), limits), limits)
     performance = animate_mesh(
         _recording(order, limits),
         acting=_acting(order, limits),
@@ -288,10 +297,11 @@ def _mesh(order: Order, limits: Limits, progress: Progress) -> Answer:
 def _retarget(order: Order, limits: Limits, progress: Progress) -> Answer:
     options = order["options"]
     notes: list[str] = []
+    read = Answer()
     if "curves" in options:
         curves: RigCurves = read_curves(options["curves"], fps=options.get("curves_fps"))
     else:
-        performance = _performed(order, limits, progress)
+        performance, read = _performed(order, limits, progress)
         curves, notes = performance.curves, list(performance.recording.warnings)
     if options.get("fps") is not None:
         curves = curves.resample(options["fps"])
@@ -311,7 +321,7 @@ def _retarget(order: Order, limits: Limits, progress: Progress) -> Answer:
     facts = {
         "frames": report.frames, "shapes": report.shapes, "way": report.way, "lost": report.lost
     }  # fmt: skip
-    return {"file": str(out), "notes": [*notes, *report.notes], "facts": facts}
+    return {"file": str(out), "notes": [*notes, *report.notes], "facts": facts, **read}
 
 
 def _conversion(order: Order, limits: Limits, progress: Progress) -> Answer:
@@ -359,7 +369,7 @@ models: dict[str, Any] = {}
 
 
 def model_of(name: str, limits: Limits) -> Any:
-    """Return a model, of curves or of a mesh.
+    """Return a model, of curves or of a mesh, where it was read.
 
     Raises
     ------
@@ -371,10 +381,12 @@ def model_of(name: str, limits: Limits) -> Any:
     folder = limits["models"][name]
     if folder not in models:
         models[folder] = _read(name, folder, limits)
-    model = models[folder]
-    if limits["device"] != "cpu" and model.device.type == "cpu":  # read before the fork
-        model = models[folder] = model.to(limits["device"])
-    return model
+    return models[folder]
+
+
+def placed(model: Any, limits: Limits) -> Any:
+    """The model, moved to the device of the settings."""
+    return model if limits["device"] == "cpu" else model.to(limits["device"])
 
 
 def _read(name: str, folder: str, limits: Limits) -> Any:
@@ -398,9 +410,12 @@ def prepare(limits: Limits) -> None:
         import torch
 
         torch.set_num_threads(limits["threads"])
+        torch.backends.cudnn.allow_tf32 = False  # else a GPU rounds to ten bits
     for name in limits["preload"]:
         with suppress(CheckpointError):  # a request for it gets the error
-            model_of(name, limits)
+            model = model_of(name, limits)
+            if not limits["reader"]:
+                placed(model, limits)
 
 
 def export_all(limits: Limits, *, only_live: bool = False) -> None:

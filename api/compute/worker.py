@@ -50,7 +50,7 @@ class Worker:
 
     def __init__(self, limits: Limits) -> None:
         self.limits = limits
-        self._context = _context(limits["backend"])
+        self._context = process_context(limits["backend"])
         self._process: multiprocessing.process.BaseProcess | None = None
         self.is_ready = False
 
@@ -145,13 +145,14 @@ class Worker:
 def start_early(backend: str) -> None:
     """Start the process that workers are forked from, which takes seconds, beside other work."""
     if sys.platform.startswith("linux"):
-        _context(backend)
+        process_context(backend)
         from multiprocessing import forkserver
 
         forkserver.ensure_running()
 
 
-def _context(backend: str) -> BaseContext:
+def process_context(backend: str) -> BaseContext:
+    """Where processes come from: on Linux a fork of one that has read the default model."""
     if not sys.platform.startswith("linux"):
         return multiprocessing.get_context("spawn")
     context = multiprocessing.get_context("forkserver")
@@ -172,17 +173,11 @@ LARGEST_FILE = 8 * 2**30
 
 def work(connection: Connection, limits: Limits) -> None:
     """Answer orders until the other side closes the pipe."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    end_with_parent()
-    # Send what libraries print to nowhere: it may hold names of files.
-    nowhere = os.open(os.devnull, os.O_WRONLY)
-    for stream in (1, 2):
-        os.dup2(nowhere, stream)
-    os.close(nowhere)
+    begin_process()
     from api.compute.tasks import prepare
 
     prepare(limits)
-    _limit_memory(limits["memory_bytes"])
+    limit_memory(limits["memory_bytes"])
     _send(connection, {"progress": 0.0})
     while True:
         try:
@@ -190,6 +185,16 @@ def work(connection: Connection, limits: Limits) -> None:
         except (EOFError, OSError):
             return
         _send(connection, _answer(order, limits, connection))
+
+
+def begin_process() -> None:
+    """End with the server alone, and send what libraries print to nowhere: it may name files."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    end_with_parent()
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    for stream in (1, 2):
+        os.dup2(nowhere, stream)
+    os.close(nowhere)
 
 
 def _answer(order: Order, limits: Limits, connection: Connection) -> Answer:
@@ -221,7 +226,7 @@ def _send(connection: Connection, answer: Answer) -> None:
     connection.send_bytes(json.dumps(answer).encode())
 
 
-def _limit_memory(n_bytes: int) -> None:
+def limit_memory(n_bytes: int) -> None:
     """Limit the memory that this process may take beyond what it has now."""
     if not sys.platform.startswith("linux"):
         return

@@ -356,9 +356,7 @@ class Runner:
             about = {"notes": answer.get("notes", []), "facts": facts}
             if self.queue.finish(job, name, path.stat().st_size, about):
                 self.store.remove_inputs(job.id)
-                seconds = facts.get("seconds", 0.0)
-                self.metrics.audio.labels("job").inc(seconds)
-                self.queue.use(job.owner, seconds)
+                self.queue.use(job.owner, self.metrics.read(answer, "job"))
         except Problem as problem:
             self.queue.fail(job, problem)
         except InternalError as error:

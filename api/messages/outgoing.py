@@ -68,8 +68,7 @@ async def answer_order(
         if given.wait:
             answer = await service.pool.run(work | {"folder": str(folder)}, caller)
             if "long" not in answer:
-                seconds = answer.get("facts", {}).get("seconds", 0.0)
-                service.metrics.audio.labels("request").inc(seconds)
+                seconds = service.metrics.read(answer, "request")
                 if caller.audio_seconds_per_hour:
                     await anyio.to_thread.run_sync(service.queue.use, caller.name, seconds)
                 return await file_answer(folder, answer, output)

@@ -19,7 +19,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from fractions import Fraction
 from pathlib import Path
-from typing import Any, NamedTuple, Self, TypeVar
+from typing import Any, NamedTuple, Self
 
 import torch
 from torch import Tensor, nn
@@ -38,16 +38,13 @@ from deitalk.audio.log_mel import (
 )
 from deitalk.config.frontends import WhisperShape
 from deitalk.errors import CheckpointError, ConfigError
-from deitalk.frontends.base import Frontend
+from deitalk.frontends.base import Frontend, alike
 from rig.arrays import Float32
 
 # Frontends whose encoder gives features at a regular stride, brought to the rig's 30 Hz.
 #
 # K features of the encoder, T rig frames, D width.
 
-T = TypeVar("T")
-BATCH, PADDING = 64, 1 / 3
-"""Pieces that are read in one pass, and the most of one that is padding."""
 MOMENTUM = 0.01
 """Of the running mean and variance, where the encoder learns."""
 LARGEST = 6.0
@@ -501,20 +498,21 @@ class WhisperFrontend(StridedFrontend):
 
     def features(self, waveform: Tensor, context: float | None = None) -> Tensor:
         """Features (B, K, D) of (B, S), at most 30 s."""
-        return self._features(self._spectrogram(waveform, context))
+        return self._features(self._log_mel(waveform, context))
 
-    def _spectrogram(self, waveform: Tensor, context: float | None) -> Tensor:
-        return self.mel(waveform, self.count(waveform.shape[1]) * self.spectra, context)
+    def _log_mel(self, waveform: Tensor, context: float | None) -> Tensor:
+        out: Tensor = self.mel(waveform, self.count(waveform.shape[1]) * self.spectra, context)
+        return out
 
     def _features(self, mel: Tensor, mask: Tensor | None = None) -> Tensor:
-        states = self.encoder(mel, mask)
+        states: list[Tensor] = self.encoder(mel, mask)
         return self.mixed([state.flatten(0, 1) for state in states]).view_as(states[0])
 
     @torch.no_grad()
     def encode_together(self, waveforms: Sequence[Tensor], counts: Sequence[int]) -> list[Tensor]:
         """Rows (T, D) of clips (S,), as `encode` of each, to rounding.
 
-        Pieces of all clips are read in batches; none is lengthened by more than `PADDING`.
+        Pieces of all clips are read in batches; see `deitalk.frontends.base.alike`.
         """
         device = self.mel.window.device
         rows = [torch.empty(count, self.output_size, device=device) for count in counts]
@@ -526,9 +524,9 @@ class WhisperFrontend(StridedFrontend):
             peak = self.survey(waveform, 1.0) if count > chunk else None
             for piece in self._pieces_of(count, chunk, overlap):
                 sound = waveform[piece.first : piece.last].unsqueeze(0).to(device)
-                pieces.append((clip, piece, self._spectrogram(sound, peak)[0]))
+                pieces.append((clip, piece, self._log_mel(sound, peak)[0]))
         found: dict[tuple[int, int], Tensor] = {}
-        for batch in _alike(pieces, lambda entry: entry[2].shape[1]):
+        for batch in alike(pieces, lambda entry: entry[2].shape[1]):
             features = self._padded([mel for _, _, mel in batch])
             for (clip, piece, _), part in zip(batch, features, strict=True):
                 found[clip, piece.start] = part
@@ -548,18 +546,6 @@ class WhisperFrontend(StridedFrontend):
             mask = inside[:, None, None].to(joined.device)
         features = self._features(joined, mask)
         return [features[place : place + 1, :size] for place, size in enumerate(sizes)]
-
-
-def _alike(entries: Sequence[T], size: Callable[[T], int]) -> list[list[T]]:
-    """Batches, the largest entry first; of `BATCH` at most, that differ by `PADDING` at most."""
-    batches: list[list[T]] = []
-    for entry in sorted(entries, key=size, reverse=True):
-        batch = batches[-1] if batches else []
-        if batch and len(batch) < BATCH and size(entry) >= (1 - PADDING) * size(batch[0]):
-            batch.append(entry)
-        else:
-            batches.append([entry])
-    return batches
 
 
 def encoder_weights(name: str, wanted: Mapping[str, Tensor]) -> dict[str, Tensor]:

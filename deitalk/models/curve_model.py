@@ -230,7 +230,7 @@ class DEITalk(nn.Module):
         """Curves of recordings; as `read` of each, to rounding.
 
         The network of a frontend that can takes pieces of about one length in one pass. On a
-        processor two to eight of equal length take 81 to 93 % of the time of one after the other.
+        processor two to eight of equal length take 82 to 98 % of the time of one after the other.
 
         Parameters
         ----------

@@ -125,7 +125,7 @@ def service_load() -> str:
         ],
     ]
     for clients, row in found["clients"].items():
-        text = f"{clients} clients without pause, 95th percentile as a multiple of one client's"
+        text = f"{clients} clients, p95 as a multiple of one's"
         rows.append([text, short(row["p95_of_one"], 1)])
     return f"{table([['`python -m tests.api.load`', ''], *rows])}\n{_on('service-load')}"
 

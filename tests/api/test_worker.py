@@ -21,6 +21,7 @@ def limits(**given):
         "device": "cpu",
         "backend": "torch",
         "threads": 1,
+        "reader": "",
     } | given
 
 
