@@ -45,24 +45,28 @@ def request(model="a", frames=1, is_open=True, sound=SOUND):
     return Request(line, model, "", sound, np.zeros((frames, 5), np.float32))
 
 
-def waiting(*requests):
-    line = queue.SimpleQueue()
-    for each in requests:
-        line.put(each)
-    return line
+class Waiting(queue.SimpleQueue):
+    """Requests that wait, after which none comes."""
+
+    def __init__(self, *requests):
+        for each in requests:
+            self.put(each)
+
+    def get(self):
+        return self.get_nowait()
 
 
 def test_pass_is_the_oldest_recording_and_the_next_of_its_model():
     a, b, c, d, e = (request(model) for model in "ababa")
     gone = request("a", is_open=False)
-    line = waiting(gone, a, b, c, gone, d, e)
+    line = Waiting(gone, a, b, c, gone, d, e)
     assert list(islice(reader.groups(line, 2), 3)) == [[a, c], [b, d], [e]]
 
 
 def test_pass_has_a_bounded_number_of_frames():
     half = reader.PASS_FRAMES // 2
     long, other, short = request(frames=half + 1), request(frames=half), request(frames=9)
-    assert list(islice(reader.groups(waiting(long, other, short), 8), 2)) == [
+    assert list(islice(reader.groups(Waiting(long, other, short), 8), 2)) == [
         [long, short],
         [other],
     ]
