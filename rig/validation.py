@@ -5,7 +5,6 @@ played as intended) or a note (an effect of the import).
 """
 
 import re
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -14,10 +13,10 @@ import numpy as np
 
 from rig.arrays import AnyFloat
 from rig.controls import DEFAULT_ID
-from rig.conversion.arkit import ARKIT_ID, PREFIX, RAW_ID, arkit_controls, raw_controls
+from rig.conversion.arkit import ARKIT_ID, PREFIX, RAW_ID, arkit_controls
 from rig.conversion.convert import known_controls
 from rig.curves import RigCurves
-from rig.errors import FormatError, RigError, quoted
+from rig.errors import FormatError, RigError
 from rig.files.reading import decode_text, open_file
 from rig.formats import read_curves
 from rig.formats.curves_json import read_object
@@ -139,7 +138,7 @@ def _take_folder(folder: Path) -> list[Finding]:
         found = _file(path)
         findings += found
         is_good = all(finding.level != "error" for finding in found)
-        if is_good and not path.name.lower().endswith(tuple(CHECKS)):
+        if is_good and path.suffix.lower() != ".glb":
             seconds = read_curves(path, control_set=None).duration
             if seconds > SHORT or not is_live_link(path):
                 durations[path.name] = seconds
@@ -168,9 +167,8 @@ def _take_json(folder: Path) -> list[Finding]:
 
 def _file(path: Path) -> list[Finding]:
     try:
-        for ending, check in CHECKS.items():
-            if path.name.lower().endswith(ending):
-                return [Finding("note", path, check(path)), *_shapes(path)]
+        if path.suffix.lower() == ".glb":
+            return [Finding("note", path, check_glb(path)), *_shapes(path)]
         if path.suffix.lower() == ".csv" and is_live_link(path):
             return check_live_link(path)
         if path.suffix.lower() == ".txt":  # EmoFace's hold no rate
@@ -184,8 +182,6 @@ def _file(path: Path) -> list[Finding]:
 
 def _shapes(path: Path) -> list[Finding]:
     """Check the curves of a GLB's shapes, if their names are known."""
-    if path.suffix.lower() != ".glb":
-        return []
     try:
         return _curves(path, read_curves(path, control_set=None))
     except RigError as error:
@@ -219,61 +215,7 @@ def _summary(curves: RigCurves) -> str:
     )
 
 
-# Checks of files that are only written: JSON for Unreal, visemes, GLB.
-
-
-Note = str
-
-
-def check_unreal_json(path: Path) -> Note:
-    """Return a summary of a ``*.unreal.json``.
-
-    Raises
-    ------
-    FormatError
-        If the script inside Unreal would refuse it, or would show a wrong face.
-    """
-    from rig.formats.unreal_json import SCHEMA, SCHEMAS
-
-    data = read_object(path)
-    if data.get("schema") not in SCHEMAS:
-        raise FormatError(f"{path}: schema is {quoted(data.get('schema'))}; this reads {SCHEMA!r}")
-    n_frames, rate = data.get("n_frames"), data.get("frame_rate")
-    if not (isinstance(n_frames, int) and n_frames > 0):
-        raise FormatError(f"{path}: 'n_frames' is {n_frames!r}; it must be 1 or more")
-    if not (isinstance(rate, list) and len(rate) == 2 and all(_is_count(part) for part in rate)):
-        raise FormatError(f"{path}: 'frame_rate' is {rate!r}; it must be two numbers above 0")
-    raw, board = data.get("raw"), data.get("board")
-    if not (isinstance(raw, dict) and isinstance(board, dict)):
-        raise FormatError(f"{path} needs the objects 'raw' and 'board'")
-    missing = [name for name in raw_controls().names if name not in raw]
-    if missing:
-        raise FormatError(f"{path} lacks {missing[0]} and {len(missing) - 1} more raw curves")
-    for control, channels in board.items():
-        if not (isinstance(channels, dict) and set(channels) in ({"value"}, {"x", "y"})):
-            raise FormatError(f"{path}: {control} must have 'value', or 'x' and 'y'")
-        for axis, values in channels.items():
-            _check_values(path, f"{control} {axis}", values, n_frames, -1.0, 1.0)
-    _check_raw(path, raw, board, n_frames)
-    seconds = n_frames * rate[1] / rate[0]
-    return f"{n_frames} frames at {rate[0]}/{rate[1]} fps, {seconds:.2f} s; for the Unreal script"
-
-
-def check_visemes(path: Path) -> Note:
-    """Return a summary of a ``*.visemes.json``.
-
-    Raises
-    ------
-    FormatError
-        As `rig.formats.rhubarb.read`.
-    """
-    from rig.formats.rhubarb import read
-
-    curves = read(path)
-    return f"{len(curves)} frames at {curves.fps:g} fps of visemes"
-
-
-def check_glb(path: Path) -> Note:
+def check_glb(path: Path) -> str:
     """Return a summary of a GLB, of ours or of others.
 
     Raises
@@ -297,14 +239,6 @@ def check_glb(path: Path) -> Note:
     return f"glTF 2.0, {sum(n_targets)} morph targets, {n_frames} keys of weights"
 
 
-CHECKS: dict[str, Callable[[Path], Note]] = {
-    ".unreal.json": check_unreal_json,
-    ".visemes.json": check_visemes,
-    ".glb": check_glb,
-}
-"""Check by the end of the file name."""
-
-
 def _check_animations(path: Path, document: dict[str, Any], n_targets: list[int]) -> int:
     accessors, n_frames = document.get("accessors", []), 0
     for animation in document.get("animations", []):
@@ -321,47 +255,6 @@ def _check_animations(path: Path, document: dict[str, Any], n_targets: list[int]
                 raise FormatError(f"{path}: {got} weights; {times} keys need {wanted}")
             n_frames = max(n_frames, times)
     return n_frames
-
-
-def _check_raw(path: Path, raw: dict[str, Any], board: dict[str, Any], n_frames: int) -> None:
-    for name, values in raw.items():
-        if isinstance(values, dict):
-            _check_function(path, name, values, board)
-        else:
-            _check_values(path, name, values, n_frames, 0.0, 1.0)
-
-
-def _check_function(path: Path, name: str, function: dict[str, Any], board: dict[str, Any]) -> None:
-    """Check a raw curve that is a function of channels of the board."""
-    channels, knots = function.get("of"), function.get("knots")
-    names = [f"{control}.{axis}" for control, axes in board.items() for axis in axes]
-    if not isinstance(channels, list) or not channels or any(c not in names for c in channels):
-        raise FormatError(f"{path}: {name} is of channels that the board has not")
-    try:
-        array = np.array(knots, dtype=np.float64)
-    except (TypeError, ValueError):
-        array = np.empty(0)
-    if array.ndim != 2 or array.shape[1] != 2 or not (np.diff(array[:, 0]) > 0).all():
-        raise FormatError(f"{path}: {name} needs knots: rising places, each with a value")
-    _check_values(path, name, array[:, 1].tolist(), len(array), 0.0, 1.0)
-
-
-def _check_values(
-    path: Path, name: str, values: Any, n_frames: int, low: float, high: float
-) -> None:
-    numbers = values if isinstance(values, list) else [values]
-    if isinstance(values, list) and len(values) != n_frames:
-        raise FormatError(f"{path}: {name} has {len(values)} values, not {n_frames}")
-    try:
-        array = np.array(numbers, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise FormatError(f"{path}: {name} holds something that is no number") from None
-    if array.ndim != 1 or array.min() < low - 1e-4 or array.max() > high + 1e-4:
-        raise FormatError(f"{path}: {name} leaves its range {low:g} to {high:g}")
-
-
-def _is_count(part: object) -> bool:
-    return isinstance(part, int) and not isinstance(part, bool) and part > 0
 
 
 # Checks of a Live Link Face CSV by the rules of Unreal's importer.
