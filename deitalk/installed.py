@@ -8,7 +8,7 @@ from deitalk.errors import MissingError
 from rig.errors import quoted
 
 __version__ = "0.1.0"
-VERBS = ("ablate", "attention", "corpus", "evaluate", "study")
+VERBS = ("ablate", "attention", "corpus", "evaluate", "study", "train")
 """Verbs of the command line that `deitalk.research.cli` adds."""
 
 

@@ -105,16 +105,17 @@ CHECKOUT = [
     ("study",),
     ("evaluate", "--speed", "--mesh", "--repeats", "1"),
     ("data", "lips", "lips", "-o", "out", "--as-rig"),
+    ("train", "mel.yaml", "--data", "DATA", "-o", "runs/mel"),
 ]
 
 
 def test_verbs_of_a_checkout_are_not_listed_by_a_wheel_and_say_in_one_line_that_it_lacks_them():
     done = run(WHEEL.format(rows=[*CHECKOUT, ("--help",)]))
     assert "animate" in done.stdout and "finetune" in done.stdout
-    assert not re.search(r"\b(ablate|attention|corpus|evaluate|study)\b", done.stdout)
+    assert not re.search(r"\b(ablate|attention|corpus|evaluate|study|train)\b", done.stdout)
     lines = done.stderr.strip().splitlines()
-    assert lines[1::2] == ["CODE 1"] * 6 and lines[12:] == ["CODE 0"], done.stderr
-    for line, arguments in zip(lines[:12:2], CHECKOUT, strict=True):
+    assert lines[1:-1:2] == ["CODE 1"] * 7 and lines[14:] == ["CODE 0"], done.stderr
+    for line, arguments in zip(lines[:14:2], CHECKOUT, strict=True):
         assert "clone the repository" in line and arguments[0] in line
 
 

@@ -29,7 +29,7 @@ from deitalk.cli.install import app as install_app
 from deitalk.cli.live import live
 from deitalk.cli.mesh import retarget
 from deitalk.cli.models import app as model_app
-from deitalk.cli.models import finetune, train
+from deitalk.cli.models import finetune
 from deitalk.cli.options import CheckedCommands
 from deitalk.cli.serve import app as serve_app
 from deitalk.installed import VERBS, __version__, has_research, research
@@ -49,8 +49,7 @@ app.add_typer(face_app, name="face")
 app.add_typer(install_app, name="install")
 app.add_typer(serve_app, name="serve")
 app.add_typer(data_app, name="data")
-for _verb in (train, finetune):
-    app.command()(_verb)
+app.command()(finetune)
 app.add_typer(model_app, name="model")
 
 

@@ -1,9 +1,6 @@
-"""`deitalk train`, `deitalk finetune` and `deitalk model`."""
+"""`deitalk finetune` and `deitalk model`."""
 
 import json
-import os
-from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -16,65 +13,7 @@ from deitalk.installed import research
 if TYPE_CHECKING:
     from deitalk.cli.console import Advance
     from deitalk.config.curves import FinetuneConfig
-    from deitalk.config.load import AnyConfig
     from deitalk.training.trainer import Progress
-
-
-def train(
-    config: Annotated[Path, typer.Argument(help="YAML configuration, such as configs/mel.yaml.")],
-    data: Annotated[Path, typer.Option(help="Dataset folder; SDFA also takes meshes.")],
-    out: Annotated[Path, typer.Option("--out", "-o", help="Run folder.")],
-    overrides: Annotated[
-        list[str] | None, typer.Option("--set", help="Override, such as train.steps=500.")
-    ] = None,
-    resume: Annotated[
-        bool, typer.Option("--resume", help="Continue the run folder; begin it if it is new.")
-    ] = False,
-    start_from: Annotated[
-        str | None, typer.Option("--from", help="Model whose weights are the start (fine-tuning).")
-    ] = None,
-    tensorboard: Annotated[
-        bool, typer.Option("--tensorboard", help="Also write OUT/tensorboard, for TensorBoard.")
-    ] = False,
-) -> None:
-    """Train a model; the best weights by development score are in OUT/best.
-
-    Examples
-    --------
-    deitalk train configs/mel.yaml --data corpus/ -o runs/mel
-
-    deitalk train configs/mel.yaml --data my_rig/ --from default --set train.steps=500 -o runs/mine
-
-    deitalk train configs/sdfa.yaml --data corpus/ -o runs/sdfa
-    """
-    from deitalk.config.load import load_config
-
-    settings = load_config(config, overrides or ())
-    with console().status("loading"):
-        from deitalk.figures import can_draw
-
-        fit = _training(settings, start_from)
-        if not can_draw():
-            console().print("without pictures in OUT/curves: pip install matplotlib")
-    with bar("training") as advance:
-        best = fit(data, out, resume=resume, tensorboard=tensorboard, progress=shown_on(advance))
-    _report(out, best)
-
-
-def _training(settings: "AnyConfig", start_from: str | None) -> "Callable[..., dict[str, Any]]":
-    """The training of the configuration's kind of model."""
-    from deitalk.errors import ConfigError
-    from deitalk.models.folder import model_folder
-
-    if settings.kind == "sdfa":
-        if start_from is not None:
-            raise ConfigError("--from: not for mesh models; leave it out, or use --resume")
-        meshes = research("meshes.training", "train with kind sdfa")
-        return partial(meshes.train_mesh, settings)
-    from deitalk.training.curves import train_curves
-
-    start = None if start_from is None else model_folder(start_from)
-    return partial(train_curves, settings, start_from=start)
 
 
 def shown_on(advance: "Advance") -> "Progress":
@@ -90,14 +29,6 @@ def shown_on(advance: "Advance") -> "Progress":
         advance(step / max(total, 1), text, always=bool(scores))
 
     return progress
-
-
-def _report(out: Path, best: dict[str, Any]) -> None:
-    """Print the kept step and its scores, in the first of several processes."""
-    if os.environ.get("RANK", "0") != "0":
-        return
-    scores = ", ".join(f"{k} {v:.4g}" for k, v in best.get("development", {}).items())
-    console().print(f"{out / 'best'}: step {best.get('step')}, {scores}")
 
 
 # `deitalk finetune`: a model tuned on captures.
@@ -201,8 +132,8 @@ def _tune_folds(
 ) -> None:
     """Leave out each take or actor in turn, and print the scores."""
     from deitalk.evaluation.comparison import nearer_base
-    from deitalk.training.tuning.folds import tune_folds
 
+    tune_folds = research("training.folds", "finetune --folds").tune_folds
     with bar("tuning") as advance:
         result = tune_folds(settings, data, out, kind, progress=shown_on(advance), **options)
     _print_scores(result["folds"])

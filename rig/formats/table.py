@@ -77,12 +77,15 @@ def _format(row: dict[str, str]) -> Format:
         row["name"],
         _split(row["suffixes"]),
         row["description"],
-        *map(_late, (row["read"], row["write"])),
+        _late(row["read"]),
+        _late(row["write"]),
         SETS[row["control_set"]],
         also,
-        note=_late(row["note"]),
-        shows=_late(row["shows"]),
-        **{name: _split(row[name]) for name in ("tracks", "begins", "options")},
+        _split(row["tracks"]),
+        _split(row["begins"]),
+        _late(row["note"]),
+        _late(row["shows"]),
+        _split(row["options"]),
     )
 
 
@@ -92,9 +95,8 @@ def _split(cell: str) -> tuple[str, ...]:
 
 def _late(name: str) -> Callable[..., Any] | None:
     """A function that is loaded when it is called; None without a name."""
-    module, _, function = (name if name.startswith("rig.") else f"rig.formats.{name}").rpartition(
-        "."
-    )
+    full = name if name.startswith("rig.") else f"rig.formats.{name}"
+    module, _, function = full.rpartition(".")
 
     def call(*arguments: Any, **options: Any) -> Any:
         return getattr(import_module(module), function)(*arguments, **options)

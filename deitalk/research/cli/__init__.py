@@ -10,6 +10,7 @@ from deitalk.research.cli.evaluate import evaluate
 from deitalk.research.cli.lips import lips
 from deitalk.research.cli.sheet import sheet
 from deitalk.research.cli.study import app as study_app
+from deitalk.research.cli.train import train
 
 PANEL = "Research, in a checkout"
 """Panel of the help."""
@@ -20,6 +21,7 @@ def register(app: CheckedCommands) -> None:
     app.command(rich_help_panel=PANEL)(ablate)
     app.command(rich_help_panel=PANEL)(attention)
     app.command(rich_help_panel=PANEL)(evaluate)
+    app.command(rich_help_panel=PANEL)(train)
     app.add_typer(corpus_app, name="corpus", rich_help_panel=PANEL)
     app.add_typer(study_app, name="study", rich_help_panel=PANEL)
     data_app.command(rich_help_panel=PANEL)(lips)

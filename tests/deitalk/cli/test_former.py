@@ -28,7 +28,7 @@ LINES = {
     "actor build a.wav -o a.json": "data voice a.wav -o a.json",
     "benchmark --model live --threads 2": "evaluate --speed live --threads 2",
 }
-VERBS = """animate batch live preview convert validate retarget face install serve data train finetune
+VERBS = """animate batch live preview convert validate retarget face install serve data finetune
 model""".split()
 
 
@@ -52,11 +52,11 @@ def test_lines_of_today_exist_with_their_options():
         assert renamed | {o for o in former.added if o.startswith("-")} <= known
 
 
-def test_fourteen_verbs_are_shown():
+def test_thirteen_verbs_are_shown():
     """The verbs of research are in a checkout alone."""
     commands = get_command(app).commands
     shown = {name for name, command in commands.items() if not command.hidden}
-    assert shown - {*RESEARCH} == {*VERBS} and len(VERBS) == 14
+    assert shown - {*RESEARCH} == {*VERBS} and len(VERBS) == 13
 
 
 @each("line", ["controls --json", "suggest no-such.wav"])

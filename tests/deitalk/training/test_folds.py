@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 from deitalk.cli import app
 from deitalk.data.clips import read_clips
 from deitalk.errors import DataError
-from deitalk.training.tuning.folds import tune_folds
+from deitalk.research.training.folds import tune_folds
 from deitalk.training.tuning.task import FinetuneTask
 from tests.command import ran
 from tests.dataset import JAW, write_dataset

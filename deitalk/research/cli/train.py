@@ -1,0 +1,81 @@
+"""`deitalk train`: a model of a configuration."""
+
+import os
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from deitalk.cli.console import bar, console
+from deitalk.cli.models import shown_on
+
+if TYPE_CHECKING:
+    from deitalk.config.load import AnyConfig
+
+
+def train(
+    config: Annotated[Path, typer.Argument(help="YAML configuration, such as configs/mel.yaml.")],
+    data: Annotated[Path, typer.Option(help="Dataset folder; SDFA also takes meshes.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Run folder.")],
+    overrides: Annotated[
+        list[str] | None, typer.Option("--set", help="Override, such as train.steps=500.")
+    ] = None,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Continue the run folder; begin it if it is new.")
+    ] = False,
+    start_from: Annotated[
+        str | None, typer.Option("--from", help="Model whose weights are the start (fine-tuning).")
+    ] = None,
+    tensorboard: Annotated[
+        bool, typer.Option("--tensorboard", help="Also write OUT/tensorboard, for TensorBoard.")
+    ] = False,
+) -> None:
+    """Train a model; the best weights by development score are in OUT/best.
+
+    Examples
+    --------
+    deitalk train configs/mel.yaml --data corpus/ -o runs/mel
+
+    deitalk train configs/mel.yaml --data my_rig/ --from default --set train.steps=500 -o runs/mine
+
+    deitalk train configs/sdfa.yaml --data corpus/ -o runs/sdfa
+    """
+    from deitalk.config.load import load_config
+
+    settings = load_config(config, overrides or ())
+    with console().status("loading"):
+        from deitalk.figures import can_draw
+
+        fit = _training(settings, start_from)
+        if not can_draw():
+            console().print("without pictures in OUT/curves: pip install matplotlib")
+    with bar("training") as advance:
+        best = fit(data, out, resume=resume, tensorboard=tensorboard, progress=shown_on(advance))
+    _report(out, best)
+
+
+def _training(settings: "AnyConfig", start_from: str | None) -> "Callable[..., dict[str, Any]]":
+    """The training of the configuration's kind of model."""
+    from deitalk.errors import ConfigError
+    from deitalk.models.folder import model_folder
+
+    if settings.kind == "sdfa":
+        if start_from is not None:
+            raise ConfigError("--from: not for mesh models; leave it out, or use --resume")
+        from deitalk.research.meshes.training import train_mesh
+
+        return partial(train_mesh, settings)
+    from deitalk.training.curves import train_curves
+
+    start = None if start_from is None else model_folder(start_from)
+    return partial(train_curves, settings, start_from=start)
+
+
+def _report(out: Path, best: dict[str, Any]) -> None:
+    """Print the kept step and its scores, in the first of several processes."""
+    if os.environ.get("RANK", "0") != "0":
+        return
+    scores = ", ".join(f"{k} {v:.4g}" for k, v in best.get("development", {}).items())
+    console().print(f"{out / 'best'}: step {best.get('step')}, {scores}")
