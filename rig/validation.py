@@ -175,9 +175,30 @@ def _file(path: Path) -> list[Finding]:
             curves = read_curves(path, fps=FRAME_RATE, control_set=None)
             note = Finding("note", path, f"holds no frame rate: checked at {FRAME_RATE:g} fps")
             return [note, *_curves(path, curves)]
-        return _curves(path, read_curves(path, control_set=None))
+        curves = read_curves(path, control_set=None)
+        if path.name.lower().endswith(".unreal.json"):
+            _check_functions(path)
+        return _curves(path, curves)
     except RigError as error:
         return [Finding("error", path, str(error))]
+
+
+def _check_functions(path: Path) -> None:
+    """Refuse raw curves that are no functions of the board, as the script inside Unreal does."""
+    data = read_object(path)
+    raw, board = (data.get(key) or {} for key in ("raw", "board"))
+    parts = [(control, axes) for control, axes in board.items() if isinstance(axes, dict)]
+    known = {f"{control}.{axis}" for control, axes in parts for axis in axes}
+    for name, function in raw.items():
+        if not isinstance(function, dict):
+            continue
+        try:
+            places, _ = np.array(function["knots"], np.float64).T
+            is_one = {*function["of"]} <= known and function["of"] and (np.diff(places) > 0).all()
+        except (KeyError, TypeError, ValueError):
+            is_one = False
+        if not is_one:
+            raise FormatError(f"{path}: {name} is no function of channels of the board")
 
 
 def _shapes(path: Path) -> list[Finding]:
