@@ -20,10 +20,10 @@ FLOORS = {
         pipeline
         acting
         models
-        frontends figures postprocess
+        frontends postprocess
         audio emotions
         config
-        installed phones workers
+        installed workers
         errors
     """,
     "rig": """
@@ -155,7 +155,7 @@ def circles(graph: dict[str, set[str]]) -> Iterator[tuple[str, ...]]:
         yield from visit(module, ())
 
 
-@each(("package", "most"), [("deitalk", 24), ("rig", 16), ("api", 16)])
+@each(("package", "most"), [("deitalk", 21), ("rig", 16), ("api", 16)])
 def test_packages_have_few_entries(package, most):
     entries = [
         p.name

@@ -169,12 +169,12 @@ def _plot(
     speech: str, out: Path, given: Given, load: "Callable[[], CurveNetwork]", *, force: bool
 ) -> None:
     """Draw curves and intensity against the waveform."""
-    from deitalk.figures import check_drawing
+    from deitalk.evaluation.figures import check_drawing
 
     check_drawing()
     reserve_picture(out, force=force, inputs=(speech, *given.texts))
     performance = _perform(speech, given.acting, load)
-    from deitalk.figures import draw_curves
+    from deitalk.evaluation.figures import draw_curves
 
     title = f"{Path(speech).name}, {performance.emotion}"
     draw_curves(performance.curves, performance.recording.waveform, out, title)

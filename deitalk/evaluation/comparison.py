@@ -18,6 +18,7 @@ from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
 from deitalk.data.clips import Clip, spread_clips
 from deitalk.data.offset import correlation, emotion_parameter_error, lip_parameter_error
 from deitalk.data.windows import load_material
+from deitalk.evaluation.figures import SHOWN_SECONDS, can_draw, drawing
 from deitalk.evaluation.validation import (
     JAW,
     MAX_CLIPS,
@@ -36,7 +37,6 @@ from deitalk.evaluation.validation import (
     table,
     turned,
 )
-from deitalk.figures import SHOWN_SECONDS, can_draw, drawing
 from deitalk.models.curve_model import DEITalk
 from rig import ControlSet, RigCurves, write_curves
 from rig.arrays import Bool, Float32

@@ -27,7 +27,7 @@ from deitalk.data.offset import (
 from deitalk.data.windows import cut, load_material, n_clip_frames, recorded_frames
 from deitalk.emotions import EMOTIONS
 from deitalk.models.curve_model import DEITalk
-from deitalk.phones import (
+from deitalk.postprocess.phones import (
     BILABIALS,
     CLEAR_SECONDS,
     NEAR_LIPS,

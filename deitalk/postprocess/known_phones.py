@@ -13,8 +13,8 @@ import numpy as np
 
 from deitalk.audio.frames import FRAME_RATE
 from deitalk.errors import ConfigError
-from deitalk.phones import BILABIALS, LABIODENTALS
 from deitalk.postprocess.curve_rules import Expression
+from deitalk.postprocess.phones import BILABIALS, LABIODENTALS
 from rig import ControlSet
 from rig.arrays import Bool, Float32, Int64
 from rig.mesh import TriMesh
@@ -43,7 +43,7 @@ class KnownPhone(NamedTuple):
     """Seconds."""
     end: float
     name: str
-    """A member of `deitalk.phones.PHONES`."""
+    """A member of `deitalk.postprocess.phones.PHONES`."""
     is_known: bool = True
     """Whether the sound does not contradict it."""
 

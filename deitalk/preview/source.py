@@ -252,7 +252,7 @@ def bilabial_warnings(source: PreviewSource) -> list[Finding]:
     """Warnings for every m, b or p without contact of the embedded head's lips; needs phones."""
     if not source.phones:
         return []
-    from deitalk.phones import BILABIALS, WIDEN_FRAMES
+    from deitalk.postprocess.phones import BILABIALS, WIDEN_FRAMES
 
     fps, found = source.curves.fps, []
     head = build_head(0)

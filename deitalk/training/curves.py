@@ -26,6 +26,7 @@ from deitalk.data.windows import (
     read_waveform,
 )
 from deitalk.errors import ConfigError
+from deitalk.evaluation.figures import ClipRows, Row
 from deitalk.evaluation.validation import (
     Example,
     ValidationSet,
@@ -33,7 +34,6 @@ from deitalk.evaluation.validation import (
     load_example,
     predict,
 )
-from deitalk.figures import ClipRows, Row
 from deitalk.installed import research
 from deitalk.models.checkpoint import network_class, require_model, save_model
 from deitalk.models.curve_model import DEITalk

@@ -24,7 +24,7 @@ from deitalk.config.load import AnyConfig
 from deitalk.config.section import Optimisation
 from deitalk.data.windows import Item, SeededBatches, Share
 from deitalk.errors import ConfigError, DataError
-from deitalk.figures import ClipRows, can_draw, draw_clips
+from deitalk.evaluation.figures import ClipRows, can_draw, draw_clips
 from deitalk.models.folder import describe_model, read_about
 from deitalk.training.run_folder import (
     Journal,

@@ -23,10 +23,10 @@ from deitalk.audio.load import load_audio
 from deitalk.errors import DataError
 from deitalk.models.checkpoint import require_model
 from deitalk.models.curve_model import DEITalk
-from deitalk.phones import BILABIALS, PHONES, SILENCE, WIDEN_FRAMES
 from deitalk.pipeline.speech import Speech
 from deitalk.pipeline.words.transcript import Transcript, Word
 from deitalk.postprocess.known_phones import KnownPhone
+from deitalk.postprocess.phones import BILABIALS, PHONES, SILENCE, WIDEN_FRAMES
 from rig import RigCurves, read_curves
 from rig.arrays import Bool, Float32, Float64, Int64
 from rig.controls import DEFAULT_ID

@@ -19,7 +19,7 @@ import numpy as np
 
 from deitalk.acting import Words
 from deitalk.errors import ConfigError, DataError, MissingError
-from deitalk.phones import PHONES, SILENCE
+from deitalk.postprocess.phones import PHONES, SILENCE
 from rig import limits
 from rig.errors import quoted, shorten
 
@@ -338,7 +338,7 @@ class Word:
     text : str
         As written.
     phones : tuple of str
-        Members of `deitalk.phones.PHONES`.
+        Members of `deitalk.postprocess.phones.PHONES`.
     start, end : float or None
         Seconds, where they were given.
     """

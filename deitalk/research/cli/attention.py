@@ -43,7 +43,7 @@ def attention(
 
     deitalk attention DATA --clips 20 -o attention.png
     """
-    from deitalk.figures import check_drawing
+    from deitalk.evaluation.figures import check_drawing
 
     check_drawing()
     reserve_picture(out, force=force, inputs=(source, phones))

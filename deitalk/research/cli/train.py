@@ -46,7 +46,7 @@ def train(
 
     settings = load_config(config, overrides or ())
     with console().status("loading"):
-        from deitalk.figures import can_draw
+        from deitalk.evaluation.figures import can_draw
 
         fit = _training(settings, start_from)
         if not can_draw():

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from deitalk.errors import AudioError, MissingError
-from deitalk.phones import PHONES
+from deitalk.postprocess.phones import PHONES
 from deitalk.research.corpus.alignment import (
     VERSION,
     Alignment,

@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from deitalk.phones import BILABIALS, LABIODENTALS, VOWELS
+from deitalk.postprocess.phones import BILABIALS, LABIODENTALS, VOWELS
 from deitalk.research.corpus.utterance import Phone
 from rig.arrays import Float64
 

@@ -11,8 +11,8 @@ import numpy as np
 
 from deitalk.emotions import EMOTIONS
 from deitalk.errors import DataError
-from deitalk.figures import drawing
-from deitalk.phones import PHONES
+from deitalk.evaluation.figures import drawing
+from deitalk.postprocess.phones import PHONES
 from deitalk.research.corpus.articulation import CHANNELS, articulate
 from deitalk.research.corpus.rig_targets import act
 from deitalk.research.corpus.utterance import Phone

@@ -19,8 +19,8 @@ from deitalk.data.clips import Clip, read_clips, read_phones
 from deitalk.errors import CheckpointError, DataError
 from deitalk.frontends.base import window_index
 from deitalk.frontends.mel_bilstm import WINDOWS_AT_ONCE, SDFAEncoder
-from deitalk.phones import PLOSIVES, VOWELS
 from deitalk.pipeline.speech import Speech
+from deitalk.postprocess.phones import PLOSIVES, VOWELS
 from deitalk.research.evaluation.attention_figure import AttentionMap, attention_at
 from rig.arrays import Float32
 

@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 
 from deitalk.errors import DataError
-from deitalk.figures import drawing
-from deitalk.phones import PLOSIVES, VOWELS, Phones
+from deitalk.evaluation.figures import drawing
+from deitalk.postprocess.phones import PLOSIVES, VOWELS, Phones
 from rig.arrays import Float32
 
 

@@ -45,7 +45,9 @@ from deitalk.evaluation.validation import (
 from deitalk.live.animator import LiveAnimator
 from deitalk.models.curve_model import DEITalk
 from deitalk.models.protocol import CausalNetwork
-from deitalk.phones import (
+from deitalk.pipeline.curves import animate
+from deitalk.pipeline.performance import Performance
+from deitalk.postprocess.phones import (
     BILABIALS,
     CLEAR_SECONDS,
     LABIODENTALS,
@@ -54,8 +56,6 @@ from deitalk.phones import (
     WIDEN_FRAMES,
     Phones,
 )
-from deitalk.pipeline.curves import animate
-from deitalk.pipeline.performance import Performance
 from deitalk.research.evaluation.contours import (
     apply_contour,
     contour_at,

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from deitalk.emotions import EMOTIONS
-from deitalk.figures import drawing
+from deitalk.evaluation.figures import drawing
 
 
 def draw_evaluation(report: dict[str, Any], path: Path) -> None:

@@ -30,10 +30,10 @@ from deitalk.evaluation.validation import (
 )
 from deitalk.models.load import load_network
 from deitalk.models.protocol import CurveNetwork
-from deitalk.phones import Phones
 from deitalk.pipeline.curves import finish, prepare
 from deitalk.pipeline.words.align import fit_words, measure_phones, phone_evidence
 from deitalk.pipeline.words.transcript import Transcript, Word
+from deitalk.postprocess.phones import Phones
 from deitalk.research.arguments import new_file
 from deitalk.research.corpus.engines import espeak
 from deitalk.research.evaluation.report import identified, write_json

@@ -21,10 +21,10 @@ from deitalk.data.clips import Clip, read_phones
 from deitalk.emotions import EMOTIONS
 from deitalk.errors import CheckpointError, DataError
 from deitalk.models.mesh_model import MeshHead, MeshModel
-from deitalk.phones import BILABIALS, CLEAR_SECONDS, NEAR_LIPS, VOWELS, WIDEN_FRAMES
 from deitalk.pipeline.curves import animate
 from deitalk.pipeline.mesh import mesh_frames
 from deitalk.postprocess.known_phones import seal_lips
+from deitalk.postprocess.phones import BILABIALS, CLEAR_SECONDS, NEAR_LIPS, VOWELS, WIDEN_FRAMES
 from deitalk.research.meshes.folder import Lips, act, acted_clips, head_lips
 from rig.arrays import Float32, Float64
 from rig.face import build_head

@@ -19,7 +19,7 @@ from deitalk.config.mesh import SDFAConfig, SDFAModelConfig
 from deitalk.data.windows import Share
 from deitalk.emotions import parse_emotion
 from deitalk.errors import ConfigError, DataError
-from deitalk.figures import ClipRows, Row
+from deitalk.evaluation.figures import ClipRows, Row
 from deitalk.frontends.base import Encoder
 from deitalk.frontends.mel_bilstm import MelFrontend, SDFAEncoder
 from deitalk.models.checkpoint import new_encoder, require_model, save_model

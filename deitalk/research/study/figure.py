@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Any
 
-from deitalk.figures import drawing
+from deitalk.evaluation.figures import drawing
 
 
 def draw(report: dict[str, Any], path: Path) -> None:

@@ -24,7 +24,6 @@ from deitalk.data.clips import Clip, read_clips, read_phones
 from deitalk.errors import DataError, DeitalkError
 from deitalk.models.checkpoint import require_model
 from deitalk.models.curve_model import DEITalk
-from deitalk.phones import BILABIALS, LABIODENTALS, PHONES, Phones
 from deitalk.pipeline.speech import Speech
 from deitalk.pipeline.words.align import (
     CONTEXT,
@@ -35,6 +34,7 @@ from deitalk.pipeline.words.align import (
     phone_evidence,
     phone_features,
 )
+from deitalk.postprocess.phones import BILABIALS, LABIODENTALS, PHONES, Phones
 from deitalk.research.arguments import new_file
 from deitalk.research.evaluation.report import identified, shipped, write_json
 from rig.arrays import Float32, Int64

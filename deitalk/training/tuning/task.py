@@ -31,8 +31,8 @@ from deitalk.data.windows import (
 from deitalk.emotions import EMOTIONS
 from deitalk.errors import ConfigError, DataError
 from deitalk.evaluation.comparison import CaptureSet, MeanPose, mean_pose, write_comparison
+from deitalk.evaluation.figures import ClipRows
 from deitalk.evaluation.validation import load_example
-from deitalk.figures import ClipRows
 from deitalk.models.checkpoint import require_model, save_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.models.folder import describe_model, model_folder, weights_hash

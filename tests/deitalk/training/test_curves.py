@@ -14,7 +14,7 @@ from deitalk.config.curves import Config
 from deitalk.config.load import load_config
 from deitalk.data.clips import read_clips
 from deitalk.errors import ConfigError, DataError
-from deitalk.figures import can_draw
+from deitalk.evaluation.figures import can_draw
 from deitalk.models.checkpoint import load_model
 from deitalk.models.curve_model import Analysis, DEITalk
 from deitalk.training.curve_losses import CurveLoss, control_weights

@@ -19,7 +19,7 @@ from deitalk.cli import app
 from deitalk.config.load import load_config
 from deitalk.config.mesh import SDFAConfig
 from deitalk.errors import ConfigError, DataError
-from deitalk.figures import can_draw
+from deitalk.evaluation.figures import can_draw
 from deitalk.models.checkpoint import load_model, save_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.research.meshes import training as module

@@ -16,7 +16,7 @@ from deitalk.config.curves import Config
 from deitalk.config.load import parse_config
 from deitalk.data.windows import SeededBatches, Share
 from deitalk.errors import ConfigError, DataError
-from deitalk.figures import ClipRows, Row
+from deitalk.evaluation.figures import ClipRows, Row
 from deitalk.training import trainer as module
 from deitalk.training.trainer import MAX_BAD_STEPS, Task, Trainer, new_accelerator, run_training
 from rig.files import output_folder

@@ -12,7 +12,6 @@ from pathlib import Path
 import numpy as np
 
 from deitalk.errors import ConfigError, DataError
-from deitalk.phones import STOPS
 from deitalk.pipeline.words.transcript import (
     has_voice,
     ipa_to_phones,
@@ -20,6 +19,7 @@ from deitalk.pipeline.words.transcript import (
     missing,
     pronounce,
 )
+from deitalk.postprocess.phones import STOPS
 from deitalk.research.corpus.engines.espeak_library import library
 from deitalk.research.corpus.engines.espeak_server import Server
 from deitalk.research.corpus.utterance import SAMPLE_RATE, Utterance, contiguous

@@ -6,7 +6,7 @@ import tempfile
 from pathlib import Path
 
 from deitalk.errors import AudioError, ConfigError, DataError, MissingError
-from deitalk.phones import PHONES
+from deitalk.postprocess.phones import PHONES
 from deitalk.research.corpus.engines.espeak import check_ranges
 from deitalk.research.corpus.recordings import read_waveform
 from deitalk.research.corpus.utterance import SAMPLE_RATE, Utterance, contiguous

@@ -7,9 +7,9 @@ import pytest
 
 from deitalk import animate
 from deitalk.errors import DeitalkError
-from deitalk.phones import PHONES
 from deitalk.pipeline.words.align import RATE, PhoneEvidence, best_path, fit_words, phone_evidence
 from deitalk.pipeline.words.transcript import Transcript, Word
+from deitalk.postprocess.phones import PHONES
 from deitalk.research.corpus.engines import espeak
 from tests.each import each
 

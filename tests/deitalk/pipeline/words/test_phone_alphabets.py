@@ -1,7 +1,7 @@
 from deitalk import phones
-from deitalk.phones import PHONES
 from deitalk.pipeline.words import transcript
 from deitalk.pipeline.words.transcript import ipa_to_phones
+from deitalk.postprocess.phones import PHONES
 from deitalk.research.corpus.engines.flite import festival_to_phone
 from deitalk.research.corpus.utterance import Phone, contiguous
 from tests.each import each

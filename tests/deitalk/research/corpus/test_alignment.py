@@ -5,7 +5,7 @@ import pytest
 import soundfile
 
 from deitalk.errors import MissingError
-from deitalk.phones import PHONES, VOWELS
+from deitalk.postprocess.phones import PHONES, VOWELS
 from deitalk.research.corpus import alignment
 from deitalk.research.corpus.aligned_recordings import aligned_utterances
 from deitalk.research.corpus.alignment import align, align_scored, text_words

@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from deitalk.phones import BILABIALS, LABIODENTALS, PHONES, VOWELS
+from deitalk.postprocess.phones import BILABIALS, LABIODENTALS, PHONES, VOWELS
 from deitalk.research.corpus.articulation import (
     BITE,
     CHANNELS,

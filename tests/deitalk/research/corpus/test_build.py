@@ -10,7 +10,7 @@ import pytest
 
 from deitalk.data.clips import read_clips, read_intensity, read_phones
 from deitalk.errors import DataError
-from deitalk.phones import BILABIALS
+from deitalk.postprocess.phones import BILABIALS
 from deitalk.research.corpus.build import (
     COLUMNS,
     Shard,

@@ -9,8 +9,8 @@ import pytest
 
 from deitalk.emotions import EMOTIONS
 from deitalk.errors import ConfigError, DataError, MissingError
-from deitalk.phones import BILABIALS, PHONES
 from deitalk.pipeline.words import transcript as library
+from deitalk.postprocess.phones import BILABIALS, PHONES
 from deitalk.research.corpus import synthesis as sources
 from deitalk.research.corpus.engines import (
     ENGINES,

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from deitalk.emotions import EMOTIONS
-from deitalk.phones import PHONES
+from deitalk.postprocess.phones import PHONES
 from deitalk.research.corpus.articulation import BITE, CHANNELS, JAW, TOGETHER, articulate
 from deitalk.research.corpus.rig_targets import (
     GAINS,

@@ -4,7 +4,7 @@ import re
 import numpy as np
 import pytest
 
-from deitalk.phones import BILABIALS, LABIODENTALS, PHONES, VOWELS
+from deitalk.postprocess.phones import BILABIALS, LABIODENTALS, PHONES, VOWELS
 from deitalk.research.corpus import alignment, sentences
 from deitalk.research.corpus.engines import espeak
 from deitalk.research.corpus.sentences import english_sentence, foreign_sentence

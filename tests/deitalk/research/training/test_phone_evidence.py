@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from deitalk.phones import PHONES
+from deitalk.postprocess.phones import PHONES
 from deitalk.research.training.phone_evidence import Rows, fit, labels, main, score
 
 
