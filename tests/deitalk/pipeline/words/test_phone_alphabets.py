@@ -1,6 +1,6 @@
-from deitalk import phones
 from deitalk.pipeline.words import transcript
 from deitalk.pipeline.words.transcript import ipa_to_phones
+from deitalk.postprocess import phones
 from deitalk.postprocess.phones import PHONES
 from deitalk.research.corpus.engines.flite import festival_to_phone
 from deitalk.research.corpus.utterance import Phone, contiguous
