@@ -88,6 +88,13 @@ class Recording:
         """Speech activity of each rig frame: 1 in speech, else 0."""
         return speech_activity(self.waveform)
 
+    def noted(self, *notes: str) -> "Recording":
+        """The recording with more warnings; its activity is measured once."""
+        noted = replace(self, warnings=(*self.warnings, *notes))
+        if "activity" in vars(self):
+            vars(noted)["activity"] = self.activity
+        return noted
+
     def __repr__(self) -> str:
         count = len(self.warnings)
         notes = f", {count} note{'s' * (count != 1)}" if count else ""
@@ -157,15 +164,7 @@ def read_sound(
         warnings=(*sound.notes, *warnings, *notes),
         start=start,
     )
-    return _described(recording)
-
-
-def _described(recording: Recording) -> Recording:
-    """The recording with notes on its speech, whose activity is measured once."""
-    notes = describe(recording.waveform, recording.activity)
-    described = replace(recording, warnings=(*recording.warnings, *notes))
-    vars(described)["activity"] = recording.activity
-    return described
+    return recording.noted(*describe(recording.waveform, recording.activity))
 
 
 def write_wav(path: str | Path, waveform: npt.ArrayLike, *, start: float = 0.0) -> None:

@@ -155,7 +155,8 @@ def measure_windows(windows: Float64) -> Float64:
         Level, bright and dark power, pitch, periodicity and power of the bands, as in `Prosody`.
     """
     rows = windows * np.hanning(WINDOW)
-    power = np.abs(np.fft.rfft(rows, 2 * WINDOW)) ** 2
+    spectra = np.fft.rfft(rows, 2 * WINDOW)
+    power = np.square(spectra.real) + np.square(spectra.imag)
     frequency = np.fft.rfftfreq(2 * WINDOW, 1 / SAMPLE_RATE)
     above = power[:, (frequency > 1000) & (frequency < 4000)].sum(axis=1)
     below = power[:, (frequency > 80) & (frequency < 1000)].sum(axis=1)
@@ -192,6 +193,7 @@ BLOCK_FRAMES = 10
 """Frames whose sums are taken together around each frame."""
 AROUND_BLOCKS = 2.5
 """Sigma of what counts around a frame: 0.83 s."""
+VALUES_AT_ONCE = 65_536
 ROWS_AT_ONCE = 4096
 """Frames that a layer computes at once: an hour of temporary arrays would be 150 MB."""
 
@@ -297,8 +299,9 @@ class _Pool:
     def mean_and_spread(self, x: Float32) -> Float32:
         """Weighted mean and standard deviation: (T, C) to (K, 2 C)."""
         parts = []
-        for first in range(0, x.shape[1], 8):  # columns at once: an hour's squares are large
-            columns = x[:, first : first + 8].astype(np.float64)
+        at_once = max(VALUES_AT_ONCE // len(x), 8)  # columns: an hour's squares are large
+        for first in range(0, x.shape[1], at_once):
+            columns = x[:, first : first + at_once].astype(np.float64)
             mean = self._sums(self.weight * columns) / self.total
             square = self._sums(self.weight * np.square(columns)) / self.total - np.square(mean)
             parts.append((mean, np.sqrt(np.maximum(square, 1e-4))))

@@ -172,7 +172,8 @@ def window_levels(windows: Float32) -> Float32:
     window = np.hanning(WINDOW + 1)[:-1].astype(np.float32)
     scale = 2 / (WINDOW * float((window**2).sum()))  # bins of one band then sum to mean square
     bins = np.ceil(np.array(BAND_EDGES_HZ) * WINDOW / SAMPLE_RATE).astype(int)
-    power = np.abs(np.fft.rfft(windows * window)) ** 2 * scale
+    spectra = np.fft.rfft(windows * window)
+    power = (np.square(spectra.real) + np.square(spectra.imag)) * scale
     bands = np.add.reduceat(power[:, : bins[-1]], bins[:-1], axis=1)
     levels: Float32 = 10 * np.log10(np.maximum(bands, 10 ** (SILENCE_DB / 10)))
     return levels.astype(np.float32)

@@ -171,8 +171,7 @@ def prepare(
     speech = Speech.of_recording(recording, rules.gates)
     weights = acting.track.at(speech.times)
     style = chosen_actor(network.actors, acting.style)
-    notes = (*recording.warnings, *mean_actor_note(network.actors, style))
-    recording = replace(recording, warnings=notes)
+    recording = recording.noted(*mean_actor_note(network.actors, style))
     return Prepared(
         network, recording, acting, speech, weights, style, rules, factors, words, clock, suggestion
     )
@@ -189,7 +188,7 @@ def _suggested(
         f"{name} {share:.2f}" for name, share in found.probabilities.items() if name != found.label
     )
     note = f"suggested from the voice: {found.line}; {others}"
-    recording = replace(recording, warnings=(*recording.warnings, note))
+    recording = recording.noted(note)
     return Acting.of(acting, emotion=found.label), recording, found.probabilities
 
 
@@ -307,14 +306,14 @@ def _with_note_on(
         f"the {name} has keys until {curve.times[-1]:.1f} s, the recording lasts "
         f"{recording.duration:.1f} s: what comes after is not used"
     )
-    return replace(recording, warnings=(*recording.warnings, note))
+    return recording.noted(note)
 
 
 def _with_note_of(words: "WordFit | None", recording: Recording) -> Recording:
     """The recording, with a note if the sound contradicts words."""
     if words is None or words.fits:
         return recording
-    return replace(recording, warnings=(*recording.warnings, words.line))
+    return recording.noted(words.line)
 
 
 def _extended(recording: Recording, seconds: float) -> Recording:

@@ -28,7 +28,6 @@ from deitalk.acting import Acting
 from deitalk.audio.frames import frame_times
 from deitalk.audio.load import Recording, write_wav
 from deitalk.audio.original import write_original
-from deitalk.audio.voice_activity import speech_activity
 from deitalk.emotions import EMOTIONS, MOODS, write_intensity_csv
 from deitalk.errors import AudioError
 from deitalk.installed import __version__
@@ -208,7 +207,7 @@ class Performance:
     @cached_property
     def _speaking(self) -> Bool:
         """Frames of speech [shape=(T,)]."""
-        return speech_activity(self.recording.waveform) > 0
+        return self.recording.activity > 0
 
     def _while_speaking(self, track: Float32) -> float:
         """Mean of a track (T,) over the frames of speech."""
