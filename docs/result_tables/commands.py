@@ -29,11 +29,11 @@ TIMING = {
     "default-speed": "deitalk evaluate --speed --threads 1 --json",
     "mesh-speed-1": "deitalk evaluate --speed --mesh --threads 1 --json",
     "mesh-speed-2": "deitalk evaluate --speed --mesh --threads 2 --json",
-    "live-speed": "python -m tests.live_speed",
-    "live-run": "python -m tests.live_run --minutes 2 --period 0.5",
-    "batch-rate": "python -m tests.batch_rate LINES",
-    "cold-start": "python -m tests.cold_start",
-    "onnx-sizes": "python -m tests.onnx_sizes",
+    "live-speed": "python -m deitalk.research.speed.live_speed",
+    "live-run": "python -m deitalk.research.speed.live_run --minutes 2 --period 0.5",
+    "batch-rate": "python -m deitalk.research.speed.batch_rate LINES",
+    "cold-start": "python -m deitalk.research.speed.cold_start",
+    "onnx-sizes": "python -m deitalk.research.speed.onnx_sizes",
     "service-load": "python -m tests.api.load",
 }
 """Times: for a machine with nothing beside."""

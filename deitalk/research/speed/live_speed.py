@@ -1,4 +1,4 @@
-"""Time of live frames on this machine: ``python -m tests.live_speed --json FILE``.
+"""Time of live frames on this machine: ``python -m deitalk.research.speed.live_speed --json FILE``.
 
 One voice in blocks of 10 ms, and twenty in one call, on one core, by torch and by ONNX Runtime. Run
 it with nothing beside.
@@ -8,6 +8,7 @@ import argparse
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -17,7 +18,7 @@ from deitalk.research.arguments import new_file
 from deitalk.research.evaluation.benchmark_curves import machine
 from deitalk.research.evaluation.report import identified, write_json
 
-SAMPLE = Path(__file__).resolve().parents[1] / "docs/samples/amiable.flac"
+SAMPLE = Path(__file__).resolve().parents[3] / "docs/samples/amiable.flac"
 BLOCK, FIRST_FRAMES, SECONDS, VOICES = 160, 30, 30.0, 20
 
 
@@ -50,7 +51,11 @@ def main() -> None:
     torch.set_num_threads(1)
     waveform = load_audio(SAMPLE).waveform
     sound = np.resize(waveform, int(16_000 * SECONDS))
-    report = identified("live") | {"machine": machine(), "threads": 1, "backends": {}}
+    report: dict[str, Any] = identified("live") | {
+        "machine": machine(),
+        "threads": 1,
+        "backends": {},
+    }
     for backend in ("torch", "onnx"):
         spent = one_voice(sound, backend)
         found = {

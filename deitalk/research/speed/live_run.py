@@ -1,4 +1,6 @@
-"""`deitalk live --mic` as a whole, for hours: ``python -m tests.live_run --minutes 120``.
+"""`deitalk live --mic` as a whole, for hours.
+
+``python -m deitalk.research.speed.live_run --minutes 120``.
 
 The command runs in a process of its own with a stand-in for the microphone, whose clock differs
 from the computer's, and sends to a socket here. A line of every period has the time from a frame's
@@ -22,7 +24,7 @@ import numpy as np
 
 from deitalk.research.arguments import new_file
 
-SAMPLE = Path(__file__).resolve().parents[1] / "docs/samples/amiable.flac"
+SAMPLE = Path(__file__).resolve().parents[3] / "docs/samples/amiable.flac"
 RATE, FPS = 48_000, 30
 LOOK_AHEAD_MS = 199.0
 
@@ -80,12 +82,15 @@ class Run:
     """
 
     def __init__(self, slower: float, backend: str) -> None:
-        self.slower, self.first, self.delays = slower, None, []
+        self.slower = slower
+        self.first: int | None = None
+        self.delays: list[float] = []
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self.socket.bind(("127.0.0.1", 0))
         self.socket.settimeout(30)
         port = str(self.socket.getsockname()[1])
-        command = [sys.executable, "-m", "tests.live_run", "--command", str(slower), port, backend]
+        module = "deitalk.research.speed.live_run"
+        command = [sys.executable, "-m", module, "--command", str(slower), port, backend]
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
         assert self.process.stdout is not None
         self.start = float(self.process.stdout.readline())

@@ -1,7 +1,9 @@
-"""Rate of `deitalk batch` beside its network alone: ``python -m tests.batch_rate LINES``.
+"""Rate of `deitalk batch` beside its network alone.
 
-The network hears the recordings of a folder one after the other on one thread; then a batch makes them
-with two processes, which counts loading, files and journal. Run it with nothing beside.
+``python -m deitalk.research.speed.batch_rate LINES``.
+
+The network hears the recordings of a folder one after the other on one thread; then a batch makes
+them with two processes, which counts loading, files and journal. Run it with nothing beside.
 ``--json FILE`` writes the rates.
 """
 
@@ -13,11 +15,12 @@ from pathlib import Path
 
 import torch
 
-from deitalk import animate, load_audio, load_model
+from deitalk import animate, load_audio
+from deitalk.models.load import load_network
 from deitalk.research.arguments import new_file
 from deitalk.research.evaluation.benchmark_curves import machine
 from deitalk.research.evaluation.report import identified, write_json
-from tests.cold_start import environment, spent
+from deitalk.research.speed.cold_start import environment, spent
 
 WARM_UP = 5
 
@@ -25,7 +28,7 @@ WARM_UP = 5
 def network_seconds(lines: list[Path]) -> tuple[float, float]:
     """Mean seconds of the network alone for a line, one at a time, and of the lines' sound."""
     torch.set_num_threads(1)
-    model, total, sound = load_model(), 0.0, 0.0
+    model, total, sound = load_network("default"), 0.0, 0.0
     for place, path in enumerate(lines):
         recording = load_audio(path)
         sound += len(recording.waveform) / 16_000

@@ -1,9 +1,11 @@
-"""Size, time and error of `default` in int8 by ONNX Runtime: ``python -m tests.onnx_sizes``.
+"""Size, time and error of `default` in int8 by ONNX Runtime.
+
+``python -m deitalk.research.speed.onnx_sizes``.
 
 Dynamic quantisation of the weights by `onnxruntime.quantization.quantize_dynamic` on the layers
-named, one scale a channel. A recording of a minute (`docs/samples/amiable.flac`, repeated) is predicted on one thread;
-differences from float32 are shares of the ranges of the controls. ``--json FILE`` writes the table.
-Run it with nothing beside.
+named, one scale a channel. A recording of a minute (`docs/samples/amiable.flac`, repeated) is
+predicted on one thread; differences from float32 are shares of the ranges of the controls. ``--json
+FILE`` writes the table. Run it with nothing beside.
 """
 
 import argparse
@@ -17,14 +19,15 @@ import numpy as np
 
 from deitalk import load_audio
 from deitalk.audio.voice_activity import normalise_level
-from deitalk.models.checkpoint import load_model
+from deitalk.models.checkpoint import require_model
+from deitalk.models.curve_model import DEITalk
 from deitalk.models.onnx.export import export_onnx
 from deitalk.research.arguments import new_file
 from deitalk.research.evaluation.benchmark_curves import machine
 from deitalk.research.evaluation.report import identified, write_json
 from rig import default_controls
 
-SAMPLE = Path(__file__).resolve().parents[1] / "docs/samples/amiable.flac"
+SAMPLE = Path(__file__).resolve().parents[3] / "docs/samples/amiable.flac"
 SECONDS, RUNS = 60, 3
 KINDS = {
     "float32": (),
@@ -64,7 +67,7 @@ def measure(folder: Path, model: str) -> dict[str, dict[str, float]]:
     controls, table, plain = default_controls(), {}, None
     span = controls.maximum - controls.minimum
     whole = folder / "float32.onnx"
-    export_onnx(load_model(model), whole)
+    export_onnx(require_model(model, DEITalk), whole)
     nodes = [node.name for node in onnx.load(str(whole)).graph.node]
     for name, layers in KINDS.items():
         path = whole if not layers else folder / f"{len(layers)}.onnx"
@@ -93,6 +96,7 @@ def measure(folder: Path, model: str) -> dict[str, dict[str, float]]:
 
 
 def main() -> None:
+    """Print the table."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--model", default="default", help="name or folder of a Whisper model")
     parser.add_argument("--json", type=new_file, help="also write the table to this file")

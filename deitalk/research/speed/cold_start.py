@@ -1,4 +1,6 @@
-"""Time of a whole `deitalk animate` beside that of ``import torch``: ``python -m tests.cold_start``.
+"""Time of a whole `deitalk animate` beside that of ``import torch``.
+
+``python -m deitalk.research.speed.cold_start``.
 
 Processes of their own, with bytecode and exports cached by a first run, in turn; medians of
 processor time and of wall time. Run it with nothing beside. ``--json FILE`` writes the medians.
@@ -18,7 +20,7 @@ from deitalk.research.arguments import new_file
 from deitalk.research.evaluation.benchmark_curves import machine
 from deitalk.research.evaluation.report import identified, write_json
 
-SAMPLE = Path(__file__).resolve().parents[1] / "docs/samples/promise.flac"
+SAMPLE = Path(__file__).resolve().parents[3] / "docs/samples/promise.flac"
 RUNS = 7
 
 
@@ -32,11 +34,12 @@ def spent(arguments: list[str], where: dict[str, str]) -> tuple[float, float]:
 
 
 def environment(folder: str) -> dict[str, str]:
-    """This process's, with bytecode kept in a folder."""
+    """Variables of the environment, with bytecode kept in a folder."""
     return os.environ | {"PYTHONDONTWRITEBYTECODE": "", "PYTHONPYCACHEPREFIX": f"{folder}/bytecode"}
 
 
 def main() -> None:
+    """Print the medians of both."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--json", type=new_file, help="also write the medians to this file")
     given = parser.parse_args()

@@ -1,0 +1,1 @@
+"""Times and rates of this machine, for the tables of the documents."""
