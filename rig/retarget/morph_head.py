@@ -127,11 +127,10 @@ def morph_head(identity: int | str = 0) -> tuple[BakedRig, Float64]:
         Linear, as glTF and USD take them.
     """
     from rig.face import build_head
-    from rig.face.head import load_or_build
     from rig.face.identity import resolve_identity
 
     head = build_head(identity)
-    stored = load_or_build("morphs", resolve_identity(identity), _baked)
+    stored = _stored(resolve_identity(identity))
     controls = default_controls()
     drivers = dict(control_halves(controls) + face_correctives())
     names = tuple(str(name) for name in stored["names"])
@@ -143,12 +142,18 @@ def morph_head(identity: int | str = 0) -> tuple[BakedRig, Float64]:
     return rig, painted_colours(head)
 
 
+@lru_cache(maxsize=1)
+def _stored(identity: "Identity") -> dict[str, NDArray[Any]]:
+    from rig.face.head import load_or_build
+
+    return load_or_build("morphs", identity, _baked)
+
+
 def shown_controls() -> frozenset[str]:
     """Return the controls that a shape or corrective of the embedded heads shows."""
-    from rig.face.head import load_or_build
     from rig.face.identity import resolve_identity
 
-    names = load_or_build("morphs", resolve_identity(0), _baked)["names"]
+    names = _stored(resolve_identity(0))["names"]
     drivers = dict(control_halves(default_controls()) + face_correctives())
     shown = [group for name in names for group in drivers[str(name)].groups]
     return frozenset(half.control for group in shown for half in group)
