@@ -24,8 +24,8 @@ def shown_on(advance: "Advance") -> "Progress":
         loss = [f"loss {values['total']:.4g}"] if "total" in values else []
         rate = [f"{values['rate']:.3g} samples/s"] if "rate" in values else []
         text = ", ".join([f"step {step} of {total}", *loss, *rate, *scores])
-        if "encoded" in values:
-            text = f"{values['encoded']:.0%} of the captures encoded"
+        for phase in {"read", "encoded", "fitted"} & values.keys():
+            text = f"{values[phase]:.0%} of the captures {phase}"
         advance(step / max(total, 1), text, always=bool(scores))
 
     return progress

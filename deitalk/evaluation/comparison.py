@@ -5,7 +5,7 @@ each control is predicted by a line fitted on them. All curves are those of the 
 before any rule. Letters: T frames, C controls.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -65,12 +65,12 @@ class MeanPose(NamedTuple):
     """Known controls that move at all [shape=(C,)]: a dead channel shows nothing of an actor."""
 
 
-def mean_pose(clips: Sequence[Clip], controls: ControlSet, learnt: Bool) -> MeanPose:
+def mean_pose(clips: Iterable[Clip], controls: ControlSet, learnt: Bool) -> MeanPose:
     """Mean and motion of captures.
 
     Parameters
     ----------
-    clips : sequence of Clip
+    clips : iterable of Clip
         At least one.
     controls : ControlSet
         Columns of the curves.

@@ -7,7 +7,7 @@ with the mean pose of the captures and so serves any rig.
 """
 
 import copy
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
@@ -146,7 +146,8 @@ class FinetuneTask(CurveTask):
     frozen_features : FrozenFeatures or None
         As for `finetune`.
     progress : callable
-        Called before the first step with the share of the captures that is encoded.
+        Called before the first step with the share of the captures that is ``read``, ``encoded``
+        or ``fitted`` by the regression.
 
     Raises
     ------
@@ -205,13 +206,19 @@ class FinetuneTask(CurveTask):
 
     def _mean_pose(self, data: Path) -> MeanPose:
         try:
-            return mean_pose(self.clips, self.controls, self.learnt)
+            return mean_pose(self._shown("read"), self.controls, self.learnt)
         except ControlError as error:
             raise DataError(
                 f"{data}: curves of another rig than {self.controls.id}; give `rig`, its file "
                 f"({error})",
                 parameter="rig",
             ) from None
+
+    def _shown(self, phase: str) -> Iterator[Clip]:
+        """The clips to train on, with progress."""
+        for done, clip in enumerate(self.clips, 1):
+            yield clip
+            self.progress(0, 1, {phase: done / len(self.clips)})
 
     def _axes(self) -> dict[tuple[str, str], ExpressionAxis]:
         """The captured expressions from which intensity is learnt."""
@@ -320,9 +327,12 @@ class FinetuneTask(CurveTask):
             for clip in clips
         ]
         actors = self.config.model.actors
-        return fit_ridge(
-            captures, lambda place: self._rows(clips[place]), actors, self.learnt, sums
-        )
+
+        def read(place: int) -> Rows:
+            self.progress(0, 1, {"fitted": (place + 1) / len(clips)})
+            return self._rows(clips[place])
+
+        return fit_ridge(captures, read, actors, self.learnt, sums)
 
     def systems(self, after: DEITalk) -> dict[str, DEITalk | None]:
         """The models to compare, none of which learnt from the clips that are scored."""

@@ -215,13 +215,19 @@ def test_resumed_run_equals_the_uninterrupted_one(base, data, tuned, tmp_path, p
 
 
 def test_run_ends_when_nothing_improves(base, data, tmp_path, monkeypatch):
-    """Scores 1, 1, 3, 2, 2 at steps 0, 2, 4, 6, 8: two evaluations follow the best."""
+    """Scores 1, 1, 3, 2, 2 at steps 0, 2, 4, 6, 8: two evaluations follow the best.
+
+    Before them captures are read, encoded and fitted, each to the end.
+    """
     falling = iter((1.0, 1.0, 3.0, 2.0, 2.0, 9.0))
     monkeypatch.setattr(CaptureSet, "score", lambda *_: {"score": next(falling)})
-    steps = []
+    shown = []
     config = recipe(base, "train.steps=40", "train.patience=2")
-    finetune(config, data, tmp_path / "run", progress=lambda step, *_: steps.append(step))
-    assert max(steps) == 8
+    finetune(config, data, tmp_path / "run", progress=lambda *values: shown.append(values))
+    assert max(step for step, *_ in shown) == 8
+    early = [next(iter(values.items())) for step, total, values in shown if total == 1]
+    ends = [(phase, share) for phase, share in early if share == 1]
+    assert list(dict(ends)) == ["read", "encoded", "fitted"]
     assert describe_model(tmp_path / "run" / "best")["training"]["step"] == 4
 
 
