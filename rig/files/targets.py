@@ -9,11 +9,9 @@ import shutil
 import socket
 import stat
 import sys
-import threading
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
 
 from rig.errors import ExistsError, TargetError
 
@@ -264,9 +262,6 @@ def _check_writable(real: Path) -> None:
 
 # One process at a time per target, by locks in the user's cache folder.
 
-_held: dict[str, tuple[Any, int, int]] = {}  # path: lock, thread, depth
-_guard = threading.Lock()
-
 
 def cache_folder() -> Path:
     """Cache folder: ``$DEITALK_CACHE``, else the system's for this user."""
@@ -297,55 +292,23 @@ def claim(target: Path | str) -> Iterator[None]:
     TargetError
         If another process or thread writes to it.
     """
-    key = os.path.realpath(target)
-    _acquire(key, Path(target))
+    from filelock import FileLock, Timeout
+
+    name = hashlib.sha256(os.fsencode(os.path.realpath(target))).hexdigest()[:32]
+    path = cache_folder() / "locks" / f"{name}.lock"
+    lock = None
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        lock = FileLock(path, timeout=0, is_singleton=True)
+        lock.acquire()
+    except Timeout:
+        raise TargetError(
+            f"{target} is being written by another process; wait for it, or name another target"
+        ) from None
+    except (OSError, RuntimeError):
+        lock = None
     try:
         yield
     finally:
-        _release(key)
-
-
-def _acquire(key: str, target: Path) -> None:
-    thread = threading.get_ident()
-    with _guard:
-        if key in _held:
-            lock, owner, depth = _held[key]
-            if owner != thread:
-                raise _busy(target)
-            _held[key] = (lock, owner, depth + 1)
-            return
-        _held[key] = (_lock(key, target), thread, 1)
-
-
-def _lock(key: str, target: Path) -> Any:
-    """An acquired lock, or None where locks cannot be made."""
-    from filelock import FileLock, Timeout
-
-    name = hashlib.sha256(os.fsencode(key)).hexdigest()[:32]
-    path = cache_folder() / "locks" / f"{name}.lock"
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        lock = FileLock(path, timeout=0, thread_local=False)
-        lock.acquire()
-    except Timeout:
-        raise _busy(target) from None
-    except (OSError, RuntimeError):
-        return None
-    return lock
-
-
-def _busy(target: Path) -> TargetError:
-    return TargetError(
-        f"{target} is being written by another process; wait for it, or name another target"
-    )
-
-
-def _release(key: str) -> None:
-    with _guard:
-        lock, owner, depth = _held[key]
-        if depth > 1:
-            _held[key] = (lock, owner, depth - 1)
-            return
-        del _held[key]
         if lock is not None:
             lock.release()
