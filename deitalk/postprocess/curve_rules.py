@@ -6,10 +6,9 @@ the expression grows with the intensity, and lips that meet in the neutral readi
 Each rule has its numbers in `deitalk.config.rules`, and changes nothing where it is off.
 """
 
-import csv
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
-from importlib import resources
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +19,7 @@ from rig import ControlSet
 from rig.arrays import Bool, Float32
 from rig.controls import DEFAULT_ID
 from rig.curves.edit import gaussian_smooth, sliding_maximum
+from rig.files.reading import rows_of
 
 # Expressions after the network: what an emotion adds to the neutral reading, by a table.
 #
@@ -117,10 +117,9 @@ class ExpressionTable:
 @lru_cache(maxsize=8)
 def expression_table(names: tuple[str, ...]) -> ExpressionTable:
     """The table for the columns of a rig; controls that it lacks are left out."""
-    text = resources.files("deitalk.postprocess").joinpath("expressions.csv").read_text("utf-8")
     rows = [
         (LABELS.index(row["emotion"]), name, float(row["gain"]), float(row["pose"]))
-        for row in csv.DictReader(text.splitlines())
+        for row in rows_of(Path(__file__).with_name("expressions.csv"))
         for name in (row["control"].replace("*", side) for side in "LR")
         if name in names
     ]

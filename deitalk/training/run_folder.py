@@ -30,14 +30,13 @@ from torch import Tensor, nn
 
 from deitalk.config.load import AnyConfig, load_config
 from deitalk.errors import ConfigError, DataError, MissingError
-from deitalk.models.folder import ENCODER, RIG_FILE, WEIGHT_FILES
+from deitalk.models.folder import ENCODER
 from rig.files import (
     atomic_write,
     begin_folder,
     check_folder,
     claim,
     kind_of,
-    record,
     recover,
     remove_leftovers,
     replace_recorded,
@@ -49,7 +48,6 @@ KIND = "run"
 """Kind of the folder in its manifest."""
 _BEGUN = ("metrics.csv", "development.csv", "state.pt", "best", "last", "meshes")
 """Files of a run that has done something."""
-_MODEL_FILES = ("config.yaml", "model.json", *WEIGHT_FILES, RIG_FILE, "templates.npz")
 
 
 @contextmanager
@@ -90,8 +88,6 @@ def open_folder(
                 "folder",
                 parameter="resume",
             )
-        if resume:
-            _adopt(out)
         begin_folder(out, kind=KIND)
         for folder in (out / "best", out / "last"):
             recover(folder)
@@ -113,19 +109,6 @@ def _check_settings(out: Path, config: AnyConfig) -> None:
             f"{out}: the run was begun with another {', '.join(changed)}; resume with its "
             "own config.yaml"
         )
-
-
-def _adopt(out: Path) -> None:
-    """List the files of a run that was begun before run folders had a manifest."""
-    if kind_of(out) is not None or not (out / "state.pt").is_file():
-        return
-    if not (out / "config.yaml").is_file():
-        return
-    for folder in (out / "best", out / "last"):
-        if (folder / "model.json").is_file() and kind_of(folder) is None:
-            names = [path.name for path in folder.iterdir() if path.name in _MODEL_FILES]
-            record(folder, names, kind="model")
-    record(out, ["config.yaml"], kind=KIND)
 
 
 def _differences(a: dict[str, Any], b: dict[str, Any], prefix: str = "") -> list[str]:

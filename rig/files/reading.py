@@ -56,8 +56,8 @@ _ARCHIVE_ERRORS = (
 )
 
 
-def rows_of(table: str) -> list[dict[str, str]]:
-    """Rows of a table of this package, such as ``conversion/raw.csv``."""
+def rows_of(table: str | Path) -> list[dict[str, str]]:
+    """Rows of a table of this package, such as ``conversion/raw.csv``, or of a path."""
     with (Path(__file__).parents[1] / table).open(encoding="utf-8", newline="") as stream:
         return list(csv.DictReader(stream))
 

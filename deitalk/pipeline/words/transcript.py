@@ -22,6 +22,7 @@ from deitalk.errors import ConfigError, DataError, MissingError
 from deitalk.postprocess.phones import PHONES, SILENCE
 from rig import limits
 from rig.errors import quoted, shorten
+from rig.files.reading import rows_of
 
 # espeak-ng through ctypes: the pronunciation of words in many languages.
 
@@ -32,49 +33,21 @@ from rig.errors import quoted, shorten
 # with the nearest lips and jaw, then the nearest tongue: the front rounded vowels become rounded
 # ones, a tapped r becomes DX (whose lips are free) and not R (whose lips protrude).
 
-# Symbol(s) of the International Phonetic Alphabet -> phones. Length marks are looked up first and
-# then dropped; stress, tone, nasality and secondary articulation are dropped (see _PLAIN).
-IPA_CONSONANTS = {
-    "p": "P", "b": "B", "m": "M", "β": "B", "ʙ": "B", "ɓ": "B",
-    "f": "F", "v": "V", "ɸ": "F", "ɱ": "V", "ʋ": "V", "ⱱ": "V",
-    "θ": "TH", "ð": "DH",
-    "t": "T", "d": "D", "n": "N", "l": "L", "ɫ": "L", "ɾ": "DX", "ɬ": "L", "ɮ": "L", "ɗ": "D",
-    "ʈ": "T", "ɖ": "D", "ɳ": "N", "ɭ": "L", "ɽ": "DX", "ɺ": "DX",
-    "s": "S", "z": "Z", "ʃ": "SH", "ʒ": "ZH", "ʂ": "SH", "ʐ": "ZH", "ɕ": "SH", "ʑ": "ZH",
-    "tʃ": "CH", "dʒ": "JH", "tɕ": "CH", "dʑ": "JH", "tʂ": "CH", "dʐ": "JH", "ʈʂ": "CH",
-    "ɖʐ": "JH", "ts": "T S", "dz": "D Z", "pf": "P F", "ɧ": "SH",
-    "k": "K", "g": "G", "ŋ": "NG", "ɴ": "NG", "q": "K", "ɢ": "G", "x": "K", "ɣ": "G", "χ": "K",
-    "ʁ": "G", "ʀ": "G", "ɰ": "G", "c": "CH", "ɟ": "JH", "ɠ": "G", "ç": "HH", "ʝ": "Y",
-    "ɲ": "N", "ʎ": "L", "j": "Y", "h": "HH", "ɦ": "HH", "ħ": "HH", "ʕ": "Q", "ʔ": "Q",
-    "ɹ": "R", "ɻ": "R", "r": "R", "w": "W", "ʍ": "W", "ɥ": "W",
-}  # fmt: skip
-IPA_VOWELS = {
-    "i": "IY", "ɪ": "IH", "e": "EY", "ɛ": "EH", "æ": "AE", "a": "AE", "aː": "AA", "ɑ": "AA",
-    "ɒ": "AO", "ɔ": "AO", "o": "OW", "ʊ": "UH", "u": "UW", "ʌ": "AH", "ə": "AX", "əː": "ER",
-    "ɐ": "AX", "ᵻ": "IX", "ɨ": "IX", "ᵿ": "UH", "ɜ": "AX", "ɜː": "ER", "ɚ": "ER", "ɝ": "ER",
-    "ɞ": "ER", "ɘ": "AX", "ɤ": "AH", "ɯ": "IX", "ɯᵝ": "UH", "ɶ": "AE",
-    "y": "UW", "ʏ": "UH", "ʉ": "UW", "ø": "UH", "œ": "ER", "ɵ": "UH",
-    "eɪ": "EY", "ei": "EY", "ɛɪ": "EY", "æɪ": "EY", "aɪ": "AY", "ai": "AY", "ɑɪ": "AY", "ʌɪ": "AY",
-    "ɐɪ": "AY", "aʊ": "AW", "au": "AW", "ɑu": "AW", "æʊ": "AW", "ɑʊ": "AW", "ɛʊ": "AW",
-    "oʊ": "OW", "əʊ": "OW", "ou": "OW", "ʌʊ": "OW", "əʉ": "OW", "ɔɪ": "OY", "oɪ": "OY", "ɔø": "OY",
-    "ɔʏ": "OY", "ɪə": "IH AX", "iə": "IY AX", "eə": "EH AX", "ɛə": "EH AX", "ʊə": "UH AX",
-    "aɪə": "AY AX", "aʊə": "AW AX", "aɪɚ": "AY ER", "aʊɚ": "AW ER", "əl": "AX L",
-    "aa": "AE",
-    "oːɹ": "AO R", "ɪɹ": "IH R", "ɛɹ": "EH R", "ʊɹ": "UH R", "ɔːɹ": "AO R", "ɑːɹ": "AA R",
-}  # fmt: skip
-# Outside English e and o do not glide, `a` is open and central, and `r` is a tap or a trill.
-IPA_NOT_ENGLISH = {
-    "e": "EH", "eː": "EY", "o": "AO", "oː": "OW", "a": "AA", "ɐ": "AH", "r": "DX", "rr": "DX",
-}  # fmt: skip
-# espeak-ng's own names for Mandarin, where h after a stop is aspiration and a dot is retroflexion.
-MANDARIN = {
-    "ph": "P", "th": "T", "kh": "K", "ts": "T S", "tsh": "T S", "tɕh": "CH", "ts.": "CH",
-    "ts.h": "CH", "s.": "SH", "i.": "IX", "o-": "AH", "ər": "ER", "iɛ": "Y EH", "iɑ": "Y AA",
-    "iɑu": "Y AW", "iou": "Y OW", "uɑ": "W AA", "ua": "W AA", "uai": "W AY", "uei": "W EY",
-    "uə": "W AX", "uo": "W AO", "yɛ": "W EH", "y": "UW", "onɡ": "UH NG",
-}  # fmt: skip
+# ``ipa.csv``: symbol(s) of the International Phonetic Alphabet -> phones. Length marks are looked
+# up first and then dropped; stress, tone, nasality and secondary articulation are dropped (see
+# _PLAIN). Outside English e and o do not glide, `a` is open and central, and `r` is a tap or a
+# trill (not_english). Of Mandarin, espeak-ng's own names, where h after a stop is aspiration and a
+# dot is retroflexion.
 
-# Names of the festival and flite American phone sets that differ from ours by more than case.
+
+def _alphabet(name: str) -> dict[str, str]:
+    """A set of the table."""
+    rows = rows_of(Path(__file__).with_name("ipa.csv"))
+    return {row["ipa"]: row["phones"] for row in rows if row["set"] == name}
+
+
+IPA_CONSONANTS, IPA_VOWELS = _alphabet("consonant"), _alphabet("vowel")
+IPA_NOT_ENGLISH, MANDARIN = _alphabet("not_english"), _alphabet("mandarin")
 
 _STRESS = "ˈˌ"  # espeak-ng writes it into its phone events from 1.52 on
 _PLAIN = str.maketrans("", "", "ˈˌˑ˞ʰʲʷˠˤʼ̚˥˦˧˨˩0123456789.|‖_ -'\u200d\u0361\u035c\u0348")
