@@ -20,8 +20,9 @@ from deitalk.models.curve_model import DEITalk
 from deitalk.research.evaluation.benchmark_curves import speechlike
 from rig import default_controls, write_curves
 from rig.curves import RigCurves
-from rig.mesh import TriMesh, write_obj
+from rig.mesh import TriMesh
 from tests.deitalk.pipeline.test_curves import SMALL
+from tests.meshes import write_obj
 
 PAGE = 4096  # bytes; the block of a tmpfs
 SHARES = (0.0, 0.3, 0.9)

@@ -1,15 +1,7 @@
 """Triangle meshes, meshes with named shapes, and their files; independent of faces and curves."""
 
-from rig.mesh.ply import read_ply, read_ply_sequence, write_ply, write_ply_sequence
-from rig.mesh.shapes import (
-    ShapeSet,
-    read_obj,
-    read_obj_folder,
-    read_shapes_npz,
-    write_obj,
-    write_obj_folder,
-    write_shapes_npz,
-)
+from rig.mesh.ply import read_ply, write_ply, write_ply_sequence
+from rig.mesh.shapes import ShapeSet, read_obj, read_obj_folder, read_shapes_npz
 from rig.mesh.trimesh import TriMesh, without_degenerate
 
 __all__ = [
@@ -18,12 +10,8 @@ __all__ = [
     "read_obj",
     "read_obj_folder",
     "read_ply",
-    "read_ply_sequence",
     "read_shapes_npz",
     "without_degenerate",
-    "write_obj",
-    "write_obj_folder",
     "write_ply",
     "write_ply_sequence",
-    "write_shapes_npz",
 ]

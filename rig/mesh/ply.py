@@ -10,12 +10,12 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.arrays import Float32, Int64
-from rig.errors import FormatError, MeshError, TopologyError, quoted
+from rig.arrays import Int64
+from rig.errors import FormatError, MeshError, quoted
 from rig.files import atomic_write, output_folder
 from rig.files.reading import check_file, open_file
 from rig.limits import HEADER_BYTES, MESH_BYTES, TRIANGLES, VERTICES
-from rig.mesh.trimesh import TriMesh, check_length
+from rig.mesh.trimesh import TriMesh
 
 # Header and elements of a PLY file, ASCII or binary; counts are checked against the file's size.
 #
@@ -341,40 +341,6 @@ def write_ply(path: Path | str, mesh: TriMesh, *, ascii: bool = False) -> None:
         body = mesh.vertices.astype("<f8").tobytes() + rows.tobytes()
     with atomic_write(path) as beside:
         beside.write_bytes(header + body)
-
-
-def read_ply_sequence(folder: Path | str) -> tuple[TriMesh, Float32]:
-    """Read a folder of PLY files as frames, in the order of their names.
-
-    Returns
-    -------
-    first : TriMesh
-        The first frame with its triangles.
-    vertices : array [shape=(T, V, 3)]
-        All frames.
-
-    Raises
-    ------
-    FormatError
-        If there is no PLY file.
-    TopologyError
-        If a frame's vertex count differs from the first one's.
-    """
-    files = sorted(Path(folder).glob("*.ply"))
-    if not files:
-        raise FormatError(f"{folder} holds no .ply files")
-    first = read_ply(files[0])
-    check_length(len(files), len(first.vertices))
-    frames = np.empty((len(files), *first.vertices.shape), dtype=np.float32)
-    for frame, file in zip(frames, files, strict=True):
-        vertices = read_ply(file).vertices
-        if vertices.shape != first.vertices.shape:
-            raise TopologyError(
-                f"{file.name} has {len(vertices)} vertices, {files[0].name} "
-                f"{len(first.vertices)}; all frames of a sequence share one mesh"
-            )
-        frame[:] = vertices
-    return first, frames
 
 
 def write_ply_sequence(folder: Path | str, mesh: TriMesh, vertices: Any) -> None:

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from rig.arrays import Float32, Float64
 from rig.errors import FormatError, MeshError, TopologyError, quoted
-from rig.files import atomic_write, output_folder
 from rig.files.reading import open_file, read_npz
 from rig.limits import (
     COORDINATE,
@@ -114,22 +113,8 @@ def check_shape_count(n_shapes: int, n_vertices: int) -> None:
         )
 
 
-def write_shapes_npz(path: Path | str, shapes: ShapeSet) -> None:
-    """Write `neutral`, `triangles`, `names`, `deltas` and landmarks as one compressed NPZ."""
-    with atomic_write(path) as beside, open(beside, "wb") as file:
-        np.savez_compressed(
-            file,
-            neutral=shapes.neutral.vertices,
-            triangles=shapes.neutral.faces.astype(np.int32),
-            names=np.array(shapes.names, dtype=str),
-            deltas=shapes.deltas,
-            landmark_names=np.array(list(shapes.landmarks), dtype=str),
-            landmark_vertices=np.array(list(shapes.landmarks.values()), dtype=np.int64),
-        )
-
-
 def read_shapes_npz(path: Path | str) -> ShapeSet:
-    """Read a file of `write_shapes_npz`; nothing in it is unpickled.
+    """Read `neutral`, `triangles`, `names`, `deltas` and landmarks of an NPZ; nothing is unpickled.
 
     Raises
     ------
@@ -254,14 +239,6 @@ def _fan(corners: Sequence[int]) -> list[int]:
     return [corner for pair in pairs for corner in (corners[0], *pair)]
 
 
-def write_obj(path: Path | str, mesh: TriMesh) -> None:
-    """Write positions and triangles; floats in the shortest form that reads back equal."""
-    lines = [f"v {x!r} {y!r} {z!r}" for x, y, z in mesh.vertices.tolist()]
-    lines += [f"f {a} {b} {c}" for a, b, c in (mesh.faces + 1).tolist()]
-    with atomic_write(path) as beside:
-        beside.write_text("\n".join(lines) + "\n", encoding="ascii")
-
-
 def read_obj_folder(folder: Path | str) -> ShapeSet:
     """Read a folder of OBJ files, one per shape, one of them neutral.
 
@@ -301,18 +278,3 @@ def read_obj_folder(folder: Path | str) -> ShapeSet:
         delta[:] = vertices - neutral.vertices
     deltas.setflags(write=False)  # not copied again
     return ShapeSet(neutral, tuple(f.stem for f in shapes), deltas)
-
-
-def write_obj_folder(folder: Path | str, shapes: ShapeSet) -> None:
-    """Write `neutral.obj` and one file per shape into a folder.
-
-    Raises
-    ------
-    TargetError
-        If the folder holds anything but shapes that were written so before.
-    """
-    with output_folder(folder, kind="shapes", force=True) as beside:
-        write_obj(beside / "neutral.obj", shapes.neutral)
-        for name, delta in zip(shapes.names, shapes.deltas, strict=True):
-            moved = shapes.neutral.vertices + delta
-            write_obj(beside / f"{name}.obj", shapes.neutral.with_vertices(moved))

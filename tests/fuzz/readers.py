@@ -160,9 +160,9 @@ def _shapes() -> Any:
 
 
 def _mesh_seeds(suffix: str, folder: Path) -> list[Seed]:
-    from rig.mesh import write_obj, write_ply
+    from rig.mesh import write_ply
     from rig.mesh.glb import WeightAnimation, write_glb
-    from rig.mesh.shapes import write_shapes_npz
+    from tests.meshes import write_obj, write_shapes_npz
 
     path = folder / f"m{suffix}"
     if suffix == ".obj":

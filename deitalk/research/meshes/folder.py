@@ -33,6 +33,7 @@ from deitalk.audio.load import load_audio
 from deitalk.config.mesh import MeshDataConfig
 from deitalk.data.clips import SPLITS, Clip, read_clips, spread_clips
 from deitalk.errors import DataError
+from deitalk.research.meshes.frames import read_ply_sequence
 from deitalk.research.meshes.mesh_bases import (
     MeshBases,
     fit_mesh_bases,
@@ -46,7 +47,7 @@ from rig.face import build_head
 from rig.face.head import UNIT_MM
 from rig.face.identity import resolve_identity
 from rig.files import output_folder
-from rig.mesh import TriMesh, read_ply, read_ply_sequence, write_ply
+from rig.mesh import TriMesh, read_ply, write_ply
 
 FORMAT_VERSION = 2
 MOTION = ("stretch", "rotation", "offsets", "lips")

@@ -14,16 +14,16 @@ from deitalk.models.checkpoint import load_model, save_model
 from deitalk.models.folder import embedded_models
 from deitalk.pipeline import mesh as module
 from deitalk.pipeline.mesh import animate_mesh, retarget_speech
+from deitalk.research.meshes.frames import read_ply_sequence
 from deitalk.research.meshes.scores import predict_mesh
 from rig.errors import ExistsError, RigError, TargetError
 from rig.face import build_head
 from rig.face.geometry.topology import MOUTH
-from rig.mesh import read_ply_sequence
 from rig.mesh.glb import read_container
 from rig.mesh.glb_reader import read_accessor, read_glb
-from rig.mesh.shapes import write_obj
 from rig.retarget.retarget_files import RetargetReport
 from tests.each import each
+from tests.meshes import write_obj
 from tests.rig.retarget.test_retarget_files import ict
 
 pytestmark = pytest.mark.usefixtures("one_analysis")

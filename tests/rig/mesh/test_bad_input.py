@@ -11,11 +11,12 @@ import pytest
 
 from rig import RigCurves, default_controls
 from rig.errors import RigError
-from rig.mesh import ShapeSet, TriMesh, write_obj, write_obj_folder, write_ply
+from rig.mesh import ShapeSet, TriMesh, write_ply
 from rig.mesh.glb import read_container, write_container, write_glb
 from rig.mesh.trimesh import components
 from rig.retarget.retarget_files import read_shapes, retarget_curves
 from tests.errors import one_line
+from tests.meshes import write_obj, write_obj_folder
 
 CONTROLS = default_controls()
 MESH = TriMesh([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]], [[0, 1, 2], [1, 3, 2]])

@@ -5,19 +5,12 @@ import struct
 import numpy as np
 import pytest
 
+from deitalk.research.meshes.frames import read_ply_sequence
 from rig.errors import FormatError, MeshError, TopologyError
 from rig.mesh.glb import WeightAnimation, read_container, write_container, write_glb
 from rig.mesh.glb_reader import animate_glb, morph_names, read_accessor, read_glb
-from rig.mesh.ply import read_ply, read_ply_sequence, write_ply, write_ply_sequence
-from rig.mesh.shapes import (
-    ShapeSet,
-    read_obj,
-    read_obj_folder,
-    read_shapes_npz,
-    write_obj,
-    write_obj_folder,
-    write_shapes_npz,
-)
+from rig.mesh.ply import read_ply, write_ply, write_ply_sequence
+from rig.mesh.shapes import ShapeSet, read_obj, read_obj_folder, read_shapes_npz
 from rig.mesh.trimesh import (
     TriMesh,
     boundary_edges,
@@ -29,6 +22,7 @@ from rig.mesh.trimesh import (
 )
 from tests.each import each
 from tests.errors import one_line
+from tests.meshes import write_obj, write_obj_folder, write_shapes_npz
 
 CUBE = TriMesh(
     [[x, y, z] for x in (0.0, 1.0) for y in (0.0, 1.0) for z in (0.0, 1.0)],

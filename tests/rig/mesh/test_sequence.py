@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
+from deitalk.research.meshes.frames import read_ply_sequence
 from rig.errors import FormatError, MeshError, TargetError, TopologyError
-from rig.mesh import TriMesh, read_ply_sequence
+from rig.mesh import TriMesh
 from rig.mesh.glb import read_container
 from rig.mesh.glb_reader import read_accessor, read_glb
 from rig.mesh.sequence import principal_shapes, write_sequence

@@ -8,17 +8,19 @@ import typer
 from typer.testing import CliRunner
 
 from deitalk.cli.mesh import retarget
+from deitalk.research.meshes.frames import read_ply_sequence
 from rig import RigCurves, default_controls, write_curves
 from rig.errors import ExistsError, FormatError, MeshError
 from rig.mesh.glb import read_container, write_container, write_glb
 from rig.mesh.glb_reader import read_accessor
-from rig.mesh.ply import read_ply_sequence, write_ply
-from rig.mesh.shapes import ShapeSet, write_obj, write_obj_folder, write_shapes_npz
+from rig.mesh.ply import write_ply
+from rig.mesh.shapes import ShapeSet
 from rig.mesh.trimesh import TriMesh
 from rig.retarget.blendshapes import closing_weight
 from rig.retarget.landmarks import check_landmarks
 from rig.retarget.retarget_files import read_shapes, retarget_curves
 from tests.each import each
+from tests.meshes import write_obj, write_obj_folder, write_shapes_npz
 
 MESH = TriMesh([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]], [[0, 1, 2], [1, 3, 2]])
 GRID = TriMesh(
