@@ -120,9 +120,9 @@ class DeadZone(Section):
 class Gates(Section):
     """The mouth shuts and the expression decays in silence."""
 
-    mouth_opens: Frames = 3
+    mouth_opens: Frames = 5
     """Frames before speech."""
-    mouth_closes: Frames = 6
+    mouth_closes: Frames = 10
     """Frames after speech."""
     expression_rises: Frames = 12
     """Frames before speech."""

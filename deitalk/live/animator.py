@@ -40,7 +40,7 @@ from deitalk.models.protocol import (
     trained_weights,
 )
 from deitalk.postprocess.curve_rules import LEAST_PREDICTED, Expression
-from deitalk.postprocess.voice_intensity import Measures, RunningIntensity
+from deitalk.postprocess.voice_intensity import Measures, RunningAround, RunningIntensity
 from rig import ControlSet
 from rig.arrays import Bool, Float32, Float64, Int64
 from rig.curves import HEAD
@@ -133,6 +133,7 @@ class Stream:
         self.rules, self.rows = RunningRules(expression), rows_before(expression)
         self.activity = RunningActivity(rules.gates)
         self.intensity = RunningIntensity(rules.voice_intensity)
+        self.around = RunningAround(rules.scale_opening.usual if rules.scale_opening else 0.0)
         self.speaking: Bool = np.zeros(1, bool)
         """Activity from the frame before the next row on."""
         self.prosody: Float64 = np.zeros((31, 0))
@@ -222,7 +223,8 @@ class Stream:
         scale, applied = factor, voice * factor
         if self.settings.voice_intensity is not None:
             scale = (applied / np.maximum(network, LEAST_PREDICTED)).astype(np.float32)
-        new = RawRows(neutral, emotional, network, voice, scale, emotion, applied)
+        opening = self.rules.expression.opening_factor(*self.around.feed(voice, network, speaking))
+        new = RawRows(neutral, emotional, network, opening, scale, emotion, applied)
         self.rows = self.rows.joined(new)
         self._drop()
 

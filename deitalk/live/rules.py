@@ -184,8 +184,8 @@ class RawRows(NamedTuple):
     """Emotional reading [shape=(n, C)]."""
     network: Float32
     """Intensity that the network predicts [shape=(n,), range 0 to 1]."""
-    voice: Float32
-    """The same, corrected by the prosody [shape=(n,), range 0 to 1]."""
+    opening: Float32
+    """Factor on the opening of the mouth [shape=(n,)]."""
     scale: Float32
     """Factor on the difference of the readings [shape=(n,)]."""
     emotion: Float32
@@ -258,7 +258,7 @@ class RunningRules:
         for reading, around in ((own.neutral, rows.neutral), (own.emotional, rows.emotional)):
             sharp, curves = rules.sharpened(around), reading.copy()
             curves[:, rules.seals] = sharp[BEHIND]
-            rules.scale_opening(curves, own.voice, own.network)
+            rules.scale_opening(curves, own.opening)
             readings.append(curves)
             contacts.append(sharp)
         curves = rules.blend(readings[0], readings[1], own.scale)

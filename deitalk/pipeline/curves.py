@@ -27,7 +27,7 @@ from deitalk.models.protocol import (
 from deitalk.pipeline.performance import Performance
 from deitalk.pipeline.speech import Intensities, Speech, measure_intensities
 from deitalk.pipeline.words.transcript import Transcript
-from deitalk.postprocess.curve_rules import Expression
+from deitalk.postprocess.curve_rules import Expression, mean_around
 from deitalk.postprocess.known_phones import KnownPhone, meet_phones
 from deitalk.postprocess.life.motion import Motion, plan_motion
 from deitalk.postprocess.life.voice import Seeds, Traits, measure_voice
@@ -260,10 +260,13 @@ def _apply_rules(
     known: Sequence[KnownPhone] = (),
 ) -> Float32:
     """Apply the rules to both readings in place; return the blend of them [shape=(T, C)]."""
+    speaking = speech.activity > 0
+    voice, network = (mean_around(x, speaking) for x in (intensities.voice, intensities.network))
+    opening = rules.opening_factor(voice, network, intensities.take)
     for reading in (neutral,) if emotional is neutral else (neutral, emotional):
         rules.sharpen_contacts(reading)
         meet_phones(reading, rules, known)
-        rules.scale_opening(reading, intensities.voice, intensities.network, intensities.take)
+        rules.scale_opening(reading, opening)
     out = None if emotional is neutral else emotional  # not needed any more
     values = rules.blend(neutral, emotional, intensities.scale, out)
     rules.express(values, neutral, weights, intensities.scale, intensities.held)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from deitalk.config.rules import KeepContacts, RulesConfig
 from deitalk.emotions import EMOTIONS, LABELS
 from rig import ControlSet
-from rig.arrays import Bool, Float32
+from rig.arrays import AnyFloat, Bool, Float32
 from rig.controls import DEFAULT_ID
 from rig.curves.edit import gaussian_smooth, sliding_maximum
 from rig.files.reading import rows_of
@@ -152,8 +152,8 @@ LIVELY = ("jaw.ty", "upperLipRaise", "lowerLipDepress")
 
 POSING = ("brow", "eye", "nose", "cornerPull", "cornerDepress", "stretch")
 """Parts of the names of the controls whose change is the size of a pose."""
-POSE_FRAMES = 30.0
-"""Sigma of the frames over which it is measured, 1 s."""
+AROUND_FRAMES = 30.0
+"""Sigma of the speech around a frame in which it and the intensity are measured, 1 s."""
 MOST_RESIZED = 2.0
 """Most by which the intensity that a pose holds and the predicted one differ, a factor."""
 
@@ -183,6 +183,15 @@ def expression_scale(applied: Float32, predicted: Float32) -> Float32:
         Intensity that the emotional reading holds.
     """
     return np.asarray(applied / np.maximum(predicted, LEAST_PREDICTED), np.float32)
+
+
+def mean_around(values: AnyFloat, speaking: Bool) -> Float32:
+    """Mean of the frames of speech around each frame, over about 2 s [shape=(T,)]."""
+    if not speaking.any():
+        return np.asarray(values, np.float32)
+    weight = gaussian_smooth(speaking.astype(np.float64), AROUND_FRAMES) + 1e-6
+    total = gaussian_smooth(values * speaking.astype(np.float64), AROUND_FRAMES)
+    return np.asarray((total + 1e-6 * values[speaking].mean()) / weight, np.float32)
 
 
 @dataclass(frozen=True)
@@ -225,14 +234,12 @@ class Expression:
         network : array [shape=(T,), range 0 to 1]
             Predicted intensity.
         """
-        rule, used = self.settings.pose_size, speaking.astype(np.float64)
+        rule = self.settings.pose_size
         if rule is None or not speaking.any():
             return network
         usual = np.array([getattr(rule, name, 0.0) for name in EMOTIONS])
         size = np.abs(emotional[:, self.posing] - neutral[:, self.posing]).sum(axis=1)
-        around = gaussian_smooth(used, POSE_FRAMES) + 1e-6
-        mean = (gaussian_smooth(size * used, POSE_FRAMES) + 1e-6 * size[speaking].mean()) / around
-        change = mean / np.maximum((weights @ usual) * network, 1e-6)
+        change = mean_around(size, speaking) / np.maximum((weights @ usual) * network, 1e-6)
         pure = np.clip(2 * (weights * (usual > 0)).max(axis=1) - 1, 0, 1)
         return np.asarray(
             network * np.clip(change, 1 / MOST_RESIZED, MOST_RESIZED) ** pure, np.float32
@@ -339,34 +346,42 @@ class Expression:
         heights = _decided(peaks, rule.peak, rule.steepness)
         return np.asarray(heights * _decided(shares, shoulder, rule.steepness), np.float32)
 
-    def scale_opening(
-        self, curves: Float32, voice: Float32, network: Float32, take: float = 0.0
-    ) -> None:
-        """Open the mouth for the corrected intensity of the voice, in place.
+    def opening_factor(self, voice: Float32, network: Float32, take: float = 0.0) -> Float32:
+        """Factor on the opening of the mouth for the corrected intensity of the voice [shape=(T,)].
 
         The network opens it for the intensity that it predicts, by the law of its training data:
-        45 % more per unit of intensity (`deitalk.research.corpus.rig_targets`). The opening is
-        scaled by the same law at the corrected intensity; closed lips stay closed. Loud talkers
-        lower the jaw further, which a network with all takes at one level cannot predict: hence
-        `take`.
+        45 % more per unit of intensity (`deitalk.research.corpus.rig_targets`). The factor is that
+        law at the corrected intensity over that at the predicted one. Loud talkers lower the jaw
+        further, which a network with all takes at one level cannot predict: hence `take`.
 
         Parameters
         ----------
-        curves : array [shape=(T, C)]
-            A reading after `sharpen_contacts`.
         voice, network : array [shape=(T,), range 0 to 1]
-            Corrected intensity, and the one that the network predicts.
+            Corrected intensity, and the one that the network predicts: means of the speech around
+            each frame, for what varies faster is the network's to show.
         take : float
             Strength of the whole take, standard deviations above the usual
             (`deitalk.postprocess.voice_intensity.take_z`).
         """
         rule = self.settings.scale_opening
         if rule is None:
-            return
-        free = 1 - self.contact(curves)
+            return np.ones(len(voice), np.float32)
         ratio = (1 + rule.gain * (voice - rule.usual)) / (1 + rule.gain * (network - rule.usual))
-        ratio *= max(0.0, 1 + rule.take * take)
-        curves[:, self.lively] *= 1 + ((ratio - 1) * free)[:, None]
+        return np.asarray(ratio * max(0.0, 1 + rule.take * take), np.float32)
+
+    def scale_opening(self, curves: Float32, factor: Float32) -> None:
+        """Open the mouth by a factor [shape=(T,)] where lips do not meet, in place.
+
+        Parameters
+        ----------
+        curves : array [shape=(T, C)]
+            A reading after `sharpen_contacts`.
+        factor : array [shape=(T,)]
+            From `opening_factor`.
+        """
+        if self.settings.scale_opening is not None:
+            free = 1 - self.contact(curves)
+            curves[:, self.lively] *= 1 + ((factor - 1) * free)[:, None]
 
     def limit_contact_speed(self, curves: Float32) -> None:
         """Limit the speed of contacts, in place: lips start closing earlier and part later.

@@ -44,7 +44,7 @@ HOLD_AT_END = 6  # frames (0.2 s) that change nothing yet; in between, in propor
 def mouth_gate(activity: npt.ArrayLike, gates: Gates = Gates()) -> Float32:
     """Share of the mouth's motion shown at each frame: 1 in speech, 0 in silence.
 
-    Opens over the 0.1 s before speech and closes over the 0.2 s after it, in raised cosines.
+    Opens over the 0.17 s before speech and closes over the 0.33 s after it, in raised cosines.
 
     Parameters
     ----------
@@ -131,7 +131,7 @@ USUAL_FRAMES = 30.0
 SMOOTHING = 1 / 8
 """Share of a new frame in the smoothed values: 0.27 s."""
 AROUND_SMOOTHING = 1 / 30
-"""The same in the strength around a frame: a second."""
+"""The same in the strength and the intensity around a frame: a second."""
 MOST_LEVEL = 4.0
 """Limit of the standard deviations of the level, whose mean is young at first."""
 
@@ -237,6 +237,27 @@ class RunningIntensity:
         z = variation + float(_base(strength, self.rule))
         share = (1 - FAINTEST) / (1 + math.exp(-STEEPNESS * z))
         return FAINTEST + share * self.kept
+
+
+class RunningAround:
+    """Means of the corrected and the predicted intensity over the last second of speech.
+
+    Parameters
+    ----------
+    usual : float
+        Of both, before the first speech.
+    """
+
+    def __init__(self, usual: float) -> None:
+        self.means = np.full(2, usual)
+
+    def feed(self, voice: Float32, network: Float32, speaking: Bool) -> tuple[Float32, Float32]:
+        """Means at the next frames [shape=(n,)] of both, of `speaking` frames alone."""
+        rows = np.stack([voice, network], 1)
+        for row, speaks in zip(rows, speaking, strict=True):
+            self.means = self.means + AROUND_SMOOTHING * speaks * (row - self.means)
+            row[:] = self.means
+        return rows[:, 0], rows[:, 1]
 
 
 def _bounded(z: float) -> float:

@@ -38,8 +38,8 @@ def spoken(*spans, frames=200):
 
 def test_mouth_opens_before_speech_and_closes_after():
     mouth, _ = gates_of(spoken((60, 100)))
-    assert mouth[60:100].min() == 1 and mouth[:57].max() == 0 and mouth[107:150].max() == 0
-    assert np.all(np.diff(mouth[56:61]) > 0) and np.all(np.diff(mouth[99:107]) < 0)
+    assert mouth[60:100].min() == 1 and mouth[:56].max() == 0 and mouth[111:150].max() == 0
+    assert np.all(np.diff(mouth[55:61]) > 0) and np.all(np.diff(mouth[99:111]) < 0)
 
 
 def test_closures_are_bridged_and_clicks_left_out():

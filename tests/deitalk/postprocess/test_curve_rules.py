@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from deitalk.config.rules import RulesConfig
-from deitalk.postprocess.curve_rules import Expression, expression_scale
+from deitalk.postprocess.curve_rules import Expression, expression_scale, mean_around
 from rig import default_controls
 from tests.each import each
 
@@ -235,16 +235,28 @@ def test_mouth_opens_with_an_intensity_above_the_predicted_and_contacts_stay():
     curves = half_open()
     predicted = np.full(3, 0.575, np.float32)
     strength = np.array([0.575, 0.775, 0.775], np.float32)
-    RULES.scale_opening(curves, strength, predicted)
+    RULES.scale_opening(curves, RULES.opening_factor(strength, predicted))
     np.testing.assert_allclose(curves[:, JAW], [0.4, 0.4 * 1.09, 0.4], rtol=1e-5)
     others = np.delete(np.arange(len(CONTROLS.names)), RULES.lively)
     np.testing.assert_array_equal(curves[:, others], half_open()[:, others])
 
 
+def test_the_opening_follows_the_speech_around_a_frame_and_no_syllable(rng):
+    """Between two even stretches of speech the mean is between theirs; silence does not count."""
+    speaking = np.ones(400, bool)
+    speaking[::3] = False
+    values = np.where(np.arange(400) < 200, 0.4, 0.8) + rng.uniform(-0.1, 0.1, 400)
+    around = mean_around(np.where(speaking, values, 0.0), speaking)
+    assert np.abs(around[:80] - 0.4).max() < 0.04 and np.abs(around[320:] - 0.8).max() < 0.04
+    assert np.abs(np.diff(around)).max() < 0.01
+    quiet = np.zeros(400, bool)
+    np.testing.assert_allclose(mean_around(values, quiet), values, rtol=1e-6)
+
+
 def test_a_loud_take_opens_further_throughout_and_its_contacts_stay():
     curves = half_open()
     usual = np.full(3, 0.575, np.float32)
-    RULES.scale_opening(curves, usual, usual, take=1.5)
+    RULES.scale_opening(curves, RULES.opening_factor(usual, usual, take=1.5))
     np.testing.assert_allclose(curves[:, JAW], [0.4 * 1.06, 0.4 * 1.06, 0.4], rtol=1e-5)
 
 
@@ -259,7 +271,7 @@ def test_rules_that_are_off_change_nothing():
         off.sharpen_contacts,
         off.limit_contact_speed,
         off.apply_dead_zone,
-        lambda rows: off.scale_opening(rows, strength, 0.5 * strength, 1.0),
+        lambda rows: off.scale_opening(rows, 2 * strength),
         lambda rows: off.express(
             rows, rest, np.eye(5, dtype=np.float32)[[1] * 40], strength, strength
         ),
