@@ -20,6 +20,7 @@ from deitalk.installed import research
 
 FRONTENDS = {
     "mel": ("mel_bilstm", "MelFrontend"),
+    "wav2vec": ("wav2vec", "Wav2VecFrontend"),
     "whisper": ("whisper", "WhisperFrontend"),
     "causal_whisper": ("causal_whisper", "CausalWhisperFrontend"),
 }
@@ -38,11 +39,8 @@ def build_frontend(
     pretrained : bool
         Read the weights of a checkpoint; False reads its sizes only.
     """
-    if config.kind == "wav2vec":
-        kind = research("comparison.wav2vec", "frontend wav2vec").Wav2VecFrontend
-    else:
-        module, name = FRONTENDS[config.kind]
-        kind = getattr(import_module(f"deitalk.frontends.{module}"), name)
+    module, name = FRONTENDS[config.kind]
+    kind = getattr(import_module(f"deitalk.frontends.{module}"), name)
     frontend: Frontend = kind.build(config, pretrained=pretrained)
     return frontend
 

@@ -20,7 +20,7 @@ from transformers import (
 
 from deitalk.config.frontends import Wav2VecConfig
 from deitalk.errors import CheckpointError, ConfigError
-from deitalk.research.comparison.wav2vec import PUBLISHED, SPEECH_SCALE, Wav2VecFrontend
+from deitalk.frontends.wav2vec import PUBLISHED, SPEECH_SCALE, Wav2VecFrontend
 from tests.closeness import SHARE, assert_same
 from tests.each import each
 from tests.errors import one_line
