@@ -387,7 +387,7 @@ class Expression:
         """Limit the speed of contacts, in place: lips start closing earlier and part later.
 
         Contacts keep their height; the frames around them are raised until no step of a
-        lips-together or lip-bite control is larger than that of captured mouths.
+        lips-together or lip-bite control is larger than that of `LimitContactSpeed`.
 
         Parameters
         ----------

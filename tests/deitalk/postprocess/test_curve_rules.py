@@ -216,7 +216,7 @@ def test_lips_start_closing_early_and_keep_their_contact():
     place = controls.index("CTRL_R_mouth_lipsTogetherD.ty")
     values[4, place] = 1
     Expression(controls).limit_contact_speed(values)
-    expected = [0, 0, 0.2, 0.6, 1, 0.6, 0.2, 0, 0]
+    expected = [0, 0, 0, 0.5, 1, 0.5, 0, 0, 0]
     np.testing.assert_allclose(values[:, place], expected, atol=1e-6)
 
 
