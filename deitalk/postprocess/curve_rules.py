@@ -189,8 +189,9 @@ def mean_around(values: AnyFloat, speaking: Bool) -> Float32:
     """Mean of the frames of speech around each frame, over about 2 s [shape=(T,)]."""
     if not speaking.any():
         return np.asarray(values, np.float32)
-    weight = gaussian_smooth(speaking.astype(np.float64), AROUND_FRAMES) + 1e-6
-    total = gaussian_smooth(values * speaking.astype(np.float64), AROUND_FRAMES)
+    used = speaking.astype(np.float64)
+    weight = gaussian_smooth(used, AROUND_FRAMES) + 1e-6
+    total = gaussian_smooth(np.asarray(values * used), AROUND_FRAMES)
     return np.asarray((total + 1e-6 * values[speaking].mean()) / weight, np.float32)
 
 
