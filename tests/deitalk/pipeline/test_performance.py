@@ -201,3 +201,19 @@ def test_recordings_with_names_that_are_no_utf8_are_read(tmp_path, network):
     about = json.loads((saved / "take.json").read_text(encoding="utf-8"))
     assert about["source"]["name"].endswith(r"\xff.wav")
     assert len(read_curves(saved / "curves.csv")) == 15
+
+
+def test_speech_of_a_recording_is_sought_once(network, tmp_path, monkeypatch):
+    """From the reading of the file to the mean intensity, whatever is noted in between."""
+    sought = []
+
+    def seek(waveform):
+        sought.append(len(waveform))
+        return speech_activity(waveform)
+
+    monkeypatch.setattr("deitalk.audio.load.speech_activity", seek)
+    soundfile.write(tmp_path / "a.wav", recording(1.5).waveform, 16_000)
+    late = IntensityCurve(np.array([0.0, 9.0]), np.ones(2))
+    made = animate(tmp_path / "a.wav", "happy", model=network, intensity_curve=late)
+    assert made.mean_intensity > 0 and "keys until 9.0 s" in made.recording.warnings[-1]
+    assert sought == [24_000]
