@@ -56,11 +56,9 @@ class Service:
         if live["backend"] == "onnx":
             live["device"] = "cpu"
         self.voices, self.pages = Voices(live, self.stage), Pages(self.limits, self.stage)
-        self.reader: Reader | None = None
-        if settings.together > 1:
-            self.limits["reader"] = new_address()
-            self.reader = Reader(self.limits, settings.together)
-        self.pool = Pool(self.limits, settings.workers, settings.work_seconds, settings.waiting)
+        shared: Limits = {**self.limits, "reader": new_address() if settings.together > 1 else ""}
+        self.reader = Reader(shared, settings.together) if shared["reader"] else None
+        self.pool = Pool(shared, settings.workers, settings.work_seconds, settings.waiting)
         engine = await asyncio.to_thread(open_database, settings.database_url)
         self.queue = Queue(
             engine,

@@ -37,7 +37,7 @@ class Limits(TypedDict):
     backend: str
     threads: int
     reader: str
-    """Address of the process that reads for all workers (`api.compute.reader`); empty: none."""
+    """Address of the process that reads for several (`api.compute.reader`); empty: none."""
 
 
 class Order(TypedDict, total=False):

@@ -1,4 +1,4 @@
-"""One process whose network reads for all workers of a server, those who wait in one pass.
+"""One process whose network reads for all requests of a server, those that wait in one pass.
 
 Workers decode, prepare, finish and write in their own processes with their own limits; only the
 network's part comes here. While the reader reads, the next recordings gather: none waits for
@@ -19,8 +19,9 @@ from typing import Any
 import numpy as np
 
 from api.compute.order import Limits
-from api.compute.shared import MOST_FRAMES, packed
+from api.compute.shared import packed
 from api.compute.worker import START_SECONDS, begin_process, limit_memory, process_context
+from deitalk.audio.frames import FRAME_RATE
 from deitalk.emotions import EMOTIONS
 from deitalk.models.protocol import Reading
 from rig.arrays import Float32
@@ -28,9 +29,10 @@ from rig.arrays import Float32
 RESTART_SECONDS = 1.0
 MOST_FAILURES = 3
 """Recordings in a row that fail, after which the process begins anew: a GPU may be lost."""
-PASS_FRAMES = 4 * MOST_FRAMES
+PASS_FRAMES = 240 * FRAME_RATE
 """Most frames of one pass, which bound its memory."""
-MOST_BYTES = 2**24
+MOST_BYTES = 2**26
+"""Of a message: 600 s of sound are 38 MB."""
 log = logging.getLogger("deitalk.service")
 
 
@@ -73,12 +75,12 @@ class Reader:
             theirs.close()
             with suppress(EOFError, OSError):
                 ours.recv_bytes()
-                self._ready.set()
-                log.info("process %d reads for all workers", self.process.pid)
+                log.info("process %d reads for all requests", self.process.pid)
+            self._ready.set()  # or not: then workers read by themselves
             self.process.join()
             ours.close()
             if not self._ending.wait(RESTART_SECONDS):
-                log.warning("the process that reads for all workers ended; it starts again")
+                log.warning("the process that reads for all requests ended; it starts again")
 
 
 def new_address() -> str:
@@ -134,7 +136,8 @@ def serve(ready: connection.Connection, limits: Limits, most: int) -> None:
     prepare(here)
     limit_memory(limits["memory_bytes"])
     waiting: queue.SimpleQueue[Request] = queue.SimpleQueue()
-    Path(limits["reader"]).unlink(missing_ok=True)
+    with suppress(OSError):  # there is none, or it is no file
+        Path(limits["reader"]).unlink()
     listener = connection.Listener(limits["reader"], authkey=current_process().authkey)
     threading.Thread(target=_accept, args=(listener, waiting), daemon=True).start()
     ready.send_bytes(b"ready")

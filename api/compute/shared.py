@@ -16,16 +16,12 @@ from typing import Any
 
 import numpy as np
 
-from api.compute.order import Limits
 from api.errors import describe
-from deitalk.audio.frames import FRAME_RATE
 from deitalk.models.protocol import CurveNetwork, Reading, Tracks
 from rig.arrays import Float32
 
 ANSWER_SECONDS = 30.0
 """Time after which a worker reads by itself."""
-MOST_FRAMES = 60 * FRAME_RATE
-"""Longer recordings are read by their worker, so that none waits long for another."""
 
 
 class SharedNetwork:
@@ -37,8 +33,8 @@ class SharedNetwork:
         The same model in this process, on the processor.
     name : str
         As requests name it.
-    limits : Limits
-        Of the worker.
+    address : str
+        Of the reader.
 
     Attributes
     ----------
@@ -48,8 +44,8 @@ class SharedNetwork:
 
     _line: connection.Connection | None = None
 
-    def __init__(self, network: Any, name: str, limits: Limits) -> None:
-        self.network, self.name, self.limits = network, name, limits
+    def __init__(self, network: CurveNetwork, name: str, address: str) -> None:
+        self.network, self.name, self.address = network, name, address
         self.together = 1
 
     def __getattr__(self, name: str) -> Any:
@@ -68,21 +64,18 @@ class SharedNetwork:
         gain: float = 1.0,
     ) -> Reading:
         """As `CurveNetwork.read`."""
-        if len(weights) <= MOST_FRAMES:
-            with suppress(EOFError, OSError, ValueError):
-                reading = self._asked(sound * np.float32(gain), weights, actor)
-                progress(1.0)
-                return reading
-            SharedNetwork._line = None
-        self.together = 1
-        own: CurveNetwork = self.network.to(self.limits["device"])
-        return own.read(sound, weights, actor, progress, gain)
+        with suppress(EOFError, OSError, ValueError):
+            reading = self._asked(sound * np.float32(gain), weights, actor)
+            progress(1.0)
+            return reading
+        SharedNetwork._line, self.together = None, 1
+        return self.network.read(sound, weights, actor, progress, gain)
 
     def _asked(self, sound: Float32, weights: Float32, actor: str) -> Reading:
         """What the reader answers; an error if it does not, or cannot."""
         if SharedNetwork._line is None:
-            address, key = self.limits["reader"], current_process().authkey
-            SharedNetwork._line = connection.Client(address, authkey=key)
+            key = current_process().authkey
+            SharedNetwork._line = connection.Client(self.address, authkey=key)
         line, given = SharedNetwork._line, {"model": self.name, "actor": actor}
         line.send_bytes(json.dumps(given | {"samples": len(sound)}).encode())
         line.send_bytes(np.concatenate((sound, weights.ravel()), dtype="<f4").tobytes())

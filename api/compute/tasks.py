@@ -161,7 +161,7 @@ def _performed(order: Order, limits: Limits, progress: Progress) -> tuple[Perfor
     """The performance, and how its recording was read if there is a reader."""
     name = order["options"].get("model", "default")
     network, read = load_network(model_of(name, limits)), Answer()
-    shared = SharedNetwork(network, name, limits) if limits["reader"] else None
+    shared = SharedNetwork(network, name, limits["reader"]) if limits["reader"] else None
     performance = animate(
         _recording(order, limits),
         acting=_acting(order, limits),

@@ -13,7 +13,7 @@ import yaml
 from typer.testing import CliRunner
 
 import api
-from api import commands
+from api import commands, serving
 from api.app import create_app
 from api.errors import Problem
 from api.guard.keys import KEY_PREFIX, Rates, digest_of, new_key
@@ -24,10 +24,11 @@ from api.messages.options import ANIMATION_FORMATS, choose_format
 from api.serving import check_places
 from api.settings import Settings, load_settings
 from deitalk.cli import app
-from deitalk.errors import ConfigError
+from deitalk.errors import ConfigError, DeitalkError
 from tests.browser import needs_player
 from tests.command import ran
 from tests.each import each
+from tests.errors import one_line
 
 
 def test_later_sources_replace_earlier_ones(tmp_path, monkeypatch):
@@ -41,13 +42,31 @@ def test_later_sources_replace_earlier_ones(tmp_path, monkeypatch):
 
 @each(
     ("text", "named"),
-    [("prot: 1", "prot"), ("port: 99999", "port"), ("keys: [{name: a}]", "keys"), ("- 1", "lines")],
+    [
+        ("prot: 1", "prot"),
+        ("port: 99999", "port"),
+        ("keys: [{name: a}]", "keys"),
+        ("- 1", "lines"),
+        ("device: gpu", "cuda:N"),
+    ],
 )
 def test_wrong_settings_are_named(tmp_path, text, named):
     file = tmp_path / "service.yaml"
     file.write_text(text)
     with pytest.raises(ConfigError, match=named):
         load_settings(file)
+
+
+def test_gpu_reads_together_and_processors_one_by_one(tmp_path):
+    assert Settings(device="cuda").together == 16 and Settings().together == 1
+    assert Settings(read_together=3).together == 3
+    with one_line(ConfigError, "one by one"):
+        Settings(backend="onnx", read_together=2).check()
+
+
+def test_device_that_is_missing_is_named_before_the_start(tmp_path):
+    with one_line(DeitalkError, "cuda:99", "use cpu"):
+        serving.run(Settings(device="cuda:99", data=tmp_path))
 
 
 def test_other_addresses_need_keys(tmp_path):
