@@ -151,8 +151,8 @@ class GlbBuilder:
 
 
 def _bounds(array: NDArray[Any]) -> dict[str, list[float]]:
-    rows = array.reshape(len(array), -1)
-    return {"min": rows.min(axis=0).tolist(), "max": rows.max(axis=0).tolist()}
+    columns = np.ascontiguousarray(array.reshape(len(array), -1).T)
+    return {"min": columns.min(axis=1).tolist(), "max": columns.max(axis=1).tolist()}
 
 
 def write_glb(
@@ -221,11 +221,12 @@ def _add_mesh(
     moves[np.concatenate([[], *moved]).astype(np.int64)] = True
     normals = MovedNormals(mesh, moves)
     for delta, moving in zip(deltas, moved, strict=True):
-        turned, turn = normals.turn(moving, delta[moving])
+        shift = np.take(delta, moving, axis=0)
+        turned, turn = normals.turn(moving, shift)
         is_seen = np.einsum("vc,vc->v", turn, turn) > _NORMAL_STILL**2
         targets.append(
             {
-                "POSITION": builder.sparse(len(used), moving, metres * delta[moving]),
+                "POSITION": builder.sparse(len(used), moving, metres * shift),
                 "NORMAL": builder.sparse(len(used), turned[is_seen], turn[is_seen]),
             }
         )

@@ -144,8 +144,9 @@ def cross_products(mesh: TriMesh) -> Float64:
 
 
 def _cross_products(vertices: Float64, faces: Int64) -> Float64:
-    a, b, c = (vertices[faces[:, k]] for k in range(3))
-    product: Float64 = np.cross(b - a, c - a)
+    a, b, c = (np.take(vertices, faces[:, k], axis=0).T for k in range(3))
+    (x, y, z), (u, v, w) = b - a, c - a
+    product: Float64 = np.stack([y * w - z * v, z * u - x * w, x * v - y * u], axis=1)
     return product
 
 
@@ -195,6 +196,7 @@ class MovedNormals:
         kept = slice(None) if moves is None else moves[mesh.faces].any(axis=1)
         self._faces, self._products = mesh.faces[kept], products[kept]
         self._corners = np.ascontiguousarray(self._faces.T)
+        self._place = np.zeros(len(mesh.vertices), np.int64)
 
     def turn(self, moving: Int64, delta: AnyFloat) -> tuple[Int64, Float64]:
         """Vertices (n,) whose faces move with `moving` by `delta`, and the change (n, 3) there."""
@@ -202,15 +204,17 @@ class MovedNormals:
         vertices[moving] += delta
         is_moving = np.zeros(len(vertices), bool)
         is_moving[moving] = True
-        touched = np.flatnonzero(is_moving[self._corners].any(axis=0))
+        a, b, c = np.take(is_moving, self._corners)
+        touched = np.flatnonzero(a | b | c)
+        corners, products = (np.take(x, touched, axis=0) for x in (self._faces, self._products))
         is_turned = np.zeros(len(vertices), bool)
-        is_turned[self._faces[touched]] = True
+        is_turned[corners] = True
         turned = np.flatnonzero(is_turned)
-        place = np.cumsum(is_turned) - 1
-        faces = place[self._faces[touched]]
-        change = _cross_products(vertices[turned], faces) - self._products[touched]
-        sums = _corner_sums(faces, change, len(turned))
-        return turned, _unit(self._sums[turned] + sums) - self.rest[turned]
+        self._place[turned] = np.arange(len(turned))
+        faces = np.take(self._place, corners)
+        posed, sums, rest = (np.take(x, turned, axis=0) for x in (vertices, self._sums, self.rest))
+        sums = sums + _corner_sums(faces, _cross_products(posed, faces) - products, len(turned))
+        return turned, _unit(sums) - rest
 
 
 def _unit(vectors: Float64) -> Float64:
