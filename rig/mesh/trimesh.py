@@ -206,15 +206,17 @@ class MovedNormals:
         is_moving[moving] = True
         a, b, c = np.take(is_moving, self._corners)
         touched = np.flatnonzero(a | b | c)
-        corners, products = (np.take(x, touched, axis=0) for x in (self._faces, self._products))
+        corners: Int64 = np.take(self._faces, touched, axis=0)
+        products: Float64 = np.take(self._products, touched, axis=0)
         is_turned = np.zeros(len(vertices), bool)
         is_turned[corners] = True
         turned = np.flatnonzero(is_turned)
         self._place[turned] = np.arange(len(turned))
-        faces = np.take(self._place, corners)
-        posed, sums, rest = (np.take(x, turned, axis=0) for x in (vertices, self._sums, self.rest))
-        sums = sums + _corner_sums(faces, _cross_products(posed, faces) - products, len(turned))
-        return turned, _unit(sums) - rest
+        faces: Int64 = np.take(self._place, corners)
+        posed: Float64 = np.take(vertices, turned, axis=0)
+        change = _corner_sums(faces, _cross_products(posed, faces) - products, len(turned))
+        sums: Float64 = np.take(self._sums, turned, axis=0) + change
+        return turned, _unit(sums) - np.take(self.rest, turned, axis=0)
 
 
 def _unit(vectors: Float64) -> Float64:
