@@ -26,6 +26,8 @@ from rig.files import atomic_write, cache_folder
 # Cache of heads on disk: plain arrays in the user's cache folder.
 
 Arrays = dict[str, NDArray[Any]]
+MOST_KEPT = 24
+"""Entries of a kind, of 15 MB each; an identity is one."""
 
 
 @lru_cache(maxsize=1)
@@ -52,6 +54,9 @@ def load_or_build(kind: str, identity: Identity, build: Callable[[Identity], Arr
         path.parent.mkdir(parents=True, exist_ok=True)
         with atomic_write(path) as beside:
             np.savez(beside, **arrays)  # type: ignore[arg-type]
+        kept = sorted(path.parent.glob(f"{kind}-*.npz"), key=lambda old: old.stat().st_mtime)
+        for old in kept[:-MOST_KEPT]:  # of former versions, or heads that are not used any more
+            old.unlink()
     except OSError:
         pass  # a cache that cannot be written is no error: the head is built again next time
     return arrays

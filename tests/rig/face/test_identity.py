@@ -1,5 +1,7 @@
 """People of the embedded head: names, roles, and what sets a child apart."""
 
+import os
+
 import numpy as np
 import pytest
 
@@ -7,6 +9,7 @@ from deitalk.research.contact_sheet import pose_values
 from rig.errors import RigError
 from rig.face import IDENTITIES, build_head
 from rig.face.geometry.topology import anatomy
+from rig.face.head import MOST_KEPT, load_or_build
 from rig.face.identity import ROLES, resolve_identity
 from tests.each import each
 
@@ -40,3 +43,22 @@ def test_child_has_the_triangles_of_the_adults_and_opens_its_mouth_on_teeth():
     assert high - low > 1
     teeth = pose[child.slices["teeth_upper"]]
     assert teeth[np.abs(teeth[:, 0]) < 0.4, 1].min() < high  # upper teeth in sight
+
+
+def test_cache_keeps_the_newest_heads_and_no_others_files(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    folder = tmp_path / "deitalk"
+    folder.mkdir()
+    for age in range(MOST_KEPT + 2):
+        old = folder / f"head-{age:02}.npz"
+        old.write_bytes(b"")
+        os.utime(old, (1e9 - age, 1e9 - age))
+    (folder / "morphs-0.npz").write_bytes(b"")
+    made = {"a": np.arange(3)}
+    assert load_or_build("head", IDENTITIES[0], lambda identity: made) is made
+    again = load_or_build("head", IDENTITIES[0], lambda identity: pytest.fail("built again"))
+    np.testing.assert_array_equal(again["a"], made["a"])
+    names = {path.name for path in folder.iterdir()}
+    assert len(names) == MOST_KEPT + 1 and "morphs-0.npz" in names
+    gone = {f"head-{age:02}.npz" for age in range(MOST_KEPT - 1, MOST_KEPT + 2)}
+    assert not gone & names
