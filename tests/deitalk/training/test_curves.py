@@ -1,6 +1,7 @@
 """Training of DEITalk models on seconds of data: files, learning, starts, pictures, processes."""
 
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -101,10 +102,10 @@ def test_resumed_run_has_the_weights_of_an_uninterrupted_one(data, finished, tmp
 
 
 def test_resuming_rejects_a_damaged_state(data, finished, tmp_path):
-    (tmp_path / "config.yaml").write_text((finished / "config.yaml").read_text())
-    (tmp_path / "state.pt").write_bytes(b"not a state")
+    run = shutil.copytree(finished, tmp_path / "run")
+    (run / "state.pt").write_bytes(b"not a state")
     with pytest.raises(DataError, match=r"state\.pt: damaged"):
-        train_curves(tiny("model.dropout=0.1"), data, tmp_path, resume=True)
+        train_curves(tiny("model.dropout=0.1"), data, run, resume=True)
 
 
 def test_loss_falls_on_a_small_dataset(data, tmp_path):
