@@ -281,3 +281,17 @@ def test_recordings_read_together_are_as_read_one_by_one(tmp_path, seconds):
         expected = model.read(sound, rows)
         np.testing.assert_allclose(found.emotional, expected.emotional, atol=1e-5)
         np.testing.assert_allclose(found.tracks.strength, expected.tracks.strength, atol=1e-5)
+
+
+def test_all_that_recordings_read_together_need_is_on_the_network_s_device(tmp_path):
+    """The device of tensors without values stands for a GPU: it takes no others, too."""
+    model = network(tmp_path / "m")[0].to("meta")
+    clips = [speech(seconds) for seconds in (1.5, 2.0, 12.0)]
+    counts = [frame_count(len(clip)) for clip in clips]
+    weights = np.stack([np.eye(5, dtype=np.float32)[[k] * counts[2]] for k in (0, 2)])
+    rows = model.frontend.encode_together(clips, counts)
+    assert [tuple(part.shape) for part in rows] == [(count, TINY["width"]) for count in counts]
+    analysis = model.analyse(rows[2], counts[2])
+    curves = model.decode(analysis, model.styles(torch.from_numpy(weights), "").to(model.device))
+    assert curves.shape[:2] == (2, counts[2])
+    assert {part.device.type for part in (*rows, analysis.strength, curves)} == {"meta"}
