@@ -8,6 +8,7 @@ import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
 from itertools import islice
+from multiprocessing.connection import wait
 
 import httpx
 import numpy as np
@@ -123,6 +124,7 @@ def test_reader_that_ends_or_fails_is_replaced_and_meanwhile_a_worker_reads_by_i
         assert network.together == 1 and SharedNetwork._line is not None
         before = made.process.pid
         kill(before)
+        wait([made.process.sentinel], 10)
         np.testing.assert_allclose(network.read(*given).emotional, expected.emotional, atol=1e-5)
         assert SharedNetwork._line is None
         end = time.monotonic() + 60
