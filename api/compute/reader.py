@@ -109,7 +109,7 @@ class Line:
         self.is_open = False
 
     def send(self, result: Reading | Exception, together: int) -> None:
-        """Send what was read, or that it was not; a worker that has ended hears nothing."""
+        """Send what was read, or that it was not; nothing where the worker has ended."""
         header, data = packed(result)
         with suppress(OSError):
             self.link.send_bytes(json.dumps(header | {"together": together}).encode())
