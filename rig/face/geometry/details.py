@@ -250,7 +250,7 @@ def tongue(mouth_y: float, lip_z: float) -> tuple[Mesh, Float64]:
 # An ear: a relief over a disc of rings, and a skirt that sinks into the skull.
 
 
-_EAR_COLUMNS, _EAR_RINGS = 60, 24
+_EAR_COLUMNS, _EAR_RINGS = 48, 20
 _EAR_WIDE, _EAR_TALL = 1.75, 2.95
 """Half the width and height, cm, where the outline is 1."""
 _EAR_SKIRT = ((1.0, -0.16), (0.97, -0.28), (0.90, -0.42), (0.80, -0.62), (0.68, -1.0), (0.6, -1.6))

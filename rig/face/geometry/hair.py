@@ -13,7 +13,7 @@ _COLUMNS, _ROWS = 112, 18
 HAIR_AXIS = np.array([0.0, 2.2, -0.9])
 CAP_SHARE, CAP_BACK_DEGREES = 0.45, 4.5
 """The cap's thickness as a share of the hair's, and how far it keeps from the hairline."""
-LOCKS, WISPS, STEPS = 540, 200, 7
+LOCKS, WISPS, STEPS = 540, 150, 7
 CAP_FOLDS = 14
 """Times that the cap shows the strands of the maps, to and fro, around the head."""
 HANGS_BELOW_CM = -4.0
