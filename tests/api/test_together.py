@@ -223,8 +223,11 @@ def test_what_ends_one_request_ends_no_other(server):
         for each in gone:
             with pytest.raises(httpx.TimeoutException):
                 each.result()
-    lines = [line for line in server.log.read_text().splitlines() if '"id-' in line]
-    logged = {entry["request"]: entry["status"] for entry in map(json.loads, lines)}
+    logged: dict[str, int] = {}
+    end = time.monotonic() + 10  # a line is written after its answer was sent
+    while len(logged) < 12 and time.monotonic() < end:
+        lines = [line for line in server.log.read_text().splitlines() if '"id-' in line]
+        logged = {entry["request"]: entry["status"] for entry in map(json.loads, lines)}
     assert logged == {f"id-{number}": 200 for number in range(12)}
 
 
