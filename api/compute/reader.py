@@ -68,16 +68,19 @@ class Reader:
         while not self._ending.is_set():
             context: Any = process_context(self.limits["backend"])
             ours, theirs = context.Pipe()
-            self.process = context.Process(
+            process = context.Process(
                 target=serve, args=(theirs, self.limits, self.most), daemon=True
             )
-            self.process.start()
+            process.start()
+            self.process = process
+            if self._ending.is_set():  # `stop` did not see this one
+                process.kill()
             theirs.close()
             with suppress(EOFError, OSError):
                 ours.recv_bytes()
-                log.info("process %d reads for all requests", self.process.pid)
+                log.info("process %d reads for all requests", process.pid)
             self._ready.set()  # or not: then workers read by themselves
-            self.process.join()
+            process.join()
             ours.close()
             if not self._ending.wait(RESTART_SECONDS):
                 log.warning("the process that reads for all requests ended; it starts again")
