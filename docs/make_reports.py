@@ -84,7 +84,7 @@ def runnable(words: Command, report: Path) -> tuple[Command, Path | None]:
     action, rest = words[1], [*program, *words[1:]]
     if words[0] == "python":
         return [*rest, "--json", str(report)], report
-    if action == "evaluate":
+    if action == "evaluate" and "--speed" not in words:
         return [*rest, "-o", str(report), "--force"], report
     if action in ("ablate", "finetune"):
         name = "ablations" if action == "ablate" else "folds" if "--folds" in words else "report"

@@ -131,6 +131,7 @@ def test_every_command_can_be_run_with_its_places(name, tmp_path):
     command, file = make_reports.runnable(words, tmp_path / "report.json")
     assert command[0] == sys.executable
     assert file is not None or "--json" in command
+    assert file is None or "--speed" not in command  # which prints its report
 
 
 def test_place_that_is_missing_or_unknown_is_named(tmp_path):
