@@ -111,6 +111,8 @@ def evaluate(
     deitalk evaluate default --speed --memory
     """
     if speed:
+        scores = {"out": out, "picture": picture, "noise": noise, "captured": captured}
+        _refuse("not with --speed, which prints (--json)", **scores, lips=lips, acted=acted)
         from deitalk.research.cli.speed import measure
 
         measure(model, seconds, threads, repeats, memory=memory, mesh=mesh, as_json=as_json)

@@ -198,6 +198,12 @@ def test_benchmark_prints_stages_and_the_numbers_of_the_paper(model):
     assert re.fullmatch("[0-9a-f]{64}", result["sha256"])
 
 
+def test_benchmark_refuses_a_file_that_it_would_not_write(model, tmp_path):
+    out = tmp_path / "speed.json"
+    assert "--json" in refused("evaluate", model, "--speed", "-o", str(out))
+    assert not out.exists()
+
+
 def test_every_command_has_help_and_is_in_a_page():
     pages = [ROOT / "README.md", ROOT / "MODEL_CARD.md", *(ROOT / "docs").glob("*.md")]
     text = "".join(page.read_text() for page in pages)
