@@ -1,8 +1,8 @@
 """One process whose network reads for all requests of a server, those that wait in one pass.
 
 Workers decode, prepare, finish and write in their own processes with their own limits; only the
-network's part comes here. While the reader reads, the next recordings gather: none waits for
-company. Where it does not answer, a worker reads by itself.
+network's part comes here. Requests that arrive during a pass form the next one; none is delayed to
+fill a pass. Where the process does not answer, a worker reads by itself.
 """
 
 import json
@@ -100,8 +100,8 @@ class Line:
     def __init__(self, link: connection.Connection) -> None:
         self.link, self.is_open = link, True
 
-    def listen(self, waiting: "queue.SimpleQueue[Request]") -> None:
-        """Take what the worker sends, until it ends."""
+    def receive(self, waiting: "queue.SimpleQueue[Request]") -> None:
+        """Put the worker's requests into the queue until the connection ends."""
         with suppress(Exception):  # it ends, or is broken
             while True:
                 given = json.loads(self.link.recv_bytes())
@@ -159,7 +159,7 @@ def _accept(listener: connection.Listener, waiting: "queue.SimpleQueue[Request]"
     while True:
         with suppress(OSError, EOFError, AuthenticationError):
             line = Line(listener.accept())
-            threading.Thread(target=line.listen, args=(waiting,), daemon=True).start()
+            threading.Thread(target=line.receive, args=(waiting,), daemon=True).start()
 
 
 def groups(waiting: "queue.SimpleQueue[Request]", most: int) -> Iterator[list[Request]]:

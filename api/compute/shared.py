@@ -65,14 +65,14 @@ class SharedNetwork:
     ) -> Reading:
         """As `CurveNetwork.read`."""
         with suppress(EOFError, OSError, ValueError):
-            reading = self._asked(sound * np.float32(gain), weights, actor)
+            reading = self._read_there(sound * np.float32(gain), weights, actor)
             progress(1.0)
             return reading
         SharedNetwork._line, self.together = None, 1
         return self.network.read(sound, weights, actor, progress, gain)
 
-    def _asked(self, sound: Float32, weights: Float32, actor: str) -> Reading:
-        """What the reader answers; an error if it does not, or cannot."""
+    def _read_there(self, sound: Float32, weights: Float32, actor: str) -> Reading:
+        """A reading by the other process; an error where it fails or gives none in time."""
         if SharedNetwork._line is None:
             key = current_process().authkey
             SharedNetwork._line = connection.Client(self.address, authkey=key)

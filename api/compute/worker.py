@@ -172,7 +172,7 @@ def process_context(backend: str) -> BaseContext:
 KEPT = {-1: 128 * 2**20, -3: 32 * 2**20}
 """M_TRIM_THRESHOLD and M_MMAP_THRESHOLD: free bytes that a process keeps, and its largest block.
 
-To give them back and take them again was a seventh of the work on ten seconds."""
+Memory that is given back after an order is taken again for the next one, page by page."""
 LARGEST_FILE = 8 * 2**30
 """Bytes of a file that a worker may write."""
 

@@ -316,11 +316,13 @@ class WindowBatches(SeededBatches[Window]):
         is_plain = not config.augment and encoded is None
         self.frozen_features, self.clean = frozen_features if is_plain else None, clean
         self.encoded = encoded
-        self.hears = clean or self.frozen_features is None
+        self.needs_sound = clean or self.frozen_features is None
         self.measured, self.others = self._divided()
         self.recorded = np.array([clip.source == "recording" for clip in self.others])
         self.surroundings = Surroundings.read(config.noise_folder, config.room_folder)
-        self.cache = MaterialCache(controls, int(config.cache_gigabytes * 1e9), sound=self.hears)
+        self.cache = MaterialCache(
+            controls, int(config.cache_gigabytes * 1e9), sound=self.needs_sound
+        )
 
     def _divided(self) -> tuple[list[list[Clip]], list[Clip]]:
         """Measured clips by speaker, if they have a share of their own, and the other clips."""
@@ -343,7 +345,7 @@ class WindowBatches(SeededBatches[Window]):
         if self.encoded is not None:
             turn = int(rng.integers(len(self.encoded.rows)))
             speed = self.encoded.speed(turn, clip.audio)
-        if self.hears:
+        if self.needs_sound:
             total = n_clip_frames(len(material.waveform), speed)
         else:
             total = recorded_frames(str(clip.audio))

@@ -320,7 +320,7 @@ def _systems(
 
 
 LOUDNESS_CLIPS = 2000
-"""Most clips that the line is fitted on, evenly spread: 4 hours tell it as well as 100."""
+"""Most clips that the line is fitted on, evenly spread."""
 
 
 def _loudness_line(captures: CaptureSet, clips: Sequence[Clip]) -> tuple[Float32, Float32]:
@@ -476,7 +476,7 @@ def _markdown(report: dict[str, Any]) -> str:
 
 
 def nearer_base(scores: Mapping[str, Mapping[str, float]]) -> str:
-    """A line that says so where the model before errs less than the one after, else nothing."""
+    """Note where the base's error is lower than the tuned model's; empty otherwise."""
     before, after = (
         scores.get(name, {}).get("error_of_mean_pose", float("nan")) for name in ("before", "after")
     )

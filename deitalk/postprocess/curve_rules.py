@@ -358,8 +358,8 @@ class Expression:
         Parameters
         ----------
         voice, network : array [shape=(T,), range 0 to 1]
-            Corrected intensity, and the one that the network predicts: means of the speech around
-            each frame, for what varies faster is the network's to show.
+            Corrected intensity, and the one that the network predicts, each as its mean over the
+            speech around a frame; the reading itself has the faster variation.
         take : float
             Strength of the whole take, standard deviations above the usual
             (`deitalk.postprocess.voice_intensity.take_z`).

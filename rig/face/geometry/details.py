@@ -330,7 +330,7 @@ def ear(identity: Identity) -> Mesh:
     center = np.asarray(on_skin + np.array([0.92, 0.0, -0.25]))
     vertices = center + local @ np.stack([lean_f, lean_u, outward])
     mesh = painted(vertices, grid_faces(len(radius), _EAR_COLUMNS), identity.skin, 0.2)
-    # Less light in the bowl, more blood in the rim.
+    # The bowl is darker, the rim redder.
     deep = np.interp(height, [-0.8, -0.45, -0.1, 0.1], [0.42, 0.68, 0.93, 1.02])
     deep[_EAR_RINGS:] = 0.85
     red = np.clip((radius - 0.6) / 0.4, 0, 1) * [[[0.0]], [[0.07]], [[0.07]]]

@@ -8,7 +8,7 @@ from deitalk.audio.voice_activity import BAND_EDGES_HZ
 from deitalk.config.rules import Gates, VoiceIntensity
 from deitalk.frontends.causal_whisper import USUAL_POWER, first_level, follow_level
 from deitalk.live.rules import GATE_AHEAD, RunningActivity
-from deitalk.postprocess.voice_intensity import Measures, RunningIntensity
+from deitalk.postprocess.voice_intensity import Measures, RunningAround, RunningIntensity
 from tests.each import each
 
 BANDS = len(BAND_EDGES_HZ) - 1
@@ -115,3 +115,14 @@ def test_intensity_rises_with_the_level_and_not_with_the_gain():
 def test_intensity_stays_in_pauses_and_is_the_networks_without_the_rule():
     assert np.ptp(intensity_of(np.linspace(-60, 0, 50), speaking=False)) == 0
     assert np.all(intensity_of(np.zeros(5), network=0.3, rule=None) == np.float32(0.3))
+
+
+def test_means_of_the_opening_move_a_thirtieth_a_frame_of_speech_and_not_in_silence():
+    around = RunningAround(0.6)
+    speaking = np.array([False, True, False, True])
+    voice, network = around.feed(np.full(4, 0.9), np.full(4, 0.3), speaking)
+    once, twice = 0.3 / 30, 0.3 / 30 + (0.3 - 0.3 / 30) / 30
+    np.testing.assert_allclose(voice - 0.6, [0, once, once, twice], rtol=1e-9)
+    np.testing.assert_allclose(0.6 - network, [0, once, once, twice], rtol=1e-9)
+    later, _ = around.feed(np.full(1, 0.9), np.full(1, 0.3), np.array([False]))
+    assert later[0] == voice[-1]
