@@ -4,10 +4,11 @@ Every clip is read once; a fault is one line with the clips it concerns. Files t
 training could not read (values out of their control's range among them) are unreadable here.
 
 The offset between sound and curves is the lag at which the jaw follows the level of the vowels
-best, pooled over the clips; `deitalk.data.offset` judges single ones. A lag means curves that are
-early or late, the most common fault of captures.
+best, pooled over the clips. A single clip is called shifted only if it is so against the embedded
+model's curves too: loud consonants, short clips and long pauses mislead the level. A lag means
+curves that are early or late, the most common fault of captures.
 
-Letters: T frames at 60 per second, L lags, C controls.
+Letters: T frames, C controls.
 """
 
 from collections import Counter
@@ -33,16 +34,7 @@ from deitalk.data.clips import (
     read_known,
     read_phones,
 )
-from deitalk.data.offset import (
-    RATE,
-    is_shifted,
-    jaw_motion,
-    lag_correlations,
-    loudness,
-    model_lags,
-    peak,
-    vowel_band,
-)
+from deitalk.data.offset import ClipLags, clip_lags, predicted_curves, sharpest_peak
 from deitalk.emotions import EMOTIONS
 from rig import ControlSet, RigCurves, default_controls, read_curves
 from rig.arrays import Bool, Float64
@@ -50,7 +42,8 @@ from rig.controls import DEFAULT_ID
 from rig.errors import UserError
 
 SHIFTED_SECONDS = 0.05
-"""Pooled lag beyond which the curves do not belong to the sound."""
+"""Lag of the level, pooled or of a clip, beyond which the curves do not belong to the sound."""
+JAW = "CTRL_C_jaw.ty"
 LENGTH_SECONDS = 0.1
 DEAD = 1e-3
 FEW = 0.05
@@ -72,10 +65,10 @@ class Measured(NamedTuple):
     low: Float64
     high: Float64
     """Smallest and largest value of every control [shape=(C,)]; NaN where it is unknown."""
-    lags: Float64
-    """Correlation of level and jaw by lag [shape=(L,)]; NaN where one does not move."""
-    model_lags: Float64 | None
-    """The same with the embedded model's jaw instead of the level; None if `lags` are near 0."""
+    lags: ClipLags | None
+    """Of the jaw, against the level; None if one of both does not move, or the clip is short."""
+    shift: float
+    """Lag of a clip that is shifted by itself, seconds; else 0."""
     speech_share: float
     open_share: float
     """Mean jaw in silence by its 95th percentile in speech; NaN where unknown."""
@@ -162,8 +155,7 @@ def measure(clip: Clip, controls: ControlSet) -> Measured:
     low[places] = curves.values[:, columns].min(axis=0)
     high[places] = curves.values[:, columns].max(axis=0)
     speaking = speech_activity(recording.waveform) > 0
-    jaw = jaw_motion(curves, clip.offset_seconds, recording.duration)
-    lags = lag_correlations(loudness(vowel_band(recording.waveform)), jaw)
+    lags = clip_lags(curves, recording.waveform, predicted=None, offset=clip.offset_seconds)
     return Measured(
         clip.name,
         curves.fps,
@@ -174,9 +166,9 @@ def measure(clip: Clip, controls: ControlSet) -> Measured:
         low,
         high,
         lags,
-        model_lags(recording, lags, jaw),
+        _shift(clip, lags, curves),
         float(speaking.mean()),
-        _open_in_silence(jaw, speaking),
+        _open_in_silence(curves, times, speaking),
         recording.clipped_fraction,
     )
 
@@ -190,12 +182,25 @@ def _recording(path: str) -> Recording:
     return load_audio(path)
 
 
-def _open_in_silence(jaw: Float64, speaking: Bool) -> float:
-    frames = np.minimum(np.arange(len(jaw)) * FRAME_RATE // RATE, len(speaking) - 1)
-    speech = speaking[frames]
-    if not speech.any() or speech.all():
+@lru_cache(maxsize=8)
+def _predicted(path: str) -> RigCurves | None:
+    return predicted_curves(_recording(path))
+
+
+def _shift(clip: Clip, lags: ClipLags | None, curves: RigCurves) -> float:
+    """Lag of a clip that is early or late by level and model, seconds; else 0."""
+    if lags is None or abs(lags.lag) < SHIFTED_SECONDS:
+        return 0.0
+    waveform, predicted = _recording(str(clip.audio)).waveform, _predicted(str(clip.audio))
+    found = clip_lags(curves, waveform, predicted=predicted, offset=clip.offset_seconds)
+    return found.lag if found is not None and found.is_shifted else 0.0
+
+
+def _open_in_silence(curves: RigCurves, times: Float64, speaking: Bool) -> float:
+    if JAW not in curves.names or not speaking.any() or speaking.all():
         return float("nan")
-    return float(jaw[~speech].mean() / max(float(np.percentile(jaw[speech], 95)), 1e-3))
+    jaw = np.interp(np.arange(len(speaking)) / FRAME_RATE, times, curves[JAW])
+    return float(jaw[~speaking].mean() / max(float(np.percentile(jaw[speaking], 95)), 1e-3))
 
 
 def _of_the_table(clips: Sequence[Clip]) -> list[Check]:
@@ -276,19 +281,15 @@ def _of_the_clips(clips: Sequence[Measured], controls: ControlSet) -> list[Check
 
 def _offset(clips: Sequence[Measured]) -> Check:
     """Lag of the jaw behind the level, pooled, and the clips that differ clearly."""
-    known = [clip for clip in clips if np.isfinite(clip.lags).all()]
+    known = [clip.lags.scores / clip.lags.n_groups for clip in clips if clip.lags is not None]
     if not known:
         return Check("offset", "warning", "unknown: no clip of 2 s whose jaw and loudness move")
-    pooled = np.mean([clip.lags for clip in known], axis=0)
-    lag = peak(pooled) / RATE
-    text = f"curves {lag * 1000:+.0f} ms after the sound (r {pooled.max():.2f})"
+    pooled: Float64 = np.mean(known, axis=0)
+    lag = sharpest_peak(pooled)
+    text = f"curves {lag * 1000:+.0f} ms after the sound (r {max(pooled.max(), 0) ** 0.5:.2f})"
     if abs(lag) > SHIFTED_SECONDS:
         return Check("offset", "warning", f"{text}; set offset_s to correct it")
-    shifted = [
-        f"{clip.name} ({peak(clip.model_lags) / RATE * 1000:+.0f} ms)"
-        for clip in known
-        if clip.model_lags is not None and is_shifted(clip.model_lags)
-    ]
+    shifted = [f"{clip.name} ({clip.shift * 1000:+.0f} ms)" for clip in clips if clip.shift]
     return verdict("offset", shifted, text, f"clips seem shifted; all: {text}")
 
 

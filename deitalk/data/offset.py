@@ -1,11 +1,19 @@
-"""Whether the curves of a clip come early or late against its sound.
+"""Whether curves come early or late against their sound: of a clip, and of a take with its drift.
 
-Speech opens the jaw. Two signals are compared with the jaw at lags of -0.5 to 0.5 s: the level of
-the band that vowels fill, which costs nothing, and the jaw that the embedded model gives the
-recording, which differs between closed and open vowels. A clip is called shifted only if both are
-shifted: loud consonants, short clips and long pauses mislead the level alone.
+Jaw, contacts, rounding, spreading and lips of the capture are correlated with the same groups of
+the curves that `default` predicts of the recording, at lags of up to a second; the squares of the
+correlations are summed over groups, and over the clips of a take along lines of lag by time. The
+sum peaks sharper and at fewer wrong places than the correlation of any one group. Of another rig
+than the board the first principal components of its curves replace the groups; where there is no
+model, the level of the band that vowels fill replaces its curves.
 
-Letters: T frames at 60 per second, L lags.
+Measured on clips of 5 to 15 s (40 of a hand-animated rig, 44 of lips on video, 20 of a built
+corpus) that were moved by 1 to 15 thirtieths of a second, against the same clips unmoved: the
+move is found to a third of a frame (11 ms) in 99.6, 100 and 100 %. Unmoved clips scatter by 10 to
+15 ms each, and pooled over a speaker on video by -4 to 10 ms: as much as people's mouths and
+sound.
+
+Letters: T frames at 120 per second, L lags, K clips.
 """
 
 from collections.abc import Mapping, Sequence
@@ -14,265 +22,26 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deitalk.audio.frames import SAMPLE_RATE
 from deitalk.audio.load import Recording
 from deitalk.audio.vocal_strength import level_db
-from rig import ControlSet, RigCurves
-from rig.arrays import AnyFloat, Bool, Float32, Float64
+from rig import RigCurves
+from rig.arrays import Bool, Float32, Float64
 from rig.controls import DEFAULT_ID
 
-# Scores of a prediction: the paper's errors, detection scores and correlation (DEITalk §4.2).
-#
-# Letters: T frames, C controls, N events.
-
-
-def parameter_error(target: AnyFloat, predicted: AnyFloat, controls: NDArray[np.integer]) -> float:
-    """Mean over frames of the largest squared error among some controls (LPE, EPE; §4.2).
-
-    Parameters
-    ----------
-    target, predicted : ndarray [shape=(T, C)]
-        Captured and predicted curves.
-    controls : ndarray [shape=(K,)]
-        The set: 86 lip controls for LPE, 18 of the upper face for EPE.
-
-    Returns
-    -------
-    float
-        In squared control units; NaN for an empty set.
-
-    Notes
-    -----
-    Paper silent: which 86 and 18 controls, and what "maximum error l2" squares. LVE, which the
-    paper follows, is the largest squared distance among lip vertices, averaged over frames; for a
-    scalar control it is the squared error. Values depend on the set and are not comparable with
-    the paper's 0.00162 and 0.00079.
-    """
-    if not len(controls):
-        return float("nan")
-    return float(np.square(target[:, controls] - predicted[:, controls]).max(axis=1).mean())
-
-
-def lip_parameter_error(
-    target: AnyFloat, predicted: AnyFloat, controls: ControlSet, known: Bool | None = None
-) -> float:
-    """LPE over the control set's ``lip`` subset, as far as it is `known` [shape=(C,)]."""
-    return parameter_error(target, predicted, _known(controls.subset("lip"), known))
-
-
-def emotion_parameter_error(
-    target: AnyFloat, predicted: AnyFloat, controls: ControlSet, known: Bool | None = None
-) -> float:
-    """EPE over the control set's ``upper_face`` subset, as far as it is `known` [shape=(C,)]."""
-    return parameter_error(target, predicted, _known(controls.subset("upper_face"), known))
-
-
-def _known(places: NDArray[np.intp], known: Bool | None) -> NDArray[np.intp]:
-    return places if known is None else places[known[places]]
-
-
-def correlation(a: AnyFloat, b: AnyFloat) -> float:
-    """Pearson's r of two signals; NaN if one of them is constant."""
-    a, b = a - a.mean(), b - b.mean()
-    norm = float(np.sqrt((a * a).sum() * (b * b).sum()))
-    return float((a * b).sum()) / norm if norm > 1e-9 else float("nan")
-
-
-def area_under_curve(positive: AnyFloat, negative: AnyFloat) -> float:
-    """Area under the ROC curve: probability of a positive above a negative; ties count half."""
-    if not len(positive) or not len(negative):
-        return float("nan")
-    ordered = np.sort(negative)
-    below = np.searchsorted(ordered, positive, side="left")
-    upto = np.searchsorted(ordered, positive, side="right")
-    return float((below + upto).mean() / 2 / len(ordered))
-
-
-def hit_rate(positive: AnyFloat, negative: AnyFloat, false_alarms: float = 0.05) -> float:
-    """Share of positives above the threshold that `false_alarms` of the negatives exceed."""
-    if not len(positive) or not len(negative):
-        return float("nan")
-    return float((positive > np.quantile(negative, 1 - false_alarms)).mean())
-
-
-RATE = 60
-REACH = 30
-"""Frames of the largest lag, 0.5 s."""
-VOWEL_BAND_HZ = (100.0, 1870.0)
-SUSPECT_FRAMES = 3
-"""Lag of the level from which on the model is used."""
-SHIFTED_FRAMES = 5
-"""Lag from which on a clip may be called shifted: 83 ms."""
-GAIN = (0.03, 0.6)
-"""Correlation that the lag must gain: a part for all clips, and a share of what is missing to 1.
-The tests hold: no clip of a built corpus is called shifted, and of those moved by 100 ms or more at
-least 80 % are; of real mouths on video at most 7 % are."""
-LAG_SECONDS = 0.012
-"""The model's jaw follows people's, which is so much later than that of most captures."""
-MODEL_SECONDS = 60.0
-"""Of a longer clip the model gets the beginning."""
-JAW = "CTRL_C_jaw.ty"
-
-
-def loudness(waveform: Float32) -> Float64:
-    """Level at 60 frames per second [shape=(T,), range 0 (-40 dB) to 1 (the loudest)]."""
-    frames = np.arange(len(waveform) * RATE // SAMPLE_RATE)
-    level = level_db(waveform, frames * SAMPLE_RATE // RATE)
-    top = level.max(initial=-100)
-    scaled: Float64 = np.clip(1 + (level - top) / 40, 0, 1)
-    return scaled
-
-
-def vowel_band(waveform: Float32) -> Float32:
-    """The recording without what lies outside of `VOWEL_BAND_HZ` [shape=(S,)]."""
-    spectrum = np.fft.rfft(waveform)
-    hertz = np.fft.rfftfreq(len(waveform), 1 / SAMPLE_RATE)
-    spectrum[(hertz < VOWEL_BAND_HZ[0]) | (hertz > VOWEL_BAND_HZ[1])] = 0
-    return np.fft.irfft(spectrum, len(waveform)).astype(np.float32)
-
-
-def jaw_motion(curves: RigCurves, offset: float, seconds: float) -> Float64:
-    """The jaw on the audio's axis at 60 frames per second; still if there is none."""
-    at = np.arange(int(seconds * RATE)) / RATE
-    if JAW not in curves.names:
-        return np.zeros(len(at))
-    jaw: Float64 = np.interp(at, curves.times + offset, curves[JAW].astype(np.float64))
-    return jaw
-
-
-def lag_correlations(signal: Float64, jaw: Float64) -> Float64:
-    """Correlation of what overlaps at every lag [shape=(L,)]; positive lags: curves come late.
-
-    NaN for clips under 2 s, and where one of both never moves.
-    """
-    n = min(len(signal), len(jaw))
-    signal, jaw = signal[:n], jaw[:n]
-    if n < 4 * REACH or not (np.ptp(signal) > 1e-9 and np.ptp(jaw) > 1e-9):
-        return np.full(2 * REACH + 1, np.nan)
-    found = [
-        correlation(signal[max(0, -k) : n - max(0, k)], jaw[max(0, k) : n - max(0, -k)])
-        for k in range(-REACH, REACH + 1)
-    ]
-    lags: Float64 = np.nan_to_num(np.array(found))
-    return lags
-
-
-def model_lags(recording: Recording, level_lags: Float64, jaw: Float64) -> Float64 | None:
-    """Correlation of the jaw with that of the embedded model by lag; None without suspicion.
-
-    Parameters
-    ----------
-    recording : Recording
-        The clip's sound.
-    level_lags : ndarray [shape=(L,)]
-        From `lag_correlations` with the level.
-    jaw : ndarray [shape=(T,)]
-        The clip's jaw on the audio's axis.
-
-    Returns
-    -------
-    ndarray [shape=(L,)] or None
-        `level_lags` themselves where the package has no embedded model.
-    """
-    if not np.isfinite(level_lags).all() or abs(peak(level_lags)) < SUSPECT_FRAMES:
-        return None
-    predicted = _predicted_jaw(_Key(recording))
-    return level_lags if predicted is None else lag_correlations(predicted, jaw[: len(predicted)])
-
-
-def peak(lags: Float64) -> int:
-    """Lag of the largest correlation, in frames."""
-    return int(lags.argmax()) - REACH
-
-
-def is_clear(lags: Float64) -> bool:
-    """Whether the best lag gains enough correlation over lag 0 (`GAIN`)."""
-    best = float(lags.max())
-    return bool(best - lags[REACH] > GAIN[0] + GAIN[1] * (1 - best))
-
-
-def is_shifted(lags: Float64) -> bool:
-    """Whether the best lag is far from 0 and clear; unknown lags (NaN) are not."""
-    known = bool(np.isfinite(lags).all())
-    return known and abs(peak(lags)) >= SHIFTED_FRAMES and is_clear(lags)
-
-
-class _Key:
-    """A recording that a cache can find again: two clips often share one."""
-
-    def __init__(self, recording: Recording) -> None:
-        self.recording = recording
-
-    def __hash__(self) -> int:
-        return id(self.recording)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Key) and other.recording is self.recording
-
-
-def predicted_curves(recording: Recording) -> RigCurves | None:
-    """The embedded model's curves of a recording, neutral; None without a model.
-
-    Of a recording of more than `MODEL_SECONDS` the beginning.
-    """
-    from deitalk.pipeline.curves import animate
-
-    network = _network()
-    if network is None:
-        return None
-    short = replace(recording, waveform=recording.waveform[: int(MODEL_SECONDS * SAMPLE_RATE)])
-    return animate(short, "neutral", model=network).curves
-
-
-@lru_cache(maxsize=8)
-def _predicted_jaw(key: _Key) -> Float64 | None:
-    """The embedded model's jaw at 60 frames per second [shape=(T,)]; None without a model."""
-    curves = predicted_curves(key.recording)
-    if curves is None:
-        return None
-    seconds = min(key.recording.duration, MODEL_SECONDS)
-    at = np.arange(int(seconds * RATE)) / RATE
-    jaw: Float64 = np.interp(at + LAG_SECONDS, curves.times, curves[JAW].astype(np.float64))
-    return jaw
-
-
-@lru_cache(maxsize=1)
-def _network() -> Any:
-    from deitalk.models.checkpoint import load_model
-    from deitalk.models.folder import embedded_models
-
-    return load_model("default") if "default" in embedded_models() else None
-
-
-# Offset and drift of a take: captured lips and jaw against those that `default` predicts.
-#
-# Jaw, contacts, rounding, spreading and lips of the capture are correlated with the same groups of
-# the model's curves of the recording at lags of up to a second; the squares of the correlations are
-# summed over groups, and over the clips of a take along lines of lag by time. The sum peaks sharper
-# and at fewer wrong places than the correlation of any one group. Of another rig than the board the
-# first principal components of its curves replace the groups; where there is no model, the level of
-# the vowels replaces its curves.
-#
-# Measured on clips of 5 to 15 s (40 of a hand-animated rig, 44 of lips on video, 20 of a built
-# corpus) that were moved by 1 to 15 thirtieths of a second, against the same clips unmoved: the
-# move is found to a third of a frame (11 ms) in 99.6, 100 and 100 %. Unmoved clips scatter by 10 to
-# 15 ms each, and pooled over a speaker on video by -4 to 10 ms: as much as people's mouths and
-# sound.
-#
-# Letters: T frames at 120 per second, L lags, K clips.
-
-
-SYNC_RATE = 120
-SYNC_REACH = SYNC_RATE
+RATE = 120
+REACH = RATE
 """Frames of the largest lag, a second."""
-LAGS = np.arange(-SYNC_REACH, SYNC_REACH + 1) / SYNC_RATE
+LAGS = np.arange(-REACH, REACH + 1) / RATE
 """Seconds [shape=(L,)]."""
 LARGEST_SECONDS = 0.6
-"""Of the lag in the middle of a take."""
+"""Of the lag of a clip, and of that in the middle of a take."""
+VOWEL_BAND_HZ = (100.0, 1870.0)
+MODEL_SECONDS = 60.0
+"""Of a longer clip the model gets the beginning."""
 GROUPS = {
-    "jaw": (JAW,),
+    "jaw": ("CTRL_C_jaw.ty",),
     "contact": ("lipsTogether",),
     "round": ("purse", "funnel"),
     "forward": ("towards",),
@@ -302,6 +71,13 @@ DRIFT_SPAN_SECONDS = 60.0
 DRIFT_CLIPS = 4
 DRIFT_GAIN = 0.03
 """Share that the sum must gain by a drift."""
+CLIP_SHIFT_SECONDS = 5 / 60
+"""Lag from which on a single clip may be called shifted."""
+GAIN = (0.03, 0.07, 0.6)
+"""Correlation that the lag of a single clip must gain: a part for all clips, a part divided by the
+number of groups (one alone peaks at wrong places more often), and a share of what is missing to 1.
+The tests hold: no clip of a built corpus is called shifted, and of those moved by 100 ms or more
+at least 90 % are; of real mouths on video, of which the jaw alone is known, at most 7 % are."""
 NTSC_DRIFT = 1 / 1001
 """29.97 against 30, 48 against 48.048 kHz."""
 
@@ -317,6 +93,24 @@ class ClipLags:
     centre: float
     """Middle of the clip in its take, seconds."""
     seconds: float
+
+    @property
+    def lag(self) -> float:
+        """Of the curves behind the sound, seconds."""
+        return sharpest_peak(self.scores)
+
+    @property
+    def is_clear(self) -> bool:
+        """Whether the best lag gains enough correlation over lag 0 (`GAIN`)."""
+        still, best = np.sqrt(
+            np.maximum([self.scores[REACH], self.scores.max()], 0) / self.n_groups
+        )
+        return bool(best - still > GAIN[0] + GAIN[1] / self.n_groups + GAIN[2] * (1 - best))
+
+    @property
+    def is_shifted(self) -> bool:
+        """Whether the clip by itself is early or late."""
+        return abs(self.lag) >= CLIP_SHIFT_SECONDS and self.is_clear
 
 
 @dataclass(frozen=True)
@@ -351,9 +145,31 @@ class TakeSync:
         return self.lag + self.drift * (seconds - self.middle)
 
 
+def predicted_curves(recording: Recording) -> RigCurves | None:
+    """The embedded model's curves of a recording, neutral; None without a model.
+
+    Of a recording of more than `MODEL_SECONDS` the beginning.
+    """
+    from deitalk.pipeline.curves import animate
+
+    network = _network()
+    if network is None:
+        return None
+    short = replace(recording, waveform=recording.waveform[: int(MODEL_SECONDS * SAMPLE_RATE)])
+    return animate(short, "neutral", model=network).curves
+
+
+@lru_cache(maxsize=1)
+def _network() -> Any:
+    from deitalk.models.checkpoint import load_model
+    from deitalk.models.folder import embedded_models
+
+    return load_model("default") if "default" in embedded_models() else None
+
+
 def clip_lags(
     curves: RigCurves,
-    recording: Recording,
+    waveform: Float32,
     *,
     predicted: RigCurves | None,
     known: Bool | None = None,
@@ -367,8 +183,8 @@ def clip_lags(
     curves : RigCurves
         Captured board channels, or controls of another rig: their principal components
         then replace the groups.
-    recording : Recording
-        The clip's sound.
+    waveform : ndarray [shape=(S,)]
+        The clip's sound at 16 kHz.
     predicted : RigCurves or None
         A model's curves of the sound; None: the level replaces them.
     known : array of bool [shape=(C,)] or None
@@ -378,14 +194,14 @@ def clip_lags(
     start : float
         Of the clip in its take, seconds.
     """
-    seconds = min(recording.duration, curves.duration)
+    seconds = min(len(waveform) / SAMPLE_RATE, curves.duration)
     if seconds < LEAST_SECONDS:
         return None
-    at = np.arange(int(seconds * SYNC_RATE)) / SYNC_RATE
+    at = np.arange(int(seconds * RATE)) / RATE
     columns = range(len(curves.names)) if known is None else np.flatnonzero(known)
     names = {curves.names[i] for i in columns}
     if predicted is None:
-        wanted: Mapping[str, Float64] = {"jaw": _level(recording, at)}
+        wanted: Mapping[str, Float64] = {"jaw": _level(waveform, at)}
     else:
         on_board = curves.control_set == DEFAULT_ID
         wanted = _signals(
@@ -450,15 +266,15 @@ def _rig_lags(
     captured, target = np.stack(moving, axis=1), np.stack(targets, axis=1)
     parts = np.linalg.svd(captured - captured.mean(axis=0), full_matrices=False)[0]
     parts, n = parts[:, :COMPONENTS], len(at)
-    scores = np.zeros(2 * SYNC_REACH + 1)
-    for place, k in enumerate(range(-SYNC_REACH, SYNC_REACH + 1)):
+    scores = np.zeros(2 * REACH + 1)
+    for place, k in enumerate(range(-REACH, REACH + 1)):
         if n - abs(k) < n / 2:
             continue
         a, b = parts[max(0, k) : n - max(0, -k)], target[max(0, -k) : n - max(0, k)]
         a, b = a - a.mean(axis=0), b - b.mean(axis=0)
         explained = np.linalg.qr(a)[0].T @ b
         scores[place] = ((explained**2).sum(axis=0) / np.maximum((b * b).sum(axis=0), 1e-12)).sum()
-    seconds = n / SYNC_RATE
+    seconds = n / RATE
     return ClipLags(scores, len(targets), start + seconds / 2, seconds)
 
 
@@ -473,23 +289,33 @@ def _signals(curves: RigCurves, names: set[str], times: Float64, at: Float64) ->
     return found
 
 
-def _level(recording: Recording, at: Float64) -> Float64:
-    level = loudness(vowel_band(recording.waveform))
-    return np.interp(at, np.arange(len(level)) / 60, level)
+def _level(waveform: Float32, at: Float64) -> Float64:
+    """Level of the vowels' band at given seconds, 0 (40 dB below the loudest) to 1."""
+    level = level_db(vowel_band(waveform), (at * SAMPLE_RATE).astype(int))
+    scaled: Float64 = np.clip(1 + (level - level.max(initial=-100)) / 40, 0, 1)
+    return scaled
+
+
+def vowel_band(waveform: Float32) -> Float32:
+    """The recording without what lies outside of `VOWEL_BAND_HZ` [shape=(S,)]."""
+    spectrum = np.fft.rfft(waveform)
+    hertz = np.fft.rfftfreq(len(waveform), 1 / SAMPLE_RATE)
+    spectrum[(hertz < VOWEL_BAND_HZ[0]) | (hertz > VOWEL_BAND_HZ[1])] = 0
+    return np.fft.irfft(spectrum, len(waveform)).astype(np.float32)
 
 
 def _quick(signal: Float64) -> Float64:
     from scipy.ndimage import gaussian_filter1d  # takes a fifth of a second
 
-    slow: Float64 = gaussian_filter1d(signal, SMOOTH_SECONDS * SYNC_RATE, mode="nearest")
+    slow: Float64 = gaussian_filter1d(signal, SMOOTH_SECONDS * RATE, mode="nearest")
     return signal - slow
 
 
 def _lag_correlations(captured: Float64, wanted: Float64) -> Float64:
     """Correlation of what overlaps at every lag [shape=(L,)]; 0 where less than half does."""
     n = len(captured)
-    found = np.zeros(2 * SYNC_REACH + 1)
-    for place, k in enumerate(range(-SYNC_REACH, SYNC_REACH + 1)):
+    found = np.zeros(2 * REACH + 1)
+    for place, k in enumerate(range(-REACH, REACH + 1)):
         if n - abs(k) < n / 2:
             continue
         a, b = captured[max(0, k) : n - max(0, -k)], wanted[max(0, -k) : n - max(0, k)]
@@ -524,7 +350,7 @@ def sharpest_peak(scores: Float64, near: float | None = None) -> float:
     before, top, after = scores[place - 1 : place + 2]
     bend = before - 2 * top + after
     step = 0.5 * (before - after) / bend if bend < 0 else 0.0
-    return float(lags[place] + np.clip(step, -1, 1) / SYNC_RATE)
+    return float(lags[place] + np.clip(step, -1, 1) / RATE)
 
 
 def _standard(drift: float) -> float:

@@ -16,9 +16,9 @@ import torch
 
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
 from deitalk.data.clips import Clip, spread_clips
-from deitalk.data.offset import correlation, emotion_parameter_error, lip_parameter_error
 from deitalk.data.windows import load_material
 from deitalk.evaluation.figures import SHOWN_SECONDS, can_draw, drawing
+from deitalk.evaluation.scores import correlation, emotion_parameter_error, lip_parameter_error
 from deitalk.evaluation.validation import (
     JAW,
     MAX_CLIPS,

@@ -17,15 +17,15 @@ from deitalk.audio.frames import FRAME_RATE, frame_centres
 from deitalk.audio.vocal_strength import level_db
 from deitalk.audio.voice_activity import speech_activity
 from deitalk.data.clips import MEASURED, Clip, read_phones
-from deitalk.data.offset import (
+from deitalk.data.windows import cut, load_material, n_clip_frames, recorded_frames
+from deitalk.emotions import EMOTIONS
+from deitalk.evaluation.scores import (
     area_under_curve,
     correlation,
     emotion_parameter_error,
     hit_rate,
     lip_parameter_error,
 )
-from deitalk.data.windows import cut, load_material, n_clip_frames, recorded_frames
-from deitalk.emotions import EMOTIONS
 from deitalk.models.curve_model import DEITalk
 from deitalk.postprocess.phones import (
     BILABIALS,

@@ -10,8 +10,8 @@ import numpy as np
 
 from deitalk.audio.decoding import open_sound
 from deitalk.audio.frames import SAMPLE_RATE
-from deitalk.data import offset
 from deitalk.data.clips import read_phones
+from deitalk.data.offset import clip_lags
 from deitalk.errors import DeitalkError
 from rig import RigCurves, default_controls
 from rig.arrays import AnyFloat, Float32, Float64
@@ -228,23 +228,19 @@ def find_warnings(source: PreviewSource) -> list[Finding]:
 
 
 def offset_warnings(source: PreviewSource) -> list[Finding]:
-    """Warn if the jaw's best lag to the loudness is more than two frames.
+    """Warn if the jaw's best lag to the level of the vowels is clear and more than two frames.
 
-    The measure is that of ``deitalk data check`` without its model: the better lag must gain
-    enough correlation (`deitalk.data.offset.is_clear`). Recordings under 2 s are not checked.
+    The measure is that of ``deitalk data check`` without its model. Recordings under 2 s are not
+    checked.
     """
     if not source.sample_rate:
         return []
     samples = _at_16_khz(source.samples, source.sample_rate)
-    jaw = offset.jaw_motion(source.curves, 0.0, len(samples) / SAMPLE_RATE)
-    lags = offset.lag_correlations(offset.loudness(offset.vowel_band(samples)), jaw)
-    if not np.isfinite(lags).all() or not offset.is_clear(lags):
+    lags = clip_lags(source.curves, samples, predicted=None)
+    if lags is None or not lags.is_clear or abs(lags.lag) * source.curves.fps <= MOST_LAG_FRAMES:
         return []
-    seconds = offset.peak(lags) / offset.RATE
-    if abs(seconds) * source.curves.fps <= MOST_LAG_FRAMES:
-        return []
-    early_or_late = "late" if seconds > 0 else "early"
-    text = f"curves are {abs(seconds) * 1000:.0f} ms {early_or_late} (jaw against loudness)"
+    early_or_late = "late" if lags.lag > 0 else "early"
+    text = f"curves are {abs(lags.lag) * 1000:.0f} ms {early_or_late} (jaw against loudness)"
     return [Finding(0.0, text)]
 
 

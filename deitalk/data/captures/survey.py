@@ -240,7 +240,7 @@ class Survey:
                 float(prosody.active.sum()) / FRAME_RATE if speaking.any() else 0.0,
                 channel_faults(values, curves.fps, known, self.controls, speaking),
                 clip_lags(
-                    board, recording, predicted=predicted, known=known,
+                    board, recording.waveform, predicted=predicted, known=known,
                     offset=clip.offset_seconds, start=clip.span[0],
                 ),
                 known,

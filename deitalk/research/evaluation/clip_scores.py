@@ -20,14 +20,14 @@ from deitalk.audio.vocal_strength import (
 )
 from deitalk.audio.voice_activity import speech_activity
 from deitalk.data.clips import Clip
-from deitalk.data.offset import (
+from deitalk.errors import DataError
+from deitalk.evaluation.scores import (
     area_under_curve,
     correlation,
     emotion_parameter_error,
     hit_rate,
     lip_parameter_error,
 )
-from deitalk.errors import DataError
 from deitalk.evaluation.validation import (
     ARTICULATION,
     JAW,

@@ -18,9 +18,9 @@ import torch
 from deitalk.audio.load import Recording, load_audio
 from deitalk.audio.voice_activity import speech_activity
 from deitalk.data.clips import Clip, read_clips
-from deitalk.data.offset import correlation
 from deitalk.emotions import EMOTIONS, IntensityCurve
 from deitalk.errors import DataError
+from deitalk.evaluation.scores import correlation
 from deitalk.evaluation.validation import (
     JAW,
     closure_scores,

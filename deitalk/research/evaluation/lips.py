@@ -16,8 +16,8 @@ import numpy as np
 import torch
 
 from deitalk.audio.load import load_audio
-from deitalk.data.offset import correlation
 from deitalk.errors import DataError
+from deitalk.evaluation.scores import correlation
 from deitalk.evaluation.validation import loudness, table
 from deitalk.models.curve_model import DEITalk
 from deitalk.pipeline.curves import animate

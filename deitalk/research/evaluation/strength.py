@@ -20,7 +20,7 @@ from deitalk.audio.vocal_strength import (
     without_level,
 )
 from deitalk.audio.voice_activity import speech_activity
-from deitalk.data.offset import correlation
+from deitalk.evaluation.scores import correlation
 from deitalk.research.evaluation.acted import (
     ACTORS,
     LEVELS,

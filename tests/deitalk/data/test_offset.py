@@ -1,7 +1,8 @@
-"""Lag of curves behind their sound: by hand, on a built corpus, on lips measured on video."""
+"""Single clips that are early or late: by hand, on a built corpus, on lips measured on video."""
 
 import json
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,27 +12,18 @@ import pytest
 from deitalk.audio.load import Recording, load_audio
 from deitalk.data.checks import inspect_dataset
 from deitalk.data.clips import read_clips
-from deitalk.data.offset import (
-    REACH,
-    is_clear,
-    is_shifted,
-    jaw_motion,
-    lag_correlations,
-    loudness,
-    model_lags,
-    peak,
-    vowel_band,
-)
+from deitalk.data.offset import LAGS, ClipLags, clip_lags, predicted_curves, vowel_band
 from deitalk.research.corpus.build import Shard, build
 from deitalk.research.corpus.engines import available_engines
-from rig import read_curves
+from rig import RigCurves, default_controls, read_curves
 from tests.each import each
 
+CONTROLS = default_controls()
+JAW = "CTRL_C_jaw.ty"
 SHIFTS = (-0.5, -0.2, -0.1, 0.1, 0.2, 0.5)
 needs_espeak = pytest.mark.skipif(
     available_engines()["espeak"] is not None, reason=str(available_engines()["espeak"])
 )
-Clips = list[tuple[Recording, np.ndarray]]
 
 
 @pytest.fixture(scope="module")
@@ -41,58 +33,53 @@ def corpus(tmp_path_factory) -> Path:
     return folder
 
 
-def lags_of(recording: Recording, jaw: np.ndarray) -> np.ndarray | None:
-    return model_lags(
-        recording, lag_correlations(loudness(vowel_band(recording.waveform)), jaw), jaw
-    )
+def jaw_curves(jaw: np.ndarray, fps: float) -> RigCurves:
+    values = np.tile(CONTROLS.rest, (len(jaw), 1))
+    values[:, CONTROLS.index(JAW)] = jaw
+    return RigCurves(values.astype(np.float32), CONTROLS.names, fps)
 
 
-def moved(jaw: np.ndarray, seconds: float) -> np.ndarray:
-    """The jaw so much later; its ends are held."""
-    return jaw[np.clip(np.arange(len(jaw)) - round(60 * seconds), 0, len(jaw) - 1)]
+def shares(clips: Iterator[tuple[Recording, RigCurves]]) -> dict[float, float]:
+    """Share of clips that are called shifted by what they were moved, within 67 ms; 0: by any.
 
-
-def shares(clips: Iterator[tuple[Recording, np.ndarray]]) -> dict[float, float]:
-    """Share of clips that are called shifted by what they were moved, within 67 ms; 0: by any."""
+    As in `deitalk data check`, a clip must be late by level and by the model.
+    """
     found: dict[float, list[bool]] = {shift: [] for shift in (0.0, *SHIFTS)}
-    for recording, jaw in clips:
+    for recording, curves in clips:
+        predicted = predicted_curves(recording)
         for shift, answers in found.items():
-            lags = lags_of(recording, moved(jaw, shift))
-            answer = lags is not None and is_shifted(lags)
-            right = shift == 0 or (lags is not None and abs(peak(lags) / 60 - shift) < 0.067)
+            by_level, by_model = (
+                clip_lags(curves, recording.waveform, predicted=each, offset=shift)
+                for each in (None, predicted)
+            )
+            answer = by_level is not None and abs(by_level.lag) >= 0.05 and by_model.is_shifted
+            right = shift == 0 or (by_model is not None and abs(by_model.lag - shift) < 0.067)
             answers.append(answer and right)
     return {shift: float(np.mean(answers)) for shift, answers in found.items()}
 
 
-def test_lag_is_that_of_the_delay():
-    signal = np.random.default_rng(0).standard_normal(180)
-    for delay in (-30, -7, 0, 12, 30):
-        lags = lag_correlations(signal, np.roll(signal, delay))
-        assert peak(lags) == delay and lags[REACH + delay] == pytest.approx(1)
-
-
-def test_short_clips_and_still_jaws_have_no_lag():
-    signal = np.random.default_rng(0).standard_normal(180)
-    assert np.isnan(lag_correlations(signal[:119], signal[:119])).all()
-    assert np.isnan(lag_correlations(signal, np.zeros(180))).all()
-    half = np.concatenate([np.zeros(90), signal[:90]])
-    assert np.isfinite(lag_correlations(half, np.concatenate([np.zeros(150), signal[:30]]))).all()
-    assert not is_shifted(np.full(61, np.nan))
-
-
 @each(
     ("best", "middle", "clear"),
-    # 0.03 + 0.6 (1 - r): 0.09 for r = 0.9, 0.33 for r = 0.5
-    [(0.9, 0.8, True), (0.9, 0.82, False), (0.5, 0.16, True), (0.5, 0.18, False)],
+    # 0.03 + 0.07 / 2 + 0.6 (1 - r): 0.125 for r = 0.9, 0.365 for r = 0.5
+    [(0.9, 0.77, True), (0.9, 0.78, False), (0.5, 0.13, True), (0.5, 0.14, False)],
 )
 def test_lag_must_gain_more_where_the_correlation_is_low(best, middle, clear):
-    lags = np.zeros(61)
-    lags[REACH], lags[REACH + 9] = middle, best
-    assert is_clear(lags) == clear
-    assert is_shifted(lags) == clear
-    near = np.zeros(61)
-    near[REACH], near[REACH + 4] = middle, best
-    assert not is_shifted(near)
+    scores = np.zeros(len(LAGS))
+    scores[LAGS == 0], scores[np.isclose(LAGS, 0.15)] = 2 * middle**2, 2 * best**2
+    lags = ClipLags(scores, 2, 5.0, 10.0)
+    assert lags.lag == pytest.approx(0.15, abs=0.005)
+    assert lags.is_clear == lags.is_shifted == clear
+    near = replace(lags, scores=np.roll(scores, -9))
+    near.scores[LAGS == 0] = 2 * middle**2
+    assert not near.is_shifted
+
+
+def test_short_clips_and_still_jaws_have_no_lag(rng):
+    sound = rng.standard_normal(5 * 16000).astype(np.float32)
+    assert clip_lags(jaw_curves(np.full(150, 0.3), 30), sound, predicted=None) is None
+    moving = rng.random(150) * 0.5
+    assert clip_lags(jaw_curves(moving, 30), sound, predicted=None) is not None
+    assert clip_lags(jaw_curves(moving[:59], 30), sound, predicted=None) is None
 
 
 def test_vowel_band_keeps_vowels_and_drops_hiss():
@@ -106,13 +93,9 @@ def test_vowel_band_keeps_vowels_and_drops_hiss():
 def test_no_clip_of_a_built_corpus_is_called_shifted_and_moved_ones_are(corpus):
     (offset,) = [check for check in inspect_dataset(corpus).checks if check.name == "offset"]
     assert offset.level == "ok", offset.text
-
-    def clips() -> Iterator[tuple[Recording, np.ndarray]]:
-        for clip in read_clips(corpus)[::2]:
-            recording, curves = load_audio(clip.audio), read_curves(clip.curves)
-            yield recording, jaw_motion(curves, 0.0, recording.duration)
-
-    found = shares(clips())
+    found = shares(
+        (load_audio(clip.audio), read_curves(clip.curves)) for clip in read_clips(corpus)[::2]
+    )
     assert found.pop(0.0) == 0
     assert min(found.values()) >= 0.65 and np.mean(list(found.values())) >= 0.9, found
 
@@ -122,15 +105,16 @@ def test_real_mouths_on_video_are_seldom_called_shifted(shared):
     columns = json.loads((folder / "columns.json").read_text())["columns"]
     table = pd.read_csv(folder / "clips.csv").groupby("speaker").head(5)
 
-    def clips() -> Iterator[tuple[Recording, np.ndarray]]:
+    def clips() -> Iterator[tuple[Recording, RigCurves]]:
         for name in table["clip"]:
             recording = load_audio(folder / "grid" / f"{name}.opus")
             with np.load(folder / "grid" / f"{name}.npz") as measured:
                 chin = measured["meas"][:, columns.index("jaw")].astype(np.float64)
             at = np.arange(int(recording.duration * 60)) / 60
-            yield recording, np.interp(at, (np.arange(len(chin)) + 0.5) / 25, chin)
+            chin = np.interp(at, (np.arange(len(chin)) + 0.5) / 25, chin)
+            yield recording, jaw_curves((chin - chin.min()) / np.ptp(chin), 60)
 
     found = shares(clips())
     assert len(table) == 30
     assert found[0.0] <= 0.07, found
-    assert found[-0.5] >= 0.7 and found[0.5] >= 0.3, found
+    assert min(found[shift] for shift in SHIFTS if abs(shift) > 0.1) >= 0.6, found

@@ -65,12 +65,14 @@ def test_planted_offsets_are_found_to_a_third_of_a_frame():
         face = animate(recording, "happy", model=other).curves
         noisy = face.values + 0.03 * rng.standard_normal(face.values.shape)
         captured = RigCurves(noisy.astype(np.float32), face.names, fps=face.fps)
-        still = clip_lags(captured, recording, predicted=predicted)
+        still = clip_lags(captured, recording.waveform, predicted=predicted)
         assert still is not None
         take = take_sync([still])
         assert take is not None and not take.is_shifted, take
         for frames in SHIFTS:
-            moved = clip_lags(captured, recording, predicted=predicted, offset=frames * FRAME)
+            moved = clip_lags(
+                captured, recording.waveform, predicted=predicted, offset=frames * FRAME
+            )
             assert moved is not None
             found.append(abs(sharpest_peak(moved.scores) - frames * FRAME) < FRAME / 3)
     assert np.mean(found) >= 0.95, found
@@ -80,7 +82,7 @@ def test_planted_offsets_are_found_to_a_third_of_a_frame():
 def test_loudness_replaces_the_model():
     recording = load_audio(ROOT / "docs/samples/amiable.flac")
     face = animate(recording, "neutral", model=load_model("default")).curves
-    lags = clip_lags(face, recording, predicted=None, offset=0.2)
+    lags = clip_lags(face, recording.waveform, predicted=None, offset=0.2)
     assert lags is not None and lags.n_groups == 1
     assert sharpest_peak(lags.scores) == pytest.approx(0.2, abs=0.06)
 
@@ -94,10 +96,10 @@ def test_offset_of_another_rig_is_found_by_its_components(rng):
     mixed = face.values @ rng.normal(size=(len(face.names), 12)).astype(np.float32)
     names = tuple(f"puppet_{i}" for i in range(12))
     puppet = RigCurves(mixed, names, fps=face.fps, control_set="puppet@1")
-    still = clip_lags(puppet, recording, predicted=predicted)
+    still = clip_lags(puppet, recording.waveform, predicted=predicted)
     assert still is not None and abs(sharpest_peak(still.scores)) < FRAME
     for frames in SHIFTS:
-        moved = clip_lags(puppet, recording, predicted=predicted, offset=frames * FRAME)
+        moved = clip_lags(puppet, recording.waveform, predicted=predicted, offset=frames * FRAME)
         assert moved is not None
         found = sharpest_peak(moved.scores) - sharpest_peak(still.scores)
         assert found == pytest.approx(frames * FRAME, abs=FRAME / 3)

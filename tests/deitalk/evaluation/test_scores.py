@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from deitalk.data.offset import (
+from deitalk.evaluation.scores import (
     area_under_curve,
     correlation,
     emotion_parameter_error,
