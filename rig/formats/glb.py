@@ -1,4 +1,4 @@
-"""GLB (glTF 2.0 binary): our head with morph targets and their animation.
+"""GLB (glTF 2.0 binary): our head with morph targets and their animation; FBX of it, by Blender.
 
 Curves of the board move shapes of its controls, ARKit's curves the 52 shapes of `arkit_head`.
 Opens in Blender, three.js, Windows' viewer and Unreal. For a face of your own, see
@@ -6,6 +6,7 @@ Opens in Blender, three.js, Windows' viewer and Unreal. For a face of your own, 
 """
 
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,10 +19,11 @@ from rig.curves import RigCurves, check_clip
 from rig.curves.edit import hermite
 from rig.errors import FormatError
 from rig.face.accents import matrices, quaternions
+from rig.mesh.fbx import blender, fbx_to_glb, glb_to_fbx
 from rig.mesh.glb import RigidMotion, WeightAnimation, read_container, write_glb
 from rig.mesh.glb_reader import consistent, morphing_nodes, read_accessor
 from rig.retarget.bake import control_halves
-from rig.retarget.morph_head import METRES_PER_CM, morph_head, textured
+from rig.retarget.morph_head import METRES_PER_CM, baked_picture, morph_head, textured
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
@@ -194,3 +196,22 @@ def _head(
                 return track
     found = turn_of_bones(document, turns)
     return None if found is None else head_track(found)
+
+
+def write_fbx(path: Path, curves: RigCurves, identity: int | str = 0) -> None:
+    """Write the head as FBX (extra fbx): one key a frame, and one picture for colours."""
+    from rig.face import build_head
+
+    blender()
+    with TemporaryDirectory(prefix="deitalk-") as folder:
+        between = Path(folder) / "take.glb"
+        write(between, curves, identity)
+        glb_to_fbx(between, path, curves.fps, paint=baked_picture(build_head(identity)))
+
+
+def read_fbx(path: Path, controls: ControlSet | None, fps: float | None) -> RigCurves:
+    """Read the shapes and bones of an FBX; errors are those of `read`."""
+    with TemporaryDirectory(prefix="deitalk-") as folder:
+        between = Path(folder) / path.with_suffix(".glb").name
+        fbx_to_glb(path, between)
+        return read(between, controls, fps)

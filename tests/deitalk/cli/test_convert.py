@@ -199,7 +199,7 @@ def test_duration_of_rhubarb_is_that_of_any_sound(tmp_path, suffix, subtype):
 def test_sound_of_a_take_lies_beside_its_fbx(curves_file, tmp_path, monkeypatch):
     """Of the same part; a file that is there stays, and so does the take's own."""
     monkeypatch.setenv("BPY_PYTHON", "python")
-    monkeypatch.setattr("rig.formats.fbx.baked_picture", lambda head: None)
+    monkeypatch.setattr("rig.formats.glb.baked_picture", lambda head: None)
     monkeypatch.setattr(fbx, "run_blender", lambda source, target, *rest: target.write_bytes(b"x"))
     ramp = np.arange(16_000, dtype=np.int16)
     soundfile.write(tmp_path / "audio.wav", ramp, 16_000)
