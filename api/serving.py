@@ -161,8 +161,8 @@ def _reason(error: Exception) -> str:
     """First line of the message of an operating system or a database driver."""
     if isinstance(error, OSError) and error.strerror:
         return error.strerror
-    said = str(getattr(error, "orig", None) or error).partition("\n")[0]
-    return said or type(error).__name__
+    reason = str(getattr(error, "orig", None) or error).partition("\n")[0]
+    return reason or type(error).__name__
 
 
 class LineFormatter(logging.Formatter):

@@ -67,15 +67,15 @@ class Reader:
     def _keep(self) -> None:
         while not self._ending.is_set():
             context: Any = process_context(self.limits["backend"])
-            ours, theirs = context.Pipe()
+            ours, child = context.Pipe()
             process = context.Process(
-                target=serve, args=(theirs, self.limits, self.most), daemon=True
+                target=serve, args=(child, self.limits, self.most), daemon=True
             )
             process.start()
             self.process = process
             if self._ending.is_set():  # `stop` did not see this one
                 process.kill()
-            theirs.close()
+            child.close()
             with suppress(EOFError, OSError):
                 ours.recv_bytes()
                 log.info("process %d reads for all requests", process.pid)

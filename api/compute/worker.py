@@ -72,11 +72,11 @@ class Worker:
         if self.is_ready and self._process is not None and self._process.is_alive():
             return
         self.stop()
-        self._connection, theirs = self._context.Pipe()
-        process = self._context.Process(target=work, args=(theirs, self.limits), daemon=True)  # type: ignore[attr-defined]
+        self._connection, child = self._context.Pipe()
+        process = self._context.Process(target=work, args=(child, self.limits), daemon=True)  # type: ignore[attr-defined]
         process.start()
         self._process = process
-        theirs.close()
+        child.close()
         try:
             if not self._connection.poll(START_SECONDS):
                 raise EOFError

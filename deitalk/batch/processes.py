@@ -166,10 +166,10 @@ class _Process:
 
     def __init__(self, make: Make) -> None:
         context = get_context("spawn")
-        self.pipe, theirs = context.Pipe()
-        self.process = context.Process(target=_serve, args=(theirs, make), daemon=True)
+        self.pipe, child = context.Pipe()
+        self.process = context.Process(target=_serve, args=(child, make), daemon=True)
         self.process.start()
-        theirs.close()
+        child.close()
         self.chunks: deque[dict[str, Order]] = deque()
         self.is_ready = False
 

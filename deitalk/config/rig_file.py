@@ -111,14 +111,14 @@ def _public(id: str) -> ControlSet:
 def classified_by_names(id: str, controls: Iterable[Control]) -> ControlSet:
     """A control set whose sides, mouth and upper face follow from the controls' names."""
     by_lower = {control.name.lower(): control for control in controls}
-    told = []
+    classified = []
     for lower, control in by_lower.items():
         other = _SIDE.sub(lambda part: _SIDES[part[0]], lower)
         mirror = by_lower[other].name if other != lower and other in by_lower else ""
         part = next((part for part, names in _PARTS.items() if names.search(lower)), None)
         sets = frozenset([part] if part else ())
-        told.append(replace(control, mirror=mirror, sets=sets))
-    return ControlSet(id, tuple(told))
+        classified.append(replace(control, mirror=mirror, sets=sets))
+    return ControlSet(id, tuple(classified))
 
 
 def rig_of_dataset(folder: Path, rig: str | None = None) -> str | None:

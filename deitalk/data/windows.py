@@ -115,7 +115,7 @@ class Window(NamedTuple):
     [shape=(T, D)]; without one [shape=(0,)]."""
 
 
-class Material(NamedTuple):
+class LoadedClip(NamedTuple):
     """A clip in memory."""
 
     waveform: NDArray[np.int16] | Float32
@@ -159,7 +159,7 @@ COUNTED = ("FLAC", "WAV", "WAVEX", "RF64", "AIFF")
 """Formats of libsndfile whose headers have the number of samples."""
 
 
-def load_material(clip: Clip, controls: ControlSet, *, sound: bool = True) -> Material:
+def load_clip(clip: Clip, controls: ControlSet, *, sound: bool = True) -> LoadedClip:
     """Read audio and curves of one clip; without `sound` curves alone, in an eighth of the time.
 
     Raises
@@ -186,7 +186,7 @@ def load_material(clip: Clip, controls: ControlSet, *, sound: bool = True) -> Ma
     else:
         intensity = read_intensity(clip.intensity, times)
     waveform, unit = _waveform(str(clip.audio)) if sound else (np.zeros(0, np.int16), 1.0)
-    return Material(waveform, times, values.astype(np.float16), intensity, known, unit)
+    return LoadedClip(waveform, times, values.astype(np.float16), intensity, known, unit)
 
 
 def read_waveform(path: Path) -> Float32:
@@ -204,13 +204,13 @@ def _waveform(path: str) -> tuple[NDArray[np.int16], float]:
 
 
 def cut(
-    material: Material, first: int, n_frames: int, speed: float = 1.0
+    loaded: LoadedClip, first: int, n_frames: int, speed: float = 1.0
 ) -> tuple[Float32, Float32, Float32, int]:
     """Window of a clip played at another speed.
 
     Parameters
     ----------
-    material : Material
+    loaded : LoadedClip
         The clip.
     first : int
         First frame, on the time axis after the change of speed.
@@ -226,11 +226,11 @@ def cut(
     """
     start = round(first * speed / FRAME_RATE * SAMPLE_RATE)
     length = round(n_frames / FRAME_RATE * SAMPLE_RATE)
-    steps = material.waveform[start : start + round(length * speed) + 8]
-    piece = change_speed(steps.astype(np.float32) * np.float32(material.unit), speed)[:length]
+    steps = loaded.waveform[start : start + round(length * speed) + 8]
+    piece = change_speed(steps.astype(np.float32) * np.float32(loaded.unit), speed)[:length]
     waveform = np.pad(piece, (0, length - len(piece)))
-    curves, intensity = curves_of(material, first, n_frames, speed)
-    return waveform, curves, intensity, n_clip_frames(len(material.waveform), speed)
+    curves, intensity = curves_of(loaded, first, n_frames, speed)
+    return waveform, curves, intensity, n_clip_frames(len(loaded.waveform), speed)
 
 
 def n_clip_frames(n_samples: int, speed: float = 1.0) -> int:
@@ -241,18 +241,18 @@ def n_clip_frames(n_samples: int, speed: float = 1.0) -> int:
 
 
 def curves_of(
-    material: Material, first: int, n_frames: int, speed: float = 1.0
+    loaded: LoadedClip, first: int, n_frames: int, speed: float = 1.0
 ) -> tuple[Float32, Float32]:
     """Curves [shape=(T, C)] and intensity [shape=(T,)] of a window, as `cut` gives them."""
     times = (first + np.arange(n_frames)) / FRAME_RATE * speed
-    step = material.times[1] - material.times[0] if len(material.times) > 1 else 1.0
-    place = np.clip((times - material.times[0]) / step, 0, len(material.times) - 1)
-    below = np.minimum(place.astype(int), max(len(material.times) - 2, 0))
-    above = np.minimum(below + 1, len(material.times) - 1)
+    step = loaded.times[1] - loaded.times[0] if len(loaded.times) > 1 else 1.0
+    place = np.clip((times - loaded.times[0]) / step, 0, len(loaded.times) - 1)
+    below = np.minimum(place.astype(int), max(len(loaded.times) - 2, 0))
+    above = np.minimum(below + 1, len(loaded.times) - 1)
     mix = (place - below).astype(np.float32)
-    low, high = material.values[below].astype(np.float32), material.values[above]
+    low, high = loaded.values[below].astype(np.float32), loaded.values[above]
     curves = low + mix[:, None] * (high.astype(np.float32) - low)
-    intensity = material.intensity[below] * (1 - mix) + material.intensity[above] * mix
+    intensity = loaded.intensity[below] * (1 - mix) + loaded.intensity[above] * mix
     return curves, intensity
 
 
@@ -320,9 +320,7 @@ class WindowBatches(SeededBatches[Window]):
         self.measured, self.others = self._divided()
         self.recorded = np.array([clip.source == "recording" for clip in self.others])
         self.surroundings = Surroundings.read(config.noise_folder, config.room_folder)
-        self.cache = MaterialCache(
-            controls, int(config.cache_gigabytes * 1e9), sound=self.needs_sound
-        )
+        self.cache = ClipCache(controls, int(config.cache_gigabytes * 1e9), sound=self.needs_sound)
 
     def _divided(self) -> tuple[list[list[Clip]], list[Clip]]:
         """Measured clips by speaker, if they have a share of their own, and the other clips."""
@@ -339,18 +337,18 @@ class WindowBatches(SeededBatches[Window]):
         """Cut the window of a number."""
         rng = self.rng(number)
         clip = self._draw(rng)
-        material = self.cache.read(clip)
+        loaded = self.cache.read(clip)
         config, turn = self.config, 0
         speed = speed_factor(rng) if config.augment else 1.0
         if self.encoded is not None:
             turn = int(rng.integers(len(self.encoded.rows)))
             speed = self.encoded.speed(turn, clip.audio)
         if self.needs_sound:
-            total = n_clip_frames(len(material.waveform), speed)
+            total = n_clip_frames(len(loaded.waveform), speed)
         else:
             total = recorded_frames(str(clip.audio))
         first = int(rng.integers(n_starts(total, config))) * config.stride_frames
-        waveform, curves, intensity, _ = cut(material, first, config.window_frames, speed)
+        waveform, curves, intensity, _ = cut(loaded, first, config.window_frames, speed)
         clean = torch.from_numpy(waveform if self.clean else waveform[:0])
         if config.augment and self.encoded is None:
             waveform = augment(waveform, rng, self.surroundings, _other_voices(self.clips, rng))
@@ -370,7 +368,7 @@ class WindowBatches(SeededBatches[Window]):
             torch.from_numpy(intensity),
             torch.arange(first, first + config.window_frames),
             torch.tensor(total),
-            torch.from_numpy(material.known.astype(np.float32)),
+            torch.from_numpy(loaded.known.astype(np.float32)),
             clean,
         )
 
@@ -386,7 +384,7 @@ class WindowBatches(SeededBatches[Window]):
         return self.others[int(places[rng.integers(len(places))])]
 
 
-class MaterialCache:
+class ClipCache:
     """Clips read from files, or from memory if they were used lately.
 
     Parameters
@@ -396,25 +394,25 @@ class MaterialCache:
     max_bytes : int
         Memory for arrays; the clip used longest ago goes first. One clip always stays.
     sound : bool
-        As for `load_material`.
+        As for `load_clip`.
     """
 
     def __init__(self, controls: ControlSet, max_bytes: int, *, sound: bool = True) -> None:
         self.controls, self.max_bytes, self.sound = controls, max_bytes, sound
         self.n_bytes = 0
-        self._kept: OrderedDict[Clip, Material] = OrderedDict()
+        self._kept: OrderedDict[Clip, LoadedClip] = OrderedDict()
 
-    def read(self, clip: Clip) -> Material:
-        """The clip's material; errors are those of `load_material`."""
+    def read(self, clip: Clip) -> LoadedClip:
+        """The loaded clip; errors are those of `load_clip`."""
         if clip in self._kept:
             self._kept.move_to_end(clip)
             return self._kept[clip]
-        material = load_material(clip, self.controls, sound=self.sound)
-        self._kept[clip] = material
-        self.n_bytes += material.n_bytes
+        loaded = load_clip(clip, self.controls, sound=self.sound)
+        self._kept[clip] = loaded
+        self.n_bytes += loaded.n_bytes
         while self.n_bytes > self.max_bytes and len(self._kept) > 1:
             self.n_bytes -= self._kept.popitem(last=False)[1].n_bytes
-        return material
+        return loaded
 
 
 def _other_voices(clips: Sequence[Clip], rng: np.random.Generator) -> list[Float32]:

@@ -16,7 +16,7 @@ import torch
 
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
 from deitalk.data.clips import Clip, spread_clips
-from deitalk.data.windows import load_material
+from deitalk.data.windows import load_clip
 from deitalk.evaluation.figures import SHOWN_SECONDS, can_draw, drawing
 from deitalk.evaluation.scores import correlation, emotion_parameter_error, lip_parameter_error
 from deitalk.evaluation.validation import (
@@ -79,11 +79,11 @@ def mean_pose(clips: Iterable[Clip], controls: ControlSet, learnt: Bool) -> Mean
     """
     count, total, square = (np.zeros(len(controls)) for _ in range(3))
     for clip in clips:
-        material = load_material(clip, controls, sound=False)
-        values = material.values.astype(np.float64)
-        count += len(values) * material.known
-        total += values.sum(axis=0) * material.known
-        square += np.square(values).sum(axis=0) * material.known
+        loaded = load_clip(clip, controls, sound=False)
+        values = loaded.values.astype(np.float64)
+        count += len(values) * loaded.known
+        total += values.sum(axis=0) * loaded.known
+        square += np.square(values).sum(axis=0) * loaded.known
     known = count > 0
     mean = np.where(known, total / np.maximum(count, 1), controls.rest)
     variance = square / np.maximum(count, 1) - np.square(mean)

@@ -17,7 +17,7 @@ from deitalk.audio.frames import FRAME_RATE, frame_centres
 from deitalk.audio.vocal_strength import level_db
 from deitalk.audio.voice_activity import speech_activity
 from deitalk.data.clips import MEASURED, Clip, read_phones
-from deitalk.data.windows import cut, load_material, n_clip_frames, recorded_frames
+from deitalk.data.windows import cut, load_clip, n_clip_frames, recorded_frames
 from deitalk.emotions import EMOTIONS
 from deitalk.evaluation.scores import (
     area_under_curve,
@@ -293,12 +293,12 @@ def articulation(
 
 def load_example(clip: Clip, controls: ControlSet, *, sound: bool = True) -> Example:
     """Read a whole clip, resampled to 30 frames per second; without `sound` it is silent."""
-    material = load_material(clip, controls, sound=sound)
-    heard = len(material.waveform)
-    n_frames = n_clip_frames(heard) if sound else recorded_frames(str(clip.audio))
-    waveform, curves, intensity, _ = cut(material, 0, n_frames)
+    loaded = load_clip(clip, controls, sound=sound)
+    n_samples = len(loaded.waveform)
+    n_frames = n_clip_frames(n_samples) if sound else recorded_frames(str(clip.audio))
+    waveform, curves, intensity, _ = cut(loaded, 0, n_frames)
     phones = read_phones(clip.phones) if clip.phones else []
-    return Example(waveform, curves, clip.emotion, intensity, phones, material.known, clip.speaker)
+    return Example(waveform, curves, clip.emotion, intensity, phones, loaded.known, clip.speaker)
 
 
 @torch.no_grad()

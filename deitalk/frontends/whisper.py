@@ -1,7 +1,7 @@
 """The first layers of Whisper's speech encoder, read at the rig's 30 Hz.
 
 DEITalk §3.2 takes wav2vec 2.0. Deviation: Whisper (Radford et al., "Robust Speech Recognition via
-Large-Scale Weak Supervision", 2022; MIT), whose training heard more voices, rooms and languages
+Large-Scale Weak Supervision", 2022; MIT), whose training data have more voices, rooms and languages
 than any here; scores are in MODEL_CARD.md.
 
 Deviation: the published encoder gives 50 features a second, of two spectra each. Here a feature is

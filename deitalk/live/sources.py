@@ -105,7 +105,7 @@ class Microphone:
         sounddevice = _sounddevice()
         self.name = "the microphone" if device is None else f"the input {quoted(str(device))}"
         self.blocks: queue.Queue[Float32] = queue.Queue()
-        self.heard, self.is_open = monotonic(), False
+        self.last_block, self.is_open = monotonic(), False
         try:
             about = sounddevice.query_devices(device, "input")
             self.sample_rate = round(float(about["default_samplerate"]))
@@ -135,17 +135,17 @@ class Microphone:
                 self.stream.start()
             except (self._failure, OSError) as error:
                 raise self._closed(error) from None
-            self.is_open, self.heard = True, monotonic()
+            self.is_open, self.last_block = True, monotonic()
         try:
             blocks = [self.blocks.get(timeout=max(seconds, 0.001))]
         except queue.Empty:
-            if monotonic() - self.heard > SILENT_SECONDS:
+            if monotonic() - self.last_block > SILENT_SECONDS:
                 raise AudioError(
                     f"{self.name} has given no sound for {SILENT_SECONDS:g} s; connect it again "
                     "and restart"
                 ) from None
             return None
-        self.heard = monotonic()
+        self.last_block = monotonic()
         while not self.blocks.empty():  # after a stall: one call for all is cheaper
             blocks.append(self.blocks.get())
         return np.concatenate(blocks)

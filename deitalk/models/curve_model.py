@@ -46,7 +46,7 @@ class Output(NamedTuple):
     """m_max [shape=(B, E)]; only where the captured curves were given."""
     speech: Tensor | None = None
     """Speech features [shape=(B, T, D)]."""
-    taught: Tensor | None = None
+    supervised: Tensor | None = None
     """1 for windows whose curves can be learnt from this batch, else 0 [shape=(B,)]; None: all."""
 
 

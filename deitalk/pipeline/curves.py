@@ -127,7 +127,7 @@ class Prepared:
         """Sound [shape=(S,)] and weights of the trained emotions [shape=(T, 5)] for the network.
 
         Of a recording that is cut in its speech `READ_ON_SAMPLES` more, which are its last ones
-        backwards: a network's emotion fades before the end of what it hears.
+        backwards: a network's emotion fades before the end of its input.
         """
         sound, weights = self.speech.waveform, trained_weights(self.weights)
         if self.speech.is_cut:

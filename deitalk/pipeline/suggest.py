@@ -252,12 +252,12 @@ def manner(prosody: Prosody, activity: Float32) -> Float32:
     frames = strength_frames(prosody, activity)
     # Spread, height of the 90th percentile, and mean step of each band.
     bands = without_level(frames)[0][:, :BANDS].astype(np.float64)
-    said = bands[speech]
+    spoken = bands[speech]
     steps = np.abs(np.diff(bands, axis=0))[speech[1:] & speech[:-1]]
     mean_step = steps.mean(axis=0) if len(steps) else np.zeros(BANDS)
-    high = np.percentile(said, 90, axis=0) - said.mean(axis=0)
+    high = np.percentile(spoken, 90, axis=0) - spoken.mean(axis=0)
     numbers = (
-        np.concatenate((said.std(axis=0), high, mean_step)),
+        np.concatenate((spoken.std(axis=0), high, mean_step)),
         _pitch(prosody.pitch, voiced),
         _level(prosody.level, speech),
         _periodicity(prosody.periodicity, speech, voiced),
@@ -285,10 +285,10 @@ def _pitch(pitch: Float64, voiced: Bool) -> Float64:
 
 def _level(level: Float64, speech: Bool) -> Float64:
     """Percentiles about the mean, spread and mean step, dB."""
-    said = np.maximum(level[speech], level[speech].max() - DEEPEST_DB)
-    places = np.percentile(said, (5, 25, 50, 75, 95)) - said.mean()
-    step = np.abs(np.diff(said)).mean() if len(said) > 1 else 0.0
-    return np.concatenate((places, [said.std(), step]))
+    spoken = np.maximum(level[speech], level[speech].max() - DEEPEST_DB)
+    places = np.percentile(spoken, (5, 25, 50, 75, 95)) - spoken.mean()
+    step = np.abs(np.diff(spoken)).mean() if len(spoken) > 1 else 0.0
+    return np.concatenate((places, [spoken.std(), step]))
 
 
 def _periodicity(periodicity: Float64, speech: Bool, voiced: Bool) -> Float64:

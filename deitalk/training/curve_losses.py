@@ -192,8 +192,8 @@ def total_loss(
     lips : callable or None
         `deitalk.research.lips.losses.LipLoss`; None if `config.lips` and `config.range` are 0.
     """
-    if output.taught is not None:
-        known = known * output.taught[:, None]
+    if output.supervised is not None:
+        known = known * output.supervised[:, None]
     weights = weights * (known + hold * (1 - known))[:, None]
     parts = {
         "position": position_loss(curves, output.curves, weights),

@@ -143,12 +143,12 @@ class CurveTask(Task[Window]):
         """Build the model with the weights it starts from, its teacher and the validation clips."""
         config, settings = self.config, self.config.train
         self.model = self._network(pretrained=True)
-        taught = None
+        distilled = None
         if settings.teacher is not None:
             distillation = research("training.distillation", "train.teacher")
             teacher = distillation.read_teacher(settings.teacher, self.model)
             start_as(self.model, teacher)
-            taught = distillation.Teacher(teacher, device, settings.precision)
+            distilled = distillation.Teacher(teacher, device, settings.precision)
         if self.start_from is not None:
             _copy_weights(self.model, self.start_from)
         elif self.model.frontend.layers:
@@ -160,7 +160,7 @@ class CurveTask(Task[Window]):
             self.frozen_features = self.frozen_features or FrozenFeatures(settings.frozen_frontend)
             self.frozen_features.copy_into(self.model)
         controls = self.controls
-        self._loss = CurveLoss(config.loss, controls, device, taught)
+        self._loss = CurveLoss(config.loss, controls, device, distilled)
         self.validation = ValidationSet.of(self.validation_clips, controls)
         self.shown = shown_examples(self.validation_clips, controls)
         if config.data.encoded_passes:

@@ -484,11 +484,11 @@ class DEITALK_OT_import(bpy.types.Operator, ImportHelper):  # type: ignore[misc]
         how, last = (scene, start, self.tolerance, self.still), start
         for board in boards:
             count, last, lost = apply_board(path, board, *how)
-            told = (
+            notes = (
                 f"{count} channels of {board.name} from {os.path.basename(os.path.normpath(path))}"
             )
             without = f", {lost} moving controls have no bone" if lost else ""
-            self.report({"INFO"}, told + without)
+            self.report({"INFO"}, notes + without)
         if meshes or not boards:
             last = max(last, self._key_shapes(path, meshes, how))
         scene.frame_end = max(scene.frame_end, math.ceil(last))
@@ -510,11 +510,11 @@ class DEITALK_OT_import(bpy.types.Operator, ImportHelper):  # type: ignore[misc]
             raise ValueError(
                 f"no shape key without a driver has a name of {os.path.basename(curves.path)}"
             )
-        told = [
+        notes = [
             f"{count} shape keys from {os.path.basename(curves.path)}",
             *unshown(curves, meshes),
         ]
-        self.report({"INFO"}, ", ".join(told))
+        self.report({"INFO"}, ", ".join(notes))
         return last
 
 
@@ -523,12 +523,12 @@ def unshown(curves: Curves, meshes: list[Any]) -> list[str]:
     have = {name for mesh in meshes for name in keys_of(mesh)}
     moving = [name for name, values in curves.values.items() if np.ptp(values) > 1e-6]
     without = [name for name in moving if shape_key(name) not in have]
-    told = (
+    notes = (
         [f"{len(without)} moving curves have no shape key: {_listed(without)}"] if without else []
     )
     if curves.lost > 0.001:
-        told.append(f"{curves.lost:.0%} of the movement has no shape")
-    return [*told, "the head does not turn"] if curves.turns else told
+        notes.append(f"{curves.lost:.0%} of the movement has no shape")
+    return [*notes, "the head does not turn"] if curves.turns else notes
 
 
 def _listed(names: list[str]) -> str:

@@ -30,7 +30,7 @@ from rig.formats.decimal_text import Block, rows
 from rig.limits import CUES_BYTES, SECONDS
 
 
-def _heard(curves: RigCurves, seconds: float | None) -> tuple[list[Cue], float]:
+def _spoken_cues(curves: RigCurves, seconds: float | None) -> tuple[list[Cue], float]:
     """Cues that begin within the sound, cut at its end, and its length; that of the curves if None.
 
     The last frame may end after the sound.
@@ -41,8 +41,8 @@ def _heard(curves: RigCurves, seconds: float | None) -> tuple[list[Cue], float]:
 
 def write_tsv(path: Path, curves: RigCurves, seconds: float | None = None) -> None:
     """Write ``start<TAB>shape``; the last line is the end, with the mouth at rest."""
-    heard, end = _heard(curves, seconds)
-    lines = [f"{cue.start:.2f}\t{cue.shape}\n" for cue in heard]
+    spoken, end = _spoken_cues(curves, seconds)
+    lines = [f"{cue.start:.2f}\t{cue.shape}\n" for cue in spoken]
     lines.append(f"{end:.2f}\tX\n")
     path.write_text("".join(lines), encoding="utf-8", newline="\n")
 
@@ -64,10 +64,10 @@ def write_json(
     path: Path, curves: RigCurves, sound: str = "", seconds: float | None = None
 ) -> None:
     """Write ``metadata`` with path and length of the sound, and ``mouthCues``."""
-    heard, end = _heard(curves, seconds)
+    spoken, end = _spoken_cues(curves, seconds)
     rows = [
         f'    {{ "start": {cue.start:.2f}, "end": {cue.end:.2f}, "value": "{cue.shape}" }}'
-        for cue in heard
+        for cue in spoken
     ]
     text = (
         f'{{\n  "metadata": {{\n    "soundFile": {json.dumps(sound)},\n'
@@ -97,10 +97,10 @@ def write_xml(path: Path, curves: RigCurves, sound: str = "", seconds: float | N
     """Write ``rhubarbResult`` with path and length of the sound."""
     from xml.sax.saxutils import escape  # imports a client of HTTP
 
-    heard, end = _heard(curves, seconds)
+    spoken, end = _spoken_cues(curves, seconds)
     lines = [
         f'    <mouthCue start="{cue.start:.2f}" end="{cue.end:.2f}">{cue.shape}</mouthCue>\n'
-        for cue in heard
+        for cue in spoken
     ]
     text = (
         '<?xml version="1.0" encoding="utf-8"?>\n<rhubarbResult>\n  <metadata>\n'
@@ -130,8 +130,8 @@ def read_xml(path: Path, controls: ControlSet | None = None, fps: float | None =
 
 def write_dat(path: Path, curves: RigCurves, seconds: float | None = None) -> None:
     """Write ``MohoSwitch1``, then ``frame shape``, frames from 1 at the curves' rate."""
-    heard, end = _heard(curves, seconds)
-    lines = {1 + int(cue.start * curves.fps + 1e-6): cue.shape for cue in heard}
+    spoken, end = _spoken_cues(curves, seconds)
+    lines = {1 + int(cue.start * curves.fps + 1e-6): cue.shape for cue in spoken}
     lines[max(1 + int(end * curves.fps + 1e-6), max(lines, default=0) + 1)] = "X"
     text = "".join(f"{frame} {shape}\n" for frame, shape in lines.items())
     path.write_text("MohoSwitch1\n" + text, encoding="utf-8", newline="\n")

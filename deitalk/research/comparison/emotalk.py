@@ -157,12 +157,12 @@ class EmoTalk(DEITalk):
         is_encoded = waveform.dim() == 3
         speech = waveform if is_encoded else self.frontend(waveform, frames.shape[1])
         features = self.emotion(speech)
-        logits, taught = self.emotion.classify(features), None
+        logits, supervised = self.emotion.classify(features), None
         if voice is not None:
-            source, taught = emotion_sources(emotion[:, : len(EMOTIONS)], voice)
+            source, supervised = emotion_sources(emotion[:, : len(EMOTIONS)], voice)
             features = features[source]
         predicted = self.decoder(speech, emotion, features)
-        return Output(predicted, None, logits, None, speech, taught)
+        return Output(predicted, None, logits, None, speech, supervised)
 
     def reads_together(self, n_frames: int) -> bool:
         """No recordings are read together."""

@@ -16,7 +16,7 @@ from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
 from deitalk.audio.load import load_audio
 from deitalk.audio.voice_activity import normalise_level, speech_activity
 from deitalk.data.clips import MEASURED, SPLITS, Clip, read_clips
-from deitalk.data.windows import cut, load_material, n_clip_frames
+from deitalk.data.windows import cut, load_clip, n_clip_frames
 from deitalk.errors import DataError
 from deitalk.models.curve_model import DEITalk
 from deitalk.research.lips.fit import fit_curves, neutral_reading
@@ -397,9 +397,9 @@ class _Writer:
 
     def corrected(self, clip: Clip, transfer: LipTransfer) -> None:
         """Write a clip of a corpus with corrected lips."""
-        material = load_material(clip, self.model.controls)
-        n_frames = n_clip_frames(len(material.waveform))
-        sound, curves, _, _ = cut(material, 0, n_frames)
+        loaded = load_clip(clip, self.model.controls)
+        n_frames = n_clip_frames(len(loaded.waveform))
+        sound, curves, _, _ = cut(loaded, 0, n_frames)
         speaking = speech_activity(sound)[:n_frames] > 0
         reading = neutral_reading(self.model, torch.tensor(sound), n_frames, self.listener)
         controls = self.model.controls

@@ -23,7 +23,7 @@ import scipy.linalg
 import torch
 
 from deitalk.data.clips import Clip
-from deitalk.data.windows import Material, load_material
+from deitalk.data.windows import LoadedClip, load_clip
 from deitalk.evaluation.validation import MOVING
 from deitalk.models.rig_decoder import RigDecoder
 from rig import ControlSet
@@ -354,9 +354,9 @@ class ExpressionAxis:
     neutral: float
     full: float
 
-    def strength(self, material: Material) -> Float32:
+    def strength(self, loaded: LoadedClip) -> Float32:
         """Strength of every frame of a clip [shape=(T,), range 0 to 1]."""
-        share = (_projected(material, self.weights) - self.neutral) / (self.full - self.neutral)
+        share = (_projected(loaded, self.weights) - self.neutral) / (self.full - self.neutral)
         return np.clip(share, 0, 1).astype(np.float32)
 
 
@@ -424,9 +424,9 @@ def label_intensity(
             continue
         path = folder / f"{hashlib.sha256(clip.name.encode()).hexdigest()[:12]}.csv"
         if not path.exists():
-            material = load_material(clip, controls, sound=False)
-            values = axis.strength(material) if axis else np.zeros(len(material.times))
-            rows = zip(material.times, values, strict=True)
+            loaded = load_clip(clip, controls, sound=False)
+            values = axis.strength(loaded) if axis else np.zeros(len(loaded.times))
+            rows = zip(loaded.times, values, strict=True)
             lines = [f"{time:.4f},{value:.4f}" for time, value in rows]
             with atomic_write(path) as beside:
                 beside.write_text("\n".join(["time,intensity", *lines, ""]), encoding="utf-8")
@@ -459,25 +459,25 @@ def _moments(clips: Sequence[Clip], controls: ControlSet) -> tuple[Float64, Floa
     count, total, square = 0, np.zeros(len(controls)), np.zeros(len(controls))
     known = np.ones(len(controls), bool)
     for clip in clips:
-        material = load_material(clip, controls, sound=False)
-        values = material.values.astype(np.float64)
+        loaded = load_clip(clip, controls, sound=False)
+        values = loaded.values.astype(np.float64)
         count += len(values)
         total += values.sum(axis=0)
         square += np.square(values).sum(axis=0)
-        known &= material.known
+        known &= loaded.known
     mean = total / max(count, 1)
     return mean, np.maximum(square / max(count, 1) - np.square(mean), 0), known
 
 
 def _projections(clips: Sequence[Clip], controls: ControlSet, weights: Float64) -> Float64:
     """Smoothed projections of the frames of all clips."""
-    read = (load_material(clip, controls, sound=False) for clip in clips)
-    return np.concatenate([_projected(material, weights) for material in read])
+    read = (load_clip(clip, controls, sound=False) for clip in clips)
+    return np.concatenate([_projected(loaded, weights) for loaded in read])
 
 
-def _projected(material: Material, weights: Float64) -> Float64:
+def _projected(loaded: LoadedClip, weights: Float64) -> Float64:
     """Smoothed projection of every frame [shape=(T,)]."""
-    line = material.values.astype(np.float64) @ weights
-    step = np.diff(material.times[:2]).sum() or 1.0
+    line = loaded.values.astype(np.float64) @ weights
+    step = np.diff(loaded.times[:2]).sum() or 1.0
     smooth: Float64 = gaussian_smooth(line, SMOOTHING_SECONDS / step, "mirror")
     return smooth

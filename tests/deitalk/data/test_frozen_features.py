@@ -14,7 +14,7 @@ from deitalk.data.clips import read_clips
 from deitalk.data.windows import (
     FrozenFeatures,
     WindowBatches,
-    load_material,
+    load_clip,
     recorded_frames,
 )
 from deitalk.models.checkpoint import load_model
@@ -101,10 +101,10 @@ def test_windows_hold_the_features_of_the_whole_clip(data, source):
     for name in ("curves", "frames", "total", "intensity", "known"):
         assert torch.equal(getattr(window, name), getattr(same, name)), name
     places = window.frames.tolist()
-    materials = [load_material(clip, model.controls) for clip in clips]
+    loaded_clips = [load_clip(clip, model.controls) for clip in clips]
     offered = []
-    for material in materials:
-        waveform = material.waveform.astype(np.float32) * np.float32(material.unit)
+    for loaded in loaded_clips:
+        waveform = loaded.waveform.astype(np.float32) * np.float32(loaded.unit)
         frames = max(int(np.ceil(len(waveform) / SAMPLE_RATE * FRAME_RATE)), places[-1] + 1)
         padded = np.pad(waveform, (0, max(frames * SAMPLE_RATE // FRAME_RATE - len(waveform), 0)))
         offered.append(model.frontend.encode(torch.from_numpy(padded), frames)[places])

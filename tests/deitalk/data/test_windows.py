@@ -13,7 +13,7 @@ from deitalk.audio.load import load_audio
 from deitalk.audio.voice_activity import normalise_level
 from deitalk.config.curves import DataConfig
 from deitalk.data.clips import read_clips
-from deitalk.data.windows import Material, MaterialCache, WindowBatches, cut, load_material
+from deitalk.data.windows import ClipCache, LoadedClip, WindowBatches, cut, load_clip
 from rig import RigCurves, default_controls, read_curves, write_curves
 from tests.dataset import CLICKS, FPS, JAW, RATE, SECONDS, write_dataset
 from tests.each import each
@@ -27,21 +27,21 @@ def folder(tmp_path_factory) -> Path:
     return write_dataset(tmp_path_factory.mktemp("data"))
 
 
-def step_material(at: float = 1.0, seconds: float = 2.0) -> Material:
+def step_clip(at: float = 1.0, seconds: float = 2.0) -> LoadedClip:
     """A click and, at the same moment, a step of every curve."""
     waveform = np.zeros(int(seconds * RATE), np.float32)
     waveform[round(at * RATE)] = 1
     times = np.arange(int(seconds * FPS)) / FPS
     values = np.repeat((times >= at - 1e-9)[:, None], 3, axis=1).astype(np.float16)
     intensity = (times / seconds).astype(np.float32)
-    return Material(waveform, times, values, intensity, np.ones(3, bool))
+    return LoadedClip(waveform, times, values, intensity, np.ones(3, bool))
 
 
 @each("speed", [0.82, 1.0, 1.1, 1.25])
 @each("first", [0, 7, 20])
 def test_click_stays_with_the_step_of_the_curves(speed, first):
-    material = step_material()
-    waveform, curves, _, total = cut(material, first, 45, speed)
+    loaded = step_clip()
+    waveform, curves, _, total = cut(loaded, first, 45, speed)
     expected = 1.0 / speed - first / 30
     assert np.abs(waveform).argmax() / RATE == pytest.approx(expected, abs=2 / RATE)
     crossed = np.interp(0.5, curves[:, 0], np.arange(45) / 30)
@@ -50,9 +50,9 @@ def test_click_stays_with_the_step_of_the_curves(speed, first):
 
 
 def test_middle_of_a_clip_is_the_middle_of_the_whole():
-    material = step_material()
-    whole_wave, whole_curves, whole_intensity, _ = cut(material, 0, 60)
-    wave, curves, intensity, _ = cut(material, 21, 20)
+    loaded = step_clip()
+    whole_wave, whole_curves, whole_intensity, _ = cut(loaded, 0, 60)
+    wave, curves, intensity, _ = cut(loaded, 21, 20)
     np.testing.assert_array_equal(wave, whole_wave[21 * RATE // 30 :][: len(wave)])
     np.testing.assert_allclose(curves, whole_curves[21:41], atol=1e-6)
     np.testing.assert_allclose(intensity, whole_intensity[21:41], atol=1e-6)
@@ -60,33 +60,33 @@ def test_middle_of_a_clip_is_the_middle_of_the_whole():
 
 def test_clip_in_memory_is_the_recording_to_16_bits(folder):
     clip = read_clips(folder, "train")[0]
-    material = load_material(clip, CONTROLS)
-    assert material.waveform.dtype == np.int16 and material.values.dtype == np.float16
+    loaded = load_clip(clip, CONTROLS)
+    assert loaded.waveform.dtype == np.int16 and loaded.values.dtype == np.float16
     expected = normalise_level(load_audio(clip.audio).waveform)
-    window, *_ = cut(material, 0, SECONDS_FRAMES)
+    window, *_ = cut(loaded, 0, SECONDS_FRAMES)
     np.testing.assert_allclose(window, expected, rtol=0, atol=np.abs(expected).max() / 60_000)
     # 3 s: 48000 samples of 2 bytes; 180 rows of curves of 2 bytes, times of 8, intensities of 4
-    assert material.n_bytes == 48_000 * 2 + 180 * (185 * 2 + 8 + 4)
+    assert loaded.n_bytes == 48_000 * 2 + 180 * (185 * 2 + 8 + 4)
 
 
 def test_memory_is_bounded_and_what_was_used_last_stays(folder, monkeypatch):
     import deitalk.data.windows as module
 
     clips = read_clips(folder, "train")
-    size = load_material(clips[0], CONTROLS).n_bytes
+    size = load_clip(clips[0], CONTROLS).n_bytes
     read: list[str] = []
 
     def reads(clip, controls, **options):
         read.append(clip.name)
-        return load_material(clip, controls)
+        return load_clip(clip, controls)
 
-    monkeypatch.setattr(module, "load_material", reads)
-    cache = MaterialCache(CONTROLS, max_bytes=2 * size)
+    monkeypatch.setattr(module, "load_clip", reads)
+    cache = ClipCache(CONTROLS, max_bytes=2 * size)
     for i in (0, 1, 0, 2, 0, 1):  # 2 displaces 1, not 0
         assert cache.read(clips[i]).values.shape == (180, 185)
         assert cache.n_bytes <= 2 * size
     assert read == ["clip0", "clip1", "clip2", "clip1"]
-    small = MaterialCache(CONTROLS, max_bytes=1)
+    small = ClipCache(CONTROLS, max_bytes=1)
     small.read(clips[0])
     small.read(clips[0])
     assert read[4:] == ["clip0"] and small.n_bytes == size, "one clip stays"
@@ -153,7 +153,7 @@ def test_windows_for_a_teacher_hold_the_sound_before_augmentation(folder, monkey
         window = drawn.item(number)
         first, name = int(window.frames[0]), drawn._draw(np.random.default_rng((3, number))).name
         clip = next(clip for clip in drawn.clips if clip.name == name)
-        sound = cut(load_material(clip, CONTROLS), first, 32, 1.25)[0]
+        sound = cut(load_clip(clip, CONTROLS), first, 32, 1.25)[0]
         np.testing.assert_array_equal(window.clean.numpy(), sound)
         assert not torch.equal(window.waveform, window.clean)
     assert len(batches(folder).item(0).clean) == 0, "without a teacher"
@@ -179,35 +179,35 @@ def test_measured_clips_have_the_configured_share_and_equal_speakers(folder):
     assert only._draw(np.random.default_rng(0)).speaker == "many"
 
 
-def test_load_material_rejects_curves_without_frames_or_controls(folder, tmp_path):
+def test_load_clip_rejects_curves_without_frames_or_controls(folder, tmp_path):
     clip = read_clips(folder)[0]
     curves = read_curves(clip.curves)
     short = tmp_path / "short.csv"
     short.write_text(",".join(("frame", "time", *CONTROLS.names)) + "\n")
     changed = clip.__class__(**{**clip.__dict__, "curves": short})
     with pytest.raises(ValueError, match=r"short\.csv has no rows"):
-        load_material(changed, CONTROLS)
+        load_clip(changed, CONTROLS)
     few = CONTROLS.names[:180]
     other = tmp_path / "few.npz"
     write_curves(other, RigCurves(curves.values[:, :180], few, fps=FPS))
     with pytest.raises(ValueError, match=r"few\.npz.*lacks 5 controls|control"):
-        load_material(clip.__class__(**{**clip.__dict__, "curves": other}), CONTROLS)
+        load_clip(clip.__class__(**{**clip.__dict__, "curves": other}), CONTROLS)
 
 
 def test_unknown_controls_are_at_rest(tmp_path):
     """A source that holds the jaw alone: what its file claims of other controls is dropped."""
     folder = write_dataset(tmp_path, 2, 0)
     jaw = CONTROLS.index("CTRL_C_jaw.ty")
-    whole = load_material(read_clips(folder)[0], CONTROLS)
+    whole = load_clip(read_clips(folder)[0], CONTROLS)
     (folder / "known.txt").write_text("CTRL_C_jaw.ty\n")
     table = pd.read_csv(folder / "clips.csv", dtype=str).assign(known=["known.txt", ""])
     table.to_csv(folder / "clips.csv", index=False)
     clips = read_clips(folder)
-    material = load_material(clips[0], CONTROLS)
-    assert np.flatnonzero(material.known).tolist() == [jaw]
-    np.testing.assert_array_equal(material.values[:, jaw], whole.values[:, jaw])
+    loaded = load_clip(clips[0], CONTROLS)
+    assert np.flatnonzero(loaded.known).tolist() == [jaw]
+    np.testing.assert_array_equal(loaded.values[:, jaw], whole.values[:, jaw])
     others = np.arange(len(CONTROLS)) != jaw
     rest = CONTROLS.rest.astype(np.float16)
-    assert (material.values[:, others] == rest[others]).all() and whole.values[:, others].any()
+    assert (loaded.values[:, others] == rest[others]).all() and whole.values[:, others].any()
     batches = WindowBatches(clips, CONTROLS, DataConfig(window_frames=30), 0, 8)
     assert set(next(iter(batches)).known.sum(dim=1).tolist()) == {1.0, 185.0}

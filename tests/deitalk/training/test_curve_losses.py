@@ -114,9 +114,11 @@ def test_windows_that_no_voice_can_teach_have_no_part_in_the_loss():
     output, curves, emotion, intensity = example()
     config = LossConfig(contact=2.0)
     both = total(config, output, curves, emotion, intensity)
-    taught = total(config, output._replace(taught=torch.ones(1)), curves, emotion, intensity)
-    assert taught == both
-    nothing = total(config, output._replace(taught=torch.zeros(1)), curves, emotion, intensity)
+    supervised = total(
+        config, output._replace(supervised=torch.ones(1)), curves, emotion, intensity
+    )
+    assert supervised == both
+    nothing = total(config, output._replace(supervised=torch.zeros(1)), curves, emotion, intensity)
     for name in ("position", "velocity", "contact"):
         assert float(both[name]) > float(nothing[name]) == 0
     assert nothing["classification"] == both["classification"]

@@ -58,18 +58,18 @@ def test_distance_by_hand_with_gradients_for_the_student_only(teacher):
     config = student(teacher)
     model = read_teacher(str(teacher), DEITalk(config.model))
     assert model is not None and not any(p.requires_grad for p in model.parameters())
-    taught = Teacher(model, torch.device("cpu"))
+    distilled = Teacher(model, torch.device("cpu"))
     waveform = torch.randn(2, 16000) * 0.07
     target = model.frontend(waveform, 30)
     speech = (target + 3).requires_grad_()
-    distance = taught.distance(waveform, speech)
+    distance = distilled.distance(waveform, speech)
     assert distance.item() == pytest.approx(9, rel=1e-4)
     distance.backward()
     # d/dx of the mean of (x - y)^2 is 2 (x - y) / n.
     torch.testing.assert_close(speech.grad, torch.full_like(speech, 6 / speech.numel()))
     # Errors of 1 and -1 by turns differ by 2: 1 + 4 * 2^2.
     shaken = target + (-1.0) ** torch.arange(30).unsqueeze(1)
-    assert taught.distance(waveform, shaken).item() == pytest.approx(17, rel=1e-4)
+    assert distilled.distance(waveform, shaken).item() == pytest.approx(17, rel=1e-4)
 
 
 def test_weights_of_equal_shape_behind_the_frontend_are_copied(teacher):

@@ -68,13 +68,13 @@ def test_batch_is_predicted_from_the_emotion_of_the_sources():
     shown, voices = styles(0, 1, 2), styles(1, 0, 0)
     out = model(speech, shown, frames, total, None, voices)
     features = model.emotion(speech)
-    assert out.taught.tolist() == [1, 1, 0]
+    assert out.supervised.tolist() == [1, 1, 0]
     for row, source in ((0, 1), (1, 0)):
         expected = model.decoder(speech[row : row + 1], shown[row : row + 1], features[[source]])
         torch.testing.assert_close(out.curves[row], expected[0])
     torch.testing.assert_close(out.emotion_logits, model.emotion.classify(features))
     alone = model(speech, shown, frames, total)
-    assert alone.taught is None
+    assert alone.supervised is None
     torch.testing.assert_close(alone.curves, model.decoder(speech, shown, features))
 
 

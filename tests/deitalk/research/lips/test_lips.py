@@ -12,7 +12,7 @@ import torch
 
 from deitalk.data.checks import inspect_dataset
 from deitalk.data.clips import read_clips
-from deitalk.data.windows import cut, load_material
+from deitalk.data.windows import cut, load_clip
 from deitalk.errors import DataError
 from deitalk.models.checkpoint import require_model
 from deitalk.models.curve_model import DEITalk
@@ -370,7 +370,7 @@ def test_corrected_clips_keep_contacts_and_all_but_the_lips(measured, tmp_path):
     for clip in clips:
         if clip.source == "measured":
             continue
-        old, new = (load_material(c, CONTROLS) for c in (originals[clip.name], clip))
+        old, new = (load_clip(c, CONTROLS) for c in (originals[clip.name], clip))
         n = min(len(old.values), len(new.values))
         old_values = cut(old, 0, n)[1].astype(np.float32)
         new_values = new.values[:n].astype(np.float32)
