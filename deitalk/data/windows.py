@@ -12,7 +12,7 @@ from contextlib import suppress
 from functools import cache, lru_cache
 from itertools import count
 from pathlib import Path
-from typing import Any, Generic, NamedTuple, TypeVar
+from typing import Any, Generic, NamedTuple, TypeVar, cast
 
 import numpy as np
 import torch
@@ -33,6 +33,7 @@ from deitalk.models.curve_model import DEITalk
 from rig import ControlSet, read_curves
 from rig.arrays import Bool, Float32, Float64
 from rig.controls import DEFAULT_ID
+from rig.errors import UserError
 from rig.files import atomic_write, remove_leftovers
 
 # Endless batches of numbered items: item k depends on the seed and on k alone.
@@ -72,13 +73,20 @@ class SeededBatches(ABC, IterableDataset[Item], Generic[Item]):
         self.seed, self.batch_size, self.share = seed, batch_size, share
 
     def __iter__(self) -> Iterator[Item]:
-        """Yield this process's part of the batches of this worker, stacked."""
+        """Yield this process's part of the batches of this worker, stacked; in the end its error.
+
+        An error that a worker raised would have the worker's traceback in its message.
+        """
         worker = get_worker_info()
         n_workers, lane = (worker.num_workers, worker.id) if worker else (1, 0)
         for batch in count(self.share.skip + lane, n_workers):
             first = batch * self.batch_size
             numbers = range(first + self.share.rank, first + self.batch_size, self.share.world)
-            items = [self.item(number) for number in numbers]
+            try:
+                items = [self.item(number) for number in numbers]
+            except UserError as error:
+                yield cast("Item", error)
+                return
             yield type(items[0])(*(torch.stack(field) for field in zip(*items, strict=True)))
 
     def rng(self, number: int) -> np.random.Generator:

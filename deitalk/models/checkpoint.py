@@ -140,10 +140,15 @@ def require_model(
         return cast("ModelT", model.eval())
     folder = model_folder(model)
     config = load_config(folder / "config.yaml")
+    check_kind(model, config, wanted)
+    return cast("ModelT", _load(folder, config, device))
+
+
+def check_kind(model: str | Path, config: AnyConfig, wanted: type[ModelT]) -> None:
+    """Refuse the configuration of a model that makes the other product."""
     product = kind_of(config).model.product
     if product != wanted.product:
         raise CheckpointError(f"{model}: makes {product}; {NEEDED[wanted.product]}")
-    return cast("ModelT", _load(folder, config, device))
 
 
 def save_model(

@@ -43,6 +43,7 @@ from deitalk.training.curve_losses import (
     start_as,
     turn_to_the_past,
 )
+from deitalk.training.run_folder import record_data
 from deitalk.training.trainer import Progress, Task, new_optimizer, run_training, silent
 from rig import ControlSet
 
@@ -126,7 +127,7 @@ class CurveTask(Task[Window]):
         start_from: Path | None = None,
         frozen_features: FrozenFeatures | None = None,
     ) -> None:
-        self.config, self.start_from = config, start_from
+        self.config, self.data, self.start_from = config, data, start_from
         self.frozen_features = frozen_features
         self.encoded: Any = None
         self.controls = read_controls(config.model.control_set)
@@ -167,7 +168,8 @@ class CurveTask(Task[Window]):
             self.encoded = self._encode()
 
     def read(self, out: Path) -> None:
-        """Remember where features of recordings are kept."""
+        """Check that a resumed run has its own data; remember where features are kept."""
+        record_data(out, self.data)
         self.out = out
 
     def _encode(self) -> Any:

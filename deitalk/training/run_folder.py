@@ -3,6 +3,7 @@
 ::
 
     config.yaml          every setting of the run
+    data.sha256          hash of the dataset's clips.csv
     metrics.csv          losses, gradient norm and learning rate, a row every 25 steps
     development.csv      development scores, a row an evaluation
     curves/<step>.png    fixed clips, targets and predictions, a picture an evaluation
@@ -16,6 +17,7 @@ what is beyond it is made again by a resumed run.
 """
 
 import errno
+import hashlib
 import math
 import os
 import pickle
@@ -109,6 +111,23 @@ def _check_settings(out: Path, config: AnyConfig) -> None:
             f"{out}: the run was begun with another {', '.join(changed)}; resume with its "
             "own config.yaml"
         )
+
+
+def record_data(out: Path, data: Path) -> None:
+    """Keep the hash of a dataset folder's ``clips.csv`` with a run.
+
+    Raises
+    ------
+    DataError
+        If the run was begun with another table.
+    """
+    digest = hashlib.sha256((data / "clips.csv").read_bytes()).hexdigest()
+    record = out / "data.sha256"
+    before = record.read_text(encoding="utf-8") if record.is_file() else None
+    if before not in (None, digest) and (out / "state.pt").is_file():
+        raise DataError(f"{data}: not the clips that {out} was begun with; name another run folder")
+    if before != digest:
+        replace_recorded(out, record.name, digest)
 
 
 def _differences(a: dict[str, Any], b: dict[str, Any], prefix: str = "") -> list[str]:

@@ -37,6 +37,7 @@ from deitalk.training.run_folder import (
     summary_writer,
 )
 from deitalk.workers import end_with_parent
+from rig.errors import UserError
 
 LOG_EVERY = 25
 """Steps between rows of ``metrics.csv``."""
@@ -312,6 +313,8 @@ class Trainer(Generic[Item]):
             worker_init_fn=end_with_parent,
         )
         for batch in loader:
+            if isinstance(batch, UserError):
+                raise batch
             yield type(batch)(*(part.to(self.accelerator.device) for part in batch))
 
     def update(self, network: nn.Module, batches: Iterator[Item]) -> dict[str, Tensor]:
@@ -533,15 +536,7 @@ def new_accelerator(settings: Optimisation, item_size: int = 1) -> Any:
 
 
 class InBfloat16(nn.Module):
-    """A network that computes in bfloat16 and returns float32; its weights stay float32.
-
-    Parameters
-    ----------
-    network : Module
-        Any.
-    device : torch.device
-        Where it runs.
-    """
+    """A network that computes in bfloat16 and returns float32; its weights stay float32."""
 
     def __init__(self, network: nn.Module, device: torch.device) -> None:
         super().__init__()

@@ -116,7 +116,7 @@ def _takes(folder: Path) -> None:
 
     _notes(folder)
     for number in range(2):
-        write_live_link(folder / "takes" / f"joy_{number}.csv", 6)
+        write_live_link(folder / "takes" / f"joy_{number}.csv", 6 + number / 10)
 
 
 def _imported(folder: Path) -> None:

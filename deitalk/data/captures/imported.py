@@ -1,6 +1,8 @@
 """Captured takes to a dataset folder (docs/dataset.md), whole or not at all."""
 
 import csv
+import hashlib
+import itertools
 import math
 import re
 from collections import Counter
@@ -47,7 +49,7 @@ from deitalk.errors import DataError
 from rig import ControlSet, write_curves
 from rig.arrays import Bool, Float32, Float64
 from rig.controls import Control
-from rig.errors import UserError
+from rig.errors import UserError, listed
 from rig.files import output_folder
 
 # Long takes to clips: cut in pauses, never inside a word.
@@ -294,7 +296,7 @@ def import_captures(
         tuple(writer.reports),
         dict(splits),
         writer.left_out,
-        (*skipped_files(skipped), *warnings_of(writer.reports)),
+        (*skipped_files(skipped), *warnings_of(writer.reports), *_untrained(writer.rows)),
     )
 
 
@@ -311,14 +313,13 @@ def _fault(faults: Sequence[UserError], n_takes: int) -> DataError:
 
 def _names(takes: Sequence[Source]) -> list[str]:
     """Names of takes: of their files, numbered where several have one."""
-    counts: Counter[str] = Counter()
-    names = []
+    names: dict[str, str] = {}
     for take in takes:
-        name = "".join(c if c.isalnum() or c in "-_" else "-" for c in take.stem) or "take"
-        counts[name.lower()] += 1
-        count = counts[name.lower()]
-        names.append(name if count == 1 else f"{name}-{count}")
-    return names
+        plain = "".join(c if c.isalnum() or c in "-_" else "-" for c in take.stem) or "take"
+        numbered = (f"{plain}-{count}" if count > 1 else plain for count in itertools.count(1))
+        name = next(name for name in numbered if name.lower() not in names)
+        names[name.lower()] = name
+    return list(names.values())
 
 
 @dataclass
@@ -334,6 +335,8 @@ class _Writer:
     lists: dict[tuple[str, ...], str] = field(default_factory=dict)
     """Known channels to the file that lists them."""
     left_out: int = 0
+    originals: dict[tuple[Labels, bytes], str] = field(default_factory=dict)
+    """Labels and content of a take to the first that has them."""
 
     @property
     def seconds(self) -> float:
@@ -368,8 +371,13 @@ class _Writer:
             speaking, prosody.level, seconds, longest=self.longest,
             keep_listening=self.keep_listening,
         )  # fmt: skip
+        digest = hashlib.sha256(curves.values.tobytes() + sound.waveform.tobytes()).digest()
+        original = self.originals.setdefault((labels, digest), name)
+        if original != name:  # it would be in two splits
+            spans = []
         if capture.seen is not None:
             spans = within_captured(spans, capture.seen, curves.fps)
+        reason = "" if spans else "no speech" if original == name else f"a copy of {original}"
         for number, span in enumerate(spans, 1):
             self._clip(name, f"{name}_{number:03d}", span, labels, capture, sound)
         voiced = prosody.pitch[prosody.voiced]
@@ -381,10 +389,10 @@ class _Writer:
                 labels.emotion,
                 curves.fps,
                 seconds,
-                float(speaking.sum()) / FRAME_RATE,
+                float(speaking.sum()) / FRAME_RATE if spans else 0.0,
                 len(spans),
                 float(np.median(voiced)) if len(voiced) >= VOICED_FRAMES else float("nan"),
-                (*capture.notes, *_notes(labels, capture, sound, spans)),
+                (*capture.notes, *_notes(labels, capture, sound, reason)),
             )
         )
 
@@ -476,16 +484,22 @@ def _write_table(path: Path, header: Sequence[str], rows: Sequence[dict[str, str
         table.writerows(rows)
 
 
-def _notes(
-    labels: Labels, capture: CapturedCurves, sound: Recording, spans: Sequence[Span]
-) -> list[str]:
+def _untrained(rows: Sequence[dict[str, str]]) -> list[str]:
+    """A warning about actors of whom a tuned model will have no style; none without any."""
+    trained = {row["speaker"] for row in rows if row["split"] == TRAIN}
+    others = sorted({row["speaker"] for row in rows} - trained)
+    text = f"{listed(others)} only validate and test; split by time to train on every actor"
+    return [text] if others else []
+
+
+def _notes(labels: Labels, capture: CapturedCurves, sound: Recording, reason: str) -> list[str]:
     notes = [f"sound: {text}" for text in sound.warnings]
     difference = capture.curves.duration - sound.duration
     if abs(difference) > LENGTH_SECONDS:
         longer, shorter = ("curves", "sound") if difference > 0 else ("sound", "curves")
         notes.append(f"{longer} {abs(difference):.2f} s longer than {shorter}, cut")
-    if not spans:
-        notes.append("no speech, left out")
+    if reason:
+        notes.append(f"{reason}, left out")
     if not labels.is_actor_given:
         notes.append("no actor given, taken as one")
     if not labels.is_emotion_given:

@@ -99,7 +99,7 @@ def find_takes(
         if not chosen:
             raise DataError(
                 f"{source} holds no takes: no file of {', '.join(CURVES)} with known curves and no "
-                "video; for another rig give `mapping`, a table",
+                "video; for another rig give `mapping`, a table, or rig, its name",
                 parameter="mapping",
             )
         takes += [Source(path, _place(path, source.parent)) for path in chosen]

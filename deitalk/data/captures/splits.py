@@ -207,8 +207,12 @@ def _divide_group(
         count = max(1, round(SHARE * len(takes)))
         chosen = dict.fromkeys(takes[-2 * count : -count], VALIDATION)
         chosen |= dict.fromkeys(takes[-count:], TEST)
-        for i in order:
-            splits[i] = chosen.get(pieces[i].take, TRAIN)
+        shown = {pieces[i].emotion for i in order if pieces[i].take not in chosen}
+        for take, split in chosen.items():
+            own = [i for i in order if pieces[i].take == take]
+            whole = pieces[own[0]].emotion in shown  # else its beginning is to be learnt
+            for i in own if whole else own[-max(len(own) // 3, 1) :]:
+                splits[i] = split
         return
     total = sum(pieces[i].stop - pieces[i].start for i in order)
     if total < least or len(order) < 3:

@@ -9,7 +9,13 @@ from pathlib import Path
 
 import numpy as np
 
-from deitalk.data.captures.columns import NamedCurves, RigMapping, describe_columns, read_named
+from deitalk.data.captures.columns import (
+    LONGEST_GAP_SECONDS,
+    NamedCurves,
+    RigMapping,
+    describe_columns,
+    read_named,
+)
 from deitalk.errors import DataError
 from deitalk.installed import research
 from rig import ControlSet, RigCurves, default_controls, read_curves
@@ -151,7 +157,17 @@ def _live_link(path: Path) -> CapturedCurves:
     controls = KNOWN[curves.control_set]()
     present = [name for name in take.names if name in controls]
     notes = _check_columns(path, take.names, controls, present)
-    return _from_set(path, curves, "livelink", present=present, notes=notes)
+    captured = _from_set(path, curves, "livelink", present=present, notes=notes)
+    seconds = (take.ticks - take.ticks[0]) / livelink_csv.TICKS_PER_SECOND
+    steps = np.diff(seconds)
+    gaps = np.flatnonzero(steps > LONGEST_GAP_SECONDS)
+    if not len(gaps):
+        return captured
+    seen = np.ones(len(curves), bool)
+    for gap in gaps:
+        seen[(curves.times > seconds[gap]) & (curves.times < seconds[gap + 1])] = False
+    lost = f"{steps[gaps].sum():.1f} s without a frame, left out"
+    return replace(captured, seen=seen, notes=(*captured.notes, lost))
 
 
 def _filmed(path: Path, progress: Callable[[float], None]) -> CapturedCurves:
@@ -239,6 +255,8 @@ def _from_set(
         )
     known = reached_controls(curves.names if present is None else present, curves.control_set)
     if curves.control_set == ARKIT_ID:
+        beyond = clamp(curves, KNOWN[ARKIT_ID]())[1]
+        notes = (*notes, *([str(beyond)] if beyond else ()))
         curves = arkit_to_raw(curves, least_jaw=LEAST_JAW)
     board, clipped = clamp(convert(curves, DEFAULT_ID).reorder(default_controls()))
     if clipped:

@@ -14,6 +14,7 @@ from deitalk.config.load import load_config, parse_config, read_tree
 from deitalk.data.clips import Clip
 from deitalk.errors import CheckpointError, ConfigError
 from deitalk.evaluation.validation import knows_contact
+from deitalk.models.checkpoint import check_kind
 from deitalk.models.curve_model import DEITalk
 from deitalk.models.folder import RIG_FILE, model_folder
 from deitalk.postprocess.life.motion import ADDED_CONTROLS
@@ -66,7 +67,9 @@ def read_recipe(
             raise ConfigError(f"tune.part={tune['part']}: random weights all learn; leave it out")
     tune["base"] = pinned(str(tune.get("base", "default")))
     folder = model_folder(tune["base"])
-    network = load_config(folder / "config.yaml").model.model_dump(mode="json")
+    of_base = load_config(folder / "config.yaml")
+    check_kind(tune["base"], of_base, DEITalk)
+    network = of_base.model.model_dump(mode="json")
     if network.get("control_set") == RIG_FILE:
         network["control_set"] = str(folder / RIG_FILE)
     tree["model"] = network | (tree.get("model") or {})

@@ -235,6 +235,7 @@ class FinetuneTask(CurveTask):
 
     def read(self, out: Path) -> None:
         """Measure the strength of the captured expressions, in ``intensity/`` of the run."""
+        super().read(out)
         self.features_folder = out / "features"
         if self.axes:
             self.clips, self.validation_clips, self.test_clips = (

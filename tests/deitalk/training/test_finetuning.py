@@ -109,6 +109,11 @@ def test_curves_of_another_rig_without_its_file_are_refused(base, foreign, tmp_p
     assert "give --rig, its file" in name_option(caught.value)
 
 
+def test_mesh_models_are_no_base():
+    with one_line(CheckpointError, match="sdfa: makes mesh; a DEITalk model"):
+        read_recipe(None, base="sdfa")
+
+
 def test_run_from_nothing_has_the_network_of_the_base_alone(base, data, tmp_path):
     """No weight is the base's, all learn, and its report states so."""
     command = ["finetune", str(data), "--from", "none", "-o", f"{tmp_path}/run"]

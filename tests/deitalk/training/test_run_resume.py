@@ -21,6 +21,7 @@ from tests.dataset import write_dataset
 from tests.deitalk.models.test_mesh_model import LIPS, sheet, spoken
 from tests.deitalk.models.test_mesh_model import tiny as tiny_sdfa
 from tests.each import each
+from tests.errors import one_line
 from tests.interrupt import count_writes, kill_at_write
 
 TINY = Path(__file__).resolve().parents[3] / "configs" / "tiny.yaml"
@@ -236,3 +237,14 @@ def test_tensorboard_holds_every_step_once_after_a_kill(data, tmp_path, monkeypa
     events.Reload()
     assert [event.step for event in events.Scalars("development/score")] == [1, 2]
     assert [event.step for event in events.Scalars("metrics/total")] == [2]
+
+
+def test_run_goes_on_with_its_own_clips_alone(data, run, tmp_path):
+    moved, other = tmp_path / "moved", tmp_path / "other"
+    shutil.copytree(data, moved)
+    shutil.copytree(data, other)
+    train_curves(tiny(), moved, run, resume=True)
+    table = other / "clips.csv"
+    table.write_text(table.read_text().replace(",train", ",validation", 1))
+    with one_line(DataError, match="not the clips"):
+        train_curves(tiny(), other, run, resume=True)

@@ -279,3 +279,13 @@ def test_other_processes_neither_write_nor_evaluate(tmp_path, monkeypatch):
     assert list((tmp_path / "run").iterdir()) == []
     whole = next(iter(task.batches(Share())))
     assert task.seen[0] == whole.x[1].item(), "its share of the first batch"
+
+
+@each("workers", [0, 1])
+def test_fault_in_the_data_is_one_line_from_any_process(tmp_path, monkeypatch, workers):
+    def fails(self: Line, number: int) -> Point:
+        raise DataError(f"clip {number}: mend it")
+
+    monkeypatch.setattr(Line, "item", fails)
+    with pytest.raises(DataError, match=r"^clip 0: mend it$"):
+        trained(tmp_path / "run", LineTask(config(workers=workers)))

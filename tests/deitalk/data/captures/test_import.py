@@ -2,6 +2,7 @@
 
 import csv
 import json
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -269,7 +270,7 @@ def test_takes_that_leave_nothing_to_validate_are_refused_and_nothing_is_written
 
 def test_command_prints_takes_and_the_dataset_passes_the_check(tmp_path):
     for number in range(4):
-        write_live_link(tmp_path / "t" / f"joy_{number}.csv", 8)
+        write_live_link(tmp_path / "t" / f"joy_{number}.csv", 8 + number / 10)
     out = str(tmp_path / "data")
     done = ran("data", "import", tmp_path / "t", "--actor", "anna", "-o", out)
     assert "joy_0  livelink anna       happy" in done.stdout
@@ -306,3 +307,45 @@ def test_curves_of_another_rig_stay_as_they_are(tmp_path, rng):
     errors = [row for row in checked.stdout.splitlines() if row.startswith("error")]
     assert len(errors) == 1 and "0 to validate" in errors[0], "all clips train"
     assert checked.exit_code == 1 and "warning  jittering" in checked.stdout
+
+
+def test_takes_of_one_name_are_told_apart_and_a_copy_is_left_out(tmp_path):
+    first = write_live_link(tmp_path / "t" / "a" / "x.csv", 6)
+    write_live_link(tmp_path / "t" / "b" / "x.csv", 7)
+    write_live_link(tmp_path / "t" / "c" / "x-2.csv", 8)
+    for suffix in (".csv", ".wav"):
+        copy = tmp_path / "t" / "d" / f"copy{suffix}"
+        copy.parent.mkdir(exist_ok=True)
+        copy.write_bytes(first.with_suffix(suffix).read_bytes())
+    result = import_captures([tmp_path / "t"], tmp_path / "data", labels=ANNA)
+    assert [take.take for take in result.takes] == ["x", "x-2", "x-2-2", "copy"]
+    assert "a copy of x, left out" in result.takes[-1].notes
+    assert {clip.take for clip in read_clips(tmp_path / "data")} == {"x", "x-2", "x-2-2"}
+
+
+def test_time_without_a_frame_is_in_no_clip(tmp_path):
+    path = write_live_link(tmp_path / "t" / "a.csv", 20)
+    whole = read_take(path)
+    kept = np.r_[:240, 360:600]  # nothing from 8 to 12 s
+    write_take(path, replace(whole, ticks=whole.ticks[kept], values=whole.values[kept]))
+    result = import_captures([path], tmp_path / "data", labels=ANNA)
+    assert "4.0 s without a frame, left out" in result.takes[0].notes
+    spans = [clip.span for clip in read_clips(tmp_path / "data")]
+    assert all(stop <= 8.1 or start >= 11.9 for start, stop in spans)
+    assert any(stop > 7 for _, stop in spans) and any(start >= 11.9 for start, _ in spans)
+
+
+def test_percentages_are_told(tmp_path):
+    path = write_live_link(tmp_path / "t" / "a.csv", 6)
+    take = read_take(path)
+    write_take(path, replace(take, values=100 * take.values))
+    result = import_captures([path], tmp_path / "data", labels=ANNA)
+    assert "clamped to their ranges; worst JawOpen by 59" in " ".join(result.takes[0].notes)
+
+
+def test_actors_of_whom_nothing_is_learnt_are_told(tmp_path):
+    for seconds, actor in ((12, "anna"), (11, "ben"), (10, "carl")):
+        write_live_link(tmp_path / "t" / f"{actor}_happy.csv", seconds)
+    labels = Labelling(pattern="(?P<actor>[a-z]+)_")
+    result = imported.import_captures([tmp_path / "t"], tmp_path / "data", labels=labels)
+    assert any(line.startswith("ben, carl only validate and test") for line in result.warnings)

@@ -66,3 +66,11 @@ def test_actors_need_three_and_the_way_is_checked():
         divide(take("a", "sad", "t", 5), "actor")
     with pytest.raises(DataError, match="must be one of auto, actor, time"):
         divide(take("a", "sad", "t", 5), "clip")
+
+
+def test_an_emotion_with_one_take_is_learnt_too():
+    pieces = [p for how in ("angry", "happy", "neutral", "sad") for p in take("a", how, how, 4)]
+    splits = divide(pieces)
+    homes = {(p.emotion, s) for p, s in zip(pieces, splits, strict=True)}
+    assert {how for how, split in homes if split == TRAIN} == {"angry", "happy", "neutral", "sad"}
+    assert {("neutral", VALIDATION), ("sad", TEST)} <= homes
