@@ -1,6 +1,7 @@
 """The studio at `/` in a browser: from a recording to edits and files, with this service alone."""
 
 import base64
+import shlex
 import time
 from contextlib import contextmanager
 
@@ -118,7 +119,7 @@ def edit(tab) -> None:
 
 
 def test_recording_is_spoken_edited_and_exported_as_by_the_command_line(
-    browser, server, speech, tmp_path
+    browser, server, speech, tmp_path, monkeypatch
 ):
     with studio(browser, server) as tab:
         drop(tab, speech)
@@ -135,25 +136,12 @@ def test_recording_is_spoken_edited_and_exported_as_by_the_command_line(
             tab.get_by_role("button", name="Edits", exact=True).click()
         given.value.path()
         until(tab, "document.getElementById('notice').textContent.includes('--emotion')")
-        assert "--gain mouth=0.5" in tab.inner_text("#notice")
-        assert "--words 'Bob'\\''s promise' --language en-us" in tab.inner_text("#notice")
+        shown = shlex.split(tab.inner_text("#notice"))
         assert tab.complaints == []
         assert all(url.startswith((server.url, "blob:", "data:")) for url in tab.asked)
-    edits = (
-        "--life",
-        "brows=2",
-        "--words",
-        "Bob's promise",
-        "--look-at",
-        "10,-5",
-        "--seed",
-        "7",
-        "--emotion",
-        tmp_path / "emotion.csv",
-        "--intensity-curve",
-        tmp_path / "intensity.csv",
-    )
-    command("animate", speech, *edits, "--gain", "mouth=0.5", "-o", tmp_path / "scaled.csv")
+    assert shown[:3] == ["deitalk", "animate", "my line.wav"] and shown[-1] == "take/"
+    monkeypatch.chdir(tmp_path)
+    command("animate", speech, *shown[3:-1], "scaled.csv")
     expected = read_curves(tmp_path / "scaled.csv").values
     assert np.abs(read_curves(exported).values - expected).max() <= 2e-6
     command("animate", speech, "-o", tmp_path / "neutral.csv")

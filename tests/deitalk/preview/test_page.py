@@ -273,6 +273,20 @@ def test_the_line_itself_is_dragged_and_bends_nearby(page, tmp_path):
     assert page.locator("#intensity circle").count() == 0
 
 
+def test_double_click_on_the_line_adds_one_point_and_a_click_none(page):
+    place = lane_place(page, 1.5, 1.0)
+    page.mouse.click(*place)
+    assert page.locator("#intensity circle").count() == 0
+    page.mouse.dblclick(*place)
+    (point,) = page.evaluate("deitalk.page.history.edit.points")
+    assert point["time"] == pytest.approx(1.5, abs=0.01) and point["factor"] == pytest.approx(
+        1, abs=0.05
+    )
+    page.mouse.dblclick(*place)
+    assert page.locator("#intensity circle").count() == 0
+    assert page.evaluate("String(getSelection())") == ""
+
+
 def test_factor_zero_is_the_neutral_reading(page):
     source = make_source("first")
     page.evaluate("deitalk.page.seek(1)")

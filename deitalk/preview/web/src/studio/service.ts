@@ -63,7 +63,12 @@ export function optionsOf(source: Source, edit: Edit): Record<string, string> {
 export function optionOf(name: string, value: string): string {
   const option = `--${name.replaceAll("_", "-")}`;
   if (FIELDS[name]?.type === "boolean") return value === "true" ? option : `--no-${name}`;
-  return `${option} ${/^[\w.,=:/-]*$/.test(value) ? value : `'${value.replace(/\s+/g, " ").replace(/'/g, `'\\''`)}'`}`;
+  return `${option} ${quoted(value)}`;
+}
+
+/** A word as a shell reads it. */
+export function quoted(word: string): string {
+  return /^[\w.,=:/-]+$/.test(word) ? word : `'${word.replace(/\s+/g, " ").replace(/'/g, `'\\''`)}'`;
 }
 
 /** A name that the service takes for a file. */

@@ -11,7 +11,7 @@ import { wavOf } from "./wav";
 import { bindForm, FIELDS } from "./form";
 import { Live } from "./live";
 import { bindMicrophone } from "./microphone";
-import { convert, emotionCsv, optionOf, optionsOf, order, type Source } from "./service";
+import { convert, emotionCsv, optionOf, optionsOf, order, quoted, type Source } from "./service";
 import { latestSession, loadSession, saveSession, type Session } from "./session";
 import { Work } from "./work";
 
@@ -289,7 +289,8 @@ export class Studio {
     const { session, player } = this;
     if (!session) return;
     save(new Blob([emotionCsv(session.edit, session)], { type: "text/csv" }), "emotion.csv");
-    const words = [`deitalk animate ${session.name} --emotion emotion.csv`];
+    const recording = session.hasOwnIntensity ? `${session.name}/audio.wav` : session.name;
+    const words = [`deitalk animate ${quoted(recording.replace(/^-/, "./-"))} --emotion emotion.csv`];
     if (this.hasIntensity(session)) {
       save(new Blob([player.take!.intensityCsv()], { type: "text/csv" }), "intensity.csv");
       words.push("--intensity-curve intensity.csv");

@@ -5,6 +5,8 @@ import type { Span } from "./span";
 const SVG = "http://www.w3.org/2000/svg";
 /** Distance of levels 0 and 1 from the edges of the lane, pixels. */
 export const MARGIN = 10;
+/** Motion of a pressed pointer from which it drags, pixels. */
+const DRAG = 3;
 
 /** `level` is the height, 0 at the bottom to 1. */
 export interface LanePoint {
@@ -20,7 +22,7 @@ export interface PointOwner {
   /** Index of the new point. */
   add(time: number, level: number): number;
   remove(index: number): void;
-  /** Index of the point that a press beside all points takes; undefined: none. */
+  /** Index of the point that a drag from beside all points takes; undefined: none. */
   grab?(time: number, level: number): number | undefined;
   /** The end of a drag. */
   done(): void;
@@ -46,13 +48,18 @@ export class PointLane {
     private readonly span: Span,
     private readonly owner: PointOwner,
   ) {
+    let pressed: PointerEvent | undefined;
     box.addEventListener("pointerdown", (event) => {
-      if (!this.isEditable || event.button || event.target instanceof SVGCircleElement) return;
-      const index = this.owner.grab?.(...this.place(event));
+      pressed = this.isEditable && !event.button && !(event.target instanceof SVGCircleElement) ? event : undefined;
+    });
+    box.addEventListener("pointermove", (event) => {
+      if (!pressed || !event.buttons || Math.hypot(event.clientX - pressed.clientX, event.clientY - pressed.clientY) < DRAG) return;
+      const index = this.owner.grab?.(...this.place(pressed));
+      pressed = undefined;
       if (index === undefined) return;
-      event.preventDefault();
       this.focus(index);
       this.dots[index].setPointerCapture(event.pointerId);
+      this.owner.move(index, ...this.place(event));
     });
     box.addEventListener("dblclick", (event) => {
       if (!this.isEditable || event.target instanceof SVGCircleElement) return;
