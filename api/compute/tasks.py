@@ -332,8 +332,7 @@ def _conversion(order: Order, limits: Limits, progress: Progress) -> Answer:
         curves, _ = clamp(gain(curves, options["gain"]))
     out = Path(OUT) / f"{options.get('name') or NAME}{options['suffix']}"
     report = write_curves(out, curves, format=options["format"], fps=options.get("fps"))
-    notes = [f"the {track} track does not fit {report.format}" for track in report.dropped]
-    return {"file": str(out), "notes": notes + ([report.note] if report.note else [])}
+    return {"file": str(out), "notes": report.notes}
 
 
 def _validation(order: Order, limits: Limits, progress: Progress) -> Answer:

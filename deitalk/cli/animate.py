@@ -141,12 +141,12 @@ def animate(
         console().note(warning)
     if performance.words is not None and performance.words.fits:
         console().note(performance.words.line)
+    frames = len(performance.curves.resample(fps or performance.curves.fps))
     if as_json:
-        emit_json(_summary(target, performance))
+        emit_json(_summary(target, performance, frames))
         return
     console().print(
-        f"{target}: {len(performance.curves)} frames, {performance.recording.duration:.2f} s, "
-        f"{_acted(performance)}"
+        f"{target}: {frames} frames, {performance.recording.duration:.2f} s, {_acted(performance)}"
     )
 
 
@@ -309,19 +309,17 @@ def _write_file(out: Path, performance: "Performance", form: dict[str, Any]) -> 
 
     sound, seconds = performance.sound_file, performance.recording.duration
     report = write_curves(out, performance.curves, sound=sound, seconds=seconds, **form)
-    if report.note:
-        console().note(report.note)
-    for track in report.dropped:
-        console().note(f"{out.name} cannot contain the {track} track; a take folder can")
+    for note in report.notes:
+        console().note(note)
     if out.suffix.lower() == ".fbx":
         write_wav(out.with_suffix(".wav"), performance.recording.waveform, start=form["start"])
         console().print(f"{out.with_suffix('.wav')}: its sound, from the first frame on")
 
 
-def _summary(out: Path, performance: "Performance") -> dict[str, Any]:
+def _summary(out: Path, performance: "Performance", frames: int) -> dict[str, Any]:
     return {
         "out": str(out),
-        "frames": len(performance.curves),
+        "frames": frames,
         "seconds": performance.recording.duration,
         "mean_intensity": performance.mean_intensity,
         "mean_applied_intensity": performance.mean_applied_intensity,

@@ -176,14 +176,11 @@ def _edited(
 
 def _report(report: "WriteReport", as_json: bool) -> None:
     """Print the written file and the notes on losses."""
-    notes = [f"the {track} track does not fit {report.format}" for track in report.dropped]
-    notes += [str(report.clipped)] if report.clipped else []
-    notes += [report.note] if report.note else []
     if as_json:
         summary = {"format": report.format, "frames": report.n_frames, "fps": report.fps}
-        emit_json({"out": str(report.path), **summary, "notes": notes})
+        emit_json({"out": str(report.path), **summary, "notes": report.notes})
         return
-    for note in notes:
+    for note in report.notes:
         console().note(note)
     console().print(
         f"{report.path}: {report.format}, {report.n_frames} frames at {report.fps:g} fps"

@@ -171,6 +171,7 @@ def send_source(
     link: Link,
     *,
     fps: float | None,
+    seconds: float | None,
     loop: bool,
     play: bool,
     start_signal: str | None,
@@ -187,6 +188,8 @@ def send_source(
     from rig.livelink import make_protocol, send
     from rig.livelink.protocols import lost_by
 
+    if seconds is not None:
+        curves = curves.slice_seconds(0, seconds)
     chosen = make_protocol(link.protocol, link.subject, curves.names, link.avatar)
     if lost := lost_by(curves, chosen):
         console().note(lost)
@@ -221,6 +224,11 @@ def _curves(
 
         console().print(f"animating {source.name}")
         return animate(source, acting=acting, model=model, backend=backend).curves, source
+    if acting.settings:
+        raise DeitalkError(
+            f"{source} is sent as it is: {', '.join(acting.settings)} would need its recording; "
+            "leave the option out"
+        )
     curves = read_curves(curves_of(source), control_set=None)
     audio = source / "audio.wav"
     return curves, audio if audio.is_file() else None
@@ -392,8 +400,8 @@ def live(
     whole = source is not None and not (is_sound(source) and _is_live(model))
     if source is not None and whole:
         send_source(
-            source, given.acting, (model, backend), link, fps=fps, loop=loop, play=play,
-            start_signal=start_signal,
+            source, given.acting, (model, backend), link, fps=fps, seconds=seconds, loop=loop,
+            play=play, start_signal=start_signal,
         )  # fmt: skip
         return
     if fps is not None or loop or play or start_signal or (rig != "board" and not link.avatar):

@@ -53,6 +53,13 @@ class WriteReport:
     dropped: tuple[str, ...] = ()
     note: str = ""
 
+    @property
+    def notes(self) -> list[str]:
+        """All losses and additions, a line each."""
+        lost = f"left out by {self.format}: {', '.join(self.dropped)} (.json and takes keep them)"
+        lines = [lost if self.dropped else "", str(self.clipped) if self.clipped else "", self.note]
+        return [line for line in lines if line]
+
 
 def read_curves(
     path: Path | str,

@@ -29,6 +29,9 @@ from rig.formats.curves_json import read_object
 from rig.formats.decimal_text import Block, rows
 from rig.limits import CUES_BYTES, SECONDS
 
+DAT_FPS = 24.0
+"""Frames a second of a Moho file, which does not state them, unless a reader is told others."""
+
 
 def _spoken_cues(curves: RigCurves, seconds: float | None) -> tuple[list[Cue], float]:
     """Cues that begin within the sound, cut at its end, and its length; that of the curves if None.
@@ -137,9 +140,15 @@ def write_dat(path: Path, curves: RigCurves, seconds: float | None = None) -> No
     path.write_text("MohoSwitch1\n" + text, encoding="utf-8", newline="\n")
 
 
+def note_of_dat(path: Path, curves: RigCurves) -> str:
+    """Return a note on the rate, unless it is the one that readers take."""
+    fps = curves.fps
+    return "" if fps == DAT_FPS else f"counts {fps:g} frames a second: give readers --fps {fps:g}"
+
+
 def read_dat(path: Path, controls: ControlSet | None = None, fps: float | None = None) -> RigCurves:
-    """Read cues and pose the mouth; frames are at `fps`, 24 by default as Rhubarb's."""
-    rate = fps or 24.0
+    """Read cues and pose the mouth; frames are at `fps`, `DAT_FPS` by default."""
+    rate = fps or DAT_FPS
     first, *lines = read_text(path, CUES_BYTES).split("\n")
     if first.strip() != "MohoSwitch1":
         raise FormatError(f"{path} does not begin with MohoSwitch1")

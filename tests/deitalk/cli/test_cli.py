@@ -84,6 +84,8 @@ def test_animate_prints_the_applied_intensity(tmp_path, model, speech, options, 
     assert summary["mean_applied_intensity"] == pytest.approx(share * summary["mean_intensity"])
     mean = f"{100 * summary['mean_intensity']:02.0f}"
     assert printed.format(mean=mean) in CliRunner().invoke(app, arguments).stderr
+    assert json.loads(ran(*arguments, "--fps", "24", "--json").stdout)["frames"] == 36  # 1.5 s
+    assert len(read_curves(tmp_path / "c.npz")) == 36
 
 
 def test_animate_reads_stdin(tmp_path, model, speech):

@@ -41,7 +41,7 @@ def test_curves_become_a_live_link_take_at_60_fps(curves_file, tmp_path):
     out = tmp_path / "S_1_anna.csv"
     result = run("convert", curves_file, out, "--to", "livelink", "--fps", "60")
     assert result.exit_code == 0, result.output
-    assert "lossy preview" in result.stderr and "the intensity track does not fit" in result.stderr
+    assert "lossy preview" in result.stderr and "left out by livelink: intensity" in result.stderr
     assert result.stdout == ""
     assert read_take(out).fps == 60 and len(read_take(out).ticks) == 60
 
@@ -153,6 +153,14 @@ def test_sent_frames_are_received(curves_file, tmp_path):
     take = read_take(out)
     jaw = take.values[:, take.names.index("JawOpen")]
     assert jaw.max() == pytest.approx(0.5, abs=0.01) and jaw[-1] == 0
+
+
+def test_a_take_is_sent_for_the_seconds_given_and_as_it_is(curves_file):
+    with Receiver(port=0) as probe:
+        done = run("live", curves_file, "--port", probe.port, "--seconds", "0.2")
+    assert done.exit_code == 0 and "sending 0.2 s" in done.stderr
+    refused = run("live", curves_file, "--emotion", "happy", "--gain", "jaw=2")
+    assert "emotion, gain would need its recording" in str(refused.exception)
 
 
 def received_file(out, *options):
