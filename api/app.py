@@ -16,6 +16,7 @@ from api.routes import animations, catalogue, health, jobs, studio
 from api.routes.schema import complete_schema
 from api.service import Service
 from api.settings import Settings, load_settings
+from deitalk.config.section import rule
 from deitalk.installed import __version__
 from rig.errors import UserError
 
@@ -99,7 +100,7 @@ def _add_handlers(app: FastAPI) -> None:
 
     @app.exception_handler(RequestValidationError)
     async def invalid(request: Request, error: RequestValidationError) -> Response:
-        found = [{"option": ".".join(map(str, e["loc"])), "rule": e["msg"]} for e in error.errors()]
+        found = [{"option": ".".join(map(str, e["loc"])), "rule": rule(e)} for e in error.errors()]
         first = found[0]
         message = f"{first['option']}: {first['rule']}"
         return problem_answer(Problem(422, message, "option_invalid", found[:20]))

@@ -196,6 +196,7 @@ def log_to_stderr(form: str = "text") -> None:
         "handlers": {"stderr": {"class": "logging.StreamHandler", "formatter": "line"}},
         "loggers": {
             "deitalk.service": {"handlers": ["stderr"], "level": "INFO", "propagate": False},
+            "python_multipart": {"level": "ERROR"},
             "uvicorn": {"handlers": ["stderr"], "level": "WARNING", "propagate": False},
         },
     })  # fmt: skip

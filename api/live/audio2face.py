@@ -141,6 +141,8 @@ class _Voice:
                 while not voice.frames.empty():  # what came meanwhile: a fit costs as much for many
                     rows.append(await voice.next_frames())
                 frames = np.concatenate(rows)
+                if not len(frames):
+                    continue
                 begin, late = self.stream.come(frames)
                 for seconds in late:
                     self.service.metrics.late.observe(seconds)
@@ -174,9 +176,6 @@ class _Voice:
                     raise Problem(413, f"sessions last {longest:g} s")
                 if request.WhichOneof("stream_part") == "end_of_audio":
                     self.stream.finish()
-                    if not self.stream.n_frames:  # no frames come
-                        width = len(self.about["controls"]) + len(HEAD)
-                        self.stream.voice.frames.put_nowait(np.zeros((0, width), np.float32))
                     continue
                 part = request.audio_with_emotion
                 if part.emotions:

@@ -111,6 +111,8 @@ class LiveStream:
         self._append(self._resampler.resample_chunk(np.zeros(0, np.float32), last=True))
         self.is_whole = True
         self.voice.finish()
+        if self.is_done:  # no frame comes
+            self.voice.frames.put_nowait(np.zeros((0, len(HEAD)), np.float32))
 
     def change(self, acting: Acting) -> None:
         """Act otherwise from the sound on that comes next."""
@@ -260,7 +262,8 @@ class Session:
             If the client has gone, or does not read its frames for `SEND_SECONDS`.
         """
         content = _json(await self._text(START_SECONDS))
-        content.pop("type", None)
+        if content.pop("type", "start") != "start":
+            raise _no_start()
         own = {name: content.pop(name) for name in Start.model_fields if name in content}
         self.start, self.acting = _parsed(own), acting_of(content)
         folder = self._model_folder()
@@ -307,6 +310,8 @@ class Session:
         as_json = self.start.frames == "json"
         while not self.stream.is_done:
             frames = await self.stream.voice.next_frames()
+            if not len(frames):
+                continue
             begin, late = self.stream.come(frames)
             for seconds in late:
                 self.service.metrics.late.observe(seconds)
@@ -358,7 +363,7 @@ class Session:
     async def _text(self, seconds: float) -> str:
         message = await self._message(seconds)
         if message.get("text") is None:
-            raise Problem(422, "the first message is the start, as JSON", "message_unknown")
+            raise _no_start()
         return str(message["text"])
 
     async def _message(self, seconds: float) -> dict[str, Any]:
@@ -382,6 +387,10 @@ class Session:
             await asyncio.wait_for(sending, SEND_SECONDS)
         except TimeoutError:
             raise WebSocketDisconnect(1008, "the client does not read its frames") from None
+
+
+def _no_start() -> Problem:
+    return Problem(422, "the first message is the start, as JSON", "message_unknown")
 
 
 def problem_message(problem: Problem) -> dict[str, Any]:

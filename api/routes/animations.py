@@ -219,6 +219,8 @@ FILES: dict[str, tuple[str, tuple[str, ...]]] = {
     "transcript": ("words", WORDS_SUFFIXES),
 }
 """Parts of a form that are files: the fixed name, and the suffixes that tell how to read them."""
+FILES_ALONE = ("recording", "mesh", "curves", "landmarks", "mapping")
+"""Those of them that are no text."""
 RAW_TYPES = ("audio/", "video/", "application/octet-stream")
 MOST_FIELDS = 32
 
@@ -290,6 +292,10 @@ async def _form(
                         422, f"file {quoted(name)} is none of {', '.join(files)}, once each"
                     )
                 sent["words" if name == "transcript" else name] = await _save(value, name, folder)
+            elif name in FILES_ALONE:
+                raise Problem(
+                    422, f"{name}: text where a file is needed; curl sends one by {name}=@FILE"
+                )
             else:
                 fields[name] = value
     finally:

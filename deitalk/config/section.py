@@ -133,10 +133,14 @@ def _problem(item: Any) -> str:
     key = ".".join(str(part) for part in item["loc"] if part not in kinds)
     if item["type"] == "union_tag_invalid":
         key, item = f"{key}.kind".strip("."), item | {"input": item["input"]["kind"]}
-    rule = item["msg"].removeprefix("Value error, ")
+    return f"{shorten(key, 100)}={quoted(item['input'])}: {rule(item)}"
+
+
+def rule(item: Any) -> str:
+    """The rule that an error of pydantic states."""
     if item["type"] == "extra_forbidden":
-        rule = "unknown key"
-    return f"{shorten(key, 100)}={quoted(item['input'])}: {rule}"
+        return "unknown key"
+    return str(item["msg"]).removeprefix("Value error, ")
 
 
 class Optimisation(Section):

@@ -220,8 +220,9 @@ def check_product(model: Any, wanted: Product) -> None:
         It names a model that does.
     """
     if (product := getattr(model, "product", None)) != wanted:
+        name = type(model).__name__ if product else quoted(model)
         kind = f"makes {product}" if product else f"is a {type(model).__name__}"
-        raise CheckpointError(f"model {quoted(model)} {kind}; {NEEDED[wanted]}")
+        raise CheckpointError(f"model {name} {kind}; {NEEDED[wanted]}")
 
 
 def chosen_actor(actors: Sequence[str], name: str | None) -> str:

@@ -168,6 +168,12 @@ def test_wrong_options_are_problems(client, data, status, code):
     assert (answer.status_code, answer.json()["code"]) == (status, code), answer.text
     assert answer.headers["content-type"] == "application/problem+json"
     assert set(answer.json()) == {"code", "message", "detail"}
+    assert "Value error" not in answer.text and len(answer.json()["message"]) < 350
+
+
+def test_recording_that_is_sent_as_text_is_told(client):
+    answer = client.post("/v1/animations", files={"recording": (None, "speech.wav")})
+    assert answer.status_code == 422 and "recording=@FILE" in answer.json()["message"]
 
 
 def test_wrong_bodies_are_problems(client):

@@ -120,6 +120,7 @@ def test_frames_as_json_and_changes_in_the_stream(server):
         (['{"type": "start"}', "[" * 4000], "message_unknown"),
         (['{"type": "start"}', "x" * 5000], "too_large"),
         ([b"\0" * 100], "message_unknown"),
+        (['{"type": "set"}'], "message_unknown"),
         (['{"type": "start"}', *['{"type": "set"}'] * 100], "too_many_requests"),
     ],
 )
@@ -146,6 +147,17 @@ def test_wrong_change_is_answered_and_the_session_goes_on(server):
         while (message := json.loads(session.recv(60)))["type"] != "end":
             told += [message["code"]] if message["type"] == "problem" else []
     assert told == ["emotion_invalid", "option_invalid"] and message["frames"] == 30
+
+
+@each("sound", [b"", b"\0"])
+def test_session_without_sound_ends(server, sound):
+    with live(server) as session:
+        begin(session)
+        session.send(sound)
+        session.send('{"type": "stop"}')
+        assert json.loads(session.recv(10)) == {"type": "end", "frames": 0}
+        with pytest.raises(ConnectionClosed):
+            session.recv(10)
 
 
 def test_messages_beyond_the_size_close_the_connection(server):
