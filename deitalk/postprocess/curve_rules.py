@@ -47,8 +47,9 @@ ROUNDED = (0.15, 0.6)
 """Mean of purse, or of funnel, at which an expression begins to yield, and yields fully."""
 YIELDED = 0.8
 """Share that is taken away by full rounding."""
-PARTING = ("jaw.ty", "lowerLipDepress")
-"""Parts of the names of the other controls whose poses do not part closed lips."""
+PARTING = ("jaw.ty", "lowerLipDepress", "upperLipRaise")
+"""Parts of the names of the controls whose poses yield to closed lips. Corners of a trained emotion
+yield too; those of a mood, up to .8 of a range, would jump at every closure."""
 
 
 @dataclass(frozen=True)
@@ -59,10 +60,11 @@ class ExpressionTable:
     ----------
     places : array [shape=(K,)]
         Columns of the controls.
-    gains, poses : array [shape=(S, K)]
-        Factor on the difference of the readings, and what is added to it at intensity 1.
-    spreading, parting : array [shape=(K,), 0 or 1]
-        Whether a control yields to rounding, and whether it may part closed lips.
+    gains, poses, parting : array [shape=(S, K)]
+        Factor on the difference of the readings, what is added to it at intensity 1, and what is
+        added as far as the lips are open.
+    spreading : array [shape=(K,), 0 or 1]
+        Whether a control yields to rounding.
     rounding : array [shape=(2, 4)]
         Columns of funnel, and of purse.
     """
@@ -70,8 +72,8 @@ class ExpressionTable:
     places: NDArray[np.intp]
     gains: Float32
     poses: Float32
-    spreading: Float32
     parting: Float32
+    spreading: Float32
     rounding: NDArray[np.intp]
 
     def add_to(
@@ -99,8 +101,8 @@ class ExpressionTable:
             return
         base = neutral[:, self.places]
         shown = (curves[:, self.places] - base) * (weights @ self.gains)
-        pose = (weights @ self.poses) * strength[:, None]
-        shown += pose * (1 - self.parting + self.parting * free[:, None])
+        pose = weights @ self.poses + (weights @ self.parting) * free[:, None]
+        shown += pose * strength[:, None]
         kept = 1 - YIELDED * self._rounded(neutral)
         shown *= 1 - self.spreading + self.spreading * kept[:, None]
         curves[:, self.places] = base + shown
@@ -125,23 +127,20 @@ def expression_table(names: tuple[str, ...]) -> ExpressionTable:
     ]
     moved = sorted({name for _, name, _, _ in rows}, key=names.index)
     gains = np.ones((len(LABELS), len(moved)), np.float32)
-    poses = np.zeros_like(gains)
+    poses, parting = np.zeros_like(gains), np.zeros_like(gains)
     for emotion, name, gain, pose in rows:
         place = emotion, moved.index(name)
-        gains[place], poses[place] = gain, pose
+        yielding = PARTING + (SPREADING if LABELS[emotion] in EMOTIONS else ())
+        gains[place] = gain
+        (parting if any(part in name for part in yielding) else poses)[place] = pose
     return ExpressionTable(
         np.array([names.index(name) for name in moved], np.intp),
         gains,
         poses,
-        _named(moved, SPREADING),
-        _named(moved, SPREADING + PARTING),
+        parting,
+        np.array([any(part in name for part in SPREADING) for name in moved], np.float32),
         np.array([[i for i, name in enumerate(names) if part in name] for part in ROUNDING]),
     )
-
-
-def _named(names: list[str], parts: tuple[str, ...]) -> Float32:
-    """1 for each name that has one of the parts, else 0."""
-    return np.array([any(part in name for part in parts) for name in names], np.float32)
 
 
 LEAST_PREDICTED = 0.15

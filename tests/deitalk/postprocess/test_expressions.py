@@ -78,6 +78,16 @@ def test_closed_lips_stay_closed(emotion):
     np.testing.assert_array_equal(curves[:, RULES.seals], neutral[:, RULES.seals])
 
 
+@each(
+    ("mood", "control", "pose"), [("fear", "mouth_stretch", 0.8), ("contempt", "mouth_dimple", 0.8)]
+)
+def test_corners_of_a_mood_stay_through_a_closure(mood, control, pose):
+    neutral = np.tile(CONTROLS.rest, (2, 1)).astype(np.float32)
+    neutral[1, RULES.seals] = 1
+    shown = expressed(neutral, neutral.copy(), mood, 1.0)[:, CONTROLS.index(f"CTRL_L_{control}.ty")]
+    np.testing.assert_allclose(shown, pose, atol=1e-6)
+
+
 def test_contempt_is_of_one_side():
     """AU12 and AU14 of the left corner; a smile of the network is not of it."""
     rest = CONTROLS.rest[None].astype(np.float32)
