@@ -5,26 +5,36 @@ import json
 import os
 import threading
 import wave
-from contextlib import suppress
+from base64 import b64encode
+from contextlib import contextmanager, suppress
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from importlib.util import find_spec
+from typing import NamedTuple
 
 import numpy as np
 import pytest
+import sqlalchemy as sql
+import torch
 
 from api.guard.keys import digest_of
+from deitalk.config.curves import Config
+from deitalk.models.checkpoint import save_model
+from deitalk.models.curve_model import DEITalk
 from tests.api.bucket import serving_bucket
-from tests.api.server import serving
+from tests.api.database import programs, serving_postgres
+from tests.api.server import Server, serving, start, stop
+from tests.deitalk.live.conftest import TINY
 
-KEYS = {
-    "farm": "dk_farm-key-of-the-tests",
-    "viewer": "dk_viewer-key-of-the-tests",
-    "slow": "dk_slow-key-of-the-tests",
+LIMITS = {
+    "farm": {"jobs": 1},
+    "viewer": {"scopes": ["animate"]},
+    "slow": {"scopes": ["animate"], "requests_per_minute": 10},
+    "anna": {},
+    "bert": {"concurrent": 2},
+    "carl": {"live": 1, "audio_seconds_per_hour": 5},
 }
-SCOPES = {
-    "farm": ["animate", "jobs", "live", "metrics"],
-    "viewer": ["animate"],
-    "slow": ["animate"],
-}
+"""What a key may not, of all that a key may."""
+KEYS = {name: f"dk_{name}-key-of-the-tests" for name in LIMITS}
 
 
 def wav(seconds: float = 1.0, rate: int = 16000, channels: int = 1) -> bytes:
@@ -40,10 +50,25 @@ def wav(seconds: float = 1.0, rate: int = 16000, channels: int = 1) -> bytes:
 
 
 @pytest.fixture(scope="session")
-def server(tmp_path_factory):
-    """One server without keys, on loopback."""
+def tiny_model(tmp_path_factory):
+    """Folder of a small causal model of random weights with two actors."""
+    torch.manual_seed(0)
+    config = Config.model_validate({"model": TINY | {"actors": ["anna", "eve"]}})
+    network = DEITalk(config.model, rules=config.rules)
+    with torch.no_grad():
+        network.decoder.output.weight.normal_(0, 0.3)
+        network.decoder.style.weight.normal_(0, 1.0)
+    folder = tmp_path_factory.mktemp("causal") / "tiny"
+    save_model(folder, network, config, {})
+    return folder
+
+
+@pytest.fixture(scope="session")
+def server(tmp_path_factory, tiny_model):
+    """One server without keys, on loopback, which knows the small model too."""
     with serving(
         tmp_path_factory.mktemp("service"),
+        models=json.dumps({"tiny": str(tiny_model)}),
         max_seconds=4,
         max_job_seconds=70,
         max_bytes=4_000_000,
@@ -64,18 +89,16 @@ def client(server):
 
 @pytest.fixture(scope="session")
 def keyed_server(tmp_path_factory):
-    """A server with three keys."""
+    """A server of one worker, four places, and six keys."""
     keys = [
-        {
-            "name": name,
-            "sha256": digest_of(key),
-            "scopes": SCOPES[name],
-            "requests_per_minute": 10 if name == "slow" else 10_000,
-            "jobs": 1,
-        }
-        for name, key in KEYS.items()
-    ]
-    with serving(tmp_path_factory.mktemp("keyed"), keys=json.dumps(keys)) as running:
+        {"name": name, "sha256": digest_of(KEYS[name]), "requests_per_minute": 100_000,
+         "scopes": ["animate", "jobs", "live", "metrics"]} | limits
+        for name, limits in LIMITS.items()
+    ]  # fmt: skip
+    with serving(
+        tmp_path_factory.mktemp("keyed"), keys=json.dumps(keys), waiting=3, connections=20,
+        log="json", live_sessions=2,
+    ) as running:  # fmt: skip
         yield running
 
 
@@ -119,11 +142,67 @@ class Receiver(BaseHTTPRequestHandler):
         pass
 
 
-@pytest.fixture
-def receiver():
+@contextmanager
+def receiving():
     with ThreadingHTTPServer(("127.0.0.1", 0), Receiver) as made:
         made.calls, made.ended = [], threading.Event()
         threading.Thread(target=made.serve_forever, daemon=True).start()
         yield made
         made.ended.set()
         made.shutdown()
+
+
+@pytest.fixture
+def receiver():
+    with receiving() as made:
+        yield made
+
+
+@pytest.fixture(scope="session")
+def postgres():
+    """URL of an empty database."""
+    if programs() is None:
+        pytest.skip("needs PostgreSQL (Debian's package postgresql)")
+    with serving_postgres() as url:
+        yield url
+
+
+class Telling(NamedTuple):
+    """A server that calls webhooks and sends spans, and who receives them."""
+
+    server: Server
+    hooks: ThreadingHTTPServer
+    spans: ThreadingHTTPServer
+    secret: str
+
+
+@pytest.fixture(scope="session")
+def telling(tmp_path_factory, request):
+    """Its jobs are in PostgreSQL where that is installed."""
+    database = {}
+    if programs() is not None:
+        url = request.getfixturevalue("postgres")
+        engine = sql.create_engine(url, isolation_level="AUTOCOMMIT")
+        with engine.connect() as connection:
+            connection.execute(sql.text("CREATE DATABASE service"))
+        engine.dispose()
+        database = {"database": url.removesuffix("postgres") + "service"}
+    secret = f"whsec_{b64encode(bytes(range(32))).decode()}"
+    key = {"name": "farm", "sha256": digest_of(KEYS["farm"]), "webhook_secret": secret}
+    with receiving() as hooks, receiving() as spans:
+        hosts = json.dumps([f"127.0.0.1:{hooks.server_port}"])
+        with pytest.MonkeyPatch.context() as patch:
+            with suppress(ModuleNotFoundError):
+                if find_spec("opentelemetry.exporter.otlp.proto.http"):
+                    collector = f"http://127.0.0.1:{spans.server_port}"
+                    patch.setenv("OTEL_EXPORTER_OTLP_ENDPOINT", collector)
+            patch.setenv("OTEL_EXPORTER_OTLP_COMPRESSION", "none")
+            patch.setenv("OTEL_BSP_SCHEDULE_DELAY", "200")
+            running = start(
+                tmp_path_factory.mktemp("telling"), webhook_hosts=hosts, keys=json.dumps([key]),
+                live_sessions=0, lease_seconds=1.0, **database,
+            )  # fmt: skip
+        try:
+            yield Telling(running, hooks, spans, secret)
+        finally:
+            stop(running)

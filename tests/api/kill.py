@@ -82,7 +82,7 @@ def run(rounds: int, seed: int, data: Path) -> dict[str, int]:
     """
     rng = random.Random(seed)
     load, kills = Load(rng), {"server": 0, "worker": 0}
-    server = start(data, lease_seconds=1.0, job_attempts=20)
+    server = start(data, lease_seconds=1.0, job_attempts=20, live_sessions=0)
     try:
         for number in range(rounds):
             for _ in range(JOBS_A_ROUND):
@@ -92,7 +92,9 @@ def run(rounds: int, seed: int, data: Path) -> dict[str, int]:
                 server.process.kill()
                 server.process.wait()
                 kills["server"] += 1
-                server = start(data, lease_seconds=1.0, job_attempts=20, ready=False)
+                server = start(
+                    data, lease_seconds=1.0, job_attempts=20, live_sessions=0, ready=False
+                )
             elif workers := descendants(server.process.pid):
                 kill(rng.choice(workers))
                 kills["worker"] += 1

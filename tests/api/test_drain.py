@@ -91,10 +91,14 @@ def test_requests_at_work_are_answered_new_ones_refused_and_streams_told(server)
     assert "Traceback" not in server.log.read_text()
 
 
-def test_requests_beyond_the_grace_get_a_problem(server):
-    server = server(drain_seconds=0.1)
-    requests = Requests(server, 4)
+def test_notice_serves_on_while_balancers_look_elsewhere_and_late_requests_get_a_problem(server):
+    """Two seconds of notice, a tenth of grace, and more work than that."""
+    server = server(drain_notice_seconds=2, drain_seconds=0.1, live_sessions=0)
+    requests = Requests(server, 8)
     server.process.send_signal(signal.SIGTERM)
+    time.sleep(0.4)
+    assert httpx.get(f"{server.url}/readyz", trust_env=False).status_code == 503
+    assert httpx.get(f"{server.url}/v1/emotions", trust_env=False).status_code == 200
     answers = requests.wait()
     ended = [answer for answer in answers if answer.status_code == 503]
     assert len(ended) >= 2 and {answer.status_code for answer in answers} <= {200, 503}
@@ -103,12 +107,3 @@ def test_requests_beyond_the_grace_get_a_problem(server):
     server.process.wait(10)
     log = server.log.read_text()
     assert "Traceback" not in log and "/site-packages/" not in log and ".py" not in log
-
-
-def test_notice_serves_on_while_balancers_look_elsewhere(server):
-    server = server(drain_notice_seconds=2)
-    server.process.send_signal(signal.SIGTERM)
-    time.sleep(0.4)
-    assert httpx.get(f"{server.url}/readyz", trust_env=False).status_code == 503
-    assert httpx.get(f"{server.url}/v1/emotions", trust_env=False).status_code == 200
-    server.process.wait(10)

@@ -2,17 +2,15 @@
 
 import json
 import time
-from base64 import b64encode
 
 import numpy as np
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
 from standardwebhooks.webhooks import Webhook
 
-from api.guard.keys import digest_of
 from tests.api.conftest import bearer, wav
 from tests.api.kill import descendants, kill, run
-from tests.api.server import start, stop, wait_until
+from tests.api.server import wait_until
 
 LONG = wav(6.0)
 
@@ -123,21 +121,6 @@ def test_webhooks_of_other_hosts_are_refused(client):
         assert answer.status_code == status, (url, answer.text)
 
 
-@pytest.fixture
-def restartable(tmp_path):
-    """Function that starts the server again on the same data."""
-    running = []
-
-    def again(**settings):
-        server = start(tmp_path / "data", lease_seconds=1.0, **settings)
-        running.append(server)
-        return server
-
-    yield again
-    for server in running:
-        stop(server)
-
-
 def test_jobs_survive_kills_of_worker_and_server(tmp_path):
     assert run(2, 0, tmp_path / "data") == {"server": 1, "worker": 1, "jobs": 6}
 
@@ -162,13 +145,11 @@ def test_server_answers_after_its_worker_was_killed(server, client):
     wait_until(server, "/readyz")
 
 
-def test_webhook_is_called_once_and_signed_though_another_receiver_trickles(restartable, receiver):
+def test_webhook_is_called_once_and_signed_though_another_receiver_trickles(telling):
     """standardwebhooks is the standard's own reader."""
+    server, receiver, _, secret = telling
     host = f"127.0.0.1:{receiver.server_port}"
-    secret = f"whsec_{b64encode(bytes(range(32))).decode()}"
-    key = {"name": "farm", "sha256": digest_of("dk_farm"), "webhook_secret": secret}
-    server = restartable(webhook_hosts=json.dumps([host]), keys=json.dumps([key]))
-    with server.client(headers={"Authorization": "Bearer dk_farm"}) as client:
+    with server.client(headers=bearer("farm")) as client:
         slow = submit(client, wav(1.0), webhook=f"http://{host}/slow").json()["id"]
         wait(client, slow)
         job = wait(client, submit(client, wav(1.0), webhook=f"http://{host}/done").json()["id"])

@@ -12,7 +12,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-import torch
 import uvicorn
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
@@ -24,12 +23,8 @@ from api.live.session import FRAME, LiveStream
 from api.serving import server_config
 from api.settings import Settings
 from deitalk import LiveAnimator
-from deitalk.config.curves import Config
-from deitalk.models.checkpoint import save_model
-from deitalk.models.curve_model import DEITalk
 from tests.api.conftest import bearer, wav
-from tests.api.server import free_port, serving
-from tests.deitalk.live.conftest import TINY
+from tests.api.server import free_port
 from tests.each import each
 
 RATE = 16000
@@ -217,22 +212,6 @@ def test_sessions_beyond_the_limit_and_other_sites_are_refused(server, keyed_ser
         assert begin(session)["type"] == "header"
 
 
-@pytest.fixture(scope="module")
-def causal_server(tmp_path_factory):
-    """A server that knows a tiny causal model of random weights."""
-    torch.manual_seed(0)
-    config = Config.model_validate({"model": TINY})
-    network = DEITalk(config.model, rules=config.rules)
-    with torch.no_grad():
-        network.decoder.output.weight.normal_(0, 0.3)
-    folder = tmp_path_factory.mktemp("causal") / "tiny"
-    save_model(folder, network, config, {})
-    with serving(
-        tmp_path_factory.mktemp("data"), models=json.dumps({"tiny": str(folder)}), job_workers=0
-    ) as server:
-        yield server, folder
-
-
 def frames_of(session):
     found = []
     while isinstance(message := session.recv(60), bytes):
@@ -240,8 +219,7 @@ def frames_of(session):
     return found, json.loads(message)
 
 
-def test_causal_model_gives_the_frames_of_live_animator(causal_server):
-    server, folder = causal_server
+def test_causal_model_gives_the_frames_of_live_animator(server, tiny_model):
     sound = pcm(3.0)
     with live(server) as session, live(server) as other:
         for one in (session, other):
@@ -256,14 +234,13 @@ def test_causal_model_gives_the_frames_of_live_animator(causal_server):
         found, end = frames_of(session)
     assert end == {"type": "end", "frames": 90}
     assert [index for index, *_ in found] == list(range(90))
-    animator = LiveAnimator(folder, emotion="happy", life="off")
+    animator = LiveAnimator(tiny_model, emotion="happy", life="off")
     expected = np.concatenate((animator.feed(sound), animator.finish()))
     assert np.abs(np.array([values for *_, values in found]) - expected).max() < 1e-4
 
 
 @each("frames", ["binary", "json"])
-def test_head_and_life_are_those_of_live_animator(causal_server, frames):
-    server, folder = causal_server
+def test_head_and_life_are_those_of_live_animator(server, tiny_model, frames):
     sound = pcm(2.0)
     with live(server) as session:
         header = begin(
@@ -281,7 +258,7 @@ def test_head_and_life_are_those_of_live_animator(causal_server, frames):
             else:
                 break
     assert header["head"] == ["yaw", "pitch", "roll", "x", "y", "z"]
-    animator = LiveAnimator(folder, life={"brows": 0.5, "head": 2}, seed=7)
+    animator = LiveAnimator(tiny_model, life={"brows": 0.5, "head": 2}, seed=7)
     expected = [np.concatenate((animator.feed(sound), animator.head), axis=1)]
     expected.append(np.concatenate((animator.finish(), animator.head), axis=1))
     expected = np.concatenate(expected)

@@ -12,43 +12,26 @@ from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
 from api.guard.keys import digest_of
-from tests.api.conftest import wav
-from tests.api.server import serving
+from tests.api.conftest import KEYS, bearer, wav
 
-KEYS = {name: f"dk_{name}-of-these-tests" for name in ("anna", "bert", "carl")}
-CLIP = wav(50.0)
-"""About a second of work."""
-
-
-def headers(name):
-    return {"Authorization": f"Bearer {KEYS[name]}"}
+CLIP = wav(30.0)
+"""More than half a second of work."""
 
 
 @pytest.fixture(scope="module")
-def crowded(tmp_path_factory):
-    """A server of one worker, four places, and three keys."""
-    more = {"bert": {"concurrent": 2}, "carl": {"live": 1, "audio_seconds_per_hour": 5}}
-    keys = [
-        {"name": name, "sha256": digest_of(key), "scopes": ["animate", "jobs", "live", "metrics"],
-         "requests_per_minute": 100_000} | more.get(name, {})
-        for name, key in KEYS.items()
-    ]  # fmt: skip
-    with serving(
-        tmp_path_factory.mktemp("crowded"), keys=json.dumps(keys), waiting=3, connections=20,
-        log="json", live_sessions=2, job_workers=0,
-    ) as running:  # fmt: skip
-        yield running
+def crowded(keyed_server):
+    return keyed_server
 
 
 def send(server, name, recording=CLIP, timeout=60.0):
     return httpx.post(
         f"{server.url}/v1/animations?format=npz", content=recording, timeout=timeout,
-        headers=headers(name) | {"Content-Type": "audio/wav"}, trust_env=False,
+        headers=bearer(name) | {"Content-Type": "audio/wav"}, trust_env=False,
     )  # fmt: skip
 
 
 def gauge(server, name):
-    text = httpx.get(f"{server.url}/metrics", headers=headers("anna"), trust_env=False).text
+    text = httpx.get(f"{server.url}/metrics", headers=bearer("anna"), trust_env=False).text
     return float(next(line for line in text.splitlines() if line.startswith(name)).split()[1])
 
 
@@ -63,7 +46,7 @@ def test_first_session_gets_its_header_at_once(crowded):
     """The model was read when the server started: reading it takes seconds."""
     wait_for(lambda: "live voices are ready" in crowded.log.read_text(), 120)
     url = f"{crowded.url.replace('http', 'ws')}/v1/live"
-    with connect(url, additional_headers=headers("anna"), proxy=None) as live:
+    with connect(url, additional_headers=bearer("anna"), proxy=None) as live:
         began = time.perf_counter()
         live.send(json.dumps({"type": "start"}))
         assert json.loads(live.recv())["type"] == "header"
@@ -131,12 +114,12 @@ def test_key_with_one_request_waits_for_one_of_another_s_only(crowded):
 
 def test_live_sessions_of_a_key_are_limited_and_say_when_to_come_again(crowded):
     url = f"{crowded.url.replace('http', 'ws')}/v1/live"
-    with connect(url, additional_headers=headers("carl"), proxy=None):
+    with connect(url, additional_headers=bearer("carl"), proxy=None):
         with pytest.raises(InvalidStatus) as refused:
-            connect(url, additional_headers=headers("carl"), proxy=None)
+            connect(url, additional_headers=bearer("carl"), proxy=None)
         assert refused.value.response.status_code == 503
         assert refused.value.response.headers["retry-after"] == "10"
-        with connect(url, additional_headers=headers("anna"), proxy=None):
+        with connect(url, additional_headers=bearer("anna"), proxy=None):
             pass
 
 
@@ -149,14 +132,14 @@ def test_sound_beyond_a_key_s_quota_is_refused(crowded):
 
 def test_log_names_request_key_and_status_as_json(crowded):
     given = {"X-Request-ID": "shot-7.take_2"}
-    with crowded.client(headers=headers("bert") | given) as client:
+    with crowded.client(headers=bearer("bert") | given) as client:
         answer = client.get("/v1/emotions")
         assert answer.headers["x-request-id"] == "shot-7.take_2"
         unfit = client.get("/v1/emotions", headers={"X-Request-ID": "a b" * 99})
         assert len(unfit.headers["x-request-id"]) == 16
     with connect(
         f"{crowded.url.replace('http', 'ws')}/v1/live",
-        additional_headers=headers("anna") | {"X-Request-ID": "talk"},
+        additional_headers=bearer("anna") | {"X-Request-ID": "talk"},
         proxy=None,
     ):
         pass

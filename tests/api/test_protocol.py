@@ -1,11 +1,12 @@
 """What programs see of the service: its schema, headers of answers, parts of results."""
 
+import time
+
 import pytest
 
 from api.errors import Problem
 from api.routes.jobs import part_of
-from tests.api.conftest import wav
-from tests.api.server import serving
+from tests.api.conftest import bearer, wav
 from tests.api.test_jobs import submit, wait
 from tests.each import each
 
@@ -116,25 +117,25 @@ def test_webhook_of_a_request_that_is_answered_at_once_is_refused(client):
     assert (answer.status_code, answer.json()["code"]) == (422, "webhook_without_job")
 
 
-def test_spans_of_a_request_and_its_job_are_one_trace_at_the_collector(
-    tmp_path, receiver, monkeypatch
-):
+def test_spans_of_a_request_and_its_job_are_one_trace_at_the_collector(telling):
     """OpenTelemetry's own messages, read by its own definitions; nothing of what was sent in them."""
     messages = pytest.importorskip(
         "opentelemetry.proto.collector.trace.v1.trace_service_pb2", reason="needs the extra otel"
     )
-    endpoint = f"http://127.0.0.1:{receiver.server_port}"
-    monkeypatch.setenv("OTEL_EXPORTER_OTLP_ENDPOINT", endpoint)
-    monkeypatch.setenv("OTEL_EXPORTER_OTLP_COMPRESSION", "none")
     trace = "0af7651916cd43dd8448eb211c80319c"
     given = {"traceparent": f"00-{trace}-b7ad6b7169203331-01", "X-Request-ID": "shot-7"}
-    with serving(tmp_path) as running, running.client() as client:
+    with telling.server.client(headers=bearer("farm")) as client:
         job = submit(client, recording=wav(1.0), headers=given, name="secret")
         wait(client, job.json()["id"])
-    spans = []
-    for _, body in receiver.calls:
-        for resource in messages.ExportTraceServiceRequest.FromString(body).resource_spans:
-            spans += [span for scope in resource.scope_spans for span in scope.spans]
+    spans, end = [], time.monotonic() + 20
+    while "job" not in {s.name for s in spans if s.trace_id.hex() == trace}:
+        assert time.monotonic() < end
+        time.sleep(0.1)
+        read = messages.ExportTraceServiceRequest.FromString
+        sent = [
+            resource for _, body in telling.spans.calls for resource in read(body).resource_spans
+        ]
+        spans = [span for each in sent for scope in each.scope_spans for span in scope.spans]
     own = {span.name: span for span in spans if span.trace_id.hex() == trace}
     assert set(own) == {"POST /v1/jobs", "job"}
     assert own["job"].parent_span_id == own["POST /v1/jobs"].span_id

@@ -20,21 +20,11 @@ from api.jobs.table import DUTIES, JOBS, METADATA, VERSIONS, open_database
 from api.settings import SCOPES
 from deitalk.cli import app as cli
 from deitalk.errors import ConfigError
-from tests.api.conftest import wav
-from tests.api.database import programs, serving_postgres
+from tests.api.conftest import bearer, wav
 from tests.api.server import serving
 from tests.api.test_jobs import submit, wait
 
 CALLER = Caller("farm", SCOPES, 10, 600)
-
-
-@pytest.fixture(scope="module")
-def postgres():
-    """URL of an empty database."""
-    if programs() is None:
-        pytest.skip("needs PostgreSQL (Debian's package postgresql)")
-    with serving_postgres() as url:
-        yield url
 
 
 @pytest.fixture(params=["sqlite", "postgresql"])
@@ -288,12 +278,12 @@ def test_retention_of_twenty_thousand_jobs_takes_less_than_three_seconds(queue):
     assert len(queue.expired(0.0, 10 * 4900, {})) == 400
 
 
-def test_service_keeps_its_jobs_in_postgresql(postgres, tmp_path):
-    with serving(tmp_path / "a", database=postgres) as server, server.client() as client:
+def test_service_keeps_its_jobs_in_postgresql(postgres, telling):
+    with telling.server.client(headers=bearer("farm")) as client:
         job = wait(client, submit(client, recording=wav(1.0), format="csv").json()["id"])
         assert job["status"] == "done"
         assert len(client.get(job["result"]).text.splitlines()) == 31
-    assert not (tmp_path / "a" / "jobs.sqlite").exists()
+    assert not list(telling.server.log.parent.rglob("jobs.sqlite"))
 
 
 @pytest.mark.slow

@@ -4,6 +4,7 @@ import functools
 import importlib
 import io
 import json
+import shutil
 import zipfile
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,24 +12,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 import soundfile
-import torch
 from websockets.sync.client import connect
 
 from api.live.session import FRAME
 from deitalk import LiveAnimator, animate
 from deitalk.audio.load import load_audio
-from deitalk.config.curves import Config
 from deitalk.live.sources import PacedSound
-from deitalk.models.checkpoint import save_model
-from deitalk.models.curve_model import DEITalk
 from deitalk.research.corpus.engines import espeak
 from rig import read_curves
 from rig.face import build_head
 from rig.face.head import Head
-from tests.api.server import serving
 from tests.command import ran
 from tests.deitalk.batch.conftest import InProcess
-from tests.deitalk.live.conftest import RATE, TINY
+from tests.deitalk.live.conftest import RATE
 from tests.each import each
 
 KEYS = "time,emotion,strength\n0,happy,0.2\n1.0,angry,1\n2.0,contempt,1\n"
@@ -76,16 +72,10 @@ class Made:
 
 
 @pytest.fixture(scope="module")
-def place(tmp_path_factory):
-    """A folder with the recording, the files of the cases, and a small causal model."""
+def place(tmp_path_factory, tiny_model):
+    """A folder with the recording, the files of the cases, and the small model."""
     folder = tmp_path_factory.mktemp("parity")
-    torch.manual_seed(0)
-    config = Config.model_validate({"model": TINY | {"actors": ["anna", "eve"]}})
-    network = DEITalk(config.model, rules=config.rules)
-    with torch.no_grad():
-        network.decoder.output.weight.normal_(0, 0.3)
-        network.decoder.style.weight.normal_(0, 1.0)
-    save_model(folder / "tiny", network, config, {})
+    shutil.copytree(tiny_model, folder / "tiny")
     rng, t = np.random.default_rng(1), np.arange(2 * RATE) / RATE
     phase = 2 * np.pi * np.cumsum(120 + 40 * np.sin(2 * np.pi * 0.7 * t)) / RATE
     tone = sum(np.sin(k * phase) / k for k in range(1, 12))
@@ -154,13 +144,6 @@ def manifest(fields, tmp_path, monkeypatch):
     table.write_text(f"{','.join(row)}\n{','.join(quoted)}\n")
     run("batch", table, "-o", tmp_path / "out", "--model", "tiny", "--format", "take")
     return take_of(tmp_path / "out" / "line")
-
-
-@pytest.fixture(scope="module")
-def server(place, tmp_path_factory):
-    models = json.dumps({"tiny": str(place / "tiny")})
-    with serving(tmp_path_factory.mktemp("service"), models=models, job_workers=0) as running:
-        yield running
 
 
 def http(fields, server):
