@@ -3,16 +3,22 @@
 import gc
 import signal
 from collections.abc import Iterator
+from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import typer.main
+import typer.testing
 from hypothesis import settings
 
 settings.register_profile("any machine", deadline=None)
 settings.load_profile("any machine")
+
+typer.main.get_command = typer.testing._get_command = cache(typer.main.get_command)
+"""Of one application the same commands: to build them takes as long as to refuse an option."""
 
 gc.set_threshold(20_000, 20, 20)  # the search for cycles would take a tenth of the time
 
@@ -35,12 +41,16 @@ def shared() -> Path:
     return SHARED
 
 
-@pytest.fixture
-def empty_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
+def draw_nothing(patch: pytest.MonkeyPatch) -> None:
     """Figures are written without content; matplotlib takes half of the time of a short training."""
     if find_spec("matplotlib"):
         figure = "matplotlib.figure.Figure.savefig"
-        monkeypatch.setattr(figure, lambda self, path, **_: Path(path).write_bytes(b""))
+        patch.setattr(figure, lambda self, path, **_: Path(path).write_bytes(b""))
+
+
+@pytest.fixture
+def empty_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
+    draw_nothing(monkeypatch)
 
 
 @pytest.fixture(scope="module")

@@ -33,7 +33,9 @@ def jaw(seconds: float = SECONDS) -> np.ndarray:
     return np.any([(t >= s) & (t < s + 0.2) for s in CLICKS], axis=0).astype(np.float32)
 
 
-def write_dataset(folder: Path, n_train: int = 4, n_validation: int = 2) -> Path:
+def write_dataset(
+    folder: Path, n_train: int = 4, n_validation: int = 2, seconds: float = SECONDS
+) -> Path:
     """Write clips.csv, audio, curves, phones and intensity; return the folder."""
     controls = default_controls()
     for name in ("audio", "curves", "phones", "intensity"):
@@ -41,20 +43,21 @@ def write_dataset(folder: Path, n_train: int = 4, n_validation: int = 2) -> Path
     rows = []
     for i in range(n_train + n_validation):
         emotion = EMOTIONS[i % 5]
-        values = np.tile(controls.rest, (int(SECONDS * FPS), 1))
-        values[:, controls.index(JAW)] = 0.6 * jaw()
+        values = np.tile(controls.rest, (int(seconds * FPS), 1))
+        values[:, controls.index(JAW)] = 0.6 * jaw(seconds)
         for name in ("CTRL_L_mouth_lipsTogetherU.ty", "CTRL_L_mouth_lipsTogetherD.ty"):
-            values[:, controls.index(name)] = 1 - jaw()
-        soundfile.write(folder / f"audio/{i}.flac", waveform(i), RATE, subtype="PCM_16")
+            values[:, controls.index(name)] = 1 - jaw(seconds)
+        soundfile.write(folder / f"audio/{i}.flac", waveform(i, seconds), RATE, subtype="PCM_16")
         write_curves(folder / f"curves/{i}.npz", RigCurves(values, controls.names, fps=FPS))
         phones = [
             (0, 0.7, "SIL"), (0.7, 0.8, "M"), (0.8, 1.0, "AA"), (1.0, 1.6, "SIL"),
-            (1.6, 1.8, "EH"), (1.8, SECONDS, "SIL"),
+            (1.6, 1.8, "EH"), (1.8, 3.0, "SIL"),
         ]  # fmt: skip
+        phones = [(a, min(b, seconds), phone) for a, b, phone in phones if a < seconds]
         pd.DataFrame(phones, columns=["start", "end", "phone"]).to_csv(
             folder / f"phones/{i}.csv", index=False
         )
-        (folder / f"intensity/{i}.csv").write_text(f"time,intensity\n0,0\n1,0.8\n{SECONDS},0\n")
+        (folder / f"intensity/{i}.csv").write_text(f"time,intensity\n0,0\n1,0.8\n{seconds},0\n")
         rows.append(
             {
                 "clip": f"clip{i}",

@@ -208,7 +208,7 @@ def test_evaluation_scores_every_emotion_and_the_curves(network, tmp_path, monke
     """A model that never moves: its errors are the motion itself, and no landmark rises."""
     monkeypatch.setattr(expression_module, "MOST", 1)
     monkeypatch.setattr(expression_module, "INTENSITIES", (1.0,))
-    data = write_dataset(tmp_path / "d", 1, 5)
+    data = write_dataset(tmp_path / "d", 1, 5, 1.1)
     templates = head_templates((0,))
     count = len(next(iter(templates.values())).faces)
     layers = {"stretch": InversePCA(1, 6 * count), "rotation": InversePCA(1, 3 * count)}

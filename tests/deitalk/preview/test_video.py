@@ -14,9 +14,7 @@ from deitalk.errors import MissingError
 from deitalk.preview import page, video
 from deitalk.preview.source import PreviewError, PreviewSource, load_source
 from deitalk.preview.video import (
-    FACE_HEIGHT,
     PANEL_HEIGHT,
-    WIDTH,
     check_needs,
     draw_frames,
     render_video,
@@ -88,10 +86,14 @@ def test_unknown_control_is_refused(tmp_path):
         load_source(path)
 
 
-def test_jaw_frames_differ_in_the_mouth(monkeypatch):
+def small(monkeypatch) -> None:
     monkeypatch.setattr(video, "FACE_HEIGHT", 96)
     monkeypatch.setattr(video, "FACE_WIDTH", 120)
     monkeypatch.setattr(video, "WIDTH", 400)
+
+
+def test_jaw_frames_differ_in_the_mouth(monkeypatch):
+    small(monkeypatch)
     source = make_source(3)
     frames = list(draw_frames(source))
     assert frames[0].shape == (96 + PANEL_HEIGHT, 400, 3)
@@ -102,7 +104,8 @@ def test_jaw_frames_differ_in_the_mouth(monkeypatch):
 def flat_frames(source, **_):
     """Frames whose brightness encodes their number, for tests of time."""
     for k in range(len(source.curves)):
-        yield np.full((FACE_HEIGHT + PANEL_HEIGHT, WIDTH, 3), 20 + 10 * k, np.uint8)
+        size = (video.FACE_HEIGHT + PANEL_HEIGHT, video.WIDTH, 3)
+        yield np.full(size, 20 + 10 * k, np.uint8)
 
 
 def brightness(path) -> list[tuple[Fraction, float]]:
@@ -116,6 +119,7 @@ def brightness(path) -> list[tuple[Fraction, float]]:
 
 @each("fps", [30.0, 25.0, NTSC, 23.976, 59.94])
 def test_picture_i_is_at_i_over_fps_and_sound_starts_with_picture_0(tmp_path, monkeypatch, fps):
+    small(monkeypatch)
     monkeypatch.setattr(video, "draw_frames", flat_frames)
     source = make_source(15)
     curves = RigCurves(source.curves.values, source.curves.names, snap_fps(fps))
@@ -138,6 +142,7 @@ def test_picture_i_is_at_i_over_fps_and_sound_starts_with_picture_0(tmp_path, mo
 
 
 def test_sound_of_an_odd_rate_keeps_its_time(tmp_path, monkeypatch):
+    small(monkeypatch)
     monkeypatch.setattr(video, "draw_frames", flat_frames)
     click = np.zeros(5000, np.float32)
     click[4000] = 0.9

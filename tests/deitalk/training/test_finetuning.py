@@ -31,6 +31,7 @@ from deitalk.training.tuning.recipe import CONTACT_RULES, read_recipe
 from deitalk.training.tuning.task import FinetuneTask, finetune
 from rig import RigCurves, read_curves, write_curves
 from tests.command import ran
+from tests.conftest import draw_nothing
 from tests.dataset import FPS, JAW, jaw, write_dataset
 from tests.deitalk.training.conftest import CONTROLS, recipe
 from tests.each import each
@@ -139,7 +140,9 @@ def jaw_alone(base, data, tmp_path_factory) -> tuple[Path, Path]:
     shutil.copytree(data, place / "data")
     table = pd.read_csv(place / "data/clips.csv", dtype=str).assign(known="known.txt")
     table.to_csv(place / "data/clips.csv", index=False)
-    finetune(recipe(base, *TUNED), place / "data", place / "run")
+    with pytest.MonkeyPatch.context() as patch:
+        draw_nothing(patch)
+        finetune(recipe(base, *TUNED), place / "data", place / "run")
     return place / "data", place / "run/last"
 
 
@@ -193,6 +196,7 @@ def test_targets_of_emotions_that_no_capture_has_change_as_the_base(base, data):
 
 
 def test_rehearsed_speech_has_the_curves_of_the_base_as_targets(base, data, tmp_path):
+    """A run with it is exported, and names no folder of the machine."""
     corpus = write_dataset(tmp_path / "corpus")
     config = recipe(base, f"tune.corpus={corpus}", "tune.rehearsal=0", "data.real_fraction=0")
     task = FinetuneTask(config, data)
@@ -202,6 +206,11 @@ def test_rehearsed_speech_has_the_curves_of_the_base_as_targets(base, data, tmp_
     full, _ = task._completed(batch)
     torch.testing.assert_close(full.curves, task._base_curves(batch, batch.emotion))
     finetune(config, data, tmp_path / "run")
+    ran("model", "export", f"{tmp_path}/run/best", "-o", f"{tmp_path}/small")
+    for name in ("config.yaml", "model.json"):
+        text = (tmp_path / "small" / name).read_text()
+        assert str(tmp_path) not in text and str(Path(base).parent) not in text
+    assert load_model(tmp_path / "small").rules == load_model(tmp_path / "run/best").rules
 
 
 @each("part", ["decoder", "adapters"])
@@ -375,16 +384,6 @@ def test_settings_that_are_not_named_are_those_of_the_recipe(base):
     assert written == whole.model_dump() | {"model": written["model"]}
 
 
-def test_exported_model_names_no_folder_of_the_machine(base, data, tmp_path):
-    corpus = write_dataset(tmp_path / "corpus")
-    finetune(recipe(base, f"tune.corpus={corpus}"), data, tmp_path / "run")
-    ran("model", "export", f"{tmp_path}/run/best", "-o", f"{tmp_path}/small")
-    for name in ("config.yaml", "model.json"):
-        text = (tmp_path / "small" / name).read_text()
-        assert str(tmp_path) not in text and str(Path(base).parent) not in text
-    assert load_model(tmp_path / "small").rules == load_model(tmp_path / "run/best").rules
-
-
 def test_report_compares_before_after_and_baselines(tuned):
     run = tuned("decoder")
     report = json.loads((run / "report.json").read_text())
@@ -398,9 +397,11 @@ def test_report_compares_before_after_and_baselines(tuned):
     assert "| step 0 |" in text and "| error_of_mean_pose |" in text
 
 
-def test_command_says_that_the_base_is_nearer(base, data, tmp_path):
-    """To a held-out clip that moves exactly as the base does; the tuned model does not."""
-    folder = tmp_path / "data"
+@pytest.fixture(scope="module")
+def compared(base, data, tmp_path_factory):
+    """Held-out clip, run and messages of the command; the clip moves exactly as the base does."""
+    place = tmp_path_factory.mktemp("compared")
+    folder = place / "data"
     shutil.copytree(data, folder)
     table = pd.read_csv(folder / "clips.csv", dtype=str, keep_default_na=False)
     table.loc[5, "split"] = "test"
@@ -409,49 +410,41 @@ def test_command_says_that_the_base_is_nearer(base, data, tmp_path):
     values, _ = predict(load_model(base), load_example(clip, CONTROLS))
     values = np.clip(values, CONTROLS.minimum, CONTROLS.maximum)
     write_curves(clip.curves, RigCurves(values, CONTROLS.names, FPS))
+    player = place / "player.html"
+    player.write_text("<html><!--deitalk-data--></html>")
     short = ("train.steps=2", "train.batch_size=2", "data.window_frames=32")
     sets = [part for override in short for part in ("--set", override)]
-    done = ran("finetune", folder, "--from", base, "-o", f"{tmp_path}/run", *sets)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("deitalk.preview.page.BUNDLE", player)
+        draw_nothing(patch)
+        done = ran("finetune", folder, "--from", base, "-o", f"{place}/run", *sets)
+    return clip, place / "run", " ".join(done.stderr.split())
+
+
+def test_command_says_that_the_base_is_nearer(compared):
+    _, run, told = compared
     line = "The base is nearer to the held-out clips than the tuned model"
-    assert line in " ".join(done.stderr.split())
-    assert line in (tmp_path / "run/report.md").read_text()
-    scores = json.loads((tmp_path / "run/report.json").read_text())["scores"]
+    assert line in told and line in (run / "report.md").read_text()
+    scores = json.loads((run / "report.json").read_text())["scores"]
     farther = {"error_of_mean_pose": 1.01 * scores["after"]["error_of_mean_pose"]}
     assert nearer_base(scores) and not nearer_base(scores | {"before": farther})
     assert not nearer_base({"after": scores["after"]}), "another rig has no base to compare with"
 
 
-def test_held_out_clip_lies_beside_its_curves_before_and_after(base, data, tmp_path, monkeypatch):
+def test_held_out_clip_lies_beside_its_curves_before_and_after(base, compared):
     """And the command makes a page of them."""
-    folder = tmp_path / "data"
-    shutil.copytree(data, folder)
-    table = pd.read_csv(folder / "clips.csv", dtype=str, keep_default_na=False)
-    table.loc[5, "split"] = "test"
-    table.to_csv(folder / "clips.csv", index=False)
-    clip = read_clips(folder, "test")[0]
-    player = tmp_path / "player.html"
-    player.write_text("<html><!--deitalk-data--></html>")
-    monkeypatch.setattr("deitalk.preview.page.BUNDLE", player)
-    short = (
-        "train.steps=2",
-        "train.evaluate_every=2",
-        "train.batch_size=2",
-        "data.window_frames=32",
-    )
-    sets = [part for override in short for part in ("--set", override)]
-    ran("finetune", folder, "--from", base, "-o", f"{tmp_path}/run", *sets)
-    folder = tmp_path / "run" / "compare"
-    example = load_example(clip, CONTROLS)
+    clip, run, _ = compared
+    folder, example = run / "compare", load_example(clip, CONTROLS)
     np.testing.assert_allclose(
         read_curves(folder / "capture.npz").values, example.curves, atol=1e-6
     )
-    for name, model in (("before", base), ("after", tmp_path / "run" / "best")):
+    for name, model in (("before", base), ("after", run / "best")):
         curves = read_curves(folder / f"{name}.npz").values
         wanted = np.clip(predict(load_model(model), example)[0], CONTROLS.minimum, CONTROLS.maximum)
         np.testing.assert_allclose(curves, wanted, atol=1e-5)
     sound, rate = soundfile.read(folder / "audio.wav")
     assert rate == 16_000 and len(sound) == len(example.waveform)
-    page = (tmp_path / "run" / "compare.html").read_text()
+    page = (run / "compare.html").read_text()
     assert all(f'id="take-{k}"' in page for k in range(3)) and 'id="take-3"' not in page
 
 

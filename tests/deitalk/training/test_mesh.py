@@ -113,7 +113,7 @@ def test_tiny_model_learns_the_motion_of_two_speakers(
 
 
 def test_command_trains_on_embedded_heads(tmp_path):
-    data = write_dataset(tmp_path / "data", 2, 1)  # both train on what one emotion has
+    data = write_dataset(tmp_path / "data", 2, 1, 1.1)  # both train on what one emotion has
     settings = tmp_path / "tiny.yaml"
     settings.write_text(yaml.safe_dump(tiny(steps=2).model_dump(mode="json")))
     run = tmp_path / "run"
@@ -244,7 +244,7 @@ def test_two_processes_make_the_weights_of_one(tmp_path):
 
 @pytest.mark.slow
 def test_two_processes_build_one_mesh_folder(tmp_path):
-    data = write_dataset(tmp_path / "data", 2, 1)
+    data = write_dataset(tmp_path / "data", 2, 1, 1.1)
     settings, run = tmp_path / "tiny.yaml", tmp_path / "run"
     settings.write_text(yaml.safe_dump(tiny(steps=2).model_dump(mode="json")))
     launcher = ["-m", "torch.distributed.run", "--nproc_per_node", "2", "-m", "deitalk"]

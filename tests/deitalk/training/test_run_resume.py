@@ -116,17 +116,17 @@ def test_resume_begins_a_run_in_an_empty_folder(data, finished, tmp_path):
 
 
 def test_run_killed_before_its_first_evaluation_begins_again(data, tmp_path, monkeypatch):
-    config = tiny("train.steps=26", "train.evaluate_every=26")
+    config = tiny("train.evaluate_every=2")
+    monkeypatch.setattr(deitalk.training.trainer, "LOG_EVERY", 1)
     whole, killed = tmp_path / "whole", tmp_path / "killed"
     train_curves(config, data, whole)
 
     def fails(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(deitalk.training.trainer.Trainer, "evaluate", fails)
-    with pytest.raises(KeyboardInterrupt):
+    with pytest.MonkeyPatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(deitalk.training.trainer.Trainer, "evaluate", fails)
         train_curves(config, data, killed)
-    monkeypatch.undo()
     assert (killed / "metrics.csv").is_file() and not (killed / "state.pt").exists()
     with pytest.raises(DataError, match=r"holds a run already; set `resume=True`"):
         train_curves(config, data, killed)

@@ -1,3 +1,4 @@
+import functools
 import itertools
 import subprocess
 import sys
@@ -91,8 +92,13 @@ def _some(engine, seconds, seed=1):
     return list(synthetic_utterances(engine, seconds, np.random.default_rng(seed)))
 
 
+@functools.cache
+def _half_a_minute(engine):
+    return _some(engine, 30)
+
+
 def test_utterances_are_labelled_from_end_to_end(engine):
-    utterances = _some(engine, 30)
+    utterances = _half_a_minute(engine)
     assert sum(u.duration_seconds for u in utterances) >= 30
     for u in utterances:
         assert u.waveform.dtype == np.float32
@@ -109,7 +115,7 @@ def test_utterances_are_labelled_from_end_to_end(engine):
 def test_silences_are_quiet_and_vowels_are_not(engine):
     """The labels are in time: a shift of 100 ms would reduce the difference."""
     loud, quiet = [], []
-    for u in _some(engine, 30):
+    for u in _half_a_minute(engine):
         for p in u.phones:
             middle = u.waveform[int(p.start * SAMPLE_RATE) : int(p.end * SAMPLE_RATE)]
             if p.name in ("AA", "AO", "EH", "AE"):

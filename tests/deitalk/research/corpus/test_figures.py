@@ -41,11 +41,10 @@ def test_held_phone_reaches_its_gesture():
 
 def test_channels_are_drawn(tmp_path):
     pytest.importorskip("matplotlib", reason="plots need matplotlib")
-    short, long = tmp_path / "short.svg", tmp_path / "long.svg"
-    plot_channels(evenly_timed(["SIL", "M", "AA"]), short)
-    plot_channels(evenly_timed(SENTENCE.split()), long)
-    assert short.read_text().count("<!-- M -->") == 1
-    assert long.read_text().count("<!-- OY -->") == 1
+    assert "OY" in SENTENCE.split()
+    plot_channels(evenly_timed(["SIL", "M", "OY"]), tmp_path / "a.svg")
+    drawn = (tmp_path / "a.svg").read_text()
+    assert drawn.count("<!-- M -->") == drawn.count("<!-- OY -->") == 1
 
 
 def test_faces_are_drawn_and_differ(tmp_path, monkeypatch):

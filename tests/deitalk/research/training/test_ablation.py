@@ -163,7 +163,7 @@ def test_ablation_rejects_other_settings_and_edited_files(data, tmp_path):
 
 
 def test_variants_of_a_mesh_model_share_the_meshes_of_the_first_run(tmp_path):
-    data = write_dataset(tmp_path / "data", 2, 1)
+    data = write_dataset(tmp_path / "data", 2, 1, 1.1)
     base = tmp_path / "tiny.yaml"
     base.write_text(yaml.safe_dump(tiny_mesh(VOCA, "offsets", steps=2).model_dump(mode="json")))
     variants = [Variant("full", base, ()), Variant("slow", base, ("train.learning_rate=1e-5",))]
