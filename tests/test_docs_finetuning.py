@@ -41,7 +41,7 @@ def commands(verbs: str) -> list[list[str]]:
 def takes(tmp_path, monkeypatch) -> Path:
     """Two takes as Live Link Face leaves them, of a model's curves."""
     monkeypatch.chdir(tmp_path)
-    wave = np.tile(load_audio(ROOT / "docs/samples/amiable.flac").waveform, 4)
+    wave = np.tile(load_audio(ROOT / "docs/samples/amiable.flac").waveform, 5)
     for number, emotion in enumerate(("happy", "sad"), 1):
         name = f"anna_{emotion}_{number}"
         folder = tmp_path / "takes" / f"20260311_{name}"
@@ -61,7 +61,7 @@ def run(lines: list[list[str]]) -> None:
 
 @pytest.mark.skipif("default" not in embedded_models(), reason="needs the embedded weights")
 def test_commands_from_takes_to_a_dataset_and_a_tuned_model_run_as_written(takes):
-    """With one step, by the option that the page names; nothing else differs."""
+    """With one step of two windows, by the option that the page names; nothing else differs."""
     lines = commands("data")
     assert [line[1] for line in lines] == ["import", "check", "import", "check", "check"]
     run(lines)
@@ -71,7 +71,7 @@ def test_commands_from_takes_to_a_dataset_and_a_tuned_model_run_as_written(takes
     assert "`--set train.steps=" in PAGE
     lines = commands("finetune|animate|model mix")
     assert [line[0] for line in lines] == ["finetune", "animate", "finetune", "model"]
-    few = ["--set", "train.steps=1"]
+    few = ["--set", "train.steps=1", "--set", "train.batch_size=2"]
     run([[*line, *few] if line[0] == "finetune" else line for line in lines])
     report = json.loads((takes / "runs/anna/report.json").read_text())
     assert {"before", "ridge", "after", "loudness", "mean pose"} <= report["scores"].keys()
