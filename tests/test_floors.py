@@ -75,6 +75,11 @@ def tree_of(path: Path) -> ast.Module:
     return ast.parse(path.read_text(encoding="utf-8"))
 
 
+@functools.cache
+def nodes(tree: ast.AST) -> tuple[ast.AST, ...]:
+    return tuple(ast.walk(tree))
+
+
 def module_of(path: Path) -> str:
     parts = path.relative_to(ROOT).with_suffix("").parts
     return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
@@ -82,7 +87,7 @@ def module_of(path: Path) -> str:
 
 def imports(tree: ast.AST) -> Iterator[tuple[str, int]]:
     """Modules imported anywhere in a tree, with their lines."""
-    for node in ast.walk(tree):
+    for node in nodes(tree):
         if isinstance(node, ast.Import):
             yield from ((alias.name, node.lineno) for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
@@ -170,14 +175,14 @@ def kinds_asked(tree: ast.AST) -> list[int]:
     homes = ("deitalk.config", "deitalk.frontends", "deitalk.models")
     classes = {
         alias.asname or alias.name
-        for node in ast.walk(tree)
+        for node in nodes(tree)
         if isinstance(node, ast.ImportFrom) and (node.module or "").startswith(homes)
         for alias in node.names
         if alias.name != "TemporalConv"  # a layer
     }
     asked = [
         node
-        for node in ast.walk(tree)
+        for node in nodes(tree)
         if isinstance(node, ast.Call)
         and getattr(node.func, "id", "") in ("isinstance", "issubclass")
     ]
@@ -215,7 +220,7 @@ def test_functions_are_short():
     """Lines without the docstring; a command's signature is its list of options."""
     for package in FLOORS:
         for path in files(package):
-            for node in ast.walk(tree_of(path)):
+            for node in nodes(tree_of(path)):
                 if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
                     body = node.body[1:] if ast.get_docstring(node) else node.body
                     n_lines = (body[-1].end_lineno - body[0].lineno + 1) if body else 0

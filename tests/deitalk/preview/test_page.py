@@ -417,11 +417,11 @@ def test_status_gives_the_mean_of_the_applied_intensity_over_speech(browser, tmp
 
 
 def test_other_takes_have_their_faces_and_curves_and_fit_a_narrow_page(browser, page_file):
-    with opened(browser, page_file / "three.html", color_scheme="dark") as tab:
+    narrow = {"width": 390, "height": 844}
+    with opened(browser, page_file / "three.html", viewport=narrow, color_scheme="dark") as tab:
         curves, names = tab.inner_text("#curves"), tab.inner_text("#faces")
         for name in ("second", "third"):
             assert f"C_jaw.ty ({name})" in curves and name in names
-        tab.set_viewport_size({"width": 390, "height": 844})
         for scheme in ("dark", "light"):
             tab.emulate_media(color_scheme=scheme)
             assert tab.evaluate("document.documentElement.scrollWidth") <= 390

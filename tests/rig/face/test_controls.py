@@ -1,5 +1,7 @@
 """Every control moves its landmark in its direction and on its side."""
 
+import functools
+
 import numpy as np
 import pytest
 
@@ -181,8 +183,13 @@ def landmarks(head) -> dict[str, np.ndarray]:
     }
 
 
+@functools.cache
+def before(base: tuple[tuple[str, float], ...]) -> np.ndarray:
+    return build_head(0).pose(pose_values(dict(base)))
+
+
 def motion(head, name: str, value: float, base: dict[str, float]) -> np.ndarray:
-    return head.pose(pose_values({**base, name: value})) - head.pose(pose_values(base))
+    return head.pose(pose_values({**base, name: value})) - before(tuple(base.items()))
 
 
 OPEN = {"CTRL_C_jaw.ty": 0.35}
