@@ -4,7 +4,6 @@ import gc
 import signal
 from collections.abc import Iterator
 from functools import cache
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +12,8 @@ import pytest
 import typer.main
 import typer.testing
 from hypothesis import settings
+
+from rig.files import atomic_write
 
 settings.register_profile("any machine", deadline=None)
 settings.load_profile("any machine")
@@ -41,16 +42,18 @@ def shared() -> Path:
     return SHARED
 
 
-def draw_nothing(patch: pytest.MonkeyPatch) -> None:
-    """Figures are written without content; matplotlib takes half of the time of a short training."""
-    if find_spec("matplotlib"):
-        figure = "matplotlib.figure.Figure.savefig"
-        patch.setattr(figure, lambda self, path, **_: Path(path).write_bytes(b""))
+@pytest.fixture(scope="module")
+def empty_pictures() -> Iterator[None]:
+    """Trainings write pictures without content; matplotlib takes half of the time of a short one."""
 
+    def draw(path: Path, *shown: object) -> None:
+        with atomic_write(path) as beside:
+            beside.write_bytes(b"")
 
-@pytest.fixture
-def empty_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
-    draw_nothing(monkeypatch)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("deitalk.training.trainer.draw_clips", draw)
+        patch.setattr("deitalk.evaluation.comparison.draw_before_after", draw)
+        yield
 
 
 @pytest.fixture(scope="module")

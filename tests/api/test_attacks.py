@@ -244,8 +244,8 @@ def _encoded_silence(seconds: float, kind: str) -> bytes:
 
 
 @each("kind", ["FLAC", "OGG", "MP3", *ENCODERS])
-def test_compressed_hours_are_refused_by_their_length(client, kind):
-    bomb = _silence(2000, kind)
+def test_compressed_minutes_are_refused_by_their_length(client, kind):
+    bomb = _silence(400, kind)
     assert len(bomb) < 4_000_000
     begun = time.monotonic()
     answer = client.post("/v1/animations", content=bomb)

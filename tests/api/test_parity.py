@@ -76,7 +76,7 @@ def place(tmp_path_factory, tiny_model):
     """A folder with the recording, the files of the cases, and the small model."""
     folder = tmp_path_factory.mktemp("parity")
     shutil.copytree(tiny_model, folder / "tiny")
-    rng, t = np.random.default_rng(1), np.arange(2 * RATE) / RATE
+    rng, t = np.random.default_rng(1), np.arange(3 * RATE // 2) / RATE
     phase = 2 * np.pi * np.cumsum(120 + 40 * np.sin(2 * np.pi * 0.7 * t)) / RATE
     tone = sum(np.sin(k * phase) / k for k in range(1, 12))
     loud = np.clip(np.sin(2 * np.pi * 2.5 * t), 0, 1) * (t > 0.1)

@@ -1,6 +1,9 @@
 """A base model of random weights and captures of seconds, for tests of tuning."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -11,11 +14,33 @@ from deitalk.config.curves import FinetuneConfig
 from deitalk.config.load import load_config
 from deitalk.models.checkpoint import save_model
 from deitalk.models.curve_model import DEITalk
+from deitalk.training.trainer import Trainer
 from deitalk.training.tuning.recipe import read_recipe
 from rig import RigCurves, default_controls, read_curves, write_curves
 from tests.dataset import JAW, write_dataset
 
 CONTROLS = default_controls()
+
+
+class Killed(Exception):
+    pass
+
+
+@contextmanager
+def killed_at(step: int) -> Iterator[None]:
+    """Trainings end when so many steps are taken."""
+    update = Trainer.update
+
+    def killed(trainer: Trainer[Any], *rest: Any) -> Any:
+        if trainer.step == step:
+            raise Killed
+        return update(trainer, *rest)
+
+    with pytest.MonkeyPatch.context() as patch, pytest.raises(Killed):
+        patch.setattr(Trainer, "update", killed)
+        yield
+
+
 TINY = Path(__file__).resolve().parents[3] / "configs" / "tiny.yaml"
 
 
@@ -59,6 +84,6 @@ def data(tmp_path_factory) -> Path:
     return folder
 
 
-@pytest.fixture(autouse=True)
+@pytest.fixture(autouse=True, scope="module")
 def no_pictures(empty_pictures) -> None:
     """Pictures of runs are not what these tests are about."""

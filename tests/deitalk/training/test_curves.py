@@ -20,9 +20,9 @@ from deitalk.models.checkpoint import load_model
 from deitalk.models.curve_model import Analysis, DEITalk
 from deitalk.training.curve_losses import CurveLoss, control_weights
 from deitalk.training.curves import CurveTask, clip_rows, shown_examples, train_curves
-from deitalk.training.trainer import Trainer
 from rig import default_controls
 from tests.dataset import write_dataset
+from tests.deitalk.training.conftest import killed_at
 
 CONTROLS = default_controls()
 TINY = Path(__file__).resolve().parents[3] / "configs" / "tiny.yaml"
@@ -71,24 +71,11 @@ def test_run_leaves_exactly_its_files(finished):
     assert scores["step"].tolist() == [3, 6]
 
 
-class Killed(Exception):
-    pass
-
-
-def test_resumed_run_has_the_weights_of_an_uninterrupted_one(data, finished, tmp_path, monkeypatch):
+def test_resumed_run_has_the_weights_of_an_uninterrupted_one(data, finished, tmp_path):
     out = tmp_path / "killed"
     whole = tiny("model.dropout=0.1")
-    update = Trainer.update
-
-    def killed_at_5(trainer, *rest: object) -> object:
-        if trainer.step == 4:
-            raise Killed
-        return update(trainer, *rest)
-
-    monkeypatch.setattr(Trainer, "update", killed_at_5)
-    with pytest.raises(Killed):
+    with killed_at(4):
         train_curves(whole, data, out)
-    monkeypatch.undo()
     reported: list[int] = []
     best = train_curves(
         whole, data, out, resume=True, progress=lambda step, total, _: reported.append(step)

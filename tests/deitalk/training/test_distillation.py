@@ -13,8 +13,8 @@ from deitalk.models.curve_model import DEITalk
 from deitalk.research.training.distillation import Teacher, read_teacher
 from deitalk.training.curve_losses import start_as
 from deitalk.training.curves import CurveTask, train_curves
-from deitalk.training.trainer import Trainer
 from tests.dataset import write_dataset
+from tests.deitalk.training.conftest import killed_at
 
 TINY = Path(__file__).resolve().parents[3] / "configs" / "tiny.yaml"
 FRONTEND = (
@@ -129,23 +129,10 @@ def test_saved_model_contains_no_teacher_and_loads_without_it(finished, teacher)
     (finished / "best" / "config.yaml").write_text(text)
 
 
-def test_resumed_run_has_the_weights_of_an_uninterrupted_one(
-    data, teacher, finished, tmp_path, monkeypatch
-):
-    class Killed(Exception):
-        pass
-
-    out, original, steps = tmp_path / "killed", Trainer.update, iter(range(6))
-
-    def dies_at_5(*args: object) -> dict[str, float]:
-        if next(steps) == 4:
-            raise Killed
-        return original(*args)  # type: ignore[arg-type]
-
-    monkeypatch.setattr(Trainer, "update", dies_at_5)
-    with pytest.raises(Killed):
+def test_resumed_run_has_the_weights_of_an_uninterrupted_one(data, teacher, finished, tmp_path):
+    out = tmp_path / "killed"
+    with killed_at(4):
         train_curves(student(teacher), data, out)
-    monkeypatch.undo()
     train_curves(student(teacher), data, out, resume=True)
     first, second = weights(out / "last"), weights(finished / "last")
     assert all(torch.equal(first[name], second[name]) for name in first)

@@ -31,7 +31,6 @@ from deitalk.training.tuning.recipe import CONTACT_RULES, read_recipe
 from deitalk.training.tuning.task import FinetuneTask, finetune
 from rig import RigCurves, read_curves, write_curves
 from tests.command import ran
-from tests.conftest import draw_nothing
 from tests.dataset import FPS, JAW, jaw, write_dataset
 from tests.deitalk.training.conftest import CONTROLS, recipe
 from tests.each import each
@@ -140,9 +139,7 @@ def jaw_alone(base, data, tmp_path_factory) -> tuple[Path, Path]:
     shutil.copytree(data, place / "data")
     table = pd.read_csv(place / "data/clips.csv", dtype=str).assign(known="known.txt")
     table.to_csv(place / "data/clips.csv", index=False)
-    with pytest.MonkeyPatch.context() as patch:
-        draw_nothing(patch)
-        finetune(recipe(base, *TUNED), place / "data", place / "run")
+    finetune(recipe(base, *TUNED), place / "data", place / "run")
     return place / "data", place / "run/last"
 
 
@@ -416,7 +413,6 @@ def compared(base, data, tmp_path_factory):
     sets = [part for override in short for part in ("--set", override)]
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("deitalk.preview.page.BUNDLE", player)
-        draw_nothing(patch)
         done = ran("finetune", folder, "--from", base, "-o", f"{place}/run", *sets)
     return clip, place / "run", " ".join(done.stderr.split())
 

@@ -33,7 +33,7 @@ def tune(base, data, out) -> tuple[int, str]:
     return run("finetune", data, "-o", out, *(part for s in given for part in ("--set", s)))
 
 
-@each("seconds", [(40,), (6, 6.5, 7)])
+@each("seconds", [(32,), (6, 6.5, 7)])
 def test_takes_that_are_imported_are_sound_and_tune_a_model(base, tmp_path, seconds):
     data, out = tmp_path / "data", tmp_path / "run"
     for code, text in (import_takes(tmp_path / "takes", seconds, data), run("data", "check", data)):

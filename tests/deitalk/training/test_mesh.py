@@ -19,7 +19,7 @@ from deitalk.cli import app
 from deitalk.config.load import load_config
 from deitalk.config.mesh import SDFAConfig
 from deitalk.errors import ConfigError, DataError
-from deitalk.evaluation.figures import can_draw
+from deitalk.evaluation.figures import can_draw, draw_clips
 from deitalk.models.checkpoint import load_model, save_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.research.meshes import training as module
@@ -31,7 +31,6 @@ from deitalk.research.meshes.folder import (
 )
 from deitalk.research.meshes.scores import predict_mesh
 from deitalk.research.meshes.training import MeshTask, copy_encoder, train_mesh, validate_mesh
-from deitalk.training.trainer import Trainer
 from rig.face.identity import IDENTITIES
 from tests.command import ran
 from tests.dataset import write_dataset
@@ -49,6 +48,7 @@ from tests.deitalk.models.test_mesh_model import (
     spoken,
     tiny,
 )
+from tests.deitalk.training.conftest import killed_at
 from tests.each import each
 
 CONFIGS = Path(__file__).resolve().parents[3] / "configs"
@@ -142,7 +142,9 @@ def test_command_refuses_weights_to_start_from(tmp_path):
 @pytest.fixture(scope="module")
 def finished(sequences, tmp_path_factory) -> Path:
     out = tmp_path_factory.mktemp("runs") / "whole"
-    train_mesh(resumable(), sequences, out)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("deitalk.training.trainer.draw_clips", draw_clips)  # pictures are looked at
+        train_mesh(resumable(), sequences, out)
     return out
 
 
@@ -169,23 +171,12 @@ def test_run_leaves_exactly_its_files(finished):
     assert pd.read_csv(finished / "development.csv")["step"].tolist() == [2, 4]
 
 
-class Killed(Exception):
-    pass
-
-
 @each("workers", [0, 2])
 def test_resumed_run_has_the_weights_of_an_uninterrupted_one(
     sequences, finished, tmp_path, workers
 ):
-    config, update = resumable(workers=workers), Trainer.update
-
-    def killed_at_3(trainer: Trainer[Any], *rest: Any) -> Any:
-        if trainer.step == 3:  # after the evaluation and save of step 2, and one step more
-            raise Killed
-        return update(trainer, *rest)
-
-    with pytest.MonkeyPatch.context() as patch, pytest.raises(Killed):
-        patch.setattr(Trainer, "update", killed_at_3)
+    config = resumable(workers=workers)
+    with killed_at(3):  # after the evaluation and save of step 2, and one step more
         train_mesh(config, sequences, tmp_path / "run")
     train_mesh(config, sequences, tmp_path / "run", resume=True)
     for kind in ("best", "last"):

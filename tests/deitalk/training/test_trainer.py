@@ -20,6 +20,7 @@ from deitalk.evaluation.figures import ClipRows, Row
 from deitalk.training import trainer as module
 from deitalk.training.trainer import MAX_BAD_STEPS, Task, Trainer, new_accelerator, run_training
 from rig.files import output_folder
+from tests.deitalk.training.conftest import killed_at
 from tests.each import each
 
 SLOPE = 2.0
@@ -125,28 +126,12 @@ def test_line_is_learnt_and_the_loss_is_logged(tmp_path):
     assert (metrics["learning_rate"] == 0.05).all()
 
 
-class Killed(Exception):
-    pass
-
-
-def kill_at(step: int, patch: pytest.MonkeyPatch) -> None:
-    update = Trainer.update
-
-    def killed(trainer: Trainer[Any], *rest: Any) -> Any:
-        if trainer.step == step:
-            raise Killed
-        return update(trainer, *rest)
-
-    patch.setattr(Trainer, "update", killed)
-
-
 @each("workers", [0, 2])
 def test_resumed_run_has_the_weights_of_an_uninterrupted_one(tmp_path, workers):
     """The order of batches, dropout, averages, running means and the state beside the model."""
     settings = config(ema=0.8, schedule="one_cycle", workers=workers)
     trained(tmp_path / "whole", LineTask(config(ema=0.8, schedule="one_cycle")))
-    with pytest.MonkeyPatch.context() as patch, pytest.raises(Killed):
-        kill_at(5, patch)
+    with killed_at(5):
         trained(tmp_path / "run", LineTask(settings))
     task = trained(tmp_path / "run", LineTask(settings), resume=True)
     assert len(task.seen) == 2, "from step 4, the last that was saved"
@@ -161,8 +146,7 @@ def test_state_has_nothing_that_never_changes(tmp_path, monkeypatch):
     names = set(torch.load(tmp_path / "whole/state.pt", weights_only=True)["model"])
     fixed = min(names)
     monkeypatch.setattr(LineTask, "frozen", {fixed})
-    with pytest.MonkeyPatch.context() as patch, pytest.raises(Killed):
-        kill_at(5, patch)
+    with killed_at(5):
         trained(tmp_path / "run")
     state = torch.load(tmp_path / "run/state.pt", weights_only=True)
     assert set(state["model"]) == set(state["average"]) == names - {fixed}

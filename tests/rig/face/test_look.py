@@ -78,14 +78,12 @@ def test_maps_are_the_same_each_time_and_stubble_is_the_beards():
         head = build_head(name)
         uv = skin_uv(head.features)
         maps = head.mesh.maps
-        again = build_maps(head.features, uv, head.identity)
-        assert all(
-            np.array_equal(a, b)
-            for a, b in zip(vars(maps).values(), vars(again).values(), strict=True)
-        )
         x, y, z = head.skin.vertices.T
         chin = (y < head.features.anatomy.mouth_y - 2) & (y > -11) & (np.abs(x) < 2) & (z > 4)
         u, v = (1024 * uv[chin & (head.features.ring >= 0)].T).astype(int)
         made[name] = maps.atlas[v, u].mean()
+    again = build_maps(head.features, uv, head.identity)
+    pairs = zip(vars(maps).values(), vars(again).values(), strict=True)
+    assert all(np.array_equal(a, b) for a, b in pairs)
     assert made["Bruno"] < 0.9 * made["Dana"]
     assert made["Dana"] == pytest.approx(127.5, rel=0.05)

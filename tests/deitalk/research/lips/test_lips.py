@@ -285,7 +285,7 @@ def test_lip_dataset_holds_curves_that_repeat_the_lips(measured, tmp_path, lips)
 
 @each("name", ["../../x", "a/b", "a\\b", "..", "C:x"])
 def test_lip_dataset_rejects_clip_names_that_leave_the_folder(tmp_path, name):
-    corpus = write_dataset(tmp_path / "corpus", 2, 2)
+    corpus = write_dataset(tmp_path / "corpus", 2, 2, 1.1)
     lips = write_measured(tmp_path / "lips", {"a": ("one", np.linspace(0, 0.1, 50))})
     table = pd.read_csv(corpus / "clips.csv", dtype=str, keep_default_na=False)
     table.loc[table.index[0], "clip"] = name
@@ -299,7 +299,7 @@ def test_lip_dataset_rejects_clip_names_that_leave_the_folder(tmp_path, name):
 
 
 def test_lip_dataset_rejects_a_name_used_twice(tmp_path):
-    corpus = write_dataset(tmp_path / "corpus", 2, 2)
+    corpus = write_dataset(tmp_path / "corpus", 2, 2, 1.1)
     name = read_clips(corpus, "train")[0].name
     lips = write_measured(tmp_path / "lips", {name: ("one", np.linspace(0, 0.1, 50))})
     with pytest.raises(DataError, match="appears 2 times"):
@@ -307,7 +307,7 @@ def test_lip_dataset_rejects_a_name_used_twice(tmp_path):
 
 
 def test_lip_dataset_rejects_a_corpus_without_training_speakers(measured, tmp_path):
-    corpus = write_dataset(tmp_path / "corpus", 2, 2)
+    corpus = write_dataset(tmp_path / "corpus", 2, 2, 1.1)
     with pytest.raises(DataError, match="no speaker is left to train on"):
         write_lip_dataset(
             measured, tmp_path / "data", None, validation=["one"], test=["two"], corpora=[corpus]
@@ -360,7 +360,7 @@ def test_transfer_brings_lips_to_the_measured_amplitude(rng):
 
 
 def test_corrected_clips_keep_contacts_and_all_but_the_lips(measured, tmp_path):
-    corpus = write_dataset(tmp_path / "corpus", 2, 2)
+    corpus = write_dataset(tmp_path / "corpus", 2, 2, 1.1)
     out, model = tmp_path / "data", require_model("default", DEITalk)
     count = write_lip_dataset(measured, out, model, corpora=[corpus], corpus_clips=3)
     clips = read_clips(out)
