@@ -101,6 +101,8 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """The short files of tests/rig come last, so that all processes end together."""
     items.sort(key=lambda item: item.nodeid.startswith("tests/rig/"))
+    gc.collect()
+    gc.freeze()  # what is imported by now
 
 
 class SkippedTests:
