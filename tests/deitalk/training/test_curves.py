@@ -60,7 +60,7 @@ def test_run_leaves_exactly_its_files(finished):
     model = ["config.yaml", "model.json", "model.safetensors"]
     pictures = [f"curves/{step:06d}.png" for step in (3, 6)] if can_draw() else []
     assert files == sorted(
-        ["config.yaml", "development.csv", "metrics.csv", "state.pt", *pictures]
+        ["config.yaml", "data.sha256", "development.csv", "metrics.csv", "state.pt", *pictures]
         + [f"{kind}/{name}" for kind in ("best", "last") for name in model]
     )
     assert load_config(finished / "config.yaml") == tiny("model.dropout=0.1")
