@@ -48,6 +48,11 @@ def by_emotion(table: Mapping[str, Sequence[float]]) -> Float64:
     return np.array([table.get(name, none) for name in LABELS])
 
 
+def _check_times(times: Float64, rows: Float64) -> None:
+    if not 0 < len(times) == len(rows) or not (np.diff(times) > 0).all():
+        raise EmotionError("times must be seconds that rise, one for each row of values")
+
+
 @dataclass(frozen=True, eq=False)
 class EmotionTrack:
     """Emotion weights over time: linear between keys, held before the first and after the last.
@@ -64,6 +69,7 @@ class EmotionTrack:
     weights: Float64
 
     def __post_init__(self) -> None:
+        _check_times(self.times, self.weights)
         object.__setattr__(self, "weights", with_moods(self.weights))
 
     def __eq__(self, other: object) -> bool:
@@ -104,6 +110,9 @@ class IntensityCurve:
 
     times: Float64
     values: Float64
+
+    def __post_init__(self) -> None:
+        _check_times(self.times, self.values)
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, IntensityCurve) and (

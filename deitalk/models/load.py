@@ -5,18 +5,21 @@ imported only where they are needed, so that one backend does not wait for the o
 """
 
 from pathlib import Path
-from typing import Any, Literal, TypeAlias, cast
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias, cast
 
 from deitalk.errors import CheckpointError, DeitalkError
 from deitalk.models.protocol import CausalNetwork, CurveNetwork, check_product
 from rig.errors import quoted
+
+if TYPE_CHECKING:
+    from deitalk.models.checkpoint import Model
 
 Backend: TypeAlias = Literal["torch", "onnx"]
 BACKENDS: tuple[Backend, ...] = ("torch", "onnx")
 
 
 def load_network(
-    model: str | Path | CurveNetwork,
+    model: "str | Path | CurveNetwork | Model",
     *,
     backend: str = "torch",
     device: str = "cpu",
@@ -47,7 +50,7 @@ def load_network(
         raise DeitalkError(f"backend {quoted(backend)} is unknown; use torch or onnx")
     if not isinstance(model, str | Path):
         check_product(model, "curves")
-        return model.eval()
+        return cast("CurveNetwork", model.eval())
     if is_onnx(model, backend):
         from deitalk.models.onnx import load_onnx
 

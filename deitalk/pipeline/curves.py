@@ -37,6 +37,7 @@ from rig.curves.edit import gain_factors, scale_from_rest
 from rig.errors import quoted
 
 if TYPE_CHECKING:
+    from deitalk.models.checkpoint import Model
     from deitalk.pipeline.words.align import WordFit
 
 READ_ON_SAMPLES = SAMPLE_RATE // 2
@@ -48,7 +49,7 @@ def animate(
     emotion: str | Path | Mapping[str, float] | EmotionTrack = "neutral",
     *,
     acting: Acting | None = None,
-    model: str | Path | CurveNetwork = "default",
+    model: "str | Path | CurveNetwork | Model" = "default",
     backend: str = "torch",
     sample_rate: float | None = None,
     progress: Callable[[float], None] = lambda share: None,

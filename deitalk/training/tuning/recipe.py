@@ -216,7 +216,7 @@ def learnt_controls(config: FinetuneConfig, controls: ControlSet) -> Bool:
 # the two sets of weights both change smoothly, so that a share of the training can be kept.
 
 
-LAST, ACTORS = "decoder.output.weight", "decoder.actor_layers."
+LAST, ACTORS = "decoder.output.weight", ("decoder.actor_layers.", "decoder.actors.")
 KEPT = ("decoder.kept.", "intensity.kept.")
 """Parts of a tuned model that are those of its base, and did not learn."""
 

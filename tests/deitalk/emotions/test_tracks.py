@@ -11,6 +11,8 @@ from hypothesis import strategies as st
 from deitalk.emotions import (
     EMOTIONS,
     LABELS,
+    EmotionTrack,
+    IntensityCurve,
     check_intensity,
     parse_emotion,
     read_intensity_curve,
@@ -233,3 +235,11 @@ def test_unwritable_intensity_leaves_the_old_file(tmp_path):
         )
     assert path.read_bytes() == before
     assert [p.name for p in tmp_path.iterdir()] == ["intensity.csv"]
+
+
+@each(("times", "values"), [([1.0, 0.0], [1.0, 2.0]), ([0.0, 1.0], [1.0]), ([], [])])
+def test_times_of_tracks_rise(times, values):
+    with one_line(EmotionError, match="times must be seconds that rise"):
+        IntensityCurve(np.array(times), np.array(values))
+    with one_line(EmotionError, match="times must be seconds that rise"):
+        EmotionTrack(np.array(times), np.ones((len(values), 1)) * np.eye(5)[0])

@@ -47,7 +47,14 @@ def test_models_that_do_not_fit_are_refused():
     with pytest.raises(CheckpointError, match=r"share 1\.5 is beyond 0 to 1"):
         mix_models(model(0), model(1), 1.5)
     with pytest.raises(CheckpointError, match=r"the networks differ: .* of the same actors"):
-        mix_models(model(0), model(1, actors=("anna", "ben")), 0.5)
+        mix_models(model(0, actors=("anna", "ben")), model(1, actors=("anna", "ben", "carl")), 0.5)
+
+
+def test_styles_of_new_actors_begin_at_zero():
+    after = model(1, actors=("anna", "ben"))
+    name = "decoder.actors.weight"
+    mixed = mix_models(model(0), after, 0.25).state_dict()[name]
+    torch.testing.assert_close(mixed, 0.25 * after.state_dict()[name])
 
 
 def test_last_layers_that_a_tuning_widened_begin_at_zero():
