@@ -31,6 +31,9 @@ def _one(name: str) -> Cell:
 
 SCORES: dict[str, Cell] = {
     "bilabials found": _both("bilabial_hits_at_5_percent"),
+    "... where phones cover the speech (recordings)": lambda a, b: (
+        f"{short(a['bilabial_hits_in_labelled_clips'])} ({a['labelled_clips']})"
+    ),
     "bilabial AUC, windows": _both("bilabial_window_auc"),
     "AUC of loudness alone, windows": _one("loudness_bilabial_window_auc"),
     "found closures held at .9 for two frames": _both("found_bilabials_held_at_0.9", 2),

@@ -344,6 +344,8 @@ class Tally:
     def __init__(self) -> None:
         self.rows: list[dict[str, float]] = []
         self.closures: list[ClosureScores] = []
+        self.labelled: list[ClosureScores] = []
+        """Those of the clips whose phones cover the speech."""
         self.baseline: list[ClosureScores] = []
         self.held: list[bool] = []
         self.lags: dict[str, list[Float64]] = {"jaw": [], "lips": []}
@@ -360,11 +362,13 @@ class Tally:
             )
             out[name] = float(values.mean()) if len(values) else float("nan")
         found = summarise_closures(self.closures, self.held)
-        baseline = summarise_closures(self.baseline)
+        labelled, baseline = map(summarise_closures, (self.labelled, self.baseline))
         return out | {
             "bilabial_window_auc": found.window_auc,
             "bilabial_frame_auc": found.frame_auc,
             "bilabial_hits_at_5_percent": found.hit_rate,
+            "bilabial_hits_in_labelled_clips": labelled.hit_rate,
+            "labelled_clips": len(self.labelled),
             "found_bilabials_held_at_0.9": found.reached,
             "bilabials": found.n_closures,
             "vowels": found.n_vowels,
@@ -484,6 +488,8 @@ def _contacts(
     jaw = controls.index(JAW)
     row["jaw_in_contact"] = jaw_in_contact(lips, predicted[:, jaw])
     tally.closures.append(closure_scores(lips, example.phones))
+    if unlabelled_speech(speech_activity(example.waveform), example.phones) <= MOST_UNLABELLED:
+        tally.labelled.append(tally.closures[-1])
     tally.held += held_closures(lips, example.phones)
     tally.shut.append(shut_frames(lips, example.phones))
     if example.known[jaw]:
@@ -493,6 +499,32 @@ def _contacts(
     for name, gesture in GESTURES.items():
         curve = gesture_curve(predicted, controls, gesture)
         tally.peaks[name].append(gesture_peaks(curve, example.phones, gesture))
+
+
+BESIDE_SECONDS = 0.15
+"""Speech so near to a phone counts as labelled."""
+MOST_UNLABELLED = 0.15
+"""Share of speech without phones from which on the words do not fit: hesitations, repetitions,
+words that the aligner squeezed together."""
+
+
+def unlabelled_speech(activity: Float32, phones: Phones) -> float:
+    """Share of a recording's speech that its phones label as silence; 0 without speech.
+
+    Parameters
+    ----------
+    activity : ndarray [shape=(T,)]
+        1 in speech, else 0 (`speech_activity`), which depends on the sound alone.
+    phones : sequence of (start, end, name)
+        Seconds.
+    """
+    times = np.arange(len(activity)) / FRAME_RATE
+    speech = activity > 0
+    labelled = np.zeros(len(times), bool)
+    for start, end, name in phones:
+        if name != SILENCE:
+            labelled |= (times >= start - BESIDE_SECONDS) & (times < end + BESIDE_SECONDS)
+    return float((speech & ~labelled).sum() / max(speech.sum(), 1))
 
 
 def held_closures(lips: Float32, phones: Phones, level: float = 0.9) -> list[bool]:

@@ -22,6 +22,7 @@ from deitalk.research.evaluation.clip_scores import (
     phone_table,
     shut_frames,
     shut_table,
+    unlabelled_speech,
 )
 from deitalk.research.evaluation.contours import level_curve, spearman
 from deitalk.research.evaluation.curves import lip_range, style_distances
@@ -78,6 +79,18 @@ def test_shut_lips_are_counted_away_from_contacts():
     table = shut_table([counts, {"AA": (6, 0), "S": (3, 1)}])
     assert table["AA"] == {"n": 12, "shut": pytest.approx(1 / 6)}
     assert table["all"] == {"n": 15, "shut": pytest.approx(0.2)}
+
+
+def test_speech_that_the_phones_call_silence_is_counted():
+    """Speech from 0 to 1 s and 2 to 3 s; a phone covers 0.15 s beyond its ends."""
+    activity = np.repeat([1, 0, 1], 30).astype(np.float32)
+    whole = [(0, 1, "AA"), (1, 2, "SIL"), (2, 3, "B")]
+    assert unlabelled_speech(activity, whole) == 0
+    assert unlabelled_speech(activity, [(0, 1, "AA"), (1, 3, "SIL")]) == pytest.approx(0.5)
+    # to 2.5 + 0.15 s: frames 60 to 79 of 60 to 89
+    half = [*whole[:2], (2, 2.5, "B"), (2.5, 3, "SIL")]
+    assert unlabelled_speech(activity, half) == pytest.approx(10 / 60)
+    assert unlabelled_speech(activity, []) == 1 and unlabelled_speech(0 * activity, whole) == 0
 
 
 def test_opening_in_silence_uses_the_times_of_the_phones():
