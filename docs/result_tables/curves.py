@@ -31,7 +31,7 @@ def _one(name: str) -> Cell:
 
 SCORES: dict[str, Cell] = {
     "bilabials found": _both("bilabial_hits_at_5_percent"),
-    "... where phones cover the speech (recordings)": lambda a, b: (
+    "... where at most 15 % of the speech is labelled silence (recordings)": lambda a, b: (
         f"{short(a['bilabial_hits_in_labelled_clips'])} ({a['labelled_clips']})"
     ),
     "bilabial AUC, windows": _both("bilabial_window_auc"),
