@@ -387,6 +387,7 @@ class Morphs:
     deltas: Float32
 
 
+@lru_cache(maxsize=1)
 def arkit_morphs(head: Head) -> Morphs:
     """Shapes of a head under ARKit's names, and correctives."""
     rest = head.mesh.vertices

@@ -264,6 +264,7 @@ every_live_case = each("case", LIVE)
 @every_case
 @each("door", [command_line, batch_line, manifest])
 def test_commands_give_the_curves_and_keep_the_settings(wanted, door, case, tmp_path, monkeypatch):
+    monkeypatch.setattr("deitalk.pipeline.performance.write_exchange_files", lambda *_, **__: {})
     same(door(fields_of(case), tmp_path, monkeypatch), wanted(case))
 
 
