@@ -35,10 +35,10 @@ from deitalk.research.evaluation.clip_scores import (
     Scores,
     Tally,
     captured_smoothness,
-    contours_report,
     score_clip,
     shut_table,
 )
+from deitalk.research.evaluation.contours import contours_report
 from deitalk.research.evaluation.noise import SNRS_DB, mix, read_noises
 from deitalk.research.lips.head_lips import MEASURES, HeadLips
 from rig.arrays import Bool, Float32
