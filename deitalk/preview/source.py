@@ -207,6 +207,7 @@ def _checked(source: PreviewSource) -> PreviewSource:
 OPEN_CM = 0.1
 """Largest gap along the rims of the lips in a closed bilabial, cm."""
 MOST_LAG_FRAMES = 2.0
+MOST_LONGER = 0.1
 
 
 class Finding(NamedTuple):
@@ -218,13 +219,21 @@ class Finding(NamedTuple):
 
 
 def find_warnings(source: PreviewSource) -> list[Finding]:
-    """Bilabials that do not close, and curves that are early or late, in order of time.
+    """Bilabials that do not close, curves that are early, late or of another length, by time.
 
-    Curves of a rig other than the board have neither jaw nor lips of a known name, and no warnings.
+    Of a rig other than the board, which has neither jaw nor lips of a known name, the length alone.
     """
     if not source.is_board:
+        return length_warnings(source)
+    return sorted([*length_warnings(source), *offset_warnings(source), *bilabial_warnings(source)])
+
+
+def length_warnings(source: PreviewSource) -> list[Finding]:
+    """Warn of a recording whose length differs by more than 0.1 s."""
+    seconds, heard = source.curves.duration, source.audio_seconds
+    if not heard or abs(heard - seconds) <= MOST_LONGER:
         return []
-    return sorted([*offset_warnings(source), *bilabial_warnings(source)])
+    return [Finding(0.0, f"curves last {seconds:.2f} s, the recording {heard:.2f} s")]
 
 
 def offset_warnings(source: PreviewSource) -> list[Finding]:

@@ -11,6 +11,7 @@ from deitalk.preview.source import (
     PreviewError,
     PreviewSource,
     bilabial_warnings,
+    find_warnings,
     lip_gaps,
     load_source,
     offset_warnings,
@@ -55,7 +56,13 @@ def test_shifted_curves_are_reported_with_their_shift(late, word, fps, rate):
 
 @each("late", [0, 1, -1])
 def test_curves_in_time_are_not_reported(late):
-    assert offset_warnings(speaking(late)) == []
+    assert find_warnings(speaking(late)) == []
+
+
+def test_a_recording_of_another_length_is_reported():
+    source = speaking(0)
+    cut = dataclasses.replace(source, samples=source.samples[: 16000 * 5])
+    assert "curves last 6.00 s, the recording 5.00 s" in [text for _, text in find_warnings(cut)]
 
 
 def mouth(open_frames: slice) -> PreviewSource:

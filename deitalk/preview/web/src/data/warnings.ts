@@ -21,8 +21,9 @@ const STEP_SHARE = 0.15;
 export function findWarnings(values: Float32Array, length: Length, board: Board, known: Warning[]): Warning[] {
   const found = [...known], { fps, frames, seconds, audioSeconds } = length;
   const n = board.controls.length;
-  if (audioSeconds && Math.abs(audioSeconds - seconds) > 0.1) {
-    found.push({ time: 0, text: `curves last ${seconds.toFixed(2)} s, the recording ${audioSeconds.toFixed(2)} s` });
+  const text = `curves last ${seconds.toFixed(2)} s, the recording ${audioSeconds.toFixed(2)} s`;
+  if (audioSeconds && Math.abs(audioSeconds - seconds) > 0.1 && !known.some((other) => other.text === text)) {
+    found.push({ time: 0, text });
   }
   for (let c = 0; c < n; c++) {
     if (board.minimum[c] === 0 && board.rest[c] === 1) continue;
