@@ -413,6 +413,10 @@ class Acting(BaseModel):
         UserError
             One line: the field, the value, the rule.
         """
+        if not isinstance(acting, Acting | None):
+            raise ConfigError(
+                f"acting {quoted(str(acting))} must be an Acting, such as Acting(emotion='happy')"
+            )
         given = {} if acting is None else {n: getattr(acting, n) for n in acting.model_fields_set}
         given |= {name: value for name, value in fields.items() if value is not None}
         try:

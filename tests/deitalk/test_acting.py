@@ -163,6 +163,8 @@ def test_former_names_are_understood_by_doors_and_named_by_errors(old, value, fi
 def test_partial_updates_keep_the_rest():
     first = Acting.of(emotion="sad", gain="jaw=2", look_at="3,4")
     second = Acting.of(first, emotion="happy", gain=None)
+    with one_line(ConfigError, match="acting 'happy' must be an Acting"):
+        Acting.of("happy")  # type: ignore[arg-type]
     assert second.settings == {"emotion": "happy", "gain": "jaw=2", "look_at": "3,4"}
     assert first.settings["emotion"] == "sad"
 
