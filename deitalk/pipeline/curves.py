@@ -15,7 +15,7 @@ from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE, frame_count
 from deitalk.audio.load import Recording
 from deitalk.config.rules import RulesConfig
 from deitalk.emotions import EmotionTrack, IntensityCurve
-from deitalk.errors import DeitalkError
+from deitalk.errors import AudioError, DeitalkError
 from deitalk.models.load import load_network
 from deitalk.models.protocol import (
     CurveNetwork,
@@ -180,11 +180,17 @@ def prepare(
 
 def _suggested(
     acting: Acting, recording: Recording
-) -> tuple[Acting, Recording, Mapping[str, float]]:
-    """The acting with the suggested emotion, the recording with a note on it, probabilities."""
+) -> tuple[Acting, Recording, Mapping[str, float] | None]:
+    """The acting with the suggested emotion, the recording with a note on it, probabilities.
+
+    Neutral without probabilities where there is too little speech.
+    """
     from deitalk.pipeline.suggest import suggest_emotion  # needs torch
 
-    found = suggest_emotion(recording)
+    try:
+        found = suggest_emotion(recording)
+    except AudioError as error:
+        return Acting.of(acting, emotion="neutral"), recording.noted(f"{error}: neutral"), None
     others = ", ".join(
         f"{name} {share:.2f}" for name, share in found.probabilities.items() if name != found.label
     )

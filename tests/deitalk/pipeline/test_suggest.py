@@ -10,6 +10,7 @@ from deitalk.audio.vocal_strength import BANDS
 from deitalk.emotions import EMOTIONS
 from deitalk.errors import AudioError
 from deitalk.pipeline import suggest
+from deitalk.pipeline.curves import animate
 from deitalk.pipeline.speech import Speech
 from deitalk.pipeline.suggest import (
     NAMED,
@@ -183,6 +184,14 @@ def test_unsure_voices_are_neutral(certain):
 def test_silence_is_refused():
     with pytest.raises(AudioError, match="less than half a second of speech"):
         suggest_emotion(np.zeros(32_000, np.float32), sample_rate=16_000)
+
+
+def test_too_little_speech_is_animated_as_neutral():
+    take = animate(speechlike(0.3), "auto", sample_rate=16_000, life="off")
+    plain = animate(speechlike(0.3), "neutral", sample_rate=16_000, life="off")
+    assert (take.curves.values == plain.curves.values).all()
+    assert take.acting.settings == plain.acting.settings and take.suggestion is None
+    assert any("no emotion can be suggested: neutral" in note for note in take.recording.warnings)
 
 
 def test_animate_takes_the_suggested_emotion(certain, tmp_path):
