@@ -192,7 +192,7 @@ def read_voice(given: Any, info: ValidationInfo) -> ActorReference:
         raise EmotionError(
             f"voice {quoted(given)} is a {type(given).__name__}; give a file or an ActorReference"
         )
-    if isinstance(given, str) and given.lstrip().startswith("{"):
+    if isinstance(given, str) and (given.lstrip().startswith("{") or "\n" in given):
         return parse_actor(given.encode(errors="replace"), "voice")
     return read_actor(_file(str(given).strip(), _files(info)))
 

@@ -119,6 +119,9 @@ def test_requests_read_the_files_that_came_with_them_and_no_others(
             Acting.of(files={}, **{field: named})
     with pytest.raises(UserError):
         Acting.of(files={}, **{field: Path(plain)})
+    if field == "voice":  # a file of several lines that is no actor's
+        with one_line(UserError, match="no JSON"):
+            Acting.of(files={}, voice="time,value\n0,1\n")
     sent = Path(plain).rename(f"sent{Path(plain).suffix}")
     assert Acting.of(files={plain: sent}, **{field: name}) == here
 
