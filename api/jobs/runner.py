@@ -10,7 +10,6 @@ import threading
 from base64 import b64encode
 from collections.abc import Iterator, Mapping
 from datetime import UTC, datetime
-from itertools import islice
 from pathlib import Path
 from time import monotonic, time
 from typing import Any
@@ -153,6 +152,7 @@ def _written(about: dict[str, Any]) -> float:
 SECONDS = 10.0
 """Time of one delivery, from the look-up of the host to the status of the answer."""
 AT_ONCE = 16
+"""Deliveries under way; a slow receiver holds one of them."""
 
 
 class Webhooks:
@@ -170,16 +170,27 @@ class Webhooks:
     def __init__(self, queue: Queue, hosts: tuple[str, ...], secrets: Mapping[str, bytes]) -> None:
         self.queue, self.hosts, self.secrets = queue, hosts, secrets
 
-    def deliver(self) -> int:
-        """Send every webhook that is due, `AT_ONCE` at a time; return how many were taken."""
-        due = list(islice(iter(self.queue.claim_webhook, None), AT_ONCE))
-        return sum(asyncio.run(self._send_all(due))) if due else 0
-
-    async def _send_all(self, jobs: list[Job]) -> list[bool]:
+    async def deliver(self, ending: threading.Event) -> None:
+        """Send webhooks as they become due, until `ending` is set."""
+        sending: set[asyncio.Task[None]] = set()
         async with httpx.AsyncClient(follow_redirects=False, trust_env=False) as client:
-            return await asyncio.gather(*(self._send(client, job) for job in jobs))
+            while not ending.is_set():
+                job = None
+                if len(sending) < AT_ONCE:
+                    job = await asyncio.to_thread(self.queue.claim_webhook)
+                if job is not None:
+                    sending.add(asyncio.create_task(self._send(client, job)))
+                elif sending:
+                    done, sending = await asyncio.wait(
+                        sending, timeout=IDLE_SECONDS, return_when=asyncio.FIRST_COMPLETED
+                    )
+                    for task in done:
+                        task.result()  # raises what a database does
+                else:
+                    await asyncio.sleep(IDLE_SECONDS)
+            await asyncio.gather(*sending)
 
-    async def _send(self, client: httpx.AsyncClient, job: Job) -> bool:
+    async def _send(self, client: httpx.AsyncClient, job: Job) -> None:
         """Send one within `SECONDS`, whatever the receiver does; its answer's body is not read."""
         try:
             url = check_webhook(str(job.webhook), self.hosts)
@@ -189,10 +200,8 @@ class Webhooks:
                     is_taken = answer.is_success
             if is_taken:
                 await asyncio.to_thread(self.queue.webhook_sent, job)
-            return is_taken
         except (httpx.HTTPError, httpx.InvalidURL, Problem, TimeoutError) as error:
             log.warning("a webhook was not taken: %s", type(error).__name__)
-            return False
 
 
 def message_of(job: Job, secret: bytes | None, now: float) -> tuple[bytes, dict[str, str]]:
@@ -395,8 +404,7 @@ class Runner:
     def _deliver(self) -> None:
         while not self._ending.wait(IDLE_SECONDS):
             try:
-                while self.webhooks.deliver() and not self._ending.is_set():
-                    pass
+                asyncio.run(self.webhooks.deliver(self._ending))
             except Exception as error:
                 log.warning("webhooks wait: %s", type(error).__name__)
 
