@@ -73,7 +73,7 @@ DRIFT_GAIN = 0.03
 """Share that the sum must gain by a drift."""
 CLIP_SHIFT_SECONDS = 5 / 60
 """Lag from which on a single clip may be called shifted."""
-GAIN = (0.03, 0.07, 0.6)
+GAIN = (0.03, 0.12, 0.6)
 """Correlation that the lag of a single clip must gain: a part for all clips, a part divided by the
 number of groups (one alone peaks at wrong places more often), and a share of what is missing to 1.
 The tests hold: no clip of a built corpus is called shifted, and of those moved by 100 ms or more
