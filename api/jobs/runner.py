@@ -156,7 +156,7 @@ AT_ONCE = 16
 
 
 class Webhooks:
-    """Sends what `Queue.claim_webhook` gives, signed as Standard Webhooks 1.0 says.
+    """Sends what `Queue.claim_webhook` gives, signed by Standard Webhooks 1.0.
 
     Parameters
     ----------
@@ -315,7 +315,7 @@ class Runner:
         self._wake.set()
 
     def drain(self) -> None:
-        """Begin no other job; `at_work` tells how many are left."""
+        """Begin no other job; `at_work` counts those left."""
         self._draining = True
 
     def stop(self) -> None:

@@ -188,8 +188,11 @@ def _predicted(path: str) -> RigCurves | None:
 
 
 def _shift(clip: Clip, lags: ClipLags | None, curves: RigCurves) -> float:
-    """Lag of a clip that is early or late by level and model, seconds; else 0."""
-    if lags is None or abs(lags.lag) < SHIFTED_SECONDS:
+    """Lag of a clip that is early or late by level and model, seconds; else 0.
+
+    Clips that state their take are judged by take (`Survey.sync`).
+    """
+    if clip.take or lags is None or abs(lags.lag) < SHIFTED_SECONDS:
         return 0.0
     waveform, predicted = _recording(str(clip.audio)).waveform, _predicted(str(clip.audio))
     found = clip_lags(curves, waveform, predicted=predicted, offset=clip.offset_seconds)

@@ -207,7 +207,6 @@ def _checked(source: PreviewSource) -> PreviewSource:
 OPEN_CM = 0.1
 """Largest gap along the rims of the lips in a closed bilabial, cm."""
 MOST_LAG_FRAMES = 2.0
-MOST_LONGER = 0.1
 
 
 class Finding(NamedTuple):
@@ -230,10 +229,10 @@ def find_warnings(source: PreviewSource) -> list[Finding]:
 
 def length_warnings(source: PreviewSource) -> list[Finding]:
     """Warn of a recording whose length differs by more than 0.1 s."""
-    seconds, heard = source.curves.duration, source.audio_seconds
-    if not heard or abs(heard - seconds) <= MOST_LONGER:
+    seconds, recorded = source.curves.duration, source.audio_seconds
+    if not recorded or abs(recorded - seconds) <= TOLERANCE_SECONDS:
         return []
-    return [Finding(0.0, f"curves last {seconds:.2f} s, the recording {heard:.2f} s")]
+    return [Finding(0.0, f"curves last {seconds:.2f} s, the recording {recorded:.2f} s")]
 
 
 def offset_warnings(source: PreviewSource) -> list[Finding]:

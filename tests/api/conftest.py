@@ -167,8 +167,8 @@ def postgres():
         yield url
 
 
-class Telling(NamedTuple):
-    """A server that calls webhooks and sends spans, and who receives them."""
+class Observed(NamedTuple):
+    """A server, and the receivers of its webhooks and spans."""
 
     server: Server
     hooks: ThreadingHTTPServer
@@ -177,7 +177,7 @@ class Telling(NamedTuple):
 
 
 @pytest.fixture(scope="session")
-def telling(tmp_path_factory, request):
+def observed(tmp_path_factory, request):
     """Its jobs are in PostgreSQL where that is installed."""
     database = {}
     if programs() is not None:
@@ -199,10 +199,10 @@ def telling(tmp_path_factory, request):
             patch.setenv("OTEL_EXPORTER_OTLP_COMPRESSION", "none")
             patch.setenv("OTEL_BSP_SCHEDULE_DELAY", "200")
             running = start(
-                tmp_path_factory.mktemp("telling"), webhook_hosts=hosts, keys=json.dumps([key]),
+                tmp_path_factory.mktemp("observed"), webhook_hosts=hosts, keys=json.dumps([key]),
                 live_sessions=0, lease_seconds=1.0, **database,
             )  # fmt: skip
         try:
-            yield Telling(running, hooks, spans, secret)
+            yield Observed(running, hooks, spans, secret)
         finally:
             stop(running)

@@ -145,9 +145,9 @@ def test_server_answers_after_its_worker_was_killed(server, client):
     wait_until(server, "/readyz")
 
 
-def test_webhook_is_called_once_and_signed_though_another_receiver_trickles(telling):
+def test_webhook_is_called_once_and_signed_though_another_receiver_trickles(observed):
     """standardwebhooks is the standard's own reader."""
-    server, receiver, _, secret = telling
+    server, receiver, _, secret = observed
     host = f"127.0.0.1:{receiver.server_port}"
     with server.client(headers=bearer("farm")) as client:
         slow = submit(client, wav(1.0), webhook=f"http://{host}/slow").json()["id"]

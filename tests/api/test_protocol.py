@@ -117,14 +117,14 @@ def test_webhook_of_a_request_that_is_answered_at_once_is_refused(client):
     assert (answer.status_code, answer.json()["code"]) == (422, "webhook_without_job")
 
 
-def test_spans_of_a_request_and_its_job_are_one_trace_at_the_collector(telling):
+def test_spans_of_a_request_and_its_job_are_one_trace_at_the_collector(observed):
     """OpenTelemetry's own messages, read by its own definitions; nothing of what was sent in them."""
     messages = pytest.importorskip(
         "opentelemetry.proto.collector.trace.v1.trace_service_pb2", reason="needs the extra otel"
     )
     trace = "0af7651916cd43dd8448eb211c80319c"
     given = {"traceparent": f"00-{trace}-b7ad6b7169203331-01", "X-Request-ID": "shot-7"}
-    with telling.server.client(headers=bearer("farm")) as client:
+    with observed.server.client(headers=bearer("farm")) as client:
         job = submit(client, recording=wav(1.0), headers=given, name="secret")
         wait(client, job.json()["id"])
     spans, end = [], time.monotonic() + 20
@@ -133,7 +133,7 @@ def test_spans_of_a_request_and_its_job_are_one_trace_at_the_collector(telling):
         time.sleep(0.1)
         read = messages.ExportTraceServiceRequest.FromString
         sent = [
-            resource for _, body in telling.spans.calls for resource in read(body).resource_spans
+            resource for _, body in observed.spans.calls for resource in read(body).resource_spans
         ]
         spans = [span for each in sent for scope in each.scope_spans for span in scope.spans]
     own = {span.name: span for span in spans if span.trace_id.hex() == trace}

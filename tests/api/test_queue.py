@@ -278,12 +278,12 @@ def test_retention_of_twenty_thousand_jobs_takes_less_than_three_seconds(queue):
     assert len(queue.expired(0.0, 10 * 4900, {})) == 400
 
 
-def test_service_keeps_its_jobs_in_postgresql(postgres, telling):
-    with telling.server.client(headers=bearer("farm")) as client:
+def test_service_keeps_its_jobs_in_postgresql(postgres, observed):
+    with observed.server.client(headers=bearer("farm")) as client:
         job = wait(client, submit(client, recording=wav(1.0), format="csv").json()["id"])
         assert job["status"] == "done"
         assert len(client.get(job["result"]).text.splitlines()) == 31
-    assert not list(telling.server.log.parent.rglob("jobs.sqlite"))
+    assert not list(observed.server.log.parent.rglob("jobs.sqlite"))
 
 
 @pytest.mark.slow
