@@ -282,6 +282,10 @@ def test_double_click_on_the_line_adds_one_point_and_a_click_none(page):
     assert point["time"] == pytest.approx(1.5, abs=0.01) and point["factor"] == pytest.approx(
         1, abs=0.05
     )
+    drag(page, place, lane_place(page, 2.0, 1.0))
+    (point,) = page.evaluate("deitalk.page.history.edit.points")
+    assert point["time"] == pytest.approx(2.0, abs=0.01)
+    place = lane_place(page, 2.0, point["factor"])
     page.mouse.dblclick(*place)
     assert page.locator("#intensity circle").count() == 0
     assert page.evaluate("String(getSelection())") == ""

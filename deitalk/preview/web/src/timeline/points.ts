@@ -49,9 +49,10 @@ export class PointLane {
     private readonly owner: PointOwner,
   ) {
     let pressed: PointerEvent | undefined;
-    box.addEventListener("pointerdown", (event) => {
-      pressed = this.isEditable && !event.button && !(event.target instanceof SVGCircleElement) ? event : undefined;
-    });
+    addEventListener("pointerdown", (event) => {
+      const isBeside = event.target instanceof Node && box.contains(event.target) && !(event.target instanceof SVGCircleElement);
+      pressed = isBeside && this.isEditable && !event.button ? event : undefined;
+    }, true);
     box.addEventListener("pointermove", (event) => {
       if (!pressed || !event.buttons || Math.hypot(event.clientX - pressed.clientX, event.clientY - pressed.clientY) < DRAG) return;
       const index = this.owner.grab?.(...this.place(pressed));
