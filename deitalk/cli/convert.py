@@ -228,6 +228,8 @@ def validate(
     """
     from rig.validation import validate as check
 
+    if given.acting.words is None and (given.acting.settings or audio is not None):
+        raise DeitalkError("--audio and --language are of --words, which are not given; add them")
     validation = check(path)
     findings = list(validation.findings)
     if validation.ok and given.acting.words is not None:

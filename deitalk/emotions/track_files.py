@@ -58,21 +58,27 @@ class Table(ABC):
     def cells(self, wanted: Sequence[str]) -> Iterator[tuple[int, list[Any]]]:
         """Number of each key in its file, from 1, and its values of the wanted columns."""
 
-    def columns(self, numbers: Sequence[str], texts: Sequence[str] = ()) -> Columns:
-        """Return columns by name; EmotionError names the first cell that is missing or bad."""
+    def columns(
+        self, numbers: Sequence[str], texts: Sequence[str] = (), **defaults: float
+    ) -> Columns:
+        """Return columns by name; EmotionError names the first cell that is missing or bad.
+
+        `defaults` are what empty cells of a column stand for.
+        """
         wanted = (*numbers, *texts)
-        for name in wanted:
+        needed = [name for name in wanted if name not in defaults]
+        for name in needed:
             if name not in self.names:
-                raise missing(self.path, 1, name, wanted)
+                raise missing(self.path, 1, name, needed)
         rows, cells = [], []
         for row, values in self.cells(wanted):
-            if "" in values or None in values:
-                name = next(
-                    n for n, value in zip(wanted, values, strict=True) if value in ("", None)
-                )
-                raise missing(self.path, row, name, wanted)
+            pairs = list(zip(wanted, values, strict=True))
+            filled = [defaults.get(name, v) if v in ("", None) else v for name, v in pairs]
+            if "" in filled or None in filled:
+                name = next(name for name, v in pairs if v in ("", None) and name not in defaults)
+                raise missing(self.path, row, name, needed)
             rows.append(row)
-            cells.append(values)
+            cells.append(filled)
         if not rows:
             raise _no_keys(self.path)
         columns = dict(zip(wanted, zip(*cells, strict=True), strict=True))
@@ -165,7 +171,8 @@ class _Sheet(Table):
         return frozenset(self.header)
 
     def cells(self, wanted: Sequence[str]) -> Iterator[tuple[int, list[Any]]]:
-        places, most = [self.header.index(name) for name in wanted], len(self.header)
+        most = len(self.header)
+        places = [self.header.index(n) if n in self.header else most for n in wanted]
         row = 0
         for cells in _csv(self.path, self.text, self.separator):
             if not any(map(str.strip, cells)) and len(cells) < 2:

@@ -138,9 +138,9 @@ def parse_emotion(emotion: "str | Path | Mapping[str, float] | EmotionTrack") ->
     ----------
     emotion : str, Path, mapping or EmotionTrack
         ``"happy"``; ``"happy=0.7,surprised=0.3"``; ``{"happy": 0.7}``; or the path of a CSV, JSON
-        or YAML file of keys ``time`` (seconds), ``emotion``, ``strength`` (0 … 1), or the text of
-        a CSV or JSON. Keys at the same time mix. A table ``time,<emotion>,…`` of weights, such as
-        a take's ``intensity.csv``, is read too.
+        or YAML file of keys ``time`` (seconds), ``emotion``, ``strength`` (0 … 1, which may be
+        left out), or the text of a CSV or JSON. Keys at the same time mix. A table
+        ``time,<emotion>,…`` of weights, such as a take's ``intensity.csv``, is read too.
 
     Returns
     -------
@@ -185,7 +185,9 @@ def _track(table: Table, path: object) -> EmotionTrack:
     is_wide = "emotion" not in table.names and bool(set(LABELS) & table.names)
     if is_wide:
         return _from_weights(path, table)
-    keys = table.columns(("time", "strength"), ("emotion",))
+    others = table.names - {"time", "emotion", ""}
+    full = {} if others and "strength" not in others else {"strength": 1.0}  # nothing else is meant
+    keys = table.columns(("time", "strength"), ("emotion",), **full)
     times = _checked_times(path, keys)
     # Place of each name in `LABELS`.
     names = keys.texts["emotion"]

@@ -262,7 +262,8 @@ class RunningRules:
             readings.append(curves)
             contacts.append(sharp)
         curves = rules.blend(readings[0], readings[1], own.scale)
-        rules.express(curves, readings[0], own.emotion, own.scale, own.network)
+        closing = rules.closing(contacts[0])[BEHIND]
+        rules.express(curves, readings[0], own.emotion, own.scale, own.network, closing)
         rules.rest_lips(curves, readings[0])
         blended = (contacts[1] - contacts[0]) * rows.scale
         if rules.settings.keep_contacts is not None:

@@ -158,6 +158,8 @@ def prepare(
     if words is not None and not acting.rules:
         raise DeitalkError("words belong to the rules, which are off; give one of the two")
     recording = recording_of(audio, sample_rate)
+    if words is None and "language" in acting.settings:
+        recording = recording.noted(f"language {acting.language} is of words: none are given")
     recording = _with_note_on("intensity curve", acting.intensity_curve, recording)
     suggestion = None
     if acting.emotion == AUTO:

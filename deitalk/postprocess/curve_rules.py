@@ -50,6 +50,8 @@ YIELDED = 0.8
 PARTING = ("jaw.ty", "lowerLipDepress", "upperLipRaise")
 """Parts of the names of the controls whose poses yield to closed lips. Corners of a trained emotion
 yield too; those of a mood, up to .8 of a range, would jump at every closure."""
+YIELDING_STEP = 1 / 3
+"""Share of a mood's pose that yields in a frame, 0.1 s in all: disgust raises the lip by .6."""
 
 
 @dataclass(frozen=True)
@@ -83,6 +85,7 @@ class ExpressionTable:
         weights: Float32,
         strength: Float32,
         free: Float32,
+        slow: Float32,
     ) -> None:
         """Change the expression, in place; nothing where there is none.
 
@@ -96,12 +99,16 @@ class ExpressionTable:
             Intensity that the blend shows.
         free : array [shape=(T,), range 0 to 1]
             Share of the opening that closed lips leave to an expression.
+        slow : array [shape=(T,), range 0 to 1]
+            The same of the moods, which changes slowly and is never more.
         """
         if not len(self.places):
             return
         base = neutral[:, self.places]
         shown = (curves[:, self.places] - base) * (weights @ self.gains)
-        pose = weights @ self.poses + (weights @ self.parting) * free[:, None]
+        own, moods = slice(len(EMOTIONS)), slice(len(EMOTIONS), None)
+        pose = weights @ self.poses + (weights[:, own] @ self.parting[own]) * free[:, None]
+        pose += (weights[:, moods] @ self.parting[moods]) * slow[:, None]
         shown += pose * strength[:, None]
         kept = 1 - YIELDED * self._rounded(neutral)
         shown *= 1 - self.spreading + self.spreading * kept[:, None]
@@ -277,7 +284,13 @@ class Expression:
         return delta
 
     def express(
-        self, curves: Float32, neutral: Float32, weights: Float32, scale: Float32, network: Float32
+        self,
+        curves: Float32,
+        neutral: Float32,
+        weights: Float32,
+        scale: Float32,
+        network: Float32,
+        closing: Float32 | None = None,
     ) -> None:
         """Change the expression by the table of `deitalk.postprocess.curve_rules`, in place.
 
@@ -291,11 +304,15 @@ class Expression:
             Factor on the difference of the readings.
         network : array [shape=(T,), range 0 to 1]
             Intensity that the emotional reading holds.
+        closing : array [shape=(T,), range 0 to 1], optional
+            From `closing`; by default of `neutral`, whose frames then follow one another.
         """
         if self.settings.expressions is not None:
             strength = scale * np.maximum(network, LEAST_PREDICTED)
-            table = expression_table(self.controls.names)
-            table.add_to(curves, neutral, weights, strength, 1 - self.contact(neutral))
+            if closing is None:
+                closing = self.closing(neutral[:, self.seals])
+            table, free = expression_table(self.controls.names), 1 - self.contact(neutral)
+            table.add_to(curves, neutral, weights, strength, free, 1 - closing)
 
     def rest_lips(self, curves: Float32, neutral: Float32) -> None:
         """Cover the teeth of the neutral reading, in place; the expression stays.
@@ -399,22 +416,28 @@ class Expression:
     def limited(self, contacts: Float32) -> Float32:
         """Contacts as `limit_contact_speed` raises them [shape=(T, ...)]; a copy."""
         rule = self.settings.limit_contact_speed
-        slow = contacts.copy()
-        if rule is None:
-            return slow
-        for frames in range(1, int(1 / rule.step) + 1):
-            lower = contacts - np.float32(frames * rule.step)
-            slow[frames:] = np.maximum(slow[frames:], lower[:-frames])
-            slow[:-frames] = np.maximum(slow[:-frames], lower[frames:])
-        return slow
+        return contacts.copy() if rule is None else _raised(contacts, rule.step)
+
+    def closing(self, seals: Float32) -> Float32:
+        """How closed lips are [shape=(T, ...)] that start closing earlier and part later.
+
+        Parameters
+        ----------
+        seals : array [shape=(T, ..., K)]
+            The controls `seals` of frames that follow one another.
+        """
+        return _raised(self._closed(seals), YIELDING_STEP)
 
     def contact(self, neutral: Float32) -> Float32:
         """How closed the lips are [shape=(T,), range 0 to 1]: lips together, or lip on teeth."""
+        return self._closed(neutral[:, self.seals])
+
+    def _closed(self, seals: Float32) -> Float32:
+        """The same of `seals` [shape=(..., K)]."""
         if not len(self.seals):
-            return np.zeros(len(neutral), np.float32)
-        closed = np.maximum(
-            neutral[:, self.together].mean(axis=1), neutral[:, self.bite].mean(axis=1)
-        )
+            return np.zeros(seals.shape[:-1], np.float32)
+        together, bite = np.split(seals, [len(self.together)], axis=-1)
+        closed = np.maximum(together.mean(axis=-1), bite.mean(axis=-1))
         rule = self.settings.keep_contacts or KeepContacts()
         share = np.clip((closed - rule.begin) / (rule.full - rule.begin), 0, 1)
         smooth: Float32 = share * share * (3 - 2 * share)
@@ -506,6 +529,16 @@ class Expression:
 
     def _named(self, *parts: str) -> NDArray[np.intp]:
         return _places(self.controls.names, parts)
+
+
+def _raised(values: Float32, step: float) -> Float32:
+    """Values by frame [shape=(T, ...)], raised until none differs from the next by over `step`."""
+    slow = values.copy()
+    for frames in range(1, int(1 / step) + 1):
+        lower = values - np.float32(frames * step)
+        slow[frames:] = np.maximum(slow[frames:], lower[:-frames])
+        slow[:-frames] = np.maximum(slow[:-frames], lower[frames:])
+    return slow
 
 
 @lru_cache(maxsize=64)

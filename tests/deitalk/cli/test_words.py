@@ -56,6 +56,14 @@ def test_errors_come_before_any_work(line, tmp_path, monkeypatch):
     assert "pip install espeakng-loader, or give phones" in error("--words", "a")
 
 
+def test_a_language_without_words_is_named(line, tmp_path):
+    done = run("animate", line, "-o", tmp_path / "c.json", "--language", "de")
+    assert done.exit_code == 0 and "language de is of words: none are given" in done.output
+    for option in (("--language", "de"), ("--audio", line)):
+        done = run("validate", tmp_path / "c.json", *option)
+        assert done.exit_code == 1 and "are of --words" in str(done.exception)
+
+
 def test_validate_marks_the_closure_that_curves_miss(line, tmp_path):
     assert run("animate", line, "-o", tmp_path / "a/", "--life", "off").exit_code == 0
     said = "Bob may bring my map."

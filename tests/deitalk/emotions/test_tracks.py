@@ -35,10 +35,9 @@ def write_track(path, keys):
     elif path.suffix == ".yaml":
         path.write_text(yaml.safe_dump({"keys": [dict(key) for key in keys]}))
     else:
-        lines = [
-            ",".join(str(key.get(c, "")) for c in ("time", "emotion", "strength")) for key in keys
-        ]
-        path.write_text("\n".join(["time,emotion,strength", *lines]) + "\n")
+        names = list(dict.fromkeys(name for key in keys for name in key)) or ["time", "emotion"]
+        lines = [",".join(str(key.get(name, "")) for name in names) for key in keys]
+        path.write_text("\n".join([",".join(names), *lines]) + "\n")
     return path
 
 
@@ -136,6 +135,15 @@ def test_parse_emotion_rejects_in_one_line(emotion, words):
 
 
 @each("suffix", [".csv", ".json", ".yaml"])
+@each("last", [{}, {"strength": 0.5}])
+def test_a_key_without_strength_is_full(tmp_path, suffix, last):
+    keys = [{"time": 1, "emotion": "happy"}, {"time": 3, "emotion": "sad", **last}]
+    shown = parse_emotion(write_track(tmp_path / f"track{suffix}", keys)).at([1.0, 3.0])
+    assert shown[0, LABELS.index("happy")] == 1
+    assert shown[1, LABELS.index("sad")] == last.get("strength", 1)
+
+
+@each("suffix", [".csv", ".json", ".yaml"])
 @each(
     ("keys", "words"),
     [
@@ -145,7 +153,7 @@ def test_parse_emotion_rejects_in_one_line(emotion, words):
         ([{**KEYS[0], "strength": 1.5}], ["time 1", "sum to 1.5"]),
         ([{**KEYS[0], "time": float("nan")}], ["track", "finite"]),
         ([{**KEYS[0], "emotion": "joy"}], ["unknown emotion 'joy'", "happy"]),
-        ([KEYS[0], {"time": 3.0, "emotion": "sad"}], ["key 2", "no 'strength'"]),
+        ([{"time": 1.0, "emotion": "happy", "weight": 0.5}], ["key 1", "no 'strength'"]),
         ([{"emotion": "sad", "strength": 1}], ["key 1", "no 'time'"]),
         ([], ["holds no keys"]),
     ],

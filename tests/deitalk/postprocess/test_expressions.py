@@ -88,6 +88,16 @@ def test_corners_of_a_mood_stay_through_a_closure(mood, control, pose):
     np.testing.assert_allclose(shown, pose, atol=1e-6)
 
 
+def test_the_lip_of_disgust_yields_to_a_closure_in_three_frames():
+    neutral = np.tile(CONTROLS.rest, (9, 1)).astype(np.float32)
+    neutral[4, RULES.seals] = 1
+    ones = np.ones(9, np.float32)
+    curves = neutral.copy()
+    RULES.express(curves, neutral, weights_of("disgust", 9), ones, ones)
+    raised = 0.6 * np.array([1, 1, 2 / 3, 1 / 3, 0, 1 / 3, 2 / 3, 1, 1])
+    np.testing.assert_allclose(curves[:, LIP], raised, atol=1e-6)
+
+
 def test_contempt_is_of_one_side():
     """AU12 and AU14 of the left corner; a smile of the network is not of it."""
     rest = CONTROLS.rest[None].astype(np.float32)
