@@ -27,7 +27,7 @@ ROUNDED = {
 ROUNDED_SHARE = 0.6
 """Of that rounding, which is met at least: quick speech rounds less."""
 FUNNEL, PURSE = 0.75, 0.79
-"""Values of the controls for a full funnel and purse (`deitalk.research.corpus.tables`)."""
+"""Values of the controls for a full funnel and purse (`deitalk/research/corpus/tables`)."""
 LEAST_FRAMES = 2
 """Frames of the shortest contact."""
 ROUNDING_STEP = 0.2

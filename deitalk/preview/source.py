@@ -201,7 +201,7 @@ def _checked(source: PreviewSource) -> PreviewSource:
 
 # Warnings of a preview from the sound and its phones.
 #
-# Values at their limits, jitter and lengths are checked by the page (``web/src/take.ts``).
+# Values at their limits, jitter and lengths are checked by the page (``web/src/data/warnings.ts``).
 # Letters: T frames, V vertices.
 
 OPEN_CM = 0.1

@@ -36,12 +36,6 @@ from deitalk.models.onnx.whisper_graph import ProductMel, WhisperGraph, parts_of
 from deitalk.models.protocol import neutral_weights
 from rig.files import atomic_write
 
-# A curve model as one graph for ONNX: sound and emotion of a whole clip in, curves out.
-#
-# The layers are those of the model; what lies between them is written without operations that
-# other runtimes lack: the Fourier transform is a product with two matrices, windows along time
-# are strided slices.
-
 # Mel spectra in a graph: the Fourier transform is a product with two matrices.
 
 MARGIN = 4096
@@ -192,6 +186,13 @@ class MelFrontendGraph(nn.Module):
 
 GRAPHS: dict[str, Callable[[Any], nn.Module]] = {"mel": MelFrontendGraph, "whisper": WhisperGraph}
 """By the kinds of frontends that are exported."""
+
+
+# A curve model as one graph for ONNX: sound and emotion of a whole clip in, curves out.
+#
+# The layers are those of the model; what lies between them is written without operations that
+# other runtimes lack: the Fourier transform is a product with two matrices, windows along time
+# are strided slices.
 
 
 class CurveGraph(nn.Module):

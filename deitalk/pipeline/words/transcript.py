@@ -24,9 +24,6 @@ from rig import limits
 from rig.errors import quoted, shorten
 from rig.files.reading import rows_of
 
-# espeak-ng through ctypes: the pronunciation of words in many languages.
-
-
 # Other phone alphabets to ARPABET: IPA and Mandarin.
 #
 # Phones are chosen by their articulation, so the tables map a foreign sound to the English phone
@@ -132,6 +129,8 @@ def _spellings(is_english: bool) -> dict[str, str]:
     """All symbols in one table."""
     return {**IPA_CONSONANTS, **IPA_VOWELS, **({} if is_english else IPA_NOT_ENGLISH)}
 
+
+# espeak-ng through ctypes: the pronunciation of words in many languages.
 
 SYSTEM_LIBRARY = "libespeak-ng.so.1"
 MISSING = (

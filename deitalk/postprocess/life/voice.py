@@ -17,13 +17,6 @@ from deitalk.audio.vocal_strength import LEVEL_DB, PITCH_SEMITONES, Prosody
 from rig.arrays import Bool, Float32, Float64
 from rig.curves.edit import gaussian_smooth
 
-# Shapes over time that the parts share: swells of events, slow noise, fades at the ends.
-#
-# All are given for consecutive frames, and do not depend on how a stream is divided.
-#
-# Letters: T frames at 30 per second, n frames of a call, K channels.
-
-
 # Random numbers of a take, and the traits of its character.
 #
 # The seed of a take is the hash of its sound with the name of the actor, a number and the emotion:
@@ -117,6 +110,12 @@ def _hash(parts: Iterable[bytes]) -> int:
         digest.update(part)
     return int.from_bytes(digest.digest()[:8], "little")
 
+
+# Shapes over time that the parts share: swells of events, slow noise, fades at the ends.
+#
+# All are given for consecutive frames, and do not depend on how a stream is divided.
+#
+# Letters: T frames at 30 per second, n frames of a call, K channels.
 
 ONSET_SECONDS, FADE_SECONDS = 0.5, 0.9
 """Motion begins at rest with a take, and comes to rest before its end."""

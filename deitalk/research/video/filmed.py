@@ -32,14 +32,6 @@ from rig.face.motion.rigid import LOOK_UP, UPPER_UP, WIDEN
 from rig.face.web_export import head_arrays
 from rig.retarget.morph_head import head_landmarks
 
-# Straightened landmarks to the measures of a head's face, fitted to the person's proportions.
-#
-# People differ in size and in how their faces rest, so that measures become displacements from the
-# person's rest, in cm of the head: across by the widths of the mouths, up and down by the heights
-# from nose to chin, brows by the distances of the eyes, lids by the gaps of open and closed eyes.
-#
-# Letters: T frames, M measures (`MEASURES`).
-
 # Measures of a face that landmarks show, as a differentiable function of the 185 curves.
 #
 # Widens the lips of `HeadLips` by each side of the mouth, brows and lids; lids turn
@@ -177,6 +169,14 @@ def _brow_vertex(head: Head, side: str, place: float) -> int:
     near = brow[np.abs(along - wanted) <= 0.08 * np.ptp(along)].mean(axis=0)
     return int(np.argmin(np.linalg.norm(head.skin.vertices - near, axis=1)))
 
+
+# Straightened landmarks to the measures of a head's face, fitted to the person's proportions.
+#
+# People differ in size and in how their faces rest, so that measures become displacements from the
+# person's rest, in cm of the head: across by the widths of the mouths, up and down by the heights
+# from nose to chin, brows by the distances of the eyes, lids by the gaps of open and closed eyes.
+#
+# Letters: T frames, M measures (`MEASURES`).
 
 CLOSED_PERCENTILE = 5
 """Of the opening in a take: lips that touch."""

@@ -25,7 +25,7 @@ from rig.face.render.shading import FAR, NEAR, Picture, View, background
 
 # Compiled loops of the software renderer: scan conversion and light (numba).
 #
-# They take the places of the fragment stage of a graphics card; `shading.glsl` is the same light.
+# They take the places of the fragment stage of a graphics card; `shading.glsl()` is the same light.
 
 # mypy: allow-untyped-decorators, allow-untyped-calls, allow-any-generics
 
@@ -285,7 +285,7 @@ def _window(nx: Any, ny: Any, nz: Any, vx: Any, vy: Any, vz: Any) -> Any:
 
 @compiled
 def _light(count: Any, places: Any) -> None:
-    """Put light on the paint of each place: the colour, sRGB 0 to 1, that `shading.glsl` gives."""
+    """Put light on the paint of each place: the sRGB colour, 0 to 1, of `shading.glsl()`."""
     for i in range(count):
         nx, ny, nz = places[NX + i], places[NY + i], places[NZ + i]
         vx, vy, vz = (places[TO_EYE + i], places[TO_EYE + PLACES + i],
