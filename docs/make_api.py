@@ -99,7 +99,7 @@ def signature(function: Any) -> str:
 
 def _members(kind: type) -> list[str]:
     """Public methods, properties and fields of a class, in the order of the source."""
-    shown = [*vars(kind).get("__annotations__", {})] if not hasattr(kind, "model_fields") else []
+    shown = [*inspect.get_annotations(kind)] if not hasattr(kind, "model_fields") else []
     for name, value in vars(kind).items():
         is_member = isinstance(value, property | classmethod | staticmethod)
         if is_member or hasattr(value, "func") or inspect.isfunction(value):

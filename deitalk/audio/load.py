@@ -3,6 +3,7 @@
 Letters: N samples at the source's rate, n of a block, C channels.
 """
 
+import stat
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -388,16 +389,17 @@ def check_path(path: Path) -> None:
         If it is no regular file, is empty or must not be read.
     """
     try:
-        if path.is_dir():
+        found = path.stat()
+        if stat.S_ISDIR(found.st_mode):
             raise AudioError(f"{path} is a folder, not a recording; name one file in it")
-        if not path.exists():
-            raise AudioError(f"there is no recording {path}; check the path")
-        if not path.is_file():
+        if not stat.S_ISREG(found.st_mode):
             raise AudioError(f"{path} is not a regular file; pass its content as bytes")
-        if path.stat().st_size == 0:
+        if found.st_size == 0:
             raise AudioError(f"{path} is empty (0 bytes); record or export it again")
         with path.open("rb"):
             pass
+    except (FileNotFoundError, NotADirectoryError) as error:
+        raise AudioError(f"there is no recording {path}; check the path") from error
     except OSError as error:
         raise AudioError(
             f"cannot read {path}: {error.strerror}; check its name and permissions"

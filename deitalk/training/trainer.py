@@ -36,7 +36,7 @@ from deitalk.training.run_folder import (
     save_state,
     summary_writer,
 )
-from deitalk.workers import end_with_parent
+from deitalk.workers import WORKER_START, end_with_parent
 from rig.errors import UserError
 
 LOG_EVERY = 25
@@ -310,6 +310,7 @@ class Trainer(Generic[Item]):
             self.task.batches(share),
             batch_size=None,
             num_workers=self.settings.workers,
+            multiprocessing_context=WORKER_START if self.settings.workers else None,
             worker_init_fn=end_with_parent,
         )
         for batch in loader:
