@@ -121,9 +121,9 @@ def _suffix(name: str) -> str:
     return by_name[lower]
 
 
-def has_digits(suffix: str) -> bool:
-    """Whether a format of a line is written with a number of digits."""
-    return suffix == TAKE or "digits" in _format(suffix).options
+def has_option(suffix: str, option: str) -> bool:
+    """Whether an option of `rig.formats.table.Format` applies to a format of a line."""
+    return suffix == TAKE or option in _format(suffix).options
 
 
 def _format(suffix: str) -> Format:
@@ -133,7 +133,7 @@ def _format(suffix: str) -> Format:
 @cache
 def _check_digits(digits: int, formats: tuple[str, ...]) -> None:
     """Raise if there are too few or too many digits, or none of the formats has them."""
-    taking = any(map(has_digits, formats))
+    taking = any(has_option(suffix, "digits") for suffix in formats)
     checked_digits(digits, None if taking else _format(formats[0]))
 
 

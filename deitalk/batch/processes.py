@@ -28,7 +28,7 @@ from weakref import finalize
 from deitalk.acting import Acting
 from deitalk.audio.frames import FRAME_RATE
 from deitalk.batch.cloud import read_recording, upload
-from deitalk.batch.lines import TAKE, File, Order, Outcome, Target, has_digits
+from deitalk.batch.lines import TAKE, File, Order, Outcome, Target, has_option
 from deitalk.errors import DeitalkError
 from deitalk.models.load import Backend
 from deitalk.pipeline.performance import Performance
@@ -360,6 +360,8 @@ class Performer:
         performance = finish(prepared, reading)
         written = order.written
         start, note = start_of(written.timecode, written.fps, prepared.recording.start)
+        if start and not any(has_option(suffix, "start") for suffix in written.formats):
+            note = f"{', '.join(written.formats)} without time code: starts at 0"
         folder, targets = self._write(order, performance, start)
         staged = _files(folder, targets)
         files = tuple(staged.values())
@@ -402,7 +404,7 @@ class Performer:
                 targets.append(Target(TAKE, order.output))
             else:
                 name = f"{place}{suffix}"
-                given: Any = form | spoken | (digits if has_digits(suffix) else {})
+                given: Any = form | spoken | (digits if has_option(suffix, "digits") else {})
                 write_curves(folder / name, performance.curves, **given)
                 targets.append(Target(name, order.output + suffix))
         return folder, tuple(targets)

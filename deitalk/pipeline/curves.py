@@ -1,6 +1,6 @@
 """The main path: speech and an emotion in, 185 curves out."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -158,8 +158,6 @@ def prepare(
     if words is not None and not acting.rules:
         raise DeitalkError("words belong to the rules, which are off; give one of the two")
     recording = recording_of(audio, sample_rate)
-    if words is None and "language" in acting.settings:
-        recording = recording.noted(f"language {acting.language} is of words: none are given")
     recording = _with_note_on("intensity curve", acting.intensity_curve, recording)
     suggestion = None
     if acting.emotion == AUTO:
@@ -171,6 +169,7 @@ def prepare(
     clock.lap("model")
     factors = gain_factors(network.controls, acting.gain)
     rules = network.rules if acting.rules else RulesConfig.none()
+    recording = recording.noted(*_notes_on_unused(acting, rules))
     speech = Speech.of_recording(recording, rules.gates)
     weights = acting.track.at(speech.times)
     style = chosen_actor(network.actors, acting.style)
@@ -178,6 +177,17 @@ def prepare(
     return Prepared(
         network, recording, acting, speech, weights, style, rules, factors, words, clock, suggestion
     )
+
+
+def _notes_on_unused(acting: Acting, rules: RulesConfig) -> Iterator[str]:
+    """Notes on fields that are given and change nothing."""
+    if acting.words is None and "language" in acting.settings:
+        yield f"language {acting.language} is of words: none are given"
+    if rules.idle is None or acting.motion is None:
+        of_motion = acting.settings.keys() & {"life", "look_at", "seed"}
+        if unused := sorted(of_motion - ({"life"} if acting.motion is None else set())):
+            why = "the rules that move it are off" if acting.motion else "life is off"
+            yield f"{', '.join(unused)} not used: {why}"
 
 
 def _suggested(

@@ -186,6 +186,8 @@ def write_curves(
     if fps is not None:
         curves = curves.resample(fps)
     curves, clipped, note = _prepared(path, curves, chosen)
+    if start and "start" not in chosen.options:
+        note = "; ".join(filter(None, (f"{chosen.name} has no time code: it starts at 0", note)))
     options = {name: value for name, value in given.items() if name in chosen.options}
     try:
         with atomic_write(path) as beside:

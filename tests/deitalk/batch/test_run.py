@@ -99,6 +99,12 @@ def test_changed_row_is_the_only_one_done_again(run, orders, lines):
     assert after["anna/b.csv"] != before["anna/b.csv"]
 
 
+@each(("formats", "is_named"), [("csv;npz", True), ("csv;livelink", False)])
+def test_a_time_code_that_no_format_has_is_a_warning(run, formats, is_named):
+    for row in run(formats=formats, timecode="10:00:00:00").rows:
+        assert ("starts at 0" in row.warnings) is is_named
+
+
 def test_recording_counts_by_its_bytes(run, orders, lines):
     run()
     sound = lines / "anna" / "a.wav"

@@ -196,6 +196,21 @@ def test_another_seed_or_recording_changes_eyes_brows_and_sides_only(network, ch
     np.testing.assert_array_equal(a, values(speech, "happy", model=network, seed=1))
 
 
+@each(
+    ("fields", "named"),
+    [
+        ({"language": "de"}, "language de"),
+        ({"rules": False, "look_at": "10,0", "seed": 1}, "look_at, seed not used"),
+        ({"life": "off", "seed": 1}, "seed not used"),
+        ({"life": "off", "look_at": "10,0"}, ""),
+        ({"life": "off", "rules": False}, ""),
+    ],
+)
+def test_a_field_that_changes_nothing_is_named(network, fields, named):
+    notes = animate(recording(0.3), model=network, **fields).recording.warnings
+    assert [note[: len(named)] for note in notes] == [named] * bool(named)
+
+
 def test_idle_motion_leaves_the_mouth_as_it_is(network):
     speech = recording(4)
     lively = animate(speech, "angry", model=network, life="brows=2,head=2,gaze=2,blinks=2")

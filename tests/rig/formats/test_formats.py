@@ -113,6 +113,12 @@ def test_write_curves_resamples_to_a_given_rate(tmp_path):
     assert read_curves(tmp_path / "c.csv").fps == 24
 
 
+def test_a_time_code_that_a_format_lacks_is_named(tmp_path):
+    curves = rest_curves(3)
+    assert "starts at 0" in write_curves(tmp_path / "a.csv", curves, start=60).note
+    assert not write_curves(tmp_path / "a.unreal.json", curves, start=60).note
+
+
 @each("fps", [24, 25, 29.97, 30, 50, 60, 23.976, 59.94])
 def test_rate_is_inferred_from_the_times_of_two_frames(tmp_path, fps):
     for n_frames in (2, 3, 1000):
