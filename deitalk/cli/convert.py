@@ -48,8 +48,8 @@ def convert(
         float | None, typer.Option(help="Rate of the source, Hz, if the file does not contain it.")
     ] = None,
     digits: Digits = None,
-    start: Annotated[float, typer.Option(help="First second to take.")] = 0.0,
-    end: Annotated[float | None, typer.Option(help="Second to stop before.")] = None,
+    start: Annotated[float, typer.Option(min=0, help="First second to take.")] = 0.0,
+    end: Annotated[float | None, typer.Option(min=0, help="Second to stop before.")] = None,
     gain: Annotated[
         list[str] | None,
         typer.Option(help="NAME=FACTOR of a control or region, around rest: brow=0.5. Repeatable."),
@@ -108,7 +108,10 @@ def convert(
     wanted, head = _control_set(rig, target, to), _head(identity)
     curves = read_curves(curves_of(source), format=from_, fps=source_fps, control_set=None)
     if start or end is not None:
-        curves = curves.slice_seconds(start, end)
+        whole, curves = curves.duration, curves.slice_seconds(start, end)
+        if not len(curves):
+            stop = "" if end is None else f" to {end:g}"
+            raise DeitalkError(f"no frame lies in seconds {start:g}{stop} of the {whole:.2f} s")
     if gain or offset or mirror or smooth:
         gains, offsets = _pairs(gain, "--gain"), _pairs(offset, "--offset")
         curves = _edited(to_set(curves, DEFAULT_ID), gains, offsets, mirror, smooth)

@@ -63,7 +63,9 @@ def read(path: Path, controls: ControlSet | None = None, fps: float | None = Non
     numbers, _ = read_numbers(path, header)
     if fps is None:
         if "time" not in header:
-            raise FormatError(f"{path} has no column 'time'; give `fps`", parameter="fps")
+            raise FormatError(
+                f"{path} has no column 'time'; give fps, or --source-fps to deitalk convert"
+            )
         fps = fps_of(numbers[:, header.index("time")], where=str(path))
     curves = RigCurves(numbers[:, columns].astype(np.float32), names, fps, control_set=controls.id)
     return curves.reorder(controls)

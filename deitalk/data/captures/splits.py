@@ -98,7 +98,8 @@ def shortage(train: int, validation: int) -> str:
     """Message for a dataset that lacks clips to train on or to validate."""
     return (
         f"{train} clips to train on and {validation} to validate, needs one of each; import "
-        "longer or more takes, fill the column split, or tune with --leave-out"
+        "longer or more takes, fill the column split, or import with --split-by none and tune with "
+        "--leave-out"
     )
 
 

@@ -111,12 +111,15 @@ def test_convert_refuses_to_overwrite_without_force(curves_file, tmp_path):
         (["{curves}", "out.csv", "--gain", "nose_=2"], "unknown control 'nose_'"),
         (["{curves}", "out.csv", "--smooth", "-1"], "finite time of 0 or more"),
         (["{curves}", "out.csv", "--fps", "0"], "fps=0 must be from 0.01 to 1000"),
-        (["{curves}", "out.csv", "--start", "9"], "no frames"),
+        (["{curves}", "out.csv", "--start", "9"], "no frame lies in seconds 9 of"),
+        (["{emoface}", "out.csv"], "--source-fps"),
     ],
 )
 def test_errors_are_one_line(curves_file, tmp_path, arguments, message, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    result = run("convert", *[a.format(curves=curves_file) for a in arguments])
+    emoface = tmp_path / "take.txt"
+    emoface.write_text("0\n")
+    result = run("convert", *[a.format(curves=curves_file, emoface=emoface) for a in arguments])
     assert isinstance(result.exception, (DeitalkError, RigError))
     assert message in str(result.exception) and "\n" not in str(result.exception)
 
