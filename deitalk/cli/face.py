@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from deitalk.cli.console import bar, console, emit, emit_json, reserve_file
+from deitalk.cli.console import bar, console, curves_of, emit, emit_json, reserve_file
 from deitalk.cli.options import CheckedCommands, Force, Identity
 from deitalk.errors import DeitalkError
 from deitalk.installed import research
@@ -161,16 +161,21 @@ def preview(
     from deitalk.preview.video import PAGES, check_needs, render_video
 
     others = versus or []
+    target = out or _beside(source)
+    is_page = target.suffix.lower() in PAGES
+    if (others and not is_page) or (view != "mouth" and is_page):
+        raise DeitalkError("--versus is of a page (.html), --view of a video (.mp4); leave it out")
+    for path in (source, *others):
+        curves_of(path)  # or an error for a recording
     shown = [load_source(path) for path in others]
     shown = [load_source(source, audio, phones), *shown]
-    target = out or _beside(source)
     if shown[0].is_board:
         for note in check_needs([target]):
             console().note(note)
     reserve_file(target, force=force, inputs=(source, audio, phones, *others))
     for time, text in find_warnings(shown[0]):
         console().print(f"{time:6.2f} s  {text}")
-    if target.suffix.lower() in PAGES:
+    if is_page:
         render_page(shown, target, identity=identity, force=force)
     else:
         with bar("drawing") as progress:

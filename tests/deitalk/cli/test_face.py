@@ -38,6 +38,18 @@ def test_identity_is_refused_where_no_head_is_written(tmp_path, out):
     assert not list(tmp_path.iterdir())
 
 
+@each(
+    ("arguments", "message"),
+    [
+        (["a.csv", "--versus", "b.csv", "-o", "x.mp4"], "--versus is of a page"),
+        (["a.csv", "--view", "eyes", "-o", "x.html"], "--view of a video"),
+        (["a.wav"], "is a recording"),
+    ],
+)
+def test_what_a_preview_cannot_show_is_refused(arguments, message):
+    assert message in str(CliRunner().invoke(app, ["preview", *arguments]).exception)
+
+
 def test_animate_writes_the_given_head(tmp_path, monkeypatch):
     def write(path, curves, identity=0):
         path.write_text(str(identity))
