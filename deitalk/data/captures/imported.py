@@ -377,6 +377,7 @@ class _Writer:
             spans = []
         if capture.seen is not None:
             spans = within_captured(spans, capture.seen, curves.fps)
+        rows = [slice(round(FRAME_RATE * a), round(FRAME_RATE * b)) for a, b in spans]
         reason = "" if spans else "no speech" if original == name else f"a copy of {original}"
         for number, span in enumerate(spans, 1):
             self._clip(name, f"{name}_{number:03d}", span, labels, capture, sound)
@@ -389,7 +390,7 @@ class _Writer:
                 labels.emotion,
                 curves.fps,
                 seconds,
-                float(speaking.sum()) / FRAME_RATE if spans else 0.0,
+                float(sum(speaking[row].sum() for row in rows)) / FRAME_RATE,
                 len(spans),
                 float(np.median(voiced)) if len(voiced) >= VOICED_FRAMES else float("nan"),
                 (*capture.notes, *_notes(labels, capture, sound, reason)),

@@ -335,6 +335,14 @@ def test_time_without_a_frame_is_in_no_clip(tmp_path):
     assert any(stop > 7 for _, stop in spans) and any(start >= 11.9 for start, _ in spans)
 
 
+def test_speech_beyond_the_curves_does_not_count(tmp_path):
+    path = write_live_link(tmp_path / "t" / "a.csv", 20)
+    whole = read_take(path)
+    write_take(path, replace(whole, ticks=whole.ticks[:180], values=whole.values[:180]))
+    (take,) = import_captures([path], tmp_path / "data", labels=ANNA).takes
+    assert 0 < take.speech_seconds <= 6
+
+
 def test_percentages_are_told(tmp_path):
     path = write_live_link(tmp_path / "t" / "a.csv", 6)
     take = read_take(path)
