@@ -263,6 +263,8 @@ def model_folder(name_or_path: str | Path) -> Path:
     else:
         folder = Path(name_or_path)
     if not (folder / "model.safetensors").is_file() or not (folder / "config.yaml").is_file():
+        if (folder / "best" / "model.safetensors").is_file():
+            raise CheckpointError(f"{folder} is a run; its model is {folder / 'best'}")
         raise CheckpointError(
             f"{name_or_path}: no model there (config.yaml and model.safetensors); name a folder, "
             f"org/name on the hub, or one of {', '.join(embedded_models()) or 'no embedded models'}"
