@@ -245,6 +245,11 @@ def mix_models(before: DEITalk, after: DEITalk, share: float) -> DEITalk:
         raise CheckpointError(f"share {quoted(share)} is beyond 0 to 1")
     if before.controls.names != after.controls.names:
         raise CheckpointError("the models have different controls; mix models of one rig")
+    if type(before.frontend) is not type(after.frontend):
+        raise CheckpointError(
+            f"the networks differ: {type(before.frontend).__name__} and "
+            f"{type(after.frontend).__name__}; mix a model with one that was tuned from it"
+        )
     new = after.state_dict()
     old = _widened(before.state_dict(), new)
     _check_shapes(old, new)

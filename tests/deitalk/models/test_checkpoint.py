@@ -147,6 +147,12 @@ def test_embedded_models_load_as_their_kind(name, kind):
     assert product_of(name) == ("curves" if kind is DEITalk else "mesh")
 
 
+def test_a_run_names_its_model(folder):
+    folder.rename(folder.with_name("best"))
+    with pytest.raises(CheckpointError, match=r"is a run; its model is .*best"):
+        load_model(folder.parent)
+
+
 def test_required_kind_rejects_another_and_names_both(folder, model):
     with pytest.raises(
         CheckpointError,
@@ -158,12 +164,6 @@ def test_required_kind_rejects_another_and_names_both(folder, model):
     with pytest.raises(CheckpointError, match="is a dict; a mesh model is needed"):
         require_model({}, MeshModel)
     assert require_model(model, DEITalk) is model
-
-
-def test_a_run_names_its_model(folder):
-    folder.rename(folder.with_name("best"))
-    with pytest.raises(CheckpointError, match=r"is a run; its model is .*best"):
-        load_model(folder.parent)
     assert isinstance(require_model(folder, DEITalk), DEITalk)
 
 

@@ -50,6 +50,13 @@ def test_models_that_do_not_fit_are_refused():
         mix_models(model(0, actors=("anna", "ben")), model(1, actors=("anna", "ben", "carl")), 0.5)
 
 
+def test_networks_of_one_shape_and_another_frontend_are_refused():
+    before, after = model(0), model(0)
+    after.frontend.__class__ = type("Other", (type(after.frontend),), {})
+    with pytest.raises(CheckpointError, match=r"the networks differ: .* and Other"):
+        mix_models(before, after, 0.5)
+
+
 def test_styles_of_new_actors_begin_at_zero():
     after = model(1, actors=("anna", "ben"))
     name = "decoder.actors.weight"
