@@ -45,6 +45,8 @@ def recording_of(audio: Audio, sample_rate: float | None = None) -> Recording:
     AudioError
         As raised by either of them, or if `sample_rate` is missing or not allowed.
     """
+    if isinstance(audio, list | tuple):
+        raise AudioError(f"a {type(audio).__name__} is no recording; pass numpy.asarray of it")
     if hasattr(audio, "__array__") and not isinstance(audio, Recording):
         if sample_rate is None:
             raise AudioError(

@@ -99,6 +99,8 @@ def parse_formats(text: str) -> tuple[str, ...]:
     DeitalkError
         If one is unknown or cannot be written.
     """
+    if not isinstance(text, str):
+        raise DeitalkError(f"formats {quoted(text)} must be a text such as csv;take")
     names = [name for name in re.split(r"[\s,;|+]+", text.strip()) if name]
     found = tuple(dict.fromkeys(_suffix(name) for name in names))
     if not found:

@@ -386,6 +386,9 @@ def animate_batch(
         must not or cannot be written.
     """
     began = monotonic()
+    for name, path in {"source": source, "out": out}.items():
+        if not isinstance(path, str | Path):
+            raise DeitalkError(f"{name} {quoted(path)} must be a path or a URL")
     written = Written(parse_formats(formats), fps, digits, timecode).checked()
     defaults = Line(0, "", "", acted_as(emotion, acting, fields), written, actor)
     # Refuse a device that this machine lacks; those of a cluster are checked there.

@@ -48,8 +48,19 @@ def by_emotion(table: Mapping[str, Sequence[float]]) -> Float64:
     return np.array([table.get(name, none) for name in LABELS])
 
 
+def _numbers(values: npt.ArrayLike, name: str) -> Float64:
+    try:
+        numbers = np.asarray(values, np.float64)
+    except (TypeError, ValueError):
+        numbers = np.array(np.nan)
+    if not np.isfinite(numbers).all():
+        raise EmotionError(f"{name} {quoted(values)} must be finite numbers")
+    return numbers
+
+
 def _check_times(times: Float64, rows: Float64) -> None:
-    if not 0 < len(times) == len(rows) or not (np.diff(times) > 0).all():
+    one_each = times.ndim == 1 and rows.ndim and 0 < len(times) == len(rows)
+    if not one_each or not (np.diff(times) > 0).all():
         raise EmotionError("times must be seconds that rise, one for each row of values")
 
 
@@ -69,8 +80,15 @@ class EmotionTrack:
     weights: Float64
 
     def __post_init__(self) -> None:
-        _check_times(self.times, self.weights)
-        object.__setattr__(self, "weights", with_moods(self.weights))
+        times, weights = _numbers(self.times, "times"), _numbers(self.weights, "weights")
+        _check_times(times, weights)
+        weights = with_moods(weights)
+        if weights.shape != (len(times), len(LABELS)):
+            raise EmotionError(f"weights of shape {weights.shape} must be (keys, {len(LABELS)})")
+        if weights.min() < 0 or np.abs(weights.sum(axis=1) - 1).max() > ROUNDING:
+            raise EmotionError("weights must be 0 to 1, and those of a key sum to 1")
+        object.__setattr__(self, "times", times)
+        object.__setattr__(self, "weights", weights)
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, EmotionTrack) and (
@@ -112,7 +130,12 @@ class IntensityCurve:
     values: Float64
 
     def __post_init__(self) -> None:
-        _check_times(self.times, self.values)
+        times, values = _numbers(self.times, "times"), _numbers(self.values, "values")
+        _check_times(times, values)
+        if values.ndim > 1 or values.min() < 0 or values.max() > MAX_INTENSITY:
+            raise EmotionError(f"values must be intensities, 0 to {MAX_INTENSITY:g}, one per time")
+        object.__setattr__(self, "times", times)
+        object.__setattr__(self, "values", values)
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, IntensityCurve) and (

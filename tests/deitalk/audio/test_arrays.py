@@ -81,3 +81,5 @@ def test_sample_rate_is_required_for_arrays_and_rejected_for_files(stereo, tmp_p
         animate(stereo)
     with pytest.raises(AudioError, match="sample_rate=16000 belongs to an array"):
         recording_of(tmp_path / "a.wav", 16_000)
+    with pytest.raises(AudioError, match=r"a list .* numpy\.asarray"):
+        recording_of([0.0], 16_000)

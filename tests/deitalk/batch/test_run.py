@@ -268,6 +268,8 @@ def test_journal_of_another_version_or_damaged_is_refused(run):
         ({"source": "none.csv"}, DataError, "does not exist"),
         ({"workers": 0}, ValueError, "1 or more"),
         ({"formats": ""}, ValueError, "no format"),
+        ({"formats": ["csv"]}, DeitalkError, "a text such as"),
+        ({"source": ["a.wav"]}, DeitalkError, "a path or a URL"),
         ({"emotion": "hapy"}, ValueError, "hapy"),
         ({"backend": "jax"}, ValueError, "torch or onnx"),
         ({"device": "cuda:99"}, DeitalkError, r"torch finds \w+ CUDA device"),

@@ -1,6 +1,7 @@
 """Emotions in every spelling: equal weights, and one line for every error."""
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from deitalk.emotions import (
     IntensityCurve,
     check_intensity,
     parse_emotion,
+    parse_intensity_curve,
     read_intensity_curve,
     write_intensity_csv,
 )
@@ -132,6 +134,32 @@ def test_keys_at_one_time_mix(tmp_path):
 )
 def test_parse_emotion_rejects_in_one_line(emotion, words):
     assert_error(emotion, *words)
+
+
+@each(
+    ("make", "words"),
+    [
+        (lambda: EmotionTrack([0], [[0, 0, 2, 0, 0]]), "sum to 1"),
+        (lambda: EmotionTrack([0], [[2, -1, 0, 0, 0]]), "0 to 1"),
+        (lambda: EmotionTrack([0], [[0, 0, 1]]), "must be (keys, 9)"),
+        (lambda: EmotionTrack([0], [[0, 0, np.nan, 0, 0]]), "finite"),
+        (lambda: EmotionTrack([1, 0], np.eye(5)[:2]), "rise"),
+        (lambda: IntensityCurve([0], [9]), "0 to 4"),
+        (lambda: IntensityCurve([0], ["a"]), "finite"),
+        (lambda: IntensityCurve([0, 1], [1]), "one for each"),
+    ],
+)
+def test_tracks_of_wrong_numbers_are_refused(make, words):
+    with pytest.raises(EmotionError, match=re.escape(words)):
+        make()
+
+
+def test_tracks_take_lists():
+    track, curve = (
+        EmotionTrack([0, 1], [[0, 0, 1, 0, 0], [1, 0, 0, 0, 0]]),
+        IntensityCurve([0], [1]),
+    )
+    assert parse_emotion(str(track)) == track and parse_intensity_curve(str(curve)) == curve
 
 
 @each("suffix", [".csv", ".json", ".yaml"])
