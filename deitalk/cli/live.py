@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -391,14 +391,24 @@ def live(
     """
     if (source is not None) + mic + (record is not None) != 1:
         raise DeitalkError("give one of a recording, a take or curves, --mic, and --record")
+    of_model = {"model": model != "live", "backend": backend != "torch"}
     if record is not None:
+        _refuse(
+            "--record", **dict.fromkeys(given.acting.settings, True), **of_model, input=source_name,
+            protocol=protocol != "livelink", fps=fps, loop=loop, rig=rig != "board", play=play,
+            start_signal=start_signal,
+        )  # fmt: skip
         record_face(
             record, host, port, subject=subject, seconds=seconds, timeout=timeout, force=force
         )
         return
     link = link_of(host, port, protocol, subject or "deitalk", rig, fps)
-    whole = source is not None and not (is_sound(source) and _is_live(model))
-    if source is not None and whole:
+    _refuse("sending", timeout=timeout is not None, force=force)
+    if source is not None:
+        _refuse(str(source), input=source_name)
+        if not is_sound(source):
+            _refuse(str(source), **of_model)
+    if source is not None and not (is_sound(source) and _is_live(model)):
         send_source(
             source, given.acting, (model, backend), link, fps=fps, seconds=seconds, loop=loop,
             play=play, start_signal=start_signal,
@@ -410,6 +420,13 @@ def live(
             "curves; leave them out"
         )
     _speak(source, source_name, given.acting, model, backend, link, seconds)
+
+
+def _refuse(kind: str, **options: Any) -> None:
+    """Raise for options that are given, neither None nor False, and that a kind does not use."""
+    unused = [f"--{name.replace('_', '-')}" for name, value in options.items() if value]
+    if unused:
+        raise DeitalkError(f"{kind} does not use {', '.join(unused)}; leave it out")
 
 
 def _is_live(model: str) -> bool:
