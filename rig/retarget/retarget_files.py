@@ -125,7 +125,18 @@ def retarget_curves(
     if keys and check_out(out) != "glb":
         raise FormatError(f"keys={keys:g} does not apply to {out}; it does to .glb and .fbx")
     report = _retarget(curves, mesh, out, landmarks, mapping, method, as_neutral, keys)
-    return replace(report, notes=(*report.notes, *[CUBIC][: bool(keys)]))
+    notes = (*report.notes, *[CUBIC][: bool(keys)])
+    drives, is_own = report.way == "blendshapes", known_controls(curves.control_set) is None
+    given = {
+        "landmarks": drives and landmarks is not None,
+        "method": drives and method != "displacements",
+        "mapping": (is_own or not drives) and mapping is not None,
+        "as_neutral": is_own and as_neutral,
+    }
+    if unused := [name for name, value in given.items() if value]:
+        way = "the shapes of the mesh are driven" if drives else "shapes are made for the mesh"
+        notes = (*notes, f"{', '.join(unused)} not used: {way}")
+    return replace(report, notes=notes)
 
 
 def _retarget(

@@ -86,6 +86,14 @@ def test_own_shapes_are_driven_in_every_file_format(tmp_path, shapes, curves, ki
     np.testing.assert_allclose(glb_weights(tmp_path / "out.glb"), EXPECTED, atol=1e-6)
 
 
+def test_what_only_a_neutral_mesh_uses_is_named(tmp_path, shapes, curves):
+    write_glb(tmp_path / "face.glb", shapes)
+    report = retarget_curves(
+        curves, tmp_path / "face.glb", tmp_path / "out.glb", landmarks="l.json", method="gradients"
+    )
+    assert "landmarks, method not used: the shapes of the mesh are driven" in report.notes
+
+
 def test_vertices_are_written_as_npz_or_ply(tmp_path, shapes, curves):
     write_glb(tmp_path / "face.glb", shapes)
     retarget_curves(curves, tmp_path / "face.glb", tmp_path / "out.npz")
