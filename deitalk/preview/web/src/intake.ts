@@ -23,15 +23,17 @@ export function bindIntake(intake: Intake): void {
     input.value = "";
   });
   addEventListener("dragover", (event) => {
+    if (!event.dataTransfer?.types.includes("Files")) return;
     event.preventDefault();
     document.body.classList.add("dragging");
   });
   addEventListener("dragleave", (event) => !event.relatedTarget && document.body.classList.remove("dragging"));
   addEventListener("drop", (event) => {
+    if (!event.dataTransfer?.types.includes("Files")) return;
     event.preventDefault();
     document.body.classList.remove("dragging");
-    const entry = event.dataTransfer?.items[0]?.webkitGetAsEntry?.();
-    const file = event.dataTransfer?.files[0];
+    const entry = event.dataTransfer.items[0]?.webkitGetAsEntry?.();
+    const file = event.dataTransfer.files[0];
     if (entry?.isDirectory) void openFolder(entry as FileSystemDirectoryEntry, intake);
     else if (file) void open(file, intake);
   });

@@ -21,7 +21,7 @@ async function loadTakes(player: Player, head: Packed): Promise<void> {
 async function start(): Promise<void> {
   const head = text("head") ? await unpack(text("head")) : undefined;
   const player = new Player(head);
-  $("notice").addEventListener("click", () => notice(""));
+  $("notice").addEventListener("click", () => String(getSelection()) || notice(""));
   let studio: Studio | undefined;
   if (head && text("take-0")) await loadTakes(player, head);
   else if (head && text("service")) await (studio = new Studio(player)).restore();

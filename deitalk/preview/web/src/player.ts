@@ -38,7 +38,7 @@ export class Player {
   first?: Float32Array;
   private readonly faces?: Faces;
   private readonly sound: SoundView;
-  private live?: Float32Array;
+  private live?: { values: Float32Array; head?: Float32Array };
   private gallery?: { takes: Take[]; captions: Caption[] };
 
   constructor(readonly head?: Packed) {
@@ -57,7 +57,7 @@ export class Player {
     if (head && !document.querySelector("#take-0")) this.faces!.set([{ title: "at rest" }]);
     this.intake = this.makeIntake();
     bindIntake(this.intake);
-    addEventListener("resize", () => this.layout());
+    new ResizeObserver(() => this.layout()).observe($("sound"));
   }
 
   get take(): Take | undefined {
@@ -81,6 +81,7 @@ export class Player {
 
   /** Begin with a take, its recording, and others to compare it with. */
   load(take: Take, wav: Uint8Array | null, others: Take[] = [], edit: Edit = NO_EDIT): void {
+    this.transport.pause();
     this.takes = [take, ...others];
     this.transport.fps = take.fps;
     this.transport.range = undefined;
@@ -119,10 +120,9 @@ export class Player {
   /** Show controls that come from elsewhere, until none are given. */
   showLive(values?: Float32Array, head?: Float32Array): void {
     const isSame = !this.live === !values;
-    this.live = values;
+    this.live = values && { values, head };
     if (!isSame) this.showFaces();
-    if (values) this.faces?.show([values], [head]);
-    else if (!isSame) this.transport.show(this.transport.shown);
+    if (values || !isSame) this.transport.show(this.transport.shown);
   }
 
   seek(seconds: number): void {
@@ -149,6 +149,7 @@ export class Player {
     const { takes } = this, [first] = takes;
     this.showFaces();
     $("title").textContent = takes.map((take) => take.title).join(" | ");
+    $("drop-other").hidden = takes.length < 2;
     this.workbench?.show(first, takes.slice(1));
     this.layout();
   }
@@ -179,6 +180,7 @@ export class Player {
   private opened(): void {
     const { model } = this.opener;
     if (!this.take) {
+      this.transport.pause();
       this.clock.load(null, model?.seconds ?? 0);
       this.span.reset(this.clock.seconds);
     }
@@ -189,7 +191,7 @@ export class Player {
   private draw(seconds: number): void {
     const late = Number($<HTMLInputElement>("offset").value) / 1000;
     const takes = this.faceTakes;
-    if (this.live) this.faces?.show([this.live]);
+    if (this.live) this.faces?.show([this.live.values], [this.live.head]);
     else if (this.take) this.faces?.show(takes.map((t) => t.at(seconds + late)), takes.map((t) => t.headAt(seconds + late)));
     else if (this.head) this.faces?.show([this.first ?? Float32Array.from(this.board.rest)]);
     this.opener.model?.show(seconds + late);

@@ -41,7 +41,7 @@ export async function readTake(files: Map<string, Uint8Array>, title: string, bo
   const text = (name: string) => new TextDecoder().decode(files.get(name));
   if (!files.has("curves.json")) throw new Error("it has no curves.json; drop a folder that deitalk animate wrote");
   const take = packed(fromJson(text("curves.json")), board, title);
-  if (files.has("neutral.npz")) take.arrays.neutral = await neutralOf(files.get("neutral.npz")!, board);
+  if (files.has("neutral.npz")) take.arrays.neutral = await neutralOf(files.get("neutral.npz")!, take.arrays.values.length);
   const wav = files.get("audio.wav");
   if (wav) take.facts.audioSeconds = (wav.length - 44) / 2 / new DataView(wav.buffer, wav.byteOffset).getUint32(24, true);
   const about = files.has("take.json") ? JSON.parse(text("take.json")) : {};
@@ -55,10 +55,10 @@ export async function filesOfZip(data: ArrayBuffer): Promise<Map<string, Uint8Ar
   return new Map([...files].map(([name, bytes]) => [name.split("/").pop()!, bytes]));
 }
 
-async function neutralOf(npz: Uint8Array, board: Board): Promise<Float32Array> {
+async function neutralOf(npz: Uint8Array, length: number): Promise<Float32Array> {
   const arrays = await unzip(npz.slice().buffer as ArrayBuffer);
   const values = readNpy(arrays.get("values.npy") ?? new Uint8Array());
-  if (values.length % board.controls.length) throw new Error("neutral.npz has other controls than the board");
+  if (values.length !== length) throw new Error("neutral.npz has other frames or controls than curves.json");
   return values;
 }
 
@@ -86,7 +86,9 @@ function packed({ names, rows, fps, emotion, intensity, head, emotions = EMOTION
   const places = board.controls.map((name) => names.indexOf(name));
   if (places.every((place) => place < 0)) throw new Error("none of its curves is a control of the board");
   rows.forEach((row, f) => places.forEach((place, c) => (values[f * n + c] = place < 0 ? board.rest[c] : row[place])));
-  if (!(fps > 0) || values.some((value) => !Number.isFinite(value))) throw new Error("its numbers are not all finite");
+  const tracks = [emotion, intensity, head].filter((track) => track && track.length !== rows.length);
+  if (!rows.length || tracks.length) throw new Error("its tracks are not of one length");
+  if (!(fps > 0 && fps < Infinity) || values.some((value) => !Number.isFinite(value))) throw new Error("its numbers are not all finite");
   const arrays: Packed["arrays"] = { values };
   if (emotion) arrays.emotion = Float32Array.from(emotion.flat());
   if (intensity) arrays.intensity = Float32Array.from(intensity);

@@ -10,7 +10,6 @@ export class Clock {
 
   /** Begin with another recording, or none, at 0. */
   load(wav: Uint8Array | null, seconds: number): void {
-    if (this.running) this.pause();
     if (this.audio) URL.revokeObjectURL(this.audio.src);
     this.audio = undefined;
     this.seconds = seconds;

@@ -10,7 +10,7 @@ export const KEYS: [string, string][] = [
   ["1 2 3 4", "face, three quarter, side, mouth"], ["O", "open a file"], ["?", "this list"],
 ];
 
-const isText = (target: HTMLElement) =>
+export const isText = (target: HTMLElement) =>
   target.tagName === "TEXTAREA" || (target.tagName === "INPUT" && !/^(checkbox|range|button)$/.test((target as HTMLInputElement).type));
 
 /** Whether an element that has the focus uses a key itself. */
@@ -22,7 +22,8 @@ function ownKeys(target: HTMLElement, key: string): boolean {
 
 export function bindKeys(actions: Record<string, () => void>): void {
   addEventListener("keydown", (event) => {
-    if (event.ctrlKey || event.metaKey || event.altKey || $<HTMLDialogElement>("help").open) return;
+    const isOrder = (event.ctrlKey || event.metaKey || event.altKey) && !event.getModifierState("AltGraph");
+    if (isOrder || document.querySelector("dialog[open]")) return;
     if (ownKeys(event.target as HTMLElement, event.key)) return;
     const action = actions[event.key.length === 1 ? event.key.toLowerCase() : event.key];
     if (!action) return;

@@ -33,8 +33,10 @@ export class Transport {
   }
 
   seek(seconds: number): void {
-    this.clock.seek(seconds);
-    this.show(Math.min(Math.max(seconds, 0), this.clock.seconds));
+    const to = Math.min(Math.max(seconds, 0), this.clock.seconds);
+    this.clock.seek(to);
+    this.span.follow(to);
+    this.show(to);
   }
 
   show(seconds: number): void {
@@ -61,22 +63,20 @@ export class Transport {
     this.labelPlay();
   }
 
-  /** Play, if the browser allows it without a press. */
+  /** Play, if the browser allows it; a start that a pause cut short is none to end. */
   play(): void {
-    this.clock.play().catch(() => this.pause());
+    this.clock.play().catch((error) => error.name !== "AbortError" && this.pause());
     this.labelPlay();
   }
 
   private step(frames: number): void {
-    this.clock.pause();
+    this.pause();
     this.seek((Math.round(this.clock.time * this.fps) + frames) / this.fps);
-    this.labelPlay();
   }
 
-  private async toggle(): Promise<void> {
-    const started = this.clock.playing ? this.clock.pause() : this.clock.play();
-    this.labelPlay();
-    await started;
+  private toggle(): void {
+    if (this.clock.playing) this.pause();
+    else this.play();
   }
 
   private labelPlay(): void {
@@ -111,13 +111,12 @@ export class Transport {
     if (!clock.isAtEnd) return;
     if (isLoop) {
       clock.seek(range?.[0] ?? 0);
-      void clock.play();
-    } else clock.pause();
-    this.labelPlay();
+      this.play();
+    } else this.pause();
   }
 
   private bindButtons(): void {
-    $("play").addEventListener("click", () => void this.toggle());
+    $("play").addEventListener("click", () => this.toggle());
     $("back").addEventListener("click", () => this.step(-1));
     $("next").addEventListener("click", () => this.step(1));
     $<HTMLSelectElement>("speed").addEventListener("change", (e) =>
@@ -140,7 +139,7 @@ export class Transport {
     let from: number | undefined;
     const timeOf = (e: PointerEvent) => {
       const box = sound.getBoundingClientRect();
-      return this.span.time(e.clientX - box.left, box.width);
+      return this.span.time(Math.min(Math.max(e.clientX - box.left, 0), box.width), box.width);
     };
     const scrub = (e: PointerEvent) => {
       const time = timeOf(e);
@@ -148,6 +147,7 @@ export class Transport {
       else this.setRange([Math.min(from, time), Math.max(from, time)]);
     };
     sound.addEventListener("pointerdown", (e) => {
+      if (e.button) return;
       sound.setPointerCapture(e.pointerId);
       from = e.shiftKey ? timeOf(e) : undefined;
       scrub(e);
@@ -163,7 +163,7 @@ export class Transport {
     };
     const click = (id: string) => () => $(id).click();
     bindKeys({
-      " ": () => void this.toggle(), ",": () => this.step(-1), ".": () => this.step(1),
+      " ": () => this.toggle(), ",": () => this.step(-1), ".": () => this.step(1),
       ArrowLeft: () => this.step(-1), ArrowRight: () => this.step(1),
       Home: () => this.seek(0), End: () => this.seek(this.clock.seconds),
       l: click("loop"), "-": () => change(-1), "+": () => change(1), "?": click("help-button"),

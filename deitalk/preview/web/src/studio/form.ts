@@ -34,7 +34,7 @@ function bindField(name: string, field: Field, history: History): () => void {
   input.type = isFile ? "file" : TYPES[field.type ?? ""] ?? "text";
   input.name = name;
   if (isFile) input.accept = ".json";
-  if (input.type === "number") Object.assign(input, { min: field.minimum, max: field.maximum, step: field.type === "integer" ? 1 : 0.1 });
+  if (input.type === "number") Object.assign(input, { min: field.minimum, max: field.maximum, step: field.type === "integer" ? 1 : 0.01 });
   if (field.examples) input.placeholder = field.examples[0];
   label.title = field.description;
   label.append(name.replaceAll("_", " "), input);

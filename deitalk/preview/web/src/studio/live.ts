@@ -2,7 +2,8 @@
 
 import { $, messageOf, notice } from "../dom";
 import type { Player } from "../player";
-import { keyOf } from "./service";
+import { openMicrophone } from "./microphone";
+import { keyOf, request } from "./service";
 
 const BLOCK_SAMPLES = 2048;
 /** Bytes of index, lateness and time before the values of a record. */
@@ -50,14 +51,12 @@ export class Live {
   private async start(): Promise<void> {
     this.player.transport.pause();
     try {
-      const audio = { echoCancellation: false, noiseSuppression: true, autoGainControl: false };
-      this.stream = await navigator.mediaDevices.getUserMedia({ audio });
-      this.context = new AudioContext();
-      this.open(this.context.sampleRate);
+      this.stream = await openMicrophone(true);
     } catch (error) {
-      notice(`the microphone cannot be used: ${messageOf(error)}`);
-      this.close();
+      return notice(`the microphone cannot be used: ${messageOf(error)}`);
     }
+    this.context = new AudioContext();
+    this.open(this.context.sampleRate);
   }
 
   private open(rate: number): void {
@@ -67,12 +66,25 @@ export class Live {
     socket.onopen = () => {
       this.send({ type: "start", sample_rate: Math.round(rate), encoding: "float32", frames: "binary", emotion: this.emotion(), head: true });
       this.listen();
-      this.label(true);
       this.draw();
     };
     socket.onmessage = ({ data }) => (typeof data === "string" ? this.message(JSON.parse(data)) : this.receive(data));
-    socket.onclose = () => socket === this.socket && this.close();
-    socket.onerror = () => notice("the service does not take live sound now");
+    socket.onclose = ({ wasClean }) => {
+      if (socket !== this.socket) return;
+      this.close();
+      if (!wasClean) void this.explain();
+    };
+    this.label(true);
+  }
+
+  /** Why a connection was refused or cut; the user is asked for a key where one is needed. */
+  private async explain(): Promise<void> {
+    try {
+      await request("/v1/emotions");
+      notice("the service does not take live sound now");
+    } catch (error) {
+      notice(messageOf(error));
+    }
   }
 
   /** Send every block of the microphone; nothing is played. */

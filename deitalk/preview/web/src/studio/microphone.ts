@@ -4,7 +4,21 @@ import { $, messageOf, notice } from "../dom";
 
 const MOST_SECONDS = 600;
 
-export function bindMicrophone(done: (recording: File) => Promise<void>): void {
+/** What the microphone hears; `Record` and `Live` wait until the user has allowed it. */
+export async function openMicrophone(noiseSuppression: boolean): Promise<MediaStream> {
+  const buttons = [$<HTMLButtonElement>("record"), $<HTMLButtonElement>("live")];
+  buttons.forEach((button) => (button.disabled = true));
+  try {
+    if (!navigator.mediaDevices) throw new Error("browsers give it to pages of https and of localhost only");
+    const audio = { echoCancellation: false, noiseSuppression, autoGainControl: false };
+    return await navigator.mediaDevices.getUserMedia({ audio });
+  } finally {
+    buttons.forEach((button) => (button.disabled = false));
+  }
+}
+
+/** Call `begin` before a recording, and `done` with it. */
+export function bindMicrophone(begin: () => void, done: (recording: File) => Promise<void>): void {
   const button = $("record"), shown = $("recorded");
   let recorder: MediaRecorder | undefined;
   button.addEventListener("click", () => {
@@ -13,8 +27,9 @@ export function bindMicrophone(done: (recording: File) => Promise<void>): void {
   });
 
   async function start(): Promise<void> {
+    begin();
     try {
-      const stream = await navigator.mediaDevices.getUserMedia({ audio: { echoCancellation: false, noiseSuppression: false, autoGainControl: false } });
+      const stream = await openMicrophone(false);
       record(new MediaRecorder(stream), stream);
     } catch (error) {
       notice(`the microphone cannot be used: ${messageOf(error)}`);
@@ -44,6 +59,7 @@ export function bindMicrophone(done: (recording: File) => Promise<void>): void {
   function label(on: boolean): void {
     button.textContent = on ? "Stop" : "Record";
     button.setAttribute("aria-pressed", String(on));
+    $<HTMLButtonElement>("live").disabled = on;
     if (!on) shown.textContent = "";
   }
 }

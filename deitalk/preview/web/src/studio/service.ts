@@ -104,16 +104,20 @@ export async function convert(file: File): Promise<File> {
 /** Wait for a job and fetch its result; without a listener any more it is cancelled. */
 async function finished(job: any, progress: Progress, signal: AbortSignal): Promise<Result> {
   const path = `/v1/jobs/${job.id}`;
-  signal.addEventListener("abort", () => void request(`${path}/cancel`, { method: "POST" }).catch(() => {}));
-  while (job.status === "queued" || job.status === "running") {
-    progress(job.progress);
-    await new Promise((done) => setTimeout(done, POLL_MS));
-    job = await (await request(path, { signal })).json();
+  try {
+    while (job.status === "queued" || job.status === "running") {
+      progress(job.progress);
+      await new Promise((done) => setTimeout(done, POLL_MS));
+      job = await (await request(path, { signal })).json();
+    }
+    if (job.status !== "done") throw new Error(job.error?.message ?? `the job is ${job.status}`);
+    const result = await resultOf(await request(`${path}/result`, { signal }));
+    void request(path, { method: "DELETE" }).catch(() => {});
+    return result;
+  } catch (error) {
+    void request(`${path}/cancel`, { method: "POST" }).catch(() => {});
+    throw error;
   }
-  if (job.status !== "done") throw new Error(job.error?.message ?? `the job is ${job.status}`);
-  const result = await resultOf(await request(`${path}/result`, { signal }));
-  void request(path, { method: "DELETE" }).catch(() => {});
-  return result;
 }
 
 async function resultOf(answer: Response): Promise<Result> {
@@ -122,9 +126,11 @@ async function resultOf(answer: Response): Promise<Result> {
 }
 
 /** A request with the key of this tab; the user is asked for one where it is needed. */
-async function request(path: string, given: RequestInit): Promise<Response> {
-  const key = keyOf();
-  const answer = await fetch(path, { ...given, headers: key ? { Authorization: `Bearer ${key}` } : {} });
+export async function request(path: string, given: RequestInit = {}): Promise<Response> {
+  const key = keyOf(), headers: HeadersInit = key ? { Authorization: `Bearer ${key}` } : {};
+  const answer = await fetch(path, { ...given, headers }).catch(() => {
+    throw new Error("the service does not answer; is it still running?");
+  });
   if (answer.ok) return answer;
   if (answer.status === 401 && (await askKey())) return request(path, given);
   const problem = await answer.json().catch(() => undefined);

@@ -5,25 +5,24 @@ import type { Source } from "./service";
 
 export interface Session extends Source {
   edit: Edit;
-  /** The take as the service packed it. */
+  /** The take as the service packed it, and the edit of its reading. */
   packed: Blob;
-  range?: [number, number];
-  time: number;
+  animated: Edit;
 }
 
-const DATABASE = "deitalk-studio", RECORDS = "sessions", FILES = "files", TAB = "deitalk-tab";
+/** What a page shows of its session, seconds. */
+export interface View {
+  range?: [number, number];
+  time?: number;
+}
+
+const DATABASE = "deitalk-studio", RECORDS = "sessions", FILES = "files", TAB = "deitalk-tab", VIEW = "deitalk-view";
 const PARTS = ["recording", "packed"] as const;
 const KEPT = 5;
 
+let database: Promise<IDBDatabase> | undefined;
 /** Files as they were saved last: a file is written once, not at every edit. */
-const written: Partial<Record<(typeof PARTS)[number], Blob>> = {};
-
-/** Each tab has its own session; a reload has the same tab. */
-function tabId(): string {
-  const id = sessionStorage.getItem(TAB) ?? crypto.randomUUID();
-  sessionStorage.setItem(TAB, id);
-  return id;
-}
+let written: Partial<Record<(typeof PARTS)[number], Blob>> = {};
 
 function promised<T>(request: IDBRequest<T>): Promise<T> {
   return new Promise((done, fail) => {
@@ -33,19 +32,35 @@ function promised<T>(request: IDBRequest<T>): Promise<T> {
 }
 
 async function stores(mode: IDBTransactionMode): Promise<[records: IDBObjectStore, files: IDBObjectStore]> {
-  const opening = indexedDB.open(DATABASE, 1);
-  opening.onupgradeneeded = () => [RECORDS, FILES].forEach((name) => opening.result.createObjectStore(name));
-  const transaction = (await promised(opening)).transaction([RECORDS, FILES], mode);
+  if (!database) {
+    const opening = indexedDB.open(DATABASE, 1);
+    opening.onupgradeneeded = () => [RECORDS, FILES].forEach((name) => opening.result.createObjectStore(name));
+    database = promised(opening);
+    database.then((opened) => (opened.onclose = () => (database = undefined)), () => (database = undefined));
+  }
+  const transaction = (await database).transaction([RECORDS, FILES], mode);
   return [transaction.objectStore(RECORDS), transaction.objectStore(FILES)];
 }
 
-/** The session of this tab, or of an id. */
-export async function loadSession(id = tabId()): Promise<Session | undefined> {
+/** Keep what is shown for a reload of this tab. */
+export function keepView(view: View): void {
+  sessionStorage.setItem(VIEW, JSON.stringify(view));
+}
+
+/** The session of this tab. A tab that was copied while its page was open, which has kept no view, gets a session of its own. */
+export async function loadSession(): Promise<{ session?: Session; view: View }> {
+  const id = sessionStorage.getItem(TAB), view = sessionStorage.getItem(VIEW);
+  sessionStorage.removeItem(VIEW);
+  if (!id || !view) sessionStorage.setItem(TAB, `${Date.now()} ${Math.random()}`);
+  return { session: id ? await sessionOf(id) : undefined, view: JSON.parse(view ?? "{}") };
+}
+
+/** The session of an id; undefined without its files. */
+export async function sessionOf(id: string): Promise<Session | undefined> {
   const [records, files] = await stores("readonly");
   const record = await promised(records.get(id));
-  if (!record) return undefined;
-  for (const part of PARTS) record[part] = await promised(files.get(`${id} ${part}`));
-  return record;
+  for (const part of PARTS) if (record) record[part] = await promised(files.get(`${id} ${part}`));
+  return record?.recording && record.packed ? record : undefined;
 }
 
 /** Id and name of the session that was saved last. */
@@ -57,12 +72,20 @@ export async function latestSession(): Promise<{ id: string; name: string } | un
 
 /** Keep the session of this tab, and the latest few of others. */
 export async function saveSession({ recording, packed, ...record }: Session): Promise<void> {
-  const [records, files] = await stores("readwrite"), id = tabId();
-  for (const [part, file] of [["recording", recording], ["packed", packed]] as const) {
-    if (written[part] !== file) await promised(files.put(file, `${id} ${part}`));
-    written[part] = file;
-  }
-  await promised(records.put({ ...record, saved: Date.now() }, id));
+  const [records, files] = await stores("readwrite"), id = sessionStorage.getItem(TAB)!, parts = { recording, packed };
+  for (const part of PARTS) if (written[part] !== parts[part]) files.put(parts[part], `${id} ${part}`);
+  records.put({ ...record, saved: Date.now() }, id);
+  records.transaction.commit(); // a page that is left does not wait
+  await new Promise((done, fail) => {
+    records.transaction.oncomplete = done;
+    records.transaction.onabort = () => fail(records.transaction.error);
+  });
+  written = parts;
+  await forget();
+}
+
+async function forget(): Promise<void> {
+  const [records, files] = await stores("readwrite");
   for (const old of (await listed(records)).slice(KEPT)) {
     await promised(records.delete(old.id));
     for (const part of PARTS) await promised(files.delete(`${old.id} ${part}`));

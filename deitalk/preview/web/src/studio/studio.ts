@@ -2,7 +2,7 @@
 
 import type { TakeFiles } from "../data/curvefile";
 import { type Edit, gainsOf, NO_EDIT } from "../data/edit";
-import { type Packed, unpackBytes } from "../data/packed";
+import { unpackBytes } from "../data/packed";
 import { Take } from "../data/take";
 import { $, button, messageOf, notice, save } from "../dom";
 import type { Player } from "../player";
@@ -11,8 +11,8 @@ import { wavOf } from "./wav";
 import { bindForm, FIELDS } from "./form";
 import { Live } from "./live";
 import { bindMicrophone } from "./microphone";
-import { convert, emotionCsv, optionOf, optionsOf, order, quoted, type Source } from "./service";
-import { latestSession, loadSession, saveSession, type Session } from "./session";
+import { convert, emotionCsv, optionOf, optionsOf, order, type Order, type Progress, quoted, request, type Source } from "./service";
+import { keepView, latestSession, loadSession, saveSession, type Session, sessionOf, type View } from "./session";
 import { Work } from "./work";
 
 const LABELS = Object.keys(COLORS), EMOTIONS = LABELS.filter((name) => !MOODS.includes(name));
@@ -36,19 +36,25 @@ const SAVE_MS = 200;
 const JOB_SECONDS = 60;
 
 /** Whether two edits need the same curves of the network. */
-const isSameReading = (a: Edit, b?: Edit) =>
-  a.keys === b?.keys && a.life === b?.life && a.words === b?.words && a.language === b?.language && a.acting === b?.acting;
+const isSameReading = (a: Edit, b: Edit) =>
+  a.keys === b.keys && a.life === b.life && a.words === b.words && a.language === b.language && a.acting === b.acting;
+
+/** A take as the service packed it. */
+interface Reading {
+  packed: Blob;
+  take: Take;
+  wav: Uint8Array | null;
+  notes: string[];
+}
 
 export class Studio {
   private session?: Session;
+  private readonly opening = new Work();
   private readonly animating = new Work();
-  private readonly exporting = new Work();
   private readonly live: Live;
   private readonly showForm: () => void;
   private settling = 0;
   private saving = 0;
-  /** The edit of the shown take. */
-  private animated?: Edit;
 
   constructor(private readonly player: Player) {
     document.body.classList.add("studio");
@@ -61,18 +67,19 @@ export class Studio {
       for (const side of "LR") player.first[player.board.controls.indexOf(`CTRL_${side}_${name}`)] = value;
     }
     player.convert = convert;
-    addEventListener("pagehide", () => this.save());
+    addEventListener("pagehide", () => this.leave());
     player.intake.recording = (file) => this.open(file);
     player.onTake = (take) => void this.adopt(take);
     $("pick").addEventListener("click", () => $("file").click());
     $("sample").addEventListener("click", () => void this.openSample());
     this.live = new Live(player, () => this.emotion);
-    bindMicrophone((file) => this.open(file));
+    bindMicrophone(() => player.transport.pause(), (file) => this.open(file));
     this.showForm = bindForm(player.history);
     this.showForm();
     $("emotions").append(...LABELS.map((name) => this.emotionButton(name)), this.autoButton());
+    $("emotions").addEventListener("mousedown", (event) => event.preventDefault()); // a key keeps the focus
     $("exports").append(
-      ...EXPORTS.map(([label, format, isLong]) => button(label, () => void this.export(format, isLong))),
+      ...EXPORTS.map(([label, format, isLong]) => this.exportButton(label, format, isLong)),
       button("Edits", () => this.exportEdits()),
     );
     $("compare").addEventListener("click", () => void this.compare());
@@ -84,9 +91,8 @@ export class Studio {
   /** Continue with the session of this tab; without one, offer the latest. */
   async restore(): Promise<void> {
     try {
-      const session = await loadSession();
-      if (session) return await this.resume(session);
-      const latest = await latestSession();
+      const { session, view } = await loadSession(), latest = session ? undefined : await latestSession();
+      if (session) await this.resume(session, view);
       if (latest) $("hint").append(button(`Continue with ${latest.name}`, () => void this.continue(latest.id)));
     } catch (error) {
       notice(`the last session cannot be read: ${messageOf(error)}`);
@@ -94,47 +100,55 @@ export class Studio {
   }
 
   private async continue(id: string): Promise<void> {
-    const session = await loadSession(id);
-    if (session) await this.resume(session);
+    try {
+      const session = await sessionOf(id);
+      if (session) await this.resume(session);
+    } catch (error) {
+      notice(`the session cannot be read: ${messageOf(error)}`);
+    }
   }
 
-  private async resume(session: Session): Promise<void> {
-    const { take, wav } = await this.unpacked(session.packed);
-    this.session = session;
-    this.animated = session.edit;
-    this.player.load(take, wav, [], session.edit);
-    this.player.transport.setRange(session.range);
-    this.player.seek(session.time);
-    this.enable();
+  private async resume(session: Session, { range, time = 0 }: View = {}): Promise<void> {
+    const edit = { ...NO_EDIT, ...session.edit }, { animated = edit } = session;
+    this.begin({ ...session, edit, animated }, await this.unpacked(session.packed));
+    this.player.transport.setRange(range);
+    this.player.seek(time);
   }
 
   /** Whether the shown take is that of the edits, and nothing is on its way. */
   get isSettled(): boolean {
-    return !this.animating.isBusy && this.session !== undefined && isSameReading(this.session.edit, this.animated);
+    const { session } = this;
+    return !this.opening.isBusy && !this.animating.isBusy && session !== undefined && isSameReading(session.edit, session.animated);
   }
 
   /** Begin anew with a recording, in the emotion that was chosen. */
   async open(file: File): Promise<void> {
-    const keys = [{ time: 0, emotion: this.player.history.edit.keys[0]?.emotion ?? FIRST, strength: 1 }];
-    const edit: Edit = { ...NO_EDIT, keys };
-    const source: Source = { recording: file, name: file.name, options: {}, hasOwnIntensity: false };
-    const packed = await this.animate(source, edit);
-    if (!packed) return;
-    this.session = { ...source, edit, packed, time: 0 };
-    const { take, wav } = await this.unpacked(packed);
-    this.leaveGallery();
+    const first = () => ({ time: 0, emotion: this.player.history.edit.keys[0]?.emotion ?? FIRST, strength: 1 });
+    const animated: Edit = { ...NO_EDIT, keys: [first()] };
+    const found = await this.opening.run(`Animating ${file.name}`, async (progress, signal) => {
+      const recording = new Blob([await file.arrayBuffer()]); // the file may change
+      const source: Source = { recording, name: file.name, options: {}, hasOwnIntensity: false };
+      return { source, ...await this.reading({ ...source, edit: animated }, progress, signal) };
+    });
+    if (!found) return;
+    this.animating.cancel();
+    const now = first(), edit = now.emotion === animated.keys[0].emotion ? animated : { ...animated, keys: [now] };
     $("suggested").textContent = "";
-    this.animated = edit;
-    this.player.load(take, wav, [], edit);
-    this.enable();
+    this.begin({ ...found.source, edit, animated, packed: found.packed }, found);
     this.player.transport.play();
+  }
+
+  private begin(session: Session, { take, wav }: Pick<Reading, "take" | "wav">): void {
+    this.leaveGallery();
+    this.session = session;
+    this.player.load(take, wav, [], session.edit);
+    this.enable();
   }
 
   private async openSample(): Promise<void> {
     try {
-      const answer = await fetch("/sample");
-      if (!answer.ok) throw new Error("this installation has no sample");
-      await this.open(new File([await answer.blob()], "sample.flac", { type: "audio/flac" }));
+      const content = await (await request("/sample")).blob();
+      await this.open(new File([content], "sample.flac", { type: "audio/flac" }));
     } catch (error) {
       notice(messageOf(error));
     }
@@ -142,38 +156,43 @@ export class Studio {
 
   /** The emotion that the voice suggests, whose probabilities the service tells in its notes. */
   private async suggest(session: Session): Promise<void> {
-    const found = await this.animating.run("Hearing the emotion", (progress, signal) =>
-      order({ ...session, emotion: "auto", format: "packed" }, progress, signal));
+    const found = await this.animating.run("Hearing the emotion", (...work) => this.reading({ ...session, emotion: "auto" }, ...work));
     if (!found) return;
-    this.choose((await this.unpacked(found.content)).take.emotionAt(0)!);
+    this.choose(found.take.emotionAt(0)!);
     $("suggested").textContent = found.notes.find((note) => note.startsWith(SUGGESTED))?.slice(SUGGESTED.length) ?? "";
   }
 
   /** The take as the page shows it, by the service. */
-  private animate(source: Source, edit: Edit, intensityCsv?: string): Promise<Blob | undefined> {
-    return this.animating.run("Animating", async (progress, signal) => {
-      const { content, notes } = await order({ ...source, edit, intensityCsv, format: "packed" }, progress, signal);
-      if (notes.length) notice(notes.join("; "));
-      return content;
-    });
+  private async reading(given: Omit<Order, "format">, progress: Progress, signal: AbortSignal): Promise<Reading> {
+    const { content, notes } = await order({ ...given, format: "packed" }, progress, signal);
+    const told = notes.filter((note) => !note.startsWith(SUGGESTED));
+    if (told.length) notice(told.join("; "));
+    return { packed: content, notes, ...await this.unpacked(content) };
+  }
+
+  private animate(session: Session, edit: Edit, intensityCsv?: string): Promise<Reading | undefined> {
+    return this.animating.run("Animating", (...work) => this.reading({ ...session, edit, intensityCsv }, ...work));
   }
 
   /** A take that was dropped: its sound is the recording, its arguments are those of the edits. */
   private async adopt({ wav, settings, model, intensityCsv }: TakeFiles): Promise<void> {
+    const { player } = this;
     this.session = undefined;
+    this.opening.cancel();
+    this.animating.cancel();
     this.leaveGallery();
     this.enable();
     if (!wav || !intensityCsv) return;
-    const recording = new File([wav as BlobPart], this.player.take!.title, { type: "audio/wav" });
+    const recording = new File([wav as BlobPart], player.take!.title, { type: "audio/wav" });
     const given = Object.entries({ ...settings, model }).filter(([name, value]) => OPTIONS.includes(name) && value !== null);
     const options = Object.fromEntries(given.map(([name, value]) => [name, typeof value === "object" ? JSON.stringify(value) : String(value)]));
     const source: Source = { recording, name: recording.name, options, weightsCsv: intensityCsv, hasOwnIntensity: true };
-    const { edit } = this.player.history;
-    const packed = await this.animate(source, edit, intensityCsv);
-    if (!packed) return;
-    this.session = { ...source, edit, packed, time: 0 };
-    this.animated = edit;
+    const animated = player.history.edit;
+    const found = await this.opening.run("Animating", (...work) => this.reading({ ...source, edit: animated, intensityCsv }, ...work));
+    if (!found) return;
+    this.session = { ...source, edit: animated, animated, packed: found.packed };
     this.enable();
+    this.edited();
   }
 
   private emotionButton(name: string): HTMLButtonElement {
@@ -210,26 +229,26 @@ export class Studio {
     const { session, player } = this;
     if (!session || !player.take) return;
     const { edit } = session;
-    if (!isSameReading(edit, this.animated)) await this.animateAgain(session, edit);
+    if (!isSameReading(edit, session.animated) && !(await this.animateAgain(session, edit))) return;
     if (edit === session.edit && player.take.isBlend) await this.animatePoints(session, edit);
   }
 
-  /** Another reading, for other keys of emotion or motion. */
-  private async animateAgain(session: Session, edit: Edit): Promise<void> {
-    const packed = await this.animate(session, edit, session.hasOwnIntensity ? this.readingCsv() : undefined);
-    if (!packed || !isSameReading(session.edit, edit)) return;
-    session.packed = packed;
-    this.animated = edit;
-    this.player.replace((await this.unpacked(packed)).take);
+  /** Another reading, for other keys of emotion or motion; whether it is shown. */
+  private async animateAgain(session: Session, edit: Edit): Promise<boolean> {
+    const found = await this.animate(session, edit, session.hasOwnIntensity ? this.readingCsv() : undefined);
+    if (!found || !isSameReading(session.edit, edit)) return false;
+    session.packed = found.packed;
+    session.animated = edit;
+    this.player.replace(found.take);
     this.keep();
+    return true;
   }
 
   private async animatePoints(session: Session, edit: Edit): Promise<void> {
-    const { take } = this.player;
-    const packed = await this.animate(session, edit, take!.intensityCsv());
-    if (!packed || take !== this.player.take) return;
-    take!.setExact(edit.points, (await this.unpacked(packed)).take);
-    this.player.replace(take!);
+    const take = this.player.take!, found = await this.animate(session, edit, take.intensityCsv());
+    if (!found) return;
+    take.setExact(edit.points, found.take);
+    this.player.replace(take);
   }
 
   /** The five emotions side by side; a press on a name takes it. */
@@ -243,8 +262,7 @@ export class Studio {
         count();
         const edit = { ...session.edit, keys: [{ time: 0, emotion, strength: 1 }] };
         const intensityCsv = session.hasOwnIntensity ? this.readingCsv() : undefined;
-        const { content } = await order({ ...session, edit, intensityCsv, format: "packed" }, count, signal);
-        found.push((await this.unpacked(content)).take);
+        found.push((await this.reading({ ...session, edit, intensityCsv }, count, signal)).take);
       }
       return found;
     });
@@ -263,7 +281,6 @@ export class Studio {
   private setOther(...others: Take[]): void {
     this.leaveGallery();
     this.player.setOthers(others);
-    this.showEmotion();
   }
 
   private leaveGallery(): void {
@@ -272,12 +289,18 @@ export class Studio {
     this.player.setGallery();
   }
 
+  /** A button that writes one kind of file; files of several kinds are written at once. */
+  private exportButton(label: string, format: string, isLong: boolean): HTMLButtonElement {
+    const work = new Work();
+    return button(label, () => void this.export(work, label, format, isLong));
+  }
+
   /** A file of the take with its edits, as the command line writes it. */
-  private async export(format: string, isLong: boolean): Promise<void> {
+  private async export(work: Work, label: string, format: string, isLong: boolean): Promise<void> {
     const { session, player } = this;
     if (!session) return;
     const intensityCsv = this.hasIntensity(session) ? player.take!.intensityCsv() : undefined;
-    const result = await this.exporting.run(`Exporting ${format}`, (progress, signal) =>
+    const result = await work.run(`Exporting ${label}`, (progress, signal) =>
       order({ ...session, intensityCsv, format, isLong }, progress, signal));
     if (!result) return;
     save(result.content, result.fileName);
@@ -295,7 +318,12 @@ export class Studio {
       save(new Blob([player.take!.intensityCsv()], { type: "text/csv" }), "intensity.csv");
       words.push("--intensity-curve intensity.csv");
     }
-    for (const [name, value] of Object.entries(optionsOf(session, session.edit))) words.push(optionOf(name, value));
+    const { voice, ...options } = optionsOf(session, session.edit);
+    if (voice) {
+      save(new Blob([voice], { type: "application/json" }), "voice.json");
+      words.push("--voice voice.json");
+    }
+    for (const [name, value] of Object.entries(options)) words.push(optionOf(name, value));
     const gains = Object.entries(gainsOf(session.edit)).map(([region, gain]) => `${region}=${gain}`);
     if (gains.length) words.push(`--gain ${gains.join(",")}`);
     notice(`${words.filter(Boolean).join(" ")} -o take/`);
@@ -311,8 +339,8 @@ export class Studio {
     return this.player.take!.intensityCsv([]);
   }
 
-  private async unpacked(packed: Blob): Promise<{ take: Take; wav: Uint8Array | null }> {
-    const found: Packed = await unpackBytes(packed);
+  private async unpacked(packed: Blob): Promise<Pick<Reading, "take" | "wav">> {
+    const found = await unpackBytes(packed);
     const { audio } = found.arrays, { sampleRate } = found.facts;
     const wav = audio && sampleRate ? wavOf(audio as Int16Array, sampleRate) : null;
     return { take: new Take(found, this.player.board), wav };
@@ -325,10 +353,14 @@ export class Studio {
   }
 
   private save(): void {
-    const { session, player } = this;
-    if (!session) return;
-    Object.assign(session, { range: player.transport.range, time: player.transport.shown });
-    saveSession(session).catch((error) => notice(`the session cannot be kept: ${messageOf(error)}`));
+    if (!this.session) return;
+    saveSession(this.session).catch((error) => notice(`the session cannot be kept: ${messageOf(error)}`));
+  }
+
+  private leave(): void {
+    const { range, shown } = this.player.transport;
+    keepView({ range, time: shown });
+    this.save();
   }
 
   private enable(): void {
@@ -349,6 +381,5 @@ export class Studio {
     for (const b of document.querySelectorAll("#emotions button")) {
       b.setAttribute("aria-pressed", String(b.textContent === this.emotion));
     }
-    $("drop-other").hidden = this.player.takes.length < 2;
   }
 }

@@ -10,12 +10,12 @@ export class Work {
   private current?: AbortController;
   private readonly row = document.createElement("div");
   private readonly bar = document.createElement("progress");
-  private readonly label = document.createElement("output");
+  private readonly label = document.createElement("span");
 
   constructor() {
     this.row.className = "work";
     this.row.hidden = true;
-    this.row.append(this.bar, this.label, button("Cancel", () => this.current?.abort()));
+    this.row.append(this.bar, this.label, button("Cancel", () => this.cancel()));
     $("works").append(this.row);
   }
 
@@ -23,9 +23,13 @@ export class Work {
     return this.current !== undefined;
   }
 
+  cancel(): void {
+    this.current?.abort();
+  }
+
   /** Do work that replaces any before it; undefined if it was replaced, cancelled or failed. */
   async run<T>(label: string, task: (progress: Progress, signal: AbortSignal) => Promise<T>): Promise<T | undefined> {
-    this.current?.abort();
+    this.cancel();
     const control = (this.current = new AbortController()), began = performance.now();
     const { bar } = this;
     bar.removeAttribute("value");

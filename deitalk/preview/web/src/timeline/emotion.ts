@@ -13,7 +13,6 @@ const LEVEL_STEP = 0.05;
 export class EmotionLane implements PointOwner {
   private readonly lane: PointLane;
   private take?: Take;
-  private selected = -1;
   /** Called when another key has the focus, or none. */
   onSelect: () => void = () => {};
 
@@ -52,11 +51,8 @@ export class EmotionLane implements PointOwner {
   }
 
   move(index: number, time: number, level: number): void {
-    const keys = this.keys, gap = 1 / (this.take?.fps ?? 30);
-    const low = index ? keys[index - 1].time + gap : 0;
-    const high = index < keys.length - 1 ? keys[index + 1].time - gap : this.take!.seconds;
-    const moved = { ...keys[index], time: Math.min(Math.max(time, low), high), strength: Math.round(100 * level) / 100 };
-    this.history.change({ keys: keys.map((old, k) => (k === index ? moved : old)) }, `key ${index}`);
+    const moved = { ...this.keys[index], time, strength: Math.round(100 * level) / 100 };
+    this.history.change({ keys: this.keys.map((old, k) => (k === index ? moved : old)) }, `key ${index}`);
   }
 
   add(time: number, strength = 1, emotion = this.emotionAt(time)): number {
@@ -73,7 +69,7 @@ export class EmotionLane implements PointOwner {
       this.add(0, 1, emotion);
       return;
     }
-    const at = this.selected >= 0 && this.selected < this.keys.length ? this.selected : this.keys.length > 1 ? -1 : 0;
+    const at = this.keys.length > 1 ? this.lane.selected : 0;
     if (at < 0) {
       this.lane.focus(this.add(time, 1, emotion));
       return;
@@ -88,24 +84,16 @@ export class EmotionLane implements PointOwner {
 
   remove(index: number): void {
     if (this.keys.length < 2) return;
-    this.selected = -1;
     this.history.change({ keys: this.keys.filter((_, k) => k !== index) });
   }
 
-  select(index: number): void {
-    this.selected = index;
-    this.onSelect();
-  }
-
-  leave(to: Element | null): void {
-    if (to?.closest("#emotions")) return;
-    this.selected = -1;
+  focused(): void {
     this.onSelect();
   }
 
   /** Emotion of the key in focus, else of the key before a time. */
   emotionAt(time: number): string {
-    const key = this.keys[this.selected] ?? [...this.keys].reverse().find((k) => k.time <= time) ?? this.keys[0];
+    const key = this.keys[this.lane.selected] ?? [...this.keys].reverse().find((k) => k.time <= time) ?? this.keys[0];
     return key?.emotion ?? "neutral";
   }
 

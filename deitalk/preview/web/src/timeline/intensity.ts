@@ -47,11 +47,8 @@ export class IntensityLane implements PointOwner {
   }
 
   move(index: number, time: number, level: number): void {
-    const p = this.factors, gap = 1 / (this.take?.fps ?? 30);
-    const low = index ? p[index - 1].time + gap : 0;
-    const high = index < p.length - 1 ? p[index + 1].time - gap : this.take!.seconds;
-    const at = Math.min(Math.max(time, low), high), moved = { time: at, factor: this.factorOf(at, level) };
-    this.history.change({ points: p.map((old, k) => (k === index ? moved : old)) }, `point ${index}`);
+    const moved = { time, factor: this.factorOf(time, level) };
+    this.history.change({ points: this.factors.map((old, k) => (k === index ? moved : old)) }, `point ${index}`);
   }
 
   add(time: number, level?: number): number {
@@ -105,10 +102,10 @@ export class IntensityLane implements PointOwner {
   }
 
   /** Follow the highest intensity, but not in a drag. */
-  private scale(): void {
+  scale(): void {
     const { take } = this, values = take?.intensity ? Array.from(take.intensity, (value, f) => Math.max(value, take.intensityAt(f))) : [];
     const highest = values.reduce((high, value) => Math.max(high, value), 0);
-    this.top = Math.max(1, Math.ceil((ROOM * highest) / GRID) * GRID);
+    if (!this.lane.isDragged) this.top = Math.max(1, Math.ceil((ROOM * highest) / GRID) * GRID);
     this.layout();
   }
 

@@ -24,12 +24,11 @@ export interface PointOwner {
   remove(index: number): void;
   /** Index of the point that a drag from beside all points takes; undefined: none. */
   grab?(time: number, level: number): number | undefined;
-  /** The end of a drag. */
+  /** The end of a drag, or of a press of a key. */
   done(): void;
-  select?(index: number): void;
-  /** The focus goes elsewhere. */
-  leave?(to: Element | null): void;
-  /** Steps of the arrow keys: seconds, level. */
+  /** Another point has the focus, or none. */
+  focused?(): void;
+  /** Steps of the arrow keys: seconds, which also are the least between two points, and level. */
   steps(): [number, number];
 }
 
@@ -41,6 +40,10 @@ export function svg<K extends keyof SVGElementTagNameMap>(name: K, className = "
 
 export class PointLane {
   private dots: SVGCircleElement[] = [];
+  /** The press that may become a drag. */
+  private press?: PointerEvent;
+  /** The point that is dragged, and how far its middle is from the pointer. */
+  private drag?: { index: number; x: number; y: number };
   isEditable = false;
 
   constructor(
@@ -48,25 +51,28 @@ export class PointLane {
     private readonly span: Span,
     private readonly owner: PointOwner,
   ) {
-    let pressed: PointerEvent | undefined;
     addEventListener("pointerdown", (event) => {
-      const isBeside = event.target instanceof Node && box.contains(event.target) && !(event.target instanceof SVGCircleElement);
-      pressed = isBeside && this.isEditable && !event.button ? event : undefined;
+      const isHere = this.isEditable && !event.button && box.contains(event.target as Node);
+      if (!this.drag) this.press = isHere ? event : undefined;
     }, true);
-    box.addEventListener("pointermove", (event) => {
-      if (!pressed || !event.buttons || Math.hypot(event.clientX - pressed.clientX, event.clientY - pressed.clientY) < DRAG) return;
-      const index = this.owner.grab?.(...this.place(pressed));
-      pressed = undefined;
-      if (index === undefined) return;
-      this.focus(index);
-      this.dots[index].setPointerCapture(event.pointerId);
-      this.owner.move(index, ...this.place(event));
+    box.addEventListener("pointermove", (event) => this.pull(event));
+    box.addEventListener("lostpointercapture", (event) => {
+      if (this.drag && event.target === this.dots[this.drag.index]) this.release();
     });
     box.addEventListener("dblclick", (event) => {
-      if (!this.isEditable || event.target instanceof SVGCircleElement) return;
-      const [time, level] = this.place(event);
-      this.focus(this.owner.add(time, level));
+      const index = this.dots.indexOf(event.target as SVGCircleElement);
+      if (index >= 0) this.remove(index);
+      else if (this.isEditable) this.focus(this.owner.add(...this.place(event.clientX, event.clientY)));
     });
+  }
+
+  get isDragged(): boolean {
+    return this.drag !== undefined;
+  }
+
+  /** Index of the point in focus; -1: none. */
+  get selected(): number {
+    return this.dots.indexOf(document.activeElement as unknown as SVGCircleElement);
   }
 
   get width(): number {
@@ -88,25 +94,62 @@ export class PointLane {
 
   layout(): void {
     const points = this.isEditable ? this.owner.points() : [];
+    if (points.length !== this.dots.length) this.press = this.drag = undefined;
     while (this.dots.length > points.length) this.dots.pop()!.remove();
     while (this.dots.length < points.length) this.dots.push(this.dot(this.dots.length));
     points.forEach((point, k) => {
-      const dot = this.dots[k];
-      dot.setAttribute("cx", String(this.x(point.time)));
+      const dot = this.dots[k], x = this.x(point.time);
+      dot.setAttribute("cx", String(x));
       dot.setAttribute("cy", String(this.y(point.level)));
       dot.setAttribute("aria-valuenow", point.level.toFixed(2));
       dot.setAttribute("aria-valuetext", point.label);
       dot.setAttribute("aria-label", `Point ${k + 1}`);
       dot.style.fill = point.color ?? "";
-      const x = this.x(point.time);
       dot.style.display = x < -1 || x > this.width + 1 ? "none" : "";
     });
   }
 
-  private place(event: MouseEvent): [number, number] {
+  /** Move the pressed point with the pointer, once that has moved. */
+  private pull(event: PointerEvent): void {
+    const { press } = this;
+    if (event.pointerId !== press?.pointerId) return;
+    if (!(event.buttons & 1)) return this.release();
+    if (!this.drag) {
+      if (Math.hypot(event.clientX - press.clientX, event.clientY - press.clientY) < DRAG) return;
+      this.take(press);
+    }
+    if (this.drag) this.move(this.drag.index, ...this.place(event.clientX + this.drag.x, event.clientY + this.drag.y));
+  }
+
+  private take(press: PointerEvent): void {
+    const dot = this.dots.indexOf(press.target as SVGCircleElement);
+    const index = dot >= 0 ? dot : this.owner.grab?.(...this.place(press.clientX, press.clientY));
+    this.press = index === undefined ? undefined : press;
+    if (index === undefined) return;
+    this.focus(index);
+    const box = this.box.getBoundingClientRect(), { time, level } = this.owner.points()[index];
+    this.drag = { index, x: box.left + this.x(time) - press.clientX, y: box.top + this.y(level) - press.clientY };
+    this.dots[index].setPointerCapture(press.pointerId);
+  }
+
+  private release(): void {
+    this.press = this.drag = undefined;
+    this.owner.done();
+  }
+
+  private place(x: number, y: number): [time: number, level: number] {
     const box = this.box.getBoundingClientRect();
-    const level = 1 - (event.clientY - box.top - MARGIN) / (box.height - 2 * MARGIN);
-    return [this.span.time(event.clientX - box.left, box.width), Math.min(Math.max(level, 0), 1)];
+    const level = 1 - (y - box.top - MARGIN) / (box.height - 2 * MARGIN);
+    return [this.span.time(x - box.left, box.width), Math.min(Math.max(level, 0), 1)];
+  }
+
+  /** Move a point, not past its neighbours. */
+  private move(index: number, time: number, level: number): void {
+    const points = this.owner.points(), [gap] = this.owner.steps();
+    const low = index ? points[index - 1].time + gap : 0;
+    const high = index < points.length - 1 ? points[index + 1].time - gap : this.span.total;
+    const at = low <= high ? Math.min(Math.max(time, low), high) : points[index].time;
+    this.owner.move(index, at, Math.min(Math.max(level, 0), 1));
   }
 
   private dot(index: number): SVGCircleElement {
@@ -114,18 +157,9 @@ export class PointLane {
     for (const [name, value] of Object.entries({ r: 6, tabindex: 0, role: "slider", "aria-valuemin": 0, "aria-valuemax": 1 })) {
       dot.setAttribute(name, String(value));
     }
-    dot.addEventListener("pointerdown", (event) => {
-      dot.setPointerCapture(event.pointerId);
-      event.stopPropagation();
-    });
-    dot.addEventListener("pointermove", (event) => {
-      if (dot.hasPointerCapture(event.pointerId)) this.owner.move(index, ...this.place(event));
-    });
-    dot.addEventListener("pointerup", () => this.owner.done());
-    dot.addEventListener("dblclick", () => this.remove(index));
-    dot.addEventListener("focus", () => this.owner.select?.(index));
-    dot.addEventListener("blur", (event) => this.owner.leave?.(event.relatedTarget as Element | null));
+    for (const name of ["focus", "blur"]) dot.addEventListener(name, () => this.owner.focused?.());
     dot.addEventListener("keydown", (event) => this.key(event, index));
+    dot.addEventListener("keyup", () => this.isDragged || this.owner.done());
     this.box.append(dot);
     return dot;
   }
@@ -138,7 +172,7 @@ export class PointLane {
     event.preventDefault();
     event.stopPropagation();
     if (isDelete) this.remove(index);
-    else this.owner.move(index, point.time + by![0], Math.min(Math.max(point.level + by![1], 0), 1));
+    else this.move(index, point.time + by![0], point.level + by![1]);
   }
 
   private remove(index: number): void {

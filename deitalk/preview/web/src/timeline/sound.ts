@@ -32,14 +32,15 @@ export class SoundView {
 
   at(time: number): void {
     const { canvas, picture, span } = this;
-    const key = `${canvas.clientWidth} ${getComputedStyle(canvas).color} ${span.start} ${span.end}`;
+    const [width, height] = [canvas.clientWidth, canvas.clientHeight].map((pixels) => Math.round(pixels * devicePixelRatio));
+    const key = `${width} ${getComputedStyle(canvas).color} ${span.start} ${span.end}`;
     if (key !== this.key) {
       this.key = key;
-      picture.width = canvas.width = canvas.clientWidth;
-      picture.height = canvas.height;
-      if (canvas.width) this.draw();
+      picture.width = canvas.width = width;
+      picture.height = canvas.height = height;
+      if (width) this.draw();
     }
-    const pen = canvas.getContext("2d")!, { width, height } = canvas;
+    const pen = canvas.getContext("2d")!;
     pen.clearRect(0, 0, width, height);
     const range = this.range();
     if (range) {
@@ -49,7 +50,7 @@ export class SoundView {
     }
     if (width) pen.drawImage(picture, 0, 0);
     pen.fillStyle = getComputedStyle(document.body).color;
-    pen.fillRect(span.x(time, width), 0, 2, height);
+    pen.fillRect(span.x(time, width), 0, 2 * devicePixelRatio, height);
   }
 
   private draw(): void {

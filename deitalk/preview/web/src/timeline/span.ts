@@ -5,7 +5,7 @@ const LEAST_SECONDS = 0.2;
 export class Span {
   start = 0;
   end = 1;
-  private total = 1;
+  total = 1;
 
   constructor(private readonly changed: () => void) {}
 

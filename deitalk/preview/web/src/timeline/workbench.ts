@@ -8,6 +8,7 @@ import { EmotionLane } from "./emotion";
 import { IntensityLane } from "./intensity";
 import { factorSlider, Regions } from "./regions";
 import { bindSearch } from "./search";
+import { isText } from "../playback/keys";
 import type { Span } from "./span";
 
 const REBUILD_MS = 250;
@@ -68,7 +69,7 @@ export class Workbench {
     for (const id of ["add-point", "save"]) $<HTMLButtonElement>(id).disabled = !take.isEditable;
     $<HTMLButtonElement>("reset").disabled = !history.edit.points.length;
     this.mean = take.meanIntensity;
-    this.intensity.layout();
+    this.intensity.scale();
     this.emotion.layout();
     clearTimeout(this.stale);
     this.stale = window.setTimeout(() => this.lanes.build(), REBUILD_MS);
@@ -120,7 +121,7 @@ export class Workbench {
     $("undo").addEventListener("click", () => history.undo());
     $("redo").addEventListener("click", () => history.redo());
     addEventListener("keydown", (event) => {
-      if (!(event.ctrlKey || event.metaKey) || (event.target as HTMLElement).matches("input[type=search], input[type=number], input[type=text]")) return;
+      if (!(event.ctrlKey || event.metaKey) || event.altKey || isText(event.target as HTMLElement)) return;
       const key = event.key.toLowerCase();
       if (key !== "z" && key !== "y") return;
       event.preventDefault();
