@@ -148,6 +148,166 @@ def test_recording_is_spoken_edited_and_exported_as_by_the_command_line(
     assert np.abs(read_curves(tmp_path / "neutral.csv").values - expected).max() > 0.05
 
 
+@contextmanager
+def waiting(tab):
+    """Requests for takes and files wait; those in the list go on at the end."""
+    held = []
+    tab.route("**/v1/animations", lambda route: held.append(route))
+    yield held
+    for request in held:
+        request.continue_()
+    tab.unroute("**/v1/animations")
+
+
+def wait_for(tab, held, count: int) -> None:
+    end = time.monotonic() + UNTIL_SECONDS
+    while len(held) < count:
+        assert time.monotonic() < end, tab.complaints
+        tab.wait_for_timeout(20)
+
+
+def emotions(tab, edit: str = "deitalk.page.history.edit") -> list[str]:
+    return tab.evaluate(f"{edit}.keys.map((key) => key.emotion)")
+
+
+def press(tab, name: str) -> None:
+    tab.get_by_role("button", name=name, exact=True).click()
+
+
+def test_what_is_done_while_a_recording_is_opened_is_not_lost(browser, server, speech, tmp_path):
+    """A choice of emotion, an edit of the take before, another recording in the place of the file."""
+    other = tmp_path / "other.wav"
+    other.write_bytes(wav(SECONDS / 2))
+    with studio(browser, server) as tab:
+        with waiting(tab) as held:
+            drop(tab, speech)
+            wait_for(tab, held, 1)
+            press(tab, "angry")
+        until(tab, "!!deitalk.page.take")
+        is_quiet(tab)
+        assert emotions(tab) == ["angry"] and tab.inner_text("#status").startswith("angry")
+        with waiting(tab) as held:
+            tab.set_input_files("#file", other)
+            wait_for(tab, held, 1)
+            press(tab, "sad")
+            wait_for(tab, held, 2)
+        until(tab, "deitalk.page.take.seconds < 1.5")
+        is_quiet(tab)
+        assert tab.inner_text("#title") == "other" and tab.inner_text("#status").startswith("sad")
+        other.write_bytes(speech.read_bytes())
+        press(tab, "happy")
+        until(tab, "document.getElementById('status').textContent.startsWith('happy')")
+        assert tab.evaluate("deitalk.page.take.seconds") < 1.5
+        take = download(tab, "Take", tmp_path)
+        with waiting(tab) as held:
+            drop(tab, take)
+            wait_for(tab, held, 1)
+            press(tab, "surprised")
+        until(tab, "document.getElementById('status').textContent.startsWith('surprised')")
+        assert emotions(tab, "deitalk.studio.session.edit") == ["surprised"]
+        assert tab.complaints == []
+
+
+@pytest.mark.slow
+def test_files_of_two_kinds_are_written_at_once(browser, server, speech):
+    saved = []
+    with studio(browser, server) as tab:
+        drop(tab, speech)
+        until(tab, "!!deitalk.page.take")
+        is_quiet(tab)
+        tab.on("download", lambda given: saved.append(given.suggested_filename))
+        with waiting(tab) as held:
+            press(tab, "CSV")
+            press(tab, "JSON")
+            wait_for(tab, held, 2)
+        end = time.monotonic() + UNTIL_SECONDS
+        while len(saved) < 2:
+            assert time.monotonic() < end, saved
+            tab.wait_for_timeout(20)
+        assert sorted(saved) == ["my line.csv", "my line.json"]
+
+
+def test_reload_goes_on_with_an_edit_that_was_being_animated(browser, server, speech):
+    with studio(browser, server) as tab:
+        drop(tab, speech)
+        until(tab, "!!deitalk.page.take")
+        is_quiet(tab)
+        tab.evaluate("deitalk.page.transport.pause()")
+        with waiting(tab) as held:
+            press(tab, "angry")
+            wait_for(tab, held, 1)
+            tab.evaluate("deitalk.page.transport.setRange([0.5, 1])")
+            seek(tab, 0.7)
+            held.clear()
+            tab.reload()
+            until(tab, "!!window.deitalk?.ready && !!deitalk.page.take")
+        until(tab, "document.getElementById('status').textContent.startsWith('angry')")
+        assert emotions(tab) == ["angry"]
+        assert tab.evaluate("deitalk.page.transport.range") == [0.5, 1]
+        assert tab.evaluate("deitalk.page.state().shown") == pytest.approx(0.7)
+
+
+@pytest.mark.slow
+def test_copy_of_an_open_tab_has_a_session_of_its_own(browser, server, speech, tmp_path):
+    other = tmp_path / "other.wav"
+    other.write_bytes(wav(SECONDS))
+    with studio(browser, server) as tab:
+        drop(tab, speech)
+        until(tab, "!!deitalk.page.take")
+        is_quiet(tab)
+        tab.wait_for_timeout(500)  # until it is saved
+        with tab.expect_popup() as opened:
+            tab.evaluate("open('/')")
+        copy = opened.value
+        copy.complaints = []
+        until(copy, "!!window.deitalk?.ready && deitalk.page.take?.title === 'my line'")
+        drop(copy, other)
+        until(copy, "deitalk.page.take.title === 'other'")
+        press(tab, "angry")
+        is_quiet(tab)
+        for page, title in ((tab, "my line"), (copy, "other")):
+            page.reload()
+            until(page, f"!!window.deitalk?.ready && deitalk.page.take?.title === '{title}'")
+
+
+@pytest.mark.slow
+def test_key_in_focus_takes_the_emotion_until_the_focus_leaves_it(browser, server, speech):
+    with studio(browser, server) as tab:
+        drop(tab, speech)
+        until(tab, "!!deitalk.page.take")
+        tab.evaluate("deitalk.page.transport.pause()")
+        tab.evaluate("deitalk.page.seek(1)")
+        tab.click("#add-key")
+        for emotion in ("sad", "angry"):
+            press(tab, emotion)
+        assert emotions(tab) == ["happy", "angry"]
+        tab.click("#sound", position={"x": 100, "y": 20})
+        press(tab, "surprised")
+        assert emotions(tab) == ["happy", "surprised", "angry"]
+
+
+@pytest.mark.slow
+def test_second_press_while_the_microphone_is_asked_for_opens_no_other(browser, server):
+    with studio(browser, server, permissions=["microphone"]) as tab:
+        tab.evaluate(
+            """() => {
+                 const devices = navigator.mediaDevices, open = devices.getUserMedia.bind(devices);
+                 window.streams = [];
+                 devices.getUserMedia = async (what) => { streams.push(await open(what)); return streams.at(-1); };
+               }"""
+        )
+        for name in ("live", "record"):
+            tab.evaluate(
+                "(id) => { for (let k = 0; k < 2; k++) document.getElementById(id).click(); }", name
+            )
+            until(tab, f"document.getElementById('{name}').textContent.startsWith('Stop')")
+            assert tab.is_disabled("#record" if name == "live" else "#live")
+            tab.click(f"#{name}")
+            until(tab, f"!document.getElementById('{name}').textContent.startsWith('Stop')")
+        states = "streams.map((stream) => stream.getTracks()[0].readyState)"
+        assert tab.evaluate(states) == ["ended", "ended"]
+
+
 def test_page_is_one_script_that_reaches_this_service_only(server):
     needs_player()
     with server.client() as client:

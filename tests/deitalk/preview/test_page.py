@@ -291,6 +291,73 @@ def test_double_click_on_the_line_adds_one_point_and_a_click_none(page):
     assert page.evaluate("String(getSelection())") == ""
 
 
+def middle(point) -> tuple[float, float]:
+    box = point.bounding_box()
+    return box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+
+
+def add_points(page, *seconds: float) -> None:
+    """Points of factor 1."""
+    points = [{"time": time, "factor": 1} for time in seconds]
+    page.evaluate("points => deitalk.page.history.change({ points })", points)
+
+
+def points_of(page) -> list[tuple[float, float]]:
+    return page.evaluate("deitalk.page.history.edit.points.map((p) => [p.time, p.factor])")
+
+
+def test_another_button_than_the_first_moves_neither_a_point_nor_the_playhead(page):
+    add_points(page, 1)
+    x, y = middle(page.locator("#intensity circle"))
+    sound = page.locator("#sound").bounding_box()
+    for place in ((x, y), (sound["x"] + 200, sound["y"] + 20)):
+        page.mouse.move(*place)
+        page.mouse.down(button="right")
+        page.mouse.move(place[0] + 40, place[1] + 5, steps=3)
+        page.mouse.up(button="right")
+    assert points_of(page) == [[1, 1]]
+    assert page.evaluate("deitalk.page.state().shown") == 0
+
+
+def test_undo_in_a_drag_ends_it(page):
+    add_points(page, 1)
+    add_points(page, 0.5, 1, 2)
+    x, y = middle(page.locator("#intensity circle").nth(0))
+    page.mouse.move(x, y)
+    page.mouse.down()
+    page.mouse.move(x + 20, y, steps=3)
+    page.keyboard.press("Control+z")  # the drag
+    page.keyboard.press("Control+z")  # the points beside the first
+    page.mouse.move(x + 60, y, steps=3)
+    page.mouse.up()
+    assert points_of(page) == [[1, 1]]
+    assert page.complaints == []
+
+
+def test_points_keep_their_order_where_there_is_no_room_between_them(page):
+    add_points(page, 1, 1.02, 1.04)
+    page.locator("#intensity circle").nth(1).focus()
+    for key in ("ArrowRight", "ArrowLeft", "ArrowLeft"):
+        page.keyboard.press(key)
+    assert [time for time, _ in points_of(page)] == [1, 1.02, 1.04]
+
+
+def test_keys_raise_a_point_beyond_the_axis_and_each_press_is_undone(page):
+    add_points(page, 1)
+    top = page.locator("#intensity .axis text").last.text_content
+    before = top()
+    page.locator("#intensity circle").focus()
+    for _ in range(80):
+        page.keyboard.press("ArrowUp")
+    assert float(top()) > float(before)
+    ((_, raised),) = points_of(page)
+    page.keyboard.press("ArrowDown")
+    page.keyboard.press("Control+z")
+    assert points_of(page) == [[1, raised]]
+    page.click("#reset")
+    assert top() == before
+
+
 def test_factor_zero_is_the_neutral_reading(page):
     source = make_source("first")
     page.evaluate("deitalk.page.seek(1)")
@@ -318,6 +385,56 @@ def test_zoom_shows_a_part_and_fit_all(page):
     assert 0 < start < 1.5 < end < 3 and end - start == pytest.approx(2.1)
     page.keyboard.press("f")
     assert page.evaluate(span) == [0, 3]
+
+
+def test_steps_and_ends_are_followed_by_the_zoomed_lanes(page):
+    for _ in range(4):
+        page.keyboard.press("z")
+    for key in ("End", "Home", "End", ","):
+        page.keyboard.press(key)
+        start, end, shown = page.evaluate(
+            "[deitalk.page.span.start, deitalk.page.span.end, deitalk.page.state().shown]"
+        )
+        assert end - start < 1 and start - 1e-9 <= shown <= end + 1e-9
+
+
+def test_lanes_follow_their_width(page):
+    """Such as at a wipe, which gives the faces less room."""
+    widths = "['sound', 'curves'].map((id) => document.getElementById(id).clientWidth)"
+    chart = "document.querySelector('#curves .uplot').clientWidth"
+    before = page.evaluate(widths)
+    page.evaluate("document.querySelector('main').style.width = '900px'")
+    page.wait_for_function(f"{chart} === {widths}[1]")
+    assert page.evaluate(widths) < before
+    page.evaluate("document.querySelector('main').style.width = ''")
+    page.wait_for_function(f"{chart} === {before[1]}")
+
+
+def test_text_of_the_notice_can_be_selected_and_a_click_closes_it(page):
+    page.evaluate("document.getElementById('notice').textContent = 'deitalk animate speech.wav'")
+    box = page.locator("#notice").bounding_box()
+    drag(page, (box["x"] + 12, box["y"] + 15), (box["x"] + 120, box["y"] + 15))
+    assert page.evaluate("String(getSelection())") and page.is_visible("#notice")
+    page.evaluate("getSelection().empty()")
+    page.click("#notice")
+    assert not page.is_visible("#notice")
+
+
+@each("kind, is_taken", [("Files", True), ("text/plain", False)])
+def test_files_are_taken_and_text_falls_where_it_is_dropped(page, kind, is_taken):
+    found = page.evaluate(
+        """(kind) => {
+             const data = new DataTransfer();
+             if (kind === "Files") data.items.add(new File(["a"], "a.pdf"));
+             else data.setData(kind, "jaw");
+             const event = new DragEvent("drop", { dataTransfer: data, bubbles: true, cancelable: true });
+             document.getElementById("search").dispatchEvent(event);
+             return event.defaultPrevented;
+           }""",
+        kind,
+    )
+    page.evaluate("document.getElementById('notice').textContent = ''")
+    assert found is is_taken
 
 
 def test_loop_repeats_its_range(page):
@@ -375,6 +492,21 @@ def test_keys_play_and_step_after_a_click_on_loop_or_speed(page):
     assert frame_of(page) == before - 1
     page.keyboard.press("Space")
     assert is_playing(page)
+
+
+def test_quick_presses_of_play_end_as_the_last_one(page):
+    page.evaluate("for (let k = 0; k < 3; k++) document.getElementById('play').click()")
+    page.wait_for_function("deitalk.page.clock.time > 0")
+    page.wait_for_timeout(100)  # until the first start has failed
+    assert is_playing(page) and not page.evaluate("deitalk.page.clock.audio.paused")
+    page.evaluate(
+        """async () => {
+             const sound = await (await fetch(deitalk.page.clock.audio.src)).arrayBuffer();
+             deitalk.page.load(deitalk.page.take, new Uint8Array(sound));
+           }"""
+    )
+    assert not is_playing(page) and page.inner_text("#play") == "Play"
+    assert page.complaints == []
 
 
 def test_checkbox_reached_by_tab_keeps_the_space_key(page):
