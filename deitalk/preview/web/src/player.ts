@@ -58,6 +58,7 @@ export class Player {
     this.intake = this.makeIntake();
     bindIntake(this.intake);
     new ResizeObserver(() => this.layout()).observe($("sound"));
+    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.layout());
   }
 
   get take(): Take | undefined {

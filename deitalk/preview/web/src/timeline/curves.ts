@@ -78,8 +78,7 @@ export class CurveLanes {
 
   private options(lowest: number): uPlot.Options {
     const { span } = this;
-    const color = getComputedStyle(document.body).color;
-    const axis = { stroke: color, grid: { stroke: "#8883", width: 1 } };
+    const axis = { stroke: () => getComputedStyle(document.body).color, grid: { stroke: "#8883", width: 1 } };
     return {
       width: this.box.clientWidth || 300,
       height: HEIGHT,
