@@ -447,6 +447,35 @@ def test_emotions_are_compared_and_a_take_folder_is_read_back(browser, server, s
 
 
 @pytest.mark.slow
+def test_take_that_is_dropped_shows_its_arguments_and_gives_the_same_files(
+    browser, server, speech, tmp_path
+):
+    fields = (
+        "[...document.querySelectorAll('#acting input, #words, #life input')].map((e) => e.value)"
+    )
+    with studio(browser, server) as tab:
+        drop(tab, speech)
+        until(tab, "!!deitalk.page.take")
+        edit(tab)
+        before, shown = shown_values(tab), tab.evaluate(fields)
+        curves = read_curves(download(tab, "CSV", tmp_path)).values
+        take = download(tab, "Take", tmp_path)
+        drop(tab, speech)
+        until(tab, "document.getElementById('words').value === '' && deitalk.studio.isSettled")
+        drop(tab, take)
+        until(tab, "document.getElementById('words').value && deitalk.studio.isSettled")
+        assert tab.evaluate(fields) == shown and "Bob's promise" in shown and "7" in shown
+        assert np.abs(shown_values(tab) - before).max() < 1e-3
+        again = read_curves(download(tab, "CSV", tmp_path / "again")).values
+        assert np.abs(again - curves).max() < 1e-3
+        tab.get_by_label("seed").fill("0")
+        tab.get_by_label("seed").press("Enter")
+        is_quiet(tab)
+        other = read_curves(download(tab, "CSV", tmp_path / "other")).values
+        assert np.abs(other - curves).max() > 0.05
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("scheme", ["dark", "light"])
 def test_studio_fits_a_phone_and_names_everything(browser, server, speech, scheme):
     narrow = {"width": 390, "height": 844}

@@ -26,10 +26,10 @@ const EXPORTS: [string, string, boolean][] = [
   ["CSV", "csv", false], ["JSON", "json", false], ["Live Link", "livelink", false], ["GLB", "glb", false],
   ["Video", "mp4", true], ["Page", "page", false], ["Take", "take", false],
 ];
-/** Fields that the tracks and the sound of a dropped take hold, and gains, which the page applies. */
-const OWN = ["emotion", "intensity", "intensity_curve", "gain", "listen"];
-/** Arguments of a dropped take that its edits keep. */
-const OPTIONS = ["model", ...Object.keys(FIELDS)].filter((name) => !OWN.includes(name));
+/** Fields that the tracks and the sound of a dropped take hold, and factors. */
+const OWN = ["emotion", "intensity", "intensity_curve", "listen", "gain", "life"];
+/** Arguments of a dropped take that its edit shows. */
+const SHOWN = Object.keys(FIELDS).filter((name) => !OWN.includes(name));
 /** Pause after the last edit until the take is animated again; of a recording that is a job of the service. */
 const SETTLE_MS = 350, JOB_SETTLE_MS = 1500;
 const SAVE_MS = 200;
@@ -45,6 +45,13 @@ interface Reading {
   take: Take;
   wav: Uint8Array | null;
   notes: string[];
+}
+
+/** Factors by name, such as `jaw=1.2,brow=.8`; undefined for other text. */
+function factorsOf(given: unknown): Record<string, number> | undefined {
+  const pairs = typeof given === "string" ? given.split(",").map((part) => part.split("=")) : Object.entries(given ?? {});
+  const factors = Object.fromEntries(pairs.map(([name, factor]) => [name.trim(), Number(factor)]));
+  return pairs.length && Object.values(factors).every(Number.isFinite) ? factors : undefined;
 }
 
 export class Studio {
@@ -184,13 +191,21 @@ export class Studio {
     this.enable();
     if (!wav || !intensityCsv) return;
     const recording = new File([wav as BlobPart], player.take!.title, { type: "audio/wav" });
-    const given = Object.entries({ ...settings, model }).filter(([name, value]) => OPTIONS.includes(name) && value !== null);
-    const options = Object.fromEntries(given.map(([name, value]) => [name, typeof value === "object" ? JSON.stringify(value) : String(value)]));
+    const given = Object.entries(settings).filter(([name, value]) => SHOWN.includes(name) && value !== null);
+    const shown = Object.fromEntries(given.map(([name, value]) => [name, typeof value === "object" ? JSON.stringify(value) : String(value)]));
+    const { words = "", language = NO_EDIT.language, ...acting } = shown;
+    const gains = factorsOf(settings.gain), life = factorsOf(settings.life);
+    const options = { model, ...(life || !settings.life ? {} : { life: String(settings.life) }) };
     const source: Source = { recording, name: recording.name, options, weightsCsv: intensityCsv, hasOwnIntensity: true };
-    const animated = player.history.edit;
+    const animated: Edit = { ...NO_EDIT, words, language, acting, life: life ?? {} };
+    player.history.reset(animated);
     const found = await this.opening.run("Animating", (...work) => this.reading({ ...source, edit: animated, intensityCsv }, ...work));
     if (!found) return;
     this.session = { ...source, edit: animated, animated, packed: found.packed };
+    if (gains) {
+      player.replace(found.take); // the curves of the folder hold them already
+      player.history.reset({ ...player.history.edit, gains });
+    }
     this.enable();
     this.edited();
   }
@@ -325,8 +340,8 @@ export class Studio {
     }
     for (const [name, value] of Object.entries(options)) words.push(optionOf(name, value));
     const gains = Object.entries(gainsOf(session.edit)).map(([region, gain]) => `${region}=${gain}`);
-    if (gains.length) words.push(`--gain ${gains.join(",")}`);
-    notice(`${words.filter(Boolean).join(" ")} -o take/`);
+    if (gains.length) words.push(`--gain ${quoted(gains.join(","))}`);
+    notice(`${words.join(" ")} -o take/`);
   }
 
   /** Whether the intensity is not the predicted one. */
