@@ -271,6 +271,22 @@ def test_copy_of_an_open_tab_has_a_session_of_its_own(browser, server, speech, t
 
 
 @pytest.mark.slow
+def test_silence_after_the_speech_is_shown_and_its_end_too(browser, server, speech):
+    with studio(browser, server) as tab:
+        drop(tab, speech)
+        until(tab, "!!deitalk.page.take")
+        for listen in (1, 0):
+            tab.get_by_label("listen").fill(str(listen))
+            tab.get_by_label("listen").press("Enter")
+            is_quiet(tab)
+            until(tab, "deitalk.page.clock.audio.duration > 0")
+            seek(tab, 99)
+            lengths = ["take.seconds", "clock.audio.duration", "span.end", "state().shown"]
+            found = tab.evaluate(f"[{', '.join('deitalk.page.' + name for name in lengths)}]")
+            assert found == pytest.approx([SECONDS + listen] * 4, abs=0.05)
+
+
+@pytest.mark.slow
 def test_key_in_focus_takes_the_emotion_until_the_focus_leaves_it(browser, server, speech):
     with studio(browser, server) as tab:
         drop(tab, speech)

@@ -82,26 +82,26 @@ export class Player {
 
   /** Begin with a take, its recording, and others to compare it with. */
   load(take: Take, wav: Uint8Array | null, others: Take[] = [], edit: Edit = NO_EDIT): void {
-    this.transport.pause();
     this.takes = [take, ...others];
     this.transport.fps = take.fps;
     this.transport.range = undefined;
-    this.clock.load(wav, take.seconds);
-    this.sound.load(wav);
+    this.setSound(wav, take.seconds);
     $("workbench").hidden = false;
     $("hint").hidden = true;
-    this.span.reset(take.seconds);
     this.history.reset(edit);
     this.show();
     this.transport.setRange();
     this.seek(0);
   }
 
-  /** Another reading of the same recording, with the same edits. */
-  replace(take: Take): void {
+  /** Another reading of the same recording, with the same edits; it may last longer, and its sound. */
+  replace(take: Take, wav: Uint8Array | null): void {
+    const { shown } = this.transport, isAsLong = take.seconds === this.take?.seconds;
     this.takes = [take, ...this.takes.slice(1)];
+    if (!isAsLong) this.setSound(wav, take.seconds);
     this.apply();
     this.show();
+    if (!isAsLong) this.seek(shown);
   }
 
   /** Takes beside the first: a version kept, a captured reference. */
@@ -142,6 +142,13 @@ export class Player {
     this.transport?.show(Math.min(this.transport.shown, this.clock.seconds));
   }
 
+  private setSound(wav: Uint8Array | null, seconds: number): void {
+    this.transport.pause();
+    this.clock.load(wav, seconds);
+    this.sound.load(wav);
+    this.span.reset(seconds);
+  }
+
   private get faceTakes(): Take[] {
     return this.gallery?.takes ?? this.takes;
   }
@@ -180,11 +187,7 @@ export class Player {
   /** Update after a GLB is opened or closed; without a take the GLB gives the duration. */
   private opened(): void {
     const { model } = this.opener;
-    if (!this.take) {
-      this.transport.pause();
-      this.clock.load(null, model?.seconds ?? 0);
-      this.span.reset(this.clock.seconds);
-    }
+    if (!this.take) this.setSound(null, model?.seconds ?? 0);
     this.layout();
     model?.look("face");
   }

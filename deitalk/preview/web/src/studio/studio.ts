@@ -203,7 +203,7 @@ export class Studio {
     if (!found) return;
     this.session = { ...source, edit: animated, animated, packed: found.packed };
     if (gains) {
-      player.replace(found.take); // the curves of the folder hold them already
+      player.replace(found.take, found.wav); // the curves of the folder hold them already
       player.history.reset({ ...player.history.edit, gains });
     }
     this.enable();
@@ -254,7 +254,7 @@ export class Studio {
     if (!found || !isSameReading(session.edit, edit)) return false;
     session.packed = found.packed;
     session.animated = edit;
-    this.player.replace(found.take);
+    this.player.replace(found.take, found.wav);
     this.keep();
     return true;
   }
@@ -263,7 +263,7 @@ export class Studio {
     const take = this.player.take!, found = await this.animate(session, edit, take.intensityCsv());
     if (!found) return;
     take.setExact(edit.points, found.take);
-    this.player.replace(take);
+    this.player.replace(take, found.wav);
   }
 
   /** The five emotions side by side; a press on a name takes it. */
