@@ -10,6 +10,9 @@ export const KEYS: [string, string][] = [
   ["1 2 3 4", "face, three quarter, side, mouth"], ["O", "open a file"], ["?", "this list"],
 ];
 
+/** Keys that act again while they are held. */
+const REPEATED = /^(Arrow\w+|[,.zx])$/i;
+
 export const isText = (target: HTMLElement) =>
   target.tagName === "TEXTAREA" || (target.tagName === "INPUT" && !/^(checkbox|range|button)$/.test((target as HTMLInputElement).type));
 
@@ -28,7 +31,7 @@ export function bindKeys(actions: Record<string, () => void>): void {
     const action = actions[event.key.length === 1 ? event.key.toLowerCase() : event.key];
     if (!action) return;
     event.preventDefault();
-    action();
+    if (!event.repeat || REPEATED.test(event.key)) action();
   });
 }
 

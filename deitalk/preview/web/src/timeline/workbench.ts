@@ -3,12 +3,12 @@
 import type { History } from "../data/edit";
 import type { Take } from "../data/take";
 import { $, button, save, showValue, timeCode } from "../dom";
+import { isText } from "../playback/keys";
 import { CurveLanes } from "./curves";
 import { EmotionLane } from "./emotion";
 import { IntensityLane } from "./intensity";
 import { factorSlider, Regions } from "./regions";
 import { bindSearch } from "./search";
-import { isText } from "../playback/keys";
 import type { Span } from "./span";
 
 const REBUILD_MS = 250;
