@@ -4,8 +4,10 @@ Python reports every open, rename and removal to audit hooks. From the chosen wr
 fails, so that the folder stays in the state of a killed process.
 """
 
+import gc
 import os
 import sys
+import threading
 from collections.abc import Callable
 from pathlib import Path
 
@@ -17,14 +19,16 @@ class Killed(BaseException):
 
 
 class _Watch:
-    """Counter of the one audit hook of this process; hooks cannot be removed."""
+    """Counter of the one audit hook of this process, for one thread; hooks cannot be removed."""
 
+    thread = 0
     root: str | None = None
     left = 0
     count = 0
 
     def __call__(self, event: str, args: tuple) -> None:
-        if self.root is None or not self._is_write(event, args):
+        is_other = self.root is None or threading.get_ident() != self.thread
+        if is_other or not self._is_write(event, args):
             return
         self.count += 1
         if self.count > self.left:
@@ -61,13 +65,16 @@ def kill_at_write(number: int, root: Path, run: Callable[[], object]) -> int:
     if not _is_installed:
         sys.addaudithook(_watch)
         _is_installed = True
-    _watch.left, _watch.count, _watch.root = number - 1, 0, str(root)
+    _watch.thread, _watch.left, _watch.count = threading.get_ident(), number - 1, 0
+    gc.disable()  # what earlier tests left is not removed now
+    _watch.root = str(root)
     try:
         run()
     except Killed:
         pass
     finally:
         _watch.root = None
+        gc.enable()
     return _watch.count
 
 

@@ -31,7 +31,10 @@ LIMITS = {
     "slow": {"scopes": ["animate"], "requests_per_minute": 10},
     "anna": {},
     "bert": {"concurrent": 2},
-    "carl": {"live": 1, "audio_seconds_per_hour": 5},
+    "carl": {"live": 1},
+    "dora": {},
+    "emil": {},
+    "finn": {"audio_seconds_per_hour": 5},
 }
 """What a key may not, of all that a key may."""
 KEYS = {name: f"dk_{name}-key-of-the-tests" for name in LIMITS}
@@ -89,7 +92,7 @@ def client(server):
 
 @pytest.fixture(scope="session")
 def keyed_server(tmp_path_factory):
-    """A server of one worker, four places, and six keys."""
+    """A server of one worker, four places, and the keys of `LIMITS`."""
     keys = [
         {"name": name, "sha256": digest_of(KEYS[name]), "requests_per_minute": 100_000,
          "scopes": ["animate", "jobs", "live", "metrics"]} | limits

@@ -18,7 +18,8 @@ import sqlite3
 import sys
 import tempfile
 import time
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import httpx
@@ -47,6 +48,26 @@ def kill(pid: int) -> None:
     """End a process by signal 9."""
     with suppress(ProcessLookupError):
         os.kill(pid, signal.SIGKILL)
+
+
+@contextmanager
+def frozen(server: Server) -> Iterator[None]:
+    """Meanwhile its worker processes do nothing, so that what they have stays at work.
+
+    Processes that are started meanwhile work.
+    """
+    workers = [pid for pid in descendants(server.process.pid) if not descendants(pid)]
+
+    def signal_all(number: int) -> None:
+        for pid in workers:
+            with suppress(ProcessLookupError):  # the server ends one whose client has gone
+                os.kill(pid, number)
+
+    signal_all(signal.SIGSTOP)
+    try:
+        yield
+    finally:
+        signal_all(signal.SIGCONT)
 
 
 class Load:

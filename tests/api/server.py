@@ -1,11 +1,12 @@
 """A real server in a process of its own, on a free port, for tests."""
 
 import os
+import re
 import socket
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,6 +30,19 @@ class Server:
 
     def client(self, **given) -> httpx.Client:
         return httpx.Client(base_url=self.url, timeout=120, trust_env=False, **given)
+
+    def metric(self, name: str, headers: dict[str, str] | None = None) -> float:
+        """Value of a metric without labels, whose prefix is left out."""
+        text = httpx.get(f"{self.url}/metrics", headers=headers, trust_env=False).text
+        return float(re.search(rf"^deitalk_{name} (.*)$", text, re.M)[1])
+
+
+def wait_for(check: Callable[[], bool], seconds: float = 60.0) -> None:
+    """Wait until it is true; an AssertionError after some seconds."""
+    end = time.monotonic() + seconds
+    while not check():
+        assert time.monotonic() < end, f"not within {seconds:g} s"
+        time.sleep(0.02)
 
 
 def free_port() -> int:
@@ -75,7 +89,7 @@ def wait_until(server: Server, path: str) -> None:
 def stop(server: Server) -> None:
     if server.process.poll() is None:
         server.process.terminate()
-        server.process.wait(30)
+        server.process.wait(120)
 
 
 @contextmanager

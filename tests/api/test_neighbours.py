@@ -1,10 +1,11 @@
 """What one client may take from another: time of workers, places, connections; and who leaves."""
 
 import json
+import os
+import re
 import socket
-import threading
-import time
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 import httpx
 import pytest
@@ -13,9 +14,10 @@ from websockets.sync.client import connect
 
 from api.guard.keys import digest_of
 from tests.api.conftest import KEYS, bearer, wav
+from tests.api.kill import descendants, frozen
+from tests.api.server import wait_for, wait_until
 
-CLIP = wav(30.0)
-"""More than half a second of work."""
+CLIP = wav(1.0)
 
 
 @pytest.fixture(scope="module")
@@ -23,97 +25,106 @@ def crowded(keyed_server):
     return keyed_server
 
 
-def send(server, name, recording=CLIP, timeout=60.0):
+def send(server, name, recording=CLIP):
     return httpx.post(
-        f"{server.url}/v1/animations?format=npz", content=recording, timeout=timeout,
+        f"{server.url}/v1/animations?format=npz", content=recording, timeout=120,
         headers=bearer(name) | {"Content-Type": "audio/wav"}, trust_env=False,
     )  # fmt: skip
 
 
-def gauge(server, name):
-    text = httpx.get(f"{server.url}/metrics", headers=bearer("anna"), trust_env=False).text
-    return float(next(line for line in text.splitlines() if line.startswith(name)).split()[1])
+def wait_for_orders(server, count):
+    wait_for(lambda: server.metric("busy_orders", bearer("anna")) == count)
 
 
-def wait_for(check, seconds=20.0):
-    end = time.monotonic() + seconds
-    while not check():
-        assert time.monotonic() < end
-        time.sleep(0.05)
+def processor_seconds(server):
+    """Of the server and its processes."""
+    fields = [
+        Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+        for pid in (server.process.pid, *descendants(server.process.pid))
+    ]
+    return sum(int(field[11]) + int(field[12]) for field in fields) / os.sysconf("SC_CLK_TCK")
 
 
 def test_first_session_gets_its_header_at_once(crowded):
-    """The model was read when the server started: reading it takes seconds."""
+    """The model was read when the server started, which takes ten times as long."""
     wait_for(lambda: "live voices are ready" in crowded.log.read_text(), 120)
     url = f"{crowded.url.replace('http', 'ws')}/v1/live"
     with connect(url, additional_headers=bearer("anna"), proxy=None) as live:
-        began = time.perf_counter()
+        before = processor_seconds(crowded)
         live.send(json.dumps({"type": "start"}))
         assert json.loads(live.recv())["type"] == "header"
-        assert time.perf_counter() - began < 0.5
+        assert processor_seconds(crowded) - before < 0.15
+
+
+def request_of(server, name, recording=CLIP, length=None):
+    """A connection that has sent a request."""
+    connection = socket.create_connection(server.address, timeout=60)
+    head = f"POST /v1/animations HTTP/1.1\r\nHost: {server.url[7:]}\r\nAuthorization: "
+    head += f"Bearer {KEYS[name]}\r\nContent-Type: audio/wav\r\n"
+    head += f"Content-Length: {length or len(recording)}\r\n\r\n"
+    connection.sendall(head.encode() + recording)
+    return connection
 
 
 def test_work_of_clients_that_left_is_dropped(crowded):
-    """Ten abandoned requests, some at work and some waiting, keep nobody waiting."""
-    began = time.perf_counter()
-    assert send(crowded, "anna").status_code == 200
-    alone = time.perf_counter() - began
-    left = gauge(crowded, "deitalk_left_orders")
-    with ThreadPoolExecutor(4) as threads:
-        for _ in range(3):
-            for gone in [threads.submit(send, crowded, "anna", timeout=0.2) for _ in range(4)]:
-                with pytest.raises(httpx.TimeoutException):
-                    gone.result()
-    wait_for(lambda: gauge(crowded, "deitalk_busy_orders") == 0, 2.0)
-    assert gauge(crowded, "deitalk_left_orders") >= left + 4
-    began = time.perf_counter()
+    """Of abandoned requests one is at work and the others wait; none keeps anybody waiting."""
+    left = crowded.metric("left_orders", bearer("anna"))
+    for _ in range(3):
+        wait_until(crowded, "/readyz")  # the worker was ended with its order
+        with frozen(crowded):
+            gone = [request_of(crowded, "anna") for _ in range(4)]
+            wait_for_orders(crowded, 4)
+            for connection in gone:
+                connection.close()
+            wait_for_orders(crowded, 0)
+    assert crowded.metric("left_orders", bearer("anna")) == left + 12
     assert send(crowded, "bert").status_code == 200
-    assert time.perf_counter() - began < 2 * alone + 2
     assert httpx.get(f"{crowded.url}/readyz", trust_env=False).status_code == 200
 
 
 def test_full_house_refuses_before_the_upload_is_read(crowded):
     with ThreadPoolExecutor(4) as threads:
-        busy = [threads.submit(send, crowded, "anna") for _ in range(4)]
-        wait_for(lambda: gauge(crowded, "deitalk_busy_orders") == 4)
-        with socket.create_connection(crowded.address, timeout=5) as connection:
-            head = f"POST /v1/animations HTTP/1.1\r\nHost: {crowded.url[7:]}\r\nAuthorization: "
-            head += f"Bearer {KEYS['bert']}\r\nContent-Type: audio/wav\r\nContent-Length: 9000000"
-            connection.sendall(head.encode() + b"\r\n\r\nRIFF")
-            answer = connection.recv(65536).decode()
+        with frozen(crowded):
+            busy = [threads.submit(send, crowded, "anna") for _ in range(4)]
+            wait_for_orders(crowded, 4)
+            with request_of(crowded, "bert", b"RIFF", length=9_000_000) as connection:
+                answer = connection.recv(65536).decode()
         assert answer.startswith("HTTP/1.1 503") and "retry-after: 1" in answer.lower()
         assert [request.result().status_code for request in busy] == [200] * 4
 
 
 def test_key_may_have_so_many_requests_at_work(crowded):
-    with ThreadPoolExecutor(3) as threads:
-        answers = list(threads.map(lambda _: send(crowded, "bert"), range(3)))
-        statuses = sorted(answer.status_code for answer in answers)
-    assert statuses == [200, 200, 429]
-    assert max(answers, key=lambda a: a.status_code).headers["retry-after"] == "1"
+    with ThreadPoolExecutor(2) as threads:
+        with frozen(crowded):
+            busy = [threads.submit(send, crowded, "bert") for _ in range(2)]
+            wait_for_orders(crowded, 2)
+            refused = send(crowded, "bert")
+        assert [request.result().status_code for request in busy] == [200] * 2
+    assert (refused.status_code, refused.headers["retry-after"]) == (429, "1")
 
 
 def test_key_with_one_request_waits_for_one_of_another_s_only(crowded):
-    """Anna has three requests in line when Bert's comes; his is the second to be done."""
-    ends = []
+    """Dora has three requests in line when Emil's comes; his is the second to be done."""
+    with ThreadPoolExecutor(4) as threads:
+        with frozen(crowded):
+            asked = [threads.submit(send, crowded, "dora") for _ in range(3)]
+            wait_for_orders(crowded, 3)
+            asked.append(threads.submit(send, crowded, "emil"))
+            wait_for_orders(crowded, 4)
+        assert [request.result().status_code for request in asked] == [200] * 4
+    wait_for(lambda: len(answered_to(crowded, "dora", "emil")) == 4)
+    assert answered_to(crowded, "dora", "emil") == ["dora", "emil", "dora", "dora"]
 
-    def timed(name):
-        assert send(crowded, name).status_code == 200
-        ends.append(name)
 
-    threads = [threading.Thread(target=timed, args=("anna",)) for _ in range(3)]
-    for thread in threads:
-        thread.start()
-    wait_for(lambda: gauge(crowded, "deitalk_busy_orders") == 3)
-    threads.append(threading.Thread(target=timed, args=("bert",)))
-    threads[-1].start()
-    for thread in threads:
-        thread.join()
-    assert ends == ["anna", "bert", "anna", "anna"]
+def answered_to(server, *names):
+    """Keys of the answers in their order, those of some keys."""
+    keys = re.findall(r'"key": "(\w+)"', server.log.read_text())
+    return [key for key in keys if key in names]
 
 
 def test_live_sessions_of_a_key_are_limited_and_say_when_to_come_again(crowded):
     url = f"{crowded.url.replace('http', 'ws')}/v1/live"
+    wait_for(lambda: crowded.metric("live_sessions", bearer("anna")) == 0)
     with connect(url, additional_headers=bearer("carl"), proxy=None):
         with pytest.raises(InvalidStatus) as refused:
             connect(url, additional_headers=bearer("carl"), proxy=None)
@@ -124,8 +135,8 @@ def test_live_sessions_of_a_key_are_limited_and_say_when_to_come_again(crowded):
 
 
 def test_sound_beyond_a_key_s_quota_is_refused(crowded):
-    assert send(crowded, "carl", wav(6.0)).status_code == 200
-    answer = send(crowded, "carl", wav(1.0))
+    assert send(crowded, "finn", wav(6.0)).status_code == 200
+    answer = send(crowded, "finn", wav(1.0))
     assert (answer.status_code, answer.json()["code"]) == (429, "quota_used")
     assert 1 <= int(answer.headers["retry-after"]) <= 3600
 

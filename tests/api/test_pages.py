@@ -1,6 +1,7 @@
 """The studio's pages: drawn once each, one at a time, outside the server's process."""
 
 import asyncio
+import threading
 import time
 from pathlib import Path
 
@@ -25,11 +26,14 @@ class Drawer:
 
     def __init__(self, failures: int = 0) -> None:
         self.drawn, self.failures, self.at_work = [], failures, 0
+        self.may_end = threading.Event()
+        self.may_end.set()
 
     def run(self, order, seconds):
         self.at_work += 1
         assert self.at_work == 1, "two pages are drawn at a time"
         time.sleep(0.01)
+        self.may_end.wait()
         self.at_work -= 1
         head = order["options"]["head"]
         self.drawn.append(head)
@@ -105,12 +109,15 @@ def test_pages_without_a_key_are_counted_by_address_and_probes_are_not():
 
 
 def test_drawings_that_wait_end_with_the_server(pages):
+    pages.worker.may_end.clear()
+
     async def ask():
         asked = [asyncio.create_task(pages.page(str(head))) for head in range(5)]
-        async with asyncio.timeout(10):
+        async with asyncio.timeout(60):
             while not pages.worker.at_work:
                 await asyncio.sleep(0.001)
         pages.stop()
+        pages.worker.may_end.set()
         return await asyncio.gather(*asked, return_exceptions=True)
 
     ended = asyncio.run(ask())

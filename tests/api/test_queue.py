@@ -36,12 +36,17 @@ def database(request, tmp_path):
 
 @pytest.fixture
 def empty(database):
-    """A database without tables."""
+    """A database without tables, which is left so."""
     engine = sql.create_engine(database)
-    with engine.begin() as connection:
-        METADATA.drop_all(connection)
-        connection.execute(sql.text(f"DROP TABLE IF EXISTS {VERSIONS}"))
+
+    def clear():
+        with engine.begin() as connection:
+            METADATA.drop_all(connection)
+            connection.execute(sql.text(f"DROP TABLE IF EXISTS {VERSIONS}"))
+
+    clear()
     yield engine
+    clear()
     engine.dispose()
 
 

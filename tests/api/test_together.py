@@ -124,7 +124,7 @@ def test_reader_that_ends_or_fails_is_replaced_and_meanwhile_a_worker_reads_by_i
         assert network.together == 1 and SharedNetwork._line is not None
         before = made.process.pid
         kill(before)
-        wait([made.process.sentinel], 10)
+        wait([made.process.sentinel], 60)
         np.testing.assert_allclose(network.read(*given).emotional, expected.emotional, atol=1e-5)
         assert SharedNetwork._line is None
         end = time.monotonic() + 60
@@ -222,7 +222,7 @@ def test_what_ends_one_request_ends_no_other(server):
             with pytest.raises(httpx.TimeoutException):
                 each.result()
     logged: dict[str, int] = {}
-    end = time.monotonic() + 10  # a line is written after its answer was sent
+    end = time.monotonic() + 60  # a line is written after its answer was sent
     while len(logged) < 12 and time.monotonic() < end:
         lines = [line for line in server.log.read_text().splitlines() if '"id-' in line]
         logged = {entry["request"]: entry["status"] for entry in map(json.loads, lines)}

@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import pytest
 
@@ -94,6 +95,8 @@ def test_a_signal_ends_a_live_recording_and_what_was_received_is_written(number,
     with start(*command) as process:
         port = int(re.search(r":(\d+)", process.stderr.readline())[1])
         sent = send(curves, make_protocol("livelink", "anna", names), ("127.0.0.1", port))
+        while unread(port):
+            time.sleep(0.02)
         time.sleep(0.3)
         process.send_signal(number)
         _, errors = process.communicate(timeout=30)
@@ -101,6 +104,13 @@ def test_a_signal_ends_a_live_recording_and_what_was_received_is_written(number,
     assert "frames of 'anna'" in errors
     assert len(read_take(out).ticks) >= sent.n_sent  # a busy machine skips frames
     assert [path.name for path in tmp_path.iterdir()] == [out.name]
+
+
+def unread(port: int) -> int:
+    """Bytes that wait in the UDP socket of a port; 0 where the system does not tell."""
+    table = Path("/proc/net/udp")
+    rows = [line.split() for line in table.read_text().splitlines()] if table.exists() else []
+    return sum(int(row[4].partition(":")[2], 16) for row in rows if row[1].endswith(f":{port:04X}"))
 
 
 def test_installed_handlers_raise_once_and_then_let_the_program_clean_up():

@@ -96,8 +96,9 @@ def test_a_pushed_model_has_a_card_of_its_report_and_no_folder_of_this_machine(t
     assert json.loads(files["model.json"])["training"]["base"] == "base"
 
 
-def test_a_model_is_fetched_by_name_once_and_then_read_from_the_cache(the_hub, run):
+def test_a_model_is_fetched_by_name_once_and_then_read_from_the_cache(the_hub, run, tmp_path):
     state, settings, _ = the_hub
+    settings = settings | {"HF_HOME": str(tmp_path)}
     commit, _ = state.files("me/anna", "main")
     state.asked.clear()
     about = json.loads(command(settings, "info", "me/anna", "--json").out)
@@ -120,17 +121,18 @@ def test_a_model_is_fetched_by_name_once_and_then_read_from_the_cache(the_hub, r
 
 def test_a_revision_stays_when_the_model_moves_on(the_hub, run, tmp_path):
     state, settings, _ = the_hub
-    before, files = state.files("me/anna", "main")
+    _, files = state.files("me/anna", "main")
+    before = state.commit("me/moving", files)
     config = yaml.safe_load(files["config.yaml"]) | {"name": "newer"}
-    state.commit("me/anna", {"config.yaml": yaml.safe_dump(config).encode()})
+    after = state.commit("me/moving", {"config.yaml": yaml.safe_dump(config).encode()})
     names = {}
     for revision in ("", f"@{before}"):
-        settings |= {"HF_HOME": str(tmp_path / f"home{revision[:3]}")}
-        about = json.loads(command(settings, "info", f"me/anna{revision}", "--json").out)
-        folder = next((tmp_path / f"home{revision[:3]}").rglob("config.yaml"))
+        home = tmp_path / f"home{revision[:3]}"
+        at_home = settings | {"HF_HOME": str(home)}
+        about = json.loads(command(at_home, "info", f"me/moving{revision}", "--json").out)
+        folder = next(home.rglob("config.yaml"))
         names[about["name"]] = yaml.safe_load(folder.read_text())["name"]
-    after, _ = state.files("me/anna", "main")
-    assert names == {f"me/anna@{after}": "newer", f"me/anna@{before}": "deitalk"}
+    assert names == {f"me/moving@{after}": "newer", f"me/moving@{before}": "deitalk"}
 
 
 @each(

@@ -67,12 +67,15 @@ class Server:
 
 
 def serve() -> None:
-    """Process the jobs on standard input until it ends."""
+    """Process the jobs on standard input until it ends, or nobody reads the answer."""
     library()
     for line in sys.stdin.buffer:
         answer = _in_fork(json.loads(line))
-        sys.stdout.buffer.write(answer or b'{"bytes": 0, "events": null}\n')
-        sys.stdout.buffer.flush()
+        try:
+            sys.stdout.buffer.write(answer or b'{"bytes": 0, "events": null}\n')
+            sys.stdout.buffer.flush()
+        except BrokenPipeError:  # the owner was killed; Python would write the rest at its end
+            os._exit(1)
 
 
 def _in_fork(job: dict[str, Any]) -> bytes:
