@@ -117,6 +117,7 @@ def evaluate(
 
         measure(model, seconds, threads, repeats, memory=memory, mesh=mesh, as_json=as_json)
         return
+    _refuse("with --speed", memory=memory or None, mesh=mesh or None)
     reserve_report(out, picture, force=force)
     from deitalk.models.folder import describe_model, product_of
 
@@ -126,7 +127,7 @@ def evaluate(
         report, markdown = _score_mesh(model, data, split=split, most=most, transitions=transitions)
     elif acted is not None:
         _refuse("not with acted strengths", noise=noise, captured=captured, picture=picture)
-        _refuse("not with acted strengths", lips=lips, speaker=speaker)
+        _refuse("not with acted strengths", lips=lips, speaker=speaker, most=most)
         report, markdown = _score_people(model, "acted", acted, split=split)
     elif lips is not None:
         _refuse("not with measured lips", noise=noise, captured=captured, picture=picture)

@@ -204,6 +204,7 @@ def test_benchmark_refuses_a_file_that_it_would_not_write(model, tmp_path):
     out = tmp_path / "speed.json"
     assert "--json" in refused("evaluate", model, "--speed", "-o", str(out))
     assert not out.exists()
+    assert "with --speed" in refused("evaluate", model, "--memory")
 
 
 def test_every_command_has_help_and_is_in_a_page():
