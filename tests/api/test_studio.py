@@ -303,6 +303,42 @@ def test_key_in_focus_takes_the_emotion_until_the_focus_leaves_it(browser, serve
 
 
 @pytest.mark.slow
+def test_plain_address_keeps_the_session_and_says_why_there_is_no_microphone(
+    browser, server, speech
+):
+    """What browsers leave out of pages that are neither of https nor of localhost."""
+    with studio(browser, server) as tab:
+        tab.add_init_script(
+            """Object.defineProperty(crypto, "randomUUID", { value: undefined });
+               Object.defineProperty(navigator, "mediaDevices", { value: undefined });"""
+        )
+        tab.reload()
+        until(tab, "!!window.deitalk?.ready")
+        tab.click("#record")
+        assert tab.inner_text("#notice").endswith("https and of localhost only")
+        assert tab.is_enabled("#record") and tab.is_enabled("#live")
+        drop(tab, speech)
+        until(tab, "!!deitalk.page.take")
+        is_quiet(tab)
+        tab.reload()
+        until(tab, "!!window.deitalk?.ready && !!deitalk.page.take")
+        assert tab.inner_text("#notice") == ""
+
+
+@pytest.mark.slow
+def test_service_that_does_not_answer_is_told_and_the_next_edit_is_made(browser, server, speech):
+    with studio(browser, server) as tab:
+        drop(tab, speech)
+        until(tab, "!!deitalk.page.take")
+        tab.context.set_offline(True)
+        press(tab, "angry")
+        until(tab, "document.getElementById('notice').textContent.includes('does not answer')")
+        tab.context.set_offline(False)
+        press(tab, "sad")
+        until(tab, "document.getElementById('status').textContent.startsWith('sad')")
+
+
+@pytest.mark.slow
 def test_second_press_while_the_microphone_is_asked_for_opens_no_other(browser, server):
     with studio(browser, server, permissions=["microphone"]) as tab:
         tab.evaluate(

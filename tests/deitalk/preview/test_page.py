@@ -514,6 +514,44 @@ def test_quick_presses_of_play_end_as_the_last_one(page):
     assert page.complaints == []
 
 
+def test_held_space_starts_once_and_altgr_makes_brackets(page):
+    for _ in range(4):
+        page.keyboard.down("Space")
+    page.keyboard.up("Space")
+    assert is_playing(page)
+    page.keyboard.press("Space")
+    for seconds, key in ((1, "["), (2, "]")):
+        page.evaluate(
+            """([seconds, key]) => {
+                 deitalk.page.seek(seconds);
+                 const keys = { key, ctrlKey: true, altKey: true, modifierAltGraph: true, bubbles: true };
+                 document.body.dispatchEvent(new KeyboardEvent("keydown", keys));
+               }""",
+            [seconds, key],
+        )
+    assert page.evaluate("deitalk.page.transport.range") == pytest.approx([1, 2], abs=0.02)
+
+
+@each(
+    "given",
+    [
+        {"values": []},
+        {"values": [[0.1], [0.2]], "intensity": [1]},
+        {"values": [[0.1], [0.2]], "head": [[0, 0, 0, 0, 0, 0]]},
+    ],
+)
+def test_take_whose_tracks_have_other_lengths_is_refused(page, given):
+    message = page.evaluate(
+        """async (given) => {
+             const curves = { names: ["CTRL_C_jaw.ty"], fps: 30, ...given };
+             const files = new Map([["curves.json", new TextEncoder().encode(JSON.stringify(curves))]]);
+             return deitalk.page.intake.take(files, "cut").then(() => "", (error) => error.message);
+           }""",
+        given,
+    )
+    assert message == "its tracks are not of one length" and page.inner_text("#title") == "first"
+
+
 def test_checkbox_reached_by_tab_keeps_the_space_key(page):
     page.focus("#loop")
     page.keyboard.press("Space")
