@@ -33,7 +33,8 @@ class Server:
 
     def metric(self, name: str, headers: dict[str, str] | None = None) -> float:
         """Value of a metric without labels, whose prefix is left out."""
-        text = httpx.get(f"{self.url}/metrics", headers=headers, trust_env=False).text
+        with self.client(headers=headers) as client:
+            text = client.get("/metrics").text
         return float(re.search(rf"^deitalk_{name} (.*)$", text, re.M)[1])
 
 

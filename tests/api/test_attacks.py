@@ -140,10 +140,10 @@ def test_clients_that_do_not_read_their_answer_are_cut_off(server, client):
 
 def test_idle_connections_keep_nobody_out(server, client):
     """300 where 256 may be open: the idle ones make room, for probes and for requests."""
-    idle = [socket.create_connection(server.address, timeout=5) for _ in range(300)]
+    idle = [socket.create_connection(server.address, timeout=60) for _ in range(300)]
     try:
         for path in ("/healthz", "/readyz", "/v1/emotions"):
-            assert httpx.get(server.url + path, trust_env=False).status_code == 200
+            assert httpx.get(server.url + path, timeout=60, trust_env=False).status_code == 200
     finally:
         for connection in idle:
             connection.close()
@@ -371,7 +371,7 @@ def test_server_is_well_after_all_this(server, client):
     malformed = raw(server, b"\x16\x03\x01\x02\x00\x01\x00 TLS\r\n\r\n")
     assert malformed == b"" or status_of(malformed) == 400
     assert client.post("/v1/animations", content=SPEECH).status_code == 200
-    connection = http.client.HTTPConnection(*server.address, timeout=10)
+    connection = http.client.HTTPConnection(*server.address, timeout=60)
     connection.request("GET", "/healthz")
     answer = connection.getresponse()
     assert answer.status == 200 and json.loads(answer.read())["status"] == "ok"

@@ -28,7 +28,7 @@ def server(tmp_path):
 
 
 def is_ready(server):
-    return httpx.get(f"{server.url}/readyz", trust_env=False).status_code == 200
+    return httpx.get(f"{server.url}/readyz", timeout=60, trust_env=False).status_code == 200
 
 
 class Requests:
@@ -93,7 +93,9 @@ def test_notice_serves_on_while_balancers_look_elsewhere_and_late_requests_get_a
         requests = Requests(server, 8)
         server.process.send_signal(signal.SIGTERM)
         wait_for(lambda: not is_ready(server))
-        assert httpx.get(f"{server.url}/v1/emotions", trust_env=False).status_code == 200
+        assert (
+            httpx.get(f"{server.url}/v1/emotions", timeout=60, trust_env=False).status_code == 200
+        )
         answers = requests.wait()
     assert len(answers) == 8
     for answer in answers:

@@ -79,7 +79,7 @@ def test_work_of_clients_that_left_is_dropped(crowded):
             wait_for_orders(crowded, 0)
     assert crowded.metric("left_orders", bearer("anna")) == left + 12
     assert send(crowded, "bert").status_code == 200
-    assert httpx.get(f"{crowded.url}/readyz", trust_env=False).status_code == 200
+    assert httpx.get(f"{crowded.url}/readyz", timeout=60, trust_env=False).status_code == 200
 
 
 def test_full_house_refuses_before_the_upload_is_read(crowded):

@@ -168,7 +168,7 @@ def send(server, seconds=1.0, recording=None, timeout=120.0, name="", **fields):
 
 def counts(server):
     """Recordings that were read, and those of them that were read alone."""
-    text = httpx.get(f"{server.url}/metrics", trust_env=False).text
+    text = httpx.get(f"{server.url}/metrics", timeout=60, trust_env=False).text
     names = "count", r'bucket\{le="1.0"\}'
     return [
         float(re.search(rf"^deitalk_read_together_{name} (.*)$", text, re.M)[1]) for name in names

@@ -186,7 +186,7 @@ def test_curves_take_the_recording_of_the_take_of_their_name(tmp_path):
         read_clip(tmp_path / "b/x.json", None)
 
 
-def reload_with_answers(tab, patience_seconds: float = 20) -> None:
+def reload_with_answers(tab, patience_seconds: float = 120) -> None:
     """Reload until the kept answers are there: a reload at once may overtake the browser's storage."""
     end = time.monotonic() + patience_seconds
     tab.reload()
