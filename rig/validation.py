@@ -131,9 +131,13 @@ def _take_folder(folder: Path) -> list[Finding]:
     else:
         findings.append(Finding("warning", folder, "no take.json: this is no take of deitalk"))
     durations: dict[str, float] = {}
+    own = _own_rig(folder / "curves.json")
     for path in sorted(folder.iterdir()):
         is_other = path.name.startswith(".") or path.name in ("take.json", *OTHER_CSV)
         if is_other or path.suffix.lower() not in CURVE_SUFFIXES:
+            continue
+        if own and path.name == "curves.csv":  # it does not name its rig
+            findings.append(Finding("note", path, f"of the rig {own}: not checked"))
             continue
         found = _file(path)
         findings += found
@@ -148,6 +152,15 @@ def _take_folder(folder: Path) -> list[Finding]:
         lengths = ", ".join(f"{name} {seconds:.2f} s" for name, seconds in durations.items())
         findings.append(Finding("warning", folder, f"files differ in length: {lengths}"))
     return findings
+
+
+def _own_rig(path: Path) -> str:
+    """Control set of a file if it is a user's own; empty if it is not, or cannot be read."""
+    try:
+        name = read_curves(path, control_set=None).control_set
+    except RigError:
+        return ""
+    return "" if known_controls(name) else name
 
 
 def _take_json(folder: Path) -> list[Finding]:

@@ -36,6 +36,7 @@ from deitalk.pipeline.performance import GLB_TOLERANCE_MM, MeshPerformance, Perf
 from deitalk.pipeline.speech import Speech, measure_intensities
 from deitalk.postprocess.known_phones import seal_lips
 from rig.arrays import Float32
+from rig.controls import DEFAULT_ID
 from rig.curves import snap_fps
 from rig.face import build_head
 from rig.face.head import UNIT_MM
@@ -177,6 +178,11 @@ def _by_curves(
     fps: float | None,
 ) -> MeshPerformance:
     """An embedded head in the poses of the curves."""
+    if network.controls.id != DEFAULT_ID:
+        raise CheckpointError(
+            f"the model is of the rig {network.controls.id}, which has no head here; `deitalk "
+            "retarget` moves your own face by its take"
+        )
     rate = float(FRAME_RATE) if fps is None else fps
     head = build_head(speaker)
     check_length(ceil(recording.duration * rate), len(head.mesh.vertices), most=PREDICTED_BYTES)

@@ -17,6 +17,7 @@ from deitalk.pipeline import mesh as module
 from deitalk.pipeline.mesh import animate_mesh, retarget_speech
 from deitalk.research.meshes.frames import read_ply_sequence
 from deitalk.research.meshes.scores import predict_mesh
+from rig import ControlSet, default_controls
 from rig.errors import ExistsError, RigError, TargetError
 from rig.face import build_head
 from rig.face.geometry.topology import MOUTH
@@ -108,6 +109,12 @@ def test_emotion_and_intensity_reach_the_mesh(acted, network):
     assert rise_mm > 1.5
     assert 0.25 * rise_mm < corners_rise_mm(half, neutral) < 0.8 * rise_mm
     np.testing.assert_allclose(none.vertices, neutral.vertices, atol=1e-4)
+
+
+def test_a_rig_without_a_head_is_refused_before_any_work(speech, network, monkeypatch):
+    monkeypatch.setattr(network, "controls", ControlSet("mine@1", default_controls().controls[:2]))
+    with pytest.raises(CheckpointError, match="mine@1, which has no head here"):
+        animate_mesh(speech, model=network)
 
 
 def test_speaker_chooses_the_embedded_head(speech, network):

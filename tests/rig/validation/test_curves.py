@@ -271,3 +271,11 @@ def test_raw_subjects_are_checked_by_the_face_blueprints_of_5_6(tmp_path):
     assert any("takes the columns for ARKit shapes" in text for text in texts(path, "warning"))
     path.write_text(good.replace("HeadControlSwitch", "other"))
     assert any("leaves the head still" in text for text in texts(path, "warning"))
+
+
+def test_take_of_an_own_rig_is_good(tmp_path):
+    curves = RigCurves(np.zeros((30, 1), np.float32), ("smile",), control_set="mine@1")
+    write_curves(tmp_path / "curves.json", curves)
+    write_curves(tmp_path / "curves.csv", curves)
+    found = validate(tmp_path)
+    assert found.ok and any("of the rig mine@1" in finding.text for finding in found.findings)
