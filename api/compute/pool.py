@@ -28,15 +28,10 @@ FAIR_SECONDS = 60.0
 
 
 class Turns:
-    """Workers that are free, and the callers who wait for one.
+    """Workers that are free, none at first, and the callers who wait for one."""
 
-    Parameters
-    ----------
-    workers : list of Worker
-    """
-
-    def __init__(self, workers: list[Worker]) -> None:
-        self.idle = list(workers)
+    def __init__(self) -> None:
+        self.idle: list[Worker] = []
         self.waiting: list[tuple[Caller, asyncio.Future[Worker]]] = []
         self.work: dict[str, list[list[float]]] = {}
         """Begin and end of the work for each caller in the last `FAIR_SECONDS`."""
@@ -57,7 +52,7 @@ class Turns:
             raise
 
     def give(self, worker: Worker) -> None:
-        """Take a worker back."""
+        """Take a worker, for the first time or back."""
         self.idle.append(worker)
         self._next()
 
@@ -101,7 +96,7 @@ class Pool:
     def __init__(self, limits: Limits, workers: int, seconds: float, waiting: int) -> None:
         self.seconds, self.most = seconds, workers + waiting
         self._all = [Worker(limits) for _ in range(workers)]
-        self.turns = Turns(self._all)
+        self.turns = Turns()
         self._threads = ThreadPoolExecutor(workers, "worker")
         self._own: Counter[str] = Counter()
         self.busy = self.lost = self.left = 0
@@ -113,11 +108,12 @@ class Pool:
         return any(worker.is_ready for worker in self._all)
 
     async def start(self) -> None:
-        """Start the processes, the first one first: it is ready soonest alone."""
+        """Start the processes, one after the other: the first is ready soonest so."""
         loop = asyncio.get_running_loop()
         for worker in self._all:
-            with suppress(WorkerLost):
+            with suppress(WorkerLost):  # then its first order starts it
                 await loop.run_in_executor(self._threads, worker.start)
+            self.turns.give(worker)
 
     def check_room(self, caller: Caller) -> None:
         """Refuse an order that would not be carried out soon.

@@ -1,13 +1,18 @@
 """The worker process: limits of time and memory, and a new process after each."""
 
+import asyncio
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from api.compute import pool
 from api.compute.order import TooLarge
 from api.compute.worker import OutOfTime, Stopped, Worker, WorkerLost
+from api.guard.keys import Caller
+from api.settings import SCOPES
 from tests.api.conftest import wav
 from tests.api.kill import kill
 from tests.each import each
@@ -70,6 +75,36 @@ def test_memory_of_an_order_serves_the_next(worker, tmp_path):
         worker.run(asked, 60)
         counts.append(faults())
     assert min(np.diff(counts)) < 400  # a busy machine takes some pages from a process
+
+
+class Starting:
+    """Stands for a worker whose process takes a while to start."""
+
+    def __init__(self, limits):
+        self.is_ready, self.starting = False, 0
+
+    def start(self):
+        self.starting += 1
+        assert self.starting == 1, "it is started by two threads"
+        time.sleep(0 if self.is_ready else 0.1)
+        self.is_ready = True
+        self.starting -= 1
+
+    def run(self, order, seconds, stopped):
+        self.start()
+        return {"facts": order}
+
+
+def test_orders_that_come_while_workers_start_wait_for_one(monkeypatch):
+    monkeypatch.setattr(pool, "Worker", Starting)
+
+    async def answers():
+        made = pool.Pool(limits(), 3, 60, 9)
+        asked = [made.run({"number": k}, Caller("farm", SCOPES, 10, 600)) for k in range(6)]
+        *found, _ = await asyncio.gather(*asked, made.start())
+        return [answer["facts"]["number"] for answer in found]
+
+    assert asyncio.run(answers()) == [*range(6)]
 
 
 def test_recording_that_is_not_for_now_is_answered_by_its_length(worker, tmp_path):
