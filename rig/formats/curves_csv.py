@@ -64,7 +64,7 @@ def read(path: Path, controls: ControlSet | None = None, fps: float | None = Non
     if fps is None:
         if "time" not in header:
             raise FormatError(
-                f"{path} has no column 'time'; give fps (convert: --source-fps, HTTP: curves_fps)"
+                f"{path} has no column 'time'; give source_fps to deitalk convert, fps to readers"
             )
         fps = fps_of(numbers[:, header.index("time")], where=str(path))
     curves = RigCurves(numbers[:, columns].astype(np.float32), names, fps, control_set=controls.id)

@@ -45,7 +45,7 @@ def read(path: Path, controls: ControlSet | None = None, fps: float | None = Non
     check_file(path, CURVES_BYTES)
     if fps is None:
         raise FormatError(
-            f"{path} holds no frame rate; give fps (convert: --source-fps, HTTP: curves_fps)"
+            f"{path} holds no frame rate; give source_fps to deitalk convert, fps to readers"
         )
     numbers = read_matrix(path, len(columns()))
     return RigCurves(numbers.astype(np.float32), columns(), fps).reorder()

@@ -78,7 +78,7 @@ def tune_folds(
     if kind not in KINDS:
         raise DataError(f"`folds={kind}` must be one of {', '.join(KINDS)}", parameter="folds")
     if config.tune.leave_out is not None:
-        raise DataError("folds leave out each in turn: give --leave-out or --folds, not both")
+        raise DataError("folds leave out each in turn: no `leave_out`", parameter="leave_out")
     names = names_of(read_clips(data), kind)
     if len(names) < 2:
         raise DataError(

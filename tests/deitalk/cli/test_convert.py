@@ -112,7 +112,7 @@ def test_convert_refuses_to_overwrite_without_force(curves_file, tmp_path):
         (["{curves}", "out.csv", "--smooth", "-1"], "finite time of 0 or more"),
         (["{curves}", "out.csv", "--fps", "0"], "fps=0 must be from 0.01 to 1000"),
         (["{curves}", "out.csv", "--start", "9"], "no frame lies in seconds 9 of"),
-        (["{emoface}", "out.csv"], "--source-fps"),
+        (["{emoface}", "out.csv"], "source_fps"),
     ],
 )
 def test_errors_are_one_line(curves_file, tmp_path, arguments, message, monkeypatch):

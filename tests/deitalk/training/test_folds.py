@@ -85,7 +85,7 @@ def test_takes_of_one_folder_are_refused_before_any_training(base, two_takes, tm
         (["--leave-out", "2_01"], "`leave_out=2_01` must be one of several takes or actors"),
         (["--leave-out", "c"], "`leave_out=c` must be one of several takes or actors, such as a"),
         (["--folds", "clips"], "`folds=clips` must be one of takes, actors"),
-        (["--folds", "takes", "--leave-out", "a"], "not both"),
+        (["--folds", "takes", "--leave-out", "a"], "each in turn: no `leave_out`"),
         (["--folds", "actors"], "folds of actors need two; here is anna alone"),
     ],
 )
