@@ -47,6 +47,8 @@ def read_source(source: str | Path, out: str | Path, defaults: Line) -> Plan:
     names = _names_at(base, out) if is_url(source) else _names_in(base, out)
     if names is not None:
         return Plan(distinct(list(_found(base, names, defaults))))
+    if base.lower().endswith(RECORDINGS):
+        raise DataError(f"{base}: a recording; name its folder or a table, or use deitalk animate")
     text = _text_of(base)
     lines, notes = read_manifest(text, base, os.path.dirname(base), defaults)
     return Plan(distinct(lines), notes)

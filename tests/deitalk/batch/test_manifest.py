@@ -162,3 +162,5 @@ def test_folder_is_walked_without_hidden_files_and_outputs(tmp_path):
     (tmp_path / "empty").mkdir()
     with pytest.raises(DataError, match="holds no recording"):
         read_source(tmp_path / "empty", tmp_path / "out", NOTHING)
+    with pytest.raises(DataError, match=r"line\.WAV: a recording; name its folder"):
+        read_source(tmp_path / "line.WAV", tmp_path / "out", NOTHING)
