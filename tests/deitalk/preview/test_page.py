@@ -418,21 +418,22 @@ def test_text_of_the_notice_can_be_selected_and_a_click_closes_it(page):
     assert not page.is_visible("#notice")
 
 
-@each("kind, is_taken", [("Files", True), ("text/plain", False)])
-def test_files_are_taken_and_text_falls_where_it_is_dropped(page, kind, is_taken):
-    found = page.evaluate(
-        """(kind) => {
-             const data = new DataTransfer();
-             if (kind === "Files") data.items.add(new File(["a"], "a.pdf"));
-             else data.setData(kind, "jaw");
+@each("files, words", [(["a.pdf"], "a.pdf: drop a"), (["a.wav", "b.wav"], "drop one"), ([], "")])
+def test_a_file_is_taken_and_text_falls_where_it_is_dropped(page, files, words):
+    is_taken, notice = page.evaluate(
+        """(files) => {
+             const data = new DataTransfer(), notice = document.getElementById("notice");
+             notice.textContent = "";
+             files.forEach((name) => data.items.add(new File(["a"], name)));
+             if (!files.length) data.setData("text/plain", "jaw");
              const event = new DragEvent("drop", { dataTransfer: data, bubbles: true, cancelable: true });
              document.getElementById("search").dispatchEvent(event);
-             return event.defaultPrevented;
+             return [event.defaultPrevented, notice.textContent];
            }""",
-        kind,
+        files,
     )
     page.evaluate("document.getElementById('notice').textContent = ''")
-    assert found is is_taken
+    assert is_taken is bool(files) and notice.startswith(words) and bool(notice) is bool(words)
 
 
 TIMES_UNTIL_IT_GOES_BACK = """() => new Promise(done => {

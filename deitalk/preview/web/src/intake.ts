@@ -33,8 +33,9 @@ export function bindIntake(intake: Intake): void {
     event.preventDefault();
     document.body.classList.remove("dragging");
     const entry = event.dataTransfer.items[0]?.webkitGetAsEntry?.();
-    const file = event.dataTransfer.files[0];
-    if (entry?.isDirectory) void openFolder(entry as FileSystemDirectoryEntry, intake);
+    const [file, second] = event.dataTransfer.files;
+    if (second) notice("drop one file or folder; deitalk batch animates many recordings");
+    else if (entry?.isDirectory) void openFolder(entry as FileSystemDirectoryEntry, intake);
     else if (file) void open(file, intake);
   });
 }
