@@ -109,7 +109,12 @@ class Problem(Exception):
 
 def problem_of(error: UserError) -> Problem:
     """Return the answer to an error that a user can correct."""
-    return named_problem([kind.__name__ for kind in type(error).__mro__], str(error))
+    return named_problem(names_of(error), str(error))
+
+
+def names_of(error: UserError) -> list[str]:
+    """Names of an error's classes, the nearest first."""
+    return [kind.__name__ for kind in type(error).__mro__]
 
 
 def named_problem(classes: list[str], message: str) -> Problem:

@@ -8,7 +8,9 @@ parsed here and nowhere else.
 
 import json
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
+from math import nan
 from numbers import Integral, Real
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, Self
@@ -206,18 +208,17 @@ def number_within(low: float, high: float) -> Callable[[Any, ValidationInfo], fl
     """A finite number within limits, or its text with a decimal point or comma."""
 
     def check(given: Any, info: ValidationInfo) -> float:
-        number = given
-        if isinstance(given, str):
-            try:
+        number = nan
+        with suppress(ValueError, OverflowError):
+            if isinstance(given, str):
                 number = float(given.strip().replace(",", "."))
-            except ValueError:
-                number = None
-        is_number = isinstance(number, Real) and not isinstance(number, bool)
-        if not is_number or not low <= float(number) <= high:
+            elif isinstance(given, Real) and not isinstance(given, bool):
+                number = float(given)
+        if not low <= number <= high:
             raise ConfigError(
                 f"{info.field_name} {quoted(given)} must be a number, {low:g} to {high:g}"
             )
-        return float(number)
+        return number
 
     return check
 

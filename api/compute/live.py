@@ -14,7 +14,7 @@ import numpy as np
 from api.compute.order import MOST_VOICES, SAMPLES, Limits, Order
 from api.compute.pool import Stage, checked, result_path
 from api.compute.worker import OutOfTime, Worker, WorkerLost
-from api.errors import Problem, describe, internal_problem
+from api.errors import Problem, describe, internal_problem, named_problem
 from deitalk.acting import Acting
 from rig.arrays import Float32
 
@@ -59,6 +59,12 @@ class Voice:
         """End the voice."""
         self.voices.known.pop(self.number, None)
         self.voices.add({"voice": self.number, "do": "close"})
+
+    def fail(self, problem: Problem) -> None:
+        """Have whoever waits for the voice get a problem."""
+        if not self.opened.done():
+            self.opened.set_exception(problem)
+        self.frames.put_nowait(problem)
 
     async def next_frames(self) -> Float32:
         """Wait for frames and their track of the head [shape=(n, C + 6)].
@@ -188,6 +194,9 @@ class Voices:
             if (voice := self.known.get(number)) and not voice.opened.done():
                 voice.opened.set_result(seconds)
         counts = answer["facts"]["frames"]
+        for number, classes, message in answer["facts"]["failed"]:
+            if voice := self.known.pop(number, None):
+                voice.fail(named_problem(classes, message))
         rows = values.reshape(sum(count for _, count in counts), -1) if counts else values
         for number, count in counts:
             frames, rows = rows[:count], rows[count:]
@@ -206,9 +215,7 @@ class Voices:
         self.actions, self.samples = [], []
         for voice in list(self.known.values()):
             self.known.pop(voice.number)
-            if not voice.opened.done():
-                voice.opened.set_exception(problem)
-            voice.frames.put_nowait(problem)
+            voice.fail(problem)
 
 
 def _ended() -> Problem:

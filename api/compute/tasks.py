@@ -24,6 +24,7 @@ from api.compute.order import (
     TooLarge,
 )
 from api.compute.shared import SharedNetwork
+from api.errors import names_of
 from deitalk.acting import AUTO, Acting
 from deitalk.audio.decoding import open_sound
 from deitalk.audio.frames import SAMPLE_RATE
@@ -60,27 +61,35 @@ class Voices:
         self.places: dict[int, tuple[str, int]] = {}
 
     def perform(self, actions: list[dict[str, Any]], samples: Float32, limits: Limits) -> Any:
-        """Carry out actions in their order; return facts of new voices, and all frames."""
-        opened, at = {}, 0
+        """Carry out actions in their order; return facts of new voices, errors, and all frames.
+
+        A voice ends by an error of its own; the others go on.
+        """
+        opened, failed, at = {}, {}, 0
         for action in actions:
-            voice, kind = int(action["voice"]), action["do"]
-            if kind == "open":
-                opened[voice] = self._open(voice, action["model"], action["fields"], limits)
-            elif voice not in self.places:
-                at += action.get("count", 0)
-            elif kind == "feed":
-                animator, place = self._place(voice)
-                animator.take(samples[at : at + action["count"]], stream=place)
-                at += action["count"]
-            elif kind == "set":
-                animator, place = self._place(voice)
-                animator.set(stream=place, **action["fields"])
-            elif kind == "finish":
-                animator, place = self._place(voice)
-                animator.end(place)
-            else:
-                self.places.pop(voice)
-        return opened, self._frames()
+            voice, begin = int(action["voice"]), at
+            at += action.get("count", 0)
+            try:
+                if action["do"] == "open":
+                    opened[voice] = self._open(voice, action["model"], action["fields"], limits)
+                elif voice in self.places:
+                    self._act(voice, action, samples[begin:at])
+            except UserError as error:
+                self.places.pop(voice, None)
+                failed[voice] = error
+        return opened, failed, self._frames()
+
+    def _act(self, voice: int, action: dict[str, Any], samples: Float32) -> None:
+        model, place = self.places[voice]
+        animator = self.animators[model]
+        if action["do"] == "feed":
+            animator.take(samples, stream=place)
+        elif action["do"] == "set":
+            animator.set(stream=place, **action["fields"])
+        elif action["do"] == "finish":
+            animator.end(place)
+        else:
+            self.places.pop(voice)
 
     def _open(self, voice: int, model: str, fields: dict[str, Any], limits: Limits) -> float:
         """Give a voice a place; return the look-ahead of its model."""
@@ -92,10 +101,6 @@ class Voices:
         self.animators[model].open(place, Acting.of(files={}, **fields))
         self.places[voice] = (model, place)
         return self.animators[model].lookahead_seconds
-
-    def _place(self, voice: int) -> tuple[LiveAnimator, int]:
-        model, place = self.places[voice]
-        return self.animators[model], place
 
     def _frames(self) -> dict[int, Float32]:
         """Curves and track of the head of each voice [shape=(n, C + 6)]."""
@@ -112,12 +117,14 @@ _voices = Voices()
 def perform_voices(order: Order, limits: Limits, progress: Any) -> Answer:
     """Carry out the actions of an order; frames of all voices as float32, one after another."""
     samples = np.fromfile(SAMPLES, "<f4").astype(np.float32)
-    opened, frames = _voices.perform(order["options"]["actions"], samples, limits)
+    opened, failed, frames = _voices.perform(order["options"]["actions"], samples, limits)
     out = Path(OUT) / "frames"
     parts = [rows.astype("<f4").tobytes() for rows in frames.values()]
     out.write_bytes(b"".join(parts))
     counts = [[voice, len(rows)] for voice, rows in frames.items() if len(rows)]
-    return {"file": str(out), "facts": {"opened": list(opened.items()), "frames": counts}}
+    errors = [[voice, names_of(error), str(error)] for voice, error in failed.items()]
+    facts = {"opened": list(opened.items()), "failed": errors, "frames": counts}
+    return {"file": str(out), "facts": facts}
 
 
 Progress = Callable[[float], None]

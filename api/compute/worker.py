@@ -15,7 +15,7 @@ from time import monotonic
 from typing import Any
 
 from api.compute.order import Answer, Limits, Order, TooLarge
-from api.errors import describe
+from api.errors import describe, names_of
 from deitalk.workers import end_with_parent
 from rig.errors import UserError
 
@@ -216,7 +216,7 @@ def _answer(order: Order, limits: Limits, connection: Connection) -> Answer:
         os.chdir(order["folder"])
         return perform(order, limits, report)
     except UserError as error:
-        return {"error": [kind.__name__ for kind in type(error).__mro__], "message": str(error)}
+        return {"error": names_of(error), "message": str(error)}
     except TooLarge as error:
         return {"error": [TooLarge.__name__], "message": str(error)}
     except (MemoryError, RecursionError):

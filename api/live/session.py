@@ -26,7 +26,9 @@ from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
 from deitalk.errors import ConfigError
 from deitalk.models.folder import is_causal, model_folder, product_of, read_about
 from rig.arrays import Float32
+from rig.conversion.convert import known_controls
 from rig.curves import HEAD
+from rig.curves.edit import gain_factors
 from rig.errors import UserError
 
 # Sound of a client to a voice as it comes, and the frames of the voice with their times.
@@ -104,7 +106,9 @@ class LiveStream:
                 raise Problem(422, "samples must be finite, within 1", "audio_unusable")
         else:
             chunk = np.frombuffer(data[:whole], "<i2").astype(np.float32) / np.float32(32768)
-        self._append(self._resampler.resample_chunk(chunk))
+        chunk = self._resampler.resample_chunk(chunk)
+        if len(chunk):  # messages without a sample are not kept
+            self._append(chunk)
 
     def finish(self) -> None:
         """Take the end of the sound."""
@@ -267,6 +271,7 @@ class Session:
         own = {name: content.pop(name) for name in Start.model_fields if name in content}
         self.start, self.acting = _parsed(own), acting_of(content)
         folder = self._model_folder()
+        self.controls = known_controls(read_about(folder)["control_set"])
         if not self.start.head:  # the eyes do not turn against a head that is not sent
             life = replace(self.acting.life, head=0.0)
             self.acting = Acting.of(self.acting, life=life)
@@ -357,8 +362,11 @@ class Session:
         fields, _ = modern(fields)
         if fixed := [name for name in fields if LIVE_FIELDS.get(name, "change") != "change"]:
             raise ConfigError(f"{', '.join(fixed)} cannot change while somebody speaks")
-        self.acting = acting_of(fields, self.acting)
-        self.stream.change(self.acting)
+        acting = acting_of(fields, self.acting)
+        if self.controls is not None:
+            gain_factors(self.controls, acting.gain)
+        self.acting = acting
+        self.stream.change(acting)
 
     async def _text(self, seconds: float) -> str:
         message = await self._message(seconds)

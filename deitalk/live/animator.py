@@ -147,11 +147,11 @@ class Stream:
 
     def change(self, acting: Acting, rules: RulesConfig) -> None:
         """Act otherwise from the sound on that comes next; at once before any."""
+        self.gain = gain_factors(self.controls, acting.gain)  # an error changes nothing
         before, self.acting = self.acting, acting
         change = Change(self.sound.end / SAMPLE_RATE, acting.track, acting.intensity)
         if (acting.emotion, acting.intensity) != (before.emotion, before.intensity):
             self.changes = [*self.changes, change] if self.sound.end else [change]
-        self.gain = gain_factors(self.controls, acting.gain)
         if self.life is not None and acting.look_at != before.look_at:
             self.life.look_at(acting.look_at, frame_count(self.sound.end))
         if rules != self.settings:

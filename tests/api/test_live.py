@@ -135,13 +135,38 @@ def test_wrong_change_is_answered_and_the_session_goes_on(server):
     with live(server) as session:
         begin(session, frames="json")
         told = []
-        for change in ({"emotion": "glad"}, {"seed": 3}, {"intensity": 1.5}):
+        wrong = {"emotion": "glad"}, {"seed": 3}, {"gain": {"nose of": 2}}, {"intensity": 10**400}
+        for change in (*wrong, {"intensity": 1.5}):
             session.send(json.dumps({"type": "set", **change}))
         session.send(np.zeros(16000, "<i2").tobytes())
         session.send('{"type": "stop"}')
         while (message := json.loads(session.recv(60)))["type"] != "end":
             told += [message["code"]] if message["type"] == "problem" else []
-    assert told == ["emotion_invalid", "option_invalid"] and message["frames"] == 30
+    assert told == ["emotion_invalid", "option_invalid", "control_invalid", "option_invalid"]
+    assert message["frames"] == 30
+
+
+def test_error_of_one_session_ends_no_other(server):
+    """What only the worker knows of a model, such as its styles, is refused there."""
+    with live(server) as session:
+        begin(session, frames="json")
+        for wrong in ({"style": "nobody"}, {"gain": {"nose of": 2}}):
+            with live(server) as other:
+                assert begin(other, **wrong)["code"] in ("model_unfit", "control_invalid")
+        session.send(np.zeros(16000, "<i2").tobytes())
+        session.send('{"type": "stop"}')
+        while (message := json.loads(session.recv(60)))["type"] == "frames":
+            pass
+    assert message == {"type": "end", "frames": 30}
+
+
+def test_messages_without_a_whole_sample_take_no_memory():
+    stream = LiveStream(RATE, False, SimpleNamespace(feed=lambda chunk: None))
+    stream.feed(bytes(3200))
+    kept = len(stream._arrivals)
+    for _ in range(100):
+        stream.feed(b"")
+    assert len(stream._arrivals) == kept
 
 
 @each("sound", [b"", b"\0"])

@@ -42,7 +42,7 @@ class Stand:
             raise self.failure
         opened = [[a["voice"], 0.2] for a in order["options"]["actions"] if a["do"] == "open"]
         np.zeros(0, "<f4").tofile(f"{order['folder']}/out/frames")
-        return {"file": "out/frames", "facts": {"opened": opened, "frames": []}}
+        return {"file": "out/frames", "facts": {"opened": opened, "failed": [], "frames": []}}
 
 
 @pytest.fixture
