@@ -12,6 +12,7 @@ from math import inf
 from pathlib import Path
 from time import monotonic
 
+import anyio
 from filelock import FileLock, Timeout
 
 from api.compute.order import OUT, Answer, Limits, Order, TooLarge
@@ -46,7 +47,7 @@ class Turns:
         except BaseException:
             if turn.done() and not turn.cancelled():
                 self.idle.append(turn.result())
-            else:
+            elif (caller, turn) in self.waiting:  # else `_next` has dropped it
                 self.waiting.remove((caller, turn))
             self._next()
             raise
@@ -162,28 +163,33 @@ class Pool:
 
     async def _run(self, order: Order, caller: Caller) -> Answer:
         worker = await self.turns.take(caller)
-        span, gone = self.turns.begin(caller), threading.Event()
+        span, gone, over = self.turns.begin(caller), threading.Event(), asyncio.Event()
+        loop = asyncio.get_running_loop()
 
         def give_back(done: "asyncio.Future[Answer]") -> None:
             span[1] = monotonic()
             if not done.cancelled():
                 done.exception()  # nobody waits for that of a client who has gone
+            over.set()
             self.turns.give(worker)
 
         def run() -> Answer:
             try:
                 return worker.run(order, self.seconds, stopped=gone.is_set)
             finally:
+                loop.call_soon_threadsafe(over.set)
                 if not (worker.is_ready or self._is_ending):
                     with suppress(WorkerLost):
                         worker.start()
 
-        work = asyncio.get_running_loop().run_in_executor(self._threads, run)
+        work = loop.run_in_executor(self._threads, run)
         work.add_done_callback(give_back)
         try:
             return await asyncio.shield(work)
         except asyncio.CancelledError:
             gone.set()
+            with anyio.CancelScope(shield=True):
+                await over.wait()  # else it writes into a folder that is being removed
             raise
 
     def stop(self) -> None:

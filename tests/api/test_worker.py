@@ -17,6 +17,7 @@ from tests.api.conftest import wav
 from tests.api.kill import kill
 from tests.each import each
 
+CALLER = Caller("farm", SCOPES, 10, 600)
 OPTIONS = {"format": "json", "suffix": ".json"}
 
 
@@ -100,11 +101,57 @@ def test_orders_that_come_while_workers_start_wait_for_one(monkeypatch):
 
     async def answers():
         made = pool.Pool(limits(), 3, 60, 9)
-        asked = [made.run({"number": k}, Caller("farm", SCOPES, 10, 600)) for k in range(6)]
+        asked = [made.run({"number": k}, CALLER) for k in range(6)]
         *found, _ = await asyncio.gather(*asked, made.start())
         return [answer["facts"]["number"] for answer in found]
 
     assert asyncio.run(answers()) == [*range(6)]
+
+
+class Ending(Starting):
+    """Stands for a worker whose process takes a while to end."""
+
+    def start(self):
+        self.is_ready = True
+
+    def run(self, order, seconds, stopped):
+        while not stopped():
+            time.sleep(0.01)
+        time.sleep(0.2)
+        order["ended"] = True
+        raise Stopped
+
+
+def test_order_of_a_client_who_goes_is_over_once_its_worker_has_ended(monkeypatch):
+    """Its folder is removed then; a worker that still wrote left files there."""
+    monkeypatch.setattr(pool, "Worker", Ending)
+
+    async def ended():
+        made, order = pool.Pool(limits(), 1, 60, 9), {}
+        await made.start()
+        asked = asyncio.create_task(made.run(order, CALLER))
+        while not made.turns.work:
+            await asyncio.sleep(0.01)
+        asked.cancel()
+        await asyncio.wait([asked])
+        assert asked.cancelled() and made.busy == 0
+        return order
+
+    assert asyncio.run(ended()) == {"ended": True}
+
+
+def test_worker_that_comes_as_a_client_goes_is_the_next_ones():
+    async def taken():
+        turns = pool.Turns()
+        gone, left = (asyncio.create_task(turns.take(CALLER)) for _ in "ab")
+        await asyncio.sleep(0)
+        gone.cancel()
+        turns.give("worker")  # before `gone` has seen that it is cancelled
+        await asyncio.wait([gone, left])
+        assert gone.cancelled() and not turns.waiting
+        return left.result()
+
+    assert asyncio.run(taken()) == "worker"
 
 
 def test_recording_that_is_not_for_now_is_answered_by_its_length(worker, tmp_path):
