@@ -7,6 +7,7 @@ from contextlib import AbstractAsyncContextManager, asynccontextmanager, nullcon
 from fastapi import FastAPI, Request, Response
 from fastapi.exceptions import RequestValidationError
 from starlette.exceptions import HTTPException
+from starlette.middleware.cors import CORSMiddleware
 from starlette.routing import Route
 
 from api.errors import MEDIA_TYPE, STATUS_CODES, Problem, problem_of
@@ -21,6 +22,15 @@ from deitalk.installed import __version__
 from rig.errors import UserError
 
 ROUTES = (animations, jobs, catalogue, health, live, studio)
+SENT_HEADERS = (
+    "Authorization", "Content-Type", "Idempotency-Key", "If-None-Match", "If-Range", "Range",
+    "X-Request-ID",
+)  # fmt: skip
+READ_HEADERS = (
+    "Content-Disposition", "Content-Range", "Deitalk-Notes", "ETag", "Location", "Retry-After",
+    "X-Request-ID",
+)  # fmt: skip
+"""Headers that pages of the settings' `origins` may send and read."""
 DESCRIPTION = (
     "MetaHuman facial animation from speech and an emotion. Errors are problem JSON: code, "
     "message, detail. A key is sent as `Authorization: Bearer <key>`."
@@ -70,6 +80,14 @@ def create_app(settings: Settings | None = None) -> FastAPI:
         app.include_router(module.router)
     _add_handlers(app)
     app.add_middleware(Guard, settings=settings, metrics=service.metrics, traffic=service.traffic)
+    if settings.origins:  # around the guard: a browser asks first, without a key
+        app.add_middleware(
+            CORSMiddleware,
+            allow_origins=settings.origins,
+            allow_methods=["GET", "POST", "DELETE"],
+            allow_headers=SENT_HEADERS,
+            expose_headers=READ_HEADERS,
+        )
     complete_schema(app)
     return app
 

@@ -7,7 +7,7 @@ import anyio
 from fastapi import APIRouter, Request, Response
 from fastapi.exceptions import RequestValidationError
 from pydantic import BaseModel, ConfigDict, ValidationError
-from starlette.datastructures import UploadFile
+from starlette.datastructures import FormData, UploadFile
 from starlette.formparsers import MultiPartException
 from starlette.requests import ClientDisconnect
 
@@ -249,7 +249,11 @@ async def receive(
         For an option that is unknown or out of its range.
     """
     kind = request.headers.get("content-type", "application/octet-stream").partition(";")[0]
-    fields: dict[str, Any] = dict(request.query_params)
+    fields: dict[str, Any] = {}
+    for name, value in request.query_params.multi_items():
+        if name in fields:
+            raise _twice(name)
+        fields[name] = value
     try:
         if kind.strip().lower() == "multipart/form-data":
             sent = await _form(request, folder, files, fields)
@@ -268,30 +272,24 @@ async def receive(
     return Received(_checked(model, given), fields, sent, notes)
 
 
+def _twice(name: str) -> Problem:
+    return Problem(422, f"{quoted(name)} is given twice; give it once", "option_invalid")
+
+
 async def _form(
     request: Request, folder: Path, files: tuple[str, ...], fields: dict[str, Any]
 ) -> dict[str, str]:
     sent: dict[str, str] = {}
-    try:
-        form = await request.form(
-            max_files=len(FILES), max_fields=MOST_FIELDS, max_part_size=LONGEST_TEXT
-        )
-    except MultiPartException as error:
-        raise Problem(400, f"the form is malformed: {error.message}", "form_malformed") from None
-    except Problem:
-        raise
-    except Exception as error:  # of the parser, for a wrong boundary and the like
-        if type(error).__name__ == "HTTPException":
-            raise Problem(400, "the form is malformed", "form_malformed") from None
-        raise
+    form = await _parsed(request)
     try:
         for name, value in form.multi_items():
+            part = "words" if name == "transcript" else name
+            if name in fields or part in sent:
+                raise _twice(name)
             if isinstance(value, UploadFile):
-                if name not in files or name in sent:
-                    raise Problem(
-                        422, f"file {quoted(name)} is none of {', '.join(files)}, once each"
-                    )
-                sent["words" if name == "transcript" else name] = await _save(value, name, folder)
+                if name not in files:
+                    raise Problem(422, f"file {quoted(name)} is none of {', '.join(files)}")
+                sent[part] = await _save(value, name, folder)
             elif name in FILES_ALONE:
                 raise Problem(
                     422, f"{name}: text where a file is needed; curl sends one by {name}=@FILE"
@@ -301,6 +299,25 @@ async def _form(
     finally:
         await form.close()
     return sent
+
+
+async def _parsed(request: Request) -> FormData:
+    try:
+        return await request.form(
+            max_files=len(FILES), max_fields=MOST_FIELDS, max_part_size=LONGEST_TEXT
+        )
+    except MultiPartException as error:
+        raise Problem(400, f"the form is malformed: {error.message}", "form_malformed") from None
+    except UnicodeError:
+        raise Problem(
+            400, "the form's charset does not fit; send UTF-8", "form_malformed"
+        ) from None
+    except Problem:
+        raise
+    except Exception as error:  # of the parser, for a wrong boundary and the like
+        if type(error).__name__ == "HTTPException":
+            raise Problem(400, "the form is malformed", "form_malformed") from None
+        raise
 
 
 async def _save(upload: UploadFile, name: str, folder: Path) -> str:

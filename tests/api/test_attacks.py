@@ -332,6 +332,31 @@ def test_nested_keys_are_refused(client):
     assert client.post("/v1/animations", files={"recording": SPEECH}, data=many).status_code == 400
 
 
+@each("charset", ["undefined", "punycode", "utf-16", "hex", "a/../b"])
+def test_charsets_of_a_form_are_no_fault_of_ours(client, charset):
+    form = b'--x\r\nContent-Disposition: form-data; name="emotion"\r\n\r\nh\xc3\xa4ppy\r\n--x--\r\n'
+    kind = f"multipart/form-data; boundary=x; charset={charset}"
+    answer = client.post("/v1/animations", content=form, headers={"Content-Type": kind})
+    assert answer.status_code in (400, 422), answer.text
+
+
+@each(
+    "parts",
+    [
+        [("emotion", (None, "happy")), ("emotion", (None, "sad"))],
+        [("emotion", (None, "happy")), ("emotion", ("a.csv", b"time,emotion,strength\n0,sad,1"))],
+        [("transcript", ("a.txt", b"hello")), ("words", ("b.txt", b"bye"))],
+        [("format", (None, "csv"))],
+    ],
+)
+def test_options_that_are_given_twice_are_refused(client, parts):
+    files = [("recording", ("a.wav", SPEECH)), *parts]
+    answer = client.post("/v1/animations?format=csv", files=files)
+    assert (answer.status_code, answer.json()["code"]) == (422, "option_invalid")
+    raw = client.post("/v1/animations?fps=30&fps=60", content=SPEECH)
+    assert (raw.status_code, raw.json()["code"]) == (422, "option_invalid")
+
+
 def test_keys_scopes_and_their_absence(keyed_server):
     with keyed_server.client() as client:
         assert client.get("/healthz").status_code == 200

@@ -4,11 +4,15 @@ import runpy
 import time
 
 import pytest
+from starlette.testclient import TestClient
 
+from api.app import create_app
 from api.errors import Problem
+from api.guard.keys import digest_of
 from api.messages import options as messages
 from api.routes.jobs import part_of
-from tests.api.conftest import bearer, wav
+from api.settings import ApiKey, Settings
+from tests.api.conftest import KEYS, bearer, wav
 from tests.api.test_jobs import submit, wait
 from tests.each import each
 
@@ -83,7 +87,8 @@ def test_results_are_sent_in_parts_and_only_if_they_are_new(client):
     assert part.headers["content-range"] == f"bytes 100-{size - 1}/{size}"
     other = client.get(job["result"], headers={"Range": "bytes=100-", "If-Range": '"other"'})
     assert other.status_code == 200 and other.content == whole.content
-    assert client.get(job["result"], headers={"If-None-Match": tag}).status_code == 304
+    for known in (tag, f'"other", W/{tag}', "*"):
+        assert client.get(job["result"], headers={"If-None-Match": known}).status_code == 304
     assert client.get(job["result"], headers={"Range": f"bytes={size}-"}).status_code == 416
 
 
@@ -96,6 +101,30 @@ def test_head_has_the_headers_of_get_and_no_body(client):
             assert head.headers.get(name) == get.headers.get(name), (path, name)
     assert client.head("/v1/none").status_code == 404
     assert client.delete("/v1/models").headers["allow"] == "GET, HEAD"
+
+
+def test_pages_of_the_sites_of_origins_may_call_and_read():
+    """A browser asks without a key, by OPTIONS, and shows a page what it is allowed to."""
+    key = ApiKey(name="farm", sha256=digest_of(KEYS["farm"]))
+    settings = Settings(origins=("https://app.example",), keys=(key,))
+    client = TestClient(create_app(settings), base_url="http://127.0.0.1")
+    asked = {
+        "Access-Control-Request-Method": "POST",
+        "Access-Control-Request-Headers": "authorization,content-type,idempotency-key",
+    }
+    allowed = client.options("/v1/jobs", headers=asked | {"Origin": "https://app.example"})
+    assert allowed.status_code == 200
+    assert allowed.headers["access-control-allow-origin"] == "https://app.example"
+    assert "access-control-allow-credentials" not in allowed.headers
+    for keys, status in ((bearer("farm"), 200), ({}, 401)):
+        answer = client.get("/v1/emotions", headers=keys | {"Origin": "https://app.example"})
+        assert answer.status_code == status
+        assert answer.headers["access-control-allow-origin"] == "https://app.example"
+        assert "deitalk-notes" in answer.headers["access-control-expose-headers"].lower()
+    for headers in ({}, asked):
+        other = client.options("/v1/jobs", headers=headers | {"Origin": "https://evil.example"})
+        assert other.status_code in (400, 403)
+        assert "access-control-allow-origin" not in other.headers
 
 
 def test_video_becomes_a_job_by_itself(client):
