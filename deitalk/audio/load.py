@@ -390,20 +390,20 @@ def check_path(path: Path) -> None:
     """
     try:
         found = path.stat()
-        if stat.S_ISDIR(found.st_mode):
-            raise AudioError(f"{path} is a folder, not a recording; name one file in it")
-        if not stat.S_ISREG(found.st_mode):
-            raise AudioError(f"{path} is not a regular file; pass its content as bytes")
-        if found.st_size == 0:
-            raise AudioError(f"{path} is empty (0 bytes); record or export it again")
-        with path.open("rb"):
-            pass
-    except (FileNotFoundError, NotADirectoryError) as error:
+        if stat.S_ISREG(found.st_mode):
+            path.open("rb").close()
+    except (FileNotFoundError, NotADirectoryError, ValueError) as error:  # a name with a zero byte
         raise AudioError(f"there is no recording {path}; check the path") from error
     except OSError as error:
         raise AudioError(
             f"cannot read {path}: {error.strerror}; check its name and permissions"
         ) from error
+    if stat.S_ISDIR(found.st_mode):
+        raise AudioError(f"{path} is a folder, not a recording; name one file in it")
+    if not stat.S_ISREG(found.st_mode):
+        raise AudioError(f"{path} is not a regular file; pass its content as bytes")
+    if found.st_size == 0:
+        raise AudioError(f"{path} is empty (0 bytes); record or export it again")
 
 
 # Warnings about recordings without speech, or with very quiet or voiceless speech.
