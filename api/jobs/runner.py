@@ -10,15 +10,16 @@ import threading
 from base64 import b64encode
 from collections.abc import Iterator, Mapping
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
-from time import monotonic, time
+from time import time
 from typing import Any
 from urllib.parse import urlsplit
 
 import fsspec
 import httpx
 
-from api.compute.order import Answer, Limits, Order
+from api.compute.order import Limits, Order
 from api.compute.pool import Stage, checked, result_path
 from api.compute.worker import OutOfTime, Stopped, Worker, WorkerLost
 from api.errors import InternalError, Problem
@@ -355,12 +356,17 @@ class Runner:
     def _carry_out(self, job: Job, worker: Worker) -> None:
         """Do a job and end it, or leave it to the next."""
         folder = self.stage.make()
+        seconds = self.settings.job_work_seconds
         try:
-            self.store.get_folder(job.id, folder)
-            order: Order = job.work["order"] | {"folder": str(folder)}
-            answer = checked(self._run(job, worker, order))
-            path = result_path(folder, answer)
-            name = self.store.put_result(path, job.id, job.holder)
+            with _Lease(self.queue, job) as lease:
+                self.store.get_folder(job.id, folder)
+                order: Order = job.work["order"] | {"folder": str(folder)}
+                stopped = partial(self._must_stop, lease)
+                answer = checked(worker.run(order, seconds, lease.note, stopped))
+                path = result_path(folder, answer)
+                name = self.store.put_result(path, job.id, job.holder)
+            if lease.is_lost:
+                raise Stopped
             facts = answer.get("facts", {})
             about = {"notes": answer.get("notes", []), "facts": facts}
             if self.queue.finish(job, name, path.stat().st_size, about):
@@ -372,7 +378,6 @@ class Runner:
             log.error("internal error in a job: %s", error)
             self.queue.fail(job, Problem(500, "internal error; see the service's log", "internal"))
         except OutOfTime:
-            seconds = self.settings.job_work_seconds
             self.queue.fail(job, Problem(413, f"the job took more than {seconds:g} s"))
         except WorkerLost:
             log.warning("a job's worker ended; the job is begun again")
@@ -382,24 +387,8 @@ class Runner:
         finally:
             shutil.rmtree(folder, ignore_errors=True)
 
-    def _run(self, job: Job, worker: Worker, order: Order) -> Answer:
-        """Wait for the worker and renew the lease."""
-        done, renewed = 0.0, monotonic()
-
-        def note(share: float) -> None:
-            nonlocal done
-            done = share
-
-        def must_stop() -> bool:
-            nonlocal renewed
-            if self._ending.is_set():
-                return True
-            if monotonic() - renewed < self.queue.lease_seconds / 4:
-                return False
-            renewed = monotonic()
-            return not self.queue.renew(job, done)
-
-        return worker.run(order, self.settings.job_work_seconds, note, must_stop)
+    def _must_stop(self, lease: "_Lease") -> bool:
+        return lease.is_lost or self._ending.is_set()
 
     def _deliver(self) -> None:
         while not self._ending.wait(IDLE_SECONDS):
@@ -419,6 +408,41 @@ class Runner:
             except Exception as error:
                 log.warning("clearing up waits: %s", type(error).__name__)
             self._ending.wait(CLEAR_SECONDS / 4)
+
+
+class _Lease:
+    """The lease of a job, renewed during a block: copying its files takes time as its work does.
+
+    Attributes
+    ----------
+    is_lost : bool
+        Whether the job was cancelled or is another's by now.
+    """
+
+    def __init__(self, queue: Queue, job: Job) -> None:
+        self.queue, self.job = queue, job
+        self.is_lost, self._done = False, 0.0
+        self._over = threading.Event()
+        self._thread = threading.Thread(target=self._renew, daemon=True)
+
+    def __enter__(self) -> "_Lease":
+        self._thread.start()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._over.set()
+        self._thread.join()
+
+    def note(self, share: float) -> None:
+        """Note the share of the work that is done, 0 to 1."""
+        self._done = share
+
+    def _renew(self) -> None:
+        while not (self.is_lost or self._over.wait(self.queue.lease_seconds / 4)):
+            try:
+                self.is_lost = not self.queue.renew(self.job, self._done)
+            except Exception as error:  # a database that is away for a while
+                log.warning("a lease waits: %s", type(error).__name__)
 
 
 def remove_old(queue: Queue, store: Store, settings: Settings) -> int:

@@ -6,17 +6,20 @@ import sys
 import time
 import uuid
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 from api.compute.pool import SERVER_PREFIX, Stage
 from api.errors import Problem
 from api.guard.keys import Caller
+from api.guard.metrics import Metrics, Traces
 from api.jobs.queue import Queue, new_id
-from api.jobs.runner import Store, remove_lost, remove_old
+from api.jobs.runner import Runner, Store, remove_lost, remove_old
 from api.jobs.table import JOBS, open_database
 from api.settings import SCOPES, Settings
-from tests.api.server import ROOT
+from tests.api.server import ROOT, wait_for
+from tests.each import each
 
 CALLER = Caller("farm", SCOPES, 3, 600)
 WORK = {"order": {"kind": "animation"}, "format": "json"}
@@ -127,6 +130,37 @@ def test_full_queues_refuse_jobs(queue, store, tmp_path):
     with pytest.raises(Problem) as refused:
         queue.check_room(Caller("other", SCOPES, 3, 600))
     assert refused.value.status == 503
+
+
+@each(("cancels", "status"), [(False, "done"), (True, "cancelled")])
+def test_lease_is_renewed_while_a_result_is_copied(tmp_path, cancels, status):
+    """A slow store made the job another's three times; then it failed."""
+
+    class Watched(Queue):
+        def renew(self, job, progress):
+            renewed.append(super().renew(job, progress))
+            return renewed[-1]
+
+    class Slow(Store):
+        def put_result(self, path, job_id, holder):
+            if cancels:
+                queue.cancel(queue.get(job_id, CALLER))
+            wait_for(lambda: (not cancels) in renewed)
+            return super().put_result(path, job_id, holder)
+
+    def run(order, seconds, progress, stopped):
+        Path(order["folder"], "out/recording.json").write_text("{}")
+        return {"file": "out/recording.json"}
+
+    queue = Watched(open_database(f"sqlite:///{tmp_path / 'jobs.sqlite'}"), 0.2, 3, 5)
+    renewed, store = [], Slow(str(tmp_path / "files"))
+    job_id = add(queue, store, tmp_path).id
+    settings = Settings(job_workers=0)
+    runner = Runner(queue, store, Stage(tmp_path / "stage"), {}, settings, Metrics(), Traces())
+    runner._work_on(queue.claim(), SimpleNamespace(run=run))
+    assert queue.get(job_id, CALLER).status == status
+    runner.stage.close()
+    queue.engine.dispose()
 
 
 def test_cancelling_a_job_that_runs_waits_for_its_holder(queue, store, tmp_path):
