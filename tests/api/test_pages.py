@@ -114,7 +114,7 @@ def test_drawings_that_wait_end_with_the_server(pages):
     async def ask():
         asked = [asyncio.create_task(pages.page(str(head))) for head in range(5)]
         async with asyncio.timeout(60):
-            while not pages.worker.at_work:
+            while not pages.worker.at_work or len(pages._drawn) < len(asked):
                 await asyncio.sleep(0.001)
         pages.stop()
         pages.worker.may_end.set()
