@@ -38,7 +38,7 @@ class Turns:
         """Begin and end of the work for each caller in the last `FAIR_SECONDS`."""
 
     async def take(self, caller: Caller) -> Worker:
-        """Wait for a worker; nobody who goes meanwhile gets one."""
+        """Wait for a worker; a caller who is cancelled meanwhile takes none."""
         turn: asyncio.Future[Worker] = asyncio.get_running_loop().create_future()
         self.waiting.append((caller, turn))
         self._next()

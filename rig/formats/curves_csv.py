@@ -64,7 +64,9 @@ def read(path: Path, controls: ControlSet | None = None, fps: float | None = Non
     if fps is None:
         if "time" not in header:
             raise FormatError(
-                f"{path} has no column 'time'; give source_fps to deitalk convert, fps to readers"
+                f"{path} has no column 'time'; add one, or give the curves' rate (deitalk convert: "
+                "`source_fps`)",
+                parameter="source_fps",
             )
         fps = fps_of(numbers[:, header.index("time")], where=str(path))
     curves = RigCurves(numbers[:, columns].astype(np.float32), names, fps, control_set=controls.id)

@@ -45,7 +45,8 @@ def read(path: Path, controls: ControlSet | None = None, fps: float | None = Non
     check_file(path, CURVES_BYTES)
     if fps is None:
         raise FormatError(
-            f"{path} holds no frame rate; give source_fps to deitalk convert, fps to readers"
+            f"{path} holds no frame rate; give the curves' rate (deitalk convert: `source_fps`)",
+            parameter="source_fps",
         )
     numbers = read_matrix(path, len(columns()))
     return RigCurves(numbers.astype(np.float32), columns(), fps).reorder()

@@ -326,7 +326,7 @@ def test_plain_address_keeps_the_session_and_says_why_there_is_no_microphone(
 
 
 @pytest.mark.slow
-def test_service_that_does_not_answer_is_told_and_the_next_edit_is_made(browser, server, speech):
+def test_service_that_does_not_answer_is_named_and_the_next_edit_is_made(browser, server, speech):
     with studio(browser, server) as tab:
         drop(tab, speech)
         until(tab, "!!deitalk.page.take")

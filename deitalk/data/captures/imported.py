@@ -515,7 +515,7 @@ def rig_of_takes(sources: Sequence[Path], fps: float | None = None) -> ControlSe
     """Controls of the columns of tables of curves, in the order of the first table.
 
     A control goes from 0 to 1, or to the whole numbers around what the takes show, and rests at 0.
-    Sides, mouth and upper face are told by the names.
+    Sides, mouth and upper face follow from the names.
 
     Parameters
     ----------

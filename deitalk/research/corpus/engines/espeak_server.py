@@ -67,7 +67,7 @@ class Server:
 
 
 def serve() -> None:
-    """Process the jobs on standard input until it ends, or nobody reads the answer."""
+    """Process the jobs on standard input until it or the reader of the answers ends."""
     library()
     for line in sys.stdin.buffer:
         answer = _in_fork(json.loads(line))

@@ -4,7 +4,7 @@ import { $, messageOf, notice } from "../dom";
 
 const MOST_SECONDS = 600;
 
-/** What the microphone hears; `Record` and `Live` wait until the user has allowed it. */
+/** Open the microphone; `Record` and `Live` are disabled until the user has allowed it. */
 export async function openMicrophone(noiseSuppression: boolean): Promise<MediaStream> {
   const buttons = [$<HTMLButtonElement>("record"), $<HTMLButtonElement>("live")];
   buttons.forEach((button) => (button.disabled = true));

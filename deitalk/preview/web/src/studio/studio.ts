@@ -161,7 +161,7 @@ export class Studio {
     }
   }
 
-  /** The emotion that the voice suggests, whose probabilities the service tells in its notes. */
+  /** The emotion that the voice suggests, with the probabilities from the notes of the answer. */
   private async suggest(session: Session): Promise<void> {
     const found = await this.animating.run("Hearing the emotion", (...work) => this.reading({ ...session, emotion: "auto" }, ...work));
     if (!found) return;
@@ -172,8 +172,8 @@ export class Studio {
   /** The take as the page shows it, by the service. */
   private async reading(given: Omit<Order, "format">, progress: Progress, signal: AbortSignal): Promise<Reading> {
     const { content, notes } = await order({ ...given, format: "packed" }, progress, signal);
-    const told = notes.filter((note) => !note.startsWith(SUGGESTED));
-    if (told.length) notice(told.join("; "));
+    const others = notes.filter((note) => !note.startsWith(SUGGESTED));
+    if (others.length) notice(others.join("; "));
     return { packed: content, notes, ...await this.unpacked(content) };
   }
 
