@@ -46,14 +46,13 @@ def test_words_are_met_as_by_the_library_and_their_fit_is_a_note(client, spoken,
     timed = b"start,end,word\n0,0.3,Bob\n"
     answer = post(client, files=files | {"words": ("w.CSV", timed)})
     assert answer.status_code == 200, answer.text
-    wrong = post(client, files=files, data={"phones": "S IY S IY T UW N S IY K AA T AA"})
+    wrong = post(client, files=files, data={"words": "phones: S IY S IY T UW N S IY K AA T AA"})
     assert "do not fit" in json.loads(wrong.headers["deitalk-notes"])[-1]
 
 
 @each(
     ("data", "text"),
     [
-        ({"transcript": "a", "phones": "AA"}, "leave one out"),
         ({"words": "a", "language": "xx"}, "no voice of espeak-ng"),
         ({"words": "?!"}, "no word"),
         ({"words": "a", "rules": "false"}, "rules"),
@@ -62,16 +61,6 @@ def test_words_are_met_as_by_the_library_and_their_fit_is_a_note(client, spoken,
 def test_wrong_words_are_problems(client, data, text):
     answer = post(client, data=data)
     assert answer.status_code == 422 and text in answer.json()["message"], answer.text
-
-
-def test_former_names_of_fields_are_read_with_a_note(client):
-    old = post(client, data={"raw": "true", "idle": "false"})
-    new = post(client, data={"rules": "false", "life": "off"})
-    assert old.status_code == new.status_code == 200
-    assert old.json() == new.json()
-    assert {"field idle is now life", "field raw is now rules"} <= set(
-        json.loads(old.headers["deitalk-notes"])
-    )
 
 
 def test_raw_body_and_form_give_the_same(client):
@@ -224,7 +213,7 @@ def test_validation_finds_what_the_command_finds(client, tmp_path):
     second = client.post("/v1/validate", files={"curves": ("curves.csv", bad)}).json()
     assert first["ok"] and not second["ok"]
     assert any("CTRL_C_jaw.tz" in finding["text"] for finding in second["findings"])
-    for name in ("a.anim", "a.a2f.json", "a.maya.py", "a.vrma", "a.dat"):  # as it answers them
+    for name in ("a.anim", "a.a2f.json", "a.maya.py", "a.vrma"):  # as it answers them
         write_curves(tmp_path / name, read_curves(tmp_path / "good.csv"))
         files = {"curves": (name, (tmp_path / name).read_bytes())}
         assert client.post("/v1/validate", files=files).json()["ok"], name
