@@ -130,8 +130,13 @@ class _ArraySource:
     def __init__(self, array: npt.NDArray[Any], rate: int) -> None:
         self.array, self.rate = array, rate
         self.channels, self.expected = array.shape[1], len(array)
-        self.slack = 0
+        self.layout: tuple[str, ...] = ()
+        self.tracks, self.track = ("",), 1
         self.notes: list[str] = []
+
+    def on(self, track: int) -> "_ArraySource":
+        """The only track."""
+        return self
 
     def blocks(self, size: int) -> Iterator[Float32]:
         """Blocks (n, C) of `size` samples, full scale at 1, the last one shorter."""
