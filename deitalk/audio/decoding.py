@@ -50,6 +50,7 @@ _SIGNATURES = (
     (8, b"AIFC", "aiff"),
 )
 _TS_PLACES = ((0, 188, 376), (4, 196, 388))  # of the first bytes of packets of a transport stream
+MOST_PADDING = 8192  # samples of a coded WAV's last block
 _BY_SNDFILE = ("wav", "w64", "aiff", "au", "caf")
 """Of those that FFmpeg reads as well."""
 KNOWN = "wav, flac, ogg, opus, mp3, m4a, mp4, mov, webm, aac or wma"
@@ -196,7 +197,9 @@ class _SndfileReader:
             raise AudioError(f"{name} has 1 sound track; there is no track {track}")
         with self._open() as sound:
             self.rate, self.channels = int(sound.samplerate), int(sound.channels)
-            self.seconds = sound.frames / self.rate if sound.frames < 2**40 else 0.0
+            padding = sound.frames - part.samples
+            self.most = part.samples if 0 < padding < MOST_PADDING else 2**40
+            self.seconds = min(sound.frames, self.most) % 2**40 / self.rate
         self.layout = part.layout
         self.notes = [part.note] if part.note else []
 
@@ -220,7 +223,7 @@ class _SndfileReader:
         try:
             with self._open() as sound:
                 while len(block := sound.read(size, dtype="float32", always_2d=True)):
-                    yield Piece(block, self.rate)
+                    yield Piece(block[: self.most - start], self.rate)
                     start += len(block)
         except RuntimeError as error:
             raise AudioError(

@@ -35,7 +35,7 @@ SILENT_SAMPLES = 1 << 16  # of one block
 
 TIMED = ("mov", "matroska", "mpegts", "asf", "flv", "ogg")
 """Demuxers whose packets have times that mean something; sound of others has no holes."""
-_KEEP_LENGTH = ("mov", "matroska", "flac")  # durations of the others are estimates by size
+_KEEP_LENGTH = ("mov", "matroska", "flac", "ogg")  # durations of others are estimates by size
 _MP3_LENGTHS = (b"Xing", b"Info", b"VBRI")  # marks of a first mp3 frame that counts the others
 _DECODERS = frozenset(
     "aac mp1 mp1float mp2 mp2float mp3 mp3float opus libopus vorbis libvorbis flac alac ac3 eac3 "
@@ -86,8 +86,10 @@ class FFmpegReader:
     def __init__(self, name: str, window: Window, demuxer: str, track: int = 0) -> None:
         self.name, self.window, self.demuxer, self.track = name, window, demuxer, track
         self.notes: list[str] = []
+        is_movie = demuxer == "mov" and not has_fragments(window)
         with self._container() as container:
             stream = self._stream(container)
+            self.coding = _codec(stream)
             self.tracks = tuple(_title(stream) for stream in container.streams.audio)
             first = next((frame for frame, _ in self._frames(container) if frame), None)
             if first is None:
@@ -98,14 +100,22 @@ class FFmpegReader:
             names = tuple(str(channel.name) for channel in first.layout.channels)
             self.layout = names if set(names) <= set(CHANNELS) else ()
             self.stated = self._stated(container, stream)
+            self.origin = 0.0 if is_movie else _origin(container)
         is_true = self.stated * LEAST_BYTE_RATE <= self.window.size
         self.seconds = self.stated if is_true else 0.0
 
     def pieces(self, size: int) -> Iterator[Piece]:
         """Sound in pieces of one or several packets; silence where there is none."""
+        timeline = _Timeline(self.origin, self.demuxer)
+        pieces = self._pieces(timeline)
+        is_vorbis = self.coding == "vorbis" and self.demuxer == "ogg"
+        if self.stated and (is_vorbis or self.demuxer == "mov"):
+            pieces = _to_length(pieces, timeline, self.stated, fills=is_vorbis)
+        return pieces
+
+    def _pieces(self, timeline: "_Timeline") -> Iterator[Piece]:
         damaged: list[float] = []
         with self._container() as container:
-            timeline = _Timeline(self._origin(container), self.demuxer)
             for frame, lost_seconds in self._frames(container):
                 if frame is None:
                     damaged.append(timeline.position)
@@ -120,8 +130,8 @@ class FFmpegReader:
                     samples = samples[round(-gap * rate) :]
                 timeline.position += max(gap, 0.0) + len(samples) / rate
                 yield Piece(samples, rate)
-        stated = self.stated or timeline.sound_end
-        cut = length_note(timeline.sound_end, stated, LENGTH_SLACK_SECONDS)
+        found = timeline.position - timeline.lead
+        cut = length_note(found, self.stated or found, LENGTH_SLACK_SECONDS)
         self.notes = [*filter(None, [cut]), *timeline.notes]
         if damaged:
             self.notes.append(
@@ -191,24 +201,6 @@ class FFmpegReader:
             for frame in frames:
                 yield frame, 0.0
 
-    def _origin(self, container: "InputContainer") -> float | None:
-        """Time of the container at which its picture or sound begins; None: with this sound.
-
-        Of a movie that is 0, unless it is cut from fragments.
-        """
-        if self.demuxer == "mov" and not has_fragments(self.window):  # type: ignore[arg-type]
-            return 0.0
-        starts = [
-            float(stream.start_time * stream.time_base)
-            for stream in container.streams
-            if stream.type in ("audio", "video")
-            and stream.start_time is not None
-            and stream.time_base is not None
-            and not _is_cover(stream)
-        ]
-        # a time before 0 is that of an encoder's delay, which is not played
-        return max(min(starts), 0.0) if len(starts) > 1 else None
-
     def _stated(self, container: "InputContainer", track: "AudioStream") -> float:
         """Seconds of sound according to the header; 0 where it holds no length."""
         import av
@@ -217,10 +209,8 @@ class FFmpegReader:
             return 0.0
         if track.duration is not None and track.time_base is not None:
             seconds = float(track.duration * track.time_base)
-            if self.demuxer == "mov" and track.start_time:
-                seconds += float(track.start_time * track.time_base)
         elif container.duration is not None and len(container.streams) == 1:
-            seconds = container.duration / av.time_base
+            seconds = (container.duration - max(container.start_time or 0, 0)) / av.time_base
         else:
             return 0.0
         return max(0.0, seconds)
@@ -246,7 +236,7 @@ class _Timeline:
         self.origin = origin
         self.offset: float | None = None  # time of the container when the position is 0
         self.position = 0.0  # seconds of sound and silence so far
-        self.first = self.lead = 0.0
+        self.lead = 0.0  # silence before the first sample
         self.holes: list[tuple[float, float]] = []
         self.overlaps: list[tuple[float, float]] = []
         self.jumps: list[float] = []
@@ -257,7 +247,6 @@ class _Timeline:
             return 0.0
         is_first = self.offset is None
         if self.offset is None:
-            self.first = time
             self.offset = (time if self.origin is None else self.origin) - self.position
         gap = time - self.offset - self.position
         if abs(gap) <= JITTER_SECONDS:
@@ -271,12 +260,6 @@ class _Timeline:
         else:
             (self.holes if gap > 0 else self.overlaps).append((self.position, abs(gap)))
         return gap
-
-    @property
-    def sound_end(self) -> float:
-        """Time of the container at which the sound ends, as a header's length counts it."""
-        begin = max(self.first, 0.0) if self.origin is None else 0.0
-        return self.position + begin
 
     @property
     def notes(self) -> Iterator[str]:
@@ -307,6 +290,31 @@ def _counted(found: list[tuple[float, float]], name: str) -> str:
 def _total(found: list[tuple[float, float]]) -> str:
     total = sum(seconds for _, seconds in found)
     return f"{total:.2f} s in all, the first at {found[0][0]:.2f} s"
+
+
+def _to_length(
+    pieces: Iterator[Piece], timeline: _Timeline, seconds: float, *, fills: bool
+) -> Iterator[Piece]:
+    """Pieces without what is a little beyond a length; all of them if it is more than that.
+
+    With `fills`, silence up to the length where little is missing.
+    """
+    position, beyond, rate, channels = 0.0, list[Piece](), 1, 1
+    for samples, rate in pieces:
+        channels = samples.shape[1]
+        left = max(round((seconds + timeline.lead - position) * rate), 0)
+        position += len(samples) / rate
+        if position > seconds + timeline.lead + LENGTH_SLACK_SECONDS:
+            yield from (*beyond, Piece(samples, rate))
+            beyond.clear()
+            continue
+        if left:
+            yield Piece(samples[:left], rate)
+        if left < len(samples):
+            beyond.append(Piece(samples[left:], rate))
+    missing = seconds + timeline.lead - position
+    if fills and 0 < missing <= LENGTH_SLACK_SECONDS:
+        yield from _silence(missing, rate, channels)
 
 
 def _silence(seconds: float, rate: int, channels: int) -> Iterator[Piece]:
@@ -341,6 +349,20 @@ def _seconds(packet: "Packet[AudioStream]") -> float:
     if packet.duration is None or packet.time_base is None:
         return 0.0
     return min(max(float(packet.duration * packet.time_base), 0.0), LONGEST_LOSS_SECONDS)
+
+
+def _origin(container: "InputContainer") -> float | None:
+    """Time of the container at which its picture or sound begins; None: with this sound alone."""
+    starts = [
+        float(stream.start_time * stream.time_base)
+        for stream in container.streams
+        if stream.type in ("audio", "video")
+        and stream.start_time is not None
+        and stream.time_base is not None
+        and not _is_cover(stream)
+    ]
+    # a time before 0 is that of an encoder's delay, which is not played
+    return max(min(starts), 0.0) if len(starts) > 1 else None
 
 
 def _codec(stream: "AudioStream") -> str:

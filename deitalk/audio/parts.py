@@ -81,6 +81,8 @@ class Part(NamedTuple):
     """On its length."""
     layout: tuple[str, ...] = ()
     """Names of its channels, such as FL and FR, where they are known."""
+    samples: int = 0
+    """Number of samples without the padding of the last block; 0 if unknown."""
 
 
 class Window:
@@ -165,7 +167,7 @@ def length_note(found: float, stated: float | None, slack: float = 0.0) -> str:
 class _Content:
     """Bytes of a file by their places."""
 
-    def __init__(self, file: IO[bytes]) -> None:
+    def __init__(self, file: IO[bytes] | Window) -> None:
         self.file, self.size = file, file.seek(0, io.SEEK_END)
 
     def at(self, place: int, count: int) -> bytes:
@@ -250,7 +252,7 @@ def _movies(content: _Content, demuxer: str) -> Iterator[Part]:
     yield from _between([*starts, content.size])
 
 
-def has_fragments(file: IO[bytes]) -> bool:
+def has_fragments(file: IO[bytes] | Window) -> bool:
     """Whether a movie is one of fragments, whose time may begin anywhere."""
     return any(name == b"moof" for _, name in _boxes(_Content(file)))
 
@@ -353,6 +355,7 @@ class _Header(NamedTuple):
     made: Callable[[int, bool], bytes]
     """Header for a number of bytes; with what counts samples if the old number holds."""
     layout: tuple[str, ...] = ()
+    samples: int = 0
 
 
 def _with_headers(content: _Content, demuxer: str) -> Iterator[Part]:
@@ -360,12 +363,15 @@ def _with_headers(content: _Content, demuxer: str) -> Iterator[Part]:
     while place < content.size:
         header = _READERS[demuxer](content, place)
         if header is None:
-            yield Part(place, content.size)
-            return
+            following = content.next_start(demuxer, place + 1)
+            yield Part(place, following)
+            place = following
+            continue
         stop, following, is_true = _extent(content, demuxer, header)
         note = "" if is_true else _note(header, stop)
         head = header.made(stop - header.begin, is_true)
-        yield Part(header.begin, stop, head, note, header.layout)
+        samples = header.samples if is_true else 0
+        yield Part(header.begin, stop, head, note, header.layout, samples)
         place = following
 
 
@@ -499,7 +505,8 @@ def _wave(form: bytes, fact: bytes, begin: int, claimed: int, chunks: _Chunks) -
         return b"RF64\xff\xff\xff\xffWAVE" + long + body + b"data\xff\xff\xff\xff"
 
     byte_rate = rate * block if code in _PCM_CODES else byte_rate
-    return _Header(begin, claimed, byte_rate, chunks, made, _layout(code, form))
+    samples = 0 if code in _PCM_CODES else int.from_bytes(fact[:4], "little")
+    return _Header(begin, claimed, byte_rate, chunks, made, _layout(code, form), samples)
 
 
 def _layout(code: int, form: bytes) -> tuple[str, ...]:
