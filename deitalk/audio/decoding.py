@@ -198,7 +198,7 @@ class _SndfileReader:
         with self._open() as sound:
             self.rate, self.channels = int(sound.samplerate), int(sound.channels)
             padding = sound.frames - part.samples
-            self.most = part.samples if 0 < padding < MOST_PADDING else 2**40
+            self.most = part.samples if part.samples and 0 < padding < MOST_PADDING else 2**40
             self.seconds = min(sound.frames, self.most) % 2**40 / self.rate
         self.layout = part.layout
         self.notes = [part.note] if part.note else []
