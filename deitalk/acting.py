@@ -431,7 +431,7 @@ class Acting(BaseModel):
         return self.model_dump(mode="json", exclude_defaults=True, include={*Acting.model_fields})
 
     @property
-    def track(self) -> EmotionTrack:
+    def emotion_track(self) -> EmotionTrack:
         """Emotion over time.
 
         Raises
@@ -482,7 +482,6 @@ OLD_NAMES = {
     "transcript": "words",
     "phones": "words",
     "idle": "life",
-    "raw": "rules",
 }
 """Former names of fields."""
 
@@ -493,8 +492,6 @@ def renamed(name: str, value: Any) -> tuple[str, Any]:
         value = f"{PHONES} {value}"
     elif name == "idle":
         value = "off" if _is_false(value) else "on"
-    elif name == "raw":
-        value = _is_false(value)
     return OLD_NAMES[name], value
 
 

@@ -60,7 +60,7 @@ class Survey:
 
     @property
     def covariance(self) -> Float64:
-        """[shape=(C, C)]"""
+        """Products of all pairs of channels without their means [shape=(C, C)]."""
         count = max(self.n_samples, 1)
         return np.asarray(self.products / count - np.outer(self.total, self.total) / count**2)
 
@@ -115,7 +115,7 @@ def mixing(survey: Survey, channel: str | None, layout: tuple[str, ...]) -> Mixi
 
 def only(index: int, count: int) -> Float32:
     """Weights of one channel [shape=(C,)]."""
-    return np.eye(count, dtype=np.float32)[index]
+    return np.asarray(np.eye(count, dtype=np.float32)[index])
 
 
 def has_own_centre(survey: Survey, layout: tuple[str, ...]) -> bool:
@@ -143,7 +143,7 @@ def _mean(survey: Survey, layout: tuple[str, ...]) -> Mixing:
         note = f"the {count} channels cancel each other: took channel {loudest + 1} alone"
         return Mixing(only(loudest, count), str(loudest + 1), (note,))
     leads = survey.leads
-    notes = ()
+    notes: tuple[str, ...] = ()
     if (leads > 0).sum() >= 2:
         names = layout or (("left", "right") if count == 2 else ())
         parts = [

@@ -111,6 +111,11 @@ class AudioChoice:
         )
 
     @property
+    def is_mix(self) -> bool:
+        """Whether all channels are read."""
+        return self.channel in (None, MIX)
+
+    @property
     def settings(self) -> dict[str, Any]:
         """What is chosen, as JSON; `of` it gives the same choice."""
         raw = None if self.raw is None else str(self.raw)

@@ -5,7 +5,7 @@ Letters: N samples at the source's rate, n of a block, C channels.
 
 import stat
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from pathlib import Path
 from typing import IO
@@ -78,7 +78,7 @@ class Recording:
     warnings: tuple[str, ...] = ()
     sample_rate: int = SAMPLE_RATE
     start: float | None = None
-    choice: AudioChoice = AudioChoice()
+    choice: AudioChoice = field(default_factory=AudioChoice)
 
     @property
     def duration(self) -> float:

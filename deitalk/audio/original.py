@@ -16,7 +16,7 @@ from typing import IO
 
 import numpy as np
 
-from deitalk.audio.choice import MIX, AudioChoice, channel_index
+from deitalk.audio.choice import AudioChoice, channel_index
 from deitalk.audio.decoding import open_sound
 from deitalk.audio.frames import FRAME_RATE
 from deitalk.audio.parts import MOST_CHUNKS
@@ -124,8 +124,8 @@ def write_original(
         n_samples = round(seconds * ORIGINAL_RATE)
         width = _sample_bytes(source)
         taken, count = slice(None), sound.channels
-        if choice.channel not in (None, MIX):
-            index = channel_index(choice.channel, count, sound.layout)
+        if not choice.is_mix:
+            index = channel_index(str(choice.channel), count, sound.layout)
             taken, count = slice(index, index + 1), 1
         n_bytes = n_samples * count * width
         if n_bytes > MOST_BYTES:

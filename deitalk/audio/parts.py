@@ -9,6 +9,7 @@ import io
 import re
 import struct
 from collections.abc import Callable, Iterator
+from itertools import pairwise
 from typing import IO, NamedTuple
 
 from deitalk.errors import AudioError
@@ -62,7 +63,9 @@ _STARTS = {
     "avi": (b"AVI LIST", re.compile(rb"RIFF....AVI LIST....hdrl", re.DOTALL), 8),
     "flac": (b"fLaC", re.compile(rb"fLaC[\x00\x80]\x00\x00\x22", re.DOTALL), 0),
     "amr": (b"#!AMR", re.compile(rb"#!AMR(\n|-WB\n)"), 0),
-    "asf": (b"\x30\x26\xb2\x75\x8e\x66\xcf\x11", re.compile(rb".{8}\xa6\xd9\x00\xaa", re.DOTALL), 0),
+    "asf": (
+        b"\x30\x26\xb2\x75\x8e\x66\xcf\x11", re.compile(rb".{8}\xa6\xd9\x00\xaa", re.DOTALL), 0,
+    ),
     "flv": (b"FLV\x01", re.compile(rb"FLV\x01[\x01\x04\x05]\x00{3}\x09\x00{4}"), 0),
     "matroska": (
         b"\x1a\x45\xdf\xa3", re.compile(rb"\x1a\x45\xdf\xa3.{4,48}(webm|matroska)", re.DOTALL), 0,
@@ -203,7 +206,7 @@ def _found_starts(content: _Content, demuxer: str) -> Iterator[Part]:
 
 
 def _between(places: list[int]) -> Iterator[Part]:
-    yield from (Part(*pair) for pair in zip(places, places[1:], strict=False))
+    yield from (Part(*pair) for pair in pairwise(places))
 
 
 def _limited(places: Iterator[int]) -> Iterator[int]:
@@ -261,7 +264,11 @@ def has_fragments(file: IO[bytes] | Window) -> bool:
 
 
 _MPEG_COUNTS = (b"Xing", b"Info", b"VBRI")
-_COUNT_PLACES = (36, 21, 13)  # in the first frame: MPEG-1 stereo, mono or MPEG-2 stereo, MPEG-2 mono
+_COUNT_PLACES = (
+    36,
+    21,
+    13,
+)  # in the first frame: MPEG-1 stereo, mono or MPEG-2 stereo, MPEG-2 mono
 
 
 def _mpeg(content: _Content, demuxer: str) -> Iterator[Part]:
@@ -440,7 +447,7 @@ def _without_chunks(content: _Content, header: _Header, end: int) -> int:
             if step is None or not _is_name(step[0]) or step[2] < 0:
                 break
             place = header.chunks.after(*step[1:])
-        if 0 <= place - end <= 1 or 0 <= end - place < 8 and place > begin + found.start():
+        if -8 < place - end <= 1 and place > begin + found.start():
             return begin + found.start()
     return end
 

@@ -65,11 +65,11 @@ def test_wrong_words_are_problems(client, data, text):
 
 
 def test_former_names_of_fields_are_read_with_a_note(client):
-    old = post(client, data={"raw": "true", "idle": "false"})
-    new = post(client, data={"rules": "false", "life": "off"})
+    old = post(client, data={"transcript": "B", "idle": "false"})
+    new = post(client, data={"words": "B", "life": "off"})
     assert old.status_code == new.status_code == 200
     assert old.json() == new.json()
-    assert {"field idle is now life", "field raw is now rules"} <= set(
+    assert {"field idle is now life", "field transcript is now words"} <= set(
         json.loads(old.headers["deitalk-notes"])
     )
 

@@ -147,8 +147,6 @@ def test_no_text_of_a_request_opens_a_path(text, tmp_path, monkeypatch):
     [
         ("idle", "false", {"life": "off"}),
         ("idle", True, {}),
-        ("raw", "true", {"rules": False}),
-        ("raw", False, {}),
         ("actor", "anna", {"style": "anna"}),
         ("transcript", "Bob", {"words": "Bob"}),
         ("phones", "B AA B", {"words": "phones: B AA B"}),
