@@ -264,15 +264,21 @@ class _Recordings:
         """Samples of all recordings with the first one's rate and channels."""
         alike = _Alike(self.rate, self.channels)
         notes: dict[str, int] = {}
-        for number, part in enumerate(self.parts):
-            reader = self.opened(part, self.asked) if number else self.first
+        lost: list[str] = []
+        for number, part in enumerate(self.parts, 1):
+            try:
+                reader = self.first if number == 1 else self.opened(part, self.asked)
+            except AudioError as error:
+                reason = str(error).removeprefix(f"{self.name} ").partition(";")[0]
+                lost.append(f"recording {number} of {len(self.parts)} is left out: it {reason}")
+                continue
             for piece in reader.pieces(size):
                 yield from alike.taken(piece)
             for note in reader.notes:
                 notes[note] = notes.get(note, 0) + 1
         yield from alike.rest()
-        several = f"{len(self.parts)} recordings one after another: all were read"
-        self.notes = [several] if len(self.parts) > 1 else []
+        several = f"{len(self.parts)} recordings one after another"
+        self.notes = [f"{several}: all were read"] if len(self.parts) > 1 and not lost else lost
         self.notes += [note + f" ({n} times)" * (n > 1) for note, n in notes.items()]
         self.notes += alike.notes
 

@@ -7,7 +7,7 @@ a container states it; times of packets are believed where a container keeps the
 Letters: n samples of a block at the file's rate, C channels.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sized
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -278,12 +278,12 @@ class _Timeline:
             )
         if self.jumps:
             yield (
-                f"{len(self.jumps)} jumps of its clock, the first at {self.jumps[0]:.2f} s: read "
-                "on without silence"
+                f"{_counted(self.jumps, 'jump')} of its clock, the first at {self.jumps[0]:.2f} s: "
+                "read on without silence"
             )
 
 
-def _counted(found: list[tuple[float, float]], name: str) -> str:
+def _counted(found: Sized, name: str) -> str:
     return f"{len(found)} {name}{'s' * (len(found) != 1)}"
 
 
