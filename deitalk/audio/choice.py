@@ -56,7 +56,7 @@ class RawFormat:
         if isinstance(given, RawFormat):
             return given
         parts = [part.strip() for part in str(given).lower().split(",")]
-        numbers = [int(part) if part.isdecimal() else 0 for part in (*parts[1:], "1")[:2]]
+        numbers = [_whole(part) for part in (*parts[1:], "1")[:2]]
         is_known = parts[0] in ENCODINGS and 2 <= len(parts) <= 3
         rates, counts = range(LOWEST_RATE, HIGHEST_RATE + 1), range(1, MOST_CHANNELS + 1)
         if not (is_known and numbers[0] in rates and numbers[1] in counts):
@@ -153,8 +153,13 @@ def channel_index(channel: str, n_channels: int, layout: tuple[str, ...]) -> int
     raise AudioError(f"there is no channel {channel}: {known}; leave it out, or name another")
 
 
+def _whole(text: str) -> int:
+    """A whole number of up to 8 digits; 0 for any other text."""
+    return int(text) if text.strip().isdecimal() and len(text.strip()) < 9 else 0
+
+
 def _track(given: Any) -> int:
-    number = int(given) if isinstance(given, str) and given.strip().isdecimal() else given
+    number = _whole(given) if isinstance(given, str) else given
     is_whole = isinstance(number, Integral) and not isinstance(number, bool)
     if not is_whole or not 1 <= int(number) <= MOST_TRACKS:
         raise AudioError(f"track {quoted(given)} must be a whole number, 1 to {MOST_TRACKS}")
@@ -164,8 +169,8 @@ def _track(given: Any) -> int:
 def _channel(given: Any) -> str:
     text = str(given).strip().lower()
     text = CENTRE if text == "center" else text
-    is_number = text.isdecimal() and len(text) < 4 and 1 <= int(text) <= MOST_CHANNELS
-    if isinstance(given, bool) or not (is_number or text in CHANNEL_NAMES):
+    is_number = 1 <= _whole(text) <= MOST_CHANNELS
+    if not is_number and text not in CHANNEL_NAMES:
         raise AudioError(
             f"channel {quoted(given)} must be a number from 1 to {MOST_CHANNELS}, or one of "
             f"{', '.join(CHANNEL_NAMES)}"

@@ -16,8 +16,9 @@ from typing import IO, Any, Protocol
 import numpy as np
 
 from deitalk.audio.choice import ENCODINGS, AudioChoice, RawFormat
+from deitalk.audio.content import Part, Window
 from deitalk.audio.ffmpeg import FFmpegReader, Piece
-from deitalk.audio.parts import Part, Window, parts_of, tag_bytes
+from deitalk.audio.parts import parts_of, tag_bytes
 from deitalk.errors import AudioError
 from rig.arrays import Float32
 

@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from deitalk.audio.parts import CHANNELS, Window, has_fragments, length_note, tag_bytes
+from deitalk.audio.content import CHANNELS, Window, length_note
+from deitalk.audio.parts import has_fragments, tag_bytes
 from deitalk.errors import AudioError
 from rig.arrays import Float32
 

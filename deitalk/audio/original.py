@@ -19,7 +19,7 @@ import numpy as np
 from deitalk.audio.choice import AudioChoice, channel_index
 from deitalk.audio.decoding import open_sound
 from deitalk.audio.frames import FRAME_RATE
-from deitalk.audio.parts import MOST_CHUNKS
+from deitalk.audio.headers import MOST_CHUNKS
 from deitalk.errors import AudioError, DeitalkError
 from rig.arrays import Float32
 from rig.files import atomic_write
