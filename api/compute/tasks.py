@@ -26,6 +26,7 @@ from api.compute.order import (
 from api.compute.shared import SharedNetwork
 from api.errors import names_of
 from deitalk.acting import AUTO, Acting
+from deitalk.audio.choice import AudioChoice
 from deitalk.audio.decoding import open_sound
 from deitalk.audio.frames import SAMPLE_RATE
 from deitalk.audio.load import Recording, read_sound
@@ -196,8 +197,10 @@ def _recording(order: Order, limits: Limits) -> Recording:
     """The order's recording, of at most its longest length."""
     most, now = order["most_seconds"], order["at_once_seconds"]
     data = Path(RECORDING).read_bytes()[: STREAM_BYTES + 1]
-    name = order["options"].get("name") or NAME
-    with open_sound(name, data) as sound:
+    options = order["options"]
+    name = options.get("name") or NAME
+    choice = AudioChoice.of(options.get("track"), options.get("channel"), options.get("raw"))
+    with open_sound(name, data, choice) as sound:
         if sound.channels > limits["max_channels"]:
             raise TooLarge(
                 f"the recording has {sound.channels} channels; at most {limits['max_channels']} "
@@ -208,7 +211,7 @@ def _recording(order: Order, limits: Limits) -> Recording:
             raise TooLarge(f"the recording lasts {stated:.0f} s; at most {most:.0f} s are read")
         if stated > now:
             raise TooLong(stated)
-        recording = read_sound(name, sound, most, start_seconds(data))
+        recording = read_sound(name, sound, most, start_seconds(data), choice)
     if recording.duration > now:
         raise TooLong(recording.duration)
     return recording
