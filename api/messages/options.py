@@ -14,7 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from api.compute.order import ACTING
 from api.errors import Problem
-from deitalk.acting import PHONES, Acting
+from deitalk.acting import Acting
 from deitalk.audio.original import start_of
 from deitalk.emotions.track_files import is_table
 from rig.curves.edit import parse_gains
@@ -168,8 +168,6 @@ def order_options(given: Received[SpeechOptions], folder: Path) -> dict[str, Any
     fields, sent = given.fields, given.sent
     acting = {name: fields[name] for name in Acting.model_fields if name in fields}
     acting |= {name: sent[name] for name in FIELD_FILES if name in sent}
-    if "phones" in sent:
-        acting["words"] = f"{PHONES}{sent['phones']}"
     (folder / ACTING).write_text(json.dumps(acting), encoding="utf-8")
     options = given.options.model_dump(
         exclude={*Acting.model_fields, "format", "wait", "webhook"}, exclude_none=True

@@ -42,7 +42,7 @@ from deitalk.errors import ConfigError
 from rig.errors import quoted
 
 router = APIRouter(prefix="/v1", tags=["animation"], responses=problems(404, 409, 415))
-SPEECH = ("recording", *FIELD_FILES, "transcript", "phones")
+SPEECH = ("recording", *FIELD_FILES, "transcript")
 RETARGET = ("mesh", "curves", "landmarks", "mapping", *SPEECH)
 
 
@@ -215,7 +215,6 @@ FILES: dict[str, tuple[str, tuple[str, ...]]] = {
     "intensity_curve": ("intensity", TRACK_SUFFIXES),
     "voice": ("voice", (".json",)),
     "words": ("words", WORDS_SUFFIXES),
-    "phones": ("phones", WORDS_SUFFIXES),
     "transcript": ("words", WORDS_SUFFIXES),
 }
 """Parts of a form that are files: the fixed name, and the suffixes that tell how to read them."""
