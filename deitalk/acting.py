@@ -11,6 +11,7 @@ import re
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
+from inspect import signature
 from math import nan
 from numbers import Integral, Real
 from pathlib import Path
@@ -528,8 +529,20 @@ def user_error(error: ValidationError) -> UserError:
     return ConfigError(f"no field {quoted(name)}; known are {', '.join(Acting.model_fields)}")
 
 
-def acted_as(emotion: Any, acting: Acting | None, fields: Mapping[str, Any]) -> Acting:
-    """The acting of arguments; the emotion ``"neutral"`` leaves that of `acting`."""
+def acted_as(
+    emotion: Any, acting: Acting | None, fields: Mapping[str, Any], of: Callable[..., Any]
+) -> Acting:
+    """The acting of arguments; the emotion ``"neutral"`` leaves that of `acting`.
+
+    Raises
+    ------
+    ConfigError
+        For a field that there is not; it names those there are, and the parameters of `of`.
+    """
+    for name in fields.keys() - Acting.model_fields.keys() - OLD_NAMES.keys():
+        own = [p.name for p in signature(of).parameters.values() if p.default is not p.empty]
+        known = ", ".join(dict.fromkeys([*own, *Acting.model_fields]))
+        raise ConfigError(f"no argument {quoted(name)}; known are {known}")
     if acting is None or not (isinstance(emotion, str) and emotion == "neutral"):
         fields = {"emotion": emotion, **fields}
     return Acting.of(acting, **fields)

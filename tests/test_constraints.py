@@ -177,8 +177,9 @@ def test_a_python_that_is_not_allowed_is_refused_before_anything_is_made(checkou
     assert not is_new and not (checkout / ".venv").exists()
     assert f"(Python {version.replace(', ', '.')}) does not do; deitalk needs Python 3.11" in said
     assert "make demo PYTHON=python3.1" in said
-    stub(checkout, "python3.13", "3, 13")
-    assert made(checkout, "PYTHON=python3.13")[0]
+    if version == "3, 9":
+        stub(checkout, "python3.13", "3, 13")
+        assert made(checkout, "PYTHON=python3.13")[0]
 
 
 @needs_make

@@ -390,7 +390,7 @@ def animate_batch(
         if not isinstance(path, str | Path):
             raise DeitalkError(f"{name} {quoted(path)} must be a path or a URL")
     written = Written(parse_formats(formats), fps, digits, timecode).checked()
-    defaults = Line(0, "", "", acted_as(emotion, acting, fields), written, actor)
+    defaults = Line(0, "", "", acted_as(emotion, acting, fields, animate_batch), written, actor)
     # Refuse a device that this machine lacks; those of a cluster are checked there.
     if device == "cpu" or ray is not None:
         check_device(device)
