@@ -147,7 +147,7 @@ def test_commands_execute_nothing_of_the_working_folder(folder, tmp_path):
 
 def test_service_executes_nothing_of_the_working_folder(folder, tmp_path):
     port = free_port()
-    given = {"PORT": port, "DATA": tmp_path / "data", "WORKERS": 2, "READ_TOGETHER": 2}
+    given = {"PORT": port, "DATA": tmp_path / "data", "WORKERS": 2}
     variables = {f"DEITALK_{name}": str(value) for name, value in given.items()}
     log = tmp_path / "log"
     with log.open("wb") as out:
