@@ -474,44 +474,6 @@ LIVE_FIELDS = {
     if isinstance(extra := made.json_schema_extra, dict) and "x-live" in extra
 }
 """Fields that a voice takes before it has ended, and when: ``start`` or ``change``."""
-OLD_NAMES = {
-    "actor": "style",
-    "transcript": "words",
-    "idle": "life",
-    "raw": "rules",
-}
-"""Former names of fields."""
-
-
-def renamed(name: str, value: Any) -> tuple[str, Any]:
-    """The field, and its value, that a former name and value stand for."""
-    if name == "idle":
-        value = "off" if _is_false(value) else "on"
-    elif name == "raw":
-        value = _is_false(value)
-    return OLD_NAMES[name], value
-
-
-def modern(fields: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]]:
-    """Fields under their names of today, and a note on each that had a former one.
-
-    Raises
-    ------
-    ConfigError
-        If one is given under both.
-    """
-    found, notes = dict(fields), []
-    for name in OLD_NAMES.keys() & fields.keys():
-        new, value = renamed(name, found.pop(name))
-        if new in found:
-            raise ConfigError(f"{name} is now {new}, which is given too; leave one out")
-        found[new] = value
-        notes.append(f"field {name} is now {new}")
-    return found, notes
-
-
-def _is_false(value: Any) -> bool:
-    return str(value).strip().lower() in ("false", "0", "no", "off", "f", "n")
 
 
 def user_error(error: ValidationError) -> UserError:
@@ -523,9 +485,6 @@ def user_error(error: ValidationError) -> UserError:
     name = ".".join(map(str, first["loc"]))
     if first["type"] != "extra_forbidden":
         return ConfigError(f"{name} {quoted(first['input'])}: {first['msg']}")
-    if name in OLD_NAMES:
-        new, value = renamed(name, first["input"])
-        return ConfigError(f"{name} is now {new}: write {new}={quoted(value)}")
     return ConfigError(f"no field {quoted(name)}; known are {', '.join(Acting.model_fields)}")
 
 
@@ -539,7 +498,7 @@ def acted_as(
     ConfigError
         For a field that there is not; it names those there are, and the parameters of `of`.
     """
-    for name in fields.keys() - Acting.model_fields.keys() - OLD_NAMES.keys():
+    for name in fields.keys() - Acting.model_fields.keys():
         own = [p.name for p in signature(of).parameters.values() if p.default is not p.empty]
         known = ", ".join(dict.fromkeys([*own, *Acting.model_fields]))
         raise ConfigError(f"no argument {quoted(name)}; known are {known}")

@@ -53,7 +53,7 @@ EXPANDED_BYTES = 256 * MIB
 """Numbers that any file may expand to, however small: three hours of 185 curves at 30 fps at rest.
 Larger results need a file of at least 1/`EXPANSION` of their size."""
 SPARSE_BYTES = 32 * MIB
-"""The same for RigMapper keys and USD, which are converted from 251 raw curves: 18 minutes at 30
+"""The same for USD, which is converted from 251 raw curves: 18 minutes at 30
 fps at rest."""
 EXPANSION = 100
 """Bytes of numbers for each byte of the file, beyond `EXPANDED_BYTES`."""

@@ -86,7 +86,7 @@ def motion(path: Path, values: AnyFloat, names: tuple[str, ...], control_set: st
     return findings
 
 
-CURVE_SUFFIXES = (".csv", ".json", ".npz", ".tsv", ".xml", ".glb", ".vrma", ".anim")
+CURVE_SUFFIXES = (".csv", ".json", ".npz", ".tsv", ".glb", ".vrma", ".anim")
 OTHER_CSV = ("intensity.csv",)
 """Tables of a take that hold no curves."""
 FRAME_RATE = 30.0

@@ -154,7 +154,7 @@ def _animation(order: Order, limits: Limits, progress: Progress) -> Answer:
     share = NETWORK_SHARE if is_video else 1.0
     performance, read = _performed(order, limits, lambda done: progress(share * done))
     out = Path(OUT) / f"{options.get('name') or NAME}{options['suffix']}"
-    notes = [*options.get("renamed", ()), *performance.recording.warnings]
+    notes = [*performance.recording.warnings]
     if performance.words is not None and performance.words.fits:
         notes.append(performance.words.line)
     if is_video or options["format"] in ("page", "packed"):

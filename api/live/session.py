@@ -21,7 +21,7 @@ from api.guard.keys import Caller, require
 from api.guard.middleware import SUBPROTOCOL
 from api.guard.protocol import SEND_SECONDS
 from api.service import Service
-from deitalk.acting import LIVE_FIELDS, Acting, modern, user_error
+from deitalk.acting import LIVE_FIELDS, Acting, user_error
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
 from deitalk.errors import ConfigError
 from deitalk.models.folder import is_causal, model_folder, product_of, read_about
@@ -186,7 +186,7 @@ def acting_of(fields: dict[str, Any], before: Acting | None = None) -> Acting:
     UserError
         If a field is unknown, wrong, or needs the whole recording.
     """
-    return Acting.of(before, files={}, **modern(fields)[0]).check_live()
+    return Acting.of(before, files={}, **fields).check_live()
 
 
 def frames_message(
@@ -359,7 +359,6 @@ class Session:
             raise Problem(422, "type must be set or stop after the start", "message_unknown")
 
     def _change(self, fields: dict[str, Any]) -> None:
-        fields, _ = modern(fields)
         if fixed := [name for name in fields if LIVE_FIELDS.get(name, "change") != "change"]:
             raise ConfigError(f"{', '.join(fixed)} cannot change while somebody speaks")
         acting = acting_of(fields, self.acting)

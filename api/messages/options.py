@@ -37,17 +37,14 @@ class Received(Generic[Options]):
     options : model
         Checked.
     fields : dict
-        The options as they were sent, under their names of today.
+        The options as they were sent.
     sent : dict
         The fixed file name of each part that was sent.
-    notes : list of str
-        On options under former names.
     """
 
     options: Options
     fields: dict[str, Any]
     sent: dict[str, str]
-    notes: list[str]
 
 
 Gain = Annotated[
@@ -177,7 +174,7 @@ def order_options(given: Received[SpeechOptions], folder: Path) -> dict[str, Any
     speaker = options.get("speaker", "")
     if speaker.isascii() and speaker.isdigit():
         options["speaker"] = int(speaker)
-    return options | {"sent": sorted(sent.values()), "renamed": given.notes}
+    return options | {"sent": sorted(sent.values())}
 
 
 # Files that a request can be answered with: names, suffixes, media types.
@@ -191,9 +188,7 @@ MEDIA_TYPES = {
     ".npz": "application/x-npz",
     ".txt": "text/plain; charset=utf-8",
     ".tsv": "text/tab-separated-values; charset=utf-8",
-    ".xml": "application/xml",
     ".anim": "application/yaml",
-    ".dat": "text/plain; charset=utf-8",
     ".vrma": "model/gltf-binary",
     ".py": "text/x-python; charset=utf-8",
     ".glb": "model/gltf-binary",

@@ -36,13 +36,13 @@ from api.messages.outgoing import JobView, ValidationView, answer_order, file_an
 from api.routes import schema
 from api.routes.deps import AnimatorDep, ServiceDep, problems
 from api.service import Service
-from deitalk.acting import LONGEST_TEXT, WORDS_SUFFIXES, modern, user_error
+from deitalk.acting import LONGEST_TEXT, WORDS_SUFFIXES, user_error
 from deitalk.emotions.track_files import TRACK_SUFFIXES
 from deitalk.errors import ConfigError
 from rig.errors import quoted
 
 router = APIRouter(prefix="/v1", tags=["animation"], responses=problems(404, 409, 415))
-SPEECH = ("recording", *FIELD_FILES, "transcript")
+SPEECH = ("recording", *FIELD_FILES)
 RETARGET = ("mesh", "curves", "landmarks", "mapping", *SPEECH)
 
 
@@ -215,7 +215,6 @@ FILES: dict[str, tuple[str, tuple[str, ...]]] = {
     "intensity_curve": ("intensity", TRACK_SUFFIXES),
     "voice": ("voice", (".json",)),
     "words": ("words", WORDS_SUFFIXES),
-    "transcript": ("words", WORDS_SUFFIXES),
 }
 """Parts of a form that are files: the fixed name, and the suffixes that tell how to read them."""
 FILES_ALONE = ("recording", "mesh", "curves", "landmarks", "mapping")
@@ -266,9 +265,8 @@ async def receive(
             )
     except ClientDisconnect:
         raise Problem(400, "the client closed the connection") from None
-    fields, notes = modern(fields)
     given = {name: value for name, value in fields.items() if not is_deferred(name, value)}
-    return Received(_checked(model, given), fields, sent, notes)
+    return Received(_checked(model, given), fields, sent)
 
 
 def _twice(name: str) -> Problem:
@@ -282,13 +280,12 @@ async def _form(
     form = await _parsed(request)
     try:
         for name, value in form.multi_items():
-            part = "words" if name == "transcript" else name
-            if name in fields or part in sent:
+            if name in fields or name in sent:
                 raise _twice(name)
             if isinstance(value, UploadFile):
                 if name not in files:
                     raise Problem(422, f"file {quoted(name)} is none of {', '.join(files)}")
-                sent[part] = await _save(value, name, folder)
+                sent[name] = await _save(value, name, folder)
             elif name in FILES_ALONE:
                 raise Problem(
                     422, f"{name}: text where a file is needed; curl sends one by {name}=@FILE"

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from deitalk.acting import OLD_NAMES, Acting, modern
+from deitalk.acting import Acting
 from deitalk.audio.decoding import RECORDINGS
 from deitalk.batch.cloud import cloud_errors, file_system, is_url
 from deitalk.batch.lines import TAKE, BadLine, Line, Written, parse_formats
@@ -198,8 +198,7 @@ def _outside_takes(lines: list[Line | BadLine], takes: dict[str, Line]) -> list[
 
 OWN_COLUMNS = ("audio", "output", "formats", "actor", "fps", "digits", "timecode")
 COLUMNS = (*OWN_COLUMNS, *Acting.model_fields)
-_OLD = tuple(name for name in OLD_NAMES if name not in OWN_COLUMNS)
-_SETTINGS = (*COLUMNS[3:], *_OLD)
+_SETTINGS = COLUMNS[3:]
 _SEPARATORS = ",;\t"
 _SUFFIXES = sorted(writable_suffixes(), key=len, reverse=True)
 Row = dict[str, str]
@@ -232,7 +231,7 @@ def read_manifest(
             f"{where}: no column 'audio' among {quoted(', '.join(header))}; a manifest has the "
             f"columns {', '.join(COLUMNS)}"
         )
-    known = [name for name in header if name in (*COLUMNS, *_OLD)]
+    known = [name for name in header if name in COLUMNS]
     doubled = next((name for name in known if known.count(name) > 1), None)
     if doubled is not None:
         raise DataError(f"{where}: column {doubled!r} is there twice; keep one")
@@ -245,13 +244,10 @@ def read_manifest(
 
 def _notes(header: list[str]) -> Iterator[str]:
     """Notes about columns that are not used."""
-    unused = [name for name in header if name and name not in (*COLUMNS, *_OLD)]
+    unused = [name for name in header if name and name not in COLUMNS]
     if unused:
         shown = ", ".join(unused[:5]) + (" …" if len(unused) > 5 else "")
         yield f"columns of the manifest that are not used: {shown}"
-    for name in _OLD:
-        if name in header:
-            yield f"column {name} is now {OLD_NAMES[name]}"
 
 
 def _rows(text: str, where: str) -> tuple[list[str], Iterator[Row]]:
@@ -309,8 +305,7 @@ class _Reader:
 
     def _read(self, row: Row, formats: tuple[str, ...]) -> Line:
         cells = {name: row[name] for name in _SETTINGS if row.get(name)}
-        names = (*Acting.model_fields, *_OLD)
-        fields, _ = modern({name: cells[name] for name in names if name in cells})
+        fields = {name: cells[name] for name in Acting.model_fields if name in cells}
         acting = Acting.of(self.defaults.acting, files=_Beside(self.base), **fields)
         form: dict[str, Any] = {"formats": formats}
         if fps := cells.get("fps"):

@@ -11,7 +11,6 @@ import typer
 from deitalk.cli.animate import animate, batch
 from deitalk.cli.console import (
     CTRL_C_CODE,
-    Commands,
     Terminated,
     catch_signals,
     emit,
@@ -38,7 +37,6 @@ from rig.errors import UserError, one_line
 
 app = CheckedCommands(
     name="deitalk",
-    cls=Commands,
     help="MetaHuman facial animation from speech and an emotion.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,

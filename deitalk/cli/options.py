@@ -10,15 +10,13 @@ from typing import Annotated, Any, TypeVar, get_args, get_origin
 
 import typer
 
-from deitalk.acting import OLD_NAMES, Acting, modern, renamed
-from deitalk.cli.console import console
+from deitalk.acting import Acting
 from rig import limits
 
 # Options of an acting: one for each field of `deitalk.acting.Acting`, in its panel.
 
 _TYPES = {"number": float, "integer": int, "boolean": bool}
 _SCHEMA = Acting.model_json_schema()["properties"]
-_OLD_FLAGS = {"idle": "--idle/--no-idle", "raw": "--raw"}
 
 
 @dataclass(frozen=True)
@@ -51,22 +49,16 @@ def acting_options(
     signature = inspect.signature(command)
     names = list(fields)
     own = signature.parameters
-    old = [name for name, new in OLD_NAMES.items() if new in names and name not in own]
     made: list[inspect.Parameter] = []
     for parameter in own.values():
         if parameter.name == "given":
-            made += [*map(_option, names), *map(_old_option, old)]
+            made += map(_option, names)
         else:
             made.append(parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY))
 
     @wraps(command)
     def run(**arguments: Any) -> None:
         found = {name: arguments.pop(name) for name in names}
-        former = {n: value for n in old if (value := arguments.pop(n)) is not None}
-        changed = [name for name in names if found[name] != _SCHEMA[name]["default"]]
-        found |= modern(former | {name: found[name] for name in changed})[0]
-        for name, value in former.items():
-            console().note(f"{_spelled(name, value)} is now {_spelled(*renamed(name, value))}")
         texts = tuple(value for value in found.values() if isinstance(value, str))
         command(given=Given(Acting.of(**found), texts), **arguments)
 
@@ -94,24 +86,9 @@ def _option(name: str) -> inspect.Parameter:
     return _parameter(name, Annotated[kind | None if default is None else kind, option], default)
 
 
-def _old_option(name: str) -> inspect.Parameter:
-    flag = _OLD_FLAGS.get(name, f"--{name}")
-    kind = bool if name in _OLD_FLAGS else str
-    return _parameter(name, Annotated[kind | None, typer.Option(flag, hidden=True)], None)
-
-
 def _parameter(name: str, annotation: Any, default: Any) -> inspect.Parameter:
     kind = inspect.Parameter.KEYWORD_ONLY
     return inspect.Parameter(name, kind, default=default, annotation=annotation)
-
-
-def _spelled(name: str, value: Any) -> str:
-    """An option as it is written."""
-    option = f"--{name.replace('_', '-')}"
-    if isinstance(value, bool):
-        return option if value else f"--no-{name}"
-    text = str(value)
-    return f"{option} {text if text.isalnum() else repr(text)}"
 
 
 # Checks of the arguments of every command, before it does any work.

@@ -19,7 +19,6 @@ from deitalk.audio.frames import SAMPLE_RATE
 from deitalk.audio.mel import MelSpectrogram, nearest_spectra
 from deitalk.config.frontends import MelConfig, SDFAMelConfig
 from deitalk.frontends.base import Encoder, Frontend, window_index
-from deitalk.frontends.whole_clip import ONE_PIECE_FRAMES, encode_whole
 from deitalk.installed import research
 
 SEGMENT_FRAMES = 960
@@ -30,6 +29,10 @@ TOGETHER_FRAMES = 375
 """Most rig frames of recordings that are read together (12.5 s)."""
 ATTENDED_FRAMES = 128
 """Rig frames whose attention is applied at once: a matrix of so many rows, banded."""
+PIECE_SPECTRA = 960
+"""Spectra that convolutions and Spec-BiLSTM take at once."""
+ONE_BATCH_FRAMES = 600
+"""Longest clips (20 s) that are encoded as one batch."""
 
 
 class FrequencyConv(nn.Conv1d):
@@ -159,20 +162,18 @@ class TemporalAttention(nn.Module):
         else:
             projected = F.conv1d(padded, *self.joined_query()).transpose(1, 2)[:, centres]
         keys = self.key_project(memory)  # (B, L, C_att)
-        index = centres.unsqueeze(1) + torch.arange(window, device=memory.device) - window // 2
-        outside = (index < 0) | (index >= length)
-        index = index.clamp(0, length - 1)
-        scores = self.score(torch.tanh(keys[:, index] + projected.unsqueeze(2))).squeeze(-1)
-        weights = scores.masked_fill(outside, -torch.inf).softmax(dim=-1)  # (B, T, window)
+        around = torch.arange(window, device=memory.device) - window // 2
         rows = []
-        for places, part in zip(
-            torch.split(index, ATTENDED_FRAMES),
-            torch.split(weights, ATTENDED_FRAMES, 1),
-            strict=True,
-        ):
+        for part in torch.split(torch.arange(len(centres), device=centres.device), ATTENDED_FRAMES):
+            index = centres[part].unsqueeze(1) + around
+            outside = (index < 0) | (index >= length)
+            places = index.clamp(0, length - 1)
+            query = projected[:, part].unsqueeze(2)
+            scores = self.score(torch.tanh(keys[:, places] + query)).squeeze(-1)
+            weights = scores.masked_fill(outside, -torch.inf).softmax(dim=-1)  # (B, T, window)
             first, last = int(places.min()), int(places.max()) + 1
-            spread = part.new_zeros(batch, len(places), last - first)
-            spread.scatter_add_(2, (places - first).expand(batch, -1, -1), part)
+            spread = weights.new_zeros(batch, len(places), last - first)
+            spread.scatter_add_(2, (places - first).expand(batch, -1, -1), weights)
             rows.append(spread.to(memory.dtype) @ memory[:, first:last])
         return torch.cat(rows, dim=1)
 
@@ -271,17 +272,25 @@ class MelFrontend(Frontend):
         progress: Callable[[float], None] = lambda share: None,
         gain: float = 1.0,
     ) -> Tensor:
-        """Map a whole clip (S,) times `gain` to (n_frames, D) in bounded memory; see `whole_clip`.
+        """Map a whole clip (S,) times `gain` to (n_frames, D).
 
-        `progress` is called with the share done, 0 to 1.
+        With ``recurrence: window`` in segments with context; else each layer along the whole clip,
+        since the memory of the Time-BiLSTM reaches over minutes. `progress` is called with the
+        share done, 0 to 1.
         """
-        if self.config.recurrence == "segment":
-            return encode_whole(self, waveform, n_frames, progress, gain)
         waveform = waveform * gain
-        rows = waveform.new_empty(n_frames, self.output_size)
-        return encode_in_segments(
-            self._frames, waveform, rows, SEGMENT_FRAMES, CONTEXT_FRAMES, self.shifts, progress
-        )
+        if self.config.recurrence == "window":
+            rows = waveform.new_empty(n_frames, self.output_size)
+            return encode_in_segments(
+                self._frames, waveform, rows, SEGMENT_FRAMES, CONTEXT_FRAMES, self.shifts, progress
+            )
+        total: Tensor | None = None
+        for done, shift in enumerate(self.shifts, 1):
+            encoded = self._frames(waveform.unsqueeze(0), 0, n_frames, shift)[0]
+            total = encoded if total is None else total.add_(encoded)
+            progress(done / len(self.shifts))
+        assert total is not None
+        return total / len(self.shifts)
 
     @torch.no_grad()
     def encode_together(self, waveforms: Sequence[Tensor], counts: Sequence[int]) -> list[Tensor]:
@@ -295,7 +304,7 @@ class MelFrontend(Frontend):
         for count in set(counts):
             places = [place for place, other in enumerate(counts) if other == count]
             clips = [waveforms[place] for place in places]
-            if count <= ONE_PIECE_FRAMES:
+            if count <= ONE_BATCH_FRAMES:
                 found = list(self._together(clips, count))
             else:
                 found = super().encode_together(clips, [count] * len(clips))
@@ -309,7 +318,7 @@ class MelFrontend(Frontend):
         centres = nearest_spectra(n_frames, config.frame_rate, config.time_stack)
         n_spectra = (int(centres[-1]) + 1) * config.time_stack
         mel = torch.cat([self.mel(clips, n_spectra, 0, shift) for shift in self.shifts])
-        rows = self._from_mel(mel, centres)
+        rows = self._from_spectral(self.spectral(mel), centres)
         return rows.view(len(self.shifts), len(clips), n_frames, -1).mean(dim=0)
 
     def _frames(self, waveform: Tensor, first: int, last: int, shift: int = 0) -> Tensor:
@@ -320,13 +329,31 @@ class MelFrontend(Frontend):
         centres = nearest_spectra(last, config.frame_rate, config.time_stack)[first:]
         begin = int(centres[0])
         n_spectra = (int(centres[-1]) - begin + 1) * config.time_stack
-        mel = self.mel(waveform, n_spectra, begin * config.time_stack, shift)
-        return self._from_mel(mel, centres - begin)
+        if torch.is_grad_enabled():
+            mel = self.mel(waveform, n_spectra, begin * config.time_stack, shift)
+            return self._from_spectral(self.spectral(mel), centres - begin)
+        spectral = [
+            self._spectral(waveform, begin * config.time_stack, n_spectra, start, shift)
+            for start in range(0, n_spectra, PIECE_SPECTRA)
+        ]
+        return self._from_spectral(torch.cat(spectral, dim=1), centres - begin)
 
-    def _from_mel(self, mel: Tensor, places: Tensor) -> Tensor:
-        """Features (B, T, D) of spectra (B, 3, F, L), at T of their states."""
+    def _spectral(
+        self, waveform: Tensor, begin: int, n_spectra: int, start: int, shift: int
+    ) -> Tensor:
+        """Up to `PIECE_SPECTRA` rows (B, L, C_spec) from `start` of `n_spectra` from `begin`.
+
+        Derivatives depend on two spectra on either side; at the ends of the whole they repeat.
+        """
+        stop = min(start + PIECE_SPECTRA, n_spectra)
+        before, after = min(2, start), min(2, n_spectra - stop)
+        mel = self.mel(waveform, before + stop - start + after, begin + start - before, shift)
+        rows: Tensor = self.spectral(mel[..., before : before + stop - start])
+        return rows
+
+    def _from_spectral(self, spectral: Tensor, places: Tensor) -> Tensor:
+        """Features (B, T, D) of rows (B, L, C_spec), at T of their states."""
         config = self.config
-        spectral = self.spectral(mel)
         batch = spectral.shape[0]
         memory, _ = self.recurrent(spectral.reshape(batch, -1, self.recurrent.input_size))
         window = config.window_frames // config.time_stack

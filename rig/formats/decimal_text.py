@@ -81,12 +81,6 @@ def rows(
         yield _framed(text[:, :-1], keep[:, :-1], before, after)
 
 
-def rendered(block: Block) -> Text:
-    """Return the text of one block, to be used in several tables."""
-    text, keep = _cells(block, 0, len(block.values), b",")
-    return Text(np.where(keep, text, 0)[:, :-1])
-
-
 def _framed(text: NDArray[np.uint8], keep: Bool, before: bytes, after: bytes) -> bytes:
     """Join the kept characters of each row, with text around each."""
     n_rows = len(text)

@@ -1,11 +1,10 @@
-"""Rhubarb Lip Sync cues as tsv, json, xml and Moho's dat, both ways; visemes of Oculus.
+"""Rhubarb Lip Sync cues as tsv and json, both ways; visemes of Oculus.
 
 Times are seconds with two decimals, as Rhubarb writes them.
 """
 
 import itertools
 import json
-import xml.etree.ElementTree as ElementTree
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -28,9 +27,6 @@ from rig.files.reading import check_expansion, check_file, read_text
 from rig.formats.curves_json import read_object
 from rig.formats.decimal_text import Block, rows
 from rig.limits import CUES_BYTES, SECONDS
-
-DAT_FPS = 24.0
-"""Frames a second of a Moho file, which does not state them, unless a reader is told others."""
 
 
 def _spoken_cues(curves: RigCurves, seconds: float | None) -> tuple[list[Cue], float]:
@@ -94,72 +90,6 @@ def read_json_cues(
         start, end = (_seconds(cue.get(key), f"{where}, {key}") for key in ("start", "end"))
         given.append(Cue(start, end, str(cue.get("value"))))
     return _posed(path, given, fps)
-
-
-def write_xml(path: Path, curves: RigCurves, sound: str = "", seconds: float | None = None) -> None:
-    """Write ``rhubarbResult`` with path and length of the sound."""
-    from xml.sax.saxutils import escape  # imports a client of HTTP
-
-    spoken, end = _spoken_cues(curves, seconds)
-    lines = [
-        f'    <mouthCue start="{cue.start:.2f}" end="{cue.end:.2f}">{cue.shape}</mouthCue>\n'
-        for cue in spoken
-    ]
-    text = (
-        '<?xml version="1.0" encoding="utf-8"?>\n<rhubarbResult>\n  <metadata>\n'
-        f"    <soundFile>{escape(sound)}</soundFile>\n"
-        f"    <duration>{end:.2f}</duration>\n"
-        "  </metadata>\n  <mouthCues>\n" + "".join(lines) + "  </mouthCues>\n</rhubarbResult>\n"
-    )
-    path.write_text(text, encoding="utf-8", newline="\n")
-
-
-def read_xml(path: Path, controls: ControlSet | None = None, fps: float | None = None) -> RigCurves:
-    """Read cues and pose the mouth; documents that declare entities are refused."""
-    text = read_text(path, CUES_BYTES)
-    if "<!DOCTYPE" in text or "<!ENTITY" in text:
-        raise FormatError(f"{path} declares a document type; Rhubarb's files have none")
-    try:
-        root = ElementTree.fromstring(text)
-    except (ElementTree.ParseError, ValueError) as error:
-        raise FormatError(f"{path} is no XML: {' '.join(str(error).split())}") from error
-    given = []
-    for number, cue in enumerate(root.iter("mouthCue"), start=1):
-        where = f"{path}: cue {number}"
-        start, end = (_seconds(cue.get(key), f"{where}, {key}") for key in ("start", "end"))
-        given.append(Cue(start, end, (cue.text or "").strip()))
-    return _posed(path, given, fps)
-
-
-def write_dat(path: Path, curves: RigCurves, seconds: float | None = None) -> None:
-    """Write ``MohoSwitch1``, then ``frame shape``, frames from 1 at the curves' rate."""
-    spoken, end = _spoken_cues(curves, seconds)
-    lines = {1 + int(cue.start * curves.fps + 1e-6): cue.shape for cue in spoken}
-    lines[max(1 + int(end * curves.fps + 1e-6), max(lines, default=0) + 1)] = "X"
-    text = "".join(f"{frame} {shape}\n" for frame, shape in lines.items())
-    path.write_text("MohoSwitch1\n" + text, encoding="utf-8", newline="\n")
-
-
-def note_of_dat(path: Path, curves: RigCurves) -> str:
-    """Return a note on the rate, unless it is the one that readers take."""
-    fps = curves.fps
-    return "" if fps == DAT_FPS else f"counts {fps:g} frames a second: give readers --fps {fps:g}"
-
-
-def read_dat(path: Path, controls: ControlSet | None = None, fps: float | None = None) -> RigCurves:
-    """Read cues and pose the mouth; frames are at `fps`, `DAT_FPS` by default."""
-    rate = fps or DAT_FPS
-    first, *lines = read_text(path, CUES_BYTES).split("\n")
-    if first.strip() != "MohoSwitch1":
-        raise FormatError(f"{path} does not begin with MohoSwitch1")
-    marks = []
-    for number, line in enumerate(filter(None, map(str.strip, lines)), start=2):
-        frame, _, shape = line.partition(" ")
-        if not frame.isdecimal() or len(frame) > 9 or not 1 <= int(frame) <= 1 + SECONDS * rate:
-            raise FormatError(f"{path}: line {number} must be a frame from 1 and a shape")
-        marks.append(((int(frame) - 1) / rate, shape))
-    pairs = itertools.pairwise([*marks, marks[-1]] if marks else [])
-    return _posed(path, [Cue(a, b, shape) for (a, shape), (b, _) in pairs], rate)
 
 
 def _posed(path: Path, given: Sequence[Cue], fps: float | None) -> RigCurves:

@@ -53,7 +53,6 @@ def test_words_are_met_as_by_the_library_and_their_fit_is_a_note(client, spoken,
 @each(
     ("data", "text"),
     [
-        ({"transcript": "a", "words": "b"}, "leave one out"),
         ({"words": "w.csv"}, "a file of words is one of .txt"),
         ({"words": "a", "language": "xx"}, "no voice of espeak-ng"),
         ({"words": "?!"}, "no word"),
@@ -63,16 +62,6 @@ def test_words_are_met_as_by_the_library_and_their_fit_is_a_note(client, spoken,
 def test_wrong_words_are_problems(client, data, text):
     answer = post(client, data=data)
     assert answer.status_code == 422 and text in answer.json()["message"], answer.text
-
-
-def test_former_names_of_fields_are_read_with_a_note(client):
-    old = post(client, data={"raw": "true", "idle": "false"})
-    new = post(client, data={"rules": "false", "life": "off"})
-    assert old.status_code == new.status_code == 200
-    assert old.json() == new.json()
-    assert {"field idle is now life", "field raw is now rules"} <= set(
-        json.loads(old.headers["deitalk-notes"])
-    )
 
 
 def test_raw_body_and_form_give_the_same(client):
@@ -225,7 +214,7 @@ def test_validation_finds_what_the_command_finds(client, tmp_path):
     second = client.post("/v1/validate", files={"curves": ("curves.csv", bad)}).json()
     assert first["ok"] and not second["ok"]
     assert any("CTRL_C_jaw.tz" in finding["text"] for finding in second["findings"])
-    for name in ("a.anim", "a.a2f.json", "a.maya.py", "a.vrma", "a.dat"):  # as it answers them
+    for name in ("a.anim", "a.a2f.json", "a.maya.py", "a.vrma"):  # as it answers them
         write_curves(tmp_path / name, read_curves(tmp_path / "good.csv"))
         files = {"curves": (name, (tmp_path / name).read_bytes())}
         assert client.post("/v1/validate", files=files).json()["ok"], name

@@ -345,7 +345,7 @@ def test_charsets_of_a_form_are_no_fault_of_ours(client, charset):
     [
         [("emotion", (None, "happy")), ("emotion", (None, "sad"))],
         [("emotion", (None, "happy")), ("emotion", ("a.csv", b"time,emotion,strength\n0,sad,1"))],
-        [("transcript", ("a.txt", b"hello")), ("words", ("b.txt", b"bye"))],
+        [("words", ("a.txt", b"hello")), ("words", ("b.txt", b"bye"))],
         [("format", (None, "csv"))],
     ],
 )

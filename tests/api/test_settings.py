@@ -90,7 +90,7 @@ def test_printed_settings_hold_no_secret(tmp_path):
 
 
 def test_new_keys_differ_and_are_accepted_by_their_settings(tmp_path):
-    printed = CliRunner().invoke(app, ["key", "farm", "--scopes", "animate,jobs"]).stdout
+    printed = CliRunner().invoke(app, ["serve", "key", "farm", "--scopes", "animate,jobs"]).stdout
     key, _, entry = printed.partition("\n\n")
     (tmp_path / "service.yaml").write_text(entry)
     (known,) = load_settings(tmp_path / "service.yaml").keys
@@ -181,7 +181,7 @@ def test_probes_by_address_are_answered_where_hosts_names_the_service(tmp_path, 
 
 def test_command_writes_the_schema(tmp_path):
     out = tmp_path / "openapi.json"
-    ran("openapi", "-o", out)
+    ran("serve", "openapi", "-o", out)
     schema = json.loads(out.read_text())
     assert schema["openapi"].startswith("3.") and "/v1/animations" in schema["paths"]
     body = schema["paths"]["/v1/animations"]["post"]["requestBody"]["content"]

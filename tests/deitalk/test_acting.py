@@ -1,4 +1,4 @@
-"""`Acting`: text forms, ranges, files that may be named, former names, the schema."""
+"""`Acting`: text forms, ranges, files that may be named, the schema."""
 
 import json
 from pathlib import Path
@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from hypothesis import given, strategies
 
-from deitalk.acting import LIVE_FIELDS, OLD_NAMES, Acting, Words, modern, renamed
+from deitalk.acting import LIVE_FIELDS, Acting, Words
 from deitalk.emotions import LABELS
 from deitalk.errors import ConfigError
 from rig.errors import UserError
@@ -135,26 +135,6 @@ def test_no_text_of_a_request_opens_a_path(text, tmp_path, monkeypatch):
             Acting.of(files={}, **{field: text})
         told = str(caught.value)
         assert "\n" not in told and ("../" not in text or "was not sent" in told)
-
-
-@each(
-    ("old", "value", "fields"),
-    [
-        ("idle", "false", {"life": "off"}),
-        ("idle", True, {}),
-        ("raw", "true", {"rules": False}),
-        ("raw", False, {}),
-        ("actor", "anna", {"style": "anna"}),
-        ("transcript", "Bob", {"words": "Bob"}),
-    ],
-)
-def test_former_names_are_understood_by_doors_and_named_by_errors(old, value, fields):
-    found, notes = modern({old: value})
-    assert Acting.of(**found).settings == fields and old in notes[0]
-    with pytest.raises(ConfigError, match=f"{old} is now {OLD_NAMES[old]}"):
-        Acting.of(**{old: value})
-    with pytest.raises(ConfigError, match="leave one out"):
-        modern({old: value, OLD_NAMES[old]: renamed(old, value)[1]})
 
 
 def test_partial_updates_keep_the_rest():

@@ -78,7 +78,7 @@ def read_capture(
     Parameters
     ----------
     path : Path
-        Live Link Face, board, raw, RigMapper, ARKit or Audio2Face CSV; JSON and NPZ of curves;
+        Live Link Face, board, raw, ARKit or Audio2Face CSV; JSON and NPZ of curves;
         what the script inside Unreal exports; EmoFace text; a video of a face, or the landmarks
         measured on one; with `mapping` any table of curves.
     mapping : RigMapping or None
@@ -128,8 +128,6 @@ def kind_of(path: Path) -> str | None:
     if suffix == ".csv":
         header = read_header(path)
         form = format_of_header(header)
-        if form == "rigmapper":
-            return "curves"
         if form == "livelink" or [c.lower() for c in header[:2]] == ["timecode", "blendshapecount"]:
             return "livelink"
         return "table" if _best_set(header)[1] >= LEAST_KNOWN or form == "a2f" else None

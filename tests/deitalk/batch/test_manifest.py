@@ -58,12 +58,6 @@ def test_every_field_of_an_acting_is_a_column(name):
     assert list(line.acting.settings) == [name]
 
 
-def test_former_columns_are_read_with_a_note():
-    lines, notes = read_manifest("audio,transcript\na.wav,Bob\n", "m.csv", "", NOTHING)
-    assert lines[0].acting == Acting.of(words="Bob")
-    assert notes == ("column transcript is now words",)
-
-
 def test_digits_and_time_code_of_a_row_are_checked():
     settings = only("audio,formats,digits,timecode\na.wav,csv npz,3,recording\n").written
     assert (settings.digits, settings.timecode) == (3, "recording")

@@ -50,7 +50,6 @@ def test_errors_come_before_any_work(line, tmp_path, monkeypatch):
         assert done.exit_code == 1
         return str(done.exception)
 
-    assert "leave one out" in error("--words", "a", "--transcript", "b")
     assert "'xx' is no voice of espeak-ng" in error("--words", "a", "--language", "xx")
     assert "'w.csv': a file of words is" in error("--words", "w.csv")
     assert "w.srt" in error("--words", "w.srt")
@@ -89,24 +88,12 @@ def test_validate_marks_the_closure_that_curves_miss(line, tmp_path):
 def test_mesh_meets_words_and_tells_a_misfit(line, tmp_path, monkeypatch):
     monkeypatch.setattr(np, "savez_compressed", np.savez)  # for time
     said = ("--words", "Bob may bring my map.")
-    assert run("mesh", line, "-o", tmp_path / "a.npz").exit_code == 0
-    assert run("mesh", line, "-o", tmp_path / "b.npz", *said).exit_code == 0
+    assert run("animate", line, "--vertices", "-o", tmp_path / "a.npz").exit_code == 0
+    assert run("animate", line, "--vertices", "-o", tmp_path / "b.npz", *said).exit_code == 0
     plain, met = (np.load(tmp_path / f"{name}.npz")["vertices"] for name in "ab")
     assert plain.shape == met.shape and np.abs(plain - met).max() > 0.01
-    wrong = run("mesh", line, "-o", tmp_path / "c.npz", "--words", "See, see, two necessary cars.")
+    other = ("--words", "See, see, two necessary cars.")
+    wrong = run("animate", line, "--vertices", "-o", tmp_path / "c.npz", *other)
     assert wrong.exit_code == 0 and "the words do not fit the sound" in wrong.output
-    refused = run("mesh", line, "-o", tmp_path / "d.npz", "--model", "sdfa", *said)
+    refused = run("animate", line, "--vertices", "-o", tmp_path / "d.npz", "--model", "sdfa", *said)
     assert "words: a mesh model takes" in str(refused.exception)
-
-
-def test_former_options_print_the_new_line(line, tmp_path):
-    former = ("--no-idle", "--raw", "--seed", "3")
-    done = run("animate", line, "-o", tmp_path / "a.npz", *former)
-    assert done.exit_code == 0, done.output
-    assert "--no-idle is now --life off" in done.output and "--raw is now --no-rules" in done.output
-    now = ("--life", "off", "--no-rules", "--seed", "3")
-    assert run("animate", line, "-o", tmp_path / "b.npz", *now).exit_code == 0
-    a, b = (read_curves(tmp_path / f"{name}.npz").values for name in "ab")
-    np.testing.assert_array_equal(a, b)
-    shown = run("animate", "--help").output
-    assert "--idle" not in shown and "--raw" not in shown and "--words" in shown

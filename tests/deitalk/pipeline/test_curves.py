@@ -379,25 +379,6 @@ def test_mouth_is_shut_in_silence(default, voice, emotion):
 
 
 @pytest.mark.slow
-def test_two_divisions_of_ten_minutes_agree_within_a_hundredth(default, voice, monkeypatch):
-    """Pieces of 32 and of 21 s, and half precision between the layers, as for longer clips."""
-    from deitalk.audio.voice_activity import normalise_level
-    from deitalk.frontends import whole_clip
-
-    sound = normalise_level(np.resize(voice.waveform, 600 * 16_000))
-    weights = np.eye(5, dtype=np.float32)[[2] * 18_000]
-    span = default.controls.maximum - default.controls.minimum
-    readings = []
-    for length, exact in ((960, 18_000), (640, 18_000), (960, 0)):
-        monkeypatch.setattr(whole_clip, "PIECE_FRAMES", length)
-        monkeypatch.setattr(whole_clip, "EXACT_FRAMES", exact)
-        monkeypatch.setattr(whole_clip, "ONE_PIECE_FRAMES", 0)
-        readings.append(default.read(sound, weights).emotional / span)
-    assert np.abs(readings[1] - readings[0]).max() < 1e-4
-    assert np.abs(readings[2] - readings[0]).max() < 0.01
-
-
-@pytest.mark.slow
 def test_an_hour_takes_under_thirteen_hundred_megabytes(default):
     from deitalk.research.evaluation.benchmark_curves import peak_memory
 

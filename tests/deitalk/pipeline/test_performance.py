@@ -154,7 +154,7 @@ def test_mesh_performance_saves_by_the_same_rule(tmp_path, network, name, files)
         ({"intensity": float("nan")}, ConfigError, "intensity nan must be a number, 0 to 4"),
         ({"intensity_curve": 1.0}, EmotionError, "intensity_curve 1.0 is a float"),
         ({"intensity_curve": [1, 2]}, EmotionError, "is a list"),
-        ({"idle": False}, ConfigError, "idle is now life: write life='off'"),
+        ({"idle": False}, ConfigError, "no field 'idle'"),
         ({"loudness": 1}, ConfigError, "no field 'loudness'; known are emotion, intensity"),
         ({"seed": -1}, DeitalkError, "seed -1"),
         ({"seed": 1.5}, DeitalkError, "seed 1.5"),

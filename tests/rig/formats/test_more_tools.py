@@ -1,4 +1,4 @@
-"""Audio2Face JSON, Unity clips and Moho's switches: rules of their programs, and the way back."""
+"""Audio2Face JSON and Unity clips: rules of their programs, and the way back."""
 
 import json
 
@@ -8,7 +8,7 @@ import yaml
 
 from rig import RigCurves, default_controls, read_curves, write_curves
 from rig.conversion.arkit import ARKIT_ID
-from rig.conversion.avatars import Cue, avatar_controls, cues_to_curves
+from rig.conversion.avatars import avatar_controls
 from rig.conversion.convert import convert
 from rig.errors import FormatError
 from tests.each import each
@@ -85,19 +85,3 @@ def test_unitys_curves_are_the_weights_in_percent(tmp_path, take, avatar):
         assert np.abs(found - shapes[name]).max() < 6e-4, name
     assert len(clip["m_FloatCurves"]) == (52 if avatar == ARKIT_ID else len(shapes.names))
     assert n_keys < 0.3 * 60 * len(clip["m_FloatCurves"])
-
-
-def test_mohos_switches_count_frames_from_one_and_end_at_rest(tmp_path):
-    """At 24 frames a second .5 s is frame 13, 1 s frame 25."""
-    curves = cues_to_curves([Cue(0, 0.5, "X"), Cue(0.5, 1.0, "D")], 24)
-    write_curves(tmp_path / "a.dat", curves)
-    lines = (tmp_path / "a.dat").read_text().splitlines()
-    assert lines[0] == "MohoSwitch1" and lines[1] == "1 X" and lines[-1] == "25 X"
-    (frame,) = (int(line.split()[0]) for line in lines if line.endswith("D"))
-    assert abs(frame - 13) <= 1
-    back = read_curves(tmp_path / "a.dat")
-    assert back.fps == 24 and len(back) == 24
-    for text, message in (("Moho\n1 A\n", "MohoSwitch1"), ("MohoSwitch1\n0 A\n", "line 2")):
-        (tmp_path / "a.dat").write_text(text)
-        with pytest.raises(FormatError, match=message):
-            read_curves(tmp_path / "a.dat")

@@ -26,7 +26,7 @@ def talking(n_frames=90):
     return RigCurves(values, BOARD.names)
 
 
-@each("suffix", ["csv", "json", "npz", "raw.csv", "rigmapper.csv", "tsv"])
+@each("suffix", ["csv", "json", "npz", "raw.csv", "tsv"])
 def test_our_files_are_valid(tmp_path, suffix):
     write_curves(tmp_path / f"c.{suffix}", talking())
     validation = validate(tmp_path / f"c.{suffix}")

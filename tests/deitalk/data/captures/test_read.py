@@ -85,7 +85,7 @@ def test_fault_of_a_map_is_one_line(tmp_path, text, expected):
 
 @each(
     ("suffix", "kind", "known"),
-    [(".csv", "board", 185), (".raw.csv", "raw", 174), (".rigmapper.csv", "raw", 174),
+    [(".csv", "board", 185), (".raw.csv", "raw", 174),
      (".a2f.csv", "arkit", 73), (".livelink.csv", "livelink", 73), (".json", "board", 185),
      (".npz", "board", 185), (".unreal.json", "unreal", None)],
 )  # fmt: skip
