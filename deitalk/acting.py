@@ -7,9 +7,11 @@ parsed here and nowhere else.
 """
 
 import json
+import re
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
+from inspect import signature
 from math import nan
 from numbers import Integral, Real
 from pathlib import Path
@@ -50,36 +52,33 @@ LONGEST_LISTENING = 600.0
 MOST_INTENSITY = 4.0
 LONGEST_TEXT = 1 << 20
 """Letters of a text that comes from elsewhere."""
-PHONES = "phones:"
-"""Before words that are written as phones."""
-WORDS_SUFFIXES = (".txt", ".csv", ".tsv", ".textgrid")
-_KINDS = {".csv": "table", ".tsv": "table", ".textgrid": "grid"}
+WORDS_SUFFIXES = (".txt", ".textgrid", ".srt", ".vtt")
+_KINDS = {".textgrid": "grid", ".srt": "subtitles", ".vtt": "subtitles"}
+_SUFFIX = re.compile(r"\S\.[A-Za-z][A-Za-z0-9]{1,7}$")
+_CUE = re.compile(r"^\s*[\d:]+[.,]\d+ +--> +[\d:]+[.,]\d+", re.M)
 
 
 @dataclass(frozen=True)
 class Words:
-    """What is said: text, a table of words and their times, or a TextGrid.
+    """What is said: text, a TextGrid of Praat, or subtitles (SubRip or WebVTT).
 
     Attributes
     ----------
     text : str
         The words themselves, or the content of the file.
-    are_phones : bool
-        Whether they are written as phones, ARPABET or IPA.
     kind : str
-        ``text``, ``table`` (columns start, end, word or phone) or ``grid``.
+        ``text``, ``grid`` or ``subtitles``.
     source : str
         Name of the file; empty of a text.
     """
 
     text: str
-    are_phones: bool = False
     kind: str = "text"
     source: str = field(default="", compare=False)
 
     @classmethod
     def of(cls, given: "str | Path | Words", files: Mapping[str, Path] | None = None) -> "Words":
-        """Read words, or the file that is named; ``phones:`` before them marks phones.
+        """Read words, or the file that is named: a line that ends with a suffix such as ``.txt``.
 
         Raises
         ------
@@ -91,39 +90,37 @@ class Words:
         if not isinstance(given, str | Path):
             raise DataError(f"words {quoted(given)} must be a text or a path")
         text = str(given)
-        are_phones = text.lower().startswith(PHONES)
-        text = text[len(PHONES) :] if are_phones else text
-        if isinstance(given, Path) or _names_words(text):
-            path = _file(text.strip(), files, DataError)
+        if isinstance(given, Path) or _names_file(text):
+            path = Path(text.strip())
             suffix = path.suffix.lower()
             if suffix not in WORDS_SUFFIXES:
                 known = ", ".join(WORDS_SUFFIXES)
-                raise DataError(f"{path}: suffix {quoted(suffix)} is none of {known}")
+                raise DataError(
+                    f"words {quoted(str(path))}: a file of words is one of {known}; if this is "
+                    "spoken, end it with a full stop"
+                )
             from rig.files.reading import read_text
 
+            path = _file(str(path), files, DataError)
             content = read_text(path, limits.TRANSCRIPT_BYTES, error=DataError)
-            return cls(content, are_phones, _KINDS.get(suffix, "text"), path.name)
+            return cls(content, _KINDS.get(suffix, "text"), path.name)
         if len(text) > limits.TRANSCRIPT_BYTES:
             raise DataError(f"the words have more than {limits.TRANSCRIPT_BYTES} characters")
-        return cls(text if "\n" in text else text.strip(), are_phones, _kind(text))
+        return cls(text if "\n" in text else text.strip(), _kind(text))
 
     def __str__(self) -> str:
-        return f"{PHONES} {self.text}" if self.are_phones else self.text
+        return self.text
 
 
-def _names_words(text: str) -> bool:
-    return "\n" not in text.strip() and text.strip().lower().endswith(WORDS_SUFFIXES)
+def _names_file(text: str) -> bool:
+    return "\n" not in text.strip() and _SUFFIX.search(text.strip()) is not None
 
 
 def _kind(text: str) -> str:
+    """Kind of a file's content that is given in place of its name."""
     if "ooTextFile" in text[:200]:
         return "grid"
-    header = {cell.strip().lower() for cell in _cells(text.lstrip().partition("\n")[0])}
-    return "table" if "\n" in text and {"start", "end"} <= header else "text"
-
-
-def _cells(line: str) -> list[str]:
-    return line.split(max(",;\t", key=line.count))
+    return "subtitles" if _CUE.search(text) else "text"
 
 
 def _file(
@@ -329,9 +326,9 @@ class Acting(BaseModel):
     )
     words: Annotated[Words | None, PlainValidator(read_words), _STR, _TEXT] = Field(
         default=None,
-        description="Spoken words: text, .txt, .csv (start, end, word) or .TextGrid; or `phones:` "
-        "and phones (ARPABET or IPA). Closures are met where the sound agrees.",
-        examples=["My promise is big.", "phones: M AY | P R AA M AH S"],
+        description="Spoken words: text, or a .txt, .TextGrid, .srt or .vtt; closures are met "
+        "where the sound agrees.",
+        examples=["My promise is big."],
     )
     language: Annotated[str, Field(pattern="^[A-Za-z0-9-]{2,32}$")] = Field(
         default="en-us",
@@ -491,8 +488,20 @@ def user_error(error: ValidationError) -> UserError:
     return ConfigError(f"no field {quoted(name)}; known are {', '.join(Acting.model_fields)}")
 
 
-def acted_as(emotion: Any, acting: Acting | None, fields: Mapping[str, Any]) -> Acting:
-    """The acting of arguments; the emotion ``"neutral"`` leaves that of `acting`."""
+def acted_as(
+    emotion: Any, acting: Acting | None, fields: Mapping[str, Any], of: Callable[..., Any]
+) -> Acting:
+    """The acting of arguments; the emotion ``"neutral"`` leaves that of `acting`.
+
+    Raises
+    ------
+    ConfigError
+        For a field that there is not; it names those there are, and the parameters of `of`.
+    """
+    for name in fields.keys() - Acting.model_fields.keys():
+        own = [p.name for p in signature(of).parameters.values() if p.default is not p.empty]
+        known = ", ".join(dict.fromkeys([*own, *Acting.model_fields]))
+        raise ConfigError(f"no argument {quoted(name)}; known are {known}")
     if acting is None or not (isinstance(emotion, str) and emotion == "neutral"):
         fields = {"emotion": emotion, **fields}
     return Acting.of(acting, **fields)

@@ -26,11 +26,12 @@ from deitalk import animate, animate_mesh
 from rig import read_curves
 
 performance = animate("docs/samples/promise.flac", "happy", intensity=1.2)
-performance.save("take/")  # or curves.csv, .json, .npz, face.glb
+performance.save("take/", force=True)  # or curves.csv, .json, .npz, face.glb
 sound = np.random.default_rng(0).normal(0, 0.1, 16_000).astype(np.float32)
 animate(sound, {"happy": 0.7}, sample_rate=16_000)
-animate_mesh("docs/samples/promise.flac", "happy").save("face.glb")
-print(read_curves("take/curves.csv").resample(24).values.shape)  # (T, 185)
+animate_mesh("docs/samples/promise.flac", "happy").save("face.glb", force=True)
+print(read_curves("take/curves.csv").resample(24)[0].shape)  # (185,), the first frame
+table = performance.curves.to_pandas()  # a row per frame, over seconds
 ```
 """
 ERRORS = ("deitalk.errors", "rig.errors")

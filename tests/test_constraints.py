@@ -112,3 +112,114 @@ def test_an_index_that_never_answers_is_given_up_within_seconds():
 def test_another_wish_is_refused():
     code, option, said = chosen("gpu")
     assert code == 1 and option == "" and said == "TORCH=gpu must be auto, cpu or pypi"
+
+
+STUB = """#!/bin/sh
+exec {real} -c '
+import runpy, sys
+sys.version_info = ({version}, 1)
+sys.argv = sys.argv[1:]
+runpy.run_path(sys.argv[0], run_name="__main__")' "$@"
+"""
+"""A program that says to be another version of Python."""
+
+
+@pytest.fixture
+def checkout(tmp_path):
+    """Makefile and what it needs for an environment, in a folder with spaces."""
+    folder = tmp_path / "my checkout"
+    (folder / "constraints").mkdir(parents=True)
+    for name in ("Makefile", "pyproject.toml", "constraints/environment.py"):
+        shutil.copy(ROOT / name, folder / name)
+    (tmp_path / "programs").mkdir()
+    return folder
+
+
+def stub(checkout, name, version):
+    path = checkout.parent / "programs" / name
+    path.write_text(STUB.format(real=sys.executable, version=version))
+    path.chmod(0o755)
+
+
+def environment_of(checkout, version, *, whole=True):
+    (checkout / ".venv/bin").mkdir(parents=True)
+    (checkout / ".venv/pyvenv.cfg").write_text(f"home = /usr\nversion = {version}\n")
+    (checkout / ".venv/bin/python").symlink_to(sys.executable)
+    if whole:
+        (checkout / ".venv/bin/.installed").touch()
+    (checkout / ".venv/old").touch()
+
+
+def made(checkout, *words):
+    """Whether the environment was made, and what was said."""
+    path = os.pathsep.join((str(checkout.parent / "programs"), "/usr/bin", "/bin"))
+    done = subprocess.run(
+        ["make", ".venv/pyvenv.cfg", *words], cwd=checkout, capture_output=True, text=True,
+        env={k: v for k, v in os.environ.items() if k != "PYTHON"} | {"PATH": path},
+    )  # fmt: skip
+    is_new = (checkout / ".venv/bin/pip").exists() and not (checkout / ".venv/old").exists()
+    assert done.returncode == 0 or not is_new
+    lines = [line for line in done.stderr.splitlines() if not line.startswith("make")]
+    assert len(lines) <= 1, done.stderr
+    return is_new, "".join(lines)
+
+
+needs_make = pytest.mark.skipif(
+    shutil.which("make") is None or sys.platform == "win32", reason="needs make"
+)
+
+
+@needs_make
+@pytest.mark.parametrize("version", ["3, 8", "3, 9", "3, 10", "3, 15"])
+def test_a_python_that_is_not_allowed_is_refused_before_anything_is_made(checkout, version):
+    stub(checkout, "python3", version)
+    is_new, said = made(checkout)
+    assert not is_new and not (checkout / ".venv").exists()
+    assert f"(Python {version.replace(', ', '.')}) does not do; deitalk needs Python 3.11" in said
+    assert "make demo PYTHON=python3.1" in said
+    if version == "3, 9":
+        stub(checkout, "python3.13", "3, 13")
+        assert made(checkout, "PYTHON=python3.13")[0]
+
+
+@needs_make
+def test_without_python_the_way_out_is_named(checkout):
+    is_new, said = made(checkout, "PYTHON=python3.99")
+    assert not is_new and said.startswith("there is no python3.99: install Python 3.11 or later")
+
+
+@needs_make
+@pytest.mark.parametrize(
+    ("version", "whole", "words", "is_made"),
+    [
+        ("3.12.1", True, [], False),
+        ("3.12.1", True, ["PYTHON=python3.12"], False),
+        ("3.13.1", True, ["PYTHON=python3.12"], True),  # another is asked for
+        ("3.12.1", False, [], True),  # pip was interrupted
+        ("3.9.18", True, [], True),
+        ("3.9.18", False, ["PYTHON=python3.12"], True),
+    ],
+)
+def test_an_environment_that_is_half_made_or_of_another_python_is_made_again(
+    checkout, version, whole, words, is_made
+):
+    for name in ("python3", "python3.12"):
+        stub(checkout, name, "3, 12")
+    environment_of(checkout, version, whole=whole)
+    assert made(checkout, *words)[0] == is_made
+
+
+@needs_make
+def test_a_whole_environment_stays_where_python3_is_too_old(checkout):
+    stub(checkout, "python3", "3, 9")
+    environment_of(checkout, "3.12.1")
+    assert made(checkout) == (False, "") and (checkout / ".venv/old").exists()
+
+
+@needs_make
+def test_a_folder_that_is_no_environment_is_left_alone(checkout):
+    stub(checkout, "python3", "3, 12")
+    (checkout / ".venv").mkdir()
+    (checkout / ".venv/thesis.doc").touch()
+    assert "is no virtual environment" in made(checkout)[1]
+    assert (checkout / ".venv/thesis.doc").exists()

@@ -42,8 +42,9 @@ def test_python_of_the_page_runs(tmp_path, monkeypatch, capsys):
     soundfile.write(tmp_path / "docs/samples/promise.flac", sound[: rate // 2], rate)
     monkeypatch.chdir(tmp_path)
     (block,) = re.findall(r"```python\n(.*?)```", (ROOT / "docs/api.md").read_text(), re.S)
-    exec(compile(block, "api.md", "exec"), {})
-    assert re.fullmatch(r"\(\d+, 185\)\n", capsys.readouterr().out)
+    for _ in range(2):  # after `make demo` the folder take/ is there
+        exec(compile(block, "api.md", "exec"), {})
+        assert capsys.readouterr().out == "(185,)\n"
     assert (tmp_path / "take/take.json").is_file() and (tmp_path / "face.glb").is_file()
 
 

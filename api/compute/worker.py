@@ -2,7 +2,7 @@
 
 import ctypes
 import json
-import multiprocessing
+import multiprocessing.process
 import os
 import signal
 import sys
@@ -16,7 +16,7 @@ from typing import Any
 
 from api.compute.order import Answer, Limits, Order, TooLarge
 from api.errors import describe, names_of
-from deitalk.workers import end_with_parent
+from deitalk.workers import FORK_SERVER, NEW_PROCESSES, end_with_parent, safe_path
 from rig.errors import UserError
 
 START_SECONDS = 120.0
@@ -150,17 +150,17 @@ def start_early(backend: str) -> None:
         process_context(backend)
         from multiprocessing import forkserver
 
-        forkserver.ensure_running()
+        with safe_path():
+            forkserver.ensure_running()
 
 
 def process_context(backend: str) -> BaseContext:
     """Where processes come from: on Linux a fork of one that has read the default model."""
     if not sys.platform.startswith("linux"):
-        return multiprocessing.get_context("spawn")
-    context = multiprocessing.get_context("forkserver")
+        return NEW_PROCESSES
     module = "api.compute.warm_onnx" if backend == "onnx" else "api.compute.warm"
-    context.set_forkserver_preload([module])
-    return context
+    FORK_SERVER.set_forkserver_preload([module])
+    return FORK_SERVER
 
 
 # The worker process: takes orders over a pipe, one at a time, and never ends by an error.

@@ -147,7 +147,7 @@ DESCRIPTIONS = {
     "intensity_curve": "intensity.csv as a file; or the text of the option.",
     "voice": "A file of `deitalk data voice`; or its text.",
     "format": "Kind of file; else that of `Accept`.",
-    "words": "Words as .txt, .csv (start, end, word) or .TextGrid; or the text of the option.",
+    "words": "Words as .txt, .TextGrid, .srt or .vtt; or the text of the option.",
 }
 
 

@@ -18,7 +18,6 @@ from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from functools import partial
-from multiprocessing import get_context
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from tempfile import mkdtemp
@@ -33,7 +32,7 @@ from deitalk.batch.lines import TAKE, File, Order, Outcome, Target, has_option
 from deitalk.errors import DeitalkError
 from deitalk.models.load import Backend
 from deitalk.pipeline.performance import Performance
-from deitalk.workers import end_with_parent
+from deitalk.workers import NEW_PROCESSES, end_with_parent
 from rig.errors import UserError, one_line
 from rig.limits import MIB
 
@@ -166,9 +165,8 @@ class _Process:
     """One process and its pipe; its chunks are answered in turn."""
 
     def __init__(self, make: Make) -> None:
-        context = get_context("spawn")
-        self.pipe, child = context.Pipe()
-        self.process = context.Process(target=_serve, args=(child, make), daemon=True)
+        self.pipe, child = NEW_PROCESSES.Pipe()
+        self.process = NEW_PROCESSES.Process(target=_serve, args=(child, make), daemon=True)
         self.process.start()
         child.close()
         self.chunks: deque[dict[str, Order]] = deque()

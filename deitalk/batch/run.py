@@ -414,7 +414,8 @@ def animate_batch(
             raise DeitalkError(f"{name} {quoted(path)} must be a path or a URL")
     written = Written(parse_formats(formats), fps, digits, timecode).checked()
     choice = AudioChoice.of(track, channel, raw)
-    defaults = Line(0, "", "", acted_as(emotion, acting, fields), written, choice, actor)
+    acted = acted_as(emotion, acting, fields, animate_batch)
+    defaults = Line(0, "", "", acted, written, choice, actor)
     # Refuse a device that this machine lacks; those of a cluster are checked there.
     if device == "cpu" or ray is not None:
         check_device(device)

@@ -4,6 +4,7 @@ import csv
 import io
 import os
 import re
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
@@ -17,7 +18,7 @@ from deitalk.batch.lines import TAKE, BadLine, Line, Written, parse_formats
 from deitalk.emotions.track_files import number
 from deitalk.errors import DataError, DeitalkError
 from rig import limits
-from rig.errors import UserError, quoted
+from rig.errors import UserError, listed, quoted
 from rig.files.reading import decode_text, read_text
 from rig.formats.table import writable_suffixes
 
@@ -31,7 +32,7 @@ class Plan:
 
     lines: list[Line | BadLine]
     notes: tuple[str, ...] = ()
-    """On the columns of the manifest."""
+    """On the columns of a manifest, or on recordings of one name in a folder."""
 
 
 def read_source(source: str | Path, out: str | Path, defaults: Line) -> Plan:
@@ -47,7 +48,9 @@ def read_source(source: str | Path, out: str | Path, defaults: Line) -> Plan:
     base = str(source).rstrip("/") if is_url(source) else os.path.normpath(source)
     names = _names_at(base, out) if is_url(source) else _names_in(base, out)
     if names is not None:
-        return Plan(distinct(list(_found(base, names, defaults))))
+        doubled = _doubled(names)
+        lines = distinct(list(_found(base, names, doubled, defaults)))
+        return Plan(lines, tuple(_notes_on(doubled)))
     if base.lower().endswith(RECORDINGS):
         raise DataError(f"{base}: a recording; name its folder or a table, or use deitalk animate")
     text = _text_of(base)
@@ -64,7 +67,28 @@ def _text_of(manifest: str) -> str:
     return decode_text(data, manifest, error=DataError)
 
 
-def _found(folder: str, names: list[str], defaults: Line) -> Iterator[Line | BadLine]:
+def _doubled(names: list[str]) -> list[str]:
+    """Recordings that differ from another by their suffix, or by case, alone."""
+    stems = Counter(os.path.splitext(name)[0].casefold() for name in names)
+    return [name for name in sorted(names) if stems[os.path.splitext(name)[0].casefold()] > 1]
+
+
+def _with_suffix(name: str) -> str:
+    """Output of a recording that shares its name: ``line_mp3`` of ``line.mp3``."""
+    stem, suffix = os.path.splitext(name)
+    return f"{stem}_{suffix[1:]}"
+
+
+def _notes_on(doubled: list[str]) -> Iterator[str]:
+    if doubled:
+        outputs = listed([_with_suffix(name) for name in doubled])
+        yield f"recordings that differ by their suffix alone have it in their results: {outputs}"
+
+
+def _found(
+    folder: str, names: list[str], doubled: list[str], defaults: Line
+) -> Iterator[Line | BadLine]:
+    apart = set(doubled)
     if not names:
         known = " ".join(RECORDINGS)
         raise DataError(f"{folder}: holds no recording ({known}); name another folder")
@@ -73,7 +97,8 @@ def _found(folder: str, names: list[str], defaults: Line) -> Iterator[Line | Bad
     for place, name in enumerate(sorted(names), 1):
         audio = f"{folder}/{name}"
         try:
-            output = checked_output(os.path.splitext(name)[0])
+            stem = _with_suffix(name) if name in apart else os.path.splitext(name)[0]
+            output = checked_output(stem)
         except UserError as error:
             yield BadLine(place, audio, "", str(error))
         else:

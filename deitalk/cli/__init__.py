@@ -32,6 +32,7 @@ from deitalk.cli.models import finetune
 from deitalk.cli.options import CheckedCommands
 from deitalk.cli.serve import app as serve_app
 from deitalk.installed import VERBS, __version__, has_research, research
+from deitalk.workers import safe_path
 from rig.errors import UserError, one_line
 
 app = CheckedCommands(
@@ -100,7 +101,8 @@ def main() -> None:
     escape_what_cannot_be_encoded()
     try:
         catch_signals()
-        code = app(prog_name="deitalk", standalone_mode=False)
+        with safe_path():
+            code = app(prog_name="deitalk", standalone_mode=False)
         if code == CTRL_C_CODE:
             _fail("stopped", CTRL_C_CODE)
         sys.exit(code)

@@ -1,5 +1,6 @@
 """`deitalk convert`: curves from any format to any other."""
 
+from collections import Counter
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -30,6 +31,7 @@ from rig.errors import as_line
 
 if TYPE_CHECKING:
     from rig import RigCurves, WriteReport
+    from rig.validation import Finding
 
 
 def convert(
@@ -241,12 +243,22 @@ def validate(
 
         words = Transcript.of(given.acting.words, given.acting.language)
         findings += check_closures(path, words, audio)
+    is_warned = strict and any(finding.level == "warning" for finding in findings)
+    is_valid = validation.ok and not is_warned
     if as_json:
         rows = [{"level": f.level, "path": str(f.path), "text": f.text} for f in findings]
         emit_json({"ok": validation.ok, "findings": rows}, indent=1)
     else:
         for finding in findings:
             emit(as_line(f"{finding.level:8} {finding.path.name or finding.path}: {finding.text}"))
-    is_warned = strict and any(finding.level == "warning" for finding in findings)
-    if not validation.ok or is_warned:
+        emit(as_line(f"{path}: {_verdict(findings, is_valid=is_valid)}"))
+    if not is_valid:
         raise typer.Exit(1)
+
+
+def _verdict(findings: "list[Finding]", *, is_valid: bool) -> str:
+    """Whether a file or a take is valid, and how many errors and warnings it has."""
+    counts = Counter(finding.level for finding in findings)
+    found = [f"{counts[level]} {level}{'s' * (counts[level] > 1)}"
+             for level in ("error", "warning") if counts[level]]  # fmt: skip
+    return f"{'valid' if is_valid else 'not valid'}, {' and '.join(found) or 'no error or warning'}"

@@ -46,7 +46,7 @@ def unreal(
     if service and urlsplit(service).scheme not in ("http", "https"):
         raise DeitalkError(f"--service {service!r} must begin with http:// or https://")
     reserve_folder(folder, kind=KIND, force=force)
-    settings = {"command": [sys.executable, "-m", "deitalk"], "service": service, "key": key}
+    settings = {"command": [sys.executable, "-P", "-m", "deitalk"], "service": service, "key": key}
     with output_folder(folder, kind=KIND, force=force) as stage:
         _write_json(stage / "deitalk.uplugin", _description())
         scripts = stage / "Content" / "Python"

@@ -188,7 +188,9 @@ def _group() -> None:
 @app.command()
 def export(
     model: Annotated[str, typer.Argument(help="Model folder, such as runs/mel/best.")],
-    out: Annotated[Path | None, typer.Option("--out", "-o", help="Folder to write.")] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="Folder to write, or FILE.onnx.")
+    ] = None,
     onnx: Annotated[
         Path | None, typer.Option("--onnx", help="File.onnx to write, for ONNX Runtime and Unreal.")
     ] = None,
@@ -205,6 +207,8 @@ def export(
     """
     from deitalk.errors import DeitalkError
 
+    if onnx is None and out is not None and out.suffix.lower() == ".onnx":
+        out, onnx = None, out
     if (out is None) == (onnx is None):
         raise DeitalkError("give either --out FOLDER or --onnx FILE.onnx")
     if onnx is not None:

@@ -54,12 +54,15 @@ def drawing(path: Path, size: tuple[float, float], dpi: int = 90) -> Iterator[An
         If matplotlib is not installed.
     """
     check_drawing()
+    import matplotlib
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=size, layout="constrained")
-    yield figure
-    with atomic_write(path) as beside:
-        figure.savefig(beside, dpi=dpi)
+    with matplotlib.rc_context():
+        matplotlib.rcdefaults()  # not those of a matplotlibrc in the working folder
+        figure = Figure(figsize=size, layout="constrained")
+        yield figure
+        with atomic_write(path) as beside:
+            figure.savefig(beside, dpi=dpi)
 
 
 def draw_waveform(axis: Any, waveform: Float32) -> None:

@@ -362,7 +362,7 @@ class LiveAnimator:
         if not 8_000 <= sample_rate <= 192_000:
             raise AudioError(f"sample_rate={sample_rate} must be 8000 to 192000 Hz")
         self.names, self.sample_rate = tuple(self.network.controls.names), sample_rate
-        first = acted_as(emotion, acting, fields).check_live()
+        first = acted_as(emotion, acting, fields, LiveAnimator).check_live()
         self.actings = [
             first.model_copy(update={"seed": (first.seed + k) % (SEED + 1)}) for k in range(streams)
         ]

@@ -52,6 +52,7 @@ def animate(
     acting: Acting | None = None,
     model: "str | Path | CurveNetwork | Model" = "default",
     backend: str = "torch",
+    device: str = "cpu",
     sample_rate: float | None = None,
     track: int | None = None,
     channel: str | int | None = None,
@@ -75,6 +76,8 @@ def animate(
         Name of an embedded model, a model folder, an ``.onnx`` file, or a loaded model.
     backend : str
         ``torch``, or ``onnx`` for ONNX Runtime; see `deitalk.models.load.load_network`.
+    device : str
+        ``cpu``, ``cuda``, ``cuda:N`` or ``mps``; for a model given by name or folder.
     sample_rate : float, optional
         Hz, of an array or a tensor; nothing else takes it.
     track, channel, raw
@@ -95,8 +98,8 @@ def animate(
         One line each: the value, the rule and the way out.
     """
     check_progress(progress)
-    acted = acted_as(emotion, acting, fields)
-    load = partial(load_network, model, backend=backend)
+    acted = acted_as(emotion, acting, fields, animate)
+    load = partial(load_network, model, backend=backend, device=device)
     choice = AudioChoice.of(track, channel, raw)
     prepared = prepare(audio, acted, load, sample_rate=sample_rate, choice=choice)
     name = str(model) if isinstance(model, str | Path) else ""

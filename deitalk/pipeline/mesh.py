@@ -104,7 +104,7 @@ def animate_mesh(
         One line each: the value, the rule and the way out.
     """
     check_progress(progress)
-    acted = acted_as(emotion, acting, fields)
+    acted = acted_as(emotion, acting, fields, animate_mesh)
     if fps is not None:
         fps = snap_fps(fps)
     recording = recording_of(audio, sample_rate, AudioChoice.of(track, channel, raw))
@@ -281,7 +281,7 @@ def retarget_speech(
     notes : tuple of str
         Of the recording and of the retargeting.
     """
-    acted = acted_as(emotion, acting, fields)
+    acted = acted_as(emotion, acting, fields, retarget_speech)
     audio = recording_of(audio, choice=AudioChoice.of(track, channel, raw))
     network = load_model(model, device=device)
     if network.product == "mesh":

@@ -36,7 +36,7 @@ from deitalk.training.run_folder import (
     save_state,
     summary_writer,
 )
-from deitalk.workers import WORKER_START, end_with_parent
+from deitalk.workers import DATA_WORKERS, end_with_parent, safe_path
 from rig.errors import UserError
 
 LOG_EVERY = 25
@@ -310,10 +310,12 @@ class Trainer(Generic[Item]):
             self.task.batches(share),
             batch_size=None,
             num_workers=self.settings.workers,
-            multiprocessing_context=WORKER_START if self.settings.workers else None,
+            multiprocessing_context=DATA_WORKERS if self.settings.workers else None,
             worker_init_fn=end_with_parent,
         )
-        for batch in loader:
+        with safe_path():
+            batches = iter(loader)
+        for batch in batches:
             if isinstance(batch, UserError):
                 raise batch
             yield type(batch)(*(part.to(self.accelerator.device) for part in batch))

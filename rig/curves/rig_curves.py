@@ -5,19 +5,23 @@ function returns new curves.
 """
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+import operator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any, SupportsIndex, overload
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from rig.arrays import Float32, Float64
 from rig.controls import DEFAULT_ID, ControlSet, check_unique, default_controls
 from rig.emotions import EMOTIONS, LABELS
-from rig.errors import ControlError, CurveError
+from rig.errors import ControlError, CurveError, quoted
 from rig.limits import FPS_HIGHEST, FPS_LOWEST, FRAMES, VALUES
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
 
 HEAD = ("yaw", "pitch", "roll", "x", "y", "z")
 """Column order of the head track: turn to the character's right, up, and to the right shoulder in
@@ -33,6 +37,9 @@ STANDARD_RATES = (24.0, NTSC_FILM, 25.0, NTSC, 30.0, 48.0, 50.0, NTSC_DOUBLE, 60
 @dataclass(frozen=True, eq=False, repr=False)
 class RigCurves:
     """Values of named controls, one row per frame.
+
+    A sequence of its frames: ``curves[0]`` is an array [shape=(C,)], ``curves[30:60]`` are curves,
+    ``numpy.asarray(curves)`` is `values`. ``curves["CTRL_C_jaw.ty"]`` is one control over time.
 
     Parameters
     ----------
@@ -99,9 +106,65 @@ class RigCurves:
             f"{len(self.names)} controls of {self.control_set}{tracks}>"
         )
 
-    def __getitem__(self, name: str) -> Float32:
-        """Return one control over time [shape=(T,)], by any spelling of the default board."""
-        return self.values[:, self.index(name)]
+    @overload
+    def __getitem__(self, key: str | SupportsIndex) -> Float32: ...
+    @overload
+    def __getitem__(self, key: slice) -> "RigCurves": ...
+    def __getitem__(self, key: str | SupportsIndex | slice) -> "Float32 | RigCurves":
+        """Return a control over time [shape=(T,)], a frame [shape=(C,)], or the frames of a slice.
+
+        A control goes by any spelling of the default board; every n-th frame is at the n-th part
+        of the rate.
+
+        Raises
+        ------
+        ControlError
+            If there is no such control.
+        CurveError
+            If it is none of these.
+        IndexError
+            If there is no such frame.
+        """
+        if isinstance(key, str):
+            return self.values[:, self.index(key)]
+        if isinstance(key, slice):
+            step = 1 if key.step is None else key.step
+            if step < 1:
+                raise CurveError(f"step {step} of a slice of frames must be 1 or more")
+            part = self._with_rows(lambda rows: rows[key])
+            return part if step == 1 else replace(part, fps=self.fps / step)
+        try:
+            place = operator.index(key)
+        except TypeError:
+            raise CurveError(
+                f"curves[{quoted(key)}]: give a control's name, a frame or a slice of frames; the "
+                "array of all is curves.values"
+            ) from None
+        if not -len(self) <= place < len(self):
+            raise IndexError(f"frame {place} of {len(self)}")
+        return self.values[place]
+
+    def __iter__(self) -> Iterator[Float32]:
+        return iter(self.values)
+
+    def __contains__(self, name: object) -> bool:
+        """Whether there is a control of this name."""
+        try:
+            return isinstance(name, str) and self.index(name) >= 0
+        except ControlError:
+            return False
+
+    def __array__(self, dtype: DTypeLike = None, copy: bool | None = None) -> NDArray[Any]:
+        """Return `values`, for numpy."""
+        if dtype is None and not copy:
+            return self.values
+        return self.values.astype(dtype or np.float32)
+
+    def to_pandas(self) -> "DataFrame":
+        """Return a table of the controls [shape=(T, C)], by ``time`` in seconds; without tracks."""
+        from pandas import DataFrame, Index
+
+        return DataFrame(self.values, Index(self.times, name="time"), list(self.names), copy=True)
 
     @property
     def tracks(self) -> dict[str, Float32]:
@@ -130,8 +193,7 @@ class RigCurves:
 
     def slice_frames(self, start: int = 0, stop: int | None = None) -> "RigCurves":
         """Return the frames from start up to stop (excluded); negative ones count from the end."""
-        part = slice(start, stop)
-        return self._with_rows(lambda rows: rows[part])
+        return self[start:stop]
 
     def slice_seconds(self, start: float = 0.0, stop: float | None = None) -> "RigCurves":
         """Return the frames whose time t satisfies start <= t < stop (seconds)."""

@@ -45,7 +45,7 @@ def write(path: Path, curves: RigCurves) -> None:
         {"name": bone, "translation": [0, height, 0], "children": [i + 1]}
         for i, (bone, height) in enumerate(BONES.items())
     ]
-    nodes[-1]["children"] = []
+    del nodes[-1]["children"]
     first, look = len(nodes), len(nodes) + len(weights)
     nodes += [{"name": name} for name in (*weights, "lookAt")]
     moves = [(look, "rotation", gaze_turn(curves).as_quat(), "VEC4")]

@@ -43,16 +43,17 @@ def test_words_are_met_as_by_the_library_and_their_fit_is_a_note(client, spoken,
     (tmp_path / "curves.npz").write_bytes(answer.content)
     expected = animate(sound, words=said).curves.values
     np.testing.assert_allclose(read_curves(tmp_path / "curves.npz").values, expected, atol=1e-5)
-    timed = b"start,end,word\n0,0.3,Bob\n"
-    answer = post(client, files=files | {"words": ("w.CSV", timed)})
+    timed = b"1\n00:00:00,000 --> 00:00:00,300\nBob\n"
+    answer = post(client, files=files | {"words": ("w.SRT", timed)})
     assert answer.status_code == 200, answer.text
-    wrong = post(client, files=files, data={"words": "phones: S IY S IY T UW N S IY K AA T AA"})
+    wrong = post(client, files=files, data={"words": "See, see, two necessary cars."})
     assert "do not fit" in json.loads(wrong.headers["deitalk-notes"])[-1]
 
 
 @each(
     ("data", "text"),
     [
+        ({"words": "w.csv"}, "a file of words is one of .txt"),
         ({"words": "a", "language": "xx"}, "no voice of espeak-ng"),
         ({"words": "?!"}, "no word"),
         ({"words": "a", "rules": "false"}, "rules"),

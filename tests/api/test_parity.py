@@ -34,9 +34,9 @@ VOICE = json.dumps({
     "format": "deitalk-actor", "version": 1, "strength": 3.5, "recordings": 4, "seconds": 20.0,
     "traits": {"side": 0.2, "brow_range": 1.5},
 })  # fmt: skip
-TIMED = "start,end,word\n0.1,0.5,promise\n0.6,0.9,big\n"
+TIMED = "1\n00:00:00,100 --> 00:00:00,900\nPromise big\n"
 FILES = {
-    "keys.csv": KEYS, "intensity.csv": CURVE, "anna.json": VOICE, "said.csv": TIMED,
+    "keys.csv": KEYS, "intensity.csv": CURVE, "anna.json": VOICE, "said.srt": TIMED,
 }  # fmt: skip
 CASES = {
     "nothing": {},
@@ -49,8 +49,7 @@ CASES = {
     "voice": {"emotion": "angry", "voice": "anna.json"},
     "style": {"style": "eve"},
     "transcript": {"words": "My promise is big.", "language": "de"},
-    "timed words": {"words": "said.csv"},
-    "phones": {"words": "phones: M AY | P R AA M AH S"},
+    "timed words": {"words": "said.srt"},
     "life": {"life": "brows=.8,head=2"},
     "life off": {"life": "off"},
     "look_at": {"look_at": "10,-5"},

@@ -291,6 +291,7 @@ def test_key_in_focus_takes_the_emotion_until_the_focus_leaves_it(browser, serve
     with studio(browser, server) as tab:
         drop(tab, speech)
         until(tab, "!!deitalk.page.take")
+        press(tab, "happy")
         tab.evaluate("deitalk.page.transport.pause()")
         tab.evaluate("deitalk.page.seek(1)")
         tab.click("#add-key")
@@ -439,6 +440,25 @@ def test_every_export_is_a_file_of_its_kind(browser, server, speech, tmp_path):
         # the limit of pixels of this server is less than the video has
         tab.get_by_role("button", name="Video", exact=True).click()
         until(tab, "document.getElementById('notice').textContent.includes('at most')")
+
+
+def test_recording_begins_in_the_suggested_emotion_until_one_is_chosen(browser, server, speech):
+    """As `auto` of the command line; the next recording keeps what was chosen."""
+    from deitalk import suggest_emotion
+
+    suggested = suggest_emotion(speech)
+    with studio(browser, server) as tab:
+        for _ in range(2):
+            drop(tab, speech)
+            until(tab, f"document.getElementById('suggested').textContent === '{suggested.line}'")
+            is_quiet(tab)
+            assert emotions(tab) == [suggested.label]
+        press(tab, "angry")
+        is_quiet(tab)
+        drop(tab, speech)
+        until(tab, "document.getElementById('suggested').textContent === ''")
+        is_quiet(tab)
+        assert emotions(tab) == ["angry"]
 
 
 @pytest.mark.slow

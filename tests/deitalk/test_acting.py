@@ -47,7 +47,7 @@ actings = strategies.fixed_dictionaries(
         "intensity_curve": strategies.just("time,intensity\n0,0.5\n1,2\n"),
         "style": strategies.text(min_size=1, max_size=20),
         "words": strategies.sampled_from(
-            ["Bob's map.", "phones: M AY", "start,end,word\n0,1,a\n", "two\nlines"]
+            ["Bob's map.", "1\n00:01,0 --> 00:02,0\na\n", "two\nlines"]
         ),
         "life": strategies.dictionaries(strategies.sampled_from(["blinks", "head"]), finite),
         "look_at": strategies.tuples(strategies.integers(-35, 35), strategies.integers(-35, 35)),
@@ -93,7 +93,7 @@ def test_seeds_are_whole_numbers_up_to_one_largest(seed):
         ("emotion", "keys.json", '[{"time": 0, "emotion": "sad", "strength": 1}]'),
         ("intensity_curve", "intensity.csv", "time,intensity\n0,1\n"),
         ("words", "said.txt", "Bob may bring my map."),
-        ("words", "phones:said.csv", "start,end,phone\n0,1,AA\n"),
+        ("words", "said.srt", "1\n00:00:01,000 --> 00:00:02,000\nBob\n"),
         (
             "voice",
             "anna.json",
@@ -106,24 +106,19 @@ def test_requests_read_the_files_that_came_with_them_and_no_others(
     field, name, content, tmp_path, monkeypatch
 ):
     monkeypatch.chdir(tmp_path)
-    plain = name.removeprefix("phones:")
-    Path(plain).write_text(content)
+    Path(name).write_text(content)
     here = Acting.of(**{field: name})
-    assert Acting.of(**{field: content if ":" not in name else f"phones:{content}"}) == here
-    for named in (
-        name,
-        name.replace(plain, str(tmp_path / plain)),
-        name.replace(plain, f"../{plain}"),
-    ):
+    assert Acting.of(**{field: content}) == here
+    for named in (name, str(tmp_path / name), f"../{name}"):
         with one_line(UserError, match="was not sent"):
             Acting.of(files={}, **{field: named})
     with pytest.raises(UserError):
-        Acting.of(files={}, **{field: Path(plain)})
+        Acting.of(files={}, **{field: Path(name)})
     if field == "voice":  # a file of several lines that is no actor's
         with one_line(UserError, match="no JSON"):
             Acting.of(files={}, voice="time,value\n0,1\n")
-    sent = Path(plain).rename(f"sent{Path(plain).suffix}")
-    assert Acting.of(files={plain: sent}, **{field: name}) == here
+    sent = Path(name).rename(f"sent{Path(name).suffix}")
+    assert Acting.of(files={name: sent}, **{field: name}) == here
 
 
 @each(
@@ -174,6 +169,7 @@ def test_schema_describes_every_field_with_its_default_as_text():
 def test_words_know_their_kind():
     grid = 'File type = "ooTextFile"\nObject class = "TextGrid"\n'
     assert Words.of("One day.").kind == "text"
-    assert Words.of("start;end;word\n0;1;a\n").kind == "table"
+    assert Words.of("1\n00:00:01,000 --> 00:00:02,000\na\n").kind == "subtitles"
+    assert Words.of("WEBVTT\n\n00:01.000 --> 00:02.000\na\n").kind == "subtitles"
     assert Words.of(grid).kind == "grid"
-    assert Words.of("Start the end, word\nfor word").kind == "text"
+    assert Words.of("Start --> end, word\nfor word").kind == "text"

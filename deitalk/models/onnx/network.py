@@ -334,7 +334,15 @@ def cached_export(model: str | Path) -> Path:
     path = cached_path(model)
     if not path.is_file():
         path.parent.mkdir(parents=True, exist_ok=True)
-        command = [sys.executable, "-c", EXPORT, str(model_folder(model)), str(path), str(model)]
+        command = [
+            sys.executable,
+            "-P",
+            "-c",
+            EXPORT,
+            str(model_folder(model)),
+            str(path),
+            str(model),
+        ]
         environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
         done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
         if done.returncode:

@@ -164,10 +164,7 @@ def fit_words(evidence: Float32, transcript: Transcript, prior: Float32) -> Word
 
 
 def _chain(words: tuple[Word, ...]) -> tuple[Int64, Int64]:
-    """Phone and word of each state [shape=(N,)]; a pause before each word and at the end is of -1.
-
-    Phones that were given alone (of one phone each) have pauses between them too.
-    """
+    """Phone and word of each state [shape=(N,)]; pauses, before each word and last, are of -1."""
     states, owners = [], []
     for number, word in enumerate(words):
         states += [_SILENCE, *(PHONES.index(phone) for phone in word.phones)]

@@ -1,25 +1,21 @@
-"""What is said in a recording: words or phones, with or without their times.
+"""What is said in a recording: words with or without their times.
 
-Words are pronounced by espeak-ng in the language of one of its voices; phones need nothing.
+Words are pronounced by espeak-ng in the language of one of its voices.
 """
 
 import atexit
-import csv
 import ctypes
 import os
 import re
 import tempfile
 import unicodedata
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cache, lru_cache
 from pathlib import Path
 
-import numpy as np
-
 from deitalk.acting import Words
 from deitalk.errors import ConfigError, DataError, MissingError
-from deitalk.postprocess.phones import PHONES, SILENCE
 from rig import limits
 from rig.errors import quoted, shorten
 from rig.files.reading import rows_of
@@ -297,13 +293,16 @@ def _intervals(path: object, values: list[float | str]) -> list[Interval]:
 
 LANGUAGE = "en-us"
 _SILENT = frozenset(("", "sil", "sp", "spn", "pau", "<eps>", "<p:>", "<sil>", "_", "#", "..."))
-_COLUMNS = {"word": ("word", "text", "label"), "phone": ("phone", "phoneme", "text", "label")}
+_BRACKETS = re.compile(r"\[[^]]*\]|\([^)]*\)")
+"""What is not spoken in subtitles: ``[MUSIC]``, ``(laughs)``."""
+CUE_SECONDS = 0.5
+"""By which a word may lie outside the times of its subtitle, beside the slack of timed words."""
 _CLAUSE = re.compile(r"[^.!?;:。！？；\n]+[.!?;:。！？；\n]*")
 
 
 @dataclass(frozen=True)
 class Word:
-    """A word, or a phone that was given alone.
+    """A word.
 
     Attributes
     ----------
@@ -338,13 +337,12 @@ class Transcript:
 
     @classmethod
     def of(cls, given: str | Path | Words, language: str = LANGUAGE) -> "Transcript":
-        """Words or phones of a text or a file, see `deitalk.acting.Words`.
+        """Words of a text or a file, see `deitalk.acting.Words`.
 
         Parameters
         ----------
         given : str, Path or Words
-            Phones are ARPABET in capitals, whose words ``|`` divides, or IPA with spaces between
-            words; espeak-ng is not needed for them.
+            Text or a path.
         language : str
             Voice of espeak-ng that pronounces words: ``en-us``, ``de``, ``cmn`` …
 
@@ -353,28 +351,31 @@ class Transcript:
         DataError
             If there is no word, or the file is not as described.
         MissingError
-            If words need espeak-ng and it is not installed.
+            If espeak-ng is not installed.
         ConfigError
             If the language is unknown.
         """
         words = Words.of(given)
-        if not words.are_phones:
-            check_language(language)
-        pronounce, phones_of = (
-            (_written, _symbols) if words.are_phones else (_pronounced, _phones_of)
-        )
+        check_language(language)
         source = words.source or shorten(words.text, 60)
-        if words.kind == "text":
-            return cls(_checked(pronounce(_checked_text(words.text), language), source), source)
-        rows = _rows(words, source)
-        timed = [Word(label, phones_of(label, language), *times) for *times, label in rows]
-        return cls(_checked(timed, source), source)
+        if words.kind == "grid":
+            rows = _tier(words.text, source)
+            found = [Word(label, _phones_of(label, language), *times) for *times, label in rows]
+        elif words.kind == "subtitles":
+            found = [
+                Word(word.text, word.phones, start - CUE_SECONDS, end + CUE_SECONDS)
+                for start, end, text in _cues(words.text, source)
+                for word in _pronounced(text, language)
+            ]
+        else:
+            found = _pronounced(_checked_text(words.text), language)
+        return cls(_checked(found, source), source)
 
 
 def check_language(language: str) -> None:
     """Refuse a language that espeak-ng has no voice for; MissingError without espeak-ng."""
     if (reason := missing()) is not None:
-        raise MissingError(f"words need espeak-ng for their sounds; {reason}, or give phones")
+        raise MissingError(f"words need espeak-ng for their sounds; {reason}")
     if not isinstance(language, str) or not has_voice(language):
         raise ConfigError(
             f"language {quoted(language)} is no voice of espeak-ng; en-us, en-gb, de, fr, es and "
@@ -430,86 +431,36 @@ def _phones_of(text: str, language: str) -> tuple[str, ...]:
     return tuple(phone for phones in _spoken(text, language) for phone in phones)
 
 
-# --- phones
+# --- TextGrids and subtitles
 
 
-def _written(text: str, language: str) -> list[Word]:
-    """Words of phones."""
-    tokens = text.split()
-    if all(_arpabet(token) or token == "|" for token in tokens):
-        groups = [" ".join(tokens).split("|")] if "|" in tokens else [[" ".join(tokens)]]
-        return [Word(g.strip(), _symbols(g, language)) for group in groups for g in group]
-    return [Word(token, _symbols(token, language)) for token in tokens]
-
-
-def _symbols(text: str, language: str) -> tuple[str, ...]:
-    """Phones of ARPABET or IPA symbols; silence is left out.
-
-    Raises
-    ------
-    DataError
-        If nothing of it is a phone.
-    """
-    tokens = text.split()
-    if all(_arpabet(token) for token in tokens):
-        return tuple(p for p in (_arpabet(token) for token in tokens) if p and p != SILENCE)
-    found = ipa_to_phones(text, language.split("-")[0])
-    if not found:
-        raise DataError(f"phones {quoted(text)} are neither ARPABET nor IPA: P L IY Z or pliːz")
-    return found
-
-
-def _arpabet(token: str) -> str | None:
-    """Phone of an ARPABET name with or without stress; None if it is none."""
-    name = token.rstrip("012")
-    return name if name in PHONES else None
-
-
-# --- tables and TextGrids
-
-
-def _rows(words: Words, source: str) -> list[Interval]:
-    """Timed words or phones of a table or a TextGrid, without silences."""
-    kind = "phone" if words.are_phones else "word"
-    read = _tier if words.kind == "grid" else _table
-    rows = [row for row in read(words.text, source, kind) if row[2].strip().lower() not in _SILENT]
+def _tier(text: str, source: str) -> list[Interval]:
+    """Words of a TextGrid, without silences."""
+    tiers = intervals_of(text, source)
+    named = [name for name in tiers if "word" in name.lower()]
+    if not named and len(tiers) > 1:
+        known = ", ".join(map(quoted, tiers))
+        raise DataError(f"{source}: no tier is named words; its tiers are {known}: rename one")
+    tier = tiers[named[0] if named else next(iter(tiers))]
+    rows = [row for row in tier if row[2].strip().lower() not in _SILENT]
     ends = [0.0, *(end for _, end, _ in rows)]
     for number, (before, (start, end, label)) in enumerate(zip(ends, rows, strict=False), 1):
         if not 0 <= start < end <= limits.SECONDS or start < before - 0.02:
             raise DataError(
-                f"{source}, {kind} {number} {quoted(label)}: {start:g} to {end:g} s; times must "
-                "rise"
+                f"{source}, word {number} {quoted(label)}: {start:g} to {end:g} s; times must rise"
             )
     return rows
 
 
-def _tier(text: str, source: str, kind: str) -> Sequence[Interval]:
-    tiers = intervals_of(text, source)
-    named = [name for name in tiers if kind in name.lower()]
-    if not named and len(tiers) > 1:
-        known = ", ".join(map(quoted, tiers))
-        raise DataError(f"{source}: no tier is named {kind}s; its tiers are {known}: rename one")
-    return tiers[named[0] if named else next(iter(tiers))]
+def _cues(text: str, source: str) -> list[Interval]:
+    """Texts of SubRip or WebVTT subtitles in the order of their times."""
+    import pysubs2
 
-
-def _table(text: str, source: str, kind: str) -> list[Interval]:
-    first = text.partition("\n")[0]
-    separator = max(",;\t", key=first.count)
-    lines = list(csv.reader(text.splitlines(), delimiter=separator)) or [[]]
-    header = [name.strip().lower() for name in lines[0]]
-    label = next((name for name in _COLUMNS[kind] if name in header), None)
-    if label is None or not {"start", "end"} <= set(header):
-        raise DataError(f"{source}: the first row must name the columns start, end, {kind}")
-    places = [header.index(name) for name in ("start", "end", label)]
-    return [_row(source, n, line, places) for n, line in enumerate(lines[1:], 2) if any(line)]
-
-
-def _row(path: str, number: int, line: list[str], places: list[int]) -> Interval:
-    try:
-        start, end, label = (line[place] for place in places)
-        times = float(start.replace(",", ".")), float(end.replace(",", "."))
-    except (ValueError, IndexError):
-        raise DataError(f"{path}, row {number}: no start and end in seconds and a label") from None
-    if not np.isfinite(times).all():
-        raise DataError(f"{path}, row {number}: start and end must be finite numbers")
-    return (*times, label.strip())
+    plain = re.sub(r"(?m)^(NOTE|STYLE|REGION)\b.*(\n.+)*", "", "\n".join(text.splitlines()))
+    form = "vtt" if plain.startswith("WEBVTT") else "srt"
+    cues = pysubs2.SSAFile.from_string(plain, format_=form)
+    cues.sort()
+    rows = [(cue.start / 1000, cue.end / 1000, _BRACKETS.sub(" ", cue.plaintext)) for cue in cues]
+    if not rows:
+        raise DataError(f"{source}: no subtitle with times such as 00:00:01,000 --> 00:00:02,500")
+    return rows

@@ -9,10 +9,9 @@ import threading
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
-from multiprocessing import get_context
 from multiprocessing.connection import Connection
 
-from deitalk.workers import exit_after
+from deitalk.workers import NEW_PROCESSES, exit_after, safe_path
 
 
 @contextmanager
@@ -24,9 +23,9 @@ def worker_pool(workers: int) -> Iterator[ProcessPoolExecutor]:
     workers : int
         Processes, 1 or more.
     """
-    context = get_context("spawn")
-    reader, writer = context.Pipe(duplex=False)
-    pool = ProcessPoolExecutor(workers, context, initializer=_end_with, initargs=(reader,))
+    reader, writer = NEW_PROCESSES.Pipe(duplex=False)
+    with safe_path():  # its locks start a resource tracker
+        pool = ProcessPoolExecutor(workers, NEW_PROCESSES, _end_with, (reader,))
     try:
         yield pool
     except BaseException:

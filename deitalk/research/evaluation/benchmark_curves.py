@@ -98,7 +98,7 @@ def peak_memory(model: str, seconds: float) -> dict[str, float]:
         " 'wall_seconds': time.perf_counter() - began}))\n"
     )
     done = subprocess.run(
-        [sys.executable, "-c", script, model, str(seconds)],
+        [sys.executable, "-P", "-c", script, model, str(seconds)],
         capture_output=True,
         text=True,
         check=True,

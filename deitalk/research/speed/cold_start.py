@@ -27,7 +27,7 @@ RUNS = 7
 def spent(arguments: list[str], where: dict[str, str]) -> tuple[float, float]:
     """Processor and wall seconds of one process."""
     before, began = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
-    command = [sys.executable, *arguments]
+    command = [sys.executable, "-P", *arguments]
     subprocess.run(command, check=True, capture_output=True, env=where)
     wall, after = time.perf_counter() - began, resource.getrusage(resource.RUSAGE_CHILDREN)
     return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime, wall

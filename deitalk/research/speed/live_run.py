@@ -90,7 +90,7 @@ class Run:
         self.socket.settimeout(30)
         port = str(self.socket.getsockname()[1])
         module = "deitalk.research.speed.live_run"
-        command = [sys.executable, "-m", module, "--command", str(slower), port, backend]
+        command = [sys.executable, "-P", "-m", module, "--command", str(slower), port, backend]
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
         assert self.process.stdout is not None
         self.start = float(self.process.stdout.readline())

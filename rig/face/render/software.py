@@ -4,6 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+import numba.core.config
 import numpy as np
 from numba import njit
 from scipy.sparse.csgraph import connected_components
@@ -46,6 +47,10 @@ def compiled(function: Callable[..., Any]) -> Any:
     except RuntimeError:  # numba finds no such folder: a read-only installation and home
         return njit(**options)(function)
 
+
+# A .numba_config.yaml in the working folder could name a cache, whose files are pickles.
+numba.core.config._config_fname = ""
+numba.core.config.reload_config()
 
 TILE = 8
 """Side of a tile, samples."""

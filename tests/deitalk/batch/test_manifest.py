@@ -1,5 +1,7 @@
 """Manifests: tables of any spreadsheet to lines, one error a row."""
 
+from collections import Counter
+
 import pytest
 
 from deitalk.acting import Acting
@@ -158,3 +160,27 @@ def test_folder_is_walked_without_hidden_files_and_outputs(tmp_path):
         read_source(tmp_path / "empty", tmp_path / "out", NOTHING)
     with pytest.raises(DataError, match=r"line\.WAV: a recording; name its folder"):
         read_source(tmp_path / "line.WAV", tmp_path / "out", NOTHING)
+
+
+@pytest.mark.parametrize(
+    ("names", "outputs"),
+    [
+        (["a.wav", "b.wav"], ["a", "b"]),
+        (["line.mp3", "line.ogg", "b.wav"], ["b", "line_mp3", "line_ogg"]),
+        (["x/line.mp3", "y/line.ogg"], ["x/line", "y/line"]),
+        (["Line.mp3", "line.ogg"], ["Line_mp3", "line_ogg"]),
+        (["a.b.wav", "a.b.flac", "a.wav"], ["a", "a.b_flac", "a.b_wav"]),
+        (["line.wav", "line.flac", "line_wav.mp3"], ["line_flac", "line_wav"]),
+    ],
+)
+def test_recordings_of_one_name_in_a_folder_have_results_of_their_own(tmp_path, names, outputs):
+    for name in names:
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).touch()
+    plan = read_source(tmp_path, tmp_path / "out", NOTHING)
+    lines = [line for line in plan.lines if isinstance(line, Line)]
+    assert sorted(line.output for line in lines) == outputs
+    bad = [line.error for line in plan.lines if isinstance(line, BadLine)]
+    assert len(lines) + len(bad) == len(names) and all("too; name another" in e for e in bad)
+    assert not [n for n, k in Counter(t for line in lines for t in line.targets).items() if k > 1]
+    assert bool(plan.notes) == any("_" in output for output in outputs)

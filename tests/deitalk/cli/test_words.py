@@ -32,12 +32,16 @@ def test_fit_and_misfit_are_one_line(line, tmp_path):
     assert done.exit_code == 0 and "the words fit the sound (score" in done.output
     about = json.loads((tmp_path / "a" / "take.json").read_text())
     assert about["settings"]["words"] == "Bob may bring my map." and not about["source"]["warnings"]
-    done = run(
-        "animate", line, "-o", tmp_path / "b/", "--words", "phones: S IY S IY T UW N S IY K AA T AA"
-    )
+    done = run("animate", line, "-o", tmp_path / "b/", "--words", "See, see, two necessary cars.")
     assert done.exit_code == 0 and "the words do not fit the sound" in done.output
     about = json.loads((tmp_path / "b" / "take.json").read_text())
     assert about["source"]["warnings"][-1].startswith("the words do not fit the sound")
+
+
+def test_a_subtitle_is_read(line, tmp_path):
+    (tmp_path / "said.srt").write_text("1\n00:00:00,200 --> 00:00:01,500\nBob may bring my map.\n")
+    done = run("animate", line, "-o", tmp_path / "a.npz", "--words", tmp_path / "said.srt")
+    assert done.exit_code == 0 and "the words fit the sound (score" in done.output
 
 
 def test_errors_come_before_any_work(line, tmp_path, monkeypatch):
@@ -47,11 +51,12 @@ def test_errors_come_before_any_work(line, tmp_path, monkeypatch):
         return str(done.exception)
 
     assert "'xx' is no voice of espeak-ng" in error("--words", "a", "--language", "xx")
-    assert "w.csv" in error("--words", "w.csv")
+    assert "'w.csv': a file of words is" in error("--words", "w.csv")
+    assert "w.srt" in error("--words", "w.srt")
     monkeypatch.setattr(
         words_espeak, "missing", lambda: "espeak: absent; pip install espeakng-loader"
     )
-    assert "pip install espeakng-loader, or give phones" in error("--words", "a")
+    assert "pip install espeakng-loader" in error("--words", "a")
 
 
 def test_a_language_without_words_is_named(line, tmp_path):
@@ -82,20 +87,13 @@ def test_validate_marks_the_closure_that_curves_miss(line, tmp_path):
 
 def test_mesh_meets_words_and_tells_a_misfit(line, tmp_path, monkeypatch):
     monkeypatch.setattr(np, "savez_compressed", np.savez)  # for time
-    said = ("--words", "phones: B AA B | M EY | B R IH NG | M AY | M AE P")
+    said = ("--words", "Bob may bring my map.")
     assert run("animate", line, "--vertices", "-o", tmp_path / "a.npz").exit_code == 0
     assert run("animate", line, "--vertices", "-o", tmp_path / "b.npz", *said).exit_code == 0
     plain, met = (np.load(tmp_path / f"{name}.npz")["vertices"] for name in "ab")
     assert plain.shape == met.shape and np.abs(plain - met).max() > 0.01
-    wrong = run(
-        "animate",
-        line,
-        "--vertices",
-        "-o",
-        tmp_path / "c.npz",
-        "--words",
-        "phones: S IY S IY T UW N S IY K AA",
-    )
+    other = ("--words", "See, see, two necessary cars.")
+    wrong = run("animate", line, "--vertices", "-o", tmp_path / "c.npz", *other)
     assert wrong.exit_code == 0 and "the words do not fit the sound" in wrong.output
     refused = run("animate", line, "--vertices", "-o", tmp_path / "d.npz", "--model", "sdfa", *said)
     assert "words: a mesh model takes" in str(refused.exception)

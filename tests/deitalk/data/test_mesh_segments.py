@@ -26,7 +26,7 @@ from deitalk.research.meshes.folder import (
 from deitalk.research.meshes.mesh_bases import fit_mesh_bases
 from deitalk.research.meshes.packing import pack_vertices
 from deitalk.research.meshes.segments import MelWarp, Segments, Spectra
-from deitalk.workers import WORKER_START
+from deitalk.workers import DATA_WORKERS
 from rig import default_controls
 from rig.face import build_head
 from rig.mesh import TriMesh, write_ply, write_ply_sequence
@@ -368,7 +368,7 @@ def test_batches_do_not_depend_on_workers_or_interruptions(tmp_path, rng):
         segments(folder, augment=True),
         batch_size=None,
         num_workers=2,
-        multiprocessing_context=WORKER_START,
+        multiprocessing_context=DATA_WORKERS,
     )
     for one, other in zip(first, loader, strict=False):
         assert torch.equal(one.features, other.features)

@@ -30,7 +30,7 @@ class Server:
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._process = subprocess.Popen(
-            [sys.executable, "-W", "ignore", "-c", f"from {__name__} import serve; serve()"],
+            [sys.executable, "-P", "-W", "ignore", "-c", f"from {__name__} import serve; serve()"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path), "OMP_NUM_THREADS": "1"},

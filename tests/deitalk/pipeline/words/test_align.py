@@ -171,4 +171,4 @@ def test_wrong_words_leave_the_curves_and_a_note(line):
 
 def test_words_without_rules_are_refused(line):
     with pytest.raises(DeitalkError, match="rules"):
-        animate(line.waveform, sample_rate=16_000, rules=False, words="phones: B AA B")
+        animate(line.waveform, sample_rate=16_000, rules=False, words="Bob")

@@ -1,11 +1,10 @@
-"""Transcripts: texts, tables and TextGrids to words with phones."""
+"""Transcripts: texts, TextGrids and subtitles to words with phones."""
 
 import pytest
 
 from deitalk.errors import ConfigError, DataError, MissingError
 from deitalk.pipeline.words import transcript
 from deitalk.pipeline.words.transcript import Transcript, Word, intervals_of, spoken_words
-from tests.each import each
 
 LONG = """File type = "ooTextFile"
 Object class = "TextGrid"
@@ -116,47 +115,104 @@ def test_both_forms_of_a_textgrid_are_equal(tmp_path):
     assert tiers[0]["phones"][1] == (0.5, 1.5, 'say "a"!')
 
 
-def test_timed_words_of_a_textgrid_and_of_a_table_are_equal(tmp_path):
+def test_words_of_a_textgrid_have_its_times(tmp_path):
     (tmp_path / "a.TextGrid").write_text(LONG)
-    (tmp_path / "w.csv").write_text("start;end;word\n0,25;0,75;my\n\n0,75;1,5;map\n")
     expected = (Word("my", ("M", "AY"), 0.25, 0.75), Word("map", ("M", "AE", "P"), 0.75, 1.5))
-    for name in ("a.TextGrid", "w.csv"):
-        assert Transcript.of(tmp_path / name).words == expected
-        assert Transcript.of(str(tmp_path / name)).source == name
+    for given in (tmp_path / "a.TextGrid", LONG):
+        assert Transcript.of(given).words == expected
 
 
-def test_phones_need_no_espeak(monkeypatch, tmp_path):
+SRT = """1
+00:00:01,000 --> 00:00:02,500
+{\\an8}My <i>promise</i>
+is big. [MUSIC]
+
+2
+00:00:02,000 --> 00:00:04,000
+(laughs) Bob!
+"""
+VTT = """WEBVTT - a title
+
+NOTE My promise
+is a note
+
+STYLE
+::cue { color: red }
+
+intro
+00:01.000 --> 00:02.500 align:start
+My <b>promise</b>
+is big.
+
+00:00:02.000 --> 00:00:04.000 position:10%
+<v Anna>Bob!
+
+NOTE of the end
+"""
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16"])
+@pytest.mark.parametrize("newline", ["\n", "\r\n"])
+@pytest.mark.parametrize(("name", "text"), [("a.srt", SRT), ("a.vtt", VTT), ("A.SRT", SRT)])
+def test_words_of_subtitles_lie_near_their_times(tmp_path, name, text, newline, encoding):
+    path = tmp_path / name
+    path.write_bytes(text.replace("\n", newline).encode(encoding))
+    for given in (path, str(path), text):
+        found = Transcript.of(given).words
+        assert [w.text for w in found] == ["My", "promise", "is", "big", "Bob"]
+        assert [(w.start, w.end) for w in found] == [(0.5, 3.0)] * 4 + [(1.5, 4.5)]
+
+
+@pytest.mark.parametrize("name", ["a.srt", "a.vtt"])
+def test_subtitles_without_times_are_refused(tmp_path, name):
+    (tmp_path / name).write_text("My promise is big.")
+    with pytest.raises(DataError, match=r"no subtitle with times such as 00:00:01,000"):
+        Transcript.of(tmp_path / name)
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["said.csv", "said.tsv", "said.docx", "my lines.pdf", "C:\\lines\\one.rtf", "one.ass", "a.mp4"],
+)
+def test_a_name_with_another_suffix_is_no_speech(tmp_path, monkeypatch, name):
+    monkeypatch.chdir(tmp_path)
+    for exists in (False, True):
+        if exists:
+            (tmp_path / name).write_text("start,end,word\n0,1,a\n")
+        with pytest.raises(
+            DataError, match=r"is one of \.txt, \.textgrid, \.srt, \.vtt; if this is"
+        ):
+            Transcript.of(name)
+
+
+@pytest.mark.parametrize("name", ["said.txt", "my lines.srt", "./x/a.TextGrid", "a.vtt "])
+def test_an_absent_file_is_no_speech(name):
+    with pytest.raises(DataError, match=r"there is no such file|does not exist"):
+        Transcript.of(name)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "Meet Dr. Who",
+        "It is 3.5",
+        "At 5 p.m",
+        "Go to example.com.",
+        "Wait...",
+        "one. Two",
+        "Hm.\nA.txt",
+    ],
+)
+def test_speech_with_stops_is_speech(text):
+    assert Transcript.of(text).source == text
+
+
+def test_words_need_espeak(monkeypatch):
     monkeypatch.setattr(
         transcript, "missing", lambda: "espeak: absent; pip install espeakng-loader"
     )
-    assert Transcript.of("phones: P L IY1 Z | SIL B AY").words == (
-        Word("P L IY1 Z", ("P", "L", "IY", "Z")), Word("SIL B AY", ("B", "AY"))
-    )  # fmt: skip
-    assert [w.phones for w in Transcript.of("phones: pliːz baɪ").words] == [
-        ("P", "L", "IY", "Z"), ("B", "AY")
-    ]  # fmt: skip
-    (tmp_path / "p.csv").write_text("start,end,phone\n0,.1,SIL\n.1,.2,p\n.2,.4,IY0\n")
-    assert Transcript.of(f"phones:{tmp_path}/p.csv").words == (
-        Word("p", ("P",), 0.1, 0.2), Word("IY0", ("IY",), 0.2, 0.4)
-    )  # fmt: skip
-    with pytest.raises(MissingError, match=r"pip install espeakng-loader, or give phones"):
+    with pytest.raises(MissingError, match="pip install espeakng-loader"):
         Transcript.of("please")
-
-
-@each(
-    ("text", "message"),
-    [
-        ("start,end,label of\n0,1,a\n", "must name the columns start, end, word"),
-        ("start,end,word\n0,1,a\n.5,.6,b\n", "word 2 'b': 0.5 to 0.6 s; times must rise"),
-        ("start,end,word\n0,1\n", "row 2: no start and end"),
-        ("start,end,word\n0,inf,a\n", "row 2: start and end must be finite"),
-        ("start,end,word\n0,1,\n", "no word that is pronounced"),
-    ],
-)
-def test_bad_tables_name_the_row(tmp_path, text, message):
-    (tmp_path / "w.csv").write_text(text)
-    with pytest.raises(DataError, match=message):
-        Transcript.of(tmp_path / "w.csv")
 
 
 def test_bad_textgrids_and_texts_are_refused(tmp_path):
@@ -174,5 +230,3 @@ def test_bad_textgrids_and_texts_are_refused(tmp_path):
         Transcript.of("hello", "klingonese")
     with pytest.raises(DataError, match="no text; write them in UTF-8"):
         Transcript.of("caf\udce9")
-    with pytest.raises(DataError, match="neither ARPABET nor IPA"):
-        Transcript.of("phones: !!! ???")

@@ -16,11 +16,13 @@ import { keepView, latestSession, loadSession, saveSession, type Session, sessio
 import { Work } from "./work";
 
 const LABELS = Object.keys(COLORS), EMOTIONS = LABELS.filter((name) => !MOODS.includes(name));
-/** Emotion of a first recording, and the face before it. */
+/** Emotion of the sample, and the face before a recording. */
 const FIRST = "happy";
 const SMILE = { "mouth_cornerPull.ty": 0.55, "mouth_dimple.ty": 0.2, "eye_cheekRaise.ty": 0.5, "eye_squintInner.ty": 0.2, "brow_raiseOut.ty": 0.12 };
 /** Begin of the note on a suggested emotion. */
 const SUGGESTED = "suggested from the voice: ";
+/** In the message of a service that suggests no emotion. */
+const NO_AUTO = "emotion auto need torch";
 /** Kinds of files: label, format of the service, whether it takes long enough for a job. */
 const EXPORTS: [string, string, boolean][] = [
   ["CSV", "csv", false], ["JSON", "json", false], ["Live Link", "livelink", false], ["GLB", "glb", false],
@@ -60,6 +62,8 @@ export class Studio {
   private readonly animating = new Work();
   private readonly live: Live;
   private readonly showForm: () => void;
+  /** Keys that nobody chose: those of the start, or what a voice suggested. */
+  private unchosen = [{ time: 0, emotion: FIRST, strength: 1 }];
   private settling = 0;
   private saving = 0;
 
@@ -67,7 +71,7 @@ export class Studio {
     document.body.classList.add("studio");
     player.workbench!.emotion.isEditable = true;
     player.workbench!.emotion.onSelect = () => this.showEmotion();
-    player.history.reset({ ...NO_EDIT, keys: [{ time: 0, emotion: FIRST, strength: 1 }] });
+    player.history.reset({ ...NO_EDIT, keys: this.unchosen });
     player.onEdit = () => this.edited();
     player.first = Float32Array.from(player.board.rest);
     for (const [name, value] of Object.entries(SMILE)) {
@@ -128,21 +132,39 @@ export class Studio {
     return !this.opening.isBusy && !this.animating.isBusy && session !== undefined && isSameReading(session.edit, session.animated);
   }
 
-  /** Begin anew with a recording, in the emotion that was chosen. */
-  async open(file: File): Promise<void> {
-    const first = () => ({ time: 0, emotion: this.player.history.edit.keys[0]?.emotion ?? FIRST, strength: 1 });
-    const animated: Edit = { ...NO_EDIT, keys: [first()] };
+  /** Begin anew with a recording: in the emotion that was chosen, else in `emotion`, else in the one that its voice suggests. */
+  async open(file: File, emotion?: string): Promise<void> {
+    const { history } = this.player, before = history.edit.keys, isChosen = before !== this.unchosen;
+    const first = isChosen ? before[0]?.emotion ?? FIRST : emotion;
     const found = await this.opening.run(`Animating ${file.name}`, async (progress, signal) => {
       const recording = new Blob([await file.arrayBuffer()]); // the file may change
       const source: Source = { recording, name: file.name, options: {}, hasOwnIntensity: false };
-      return { source, ...await this.reading({ ...source, edit: animated }, progress, signal) };
+      return { source, ...await this.firstReading(source, first, progress, signal) };
     });
     if (!found) return;
     this.animating.cancel();
-    const now = first(), edit = now.emotion === animated.keys[0].emotion ? animated : { ...animated, keys: [now] };
-    $("suggested").textContent = "";
+    const keys = [{ time: 0, emotion: first ?? found.take.emotionAt(0)!, strength: 1 }];
+    const animated: Edit = { ...NO_EDIT, keys }, now = history.edit.keys;
+    const isSame = now === before || now[0]?.emotion === keys[0].emotion;
+    const edit = isSame ? animated : { ...animated, keys: [{ ...keys[0], emotion: now[0]?.emotion ?? FIRST }] };
+    if (isSame && !isChosen) this.unchosen = keys;
+    this.showSuggested(found.notes);
     this.begin({ ...found.source, edit, animated, packed: found.packed }, found);
     this.player.transport.play();
+  }
+
+  /** A recording in an emotion, else in the suggested one; neutral where the service suggests none. */
+  private async firstReading(source: Source, emotion: string | undefined, progress: Progress, signal: AbortSignal): Promise<Reading> {
+    try {
+      return await this.reading({ ...source, edit: NO_EDIT, emotion: emotion ?? "auto" }, progress, signal);
+    } catch (error) {
+      if (emotion || !messageOf(error).includes(NO_AUTO)) throw error;
+      return await this.reading({ ...source, edit: NO_EDIT, emotion: "neutral" }, progress, signal);
+    }
+  }
+
+  private showSuggested(notes: string[]): void {
+    $("suggested").textContent = notes.find((note) => note.startsWith(SUGGESTED))?.slice(SUGGESTED.length) ?? "";
   }
 
   private begin(session: Session, { take, wav }: Pick<Reading, "take" | "wav">): void {
@@ -155,7 +177,7 @@ export class Studio {
   private async openSample(): Promise<void> {
     try {
       const content = await (await request("/sample")).blob();
-      await this.open(new File([content], "sample.flac", { type: "audio/flac" }));
+      await this.open(new File([content], "sample.flac", { type: "audio/flac" }), FIRST);
     } catch (error) {
       notice(messageOf(error));
     }
@@ -166,7 +188,7 @@ export class Studio {
     const found = await this.animating.run("Hearing the emotion", (...work) => this.reading({ ...session, emotion: "auto" }, ...work));
     if (!found) return;
     this.choose(found.take.emotionAt(0)!);
-    $("suggested").textContent = found.notes.find((note) => note.startsWith(SUGGESTED))?.slice(SUGGESTED.length) ?? "";
+    this.showSuggested(found.notes);
   }
 
   /** The take as the page shows it, by the service. */
