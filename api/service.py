@@ -8,7 +8,6 @@ from contextlib import contextmanager
 from api.compute.live import MODEL, Voices
 from api.compute.order import Limits, Order
 from api.compute.pool import Pool, Stage, checked, result_path
-from api.compute.reader import Reader, new_address
 from api.compute.worker import OutOfTime, Worker, WorkerLost
 from api.errors import Problem
 from api.guard.keys import Caller
@@ -42,7 +41,6 @@ class Service:
             "device": settings.device,
             "backend": settings.backend,
             "threads": 1,
-            "reader": "",
         }
         self._starting: asyncio.Task[None] | None = None
         self._warming: asyncio.Task[None] | None = None
@@ -56,9 +54,7 @@ class Service:
         if live["backend"] == "onnx":
             live["device"] = "cpu"
         self.voices, self.pages = Voices(live, self.stage), Pages(self.limits, self.stage)
-        shared: Limits = {**self.limits, "reader": new_address() if settings.together > 1 else ""}
-        self.reader = Reader(shared, settings.together) if shared["reader"] else None
-        self.pool = Pool(shared, settings.workers, settings.work_seconds, settings.waiting)
+        self.pool = Pool(self.limits, settings.workers, settings.work_seconds, settings.waiting)
         engine = await asyncio.to_thread(open_database, settings.database_url)
         self.queue = Queue(
             engine,
@@ -85,8 +81,6 @@ class Service:
 
             only_live = self.settings.backend != "onnx"
             await asyncio.to_thread(export_all, self.limits, only_live=only_live)
-        if self.reader is not None:
-            await asyncio.to_thread(self.reader.start)
         await self.pool.start()
         self.runner.start()
         if self.settings.live_sessions:
@@ -145,8 +139,6 @@ class Service:
         self.pages.stop()
         if self._starting is not None and self._starting.done():
             await asyncio.to_thread(self.runner.stop)
-        if self.reader is not None:
-            self.reader.stop()
         self.queue.engine.dispose()
         self.stage.close()
         await asyncio.to_thread(self.traffic.traces.stop)

@@ -26,9 +26,6 @@ from api.jobs.table import (
     job_of,
 )
 
-WEBHOOK_TRIES = 5
-WEBHOOK_SECONDS = 30.0
-"""Time from one try of a webhook to the next."""
 FAIR_SECONDS = 60.0
 """Of two keys that wait, the one with less work in this time, for its share, is next."""
 BATCH = 500
@@ -106,7 +103,6 @@ class Queue:
         work: dict[str, Any],
         digest: str,
         idempotency: str | None,
-        webhook: str | None,
     ) -> Job:
         """Accept a job whose files are in the store; of two with one key the first is returned."""
         row = {
@@ -117,7 +113,6 @@ class Queue:
             "created": time(),
             "digest": digest,
             "idempotency": None if idempotency is None else f"{caller.name}:{idempotency}",
-            "webhook": webhook,
         }
         try:
             with self.engine.begin() as connection:
@@ -339,28 +334,12 @@ class Queue:
         with self.engine.begin() as connection:
             connection.execute(sql.delete(USAGE).where(USAGE.c.hour < time() // HOUR - 24))
 
-    def claim_webhook(self) -> Job | None:
-        """Take one webhook that is due; it is due again later unless `webhook_sent` is called."""
-        due = [JOBS.c.webhook_left > 0, JOBS.c.webhook_at < time()]
-        job = self._one(sql.and_(*due), order=JOBS.c.finished)
-        if job is None:
-            return None
-        values: dict[str, Any] = {
-            "webhook_at": time() + WEBHOOK_SECONDS, "webhook_left": JOBS.c.webhook_left - 1
-        }  # fmt: skip
-        return job if self._update([JOBS.c.id == job.id, *due], values) else None
-
-    def webhook_sent(self, job: Job) -> None:
-        """Note that a webhook was taken."""
-        self._update([JOBS.c.id == job.id], {"webhook_left": 0})
-
     def _mine(self, job: Job) -> list[Any]:
         return [JOBS.c.id == job.id, JOBS.c.status == RUNNING, JOBS.c.holder == job.holder]
 
     def _end(self, where: list[Any], status: str, **values: Any) -> bool:
-        tries = sql.case((JOBS.c.webhook.is_(None), 0), else_=WEBHOOK_TRIES)
         ending = {"status": status, "finished": time(), "ends": JOBS.c.ends + 1}
-        return self._update(where, ending | {"webhook_left": tries} | values)
+        return self._update(where, ending | values)
 
     def _update(self, where: list[Any], values: dict[str, Any]) -> bool:
         with self.engine.begin() as connection:

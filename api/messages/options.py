@@ -78,10 +78,6 @@ class SpeechOptions(Acting):
     wait: Annotated[
         bool, Field(description="False: answer 202 with a job, whatever the length.")
     ] = True
-    webhook: Annotated[
-        str | None,
-        Field(max_length=500, description="Address to call when a job has ended."),
-    ] = None
 
 
 class AnimationOptions(SpeechOptions):
@@ -172,7 +168,7 @@ def order_options(given: Received[SpeechOptions], folder: Path) -> dict[str, Any
         acting["words"] = f"{PHONES}{sent['phones']}"
     (folder / ACTING).write_text(json.dumps(acting), encoding="utf-8")
     options = given.options.model_dump(
-        exclude={*Acting.model_fields, "format", "wait", "webhook"}, exclude_none=True
+        exclude={*Acting.model_fields, "format", "wait"}, exclude_none=True
     )
     if "timecode" in options:
         start_of(options["timecode"], given.options.fps, None)

@@ -18,7 +18,6 @@ from api.compute.pool import result_path
 from api.errors import Problem
 from api.guard.keys import Caller, require
 from api.jobs.queue import new_id
-from api.jobs.runner import check_webhook
 from api.jobs.table import DONE, Job
 from api.messages.options import OutputFormat, SpeechOptions
 from api.service import Service
@@ -100,9 +99,6 @@ async def accept(
     key = request.headers.get("idempotency-key")
     if key is not None and not (0 < len(key) <= LONGEST_KEY and key.isprintable()):
         raise Problem(400, f"Idempotency-Key must be 1 to {LONGEST_KEY} printable letters")
-    webhook = given.webhook
-    if webhook is not None:
-        check_webhook(webhook, service.settings.webhook_hosts)
     order: Order = work | {"at_once_seconds": service.settings.max_job_seconds}
     content = {"order": order, "media_type": output.media_type, "format": output.name}
 
@@ -115,7 +111,7 @@ async def accept(
         job_id = new_id()
         service.store.put_folder(folder, job_id)
         traced = content | {"trace": request.state.trace}
-        job = service.queue.add(job_id, caller, traced, digest, key, webhook)
+        job = service.queue.add(job_id, caller, traced, digest, key)
         if job.id != job_id:
             service.store.remove(job_id)
         return job
@@ -259,22 +255,6 @@ class JobView(BaseModel):
     notes: list[str]
     facts: dict[str, Any]
     error: ProblemView | None
-
-
-class EndedView(BaseModel):
-    """A job that has ended."""
-
-    id: str = Field(examples=[JOB_EXAMPLE])
-    status: Literal["done", "failed", "cancelled"]
-    job: str = Field(description="Path of the job")
-
-
-class JobEndedView(BaseModel):
-    """What a webhook is sent."""
-
-    type: Literal["job.done", "job.failed", "job.cancelled"]
-    timestamp: datetime
-    data: EndedView
 
 
 class JobsView(BaseModel):

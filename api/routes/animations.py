@@ -167,10 +167,6 @@ async def speech(
             known = ", ".join(service.settings.known_models)
             raise Problem(404, f"no such model; known models: {known}", "model_unknown")
         given = given if at_once else given.model_copy(update={"wait": False})
-        if given.wait and given.webhook is not None:
-            raise Problem(
-                422, "a webhook is called for a job; add wait=false", "webhook_without_job"
-            )
         return await answer_order(request, service, caller, folder, kind, options, given, output)
 
 

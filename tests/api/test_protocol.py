@@ -135,11 +135,6 @@ def test_video_becomes_a_job_by_itself(client):
     assert client.post("/v1/animations?format=csv", content=wav(3.5)).status_code == 200
 
 
-def test_webhook_of_a_request_that_is_answered_at_once_is_refused(client):
-    answer = client.post("/v1/animations?webhook=http://example.com/", content=wav(0.5))
-    assert (answer.status_code, answer.json()["code"]) == (422, "webhook_without_job")
-
-
 def test_spans_of_a_request_and_its_job_are_one_trace_at_the_collector(observed):
     """OpenTelemetry's own messages, read by its own definitions; nothing of what was sent in them."""
     messages = pytest.importorskip(

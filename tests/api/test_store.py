@@ -47,7 +47,7 @@ def add(queue, store, tmp_path, content=b"sound"):
     (folder / "recording").write_bytes(content)
     job_id = new_id()
     store.put_folder(folder, job_id)
-    return queue.add(job_id, CALLER, WORK, "0" * 64, None, None)
+    return queue.add(job_id, CALLER, WORK, "0" * 64, None)
 
 
 def test_files_come_back_as_they_went(store, tmp_path):

@@ -31,7 +31,6 @@ def limits(**given):
         "device": "cpu",
         "backend": "torch",
         "threads": 1,
-        "reader": "",
     } | given
 
 
