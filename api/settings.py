@@ -61,6 +61,7 @@ class Settings(BaseSettings):
     storage: str = ""
     keys: tuple[ApiKey, ...] = ()
     hosts: tuple[str, ...] = ()
+    proxies: tuple[str, ...] = ()
     origins: tuple[str, ...] = ()
 
     models: dict[str, Path] = {}
@@ -85,13 +86,13 @@ class Settings(BaseSettings):
     connections: int = Field(default=256, ge=1, le=65_536)
     header_seconds: float = Field(default=10, gt=0, le=600)
     body_seconds: float = Field(default=60, gt=0, le=3600)
-    live_sessions: int = Field(default=8, ge=0, le=1000)
+    live_sessions: int = Field(default=16, ge=0, le=1000)
     live_seconds: float = Field(default=3600, gt=0, le=86_400)
     drain_notice_seconds: float = Field(default=0, ge=0, le=600)
     drain_seconds: float = Field(default=30, ge=0, le=86_400)
     log: Literal["text", "json"] = "text"
 
-    job_attempts: int = Field(default=3, ge=1, le=20)
+    job_attempts: int = Field(default=5, ge=1, le=20)
     lease_seconds: float = Field(default=10, ge=0.2, le=600)
     keep_days: float = Field(default=7, gt=0, le=3650)
     keep_mb: int = Field(default=10_240, ge=1, le=100_000_000)

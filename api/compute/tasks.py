@@ -4,6 +4,7 @@ The working folder is the order's: all paths are relative and fixed (`api.comput
 """
 
 import json
+import shutil
 import zipfile
 from collections.abc import Callable
 from contextlib import suppress
@@ -140,7 +141,8 @@ class TooLong(Exception):
 
 def perform(order: Order, limits: Limits, progress: Progress) -> Answer:
     """Carry out one order in the working folder."""
-    Path(OUT).mkdir(exist_ok=True)
+    shutil.rmtree(OUT, ignore_errors=True)  # of a process that ended in the order
+    Path(OUT).mkdir()
     try:
         return TASKS[order["kind"]](order, limits, progress)
     except TooLong as error:

@@ -31,6 +31,7 @@ FAIR_SECONDS = 60.0
 BATCH = 500
 """Jobs that one statement removes or looks up."""
 HOUR = 3600
+LOST = Problem(503, "the worker ended in every attempt", "worker_lost")
 
 
 def new_id() -> str:
@@ -159,10 +160,7 @@ class Queue:
         """
         while True:
             now = time()
-            is_free = sql.or_(
-                JOBS.c.status == QUEUED,
-                sql.and_(JOBS.c.status == RUNNING, JOBS.c.lease < now),
-            )
+            is_free = sql.and_(JOBS.c.status.in_((QUEUED, RUNNING)), JOBS.c.lease < now)
             owner = self._next_owner(is_free, now)
             if owner is None:
                 return None
@@ -171,8 +169,7 @@ class Queue:
                 continue
             same = [JOBS.c.id == job.id, JOBS.c.status == job.status, JOBS.c.holder == job.holder]
             if job.attempts >= self.attempts:
-                error = {"code": "worker_lost", "message": "the worker ended in every attempt"}
-                self._end([*same, is_free], FAILED, error=json.dumps(error | {"detail": None}))
+                self._end([*same, is_free], FAILED, error=json.dumps(LOST.content))
                 continue
             holder = new_id()
             values = {
@@ -208,14 +205,26 @@ class Queue:
 
     def renew(self, job: Job, progress: float) -> bool:
         """Keep a job that is worked on; False if it was cancelled or is another's."""
-        mine = [JOBS.c.id == job.id, JOBS.c.status == RUNNING, JOBS.c.holder == job.holder]
         values = {"lease": time() + self.lease_seconds, "progress": progress}
-        return self._update([*mine, JOBS.c.cancel == 0], values)
+        return self._update([*self._mine(job), JOBS.c.cancel == 0], values)
 
     def release(self, job: Job) -> None:
         """Put a job back that is worked on, because the server stops."""
-        mine = [JOBS.c.id == job.id, JOBS.c.status == RUNNING, JOBS.c.holder == job.holder]
-        self._update(mine, {"status": QUEUED, "attempts": max(job.attempts - 1, 0), "holder": ""})
+        self._put_back(job, attempts=max(job.attempts - 1, 0), lease=0.0)
+
+    def retry(self, job: Job, problem: Problem, *, waits: bool = True) -> None:
+        """Put a job back after an attempt that failed by no fault of the job; the last one ends it.
+
+        If it `waits`, the next attempt begins after a lease, and then after four times as long.
+        """
+        if job.attempts >= self.attempts:
+            self.fail(job, problem)
+            return
+        seconds = self.lease_seconds * 4 ** (job.attempts - 1) if waits else 0.0
+        self._put_back(job, lease=time() + seconds)
+
+    def _put_back(self, job: Job, **values: Any) -> None:
+        self._update(self._mine(job), {"status": QUEUED, "holder": "", "progress": 0.0} | values)
 
     def finish(self, job: Job, result: str, n_bytes: int, answer: dict[str, Any]) -> bool:
         """End a job with its result; False if it is another's by now."""

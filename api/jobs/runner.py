@@ -16,9 +16,9 @@ import fsspec
 from api.compute.order import Limits, Order
 from api.compute.pool import Stage, checked, result_path
 from api.compute.worker import OutOfTime, Stopped, Worker, WorkerLost
-from api.errors import InternalError, Problem
+from api.errors import InternalError, Problem, problem_for
 from api.guard.metrics import Metrics, Traces
-from api.jobs.queue import Queue
+from api.jobs.queue import LOST, Queue
 from api.jobs.table import Job
 from api.settings import Settings
 
@@ -76,13 +76,22 @@ class Store:
         self.files.put_file(str(path), self._at(name))
         return name
 
-    def read(self, name: str, begin: int, end: int) -> Iterator[bytes]:
-        """Yield the bytes of a file from `begin` to before `end`, in blocks."""
-        with self.files.open(self._at(name), "rb") as file:
-            file.seek(begin)
-            while begin < end and (block := file.read(min(BLOCK_BYTES, end - begin))):
-                begin += len(block)
-                yield block
+    def read(self, name: str, begin: int, end: int, size: int) -> Iterator[bytes]:
+        """Open a file of `size` bytes; return those from `begin` to before `end`, in blocks.
+
+        Raises
+        ------
+        Problem
+            410 if it is not there any more, or not whole.
+        """
+        try:
+            file = self.files.open(self._at(name), "rb")
+        except FileNotFoundError:
+            raise Problem(410, "the file of the result is gone; send the job again") from None
+        if file.size is not None and file.size < size:
+            file.close()
+            raise Problem(410, "the file of the result is not whole; send the job again")
+        return _blocks(file, begin, end)
 
     def remove(self, job_id: str) -> None:
         """Remove all files of a job."""
@@ -128,6 +137,14 @@ class Store:
             return
         invalidate: Any = getattr(self.files, "invalidate_cache", lambda: None)
         invalidate()
+
+
+def _blocks(file: Any, begin: int, end: int) -> Iterator[bytes]:
+    with file:
+        file.seek(begin)
+        while begin < end and (block := file.read(min(BLOCK_BYTES, end - begin))):
+            begin += len(block)
+            yield block
 
 
 def _written(about: dict[str, Any]) -> float:
@@ -252,8 +269,6 @@ class Runner:
             if self.queue.finish(job, name, path.stat().st_size, about):
                 self.store.remove_inputs(job.id)
                 self.queue.use(job.owner, self.metrics.read(answer, "job"))
-        except Problem as problem:
-            self.queue.fail(job, problem)
         except InternalError as error:
             log.error("internal error in a job: %s", error)
             self.queue.fail(job, Problem(500, "internal error; see the service's log", "internal"))
@@ -261,9 +276,14 @@ class Runner:
             self.queue.fail(job, Problem(413, f"the job took more than {seconds:g} s"))
         except WorkerLost:
             log.warning("a job's worker ended; the job is begun again")
+            self.queue.retry(job, LOST, waits=False)
         except Stopped:
             if not self.queue.confirm_cancelled(job):
                 self.queue.release(job)
+        except Exception as error:  # of the content; or the disk is full, the store is away
+            problem = problem_for(error)
+            is_content = isinstance(error, Problem) and problem.status != 507
+            (self.queue.fail if is_content else self.queue.retry)(job, problem)
         finally:
             shutil.rmtree(folder, ignore_errors=True)
 

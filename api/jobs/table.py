@@ -144,6 +144,8 @@ def job_of(row: "sql.Row[Any]") -> Job:
 
 VERSIONS = "deitalk_schema"
 """Table with the version."""
+AWAY_SECONDS = 5
+"""Time after which a connection that is not made, or a lock that is not given, is an error."""
 LOCK = 0x6465_6974
 """Number of PostgreSQL's lock while a step is taken."""
 
@@ -166,7 +168,10 @@ def open_database(url: str, *, migrate: bool = False) -> Engine:
         If a step is left that is not safe, or the tables are two versions ahead, or of a version
         without steps to this one.
     """
-    engine = sql.create_engine(url, pool_pre_ping=True)
+    dialect = sql.make_url(url).get_backend_name()
+    connect = {"connect_timeout": AWAY_SECONDS} if dialect == "postgresql" else {}
+    pool = {} if ":memory:" in url or url == "sqlite://" else {"pool_timeout": AWAY_SECONDS}
+    engine = sql.create_engine(url, pool_pre_ping=True, connect_args=connect, **pool)
     if engine.dialect.name == "sqlite":
         event.listen(engine, "connect", _tune_sqlite)
     with _locked(engine) as connection:
@@ -236,6 +241,6 @@ def _locked(engine: Engine) -> Iterator[Connection]:
 def _tune_sqlite(connection: Any, record: Any) -> None:
     """Readers beside one writer; a writer waits for another; kept after kill and power cut."""
     cursor = connection.cursor()
-    for setting in ("journal_mode=WAL", "synchronous=FULL", "busy_timeout=30000"):
+    for setting in ("journal_mode=WAL", "synchronous=FULL", f"busy_timeout={1000 * AWAY_SECONDS}"):
         cursor.execute(f"PRAGMA {setting}")
     cursor.close()

@@ -68,8 +68,7 @@ async def answer_order(
             answer = await service.pool.run(work | {"folder": str(folder)}, caller)
             if "long" not in answer:
                 seconds = service.metrics.read(answer, "request")
-                if caller.audio_seconds_per_hour:
-                    await anyio.to_thread.run_sync(service.queue.use, caller.name, seconds)
+                await service.count(caller, seconds)
                 return await file_answer(folder, answer, output)
         job = await accept(request, service, caller, folder, work, given, output)
         body = view_of(job).model_dump_json()
@@ -102,21 +101,20 @@ async def accept(
     order: Order = work | {"at_once_seconds": service.settings.max_job_seconds}
     content = {"order": order, "media_type": output.media_type, "format": output.name}
 
-    def add() -> Job:
-        digest = _digest(folder, content)
-        known = service.queue.known(caller, key, digest)
-        if known is not None:
-            return known
-        service.queue.check_room(caller)
-        job_id = new_id()
-        service.store.put_folder(folder, job_id)
-        traced = content | {"trace": request.state.trace}
-        job = service.queue.add(job_id, caller, traced, digest, key)
-        if job.id != job_id:
-            service.store.remove(job_id)
+    digest = await anyio.to_thread.run_sync(_digest, folder, content)
+    job = await service.ask(service.queue.known, caller, key, digest)
+    if job is not None:
         return job
-
-    job = await anyio.to_thread.run_sync(add)
+    await service.ask(service.queue.check_room, caller)
+    job_id, traced = new_id(), content | {"trace": request.state.trace}
+    try:
+        await anyio.to_thread.run_sync(service.store.put_folder, folder, job_id)
+        job = await service.ask(service.queue.add, job_id, caller, traced, digest, key)
+    except Exception:
+        await anyio.to_thread.run_sync(service.store.remove, job_id)
+        raise
+    if job.id != job_id:
+        await anyio.to_thread.run_sync(service.store.remove, job_id)
     service.runner.wake()
     return job
 

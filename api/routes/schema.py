@@ -26,6 +26,7 @@ HEADERS: dict[str, dict[str, Any]] = {
     "416": {"Content-Range": _TEXT},
     "429": RETRY,
     "503": RETRY,
+    "507": RETRY,
 }
 
 

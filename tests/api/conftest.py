@@ -91,14 +91,14 @@ def client(server):
 
 @pytest.fixture(scope="session")
 def keyed_server(tmp_path_factory):
-    """A server of one worker, four places, and the keys of `LIMITS`."""
+    """A server of one worker, eight places, and the keys of `LIMITS`."""
     keys = [
         {"name": name, "sha256": digest_of(KEYS[name]), "requests_per_minute": 100_000,
          "scopes": ["animate", "jobs", "live", "metrics"]} | limits
         for name, limits in LIMITS.items()
     ]  # fmt: skip
     with serving(
-        tmp_path_factory.mktemp("keyed"), keys=json.dumps(keys), waiting=3, connections=20,
+        tmp_path_factory.mktemp("keyed"), keys=json.dumps(keys), waiting=7, connections=40,
         log="json", live_sessions=2,
     ) as running:  # fmt: skip
         yield running

@@ -33,7 +33,7 @@ def test_every_operation_has_a_name_of_its_own_and_every_answer_its_headers(sche
     for route in operations(schema):
         for status, answer in route["responses"].items():
             assert "X-Request-ID" in answer["headers"], (route["operationId"], status)
-            assert ("Retry-After" in answer["headers"]) == (status in ("429", "503"))
+            assert ("Retry-After" in answer["headers"]) == (status in ("429", "503", "507"))
             assert ("Location" in answer["headers"]) == (status == "202")
     result = schema["paths"]["/v1/jobs/{job_id}/result"]["get"]["responses"]
     assert {"ETag", "Content-Range"} <= set(result["206"]["headers"])

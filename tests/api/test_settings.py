@@ -121,7 +121,7 @@ def test_hosts_of_loopback_are_known_by_every_spelling(tmp_path):
     async def passed(scope, receive, send):
         pass
 
-    guard = Guard(passed, Settings(data=tmp_path), Metrics(), Traffic())
+    guard = Guard(passed, Settings(data=tmp_path), Metrics(), Traffic(9))
     for host in ("localhost:8000", "127.0.0.1", "[::1]:8000", "127.0.0.2:1"):
         assert asyncio.run(_answer(guard, "/v1/models", host)) == 200, host
     for host in ("evil.example", "", "localhost.evil.example", "a b", "1" * 300):
@@ -149,7 +149,7 @@ def test_probes_by_address_are_answered_where_hosts_names_the_service(tmp_path, 
 
     entry = {"name": "farm", "sha256": digest_of("dk_key"), "scopes": ["animate"]}
     settings = Settings(host="0.0.0.0", data=tmp_path, keys=[entry], hosts=["voice.example"])
-    guard = Guard(passed, settings, Metrics(), Traffic())
+    guard = Guard(passed, settings, Metrics(), Traffic(9))
     for path in ("/healthz", "/readyz"):
         assert asyncio.run(_answer(guard, path, host)) == 200
         assert asyncio.run(_answer(guard, path, "voice.example")) == 200
