@@ -106,9 +106,11 @@ class GuardedProtocol(_Reader, H11Protocol):
     def send_400_response(self, msg: str) -> None:
         """Answer what is no HTTP by a problem, unless another answer has begun."""
         if self.conn.our_state in (h11.IDLE, h11.SEND_RESPONSE):
-            kind = {"content-type": MEDIA_TYPE, "connection": "close"}
-            head = h11.Response(status_code=400, headers=[*kind.items()], reason="Bad Request")
-            for event in (head, h11.Data(data=malformed(msg).body), h11.EndOfMessage()):
+            body = malformed(msg).body
+            about = {"content-type": MEDIA_TYPE, "content-length": str(len(body))}
+            headers = [*about.items(), ("connection", "close")]
+            head = h11.Response(status_code=400, headers=headers, reason="Bad Request")
+            for event in (head, h11.Data(data=body), h11.EndOfMessage()):
                 self.transport.write(self.conn.send(event) or b"")
         self.transport.close()
 
@@ -155,7 +157,7 @@ class GuardedSocket(_Reader, WebSocketsSansIOProtocol):
                 answer.headers[name] = str(value)
             return answer
 
-        self.conn.reject = refused  # type: ignore[method-assign, assignment]
+        self.conn.reject = refused  # type: ignore[method-assign]
         super().handle_connect(event)
 
     def handle_parser_exception(self) -> None:
