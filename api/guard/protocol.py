@@ -160,12 +160,12 @@ class GuardedSocket(_Reader, WebSocketsSansIOProtocol):
         self.conn.reject = refused  # type: ignore[method-assign]
         super().handle_connect(event)
 
-    def handle_parser_exception(self) -> None:
-        """Close a connection that breaks the protocol; in its handshake by a problem."""
+    def data_received(self, data: bytes) -> None:
+        """Answer a request that is no handshake by a problem; the first data is a whole one."""
+        super().data_received(data)
         if self.handshake_initiated:
-            super().handle_parser_exception()
             return
-        body = malformed(f"no WebSocket handshake: {self.conn.parser_exc}").body
+        body = malformed(str(self.conn.handshake_exc)).body
         head = f"HTTP/1.1 400 Bad Request\r\nContent-Type: {MEDIA_TYPE}\r\nConnection: close\r\n"
         self.transport.write(f"{head}Content-Length: {len(body)}\r\n\r\n".encode() + body)
         self.transport.close()

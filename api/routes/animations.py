@@ -7,6 +7,7 @@ import anyio
 from fastapi import APIRouter, Request, Response
 from fastapi.exceptions import RequestValidationError
 from pydantic import BaseModel, ConfigDict, ValidationError
+from python_multipart.exceptions import FormParserError
 from starlette.datastructures import FormData, UploadFile
 from starlette.formparsers import MultiPartException, MultiPartParser
 from starlette.requests import ClientDisconnect
@@ -313,8 +314,8 @@ async def _parsed(request: Request) -> FormData:
     )  # fmt: skip
     try:
         form = await parser.parse()
-    except MultiPartException as error:
-        why = f"{error.message} {error.__cause__ or ''}".strip()
+    except (MultiPartException, FormParserError) as error:
+        why = f"{error} {error.__cause__ or ''}".strip()
     except UnicodeError:
         why = "its charset does not fit; send UTF-8"
     else:

@@ -113,6 +113,18 @@ def test_slow_bodies_and_slow_headers_are_cut_off(server):
     assert time.monotonic() - begun < 12  # limits of 3 s and 2 s, and `raw` waits for 10 s
 
 
+def test_bodies_that_come_slowly_and_steadily_are_read(server):
+    """1.3 MB in five seconds, where a body has three and one more for each 64 KiB."""
+    recording = wav(40.0)
+    with socket.create_connection(server.address, timeout=60) as connection:
+        head = f"POST /v1/jobs HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: {len(recording)}"
+        connection.sendall(head.encode() + b"\r\nContent-Type: audio/wav\r\n\r\n")
+        for start in range(0, len(recording), 1 << 17):
+            connection.sendall(recording[start : start + (1 << 17)])
+            time.sleep(0.5)
+        assert status_of(connection.recv(65536)) == 202
+
+
 def test_clients_that_do_not_read_their_answer_are_cut_off(server, client):
     """Thirty megabytes to a client that reads a kilobyte of them."""
     with socket.socket() as connection:
