@@ -4,6 +4,7 @@ The working folder is the order's: all paths are relative and fixed (`api.comput
 """
 
 import json
+import shutil
 import zipfile
 from collections.abc import Callable
 from contextlib import suppress
@@ -23,7 +24,6 @@ from api.compute.order import (
     Order,
     TooLarge,
 )
-from api.compute.shared import SharedNetwork
 from api.errors import names_of
 from deitalk.acting import AUTO, Acting
 from deitalk.audio.choice import AudioChoice
@@ -142,7 +142,8 @@ class TooLong(Exception):
 
 def perform(order: Order, limits: Limits, progress: Progress) -> Answer:
     """Carry out one order in the working folder."""
-    Path(OUT).mkdir(exist_ok=True)
+    shutil.rmtree(OUT, ignore_errors=True)  # of a process that ended in the order
+    Path(OUT).mkdir()
     try:
         return TASKS[order["kind"]](order, limits, progress)
     except TooLong as error:
@@ -153,7 +154,7 @@ def _animation(order: Order, limits: Limits, progress: Progress) -> Answer:
     options = order["options"]
     is_video = options["format"] == "mp4"
     share = NETWORK_SHARE if is_video else 1.0
-    performance, read = _performed(order, limits, lambda done: progress(share * done))
+    performance = _performed(order, limits, lambda done: progress(share * done))
     out = Path(OUT) / f"{options.get('name') or NAME}{options['suffix']}"
     notes = [*performance.recording.warnings]
     if performance.words is not None and performance.words.fits:
@@ -162,23 +163,17 @@ def _animation(order: Order, limits: Limits, progress: Progress) -> Answer:
         _preview(out, performance, order, limits, lambda done: progress(share + (1 - share) * done))
     else:
         notes += _write(out, options["format"], performance, options, limits)
-    return {"file": str(out), "notes": notes, "facts": _facts(performance), **read}
+    return {"file": str(out), "notes": notes, "facts": _facts(performance)}
 
 
-def _performed(order: Order, limits: Limits, progress: Progress) -> tuple[Performance, Answer]:
-    """The performance, and how its recording was read if there is a reader."""
-    name = order["options"].get("model", "default")
-    network, read = load_network(model_of(name, limits)), Answer()
-    shared = SharedNetwork(network, name, limits["reader"]) if limits["reader"] else None
-    performance = animate(
+def _performed(order: Order, limits: Limits, progress: Progress) -> Performance:
+    network = load_network(model_of(order["options"].get("model", "default"), limits))
+    return animate(
         _recording(order, limits),
         acting=_acting(order, limits),
-        model=shared or placed(network, limits),
+        model=placed(network, limits),
         progress=progress,
     )
-    if shared is not None:
-        read["together"] = shared.together
-    return performance, read
 
 
 def _acting(order: Order, limits: Limits) -> Acting:
@@ -307,11 +302,10 @@ def _mesh(order: Order, limits: Limits, progress: Progress) -> Answer:
 def _retarget(order: Order, limits: Limits, progress: Progress) -> Answer:
     options = order["options"]
     notes: list[str] = []
-    read = Answer()
     if "curves" in options:
         curves: RigCurves = read_curves(options["curves"], fps=options.get("curves_fps"))
     else:
-        performance, read = _performed(order, limits, progress)
+        performance = _performed(order, limits, progress)
         curves, notes = performance.curves, list(performance.recording.warnings)
     if options.get("fps") is not None:
         curves = curves.resample(options["fps"])
@@ -331,7 +325,7 @@ def _retarget(order: Order, limits: Limits, progress: Progress) -> Answer:
     facts = {
         "frames": report.frames, "shapes": report.shapes, "way": report.way, "lost": report.lost
     }  # fmt: skip
-    return {"file": str(out), "notes": [*notes, *report.notes], "facts": facts, **read}
+    return {"file": str(out), "notes": [*notes, *report.notes], "facts": facts}
 
 
 def _conversion(order: Order, limits: Limits, progress: Progress) -> Answer:
@@ -422,9 +416,7 @@ def prepare(limits: Limits) -> None:
         torch.backends.cudnn.allow_tf32 = False  # else a GPU rounds to ten bits
     for name in limits["preload"]:
         with suppress(CheckpointError):  # a request for it gets the error
-            model = model_of(name, limits)
-            if not limits["reader"]:
-                placed(model, limits)
+            placed(model_of(name, limits), limits)
 
 
 def export_all(limits: Limits, *, only_live: bool = False) -> None:

@@ -76,10 +76,6 @@ class SpeechOptions(Acting):
     wait: Annotated[
         bool, Field(description="False: answer 202 with a job, whatever the length.")
     ] = True
-    webhook: Annotated[
-        str | None,
-        Field(max_length=500, description="Address to call when a job has ended."),
-    ] = None
     track: Annotated[
         int | None,
         Field(ge=1, le=MOST_TRACKS, description="Sound track; else the first with speech."),
@@ -190,7 +186,7 @@ def order_options(given: Received[SpeechOptions], folder: Path) -> dict[str, Any
     (folder / ACTING).write_text(json.dumps(acting), encoding="utf-8")
     AudioChoice.of(given.options.track, given.options.channel, given.options.raw)
     options = given.options.model_dump(
-        exclude={*Acting.model_fields, "format", "wait", "webhook"}, exclude_none=True
+        exclude={*Acting.model_fields, "format", "wait"}, exclude_none=True
     )
     if "timecode" in options:
         start_of(options["timecode"], given.options.fps, None)
