@@ -17,7 +17,7 @@ from rig.curves import RigCurves
 from rig.errors import FormatError, quoted, shorten
 from rig.files.reading import check_expansion, check_file
 from rig.formats.decimal_text import Block, Text, rendered, rows
-from rig.formats.wide_csv import LARGEST, read_header, read_quietly
+from rig.formats.wide_csv import LARGEST, Layout, read_layout, read_quietly
 from rig.limits import CONTROLS, CURVES_BYTES, FRAMES, SPARSE_BYTES, VALUES
 
 if TYPE_CHECKING:
@@ -56,9 +56,10 @@ def read(path: Path, controls: ControlSet | None = None, fps: float | None = Non
     fps : float, optional
         Frames per second, which the file does not hold; 30 if not given.
     """
-    if read_header(path) != HEADER:
+    layout = read_layout(path)
+    if layout.header != HEADER:
         raise FormatError(f"{path}: the first line must be {', '.join(HEADER)!r}")
-    table = _read_keys(path)
+    table = _read_keys(path, layout)
     names = table["curve_name"].astype(str).str.strip()
     frame = table["frame_number"].to_numpy()
     n_frames = _count_frames(path, frame, names.nunique())
@@ -95,13 +96,22 @@ def _count_frames(path: Path, frame: np.ndarray[Any, Any], n_curves: int) -> int
     return n_frames
 
 
-def _read_keys(path: Path) -> "pd.DataFrame":
+def _read_keys(path: Path, layout: Layout) -> "pd.DataFrame":
     import pandas as pd  # takes longer to import than a take to write
 
     try:
         table = read_quietly(
-            path, skiprows=1, header=None, names=list(HEADER), index_col=False, low_memory=False
+            path,
+            sep=layout.separator,
+            decimal=layout.decimal,
+            encoding=layout.encoding,
+            skiprows=layout.skipped + 1,
+            header=None,
+            names=list(HEADER),
+            index_col=False,
+            low_memory=False,
         )
+        table = table.dropna(how="all")  # empty rows of a spreadsheet
         for column in ("frame_number", "value"):
             table[column] = pd.to_numeric(table[column])
     except (ValueError, TypeError, OverflowError, pd.errors.ParserWarning) as error:

@@ -18,7 +18,7 @@ from deitalk.audio.load import Recording, load_audio
 from deitalk.audio.vocal_strength import measure_prosody
 from deitalk.audio.voice_activity import speech_activity
 from deitalk.config.rig_file import DATASET_RIG, classified_by_names, rig_text
-from deitalk.data.captures.columns import read_mapping, read_named
+from deitalk.data.captures.columns import read_mapping
 from deitalk.data.captures.mend import (
     TAKE_HEADER,
     VOICED_FRAMES,
@@ -51,6 +51,7 @@ from rig.arrays import Bool, Float32, Float64
 from rig.controls import Control
 from rig.errors import UserError, listed
 from rig.files import output_folder
+from rig.formats.named import read_named
 
 # Long takes to clips: cut in pauses, never inside a word.
 #
@@ -534,7 +535,7 @@ def rig_of_takes(sources: Sequence[Path], fps: float | None = None) -> ControlSe
     refused: UserError | None = None
     for path in (path for source in sources for path in find_files(source)):
         try:
-            curves = read_named(path, fps)
+            curves = read_named(path, otherwise=fps)
         except UserError as error:
             refused = refused or error
             continue  # no table of curves; if it is a take, its import says why
