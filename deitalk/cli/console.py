@@ -20,13 +20,16 @@ from functools import cache
 from pathlib import Path
 from time import monotonic
 from types import FrameType, MappingProxyType
-from typing import Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import typer
 from typer.core import TyperGroup
 
 from deitalk.errors import DeitalkError
 from rig.errors import UserError, as_line, decodable, decodable_values
+
+if TYPE_CHECKING:
+    from rig import RigCurves
 
 # Names of commands before this release: each still works, and prints the line of today.
 #
@@ -336,6 +339,12 @@ def _claim(path: Path) -> None:
     targets = _targets.get()
     if targets is not None:
         targets.enter_context(claim(path))
+
+
+def note_reading(curves: "RigCurves") -> None:
+    """Print what the reader of a file corrected, filled in or left out."""
+    for note in curves.notes:
+        console().note(note)
 
 
 def curves_of(source: Path) -> Path:

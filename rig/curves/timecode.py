@@ -89,10 +89,9 @@ def read_timecodes(texts: Sequence[str], where: object, *, count: int | None = N
     return Clock((ticks + TICKS_PER_DAY * past).astype(np.int64), count, is_drop, found is not None)
 
 
-def left_out(minutes: Int64, count: int) -> Int64:
+def left_out(minutes: int | Int64, count: int) -> int | Int64:
     """Numbers that drop frame has left out after some minutes."""
-    numbers: Int64 = DROPPED[count] * (minutes - minutes // 10)
-    return numbers
+    return DROPPED[count] * (minutes - minutes // 10)
 
 
 def counted(seconds: Int64, parts: Int64) -> int | None:

@@ -122,7 +122,9 @@ def read_curves(
         curves = in_units(curves, known, path)
     if known is not None and known.id != ARKIT_ID:  # calibrated captures exceed their ranges
         if chosen.name.startswith("livelink"):
-            curves, _ = clamp(curves, known)
+            curves, clipped = clamp(curves, known)
+            said = (str(clipped),) if clipped else ()
+            curves = replace(curves, notes=(*curves.notes, *said))
         else:
             curves = check_range(curves, known, where=str(path))
     wanted = control_set if controls is None else controls.id

@@ -134,8 +134,11 @@ def known_columns(
     unknown = [name for name in names if name not in controls and name not in others]
     by_key = {_bare(name): name for name in missing}
     for name in unknown:
-        near = difflib.get_close_matches(_bare(name), by_key, n=1, cutoff=MISSPELT)
-        if near and len(name) <= LONGEST_NAME:
+        if len(name) > LONGEST_NAME:
+            continue
+        longer = [key for key in by_key if key in _bare(name)]
+        near = longer or difflib.get_close_matches(_bare(name), by_key, n=1, cutoff=MISSPELT)
+        if near:
             raise FormatError(
                 f"{path}: column {quoted(name)} is unknown and {by_key[near[0]]!r} is missing: "
                 "rename the column, or remove it"

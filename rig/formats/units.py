@@ -185,7 +185,7 @@ def _scale(
     quiet = int((moving & ~beyond).sum())
     is_one_unit = quiet <= max(1, FEW_QUIET * int(moving.sum())) and not _sides_differ(names, peaks)
     is_whole = bool((values == np.rint(values)).all())
-    if (is_one_unit and top > CLEARLY) or (is_one_unit and beyond.sum() > 2):
+    if is_one_unit and top > CLEARLY:
         if top <= PERCENT or (top <= OVER_PERCENT and not is_whole):
             return PERCENT
         if OVER_PERCENT < top <= BYTE and is_whole:

@@ -222,7 +222,7 @@ def read_numbers(
             f"{n_columns} of the header"
         )
     numeric = [i for i in range(n_columns) if i not in text_columns]
-    filled = table.loc[:, : n_columns - 1].notna().any(axis=1).to_numpy()
+    filled = table.loc[:, : n_columns - 1].notna().any(axis=1).to_numpy(copy=True)
     if not (text_columns or face) and filled.any():  # rows are frames: only those at the end
         filled[: np.flatnonzero(filled)[-1]] = True
     table = table[filled]

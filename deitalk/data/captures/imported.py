@@ -44,7 +44,7 @@ from deitalk.data.captures.splits import (
     divide,
     shortage,
 )
-from deitalk.data.captures.take import CapturedCurves, read_capture
+from deitalk.data.captures.take import LEAST_SECONDS, CapturedCurves, paired, read_capture
 from deitalk.errors import DataError
 from rig import ControlSet, write_curves
 from rig.arrays import Bool, Float32, Float64
@@ -192,8 +192,6 @@ MARGIN_SECONDS = 0.6
 """Curves before and after a clip, where the take has them: a mended offset finds its frames."""
 LENGTH_SECONDS = 0.1
 """Difference of curves and sound that is reported."""
-LEAST_SECONDS = 0.5
-"""Of curves and sound of a take."""
 
 Progress = Callable[[float], None]
 
@@ -283,7 +281,7 @@ def import_captures(
                     source.curves, mapping=table, rig=rig, fps=fps, progress=of_take
                 )
                 sound = load_audio(find_sound(source, capture.audio, audio, takes))
-                writer.take(source, name, labels.of(source, name), capture, sound)
+                writer.take(source, name, labels.of(source, name), *paired(capture, sound))
             except UserError as error:
                 faults.append(error)
             of_take(1.0)

@@ -3,12 +3,14 @@
 Whatever a source has no column for is not known: zeros in its place are no measurement.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
+from deitalk.audio.load import Recording
 from deitalk.data.captures.columns import RigMapping
 from deitalk.errors import DataError
 from deitalk.installed import research
@@ -38,6 +40,9 @@ JSON_MARKS = (b"eights", b"hapes", b"facsNames", b"ategory")
 """Text at the beginning of a JSON file of curves: weights, blend shapes, categories."""
 LEAST_KNOWN = 3
 """Columns of a known name that make a table a capture."""
+DAY = 24 * 3600.0
+LEAST_SECONDS = 0.5
+"""Of curves and sound of a take."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,6 +122,58 @@ def read_capture(
         curves = read_curves(path, fps=fps, control_set=None)
         return _from_set(path, curves, _kind_of_set(curves.control_set))
     return _table(path, read_named(path, otherwise=fps))
+
+
+def paired(capture: CapturedCurves, sound: Recording) -> tuple[CapturedCurves, Recording]:
+    """Lay curves and sound together by the time codes of both, and cut what one of them lacks.
+
+    Time codes of one clock (jam sync) overlap. Where they do not, or one has none, both begin
+    together.
+
+    Returns
+    -------
+    capture : CapturedCurves
+        With a note on what was done.
+    sound : Recording
+        Begins with the first frame of the curves.
+    """
+    if capture.start is None or sound.start is None:
+        return capture, sound
+    curves = capture.curves
+    late = (capture.start - sound.start + DAY / 2) % DAY - DAY / 2
+    codes = f"sound {_clock(sound.start)}, curves {_clock(capture.start)}"
+    if min(sound.duration, late + curves.duration) - max(late, 0.0) < LEAST_SECONDS:
+        note = f"time codes do not overlap ({codes}): not of one clock, laid together at the start"
+        return replace(capture, notes=(*capture.notes, note)), sound
+    if abs(late) < 0.5 / curves.fps:
+        return capture, sound
+    early = max(math.ceil(-late * curves.fps - 1e-6), 0)
+    before = late + early / curves.fps
+    seconds = min(sound.duration - before, (len(curves) - early) / curves.fps)
+    frames = slice(early, early + math.ceil(seconds * curves.fps - 1e-6))
+    first = round(before * sound.sample_rate)
+    last = first + round(seconds * sound.sample_rate)
+    outside = {
+        "sound": sound.duration - seconds,
+        "curves": curves.duration - (frames.stop - frames.start) / curves.fps,
+    }
+    cut = " and ".join(
+        f"{t:.2f} s of {what}" for what, t in outside.items() if t > 0.5 / curves.fps
+    )
+    note = f"paired by time code ({codes}): {cut or 'nothing'} outside both, cut"
+    taken = replace(
+        capture,
+        curves=curves.slice_frames(frames.start, frames.stop),
+        seen=None if capture.seen is None else capture.seen[frames],
+        notes=(*capture.notes, note),
+        start=capture.start + early / curves.fps,
+    )
+    return taken, replace(sound, waveform=sound.waveform[first:last], start=sound.start + before)
+
+
+def _clock(seconds: float) -> str:
+    whole = round(seconds % DAY, 2)
+    return f"{int(whole // 3600):02d}:{int(whole // 60 % 60):02d}:{whole % 60:05.2f}"
 
 
 def kind_of(path: Path) -> str | None:

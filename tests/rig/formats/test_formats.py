@@ -204,7 +204,7 @@ def test_read_curves_rejects_uneven_and_falling_times(tmp_path):
     table = table_of_rest(4)
     table["time"] = [0, 10, 20, 90]
     table["frame"] = 0
-    with pytest.raises(FormatError, match="frames are 0.001 apart"):
+    with pytest.raises(FormatError, match=r"frames are 0\.001 apart"):
         read_curves(save(table / 1e4, tmp_path / "c.csv"))
     table["time"] = [0, 0, 0, 0]
     with pytest.raises(FormatError, match="data row 2 comes not after the one before"):
