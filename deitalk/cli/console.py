@@ -96,6 +96,8 @@ class Commands(TyperGroup):
 
 _ASSIGNED = r"`{}(?:=(?P<value>[^`]*))?`"
 """A parameter in an error message, alone or with its value."""
+OPTIONS = {"mapping": "--map"}
+"""Options of `deitalk data` that are called otherwise than their parameter."""
 VISIBLE_SECONDS = 1.0
 """Least duration of work with a bar, seconds."""
 FIRST_LINE_SECONDS = 3.0
@@ -228,7 +230,7 @@ def name_option(error: UserError) -> str:
 
     def option(found: re.Match[str]) -> str:
         value = found["value"]
-        name = "--" + error.parameter.replace("_", "-")
+        name = OPTIONS.get(error.parameter) or "--" + error.parameter.replace("_", "-")
         return name if value in (None, "True") else f"{name} {value}"
 
     pattern = _ASSIGNED.format(re.escape(error.parameter))

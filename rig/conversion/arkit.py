@@ -216,9 +216,8 @@ class ArkitFit:
 
     def __str__(self) -> str:
         return (
-            f"ARKit is a lossy preview: {self.lost:.0%} of the movement is outside its shapes "
-            f"(residual {float(self.residual.mean() if len(self.residual) else 0):.3g} per frame, "
-            f"{float(self.residual.sum()):.4g} in all)"
+            f"ARKit is a lossy preview: {self.lost:.0%} of the movement cannot be shown by its 52 "
+            "shapes (root mean square over the 251 raw curves)"
         )
 
 

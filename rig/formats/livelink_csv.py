@@ -26,6 +26,7 @@ from rig.arrays import Bool, Float32, Float64, Int64
 from rig.controls import ControlSet, check_unique
 from rig.conversion.arkit import ARKIT_ID, PREFIX, RAW_ID, arkit_controls, raw_controls
 from rig.curves import RigCurves, check_clip, snap_fps
+from rig.curves.rig_curves import STANDARD_RATES
 from rig.curves.timecode import TICKS_PER_SECOND, Clock, read_timecodes
 from rig.errors import CurveError, FormatError
 from rig.formats.decimal_text import Block, Text, rows
@@ -81,15 +82,17 @@ class LiveLinkTake:
 
     @property
     def fps(self) -> float:
-        """Frames per second: of the median step, a standard rate if it is within 1 %."""
+        """Frames per second, of the steps near the median one: a standard rate within .03 %."""
         if len(self.ticks) < 2:
             return 30.0
-        # the median step, which gaps leave as it is
-        exact = TICKS_PER_SECOND / float(np.median(np.diff(self.ticks)))
-        for standard in (24.0, 25.0, 30.0, 48.0, 50.0, 60.0, 120.0):
-            if abs(exact - standard) < 3e-4 * standard:
-                return standard
-        return snap_fps(exact)
+        steps = np.diff(self.ticks)
+        median = float(np.median(steps))
+        mean = float(steps[np.abs(steps - median) <= 0.25 * median].mean())
+        for exact in (TICKS_PER_SECOND / mean, TICKS_PER_SECOND / median):
+            for standard in STANDARD_RATES:
+                if abs(exact - standard) < 3e-4 * standard:
+                    return standard
+        return snap_fps(TICKS_PER_SECOND / mean)
 
     def to_curves(self, fps: float | None = None) -> RigCurves:
         """Put the take on an even grid, linear between frames, starting with its first frame.

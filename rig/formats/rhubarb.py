@@ -159,7 +159,9 @@ def read_dat(path: Path, controls: ControlSet | None = None, fps: float | None =
             raise FormatError(f"{path}: line {number} must be a frame from 1 and a shape")
         marks.append(((int(frame) - 1) / rate, shape))
     pairs = itertools.pairwise([*marks, marks[-1]] if marks else [])
-    return _posed(path, [Cue(a, b, shape) for (a, shape), (b, _) in pairs], rate)
+    curves = _posed(path, [Cue(a, b, shape) for (a, shape), (b, _) in pairs], rate)
+    note = f"holds no rate: read at {DAT_FPS:g} frames a second"
+    return curves if fps else replace(curves, notes=(note,))
 
 
 def _posed(path: Path, given: Sequence[Cue], fps: float | None) -> RigCurves:

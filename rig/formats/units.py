@@ -263,7 +263,8 @@ def _top(values: Float32, places: Sequence[int]) -> float:
 
 def _turns(degrees: Float32, what: str, where: object) -> Float32:
     """Degrees within half a turn; those of 0 to 360 are taken back."""
-    turned: Float32 = (degrees + 180) % 360 - 180 if degrees.max() > 180 else degrees
+    is_whole_turn = degrees.min() >= 0 and MOST_DEGREES < degrees.max() <= 360
+    turned: Float32 = (degrees + 180) % 360 - 180 if is_whole_turn else degrees
     beyond = np.abs(turned) > MOST_DEGREES
     if beyond.any():
         row, column = (int(i) for i in np.argwhere(beyond)[0])

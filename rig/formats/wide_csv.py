@@ -318,6 +318,8 @@ def _read_table(path: Path, layout: Layout, dtype: dict[int, type]) -> "pd.DataF
         return pd.DataFrame(columns=list(range(width)))
     except (ValueError, OverflowError, pd.errors.ParserWarning) as error:
         reason = " ".join(shorten(str(error), 160).split())
+        if ragged := re.search(r"Expected \d+ fields in line (\d+), saw (\d+)", reason):
+            reason = f"line {ragged[1]} has {ragged[2]} cells"
         raise FormatError(
             f"{path} is no table of {len(layout.header)} columns: {reason}"
         ) from error
