@@ -82,15 +82,17 @@ def parse_timecode(text: str, fps: float) -> float:
     match = _TIMECODE.fullmatch(text.strip())
     parts = [int(part) for part in match.groups()[:3]] if match else [99]
     frames, count = int(match[5] or 0) if match else 0, round(fps)
-    if match is None or parts[0] > 23 or max(parts[1:]) > 59 or frames >= count:
+    is_drop = ";" in text
+    is_one = match is not None and (not is_drop or match[4] is not None)
+    if match is None or not is_one or parts[0] > 23 or max(parts[1:]) > 59 or frames >= count:
         raise DeitalkError(
             f"time code {text[:40]!r} is not HH:MM:SS:FF with FF below {count}, HH:MM:SS;FF (drop "
             "frame), HH:MM:SS.sss, recording or zero"
         )
     hours, minutes, seconds = parts
-    if ";" not in text:
+    if not is_drop:
         return hours * 3600 + minutes * 60 + seconds + frames / count + float(match[6] or 0)
-    if count not in DROPPED or match[4] is None:
+    if count not in DROPPED:
         raise DeitalkError(
             f"time code {text[:40]!r} counts drop frame (;), which has 29.97 or 59.94 frames a "
             f"second and not {fps:g}; write HH:MM:SS:FF, or set `fps=29.97`",

@@ -68,7 +68,8 @@ def read(path: Path, controls: ControlSet | None = None, fps: float | None = Non
     controls = controls or controls_of(table.names, where=str(path))
     require_all(path, controls, table.names)
     names = dict(zip(table.names, controls.resolve(table.names), strict=True))
-    return table.to_curves(names, controls.id).reorder(controls)
+    curves = table.to_curves(names, controls.id)
+    return replace(curves, notes=table.all_notes).reorder(controls)
 
 
 def read_shapes(
@@ -98,7 +99,7 @@ def _shapes(path: Path, table: NamedCurves) -> RigCurves:
         raise FormatError(f"{path}: {describe_columns(table.names)} are no shapes of ARKit")
     names = dict(zip(present, controls.resolve(present), strict=True))
     curves = table.to_curves(names, controls.id)
-    return replace(curves, notes=(*curves.notes, *notes)).reorder(controls)
+    return replace(curves, notes=(*table.all_notes, *notes)).reorder(controls)
 
 
 def known_columns(

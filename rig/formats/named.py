@@ -97,16 +97,17 @@ class NamedCurves:
         """Return the columns that `names` gives another name, of a control set."""
         places = [self.names.index(name) for name in names]
         values = self.values[:, places].astype(np.float32)
-        gap = (f"{self.gap_seconds:.1f} s without a frame: straight lines",)
-        notes = (*self.notes, *(gap if self.gap_seconds else ()))
         return RigCurves(
-            values, tuple(names.values()), self.fps, control_set=control_set, notes=notes
+            values, tuple(names.values()), self.fps, control_set=control_set, notes=self.notes
         )
 
     @property
-    def gap_seconds(self) -> float:
-        """Time that was not captured, of gaps of over a second and of both ends."""
-        return 0.0 if self.seen is None else float((~self.seen).sum()) / self.fps
+    def all_notes(self) -> tuple[str, ...]:
+        """The notes, and one on the time that was not captured, where values are straight lines."""
+        if self.seen is None:
+            return self.notes
+        seconds = float((~self.seen).sum()) / self.fps
+        return (*self.notes, f"{seconds:.1f} s without a frame: straight lines")
 
 
 @dataclass(frozen=True)
@@ -453,10 +454,13 @@ def rate_of(seconds: Float64) -> float:
     steps = np.diff(seconds)
     if not len(steps):
         return 30.0
-    usual = steps[np.abs(steps - np.median(steps)) <= 0.25 * np.median(steps)]
+    median = float(np.median(steps))
+    usual = steps[np.abs(steps - median) <= 0.25 * median]
     rate = 1 / float(usual.mean())
     resolution = next((d for d in (1e-2, 1e-3, 1e-4, 1e-5) if _multiples(seconds, d)), 0.0)
     near = float(np.clip(resolution / usual.sum(), 2e-5, 5e-4)) * rate
+    if np.ptp(steps) > UNEVEN * median:  # they are put on a grid, whose rate is free
+        near = 3e-3 * rate
     for standard in (round(rate), *STANDARD_RATES):
         if standard and abs(rate - standard) <= near:
             return float(standard)
