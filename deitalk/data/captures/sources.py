@@ -25,7 +25,7 @@ from rig.formats.table import FORMATS
 from rig.formats.wide_csv import read_header
 from rig.limits import TRACK_BYTES
 
-CURVES = (".csv", ".json", ".npz", ".txt")
+CURVES = (".csv", ".json", ".npz", ".txt", ".tsv")
 SOUNDS = (
     ".wav", ".flac", ".mov", ".mp4", ".m4v", ".m4a", ".mp3", ".ogg", ".opus", ".aac", ".webm",
     ".mkv", ".aif", ".aiff", ".wma",
@@ -190,7 +190,7 @@ def _may_hold_curves(path: Path, top: Path) -> bool:
 def _holds_curves(path: Path, columns: ControlSet | AbstractSet[str] | None) -> bool:
     try:
         if columns is not None:
-            is_csv = path.suffix.lower() == ".csv"
+            is_csv = path.suffix.lower() in (".csv", ".tsv")
             return not is_csv or any(name in columns for name in read_header(path))
         return kind_of(path) is not None
     except UserError:
@@ -203,7 +203,7 @@ def _one_a_take(paths: Sequence[Path]) -> list[Path]:
 
     def rank(path: Path) -> tuple[int, int]:
         ending = _without_suffix(path)[len(_stem(path)) :]
-        formats = (".npz", ".json", ".csv", ".txt")
+        formats = (".npz", ".json", ".csv", ".txt", ".tsv")
         return VARIANTS.index(ending), formats.index(path.suffix.lower())
 
     for path in paths:

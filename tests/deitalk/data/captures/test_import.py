@@ -348,7 +348,7 @@ def test_percentages_are_told(tmp_path):
     take = read_take(path)
     write_take(path, replace(take, values=100 * take.values))
     result = import_captures([path], tmp_path / "data", labels=ANNA)
-    assert "clamped to their ranges; worst JawOpen by 59" in " ".join(result.takes[0].notes)
+    assert "values are percent: divided by 100" in result.takes[0].notes
 
 
 def test_actors_of_whom_nothing_is_learnt_are_told(tmp_path):
