@@ -69,7 +69,7 @@ def read_tree(path: Path | str | None, overrides: Sequence[str] = ()) -> dict[st
 def without_paths(config: AnyConfig) -> AnyConfig:
     """A configuration without folders of this machine; of a model's the last part of it stays."""
     tree = config.model_dump(mode="json")
-    tree["data"] |= {"noise_folder": None, "room_folder": None}
+    tree["data"] |= dict.fromkeys({"noise_folder", "room_folder"} & tree["data"].keys())
     sections = [(tree["model"]["frontend"], "checkpoint")]
     sections += [(tree["train"], key) for key in ("teacher", "frozen_frontend")]
     if "tune" in tree:

@@ -15,7 +15,7 @@ from safetensors.torch import save
 
 from deitalk.config.curves import Config, ModelConfig
 from deitalk.config.frontends import DEITalkFeaturesConfig, KarrasConfig, SDFAMelConfig, VocaConfig
-from deitalk.config.hub import FILES, check_repository
+from deitalk.config.hub import check_repository, model_files
 from deitalk.config.load import AnyConfig, load_config, without_paths
 from deitalk.config.mesh import SDFAConfig
 from deitalk.config.rig_file import read_controls, rig_text
@@ -370,7 +370,8 @@ def push_to_hub(
         "model.json": json.dumps(about, indent=1) + "\n",
     }
     given: dict[str, Any] = {file: text.encode() for file, text in texts.items()}
-    given |= {f: folder / f for f in FILES if f not in given and (folder / f).is_file()}
+    files = model_files(path.name for path in folder.iterdir() if path.is_file())
+    given |= {f: folder / f for f in files if f not in given}
     try:
         api = HfApi(library_name="deitalk")
         api.create_repo(name, private=private, exist_ok=True)
