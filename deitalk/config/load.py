@@ -73,7 +73,7 @@ def without_paths(config: AnyConfig) -> AnyConfig:
     sections = [(tree["model"]["frontend"], "checkpoint")]
     sections += [(tree["train"], key) for key in ("teacher", "frozen_frontend")]
     if "tune" in tree:
-        tree["tune"]["corpus"] = None
+        tree["tune"] |= {"corpus": None, "map": None}
         sections.append((tree["tune"], "base"))
     for section, key in sections:
         if section.get(key) is not None and Path(section[key]).is_absolute():
