@@ -16,7 +16,7 @@ from safetensors.torch import save
 from deitalk.config.curves import Config, ModelConfig
 from deitalk.config.frontends import DEITalkFeaturesConfig, KarrasConfig, SDFAMelConfig, VocaConfig
 from deitalk.config.hub import check_repository, model_files
-from deitalk.config.load import AnyConfig, load_config, without_paths
+from deitalk.config.load import AnyConfig, load_model_config, model_text, without_paths
 from deitalk.config.mesh import SDFAConfig
 from deitalk.config.rig_file import read_controls, rig_text
 from deitalk.errors import CheckpointError
@@ -94,7 +94,7 @@ def load_model(name_or_path: str | Path = "default", *, device: str = "cpu") -> 
         it belongs to another control set.
     """
     folder = model_folder(name_or_path)
-    return _load(folder, load_config(folder / "config.yaml"), device)
+    return _load(folder, load_model_config(folder), device)
 
 
 def _load(folder: Path, config: AnyConfig, device: str) -> Model:
@@ -139,7 +139,7 @@ def require_model(
         check_product(model, wanted.product)
         return cast("ModelT", model.eval())
     folder = model_folder(model)
-    config = load_config(folder / "config.yaml")
+    config = load_model_config(folder)
     check_kind(model, config, wanted)
     return cast("ModelT", _load(folder, config, device))
 
@@ -218,8 +218,7 @@ def save_model(
             config = _complete(cast("Config", config), curves := cast("DEITalk", model))
             if config.model.control_set == RIG_FILE:
                 (beside / RIG_FILE).write_text(rig_text(curves.controls))
-        settings = yaml.safe_dump(config.model_dump(mode="json"), sort_keys=False)
-        (beside / "config.yaml").write_text(settings)
+        (beside / "config.yaml").write_text(model_text(config))
         (beside / "model.json").write_text(json.dumps(about, indent=1) + "\n")
 
 
@@ -326,7 +325,7 @@ REPORT = "report.md"
 
 def portable(name_or_path: str | Path) -> tuple[AnyConfig, dict[str, Any]]:
     """Settings and training summary of a model without folders of this machine."""
-    config = without_paths(load_config(model_folder(name_or_path) / "config.yaml"))
+    config = without_paths(load_model_config(model_folder(name_or_path)))
     summary = dict(read_about(model_folder(name_or_path))["training"])
     if "@" not in (base := summary.get("base", "@")):  # a commit on the hub has one
         summary["base"] = Path(base).name
@@ -366,7 +365,7 @@ def push_to_hub(
     about = read_about(folder) | {"training": summary}
     texts = {
         "README.md": model_card(folder, name, license),
-        "config.yaml": yaml.safe_dump(config.model_dump(mode="json"), sort_keys=False),
+        "config.yaml": model_text(config),
         "model.json": json.dumps(about, indent=1) + "\n",
     }
     given: dict[str, Any] = {file: text.encode() for file, text in texts.items()}

@@ -33,7 +33,17 @@ class BaseChange(nn.Module):
         self.carry = nn.Parameter(torch.zeros(n_controls, n_base), requires_grad=False)
         """Share of each control of the model before in each of the rig."""
         self.taught = nn.Parameter(torch.ones(len(captured), n_controls), requires_grad=False)
-        """1 where a control moves in a captured emotion as the captures do; 0: as the base."""
+        """1 where a control moves in a captured emotion as the captures do; 0: as the base. It is
+        changed by `teach`."""
+        self.is_whole = True
+        """Whether every control moves as captured in every captured emotion."""
+        self.register_load_state_dict_post_hook(lambda module, _: module.teach(module.taught))
+
+    @torch.no_grad()
+    def teach(self, taught: Tensor) -> None:
+        """Set where controls move as captured [shape=(5, C)]."""
+        self.taught.copy_(taught)
+        self.is_whole = bool((self.taught == 1).all())
 
     def captured(self, emotion: Tensor) -> Tensor:
         """The styles, the weights of emotions that captures lack given to the reference."""
@@ -53,11 +63,6 @@ class BaseChange(nn.Module):
     def forward(self, change: Tensor) -> Tensor:
         """Carry a change of the base's curves (B, T, base) to the rig (B, T, C)."""
         return F.linear(change, self.carry)
-
-    @property
-    def is_whole(self) -> bool:
-        """Whether every control moves as captured in every captured emotion."""
-        return bool((self.taught == 1).all())
 
     def share(self, emotion: Tensor) -> Tensor:
         """Share of the captured motion in the controls (B, T or 1, C), of its emotions."""

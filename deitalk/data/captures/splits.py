@@ -90,10 +90,10 @@ def divide(pieces: Sequence[Piece], way: str = "auto") -> list[str]:
         homes.update(dict.fromkeys(order[count : 2 * count], TEST))
         return [homes[piece.actor] for piece in pieces]
     splits = _apart(pieces, _blocks(pieces))
-    return splits if can_tune(splits) else _few(pieces)
+    return splits if _can_validate(splits) else _few(pieces)
 
 
-def can_tune(splits: Iterable[str]) -> bool:
+def _can_validate(splits: Iterable[str]) -> bool:
     """Whether there is something to train on and something to validate."""
     return {TRAIN, VALIDATION} <= set(splits)
 
@@ -101,8 +101,8 @@ def can_tune(splits: Iterable[str]) -> bool:
 def shortage(train: int, validation: int) -> str:
     """Message for a dataset that lacks clips to train on, or to validate where steps need some."""
     return (
-        f"{train} clips to train on and {validation} to validate, needs one of each where "
-        "train.steps is not 0; import longer or more takes, or fill the column split"
+        f"{train} clips to train on and {validation} to validate; steps (train.steps) need one of "
+        "each: import longer or more takes, fill the column split, or leave the steps out"
     )
 
 
@@ -117,7 +117,7 @@ def _few(pieces: Sequence[Piece]) -> list[str]:
     splits = _apart(pieces, [VALIDATION if held else TRAIN for held in chosen])
     learnt = {piece.emotion for piece, split in zip(pieces, splits, strict=True) if split == TRAIN}
     every = {piece.emotion for piece in pieces}
-    return splits if can_tune(splits) and learnt == every else [TRAIN] * len(pieces)
+    return splits if _can_validate(splits) and learnt == every else [TRAIN] * len(pieces)
 
 
 class Division(NamedTuple):

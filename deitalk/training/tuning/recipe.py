@@ -10,7 +10,7 @@ import torch
 
 from deitalk.config.curves import Config, FinetuneConfig
 from deitalk.config.hub import pinned
-from deitalk.config.load import load_config, parse_config, read_tree
+from deitalk.config.load import load_model_config, parse_config, read_tree
 from deitalk.config.rig_file import read_controls
 from deitalk.data.captures.columns import read_mapping
 from deitalk.data.clips import Clip
@@ -59,7 +59,7 @@ def read_recipe(
         tune["base"] = base
     tune["base"] = pinned(str(tune.get("base", "default")))
     folder = model_folder(tune["base"])
-    of_base = load_config(folder / "config.yaml")
+    of_base = load_model_config(folder)
     check_kind(tune["base"], of_base, DEITalk)
     network = of_base.model.model_dump(mode="json")
     if network.get("control_set") == RIG_FILE:
@@ -88,7 +88,7 @@ def with_direct_layers(config: FinetuneConfig) -> FinetuneConfig:
 
 def _base_config(config: FinetuneConfig) -> Config:
     """Configuration of the base model."""
-    return cast("Config", load_config(model_folder(config.tune.base) / "config.yaml"))
+    return cast("Config", load_model_config(model_folder(config.tune.base)))
 
 
 def is_same_rig(config: FinetuneConfig) -> bool:
@@ -138,7 +138,8 @@ def with_base_parts(
         )
         rules = config.rules.taught(base.rules, shown, lips=lips, other_rig=not same_rig)
         config = config.model_copy(update={"rules": rules})
-    return _with_kept_controls(config, controls, learnt, captured) if same_rig else config
+    has_base = same_rig and size != 0  # else the start of the decoder has what captures lack
+    return _with_kept_controls(config, controls, learnt, captured) if has_base else config
 
 
 def base_controls(config: FinetuneConfig) -> ControlSet:

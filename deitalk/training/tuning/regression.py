@@ -143,14 +143,15 @@ class Regression:
             for clip in spread_clips(clips, MOST_SCORED):
                 example = load_example(clip, self.controls, sound=False)
                 for place, taught in enumerate((1.0, 0.0)):
-                    change.taught.fill_(taught)
+                    change.teach(torch.full_like(change.taught, taught))
                     found = self.predicted(clip, example)
                     errors[place] += np.square(found - example.curves).sum(axis=0) * example.known
-            change.taught.fill_(1.0)
-            worse = torch.from_numpy(errors[0] > errors[1]) & torch.from_numpy(self.learnt)
+            worse = torch.from_numpy((errors[0] > errors[1]) & self.learnt)
             untaught[EMOTIONS.index(emotion)] = worse
+        taught = torch.ones_like(change.taught)
         for place, worse in untaught.items():
-            change.taught[place, worse] = 0.0
+            taught[place, worse] = 0.0
+        change.teach(taught)
         return gain
 
     def _gain(self, acted: Sequence[Clip]) -> float:

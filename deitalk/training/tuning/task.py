@@ -361,10 +361,10 @@ class FinetuneTask(CurveTask):
             share = torch.from_numpy(carry).to(given.output.weight)
             if decoder.change is not None and (given.change is None or not self.is_same_rig):
                 decoder.change.carry.copy_(share[:, : decoder.change.carry.shape[1]])
-            rest = torch.from_numpy(base.controls.rest)
+            rest = torch.tensor(base.controls.rest)
             _widen(decoder.output.weight, share @ given.output.weight)
             decoder.output.bias.copy_(
-                torch.from_numpy(self.controls.rest) + share @ (given.output.bias - rest)
+                torch.tensor(self.controls.rest) + share @ (given.output.bias - rest)
             )
         else:
             decoder.output.weight.zero_()

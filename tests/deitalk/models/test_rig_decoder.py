@@ -165,7 +165,7 @@ def changed(captured, taught=1.0, n_base=None, causal=False, kept=None):
             each_decoder.output.weight.normal_()
             each_decoder.style.weight.normal_(std=2.0)
         net.change.carry.normal_()
-        net.change.taught.fill_(taught)
+        net.change.teach(torch.full((5, 3), taught))
     return net
 
 
@@ -193,8 +193,9 @@ def test_an_emotion_that_captures_lack_adds_the_change_of_the_base(
 def test_a_captured_emotion_is_the_captures_where_they_teach_it():
     """The first control is taught in the second emotion, the others move as the base."""
     net = changed((0, 1))
-    with torch.no_grad():
-        net.change.taught[1, 1:] = 0
+    taught = torch.ones(5, 3)
+    taught[1, 1:] = 0
+    net.change.teach(taught)
     speech, _, guidance = inputs(20)
     emotion, plain = (torch.eye(5)[[k]] for k in (1, 0))
     change = net.kept(speech, emotion, guidance) - net.kept(speech, plain, guidance)
