@@ -7,11 +7,13 @@ few takes that share it. Letters: P predictors, C controls.
 """
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
 
+from deitalk.data.clips import Clip
+from rig import RigCurves, default_controls
 from rig.arrays import Bool, Float32, Float64
 
 LEAST_TAKES = 3
@@ -25,6 +27,8 @@ LEAST_GAIN = 0.03
 take and takes of one hand gave at most .007, takes of different ones .05 to .2."""
 PENALTY = 0.03
 """Of a map, as a share of the squares of its predictors."""
+MOVING = 0.02
+"""Least standard deviation of a control that counts, where it is not said which do."""
 SHOWN = 2
 """Controls that are named for a convention."""
 
@@ -46,6 +50,35 @@ class TakeProducts:
         self.known = known if self.known is None else self.known & known
 
 
+@dataclass
+class Relations:
+    """Takes of captures with the mouth that a model of the board predicts from their sound."""
+
+    takes: dict[tuple[str, str], dict[str, TakeProducts]] = field(default_factory=dict)
+    """By actor and emotion, and by name."""
+
+    def add(self, clip: Clip, predicted: RigCurves, curves: RigCurves, known: Bool) -> None:
+        """Add a clip: what is predicted at every frame of its sound, and its captured curves."""
+        lip = [predicted.names[i] for i in default_controls().subset("lip")]
+        rows = predicted.select(lip).values
+        places = (np.arange(len(rows)) / predicted.fps - clip.offset_seconds) * curves.fps
+        within = (places >= 0) & (places <= len(curves) - 1)
+        near = np.rint(places[within]).astype(int)
+        take = self.takes.setdefault((clip.speaker, clip.emotion), {})
+        own = take.setdefault(clip.take or clip.name, TakeProducts())
+        own.add(rows[within], curves.values[near], known)
+
+    def conventions(self, names: Sequence[str]) -> dict[str, "Convention"]:
+        """Conventions by the name of their style; empty where every actor has one."""
+        every = {(actor, how, take) for (actor, how), own in self.takes.items() for take in own}
+        products = [take.total for own in self.takes.values() for take in own.values()]
+        total = np.sum([one for one in products if one is not None], axis=0)
+        if not total.any():
+            return {}
+        variance = np.diagonal(_centred(total))[-len(names) :] / total[0, 0]
+        return name_styles(self.takes, every, names, variance > MOVING**2)[0]
+
+
 class Convention(NamedTuple):
     """Takes that relate the face to the sound alike."""
 
@@ -55,7 +88,7 @@ class Convention(NamedTuple):
 
     def __str__(self) -> str:
         more = f" (more {', '.join(self.controls)})" if self.controls else ""
-        return ", ".join(self.takes) + more
+        return " + ".join(self.takes) + more
 
 
 def find_conventions(

@@ -75,6 +75,12 @@ def capture_rows(survey: Survey) -> list[Check]:
             "faces show their labels",
             "takes show another emotion than their label",
         ),
+        verdict(
+            "conventions",
+            [str(one) for one in survey.relations.conventions(survey.controls.names).values()],
+            "takes of an actor move alike",
+            "conventions among an actor's takes, each to be a style of a tuned model",
+        ),
         _voices(survey),
         _usable(survey),
     ]
