@@ -96,52 +96,42 @@ def finetune(
 
     deitalk finetune my_captures/ --folds takes -o runs/folds
     """
-    from deitalk.config.rig_file import rig_of_dataset
-
-    given = {
-        "model.control_set": rig_of_dataset(data, rig),
-        "tune.part": part,
-        "tune.map": None if mapping is None else str(mapping),
-        "tune.corpus": rehearse,
-        "tune.leave_out": leave_out,
-    }
-    changes = [f"{key}={json.dumps(value)}" for key, value in given.items() if value is not None]
+    changes = {"tune.part": part, "tune.corpus": rehearse}
     with console().status("loading"):
-        from deitalk.evaluation.comparison import beats_loudness
-        from deitalk.training.tuning.recipe import read_recipe
-        from deitalk.training.tuning.task import finetune as tune
+        from deitalk.training.tuning.public import run_tuning, settings_of
         from rig.files import remove_written
 
-        settings = read_recipe(recipe, [*changes, *(overrides or ())], base=base)
+        settings = settings_of(
+            data,
+            base=base,
+            rig=rig,
+            mapping=mapping,
+            leave_out=leave_out,
+            recipe=recipe,
+            settings=changes,
+            overrides=overrides or (),
+        )
     if folds is not None:
         _tune_folds(settings, data, out, folds, strict, resume=resume, tensorboard=tensorboard)
         return
     options: dict[str, Any] = {"resume": resume, "tensorboard": tensorboard}
     with bar("tuning") as advance:
-        scores = tune(settings, data, out, progress=shown_on(advance), **options)
+        tuned = run_tuning(settings, data, out, progress=shown_on(advance), **options)
     remove_written(out / "last")  # only the best is used
-    _print_scores(scores)
-    console().print(f"{out / 'best'}: the tuned model; {out / 'report.md'}: before and after")
-    _say(out, scores)
+    _print_scores(tuned.scores)
+    console().print(f"{tuned.model}: the tuned model; {out / 'report.md'}: before and after")
+    console().print(f"the result is {tuned.delivered}")
+    for name, takes in tuned.conventions.items():
+        console().note(f"style {name}: {', '.join(takes)}, which share a convention")
+    for line in tuned.warnings:
+        console().note(line)
     _write_page(out)
-    if strict and not beats_loudness(scores):
+    if strict and not tuned.beats_loudness:
         raise typer.Exit(NOT_BETTER)
 
 
 NOT_BETTER = 3
 """Exit code with --strict where a tuned model is no better than a line over loudness."""
-
-
-def _say(out: Path, scores: dict[str, dict[str, float]]) -> None:
-    """What is delivered, and what is wrong with it."""
-    from deitalk.evaluation.comparison import warnings_of
-
-    report = json.loads((out / "report.json").read_text(encoding="utf-8"))
-    console().print(f"the result is {report['delivered']}")
-    for name, takes in report["conventions"].items():
-        console().note(f"style {name}: {', '.join(takes)}, which share a convention")
-    for line in warnings_of(scores):
-        console().note(line)
 
 
 def _tune_folds(

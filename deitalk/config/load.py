@@ -54,6 +54,8 @@ def load_config(path: Path | str, overrides: Sequence[str] = ()) -> AnyConfig:
     return parse_config(read_tree(path, overrides))
 
 
+OF_CURVES = ("deitalk", "finetune")
+"""Kinds of configurations of models of curves."""
 OF_MODEL = ("name", "model", "rules")
 """Sections of a configuration of curves that a model folder has; those of its training stay with
 the run."""
@@ -66,7 +68,7 @@ def load_model_config(folder: Path) -> AnyConfig:
     are not read. Errors as `load_config`.
     """
     tree = read_tree(folder / "config.yaml")
-    if tree.get("kind", "deitalk") in ("deitalk", "finetune"):
+    if tree.get("kind", OF_CURVES[0]) in OF_CURVES:
         tree = {key: tree[key] for key in OF_MODEL if key in tree}
     return parse_config(tree)
 
@@ -74,7 +76,7 @@ def load_model_config(folder: Path) -> AnyConfig:
 def model_text(config: AnyConfig) -> str:
     """Text of a model folder's ``config.yaml``."""
     tree = config.model_dump(mode="json")
-    if isinstance(config, Config):
+    if tree["kind"] in OF_CURVES:
         tree = {"kind": "deitalk", **{key: tree[key] for key in OF_MODEL}}
     return yaml.safe_dump(tree, sort_keys=False)
 

@@ -1,9 +1,9 @@
 """Conventions of takes: animators, solvers and days round one and the same vowel by other controls.
 
 How the controls of a take relate to its sound is a linear map from the mouth that a model predicts
-from the sound to the captured curves. Takes of which one map predicts the other as well as it may
-share a convention; a model of all takes averages conventions, and is worse on each than one of the
-few takes that share it. Letters: P predictors, C controls.
+from the sound to the captured curves. Where takes share a convention, a map of all predicts half
+of one better than a map of its other half, which has less to learn from; a map of several
+conventions averages them, and is worse on each. Letters: P predictors, C controls.
 """
 
 from collections.abc import Collection, Mapping, Sequence
@@ -14,10 +14,10 @@ import numpy as np
 
 from deitalk.data.clips import Clip
 from rig import RigCurves, default_controls
-from rig.arrays import Bool, Float32, Float64
+from rig.arrays import Bool, Float32, Float64, Int64
 
-LEAST_TAKES = 3
-"""Of one actor in one emotion; of two takes that differ neither is told from the other."""
+LEAST_TAKES = 2
+"""Of one actor in one emotion."""
 MOST_TAKES = 100
 """Beyond them takes are not compared: every one is with every other."""
 LEAST_FRAMES = 240
@@ -35,9 +35,10 @@ SHOWN = 2
 
 @dataclass
 class TakeProducts:
-    """Products of the rows (1, predictors, curves) of a take."""
+    """Products of the rows (1, predictors, curves) of both halves of a take's clips."""
 
-    total: Float64 | None = None
+    halves: Float64 | None = None
+    """[shape=(2, 1 + P + C, 1 + P + C)]."""
     known: Bool | None = None
     """Controls that all of its clips hold [shape=(C,)]."""
 
@@ -45,9 +46,17 @@ class TakeProducts:
         """Add the frames of a clip: predictors (T, P) and curves (T, C)."""
         ones = np.ones((len(curves), 1))
         rows = np.concatenate((ones, predicted, curves), axis=1, dtype=np.float64)
-        products = rows.T @ rows
-        self.total = products if self.total is None else self.total + products
+        parts = np.stack([part.T @ part for part in np.array_split(rows, 2)])
+        self.halves = parts if self.halves is None else self.halves + parts
         self.known = known if self.known is None else self.known & known
+
+    def of(self, columns: Int64) -> Float64:
+        """Products of some columns, about the means of the take, whose rest is no convention."""
+        assert self.halves is not None
+        halves = self.halves[:, columns[:, None], columns]
+        mean = halves.sum(axis=0)[0] / halves[:, 0, 0].sum()
+        about = halves - halves[:, :, :1] * mean - mean[:, None] * halves[:, :1]
+        return about[:, 1:, 1:] + halves[:, :1, :1] * np.outer(mean, mean)[1:, 1:]
 
 
 @dataclass
@@ -71,11 +80,12 @@ class Relations:
     def conventions(self, names: Sequence[str]) -> dict[str, "Convention"]:
         """Conventions by the name of their style; empty where every actor has one."""
         every = {(actor, how, take) for (actor, how), own in self.takes.items() for take in own}
-        products = [take.total for own in self.takes.values() for take in own.values()]
-        total = np.sum([one for one in products if one is not None], axis=0)
+        halves = [take.halves for own in self.takes.values() for take in own.values()]
+        total = np.sum([one for one in halves if one is not None], axis=(0, 1))
         if not total.any():
             return {}
-        variance = np.diagonal(_centred(total))[-len(names) :] / total[0, 0]
+        means, squares = total[0] / total[0, 0], np.diagonal(total) / total[0, 0]
+        variance = (squares - np.square(means))[-len(names) :]
         return name_styles(self.takes, every, names, variance > MOVING**2)[0]
 
 
@@ -111,19 +121,18 @@ def find_conventions(
         Of most takes first; empty where all takes share one, or nothing can be told.
     """
     long = {
-        name: take.total
+        name: take
         for name, take in takes.items()
-        if take.total is not None and take.total[0, 0] >= LEAST_FRAMES
+        if take.halves is not None and take.halves[:, 0, 0].sum() >= LEAST_FRAMES
     }
     if not LEAST_TAKES <= len(long) <= MOST_TAKES:
         return []
-    known = np.all([takes[name].known for name in long], axis=0) & moving
+    known = np.all([take.known for take in long.values()], axis=0) & moving
     if not known.any():
         return []
     order = list(long)
-    size = len(long[order[0]]) - len(names)
-    columns = np.concatenate((np.arange(size), size + np.flatnonzero(known)))
-    compared = _Compared([_centred(long[name][np.ix_(columns, columns)]) for name in order], size)
+    columns = _columns(long[order[0]], known)
+    compared = _Compared([long[name].of(columns) for name in order], int(known.sum()))
     groups = compared.best_groups()
     groups.sort(key=lambda group: (-len(group), group))
     chosen = [names[place] for place in np.flatnonzero(known)]
@@ -138,16 +147,21 @@ def nearest_convention(
     take: TakeProducts, conventions: Sequence[Sequence[TakeProducts]], moving: Bool
 ) -> int:
     """Place of the convention whose map predicts a take best."""
-    assert take.total is not None
-    size = len(take.total) - len(moving)
-    columns = np.concatenate((np.arange(size), size + np.flatnonzero(moving)))
-    parts = np.ix_(columns, columns)
-    own = _centred(take.total[parts])
+    columns = _columns(take, moving)
     errors = []
     for members in conventions:
-        others = [_centred(m.total[parts]) for m in members if m.total is not None]
-        errors.append(_Compared([*others, own], size).error(range(len(others)), len(others)))
+        others = [member.of(columns) for member in members]
+        compared = _Compared([*others, take.of(columns)], int(moving.sum()))
+        whole = compared.map_of(np.sum(others, axis=(0, 1)))
+        errors.append(sum(compared.error(whole, len(others), half) for half in (0, 1)))
     return int(np.argmin(errors))
+
+
+def _columns(take: TakeProducts, chosen: Bool) -> Int64:
+    """Places of the 1, the predictors and some controls in the products of takes."""
+    assert take.halves is not None
+    size = take.halves.shape[1] - len(chosen)
+    return np.concatenate((np.arange(size), size + np.flatnonzero(chosen)))
 
 
 Takes = Mapping[tuple[str, str], Mapping[str, TakeProducts]]
@@ -203,58 +217,48 @@ def name_styles(
     return conventions, styles
 
 
-def _centred(products: Float64) -> Float64:
-    """Products about the means of a take: how it rests is no convention."""
-    about: Float64 = products - np.outer(products[:, 0], products[0]) / products[0, 0]
-    return about[1:, 1:]
-
-
 class _Compared:
-    """Takes by places, and how well maps of some predict another."""
+    """Takes by places, and how well maps of some predict a half of another."""
 
-    def __init__(self, takes: Sequence[Float64], size: int) -> None:
-        self.takes, self.size = takes, size - 1
-        squares = np.array([np.diagonal(take)[self.size :] for take in takes])
+    def __init__(self, takes: Sequence[Float64], n_controls: int) -> None:
+        self.takes = np.stack(takes)
+        self.size = self.takes.shape[-1] - n_controls
+        squares = np.einsum("thii->ti", self.takes)[:, self.size :]
         self.scale = np.maximum(squares.sum(axis=1), 1e-9)
-        self.spreads = np.sqrt(squares / squares.sum(axis=1, keepdims=True).clip(1e-9))
+        self.spreads = np.sqrt(squares / self.scale[:, None])
         """Standard deviation of every control over the take's motion [shape=(takes, C)]."""
 
-    def map_of(self, members: Sequence[int]) -> Float64:
-        """Map (P, C) fitted on some takes."""
-        total = np.sum([self.takes[i] for i in members], axis=0)
-        squares = total[: self.size, : self.size]
+    def map_of(self, products: Float64) -> Float64:
+        """Map (P, C) of the products of some rows."""
+        squares = products[: self.size, : self.size]
         diagonal = np.diagonal(squares)
         penalty = np.diag(PENALTY * diagonal + 1e-6 * max(float(diagonal.max()), 1e-9))
-        found: Float64 = np.linalg.solve(squares + penalty, total[: self.size, self.size :])
+        found: Float64 = np.linalg.solve(squares + penalty, products[: self.size, self.size :])
         return found
 
-    def error_of(self, found: Float64, take: int) -> float:
-        """Squared error of a map on a take over the take's motion."""
+    def error(self, found: Float64, take: int, half: int) -> float:
+        """Squared error of a map on a half of a take over the take's motion."""
         both = np.concatenate((found, -np.eye(found.shape[1])))
-        return float((both * (self.takes[take] @ both)).sum() / self.scale[take])
-
-    def error(self, members: Sequence[int], take: int) -> float:
-        """The same of a map that is fitted on some takes."""
-        return self.error_of(self.map_of(members), take)
+        return float((both * (self.takes[take, half] @ both)).sum() / self.scale[take])
 
     def best_groups(self) -> list[list[int]]:
-        """The grouping whose takes are best predicted from the others of their group.
+        """The grouping in which halves are best predicted from the rest of their group.
 
-        A take that is alone is predicted from all others. Groups are joined by the mean of the
-        errors of each take's map on the others' takes.
+        Groups are joined by the mean of the errors of each take's map on the others' takes.
         """
         count = len(self.takes)
-        maps = [self.map_of([i]) for i in range(count)]
-        apart = np.array([[self.error_of(maps[i], j) for j in range(count)] for i in range(count)])
+        maps = [self.map_of(take.sum(axis=0)) for take in self.takes]
+        apart = np.array([
+            [self.error(maps[i], j, 0) + self.error(maps[i], j, 1) for j in range(count)]
+            for i in range(count)
+        ])  # fmt: skip
         distance = (apart + apart.T) / 2
         groups = [[i] for i in range(count)]
-        best, lowest = groups, np.inf
+        levels = []
         while True:
-            cost = sum(self._cost(group) for group in groups)
+            levels.append((sum(self._cost(group) for group in groups), groups))
             if len(groups) == 1:
-                return best if lowest < (1 - LEAST_GAIN) * cost else groups
-            if cost < lowest:
-                best, lowest = groups, cost
+                break
             pairs = [
                 (float(distance[np.ix_(a, b)].mean()), i, j)
                 for i, a in enumerate(groups)
@@ -264,11 +268,16 @@ class _Compared:
             _, i, j = min(pairs)
             joined = sorted(groups[i] + groups[j])
             groups = [group for k, group in enumerate(groups) if k not in (i, j)] + [joined]
+        cost, best = min(levels, key=lambda level: level[0])
+        return best if cost < (1 - LEAST_GAIN) * levels[-1][0] else groups
 
     def _cost(self, group: Sequence[int]) -> float:
-        everyone = range(len(self.takes))
-        others = group if len(group) > 1 else everyone
-        return sum(self.error([i for i in others if i != take], take) for take in group)
+        total = self.takes[list(group)].sum(axis=(0, 1))
+        return sum(
+            self.error(self.map_of(total - self.takes[take, half]), take, half)
+            for take in group
+            for half in (0, 1)
+        )
 
 
 def _most(spreads: Float64, group: Sequence[int], names: Sequence[str]) -> tuple[str, ...]:

@@ -5,24 +5,27 @@ predicts clips better from others.
 """
 
 import copy
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Sequence
 
 import numpy as np
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from deitalk.data.clips import Clip, read_known, spread_clips
 from deitalk.data.windows import FrozenFeatures
 from deitalk.emotions import EMOTIONS
 from deitalk.evaluation.validation import MOVING, Example, load_example
 from deitalk.models.curve_model import Analysis, DEITalk
+from deitalk.models.rig_decoder import RigDecoder
 from deitalk.training.trainer import Progress, silent
 from deitalk.training.tuning.ridge import Capture, Maps, Rows, Sums, fit_ridge
 from rig.arrays import Bool, Float32, Float64
 
 MOST_SCORED = 60
 """Clips that are predicted from others, of each emotion, evenly spread."""
+MOST_RAISED = 3.0
+"""Most by which the spread of a control is raised."""
 GAINS = (0.5, 1.5)
 """Range of the size of an actor's expressions over those of the base."""
 
@@ -47,6 +50,12 @@ def styles_of_clip(model: DEITalk, clip: Clip, n_frames: int, actor: str = "") -
     """Styles of a clip's emotion and of an actor, the same in all frames [shape=(T, 5 + A)]."""
     emotion = torch.eye(len(EMOTIONS))[EMOTIONS.index(clip.emotion)]
     return model.styles(emotion.expand(n_frames, -1), actor)
+
+
+def _last_layers(decoder: RigDecoder) -> list[nn.Module]:
+    """Those that maps are added to."""
+    actors = [] if decoder.actor_layers is None else [decoder.actor_layers]
+    return [decoder.output, *actors]
 
 
 class Regression:
@@ -81,6 +90,9 @@ class Regression:
     ) -> None:
         self.model, self.base, self.clips, self.learnt = model, base, clips, learnt
         self.features, self.progress, self.controls = features, progress, model.controls
+        self.factor: Float64 | None = None
+        """Of the spread of every control [shape=(C,)]; None: as regressed."""
+        self.start = copy.deepcopy([m.state_dict() for m in _last_layers(model.rig_decoder)])
         self.places = {clip.name: place for place, clip in enumerate(clips)}
 
     def fit(self, late: Sequence[Clip] = (), *, may_stay: bool = False) -> Maps | None:
@@ -190,19 +202,59 @@ class Regression:
         with np.errstate(invalid="ignore", divide="ignore"):
             return shown / count, changed / count
 
+    @torch.no_grad()
+    def match_range(self, share: float) -> None:
+        """Raise the spread of every learnt control to a share of the captured one.
+
+        The factor is that of clips that are predicted from others, at most `MOST_RAISED`.
+        """
+        captured, found = np.zeros((2, len(self.controls)))
+        means: dict[str, list[Float64]] = defaultdict(list)
+        for clip in spread_clips(list(self.clips), MOST_SCORED):
+            example = load_example(clip, self.controls, sound=False)
+            curves = self.predicted(clip, example)
+            captured += example.curves.var(axis=0) * len(curves) * example.known
+            found += curves.var(axis=0) * len(curves) * example.known
+            means[clip.speaker].append(example.curves.mean(axis=0))
+        raised = share * np.sqrt(captured / np.maximum(found, 1e-12))
+        moves = self.learnt & (found > 0)
+        self.factor = np.where(moves, np.clip(raised, 1, MOST_RAISED), 1.0)
+        everyone = np.mean([mean for own in means.values() for mean in own], axis=0)
+        self.means = np.stack(
+            [everyone, *(np.mean(means.get(a, [everyone]), axis=0) for a in self.model.actors)]
+        )
+        self._raise(self.model.rig_decoder)
+
+    def _raise(self, decoder: RigDecoder) -> None:
+        """Scale the last layers about the captured means."""
+        assert self.factor is not None
+        factor, means = (torch.from_numpy(x).float() for x in (self.factor, self.means))
+        pairs: list[tuple[Tensor, Tensor, Tensor]] = [
+            (decoder.output.weight, decoder.output.bias, means[0])
+        ]
+        if decoder.actor_layers is not None:
+            layers = decoder.actor_layers
+            pairs.append((layers.weight, layers.bias, means[1:] - means[0]))
+        for weight, bias, about in pairs:
+            weight.mul_(factor[:, None])
+            bias.copy_(factor * bias + (1 - factor) * about)
+
+    @torch.no_grad()
     def predicted(self, clip: Clip, example: Example) -> Float32:
         """Curves of a clip by the model of the other folds, within the controls' ranges."""
         model, decoder = self.model.eval(), self.model.rig_decoder
-        layers = [decoder.output, *([decoder.actor_layers] if decoder.actor_layers else [])]
-        before = copy.deepcopy([layer.state_dict() for layer in layers])
+        layers = _last_layers(decoder)
+        now = copy.deepcopy([layer.state_dict() for layer in layers])
         if self.maps.held:
-            self.maps.add_to(decoder, -1)
+            for layer, state in zip(layers, self.start, strict=True):
+                layer.load_state_dict(state)
             self.maps.held[self.maps.folds[self.places[clip.name]]].add_to(decoder)
+            if self.factor is not None:
+                self._raise(decoder)
         analysis = analysed(model, clip, len(example.curves), self.features)
-        curves = model.decode(
-            analysis, styles_of_clip(model, clip, len(example.curves), clip.speaker)
-        ).numpy()
-        for layer, state in zip(layers, before, strict=True):
+        styles = styles_of_clip(model, clip, len(example.curves), clip.speaker)
+        curves = model.decode(analysis, styles).numpy()
+        for layer, state in zip(layers, now, strict=True):
             layer.load_state_dict(state)
         return np.clip(curves, self.controls.minimum, self.controls.maximum)
 

@@ -104,6 +104,7 @@ def finetune(
     tensorboard: bool = False,
     progress: Progress = silent,
     frozen_features: FrozenFeatures | None = None,
+    task: "type[FinetuneTask] | None" = None,
 ) -> dict[str, Any]:
     """Tune a model, then compare it with the base on held-out clips.
 
@@ -117,6 +118,8 @@ def finetune(
         As for `deitalk.training.trainer.run_training`.
     frozen_features : FrozenFeatures or None
         Features of the base for several runs on the same clips.
+    task : type or None
+        `FinetuneTask`, or a class of it with another `loss`.
 
     Returns
     -------
@@ -128,16 +131,11 @@ def finetune(
     DataError, ConfigError, MissingError, rig.errors.TargetError
         As `run_training`, and as `FinetuneTask`.
     """
-    task = FinetuneTask(config, data, frozen_features, progress)
-    run_training(task, out, resume=resume, tensorboard=tensorboard, progress=progress)
-    captures, systems = task.systems(require_model(out / "best", DEITalk))
+    job = (task or FinetuneTask)(config, data, frozen_features, progress)
+    run_training(job, out, resume=resume, tensorboard=tensorboard, progress=progress)
+    captures, systems = job.systems(require_model(out / "best", DEITalk))
     scores = write_comparison(
-        out,
-        systems,
-        captures,
-        task.clips,
-        held=task.held,
-        about=_about(config, out, task),
+        out, systems, captures, job.clips, held=job.held, about=_about(config, out, job)
     )
     remove_features(out / "features")  # a run that is over needs none
     return scores
@@ -403,6 +401,11 @@ class FinetuneTask(CurveTask):
             rules = rules.model_copy(update={"pose_size": rules.pose_size.model_copy(update=sizes)})
             self.config = self.config.model_copy(update={"rules": rules})
             self.model.rules = rules
+        if self.config.tune.range is not None:
+            fit.match_range(self.config.tune.range)
+            if self.late is not None and fit.factor is not None:
+                weight, bias = fit.factor[:, None] * self.late.weight, fit.factor * self.late.bias
+                self.late = self.late._replace(weight=weight, bias=bias)
         self.ridge = copy.deepcopy(self.model).eval()
 
     def systems(self, after: DEITalk) -> tuple[CaptureSet, dict[str, System]]:
