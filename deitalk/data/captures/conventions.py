@@ -20,8 +20,8 @@ LEAST_TAKES = 2
 """Of one actor in one emotion."""
 MOST_TAKES = 100
 """Beyond them takes are not compared: every one is with every other."""
-LEAST_FRAMES = 240
-"""Of a take that is compared: 8 s."""
+LEAST_FRAMES = 150
+"""Of a take that is compared: 5 s."""
 LEAST_GAIN = 0.03
 """Share of the error by which conventions must lower it against one map of all takes. Parts of one
 take and takes of one hand gave at most .007, takes of different ones .05 to .2."""
