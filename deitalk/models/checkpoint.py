@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias, TypeVar, cast
 
 import torch
-import yaml
 from safetensors.torch import save
 
 from deitalk.config.curves import Config, ModelConfig
@@ -62,7 +61,7 @@ from rig import limits
 from rig.controls import DEFAULT_ID
 from rig.errors import quoted, shorten
 from rig.files import output_folder
-from rig.files.reading import read_text
+from rig.files.reading import read_json, read_text
 
 Model: TypeAlias = DEITalk | MeshModel
 ModelT = TypeVar("ModelT", DEITalk, MeshModel)
@@ -395,9 +394,7 @@ def model_card(folder: Path, name: str, license: str | None = None) -> str:
     """
     about, (config, summary) = describe_model(folder), portable(folder)
     base = str(summary.get("base", ""))
-    head = {"library_name": "deitalk", "tags": ["speech", "facial-animation"]}
-    head |= {"license": license} if license else {}
-    head |= {"base_model": base.partition("@")[0]} if "@" in base else {}
+    head = _card_data(folder, name, license, base)
     facts = {
         "control set": about["control_set"],
         "parameters": f"{about['parameters']:,}",
@@ -410,7 +407,7 @@ def model_card(folder: Path, name: str, license: str | None = None) -> str:
     product = "A moving mesh" if config.kind == "sdfa" else "Curves of a face rig"
     report = folder.parent / REPORT
     lines = [
-        f"---\n{yaml.safe_dump(head, sort_keys=False)}---\n# {name}\n",
+        f"---\n{head}\n---\n# {name}\n",
         f"{product} from speech, for deitalk.\n",
         f"```\ndeitalk animate speech.wav --model {name} -o take/\n```\n",
         "| | |\n|---|---|",
@@ -419,3 +416,41 @@ def model_card(folder: Path, name: str, license: str | None = None) -> str:
     if report.is_file():
         lines += ["", "#" + read_text(report, limits.MODEL_JSON_BYTES, error=CheckpointError)]
     return "\n".join(lines).rstrip() + "\n"
+
+
+SCORED = ("error_of_mean_pose", "mean_r", "range", "jaw_r", "bilabial_window_auc")
+"""Scores of a report that a card's header has."""
+
+
+def _card_data(folder: Path, name: str, license: str | None, base: str) -> str:
+    """Header of a card, as YAML: what the hub filters by, and scores of the run's report."""
+    from huggingface_hub import EvalResult, ModelCardData
+
+    path, results = folder.parent / "report.json", []
+    report = (
+        read_json(path, limits.MODEL_JSON_BYTES, error=CheckpointError) if path.is_file() else {}
+    )
+    scores = report.get("scores", {}).get("after", {}) if isinstance(report, dict) else {}
+    for score in SCORED:
+        if isinstance(scores.get(score), int | float):
+            results.append(
+                EvalResult(
+                    task_type="other",
+                    task_name="Speech to facial animation",
+                    dataset_type="captures",
+                    dataset_name=f"{report.get('clips', 0)} held-out clips",
+                    metric_type=score,
+                    metric_name=score,
+                    metric_value=scores[score],
+                )
+            )
+    data = ModelCardData(
+        library_name="deitalk",
+        pipeline_tag="other",
+        tags=["speech", "facial-animation"],
+        license=license,
+        base_model=base.partition("@")[0] if "@" in base else None,
+        model_name=name.rpartition("/")[2] if results else None,
+        eval_results=results or None,
+    )
+    return str(data.to_yaml())

@@ -45,6 +45,8 @@ def run(tmp_path_factory):
     base = str(tmp_path_factory.getbasetemp() / "secret" / "base")
     save_model(run / "best", DEITalk(config.model), config, {"step": 20, "base": base})
     (run / "report.md").write_text(REPORT)
+    scores = {"after": {"error_of_mean_pose": 0.61, "mean_r": 0.58, "range": None}}
+    (run / "report.json").write_text(json.dumps({"clips": 12, "scores": scores}))
     return run
 
 
@@ -98,7 +100,14 @@ def test_a_pushed_model_has_a_card_of_its_report_and_no_folder_of_this_machine(t
     weights = (run / "best/model.safetensors").read_bytes()
     assert files["model.safetensors"] == weights
     _, header, text = files["README.md"].decode().split("---\n", 2)
-    assert yaml.safe_load(header)["library_name"] == "deitalk"
+    head = yaml.safe_load(header)
+    assert head["library_name"] == "deitalk" and head["pipeline_tag"] == "other"
+    (entry,) = head["model-index"]
+    (result,) = entry["results"]
+    assert entry["name"] == "anna" and result["dataset"]["name"] == "12 held-out clips"
+    assert {m["type"]: m["value"] for m in result["metrics"]} == {
+        "error_of_mean_pose": 0.61, "mean_r": 0.58,
+    }  # fmt: skip
     assert "anna, ben" in text and "--model me/anna" in text
     assert text.endswith("\n#" + REPORT)
     small = b"".join(data for name, data in files.items() if name != "model.safetensors")
