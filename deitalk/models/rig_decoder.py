@@ -416,7 +416,7 @@ class RigDecoder(Decoder):
     def _with_speech(self, hidden: Tensor, speech: Tensor) -> Tensor:
         if not self.direct:
             return hidden
-        return torch.cat((hidden, speech.expand(len(hidden), -1, -1)), dim=-1)
+        return torch.cat((hidden, speech.expand(hidden.shape[0], -1, -1)), dim=-1)
 
     @torch.no_grad()
     def hidden_readings(self, speech: Tensor, emotions: Tensor, guidance: Tensor | None) -> Tensor:
