@@ -16,7 +16,7 @@ from collections import Counter, defaultdict
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.linalg
@@ -42,6 +42,9 @@ LEAST_ACTORS = 3
 """From which on a stranger's penalty is told by leaving actors out."""
 FOLDS = 4
 """Most parts of the captures of which each is predicted from the others."""
+MANY, MANY_FOLDS = 8, 2
+"""Actors from which on two folds do, an actor's change is nearly none, and sums of products are in
+single precision: time and memory grow with the actors."""
 
 
 Pair = tuple[float, float | None]
@@ -147,7 +150,9 @@ def fit_ridge(
     """
     sums = {} if sums is None else sums
     names = [name for name in actors if any(clip.actor == name for clip in clips)]
-    folds = take_folds([(clip.take, clip.group) for clip in clips])
+    are_many = len(names) >= MANY
+    most = MANY_FOLDS if are_many else FOLDS
+    folds = take_folds([(clip.take, clip.group) for clip in clips], most)
     shows = np.stack([clip.known & learnt for clip in clips])  # clips by controls
     places = np.array([0, *(list(actors).index(name) + 1 for name in names)])
     maps: Maps | None = None
@@ -177,7 +182,7 @@ def _empty(shape: tuple[int, int, int]) -> Maps:
     return Maps(np.zeros(shape), np.zeros(shape[:2]), np.zeros((shape[1], 2)))
 
 
-def take_folds(clips: Sequence[tuple[str, Hashable]]) -> list[int]:
+def take_folds(clips: Sequence[tuple[str, Hashable]], most: int = FOLDS) -> list[int]:
     """Fold of every clip (take, group): whole takes of a group of two or more, else parts of one.
 
     A fold is so always predicted from other clips of its groups, actors in an emotion.
@@ -192,9 +197,9 @@ def take_folds(clips: Sequence[tuple[str, Hashable]]) -> list[int]:
     for clip in clips:
         take, group = clip
         if len(takes[group]) >= 2:
-            folds.append(takes[group][take] % FOLDS)
+            folds.append(takes[group][take] % most)
         else:
-            folds.append(seen[clip] * min(FOLDS, sizes[clip]) // sizes[clip])
+            folds.append(seen[clip] * min(most, sizes[clip]) // sizes[clip])
             seen[clip] += 1
     return folds
 
@@ -220,7 +225,7 @@ def _grams(
         rows = np.concatenate((ones, features, targets[:, columns]), axis=1)
         if not grams.size:
             shape = max(folds) + 1, max(len(names), 1), rows.shape[1], rows.shape[1]
-            grams = np.zeros(shape)
+            grams = np.zeros(shape, np.float32 if len(names) >= MANY else np.float64)
         actor = names.index(clips[place].actor) if names else 0
         grams[folds[place], actor] += rows.T @ rows
     return grams
@@ -231,7 +236,8 @@ def _chosen(grams: Float64, n_controls: int, may_stay: bool) -> list[Maps]:
 
     Without folds, as nothing can be predicted from others, they are the largest penalties.
     """
-    pairs: list[Pair] = [(shared, shared * own) for shared in SHARED for own in OWN]
+    own = OWN[-1:] if grams.shape[1] >= MANY else OWN
+    pairs: list[Pair] = [(shared, shared * each) for shared in SHARED for each in own]
     if grams.shape[1] == 1:
         pairs = [(shared, shared) for shared in SHARED]
     total = grams.sum(axis=0)
@@ -255,8 +261,8 @@ def _chosen(grams: Float64, n_controls: int, may_stay: bool) -> list[Maps]:
             )
     stays = np.zeros(n_controls, bool)
     if may_stay:
-        own = np.einsum("kaii->i", grams[:, :, -n_controls:, -n_controls:])
-        stays = errors.min(axis=0) > (1 - LEAST_BETTER) * own
+        squares = np.einsum("kaii->i", grams[:, :, -n_controls:, -n_controls:], dtype=np.float64)
+        stays = errors.min(axis=0) > (1 - LEAST_BETTER) * squares
     whole = _with_stranger(total, n_controls, pairs, errors.argmin(axis=0), stays)
     return [whole, *(_staying(_held(maps, whole), stays) for maps in held)]
 
@@ -355,7 +361,8 @@ def _solve(
         weight = [common]
         weight += [part[:, size - 1 :] - part[:, : size - 1] @ common for part in parts]
     means = grams[:, 0] / counts[:, 0]
-    return _with_biases(np.stack(weight).transpose(0, 2, 1), means, size)
+    stacked = np.stack(weight).transpose(0, 2, 1).astype(np.float64)
+    return _with_biases(stacked, means, size)
 
 
 def _with_biases(weight: Float64, means: Float64, size: int) -> tuple[Float64, Float64]:
@@ -370,11 +377,10 @@ def _with_biases(weight: Float64, means: Float64, size: int) -> tuple[Float64, F
     return weight, np.stack([centre, *own])
 
 
-def _positive(matrix: Float64, right: Float64) -> Float64:
+def _positive(matrix: Float64, right: Float64) -> Any:
     """Solution in single precision, which the penalty makes exact enough, in half the time."""
     factors = scipy.linalg.cho_factor(matrix.astype(np.float32), check_finite=False)
-    found = scipy.linalg.cho_solve(factors, right.astype(np.float32), check_finite=False)
-    return np.asarray(found, np.float64)
+    return scipy.linalg.cho_solve(factors, right.astype(np.float32), check_finite=False)
 
 
 def _error(grams: Float64, weight: Float64, bias: Float64) -> Float64:

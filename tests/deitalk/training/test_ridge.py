@@ -153,6 +153,26 @@ def test_maps_without_a_fold_are_those_of_the_other_clips(rng, monkeypatch):
         np.testing.assert_allclose(held.bias, wanted.bias, atol=1e-3)
 
 
+def test_many_actors_are_fitted_as_few(rng, monkeypatch):
+    """In single precision and on two folds; each actor's map is still their own."""
+    monkeypatch.setattr(ridge, "SHARED", (0.01, 1.0))
+    names = [f"a{place}" for place in range(ridge.MANY)]
+    common = rng.normal(size=(5, 2))
+    maps = {n: (common + 0.1 * rng.normal(size=(5, 2)), rng.normal(size=2)) for n in names}
+    labels, rows = captures(rng, maps, noise=0.1)
+    found = fit_ridge(labels, rows.__getitem__, names, EVERY)
+    assert max(found.folds) == 1
+    np.testing.assert_allclose(found.weight[0], common.T, atol=0.5)
+    for place, (weight, bias) in enumerate(maps.values(), 1):
+        own = found.weight[0] + found.weight[place]
+        means = np.concatenate(
+            [rows[i][0] for i, c in enumerate(labels) if c.actor == names[place - 1]]
+        )
+        mean = means.mean(axis=0)
+        met = own @ mean + found.bias[0] + found.bias[place]
+        np.testing.assert_allclose(met, mean @ weight + bias, atol=0.05)
+
+
 def test_a_control_that_no_map_predicts_better_may_stay_as_it_is(rng):
     """The first swings about 0, the second follows the features; the third's mean is another."""
     weight = np.array([[0.0, 1.0, 0.0]] * 5)
