@@ -277,7 +277,10 @@ def warnings_of(reports: Sequence[TakeReport]) -> list[str]:
         )
     emotions = {report.emotion for report in reports}
     if len(emotions) == 1:
-        warnings.append(f"one emotion only ({emotions.pop()}); others stay as the base model's")
+        warnings.append(
+            f"one emotion only ({emotions.pop()}); others change the face as the base model's do, "
+            "on a rig of which nothing is known with finetune --map"
+        )
     rates = Counter(report.fps for report in reports)
     if len(rates) > 1:
         counts = ", ".join(f"{n} at {rate:g} Hz" for rate, n in sorted(rates.items()))
