@@ -190,6 +190,11 @@ class DEITalk(nn.Module):
         """Names of the actors whose styles it has."""
         return tuple(self.config.actors)
 
+    @property
+    def emotions(self) -> tuple[str, ...]:
+        """Trained emotions that it shows; the others pass as the first of them."""
+        return tuple(self.config.captured_emotions if self.config.base_controls == 0 else EMOTIONS)
+
     def read(
         self,
         sound: Float32,
@@ -467,6 +472,7 @@ class TorchNetwork:
         self.controls: ControlSet = model.controls
         self.rules: RulesConfig = model.rules
         self.actors: tuple[str, ...] = model.actors
+        self.emotions: tuple[str, ...] = model.emotions
         self.grid = grid_of(model)
 
     def eval(self) -> Self:

@@ -2,7 +2,7 @@
 
 ::
 
-    config.yaml          every setting; `kind: sdfa` marks a mesh model
+    config.yaml          network and rules, of a mesh model every setting (`kind: sdfa`)
     model.safetensors    weights, float16 in shipped models
     encoder.safetensors  those of a pretrained encoder that did not learn, where there is one
     effort.safetensors   readout of the voice's strength from its features, where there is one
@@ -274,9 +274,9 @@ def model_folder(name_or_path: str | Path) -> Path:
 
 def is_causal(name_or_path: str | Path) -> bool:
     """Whether a model is for voices that have not ended (`deitalk.live`)."""
-    from deitalk.config.load import load_config
+    from deitalk.config.load import load_model_config
 
-    config = load_config(model_folder(name_or_path) / "config.yaml")
+    config = load_model_config(model_folder(name_or_path))
     return config.model.frontend.kind == "causal_whisper"
 
 

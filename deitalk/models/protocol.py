@@ -92,6 +92,10 @@ class Network(Protocol):
         """Names of the actors whose styles it has; empty if it has none."""
 
     @property
+    def emotions(self) -> tuple[str, ...]:
+        """Trained emotions that it shows; the others pass as the first of them."""
+
+    @property
     def is_causal(self) -> bool:
         """Whether its frames depend on the past and a bounded look-ahead."""
 
@@ -244,6 +248,27 @@ def mean_actor_note(actors: Sequence[str], name: str) -> tuple[str, ...]:
     if name or not actors:
         return ()
     return (f"no actor is named: the mean of {', '.join(actors)}; a style names one",)
+
+
+def unshown_note(emotions: Sequence[str], weights: Float32) -> tuple[str, ...]:
+    """What a take states where it is acted in emotions that the model does not show.
+
+    Parameters
+    ----------
+    emotions : sequence of str
+        Those that it shows.
+    weights : array [shape=(T, 5)]
+        Trained emotions of each frame.
+    """
+    lost = [
+        name
+        for name, used in zip(EMOTIONS, weights.any(axis=0), strict=True)
+        if used and name not in (*emotions, "neutral")
+    ]
+    if not lost:
+        return ()
+    text = "no capture of the model shows it, and nothing carries the base's to its rig"
+    return (f"{', '.join(lost)} passes as {emotions[0]}: {text}",)
 
 
 def trained_weights(weights: Float32) -> Float32:

@@ -24,6 +24,7 @@ from deitalk.models.protocol import (
     chosen_actor,
     mean_actor_note,
     trained_weights,
+    unshown_note,
 )
 from deitalk.pipeline.performance import Performance
 from deitalk.pipeline.speech import Intensities, Speech, measure_intensities
@@ -184,7 +185,8 @@ def prepare(
     speech = Speech.of_recording(recording, rules.gates)
     weights = acting.emotion_track.at(speech.times)
     style = chosen_actor(network.actors, acting.style)
-    recording = recording.noted(*mean_actor_note(network.actors, style))
+    unshown = unshown_note(network.emotions, trained_weights(weights))
+    recording = recording.noted(*mean_actor_note(network.actors, style), *unshown)
     return Prepared(
         network, recording, acting, speech, weights, style, rules, factors, words, clock, suggestion
     )

@@ -69,6 +69,8 @@ class ExpressionTable:
         Whether a control yields to rounding.
     rounding : array [shape=(2, 4)]
         Columns of funnel, and of purse.
+    changed : array [shape=(S,), 0 or 1]
+        0 of emotions that stay as captures show them.
     """
 
     places: NDArray[np.intp]
@@ -77,6 +79,7 @@ class ExpressionTable:
     parting: Float32
     spreading: Float32
     rounding: NDArray[np.intp]
+    changed: Float32
 
     def add_to(
         self,
@@ -110,7 +113,7 @@ class ExpressionTable:
         pose = weights @ self.poses + (weights[:, own] @ self.parting[own]) * free[:, None]
         pose += (weights[:, moods] @ self.parting[moods]) * slow[:, None]
         shown += pose * strength[:, None]
-        kept = 1 - YIELDED * self._rounded(neutral)
+        kept = 1 - YIELDED * self._rounded(neutral) * (weights @ self.changed)
         shown *= 1 - self.spreading + self.spreading * kept[:, None]
         curves[:, self.places] = base + shown
 
@@ -124,8 +127,11 @@ class ExpressionTable:
 
 
 @lru_cache(maxsize=8)
-def expression_table(names: tuple[str, ...]) -> ExpressionTable:
-    """The table for the columns of a rig; controls that it lacks are left out."""
+def expression_table(names: tuple[str, ...], captured: tuple[str, ...] = ()) -> ExpressionTable:
+    """The table for the columns of a rig; controls that it lacks are left out.
+
+    Emotions that captures show have a gain of 1 and no pose.
+    """
     rows = [
         (LABELS.index(row["emotion"]), name, float(row["gain"]), float(row["pose"]))
         for row in rows_of(Path(__file__).with_name("expressions.csv"))
@@ -140,6 +146,10 @@ def expression_table(names: tuple[str, ...]) -> ExpressionTable:
         yielding = PARTING + (SPREADING if LABELS[emotion] in EMOTIONS else ())
         gains[place] = gain
         (parting if any(part in name for part in yielding) else poses)[place] = pose
+    changed = np.array([label not in captured for label in LABELS], np.float32)
+    gains = 1 + changed[:, None] * (gains - 1)
+    for table in (poses, parting):
+        table *= changed[:, None]
     return ExpressionTable(
         np.array([names.index(name) for name in moved], np.intp),
         gains,
@@ -147,6 +157,7 @@ def expression_table(names: tuple[str, ...]) -> ExpressionTable:
         parting,
         np.array([any(part in name for part in SPREADING) for name in moved], np.float32),
         np.array([[i for i, name in enumerate(names) if part in name] for part in ROUNDING]),
+        changed,
     )
 
 
@@ -307,11 +318,14 @@ class Expression:
         closing : array [shape=(T,), range 0 to 1], optional
             From `closing`; by default of `neutral`, whose frames then follow one another.
         """
-        if self.settings.expressions is not None:
+        if (rule := self.settings.expressions) is not None:
             strength = scale * np.maximum(network, LEAST_PREDICTED)
             if closing is None:
                 closing = self.closing(neutral[:, self.seals])
-            table, free = expression_table(self.controls.names), 1 - self.contact(neutral)
+            table, free = (
+                expression_table(self.controls.names, rule.captured),
+                1 - self.contact(neutral),
+            )
             table.add_to(curves, neutral, weights, strength, free, 1 - closing)
 
     def rest_lips(self, curves: Float32, neutral: Float32) -> None:
@@ -323,7 +337,7 @@ class Expression:
             The blend of both readings, and the neutral one: both change by as much.
         """
         rule = self.settings.expressions
-        if rule is None or not len(self.lips):
+        if rule is None or not rule.covers_teeth or not len(self.lips):
             return
         jaw, upper, lower = self.lips[0], self.lips[1:3], self.lips[3:]
         raised = np.minimum(neutral[:, upper], 2 * rule.upper)

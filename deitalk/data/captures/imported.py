@@ -36,14 +36,7 @@ from deitalk.data.captures.sources import (
     find_sound,
     find_takes,
 )
-from deitalk.data.captures.splits import (
-    TRAIN,
-    Piece,
-    can_tune,
-    check_way,
-    divide,
-    shortage,
-)
+from deitalk.data.captures.splits import TRAIN, Piece, check_way, divide
 from deitalk.data.captures.take import LEAST_SECONDS, CapturedCurves, paired, read_capture
 from deitalk.errors import DataError
 from rig import ControlSet, write_curves
@@ -459,9 +452,6 @@ class _Writer:
                 parameter="keep_listening",
             )
         splits = divide(self.pieces, split_by)
-        is_stated = split_by == "none" or any(piece.split for piece in self.pieces)
-        if not is_stated and not can_tune(splits):
-            raise DataError(f"the takes have {shortage(splits.count(TRAIN), 0)}")
         kept = []
         for row, split in zip(self.rows, splits, strict=True):
             if split:

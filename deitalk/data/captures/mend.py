@@ -75,6 +75,12 @@ def capture_rows(survey: Survey) -> list[Check]:
             "faces show their labels",
             "takes show another emotion than their label",
         ),
+        verdict(
+            "conventions",
+            [str(one) for one in survey.relations.conventions(survey.controls.names).values()],
+            "takes of an actor move alike",
+            "conventions among an actor's takes, each to be a style of a tuned model",
+        ),
         _voices(survey),
         _usable(survey),
     ]
@@ -278,7 +284,10 @@ def warnings_of(reports: Sequence[TakeReport]) -> list[str]:
         )
     emotions = {report.emotion for report in reports}
     if len(emotions) == 1:
-        warnings.append(f"one emotion only ({emotions.pop()}); others stay as the base model's")
+        warnings.append(
+            f"one emotion only ({emotions.pop()}); others change the face as the base model's do, "
+            "on a rig of which nothing is known with finetune --map"
+        )
     rates = Counter(report.fps for report in reports)
     if len(rates) > 1:
         counts = ", ".join(f"{n} at {rate:g} Hz" for rate, n in sorted(rates.items()))

@@ -11,6 +11,7 @@ from deitalk.audio.load import Recording
 from deitalk.audio.vocal_strength import measure_prosody
 from deitalk.audio.voice_activity import speech_activity
 from deitalk.config.rules import Idle
+from deitalk.data.captures.conventions import Relations
 from deitalk.data.captures.take import CapturedCurves
 from deitalk.data.clips import Clip, read_known
 from deitalk.data.offset import ClipLags, TakeSync, clip_lags, fit_rate, predicted_curves, take_sync
@@ -218,6 +219,7 @@ class Survey:
     """Silent frames by actor and emotion."""
     rates: dict[str, dict[str, float]] = field(default_factory=dict)
     by: str = "model"
+    relations: Relations = field(default_factory=Relations)
 
     def add(self, clip: Clip, recording: Recording, curves: RigCurves) -> None:
         """Measure one clip."""
@@ -225,6 +227,8 @@ class Survey:
         values, known = board.values, read_known(clip.known, self.controls)
         predicted = predicted_curves(recording)
         self.by = "loudness" if predicted is None else "model"
+        if predicted is not None:
+            self.relations.add(clip, predicted, board, known)
         speech = speech_activity(recording.waveform) > 0
         speaking = _at(speech, board, clip.offset_seconds, beyond=False)
         margin = round(AROUND_SPEECH_SECONDS * curves.fps)

@@ -403,6 +403,7 @@ def metadata(model: DEITalk, name: str) -> dict[str, str]:
         "maximum": controls.maximum.tolist(),
         "emotions": list(EMOTIONS),
         "actors": list(model.actors),
+        "shown_emotions": list(model.emotions),
         "sample_rate": SAMPLE_RATE,
         "frame_rate": FRAME_RATE,
         "rules": model.rules.model_dump(mode="json"),

@@ -17,6 +17,7 @@ from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE, frame_count
 from deitalk.audio.log_mel import loudest
 from deitalk.config.rig_file import parse_controls
 from deitalk.config.rules import RulesConfig
+from deitalk.emotions import EMOTIONS
 from deitalk.errors import CheckpointError, DeitalkError, MissingError
 from deitalk.installed import __version__
 from deitalk.models.folder import model_folder, weights_hash
@@ -73,6 +74,8 @@ class OnnxFile:
         try:
             self.rules = RulesConfig.model_validate(json.loads(self.metadata["rules"]))
             self.actors: tuple[str, ...] = tuple(json.loads(self.metadata["actors"]))
+            shown = self.metadata.get("shown_emotions") or json.dumps(EMOTIONS)
+            self.emotions: tuple[str, ...] = tuple(json.loads(shown))
             self.controls = _controls(path, self.metadata)
         except (KeyError, ValueError, ValidationError):
             raise damaged(path) from None
@@ -105,7 +108,8 @@ class _Network:
 
     def __init__(self, file: OnnxFile) -> None:
         self.path, self.metadata, self._session = file.path, file.metadata, file.session
-        self.controls, self.rules, self.actors = file.controls, file.rules, file.actors
+        self.controls, self.rules = file.controls, file.rules
+        self.actors, self.emotions = file.actors, file.emotions
         try:
             self._read_metadata()
         except (AttributeError, KeyError, TypeError, ValueError):

@@ -76,9 +76,33 @@ def of_frontend(frontend, **settings):
     return network
 
 
-@pytest.fixture(scope="module")
-def causal():
-    return of_frontend(CAUSAL, positions=False, actors=("ann", "bob"))
+TUNED = {
+    "decoder_direct": True,
+    "actor_layers": True,
+    "kept_controls": ("CTRL_C_jaw.ty",),
+    "captured_emotions": ("neutral", "happy"),
+}
+"""Parts of a fine-tuned network."""
+
+
+def with_random_parts(network):
+    """Numbers for the parts that a tuning adds; half the controls are taught in happy."""
+    decoder, taught = network.decoder, torch.ones(5, len(network.controls))
+    taught[2, ::2] = 0
+    with torch.no_grad():
+        decoder.kept.output.weight.normal_(std=0.2)
+        decoder.kept.style.weight.normal_()
+        decoder.actor_layers.weight.normal_(std=0.05)
+        decoder.change.carry.copy_(torch.eye(len(network.controls)))
+        decoder.change.teach(taught)
+    return network
+
+
+@pytest.fixture(scope="module", params=["plain", "tuned"])
+def causal(request):
+    parts = TUNED if request.param == "tuned" else {}
+    network = of_frontend(CAUSAL, positions=False, actors=("ann", "bob"), **parts)
+    return with_random_parts(network) if parts else network
 
 
 @pytest.fixture(scope="module")
