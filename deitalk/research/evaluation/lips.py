@@ -23,7 +23,6 @@ from deitalk.evaluation.validation import loudness, table
 from deitalk.models.curve_model import DEITalk
 from deitalk.pipeline.curves import animate
 from deitalk.research.evaluation.ridge import Readout, Rows, listen, losses
-from deitalk.research.lips.fit import network_curves
 from deitalk.research.lips.head_lips import MEASURES, HeadLips
 from deitalk.research.lips.measured import LipClip, read_lips
 from rig.arrays import Float32
@@ -165,9 +164,12 @@ def _predictions(model: DEITalk, lips: HeadLips, clip: LipClip) -> dict[str, Flo
     """Measures [shape=(T, M)] by every prediction."""
     recording = load_audio(clip.sound)
     level = loudness(recording.waveform, recording.n_frames)
-    animated = animate(recording, "neutral", model=model, life="off").curves.values
+    animated, alone = (
+        animate(recording, "neutral", model=model, life="off", rules=rules).curves.values
+        for rules in (True, False)
+    )
     return {
-        "network": lips(network_curves(model, recording)).numpy(),
+        "network": lips(torch.tensor(alone)).numpy(),
         "animated": lips(torch.tensor(animated)).numpy(),
         "loudness": np.repeat(level[:, None], len(MEASURES), axis=1),
     }

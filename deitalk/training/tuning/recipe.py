@@ -11,12 +11,13 @@ import torch
 from deitalk.config.curves import Config, FinetuneConfig
 from deitalk.config.hub import pinned
 from deitalk.config.load import load_config, parse_config, read_tree
+from deitalk.config.rules import SharpenContacts
 from deitalk.data.clips import Clip
 from deitalk.errors import CheckpointError, ConfigError
 from deitalk.evaluation.validation import knows_contact
 from deitalk.models.checkpoint import check_kind
 from deitalk.models.curve_model import DEITalk
-from deitalk.models.folder import RIG_FILE, model_folder
+from deitalk.models.folder import LIP_WEIGHTS, RIG_FILE, model_folder
 from deitalk.postprocess.life.motion import ADDED_CONTROLS
 from rig import ControlSet
 from rig.arrays import Bool
@@ -70,6 +71,7 @@ def read_recipe(
     of_base = load_config(folder / "config.yaml")
     check_kind(tune["base"], of_base, DEITalk)
     network = of_base.model.model_dump(mode="json")
+    network["lips"] = False  # what an actor shows is not corrected
     if network.get("control_set") == RIG_FILE:
         network["control_set"] = str(folder / RIG_FILE)
     tree["model"] = network | (tree.get("model") or {})
@@ -146,7 +148,10 @@ def _with_contact_rules(
     wanted = config.tune.contact_rules
     if wanted == "recipe" or (wanted == "auto" and knows_contact(captured, controls)):
         return config
-    base = _base_config(config).rules
+    whole = _base_config(config)
+    base = whole.rules
+    if whole.model.lips:  # its numbers are for contacts that the readout corrects
+        base = base.model_copy(update={"sharpen_contacts": SharpenContacts()})
     rules = {name: getattr(config.rules, name) or getattr(base, name) for name in CONTACT_RULES}
     return config.model_copy(update={"rules": config.rules.model_copy(update=rules)})
 
@@ -274,7 +279,7 @@ def _widened(
         elif name == LAST and name in old and old[name].shape[1] < value.shape[1]:
             wide[name] = torch.zeros_like(value)
             wide[name][:, : old[name].shape[1]] = old[name]
-    return wide
+    return {k: v for k, v in wide.items() if k in new or not k.startswith(LIP_WEIGHTS)}
 
 
 def _check_shapes(old: Mapping[str, torch.Tensor], new: Mapping[str, torch.Tensor]) -> None:
