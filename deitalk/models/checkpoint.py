@@ -24,10 +24,9 @@ from deitalk.frontends.base import Encoder
 from deitalk.installed import research
 from deitalk.models.curve_model import DEITalk
 from deitalk.models.folder import (
-    EFFORT,
-    EFFORT_WEIGHTS,
     ENCODER,
     FORMAT_VERSION,
+    READOUTS,
     RIG_FILE,
     Shapes,
     check_fit,
@@ -187,7 +186,10 @@ def save_model(
         If the folder holds files that deitalk did not write, or edited ones.
     """
     weights = only_moving({name: w.detach().cpu() for name, w in model.state_dict().items()})
-    effort = {name: weights.pop(name) for name in list(weights) if name.startswith(EFFORT_WEIGHTS)}
+    readouts = {
+        file: {name: weights.pop(name) for name in list(weights) if name.startswith(beginning)}
+        for file, beginning in READOUTS.items()
+    }
     weights = {
         name: (_half(value) if half or (half_bases and FROZEN in name) else value).contiguous()
         for name, value in weights.items()
@@ -208,8 +210,9 @@ def save_model(
         # save_file would make a file that nobody else may read.
         if fixed:
             (beside / ENCODER).write_bytes(encoder)
-        if effort:
-            (beside / EFFORT).write_bytes(save(effort))
+        for file, readout in readouts.items():
+            if readout:
+                (beside / file).write_bytes(save(readout))
         (beside / "model.safetensors").write_bytes(save(weights))
         if model.product == "mesh":
             write_templates(beside, cast("MeshModel", model), half=half)

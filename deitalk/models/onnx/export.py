@@ -257,6 +257,8 @@ class CurveGraph(nn.Module):
         readings = self.model.decoder(
             placed.expand(2, -1, -1), torch.stack((plain, emotion)), guidance.expand(2, -1, -1)
         )
+        if self.model.lips is not None:
+            readings = self.model.lips.correct(readings, self.model.lips(speech)[0])
         rows = readings[1], readings[0], saliency[0], strength[0]
         effort = self.model.intensity.effort
         return rows if effort is None else (*rows, effort(speech)[0, :, 0])
@@ -335,6 +337,7 @@ def first_states(model: DEITalk) -> dict[str, Tensor]:
     names += [f"{part}_{k}" for k in layers for part in ("rows", "keys", "values")]
     names += ["saliency_past"]
     names += [f"{k}_{i}" for k in ("neutral", "emotional") for i in range(len(state.neutral))]
+    names += ["lips_past"] * len(state.lips)
     finite = (part[0].clamp_min(torch.finfo(torch.float32).min) for part in state.tensors())
     return dict(zip(names, cast("list[Tensor]", list(finite)), strict=True))
 

@@ -12,13 +12,14 @@ from deitalk.config.curves import Config, FinetuneConfig
 from deitalk.config.hub import pinned
 from deitalk.config.load import load_model_config, parse_config, read_tree
 from deitalk.config.rig_file import read_controls
+from deitalk.config.rules import SharpenContacts
 from deitalk.data.captures.columns import read_mapping
 from deitalk.data.clips import Clip
 from deitalk.emotions import EMOTIONS
 from deitalk.errors import CheckpointError, ConfigError
 from deitalk.models.checkpoint import check_kind
 from deitalk.models.curve_model import DEITalk
-from deitalk.models.folder import RIG_FILE, model_folder
+from deitalk.models.folder import LIP_WEIGHTS, RIG_FILE, model_folder
 from deitalk.postprocess.curve_rules import LIVELY
 from deitalk.postprocess.life.motion import ADDED_CONTROLS
 from deitalk.training.tuning.carry import carry_matrix
@@ -62,6 +63,7 @@ def read_recipe(
     of_base = load_model_config(folder)
     check_kind(tune["base"], of_base, DEITalk)
     network = of_base.model.model_dump(mode="json")
+    network["lips"] = False  # what an actor shows is not corrected
     if network.get("control_set") == RIG_FILE:
         network["control_set"] = str(folder / RIG_FILE)
     tree["model"] = network | (tree.get("model") or {})
@@ -136,7 +138,10 @@ def with_base_parts(
             shows and any(part in name for part in LIVELY)
             for name, shows in zip(controls.names, captured, strict=True)
         )
-        rules = config.rules.taught(base.rules, shown, lips=lips, other_rig=not same_rig)
+        of_base = base.rules
+        if base.model.lips:  # its numbers are for contacts that the readout corrects
+            of_base = of_base.model_copy(update={"sharpen_contacts": SharpenContacts()})
+        rules = config.rules.taught(of_base, shown, lips=lips, other_rig=not same_rig)
         config = config.model_copy(update={"rules": rules})
     has_base = same_rig and size != 0  # else the start of the decoder has what captures lack
     return _with_kept_controls(config, controls, learnt, captured) if has_base else config
@@ -283,7 +288,7 @@ def _widened(
         elif name == LAST and name in old and old[name].shape[1] < value.shape[1]:
             wide[name] = torch.zeros_like(value)
             wide[name][:, : old[name].shape[1]] = old[name]
-    return wide
+    return {k: v for k, v in wide.items() if k in new or not k.startswith(LIP_WEIGHTS)}
 
 
 def _check_shapes(old: Mapping[str, torch.Tensor], new: Mapping[str, torch.Tensor]) -> None:

@@ -403,3 +403,21 @@ def test_default_in_onnx_equals_torch(tmp_path):
     export_onnx(model, tmp_path / "default.onnx")
     sound, rows = speechlike(40.0), weights(1200, angry=0.8, surprised=0.2)
     assert_equal(load_onnx(tmp_path / "default.onnx").read(sound, rows), model.read(sound, rows))
+
+
+@pytest.mark.parametrize(
+    ("frontend", "settings"),
+    [(WHISPER, {"effort": True}), (CAUSAL, {"positions": False, "effort": True})],
+    ids=["whole", "causal"],
+)
+def test_readout_of_the_lips_is_in_the_graph(frontend, settings, tmp_path):
+    network = of_frontend(frontend, lips=True, **settings)
+    with torch.no_grad():
+        for weight in network.lips.parameters():
+            weight.normal_(std=0.05)
+    export_onnx(network, tmp_path / "lips.onnx")
+    sound, rows = speechlike(71 / 30), weights(71, happy=0.6)
+    expected = network.read(sound, rows)
+    assert_equal(load_onnx(tmp_path / "lips.onnx").read(sound, rows), expected)
+    network.lips = None
+    assert np.abs(network.read(sound, rows).neutral - expected.neutral).max() > 0.01
