@@ -14,20 +14,9 @@ from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE, frame_count
 from deitalk.audio.vocal_strength import measure_windows
 from deitalk.audio.voice_activity import WINDOW, window_levels
 from deitalk.config.rules import RulesConfig
-from deitalk.emotions import EmotionTrack
+from deitalk.emotions import LABELS, EmotionTrack
 from deitalk.errors import AudioError, ConfigError
-from deitalk.live import rules
-from deitalk.live import rules as running
-from deitalk.live.rules import (
-    BEHIND,
-    GATE_AHEAD,
-    DueRows,
-    RawRows,
-    RunningActivity,
-    RunningLife,
-    RunningRules,
-    rows_before,
-)
+from deitalk.live.rules import GATE_AHEAD, RunningActivity, RunningLife
 from deitalk.models.load import load_causal
 from deitalk.models.protocol import (
     CausalNetwork,
@@ -39,12 +28,13 @@ from deitalk.models.protocol import (
     take,
     trained_weights,
 )
-from deitalk.postprocess.curve_rules import LEAST_PREDICTED, Expression
+from deitalk.postprocess.factors import expression_scale, opening_factor
+from deitalk.postprocess.tracks import LIVE_AHEAD, N_SHOWN, VoiceTracks, shown_columns
 from deitalk.postprocess.voice_intensity import Measures, RunningAround, RunningIntensity
 from rig import ControlSet
 from rig.arrays import Bool, Float32, Float64, Int64
 from rig.curves import HEAD
-from rig.curves.edit import gain_factors, scale_from_rest
+from rig.curves.edit import gain_factors
 from rig.limits import SEED
 
 if TYPE_CHECKING:
@@ -56,7 +46,7 @@ if TYPE_CHECKING:
 
 RAMP_SECONDS = 0.2
 """Time over which one emotion, or intensity, passes into the next."""
-MEASURED_AHEAD = GATE_AHEAD - running.AHEAD
+MEASURED_AHEAD = GATE_AHEAD - LIVE_AHEAD
 """Frames after a row of the network whose activity is known when it is."""
 
 
@@ -129,8 +119,6 @@ class Stream:
     ) -> None:
         self.grid, self.controls, self.settings, self.life = grid, controls, rules, life
         self.style = style
-        expression = Expression(controls, rules)
-        self.rules, self.rows = RunningRules(expression), rows_before(expression)
         self.activity = RunningActivity(rules.gates)
         self.intensity = RunningIntensity(rules.voice_intensity)
         self.around = RunningAround(rules.scale_opening.usual if rules.scale_opening else 0.0)
@@ -140,7 +128,11 @@ class Stream:
         """Measures from the next row on."""
         self.sound, self.changes = Sound(), [Change(0.0, acting.track, acting.intensity)]
         self.acting, self.gain = acting, gain_factors(controls, acting.gain)
-        self.groups = self.n_measured = self.n_frames = 0
+        self.mixture = np.zeros((LIVE_AHEAD, len(LABELS)), np.float32)
+        """Emotion times intensity of the frames that the rules have and have not given."""
+        self.groups = self.n_measured = 0
+        self.n_given = -LIVE_AHEAD
+        """Frame that the rules give next."""
         self.n_total: int | None = None
         self.frames: list[Float32] = []
         self.heads: list[Float32] = []
@@ -159,7 +151,7 @@ class Stream:
 
     def _follow(self, rules: RulesConfig) -> None:
         """Apply other rules to the frames that come next."""
-        self.settings, self.rules = rules, RunningRules(Expression(self.controls, rules))
+        self.settings = rules
         self.activity.gates, self.intensity.rule = rules.gates, rules.voice_intensity
 
     def finish(self) -> None:
@@ -170,7 +162,7 @@ class Stream:
     def n_ready(self) -> int:
         """Groups of spectra whose samples have come and that were not taken."""
         if self.n_total is not None:
-            return self.n_total + running.AHEAD + self.grid.delay - self.groups
+            return self.n_total + LIVE_AHEAD + self.grid.delay - self.groups
         rate, length = self.grid.rate, self.grid.length
         frames = MEASURED_AHEAD - 1 - self.grid.delay
         measured = frames * SAMPLE_RATE // FRAME_RATE + WINDOW // 2 + SAMPLE_RATE // rate
@@ -210,46 +202,54 @@ class Stream:
         self.speaking = np.concatenate((self.speaking, self.activity.feed(levels)))
         self.prosody = np.concatenate((self.prosody, prosody), axis=1)
 
-    def accept(self, rows: NetworkRows) -> None:
-        """Take the network's rows of this stream for the groups taken last."""
-        neutral, emotional, _, network, effort = rows
+    def hear(self, rows: NetworkRows) -> Float32:
+        """Take the network's rows of the groups taken last; return what the voice says of them.
+
+        Columns (n, 16) of `VoiceTracks`.
+        """
         stop = self.groups - self.grid.delay
-        frames = np.arange(stop - len(neutral), stop)
+        frames = np.arange(stop - len(rows.strength), stop)
         measures, speaking = self._measured(len(frames))
-        voice = self.intensity.feed(network, measures, speaking, effort)
+        voice = self.intensity.feed(rows.strength, measures, speaking, rows.effort)
         if self.life is not None:
             self.life.feed(measures, speaking)
-        emotion, factor = self._directed(frames)
-        scale, applied = factor, voice * factor
+        emotion, scale = self._directed(frames)
+        applied = voice * scale
+        self.mixture = np.concatenate((self.mixture, emotion * applied[:, None]))
         if self.settings.voice_intensity is not None:
-            scale = (applied / np.maximum(network, LEAST_PREDICTED)).astype(np.float32)
-        opening = self.rules.expression.opening_factor(*self.around.feed(voice, network, speaking))
-        new = RawRows(neutral, emotional, network, opening, scale, emotion, applied)
-        self.rows = self.rows.joined(new)
+            scale = expression_scale(applied, rows.strength)
+        around = self.around.feed(voice, rows.strength, speaking)
+        opening = opening_factor(self.settings.scale_opening, *around)
         self._drop()
+        phones = np.zeros((len(frames), 4), np.float32)
+        return VoiceTracks(scale, opening, rows.strength, phones, emotion).columns()
 
-    def due(self) -> DueRows | None:
-        """What the frames that are known now depend on; None if there are none."""
-        count = len(self.rows.scale) - BEHIND - running.AHEAD
-        if self.n_total is not None:
-            count = min(count, self.n_total - self.n_frames)
-        if count <= 0:
-            return None
-        due = self.rules.due(self.rows, self.activity.gate(count))
-        self.rows = self.rows.since(count)
-        self.n_frames += count
-        return due
+    def show(self, count: int) -> tuple[slice, Float32]:
+        """Gates and motion of the `count` frames that the rules give next, `LIVE_AHEAD` behind.
 
-    def emit(self, curves: Float32, due: DueRows) -> None:
-        """Take the curves of the frames that were due."""
-        head = np.zeros((len(curves), len(HEAD)), np.float32)
-        if self.life is not None:
-            shown = due.own.applied * due.gates.expression
-            head = self.life.add_to(curves, due.own.neutral, due.own.emotion * shown[:, None])
-        curves = np.clip(curves, self.controls.minimum, self.controls.maximum)
-        scale_from_rest(curves, self.gain, self.controls)
-        self.frames.append(curves)
+        Returns
+        -------
+        given : slice
+            Which of them there are: none before the first, none after the last.
+        columns : array [shape=(count, 36)]
+            See `deitalk.postprocess.tracks.shown_columns`.
+        """
+        mixture, self.mixture = np.split(self.mixture, [count])
+        first = self.n_given
+        self.n_given += count
+        stop = self.n_given if self.n_total is None else min(self.n_given, self.n_total)
+        late = min(max(-first, 0), count)
+        given = slice(late, max(stop - first, late))
+        columns = np.zeros((count, N_SHOWN), np.float32)
+        head = np.zeros((given.stop - given.start, len(HEAD)), np.float32)
+        if len(head):
+            gates, motion = self.activity.gate(len(head)), None
+            if self.life is not None:
+                motion = self.life.take(mixture[given] * gates.expression[:, None])
+                head = head if motion.head is None else motion.head
+            columns[given] = shown_columns(*gates, None if motion is None else motion.tracks)
         self.heads.append(head)
+        return given, columns
 
     def collect(self) -> tuple[Float32, Float32]:
         """Frames since the last call [shape=(n, C)], and their track of the head [shape=(n, 6)]."""
@@ -367,8 +367,10 @@ class LiveAnimator:
             first.model_copy(update={"seed": (first.seed + k) % (SEED + 1)}) for k in range(streams)
         ]
         ahead = self.network.grid.lookahead_samples / SAMPLE_RATE
-        self.lookahead_seconds = ahead + rules.AHEAD / FRAME_RATE
+        self.lookahead_seconds = ahead + LIVE_AHEAD / FRAME_RATE
+        self.rules = self.network.curve_pass(live=True)
         self.state = tuple(part.copy() for part in self.network.first_state(streams))
+        self.past = self.rules.first(streams)
         self.streams = [self._stream(k) for k in range(streams)]
         self.resamplers = [self._resampler() for _ in range(streams)]
         self.heads = [np.zeros((0, len(HEAD)), np.float32)] * streams
@@ -458,6 +460,7 @@ class LiveAnimator:
         """Begin a stream again, or all: no sound, first emotion and intensity, first blinks."""
         for k in range(len(self.streams)) if stream is None else [stream]:
             put(self.state, [k], self.network.first_state(1))
+            put((self.past,), [k], (self.rules.first(1),))
             self.streams[k], self.resamplers[k] = self._stream(k), self._resampler()
 
     def open(self, stream: int, acting: Acting) -> None:
@@ -469,7 +472,7 @@ class LiveAnimator:
         controls, acting, motion = self.network.controls, self.actings[number], None
         settings, life = self._rules(acting), acting.motion
         if life is not None and settings.idle is not None:
-            motion = RunningLife(controls, settings.idle, life, acting.seed, rules.AHEAD)
+            motion = RunningLife(settings.idle, life, acting.seed, LIVE_AHEAD)
         style = chosen_actor(self.network.actors, acting.style)
         return Stream(self.network.grid, controls, settings, acting, motion, style)
 
@@ -510,25 +513,28 @@ class LiveAnimator:
                 given = take(self.state, ready)
                 rows, state = self.network.advance(windows, np.stack(styles), given)
                 put(self.state, ready, state)
-            self._accept([self.streams[k] for k in ready], rows)
+            self._accept(ready, rows)
 
-    def _accept(self, streams: list[Stream], rows: NetworkRows) -> None:
+    def _accept(self, ready: list[int], rows: NetworkRows) -> None:
         """Measure the sound of the frames that were read, and apply the rules, of all streams."""
+        streams = [self.streams[k] for k in ready]
         windows = [stream.unmeasured() for stream in streams]
         places = np.cumsum([len(part) for part in windows])[:-1]
         joined = np.concatenate(windows)
         levels = np.split(window_levels(joined), places)
         prosody = np.split(measure_windows(joined.astype(np.float64)), places, axis=1)
-        due: dict[int, list[tuple[Stream, DueRows]]] = {}
+        voice = []
         for k, stream in enumerate(streams):
             stream.measure(levels[k], prosody[k])
-            stream.accept(NetworkRows(*(part[k] for part in rows)))
-            if (one := stream.due()) is not None:
-                due.setdefault(id(stream.settings), []).append((stream, one))
-        for group in due.values():
-            curves = group[0][0].rules.apply([one for _, one in group])
-            for (stream, one), frames in zip(group, curves, strict=True):
-                stream.emit(frames, one)
+            voice.append(stream.hear(NetworkRows(*(part[k] for part in rows))))
+        given, shown = zip(*(stream.show(rows.neutral.shape[1]) for stream in streams), strict=True)
+        gain = np.stack([stream.gain for stream in streams])
+        ruled = np.array([stream.acting.rules for stream in streams], np.float32)
+        said = np.stack(voice), np.stack(shown), gain, ruled
+        past = self.past[ready]
+        curves, _, _, self.past[ready] = self.rules(rows.neutral, rows.emotional, *said, past)
+        for stream, frames, which in zip(streams, curves, given, strict=True):
+            stream.frames.append(frames[which])
 
     def _begin(self) -> None:
         """Read the first groups of streams whose first frame is known now."""

@@ -1,15 +1,7 @@
-"""Rules and life of a voice that has not ended, on rows that come one after another.
-
-Rules that depend on neighbouring frames (contacts) are applied to the rows from `BEHIND` frames
-before to `AHEAD` after each frame, of which the frame's own is kept. Every frame is a function of
-those rows alone, however they came.
-
-Letters: n frames of a call, C controls, K contacts.
-"""
+"""Gates and motion of a voice that has not ended, on frames that come one after another."""
 
 import math
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -31,10 +23,8 @@ from deitalk.audio.voice_activity import (
     TOP_BANDS,
 )
 from deitalk.config.rules import Gates, Idle
-from deitalk.emotions import LABELS
-from deitalk.postprocess.curve_rules import Expression
 from deitalk.postprocess.life.amounts import Life
-from deitalk.postprocess.life.motion import MotionStream
+from deitalk.postprocess.life.motion import Motion, MotionStream
 from deitalk.postprocess.life.voice import (
     ACCENT_DISTANCE,
     FULL_PROMINENCE,
@@ -49,9 +39,7 @@ from deitalk.postprocess.life.voice import (
     pause_lengths,
 )
 from deitalk.postprocess.voice_intensity import Mean, Measures, expression_between, mouth_between
-from rig import ControlSet
 from rig.arrays import Bool, Float32
-from rig.curves import HEAD
 
 # Voice activity and gates of a voice that has not ended.
 #
@@ -169,126 +157,6 @@ def _distances(rows: Bool) -> tuple[Float32, Float32]:
     since = np.where(before.any(axis=1), before.argmax(axis=1), np.inf)
     until = np.where(after.any(axis=1), after.argmax(axis=1), np.inf)
     return since.astype(np.float32), until.astype(np.float32)
-
-
-BEHIND, AHEAD = 5, 2
-"""Rows before and after a frame that its contacts depend on."""
-
-
-class RawRows(NamedTuple):
-    """What the network and the voice give for consecutive frames."""
-
-    neutral: Float32
-    """Neutral reading [shape=(n, C)]."""
-    emotional: Float32
-    """Emotional reading [shape=(n, C)]."""
-    network: Float32
-    """Intensity that the network predicts [shape=(n,), range 0 to 1]."""
-    opening: Float32
-    """Factor on the opening of the mouth [shape=(n,)]."""
-    scale: Float32
-    """Factor on the difference of the readings [shape=(n,)]."""
-    emotion: Float32
-    """Weights of the emotions [shape=(n, 9)]."""
-    applied: Float32
-    """Intensity to show in speech [shape=(n,), range 0 to 4]."""
-
-    def joined(self, other: "RawRows") -> "RawRows":
-        """These rows and the ones that follow them."""
-        return RawRows(*(np.concatenate(pair) for pair in zip(self, other, strict=True)))
-
-    def since(self, first: int) -> "RawRows":
-        """Rows from a place on."""
-        return RawRows(*(part[first:] for part in self))
-
-
-def rows_before(expression: Expression) -> RawRows:
-    """Rows before the first frame: the face at rest."""
-    rest = np.tile(expression.controls.rest, (BEHIND, 1)).astype(np.float32)
-    ones, emotion = np.ones(BEHIND, np.float32), np.zeros((BEHIND, len(LABELS)), np.float32)
-    return RawRows(rest, rest.copy(), ones, ones, ones, emotion, ones)
-
-
-class DueRows(NamedTuple):
-    """All that the curves of n frames depend on; of several streams side by side."""
-
-    own: RawRows
-    """Of the frames themselves."""
-    neutral: Float32
-    """Contacts of the neutral reading around each frame [shape=(8, n, K)]."""
-    emotional: Float32
-    """Contacts of the emotional reading around each frame [shape=(8, n, K)]."""
-    scale: Float32
-    """Factor around each frame [shape=(8, n, 1)]."""
-    gates: GateRows
-
-
-@dataclass(frozen=True)
-class RunningRules:
-    """The rules of one control set.
-
-    Parameters
-    ----------
-    expression : Expression
-        Controls and settings.
-    """
-
-    expression: Expression
-
-    def due(self, rows: RawRows, gates: GateRows) -> DueRows:
-        """Gather what the curves of n frames depend on.
-
-        Parameters
-        ----------
-        rows : RawRows
-            Of `BEHIND` frames before them, of theirs, and of `AHEAD` after them.
-        gates : GateRows
-            Of the n frames.
-        """
-        count, seals = len(gates.mouth), self.expression.seals
-        own = RawRows(*(part[BEHIND : BEHIND + count] for part in rows))
-        neutral = _around(rows.neutral[:, seals], count)
-        emotional = _around(rows.emotional[:, seals], count)
-        return DueRows(own, neutral, emotional, _around(rows.scale[:, None], count), gates)
-
-    def apply(self, due: Sequence[DueRows]) -> list[Float32]:
-        """Curves of the frames of several streams [shape=(n, C)] each, in one go."""
-        rules, rows = self.expression, _side_by_side(due)
-        own, readings, contacts = rows.own, [], []
-        for reading, around in ((own.neutral, rows.neutral), (own.emotional, rows.emotional)):
-            sharp, curves = rules.sharpened(around), reading.copy()
-            curves[:, rules.seals] = sharp[BEHIND]
-            rules.scale_opening(curves, own.opening)
-            readings.append(curves)
-            contacts.append(sharp)
-        curves = rules.blend(readings[0], readings[1], own.scale)
-        closing = rules.closing(contacts[0])[BEHIND]
-        rules.express(curves, readings[0], own.emotion, own.scale, own.network, closing)
-        rules.rest_lips(curves, readings[0])
-        blended = (contacts[1] - contacts[0]) * rows.scale
-        if rules.settings.keep_contacts is not None:
-            blended = np.maximum(blended, 0)
-        curves[:, rules.seals] = rules.limited(contacts[0] + blended)[BEHIND]
-        rules.apply_dead_zone(curves)
-        rules.rest_in_silence(curves, rows.gates.mouth, rows.gates.expression)
-        return np.split(curves, np.cumsum([len(one.gates.mouth) for one in due])[:-1])
-
-
-def _side_by_side(due: Sequence[DueRows]) -> DueRows:
-    own = RawRows(*(np.concatenate(parts) for parts in zip(*(d.own for d in due), strict=True)))
-    gates = (np.concatenate(parts) for parts in zip(*(d.gates for d in due), strict=True))
-    return DueRows(
-        own,
-        np.concatenate([d.neutral for d in due], axis=1),
-        np.concatenate([d.emotional for d in due], axis=1),
-        np.concatenate([d.scale for d in due], axis=1),
-        GateRows(*gates),
-    )
-
-
-def _around(rows: Float32, count: int) -> Float32:
-    """Rows (m, K) around each of `count` frames [shape=(BEHIND + 1 + AHEAD, count, K)]."""
-    return np.stack([rows[k : k + count] for k in range(BEHIND + 1 + AHEAD)])
 
 
 # Blinks, gaze, brows, head and neck of a voice that has not ended.
@@ -426,8 +294,6 @@ class RunningLife:
 
     Parameters
     ----------
-    controls : ControlSet
-        Columns of the curves; on a rig other than the board the head alone moves.
     idle : Idle
         The model's own numbers.
     life : Life
@@ -438,8 +304,7 @@ class RunningLife:
         Frames measured before a frame's curves are given.
     """
 
-    def __init__(self, controls: ControlSet, idle: Idle, life: Life, seed: int, ahead: int) -> None:
-        self.controls = controls
+    def __init__(self, idle: Idle, life: Life, seed: int, ahead: int) -> None:
         self.stream = MotionStream(Seeds((0, 0, seed)), idle, life)
         self.look_at = self.stream.look_at
         self.voice = RunningVoice(ahead)
@@ -452,23 +317,7 @@ class RunningLife:
             self.stream.cue(cue)
         self.speaking = np.concatenate((self.speaking, speaking))
 
-    def add_to(self, curves: Float32, neutral: Float32, mixture: Float32) -> Float32:
-        """Add the motion of the next frames, in place.
-
-        Parameters
-        ----------
-        curves, neutral : array [shape=(n, C)]
-            The face that is shown, and the network's neutral reading.
-        mixture : array [shape=(n, S)]
-            Emotion shown: weights times intensity.
-
-        Returns
-        -------
-        array [shape=(n, 6)]
-            Track of the head, as in `rig.curves.HEAD`.
-        """
-        count = len(curves)
-        speaking, self.speaking = np.split(self.speaking, [count])
-        motion = self.stream.take(speaking.astype(np.float32), mixture)
-        motion.show(curves, neutral, self.controls)
-        return np.zeros((count, len(HEAD)), np.float32) if motion.head is None else motion.head
+    def take(self, mixture: Float32) -> Motion:
+        """Motion of the next frames, for the emotion that is shown [shape=(n, S)]."""
+        speaking, self.speaking = np.split(self.speaking, [len(mixture)])
+        return self.stream.take(speaking.astype(np.float32), mixture)

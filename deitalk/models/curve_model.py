@@ -27,6 +27,8 @@ from deitalk.models.protocol import (
     neutral_and_acted,
 )
 from deitalk.models.rig_decoder import RigDecoder, build_decoder
+from deitalk.postprocess.curve_pass import CurvePass, TorchPass
+from deitalk.postprocess.tracks import LIVE_AHEAD
 from rig import ControlSet, default_controls
 from rig.arrays import Float32
 
@@ -189,6 +191,11 @@ class DEITalk(nn.Module):
     def actors(self) -> tuple[str, ...]:
         """Names of the actors whose styles it has."""
         return tuple(self.config.actors)
+
+    def curve_pass(self, *, live: bool = False) -> TorchPass:
+        """Rules after the network; see `deitalk.models.protocol.Network`."""
+        rules = CurvePass(self.controls, self.rules, LIVE_AHEAD if live else None)
+        return TorchPass(rules.to(self.device))
 
     def read(
         self,
@@ -473,6 +480,10 @@ class TorchNetwork:
         """The network, its model in evaluation mode."""
         self.model.eval()
         return self
+
+    def curve_pass(self, *, live: bool = False) -> TorchPass:
+        """Rules after the network."""
+        return self.model.curve_pass(live=live)
 
     def first_state(self, batch: int) -> State:
         """See `CausalNetwork`; so the other methods."""

@@ -20,6 +20,7 @@ from deitalk.config.rules import RulesConfig
 from deitalk.errors import CheckpointError, DeitalkError, MissingError
 from deitalk.installed import __version__
 from deitalk.models.folder import model_folder, weights_hash
+from deitalk.models.onnx.rules import LIVE, WHOLE, OnnxPass
 from deitalk.models.protocol import (
     NetworkRows,
     Product,
@@ -37,7 +38,7 @@ from rig.errors import quoted
 from rig.files import cache_folder
 from rig.files.reading import check_file
 
-SCHEMA, CAUSAL_SCHEMA = "deitalk.onnx/1", "deitalk.onnx-live/2"
+SCHEMA, CAUSAL_SCHEMA = "deitalk.onnx/2", "deitalk.onnx-live/3"
 NEXT = "next_"
 """Before the names of the outputs that are the state for the next call."""
 PART_FRAMES, CONTEXT_FRAMES = 8640, 2880
@@ -66,7 +67,9 @@ class OnnxFile:
     """
 
     def __init__(self, path: Path, threads: int = 1) -> None:
-        self.path, self.session = path, _session(path, threads)
+        check_file(path, limits.WEIGHTS_BYTES, error=CheckpointError)
+        self.path, self.threads = path, threads
+        self.session = open_session(str(path), path, threads)
         self.metadata: Mapping[str, str] = self.session.get_modelmeta().custom_metadata_map
         if self.metadata.get("schema") not in (SCHEMA, CAUSAL_SCHEMA):
             raise CheckpointError(f"{path}: no exported deitalk model ({SCHEMA}); export it again")
@@ -105,6 +108,7 @@ class _Network:
 
     def __init__(self, file: OnnxFile) -> None:
         self.path, self.metadata, self._session = file.path, file.metadata, file.session
+        self._threads = file.threads
         self.controls, self.rules, self.actors = file.controls, file.rules, file.actors
         try:
             self._read_metadata()
@@ -117,6 +121,16 @@ class _Network:
     def eval(self) -> Self:
         """The network itself: it has no other mode."""
         return self
+
+    def curve_pass(self, *, live: bool = False) -> OnnxPass:
+        """Rules after the network; see `deitalk.models.protocol.Network`."""
+        try:
+            return OnnxPass(self.metadata[LIVE if live else WHOLE], self.controls, self._open)
+        except (KeyError, TypeError, ValueError):
+            raise damaged(self.path) from None
+
+    def _open(self, graph: bytes) -> Any:
+        return open_session(graph, self.path, self._threads)
 
 
 class OnnxNetwork(_Network):
@@ -171,8 +185,8 @@ class OnnxNetwork(_Network):
         return {"peak": np.array(peak, np.float32)}
 
 
-def _session(path: Path, threads: int) -> Any:
-    check_file(path, limits.WEIGHTS_BYTES, error=CheckpointError)
+def open_session(graph: str | bytes, path: Path, threads: int) -> Any:
+    """Session of ONNX Runtime of a file or of bytes; `path` is for messages."""
     try:
         import onnxruntime
     except ImportError:
@@ -185,7 +199,7 @@ def _session(path: Path, threads: int) -> Any:
     # beyond constant folding, the search for fusions takes longer than they save in a minute
     options.graph_optimization_level = onnxruntime.GraphOptimizationLevel.ORT_ENABLE_BASIC
     try:
-        return onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
+        return onnxruntime.InferenceSession(graph, options, providers=["CPUExecutionProvider"])
     except Exception as error:  # its errors have classes of its own, derived from Exception
         reason = " ".join(str(error).split())[:160]
         raise CheckpointError(
