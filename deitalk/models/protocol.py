@@ -88,17 +88,18 @@ class CurveRules(Protocol):
     def first(self, batch: int) -> Float32:
         """State of streams before their first frame [shape=(B, behind + ahead, 2 C + 16)]."""
 
-    def __call__(
-        self,
-        neutral: Float32,
-        emotional: Float32,
-        voice: Float32,
-        shown: Float32,
-        gain: Float32,
-        ruled: Float32,
-        state: Float32,
-    ) -> tuple[Float32, Float32, Float32, Float32]:
-        """Finish the next frames: curves, neutral curves, counts of values outside, state."""
+    def __call__(self, *arrays: Float32) -> tuple[Float32, Float32, Float32, Float32]:
+        """Finish the next frames.
+
+        Parameters
+        ----------
+        *arrays : array
+            neutral, emotional, voice, shown, gain, ruled and state of `CurvePass.forward`.
+
+        Returns
+        -------
+        curves, neutral, outside, state : array
+        """
 
 
 class Network(Protocol):

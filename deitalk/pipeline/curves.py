@@ -245,8 +245,8 @@ def finish(
         words = align_words(speech, prepared.words)
     phones = phone_tracks(() if words is None else words.known, len(weights))
     # What the pass reads of each frame besides the readings.
-    around = (mean_around(x, speaking) for x in (intensities.voice, intensities.network))
-    opening = opening_factor(rules.scale_opening, *around, intensities.take)
+    near, usual = (mean_around(x, speaking) for x in (intensities.voice, intensities.network))
+    opening = opening_factor(rules.scale_opening, near, usual, intensities.take)
     voice = VoiceTracks(intensities.scale, opening, intensities.held, phones, weights)
     motion = _motion(prepared, weights * intensities.applied[:, None])
     shown = shown_columns(speech.mouth, speech.shown, None if motion is None else motion.tracks)
@@ -303,8 +303,8 @@ def apply_rules(
     """
     outside, state, total = 0.0, rules.first(1), len(neutral)
     size, flag = neutral.shape[1], np.array([ruled], np.float32)
-    after = state[:, : rules.ahead]  # a face at rest follows the last frame
-    after = after[..., :size], after[..., :size], after[..., 2 * size :]
+    rest = state[:, : rules.ahead]  # a face at rest follows the last frame
+    after = rest[..., :size], rest[..., :size], rest[..., 2 * size :]
     shown = np.pad(shown, ((rules.ahead, 0), (0, 0)))  # those of the frames that come out
     for start in range(0, total, BLOCK_FRAMES):
         stop = min(start + BLOCK_FRAMES, total)
@@ -313,7 +313,8 @@ def apply_rules(
             block = [np.concatenate(pair, axis=1) for pair in zip(block, after, strict=True)]
             stop += rules.ahead
         now = shown[start:stop][None]
-        curves, plain, counts, state = rules(*block, now, gain[None], flag, state)
+        given = [*block, now, gain[None], flag, state]
+        curves, plain, counts, state = rules(*given)
         done = slice(max(start - rules.ahead, 0), max(stop - rules.ahead, 0))
         known = slice(stop - start - (done.stop - done.start), None)
         emotional[done], neutral[done] = curves[0, known], plain[0, known]

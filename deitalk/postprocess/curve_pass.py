@@ -51,24 +51,25 @@ OUTSIDE = 0.01
 
 
 class Voice(NamedTuple):
-    """Columns `VOICE` of the frames that come out, ready to be multiplied with (B, T, R, C)."""
+    """Columns of the `VoiceTracks` of the frames that come out."""
 
     scale: Tensor
+    """[shape=(B, T, 1, 1)], as the next ones, to be multiplied with curves (B, T, R, C)."""
     opening: Tensor
     held: Tensor
     closed: Tensor
     bitten: Tensor
     funnel: Tensor
     purse: Tensor
-    """[shape=(B, T, 1, 1)] each."""
     emotion: Tensor
     """[shape=(B, T, 9)]."""
 
     @classmethod
     def of(cls, columns: Tensor) -> "Voice":
         """Split columns (B, T, 16)."""
-        *tracks, emotion = columns.split((1,) * (VOICE - len(LABELS)) + (len(LABELS),), dim=-1)
-        return cls(*(track.unsqueeze(-1) for track in tracks), emotion)
+        single, emotion = torch.split(columns, [VOICE - len(LABELS), len(LABELS)], dim=-1)
+        tracks = [single[..., k, None, None] for k in range(VOICE - len(LABELS))]
+        return cls(*[*tracks, emotion])
 
 
 class CurvePass(nn.Module):
@@ -167,10 +168,9 @@ class CurvePass(nn.Module):
         # Frames that come out, with what is around them.
         rows = torch.cat((state, torch.cat((neutral, emotional, voice), dim=-1)), dim=1)
         state = rows[:, -(self.behind + self.ahead) :]
-        readings, said = rows[:, self.behind : -self.ahead].split((2 * self.size, VOICE), dim=-1)
-        raw = torch.stack(readings.split(self.size, dim=-1), dim=2)
-        said = Voice.of(said)
-        mouth, expression, motion = shown.split((1, 1, N_MOTION), dim=-1)
+        own = torch.split(rows[:, self.behind : -self.ahead], [self.size, self.size, VOICE], dim=-1)
+        raw, said = torch.stack(own[:2], dim=2), Voice.of(own[2])
+        mouth, expression, motion = torch.split(shown, [1, 1, N_MOTION], dim=-1)
         near = self.around(rows, neutral.shape[1])
 
         # Contacts of both readings (B, T, R, K, W): likely ones meet, and known ones.

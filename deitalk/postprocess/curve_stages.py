@@ -79,7 +79,8 @@ class Around(nn.Module):
         near = rows.index_select(2, self.columns)
         index = torch.arange(n_frames, device=rows.device)[:, None] + self.window
         near = near[:, index].permute(0, 1, 3, 2)  # (B, T, 2 K + 3, W)
-        neutral, emotional, scale, closed, bitten = near.split((self.n_seals,) * 2 + (1,) * 3, 2)
+        sizes = [self.n_seals] * 2 + [1] * 3
+        neutral, emotional, scale, closed, bitten = torch.split(near, sizes, dim=2)
         both = torch.stack((neutral, emotional), dim=2)
         return Near(both, scale, closed.unsqueeze(2), bitten.unsqueeze(2))
 
@@ -133,13 +134,14 @@ class Closure(nn.Module):
     def __init__(self, rule: KeepContacts | None, groups: ControlGroups) -> None:
         super().__init__()
         self.rule = rule or KeepContacts()
-        self.sizes = len(groups.together), len(groups.bite)
+        self.sizes = [len(groups.together), len(groups.bite)]
 
     def forward(self, seals: Tensor) -> Tensor:
         """Of contacts (..., K)."""
         if not any(self.sizes):
             return seals.new_zeros(seals.shape[:-1])
-        parts = [part.mean(dim=-1) for part in seals.split(self.sizes, dim=-1) if part.shape[-1]]
+        together, bite = torch.split(seals, self.sizes, dim=-1)
+        parts = [part.mean(dim=-1) for part in (together, bite) if part.shape[-1]]
         closed = parts[0] if len(parts) == 1 else torch.maximum(*parts)
         return smoothstep((closed - self.rule.begin) / (self.rule.full - self.rule.begin))
 
@@ -257,7 +259,7 @@ class Express(nn.Module):
         """
         if not self.is_on:
             return curves
-        part = self.columns.of(curves)
+        part = self.columns(curves)
         neutral, blend = part[:, :, NEUTRAL], part[:, :, SHOWN]
         pose = emotion @ self.poses + (emotion @ self.parting) * free
         pose = pose + (emotion @ self.moods) * slow
@@ -270,7 +272,7 @@ class Express(nn.Module):
         """How rounded the lips are [shape=(B, T, 1), range 0 to 1]."""
         rounding = neutral[..., :1] * 0
         for columns in self.rounding:
-            rounding = torch.maximum(rounding, columns.of(neutral).mean(dim=-1, keepdim=True))
+            rounding = torch.maximum(rounding, columns(neutral).mean(dim=-1, keepdim=True))
         begin, full = ROUNDED
         return smoothstep((rounding - begin) / (full - begin))
 
@@ -287,8 +289,8 @@ class RestLips(nn.Module):
         rule = self.rule
         if rule is None or not len(self.lips):
             return curves
-        part = self.lips.of(curves)
-        jaw, upper, lower = part[:, :, :1].split((1, 2, 2), dim=-1)
+        part = self.lips(curves)
+        jaw, upper, lower = torch.split(part[:, :, :1], [1, 2, 2], dim=-1)
         raised = upper.clamp_max(2 * rule.upper)
         above = (lower - rule.lower - rule.per_jaw * jaw).clamp_min(0)
         lowered = raised * (1 - raised / (4 * rule.upper)), rule.share * above

@@ -35,7 +35,7 @@ class Columns(nn.Module):
     def __len__(self) -> int:
         return len(self.places)
 
-    def of(self, curves: Tensor) -> Tensor:
+    def forward(self, curves: Tensor) -> Tensor:
         """Read them (..., K) of curves (..., C)."""
         return curves.index_select(-1, self.places)
 

@@ -3,7 +3,7 @@
 Letters: T frames (with more axes before them, as in the arrays that are joined), S styles.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -39,37 +39,37 @@ class VoiceTracks(NamedTuple):
 
 
 class MotionTracks(NamedTuple):
-    """Motion above the mouth of frames, before the emotion decides what moves."""
+    """Motion above the mouth of frames, before the emotion decides what moves; of tensors too."""
 
-    lids: AnyFloat
+    lids: Any
     """Closure of the left and the right lids [shape=(T, 2), range 0 to 1]."""
-    gaze: AnyFloat
+    gaze: Any
     """Degrees to the character's left and up [shape=(T, 2)]."""
-    calm_gaze: AnyFloat
+    calm_gaze: Any
     """The same of the neutral reading."""
-    accents: AnyFloat
+    accents: Any
     """Swells of the brows' accents on the left and the right [shape=(T, 2), range 0 to 1]."""
-    frowns: AnyFloat
+    frowns: Any
     """The same of frowns of thought."""
-    question: AnyFloat
+    question: Any
     """Swell of the questions [shape=(T, 1), range 0 to 1]."""
-    drift: AnyFloat
+    drift: Any
     """Slow noise of each stem of `deitalk.postprocess.life.head.STEMS` [shape=(T, 7)]."""
-    posture: AnyFloat
+    posture: Any
     """Share of what an emotion holds that is shown [shape=(T, 1)]."""
-    neck: AnyFloat
+    neck: Any
     """Breath, swallowing, and turns to the left and the right [shape=(T, 4), range 0 to 1]."""
-    mixture: AnyFloat
+    mixture: Any
     """Emotion shown: weights times intensity [shape=(T, 9)]."""
-    side: AnyFloat
+    side: Any
     """How much stronger the character's left side moves than the right [shape=(T, 1)]."""
-    amount: AnyFloat
+    amount: Any
     """Factor on brows, lids and cheeks [shape=(T, 1)]."""
 
 
-MOTION = MotionTracks(2, 2, 2, 2, 2, 1, 7, 1, 4, len(LABELS), 1, 1)  # type: ignore[arg-type]
+MOTION = MotionTracks(2, 2, 2, 2, 2, 1, 7, 1, 4, len(LABELS), 1, 1)
 """Widths of the columns."""
-N_MOTION: int = sum(MOTION)  # type: ignore[arg-type]
+N_MOTION: int = sum(MOTION)
 N_SHOWN = GATES + N_MOTION
 
 

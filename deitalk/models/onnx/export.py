@@ -505,7 +505,7 @@ def _export(
         torch.onnx.export(
             graph,
             example,
-            path,
+            cast("Any", path),
             dynamo=False,  # the newer exporter unrolls LSTMs over time
             opset_version=OPSET,
             input_names=inputs,

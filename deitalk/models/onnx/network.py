@@ -13,6 +13,7 @@ from typing import Any, Self
 import numpy as np
 from pydantic import ValidationError
 
+from deitalk import postprocess
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE, frame_count
 from deitalk.audio.log_mel import loudest
 from deitalk.config.rig_file import parse_controls
@@ -358,8 +359,14 @@ def cached_export(model: str | Path) -> Path:
 
 
 def cached_path(model: str | Path) -> Path:
-    """Where `cached_export` keeps the file of a model; another for other weights or settings."""
+    """Where `cached_export` keeps the file of a model.
+
+    Another for other weights, settings, rules, or another form of the file.
+    """
     folder = model_folder(model)
-    settings = (folder / "config.yaml").read_bytes()
-    key = hashlib.sha256(f"{__version__} {weights_hash(folder)}".encode() + settings).hexdigest()
-    return cache_folder() / f"model-{key[:20]}.onnx"
+    digest = hashlib.sha256(f"{__version__} {SCHEMA} {CAUSAL_SCHEMA}".encode())
+    digest.update(weights_hash(folder).encode() + (folder / "config.yaml").read_bytes())
+    for path in sorted(Path(postprocess.__file__).parent.rglob("*.[cp][sy]*")):
+        if path.suffix != ".pyc":  # a checkout whose rules change
+            digest.update(path.read_bytes())
+    return cache_folder() / f"model-{digest.hexdigest()[:20]}.onnx"

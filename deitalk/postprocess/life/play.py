@@ -97,15 +97,15 @@ class Play(nn.Module):
         Controls approach the end of their range and do not reach it: a motion of m takes the share
         m of what is left.
         """
-        tracks = MotionTracks(*motion.split(tuple(MOTION), dim=-1))  # type: ignore[arg-type]
+        tracks = MotionTracks(*torch.split(motion, [*MOTION], dim=-1))
         curves = self._lean_mouth(curves, tracks)
         curves = self._move_brows(curves, tracks)
         return self._turn_eyes(curves, tracks)
 
     def _lean_mouth(self, curves: Tensor, tracks: MotionTracks) -> Tensor:
         """Let one side do more; in the neutral reading too, so that intensity 0 stays it."""
-        part = self.mouth.of(curves)
-        left, right = tracks.accents.split(1, dim=-1)
+        part = self.mouth(curves)
+        left, right = tracks.accents.chunk(2, dim=-1)
         event = (tracks.side + EVENT * (left - right)).unsqueeze(2)
         leans, neutral = tracks.amount.unsqueeze(2) * self.leans, part[:, :, :1]
         spoken = SPOKEN * tracks.side.unsqueeze(2) * leans * neutral
@@ -113,7 +113,8 @@ class Play(nn.Module):
 
     def _move_brows(self, curves: Tensor, tracks: MotionTracks) -> Tensor:
         """Brows, lids and cheeks on accents, questions and frowns; by the emotion that is shown."""
-        part = self.brows.of(curves).unflatten(-1, (2, len(STEMS)))  # (B, T, R, sides, stems)
+        # (B, T, R, sides, stems)
+        part = torch.stack(self.brows(curves).chunk(2, dim=-1), dim=-2)
         held = part[:, :, :1]
         amount, side = tracks.amount.unsqueeze(2), tracks.side.unsqueeze(2)
         mixture = tracks.mixture.unsqueeze(2)[..., 1:]
@@ -135,9 +136,9 @@ class Play(nn.Module):
 
     def _turn_eyes(self, curves: Tensor, tracks: MotionTracks) -> Tensor:
         """Turn the eyes, close the lids, draw breath, swallow, turn the neck."""
-        part = self.eyes.of(curves)
+        part = self.eyes(curves)
         looks = torch.stack((tracks.calm_gaze, tracks.gaze), dim=2)  # (B, T, R, 2)
-        side, up = looks.split(1, dim=-1)
+        side, up = looks.chunk(2, dim=-1)
         up = up / torch.where(up > 0, UP_DEGREES + 0 * up, DOWN_DEGREES + 0 * up)
         side = (side / SIDE_DEGREES).expand(-1, -1, -1, 2)
         lids, neck = tracks.lids.unsqueeze(2), tracks.neck.unsqueeze(2)
