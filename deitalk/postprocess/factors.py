@@ -44,7 +44,7 @@ def mean_around(values: AnyFloat, speaking: Bool) -> Float32:
 
 
 def opening_factor(
-    rule: ScaleOpening | None, voice: Float32, network: Float32, take: float = 0.0
+    rule: ScaleOpening | None, voice: AnyFloat, network: AnyFloat, take: float = 0.0
 ) -> Float32:
     """Factor on the opening of the mouth for the corrected intensity of the voice [shape=(T,)].
 
@@ -65,7 +65,7 @@ def opening_factor(
         (`deitalk.postprocess.voice_intensity.take_z`).
     """
     if rule is None:
-        return np.ones(len(voice), np.float32)
+        return np.ones(voice.shape, np.float32)
     ratio = (1 + rule.gain * (voice - rule.usual)) / (1 + rule.gain * (network - rule.usual))
     return np.asarray(ratio * max(0.0, 1 + rule.take * take), np.float32)
 

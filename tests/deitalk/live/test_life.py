@@ -5,11 +5,11 @@ import pytest
 
 from deitalk.config.rules import Idle
 from deitalk.emotions import LABELS
-from deitalk.live.rules import RunningLife, RunningVoice
+from deitalk.live.intensity import Measures
+from deitalk.live.life import RunningLife, RunningVoice
 from deitalk.postprocess.life.amounts import Life
 from deitalk.postprocess.life.head import STEMS
 from deitalk.postprocess.life.voice import Noise
-from deitalk.postprocess.voice_intensity import Measures
 from rig import default_controls
 from tests.deitalk.postprocess.stages import Stages
 from tests.each import each

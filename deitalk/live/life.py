@@ -1,28 +1,22 @@
-"""Gates and motion of a voice that has not ended, on frames that come one after another."""
+"""Blinks, gaze, brows, head and neck of a voice that has not ended.
+
+The motion is that of `deitalk.postprocess.life.motion`; here are its cues as they become known,
+the causal form of `deitalk.postprocess.life.voice`. An accent is a peak of level and pitch over
+their means so far, a stress one of the sonority; both are known a frame or two after the peak.
+Phrases are known when they have ended for `JOINED_SECONDS`.
+
+Letters: n frames of a call, S styles.
+"""
 
 import math
 from collections.abc import Iterator
-from typing import NamedTuple
 
 import numpy as np
 
 from deitalk.audio.frames import FRAME_RATE
 from deitalk.audio.vocal_strength import LEVEL_DB, PITCH_SEMITONES, VOICED
-from deitalk.audio.voice_activity import (
-    BAND_EDGES_HZ,
-    CLEAN_DB,
-    FLOOR_PERCENTILE,
-    FLOOR_SECONDS,
-    KEEP_DB,
-    LONGEST_CLOSURE,
-    LONGEST_DROWNED,
-    NOISY_DB,
-    OPEN_DB,
-    SHORT_FLOOR_DB,
-    SPEECH_RANGE_DB,
-    TOP_BANDS,
-)
-from deitalk.config.rules import Gates, Idle
+from deitalk.config.rules import Idle
+from deitalk.live.intensity import FORGET_FRAMES, Measures
 from deitalk.postprocess.life.amounts import Life
 from deitalk.postprocess.life.motion import Motion, MotionStream
 from deitalk.postprocess.life.voice import (
@@ -38,141 +32,33 @@ from deitalk.postprocess.life.voice import (
     Seeds,
     pause_lengths,
 )
-from deitalk.postprocess.voice_intensity import Mean, Measures, expression_between, mouth_between
 from rig.arrays import Bool, Float32
-
-# Voice activity and gates of a voice that has not ended.
-#
-# The causal form of `deitalk.audio.voice_activity.speech_activity` and of the gates in
-# `deitalk.postprocess.voice_intensity`: the noise floor is of the last 12 s, and a frame depends on
-# `GATE_AHEAD` frames after it.
-#
-# Letters: K frequency bands, n frames of a call.
-
-GATE_AHEAD = 5
-"""Frames after a frame that its gates depend on (0.17 s)."""
-FLOOR_EVERY = 10
-"""Frames between two measurements of the noise floor."""
-QUIET_ROWS = 5
-"""Frames of a quiet room before the first one: until 1.5 s of sound they are the floor."""
-
-
-class GateRows(NamedTuple):
-    """Gates of consecutive frames [shape=(n,), range 0 to 1]."""
-
-    mouth: Float32
-    expression: Float32
-
-
-class RunningActivity:
-    """Activity of one stream, frame by frame.
-
-    Parameters
-    ----------
-    gates : Gates or None
-        Times of the gates; None: they stay open.
-    """
-
-    def __init__(self, gates: Gates | None) -> None:
-        self.gates = gates
-        keep = LONGEST_DROWNED + GATE_AHEAD + 2
-        longest = gates or Gates()
-        keep += max(longest.mouth_closes, longest.expression_holds + longest.expression_fades)
-        self.keep = keep
-        self.ring = np.full((QUIET_ROWS, len(BAND_EDGES_HZ) - 1), SHORT_FLOOR_DB - OPEN_DB)
-        """Band levels of the last frames, dB."""
-        self.loud = np.zeros(0)
-        """How far the last frames were above the noise, dB."""
-        self.on, self.is_on = np.zeros(keep - GATE_AHEAD, bool), False
-        """Activity of the last frames, and of the very last."""
-        self.gaps = np.zeros(0, int)
-        """Longest gap that is no pause, at the frames whose gates are not known."""
-        self.n_frames, self.gap = 0, LONGEST_CLOSURE
-        self._measure_floor()
-
-    def feed(self, levels: Float32) -> Bool:
-        """Take the levels (n, K) of the next frames; return whether each is speech [shape=(n,)].
-
-        Gaps are not bridged, and clicks not left out, in what is returned.
-        """
-        flags, at = [], 0
-        while at < len(levels):
-            take = FLOOR_EVERY - self.n_frames % FLOOR_EVERY
-            block = levels[at : at + take]
-            self.ring = np.concatenate((self.ring, block))[-round(FLOOR_SECONDS * FRAME_RATE) :]
-            self.n_frames, at = self.n_frames + len(block), at + len(block)
-            flags.append(self._speaking(block))
-            self.gaps = np.append(self.gaps, np.full(len(block), self.gap))
-            if self.n_frames % FLOOR_EVERY == 0:
-                self._measure_floor()
-        speaking = np.concatenate(flags) if flags else np.zeros(0, bool)
-        self.on = np.append(self.on, speaking)
-        return speaking
-
-    def gate(self, count: int) -> GateRows:
-        """Gates of the next `count` frames; levels of `GATE_AHEAD` more must be known."""
-        gaps, self.gaps = self.gaps[:count], self.gaps[count:]
-        width = self.keep + 1
-        rows = np.lib.stride_tricks.sliding_window_view(self.on, width)[:count]
-        self.on = self.on[count:]
-        if self.gates is None:
-            return GateRows(np.ones(count, np.float32), np.ones(count, np.float32))
-        since, until = _distances(rows)
-        bridged = since + until - 1 <= gaps
-        since, until = np.where(bridged, 0, since), np.where(bridged, 0, until)
-        mouth = mouth_between(since, until, self.gates, GATE_AHEAD)
-        return GateRows(mouth, expression_between(since, until, self.gates, GATE_AHEAD))
-
-    def _speaking(self, levels: Float32) -> Bool:
-        above = levels - self.floor
-        excess = np.sort(above, axis=1)[:, -TOP_BANDS:].mean(axis=1)
-        self.loud = np.append(self.loud, excess)[-round(FLOOR_SECONDS * FRAME_RATE) :]
-        flags, on = np.zeros(len(levels), bool), self.is_on
-        for k, value in enumerate(excess):
-            on = bool(value >= (KEEP_DB if on else OPEN_DB))
-            flags[k] = on
-        self.is_on = on
-        return flags
-
-    def _measure_floor(self) -> None:
-        floor = np.percentile(self.ring, FLOOR_PERCENTILE, axis=0)
-        loudest = np.percentile(self.ring.max(axis=1), 98)
-        self.floor = np.maximum(floor, loudest - SPEECH_RANGE_DB)
-        if len(self.loud):
-            loud = np.percentile(self.loud, 95)
-            bridged = np.interp(loud, [NOISY_DB, CLEAN_DB], [LONGEST_DROWNED, LONGEST_CLOSURE])
-            self.gap = round(float(bridged))
-
-
-def _distances(rows: Bool) -> tuple[Float32, Float32]:
-    """Frames since the last and until the next speaking one [shape=(n,)]; inf where none.
-
-    Rows end `GATE_AHEAD` frames after their frame. A lone frame of speech is a click.
-    """
-    pair = rows[:, 1:] & rows[:, :-1]
-    speaking = np.zeros_like(rows)
-    speaking[:, 1:] |= pair
-    speaking[:, :-1] |= pair
-    before, after = speaking[:, :-GATE_AHEAD][:, ::-1], speaking[:, -GATE_AHEAD - 1 :]
-    since = np.where(before.any(axis=1), before.argmax(axis=1), np.inf)
-    until = np.where(after.any(axis=1), after.argmax(axis=1), np.inf)
-    return since.astype(np.float32), until.astype(np.float32)
-
-
-# Blinks, gaze, brows, head and neck of a voice that has not ended.
-#
-# The motion is that of `deitalk.postprocess.life.motion`; here are its cues as they become known,
-# the causal form of `deitalk.postprocess.life.voice`. An accent is a peak of level and pitch over
-# their means so far, a stress one of the sonority; both are known a frame or two after the peak.
-# Phrases are known when they have ended for `JOINED_SECONDS`.
-#
-# Letters: n frames of a call, C controls, S styles.
-
 
 SMOOTHING, SONORITY_SMOOTHING = 0.4, 0.6
 """Share of a new frame in level and pitch, which smooths over a syllable, and in the sonority."""
 LOUDEST_FALLS_DB = 0.75 / FRAME_RATE
 """Decrease per frame of the loudest sonority, from which `SONORITY_DB` counts."""
+
+
+class Mean:
+    """Running mean whose older values count less and less.
+
+    Parameters
+    ----------
+    value : float
+        At the start.
+    weight : float
+        Frames that it counts for.
+    """
+
+    def __init__(self, value: float = 0.0, weight: float = 0.0) -> None:
+        self.value, self.weight = value, weight
+
+    def add(self, value: float) -> float:
+        """Take a value; return its distance from the mean with it."""
+        self.weight = min(self.weight + 1, FORGET_FRAMES)
+        self.value += (value - self.value) / self.weight
+        return value - self.value
 
 
 class RunningPeaks:
