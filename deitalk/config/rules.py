@@ -114,7 +114,7 @@ class Expressions(Section):
 class LimitContactSpeed(Section):
     """Lips start to close earlier and part later."""
 
-    step: float = Field(default=0.5, gt=0, le=1)
+    step: float = Field(default=0.5, ge=0.02, le=1)
     """Largest step of a contact in a frame, at 30 Hz."""
 
 

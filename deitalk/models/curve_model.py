@@ -28,6 +28,8 @@ from deitalk.models.protocol import (
     neutral_and_acted,
 )
 from deitalk.models.rig_decoder import RigDecoder, build_decoder
+from deitalk.postprocess.curve_pass import CurvePass, TorchPass
+from deitalk.postprocess.tracks import LIVE_AHEAD
 from rig import ControlSet, default_controls
 from rig.arrays import Float32
 
@@ -199,6 +201,11 @@ class DEITalk(nn.Module):
     def emotions(self) -> tuple[str, ...]:
         """Trained emotions that it shows; the others pass as the first of them."""
         return tuple(self.config.captured_emotions if self.config.base_controls == 0 else EMOTIONS)
+
+    def curve_pass(self, *, live: bool = False) -> TorchPass:
+        """Rules after the network; see `deitalk.models.protocol.Network`."""
+        rules = CurvePass(self.controls, self.rules, LIVE_AHEAD if live else None)
+        return TorchPass(rules.to(self.device))
 
     def read(
         self,
@@ -503,6 +510,10 @@ class TorchNetwork:
         """The network, its model in evaluation mode."""
         self.model.eval()
         return self
+
+    def curve_pass(self, *, live: bool = False) -> TorchPass:
+        """Rules after the network."""
+        return self.model.curve_pass(live=live)
 
     def first_state(self, batch: int) -> State:
         """See `CausalNetwork`; so the other methods."""

@@ -74,6 +74,34 @@ NEEDED = {
 """Rule and way out where a model makes the other product."""
 
 
+class CurveRules(Protocol):
+    """The pass from a network's readings to finished curves.
+
+    `deitalk.postprocess.curve_pass.CurvePass` says what its arrays are, and what they hold.
+    """
+
+    behind: int
+    """Frames before a frame that its contacts depend on."""
+    ahead: int
+    """Frames by which what comes out is behind what comes in."""
+
+    def first(self, batch: int) -> Float32:
+        """State of streams before their first frame [shape=(B, behind + ahead, 2 C + 16)]."""
+
+    def __call__(self, *arrays: Float32) -> tuple[Float32, Float32, Float32, Float32]:
+        """Finish the next frames.
+
+        Parameters
+        ----------
+        *arrays : array
+            neutral, emotional, voice, shown, gain, ruled and state of `CurvePass.forward`.
+
+        Returns
+        -------
+        curves, neutral, outside, state : array
+        """
+
+
 class Network(Protocol):
     """What every network of curves has."""
 
@@ -86,6 +114,9 @@ class Network(Protocol):
     @property
     def rules(self) -> RulesConfig:
         """Post-processing that belongs to the model."""
+
+    def curve_pass(self, *, live: bool = False) -> CurveRules:
+        """Rules after it, of whole recordings or with the look-ahead of `deitalk.live`."""
 
     @property
     def actors(self) -> tuple[str, ...]:

@@ -20,7 +20,7 @@ from deitalk.errors import CheckpointError, ConfigError
 from deitalk.models.checkpoint import check_kind
 from deitalk.models.curve_model import DEITalk
 from deitalk.models.folder import LIP_WEIGHTS, RIG_FILE, model_folder
-from deitalk.postprocess.curve_rules import LIVELY
+from deitalk.postprocess.control_groups import LIVELY
 from deitalk.postprocess.life.motion import ADDED_CONTROLS
 from deitalk.training.tuning.carry import carry_matrix
 from rig import ControlSet

@@ -1,5 +1,6 @@
 """Curve models as ONNX files: equal to torch at every length, and read without torch."""
 
+import base64
 import json
 import re
 import subprocess
@@ -25,10 +26,12 @@ from deitalk.models.folder import embedded_models
 from deitalk.models.load import load_network
 from deitalk.models.onnx import OnnxNetwork, load_onnx
 from deitalk.models.onnx import network as network_module
+from deitalk.models.onnx.rules import LIVE, WHOLE
 from deitalk.research.evaluation.benchmark_curves import speechlike
 from deitalk.research.evaluation.clip_scores import live_frames
 from rig import default_controls, read_curves
 from tests.deitalk.models.test_curve_model import MEL, SMALL
+from tests.deitalk.postprocess.test_curve_pass import inputs, passed
 from tests.each import each
 
 onnx = pytest.importorskip("onnx")
@@ -226,6 +229,39 @@ def test_live_frames_of_streams_are_those_of_torch(causal, exported_causal):
         found = np.concatenate([part[k] for part in parts])
         assert found.shape == expected[k].shape
         assert (np.abs(found - expected[k]) / span).max() <= TOLERANCE
+
+
+@pytest.mark.parametrize("live", [False, True])
+def test_rules_in_the_file_equal_torch_for_other_streams_and_frames(causal, exported_causal, live):
+    ours, theirs = (network.curve_pass(live=live) for network in (exported_causal, causal))
+    assert (ours.behind, ours.ahead) == (theirs.behind, theirs.ahead)
+    for batch in (1, 5):
+        given = inputs(batch, 30, seed=batch)
+        for found, expected in zip(
+            passed(ours, given, [1, 4, 25]), passed(theirs, given, [30]), strict=True
+        ):
+            np.testing.assert_allclose(found, expected, atol=1e-5)
+
+
+@pytest.mark.parametrize("entry", [WHOLE, LIVE])
+def test_rules_in_the_file_have_standard_operators(exported_causal, entry):
+    content = base64.b64decode(json.loads(exported_causal.metadata[entry])["graph"])
+    graph = onnx.load_from_string(content)
+    onnx.checker.check_model(graph)
+    assert not {node.op_type for node in graph.graph.node} & CONTROL_FLOW
+    assert [entry.version for entry in graph.opset_import if not entry.domain] == [OPSET]
+
+
+@pytest.mark.parametrize("value", [None, "{", '{"behind": 6, "ahead": 6}'])
+def test_a_file_without_its_rules_is_refused_in_one_line(exported, tmp_path, value):
+    content = onnx.load(str(exported.path))
+    entry = next(entry for entry in content.metadata_props if entry.key == WHOLE)
+    content.metadata_props.remove(entry)
+    if value is not None:
+        content.metadata_props.add(key=WHOLE, value=value)
+    onnx.save(content, str(tmp_path / "x.onnx"))
+    with pytest.raises(CheckpointError, match="damaged metadata; export the model again"):
+        animate(speechlike(0.5), sample_rate=16_000, model=tmp_path / "x.onnx")
 
 
 def test_models_for_whole_clips_are_refused_live(exported):
