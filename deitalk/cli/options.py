@@ -11,7 +11,7 @@ from typing import Annotated, Any, TypeVar, get_args, get_origin
 import typer
 
 from deitalk.acting import OLD_NAMES, Acting, modern, renamed
-from deitalk.audio.choice import AudioChoice
+from deitalk.audio.choice import MOST_TRACKS, AudioChoice
 from deitalk.cli.console import console
 from rig import limits
 
@@ -92,6 +92,7 @@ SIGNAL: dict[str, Any] = {
         int | None,
         typer.Option(
             min=1,
+            max=MOST_TRACKS,
             rich_help_panel="Recording",
             help="Sound track, from 1 on; else the first with speech.",
         ),

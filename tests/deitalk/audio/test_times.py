@@ -47,6 +47,12 @@ COMBINATIONS = [
 ]  # fmt: skip
 """Muxers and encoders of FFmpeg, and the delay that the container cannot hold."""
 
+NOT_WRITTEN = {
+    ("matroska", "aac"): AAC, ("matroska", "ac3"): AC3, ("matroska", "mp2"): MP2,
+    ("matroska", "libmp3lame"): MP3, ("caf", "ac3"): AC3,
+}  # fmt: skip
+"""Delays that FFmpeg before 8 does not write into these containers."""
+
 BY_SNDFILE = [
     ("WAV", "PCM_16"), ("WAV", "PCM_U8"), ("WAV", "DOUBLE"), ("WAV", "ULAW"), ("WAV", "GSM610"),
     ("WAV", "MS_ADPCM"), ("WAV", "IMA_ADPCM"), ("WAVEX", "PCM_24"), ("RF64", "PCM_16"),
@@ -78,6 +84,8 @@ def notes(recording):
 
 @pytest.mark.parametrize(("kind", "codec", "delay"), COMBINATIONS)
 def test_a_click_keeps_its_time_in_containers_of_ffmpeg(kind, codec, delay):
+    if av.library_versions["libavformat"] < (62,):
+        delay = NOT_WRITTEN.get((kind, codec), delay)
     recording = load_audio(movie(kind, [click(RATE)], codec=codec))
     assert click_time(recording.waveform) == pytest.approx(1 + delay, abs=EXACT)
     assert recording.duration == pytest.approx(2, abs=PACKET)

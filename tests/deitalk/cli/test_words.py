@@ -98,13 +98,13 @@ def test_mesh_meets_words_and_tells_a_misfit(line, tmp_path, monkeypatch):
 
 
 def test_former_options_print_the_new_line(line, tmp_path):
-    former = ("--no-idle", "--raw", "--seed", "3")
+    former = ("--no-idle", "--seed", "3")
     done = run("animate", line, "-o", tmp_path / "a.npz", *former)
     assert done.exit_code == 0, done.output
-    assert "--no-idle is now --life off" in done.output and "--raw is now --no-rules" in done.output
-    now = ("--life", "off", "--no-rules", "--seed", "3")
+    assert "--no-idle is now --life off" in done.output
+    now = ("--life", "off", "--seed", "3")
     assert run("animate", line, "-o", tmp_path / "b.npz", *now).exit_code == 0
     a, b = (read_curves(tmp_path / f"{name}.npz").values for name in "ab")
     np.testing.assert_array_equal(a, b)
     shown = run("animate", "--help").output
-    assert "--idle" not in shown and "--raw" not in shown and "--words" in shown
+    assert "--idle" not in shown and "--words" in shown
