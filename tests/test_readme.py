@@ -20,7 +20,7 @@ PAGES = [
     *(page.relative_to(ROOT) for page in sorted((ROOT / "docs").rglob("*.md"))),
 ]
 MOST_LINES = {"README.md": 100, "CHANGELOG.md": 100}
-MOST_WORDS = 27_000
+MOST_WORDS = 27_400
 """Of all pages together, as `wc -w` counts them."""
 
 
