@@ -28,6 +28,7 @@ from deitalk.models.onnx import network as network_module
 from deitalk.research.evaluation.benchmark_curves import speechlike
 from deitalk.research.evaluation.clip_scores import live_frames
 from rig import default_controls, read_curves
+from tests.command import ran
 from tests.deitalk.models.test_curve_model import MEL, SMALL
 from tests.each import each
 
@@ -379,3 +380,11 @@ def test_default_in_onnx_equals_torch(tmp_path):
     export_onnx(model, tmp_path / "default.onnx")
     sound, rows = speechlike(40.0), weights(1200, angry=0.8, surprised=0.2)
     assert_equal(load_onnx(tmp_path / "default.onnx").read(sound, rows), model.read(sound, rows))
+
+
+@pytest.mark.parametrize("option", ["-o", "--onnx"])
+def test_export_to_a_name_of_onnx_writes_that_file(tmp_path, model, option):
+    save_model(tmp_path / "model", model, Config(model=model.config), {})
+    ran("model", "export", tmp_path / "model", option, tmp_path / "x.onnx")
+    assert (tmp_path / "x.onnx").is_file()
+    assert load_onnx(tmp_path / "x.onnx").controls.names == model.controls.names
