@@ -1,17 +1,17 @@
 """The application: routes, the guard around them, errors as problems, life of the workers."""
 
-import json
 from collections.abc import AsyncIterator
 from contextlib import AbstractAsyncContextManager, asynccontextmanager, nullcontext
 
 from fastapi import FastAPI, Request, Response
 from fastapi.exceptions import RequestValidationError
+from starlette.datastructures import Headers
 from starlette.exceptions import HTTPException
 from starlette.middleware.cors import CORSMiddleware
 from starlette.routing import Route
 
-from api.errors import MEDIA_TYPE, STATUS_CODES, Problem, problem_of
-from api.guard.middleware import Guard
+from api.errors import MEDIA_TYPE, STATUS_CODES, Problem
+from api.guard.middleware import NO_PATH, Guard
 from api.live import session as live
 from api.routes import animations, catalogue, health, jobs, studio
 from api.routes.schema import complete_schema
@@ -19,7 +19,6 @@ from api.service import Service
 from api.settings import Settings, load_settings
 from deitalk.config.section import rule
 from deitalk.installed import __version__
-from rig.errors import UserError
 
 ROUTES = (animations, jobs, catalogue, health, live, studio)
 SENT_HEADERS = (
@@ -82,7 +81,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     app.add_middleware(Guard, settings=settings, metrics=service.metrics, traffic=service.traffic)
     if settings.origins:  # around the guard: a browser asks first, without a key
         app.add_middleware(
-            CORSMiddleware,
+            Cors,
             allow_origins=settings.origins,
             allow_methods=["GET", "POST", "DELETE"],
             allow_headers=SENT_HEADERS,
@@ -103,19 +102,21 @@ def _grpc(service: Service) -> AbstractAsyncContextManager[None]:
 
 def problem_answer(problem: Problem) -> Response:
     """Return a problem as an answer."""
-    body = json.dumps(problem.content)
-    return Response(body, problem.status, problem.headers, MEDIA_TYPE)
+    return Response(problem.body, problem.status, problem.headers, MEDIA_TYPE)
+
+
+class Cors(CORSMiddleware):
+    """Refuses by a problem what a browser asks before a request."""
+
+    def preflight_response(self, request_headers: Headers) -> Response:
+        """The answer to a browser that asks."""
+        answer = super().preflight_response(request_headers)
+        if answer.status_code < 400:
+            return answer
+        return problem_answer(Problem(403, bytes(answer.body).decode(), "cross_origin"))
 
 
 def _add_handlers(app: FastAPI) -> None:
-    @app.exception_handler(Problem)
-    async def refused(request: Request, error: Problem) -> Response:
-        return problem_answer(error)
-
-    @app.exception_handler(UserError)
-    async def wrong(request: Request, error: UserError) -> Response:
-        return problem_answer(problem_of(error))
-
     @app.exception_handler(RequestValidationError)
     async def invalid(request: Request, error: RequestValidationError) -> Response:
         found = [{"option": ".".join(map(str, e["loc"])), "rule": rule(e)} for e in error.errors()]
@@ -126,9 +127,11 @@ def _add_handlers(app: FastAPI) -> None:
     @app.exception_handler(HTTPException)
     async def unknown(request: Request, error: HTTPException) -> Response:
         code, headers = STATUS_CODES.get(error.status_code, "error"), dict(error.headers or {})
+        text = NO_PATH if error.status_code == 404 else str(error.detail)
         if error.status_code == 405:
             headers["Allow"] = ", ".join(_methods(request.scope["path"]))
-        return problem_answer(Problem(error.status_code, str(error.detail), code, None, headers))
+            text = f"this path takes {headers['Allow']}"
+        return problem_answer(Problem(error.status_code, text, code, None, headers))
 
 
 def _methods(path: str) -> list[str]:

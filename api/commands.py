@@ -21,12 +21,11 @@ ANY_ADDRESS = ("0.0.0.0", "::")
 def serve(
     file: Path | None,
     *,
-    ray: bool = False,
     opens: bool = False,
     migrate: bool = False,
     **given: Any,
 ) -> None:
-    """Serve with the settings of a file, the environment and some given; by Ray if `ray`.
+    """Serve with the settings of a file, the environment and some given.
 
     If `opens`, the studio is opened in the user's browser once the service answers; with `migrate`
     only the tables of jobs are brought to this program's schema.
@@ -36,7 +35,7 @@ def serve(
     ConfigError
         If a setting is wrong, the port is taken, or a place of jobs cannot be used.
     MissingError
-        If Ray is needed and not installed, or the studio and this installation has no page.
+        If the studio is to be opened and this installation has no page.
     """
     settings = load_settings(file, **given)
     studio = studio_address(settings) if opens else ""
@@ -46,11 +45,6 @@ def serve(
 
         settings.data.mkdir(parents=True, exist_ok=True, mode=0o700)
         open_database(settings.database_url, migrate=True).dispose()
-        return
-    if ray:
-        from api import cluster
-
-        cluster.run(settings)
         return
     start_early(settings.backend)
     from api.serving import run

@@ -8,9 +8,13 @@
     CheckpointError               404, no such model
     MissingError                  503, a program that this machine lacks
     ExistsError                   409
+    the disk is full              507
+    the database does not answer  503
     anything else                 500, without its text
 """
 
+import errno
+import json
 import logging
 import re
 import secrets
@@ -39,6 +43,13 @@ from rig.errors import (
 log = logging.getLogger("deitalk.service")
 
 MEDIA_TYPE = "application/problem+json"
+DISK_FULL = "DiskFull"
+"""Stands for the class of an error below which `is_disk_full`."""
+FULL_TEXT = "the server's disk is full; try again later"
+AWAY = ("sqlalchemy.exc.OperationalError", "sqlalchemy.exc.InterfaceError",
+        "sqlalchemy.exc.TimeoutError")  # fmt: skip
+"""Errors of a database that does not answer; worker processes do without sqlalchemy."""
+RETRY = {"Retry-After": "5"}
 CODES: dict[str, tuple[int, str]] = {
     AudioError.__name__: (422, "audio_unusable"),
     EmotionError.__name__: (422, "emotion_invalid"),
@@ -60,12 +71,14 @@ STATUS_CODES = {
     404: "not_found",
     405: "method_not_allowed",
     409: "conflict",
+    410: "gone",
     413: "too_large",
     415: "type_unsupported",
     416: "range_invalid",
     422: "request_invalid",
     429: "too_many_requests",
     503: "unavailable",
+    507: "disk_full",
 }
 _PATH = re.compile(r"(?<![\w:/.])/(?!v1/)(?:[\w.+-]+/)+[\w.+-]*")
 """Absolute paths of files; routes and URLs are no match."""
@@ -106,6 +119,11 @@ class Problem(Exception):
         """Body of the answer."""
         return {"code": self.code, "message": self.message, "detail": self.detail}
 
+    @property
+    def body(self) -> bytes:
+        """The same as JSON."""
+        return json.dumps(self.content).encode()
+
 
 def problem_of(error: UserError) -> Problem:
     """Return the answer to an error that a user can correct."""
@@ -119,8 +137,40 @@ def names_of(error: UserError) -> list[str]:
 
 def named_problem(classes: list[str], message: str) -> Problem:
     """Return the answer to an error known by the names of its classes, the nearest first."""
+    if classes[0] == DISK_FULL:
+        log.error("the disk is full: %s", message)
+        return Problem(507, FULL_TEXT, headers=RETRY)
     status, code = next((CODES[n] for n in classes if n in CODES), (422, STATUS_CODES[422]))
     return Problem(status, message, code)
+
+
+def problem_for(error: Exception) -> Problem:
+    """Return the answer to any error; the log has what it does not tell."""
+    if isinstance(error, Problem):
+        return error
+    if is_disk_full(error):
+        return named_problem([DISK_FULL], describe(error))
+    if isinstance(error, UserError):
+        return problem_of(error)
+    if f"{type(error).__module__}.{type(error).__name__}" in AWAY:
+        log.error("the database does not answer: %s", describe(error))
+        return database_away()
+    return internal_problem(error)
+
+
+def database_away() -> Problem:
+    """The answer while the database does not."""
+    return Problem(503, "the database of jobs does not answer; try again", "database_away",
+                   headers=RETRY)  # fmt: skip
+
+
+def is_disk_full(error: BaseException | None) -> bool:
+    """Whether an error, or one that it came from, is that of a full disk."""
+    while error is not None:
+        if getattr(error, "errno", None) in (errno.ENOSPC, errno.EDQUOT):
+            return True
+        error = error.__cause__ or error.__context__
+    return False
 
 
 def without_paths(text: str) -> str:
@@ -149,4 +199,5 @@ def describe(error: BaseException) -> str:
         if name.partition(".")[0] in ("api", "deitalk", "rig"):
             steps.append(f"{name}.{step.tb_frame.f_code.co_name}:{step.tb_lineno}")
         step = step.tb_next
-    return f"{type(error).__name__} in {' > '.join(steps[-3:])}"
+    number = errno.errorcode.get(getattr(error, "errno", None) or 0, "")
+    return f"{type(error).__name__}{number and f' {number}'} in {' > '.join(steps[-3:])}"

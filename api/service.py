@@ -1,23 +1,29 @@
 """What the routes share: settings, worker processes, jobs, counts."""
 
 import asyncio
-from collections import Counter
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from functools import partial
+from typing import Any, TypeVar
 
 from api.compute.live import MODEL, Voices
 from api.compute.order import Limits, Order
 from api.compute.pool import Pool, Stage, checked, result_path
-from api.compute.reader import Reader, new_address
 from api.compute.worker import OutOfTime, Worker, WorkerLost
-from api.errors import Problem
-from api.guard.keys import Caller
+from api.errors import RETRY, Problem, database_away, problem_for
+from api.guard.keys import Caller, Places
 from api.guard.metrics import Metrics
 from api.guard.middleware import Traffic
 from api.jobs.queue import Queue
 from api.jobs.runner import Runner, Store
 from api.jobs.table import open_database
 from api.settings import Settings
+
+Result = TypeVar("Result")
+DATABASE_THREADS = 8
+DATABASE_SECONDS = 10.0
+"""Time after which a database that does not answer is away."""
 
 
 class Service:
@@ -30,8 +36,8 @@ class Service:
 
     def __init__(self, settings: Settings) -> None:
         self.settings, self.metrics = settings, Metrics()
-        self.traffic = Traffic()
-        self.live: Counter[str] = Counter()
+        self.traffic = Traffic(settings.connections)
+        self.live = Places(settings.live_sessions)
         self.is_draining = False
         self.limits: Limits = {
             "memory_bytes": settings.memory_mb * 2**20,
@@ -42,8 +48,8 @@ class Service:
             "device": settings.device,
             "backend": settings.backend,
             "threads": 1,
-            "reader": "",
         }
+        self._threads = ThreadPoolExecutor(DATABASE_THREADS, "database")
         self._starting: asyncio.Task[None] | None = None
         self._warming: asyncio.Task[None] | None = None
 
@@ -56,9 +62,7 @@ class Service:
         if live["backend"] == "onnx":
             live["device"] = "cpu"
         self.voices, self.pages = Voices(live, self.stage), Pages(self.limits, self.stage)
-        shared: Limits = {**self.limits, "reader": new_address() if settings.together > 1 else ""}
-        self.reader = Reader(shared, settings.together) if shared["reader"] else None
-        self.pool = Pool(shared, settings.workers, settings.work_seconds, settings.waiting)
+        self.pool = Pool(self.limits, settings.workers, settings.work_seconds, settings.waiting)
         engine = await asyncio.to_thread(open_database, settings.database_url)
         self.queue = Queue(
             engine,
@@ -85,8 +89,6 @@ class Service:
 
             only_live = self.settings.backend != "onnx"
             await asyncio.to_thread(export_all, self.limits, only_live=only_live)
-        if self.reader is not None:
-            await asyncio.to_thread(self.reader.start)
         await self.pool.start()
         self.runner.start()
         if self.settings.live_sessions:
@@ -105,34 +107,43 @@ class Service:
         Problem
             429, 503.
         """
-        if caller.audio_seconds_per_hour:
-            await asyncio.to_thread(self.queue.check_quota, caller)
+        await self.check_quota(caller)
         if is_job:
-            await asyncio.to_thread(self.queue.check_room, caller)
+            await self.ask(self.queue.check_room, caller)
         else:
-            self.pool.check_room(caller)
+            self.pool.places.check(caller.holder)
 
-    @contextmanager
-    def session(self, caller: Caller) -> Iterator[None]:
-        """Count a live session; Problem 503 if all of the service or of the key are taken."""
-        again = {"Retry-After": "10"}
-        if self.live.total() >= self.settings.live_sessions:
-            text = "all live sessions are taken; try again later"
-            raise Problem(503, text, "busy", headers=again)
-        if self.live[caller.name] >= caller.live:
-            text = f"{caller.live} live sessions of this key are open; end one"
-            raise Problem(503, text, "busy", headers=again)
-        self.live[caller.name] += 1
+    async def ask(self, function: Callable[..., Result], *given: Any) -> Result:
+        """Return what a function of the database returns, in a thread of its own kind.
+
+        Raises
+        ------
+        Problem
+            503 if it does not answer in `DATABASE_SECONDS`, and what the function raises.
+        """
+        asked = asyncio.get_running_loop().run_in_executor(self._threads, partial(function, *given))
         try:
-            yield
-        finally:
-            self.live[caller.name] -= 1
+            return await asyncio.wait_for(asked, DATABASE_SECONDS)
+        except TimeoutError:
+            raise database_away() from None
+        except Exception as error:
+            raise problem_for(error) from None
+
+    async def check_quota(self, caller: Caller) -> None:
+        """Refuse a caller whose sound of this hour is used: Problem 429."""
+        if caller.audio_seconds_per_hour:
+            await self.ask(self.queue.check_quota, caller)
+
+    async def count(self, caller: Caller, seconds: float) -> None:
+        """Count sound to a key's quota; a database that is away loses the count, not the answer."""
+        if caller.audio_seconds_per_hour:
+            with suppress(Problem):
+                await asyncio.shield(self.ask(self.queue.use, caller.name, seconds))
 
     async def count_live(self, caller: Caller, seconds: float) -> None:
         """Count the sound of a live session, to the key's quota too."""
         self.metrics.audio.labels("live").inc(seconds)
-        if caller.audio_seconds_per_hour:
-            await asyncio.shield(asyncio.to_thread(self.queue.use, caller.name, seconds))
+        await self.count(caller, seconds)
 
     async def stop(self) -> None:
         """Stop the workers; jobs that run are put back."""
@@ -145,8 +156,7 @@ class Service:
         self.pages.stop()
         if self._starting is not None and self._starting.done():
             await asyncio.to_thread(self.runner.stop)
-        if self.reader is not None:
-            self.reader.stop()
+        self._threads.shutdown(wait=False, cancel_futures=True)
         self.queue.engine.dispose()
         self.stage.close()
         await asyncio.to_thread(self.traffic.traces.stop)
@@ -205,7 +215,7 @@ class Pages:
                 answer = checked(await asyncio.to_thread(self.worker.run, order, DRAW_SECONDS))
                 return result_path(folder, answer).read_bytes()
             except (OutOfTime, WorkerLost):
-                raise Problem(503, "the page was not drawn; try again later") from None
+                raise Problem(503, "the page was not drawn; try again", headers=RETRY) from None
             finally:
                 self.worker.stop()  # its memory is that of the largest page
 

@@ -31,6 +31,11 @@ from rig.errors import one_line
 
 LIVE_MESSAGE_BYTES = 1 << 20
 KEEP_ALIVE_SECONDS = 10
+OF_CLIENTS = (
+    "ASGI callable returned without completing handshake.",
+    "Invalid UTF-8 sequence received from client.",
+)
+"""Errors in uvicorn's log that are its clients': one leaves in the handshake, or sends no text."""
 
 
 def run(settings: Settings, studio: str = "") -> None:
@@ -121,7 +126,8 @@ def server_config(app: Any, settings: Settings) -> uvicorn.Config:
         access_log=False,
         log_config=None,
         server_header=False,
-        proxy_headers=False,
+        proxy_headers=bool(settings.proxies),
+        forwarded_allow_ips=list(settings.proxies),
     )
 
 
@@ -206,10 +212,12 @@ def log_to_stderr(form: str = "text") -> None:
         "version": 1,
         "disable_existing_loggers": False,
         "formatters": {"line": {"()": LineFormatter, "as_json": form == "json"}},
+        "filters": {"ours": {"()": lambda: lambda record: record.getMessage() not in OF_CLIENTS}},
         "handlers": {"stderr": {"class": "logging.StreamHandler", "formatter": "line"}},
         "loggers": {
             "deitalk.service": {"handlers": ["stderr"], "level": "INFO", "propagate": False},
             "python_multipart": {"level": "ERROR"},
             "uvicorn": {"handlers": ["stderr"], "level": "WARNING", "propagate": False},
+            "uvicorn.error": {"filters": ["ours"]},
         },
     })  # fmt: skip

@@ -3,7 +3,6 @@
 A later one replaces an earlier one. Lists and mappings in the environment are JSON.
 """
 
-import base64
 import os
 import sys
 from importlib.util import find_spec
@@ -31,10 +30,6 @@ LOOPBACK_NAMES = ("localhost", "127.0.0.1", "::1")
 Scope = Literal["animate", "jobs", "live", "metrics"]
 SCOPES: tuple[Scope, ...] = ("animate", "jobs", "live", "metrics")
 
-GPU_TOGETHER = 16
-"""Default of `read_together` on a GPU."""
-SECRET_PREFIX = "whsec_"
-
 
 class ApiKey(BaseModel):
     """One key that may call the service; the key itself is not stored."""
@@ -51,19 +46,6 @@ class ApiKey(BaseModel):
     share: float = Field(default=1.0, ge=0.01, le=100)
     audio_seconds_per_hour: int = Field(default=0, ge=0, le=10_000_000)
     keep_mb: int | None = Field(default=None, ge=1, le=100_000_000)
-    webhook_secret: str = Field(default="", repr=False)
-
-    @field_validator("webhook_secret")
-    @classmethod
-    def _is_secret(cls, text: str) -> str:
-        if text and not (text.startswith(SECRET_PREFIX) and 24 <= len(_bytes_of(text)) <= 64):
-            raise ValueError(f"it must be {SECRET_PREFIX} and base64 of 24 to 64 bytes")
-        return text
-
-    @property
-    def secret(self) -> bytes | None:
-        """Secret that webhooks are signed with."""
-        return _bytes_of(self.webhook_secret) if self.webhook_secret else None
 
 
 class Settings(BaseSettings):
@@ -79,13 +61,12 @@ class Settings(BaseSettings):
     storage: str = ""
     keys: tuple[ApiKey, ...] = ()
     hosts: tuple[str, ...] = ()
+    proxies: tuple[str, ...] = ()
     origins: tuple[str, ...] = ()
-    webhook_hosts: tuple[str, ...] = ()
 
     models: dict[str, Path] = {}
     preload: tuple[str, ...] = ("default",)
     device: str = "cpu"
-    read_together: int = Field(default=0, ge=0, le=64)
     backend: Backend = "torch"
     live_backend: Backend | Literal[""] = ""
     workers: int = Field(default_factory=lambda: min(os.cpu_count() or 1, 4), ge=1, le=64)
@@ -105,24 +86,16 @@ class Settings(BaseSettings):
     connections: int = Field(default=256, ge=1, le=65_536)
     header_seconds: float = Field(default=10, gt=0, le=600)
     body_seconds: float = Field(default=60, gt=0, le=3600)
-    live_sessions: int = Field(default=8, ge=0, le=1000)
+    live_sessions: int = Field(default=16, ge=0, le=1000)
     live_seconds: float = Field(default=3600, gt=0, le=86_400)
     drain_notice_seconds: float = Field(default=0, ge=0, le=600)
     drain_seconds: float = Field(default=30, ge=0, le=86_400)
     log: Literal["text", "json"] = "text"
 
-    job_attempts: int = Field(default=3, ge=1, le=20)
+    job_attempts: int = Field(default=5, ge=1, le=20)
     lease_seconds: float = Field(default=10, ge=0.2, le=600)
     keep_days: float = Field(default=7, gt=0, le=3650)
     keep_mb: int = Field(default=10_240, ge=1, le=100_000_000)
-
-    ray_address: str = ""
-    replicas: int = Field(default=1, ge=1, le=1000)
-    most_replicas: int = Field(default=4, ge=1, le=1000)
-    replica_cpus: float = Field(default=1, ge=0, le=1024)
-    replica_gpus: float = Field(default=0, ge=0, le=64)
-    scale_up_seconds: float = Field(default=10, ge=0, le=3600)
-    scale_down_seconds: float = Field(default=300, ge=0, le=86_400)
 
     @field_validator("models")
     @classmethod
@@ -192,10 +165,6 @@ class Settings(BaseSettings):
             raise ConfigError(
                 f"device {quoted(self.device)}: backend onnx runs on cpu only; leave device out"
             )
-        if self.backend == "onnx" and self.read_together > 1:
-            raise ConfigError(
-                f"read_together {self.read_together}: backend onnx reads one by one; leave it out"
-            )
         if "onnx" in (self.backend, self.live_backend) and find_spec("onnxruntime") is None:
             raise ConfigError("backend onnx needs `pip install 'deitalk[onnx]'`")
         if self.grpc_port and find_spec("nvidia_audio2face_3d") is None:
@@ -205,11 +174,6 @@ class Settings(BaseSettings):
             raise ConfigError(
                 f"preload names {quoted(unknown[0])}; known models: {', '.join(self.known_models)}"
             )
-
-    @property
-    def together(self) -> int:
-        """Most recordings that the network reads in one pass."""
-        return self.read_together or (GPU_TOGETHER if self.device != "cpu" else 1)
 
     @property
     def backend_of_live(self) -> Backend:
@@ -313,13 +277,6 @@ def _data_folder() -> Path:
         return Path.home() / "Library" / "Application Support" / "deitalk-service"
     share = os.environ.get("XDG_DATA_HOME", Path.home() / ".local" / "share")
     return Path(share) / "deitalk-service"
-
-
-def _bytes_of(secret: str) -> bytes:
-    try:
-        return base64.b64decode(secret.removeprefix(SECRET_PREFIX), validate=True)
-    except ValueError:
-        return b""
 
 
 def _text(value: Any) -> str:

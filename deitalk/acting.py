@@ -428,7 +428,7 @@ class Acting(BaseModel):
         return self.model_dump(mode="json", exclude_defaults=True, include={*Acting.model_fields})
 
     @property
-    def track(self) -> EmotionTrack:
+    def emotion_track(self) -> EmotionTrack:
         """Emotion over time.
 
         Raises

@@ -39,7 +39,6 @@ FLOORS = {
     """,
     "api": """
         commands
-        cluster
         serving
         app
         routes

@@ -6,15 +6,16 @@ are read in one call.
 
 import asyncio
 import logging
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from api.compute.order import MOST_VOICES, SAMPLES, Limits, Order
-from api.compute.pool import Stage, checked, result_path
+from api.compute.pool import CHECK_SECONDS, Stage, checked, result_path
 from api.compute.worker import OutOfTime, Worker, WorkerLost
-from api.errors import Problem, describe, internal_problem, named_problem
+from api.errors import Problem, describe, named_problem, problem_for
 from deitalk.acting import Acting
 from rig.arrays import Float32
 
@@ -168,8 +169,12 @@ class Voices:
                     await asyncio.to_thread(self.worker.start)
                     self.is_ready = True
                     while True:
-                        await self.news.wait()
-                        await self._order(folder)
+                        with suppress(TimeoutError):
+                            await asyncio.wait_for(self.news.wait(), CHECK_SECONDS)
+                        if not self.worker.is_alive:
+                            raise WorkerLost
+                        if self.news.is_set():
+                            await self._order(folder)
             except Exception as error:
                 self._fail(error)
                 await asyncio.sleep(RESTART_SECONDS)
@@ -180,13 +185,16 @@ class Voices:
         actions, samples = self.actions, self.samples
         self.actions, self.samples = [], []
         joined = np.concatenate([np.zeros(0, np.float32), *samples])
-        joined.astype("<f4").tofile(folder / SAMPLES)
+        (folder / SAMPLES).write_bytes(joined.astype("<f4").tobytes())
         order: Order = {
             "kind": "voices",
             "folder": str(folder),
             "options": {"actions": actions},
         }
+        process = self.worker.pid
         answer = checked(await asyncio.to_thread(self.worker.run, order, ORDER_SECONDS))
+        if self.worker.pid != process:  # the new one has none of the voices
+            raise WorkerLost
         self._give(answer, np.fromfile(result_path(folder, answer), "<f4"))
 
     def _give(self, answer: Any, values: Float32) -> None:
@@ -209,7 +217,7 @@ class Voices:
         if isinstance(error, (OutOfTime, WorkerLost)):
             problem = _ended()
         else:
-            problem = error if isinstance(error, Problem) else internal_problem(error)
+            problem = problem_for(error)
         log.error("%d live voices ended: %s", len(self.known), describe(error))
         self.worker.stop()
         self.actions, self.samples = [], []
@@ -219,4 +227,7 @@ class Voices:
 
 
 def _ended() -> Problem:
-    return Problem(503, "the live worker ended or does not answer; connect again", "busy")
+    return Problem(
+        503, "the live worker ended or does not answer; connect again", "busy",
+        headers={"Retry-After": "5"},
+    )  # fmt: skip

@@ -36,8 +36,6 @@ class Limits(TypedDict):
     device: str
     backend: str
     threads: int
-    reader: str
-    """Address of the process that reads for several (`api.compute.reader`); empty: none."""
 
 
 class Order(TypedDict, total=False):
@@ -59,8 +57,6 @@ class Answer(TypedDict, total=False):
     notes: list[str]
     facts: dict[str, Any]
     long: float
-    together: int
-    """Recordings that the network read in the pass of this one, where there is a reader."""
     error: list[str]
     """Names of the error's classes, the nearest first."""
     message: str

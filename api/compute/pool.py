@@ -1,13 +1,14 @@
 """Worker processes that requests share, and the folders they work in."""
 
 import asyncio
+import logging
 import shutil
 import tempfile
 import threading
-from collections import Counter
 from collections.abc import AsyncIterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import asynccontextmanager, suppress
+from functools import partial
 from math import inf
 from pathlib import Path
 from time import monotonic
@@ -18,12 +19,15 @@ from filelock import FileLock, Timeout
 from api.compute.order import OUT, Answer, Limits, Order, TooLarge
 from api.compute.worker import OutOfTime, Worker, WorkerLost
 from api.errors import InternalError, Problem, named_problem
-from api.guard.keys import Caller
+from api.guard.keys import Caller, Places
 
 SERVER_PREFIX = "deitalk-server-"
 LOCK = ".deitalk.lock"
+log = logging.getLogger("deitalk.service")
 
 
+CHECK_SECONDS = 0.5
+"""Time between two looks for processes that have ended."""
 FAIR_SECONDS = 60.0
 """Of two callers that wait, the one with less work in this time, for its share, is next."""
 
@@ -60,7 +64,7 @@ class Turns:
     def begin(self, caller: Caller) -> list[float]:
         """Note work; its end is infinite until it is set."""
         span = [monotonic(), inf]
-        self.work.setdefault(caller.name, []).append(span)
+        self.work.setdefault(caller.holder, []).append(span)
         return span
 
     def _next(self) -> None:
@@ -74,8 +78,8 @@ class Turns:
     def _worked(self, caller: Caller, now: float) -> float:
         """Seconds of work for a caller in the last time, for its share."""
         begin = now - FAIR_SECONDS
-        spans = [span for span in self.work.get(caller.name, ()) if span[1] > begin]
-        self.work[caller.name] = spans
+        spans = [span for span in self.work.get(caller.holder, ()) if span[1] > begin]
+        self.work[caller.holder] = spans
         return sum(min(end, now) - max(start, begin) for start, end in spans) / caller.share
 
 
@@ -95,12 +99,12 @@ class Pool:
     """
 
     def __init__(self, limits: Limits, workers: int, seconds: float, waiting: int) -> None:
-        self.seconds, self.most = seconds, workers + waiting
+        self.seconds, self.places = seconds, Places(workers + waiting)
         self._all = [Worker(limits) for _ in range(workers)]
         self.turns = Turns()
         self._threads = ThreadPoolExecutor(workers, "worker")
-        self._own: Counter[str] = Counter()
-        self.busy = self.lost = self.left = 0
+        self.lost = self.left = 0
+        self._tasks: set[asyncio.Task[None]] = set()
         self._is_ending = False
 
     @property
@@ -110,26 +114,33 @@ class Pool:
 
     async def start(self) -> None:
         """Start the processes, one after the other: the first is ready soonest so."""
-        loop = asyncio.get_running_loop()
         for worker in self._all:
-            with suppress(WorkerLost):  # then its first order starts it
-                await loop.run_in_executor(self._threads, worker.start)
+            await self._start(worker)
+        self._tasks.add(asyncio.create_task(self._keep()))
+
+    async def _start(self, worker: Worker) -> None:
+        """Start a process; where that fails, `_keep` tries again."""
+        with suppress(WorkerLost):
+            await asyncio.get_running_loop().run_in_executor(self._threads, worker.start)
+        self.turns.give(worker)
+
+    async def _keep(self) -> None:
+        """Replace processes that end while they wait."""
+        while True:
+            await asyncio.sleep(CHECK_SECONDS)
+            for worker in [worker for worker in self.turns.idle if not worker.is_alive]:
+                log.warning("a worker process ended; another one starts")
+                self.turns.idle.remove(worker)
+                self._give(worker)
+
+    def _give(self, worker: Worker) -> None:
+        """Take a worker back, after another process has started if its own has ended."""
+        if worker.is_alive or self._is_ending:
             self.turns.give(worker)
-
-    def check_room(self, caller: Caller) -> None:
-        """Refuse an order that would not be carried out soon.
-
-        Raises
-        ------
-        Problem
-            503 if too many orders wait, 429 if too many are the caller's.
-        """
-        if self.busy >= self.most:
-            text, headers = "the service is busy; try again in a second", {"Retry-After": "1"}
-            raise Problem(503, text, "busy", None, headers)
-        if self._own[caller.name] >= caller.concurrent:
-            text = f"{caller.concurrent} requests of this key are at work; wait for one to end"
-            raise Problem(429, text, headers={"Retry-After": "1"})
+            return
+        task = asyncio.create_task(self._start(worker))
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
 
     async def run(self, order: Order, caller: Caller) -> Answer:
         """Wait for a process and its answer; if the client goes, the work ends.
@@ -137,14 +148,12 @@ class Pool:
         Raises
         ------
         Problem
-            503, 429 as `check_room`; 413 if the work passed its limits, 422 and others for errors
-            of the content.
+            503, 429 as `Places.check`; 413 if the work passed its limits, 503 if two processes
+            ended in it, 422 and others for errors of the content.
         """
-        self.check_room(caller)
-        self.busy += 1
-        self._own[caller.name] += 1
         try:
-            return checked(await self._run(order, caller))
+            with self.places.hold(caller.holder):
+                return checked(await self._run(order, caller))
         except asyncio.CancelledError:
             self.left += 1
             raise
@@ -153,48 +162,45 @@ class Pool:
                 413, f"the request took more than {self.seconds:g} s; send less, or make a job"
             ) from None
         except WorkerLost:
-            self.lost += 1
             raise Problem(
-                413, "the request needs more memory than a worker may take, or ended it"
-            ) from None
-        finally:
-            self.busy -= 1
-            self._own[caller.name] -= 1
+                503, "two worker processes ended during the request; try it again later",
+                "worker_lost", headers={"Retry-After": "5"},
+            ) from None  # fmt: skip
 
     async def _run(self, order: Order, caller: Caller) -> Answer:
+        """The answer of a process, or of a second one where the first ends."""
+        try:
+            return await self._try(order, caller)
+        except WorkerLost:
+            log.warning("a worker process ended in a request, which another one begins again")
+            return await self._try(order, caller)
+
+    async def _try(self, order: Order, caller: Caller) -> Answer:
         worker = await self.turns.take(caller)
-        span, gone, over = self.turns.begin(caller), threading.Event(), asyncio.Event()
-        loop = asyncio.get_running_loop()
+        span, gone = self.turns.begin(caller), threading.Event()
 
-        def give_back(done: "asyncio.Future[Answer]") -> None:
+        def over(done: "asyncio.Future[Answer]") -> None:
             span[1] = monotonic()
-            if not done.cancelled():
-                done.exception()  # nobody waits for that of a client who has gone
-            over.set()
-            self.turns.give(worker)
+            if not done.cancelled() and isinstance(done.exception(), WorkerLost):
+                self.lost += 1
+            self._give(worker)
 
-        def run() -> Answer:
-            try:
-                return worker.run(order, self.seconds, stopped=gone.is_set)
-            finally:
-                loop.call_soon_threadsafe(over.set)
-                if not (worker.is_ready or self._is_ending):
-                    with suppress(WorkerLost):
-                        worker.start()
-
-        work = loop.run_in_executor(self._threads, run)
-        work.add_done_callback(give_back)
+        run = partial(worker.run, order, self.seconds, stopped=gone.is_set)
+        work = asyncio.get_running_loop().run_in_executor(self._threads, run)
+        work.add_done_callback(over)
         try:
             return await asyncio.shield(work)
         except asyncio.CancelledError:
             gone.set()
             with anyio.CancelScope(shield=True):
-                await over.wait()  # else it writes into a folder that is being removed
+                await asyncio.wait([work])  # else it writes into a folder that is being removed
             raise
 
     def stop(self) -> None:
         """End all processes."""
         self._is_ending = True
+        for task in self._tasks:
+            task.cancel()
         for worker in self._all:
             worker.stop()
         self._threads.shutdown(wait=False, cancel_futures=True)
@@ -235,11 +241,9 @@ class Stage:
             self._lock.acquire()
 
     def make(self) -> Path:
-        """Return a new folder with a place for results."""
+        """Return a new folder."""
         self.own.mkdir(parents=True, exist_ok=True)
-        folder = Path(tempfile.mkdtemp(dir=self.own))
-        (folder / OUT).mkdir()
-        return folder
+        return Path(tempfile.mkdtemp(dir=self.own))
 
     def close(self) -> None:
         """Remove the server's folder."""

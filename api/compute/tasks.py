@@ -4,6 +4,7 @@ The working folder is the order's: all paths are relative and fixed (`api.comput
 """
 
 import json
+import shutil
 import zipfile
 from collections.abc import Callable
 from contextlib import suppress
@@ -23,9 +24,9 @@ from api.compute.order import (
     Order,
     TooLarge,
 )
-from api.compute.shared import SharedNetwork
 from api.errors import names_of
 from deitalk.acting import AUTO, Acting
+from deitalk.audio.choice import AudioChoice
 from deitalk.audio.decoding import open_sound
 from deitalk.audio.frames import SAMPLE_RATE
 from deitalk.audio.load import Recording, read_sound
@@ -141,7 +142,8 @@ class TooLong(Exception):
 
 def perform(order: Order, limits: Limits, progress: Progress) -> Answer:
     """Carry out one order in the working folder."""
-    Path(OUT).mkdir(exist_ok=True)
+    shutil.rmtree(OUT, ignore_errors=True)  # of a process that ended in the order
+    Path(OUT).mkdir()
     try:
         return TASKS[order["kind"]](order, limits, progress)
     except TooLong as error:
@@ -152,7 +154,7 @@ def _animation(order: Order, limits: Limits, progress: Progress) -> Answer:
     options = order["options"]
     is_video = options["format"] == "mp4"
     share = NETWORK_SHARE if is_video else 1.0
-    performance, read = _performed(order, limits, lambda done: progress(share * done))
+    performance = _performed(order, limits, lambda done: progress(share * done))
     out = Path(OUT) / f"{options.get('name') or NAME}{options['suffix']}"
     notes = [*performance.recording.warnings]
     if performance.words is not None and performance.words.fits:
@@ -161,23 +163,17 @@ def _animation(order: Order, limits: Limits, progress: Progress) -> Answer:
         _preview(out, performance, order, limits, lambda done: progress(share + (1 - share) * done))
     else:
         notes += _write(out, options["format"], performance, options, limits)
-    return {"file": str(out), "notes": notes, "facts": _facts(performance), **read}
+    return {"file": str(out), "notes": notes, "facts": _facts(performance)}
 
 
-def _performed(order: Order, limits: Limits, progress: Progress) -> tuple[Performance, Answer]:
-    """The performance, and how its recording was read if there is a reader."""
-    name = order["options"].get("model", "default")
-    network, read = load_network(model_of(name, limits)), Answer()
-    shared = SharedNetwork(network, name, limits["reader"]) if limits["reader"] else None
-    performance = animate(
+def _performed(order: Order, limits: Limits, progress: Progress) -> Performance:
+    network = load_network(model_of(order["options"].get("model", "default"), limits))
+    return animate(
         _recording(order, limits),
         acting=_acting(order, limits),
-        model=shared or placed(network, limits),
+        model=placed(network, limits),
         progress=progress,
     )
-    if shared is not None:
-        read["together"] = shared.together
-    return performance, read
 
 
 def _acting(order: Order, limits: Limits) -> Acting:
@@ -196,8 +192,10 @@ def _recording(order: Order, limits: Limits) -> Recording:
     """The order's recording, of at most its longest length."""
     most, now = order["most_seconds"], order["at_once_seconds"]
     data = Path(RECORDING).read_bytes()[: STREAM_BYTES + 1]
-    name = order["options"].get("name") or NAME
-    with open_sound(name, data) as sound:
+    options = order["options"]
+    name = options.get("name") or NAME
+    choice = AudioChoice.of(options.get("track"), options.get("channel"), options.get("raw"))
+    with open_sound(name, data, choice) as sound:
         if sound.channels > limits["max_channels"]:
             raise TooLarge(
                 f"the recording has {sound.channels} channels; at most {limits['max_channels']} "
@@ -208,7 +206,7 @@ def _recording(order: Order, limits: Limits) -> Recording:
             raise TooLarge(f"the recording lasts {stated:.0f} s; at most {most:.0f} s are read")
         if stated > now:
             raise TooLong(stated)
-        recording = read_sound(name, sound, most, start_seconds(data))
+        recording = read_sound(name, sound, most, start_seconds(data), choice)
     if recording.duration > now:
         raise TooLong(recording.duration)
     return recording
@@ -304,11 +302,10 @@ def _mesh(order: Order, limits: Limits, progress: Progress) -> Answer:
 def _retarget(order: Order, limits: Limits, progress: Progress) -> Answer:
     options = order["options"]
     notes: list[str] = []
-    read = Answer()
     if "curves" in options:
         curves: RigCurves = read_curves(options["curves"], fps=options.get("curves_fps"))
     else:
-        performance, read = _performed(order, limits, progress)
+        performance = _performed(order, limits, progress)
         curves, notes = performance.curves, list(performance.recording.warnings)
     if options.get("fps") is not None:
         curves = curves.resample(options["fps"])
@@ -328,7 +325,7 @@ def _retarget(order: Order, limits: Limits, progress: Progress) -> Answer:
     facts = {
         "frames": report.frames, "shapes": report.shapes, "way": report.way, "lost": report.lost
     }  # fmt: skip
-    return {"file": str(out), "notes": [*notes, *report.notes], "facts": facts, **read}
+    return {"file": str(out), "notes": [*notes, *report.notes], "facts": facts}
 
 
 def _conversion(order: Order, limits: Limits, progress: Progress) -> Answer:
@@ -419,9 +416,7 @@ def prepare(limits: Limits) -> None:
         torch.backends.cudnn.allow_tf32 = False  # else a GPU rounds to ten bits
     for name in limits["preload"]:
         with suppress(CheckpointError):  # a request for it gets the error
-            model = model_of(name, limits)
-            if not limits["reader"]:
-                placed(model, limits)
+            placed(model_of(name, limits), limits)
 
 
 def export_all(limits: Limits, *, only_live: bool = False) -> None:

@@ -15,7 +15,7 @@ from time import monotonic
 from typing import Any
 
 from api.compute.order import Answer, Limits, Order, TooLarge
-from api.errors import describe, names_of
+from api.errors import DISK_FULL, describe, is_disk_full, names_of
 from deitalk.workers import FORK_SERVER, NEW_PROCESSES, end_with_parent, safe_path
 from rig.errors import UserError
 
@@ -61,27 +61,33 @@ class Worker:
         """Number of the process, if there is one."""
         return None if self._process is None else self._process.pid
 
+    @property
+    def is_alive(self) -> bool:
+        """Whether the process has started and not ended; not while an order is at work."""
+        return self.is_ready and self._process is not None and self._process.is_alive()
+
     def start(self) -> None:
         """Start the process and wait until its models are read.
 
         Raises
         ------
         WorkerLost
-            If it ends before.
+            If it ends before, or the one that it is forked from.
         """
-        if self.is_ready and self._process is not None and self._process.is_alive():
+        if self.is_alive:
             return
         self.stop()
         self._connection, child = self._context.Pipe()
         process = self._context.Process(target=work, args=(child, self.limits), daemon=True)  # type: ignore[attr-defined]
-        process.start()
-        self._process = process
-        child.close()
         try:
+            process.start()
+            self._process = process
+            child.close()
             if not self._connection.poll(START_SECONDS):
                 raise EOFError
             self._connection.recv_bytes()
         except (EOFError, OSError):
+            child.close()
             self.stop()
             raise WorkerLost("a worker process did not start") from None
         self.is_ready = True
@@ -215,13 +221,15 @@ def _answer(order: Order, limits: Limits, connection: Connection) -> Answer:
     try:
         os.chdir(order["folder"])
         return perform(order, limits, report)
-    except UserError as error:
-        return {"error": names_of(error), "message": str(error)}
     except TooLarge as error:
         return {"error": [TooLarge.__name__], "message": str(error)}
     except (MemoryError, RecursionError):
         return {"error": [TooLarge.__name__], "message": "the request needs too much memory"}
     except Exception as error:
+        if is_disk_full(error):
+            return {"error": [DISK_FULL], "message": describe(error)}
+        if isinstance(error, UserError):
+            return {"error": names_of(error), "message": str(error)}
         # Whether torch or a C library could not allocate.
         text = str(error).lower()
         if "allocate" in text or "out of memory" in text or "bad_alloc" in text:

@@ -1,25 +1,29 @@
-"""API keys and how often each may be used.
+"""API keys, how often each may be used, and how many places its requests may hold.
 
 A key is 256 random bits, so that its SHA-256 is enough to store: nobody can try so many.
 """
 
 import hashlib
 import secrets
-from collections import OrderedDict
-from dataclasses import dataclass, fields
+from collections import Counter, OrderedDict
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, fields, replace
+from ipaddress import ip_network
 from time import monotonic
 
 from api.errors import Problem
 from api.settings import SCOPES, ApiKey, Scope, Settings
 
 KEY_PREFIX = "dk_"
+MOST_PLACES = 10**6
 MOST_CALLERS = 10_000
 """Callers whose rates are kept; the one that was not seen longest is forgotten."""
 
 
 @dataclass(frozen=True)
 class Caller:
-    """Who makes a request; fields but `id` are those of `api.settings.ApiKey`.
+    """Who makes a request; fields but `id` and `address` are those of `api.settings.ApiKey`.
 
     Attributes
     ----------
@@ -27,6 +31,8 @@ class Caller:
         Of the key; ``local`` where no keys are needed.
     id : str
         First letters of the key's SHA-256, for the log; empty without keys.
+    address : str
+        Where no keys are needed, that of the client.
     """
 
     name: str
@@ -34,10 +40,16 @@ class Caller:
     jobs: int
     requests_per_minute: int
     id: str = ""
-    concurrent: int = 10**6
-    live: int = 10**6
+    concurrent: int = MOST_PLACES
+    live: int = MOST_PLACES
     share: float = 1.0
     audio_seconds_per_hour: int = 0
+    address: str = ""
+
+    @property
+    def holder(self) -> str:
+        """Whose requests are counted together: the key's, or the address's without keys."""
+        return f"address {self.address}" if self.address else f"key {self.name}"
 
 
 def new_key() -> tuple[str, str]:
@@ -64,8 +76,8 @@ class KeyRing:
         self._callers = {key.sha256: _caller(key) for key in settings.keys}
         self._local = Caller("local", SCOPES, settings.queued_jobs, settings.requests_per_minute)
 
-    def caller(self, key: str | None) -> Caller:
-        """Return who a key belongs to.
+    def caller(self, key: str | None, address: str) -> Caller:
+        """Return who a key belongs to; without keys the client of an address.
 
         Raises
         ------
@@ -73,7 +85,7 @@ class KeyRing:
             401 without a key or with an unknown one, if there are keys.
         """
         if not self._callers:
-            return self._local
+            return replace(self._local, address=address)
         if not key:
             raise _refused("send a key as `Authorization: Bearer <key>`", "key_missing")
         caller = self._callers.get(digest_of(key))
@@ -115,6 +127,64 @@ class Rates:
                 f"more than {per_minute:g} requests a minute; wait {wait} s",
                 headers={"Retry-After": str(wait)},
             )
+
+
+class Places:
+    """Places that requests hold while they are at work.
+
+    A holder may take a further one while it holds fewer than are free: alone half of them, n
+    greedy holders n of every n + 1. There is always one for whoever has none.
+
+    Parameters
+    ----------
+    most : int
+        Places.
+    """
+
+    def __init__(self, most: int) -> None:
+        self.most, self.held = most, Counter[str]()
+
+    @property
+    def taken(self) -> int:
+        """Places that are held."""
+        return self.held.total()
+
+    def check(self, holder: str, limit: int = MOST_PLACES) -> None:
+        """Refuse a holder another place.
+
+        Raises
+        ------
+        Problem
+            503 if all are held, 429 if the holder has its part of them or as many as `limit`.
+        """
+        own, free = self.held[holder], self.most - self.taken
+        headers = {"Retry-After": "1", "Connection": "close"}
+        if free <= 0:
+            raise Problem(503, "the service is busy; try again in a second", "busy", None, headers)
+        if own >= min(limit, free):
+            kind = holder.partition(" ")[0]
+            text = f"this {kind} has {own} at work, and may have no more now; wait for one to end"
+            raise Problem(429, text, headers=headers)
+
+    @contextmanager
+    def hold(self, holder: str, limit: int = MOST_PLACES) -> Iterator[None]:
+        """Hold a place during the block; raises what `check` does."""
+        self.check(holder, limit)
+        self.held[holder] += 1
+        try:
+            yield
+        finally:
+            self.held[holder] -= 1
+            if not self.held[holder]:
+                del self.held[holder]
+
+
+def client_of(address: str) -> str:
+    """The address of a client; of IPv6 the network of 64 bits, whose addresses are one client's."""
+    try:
+        return str(ip_network(f"{address}/64", strict=False)) if ":" in address else address
+    except ValueError:
+        return address
 
 
 def _caller(key: ApiKey) -> Caller:

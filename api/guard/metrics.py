@@ -11,7 +11,6 @@ from deitalk.errors import MissingError
 
 METHODS = ("GET", "POST", "DELETE", "HEAD", "PUT", "WS")
 JOB_BUCKETS = (0.5, 1, 2, 5, 10, 30, 60, 300, 1800, 7200)
-TOGETHER_BUCKETS = (1, 2, 4, 8, 16, 32, 64)
 LATE_BUCKETS = (0.1, 0.2, 0.25, 0.3, 0.4, 0.6, 1, 2, 5)
 
 
@@ -30,12 +29,6 @@ class Metrics:
         self.seconds = made(Histogram, "request_seconds", "Time of requests by route", route)
         self.requests = made(Counter, "requests", "Requests by route", (*route, "status"))
         self.audio = made(Counter, "audio_seconds", "Seconds of speech animated", ("by",))
-        self.together = made(
-            Histogram,
-            "read_together",
-            "Recordings of the pass that read each",
-            buckets=TOGETHER_BUCKETS,
-        )
         self.busy = made(Gauge, "busy_orders", "Orders in work or waiting")
         self.lost = made(Gauge, "lost_workers", "Worker processes that ended in an order")
         self.left = made(Gauge, "left_orders", "Orders dropped because their client went")
@@ -62,8 +55,6 @@ class Metrics:
         """Count what an order of a ``request`` or a ``job`` read; return its seconds of speech."""
         seconds: float = answer.get("facts", {}).get("seconds", 0.0)
         self.audio.labels(by).inc(seconds)
-        if "together" in answer:
-            self.together.observe(answer["together"])
         return seconds
 
     def text(self) -> bytes:

@@ -5,7 +5,8 @@
     Host      one of the settings' names: another site cannot point its own name here
     Origin    none or this service's: a page of another site cannot send requests
     key       see `api.guard.keys`
-    body      at most `max_bytes`, whole within `body_seconds`
+    places    no key, without keys no address, holds more than are free for others
+    body      at most `max_bytes`; whole in `body_seconds`, with one more for each `SECOND_BYTES`
 """
 
 import asyncio
@@ -13,6 +14,7 @@ import json
 import logging
 import re
 import secrets
+from contextlib import AbstractContextManager, nullcontext
 from ipaddress import ip_address
 from time import monotonic, perf_counter
 from typing import Any
@@ -20,9 +22,10 @@ from urllib.parse import urlsplit
 
 import anyio
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
+from starlette.websockets import WebSocketDisconnect
 
-from api.errors import MEDIA_TYPE, Problem, describe, internal_problem
-from api.guard.keys import KeyRing, Rates
+from api.errors import MEDIA_TYPE, Problem, describe, problem_for
+from api.guard.keys import KeyRing, Places, Rates, client_of
 from api.guard.metrics import Metrics, Traces, parent_of
 from api.settings import Settings, is_loopback
 
@@ -45,6 +48,9 @@ ADDED_HEADERS = (
     (b"cross-origin-resource-policy", b"same-origin"),
 )
 REQUEST_ID = b"x-request-id"
+NO_PATH = "there is no such path; /docs lists all"
+SECOND_BYTES = 64 * 1024
+"""Of a body that takes longer than `body_seconds`, the bytes that come in a second at least."""
 SPAN_FACTS = ("request", "key", "key_id")
 _PLAIN_ID = re.compile(r"[A-Za-z0-9._-]{1,64}")
 log = logging.getLogger("deitalk.service")
@@ -65,10 +71,17 @@ class _Active:
 
 
 class Traffic:
-    """The requests at work, but for probes; and their spans."""
+    """The requests at work, but for probes; their places and their spans.
 
-    def __init__(self) -> None:
+    Parameters
+    ----------
+    most : int
+        Requests at work, event streams, sessions and those whose bodies come among them.
+    """
+
+    def __init__(self, most: int) -> None:
         self.active: set[_Active] = set()
+        self.places = Places(most)
         self.is_draining = False
         self.traces = Traces()
 
@@ -103,6 +116,9 @@ class Guard:
         identity = scope.setdefault("state", {})["request"] = _identity(scope)
 
         async def sent(message: Message) -> None:
+            if message["type"] == "websocket.close" and not active.status:
+                await _refuse(scope, Problem(404, NO_PATH), sent)
+                return
             await send(_noted(message, active, identity))
 
         is_probe = scope["path"] in PROBE_PATHS
@@ -135,22 +151,25 @@ class Guard:
     async def _run(self, active: _Active, receive: Receive, send: Send) -> None:
         scope = active.scope
         inner = dict(scope)
-        if scope.get("method") == "HEAD":
-            inner["method"] = "GET"  # uvicorn leaves out the body
+        if scope.get("method") == "HEAD":  # the answer to GET, which has no parts
+            headers = [header for header in scope["headers"] if header[0] != b"range"]
+            inner |= {"method": "GET", "headers": headers}
+            send = _head_alone(active, send)
         try:
-            self._admit(scope)
-            await self.app(inner, receive, send)
-        except Problem as problem:
-            await _refuse(scope, problem, send)
+            with self._admit(scope):
+                await self.app(inner, receive, send)
+        except WebSocketDisconnect:  # in the handshake
+            return
         except Exception as error:
             if active.status:  # the answer has begun: the connection is closed
                 log.error("an answer broke off: %s", describe(error))
                 return
-            await _refuse(scope, internal_problem(error), send)
+            await _refuse(scope, problem_for(error), send)
         finally:
             scope["route"] = inner.get("route")
 
-    def _admit(self, scope: Scope) -> None:
+    def _admit(self, scope: Scope) -> AbstractContextManager[None]:
+        """The place of a request that is not refused, to be held while it is at work."""
         n_bytes = sum(len(name) + len(value) for name, value in scope["headers"])
         if len(scope["headers"]) > MOST_HEADERS or n_bytes > HEADER_BYTES:
             raise Problem(
@@ -164,33 +183,26 @@ class Guard:
         if scope["path"] != STUDIO_PATH:  # a link of another site may open it
             self._check_origin(headers)
         if scope["path"] in PROBE_PATHS:
-            return
-        self._check_room()
-        client = (scope.get("client") or ("unknown",))[0]
+            return nullcontext()
+        if self.traffic.is_draining:
+            raise _ending()
+        address = client_of((scope.get("client") or ("unknown",))[0])
         if scope["path"] in OPEN_PATHS:
-            self.rates.take(f"address {client}", self.settings.requests_per_minute)
-            return
+            self.rates.take(f"address {address}", self.settings.requests_per_minute)
+            return self.traffic.places.hold(f"address {address}")
         try:
-            caller = self.keys.caller(_key(headers))
+            caller = self.keys.caller(_key(headers), address)
         except Problem:
-            self.rates.take(f"address {client}", self.settings.requests_per_minute)
+            self.rates.take(f"address {address}", self.settings.requests_per_minute)
             raise
-        self.rates.take(f"key {caller.name}", caller.requests_per_minute)
+        self.rates.take(caller.holder, caller.requests_per_minute)
         scope["state"]["caller"] = caller
         length = headers.get(b"content-length", "0")
         if not length.isdigit() or int(length) > self.settings.max_bytes:
             raise _too_many_bytes(self.settings.max_bytes)
         if headers.get(b"content-encoding", "identity") != "identity":
             raise Problem(415, "send the body without Content-Encoding")
-
-    def _check_room(self) -> None:
-        if self.traffic.is_draining:
-            raise _ending()
-        if len(self.traffic.active) > self.settings.connections:
-            raise Problem(
-                503, "too many requests are at work; try again in a second", "busy",
-                headers={"Retry-After": "1", "Connection": "close"},
-            )  # fmt: skip
+        return self.traffic.places.hold(caller.holder, caller.concurrent)
 
     def _check_host(self, host: str) -> None:
         name = _hostname(host)
@@ -247,11 +259,13 @@ class _Body:
         if self.is_whole:  # waiting for the client to go
             return await self.receive()
         try:
-            message = await asyncio.wait_for(self.receive(), max(self.end - monotonic(), 0.001))
+            left = self.end + self.n_bytes / SECOND_BYTES - monotonic()
+            message = await asyncio.wait_for(self.receive(), max(left, 0.001))
         except TimeoutError:
             raise Problem(
                 400,
-                f"the body took more than {self.seconds:g} s; send it faster, or less",
+                f"the body took {self.seconds:g} s and more than one for each {SECOND_BYTES >> 10} "
+                "KiB; send it faster",
                 "body_slow",
                 headers={"Connection": "close"},
             ) from None
@@ -271,7 +285,7 @@ def _noted(message: Message, active: _Active, identity: str) -> Message:
     if kind.endswith("response.body"):
         active.is_complete = not message.get("more_body", False)
     if kind == "websocket.close":
-        active.status, active.is_complete = active.status or 403, True
+        active.is_complete = True
     if not kind.endswith(("response.start", "websocket.accept")):
         return message
     active.status = message.get("status", 101)
@@ -281,6 +295,19 @@ def _noted(message: Message, active: _Active, identity: str) -> Message:
     added = [(REQUEST_ID, identity.encode()), *(ADDED_HEADERS if "status" in message else ())]
     headers += [header for header in added if header[0] not in given]
     return dict(message) | {"headers": headers}
+
+
+def _head_alone(active: _Active, send: Send) -> Send:
+    """End the work on an answer once its headers are sent."""
+
+    async def sent(message: Message) -> None:
+        if message["type"] == "http.response.body":
+            await send({"type": "http.response.body", "body": b""})
+            active.cancelling.cancel()
+            return
+        await send(message)
+
+    return sent
 
 
 async def _end(active: _Active, send: Send) -> None:
@@ -309,18 +336,15 @@ def _identity(scope: Scope) -> str:
 
 
 async def _refuse(scope: Scope, problem: Problem, send: Send) -> None:
-    body = json.dumps(problem.content).encode()
-    headers = {"content-type": MEDIA_TYPE, "content-length": str(len(body)), **problem.headers}
+    length = str(len(problem.body))
+    headers = {"content-type": MEDIA_TYPE, "content-length": length, **problem.headers}
     raw = [(name.lower().encode(), value.encode()) for name, value in headers.items()]
     if scope["type"] == "websocket":
-        if "websocket.http.response" not in scope.get("extensions", {}):
-            await send({"type": "websocket.close", "code": 1008})
-            return
         start, end = "websocket.http.response.start", "websocket.http.response.body"
     else:
         start, end = "http.response.start", "http.response.body"
     await send({"type": start, "status": problem.status, "headers": raw})
-    await send({"type": end, "body": body})
+    await send({"type": end, "body": problem.body})
 
 
 def _key(headers: dict[bytes, str]) -> str | None:

@@ -4,11 +4,15 @@ A connection on which nothing is asked makes room for a new one: a flood of them
 """
 
 import asyncio
+from collections import Counter
 from typing import Any
 
+import h11
 from uvicorn.protocols.http.h11_impl import H11Protocol
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
+from websockets.http11 import Request, Response
 
+from api.errors import MEDIA_TYPE, Problem
 from api.settings import Settings
 
 SEND_SECONDS = 10.0
@@ -60,12 +64,16 @@ class GuardedProtocol(_Reader, H11Protocol):
         return type(cls.__name__, (cls,), limits | {"header_seconds": settings.header_seconds})
 
     def connection_made(self, transport: Any) -> None:
-        """Start the clock; beyond the most connections close the one that is idle longest."""
+        """Start the clock; beyond the most connections close an idle one.
+
+        It is that which is idle longest, of the address with most of them.
+        """
         super().connection_made(transport)
         self.idle_since = self.loop.time()
         if len(self.connections) > self.most:
-            idle = (other for other in self.connections if _is_idle(other) and other is not self)
-            longest = min(idle, key=lambda other: other.idle_since, default=None)  # type: ignore[union-attr]
+            idle = [other for other in self.connections if _is_idle(other) and other is not self]
+            own = Counter(_address(other) for other in idle)
+            longest = min(idle, key=lambda o: (-own[_address(o)], o.idle_since), default=None)  # type: ignore[union-attr]
             if longest is not None:
                 longest.transport.close()
                 self.connections.discard(longest)
@@ -95,6 +103,17 @@ class GuardedProtocol(_Reader, H11Protocol):
         self._stop_clock()
         super().connection_lost(exc)
 
+    def send_400_response(self, msg: str) -> None:
+        """Answer what is no HTTP by a problem, unless another answer has begun."""
+        if self.conn.our_state in (h11.IDLE, h11.SEND_RESPONSE):
+            body = malformed(msg).body
+            about = {"content-type": MEDIA_TYPE, "content-length": str(len(body))}
+            headers = [*about.items(), ("connection", "close")]
+            head = h11.Response(status_code=400, headers=headers, reason="Bad Request")
+            for event in (head, h11.Data(data=body), h11.EndOfMessage()):
+                self.transport.write(self.conn.send(event) or b"")
+        self.transport.close()
+
     def _start_clock(self) -> None:
         self._clock = self.loop.call_later(self.header_seconds, self._too_slow)
 
@@ -119,5 +138,39 @@ def _is_idle(connection: Any) -> bool:
     )
 
 
+def _address(connection: Any) -> str:
+    return connection.client[0] if connection.client else ""
+
+
 class GuardedSocket(_Reader, WebSocketsSansIOProtocol):
     """A WebSocket whose client must take a message within `SEND_SECONDS`."""
+
+    def handle_connect(self, event: Request) -> None:
+        """Answer a handshake that is wrong by a problem."""
+        reject = self.conn.reject
+
+        def refused(status: int, text: str) -> Response:
+            answer = reject(status, text)
+            answer.body = malformed(text).body
+            for name, value in (("Content-Type", MEDIA_TYPE), ("Content-Length", len(answer.body))):
+                del answer.headers[name]
+                answer.headers[name] = str(value)
+            return answer
+
+        self.conn.reject = refused  # type: ignore[method-assign]
+        super().handle_connect(event)
+
+    def data_received(self, data: bytes) -> None:
+        """Answer a request that is no handshake by a problem; the first data is a whole one."""
+        super().data_received(data)
+        if self.handshake_initiated:
+            return
+        body = malformed(str(self.conn.handshake_exc)).body
+        head = f"HTTP/1.1 400 Bad Request\r\nContent-Type: {MEDIA_TYPE}\r\nConnection: close\r\n"
+        self.transport.write(f"{head}Content-Length: {len(body)}\r\n\r\n".encode() + body)
+        self.transport.close()
+
+
+def malformed(text: str) -> Problem:
+    """The answer to a request that breaks its protocol."""
+    return Problem(400, text.strip())

@@ -26,14 +26,12 @@ from api.jobs.table import (
     job_of,
 )
 
-WEBHOOK_TRIES = 5
-WEBHOOK_SECONDS = 30.0
-"""Time from one try of a webhook to the next."""
 FAIR_SECONDS = 60.0
 """Of two keys that wait, the one with less work in this time, for its share, is next."""
 BATCH = 500
 """Jobs that one statement removes or looks up."""
 HOUR = 3600
+LOST = Problem(503, "the worker ended in every attempt", "worker_lost")
 
 
 def new_id() -> str:
@@ -106,7 +104,6 @@ class Queue:
         work: dict[str, Any],
         digest: str,
         idempotency: str | None,
-        webhook: str | None,
     ) -> Job:
         """Accept a job whose files are in the store; of two with one key the first is returned."""
         row = {
@@ -117,7 +114,6 @@ class Queue:
             "created": time(),
             "digest": digest,
             "idempotency": None if idempotency is None else f"{caller.name}:{idempotency}",
-            "webhook": webhook,
         }
         try:
             with self.engine.begin() as connection:
@@ -164,10 +160,7 @@ class Queue:
         """
         while True:
             now = time()
-            is_free = sql.or_(
-                JOBS.c.status == QUEUED,
-                sql.and_(JOBS.c.status == RUNNING, JOBS.c.lease < now),
-            )
+            is_free = sql.and_(JOBS.c.status.in_((QUEUED, RUNNING)), JOBS.c.lease < now)
             owner = self._next_owner(is_free, now)
             if owner is None:
                 return None
@@ -176,8 +169,7 @@ class Queue:
                 continue
             same = [JOBS.c.id == job.id, JOBS.c.status == job.status, JOBS.c.holder == job.holder]
             if job.attempts >= self.attempts:
-                error = {"code": "worker_lost", "message": "the worker ended in every attempt"}
-                self._end([*same, is_free], FAILED, error=json.dumps(error | {"detail": None}))
+                self._end([*same, is_free], FAILED, error=json.dumps(LOST.content))
                 continue
             holder = new_id()
             values = {
@@ -213,14 +205,26 @@ class Queue:
 
     def renew(self, job: Job, progress: float) -> bool:
         """Keep a job that is worked on; False if it was cancelled or is another's."""
-        mine = [JOBS.c.id == job.id, JOBS.c.status == RUNNING, JOBS.c.holder == job.holder]
         values = {"lease": time() + self.lease_seconds, "progress": progress}
-        return self._update([*mine, JOBS.c.cancel == 0], values)
+        return self._update([*self._mine(job), JOBS.c.cancel == 0], values)
 
     def release(self, job: Job) -> None:
         """Put a job back that is worked on, because the server stops."""
-        mine = [JOBS.c.id == job.id, JOBS.c.status == RUNNING, JOBS.c.holder == job.holder]
-        self._update(mine, {"status": QUEUED, "attempts": max(job.attempts - 1, 0), "holder": ""})
+        self._put_back(job, attempts=max(job.attempts - 1, 0), lease=0.0)
+
+    def retry(self, job: Job, problem: Problem, *, waits: bool = True) -> None:
+        """Put a job back after an attempt that failed by no fault of the job; the last one ends it.
+
+        If it `waits`, the next attempt begins after a lease, and then after four times as long.
+        """
+        if job.attempts >= self.attempts:
+            self.fail(job, problem)
+            return
+        seconds = self.lease_seconds * 4 ** (job.attempts - 1) if waits else 0.0
+        self._put_back(job, lease=time() + seconds)
+
+    def _put_back(self, job: Job, **values: Any) -> None:
+        self._update(self._mine(job), {"status": QUEUED, "holder": "", "progress": 0.0} | values)
 
     def finish(self, job: Job, result: str, n_bytes: int, answer: dict[str, Any]) -> bool:
         """End a job with its result; False if it is another's by now."""
@@ -339,28 +343,12 @@ class Queue:
         with self.engine.begin() as connection:
             connection.execute(sql.delete(USAGE).where(USAGE.c.hour < time() // HOUR - 24))
 
-    def claim_webhook(self) -> Job | None:
-        """Take one webhook that is due; it is due again later unless `webhook_sent` is called."""
-        due = [JOBS.c.webhook_left > 0, JOBS.c.webhook_at < time()]
-        job = self._one(sql.and_(*due), order=JOBS.c.finished)
-        if job is None:
-            return None
-        values: dict[str, Any] = {
-            "webhook_at": time() + WEBHOOK_SECONDS, "webhook_left": JOBS.c.webhook_left - 1
-        }  # fmt: skip
-        return job if self._update([JOBS.c.id == job.id, *due], values) else None
-
-    def webhook_sent(self, job: Job) -> None:
-        """Note that a webhook was taken."""
-        self._update([JOBS.c.id == job.id], {"webhook_left": 0})
-
     def _mine(self, job: Job) -> list[Any]:
         return [JOBS.c.id == job.id, JOBS.c.status == RUNNING, JOBS.c.holder == job.holder]
 
     def _end(self, where: list[Any], status: str, **values: Any) -> bool:
-        tries = sql.case((JOBS.c.webhook.is_(None), 0), else_=WEBHOOK_TRIES)
         ending = {"status": status, "finished": time(), "ends": JOBS.c.ends + 1}
-        return self._update(where, ending | {"webhook_left": tries} | values)
+        return self._update(where, ending | values)
 
     def _update(self, where: list[Any], values: dict[str, Any]) -> bool:
         with self.engine.begin() as connection:

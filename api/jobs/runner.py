@@ -1,30 +1,24 @@
-"""Jobs carried out by threads with a worker process each; their files, webhooks, retention."""
+"""Jobs carried out by threads with a worker process each; their files, retention."""
 
-import asyncio
-import hmac
-import json
 import logging
 import secrets
 import shutil
 import threading
-from base64 import b64encode
-from collections.abc import Iterator, Mapping
-from datetime import UTC, datetime
+from collections.abc import Iterator
+from datetime import datetime
 from functools import partial
 from pathlib import Path
 from time import time
 from typing import Any
-from urllib.parse import urlsplit
 
 import fsspec
-import httpx
 
 from api.compute.order import Limits, Order
 from api.compute.pool import Stage, checked, result_path
 from api.compute.worker import OutOfTime, Stopped, Worker, WorkerLost
-from api.errors import InternalError, Problem
+from api.errors import InternalError, Problem, problem_for
 from api.guard.metrics import Metrics, Traces
-from api.jobs.queue import Queue
+from api.jobs.queue import LOST, Queue
 from api.jobs.table import Job
 from api.settings import Settings
 
@@ -82,13 +76,22 @@ class Store:
         self.files.put_file(str(path), self._at(name))
         return name
 
-    def read(self, name: str, begin: int, end: int) -> Iterator[bytes]:
-        """Yield the bytes of a file from `begin` to before `end`, in blocks."""
-        with self.files.open(self._at(name), "rb") as file:
-            file.seek(begin)
-            while begin < end and (block := file.read(min(BLOCK_BYTES, end - begin))):
-                begin += len(block)
-                yield block
+    def read(self, name: str, begin: int, end: int, size: int) -> Iterator[bytes]:
+        """Open a file of `size` bytes; return those from `begin` to before `end`, in blocks.
+
+        Raises
+        ------
+        Problem
+            410 if it is not there any more, or not whole.
+        """
+        try:
+            file = self.files.open(self._at(name), "rb")
+        except FileNotFoundError:
+            raise Problem(410, "the file of the result is gone; send the job again") from None
+        if file.size is not None and file.size < size:
+            file.close()
+            raise Problem(410, "the file of the result is not whole; send the job again")
+        return _blocks(file, begin, end)
 
     def remove(self, job_id: str) -> None:
         """Remove all files of a job."""
@@ -136,123 +139,20 @@ class Store:
         invalidate()
 
 
+def _blocks(file: Any, begin: int, end: int) -> Iterator[bytes]:
+    with file:
+        file.seek(begin)
+        while begin < end and (block := file.read(min(BLOCK_BYTES, end - begin))):
+            begin += len(block)
+            yield block
+
+
 def _written(about: dict[str, Any]) -> float:
     """Time at which a file was written, as file systems name it; now if they do not."""
     found = about.get("mtime", about.get("LastModified", about.get("created")))
     if isinstance(found, datetime):
         return found.timestamp()
     return float(found) if isinstance(found, int | float) else time()
-
-
-# One POST when a job has ended, to hosts that the settings allow and to no other.
-#
-# The address comes from a request: without a list of hosts it would let a caller reach any machine
-# that this one can reach. Redirects are not followed, and proxies of the environment not used.
-
-
-SECONDS = 10.0
-"""Time of one delivery, from the look-up of the host to the status of the answer."""
-AT_ONCE = 16
-"""Deliveries under way; a slow receiver holds one of them."""
-
-
-class Webhooks:
-    """Sends what `Queue.claim_webhook` gives, signed by Standard Webhooks 1.0.
-
-    Parameters
-    ----------
-    queue : Queue
-    hosts : tuple of str
-        Allowed ``host`` (ports 80 and 443) or ``host:port``.
-    secrets : mapping of str to bytes
-        Secret of each owner who has one; webhooks of others are not signed.
-    """
-
-    def __init__(self, queue: Queue, hosts: tuple[str, ...], secrets: Mapping[str, bytes]) -> None:
-        self.queue, self.hosts, self.secrets = queue, hosts, secrets
-
-    async def deliver(self, ending: threading.Event) -> None:
-        """Send webhooks as they become due, until `ending` is set."""
-        sending: set[asyncio.Task[None]] = set()
-        async with httpx.AsyncClient(follow_redirects=False, trust_env=False) as client:
-            while not ending.is_set():
-                job = None
-                if len(sending) < AT_ONCE:
-                    job = await asyncio.to_thread(self.queue.claim_webhook)
-                if job is not None:
-                    sending.add(asyncio.create_task(self._send(client, job)))
-                elif sending:
-                    done, sending = await asyncio.wait(
-                        sending, timeout=IDLE_SECONDS, return_when=asyncio.FIRST_COMPLETED
-                    )
-                    for task in done:
-                        task.result()  # raises what a database does
-                else:
-                    await asyncio.sleep(IDLE_SECONDS)
-            await asyncio.gather(*sending)
-
-    async def _send(self, client: httpx.AsyncClient, job: Job) -> None:
-        """Send one within `SECONDS`, whatever the receiver does; its answer's body is not read."""
-        try:
-            url = check_webhook(str(job.webhook), self.hosts)
-            body, headers = message_of(job, self.secrets.get(job.owner), time())
-            async with asyncio.timeout(SECONDS):
-                async with client.stream("POST", url, content=body, headers=headers) as answer:
-                    is_taken = answer.is_success
-            if is_taken:
-                await asyncio.to_thread(self.queue.webhook_sent, job)
-        except (httpx.HTTPError, httpx.InvalidURL, Problem, TimeoutError) as error:
-            log.warning("a webhook was not taken: %s", type(error).__name__)
-
-
-def message_of(job: Job, secret: bytes | None, now: float) -> tuple[bytes, dict[str, str]]:
-    """Return the body and headers of a job's webhook (standardwebhooks.com, 1.0).
-
-    Parameters
-    ----------
-    job : Job
-        That has ended; every try has the same ``webhook-id``.
-    secret : bytes or None
-        Of the signature; None leaves it out.
-    now : float
-        Seconds since 1970.
-    """
-    ended = datetime.fromtimestamp(job.finished or now, UTC).isoformat()
-    data = {"id": job.id, "status": job.status, "job": f"/v1/jobs/{job.id}"}
-    body = json.dumps({"type": f"job.{job.status}", "timestamp": ended, "data": data}).encode()
-    headers = {
-        "content-type": "application/json",
-        "webhook-id": f"msg_{job.id}",
-        "webhook-timestamp": str(int(now)),
-    }
-    if secret is not None:
-        signed = f"{headers['webhook-id']}.{headers['webhook-timestamp']}.".encode() + body
-        digest = hmac.digest(secret, signed, "sha256")
-        headers["webhook-signature"] = f"v1,{b64encode(digest).decode()}"
-    return body, headers
-
-
-def check_webhook(url: str, hosts: tuple[str, ...]) -> str:
-    """Return an address that may be called.
-
-    Raises
-    ------
-    Problem
-        403 if its host is not allowed, 422 if it is no address.
-    """
-    try:
-        parts = urlsplit(url)
-        host, port = (parts.hostname or "").lower(), parts.port
-    except ValueError:
-        raise Problem(422, "webhook must be an http or https address", "webhook_invalid") from None
-    is_address = parts.scheme in ("http", "https") and host and len(url) <= 500
-    if not is_address or parts.username or parts.password or not url.isprintable() or "\\" in url:
-        raise Problem(422, "webhook must be an http or https address", "webhook_invalid")
-    default = {"http": 80, "https": 443}[parts.scheme]
-    allowed = host in hosts if port in (None, default) else f"{host}:{port}" in hosts
-    if not allowed:
-        raise Problem(403, "the webhook's host is not among webhook_hosts", "webhook_forbidden")
-    return url
 
 
 IDLE_SECONDS = 0.5
@@ -293,8 +193,6 @@ class Runner:
     ) -> None:
         self.queue, self.store, self.stage = queue, store, stage
         self.settings, self.metrics, self.traces = settings, metrics, traces
-        secrets = {key.name: key.secret for key in settings.keys if key.secret is not None}
-        self.webhooks = Webhooks(queue, settings.webhook_hosts, secrets)
         self.at_work = 0
         self.workers = [Worker(limits) for _ in range(settings.job_workers)]
         self._ending, self._wake = threading.Event(), threading.Event()
@@ -303,8 +201,7 @@ class Runner:
             threading.Thread(target=self._work, args=(worker,), daemon=True)
             for worker in self.workers
         ]
-        for duty in (self._deliver, self._clear_up):
-            self._threads.append(threading.Thread(target=duty, daemon=True))
+        self._threads.append(threading.Thread(target=self._clear_up, daemon=True))
 
     def start(self) -> None:
         """Start the threads."""
@@ -372,8 +269,6 @@ class Runner:
             if self.queue.finish(job, name, path.stat().st_size, about):
                 self.store.remove_inputs(job.id)
                 self.queue.use(job.owner, self.metrics.read(answer, "job"))
-        except Problem as problem:
-            self.queue.fail(job, problem)
         except InternalError as error:
             log.error("internal error in a job: %s", error)
             self.queue.fail(job, Problem(500, "internal error; see the service's log", "internal"))
@@ -381,21 +276,19 @@ class Runner:
             self.queue.fail(job, Problem(413, f"the job took more than {seconds:g} s"))
         except WorkerLost:
             log.warning("a job's worker ended; the job is begun again")
+            self.queue.retry(job, LOST, waits=False)
         except Stopped:
             if not self.queue.confirm_cancelled(job):
                 self.queue.release(job)
+        except Exception as error:  # of the content; or the disk is full, the store is away
+            problem = problem_for(error)
+            is_content = isinstance(error, Problem) and problem.status != 507
+            (self.queue.fail if is_content else self.queue.retry)(job, problem)
         finally:
             shutil.rmtree(folder, ignore_errors=True)
 
     def _must_stop(self, lease: "_Lease") -> bool:
         return lease.is_lost or self._ending.is_set()
-
-    def _deliver(self) -> None:
-        while not self._ending.wait(IDLE_SECONDS):
-            try:
-                asyncio.run(self.webhooks.deliver(self._ending))
-            except Exception as error:
-                log.warning("webhooks wait: %s", type(error).__name__)
 
     def _clear_up(self) -> None:
         while not self._ending.wait(IDLE_SECONDS):

@@ -63,9 +63,6 @@ JOBS = Table(
     Column("error", Text),
     Column("idempotency", String(300), unique=True),
     Column("digest", String(64), nullable=False),
-    Column("webhook", String(500)),
-    Column("webhook_left", Integer, nullable=False, default=0, index=True),
-    Column("webhook_at", Float, nullable=False, default=0.0),
 )
 USAGE = Table(
     "deitalk_usage",
@@ -127,7 +124,6 @@ class Job:
     result_bytes: int
     answer: dict[str, Any] | None
     error: dict[str, Any] | None
-    webhook: str | None
 
     @property
     def has_ended(self) -> bool:
@@ -148,6 +144,8 @@ def job_of(row: "sql.Row[Any]") -> Job:
 
 VERSIONS = "deitalk_schema"
 """Table with the version."""
+AWAY_SECONDS = 5
+"""Time after which a connection that is not made, or a lock that is not given, is an error."""
 LOCK = 0x6465_6974
 """Number of PostgreSQL's lock while a step is taken."""
 
@@ -167,9 +165,13 @@ def open_database(url: str, *, migrate: bool = False) -> Engine:
     Raises
     ------
     ConfigError
-        If a step is left that is not safe, or the tables are two versions ahead.
+        If a step is left that is not safe, or the tables are two versions ahead, or of a version
+        without steps to this one.
     """
-    engine = sql.create_engine(url, pool_pre_ping=True)
+    dialect = sql.make_url(url).get_backend_name()
+    connect = {"connect_timeout": AWAY_SECONDS} if dialect == "postgresql" else {}
+    pool = {} if ":memory:" in url or url == "sqlite://" else {"pool_timeout": AWAY_SECONDS}
+    engine = sql.create_engine(url, pool_pre_ping=True, connect_args=connect, **pool)
     if engine.dialect.name == "sqlite":
         event.listen(engine, "connect", _tune_sqlite)
     with _locked(engine) as connection:
@@ -183,6 +185,11 @@ def _upgrade(connection: Connection, *, migrate: bool) -> None:
     ])  # fmt: skip
     newest = int(steps.get_current_head() or 0)
     version = _version(connection)
+    if 0 < version < int(steps.get_base() or 0):
+        raise ConfigError(
+            f"the database has schema {version}, of a version before the first release; remove its "
+            "tables, or use another database"
+        )
     if version > newest + 1:
         raise ConfigError(
             f"the database has schema {version}, this program knows {newest}; serve with a newer "
@@ -204,9 +211,6 @@ def _upgrade(connection: Connection, *, migrate: bool) -> None:
         environment.configure(
             connection=connection, target_metadata=METADATA, version_table=VERSIONS
         )
-        context = environment.get_context()
-        if version and not sql.inspect(connection).has_table(VERSIONS):
-            context.stamp(steps, str(version))
         environment.run_migrations()
 
 
@@ -216,7 +220,7 @@ def is_safe(step: Script) -> bool:
 
 
 def _version(connection: Connection) -> int:
-    """The version of the tables; 0.1.0 wrote none."""
+    """The version of the tables, 0 if there are none; the first one wrote no number."""
     inspect = sql.inspect(connection)
     if not inspect.has_table(VERSIONS):
         return 1 if inspect.has_table(JOBS.name) else 0
@@ -237,6 +241,6 @@ def _locked(engine: Engine) -> Iterator[Connection]:
 def _tune_sqlite(connection: Any, record: Any) -> None:
     """Readers beside one writer; a writer waits for another; kept after kill and power cut."""
     cursor = connection.cursor()
-    for setting in ("journal_mode=WAL", "synchronous=FULL", "busy_timeout=30000"):
+    for setting in ("journal_mode=WAL", "synchronous=FULL", f"busy_timeout={1000 * AWAY_SECONDS}"):
         cursor.execute(f"PRAGMA {setting}")
     cursor.close()

@@ -24,8 +24,8 @@ from nvidia_audio2face_3d import audio2face_pb2_grpc
 from nvidia_audio2face_3d import messages_pb2 as a2f
 
 from api.compute.live import MODEL
-from api.errors import Problem, internal_problem, problem_of
-from api.guard.keys import Caller, KeyRing, require
+from api.errors import Problem, problem_for
+from api.guard.keys import Caller, KeyRing, client_of, require
 from api.live.session import BACKLOG_SECONDS, QUIET_SECONDS, START_SECONDS, LiveStream
 from api.service import Service
 from deitalk.acting import Acting
@@ -35,7 +35,7 @@ from rig.arrays import Float32
 from rig.conversion.arkit import ARKIT_ID, arkit_controls
 from rig.conversion.convert import convert
 from rig.curves import HEAD, RigCurves
-from rig.errors import UserError, quoted
+from rig.errors import quoted
 
 MESSAGE_BYTES = 1 << 20
 SHAPES = [name for name in arkit_controls().names if not name.endswith(("Yaw", "Pitch", "Roll"))]
@@ -58,7 +58,8 @@ CODES = {
 async def serving_grpc(service: Service) -> AsyncIterator[None]:
     """Serve the stream on the settings' ``grpc_port`` during the block."""
     settings = service.settings
-    server = grpc.aio.server(options=[("grpc.max_receive_message_length", MESSAGE_BYTES)])
+    options = [("grpc.max_receive_message_length", MESSAGE_BYTES)]
+    server = grpc.aio.server(options=options, maximum_concurrent_rpcs=settings.connections)
     add: Any = audio2face_pb2_grpc.add_A2FControllerServiceServicer_to_server
     add(Audio2Face(service), server)
     server.add_insecure_port(f"{settings.host}:{settings.grpc_port}")
@@ -83,27 +84,28 @@ class Audio2Face:
     async def ProcessAudioStream(self, requests: Any, context: Any) -> AsyncIterator[Any]:
         """Animate a voice; a key is sent as metadata ``authorization: Bearer <key>``."""
         try:
-            caller = await self._caller(dict(context.invocation_metadata()))
-            with self.service.session(caller):
+            address = client_of(context.peer().partition(":")[2].rpartition(":")[0])
+            caller = await self._caller(dict(context.invocation_metadata()), address)
+            with (
+                self.service.traffic.places.hold(caller.holder, caller.concurrent),
+                self.service.live.hold(caller.holder, caller.live),
+            ):
                 async for message in _Voice(self.service, caller, aiter(requests)).messages():
                     yield message
             return
-        except Problem as error:
-            problem = error
-        except UserError as error:
-            problem = problem_of(error)
         except Exception as error:
-            problem = internal_problem(error)
+            problem = problem_for(error)
         code = CODES.get(problem.status, grpc.StatusCode.INVALID_ARGUMENT)
         await context.abort(code, problem.message)
 
-    async def _caller(self, metadata: Mapping[str, str]) -> Caller:
+    async def _caller(self, metadata: Mapping[str, str], address: str) -> Caller:
         if self.service.is_draining:
             raise Problem(503, "the server ends; connect again", "busy")
-        caller = self.keys.caller(metadata.get("authorization", "").removeprefix("Bearer "))
+        caller = self.keys.caller(
+            metadata.get("authorization", "").removeprefix("Bearer "), address
+        )
         require(caller, "live")
-        if caller.audio_seconds_per_hour:
-            await asyncio.to_thread(self.service.queue.check_quota, caller)
+        await self.service.check_quota(caller)
         return caller
 
 

@@ -16,7 +16,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from starlette.websockets import WebSocketDisconnect
 
 from api.compute.live import MODEL, Voice
-from api.errors import Problem, internal_problem, problem_of
+from api.errors import Problem, problem_for, problem_of
 from api.guard.keys import Caller, require
 from api.guard.middleware import SUBPROTOCOL
 from api.guard.protocol import SEND_SECONDS
@@ -450,9 +450,8 @@ async def live(websocket: WebSocket) -> None:
     service: Service = websocket.app.state.service
     caller: Caller = websocket.state.caller
     require(caller, "live")
-    if caller.audio_seconds_per_hour:
-        await asyncio.to_thread(service.queue.check_quota, caller)
-    with service.session(caller):
+    await service.check_quota(caller)
+    with service.live.hold(caller.holder, caller.live):
         is_offered = SUBPROTOCOL in websocket.scope.get("subprotocols", [])
         await websocket.accept(subprotocol=SUBPROTOCOL if is_offered else None)
         await _serve(websocket, service, caller)
@@ -465,12 +464,8 @@ async def _serve(websocket: WebSocket, service: Service, caller: Caller) -> None
         await Session(websocket, service, caller).run()
     except WebSocketDisconnect:
         return
-    except Problem as error:
-        problem = error
-    except UserError as error:
-        problem = problem_of(error)
     except Exception as error:
-        problem = internal_problem(error)
+        problem = problem_for(error)
     with suppress(RuntimeError, WebSocketDisconnect, TimeoutError):
         await asyncio.wait_for(_close(websocket, problem), SEND_SECONDS)
 

@@ -15,6 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from api.compute.order import ACTING
 from api.errors import Problem
 from deitalk.acting import Acting
+from deitalk.audio.choice import MOST_TRACKS, AudioChoice
 from deitalk.audio.original import start_of
 from deitalk.emotions.track_files import is_table
 from rig.curves.edit import parse_gains
@@ -75,9 +76,26 @@ class SpeechOptions(Acting):
     wait: Annotated[
         bool, Field(description="False: answer 202 with a job, whatever the length.")
     ] = True
-    webhook: Annotated[
+    track: Annotated[
+        int | None,
+        Field(ge=1, le=MOST_TRACKS, description="Sound track; else the first with speech."),
+    ] = None
+    channel: Annotated[
         str | None,
-        Field(max_length=500, description="Address to call when a job has ended."),
+        Field(
+            max_length=16,
+            description="A number from 1 on, left, right, centre, loudest or mix; else the centre "
+            "of surround sound, or the mean of all.",
+            examples=["left"],
+        ),
+    ] = None
+    raw: Annotated[
+        str | None,
+        Field(
+            max_length=64,
+            description="Form of samples without a header: encoding, Hz, channels.",
+            examples=["s16le,24000,1"],
+        ),
     ] = None
 
 
@@ -160,14 +178,15 @@ def order_options(given: Received[SpeechOptions], folder: Path) -> dict[str, Any
     Raises
     ------
     DeitalkError
-        If a time code is beyond a day or its second.
+        If a time code is beyond a day or its second, or a channel or form of samples is unknown.
     """
     fields, sent = given.fields, given.sent
     acting = {name: fields[name] for name in Acting.model_fields if name in fields}
     acting |= {name: sent[name] for name in FIELD_FILES if name in sent}
     (folder / ACTING).write_text(json.dumps(acting), encoding="utf-8")
+    AudioChoice.of(given.options.track, given.options.channel, given.options.raw)
     options = given.options.model_dump(
-        exclude={*Acting.model_fields, "format", "wait", "webhook"}, exclude_none=True
+        exclude={*Acting.model_fields, "format", "wait"}, exclude_none=True
     )
     if "timecode" in options:
         start_of(options["timecode"], given.options.fps, None)

@@ -18,7 +18,6 @@ from api.compute.pool import result_path
 from api.errors import Problem
 from api.guard.keys import Caller, require
 from api.jobs.queue import new_id
-from api.jobs.runner import check_webhook
 from api.jobs.table import DONE, Job
 from api.messages.options import OutputFormat, SpeechOptions
 from api.service import Service
@@ -69,8 +68,7 @@ async def answer_order(
             answer = await service.pool.run(work | {"folder": str(folder)}, caller)
             if "long" not in answer:
                 seconds = service.metrics.read(answer, "request")
-                if caller.audio_seconds_per_hour:
-                    await anyio.to_thread.run_sync(service.queue.use, caller.name, seconds)
+                await service.count(caller, seconds)
                 return await file_answer(folder, answer, output)
         job = await accept(request, service, caller, folder, work, given, output)
         body = view_of(job).model_dump_json()
@@ -100,27 +98,23 @@ async def accept(
     key = request.headers.get("idempotency-key")
     if key is not None and not (0 < len(key) <= LONGEST_KEY and key.isprintable()):
         raise Problem(400, f"Idempotency-Key must be 1 to {LONGEST_KEY} printable letters")
-    webhook = given.webhook
-    if webhook is not None:
-        check_webhook(webhook, service.settings.webhook_hosts)
     order: Order = work | {"at_once_seconds": service.settings.max_job_seconds}
     content = {"order": order, "media_type": output.media_type, "format": output.name}
 
-    def add() -> Job:
-        digest = _digest(folder, content)
-        known = service.queue.known(caller, key, digest)
-        if known is not None:
-            return known
-        service.queue.check_room(caller)
-        job_id = new_id()
-        service.store.put_folder(folder, job_id)
-        traced = content | {"trace": request.state.trace}
-        job = service.queue.add(job_id, caller, traced, digest, key, webhook)
-        if job.id != job_id:
-            service.store.remove(job_id)
+    digest = await anyio.to_thread.run_sync(_digest, folder, content)
+    job = await service.ask(service.queue.known, caller, key, digest)
+    if job is not None:
         return job
-
-    job = await anyio.to_thread.run_sync(add)
+    await service.ask(service.queue.check_room, caller)
+    job_id, traced = new_id(), content | {"trace": request.state.trace}
+    try:
+        await anyio.to_thread.run_sync(service.store.put_folder, folder, job_id)
+        job = await service.ask(service.queue.add, job_id, caller, traced, digest, key)
+    except Exception:
+        await anyio.to_thread.run_sync(service.store.remove, job_id)
+        raise
+    if job.id != job_id:
+        await anyio.to_thread.run_sync(service.store.remove, job_id)
     service.runner.wake()
     return job
 
@@ -259,22 +253,6 @@ class JobView(BaseModel):
     notes: list[str]
     facts: dict[str, Any]
     error: ProblemView | None
-
-
-class EndedView(BaseModel):
-    """A job that has ended."""
-
-    id: str = Field(examples=[JOB_EXAMPLE])
-    status: Literal["done", "failed", "cancelled"]
-    job: str = Field(description="Path of the job")
-
-
-class JobEndedView(BaseModel):
-    """What a webhook is sent."""
-
-    type: Literal["job.done", "job.failed", "job.cancelled"]
-    timestamp: datetime
-    data: EndedView
 
 
 class JobsView(BaseModel):

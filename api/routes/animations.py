@@ -7,8 +7,9 @@ import anyio
 from fastapi import APIRouter, Request, Response
 from fastapi.exceptions import RequestValidationError
 from pydantic import BaseModel, ConfigDict, ValidationError
+from python_multipart.exceptions import FormParserError
 from starlette.datastructures import FormData, UploadFile
-from starlette.formparsers import MultiPartException
+from starlette.formparsers import MultiPartException, MultiPartParser
 from starlette.requests import ClientDisconnect
 
 from api.compute.order import MESH_SUFFIXES, RECORDING, Kind, Order, suffix_of
@@ -167,10 +168,6 @@ async def speech(
             known = ", ".join(service.settings.known_models)
             raise Problem(404, f"no such model; known models: {known}", "model_unknown")
         given = given if at_once else given.model_copy(update={"wait": False})
-        if given.wait and given.webhook is not None:
-            raise Problem(
-                422, "a webhook is called for a job; add wait=false", "webhook_without_job"
-            )
         return await answer_order(request, service, caller, folder, kind, options, given, output)
 
 
@@ -297,23 +294,32 @@ async def _form(
     return sent
 
 
+class _Parser(MultiPartParser):
+    """Notes whether a form is whole."""
+
+    is_whole = False
+
+    def on_end(self) -> None:
+        self.is_whole = True
+
+
 async def _parsed(request: Request) -> FormData:
+    parser = _Parser(
+        request.headers, request.stream(), max_files=len(FILES), max_fields=MOST_FIELDS,
+        max_part_size=LONGEST_TEXT,
+    )  # fmt: skip
     try:
-        return await request.form(
-            max_files=len(FILES), max_fields=MOST_FIELDS, max_part_size=LONGEST_TEXT
-        )
-    except MultiPartException as error:
-        raise Problem(400, f"the form is malformed: {error.message}", "form_malformed") from None
+        form = await parser.parse()
+    except (MultiPartException, FormParserError) as error:
+        why = f"{error} {error.__cause__ or ''}".strip()
     except UnicodeError:
-        raise Problem(
-            400, "the form's charset does not fit; send UTF-8", "form_malformed"
-        ) from None
-    except Problem:
-        raise
-    except Exception as error:  # of the parser, for a wrong boundary and the like
-        if type(error).__name__ == "HTTPException":
-            raise Problem(400, "the form is malformed", "form_malformed") from None
-        raise
+        why = "its charset does not fit; send UTF-8"
+    else:
+        if parser.is_whole:
+            return form
+        await form.close()
+        why = "it ends before its last boundary"
+    raise Problem(400, f"the form is malformed: {why}", "form_malformed")
 
 
 async def _save(upload: UploadFile, name: str, folder: Path) -> str:

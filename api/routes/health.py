@@ -33,13 +33,13 @@ async def ready(service: ServiceDep) -> StatusView:
     response_class=Response,
     responses={200: {"content": {"text/plain": {}}}, **problems()},
 )
-def metrics(service: ServiceDep, caller: MetricsDep) -> Response:
+async def metrics(service: ServiceDep, caller: MetricsDep) -> Response:
     """Counts and times in the text format of Prometheus."""
     counts = service.metrics
-    counts.busy.set(service.pool.busy)
+    counts.busy.set(service.pool.places.taken)
     counts.lost.set(service.pool.lost)
     counts.left.set(service.pool.left)
-    counts.live.set(service.live.total())
-    for status, count in service.queue.counts().items():
+    counts.live.set(service.live.taken)
+    for status, count in (await service.ask(service.queue.counts)).items():
         counts.jobs.labels(status).set(count)
     return Response(counts.text(), media_type="text/plain; version=0.0.4; charset=utf-8")

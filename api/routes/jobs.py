@@ -43,7 +43,7 @@ async def create_job(request: Request, service: ServiceDep, caller: JobCallerDep
 
 
 @router.get("")
-def list_jobs(
+async def list_jobs(
     service: ServiceDep,
     caller: JobCallerDep,
     status: Status | None = None,
@@ -53,14 +53,14 @@ def list_jobs(
     ] = None,
 ) -> JobsView:
     """The key's own jobs, the newest first."""
-    jobs = service.queue.newest(caller, status, limit, before)
+    jobs = await service.ask(service.queue.newest, caller, status, limit, before)
     return JobsView(jobs=[view_of(job) for job in jobs])
 
 
 @router.get("/{job_id}")
-def show_job(job_id: JobId, service: ServiceDep, caller: JobCallerDep) -> JobView:
+async def show_job(job_id: JobId, service: ServiceDep, caller: JobCallerDep) -> JobView:
     """A job and its progress."""
-    return view_of(service.queue.get(job_id, caller))
+    return view_of(await service.ask(service.queue.get, job_id, caller))
 
 
 @router.get(
@@ -70,7 +70,7 @@ def show_job(job_id: JobId, service: ServiceDep, caller: JobCallerDep) -> JobVie
 )
 async def follow_job(job_id: JobId, service: ServiceDep, caller: JobCallerDep) -> Response:
     """Progress as server-sent events `job`, to the end of the job."""
-    job = await anyio.to_thread.run_sync(service.queue.get, job_id, caller)
+    job = await service.ask(service.queue.get, job_id, caller)
     headers = {"X-Accel-Buffering": "no"}
     return StreamingResponse(
         _events(service, caller, job), headers=headers, media_type="text/event-stream"
@@ -87,11 +87,11 @@ async def follow_job(job_id: JobId, service: ServiceDep, caller: JobCallerDep) -
         304: {"description": "As the `If-None-Match` has it"},
     },
 )
-def job_result(
+async def job_result(
     job_id: JobId, request: Request, service: ServiceDep, caller: JobCallerDep
 ) -> Response:
     """The file of a job that is done, or one part of it; 409 before."""
-    job = service.queue.get(job_id, caller)
+    job = await service.ask(service.queue.get, job_id, caller)
     if job.status != DONE or job.result is None:
         raise Problem(409, f"the job is {job.status}; it has no result", "job_without_result")
     name = job.result.rpartition("/")[2][len(job.id) + 1 :]  # ids and holders are as long
@@ -108,7 +108,9 @@ def job_result(
     if wanted is not None and (begin, end) != (0, job.result_bytes):
         status = 206
         headers["Content-Range"] = f"bytes {begin}-{end - 1}/{job.result_bytes}"
-    blocks = service.store.read(job.result, begin, end)
+    blocks = await anyio.to_thread.run_sync(
+        service.store.read, job.result, begin, end, job.result_bytes
+    )
     return StreamingResponse(blocks, status, headers, media_type=job.work["media_type"])
 
 
@@ -143,19 +145,19 @@ def part_of(header: str | None, size: int) -> tuple[int, int]:
 
 
 @router.post("/{job_id}/cancel")
-def cancel_job(job_id: JobId, service: ServiceDep, caller: JobCallerDep) -> JobView:
+async def cancel_job(job_id: JobId, service: ServiceDep, caller: JobCallerDep) -> JobView:
     """End a job; one that has ended stays as it is."""
-    service.queue.cancel(service.queue.get(job_id, caller))
-    return view_of(service.queue.get(job_id, caller))
+    await service.ask(service.queue.cancel, await service.ask(service.queue.get, job_id, caller))
+    return view_of(await service.ask(service.queue.get, job_id, caller))
 
 
 @router.delete("/{job_id}", status_code=204, responses=problems(409))
-def delete_job(job_id: JobId, service: ServiceDep, caller: JobCallerDep) -> None:
+async def delete_job(job_id: JobId, service: ServiceDep, caller: JobCallerDep) -> None:
     """Delete a job that has ended, with its files; 409 while it is queued or runs."""
-    job = service.queue.get(job_id, caller)
-    if not service.queue.remove_ended([job.id]):
+    job = await service.ask(service.queue.get, job_id, caller)
+    if not await service.ask(service.queue.remove_ended, [job.id]):
         raise Problem(409, f"the job is {job.status}; cancel it first", "job_active")
-    service.store.remove(job.id)
+    await anyio.to_thread.run_sync(service.store.remove, job.id)
 
 
 async def _events(service: Service, caller: Caller, job: Job) -> AsyncIterator[str]:
@@ -173,6 +175,7 @@ async def _events(service: Service, caller: Caller, job: Job) -> AsyncIterator[s
         await asyncio.sleep(POLL_SECONDS)
         quiet += POLL_SECONDS
         try:
-            job = await anyio.to_thread.run_sync(service.queue.get, job.id, caller)
-        except Problem:  # deleted meanwhile
-            return
+            job = await service.ask(service.queue.get, job.id, caller)
+        except Problem as problem:
+            if problem.status == 404:  # deleted meanwhile; else the database is away
+                return

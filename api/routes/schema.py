@@ -7,7 +7,7 @@ from pydantic import BaseModel
 
 from api.live.session import Start
 from api.messages.options import OutputFormat
-from api.messages.outgoing import JobEndedView, ProblemView
+from api.messages.outgoing import ProblemView
 from deitalk.acting import LIVE_FIELDS, Acting
 
 _TEXT: dict[str, Any] = {"schema": {"type": "string"}}
@@ -26,16 +26,13 @@ HEADERS: dict[str, dict[str, Any]] = {
     "416": {"Content-Range": _TEXT},
     "429": RETRY,
     "503": RETRY,
+    "507": RETRY,
 }
 
 
 def complete_schema(app: FastAPI) -> None:
     """Have an application's schema say it all."""
     make = app.openapi
-
-    @app.webhooks.post("job-ended")
-    def job_ended(body: JobEndedView) -> None:
-        """A job with a `webhook` has ended; headers and signature of Standard Webhooks 1.0."""
 
     def openapi() -> dict[str, Any]:
         if app.openapi_schema:

@@ -12,8 +12,9 @@ from typing import IO, TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
+from deitalk.audio.choice import MOST_CHANNELS, AudioChoice
 from deitalk.audio.frames import SAMPLE_RATE
-from deitalk.audio.load import MAX_SECONDS, Recording, load_audio, read_sound
+from deitalk.audio.load import MAX_SECONDS, Recording, load_chosen, read_sound
 from deitalk.errors import AudioError
 from rig.arrays import Float32, Float64, Int64
 
@@ -21,8 +22,6 @@ if TYPE_CHECKING:
     from torch import Tensor
 
 
-MOST_CHANNELS = 64
-"""Most columns of an array; with more, its axes are transposed."""
 _FULL_SCALE = {"int8": 2.0**7, "uint8": 2.0**7, "int16": 2.0**15, "int32": 2.0**31}
 _FLOATS = ("float16", "float32", "float64")
 
@@ -30,7 +29,9 @@ Samples: TypeAlias = "npt.NDArray[Any] | Tensor"
 Audio: TypeAlias = "str | Path | bytes | IO[bytes] | Recording | npt.NDArray[Any] | Tensor"
 
 
-def recording_of(audio: Audio, sample_rate: float | None = None) -> Recording:
+def recording_of(
+    audio: Audio, sample_rate: float | None = None, choice: AudioChoice = AudioChoice()
+) -> Recording:
     """Return a recording from a file, a stream, an array or a tensor.
 
     Parameters
@@ -39,11 +40,13 @@ def recording_of(audio: Audio, sample_rate: float | None = None) -> Recording:
         See `deitalk.audio.load.load_audio` and `recording_from_array`.
     sample_rate : float, optional
         Hz; required for an array or a tensor, not allowed for anything else.
+    choice : AudioChoice
+        Of a file or a stream; of an array its channel, of a `Recording` nothing.
 
     Raises
     ------
     AudioError
-        As raised by either of them, or if `sample_rate` is missing or not allowed.
+        As raised by either of them, or if `sample_rate` or a choice is missing or not allowed.
     """
     if isinstance(audio, list | tuple):
         raise AudioError(f"a {type(audio).__name__} is no recording; pass numpy.asarray of it")
@@ -53,13 +56,29 @@ def recording_of(audio: Audio, sample_rate: float | None = None) -> Recording:
                 f"an array holds no sample rate; pass sample_rate in Hz with the "
                 f"{type(audio).__name__}"
             )
-        return recording_from_array(audio, sample_rate)  # type: ignore[arg-type]
+        _refuse_choice(audio, {**choice.settings, "channel": None})
+        channel = choice.channel
+        return recording_from_array(audio, sample_rate, channel=channel)  # type: ignore[arg-type]
     if sample_rate is not None:
         raise AudioError(
             f"sample_rate={sample_rate!r} belongs to an array of samples; leave it out, a "
             f"{type(audio).__name__} has its own"
         )
-    return audio if isinstance(audio, Recording) else load_audio(audio)
+    if isinstance(audio, Recording):
+        _refuse_choice(audio, choice.settings)
+        return audio
+    return load_chosen(audio, choice)
+
+
+def _refuse_choice(audio: Any, settings: dict[str, Any]) -> None:
+    """Raise for a choice that something which is read already does not have."""
+    for name, value in settings.items():
+        if value is not None:
+            raise AudioError(
+                f"`{name}={value}` is of a file or a stream, not of a {type(audio).__name__}; "
+                "leave it out",
+                parameter=name,
+            )
 
 
 def recording_from_array(
@@ -68,6 +87,7 @@ def recording_from_array(
     *,
     name: str = "<array>",
     max_seconds: float = MAX_SECONDS,
+    channel: str | int | None = None,
 ) -> Recording:
     """Read samples as mono 16 kHz; mixed, resampled and described as `load_audio` does.
 
@@ -79,7 +99,7 @@ def recording_from_array(
         A whole number of Hz, 4,000 to 768,000.
     name : str
         Name of the recording in messages and in a take.
-    max_seconds : float
+    max_seconds, channel
         As for `load_audio`.
 
     Raises
@@ -96,7 +116,8 @@ def recording_from_array(
             f"{name} has shape {np.shape(samples)}; it must be (samples,) or (samples, channels) "
             f"with up to {MOST_CHANNELS} channels: transpose it with .T"
         )
-    return read_sound(name, _ArraySource(array, _rate(sample_rate)), max_seconds)
+    source, choice = _ArraySource(array, _rate(sample_rate)), AudioChoice.of(channel=channel)
+    return read_sound(name, source, max_seconds, choice=choice)
 
 
 def _rate(sample_rate: float) -> int:
@@ -130,8 +151,14 @@ class _ArraySource:
     def __init__(self, array: npt.NDArray[Any], rate: int) -> None:
         self.array, self.rate = array, rate
         self.channels, self.expected = array.shape[1], len(array)
-        self.slack = 0
+        self.layout: tuple[str, ...] = ()
+        self.tracks: tuple[str, ...] = ("",)
+        self.track = 1
         self.notes: list[str] = []
+
+    def on(self, track: int) -> "_ArraySource":
+        """The only track."""
+        return self
 
     def blocks(self, size: int) -> Iterator[Float32]:
         """Blocks (n, C) of `size` samples, full scale at 1, the last one shorter."""

@@ -1,37 +1,35 @@
-"""Sound from a file: libsndfile for the formats it supports, FFmpeg's libraries (PyAV) otherwise.
+"""Sound from a file: libsndfile for the formats it supports, FFmpeg's libraries otherwise.
 
-The decoder is chosen by the first bytes. FFmpeg reads through a Python file, with one demuxer
-chosen here and a list of audio decoders, and cannot open another file, as a playlist would.
+The decoder is chosen by the first bytes. A file may hold several recordings one after another and
+a recording several tracks; what is read is one signal in its time (`deitalk.audio.parts`,
+`deitalk.audio.ffmpeg`).
 
 Letters: n samples of a block at the file's rate, C channels.
 """
 
 import io
-import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import IO, TYPE_CHECKING, Any, Protocol
+from functools import partial
+from typing import IO, Any, Protocol
 
 import numpy as np
-import numpy.typing as npt
 
+from deitalk.audio.choice import ENCODINGS, AudioChoice, RawFormat
+from deitalk.audio.content import Part, Window
+from deitalk.audio.ffmpeg import FFmpegReader, Piece
+from deitalk.audio.parts import parts_of, tag_bytes
 from deitalk.errors import AudioError
 from rig.arrays import Float32
 
-if TYPE_CHECKING:
-    from av import AudioFrame, AudioStream, Packet
-    from av.container import InputContainer
-
-# First bytes of a recording: format, ID3 tag and length.
-
 RECORDINGS = (
     ".wav", ".flac", ".mp3", ".m4a", ".ogg", ".opus", ".aac", ".aif", ".aiff", ".mp4", ".mov",
-    ".webm", ".wma",
+    ".webm", ".wma", ".mkv", ".mka", ".oga", ".amr", ".3gp", ".caf", ".w64", ".rf64", ".au",
 )  # fmt: skip
 """Suffixes of recordings; a file given by name is recognised by its content, whatever its name."""
 
-MOST_CHUNKS = 1000  # of a wav or aiff file that are searched for its samples
-_MPEG_TAGS = (b"\x50\0", b"\x55\0")  # coding of a wav file: layers I to III
+_MPEG_CODES = (b"\x50\0", b"\x55\0")  # coding of a wav file: layers I to III
+_CODE_PLACE = slice(20, 22)  # of the coding in the header that a wav file gets
 # Offset and first bytes -> FFmpeg's demuxer.
 _SIGNATURES = (
     (4, b"ftyp", "mov"),  # m4a, mp4, mov, 3gp
@@ -44,97 +42,24 @@ _SIGNATURES = (
     (0, b"OggS", "ogg"),
     (0, b"fLaC", "flac"),
     (0, b"caff", "caf"),
+    (0, b"FLV\x01", "flv"),
+    (0, b".snd", "au"),
     (8, b"AVI ", "avi"),
     (8, b"WAVE", "wav"),
+    (0, b"riff\x2e\x91\xcf\x11", "w64"),
+    (8, b"AIFF", "aiff"),
+    (8, b"AIFC", "aiff"),
 )
-
-
-def sniff(file: IO[bytes]) -> tuple[str | None, bool]:
-    """Format of a file by its first bytes.
-
-    Parameters
-    ----------
-    file : binary file
-        Left at its beginning.
-
-    Returns
-    -------
-    demuxer : str or None
-        Of FFmpeg; None if it does not read the format.
-    is_mpeg : bool
-        Whether it holds MPEG audio. FFmpeg decodes it to the same samples; libsndfile's decoder
-        would print warnings about the file to standard error.
-    """
-    has_tag = skip_id3(file)
-    first = file.read(32)
-    file.seek(0)
-    if len(first) > 1 and first[0] == 0xFF and first[1] & 0xE0 == 0xE0:
-        return ("mp3" if first[1] & 0x06 else "aac"), True  # the layer; 0 is AAC in ADTS
-    for offset, mark, demuxer in _SIGNATURES:
-        if first[offset : offset + len(mark)] == mark:
-            return demuxer, demuxer == "wav" and first[20:22] in _MPEG_TAGS
-    return ("mp3", True) if has_tag else (None, False)
-
-
-def skip_id3(file: IO[bytes]) -> bool:
-    """Go to the end of the ID3 tag at the beginning of a file; False and the beginning if none."""
-    file.seek(0)
-    head = file.read(10)
-    has_tag = head[:3] == b"ID3" and len(head) == 10
-    a, b, c, d = (byte & 0x7F for byte in head[6:]) if has_tag else (0, 0, 0, 0)
-    # the size without these 10 bytes, in 4 times 7 bits
-    file.seek(10 + (a << 21) + (b << 14) + (c << 7) + d if has_tag else 0)
-    return has_tag
-
-
-def missing_share(file: IO[bytes]) -> float:
-    """Number of samples in a wav or aiff header over the number of samples in the file.
-
-    Parameters
-    ----------
-    file : binary file
-        Left at its beginning.
-
-    Returns
-    -------
-    float
-        1 for a whole file, for another format, and where the length was not known when the header
-        was written (nearly all ones, as programs do that write to a pipe).
-    """
-    head = file.read(12)
-    order, mark = {b"RIFF": ("<", b"data"), b"FORM": (">", b"SSND")}.get(head[:4], ("", b""))
-    share = 1.0
-    for _ in range(MOST_CHUNKS if order else 0):
-        chunk = file.read(8)
-        if len(chunk) < 8:
-            break
-        size = int(struct.unpack(f"{order}I", chunk[4:])[0])
-        if chunk[:4] == mark:
-            here = file.tell()
-            left = file.seek(0, io.SEEK_END) - here
-            share = size / left if 0 < left < size < 0x7FFFF000 else 1.0
-            break
-        file.seek(size + size % 2, io.SEEK_CUR)
-    file.seek(0)
-    return share
-
-
+_TS_PLACES = ((0, 188, 376), (4, 196, 388))  # of the first bytes of packets of a transport stream
+MOST_PADDING = 8192  # samples of a coded WAV's last block
+_BY_SNDFILE = ("wav", "w64", "aiff", "au", "caf")
+"""Of those that FFmpeg reads as well."""
 KNOWN = "wav, flac, ogg, opus, mp3, m4a, mp4, mov, webm, aac or wma"
-_NOT_AUDIO = f"{{}} is not audio that can be read; give a {KNOWN} file"
-LENGTH_SLACK_SECONDS = 0.1  # a container's duration is rounded, and may count encoder padding
-LONGEST_LOSS_SECONDS = 1.0  # of one damaged packet; a longer one states a wrong duration
-MOST_DAMAGED = 100  # packets more than sound ones
-
-_KEEP_LENGTH = ("mov", "matroska")  # durations of the others are estimates by size
-_MP3_LENGTHS = (b"Xing", b"Info", b"VBRI")  # marks of a first mp3 frame that counts the others
-_MPEG_ENDINGS = (".mp3", ".mp2", ".mpga")
-_DECODERS = frozenset(
-    "aac mp1 mp1float mp2 mp2float mp3 mp3float opus libopus vorbis libvorbis flac alac ac3 eac3 "
-    "wmav1 wmav2 wmapro wmalossless wmavoice amrnb amrwb libopencore_amrnb libopencore_amrwb "
-    "adpcm_ms adpcm_ima_wav adpcm_ima_qt gsm gsm_ms speex pcm_alaw pcm_mulaw pcm_u8 pcm_s8 "
-    "pcm_s16le pcm_s16be pcm_s24le pcm_s24be pcm_s32le pcm_s32be pcm_f32le pcm_f32be pcm_f64le "
-    "pcm_f64be".split()
+_NOT_AUDIO = (
+    f"{{}} is not audio that can be read; give a {KNOWN} file, or name the form of samples without "
+    "a header: `raw=s16le,24000,1`"
 )
+_MPEG_ENDINGS = (".mp3", ".mp2", ".mpga")
 
 
 class SoundSource(Protocol):
@@ -144,27 +69,55 @@ class SoundSource(Protocol):
     ----------
     rate, channels : int
         Hz and C.
+    layout : tuple of str
+        Names of the channels, such as FL, FR and FC; empty where they are not known.
     expected : int
-        Samples per channel according to the header; 0 where it holds no length.
-    slack : int
-        Tolerance of `expected`, samples.
+        Samples per channel that the file can hold by its header; 0 where that holds no length.
     notes : list of str
-        Damage that `blocks` replaced by silence.
+        What `blocks` corrected, or replaced by silence.
+    tracks : tuple of str
+        Titles of the sound tracks; an empty one for each without.
+    track : int
+        Number of the one that is read, from 1 on.
     """
 
     rate: int
     channels: int
+    layout: tuple[str, ...]
     expected: int
-    slack: int
     notes: list[str]
+    tracks: tuple[str, ...]
+    track: int
 
     def blocks(self, size: int) -> Iterator[Float32]:
         """Blocks (n, C) of about `size` samples, from the beginning to the end."""
         ...
 
+    def on(self, track: int) -> "SoundSource":
+        """The same recording on another track."""
+        ...
+
+
+def sniff(file: IO[bytes]) -> str | None:
+    """Format of a file by its first bytes: a demuxer of FFmpeg; None if it does not read it."""
+    file.seek(0)
+    tag = tag_bytes(file.read(10))
+    file.seek(tag)
+    first = file.read(400)
+    if len(first) > 1 and first[0] == 0xFF and first[1] & 0xE0 == 0xE0:
+        return "mp3" if first[1] & 0x06 else "aac"  # the layer; 0 is AAC in ADTS
+    for offset, mark, demuxer in _SIGNATURES:
+        if first[offset : offset + len(mark)] == mark:
+            return demuxer
+    if any(all(first[at : at + 1] == b"G" for at in places) for places in _TS_PLACES):
+        return "mpegts"
+    return "mp3" if tag else None
+
 
 @contextmanager
-def open_sound(name: str, data: bytes | None) -> Iterator[SoundSource]:
+def open_sound(
+    name: str, data: bytes | None, choice: AudioChoice = AudioChoice()
+) -> Iterator[SoundSource]:
     """Open a recording.
 
     Parameters
@@ -173,247 +126,219 @@ def open_sound(name: str, data: bytes | None) -> Iterator[SoundSource]:
         A path, or the name of `data` in messages.
     data : bytes or None
         The content, unless `name` is a path.
+    choice : AudioChoice
+        Its track, or the form of samples without a header; `deitalk.audio.load.read_sound` takes
+        the channel.
 
     Raises
     ------
     AudioError
-        If the file is no audio, is damaged, has no sound track, or its coding is not supported.
+        If the file is no audio, is damaged, has no such track, or its coding is not supported.
     """
     with open(name, "rb") if data is None else io.BytesIO(data) as file:
-        demuxer, is_mpeg = sniff(file)
-        source = None if is_mpeg else _SndfileSource.opened(name, file)
-        if source is not None:
-            with source.file:
-                yield source
-        elif demuxer is not None:
-            yield _FFmpegSource(name, file, demuxer)
-        elif name.lower().endswith(_MPEG_ENDINGS):
-            yield _padded_mpeg(name, file)
-        else:
-            raise AudioError(_NOT_AUDIO.format(name))
+        if choice.raw is not None:
+            parts = [_raw_part(name, file, choice.raw)]
+            yield _Recordings(name, partial(_SndfileReader, name, file, raw=choice.raw), parts)
+            return
+        demuxer = sniff(file)
+        if demuxer is None and name.lower().endswith(_MPEG_ENDINGS):
+            demuxer = "padded"
+        opened = partial(_opened, name, file, demuxer)
+        yield _Recordings(name, opened, parts_of(file, demuxer), choice.track or 0)
 
 
-def _padded_mpeg(name: str, file: IO[bytes]) -> "_FFmpegSource":
-    """MPEG audio with padding or other bytes before its first frame."""
-    try:
-        return _FFmpegSource(name, file, "mp3")
-    except AudioError:
-        raise AudioError(_NOT_AUDIO.format(name)) from None
+def _opened(
+    name: str, file: IO[bytes], demuxer: str | None, part: Part, track: int
+) -> "_SndfileReader | FFmpegReader":
+    """A reader of one recording of a file."""
+    window = Window(file, part)
+    if demuxer == "padded":
+        # MPEG audio with padding or other bytes before its first frame
+        try:
+            return FFmpegReader(name, window, "mp3", track)
+        except AudioError:
+            raise AudioError(_NOT_AUDIO.format(name), parameter="raw") from None
+    is_mpeg = demuxer == "wav" and part.head[_CODE_PLACE] in _MPEG_CODES
+    if demuxer is None or (demuxer in _BY_SNDFILE and not is_mpeg):
+        try:
+            return _SndfileReader(name, file, part, track)
+        except _NotSupportedError:
+            if demuxer is None:
+                raise AudioError(_NOT_AUDIO.format(name), parameter="raw") from None
+    demuxer = "wav" if demuxer == "w64" and part.head else demuxer
+    return FFmpegReader(name, window, demuxer or "", track)
 
 
-class _SndfileSource:
-    """A recording that libsndfile reads."""
+def _raw_part(name: str, file: IO[bytes], raw: RawFormat) -> Part:
+    """All whole samples of a file without a header."""
+    known = sniff(file)
+    if known not in (None, "mp3", "aac", "mpegts"):  # bytes of samples may look like those
+        raise AudioError(f"{name} has a header ({known}): leave `raw` out", parameter="raw")
+    size = file.seek(0, io.SEEK_END)
+    rest = size % raw.frame_bytes
+    note = f"{rest} bytes at the end are no whole sample of {raw}: left out" if rest else ""
+    return Part(0, size - rest, note=note)
 
-    def __init__(self, name: str, file: Any, expected: int) -> None:
-        self.name, self.file = name, file
-        self.rate, self.channels = int(file.samplerate), int(file.channels)
-        self.expected, self.slack = expected, 0
-        self.notes: list[str] = []
 
-    @classmethod
-    def opened(cls, name: str, file: IO[bytes]) -> "_SndfileSource | None":
-        """The open source; None if libsndfile does not support the format.
+class _NotSupportedError(Exception):
+    """libsndfile does not read a format."""
 
-        libsndfile reads a file without a name, since it decodes any file named ``.mp3`` as MPEG
-        audio.
-        """
+
+class _SndfileReader:
+    """A recording that libsndfile reads, with one track."""
+
+    tracks = ("",)
+    track = 1
+
+    def __init__(
+        self, name: str, file: IO[bytes], part: Part, track: int = 0, raw: RawFormat | None = None
+    ) -> None:
+        self.name, self.file, self.part, self.raw = name, file, part, raw
+        if track > 1:
+            raise AudioError(f"{name} has 1 sound track; there is no track {track}")
+        with self._open() as sound:
+            self.rate, self.channels = int(sound.samplerate), int(sound.channels)
+            padding = sound.frames - part.samples
+            self.most = part.samples if part.samples and 0 < padding < MOST_PADDING else 2**40
+            self.seconds = min(sound.frames, self.most) % 2**40 / self.rate
+        self.layout = part.layout
+        self.notes = [part.note] if part.note else []
+
+    def _open(self) -> Any:
+        """The file at its beginning: some formats cannot be sought."""
         import soundfile
 
-        share = missing_share(file)
+        form = {}
+        if self.raw is not None:
+            subtype, endian, _ = ENCODINGS[self.raw.encoding]
+            form = {"format": "RAW", "subtype": subtype, "endian": endian,
+                    "samplerate": self.raw.rate, "channels": self.raw.channels}  # fmt: skip
         try:
-            opened = soundfile.SoundFile(_Nameless(file))
+            return soundfile.SoundFile(Window(self.file, self.part), **form)
         except (RuntimeError, TypeError):
-            return None
-        frames = opened.frames if opened.frames < 2**40 else 0
-        return cls(name, opened, round(frames * share))
+            raise _NotSupportedError from None
 
-    def blocks(self, size: int) -> Iterator[Float32]:
-        """Blocks (n, C) of `size` samples, the last one shorter."""
+    def pieces(self, size: int) -> Iterator[Piece]:
+        """Pieces of `size` samples, the last one shorter."""
         start = 0
         try:
-            self.file.seek(0)
-            while len(block := self.file.read(size, dtype="float32", always_2d=True)):
-                yield block
-                start += len(block)
+            with self._open() as sound:
+                while len(block := sound.read(size, dtype="float32", always_2d=True)):
+                    yield Piece(block[: self.most - start], self.rate)
+                    start += len(block)
         except RuntimeError as error:
             raise AudioError(
                 f"{self.name} is damaged after {start / self.rate:.2f} s; export it again"
             ) from error
 
 
-class _FFmpegSource:
-    """The first sound track of a container, decoded packet by packet."""
+class _Recordings:
+    """All recordings of a file as one, with the rate and the channels of the first."""
 
-    def __init__(self, name: str, file: IO[bytes], demuxer: str) -> None:
-        self.name, self.file, self.demuxer = name, file, demuxer
-        self.rate = self.channels = self.expected = 0
+    def __init__(self, name: str, opened: Any, parts: list[Part], track: int = 0) -> None:
+        self.name, self.opened, self.parts, self.asked = name, opened, parts, track
+        self.first = opened(parts[0], track)
+        self.rate, self.channels = self.first.rate, self.first.channels
+        self.layout = self.first.layout
+        self.tracks, self.track = self.first.tracks, self.first.track
+        self.expected = round(self.first.seconds * self.rate) if len(parts) == 1 else 0
         self.notes: list[str] = []
-        with self._container() as container:
-            first = next((frame for frame, _ in self._frames(container) if frame), None)
-            if first is None:
-                raise AudioError(
-                    f"{name} has a sound track with 0 samples that can be decoded; export it again"
-                )
-            self.rate, self.channels = first.sample_rate, first.layout.nb_channels
-            self.expected = self._expected(container)
-        self.slack = round(LENGTH_SLACK_SECONDS * self.rate)
+
+    def on(self, track: int) -> "_Recordings":
+        """The same file on another track."""
+        return _Recordings(self.name, self.opened, self.parts, track)
 
     def blocks(self, size: int) -> Iterator[Float32]:
-        """Blocks (n, C) of `size` samples or a packet more; silence where a packet is damaged."""
+        """Blocks (n, C) of `size` samples or a packet more."""
         held: list[Float32] = []
-        damaged: list[float] = []
-        start = n_held = 0
-        with self._container() as container:
-            for frame, lost_seconds in self._frames(container):
-                if frame is None:
-                    damaged.append(start / self.rate)
-                    part = np.zeros((round(lost_seconds * self.rate), self.channels), np.float32)
-                else:
-                    part = self._samples(frame, start)
-                held.append(part)
-                start += len(part)
-                n_held += len(part)
-                if n_held >= size:
-                    yield np.concatenate(held)
-                    held, n_held = [], 0
+        n_held = 0
+        for samples in self._alike(size):
+            held.append(samples)
+            n_held += len(samples)
+            if n_held >= size:
+                yield np.concatenate(held)
+                held, n_held = [], 0
         if n_held:
             yield np.concatenate(held)
-        self.notes = [] if not damaged else [
-            f"{len(damaged)} damaged pieces are silent now, the first at {damaged[0]:.2f} s"
-        ]  # fmt: skip
 
-    @contextmanager
-    def _container(self) -> "Iterator[InputContainer]":
-        """Open the file in FFmpeg; its exceptions become an AudioError."""
-        import av
-
-        self.file.seek(0)
-        try:
-            with av.open(
-                _OnlyRead(self.file),
-                "r",
-                format=self.demuxer,
-                container_options={"codec_whitelist": ",".join(sorted(_DECODERS))},
-                io_open=refuse_other,
-                **lenient(av.__version__),
-            ) as container:
-                yield container
-        except (av.FFmpegError, OSError, MemoryError, OverflowError) as error:
-            reason = getattr(error, "strerror", None) or type(error).__name__
-            raise AudioError(
-                f"{self.name} cannot be decoded ({reason}): it is cut off or damaged; "
-                "export it again, as wav if you can"
-            ) from error
-
-    def _track(self, container: "InputContainer") -> "AudioStream":
-        """The first sound track that can be decoded."""
-        if not container.streams.audio:
-            raise AudioError(f"{self.name} has no sound track; export it with its sound")
-        known = [s for s in container.streams.audio if s.codec_context is not None]
-        for track in known:
-            if track.codec_context.name in _DECODERS:
-                return track
-        coded = known[0].codec_context.name if known else "a way unknown"
-        raise AudioError(f"{self.name} holds sound coded as {coded}; convert it to wav first")
-
-    def _frames(self, container: "InputContainer") -> "Iterator[tuple[AudioFrame | None, float]]":
-        """Decoded frames; None and the seconds lost for a packet that cannot be decoded."""
-        import av
-
-        damaged = 0
-        for packet in container.demux(self._track(container)):
+    def _alike(self, size: int) -> Iterator[Float32]:
+        """Samples of all recordings with the first one's rate and channels."""
+        alike = _Alike(self.rate, self.channels)
+        notes: dict[str, int] = {}
+        lost: list[str] = []
+        for number, part in enumerate(self.parts, 1):
             try:
-                frames = packet.decode()
-            except (av.FFmpegError, ValueError):
-                damaged += 1
-                if damaged > MOST_DAMAGED:
-                    raise AudioError(
-                        f"{self.name} is damaged in more than {MOST_DAMAGED} places; "
-                        "export it again"
-                    ) from None
-                yield None, _seconds(packet)
+                reader = self.first if number == 1 else self.opened(part, self.asked)
+            except AudioError as error:
+                reason = str(error).removeprefix(f"{self.name} ").partition(";")[0]
+                lost.append(f"recording {number} of {len(self.parts)} is left out: it {reason}")
                 continue
-            for frame in frames:
-                yield frame, 0.0
+            for piece in reader.pieces(size):
+                yield from alike.taken(piece)
+            for note in reader.notes:
+                notes[note] = notes.get(note, 0) + 1
+        yield from alike.rest()
+        several = f"{len(self.parts)} recordings one after another"
+        self.notes = [f"{several}: all were read"] if len(self.parts) > 1 and not lost else lost
+        self.notes += [note + f" ({n} times)" * (n > 1) for note, n in notes.items()]
+        self.notes += alike.notes
 
-    def _samples(self, frame: "AudioFrame", start: int) -> Float32:
-        """Samples (n, C) of a frame, full scale 1."""
-        if (frame.sample_rate, frame.layout.nb_channels) != (self.rate, self.channels):
-            raise AudioError(
-                f"{self.name} changes from {self.channels} channels at {self.rate} Hz to "
-                f"{frame.layout.nb_channels} at {frame.sample_rate} Hz after "
-                f"{start / self.rate:.2f} s; export it as wav"
+
+class _Alike:
+    """Pieces of any rate and channels to those of the first."""
+
+    def __init__(self, rate: int, channels: int) -> None:
+        self.rate, self.channels = rate, channels
+        self.seconds = 0.0
+        self.other: tuple[int, int] | None = None
+        self.resampler: Any = None
+        self.changes: list[str] = []
+
+    def taken(self, piece: Piece) -> Iterator[Float32]:
+        """Samples (n, C) of a piece, after those held back of the one before."""
+        samples, form = piece.samples, (piece.rate, piece.samples.shape[1])
+        if form == (self.rate, self.channels):
+            yield from self.rest()
+            self.seconds += len(samples) / self.rate
+            yield samples
+            return
+        if form != self.other:
+            yield from self.rest()
+            self._begin(*form)
+        self.seconds += len(samples) / piece.rate
+        if form[1] != self.channels:
+            samples = np.repeat(samples.mean(axis=1, keepdims=True), self.channels, axis=1)
+        if self.resampler is not None:
+            samples = self.resampler.resample_chunk(np.ascontiguousarray(samples))
+        yield samples
+
+    def rest(self) -> Iterator[Float32]:
+        """Samples that a resampler holds back."""
+        if self.resampler is not None:
+            empty = np.zeros((0, self.channels), np.float32)
+            yield self.resampler.resample_chunk(empty, last=True)
+        self.resampler = self.other = None
+
+    def _begin(self, rate: int, channels: int) -> None:
+        import soxr
+
+        self.other = (rate, channels)
+        if rate != self.rate:
+            self.resampler = soxr.ResampleStream(
+                rate, self.rate, self.channels, dtype="float32", quality="HQ"
             )
-        values: npt.NDArray[Any] = frame.to_ndarray()
-        values = values.T if frame.format.is_planar else values.reshape(-1, self.channels)
-        if values.dtype == np.uint8:
-            return (values.astype(np.float32) - np.float32(128)) / np.float32(128)
-        if values.dtype.kind == "i":
-            return np.asarray(values / np.float32(-float(np.iinfo(values.dtype).min)), np.float32)
-        with np.errstate(invalid="ignore", over="ignore"):  # reported by the reader
-            return values.astype(np.float32)
+        self.changes.append(f"{self.seconds:.2f} s ({_form(rate, channels)})")
 
-    def _expected(self, container: "InputContainer") -> int:
-        """Samples according to the header; 0 where it holds no length."""
-        import av
-
-        if self.demuxer not in _KEEP_LENGTH and not self._counts_frames():
-            return 0
-        track = self._track(container)
-        if track.duration is not None and track.time_base is not None:
-            seconds = float(track.duration * track.time_base)
-        elif container.duration is not None and len(container.streams) == 1:
-            seconds = container.duration / av.time_base
-        else:
-            return 0
-        return max(0, round(seconds * self.rate))
-
-    def _counts_frames(self) -> bool:
-        """Whether this is an mp3 whose first frame holds their number."""
-        if self.demuxer != "mp3":
-            return False
-        skip_id3(self.file)
-        head = self.file.read(256)
-        return any(mark in head for mark in _MP3_LENGTHS)
+    @property
+    def notes(self) -> list[str]:
+        """Where rate or channels change."""
+        if not self.changes:
+            return []
+        return [
+            f"it begins with {_form(self.rate, self.channels)} and changes at "
+            f"{', '.join(self.changes[:3])}{' …' * (len(self.changes) > 3)}: made alike"
+        ]
 
 
-def _seconds(packet: "Packet[AudioStream]") -> float:
-    """Duration of a packet according to its header, seconds."""
-    if packet.duration is None or packet.time_base is None:
-        return 0.0
-    return min(max(float(packet.duration * packet.time_base), 0.0), LONGEST_LOSS_SECONDS)
-
-
-def lenient(version: str) -> dict[str, Any]:
-    """Arguments for PyAV to open a file whose tags are not UTF-8; 19 needs none."""
-    return {"metadata_errors": "replace"} if int(version.partition(".")[0]) < 19 else {}
-
-
-class _Nameless:
-    """A file without a name, in which seeking to an invalid position has no effect.
-
-    In a callback of libsndfile an exception would be printed as a traceback on standard error.
-    """
-
-    def __init__(self, file: IO[bytes]) -> None:
-        self.read, self.tell = file.read, file.tell
-        self._seek = file.seek
-
-    def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:
-        """Go to a position; stay if it does not exist."""
-        try:
-            return self._seek(offset, whence)
-        except (ValueError, OverflowError, OSError):
-            return self.tell()
-
-
-class _OnlyRead:
-    """A file without a name that FFmpeg can read and seek but not close."""
-
-    def __init__(self, file: IO[bytes]) -> None:
-        self.read, self.seek, self.tell = file.read, file.seek, file.tell
-
-
-def refuse_other(url: str, flags: int, options: dict[str, str]) -> Any:
-    """Callback of FFmpeg for opening another file: always an error."""
-    raise PermissionError("it refers to another file")
+def _form(rate: int, channels: int) -> str:
+    return f"{channels} channel{'s' * (channels != 1)} at {rate} Hz"

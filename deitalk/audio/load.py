@@ -4,17 +4,19 @@ Letters: N samples at the source's rate, n of a block, C channels.
 """
 
 import stat
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
-from functools import cached_property
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
 from pathlib import Path
 from typing import IO
 
 import numpy as np
 import numpy.typing as npt
 
+from deitalk.audio.channels import Mixing, Survey, centre, has_own_centre, mixing
+from deitalk.audio.choice import HIGHEST_RATE, LOUDEST, LOWEST_RATE, MOST_TRACKS, AudioChoice
 from deitalk.audio.decoding import SoundSource, open_sound
-from deitalk.audio.frames import SAMPLE_RATE, frame_count
+from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE, frame_count
 from deitalk.audio.original import start_seconds, wav_header
 from deitalk.audio.vocal_strength import rms_db
 from deitalk.audio.voice_activity import (
@@ -25,6 +27,7 @@ from deitalk.audio.voice_activity import (
 )
 from deitalk.errors import AudioError
 from rig.arrays import Float32
+from rig.errors import as_line
 from rig.files import atomic_write
 
 __all__ = [
@@ -32,11 +35,11 @@ __all__ = [
     "check_path",
     "checked_waveform",
     "load_audio",
+    "load_chosen",
     "read_sound",
     "write_wav",
 ]
 
-LOWEST_RATE, HIGHEST_RATE = 4_000, 768_000  # Hz accepted from a file
 MAX_SECONDS = 3 * 3600.0
 MAX_STREAM_BYTES = 2 * 1024**3  # of a file-like source, which is held in memory
 BLOCK_SAMPLES = 1 << 20  # per read, over all channels: 4 MB of float32
@@ -63,6 +66,8 @@ class Recording:
         Properties that lower the quality of the animation, such as clipping.
     start : float, optional
         Time of day of the first sample, seconds, of a WAV file with a chunk ``bext``.
+    choice : AudioChoice
+        The track and the channel that were read; without a channel the mean of all.
     """
 
     waveform: Float32
@@ -73,6 +78,7 @@ class Recording:
     warnings: tuple[str, ...] = ()
     sample_rate: int = SAMPLE_RATE
     start: float | None = None
+    choice: AudioChoice = field(default_factory=AudioChoice)
 
     @property
     def duration(self) -> float:
@@ -106,15 +112,23 @@ class Recording:
 
 
 def load_audio(
-    source: str | Path | bytes | IO[bytes], *, max_seconds: float = MAX_SECONDS
+    source: str | Path | bytes | IO[bytes],
+    *,
+    max_seconds: float = MAX_SECONDS,
+    track: int | None = None,
+    channel: str | int | None = None,
+    raw: str | None = None,
 ) -> Recording:
-    """Read a recording as mono 16 kHz.
+    """Read a recording as mono 16 kHz, in its time.
 
     wav, flac, ogg, opus and the other formats of libsndfile; mp3, m4a, mp4, mov, webm, aac and wma
-    through FFmpeg's libraries, the first sound track of each. Channels are averaged; if they cancel
-    (phase-inverted stereo), the loudest one is taken instead. The length is N · 16000 / rate,
-    rounded. The recording's `warnings` report a file cut short, channels that cancel, clipping,
-    DC, a level far off, no speech.
+    through FFmpeg's libraries. Several recordings one after another in one file are all read; where
+    a container says that its sound begins later or has a hole, there is silence. Of several tracks
+    the first one with speech is read. Channels are averaged; if they cancel (phase-inverted
+    stereo), the loudest one is taken instead, and of surround sound the centre if it has speech.
+    The length is N · 16000 / rate, rounded. The recording's `warnings` report what was chosen,
+    added or corrected, a file cut short, channels with different voices, clipping, DC, a level far
+    off, no speech.
 
     Parameters
     ----------
@@ -122,6 +136,12 @@ def load_audio(
         A file object is read to its end, at most 2 GiB.
     max_seconds : float
         Longer recordings are refused.
+    track : int, optional
+        Number of a sound track, from 1 on.
+    channel : int or str, optional
+        Number of a channel from 1 on, ``left``, ``right``, ``centre``, ``loudest`` or ``mix``.
+    raw : str, optional
+        Form of samples without a header: encoding, rate and channels, such as ``s16le,24000,1``.
 
     Returns
     -------
@@ -131,16 +151,27 @@ def load_audio(
     ------
     AudioError
         If the source is missing, unreadable, empty, no audio, without sound, not finite or too
-        long, or its rate is outside 4 … 768 kHz.
+        long, its rate is outside 4 … 768 kHz, or there is no such track or channel.
 
     Notes
     -----
     Paper silent: §3.2 says only "via the Librosa library at a sampling frequency of 16kHz";
     mixing, DC removal and soxr's HQ resampler are ours.
     """
+    return load_chosen(source, AudioChoice.of(track, channel, raw), max_seconds=max_seconds)
+
+
+def load_chosen(
+    source: str | Path | bytes | IO[bytes],
+    choice: AudioChoice,
+    *,
+    max_seconds: float = MAX_SECONDS,
+) -> Recording:
+    """As `load_audio`."""
     name, data = _name_and_data(source)
-    with open_sound(name, data) as sound:
-        return read_sound(name, sound, max_seconds, start_seconds(name if data is None else data))
+    with open_sound(name, data, choice) as sound:
+        start = start_seconds(name if data is None else data)
+        return read_sound(name, sound, max_seconds, start, choice)
 
 
 def read_sound(
@@ -148,24 +179,101 @@ def read_sound(
     sound: SoundSource,
     max_seconds: float = MAX_SECONDS,
     start: float | None = None,
+    choice: AudioChoice = AudioChoice(),
 ) -> Recording:
-    """Mix, resample and describe an open source; see `load_audio` for how and for the errors."""
+    """Choose, mix, resample and describe an open source; see `load_audio` for how and for errors.
+
+    `choice` is that which the source was opened with.
+    """
+    read = partial(_read_track, name, max_seconds=max_seconds, start=start, choice=choice)
+    if choice.track is not None or len(sound.tracks) == 1:
+        return read(sound)
+    return _with_speech(name, sound, read)
+
+
+def _with_speech(
+    name: str, sound: SoundSource, read: Callable[[SoundSource], Recording]
+) -> Recording:
+    """The first track with speech; a later one if it has more than twice as much."""
+    chosen, most, found = read(sound), 0.0, {}
+    for number in range(1, min(len(sound.tracks), MOST_TRACKS) + 1):
+        try:
+            recording = chosen if number == sound.track else read(sound.on(number))
+        except AudioError as error:
+            found[number] = str(error).removeprefix(f"{name} ")
+            continue
+        seconds = float(recording.activity.sum()) / FRAME_RATE
+        found[number] = f"has {seconds:.1f} s of speech" if seconds else "has no speech"
+        if seconds > 2 * most:
+            chosen, most = recording, seconds
+    taken = chosen.choice.track
+    others = ", ".join(
+        f"{number}{f' ({as_line(sound.tracks[number - 1])})' * bool(sound.tracks[number - 1])} "
+        f"{text}"
+        for number, text in found.items()
+    )
+    note = f"{len(sound.tracks)} sound tracks: track {taken} was taken; {others}"
+    return replace(chosen, warnings=(note, *chosen.warnings))
+
+
+def _read_track(
+    name: str,
+    sound: SoundSource,
+    *,
+    max_seconds: float,
+    start: float | None,
+    choice: AudioChoice,
+) -> Recording:
+    """One track of an open source."""
     _check_header(name, sound, max_seconds)
-    weights, warnings = _mixing_weights(name, sound)
-    reader = _MonoReader(name, sound, max_seconds)
-    for block in _finite_blocks(name, sound):
-        reader.add(block, weights)
-    waveform, notes = reader.finish()
+    mixed, read = _mixing(name, sound, choice.channel), partial(_mono, name, sound, max_seconds)
+    if isinstance(mixed, Survey):
+        # Surround sound: its centre if that has speech.
+        centred = centre(sound.layout)
+        waveform, notes, clipped = read(centred.weights)
+        if speech_activity(waveform).any():
+            mixed = centred
+        else:
+            mixed = mixing(mixed, None, sound.layout)
+            waveform, notes, clipped = read(mixed.weights)
+    else:
+        waveform, notes, clipped = read(mixed.weights)
     recording = Recording(
         waveform=waveform,
         source=name,
         source_rate=sound.rate,
         channels=sound.channels,
-        clipped_fraction=reader.clipped_fraction,
-        warnings=(*sound.notes, *warnings, *notes),
+        clipped_fraction=clipped,
+        warnings=(*sound.notes, *mixed.notes, *notes),
         start=start,
-    )
+        choice=replace(
+            choice, track=sound.track if len(sound.tracks) > 1 else choice.track,
+            channel=mixed.channel,
+        ),
+    )  # fmt: skip
     return recording.noted(*describe(recording.waveform, recording.activity))
+
+
+def _mixing(name: str, sound: SoundSource, channel: str | None) -> Mixing | Survey:
+    """How channels become one; the survey of surround sound whose centre may have the speech."""
+    survey = Survey(sound.channels, sound.rate)
+    if sound.channels > 1 and channel in (None, LOUDEST):
+        for block in _finite_blocks(name, sound):
+            survey.add(block)
+    if channel is None and has_own_centre(survey, sound.layout):
+        return survey
+    return mixing(survey, channel, sound.layout)
+
+
+def _mono(
+    name: str, sound: SoundSource, max_seconds: float, weights: Float32
+) -> tuple[Float32, list[str], float]:
+    """The waveform (S,), notes on it, and the share of clipped samples."""
+    reader = _MonoReader(name, sound, max_seconds)
+    for block in _finite_blocks(name, sound):
+        reader.add(block, weights)
+    waveform, notes = reader.finish()
+    return waveform, notes, reader.clipped_fraction
 
 
 def write_wav(path: str | Path, waveform: npt.ArrayLike, *, start: float = 0.0) -> None:
@@ -225,11 +333,10 @@ class _MonoReader:
         import soxr
 
         self.name, self.rate, self.max_seconds = name, sound.rate, max_seconds
-        self.expected, self.slack = sound.expected, sound.slack
         self.resampler = soxr.ResampleStream(
             sound.rate, SAMPLE_RATE, 1, dtype="float32", quality="HQ"
         )
-        self.waveform = np.zeros(self._length(self.expected) + SAMPLE_RATE, np.float32)
+        self.waveform = np.zeros(self._length(sound.expected) + SAMPLE_RATE, np.float32)
         self.filled = self.n_source = self.n_values = self.n_clipped = 0
 
     def add(self, block: Float32, weights: Float32) -> None:
@@ -253,9 +360,6 @@ class _MonoReader:
         waveform = self.waveform[: self._length(self.n_source)]
         offset, peak = _remove_dc(waveform)
         notes = []
-        if self.n_source + self.slack < self.expected:
-            there, whole = self.n_source / self.rate, self.expected / self.rate
-            notes.append(f"cut short: {there:.2f} s of {whole:.2f} s are there")
         if self.clipped_fraction > 1e-4:
             notes.append(f"{self.clipped_fraction:.2%} of the samples are clipped")
         if abs(offset) > 0.01 * max(peak, 1.0):
@@ -297,32 +401,6 @@ def _count_clipped(block: Float32) -> int:
     run[1:-1] |= middle
     run[2:] |= middle
     return int(run.sum())
-
-
-def _mixing_weights(name: str, sound: SoundSource) -> tuple[Float32, list[str]]:
-    """Weights (C,) that make mono: the mean, or the loudest channel if the mean cancels."""
-    n_channels = sound.channels
-    mean = np.full(n_channels, 1 / n_channels, np.float32)
-    if n_channels == 1:
-        return mean, []
-    total = np.zeros(n_channels)
-    products = np.zeros((n_channels, n_channels))
-    n_samples = 0
-    for block in _finite_blocks(name, sound):
-        samples = block.astype(np.float64)
-        total += samples.sum(axis=0)
-        products += samples.T @ samples
-        n_samples += len(block)
-    if n_samples == 0:
-        return mean, []
-    covariance = products / n_samples - np.outer(total, total) / n_samples**2
-    power = covariance.diagonal()
-    unrelated = power.sum() / n_channels**2  # the mean's power if the channels were independent
-    if covariance.mean() >= 0.1 * unrelated:
-        return mean, []
-    loudest = int(power.argmax())
-    note = f"the {n_channels} channels cancel each other: took channel {loudest + 1} alone"
-    return np.eye(n_channels, dtype=np.float32)[loudest], [note]
 
 
 def _finite_blocks(name: str, sound: SoundSource) -> Iterator[Float32]:

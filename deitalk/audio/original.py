@@ -16,8 +16,10 @@ from typing import IO
 
 import numpy as np
 
-from deitalk.audio.decoding import MOST_CHUNKS, open_sound
+from deitalk.audio.choice import AudioChoice, channel_index
+from deitalk.audio.decoding import open_sound
 from deitalk.audio.frames import FRAME_RATE
+from deitalk.audio.headers import MOST_CHUNKS
 from deitalk.errors import AudioError, DeitalkError
 from rig.arrays import Float32
 from rig.files import atomic_write
@@ -88,8 +90,17 @@ def parse_timecode(text: str, fps: float) -> float:
     return hours * 3600 + minutes * 60 + seconds + frames / round(fps) + float(match[5] or 0)
 
 
-def write_original(path: Path, source: str, *, seconds: float, start: float = 0.0) -> None:
-    """Write a recording as 48 kHz PCM with all its channels, 24 bits or 16 if the source has 16.
+def write_original(
+    path: Path,
+    source: str,
+    *,
+    seconds: float,
+    start: float = 0.0,
+    choice: AudioChoice = AudioChoice(),
+) -> None:
+    """Write a recording as 48 kHz PCM, 24 bits or 16 if the source has 16.
+
+    It has all channels of the track that was read, or the one that was taken of them.
 
     Parameters
     ----------
@@ -101,27 +112,36 @@ def write_original(path: Path, source: str, *, seconds: float, start: float = 0.
         Length to write; a shorter recording is followed by silence.
     start : float
         Time of day of the first sample, seconds.
+    choice : AudioChoice
+        Of the recording that was read.
 
     Raises
     ------
     AudioError
         If the recording cannot be read or the file cannot be written.
     """
-    with open_sound(source, None) as sound:
+    with open_sound(source, None, choice) as sound:
         n_samples = round(seconds * ORIGINAL_RATE)
         width = _sample_bytes(source)
-        n_bytes = n_samples * sound.channels * width
+        taken, count = slice(None), sound.channels
+        if not choice.is_mix:
+            index = channel_index(str(choice.channel), count, sound.layout)
+            taken, count = slice(index, index + 1), 1
+        n_bytes = n_samples * count * width
         if n_bytes > MOST_BYTES:
             raise AudioError(f"{source} is longer than a WAV file can be at 48 kHz")
         with atomic_write(path) as beside, beside.open("wb") as file:
-            file.write(wav_header(ORIGINAL_RATE, sound.channels, 8 * width, n_bytes, start))
+            file.write(wav_header(ORIGINAL_RATE, count, 8 * width, n_bytes, start))
             left = n_samples
-            for block in _at_48k(sound.blocks(BLOCK_SAMPLES // sound.channels), sound.rate):
+            blocks = (block[:, taken] for block in sound.blocks(BLOCK_SAMPLES // sound.channels))
+            for block in _at_48k(blocks, sound.rate):
                 file.write(_pcm(block[:left], width))
                 left -= min(left, len(block))
+                if not left:
+                    break
             for start_left in range(left, 0, -BLOCK_SAMPLES):
-                count = min(start_left, BLOCK_SAMPLES)
-                file.write(bytes(count * sound.channels * width))
+                n_left = min(start_left, BLOCK_SAMPLES)
+                file.write(bytes(n_left * count * width))
 
 
 def wav_header(rate: int, channels: int, bits: int, n_bytes: int, start: float = 0.0) -> bytes:

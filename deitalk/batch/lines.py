@@ -14,6 +14,7 @@ from time import monotonic
 from typing import NamedTuple
 
 from deitalk.acting import Acting
+from deitalk.audio.choice import AudioChoice
 from deitalk.audio.original import ZERO, start_of
 from deitalk.errors import DeitalkError
 from deitalk.pipeline.speech import MeasuredVoice
@@ -69,6 +70,8 @@ class Line:
     """Path below the output folder with ``/``, without suffix."""
     acting: Acting = field(default_factory=Acting)
     written: Written = field(default_factory=Written)
+    choice: AudioChoice = field(default_factory=AudioChoice)
+    """Which signal of the recording."""
     actor: str = ""
     """Who speaks; lines of one actor share a reference. Empty: nobody in particular."""
 
@@ -153,7 +156,7 @@ def line_key(line: Line, acting: Acting, model: str) -> str:
     """
     parts = {
         "acting": acting.settings, "written": asdict(line.written), "actor": line.actor,
-        "model": model,
+        "model": model, "signal": line.choice.settings,
     }  # fmt: skip
     if TAKE in line.written.formats:
         parts["name"] = Path(line.audio).name  # files of a take are named after it
@@ -190,6 +193,7 @@ class Order:
     """Bytes of the recording."""
     only_voice: bool = False
     """Measure the strength of the voice and write nothing."""
+    choice: AudioChoice = field(default_factory=AudioChoice)
 
 
 class Target(NamedTuple):

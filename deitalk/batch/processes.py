@@ -25,6 +25,7 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 from weakref import finalize
 
 from deitalk.acting import Acting
+from deitalk.audio.choice import AudioChoice
 from deitalk.audio.frames import FRAME_RATE
 from deitalk.batch.cloud import read_recording, upload
 from deitalk.batch.lines import TAKE, File, Order, Outcome, Target, has_option
@@ -316,7 +317,7 @@ class Performer:
         data, sound = read_recording(order.audio)
         if sound == order.known:
             return Outcome(order.output, "unchanged", sound=sound)
-        recording = decoded(order.audio, data)
+        recording = decoded(order.audio, data, order.choice)
         if order.only_voice:
             return Outcome(order.output, "done", voice=measure_voice(recording, self.network))
         acting = order.acting
@@ -415,16 +416,16 @@ class Performer:
         os.rename(beside, folder)
 
 
-def decoded(path: str, data: bytes | None) -> Any:
+def decoded(path: str, data: bytes | None, choice: AudioChoice = AudioChoice()) -> Any:
     """The recording of a file that was read; warnings and errors name its path."""
     from deitalk.audio.decoding import open_sound
-    from deitalk.audio.load import load_audio, read_sound
+    from deitalk.audio.load import load_chosen, read_sound
     from deitalk.audio.original import start_seconds
 
     if data is None:
-        return load_audio(path)
-    with open_sound(path, data) as sound:
-        return read_sound(path, sound, start=start_seconds(data))
+        return load_chosen(path, choice)
+    with open_sound(path, data, choice) as sound:
+        return read_sound(path, sound, start=start_seconds(data), choice=choice)
 
 
 def _files(folder: Path, targets: tuple[Target, ...]) -> dict[Path, File]:

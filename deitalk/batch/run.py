@@ -14,9 +14,10 @@ from contextlib import AbstractContextManager, contextmanager
 from functools import partial
 from pathlib import Path
 from time import monotonic
-from typing import Any
+from typing import Any, NamedTuple
 
 from deitalk.acting import Acting, acted_as
+from deitalk.audio.choice import AudioChoice
 from deitalk.batch.cloud import AnyOutputs, Recordings, is_url, opened_cloud
 from deitalk.batch.lines import (
     BadLine,
@@ -156,7 +157,7 @@ class Batch:
         size = self.recordings.size(line.audio)
         order = Order(
             line.output, line.audio, _acting(line, voices), line.written, line.actor, entry.sound,
-            size,
+            size, choice=line.choice,
         )  # fmt: skip
         self._orders.append(order)
         return Row(line.number, line.audio, line.output, FAILED, error="was not animated")
@@ -235,6 +236,21 @@ FEWEST_LINES = 3
 """With fewer lines with voice an actor gets no reference."""
 
 
+class Sample(NamedTuple):
+    """A recording of an actor."""
+
+    audio: str
+    choice: AudioChoice
+    sign: str
+    """What its voice depends on."""
+
+    @property
+    def name(self) -> str:
+        """Its name in the journal: its path, and which signal of it."""
+        signal = ",".join(f"{name}={value}" for name, value in self.choice.settings.items())
+        return f"{self.audio}#{signal}" if signal else self.audio
+
+
 def file_of(actor: str) -> str:
     """Path of an actor's reference below the output folder."""
     plain = re.sub(r"[^0-9a-z]+", "-", actor.lower()).strip("-")[:60]
@@ -268,19 +284,19 @@ def references(
         If a reference in the output folder is malformed.
     """
     found: dict[str, ActorReference] = {}
-    samples: dict[str, list[tuple[str, str]]] = {}
+    samples: dict[str, list[Sample]] = {}
     for actor, chosen in _by_actor(lines).items():
         content = outputs.reference(file_of(actor))
         if content is not None:
             found[actor] = parse_actor(content, f"{outputs.folder}/{file_of(actor)}")
         else:
-            audios = dict.fromkeys(line.audio for line in _spread(chosen))
-            signed = [(audio, signature(audio)) for audio in audios]
-            samples[actor] = [(audio, sign) for audio, sign in signed if sign]
+            heard = dict.fromkeys((line.audio, line.choice) for line in _spread(chosen))
+            signed = [Sample(*sound, signature(sound[0])) for sound in heard]
+            samples[actor] = [sample for sample in signed if sample.sign]
     journal = outputs.journal
     _measure([sample for group in samples.values() for sample in group], journal, run)
     for actor, group in samples.items():
-        measured = [voice for sample in group if (voice := journal.voice(*sample))]
+        measured = [voice for one in group if (voice := journal.voice(one.name, one.sign))]
         if sum(voice.strength is not None for voice in measured) >= FEWEST_LINES:
             text = reference_of(measured).as_json()
             outputs.keep_reference(file_of(actor), text)
@@ -303,18 +319,20 @@ def _spread(lines: list[Line]) -> list[Line]:
 
 
 def _measure(
-    samples: list[tuple[str, str]],
+    samples: list[Sample],
     journal: Journal,
     run: Callable[[Sequence[Order]], Iterator[list[Outcome]]],
 ) -> None:
     """Enter the voice of every recording that is not known yet."""
-    signs = {audio: sign for audio, sign in samples if journal.voice(audio, sign) is None}
-    orders = [Order(audio, audio, only_voice=True) for audio in signs]
+    new = {one.name: one for one in samples if journal.voice(one.name, one.sign) is None}
+    orders = [
+        Order(name, one.audio, only_voice=True, choice=one.choice) for name, one in new.items()
+    ]
     for outcomes in run(orders) if orders else ():
         with journal.transaction():
             for outcome in outcomes:
                 if outcome.voice is not None:
-                    journal.write_voice(outcome.output, signs[outcome.output], outcome.voice)
+                    journal.write_voice(outcome.output, new[outcome.output].sign, outcome.voice)
 
 
 def animate_batch(
@@ -328,6 +346,9 @@ def animate_batch(
     fps: float | None = None,
     digits: int | None = None,
     timecode: str = "zero",
+    track: int | None = None,
+    channel: str | int | None = None,
+    raw: str | None = None,
     model: str | Path = "default",
     backend: Backend = "torch",
     device: str = "cpu",
@@ -358,6 +379,8 @@ def animate_batch(
         A list such as ``"csv;take"``.
     fps, digits, timecode
         Of the written curves; see `deitalk.batch.lines.Written`.
+    track, channel, raw
+        Which signal of the recordings, as for `deitalk.load_audio`.
     model : str or Path
         Name or folder of a curve model, or an ``.onnx`` file.
     backend : str
@@ -390,7 +413,9 @@ def animate_batch(
         if not isinstance(path, str | Path):
             raise DeitalkError(f"{name} {quoted(path)} must be a path or a URL")
     written = Written(parse_formats(formats), fps, digits, timecode).checked()
-    defaults = Line(0, "", "", acted_as(emotion, acting, fields, animate_batch), written, actor)
+    choice = AudioChoice.of(track, channel, raw)
+    acted = acted_as(emotion, acting, fields, animate_batch)
+    defaults = Line(0, "", "", acted, written, choice, actor)
     # Refuse a device that this machine lacks; those of a cluster are checked there.
     if device == "cpu" or ray is not None:
         check_device(device)

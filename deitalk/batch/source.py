@@ -11,6 +11,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from deitalk.acting import Acting
+from deitalk.audio.choice import AudioChoice
 from deitalk.audio.decoding import RECORDINGS
 from deitalk.batch.cloud import cloud_errors, file_system, is_url
 from deitalk.batch.lines import TAKE, BadLine, Line, Written, parse_formats
@@ -191,12 +192,14 @@ def _outside_takes(lines: list[Line | BadLine], takes: dict[str, Line]) -> list[
 #     actor             who speaks: lines of one actor share a measured voice
 #     fps, digits       numbers
 #     timecode          zero, recording or HH:MM:SS:FF
+#     track, channel, raw  which signal, as for `deitalk.load_audio`
 #     emotion, life …   each field of `deitalk.acting.Acting`; files are relative to the manifest
 #
 # Cells are separated by commas, semicolons or tabs; text is UTF-8 or UTF-16.
 
 
-OWN_COLUMNS = ("audio", "output", "formats", "actor", "fps", "digits", "timecode")
+SIGNAL = ("track", "channel", "raw")
+OWN_COLUMNS = ("audio", "output", "formats", "actor", "fps", "digits", "timecode", *SIGNAL)
 COLUMNS = (*OWN_COLUMNS, *Acting.model_fields)
 _SETTINGS = COLUMNS[3:]
 _SEPARATORS = ",;\t"
@@ -316,7 +319,9 @@ class _Reader:
             form["timecode"] = timecode
         written = replace(self.defaults.written, **form).checked()
         actor = cells.get("actor", self.defaults.actor)
-        return replace(self.defaults, acting=acting, written=written, actor=actor)
+        signal = {name: cells[name] for name in SIGNAL if name in cells}
+        choice = AudioChoice.of(**self.defaults.choice.settings | signal)
+        return replace(self.defaults, acting=acting, written=written, actor=actor, choice=choice)
 
 
 class _Beside(dict[str, Path]):

@@ -38,7 +38,6 @@ from deitalk.errors import DeitalkError
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from deitalk.acting import Acting
     from deitalk.audio.load import Recording
     from deitalk.batch.lines import BatchReport
     from deitalk.models.protocol import CurveNetwork
@@ -126,7 +125,7 @@ def animate(
     target, is_folder = Path(out), _is_folder(out)
     _check(target, is_folder, inputs, preview=preview, identity=identity, force=force, **form)
     extras = _extras(preview, identity)
-    performance = _perform(speech, given.acting, _loader(model, backend, device, threads))
+    performance = _perform(speech, given, _loader(model, backend, device, threads))
     form["start"] = _start(form.pop("timecode"), fps, performance.recording)
     if is_folder:
         from deitalk.models.folder import describe_model
@@ -173,7 +172,7 @@ def _plot(
 
     check_drawing()
     reserve_picture(out, force=force, inputs=(speech, *given.texts))
-    performance = _perform(speech, given.acting, load)
+    performance = _perform(speech, given, load)
     from deitalk.evaluation.figures import draw_curves
 
     title = f"{Path(speech).name}, {performance.emotion}"
@@ -284,12 +283,12 @@ def _loader(model: str, backend: str, device: str, threads: int) -> "Callable[[]
     return load
 
 
-def _perform(speech: str, acting: "Acting", load: "Callable[[], CurveNetwork]") -> "Performance":
+def _perform(speech: str, given: Given, load: "Callable[[], CurveNetwork]") -> "Performance":
     from deitalk.pipeline.curves import finish, prepare
 
     sound = sys.stdin.buffer.read() if speech == "-" else speech
     with console().status("loading the recording and the network"):
-        prepared = prepare(sound, acting, load)
+        prepared = prepare(sound, given.acting, load, choice=given.choice)
     with bar("animating") as progress:
         return finish(prepared, prepared.read(progress))
 
@@ -327,6 +326,7 @@ def _summary(out: Path, performance: "Performance", frames: int) -> dict[str, An
         "words": performance.words and performance.words.line,
         "suggestion": performance.suggestion,
         "settings": performance.acting.settings,
+        "signal": performance.recording.choice.settings,
         "timings_seconds": performance.timings,
     }
 
@@ -368,7 +368,8 @@ def batch(
     """Animate many recordings; the same command again goes on where it was.
 
     The options hold for lines whose manifest does not say otherwise. Its columns: audio, output,
-    formats, actor, fps, digits, timecode, and the options of the acting (docs/batch.md).
+    formats, actor, fps, digits, timecode, track, channel, raw, and the options of the acting
+    (docs/batch.md).
 
     Examples
     --------
@@ -382,8 +383,7 @@ def batch(
         report = animate_batch(
             source, out, acting=given.acting, actor=actor, formats=formats, fps=fps, digits=digits,
             timecode=timecode, model=model, backend=backend, device=device,  # type: ignore[arg-type]
-            workers=workers, ray=ray,
-            force=force, progress=progress,
+            workers=workers, ray=ray, force=force, progress=progress, **given.choice.settings,
         )  # fmt: skip
     for note in report.notes:
         console().note(note)

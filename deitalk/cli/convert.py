@@ -208,7 +208,7 @@ def _pairs(texts: list[str] | None, option: str) -> dict[str, float]:
 # `deitalk validate`: errors and warnings of importers for a file.
 
 
-@partial(acting_options, fields=("words", "language"))
+@partial(acting_options, fields=("words", "language"), of_recording=False)
 def validate(
     path: Annotated[Path, typer.Argument(help="A file of curves, or a take folder.")],
     given: Given,

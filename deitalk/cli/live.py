@@ -17,6 +17,7 @@ from deitalk.errors import DeitalkError, MissingError
 
 if TYPE_CHECKING:
     from deitalk.acting import Acting
+    from deitalk.audio.choice import AudioChoice
     from deitalk.live.animator import LiveAnimator
     from deitalk.live.sources import Source
     from deitalk.models.protocol import CausalNetwork
@@ -166,7 +167,7 @@ def is_sound(source: Path) -> bool:
 
 def send_source(
     source: Path,
-    acting: "Acting",
+    given: Given,
     model: tuple[str, str],
     link: Link,
     *,
@@ -178,11 +179,11 @@ def send_source(
 ) -> None:
     """Send a take, a file of curves, or a recording that a model and backend animate first."""
     started = [_signal(start_signal)] if start_signal else []
-    curves, audio = _curves(source, acting, *model)
+    curves, audio = _curves(source, given, *model)
     if link.protocol == "json":
         curves = _as_rig(curves, link.rig)
     if play:
-        started = [_player(audio), *started]
+        started = [_player(audio, given.choice), *started]
     if fps is not None:
         curves = curves.resample(fps)
     from rig.livelink import make_protocol, send
@@ -214,7 +215,7 @@ def send_source(
 
 
 def _curves(
-    source: Path, acting: "Acting", model: str, backend: str
+    source: Path, given: Given, model: str, backend: str
 ) -> "tuple[RigCurves, Path | None]":
     """Return curves to send, and the audio that belongs to them."""
     from rig import read_curves
@@ -223,11 +224,16 @@ def _curves(
         from deitalk.pipeline.curves import animate
 
         console().print(f"animating {source.name}")
-        return animate(source, acting=acting, model=model, backend=backend).curves, source
-    if acting.settings:
+        performance = animate(
+            source, acting=given.acting, model=model, backend=backend, **given.choice.settings
+        )
+        for warning in performance.recording.warnings:
+            console().note(warning)
+        return performance.curves, source
+    if given.acting.settings:
         raise DeitalkError(
-            f"{source} is sent as it is: {', '.join(acting.settings)} would need its recording; "
-            "leave the option out"
+            f"{source} is sent as it is: {', '.join(given.acting.settings)} would need its "
+            "recording; leave the option out"
         )
     curves = read_curves(curves_of(source), control_set=None)
     audio = source / "audio.wav"
@@ -256,7 +262,7 @@ def _check_rig(rig: str, protocol: str) -> None:
         )
 
 
-def _player(audio: Path | None) -> Callable[[], None]:
+def _player(audio: Path | None, choice: "AudioChoice") -> Callable[[], None]:
     """Return a function that starts the sound and returns at once."""
     if audio is None:
         raise DeitalkError("there is no audio to play: send a take folder or a recording")
@@ -268,9 +274,9 @@ def _player(audio: Path | None) -> Callable[[], None]:
             "pip install sounddevice, or leave --play out"
         ) from error
     from deitalk.audio.frames import SAMPLE_RATE
-    from deitalk.audio.load import load_audio
+    from deitalk.audio.load import load_chosen
 
-    recording = load_audio(audio)
+    recording = load_chosen(audio, choice)
     return lambda: sounddevice.play(recording.waveform, SAMPLE_RATE)
 
 
@@ -394,7 +400,8 @@ def live(
     of_model = {"model": model != "live", "backend": backend != "torch"}
     if record is not None:
         _refuse(
-            "--record", **dict.fromkeys(given.acting.settings, True), **of_model, input=source_name,
+            "--record", **dict.fromkeys(given.acting.settings | given.choice.settings, True),
+            **of_model, input=source_name,
             protocol=protocol != "livelink", fps=fps, loop=loop, rig=rig != "board", play=play,
             start_signal=start_signal,
         )  # fmt: skip
@@ -404,13 +411,15 @@ def live(
         return
     link = link_of(host, port, protocol, subject or "deitalk", rig, fps)
     _refuse("sending", timeout=timeout is not None, force=force)
-    if source is not None:
+    if source is None:
+        _refuse("--mic", **given.choice.settings)
+    else:
         _refuse(str(source), input=source_name)
         if not is_sound(source):
-            _refuse(str(source), **of_model)
+            _refuse(str(source), **of_model, **given.choice.settings)
     if source is not None and not (is_sound(source) and _is_live(model)):
         send_source(
-            source, given.acting, (model, backend), link, fps=fps, seconds=seconds, loop=loop,
+            source, given, (model, backend), link, fps=fps, seconds=seconds, loop=loop,
             play=play, start_signal=start_signal,
         )  # fmt: skip
         return
@@ -419,7 +428,7 @@ def live(
             "--fps, --loop, --play, --start-signal and --rig, but for an avatar, are for a take or "
             "curves; leave them out"
         )
-    _speak(source, source_name, given.acting, model, backend, link, seconds)
+    _speak(source, source_name, given, model, backend, link, seconds)
 
 
 def _refuse(kind: str, **options: Any) -> None:
@@ -440,7 +449,7 @@ def _is_live(model: str) -> bool:
 def _speak(
     speech: Path | None,
     source_name: str | None,
-    acting: "Acting",
+    given: Given,
     model: str,
     backend: str,
     link: Link,
@@ -453,11 +462,14 @@ def _speak(
 
     network = load_causal(model, backend=backend)
     if speech is not None:
-        from deitalk.audio.load import load_audio
+        from deitalk.audio.load import load_chosen
 
-        waveform = load_audio(speech).waveform
+        recording = load_chosen(speech, given.choice)
+        waveform = recording.waveform
+        for warning in recording.warnings:
+            console().note(warning)
     source = PacedSound(waveform) if speech is not None else Microphone(_number(source_name))
-    animator = _warm_animator(network, source.sample_rate, acting)
+    animator = _warm_animator(network, source.sample_rate, given.acting)
     sender = _sender(animator, link)
     console().print(
         f"sending to {link}, {1000 * animator.lookahead_seconds:.0f} ms and "

@@ -61,6 +61,7 @@ def animate_vertices(
 
         options: dict[str, Any] = {
             "acting": given.acting, "speaker": who, "fps": fps, "progress": progress, **model,
+            **given.choice.settings,
         }  # fmt: skip
         if mesh is None:
             performance = animate_mesh(sound, **options)

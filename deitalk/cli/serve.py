@@ -34,9 +34,6 @@ def serve(
         bool,
         typer.Option("--open/--no-open", help="Open the studio, a page for recordings, here."),
     ] = False,
-    ray: Annotated[
-        bool, typer.Option("--ray", help="Serve on the machines of a Ray cluster (extra ray).")
-    ] = False,
     migrate: Annotated[
         bool, typer.Option("--migrate", help="Only bring the tables of jobs to this version.")
     ] = False,
@@ -50,12 +47,10 @@ def serve(
     deitalk serve --open
 
     deitalk serve --port 9000 --settings service.yaml
-
-    deitalk serve --ray --settings cluster.yaml
     """
     if context.invoked_subcommand is None:
         _commands().serve(
-            settings, ray=ray, opens=opens, migrate=migrate, host=host, port=port, backend=backend
+            settings, opens=opens, migrate=migrate, host=host, port=port, backend=backend
         )
 
 

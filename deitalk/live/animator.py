@@ -128,7 +128,7 @@ class Stream:
         style: str = "",
     ) -> None:
         self.grid, self.controls, self.settings, self.life = grid, controls, rules, life
-        self.style = style
+        self.style, self.rest = style, b""
         expression = Expression(controls, rules)
         self.rules, self.rows = RunningRules(expression), rows_before(expression)
         self.activity = RunningActivity(rules.gates)
@@ -138,7 +138,7 @@ class Stream:
         """Activity from the frame before the next row on."""
         self.prosody: Float64 = np.zeros((31, 0))
         """Measures from the next row on."""
-        self.sound, self.changes = Sound(), [Change(0.0, acting.track, acting.intensity)]
+        self.sound, self.changes = Sound(), [Change(0.0, acting.emotion_track, acting.intensity)]
         self.acting, self.gain = acting, gain_factors(controls, acting.gain)
         self.groups = self.n_measured = self.n_frames = 0
         self.n_total: int | None = None
@@ -149,7 +149,7 @@ class Stream:
         """Act otherwise from the sound on that comes next; at once before any."""
         self.gain = gain_factors(self.controls, acting.gain)  # an error changes nothing
         before, self.acting = self.acting, acting
-        change = Change(self.sound.end / SAMPLE_RATE, acting.track, acting.intensity)
+        change = Change(self.sound.end / SAMPLE_RATE, acting.emotion_track, acting.intensity)
         if (acting.emotion, acting.intensity) != (before.emotion, before.intensity):
             self.changes = [*self.changes, change] if self.sound.end else [change]
         if self.life is not None and acting.look_at != before.look_at:
@@ -385,7 +385,8 @@ class LiveAnimator:
         ----------
         samples : array, bytes, or a sequence of them
             Mono: floating point with full scale 1, 16-bit integers, or bytes of these
-            (little-endian). Of several streams a sequence of one entry each, of any lengths.
+            (little-endian), of which an odd one is kept for the next call. Of several streams a
+            sequence of one entry each, of any lengths.
 
         Returns
         -------
@@ -399,9 +400,11 @@ class LiveAnimator:
         rows: list[Any] = [samples] if len(self.streams) == 1 else list(samples)  # type: ignore[arg-type]
         if len(rows) != len(self.streams):
             raise AudioError(f"samples of {len(rows)} streams; there are {len(self.streams)}")
-        checked = [checked_samples(row) for row in rows]
+        pieces = [self._whole(row, k) for k, row in enumerate(rows)]
+        checked = [checked_samples(samples) for samples, _ in pieces]
         for k, row in enumerate(checked):
             self.take(row, stream=k)
+            self.streams[k].rest = pieces[k][1]
         return self._single(self.read())
 
     def finish(self) -> Any:
@@ -415,10 +418,21 @@ class LiveAnimator:
 
     def take(self, samples: Samples, *, stream: int = 0) -> None:
         """Take the next samples of one stream, for the next `read`; errors as `feed`."""
+        samples, rest = self._whole(samples, stream)
         checked = checked_samples(samples)
         if self.streams[stream].n_total is not None and len(checked):
             raise AudioError("the stream has ended; reset it to begin again")
         self._append(stream, checked, last=False)
+        self.streams[stream].rest = rest
+
+    def _whole(self, samples: Samples, stream: int) -> tuple[Samples, bytes]:
+        """Whole samples, and the byte of the next one that came already."""
+        rest = self.streams[stream].rest
+        if not isinstance(samples, bytes | bytearray | memoryview):
+            return samples, rest
+        data = rest + bytes(samples)
+        whole = len(data) - len(data) % 2
+        return data[:whole], data[whole:]
 
     def end(self, stream: int = 0) -> None:
         """Take the end of one stream, for the next `read`."""
@@ -555,8 +569,6 @@ def checked_samples(samples: Samples) -> Float32:
         If they are not one row of finite samples.
     """
     if isinstance(samples, bytes | bytearray | memoryview):
-        if len(samples) % 2:
-            raise AudioError(f"{len(samples)} bytes are no whole number of 16-bit samples")
         samples = np.frombuffer(samples, "<i2")
     array = np.asarray(samples)
     if array.dtype == np.int16:

@@ -11,6 +11,7 @@ import numpy as np
 
 from deitalk.acting import AUTO, Acting, acted_as
 from deitalk.audio.arrays import Audio, recording_of
+from deitalk.audio.choice import AudioChoice
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE, frame_count
 from deitalk.audio.load import Recording
 from deitalk.config.rules import RulesConfig
@@ -53,6 +54,9 @@ def animate(
     backend: str = "torch",
     device: str = "cpu",
     sample_rate: float | None = None,
+    track: int | None = None,
+    channel: str | int | None = None,
+    raw: str | None = None,
     progress: Callable[[float], None] = lambda share: None,
     **fields: Any,
 ) -> Performance:
@@ -76,6 +80,8 @@ def animate(
         ``cpu``, ``cuda``, ``cuda:N`` or ``mps``; for a model given by name or folder.
     sample_rate : float, optional
         Hz, of an array or a tensor; nothing else takes it.
+    track, channel, raw
+        Which signal of the recording, as for `deitalk.load_audio`.
     progress : callable
         Called with the share of the network's work that is done, 0 to 1.
     **fields
@@ -94,7 +100,8 @@ def animate(
     check_progress(progress)
     acted = acted_as(emotion, acting, fields, animate)
     load = partial(load_network, model, backend=backend, device=device)
-    prepared = prepare(audio, acted, load, sample_rate=sample_rate)
+    choice = AudioChoice.of(track, channel, raw)
+    prepared = prepare(audio, acted, load, sample_rate=sample_rate, choice=choice)
     name = str(model) if isinstance(model, str | Path) else ""
     return finish(prepared, prepared.read(progress), name)
 
@@ -151,6 +158,7 @@ def prepare(
     load: Callable[[], CurveNetwork],
     *,
     sample_rate: float | None = None,
+    choice: AudioChoice = AudioChoice(),
 ) -> Prepared:
     """Read and check what `animate` is given, and measure the speech.
 
@@ -160,12 +168,12 @@ def prepare(
     words = None if acting.words is None else Transcript.of(acting.words, acting.language)
     if words is not None and not acting.rules:
         raise DeitalkError("words belong to the rules, which are off; give one of the two")
-    recording = recording_of(audio, sample_rate)
+    recording = recording_of(audio, sample_rate, choice)
     recording = _with_note_on("intensity curve", acting.intensity_curve, recording)
     suggestion = None
     if acting.emotion == AUTO:
         acting, recording, suggestion = _suggested(acting, recording)
-    recording = _with_note_on("emotion", acting.track, recording)
+    recording = _with_note_on("emotion", acting.emotion_track, recording)
     recording = _extended(recording, acting.listen)
     clock.lap("audio")
     network = load()
@@ -174,7 +182,7 @@ def prepare(
     rules = network.rules if acting.rules else RulesConfig.none()
     recording = recording.noted(*_notes_on_unused(acting, rules))
     speech = Speech.of_recording(recording, rules.gates)
-    weights = acting.track.at(speech.times)
+    weights = acting.emotion_track.at(speech.times)
     style = chosen_actor(network.actors, acting.style)
     recording = recording.noted(*mean_actor_note(network.actors, style))
     return Prepared(

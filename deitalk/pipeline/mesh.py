@@ -22,6 +22,7 @@ import torch
 
 from deitalk.acting import AUTO, Acting, acted_as
 from deitalk.audio.arrays import Audio, recording_of
+from deitalk.audio.choice import AudioChoice
 from deitalk.audio.frames import FRAME_RATE
 from deitalk.audio.load import Recording
 from deitalk.emotions import EmotionTrack
@@ -64,6 +65,9 @@ def animate_mesh(
     acting: Acting | None = None,
     model: str | Path | Model = "default",
     sample_rate: float | None = None,
+    track: int | None = None,
+    channel: str | int | None = None,
+    raw: str | None = None,
     speaker: str | int = 0,
     fps: float | None = None,
     device: str = "cpu",
@@ -74,7 +78,7 @@ def animate_mesh(
 
     Parameters
     ----------
-    audio, sample_rate
+    audio, sample_rate, track, channel, raw
         As for `deitalk.animate`.
     emotion, acting, fields
         As for `deitalk.animate`. An SDFA model takes none; a mesh head takes emotion, intensity,
@@ -103,7 +107,7 @@ def animate_mesh(
     acted = acted_as(emotion, acting, fields, animate_mesh)
     if fps is not None:
         fps = snap_fps(fps)
-    recording = recording_of(audio, sample_rate)
+    recording = recording_of(audio, sample_rate, AudioChoice.of(track, channel, raw))
     network = load_model(model, device=device) if isinstance(model, str | Path) else model
     if getattr(network, "product", None) == "mesh":
         _check_fields(acted)
@@ -161,7 +165,7 @@ def _head_coefficients(
 ) -> Iterator[Coefficients]:
     network = model.encoder.network
     analysis = network.analyse(torch.from_numpy(speech.sound), speech.n_frames)
-    weights = np.stack(neutral_and_acted(trained_weights(acting.track.at(speech.times))))
+    weights = np.stack(neutral_and_acted(trained_weights(acting.emotion_track.at(speech.times))))
     described = network.describe(analysis, torch.from_numpy(weights).to(network.device))
     scale = measure_intensities(speech, analysis.tracks, acting).scale
     readings = described[0], described[-1]
@@ -247,6 +251,9 @@ def retarget_speech(
     *,
     acting: Acting | None = None,
     landmarks: Path | None = None,
+    track: int | None = None,
+    channel: str | int | None = None,
+    raw: str | None = None,
     model: str | Path = "default",
     speaker: str | int = 0,
     fps: float | None = None,
@@ -261,7 +268,7 @@ def retarget_speech(
 
     Parameters
     ----------
-    audio, emotion, acting, model, speaker, fps, device, progress, fields
+    audio, emotion, acting, track, channel, raw, model, speaker, fps, device, progress, fields
         As for `animate_mesh`.
     mesh, out, landmarks
         As for `rig.retarget.retarget_files.retarget_curves`.
@@ -275,6 +282,7 @@ def retarget_speech(
         Of the recording and of the retargeting.
     """
     acted = acted_as(emotion, acting, fields, retarget_speech)
+    audio = recording_of(audio, choice=AudioChoice.of(track, channel, raw))
     network = load_model(model, device=device)
     if network.product == "mesh":
         moved = animate_mesh(

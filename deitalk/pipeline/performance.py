@@ -166,7 +166,7 @@ class Performance:
     @property
     def emotion(self) -> str:
         """The emotion in a few words."""
-        track = self.acting.track
+        track = self.acting.emotion_track
         return str(track) if len(track.times) == 1 else f"a track of {len(track.times)} keys"
 
     @property
@@ -485,12 +485,16 @@ def _original(folder: Path, performance: Performance, start: float) -> dict[str,
     recording = performance.recording
     if not performance.sound_file or recording.source_rate <= recording.sample_rate:
         return {}
-    seconds = recording.duration
+    seconds, choice = recording.duration, recording.choice
     try:
-        write_original(folder / ORIGINAL, recording.source, seconds=seconds, start=start)
+        write_original(
+            folder / ORIGINAL, recording.source, seconds=seconds, start=start, choice=choice
+        )
     except AudioError:
         return {}
-    return {ORIGINAL: "the recording at 48 kHz with its channels, in time with the curves"}
+    track = "" if choice.track is None else f", track {choice.track}"
+    signal = "all its channels" if choice.is_mix else f"channel {choice.channel} alone"
+    return {ORIGINAL: f"the recording at 48 kHz{track}, {signal}, in time with the curves"}
 
 
 def _track(values: Float32 | None) -> Float32:
@@ -508,4 +512,5 @@ def _source(performance: Performance) -> dict[str, Any]:
         "channels": recording.channels,
         "clipped_fraction": recording.clipped_fraction,
         "warnings": list(recording.warnings),
+        **recording.choice.settings,
     }

@@ -19,6 +19,7 @@ import numpy as np
 import torch
 
 from deitalk.audio.arrays import Audio, recording_of
+from deitalk.audio.choice import AudioChoice
 from deitalk.audio.frames import FRAME_RATE
 from deitalk.audio.vocal_strength import (
     BANDS,
@@ -145,12 +146,19 @@ class VoiceFrames(NamedTuple):
         return np.concatenate(pooled)
 
 
-def suggest_emotion(audio: Audio, *, sample_rate: float | None = None) -> Suggestion:
+def suggest_emotion(
+    audio: Audio,
+    *,
+    sample_rate: float | None = None,
+    track: int | None = None,
+    channel: str | int | None = None,
+    raw: str | None = None,
+) -> Suggestion:
     """Suggest an emotion for `deitalk.animate`.
 
     Parameters
     ----------
-    audio, sample_rate
+    audio, sample_rate, track, channel, raw
         As for `deitalk.animate`.
 
     Returns
@@ -162,7 +170,7 @@ def suggest_emotion(audio: Audio, *, sample_rate: float | None = None) -> Sugges
     AudioError
         If the recording cannot be read, or has less than half a second of speech.
     """
-    recording = recording_of(audio, sample_rate)
+    recording = recording_of(audio, sample_rate, AudioChoice.of(track, channel, raw))
     speech = Speech.of_recording(recording)
     if int((speech.activity > 0).sum()) < FEWEST_FRAMES:
         raise AudioError(

@@ -5,7 +5,6 @@ import json
 import os
 import threading
 import wave
-from base64 import b64encode
 from contextlib import contextmanager, suppress
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib.util import find_spec
@@ -92,14 +91,14 @@ def client(server):
 
 @pytest.fixture(scope="session")
 def keyed_server(tmp_path_factory):
-    """A server of one worker, four places, and the keys of `LIMITS`."""
+    """A server of one worker, eight places, and the keys of `LIMITS`."""
     keys = [
         {"name": name, "sha256": digest_of(KEYS[name]), "requests_per_minute": 100_000,
          "scopes": ["animate", "jobs", "live", "metrics"]} | limits
         for name, limits in LIMITS.items()
     ]  # fmt: skip
     with serving(
-        tmp_path_factory.mktemp("keyed"), keys=json.dumps(keys), waiting=3, connections=20,
+        tmp_path_factory.mktemp("keyed"), keys=json.dumps(keys), waiting=7, connections=40,
         log="json", live_sessions=2,
     ) as running:  # fmt: skip
         yield running
@@ -128,16 +127,11 @@ def bucket(tmp_path_factory):
 
 
 class Receiver(BaseHTTPRequestHandler):
-    """Notes what it is sent; ``/slow`` answers a byte a second, to the end of the test."""
+    """Notes what it is sent."""
 
     def do_POST(self):
         body = self.rfile.read(int(self.headers["Content-Length"]))
         self.server.calls.append((dict(self.headers), body))
-        if self.path == "/slow":
-            with suppress(OSError):
-                while not self.server.ended.wait(1):
-                    self.wfile.write(b"H")
-            return
         self.send_response(204)
         self.end_headers()
 
@@ -148,17 +142,10 @@ class Receiver(BaseHTTPRequestHandler):
 @contextmanager
 def receiving():
     with ThreadingHTTPServer(("127.0.0.1", 0), Receiver) as made:
-        made.calls, made.ended = [], threading.Event()
+        made.calls = []
         threading.Thread(target=made.serve_forever, daemon=True).start()
         yield made
-        made.ended.set()
         made.shutdown()
-
-
-@pytest.fixture
-def receiver():
-    with receiving() as made:
-        yield made
 
 
 @pytest.fixture(scope="session")
@@ -171,12 +158,10 @@ def postgres():
 
 
 class Observed(NamedTuple):
-    """A server, and the receivers of its webhooks and spans."""
+    """A server, and the receiver of its spans."""
 
     server: Server
-    hooks: ThreadingHTTPServer
     spans: ThreadingHTTPServer
-    secret: str
 
 
 @pytest.fixture(scope="session")
@@ -190,10 +175,8 @@ def observed(tmp_path_factory, request):
             connection.execute(sql.text("CREATE DATABASE service"))
         engine.dispose()
         database = {"database": url.removesuffix("postgres") + "service"}
-    secret = f"whsec_{b64encode(bytes(range(32))).decode()}"
-    key = {"name": "farm", "sha256": digest_of(KEYS["farm"]), "webhook_secret": secret}
-    with receiving() as hooks, receiving() as spans:
-        hosts = json.dumps([f"127.0.0.1:{hooks.server_port}"])
+    key = {"name": "farm", "sha256": digest_of(KEYS["farm"])}
+    with receiving() as spans:
         with pytest.MonkeyPatch.context() as patch:
             with suppress(ModuleNotFoundError):
                 if find_spec("opentelemetry.exporter.otlp.proto.http"):
@@ -202,10 +185,10 @@ def observed(tmp_path_factory, request):
             patch.setenv("OTEL_EXPORTER_OTLP_COMPRESSION", "none")
             patch.setenv("OTEL_BSP_SCHEDULE_DELAY", "200")
             running = start(
-                tmp_path_factory.mktemp("observed"), webhook_hosts=hosts, keys=json.dumps([key]),
+                tmp_path_factory.mktemp("observed"), keys=json.dumps([key]),
                 live_sessions=0, lease_seconds=1.0, **database,
             )  # fmt: skip
         try:
-            yield Observed(running, hooks, spans, secret)
+            yield Observed(running, spans)
         finally:
             stop(running)

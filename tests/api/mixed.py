@@ -3,7 +3,6 @@
 ::
 
     python -m tests.api.mixed --minutes 120 --kills 50
-    python -m tests.api.mixed --minutes 5 --kills 4 --together 8    # one process reads for workers
     python -m tests.api.mixed --minutes 5 --kills 6 --beside ../other   # one server of a checkout
 
 The second server is killed or drained and started again, workers of the first are killed. Four
@@ -111,10 +110,8 @@ class Load:
                 self.counts["answers"] += 1
 
 
-def run(
-    minutes: float, kills: int, seed: int, beside: Path, data: Path, **settings: int
-) -> dict[str, Any]:
-    """Run the load on servers with some settings; return what was counted and measured."""
+def run(minutes: float, kills: int, seed: int, beside: Path, data: Path) -> dict[str, Any]:
+    """Run the load; return what was counted and measured."""
     rng = random.Random(seed)
     keys = [
         {"name": name, "sha256": digest_of(name), "requests_per_minute": 10**5, "jobs": 1000}
@@ -122,7 +119,7 @@ def run(
     ]
     with serving_postgres() as url:
         shared = {"database": url, "storage": data / "files", "keys": json.dumps(keys)}
-        shared |= {"lease_seconds": 2, "job_attempts": 20} | settings
+        shared |= {"lease_seconds": 2, "job_attempts": 20}
 
         def second() -> Server:
             return start(data / "b", root=beside, **shared)
@@ -226,11 +223,9 @@ def main() -> None:
     parser.add_argument("--kills", type=int, default=50)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--beside", type=Path, default=ROOT, help="checkout of the second server")
-    parser.add_argument("--together", type=int, help="two workers, and `read_together` of a server")
     given = parser.parse_args()
-    settings = {"read_together": given.together, "workers": 2} if given.together else {}
     with tempfile.TemporaryDirectory(prefix="deitalk-mixed-") as data:
-        report = run(given.minutes, given.kills, given.seed, given.beside, Path(data), **settings)
+        report = run(given.minutes, given.kills, given.seed, given.beside, Path(data))
     sys.stdout.write(json.dumps(report, indent=1) + "\n")
     assert not report["lost_or_twice"] and not report["without_row_or_of_another"]
     assert not report["counts"].get("lost answers")

@@ -19,7 +19,7 @@ def server(tmp_path):
     running = []
 
     def make(**settings):
-        running.append(start(tmp_path / "data", waiting=9, job_workers=0, **settings))
+        running.append(start(tmp_path / "data", waiting=19, job_workers=0, **settings))
         return running[0]
 
     yield make

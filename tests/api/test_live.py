@@ -4,8 +4,11 @@ import asyncio
 import json
 import runpy
 import shutil
+import subprocess
+import sys
 import threading
 import time
+from base64 import b64encode
 from contextlib import ExitStack, suppress
 from pathlib import Path
 from types import SimpleNamespace
@@ -23,7 +26,7 @@ from api.live.session import FRAME, LiveStream
 from api.serving import server_config
 from api.settings import Settings
 from deitalk import LiveAnimator
-from tests.api.conftest import bearer, wav
+from tests.api.conftest import KEYS, bearer, wav
 from tests.api.server import free_port, wait_for
 from tests.each import each
 
@@ -230,9 +233,9 @@ def test_sessions_beyond_the_limit_and_other_sites_are_refused(server, keyed_ser
         assert begin(session)["type"] == "header"
     wait_for(lambda: server.metric("live_sessions") == 0)
     with ExitStack() as sessions:
-        for _ in range(Settings.model_fields["live_sessions"].default):
+        for _ in range(Settings.model_fields["live_sessions"].default // 2):
             sessions.enter_context(live(server))
-        with pytest.raises(InvalidStatus):
+        with pytest.raises(InvalidStatus, match="429"):  # the other half is for other addresses
             sessions.enter_context(live(server))
     wait_for(lambda: server.metric("live_sessions") == 0)
     with live(server) as session:
@@ -354,31 +357,64 @@ def test_end_of_a_session_does_not_wait_for_its_client(monkeypatch, fault):
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 
 
-def test_documented_client_in_python_gets_every_frame(server):
+@pytest.mark.parametrize("is_fast", [True, False])
+@pytest.mark.parametrize(("rate", "channels"), [(16_000, 1), (44_100, 2)])
+def test_documented_client_in_python_gets_every_frame(
+    server, keyed_server, tmp_path, is_fast, rate, channels
+):
+    """With a key; of a file with a header, whose channels are mixed."""
     client = runpy.run_path(str(DOCS / "live_client.py"))
-    given = client["frames"](f"{server.url.replace('http', 'ws')}/v1/live", wav(2.0)[44:])
-    assert [time for time, _ in given] == pytest.approx(np.arange(60) / 30)
-    assert all(len(curves) == 185 for _, curves in given)
+    (tmp_path / "a.wav").write_bytes(wav(2.0, rate, channels))
+    for running, key in ((server, ""), (keyed_server, KEYS["anna"])):
+        url = f"{running.url.replace('http', 'ws')}/v1/live"
+        given = list(client["frames"](url, str(tmp_path / "a.wav"), key, is_fast=is_fast))
+        assert [time for time, _ in given] == pytest.approx(np.arange(60) / 30)
+        assert all(len(curves) == 185 for _, curves in given)
 
 
-def test_documented_client_of_a_browser_gets_every_frame(server):
+def test_documented_client_sends_a_minute_and_says_why_it_is_refused(
+    keyed_server, server, tmp_path
+):
+    """The former one sent one message, of which the service takes a mebibyte: 32.8 s."""
+    (tmp_path / "a.wav").write_bytes(wav(60.0))
+
+    def run(running, *options):
+        url = f"{running.url.replace('http', 'ws')}/v1/live"
+        command = [sys.executable, DOCS / "live_client.py", tmp_path / "a.wav", "--url", url]
+        return subprocess.run(
+            [*command, "--fast", *options], capture_output=True, text=True, timeout=300
+        )
+
+    done = run(keyed_server, "--key", KEYS["anna"])
+    assert done.returncode == 0 and len(done.stdout.splitlines()) == 1800, done.stderr
+    for refused, said in ((run(keyed_server), "401"), (run(server), "sessions last 20 s")):
+        assert refused.returncode and said in refused.stderr.splitlines()[-1]
+
+
+@pytest.mark.parametrize("seconds", [2, 60])
+def test_documented_client_of_a_browser_gets_every_frame(keyed_server, seconds):
+    """Of a WAV that the browser decodes, with a key."""
     sync_api = pytest.importorskip("playwright.sync_api", reason="needs playwright")
     program = shutil.which("chromium")
     if program is None:
         pytest.skip("needs Debian's chromium")
-    url = f"{server.url.replace('http', 'ws')}/v1/live"
-    script = f"""async () => {{
+    url = f"{keyed_server.url.replace('http', 'ws')}/v1/live"
+    script = f"""async (text) => {{
         {(DOCS / "live_client.js").read_text()}
-        const given = (await frames("{url}", new ArrayBuffer(64000))).frames;
-        return [given.length, given.at(-1).time, given.at(-1).values.length];
+        const file = new Blob([Uint8Array.from(atob(text), (c) => c.charCodeAt(0))]);
+        let seen = 0;
+        const options = {{ key: "{KEYS["anna"]}", fast: {json.dumps(seconds > 9)}, onFrame: () => seen++ }};
+        const given = (await frames("{url}", await samples(file), options)).frames;
+        return [given.length, seen, given.at(-1).time, given.at(-1).values.length];
     }}"""
     with sync_api.sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=program, args=["--no-sandbox"])
         tab = browser.new_context(bypass_csp=True).new_page()
-        tab.goto(f"{server.url}/healthz")
-        count, last, controls = tab.evaluate(script)
+        tab.goto(f"{keyed_server.url}/healthz")
+        count, seen, last, controls = tab.evaluate(script, b64encode(wav(seconds)).decode())
         browser.close()
-    assert (count, controls) == (60, 185) and last == pytest.approx(59 / 30)
+    assert (count, seen, controls) == (30 * seconds, 30 * seconds, 185)
+    assert last == pytest.approx(seconds - 1 / 30)
 
 
 def test_eyes_turn_when_the_listener_moves(server):

@@ -90,7 +90,7 @@ def test_pages_without_a_key_are_counted_by_address_and_probes_are_not():
     async def app(scope, receive, send):
         await problem_answer(Problem(400, "seen"))(scope, receive, send)
 
-    guard = Guard(app, Settings(requests_per_minute=60), Metrics(), Traffic())
+    guard = Guard(app, Settings(requests_per_minute=60), Metrics(), Traffic(9))
 
     async def ask(path: str) -> list[int]:
         def client(address):

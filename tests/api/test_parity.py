@@ -15,7 +15,7 @@ import soundfile
 from websockets.sync.client import connect
 
 from api.live.session import FRAME
-from deitalk import LiveAnimator, animate
+from deitalk import LiveAnimator, animate, suggest_emotion
 from deitalk.audio.load import load_audio
 from deitalk.live.sources import PacedSound
 from deitalk.research.corpus.engines import espeak
@@ -26,6 +26,7 @@ from tests.command import ran
 from tests.deitalk.batch.conftest import InProcess
 from tests.deitalk.live.conftest import RATE
 from tests.each import each
+from tests.media import movie
 
 KEYS = "time,emotion,strength\n0,happy,0.2\n1.0,angry,1\n2.0,contempt,1\n"
 CURVE = "time,intensity\n0,0.3\n1.5,2\n"
@@ -58,16 +59,24 @@ CASES = {
     "seed": {"seed": str(2**40)},
 }
 """Fields of an acting as text."""
+SIGNAL = ("track", "channel", "raw")
+SIGNALS = {
+    "pair.wav": {"channel": "right"},
+    "pair.pcm": {"channel": "2", "raw": f"f32le,{RATE},2"},
+    "tracks.mka": {"track": "2"},
+}
+"""Which signal of each file is the sound of line.wav."""
 LIVE = ("nothing", "label", "weights", "keys", "intensity", "style", "life", "life off", "look_at",
         "gain", "network alone", "seed")  # fmt: skip
 
 
 @dataclass
 class Made:
-    """What a door made: curves (T, C), and the settings of its take."""
+    """What a door made: curves (T, C), the settings of its take, and the signal of its sound."""
 
     values: np.ndarray
     settings: dict
+    signal: dict
 
 
 @pytest.fixture(scope="module")
@@ -83,6 +92,11 @@ def place(tmp_path_factory, tiny_model):
     soundfile.write(folder / "line.wav", sound, RATE, subtype="FLOAT")
     for name, text in FILES.items():
         (folder / name).write_text(text)
+    other = np.roll(sound, RATE // 2)
+    pair = np.stack([other, sound], axis=1)
+    soundfile.write(folder / "pair.wav", pair, RATE, subtype="FLOAT")
+    soundfile.write(folder / "pair.pcm", pair, RATE, "FLOAT", "LITTLE", "RAW")
+    (folder / "tracks.mka").write_bytes(movie("matroska", [other, sound], RATE, codec="pcm_f32le"))
     return folder
 
 
@@ -101,7 +115,8 @@ def fields_of(case):
 
 def take_of(folder: Path) -> Made:
     about = json.loads((folder / "take.json").read_text())
-    return Made(read_curves(folder / "curves.json").values, about["settings"])
+    signal = {name: about["source"][name] for name in SIGNAL if name in about["source"]}
+    return Made(read_curves(folder / "curves.json").values, about["settings"], signal)
 
 
 # --- doors
@@ -121,23 +136,23 @@ def options(fields):
     return found
 
 
-def command_line(fields, tmp_path, monkeypatch):
-    run("animate", "line.wav", "-o", f"{tmp_path}/take/", "--model", "tiny", *options(fields))
+def command_line(fields, tmp_path, monkeypatch, audio="line.wav"):
+    run("animate", audio, "-o", f"{tmp_path}/take/", "--model", "tiny", *options(fields))
     return take_of(tmp_path / "take")
 
 
-def batch_line(fields, tmp_path, monkeypatch):
+def batch_line(fields, tmp_path, monkeypatch, audio="line.wav"):
     monkeypatch.setattr("deitalk.batch.run.Workers", InProcess)
     (tmp_path / "lines").mkdir()
-    (tmp_path / "lines" / "line.wav").write_bytes(Path("line.wav").read_bytes())
+    (tmp_path / "lines" / "line.wav").write_bytes(Path(audio).read_bytes())
     run("batch", tmp_path / "lines", "-o", tmp_path / "out", "--model", "tiny", "--format", "take",
         *options(fields))  # fmt: skip
     return take_of(tmp_path / "out" / "line")
 
 
-def manifest(fields, tmp_path, monkeypatch):
+def manifest(fields, tmp_path, monkeypatch, audio="line.wav"):
     monkeypatch.setattr("deitalk.batch.run.Workers", InProcess)
-    row = {"audio": "line.wav", **fields}
+    row = {"audio": audio, "output": "line", **fields}
     table = Path(f"manifest-{tmp_path.name}.csv")
     quoted = (f'"{cell}"' for cell in row.values())
     table.write_text(f"{','.join(row)}\n{','.join(quoted)}\n")
@@ -145,8 +160,8 @@ def manifest(fields, tmp_path, monkeypatch):
     return take_of(tmp_path / "out" / "line")
 
 
-def http(fields, server):
-    given, files = dict(fields), {"recording": ("line.wav", Path("line.wav").read_bytes())}
+def http(fields, server, audio="line.wav"):
+    given, files = dict(fields), {"recording": (audio, Path(audio).read_bytes())}
     for name in [name for name, value in given.items() if value in FILES]:
         files[name] = (given[name], FILES[given.pop(name)].encode())
     with server.client() as client:
@@ -160,14 +175,14 @@ def http(fields, server):
     return take_of(Path("http"))
 
 
-def mesh(fields, tmp_path, monkeypatch):
+def mesh(fields, tmp_path, monkeypatch, audio="line.wav"):
     """The curves that a mesh is posed by, and the poses of every tenth frame."""
     pose, curves = Head.pose, []
     monkeypatch.setattr(np, "savez_compressed", np.savez)  # for time
     monkeypatch.setattr(
         Head, "pose", lambda head, values: curves.append(values) or pose(head, values[::10])
     )
-    run("animate", "line.wav", "--vertices", "-o", tmp_path / "m.npz", "--model", "tiny",
+    run("animate", audio, "--vertices", "-o", tmp_path / "m.npz", "--model", "tiny",
         *options(fields))  # fmt: skip
     monkeypatch.undo()
     return curves[0], np.load(tmp_path / "m.npz")["vertices"]
@@ -204,12 +219,12 @@ class Kept:
         return lambda *_, **__: None
 
 
-def live_line(fields, monkeypatch):
+def live_line(fields, monkeypatch, audio="line.wav"):
     kept, command = Kept(), importlib.import_module("deitalk.cli.live")
     monkeypatch.setattr(command, "_sender", lambda *_: kept)
     monkeypatch.setattr(command, "_print", lambda *_: None)
     monkeypatch.setattr("deitalk.live.sources.PacedSound", Unpaced)
-    run("live", "line.wav", "--model", "tiny", *options(fields))
+    run("live", audio, "--model", "tiny", *options(fields))
     return np.concatenate(kept.frames)
 
 
@@ -240,7 +255,7 @@ def close(found, wanted):
 
 def same(found, wanted):
     close(found.values, wanted.values)
-    assert found.settings == wanted.settings
+    assert (found.settings, found.signal) == (wanted.settings, wanted.signal)
 
 
 @pytest.fixture(scope="module")
@@ -251,7 +266,8 @@ def wanted(here, tmp_path_factory):
     def make(case) -> Made:
         performance = animate("line.wav", model="tiny", **fields_of(case))
         take = performance.save(tmp_path_factory.mktemp("python") / "take")
-        return Made(performance.curves.values, take_of(take).settings)
+        kept = take_of(take)
+        return Made(performance.curves.values, kept.settings, kept.signal)
 
     return make
 
@@ -299,3 +315,54 @@ def test_settings_of_a_take_give_the_same_take(wanted, case):
     close(again.curves.values, first.values)
     assert again.acting.settings == first.settings
     assert first.settings.keys() == CASES[case].keys()
+
+
+@each("audio", SIGNALS)
+@each("door", [command_line, batch_line, manifest])
+def test_commands_read_the_signal_that_is_chosen(wanted, door, audio, tmp_path, monkeypatch):
+    monkeypatch.setattr("deitalk.pipeline.performance.write_exchange_files", lambda *_, **__: {})
+    check_signal(door(SIGNALS[audio], tmp_path, monkeypatch, audio), audio, wanted)
+
+
+@each("audio", SIGNALS)
+def test_http_reads_the_signal_that_is_chosen(wanted, audio, server):
+    check_signal(http(SIGNALS[audio], server, audio), audio, wanted)
+
+
+def check_signal(made, audio, wanted):
+    close(made.values, wanted("nothing").values)
+    given = SIGNALS[audio]
+    assert made.signal == {n: int(v) if n == "track" else v for n, v in given.items()}
+
+
+@each("audio", SIGNALS)
+def test_python_and_the_mesh_read_the_signal_that_is_chosen(wanted, audio, tmp_path, monkeypatch):
+    made = animate(audio, model="tiny", **SIGNALS[audio])
+    close(made.curves.values, wanted("nothing").values)
+    assert suggest_emotion(audio, **SIGNALS[audio]) == suggest_emotion("line.wav")
+    curves, _ = mesh(SIGNALS[audio], tmp_path, monkeypatch, audio)
+    close(curves, wanted("nothing").values)
+
+
+@each("audio", SIGNALS)
+def test_live_command_reads_the_signal_that_is_chosen(here, audio, monkeypatch):
+    read = load_audio("line.wav").waveform
+    close(live_line(SIGNALS[audio], monkeypatch, audio), live_python({}, read))
+
+
+@each(
+    ("data", "words"),
+    [
+        ({"track": "0"}, "track"),
+        ({"track": "2"}, "1 sound track"),
+        ({"channel": "middle"}, "left, right, centre, loudest, mix"),
+        ({"channel": "3"}, "no channel 3"),
+        ({"raw": "mp3"}, "s16le,24000,1"),
+        ({"raw": "s16le,24000"}, "has a header"),
+    ],
+)
+def test_http_refuses_a_signal_that_is_not_there(here, data, words, server):
+    files = {"recording": ("line.wav", Path("line.wav").read_bytes())}
+    with server.client() as client:
+        answer = client.post("/v1/animations", files=files, data=data | {"model": "tiny"})
+    assert answer.status_code == 422 and words in answer.text, answer.text

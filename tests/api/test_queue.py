@@ -8,13 +8,11 @@ import pytest
 import sqlalchemy as sql
 from alembic.autogenerate import compare_metadata
 from alembic.migration import MigrationContext
-from alembic.operations import Operations
 from typer.testing import CliRunner
 
 from api.errors import Problem
 from api.guard.keys import Caller
 from api.jobs import table
-from api.jobs.migrations import v1_jobs
 from api.jobs.queue import Queue, new_id
 from api.jobs.table import DUTIES, JOBS, METADATA, VERSIONS, open_database
 from api.settings import SCOPES
@@ -23,6 +21,7 @@ from deitalk.errors import ConfigError
 from tests.api.conftest import bearer, wav
 from tests.api.server import serving
 from tests.api.test_jobs import submit, wait
+from tests.errors import one_line
 
 CALLER = Caller("farm", SCOPES, 10, 600)
 
@@ -72,59 +71,39 @@ def test_steps_of_the_schema_give_the_tables_that_the_program_knows(empty):
         assert compare_metadata(context, METADATA) == []
 
 
-def as_0_1_0(engine):
-    """Make the table of 0.1.0, which wrote no version, with one job."""
-    context = MigrationContext
-    with engine.begin() as connection, Operations.context(context.configure(connection)):
-        v1_jobs.upgrade()
-        add_as_0_1_0(connection, "old")
-
-
-def add_as_0_1_0(connection, job_id):
-    values = {
-        "id": job_id, "owner": "farm", "status": "queued", "created": 1.0, "digest": "0" * 64,
-        "work": '{"order": {"kind": "animation"}, "format": "json"}', "progress": 0.0,
-        "attempts": 0, "holder": "", "lease": 0.0, "cancel": 0, "ends": 0, "result_bytes": 0,
-        "webhook_left": 0, "webhook_at": 0.0,
-    }  # fmt: skip
-    names = ", ".join(values)
-    places = ", ".join(f":{name}" for name in values)
-    connection.execute(sql.text(f"INSERT INTO deitalk_jobs ({names}) VALUES ({places})"), values)
-
-
-def test_tables_of_0_1_0_are_taken_over_and_its_server_goes_on_beside(empty):
-    as_0_1_0(empty)
-    queue = Queue(open_database(url_of(empty)), 60.0, 3, 100)
+@pytest.mark.parametrize("version", [1, 2])
+def test_tables_of_versions_before_the_first_release_are_refused_in_one_line(empty, version):
+    """The tables of schema 1 came without a number."""
     with empty.begin() as connection:
-        add_as_0_1_0(connection, "later")
-    claimed = {queue.claim().id, queue.claim().id}
-    assert claimed == {"old", "later"} and queue.claim() is None
-    queue.engine.dispose()
+        connection.execute(sql.text("CREATE TABLE deitalk_jobs (id VARCHAR(64))"))
+        if version > 1:
+            connection.execute(sql.text(f"CREATE TABLE {VERSIONS} (version_num VARCHAR(32))"))
+            connection.execute(sql.text(f"INSERT INTO {VERSIONS} VALUES ('{version}')"))
+    with one_line(ConfigError, f"schema {version}", "another database"):
+        open_database(url_of(empty))
 
 
-def test_results_over_four_gigabytes_are_counted(empty):
-    as_0_1_0(empty)
-    queue = Queue(open_database(url_of(empty)), 60.0, 3, 100)
-    assert queue.finish(queue.claim(), "r", 5 * 2**30, {})
-    assert queue.get("old", CALLER).result_bytes == 5 * 2**30
-    queue.engine.dispose()
+def test_results_over_four_gigabytes_are_counted(queue):
+    put(queue, "farm")
+    job = queue.claim()
+    assert queue.finish(job, "r", 5 * 2**30, {})
+    assert queue.get(job.id, CALLER).result_bytes == 5 * 2**30
 
 
 def test_schema_two_versions_ahead_is_refused_and_one_ahead_is_not(empty):
     open_database(url_of(empty)).dispose()
     for ahead, is_refused in ((1, False), (2, True)):
         with empty.begin() as connection:
-            connection.execute(sql.text(f"UPDATE {VERSIONS} SET version_num = '{2 + ahead}'"))
+            connection.execute(sql.text(f"UPDATE {VERSIONS} SET version_num = '{3 + ahead}'"))
         if is_refused:
-            with pytest.raises(ConfigError, match=r"schema 4, this program knows 2"):
+            with pytest.raises(ConfigError, match=r"schema 5, this program knows 3"):
                 open_database(url_of(empty))
         else:
             open_database(url_of(empty)).dispose()
 
 
 def test_step_that_is_not_safe_waits_for_the_command(empty, monkeypatch, tmp_path):
-    as_0_1_0(empty)
-    monkeypatch.setattr(table, "is_safe", lambda step: step.revision == "1")
+    monkeypatch.setattr(table, "is_safe", lambda step: False)
     with pytest.raises(ConfigError, match="serve --migrate"):
         open_database(url_of(empty))
     monkeypatch.setenv("DEITALK_DATABASE", url_of(empty))
@@ -137,7 +116,7 @@ def test_step_that_is_not_safe_waits_for_the_command(empty, monkeypatch, tmp_pat
 def test_two_queues_share_jobs_without_doubling_one(empty):
     queues = [Queue(open_database(url_of(empty)), 60.0, 3, 100) for _ in range(2)]
     work = {"order": {"kind": "animation"}, "format": "json"}
-    ids = {queues[0].add(new_id(), CALLER, work, "0" * 64, None, None).id for _ in range(9)}
+    ids = {queues[0].add(new_id(), CALLER, work, "0" * 64, None).id for _ in range(9)}
     claimed = [queues[k % 2].claim() for k in range(10)]
     assert claimed[-1] is None and {job.id for job in claimed[:-1]} == ids
     job = claimed[0]
@@ -153,13 +132,13 @@ def test_two_queues_share_jobs_without_doubling_one(empty):
 def test_lease_that_is_over_passes_the_job_on_until_its_attempts_are_used(empty):
     queue = Queue(open_database(url_of(empty)), -1.0, 2, 100)
     work = {"order": {"kind": "animation"}, "format": "json"}
-    job_id = queue.add(new_id(), CALLER, work, "1" * 64, "key", None).id
+    job_id = queue.add(new_id(), CALLER, work, "1" * 64, "key").id
     first, second = queue.claim(), queue.claim()
     assert first.id == second.id == job_id and first.holder != second.holder
     assert not queue.finish(first, "r", 1, {})  # the second holder has it
     assert queue.claim() is None
     assert queue.get(job_id, CALLER).error["code"] == "worker_lost"
-    again = queue.add(new_id(), CALLER, work, "1" * 64, "key", None)
+    again = queue.add(new_id(), CALLER, work, "1" * 64, "key")
     assert again.id == job_id
     queue.engine.dispose()
 
@@ -176,7 +155,7 @@ WORK = {"order": {"kind": "animation"}, "format": "json"}
 
 def put(queue, owner, **values):
     """Add a job; `values` of its row replace those of a new one."""
-    job_id = queue.add(new_id(), replace(CALLER, name=owner), WORK, "0" * 64, None, None).id
+    job_id = queue.add(new_id(), replace(CALLER, name=owner), WORK, "0" * 64, None).id
     if values:
         with queue.engine.begin() as connection:
             connection.execute(sql.update(JOBS).where(JOBS.c.id == job_id).values(**values))

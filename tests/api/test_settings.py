@@ -20,7 +20,6 @@ from api.errors import Problem
 from api.guard.keys import KEY_PREFIX, Rates, digest_of, new_key
 from api.guard.metrics import Metrics
 from api.guard.middleware import Guard, Traffic
-from api.jobs.runner import check_webhook
 from api.messages.options import ANIMATION_FORMATS, choose_format
 from api.serving import check_places
 from api.settings import Settings, load_settings
@@ -56,13 +55,6 @@ def test_wrong_settings_are_named(tmp_path, text, named):
     file.write_text(text)
     with pytest.raises(ConfigError, match=named):
         load_settings(file)
-
-
-def test_gpu_reads_together_and_processors_one_by_one(tmp_path):
-    assert Settings(device="cuda").together == 16 and Settings().together == 1
-    assert Settings(read_together=3).together == 3
-    with one_line(ConfigError, "one by one"):
-        Settings(backend="onnx", read_together=2).check()
 
 
 def test_device_that_is_missing_is_named_before_the_start(tmp_path):
@@ -126,24 +118,11 @@ def test_accept_header_chooses_the_format(accept, expected):
     assert choose_format(ANIMATION_FORMATS, None, accept, "json").name == expected
 
 
-def test_webhooks_need_an_allowed_host():
-    hosts = ("hooks.example.com", "127.0.0.1:9000")
-    assert check_webhook("https://hooks.example.com/x", hosts)
-    assert check_webhook("http://127.0.0.1:9000/x", hosts)
-    for url in (
-        "http://127.0.0.1:9001/x", "https://hooks.example.com:8443/", "https://example.com/",
-        "https://hooks.example.com.evil.example/", "https://hooks.example.com@evil.example/",
-        "http://2130706433:9000/", "http://[::ffff:127.0.0.1]:9000/", "ftp://hooks.example.com/",
-    ):  # fmt: skip
-        with pytest.raises(Problem):
-            check_webhook(url, hosts)
-
-
 def test_hosts_of_loopback_are_known_by_every_spelling(tmp_path):
     async def passed(scope, receive, send):
         pass
 
-    guard = Guard(passed, Settings(data=tmp_path), Metrics(), Traffic())
+    guard = Guard(passed, Settings(data=tmp_path), Metrics(), Traffic(9))
     for host in ("localhost:8000", "127.0.0.1", "[::1]:8000", "127.0.0.2:1"):
         assert asyncio.run(_answer(guard, "/v1/models", host)) == 200, host
     for host in ("evil.example", "", "localhost.evil.example", "a b", "1" * 300):
@@ -171,7 +150,7 @@ def test_probes_by_address_are_answered_where_hosts_names_the_service(tmp_path, 
 
     entry = {"name": "farm", "sha256": digest_of("dk_key"), "scopes": ["animate"]}
     settings = Settings(host="0.0.0.0", data=tmp_path, keys=[entry], hosts=["voice.example"])
-    guard = Guard(passed, settings, Metrics(), Traffic())
+    guard = Guard(passed, settings, Metrics(), Traffic(9))
     for path in ("/healthz", "/readyz"):
         assert asyncio.run(_answer(guard, path, host)) == 200
         assert asyncio.run(_answer(guard, path, "voice.example")) == 200

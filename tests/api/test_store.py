@@ -47,7 +47,7 @@ def add(queue, store, tmp_path, content=b"sound"):
     (folder / "recording").write_bytes(content)
     job_id = new_id()
     store.put_folder(folder, job_id)
-    return queue.add(job_id, CALLER, WORK, "0" * 64, None, None)
+    return queue.add(job_id, CALLER, WORK, "0" * 64, None)
 
 
 def test_files_come_back_as_they_went(store, tmp_path):
@@ -63,8 +63,8 @@ def test_files_come_back_as_they_went(store, tmp_path):
     }
     name = store.put_result(sent / "recording", "a", "holder")
     content = (sent / "recording").read_bytes()
-    assert b"".join(store.read(name, 0, len(content))) == content
-    assert b"".join(store.read(name, 999, 1_500_000)) == content[999:1_500_000]
+    assert b"".join(store.read(name, 0, len(content), len(content))) == content
+    assert b"".join(store.read(name, 999, 1_500_000, len(content))) == content[999:1_500_000]
     assert store.jobs() == {"a"} and store.age("a") < 60
     store.remove("a")
     assert store.jobs() == set()
@@ -149,7 +149,9 @@ def test_lease_is_renewed_while_a_result_is_copied(tmp_path, cancels, status):
             return super().put_result(path, job_id, holder)
 
     def run(order, seconds, progress, stopped):
-        Path(order["folder"], "out/recording.json").write_text("{}")
+        out = Path(order["folder"], "out")
+        out.mkdir()
+        (out / "recording.json").write_text("{}")
         return {"file": "out/recording.json"}
 
     queue = Watched(open_database(f"sqlite:///{tmp_path / 'jobs.sqlite'}"), 0.2, 3, 5)

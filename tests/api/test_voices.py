@@ -5,6 +5,7 @@ import json
 import logging
 import shutil
 import threading
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -27,7 +28,7 @@ class Stand:
 
     def __init__(self) -> None:
         self.failure: Exception | None = None
-        self.starts, self.hangs = 0, None
+        self.starts, self.hangs, self.pid, self.is_alive = 0, None, 1, True
 
     def start(self) -> None:
         self.starts += 1
@@ -41,7 +42,9 @@ class Stand:
         if self.failure is not None:
             raise self.failure
         opened = [[a["voice"], 0.2] for a in order["options"]["actions"] if a["do"] == "open"]
-        np.zeros(0, "<f4").tofile(f"{order['folder']}/out/frames")
+        out = Path(order["folder"], "out")
+        out.mkdir(exist_ok=True)
+        np.zeros(0, "<f4").tofile(out / "frames")
         return {"file": "out/frames", "facts": {"opened": opened, "failed": [], "frames": []}}
 
 

@@ -31,7 +31,6 @@ def limits(**given):
         "device": "cpu",
         "backend": "torch",
         "threads": 1,
-        "reader": "",
     } | given
 
 
@@ -84,6 +83,10 @@ class Starting:
     def __init__(self, limits):
         self.is_ready, self.starting = False, 0
 
+    @property
+    def is_alive(self):
+        return self.is_ready
+
     def start(self):
         self.starting += 1
         assert self.starting == 1, "it is started by two threads"
@@ -134,7 +137,7 @@ def test_order_of_a_client_who_goes_is_over_once_its_worker_has_ended(monkeypatc
             await asyncio.sleep(0.01)
         asked.cancel()
         await asyncio.wait([asked])
-        assert asked.cancelled() and made.busy == 0
+        assert asked.cancelled() and made.places.taken == 0
         return order
 
     assert asyncio.run(ended()) == {"ended": True}

@@ -13,7 +13,7 @@ from typing import IO, TYPE_CHECKING, Any
 
 import numpy as np
 
-from deitalk.audio.decoding import lenient, refuse_other
+from deitalk.audio.ffmpeg import lenient, refuse_other
 from deitalk.audio.frames import FRAME_RATE
 from deitalk.errors import DataError, MissingError
 from deitalk.research.video.landmarks import N_POINTS, USED, FaceTrack, pixels
