@@ -3,11 +3,6 @@
 import json
 import socket
 import sys
-import threading
-import time
-import urllib.request
-import webbrowser
-from contextlib import suppress
 from pathlib import Path
 from typing import Any, cast
 
@@ -20,7 +15,6 @@ from deitalk.errors import ConfigError
 from rig.errors import quoted
 from rig.files import atomic_write
 
-LONGEST_START_SECONDS = 60
 ANY_ADDRESS = ("0.0.0.0", "::")
 
 
@@ -44,8 +38,7 @@ def serve(
         If the studio is to be opened and this installation has no page.
     """
     settings = load_settings(file, **given)
-    if opens:
-        _open_studio(settings)
+    studio = studio_address(settings) if opens else ""
     settings.check()
     if migrate:
         from api.jobs.table import open_database
@@ -56,11 +49,11 @@ def serve(
     start_early(settings.backend)
     from api.serving import run
 
-    run(settings)
+    run(settings, studio)
 
 
-def _open_studio(settings: Settings) -> None:
-    """Open the page of a service that will start, unless something listens there already."""
+def studio_address(settings: Settings) -> str:
+    """Address of the page of a service that will start, unless something listens there already."""
     from deitalk.preview.page import check_player
 
     check_player()
@@ -70,20 +63,7 @@ def _open_studio(settings: Settings) -> None:
             raise ConfigError(
                 f"port {settings.port} is taken; give another `port`", parameter="port"
             )
-    address = f"http://{host}:{settings.port}/"
-    sys.stderr.write(f"studio at {address}\n")
-    threading.Thread(target=_open, args=(address,), daemon=True).start()
-
-
-def _open(address: str) -> None:
-    """Open an address once the service answers, at most a minute from now."""
-    direct = urllib.request.build_opener(urllib.request.ProxyHandler({}))
-    end = time.monotonic() + LONGEST_START_SECONDS
-    while time.monotonic() < end:
-        with suppress(OSError), direct.open(f"{address}readyz", timeout=5):
-            webbrowser.open(address)
-            return
-        time.sleep(0.2)
+    return f"http://{host}:{settings.port}/"
 
 
 def write_openapi(out: Path) -> None:

@@ -6,6 +6,8 @@ import logging.config
 import os
 import socket
 import sys
+import threading
+import webbrowser
 from collections.abc import Callable
 from datetime import UTC, datetime
 from time import monotonic
@@ -36,8 +38,11 @@ OF_CLIENTS = (
 """Errors in uvicorn's log that are its clients': one leaves in the handshake, or sends no text."""
 
 
-def run(settings: Settings) -> None:
+def run(settings: Settings, studio: str = "") -> None:
     """Print the settings and serve until SIGINT or SIGTERM.
+
+    With the address of the studio, which the user's browser opens once the service is ready, only
+    the settings that were given are printed.
 
     Raises
     ------
@@ -49,11 +54,11 @@ def run(settings: Settings) -> None:
     if settings.device != "cpu":
         require_device(settings.device)
     app = create_app(settings)
-    print_settings(settings)
+    print_settings(settings, studio)
     log_to_stderr(settings.log)
     check_port(settings)
     check_places(settings)
-    server = Server(server_config(app, settings), app.state.service)
+    server = Server(server_config(app, settings), app.state.service, studio)
     server.run()
     if not server.started:
         raise ConfigError(f"the service did not start on {settings.host} port {settings.port}")
@@ -67,11 +72,13 @@ class Server(uvicorn.Server):
     config : uvicorn.Config
     service : Service
         Of the application.
+    studio : str
+        Address that the user's browser opens once the service is ready; empty: none.
     """
 
-    def __init__(self, config: uvicorn.Config, service: Service) -> None:
+    def __init__(self, config: uvicorn.Config, service: Service, studio: str = "") -> None:
         super().__init__(config)
-        self.service = service
+        self.service, self.studio = service, studio
         self._signal: int | None = None
         self._task: asyncio.Task[None] | None = None
 
@@ -82,7 +89,10 @@ class Server(uvicorn.Server):
         self._signal = sig
 
     async def on_tick(self, counter: int) -> bool:
-        """Drain once a signal has come."""
+        """Drain once a signal has come; open the studio once the service is ready."""
+        if self.studio and self.service.pool.is_ready and self.service.voices.is_ready:
+            threading.Thread(target=webbrowser.open, args=(self.studio,), daemon=True).start()
+            self.studio = ""
         if self._signal is not None and self._task is None:
             self._task = asyncio.create_task(self._drain(self._signal))
         return await super().on_tick(counter)
@@ -121,10 +131,13 @@ def server_config(app: Any, settings: Settings) -> uvicorn.Config:
     )
 
 
-def print_settings(settings: Settings) -> None:
-    """Print the version and one line for each setting."""
-    lines = "".join(f"  {line}\n" for line in settings.lines())
-    sys.stderr.write(f"deitalk {__version__}\n{lines}")
+def print_settings(settings: Settings, studio: str = "") -> None:
+    """Print the version and one line for each setting; with a studio for those that were given."""
+    shown = settings.shown
+    names = [name for name in shown if not studio or name in settings.model_fields_set]
+    lines = "".join(f"  {name} = {shown[name]}\n" for name in names)
+    where = f", studio at {studio}; Ctrl-C ends it" if studio else ""
+    sys.stderr.write(f"deitalk {__version__}{where}\n{lines}")
 
 
 def check_port(settings: Settings) -> None:

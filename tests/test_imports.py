@@ -3,6 +3,7 @@
 import ast
 import functools
 import importlib
+import pydoc
 import re
 import subprocess
 import sys
@@ -287,3 +288,12 @@ def test_the_version_is_written_once():
     assert not re.search(r'(?m)^version\s*=\s*"', text)
     writers = [p for p in FILES if re.search(r"(?m)^__version__\s*=", p.read_text())]
     assert [name_of(p) for p in writers] == ["deitalk.installed"]
+
+
+@pytest.mark.parametrize("name", ["deitalk", "rig"])
+def test_help_and_dir_list_every_public_name(name):
+    package = importlib.import_module(name)
+    assert set(package.__all__) <= set(dir(package))
+    text = pydoc.render_doc(package, renderer=pydoc.plaintext)
+    missing = [n for n in package.__all__ if not re.search(rf"^    .*\b{n}\b", text, re.M)]
+    assert missing in ([], ["__version__"])  # it has a heading of its own

@@ -283,6 +283,6 @@ def _pxr() -> Any:
         import pxr  # type: ignore[import-untyped]
         from pxr import Gf, Sdf, Tf, Usd, UsdGeom, UsdShade, UsdSkel, UsdUtils, Vt
     except ImportError as error:
-        raise FormatError("USD needs the package usd-core: pip install deitalk[usd]") from error
+        raise FormatError("USD needs the package usd-core: pip install 'deitalk[usd]'") from error
     assert all((Gf, Sdf, Tf, Usd, UsdGeom, UsdShade, UsdSkel, UsdUtils, Vt))
     return pxr

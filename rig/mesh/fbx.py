@@ -77,7 +77,7 @@ def blender() -> str:
     python = os.environ.get("BPY_PYTHON", "")
     if not python and importlib.util.find_spec("bpy") is None:
         raise FormatError(
-            "FBX needs the package bpy: pip install deitalk[fbx], or name a Python that has it: "
+            "FBX needs the package bpy: pip install 'deitalk[fbx]', or name a Python that has it: "
             "BPY_PYTHON=/path/to/python"
         )
     return python or sys.executable

@@ -2,13 +2,14 @@
 
 import asyncio
 import json
+import queue
 import re
-import threading
+import socket
 import tomllib
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
 import pytest
+import uvicorn
 import yaml
 from typer.testing import CliRunner
 
@@ -215,35 +216,54 @@ def test_places_of_jobs_that_can_be_used_are_left_as_they_are(tmp_path):
     assert names == {"mine.txt", "jobs.sqlite", "files"}
 
 
-class Ready(BaseHTTPRequestHandler):
-    def do_GET(self):
-        self.send_response(200 if self.path == "/readyz" else 404)
-        self.end_headers()
-
-    def log_message(self, *words):
-        pass
-
-
 @pytest.fixture
 def listening():
-    """Port of a program that answers /readyz."""
-    with ThreadingHTTPServer(("127.0.0.1", 0), Ready) as running:
-        threading.Thread(target=running.serve_forever, daemon=True).start()
-        yield running.server_port
-        running.shutdown()
+    """Port on which a program listens."""
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        yield taken.getsockname()[1]
 
 
-def test_studio_is_opened_once_the_service_answers(listening, monkeypatch):
-    opened = []
-    monkeypatch.setattr(commands.webbrowser, "open", opened.append)
-    commands._open(f"http://127.0.0.1:{listening}/")
-    assert opened == [f"http://127.0.0.1:{listening}/"]
+class Part:
+    is_ready = False
+
+
+class Parts:
+    pool, voices = Part(), Part()
+
+
+def test_studio_is_opened_once_when_the_service_is_ready(monkeypatch):
+    opened = queue.SimpleQueue()
+    monkeypatch.setattr(serving.webbrowser, "open", opened.put)
+    service = Parts()
+    server = serving.Server(uvicorn.Config(lambda *_: None), service, "http://127.0.0.1:9/")
+
+    def tick():
+        asyncio.run(server.on_tick(1))
+
+    tick()
+    service.pool.is_ready = True
+    tick()
+    assert opened.empty() and server.studio
+    service.voices.is_ready = True
+    tick()
+    tick()
+    assert opened.get(timeout=60) == "http://127.0.0.1:9/" and opened.empty()
+
+
+def test_studio_prints_what_was_given_alone(tmp_path, capsys):
+    settings = load_settings(port=9000, data=str(tmp_path))
+    serving.print_settings(settings, "http://127.0.0.1:9000/")
+    first, *lines = capsys.readouterr().err.splitlines()
+    assert first.endswith("studio at http://127.0.0.1:9000/; Ctrl-C ends it")
+    assert sorted(lines) == [f"  data = {tmp_path}", "  port = 9000"]
+    serving.print_settings(settings)
+    assert len(capsys.readouterr().err.splitlines()) == 1 + len(Settings.model_fields)
 
 
 def test_studio_refuses_a_port_on_which_something_listens(listening, monkeypatch):
     needs_player()
     opened = []
-    monkeypatch.setattr(commands.webbrowser, "open", opened.append)
+    monkeypatch.setattr(serving.webbrowser, "open", opened.append)
     with pytest.raises(ConfigError, match=f"port {listening} is taken"):
         commands.serve(None, port=listening, opens=True)
     assert not opened

@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 from hypothesis import given, strategies
 
+from deitalk import LiveAnimator, animate, animate_batch, animate_mesh
 from deitalk.acting import LIVE_FIELDS, Acting, Words
 from deitalk.emotions import LABELS
 from deitalk.errors import ConfigError
@@ -173,3 +174,20 @@ def test_words_know_their_kind():
     assert Words.of("WEBVTT\n\n00:01.000 --> 00:02.000\na\n").kind == "subtitles"
     assert Words.of(grid).kind == "grid"
     assert Words.of("Start --> end, word\nfor word").kind == "text"
+
+
+@pytest.mark.parametrize(
+    ("call", "known"),
+    [
+        (lambda **given: animate(b"", **given), "emotion, acting, model, backend, device"),
+        (
+            lambda **given: animate_mesh(b"", **given),
+            "emotion, acting, model, sample_rate, speaker",
+        ),
+        (lambda **given: animate_batch("a", "b", **given), "emotion, acting, actor, formats"),
+        (LiveAnimator, "model, emotion, acting, streams, sample_rate, backend"),
+    ],
+)
+def test_an_unknown_argument_names_all_that_are_known(call, known):
+    with one_line(ConfigError, match=f"no argument 'devise'; known are {known}.*, words, .*seed$"):
+        call(devise="cuda")

@@ -134,6 +134,26 @@ def test_validate_prints_findings_and_fails_on_errors(curves_file, tmp_path):
     assert report["ok"] is False and report["findings"][0]["level"] == "error"
 
 
+@pytest.mark.parametrize(
+    ("jaw_at_end", "options", "verdict", "code"),
+    [
+        (0.0, [], "valid, no error or warning", 0),
+        (0.9, [], "valid, 1 warning", 0),
+        (0.9, ["--strict"], "not valid, 1 warning", 1),
+        (None, [], "not valid, 1 error", 1),
+    ],
+)
+def test_validate_ends_with_a_verdict(curves_file, tmp_path, jaw_at_end, options, verdict, code):
+    path, curves = tmp_path / "x.csv", read_curves(curves_file)
+    values = curves.values.copy()
+    values[-3:, BOARD.index("CTRL_C_jaw.ty")] = jaw_at_end or 0
+    write_curves(path, RigCurves(values, BOARD.names))
+    if jaw_at_end is None:
+        path.write_text("frame,time\n0,0\n")
+    done = run("validate", path, *options)
+    assert (done.exit_code, done.stdout.splitlines()[-1]) == (code, f"{path}: {verdict}")
+
+
 def skipped(words):
     """Frames that the sender skipped to keep time, from its output."""
     found = re.search(r"(\d+) skipped", words)

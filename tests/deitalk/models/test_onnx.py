@@ -30,6 +30,7 @@ from deitalk.models.onnx.rules import LIVE, WHOLE
 from deitalk.research.evaluation.benchmark_curves import speechlike
 from deitalk.research.evaluation.clip_scores import live_frames
 from rig import default_controls, read_curves
+from tests.command import ran
 from tests.deitalk.models.test_curve_model import MEL, SMALL
 from tests.deitalk.postprocess.test_curve_pass import inputs, passed
 from tests.each import each
@@ -457,3 +458,11 @@ def test_readout_of_the_lips_is_in_the_graph(frontend, settings, tmp_path):
     assert_equal(load_onnx(tmp_path / "lips.onnx").read(sound, rows), expected)
     network.lips = None
     assert np.abs(network.read(sound, rows).neutral - expected.neutral).max() > 0.01
+
+
+@pytest.mark.parametrize("option", ["-o", "--onnx"])
+def test_export_to_a_name_of_onnx_writes_that_file(tmp_path, model, option):
+    save_model(tmp_path / "model", model, Config(model=model.config), {})
+    ran("model", "export", tmp_path / "model", option, tmp_path / "x.onnx")
+    assert (tmp_path / "x.onnx").is_file()
+    assert load_onnx(tmp_path / "x.onnx").controls.names == model.controls.names

@@ -136,11 +136,14 @@ def files(tmp_path_factory, shapes):
     values = np.random.default_rng(0).uniform(board.minimum, board.maximum, (5, 185))
     write_curves(folder / "board.glb", RigCurves(values.astype(np.float32), board.names, 30))
     write_curves(folder / "arkit.glb", shapes)
+    write_curves(folder / "board.vrma", RigCurves(values.astype(np.float32), board.names, 30))
     return [folder / "board.glb", folder / "arkit.glb"]
 
 
 def test_khronos_validator_finds_nothing(node, files):
     assert node(VALIDATOR, *files) == [[0, 0, []]] * 2
+    ((errors, warnings, _),) = node(VALIDATOR, files[0].with_suffix(".vrma"))
+    assert (errors, warnings) == (0, 0)
 
 
 def test_three_js_plays_the_weights_between_frames(node, files, shapes):

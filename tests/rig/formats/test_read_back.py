@@ -102,7 +102,7 @@ def test_fbx_needs_bpy(tmp_path, monkeypatch):
         lambda: write_curves(tmp_path / "a.fbx", convert(take(), "arkit-61")),
         lambda: read_curves(tmp_path / "b.fbx"),
     ):
-        with one_line(FormatError, match=r"pip install deitalk\[fbx\].*BPY_PYTHON"):
+        with one_line(FormatError, match=r"pip install 'deitalk\[fbx\]'.*BPY_PYTHON"):
             call()
     assert [path.name for path in tmp_path.iterdir()] == ["b.fbx"]
 

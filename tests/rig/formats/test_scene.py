@@ -376,7 +376,7 @@ def test_absent_usd_core_names_the_install_line(tmp_path, monkeypatch, curves):
     import sys
 
     monkeypatch.setitem(sys.modules, "pxr", None)
-    with pytest.raises(FormatError, match=r"pip install deitalk\[usd\]"):
+    with pytest.raises(FormatError, match=r"pip install 'deitalk\[usd\]'"):
         write_curves(tmp_path / "a.usda", curves)
 
 

@@ -55,3 +55,18 @@ def test_other_files_are_refused_in_one_line(tmp_path, take, part):
     write_container(tmp_path / "a.vrma", document, binary)
     with one_line(FormatError, match="no VRMC_vrm_animation"):
         read_curves(tmp_path / "a.vrma")
+
+
+def empty_parts(node, path=""):
+    """Places of lists and objects without a member, which Khronos' validator calls errors."""
+    if isinstance(node, dict | list):
+        if not node:
+            yield path
+        for key, value in node.items() if isinstance(node, dict) else enumerate(node):
+            yield from empty_parts(value, f"{path}/{key}")
+
+
+@pytest.mark.parametrize("name", ["a.vrma", "a.glb"])
+def test_no_list_or_object_is_empty(tmp_path, take, name):
+    write_curves(tmp_path / name, take)
+    assert list(empty_parts(read_container(tmp_path / name)[0])) == []
