@@ -311,7 +311,7 @@ def _motion(prepared: Prepared, shown: Float32) -> Motion | None:
     return plan_motion(voice, shown, seeds, idle, life, traits)
 
 
-def _curves(controls: ControlSet, values: Float32, **tracks: Float32 | None) -> RigCurves:
+def _curves(controls: ControlSet, values: Float32, **tracks: Any) -> RigCurves:
     values.setflags(write=False)  # not copied: an hour is 80 MB
     return RigCurves(
         values, controls.names, fps=float(FRAME_RATE), control_set=controls.id, **tracks
