@@ -357,9 +357,14 @@ def _curves(
     head: Float32 | None = None,
 ) -> RigCurves:
     values.setflags(write=False)  # not copied: an hour is 80 MB
-    named = {"emotion": emotion, "intensity": intensity, "head": head}
     return RigCurves(
-        values, controls.names, fps=float(FRAME_RATE), control_set=controls.id, **named
+        values,
+        controls.names,
+        fps=float(FRAME_RATE),
+        control_set=controls.id,
+        emotion=emotion,
+        intensity=intensity,
+        head=head,
     )
 
 

@@ -267,7 +267,7 @@ def _recognised(path: Path, chosen: Format) -> Format:
         name = "facecap"
     elif chosen.name == "json":
         with open_file(path, JSON_CURVES_BYTES) as stream:
-            beginning = stream.read(4096)
+            beginning = stream.read(4096).replace(b"\0", b"")  # of UTF-16
         name = next((found for mark, found in JSON_MARKS if mark in beginning), None)
     return find_format(path, name or chosen.name)
 

@@ -229,16 +229,19 @@ def _with_clock(
     import pandas as pd
 
     is_date = "-" in texts[0] or "/" in texts[0]
-    cells = pd.Series(texts)
     try:
-        moments = pd.to_datetime(cells, utc=True) if is_date else pd.to_timedelta(cells)
+        moments = (
+            pd.DatetimeIndex(pd.to_datetime(texts, utc=True))
+            if is_date
+            else pd.TimedeltaIndex(pd.to_timedelta(texts))
+        )
     except ValueError:
         raise FormatError(
             f"{path}: column {layout.header[time]!r} holds {quoted(texts[0])}; times are seconds, "
             "milliseconds, HH:MM:SS.sss or time codes"
         ) from None
-    past = (moments - moments.iloc[0]).dt.total_seconds().to_numpy(np.float64)
-    return Table(names, values, past)
+    past = moments.as_unit("ns").asi8
+    return Table(names, values, (past - past[0]) / 1e9)
 
 
 def _read_face_cap(path: Path) -> Table:
@@ -501,10 +504,12 @@ def even(
     FormatError
         If no row has a face, or most of the time has none.
     """
-    faces = ~np.isnan(values).all(axis=1) if values.shape[1] else np.ones(len(values), bool)
+    faces: Bool = np.ones(len(values), bool)
+    if values.shape[1]:
+        faces = np.asarray(~np.isnan(values).all(axis=1), bool)
     if not faces.any():
         raise FormatError(f"{path}: no row has a face; every cell is empty")
-    notes = []
+    notes: list[str] = []
     steps = np.diff(seconds)
     is_even = not len(steps) or np.ptp(steps) <= UNEVEN * float(np.median(steps))
     if is_even and faces.all():

@@ -91,7 +91,7 @@ def read_layout(path: Path) -> Layout:
     header = sample[0] if sample else ""
     if len(header.encode()) > HEADER_BYTES:
         raise FormatError(f"{path}: the first line is longer than 1 MiB; this is no table")
-    separator = separator or _separator(header)
+    separator = separator or separator_of(header)
     try:
         rows = list(csv.reader(sample, delimiter=separator))
     except csv.Error as error:
@@ -146,7 +146,7 @@ def _decoded(data: bytes, encoding: str, path: Path, *, is_whole: bool) -> str:
         ) from None
 
 
-def _separator(line: str) -> str:
+def separator_of(line: str) -> str:
     """The separator of a header: the most frequent outside quotes, a comma if there is none."""
     plain = re.sub(r'"[^"]*"', "", line)
     counts = {mark: plain.count(mark) for mark in ";\t,"}

@@ -24,6 +24,7 @@ from rig.conversion.convert import KNOWN
 from rig.errors import listed, quoted
 from rig.files.reading import read_text
 from rig.formats.named import NamedCurves
+from rig.formats.wide_csv import separator_of
 from rig.limits import POINTS_BYTES
 
 HEADER = ("target", "source", "weight", "offset")
@@ -98,7 +99,8 @@ def read_mapping(path: Path) -> RigMapping:
         If it lacks a column, holds something that is no number or no control, or targets of
         several sets.
     """
-    lines = csv.DictReader(io.StringIO(read_text(path, POINTS_BYTES, error=DataError)))
+    text = read_text(path, POINTS_BYTES, error=DataError)
+    lines = csv.DictReader(io.StringIO(text), delimiter=separator_of(text.partition("\n")[0]))
     try:
         header = [name.strip() for name in lines.fieldnames or ()]
         lines.fieldnames = header
@@ -137,7 +139,7 @@ def _row(path: Path, number: int, cells: dict[str, str]) -> Row | None:
 
 def _number(path: Path, row: int, name: str, text: str) -> float:
     try:
-        value = float(text)
+        value = float(text.replace(",", "."))
     except ValueError:
         value = float("nan")
     if not abs(value) <= LARGEST_WEIGHT:

@@ -22,7 +22,7 @@ from deitalk.errors import DataError
 from rig import ControlSet
 from rig.errors import UserError, quoted
 from rig.formats.table import FORMATS
-from rig.formats.wide_csv import read_header
+from rig.formats.wide_csv import read_header, read_layout
 from rig.limits import TRACK_BYTES
 
 CURVES = (".csv", ".json", ".npz", ".txt", ".tsv")
@@ -399,7 +399,11 @@ def _read_table(path: Path) -> dict[str, dict[str, str]]:
     try:
         if path.stat().st_size > TRACK_BYTES:
             raise DataError(f"{path}: larger than {TRACK_BYTES} bytes; this is no table of takes")
-        frame = pd.read_csv(path, dtype=str, keep_default_na=False, encoding="utf-8-sig")
+        layout = read_layout(path)
+        frame = pd.read_csv(
+            path, dtype=str, keep_default_na=False, encoding=layout.encoding, sep=layout.separator,
+            skiprows=layout.skipped, skipinitialspace=True,
+        )  # fmt: skip
     except (OSError, UnicodeDecodeError, pd.errors.ParserError, pd.errors.EmptyDataError) as error:
         reason = " ".join(str(error).split())
         raise DataError(f"{path}: cannot be read as CSV ({reason})") from None

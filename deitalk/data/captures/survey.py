@@ -3,6 +3,7 @@
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -238,7 +239,11 @@ class Survey:
         emotions.setdefault(clip.emotion, Frames()).add(values[~near])
         self.rates.setdefault(clip.speaker, {})[clip.emotion] = curves.fps
         prosody = measure_prosody(recording.waveform, recording.n_frames)
-        place = {"known": known, "offset": clip.offset_seconds, "start": clip.span[0]}
+        place: dict[str, Any] = {
+            "known": known,
+            "offset": clip.offset_seconds,
+            "start": clip.span[0],
+        }
         rate = fit_rate(board, recording.waveform, predicted=predicted, **place)
         self.clips.append(
             ClipSurvey(

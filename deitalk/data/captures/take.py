@@ -27,7 +27,7 @@ from rig.formats import emoface_txt, livelink_csv, unreal_json
 from rig.formats.curves_csv import N_SHAPES, describe_columns, known_columns
 from rig.formats.named import NamedCurves, is_face_cap, read_named
 from rig.formats.table import format_of_header
-from rig.formats.units import in_units
+from rig.formats.units import check_rate, in_units
 from rig.formats.wide_csv import read_header
 from rig.limits import JSON_CURVES_BYTES
 
@@ -104,6 +104,18 @@ def read_capture(
     MissingError
         For a video without MediaPipe.
     """
+    capture = _read(path, mapping, rig, fps, progress)
+    check_rate(capture.curves.fps, path)
+    return capture
+
+
+def _read(
+    path: Path,
+    mapping: RigMapping | None,
+    rig: ControlSet | None,
+    fps: float | None,
+    progress: Callable[[float], None],
+) -> CapturedCurves:
     if rig is not None:
         return _of_rig(path, rig, fps)
     if mapping is not None:
@@ -114,7 +126,8 @@ def read_capture(
     if kind == "video":
         return _filmed(path, progress)
     if kind == "emoface":
-        return CapturedCurves(read_curves(path, fps=fps), emoface_txt.columns(), "emoface")
+        curves = read_curves(path, fps=fps)
+        return CapturedCurves(curves, emoface_txt.columns(), "emoface", notes=curves.notes)
     if kind == "unreal":
         curves, audio = unreal_json.read_present(path)
         return _from_set(path, curves, kind, audio=audio)
@@ -193,7 +206,7 @@ def kind_of(path: Path) -> str | None:
         return "table" if suffix == ".txt" and is_face_cap(path) else _kind_of_table(path)
     if suffix == ".json":
         with open_file(path, JSON_CURVES_BYTES) as stream:
-            head = stream.read(4096)
+            head = stream.read(4096).replace(b"\0", b"")  # of UTF-16
         if any(schema.encode() in head for schema in unreal_json.SCHEMAS):
             return "unreal"
         if OWN_SCHEMA in head:

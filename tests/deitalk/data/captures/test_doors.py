@@ -6,18 +6,21 @@ Every row is one kind of file made of the same take. `read_capture` (`deitalk da
 
 import json
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from deitalk.audio.load import load_audio, write_wav
+from deitalk.data.captures.columns import read_mapping
 from deitalk.data.captures.imported import import_captures
-from deitalk.data.captures.sources import Labelling
+from deitalk.data.captures.sources import Labelling, find_takes
 from deitalk.data.captures.take import paired, read_capture
-from rig import read_curves
+from rig import read_curves, write_curves
 from rig.conversion.arkit import ARKIT_ID, HEAD, arkit_controls
 from rig.errors import UserError
 from rig.validation import validate
+from tests.command import deitalk, ran
 from tests.takes import bursts
 
 NAMES = arkit_controls().names
@@ -709,3 +712,68 @@ def test_import_says_how_a_take_was_paired(tmp_path):
         "both, cut"
     )
     assert take.seconds == pytest.approx(3, abs=0.02)
+
+
+# Other doors.
+
+
+def test_a_map_and_a_table_of_takes_of_a_spreadsheet(tmp_path):
+    times, values = frames(30)
+    names = [f"own_{name}" for name in SHAPES]
+    (tmp_path / "a.csv").write_text(text(table(times, values, names)))
+    rows = [["target", "source", "weight"], *([n, f"own_{n}", "0,5"] for n in SHAPES)]
+    (tmp_path / "m.csv").write_bytes(text(rows, ";", "\r\n").encode("utf-8-sig"))
+    capture = read_capture(tmp_path / "a.csv", mapping=read_mapping(tmp_path / "m.csv"))
+    jaw = motion(times)[:, NAMES.index("JawOpen")]
+    assert np.abs(capture.curves["CTRL_C_jaw.ty"] - 0.5 * jaw).max() < 2e-3
+    (tmp_path / "t.csv").write_text(text([["take", "actor", "emotion"], ["a", "anna", "joy"]], ";"))
+    labels = Labelling(table=tmp_path / "t.csv")
+    (source,), _ = find_takes([tmp_path / "a.csv"])
+    assert labels.of(source).actor == "anna" and labels.of(source).emotion == "happy"
+
+
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16"])
+def test_json_with_a_mark(tmp_path, encoding):
+    data = json.dumps(results(*frames(30))["objects"])
+    (tmp_path / "a.json").write_bytes(data.encode(encoding))
+    assert both(tmp_path / "a.json")[1].curves.fps == pytest.approx(30, abs=1e-3)
+
+
+@pytest.mark.parametrize("fps", [0.1, 1000])
+@pytest.mark.parametrize("suffix", [".json", ".npz", ".csv"])
+def test_clips_of_a_millisecond_or_ten_seconds_a_frame_are_refused(tmp_path, suffix, fps):
+    board = read_curves(write_curves_of(tmp_path / "own.csv"))
+    write_curves(tmp_path / f"a{suffix}", replace(board, fps=fps))
+    assert read_curves(tmp_path / f"a{suffix}", fps=30).fps == 30
+    if suffix == ".csv" and fps < 1:  # 10, 20, 30 … in a column of times
+        assert "times are taken as milliseconds" in read_curves(tmp_path / "a.csv").notes
+        return
+    for read in (read_curves, read_capture):
+        with pytest.raises(UserError, match=r"frames a second|apart"):
+            read(tmp_path / f"a{suffix}")
+
+
+def write_curves_of(path):
+    path.write_text(text(table(*frames(30))))
+    return path
+
+
+@pytest.mark.parametrize("kind", ["percent", "24 frames", "degrees", "no face", "milliseconds"])
+def test_commands_say_what_was_corrected(tmp_path, kind):
+    times, values = frames(24 if kind == "24 frames" else 30)
+    degrees = values.copy()
+    degrees[:, HEADS] *= 50
+    rows, note = {
+        "percent": (table(times, 100 * values), "values are percent: divided by 100"),
+        "24 frames": (live_link(times, values, 24), "time codes count 24 frames a second"),
+        "degrees": (live_link(times, degrees), "head angles are degrees, up to 15"),
+        "no face": (without_face(live_link(times, values), GAPS, "empty"), "26 of 75 rows"),
+        "milliseconds": (table(1000 * times, values), "times are taken as milliseconds"),
+    }[kind]
+    (tmp_path / "a.csv").write_text(text(rows))
+    converted = ran("convert", tmp_path / "a.csv", tmp_path / "b.json")
+    assert note in converted.stderr
+    preview = deitalk("preview", tmp_path / "a.csv", "-o", tmp_path / "b.html")
+    assert note in preview.err  # before the page, which a checkout may not have built
+    report = write_curves(tmp_path / "c.csv", read_curves(tmp_path / "a.csv"))
+    assert any(note in line for line in report.notes)
