@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from deitalk.audio.channels import Mixing, Survey, centre, has_own_centre, mixing
-from deitalk.audio.choice import HIGHEST_RATE, LOUDEST, LOWEST_RATE, MOST_TRACKS, AudioChoice
+from deitalk.audio.choice import HIGHEST_RATE, LOUDEST, LOWEST_RATE, AudioChoice
 from deitalk.audio.decoding import SoundSource, open_sound
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE, frame_count
 from deitalk.audio.original import start_seconds, wav_header
@@ -42,6 +42,7 @@ __all__ = [
 
 MAX_SECONDS = 3 * 3600.0
 MAX_STREAM_BYTES = 2 * 1024**3  # of a file-like source, which is held in memory
+MOST_HEARD = 8  # tracks that are read to find the speech
 BLOCK_SAMPLES = 1 << 20  # per read, over all channels: 4 MB of float32
 LOUDEST_SAMPLE = 1e12  # beyond any PCM scaling: the file is not audio
 
@@ -196,7 +197,7 @@ def _with_speech(
 ) -> Recording:
     """The first track with speech; a later one if it has more than twice as much."""
     chosen, most, found = read(sound), 0.0, {}
-    for number in range(1, min(len(sound.tracks), MOST_TRACKS) + 1):
+    for number in range(1, min(len(sound.tracks), MOST_HEARD) + 1):
         try:
             recording = chosen if number == sound.track else read(sound.on(number))
         except AudioError as error:
@@ -212,6 +213,8 @@ def _with_speech(
         f"{text}"
         for number, text in found.items()
     )
+    rest = len(sound.tracks) - len(found)
+    others += f", {rest} more were not looked at" if rest else ""
     note = f"{len(sound.tracks)} sound tracks: track {taken} was taken; {others}"
     return replace(chosen, warnings=(note, *chosen.warnings))
 

@@ -72,6 +72,14 @@ def test_of_tracks_with_as_much_speech_the_first_is_taken(voice):
     assert recording.choice.track == 1 and like(recording.waveform, voice)
 
 
+def test_of_many_tracks_the_first_eight_are_searched(voice):
+    sounds = [quiet(voice)[:4800]] * 9 + [voice]
+    data = movie("matroska", sounds, codec="flac")
+    recording = load_audio(data)
+    assert recording.choice.track == 1 and "2 more were not looked at" in recording.warnings[0]
+    assert like(load_audio(data, track=10).waveform, voice)
+
+
 def test_without_speech_the_first_track_is_read(voice):
     recording = load_audio(movie("matroska", [quiet(voice), quiet(voice)], codec="flac"))
     assert recording.choice.track == 1
