@@ -81,11 +81,12 @@ class Relations:
         """Conventions by the name of their style; empty where every actor has one."""
         every = {(actor, how, take) for (actor, how), own in self.takes.items() for take in own}
         halves = [take.halves for own in self.takes.values() for take in own.values()]
-        total = np.sum([one for one in halves if one is not None], axis=(0, 1))
-        if not total.any():
+        known = [one for one in halves if one is not None]
+        if not known:
             return {}
+        total = np.sum(known, axis=(0, 1))
         means, squares = total[0] / total[0, 0], np.diagonal(total) / total[0, 0]
-        variance = (squares - np.square(means))[-len(names) :]
+        variance = np.maximum(squares - np.square(means), 0)[-len(names) :]
         return name_styles(self.takes, every, names, variance > MOVING**2)[0]
 
 
