@@ -30,7 +30,7 @@ def commands(verbs: str) -> list[list[str]]:
     """Lines of the page's blocks with one of some verbs, for the takes of `anna`."""
     blocks = re.findall(r"^```\w*\n(.*?)^```", PAGE, re.S | re.M)
     lines = [line for block in blocks for line in block.splitlines()]
-    others = ("talk.mp4", "facegood", "my_rig", "my_org")
+    others = ("talk.mp4", "facegood", "my_rig", "my_org", "new_take")
     return [
         shlex.split(line)[1:]
         for line in lines

@@ -288,6 +288,38 @@ def mix(
 
 
 @app.command()
+def fit(
+    model: Annotated[str, typer.Argument(help="Model, such as runs/anna/best.")],
+    data: Annotated[Path, typer.Argument(help="Dataset folder of seconds of a take.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder to write.")],
+    force: Annotated[bool, typer.Option("--force", help="Replace the folder.")] = False,
+) -> None:
+    """Write a model whose face without a name is that of a take: nearest style, gains, offsets.
+
+    Examples
+    --------
+    deitalk data import new_take/ --actor anna -o new_take_data/
+
+    deitalk model fit runs/anna/best new_take_data/ -o fitted/
+    """
+    from deitalk.data.clips import read_clips
+    from deitalk.models.checkpoint import portable, require_model, save_model
+    from deitalk.models.curve_model import DEITalk
+    from deitalk.models.folder import model_folder
+    from deitalk.training.tuning.fitting import fit_model
+
+    source = model_folder(model)
+    reserve_folder(out, kind="model", force=force, inputs=(source / "model.safetensors", data))
+    clips = read_clips(data)
+    found = fit_model(require_model(model, DEITalk), clips)
+    config, summary = portable(source)
+    save_model(out, found.model, config, summary | {"fitted": {"clips": len(clips)}})
+    style = f"style {found.style}" if found.style else "its own face"
+    text = f"{out}: {style}, error {found.error:.2f} of the one before on these clips"
+    console().print(text)
+
+
+@app.command()
 def push(
     model: Annotated[str, typer.Argument(help="Model folder, such as runs/anna/best.")],
     name: Annotated[str, typer.Argument(help="org/name on the Hugging Face hub.")],

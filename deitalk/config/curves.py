@@ -277,7 +277,7 @@ class TuneConfig(Section):
 class TuneTraining(TrainConfig):
     """Optimiser and schedule of a fine-tuning's steps."""
 
-    steps: Annotated[int, Field(ge=0, le=limits.TRAINING_STEPS)] = 0  # type: ignore[assignment]
+    steps: Annotated[int, Field(ge=0, le=limits.TRAINING_STEPS)] = 0
     """Steps after the regression; 0: none."""
 
 

@@ -487,6 +487,11 @@ def warnings_of(scores: Mapping[str, Mapping[str, float]]) -> list[str]:
     return lines
 
 
+def errs_less(scores: Mapping[str, Mapping[str, float]], one: str, other: str) -> bool:
+    """Whether a system errs less than another."""
+    return scores[one]["error_of_mean_pose"] < scores[other]["error_of_mean_pose"]
+
+
 def beats_loudness(scores: Mapping[str, Mapping[str, float]]) -> bool:
     """Whether the tuned model errs less than a line over loudness; true where nothing is known."""
     after, loud = (scores[name]["error_of_mean_pose"] for name in ("after", "loudness"))

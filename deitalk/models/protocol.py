@@ -293,7 +293,7 @@ def unshown_note(emotions: Sequence[str], weights: Float32) -> tuple[str, ...]:
     """
     lost = [
         name
-        for name, used in zip(EMOTIONS, weights.any(axis=0), strict=True)
+        for name, used in zip(EMOTIONS, (weights > 0).any(axis=0).tolist(), strict=True)
         if used and name not in (*emotions, "neutral")
     ]
     if not lost:

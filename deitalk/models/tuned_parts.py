@@ -1,6 +1,6 @@
 """What a fine-tuning adds to the decoder of curves: layers of actors, the base's emotions."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import torch
 from torch import Tensor, nn
@@ -37,7 +37,8 @@ class BaseChange(nn.Module):
         changed by `teach`."""
         self.is_whole = True
         """Whether every control moves as captured in every captured emotion."""
-        self.register_load_state_dict_post_hook(lambda module, _: module.teach(module.taught))
+        hook: Callable[..., object] = self.register_load_state_dict_post_hook
+        hook(lambda module, _: module.teach(module.taught))
 
     @torch.no_grad()
     def teach(self, taught: Tensor) -> None:
@@ -54,7 +55,7 @@ class BaseChange(nn.Module):
         return self._moved(emotion, torch.zeros_like(self.is_captured))
 
     def _moved(self, emotion: Tensor, stays: Tensor) -> Tensor:
-        weights, actors = emotion.split((len(stays), emotion.shape[-1] - len(stays)), dim=-1)
+        weights, actors = emotion[..., : len(stays)], emotion[..., len(stays) :]
         stay = weights * stays.to(weights)
         target = F.one_hot(torch.tensor(self.reference), len(stays)).to(weights)
         moved = (weights - stay).sum(dim=-1, keepdim=True) * target

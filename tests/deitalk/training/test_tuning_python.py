@@ -11,6 +11,7 @@ import torch
 import deitalk
 from deitalk.data.clips import read_clips
 from deitalk.models.checkpoint import load_model
+from deitalk.models.folder import describe_model
 from deitalk.training.tuning.regression import Regression
 from deitalk.training.tuning.task import FinetuneTask
 from rig import RigCurves, read_curves, write_curves
@@ -146,6 +147,31 @@ def test_a_take_that_is_left_out_is_tested_in_its_convention_and_in_the_mean(
         tuned.scores[name]["error_of_mean_pose"] for name in ("after", "after, mean style")
     )
     assert own < 0.8 * mean
+
+
+class Misled(Pulled):
+    """Steps that pull the jaw open, which its validation takes for better and better."""
+
+    def validate(self, model):
+        self.times = getattr(self, "times", 0) + 1
+        return {"score": float(self.times)}, []
+
+
+def test_steps_that_are_worse_on_held_out_clips_are_not_delivered(base, takes, tmp_path):
+    steps = SMALL | {"train.steps": 20, "train.evaluate_every": 20, "train.learning_rate": 1e-2}
+    tuned = deitalk.finetune(
+        takes, tmp_path / "run", base=base, settings=steps, task=Misled, leave_out="t5"
+    )
+    assert tuned.delivered.startswith("the regression")
+    assert describe_model(tuned.model)["training"]["step"] == 0
+    errors = [tuned.scores[name]["error_of_mean_pose"] for name in ("after", "ridge")]
+    assert errors[0] == errors[1]
+    audio, place = read_clips(takes)[5].audio, CONTROLS.index(JAW)
+    jaws = [
+        deitalk.animate(audio, model=tmp_path / "run" / name, rules=False).curves.values[:, place]
+        for name in ("best", "last")
+    ]
+    assert jaws[0].mean() < jaws[1].mean() - 0.1
 
 
 @pytest.mark.parametrize("share", [0.5, 0.9])
