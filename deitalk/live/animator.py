@@ -19,7 +19,6 @@ from deitalk.models.load import load_causal
 from deitalk.models.protocol import (
     CausalNetwork,
     SpectraGrid,
-    State,
     chosen_actor,
     put,
     take,
@@ -75,7 +74,8 @@ class Sound:
         piece = self.samples[max(first - self.begin, 0) :]
         if first < 0:
             piece = np.concatenate((np.zeros(-first, np.float32), piece))
-        return piece[(starts - first)[:, None] + np.arange(size)]
+        rows: Float32 = piece[(starts - first)[:, None] + np.arange(size)]
+        return rows
 
     def drop(self, before: int) -> None:
         """Drop samples before a place."""
@@ -257,6 +257,8 @@ def move_streams(
 
 BLOCK_FRAMES, FEW_FRAMES = 256, 8
 """Most frames of a stream that the network reads at once, and most of any number."""
+Arrays = tuple[Any, ...]
+"""State of streams: arrays that begin with the stream."""
 Samples = npt.ArrayLike | bytes
 Emotion = str | Path | Mapping[str, float] | EmotionTrack
 
@@ -430,7 +432,7 @@ class LiveAnimator:
         self.actings[stream] = acting.check_live()
         self.reset(stream)
 
-    def _first(self, batch: int) -> tuple[State, State, State]:
+    def _first(self, batch: int) -> tuple[Arrays, Arrays, Arrays]:
         """State before the first sound: of the network, of what is heard, of the rules."""
         network = tuple(part.copy() for part in self.network.first_state(batch))
         mixture = np.zeros((batch, LIVE_AHEAD, len(LABELS)), np.float32)
@@ -515,7 +517,7 @@ class LiveAnimator:
         said = VoiceTracks(scale, opening, rows.strength, phones, emotion).columns()
         # Gates and motion of the frames that come out.
         before, mixture, speaking, *cues = self._taken(self.due, ready)
-        found, cues = self.cues(heard.measures, heard.speaking, CueState(*cues))
+        found, known = self.cues(heard.measures, heard.speaking, CueState(*cues))
         for k, cue in found:
             if (life := streams[k].life) is not None:
                 life.cue(cue)
@@ -533,17 +535,17 @@ class LiveAnimator:
         curves, _, _, after = self.rules(
             rows.neutral, rows.emotional, said, shown, gain, ruled, before
         )
-        due = after, mixture[:, count:], speaking[:, count:], *cues
+        due = after, mixture[:, count:], speaking[:, count:], *known
         self.due = self._put(self.due, ready, due)
         for stream, frames, head, which in zip(streams, curves, heads, given, strict=True):
             stream.frames.append(frames[which])
             stream.heads.append(head[which])
 
-    def _taken(self, state: State, ready: list[int]) -> State:
+    def _taken(self, state: Arrays, ready: list[int]) -> Arrays:
         """State of some streams; of all without a copy."""
         return state if len(ready) == len(self.streams) else take(state, ready)
 
-    def _put(self, state: State, ready: list[int], new: State) -> State:
+    def _put(self, state: Arrays, ready: list[int], new: Arrays) -> Arrays:
         """State of all streams with that of some replaced."""
         if len(ready) == len(self.streams):
             return new

@@ -33,7 +33,7 @@ from deitalk.postprocess.life.voice import (
     Traits,
     play_swells,
 )
-from rig.arrays import AnyFloat, Float32, Float64, Int64
+from rig.arrays import AnyFloat, Bool, Float32, Float64, Int64
 from rig.curves import HEAD
 
 # Brows, lids and cheeks on the voice.
@@ -468,7 +468,7 @@ class Head:
                     self.swells.add(time, (0.25, 0.0, 0.35), {PITCH: -depth}, cue.known)
 
 
-def move_heads(heads: Sequence[Head], first: Int64, speaking: AnyFloat) -> Float64:
+def move_heads(heads: Sequence[Head], first: Int64, speaking: AnyFloat | Bool) -> Float64:
     """Motion of the next frames of streams on neutral faces [shape=(B, n, `CHANNELS`)].
 
     `speaking` [shape=(B, n)] is 1 in speech, else 0.

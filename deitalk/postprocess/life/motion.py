@@ -31,7 +31,7 @@ from deitalk.postprocess.life.head import (
 )
 from deitalk.postprocess.life.voice import STILL_SECONDS, Cue, Seeds, Traits, Voice, presence
 from deitalk.postprocess.tracks import MotionTracks
-from rig.arrays import AnyFloat, Float32, Float64
+from rig.arrays import AnyFloat, Bool, Float32, Float64
 from rig.curves import HEAD
 
 ADDED_CONTROLS = ("_eye_blink.", "_eye.t")
@@ -148,7 +148,9 @@ class MotionStream:
         return gaze, self.blinks.at(first, count), self.looks_at(first, count)
 
 
-def move_together(streams: Sequence[MotionStream], speaking: AnyFloat, mixture: Float32) -> Motion:
+def move_together(
+    streams: Sequence[MotionStream], speaking: AnyFloat | Bool, mixture: Float32
+) -> Motion:
     """Motion of the next frames of streams side by side.
 
     Parameters

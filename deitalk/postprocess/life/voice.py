@@ -209,9 +209,8 @@ def play_swells(swells: Sequence[Swells], first: Int64, count: int) -> Float64:
     if not events:
         return found
     stream = np.repeat(np.arange(len(swells)), [len(part.swells) for part in swells])
-    *times, heights = zip(*events, strict=True)
-    begin, attack, hold, decay = np.array(times)
-    heights, length = np.array(heights), attack + hold + decay
+    begin, attack, hold, decay = np.array([event[:4] for event in events]).T
+    heights, length = np.array([event.heights for event in events]), attack + hold + decay
     for start in range(0, count, PLAYED_FRAMES):
         stop = min(start + PLAYED_FRAMES, count)
         seconds = (first[stream, None] + np.arange(start, stop)) / FRAME_RATE - begin[:, None]
@@ -225,8 +224,8 @@ def play_swells(swells: Sequence[Swells], first: Int64, count: int) -> Float64:
     is_over = (begin + length) * FRAME_RATE < first[stream] + count
     if is_over.any():
         for k in {*stream[is_over].tolist()}:
-            stop = float(first[k] + count)
-            swells[k].swells = [s for s in swells[k].swells if s.end * FRAME_RATE >= stop]
+            after = float(first[k] + count)
+            swells[k].swells = [s for s in swells[k].swells if s.end * FRAME_RATE >= after]
     return found
 
 
