@@ -109,6 +109,9 @@ class EmotionTrack:
         """Weights [shape=(T, 9)] at `times` [shape=(T,), seconds]."""
         seconds = np.asarray(times, float)
         weights = np.empty((*seconds.shape, len(LABELS)), np.float32)
+        if len(self.times) == 1:
+            weights[...] = self.weights[0]
+            return weights
         for i, column in enumerate(self.weights.T):
             weights[..., i] = np.interp(seconds, self.times, column)
         return weights

@@ -13,21 +13,20 @@ from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE, frame_count
 from deitalk.audio.voice_activity import WINDOW
 from deitalk.emotions import LABELS, EmotionTrack
 from deitalk.errors import AudioError, ConfigError
+from deitalk.live.cues import CueState, RunningCues
 from deitalk.live.hearing import MEASURED_AHEAD, RunningHearing
-from deitalk.live.intensity import Measures
-from deitalk.live.life import RunningLife
 from deitalk.models.load import load_causal
 from deitalk.models.protocol import (
     CausalNetwork,
     SpectraGrid,
-    State,
     chosen_actor,
     put,
-    styles_of,
     take,
     trained_weights,
 )
 from deitalk.postprocess.factors import expression_scale
+from deitalk.postprocess.life.motion import MotionStream, move_together
+from deitalk.postprocess.life.voice import Seeds
 from deitalk.postprocess.tracks import GATES, LIVE_AHEAD, VoiceTracks, shown_columns
 from rig import ControlSet
 from rig.arrays import Bool, Float32, Int64
@@ -75,8 +74,8 @@ class Sound:
         piece = self.samples[max(first - self.begin, 0) :]
         if first < 0:
             piece = np.concatenate((np.zeros(-first, np.float32), piece))
-        rows = np.lib.stride_tricks.sliding_window_view(piece, size)
-        return np.asarray(rows[starts - first])
+        rows: Float32 = piece[(starts - first)[:, None] + np.arange(size)]
+        return rows
 
     def drop(self, before: int) -> None:
         """Drop samples before a place."""
@@ -96,10 +95,10 @@ class Stream:
         Columns of the curves.
     acting : Acting
         At the start.
-    life : RunningLife or None
+    life : MotionStream or None
         Blinks, gaze, brows, head and neck.
-    style : str
-        One of the network's actors, or empty.
+    actor : array [shape=(A,)]
+        Weights of the network's actors.
     """
 
     def __init__(
@@ -107,11 +106,11 @@ class Stream:
         grid: SpectraGrid,
         controls: ControlSet,
         acting: Acting,
-        life: RunningLife | None,
-        style: str = "",
+        life: MotionStream | None,
+        actor: Float32,
     ) -> None:
         self.grid, self.controls, self.life = grid, controls, life
-        self.style, self.rest = style, b""
+        self.actor, self.rest = actor, b""
         self.sound, self.changes = Sound(), [Change(0.0, acting.emotion_track, acting.intensity)]
         self.acting, self.gain = acting, gain_factors(controls, acting.gain)
         self.groups = 0
@@ -191,27 +190,6 @@ class Stream:
         late = min(max(-first, 0), count)
         return slice(late, max(stop - first, late))
 
-    def move(self, measures: Measures, speaking: Bool, mixture: Float32, shown: Float32) -> None:
-        """Take the voice of the next frames; write the motion of those that come out.
-
-        Parameters
-        ----------
-        measures, speaking
-            Prosody and speech at the network's rows [shape=(n,)].
-        mixture : array [shape=(m, 9)]
-            Emotion shown at the frames that come out.
-        shown : array [shape=(m, 36)]
-            Their columns of gates and motion, whose motion is written.
-        """
-        head = np.zeros((len(mixture), len(HEAD)), np.float32)
-        if self.life is not None:
-            self.life.feed(measures, speaking)
-            if len(mixture):
-                motion = self.life.take(mixture)
-                np.concatenate(motion.tracks, axis=1, out=shown[:, GATES:], casting="unsafe")
-                head = head if motion.head is None else motion.head
-        self.heads.append(head)
-
     def collect(self) -> tuple[Float32, Float32]:
         """Frames since the last call [shape=(n, C)], and their track of the head [shape=(n, 6)]."""
         frames, heads = self.frames, self.heads
@@ -237,8 +215,50 @@ def _none(count: int) -> Float32:
     return np.zeros((0, count), np.float32)
 
 
+def move_streams(
+    streams: Sequence[Stream],
+    given: Sequence[slice],
+    speaking: Bool,
+    acted: Float32,
+    shown: Float32,
+) -> Float32:
+    """Write the motion of the next frames of streams into their columns.
+
+    Parameters
+    ----------
+    streams : sequence of Stream
+        B; those without life do not move.
+    given : sequence of slice
+        Which of the n frames each stream gives.
+    speaking : array of bool [shape=(B, n)]
+        Frames of speech.
+    acted : array [shape=(B, n, 9)]
+        Emotion shown.
+    shown : array [shape=(B, n, 36)]
+        Gates and motion; the latter is written.
+
+    Returns
+    -------
+    array [shape=(B, n, 6)]
+        Track of the head.
+    """
+    heads = np.zeros((*speaking.shape, len(HEAD)), np.float32)
+    alike: dict[tuple[int, int], list[int]] = {}  # one, but for first and last frames
+    for k, (stream, which) in enumerate(zip(streams, given, strict=True)):
+        if stream.life is not None and which.start < which.stop:
+            alike.setdefault((which.start, which.stop), []).append(k)
+    for (start, stop), places in alike.items():
+        lives = [life for k in places if (life := streams[k].life) is not None]
+        motion = move_together(lives, speaking[places, start:stop], acted[places, start:stop])
+        shown[places, start:stop, GATES:] = np.concatenate(motion.tracks, axis=-1)
+        heads[places, start:stop] = motion.head
+    return heads
+
+
 BLOCK_FRAMES, FEW_FRAMES = 256, 8
 """Most frames of a stream that the network reads at once, and most of any number."""
+Arrays = tuple[Any, ...]
+"""State of streams: arrays that begin with the stream."""
 Samples = npt.ArrayLike | bytes
 Emotion = str | Path | Mapping[str, float] | EmotionTrack
 
@@ -313,7 +333,7 @@ class LiveAnimator:
         ahead = self.network.grid.lookahead_samples / SAMPLE_RATE
         self.lookahead_seconds = ahead + LIVE_AHEAD / FRAME_RATE
         self.rules = self.network.curve_pass(live=True)
-        self.hearing = RunningHearing(self.network.rules)
+        self.hearing, self.cues = RunningHearing(self.network.rules), RunningCues(LIVE_AHEAD)
         self.state, self.past, self.due = self._first(streams)
         self.streams = [self._stream(k) for k in range(streams)]
         self.resamplers = [self._resampler() for _ in range(streams)]
@@ -426,19 +446,22 @@ class LiveAnimator:
         self.actings[stream] = acting.check_live()
         self.reset(stream)
 
-    def _first(self, batch: int) -> tuple[State, State, State]:
+    def _first(self, batch: int) -> tuple[Arrays, Arrays, Arrays]:
         """State before the first sound: of the network, of what is heard, of the rules."""
         network = tuple(part.copy() for part in self.network.first_state(batch))
         mixture = np.zeros((batch, LIVE_AHEAD, len(LABELS)), np.float32)
-        return network, self.hearing.first(batch), (self.rules.first(batch), mixture)
+        speaking = np.zeros((batch, LIVE_AHEAD), bool)
+        due = self.rules.first(batch), mixture, speaking, *self.cues.first(batch)
+        return network, self.hearing.first(batch), due
 
     def _stream(self, number: int) -> Stream:
         controls, acting, motion = self.network.controls, self.actings[number], None
         life, idle = acting.motion, self.network.rules.idle
         if life is not None and idle is not None and acting.rules:
-            motion = RunningLife(idle, life, acting.seed, LIVE_AHEAD)
+            motion = MotionStream(Seeds((0, 0, acting.seed)), idle, life)
         style = chosen_actor(self.network.actors, acting.style)
-        return Stream(self.network.grid, controls, acting, motion, style)
+        actor = np.array([name == style for name in self.network.actors], np.float32)
+        return Stream(self.network.grid, controls, acting, motion, actor)
 
     def _resampler(self) -> RunningResampler | None:
         return None if self.sample_rate == SAMPLE_RATE else RunningResampler(self.sample_rate)
@@ -487,9 +510,9 @@ class LiveAnimator:
         sound = np.stack([stream.heard(count) for stream in streams])
         ruled = np.array([stream.acting.rules for stream in streams], np.float32)
         # The network: two readings.
-        actors, trained = self.network.actors, trained_weights(emotion)
-        named = zip(trained, (stream.style for stream in streams), strict=True)
-        styles = np.stack([styles_of(row, actors, style) for row, style in named])
+        actors = np.stack([stream.actor for stream in streams])[:, None]
+        actors = np.broadcast_to(actors, (*wanted.shape, actors.shape[-1]))
+        styles = np.concatenate((trained_weights(emotion), actors), axis=-1)
         rows, state = self.network.advance(windows, styles, self._taken(self.state, ready))
         self.state = self._put(self.state, ready, state)
         # What is heard of them: intensity, opening and gates.
@@ -507,31 +530,36 @@ class LiveAnimator:
         phones = np.zeros((*scale.shape, 4), np.float32)
         said = VoiceTracks(scale, opening, rows.strength, phones, emotion).columns()
         # Gates and motion of the frames that come out.
-        before, mixture = self._taken(self.due, ready)
+        before, mixture, speaking, *cues = self._taken(self.due, ready)
+        found, known = self.cues(heard.measures, heard.speaking, CueState(*cues))
+        for k, cue in found:
+            if (life := streams[k].life) is not None:
+                life.cue(cue)
         mixture = np.concatenate((mixture, emotion * applied[..., None]), axis=1)
+        speaking = np.concatenate((speaking, heard.speaking), axis=1)
         mouth, expression = (
             np.where(with_rules, gate, 1) for gate in (heard.mouth, heard.expression)
         )
         given = [stream.given(count) for stream in streams]
         shown = shown_columns(mouth, expression, None)
-        for k, stream in enumerate(streams):
-            measures = Measures(*(track[k] for track in heard.measures))
-            acted = mixture[k, :count] * expression[k, :, None]
-            stream.move(measures, heard.speaking[k], acted[given[k]], shown[k, given[k]])
+        acted = mixture[:, :count] * expression[..., None]
+        heads = move_streams(streams, given, speaking[:, :count], acted, shown)
         # The rules, in their order: `deitalk.postprocess.curve_pass`.
         gain = np.stack([stream.gain for stream in streams])
         curves, _, _, after = self.rules(
             rows.neutral, rows.emotional, said, shown, gain, ruled, before
         )
-        self.due = self._put(self.due, ready, (after, mixture[:, count:]))
-        for stream, frames, which in zip(streams, curves, given, strict=True):
+        due = after, mixture[:, count:], speaking[:, count:], *known
+        self.due = self._put(self.due, ready, due)
+        for stream, frames, head, which in zip(streams, curves, heads, given, strict=True):
             stream.frames.append(frames[which])
+            stream.heads.append(head[which])
 
-    def _taken(self, state: State, ready: list[int]) -> State:
+    def _taken(self, state: Arrays, ready: list[int]) -> Arrays:
         """State of some streams; of all without a copy."""
         return state if len(ready) == len(self.streams) else take(state, ready)
 
-    def _put(self, state: State, ready: list[int], new: State) -> State:
+    def _put(self, state: Arrays, ready: list[int], new: Arrays) -> Arrays:
         """State of all streams with that of some replaced."""
         if len(ready) == len(self.streams):
             return new

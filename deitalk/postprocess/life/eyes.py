@@ -125,6 +125,8 @@ class Blinks:
         stop = first + count
         self.draw_until(stop / FRAME_RATE)
         track = np.zeros((count, 2))
+        if not self.blinks:
+            return track
         for blink, uneven in self.blinks:
             begin = max(int(blink.time * FRAME_RATE), first)
             end = min(int(blink.end * FRAME_RATE) + 2, stop)
@@ -140,7 +142,7 @@ class Blinks:
 
     def draw_until(self, until: float) -> None:
         """Draw all blinks that begin before a time."""
-        while True:
+        while self.time - DRAWN_SECONDS < min(until, self.end):
             near = [p for p in self.places if p > self.earliest]
             near = [p for p in near if abs(p - self.time) < DRAWN_SECONDS]
             time = self.time

@@ -18,14 +18,22 @@ Letters: T frames at 30 per second.
 """
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from deitalk.audio.frames import FRAME_RATE
 from deitalk.emotions import LABELS, by_emotion
-from deitalk.postprocess.life.voice import LISTENING_SECONDS, Cue, Noise, Swells, Traits
-from rig.arrays import Float32, Float64
+from deitalk.postprocess.life.voice import (
+    LISTENING_SECONDS,
+    Cue,
+    Noise,
+    Swells,
+    Traits,
+    play_swells,
+)
+from rig.arrays import AnyFloat, Bool, Float32, Float64, Int64
 from rig.curves import HEAD
 
 # Brows, lids and cheeks on the voice.
@@ -212,20 +220,23 @@ class Brows:
         seconds = move.attack, move.hold, move.decay
         self.swells.add(peak, seconds, {channel: left, channel + 1: right}, known)
 
-    def at(self, first: int, count: int, shown: Float64) -> BrowEvents:
-        """Events of the next frames, of which the share `shown` [shape=(n,)] is seen."""
-        swells, noise = self.swells.at(first, count), self.noise.at(first, count)
-        drift = noise[:, : len(STEMS)].copy()
-        drift[:, LIDS] += noise[:, -2]
-        share = shown[:, None]
-        raised = self.traits.brow_range * (1 - np.exp(-swells[:, :4])) * share
-        return BrowEvents(
-            raised[:, :2],
-            raised[:, 2:],
-            np.minimum(swells[:, 4:], 1) * share,
-            drift * share,
-            np.maximum(1 + noise[:, -1:], 0) * share,
-        )
+
+def brow_events(brows: Sequence[Brows], first: Int64, shown: Float64) -> BrowEvents:
+    """Events of the next frames of streams, of which the share `shown` [shape=(B, n)] is seen."""
+    count, share = shown.shape[1], shown[..., None]
+    swells = play_swells([one.swells for one in brows], first, count)
+    noise = np.stack([one.noise.at(k, count) for one, k in zip(brows, first.tolist(), strict=True)])
+    drift = noise[..., : len(STEMS)].copy()
+    drift[..., LIDS] += noise[..., -2]
+    ranges = np.array([one.traits.brow_range for one in brows])[:, None, None]
+    raised = ranges * (1 - np.exp(-swells[..., :4])) * share
+    return BrowEvents(
+        raised[..., :2],
+        raised[..., 2:],
+        np.minimum(swells[..., 4:], 1) * share,
+        drift * share,
+        np.maximum(1 + noise[..., -1:], 0) * share,
+    )
 
 
 # Neck: breath before phrases (.3 to .6 s: Winkworth et al. 1995), swallowing about once a minute in
@@ -248,13 +259,13 @@ TURNS = ("CTRL_L_neck_mastoidContract.ty", "CTRL_R_neck_mastoidContract.ty")
 
 
 def neck_tracks(breath: Float64, swallows: Float64, yaw: Float32 | Float64) -> Float64:
-    """Tracks of `BREATH_CONTROL`, `SWALLOW_CONTROL` and `TURNS` [shape=(T, 4), range 0 to 1].
+    """Tracks of `BREATH_CONTROL`, `SWALLOW_CONTROL` and `TURNS` [shape=(..., 4), range 0 to 1].
 
-    Of breath and swallowing (range 0 to 1) and of the head's turn in degrees [shape=(T,)].
+    Of breath and swallowing (range 0 to 1) and of the head's turn in degrees [shape=(...,)].
     """
-    turns = (np.maximum(np.abs(yaw) - FREE_DEGREES, 0) / FULL_DEGREES).clip(max=1)
-    tracks: Float64 = np.stack((breath, swallows, turns * (yaw > 0), turns * (yaw < 0)), axis=1)
-    return tracks.clip(0, 1)
+    turns = np.clip((np.abs(yaw) - FREE_DEGREES) / FULL_DEGREES, 0, 1)
+    rows = breath, swallows, turns * (yaw > 0), turns * (yaw < 0)
+    return np.clip(np.stack(rows, axis=-1), 0, 1).astype(np.float64)
 
 
 NODS = (0.26, 1.8, 0.26)
@@ -319,6 +330,8 @@ POSTURE: dict[str, tuple[float, ...]] = {
 """Held turn and shift of an emotion at intensity 1; its roll goes to the character's own side."""
 LIVELINESS = {"neutral": 1.0, "angry": 1.35, "happy": 1.4, "sad": 0.85, "surprised": 1.25,
               "fear": 0.8, "disgust": 0.9, "contempt": 0.7, "calm": 0.5}  # fmt: skip
+_POSTURES = by_emotion(POSTURE)
+_LIVELY = np.array([LIVELINESS.get(name, 1.0) for name in LABELS])
 POSTURE_SECONDS = 0.35
 """Over which a posture, and the raise of speech, come and go."""
 PITCH, UP, BREATH, SWALLOWS = 1, 4, 6, 7
@@ -454,44 +467,58 @@ class Head:
                 if time < stop - 1:
                     self.swells.add(time, (0.25, 0.0, 0.35), {PITCH: -depth}, cue.known)
 
-    def at(self, first: int, count: int, speaking: Float32) -> Float64:
-        """Motion of the next frames on a neutral face [shape=(n, `CHANNELS`)].
 
-        `speaking` [shape=(n,)] is 1 in speech, else 0.
-        """
-        total, noise = self.swells.at(first, count), self.noise.at(first, count)
-        speaks = np.empty(count)
-        for k, value in enumerate(speaking.tolist()):
-            self.speaks += (value - self.speaks) / (POSTURE_SECONDS * FRAME_RATE)
-            speaks[k] = self.speaks
-        lively = QUIET + (1 - QUIET) * speaks[:, None]
-        total[:, :3] += (np.exp(noise[:, 10:]) * noise[:, :3] + noise[:, 3:6]) * lively
-        total[:, 3:6] += noise[:, 6:9]
-        time = np.arange(first, first + count) / FRAME_RATE
-        quiet = np.sin(self.phase + 2 * np.pi * time / BREATH_SECONDS + noise[:, 9])
-        quiet *= 1 - 0.7 * speaks
-        total[:, UP] += BREATH_CM * quiet
-        total[:, PITCH] += BREATH_DEGREES * quiet + NOD_RAISE * speaks
-        total[:, SWALLOWS] *= 1 - speaks
-        return total
+def move_heads(heads: Sequence[Head], first: Int64, speaking: AnyFloat | Bool) -> Float64:
+    """Motion of the next frames of streams on neutral faces [shape=(B, n, `CHANNELS`)].
 
-    def posture(self, mixture: Float32) -> Float64:
-        """Posture of the emotion in the next frames [shape=(n, 6)], which comes and goes slowly.
+    `speaking` [shape=(B, n)] is 1 in speech, else 0.
+    """
+    count = speaking.shape[1]
+    total = play_swells([head.swells for head in heads], first, count)
+    noise = np.stack(
+        [head.noise.at(k, count) for head, k in zip(heads, first.tolist(), strict=True)]
+    )
+    speaks, now = np.empty(speaking.shape), np.array([head.speaks for head in heads])
+    for k in range(count):
+        now = now + (speaking[:, k] - now) / (POSTURE_SECONDS * FRAME_RATE)
+        speaks[:, k] = now
+    for head, value in zip(heads, now.tolist(), strict=True):
+        head.speaks = value
+    lively = QUIET + (1 - QUIET) * speaks[..., None]
+    total[..., :3] += (np.exp(noise[..., 10:]) * noise[..., :3] + noise[..., 3:6]) * lively
+    total[..., 3:6] += noise[..., 6:9]
+    time = (first[:, None] + np.arange(count)) / FRAME_RATE
+    phase = np.array([head.phase for head in heads])[:, None]
+    quiet = np.sin(phase + 2 * np.pi * time / BREATH_SECONDS + noise[..., 9])
+    quiet *= 1 - 0.7 * speaks
+    total[..., UP] += BREATH_CM * quiet
+    total[..., PITCH] += BREATH_DEGREES * quiet + NOD_RAISE * speaks
+    total[..., SWALLOWS] *= 1 - speaks
+    return total
 
-        `mixture` [shape=(n, S)] is the emotion shown: weights times intensity.
-        """
-        share = 1.4 / (POSTURE_SECONDS * FRAME_RATE)
-        side = np.array([1, 1, 1 if self.traits.side >= 0 else -1, 1, 1, 1])
-        rows: Float64 = mixture @ by_emotion(POSTURE) * side
-        for row in rows:
-            self.held[0] += share * (row - self.held[0])
-            self.held[1] += share * (self.held[0] - self.held[1])
-            row[:] = self.held[1]
-        return rows
 
-    def liveliness(self, mixture: Float32) -> Float64:
-        """Factor on the motion [shape=(n,)]: of the emotion shown, and of the character."""
-        calm = np.maximum(1 - mixture[:, 1:].sum(axis=1), 0)
-        lively = np.array([LIVELINESS.get(name, 1.0) for name in LABELS])
-        factor: Float64 = (calm + mixture[:, 1:] @ lively[1:]) * self.traits.head_range
-        return factor
+def hold_postures(heads: Sequence[Head], mixture: Float32) -> Float64:
+    """Posture of the emotion in the next frames [shape=(B, n, 6)], which comes and goes slowly.
+
+    `mixture` [shape=(B, n, S)] is the emotion shown: weights times intensity.
+    """
+    share = 1.4 / (POSTURE_SECONDS * FRAME_RATE)
+    side = np.ones((len(heads), 1, len(HEAD)))
+    side[:, 0, 2] = [1 if head.traits.side >= 0 else -1 for head in heads]
+    rows: Float64 = mixture @ _POSTURES * side
+    near, held = np.stack([head.held for head in heads], axis=1)
+    for k in range(rows.shape[1]):
+        near = near + share * (rows[:, k] - near)
+        held = held + share * (near - held)
+        rows[:, k] = held
+    for head, pair in zip(heads, np.stack((near, held), axis=1), strict=True):
+        head.held = pair
+    return rows
+
+
+def liveliness(heads: Sequence[Head], mixture: Float32) -> Float64:
+    """Factor on the motion [shape=(B, n)]: of the emotion shown, and of the character."""
+    calm = np.maximum(1 - mixture[..., 1:].sum(axis=-1), 0)
+    ranges = np.array([head.traits.head_range for head in heads])[:, None]
+    factor: Float64 = (calm + mixture[..., 1:] @ _LIVELY[1:]) * ranges
+    return factor

@@ -8,6 +8,7 @@ Letters: T frames at 30 per second, n frames of a call, S styles.
 """
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -17,10 +18,20 @@ from deitalk.config.rules import Idle
 from deitalk.emotions import LABELS
 from deitalk.postprocess.life.amounts import Life
 from deitalk.postprocess.life.eyes import Blinks, Gaze
-from deitalk.postprocess.life.head import BREATH, SWALLOWS, Brows, Head, neck_tracks
+from deitalk.postprocess.life.head import (
+    BREATH,
+    SWALLOWS,
+    Brows,
+    Head,
+    brow_events,
+    hold_postures,
+    liveliness,
+    move_heads,
+    neck_tracks,
+)
 from deitalk.postprocess.life.voice import STILL_SECONDS, Cue, Seeds, Traits, Voice, presence
 from deitalk.postprocess.tracks import MotionTracks
-from rig.arrays import Float32, Float64
+from rig.arrays import AnyFloat, Bool, Float32, Float64
 from rig.curves import HEAD
 
 ADDED_CONTROLS = ("_eye_blink.", "_eye.t")
@@ -44,7 +55,8 @@ class Motion(NamedTuple):
     tracks: MotionTracks
     """What `deitalk.postprocess.life.play.Play` plays."""
     head: Float32 | None
-    """Track of the head [shape=(n, 6)], see `deitalk.postprocess.life.head`; None if it is off."""
+    """Track of the head [shape=(..., n, 6)], see `deitalk.postprocess.life.head`; None: it is off,
+    of streams side by side 0 instead."""
 
 
 def attend(gaze: Float64, held: Float64, mixture: Float32) -> Float64:
@@ -52,14 +64,14 @@ def attend(gaze: Float64, held: Float64, mixture: Float32) -> Float64:
 
     Parameters
     ----------
-    gaze : array [shape=(n, 2)]
+    gaze : array [shape=(..., 2)]
         Fixations and aversions of a neutral face.
-    held : array [shape=(n, 2)]
+    held : array [shape=(..., 2)]
         Turn of the eyes that undoes the posture of the head.
-    mixture : array [shape=(n, S)]
+    mixture : array [shape=(..., S)]
         Emotion shown at each frame.
     """
-    angry, sad = (mixture[:, [LABELS.index(name)]] for name in ("angry", "sad"))
+    angry, sad = (mixture[..., [LABELS.index(name)]] for name in ("angry", "sad"))
     shown: Float64 = gaze * np.maximum(1 - STARE * angry, 0) + held * np.maximum(1 - sad, 0)
     return shown
 
@@ -113,7 +125,7 @@ class MotionStream:
         """Turn to another place of the listener, degrees, within `TURN_FRAMES` from a frame on."""
         self.turns.append((frame, place))
 
-    def _looks(self, first: int, count: int) -> Float64:
+    def looks_at(self, first: int, count: int) -> Float64:
         """Where the listener is in the next frames, degrees [shape=(n, 2)]."""
         looks = np.empty((count, 2))
         for k in range(count):
@@ -125,46 +137,66 @@ class MotionStream:
             looks[k] = self.looks
         return looks
 
-    def take(self, speaking: Float32, mixture: Float32) -> Motion:
-        """Motion of the next frames.
-
-        Parameters
-        ----------
-        speaking : array [shape=(n,)]
-            1 in speech, else 0.
-        mixture : array [shape=(n, S)]
-            Emotion shown: weights times intensity.
-        """
-        first, count, amounts = self.n_frames, len(speaking), self.life
-        self.n_frames += count
-        shown = presence(first, count, self.end, self.silence)
-        mixture = np.minimum(mixture, MOST_SHOWN)
-        looks = self.gaze.at(first, count)
+    def eyes(self, count: int) -> tuple[Float64, Float64, Float64]:
+        """Gaze, closure of the lids and the listener's place in the next frames [shape=(n, 2)]."""
+        first, amounts = self.n_frames, self.life
+        gaze = self.gaze.at(first, count)
         if amounts.gaze and math.isfinite(self.end):  # those of a stream are known too late
             for time in self.gaze.shifts:
                 self.blinks.draw_to(time)
             self.gaze.shifts = []
-        moves = amounts.head * shown[:, None] * self.head.at(first, count, speaking)
-        posture = amounts.head * shown[:, None] * self.head.posture(mixture)
-        turn = moves[:, : len(HEAD)] * self.head.liveliness(mixture)[:, None]
-        head = (turn + posture).astype(np.float32)
-        turned, held = turn[:, :2] * AGAINST, posture[:, :2] * AGAINST
-        place = shown[:, None] * self._looks(first, count)
-        calm = amounts.gaze * (looks + turned) + place
-        acted = amounts.gaze * (attend(looks, held, mixture) + turned) + place
-        brows = self.brows.at(first, count, shown)
-        neck = neck_tracks(moves[:, BREATH], moves[:, SWALLOWS], head[:, 0]) * bool(amounts.head)
-        tracks = MotionTracks(
-            self.blinks.at(first, count) * bool(amounts.blinks),
-            acted,
-            calm,
-            *brows,
-            neck,
-            mixture,
-            np.full((count, 1), self.traits.side),
-            np.full((count, 1), amounts.brows),
-        )
-        return Motion(tracks, head if amounts.head else None)
+        return gaze, self.blinks.at(first, count), self.looks_at(first, count)
+
+
+def move_together(
+    streams: Sequence[MotionStream], speaking: AnyFloat | Bool, mixture: Float32
+) -> Motion:
+    """Motion of the next frames of streams side by side.
+
+    Parameters
+    ----------
+    streams : sequence of MotionStream
+        B.
+    speaking : array [shape=(B, n)]
+        1 in speech, else 0.
+    mixture : array [shape=(B, n, S)]
+        Emotion shown: weights times intensity.
+    """
+    count, mixture = speaking.shape[1], np.minimum(mixture, MOST_SHOWN)
+    first = np.array([stream.n_frames for stream in streams])
+    eyes = (stream.eyes(count) for stream in streams)
+    looks, lids, place = (np.stack(parts) for parts in zip(*eyes, strict=True))
+    for stream in streams:
+        stream.n_frames += count
+
+    def each(values: Sequence[float]) -> Float64:
+        return np.array(values)[:, None, None]
+
+    factors = [stream.life for stream in streams]
+    gaze, amount = each([one.gaze for one in factors]), each([one.head for one in factors])
+    ends = np.array([stream.end for stream in streams])
+    silence = np.array([stream.silence for stream in streams])
+    shown = presence(first[:, None] + np.arange(count), ends, silence)
+    heads = [stream.head for stream in streams]
+    moves = amount * shown[..., None] * move_heads(heads, first, speaking)
+    posture = amount * shown[..., None] * hold_postures(heads, mixture)
+    turn = moves[..., : len(HEAD)] * liveliness(heads, mixture)[..., None]
+    head = (turn + posture).astype(np.float32)
+    turned, held = turn[..., :2] * AGAINST, posture[..., :2] * AGAINST
+    place = shown[..., None] * place
+    neck = neck_tracks(moves[..., BREATH], moves[..., SWALLOWS], head[..., 0])
+    still = np.ones((*speaking.shape, 1))
+    tracks = MotionTracks(
+        lids * each([bool(one.blinks) for one in factors]),
+        gaze * (attend(looks, held, mixture) + turned) + place,
+        gaze * (looks + turned) + place,
+        *brow_events([stream.brows for stream in streams], first, shown),
+        neck * (amount > 0),
+        mixture,
+        still * each([stream.traits.side for stream in streams]),
+        still * each([one.brows for one in factors]),
+    )
+    return Motion(tracks, head)
 
 
 def plan_motion(
@@ -190,4 +222,7 @@ def plan_motion(
     for cue in voice.cues():
         stream.cue(cue)
     lead = min(SPEAKING_LEAD, voice.n_frames)
-    return stream.take(np.append(voice.speaking[lead:], np.zeros(lead, np.float32)), mixture)
+    speaking = np.append(voice.speaking[lead:], np.zeros(lead, np.float32))
+    motion = move_together([stream], speaking[None], mixture[None])
+    head = None if motion.head is None or not stream.life.head else motion.head[0]
+    return Motion(MotionTracks(*(track[0] for track in motion.tracks)), head)

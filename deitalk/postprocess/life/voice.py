@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from deitalk.audio.frames import FRAME_RATE
 from deitalk.audio.vocal_strength import LEVEL_DB, PITCH_SEMITONES, Prosody
-from rig.arrays import Bool, Float32, Float64
+from rig.arrays import Bool, Float32, Float64, Int64
 from rig.curves.edit import gaussian_smooth
 
 # Random numbers of a take, and the traits of its character.
@@ -123,8 +123,8 @@ STILL_SECONDS = 0.5
 """Rest at the end, but for a silence that is too short for it."""
 CUT_SECONDS = 0.2
 """Silence at the end below which a take counts as cut."""
-BLOCK_FRAMES = 64
-"""Frames of noise that are drawn at once."""
+BLOCK_FRAMES, PLAYED_FRAMES = 64, 256
+"""Frames of noise that are drawn at once, and of events that are played at once."""
 
 
 class Swell(NamedTuple):
@@ -187,20 +187,46 @@ class Swells:
         rows[list(heights)] = list(heights.values())
         self.swells.append(Swell(max(known, peak - attack), attack, hold, decay, rows))
 
-    def at(self, first: int, count: int) -> Float64:
-        """Their sum in the next frames [shape=(n, K)]."""
-        rows, stop = np.zeros((count, self.channels)), first + count
-        for swell in self.swells:
-            begin = max(int(swell.begin * FRAME_RATE), first)
-            end = min(int(swell.end * FRAME_RATE) + 2, stop)
-            if begin < end:
-                time = np.arange(begin, end) / FRAME_RATE - swell.begin
-                share = time / swell.attack, (swell.end - swell.begin - time) / swell.decay
-                rise, fall = np.minimum(np.maximum(share, 0), 1)
-                shape = 0.25 * (1 - np.cos(np.pi * rise)) * (1 - np.cos(np.pi * fall))
-                rows[begin - first : end - first] += shape[:, None] * swell.heights
-        self.swells = [swell for swell in self.swells if swell.end * FRAME_RATE >= stop]
-        return rows
+
+def play_swells(swells: Sequence[Swells], first: Int64, count: int) -> Float64:
+    """Sums of the events of streams in their next frames; those that are over are dropped.
+
+    Parameters
+    ----------
+    swells : sequence of Swells
+        Of B streams, with K channels each.
+    first : array of int [shape=(B,)]
+        Frame that comes next.
+    count : int
+        n.
+
+    Returns
+    -------
+    array [shape=(B, n, K)]
+    """
+    found = np.zeros((len(swells), count, swells[0].channels))
+    events = [event for part in swells for event in part.swells]
+    if not events:
+        return found
+    stream = np.repeat(np.arange(len(swells)), [len(part.swells) for part in swells])
+    begin, attack, hold, decay = np.array([event[:4] for event in events]).T
+    heights, length = np.array([event.heights for event in events]), attack + hold + decay
+    for start in range(0, count, PLAYED_FRAMES):
+        stop = min(start + PLAYED_FRAMES, count)
+        seconds = (first[stream, None] + np.arange(start, stop)) / FRAME_RATE - begin[:, None]
+        now = np.flatnonzero((seconds[:, -1] > 0) & (seconds[:, 0] < length))
+        time = seconds[now]
+        rise = np.clip(time / attack[now, None], 0, 1)
+        fall = np.clip((length[now, None] - time) / decay[now, None], 0, 1)
+        shape = 0.25 * (1 - np.cos(np.pi * rise)) * (1 - np.cos(np.pi * fall))
+        moved = shape[..., None] * heights[now, None]
+        np.add.at(found[:, start:stop], stream[now], moved)
+    is_over = (begin + length) * FRAME_RATE < first[stream] + count
+    if is_over.any():
+        for k in {*stream[is_over].tolist()}:
+            after = float(first[k] + count)
+            swells[k].swells = [s for s in swells[k].swells if s.end * FRAME_RATE >= after]
+    return found
 
 
 class Noise:
@@ -259,29 +285,33 @@ class Noise:
         self.rows = np.concatenate((self.rows, np.stack(columns, axis=1)))
 
 
-def presence(first: int, count: int, end: float, silence: float) -> Float64:
-    """Share of the motion shown: 0 at the start of a take and in silence at its end [shape=(n,)].
+def presence(frames: Int64, end: Float64, silence: Float64) -> Float64:
+    """Share of the motion shown: 0 at the start of a take and in silence at its end.
 
     Parameters
     ----------
-    first, count : int
-        The frames.
-    end : float
+    frames : array of int [shape=(B, n)]
+        Of B takes.
+    end : array [shape=(B,)]
         Seconds of the take's last frame; infinite if it is not known.
-    silence : float
+    silence : array [shape=(B,)]
         Seconds without speech at the end; a take that is cut in its speech keeps its motion.
+
+    Returns
+    -------
+    array [shape=(B, n)]
     """
-    is_cut = math.isinf(end) or silence <= CUT_SECONDS
-    if is_cut and first > ONSET_SECONDS * FRAME_RATE:
-        return np.ones(count)
-    time = (first + np.arange(count)) / FRAME_RATE
-    rise = np.clip(time / ONSET_SECONDS, 0, 1)
-    shape: Float64 = rise * rise * (3 - 2 * rise)
-    if not is_cut:
-        still = min(STILL_SECONDS, silence / 3)
-        fade = np.clip((end - time - still) / min(FADE_SECONDS, silence - still), 0, 1)
-        shape *= fade * fade * (3 - 2 * fade)
+    time, is_cut = frames / FRAME_RATE, np.isinf(end) | (silence <= CUT_SECONDS)
+    still = np.minimum(STILL_SECONDS, silence / 3)
+    fades = np.where(is_cut, 1, np.minimum(FADE_SECONDS, silence - still))
+    left = np.where(is_cut, np.inf, end - still)[:, None] - time
+    shape: Float64 = _smooth(time / ONSET_SECONDS) * _smooth(left / fades[:, None])
     return shape
+
+
+def _smooth(share: Float64) -> Float64:
+    share = np.clip(share, 0, 1)
+    return share * share * (3 - 2 * share)
 
 
 JOINED_SECONDS = 0.2

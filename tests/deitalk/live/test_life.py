@@ -5,11 +5,13 @@ import pytest
 
 from deitalk.config.rules import Idle
 from deitalk.emotions import LABELS
+from deitalk.live.cues import RunningCues
 from deitalk.live.intensity import Measures
-from deitalk.live.life import RunningLife, RunningVoice
 from deitalk.postprocess.life.amounts import Life
 from deitalk.postprocess.life.head import STEMS
-from deitalk.postprocess.life.voice import Noise
+from deitalk.postprocess.life.motion import MotionStream, move_together
+from deitalk.postprocess.life.voice import Noise, Seeds
+from deitalk.postprocess.tracks import MotionTracks
 from rig import default_controls
 from tests.deitalk.postprocess.stages import Stages
 from tests.each import each
@@ -36,28 +38,43 @@ def moved(
     measures, speaking, *, piece=1000, emotion="neutral", strength=1.0, life=ONLY_BROWS, seed=0
 ):
     """Curves and head of a face at rest."""
-    running = RunningLife(Idle(), life, seed, AHEAD)
-    count, done, out, heads = len(speaking), 0, [], []
+    running, stream = RunningCues(AHEAD), MotionStream(Seeds((0, 0, seed)), Idle(), life)
+    state, count, done, out, heads = running.first(1), len(speaking), 0, [], []
     mixture = np.zeros((count, len(LABELS)), np.float32)
     mixture[:, LABELS.index(emotion)] = strength
     for start in range(0, count, piece):
         part = slice(start, start + piece)
-        running.feed(Measures(*(m[part] for m in measures)), speaking[part])
-        new = max(min(start + piece, count) - AHEAD - done, 0)
-        curves = np.zeros((new, len(CONTROLS)), np.float32)
-        motion = running.take(mixture[done : done + new])
-        STAGES.play(curves, curves.copy(), motion.tracks)
-        heads.append(np.zeros((new, 6)) if motion.head is None else motion.head)
+        found, state = running(
+            Measures(*(m[None, part] for m in measures)), speaking[None, part], state
+        )
+        for _, cue in found:
+            stream.cue(cue)
+        stop = max(min(start + piece, count) - AHEAD, done)
+        curves, head = played(stream, speaking[done:stop], mixture[done:stop])
         out.append(curves)
-        done += new
+        heads.append(head)
+        done = stop
     return np.concatenate(out), np.concatenate(heads)
+
+
+def played(stream, speaking, mixture):
+    """Curves of a face at rest and the head of the next frames."""
+    curves = np.zeros((len(speaking), len(CONTROLS)), np.float32)
+    if not len(curves):
+        return curves, np.zeros((0, 6), np.float32)
+    motion = move_together([stream], speaking[None], mixture[None])
+    tracks = MotionTracks(*(track[0] for track in motion.tracks))
+    STAGES.play(curves, curves.copy(), tracks)
+    return curves, motion.head[0]
 
 
 KINDS = ("start", "end", "speech", "pause", "accent", "stress")
 
 
 def cues(measures, speaking, kind=""):
-    return [cue for cue in RunningVoice(AHEAD).feed(measures, speaking) if kind in cue.kind]
+    running = RunningCues(AHEAD)
+    given = Measures(*(track[None] for track in measures)), speaking[None]
+    return [cue for _, cue in running(*given, running.first(1))[0] if kind in cue.kind]
 
 
 def brows(**options):
@@ -221,16 +238,57 @@ def test_blinks_come_as_often_as_in_a_whole_take_and_gather_at_ends_of_phrases()
 @each("piece", [1, 7])
 def test_eyes_turn_to_another_place_within_a_fifth_of_a_second(piece):
     """Without motion of their own they are where the listener is: ahead, then 20 degrees left."""
-    running = RunningLife(Idle(), Life(blinks=0, gaze=0, head=0, brows=0), 0, AHEAD)
-    running.feed(*voice())
-    given = []
-    running.look_at((20.0, 0.0), 140)
+    still = Life(blinks=0, gaze=0, head=0, brows=0)
+    stream, given = MotionStream(Seeds((0, 0, 0)), Idle(), still), []
+    stream.look_at((20.0, 0.0), 140)
     for _ in range(0, 210, piece):
-        face = np.zeros((piece, len(CONTROLS)), np.float32)
-        motion = running.take(np.zeros((piece, len(LABELS)), np.float32))
-        STAGES.play(face, face.copy(), motion.tracks)
-        given.append(face)
+        mixture = np.zeros((piece, len(LABELS)), np.float32)
+        given.append(played(stream, np.ones(piece, bool), mixture)[0])
     faces = np.concatenate(given)
     eyes = np.abs(faces[:, np.abs(faces).max(axis=0).argmax()])
     assert not faces[:140].any()
     assert (np.diff(eyes[139:146]) > 0).all() and eyes[145] == eyes[-1] > 0.1
+
+
+def test_streams_side_by_side_move_as_each_alone():
+    """Of other voices, seeds, factors and emotions; one began 20 frames before the others."""
+    lives = [Life(), Life(head=0.5, brows=1.5), Life(blinks=0, look_at=(5.0, 0.0))]
+    mixture = np.zeros((3, 90, len(LABELS)), np.float32)
+    for k, emotion in enumerate(("happy", "sad", "angry")):
+        mixture[k, :, LABELS.index(emotion)] = 0.8
+    measures, speaking = syllables(240, pause=(60, 80))
+    found = {}
+    for together in (True, False):
+        streams = [MotionStream(Seeds((0, 0, k)), Idle(), life) for k, life in enumerate(lives)]
+        played(streams[1], speaking[:20], mixture[1, :20])
+        for stream in streams:
+            for cue in cues(measures, speaking):
+                stream.cue(cue)
+        rows = np.tile(speaking[:90], (3, 1))
+        if together:
+            found[together] = move_together(streams, rows, mixture)
+        else:
+            alone = [move_together([s], rows[:1], mixture[k][None]) for k, s in enumerate(streams)]
+            tracks = zip(*(motion.tracks for motion in alone), strict=True)
+            heads = np.concatenate([motion.head for motion in alone])
+            found[together] = MotionTracks(*(np.concatenate(t) for t in tracks)), heads
+    for ours, theirs in zip(found[True].tracks, found[False][0], strict=True):
+        np.testing.assert_allclose(ours, theirs, atol=1e-9)
+    np.testing.assert_allclose(found[True].head, found[False][1], atol=1e-6)
+    assert found[True].head.std(axis=1).max() > 0.1
+
+
+def test_cues_of_streams_side_by_side_are_those_of_each_alone_in_any_pieces():
+    voices = [voice(), syllables(240, pause=(100, 140)), syllables(240, every=9, pause=(30, 200))]
+    rows = Measures(*(np.stack(tracks) for tracks in zip(*(v[0] for v in voices), strict=True)))
+    speaking = np.stack([v[1] for v in voices])
+    running = RunningCues(AHEAD)
+    state, found, at = running.first(3), [[], [], []], 0
+    for size in (1, 50, 3, 186):
+        part = slice(at, at + size)
+        new, state = running(Measures(*(t[:, part] for t in rows)), speaking[:, part], state)
+        for k, cue in new:
+            found[k].append(cue)
+        at += size
+    for k, spoken in enumerate(voices):
+        assert found[k] == cues(*spoken) and len(found[k]) > 3

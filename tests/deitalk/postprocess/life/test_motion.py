@@ -15,14 +15,28 @@ from deitalk.postprocess.life.head import (
     SWALLOW_CONTROL,
     TURN,
     TURNS,
+    BrowEvents,
     Brows,
     Head,
+    brow_events,
     draw_accent,
     draw_nod,
+    hold_postures,
+    liveliness,
+    move_heads,
 )
 from deitalk.postprocess.life.motion import plan_motion
 from deitalk.postprocess.life.play import LOWER_LID
-from deitalk.postprocess.life.voice import Accent, Phrase, Seeds, Swells, Traits, Voice, presence
+from deitalk.postprocess.life.voice import (
+    Accent,
+    Phrase,
+    Seeds,
+    Swells,
+    Traits,
+    Voice,
+    play_swells,
+    presence,
+)
 from deitalk.postprocess.tracks import MOTION, MotionTracks
 from deitalk.research.evaluation.nods import find_nods
 from rig import default_controls
@@ -69,7 +83,8 @@ def plan_brows(voice, traits, rng):
     brows = Brows(traits, rng)
     for cue in voice.cues():
         brows.cue(cue)
-    return brows.at(0, voice.n_frames, np.ones(voice.n_frames))
+    events = brow_events([brows], np.zeros(1, int), np.ones((1, voice.n_frames)))
+    return BrowEvents(*(track[0] for track in events))
 
 
 def head_motion(voice, traits, mixture, rng):
@@ -77,8 +92,9 @@ def head_motion(voice, traits, mixture, rng):
     head = Head(traits, rng, (voice.n_frames - 1) / 30)
     for cue in voice.cues():
         head.cue(cue)
-    motion = head.at(0, voice.n_frames, voice.speaking)[:, :6]
-    return motion * head.liveliness(mixture)[:, None], head.posture(mixture)
+    motion = move_heads([head], np.zeros(1, int), voice.speaking[None])[0, :, :6]
+    lively = liveliness([head], mixture[None])[0, :, None]
+    return motion * lively, hold_postures([head], mixture[None])[0]
 
 
 def of(curves, stem, side="L"):
@@ -249,7 +265,7 @@ def test_frown_lowers_and_knits_the_brows_of_a_neutral_face():
 def test_question_lifts_the_brows():
     events = plan_brows(VOICE, Traits(), np.random.default_rng(0))
     asked = next(phrase for phrase in PHRASES if phrase.is_question)
-    assert events.question[asked.stop - 2] > 0.9
+    assert events.question[asked.stop - 2, 0] > 0.9
     assert events.question[asked.start] == 0
 
 
@@ -330,7 +346,7 @@ def test_no_nod_goes_down_faster_than_readers_nod():
         nod = draw_nod(1.0, 2.0, np.random.default_rng(seed)).scaled(2.5)
         swells = Swells(1)
         swells.add(1.5, (nod.attack, 0.0, nod.decay), {0: nod.degrees[1]}, -np.inf)
-        pitch = swells.at(0, 90)[:, 0]
+        pitch = play_swells([swells], np.zeros(1, int), 90)[0, :, 0]
         assert np.abs(np.diff(pitch)[frame[:-1] < 45]).max() * 30 < 1.05 * NOD_SPEED
     calm = draw_nod(0.2, 0.0, np.random.default_rng(1))
     assert calm.scaled(1.0).attack == calm.attack
@@ -373,7 +389,7 @@ def test_anger_keeps_its_eyes_on_the_listener_under_a_lowered_head(emotion):
 
 @each("silence", [0, 0.1, 3])
 def test_a_take_that_is_cut_keeps_its_motion(silence):
-    shares = presence(0, 300, 299 / 30, silence)
+    shares = presence(np.arange(300)[None], np.array([299 / 30]), np.array([silence]))[0]
     assert shares[0] == 0
     assert shares[60:200].min() == 1
     assert shares[-1] == (silence < 1)

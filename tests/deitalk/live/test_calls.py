@@ -1,0 +1,41 @@
+"""How the work of a call grows with the number of streams, counted in calls of functions."""
+
+import sys
+
+import numpy as np
+
+from deitalk.live.animator import LiveAnimator
+
+MOST_A_STREAM = 200
+"""Calls of Python functions and of built-in ones for each further stream and 0.1 s of sound: its
+sound is taken, its events are drawn and its curves are handed out one after the other; all else is
+computed for all streams at once."""
+
+
+def calls(animator, pieces) -> float:
+    """Mean number of calls of functions in a `feed`."""
+    count = 0
+
+    def counted(frame, event, argument):
+        nonlocal count
+        count += event in ("call", "c_call")
+
+    sys.setprofile(counted)
+    try:
+        for piece in pieces:
+            animator.feed(piece)
+    finally:
+        sys.setprofile(None)
+    return count / len(pieces)
+
+
+def test_calls_of_functions_grow_little_with_the_streams(tiny, voice):
+    found = {}
+    for streams in (4, 64):
+        animator = LiveAnimator(tiny, "happy", streams=streams)
+        rows = [np.roll(voice, 37 * k) for k in range(streams)]
+        pieces = [[row[at : at + 1600] for row in rows] for at in range(0, 48_000, 1600)]
+        for piece in pieces[:8]:
+            animator.feed(piece)
+        found[streams] = calls(animator, pieces[8:])
+    assert (found[64] - found[4]) / 60 < MOST_A_STREAM
