@@ -19,7 +19,7 @@ from deitalk.config.rig_file import parse_controls
 from deitalk.config.rules import RulesConfig
 from deitalk.errors import CheckpointError, DeitalkError, MissingError
 from deitalk.installed import __version__
-from deitalk.models.folder import model_folder, weights_hash
+from deitalk.models.folder import READOUTS, model_folder, weights_hash
 from deitalk.models.protocol import (
     NetworkRows,
     Product,
@@ -346,6 +346,7 @@ def cached_export(model: str | Path) -> Path:
 def cached_path(model: str | Path) -> Path:
     """Where `cached_export` keeps the file of a model; another for other weights or settings."""
     folder = model_folder(model)
-    settings = (folder / "config.yaml").read_bytes()
+    files = [path for name in ("config.yaml", *READOUTS) if (path := folder / name).is_file()]
+    settings = b"".join(path.read_bytes() for path in files)
     key = hashlib.sha256(f"{__version__} {weights_hash(folder)}".encode() + settings).hexdigest()
     return cache_folder() / f"model-{key[:20]}.onnx"

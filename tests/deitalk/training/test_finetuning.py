@@ -515,3 +515,19 @@ def test_contacts_keep_the_rules_of_the_base(base, data, tmp_path):
     assert held.sharpen_contacts == rules.sharpen_contacts
     auto = FinetuneTask(recipe(base, "tune.contact_rules=auto"), folder).config.rules
     assert auto.sharpen_contacts is None
+
+
+def test_contact_rules_of_a_base_with_a_readout_of_the_lips_have_their_usual_numbers(base):
+    """Its own are for contacts that the readout corrects, which a tuned model does not have."""
+    from deitalk.config.rules import SharpenContacts
+    from deitalk.training.tuning import recipe as module
+
+    settings = recipe(base)
+    of_base = module._base_config(settings)
+    rules = of_base.rules.model_copy(update={"sharpen_contacts": SharpenContacts(shoulder=0.3)})
+    model = of_base.model.model_copy(update={"lips": True})
+    corrected = of_base.model_copy(update={"rules": rules, "model": model})
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(module, "_base_config", lambda config: corrected)
+        tuned = module._with_contact_rules(settings, CONTROLS, captured=False).rules
+    assert tuned.sharpen_contacts == SharpenContacts()
