@@ -21,7 +21,7 @@ from deitalk.config.rules import RulesConfig
 from deitalk.emotions import EMOTIONS
 from deitalk.errors import CheckpointError, DeitalkError, MissingError
 from deitalk.installed import __version__
-from deitalk.models.folder import model_folder, weights_hash
+from deitalk.models.folder import READOUTS, model_folder, weights_hash
 from deitalk.models.onnx.rules import LIVE, WHOLE, OnnxPass
 from deitalk.models.protocol import (
     NetworkRows,
@@ -377,7 +377,10 @@ def cached_path(model: str | Path) -> Path:
     """
     folder = model_folder(model)
     digest = hashlib.sha256(f"{__version__} {SCHEMA} {CAUSAL_SCHEMA}".encode())
-    digest.update(weights_hash(folder).encode() + (folder / "config.yaml").read_bytes())
+    digest.update(weights_hash(folder).encode())
+    for path in (folder / name for name in ("config.yaml", *READOUTS)):
+        if path.is_file():
+            digest.update(path.read_bytes())
     for path in sorted(Path(postprocess.__file__).parent.rglob("*.[cp][sy]*")):
         if path.suffix != ".pyc":  # a checkout whose rules change
             digest.update(path.read_bytes())

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from safetensors.torch import save_file
+from safetensors.torch import save
 from scipy.optimize import minimize
 
 from deitalk.audio.frames import FRAME_RATE
@@ -39,7 +39,7 @@ from rig.arrays import Float32, Float64
 from rig.face.head import build_head
 from rig.files import atomic_write
 
-CONTACT_PENALTY, MEASURE_PENALTY = 60_000.0, 10_000.0
+CONTACT_PENALTY, MEASURE_PENALTY = 100_000.0, 10_000.0
 SHARE = 0.7
 """Of the regression in a measure; the rest is the decoder's."""
 GAINS = (1.8, 1.5)
@@ -264,7 +264,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     module = fit(model, given.data, given.lips, given.held_out, surroundings)
     state = {LIP_WEIGHTS + name: value.half() for name, value in module.state_dict().items()}
     with atomic_write(given.out) as beside:
-        save_file(state, beside)
+        beside.write_bytes(save(state))
     sys.stdout.write(f"{given.out}\n")
 
 
