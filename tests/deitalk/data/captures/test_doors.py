@@ -252,6 +252,25 @@ def test_percent_a_little_beyond_both_ends(tmp_path):
     assert any("clamped to their ranges" in note for note in capture.notes)
 
 
+def test_whole_numbers_beyond_100_may_be_percent_or_bytes(tmp_path):
+    times, values = frames(30)
+    (tmp_path / "a.csv").write_text(text(table(times, np.rint(120 * values))))
+    with pytest.raises(UserError, match="percent beyond 100, or 0 to 255"):
+        read_capture(tmp_path / "a.csv")
+
+
+def test_shapes_that_hardly_move_in_percent_are_named(tmp_path):
+    """They may be of another unit; a gaze to one side has a still other side."""
+    times, values = frames(30)
+    values[:, NAMES.index("CheekPuff")] = 0.006 * np.sin(times)
+    values[:, NAMES.index("EyeLookOutRight")] = 0.004 * np.sin(times)
+    (tmp_path / "a.csv").write_text(text(table(times, 100 * values)))
+    (note,) = read_capture(tmp_path / "a.csv").notes[:1]
+    assert note == (
+        "values are percent: divided by 100 (EyeLookOutRight, CheekPuff below 1.5 percent)"
+    )
+
+
 SPOILT = {
     "percent in some columns": lambda v: v * np.where(np.arange(61) % 2, 100, 1),
     "percent on one side": lambda v: v * np.where(["Left" in n for n in NAMES], 100, 1),
