@@ -30,7 +30,7 @@ from rig.curves.rig_curves import STANDARD_RATES
 from rig.curves.timecode import TICKS_PER_SECOND, Clock, read_timecodes
 from rig.errors import CurveError, FormatError
 from rig.formats.decimal_text import Block, Text, rows
-from rig.formats.named import seen_of
+from rig.formats.named import seen_of, usual_steps
 from rig.formats.wide_csv import read_layout, read_numbers
 
 DECIMALS = 10
@@ -86,9 +86,8 @@ class LiveLinkTake:
         if len(self.ticks) < 2:
             return 30.0
         steps = np.diff(self.ticks)
-        median = float(np.median(steps))
-        mean = float(steps[np.abs(steps - median) <= 0.25 * median].mean())
-        for exact in (TICKS_PER_SECOND / mean, TICKS_PER_SECOND / median):
+        mean = float(usual_steps(steps).mean())
+        for exact in (TICKS_PER_SECOND / mean, TICKS_PER_SECOND / float(np.median(steps))):
             for standard in STANDARD_RATES:
                 if abs(exact - standard) < 3e-4 * standard:
                     return standard

@@ -24,6 +24,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rig.arrays import Bool, Float64
 from rig.controls import check_unique
@@ -458,7 +459,7 @@ def rate_of(seconds: Float64) -> float:
     if not len(steps):
         return 30.0
     median = float(np.median(steps))
-    usual = steps[np.abs(steps - median) <= 0.25 * median]
+    usual = usual_steps(steps)
     rate = 1 / float(usual.mean())
     resolution = next((d for d in (1e-2, 1e-3, 1e-4, 1e-5) if _multiples(seconds, d)), 0.0)
     near = float(np.clip(resolution / usual.sum(), 2e-5, 5e-4)) * rate
@@ -469,6 +470,13 @@ def rate_of(seconds: Float64) -> float:
             return float(standard)
     rounded = round(rate, 4)
     return rounded if rounded and abs(rounded - rate) < 2e-5 * rate else rate
+
+
+def usual_steps(steps: NDArray[np.number[Any]]) -> Float64:
+    """Steps within a quarter of the median one, or that one where none is."""
+    median = float(np.median(steps))
+    near = steps[np.abs(steps - median) <= 0.25 * median]
+    return np.asarray(near if len(near) else [median], np.float64)
 
 
 def _multiples(seconds: Float64, resolution: float) -> bool:

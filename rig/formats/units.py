@@ -105,11 +105,11 @@ OVERSHOOT = 1.5
 """Of the end of a range: calibrated captures exceed it by less."""
 CLEARLY = 3.0
 """Of the end of a range: no capture exceeds it so far."""
-MOVES = 0.05
-"""Least peak of a column that takes part in the decision."""
+QUIET = 0.2
+"""Peak from which on a column within its range may be of another unit than the others."""
 PERCENT, OVER_PERCENT, BYTE = 100.0, 130.0, 255.0
-FEW_QUIET = 0.15
-"""Share of the moving columns that stay within their ranges in a table of percent: still shapes."""
+FEW_QUIET, QUIET_SHARE = 3, 0.15
+"""Such columns of shapes that hardly move, in percent, and their share of all that move."""
 SIDES_APART = 20.0
 """Ratio of the peaks of left and right from which on they are in different units."""
 
@@ -144,12 +144,11 @@ def in_units(curves: RigCurves, controls: ControlSet, where: object) -> RigCurve
     angles = np.array([_is_angle(name, controls) for name in curves.names])
     shapes = np.flatnonzero(~angles & (largest > 0))
     values, notes = curves.values, list(curves.notes)
-    scale = _scale(curves, controls, shapes, largest[shapes], where)
+    scale, note = _scale(curves, controls, shapes, largest[shapes], where)
     if scale != 1:
-        unit = "percent" if scale == PERCENT else "0 to 255"
         values = values.copy()
         values[:, shapes] /= scale
-        notes.append(f"values are {unit}: divided by {scale:g}")
+        notes.append(note)
     if angles.any():
         values, said = _angles(values, curves.names, where)
         notes += said
@@ -169,32 +168,39 @@ def _scale(
     shapes: NDArray[np.intp],
     ends: Float32,
     where: object,
-) -> float:
-    """What values are to be divided by: 1, 100 or 255."""
+) -> tuple[float, str]:
+    """What values are to be divided by, 1, 100 or 255, and a note."""
     if not len(shapes):
-        return 1.0
+        return 1.0, ""
     values = curves.values[:, shapes]
     reach = np.maximum(ends, 1)  # percent of a smaller range is of 1, too
     peaks = (np.abs(values) / reach).max(axis=0)
     top = float(peaks.max())
     if top <= OVERSHOOT:
-        return 1.0
+        return 1.0, ""
     names = [curves.names[i] for i in shapes]
-    moving = peaks > MOVES
-    beyond = peaks > OVERSHOOT
-    quiet = int((moving & ~beyond).sum())
-    is_one_unit = quiet <= max(1, FEW_QUIET * int(moving.sum())) and not _sides_differ(names, peaks)
+    quiet = [name for name, peak in zip(names, peaks, strict=True) if QUIET < peak <= OVERSHOOT]
+    count = int((peaks > QUIET).sum())
+    few = min(max(FEW_QUIET, QUIET_SHARE * count), count - len(quiet))
+    is_one_unit = len(quiet) <= few
     is_whole = bool((values == np.rint(values)).all())
-    if is_one_unit and top > CLEARLY:
+    if top > CLEARLY and is_one_unit and not _sides_differ(names, peaks):
         if top <= PERCENT or (top <= OVER_PERCENT and not is_whole):
-            return PERCENT
+            also = [f"whole numbers to {top:g}, not 0 to 255"] if is_whole else []
+            also += [f"{listed(quiet)} below 1.5 percent"] if quiet else []
+            said = f" ({'; '.join(also)})" if also else ""
+            return PERCENT, f"values are percent: divided by 100{said}"
         if OVER_PERCENT < top <= BYTE and is_whole:
-            return BYTE
+            return BYTE, "values are 0 to 255: divided by 255"
+        if top <= OVER_PERCENT:
+            raise FormatError(
+                f"{where}: values are whole numbers to {top:g}: percent beyond 100, or 0 to 255; "
+                "divide them by 100 or 255"
+            )
     if top <= CLEARLY:
-        return 1.0
+        return 1.0, ""
     row, column = (int(i) for i in np.argwhere(np.abs(values) / reach > CLEARLY)[0])
-    inside = [name for name, m, b in zip(names, moving, beyond, strict=True) if m and not b]
-    mixed = f", while {listed(inside)} stay within theirs" if inside else ""
+    mixed = f", while {listed(quiet)} stay within theirs" if quiet else ""
     low = controls.minimum[controls.index(names[column])]
     raise FormatError(
         f"{where}: data row {row + 1}, column {names[column]!r} is {values[row, column]:g}, far "
@@ -208,9 +214,14 @@ def _sides_differ(names: Sequence[str], peaks: Float32) -> bool:
     for name, left in by_name.items():
         right = by_name.get(_other_side(name), left)
         low, high = sorted((left, right))
-        if high > CLEARLY and MOVES < low <= 1 and high > SIDES_APART * low:
+        if "Look" in name or name.removeprefix("CTRL_expressions_").lower().startswith(ONE_WAY):
+            continue  # a side alone is natural
+        if high > CLEARLY and QUIET < low <= 1 and high > SIDES_APART * low:
             return True
     return False
+
+
+ONE_WAY = ("jawleft", "jawright", "mouthleft", "mouthright")
 
 
 def _other_side(name: str) -> str:

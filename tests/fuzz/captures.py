@@ -23,7 +23,28 @@ def _table_seeds(folder: Path) -> list[Seed]:
         "names": names,
         "frames": [{"time": i / 30, "weights": r} for i, r in enumerate(rows)],
     }
+    results = [
+        {"timestamp": 33 * i, "blendshapes": [
+            {"categoryName": n, "score": x} for n, x in zip(names, row, strict=True)]}
+        for i, row in enumerate(rows)
+    ]  # fmt: skip
+    zeros = ",".join("0" * 10)
+    keys = [f"k,{33 * i},{zeros},{','.join(map(str, row))}" for i, row in enumerate(rows)]
+    face_cap = "\n".join(['info,"a"', f"bs,{','.join(names)}", *keys])
+    codes = [
+        f"00:00:00:{58 + i:02d}.000,3,{','.join(map(str, row))}" for i, row in enumerate(rows[:2])
+    ]
+    codes += [f"00:00:01:{i:02d}.000;0" + ";" * 3 for i in range(2)]
+    live_link = "\n".join([f"Timecode,BlendshapeCount,{','.join(names)}", *codes]).replace(",", ";")
+    sheet = f"time;{';'.join(names)}\n" + "\n".join(lines).replace(",", ";").replace(".", ",")
     return [
+        Seed("c.json", json.dumps(results).encode(), mutated_json),
+        Seed("c.json", json.dumps([r["blendshapes"] for r in results]).encode(), mutated_json),
+        Seed("c.txt", face_cap.encode(), mutated),
+        Seed("c.csv", live_link.encode(), mutated),
+        Seed("c.csv", f"sep=;\n{sheet}\n;;;\n".encode(), mutated),
+        Seed("c.csv", sheet.encode("utf-16"), mutated),
+        Seed("c.tsv", sheet.replace(";", "\t").encode(), mutated),
         Seed("c.csv", f"time,{','.join(names)}\n{chr(10).join(lines)}\n".encode(), mutated),
         Seed("c.json", json.dumps(frames).encode(), mutated_json),
         Seed("c.json", json.dumps(listed).encode(), mutated_json),
@@ -35,9 +56,17 @@ def _table_seeds(folder: Path) -> list[Seed]:
 
 
 def _read_table(path: Path) -> object:
-    from deitalk.data.captures.take import read_capture
+    from contextlib import suppress
 
-    return read_capture(path)
+    from deitalk.data.captures.take import read_capture
+    from rig import read_curves
+    from rig.errors import UserError
+
+    try:
+        return read_capture(path, fps=30)
+    finally:
+        with suppress(UserError):  # the other door
+            read_curves(path, fps=30)
 
 
 def _map_seeds(folder: Path) -> list[Seed]:

@@ -239,11 +239,7 @@ class Survey:
         emotions.setdefault(clip.emotion, Frames()).add(values[~near])
         self.rates.setdefault(clip.speaker, {})[clip.emotion] = curves.fps
         prosody = measure_prosody(recording.waveform, recording.n_frames)
-        place: dict[str, Any] = {
-            "known": known,
-            "offset": clip.offset_seconds,
-            "start": clip.span[0],
-        }
+        place: Any = {"known": known, "offset": clip.offset_seconds, "start": clip.span[0]}
         rate = fit_rate(board, recording.waveform, predicted=predicted, **place)
         self.clips.append(
             ClipSurvey(

@@ -20,7 +20,7 @@ from rig import read_curves, write_curves
 from rig.conversion.arkit import ARKIT_ID, HEAD, arkit_controls
 from rig.errors import UserError
 from rig.validation import validate
-from tests.command import deitalk, ran
+from tests.command import deitalk, ran, refused
 from tests.takes import bursts
 
 NAMES = arkit_controls().names
@@ -250,6 +250,25 @@ def test_percent_a_little_beyond_both_ends(tmp_path):
     capture = read_capture(tmp_path / "a.csv")
     assert "percent: divided by 100" in capture.notes[0]
     assert any("clamped to their ranges" in note for note in capture.notes)
+
+
+def test_whole_numbers_beyond_100_may_be_percent_or_bytes(tmp_path):
+    times, values = frames(30)
+    (tmp_path / "a.csv").write_text(text(table(times, np.rint(120 * values))))
+    with pytest.raises(UserError, match="percent beyond 100, or 0 to 255"):
+        read_capture(tmp_path / "a.csv")
+
+
+def test_shapes_that_hardly_move_in_percent_are_named(tmp_path):
+    """They may be of another unit; a gaze to one side has a still other side."""
+    times, values = frames(30)
+    values[:, NAMES.index("CheekPuff")] = 0.006 * np.sin(times)
+    values[:, NAMES.index("EyeLookOutRight")] = 0.004 * np.sin(times)
+    (tmp_path / "a.csv").write_text(text(table(times, 100 * values)))
+    (note,) = read_capture(tmp_path / "a.csv").notes[:1]
+    assert note == (
+        "values are percent: divided by 100 (EyeLookOutRight, CheekPuff below 1.5 percent)"
+    )
 
 
 SPOILT = {
@@ -777,3 +796,24 @@ def test_commands_say_what_was_corrected(tmp_path, kind):
     assert note in preview.err  # before the page, which a checkout may not have built
     report = write_curves(tmp_path / "c.csv", read_curves(tmp_path / "a.csv"))
     assert any(note in line for line in report.notes)
+
+
+def test_a_head_as_quaternion_is_left_out_and_named(tmp_path):
+    times, values = frames(30)
+    names = [*SHAPES, "HeadQuatX", "HeadQuatY", "HeadQuatZ", "HeadQuatW"]
+    (tmp_path / "a.csv").write_text(text(table(times, values, names)))
+    curves, capture = assert_same(tmp_path / "a.csv", 30)
+    for notes in (curves.notes, capture.notes):
+        assert "4 columns are left out: 'HeadQuatX', 'HeadQuatY', 'HeadQuatZ' and 1 more" in notes
+
+
+def test_the_way_out_of_an_unknown_rig_is_the_option_of_the_command(tmp_path):
+    (tmp_path / "a.csv").write_text(text(table(*frames(30), [f"own_{name}" for name in SHAPES])))
+    line = refused("data", "import", tmp_path / "a.csv", "-o", tmp_path / "data")
+    assert "give --map, a table" in line
+
+
+def test_cues_without_a_rate_say_at_which_they_are_read(tmp_path):
+    (tmp_path / "a.dat").write_text("MohoSwitch1\n1 X\n25 A\n49 X\n")
+    assert read_curves(tmp_path / "a.dat").notes == ("holds no rate: read at 24 frames a second",)
+    assert read_curves(tmp_path / "a.dat", fps=30).notes == ()
