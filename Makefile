@@ -14,7 +14,7 @@ TAKE ?= take
 SAMPLE_TEXT := Maybe you believe me. But mother, Bob promised everybody a piece of that perfect apple pie! Well, what a wonderful evening this could become.
 
 .DEFAULT_GOAL := help
-.PHONY: FORCE help setup setup-dev demo page pictures test test-slow check lint type format train-tiny figure docs sample clean
+.PHONY: FORCE help setup setup-dev demo page pictures test test-all test-slow check lint type format train-tiny figure docs sample clean
 
 help:  ## Show this help
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  %-12s %s\n", $$1, $$2}'
@@ -62,13 +62,17 @@ $(PAGE): $(wildcard deitalk/preview/web/*.json deitalk/preview/web/*.ts deitalk/
 	npm install --no-audit --no-fund --no-package-lock --fetch-retries=1 --fetch-timeout=30000 && npm run build
 
 # Without npm the tests of the page are skipped.
-test test-slow: $(if $(shell command -v npm 2>/dev/null),page)
+test test-all test-slow: $(if $(shell command -v npm 2>/dev/null),page)
 
 # One thread a process: there are as many processes as cores.
-test: setup-dev  ## Run the tests, or TESTS=tests/rig; CONSTRAINTS=constraints/lowest.txt
-	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --maxprocesses 4 --dist loadfile $(TESTS)
+PYTEST = OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --maxprocesses 4 --dist loadfile
+test: setup-dev  ## Run the tests of every day, or TESTS=tests/rig; CONSTRAINTS=constraints/lowest.txt
+	$(PYTEST) $(TESTS)
 
-test-slow: setup-dev  ## Run the slow tests too
+test-all: setup-dev  ## Run browsers, attacks, kills, fuzzing and research too
+	$(PYTEST) -m "not slow" $(TESTS)
+
+test-slow: setup-dev  ## Run every test, with those that take minutes
 	$(BIN)/python -m pytest -m "slow or not slow"
 
 check: lint type test  ## All checks of a change

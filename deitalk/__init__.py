@@ -23,10 +23,13 @@ __all__ = [
     "Performance",
     "Recording",
     "Suggestion",
+    "Tuned",
     "__version__",
     "animate",
     "animate_batch",
     "animate_mesh",
+    "finetune",
+    "import_captures",
     "load_audio",
     "load_model",
     "push_to_hub",
@@ -48,6 +51,7 @@ if TYPE_CHECKING:
     from deitalk.pipeline.mesh import animate_mesh
     from deitalk.pipeline.performance import MeshPerformance, Performance
     from deitalk.pipeline.suggest import Suggestion, suggest_emotion
+    from deitalk.training.tuning.public import Tuned, finetune, import_captures
 
 _HOMES = {
     "acting": ("Acting",),
@@ -63,6 +67,7 @@ _HOMES = {
     "pipeline.curves": ("animate",),
     "pipeline.suggest": ("Suggestion", "suggest_emotion"),
     "audio.arrays": ("recording_from_array",),
+    "training.tuning.public": ("Tuned", "finetune", "import_captures"),
 }
 
 

@@ -42,7 +42,7 @@ STAGES = {
         "emotion-guided decoder", "deitalk.models.rig_decoder", "RigDecoder", "curves", 3, 1
     ),
     "curves": Stage("185 curves, 30 Hz", "rig.curves", "RigCurves", "data", 4, 1),
-    "rules": Stage("rules", "deitalk.postprocess.curve_rules", "Expression", "curves", 4, 2),
+    "rules": Stage("rules", "deitalk.postprocess.curve_pass", "CurvePass", "curves", 4, 2),
     "take": Stage("take folder", "deitalk.pipeline.performance", "write_take", "data", 3, 2),
     "deformation": Stage(
         "deformation decoder", "deitalk.models.deformation_decoder", "MotionDecoder", "mesh", 1, 2

@@ -21,7 +21,9 @@ from rig.files.reading import decode_text, open_file
 from rig.formats import read_curves
 from rig.formats.curves_json import read_object
 from rig.formats.livelink_csv import COUNT, LiveLinkTake, read_take, subject_of, suffix_note
-from rig.formats.wide_csv import count_rows
+from rig.formats.named import is_face_cap
+from rig.formats.units import in_units
+from rig.formats.wide_csv import count_rows, read_header
 from rig.limits import CURVES_BYTES, HEADER_BYTES
 
 # One finding of a check of files.
@@ -184,7 +186,7 @@ def _file(path: Path) -> list[Finding]:
             return [Finding("note", path, check_glb(path)), *_shapes(path)]
         if path.suffix.lower() == ".csv" and is_live_link(path):
             return check_live_link(path)
-        if path.suffix.lower() == ".txt":  # EmoFace's hold no rate
+        if path.suffix.lower() == ".txt" and not is_face_cap(path):  # EmoFace's hold no rate
             curves = read_curves(path, fps=FRAME_RATE, control_set=None)
             note = Finding("note", path, f"holds no frame rate: checked at {FRAME_RATE:g} fps")
             return [note, *_curves(path, curves)]
@@ -225,6 +227,7 @@ def _shapes(path: Path) -> list[Finding]:
 def _curves(path: Path, curves: RigCurves) -> list[Finding]:
     """Check values, which are finite and in range after reading."""
     findings = [Finding("note", path, _summary(curves))]
+    findings += [Finding("warning", path, note) for note in curves.notes]
     findings += motion(path, curves.values, curves.names, curves.control_set)
     if curves.control_set == RAW_ID:
         findings += [
@@ -305,8 +308,8 @@ SWITCH = "HeadControlSwitch"
 
 def is_live_link(path: Path) -> bool:
     """Return whether a CSV begins as a Live Link Face CSV, with any separator or quotes."""
-    start = re.sub(r"[^a-z]", "", _first_line(path).lower())
-    return start.startswith(f"timecode{COUNT.lower()}")
+    header = [cell.lower() for cell in read_header(path)[:2]]
+    return header == ["timecode", COUNT.lower()]
 
 
 def check_live_link(path: Path) -> list[Finding]:
@@ -327,7 +330,8 @@ def check_live_link(path: Path) -> list[Finding]:
     if take.ticks[0] > 60_000:
         text = "the time code starts late: Unreal places the section at that hour of the timeline"
         findings.append(Finding("warning", path, text))
-    findings += _pace(path, take, highest) + _metahuman(path, take)
+    findings += _clock(path, take) or _pace(path, take, highest)
+    findings += _units(path, take) + _metahuman(path, take)
     missing = [name for name in arkit_controls().names if name not in take.names]
     if missing and not any(name.startswith(PREFIX) for name in take.names):
         text = f"{len(missing)} of 61 columns are missing ({missing[0]}, …): they stay at 0"
@@ -350,6 +354,8 @@ def _first_line(path: Path) -> str:
 
 def _check_header(path: Path, line: str) -> None:
     """Refuse what the importer's comparison of the first two columns refuses."""
+    if "=" in line.split(",")[0]:
+        raise FormatError(f"{path} begins with {line!r}; Unreal takes it for the header: remove it")
     for mark, name in ((";", "semicolons"), ("\t", "tabs")):
         if mark in line and "," not in line:
             raise FormatError(f"{path} has {name} between its cells; Unreal reads commas")
@@ -413,6 +419,36 @@ def _metahuman(path: Path, take: LiveLinkTake) -> list[Finding]:
     if take.values[:, turns].any() and not take.values[:, switch].any():
         texts.append(f"the head turns, but {SWITCH} is not 1: Unreal leaves the head still")
     return [Finding("warning", path, text) for text in texts]
+
+
+def _clock(path: Path, take: LiveLinkTake) -> list[Finding]:
+    """Find time codes that Unreal takes for others."""
+    return [
+        Finding(
+            "error",
+            path,
+            f"{note}: Unreal takes FF for sixtieths, or for thirtieths where it never exceeds 30; "
+            "deitalk convert writes sixtieths",
+        )
+        for note in take.notes
+        if note.startswith(("time codes count", "drop-frame"))
+    ]
+
+
+def _units(path: Path, take: LiveLinkTake) -> list[Finding]:
+    """Find percent and degrees, which Unreal takes for shares and nearly radians."""
+    try:
+        curves = take.to_curves()
+    except FormatError:  # properties of another rig
+        return []
+    known = known_controls(curves.control_set)
+    assert known is not None
+    notes = in_units(curves, known, path).notes[len(curves.notes) :]
+    return [
+        Finding("error", path, f"{note}; Unreal takes them as they are, deitalk convert mends them")
+        for note in notes
+        if "radians" not in note
+    ] + [Finding("warning", path, note) for note in notes if "radians" in note]
 
 
 def _pace(path: Path, take: LiveLinkTake, highest: float) -> list[Finding]:

@@ -75,14 +75,38 @@ def one_analysis() -> Iterator[None]:
         yield
 
 
-def pytest_addoption(parser: pytest.Parser) -> None:
-    parser.addoption("--skipped-to", metavar="FILE", help="write the skipped tests, one a line")
+THOROUGH = (
+    "tests/api/test_attacks.py",
+    "tests/api/test_drain.py",
+    "tests/api/test_jobs.py",
+    "tests/api/test_lost_workers.py",
+    "tests/api/test_malformed.py",
+    "tests/api/test_neighbours.py",
+    "tests/api/test_pages.py",
+    "tests/api/test_places.py",
+    "tests/api/test_queue.py",
+    "tests/api/test_store.py",
+    "tests/api/test_studio.py",
+    "tests/api/test_trouble.py",
+    "tests/deitalk/data/captures/test_video.py",
+    "tests/deitalk/data/test_mesh_segments.py",
+    "tests/deitalk/data/test_offset.py",
+    "tests/deitalk/evaluation/",
+    "tests/deitalk/preview/test_page.py",
+    "tests/deitalk/research/",
+    "tests/deitalk/training/test_mesh.py",
+    "tests/test_docs_finetuning.py",
+    "tests/test_full_disk.py",
+    "tests/test_fuzz.py",
+    "tests/test_kill.py",
+)
+"""Files of `make test-all` alone: browsers, servers under attack, kills, fuzzing, research."""
 
 
-def pytest_configure(config: pytest.Config) -> None:
-    is_worker = hasattr(config, "workerinput")
-    if config.getoption("--skipped-to") and not is_worker:
-        config.pluginmanager.register(SkippedTests(Path(config.getoption("--skipped-to"))))
+def pytest_itemcollected(item: pytest.Item) -> None:
+    """Mark the tests of `THOROUGH`."""
+    if item.nodeid.startswith(THOROUGH):
+        item.add_marker("thorough")
 
 
 @pytest.hookimpl(optionalhook=True)
@@ -111,21 +135,3 @@ def pytest_runtest_setup() -> None:
     """Torch's random numbers are those of a new process, whatever ran before."""
     if "torch" in sys.modules:
         sys.modules["torch"].manual_seed(0)
-
-
-class SkippedTests:
-    """Writes the names of skipped tests, without their parameters, for ``pytest @FILE``."""
-
-    def __init__(self, path: Path) -> None:
-        self.path, self.names = path, set()
-
-    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
-        if report.skipped and not hasattr(report, "wasxfail"):
-            self.names.add(report.nodeid.partition("[")[0])
-
-    def pytest_collectreport(self, report: pytest.CollectReport) -> None:
-        if report.skipped:
-            self.names.add(report.nodeid)
-
-    def pytest_sessionfinish(self) -> None:
-        self.path.write_text("".join(f"{name}\n" for name in sorted(self.names)))

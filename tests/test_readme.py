@@ -20,7 +20,6 @@ PAGES = [
     *(page.relative_to(ROOT) for page in sorted((ROOT / "docs").rglob("*.md"))),
 ]
 MOST_LINES = {"README.md": 100, "CHANGELOG.md": 100}
-"""Of all pages together, as `wc -w` counts them."""
 
 
 def test_python_of_the_readme_runs(monkeypatch, capsys):

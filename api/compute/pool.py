@@ -7,7 +7,7 @@ import tempfile
 import threading
 from collections.abc import AsyncIterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import asynccontextmanager, suppress
+from contextlib import asynccontextmanager
 from functools import partial
 from math import inf
 from pathlib import Path
@@ -119,9 +119,11 @@ class Pool:
         self._tasks.add(asyncio.create_task(self._keep()))
 
     async def _start(self, worker: Worker) -> None:
-        """Start a process; where that fails, `_keep` tries again."""
-        with suppress(WorkerLost):
+        """Start a process; where that fails, `_keep` or an order tries again after a while."""
+        try:
             await asyncio.get_running_loop().run_in_executor(self._threads, worker.start)
+        except WorkerLost:
+            await asyncio.sleep(4 * CHECK_SECONDS)
         self.turns.give(worker)
 
     async def _keep(self) -> None:

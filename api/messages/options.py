@@ -23,7 +23,7 @@ from rig.errors import quoted
 from rig.formats import FORMATS
 
 NAME_PATTERN = r"^[A-Za-z0-9](?:[A-Za-z0-9 _-]{0,62}[A-Za-z0-9])?$"
-TIMECODE_PATTERN = r"^(zero|recording|[0-9]{1,2}:[0-9]{2}:[0-9]{2}(:[0-9]{2}|\.[0-9]{1,6})?)$"
+TIMECODE_PATTERN = r"^(zero|recording|[0-9]{1,2}:[0-9]{2}:[0-9]{2}([:;][0-9]{2}|\.[0-9]{1,6})?)$"
 FIELD_FILES = ("emotion", "intensity_curve", "voice", "words")
 """Fields that may be files of a form."""
 Options = TypeVar("Options", bound=BaseModel)
@@ -106,8 +106,9 @@ class AnimationOptions(SpeechOptions):
         str,
         Field(
             pattern=TIMECODE_PATTERN,
-            description="Of the first frame: zero, recording (that of a WAV), or HH:MM:SS:FF.",
-            examples=["recording", "10:00:00:12"],
+            description="Of the first frame: zero, recording (that of a WAV), or HH:MM:SS:FF "
+            "(;FF for drop frame).",
+            examples=["recording", "10:00:00:12", "10:00:00;12"],
         ),
     ] = "zero"
 

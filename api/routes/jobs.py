@@ -80,7 +80,7 @@ async def follow_job(job_id: JobId, service: ServiceDep, caller: JobCallerDep) -
 @router.get(
     "/{job_id}/result",
     response_class=Response,
-    responses=problems(409, 416)
+    responses=problems(409, 410, 416)
     | {
         200: {"description": "The result", "content": {"application/octet-stream": {}}},
         206: {"description": "The part of a `Range`", "content": {"application/octet-stream": {}}},

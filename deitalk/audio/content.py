@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from typing import IO, NamedTuple
 
 BLOCK_BYTES = 1 << 22
+MOST_FOUND = 100_000  # places of a text that are looked at: other files have few
 START_BYTES = 64
 CHANNELS = (
     "FL", "FR", "FC", "LFE", "BL", "BR", "FLC", "FRC", "BC", "SL", "SR", "TC", "TFL", "TFC", "TFR",
@@ -79,10 +80,12 @@ class Window:
         count = left if count < 0 else min(count, left)
         if count <= 0:
             return b""
-        data = self.part.head[self.place : self.place + count]
+        before = len(self.part.head)
+        data = self.part.head[self.place : self.place + count] if self.place < before else b""
         if len(data) < count:
-            self.file.seek(self.part.start + self.place + len(data) - len(self.part.head))
-            data += self.file.read(count - len(data))
+            self.file.seek(self.part.start + self.place + len(data) - before)
+            rest = self.file.read(count - len(data))
+            data = data + rest if data else rest
         self.place += len(data)
         return data
 
@@ -110,12 +113,14 @@ class Content:
         return self.file.read(count)
 
     def find(self, mark: bytes, start: int) -> Iterator[int]:
-        """Places of a text from a place on."""
+        """Places of a text from a place on, at most `MOST_FOUND`."""
+        left = MOST_FOUND
         for begin in range(start, self.size, BLOCK_BYTES):
             block = self.at(begin, BLOCK_BYTES + len(mark) - 1)
             place = block.find(mark)
-            while place >= 0:
+            while place >= 0 and left:
                 yield begin + place
+                left -= 1
                 place = block.find(mark, place + 1)
 
     def starts(self, demuxer: str, start: int) -> Iterator[int]:

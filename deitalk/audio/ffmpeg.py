@@ -132,7 +132,10 @@ class FFmpegReader:
                 timeline.position += max(gap, 0.0) + len(samples) / rate
                 yield Piece(samples, rate)
         found = timeline.position - timeline.lead
-        cut = length_note(found, self.stated or found, LENGTH_SLACK_SECONDS)
+        is_edited = self.demuxer == "mov" and (timeline.lead or found > self.stated)
+        # of a movie with edits the stated length may count the silence, or leave out what it holds
+        slack = LENGTH_SLACK_SECONDS + (max(timeline.lead, found - self.stated) if is_edited else 0)
+        cut = length_note(found, self.stated or found, slack)
         self.notes = [*filter(None, [cut]), *timeline.notes]
         if damaged:
             self.notes.append(

@@ -22,6 +22,7 @@ from deitalk.audio.content import (
 )
 
 MOST_CHUNKS = 1000  # of a header that are searched for its samples
+MOST_STEPS = 20_000  # over chunks after samples of unknown length
 TAIL_BYTES = 1 << 20  # searched for chunks after samples of unknown length
 UNKNOWN_BYTES = 0x7FFF0000  # such sizes and larger ones are placeholders of programs that stream
 
@@ -135,7 +136,9 @@ def _following(content: Content, demuxer: str, header: _Header, stop: int) -> in
     pattern = STARTS[demuxer][1]
     for place in dict.fromkeys((aligned, stop)):
         is_chunk = place >= content.size - 7
-        while place < content.size - 7:
+        for _ in range(MOST_CHUNKS):
+            if place >= content.size - 7:
+                break
             if pattern.match(content.at(place, START_BYTES)):
                 return place
             step = header.chunks.step(content, place) if header.chunks else None
@@ -162,9 +165,11 @@ def _without_chunks(content: Content, header: _Header, end: int) -> int:
         return end
     begin = max(header.begin, end - TAIL_BYTES)
     tail = content.at(begin, end - begin)
+    steps = 0
     for found in re.finditer(b"|".join(map(re.escape, _LATER_CHUNKS)), tail):
         place = begin + found.start()
-        while place < end - 7:
+        while place < end - 7 and steps < MOST_STEPS:
+            steps += 1
             step = header.chunks.step(content, place)
             if step is None or not _is_name(step[0]) or step[2] < 0:
                 break

@@ -22,6 +22,7 @@ from deitalk.audio.frames import FRAME_RATE
 from deitalk.audio.headers import MOST_CHUNKS
 from deitalk.errors import AudioError, DeitalkError
 from rig.arrays import Float32
+from rig.curves.timecode import DROPPED, left_out
 from rig.files import atomic_write
 
 ORIGINAL_RATE = 48_000
@@ -34,7 +35,7 @@ MOST_BYTES = (1 << 32) - 1024
 """Of a WAV file, whose sizes are 32-bit numbers."""
 _BEXT_BYTES, _TIME_REFERENCE = 602, 338
 """Size of the chunk's version 1 without history, and offset of the 64-bit number of samples."""
-_TIMECODE = re.compile(r"(\d{1,2}):(\d{2}):(\d{2})(?::(\d{2})|(\.\d+))?")
+_TIMECODE = re.compile(r"(\d{1,2})[:;](\d{2})[:;](\d{2})(?:([:;])(\d{2,3})|(\.\d+))?")
 
 
 def start_seconds(source: Path | str | bytes) -> float | None:
@@ -69,25 +70,44 @@ def start_of(timecode: str, fps: float | None, recorded: float | None) -> tuple[
 
 
 def parse_timecode(text: str, fps: float) -> float:
-    """Seconds since midnight of ``HH:MM:SS:FF`` or ``HH:MM:SS.sss``.
+    """Seconds since midnight of ``HH:MM:SS:FF``, drop frame ``HH:MM:SS;FF`` or ``HH:MM:SS.sss``.
 
-    FF counts frames of the nearest whole rate, without dropped numbers.
+    FF counts frames of the nearest whole rate. With ``:`` no numbers are left out; with ``;`` they
+    are, and the time is that of a clock at 29.97 or 59.94 Hz.
 
     Raises
     ------
     DeitalkError
-        If it is neither, or beyond a day.
+        If it is none of these, beyond a day, or drop frame at another rate or of a number that it
+        leaves out.
     """
     match = _TIMECODE.fullmatch(text.strip())
     parts = [int(part) for part in match.groups()[:3]] if match else [99]
-    frames = int(match[4] or 0) if match else 0
-    if match is None or parts[0] > 23 or max(parts[1:]) > 59 or frames >= round(fps):
+    frames, count = int(match[5] or 0) if match else 0, round(fps)
+    is_drop = ";" in text
+    is_one = match is not None and (not is_drop or match[4] is not None)
+    if match is None or not is_one or parts[0] > 23 or max(parts[1:]) > 59 or frames >= count:
         raise DeitalkError(
-            f"time code {text[:40]!r} is not HH:MM:SS:FF with FF below {round(fps)}, HH:MM:SS.sss, "
-            "recording or zero"
+            f"time code {text[:40]!r} is not HH:MM:SS:FF with FF below {count}, HH:MM:SS;FF (drop "
+            "frame), HH:MM:SS.sss, recording or zero"
         )
     hours, minutes, seconds = parts
-    return hours * 3600 + minutes * 60 + seconds + frames / round(fps) + float(match[5] or 0)
+    if not is_drop:
+        return hours * 3600 + minutes * 60 + seconds + frames / count + float(match[6] or 0)
+    if count not in DROPPED:
+        raise DeitalkError(
+            f"time code {text[:40]!r} counts drop frame (;), which has 29.97 or 59.94 frames a "
+            f"second and not {fps:g}; write HH:MM:SS:FF, or set `fps=29.97`",
+            parameter="fps",
+        )
+    if seconds == 0 and minutes % 10 and frames < DROPPED[count]:
+        raise DeitalkError(
+            f"time code {text[:40]!r} does not exist: drop frame leaves out frames 00 to "
+            f"{DROPPED[count] - 1:02d} of this minute; write {DROPPED[count]:02d}"
+        )
+    past = hours * 60 + minutes
+    number = (past * 60 + seconds) * count + frames - int(left_out(past, count))
+    return number * 1.001 / count
 
 
 def write_original(

@@ -16,7 +16,8 @@ from deitalk.errors import AudioError
 
 MOST_PARTS = 1000
 """Recordings in one file."""
-MOST_BOXES = 500_000  # of a movie
+MOST_BOXES = 200_000  # of a movie
+MOST_MARKS = 100  # of a tag that are looked at before a recording
 
 
 def parts_of(file: IO[bytes], demuxer: str | None) -> list[Part]:
@@ -148,11 +149,11 @@ def _before_tag(content: Content, place: int) -> int:
     """The place of the ID3 tag that ends at a place; that place if there is none."""
     begin = max(0, place - TAIL_BYTES)
     block = content.at(begin, place - begin)
-    at = block.rfind(b"ID3")
-    while at >= 0:
-        if at + tag_bytes(block[at : at + 10]) == len(block):
+    at = len(block)
+    for _ in range(MOST_MARKS):
+        at = block.rfind(b"ID3", 0, max(at, 0))
+        if at >= 0 and at + tag_bytes(block[at : at + 10]) == len(block):
             return begin + at
-        at = block.rfind(b"ID3", 0, at)
     return place
 
 

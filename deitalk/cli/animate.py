@@ -424,5 +424,5 @@ def _fail_if_any_failed(report: "BatchReport") -> None:
         first = report.failed[0]
         raise DeitalkError(
             f"{len(report.failed)} of {len(report.rows)} lines failed, see {FAILED} there; "
-            f"the first is line {first.number}: {first.error}"
+            f"the first is {first.audio}: {first.error}"
         )

@@ -19,15 +19,20 @@ from functools import cache
 from pathlib import Path
 from time import monotonic
 from types import FrameType
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import typer
 
 from deitalk.errors import DeitalkError
 from rig.errors import UserError, as_line, decodable, decodable_values
 
+if TYPE_CHECKING:
+    from rig import RigCurves
+
 _ASSIGNED = r"`{}(?:=(?P<value>[^`]*))?`"
 """A parameter in an error message, alone or with its value."""
+OPTIONS = {"mapping": "--map"}
+"""Options of `deitalk data` that are called otherwise than their parameter."""
 VISIBLE_SECONDS = 1.0
 """Least duration of work with a bar, seconds."""
 FIRST_LINE_SECONDS = 3.0
@@ -160,7 +165,7 @@ def name_option(error: UserError) -> str:
 
     def option(found: re.Match[str]) -> str:
         value = found["value"]
-        name = "--" + error.parameter.replace("_", "-")
+        name = OPTIONS.get(error.parameter) or "--" + error.parameter.replace("_", "-")
         return name if value in (None, "True") else f"{name} {value}"
 
     pattern = _ASSIGNED.format(re.escape(error.parameter))
@@ -271,6 +276,12 @@ def _claim(path: Path) -> None:
     targets = _targets.get()
     if targets is not None:
         targets.enter_context(claim(path))
+
+
+def note_reading(curves: "RigCurves") -> None:
+    """Print what the reader of a file corrected, filled in or left out."""
+    for note in curves.notes:
+        console().note(note)
 
 
 def curves_of(source: Path) -> Path:

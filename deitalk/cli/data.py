@@ -96,8 +96,8 @@ def import_(
     split_by: Annotated[
         str,
         typer.Option(
-            help="actor, time, none (all train, for finetune --leave-out), or auto: actors if "
-            "there are three or more."
+            help="Hold clips out: whole actors (actor), or takes and blocks of time (time); by "
+            "default all are learnt from, which finetune judges by folds."
         ),
     ] = "auto",
     as_json: Json = False,

@@ -5,7 +5,15 @@ from typing import Annotated
 
 import typer
 
-from deitalk.cli.console import bar, console, curves_of, emit, emit_json, reserve_file
+from deitalk.cli.console import (
+    bar,
+    console,
+    curves_of,
+    emit,
+    emit_json,
+    note_reading,
+    reserve_file,
+)
 from deitalk.cli.options import CheckedCommands, Force, Identity
 from deitalk.errors import DeitalkError
 from deitalk.installed import research
@@ -169,6 +177,8 @@ def preview(
         curves_of(path)  # or an error for a recording
     shown = [load_source(path) for path in others]
     shown = [load_source(source, audio, phones), *shown]
+    for each in shown:
+        note_reading(each.curves)
     if shown[0].is_board:
         for note in check_needs([target]):
             console().note(note)

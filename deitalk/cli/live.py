@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from deitalk.cli.console import console, curves_of, reserve_file
+from deitalk.cli.console import console, curves_of, note_reading, reserve_file
 from deitalk.cli.options import Backend, Force, Given, acting_options, control_set_of
 from deitalk.errors import DeitalkError, MissingError
 
@@ -236,6 +236,7 @@ def _curves(
             "recording; leave the option out"
         )
     curves = read_curves(curves_of(source), control_set=None)
+    note_reading(curves)
     audio = source / "audio.wav"
     return curves, audio if audio.is_file() else None
 

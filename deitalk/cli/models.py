@@ -34,10 +34,6 @@ def shown_on(advance: "Advance") -> "Progress":
 # `deitalk finetune`: a model tuned on captures.
 
 
-NONE = "none"
-"""Instead of a base model: its network with random weights."""
-
-
 def finetune(
     data: Annotated[Path, typer.Argument(help="Dataset folder of captures (docs/dataset.md).")],
     out: Annotated[Path, typer.Option("--out", "-o", help="Run folder.")],
@@ -45,7 +41,7 @@ def finetune(
         str | None,
         typer.Option(
             "--from",
-            help=f"Model to tune: default or a folder; {NONE}: random weights, to compare.",
+            help="Model to tune: default, a folder, or org/name on the hub.",
         ),
     ] = None,
     recipe: Annotated[
@@ -57,8 +53,14 @@ def finetune(
             "--rig", help="YAML of a rig other than the MetaHuman board; by default DATA/rig.yaml."
         ),
     ] = None,
+    mapping: Annotated[
+        Path | None,
+        typer.Option(
+            "--map", help="Table of the rig's curves to the board, which carries emotions to it."
+        ),
+    ] = None,
     part: Annotated[
-        str | None, typer.Option("--tune", help="head, decoder, adapters or all.")
+        str | None, typer.Option("--tune", help="What train.steps change: head, decoder or all.")
     ] = None,
     rehearse: Annotated[
         str | None, typer.Option("--rehearse", help="Dataset folder whose speech holds the base.")
@@ -72,6 +74,9 @@ def finetune(
     overrides: Annotated[
         list[str] | None, typer.Option("--set", help="Override, such as train.steps=400.")
     ] = None,
+    strict: Annotated[
+        bool, typer.Option("--strict", help="Exit code 3 where loudness predicts as well.")
+    ] = False,
     resume: Annotated[
         bool, typer.Option("--resume", help="Continue the run folder; begin it if it is new.")
     ] = False,
@@ -90,48 +95,50 @@ def finetune(
     deitalk finetune my_captures/ --rig my_rig.yaml -o runs/my_rig
 
     deitalk finetune my_captures/ --folds takes -o runs/folds
-
-    deitalk finetune my_captures/ --from none -o runs/from_nothing
     """
-    from deitalk.config.rig_file import rig_of_dataset
-
-    given = {
-        "model.control_set": rig_of_dataset(data, rig),
-        "tune.part": part,
-        "tune.corpus": rehearse,
-        "tune.leave_out": leave_out,
-    }
-    if base == NONE:
-        given["tune.start"] = "random"
-    changes = [f"{key}={json.dumps(value)}" for key, value in given.items() if value is not None]
+    changes = {"tune.part": part, "tune.corpus": rehearse}
     with console().status("loading"):
-        from deitalk.evaluation.comparison import nearer_base
-        from deitalk.training.tuning.recipe import read_recipe
-        from deitalk.training.tuning.task import finetune as tune
+        from deitalk.training.tuning.public import run_tuning, settings_of
         from rig.files import remove_written
 
-        settings = read_recipe(
-            recipe, [*changes, *(overrides or ())], base=None if base == NONE else base
+        settings = settings_of(
+            data,
+            base=base,
+            rig=rig,
+            mapping=mapping,
+            leave_out=leave_out,
+            recipe=recipe,
+            settings=changes,
+            overrides=overrides or (),
         )
     if folds is not None:
-        _tune_folds(settings, data, out, folds, resume=resume, tensorboard=tensorboard)
+        _tune_folds(settings, data, out, folds, strict, resume=resume, tensorboard=tensorboard)
         return
     options: dict[str, Any] = {"resume": resume, "tensorboard": tensorboard}
     with bar("tuning") as advance:
-        scores = tune(settings, data, out, progress=shown_on(advance), **options)
+        tuned = run_tuning(settings, data, out, progress=shown_on(advance), **options)
     remove_written(out / "last")  # only the best is used
-    _print_scores(scores)
-    console().print(f"{out / 'best'}: the tuned model; {out / 'report.md'}: before and after")
-    if line := nearer_base(scores):
+    _print_scores(tuned.scores)
+    console().print(f"{tuned.model}: the tuned model; {out / 'report.md'}: before and after")
+    console().print(f"the result is {tuned.delivered}")
+    for name, takes in tuned.conventions.items():
+        console().note(f"style {name}: {', '.join(takes)}, which share a convention")
+    for line in tuned.warnings:
         console().note(line)
     _write_page(out)
+    if strict and not tuned.beats_loudness:
+        raise typer.Exit(NOT_BETTER)
+
+
+NOT_BETTER = 3
+"""Exit code with --strict where a tuned model is no better than a line over loudness."""
 
 
 def _tune_folds(
-    settings: "FinetuneConfig", data: Path, out: Path, kind: str, **options: bool
+    settings: "FinetuneConfig", data: Path, out: Path, kind: str, strict: bool, **options: bool
 ) -> None:
     """Leave out each take or actor in turn, and print the scores."""
-    from deitalk.evaluation.comparison import nearer_base
+    from deitalk.evaluation.comparison import beats_loudness, warnings_of
 
     tune_folds = research("training.folds", "finetune --folds").tune_folds
     with bar("tuning") as advance:
@@ -139,9 +146,11 @@ def _tune_folds(
     _print_scores(result["folds"])
     console().print("means over the folds:")
     _print_scores(result["mean"])
-    if line := nearer_base(result["mean"]):
+    for line in warnings_of(result["mean"]):
         console().note(line)
     console().print(f"{out / 'folds.md'}: all scores, of each control too")
+    if strict and not beats_loudness(result["mean"]):
+        raise typer.Exit(NOT_BETTER)
 
 
 def _print_scores(scores: dict[str, dict[str, float]]) -> None:

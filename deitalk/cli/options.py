@@ -251,7 +251,8 @@ Timecode = Annotated[
     str,
     typer.Option(
         rich_help_panel=EDITING,
-        help="Of the first frame: zero, recording (that of a WAV), HH:MM:SS:FF.",
+        help="Of the first frame: zero, recording (that of a WAV), HH:MM:SS:FF; HH:MM:SS;FF is "
+        "drop frame.",
     ),
 ]
 Threads = Annotated[

@@ -10,7 +10,7 @@ from deitalk.config.frontends import (
     Wav2VecConfig,
     WhisperConfig,
 )
-from deitalk.config.rules import RulesConfig
+from deitalk.config.rules import Emotion, RulesConfig
 from deitalk.config.section import (
     AboveZero,
     Batch,
@@ -43,6 +43,8 @@ class ModelConfig(Section):
     """Dynamic emotional intensity (Eq. 4-6)."""
     effort: bool = False
     """A linear readout of the speech features is the strength of the voice; not in the paper."""
+    lips: bool = False
+    """A linear readout of the speech features corrects contacts and width; not in the paper."""
     emotion_size: Width = 128
     """Width of S_emo and E_in."""
     saliency_frames: int | None = Field(default=None, ge=1, le=limits.SALIENCY_FRAMES)
@@ -59,6 +61,12 @@ class ModelConfig(Section):
         default=(), max_length=limits.CONTROLS
     )
     """Controls that a second decoder moves, the base's of a fine-tuned model; not in the paper."""
+    captured_emotions: tuple[Emotion, ...] = ()
+    """Emotions that captures show; in the others the curves change as the base's of a fine-tuned
+    model. Empty: the decoder gives all emotions; not in the paper."""
+    base_controls: int | None = Field(default=None, ge=0, le=limits.CONTROLS)
+    """Controls of the base, where they are another rig's; 0: nothing carries them to this one, and
+    emotions that captures lack pass as neutral."""
     kept_intensity: bool = False
     """A second projection of Eq. 4 guides the decoder of the kept controls, the base's of a
     fine-tuned model; not in the paper."""
@@ -95,8 +103,11 @@ class ModelConfig(Section):
     @model_validator(mode="after")
     def _kept_intensity_guides_a_kept_decoder(self) -> "ModelConfig":
         """A second projection has a decoder to guide, and frames to compare with."""
-        if self.kept_intensity and not (self.kept_controls and self.saliency_frames):
-            raise ValueError("kept_intensity needs kept_controls and saliency_frames")
+        has_kept = self.kept_controls or self.captured_emotions
+        if self.kept_intensity and not (has_kept and self.saliency_frames):
+            raise ValueError(
+                "kept_intensity needs saliency_frames, and kept_controls or captured_emotions"
+            )
         return self
 
     @model_validator(mode="after")
@@ -109,10 +120,11 @@ class ModelConfig(Section):
         if self.positions or self.intensity:
             raise ValueError(f"decoder: {self.decoder} takes positions: false and intensity: false")
         is_causal = self.frontend.kind == "causal_whisper"
-        if is_causal or self.kept_controls or self.actor_layers or self.decoder_direct:
+        added = self.kept_controls or self.captured_emotions or self.actor_layers
+        if is_causal or added or self.decoder_direct:
             raise ValueError(
-                f"decoder: {self.decoder} takes no causal frontend, kept_controls, actor_layers or "
-                "decoder_direct"
+                f"decoder: {self.decoder} takes no causal frontend, kept_controls, "
+                "captured_emotions, actor_layers or decoder_direct"
             )
         if self.decoder_channels % self.decoder_heads:
             raise ValueError("decoder_channels must be a multiple of decoder_heads")
@@ -229,52 +241,60 @@ class TuneConfig(Section):
 
     base: str = "default"
     """Model that is tuned: a name or a folder."""
-    part: Literal["head", "decoder", "adapters", "all"] = "decoder"
-    """The last layer; the decoder; changes of low rank of it; every weight."""
-    start: Literal["base", "random"] = "base"
-    """Weights before the first step: the base's, or random ones of the same network, all of which
-    learn, to compare with."""
-    rank: Annotated[int, Field(ge=1, le=limits.WIDTH)] = 8
-    """Of the changes that `adapters` learns."""
+    part: Literal["head", "decoder", "all"] = "decoder"
+    """What the steps change: the last layer, the decoder, or every weight."""
+    range: Annotated[float, Field(gt=0, le=1)] | None = None
+    """Share of the captured spread to which every control is raised about its mean, its timing
+    unchanged: a regression moves less the less it knows. null: as regressed, with the least error.
+    """
     hold: Weight = 1.0
     """Weight of the base's curves as the target of controls that a clip does not know."""
     keep: bool = True
     """Controls that no capture knows stay those of the base, by its own decoder; not where the
     frontend learns."""
-    rehearsal: Share = 0.25
-    """Share of windows shown in an emotion that no capture has: the captured curves, changed as the
-    base's."""
     anonymous: Share = 0.2
     """Share of windows shown without their actor: what a stranger gets is the mean of the actors.
     """
-    contact_rules: Literal["auto", "base", "recipe"] = "base"
-    """Rules of lip contacts: the base's, or those of the section `rules`; auto is the base's where
-    no capture knows the lips-together controls."""
+    base_rules: bool = True
+    """The rules of the base hold where captures do not teach what they do; false: those of the
+    section `rules` alone."""
     intensity: Literal["auto", "base", "captured"] = "auto"
     """Emotional intensity: the base's, or learnt from captured motion (DEITalk Eq. 4-11) with the
     strength of the captured expressions; auto learns it where emotions differ from neutral in the
     captures."""
+    map: str | None = None
+    """Table of the curves of another rig to board, raw curves or ARKit, as of the import; with it
+    emotions that captures lack are carried to the rig. Public rigs need none."""
+    conventions: bool = True
+    """Takes of an actor that relate the face to the sound otherwise than others have styles of
+    their own, found by how well one predicts the other."""
     corpus: str | None = None
     """Dataset folder whose speech the base's curves are learnt on."""
     leave_out: str | None = None
     """Take or actor that is tested on and never trained on."""
 
 
+class TuneTraining(TrainConfig):
+    """Optimiser and schedule of a fine-tuning's steps."""
+
+    steps: Annotated[int, Field(ge=0, le=limits.TRAINING_STEPS)] = 0  # type: ignore[assignment]
+    """Steps after the regression; 0: none."""
+
+
 class FinetuneConfig(Config):
-    """Settings of a fine-tuning: low rates, few steps, an end when nothing improves."""
+    """Settings of a fine-tuning: a regression, then steps at low rates, if any."""
 
     kind: Literal["finetune"] = "finetune"  # type: ignore[assignment]
     name: str = "finetune"
     rules: RulesConfig = RulesConfig.for_captures()
     loss: LossConfig = LossConfig(contrast=0, classification=0, velocity=2.0)
     data: DataConfig = DataConfig(real_fraction=0.7)
-    train: TrainConfig = TrainConfig(
+    train: TuneTraining = TuneTraining(
         learning_rate=1e-4,
         optimizer="adamw",
         weight_decay=0.05,
         schedule="one_cycle",
         batch_size=8,
-        steps=160,
         gradient_clip=5.0,
         ema=0.98,
         evaluate_every=20,

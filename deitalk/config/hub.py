@@ -6,6 +6,7 @@ what there is. Settings of that package (``HF_HOME``, ``HF_ENDPOINT``, ``HF_TOKE
 """
 
 import re
+from collections.abc import Iterable
 from functools import lru_cache
 from pathlib import Path, PurePath
 from typing import Any
@@ -13,15 +14,8 @@ from typing import Any
 from deitalk.errors import CheckpointError
 from rig.errors import quoted, shorten
 
-FILES = (
-    "config.yaml",
-    "model.json",
-    "model.safetensors",
-    "encoder.safetensors",
-    "controls.yaml",
-    "templates.npz",
-)
-"""All that a model folder holds; nothing else of a repository is fetched."""
+SUFFIXES = (".yaml", ".json", ".safetensors", ".npz")
+"""Of the files of a model folder, all of which are pushed and fetched; none runs code."""
 NEEDED: tuple[str, ...] = ("config.yaml", "model.safetensors")
 SECONDS = 5.0
 """Longest wait for the hub's first answer."""
@@ -57,6 +51,23 @@ def pinned(name: str | Path) -> str:
     return f"{name.partition('@')[0]}@{fetch(name).name}"
 
 
+def model_files(names: Iterable[str]) -> tuple[str, ...]:
+    """Those files of a folder or a repository that belong to a model, sorted.
+
+    Parameters
+    ----------
+    names : iterable of str
+        Paths within it.
+    """
+    return tuple(
+        sorted(name for name in names if PurePath(name).name == name and _is_of_model(name))
+    )
+
+
+def _is_of_model(name: str) -> bool:
+    return not name.startswith(".") and name.endswith(SUFFIXES)
+
+
 @lru_cache
 def fetch(name: str) -> Path:
     """Return the folder of a hub's model in the cache, fetched if it is not there.
@@ -78,7 +89,7 @@ def fetch(name: str) -> Path:
     if (info := hub_metadata(name)) is None:
         folder, wanted = _cached(repo, branch), NEEDED
     else:
-        wanted = tuple(f for f in FILES if f in {file.rfilename for file in info.siblings or ()})
+        wanted = model_files(file.rfilename for file in info.siblings or ())
         if not {*NEEDED} <= {*wanted}:
             raise CheckpointError(
                 f"{name}: the hub's model is not one of deitalk, which has {' and '.join(NEEDED)}"

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
+import yaml
 from pydantic import Field, TypeAdapter
 
 from deitalk.config.curves import Config, FinetuneConfig
@@ -53,6 +54,33 @@ def load_config(path: Path | str, overrides: Sequence[str] = ()) -> AnyConfig:
     return parse_config(read_tree(path, overrides))
 
 
+OF_CURVES = ("deitalk", "finetune")
+"""Kinds of configurations of models of curves."""
+OF_MODEL = ("name", "model", "rules")
+"""Sections of a configuration of curves that a model folder has; those of its training stay with
+the run."""
+
+
+def load_model_config(folder: Path) -> AnyConfig:
+    """Read the configuration of a model folder, of a model of curves what describes the model.
+
+    Settings of a training that earlier versions left there, and those of a user's own training,
+    are not read. Errors as `load_config`.
+    """
+    tree = read_tree(folder / "config.yaml")
+    if tree.get("kind", OF_CURVES[0]) in OF_CURVES:
+        tree = {key: tree[key] for key in OF_MODEL if key in tree}
+    return parse_config(tree)
+
+
+def model_text(config: AnyConfig) -> str:
+    """Text of a model folder's ``config.yaml``."""
+    tree = config.model_dump(mode="json")
+    if tree["kind"] in OF_CURVES:
+        tree = {"kind": "deitalk", **{key: tree[key] for key in OF_MODEL}}
+    return yaml.safe_dump(tree, sort_keys=False)
+
+
 def read_tree(path: Path | str | None, overrides: Sequence[str] = ()) -> dict[str, Any]:
     """Settings of a YAML file, unchecked, with overrides; parameters and errors as `load_config`.
 
@@ -67,14 +95,10 @@ def read_tree(path: Path | str | None, overrides: Sequence[str] = ()) -> dict[st
 
 
 def without_paths(config: AnyConfig) -> AnyConfig:
-    """A configuration without folders of this machine; of a model's the last part of it stays."""
+    """A model's configuration without folders of this machine; of a model's the last part stays."""
     tree = config.model_dump(mode="json")
-    tree["data"] |= {"noise_folder": None, "room_folder": None}
     sections = [(tree["model"]["frontend"], "checkpoint")]
     sections += [(tree["train"], key) for key in ("teacher", "frozen_frontend")]
-    if "tune" in tree:
-        tree["tune"]["corpus"] = None
-        sections.append((tree["tune"], "base"))
     for section, key in sections:
         if section.get(key) is not None and Path(section[key]).is_absolute():
             section[key] = Path(section[key]).name

@@ -1,19 +1,22 @@
 """Settings of the rules after the network: a model's own, in its ``config.yaml``.
 
 Each rule is a section with its numbers, or null where it is off. The defaults were chosen for
-models that are trained on targets of phones; what an actor did should not be changed, so that
-`RulesConfig.for_captures` leaves only the gates and the idle motion on.
+models that are trained on targets of phones; what an actor did should not be changed, so that a
+fine-tuned model has those rules of its base whose work its captures do not show
+(`RulesConfig.taught`).
 """
 
+from collections.abc import Collection
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import Field
 
-from deitalk.config.section import Inner, Section, Share, checked, read_yaml
+from deitalk.config.section import Inner, Section, Share, Weight, checked, read_yaml
 from deitalk.errors import ConfigError
 from rig import limits
 
+Emotion = Literal["neutral", "angry", "happy", "sad", "surprised"]
 Slope = Annotated[float, Field(ge=0, le=10)]
 Size = Annotated[float, Field(gt=0, le=100)]
 Frames = Annotated[int, Field(ge=0, le=limits.TRAINING_FRAMES)]
@@ -62,16 +65,17 @@ class ScaleOpening(Section):
 class PoseSize(Section):
     """The expression is scaled by the size of the network's pose; off: by its own intensity.
 
-    The numbers are for the weights of a model: `deitalk.research.training.pose_size`.
+    The numbers are for the weights of a model: `deitalk.research.training.pose_size`. An emotion
+    with 0 is scaled by its own intensity.
     """
 
-    angry: Size
+    angry: Weight
     """Size of the pose over predicted intensity."""
-    happy: Size
+    happy: Weight
     """The same of joy."""
-    sad: Size
+    sad: Weight
     """The same of sadness."""
-    surprised: Size
+    surprised: Weight
     """The same of surprise."""
 
 
@@ -101,12 +105,16 @@ class Expressions(Section):
     """More of it per opening of the jaw."""
     share: Share = 0.6
     """Of what is above it, taken away."""
+    covers_teeth: bool = True
+    """Whether the lips of the neutral reading are lowered so; captures of lips show their own."""
+    captured: tuple[Emotion, ...] = ()
+    """Emotions that captures show, which the table leaves as they are."""
 
 
 class LimitContactSpeed(Section):
     """Lips start to close earlier and part later."""
 
-    step: float = Field(default=0.5, gt=0, le=1)
+    step: float = Field(default=0.5, ge=0.02, le=1)
     """Largest step of a contact in a frame, at 30 Hz."""
 
 
@@ -175,8 +183,41 @@ class RulesConfig(Section):
 
     @classmethod
     def for_captures(cls) -> "RulesConfig":
-        """Gates and idle motion alone, for models that are trained on an actor and their brows."""
+        """Gates and idle motion alone, which no capture shows, with the brows of an actor."""
         return cls.none().model_copy(update={"gates": Gates(), "idle": Idle(brows=0)})
+
+    def taught(
+        self, base: "RulesConfig", emotions: Collection[str], *, lips: bool, other_rig: bool
+    ) -> "RulesConfig":
+        """These rules, and those of a base whose work captures do not show.
+
+        Parameters
+        ----------
+        base : RulesConfig
+            Of the model that is tuned.
+        emotions : collection of str
+            Captured ones, whose expression is the actor's.
+        lips : bool
+            Whether captures show how the jaw or the lips open.
+        other_rig : bool
+            Whether the controls are not those of the base, by whose names its rules act.
+        """
+        names = {"voice_intensity"}
+        if not other_rig:
+            names |= {"sharpen_contacts", "keep_contacts", "limit_contact_speed"}
+            names |= {"pose_size", "expressions"}
+            names |= set() if lips else {"scale_opening", "dead_zone"}
+        held = {name: getattr(self, name) or getattr(base, name) for name in names}
+        shown = set(emotions) - {"neutral"}
+        if (sizes := held.get("pose_size")) is not None and shown:
+            held["pose_size"] = sizes.model_copy(update=dict.fromkeys(shown, 0.0))
+        if (table := held.get("expressions")) is not None and (shown or lips):
+            captured = tuple(sorted({*table.captured, *shown}))
+            covers = table.covers_teeth and not lips
+            held["expressions"] = table.model_copy(
+                update={"captured": captured, "covers_teeth": covers}
+            )
+        return self.model_copy(update=held)
 
 
 def read_rules(path: Path) -> RulesConfig | None:

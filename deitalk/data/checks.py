@@ -24,7 +24,7 @@ from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
 from deitalk.audio.load import Recording, load_audio
 from deitalk.audio.voice_activity import speech_activity
 from deitalk.data.captures.mend import Check, capture_rows, verdict
-from deitalk.data.captures.splits import APART_SECONDS, can_tune, shortage
+from deitalk.data.captures.splits import APART_SECONDS
 from deitalk.data.captures.survey import Survey
 from deitalk.data.clips import (
     SPLITS,
@@ -73,6 +73,8 @@ class Measured(NamedTuple):
     open_share: float
     """Mean jaw in silence by its 95th percentile in speech; NaN where unknown."""
     clipped: float
+    notes: tuple[str, ...]
+    """What the reader of the curves corrected."""
 
 
 class Inspection(NamedTuple):
@@ -170,6 +172,7 @@ def measure(clip: Clip, controls: ControlSet) -> Measured:
         float(speaking.mean()),
         _open_in_silence(curves, times, speaking),
         recording.clipped_fraction,
+        curves.notes,
     )
 
 
@@ -216,8 +219,11 @@ def _of_the_table(clips: Sequence[Clip]) -> list[Check]:
     rare = [f"{e} {emotions[e] / total:.0%}" for e in EMOTIONS if emotions[e] / total < FEW]
     shares = ", ".join(f"{e} {emotions[e] / total:.0%}" for e in EMOTIONS)
     split = verdict("splits", missing, counts, f"of three splits are empty ({counts})")
-    if not can_tune(splits):
-        split = Check("splits", "error", shortage(splits["train"], splits["validation"]))
+    if not splits["train"]:
+        split = Check("splits", "error", f"no clips to train on ({counts})")
+    elif set(splits) == {"train"}:
+        text = f"{counts}: all are learnt from, finetune judges by folds, train needs validation"
+        split = Check("splits", "ok", text)
     return [
         split,
         _speakers(clips),
@@ -268,10 +274,12 @@ def _of_the_clips(clips: Sequence[Measured], controls: ControlSet) -> list[Check
     narrow = [f"{c.name} ({c.source_rate} Hz)" for c in clips if c.source_rate < SAMPLE_RATE]
     clipped = [f"{c.name} ({c.clipped:.0%})" for c in clips if c.clipped > CLIPPED_SHARE]
     mute = [c.name for c in clips if c.speech_share == 0]
+    corrected = [f"{c.name} ({'; '.join(c.notes)})" for c in clips if c.notes]
     gaping = [f"{c.name} ({c.open_share:.0%})" for c in clips if c.open_share > OPEN_SHARE]
     return [
         verdict("controls", incomplete, "every clip holds those it knows", "clips", "error"),
         Check("frame rates", "ok", frames),
+        *([verdict("units", corrected, "", "files are corrected in reading")] if corrected else []),
         verdict("sample rates", narrow, "16 kHz or more", "below 16 kHz"),
         verdict("lengths", lengths, "sound and curves end together", "differ"),
         _offset(clips),

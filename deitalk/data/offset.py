@@ -78,6 +78,14 @@ GAIN = (0.03, 0.12, 0.6)
 number of groups (one alone peaks at wrong places more often), and a share of what is missing to 1.
 The tests hold: no clip of a built corpus is called shifted, and of those moved by 100 ms or more
 at least 90 % are; of real mouths on video, of which the jaw alone is known, at most 7 % are."""
+RATIOS = (0.4, 0.5, 0.8, 5 / 6, 0.96, 25 / 24, 1.2, 1.25, 2.0, 2.5)
+"""Of two rates of 24, 25, 30, 48, 50, 60 and 120 Hz."""
+RATIO_GAIN, RATIO_LEAD = 0.12, 0.06
+"""Correlation that another rate must gain over the take's own, and over all others. Five takes of a
+hand-animated rig, 12 s of each, gain .17 to .42 at their own rate and .08 over the next."""
+RATIO_SECONDS = 3.0
+FIRST_SECONDS = 2.0
+"""Latest start of a clip that is tested at other rates, at which later ones lie elsewhere."""
 NTSC_DRIFT = 1 / 1001
 """29.97 against 30, 48 against 48.048 kHz."""
 
@@ -98,6 +106,11 @@ class ClipLags:
     def lag(self) -> float:
         """Of the curves behind the sound, seconds."""
         return sharpest_peak(self.scores)
+
+    @property
+    def correlation(self) -> float:
+        """Root mean square over the groups at the best lag."""
+        return float(np.sqrt(max(self.scores.max(), 0.0) / self.n_groups))
 
     @property
     def is_clear(self) -> bool:
@@ -219,6 +232,39 @@ def clip_lags(
         return None
     scores: Float64 = np.sum([np.sign(r) * r**2 for r in groups], axis=0)
     return ClipLags(scores, len(groups), start + seconds / 2, seconds)
+
+
+def fit_rate(
+    curves: RigCurves,
+    waveform: Float32,
+    *,
+    predicted: RigCurves | None,
+    known: Bool | None = None,
+    offset: float = 0.0,
+    start: float = 0.0,
+) -> float | None:
+    """Rate at which the first clip of a take follows its sound, if it clearly is not its own.
+
+    Parameters are those of `clip_lags`; None for later clips and short ones, and without a model.
+    """
+    seconds = len(waveform) / SAMPLE_RATE
+    if predicted is None or start > FIRST_SECONDS or seconds < RATIO_SECONDS:
+        return None
+    found: dict[float, float] = {}
+    for ratio in (1.0, *RATIOS):
+        lags = clip_lags(
+            replace(curves, fps=curves.fps / ratio),
+            waveform,
+            predicted=predicted,
+            known=known,
+            offset=(start + offset) * ratio - start,
+            start=start,
+        )
+        found[ratio] = 0.0 if lags is None else lags.correlation
+    best = max(RATIOS, key=lambda ratio: found[ratio])
+    others = max(value for ratio, value in found.items() if ratio != best)
+    is_clear = found[best] >= max(found[1.0] + RATIO_GAIN, others + RATIO_LEAD, LEAST_CORRELATION)
+    return curves.fps / best if is_clear else None
 
 
 def take_sync(clips: Sequence[ClipLags], *, by: str = "model") -> TakeSync | None:

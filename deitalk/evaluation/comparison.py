@@ -215,10 +215,11 @@ def draw_before_after(path: Path, clips: Sequence[Shown]) -> None:
             column[-1].set_xlim(0, min(times[-1] + 1 / FRAME_RATE, SHOWN_SECONDS))
 
 
-Predict = Callable[[Example], Float32]
-"""A system: an example to its curves [shape=(T, C)]."""
+System = Callable[[Example], tuple[Float32, Float32 | None]]
+"""An example to its curves [shape=(T, C)], and the intensity [shape=(T,)] if it predicts one."""
 MODELS = ("before", "ridge", "after")
-"""The base, if it has the controls; the start, a ridge regression on its features; the result."""
+"""The base, or what is carried of it to the rig; the start of the steps, a ridge regression on its
+features; the result."""
 COMPARED = "compare"
 """Folder of the clip whose captured curves are played beside those before and after."""
 N_SHOWN = 2
@@ -227,11 +228,11 @@ N_SHOWN = 2
 
 def write_comparison(
     folder: Path,
-    models: Mapping[str, DEITalk | None],
+    systems: Mapping[str, System],
     captures: CaptureSet,
     train: Sequence[Clip],
     *,
-    are_unseen: bool,
+    held: str,
     about: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
     """Write ``report.md``, ``report.json`` and, if it can be drawn, ``report.png``.
@@ -243,14 +244,14 @@ def write_comparison(
     ----------
     folder : Path
         Exists.
-    models : mapping of str to DEITalk or None
-        Of `MODELS`, in evaluation mode; None where there is none.
+    systems : mapping of str to System
+        Of `MODELS`, and others.
     captures : CaptureSet
         Held-out clips.
     train : sequence of Clip
         The clips that the baselines are fitted on.
-    are_unseen : bool
-        Whether the clips have no part in the choice of the weights either.
+    held : str
+        What part the clips had in the training, to follow "held-out clips,".
     about : mapping or None
         What the report is to state about the run.
 
@@ -259,19 +260,18 @@ def write_comparison(
     dict
         The scores of each system.
     """
-    given = {name: model for name, model in models.items() if model is not None}
-    systems = _systems(given, captures, train)
-    curves = {
-        name: [run(example) for example in captures.examples] for name, run in systems.items()
-    }
+    low, high = captures.controls.minimum, captures.controls.maximum
+    found = {name: [run(e) for e in captures.examples] for name, run in systems.items()}
+    curves = {name: [np.clip(c, low, high) for c, _ in rows] for name, rows in found.items()}
+    curves |= _baselines(captures, train)
     scores = {name: _scores(rows, captures) for name, rows in curves.items()}
-    for name, model in given.items():
-        scores[name] |= _intensity(model, captures)
+    for name, rows in found.items():
+        scores[name] |= _intensity([strength for _, strength in rows], captures)
     scores["capture"] = _own(captures)
     report = {
         **(about or {}),
         "clips": len(captures.examples),
-        "choose_the_weights_too": not are_unseen,
+        "held": held,
         "moving_controls": int(captures.pose.moving.sum()),
         "scores": scores,
         "controls": _controls(curves, captures),
@@ -299,24 +299,20 @@ def _write_clip(folder: Path, captures: CaptureSet, curves: dict[str, Float32]) 
         soundfile.write(beside, example.waveform, SAMPLE_RATE, format="WAV", subtype="PCM_16")
 
 
-def _systems(
-    models: Mapping[str, DEITalk], captures: CaptureSet, train: Sequence[Clip]
-) -> dict[str, Predict]:
+def by_model(model: DEITalk) -> System:
+    """The system of a model in evaluation mode."""
+    return lambda example: predict(model, example)
+
+
+def _baselines(captures: CaptureSet, train: Sequence[Clip]) -> dict[str, list[Float32]]:
+    """Curves of the mean pose and of loudness."""
     slope, offset = _loudness_line(captures, spread_clips(list(train), LOUDNESS_CLIPS))
-    low, high = captures.controls.minimum, captures.controls.maximum
-
-    def network(model: DEITalk) -> Predict:
-        return lambda example: np.clip(predict(model, example)[0], low, high)
-
-    def still(example: Example) -> Float32:
-        return np.tile(captures.pose.values, (len(example.curves), 1))
-
-    def loud(example: Example) -> Float32:
+    still, loud = [], []
+    for example in captures.examples:
+        still.append(np.tile(captures.pose.values, (len(example.curves), 1)))
         level = loudness(example.waveform, len(example.curves))
-        return np.asarray(level[:, None] * slope + offset, np.float32)
-
-    tuned = {name: network(model) for name, model in models.items()}
-    return {**tuned, "mean pose": still, "loudness": loud}
+        loud.append(np.asarray(level[:, None] * slope + offset, np.float32))
+    return {"mean pose": still, "loudness": loud}
 
 
 LOUDNESS_CLIPS = 2000
@@ -371,11 +367,10 @@ def _row(example: Example, values: Float32, captures: CaptureSet) -> dict[str, f
     return row
 
 
-def _intensity(model: DEITalk, captures: CaptureSet) -> dict[str, float]:
+def _intensity(strengths: Sequence[Float32 | None], captures: CaptureSet) -> dict[str, float]:
     """Pearson's r of the predicted intensity with the captured expressions' strength in speech."""
     rs = []
-    for example in captures.examples:
-        strength = predict(model, example)[1]
+    for strength, example in zip(strengths, captures.examples, strict=True):
         known = np.isfinite(example.intensity) & speaking_frames(example)
         if strength is not None and known.any():
             rs.append(correlation(example.intensity[known], strength[known]))
@@ -444,19 +439,14 @@ def _mean(values: Sequence[float]) -> float:
 
 
 def _markdown(report: dict[str, Any]) -> str:
-    unseen = (
-        "which also chose the weights"
-        if report["choose_the_weights_too"]
-        else "not used in training"
-    )
     lines = [
         "# Before and after",
         "",
-        f"{report['clips']} held-out clips, {unseen}; {report['moving_controls']} "
+        f"{report['clips']} held-out clips, {report['held']}; {report['moving_controls']} "
         "controls move in the captures and are scored. Curves of the network alone, without rules.",
         "",
         *_course(report),
-        *(f"{line}\n" for line in [nearer_base(report["scores"])] if line),
+        *(f"{line}\n" for line in warnings_of(report["scores"])),
         *table("", report["scores"]),
         "",
         "`error_of_mean_pose`: squared error over that of the mean pose of the training captures "
@@ -475,31 +465,46 @@ def _markdown(report: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def nearer_base(scores: Mapping[str, Mapping[str, float]]) -> str:
-    """Note where the base's error is lower than the tuned model's; empty otherwise."""
-    before, after = (
-        scores.get(name, {}).get("error_of_mean_pose", float("nan")) for name in ("before", "after")
+def warnings_of(scores: Mapping[str, Mapping[str, float]]) -> list[str]:
+    """Lines on a tuned model that is no better than the base, or than loudness."""
+    names = ("before", "after", "loudness")
+    before, after, loud = (
+        scores.get(name, {}).get("error_of_mean_pose", float("nan")) for name in names
     )
-    if not before < after:
-        return ""
-    return (
-        f"The base is nearer to the held-out clips than the tuned model (error_of_mean_pose "
-        f"{before:.3g} against {after:.3g}): keep the base, capture more, or tune less, by fewer "
-        "train.steps or a share of the change (deitalk model mix)."
-    )
+    lines = []
+    if before < after:
+        lines.append(
+            f"The base is nearer to the held-out clips than the tuned model (error_of_mean_pose "
+            f"{before:.3g} against {after:.3g}): keep the base, capture more, or take a share of "
+            "the change (deitalk model mix)."
+        )
+    if not beats_loudness(scores):
+        lines.append(
+            f"The tuned model is no better than a line over loudness (error_of_mean_pose "
+            f"{after:.3g} against {loud:.3g}): check offsets, emotions and names of the captures "
+            "(deitalk data check)."
+        )
+    return lines
+
+
+def beats_loudness(scores: Mapping[str, Mapping[str, float]]) -> bool:
+    """Whether the tuned model errs less than a line over loudness; true where nothing is known."""
+    after, loud = (scores[name]["error_of_mean_pose"] for name in ("after", "loudness"))
+    return not after >= loud
 
 
 def _course(report: dict[str, Any]) -> list[str]:
-    """Which weights are the result, and whose face a stranger gets."""
+    """What the result is, whose face a stranger gets, and which takes share a convention."""
     lines = []
-    step = report.get("best_step")
-    if step == 0:
-        lines += ["No step improved on the start on validation clips: the result is the start.", ""]
-    elif step is not None:
-        lines += [f"The result is step {step}, the best on validation clips.", ""]
+    if report.get("delivered"):
+        lines += [f"The result is {report['delivered']}.", ""]
+    if report.get("conventions"):
+        shared = [f"{name}: {', '.join(takes)}" for name, takes in report["conventions"].items()]
+        lines += ["Takes by convention, each with a style:", ""]
+        lines += [*(f"- {line}" for line in shared), ""]
     if report.get("actors"):
         actors = ", ".join(report["actors"])
-        lines += [f"Actors: {actors}. Where none is named the face is their mean.", ""]
+        lines += [f"Styles: {actors}. Where none is named the face is their mean.", ""]
     return lines
 
 

@@ -1,7 +1,6 @@
 """`LiveAnimator`: samples in as they come, curves out a fifth of a second later."""
 
 from collections.abc import Mapping, Sequence
-from itertools import repeat
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -11,40 +10,29 @@ import numpy.typing as npt
 from deitalk.acting import LIVE_FIELDS, Acting, acted_as
 from deitalk.audio.arrays import RunningResampler
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE, frame_count
-from deitalk.audio.vocal_strength import measure_windows
-from deitalk.audio.voice_activity import WINDOW, window_levels
-from deitalk.config.rules import RulesConfig
-from deitalk.emotions import EmotionTrack
+from deitalk.audio.voice_activity import WINDOW
+from deitalk.emotions import LABELS, EmotionTrack
 from deitalk.errors import AudioError, ConfigError
-from deitalk.live import rules
-from deitalk.live import rules as running
-from deitalk.live.rules import (
-    BEHIND,
-    GATE_AHEAD,
-    DueRows,
-    RawRows,
-    RunningActivity,
-    RunningLife,
-    RunningRules,
-    rows_before,
-)
+from deitalk.live.hearing import MEASURED_AHEAD, RunningHearing
+from deitalk.live.intensity import Measures
+from deitalk.live.life import RunningLife
 from deitalk.models.load import load_causal
 from deitalk.models.protocol import (
     CausalNetwork,
-    NetworkRows,
     SpectraGrid,
+    State,
     chosen_actor,
     put,
     styles_of,
     take,
     trained_weights,
 )
-from deitalk.postprocess.curve_rules import LEAST_PREDICTED, Expression
-from deitalk.postprocess.voice_intensity import Measures, RunningAround, RunningIntensity
+from deitalk.postprocess.factors import expression_scale
+from deitalk.postprocess.tracks import GATES, LIVE_AHEAD, VoiceTracks, shown_columns
 from rig import ControlSet
-from rig.arrays import Bool, Float32, Float64, Int64
+from rig.arrays import Bool, Float32, Int64
 from rig.curves import HEAD
-from rig.curves.edit import gain_factors, scale_from_rest
+from rig.curves.edit import gain_factors
 from rig.limits import SEED
 
 if TYPE_CHECKING:
@@ -56,8 +44,6 @@ if TYPE_CHECKING:
 
 RAMP_SECONDS = 0.2
 """Time over which one emotion, or intensity, passes into the next."""
-MEASURED_AHEAD = GATE_AHEAD - running.AHEAD
-"""Frames after a row of the network whose activity is known when it is."""
 
 
 class Change(NamedTuple):
@@ -108,8 +94,6 @@ class Stream:
         Of the network.
     controls : ControlSet
         Columns of the curves.
-    rules : RulesConfig
-        Rules after the network.
     acting : Acting
         At the start.
     life : RunningLife or None
@@ -122,30 +106,22 @@ class Stream:
         self,
         grid: SpectraGrid,
         controls: ControlSet,
-        rules: RulesConfig,
         acting: Acting,
         life: RunningLife | None,
         style: str = "",
     ) -> None:
-        self.grid, self.controls, self.settings, self.life = grid, controls, rules, life
+        self.grid, self.controls, self.life = grid, controls, life
         self.style, self.rest = style, b""
-        expression = Expression(controls, rules)
-        self.rules, self.rows = RunningRules(expression), rows_before(expression)
-        self.activity = RunningActivity(rules.gates)
-        self.intensity = RunningIntensity(rules.voice_intensity)
-        self.around = RunningAround(rules.scale_opening.usual if rules.scale_opening else 0.0)
-        self.speaking: Bool = np.zeros(1, bool)
-        """Activity from the frame before the next row on."""
-        self.prosody: Float64 = np.zeros((31, 0))
-        """Measures from the next row on."""
         self.sound, self.changes = Sound(), [Change(0.0, acting.emotion_track, acting.intensity)]
         self.acting, self.gain = acting, gain_factors(controls, acting.gain)
-        self.groups = self.n_measured = self.n_frames = 0
+        self.groups = 0
+        self.n_given = -LIVE_AHEAD
+        """Frame that the rules give next."""
         self.n_total: int | None = None
         self.frames: list[Float32] = []
         self.heads: list[Float32] = []
 
-    def change(self, acting: Acting, rules: RulesConfig) -> None:
+    def change(self, acting: Acting) -> None:
         """Act otherwise from the sound on that comes next; at once before any."""
         self.gain = gain_factors(self.controls, acting.gain)  # an error changes nothing
         before, self.acting = self.acting, acting
@@ -154,13 +130,6 @@ class Stream:
             self.changes = [*self.changes, change] if self.sound.end else [change]
         if self.life is not None and acting.look_at != before.look_at:
             self.life.look_at(acting.look_at, frame_count(self.sound.end))
-        if rules != self.settings:
-            self._follow(rules)
-
-    def _follow(self, rules: RulesConfig) -> None:
-        """Apply other rules to the frames that come next."""
-        self.settings, self.rules = rules, RunningRules(Expression(self.controls, rules))
-        self.activity.gates, self.intensity.rule = rules.gates, rules.voice_intensity
 
     def finish(self) -> None:
         """Take the end of the sound: silence follows, until the last frame is known."""
@@ -170,7 +139,7 @@ class Stream:
     def n_ready(self) -> int:
         """Groups of spectra whose samples have come and that were not taken."""
         if self.n_total is not None:
-            return self.n_total + running.AHEAD + self.grid.delay - self.groups
+            return self.n_total + LIVE_AHEAD + self.grid.delay - self.groups
         rate, length = self.grid.rate, self.grid.length
         frames = MEASURED_AHEAD - 1 - self.grid.delay
         measured = frames * SAMPLE_RATE // FRAME_RATE + WINDOW // 2 + SAMPLE_RATE // rate
@@ -181,74 +150,66 @@ class Stream:
             spectra -= 1
         return max(spectra // self.grid.spectra - self.groups, 0)
 
-    def take(self, count: int) -> tuple[Float32, Float32]:
+    def take(self, count: int) -> tuple[Float32, Float32, Float32]:
         """Take the next groups.
 
         Returns
         -------
         windows : array [shape=(count P, W)]
-        emotion : array [shape=(count, 9)]
-            Of the frames that the network reads with them.
+        emotion, intensity : array [shape=(count, 9)], [shape=(count,)]
+            What the acting wants of the frames that the network reads with them.
         """
         grid = self.grid
         index = np.arange(self.groups * grid.spectra, (self.groups + count) * grid.spectra)
         centres = np.round(index * SAMPLE_RATE / grid.rate).astype(np.int64)
         windows = self.sound.windows(centres - grid.length // 2, grid.length)
-        frames = np.arange(self.groups, self.groups + count) - self.grid.delay
+        frames = np.arange(self.groups, self.groups + count) - grid.delay
         self.groups += count
-        return windows, self._directed(frames)[0]
+        return windows, *self._directed(frames)
 
-    def unmeasured(self) -> Float32:
-        """Windows (m, `WINDOW`) of the frames to be measured before the network's next rows."""
+    def heard(self, count: int) -> Float32:
+        """Sound (count, `WINDOW`) of the frames `MEASURED_AHEAD` after those that were taken."""
         stop = self.groups - self.grid.delay + MEASURED_AHEAD
-        frames = np.arange(self.n_measured, stop)
-        self.n_measured = stop
-        return self.sound.windows(frames * SAMPLE_RATE // FRAME_RATE - WINDOW // 2, WINDOW)
+        starts = np.arange(stop - count, stop) * SAMPLE_RATE // FRAME_RATE - WINDOW // 2
+        windows = self.sound.windows(starts, WINDOW)
+        # Sound and changes that no frame needs any more.
+        spectrum = int(self.groups * SAMPLE_RATE / FRAME_RATE) - self.grid.length
+        self.sound.drop(min(spectrum, stop * SAMPLE_RATE // FRAME_RATE - WINDOW))
+        seconds = (self.groups - self.grid.delay) / FRAME_RATE - RAMP_SECONDS
+        while len(self.changes) > 1 and self.changes[1].seconds < seconds:
+            self.changes.pop(0)
+        return windows
 
-    def measure(self, levels: Float32, prosody: Float64) -> None:
-        """Take the levels (m, K) and the prosody (31, m) of the windows."""
-        self.speaking = np.concatenate((self.speaking, self.activity.feed(levels)))
-        self.prosody = np.concatenate((self.prosody, prosody), axis=1)
+    def given(self, count: int) -> slice:
+        """Which of the `count` frames that the rules give next there are.
 
-    def accept(self, rows: NetworkRows) -> None:
-        """Take the network's rows of this stream for the groups taken last."""
-        neutral, emotional, _, network, effort = rows
-        stop = self.groups - self.grid.delay
-        frames = np.arange(stop - len(neutral), stop)
-        measures, speaking = self._measured(len(frames))
-        voice = self.intensity.feed(network, measures, speaking, effort)
+        None before the first one, `LIVE_AHEAD` behind the network's rows, and none after the last.
+        """
+        first = self.n_given
+        self.n_given += count
+        stop = self.n_given if self.n_total is None else min(self.n_given, self.n_total)
+        late = min(max(-first, 0), count)
+        return slice(late, max(stop - first, late))
+
+    def move(self, measures: Measures, speaking: Bool, mixture: Float32, shown: Float32) -> None:
+        """Take the voice of the next frames; write the motion of those that come out.
+
+        Parameters
+        ----------
+        measures, speaking
+            Prosody and speech at the network's rows [shape=(n,)].
+        mixture : array [shape=(m, 9)]
+            Emotion shown at the frames that come out.
+        shown : array [shape=(m, 36)]
+            Their columns of gates and motion, whose motion is written.
+        """
+        head = np.zeros((len(mixture), len(HEAD)), np.float32)
         if self.life is not None:
             self.life.feed(measures, speaking)
-        emotion, factor = self._directed(frames)
-        scale, applied = factor, voice * factor
-        if self.settings.voice_intensity is not None:
-            scale = (applied / np.maximum(network, LEAST_PREDICTED)).astype(np.float32)
-        opening = self.rules.expression.opening_factor(*self.around.feed(voice, network, speaking))
-        new = RawRows(neutral, emotional, network, opening, scale, emotion, applied)
-        self.rows = self.rows.joined(new)
-        self._drop()
-
-    def due(self) -> DueRows | None:
-        """What the frames that are known now depend on; None if there are none."""
-        count = len(self.rows.scale) - BEHIND - running.AHEAD
-        if self.n_total is not None:
-            count = min(count, self.n_total - self.n_frames)
-        if count <= 0:
-            return None
-        due = self.rules.due(self.rows, self.activity.gate(count))
-        self.rows = self.rows.since(count)
-        self.n_frames += count
-        return due
-
-    def emit(self, curves: Float32, due: DueRows) -> None:
-        """Take the curves of the frames that were due."""
-        head = np.zeros((len(curves), len(HEAD)), np.float32)
-        if self.life is not None:
-            shown = due.own.applied * due.gates.expression
-            head = self.life.add_to(curves, due.own.neutral, due.own.emotion * shown[:, None])
-        curves = np.clip(curves, self.controls.minimum, self.controls.maximum)
-        scale_from_rest(curves, self.gain, self.controls)
-        self.frames.append(curves)
+            if len(mixture):
+                motion = self.life.take(mixture)
+                np.concatenate(motion.tracks, axis=1, out=shown[:, GATES:], casting="unsafe")
+                head = head if motion.head is None else motion.head
         self.heads.append(head)
 
     def collect(self) -> tuple[Float32, Float32]:
@@ -258,23 +219,6 @@ class Stream:
         if not frames:
             return _none(len(self.controls)), _none(len(HEAD))
         return np.concatenate(frames), np.concatenate(heads)
-
-    def _measured(self, count: int) -> tuple[Measures, Bool]:
-        """Prosody of the next frames, and which of them are speech: a lone one is a click."""
-        on = self.speaking
-        self.speaking = on[count:]
-        now, before, after = on[1 : count + 1], on[:count], on[2 : count + 2]
-        measured, self.prosody = np.split(self.prosody, [count], axis=1)
-        return Measures.of(measured), now & (before | after)
-
-    def _drop(self) -> None:
-        """Drop sound and changes that no frame needs any more."""
-        spectrum = int(self.groups * SAMPLE_RATE / FRAME_RATE) - self.grid.length
-        activity = self.n_measured * SAMPLE_RATE // FRAME_RATE - WINDOW
-        self.sound.drop(min(spectrum, activity))
-        seconds = (self.groups - self.grid.delay) / FRAME_RATE - RAMP_SECONDS
-        while len(self.changes) > 1 and self.changes[1].seconds < seconds:
-            self.changes.pop(0)
 
     def _directed(self, frames: Int64) -> tuple[Float32, Float32]:
         """Emotion (n, 9) and intensity (n,) of frames."""
@@ -367,8 +311,10 @@ class LiveAnimator:
             first.model_copy(update={"seed": (first.seed + k) % (SEED + 1)}) for k in range(streams)
         ]
         ahead = self.network.grid.lookahead_samples / SAMPLE_RATE
-        self.lookahead_seconds = ahead + rules.AHEAD / FRAME_RATE
-        self.state = tuple(part.copy() for part in self.network.first_state(streams))
+        self.lookahead_seconds = ahead + LIVE_AHEAD / FRAME_RATE
+        self.rules = self.network.curve_pass(live=True)
+        self.hearing = RunningHearing(self.network.rules)
+        self.state, self.past, self.due = self._first(streams)
         self.streams = [self._stream(k) for k in range(streams)]
         self.resamplers = [self._resampler() for _ in range(streams)]
         self.heads = [np.zeros((0, len(HEAD)), np.float32)] * streams
@@ -466,12 +412,13 @@ class LiveAnimator:
             raise ConfigError(f"{', '.join(fixed)} cannot change while somebody speaks")
         for one in self.streams if stream is None else [self.streams[stream]]:
             acting = Acting.of(one.acting, **fields).check_live()
-            one.change(acting, self._rules(acting))
+            one.change(acting)
 
     def reset(self, stream: int | None = None) -> None:
         """Begin a stream again, or all: no sound, first emotion and intensity, first blinks."""
         for k in range(len(self.streams)) if stream is None else [stream]:
-            put(self.state, [k], self.network.first_state(1))
+            for state, first in zip((self.state, self.past, self.due), self._first(1), strict=True):
+                put(state, [k], first)
             self.streams[k], self.resamplers[k] = self._stream(k), self._resampler()
 
     def open(self, stream: int, acting: Acting) -> None:
@@ -479,16 +426,19 @@ class LiveAnimator:
         self.actings[stream] = acting.check_live()
         self.reset(stream)
 
+    def _first(self, batch: int) -> tuple[State, State, State]:
+        """State before the first sound: of the network, of what is heard, of the rules."""
+        network = tuple(part.copy() for part in self.network.first_state(batch))
+        mixture = np.zeros((batch, LIVE_AHEAD, len(LABELS)), np.float32)
+        return network, self.hearing.first(batch), (self.rules.first(batch), mixture)
+
     def _stream(self, number: int) -> Stream:
         controls, acting, motion = self.network.controls, self.actings[number], None
-        settings, life = self._rules(acting), acting.motion
-        if life is not None and settings.idle is not None:
-            motion = RunningLife(controls, settings.idle, life, acting.seed, rules.AHEAD)
+        life, idle = acting.motion, self.network.rules.idle
+        if life is not None and idle is not None and acting.rules:
+            motion = RunningLife(idle, life, acting.seed, LIVE_AHEAD)
         style = chosen_actor(self.network.actors, acting.style)
-        return Stream(self.network.grid, controls, settings, acting, motion, style)
-
-    def _rules(self, acting: Acting) -> RulesConfig:
-        return self.network.rules if acting.rules else RulesConfig.none()
+        return Stream(self.network.grid, controls, acting, motion, style)
 
     def _resampler(self) -> RunningResampler | None:
         return None if self.sample_rate == SAMPLE_RATE else RunningResampler(self.sample_rate)
@@ -512,37 +462,7 @@ class LiveAnimator:
                 return
             most = min(BLOCK_FRAMES, *(counts[k] for k in ready))
             # Few sizes, for each of which torch keeps memory: 1 to 8, 16, 32 …
-            count = most if most <= FEW_FRAMES else 1 << (most.bit_length() - 1)
-            taken = [self.streams[k].take(count) for k in ready]
-            windows = np.stack([windows for windows, _ in taken])
-            emotion = np.stack([trained_weights(emotion) for _, emotion in taken])
-            actors, names = self.network.actors, (self.streams[k].style for k in ready)
-            styles = [styles_of(*row) for row in zip(emotion, repeat(actors), names)]
-            if len(ready) == len(self.streams):  # no copy
-                rows, self.state = self.network.advance(windows, np.stack(styles), self.state)
-            else:
-                given = take(self.state, ready)
-                rows, state = self.network.advance(windows, np.stack(styles), given)
-                put(self.state, ready, state)
-            self._accept([self.streams[k] for k in ready], rows)
-
-    def _accept(self, streams: list[Stream], rows: NetworkRows) -> None:
-        """Measure the sound of the frames that were read, and apply the rules, of all streams."""
-        windows = [stream.unmeasured() for stream in streams]
-        places = np.cumsum([len(part) for part in windows])[:-1]
-        joined = np.concatenate(windows)
-        levels = np.split(window_levels(joined), places)
-        prosody = np.split(measure_windows(joined.astype(np.float64)), places, axis=1)
-        due: dict[int, list[tuple[Stream, DueRows]]] = {}
-        for k, stream in enumerate(streams):
-            stream.measure(levels[k], prosody[k])
-            stream.accept(NetworkRows(*(part[k] for part in rows)))
-            if (one := stream.due()) is not None:
-                due.setdefault(id(stream.settings), []).append((stream, one))
-        for group in due.values():
-            curves = group[0][0].rules.apply([one for _, one in group])
-            for (stream, one), frames in zip(group, curves, strict=True):
-                stream.emit(frames, one)
+            self._read(ready, most if most <= FEW_FRAMES else 1 << (most.bit_length() - 1))
 
     def _begin(self) -> None:
         """Read the first groups of streams whose first frame is known now."""
@@ -555,6 +475,68 @@ class LiveAnimator:
         if new:
             windows = np.stack([self.streams[k].take(delay)[0] for k in new])
             put(self.state, new, self.network.begin(windows, take(self.state, new)))
+            sound = np.stack([self.streams[k].heard(MEASURED_AHEAD) for k in new])
+            put(self.past, new, self.hearing.begin(sound, take(self.past, new)))
+
+    def _read(self, ready: list[int], count: int) -> None:
+        """Finish `count` frames of some streams."""
+        streams = [self.streams[k] for k in ready]
+        # Sound and acting of the frames.
+        taken = zip(*(stream.take(count) for stream in streams), strict=True)
+        windows, emotion, wanted = (np.stack(parts) for parts in taken)
+        sound = np.stack([stream.heard(count) for stream in streams])
+        ruled = np.array([stream.acting.rules for stream in streams], np.float32)
+        # The network: two readings.
+        actors, trained = self.network.actors, trained_weights(emotion)
+        named = zip(trained, (stream.style for stream in streams), strict=True)
+        styles = np.stack([styles_of(row, actors, style) for row, style in named])
+        rows, state = self.network.advance(windows, styles, self._taken(self.state, ready))
+        self.state = self._put(self.state, ready, state)
+        # What is heard of them: intensity, opening and gates.
+        past = self._taken(self.past, ready)
+        heard, past = self.hearing(sound, rows.strength, rows.effort, past)
+        self.past = self._put(self.past, ready, past)
+        # Factors.
+        with_rules = ruled[:, None] > 0
+        voice = np.where(with_rules, heard.intensity, rows.strength)
+        applied = voice * wanted
+        scale = wanted
+        if self.network.rules.voice_intensity is not None:
+            scale = np.where(with_rules, expression_scale(applied, rows.strength), wanted)
+        opening = np.where(with_rules, heard.opening, 1)
+        phones = np.zeros((*scale.shape, 4), np.float32)
+        said = VoiceTracks(scale, opening, rows.strength, phones, emotion).columns()
+        # Gates and motion of the frames that come out.
+        before, mixture = self._taken(self.due, ready)
+        mixture = np.concatenate((mixture, emotion * applied[..., None]), axis=1)
+        mouth, expression = (
+            np.where(with_rules, gate, 1) for gate in (heard.mouth, heard.expression)
+        )
+        given = [stream.given(count) for stream in streams]
+        shown = shown_columns(mouth, expression, None)
+        for k, stream in enumerate(streams):
+            measures = Measures(*(track[k] for track in heard.measures))
+            acted = mixture[k, :count] * expression[k, :, None]
+            stream.move(measures, heard.speaking[k], acted[given[k]], shown[k, given[k]])
+        # The rules, in their order: `deitalk.postprocess.curve_pass`.
+        gain = np.stack([stream.gain for stream in streams])
+        curves, _, _, after = self.rules(
+            rows.neutral, rows.emotional, said, shown, gain, ruled, before
+        )
+        self.due = self._put(self.due, ready, (after, mixture[:, count:]))
+        for stream, frames, which in zip(streams, curves, given, strict=True):
+            stream.frames.append(frames[which])
+
+    def _taken(self, state: State, ready: list[int]) -> State:
+        """State of some streams; of all without a copy."""
+        return state if len(ready) == len(self.streams) else take(state, ready)
+
+    def _put(self, state: State, ready: list[int], new: State) -> State:
+        """State of all streams with that of some replaced."""
+        if len(ready) == len(self.streams):
+            return new
+        put(state, ready, new)
+        return state
 
     def _has_begun(self, number: int) -> bool:
         return self.streams[number].groups > 0

@@ -10,13 +10,12 @@ from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias, TypeVar, cast
 
 import torch
-import yaml
 from safetensors.torch import save
 
 from deitalk.config.curves import Config, ModelConfig
 from deitalk.config.frontends import DEITalkFeaturesConfig, KarrasConfig, SDFAMelConfig, VocaConfig
-from deitalk.config.hub import FILES, check_repository
-from deitalk.config.load import AnyConfig, load_config, without_paths
+from deitalk.config.hub import check_repository, model_files
+from deitalk.config.load import AnyConfig, load_model_config, model_text, without_paths
 from deitalk.config.mesh import SDFAConfig
 from deitalk.config.rig_file import read_controls, rig_text
 from deitalk.errors import CheckpointError
@@ -25,10 +24,9 @@ from deitalk.frontends.base import Encoder
 from deitalk.installed import research
 from deitalk.models.curve_model import DEITalk
 from deitalk.models.folder import (
-    EFFORT,
-    EFFORT_WEIGHTS,
     ENCODER,
     FORMAT_VERSION,
+    READOUTS,
     RIG_FILE,
     Shapes,
     check_fit,
@@ -62,7 +60,7 @@ from rig import limits
 from rig.controls import DEFAULT_ID
 from rig.errors import quoted, shorten
 from rig.files import output_folder
-from rig.files.reading import read_text
+from rig.files.reading import read_json, read_text
 
 Model: TypeAlias = DEITalk | MeshModel
 ModelT = TypeVar("ModelT", DEITalk, MeshModel)
@@ -94,7 +92,7 @@ def load_model(name_or_path: str | Path = "default", *, device: str = "cpu") -> 
         it belongs to another control set.
     """
     folder = model_folder(name_or_path)
-    return _load(folder, load_config(folder / "config.yaml"), device)
+    return _load(folder, load_model_config(folder), device)
 
 
 def _load(folder: Path, config: AnyConfig, device: str) -> Model:
@@ -139,7 +137,7 @@ def require_model(
         check_product(model, wanted.product)
         return cast("ModelT", model.eval())
     folder = model_folder(model)
-    config = load_config(folder / "config.yaml")
+    config = load_model_config(folder)
     check_kind(model, config, wanted)
     return cast("ModelT", _load(folder, config, device))
 
@@ -188,7 +186,10 @@ def save_model(
         If the folder holds files that deitalk did not write, or edited ones.
     """
     weights = only_moving({name: w.detach().cpu() for name, w in model.state_dict().items()})
-    effort = {name: weights.pop(name) for name in list(weights) if name.startswith(EFFORT_WEIGHTS)}
+    readouts = {
+        file: {name: weights.pop(name) for name in list(weights) if name.startswith(beginning)}
+        for file, beginning in READOUTS.items()
+    }
     weights = {
         name: (_half(value) if half or (half_bases and FROZEN in name) else value).contiguous()
         for name, value in weights.items()
@@ -209,8 +210,9 @@ def save_model(
         # save_file would make a file that nobody else may read.
         if fixed:
             (beside / ENCODER).write_bytes(encoder)
-        if effort:
-            (beside / EFFORT).write_bytes(save(effort))
+        for file, readout in readouts.items():
+            if readout:
+                (beside / file).write_bytes(save(readout))
         (beside / "model.safetensors").write_bytes(save(weights))
         if model.product == "mesh":
             write_templates(beside, cast("MeshModel", model), half=half)
@@ -218,8 +220,7 @@ def save_model(
             config = _complete(cast("Config", config), curves := cast("DEITalk", model))
             if config.model.control_set == RIG_FILE:
                 (beside / RIG_FILE).write_text(rig_text(curves.controls))
-        settings = yaml.safe_dump(config.model_dump(mode="json"), sort_keys=False)
-        (beside / "config.yaml").write_text(settings)
+        (beside / "config.yaml").write_text(model_text(config))
         (beside / "model.json").write_text(json.dumps(about, indent=1) + "\n")
 
 
@@ -326,7 +327,7 @@ REPORT = "report.md"
 
 def portable(name_or_path: str | Path) -> tuple[AnyConfig, dict[str, Any]]:
     """Settings and training summary of a model without folders of this machine."""
-    config = without_paths(load_config(model_folder(name_or_path) / "config.yaml"))
+    config = without_paths(load_model_config(model_folder(name_or_path)))
     summary = dict(read_about(model_folder(name_or_path))["training"])
     if "@" not in (base := summary.get("base", "@")):  # a commit on the hub has one
         summary["base"] = Path(base).name
@@ -366,11 +367,12 @@ def push_to_hub(
     about = read_about(folder) | {"training": summary}
     texts = {
         "README.md": model_card(folder, name, license),
-        "config.yaml": yaml.safe_dump(config.model_dump(mode="json"), sort_keys=False),
+        "config.yaml": model_text(config),
         "model.json": json.dumps(about, indent=1) + "\n",
     }
     given: dict[str, Any] = {file: text.encode() for file, text in texts.items()}
-    given |= {f: folder / f for f in FILES if f not in given and (folder / f).is_file()}
+    files = model_files(path.name for path in folder.iterdir() if path.is_file())
+    given |= {f: folder / f for f in files if f not in given}
     try:
         api = HfApi(library_name="deitalk")
         api.create_repo(name, private=private, exist_ok=True)
@@ -395,9 +397,7 @@ def model_card(folder: Path, name: str, license: str | None = None) -> str:
     """
     about, (config, summary) = describe_model(folder), portable(folder)
     base = str(summary.get("base", ""))
-    head = {"library_name": "deitalk", "tags": ["speech", "facial-animation"]}
-    head |= {"license": license} if license else {}
-    head |= {"base_model": base.partition("@")[0]} if "@" in base else {}
+    head = _card_data(folder, name, license, base)
     facts = {
         "control set": about["control_set"],
         "parameters": f"{about['parameters']:,}",
@@ -410,7 +410,7 @@ def model_card(folder: Path, name: str, license: str | None = None) -> str:
     product = "A moving mesh" if config.kind == "sdfa" else "Curves of a face rig"
     report = folder.parent / REPORT
     lines = [
-        f"---\n{yaml.safe_dump(head, sort_keys=False)}---\n# {name}\n",
+        f"---\n{head}\n---\n# {name}\n",
         f"{product} from speech, for deitalk.\n",
         f"```\ndeitalk animate speech.wav --model {name} -o take/\n```\n",
         "| | |\n|---|---|",
@@ -419,3 +419,41 @@ def model_card(folder: Path, name: str, license: str | None = None) -> str:
     if report.is_file():
         lines += ["", "#" + read_text(report, limits.MODEL_JSON_BYTES, error=CheckpointError)]
     return "\n".join(lines).rstrip() + "\n"
+
+
+SCORED = ("error_of_mean_pose", "mean_r", "range", "jaw_r", "bilabial_window_auc")
+"""Scores of a report that a card's header has."""
+
+
+def _card_data(folder: Path, name: str, license: str | None, base: str) -> str:
+    """Header of a card, as YAML: what the hub filters by, and scores of the run's report."""
+    from huggingface_hub import EvalResult, ModelCardData
+
+    path, results = folder.parent / "report.json", []
+    report = (
+        read_json(path, limits.MODEL_JSON_BYTES, error=CheckpointError) if path.is_file() else {}
+    )
+    scores = report.get("scores", {}).get("after", {}) if isinstance(report, dict) else {}
+    for score in SCORED:
+        if isinstance(scores.get(score), int | float):
+            results.append(
+                EvalResult(
+                    task_type="other",
+                    task_name="Speech to facial animation",
+                    dataset_type="captures",
+                    dataset_name=f"{report.get('clips', 0)} held-out clips",
+                    metric_type=score,
+                    metric_name=score,
+                    metric_value=scores[score],
+                )
+            )
+    data = ModelCardData(
+        library_name="deitalk",
+        pipeline_tag="other",
+        tags=["speech", "facial-animation"],
+        license=license,
+        base_model=base.partition("@")[0] if "@" in base else None,
+        model_name=name.rpartition("/")[2] if results else None,
+        eval_results=results or None,
+    )
+    return str(data.to_yaml())

@@ -17,6 +17,7 @@ from deitalk.errors import CheckpointError
 from deitalk.frontends import build_frontend
 from deitalk.frontends.causal_whisper import CausalState, CausalWhisperFrontend
 from deitalk.models.intensity import DynamicIntensity, Intensity, MotionEncoder, temporal_maximum
+from deitalk.models.lip_readout import LipReadout
 from deitalk.models.protocol import (
     NetworkRows,
     Product,
@@ -27,6 +28,8 @@ from deitalk.models.protocol import (
     neutral_and_acted,
 )
 from deitalk.models.rig_decoder import RigDecoder, build_decoder
+from deitalk.postprocess.curve_pass import CurvePass, TorchPass
+from deitalk.postprocess.tracks import LIVE_AHEAD
 from rig import ControlSet, default_controls
 from rig.arrays import Float32
 
@@ -63,6 +66,8 @@ class Analysis(NamedTuple):
     """Predicted intensity [shape=(T,), range 0 to 1]."""
     effort: Tensor | None = None
     """Strength of the voice [shape=(T,)], dB above the usual."""
+    lips: Tensor | None = None
+    """What `deitalk.models.lip_readout` reads [shape=(T, 4)]."""
 
     @property
     def tracks(self) -> Tracks:
@@ -118,6 +123,8 @@ class DEITalk(nn.Module):
                 n_controls, config.motion_channels, config.kernel_size, config.emotion_size
             )
         self.decoder = build_decoder(config, size, self.controls, causal=self.is_causal)
+        names = self.controls.names
+        self.lips = LipReadout(size, names, causal=self.is_causal) if config.lips else None
 
     def forward(
         self,
@@ -190,6 +197,16 @@ class DEITalk(nn.Module):
         """Names of the actors whose styles it has."""
         return tuple(self.config.actors)
 
+    @property
+    def emotions(self) -> tuple[str, ...]:
+        """Trained emotions that it shows; the others pass as the first of them."""
+        return tuple(self.config.captured_emotions if self.config.base_controls == 0 else EMOTIONS)
+
+    def curve_pass(self, *, live: bool = False) -> TorchPass:
+        """Rules after the network; see `deitalk.models.protocol.Network`."""
+        rules = CurvePass(self.controls, self.rules, LIVE_AHEAD if live else None)
+        return TorchPass(rules.to(self.device))
+
     def read(
         self,
         sound: Float32,
@@ -205,7 +222,11 @@ class DEITalk(nn.Module):
     def _acted(self, analysis: Analysis, weights: Float32, actor: str) -> Reading:
         """Both readings of a clip."""
         styles = self.styles(torch.from_numpy(np.stack(neutral_and_acted(weights))), actor)
-        readings = list(self.decode(analysis, styles.to(self.device)).cpu().numpy())
+        curves = self.decode(analysis, styles.to(self.device))
+        if self.lips is not None and analysis.lips is not None:
+            with torch.no_grad():
+                curves = self.lips.correct(curves, analysis.lips)
+        readings = list(curves.cpu().numpy())
         return Reading(readings[0], readings[-1], analysis.tracks)
 
     def about(self) -> dict[str, Any]:
@@ -296,8 +317,9 @@ class DEITalk(nn.Module):
             speech = waveform
         else:
             speech = self.frontend.encode(waveform, n_frames, progress=progress, gain=gain)
+        lips = self._read_lips(speech)
         if not self.config.intensity:
-            return Analysis(speech, None, None, None)
+            return Analysis(speech, None, None, None, lips=lips)
         module = self.intensity
         embedding = None
         if module.saliency_frames is None:
@@ -314,7 +336,17 @@ class DEITalk(nn.Module):
             effort = output.strength if output.effort is None else output.effort
             rows = torch.cat((output.saliency, output.strength, effort))
             tracks[:, start:stop] = rows[:, inner]
-        return Analysis(speech, guidance, *tracks[: 2 if module.effort is None else 3])
+        return Analysis(speech, guidance, *tracks[: 2 if module.effort is None else 3], lips=lips)
+
+    def _read_lips(self, speech: Tensor) -> Tensor | None:
+        """Readout of a whole clip's features (T, D), piece by piece [shape=(T, 4)]."""
+        if self.lips is None:
+            return None
+        parts = [
+            self.lips(speech[first:last].float().unsqueeze(0))[0, start - first : stop - first]
+            for first, last, start, stop in _pieces(len(speech), self.lips.margin)
+        ]
+        return torch.cat(parts)
 
     @torch.no_grad()
     def decode(self, analysis: Analysis, emotion: Tensor) -> Tensor:
@@ -427,17 +459,21 @@ class TensorState(NamedTuple):
     """Of the decoder's layers, neutral reading."""
     emotional: tuple[Tensor, ...]
     """Of the decoder's layers, emotional reading."""
+    lips: tuple[Tensor, ...] = ()
+    """Of the readout of the lips, where there is one."""
 
     def tensors(self) -> tuple[Tensor, ...]:
         """All of them, in a row."""
-        return (*self.frontend.tensors(), self.saliency, *self.neutral, *self.emotional)
+        decoders = *self.neutral, *self.emotional
+        return (*self.frontend.tensors(), self.saliency, *decoders, *self.lips)
 
     @classmethod
     def of(cls, tensors: tuple[Tensor, ...], n_frontend: int) -> "TensorState":
         """The state that `tensors` gave, so many of them of the frontend."""
         frontend, rest = CausalState.of(tensors[:n_frontend]), tensors[n_frontend + 1 :]
         layers = len(rest) // 2
-        return cls(frontend, tensors[n_frontend], rest[:layers], rest[layers:])
+        decoders = rest[:layers], rest[layers : 2 * layers]
+        return cls(frontend, tensors[n_frontend], *decoders, rest[2 * layers :])
 
 
 class TensorRows(NamedTuple):
@@ -467,12 +503,17 @@ class TorchNetwork:
         self.controls: ControlSet = model.controls
         self.rules: RulesConfig = model.rules
         self.actors: tuple[str, ...] = model.actors
+        self.emotions: tuple[str, ...] = model.emotions
         self.grid = grid_of(model)
 
     def eval(self) -> Self:
         """The network, its model in evaluation mode."""
         self.model.eval()
         return self
+
+    def curve_pass(self, *, live: bool = False) -> TorchPass:
+        """Rules after the network."""
+        return self.model.curve_pass(live=live)
 
     def first_state(self, batch: int) -> State:
         """See `CausalNetwork`; so the other methods."""
@@ -511,7 +552,8 @@ def first_state(model: DEITalk, batch: int) -> TensorState:
     module = model.intensity if model.config.intensity else None
     saliency = frontend.level.new_zeros(batch, 0) if module is None else module.first_past(batch)
     neutral, emotional = (model.rig_decoder.first_past(batch) for _ in range(2))
-    return TensorState(frontend, saliency, neutral, emotional)
+    lips = () if model.lips is None else (model.lips.first_past(batch),)
+    return TensorState(frontend, saliency, neutral, emotional, lips)
 
 
 def causal_frontend(model: DEITalk) -> CausalWhisperFrontend:
@@ -554,11 +596,16 @@ def advance(
         None if guidance is None else torch.cat((guidance, guidance)),
         both,
     )
-    neutral, emotional = curves.chunk(2)
+    pair = torch.stack(curves.chunk(2))
+    lips: tuple[Tensor, ...] = ()
+    if model.lips is not None:
+        pair = model.lips.correct(pair, model.lips(speech, state.lips[0]))
+        lips = (torch.cat((state.lips[0], speech), dim=1)[:, speech.shape[1] :],)
+    neutral, emotional = pair
     halves = tuple(zip(*(part.chunk(2) for part in past), strict=True))
     return (
         TensorRows(neutral, emotional, saliency, strength, effort),
-        TensorState(frontend, kept, halves[0], halves[1]),
+        TensorState(frontend, kept, halves[0], halves[1], lips),
     )
 
 

@@ -2,10 +2,11 @@
 
 ::
 
-    config.yaml          every setting; `kind: sdfa` marks a mesh model
+    config.yaml          network and rules, of a mesh model every setting (`kind: sdfa`)
     model.safetensors    weights, float16 in shipped models
     encoder.safetensors  those of a pretrained encoder that did not learn, where there is one
     effort.safetensors   readout of the voice's strength from its features, where there is one
+    lips.safetensors     readout of the lips from its features, where there is one
     model.json           format version, control set or speakers, training summary; with
                          "encoder_of", the embedded model whose encoder.safetensors it uses
     controls.yaml        the rig, where it is not the board: see `deitalk.config.rig_file`
@@ -236,8 +237,10 @@ def require_device(name: str) -> str:
 FORMAT_VERSION = 1
 RIG_FILE = "controls.yaml"
 ENCODER = "encoder.safetensors"
-EFFORT, EFFORT_WEIGHTS = "effort.safetensors", "intensity.effort."
-WEIGHT_FILES = ("model.safetensors", ENCODER, EFFORT)
+EFFORT_WEIGHTS, LIP_WEIGHTS = "intensity.effort.", "lips."
+READOUTS = {"effort.safetensors": EFFORT_WEIGHTS, "lips.safetensors": LIP_WEIGHTS}
+"""Files of readouts of the features, and what the names of their weights begin with."""
+WEIGHT_FILES = ("model.safetensors", ENCODER, *READOUTS)
 EMBEDDED = ("default", "mel", "live", "sdfa", "mesh_head")
 """Models that come with the package; `embedded_models` lists those that are there."""
 
@@ -274,9 +277,9 @@ def model_folder(name_or_path: str | Path) -> Path:
 
 def is_causal(name_or_path: str | Path) -> bool:
     """Whether a model is for voices that have not ended (`deitalk.live`)."""
-    from deitalk.config.load import load_config
+    from deitalk.config.load import load_model_config
 
-    config = load_config(model_folder(name_or_path) / "config.yaml")
+    config = load_model_config(model_folder(name_or_path))
     return config.model.frontend.kind == "causal_whisper"
 
 
@@ -350,14 +353,14 @@ def weight_files(folder: Path) -> list[Path]:
 def weights_hash(folder: Path) -> str:
     """SHA-256 of a folder's weights, in hexadecimal; of two files, of their hashes in turn.
 
-    The readout of the voice's strength, which the network's curves do not need, is left out.
+    `READOUTS`, which the network and what decodes its features do not need, are left out.
     """
     return str(_weights(folder)["sha256"])
 
 
 def _weights(folder: Path) -> dict[str, int | str]:
     """Size and hash of all weights of a folder."""
-    parts = [_size_and_hash(path) for path in weight_files(folder) if path.name != EFFORT]
+    parts = [_size_and_hash(path) for path in weight_files(folder) if path.name not in READOUTS]
     if len(parts) == 1:
         return parts[0]
     hashes = "".join(str(part["sha256"]) for part in parts)

@@ -307,7 +307,7 @@ class MeshHead(MeshModel):
             Features of the same speech, from `DEITalk.describe`.
         scale : Tensor [shape=(T,)]
             Factor on the difference of the readings; see
-            `deitalk.postprocess.curve_rules.expression_scale`.
+            `deitalk.postprocess.factors.expression_scale`.
         shown : Tensor [shape=(T,), range 0 to 1]
             Expression gate; at 0 the coefficients are those of the template.
         speaker : str or int

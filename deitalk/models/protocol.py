@@ -74,6 +74,34 @@ NEEDED = {
 """Rule and way out where a model makes the other product."""
 
 
+class CurveRules(Protocol):
+    """The pass from a network's readings to finished curves.
+
+    `deitalk.postprocess.curve_pass.CurvePass` says what its arrays are, and what they hold.
+    """
+
+    behind: int
+    """Frames before a frame that its contacts depend on."""
+    ahead: int
+    """Frames by which what comes out is behind what comes in."""
+
+    def first(self, batch: int) -> Float32:
+        """State of streams before their first frame [shape=(B, behind + ahead, 2 C + 16)]."""
+
+    def __call__(self, *arrays: Float32) -> tuple[Float32, Float32, Float32, Float32]:
+        """Finish the next frames.
+
+        Parameters
+        ----------
+        *arrays : array
+            neutral, emotional, voice, shown, gain, ruled and state of `CurvePass.forward`.
+
+        Returns
+        -------
+        curves, neutral, outside, state : array
+        """
+
+
 class Network(Protocol):
     """What every network of curves has."""
 
@@ -87,9 +115,16 @@ class Network(Protocol):
     def rules(self) -> RulesConfig:
         """Post-processing that belongs to the model."""
 
+    def curve_pass(self, *, live: bool = False) -> CurveRules:
+        """Rules after it, of whole recordings or with the look-ahead of `deitalk.live`."""
+
     @property
     def actors(self) -> tuple[str, ...]:
         """Names of the actors whose styles it has; empty if it has none."""
+
+    @property
+    def emotions(self) -> tuple[str, ...]:
+        """Trained emotions that it shows; the others pass as the first of them."""
 
     @property
     def is_causal(self) -> bool:
@@ -244,6 +279,27 @@ def mean_actor_note(actors: Sequence[str], name: str) -> tuple[str, ...]:
     if name or not actors:
         return ()
     return (f"no actor is named: the mean of {', '.join(actors)}; a style names one",)
+
+
+def unshown_note(emotions: Sequence[str], weights: Float32) -> tuple[str, ...]:
+    """What a take states where it is acted in emotions that the model does not show.
+
+    Parameters
+    ----------
+    emotions : sequence of str
+        Those that it shows.
+    weights : array [shape=(T, 5)]
+        Trained emotions of each frame.
+    """
+    lost = [
+        name
+        for name, used in zip(EMOTIONS, weights.any(axis=0), strict=True)
+        if used and name not in (*emotions, "neutral")
+    ]
+    if not lost:
+        return ()
+    text = "no capture of the model shows it, and nothing carries the base's to its rig"
+    return (f"{', '.join(lost)} passes as {emotions[0]}: {text}",)
 
 
 def trained_weights(weights: Float32) -> Float32:

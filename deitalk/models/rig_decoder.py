@@ -1,6 +1,7 @@
 """Emotion-guided decoder: speech, style and intensity to control curves (DEITalk §3.4, Eq. 7)."""
 
-from collections.abc import Sequence
+import itertools
+from collections.abc import Callable, Sequence
 from typing import cast
 
 import torch
@@ -10,6 +11,7 @@ from torch.nn import functional as F
 from deitalk.config.curves import ModelConfig
 from deitalk.emotions import EMOTIONS
 from deitalk.installed import research
+from deitalk.models.tuned_parts import ActorLayers, BaseChange
 from rig import ControlSet
 
 # Dilated convolutions over time, shared by motion encoder and decoder (DEITalk §4.1).
@@ -231,33 +233,6 @@ class Decoder(nn.Module):
         return style
 
 
-class ActorLayers(nn.Module):
-    """A last layer of each actor, as a change of that of all (not in the paper).
-
-    A stranger, an actor of no capture, has no change: the last layer itself is the mean actor.
-
-    Parameters
-    ----------
-    n_actors, n_controls, channels : int
-    """
-
-    def __init__(self, n_actors: int, n_controls: int, channels: int) -> None:
-        super().__init__()
-        self.weight = nn.Parameter(torch.zeros(n_actors, n_controls, channels))
-        self.bias = nn.Parameter(torch.zeros(n_actors, n_controls))
-
-    def forward(self, hidden: Tensor, emotion: Tensor) -> Tensor | float:
-        """Change (B, T, C) of the curves by their actors; `emotion` as `RigDecoder.forward`."""
-        if emotion.dim() == 2:
-            emotion = emotion.unsqueeze(1)
-        actors = emotion[..., len(EMOTIONS) :]
-        if not actors.shape[-1]:
-            return 0.0
-        each = (hidden @ self.weight.flatten(0, 1).T).view(*hidden.shape[:2], *self.bias.shape)
-        change: Tensor = (actors.unsqueeze(-2) @ (each + self.bias)).squeeze(-2)
-        return change
-
-
 class RigDecoder(Decoder):
     """Eight dilated convolutions; style and intensity join the features before each of them.
 
@@ -284,6 +259,12 @@ class RigDecoder(Decoder):
     kept : Tensor [shape=(C,)] or None
         True where another decoder of the same shape gives the curves, that of the model before its
         fine-tuning: what captures do not show stays exactly as it was (not in the paper).
+    captured : sequence of bool
+        Emotions that captures show, for `BaseChange`, whose decoder is that one too; empty: the
+        decoder gives all emotions.
+    n_base : int or None
+        Controls of the model before the fine-tuning, where they are another rig's; 0: nothing is
+        known of it, and emotions that captures lack pass as the first captured one.
     direct : bool
         The last layer has the speech features of its frame too, and so can be any linear map of
         them (not in the paper).
@@ -310,6 +291,8 @@ class RigDecoder(Decoder):
         n_actors: int = 0,
         causal: bool = False,
         kept: Tensor | None = None,
+        captured: Sequence[bool] = (),
+        n_base: int | None = None,
         direct: bool = False,
         actor_layers: bool = False,
     ) -> None:
@@ -317,7 +300,9 @@ class RigDecoder(Decoder):
         self.residual, self.guidance_size, self.direct = residual, guidance_size, direct
         self.register_buffer("is_kept", kept, persistent=False)
         self.kept: RigDecoder | None = None
-        if kept is not None:
+        base_rest = rest if n_base is None else rest.new_zeros(n_base)
+        self.change = BaseChange(captured, len(rest), len(base_rest)) if any(captured) else None
+        if kept is not None or (self.change is not None and len(base_rest)):
             self.kept = RigDecoder(
                 in_size=in_size,
                 style_size=style_size,
@@ -326,8 +311,9 @@ class RigDecoder(Decoder):
                 dilations=dilations,
                 kernel_size=kernel_size,
                 n_emotions=n_emotions,
-                rest=rest,
+                rest=base_rest,
                 residual=residual,
+                causal=causal,
                 direct=direct,
             )
         self.margin = receptive_margin(dilations, kernel_size, causal=causal)
@@ -366,20 +352,50 @@ class RigDecoder(Decoder):
         -------
         Tensor [shape=(B, T, C)]
         """
-        curves = self.curves(self.hidden(speech, emotion, guidance), emotion)
-        if self.kept is None or self.is_kept is None:
-            return curves
-        theirs = self._of_kept(guidance)
-        return torch.where(self.is_kept, self.kept(speech, emotion, theirs), curves)
+        kept, theirs = self.kept, self._of_kept(guidance)
+        return self._combined(
+            emotion,
+            lambda styles: self.curves(self.hidden(speech, styles, guidance), styles),
+            None if kept is None else lambda styles: kept(speech, styles, theirs),
+        )
 
     @torch.no_grad()
     def readings(self, speech: Tensor, emotions: Tensor, guidance: Tensor | None) -> Tensor:
         """Curves (R, T, C) of several readings of one speech; arguments as `hidden_readings`."""
-        curves = self.curves(self.hidden_readings(speech, emotions, guidance), emotions)
-        if self.kept is None or self.is_kept is None:
-            return curves
-        theirs = self._of_kept(guidance)
-        return torch.where(self.is_kept, self.kept.readings(speech, emotions, theirs), curves)
+        kept, theirs = self.kept, self._of_kept(guidance)
+
+        def own(styles: Tensor) -> Tensor:
+            return self.curves(self.hidden_readings(speech, styles, guidance), styles)
+
+        return self._combined(
+            emotions,
+            lambda styles: _each_once(own, styles),
+            None
+            if kept is None
+            else lambda styles: _each_once(lambda s: kept.readings(speech, s, theirs), styles),
+        )
+
+    def _combined(
+        self,
+        emotion: Tensor,
+        own: Callable[[Tensor], Tensor],
+        kept: Callable[[Tensor], Tensor] | None,
+    ) -> Tensor:
+        """Curves from those of the own layers and those of the kept decoder for some styles."""
+        change = self.change
+        if change is None or kept is None:
+            curves = own(emotion if change is None else change.captured(emotion))
+            if self.is_kept is None or kept is None:
+                return curves
+            return torch.where(self.is_kept, kept(emotion), curves)
+        base = kept(emotion)
+        shown = change.captured(emotion)
+        curves = own(shown) + change(base - kept(shown))
+        if not change.is_whole:
+            plain = change.plain(emotion)
+            others = own(plain) + change(base - kept(plain))
+            curves = others + change.share(shown) * (curves - others)
+        return curves if self.is_kept is None else torch.where(self.is_kept, base, curves)
 
     def curves(self, hidden: Tensor, emotion: Tensor) -> Tensor:
         """The last layer, and those of the actors."""
@@ -400,7 +416,7 @@ class RigDecoder(Decoder):
     def _with_speech(self, hidden: Tensor, speech: Tensor) -> Tensor:
         if not self.direct:
             return hidden
-        return torch.cat((hidden, speech.expand(len(hidden), -1, -1)), dim=-1)
+        return torch.cat((hidden, speech.expand(hidden.shape[0], -1, -1)), dim=-1)
 
     @torch.no_grad()
     def hidden_readings(self, speech: Tensor, emotions: Tensor, guidance: Tensor | None) -> Tensor:
@@ -440,12 +456,19 @@ class RigDecoder(Decoder):
         return self._with_speech(x.rows[..., :channels], speech)
 
     def first_past(self, batch: int) -> tuple[Tensor, ...]:
-        """What each causal layer was given before the first frame: zeros (B, channels, span)."""
+        """What each causal layer was given before the first frame: zeros (B, channels, span).
+
+        With a kept decoder, those of every evaluation of both, in the order of `_combined`.
+        """
         layers = cast("list[TemporalConv]", list(self.layers))
-        return tuple(
+        own = tuple(
             layer.conv.weight.new_zeros(batch, layer.conv.in_channels, layer.span)
             for layer in layers
         )
+        if self.kept is None:
+            return own
+        count = 1 if self.change is None else 2 if self.change.is_whole else 3
+        return (own * max(count - 1, 1)) + self.kept.first_past(batch) * count
 
     def advance(
         self, speech: Tensor, emotion: Tensor, guidance: Tensor | None, past: tuple[Tensor, ...]
@@ -465,14 +488,37 @@ class RigDecoder(Decoder):
         past : tuple of Tensor
             For the next call.
         """
+        size, kept = len(self.layers), self.kept
+        split = len(past) if kept is None else size * _own_count(len(past) // size)
+        pasts = [iter(part) for part in (past[:split], past[split:])]
+        after: tuple[list[Tensor], list[Tensor]] = ([], [])
+
+        def evaluate(decoder: RigDecoder, styles: Tensor, place: int) -> Tensor:
+            before = tuple(itertools.islice(pasts[place], size))
+            given = guidance if place == 0 else self._of_kept(guidance)
+            curves, new = decoder._advance(speech, styles, given, before)
+            after[place].extend(new)
+            return curves
+
+        curves = self._combined(
+            emotion,
+            lambda styles: evaluate(self, styles, 0),
+            None if kept is None else lambda styles: evaluate(kept, styles, 1),
+        )
+        return curves, (*after[0], *after[1])
+
+    def _advance(
+        self, speech: Tensor, emotion: Tensor, guidance: Tensor | None, past: tuple[Tensor, ...]
+    ) -> tuple[Tensor, tuple[Tensor, ...]]:
+        """`advance` of the own layers alone."""
         x, extra = self._inputs(speech, emotion, guidance)
-        kept = []
+        new = []
         for i, layer in enumerate(self.layers):
             given = torch.cat((x, extra), dim=1)
-            kept.append(torch.cat((past[i], given), dim=2)[..., given.shape[2] :])
+            new.append(torch.cat((past[i], given), dim=2)[..., given.shape[2] :])
             x = self._joined(i, x, layer(given, past[i]))
         hidden = self._with_speech(x.transpose(1, 2), speech)
-        return self.curves(hidden, emotion), tuple(kept)
+        return self.curves(hidden, emotion), tuple(new)
 
     def _joined(self, i: int, x: Tensor, out: Tensor) -> Tensor:
         return (x + out) / 2**0.5 if self.residual and i else out
@@ -485,6 +531,22 @@ class RigDecoder(Decoder):
         if guidance is not None:
             extra = torch.cat((extra, guidance[..., : self.guidance_size]), dim=-1)
         return speech.transpose(1, 2), extra.transpose(1, 2)
+
+
+def _own_count(evaluations: int) -> int:
+    """Evaluations of the own layers among all: 1 of 2, 1 of 3, 2 of 5."""
+    return max(evaluations // 2, 1)
+
+
+def _each_once(curves: Callable[[Tensor], Tensor], emotions: Tensor) -> Tensor:
+    """Curves of every reading [shape=(R, T, C)], of equal styles computed once."""
+    places: list[int] = []
+    for row in emotions:
+        equal = (k for k in range(len(places)) if torch.equal(emotions[k], row))
+        places.append(next(equal, len(places)))
+    once = sorted(set(places))
+    found = curves(emotions[once] if len(once) < len(places) else emotions)
+    return found[[once.index(place) for place in places]] if len(once) < len(places) else found
 
 
 def build_decoder(
@@ -522,6 +584,8 @@ def build_decoder(
         residual=config.decoder_residual,
         causal=causal,
         kept=_mask(config.kept_controls, controls),
+        captured=[emotion in config.captured_emotions for emotion in EMOTIONS],
+        n_base=config.base_controls,
         direct=config.decoder_direct,
         actor_layers=config.actor_layers,
     )

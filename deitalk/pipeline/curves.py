@@ -1,6 +1,6 @@
 """The main path: speech and an emotion in, 185 curves out."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -20,21 +20,24 @@ from deitalk.errors import AudioError, DeitalkError
 from deitalk.models.load import load_network
 from deitalk.models.protocol import (
     CurveNetwork,
+    CurveRules,
     Reading,
     chosen_actor,
     mean_actor_note,
     trained_weights,
+    unshown_note,
 )
 from deitalk.pipeline.performance import Performance
-from deitalk.pipeline.speech import Intensities, Speech, measure_intensities
+from deitalk.pipeline.speech import Speech, measure_intensities
 from deitalk.pipeline.words.transcript import Transcript
-from deitalk.postprocess.curve_rules import Expression, mean_around
-from deitalk.postprocess.known_phones import KnownPhone, meet_phones
+from deitalk.postprocess.factors import held_intensity, mean_around, opening_factor
+from deitalk.postprocess.known_phones import phone_tracks
 from deitalk.postprocess.life.motion import Motion, plan_motion
 from deitalk.postprocess.life.voice import Seeds, Traits, measure_voice
+from deitalk.postprocess.tracks import VoiceTracks, shown_columns
 from rig import ControlSet, RigCurves
 from rig.arrays import Float32
-from rig.curves.edit import gain_factors, scale_from_rest
+from rig.curves.edit import gain_factors
 from rig.errors import quoted
 
 if TYPE_CHECKING:
@@ -42,6 +45,8 @@ if TYPE_CHECKING:
     from deitalk.pipeline.words.align import WordFit
 
 READ_ON_SAMPLES = SAMPLE_RATE // 2
+BLOCK_FRAMES = 1024
+"""Frames of a recording that pass the rules at once."""
 CURVE_OVERHANG_SECONDS = 0.5  # by which an intensity curve may outlast the recording, without note
 
 
@@ -184,7 +189,8 @@ def prepare(
     speech = Speech.of_recording(recording, rules.gates)
     weights = acting.emotion_track.at(speech.times)
     style = chosen_actor(network.actors, acting.style)
-    recording = recording.noted(*mean_actor_note(network.actors, style))
+    unshown = unshown_note(network.emotions, trained_weights(weights))
+    recording = recording.noted(*mean_actor_note(network.actors, style), *unshown)
     return Prepared(
         network, recording, acting, speech, weights, style, rules, factors, words, clock, suggestion
     )
@@ -238,36 +244,35 @@ def finish(
     """
     neutral, emotional, tracks = reading.first(len(prepared.weights))
     speech, rules, acting, clock = prepared.speech, prepared.rules, prepared.acting, prepared.clock
-    controls, weights = prepared.network.controls, prepared.weights
-    expression = Expression(controls, rules)
-    held = partial(
-        expression.held_intensity,
-        neutral,
-        emotional,
-        trained_weights(weights),
-        speech.activity > 0,
-    )
+    network, weights = prepared.network, prepared.weights
+    # Intensity: of the voice, and what the reading holds of it.
+    speaking = speech.activity > 0
+    pose = neutral, emotional, trained_weights(weights), speaking
+    held = partial(held_intensity, rules.pose_size, network.controls, *pose)
     intensities = measure_intensities(speech, tracks, acting, rules.voice_intensity, held)
     clock.lap("network")
+    # Times of the words in the sound.
     if words is None and prepared.words is not None:
-        # Times of the words in the sound.
         from deitalk.pipeline.words.align import align_words
 
         words = align_words(speech, prepared.words)
-    known = () if words is None else words.known
-    values = _apply_rules(expression, neutral, emotional, weights, intensities, speech, known)
-    head = None
-    if (motion := _motion(prepared, weights * intensities.applied[:, None])) is not None:
-        motion.move(values, neutral, controls)
-        head = motion.head
-    clipped = _clamp(values, controls)
-    _clamp(neutral, controls)
-    for curves in (values, neutral):
-        scale_from_rest(curves, prepared.gain, controls)
+    phones = phone_tracks(() if words is None else words.known, len(weights))
+    # What the pass reads of each frame besides the readings.
+    near, usual = (mean_around(x, speaking) for x in (intensities.voice, intensities.network))
+    opening = opening_factor(rules.scale_opening, near, usual, intensities.take)
+    voice = VoiceTracks(intensities.scale, opening, intensities.held, phones, weights)
+    motion = _motion(prepared, weights * intensities.applied[:, None])
+    shown = shown_columns(speech.mouth, speech.shown, None if motion is None else motion.tracks)
+    # The rules, in their order: `deitalk.postprocess.curve_pass`.
+    values = neutral.copy() if emotional is neutral else emotional
+    clipped = apply_rules(
+        network.curve_pass(), neutral, values, voice.columns(), shown, prepared.gain, acting.rules
+    )
     clock.lap("expression")
+    head = None if motion is None else motion.head
     return Performance(
-        _curves(controls, values, emotion=weights, intensity=intensities.applied, head=head),
-        _curves(controls, neutral),
+        _curves(network.controls, values, weights, intensities.applied, head),
+        _curves(network.controls, neutral),
         intensities.saliency,
         intensities.predicted,
         _with_note_of(words, prepared.recording),
@@ -280,32 +285,54 @@ def finish(
     )
 
 
-def _apply_rules(
-    rules: Expression,
+def apply_rules(
+    rules: CurveRules,
     neutral: Float32,
     emotional: Float32,
-    weights: Float32,
-    intensities: Intensities,
-    speech: Speech,
-    known: Sequence[KnownPhone] = (),
-) -> Float32:
-    """Apply the rules to both readings in place; return the blend of them [shape=(T, C)]."""
-    speaking = speech.activity > 0
-    voice, network = (mean_around(x, speaking) for x in (intensities.voice, intensities.network))
-    opening = rules.opening_factor(voice, network, intensities.take)
-    for reading in (neutral,) if emotional is neutral else (neutral, emotional):
-        rules.sharpen_contacts(reading)
-        meet_phones(reading, rules, known)
-        rules.scale_opening(reading, opening)
-    out = None if emotional is neutral else emotional  # not needed any more
-    values = rules.blend(neutral, emotional, intensities.scale, out)
-    rules.express(values, neutral, weights, intensities.scale, intensities.held)
-    rules.rest_lips(values, neutral)
-    for reading in (neutral, values):
-        rules.limit_contact_speed(reading)
-        rules.apply_dead_zone(reading)
-        rules.rest_in_silence(reading, speech.mouth, speech.shown)
-    return values
+    voice: Float32,
+    shown: Float32,
+    gain: Float32,
+    ruled: bool = True,
+) -> int:
+    """Finish both readings of a whole recording in place, block by block.
+
+    Parameters
+    ----------
+    rules : CurveRules
+        The pass.
+    neutral, emotional : array [shape=(T, C)]
+        Two readings, not the same array; then the neutral curves and those that are shown.
+    voice, shown : array [shape=(T, 16)], [shape=(T, 36)]
+        See `deitalk.postprocess.tracks`.
+    gain : array [shape=(C,)]
+        Factor of each control.
+    ruled : bool
+        False leaves the readings as they are, but for gain and range.
+
+    Returns
+    -------
+    int
+        Values of the shown curves that were outside of their range.
+    """
+    outside, state, total = 0.0, rules.first(1), len(neutral)
+    size, flag = neutral.shape[1], np.array([ruled], np.float32)
+    rest = state[:, : rules.ahead]  # a face at rest follows the last frame
+    after = rest[..., :size], rest[..., :size], rest[..., 2 * size :]
+    shown = np.pad(shown, ((rules.ahead, 0), (0, 0)))  # those of the frames that come out
+    for start in range(0, total, BLOCK_FRAMES):
+        stop = min(start + BLOCK_FRAMES, total)
+        block = [part[start:stop][None] for part in (neutral, emotional, voice)]
+        if stop == total:
+            block = [np.concatenate(pair, axis=1) for pair in zip(block, after, strict=True)]
+            stop += rules.ahead
+        now = shown[start:stop][None]
+        given = [*block, now, gain[None], flag, state]
+        curves, plain, counts, state = rules(*given)
+        done = slice(max(start - rules.ahead, 0), max(stop - rules.ahead, 0))
+        known = slice(stop - start - (done.stop - done.start), None)
+        emotional[done], neutral[done] = curves[0, known], plain[0, known]
+        outside += float(counts[0, known].sum())
+    return round(outside)
 
 
 def _motion(prepared: Prepared, shown: Float32) -> Motion | None:
@@ -322,10 +349,22 @@ def _motion(prepared: Prepared, shown: Float32) -> Motion | None:
     return plan_motion(voice, shown, seeds, idle, life, traits)
 
 
-def _curves(controls: ControlSet, values: Float32, **tracks: Float32 | None) -> RigCurves:
+def _curves(
+    controls: ControlSet,
+    values: Float32,
+    emotion: Float32 | None = None,
+    intensity: Float32 | None = None,
+    head: Float32 | None = None,
+) -> RigCurves:
     values.setflags(write=False)  # not copied: an hour is 80 MB
     return RigCurves(
-        values, controls.names, fps=float(FRAME_RATE), control_set=controls.id, **tracks
+        values,
+        controls.names,
+        fps=float(FRAME_RATE),
+        control_set=controls.id,
+        emotion=emotion,
+        intensity=intensity,
+        head=head,
     )
 
 
@@ -355,17 +394,6 @@ def _extended(recording: Recording, seconds: float) -> Recording:
     if not len(silence):
         return recording
     return replace(recording, waveform=np.concatenate([recording.waveform, silence]))
-
-
-def _clamp(values: Float32, controls: ControlSet) -> int:
-    """Clamp to the controls' ranges in place; count the values that were more than 1 % outside."""
-    low, high = controls.minimum, controls.maximum
-    count = 0
-    for start in range(0, len(values), 4096):
-        rows = values[start : start + 4096]
-        count += int(((rows < low - 0.01) | (rows > high + 0.01)).sum())
-        np.clip(rows, low, high, out=rows)
-    return count
 
 
 class _Clock:

@@ -27,7 +27,7 @@ from deitalk.emotions.tracks import ActorReference
 from deitalk.errors import AudioError
 from deitalk.models.load import load_network
 from deitalk.models.protocol import CurveNetwork, Tracks
-from deitalk.postprocess.curve_rules import expression_scale
+from deitalk.postprocess.factors import expression_scale
 from deitalk.postprocess.life.voice import Seeds, Traits
 from deitalk.postprocess.voice_intensity import (
     AROUND_WEIGHT,

@@ -13,9 +13,7 @@ import numpy as np
 
 from deitalk.audio.frames import FRAME_RATE
 from deitalk.errors import ConfigError
-from deitalk.postprocess.curve_rules import Expression
 from deitalk.postprocess.phones import BILABIALS, LABIODENTALS
-from rig import ControlSet
 from rig.arrays import Bool, Float32, Int64
 from rig.mesh import TriMesh
 
@@ -32,8 +30,6 @@ LEAST_FRAMES = 2
 """Frames of the shortest contact."""
 ROUNDING_STEP = 0.2
 """Largest step of the rounding in a frame, as share of its height."""
-PARTED = 0.8
-"""Share by which a contact that is added lowers what parts the lips."""
 
 
 class KnownPhone(NamedTuple):
@@ -48,31 +44,17 @@ class KnownPhone(NamedTuple):
     """Whether the sound does not contradict it."""
 
 
-def meet_phones(curves: Float32, rules: Expression, phones: Sequence[KnownPhone]) -> None:
-    """Close, bite and round the lips where the phones require it, in place.
+def phone_tracks(phones: Sequence[KnownPhone], n_frames: int) -> Float32:
+    """What phones require of each frame [shape=(T, 4)]; 0 where there are none.
 
-    What a network shows stays where it is more; nothing is lowered but what parts closed lips.
-
-    Parameters
-    ----------
-    curves : array [shape=(T, C)]
-        A reading after `Expression.sharpen_contacts`.
-    rules : Expression
-        Places of the controls.
-    phones : sequence of KnownPhone
-        Phones with their times.
+    1 where they close the lips, 1 where the lower lip meets the teeth, the least funnel and the
+    least purse; `deitalk.postprocess.curve_stages.MeetPhones` applies them.
     """
-    if not phones:
-        return
-    n_frames = len(curves)
-    closed = phone_frames(phones, BILABIALS, n_frames)
-    bitten = phone_frames(phones, LABIODENTALS, n_frames) & ~closed
-    before = rules.contact(curves)
-    for places, frames in ((rules.together, closed), (rules.bite, bitten)):
-        curves[np.ix_(frames, places)] = np.maximum(curves[np.ix_(frames, places)], 1)
-    added = np.maximum(rules.contact(curves) - before, 0)
-    curves[:, rules.lively] *= 1 - PARTED * added[:, None]
-    _round(curves, rules.controls, phones)
+    tracks = np.zeros((n_frames, 4), np.float32)
+    tracks[:, 0] = phone_frames(phones, BILABIALS, n_frames)
+    tracks[:, 1] = phone_frames(phones, LABIODENTALS, n_frames) & (tracks[:, 0] == 0)
+    tracks[:, 2:] = _least_rounding(phones, n_frames)
+    return tracks
 
 
 def phone_frames(phones: Sequence[KnownPhone], names: frozenset[str], n_frames: int) -> Bool:
@@ -95,26 +77,21 @@ def _frames(phone: KnownPhone) -> tuple[int, int]:
     return first, stop
 
 
-def _round(curves: Float32, controls: ControlSet, phones: Sequence[KnownPhone]) -> None:
-    """Raise funnel and purse to their least values within rounded phones, in place."""
-    floors = np.zeros((len(curves), 2), np.float32)
+def _least_rounding(phones: Sequence[KnownPhone], n_frames: int) -> Float32:
+    """Least funnel and purse within rounded phones, with slopes around them [shape=(T, 2)]."""
+    floors = np.zeros((n_frames, 2), np.float32)
     for phone in phones:
         if phone.name in ROUNDED:
             first, stop = _frames(phone)
             least = ROUNDED_SHARE * np.array(ROUNDED[phone.name]) * (FUNNEL, PURSE)
             rows = floors[max(first, 0) : stop]
             np.maximum(rows, least, out=rows)
-    # Floors that rise and fall by `ROUNDING_STEP` a frame around each plateau.
     out = floors.copy()
     for frames in range(1, round(1 / ROUNDING_STEP)):
         lower = floors * (1 - frames * ROUNDING_STEP)
         out[frames:] = np.maximum(out[frames:], lower[:-frames])
         out[:-frames] = np.maximum(out[:-frames], lower[frames:])
-    floors = out
-    for column, part in enumerate(("mouth_funnel", "mouth_purse")):
-        places = [i for i, name in enumerate(controls.names) if part in name]
-        block, floor = curves[:, places], floors[:, column, None]
-        curves[:, places] = np.where(floor > 0, np.maximum(block, floor), block)
+    return out
 
 
 # Seal of the embedded heads' lips: gaps that are nearly closed are closed, after the network.

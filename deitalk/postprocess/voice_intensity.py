@@ -13,9 +13,6 @@ The weights were chosen on training and validation actors and validation readers
 the scores of test actors.
 """
 
-import math
-from typing import NamedTuple
-
 import numpy as np
 import numpy.typing as npt
 
@@ -23,9 +20,7 @@ from deitalk.audio.vocal_strength import (
     LEVEL_DB,
     PITCH_SEMITONES,
     TILT_DB,
-    VOICED,
     Prosody,
-    sonority_db,
 )
 from deitalk.config.rules import Gates, VoiceIntensity
 from rig.arrays import AnyFloat, Bool, Float32, Float64
@@ -118,157 +113,6 @@ def fade(progress: AnyFloat) -> Float32:
     return faded
 
 
-# Intensity of a voice that has not ended: the causal form of `voice_intensity`.
-#
-# The variation is the same sum, about running means that forget; smoothing looks back instead of
-# to both sides, and after a pause the intensity rises with the voice instead of before it. The
-# strength of the voice is the network's readout alone.
-
-FORGET_FRAMES = 900.0
-"""Frames of speech that a mean remembers (30 s)."""
-USUAL_FRAMES = 30.0
-"""Weight of the usual intensity at the start, frames."""
-SMOOTHING = 1 / 8
-"""Share of a new frame in the smoothed values: 0.27 s."""
-AROUND_SMOOTHING = 1 / 30
-"""The same in the strength and the intensity around a frame: a second."""
-MOST_LEVEL = 4.0
-"""Limit of the standard deviations of the level, whose mean is young at first."""
-
-
-class Mean:
-    """Running mean whose older values count less and less.
-
-    Parameters
-    ----------
-    value : float
-        At the start.
-    weight : float
-        Frames that it counts for.
-    """
-
-    def __init__(self, value: float = 0.0, weight: float = 0.0) -> None:
-        self.value, self.weight = value, weight
-
-    def add(self, value: float) -> float:
-        """Take a value; return its distance from the mean with it."""
-        self.weight = min(self.weight + 1, FORGET_FRAMES)
-        self.value += (value - self.value) / self.weight
-        return value - self.value
-
-
-class Measures(NamedTuple):
-    """Prosody of consecutive frames [shape=(n,)], from `measure_windows`."""
-
-    level: Float64
-    tilt: Float64
-    pitch: Float64
-    periodicity: Float64
-    sonority: Float64
-
-    @classmethod
-    def of(cls, measured: Float64) -> "Measures":
-        """Take measured rows (31, n)."""
-        level, bright, dark, pitch, periodicity = measured[:5]
-        tilt = 10 * np.log10((bright + 1e-12) / (dark + 1e-12))
-        return cls(level, tilt, pitch, periodicity, sonority_db(measured[5:]))
-
-
-class RunningIntensity:
-    """Intensity of one stream, frame by frame.
-
-    Parameters
-    ----------
-    rule : VoiceIntensity or None
-        Weight of the prosody; None: the network's intensity stays as it is.
-    """
-
-    def __init__(self, rule: VoiceIntensity | None) -> None:
-        self.rule = rule
-        self.usual = Mean(0.0, USUAL_FRAMES)
-        self.level, self.tilt, self.pitch = Mean(), Mean(), Mean()
-        self.strength = Mean(0.0, USUAL_FRAMES)
-        self.z = self.kept = self.around = self.near = 0.0
-
-    def feed(
-        self, network: Float32, measures: Measures, speaking: Bool, effort: Float32
-    ) -> Float32:
-        """Corrected intensity of the next frames [shape=(n,), range 0 to 1].
-
-        Parameters
-        ----------
-        network : array [shape=(n,), range 0 to 1]
-            Predicted by the network.
-        measures : Measures
-            Prosody of the same frames.
-        speaking : array of bool [shape=(n,)]
-            Frames of speech; in others the intensity decays.
-        effort : array [shape=(n,)]
-            Strength of the voice, dB above the usual; 0 where no network has read it.
-        """
-        if self.rule is None:
-            return network
-        rows = zip(deviation(network), effort, *measures[:4], speaking, strict=True)
-        return np.array([self._next(*row) for row in rows], np.float32)
-
-    def _next(
-        self, z: float, effort: float, level: float, tilt: float, pitch: float, periodicity: float,
-        speaks: bool,
-    ) -> float:  # fmt: skip
-        assert self.rule is not None
-        if not speaks:
-            self.kept *= math.exp(-1 / FALL_FRAMES)
-        else:
-            self.kept += (1 - self.kept) * (1 - math.exp(-1 / RISE_FRAMES))
-            index = LEVEL_SHARE * _limited(self.level.add(level) / LEVEL_DB, MOST_LEVEL)
-            if periodicity > VOICED and tilt < BRIGHTEST_DB:
-                index += TONE_SHARE * _limited(self.tilt.add(tilt) / TILT_DB, MOST_TONE)
-                semitones = self.pitch.add(pitch)
-                if abs(semitones) <= FURTHEST_SEMITONES:
-                    index += TONE_SHARE * _limited(semitones / PITCH_SEMITONES, MOST_TONE)
-            new = NETWORK_WEIGHT * self.usual.add(z) + self.rule.index_weight * index
-            self.z += SMOOTHING * (new - self.z)
-            self.near += AROUND_SMOOTHING * (_bounded(self.z) - self.near)
-            self.strength.add(effort)
-            self.around += AROUND_SMOOTHING * (effort - self.around)
-        strength = self.strength.value
-        strength += AROUND_WEIGHT * (self.around - strength)
-        variation = _bounded(self.z) - NEAR_SHARE * self.near
-        z = variation + float(_base(strength, self.rule))
-        share = (1 - FAINTEST) / (1 + math.exp(-STEEPNESS * z))
-        return FAINTEST + share * self.kept
-
-
-class RunningAround:
-    """Means of the corrected and the predicted intensity over the last second of speech.
-
-    Parameters
-    ----------
-    usual : float
-        Of both, before the first speech.
-    """
-
-    def __init__(self, usual: float) -> None:
-        self.means = np.full(2, usual)
-
-    def feed(self, voice: Float32, network: Float32, speaking: Bool) -> tuple[Float32, Float32]:
-        """Means at the next frames [shape=(n,)] of both, of `speaking` frames alone."""
-        rows = np.stack([voice, network], 1)
-        for row, speaks in zip(rows, speaking, strict=True):
-            self.means = self.means + AROUND_SMOOTHING * speaks * (row - self.means)
-            row[:] = self.means
-        return rows[:, 0], rows[:, 1]
-
-
-def _bounded(z: float) -> float:
-    """Variation within `MOST_VARIATION`, as `_variation` bounds it."""
-    return MOST_VARIATION * math.tanh(z / MOST_VARIATION)
-
-
-def _limited(z: float, most: float) -> float:
-    return max(-most, min(most, z))
-
-
 FAINTEST, STEEPNESS = 0.15, 1.3
 """Lowest intensity, and its slope in z (`deitalk.research.corpus.rig_targets`)."""
 SMOOTHING_FRAMES = 6.0
@@ -333,13 +177,13 @@ def voice_intensity(
     speaking = activity > 0
     if not prosody.voiced.any() or not speaking.any():
         return network
-    base = np.broadcast_to(_base(strength, rule), network.shape)
+    base = np.broadcast_to(base_z(strength, rule), network.shape)
     z = _variation(network, prosody, speaking, rule) + base
     z = z + _shift(z[speaking], _intensity(base[speaking]).mean())
     return _decayed(_intensity(z), speaking).astype(np.float32)
 
 
-def _base(strength: Float32 | float, rule: VoiceIntensity) -> Float64:
+def base_z(strength: Float32 | Float64 | float, rule: VoiceIntensity) -> Float64:
     """Operating point of a strength in dB, standard deviations."""
     base: Float64 = MOST_BASE * np.tanh(rule.strength_weight * np.asarray(strength) / MOST_BASE)
     return base

@@ -3,6 +3,7 @@
 import json
 from pathlib import Path
 
+from deitalk.models.folder import READOUTS
 from result_tables.common import report, short, table
 
 WEIGHTS = Path(__file__).parents[2] / "deitalk/models/weights"
@@ -48,7 +49,7 @@ def megabytes(name: str) -> float:
 
 def numbers(name: str) -> int:
     """Numbers in the weights of a model."""
-    files = ("model.safetensors", "encoder.safetensors", "effort.safetensors")
+    files = ("model.safetensors", "encoder.safetensors", *READOUTS)
     paths = (WEIGHTS / name / file for file in files)
     return sum(_numbers(path) for path in paths if path.is_file())
 

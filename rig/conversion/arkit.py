@@ -13,6 +13,7 @@ clamp(MouthClose / JawOpen, 0, 1); we use the same rule, both ways. So MouthClos
 JawOpen: lips meet and do not cross.
 """
 
+import re
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cache
@@ -215,22 +216,40 @@ class ArkitFit:
 
     def __str__(self) -> str:
         return (
-            f"ARKit is a lossy preview: {self.lost:.0%} of the movement is outside its shapes "
-            f"(residual {float(self.residual.mean() if len(self.residual) else 0):.3g} per frame, "
-            f"{float(self.residual.sum()):.4g} in all)"
+            f"ARKit is a lossy preview: {self.lost:.0%} of the movement cannot be shown by its 52 "
+            "shapes (root mean square over the 251 raw curves)"
         )
 
 
 @cache
 def arkit_controls() -> ControlSet:
-    """Return the 52 shapes and 9 rotations in the order of a Live Link Face CSV, ``arkit-61``."""
+    """Return the 52 shapes and 9 rotations in the order of a Live Link Face CSV, ``arkit-61``.
+
+    Other programs' spellings resolve too: ``eyeBlinkLeft``, ``eyeBlink_L``, ``eye_blink_left`` …
+    """
     controls = []
     for row in rows_of("conversion/arkit.csv"):
         is_shape = row["kind"] == "blendshape"
         low, high = (0.0, 1.0) if is_shape else (-ROTATION_LIMIT, ROTATION_LIMIT)
-        aliases = tuple(filter(None, [row["apple_name"]]))
-        controls.append(Control(row["name"], low, high, aliases=aliases))
+        controls.append(Control(row["name"], low, high, aliases=_spellings(row["name"])))
     return ControlSet(ARKIT_ID, tuple(controls))
+
+
+def _spellings(name: str) -> tuple[str, ...]:
+    """Spellings of a name of the app: Apple's, with ``_L``, with underscores, all small, spaced.
+
+    ``JawLeft`` and ``MouthLeft`` are directions: they keep their last word.
+    """
+    words = re.findall("[A-Z][a-z]*", name)
+    camel = words[0].lower() + "".join(words[1:])
+    found = [camel, "_".join(words), "_".join(words).lower(), "_".join(words).upper()]
+    found += [camel.lower(), camel.upper(), " ".join(words), " ".join(words).lower()]
+    if words[-1] in ("Left", "Right") and len(words) > 2:
+        letter = words[-1][0]
+        for stem in (camel[: -len(words[-1])], "".join(words[:-1]), "_".join(words[:-1]).lower()):
+            found += [f"{stem}_{side}" for side in (letter, letter.lower(), words[-1])]
+            found += [f"{stem}.{letter}", f"{stem}{letter}", f"{stem}_{words[-1].lower()}"]
+    return tuple(dict.fromkeys(spelling for spelling in found if spelling != name))
 
 
 @cache

@@ -93,16 +93,20 @@ def controls_of(names: Sequence[str], *, where: str) -> ControlSet:
     ControlError
         If there is none; the message is that of the set with most of the names.
     """
-    sets = [make() for make in KNOWN.values()]
-    known = [sum(name in controls for name in names) for controls in sets]
-    best = sets[known.index(max(known))]
-    if max(known) < len(names):
-        unknown = next(name for name in names if name not in best)
+    best = best_set(names)
+    unknown = next((name for name in names if name not in best), None)
+    if unknown is not None:
         try:
             best.canonical(unknown)
         except ControlError as error:
             raise ControlError(f"{where}: {error}") from None
     return best
+
+
+def best_set(names: Sequence[str]) -> ControlSet:
+    """Return the known control set with most of some names."""
+    sets = [make() for make in KNOWN.values()]
+    return max(sets, key=lambda controls: sum(name in controls for name in names))
 
 
 def shapes_named(

@@ -59,6 +59,8 @@ class RigCurves:
         Turn and shift of the head in the order of `HEAD`, degrees and cm.
     control_set : str
         Id of the control set that the names belong to.
+    notes : tuple of str
+        What a reader corrected, filled in or left out, a line each.
 
     Raises
     ------
@@ -76,6 +78,7 @@ class RigCurves:
     intensity: Float32 | None = None
     control_set: str = DEFAULT_ID
     head: Float32 | None = None
+    notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         names = tuple(str(name) for name in self.names)

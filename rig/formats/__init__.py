@@ -18,10 +18,20 @@ from rig.curves.edit import ClampReport, clamp
 from rig.errors import FormatError, quoted
 from rig.files import atomic_write
 from rig.files.reading import open_file
+from rig.formats.named import is_face_cap
 from rig.formats.table import FORMATS, Format, find_format, format_of_header
+from rig.formats.units import check_rate, in_units
 from rig.formats.wide_csv import read_header
 from rig.limits import JSON_CURVES_BYTES
 
+JSON_MARKS = (
+    (b'"deitalk.curves/', "json"), (b'"mouthCues"', "rhubarb-json"), (b'"facsNames"', "a2f-json"),
+    (b'"categoryName"', "shapes"), (b'"category_name"', "shapes"), (b'lendShapes"', "shapes"),
+    (b'lendshapes"', "shapes"),
+)  # fmt: skip
+"""Text at the beginning of a JSON file, by which its format is recognised."""
+RHUBARB_CELLS = 2
+"""Of a line of Rhubarb's cues; a table of more is one of curves."""
 RANGE_TOLERANCE = 1e-4
 """Excess over a range that a reader clamps as rounding."""
 
@@ -86,11 +96,16 @@ def read_curves(
         Set to convert to where the file holds another of the known ones: a Live Link take becomes
         board channels. None leaves the curves as they are.
 
+    Returns
+    -------
+    RigCurves
+        With a note for each correction: units, rates, rows without a face.
+
     Raises
     ------
     FormatError
-        If the format is unknown, or the file is missing, too large or invalid: NaN,
-        out of range (naming row and column; Live Link takes are clamped), uneven times.
+        If the format is unknown, or the file is missing, too large or invalid: NaN, out of range
+        (naming row and column; Live Link takes are clamped), times or angles of no face.
     ControlError
         If a control is unknown or doubled.
     """
@@ -101,9 +116,15 @@ def read_curves(
     assert chosen.read is not None
     curves = chosen.read(path, controls, fps)
     known = controls or known_controls(curves.control_set)
+    if fps is None and len(curves) > 1:
+        check_rate(curves.fps, path)
+    if known is not None:
+        curves = in_units(curves, known, path)
     if known is not None and known.id != ARKIT_ID:  # calibrated captures exceed their ranges
         if chosen.name.startswith("livelink"):
-            curves, _ = clamp(curves, known)
+            curves, clipped = clamp(curves, known)
+            said = (str(clipped),) if clipped else ()
+            curves = replace(curves, notes=(*curves.notes, *said))
         else:
             curves = check_range(curves, known, where=str(path))
     wanted = control_set if controls is None else controls.id
@@ -240,11 +261,14 @@ def _recognised(path: Path, chosen: Format) -> Format:
     name = None
     if path.suffix.lower() == ".csv":
         name = format_of_header(read_header(path))
+    elif chosen.name == "rhubarb-tsv" and len(read_header(path)) > RHUBARB_CELLS:
+        name = "csv"
+    elif chosen.name == "emoface" and is_face_cap(path):
+        name = "facecap"
     elif chosen.name == "json":
         with open_file(path, JSON_CURVES_BYTES) as stream:
-            beginning = stream.read(4096)
-        marks = {b'"mouthCues"': "rhubarb-json", b'"facsNames"': "a2f-json"}
-        name = next((found for mark, found in marks.items() if mark in beginning), None)
+            beginning = stream.read(4096).replace(b"\0", b"")  # of UTF-16
+        name = next((found for mark, found in JSON_MARKS if mark in beginning), None)
     return find_format(path, name or chosen.name)
 
 
@@ -258,6 +282,7 @@ def _prepared(path: Path, curves: RigCurves, chosen: Format) -> tuple[RigCurves,
     if wanted is not None and curves.control_set not in chosen.also:
         curves, note = convert_and_note(curves, wanted)
     more = chosen.note(path, curves) if chosen.note else ""
+    note = "; ".join(filter(None, (*curves.notes, note)))
     lost = unshown(curves, chosen.shows(), chosen.name) if chosen.shows else ""
     return curves, clipped, "; ".join(filter(None, (note, more, lost)))
 

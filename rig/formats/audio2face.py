@@ -1,21 +1,25 @@
-"""Curves of NVIDIA's Audio2Face: ``animation_frames.csv``, and JSON of its application."""
+"""Curves of NVIDIA's Audio2Face: ``animation_frames.csv``, and JSON of its application.
+
+The CSV is read as any table of ARKit's shapes (`rig.formats.curves_csv.read`).
+"""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from rig.controls import ControlSet
-from rig.conversion.arkit import ARKIT_ID, arkit_controls, udp_order
+from rig.conversion.arkit import ARKIT_ID, udp_order
 from rig.conversion.convert import shapes_named
 from rig.curves import RigCurves, check_clip
+from rig.curves.edit import clamp
 from rig.errors import FormatError
-from rig.formats.curves_csv import fps_of
 from rig.formats.curves_json import read_object
 from rig.formats.decimal_text import Block, rows
-from rig.formats.wide_csv import read_header, read_numbers
+from rig.formats.named import A2F_PREFIX
+from rig.formats.units import in_units
 
-PREFIX = "blendShapes."
 DECIMALS = 6
 N_SHAPES = 52
 
@@ -31,24 +35,9 @@ def write(path: Path, curves: RigCurves) -> None:
         Block(curves.values[:, order], DECIMALS),
     ]
     with path.open("wb") as stream:
-        header = ("", "timeCode", *(PREFIX + name for name in names))
+        header = ("", "timeCode", *(A2F_PREFIX + name for name in names))
         stream.write(",".join(header).encode() + b"\n")
         stream.writelines(rows(blocks))
-
-
-def read(path: Path, controls: ControlSet | None = None, fps: float | None = None) -> RigCurves:
-    """Read the ARKit shapes; tongue shapes that ARKit lacks are left out."""
-    header = read_header(path)
-    arkit = arkit_controls()
-    known = {PREFIX + spelling: c.name for c in arkit.controls for spelling in (c.name, *c.aliases)}
-    columns = [i for i, name in enumerate(header) if name in known]
-    if "timeCode" not in header or not columns:
-        raise FormatError(f"{path} needs a column 'timeCode' and columns '{PREFIX}<ARKit name>'")
-    numbers, _ = read_numbers(path, header)
-    fps = fps or fps_of(numbers[:, header.index("timeCode")], where=str(path))
-    names = tuple(known[header[i]] for i in columns)
-    values = numbers[:, columns].astype(np.float32)
-    return RigCurves(values, names, fps, control_set=ARKIT_ID).reorder(arkit)
 
 
 # Blendshape weights as NVIDIA's Audio2Face application exports them: ``facsNames``, ``weightMat``.
@@ -106,5 +95,7 @@ def read_json(
     shown = np.zeros((len(values), len(chosen)), np.float32)
     for column, place in enumerate(places):
         if place is not None:
-            shown[:, place] = np.clip(values[:, column], 0, 1)
-    return RigCurves(shown, chosen.names, float(rate), control_set=chosen.id)  # type: ignore[arg-type]
+            shown[:, place] = values[:, column]
+    curves = RigCurves(shown, chosen.names, float(rate), control_set=chosen.id)  # type: ignore[arg-type]
+    curves, clipped = clamp(in_units(curves, chosen, path), chosen)
+    return replace(curves, notes=(*curves.notes, *([str(clipped)] if clipped else ())))

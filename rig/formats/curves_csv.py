@@ -4,24 +4,31 @@ For pandas, spreadsheets and Unreal's data tables. Controls are values only: emo
 and intensity tracks go into JSON and NPZ, and beside a take into its ``intensity.csv``.
 """
 
+import difflib
+import re
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from rig.arrays import Float64
 from rig.controls import ControlSet
-from rig.conversion.convert import controls_of, known_controls
-from rig.curves import RigCurves, snap_fps
-from rig.errors import FormatError
+from rig.conversion.arkit import ARKIT_ID, PREFIX, arkit_controls
+from rig.conversion.convert import best_set, controls_of, known_controls
+from rig.curves import RigCurves
+from rig.errors import FormatError, listed, quoted
 from rig.formats.decimal_text import Block, rows
-from rig.formats.wide_csv import read_header, read_numbers
-from rig.limits import FPS_HIGHEST
+from rig.formats.named import NamedCurves, read_named
 
 DECIMALS = 6
 """Digits of a value: half a millionth of error at most."""
 TIME_DECIMALS = 9
 INDEX_COLUMNS = ("frame", "time")
+N_SHAPES = 52
+"""Of ARKit's controls; the others are angles, which few files have."""
+MISSPELT = 0.9
+"""Likeness of a name to that of a missing control from which on it is the same one."""
+LONGEST_NAME = 100
 
 
 def write(path: Path, curves: RigCurves, digits: int = DECIMALS) -> None:
@@ -47,30 +54,116 @@ def read(path: Path, controls: ControlSet | None = None, fps: float | None = Non
     controls : ControlSet, optional
         Control set of the columns; inferred from their names if not given.
     fps : float, optional
-        Frames per second; taken from the ``time`` column if not given.
+        Frames per second; taken from the times if not given.
 
     Raises
     ------
     FormatError, ControlError
         If the file is no such table, a control is missing, doubled or unknown, or the times are
-        not evenly spaced.
+        those of no capture.
     """
-    header = read_header(path)
-    columns = [i for i, name in enumerate(header) if name not in INDEX_COLUMNS]
-    controls = controls or controls_of([header[i] for i in columns], where=str(path))
-    names = controls.resolve([header[i] for i in columns])
-    require_all(path, controls, [header[i] for i in columns])
-    numbers, _ = read_numbers(path, header)
-    if fps is None:
-        if "time" not in header:
+    table = _table(path, controls, fps)
+    if controls is None and best_set(table.names).id == ARKIT_ID:
+        return _shapes(path, table)
+    controls = controls or controls_of(table.names, where=str(path))
+    require_all(path, controls, table.names)
+    names = dict(zip(table.names, controls.resolve(table.names), strict=True))
+    curves = table.to_curves(names, controls.id)
+    return replace(curves, notes=table.all_notes).reorder(controls)
+
+
+def read_shapes(
+    path: Path, controls: ControlSet | None = None, fps: float | None = None
+) -> RigCurves:
+    """Read ARKit's shapes, in CSV, JSON or Face Cap's text; those that are absent rest.
+
+    Parameters and errors are those of `read`; other columns are left out, with a note.
+    """
+    return _shapes(path, _table(path, controls, fps))
+
+
+def _table(path: Path, controls: ControlSet | None, fps: float | None) -> NamedCurves:
+    try:
+        return read_named(path, fps, curves=controls or ())
+    except FormatError as error:
+        if error.parameter != "fps":
+            raise
+        text = str(error).replace("`fps`", "the curves' rate (deitalk convert: `source_fps`)")
+        raise FormatError(text, parameter="source_fps") from None
+
+
+def _shapes(path: Path, table: NamedCurves) -> RigCurves:
+    controls = arkit_controls()
+    present, notes = known_columns(path, table.names, controls, controls.names[:N_SHAPES])
+    if not present:
+        raise FormatError(f"{path}: {describe_columns(table.names)} are no shapes of ARKit")
+    names = dict(zip(present, controls.resolve(present), strict=True))
+    curves = table.to_curves(names, controls.id)
+    return replace(curves, notes=(*table.all_notes, *notes)).reorder(controls)
+
+
+def known_columns(
+    path: Path,
+    names: Sequence[str],
+    controls: ControlSet,
+    wanted: Sequence[str],
+    others: Sequence[str] = (),
+) -> tuple[list[str], list[str]]:
+    """Columns that are controls of a set, and notes about those that are absent or left out.
+
+    Parameters
+    ----------
+    path : Path
+        Beginning of a message.
+    names : sequence of str
+        Of the columns.
+    controls : ControlSet
+        The set.
+    wanted : sequence of str
+        Controls whose absence is noted.
+    others : sequence of str
+        Columns that are no controls and have another use.
+
+    Raises
+    ------
+    FormatError
+        If a column that is none is called almost as one that is absent.
+    """
+    present = [name for name in names if name in controls]
+    resolved = set(controls.resolve(present))
+    missing = [name for name in wanted if name not in resolved]
+    unknown = [name for name in names if name not in controls and name not in others]
+    by_key = {_bare(name): name for name in missing}
+    for name in unknown:
+        if len(name) > LONGEST_NAME:
+            continue
+        longer = [key for key in by_key if key in _bare(name)]
+        near = longer or difflib.get_close_matches(_bare(name), by_key, n=1, cutoff=MISSPELT)
+        if near:
             raise FormatError(
-                f"{path} has no column 'time'; add one, or give the curves' rate (deitalk convert: "
-                "`source_fps`)",
-                parameter="source_fps",
+                f"{path}: column {quoted(name)} is unknown and {by_key[near[0]]!r} is missing: "
+                "rename the column, or remove it"
             )
-        fps = fps_of(numbers[:, header.index("time")], where=str(path))
-    curves = RigCurves(numbers[:, columns].astype(np.float32), names, fps, control_set=controls.id)
-    return curves.reorder(controls)
+    notes = []
+    if missing:
+        notes.append(f"lacks {_columns(missing)}, not known: {describe_columns(missing)}")
+    if unknown:
+        is_or_are = "is" if len(unknown) == 1 else "are"
+        notes.append(f"{_columns(unknown)} {is_or_are} left out: {describe_columns(unknown)}")
+    return present, notes
+
+
+def _columns(names: Sequence[str]) -> str:
+    return "1 column" if len(names) == 1 else f"{len(names)} columns"
+
+
+def describe_columns(names: Sequence[str]) -> str:
+    """The first three names, quoted."""
+    return listed([quoted(name) for name in names])
+
+
+def _bare(name: str) -> str:
+    return re.sub(r"[\W_]", "", name.removeprefix(PREFIX)).lower()
 
 
 def require_all(path: Path, controls: ControlSet, names: Sequence[str]) -> None:
@@ -103,33 +196,3 @@ def names_of_set(
         raise FormatError(f"{path} is of control set {set_id!r}, not {known.id!r}; name its rig")
     require_all(path, known, names)
     return list(known.resolve(names)), known
-
-
-def fps_of(times: Float64, *, where: str) -> float:
-    """Return the rate of evenly spaced times (seconds): a standard one where it fits.
-
-    Raises
-    ------
-    FormatError
-        If times do not rise, or a step differs from the mean step by more than a tenth.
-    """
-    if len(times) < 2:
-        return 30.0
-    steps = np.diff(times)
-    mean = (times[-1] - times[0]) / len(steps)
-    if not mean > 0:
-        raise FormatError(f"{where}: the times do not rise; give each frame a later time")
-    if mean < 0.5 / FPS_HIGHEST:
-        raise FormatError(
-            f"{where}: frames are {mean:g} s apart; at most {FPS_HIGHEST:g} a second are read"
-        )
-    uneven = np.abs(steps - mean) > 0.1 * mean
-    if uneven.any():
-        row = int(np.argmax(uneven)) + 2
-        raise FormatError(
-            f"{where}: data row {row} comes {steps[row - 2]:g} s after the last, others "
-            f"{mean:g} s; frames must be evenly spaced"
-        )
-    exact = float(1.0 / mean)
-    rounded = round(exact, 4)
-    return snap_fps(rounded if abs(rounded - exact) < 2e-5 * exact and rounded else exact)

@@ -5,13 +5,14 @@ Columns are ``Timecode, BlendshapeCount`` and 61 ARKit names; a row is a frame. 
 a sixtieth), except that a file in which FF never exceeds 30.0 counts thirtieths: the app does so at
 30 fps, and Unreal's importer (since August 2023) takes its rate from that. A file in sixtieths that
 ends within half a second would be read at half speed, so `write_take` holds its last frame until FF
-exceeds 30.
+exceeds 30. Other programs count 24, 25, 48, 50 or 120 frames, or drop frame: the ends of the
+seconds show it (`rig.curves.timecode`). A row that counts no shapes, or has empty cells alone, is a
+time without a face.
 
 A recorded take has its own, slightly uneven times, so it is kept as `LiveLinkTake` with its time
 codes to the last digit; `to_curves` puts it on an even grid.
 """
 
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -21,19 +22,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig import limits
-from rig.arrays import Float32, Float64, Int64
+from rig.arrays import Bool, Float32, Float64, Int64
 from rig.controls import ControlSet, check_unique
 from rig.conversion.arkit import ARKIT_ID, PREFIX, RAW_ID, arkit_controls, raw_controls
 from rig.curves import RigCurves, check_clip, snap_fps
+from rig.curves.rig_curves import STANDARD_RATES
+from rig.curves.timecode import TICKS_PER_SECOND, Clock, read_timecodes
 from rig.errors import CurveError, FormatError
 from rig.formats.decimal_text import Block, Text, rows
-from rig.formats.wide_csv import read_header, read_numbers
+from rig.formats.named import seen_of
+from rig.formats.wide_csv import read_layout, read_numbers
 
-TICKS_PER_SECOND = 60_000
-"""A tick is a thousandth of a sixtieth of a second: the last digit of a time code."""
-TICKS_PER_DAY = 24 * 3600 * TICKS_PER_SECOND
 DECIMALS = 10
-TIMECODE = re.compile(r"(\d{1,2}):(\d{1,2}):(\d{1,2}):(\d{1,2})(?:\.(\d{1,3}))?")
 ENDINGS = ("_cal", "_raw", "_neutral")
 """Ends of file names that the importer leaves out of the subject."""
 SUFFIXES = ("livelink", "livelink-raw")
@@ -67,23 +67,32 @@ class LiveLinkTake:
         Columns after the time code and the count.
     count_column : str
         Spelling of the second column.
+    faces : array of bool [shape=(T,)], optional
+        Rows with a face; None: all. The others have values on straight lines.
+    notes : tuple of str
+        What was told of the time codes, a line each.
     """
 
     ticks: Int64
     values: Float64 | Float32
     names: tuple[str, ...]
     count_column: str = COUNT
+    faces: Bool | None = None
+    notes: tuple[str, ...] = ()
 
     @property
     def fps(self) -> float:
-        """Frames per second: of the median step, a standard rate if it is within 1 %."""
+        """Frames per second, of the steps near the median one: a standard rate within .03 %."""
         if len(self.ticks) < 2:
             return 30.0
-        exact = TICKS_PER_SECOND / float(np.median(np.diff(self.ticks)))
-        for standard in (24.0, 25.0, 30.0, 48.0, 50.0, 60.0, 120.0):
-            if abs(exact - standard) < 3e-4 * standard:
-                return standard
-        return snap_fps(exact)
+        steps = np.diff(self.ticks)
+        median = float(np.median(steps))
+        mean = float(steps[np.abs(steps - median) <= 0.25 * median].mean())
+        for exact in (TICKS_PER_SECOND / mean, TICKS_PER_SECOND / median):
+            for standard in STANDARD_RATES:
+                if abs(exact - standard) < 3e-4 * standard:
+                    return standard
+        return snap_fps(TICKS_PER_SECOND / mean)
 
     def to_curves(self, fps: float | None = None) -> RigCurves:
         """Put the take on an even grid, linear between frames, starting with its first frame.
@@ -112,8 +121,15 @@ class LiveLinkTake:
             with np.errstate(over="ignore", invalid="ignore"):  # named by RigCurves
                 values[:, column] = np.interp(grid, seconds, self.values[:, places[name]])
         values.setflags(write=False)  # not copied again
-        curves = RigCurves(values, names, fps, control_set=controls.id).reorder(controls)
+        curves = RigCurves(values, names, fps, control_set=controls.id, notes=self.notes)
+        curves = curves.reorder(controls)
         return replace(curves, head=self._head(grid, seconds)) if controls.id == RAW_ID else curves
+
+    def seen(self, curves: RigCurves) -> Bool:
+        """Frames of `to_curves` that were captured [shape=(F,)]: not in a gap of over a second."""
+        seconds = (self.ticks - self.ticks[0]) / TICKS_PER_SECOND
+        known = seconds if self.faces is None else seconds[self.faces]
+        return seen_of(curves.times, known, curves.fps)
 
     def _head(self, grid: Float64, seconds: Float64) -> Float32 | None:
         columns = {
@@ -141,26 +157,56 @@ def read_take(path: Path) -> LiveLinkTake:
         If the first columns are not ``Timecode`` and ``BlendShapeCount``, a time code is malformed
         or does not rise, or a cell is no finite number.
     """
-    header = read_header(path)
+    layout = read_layout(path)
+    header = layout.header
     if [cell.lower() for cell in header[:2]] != ["timecode", COUNT.lower()] or len(header) < 3:
         raise FormatError(
             f"{path} begins with {', '.join(header[:2])[:80]!r}; a Live Link Face CSV begins with "
-            f"'Timecode,{COUNT}' and has a column per curve, with commas between"
+            f"'Timecode,{COUNT}' and has a column per curve"
         )
     names = header[2:]
     check_unique(names, where=str(path))
-    numbers, (timecodes,) = read_numbers(path, header, text_columns=(0,))
-    ticks = np.array([parse_timecode(t, row=i, where=path) for i, t in enumerate(timecodes, 1)])
-    if counts_thirtieths(ticks):
-        ticks += ticks % TICKS_PER_SECOND
-    ticks += TICKS_PER_DAY * np.concatenate([[0], np.cumsum(np.diff(ticks) < -TICKS_PER_DAY // 2)])
-    still = np.diff(ticks) <= 0
+    columns = range(2, len(header))
+    numbers, (timecodes,) = read_numbers(path, layout, text_columns=(0,), face=columns, count=1)
+    clock = read_timecodes(timecodes, path)
+    still = np.diff(clock.ticks) <= 0
     if still.any():
         row = int(np.argmax(still)) + 2
         raise FormatError(
             f"{path}: data row {row} has time code {timecodes[row - 1]}, not after the one before"
         )
-    return LiveLinkTake(ticks, numbers[:, 1:], names, header[1])
+    faces = ~np.isnan(numbers[:, 1:]).any(axis=1) & (numbers[:, 0] != 0)
+    values = _without_gaps(path, numbers[:, 1:], clock.ticks, faces)
+    notes = _clock_notes(clock)
+    if faces.all():
+        return LiveLinkTake(clock.ticks, values, names, header[1], None, notes)
+    lost = f"{int((~faces).sum())} of {len(faces)} rows are without a face"
+    return LiveLinkTake(clock.ticks, values, names, header[1], faces, (*notes, lost))
+
+
+def _without_gaps(path: Path, values: Float64, ticks: Int64, faces: Bool) -> Float64:
+    """Values with straight lines where a row has no face."""
+    if not faces.any():
+        raise FormatError(f"{path}: no row has a face; {COUNT} is 0, or every cell empty")
+    if faces.all():
+        return values
+    known = values[faces]
+    return np.stack([np.interp(ticks, ticks[faces], column) for column in known.T], axis=1)
+
+
+def _clock_notes(clock: Clock) -> tuple[str, ...]:
+    """Lines on a frame field that is not the app's, or whose count is not certain."""
+    if clock.is_drop:
+        return (f"drop-frame time codes of {clock.count * 1000 / 1001:.2f} Hz",)
+    if clock.count not in (30, 60):
+        return (f"time codes count {clock.count} frames a second",)
+    if clock.is_certain or len(clock.ticks) < 2 or (clock.ticks % TICKS_PER_SECOND == 0).all():
+        return ()
+    return (
+        (f"time codes end within a second: FF is taken to count {clock.count} a second",)
+        if clock.count == 30
+        else ()
+    )
 
 
 def counts_thirtieths(ticks: Int64) -> bool:
@@ -230,8 +276,12 @@ def _padding_note(curves: RigCurves) -> str:
 
 
 def read(path: Path, controls: ControlSet | None = None, fps: float | None = None) -> RigCurves:
-    """Read a take onto an even grid."""
-    return read_take(path).to_curves(fps)
+    """Read a take onto an even grid, with straight lines where there is no frame."""
+    take = read_take(path)
+    curves = take.to_curves(fps)
+    seconds = float((~take.seen(curves)).sum()) / curves.fps
+    gap = (f"{seconds:.1f} s without a frame: straight lines",) if seconds else ()
+    return replace(curves, notes=(*curves.notes, *gap))
 
 
 def write(path: Path, curves: RigCurves, start: float = 0.0) -> None:
@@ -297,28 +347,6 @@ def timecode_text(ticks: Int64) -> NDArray[np.uint8]:
             text[:, place] = number % 10 + ord("0")
             number = number // 10
     return text
-
-
-def parse_timecode(text: str, *, row: int, where: Path) -> int:
-    """Return a time code in ticks.
-
-    Raises
-    ------
-    FormatError
-        If it is not ``HH:MM:SS:FF.mmm`` with fields in their ranges.
-    """
-    match = TIMECODE.fullmatch(text.strip())
-    if match is None:
-        raise FormatError(
-            f"{where}: data row {row} has time code {text[:40]!r}; it must be HH:MM:SS:FF.mmm"
-        )
-    hours, minutes, seconds, sixtieths = (int(match[i]) for i in range(1, 5))
-    if hours > 23 or max(minutes, seconds, sixtieths) > 59:
-        raise FormatError(
-            f"{where}: data row {row} has time code {text!r}; FF counts sixtieths, 00 to 59"
-        )
-    thousandths = int((match[5] or "0").ljust(3, "0"))
-    return (((hours * 60 + minutes) * 60 + seconds) * 60 + sixtieths) * 1000 + thousandths
 
 
 def subject_of(path: Path) -> str:

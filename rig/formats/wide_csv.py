@@ -1,16 +1,19 @@
 """Wide tables of numbers as CSV: one column per curve, one row per frame."""
 
+import codecs
 import csv
+import re
 import warnings
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from rig.arrays import Float64
+from rig.arrays import Bool, Float64
 from rig.errors import FormatError, quoted, shorten
-from rig.files.reading import check_expansion, check_file, decode_text, open_file
+from rig.files.reading import check_expansion, check_file, open_file
 from rig.limits import CONTROLS, CURVES_BYTES, FRAMES, HEADER_BYTES
 
 if TYPE_CHECKING:
@@ -23,10 +26,45 @@ LARGEST = float(np.finfo(np.float32).max)
 _CHUNK = 1 << 24
 _SMALL = 1 << 22
 """Bytes of a table that is read sooner than pandas is imported."""
+_SAMPLE_LINES = 40
+"""Lines by which separator, decimal mark and width of a table are told."""
+_SEPARATOR_LINE = re.compile(r"\s*\"?sep=(.)\"?[\s,;]*", re.IGNORECASE)
+_DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+(?:[eE][+-]?\d+)?")
 
 
-def read_header(path: Path) -> tuple[str, ...]:
-    """Return the cells of the first line, without the white space around them.
+@dataclass(frozen=True)
+class Layout:
+    """How the text of a table is laid out.
+
+    Parameters
+    ----------
+    encoding : str
+        Of the text: ``utf-8-sig``, or ``utf-16`` with or without its order of bytes.
+    separator : str
+        Between cells: a comma, a semicolon or a tab.
+    decimal : str
+        Of numbers: a point or a comma.
+    skipped : int
+        Lines before the header: empty ones, ``sep=;`` of a spreadsheet, and comments.
+    header : tuple of str
+        Cells of the header without white space; empty ones at its end are left out.
+    first : tuple of str
+        Cells of the first row; empty if there is none.
+    width : int
+        Most cells of a line at the beginning of the file.
+    """
+
+    encoding: str
+    separator: str
+    decimal: str
+    skipped: int
+    header: tuple[str, ...]
+    first: tuple[str, ...]
+    width: int
+
+
+def read_layout(path: Path) -> Layout:
+    """Return the layout of a table by its beginning.
 
     Raises
     ------
@@ -34,17 +72,87 @@ def read_header(path: Path) -> tuple[str, ...]:
         If the file is absent, empty, too large, no text, or has no sensible first line.
     """
     with open_file(path, CURVES_BYTES) as stream:
-        line = stream.readline(HEADER_BYTES + 1)
-    if len(line) > HEADER_BYTES:
+        data = stream.read(2 * HEADER_BYTES)
+    encoding = _encoding(data)
+    is_whole = len(data) < 2 * HEADER_BYTES
+    text = _decoded(data, encoding, path, is_whole=is_whole)
+    lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+    if not is_whole and len(lines) > 1:
+        lines.pop()  # cut short
+    skipped, separator = 0, ""
+    for line, below in zip(lines, [*lines[1:], ""], strict=True):
+        named = _SEPARATOR_LINE.fullmatch(line)
+        is_comment = line.startswith("#") and not re.match(r"\s*[\d.+-]", below)
+        if line.strip() and not named and not is_comment:
+            break
+        separator = named[1] if named else separator
+        skipped += 1
+    sample = lines[skipped : skipped + _SAMPLE_LINES]
+    header = sample[0] if sample else ""
+    if len(header.encode()) > HEADER_BYTES:
         raise FormatError(f"{path}: the first line is longer than 1 MiB; this is no table")
-    text = decode_text(line, path)
+    separator = separator or separator_of(header)
     try:
-        cells = next(csv.reader([text.rstrip("\r\n")]), [])
+        rows = list(csv.reader(sample, delimiter=separator))
     except csv.Error as error:
         raise FormatError(f"{path} is no CSV text: {error}") from None
+    cells = [cell.strip() for cell in rows[0]] if rows else []
+    while cells and not cells[-1]:
+        cells.pop()
     if len(cells) > MAX_COLUMNS:
         raise FormatError(f"{path} has {len(cells)} columns; at most {MAX_COLUMNS} are read")
-    return tuple(cell.strip() for cell in cells)
+    first = next((row for row in rows[1:] if any(cell.strip() for cell in row)), [])
+    has_commas = any(_DECIMAL_COMMA.fullmatch(cell.strip()) for row in rows for cell in row)
+    width = min(max((len(row) for row in rows), default=0), MAX_COLUMNS)
+    return Layout(
+        encoding,
+        separator,
+        "," if has_commas else ".",
+        skipped,
+        tuple(cells),
+        tuple(cell.strip() for cell in first),
+        width,
+    )
+
+
+def read_header(path: Path) -> tuple[str, ...]:
+    """Return the cells of the header, without the white space around them.
+
+    Errors are those of `read_layout`.
+    """
+    return read_layout(path).header
+
+
+def _encoding(data: bytes) -> str:
+    """The encoding of a text by its mark, or by the zero bytes of UTF-16 without one."""
+    if data.startswith((b"\xff\xfe", b"\xfe\xff")):
+        return "utf-16"
+    pairs = data[:200]
+    if len(pairs) >= 4 and not data.startswith(b"\0\0"):
+        if not any(pairs[1::2]) and all(pairs[::2]):
+            return "utf-16-le"
+        if not any(pairs[::2]) and all(pairs[1::2]):
+            return "utf-16-be"
+    return "utf-8-sig"
+
+
+def _decoded(data: bytes, encoding: str, path: Path, *, is_whole: bool) -> str:
+    try:
+        return codecs.getincrementaldecoder(encoding)().decode(data, is_whole)
+    except UnicodeDecodeError as problem:
+        name = "UTF-8" if encoding == "utf-8-sig" else "UTF-16"
+        raise FormatError(
+            f"{path} is no {name} text (byte {problem.start}: {problem.reason}); save it as UTF-8"
+        ) from None
+
+
+def separator_of(line: str) -> str:
+    """The separator of a header: the most frequent outside quotes, a comma if there is none."""
+    plain = re.sub(r'"[^"]*"', "", line)
+    counts = {mark: plain.count(mark) for mark in ";\t,"}
+    if counts[";"] and re.search(r"\d,\d", plain):  # a row of numbers with decimal commas
+        return ";"
+    return max(counts, key=lambda mark: counts[mark]) if any(counts.values()) else ","
 
 
 def count_rows(path: Path, n_columns: int) -> int:
@@ -69,21 +177,27 @@ def count_rows(path: Path, n_columns: int) -> int:
 
 
 def read_numbers(
-    path: Path, header: Sequence[str], *, text_columns: Sequence[int] = (), skip_rows: int = 1
+    path: Path,
+    layout: Layout,
+    *,
+    text_columns: Sequence[int] = (),
+    face: Sequence[int] = (),
+    count: int | None = None,
 ) -> tuple[Float64, list[list[str]]]:
-    """Read the rows under the header.
+    """Read the rows under the header; rows without any cell are left out.
 
     Parameters
     ----------
     path : Path
         The file.
-    header : sequence of str
-        From `read_header`.
+    layout : Layout
+        From `read_layout`.
     text_columns : sequence of int
         Columns that are returned as text (time codes) and not as numbers.
-
-    skip_rows : int
-        Lines before the first row.
+    face : sequence of int
+        Columns that a row may lack all together: it is a time without a face. They are then NaN.
+    count : int, optional
+        Column of a number of shapes: rows of 0 may lack any cell.
 
     Returns
     -------
@@ -96,24 +210,39 @@ def read_numbers(
     FormatError
         Naming row and column, if a cell is empty or no finite number, or rows differ in length.
     """
-    if not text_columns and (plain := _read_plain(path, len(header), skip_rows)) is not None:
+    header = layout.header
+    if not text_columns and (plain := _read_plain(path, layout)) is not None:
         return plain, []
-    table = _read_table(path, header, dict.fromkeys(text_columns, str), skip_rows)
-    too_long = table[len(header)].notna().to_numpy()
+    table = _read_table(path, layout, dict.fromkeys(text_columns, str))
+    n_columns = len(header)
+    too_long = table.loc[:, n_columns:].notna().any(axis=1).to_numpy()
     if too_long.any():
         raise FormatError(
             f"{path}: data row {int(np.argmax(too_long)) + 1} has more cells than the "
-            f"{len(header)} of the header"
+            f"{n_columns} of the header"
         )
+    numeric = [i for i in range(n_columns) if i not in text_columns]
+    filled = table.loc[:, : n_columns - 1].notna().any(axis=1).to_numpy(copy=True)
+    if not (text_columns or face) and filled.any():  # rows are frames: only those at the end
+        filled[: np.flatnonzero(filled)[-1]] = True
+    table = table[filled]
     if not len(table):
         raise FormatError(f"{path} has no rows under its header; it needs one per frame")
-    numeric = [i for i in range(len(header)) if i not in text_columns]
     try:
         numbers = table[numeric].to_numpy(dtype=np.float64)
     except (ValueError, TypeError, OverflowError):
         raise _bad_cell(path, header, table[numeric]) from None
-    if not (np.abs(numbers) <= LARGEST).all():
-        raise _bad_cell(path, header, table[numeric])
+    usable = np.abs(numbers) <= LARGEST
+    if face:
+        places: Sequence[int] = [numeric.index(i) for i in face]
+        no_face = np.isnan(numbers[:, places]).all(axis=1)
+        if count is not None:
+            shapes = numbers[:, numeric.index(count)]
+            no_face |= shapes == 0
+            places = range(len(numeric))
+        usable[np.ix_(no_face, places)] |= np.isnan(numbers[np.ix_(no_face, places)])
+    if not usable.all():
+        raise _bad_cell(path, header, table[numeric], usable)
     return numbers, [table[i].astype(str).tolist() for i in text_columns]
 
 
@@ -125,8 +254,10 @@ def read_matrix(path: Path, n_columns: int) -> Float64:
     FormatError
         As `read_numbers`.
     """
-    header = [str(i + 1) for i in range(n_columns)]
-    return read_numbers(path, header, skip_rows=0)[0]
+    found = read_layout(path)
+    names = tuple(str(i + 1) for i in range(n_columns))
+    layout = replace(found, header=names, skipped=found.skipped - 1)
+    return read_numbers(path, layout)[0]
 
 
 def read_quietly(path: Path, **options: Any) -> "pd.DataFrame":
@@ -139,16 +270,24 @@ def read_quietly(path: Path, **options: Any) -> "pd.DataFrame":
     return table
 
 
-def _read_plain(path: Path, n_columns: int, skip_rows: int) -> Float64 | None:
+def _read_plain(path: Path, layout: Layout) -> Float64 | None:
     """A small table of finite numbers alone; None of any other, which pandas reads or refuses."""
+    if layout.encoding != "utf-8-sig" or layout.decimal != ".":
+        return None
     if check_file(path, CURVES_BYTES) > _SMALL:
         return None
+    n_columns = len(layout.header)
     count_rows(path, n_columns + 1)
     try:
         with warnings.catch_warnings(), open_file(path, CURVES_BYTES) as stream:
             warnings.simplefilter("error", UserWarning)  # no rows
             numbers = np.loadtxt(
-                stream, delimiter=",", skiprows=skip_rows, comments=None, ndmin=2, encoding="ascii"
+                stream,
+                delimiter=layout.separator,
+                skiprows=layout.skipped + 1,
+                comments=None,
+                ndmin=2,
+                encoding="ascii",
             )
     except (ValueError, UserWarning):
         return None
@@ -156,29 +295,34 @@ def _read_plain(path: Path, n_columns: int, skip_rows: int) -> Float64 | None:
     return numbers if is_fit else None
 
 
-def _read_table(
-    path: Path, header: Sequence[str], dtype: dict[int, type], skip_rows: int
-) -> "pd.DataFrame":
+def _read_table(path: Path, layout: Layout, dtype: dict[int, type]) -> "pd.DataFrame":
     import pandas as pd
 
-    count_rows(path, len(header) + 1)
+    width = max(len(layout.header), layout.width) + 1  # one more, to catch rows that are too long
+    count_rows(path, width)
     try:
         return read_quietly(
             path,
             header=None,
-            skiprows=skip_rows,
-            names=list(range(len(header) + 1)),  # one more, to catch rows that are too long
+            sep=layout.separator,
+            decimal=layout.decimal,
+            skiprows=layout.skipped + 1,
+            names=list(range(width)),
             index_col=False,
             dtype=dtype,
             low_memory=False,
-            encoding="utf-8-sig",
+            encoding=layout.encoding,
             on_bad_lines="error",
         )
     except pd.errors.EmptyDataError:
-        return pd.DataFrame(columns=list(range(len(header) + 1)))
+        return pd.DataFrame(columns=list(range(width)))
     except (ValueError, OverflowError, pd.errors.ParserWarning) as error:
         reason = " ".join(shorten(str(error), 160).split())
-        raise FormatError(f"{path} is no table of {len(header)} columns: {reason}") from error
+        if ragged := re.search(r"Expected \d+ fields in line (\d+), saw (\d+)", reason):
+            reason = f"line {ragged[1]} has {ragged[2]} cells"
+        raise FormatError(
+            f"{path} is no table of {len(layout.header)} columns: {reason}"
+        ) from error
     except OSError as error:
         raise FormatError(f"cannot read {path}: {error.strerror or error}") from error
 
@@ -200,17 +344,21 @@ def _as_number(cell: Any) -> float:
         return float("nan")
 
 
-def _bad_cell(path: Path, header: Sequence[str], table: "pd.DataFrame") -> FormatError:
+def _bad_cell(
+    path: Path, header: Sequence[str], table: "pd.DataFrame", usable: Bool | None = None
+) -> FormatError:
     """Return the error that names the first cell that is no finite number."""
     import pandas as pd
 
-    numbers = np.stack([_as_numbers(table[i]) for i in table.columns], 1)
-    row, place = (int(i) for i in np.argwhere(~(np.abs(numbers) <= LARGEST))[0])
+    if usable is None:
+        numbers = np.stack([_as_numbers(table[i]) for i in table.columns], 1)
+        usable = np.abs(numbers) <= LARGEST
+    row, place = (int(i) for i in np.argwhere(~usable)[0])
     column = int(table.columns[place])
     cell = table[column].iloc[row]
     cell = cell.item() if isinstance(cell, np.generic) else cell
     got = "empty or NaN" if pd.isna(cell) else quoted(cell)
     return FormatError(
-        f"{path}: data row {row + 1}, column {header[column]!r} is {got}; "
+        f"{path}: data row {int(table.index[row]) + 1}, column {header[column]!r} is {got}; "
         "every cell must be a finite number"
     )

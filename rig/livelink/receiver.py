@@ -15,8 +15,9 @@ import numpy as np
 
 from rig.arrays import Float32
 from rig.conversion.arkit import arkit_controls, udp_order
+from rig.curves.timecode import TICKS_PER_DAY, TICKS_PER_SECOND
 from rig.errors import FormatError
-from rig.formats.livelink_csv import TICKS_PER_DAY, TICKS_PER_SECOND, LiveLinkTake
+from rig.formats.livelink_csv import LiveLinkTake
 
 # Live Link Face packets, ARKit mode, version 6, as sent by the iPhone app to UDP port 11111.
 #

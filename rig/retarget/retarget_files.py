@@ -125,7 +125,7 @@ def retarget_curves(
     if keys and check_out(out) != "glb":
         raise FormatError(f"keys={keys:g} does not apply to {out}; it does to .glb and .fbx")
     report = _retarget(curves, mesh, out, landmarks, mapping, method, as_neutral, keys)
-    notes = (*report.notes, *[CUBIC][: bool(keys)])
+    notes = (*curves.notes, *report.notes, *[CUBIC][: bool(keys)])
     drives, is_own = report.way == "blendshapes", known_controls(curves.control_set) is None
     given = {
         "landmarks": drives and landmarks is not None,

@@ -1,15 +1,19 @@
 """The gRPC stream, by the client of the package `nvidia-audio2face-3d` as it is published."""
 
+import json
+import threading
+from contextlib import ExitStack
+
 import numpy as np
 import pytest
 
-from api.guard.keys import new_key
+from api.guard.keys import digest_of, new_key
 from deitalk import LiveAnimator
 from rig.conversion.arkit import ARKIT_ID, arkit_controls
 from rig.conversion.convert import convert
 from rig.curves import RigCurves
 from tests.api.conftest import wav
-from tests.api.server import free_port, serving
+from tests.api.server import free_port, serving, wait_for
 
 NEEDS = "needs the extra audio2face"
 grpc = pytest.importorskip("grpc", reason=NEEDS)
@@ -18,6 +22,7 @@ status_pb2 = pytest.importorskip("nvidia_ace.status_pb2", reason=NEEDS)
 audio2face_pb2_grpc = pytest.importorskip("nvidia_audio2face_3d.audio2face_pb2_grpc", reason=NEEDS)
 a2f = pytest.importorskip("nvidia_audio2face_3d.messages_pb2", reason=NEEDS)
 
+GREEDY = "dk_greedy-key-of-the-tests"
 RATE, SECONDS = 48_000, 2.5
 SOUND = wav(SECONDS, RATE)[44:]
 
@@ -26,8 +31,12 @@ SOUND = wav(SECONDS, RATE)[44:]
 def server(tmp_path_factory):
     key, digest = new_key()
     port = free_port()
-    keys = f'[{{"name": "farm", "sha256": "{digest}"}}]'
-    with serving(tmp_path_factory.mktemp("a2f"), grpc_port=port, keys=keys, job_workers=0):
+    keys = [{"name": "farm", "sha256": digest}]
+    keys.append({"name": "greedy", "sha256": digest_of(GREEDY), "live": 99})
+    with serving(
+        tmp_path_factory.mktemp("a2f"), grpc_port=port, keys=json.dumps(keys), job_workers=0,
+        live_sessions=6,
+    ):  # fmt: skip
         yield f"127.0.0.1:{port}", key
 
 
@@ -112,3 +121,25 @@ def test_what_cannot_be_animated_is_refused(server, given, key, code, words):
     with pytest.raises(grpc.RpcError) as error:
         answers(server, requests(SOUND, **given), key)
     assert error.value.code() == grpc.StatusCode[code] and words in error.value.details()
+
+
+def test_streams_that_a_key_leaves_open_keep_no_other_key_out(server):
+    """Of six sessions it gets three, while it holds fewer than are free; they say nothing."""
+    over = threading.Event()
+
+    def silent():
+        over.wait()
+        yield from ()
+
+    with ExitStack() as stack:
+        stack.callback(over.set)
+        options = [("grpc.enable_http_proxy", 0)]
+        channel = stack.enter_context(grpc.insecure_channel(server[0], options=options))
+        stub = audio2face_pb2_grpc.A2FControllerServiceStub(channel)
+        metadata = [("authorization", f"Bearer {GREEDY}")]
+        calls = [stub.ProcessAudioStream(silent(), metadata=metadata) for _ in range(9)]
+        wait_for(lambda: sum(call.done() for call in calls) == 6)
+        done = [call for call in calls if call.done()]
+        assert {call.code() for call in done} == {grpc.StatusCode.RESOURCE_EXHAUSTED}
+        assert "wait for one to end" in done[0].details()
+        assert len(frames(answers(server, requests(SOUND)))[0]) == round(30 * SECONDS)

@@ -39,7 +39,9 @@ class Drawer:
         self.drawn.append(head)
         if len(self.drawn) <= self.failures:
             raise WorkerLost
-        (Path(order["folder"]) / "out/page").write_text(head)
+        page = Path(order["folder"]) / "out/page"
+        page.parent.mkdir(exist_ok=True)
+        page.write_text(head)
         return {"file": "out/page"}
 
     def stop(self) -> None:

@@ -147,6 +147,34 @@ def test_task_that_was_ended_is_begun_again(voices):
     asyncio.run(run())
 
 
+@pytest.mark.parametrize("when", ["while nobody speaks", "before an order"])
+def test_worker_that_ends_between_two_orders_ends_the_voices(voices, when):
+    """Another process knew none of them: their sessions waited for frames for ever."""
+
+    async def run():
+        voice, _ = await voices.open("live", STILL)
+        if when == "before an order":
+            voices.worker.pid = None  # seen by `_order`, after which there is a new one
+            started = voices.worker.run
+
+            def run_by_another(order, seconds):
+                voices.worker.pid = 2
+                return started(order, seconds)
+
+            voices.worker.run = run_by_another
+            voice.feed(np.ones(10, np.float32))
+        else:
+            voices.worker.is_alive = False
+        with pytest.raises(Problem) as ended:
+            await asyncio.wait_for(voice.next_frames(), 60)
+        assert ended.value.status == 503 and int(ended.value.headers["Retry-After"]) > 0
+        voices.worker.is_alive = True
+        assert (await asyncio.wait_for(voices.open("live", STILL), 60))[1] == 0.2
+        voices.stop()
+
+    asyncio.run(run())
+
+
 def test_sound_of_an_unknown_voice_is_not_given_to_the_next():
     taken = {}
     animator = SimpleNamespace(

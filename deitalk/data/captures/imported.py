@@ -18,7 +18,7 @@ from deitalk.audio.load import Recording, load_audio
 from deitalk.audio.vocal_strength import measure_prosody
 from deitalk.audio.voice_activity import speech_activity
 from deitalk.config.rig_file import DATASET_RIG, classified_by_names, rig_text
-from deitalk.data.captures.columns import read_mapping, read_named
+from deitalk.data.captures.columns import read_mapping
 from deitalk.data.captures.mend import (
     TAKE_HEADER,
     VOICED_FRAMES,
@@ -36,21 +36,15 @@ from deitalk.data.captures.sources import (
     find_sound,
     find_takes,
 )
-from deitalk.data.captures.splits import (
-    TRAIN,
-    Piece,
-    can_tune,
-    check_way,
-    divide,
-    shortage,
-)
-from deitalk.data.captures.take import CapturedCurves, read_capture
+from deitalk.data.captures.splits import TRAIN, Piece, check_way, divide
+from deitalk.data.captures.take import LEAST_SECONDS, CapturedCurves, paired, read_capture
 from deitalk.errors import DataError
 from rig import ControlSet, write_curves
 from rig.arrays import Bool, Float32, Float64
 from rig.controls import Control
 from rig.errors import UserError, listed
 from rig.files import output_folder
+from rig.formats.named import read_named
 
 # Long takes to clips: cut in pauses, never inside a word.
 #
@@ -191,8 +185,6 @@ MARGIN_SECONDS = 0.6
 """Curves before and after a clip, where the take has them: a mended offset finds its frames."""
 LENGTH_SECONDS = 0.1
 """Difference of curves and sound that is reported."""
-LEAST_SECONDS = 0.5
-"""Of curves and sound of a take."""
 
 Progress = Callable[[float], None]
 
@@ -282,7 +274,7 @@ def import_captures(
                     source.curves, mapping=table, rig=rig, fps=fps, progress=of_take
                 )
                 sound = load_audio(find_sound(source, capture.audio, audio, takes))
-                writer.take(source, name, labels.of(source, name), capture, sound)
+                writer.take(source, name, labels.of(source, name), *paired(capture, sound))
             except UserError as error:
                 faults.append(error)
             of_take(1.0)
@@ -460,9 +452,6 @@ class _Writer:
                 parameter="keep_listening",
             )
         splits = divide(self.pieces, split_by)
-        is_stated = split_by == "none" or any(piece.split for piece in self.pieces)
-        if not is_stated and not can_tune(splits):
-            raise DataError(f"the takes have {shortage(splits.count(TRAIN), 0)}")
         kept = []
         for row, split in zip(self.rows, splits, strict=True):
             if split:
@@ -534,7 +523,7 @@ def rig_of_takes(sources: Sequence[Path], fps: float | None = None) -> ControlSe
     refused: UserError | None = None
     for path in (path for source in sources for path in find_files(source)):
         try:
-            curves = read_named(path, fps)
+            curves = read_named(path, otherwise=fps)
         except UserError as error:
             refused = refused or error
             continue  # no table of curves; if it is a take, its import says why

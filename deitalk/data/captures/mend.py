@@ -75,6 +75,12 @@ def capture_rows(survey: Survey) -> list[Check]:
             "faces show their labels",
             "takes show another emotion than their label",
         ),
+        verdict(
+            "conventions",
+            [str(one) for one in survey.relations.conventions(survey.controls.names).values()],
+            "takes of an actor move alike",
+            "conventions among an actor's takes, each to be a style of a tuned model",
+        ),
         _voices(survey),
         _usable(survey),
     ]
@@ -86,10 +92,10 @@ def _sync(survey: Survey) -> list[Check]:
     foreign = [
         f"{take} (r {0 if s is None else s.correlation:.2f})"
         for take, s in sync.items()
-        if take not in known
+        if take not in known and take not in survey.misread()
     ]
     late = [f"{take} ({s.lag * 1000:+.0f} ms)" for take, s in known.items()
-            if s.is_shifted and abs(s.lag) > 0.01]  # fmt: skip
+            if s.is_shifted and abs(s.lag) > 0.01 and take not in survey.misread()]  # fmt: skip
     drift = [
         f"{take} ({s.drift * 1000:+.1f} ms a second{_cause(s.drift)})"
         for take, s in known.items()
@@ -101,6 +107,13 @@ def _sync(survey: Survey) -> list[Check]:
         verdict("offset", late, well, "takes are early or late, offset_s is to correct"),
         verdict("drift", drift, "none", "takes drift, offset_s of every clip is to correct"),
     ]
+    if misread := survey.misread():
+        found = [
+            f"{take} ({own:.5g} Hz, the sound fits {fit:.5g})"
+            for take, (own, fit) in misread.items()
+        ]
+        text = "takes are at another rate than their sound; mend the files, import them again"
+        rows.append(verdict("rate", found, "", text, "error"))
     if foreign:
         text = "takes do not follow their sound; is it the right recording?"
         rows.append(verdict("sound", foreign, "", text))
@@ -271,7 +284,10 @@ def warnings_of(reports: Sequence[TakeReport]) -> list[str]:
         )
     emotions = {report.emotion for report in reports}
     if len(emotions) == 1:
-        warnings.append(f"one emotion only ({emotions.pop()}); others stay as the base model's")
+        warnings.append(
+            f"one emotion only ({emotions.pop()}); others change the face as the base model's do, "
+            "on a rig of which nothing is known with finetune --map"
+        )
     rates = Counter(report.fps for report in reports)
     if len(rates) > 1:
         counts = ", ".join(f"{n} at {rate:g} Hz" for rate, n in sorted(rates.items()))
@@ -360,7 +376,10 @@ def mend(folder: Path, survey: Survey, rows: Sequence[Check], *, emotions: int =
         If another process writes to the folder, or a file that is not deitalk's is in the way.
     """
     sync = survey.sync()
-    shifted = {take for take, s in sync.items() if s is not None and s.is_shifted}
+    misread = survey.misread()
+    shifted = {
+        take for take, s in sync.items() if s is not None and s.is_shifted and take not in misread
+    }
     rests = {
         actor: pose
         for actor, pose in survey.rests().items()

@@ -22,10 +22,10 @@ from deitalk.errors import DataError
 from rig import ControlSet
 from rig.errors import UserError, quoted
 from rig.formats.table import FORMATS
-from rig.formats.wide_csv import read_header
+from rig.formats.wide_csv import read_header, read_layout
 from rig.limits import TRACK_BYTES
 
-CURVES = (".csv", ".json", ".npz", ".txt")
+CURVES = (".csv", ".json", ".npz", ".txt", ".tsv")
 SOUNDS = (
     ".wav", ".flac", ".mov", ".mp4", ".m4v", ".m4a", ".mp3", ".ogg", ".opus", ".aac", ".webm",
     ".mkv", ".aif", ".aiff", ".wma",
@@ -190,7 +190,7 @@ def _may_hold_curves(path: Path, top: Path) -> bool:
 def _holds_curves(path: Path, columns: ControlSet | AbstractSet[str] | None) -> bool:
     try:
         if columns is not None:
-            is_csv = path.suffix.lower() == ".csv"
+            is_csv = path.suffix.lower() in (".csv", ".tsv")
             return not is_csv or any(name in columns for name in read_header(path))
         return kind_of(path) is not None
     except UserError:
@@ -203,7 +203,7 @@ def _one_a_take(paths: Sequence[Path]) -> list[Path]:
 
     def rank(path: Path) -> tuple[int, int]:
         ending = _without_suffix(path)[len(_stem(path)) :]
-        formats = (".npz", ".json", ".csv", ".txt")
+        formats = (".npz", ".json", ".csv", ".txt", ".tsv")
         return VARIANTS.index(ending), formats.index(path.suffix.lower())
 
     for path in paths:
@@ -399,7 +399,11 @@ def _read_table(path: Path) -> dict[str, dict[str, str]]:
     try:
         if path.stat().st_size > TRACK_BYTES:
             raise DataError(f"{path}: larger than {TRACK_BYTES} bytes; this is no table of takes")
-        frame = pd.read_csv(path, dtype=str, keep_default_na=False, encoding="utf-8-sig")
+        layout = read_layout(path)
+        frame = pd.read_csv(
+            path, dtype=str, keep_default_na=False, encoding=layout.encoding, sep=layout.separator,
+            skiprows=layout.skipped, skipinitialspace=True,
+        )  # fmt: skip
     except (OSError, UnicodeDecodeError, pd.errors.ParserError, pd.errors.EmptyDataError) as error:
         reason = " ".join(str(error).split())
         raise DataError(f"{path}: cannot be read as CSV ({reason})") from None

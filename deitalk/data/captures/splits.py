@@ -1,7 +1,11 @@
-"""Train, validation and test: whole actors where there are three, else whole takes or blocks.
+"""Train, validation and test of captures: all are learnt from, unless the user says otherwise.
 
-Clips of one take in different splits are at least `APART_SECONDS` apart: neighbours share a
-sentence, and a model would be tested on what it was trained on. Clips in between are left out.
+A tuning chooses by folds over the takes (`deitalk.training.tuning.ridge`), so that none of them
+has to be kept from it: every emotion, convention and actor is learnt.
+
+Where clips are held out, whole actors, or whole takes and blocks of time, clips of one take in
+different splits are at least `APART_SECONDS` apart: neighbours share a sentence, and a model would
+be tested on what it was trained on. Clips in between are left out.
 """
 
 from collections import defaultdict
@@ -53,11 +57,11 @@ def divide(pieces: Sequence[Piece], way: str = "auto") -> list[str]:
     pieces : sequence of Piece
         All clips.
     way : {"auto", "actor", "time", "none"}
-        Whole actors; takes and blocks of time of every actor; all clips for training; by default
-        actors from three on, else time.
+        Whole actors; takes and blocks of time of every actor; or all clips for training, unless
+        some have a split.
 
     Two or three takes, or a short one, may have no test clips. Clips that cannot be divided are all
-    for training: see `can_tune`.
+    for training.
 
     Raises
     ------
@@ -75,9 +79,9 @@ def divide(pieces: Sequence[Piece], way: str = "auto") -> list[str]:
         )
     if any(piece.split for piece in pieces):
         return [piece.split or TRAIN for piece in pieces]
-    if way == "none":
+    if way in ("auto", "none"):
         return [TRAIN] * len(pieces)
-    if way != "time" and len(minutes) >= 3:
+    if way == "actor":
         # Actors by split: those with least material are tested on, about an eighth each.
         count = max(1, round(SHARE * len(minutes)))
         order = sorted(minutes, key=lambda name: (minutes[name], name))
@@ -86,33 +90,34 @@ def divide(pieces: Sequence[Piece], way: str = "auto") -> list[str]:
         homes.update(dict.fromkeys(order[count : 2 * count], TEST))
         return [homes[piece.actor] for piece in pieces]
     splits = _apart(pieces, _blocks(pieces))
-    return splits if can_tune(splits) else _few(pieces)
+    return splits if _can_validate(splits) else _few(pieces)
 
 
-def can_tune(splits: Iterable[str]) -> bool:
+def _can_validate(splits: Iterable[str]) -> bool:
     """Whether there is something to train on and something to validate."""
     return {TRAIN, VALIDATION} <= set(splits)
 
 
 def shortage(train: int, validation: int) -> str:
-    """Message for a dataset that lacks clips to train on or to validate."""
+    """Message for a dataset that lacks clips to train on, or to validate where steps need some."""
     return (
-        f"{train} clips to train on and {validation} to validate, needs one of each; import "
-        "longer or more takes, fill the column split, or import with --split-by none and tune with "
-        "--leave-out"
+        f"{train} clips to train on and {validation} to validate; steps (train.steps) need one of "
+        "each: import longer or more takes, fill the column split, or leave the steps out"
     )
 
 
 def _few(pieces: Sequence[Piece]) -> list[str]:
     """Little material, without a test: the last take validates, or the last clip of the only one.
 
-    All train where that leaves none for training.
+    All train where that would leave an emotion out.
     """
     last = max(pieces, key=lambda piece: (piece.take, piece.start))
     is_only_take = all(piece.take == last.take for piece in pieces)
     chosen = [piece == last if is_only_take else piece.take == last.take for piece in pieces]
     splits = _apart(pieces, [VALIDATION if held else TRAIN for held in chosen])
-    return splits if can_tune(splits) else [TRAIN] * len(pieces)
+    learnt = {piece.emotion for piece, split in zip(pieces, splits, strict=True) if split == TRAIN}
+    every = {piece.emotion for piece in pieces}
+    return splits if _can_validate(splits) and learnt == every else [TRAIN] * len(pieces)
 
 
 class Division(NamedTuple):
@@ -163,6 +168,29 @@ def divide_clips(clips: Sequence[Clip], leave_out: str | None = None) -> Divisio
     return Division(train, validation, test, between)
 
 
+def last_takes(division: Division) -> Division:
+    """A division whose last take of every actor in every emotion validates, where there are two.
+
+    Where no actor has two takes in an emotion, the last clips of takes do, as in `divide_clips`.
+    """
+    takes: dict[tuple[str, str], list[str]] = defaultdict(list)
+    for clip in division.train:
+        takes[clip.speaker, clip.emotion].append(_take(clip))
+    last = {group: names[-1] for group, names in takes.items() if len(set(names)) > 1}
+    splits = [
+        VALIDATION if last.get((clip.speaker, clip.emotion)) == _take(clip) else TRAIN
+        for clip in division.train
+    ]
+    if not last:
+        pieces = [Piece(c.speaker, c.emotion, _take(c), *c.span) for c in division.train]
+        splits = _apart(pieces, _last_of_takes(division.train))
+    train, validation, between = (
+        [clip for clip, given in zip(division.train, splits, strict=True) if given == split]
+        for split in (TRAIN, VALIDATION, LEFT_OUT)
+    )
+    return Division(train, validation, division.test, [*division.between, *between])
+
+
 def _last_of_takes(clips: Sequence[Clip]) -> list[str]:
     """Validation for the last clip of every take of three and more, or else the last clip."""
     takes: dict[str, list[Clip]] = defaultdict(list)
@@ -205,15 +233,13 @@ def _divide_group(
     order = sorted(places, key=lambda i: (pieces[i].take, pieces[i].start))
     takes = list(dict.fromkeys(pieces[i].take for i in order))
     if len(takes) >= LEAST_TAKES:
-        count = max(1, round(SHARE * len(takes)))
-        chosen = dict.fromkeys(takes[-2 * count : -count], VALIDATION)
-        chosen |= dict.fromkeys(takes[-count:], TEST)
-        shown = {pieces[i].emotion for i in order if pieces[i].take not in chosen}
-        for take, split in chosen.items():
-            own = [i for i in order if pieces[i].take == take]
-            whole = pieces[own[0]].emotion in shown  # else its beginning is to be learnt
-            for i in own if whole else own[-max(len(own) // 3, 1) :]:
-                splits[i] = split
+        emotions = {
+            take: {pieces[i].emotion for i in order if pieces[i].take == take} for take in takes
+        }
+        left = list(takes)
+        for split in (TEST, VALIDATION):
+            for _ in range(max(1, round(SHARE * len(takes)))):
+                _hold_out(pieces, order, splits, left, emotions, split)
         return
     total = sum(pieces[i].stop - pieces[i].start for i in order)
     if total < least or len(order) < 3:
@@ -228,6 +254,24 @@ def _divide_group(
     splits[order[-1]] = TEST  # of a few long clips
     if all(splits[i] != VALIDATION for i in order):
         splits[order[-2]] = VALIDATION
+
+
+def _hold_out(
+    pieces: Sequence[Piece],
+    order: Sequence[int],
+    splits: list[str],
+    left: list[str],
+    emotions: dict[str, set[str]],
+    split: str,
+) -> None:
+    """Give the last take to a split whose emotions others show, else the last third of the last."""
+    others = {take: set().union(*(emotions[t] for t in left if t != take)) for take in left}
+    whole = next((take for take in reversed(left) if emotions[take] <= others[take]), None)
+    take = whole or left[-1]
+    left.remove(take)
+    own = [i for i in order if pieces[i].take == take]
+    for i in own if whole else own[len(own) - len(own) // 3 :]:
+        splits[i] = split
 
 
 def _apart(pieces: Sequence[Piece], splits: list[str]) -> list[str]:

@@ -3,6 +3,7 @@
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -11,9 +12,10 @@ from deitalk.audio.load import Recording
 from deitalk.audio.vocal_strength import measure_prosody
 from deitalk.audio.voice_activity import speech_activity
 from deitalk.config.rules import Idle
+from deitalk.data.captures.conventions import Relations
 from deitalk.data.captures.take import CapturedCurves
 from deitalk.data.clips import Clip, read_known
-from deitalk.data.offset import ClipLags, TakeSync, clip_lags, predicted_curves, take_sync
+from deitalk.data.offset import ClipLags, TakeSync, clip_lags, fit_rate, predicted_curves, take_sync
 from deitalk.emotions.tracks import TRAITS
 from deitalk.postprocess.life.eyes import LEAST_INTERVAL, SIDE_DEGREES
 from rig import ControlSet, RigCurves
@@ -178,6 +180,8 @@ class ClipSurvey:
     asymmetry: Float64
     voiced: Float64
     """Pitch of the voiced frames, semitones over 100 Hz."""
+    other_rate: tuple[float, float] | None = None
+    """Rate of the curves, and the one at which they follow the sound; None if it is the same."""
 
 
 MOST_FRAMES = 12_000
@@ -216,14 +220,16 @@ class Survey:
     """Silent frames by actor and emotion."""
     rates: dict[str, dict[str, float]] = field(default_factory=dict)
     by: str = "model"
+    relations: Relations = field(default_factory=Relations)
 
     def add(self, clip: Clip, recording: Recording, curves: RigCurves) -> None:
         """Measure one clip."""
-        values = curves.reorder(self.controls).values
-        known = read_known(clip.known, self.controls)
         board = curves.reorder(self.controls)
+        values, known = board.values, read_known(clip.known, self.controls)
         predicted = predicted_curves(recording)
         self.by = "loudness" if predicted is None else "model"
+        if predicted is not None:
+            self.relations.add(clip, predicted, board, known)
         speech = speech_activity(recording.waveform) > 0
         speaking = _at(speech, board, clip.offset_seconds, beyond=False)
         margin = round(AROUND_SPEECH_SECONDS * curves.fps)
@@ -233,20 +239,24 @@ class Survey:
         emotions.setdefault(clip.emotion, Frames()).add(values[~near])
         self.rates.setdefault(clip.speaker, {})[clip.emotion] = curves.fps
         prosody = measure_prosody(recording.waveform, recording.n_frames)
+        place: dict[str, Any] = {
+            "known": known,
+            "offset": clip.offset_seconds,
+            "start": clip.span[0],
+        }
+        rate = fit_rate(board, recording.waveform, predicted=predicted, **place)
         self.clips.append(
             ClipSurvey(
                 clip,
                 recording.duration,
                 float(prosody.active.sum()) / FRAME_RATE if speaking.any() else 0.0,
                 channel_faults(values, curves.fps, known, self.controls, speaking),
-                clip_lags(
-                    board, recording.waveform, predicted=predicted, known=known,
-                    offset=clip.offset_seconds, start=clip.span[0],
-                ),
+                clip_lags(board, recording.waveform, predicted=predicted, **place),
                 known,
                 self._scores(values, speaking),
                 asymmetry(values, known, self.controls),
                 prosody.pitch[prosody.voiced],
+                None if rate is None else (curves.fps, rate),
             )
         )  # fmt: skip
 
@@ -270,6 +280,10 @@ class Survey:
             take: take_sync([c.lags for c in clips if c.lags is not None], by=self.by)
             for take, clips in self.by_take().items()
         }
+
+    def misread(self) -> dict[str, tuple[float, float]]:
+        """Takes that follow their sound at another rate: the rate of the curves, and that one."""
+        return {c.clip.take: c.other_rate for c in self.clips if c.other_rate is not None}
 
     def rests(self) -> dict[str, Float32]:
         """Pose at rest of the actors whose silence shows it."""

@@ -3,19 +3,15 @@
 Whatever a source has no column for is not known: zeros in its place are no measurement.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from deitalk.data.captures.columns import (
-    LONGEST_GAP_SECONDS,
-    NamedCurves,
-    RigMapping,
-    describe_columns,
-    read_named,
-)
+from deitalk.audio.load import Recording
+from deitalk.data.captures.columns import RigMapping
 from deitalk.errors import DataError
 from deitalk.installed import research
 from rig import ControlSet, RigCurves, default_controls, read_curves
@@ -24,9 +20,14 @@ from rig.controls import DEFAULT_ID
 from rig.conversion.arkit import ARKIT_ID, RAW_ID, arkit_to_raw
 from rig.conversion.convert import KNOWN, convert, reached_controls
 from rig.curves.edit import clamp
+from rig.curves.timecode import TICKS_PER_SECOND
+from rig.errors import UserError
 from rig.files.reading import open_file, read_npz
 from rig.formats import emoface_txt, livelink_csv, unreal_json
+from rig.formats.curves_csv import N_SHAPES, describe_columns, known_columns
+from rig.formats.named import NamedCurves, is_face_cap, read_named
 from rig.formats.table import format_of_header
+from rig.formats.units import check_rate, in_units
 from rig.formats.wide_csv import read_header
 from rig.limits import JSON_CURVES_BYTES
 
@@ -34,10 +35,14 @@ VIDEOS = (".mp4", ".mov", ".m4v", ".webm", ".mkv")
 LEAST_JAW = 0.03
 """`arkit_to_raw`'s: lips-together passes .9 in 8 % of the frames of a range-of-motion take, and in
 61 % by Unreal's rule."""
-N_SHAPES = 52
 OWN_SCHEMA = b"deitalk.curves/1"
+JSON_MARKS = (b"eights", b"hapes", b"facsNames", b"ategory")
+"""Text at the beginning of a JSON file of curves: weights, blend shapes, categories."""
 LEAST_KNOWN = 3
 """Columns of a known name that make a table a capture."""
+DAY = 24 * 3600.0
+LEAST_SECONDS = 0.5
+"""Of curves and sound of a take."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,6 +59,8 @@ class CapturedCurves:
     notes: tuple[str, ...] = ()
     seen: Bool | None = None
     """Frames that were captured [shape=(T,)]; None: all."""
+    start: float | None = None
+    """Time of day of the first frame, seconds, by the take's time codes; None without."""
 
     def around(self, first: int, last: int, margin: int) -> slice:
         """Frames from first to last (excluded) and a margin on both sides, as far as captured."""
@@ -97,6 +104,18 @@ def read_capture(
     MissingError
         For a video without MediaPipe.
     """
+    capture = _read(path, mapping, rig, fps, progress)
+    check_rate(capture.curves.fps, path)
+    return capture
+
+
+def _read(
+    path: Path,
+    mapping: RigMapping | None,
+    rig: ControlSet | None,
+    fps: float | None,
+    progress: Callable[[float], None],
+) -> CapturedCurves:
     if rig is not None:
         return _of_rig(path, rig, fps)
     if mapping is not None:
@@ -107,14 +126,67 @@ def read_capture(
     if kind == "video":
         return _filmed(path, progress)
     if kind == "emoface":
-        return CapturedCurves(read_curves(path, fps=fps), emoface_txt.columns(), "emoface")
+        curves = read_curves(path, fps=fps)
+        return CapturedCurves(curves, emoface_txt.columns(), "emoface", notes=curves.notes)
     if kind == "unreal":
         curves, audio = unreal_json.read_present(path)
         return _from_set(path, curves, kind, audio=audio)
     if kind == "curves":
         curves = read_curves(path, fps=fps, control_set=None)
         return _from_set(path, curves, _kind_of_set(curves.control_set))
-    return _table(path, read_named(path, fps))
+    return _table(path, read_named(path, otherwise=fps))
+
+
+def paired(capture: CapturedCurves, sound: Recording) -> tuple[CapturedCurves, Recording]:
+    """Lay curves and sound together by the time codes of both, and cut what one of them lacks.
+
+    Time codes of one clock (jam sync) overlap. Where they do not, or one has none, both begin
+    together.
+
+    Returns
+    -------
+    capture : CapturedCurves
+        With a note on what was done.
+    sound : Recording
+        Begins with the first frame of the curves.
+    """
+    if capture.start is None or sound.start is None:
+        return capture, sound
+    curves = capture.curves
+    late = (capture.start - sound.start + DAY / 2) % DAY - DAY / 2
+    codes = f"sound {_clock(sound.start)}, curves {_clock(capture.start)}"
+    if min(sound.duration, late + curves.duration) - max(late, 0.0) < LEAST_SECONDS:
+        note = f"time codes do not overlap ({codes}): not of one clock, laid together at the start"
+        return replace(capture, notes=(*capture.notes, note)), sound
+    if abs(late) < 0.5 / curves.fps:
+        return capture, sound
+    early = max(math.ceil(-late * curves.fps - 1e-6), 0)
+    before = late + early / curves.fps
+    seconds = min(sound.duration - before, (len(curves) - early) / curves.fps)
+    frames = slice(early, early + math.ceil(seconds * curves.fps - 1e-6))
+    first = round(before * sound.sample_rate)
+    last = first + round(seconds * sound.sample_rate)
+    outside = {
+        "sound": sound.duration - seconds,
+        "curves": curves.duration - (frames.stop - frames.start) / curves.fps,
+    }
+    cut = " and ".join(
+        f"{t:.2f} s of {what}" for what, t in outside.items() if t > 0.5 / curves.fps
+    )
+    note = f"paired by time code ({codes}): {cut or 'nothing'} outside both, cut"
+    taken = replace(
+        capture,
+        curves=curves.slice_frames(frames.start, frames.stop),
+        seen=None if capture.seen is None else capture.seen[frames],
+        notes=(*capture.notes, note),
+        start=capture.start + early / curves.fps,
+    )
+    return taken, replace(sound, waveform=sound.waveform[first:last], start=sound.start + before)
+
+
+def _clock(seconds: float) -> str:
+    whole = round(seconds % DAY, 2)
+    return f"{int(whole // 3600):02d}:{int(whole // 60 % 60):02d}:{whole % 60:05.2f}"
 
 
 def kind_of(path: Path) -> str | None:
@@ -125,46 +197,51 @@ def kind_of(path: Path) -> str | None:
     suffix = path.suffix.lower()
     if suffix in VIDEOS:
         return "video"
-    if suffix == ".csv":
-        header = read_header(path)
-        form = format_of_header(header)
-        if form == "livelink" or [c.lower() for c in header[:2]] == ["timecode", "blendshapecount"]:
-            return "livelink"
-        return "table" if _best_set(header)[1] >= LEAST_KNOWN or form == "a2f" else None
+    if suffix == ".txt" and not is_face_cap(path):
+        with open_file(path, JSON_CURVES_BYTES) as stream:
+            columns = stream.readline(1 << 16).count(b",") + 1
+        if columns == len(emoface_txt.columns()):
+            return "emoface"
+    if suffix in (".csv", ".tsv", ".txt"):
+        return "table" if suffix == ".txt" and is_face_cap(path) else _kind_of_table(path)
     if suffix == ".json":
         with open_file(path, JSON_CURVES_BYTES) as stream:
-            head = stream.read(4096)
+            head = stream.read(4096).replace(b"\0", b"")  # of UTF-16
         if any(schema.encode() in head for schema in unreal_json.SCHEMAS):
             return "unreal"
         if OWN_SCHEMA in head:
             return "curves"
-        return "table" if b"eights" in head or b"hapes" in head or b"facsNames" in head else None
-    if suffix == ".txt":
-        with open_file(path, JSON_CURVES_BYTES) as stream:
-            columns = stream.readline(1 << 16).count(b",") + 1
-        return "emoface" if columns == len(emoface_txt.columns()) else None
+        return "table" if any(mark in head for mark in JSON_MARKS) else None
     if suffix == ".npz":
         data = read_npz(path)
         return "video" if "landmarks" in data else "curves" if "schema" in data else "table"
     return None
 
 
+def _kind_of_table(path: Path) -> str | None:
+    header = read_header(path)
+    form = format_of_header(header)
+    if form == "livelink" or [c.lower() for c in header[:2]] == ["timecode", "blendshapecount"]:
+        return "livelink"
+    return "table" if _best_set(header)[1] >= LEAST_KNOWN or form == "a2f" else None
+
+
 def _live_link(path: Path) -> CapturedCurves:
     take = livelink_csv.read_take(path)
     curves = take.to_curves()
     controls = KNOWN[curves.control_set]()
-    present = [name for name in take.names if name in controls]
-    notes = _check_columns(path, take.names, controls, present)
+    present, notes = _columns(path, take.names, controls)
     captured = _from_set(path, curves, "livelink", present=present, notes=notes)
-    seconds = (take.ticks - take.ticks[0]) / livelink_csv.TICKS_PER_SECOND
-    steps = np.diff(seconds)
-    gaps = np.flatnonzero(steps > LONGEST_GAP_SECONDS)
-    if not len(gaps):
+    captured = replace(captured, start=float(take.ticks[0]) / TICKS_PER_SECOND)
+    return _seen(captured, take.seen(curves))
+
+
+def _seen(captured: CapturedCurves, seen: Bool | None) -> CapturedCurves:
+    """The capture with the frames that were captured, and a note on the others."""
+    if seen is None or seen.all():
         return captured
-    seen = np.ones(len(curves), bool)
-    for gap in gaps:
-        seen[(curves.times > seconds[gap]) & (curves.times < seconds[gap + 1])] = False
-    lost = f"{steps[gaps].sum():.1f} s without a frame, left out"
+    seconds = float((~seen).sum()) / captured.curves.fps
+    lost = f"{seconds:.1f} s without a frame, left out"
     return replace(captured, seen=seen, notes=(*captured.notes, lost))
 
 
@@ -185,38 +262,33 @@ def _table(path: Path, curves: NamedCurves) -> CapturedCurves:
             parameter="mapping",
         )
     controls = KNOWN[control_set]()
-    present = [name for name in curves.names if name in controls]
-    notes = _check_columns(path, curves.names, controls, present)
+    present, notes = _columns(path, curves.names, controls)
     canonical = dict(zip(present, controls.resolve(present), strict=True))
     captured = curves.to_curves(canonical, control_set)
     if control_set == RAW_ID:
         rest = {name: curves[name] for name in livelink_csv.SUBJECT_REST if name in curves.names}
         captured = replace(captured, head=livelink_csv.subject_head(rest))
-    return _from_set(
-        path,
-        captured,
-        _kind_of_set(control_set),
-        present=present,
-        notes=(*curves.notes, *notes),
-    )
+    found = _from_set(path, captured, _kind_of_set(control_set), present=present, notes=notes)
+    return _seen(replace(found, start=curves.start), curves.seen)
 
 
 def _mapped(path: Path, mapping: RigMapping, fps: float | None) -> CapturedCurves:
-    named = read_named(path, fps)
+    named = read_named(path, otherwise=fps)
     unused = [name for name in named.names if name not in mapping.sources]
     notes = [f"{len(unused)} columns are in no row of the map: {describe_columns(unused)}"]
-    return _from_set(
+    found = _from_set(
         path,
         mapping.apply(named, path),
         "mapped",
         present=mapping.targets,
-        notes=(*named.notes, *(notes if unused else ())),
+        notes=tuple(notes if unused else ()),
     )
+    return _seen(replace(found, start=named.start), named.seen)
 
 
 def _of_rig(path: Path, rig: ControlSet, fps: float | None) -> CapturedCurves:
     """Controls of another rig; those that the file lacks rest and are not known."""
-    named = read_named(path, fps)
+    named = _of_known(path, rig, fps)
     present = [name for name in named.names if name in rig]
     if not present:
         raise DataError(
@@ -224,8 +296,9 @@ def _of_rig(path: Path, rig: ControlSet, fps: float | None) -> CapturedCurves:
             "mend the rig file"
         )
     canonical = dict(zip(present, rig.resolve(present), strict=True))
-    curves, clipped = clamp(named.to_curves(canonical, rig.id).reorder(rig), rig)
-    notes = list(named.notes)
+    curves = in_units(named.to_curves(canonical, rig.id), rig, path)
+    curves, clipped = clamp(curves.reorder(rig), rig)
+    notes = list(curves.notes)
     if missing := rig.missing(present):
         notes.append(f"lacks {len(missing)} controls, not known: {describe_columns(missing)}")
     if left := [name for name in named.names if name not in rig]:
@@ -233,7 +306,24 @@ def _of_rig(path: Path, rig: ControlSet, fps: float | None) -> CapturedCurves:
     if clipped:
         notes.append(str(clipped))
     known = tuple(name for name in rig.names if name in set(canonical.values()))
-    return CapturedCurves(curves, known, "rig", notes=tuple(notes))
+    found = CapturedCurves(curves, known, "rig", notes=tuple(notes), start=named.start)
+    return _seen(found, named.seen)
+
+
+def _of_known(path: Path, rig: ControlSet, fps: float | None) -> NamedCurves:
+    """Columns of a table; also of a Live Link Face CSV, on the take's own clock."""
+    try:
+        is_live_link = kind_of(path) == "livelink"
+    except UserError:
+        is_live_link = False
+    if not is_live_link:
+        return read_named(path, otherwise=fps, curves=rig)
+    take = livelink_csv.read_take(path)
+    curves = take.to_curves()
+    start, seen = float(take.ticks[0]) / TICKS_PER_SECOND, take.seen(curves)
+    return NamedCurves(
+        curves.names, curves.values.astype(np.float64), curves.fps, curves.notes, seen, start
+    )
 
 
 def _from_set(
@@ -251,6 +341,8 @@ def _from_set(
             f"{path}: control set {curves.control_set!r} has no way to the board; give `mapping`",
             parameter="mapping",
         )
+    curves = in_units(curves, KNOWN[curves.control_set](), path)
+    notes = (*curves.notes, *notes)
     known = reached_controls(curves.names if present is None else present, curves.control_set)
     if curves.control_set == ARKIT_ID:
         beyond = clamp(curves, KNOWN[ARKIT_ID]())[1]
@@ -264,26 +356,14 @@ def _from_set(
     return CapturedCurves(board, known, kind, audio, notes)
 
 
-def _check_columns(
-    path: Path, names: Sequence[str], controls: ControlSet, present: Sequence[str]
-) -> tuple[str, ...]:
-    """Notes about columns that are absent or left over; both at once is a renamed column."""
+def _columns(
+    path: Path, names: Sequence[str], controls: ControlSet
+) -> tuple[list[str], tuple[str, ...]]:
+    """Columns that are controls, and notes about those that are absent or left over."""
     wanted = controls.names[:N_SHAPES] if controls.id == ARKIT_ID else controls.names
-    resolved = set(controls.resolve(list(present)))
-    missing = [name for name in wanted if name not in resolved]
     of_head = livelink_csv.SUBJECT_REST if controls.id == RAW_ID else ()
-    unknown = [name for name in names if name not in controls and name not in of_head]
-    if missing and unknown:
-        raise DataError(
-            f"{path}: column {unknown[0]!r} is unknown and {missing[0]!r} is missing: rename the "
-            "column, or remove it"
-        )
-    notes = []
-    if missing:
-        notes.append(f"lacks {len(missing)} columns, not known: {describe_columns(missing)}")
-    if unknown:
-        notes.append(f"{len(unknown)} columns are left out: {describe_columns(unknown)}")
-    return tuple(notes)
+    present, notes = known_columns(path, names, controls, wanted, of_head)
+    return present, tuple(notes)
 
 
 def _best_set(names: Sequence[str]) -> tuple[str, int]:

@@ -1,5 +1,7 @@
 """Export of a curve model to one ONNX file, with all that a reader needs beside the numbers."""
 
+import base64
+import io
 import json
 import math
 import warnings
@@ -32,8 +34,13 @@ from deitalk.models.curve_model import (
 )
 from deitalk.models.intensity import local_maximum
 from deitalk.models.onnx.network import CAUSAL_SCHEMA, NEXT, SCHEMA
+from deitalk.models.onnx.rules import INPUTS as RULES_INPUTS
+from deitalk.models.onnx.rules import LIVE, WHOLE
+from deitalk.models.onnx.rules import OUTPUTS as RULES_OUTPUTS
 from deitalk.models.onnx.whisper_graph import ProductMel, WhisperGraph, parts_of
 from deitalk.models.protocol import neutral_weights
+from deitalk.postprocess.curve_pass import CurvePass
+from deitalk.postprocess.tracks import LIVE_AHEAD, N_SHOWN
 from rig.files import atomic_write
 
 # Mel spectra in a graph: the Fourier transform is a product with two matrices.
@@ -257,6 +264,8 @@ class CurveGraph(nn.Module):
         readings = self.model.decoder(
             placed.expand(2, -1, -1), torch.stack((plain, emotion)), guidance.expand(2, -1, -1)
         )
+        if self.model.lips is not None:
+            readings = self.model.lips.correct(readings, self.model.lips(speech)[0])
         rows = readings[1], readings[0], saliency[0], strength[0]
         effort = self.model.intensity.effort
         return rows if effort is None else (*rows, effort(speech)[0, :, 0])
@@ -335,6 +344,7 @@ def first_states(model: DEITalk) -> dict[str, Tensor]:
     names += [f"{part}_{k}" for k in layers for part in ("rows", "keys", "values")]
     names += ["saliency_past"]
     names += [f"{k}_{i}" for k in ("neutral", "emotional") for i in range(len(state.neutral))]
+    names += ["lips_past"] * len(state.lips)
     finite = (part[0].clamp_min(torch.finfo(torch.float32).min) for part in state.tensors())
     return dict(zip(names, cast("list[Tensor]", list(finite)), strict=True))
 
@@ -377,6 +387,9 @@ def export_onnx(model: DEITalk, path: Path, *, name: str = "") -> None:
         else:
             texts = {"schema": SCHEMA, "level_db": json.dumps(LEVEL_DB)}
             texts |= _trace(CurveGraph(model).eval(), beside)
+        texts[WHOLE] = pass_entry(model)
+        if model.is_causal:
+            texts[LIVE] = pass_entry(model, LIVE_AHEAD)
         content = onnx.load(str(beside))
         for key, value in (metadata(model, name) | texts).items():
             content.metadata_props.add(key=key, value=value)
@@ -403,6 +416,7 @@ def metadata(model: DEITalk, name: str) -> dict[str, str]:
         "maximum": controls.maximum.tolist(),
         "emotions": list(EMOTIONS),
         "actors": list(model.actors),
+        "shown_emotions": list(model.emotions),
         "sample_rate": SAMPLE_RATE,
         "frame_rate": FRAME_RATE,
         "rules": model.rules.model_dump(mode="json"),
@@ -459,6 +473,23 @@ def _trace_causal(model: DEITalk, path: Path) -> dict[str, str]:
     return texts | {"schema": CAUSAL_SCHEMA}
 
 
+def pass_entry(model: DEITalk, ahead: int | None = None) -> str:
+    """The rules of a model as a graph for any streams and frames: an entry of the metadata."""
+    rules = CurvePass(model.controls, model.rules, ahead).eval()
+    batch, n_frames = 2, 3
+    face = rules.rest.expand(batch, n_frames, -1).clone()
+    shown = torch.zeros(batch, n_frames, N_SHOWN)
+    said = rules.first(batch)[:, :n_frames, 2 * rules.size :]
+    example = face, face, said, shown, face[:, 0], torch.ones(batch), rules.first(batch)
+    axes = {name: {0: "B"} for name in (*RULES_INPUTS, *RULES_OUTPUTS)}
+    for name in (*RULES_INPUTS[:4], *RULES_OUTPUTS[:3]):
+        axes[name][1] = "T"
+    graph = io.BytesIO()
+    _export(rules, example, graph, [*RULES_INPUTS], [*RULES_OUTPUTS], axes)
+    content = base64.b64encode(graph.getvalue()).decode()
+    return json.dumps({"behind": rules.behind, "ahead": rules.ahead, "graph": content})
+
+
 def _first_value(first: torch.Tensor) -> Any:
     """One number if all are equal, else nested lists."""
     low = float(first.min())
@@ -468,7 +499,7 @@ def _first_value(first: torch.Tensor) -> Any:
 def _export(
     graph: torch.nn.Module,
     example: tuple[torch.Tensor, ...],
-    path: Path,
+    path: Path | io.BytesIO,
     inputs: list[str],
     outputs: list[str],
     axes: dict[str, dict[int, str]],
@@ -478,7 +509,7 @@ def _export(
         torch.onnx.export(
             graph,
             example,
-            path,
+            cast("Any", path),
             dynamo=False,  # the newer exporter unrolls LSTMs over time
             opset_version=OPSET,
             input_names=inputs,

@@ -13,13 +13,16 @@ from typing import Any, Self
 import numpy as np
 from pydantic import ValidationError
 
+from deitalk import postprocess
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE, frame_count
 from deitalk.audio.log_mel import loudest
 from deitalk.config.rig_file import parse_controls
 from deitalk.config.rules import RulesConfig
+from deitalk.emotions import EMOTIONS
 from deitalk.errors import CheckpointError, DeitalkError, MissingError
 from deitalk.installed import __version__
 from deitalk.models.folder import model_folder, weights_hash
+from deitalk.models.onnx.rules import LIVE, WHOLE, OnnxPass
 from deitalk.models.protocol import (
     NetworkRows,
     Product,
@@ -37,7 +40,7 @@ from rig.errors import quoted
 from rig.files import cache_folder
 from rig.files.reading import check_file
 
-SCHEMA, CAUSAL_SCHEMA = "deitalk.onnx/1", "deitalk.onnx-live/2"
+SCHEMA, CAUSAL_SCHEMA = "deitalk.onnx/2", "deitalk.onnx-live/3"
 NEXT = "next_"
 """Before the names of the outputs that are the state for the next call."""
 PART_FRAMES, CONTEXT_FRAMES = 8640, 2880
@@ -66,13 +69,17 @@ class OnnxFile:
     """
 
     def __init__(self, path: Path, threads: int = 1) -> None:
-        self.path, self.session = path, _session(path, threads)
+        check_file(path, limits.WEIGHTS_BYTES, error=CheckpointError)
+        self.path, self.threads = path, threads
+        self.session = open_session(str(path), path, threads)
         self.metadata: Mapping[str, str] = self.session.get_modelmeta().custom_metadata_map
         if self.metadata.get("schema") not in (SCHEMA, CAUSAL_SCHEMA):
             raise CheckpointError(f"{path}: no exported deitalk model ({SCHEMA}); export it again")
         try:
             self.rules = RulesConfig.model_validate(json.loads(self.metadata["rules"]))
             self.actors: tuple[str, ...] = tuple(json.loads(self.metadata["actors"]))
+            shown = self.metadata.get("shown_emotions") or json.dumps(EMOTIONS)
+            self.emotions: tuple[str, ...] = tuple(json.loads(shown))
             self.controls = _controls(path, self.metadata)
         except (KeyError, ValueError, ValidationError):
             raise damaged(path) from None
@@ -105,7 +112,9 @@ class _Network:
 
     def __init__(self, file: OnnxFile) -> None:
         self.path, self.metadata, self._session = file.path, file.metadata, file.session
-        self.controls, self.rules, self.actors = file.controls, file.rules, file.actors
+        self._threads = file.threads
+        self.controls, self.rules = file.controls, file.rules
+        self.actors, self.emotions = file.actors, file.emotions
         try:
             self._read_metadata()
         except (AttributeError, KeyError, TypeError, ValueError):
@@ -117,6 +126,16 @@ class _Network:
     def eval(self) -> Self:
         """The network itself: it has no other mode."""
         return self
+
+    def curve_pass(self, *, live: bool = False) -> OnnxPass:
+        """Rules after the network; see `deitalk.models.protocol.Network`."""
+        try:
+            return OnnxPass(self.metadata[LIVE if live else WHOLE], self.controls, self._open)
+        except (KeyError, TypeError, ValueError):
+            raise damaged(self.path) from None
+
+    def _open(self, graph: bytes) -> Any:
+        return open_session(graph, self.path, self._threads)
 
 
 class OnnxNetwork(_Network):
@@ -171,8 +190,8 @@ class OnnxNetwork(_Network):
         return {"peak": np.array(peak, np.float32)}
 
 
-def _session(path: Path, threads: int) -> Any:
-    check_file(path, limits.WEIGHTS_BYTES, error=CheckpointError)
+def open_session(graph: str | bytes, path: Path, threads: int) -> Any:
+    """Session of ONNX Runtime of a file or of bytes; `path` is for messages."""
     try:
         import onnxruntime
     except ImportError:
@@ -185,7 +204,7 @@ def _session(path: Path, threads: int) -> Any:
     # beyond constant folding, the search for fusions takes longer than they save in a minute
     options.graph_optimization_level = onnxruntime.GraphOptimizationLevel.ORT_ENABLE_BASIC
     try:
-        return onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
+        return onnxruntime.InferenceSession(graph, options, providers=["CPUExecutionProvider"])
     except Exception as error:  # its errors have classes of its own, derived from Exception
         reason = " ".join(str(error).split())[:160]
         raise CheckpointError(
@@ -352,8 +371,14 @@ def cached_export(model: str | Path) -> Path:
 
 
 def cached_path(model: str | Path) -> Path:
-    """Where `cached_export` keeps the file of a model; another for other weights or settings."""
+    """Where `cached_export` keeps the file of a model.
+
+    Another for other weights, settings, rules, or another form of the file.
+    """
     folder = model_folder(model)
-    settings = (folder / "config.yaml").read_bytes()
-    key = hashlib.sha256(f"{__version__} {weights_hash(folder)}".encode() + settings).hexdigest()
-    return cache_folder() / f"model-{key[:20]}.onnx"
+    digest = hashlib.sha256(f"{__version__} {SCHEMA} {CAUSAL_SCHEMA}".encode())
+    digest.update(weights_hash(folder).encode() + (folder / "config.yaml").read_bytes())
+    for path in sorted(Path(postprocess.__file__).parent.rglob("*.[cp][sy]*")):
+        if path.suffix != ".pyc":  # a checkout whose rules change
+            digest.update(path.read_bytes())
+    return cache_folder() / f"model-{digest.hexdigest()[:20]}.onnx"

@@ -363,7 +363,8 @@ class PhoneEvidence:
 def phone_features(network: DEITalk, speech: Speech) -> Float32:
     """Speech features of a recording at `RATE` [shape=(2 T, D)]."""
     sound, count = torch.tensor(speech.sound), speech.n_frames
-    later = sound[round(SAMPLE_RATE / RATE) :]
+    step = round(SAMPLE_RATE / RATE)
+    later = sound[step:] if len(sound) > step else sound
     with torch.no_grad():
         both = [network.frontend.encode(part, count) for part in (sound, later)]
     return np.asarray(torch.stack(both, dim=1).flatten(0, 1).cpu().numpy(), np.float32)

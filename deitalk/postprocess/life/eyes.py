@@ -8,7 +8,7 @@ import numpy as np
 from deitalk.audio.frames import FRAME_RATE
 from deitalk.config.rules import Idle
 from deitalk.postprocess.life.voice import STILL_SECONDS, Cue
-from rig.arrays import Float32, Float64
+from rig.arrays import Float64
 
 # Blinks: their times on the voice, and the closure of the lids.
 #
@@ -307,10 +307,3 @@ class Look(NamedTuple):
     """Degrees to the left and up [shape=(2,)]."""
     step: Float64
     """From the one before."""
-
-
-def as_controls(degrees: Float32 | Float64) -> Float32:
-    """Values of the controls ``eye.tx`` and ``eye.ty`` for degrees; both [shape=(T, 2)]."""
-    side = degrees[:, 0] / SIDE_DEGREES
-    up = degrees[:, 1] / np.where(degrees[:, 1] > 0, UP_DEGREES, DOWN_DEGREES)
-    return np.stack([side, up], axis=1).astype(np.float32)

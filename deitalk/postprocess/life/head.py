@@ -25,7 +25,6 @@ import numpy as np
 from deitalk.audio.frames import FRAME_RATE
 from deitalk.emotions import LABELS, by_emotion
 from deitalk.postprocess.life.voice import LISTENING_SECONDS, Cue, Noise, Swells, Traits
-from rig import ControlSet
 from rig.arrays import Float32, Float64
 from rig.curves import HEAD
 
@@ -105,10 +104,6 @@ HELD_SIDE = 0.25
 """Share of a character's difference of the sides in an expression that is held."""
 SWELL = 0.4
 """Part of an expression that comes and goes with the accents."""
-_STYLES = by_emotion(ACCENTS)
-_HELD = by_emotion(HELD)
-_LEAST = np.array([-1.0 if stem == "eye_blink" else 0.0 for stem in STEMS])
-"""Lower end of a control's range; lids widen to -1."""
 
 
 class BrowEvents(NamedTuple):
@@ -119,11 +114,11 @@ class BrowEvents(NamedTuple):
     frowns: Float64
     """The same of frowns of thought."""
     question: Float64
-    """Swell of the questions [shape=(T,), range 0 to 1]."""
+    """Swell of the questions [shape=(T, 1), range 0 to 1]."""
     drift: Float64
     """Slow noise of each stem [shape=(T, K)], control units."""
     posture: Float64
-    """Share of `HELD` that is shown [shape=(T,)]."""
+    """Share of `HELD` that is shown [shape=(T, 1)]."""
 
 
 class BrowMove(NamedTuple):
@@ -227,61 +222,10 @@ class Brows:
         return BrowEvents(
             raised[:, :2],
             raised[:, 2:],
-            np.minimum(swells[:, 4], 1) * shown,
+            np.minimum(swells[:, 4:], 1) * share,
             drift * share,
-            np.maximum(1 + noise[:, -1], 0) * shown,
+            np.maximum(1 + noise[:, -1:], 0) * share,
         )
-
-
-def move_brows(
-    curves: Float32,
-    neutral: Float32,
-    controls: ControlSet,
-    events: BrowEvents,
-    mixture: Float32,
-    side: float,
-    amount: float,
-) -> None:
-    """Add the motion to curves, in place; nothing at an amount of 0.
-
-    Controls approach the end of their range and do not reach it: a motion of m takes the share m
-    of what is left.
-
-    Parameters
-    ----------
-    curves : array [shape=(T, C)]
-        Changed.
-    neutral : array [shape=(T, C)]
-        The neutral reading, without this motion; may be the same array as `curves`.
-    controls : ControlSet
-        Columns.
-    events : BrowEvents
-        From `Brows`.
-    mixture : array [shape=(T, S)]
-        Emotion shown at each frame: weights times intensity. With 0 the neutral reading gets the
-        same motion as a neutral take.
-    side : float
-        How much stronger the left side is, of an expression that is held.
-    amount : float
-        Factor.
-    """
-    if not amount:
-        return
-    shares = np.concatenate([np.ones((len(curves), 1)), mixture[:, 1:]], axis=1)
-    gains = amount * (shares @ _STYLES)
-    posture = amount * events.posture[:, None] * (mixture[:, 1:] @ _HELD[1:])
-    calm = amount * (events.question[:, None] * np.asarray(QUESTION) + events.drift)
-    for place, letter in enumerate("LR"):
-        swells = events.accents[:, place]
-        breath = 1 + amount * SWELL * (swells - 0.4)
-        breath *= 1 + min(amount, 1) * (side, -side)[place] * HELD_SIDE
-        columns = [controls.index(f"CTRL_{letter}_{stem}.ty") for stem in STEMS]
-        held = neutral[:, columns]
-        values = np.clip(held + (curves[:, columns] - held) * breath[:, None], _LEAST, 1)
-        thought = amount * events.frowns[:, place, None] * np.asarray(FROWN)
-        motion = np.clip(gains * swells[:, None] + posture + thought + calm, -1, 1)
-        room = np.where(motion > 0, 1 - values, values - _LEAST)
-        curves[:, columns] = values + motion * room
 
 
 # Neck: breath before phrases (.3 to .6 s: Winkworth et al. 1995), swallowing about once a minute in
@@ -303,16 +247,14 @@ BREATH_CONTROL, SWALLOW_CONTROL = "CTRL_neck_throatExhaleInhale.ty", "CTRL_C_nec
 TURNS = ("CTRL_L_neck_mastoidContract.ty", "CTRL_R_neck_mastoidContract.ty")
 
 
-def neck_tracks(breath: Float64, swallows: Float64, yaw: Float32 | Float64) -> dict[str, Float32]:
-    """Tracks by name for breath and swallowing (range 0 to 1) and the head's turn in degrees."""
+def neck_tracks(breath: Float64, swallows: Float64, yaw: Float32 | Float64) -> Float64:
+    """Tracks of `BREATH_CONTROL`, `SWALLOW_CONTROL` and `TURNS` [shape=(T, 4), range 0 to 1].
+
+    Of breath and swallowing (range 0 to 1) and of the head's turn in degrees [shape=(T,)].
+    """
     turns = (np.maximum(np.abs(yaw) - FREE_DEGREES, 0) / FULL_DEGREES).clip(max=1)
-    tracks = {
-        BREATH_CONTROL: breath,
-        SWALLOW_CONTROL: swallows,
-        TURNS[0]: turns * (yaw > 0),
-        TURNS[1]: turns * (yaw < 0),
-    }
-    return {name: track.clip(0, 1).astype(np.float32) for name, track in tracks.items()}
+    tracks: Float64 = np.stack((breath, swallows, turns * (yaw > 0), turns * (yaw < 0)), axis=1)
+    return tracks.clip(0, 1)
 
 
 NODS = (0.26, 1.8, 0.26)

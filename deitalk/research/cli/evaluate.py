@@ -58,6 +58,14 @@ def evaluate(
         Path | None,
         typer.Option(help="Table of actors at three strengths, instead of a dataset folder."),
     ] = None,
+    contacts: Annotated[
+        Path | None,
+        typer.Option(help="Table of phones to score contacts on; DATA teaches the ridge."),
+    ] = None,
+    encoder: Annotated[
+        Path | None,
+        typer.Option(help="Folder of a published Whisper encoder, for more ridge regressions."),
+    ] = None,
     out: Annotated[
         Path | None, typer.Option("--out", "-o", help="Write a report: .md or .json.")
     ] = None,
@@ -94,7 +102,10 @@ def evaluate(
     force: Force = False,
     as_json: Json = False,
 ) -> None:
-    """Score lips, errors, emotions and silence, with the loudness baseline; or measure speed.
+    """Score lips, errors, emotions and silence beside baselines; or measure speed.
+
+    Beside scores of lips and contacts stand those of a ridge regression on the model's own speech
+    features: what curves should reach at least.
 
     Examples
     --------
@@ -106,13 +117,16 @@ def evaluate(
 
     deitalk evaluate default --lips grid_lips/
 
+    deitalk evaluate default --contacts phones.csv --data corpus/ --encoder whisper-base/
+
     deitalk evaluate default --acted crema/clips.csv --split test
 
     deitalk evaluate default --speed --memory
     """
     if speed:
         scores = {"out": out, "picture": picture, "noise": noise, "captured": captured}
-        _refuse("not with --speed, which prints (--json)", **scores, lips=lips, acted=acted)
+        scores |= {"lips": lips, "acted": acted, "contacts": contacts, "encoder": encoder}
+        _refuse("not with --speed, which prints (--json)", **scores)
         from deitalk.research.cli.speed import measure
 
         measure(model, seconds, threads, repeats, memory=memory, mesh=mesh, as_json=as_json)
@@ -123,20 +137,37 @@ def evaluate(
 
     if product_of(model) == "mesh":
         _refuse("not for mesh models", noise=noise, captured=captured, picture=picture)
-        _refuse("not for mesh models", lips=lips, acted=acted)
+        _refuse("not for mesh models", lips=lips, acted=acted, contacts=contacts, encoder=encoder)
         report, markdown = _score_mesh(model, data, split=split, most=most, transitions=transitions)
     elif acted is not None:
         _refuse("not with acted strengths", noise=noise, captured=captured, picture=picture)
         _refuse("not with acted strengths", lips=lips, speaker=speaker, most=most)
+        _refuse("not with acted strengths", contacts=contacts, encoder=encoder)
         report, markdown = _score_people(model, "acted", acted, split=split)
     elif lips is not None:
         _refuse("not with measured lips", noise=noise, captured=captured, picture=picture)
-        report, markdown = _score_people(model, "lips", lips, speakers=speaker or (), most=most)
+        _refuse("not with measured lips", contacts=contacts)
+        report, markdown = _score_people(
+            model, "lips", lips, speakers=speaker or (), most=most, encoder=encoder
+        )
+    elif contacts is not None:
+        _refuse("not with contacts", noise=noise, captured=captured, picture=picture)
+        _refuse("for measured lips", speaker=speaker)
+        report, markdown = _score_people(
+            model, "contacts", contacts, data=data, most=most, encoder=encoder
+        )
     else:
         _refuse("for measured lips", speaker=speaker)
         _refuse("for mesh models", transitions=transitions or None)
         report, markdown = _score_curves(
-            model, data, split=split, most=most, probes=probes, noise=noise, captured=captured
+            model,
+            data,
+            split=split,
+            most=most,
+            probes=probes,
+            noise=noise,
+            captured=captured,
+            encoder=encoder,
         )
     known = {"model": model, "sha256": describe_model(model)["sha256"]}
     write_report(known | report, markdown, out, as_json=as_json)
@@ -158,7 +189,7 @@ def _score_curves(model: str, data: Path, **options: Any) -> tuple[dict[str, Any
 
 
 def _score_people(model: str, kind: str, path: Path, **options: Any) -> tuple[dict[str, Any], str]:
-    """Report on measured lips or acted strengths, and its Markdown."""
+    """Report on measured lips, contacts or acted strengths, and its Markdown."""
     scores = import_module(f"deitalk.research.evaluation.{kind}")
     network = _curve_model(model)
     with bar("evaluating") as progress:

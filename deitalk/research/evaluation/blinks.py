@@ -51,9 +51,9 @@ def draw_take(waveform: Float32, seed: int = 0) -> Take:
     speech = Speech.of(waveform)
     voice = measure_voice(speech.activity, speech.prosody)
     calm = np.zeros((voice.n_frames, len(LABELS)), np.float32)
-    motion = plan_motion(voice, calm, Seeds.of(waveform, "", seed))
+    motion = plan_motion(voice, calm, Seeds.of(waveform, "", seed)).tracks
     ends = np.array([phrase.stop for phrase in voice.phrases], np.float64) / FRAME_RATE
-    return Take(motion.lids[:, 0].astype(np.float32), ends, motion.gaze[1].astype(np.float32))
+    return Take(motion.lids[:, 0].astype(np.float32), ends, motion.calm_gaze.astype(np.float32))
 
 
 def find_blinks(lids: Float32) -> list[tuple[float, float]]:

@@ -17,7 +17,7 @@ import torch
 
 from deitalk.audio.load import Recording, load_audio
 from deitalk.audio.voice_activity import speech_activity
-from deitalk.data.clips import Clip, read_clips
+from deitalk.data.clips import Clip, read_clips, read_phones
 from deitalk.emotions import EMOTIONS, IntensityCurve
 from deitalk.errors import DataError
 from deitalk.evaluation.scores import correlation
@@ -40,6 +40,7 @@ from deitalk.research.evaluation.clip_scores import (
 )
 from deitalk.research.evaluation.contours import contours_report
 from deitalk.research.evaluation.noise import SNRS_DB, mix, read_noises
+from deitalk.research.evaluation.ridge import ContactRidge, Judged, score_contacts, teachers
 from deitalk.research.lips.head_lips import MEASURES, HeadLips
 from rig.arrays import Bool, Float32
 from rig.face import build_head
@@ -58,6 +59,7 @@ def evaluate(
     probes: int = PROBES,
     noise: str | None = None,
     captured: Path | None = None,
+    encoder: Path | None = None,
     progress: Callable[[float], None] = lambda share: None,
 ) -> dict[str, Any]:
     """Score a model.
@@ -78,6 +80,8 @@ def evaluate(
         Noise for further scores: a folder of recordings, or ``pink``.
     captured : Path or None
         Captured curves whose smoothness is reported for comparison.
+    encoder : Path or None
+        Folder of a published Whisper encoder whose layers are read by a ridge too.
     progress : callable
         Called with the share done, 0 to 1.
 
@@ -86,9 +90,11 @@ def evaluate(
     dict
         ``groups``: scores per source (speakers' prefix), languages but English apart, and
         children apart from adults where ``clips.csv`` has ages; ``network``: the same without the
-        model's rules; ``phones``: per group, gesture and phone; ``shut``: per group and phone, of
-        the lips on sounds without contact; ``styles``, ``contours``, ``noise``: the experiments
-        (of styles, `prosody_response`, noise); the sets LPE and EPE used.
+        model's rules; ``ridge``: contact scores of ridge regressions by their features and source
+        (`deitalk.research.evaluation.ridge`), which the training recordings teach; ``phones``: per
+        group, gesture and phone; ``shut``: per group and phone, of the lips on sounds without
+        contact; ``styles``, ``contours``, ``noise``: the experiments (of styles,
+        `prosody_response`, noise); the sets LPE and EPE used.
 
     Raises
     ------
@@ -122,6 +128,16 @@ def evaluate(
         report["network"][name] = scores.network.summary()
         report["phones"][name] = scores.animated.phones()
         report["shut"][name] = shut_table(scores.animated.shut)
+    if taught := teachers(data):
+        judged = {
+            name: [
+                Judged(clip.neutral.audio, read_phones(clip.neutral.phones))
+                for clip in group
+                if clip.neutral.phones is not None
+            ]
+            for name, group in chosen.items()
+        }
+        report["ridge"] = score_contacts(ContactRidge(model, taught, encoder), judged)
     report |= _probe(model, probed, advance)
     if noises and recorded:
         report["noise"] = noise_report(model, recorded, noises)

@@ -1,9 +1,10 @@
 """Scores of predicted lips against measured lips: ``deitalk evaluate MODEL --lips FOLDER``.
 
 Every recording is animated in the neutral emotion; the lip measures of the embedded head
-(`deitalk.research.lips`) are compared with those of the speaker during speech. Three predictions
-are scored: the network alone, the curves of `deitalk.animate`, and the level of the recording as a
-baseline.
+(`deitalk.research.lips`) are compared with those of the speaker during speech. Predictions are the
+network alone, the curves of `deitalk.animate`, and two baselines: the level of the recording, and a
+ridge regression of speech features on the lips of the other speakers of the folder
+(`deitalk.research.evaluation.ridge`).
 
 Letters: T frames at 30 per second, M measures.
 """
@@ -21,15 +22,16 @@ from deitalk.evaluation.scores import correlation
 from deitalk.evaluation.validation import loudness, table
 from deitalk.models.curve_model import DEITalk
 from deitalk.pipeline.curves import animate
-from deitalk.research.lips.fit import network_curves
+from deitalk.research.evaluation.ridge import Readout, Rows, listen, losses
 from deitalk.research.lips.head_lips import MEASURES, HeadLips
 from deitalk.research.lips.measured import LipClip, read_lips
 from rig.arrays import Float32
 from rig.face.head import build_head
 
-PREDICTIONS = ("network", "animated", "loudness")
 LOW, HIGH = 5, 95
 """Percentiles of a range."""
+SPEAKER_CLIPS = 40
+"""Most recordings of a speaker that teach the ridge."""
 
 
 def evaluate(
@@ -38,6 +40,7 @@ def evaluate(
     *,
     speakers: Sequence[str] = (),
     most: int | None = None,
+    encoder: Path | None = None,
     progress: Callable[[float], None] = lambda share: None,
 ) -> dict[str, Any]:
     """Score a model on measured lips.
@@ -52,6 +55,8 @@ def evaluate(
         Speakers to score; all if empty.
     most : int or None
         Most recordings of every speaker, evenly spread.
+    encoder : Path or None
+        Folder of a published Whisper encoder whose layers are read by a ridge too.
     progress : callable
         Called with the share done, 0 to 1.
 
@@ -60,7 +65,8 @@ def evaluate(
     dict
         By prediction, and speaker or ``mean`` (over speakers): ``r`` of each measure
         (mean over recordings), and for predicted curves ``range`` (5th to 95th percentile) and
-        ``speed`` (mean absolute velocity) over those measured.
+        ``speed`` (mean absolute velocity) over those measured. The ridge regressions are
+        ``ridge: own`` and ``ridge: layer N``; there is none in a folder of one speaker.
 
     Raises
     ------
@@ -68,24 +74,73 @@ def evaluate(
         If the folder is not as described, or a speaker is not in it.
     """
     lips = HeadLips(build_head())
-    groups = _spread(read_lips(folder, lips.eye_distance), speakers, most, folder)
+    every = read_lips(folder, lips.eye_distance)
+    groups = _spread(every, speakers, most, folder)
+    ridge = LipRidges(model, _spread(every, (), SPEAKER_CLIPS, folder), encoder)
     total = sum(map(len, groups.values()))
-    report: dict[str, Any] = {name: {} for name in PREDICTIONS}
+    report: dict[str, Any] = {}
     done = 0
     for speaker, clips in groups.items():
-        pairs: dict[str, list[tuple[Float32, Float32]]] = {name: [] for name in PREDICTIONS}
+        pairs: dict[str, list[tuple[Float32, Float32]]] = {}
+        readouts = ridge.without(speaker)
         for clip in clips:
             known = clip.speaking & np.isfinite(clip.measures).all(axis=1)
-            for name, given in _predictions(model, lips, clip).items():
+            predicted = _predictions(model, lips, clip) | ridge.predictions(readouts, clip)
+            for name, given in predicted.items():
                 n = min(len(given), len(known))
-                pairs[name].append((given[:n][known[:n]], clip.measures[:n][known[:n]]))
+                pairs.setdefault(name, []).append(
+                    (given[:n][known[:n]], clip.measures[:n][known[:n]])
+                )
             done += 1
             progress(done / total)
-        for name in PREDICTIONS:
-            report[name][speaker] = _scores(pairs[name], ranges=name != "loudness")
-    for name in PREDICTIONS:
-        report[name]["mean"] = _mean(list(report[name].values()))
+        for name, found in pairs.items():
+            scores = _scores(found, ranges=name != "loudness")
+            report.setdefault(name, {})[speaker] = scores
+    for rows in report.values():
+        rows["mean"] = _mean(list(rows.values()))
     return report
+
+
+class LipRidges:
+    """Ridge regressions on the lips of all speakers but one.
+
+    Parameters
+    ----------
+    model : DEITalk
+        Whose features are read.
+    clips : dict
+        Recordings that teach, by speaker.
+    encoder : Path or None
+        As for `evaluate`.
+    """
+
+    def __init__(
+        self, model: DEITalk, clips: dict[str, list[LipClip]], encoder: Path | None
+    ) -> None:
+        self.listen = listen(model, encoder)
+        self.rows: dict[str, dict[str, list[Rows]]] = {}
+        for speaker, group in clips.items():
+            for clip in group if len(clips) > 1 else ():
+                for name, features in self.listen(load_audio(clip.sound)).items():
+                    n = min(len(features), len(clip.measures))
+                    by_speaker = self.rows.setdefault(name, {})
+                    by_speaker.setdefault(speaker, []).append((features[:n], clip.measures[:n]))
+
+    def without(self, speaker: str) -> dict[str, Readout]:
+        """Readouts taught by all others, by the name of their features."""
+        return {
+            name: Readout.fit(
+                [row for other, rows in groups.items() if other != speaker for row in rows]
+            )
+            for name, groups in self.rows.items()
+        }
+
+    def predictions(self, readouts: dict[str, Readout], clip: LipClip) -> dict[str, Float32]:
+        """Measures [shape=(T, M)] by every readout."""
+        if not readouts:
+            return {}
+        heard = self.listen(load_audio(clip.sound))
+        return {f"ridge: {name}": read(heard[name]) for name, read in readouts.items()}
 
 
 def _spread(
@@ -109,9 +164,12 @@ def _predictions(model: DEITalk, lips: HeadLips, clip: LipClip) -> dict[str, Flo
     """Measures [shape=(T, M)] by every prediction."""
     recording = load_audio(clip.sound)
     level = loudness(recording.waveform, recording.n_frames)
-    animated = animate(recording, "neutral", model=model, life="off").curves.values
+    animated, alone = (
+        animate(recording, "neutral", model=model, life="off", rules=rules).curves.values
+        for rules in (True, False)
+    )
     return {
-        "network": lips(network_curves(model, recording)).numpy(),
+        "network": lips(torch.tensor(alone)).numpy(),
         "animated": lips(torch.tensor(animated)).numpy(),
         "loudness": np.repeat(level[:, None], len(MEASURES), axis=1),
     }
@@ -151,6 +209,13 @@ def _mean(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
 def as_markdown(report: dict[str, Any]) -> str:
     """A Markdown table per prediction; columns are speakers."""
     parts: list[str] = []
-    for name in PREDICTIONS:
-        parts += [f"Measured lips, {name}:", "", *table("", report[name]), ""]
+    known = {name: rows for name, rows in report.items() if isinstance(rows, dict)}
+    for name, rows in known.items():
+        parts += [f"Measured lips, {name}:", "", *table("", rows), ""]
+    if "ridge: own" in known:
+        own = {
+            speaker: {name: value for name, value in scores.items() if name.endswith(" r")}
+            for speaker, scores in known["ridge: own"].items()
+        }
+        parts += [losses(known["animated"], own), ""]
     return "\n".join(parts)

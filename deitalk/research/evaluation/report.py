@@ -7,6 +7,7 @@ from typing import Any
 
 from deitalk.audio.frames import FRAME_RATE
 from deitalk.evaluation.validation import as_json, cell, rows_of, table
+from deitalk.research.evaluation.ridge import losses
 from rig.files import atomic_write
 
 MOST_PHONES = 6
@@ -46,6 +47,7 @@ def as_markdown(report: dict[str, Any]) -> str:
         "The network alone:",
         "",
         *table("", report["network"]),
+        *_ridge(report),
         *_phones(report.get("phones", {})),
         *_shut(report.get("shut", {})),
         *_styles(report.get("styles", {})),
@@ -59,6 +61,15 @@ def as_markdown(report: dict[str, Any]) -> str:
         parts += ["", "Smoothness of the captured curves:", ""]
         parts += [f"- {name}: {cell(value)}" for name, value in report["captured"].items()]
     return "\n".join(parts) + "\n"
+
+
+def _ridge(report: dict[str, Any]) -> list[str]:
+    """Contacts by ridge regressions, and where the curves lie below the one on own features."""
+    lines: list[str] = []
+    for name, groups in report.get("ridge", {}).items():
+        title = f"Contacts by a ridge regression of features ({name}):"
+        lines += ["", title, "", *table("", groups)]
+    return [*lines, "", losses(report["groups"], report["ridge"]["own"])] if lines else []
 
 
 def _phones(groups: dict[str, Any]) -> list[str]:

@@ -8,8 +8,6 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from deitalk.audio.load import Recording
-from deitalk.audio.voice_activity import normalise_level
 from deitalk.emotions import EMOTIONS
 from deitalk.models.curve_model import DEITalk
 from deitalk.research.lips.head_lips import HeadLips
@@ -72,12 +70,6 @@ def neutral_reading(
     low, high = torch.tensor(controls.minimum), torch.tensor(controls.maximum)
     speech = analysis.speech if listener is None else listener.frontend.encode(sound, n_frames)
     return speech, curves.clamp(low, high).float()
-
-
-def network_curves(model: DEITalk, recording: Recording) -> Tensor:
-    """Neutral curves of the network alone [shape=(T, C)] (`neutral_reading`)."""
-    sound = torch.tensor(normalise_level(recording.waveform))
-    return neutral_reading(model, sound, recording.n_frames)[1]
 
 
 def looseness(controls: ControlSet, kept: Sequence[str] = ()) -> Tensor:

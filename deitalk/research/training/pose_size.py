@@ -16,7 +16,7 @@ from deitalk.config.rules import PoseSize
 from deitalk.models.checkpoint import require_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.pipeline.curves import prepare
-from deitalk.postprocess.curve_rules import Expression
+from deitalk.postprocess.control_groups import ControlGroups
 from deitalk.research.evaluation.acted import ACTORS, read_strength_clips
 
 EVERY = 12
@@ -24,7 +24,7 @@ EVERY = 12
 
 def pose_size(model: DEITalk, sounds: Sequence[Path], emotion: str) -> float:
     """Size of the pose of an emotion at intensity 1."""
-    posing = Expression(model.controls, model.rules).posing
+    posing = ControlGroups(model.controls).posing
     sizes, intensities = [], []
     for sound in sounds:
         prepared = prepare(sound, Acting.of(emotion=emotion), lambda: model)

@@ -1,6 +1,6 @@
 """Settings of a fine-tuning by base model and captures; a mix of the weights before and after."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from copy import deepcopy
 from pathlib import Path
 from typing import Any, cast
@@ -10,23 +10,22 @@ import torch
 
 from deitalk.config.curves import Config, FinetuneConfig
 from deitalk.config.hub import pinned
-from deitalk.config.load import load_config, parse_config, read_tree
+from deitalk.config.load import load_model_config, parse_config, read_tree
+from deitalk.config.rig_file import read_controls
+from deitalk.config.rules import SharpenContacts
+from deitalk.data.captures.columns import read_mapping
 from deitalk.data.clips import Clip
+from deitalk.emotions import EMOTIONS
 from deitalk.errors import CheckpointError, ConfigError
-from deitalk.evaluation.validation import knows_contact
 from deitalk.models.checkpoint import check_kind
 from deitalk.models.curve_model import DEITalk
-from deitalk.models.folder import RIG_FILE, model_folder
+from deitalk.models.folder import LIP_WEIGHTS, RIG_FILE, model_folder
+from deitalk.postprocess.control_groups import LIVELY
 from deitalk.postprocess.life.motion import ADDED_CONTROLS
+from deitalk.training.tuning.carry import carry_matrix
 from rig import ControlSet
-from rig.arrays import Bool
+from rig.arrays import Bool, Float64
 from rig.errors import quoted
-
-CONTACT_RULES = ("sharpen_contacts", "keep_contacts", "limit_contact_speed")
-"""Rules of a model that act on its lip contacts."""
-
-NO_TEACHER: dict[str, Any] = {"part": "all", "hold": 0.0, "rehearsal": 0.0}
-"""Settings of `TuneConfig` where weights begin as random ones."""
 
 INTENSITY_LOSS = {"contrast": 0.1, "classification": 0.1, "intensity": 20.0}
 """Weights of Eq. 8 where intensity is learnt: those of the paper, and of the base's training."""
@@ -37,8 +36,7 @@ def read_recipe(
 ) -> FinetuneConfig:
     """Settings of a recipe, with the network of the base model.
 
-    Where the frontend learns too, windows are augmented unless the recipe says otherwise. With
-    random weights at the start all learn, and the base is no teacher, unless the recipe says so.
+    Where the frontend learns too, windows are augmented unless the recipe says otherwise.
 
     Parameters
     ----------
@@ -52,8 +50,7 @@ def read_recipe(
     Raises
     ------
     ConfigError
-        If the recipe is of another kind, a part of random weights is to be tuned, or as for
-        `load_config`.
+        If the recipe is of another kind, or as for `load_config`.
     CheckpointError
         If there is no such base model.
     """
@@ -61,15 +58,12 @@ def read_recipe(
     tune = tree.setdefault("tune", {})
     if base is not None:
         tune["base"] = base
-    if tune.get("start") == "random":
-        tune |= NO_TEACHER | tune
-        if tune["part"] != "all":
-            raise ConfigError(f"tune.part={tune['part']}: random weights all learn; leave it out")
     tune["base"] = pinned(str(tune.get("base", "default")))
     folder = model_folder(tune["base"])
-    of_base = load_config(folder / "config.yaml")
+    of_base = load_model_config(folder)
     check_kind(tune["base"], of_base, DEITalk)
     network = of_base.model.model_dump(mode="json")
+    network["lips"] = False  # what an actor shows is not corrected
     if network.get("control_set") == RIG_FILE:
         network["control_set"] = str(folder / RIG_FILE)
     tree["model"] = network | (tree.get("model") or {})
@@ -89,66 +83,86 @@ def with_actors(config: FinetuneConfig, clips: Sequence[Clip]) -> FinetuneConfig
 
 
 def with_direct_layers(config: FinetuneConfig) -> FinetuneConfig:
-    """The configuration whose last layers have the speech features, and one of each actor.
-
-    Not from random weights, which are for comparison.
-    """
-    if config.tune.start != "base":
-        return config
+    """The configuration whose last layers have the speech features, and one of each actor."""
     layers = {"decoder_direct": True, "actor_layers": bool(config.model.actors)}
     return config.model_copy(update={"model": config.model.model_copy(update=layers)})
 
 
 def _base_config(config: FinetuneConfig) -> Config:
     """Configuration of the base model."""
-    return cast("Config", load_config(model_folder(config.tune.base) / "config.yaml"))
+    return cast("Config", load_model_config(model_folder(config.tune.base)))
 
 
 def is_same_rig(config: FinetuneConfig) -> bool:
     """Whether the captures are of the base's controls."""
-    return _base_config(config).model.control_set == config.model.control_set
+    return base_controls(config).names == read_controls(config.model.control_set).names
 
 
 def with_base_parts(
-    config: FinetuneConfig, controls: ControlSet, learnt: Bool, captured: Bool
+    config: FinetuneConfig,
+    controls: ControlSet,
+    learnt: Bool,
+    captured: Bool,
+    emotions: Collection[str],
 ) -> FinetuneConfig:
-    """The configuration with what stays of the base: rules of contacts, and controls it moves.
+    """The configuration with what stays of the base: rules, controls and emotions.
 
     Parameters
     ----------
     config : FinetuneConfig
         A recipe with the network of the base.
     controls : ControlSet
-        Of captures and base.
+        Of the captures.
     learnt : array [shape=(C,)]
         From `learnt_controls`.
     captured : array [shape=(C,)]
         Those of them that a capture shows.
+    emotions : collection of str
+        Those of the captures.
 
     Raises
     ------
     ConfigError
         If the base has controls of an earlier base and is to be tuned where these cannot stay.
     """
-    return _with_kept_controls(
-        _with_contact_rules(config, controls, captured), controls, learnt, captured
-    )
+    base, same_rig = _base_config(config), is_same_rig(config)
+    shown = tuple(emotion for emotion in EMOTIONS if emotion in emotions)
+    size = base.model.base_controls
+    if not same_rig:
+        size = 0 if carried(config, controls) is None else len(base_controls(config))
+    changes: dict[str, Any] = {"captured_emotions": shown, "base_controls": size}
+    model = config.model.model_copy(update=changes | {"kept_controls": (), "kept_intensity": False})
+    config = config.model_copy(update={"model": model})
+    if config.tune.base_rules:
+        lips = any(
+            shows and any(part in name for part in LIVELY)
+            for name, shows in zip(controls.names, captured, strict=True)
+        )
+        of_base = base.rules
+        if base.model.lips:  # its numbers are for contacts that the readout corrects
+            of_base = of_base.model_copy(update={"sharpen_contacts": SharpenContacts()})
+        rules = config.rules.taught(of_base, shown, lips=lips, other_rig=not same_rig)
+        config = config.model_copy(update={"rules": rules})
+    has_base = same_rig and size != 0  # else the start of the decoder has what captures lack
+    return _with_kept_controls(config, controls, learnt, captured) if has_base else config
 
 
-def _with_contact_rules(
-    config: FinetuneConfig, controls: ControlSet, captured: Bool
-) -> FinetuneConfig:
-    """`CONTACT_RULES` as the base has them, where the recipe has none.
+def base_controls(config: FinetuneConfig) -> ControlSet:
+    """Controls of the base."""
+    name = _base_config(config).model.control_set
+    return read_controls(str(model_folder(config.tune.base) / name) if name == RIG_FILE else name)
 
-    A network predicts a mean: its contacts, the base's and those learnt from captures, are seldom
-    full, and without rules few of the found closures are held.
+
+def carried(config: FinetuneConfig, controls: ControlSet) -> Float64 | None:
+    """Shares of the base's controls in those of the captures; None where nothing relates them.
+
+    Raises
+    ------
+    DataError
+        If the table of ``tune.map`` cannot be read, or names other curves.
     """
-    wanted = config.tune.contact_rules
-    if wanted == "recipe" or (wanted == "auto" and knows_contact(captured, controls)):
-        return config
-    base = _base_config(config).rules
-    rules = {name: getattr(config.rules, name) or getattr(base, name) for name in CONTACT_RULES}
-    return config.model_copy(update={"rules": config.rules.model_copy(update=rules)})
+    mapping = None if config.tune.map is None else read_mapping(Path(config.tune.map))
+    return carry_matrix(base_controls(config), controls, mapping)
 
 
 def _with_kept_controls(
@@ -159,7 +173,7 @@ def _with_kept_controls(
     Of a base that was tuned so itself, its first decoder stays for those that are still not shown.
     """
     base = _base_config(config).model
-    if not config.tune.keep or config.tune.part == "all" or base.frontend.kind == "causal_whisper":
+    if not config.tune.keep or config.tune.part == "all":
         if base.kept_controls:
             raise ConfigError(
                 f"tune.part={config.tune.part}, tune.keep={config.tune.keep}: {config.tune.base} "
@@ -186,7 +200,7 @@ def with_captured_intensity(config: FinetuneConfig) -> FinetuneConfig:
     weights = {
         name: getattr(config.loss, name) or weight for name, weight in INTENSITY_LOSS.items()
     }
-    kept = {"kept_intensity": bool(config.model.kept_controls)}
+    kept = {"kept_intensity": config.model.base_controls != 0}
     return config.model_copy(
         update={
             "loss": config.loss.model_copy(update=weights),
@@ -196,11 +210,11 @@ def with_captured_intensity(config: FinetuneConfig) -> FinetuneConfig:
 
 
 def can_learn_intensity(config: FinetuneConfig) -> bool:
-    """Whether the network has an intensity, and can keep the base's beside it where it must."""
+    """Whether the network has an intensity, and can keep the base's beside it."""
     model = config.model
     if not model.intensity or config.tune.intensity == "base":
         return False
-    return not model.kept_controls or model.saliency_frames is not None
+    return model.saliency_frames is not None and model.frontend.kind != "causal_whisper"
 
 
 def learnt_controls(config: FinetuneConfig, controls: ControlSet) -> Bool:
@@ -217,7 +231,7 @@ def learnt_controls(config: FinetuneConfig, controls: ControlSet) -> Bool:
 
 
 LAST, ACTORS = "decoder.output.weight", ("decoder.actor_layers.", "decoder.actors.")
-KEPT = ("decoder.kept.", "intensity.kept.")
+KEPT = ("decoder.kept.", "decoder.change.", "intensity.kept.")
 """Parts of a tuned model that are those of its base, and did not learn."""
 
 
@@ -274,7 +288,7 @@ def _widened(
         elif name == LAST and name in old and old[name].shape[1] < value.shape[1]:
             wide[name] = torch.zeros_like(value)
             wide[name][:, : old[name].shape[1]] = old[name]
-    return wide
+    return {k: v for k, v in wide.items() if k in new or not k.startswith(LIP_WEIGHTS)}
 
 
 def _check_shapes(old: Mapping[str, torch.Tensor], new: Mapping[str, torch.Tensor]) -> None:

@@ -13,10 +13,10 @@ minutes. Letters: T frames, F features, C controls, A actors, K folds.
 
 import hashlib
 from collections import Counter, defaultdict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.linalg
@@ -36,10 +36,15 @@ SHARED = (1.0, 3.0, 10.0, 100.0)
 leaves hardly more than the mean."""
 OWN = (1.0, 10.0)
 """Penalty of an actor's change over that of the shared map: as free, or nearly none."""
+LEAST_BETTER = 0.005
+"""Share of a control's error by which a map must lower it, else the control stays as it is."""
 LEAST_ACTORS = 3
 """From which on a stranger's penalty is told by leaving actors out."""
 FOLDS = 4
 """Most parts of the captures of which each is predicted from the others."""
+MANY, MANY_FOLDS = 8, 2
+"""Actors from which on two folds do, an actor's change is nearly none, and sums of products are in
+single precision: time and memory grow with the actors."""
 
 
 Pair = tuple[float, float | None]
@@ -54,11 +59,18 @@ class Capture(NamedTuple):
     take, actor : str
     known : ndarray [shape=(C,)]
         Controls that the clip shows; the others are left out.
+    emotion : str
     """
 
     take: str
     actor: str
     known: Bool
+    emotion: str = ""
+
+    @property
+    def group(self) -> tuple[str, str]:
+        """What every fold is to be predicted from others of: its actor in its emotion."""
+        return self.actor, self.emotion
 
 
 Rows = tuple[Float32, Float32]
@@ -74,12 +86,18 @@ class Maps(NamedTuple):
         A stranger's map, then how each actor differs from it.
     bias : ndarray [shape=(A + 1, C)]
     penalty : ndarray [shape=(C, 2)]
-        The chosen shared and own one.
+        The chosen shared and own one; infinite where the curves stay as they are.
+    held : tuple of Maps
+        Those with the same penalties, fitted without each fold; empty where there is one fold.
+    folds : tuple of int
+        Fold of every clip.
     """
 
     weight: Float64
     bias: Float64
     penalty: Float64
+    held: "tuple[Maps, ...]" = ()
+    folds: tuple[int, ...] = ()
 
     def add_to(self, decoder: RigDecoder, share: float = 1.0) -> None:
         """Add a share of the maps to the last layer of a decoder and to those of its actors."""
@@ -109,6 +127,8 @@ def fit_ridge(
     actors: Sequence[str],
     learnt: Bool,
     sums: dict[tuple[int, ...], Sums] | None = None,
+    *,
+    may_stay: bool = False,
 ) -> Maps:
     """Fit the maps of all learnt controls.
 
@@ -125,10 +145,14 @@ def fit_ridge(
     sums : dict or None
         Gets the products, by the places of the controls; those of a call with the same actors on
         the first of the clips are gone on with, so that these are read once.
+    may_stay : bool
+        Whether a control that no map predicts better stays as it is.
     """
     sums = {} if sums is None else sums
     names = [name for name in actors if any(clip.actor == name for clip in clips)]
-    folds = take_folds([(clip.take, clip.actor) for clip in clips])
+    are_many = len(names) >= MANY
+    most = MANY_FOLDS if are_many else FOLDS
+    folds = take_folds([(clip.take, clip.group) for clip in clips], most)
     shows = np.stack([clip.known & learnt for clip in clips])  # clips by controls
     places = np.array([0, *(list(actors).index(name) + 1 for name in names)])
     maps: Maps | None = None
@@ -138,34 +162,45 @@ def fit_ridge(
         key = (*places.tolist(), *columns.tolist())
         grams = _grams(clips, read, shown, folds, names, columns.tolist(), sums.get(key))
         sums[key] = Sums(folds, grams)
-        weight, bias, penalty = _chosen(grams, len(columns))
+        whole, *held = _chosen(grams, len(columns), may_stay)
         if maps is None:
-            shape = len(actors) + 1, len(learnt), weight.shape[-1]
-            maps = Maps(np.zeros(shape), np.zeros(shape[:2]), np.zeros((len(learnt), 2)))
-        maps.weight[np.ix_(places, columns)] = weight[: len(places)]
-        maps.bias[np.ix_(places, columns)] = bias[: len(places)]
-        maps.penalty[columns] = penalty
+            shape = len(actors) + 1, len(learnt), whole.weight.shape[-1]
+            count = max(folds) + 1 if max(folds) else 0
+            maps = _empty(shape)._replace(
+                held=tuple(_empty(shape) for _ in range(count)), folds=tuple(folds)
+            )
+        # Clips that show these controls may all be in one fold; without it there is no other map.
+        for target, found in zip((maps, *maps.held), (whole, *(held or [])), strict=False):
+            target.weight[np.ix_(places, columns)] = found.weight[: len(places)]
+            target.bias[np.ix_(places, columns)] = found.bias[: len(places)]
+            target.penalty[columns] = found.penalty
     assert maps is not None
     return maps
 
 
-def take_folds(clips: Sequence[tuple[str, str]]) -> list[int]:
-    """Fold of every clip (take, actor): whole takes where every actor has two, else parts of takes.
+def _empty(shape: tuple[int, int, int]) -> Maps:
+    return Maps(np.zeros(shape), np.zeros(shape[:2]), np.zeros((shape[1], 2)))
 
-    A fold is so always predicted from other clips of its actors.
+
+def take_folds(clips: Sequence[tuple[str, Hashable]], most: int = FOLDS) -> list[int]:
+    """Fold of every clip (take, group): whole takes of a group of two or more, else parts of one.
+
+    A fold is so always predicted from other clips of its groups, actors in an emotion.
     """
-    takes: dict[str, dict[str, int]] = {}
-    for take, actor in clips:
-        of_actor = takes.setdefault(actor, {})
-        of_actor.setdefault(take, len(of_actor))
-    if min(len(of_actor) for of_actor in takes.values()) >= 2:
-        return [takes[actor][take] % FOLDS for take, actor in clips]
+    takes: dict[Hashable, dict[str, int]] = {}
+    for take, group in clips:
+        own = takes.setdefault(group, {})
+        own.setdefault(take, len(own))
     sizes = Counter(clips)
     seen = dict.fromkeys(sizes, 0)
     folds = []
-    for pair in clips:
-        folds.append(seen[pair] * min(FOLDS, sizes[pair]) // sizes[pair])
-        seen[pair] += 1
+    for clip in clips:
+        take, group = clip
+        if len(takes[group]) >= 2:
+            folds.append(takes[group][take] % most)
+        else:
+            folds.append(seen[clip] * min(most, sizes[clip]) // sizes[clip])
+            seen[clip] += 1
     return folds
 
 
@@ -190,34 +225,75 @@ def _grams(
         rows = np.concatenate((ones, features, targets[:, columns]), axis=1)
         if not grams.size:
             shape = max(folds) + 1, max(len(names), 1), rows.shape[1], rows.shape[1]
-            grams = np.zeros(shape)
+            grams = np.zeros(shape, np.float32 if len(names) >= MANY else np.float64)
         actor = names.index(clips[place].actor) if names else 0
         grams[folds[place], actor] += rows.T @ rows
     return grams
 
 
-def _chosen(grams: Float64, n_controls: int) -> tuple[Float64, Float64, Float64]:
-    """Weights, biases and penalties, each control's of the penalties with the least error."""
-    pairs: list[Pair] = [(shared, shared * own) for shared in SHARED for own in OWN]
+def _chosen(grams: Float64, n_controls: int, may_stay: bool) -> list[Maps]:
+    """Maps with each control's penalties of least error; the same without each fold.
+
+    Without folds, as nothing can be predicted from others, they are the largest penalties.
+    """
+    own = OWN[-1:] if grams.shape[1] >= MANY else OWN
+    pairs: list[Pair] = [(shared, shared * each) for shared in SHARED for each in own]
     if grams.shape[1] == 1:
         pairs = [(shared, shared) for shared in SHARED]
     total = grams.sum(axis=0)
-    folds = [fold for fold in grams if fold[:, 0, 0].any()]
-    if len(folds) == 1:  # nothing to predict it from
+    folds = [fold for fold in range(len(grams)) if grams[fold, :, 0, 0].any()]
+    if len(folds) == 1:
         best = np.full(n_controls, len(pairs) - 1)
-    else:
-        errors = np.zeros((len(pairs), n_controls))
-        for place, pair in enumerate(pairs):
-            for fold in folds:
-                errors[place] += _error(fold, *_solve(total - fold, n_controls, *pair))
-        best = errors.argmin(axis=0)
+        return [_with_stranger(total, n_controls, pairs, best, np.zeros(n_controls, bool))]
+    errors = np.zeros((len(pairs), n_controls))
+    held = [_empty((grams.shape[1] + 1, n_controls, grams.shape[-1] - 1 - n_controls))] * len(grams)
+    held = [maps._replace(weight=maps.weight.astype(np.float32)) for maps in held]
+    for place, pair in enumerate(pairs):
+        found = {fold: _solve(total - grams[fold], n_controls, *pair) for fold in folds}
+        for fold, maps in found.items():
+            errors[place] += _error(grams[fold], *maps)
+        better = errors[place] < errors[:place].min(axis=0, initial=np.inf)
+        for fold, (weight, bias) in found.items():
+            kept = held[fold]
+            held[fold] = kept._replace(
+                weight=np.where(better[:, None], weight, kept.weight).astype(np.float32),
+                bias=np.where(better, bias, kept.bias),
+            )
+    stays = np.zeros(n_controls, bool)
+    if may_stay:
+        squares = np.einsum("kaii->i", grams[:, :, -n_controls:, -n_controls:], dtype=np.float64)
+        stays = errors.min(axis=0) > (1 - LEAST_BETTER) * squares
+    whole = _with_stranger(total, n_controls, pairs, errors.argmin(axis=0), stays)
+    return [whole, *(_staying(_held(maps, whole), stays) for maps in held)]
+
+
+def _held(maps: Maps, whole: Maps) -> Maps:
+    """Maps without a fold, about their stranger, the mean of the actors."""
+    weight, bias = (
+        _about(each[:1] + each[1:], (each[:1] + each[1:]).mean(axis=0))
+        for each in (maps.weight, maps.bias)
+    )
+    return Maps(weight, bias, whole.penalty)
+
+
+def _with_stranger(
+    total: Float64, n_controls: int, pairs: Sequence[Pair], best: Int64, stays: Bool
+) -> Maps:
+    """Maps of all clips, each control's with its penalties, and those of a stranger."""
     weight, bias = _each_solved(total, n_controls, pairs, best)
     strange = _of_stranger(total, n_controls) if len(total) >= LEAST_ACTORS else None
-    maps = (
+    weight, bias = (
         _about(each, each.mean(axis=0) if strange is None else strange[i])
         for i, each in enumerate((weight[:1] + weight[1:], bias[:1] + bias[1:]))
     )
-    return *maps, np.array(pairs)[best]
+    return _staying(Maps(weight, bias, np.array(pairs, np.float64)[best]), stays)
+
+
+def _staying(maps: Maps, stays: Bool) -> Maps:
+    """Maps without those of controls that stay as they are."""
+    weight = np.where(stays[:, None], 0, maps.weight)
+    penalty = np.where(stays[:, None], np.inf, maps.penalty)
+    return maps._replace(weight=weight, bias=np.where(stays, 0, maps.bias), penalty=penalty)
 
 
 def _each_solved(
@@ -285,7 +361,8 @@ def _solve(
         weight = [common]
         weight += [part[:, size - 1 :] - part[:, : size - 1] @ common for part in parts]
     means = grams[:, 0] / counts[:, 0]
-    return _with_biases(np.stack(weight).transpose(0, 2, 1), means, size)
+    stacked = np.stack(weight).transpose(0, 2, 1).astype(np.float64)
+    return _with_biases(stacked, means, size)
 
 
 def _with_biases(weight: Float64, means: Float64, size: int) -> tuple[Float64, Float64]:
@@ -300,11 +377,10 @@ def _with_biases(weight: Float64, means: Float64, size: int) -> tuple[Float64, F
     return weight, np.stack([centre, *own])
 
 
-def _positive(matrix: Float64, right: Float64) -> Float64:
+def _positive(matrix: Float64, right: Float64) -> Any:
     """Solution in single precision, which the penalty makes exact enough, in half the time."""
     factors = scipy.linalg.cho_factor(matrix.astype(np.float32), check_finite=False)
-    found = scipy.linalg.cho_solve(factors, right.astype(np.float32), check_finite=False)
-    return np.asarray(found, np.float64)
+    return scipy.linalg.cho_solve(factors, right.astype(np.float32), check_finite=False)
 
 
 def _error(grams: Float64, weight: Float64, bias: Float64) -> Float64:

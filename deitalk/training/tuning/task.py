@@ -1,13 +1,18 @@
 """Fine-tuning of a trained model on captures of a rig: a task of the trainer.
 
 ``deitalk finetune DATA --from default -o runs/mine``. It differs from training in what is learnt
-(`TuneConfig.part`), in that the base model is the teacher of all that captures do not show
-(controls they do not know, emotions they lack, other speech), and in the score, which compares
-with the mean pose of the captures and so serves any rig.
+(`TuneConfig.part`), in that the base model gives all that captures do not show (controls they do
+not know, emotions they lack, other speech), and in the score, which compares with the mean pose of
+the captures and so serves any rig.
+
+Without steps, the default, the result is the regression (`deitalk.training.tuning.ridge`) on all
+clips, with what was chosen by folds; its scores are those of clips that are predicted from others.
+With steps some takes validate, and the best weights are kept, those of the regression included.
 """
 
 import copy
-from collections.abc import Iterable, Iterator, Sequence
+from collections import defaultdict
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
@@ -16,11 +21,15 @@ import numpy as np
 import pandas as pd
 import torch
 from torch import Tensor, nn
-from torch.nn.utils import parametrize
 
 from deitalk.config.curves import FinetuneConfig
-from deitalk.data.captures.splits import divide_clips, shortage
-from deitalk.data.clips import REHEARSED, Clip, read_clips, read_known
+from deitalk.data.captures.conventions import (
+    Convention,
+    TakeProducts,
+    name_styles,
+)
+from deitalk.data.captures.splits import divide_clips, last_takes, shortage
+from deitalk.data.clips import REHEARSED, Clip, read_clips, spread_clips
 from deitalk.data.windows import (
     FrozenFeatures,
     Share,
@@ -30,7 +39,14 @@ from deitalk.data.windows import (
 )
 from deitalk.emotions import EMOTIONS
 from deitalk.errors import ConfigError, DataError
-from deitalk.evaluation.comparison import CaptureSet, MeanPose, mean_pose, write_comparison
+from deitalk.evaluation.comparison import (
+    CaptureSet,
+    MeanPose,
+    System,
+    by_model,
+    mean_pose,
+    write_comparison,
+)
 from deitalk.evaluation.figures import ClipRows
 from deitalk.evaluation.validation import load_example
 from deitalk.models.checkpoint import require_model, save_model
@@ -41,6 +57,7 @@ from deitalk.training.curves import CurveTask, clip_rows, shown_examples
 from deitalk.training.trainer import Progress, new_optimizer, run_training, silent
 from deitalk.training.tuning.recipe import (
     can_learn_intensity,
+    carried,
     is_same_rig,
     learnt_controls,
     with_actors,
@@ -48,23 +65,27 @@ from deitalk.training.tuning.recipe import (
     with_captured_intensity,
     with_direct_layers,
 )
+from deitalk.training.tuning.regression import (
+    MOST_SCORED,
+    Regression,
+    analysed,
+    styles_of_clip,
+    take_of,
+)
 from deitalk.training.tuning.ridge import (
-    Capture,
     ExpressionAxis,
     Maps,
-    Rows,
-    Sums,
     expression_axes,
-    fit_ridge,
     label_intensity,
 )
+from rig.arrays import Float32
 from rig.errors import ControlError
 
 ACTORS_FASTER = 30
 """Styles of actors begin at 0, far from those of emotions (about 1), and learn so much faster."""
 LAST_SLOWER = 30
 """Last layers begin as a regression, from which steps of the decoder's size lead away at once."""
-ABOUT = ("base", "start", "part")
+ABOUT = ("base", "part")
 """Settings that a report states; the run's config.yaml has all."""
 
 
@@ -83,6 +104,7 @@ def finetune(
     tensorboard: bool = False,
     progress: Progress = silent,
     frozen_features: FrozenFeatures | None = None,
+    task: "type[FinetuneTask] | None" = None,
 ) -> dict[str, Any]:
     """Tune a model, then compare it with the base on held-out clips.
 
@@ -96,6 +118,8 @@ def finetune(
         As for `deitalk.training.trainer.run_training`.
     frozen_features : FrozenFeatures or None
         Features of the base for several runs on the same clips.
+    task : type or None
+        `FinetuneTask`, or a class of it with another `loss`.
 
     Returns
     -------
@@ -107,31 +131,30 @@ def finetune(
     DataError, ConfigError, MissingError, rig.errors.TargetError
         As `run_training`, and as `FinetuneTask`.
     """
-    task = FinetuneTask(config, data, frozen_features, progress)
-    run_training(task, out, resume=resume, tensorboard=tensorboard, progress=progress)
+    job = (task or FinetuneTask)(config, data, frozen_features, progress)
+    run_training(job, out, resume=resume, tensorboard=tensorboard, progress=progress)
+    captures, systems = job.systems(require_model(out / "best", DEITalk))
     scores = write_comparison(
-        out,
-        task.systems(require_model(out / "best", DEITalk)),
-        CaptureSet.of(task.test_clips, task.controls, task.pose, task.learnt),
-        task.clips,
-        are_unseen=task.has_test,
-        about=_about(config, out, task.model.actors),
+        out, systems, captures, job.clips, held=job.held, about=_about(config, out, job)
     )
     remove_features(out / "features")  # a run that is over needs none
     return scores
 
 
-def _about(config: FinetuneConfig, out: Path, actors: Sequence[str]) -> dict[str, Any]:
+def _about(config: FinetuneConfig, out: Path, task: "FinetuneTask") -> dict[str, Any]:
     """The base, the start and the course of a run, for its report."""
     tune = config.tune
-    facts = {name: getattr(tune, name) for name in ABOUT}
+    facts: dict[str, Any] = {name: getattr(tune, name) for name in ABOUT}
     rows = pd.read_csv(out / "development.csv").to_dict("list")
     course = {str(name).removeprefix("dev_"): values for name, values in rows.items()}
+    best = describe_model(out / "best")["training"]["step"]
     return facts | {
         "base_sha256": weights_hash(model_folder(tune.base)),
-        "actors": list(actors),
-        "best_step": describe_model(out / "best")["training"]["step"],
-        "learning": course,
+        "actors": list(task.model.actors),
+        "conventions": {name: list(found.takes) for name, found in task.conventions.items()},
+        "best_step": best,
+        "delivered": task.delivered(best),
+        "learning": course if len(course["step"]) > 1 else {},
     }
 
 
@@ -162,9 +185,15 @@ class FinetuneTask(CurveTask):
     keeps_state = False
     features_folder: Path | None = None
     ridge: DEITalk | None = None
-    """The model before the first step, where a regression is its start."""
+    """The model before the first step, whose last layers are a regression."""
+    start: DEITalk | None = None
+    """The base, or what is carried of it to the rig."""
     late: Maps | None = None
     """What validation clips add to the regression; saved models have it, which choosing has not."""
+    conventions: dict[str, Convention]
+    """By the name of their style."""
+    held: str
+    """What the scored clips are, for the report."""
 
     def __init__(
         self,
@@ -175,9 +204,14 @@ class FinetuneTask(CurveTask):
     ) -> None:
         self.progress = progress
         division = divide_clips(read_clips(data), config.tune.leave_out)
+        if not config.train.steps:
+            learnt = [*division.train, *division.validation, *division.between]
+            division = division._replace(train=learnt, validation=[], between=[])
+        elif not division.validation:
+            division = last_takes(division)
         complete = with_direct_layers(with_actors(config, division.train))
         super().__init__(complete, data, frozen_features=frozen_features)
-        config = self.config
+        self.base_actors, config = config.model.actors, self.config
         self.clips, self.validation_clips = division.train, division.validation
         speakers = {clip.speaker for clip in division.train}
         others = (*division.validation, *division.between)
@@ -187,19 +221,17 @@ class FinetuneTask(CurveTask):
                 f"tune.base: {config.tune.base!r} has decoder: {config.model.decoder}, which is "
                 "for comparison; fine-tune a model such as default"
             )
-        if not self.clips or not self.validation_clips:
+        if not self.clips or (config.train.steps and not self.validation_clips):
             found = shortage(len(self.clips), len(self.validation_clips))
             raise DataError(f"{data}: has {found}")
-        self.has_test = bool(division.test)
-        self.test_clips = division.test or self.validation_clips
+        self.test_clips, self.conventions = division.test, {}
         self.learnt = learnt_controls(config, self.controls)
         self.pose = self._mean_pose(data)
-        if is_same_rig(config):
-            captured = self.learnt & self.pose.alive
-            config = with_base_parts(config, self.controls, self.learnt, captured)
-            self.config, self.learnt = config, captured
+        captured = self.learnt & self.pose.alive
         shown = {clip.emotion for clip in self.clips}
-        self.unseen = [i for i, emotion in enumerate(EMOTIONS) if emotion not in shown]
+        self.config = with_base_parts(config, self.controls, self.learnt, captured, shown)
+        if is_same_rig(config):
+            self.learnt = captured
         self.axes = self._axes()
         if self.axes:
             self.config = with_captured_intensity(self.config)
@@ -224,42 +256,90 @@ class FinetuneTask(CurveTask):
         """The captured expressions from which intensity is learnt."""
         config = self.config
         axes = {}
-        if can_learn_intensity(config):
+        if config.train.steps and can_learn_intensity(config):
             axes = expression_axes(self.clips, self.controls, self.learnt)
         if not axes and config.tune.intensity == "captured":
             raise ConfigError(
                 "tune.intensity=captured: no captured emotion differs from the actor's neutral "
-                "clips, or the base has no intensity; use auto"
+                "clips, the base has no intensity, or train.steps is 0; use auto"
             )
         return axes
 
     def read(self, out: Path) -> None:
-        """Measure the strength of the captured expressions, in ``intensity/`` of the run."""
+        """Encode the captures, find their conventions, measure the strength of expressions.
+
+        The strength is written to ``intensity/`` of the run.
+        """
         super().read(out)
         self.features_folder = out / "features"
+        self._begin()
+        if self.config.tune.conventions:
+            self._find_conventions()
         if self.axes:
             self.clips, self.validation_clips, self.test_clips = (
                 label_intensity(clips, self.axes, self.controls, out / "intensity")
                 for clips in (self.clips, self.validation_clips, self.test_clips)
             )
 
-    def build(self, device: torch.device) -> None:
-        """Build the model with the base's weights; keep the base as the teacher."""
+    def _begin(self) -> None:
+        """Load the base, and encode captures and speech that is rehearsed, in the run folder."""
         tune = self.config.tune
-        base = require_model(tune.base, DEITalk)
-        self.base = base.to(device).requires_grad_(False)
-        self.is_same_rig = base.controls.names == self.controls.names
+        self.base = require_model(tune.base, DEITalk).requires_grad_(False)
+        self.is_same_rig = self.base.controls.names == self.controls.names
         if tune.corpus is not None and not self.is_same_rig:
             raise ConfigError(
                 f"tune.corpus: {tune.base!r} has other controls than {self.controls.id!r}, and "
                 "no curves of it to rehearse; set it to null"
             )
+        if tune.part == "all":
+            return
+        found = self.frozen_features or FrozenFeatures(tune.base, self.features_folder)
+        self.frozen_features = found
+        if not self.config.data.augment:
+            found.prepare(
+                [*self.clips, *self.late_clips, *self.test_clips, *self._rehearsed()],
+                self.config.data.window_frames,
+                torch.accelerator.current_accelerator() or "cpu",
+                lambda share: self.progress(0, 1, {"encoded": share}),
+            )
+
+    @torch.no_grad()
+    def _find_conventions(self) -> None:
+        """Give clips of an actor whose takes differ in convention the style of theirs."""
+        lip = self.base.controls.subset("lip")
+        takes: dict[tuple[str, str], dict[str, TakeProducts]] = defaultdict(dict)
+        every = [*self.clips, *self.late_clips, *self.test_clips]
+        for clip in every:
+            example = load_example(clip, self.controls, sound=False)
+            analysis = analysed(self.base, clip, len(example.curves), self.frozen_features)
+            predicted = self.base.decode(
+                analysis, styles_of_clip(self.base, clip, len(example.curves))
+            )
+            own = takes[clip.speaker, clip.emotion].setdefault(take_of(clip), TakeProducts())
+            own.add(predicted.numpy()[:, lip], example.curves, example.known)
+        learnt = {(*_group(clip), take_of(clip)) for clip in self.clips}
+        self.conventions, names = name_styles(takes, learnt, self.controls.names, self.pose.moving)
+        self.clips, self.late_clips, self.validation_clips, self.test_clips = (
+            [
+                replace(clip, speaker=names.get((*_group(clip), take_of(clip)), clip.speaker))
+                for clip in part
+            ]
+            for part in (self.clips, self.late_clips, self.validation_clips, self.test_clips)
+        )
+        actors = {"actors": self.base_actors[: len(self.base.actors)]}
+        model = self.config.model.model_copy(update=actors)
+        complete = with_actors(self.config.model_copy(update={"model": model}), self.clips)
+        self.config = with_direct_layers(complete)
+
+    def build(self, device: torch.device) -> None:
+        """Build the model with the base's weights; keep the base as the teacher."""
+        tune = self.config.tune
+        if not hasattr(self, "base"):
+            self._begin()
         self.model = self._network()
-        if tune.part != "all":
-            self._prepare_features(device)
-        if tune.start == "base":
-            self._start_as(base)
-            self._fit_last_layers()
+        self._start_as(self.base)
+        self._fit_last_layers()
+        self.base.to(device)
         self._choose(tune.part)
         moving = {name for name, p in self.model.named_parameters() if p.requires_grad}
         self.frozen = self.model.state_dict().keys() - moving
@@ -269,29 +349,24 @@ class FinetuneTask(CurveTask):
         )
         self.shown = shown_examples(self.validation_clips, self.controls)
 
-    def _prepare_features(self, device: torch.device) -> None:
-        """Features of the captures, and of speech that is rehearsed, in the run folder."""
-        found = self.frozen_features or FrozenFeatures(self.config.tune.base, self.features_folder)
-        self.frozen_features = found
-        data = self.config.data
-        if not data.augment:
-            found.prepare(
-                [*self.clips, *self.late_clips, *self._rehearsed()],
-                data.window_frames,
-                device,
-                lambda share: self.progress(0, 1, {"encoded": share}),
-            )
-
     @torch.no_grad()
     def _start_as(self, base: DEITalk) -> None:
         """Begin with the base's weights, also of what it goes on to move."""
         start_as(self.model, base)
         decoder, given = self.model.rig_decoder, base.rig_decoder
-        if self.is_same_rig:
-            _widen(decoder.output.weight, given.output.weight)
+        carry = carried(self.config, self.controls)
+        if carry is not None:
+            share = torch.from_numpy(carry).to(given.output.weight)
+            if decoder.change is not None and (given.change is None or not self.is_same_rig):
+                decoder.change.carry.copy_(share[:, : decoder.change.carry.shape[1]])
+            rest = torch.tensor(base.controls.rest)
+            _widen(decoder.output.weight, share @ given.output.weight)
+            decoder.output.bias.copy_(
+                torch.tensor(self.controls.rest) + share @ (given.output.bias - rest)
+            )
         else:
             decoder.output.weight.zero_()
-        if decoder.kept is not None and given.kept is None:
+        if decoder.kept is not None and (given.kept is None or not self.is_same_rig):
             own = decoder.kept.state_dict()
             for name, weight in given.state_dict().items():
                 if name in own:
@@ -311,77 +386,92 @@ class FinetuneTask(CurveTask):
 
     def _fit_last_layers(self) -> None:
         """Add what a ridge regression finds to the last layers: the start of the tuning."""
-        sums: dict[tuple[int, ...], Sums] = {}
-        maps = self._regression(self.clips, sums)
-        if self.late_clips and self.config.tune.part != "all":
-            whole = self._regression([*self.clips, *self.late_clips], sums)
-            self.late = Maps(
-                whole.weight - maps.weight, whole.bias - maps.bias, whole.penalty - maps.penalty
-            )
-        maps.add_to(self.model.rig_decoder)
+        fit = self.regression = Regression(
+            self.model, self.base, self.clips, self.learnt, self.frozen_features, self.progress
+        )
+        has_start = carried(self.config, self.controls) is not None
+        late = self.late_clips if self.config.tune.part != "all" else []
+        self.late = fit.fit(late, may_stay=has_start)
+        self.start = copy.deepcopy(self.model).eval() if has_start else None
+        fit.maps.add_to(self.model.rig_decoder)
+        gain = fit.teach_emotions(scales=self.is_same_rig)
+        rules = self.config.rules
+        if rules.pose_size is not None:
+            sizes = {name: gain * value for name, value in rules.pose_size.model_dump().items()}
+            rules = rules.model_copy(update={"pose_size": rules.pose_size.model_copy(update=sizes)})
+            self.config = self.config.model_copy(update={"rules": rules})
+            self.model.rules = rules
+        if self.config.tune.range is not None:
+            fit.match_range(self.config.tune.range)
+            if self.late is not None and fit.factor is not None:
+                weight, bias = fit.factor[:, None] * self.late.weight, fit.factor * self.late.bias
+                self.late = self.late._replace(weight=weight, bias=bias)
         self.ridge = copy.deepcopy(self.model).eval()
 
-    def _regression(self, clips: Sequence[Clip], sums: dict[tuple[int, ...], Sums]) -> Maps:
-        """What a ridge regression on clips adds to the last layers."""
-        captures = [
-            Capture(clip.take or clip.name, clip.speaker, read_known(clip.known, self.controls))
-            for clip in clips
-        ]
-        actors = self.config.model.actors
-
-        def read(place: int) -> Rows:
-            self.progress(0, 1, {"fitted": (place + 1) / len(clips)})
-            return self._rows(clips[place])
-
-        return fit_ridge(captures, read, actors, self.learnt, sums)
-
-    def systems(self, after: DEITalk) -> dict[str, DEITalk | None]:
-        """The models to compare, none of which learnt from the clips that are scored."""
-        if self.late is not None and self.has_test and self.ridge is not None:
-            self.late.add_to(self.ridge.rig_decoder)
-        elif self.late is not None:
-            self.late.add_to(after.rig_decoder, -1)
+    def systems(self, after: DEITalk) -> tuple[CaptureSet, dict[str, System]]:
+        """What is scored on which clips, none of which a system learnt from."""
         before = self.base.cpu() if self.is_same_rig else None
-        return {"before": before, "ridge": self.ridge, "after": after}
+        models = {"before": before, "ridge": self.ridge if self.config.train.steps else None}
+        if self.test_clips:
+            self.held = "not used in training"
+            if self.late is not None and self.ridge is not None:
+                self.late.add_to(self.ridge.rig_decoder)
+        elif self.config.train.steps:
+            self.held = "which also chose the weights"
+            if self.late is not None:
+                self.late.add_to(after.rig_decoder, -1)
+        else:
+            return self._by_folds()
+        clips = self.test_clips or self.validation_clips
+        captures = CaptureSet.of(clips, self.controls, self.pose, self.learnt)
+        systems = {name: by_model(m) for name, m in (models | {"after": after}).items() if m}
+        if self.conventions and self.test_clips:
+            own = systems["after"]
+            systems["after, mean style"] = lambda example: own(example._replace(speaker=""))
+        return captures, systems
+
+    def _by_folds(self) -> tuple[CaptureSet, dict[str, System]]:
+        """Clips that are each predicted from other takes, or from other parts of their take."""
+        self.held = "each predicted from the other takes, or from other parts of its only one"
+        clips = spread_clips(self.clips, MOST_SCORED)
+        examples = tuple(load_example(clip, self.controls) for clip in clips)
+        found: dict[int, dict[str, Float32]] = {}
+        for clip, example in zip(clips, examples, strict=True):
+            curves = {"after": self.regression.predicted(clip, example)}
+            if self.start is not None:
+                analysis = analysed(self.start, clip, len(example.curves), self.frozen_features)
+                styles = styles_of_clip(self.start, clip, len(example.curves), clip.speaker)
+                curves["before"] = self.start.decode(analysis, styles).numpy()
+            found[id(example)] = curves
+        names = ["before", "after"] if self.start is not None else ["after"]
+        systems: dict[str, System] = {
+            name: lambda example, name=name: (found[id(example)][name], None) for name in names
+        }
+        return CaptureSet(examples, self.controls, self.pose, self.learnt), systems
+
+    def delivered(self, best_step: int) -> str:
+        """What the result is, by control."""
+        stays = self.learnt & np.isinf(self.regression.maps.penalty[:, 0])
+        learnt = int((self.learnt & self.pose.alive & ~stays).sum())
+        what = "the regression" if not best_step else f"the weights of step {best_step}"
+        kept = f", the base for {int(stays.sum())} that it predicts as well" if stays.any() else ""
+        return f"{what} for {learnt} controls{kept}"
 
     def _choose(self, part: str) -> None:
         """Let only the weights of a part learn."""
-        decoder = self.model.rig_decoder
+        decoder, intensity = self.model.rig_decoder, self.model.intensity if self.axes else None
         if part == "all":
-            return
+            learns = [self.model]
+        else:
+            learns = [decoder] if part == "decoder" else [decoder.output]
+            learns += [m for m in (decoder.actors, decoder.actor_layers) if m is not None]
+            learns += [decoder.output, *([intensity, self.model.motion] if intensity else [])]
         self.model.requires_grad_(False)
-        if part == "adapters":
-            add_adapters([decoder.style, decoder.layers], self.config.tune.rank)
-        elif part == "decoder":
-            decoder.requires_grad_(True)
-            if decoder.kept is not None:
-                decoder.kept.requires_grad_(False)
-        if decoder.actors is not None:
-            decoder.actors.requires_grad_(True)
-        if decoder.actor_layers is not None:
-            decoder.actor_layers.requires_grad_(True)
-        if part == "head" or not self.is_same_rig:
-            decoder.output.requires_grad_(True)
-        if self.axes:
-            self.model.intensity.requires_grad_(True)
-            self.model.motion.requires_grad_(True)
-            if self.model.intensity.kept is not None:
-                self.model.intensity.kept.requires_grad_(False)
-
-    @torch.no_grad()
-    def _rows(self, clip: Clip) -> Rows:
-        """A clip as the last layer is given it, and what is missing in the curves."""
-        model, frozen = self.model.eval(), self.frozen_features
-        example = load_example(clip, self.controls, sound=frozen is None)
-        n_frames, sound = len(example.curves), example.waveform
-        if frozen is not None:
-            sound = frozen.features(clip, n_frames)[:n_frames].astype(np.float32)
-        analysis = model.analyse(torch.from_numpy(sound), n_frames)
-        emotion = torch.eye(len(EMOTIONS))[EMOTIONS.index(clip.emotion)].expand(n_frames, -1)
-        style = model.styles(emotion, clip.speaker)
-        hidden = model.describe(analysis, style)
-        given = model.rig_decoder.curves(hidden[None], style[None])[0]
-        return hidden.numpy(), example.curves - given.numpy()
+        for module in learns:
+            module.requires_grad_(True)
+        for module in (decoder.kept, decoder.change, intensity and intensity.kept):
+            if module is not None:
+                module.requires_grad_(False)
 
     def optimizer(self) -> torch.optim.Optimizer:
         """AdamW or Adam; styles of actors learn `ACTORS_FASTER`, last layers `LAST_SLOWER`."""
@@ -442,95 +532,28 @@ class FinetuneTask(CurveTask):
 
     @torch.no_grad()
     def _completed(self, batch: Window) -> tuple[Window, Tensor]:
-        """Targets of the base where captures have none; the curves in the emotion of the voice.
-
-        Controls that a clip does not know are the base's. Some windows take an emotion that no
-        capture has: their targets change as the base's curves do from emotion to emotion.
-        """
-        base = self._base_curves(batch, batch.emotion)
-        curves = acted = torch.where(batch.known[:, None] > 0, batch.curves, base)
-        other = self._other_emotion(batch.emotion)
-        if other is not batch.emotion:
-            curves = curves + self._base_curves(batch, other) - base
-        return batch._replace(curves=curves, emotion=other), acted
-
-    def _base_curves(self, batch: Window, emotion: Tensor) -> Tensor:
-        known = emotion[:, : len(EMOTIONS) + len(self.base.config.actors)]
-        curves: Tensor = self.base(batch.waveform, known, batch.frames, batch.total).curves
-        return curves
-
-    def _other_emotion(self, emotion: Tensor) -> Tensor:
-        """The styles, whose emotion by `TuneConfig.rehearsal` becomes one that no capture has."""
-        if not self.unseen:
-            return emotion
-        changes = torch.rand(len(emotion)) < self.config.tune.rehearsal
-        places = torch.tensor(self.unseen)[torch.randint(len(self.unseen), (len(emotion),))]
-        chosen = torch.eye(len(EMOTIONS))[places].to(emotion)
-        chosen = torch.cat((chosen, emotion[:, len(EMOTIONS) :]), dim=-1)
-        return torch.where(changes[:, None].to(emotion.device), chosen, emotion)
+        """Targets of the base for controls that a clip does not know; the curves with them."""
+        known = batch.emotion[:, : len(EMOTIONS) + len(self.base.config.actors)]
+        base = self.base(batch.waveform, known, batch.frames, batch.total).curves
+        curves = torch.where(batch.known[:, None] > 0, batch.curves, base)
+        return batch._replace(curves=curves), curves
 
     def validate(self, model: nn.Module) -> tuple[dict[str, float], list[ClipRows]]:
-        """Scores of `CaptureSet`, and the clips that are drawn."""
+        """Scores of `CaptureSet`, and the clips that are drawn; none without steps."""
+        if not self.config.train.steps:
+            return {"score": 0.0}, []
         curve_model = cast("DEITalk", model)
         scores = self.validation_set.score(curve_model)
         return scores, [clip_rows(name, e, curve_model) for name, e in self.shown.items()]
 
     def save(self, folder: Path, model: nn.Module, summary: dict[str, Any]) -> None:
-        """Write a model folder; adapters become part of the weights."""
+        """Write a model folder."""
         whole = self._network()
-        whole.load_state_dict(merged_weights(model))
+        whole.load_state_dict(model.state_dict())
         if self.late is not None:
             self.late.add_to(whole.rig_decoder)
         save_model(folder, whole, self.config, summary | {"base": self.config.tune.base})
 
 
-# Changes of low rank of trained layers (LoRA, Hu et al. 2021), merged when the model is saved.
-#
-# A weight W becomes W + B A, where A [shape=(rank, inputs)] is random and B [shape=(outputs, rank)]
-# begins at 0; W stays as it is. A convolution's weight counts as a matrix of its outputs and of all
-# its inputs at every offset, so that linear layers and convolutions are changed alike, and a saved
-# model is an ordinary one. (peft wraps each layer in a module of its own; merging by torch's
-# parametrisations needs neither that nor another dependency.)
-
-
-class LowRank(nn.Module):
-    """Change of one weight.
-
-    Parameters
-    ----------
-    weight : Tensor [shape=(outputs, ...)]
-        Gives the shape.
-    rank : int
-        At most the smaller side of the matrix is used.
-    """
-
-    def __init__(self, weight: Tensor, rank: int) -> None:
-        super().__init__()
-        outputs, inputs = weight.flatten(1).shape
-        rank = min(rank, outputs, inputs)
-        self.down = nn.Parameter(torch.randn(rank, inputs) * inputs**-0.5)
-        self.up = nn.Parameter(torch.zeros(outputs, rank))
-
-    def forward(self, weight: Tensor) -> Tensor:
-        """Add the change."""
-        return weight + (self.up @ self.down).view_as(weight)
-
-
-def add_adapters(layers: Iterable[nn.Module], rank: int) -> None:
-    """Give every linear layer and convolution a `LowRank` change, which alone learns."""
-    for layer in layers:
-        for module in [m for m in layer.modules() if isinstance(m, nn.Linear | nn.Conv1d)]:
-            module.requires_grad_(False)
-            parametrize.register_parametrization(module, "weight", LowRank(module.weight, rank))
-
-
-def merged_weights(model: nn.Module) -> dict[str, Tensor]:
-    """State dict of the model as it was without adapters, their changes added to its weights."""
-    weights = dict(model.state_dict())
-    for path, module in model.named_modules():
-        if parametrize.is_parametrized(module, "weight"):
-            parts = f"{path}.parametrizations.weight."
-            weights = {name: w for name, w in weights.items() if not name.startswith(parts)}
-            changed: Tensor = module.weight
-            weights[f"{path}.weight"] = changed.detach()
-    return weights
+def _group(clip: Clip) -> tuple[str, str]:
+    return clip.speaker, clip.emotion

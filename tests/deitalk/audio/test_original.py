@@ -113,6 +113,14 @@ def test_other_rates_keep_their_place_in_time(tmp_path, rate):
         ("10:11:12:29", 30000 / 1001, 36672 + 29 / 30),
         ("10:11:12.25", 30, 36672.25),
         ("23:59:59", 25, 86399),
+        # drop frame: 18 numbers of ten minutes are left out, 17982 frames of 1001/30000 s remain
+        ("00:10:00;00", 30000 / 1001, 17982 * 1001 / 30000),
+        ("00:01:00;02", 30000 / 1001, 1800 * 1001 / 30000),
+        ("01:01:00;02", 29.97, (6 * 17982 + 1800) * 1001 / 30000),
+        ("01;01;00;02", 29.97, (6 * 17982 + 1800) * 1001 / 30000),
+        ("01:01:00;02", 30, (6 * 17982 + 1800) * 1001 / 30000),
+        ("00:01:00;04", 60000 / 1001, 3600 * 1001 / 60000),
+        ("23:59:59;29", 29.97, (144 * 17982 - 1) * 1001 / 30000),
     ],
 )
 def test_time_codes_of_hand_worked_times(text, fps, seconds):
@@ -123,3 +131,20 @@ def test_time_codes_of_hand_worked_times(text, fps, seconds):
 def test_impossible_time_codes_are_refused(text):
     with pytest.raises(DeitalkError, match=r"is not HH:MM:SS:FF with FF below 30"):
         parse_timecode(text, 30)
+
+
+@pytest.mark.parametrize(
+    ("text", "fps", "expected"),
+    [
+        ("01:01:00;00", 29.97, "does not exist: drop frame leaves out frames 00 to 01"),
+        ("01:01:00;01", 29.97, "write 02"),
+        ("01:09:00;03", 59.94, "leaves out frames 00 to 03"),
+        ("01:01:00;02", 25, "29.97 or 59.94 frames a second and not 25"),
+        ("01:01:00;02", 24000 / 1001, "29.97 or 59.94"),
+        ("01:01;00", 29.97, "is not HH:MM:SS:FF"),
+        ("01:01:00;30", 29.97, "is not HH:MM:SS:FF"),
+    ],
+)
+def test_drop_frames_that_do_not_exist_are_refused(text, fps, expected):
+    with pytest.raises(DeitalkError, match=expected):
+        parse_timecode(text, fps)

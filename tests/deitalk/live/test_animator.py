@@ -116,6 +116,31 @@ def test_other_rates_and_integers_are_read(tiny, voice):
     assert len(whole(tiny, twice, sample_rate=2 * RATE)) == 93
 
 
+@pytest.mark.parametrize("size", [1, 3, 4801, 10**6])
+def test_bytes_may_end_within_a_sample(tiny, voice, size):
+    """A chunk of an HTTP body has any length; the byte is kept for the next call."""
+    sent = np.round(voice[:4000] * 32767).astype("<i2").tobytes() + b"\x01"
+    expected = whole(tiny, sent[:-1], life="off")
+    animator = LiveAnimator(tiny, life="off")
+    for _ in range(2):
+        found = [animator.feed(sent[at : at + size]) for at in range(0, len(sent), size)]
+        assert np.abs(np.concatenate([*found, animator.finish()]) - expected).max() < CLOSE
+        animator.reset()  # forgets the last byte
+
+
+def test_a_byte_is_kept_for_each_of_several_streams(tiny, voice):
+    sent = np.round(voice[:4000] * 32767).astype("<i2").tobytes()
+    expected = whole(tiny, sent, life="off")
+    animator = LiveAnimator(tiny, streams=2, life="off")
+    with pytest.raises(AudioError, match="finite"):
+        animator.feed([sent[:1001], [float("nan")]])  # takes nothing of either
+    found = [animator.feed([sent[:1001], sent[:0]]), animator.feed([sent[1001:], sent])]
+    found.append(animator.finish())
+    for stream in range(2):
+        rows = np.concatenate([part[stream] for part in found])
+        assert np.abs(rows - expected).max() < CLOSE
+
+
 def test_blinks_are_those_of_the_seed(tiny):
     silence = np.zeros(20 * RATE, np.float32)
     lid = tiny.controls.index("CTRL_L_eye_blink.ty")

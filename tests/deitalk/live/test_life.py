@@ -5,15 +5,17 @@ import pytest
 
 from deitalk.config.rules import Idle
 from deitalk.emotions import LABELS
-from deitalk.live.rules import RunningLife, RunningVoice
+from deitalk.live.intensity import Measures
+from deitalk.live.life import RunningLife, RunningVoice
 from deitalk.postprocess.life.amounts import Life
 from deitalk.postprocess.life.head import STEMS
 from deitalk.postprocess.life.voice import Noise
-from deitalk.postprocess.voice_intensity import Measures
 from rig import default_controls
+from tests.deitalk.postprocess.stages import Stages
 from tests.each import each
 
 CONTROLS = default_controls()
+STAGES = Stages(CONTROLS)
 AHEAD = 2
 
 
@@ -34,7 +36,7 @@ def moved(
     measures, speaking, *, piece=1000, emotion="neutral", strength=1.0, life=ONLY_BROWS, seed=0
 ):
     """Curves and head of a face at rest."""
-    running = RunningLife(CONTROLS, Idle(), life, seed, AHEAD)
+    running = RunningLife(Idle(), life, seed, AHEAD)
     count, done, out, heads = len(speaking), 0, [], []
     mixture = np.zeros((count, len(LABELS)), np.float32)
     mixture[:, LABELS.index(emotion)] = strength
@@ -43,7 +45,9 @@ def moved(
         running.feed(Measures(*(m[part] for m in measures)), speaking[part])
         new = max(min(start + piece, count) - AHEAD - done, 0)
         curves = np.zeros((new, len(CONTROLS)), np.float32)
-        heads.append(running.add_to(curves, curves.copy(), mixture[done : done + new]))
+        motion = running.take(mixture[done : done + new])
+        STAGES.play(curves, curves.copy(), motion.tracks)
+        heads.append(np.zeros((new, 6)) if motion.head is None else motion.head)
         out.append(curves)
         done += new
     return np.concatenate(out), np.concatenate(heads)
@@ -217,13 +221,14 @@ def test_blinks_come_as_often_as_in_a_whole_take_and_gather_at_ends_of_phrases()
 @each("piece", [1, 7])
 def test_eyes_turn_to_another_place_within_a_fifth_of_a_second(piece):
     """Without motion of their own they are where the listener is: ahead, then 20 degrees left."""
-    running = RunningLife(CONTROLS, Idle(), Life(blinks=0, gaze=0, head=0, brows=0), 0, AHEAD)
+    running = RunningLife(Idle(), Life(blinks=0, gaze=0, head=0, brows=0), 0, AHEAD)
     running.feed(*voice())
     given = []
     running.look_at((20.0, 0.0), 140)
     for _ in range(0, 210, piece):
         face = np.zeros((piece, len(CONTROLS)), np.float32)
-        running.add_to(face, face.copy(), np.zeros((piece, len(LABELS)), np.float32))
+        motion = running.take(np.zeros((piece, len(LABELS)), np.float32))
+        STAGES.play(face, face.copy(), motion.tracks)
         given.append(face)
     faces = np.concatenate(given)
     eyes = np.abs(faces[:, np.abs(faces).max(axis=0).argmax()])

@@ -13,8 +13,7 @@ HOURS = 2
 def kept(animator) -> int:
     """Numbers that a stream keeps."""
     stream = animator.streams[0]
-    parts = [stream.sound.samples, stream.speaking, stream.prosody, stream.activity.on]
-    parts += [stream.activity.ring, stream.activity.loud, stream.activity.gaps, *stream.rows]
+    parts = [stream.sound.samples, *animator.state, *animator.past, *animator.due]
     return sum(np.size(part) for part in parts)
 
 

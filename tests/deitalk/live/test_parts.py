@@ -4,11 +4,13 @@ import numpy as np
 import pytest
 import torch
 
-from deitalk.audio.voice_activity import BAND_EDGES_HZ
-from deitalk.config.rules import Gates, VoiceIntensity
+from deitalk.audio.voice_activity import BAND_EDGES_HZ, WINDOW
+from deitalk.config.rules import Gates, RulesConfig, VoiceIntensity
 from deitalk.frontends.causal_whisper import USUAL_POWER, first_level, follow_level
-from deitalk.live.rules import GATE_AHEAD, RunningActivity
-from deitalk.postprocess.voice_intensity import Measures, RunningAround, RunningIntensity
+from deitalk.live.activity import GATE_AHEAD, RunningActivity
+from deitalk.live.hearing import MEASURED_AHEAD, RunningHearing
+from deitalk.live.intensity import Measures, RunningIntensity, follow_means
+from deitalk.models.protocol import put, take
 from tests.each import each
 
 BANDS = len(BAND_EDGES_HZ) - 1
@@ -18,15 +20,12 @@ def gates_of(speaking, *, noise_db=-75.0, piece=1000):
     """Gates for a voice 30 dB above its noise, fed in pieces."""
     levels = np.full((len(speaking), BANDS), noise_db, np.float32)
     levels[np.asarray(speaking, bool)] += 30
-    running, mouth = RunningActivity(Gates()), []
-    known = 0
+    running, gates = RunningActivity(Gates()), []
+    state = running.first(1)
     for start in range(0, len(levels), piece):
-        running.feed(levels[start : start + piece])
-        count = min(start + piece, len(levels)) - GATE_AHEAD - known
-        if count > 0:
-            mouth.append(running.gate(count))
-            known += count
-    return tuple(np.concatenate(parts) for parts in zip(*mouth, strict=True))
+        _, *found, state = running(levels[None, start : start + piece], state)
+        gates.append([gate[0] for gate in found])
+    return tuple(np.concatenate(parts)[GATE_AHEAD:] for parts in zip(*gates, strict=True))
 
 
 def spoken(*spans, frames=200):
@@ -60,7 +59,8 @@ def test_gates_are_the_same_for_any_pieces():
 
 def test_steady_noise_becomes_the_floor():
     levels = np.full((120, BANDS), -50, np.float32)
-    on = RunningActivity(Gates()).feed(levels)
+    running = RunningActivity(Gates())
+    on = running(levels[None], running.first(1))[0][0, -120:]
     assert on[:30].all() and not on[70:].any()
 
 
@@ -88,7 +88,10 @@ def intensity_of(level_db, network=0.5, rule=VoiceIntensity(), speaking=True, ef
     measures = Measures(np.asarray(level_db, float), zeros, zeros, ones, zeros)
     flags = np.full(n, speaking)
     network, effort = np.full(n, network, np.float32), np.broadcast_to(effort, n)
-    return RunningIntensity(rule).feed(network, measures, flags, effort)
+    running = RunningIntensity(rule)
+    measures = Measures(*(track[None] for track in measures))
+    given = network[None], measures, flags[None], effort[None]
+    return running(*given, running.first(1))[0][0]
 
 
 def test_steady_effort_gives_in_time_the_operating_point_of_a_take_of_that_strength():
@@ -114,15 +117,39 @@ def test_intensity_rises_with_the_level_and_not_with_the_gain():
 
 def test_intensity_stays_in_pauses_and_is_the_networks_without_the_rule():
     assert np.ptp(intensity_of(np.linspace(-60, 0, 50), speaking=False)) == 0
-    assert np.all(intensity_of(np.zeros(5), network=0.3, rule=None) == np.float32(0.3))
+    hearing = RunningHearing(RulesConfig(voice_intensity=None))
+    network = np.full((2, 5), 0.3, np.float32)
+    heard, _ = hearing(np.zeros((2, 5, WINDOW), np.float32), network, 0 * network, hearing.first(2))
+    np.testing.assert_array_equal(heard.intensity, network)
 
 
 def test_means_of_the_opening_move_a_thirtieth_a_frame_of_speech_and_not_in_silence():
-    around = RunningAround(0.6)
-    speaking = np.array([False, True, False, True])
-    voice, network = around.feed(np.full(4, 0.9), np.full(4, 0.3), speaking)
+    speaking = np.array([[False, True, False, True]])
+    rows, before = np.full((1, 4, 2), (0.9, 0.3)), np.full((1, 2), 0.6)
+    found, after = follow_means(rows, speaking, before)
     once, twice = 0.3 / 30, 0.3 / 30 + (0.3 - 0.3 / 30) / 30
-    np.testing.assert_allclose(voice - 0.6, [0, once, once, twice], rtol=1e-9)
-    np.testing.assert_allclose(0.6 - network, [0, once, once, twice], rtol=1e-9)
-    later, _ = around.feed(np.full(1, 0.9), np.full(1, 0.3), np.array([False]))
-    assert later[0] == voice[-1]
+    np.testing.assert_allclose(found[0, :, 0] - 0.6, [0, once, once, twice], rtol=1e-9)
+    np.testing.assert_allclose(0.6 - found[0, :, 1], [0, once, once, twice], rtol=1e-9)
+    later, _ = follow_means(rows[:, :1], np.zeros((1, 1), bool), after)
+    np.testing.assert_array_equal(later[0], after)
+
+
+def test_streams_side_by_side_are_heard_as_each_alone_in_any_pieces(rng):
+    """Voices of several levels that began at different times, over the measures of the floor."""
+    hearing, n_frames = RunningHearing(RulesConfig()), 64
+    sound = 0.1 * rng.standard_normal((3, n_frames, WINDOW)) * (rng.random((3, n_frames, 1)) < 0.6)
+    sound = (sound * np.array([1.0, 0.1, 3.0])[:, None, None]).astype(np.float32)
+    network, effort = rng.random((2, 3, n_frames)).astype(np.float32)
+    state = list(hearing.first(3))
+    put(state, [1], hearing.begin(0.1 + sound[1:2, :MEASURED_AHEAD], hearing.first(1)))
+    first, together, at = tuple(state), [], 0
+    for size in (1, 7, 30, 2, 24):
+        rows = slice(at, at + size)
+        heard, state = hearing(sound[:, rows], network[:, rows], effort[:, rows], state)
+        together.append(np.stack(heard[1:], axis=-1))
+        at += size
+    for k in range(3):
+        own = sound[k : k + 1], network[k : k + 1], effort[k : k + 1]
+        alone, _ = hearing(*own, take(first, [k]))
+        expected = np.stack(alone[1:], axis=-1)[0]
+        np.testing.assert_allclose(np.concatenate(together, axis=1)[k], expected, atol=1e-6)

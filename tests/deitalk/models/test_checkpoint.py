@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 import torch
+import yaml
 from safetensors.torch import load_file, save_file
 
 from deitalk.config.curves import Config
@@ -65,7 +66,11 @@ def test_model_read_again_predicts_the_same_bit_for_bit(folder, model):
         "model.json",
         "model.safetensors",
     ]
-    assert load_config(folder / "config.yaml") == load_config(TINY)
+    written, wanted = load_config(folder / "config.yaml"), load_config(TINY)
+    assert (written.model, written.rules) == (wanted.model, wanted.rules)
+    assert yaml.safe_load((folder / "config.yaml").read_text()).keys() == {
+        "kind", "name", "model", "rules",
+    }, "settings of the training stay with the run"  # fmt: skip
 
 
 def test_half_precision_halves_the_file_and_changes_little(folder, config, model, tmp_path):

@@ -8,7 +8,9 @@ import time
 from pathlib import Path
 from unittest.mock import patch
 
+import numpy as np
 import pytest
+import soundfile
 import yaml
 from huggingface_hub import constants, file_download
 
@@ -18,8 +20,11 @@ from deitalk.config.curves import Config
 from deitalk.errors import CheckpointError
 from deitalk.models.checkpoint import save_model
 from deitalk.models.curve_model import DEITalk
-from deitalk.models.folder import model_folder, weights_hash
+from deitalk.models.folder import embedded_models, model_folder, weights_hash
+from deitalk.research.evaluation.benchmark_curves import speechlike
 from deitalk.training.tuning.recipe import read_recipe
+from rig import ControlSet
+from rig.controls import Control
 from tests.command import deitalk
 from tests.deitalk.pipeline.test_curves import SMALL
 from tests.each import each
@@ -35,10 +40,13 @@ def run(tmp_path_factory):
     """A run folder: the model in ``best``, its report beside it."""
     run = tmp_path_factory.mktemp("runs") / "anna"
     run.mkdir()
-    config = Config(model=SMALL.model_copy(update={"actors": ("anna", "ben")}))
+    changes = {"actors": ("anna", "ben"), "intensity": True, "effort": True}
+    config = Config(model=SMALL.model_copy(update=changes))
     base = str(tmp_path_factory.getbasetemp() / "secret" / "base")
     save_model(run / "best", DEITalk(config.model), config, {"step": 20, "base": base})
     (run / "report.md").write_text(REPORT)
+    scores = {"after": {"error_of_mean_pose": 0.61, "mean_r": 0.58, "range": None}}
+    (run / "report.json").write_text(json.dumps({"clips": 12, "scores": scores}))
     return run
 
 
@@ -63,6 +71,10 @@ def the_hub(run, tmp_path_factory):
 
 def command(settings, *arguments):
     """`deitalk model` in this process, with the client as these variables would make it."""
+    return whole_command(settings, "model", *arguments)
+
+
+def whole_command(settings, *arguments):
     hub.fetch.cache_clear()
     hub.hub_metadata.cache_clear()
     address = settings["HF_ENDPOINT"] + "/{repo_id}/resolve/{revision}/{filename}"
@@ -77,7 +89,7 @@ def command(settings, *arguments):
     token = {"HF_TOKEN": settings.get("HF_TOKEN", "")}
     copied = patch.object(file_download, TEMPLATE, address, create=True)  # by huggingface_hub < 1
     with patch.multiple(constants, **found), copied, patch.dict(os.environ, token):
-        return deitalk("model", *arguments)
+        return deitalk(*arguments)
 
 
 def test_a_pushed_model_has_a_card_of_its_report_and_no_folder_of_this_machine(the_hub, run):
@@ -88,7 +100,14 @@ def test_a_pushed_model_has_a_card_of_its_report_and_no_folder_of_this_machine(t
     weights = (run / "best/model.safetensors").read_bytes()
     assert files["model.safetensors"] == weights
     _, header, text = files["README.md"].decode().split("---\n", 2)
-    assert yaml.safe_load(header)["library_name"] == "deitalk"
+    head = yaml.safe_load(header)
+    assert head["library_name"] == "deitalk" and head["pipeline_tag"] == "other"
+    (entry,) = head["model-index"]
+    (result,) = entry["results"]
+    assert entry["name"] == "anna" and result["dataset"]["name"] == "12 held-out clips"
+    assert {m["type"]: m["value"] for m in result["metrics"]} == {
+        "error_of_mean_pose": 0.61, "mean_r": 0.58,
+    }  # fmt: skip
     assert "anna, ben" in text and "--model me/anna" in text
     assert text.endswith("\n#" + REPORT)
     small = b"".join(data for name, data in files.items() if name != "model.safetensors")
@@ -105,11 +124,9 @@ def test_a_model_is_fetched_by_name_once_and_then_read_from_the_cache(the_hub, r
     assert about["name"] == f"me/anna@{commit}"
     assert about["sha256"] == weights_hash(run / "best")
     fetched = [path for kind, path in state.asked if kind == "GET" and "/resolve/" in path]
-    assert sorted(path.rpartition("/")[2] for path in fetched) == [
-        "config.yaml",
-        "model.json",
-        "model.safetensors",
-    ]
+    held = [path.name for path in (run / "best").iterdir() if not path.name.startswith(".")]
+    assert sorted(path.rpartition("/")[2] for path in fetched) == sorted(held)
+    assert "effort.safetensors" in held
     state.asked.clear()
     for name in ("me/anna", f"me/anna@{commit}"):
         again = json.loads(command(settings, "info", name, "--json").out)
@@ -117,6 +134,38 @@ def test_a_model_is_fetched_by_name_once_and_then_read_from_the_cache(the_hub, r
         without = command(settings | {"HF_ENDPOINT": NOWHERE}, "info", name, "--json")
         assert json.loads(without.out) == about
     assert not [path for _, path in state.asked if "/resolve/" in path]
+
+
+def rig_model():
+    """A network of a rig of three controls, and its configuration."""
+    controls = ControlSet("three@1", (Control("open"), Control("wide"), Control("smile")))
+    return DEITalk(SMALL, controls), Config(model=SMALL)
+
+
+@pytest.mark.parametrize("kind", ["default", "sdfa", "rig", "effort"])
+def test_what_is_pushed_and_fetched_animates_as_before(the_hub, run, tmp_path, kind):
+    """Every file that the loader uses travels, of every kind of model."""
+    _, settings, _ = the_hub
+    folder = run / "best" if kind == "effort" else kind
+    if kind == "rig":
+        folder = tmp_path / "rig"
+        save_model(folder, *rig_model(), {"step": 1})
+    elif kind != "effort" and kind not in embedded_models():
+        pytest.skip(f"the weights of {kind} are not in this checkout")
+    settings = settings | {"HF_HOME": str(tmp_path / "home"), "HF_TOKEN": TOKEN}
+    name = f"me/{kind}-travels"
+    assert command(settings, "push", folder, name).code == 0
+    wav, is_mesh = tmp_path / "speech.wav", kind == "sdfa"
+    more = ["--vertices"] if is_mesh else ["-e", "angry"]
+    soundfile.write(wav, speechlike(1.0), 16_000)
+    takes = []
+    for number, model in enumerate((folder, name)):
+        takes.append(tmp_path / f"{number}.npz")
+        done = whole_command(settings, "animate", wav, *more, "--model", model, "-o", takes[-1])
+        assert done.code == 0, done.err
+    before, after = (dict(np.load(take)) for take in takes)
+    moving = "vertices" if is_mesh else "values"
+    np.testing.assert_array_equal(before[moving], after[moving])
 
 
 def test_a_revision_stays_when_the_model_moves_on(the_hub, run, tmp_path):

@@ -1,5 +1,6 @@
 """Curve models as ONNX files: equal to torch at every length, and read without torch."""
 
+import base64
 import json
 import re
 import subprocess
@@ -25,11 +26,13 @@ from deitalk.models.folder import embedded_models
 from deitalk.models.load import load_network
 from deitalk.models.onnx import OnnxNetwork, load_onnx
 from deitalk.models.onnx import network as network_module
+from deitalk.models.onnx.rules import LIVE, WHOLE
 from deitalk.research.evaluation.benchmark_curves import speechlike
 from deitalk.research.evaluation.clip_scores import live_frames
 from rig import default_controls, read_curves
 from tests.command import ran
 from tests.deitalk.models.test_curve_model import MEL, SMALL
+from tests.deitalk.postprocess.test_curve_pass import inputs, passed
 from tests.each import each
 
 onnx = pytest.importorskip("onnx")
@@ -77,9 +80,33 @@ def of_frontend(frontend, **settings):
     return network
 
 
-@pytest.fixture(scope="module")
-def causal():
-    return of_frontend(CAUSAL, positions=False, actors=("ann", "bob"))
+TUNED = {
+    "decoder_direct": True,
+    "actor_layers": True,
+    "kept_controls": ("CTRL_C_jaw.ty",),
+    "captured_emotions": ("neutral", "happy"),
+}
+"""Parts of a fine-tuned network."""
+
+
+def with_random_parts(network):
+    """Numbers for the parts that a tuning adds; half the controls are taught in happy."""
+    decoder, taught = network.decoder, torch.ones(5, len(network.controls))
+    taught[2, ::2] = 0
+    with torch.no_grad():
+        decoder.kept.output.weight.normal_(std=0.2)
+        decoder.kept.style.weight.normal_()
+        decoder.actor_layers.weight.normal_(std=0.05)
+        decoder.change.carry.copy_(torch.eye(len(network.controls)))
+        decoder.change.teach(taught)
+    return network
+
+
+@pytest.fixture(scope="module", params=["plain", "tuned"])
+def causal(request):
+    parts = TUNED if request.param == "tuned" else {}
+    network = of_frontend(CAUSAL, positions=False, actors=("ann", "bob"), **parts)
+    return with_random_parts(network) if parts else network
 
 
 @pytest.fixture(scope="module")
@@ -203,6 +230,39 @@ def test_live_frames_of_streams_are_those_of_torch(causal, exported_causal):
         found = np.concatenate([part[k] for part in parts])
         assert found.shape == expected[k].shape
         assert (np.abs(found - expected[k]) / span).max() <= TOLERANCE
+
+
+@pytest.mark.parametrize("live", [False, True])
+def test_rules_in_the_file_equal_torch_for_other_streams_and_frames(causal, exported_causal, live):
+    ours, theirs = (network.curve_pass(live=live) for network in (exported_causal, causal))
+    assert (ours.behind, ours.ahead) == (theirs.behind, theirs.ahead)
+    for batch in (1, 5):
+        given = inputs(batch, 30, seed=batch)
+        for found, expected in zip(
+            passed(ours, given, [1, 4, 25]), passed(theirs, given, [30]), strict=True
+        ):
+            np.testing.assert_allclose(found, expected, atol=1e-5)
+
+
+@pytest.mark.parametrize("entry", [WHOLE, LIVE])
+def test_rules_in_the_file_have_standard_operators(exported_causal, entry):
+    content = base64.b64decode(json.loads(exported_causal.metadata[entry])["graph"])
+    graph = onnx.load_from_string(content)
+    onnx.checker.check_model(graph)
+    assert not {node.op_type for node in graph.graph.node} & CONTROL_FLOW
+    assert [entry.version for entry in graph.opset_import if not entry.domain] == [OPSET]
+
+
+@pytest.mark.parametrize("value", [None, "{", '{"behind": 6, "ahead": 6}'])
+def test_a_file_without_its_rules_is_refused_in_one_line(exported, tmp_path, value):
+    content = onnx.load(str(exported.path))
+    entry = next(entry for entry in content.metadata_props if entry.key == WHOLE)
+    content.metadata_props.remove(entry)
+    if value is not None:
+        content.metadata_props.add(key=WHOLE, value=value)
+    onnx.save(content, str(tmp_path / "x.onnx"))
+    with pytest.raises(CheckpointError, match="damaged metadata; export the model again"):
+        animate(speechlike(0.5), sample_rate=16_000, model=tmp_path / "x.onnx")
 
 
 def test_models_for_whole_clips_are_refused_live(exported):
@@ -380,6 +440,24 @@ def test_default_in_onnx_equals_torch(tmp_path):
     export_onnx(model, tmp_path / "default.onnx")
     sound, rows = speechlike(40.0), weights(1200, angry=0.8, surprised=0.2)
     assert_equal(load_onnx(tmp_path / "default.onnx").read(sound, rows), model.read(sound, rows))
+
+
+@pytest.mark.parametrize(
+    ("frontend", "settings"),
+    [(WHISPER, {"effort": True}), (CAUSAL, {"positions": False, "effort": True})],
+    ids=["whole", "causal"],
+)
+def test_readout_of_the_lips_is_in_the_graph(frontend, settings, tmp_path):
+    network = of_frontend(frontend, lips=True, **settings)
+    with torch.no_grad():
+        for weight in network.lips.parameters():
+            weight.normal_(std=0.05)
+    export_onnx(network, tmp_path / "lips.onnx")
+    sound, rows = speechlike(71 / 30), weights(71, happy=0.6)
+    expected = network.read(sound, rows)
+    assert_equal(load_onnx(tmp_path / "lips.onnx").read(sound, rows), expected)
+    network.lips = None
+    assert np.abs(network.read(sound, rows).neutral - expected.neutral).max() > 0.01
 
 
 @pytest.mark.parametrize("option", ["-o", "--onnx"])

@@ -153,3 +153,75 @@ def test_frames_of_a_stream_with_last_layers_of_actors_equal_the_whole():
         parts.append(rows)
     whole = net(speech, second, guidance)
     torch.testing.assert_close(torch.cat(parts, dim=1), whole, atol=1e-5, rtol=1e-5)
+
+
+def changed(captured, taught=1.0, n_base=None, causal=False, kept=None):
+    """A decoder whose base changes with the emotion, carried by random numbers."""
+    net = decoder(
+        captured=[k in captured for k in range(5)], n_base=n_base, causal=causal, kept=kept
+    ).eval()
+    with torch.no_grad():
+        for each_decoder in (net, net.kept):
+            each_decoder.output.weight.normal_()
+            each_decoder.style.weight.normal_(std=2.0)
+        net.change.carry.normal_()
+        net.change.teach(torch.full((5, 3), taught))
+    return net
+
+
+def own(net, speech, emotion, guidance):
+    return net.output(net.hidden(speech, emotion, guidance))
+
+
+@each(
+    ("captured", "wanted", "reference"),
+    [((0,), 3, 0), ((0, 2), 1, 0), ((2, 4), 0, 2), ((1,), 4, 1)],
+)
+@each("n_base", [None, 7])
+def test_an_emotion_that_captures_lack_adds_the_change_of_the_base(
+    captured, wanted, reference, n_base
+):
+    net = changed(captured, n_base=n_base)
+    speech, _, guidance = inputs(20)
+    emotion, plain = (torch.eye(5)[[k]] for k in (wanted, reference))
+    change = net.kept(speech, emotion, guidance) - net.kept(speech, plain, guidance)
+    expected = own(net, speech, plain, guidance) + change @ net.change.carry.T
+    torch.testing.assert_close(net(speech, emotion, guidance), expected)
+    torch.testing.assert_close(net(speech, plain, guidance), own(net, speech, plain, guidance))
+
+
+def test_a_captured_emotion_is_the_captures_where_they_teach_it():
+    """The first control is taught in the second emotion, the others move as the base."""
+    net = changed((0, 1))
+    taught = torch.ones(5, 3)
+    taught[1, 1:] = 0
+    net.change.teach(taught)
+    speech, _, guidance = inputs(20)
+    emotion, plain = (torch.eye(5)[[k]] for k in (1, 0))
+    change = net.kept(speech, emotion, guidance) - net.kept(speech, plain, guidance)
+    expected = own(net, speech, plain, guidance) + change @ net.change.carry.T
+    expected[..., 0] = own(net, speech, emotion, guidance)[..., 0]
+    torch.testing.assert_close(net(speech, emotion, guidance), expected)
+
+
+@each("taught", [1.0, 0.0])
+@each("causal", [False, True])
+@each("kept", [None, torch.tensor([True, False, False])])
+def test_readings_and_streams_with_a_change_equal_whole_clips(taught, causal, kept):
+    """A stream is advanced by pieces of several lengths."""
+    net = changed((0, 1), taught, causal=causal, kept=kept)
+    frames = 40
+    speech, guidance = torch.randn(1, frames, 10), torch.randn(1, frames, 4)
+    emotions = torch.rand(2, frames, 5)
+    emotions[0] = torch.eye(5)[0]
+    twice = speech.expand(2, -1, -1), emotions, guidance.expand(2, -1, -1)
+    expected = net(*twice)
+    if not causal:
+        found = net.readings(speech, emotions, guidance)
+    else:
+        past, parts = net.first_past(2), []
+        for start, stop in ((0, 1), (1, 3), (3, 20), (20, frames)):
+            curves, past = net.advance(*(part[:, start:stop] for part in twice), past)
+            parts.append(curves)
+        found = torch.cat(parts, dim=1)
+    torch.testing.assert_close(found, expected, atol=1e-5, rtol=1e-5)

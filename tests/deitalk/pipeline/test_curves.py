@@ -19,7 +19,7 @@ from deitalk.models.curve_model import DEITalk
 from deitalk.models.folder import embedded_models
 from deitalk.pipeline.curves import READ_ON_SAMPLES, prepare
 from deitalk.pipeline.speech import Speech
-from deitalk.postprocess.life.motion import LEANS
+from deitalk.postprocess.life.play import LEANS
 from deitalk.research.evaluation.benchmark_curves import speechlike
 from deitalk.research.evaluation.clip_scores import mouth_opening
 from rig.errors import ControlError

@@ -7,13 +7,20 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from deitalk.config.rules import RulesConfig
-from deitalk.postprocess.curve_rules import Expression, expression_scale, mean_around
+from deitalk.config.rules import RulesConfig, ScaleOpening
+from deitalk.postprocess.factors import (
+    expression_scale,
+    held_intensity,
+    mean_around,
+    opening_factor,
+)
 from rig import default_controls
+from tests.deitalk.postprocess.stages import Stages
 from tests.each import each
 
 CONTROLS = default_controls()
-RULES = Expression(CONTROLS)
+RULES = Stages(CONTROLS)
+OPENS = ScaleOpening()
 T = 12
 
 
@@ -206,16 +213,12 @@ def test_uncertain_contact_is_brief(height, share):
     assert before == after == pytest.approx(share, rel=0.01)
 
 
-def test_sharpen_contacts_accepts_no_frames():
-    assert decided([]).shape == (0,)
-
-
 def test_lips_start_closing_early_and_keep_their_contact():
     controls = default_controls()
     values = np.tile(controls.rest, (9, 1)).astype(np.float32)
     place = controls.index("CTRL_R_mouth_lipsTogetherD.ty")
     values[4, place] = 1
-    Expression(controls).limit_contact_speed(values)
+    Stages(controls).limit_contact_speed(values)
     expected = [0, 0, 0, 0.5, 1, 0.5, 0, 0, 0]
     np.testing.assert_allclose(values[:, place], expected, atol=1e-6)
 
@@ -235,7 +238,7 @@ def test_mouth_opens_with_an_intensity_above_the_predicted_and_contacts_stay():
     curves = half_open()
     predicted = np.full(3, 0.575, np.float32)
     strength = np.array([0.575, 0.775, 0.775], np.float32)
-    RULES.scale_opening(curves, RULES.opening_factor(strength, predicted))
+    RULES.scale_opening(curves, opening_factor(OPENS, strength, predicted))
     np.testing.assert_allclose(curves[:, JAW], [0.4, 0.4 * 1.09, 0.4], rtol=1e-5)
     others = np.delete(np.arange(len(CONTROLS.names)), RULES.lively)
     np.testing.assert_array_equal(curves[:, others], half_open()[:, others])
@@ -256,7 +259,7 @@ def test_the_opening_follows_the_speech_around_a_frame_and_no_syllable(rng):
 def test_a_loud_take_opens_further_throughout_and_its_contacts_stay():
     curves = half_open()
     usual = np.full(3, 0.575, np.float32)
-    RULES.scale_opening(curves, RULES.opening_factor(usual, usual, take=1.5))
+    RULES.scale_opening(curves, opening_factor(OPENS, usual, usual, take=1.5))
     np.testing.assert_allclose(curves[:, JAW], [0.4 * 1.06, 0.4 * 1.06, 0.4], rtol=1e-5)
 
 
@@ -264,7 +267,7 @@ def test_rules_that_are_off_change_nothing():
     """A random reading passes all of them; the blend is linear in the difference."""
     rng = np.random.default_rng(4)
     neutral, emotional = rng.uniform(0, 1, (2, 40, len(CONTROLS))).astype(np.float32)
-    off = Expression(CONTROLS, RulesConfig.none())
+    off = Stages(CONTROLS, RulesConfig.none())
     strength = rng.uniform(0, 1, 40).astype(np.float32)
     rest = np.tile(CONTROLS.rest, (40, 1))
     for apply in (
@@ -273,7 +276,7 @@ def test_rules_that_are_off_change_nothing():
         off.apply_dead_zone,
         lambda rows: off.scale_opening(rows, 2 * strength),
         lambda rows: off.express(
-            rows, rest, np.eye(5, dtype=np.float32)[[1] * 40], strength, strength
+            rows, rest, np.eye(9, dtype=np.float32)[[1] * 40], strength, strength
         ),
         lambda rows: off.rest_lips(rows, rows.copy()),
         lambda rows: off.rest_in_silence(rows, 0 * strength, 0 * strength),
@@ -291,17 +294,16 @@ def test_rule_uses_the_numbers_of_its_section():
     curves = np.tile(CONTROLS.rest, (2, 1)).astype(np.float32)
     jaw = CONTROLS.index("CTRL_C_jaw.ty")
     curves[:, jaw] = 0.3, 0.05
-    Expression(CONTROLS, rules).apply_dead_zone(curves)
+    Stages(CONTROLS, rules).apply_dead_zone(curves)
     np.testing.assert_allclose(curves[:, jaw], [0.2, 0.0], atol=1e-6)
 
 
-SIZED = Expression(
-    CONTROLS,
-    RulesConfig.model_validate({"pose_size": dict(angry=4, happy=2, sad=30, surprised=1)}),
-)
+SIZED = RulesConfig.model_validate(
+    {"pose_size": dict(angry=4, happy=2, sad=30, surprised=1)}
+).pose_size
 
 
-def held(size, weights, predicted=0.5, rules=SIZED):
+def held(size, weights, predicted=0.5, rule=SIZED):
     """Intensity of ten seconds whose one brow differs by `size` in every frame."""
     neutral = np.zeros((300, len(CONTROLS)), np.float32)
     emotional = neutral.copy()
@@ -309,7 +311,8 @@ def held(size, weights, predicted=0.5, rules=SIZED):
     emotional[:, CONTROLS.index("CTRL_C_jaw.ty")] = 1  # speech, not the size of a pose
     rows = np.tile(np.array(weights, np.float32), (300, 1))
     network = np.full(300, predicted, np.float32)
-    return rules.held_intensity(neutral, emotional, rows, np.ones(300, bool), network)
+    speaking = np.ones(300, bool)
+    return held_intensity(rule, CONTROLS, neutral, emotional, rows, speaking, network)
 
 
 def test_held_intensity_is_the_size_of_the_pose():
@@ -319,7 +322,7 @@ def test_held_intensity_is_the_size_of_the_pose():
         np.testing.assert_allclose(held(1.2, angry, predicted), 0.3, rtol=1e-4)
     np.testing.assert_allclose(held(9, angry), 1, rtol=1e-4)  # at most twice the prediction
     np.testing.assert_allclose(held(0, angry), 0.25, rtol=1e-4)  # at least half of it
-    np.testing.assert_array_equal(held(1.2, angry, rules=RULES), np.float32(0.5))  # off
+    np.testing.assert_array_equal(held(1.2, angry, rule=None), np.float32(0.5))  # off
 
 
 def test_held_intensity_of_a_mixture_is_the_predicted_one():
@@ -336,7 +339,8 @@ def test_strong_take_shows_as_much_more_as_is_applied_though_its_pose_is_no_larg
     shown = []
     for predicted, applied in ((0.4, 0.3), (0.6, 0.6)):
         network = constant(predicted)
-        holds = SIZED.held_intensity(neutral, emotional, rows, np.ones(T, bool), network)
-        curves = SIZED.blend(neutral, emotional, expression_scale(constant(applied), holds))
-        shown.append(np.abs(curves - neutral)[:, SIZED.posing].sum())
+        speaking = np.ones(T, bool)
+        holds = held_intensity(SIZED, CONTROLS, neutral, emotional, rows, speaking, network)
+        curves = RULES.blend(neutral, emotional, expression_scale(constant(applied), holds))
+        shown.append(np.abs(curves - neutral)[:, RULES.posing].sum())
     np.testing.assert_allclose(shown[1], 2 * shown[0], rtol=1e-4)

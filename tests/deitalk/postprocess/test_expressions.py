@@ -6,12 +6,14 @@ import numpy as np
 import pytest
 
 from deitalk.emotions import LABELS
-from deitalk.postprocess.curve_rules import Expression, expression_scale, expression_table
+from deitalk.postprocess.expressions import expression_table
+from deitalk.postprocess.factors import expression_scale
 from rig import default_controls
+from tests.deitalk.postprocess.stages import Stages
 from tests.each import each
 
 CONTROLS = default_controls()
-RULES = Expression(CONTROLS)
+RULES = Stages(CONTROLS)
 TABLE = expression_table(CONTROLS.names)
 SMILE, LIP, LID = (
     CONTROLS.index(f"CTRL_L_{stem}.ty")

@@ -3,17 +3,16 @@
 import numpy as np
 import pytest
 
-from deitalk.postprocess.curve_rules import Expression
 from deitalk.postprocess.known_phones import (
     ROUNDED_SHARE,
     KnownPhone,
-    meet_phones,
     phone_frames,
 )
 from rig import default_controls
+from tests.deitalk.postprocess.stages import Stages
 
 CONTROLS = default_controls()
-RULES = Expression(CONTROLS)
+RULES = Stages(CONTROLS)
 
 
 def spoken(n_frames=30):
@@ -32,8 +31,8 @@ def test_no_phones_change_nothing():
     curves[:, RULES.seals] = -0.1
     curves[:, CONTROLS.index("CTRL_L_mouth_purseU.ty")] = -0.1
     before = curves.copy()
-    meet_phones(curves, RULES, ())
-    meet_phones(curves, RULES, [KnownPhone(0.2, 0.4, "AA"), KnownPhone(0.4, 0.6, "SIL")])
+    RULES.meet_phones(curves, ())
+    RULES.meet_phones(curves, [KnownPhone(0.2, 0.4, "AA"), KnownPhone(0.4, 0.6, "SIL")])
     np.testing.assert_array_equal(curves, before)
 
 
@@ -48,7 +47,7 @@ def test_contacts_last_two_frames_at_least():
 
 def test_lips_meet_within_a_bilabial_and_what_parts_them_is_lowered():
     curves = spoken()
-    meet_phones(curves, RULES, [KnownPhone(0.2, 0.3, "P")])
+    RULES.meet_phones(curves, [KnownPhone(0.2, 0.3, "P")])
     lips = column(curves, "CTRL_L_mouth_lipsTogetherD.ty")
     assert (lips[6:9] == 1).all() and not lips[:6].any() and not lips[9:].any()
     assert column(curves, "CTRL_C_jaw.ty")[7] == pytest.approx(0.1)
@@ -60,20 +59,20 @@ def test_what_the_network_closed_stays_as_it_is():
     curves = spoken()
     curves[5:10, RULES.together] = 1
     before = curves.copy()
-    meet_phones(curves, RULES, [KnownPhone(0.2, 0.3, "P")])
+    RULES.meet_phones(curves, [KnownPhone(0.2, 0.3, "P")])
     np.testing.assert_array_equal(curves, before)
 
 
 def test_lip_meets_the_teeth_within_f_and_not_within_a_bilabial():
     curves = spoken()
-    meet_phones(curves, RULES, [KnownPhone(0.2, 0.3, "M"), KnownPhone(0.3, 0.4, "F")])
+    RULES.meet_phones(curves, [KnownPhone(0.2, 0.3, "M"), KnownPhone(0.3, 0.4, "F")])
     bite = column(curves, "CTRL_R_mouth_lipBiteD.ty")
     assert np.flatnonzero(bite).tolist() == [9, 10, 11]
 
 
 def test_rounding_is_raised_to_a_share_and_slopes():
     curves = spoken()
-    meet_phones(curves, RULES, [KnownPhone(0.4, 0.5, "W")])
+    RULES.meet_phones(curves, [KnownPhone(0.4, 0.5, "W")])
     purse = column(curves, "CTRL_L_mouth_purseU.ty")
     assert purse[13] == pytest.approx(ROUNDED_SHARE * 0.79)
     assert purse[11] == pytest.approx(0.8 * purse[12]) and purse[8] == pytest.approx(
@@ -81,5 +80,5 @@ def test_rounding_is_raised_to_a_share_and_slopes():
     )
     assert not purse[:8].any()
     curves[:, CONTROLS.index("CTRL_L_mouth_purseU.ty")] = 0.9
-    meet_phones(curves, RULES, [KnownPhone(0.4, 0.5, "W")])
+    RULES.meet_phones(curves, [KnownPhone(0.4, 0.5, "W")])
     assert (purse == np.float32(0.9)).all()

@@ -18,7 +18,7 @@ def take(actor: str, emotion: str, name: str, n: int, length: float = 10.0) -> l
 @settings(max_examples=60)
 def test_clips_of_one_take_in_two_splits_are_apart(takes):
     pieces = [p for i, (who, how, n) in enumerate(takes) for p in take(who, how, f"t{i}", n)]
-    splits = divide(pieces)
+    splits = divide(pieces, "time")
     for one, mine in zip(pieces, splits, strict=True):
         for other, its in zip(pieces, splits, strict=True):
             if one.take == other.take and mine and its and mine != its:
@@ -26,7 +26,7 @@ def test_clips_of_one_take_in_two_splits_are_apart(takes):
 
 
 def test_one_long_take_gives_blocks_at_its_end():
-    splits = divide(take("anna", "happy", "t", 57))  # ten minutes
+    splits = divide(take("anna", "happy", "t", 57), "time")  # ten minutes
     kept = [split for split in splits if split]
     assert kept == sorted(kept, key=(TRAIN, VALIDATION, TEST).index)
     assert kept.count(TEST) == pytest.approx(57 / 8, abs=1.5)
@@ -38,7 +38,7 @@ def test_many_takes_are_kept_whole_and_every_emotion_is_in_every_split():
     pieces = [
         p for how in ("happy", "sad") for i in range(8) for p in take("a", how, how + str(i), 2)
     ]
-    splits = divide(pieces)
+    splits = divide(pieces, "time")
     assert "" not in splits
     homes = {(p.take, s) for p, s in zip(pieces, splits, strict=True)}
     assert len(homes) == 16
@@ -53,7 +53,7 @@ def test_many_takes_are_kept_whole_and_every_emotion_is_in_every_split():
 def test_two_and_three_takes_have_clips_to_train_on_and_to_validate(takes, clips):
     """The first take trains; three takes of one clip have a test too."""
     pieces = [p for i in range(takes) for p in take("a", "sad", f"t{i}", clips)]
-    splits = divide(pieces)
+    splits = divide(pieces, "time")
     assert {TRAIN, VALIDATION} <= set(splits)
     homes = {
         p.take: {s for q, s in zip(pieces, splits, strict=True) if q.take == p.take} for p in pieces
@@ -68,9 +68,26 @@ def test_actors_need_three_and_the_way_is_checked():
         divide(take("a", "sad", "t", 5), "clip")
 
 
-def test_an_emotion_with_one_take_is_learnt_too():
-    pieces = [p for how in ("angry", "happy", "neutral", "sad") for p in take("a", how, how, 4)]
-    splits = divide(pieces)
-    homes = {(p.emotion, s) for p, s in zip(pieces, splits, strict=True)}
-    assert {how for how, split in homes if split == TRAIN} == {"angry", "happy", "neutral", "sad"}
-    assert {("neutral", VALIDATION), ("sad", TEST)} <= homes
+EMOTIONS = ("angry", "happy", "neutral", "sad", "surprised")
+
+
+@pytest.mark.parametrize("clips", [1, 2, 3, 4])
+@pytest.mark.parametrize("takes", [1, 2, 3])
+@pytest.mark.parametrize("way", ["auto", "none", "time"])
+def test_every_emotion_is_learnt(way, takes, clips):
+    """Whatever the number of its takes; by time there are other clips too, where takes allow it."""
+    pieces = [
+        piece
+        for how in EMOTIONS
+        for number in range(takes)
+        for piece in take("a", how, f"{how}{number}", clips)
+    ]
+    homes = {(p.emotion, s) for p, s in zip(pieces, divide(pieces, way), strict=True)}
+    assert {how for how, split in homes if split == TRAIN} == set(EMOTIONS)
+    held = {split for _, split in homes} - {TRAIN, ""}
+    assert bool(held) == (way == "time" and (takes > 1 or clips > 2))
+
+
+def test_by_default_all_clips_are_learnt():
+    pieces = [p for who in "abcd" for p in take(who, "sad", who, 3)]
+    assert set(divide(pieces)) == {TRAIN}

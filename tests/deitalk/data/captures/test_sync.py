@@ -11,6 +11,7 @@ from deitalk.data.offset import (
     NTSC_DRIFT,
     ClipLags,
     clip_lags,
+    fit_rate,
     sharpest_peak,
     take_sync,
 )
@@ -103,3 +104,21 @@ def test_offset_of_another_rig_is_found_by_its_components(rng):
         assert moved is not None
         found = sharpest_peak(moved.scores) - sharpest_peak(still.scores)
         assert found == pytest.approx(frames * FRAME, abs=FRAME / 3)
+
+
+@pytest.mark.skipif("default" not in embedded_models(), reason="needs the embedded weights")
+@pytest.mark.parametrize(
+    ("own", "read"),
+    [(30, 30), (24, 30), (25, 30), (30, 25), (48, 60), (60, 30), (30, 60), (24, 25)],
+)
+def test_takes_at_another_rate_than_their_sound_are_found(own, read):
+    """Curves of another model and emotion, with noise, stand for captures."""
+    rng = np.random.default_rng(0)
+    reference, other = load_model("default"), load_model("live")
+    recording = load_audio(ROOT / "docs/samples/amiable.flac")
+    predicted = animate(recording, "neutral", model=reference).curves
+    curves = animate(recording, "happy", model=other).curves.resample(own)
+    noise = 0.02 * rng.standard_normal(curves.values.shape).astype(np.float32)
+    misread = replace(curves, values=curves.values + noise, fps=read)
+    found = fit_rate(misread, recording.waveform, predicted=predicted)
+    assert found is None if own == read else found == pytest.approx(own)

@@ -99,6 +99,13 @@ def test_more_phones_than_rows_are_no_path():
     assert found.words == () and not found.is_used and "(too many)" in found.line
 
 
+@pytest.mark.parametrize("n_samples", [1, 160, 266, 267, 400])
+def test_words_of_a_recording_shorter_than_a_spectrum_do_not_fit(n_samples, rng):
+    sound = 0.1 * rng.standard_normal(n_samples)
+    made = animate(sound, words="phones: M AY | P R AA", sample_rate=16_000)
+    assert any("(too many)" in note for note in made.recording.warnings)
+
+
 def test_given_times_choose_between_two_places():
     sound = evidence(("M", 10), ("AA", 40), ("M", 10), ("AA", 40))
     late = Word("ma", ("M", "AA"), 0.8, 1.6)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from deitalk.config.rules import Idle
-from deitalk.postprocess.life.eyes import AVERSION_DEGREES, Blink, Blinks, Gaze, as_controls
+from deitalk.postprocess.life.eyes import AVERSION_DEGREES, Blink, Blinks, Gaze
 from deitalk.postprocess.life.voice import Phrase, Voice
 from tests.each import each
 
@@ -173,8 +173,3 @@ def test_fixations_hold_micro_saccades():
     assert 1 < per_second < 6
     assert np.median(steps) == 0
     assert np.hypot(*gaze.T).max() < 5
-
-
-def test_gaze_of_full_range_gives_controls_at_1():
-    degrees = np.array([[40.0, 30.0], [-20.0, -40.0]], np.float32)
-    np.testing.assert_allclose(as_controls(degrees), [[1, 1], [-0.5, -1]])

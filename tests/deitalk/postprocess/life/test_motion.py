@@ -15,27 +15,23 @@ from deitalk.postprocess.life.head import (
     SWALLOW_CONTROL,
     TURN,
     TURNS,
-    BrowEvents,
     Brows,
     Head,
     draw_accent,
     draw_nod,
-    move_brows,
 )
-from deitalk.postprocess.life.motion import (
-    LOWER_LID,
-    lean_mouth,
-    mouth_columns,
-    move_eyes,
-    plan_motion,
-)
+from deitalk.postprocess.life.motion import plan_motion
+from deitalk.postprocess.life.play import LOWER_LID
 from deitalk.postprocess.life.voice import Accent, Phrase, Seeds, Swells, Traits, Voice, presence
+from deitalk.postprocess.tracks import MOTION, MotionTracks
 from deitalk.research.evaluation.nods import find_nods
 from rig import default_controls
+from tests.deitalk.postprocess.stages import Stages
 from tests.each import each
 from tests.errors import one_line
 
 CONTROLS = default_controls()
+STAGES = Stages(CONTROLS)
 N_FRAMES = 900
 PHRASES = tuple(Phrase(start, start + 75, start == 600) for start in range(60, 800, 90))
 STRESSED = tuple(
@@ -59,8 +55,14 @@ def moved(emotion="neutral", strength=1.0, start=0.0, seed=0, **life):
     upper = [i for i, name in enumerate(CONTROLS.names) if "_brow_" in name or "_eye_" in name]
     curves[:, upper] += start
     motion = plan_motion(VOICE, shown(emotion, strength), seeds, life=Life(**life))
-    motion.move(curves, neutral, CONTROLS)
+    STAGES.play(curves, neutral, motion.tracks)
     return curves, neutral
+
+
+def still(n_frames, **moving):
+    """Motion tracks of a face that does not move, but for `moving`."""
+    tracks = MotionTracks(*(np.zeros((n_frames, width)) for width in MOTION))
+    return tracks._replace(**moving)
 
 
 def plan_brows(voice, traits, rng):
@@ -125,9 +127,17 @@ def test_a_part_that_is_off_changes_no_other(part):
 def test_blinks_draw_the_lower_lids_up():
     curves = np.tile(CONTROLS.rest, (3, 1)).astype(np.float32)
     lids = np.array([[0, 0], [1, 0.5], [0, 0]], np.float32)
-    move_eyes(curves, CONTROLS, np.array([[0.0, 0], [0, 0], [0, -20]]), lids)
+    gaze = np.array([[0.0, 0], [0, 0], [0, -20]])
+    STAGES.play(curves, curves.copy(), still(3, gaze=gaze, lids=lids))
     np.testing.assert_allclose(of(curves, "eye_squintInner"), [0, LOWER_LID, 0], atol=1e-6)
     np.testing.assert_allclose(of(curves, "eye_squintInner", "R")[1], LOWER_LID / 2, atol=1e-6)
+
+
+def test_gaze_of_full_range_gives_controls_at_1():
+    curves, gaze = np.tile(CONTROLS.rest, (2, 1)), np.array([[40.0, 30.0], [-20.0, -40.0]])
+    STAGES.play(curves, curves.copy(), still(2, gaze=gaze))
+    eyes = [CONTROLS.index(f"CTRL_R_eye.t{axis}") for axis in "xy"]
+    np.testing.assert_allclose(curves[:, eyes], [[1, 1], [-0.5, -1]])
 
 
 def test_neutral_brows_are_calm_and_alive():
@@ -208,9 +218,8 @@ def test_anger_knits_the_brows_and_leaves_the_upper_lids_between_accents():
     for emotion in ("neutral", "angry"):
         curves = np.tile(CONTROLS.rest, (N_FRAMES, 1)).astype(np.float32)
         only_brows = Life(blinks=0, gaze=0, head=0)
-        plan_motion(calm, shown(emotion), seeds, life=only_brows).move(
-            curves, curves.copy(), CONTROLS
-        )
+        motion = plan_motion(calm, shown(emotion), seeds, life=only_brows)
+        STAGES.play(curves, curves.copy(), motion.tracks)
         faces.append(curves[90:780])
     neutral, angry = faces
     for stem, least in (("brow_lateral", 0.03), ("eye_squintInner", 0.05), ("brow_down", 0.05)):
@@ -228,11 +237,10 @@ def test_lids_of_a_calm_face_waver_as_those_of_readers_do():
 
 
 def test_frown_lowers_and_knits_the_brows_of_a_neutral_face():
-    none = np.zeros((60, 2))
-    frowns = np.full((60, 2), [0.5, 0.4])
-    events = BrowEvents(none, frowns, np.zeros(60), np.zeros((60, len(STEMS))), np.ones(60))
+    frowns, ones = np.full((60, 2), [0.5, 0.4]), np.ones((60, 1))
+    tracks = still(60, frowns=frowns, posture=ones, amount=ones)
     curves = np.tile(CONTROLS.rest, (60, 1)).astype(np.float32)
-    move_brows(curves, curves.copy(), CONTROLS, events, shown("neutral")[:60], 0.0, 1.0)
+    STAGES.play(curves, curves.copy(), tracks)
     assert of(curves, "brow_down")[30] == pytest.approx(0.08, abs=1e-3)
     assert of(curves, "brow_down", "R")[30] == pytest.approx(0.064, abs=1e-3)
     assert of(curves, "brow_lateral")[30] > 0.05 > of(curves, "brow_raiseIn")[30]
@@ -348,8 +356,8 @@ def test_posture_is_that_of_the_emotion(emotion, column, sign):
 def test_eyes_turn_against_the_head():
     seeds = Seeds.of(np.zeros(100, np.float32), "", 0)
     turned = plan_motion(VOICE, shown("neutral"), seeds)
-    still = plan_motion(VOICE, shown("neutral"), seeds, life=Life(head=0))
-    compensated = turned.gaze[1] - still.gaze[1]
+    unturned = plan_motion(VOICE, shown("neutral"), seeds, life=Life(head=0))
+    compensated = turned.tracks.calm_gaze - unturned.tracks.calm_gaze
     np.testing.assert_allclose(compensated[:, 0], turned.head[:, 0], atol=1e-4)
     np.testing.assert_allclose(compensated[:, 1], -turned.head[:, 1], atol=1e-4)
 
@@ -358,7 +366,7 @@ def test_eyes_turn_against_the_head():
 def test_anger_keeps_its_eyes_on_the_listener_under_a_lowered_head(emotion):
     """The posture is undone as the motion is; anger at 1.25 has no aversions left, surprise has."""
     motion = plan_motion(VOICE, shown(emotion, 1.25), Seeds((1, 2, 3)))
-    seen = motion.gaze[0] - motion.head[:, :2] * (1, -1)
+    seen = motion.tracks.gaze - motion.head[:, :2] * (1, -1)
     assert (np.abs(seen).max() < 1e-3) == (emotion == "angry")
     assert np.abs(motion.head[:, 1]).max() > 2
 
@@ -374,7 +382,7 @@ def test_a_take_that_is_cut_keeps_its_motion(silence):
 def test_emotions_of_a_recording_have_their_own_times_and_one_character():
     takes = [Seeds((1, 2, 3), emotion) for emotion in range(2)]
     assert Traits.of(takes[0].character()) == Traits.of(takes[1].character())
-    lids = [plan_motion(VOICE, shown("neutral"), seeds).lids for seeds in takes]
+    lids = [plan_motion(VOICE, shown("neutral"), seeds).tracks.lids for seeds in takes]
     assert not np.array_equal(*lids)
 
 
@@ -385,8 +393,8 @@ def test_one_side_of_the_mouth_does_more_and_silence_none():
     neutral[0, smile] = 0.2
     curves = neutral.copy()
     curves[0, smile] = 0.4
-    accents = np.zeros((2, 2))
-    lean_mouth(curves, neutral[:, mouth_columns(CONTROLS)], CONTROLS, accents, 0.1, 1.0)
+    spoken = neutral.copy()
+    STAGES.play(curves, spoken, still(2, side=np.full((2, 1), 0.1), amount=np.ones((2, 1))))
     np.testing.assert_allclose(curves[0, smile], [0.4105, 0.3895], atol=1e-6)
     np.testing.assert_array_equal(curves[1], neutral[1])
 
@@ -394,7 +402,7 @@ def test_one_side_of_the_mouth_does_more_and_silence_none():
 def test_gaze_rests_where_it_is_told():
     seeds = Seeds.of(np.zeros(100, np.float32), "", 0)
     there, here = (
-        plan_motion(VOICE, shown("neutral"), seeds, life=Life(look_at=place)).gaze[0]
+        plan_motion(VOICE, shown("neutral"), seeds, life=Life(look_at=place)).tracks.gaze
         for place in ((10.0, -5.0), (0.0, 0.0))
     )
     np.testing.assert_allclose((there - here)[60:800], [[10, -5]] * 740, atol=1e-4)

@@ -16,7 +16,7 @@ from deitalk.data.windows import cut, load_clip
 from deitalk.errors import DataError
 from deitalk.models.checkpoint import require_model
 from deitalk.models.curve_model import DEITalk
-from deitalk.research.evaluation.lips import PREDICTIONS, as_markdown, evaluate
+from deitalk.research.evaluation.lips import as_markdown, evaluate
 from deitalk.research.lips import vocabulary
 from deitalk.research.lips.dataset import CONTACT, LipRidge, LipTransfer, write_lip_dataset
 from deitalk.research.lips.fit import LOOSENESS, fit_curves, looseness
@@ -400,8 +400,9 @@ def test_scores_of_the_measured_lips_themselves_are_perfect(measured, monkeypatc
         },
     )
     shutil.copy(measured / "video" / "a.wav", measured / "video" / "b.wav")
+    monkeypatch.setattr(scoring, "listen", lambda model, encoder: lambda recording: {})
     report = evaluate(None, measured)
-    assert set(report) == set(PREDICTIONS)
+    assert set(report) == {"network", "animated", "loudness"}
     assert set(report["network"]) == {"one", "two", "mean"}
     for speaker in report["network"]:
         assert np.isnan(report["network"][speaker]["width r"])  # does not move

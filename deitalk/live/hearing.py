@@ -1,0 +1,116 @@
+"""What is heard of voices that have not ended: activity, gates, prosody and intensity.
+
+Letters: B streams, n frames of a call, W samples of a window.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from deitalk.audio.vocal_strength import measure_windows
+from deitalk.audio.voice_activity import window_levels
+from deitalk.config.rules import RulesConfig
+from deitalk.live.activity import GATE_AHEAD, ActivityState, RunningActivity
+from deitalk.live.intensity import IntensityState, Measures, RunningIntensity, follow_means
+from deitalk.postprocess.factors import opening_factor
+from deitalk.postprocess.tracks import LIVE_AHEAD
+from rig.arrays import Bool, Float32, Float64
+
+MEASURED_AHEAD = GATE_AHEAD - LIVE_AHEAD
+"""Frames after a row of the network whose sound is measured when it is."""
+N_MEASURES = 31
+
+
+class Heard(NamedTuple):
+    """What is heard at the frames of the network's rows, and gates `LIVE_AHEAD` before them."""
+
+    measures: Measures
+    """Prosody [shape=(B, n)] each."""
+    speaking: Bool
+    """Frames of speech [shape=(B, n)]; a lone one is a click."""
+    intensity: Float32
+    """Corrected intensity [shape=(B, n), range 0 to 1]."""
+    opening: Float32
+    """Factor on the opening of the mouth [shape=(B, n)]."""
+    mouth: Float32
+    """Gate of the mouth `LIVE_AHEAD` frames before [shape=(B, n), range 0 to 1]."""
+    expression: Float32
+    """The same of the expression."""
+
+
+HearingState = tuple[np.ndarray, ...]
+"""Arrays that begin with the stream."""
+
+
+class RunningHearing:
+    """Hearing of streams with the rules of one model.
+
+    Parameters
+    ----------
+    rules : RulesConfig
+    """
+
+    def __init__(self, rules: RulesConfig) -> None:
+        self.rules, self.activity = rules, RunningActivity(rules.gates)
+        rule = rules.voice_intensity
+        self.intensity = None if rule is None else RunningIntensity(rule)
+
+    def first(self, batch: int) -> HearingState:
+        """State of streams before their first frame."""
+        usual = 0.0 if self.rules.scale_opening is None else self.rules.scale_opening.usual
+        intensity = () if self.intensity is None else self.intensity.first(batch)
+        measured = np.zeros((batch, MEASURED_AHEAD, N_MEASURES))
+        means = np.full((batch, 2), usual)
+        return (*self.activity.first(batch), measured, means, *intensity)
+
+    def begin(self, windows: Float32, state: HearingState) -> HearingState:
+        """Hear the first `MEASURED_AHEAD` frames [shape=(B, `MEASURED_AHEAD`, W)]."""
+        levels, measured = measure(windows)
+        *_, activity = self.activity(levels, self._split(state)[0])
+        return (*activity, measured, *state[len(activity) + 1 :])
+
+    def __call__(
+        self, windows: Float32, network: Float32, effort: Float32, state: HearingState
+    ) -> tuple[Heard, HearingState]:
+        """Hear the next frames.
+
+        Parameters
+        ----------
+        windows : array [shape=(B, n, W)]
+            Sound of the frames that are `MEASURED_AHEAD` after those of the network's rows.
+        network, effort : array [shape=(B, n)]
+            Of the rows: predicted intensity, and strength of the voice.
+        state : HearingState
+            From `begin`, or from the call before.
+        """
+        activity, before, means, intensity = self._split(state)
+        count = windows.shape[1]
+        levels, measured = measure(windows)
+        on, mouth, expression, activity = self.activity(levels, activity)
+        measured = np.concatenate((before, measured), axis=1)
+        measures = Measures.of(measured[:, :count])
+        # Activity of the rows and of the frames beside them, of which the last n + 4 flags are.
+        on = on[:, -count - MEASURED_AHEAD - 1 :]
+        speaking = on[:, 1 : count + 1] & (on[:, :count] | on[:, 2 : count + 2])
+        voice = network
+        if self.intensity is not None:
+            voice, intensity = self.intensity(network, measures, speaking, effort, intensity)
+        both = np.stack((voice, network), axis=-1).astype(np.float64)
+        near, means = follow_means(both, speaking, means)
+        opening = opening_factor(self.rules.scale_opening, near[..., 0], near[..., 1])
+        heard = Heard(measures, speaking, voice, opening, mouth, expression)
+        return heard, (*activity, measured[:, count:], means, *intensity)
+
+    def _split(
+        self, state: HearingState
+    ) -> "tuple[ActivityState, Float64, Float64, IntensityState]":
+        size = len(ActivityState._fields)
+        intensity: IntensityState = state[size + 2 :]  # type: ignore[assignment]
+        return ActivityState(*state[:size]), state[size], state[size + 1], intensity
+
+
+def measure(windows: Float32) -> tuple[Float32, Float64]:
+    """Band levels (B, n, K) and prosody (B, n, 31) of windows (B, n, W)."""
+    rows, shape = windows.reshape(-1, windows.shape[-1]), windows.shape[:2]
+    levels, measured = window_levels(rows), measure_windows(rows.astype(np.float64)).T
+    return levels.reshape(*shape, -1), measured.reshape(*shape, -1)

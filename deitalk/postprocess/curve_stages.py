@@ -1,0 +1,359 @@
+"""The rules of `deitalk.postprocess.curve_pass`, each a module; settings of None leave it out.
+
+Letters: B streams, T frames of a call, R = 2 readings (neutral, then the one that is shown), C
+controls, K contacts, W frames around a frame. Curves are (B, T, R, C).
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from deitalk.config.rules import (
+    DeadZone,
+    Expressions,
+    Gates,
+    KeepContacts,
+    LimitContactSpeed,
+    ScaleOpening,
+    SharpenContacts,
+)
+from deitalk.emotions import EMOTIONS
+from deitalk.postprocess.control_groups import ControlGroups
+from deitalk.postprocess.expressions import expression_table
+from deitalk.postprocess.torch_columns import Columns, constant, smoothstep
+from rig import ControlSet
+from rig.arrays import Float32
+
+PEAK_FRAMES = 7
+"""A frame belongs to the highest peak within three frames (0.1 s) of it."""
+PARTED = 0.8
+"""Share by which a contact that is added lowers what parts the lips."""
+YIELDING_STEP = 1 / 3
+"""Share of a mood's pose that yields in a frame, 0.1 s in all: disgust raises the lip by .6."""
+ROUNDED = (0.15, 0.6)
+"""Mean of purse, or of funnel, at which an expression begins to yield, and yields fully."""
+YIELDED = 0.8
+"""Share that is taken away by full rounding."""
+NEUTRAL, SHOWN = 0, 1
+"""Places of the readings."""
+
+
+class Near(NamedTuple):
+    """What is around each frame."""
+
+    seals: Tensor
+    """Contacts of both readings [shape=(B, T, R, K, W)]."""
+    scale: Tensor
+    """Factor on the difference of the readings [shape=(B, T, 1, W)]."""
+    closed: Tensor
+    """1 within phones that close the lips [shape=(B, T, 1, 1, W)]."""
+    bitten: Tensor
+    """1 within phones with the lower lip at the teeth."""
+
+
+class Around(nn.Module):
+    """Frames behind and ahead of each frame, of the rows that contacts depend on.
+
+    Parameters
+    ----------
+    columns : sequence of int [shape=(2 K + 3,)]
+        Contacts of both readings, scale, closed and bitten, of all columns of a row.
+    behind, ahead : int
+        W = behind + 1 + ahead.
+    """
+
+    columns: Tensor
+    window: Tensor
+
+    def __init__(self, columns: "list[int]", behind: int, ahead: int) -> None:
+        super().__init__()
+        self.behind, self.n_seals = behind, (len(columns) - 3) // 2
+        constant(self, "columns", np.array(columns))
+        constant(self, "window", np.arange(behind + 1 + ahead))
+
+    def forward(self, rows: Tensor, n_frames: int) -> Near:
+        """Gather rows (B, behind + T + ahead, ...)."""
+        near = rows.index_select(2, self.columns)
+        index = torch.arange(n_frames, device=rows.device)[:, None] + self.window
+        near = near[:, index].permute(0, 1, 3, 2)  # (B, T, 2 K + 3, W)
+        sizes = [self.n_seals] * 2 + [1] * 3
+        neutral, emotional, scale, closed, bitten = torch.split(near, sizes, dim=2)
+        both = torch.stack((neutral, emotional), dim=2)
+        return Near(both, scale, closed.unsqueeze(2), bitten.unsqueeze(2))
+
+    def middle(self, windows: Tensor) -> Tensor:
+        """Values (...) of the frames themselves in windows (..., W)."""
+        return windows[..., self.behind]
+
+
+class Sharpen(nn.Module):
+    """Likely contacts raised, and unlikely ones lowered.
+
+    A network trained on squared errors gives an uncertain /b/ as 0.5: lips that almost meet. Two
+    S-curves decide how high a peak is, and which frames beside it belong to the contact. A lone
+    peak of 0.2 becomes 0.24, 0.25 one half, and 0.5 becomes 0.99; 0 and 1 stay, and between two
+    peaks the lips part. With the numbers of `SharpenContacts`, chosen on validation speakers with
+    former weights, there were then on the average as many contacts as bilabials (1.00 times), of
+    which 87 % were reached and 95 % of those found held at 0.9 for two frames; 1.4 % of the vowels
+    shut the lips. An uncertain contact is brief, or it would reach into the vowels around.
+    """
+
+    def __init__(self, rule: SharpenContacts | None) -> None:
+        super().__init__()
+        self.rule = rule
+
+    def forward(self, contacts: Tensor) -> Tensor:
+        """Contacts by frame (..., W)."""
+        rule = self.rule
+        if rule is None:
+            return contacts
+        values = contacts.clamp(0, 1)
+        rows = values.reshape(-1, 1, values.shape[-1])
+        peaks = F.max_pool1d(rows, PEAK_FRAMES, 1, PEAK_FRAMES // 2).reshape(values.shape)
+        shoulder = (rule.shoulder + rule.doubt * (1 - peaks)).clamp_max(rule.sharpest)
+        height = decided(peaks, torch.full_like(peaks, rule.peak), rule.steepness)
+        return height * decided(values / peaks.clamp_min(1e-6), shoulder, rule.steepness)
+
+
+def decided(values: Tensor, middle: Tensor, steepness: float) -> Tensor:
+    """S-curve from 0 to 1 that makes one half of `middle`."""
+    return torch.sigmoid(steepness * (_log_odds(values) - _log_odds(middle)))
+
+
+def _log_odds(share: Tensor) -> Tensor:
+    share = share.clamp(1e-7, 1 - 1e-7)
+    return torch.log(share / (1 - share))
+
+
+class Closure(nn.Module):
+    """How closed the lips are, 0 to 1: lips together, or lip on teeth."""
+
+    def __init__(self, rule: KeepContacts | None, groups: ControlGroups) -> None:
+        super().__init__()
+        self.rule = rule or KeepContacts()
+        self.sizes = [len(groups.together), len(groups.bite)]
+
+    def forward(self, seals: Tensor) -> Tensor:
+        """Of contacts (..., K)."""
+        if not any(self.sizes):
+            return seals.new_zeros(seals.shape[:-1])
+        together, bite = torch.split(seals, self.sizes, dim=-1)
+        parts = [part.mean(dim=-1) for part in (together, bite) if part.shape[-1]]
+        closed = parts[0] if len(parts) == 1 else torch.maximum(*parts)
+        return smoothstep((closed - self.rule.begin) / (self.rule.full - self.rule.begin))
+
+
+class MeetPhones(nn.Module):
+    """Lips that meet, lips at the teeth and rounded lips where the phones require it.
+
+    What a network shows stays where it is more; nothing is lowered but what parts closed lips.
+    """
+
+    bites: Tensor
+
+    def __init__(self, groups: ControlGroups, size: int) -> None:
+        super().__init__()
+        constant(self, "bites", np.repeat([0.0, 1.0], (len(groups.together), len(groups.bite))))
+        self.lively = Columns(groups.lively, size)
+        self.funnel, self.purse = (Columns(places, size) for places in groups.rounding)
+
+    def close(self, contacts: Tensor, near: Near) -> Tensor:
+        """Contacts (B, T, R, K, W), met within the phones that close them."""
+        bites = self.bites[:, None]
+        met = torch.where(bites > 0, near.bitten, near.closed)
+        return torch.where(met > 0, contacts.clamp_min(1), contacts)
+
+    def forward(self, curves: Tensor, added: Tensor, funnel: Tensor, purse: Tensor) -> Tensor:
+        """Lower what parts the lips by the closure `added` (B, T, R); round them at least so."""
+        lowered = PARTED * added.clamp_min(0).unsqueeze(-1)
+        curves = curves * (1 - lowered * self.lively.mask)
+        for columns, least in ((self.funnel, funnel), (self.purse, purse)):
+            raised = (least > 0) & (columns.mask > 0)
+            curves = torch.where(raised, torch.maximum(curves, least), curves)
+        return curves
+
+
+class OpenMouth(nn.Module):
+    """The mouth opened by a factor where lips do not meet."""
+
+    def __init__(self, rule: ScaleOpening | None, groups: ControlGroups, size: int) -> None:
+        super().__init__()
+        self.rule, self.lively = rule, Columns(groups.lively, size)
+
+    def forward(self, curves: Tensor, free: Tensor, opening: Tensor) -> Tensor:
+        """Curves by the factor (B, T, 1, 1), as far as lips are `free` (B, T, R)."""
+        if self.rule is None:
+            return curves
+        return curves * (1 + (opening - 1) * free.unsqueeze(-1) * self.lively.mask)
+
+
+class Blend(nn.Module):
+    """The difference of the readings, scaled; it parts no lips that are closed."""
+
+    def __init__(self, rule: KeepContacts | None, groups: ControlGroups, size: int) -> None:
+        super().__init__()
+        self.rule = rule
+        self.opening, self.seals = Columns(groups.opening, size), Columns(groups.seals, size)
+
+    def forward(self, curves: Tensor, free: Tensor, scale: Tensor) -> Tensor:
+        """Scale the difference (B, T, 1, 1) as far as neutral lips are `free` (B, T, 1)."""
+        neutral = curves[:, :, :1]
+        difference = (curves - neutral) * scale
+        if self.rule is not None:
+            difference = difference * (1 - (1 - free.unsqueeze(-1)) * self.opening.mask)
+            closes = self.seals.mask > 0
+            difference = torch.where(closes, difference.clamp_min(0), difference)
+        return neutral + difference
+
+    def contacts(self, contacts: Tensor, scale: Tensor) -> Tensor:
+        """The same of contacts (B, T, R, K, W), around each frame."""
+        neutral = contacts[:, :, :1]
+        difference = (contacts - neutral) * scale.unsqueeze(2)
+        return neutral + (difference if self.rule is None else difference.clamp_min(0))
+
+
+class Express(nn.Module):
+    """The expression changed by the table of `deitalk.postprocess.expressions`."""
+
+    gains: Tensor
+    poses: Tensor
+    parting: Tensor
+    moods: Tensor
+    spreading: Tensor
+    changed: Tensor
+
+    def __init__(self, rule: Expressions | None, controls: ControlSet) -> None:
+        super().__init__()
+        captured = () if rule is None else rule.captured
+        table, size = expression_table(controls.names, captured), len(controls)
+        self.is_on = rule is not None and len(table.places) > 0
+        own, moods = table.parting.copy(), table.parting.copy()
+        own[len(EMOTIONS) :], moods[: len(EMOTIONS)] = 0, 0
+        for name, values in (("gains", table.gains), ("poses", table.poses)):
+            constant(self, name, values)
+        constant(self, "parting", own)
+        constant(self, "moods", moods)
+        constant(self, "spreading", table.spreading)
+        constant(self, "changed", table.changed[:, None])
+        self.columns = Columns(table.places, size)
+        rounding = (Columns(places, size) for places in ControlGroups(controls).rounding)
+        self.rounding = nn.ModuleList(columns for columns in rounding if len(columns))
+
+    def forward(
+        self, curves: Tensor, emotion: Tensor, strength: Tensor, free: Tensor, slow: Tensor
+    ) -> Tensor:
+        """Change the reading that is shown.
+
+        Parameters
+        ----------
+        curves : Tensor [shape=(B, T, R, C)]
+            The neutral reading, and the blend of both.
+        emotion : Tensor [shape=(B, T, 9)]
+            Weights.
+        strength : Tensor [shape=(B, T, 1), range 0 to 4]
+            Intensity that the blend shows.
+        free : Tensor [shape=(B, T, 1), range 0 to 1]
+            Share of the opening that closed lips leave to an expression.
+        slow : Tensor [shape=(B, T, 1), range 0 to 1]
+            The same of the moods, which changes slowly and is never more.
+        """
+        if not self.is_on:
+            return curves
+        part = self.columns(curves)
+        neutral, blend = part[:, :, NEUTRAL], part[:, :, SHOWN]
+        pose = emotion @ self.poses + (emotion @ self.parting) * free
+        pose = pose + (emotion @ self.moods) * slow
+        shown = (blend - neutral) * (emotion @ self.gains) + pose * strength
+        kept = 1 - YIELDED * self._rounded(curves[:, :, NEUTRAL]) * (emotion @ self.changed)
+        shown = shown * (1 - self.spreading + self.spreading * kept)
+        return self.columns.put(curves, torch.stack((neutral, neutral + shown), dim=2))
+
+    def _rounded(self, neutral: Tensor) -> Tensor:
+        """How rounded the lips are [shape=(B, T, 1), range 0 to 1]."""
+        rounding = neutral[..., :1] * 0
+        for columns in self.rounding:
+            rounding = torch.maximum(rounding, columns(neutral).mean(dim=-1, keepdim=True))
+        begin, full = ROUNDED
+        return smoothstep((rounding - begin) / (full - begin))
+
+
+class RestLips(nn.Module):
+    """Lips that cover the teeth of the neutral reading; the expression stays."""
+
+    def __init__(self, rule: Expressions | None, groups: ControlGroups, size: int) -> None:
+        super().__init__()
+        self.rule, self.lips = rule, Columns(groups.lips, size)
+
+    def forward(self, curves: Tensor) -> Tensor:
+        """Lower both readings by as much."""
+        rule = self.rule
+        if rule is None or not rule.covers_teeth or not len(self.lips):
+            return curves
+        part = self.lips(curves)
+        jaw, upper, lower = torch.split(part[:, :, :1], [1, 2, 2], dim=-1)
+        raised = upper.clamp_max(2 * rule.upper)
+        above = (lower - rule.lower - rule.per_jaw * jaw).clamp_min(0)
+        lowered = raised * (1 - raised / (4 * rule.upper)), rule.share * above
+        return self.lips.put(curves, part - torch.cat((0 * jaw, *lowered), dim=-1))
+
+
+class SpeedLimit(nn.Module):
+    """Values that rise earlier and fall later, until no step is larger than that of a rule.
+
+    Peaks keep their height; the frames around them are raised.
+    """
+
+    fall: Tensor
+
+    def __init__(self, rule: LimitContactSpeed | None, behind: int, ahead: int) -> None:
+        super().__init__()
+        frames = slowed_frames(rule)
+        self.first, self.stop = behind - min(frames, behind), behind + min(frames, ahead) + 1
+        lags = np.abs(np.arange(self.first, self.stop) - behind)
+        constant(self, "fall", lags * (0.0 if rule is None else rule.step))
+
+    def forward(self, windows: Tensor) -> Tensor:
+        """Values (...) of the frames themselves, raised by those around them (..., W)."""
+        return (windows[..., self.first : self.stop] - self.fall).amax(dim=-1)
+
+
+def slowed_frames(rule: LimitContactSpeed | None) -> int:
+    """Frames before and after a value of 1 that the limit raises."""
+    return 0 if rule is None else int(1 / rule.step)
+
+
+class QuietLips(nn.Module):
+    """Small values of the controls that part the lips set to 0, larger ones reduced by as much."""
+
+    def __init__(self, rule: DeadZone | None, groups: ControlGroups, size: int) -> None:
+        super().__init__()
+        self.rule, self.opening = rule, Columns(groups.opening, size)
+
+    def forward(self, curves: Tensor) -> Tensor:
+        """Of both readings."""
+        if self.rule is None:
+            return curves
+        width = self.rule.width * self.opening.mask
+        return curves - torch.minimum(torch.maximum(curves, -width), width)
+
+
+class Gate(nn.Module):
+    """Curves brought to rest in silence: speech by the mouth's gate, all by the expression's."""
+
+    rest: Tensor
+
+    def __init__(self, rule: Gates | None, groups: ControlGroups, rest: Float32) -> None:
+        super().__init__()
+        self.rule = rule
+        self.speaks = Columns(np.flatnonzero(groups.follows_mouth), len(rest))
+        constant(self, "rest", rest)
+
+    def forward(self, curves: Tensor, mouth: Tensor, expression: Tensor) -> Tensor:
+        """Of both readings; gates (B, T, 1, 1)."""
+        if self.rule is None:
+            return curves
+        speaks = self.speaks.mask
+        return self.rest + (curves - self.rest) * expression * (1 - speaks + speaks * mouth)

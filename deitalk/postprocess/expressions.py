@@ -1,0 +1,92 @@
+"""Expressions after the network: what an emotion adds to the neutral reading, by a table.
+
+The network was taught poses of the five emotions; on renders they were too faint or ambiguous:
+anger with drowsy lids, joy without cheeks and teeth. ``expressions.csv`` has, by emotion and
+control, a gain on the network's difference of the readings and a pose in units of the control at
+intensity 1, with the action unit (Ekman, Friesen and Hager 2002). Both grow in proportion to the
+intensity. Sizes follow what acted faces do against the same actor's neutral face, and how raw
+controls move together in a MetaHuman take ("the take": the slope of one control on another).
+
+Moods are procedural: the network reads their mixture of the trained emotions
+(`rig.emotions.MOODS`) and the table adds the prototype of their action units; contempt is of one
+side.
+
+A smile yields to rounding: spread corners and a raised upper lip are muscles that act against
+those of /u/ and /o/.
+
+Letters: S styles, K controls of the table.
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from deitalk.emotions import EMOTIONS, LABELS
+from rig.arrays import Float32
+from rig.files.reading import rows_of
+
+SPREADING = ("cornerPull", "CornerPull", "stretch", "dimple", "corner.", "upperLipRaise")
+"""Parts of the names of the controls whose expression yields to rounding."""
+PARTING = ("jaw.ty", "lowerLipDepress", "upperLipRaise")
+"""Parts of the names of the controls whose poses yield to closed lips. Corners of a trained emotion
+yield too; those of a mood, up to .8 of a range, would jump at every closure."""
+
+
+@dataclass(frozen=True)
+class ExpressionTable:
+    """Gains and poses of the emotions for the controls of one rig.
+
+    Attributes
+    ----------
+    places : array [shape=(K,)]
+        Columns of the controls.
+    gains, poses, parting : array [shape=(S, K)]
+        Factor on the difference of the readings, what is added to it at intensity 1, and what is
+        added as far as the lips are open.
+    spreading : array [shape=(K,), 0 or 1]
+        Whether a control yields to rounding.
+    changed : array [shape=(S,), 0 or 1]
+        0 of emotions that stay as captures show them.
+    """
+
+    places: NDArray[np.intp]
+    gains: Float32
+    poses: Float32
+    parting: Float32
+    spreading: Float32
+    changed: Float32
+
+
+@lru_cache(maxsize=8)
+def expression_table(names: tuple[str, ...], captured: tuple[str, ...] = ()) -> ExpressionTable:
+    """The table for the columns of a rig; controls that it lacks are left out.
+
+    Emotions that captures show have a gain of 1 and no pose.
+    """
+    rows = [
+        (LABELS.index(row["emotion"]), name, float(row["gain"]), float(row["pose"]))
+        for row in rows_of(Path(__file__).with_name("expressions.csv"))
+        for name in (row["control"].replace("*", side) for side in "LR")
+        if name in names
+    ]
+    moved = sorted({name for _, name, _, _ in rows}, key=names.index)
+    gains = np.ones((len(LABELS), len(moved)), np.float32)
+    poses, parting = np.zeros_like(gains), np.zeros_like(gains)
+    for emotion, name, gain, pose in rows:
+        place = emotion, moved.index(name)
+        yielding = PARTING + (SPREADING if LABELS[emotion] in EMOTIONS else ())
+        gains[place] = gain
+        (parting if any(part in name for part in yielding) else poses)[place] = pose
+    changed = np.array([label not in captured for label in LABELS], np.float32)
+    gains = 1 + changed[:, None] * (gains - 1)
+    return ExpressionTable(
+        np.array([names.index(name) for name in moved], np.intp),
+        gains,
+        changed[:, None] * poses,
+        changed[:, None] * parting,
+        np.array([any(part in name for part in SPREADING) for name in moved], np.float32),
+        changed,
+    )

@@ -1,0 +1,150 @@
+"""Motion above the mouth played on curves: what the tracks of `MotionTracks` move.
+
+What moves depends on the emotion shown, which is 0 in the neutral reading: both readings blink and
+look alike, and intensity 0 gives the neutral reading with its motion.
+
+Letters: B streams, T frames, R = 2 readings (neutral, then the one that is shown), C controls.
+"""
+
+import torch
+from torch import Tensor, nn
+
+from deitalk.emotions import by_emotion
+from deitalk.postprocess.life.eyes import DOWN_DEGREES, LID_SHARE, SIDE_DEGREES, UP_DEGREES
+from deitalk.postprocess.life.head import (
+    ACCENTS,
+    BREATH_CONTROL,
+    FROWN,
+    HELD,
+    HELD_SIDE,
+    QUESTION,
+    STEMS,
+    SWALLOW_CONTROL,
+    SWELL,
+    TURNS,
+)
+from deitalk.postprocess.torch_columns import Columns, constant
+from deitalk.postprocess.tracks import MOTION, MotionTracks
+from rig import ControlSet
+
+# Left and right of the mouth: no face speaks or smiles evenly.
+#
+# Speech leans to the character's side, an expression further, and from event to event with the
+# brows. `LEANS` are of the size of six Live Link takes, medians of the difference of the sides
+# over their mean: smiles .03 to .20, corners pulled down .09 to .46, stretch .02 to .31, parted
+# lips .01 to .08; a character's `side` is .10 to .15.
+
+LEANS = {
+    "mouth_cornerPull": 0.7,
+    "mouth_sharpCornerPull": 0.7,
+    "mouth_dimple": 0.7,
+    "mouth_cornerDepress": 1.0,
+    "mouth_stretch": 0.6,
+    "mouth_upperLipRaise": 0.3,
+    "mouth_lowerLipDepress": 0.3,
+    "nose": 1.0,
+    "nose_nasolabialDeepen": 0.8,
+}
+"""Factor on the character's side, by control; of the nose the wrinkle, as lips are sneered."""
+SPOKEN = 0.5
+"""Share of it in the neutral reading."""
+EVENT = 0.4
+"""Of the difference of the brows' accents."""
+LOWER_LID = 0.14
+"""Inner squint of a whole blink: the muscle that closes the lids draws the lower one up and towards
+the nose (Evinger, Manning and Sibony 1991); amount by eye."""
+EYES = ("eye_blink.ty", "eye_squintInner.ty", "eye.tx", "eye.ty")
+"""Controls that blinks and gaze move, on both sides."""
+
+
+class Play(nn.Module):
+    """Motion of frames added to both readings.
+
+    Parameters
+    ----------
+    controls : ControlSet
+        The board's.
+    """
+
+    leans: Tensor
+    styles: Tensor
+    poses: Tensor
+    question: Tensor
+    frown: Tensor
+    least: Tensor
+
+    def __init__(self, controls: ControlSet) -> None:
+        super().__init__()
+        size = len(controls)
+
+        def columns(names: "list[str]") -> Columns:
+            return Columns([controls.index(name) for name in names], size)
+
+        self.mouth = columns([f"CTRL_{side}_{stem}.ty" for stem in LEANS for side in "LR"])
+        self.brows = columns([f"CTRL_{side}_{stem}.ty" for side in "LR" for stem in STEMS])
+        neck = [BREATH_CONTROL, SWALLOW_CONTROL, *TURNS]
+        self.eyes = columns([f"CTRL_{side}_{stem}" for stem in EYES for side in "LR"] + neck)
+        constant(self, "leans", [sign * 0.5 * lean for lean in LEANS.values() for sign in (1, -1)])
+        constant(self, "styles", by_emotion(ACCENTS))
+        constant(self, "poses", by_emotion(HELD))
+        constant(self, "question", QUESTION)
+        constant(self, "frown", FROWN)
+        constant(self, "least", [-1.0 if stem == "eye_blink" else 0.0 for stem in STEMS])
+
+    def forward(self, curves: Tensor, motion: Tensor) -> Tensor:
+        """Play tracks (B, T, 34) on curves (B, T, R, C).
+
+        Controls approach the end of their range and do not reach it: a motion of m takes the share
+        m of what is left.
+        """
+        tracks = MotionTracks(*torch.split(motion, [*MOTION], dim=-1))
+        curves = self._lean_mouth(curves, tracks)
+        curves = self._move_brows(curves, tracks)
+        return self._turn_eyes(curves, tracks)
+
+    def _lean_mouth(self, curves: Tensor, tracks: MotionTracks) -> Tensor:
+        """Let one side do more; in the neutral reading too, so that intensity 0 stays it."""
+        part = self.mouth(curves)
+        left, right = tracks.accents.chunk(2, dim=-1)
+        event = (tracks.side + EVENT * (left - right)).unsqueeze(2)
+        leans, neutral = tracks.amount.unsqueeze(2) * self.leans, part[:, :, :1]
+        spoken = SPOKEN * tracks.side.unsqueeze(2) * leans * neutral
+        return self.mouth.put(curves, part + spoken + event * leans * (part - neutral))
+
+    def _move_brows(self, curves: Tensor, tracks: MotionTracks) -> Tensor:
+        """Brows, lids and cheeks on accents, questions and frowns; by the emotion that is shown."""
+        # (B, T, R, sides, stems)
+        part = torch.stack(self.brows(curves).chunk(2, dim=-1), dim=-2)
+        held = part[:, :, :1]
+        amount, side = tracks.amount.unsqueeze(2), tracks.side.unsqueeze(2)
+        mixture = tracks.mixture.unsqueeze(2)[..., 1:]
+        mixture = torch.cat((0 * mixture, mixture), dim=2)
+        gains = amount * (self.styles[0] + mixture @ self.styles[1:])
+        posture = amount * tracks.posture.unsqueeze(2) * (mixture @ self.poses[1:])
+        calm = amount * (tracks.question * self.question + tracks.drift).unsqueeze(2)
+        thought = amount.unsqueeze(-1) * tracks.frowns[:, :, None, :, None] * self.frown
+        swells = tracks.accents.unsqueeze(2)  # (B, T, 1, sides)
+        breath = 1 + amount * SWELL * (swells - 0.4)
+        uneven = torch.cat((side, -side), dim=-1)
+        breath = (breath * (1 + amount.clamp_max(1) * uneven * HELD_SIDE)).unsqueeze(-1)
+        values = torch.maximum(held + (part - held) * breath, self.least).clamp_max(1)
+        moved = gains.unsqueeze(3) * swells.unsqueeze(-1) + (posture + calm).unsqueeze(3) + thought
+        moved = moved.clamp(-1, 1)
+        values = values + moved * torch.where(moved > 0, 1 - values, values - self.least)
+        values = torch.where(amount.unsqueeze(-1) > 0, values, part)
+        return self.brows.put(curves, values.flatten(-2))
+
+    def _turn_eyes(self, curves: Tensor, tracks: MotionTracks) -> Tensor:
+        """Turn the eyes, close the lids, draw breath, swallow, turn the neck."""
+        part = self.eyes(curves)
+        looks = torch.stack((tracks.calm_gaze, tracks.gaze), dim=2)  # (B, T, R, 2)
+        side, up = looks.chunk(2, dim=-1)
+        up = up / torch.where(up > 0, UP_DEGREES + 0 * up, DOWN_DEGREES + 0 * up)
+        side = (side / SIDE_DEGREES).expand(-1, -1, -1, 2)
+        lids, neck = tracks.lids.unsqueeze(2), tracks.neck.unsqueeze(2)
+        closure = torch.maximum(lids, LID_SHARE * (-up).clamp_min(0))
+        lids, neck = (track.expand(-1, -1, 2, -1) for track in (lids, neck))
+        shut = torch.cat((closure, LOWER_LID * lids), dim=-1) * (1 - part[..., :4])
+        tense = neck * (1 - part[..., 8:])
+        moved = torch.cat((shut, side, up.expand(-1, -1, -1, 2), tense), dim=-1)
+        return self.eyes.put(curves, part + moved)

@@ -1,0 +1,237 @@
+"""Captures to a tuned model from Python: what ``deitalk data import`` and ``finetune`` do."""
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from deitalk.config.rig_file import read_controls, rig_of_dataset
+from deitalk.data.captures.imported import import_captures as import_takes
+from deitalk.data.captures.mend import Imported
+from deitalk.data.captures.sources import Labelling
+from deitalk.evaluation.comparison import beats_loudness, warnings_of
+from deitalk.training.trainer import Progress, silent
+from deitalk.training.tuning.recipe import read_recipe
+from deitalk.training.tuning.task import FinetuneTask
+from deitalk.training.tuning.task import finetune as tune
+
+if TYPE_CHECKING:
+    from deitalk.config.curves import FinetuneConfig
+
+PathLike = str | Path
+
+
+def import_captures(
+    sources: PathLike | Sequence[PathLike],
+    out: PathLike,
+    *,
+    actor: str | None = None,
+    emotion: str | None = None,
+    style: str | None = None,
+    pattern: str | None = None,
+    table: PathLike | None = None,
+    mapping: PathLike | None = None,
+    rig: str | None = None,
+    fps: float | None = None,
+    audio: Sequence[PathLike] = (),
+    longest: float = 15.0,
+    keep_listening: bool = False,
+    split_by: str = "auto",
+    force: bool = False,
+    progress: Callable[[float], None] = lambda share: None,
+) -> Imported:
+    """Write a dataset folder of captured takes, as ``deitalk data import``.
+
+    Parameters
+    ----------
+    sources : path or sequence of paths
+        Files of curves with the recordings beside, videos, or folders of them.
+    out : path
+        Dataset folder.
+    actor, emotion, style : str, optional
+        Of all takes.
+    pattern : str, optional
+        Regular expression on a take's path, with groups ``(?P<actor>…)``, ``(?P<emotion>…)`` or
+        ``(?P<style>…)``.
+    table : path, optional
+        CSV with a column ``take``, and any of actor, emotion, style, voice, split.
+    mapping : path, optional
+        Table of another rig's curves to the board.
+    rig : str, optional
+        Another rig, by name or file, whose curves stay as they are.
+    fps : float, optional
+        Frames per second of files that hold no rate.
+    audio : sequence of paths
+        Folders of recordings that lie elsewhere.
+    longest : float
+        Most seconds of a clip, 2 to 60.
+    keep_listening : bool
+        Keep pauses of more than 1.5 s.
+    split_by : {"auto", "actor", "time", "none"}
+        Clips that are held out: none, or by whole actors or time.
+    force : bool
+        Replace a dataset folder that deitalk wrote.
+    progress : callable
+        Given the share done, 0 to 1.
+
+    Returns
+    -------
+    Imported
+        Clips, minutes, notes of every take, and warnings.
+
+    Raises
+    ------
+    DataError, ConfigError, rig.errors.TargetError, rig.errors.ExistsError
+        One line each; nothing is written then.
+    """
+    given = [sources] if isinstance(sources, str | Path) else list(sources)
+    return import_takes(
+        [Path(source) for source in given],
+        Path(out),
+        labels=Labelling(actor, emotion, style, pattern, None if table is None else Path(table)),
+        mapping=None if mapping is None else Path(mapping),
+        rig=None if rig is None else read_controls(rig),
+        fps=fps,
+        audio=[Path(folder) for folder in audio],
+        longest=longest,
+        keep_listening=keep_listening,
+        split_by=split_by,
+        force=force,
+        progress=progress,
+    )
+
+
+@dataclass(frozen=True)
+class Tuned:
+    """A tuned model and how it does on clips that were predicted from others, or held out.
+
+    Attributes
+    ----------
+    model : Path
+        Model folder, for `deitalk.animate`.
+    scores : dict
+        Scores of each system, as in ``report.json``; ``after`` is the model.
+    delivered : str
+        What the model is, by control.
+    conventions : dict of str to list of str
+        Takes by style, where an actor's takes differ in convention.
+    warnings : tuple of str
+        Lines on a model that is no better than the base or than loudness.
+    """
+
+    model: Path
+    scores: dict[str, dict[str, float]]
+    delivered: str
+    conventions: dict[str, list[str]]
+    warnings: tuple[str, ...]
+
+    @property
+    def beats_loudness(self) -> bool:
+        """Whether it errs less than a line over loudness."""
+        return beats_loudness(self.scores)
+
+
+def finetune(
+    dataset: PathLike,
+    out: PathLike,
+    *,
+    base: str | None = None,
+    rig: str | None = None,
+    mapping: PathLike | None = None,
+    leave_out: str | None = None,
+    recipe: PathLike | None = None,
+    settings: Mapping[str, Any] | None = None,
+    task: type[FinetuneTask] = FinetuneTask,
+    resume: bool = False,
+    tensorboard: bool = False,
+    progress: Progress = silent,
+) -> Tuned:
+    """Tune a model on captures of an actor or of another rig, as ``deitalk finetune``.
+
+    Parameters
+    ----------
+    dataset : path
+        Dataset folder of captures.
+    out : path
+        Run folder, new or empty unless `resume`; the model is its ``best``.
+    base : str, optional
+        Model to tune, by default ``default``: a name, a folder, or org/name on the hub.
+    rig : str, optional
+        Another rig than that of the dataset folder, by name or file.
+    mapping : path, optional
+        Table of the rig's curves to the board, which carries emotions that captures lack.
+    leave_out : str, optional
+        Take or actor to test on, never learnt from.
+    recipe : path, optional
+        YAML of settings, such as ``configs/finetune.yaml``.
+    settings : mapping, optional
+        Single settings by dotted name, such as ``{"train.steps": 160}``.
+    task : type
+        `deitalk.training.tuning.task.FinetuneTask`, or a class of yours with another loss.
+    resume : bool
+        Continue the run folder; begin it if it is new.
+    tensorboard : bool
+        Write TensorBoard's events to the run folder too.
+    progress : callable
+        Called with the step, the number of steps and values of both.
+
+    Returns
+    -------
+    Tuned
+
+    Raises
+    ------
+    DataError, ConfigError, CheckpointError, MissingError, rig.errors.TargetError
+        One line each.
+    """
+    config = settings_of(
+        dataset,
+        base=base,
+        rig=rig,
+        mapping=mapping,
+        leave_out=leave_out,
+        recipe=recipe,
+        settings=settings,
+    )
+    options: dict[str, Any] = {"resume": resume, "tensorboard": tensorboard}
+    return run_tuning(config, dataset, out, task=task, progress=progress, **options)
+
+
+def run_tuning(config: "FinetuneConfig", dataset: PathLike, out: PathLike, **options: Any) -> Tuned:
+    """Tune with settings of `settings_of`; `options` and errors as `finetune`."""
+    scores = tune(config, Path(dataset), Path(out), **options)
+    report = json.loads((Path(out) / "report.json").read_text(encoding="utf-8"))
+    return Tuned(
+        Path(out) / "best",
+        scores,
+        report["delivered"],
+        report["conventions"],
+        tuple(warnings_of(scores)),
+    )
+
+
+def settings_of(
+    dataset: PathLike,
+    *,
+    base: str | None = None,
+    rig: str | None = None,
+    mapping: PathLike | None = None,
+    leave_out: str | None = None,
+    recipe: PathLike | None = None,
+    settings: Mapping[str, Any] | None = None,
+    overrides: Sequence[str] = (),
+) -> "FinetuneConfig":
+    """Settings of a tuning; parameters and errors as `finetune`.
+
+    `overrides` are texts ``section.key=value``, which win.
+    """
+    given = {
+        "model.control_set": rig_of_dataset(Path(dataset), rig),
+        "tune.map": None if mapping is None else str(mapping),
+        "tune.leave_out": leave_out,
+        **(settings or {}),
+    }
+    named = [f"{key}={json.dumps(value)}" for key, value in given.items() if value is not None]
+    path = None if recipe is None else Path(recipe)
+    return read_recipe(path, [*named, *overrides], base=base)

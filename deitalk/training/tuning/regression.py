@@ -1,0 +1,270 @@
+"""The regression of a tuning, on the features of a model: its maps, and what they predict by folds.
+
+Of emotions that captures show, each control moves as captured or as the base changes it, whichever
+predicts clips better from others.
+"""
+
+import copy
+from collections import Counter, defaultdict
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from deitalk.data.clips import Clip, read_known, spread_clips
+from deitalk.data.windows import FrozenFeatures
+from deitalk.emotions import EMOTIONS
+from deitalk.evaluation.validation import MOVING, Example, load_example
+from deitalk.models.curve_model import Analysis, DEITalk
+from deitalk.models.rig_decoder import RigDecoder
+from deitalk.training.trainer import Progress, silent
+from deitalk.training.tuning.ridge import Capture, Maps, Rows, Sums, fit_ridge
+from rig.arrays import Bool, Float32, Float64
+
+MOST_SCORED = 60
+"""Clips that are predicted from others, of each emotion, evenly spread."""
+MOST_RAISED = 3.0
+"""Most by which the spread of a control is raised."""
+GAINS = (0.5, 1.5)
+"""Range of the size of an actor's expressions over those of the base."""
+
+
+def take_of(clip: Clip) -> str:
+    """Name of its take; a clip without one is its own."""
+    return clip.take or clip.name
+
+
+def analysed(
+    model: DEITalk, clip: Clip, n_frames: int, features: FrozenFeatures | None
+) -> Analysis:
+    """A clip by a model, from its features where these are known."""
+    if features is None:
+        waveform = load_example(clip, model.controls).waveform
+        return model.analyse(torch.from_numpy(waveform), n_frames)
+    known = features.features(clip, n_frames)[:n_frames]
+    return model.analyse(torch.from_numpy(known.astype(np.float32)), n_frames)
+
+
+def styles_of_clip(model: DEITalk, clip: Clip, n_frames: int, actor: str = "") -> Tensor:
+    """Styles of a clip's emotion and of an actor, the same in all frames [shape=(T, 5 + A)]."""
+    emotion = torch.eye(len(EMOTIONS))[EMOTIONS.index(clip.emotion)]
+    return model.styles(emotion.expand(n_frames, -1), actor)
+
+
+def _last_layers(decoder: RigDecoder) -> list[nn.Module]:
+    """Those that maps are added to."""
+    actors = [] if decoder.actor_layers is None else [decoder.actor_layers]
+    return [decoder.output, *actors]
+
+
+class Regression:
+    """Maps of a model's last layers, fitted on captures.
+
+    Parameters
+    ----------
+    model : DEITalk
+        Its last layers are as they are before the maps.
+    base : DEITalk
+        Gives the change of emotions.
+    clips : sequence of Clip
+        To fit on.
+    learnt : array [shape=(C,)]
+        Controls to fit.
+    features : FrozenFeatures or None
+        Of the clips; None: their sound is read.
+    progress : callable
+        As of the trainer.
+    """
+
+    maps: Maps
+
+    def __init__(
+        self,
+        model: DEITalk,
+        base: DEITalk,
+        clips: Sequence[Clip],
+        learnt: Bool,
+        features: FrozenFeatures | None = None,
+        progress: Progress = silent,
+    ) -> None:
+        self.model, self.base, self.clips, self.learnt = model, base, clips, learnt
+        self.features, self.progress, self.controls = features, progress, model.controls
+        self.factor: Float64 | None = None
+        """Of the spread of every control [shape=(C,)]; None: as regressed."""
+        self.start = copy.deepcopy([m.state_dict() for m in _last_layers(model.rig_decoder)])
+        self.places = {clip.name: place for place, clip in enumerate(clips)}
+
+    def fit(self, late: Sequence[Clip] = (), *, may_stay: bool = False) -> Maps | None:
+        """Fit the maps; return what further clips add to them, if there are any."""
+        sums: dict[tuple[int, ...], Sums] = {}
+        self.maps = self._maps(self.clips, sums, may_stay)
+        if not late:
+            return None
+        whole = self._maps([*self.clips, *late], sums, may_stay)
+        return Maps(whole.weight - self.maps.weight, whole.bias - self.maps.bias, whole.penalty)
+
+    def _maps(
+        self, clips: Sequence[Clip], sums: dict[tuple[int, ...], Sums], may_stay: bool
+    ) -> Maps:
+        """What a ridge regression on clips adds to the last layers."""
+        captures = [
+            Capture(
+                take_of(clip), clip.speaker, read_known(clip.known, self.controls), clip.emotion
+            )
+            for clip in clips
+        ]
+
+        def read(place: int) -> Rows:
+            self.progress(0, 1, {"fitted": (place + 1) / len(clips)})
+            return self._rows(clips[place])
+
+        actors = self.model.actors
+        return fit_ridge(captures, read, actors, self.learnt, sums, may_stay=may_stay)
+
+    @torch.no_grad()
+    def teach_emotions(self, *, scales: bool) -> float:
+        """Choose by control whether a captured emotion moves as captured or as the base's change.
+
+        What predicts clips from others better, by folds; the maps must be in the model.
+
+        Parameters
+        ----------
+        scales : bool
+            Give the base's change the size of the captured ones first.
+
+        Returns
+        -------
+        float
+            The factor of the change.
+        """
+        decoder = self.model.rig_decoder
+        change = decoder.change
+        if change is None or decoder.kept is None:
+            return 1.0
+        acted = [c for c in self.clips if EMOTIONS.index(c.emotion) != change.reference]
+        if not acted or not any(EMOTIONS.index(c.emotion) == change.reference for c in self.clips):
+            return 1.0
+        gain = self._gain(acted) if scales else 1.0
+        change.carry.mul_(gain)
+        groups = Counter(clip.emotion for clip in acted)
+        untaught: dict[int, Tensor] = {}
+        for emotion in [name for name, count in groups.items() if count > 1 and self.maps.held]:
+            errors = np.zeros((2, len(self.controls)))
+            clips = [clip for clip in acted if clip.emotion == emotion]
+            for clip in spread_clips(clips, MOST_SCORED):
+                example = load_example(clip, self.controls, sound=False)
+                for place, taught in enumerate((1.0, 0.0)):
+                    change.teach(torch.full_like(change.taught, taught))
+                    found = self.predicted(clip, example)
+                    errors[place] += np.square(found - example.curves).sum(axis=0) * example.known
+            worse = torch.from_numpy((errors[0] > errors[1]) & self.learnt)
+            untaught[EMOTIONS.index(emotion)] = worse
+        taught = torch.ones_like(change.taught)
+        for place, worse in untaught.items():
+            taught[place, worse] = 0.0
+        change.teach(taught)
+        return gain
+
+    def _gain(self, acted: Sequence[Clip]) -> float:
+        """Size of the captured changes by emotion over those of the base, within `GAINS`."""
+        change = self.model.rig_decoder.change
+        assert change is not None
+        reference = EMOTIONS[change.reference]
+        calm = [clip for clip in self.clips if clip.emotion == reference]
+        still = self._means(calm)[0]
+        along, size = 0.0, 0.0
+        for emotion in dict.fromkeys(clip.emotion for clip in acted):
+            clips = [clip for clip in acted if clip.emotion == emotion]
+            shown, of_base = self._means(clips)
+            counts = self.learnt & np.isfinite(shown - still) & np.isfinite(of_base)
+            along += float(((shown - still) * of_base)[counts].sum())
+            size += float(np.square(of_base[counts]).sum())
+        if size < MOVING**2:
+            return 1.0
+        return float(np.clip(along / size, *GAINS))
+
+    def _means(self, clips: Sequence[Clip]) -> tuple[Float64, Float64]:
+        """Mean captured curves, and mean change of the base's by the emotion [shape=(C,)]."""
+        decoder = self.model.rig_decoder
+        assert decoder.change is not None
+        count, shown, changed = (np.zeros(len(self.controls)) for _ in range(3))
+        for clip in spread_clips(list(clips), MOST_SCORED):
+            example = load_example(clip, self.controls, sound=False)
+            analysis = analysed(self.base, clip, len(example.curves), self.features)
+            emotion = styles_of_clip(self.base, clip, len(example.curves))
+            readings = torch.stack((decoder.change.plain(emotion), emotion))
+            calm, acted = self.base.decode(analysis, readings)
+            change = decoder.change(acted - calm).numpy()
+            count += len(example.curves) * example.known
+            shown += example.curves.sum(axis=0) * example.known
+            changed += change.sum(axis=0) * example.known
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return shown / count, changed / count
+
+    @torch.no_grad()
+    def match_range(self, share: float) -> None:
+        """Raise the spread of every learnt control to a share of the captured one.
+
+        The factor is that of clips that are predicted from others, at most `MOST_RAISED`.
+        """
+        captured, found = np.zeros((2, len(self.controls)))
+        means: dict[str, list[Float64]] = defaultdict(list)
+        for clip in spread_clips(list(self.clips), MOST_SCORED):
+            example = load_example(clip, self.controls, sound=False)
+            curves = self.predicted(clip, example)
+            captured += example.curves.var(axis=0) * len(curves) * example.known
+            found += curves.var(axis=0) * len(curves) * example.known
+            means[clip.speaker].append(example.curves.mean(axis=0))
+        raised = share * np.sqrt(captured / np.maximum(found, 1e-12))
+        moves = self.learnt & (found > 0)
+        self.factor = np.where(moves, np.clip(raised, 1, MOST_RAISED), 1.0)
+        everyone = np.mean([mean for own in means.values() for mean in own], axis=0)
+        self.means = np.stack(
+            [everyone, *(np.mean(means.get(a, [everyone]), axis=0) for a in self.model.actors)]
+        )
+        self._raise(self.model.rig_decoder)
+
+    def _raise(self, decoder: RigDecoder) -> None:
+        """Scale the last layers about the captured means."""
+        assert self.factor is not None
+        factor, means = (torch.from_numpy(x).float() for x in (self.factor, self.means))
+        pairs: list[tuple[Tensor, Tensor, Tensor]] = [
+            (decoder.output.weight, decoder.output.bias, means[0])
+        ]
+        if decoder.actor_layers is not None:
+            layers = decoder.actor_layers
+            pairs.append((layers.weight, layers.bias, means[1:] - means[0]))
+        for weight, bias, about in pairs:
+            weight.mul_(factor[:, None])
+            bias.copy_(factor * bias + (1 - factor) * about)
+
+    @torch.no_grad()
+    def predicted(self, clip: Clip, example: Example) -> Float32:
+        """Curves of a clip by the model of the other folds, within the controls' ranges."""
+        model, decoder = self.model.eval(), self.model.rig_decoder
+        layers = _last_layers(decoder)
+        now = copy.deepcopy([layer.state_dict() for layer in layers])
+        if self.maps.held:
+            for layer, state in zip(layers, self.start, strict=True):
+                layer.load_state_dict(state)
+            self.maps.held[self.maps.folds[self.places[clip.name]]].add_to(decoder)
+            if self.factor is not None:
+                self._raise(decoder)
+        analysis = analysed(model, clip, len(example.curves), self.features)
+        styles = styles_of_clip(model, clip, len(example.curves), clip.speaker)
+        curves = model.decode(analysis, styles).numpy()
+        for layer, state in zip(layers, now, strict=True):
+            layer.load_state_dict(state)
+        return np.clip(curves, self.controls.minimum, self.controls.maximum)
+
+    @torch.no_grad()
+    def _rows(self, clip: Clip) -> Rows:
+        """A clip as the last layer is given it, and what is missing in the curves."""
+        model = self.model.eval()
+        example = load_example(clip, self.controls, sound=False)
+        analysis = analysed(model, clip, len(example.curves), self.features)
+        style = styles_of_clip(model, clip, len(example.curves), clip.speaker)
+        hidden = model.describe(analysis, style)
+        given = model.rig_decoder.curves(hidden[None], style[None])[0]
+        return hidden.numpy(), example.curves - given.numpy()

@@ -1,0 +1,280 @@
+"""Units of what other programs write: shapes in percent, angles in degrees, times in milliseconds.
+
+A unit is told by what a face can do: a shape goes little beyond its range, a head turns by at most
+90 degrees, a face is captured at 2 to 300 frames a second. What is corrected becomes a note of the
+curves; what fits no unit, or two, is an error.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rig.arrays import Float32, Float64
+from rig.controls import ControlSet
+from rig.conversion.arkit import ARKIT_ID, HEAD, HEAD_DEGREES
+from rig.curves import RigCurves
+from rig.errors import FormatError, listed
+
+# Times.
+
+
+FASTEST, SLOWEST = 300.0, 1.0
+"""Frames per second of a capture."""
+TIME_UNITS = (
+    ("seconds", 1.0),
+    ("milliseconds", 1e-3),
+    ("microseconds", 1e-6),
+    ("nanoseconds", 1e-9),
+)
+
+
+def seconds_of(
+    times: Float64, rate: float | None, where: object, *, is_known: bool = False
+) -> tuple[Float64, str]:
+    """Seconds of the times of frames, and a note (else empty).
+
+    Times are seconds, milli-, micro- or nanoseconds, or numbers of frames; the step between frames
+    decides.
+
+    Parameters
+    ----------
+    times : array [shape=(T,)]
+        As in the file.
+    rate : float, optional
+        Frames per second, of numbers of frames.
+    where : object
+        Beginning of a message: a path.
+    is_known : bool
+        Whether they are seconds for certain.
+
+    Raises
+    ------
+    FormatError
+        If times do not rise, numbers of frames have no rate, or the step is that of no capture.
+    """
+    steps = np.diff(times)
+    if not len(steps):
+        return times, ""
+    if not (steps > 0).all():
+        row = int(np.argmax(~(steps > 0))) + 2
+        raise FormatError(f"{where}: data row {row} comes not after the one before; sort the times")
+    step = float(np.median(steps))
+    if is_known:
+        return times, ""
+    if step == 1 and (times == np.rint(times)).all():
+        if rate is None:
+            raise FormatError(
+                f"{where}: times go up by 1: they are numbers of frames, or frames are a second "
+                "apart; give `fps`",
+                parameter="fps",
+            )
+        return times / rate, f"times are numbers of frames, at {rate:g} Hz"
+    for name, unit in TIME_UNITS:
+        if 1 / FASTEST <= step * unit * (1 + 1e-9) and step * unit < 1 / SLOWEST:
+            return times * unit, "" if unit == 1 else f"times are taken as {name}"
+    raise FormatError(
+        f"{where}: frames are {step:g} apart; captures have {SLOWEST:g} to {FASTEST:g} frames a "
+        "second in seconds, milliseconds, microseconds or nanoseconds: mend the times, or remove "
+        "them and give `fps`",
+        parameter="fps",
+    )
+
+
+def check_rate(fps: float, where: object) -> None:
+    """Refuse the rate of a file at which no face is captured or animated.
+
+    Raises
+    ------
+    FormatError
+        If it is not from `SLOWEST` to 500.
+    """
+    if not SLOWEST <= fps <= 500:
+        raise FormatError(
+            f"{where}: {fps:g} frames a second; a face has {SLOWEST:g} to 500: give the rate "
+            "(deitalk convert: `source_fps`)",
+            parameter="source_fps",
+        )
+
+
+# Shapes and channels.
+
+
+OVERSHOOT = 1.5
+"""Of the end of a range: calibrated captures exceed it by less."""
+CLEARLY = 3.0
+"""Of the end of a range: no capture exceeds it so far."""
+MOVES = 0.05
+"""Least peak of a column that takes part in the decision."""
+PERCENT, OVER_PERCENT, BYTE = 100.0, 130.0, 255.0
+FEW_QUIET = 0.15
+"""Share of the moving columns that stay within their ranges in a table of percent: still shapes."""
+SIDES_APART = 20.0
+"""Ratio of the peaks of left and right from which on they are in different units."""
+
+
+def in_units(curves: RigCurves, controls: ControlSet, where: object) -> RigCurves:
+    """Curves of a known set with shapes in their ranges, and angles as the set has them.
+
+    Parameters
+    ----------
+    curves : RigCurves
+        As in the file.
+    controls : ControlSet
+        Their set.
+    where : object
+        Beginning of a message: a path.
+
+    Returns
+    -------
+    RigCurves
+        With a note for each correction.
+
+    Raises
+    ------
+    FormatError
+        If values are far outside their ranges in no single unit, or the head turns by more than 90
+        degrees.
+    """
+    if not len(curves):
+        return curves
+    places = controls.indices(curves.names)
+    largest = np.maximum(np.abs(controls.minimum), np.abs(controls.maximum))[places]
+    angles = np.array([_is_angle(name, controls) for name in curves.names])
+    shapes = np.flatnonzero(~angles & (largest > 0))
+    values, notes = curves.values, list(curves.notes)
+    scale = _scale(curves, controls, shapes, largest[shapes], where)
+    if scale != 1:
+        unit = "percent" if scale == PERCENT else "0 to 255"
+        values = values.copy()
+        values[:, shapes] /= scale
+        notes.append(f"values are {unit}: divided by {scale:g}")
+    if angles.any():
+        values, said = _angles(values, curves.names, where)
+        notes += said
+    _check_head(curves.head, where)
+    if len(notes) == len(curves.notes):
+        return curves
+    return replace(curves, values=values, notes=tuple(notes))
+
+
+def _is_angle(name: str, controls: ControlSet) -> bool:
+    return controls.id == ARKIT_ID and name.endswith(("Yaw", "Pitch", "Roll"))
+
+
+def _scale(
+    curves: RigCurves,
+    controls: ControlSet,
+    shapes: NDArray[np.intp],
+    ends: Float32,
+    where: object,
+) -> float:
+    """What values are to be divided by: 1, 100 or 255."""
+    if not len(shapes):
+        return 1.0
+    values = curves.values[:, shapes]
+    reach = np.maximum(ends, 1)  # percent of a smaller range is of 1, too
+    peaks = (np.abs(values) / reach).max(axis=0)
+    top = float(peaks.max())
+    if top <= OVERSHOOT:
+        return 1.0
+    names = [curves.names[i] for i in shapes]
+    moving = peaks > MOVES
+    beyond = peaks > OVERSHOOT
+    quiet = int((moving & ~beyond).sum())
+    is_one_unit = quiet <= max(1, FEW_QUIET * int(moving.sum())) and not _sides_differ(names, peaks)
+    is_whole = bool((values == np.rint(values)).all())
+    if is_one_unit and top > CLEARLY:
+        if top <= PERCENT or (top <= OVER_PERCENT and not is_whole):
+            return PERCENT
+        if OVER_PERCENT < top <= BYTE and is_whole:
+            return BYTE
+    if top <= CLEARLY:
+        return 1.0
+    row, column = (int(i) for i in np.argwhere(np.abs(values) / reach > CLEARLY)[0])
+    inside = [name for name, m, b in zip(names, moving, beyond, strict=True) if m and not b]
+    mixed = f", while {listed(inside)} stay within theirs" if inside else ""
+    low = controls.minimum[controls.index(names[column])]
+    raise FormatError(
+        f"{where}: data row {row + 1}, column {names[column]!r} is {values[row, column]:g}, far "
+        f"outside {low:g} to {ends[column]:g}{mixed}: no one unit fits; give all columns one"
+    )
+
+
+def _sides_differ(names: Sequence[str], peaks: Float32) -> bool:
+    """Whether a shape of one side is in another unit than its counterpart."""
+    by_name = dict(zip(names, peaks.tolist(), strict=True))
+    for name, left in by_name.items():
+        right = by_name.get(_other_side(name), left)
+        low, high = sorted((left, right))
+        if high > CLEARLY and MOVES < low <= 1 and high > SIDES_APART * low:
+            return True
+    return False
+
+
+def _other_side(name: str) -> str:
+    return name.replace("Left", "Right") if "Left" in name else name.replace("_L_", "_R_")
+
+
+# Angles.
+
+
+MOST_DEGREES = 90.0
+"""Turn of a head or an eye from straight ahead."""
+MOST_RADIANS = np.pi / 2
+WIDE_RADIANS = 0.9
+"""Turn of a head that is said: as degrees it would be a head that is held still."""
+EYE_RADIANS = 1.1
+"""Turn of an eye that exceeds its reach."""
+
+
+def _angles(values: Float32, names: Sequence[str], where: object) -> tuple[Float32, list[str]]:
+    """Values with head and eyes as Live Link has them, nearly radians, and notes."""
+    head = [i for i, name in enumerate(names) if name in HEAD]
+    eyes = [i for i, name in enumerate(names) if "Eye" in name and name not in HEAD
+            and name.endswith(("Yaw", "Pitch", "Roll"))]  # fmt: skip
+    head_top, eye_top = (_top(values, places) for places in (head, eyes))
+    notes: list[str] = []
+    by_degrees = [(HEAD.index(names[i]), i) for i in head]
+    if head_top > MOST_RADIANS or (eye_top > EYE_RADIANS and head_top > 0):
+        values = values.copy()
+        turned = _turns(values[:, head], "the head", where)
+        per_value = np.abs([HEAD_DEGREES[place] for place, _ in by_degrees])
+        values[:, head] = turned / per_value
+        notes.append(
+            f"head angles are degrees, up to {_top(turned, range(len(head))):.3g}: taken as such"
+        )
+    elif head_top > WIDE_RADIANS:
+        notes.append(
+            f"the head turns by up to {head_top:.2g}: taken as radians, {np.degrees(head_top):.0f} "
+            "degrees"
+        )
+    if eye_top > EYE_RADIANS:
+        values = values.copy()
+        values[:, eyes] = np.radians(_turns(values[:, eyes], "an eye", where))
+        notes.append("angles of the eyes are degrees: taken as such")
+    return values, notes
+
+
+def _top(values: Float32, places: Sequence[int]) -> float:
+    return float(np.abs(values[:, list(places)]).max(initial=0))
+
+
+def _turns(degrees: Float32, what: str, where: object) -> Float32:
+    """Degrees within half a turn; those of 0 to 360 are taken back."""
+    is_whole_turn = degrees.min() >= 0 and MOST_DEGREES < degrees.max() <= 360
+    turned: Float32 = (degrees + 180) % 360 - 180 if is_whole_turn else degrees
+    beyond = np.abs(turned) > MOST_DEGREES
+    if beyond.any():
+        row, column = (int(i) for i in np.argwhere(beyond)[0])
+        raise FormatError(
+            f"{where}: data row {row + 1} turns {what} by {turned[row, column]:g} degrees, at most "
+            f"{MOST_DEGREES:g}; write angles as radians or degrees from straight ahead"
+        )
+    return turned
+
+
+def _check_head(head: Float32 | None, where: object) -> None:
+    if head is not None and len(head):
+        _turns(head[:, :3], "the head", where)

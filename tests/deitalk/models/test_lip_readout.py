@@ -1,0 +1,141 @@
+"""Readout of the lips: what it changes of curves, in pieces, and as a stream."""
+
+import numpy as np
+import pytest
+import torch
+from safetensors.torch import load_file
+
+from deitalk.config.curves import Config
+from deitalk.live.animator import LiveAnimator
+from deitalk.models.checkpoint import load_model, save_model
+from deitalk.models.curve_model import DECODE_FRAMES, TorchNetwork
+from deitalk.models.lip_readout import TAPS, LipReadout
+from deitalk.research.evaluation.benchmark_curves import speechlike
+from deitalk.training.tuning.recipe import read_recipe
+from tests.deitalk.models.test_onnx import CAUSAL, WHISPER, of_frontend, weights
+
+NAMES = ("jaw", "CTRL_C_lipsTogetherUL", "CTRL_C_lipBiteD", "stretch")
+
+
+def filled(readout, std=0.1):
+    """Random weights that matter."""
+    torch.manual_seed(5)
+    with torch.no_grad():
+        for weight in readout.parameters():
+            weight.normal_(std=std)
+    return readout.eval()
+
+
+@pytest.fixture
+def readout():
+    return filled(LipReadout(6, NAMES))
+
+
+@torch.no_grad()
+def test_a_contact_is_the_geometric_mean_of_the_curve_and_its_probability(readout):
+    readout.moves.weight.zero_()
+    curves = torch.tensor([[[0.3, 0.81, 0.25, -0.2]]])
+    read = torch.tensor([[0.49, 1.0, 5.0, 5.0]])
+    found = readout.correct(curves, read)[0, 0]
+    np.testing.assert_allclose(found, [0.3, 0.63, 0.5, -0.2], atol=1e-6)
+
+
+@pytest.mark.parametrize("denied", ["decoder", "readout"])
+@torch.no_grad()
+def test_what_one_of_both_denies_is_no_contact(readout, denied):
+    readout.moves.weight.zero_()
+    high, low = (torch.tensor([[[value, value]]]) for value in (0.9, 0.0))
+    curves, likely = (low, high) if denied == "decoder" else (high, low)
+    curves = torch.cat((torch.zeros(1, 1, 1), curves, torch.zeros(1, 1, 1)), dim=-1)
+    read = torch.cat((likely[0], torch.zeros(1, 2)), dim=-1)
+    assert readout.correct(curves, read)[0, 0, 1:3].tolist() == [0, 0]
+
+
+@torch.no_grad()
+def test_what_an_emotion_adds_stays(readout):
+    """The change is that of the neutral reading, except in contacts."""
+    readings, read = torch.rand(2, 30, 4), torch.rand(30, 4)
+    found = readout.correct(readings, read)
+    kept = [0, 3]
+    before, after = (part[1, :, kept] - part[0, :, kept] for part in (readings, found))
+    np.testing.assert_allclose(after, before, atol=1e-6)
+    assert (found[0] - readings[0]).abs().max() > 0.05
+
+
+@pytest.mark.parametrize("causal", [False, True])
+@torch.no_grad()
+def test_a_row_depends_on_the_frames_of_its_taps(causal):
+    readout, speech = filled(LipReadout(6, NAMES, causal=causal)), torch.randn(1, 40, 6)
+    changed = speech.clone()
+    changed[:, 20] += 1
+    moved = (readout(changed) - readout(speech))[0].abs().amax(dim=1) > 1e-6
+    first, last = (20, 20 + TAPS - 1) if causal else (20 - TAPS // 2, 20 + TAPS // 2)
+    assert moved.nonzero().flatten().tolist() == list(range(first, last + 1))
+
+
+@torch.no_grad()
+def test_a_stream_in_blocks_equals_the_whole(readout):
+    causal = filled(LipReadout(6, NAMES, causal=True))
+    speech, past, parts = torch.randn(2, 50, 6), causal.first_past(2), []
+    for block in speech.split([1, 7, 30, 12], dim=1):
+        parts.append(causal(block, past))
+        past = torch.cat((past, block), dim=1)[:, block.shape[1] :]
+    np.testing.assert_allclose(torch.cat(parts, dim=1), causal(speech), atol=1e-5)
+
+
+def model_of(frontend, **settings):
+    model = of_frontend(frontend, lips=True, **settings)
+    filled(model.lips, 0.05)
+    return model
+
+
+@torch.no_grad()
+def test_long_clips_are_read_in_pieces_as_at_once():
+    model = model_of(WHISPER)
+    speech = torch.randn(DECODE_FRAMES + 100, 32)
+    whole = model.lips(speech[None])[0]
+    np.testing.assert_allclose(model._read_lips(speech), whole, atol=1e-4)
+
+
+def test_curves_of_a_recording_are_corrected_and_contacts_lie_between_0_and_1():
+    model = model_of(WHISPER)
+    sound, rows = speechlike(2.0), weights(60, happy=1.0)
+    found = model.read(sound, rows)
+    readout, model.lips = model.lips, None
+    plain = model.read(sound, rows)
+    places = readout.places.sum(dim=0).numpy() > 0
+    assert places.sum() == 6
+    assert (found.neutral[:, places] >= 0).all() and (found.emotional[:, places] <= 1).all()
+    assert np.abs(found.neutral - plain.neutral)[:, ~places].max() > 1e-3
+
+
+def test_a_stream_gives_the_curves_of_the_whole_recording():
+    model = model_of(CAUSAL, positions=False)
+    sound, rows = speechlike(2.0), weights(60, happy=1.0)
+    whole = model.read(sound, rows)
+    network = TorchNetwork(model)
+    assert len(network.first_state(1)[-1][0]) == TAPS - 1
+    pieces = []
+    for size in (160, 3001):
+        animator = LiveAnimator(network, life="off", rules=False)
+        blocks = [animator.feed(sound[k : k + size]) for k in range(0, len(sound), size)]
+        pieces.append(np.concatenate([*blocks, animator.finish()]))
+    np.testing.assert_allclose(pieces[0], pieces[1], atol=1e-4)
+    low, high = model.controls.minimum, model.controls.maximum
+    np.testing.assert_allclose(pieces[0], np.clip(whole.neutral, low, high), atol=1e-3)
+
+
+def test_the_readout_is_a_file_of_its_own(tmp_path):
+    model = model_of(WHISPER)
+    config = Config(model=model.config)
+    save_model(tmp_path / "m", model, config, {})
+    stored = load_file(tmp_path / "m" / "lips.safetensors")
+    assert set(stored) == {f"lips.{name}" for name in model.lips.state_dict()}
+    read = load_model(tmp_path / "m").lips
+    assert torch.equal(read.listen.weight, model.lips.listen.weight)
+
+
+def test_a_model_that_is_tuned_to_an_actor_is_not_corrected(tmp_path):
+    model = model_of(WHISPER)
+    save_model(tmp_path / "m", model, Config(model=model.config), {})
+    assert not read_recipe(None, base=str(tmp_path / "m")).model.lips

@@ -1,0 +1,94 @@
+"""Stages of the pass one by one, on arrays of one stream (T, C); what changes, changes in place."""
+
+import numpy as np
+import torch
+
+from deitalk.config.rules import RulesConfig
+from deitalk.postprocess.control_groups import ControlGroups
+from deitalk.postprocess.curve_pass import CurvePass
+from deitalk.postprocess.curve_stages import Near
+from deitalk.postprocess.known_phones import phone_tracks
+from deitalk.postprocess.tracks import shown_columns
+
+
+class Stages(ControlGroups):
+    """Stages of a `CurvePass`."""
+
+    def __init__(self, controls, rules=RulesConfig()):
+        super().__init__(controls)
+        self.rules = CurvePass(controls, rules)
+
+    def blend(self, neutral, emotional, scale):
+        rows = both(neutral, emotional)
+        closed = self.rules.closure(rows[..., self.seals])
+        blended = self.rules.blend(rows, 1 - closed[:, :, :1], track(scale))
+        return blended[0, :, 1].numpy()
+
+    def express(self, curves, neutral, weights, scale, held):
+        closure = self.rules.closure
+        free = 1 - closure(both(neutral, curves)[..., self.seals])[:, :, :1]
+        near = self.windows(neutral[:, self.seals])
+        closing = self.rules.closing(closure(near.transpose(-1, -2)))
+        strength = torch.from_numpy(scale * np.maximum(held, 0.15))[None, :, None]
+        emotion = torch.from_numpy(weights)[None]
+        slow = 1 - closing[None, :, None]
+        shown = self.rules.express(both(neutral, curves), emotion, strength, free, slow)
+        curves[:] = shown[0, :, 1].numpy()
+
+    def rest_lips(self, curves, neutral):
+        found = self.rules.rest_lips(both(neutral, curves))[0].numpy()
+        neutral[:], curves[:] = found[:, 0], found[:, 1]
+
+    def sharpen_contacts(self, curves):
+        sharp = self.rules.sharpen(self.windows(curves[:, self.seals]))
+        curves[:, self.seals] = self.rules.around.middle(sharp).numpy()
+
+    def limit_contact_speed(self, curves):
+        limited = self.rules.limit_speed(self.windows(curves[:, self.seals]))
+        curves[:, self.seals] = limited.numpy()
+
+    def scale_opening(self, curves, factor):
+        rows = both(curves, curves)
+        closed = self.rules.closure(rows[..., self.seals])
+        curves[:] = self.rules.open_mouth(rows, 1 - closed, track(factor))[0, :, 0].numpy()
+
+    def rest_in_silence(self, curves, mouth, expression):
+        found = self.rules.gate(both(curves, curves), track(mouth), track(expression))
+        curves[:] = found[0, :, 0].numpy()
+
+    def apply_dead_zone(self, curves):
+        curves[:] = self.rules.quieten(both(curves, curves))[0, :, 0].numpy()
+
+    def meet_phones(self, curves, phones):
+        tracks = torch.from_numpy(phone_tracks(phones, len(curves)))[None, :, None, None]
+        contacts = torch.from_numpy(curves[None, :, None, self.seals, None])
+        near = Near(contacts, contacts, tracks[..., 0:1], tracks[..., 1:2])
+        met = self.rules.meet_phones.close(contacts, near)[..., 0]
+        rows = self.rules.seals.put(both(curves, curves)[:, :, :1], met)
+        added = self.rules.closure(met) - self.rules.closure(contacts[..., 0])
+        found = self.rules.meet_phones(rows, added, tracks[..., 2], tracks[..., 3])
+        curves[:] = found[0, :, 0].numpy()
+
+    def play(self, curves, neutral, motion):
+        """Motion tracks on the face that is shown, and on the neutral one."""
+        still = np.ones(len(curves), np.float32)
+        columns = torch.from_numpy(shown_columns(still, still, motion))[None, :, 2:]
+        found = self.rules.play(both(neutral, curves), columns)[0].numpy()
+        neutral[:], curves[:] = found[:, 0], found[:, 1]
+
+    def windows(self, rows):
+        """Rows (T, K) around each frame [shape=(T, K, W)], of zeros beyond the ends."""
+        behind, ahead = self.rules.behind, self.rules.ahead
+        padded = np.pad(rows, ((behind, ahead), (0, 0)))
+        around = np.lib.stride_tricks.sliding_window_view(padded, behind + ahead + 1, axis=0)
+        return torch.from_numpy(around.astype(np.float32))
+
+
+def both(neutral, shown):
+    """Two readings (T, C) as the stages take them [shape=(1, T, 2, C)]."""
+    return torch.from_numpy(np.stack((neutral, shown), axis=1).astype(np.float32))[None]
+
+
+def track(values):
+    """A track (T,) as the stages take it [shape=(1, T, 1, 1)]."""
+    return torch.from_numpy(np.asarray(values, np.float32))[None, :, None, None]

@@ -1,0 +1,145 @@
+"""The pass: equal for any blocks and streams, a bounded look-ahead, gradients, constant work."""
+
+import numpy as np
+import pytest
+import torch
+
+from deitalk.config.rig_file import RIGS, read_controls
+from deitalk.config.rules import RulesConfig
+from deitalk.pipeline import curves as whole_pass
+from deitalk.postprocess.curve_pass import CurvePass, TorchPass
+from deitalk.postprocess.tracks import LIVE_AHEAD, MOTION, N_SHOWN, VOICE
+from rig import default_controls
+
+CONTROLS = default_controls()
+CLOSE = 1e-6  # rounding
+RULES = {
+    "default": RulesConfig(),
+    "captures": RulesConfig.for_captures(),
+    "none": RulesConfig.none(),
+    "slow contacts": RulesConfig.model_validate({"limit_contact_speed": {"step": 0.1}}),
+}
+
+
+def inputs(batch, n_frames, seed=0, controls=CONTROLS):
+    """Readings, voice, gates and motion, gain and flags; all that a pass takes but its state."""
+    rng = np.random.default_rng(seed)
+    count = len(controls)
+    neutral, emotional = rng.uniform(-0.1, 1, (2, batch, n_frames, count)).astype(np.float32)
+    voice = rng.uniform(0, 1.5, (batch, n_frames, VOICE)).astype(np.float32)
+    voice[..., 3:5] = rng.random((batch, n_frames, 2)) < 0.1
+    shown = rng.uniform(0, 1, (batch, n_frames, N_SHOWN)).astype(np.float32)
+    gain = rng.uniform(0.5, 1.5, (batch, count)).astype(np.float32)
+    ruled = (np.arange(batch) % 3 < 2).astype(np.float32)
+    return neutral, emotional, voice, shown, gain, ruled
+
+
+def passed(rules, given, sizes):
+    """Curves of all frames, in blocks of some sizes, one after the other."""
+    neutral, emotional, voice, shown, gain, ruled = given
+    state, parts, at, k = rules.first(len(neutral)), [], 0, 0
+    while at < neutral.shape[1]:
+        rows = slice(at, at + sizes[k % len(sizes)])
+        block = (part[:, rows] for part in (neutral, emotional, voice, shown))
+        *found, state = rules(*block, gain, ruled, state)
+        parts.append(found)
+        at, k = rows.stop, k + 1
+    return [np.concatenate(rows, axis=1) for rows in zip(*parts, strict=True)]
+
+
+@pytest.mark.parametrize("ahead", [None, LIVE_AHEAD])
+@pytest.mark.parametrize("rules", RULES.values(), ids=RULES)
+def test_blocks_of_any_sizes_and_streams_side_by_side_give_the_same(rules, ahead):
+    given = inputs(3, 60)
+    numbers = TorchPass(CurvePass(CONTROLS, rules, ahead))
+    expected = passed(numbers, given, [60])
+    assert expected[0].std(axis=1).max() > 0.05
+    for sizes in ([1], [3], [2, 7, 1], [40]):
+        for ours, theirs in zip(passed(numbers, given, sizes), expected, strict=True):
+            np.testing.assert_allclose(ours, theirs, atol=CLOSE)
+    for k in range(3):
+        alone = passed(numbers, [part[k : k + 1] for part in given], [60])
+        for ours, theirs in zip(alone, expected, strict=True):
+            np.testing.assert_allclose(ours[0], theirs[k], atol=CLOSE)
+
+
+@pytest.mark.parametrize("ahead", [None, LIVE_AHEAD])
+def test_frames_depend_on_no_reading_beyond_the_look_ahead_and_none_before_the_past(ahead):
+    """Contacts at rest, and one reading of 1 that everything near it sees."""
+    numbers = TorchPass(CurvePass(CONTROLS, RulesConfig(), ahead))
+    given = inputs(1, 60)
+    other = [part.copy() for part in given]
+    other[0][:, 30], other[1][:, 30] = 0.9, 0.1
+    changed = np.abs(passed(numbers, given, [60])[0] - passed(numbers, other, [60])[0])
+    frames = np.flatnonzero(changed[0].max(axis=-1) > 1e-5) - numbers.ahead  # what comes out
+    assert 30 in frames
+    assert 30 - numbers.ahead <= frames.min() < 30 < frames.max() <= 30 + numbers.behind
+    assert numbers.ahead == (6 if ahead is None else LIVE_AHEAD)
+
+
+def test_gradients_go_through_the_rules_to_both_readings():
+    given = [torch.from_numpy(part) for part in inputs(2, 24)]
+    for reading in given[:2]:
+        reading.requires_grad_()
+    rules = CurvePass(CONTROLS)
+    curves, *_ = rules(*given, rules.first(2))
+    curves.square().sum().backward()
+    for reading in given[:2]:
+        assert reading.grad.isfinite().all()
+        moved = (reading.grad.abs().sum(dim=(0, 1)) > 0).float().mean()
+        assert moved > 0.95, "nearly every control learns through the rules"
+
+
+def test_work_does_not_grow_with_the_number_of_streams():
+    rules, counts = TorchPass(CurvePass(CONTROLS, ahead=LIVE_AHEAD)), []
+    for batch in (4, 64):
+        given = inputs(batch, 3)
+        with torch.profiler.profile() as profile:
+            rules(*given, rules.first(batch))
+        counts.append(sum(event.count for event in profile.key_averages()))
+    assert counts[1] <= 1.05 * counts[0]
+
+
+@pytest.mark.parametrize("n_frames", [1, 2, 5, 6, 7, 100])
+def test_a_whole_recording_in_blocks_is_that_of_one_block(n_frames, monkeypatch):
+    """Gates and motion are those of the frames that come out; silence follows the last one."""
+    found = []
+    for block in (1000, 1, 4, 64):
+        monkeypatch.setattr(whole_pass, "BLOCK_FRAMES", block)
+        neutral, emotional, voice, shown, gain, _ = (part[0] for part in inputs(1, n_frames))
+        rules = TorchPass(CurvePass(CONTROLS))
+        outside = whole_pass.apply_rules(rules, neutral, emotional, voice, shown, gain)
+        found.append((emotional, neutral, outside))
+    for curves, plain, outside in found[1:]:
+        np.testing.assert_allclose(curves, found[0][0], atol=CLOSE)
+        np.testing.assert_allclose(plain, found[0][1], atol=CLOSE)
+        assert outside == found[0][2]
+
+
+def test_motion_and_gates_meet_the_frame_that_comes_out():
+    """Silence at frame 20 alone; the lids shut at frame 31 alone."""
+    n_frames, lid = 40, CONTROLS.index("CTRL_L_eye_blink.ty")
+    speech = np.tile(CONTROLS.rest, (n_frames, 1)).astype(np.float32)
+    jaw = CONTROLS.index("CTRL_C_jaw.ty")
+    speech[:, jaw] = 0.5
+    voice = np.zeros((n_frames, VOICE), np.float32)
+    voice[:, :3] = 1
+    shown = np.zeros((n_frames, N_SHOWN), np.float32)
+    shown[:, :2] = 1
+    shown[20, 0], shown[31, 2] = 0, 1
+    curves, neutral, gain = speech.copy(), speech.copy(), np.ones(len(CONTROLS), np.float32)
+    rules = TorchPass(CurvePass(CONTROLS))
+    whole_pass.apply_rules(rules, neutral, curves, voice, shown, gain)
+    for reading in (curves, neutral):
+        assert np.flatnonzero(reading[:, jaw] == 0).tolist() == [20]
+        assert np.flatnonzero(reading[:, lid] > 0.5).tolist() == [31]
+    assert MOTION.lids == 2, "the lids are the first columns of the motion"
+
+
+@pytest.mark.parametrize("rig", RIGS)
+def test_rigs_without_contacts_pass_all_other_rules(rig):
+    controls = read_controls(rig)
+    given = inputs(2, 20, controls=controls)
+    curves, neutral, *_ = passed(TorchPass(CurvePass(controls)), given, [20])
+    assert np.isfinite(curves).all() and curves.std(axis=1).max() > 0.05
+    assert (curves <= controls.maximum).all() and (neutral >= controls.minimum).all()

@@ -1,0 +1,179 @@
+"""Emotions of a tuned model: those that captures lack are the base's change, whatever is captured."""
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+import torch
+
+from deitalk import animate
+from deitalk.audio.load import Recording
+from deitalk.config.curves import FinetuneConfig
+from deitalk.config.rig_file import read_controls
+from deitalk.emotions import EMOTIONS, LABELS
+from deitalk.errors import DataError
+from deitalk.models.checkpoint import load_model
+from deitalk.models.load import load_network
+from deitalk.models.protocol import trained_weights
+from deitalk.research.evaluation.benchmark_curves import speechlike
+from deitalk.training.tuning.carry import carry_matrix
+from deitalk.training.tuning.task import finetune
+from rig import RigCurves, default_controls, write_curves
+from tests.dataset import FPS, jaw
+from tests.deitalk.training.conftest import recipe
+
+CONTROLS = default_controls()
+SPEECH = np.pad(speechlike(1.5), (4000, 4000))
+RIG = "id: puppet@1\ncontrols: {hinge: {}, smile: {}, hat: {}}\n"
+
+
+def settings(base: str, *more: str) -> FinetuneConfig:
+    """The regression alone, as by default."""
+    return recipe(base, "train.steps=0", *more)
+
+
+def labelled(data: Path, folder: Path, emotions: str | list[str], rig: str | None = None) -> Path:
+    """The dataset with these emotions, of another rig where one is given: its hinge is the jaw."""
+    shutil.copytree(data, folder)
+    table = pd.read_csv(folder / "clips.csv", dtype=str, keep_default_na=False)
+    table = table.assign(emotion=emotions, voice=emotions, known="")
+    table.to_csv(folder / "clips.csv", index=False)
+    if rig is not None:
+        controls = read_controls(rig)
+        for path in (folder / "curves").iterdir():
+            values = np.tile(controls.rest, (len(jaw()), 1))
+            values[:, :2] = np.stack([jaw(), 0.3 * jaw() ** 2], axis=1)
+            curves = RigCurves(
+                values.astype(np.float32), controls.names, FPS, control_set=controls.id
+            )
+            write_curves(path, curves)
+    return folder
+
+
+def readings(model, emotion: str) -> tuple[np.ndarray, np.ndarray]:
+    """Curves of the network alone, neutral and in an emotion."""
+    weights = np.zeros((50, 5), np.float32)
+    weights[:, EMOTIONS.index(emotion)] = 1
+    with torch.no_grad():
+        found = load_model(model).read(SPEECH, weights)
+    return found.neutral, found.emotional
+
+
+def change(model, emotion: str) -> np.ndarray:
+    neutral, acted = readings(model, emotion)
+    return acted - neutral
+
+
+@pytest.fixture(scope="module")
+def neutral(base, data, tmp_path_factory) -> Path:
+    """A model tuned on neutral captures of the board."""
+    place = tmp_path_factory.mktemp("neutral")
+    finetune(settings(base), labelled(data, place / "data", "neutral"), place / "run")
+    return place / "run" / "best"
+
+
+@pytest.mark.parametrize("emotion", EMOTIONS[1:])
+def test_neutral_captures_leave_the_change_of_every_emotion(base, neutral, emotion):
+    """The neutral reading is learnt, and what an emotion adds is exactly the base's."""
+    before, after = (readings(model, "neutral")[0] for model in (base, neutral))
+    assert np.abs(after - before).max() > 0.05
+    np.testing.assert_allclose(change(neutral, emotion), change(base, emotion), atol=2e-5)
+
+
+@pytest.mark.parametrize("emotion", ["happy", "fear", "angry=0.5,sad=0.5"])
+def test_strength_is_ordered_after_tuning_as_before(base, neutral, emotion):
+    """Voices of several levels and tilts have the intensities that the base gives them."""
+    for loud in (0.05, 0.3, 0.9):
+        rough = loud * np.tanh(4 * SPEECH) + (1 - loud) * SPEECH
+        recording = Recording(rough.astype(np.float32), "voice", 16_000, 1)
+        one, other = (
+            animate(recording, emotion, model=load_model(model)) for model in (base, neutral)
+        )
+        np.testing.assert_allclose(other.curves.intensity, one.curves.intensity, atol=1e-5)
+    assert load_model(neutral).rules.voice_intensity == load_model(base).rules.voice_intensity
+
+
+def test_captured_emotions_are_learnt_and_others_stay_the_base(base, data, tmp_path):
+    """Happy and neutral are captured; by rules too, each emotion is the captures' or the base's."""
+    labels = ["neutral", "happy"] * 3
+    finetune(settings(base), labelled(data, tmp_path / "data", labels), tmp_path / "run")
+    model = load_model(tmp_path / "run/best")
+    assert model.config.captured_emotions == ("neutral", "happy")
+    expressions = model.rules.expressions
+    assert expressions.captured == ("happy",) and not expressions.covers_teeth
+    gains = model.decoder.change.carry.diagonal()
+    for emotion in ("angry", "sad", "surprised"):
+        wanted = change(base, emotion)
+        found = change(tmp_path / "run/best", emotion)
+        np.testing.assert_allclose(found, wanted * gains.numpy(), atol=5e-4)
+
+
+def test_of_an_unknown_rig_an_emotion_passes_as_neutral_with_a_note(base, data, tmp_path):
+    (tmp_path / "rig.yaml").write_text(RIG)
+    rig = str(tmp_path / "rig.yaml")
+    folder = labelled(data, tmp_path / "data", "neutral", rig)
+    finetune(settings(base, f"model.control_set={rig}"), folder, tmp_path / "run")
+    best = tmp_path / "run/best"
+    assert not change(best, "angry").any()
+    recording = Recording(SPEECH, "voice", 16_000, 1)
+    for emotion, count in (("angry", 1), ("fear", 1), ("neutral", 0)):
+        notes = animate(recording, emotion, model=load_model(best)).recording.warnings
+        assert sum("passes as neutral" in note for note in notes) == count, emotion
+
+
+@pytest.mark.parametrize("emotion", EMOTIONS[1:])
+def test_a_map_carries_emotions_to_a_rig(base, data, tmp_path, emotion):
+    (tmp_path / "rig.yaml").write_text(RIG)
+    (tmp_path / "map.csv").write_text(
+        "target,source,weight\nCTRL_C_jaw.ty,hinge,1\n"
+        "CTRL_L_mouth_cornerPull.ty,smile,0.5\nCTRL_R_mouth_cornerPull.ty,smile,0.5\n"
+    )
+    rig, table = str(tmp_path / "rig.yaml"), tmp_path / "map.csv"
+    folder = labelled(data, tmp_path / "data", "neutral", rig)
+    given = (f"model.control_set={rig}", f"tune.map={table}")
+    finetune(settings(base, *given), folder, tmp_path / "run")
+    found, of_base = change(tmp_path / "run/best", emotion), change(base, emotion)
+    jaw_moves = of_base[:, CONTROLS.index("CTRL_C_jaw.ty")]
+    assert np.corrcoef(found[:, 0], jaw_moves)[0, 1] > 0.999
+    np.testing.assert_allclose(found[:, 0], jaw_moves, atol=0.06 * np.abs(jaw_moves).max())
+    assert not found[:, 2].any(), "nothing is told of the hat"
+
+
+def test_a_map_of_other_curves_is_refused(base, data, tmp_path):
+    (tmp_path / "rig.yaml").write_text(RIG)
+    (tmp_path / "map.csv").write_text("target,source\nCTRL_C_jaw.ty,chin\n")
+    rig = str(tmp_path / "rig.yaml")
+    folder = labelled(data, tmp_path / "data", "neutral", rig)
+    given = (f"model.control_set={rig}", f"tune.map={tmp_path / 'map.csv'}")
+    with pytest.raises(DataError, match="'chin' is no control of puppet@1"):
+        finetune(settings(base, *given), folder, tmp_path / "run")
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize("name", ["arkit", "metahuman-raw", "cc4", "daz8", "daz9"])
+def test_public_rigs_need_no_map(name):
+    """A control that one shape of the board moves alone, carries it whole."""
+    rig = read_controls(name)
+    carry = carry_matrix(CONTROLS, rig)
+    assert carry.shape == (len(rig), len(CONTROLS)) and np.isfinite(carry).all()
+    opens = np.abs(carry[:, CONTROLS.index("CTRL_C_jaw.ty")])
+    most = rig.names[int(opens.argmax())].lower()
+    assert opens.max() > 0.3 and ("jaw" in most or "open" in most), most
+    assert carry_matrix(CONTROLS, read_controls("facegood")) is None
+
+
+@pytest.mark.parametrize("emotion", ["neutral", "angry", "fear"])
+def test_an_exported_tuned_model_gives_the_same(neutral, emotion, tmp_path):
+    pytest.importorskip("onnxruntime")
+    weights = np.zeros((50, 9), np.float32)
+    from deitalk.models.onnx.export import export_onnx
+
+    weights[:, LABELS.index(emotion)] = 1
+    model = load_model(neutral)
+    export_onnx(model, tmp_path / "m.onnx")
+    found = load_network(tmp_path / "m.onnx", backend="onnx").read(SPEECH, trained_weights(weights))
+    wanted = model.read(SPEECH, trained_weights(weights))
+    for one, other in zip(found[:2], wanted[:2], strict=True):
+        np.testing.assert_allclose(one, other, atol=2e-4)
