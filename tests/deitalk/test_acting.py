@@ -182,7 +182,7 @@ def test_words_know_their_kind():
         (lambda **given: animate(b"", **given), "emotion, acting, model, backend, device"),
         (
             lambda **given: animate_mesh(b"", **given),
-            "emotion, acting, model, sample_rate, speaker",
+            "emotion, acting, model, sample_rate",
         ),
         (lambda **given: animate_batch("a", "b", **given), "emotion, acting, actor, formats"),
         (LiveAnimator, "model, emotion, acting, streams, sample_rate, backend"),
