@@ -29,8 +29,8 @@ from rig.face.render.software import Renderer
 PICTURE = Path(__file__).parent / "pictures/talking.webp"
 SENTENCE, LEVELS = "IEO", ("LO", "HI")
 CAST = {
-    "happy": ("1056", "HAP", "Greta"), "angry": ("1051", "ANG", "Bruno"),
-    "sad": ("1033", "SAD", "Jun"), "fear": ("1047", "FEA", "Imani"),
+    "happy": ("1056", "HAP", "Ada"), "angry": ("1051", "ANG", "Bruno"),
+    "sad": ("1033", "SAD", "Chidi"), "fear": ("1047", "FEA", "Kaya"),
 }  # fmt: skip
 """Actor, name of the emotion in the table, and head, of each emotion."""
 SECONDS, GAP_SECONDS = 5.0, 0.4

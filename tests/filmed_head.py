@@ -17,8 +17,6 @@ from deitalk.research.video.landmarks import (
 )
 from rig.face.accents import neck_share, turned
 from rig.face.head import Head
-from rig.face.web_export import head_arrays
-from rig.retarget.morph_head import head_landmarks
 
 SIZE = (720, 1280)
 PIXELS_PER_CM = 40.0
@@ -46,7 +44,7 @@ def write_mesh(path: Path, mesh: np.ndarray, fps: float) -> Path:
 
 def _vertices(head: Head) -> dict[int, list[int]]:
     """Vertices of the joined mesh whose mean is a point."""
-    marks, skin = head_landmarks(head), head.skin.vertices
+    marks, skin = head.landmarks, head.skin.vertices
     found = {}
     for side, word in SIDES.items():
         for lid in ("upper", "lower"):
@@ -55,7 +53,7 @@ def _vertices(head: Head) -> dict[int, list[int]]:
             found[corner] = [marks[f"eye_{kind}_{word}"]]
         eye = head.slices[f"eye_{side}"]
         found[IRIS[side]] = [eye.start + int(np.argmax(head.mesh.vertices[eye][:, 2]))]
-        brow = np.abs(head.parts[f"brow_{side}"].vertices[:, 0])
+        brow = np.abs(head.mesh.vertices[head.slices[f"brow_{side}"]][:, 0])
         for place, share in (("in", 0.12), ("mid", 0.5), ("out", 0.85)):
             wanted = brow.min() + share * np.ptp(brow)
             near = np.flatnonzero(np.abs(brow - wanted) < 0.08 * np.ptp(brow))
@@ -74,21 +72,25 @@ def _vertices(head: Head) -> dict[int, list[int]]:
 
 
 def _rims(head: Head) -> dict[int, list[int]]:
-    arrays, facts = head_arrays(head)
     found = {}
-    for lip in ("upper", "lower"):
-        rim = arrays[f"seal.{lip}"][int(facts["sealRim"])]
-        along = np.asarray(arrays["seal.u"])
-        found[MIDDLE[lip]] = [int(rim[np.argmin(np.abs(along))])]
+    for name, lip in zip(("upper", "lower"), head.motion.lips, strict=True):
+
+        def at(share: float, lip=lip) -> list[int]:
+            column = round((0.5 + 0.5 * share) * (len(lip.weight) - 1))
+            return [int(v) for v in lip.rim[lip.weight[column] > 0]]
+
+        found[MIDDLE[name]] = at(0)
         for side, sign in (("L", 1), ("R", -1)):
-            for number, share in zip(RIMS[lip][side], (0.25, 0.48), strict=True):
-                found[number] = [int(rim[np.argmin(np.abs(along - sign * share))])]
+            for number, share in zip(RIMS[name][side], (0.25, 0.48), strict=True):
+                found[number] = at(sign * share)
     return found
 
 
 def _rigid() -> dict[int, tuple[float, float]]:
     """Places of the rigid points on the front of the head, cm."""
-    middle = {n: (0, y) for n, y in zip(RIGID[:6], (0.5, 1.0, -0.5, -1.5, -2.5, -3.5), strict=True)}
-    sides = {98: (-1.0, -5.0), 127: (-6.5, 0.5), 54: (-5.0, 5.0), 21: (-6.0, 3.0)}
+    middle = {
+        n: (0, y) for n, y in zip(RIGID[:6], (-0.1, 0.1, -0.5, -1.5, -2.5, -3.5), strict=True)
+    }
+    sides = {98: (-1.0, -5.0), 127: (-6.5, 0.5), 54: (-6.8, 3.5), 21: (-6.9, 2.0)}
     mirror = dict(zip(RIGID, RIGID_MIRROR, strict=True))
     return middle | sides | {mirror[n]: (-x, y) for n, (x, y) in sides.items()}

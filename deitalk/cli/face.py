@@ -62,7 +62,7 @@ def export(
     --------
     deitalk face export -o head.glb
 
-    deitalk face export --identity Dana -o dana.glb
+    deitalk face export --identity Bruno -o bruno.glb
     """
     from rig.face import build_head
     from rig.retarget.morph_head import CORRECTIVES, write_head

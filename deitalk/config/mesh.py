@@ -41,7 +41,7 @@ class MeshDataConfig(Section):
     fps: float = Field(default=60.0, gt=0, le=240)
     """Frames per second of the meshes."""
     identities: tuple[Annotated[int, Field(ge=0, le=limits.SEED)], ...] = Field(
-        default=(0, 1, 2, 3, 4, 5, 6, 7), min_length=1, max_length=limits.SPEAKERS
+        default=(0, 1, 2, 3), min_length=1, max_length=limits.SPEAKERS
     )
     """Embedded heads that act a dataset folder's curves."""
     emotions: tuple[str, ...] | None = None

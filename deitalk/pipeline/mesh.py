@@ -35,17 +35,16 @@ from deitalk.models.protocol import neutral_and_acted, trained_weights
 from deitalk.pipeline.curves import animate, check_progress
 from deitalk.pipeline.performance import GLB_TOLERANCE_MM, MeshPerformance, Performance
 from deitalk.pipeline.speech import Speech, measure_intensities
-from deitalk.postprocess.known_phones import seal_lips
+from deitalk.postprocess.known_phones import known_skin, seal_lips
 from rig.arrays import Float32
 from rig.controls import DEFAULT_ID
 from rig.curves import snap_fps
 from rig.face import build_head
 from rig.face.head import UNIT_MM
-from rig.face.identity import IDENTITIES
 from rig.limits import PREDICTED_BYTES
 from rig.mesh import TriMesh
 from rig.mesh.trimesh import check_length
-from rig.retarget.morph_head import head_landmarks, srgb_to_linear
+from rig.retarget.morph_head import painted_colours
 from rig.retarget.retarget_files import RetargetReport, retarget_curves, retarget_sequence
 
 Progress: TypeAlias = Callable[[float], None]
@@ -198,8 +197,8 @@ def _by_curves(
         rate,
         UNIT_MM,
         acted.recording,
-        head_landmarks(head),
-        srgb_to_linear(head.mesh.colors),
+        head.landmarks,
+        painted_colours(head),
     )
 
 
@@ -223,24 +222,20 @@ def _by_gradients(
     for vertices in mesh_frames(network, recording.waveform, speaker, acting):
         parts.append(vertices)
         progress(min(sum(map(len, parts)) / max(n_frames, 1), 1.0))
-    name = speaker if isinstance(speaker, str) else network.speakers[speaker]
     return MeshPerformance(
         mesh,
         np.concatenate(parts),
         network.fps,
         network.unit_mm,
         recording,
-        _known_landmarks(mesh, name),
+        _known_landmarks(mesh),
     )
 
 
-def _known_landmarks(mesh: TriMesh, name: str) -> Mapping[str, int] | None:
-    """Landmarks of a template that is an embedded head's skin; None for any other."""
-    if name not in {person.name for person in IDENTITIES}:
-        return None
-    head = build_head(name)
-    same = np.array_equal(head.skin.faces, mesh.faces)
-    return head_landmarks(head) if same else None
+def _known_landmarks(mesh: TriMesh) -> Mapping[str, int] | None:
+    """Landmarks of a template that is a known skin; None for any other."""
+    skin = known_skin(mesh)
+    return None if skin is None else skin.landmarks
 
 
 def retarget_speech(

@@ -7,6 +7,7 @@ elsewhere nothing is added. Letters: T frames at 30 per second, C controls.
 
 from collections.abc import Iterable, Sequence
 from functools import cache
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -15,6 +16,8 @@ from deitalk.audio.frames import FRAME_RATE
 from deitalk.errors import ConfigError
 from deitalk.postprocess.phones import BILABIALS, LABIODENTALS
 from rig.arrays import Bool, Float32, Int64
+from rig.face import build_head
+from rig.face.head import UPPER_PART, Lip
 from rig.mesh import TriMesh
 
 ROUNDED = {
@@ -94,37 +97,62 @@ def _least_rounding(phones: Sequence[KnownPhone], n_frames: int) -> Float32:
     return out
 
 
-# Seal of the embedded heads' lips: gaps that are nearly closed are closed, after the network.
+# Seal of the lips of known skins: gaps that are nearly closed are closed, after the network.
 #
 # Deviation: not in the paper, whose lips are used as the solve gives them. A bilabial missed by a
 # millimetre looks missed; the embedded heads' own motion ends in the same operator
-# (`rig.face.motion.rigid`).
+# (`rig.face.head.seal_lips`).
 
 
-RINGS = range(-2, 10)
-"""Loops about the lips' rim, which is 0; negative inside the mouth."""
-SHARES = (0.75, 1.0, 1.0, 0.95, 0.86, 0.73, 0.57, 0.41, 0.27, 0.16, 0.08, 0.03)
-"""Share of the rim's movement that each loop makes, as in the heads' own seal."""
-UPPER_PART = 0.38
-"""The upper lip covers this share of the gap, the lower lip the rest."""
+class KnownSkin(NamedTuple):
+    """A skin whose lips are known."""
+
+    faces: Int64
+    """[shape=(N, 3)]."""
+    n_vertices: int
+    lips: tuple[Lip, Lip]
+    """Upper and lower."""
+    landmarks: dict[str, int]
 
 
-class _Loops(NamedTuple):
-    """Facing vertices of every loop of `RINGS`, from corner to corner."""
+@cache
+def known_skins() -> tuple[KnownSkin, KnownSkin]:
+    """The embedded heads' cage, and the skin of the heads that the shipped mesh models learned."""
+    head = build_head(0)
+    count = head.slices["cage"].stop
+    upper, lower = (lip.within(count) for lip in head.motion.lips)
+    with np.load(Path(__file__).with_name("former_skin.npz")) as stored:
+        former = {name: stored[name] for name in stored.files}
+    n_loops, n_pairs = former["upper"].shape
+    column = np.tile(np.arange(n_pairs, dtype=np.float32), n_loops)
+    share = np.repeat(former["shares"], n_pairs)
+    lips = [
+        Lip(former[k][former["rim"]].astype(np.int64), np.eye(n_pairs, dtype=np.float32),
+            former[k].ravel().astype(np.int64), column, share)
+        for k in ("upper", "lower")
+    ]  # fmt: skip
+    faces = former["faces"].astype(np.int64)
+    points = dict(
+        zip(map(str, former["landmarks"]), map(int, former["landmark_points"]), strict=True)
+    )
+    return (
+        KnownSkin(head.cage.faces, count, (upper, lower), head.landmarks),
+        KnownSkin(faces, int(faces.max()) + 1, (lips[0], lips[1]), points),
+    )
 
-    upper: Int64
-    """[shape=(rings, P)]."""
-    lower: Int64
-    """[shape=(rings, P)]."""
+
+def known_skin(mesh: TriMesh) -> KnownSkin | None:
+    """The known skin with the triangles of a mesh."""
+    return next((s for s in known_skins() if np.array_equal(s.faces, mesh.faces)), None)
 
 
 def seal_lips(vertices: Float32, reach_mm: float, unit_mm: float) -> Float32:
-    """Close the lips of an embedded head where they nearly meet.
+    """Close the lips of a known skin where they nearly meet.
 
     Parameters
     ----------
     vertices : array [shape=(T, V, 3)]
-        Skin of any embedded head: vertices are numbered alike in every identity.
+        Of one of `known_skins`.
     reach_mm : float
         Lips further apart than this stay; half as far apart or less, they meet; between, smoothly.
         0 changes nothing.
@@ -138,51 +166,29 @@ def seal_lips(vertices: Float32, reach_mm: float, unit_mm: float) -> Float32:
     """
     if reach_mm == 0:
         return vertices
-    upper, lower = _head_loops()
-    rim = RINGS.index(0)
-    gap = vertices[:, lower[rim]] - vertices[:, upper[rim]]  # (T, P, 3)
-    # How far the lips of each frame are brought together [shape=(T,), range 0 to 1].
-    gap_mm = gap * np.float32(unit_mm)
-    quarter = gap_mm.shape[1] // 4
-    middle = gap_mm[:, quarter : gap_mm.shape[1] - quarter]
-    apart_mm = np.linalg.norm(middle, axis=-1).mean(axis=1)
+    skin = next(skin for skin in known_skins() if skin.n_vertices == vertices.shape[1])
+    upper, lower = (vertices[:, lip.rim, 1] @ lip.weight.T for lip in skin.lips)
+    gap = upper - lower  # (T, P), height
+    quarter = gap.shape[1] // 4
+    apart_mm = np.abs(gap[:, quarter:-quarter]).mean(axis=1) * unit_mm
     far = np.clip(2 * apart_mm / reach_mm - 1, 0, 1)
-    move = gap * np.asarray(1 - far * far * (3 - 2 * far), dtype=np.float32)[:, None, None]
-    share = np.array(SHARES, dtype=np.float32)[:, None, None]
+    move = np.zeros((*gap.shape, 3), np.float32)
+    move[..., 1] = gap * (1 - far * far * (3 - 2 * far))[:, None]
     sealed = vertices.copy()
-    sealed[:, upper] += UPPER_PART * move[:, None] * share
-    sealed[:, lower] -= (1 - UPPER_PART) * move[:, None] * share
+    for lip, part in zip(skin.lips, (-UPPER_PART, 1 - UPPER_PART), strict=True):
+        sealed[:, lip.reach] += lip.along(part * move).astype(np.float32)
     return sealed
 
 
 def check_faces(reach_mm: float, templates: Iterable[TriMesh]) -> None:
-    """Refuse to seal templates that are no embedded head's skin.
+    """Refuse to seal templates whose lips are not known.
 
     Raises
     ------
     ConfigError
         If `reach_mm` is not 0 and a template has other triangles.
     """
-    if reach_mm == 0:
-        return
-    from rig.face import build_head
-
-    faces = build_head(0).skin.faces
-    if not all(np.array_equal(mesh.faces, faces) for mesh in templates):
+    if reach_mm and not all(known_skin(mesh) for mesh in templates):
         raise ConfigError(
             f"model.seal_mm={reach_mm:g}: only the embedded heads' lips are known; set it to 0"
         )
-
-
-@cache
-def _head_loops() -> _Loops:
-    from rig.face import build_head
-    from rig.face.geometry.topology import MOUTH
-
-    skin = build_head(0).features
-    rows = [skin.loop(MOUTH, ring) for ring in RINGS]
-    upper = np.arange(1, len(rows[0]) // 2)
-    return _Loops(
-        np.stack([row[upper] for row in rows]),
-        np.stack([row[len(row) - upper] for row in rows]),
-    )

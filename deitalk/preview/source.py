@@ -277,10 +277,7 @@ def bilabial_warnings(source: PreviewSource) -> list[Finding]:
 
 def lip_gaps(head: Head, values: AnyFloat) -> Float64:
     """Widest distance between the rims of the lips (T,), cm, of control values (T, 185)."""
-    upper, lower = head.features.lip_rims()
-    skin = head.pose(values)[:, head.slices["skin"]].astype(np.float64)
-    gaps: Float64 = np.linalg.norm(skin[:, lower] - skin[:, upper], axis=-1).max(1)
-    return gaps
+    return head.lip_gaps(head.pose(values)).max(axis=1)
 
 
 def _at_16_khz(samples: Float32, rate: int) -> Float32:

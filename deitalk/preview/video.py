@@ -16,7 +16,6 @@ from rig.arrays import AnyFloat, Float32
 from rig.emotions import COLORS, LABELS
 from rig.face import build_head
 from rig.face.accents import accents, neck_share, turned
-from rig.face.geometry.mesh import vertex_normals
 from rig.face.identity import Identity
 from rig.face.render import VIEWS
 from rig.face.render.shading import Picture, text_width, write_text
@@ -313,7 +312,7 @@ def draw_frames(
         if source.curves.head is not None:
             poses = turned(poses, source.curves.head[start : start + BATCH], share)
         for k, pose in enumerate(poses):
-            normals = vertex_normals(pose, head.mesh.faces)
+            normals = head.mesh.normals(pose)
             picture = np.empty((FACE_HEIGHT + PANEL_HEIGHT, WIDTH, 3), np.uint8)
             picture[:FACE_HEIGHT, :FACE_WIDTH] = views[0].render(pose, normals, accent[k])
             picture[:FACE_HEIGHT, FACE_WIDTH:] = views[1].render(pose, normals, accent[k])

@@ -128,7 +128,7 @@ def draw_sheet(
     return picture
 
 
-def draw_people(*, columns: int = 5, size: tuple[int, int] = (300, 340)) -> Picture:
+def draw_people(*, columns: int = 4, size: tuple[int, int] = (360, 400)) -> Picture:
     """Every identity at rest, three quarter view, in one picture."""
     from rig.face.head import build_head
     from rig.face.identity import IDENTITIES

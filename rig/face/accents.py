@@ -7,68 +7,20 @@ follow controls; on eyes it is shadow. `deitalk/preview/web/src/face/accents.ts`
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rig.arrays import AnyFloat, Float32, Float64, Int64
-from rig.controls import default_controls
-from rig.face.geometry.mesh import smoothstep
-from rig.face.geometry.topology import EYE_L, EYE_R
+from rig.arrays import AnyFloat, Float32, Float64
 from rig.face.head import Head
+from rig.face.mesh import smoothstep
 
-REGIONS: dict[str, dict[str, float]] = {
-    "forehead": {"brow_raiseIn.ty": 0.65, "brow_raiseOut.ty": 0.55},
-    "glabella": {"brow_down.ty": 0.7, "brow_lateral.ty": 0.6, "nose.ty": 0.2},
-    "eye": {"eye_cheekRaise.ty": 0.75, "eye_squintInner.ty": 0.12, "mouth_cornerPull.ty": 0.3,
-            "eye_faceScrunch.ty": 0.6},
-    "nasolabial": {"mouth_cornerPull.ty": 0.75, "nose.tx": 0.5, "nose.ty": 0.45,
-                   "mouth_upperLipRaise.ty": 0.45, "mouth_sharpCornerPull.ty": 0.6},
-}  # fmt: skip
-"""Controls of each region (of either side), and the depth that each gives at 1."""
-LEAST = {"forehead": 0.04, "glabella": 0.03, "eye": 0.05, "nasolabial": 0.10}
-"""Depth of each region at rest."""
+REGIONS = ("forehead", "glabella", "eye", "nasolabial")
+LEAST = (0.04, 0.03, 0.05, 0.10)
+"""Depth of each region at rest, the same on both sides."""
 SHADOW_RADIANS, SHADOW = 0.34, 0.85
 """How far below the upper lid its shadow reaches on the eye, and its depth at the rim."""
 
 
-def gains() -> Float64:
-    """Depth of each region on either side by each control [shape=(185, 8)], left regions first."""
-    controls = default_controls()
-    table = np.zeros((len(controls.names), 2 * len(REGIONS)))
-    for k, weights in enumerate(REGIONS.values()):
-        for place, side in ((k, "L"), (k + len(REGIONS), "R")):
-            for name, gain in weights.items():
-                table[controls.index(f"CTRL_{side}_{name}"), place] = gain
-    return table
-
-
-def least() -> Float64:
-    """Depth of each region at rest [shape=(8,)]."""
-    return np.tile([LEAST[name] for name in REGIONS], 2)
-
-
-def upper_rim(head: Head, kind: int) -> Int64:
-    """Vertices of an upper lid's rim, from the character's right to left."""
-    rim = head.features.loop(kind, 0)
-    upper = rim[: len(rim) // 2 + 1]
-    return upper[np.argsort(head.features.vertices[upper, 0])]
-
-
-def masks(head: Head) -> Float32:
-    """Share of each region's depth that every skin vertex takes [shape=(8, V of the skin)]."""
-    x, y, z = head.skin.vertices.T
-    place = head.features.anatomy
-    far = np.abs(x)
-    eye_x, mouth_y = place.eye[0], place.mouth_y
-    middle = smoothstep((2.2 - far) / 0.9)
-    side = smoothstep((far - eye_x - 0.6) / 0.8) + smoothstep((-0.7 - y) / 0.4)
-    found = {
-        "forehead": smoothstep((y - 2.5) / 0.7),
-        "glabella": middle * smoothstep((y + 0.2) / 0.5) * smoothstep((3.4 - y) / 0.8),
-        "eye": np.minimum(side, 1) * smoothstep((2.1 - y) / 0.6) * smoothstep((y + 2.6) / 0.8),
-        "nasolabial": smoothstep((-2.9 - y) / 0.8) * smoothstep((y - mouth_y + 2.4) / 1.0),
-    }
-    left = smoothstep(x / 0.8 + 0.5)
-    front = np.stack([found[name] for name in REGIONS]) * (z > 0) * (head.features.ring >= 0)
-    both = np.concatenate([front * left, front * (1 - left)])
-    return (head.identity.creases * both).astype(np.float32)
+def crease_inputs(head: Head) -> list[int]:
+    """Places of the regions' inputs among `Motion.inputs`, left ones first."""
+    return [head.motion.inputs.index(f"crease.{name}_{s}") for s in "LR" for name in REGIONS]
 
 
 def accents(head: Head, values: AnyFloat, poses: AnyFloat) -> Float32:
@@ -77,17 +29,21 @@ def accents(head: Head, values: AnyFloat, poses: AnyFloat) -> Float32:
     The poses are those of `Head.pose`, before the head is turned.
     """
     found = np.zeros(poses.shape[:2], np.float32)
-    depth = np.clip(least() + np.maximum(values, 0) @ gains(), 0, 1).astype(np.float32)
-    found[:, head.slices["skin"]] = np.minimum(depth @ masks(head), 1)
-    for side, kind in (("L", EYE_L), ("R", EYE_R)):
-        found[:, head.slices[f"eye_{side}"]] = _under_lid(head, poses, side, kind)
+    inputs = head.motion.halves(np.asarray(values, np.float64)) @ head.motion.bind
+    depth = np.clip(inputs[:, crease_inputs(head)] + np.tile(LEAST, 2), 0, 1).astype(np.float32)
+    skin = np.minimum(depth @ head.creases, 1)
+    found[:, head.slices["skin"]] = skin
+    seam = head.slices["seam"]
+    found[:, seam] = skin[:, head.mesh.weld[seam]]
+    for k, side in enumerate("LR"):
+        found[:, head.slices[f"eye_{side}"]] = _under_lid(head, poses, k, side)
     return found
 
 
-def _under_lid(head: Head, poses: AnyFloat, side: str, kind: int) -> Float32:
+def _under_lid(head: Head, poses: AnyFloat, k: int, side: str) -> Float32:
     """Shadow [shape=(T, V of an eye)] by how far a vertex lies below the rim of the upper lid."""
-    center = head.features.anatomy.eye * [1 if side == "L" else -1, 1, 1]
-    lid = poses[:, upper_rim(head, kind)] - center
+    center = head.eyes[k, :3]
+    lid = poses[:, head.lid_rims[k]] - center
     ball = poses[:, head.slices[f"eye_{side}"]] - center
     high, angle = (np.arctan2(p[..., 1], p[..., 2]) for p in (lid, ball))
     edge = np.stack(

@@ -1,194 +1,333 @@
-"""The embedded head: neutral parts, and vertices for any values of the 185 controls."""
+"""The embedded heads: prepared files of `rig/face/data`, and vertices for the 185 controls.
 
-import hashlib
-import zipfile
-from collections.abc import Callable
-from dataclasses import astuple, dataclass, field, replace
+A pose is: linear shapes with weights of control halves; lids kept out of the eyes; lips brought
+together by the seal, and set apart where they cross; lashes and brows with the skin below them;
+eyes turned. `Head.motion` has all numbers of it, which the preview page uses as they are.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
-from rig.arrays import Float32, Float64, Int64
+from rig.arrays import AnyFloat, Float32, Float64, Int64
 from rig.controls import default_controls
 from rig.errors import RigError
-from rig.face.geometry import details, hair
-from rig.face.geometry.mesh import MESH_ARRAYS, NO_MAPS, SKIN, Maps, Mesh, join, mirrored
-from rig.face.geometry.skin import Skin, build_skin, paint_skin, skin_uv
-from rig.face.geometry.topology import EYE_L, EYE_R, FILLER, MOUTH
 from rig.face.identity import Identity, resolve_identity
-from rig.face.motion.bindings import bindings
-from rig.face.motion.rigid import Arch, Jaw, Lids, Seal, Tongue
-from rig.files import atomic_write, cache_folder
+from rig.face.mesh import Maps, Mesh, smoothstep
+from rig.files.reading import rows_of
 
-# Cache of heads on disk: plain arrays in the user's cache folder.
-
+DATA = Path(__file__).parent / "data"
+UNIT_MM = 10.0
+"""The heads are in centimetres."""
+GRID = 800.0
+"""Steps of stored points in a centimetre."""
+GAZE_DEGREES = {"side": 40.0, "up": 30.0, "down": 35.0}
+"""Full gaze; a MetaHuman's board has about these."""
+CONVERGENCE_DEGREES = 3.0
+"""Turn of each eye inwards at rest: an adult's eyes meet 57 cm away."""
+UPPER_PART = 0.4
+"""Share of the lips' gap by which the upper lip comes down to meet the lower."""
+SEAL_POWERS = (1, 4)
+"""The seal is applied once for each, to its amounts to that power: the second finishes contacts."""
+ALONG = np.array([0.6, 1.0, 1.0])
+"""Share of the gap that is closed sideways, up and forward."""
+LID_CLEARANCE = 1.02
+"""Least distance of a lid from the middle of the eye, in radii."""
+BATCH = 64
+Half = tuple[str, ...]
+CORRECTIVES: dict[str, tuple[Half, Half]] = {
+    "jaw_half": (("CTRL_C_jaw.ty",), ()),
+    **{f"blink_half_{s}": ((f"CTRL_{s}_eye_blink.ty",), ()) for s in "LR"},
+    **{
+        f"seal_{s}": (
+            ("CTRL_C_jaw.ty",),
+            (f"CTRL_{s}_mouth_lipsTogetherU.ty", f"CTRL_{s}_mouth_lipsTogetherD.ty"),
+        )
+        for s in "LR"
+    },
+    **{
+        f"nose_upper_{s}": ((f"CTRL_{s}_nose.ty",), (f"CTRL_{s}_nose_wrinkleUpper.ty_negative",))
+        for s in "LR"
+    },
+}
+"""Shapes that several halves of controls drive: the product of the least of each group; one named
+``half`` is full where that is 0.5 and gone at 0 and 1."""
 Arrays = dict[str, NDArray[Any]]
-MOST_KEPT = 24
-"""Entries of a kind, of 15 MB each; an identity is one."""
 
 
 @lru_cache(maxsize=1)
-def _source_key() -> str:
-    """Digest of the code and tables that heads and their shapes are built by."""
-    digest = hashlib.sha256()
-    for folder in ("controls", "face", "retarget"):
-        for source in sorted((Path(__file__).parents[1] / folder).rglob("*.*")):
-            if source.suffix in (".py", ".csv", ".json"):
-                digest.update(source.read_bytes())
-    return digest.hexdigest()
+def _shared() -> Arrays:
+    with np.load(DATA / "head.npz") as stored:
+        return {name: stored[name] for name in stored.files}
 
 
-def load_or_build(kind: str, identity: Identity, build: Callable[[Identity], Arrays]) -> Arrays:
-    """Arrays of a head from the cache, or built and then kept where the folder can be written."""
-    key = hashlib.sha256(f"{_source_key()} {astuple(identity)}".encode()).hexdigest()[:20]
-    path = cache_folder() / f"{kind}-{key}.npz"
-    try:
-        with np.load(path, allow_pickle=False) as stored:
-            return {name: stored[name] for name in stored.files}
-    except (OSError, EOFError, ValueError, zipfile.BadZipFile):
-        arrays = build(identity)
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with atomic_write(path) as beside:
-            np.savez(beside, **arrays)  # type: ignore[arg-type]
-        kept = sorted(path.parent.glob(f"{kind}-*.npz"), key=lambda old: old.stat().st_mtime)
-        for old in kept[:-MOST_KEPT]:  # of former versions, or heads that are not used any more
-            old.unlink()
-    except OSError:
-        pass  # a cache that cannot be written is no error: the head is built again next time
-    return arrays
+def _picture(name: str) -> NDArray[np.uint8]:
+    from PIL import Image
 
-
-Inputs = dict[str, Float64]
-UNIT_MM = 10.0
-"""The head is in centimetres."""
-GAZE_DEGREES = {"side": 40.0, "up": 30.0, "down": 40.0}
-"""Full gaze (MetaHuman's board: 40 degrees sideways and down, 30 up)."""
-CONVERGENCE_DEGREES = 3.0
-"""Turn of each eye inwards at rest: an adult's eyes meet 57 cm away."""
-BATCH = 64
+    with Image.open(DATA / f"{name}.webp") as image:
+        return np.asarray(image)
 
 
 @dataclass(frozen=True)
-class _Follow:
-    """Vertices attached to the skin: for each, some skin vertices and their weights."""
+class Lip:
+    """What the seal moves of one lip.
 
-    near: Int64
-    weight: Float64
+    `rim` (n,) vertices touch the other lip, by `weight` (P, n) at each of P columns; `reach` (m,)
+    vertices move with column `column` (m,), a fraction between two of them, by `share` (m,).
+    """
+
+    rim: Int64
+    weight: Float32
+    reach: Int64
+    column: Float32
+    share: Float32
+
+    def along(self, move: Float64) -> Float64:
+        """Movement (..., m, 3) of `reach` of movements of the columns (..., P, 3)."""
+        low = np.minimum(self.column.astype(np.int64), move.shape[-2] - 2)
+        part = (self.column - low)[:, None]
+        mixed = move[..., low, :] * (1 - part) + move[..., low + 1, :] * part
+        return np.asarray(mixed * self.share[:, None] * ALONG)
+
+    def within(self, count: int) -> "Lip":
+        """The lip's part of the first `count` vertices."""
+        rim, reach = self.rim < count, self.reach < count
+        weight = self.weight[:, rim] + np.float32(1e-12)
+        return Lip(self.rim[rim], weight / weight.sum(1, keepdims=True), self.reach[reach],
+                   self.column[reach], self.share[reach])  # fmt: skip
 
 
 @dataclass(frozen=True)
-class Look:
-    """What takes long to make of a head's look: hair, places in the maps, maps, baked light."""
+class Motion:
+    """All numbers of a pose, of H halves of controls, K shapes and P columns of the lips.
 
-    hair: Mesh
-    brow: Mesh
-    uv: Float64
-    maps: Maps = NO_MAPS
-    light: Float64 = field(default_factory=lambda: np.ones(2))
+    Attributes
+    ----------
+    names : tuple of str
+        Of the shapes: a half of a control, or one of `CORRECTIVES`.
+    drivers : ndarray [shape=(K, 2, 2)]
+        Halves of each shape: the product of the least of each pair. Control c is half c towards
+        its maximum and C + c towards its minimum; 2 C is always 1.
+    is_peak : ndarray of bool [shape=(K,)]
+    gain : ndarray [shape=(K,)]
+        Of the person.
+    shapes : sparse matrix [shape=(K, 3 V)]
+        Displacements, cm.
+    inputs : tuple of str
+        Of ``bindings.csv``, for seal and creases.
+    bind : ndarray [shape=(H, J)]
+        Inputs of halves.
+    lips : tuple of Lip
+        Upper and lower.
+    profiles : tuple of ndarray [shape=(J, P)]
+        How far each input seals the upper and the lower lip at each column.
+    fade : ndarray [shape=(P,)]
+    """
+
+    names: tuple[str, ...]
+    drivers: Int64
+    is_peak: NDArray[np.bool_]
+    gain: Float32
+    shapes: Any
+    inputs: tuple[str, ...]
+    bind: Float32
+    lips: tuple[Lip, Lip]
+    profiles: tuple[Float32, Float32]
+    fade: Float32
+
+    def halves(self, values: Float64) -> Float64:
+        """Travel (T, 2 C + 1) of each half of each control, 0 to 1; the last column is 1."""
+        controls = default_controls()
+        rest, moved = controls.rest, values - controls.rest
+        up, down = controls.maximum - rest, rest - controls.minimum
+        return np.concatenate(
+            [np.clip(moved / np.where(up > 0, up, np.inf), 0, 1),
+             np.clip(-moved / np.where(down > 0, down, np.inf), 0, 1), np.ones((len(values), 1))], 1
+        )  # fmt: skip
+
+    def weights(self, halves: Float64) -> Float64:
+        """Weights (T, K) of the shapes."""
+        product = halves[:, self.drivers].min(-1).prod(-1)
+        peak = 1 - np.abs(2 * product - 1)
+        return np.asarray(np.where(self.is_peak, peak, product) * self.gain)
+
+
+def _drivers(names: tuple[str, ...]) -> Int64:
+    controls = default_controls()
+    count = len(controls.names)
+    place = {name: k for k, name in enumerate(controls.names)}
+    place |= {f"{name}_negative": count + k for k, name in enumerate(controls.names)}
+    found = np.full((len(names), 2, 2), 2 * count)
+    for k, name in enumerate(names):
+        for group, halves in enumerate(CORRECTIVES.get(name, ((name,), ()))):
+            for slot, half in enumerate(halves):
+                found[k, group, slot] = place[half]
+    return found
+
+
+def _bind() -> tuple[tuple[str, ...], Float32]:
+    controls = default_controls()
+    rows = [
+        {name: cell.replace("@", s) for name, cell in row.items()}
+        for row in rows_of("face/bindings.csv")
+        for s in ("LR" if "@" in row["control"] else "C")
+    ]
+    inputs = tuple(dict.fromkeys(row["input"] for row in rows))
+    table = np.zeros((2 * len(controls.names) + 1, len(inputs)), np.float32)
+    for row in rows:
+        table[controls.index(row["control"]), inputs.index(row["input"])] += float(row["gain"])
+    return inputs, table
+
+
+def _profiles(inputs: tuple[str, ...], columns: Float32) -> tuple[Float32, Float32]:
+    """How far each input seals each lip (J, P): whole, outer, inner or central, of one side."""
+    left, far = smoothstep(columns / 1.2 + 0.5), np.abs(columns) / 2.5
+    spread = {
+        "": np.ones_like(far), "inner": np.exp(-(((far - 0.45) / 0.28) ** 2)),
+        "outer": smoothstep((far - 0.55) / 0.3), "center": np.exp(-((far / 0.35) ** 2)),
+    }  # fmt: skip
+    found = np.zeros((2, len(inputs), len(columns)), np.float32)
+    for j, name in enumerate(inputs):
+        kind, _, side = name.removeprefix("seal.").partition("_")
+        for lip, word in enumerate(("upper", "lower")):
+            if name.startswith("seal.") and kind.lower().endswith(word):
+                share = spread[kind.lower().removesuffix(word)]
+                found[lip, j] = share * {"L": left, "R": 1 - left, "": 1}[side]
+    return found[0], found[1]
+
+
+@lru_cache(maxsize=8)
+def _motion(identity: Identity) -> Motion:
+    stored, own = _shared(), _own(identity)
+    names = tuple(map(str, stored["names"]))
+    starts = np.concatenate([[0], np.cumsum(stored["count"])])
+    # Columns are stored as differences within each shape.
+    total = np.cumsum(stored["columns"].astype(np.int64))
+    before = np.concatenate([[0], total[starts[1:-1] - 1]])
+    columns = total - np.repeat(before, stored["count"])
+    values = (stored["values"].T * stored["step"]).astype(np.float32)
+    index = (3 * columns[:, None] + np.arange(3)).ravel().astype(np.int32)
+    shapes = sp.csr_matrix(
+        (values.ravel(), index, (3 * starts).astype(np.int32)),
+        shape=(len(names), 3 * len(stored["weld"])),
+    )
+    purse = np.array(["mouth_purse" in name or "mouth_towards" in name for name in names])
+    gain = own["size"] * np.where(purse, own["purse"], 1)
+    lips = [
+        Lip(stored[f"rim_{k}"].astype(np.int64), stored[f"rim_{k}_weight"],
+            stored[f"reach_{k}"].astype(np.int64), stored[f"reach_{k}_column"],
+            stored[f"reach_{k}_share"])
+        for k in ("upper", "lower")
+    ]  # fmt: skip
+    inputs, bind = _bind()
+    is_peak = np.array(["_half" in name for name in names])
+    return Motion(
+        names, _drivers(names), is_peak, gain.astype(np.float32), shapes, inputs, bind,
+        (lips[0], lips[1]), _profiles(inputs, stored["lip_columns"]), stored["lip_fade"],
+    )  # fmt: skip
+
+
+@lru_cache(maxsize=8)
+def _own(identity: Identity) -> Arrays:
+    with np.load(DATA / f"{identity.name}.npz") as stored:
+        return {name: stored[name] for name in stored.files}
 
 
 class Head:
-    """A head of one identity.
+    """A head of one person.
 
     Attributes
     ----------
     identity : Identity
-    skin : Mesh
-        The skin alone, neutral.
-    parts : dict of str to Mesh
-        Every part, neutral, in the order of the joined mesh.
-    mesh : Mesh
-        All parts joined; `pose` returns its vertices.
     slices : dict of str to slice
-        Where each part's vertices are in the joined mesh.
-    features : Skin
-        The skin's loops and anatomy, for landmarks and checks.
+        Where each part's vertices are in the joined mesh; ``cage`` are the first of the skin's.
+    motion : Motion
+    straight : ndarray [shape=(V, 3)]
+        The points at rest before lids, seal and convergence of the eyes, cm.
+    eyes : ndarray [shape=(2, 4)]
+        Centre and radius of both eyes, left first.
+    landmarks : dict of str to int
+        The 26 of `rig.retarget.landmarks.LANDMARKS`, vertices of the cage.
+    creases : ndarray [shape=(8, V of the skin)]
+        Share of each region's depth that the skin takes; left regions first.
     """
 
-    def __init__(
-        self, identity: Identity, features: Skin, shapes: dict[str, Float64], look: Look
-    ) -> None:
-        self.identity, self.features, self._look = identity, features, look
-        place = features.anatomy
-        self._lip_z = float(features.vertices[features.loop(MOUTH, 0)[13], 2])
-        self.parts = self._make_parts()
-        self.mesh = replace(join(list(self.parts.values())), maps=look.maps, light=look.light)
-        counts = np.cumsum([0] + [len(p.vertices) for p in self.parts.values()])
-        self.slices = {
-            name: slice(int(a), int(b))
-            for name, a, b in zip(self.parts, counts, counts[1:], strict=False)
-        }
-        self.skin = self.parts["skin"]
-        self.jaw = Jaw(features, shapes["jawWeights"][:, 0])
-        self._names = tuple(name for name in shapes if name != "jawWeights")
-        stack = np.stack([shapes[name] for name in self._names]).astype(np.float32)
-        self._moving = np.flatnonzero(np.abs(stack).max((0, 2)) > 1e-4)
-        self._shapes = stack[:, self._moving].reshape(len(stack), -1)
-        self._lids, self._seal = Lids(features), Seal(features)
-        self._arches = self._make_arches()
-        self._tongue = Tongue(
-            self.parts["tongue"].vertices, self._tongue_place, place.mouth_y, self._lip_z
-        )
-        rim, lip = features.loop(MOUTH, 0), len(features.loop(MOUTH, 0)) // 4
-        self._rim_middle = rim[lip], rim[3 * lip]
-
-    def _make_parts(self) -> dict[str, Mesh]:
-        i, skin = self.identity, self.features
-        colors, gloss = paint_skin(skin, i)
-        place = skin.anatomy
-        eye, self._pupil = details.eyeball(i, place.eye_radius)
-        self._eye_rest = eye.vertices
-        uv = self._look.uv
-        parts = {"skin": Mesh(skin.vertices, skin.faces, colors, gloss, uv, kind=np.array(SKIN))}
-        for name, side in (("eye_L", 1), ("eye_R", -1)):
-            turned = (
-                eye.vertices
-                @ _gaze_matrix(np.array([0.0]), np.array([-side * CONVERGENCE_DEGREES]))[0].T
-            )
-            parts[name] = replace(eye, vertices=turned + place.eye * [side, 1, 1])
-        self._lash_root, self._lash_along = {}, {}
-        for s, kind in (("L", EYE_L), ("R", EYE_R)):
-            mesh, root, along = details.lashes(skin, kind, i)
-            parts[f"lash_{s}"] = mesh
-            self._lash_root[s], self._lash_along[s] = root, along
-        parts["teeth_upper"] = details.dental_arch(place.mouth_y, self._lip_z, is_upper=True)
-        parts["teeth_lower"] = details.dental_arch(place.mouth_y, self._lip_z, is_upper=False)
-        parts["tongue"], self._tongue_place = details.tongue(place.mouth_y, self._lip_z)
-        parts["brow_L"] = self._look.brow
-        parts["brow_R"] = mirrored(parts["brow_L"])
-        parts["ear_L"] = details.ear(i)
-        parts["ear_R"] = mirrored(parts["ear_L"])
-        parts["hair"] = self._look.hair
-        parts["bust"] = details.bust(i)
-        return parts
-
-    def _make_arches(self) -> dict[str, Arch]:
-        y = self.features.anatomy.mouth_y
-        arches = {}
-        for name, width, depth, back, edge, up in (
-            ("upper", 2.06, 4.2, details.UPPER_BACK, details.UPPER_EDGE, 1),
-            ("lower", 1.94, 4.1, details.LIP_BACK, details.LIP_EDGE, -1),
-        ):
-            center_z = self._lip_z - back - depth
-            arches[name] = Arch(self.features, width, depth, center_z, y + edge, up)
-        return arches
+    def __init__(self, identity: Identity) -> None:
+        stored, own = _shared(), _own(identity)
+        self.identity, self.motion = identity, _motion(identity)
+        names = [*map(str, stored["parts"]), *map(str, own["parts"])]
+        stops = [*map(int, stored["stops"]), *map(int, own["stops"])]
+        self.slices = {n: slice(a, b) for n, a, b in zip(names, [0, *stops], stops, strict=False)}
+        self.slices["cage"] = slice(0, int(stored["cage_faces"].max()) + 1)
+        self.straight = own["points"] / GRID
+        self.eyes = own["eyes"].astype(np.float64)
+        marks = zip(stored["landmarks"], stored["landmark_points"], strict=True)
+        self.landmarks = {str(name): int(point) for name, point in marks}
+        self.creases = stored["crease_mask"] * np.float32(own["creases"] / 255)
+        self.follow, self.near = own["follow"].astype(np.int64), own["near"].astype(np.int64)
+        self.near_weight = own["weight"].astype(np.float32)
+        self.near_weight /= self.near_weight.sum(1, keepdims=True)
+        self.lids = [stored[f"lid_{s}"].astype(np.int64) for s in "LR"]
+        self.lid_rims = [stored[f"lid_rim_{s}"].astype(np.int64) for s in "LR"]
+        self.lid_least = [
+            np.minimum(np.linalg.norm(self.straight[ids] - eye[:3], axis=1), LID_CLEARANCE * eye[3])
+            for ids, eye in zip(self.lids, self.eyes, strict=True)
+        ]
 
     @cached_property
-    def _brows(self) -> dict[str, _Follow]:
-        return {s: self._follow(self.parts[f"brow_{s}"].vertices) for s in "LR"}
+    def mesh(self) -> Mesh:
+        """All parts joined, neutral; `pose` returns its vertices."""
+        stored, own = _shared(), _own(self.identity)
+        faces = np.concatenate([stored["faces"], own["faces"]]).astype(np.int64)
+        uv = np.concatenate([stored["uv"], own["uv"]]) / 65535
+        weld = np.concatenate([stored["weld"], own["weld"]]).astype(np.int64)
+        maps = Maps(*(_picture(name) for name in (self.identity.name, "creases", "pores")))
+        return Mesh(
+            self.neutral, faces, own["colour"] / 255, own["gloss"] / 255, uv, own["light"] / 255,
+            own["kind"].astype(np.int64), maps, weld,
+        )  # fmt: skip
 
-    def _follow(self, vertices: Float64, count: int = 16, reach_cm: float = 0.45) -> _Follow:
-        from scipy.spatial import cKDTree
+    @cached_property
+    def neutral(self) -> Float64:
+        """Vertices (V, 3) of the controls at rest."""
+        return self.pose(default_controls().rest).astype(np.float64)
 
-        skin = self.features
-        ids = np.flatnonzero((skin.kind == FILLER) | (skin.ring >= 3))
-        distance, near = cKDTree(skin.vertices[ids]).query(vertices, k=count)
-        weight = np.exp(-((np.asarray(distance) / reach_cm) ** 2)) + 1e-9
-        return _Follow(ids[near], weight / weight.sum(1, keepdims=True))
+    @cached_property
+    def skin(self) -> Mesh:
+        """The skin alone, neutral, without seams."""
+        return Mesh(self.neutral[self.slices["skin"]], _shared()["skin_faces"].astype(np.int64))
+
+    @cached_property
+    def cage(self) -> Mesh:
+        """A quarter of the skin's vertices, neutral, for uses that need no finer mesh."""
+        return Mesh(self.neutral[self.slices["cage"]], _shared()["cage_faces"].astype(np.int64))
+
+    @cached_property
+    def lip_rims(self) -> tuple[Int64, Int64]:
+        """Vertices of the cage that face one another across the closed mouth, right to left."""
+        columns = _shared()["lip_columns"]
+        chosen = np.flatnonzero(np.abs(columns) < 2.2)[::2]
+        upper, lower = (lip.within(self.slices["cage"].stop).rim for lip in self.motion.lips)
+        a, b = self.straight[upper], self.straight[lower]
+        apart = np.linalg.norm(a[:, None] - b, axis=-1)
+        across = np.abs(0.5 * (a[:, None, 0] + b[:, 0]) - columns[chosen, None, None])
+        pairs = (apart + across).reshape(len(chosen), -1).argmin(1)
+        found = np.stack([upper[pairs // len(lower)], lower[pairs % len(lower)]])
+        _, first = np.unique(found, axis=1, return_index=True)
+        kept = found[:, np.sort(first)]
+        return kept[0], kept[1]
+
+    def lip_gaps(self, poses: AnyFloat) -> Float64:
+        """Height of the gap between the lips at each column (T, P), cm, of poses (T, V, 3)."""
+        upper, lower = (lip.weight @ poses[:, lip.rim, 1].T for lip in self.motion.lips)
+        gap = (upper - lower).T * self.motion.fade
+        return np.asarray(np.maximum(gap, 0), np.float64)
 
     def pose(self, values: ArrayLike) -> Float32:
         """Vertices of the joined mesh for control values.
@@ -213,94 +352,94 @@ class Head:
             raise RigError(f"values have shape {table.shape}; a pose needs (T, {count})")
         if not np.isfinite(table).all():
             raise RigError("values contain NaN or infinity; a pose needs finite numbers")
-        frames = np.atleast_2d(table)
-        out = np.concatenate(
-            [self._pose(frames[k : k + BATCH]) for k in range(0, max(len(frames), 1), BATCH)]
-        )
+        out = np.concatenate([np.zeros((0, *self.straight.shape), np.float32),
+                              *self._batches(np.atleast_2d(table))])  # fmt: skip
         return out[0] if table.ndim == 1 else out
 
+    def _batches(self, frames: Float64) -> Iterator[Float32]:
+        for k in range(0, len(frames), BATCH):
+            yield self._pose(frames[k : k + BATCH])
+
     def _pose(self, frames: Float64) -> Float32:
-        inputs = bindings()(frames)
-        inputs["larynxUp"] = inputs["larynxUp"] + np.interp(
-            inputs["swallow"], [0, 0.2, 0.4, 0.6, 0.8, 1], [0, 0.4, 1, 1, 0.4, 0]
+        motion = self.motion
+        halves = motion.halves(frames)
+        weights = motion.weights(halves).astype(np.float32)
+        moved = (motion.shapes.T @ weights.T).T.reshape(len(frames), -1, 3)
+        out = np.repeat(self.straight.astype(np.float32)[None], len(frames), 0)
+        out[:, : moved.shape[1]] += moved
+        self._clear_eyes(out)
+        upper, lower = self._sealed(halves)
+        for power in SEAL_POWERS:
+            seal_lips(out, motion.lips, (upper**power, lower**power), motion.fade)
+        shift = out[:, self.near] - self.straight[self.near].astype(np.float32)
+        out[:, self.follow] += np.einsum("tvkc,vk->tvc", shift, self.near_weight)
+        self._turn_eyes(out, frames)
+        seam = self.slices["seam"]
+        out[:, seam] = out[:, _shared()["weld"][seam]]
+        return out
+
+    def _sealed(self, halves: Float64) -> tuple[Float64, Float64]:
+        """How far (T, P) the upper and the lower lip are brought to the other, 0 to 1."""
+        inputs = halves @ self.motion.bind
+        upper, lower = (np.clip(inputs @ profile, 0, 1) for profile in self.motion.profiles)
+        return upper, lower
+
+    def _clear_eyes(self, out: Float32) -> None:
+        for ids, eye, least in zip(self.lids, self.eyes, self.lid_least, strict=True):
+            away = out[:, ids] - eye[:3]
+            grow = least / np.linalg.norm(away, axis=-1)
+            out[:, ids] += away * np.maximum(grow - 1, 0)[..., None]
+
+    def _turn_eyes(self, out: Float32, frames: Float64) -> None:
+        pitch, yaw = gaze_degrees(frames)
+        for k, side in enumerate("LR"):
+            part, center = self.slices[f"eye_{side}"], self.eyes[k, :3]
+            turn = _gaze_matrix(pitch[:, k], yaw[:, k])
+            out[:, part] = (out[:, part] - center) @ turn.transpose(0, 2, 1) + center
+
+
+def seal_lips(
+    out: Float32, lips: tuple[Lip, Lip], sealed: tuple[Any, Any], fade: Any = 1.0
+) -> None:
+    """Bring lips together in place, and set them apart where they cross.
+
+    Parameters
+    ----------
+    out : array [shape=(T, V, 3)]
+        Changed.
+    lips : tuple of Lip
+        Upper and lower.
+    sealed : tuple of array [shape=(T, P), range 0 to 1]
+        How far each lip goes.
+    fade : array [shape=(P,)]
+        Share of all this at each column.
+    """
+    upper, lower = (lip.weight @ out[:, lip.rim] for lip in lips)
+    gap = upper - lower
+    parts = UPPER_PART * sealed[0], (1 - UPPER_PART) * sealed[1]
+    crossed = np.zeros_like(gap)
+    crossed[..., 1] = 0.5 * np.minimum(gap[..., 1], 0) * (1 - parts[0] - parts[1])
+    for lip, part, sign in zip(lips, parts, (-1, 1), strict=True):
+        move = sign * (gap * part[..., None] + crossed) * np.reshape(fade, (-1, 1))
+        out[:, lip.reach] += lip.along(move)
+
+
+def gaze_degrees(frames: Float64) -> tuple[Float64, Float64]:
+    """Pitch up and yaw to the character's left (T, 2) of the left and the right eye."""
+    index = default_controls().index
+    x, y = (
+        np.clip(
+            np.stack([frames[:, index(f"CTRL_{s}_eye.{axis}")] for s in "LR"], 1)
+            + frames[:, index(f"CTRL_C_eye.{axis}"), None], -1, 1
         )
-        vertices = np.repeat(self.mesh.vertices[None], len(frames), 0)
-        skin = vertices[:, self.slices["skin"]]
-        weights = np.stack([inputs[name] for name in self._names], 1).astype(np.float32)
-        shift = weights @ self._shapes
-        skin[:, self._moving] += shift.reshape(len(frames), -1, 3)
-        self.jaw.pose(skin, inputs)
-        upper, lower = self._arches["upper"], self._arches["lower"]
-        skin[:, upper.ids] += upper.push(skin[:, upper.ids] - _teeth_shift(inputs, "upper"))
-        in_jaw = self.jaw.undo(skin[:, lower.ids], inputs)
-        moved = in_jaw + lower.push(in_jaw - _teeth_shift(inputs, "lower"))
-        skin[:, lower.ids] += self.jaw.ride(moved, inputs) - self.jaw.ride(in_jaw, inputs)
-        turns = self._lids.pose(skin, inputs)
-        self._seal.pose(skin, inputs)
-        self._pose_mouth(vertices, inputs)
-        self._pose_eyes(vertices, inputs, turns)
-        self._pose_rest(vertices, inputs)
-        return vertices.astype(np.float32)
-
-    def _pose_mouth(self, vertices: Float64, inputs: Inputs) -> None:
-        vertices[:, self.slices["teeth_upper"]] += _teeth_shift(inputs, "upper")
-        lower_shift = _teeth_shift(inputs, "lower")
-        lower = vertices[:, self.slices["teeth_lower"]] + lower_shift
-        vertices[:, self.slices["teeth_lower"]] = self.jaw.ride(lower, inputs)
-        tongue = self.jaw.ride(self._tongue.shape(inputs), inputs, self._tongue.jaw_share)
-        edge = np.array([[[0, self.features.anatomy.mouth_y + details.LOWER_EDGE,
-                           self._lip_z - details.LOWER_BACK]]])  # fmt: skip
-        edge = self.jaw.ride(np.repeat(edge, len(vertices), 0) + lower_shift, inputs)
-        skin = vertices[:, self.slices["skin"]]
-        high, low = (skin[:, k, 1:] for k in self._rim_middle)
-        vertices[:, self.slices["tongue"]] = self._tongue.settle(tongue, edge[:, 0, 1:], low, high)
-
-    def _pose_eyes(self, vertices: Float64, inputs: Inputs, turns: dict[str, Float64]) -> None:
-        gaze_x = {s: np.clip(inputs[f"gaze.x_{s}"], -1, 1) for s in "LR"}
-        gaze_y = {s: np.clip(inputs[f"gaze.y_{s}"], -1, 1) for s in "LR"}
-        parallel = np.clip(inputs["gaze.parallel"], 0, 1)
-        for s, side in (("L", 1), ("R", -1)):
-            x = gaze_x[s] + parallel * (0.5 * (gaze_x["L"] + gaze_x["R"]) - gaze_x[s])
-            y = gaze_y[s] + parallel * (0.5 * (gaze_y["L"] + gaze_y["R"]) - gaze_y[s])
-            pitch = np.where(y > 0, GAZE_DEGREES["up"], GAZE_DEGREES["down"]) * y
-            yaw = GAZE_DEGREES["side"] * x - side * CONVERGENCE_DEGREES * (1 - parallel)
-            turn = _gaze_matrix(pitch, yaw)
-            ball = self._eye_rest + inputs[f"pupil_{s}"][:, None, None] * self._pupil
-            ball *= self.features.anatomy.eye_radius / np.linalg.norm(ball, axis=-1, keepdims=True)
-            center = self.features.anatomy.eye * [side, 1, 1]
-            vertices[:, self.slices[f"eye_{s}"]] = ball @ turn.transpose(0, 2, 1) + center
-            self._pose_lashes(vertices, inputs, s, turns[s])
-
-    def _pose_lashes(self, vertices: Float64, inputs: Inputs, s: str, turn: Float64) -> None:
-        part, root = self.slices[f"lash_{s}"], self._lash_root[s]
-        skin = vertices[:, self.slices["skin"]]
-        neutral = self.features.vertices[root]
-        offset = self.parts[f"lash_{s}"].vertices - neutral
-        rim = self.features.loop(EYE_L if s == "L" else EYE_R, 0)
-        slot = {int(v): k for k, v in enumerate(rim)}
-        angle = turn[:, [slot[int(v)] for v in root]] * 0.8
-        along = self._lash_along[s]
-        angle = angle + 0.35 * inputs[f"lash.in_{s}"][:, None] * np.clip(1 - 2 * along, 0, 1)
-        angle = angle + 0.35 * inputs[f"lash.out_{s}"][:, None] * np.clip(2 * along - 1, 0, 1)
-        cos, sin = np.cos(angle), np.sin(angle)
-        y = cos * offset[:, 1] + sin * offset[:, 2]
-        z = cos * offset[:, 2] - sin * offset[:, 1]
-        moved = np.stack(np.broadcast_arrays(offset[:, 0], y, z), -1)
-        vertices[:, part] = skin[:, root] + moved
-
-    def _pose_rest(self, vertices: Float64, inputs: Inputs) -> None:
-        skin = vertices[:, self.slices["skin"]]
-        for s, side in (("L", 1), ("R", -1)):
-            ride = self._brows[s]
-            shift = skin[:, ride.near] - self.features.vertices[ride.near]
-            vertices[:, self.slices[f"brow_{s}"]] += np.einsum("tvkc,vk->tvc", shift, ride.weight)
-            lift = inputs[f"ear_{s}"][:, None, None] * np.array([0.06 * side, 0.32, -0.05])
-            vertices[:, self.slices[f"ear_{s}"]] += lift
-
-
-def _teeth_shift(inputs: Inputs, jaw: str) -> Float64:
-    """How far (T, 1, 3) the teeth of one jaw are moved by their own controls, cm."""
-    return 0.25 * np.stack([inputs[f"teeth.{jaw}_{axis}"] for axis in "xyz"], -1)[:, None]
+        for axis in ("tx", "ty")
+    )  # fmt: skip
+    parallel = np.clip(frames[:, index("CTRL_C_eye_parallelLook.ty"), None], 0, 1)
+    x = x + parallel * (x.mean(1, keepdims=True) - x)
+    y = y + parallel * (y.mean(1, keepdims=True) - y)
+    inwards = CONVERGENCE_DEGREES * (1 - parallel) * np.array([-1, 1])
+    pitch = np.where(y > 0, GAZE_DEGREES["up"], GAZE_DEGREES["down"]) * y
+    return pitch, GAZE_DEGREES["side"] * x + inwards
 
 
 def _gaze_matrix(pitch_degrees: Float64, yaw_degrees: Float64) -> Float64:
@@ -312,55 +451,13 @@ def _gaze_matrix(pitch_degrees: Float64, yaw_degrees: Float64) -> Float64:
     return np.asarray(turn.reshape(-1, 3, 3) @ tilt.reshape(-1, 3, 3))
 
 
-def _build(identity: Identity) -> Arrays:
-    """Neutral skin and every linear shape of one identity, as plain arrays."""
-    from rig.face.motion.shape_list import FACE_SHAPES, MOUTH_SHAPES, neck_shapes, side_shapes
-    from rig.face.motion.shapes import ShapeMaker
-
-    skin = build_skin(identity)
-    maker = ShapeMaker(skin)
-    shapes: dict[str, Float64] = {}
-    for shape in (*MOUTH_SHAPES, *FACE_SHAPES):
-        shapes |= maker.make(shape)
-    shapes |= side_shapes(maker) | neck_shapes(maker)
-    weights = Jaw.weights(maker)
-    return {
-        "vertices": skin.vertices, "faces": skin.faces, "kind": skin.kind, "ring": skin.ring,
-        "slot": skin.slot, "mirror": skin.mirror,
-        **{f"shape.{name}": shape.astype(np.float32) for name, shape in shapes.items()},
-        "shape.jawWeights": weights[:, None],
-        **_build_look(identity, skin, shapes | {"jawWeights": weights[:, None]}),
-    }  # fmt: skip
-
-
-def _build_look(identity: Identity, skin: Skin, shapes: dict[str, Float64]) -> Arrays:
-    """Hair, maps and baked light of a head, as plain arrays."""
-    from rig.face.maps import build_maps, occlusion
-
-    locks, brow, uv = hair.hair(identity), hair.brow(identity), skin_uv(skin)
-    maps = build_maps(skin, uv, identity)
-    bare = Head(identity, skin, shapes, Look(locks, brow, uv))
-    solid = [bare.parts[name] for name in ("skin", "ear_L", "ear_R", "hair", "bust")]
-    baked = np.split(occlusion(join(solid)), np.cumsum([len(p.vertices) for p in solid])[:-1])
-    light = np.ones((len(bare.mesh.vertices), 2))
-    for name, part in zip(("skin", "ear_L", "ear_R", "hair", "bust"), baked, strict=True):
-        light[bare.slices[name]] = part
-    light[bare.slices["skin"]][skin.ring < 0] = 1  # the mouth is painted dark, and opens
-    return {
-        **{f"hair.{name}": getattr(locks, name) for name in MESH_ARRAYS},
-        **{f"brow.{name}": getattr(brow, name) for name in MESH_ARRAYS},
-        **{f"maps.{name}": value for name, value in vars(maps).items()},
-        "uv": uv, "light": light.astype(np.float32),
-    }  # fmt: skip
-
-
 def build_head(identity: int | str | Identity = 0) -> Head:
-    """Build the head of an identity, or take it from the user's cache.
+    """Load the head of an identity.
 
     Parameters
     ----------
     identity : int, str or Identity, optional
-        One of `rig.face.IDENTITIES` by number or name, or other proportions.
+        One of `rig.face.IDENTITIES` by number or name, or a role.
 
     Raises
     ------
@@ -370,19 +467,6 @@ def build_head(identity: int | str | Identity = 0) -> Head:
     return _head(resolve_identity(identity))
 
 
-@lru_cache(maxsize=16)
+@lru_cache(maxsize=8)
 def _head(identity: Identity) -> Head:
-    from rig.face.geometry.topology import anatomy
-
-    arrays = load_or_build("head", identity, _build)
-    skin = Skin(
-        arrays["vertices"], arrays["faces"].astype(np.int64), arrays["kind"], arrays["ring"],
-        arrays["slot"], arrays["mirror"], anatomy(identity),
-    )  # fmt: skip
-    shapes = {k.removeprefix("shape."): v for k, v in arrays.items() if k.startswith("shape.")}
-    locks, brow = (
-        Mesh(**{name: arrays[f"{part}.{name}"] for name in MESH_ARRAYS})  # type: ignore[arg-type]
-        for part in ("hair", "brow")
-    )
-    maps = Maps(**{name: arrays[f"maps.{name}"] for name in ("atlas", "creases", "pores")})
-    return Head(identity, skin, shapes, Look(locks, brow, arrays["uv"], maps, arrays["light"]))
+    return Head(identity)

@@ -20,8 +20,8 @@ from rig.conversion.arkit import RAW_ID, board_to_raw, raw_controls
 from rig.curves import HEAD, RigCurves
 from rig.errors import FormatError
 from rig.face.accents import matrices
-from rig.face.geometry.mesh import EYE, HAIR
 from rig.face.head import Head
+from rig.face.mesh import EYE, FINE, HAIR
 from rig.files.reading import check_expansion, check_file
 from rig.limits import CURVES_BYTES, FRAMES, SPARSE_BYTES
 from rig.mesh.shapes import ShapeSet
@@ -37,8 +37,8 @@ from rig.retarget.morph_head import (
 NAMES, VALUES = "custom:mh_curveNames", "custom:mh_curveValues"
 HEAD_TRACK = "custom:deitalk_head"
 STILL_CM = 1e-3
-PICTURE = "head.jpg"
-KINDS = {"hair": HAIR, "eyes": EYE}
+PICTURE = "head.png"
+KINDS = {"hair": (HAIR, FINE), "eyes": (EYE,)}
 ROUGHNESS = {"hair": HAIR_ROUGHNESS, "eyes": EYE_ROUGHNESS, "skin": SKIN_ROUGHNESS}
 """Of the materials; what is of neither kind is skin."""
 
@@ -116,12 +116,18 @@ def _dress(pxr: Any, stage: Any, mesh: Any, head: Head, uv: Float64, *, is_packe
     pxr.UsdGeom.Scope.Define(stage, "/head/materials")
     kind = head.mesh.kind[head.mesh.faces[:, 0]]
     for name, roughness in ROUGHNESS.items():
-        chosen = kind == KINDS[name] if name in KINDS else ~np.isin(kind, list(KINDS.values()))
+        chosen = np.isin(kind, KINDS.get(name, sum(KINDS.values(), ())), invert=name not in KINDS)
         faces = pxr.Vt.IntArray.FromNumpy(np.flatnonzero(chosen).astype(np.int32))
         part = pxr.UsdGeom.Subset.CreateGeomSubset(mesh, name, "face", faces, "materialBind")
         material = pxr.UsdShade.Material.Define(stage, f"/head/materials/{name}")
-        colour = _picture(pxr, material) if is_packed else _reader(pxr, material, "displayColor", 3)
         surface = _shader(pxr, material, "UsdPreviewSurface")
+        if is_packed:
+            colour, alpha = _picture(pxr, material)
+            if name == "hair":
+                surface.CreateInput("opacity", types.Float).ConnectToSource(alpha)
+                surface.CreateInput("opacityThreshold", types.Float).Set(0.5)
+        else:
+            colour = _reader(pxr, material, "displayColor", 3)
         surface.CreateInput("diffuseColor", types.Color3f).ConnectToSource(colour)
         surface.CreateInput("roughness", types.Float).Set(roughness)
         shown = surface.CreateOutput("surface", types.Token)
@@ -146,15 +152,15 @@ def _reader(pxr: Any, material: Any, name: str, width: int) -> Any:
     return reader.CreateOutput("result", types.Float2 if width == 2 else types.Float3)
 
 
-def _picture(pxr: Any, material: Any) -> Any:
-    """Output of a node that shows the picture."""
+def _picture(pxr: Any, material: Any) -> tuple[Any, Any]:
+    """Outputs of a node that shows the picture: colour and alpha."""
     types, texture = pxr.Sdf.ValueTypeNames, _shader(pxr, material, "UsdUVTexture")
     texture.CreateInput("file", types.Asset).Set(pxr.Sdf.AssetPath(f"./{PICTURE}"))
     texture.CreateInput("sourceColorSpace", types.Token).Set("sRGB")
     for wrap in ("wrapS", "wrapT"):
         texture.CreateInput(wrap, types.Token).Set("clamp")
     texture.CreateInput("st", types.Float2).ConnectToSource(_reader(pxr, material, "st", 2))
-    return texture.CreateOutput("rgb", types.Float3)
+    return texture.CreateOutput("rgb", types.Float3), texture.CreateOutput("a", types.Float)
 
 
 def read(path: Path, controls: ControlSet | None = None, fps: float | None = None) -> RigCurves:

@@ -56,7 +56,7 @@ def glb_to_fbx(
         write_container(Path(folder) / "a.glb", document, binary)
         if paint is not None:
             np.save(Path(folder) / "a.npy", paint[0].reshape(-1, 2).astype(np.float32))
-            (Path(folder) / "a.jpg").write_bytes(paint[1])
+            (Path(folder) / "a.png").write_bytes(paint[1])
         run_blender(Path(folder) / "a.glb", target, fps, tolerance)
 
 

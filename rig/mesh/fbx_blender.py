@@ -115,7 +115,7 @@ def paint(source: Path) -> None:
     (mesh,) = bpy.data.meshes
     layer, uv = mesh.uv_layers[0], np.load(source.with_suffix(".npy"))
     layer.data.foreach_set("uv", (uv * [1, -1] + [0, 1]).astype(np.float32).ravel())
-    picture = bpy.data.images.load(str(source.with_suffix(".jpg")))
+    picture = bpy.data.images.load(str(source.with_suffix(".png")))
     for material in mesh.materials:
         for surface in material.node_tree.nodes:
             if surface.type == "BSDF_PRINCIPLED":

@@ -86,11 +86,14 @@ class Surface:
         From the left and from the top of the pictures.
     base_color, roughness : bytes
         Files, PNG or JPEG; roughness is the green channel, base colour multiplies the vertices'.
+    cutoff : float, optional
+        Alpha of the base colour below which the surface is not there, both of its sides are drawn.
     """
 
     uv: NDArray[Any]
     base_color: bytes
     roughness: bytes
+    cutoff: float | None = None
 
 
 @dataclass
@@ -265,6 +268,10 @@ def _add_surface(builder: GlbBuilder, surface: Surface, used: Int64) -> None:
     }
     material = builder.json["materials"][0]["pbrMetallicRoughness"]
     material["roughnessFactor"] = 1.0
+    if surface.cutoff is not None:
+        builder.json["materials"][0] |= {
+            "alphaMode": "MASK", "alphaCutoff": surface.cutoff, "doubleSided": True,
+        }  # fmt: skip
     builder.json["samplers"] = [{"magFilter": 9729, "minFilter": 9987}]  # linear, with mip maps
     for index, (name, data) in enumerate(textures.items()):
         kind = "image/png" if data.startswith(b"\x89PNG") else "image/jpeg"

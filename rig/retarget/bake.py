@@ -146,7 +146,7 @@ def bake(
     neutral : TriMesh
         The rig's mesh at rest.
     evaluate : callable
-        Control values [shape=(T, C)] to vertices [shape=(T, V, 3)]; one pose at a time.
+        Control values [shape=(T, C)] to vertices [shape=(T, V, 3)].
     controls : ControlSet
         Columns of those values.
     correctives : sequence of (str, Driver)
@@ -162,25 +162,21 @@ def bake(
     MeshError
         If the rig's vertices are not the neutral mesh's.
     """
-    drivers: list[Driver] = []
-    names: list[str] = []
-    deltas: list[Float32] = []
-    rest = _posed(evaluate, controls.rest, neutral)
-    for name, driver in [*control_halves(controls), *correctives]:
-        shown = rest.copy()
-        for delta, other in zip(deltas, drivers, strict=True):
-            weight = float(other.weight(driver.pose(controls)[None], controls)[0])
+    wanted = [*control_halves(controls), *correctives]
+    names, drivers = [name for name, _ in wanted], [driver for _, driver in wanted]
+    poses = np.stack([driver.pose(controls) for driver in drivers])
+    rest = _posed(evaluate, controls.rest[None], neutral)[0]
+    deltas = _posed(evaluate, poses, neutral) - rest
+    kept: list[int] = []
+    for k, driver in enumerate(drivers):
+        for j in kept if k >= len(drivers) - len(correctives) else ():
+            weight = float(drivers[j].weight(driver.pose(controls)[None], controls)[0])
             if weight:
-                shown += weight * delta
-        delta = (_posed(evaluate, driver.pose(controls), neutral) - shown).astype(np.float32)
-        if np.linalg.norm(delta, axis=1).max() > _STILL * neutral.size:
-            names.append(name)
-            drivers.append(driver)
-            deltas.append(delta)
-    stacked = np.array(deltas, dtype=np.float32).reshape(-1, *neutral.vertices.shape)
-    return BakedRig(
-        ShapeSet(neutral.with_vertices(rest), tuple(names), stacked), tuple(drivers), controls
-    )
+                deltas[k] -= weight * deltas[j]
+        if np.linalg.norm(deltas[k], axis=1).max() > _STILL * neutral.size:
+            kept.append(k)
+    shapes = ShapeSet(neutral.with_vertices(rest), tuple(names[k] for k in kept), deltas[kept])
+    return BakedRig(shapes, tuple(drivers[k] for k in kept), controls)
 
 
 def control_halves(controls: ControlSet) -> list[tuple[str, Driver]]:
@@ -196,14 +192,14 @@ def control_halves(controls: ControlSet) -> list[tuple[str, Driver]]:
     return halves
 
 
-def _posed(evaluate: Evaluate, values: Float32, neutral: TriMesh) -> Float64:
-    vertices = np.asarray(evaluate(np.asarray(values, dtype=np.float32)[None]), dtype=np.float64)
-    if vertices.shape != (1, *neutral.vertices.shape):
+def _posed(evaluate: Evaluate, values: Float32, neutral: TriMesh) -> Float32:
+    vertices = np.asarray(evaluate(np.asarray(values, dtype=np.float32)), dtype=np.float32)
+    if vertices.shape != (len(values), *neutral.vertices.shape):
         raise MeshError(
             f"the rig gives vertices of shape {vertices.shape}; its neutral mesh needs "
-            f"{(1, *neutral.vertices.shape)}"
+            f"{(len(values), *neutral.vertices.shape)}"
         )
-    return np.asarray(vertices[0])
+    return vertices
 
 
 def face_correctives() -> list[tuple[str, Driver]]:

@@ -530,14 +530,14 @@ def _splits(folder: Path, speakers: list[str]) -> dict[str, str]:
 
 
 def head_templates(identities: tuple[int, ...]) -> dict[str, TriMesh]:
-    """Skin of the embedded heads, neutral, by the identities' names."""
+    """Cage of the skin of the embedded heads, neutral, by the identities' names."""
     heads = [build_head(identity) for identity in identities]
-    return {h.identity.name: TriMesh(h.skin.vertices, h.skin.faces) for h in heads}
+    return {h.identity.name: TriMesh(h.cage.vertices, h.cage.faces) for h in heads}
 
 
 def head_lips() -> Lips:
     """Rims of the embedded heads' lips; every identity has the same vertices there."""
-    return Lips(*build_head(0).features.lip_rims())
+    return Lips(*build_head(0).lip_rims)
 
 
 def head_sequences(data: Path, config: MeshDataConfig) -> list[MeshSequence]:
@@ -592,4 +592,4 @@ def act(clip: Clip, identity: int | str, fps: float) -> tuple[Float32, Float32]:
     # Curves may start after the recording; before and after them their ends hold.
     place = np.arange(n_frames) - round(clip.offset_seconds * fps)
     held = values[np.clip(place, 0, len(values) - 1)]
-    return waveform, head.pose(held)[:, head.slices["skin"]]
+    return waveform, head.pose(held)[:, head.slices["cage"]]

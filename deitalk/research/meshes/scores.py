@@ -30,7 +30,6 @@ from rig.arrays import Float32, Float64
 from rig.face import build_head
 from rig.face.identity import IDENTITIES
 from rig.mesh.trimesh import TriMesh
-from rig.retarget.morph_head import head_landmarks
 
 Phones = Sequence[tuple[float, float, str]]
 
@@ -211,7 +210,7 @@ def evaluate_mesh(
 
 def _check_heads(model: MeshModel) -> None:
     known = {identity.name for identity in IDENTITIES}
-    faces = build_head(0).skin.faces
+    faces = build_head(0).cage.faces
     for speaker, template in model.templates.items():
         if speaker not in known or not np.array_equal(template.faces, faces):
             raise CheckpointError(
@@ -332,7 +331,7 @@ def acted_by_curves(
         audio, emotion, model=model.encoder.network, intensity=intensity, life="off"
     )
     head = build_head(speaker)
-    return head.pose(performance.curves.values)[:, head.slices["skin"]]
+    return head.pose(performance.curves.values)[:, head.slices["cage"]]
 
 
 def acted_by_model(
@@ -364,7 +363,7 @@ def expression_probe(model: MeshHead, recordings: Sequence[Path]) -> dict[str, A
     found: dict[tuple[str, str, str], list[list[float]]] = {}
     for i, place in enumerate(places):
         recording, speaker = load_audio(unique[place]), model.speakers[i % len(model.speakers)]
-        marks = head_landmarks(build_head(speaker))
+        marks = build_head(speaker).landmarks
         for who, way in zip(ACTORS, (acted_by_model, acted_by_curves), strict=True):
             one = partial(way, model, recording, speaker)
             for (where, emotion), rises in _rises(one, marks, model.unit_mm).items():

@@ -26,18 +26,14 @@ from deitalk.research.video.landmarks import (
     read_landmarks,
 )
 from rig import ControlSet, RigCurves, default_controls
-from rig.arrays import Bool, Float32, Float64
+from rig.arrays import Bool, Float32, Float64, Int64
 from rig.face.head import GAZE_DEGREES, Head, build_head
-from rig.face.motion.rigid import LOOK_UP, UPPER_UP, WIDEN
-from rig.face.web_export import head_arrays
-from rig.retarget.morph_head import head_landmarks
 
 # Measures of a face that landmarks show, as a differentiable function of the 185 curves.
 #
-# Widens the lips of `HeadLips` by each side of the mouth, brows and lids; lids turn
-# about the eyeball as in `rig.face.motion.shapes`.
+# Widens the lips of `HeadLips` by each side of the mouth, brows and lids.
 #
-# Letters: T frames, C controls, K inputs of the head, N points, P pairs of the rims, M measures.
+# Letters: T frames, C controls, N points, P columns of the rims, M measures.
 
 SIDES = ("L", "R")
 MOUTH = (
@@ -71,40 +67,34 @@ class HeadFace(HeadLips):
         Between the corners of one eye, and of the iris's centre about the eye's, cm.
     """
 
-    halves: Tensor
-    eye_centers: Tensor
+    sides: Tensor
 
     def __init__(self, head: Head) -> None:
-        marks = head_landmarks(head)
-        brows = [_brow_vertex(head, s, place) for s in SIDES for place in BROW_PLACES.values()]
+        marks = head.landmarks
+        brows = [_brow_place(head, s, place) for s in SIDES for place in BROW_PLACES.values()]
         lids = [marks[f"eye_{part}_{s}"] for s in ("left", "right") for part in ("upper", "lower")]
         edges = [marks["upper_lip_top"], marks["lower_lip_bottom"]]
         super().__init__(head, (*edges, *brows, *lids))
-        arrays, facts = head_arrays(head)
-        left = np.asarray(arrays["seal.left"], np.float64)
-        central = np.abs(arrays["seal.u"]) <= CENTRAL
-        halves = np.stack([central * left, central * (1 - left)])
-        self._keep("halves", halves / halves.sum(axis=1, keepdims=True))
-        eye = np.asarray(facts["eye"])
-        self._keep("eye_centers", np.stack([eye, eye * [-1, 1, 1]]))
-        self._least, self._meet = float(facts["lidLeast"]), float(facts["lidMeet"])
+        along = np.linspace(-1, 1, self.n_pairs)
+        central = np.abs(along) <= CENTRAL
+        sides = np.stack([central * (along > 0), central * (along < 0)])
+        self._keep("sides", sides / sides.sum(axis=1, keepdims=True))
         outer, inner = (head.skin.vertices[marks[f"eye_{k}_left"]] for k in ("outer", "inner"))
         self.eye_width = float(np.linalg.norm(outer - inner))
-        self.iris_radius = float(facts["eyeRadius"])
+        self.iris_radius = float(head.eyes[0, 3])
 
     def forward(self, curves: Tensor) -> Tensor:
         """Measure curves (..., C) as `HeadLips.forward`, by `MEASURES` of this module (..., M)."""
-        inputs = self.inputs(curves)
-        upper, lower, others = self.points(inputs)
+        upper, lower, others = self.points(curves)
         left, right, chin, nose, top, bottom = others[..., :6, :].unbind(-2)
         brows = others[..., 6:12, :].reshape(*curves.shape[:-1], 2, 3, 3)
-        rims = [(rim[..., 1] @ self.halves.T) for rim in (upper, lower)]
+        rims = [(rim[..., 1] @ self.sides.T) for rim in (upper, lower)]
         middle = [(rim * self.central[:, None]).sum(-2) for rim in (upper, lower)]
         below = nose[..., 1, None]
         corners = torch.stack((left, right), dim=-2)
         signs = curves.new_tensor([1.0, -1.0])
         lids = others[..., 12:16, :].reshape(*curves.shape[:-1], 2, 2, 3)
-        gap, low = self._lids(lids, inputs)
+        gap, low = lids[..., 0, 1] - lids[..., 1, 1], lids[..., 1, 1]
         measures = (
             torch.stack(
                 (
@@ -127,47 +117,16 @@ class HeadFace(HeadLips):
         )
         return torch.cat(measures, dim=-1)
 
-    def _lids(self, lids: Tensor, inputs: Tensor) -> tuple[Tensor, Tensor]:
-        """Gap and height of the lower lid (..., 2) of both eyes; `lids` (..., 2 eyes, 2, 3)."""
-        height, depth = ((lids - self.eye_centers[:, None])[..., axis] for axis in (1, 2))
-        angle = torch.atan2(height, depth)
-        far = (height.square() + depth.square()).sqrt().clamp(min=self._least)
-        gap = (angle[..., 0] - angle[..., 1]).clamp(min=0)
-        up, low = self._turns(gap, inputs)
-        turned = far * torch.sin(angle + torch.stack((up, low), dim=-1))
-        return turned[..., 0] - turned[..., 1], turned[..., 1]
 
-    def _turns(self, gap: Tensor, inputs: Tensor) -> tuple[Tensor, Tensor]:
-        """Upward turns (..., 2) of the upper and the lower lids' middles, radians."""
-        get = {
-            kind: torch.stack(
-                [inputs[..., self._inputs[f"lid.{kind}_{s}"]] for s in SIDES], dim=-1
-            ).clamp(0, 1)
-            for kind in (
-                "close", "upper", "lower", "lookUp", "lookDown", "widen", "upperUp", "lowerDown",
-                "frown",
-            )
-        }  # fmt: skip
-        blink = get["close"]
-        open_ = 1 - blink
-        close = blink + open_ * (0.85 * get["upper"] + 0.60 * get["lookDown"])
-        close = (close + 0.15 * get["frown"]).clamp(0, 1)
-        rise = (open_ * 0.8 * get["lower"] + blink * self._meet).clamp(0, 1)
-        widen = (WIDEN * get["widen"] + UPPER_UP * get["upperUp"] + LOOK_UP * get["lookUp"]) * open_
-        dip = (0.06 * get["widen"] + 0.16 * get["lowerDown"]).clamp(max=0.26)
-        ride = 0.30 * get["lookDown"] - 0.10 * get["lookUp"] * open_
-        room = 1 - (1 - self._meet) * close
-        up = -(1 - self._meet) * close * gap + widen.clamp(max=0.36) - ride
-        return up, torch.minimum(rise, room) * gap - dip * (1 - close) - ride
-
-
-def _brow_vertex(head: Head, side: str, place: float) -> int:
-    """Vertex of the skin under a place of a brow."""
-    brow: Float64 = head.parts[f"brow_{side}"].vertices
-    along = np.abs(brow[:, 0])
+def _brow_place(head: Head, side: str, place: float) -> tuple[Int64, Float32]:
+    """The skin that a place of a brow follows: vertices and their weights."""
+    part = head.slices[f"brow_{side}"]
+    along = np.abs(head.mesh.vertices[part, 0])
     wanted = along.min() + place * np.ptp(along)
-    near = brow[np.abs(along - wanted) <= 0.08 * np.ptp(along)].mean(axis=0)
-    return int(np.argmin(np.linalg.norm(head.skin.vertices - near, axis=1)))
+    near = part.start + np.flatnonzero(np.abs(along - wanted) <= 0.08 * np.ptp(along))
+    rows = np.searchsorted(head.follow, near)
+    weights = head.near_weight[rows] / np.float32(len(rows))
+    return head.near[rows].ravel(), weights.ravel()
 
 
 # Straightened landmarks to the measures of a head's face, fitted to the person's proportions.

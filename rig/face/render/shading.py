@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from rig.arrays import Float64
 from rig.errors import RigError
-from rig.face.geometry.mesh import EYE, HAIR, PORES, SKIN, unit
+from rig.face.mesh import CLOTH, EYE, FINE, FINE_CM, HAIR, PORES, SKIN, unit
 from rig.files import atomic_write
 
 if TYPE_CHECKING:
@@ -79,8 +79,15 @@ LIGHTS = (
 TO_LIGHT = unit(np.array([direction for direction, _ in LIGHTS]))
 LIGHT_COLORS = np.array([color for _, color in LIGHTS])
 WRAPS = np.array(
-    # PLAIN, SKIN, HAIR, EYE, CLOTH
-    [[0.2, 0.2, 0.2], [0.42, 0.22, 0.15], [0.35, 0.32, 0.3], [0.25, 0.22, 0.2], [0.1, 0.1, 0.1]]
+    # PLAIN, SKIN, HAIR, EYE, CLOTH, FINE
+    [
+        [0.2, 0.2, 0.2],
+        [0.42, 0.22, 0.15],
+        [0.35, 0.32, 0.3],
+        [0.25, 0.22, 0.2],
+        [0.1, 0.1, 0.1],
+        [0.35, 0.32, 0.3],
+    ]
 )
 SKY, GROUND = (0.24, 0.26, 0.29), (0.11, 0.09, 0.085)
 BACKGROUND_TOP, BACKGROUND_BOTTOM = (0.30, 0.33, 0.37), (0.15, 0.165, 0.19)
@@ -111,32 +118,38 @@ centroid out float accent_; centroid out vec2 uv_;
 void main() {
   n_ = normal; p_ = position; paint_ = paint; light_ = light; accent_ = accent; uv_ = place;
   gl_Position = view * vec4(position, 1.0);
+  if (light.z > 0.9) gl_Position.z -= NEARER / gl_Position.w;  // brows and lashes
 }
-"""
+""".replace("NEARER", f"{2 * FINE_CM * NEAR * FAR / (FAR - NEAR):.6f}")
     fragment = f"""#version 330
 centroid in vec3 n_; centroid in vec3 p_; centroid in vec4 paint_; centroid in vec3 light_;
 centroid in float accent_; centroid in vec2 uv_;
-uniform vec3 eye; uniform sampler2D atlas, creases, pores; out vec4 color_;
+uniform vec3 eye; uniform float threshold; uniform sampler2D atlas, creases, pores;
+out vec4 color_;
 const vec3 WRAPS[{len(WRAPS)}] = vec3[{len(WRAPS)}]({wraps});
 vec3 n, v, wrap, diffuse, shine; float power, strength, facing; int kind;
 void lamp(vec3 d, vec3 c, float seen) {{
   float k = dot(n, d), bleed = kind == {SKIN} ? seen * (1.0 - seen) : 0.0;
   vec3 lit = clamp((k + wrap) / (1.0 + wrap), 0.0, 1.0);
-  diffuse += c * lit * (0.72 + 0.28 * lit) * (seen + bleed * vec3(0.55, 0.12, 0.0));
+  diffuse += c * lit * (0.72 + 0.28 * lit) * (seen + bleed * vec3(0.3, 0.12, 0.0));
   float near = clamp((k + facing) / sqrt(max(2.0 + 2.0 * dot(d, v), 1e-6)), 0.0, 1.0);
   if (k > 0.0) shine += c * near / (power - power * near + near) * strength * seen;
 }}
 void main() {{
-  v = normalize(eye - p_); n = normalize(n_); kind = int(light_.z * 4.0 + 0.5);
-  vec3 tint = texture(atlas, uv_).rgb * 2.0;
+  v = normalize(eye - p_); n = normalize(n_); kind = int(light_.z * 5.0 + 0.5);
+  vec4 tint = texture(atlas, uv_);
+  bool hair = kind == {HAIR} || kind == {FINE}, thin = hair || kind == {CLOTH};
+  if (thin ? hair && tint.a < threshold : !gl_FrontFacing) discard;
+  if (thin && dot(n, v) < 0.0) n = -n;
+  vec3 albedo = paint_.rgb * tint.rgb;
   float shade = 1.0, strand = 1.0, gloss = paint_.a;
   if (kind == {SKIN}) {{
     vec2 pore = texture(pores, uv_ * {PORES:.1f}).rg * 2.0 - 1.0;
     vec4 fold = texture(creases, uv_);
     shade += 0.16 * pore.r; gloss *= 1.0 + 0.7 * pore.g;
     n = normalize(n + accent_ * (2.0 * fold.rgb - 1.0)); shade *= 1.0 - accent_ * (1.0 - fold.a);
-  }} else if (kind == {HAIR}) strand = tint.r * tint.r;
-  else shade *= 1.0 - 0.85 * accent_;
+  }} else if (kind == {HAIR}) strand = min(3.0 * albedo.r, 1.0);
+  else if (kind == {EYE}) shade *= 1.0 - 0.85 * accent_;
   facing = dot(n, v); wrap = WRAPS[kind];
   float rim = kind == {EYE} ? 0.0 : pow(1.0 - max(facing, 0.0), 3.0) * 0.35;
   vec3 sky = {_vec(SKY)};
@@ -148,8 +161,9 @@ void main() {{
     float glow = 0.8 * smoothstep(0.955, 0.975, dot(mirror, {_vec(TO_LIGHT[0])}));
     shine += (glow + 0.10 * clamp(mirror.y, 0.0, 1.0)) * (1.0 - accent_);
   }}
-  vec3 albedo = paint_.rgb * tint, linear = albedo * albedo * shade * diffuse + shine;
-  color_ = vec4(sqrt(clamp(linear * 1.12 / (1.0 + 0.12 * linear), 0.0, 1.0)), 1.0);
+  vec3 linear = albedo * albedo * shade * diffuse + shine;
+  float cover = hair && threshold < 0.3 ? tint.a : 1.0;
+  color_ = vec4(sqrt(clamp(linear * 1.12 / (1.0 + 0.12 * linear), 0.0, 1.0)), cover);
 }}
 """
     return vertex, fragment

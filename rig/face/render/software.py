@@ -7,11 +7,15 @@ from typing import Any
 import numba.core.config
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
-from rig.arrays import Float32, Float64, Int32, Int64
-from rig.face.geometry.mesh import (
+from rig.arrays import Bool, Float32, Float64, Int32, Int64
+from rig.face.mesh import (
+    CLOTH,
     EYE,
+    FINE,
+    FINE_CM,
     HAIR,
     PORES,
     SKIN,
@@ -19,7 +23,6 @@ from rig.face.geometry.mesh import (
     Mesh,
     adjacency,
     unit,
-    vertex_normals,
 )
 from rig.face.render import shading
 from rig.face.render.shading import FAR, NEAR, Picture, View, background
@@ -54,6 +57,8 @@ numba.core.config.reload_config()
 
 TILE = 8
 """Side of a tile, samples."""
+THRESHOLDS = np.array([40, 168, 216, 96], np.uint8)
+"""Least alpha of the four samples of a pixel, of 255."""
 
 # Columns of a vertex: place on the screen (2), normal (3), paint (4), light (2), accent, uv (2).
 X, Y, NORMAL, COLUMNS = 0, 1, 2, 14
@@ -72,9 +77,13 @@ TO_EYE, WRAP, SLOPE, ROWS = 21 * PLACES, 24 * PLACES, 27 * PLACES, 30
 
 @compiled
 def fill(
-    x: Any, y: Any, z: Any, faces: Any, first_face: Any, far: Any, nearest: Any, depth: Any
-) -> None:
+    x: Any, y: Any, z: Any, uv: Any, alpha: Any, faces: Any, first_face: Any, n_solid: Any,
+    far: Any, nearest: Any, depth: Any,
+) -> None:  # fmt: skip
     """Write the nearest face and its depth at every sample (H, W) that faces cover.
+
+    Faces from `n_solid` on cover those samples where `alpha` (A, A) at `uv` (V, 2) is above the
+    threshold of the sample within its pixel, which makes soft edges.
 
     Neighbours compute a shared edge from its upper to its lower end, with the same numbers: they
     share no sample and leave none out. Faces behind `far`, the depth of tiles of samples
@@ -88,6 +97,13 @@ def fill(
         area = (x[b] - x[a]) * (y[c] - y[a]) - (y[b] - y[a]) * (x[c] - x[a])
         per_x = ((z[b] - z[a]) * (y[c] - y[a]) - (z[c] - z[a]) * (y[b] - y[a])) / area
         per_y = ((z[c] - z[a]) * (x[b] - x[a]) - (z[b] - z[a]) * (x[c] - x[a])) / area
+        is_thin = f >= n_solid
+        side = F(len(alpha))
+        ua, va, xa, ya = uv[a, 0] * side, uv[a, 1] * side, x[a], y[a]
+        u_x = ((uv[b, 0] * side - ua) * (y[c] - ya) - (uv[c, 0] * side - ua) * (y[b] - ya)) / area
+        u_y = ((uv[c, 0] * side - ua) * (x[b] - xa) - (uv[b, 0] * side - ua) * (x[c] - xa)) / area
+        v_x = ((uv[b, 1] * side - va) * (y[c] - ya) - (uv[c, 1] * side - va) * (y[b] - ya)) / area
+        v_y = ((uv[c, 1] * side - va) * (x[b] - xa) - (uv[b, 1] * side - va) * (x[c] - xa)) / area
         if y[b] < y[a]:
             a, b = b, a
         if y[c] < y[a]:
@@ -106,7 +122,13 @@ def fill(
             right = min(int(np.ceil(max(one, other) - 0.5)), width)
             value = z[a] + per_y * (at - y[a]) + per_x * (left + 0.5 - x[a])
             for column in range(left, right):
-                if value < depth[row, column]:
+                covers = value < depth[row, column]
+                if covers and is_thin:
+                    dx, dy = column + F(0.5) - xa, row + F(0.5) - ya
+                    at_u = min(max(int(ua + u_x * dx + u_y * dy), 0), len(alpha) - 1)
+                    at_v = min(max(int(va + v_x * dx + v_y * dy), 0), len(alpha) - 1)
+                    covers = alpha[at_v, at_u] > THRESHOLDS[2 * (row % 2) + column % 2]
+                if covers:
                     depth[row, column] = value
                     nearest[row, column] = f
                 value += per_x
@@ -240,13 +262,18 @@ def _paint(
         nx, ny, nz = _unit(places[NX + i], places[NY + i], places[NZ + i])
         vx, vy, vz = (to_eye[row, columns[i], 0], to_eye[row, columns[i], 1],
                       to_eye[row, columns[i], 2])  # fmt: skip
-        y, x = int(v * len(atlas)), int(u * len(atlas))
-        tint = atlas[y, x, 0] / F(127.5)
-        places[RED + i] *= tint
-        places[GREEN + i] *= atlas[y, x, 1] / F(127.5)
-        places[BLUE + i] *= atlas[y, x, 2] / F(127.5)
-        places[STRAND + i] = tint * tint if kind == HAIR else F(1)
-        places[KEPT + i] = F(1) if kind == HAIR else F(1) - F(0.85) * accent
+        if (kind == HAIR or kind >= CLOTH) and nx * vx + ny * vy + nz * vz < F(0):
+            nx, ny, nz = -nx, -ny, -nz
+        side = len(atlas)
+        across, down = _limited(u) * side - F(0.5), _limited(v) * side - F(0.5)
+        x, y = min(max(int(across), 0), side - 2), min(max(int(down), 0), side - 2)
+        across, down = _limited(across - x), _limited(down - y)
+        for k in range(3):
+            high = atlas[y, x, k] + across * (F(atlas[y, x + 1, k]) - F(atlas[y, x, k]))
+            low = atlas[y + 1, x, k] + across * (F(atlas[y + 1, x + 1, k]) - F(atlas[y + 1, x, k]))
+            places[RED + k * PLACES + i] *= (high + down * (low - high)) / F(255)
+        places[STRAND + i] = min(F(3) * places[RED + i], F(1)) if kind == HAIR else F(1)
+        places[KEPT + i] = F(1) if kind != EYE else F(1) - F(0.85) * accent
         places[RIM + i] = F(0) if kind == EYE else F(0.35)
         places[WINDOW + i] = F(0)
         places[BLEED + i] = F(1) if kind == SKIN else F(0)
@@ -313,7 +340,7 @@ def _light(count: Any, places: Any) -> None:
             seen = places[SEEN + i] if k == 0 else F(0.35) + F(0.65) * ambient
             bleed = seen * (F(1) - seen) * places[BLEED + i]
             lit = _wrapped(cosine, places[WRAP + i], places[SLOPE + i])
-            red += _COLOR[k, 0] * lit * (seen + F(0.55) * bleed)
+            red += _COLOR[k, 0] * lit * (seen + F(0.3) * bleed)
             lit = _wrapped(cosine, places[WRAP + PLACES + i], places[SLOPE + PLACES + i])
             green += _COLOR[k, 1] * lit * (seen + F(0.12) * bleed)
             lit = _wrapped(cosine, places[WRAP + 2 * PLACES + i], places[SLOPE + 2 * PLACES + i])
@@ -363,11 +390,18 @@ class Screen:
     depth: Float32
 
 
-def front_faces(screen: Screen, faces: Int64) -> Int64:
-    """Faces that show their outside and touch the picture (counter-clockwise, y downwards)."""
+def front_faces(screen: Screen, faces: Int64, two_sided: Bool | None = None) -> Int64:
+    """Faces that show their outside and touch the picture (counter-clockwise, y downwards).
+
+    Of the `two_sided` ones those that show their inside too, turned.
+    """
     ax, bx, cx = (screen.x[faces[:, k]] for k in range(3))
     ay, by, cy = (screen.y[faces[:, k]] for k in range(3))
-    is_front = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax) < -1e-6
+    area = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
+    is_front = area < -1e-6
+    if two_sided is not None:
+        turned = two_sided & (area > 1e-6)
+        faces, is_front = np.where(turned[:, None], faces[:, ::-1], faces), is_front | turned
     is_front &= np.maximum(np.maximum(ax, bx), cx) > 0
     is_front &= np.minimum(np.minimum(ax, bx), cx) < screen.width
     is_front &= np.maximum(np.maximum(ay, by), cy) > 0
@@ -391,7 +425,13 @@ def planes(screen: Screen, faces: Int64, values: Float32) -> tuple[Float32, Floa
     return first, per_x, per_y
 
 
-def nearest_faces(screen: Screen, faces: Int64, n_first: int = 0) -> tuple[Int32, Float32]:
+def nearest_faces(
+    screen: Screen,
+    faces: Int64,
+    n_solid: int | None = None,
+    uv: Float32 | None = None,
+    alpha: NDArray[np.uint8] | None = None,
+) -> tuple[Int32, Float32]:
     """Nearest face and its depth (height, width) at every sample; -1 and inf where there is none.
 
     Parameters
@@ -400,16 +440,25 @@ def nearest_faces(screen: Screen, faces: Int64, n_first: int = 0) -> tuple[Int32
         The picture and where vertices fall on it.
     faces : ndarray [shape=(N, 3)]
         Faces to draw, all from their outside (`front_faces`).
-    n_first : int
-        How many are filled first, behind which the others are left out early.
+    n_solid : int, optional
+        How many are filled first, behind which the others are left out early, and which cover all
+        their samples. Default all.
+    uv : ndarray [shape=(V, 2)], optional
+        Places of vertices in `alpha`.
+    alpha : ndarray of uint8 [shape=(A, A)], optional
+        How much of the other faces is there.
     """
+    count = len(faces) if n_solid is None else n_solid
+    uv = np.zeros((len(screen.x), 2), np.float32) if uv is None else uv
+    alpha = np.full((1, 1), 255, np.uint8) if alpha is None else alpha
     nearest = np.full((screen.height, screen.width), -1, np.int32)
     depth = np.full(nearest.shape, np.inf, np.float32)
     far = np.full((-(-screen.height // TILE), -(-screen.width // TILE)), np.inf, np.float32)
     place = screen.x, screen.y, screen.depth
-    fill(*place, faces[:n_first], 0, far, nearest, depth)
-    farthest(depth, far)
-    fill(*place, faces, n_first, far, nearest, depth)
+    fill(*place, uv, alpha, faces[:count], 0, count, far, nearest, depth)
+    if count < len(faces):
+        farthest(depth, far)
+        fill(*place, uv, alpha, faces, count, count, far, nearest, depth)
     return nearest, depth
 
 
@@ -422,8 +471,9 @@ class Renderer:
 
     def __init__(self, mesh: Mesh, size: tuple[int, int], view: View) -> None:
         self._size, self._mesh = size, mesh
-        is_hair = mesh.kind[mesh.faces[:, 0]] == HAIR
+        is_hair = np.isin(mesh.kind[mesh.faces[:, 0]], (HAIR, FINE))
         self._faces = mesh.faces[np.argsort(is_hair, kind="stable")]  # hair last
+        self._two_sided = np.isin(mesh.kind[self._faces[:, 0]], (HAIR, FINE, CLOTH))
         self._matrix = view.matrix(size[0] / size[1])
         paint = np.c_[mesh.colors, mesh.gloss, mesh.light]
         self._paint, self._uv = paint.astype(np.float32), mesh.uv.astype(np.float32)
@@ -440,6 +490,7 @@ class Renderer:
         self._step = np.float32(STEP_CM * NEAR * FAR / (FAR - NEAR) / distance**2)
         pixels_per_cm = height / (2 * distance * np.tan(np.radians(view.degrees) / 2))
         self._maps = _sharp_maps(mesh.maps, pixels_per_cm)
+        self._alpha = np.ascontiguousarray(self._maps[0][..., 3])
 
     def render(
         self,
@@ -453,32 +504,34 @@ class Renderer:
         `rig.face.accents` (none: 0).
         """
         if normals is None:
-            normals = vertex_normals(vertices, self._mesh.faces)
+            normals = self._mesh.normals(vertices)
         if accents is None:
             accents = np.zeros(len(vertices), np.float32)
         width, height = 2 * self._size[0], 2 * self._size[1]
         clip = vertices @ self._matrix[:, :3].T + self._matrix[:, 3]
         x, y, z = (clip[:, :3] / clip[:, 3:]).astype(np.float32).T
-        screen = Screen(
-            width, height, (x + 1) * (width / 2), (1 - y) * (height / 2), np.maximum(z + 1, 0) / 2
-        )
-        faces = front_faces(screen, self._faces)
+        depth = np.maximum(z + 1, 0) / 2
+        depth[self._kind == FINE] -= self._step * np.float32(FINE_CM / STEP_CM)
+        screen = Screen(width, height, (x + 1) * (width / 2), (1 - y) * (height / 2), depth)
+        faces = front_faces(screen, self._faces, self._two_sided)
         columns = [screen.x, screen.y, normals, self._paint, accents, self._uv]
         surface = faces, np.column_stack(columns).astype(np.float32), self._kind, self._part
         picture = np.empty((*self._size[::-1], 3), np.uint8)
-        is_hair = self._kind[faces[:, 0]] == HAIR
-        samples = nearest_faces(screen, faces, int(is_hair.argmax()) if is_hair.any() else 0)
+        n_solid = int((~np.isin(self._kind[faces[:, 0]], (HAIR, FINE))).sum())
+        samples = nearest_faces(screen, faces, n_solid, self._uv, self._alpha)
         color(samples, surface, self._to_eye, self._maps, self._step, self._empty, picture)
         return picture
 
 
 def _parts(mesh: Mesh) -> Int32:
     """Number (V,) of the connected piece each vertex belongs to; hair is one piece."""
-    parts = connected_components(adjacency(mesh.faces, len(mesh.vertices)))[1].astype(np.int32)
-    return np.where(mesh.kind == HAIR, np.int32(-1), parts)
+    faces = mesh.faces if mesh.weld is None else mesh.weld[mesh.faces]
+    parts = connected_components(adjacency(faces, len(mesh.vertices)))[1].astype(np.int32)
+    parts = parts if mesh.weld is None else parts[mesh.weld]
+    return np.where(np.isin(mesh.kind, (HAIR, FINE)), np.int32(-1), parts)
 
 
-TEXELS_PER_CM = 31.0
+TEXELS_PER_CM = 28.0
 """Of an atlas of 1,024 texels at the middle of a face."""
 
 

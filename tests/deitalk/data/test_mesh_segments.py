@@ -228,13 +228,13 @@ def test_vocaset_folder_is_read(tmp_path, rng):
 
 def test_heads_act_a_dataset_folder(tmp_path):
     data = write_dataset(tmp_path / "d", 3, 2, 2.0)
-    config = MeshDataConfig(fps=30, identities=(2, 5), clips=2, validation_clips=1, basis_frames=60)
+    config = MeshDataConfig(fps=30, identities=(2, 3), clips=2, validation_clips=1, basis_frames=60)
     folder = open_meshes(data, config, tmp_path / "m")
     assert folder.unit_mm == 10
     first, second, third = folder.clips
     assert first.speaker == third.speaker != second.speaker
     assert [c.split for c in folder.clips] == ["train", "train", "validation"]
-    assert set(folder.templates) == set(head_templates((2, 5)))
+    assert set(folder.templates) == set(head_templates((2, 3)))
     controls, head = default_controls(), build_head(2)
     motion = first.motion()
     assert len(motion["stretch"]) == 60
@@ -248,11 +248,11 @@ def test_heads_act_a_dataset_folder(tmp_path):
     lips = head_lips()
     np.testing.assert_array_equal(folder.lips.both, lips.both)
     for i, values in enumerate((shut, opened)):
-        truth = head.pose(values)[head.slices["skin"]]
+        truth = head.pose(values)[head.slices["cage"]]
         np.testing.assert_allclose(out[i], truth, atol=0.1)  # cm
         assert np.abs(out[i] - truth).mean() < 1e-2
         rims = motion["lips"][[10, 27][i]]
-        np.testing.assert_allclose(rims, (truth - head.skin.vertices)[lips.both], atol=1e-4)
+        np.testing.assert_allclose(rims, (truth - head.cage.vertices)[lips.both], atol=1e-4)
     with pytest.raises(DataError, match=r"set data\.fps=30"):
         open_meshes(data, MeshDataConfig(), tmp_path / "m")
 

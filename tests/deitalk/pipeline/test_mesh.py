@@ -15,12 +15,12 @@ from deitalk.models.checkpoint import load_model, save_model
 from deitalk.models.folder import embedded_models
 from deitalk.pipeline import mesh as module
 from deitalk.pipeline.mesh import animate_mesh, retarget_speech
+from deitalk.postprocess.known_phones import known_skins
 from deitalk.research.meshes.frames import read_ply_sequence
 from deitalk.research.meshes.scores import predict_mesh
 from rig import ControlSet, default_controls
 from rig.errors import ExistsError, RigError, TargetError
 from rig.face import build_head
-from rig.face.geometry.topology import MOUTH
 from rig.mesh.glb import read_container
 from rig.mesh.glb_reader import read_accessor, read_glb
 from rig.retarget.retarget_files import RetargetReport
@@ -55,12 +55,12 @@ def acted(request, network):
 
 
 def lip_gaps_mm(vertices, head):
-    """Median distance of opposing rim vertices over the middle of the mouth [shape=(T,)]."""
-    rim = head.features.loop(MOUTH, 0)
-    half = len(rim) // 2
-    upper = np.arange(half // 4, half - half // 4 + 1)
-    gap = vertices[:, rim[upper]] - vertices[:, rim[len(rim) - upper]]
-    return 10 * np.median(np.linalg.norm(gap, axis=-1), axis=1)
+    """Median gap of the lips over the middle of the mouth [shape=(T,)]."""
+    former = known_skins()[1]
+    lips = former.lips if vertices.shape[1] == former.n_vertices else head.motion.lips
+    upper, lower = (lip.weight @ vertices[:, lip.rim] for lip in lips)
+    quarter = upper.shape[1] // 4
+    return 10 * np.median(np.abs(upper - lower)[:, quarter:-quarter, 1], axis=1)
 
 
 def assert_lips_seal(performance):
@@ -77,8 +77,7 @@ def assert_lips_seal(performance):
 
 
 def corners_rise_mm(performance, neutral):
-    rim = build_head(0).features.loop(MOUTH, 0)
-    corners = rim[[0, len(rim) // 2]]
+    corners = [performance.landmarks[f"mouth_corner_{side}"] for side in ("left", "right")]
     return 10 * (performance.vertices - neutral.vertices)[:, corners, 1].mean()
 
 
@@ -121,8 +120,7 @@ def test_speaker_chooses_the_embedded_head(speech, network):
     bruno = animate_mesh(speech, model=network, speaker="Bruno")
     head = build_head("Bruno")
     np.testing.assert_allclose(bruno.mesh.vertices, head.mesh.vertices)
-    rim = head.features.loop(MOUTH, 0)
-    assert bruno.landmarks["mouth_corner_left"] == rim[0]
+    assert bruno.landmarks == head.landmarks
     with pytest.raises(RigError, match="'Nobody' is unknown"):
         animate_mesh(speech, model=network, speaker="Nobody")
 
@@ -275,26 +273,28 @@ def test_speech_moves_the_ict_face(shared, tmp_path, acted, request):
 def test_retargeted_sequence_closes_the_lips_of_another_head(acted, network, tmp_path):
     """Ada's motion on Bruno's mesh, against Bruno's head in the poses of the same curves."""
     from rig.mesh import TriMesh
-    from rig.retarget.morph_head import head_landmarks
     from rig.retarget.retarget_files import retarget_sequence
 
-    happy, skin = acted["happy"], build_head(0).slices["skin"]
+    happy, cage = acted["happy"], build_head(0).slices["cage"]
     ada, bruno = build_head(0), build_head("Bruno")
-    write_obj(tmp_path / "bruno.obj", TriMesh(bruno.skin.vertices, bruno.skin.faces))
-    (tmp_path / "marks.json").write_text(json.dumps(head_landmarks(bruno)))
+    write_obj(tmp_path / "bruno.obj", TriMesh(bruno.cage.vertices, bruno.cage.faces))
+    (tmp_path / "marks.json").write_text(json.dumps(bruno.landmarks))
     report = retarget_sequence(
-        TriMesh(ada.skin.vertices, ada.skin.faces), happy.vertices[:, skin],
+        TriMesh(ada.cage.vertices, ada.cage.faces), happy.vertices[:, cage],
         tmp_path / "bruno.obj", tmp_path / "out.npz", fps=30, tolerance=0.002,
-        source_landmarks=head_landmarks(ada), landmarks=tmp_path / "marks.json",
+        source_landmarks=ada.landmarks, landmarks=tmp_path / "marks.json",
     )  # fmt: skip
     assert report.way == "sequence" and report.frames == len(happy.vertices)
     with np.load(tmp_path / "out.npz") as file:
         carried = file["vertices"]
-    truth = animate_mesh(happy.recording, "happy", model=network, speaker="Bruno").vertices[:, skin]
-    lips = np.concatenate([bruno.features.loop(MOUTH, ring) for ring in (0, 1, 2)])
-    moved = np.linalg.norm(truth - bruno.skin.vertices, axis=-1)[:, lips].mean()
+    truth = animate_mesh(happy.recording, "happy", model=network, speaker="Bruno").vertices[:, cage]
+    lips = np.concatenate(bruno.lip_rims)
+    moved = np.linalg.norm(truth - bruno.cage.vertices, axis=-1)[:, lips].mean()
     error = np.linalg.norm(carried - truth, axis=-1)[:, lips].mean()
-    gaps, wanted = lip_gaps_mm(carried, bruno), lip_gaps_mm(truth, bruno)
+    gaps, wanted = (
+        10 * np.median(np.abs(x[:, bruno.lip_rims[0], 1] - x[:, bruno.lip_rims[1], 1]), axis=1)
+        for x in (carried, truth)
+    )
     assert error < 0.2 * moved
     closed = wanted < 0.3
     assert closed.any() and np.median(gaps[closed]) < 1.0

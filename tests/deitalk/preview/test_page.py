@@ -117,7 +117,7 @@ def test_page_holds_the_take_and_the_recording(tiny_player, tmp_path):
     assert rate == RATE and np.abs(samples - source.samples).max() < 1e-3
     arrays, facts = unpack(block(page, "head"))
     assert facts["controls"] == list(CONTROLS.names)
-    assert np.allclose(arrays["vertices"].reshape(-1, 3), build_head(0).mesh.vertices, atol=1e-5)
+    assert np.allclose(arrays["points"].reshape(-1, 3) / 800, build_head(0).straight, atol=1e-5)
 
 
 def test_missing_player_error_gives_the_build_steps(tmp_path, monkeypatch):

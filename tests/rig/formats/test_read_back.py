@@ -17,7 +17,7 @@ from rig.face import build_head
 from rig.formats.table import FORMATS
 from rig.mesh import fbx
 from rig.mesh.glb import GlbBuilder, read_container, write_container
-from rig.retarget.morph_head import baked, painted_colours
+from rig.retarget.morph_head import PICTURE, baked_picture
 from rig.retarget.retarget_files import retarget_curves
 from rig.validation import validate
 from tests.each import each
@@ -177,8 +177,8 @@ def test_fbx_of_the_head_has_one_picture_of_all_its_colours(tmp_path, monkeypatc
     write_curves(tmp_path / "a.fbx", rest_curves(2))
     command = [python, "-c", LOOK, str(tmp_path / "a.fbx"), str(tmp_path / "uv.npy")]
     shown = subprocess.run(command, capture_output=True, text=True).stdout
-    assert "SIZE 2048 1024" in shown
+    assert f"SIZE {PICTURE} {PICTURE}" in shown
     head = build_head(0)
-    expected, _ = baked(head, painted_colours(head))
+    expected, _ = baked_picture(head)
     found = np.load(tmp_path / "uv.npy").reshape(-1, 3, 2) * [1, -1] + [0, 1]
     np.testing.assert_allclose(found, expected, atol=1e-5)

@@ -6,7 +6,6 @@ import pytest
 from deitalk.research.video.detector import track_face
 from deitalk.research.video.landmarks import LIDS, MIDDLE
 from rig import default_controls
-from rig.face.geometry.mesh import vertex_normals
 from rig.face.head import build_head
 from rig.face.render.shading import VIEWS
 from rig.face.render.software import Renderer
@@ -27,7 +26,7 @@ def test_open_mouth_shut_eyes_and_a_missing_face_are_seen(tmp_path, capfd):
         shut[CONTROLS.index(f"CTRL_{side}_eye_blink.ty")] = 1
     renderer = Renderer(head.mesh, (360, 480), VIEWS["face"])
     poses = head.pose(np.stack([rest, opened, shut]))
-    drawn = [renderer.render(pose, vertex_normals(pose, head.mesh.faces)) for pose in poses]
+    drawn = [renderer.render(pose, head.mesh.normals(pose)) for pose in poses]
     pictures = [p for p in (*drawn, np.zeros_like(drawn[0])) for _ in range(6)]
     track = track_face(encode(tmp_path / "a.mp4", pictures))
     gap = track.at(MIDDLE["lower"])[:, 1] - track.at(MIDDLE["upper"])[:, 1]

@@ -15,7 +15,6 @@ from deitalk.research.video.filmed import (
 from deitalk.research.video.landmarks import FaceTrack, pixels
 from rig import default_controls
 from rig.face.head import build_head
-from rig.retarget.morph_head import head_landmarks
 from tests.each import each
 from tests.filmed_head import SIZE, filmed_mesh
 
@@ -73,7 +72,7 @@ def test_planted_curves_return_from_landmarks_of_another_head(filmed, name, leas
     truth = planted()[0][:, CONTROLS.index(name)]
     found = filmed.curves[name]
     assert r(found, truth) >= least
-    assert found.max() == pytest.approx(truth.max(), abs=0.27)
+    assert found.max() == pytest.approx(truth.max(), abs=0.32)
 
 
 def test_turn_of_the_head_returns_in_degrees(filmed):
@@ -122,7 +121,7 @@ def test_size_place_and_roll_of_the_picture_change_no_measure():
 
 def test_measures_are_those_of_the_posed_mesh():
     head = build_head(2)
-    face, marks = HeadFace(head), head_landmarks(head)
+    face, marks = HeadFace(head), head.landmarks
     rng = np.random.default_rng(0)
     used = [i for i, n in enumerate(CONTROLS.names) if any(p in n for p in ("eye", "brow", "jaw."))]
     values = np.tile(np.asarray(CONTROLS.rest, np.float64), (20, 1))

@@ -25,9 +25,7 @@ from deitalk.research.lips.measured import COLUMNS, read_lips
 from deitalk.research.lips.vocabulary import halves, keep_half
 from rig import default_controls, limits, read_curves
 from rig.errors import ExistsError
-from rig.face.geometry.topology import MOUTH
 from rig.face.head import build_head
-from rig.retarget.morph_head import head_landmarks
 from tests.dataset import write_dataset
 from tests.each import each
 from tests.errors import one_line
@@ -59,13 +57,11 @@ def posed(**values: float) -> torch.Tensor:
 
 def measured_on_mesh(head, values):
     """The six measures from the vertices of the posed head."""
-    vertices = head.pose(values)[:, head.slices["skin"]]
-    marks, rim = head_landmarks(head), head.features.loop(MOUTH, 0)
-    half = len(rim) // 2
-    slots = np.arange(1, half)
-    middle = slots[np.abs(np.cos(slots / len(rim) * 2 * np.pi)) <= 0.5]
-    upper = vertices[:, rim[middle]].mean(axis=1)
-    lower = vertices[:, rim[len(rim) - middle]].mean(axis=1)
+    vertices, marks = head.pose(values), head.landmarks
+    middle = np.abs(np.linspace(-1, 1, len(head.motion.fade))) <= 0.5
+    upper, lower = (
+        (lip.weight @ vertices[:, lip.rim])[:, middle].mean(axis=1) for lip in head.motion.lips
+    )
     nose, chin, left, right = (
         vertices[:, marks[n]]
         for n in ("nose_base", "chin", "mouth_corner_left", "mouth_corner_right")

@@ -14,32 +14,33 @@ export class Accents {
     this.values = new Float32Array(rig.vertices.length / 3);
   }
 
-  /** Accents of control values, to which the rig is posed. */
-  update(controls: ArrayLike<number>): void {
+  /** Accents of the controls to which the rig is posed. */
+  update(): void {
     const { facts, arrays } = this.head;
-    const depth: number[] = facts.accents.least.slice();
-    for (const [control, region, gain] of facts.accents.gains) depth[region] += gain * Math.max(controls[control], 0);
-    const mask = arrays["accent.mask"];
-    const [start, stop] = facts.slices.skin;
-    for (let v = start; v < stop; v++) {
+    const { inputs, least } = facts.accents;
+    const depth: number[] = least.map((x: number, r: number) => clamp(x + this.rig.inputs[inputs[r]]));
+    const mask = arrays.creases, count = mask.length / depth.length;
+    for (let v = 0; v < count; v++) {
       let sum = 0;
-      for (let r = 0; r < depth.length; r++) sum += clamp(depth[r]) * mask[r * (stop - start) + v - start];
+      for (let r = 0; r < depth.length; r++) sum += depth[r] * mask[r * count + v];
       this.values[v] = Math.min(sum / 255, 1);
     }
-    this.underLid("L");
-    this.underLid("R");
+    const [start, stop] = facts.slices.seam;
+    for (let v = start; v < stop; v++) this.values[v] = this.values[arrays.weld[v]];
+    this.underLid(0);
+    this.underLid(1);
   }
 
-  private underLid(side: "L" | "R"): void {
+  private underLid(eye: number): void {
     const { facts, arrays } = this.head;
     const { vertices } = this.rig;
-    const [ex, ey, ez] = facts.eye, cx = side === "L" ? ex : -ex;
-    const rim = arrays[`accent.rim.${side}`];
+    const [cx, cy, cz] = facts.eyes[eye];
+    const rim = arrays[`lid${eye}.rim`];
     const x = Array.from(rim, (v) => vertices[3 * v] - cx);
-    const high = Array.from(rim, (v) => Math.atan2(vertices[3 * v + 1] - ey, vertices[3 * v + 2] - ez));
-    const [start, stop] = facts.slices[`eye_${side}`];
+    const high = Array.from(rim, (v) => Math.atan2(vertices[3 * v + 1] - cy, vertices[3 * v + 2] - cz));
+    const [start, stop] = facts.slices[eye ? "eye_R" : "eye_L"];
     for (let v = start; v < stop; v++) {
-      const px = vertices[3 * v] - cx, py = vertices[3 * v + 1] - ey, pz = vertices[3 * v + 2] - ez;
+      const px = vertices[3 * v] - cx, py = vertices[3 * v + 1] - cy, pz = vertices[3 * v + 2] - cz;
       let k = 1;
       while (k < x.length - 1 && px > x[k]) k++;
       const edge = high[k - 1] + clamp((px - x[k - 1]) / (x[k] - x[k - 1])) * (high[k] - high[k - 1]);

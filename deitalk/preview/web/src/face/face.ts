@@ -18,6 +18,9 @@ export class Face extends Viewport {
   private readonly geometry = new THREE.BufferGeometry();
   private readonly material: THREE.RawShaderMaterial;
   private readonly faces: Uint16Array;
+  private readonly weld: Uint16Array;
+  /** Corners of `faces` at the first vertex of each point. */
+  private readonly corners: Uint16Array;
   /** First vertex and first entry of `faces` of what no control moves. */
   private readonly still: { vertex: number; face: number };
   private hasNormals = false;
@@ -31,6 +34,8 @@ export class Face extends Viewport {
     this.accents = new Accents(head, this.rig);
     this.views = head.facts.views;
     this.faces = head.arrays.faces as Uint16Array;
+    this.weld = head.arrays.weld as Uint16Array;
+    this.corners = this.faces.map((v) => this.weld[v]);
     const vertex = head.facts.slices.hair[0];
     this.still = { vertex, face: 3 * Math.floor(this.faces.findIndex((v) => v >= vertex) / 3) };
     this.joint = head.facts.joint;
@@ -41,9 +46,12 @@ export class Face extends Viewport {
       glslVersion: THREE.GLSL3,
       vertexShader: es(shaders.vertex),
       fragmentShader: es(shaders.fragment),
+      side: THREE.DoubleSide,
+      alphaToCoverage: this.hasGpu,
       uniforms: {
         view: { value: new THREE.Matrix4() },
         eye: { value: new THREE.Vector3() },
+        threshold: { value: this.hasGpu ? 0.02 : 0.5 },
         ...Object.fromEntries(MAPS.map((name) => [name, { value: this.map(name, head) }])),
       },
     });
@@ -105,7 +113,7 @@ export class Face extends Viewport {
   /** Show 185 control values, and the head's turn and shift where they are known. */
   show(values: ArrayLike<number>, head?: ArrayLike<number>): void {
     this.rig.pose(values);
-    this.accents.update(values);
+    this.accents.update();
     if (head) turnHead(this.rig.vertices, head, this.joint, this.neck);
     this.normals(head !== undefined);
     this.geometry.attributes.position.needsUpdate = true;
@@ -133,8 +141,9 @@ export class Face extends Viewport {
     const vertices = isWhole ? n.length : 3 * this.still.vertex;
     this.hasNormals = !isTurned;
     n.fill(0, 0, vertices);
-    for (let f = 0; f < (isWhole ? this.faces.length : this.still.face); f += 3) {
-      const a = 3 * this.faces[f], b = 3 * this.faces[f + 1], c = 3 * this.faces[f + 2];
+    const { corners, weld } = this;
+    for (let f = 0; f < (isWhole ? corners.length : this.still.face); f += 3) {
+      const a = 3 * corners[f], b = 3 * corners[f + 1], c = 3 * corners[f + 2];
       const ux = v[b] - v[a], uy = v[b + 1] - v[a + 1], uz = v[b + 2] - v[a + 2];
       const wx = v[c] - v[a], wy = v[c + 1] - v[a + 1], wz = v[c + 2] - v[a + 2];
       const x = uy * wz - uz * wy, y = uz * wx - ux * wz, z = ux * wy - uy * wx;
@@ -145,6 +154,11 @@ export class Face extends Viewport {
       }
     }
     for (let k = 0; k < vertices; k += 3) {
+      const from = 3 * weld[k / 3];
+      if (from !== k) {
+        n.copyWithin(k, from, from + 3);
+        continue;
+      }
       const length = Math.hypot(n[k], n[k + 1], n[k + 2]) || 1;
       n[k] /= length;
       n[k + 1] /= length;

@@ -18,6 +18,7 @@ export abstract class Viewport {
   protected readonly scene = new THREE.Scene();
   protected readonly camera = new THREE.PerspectiveCamera(20, 1, 15, 140);
   private readonly orbit: OrbitControls;
+  protected readonly hasGpu = !isSoftware();
   private scale: number;
   private idle = 0;
   private isSharp = false;
@@ -28,9 +29,8 @@ export abstract class Viewport {
   turned: () => void = () => {};
 
   constructor() {
-    const hasGpu = !isSoftware();
-    this.scale = hasGpu ? 1 : 0.6;
-    this.renderer = new THREE.WebGLRenderer({ canvas: this.canvas, antialias: hasGpu });
+    this.scale = this.hasGpu ? 1 : 0.6;
+    this.renderer = new THREE.WebGLRenderer({ canvas: this.canvas, antialias: this.hasGpu });
     this.orbit = new OrbitControls(this.camera, this.canvas);
     this.orbit.addEventListener("change", () => {
       this.draw();

@@ -1,1 +1,0 @@
-"""The neutral head: skin, eyes, ears, hair and teeth."""

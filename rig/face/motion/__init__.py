@@ -1,1 +1,0 @@
-"""Motion of the head by its controls."""

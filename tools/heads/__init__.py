@@ -1,0 +1,1 @@
+"""Makes `rig/face/data` from two registry packages; see `make`."""

