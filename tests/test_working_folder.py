@@ -9,6 +9,7 @@ import os
 import pkgutil
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -168,6 +169,7 @@ def test_service_executes_nothing_of_the_working_folder(folder, tmp_path):
             assert client.post("/v1/animations?format=csv", content=wav(1.0)).is_success
             job = client.post("/v1/jobs", files={"recording": ("a.wav", wav(1.0))}).json()
             while job["status"] in ("queued", "running"):
+                time.sleep(0.2)  # there is a limit of requests a minute
                 job = client.get(f"/v1/jobs/{job['id']}").json()
             assert job["status"] == "done"
     finally:
