@@ -277,7 +277,8 @@ def bilabial_warnings(source: PreviewSource) -> list[Finding]:
 
 def lip_gaps(head: Head, values: AnyFloat) -> Float64:
     """Widest distance between the rims of the lips (T,), cm, of control values (T, 185)."""
-    return head.lip_gaps(head.pose(values)).max(axis=1)
+    gaps: Float64 = head.lip_gaps(head.pose(values)).max(axis=1)
+    return gaps
 
 
 def _at_16_khz(samples: Float32, rate: int) -> Float32:

@@ -12,10 +12,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
-from rig.arrays import AnyFloat, Float32, Float64, Int64
+from rig.arrays import AnyFloat, Bool, Float32, Float64, Int64
 from rig.controls import default_controls
 from rig.errors import RigError
 from rig.face.identity import Identity, resolve_identity
@@ -114,11 +113,14 @@ class Motion:
     drivers : ndarray [shape=(K, 2, 2)]
         Halves of each shape: the product of the least of each pair. Control c is half c towards
         its maximum and C + c towards its minimum; 2 C is always 1.
-    is_peak : ndarray of bool [shape=(K,)]
+    is_peak : array of bool [shape=(K,)]
     gain : ndarray [shape=(K,)]
         Of the person.
-    shapes : sparse matrix [shape=(K, 3 V)]
-        Displacements, cm.
+    starts : ndarray [shape=(K + 1,)]
+        Where each shape's entries begin in `vertex` and `delta`.
+    vertex : ndarray [shape=(E,)]
+    delta : ndarray of int16 [shape=(E, 3)]
+        Displacements, in steps of `step`, cm.
     inputs : tuple of str
         Of ``bindings.csv``, for seal and creases.
     bind : ndarray [shape=(H, J)]
@@ -132,9 +134,12 @@ class Motion:
 
     names: tuple[str, ...]
     drivers: Int64
-    is_peak: NDArray[np.bool_]
+    is_peak: Bool
     gain: Float32
-    shapes: Any
+    starts: Int64
+    vertex: Int64
+    delta: NDArray[np.int16]
+    step: float
     inputs: tuple[str, ...]
     bind: Float32
     lips: tuple[Lip, Lip]
@@ -156,6 +161,11 @@ class Motion:
         product = halves[:, self.drivers].min(-1).prod(-1)
         peak = 1 - np.abs(2 * product - 1)
         return np.asarray(np.where(self.is_peak, peak, product) * self.gain)
+
+    def shape(self, k: int) -> tuple[Int64, Float32]:
+        """Vertices (n,) that shape k moves, and their displacements (n, 3), cm, without gain."""
+        part = slice(self.starts[k], self.starts[k + 1])
+        return self.vertex[part], self.delta[part] * np.float32(self.step)
 
 
 def _drivers(names: tuple[str, ...]) -> Int64:
@@ -187,7 +197,7 @@ def _bind() -> tuple[tuple[str, ...], Float32]:
 
 def _profiles(inputs: tuple[str, ...], columns: Float32) -> tuple[Float32, Float32]:
     """How far each input seals each lip (J, P): whole, outer, inner or central, of one side."""
-    left, far = smoothstep(columns / 1.2 + 0.5), np.abs(columns) / 2.5
+    left, far = smoothstep(columns.astype(np.float64) / 1.2 + 0.5), np.abs(columns) / 2.5
     spread = {
         "": np.ones_like(far), "inner": np.exp(-(((far - 0.45) / 0.28) ** 2)),
         "outer": smoothstep((far - 0.55) / 0.3), "center": np.exp(-((far / 0.35) ** 2)),
@@ -210,13 +220,7 @@ def _motion(identity: Identity) -> Motion:
     # Columns are stored as differences within each shape.
     total = np.cumsum(stored["columns"].astype(np.int64))
     before = np.concatenate([[0], total[starts[1:-1] - 1]])
-    columns = total - np.repeat(before, stored["count"])
-    values = (stored["values"].T * stored["step"]).astype(np.float32)
-    index = (3 * columns[:, None] + np.arange(3)).ravel().astype(np.int32)
-    shapes = sp.csr_matrix(
-        (values.ravel(), index, (3 * starts).astype(np.int32)),
-        shape=(len(names), 3 * len(stored["weld"])),
-    )
+    vertex, delta = total - np.repeat(before, stored["count"]), stored["values"].T
     purse = np.array(["mouth_purse" in name or "mouth_towards" in name for name in names])
     gain = own["size"] * np.where(purse, own["purse"], 1)
     lips = [
@@ -228,7 +232,8 @@ def _motion(identity: Identity) -> Motion:
     inputs, bind = _bind()
     is_peak = np.array(["_half" in name for name in names])
     return Motion(
-        names, _drivers(names), is_peak, gain.astype(np.float32), shapes, inputs, bind,
+        names, _drivers(names), is_peak, gain.astype(np.float32), starts, vertex,
+        np.ascontiguousarray(delta), float(stored["step"]), inputs, bind,
         (lips[0], lips[1]), _profiles(inputs, stored["lip_columns"]), stored["lip_fade"],
     )  # fmt: skip
 
@@ -364,9 +369,11 @@ class Head:
         motion = self.motion
         halves = motion.halves(frames)
         weights = motion.weights(halves).astype(np.float32)
-        moved = (motion.shapes.T @ weights.T).T.reshape(len(frames), -1, 3)
         out = np.repeat(self.straight.astype(np.float32)[None], len(frames), 0)
-        out[:, : moved.shape[1]] += moved
+        for k in np.flatnonzero(weights.any(axis=0)):
+            at = np.flatnonzero(weights[:, k])
+            vertex, delta = motion.shape(int(k))
+            out[at[:, None], vertex] += weights[at, k, None, None] * delta
         self._clear_eyes(out)
         upper, lower = self._sealed(halves)
         for power in SEAL_POWERS:

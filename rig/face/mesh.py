@@ -12,9 +12,9 @@ if TYPE_CHECKING:
     import scipy.sparse as sp
 
 PLAIN, SKIN, HAIR, EYE, CLOTH, FINE = range(6)
-"""Materials of `Mesh.kind`; fine hair is brows and lashes, which lie on the skin."""
+"""Materials of `Mesh.kind`; fine hair is brows, which lie on the skin."""
 FINE_CM = 0.35
-"""How much nearer than they are brows and lashes are drawn, so that the skin hides none."""
+"""How much nearer than they are brows are drawn, so that the skin hides none."""
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class Maps:
 PORES = 30.0
 NO_MAPS = Maps(
     np.full((2, 2, 4), 255, np.uint8),
-    np.array([[[128, 128, 128, 255]]], np.uint8),
+    np.full((2, 2, 4), (128, 128, 128, 255), np.uint8),
     np.full((1, 1, 3), 128, np.uint8),
 )
 
@@ -58,7 +58,7 @@ class Mesh:
     light: Float64 = field(default_factory=lambda: np.ones(2), repr=False)
     kind: Int64 = field(default_factory=lambda: np.array(PLAIN), repr=False)
     maps: Maps = field(default=NO_MAPS, repr=False)
-    weld: Int64 | None = field(default=None, repr=False)
+    weld: Int64 = field(default_factory=lambda: np.zeros(0, np.int64), repr=False)
 
     def __post_init__(self) -> None:
         n = len(self.vertices)
@@ -66,11 +66,11 @@ class Mesh:
             ("colors", (n, 3)), ("gloss", (n,)), ("uv", (n, 2)), ("light", (n, 2)), ("kind", (n,)),
         ):  # fmt: skip
             object.__setattr__(self, name, np.broadcast_to(getattr(self, name), shape))
+        if not len(self.weld):
+            object.__setattr__(self, "weld", np.arange(n))
 
     def normals(self, vertices: Float64) -> Float64:
         """Unit normals (V, 3) of a pose of this mesh, without a seam."""
-        if self.weld is None:
-            return vertex_normals(vertices, self.faces)
         return vertex_normals(vertices, self.weld[self.faces])[self.weld]
 
 

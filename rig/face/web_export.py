@@ -55,7 +55,6 @@ def _byte(values: Any) -> NDArray[np.uint8]:
 
 def _mesh_arrays(head: Head) -> Arrays:
     mesh = head.mesh
-    assert mesh.weld is not None
     files = {"atlas": head.identity.name, "creases": "creases", "pores": "pores"}
     return {
         "points": np.round(head.straight * GRID).astype(np.int16),
@@ -71,18 +70,14 @@ def _mesh_arrays(head: Head) -> Arrays:
     }
 
 
-STEP_CM = 0.003
-
-
 def _motion_arrays(motion: Motion) -> Arrays:
-    entries = motion.shapes.tocoo()
     arrays = {
-        "shape.start": (motion.shapes.indptr // 3).astype(np.uint32),
-        "shape.vertex": _index(entries.col[::3] // 3),
-        "shape.delta": np.round(entries.data / STEP_CM).astype(np.int16),
+        "shape.start": motion.starts.astype(np.uint32),
+        "shape.vertex": _index(motion.vertex),
+        "shape.delta": motion.delta,
         "shape.driver": _index(motion.drivers),
         "shape.peak": motion.is_peak.astype(np.uint8),
-        "shape.gain": _real(motion.gain * STEP_CM),
+        "shape.gain": _real(motion.gain * motion.step),
         "bind": _real(motion.bind),
         "seal.fade": _real(motion.fade),
     }

@@ -168,12 +168,13 @@ def bake(
     rest = _posed(evaluate, controls.rest[None], neutral)[0]
     deltas = _posed(evaluate, poses, neutral) - rest
     kept: list[int] = []
+    least = (_STILL * neutral.size) ** 2
     for k, driver in enumerate(drivers):
         for j in kept if k >= len(drivers) - len(correctives) else ():
             weight = float(drivers[j].weight(driver.pose(controls)[None], controls)[0])
             if weight:
                 deltas[k] -= weight * deltas[j]
-        if np.linalg.norm(deltas[k], axis=1).max() > _STILL * neutral.size:
+        if np.einsum("vc,vc->v", deltas[k], deltas[k]).max() > least:
             kept.append(k)
     shapes = ShapeSet(neutral.with_vertices(rest), tuple(names[k] for k in kept), deltas[kept])
     return BakedRig(shapes, tuple(drivers[k] for k in kept), controls)

@@ -45,7 +45,7 @@ SHARED = (
 )
 OWN = ("brow_L", "brow_R", "hair", "shirt")
 KINDS = {"skin": SKIN, "seam": SKIN, "eye_L": EYE, "eye_R": EYE, "hair": HAIR, "brow_L": FINE,
-         "brow_R": FINE, "lash_L": FINE, "lash_R": FINE, "shirt": CLOTH}  # fmt: skip
+         "brow_R": FINE, "lash_L": HAIR, "lash_R": HAIR, "shirt": CLOTH}  # fmt: skip
 GLOSS = {"skin": 0.30, "seam": 0.30, "eye_L": 0.9, "eye_R": 0.9, "teeth_upper": 0.55,
          "teeth_lower": 0.55, "tongue": 0.45, "hair": 0.26, "shirt": 0.03}  # fmt: skip
 PICTURE = {"skin": "skin", "seam": "skin", "eye_L": "eye", "eye_R": "eye", "tongue": "tongue",
@@ -369,7 +369,7 @@ def _light(base, shapes, person, joined, picture):
     depth = 0.10 + 0.90 * pictures._smooth((x[:, 2] - front + 3.8) / 3.0)
     for part in ("teeth_upper", "teeth_lower", "tongue"):
         own = joined.slices[part]
-        aside = 1 - 0.75 * pictures._smooth((np.abs(x[own, 0]) - 1.0) / 1.3)
+        aside = 1 - 0.88 * pictures._smooth((np.abs(x[own, 0]) - 0.9) / 1.1)
         light[own] = np.maximum(light[own], [0.85, 0.6]) * (depth[own] * aside)[:, None]
     inner = np.flatnonzero((away > 0.9) & (away < 9) & (shut[: base.n_skin, 0] < 0.45)
                            & (x[: base.n_skin, 2] < front - 1.2) & (x[: base.n_skin, 2] > front - 8)

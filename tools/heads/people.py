@@ -11,7 +11,7 @@ PEOPLE = {
         "hair": "long01", "hair_colour": (70, 46, 34), "flat": 0.8, "clip": (0.5, 1.5),
         "brow": "010", "brow_colour": (74, 54, 42), "shirt": "female_casualsuit01",
         "shirt_colour": (74, 92, 104), "iris": (78, 96, 76), "lip": (0.93, 0.80, 0.79),
-        "mottle": 0.6, "gain": 0.97, "saturation": 0.88, "freckles": 0.35, "creases": 0.8,
+        "mottle": 0.6, "gain": 0.97, "saturation": 0.88, "freckles": 0.35, "creases": 0.8, "lashes": 0.75,
     },
     "Bruno": {
         "mix": [("caucasian", "male", "young", 1)],
@@ -21,7 +21,7 @@ PEOPLE = {
         "brow": "001", "brow_colour": (66, 50, 40), "shirt": "male_casualsuit01",
         "shirt_colour": (58, 74, 92), "iris": (92, 66, 44), "lip": (0.93, 0.80, 0.78),
         "mottle": 0.4, "gain": 1.02, "saturation": 0.82, "freckles": 0.3, "creases": 1.0,
-        "lashes": 0.5,
+        "lashes": 0.35,
     },
     "Chidi": {
         "mix": [("african", "male", "young", 1)],
@@ -31,7 +31,7 @@ PEOPLE = {
         "brow": "008", "brow_colour": (34, 26, 20), "shirt": "male_casualsuit01",
         "shirt_colour": (118, 74, 70), "iris": (70, 48, 34), "lip": (0.97, 0.88, 0.86),
         "mottle": 0.6, "gain": 0.80, "saturation": 0.9, "freckles": 0.1, "creases": 0.9,
-        "lashes": 0.6,
+        "lashes": 0.4,
     },
     "Kaya": {
         "mix": [("asian", "female", "child", 0.4), ("caucasian", "female", "child", 0.6)],
@@ -41,6 +41,6 @@ PEOPLE = {
         "brow": "009", "brow_colour": (96, 74, 56), "shirt": "female_casualsuit01",
         "shirt_colour": (104, 132, 98), "iris": (88, 62, 42), "lip": (0.96, 0.86, 0.85),
         "mottle": 0.35, "gain": 0.95, "saturation": 0.88, "freckles": 0.6, "creases": 0.3,
-        "lashes": 0.7, "purse": 0.68, "hair_to": -11.0,
+        "lashes": 0.55, "purse": 0.68, "hair_to": -11.0,
     },
 }  # fmt: skip

@@ -17,7 +17,7 @@ from tools.heads.base import CM, Base
 SHARE = {
     "brow_lateral": 0.7, "mouth_cornerPull": 0.55, "sharpCornerPull": 0.7, "cheekRaise": 0.6,
     "mouth_purse": 0.58, "mouth_funnel": 0.55, "upperLipRaise": 0.3, "lowerLipDepress": 0.5,
-    "brow_down": 0.4, "brow_raiseIn": 0.5, "brow_raiseOut": 0.5, "eye_blink": 0, "blink_half": 0,
+    "brow_down": 0.4, "brow_raiseIn": 0.5, "brow_raiseOut": 0.4, "eye_blink": 0, "blink_half": 0,
     "eye_eyelidU": 0, "squintInner": 0.4, "_nose.ty": 0.6, "eye_eyelidD": 0.3, "eye.t": 0,
 }  # fmt: skip
 """Share of the carried shape that is kept, by a part of its name; 1 for the others."""
@@ -34,7 +34,7 @@ MIX = {
     "mouth_lowerLipDepress.ty": ("mouthLowerDown_@:.55", ""),
     "brow_down.ty": ("browDown_@:.7", ""),
     "brow_raiseIn.ty": ("browInnerUp_@:1.8", ""),
-    "brow_raiseOut.ty": ("browOuterUp_@:1.15", ""),
+    "brow_raiseOut.ty": ("browOuterUp_@:1", ""),
     "eye_blink.ty": ("eyeBlink_@:1", "eyeWide_@:1"),
     "eye_eyelidU.ty": ("lidU_@:.38", "eyeWide_@:.8"),
     "eye_squintInner.ty": ("eyeSquint_@:.8", ""),
@@ -291,6 +291,8 @@ class Shapes:
             ear = _sigmoid((sign * x[:, 0] - 7.05) / 0.2) * np.exp(-(((x[:, 1] - 1.5) / 4.5) ** 4))
             ear = ear * (np.arange(len(x)) < self.n)
             found[f"CTRL_{s}_ear_up.ty"] = np.outer(ear, [0.06 * sign, 0.32, -0.05])
+            inner = np.exp(-(((x - [1.5 * sign, 5.1, 10.4]) / [1.3, 1.3, 1.6]) ** 2).sum(1))
+            found[f"CTRL_{s}_brow_raiseIn.ty"] = np.outer(inner, [0, 0.42, 0])
             knit = np.exp(-(((x - [0.9 * sign, 3.9, 10.6]) / [0.8, 0.8, 1.2]) ** 2).sum(1))
             knit = np.outer(knit, [-0.06 * sign, -0.16, 0.08])
             found[f"CTRL_{s}_nose.ty"], found[f"nose_upper_{s}"] = knit, -knit

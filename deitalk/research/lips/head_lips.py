@@ -69,7 +69,10 @@ class HeadLips(nn.Module):
                 np.add.at(row, *place)
         used = np.flatnonzero(mean.any(axis=0))
         mean = mean[:, used]
-        dense = motion.shapes.toarray().reshape(len(motion.names), -1, 3)
+        dense = np.zeros((len(motion.names), len(head.straight), 3), np.float32)
+        for k, shape in enumerate(dense):
+            vertex, delta = motion.shape(k)
+            shape[vertex] = delta
 
         def moved(values: NDArray[Any]) -> NDArray[Any]:
             """Columns of the upper and the lower rim, and points (..., 2 P + N, 3)."""

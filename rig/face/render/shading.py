@@ -103,14 +103,7 @@ def _vec(values: Iterable[float]) -> str:
     return f"vec3({', '.join(f'{v:.6f}' for v in values)})"
 
 
-def glsl() -> tuple[str, str]:
-    """Vertex and fragment shader: attributes are those of a mesh, and normals and accents."""
-    lamps = "".join(
-        f"  lamp({_vec(d)}, {_vec(c)}, {'light_.y' if k == 0 else '0.35 + 0.65 * light_.x'});\n"
-        for k, (d, c) in enumerate(zip(TO_LIGHT, LIGHT_COLORS, strict=True))
-    )
-    wraps = ", ".join(_vec(wrap) for wrap in WRAPS)
-    vertex = """#version 330
+_VERTEX = """#version 330
 in vec3 position; in vec3 normal; in vec4 paint; in vec3 light; in float accent; in vec2 place;
 uniform mat4 view;
 centroid out vec3 n_; centroid out vec3 p_; centroid out vec4 paint_; centroid out vec3 light_;
@@ -118,9 +111,18 @@ centroid out float accent_; centroid out vec2 uv_;
 void main() {
   n_ = normal; p_ = position; paint_ = paint; light_ = light; accent_ = accent; uv_ = place;
   gl_Position = view * vec4(position, 1.0);
-  if (light.z > 0.9) gl_Position.z -= NEARER / gl_Position.w;  // brows and lashes
+  if (light.z > 0.9) gl_Position.z -= NEARER / gl_Position.w;  // brows
 }
 """.replace("NEARER", f"{2 * FINE_CM * NEAR * FAR / (FAR - NEAR):.6f}")
+
+
+def glsl() -> tuple[str, str]:
+    """Vertex and fragment shader: attributes are those of a mesh, and normals and accents."""
+    lamps = "".join(
+        f"  lamp({_vec(d)}, {_vec(c)}, {'light_.y' if k == 0 else '0.35 + 0.65 * light_.x'});\n"
+        for k, (d, c) in enumerate(zip(TO_LIGHT, LIGHT_COLORS, strict=True))
+    )
+    wraps = ", ".join(_vec(wrap) for wrap in WRAPS)
     fragment = f"""#version 330
 centroid in vec3 n_; centroid in vec3 p_; centroid in vec4 paint_; centroid in vec3 light_;
 centroid in float accent_; centroid in vec2 uv_;
@@ -166,7 +168,7 @@ void main() {{
   color_ = vec4(sqrt(clamp(linear * 1.12 / (1.0 + 0.12 * linear), 0.0, 1.0)), cover);
 }}
 """
-    return vertex, fragment
+    return _VERTEX, fragment
 
 
 def glsl_background() -> tuple[str, str]:

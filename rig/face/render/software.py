@@ -252,6 +252,18 @@ def _unit(x: Any, y: Any, z: Any) -> Any:
 
 
 @compiled
+def _texel(picture: Any, u: Any, v: Any, k: Any) -> Any:
+    """One channel of a picture at a place, between its texels."""
+    side = len(picture)
+    across, down = _limited(u) * side - F(0.5), _limited(v) * side - F(0.5)
+    x, y = min(max(int(across), 0), side - 2), min(max(int(down), 0), side - 2)
+    across, down = _limited(across - x), _limited(down - y)
+    high = picture[y, x, k] + across * (F(picture[y, x + 1, k]) - F(picture[y, x, k]))
+    low = picture[y + 1, x, k] + across * (F(picture[y + 1, x + 1, k]) - F(picture[y + 1, x, k]))
+    return high + down * (low - high)
+
+
+@compiled
 def _paint(
     row: Any, count: Any, to_eye: Any, maps: Any, places: Any, columns: Any, kinds: Any
 ) -> None:
@@ -264,14 +276,8 @@ def _paint(
                       to_eye[row, columns[i], 2])  # fmt: skip
         if (kind == HAIR or kind >= CLOTH) and nx * vx + ny * vy + nz * vz < F(0):
             nx, ny, nz = -nx, -ny, -nz
-        side = len(atlas)
-        across, down = _limited(u) * side - F(0.5), _limited(v) * side - F(0.5)
-        x, y = min(max(int(across), 0), side - 2), min(max(int(down), 0), side - 2)
-        across, down = _limited(across - x), _limited(down - y)
         for k in range(3):
-            high = atlas[y, x, k] + across * (F(atlas[y, x + 1, k]) - F(atlas[y, x, k]))
-            low = atlas[y + 1, x, k] + across * (F(atlas[y + 1, x + 1, k]) - F(atlas[y + 1, x, k]))
-            places[RED + k * PLACES + i] *= (high + down * (low - high)) / F(255)
+            places[RED + k * PLACES + i] *= _texel(atlas, u, v, k) / F(255)
         places[STRAND + i] = min(F(3) * places[RED + i], F(1)) if kind == HAIR else F(1)
         places[KEPT + i] = F(1) if kind != EYE else F(1) - F(0.85) * accent
         places[RIM + i] = F(0) if kind == EYE else F(0.35)
@@ -293,11 +299,10 @@ def _paint(
             kept = F(1) + F(0.16) * (pores[y, x, 0] / F(127.5) - F(1))
             places[GLOSS + i] *= F(1) + F(0.7) * (pores[y, x, 1] / F(127.5) - F(1))
             if accent > F(0.01):
-                y, x = int(v * len(creases)), int(u * len(creases))
-                nx += accent * (creases[y, x, 0] / F(127.5) - F(1))
-                ny += accent * (creases[y, x, 1] / F(127.5) - F(1))
-                nz += accent * (creases[y, x, 2] / F(127.5) - F(1))
-                kept *= F(1) - accent * (F(1) - creases[y, x, 3] / F(255))
+                nx += accent * (_texel(creases, u, v, 0) / F(127.5) - F(1))
+                ny += accent * (_texel(creases, u, v, 1) / F(127.5) - F(1))
+                nz += accent * (_texel(creases, u, v, 2) / F(127.5) - F(1))
+                kept *= F(1) - accent * (F(1) - _texel(creases, u, v, 3) / F(255))
                 nx, ny, nz = _unit(nx, ny, nz)
             places[KEPT + i] = kept
         places[NX + i], places[NY + i], places[NZ + i] = nx, ny, nz
@@ -525,9 +530,8 @@ class Renderer:
 
 def _parts(mesh: Mesh) -> Int32:
     """Number (V,) of the connected piece each vertex belongs to; hair is one piece."""
-    faces = mesh.faces if mesh.weld is None else mesh.weld[mesh.faces]
-    parts = connected_components(adjacency(faces, len(mesh.vertices)))[1].astype(np.int32)
-    parts = parts if mesh.weld is None else parts[mesh.weld]
+    near = adjacency(mesh.weld[mesh.faces], len(mesh.vertices))
+    parts = connected_components(near)[1].astype(np.int32)[mesh.weld]
     return np.where(np.isin(mesh.kind, (HAIR, FINE)), np.int32(-1), parts)
 
 
@@ -539,7 +543,7 @@ def _sharp_maps(maps: Maps, pixels_per_cm: float) -> tuple[Picture, Picture, Pic
     """The maps at about one texel a pixel: means of 2 x 2 texels as often as it takes."""
 
     def shrunk(picture: Picture, texels_per_cm: float) -> Picture:
-        while texels_per_cm > 1.5 * pixels_per_cm and picture.shape[0] > 1:
+        while texels_per_cm > 1.5 * pixels_per_cm and picture.shape[0] > 2:
             quads = picture.reshape(picture.shape[0] // 2, 2, picture.shape[1] // 2, 2, -1)
             picture = np.round(quads.mean((1, 3))).astype(np.uint8)
             texels_per_cm /= 2
