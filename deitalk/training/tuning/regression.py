@@ -12,8 +12,9 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
 from deitalk.data.clips import Clip, read_known, spread_clips
-from deitalk.data.windows import FrozenFeatures
+from deitalk.data.windows import FrozenFeatures, read_waveform
 from deitalk.emotions import EMOTIONS
 from deitalk.evaluation.validation import MOVING, Example, load_example
 from deitalk.models.curve_model import Analysis, DEITalk
@@ -40,8 +41,9 @@ def analysed(
 ) -> Analysis:
     """A clip by a model, from its features where these are known."""
     if features is None:
-        waveform = load_example(clip, model.controls).waveform
-        return model.analyse(torch.from_numpy(waveform), n_frames)
+        sound = read_waveform(clip.audio)
+        padded = np.pad(sound, (0, max(n_frames * SAMPLE_RATE // FRAME_RATE - len(sound), 0)))
+        return model.analyse(torch.from_numpy(padded), n_frames)
     known = features.features(clip, n_frames)[:n_frames]
     return model.analyse(torch.from_numpy(known.astype(np.float32)), n_frames)
 
