@@ -156,8 +156,8 @@ class Regression:
             clips = [clip for clip in acted if clip.emotion == emotion]
             for clip in spread_clips(clips, MOST_SCORED):
                 example = load_example(clip, self.controls, sound=False)
-                for place, taught in enumerate((1.0, 0.0)):
-                    change.teach(torch.full_like(change.taught, taught))
+                for place, share in enumerate((1.0, 0.0)):
+                    change.teach(torch.full_like(change.taught, share))
                     found = self.predicted(clip, example)
                     errors[place] += np.square(found - example.curves).sum(axis=0) * example.known
             worse = torch.from_numpy((errors[0] > errors[1]) & self.learnt)
@@ -258,7 +258,8 @@ class Regression:
         curves = model.decode(analysis, styles).numpy()
         for layer, state in zip(layers, now, strict=True):
             layer.load_state_dict(state)
-        return np.clip(curves, self.controls.minimum, self.controls.maximum)
+        within: Float32 = np.clip(curves, self.controls.minimum, self.controls.maximum)
+        return within
 
     @torch.no_grad()
     def _rows(self, clip: Clip) -> Rows:
