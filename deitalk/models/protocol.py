@@ -293,8 +293,8 @@ def unshown_note(emotions: Sequence[str], weights: Float32) -> tuple[str, ...]:
     """
     lost = [
         name
-        for name, used in zip(EMOTIONS, (weights > 0).any(axis=0).tolist(), strict=True)
-        if used and name not in (*emotions, "neutral")
+        for place, name in enumerate(EMOTIONS)
+        if weights[:, place].any() and name not in (*emotions, "neutral")
     ]
     if not lost:
         return ()

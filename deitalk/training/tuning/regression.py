@@ -12,8 +12,9 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
 from deitalk.data.clips import Clip, read_known, spread_clips
-from deitalk.data.windows import FrozenFeatures
+from deitalk.data.windows import FrozenFeatures, read_waveform
 from deitalk.emotions import EMOTIONS
 from deitalk.evaluation.validation import MOVING, Example, load_example
 from deitalk.models.curve_model import Analysis, DEITalk
@@ -40,8 +41,9 @@ def analysed(
 ) -> Analysis:
     """A clip by a model, from its features where these are known."""
     if features is None:
-        waveform = load_example(clip, model.controls).waveform
-        return model.analyse(torch.from_numpy(waveform), n_frames)
+        sound = read_waveform(clip.audio)
+        padded = np.pad(sound, (0, max(n_frames * SAMPLE_RATE // FRAME_RATE - len(sound), 0)))
+        return model.analyse(torch.from_numpy(padded), n_frames)
     known = features.features(clip, n_frames)[:n_frames]
     return model.analyse(torch.from_numpy(known.astype(np.float32)), n_frames)
 
@@ -154,8 +156,8 @@ class Regression:
             clips = [clip for clip in acted if clip.emotion == emotion]
             for clip in spread_clips(clips, MOST_SCORED):
                 example = load_example(clip, self.controls, sound=False)
-                for place, taught in enumerate((1.0, 0.0)):
-                    change.teach(torch.full_like(change.taught, taught))
+                for place, share in enumerate((1.0, 0.0)):
+                    change.teach(torch.full_like(change.taught, share))
                     found = self.predicted(clip, example)
                     errors[place] += np.square(found - example.curves).sum(axis=0) * example.known
             worse = torch.from_numpy((errors[0] > errors[1]) & self.learnt)
@@ -256,7 +258,8 @@ class Regression:
         curves = model.decode(analysis, styles).numpy()
         for layer, state in zip(layers, now, strict=True):
             layer.load_state_dict(state)
-        return np.clip(curves, self.controls.minimum, self.controls.maximum)
+        within: Float32 = np.clip(curves, self.controls.minimum, self.controls.maximum)
+        return within
 
     @torch.no_grad()
     def _rows(self, clip: Clip) -> Rows:

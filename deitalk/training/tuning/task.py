@@ -453,10 +453,12 @@ class FinetuneTask(CurveTask):
                 curves["before"] = self.start.decode(analysis, styles).numpy()
             found[id(example)] = curves
         names = ["before", "after"] if self.start is not None else ["after"]
-        systems: dict[str, System] = {
-            name: lambda example, name=name: (found[id(example)][name], None) for name in names
-        }
-        return CaptureSet(examples, self.controls, self.pose, self.learnt), systems
+
+        def system(name: str) -> System:
+            return lambda example: (found[id(example)][name], None)
+
+        captures = CaptureSet(examples, self.controls, self.pose, self.learnt)
+        return captures, {name: system(name) for name in names}
 
     def delivered(self, best_step: int) -> str:
         """What the result is, by control."""
@@ -469,18 +471,16 @@ class FinetuneTask(CurveTask):
     def _choose(self, part: str) -> None:
         """Let only the weights of a part learn."""
         decoder, intensity = self.model.rig_decoder, self.model.intensity if self.axes else None
-        if part == "all":
-            learns = [self.model]
-        else:
-            learns = [decoder] if part == "decoder" else [decoder.output]
-            learns += [m for m in (decoder.actors, decoder.actor_layers) if m is not None]
-            learns += [decoder.output, *([intensity, self.model.motion] if intensity else [])]
+        parts: dict[str, nn.Module] = {"all": self.model, "decoder": decoder}
+        learns: list[nn.Module | None] = [parts.get(part), decoder.output]
+        learns += [decoder.actors, decoder.actor_layers]
+        learns += [] if intensity is None else [intensity, self.model.motion]
+        held = [decoder.kept, decoder.change, None if intensity is None else intensity.kept]
         self.model.requires_grad_(False)
-        for module in learns:
-            module.requires_grad_(True)
-        for module in (decoder.kept, decoder.change, intensity and intensity.kept):
-            if module is not None:
-                module.requires_grad_(False)
+        for modules, moves in ((learns, True), (held, False)):
+            for module in modules:
+                if module is not None:
+                    module.requires_grad_(moves)
 
     def optimizer(self) -> torch.optim.Optimizer:
         """AdamW or Adam; styles of actors learn `ACTORS_FASTER`, last layers `LAST_SLOWER`."""

@@ -122,11 +122,8 @@ def test_saved_model_contains_no_teacher_and_loads_without_it(finished, teacher)
     config = student(teacher)
     names = set(DEITalk(config.model).state_dict())
     assert set(weights(finished / "best")) == names
-    text = (finished / "best" / "config.yaml").read_text()
-    assert str(teacher) in text, "the configuration names the teacher"
-    (finished / "best" / "config.yaml").write_text(text.replace(str(teacher), "gone"))
-    assert set(weights(finished / "best")) == names
-    (finished / "best" / "config.yaml").write_text(text)
+    assert str(teacher) in (finished / "config.yaml").read_text(), "the run names the teacher"
+    assert str(teacher) not in (finished / "best" / "config.yaml").read_text()
 
 
 def test_resumed_run_has_the_weights_of_an_uninterrupted_one(data, teacher, finished, tmp_path):

@@ -141,6 +141,18 @@ def test_a_map_carries_emotions_to_a_rig(base, data, tmp_path, emotion):
     assert not found[:, 2].any(), "nothing is told of the hat"
 
 
+@pytest.mark.parametrize("part", ["head", "decoder", "all"])
+def test_every_part_is_tuned_on_another_rig(base, data, tmp_path, part):
+    """Also where the frontend learns, and no features are kept."""
+    (tmp_path / "rig.yaml").write_text(RIG)
+    rig = str(tmp_path / "rig.yaml")
+    folder = labelled(data, tmp_path / "data", "neutral", rig)
+    given = (f"model.control_set={rig}", f"tune.part={part}", "data.augment=false")
+    scores = finetune(recipe(base, *given), folder, tmp_path / "run")
+    assert scores["after"]["error_of_mean_pose"] < 1
+    assert not change(tmp_path / "run/best", "angry").any()
+
+
 def test_a_map_of_other_curves_is_refused(base, data, tmp_path):
     (tmp_path / "rig.yaml").write_text(RIG)
     (tmp_path / "map.csv").write_text("target,source\nCTRL_C_jaw.ty,chin\n")

@@ -303,7 +303,7 @@ def test_curves_of_another_rig_stay_as_they_are(tmp_path, rng):
     checked = CliRunner().invoke(app, ["check", str(out), "--rig", str(tmp_path / "rig.yaml")])
     errors = [row for row in checked.stdout.splitlines() if row.startswith("error")]
     assert not errors
-    assert checked.exit_code == 1 and "warning  jittering" in checked.stdout
+    assert checked.exit_code == 0 and "warning  jittering" in checked.stdout
 
 
 def test_takes_of_one_name_are_told_apart_and_a_copy_is_left_out(tmp_path):
