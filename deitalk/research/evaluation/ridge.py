@@ -92,7 +92,8 @@ class Readout:
             gram += rows.T @ rows
         left = gram[: m + 1, : m + 1].astype(np.float64)
         left[np.arange(m), np.arange(m)] += penalty
-        solved = np.linalg.solve(left, gram[: m + 1, m + 1 :].astype(np.float64))
+        right = gram[: m + 1, m + 1 :].astype(np.float64)
+        solved = np.asarray(np.linalg.solve(left, right), np.float64)
         return cls(mean, scale, solved[:m], solved[m])
 
     def __call__(self, features: Float32) -> Float32:
