@@ -336,7 +336,10 @@ class DEITalk(nn.Module):
             effort = output.strength if output.effort is None else output.effort
             rows = torch.cat((output.saliency, output.strength, effort))
             tracks[:, start:stop] = rows[:, inner]
-        return Analysis(speech, guidance, *tracks[: 2 if module.effort is None else 3], lips=lips)
+        saliency, strength, effort = tracks
+        if module.effort is None:
+            return Analysis(speech, guidance, saliency, strength, lips=lips)
+        return Analysis(speech, guidance, saliency, strength, effort, lips)
 
     def _read_lips(self, speech: Tensor) -> Tensor | None:
         """Readout of a whole clip's features (T, D), piece by piece [shape=(T, 4)]."""

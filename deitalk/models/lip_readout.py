@@ -96,7 +96,8 @@ class LipReadout(nn.Module):
         read : Tensor [shape=(..., T, 4)]
             From `forward`.
         """
-        likely, wanted = read.split((len(CONTACTS), len(MEASURES)), dim=-1)
+        n = len(CONTACTS)
+        likely, wanted = read[..., :n], read[..., n:]
         curves = readings + self.moves(wanted + self.shown(readings[:1]))
         contacts = (curves.clamp(0, 1) * (likely @ self.places)).sqrt()
         return torch.where(self.places.sum(dim=0) > 0, contacts, curves)

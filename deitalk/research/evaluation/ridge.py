@@ -79,12 +79,10 @@ class Readout:
         if not any(np.isfinite(targets).all(axis=1).any() for _, targets in recordings):
             raise DataError("no frame teaches the ridge regression; give recordings with phones")
         every = np.concatenate([features for features, _ in recordings])
-        mean, scale = every.mean(axis=0, dtype=np.float64), every.std(axis=0, dtype=np.float64)
-        scale = scale + 1e-3
-        size = 0
-        for features, targets in recordings:
-            size = (2 * REACH + 1) * features.shape[1] + 1 + targets.shape[1]
-            break
+        mean, spread = every.mean(axis=0, dtype=np.float64), every.std(axis=0, dtype=np.float64)
+        scale = np.asarray(spread + 1e-3, np.float64)
+        m = (2 * REACH + 1) * every.shape[1]
+        size = m + 1 + recordings[0][1].shape[1]
         gram = np.zeros((size, size), np.float32)
         for (features, targets), share in zip(recordings, shares, strict=True):
             known = np.isfinite(targets).all(axis=1)
@@ -92,10 +90,10 @@ class Readout:
             rows = np.concatenate((x, np.ones((len(x), 1)), targets[known]), axis=1)
             rows = rows.astype(np.float32) * np.float32(share**0.5)
             gram += rows.T @ rows
-        m = size - 1 - recordings[0][1].shape[1]
         left = gram[: m + 1, : m + 1].astype(np.float64)
         left[np.arange(m), np.arange(m)] += penalty
-        solved = np.linalg.solve(left, gram[: m + 1, m + 1 :].astype(np.float64))
+        right = gram[: m + 1, m + 1 :].astype(np.float64)
+        solved = np.asarray(np.linalg.solve(left, right), np.float64)
         return cls(mean, scale, solved[:m], solved[m])
 
     def __call__(self, features: Float32) -> Float32:

@@ -102,7 +102,7 @@ class Teacher:
             features, found = neutral_reading(self.model, sound, recording.n_frames)
             n = min(recording.n_frames, len(clip.measures))
             late = self.late(features.float().numpy(), TAPS // 2)
-            known = np.isfinite(clip.measures[:n]).all(axis=1)[:, None]
+            known = np.isfinite(clip.measures[:n]).all(axis=1, keepdims=True)
             wanted = np.where(known, clip.measures[:n][:, self.chosen], np.nan)
             rows.append((late[:n], wanted.astype(np.float32)))
             curves.append(found.numpy())
@@ -157,7 +157,7 @@ def shown_measures(curves: Float64, measures: Float64) -> tuple[Float64, Float64
 def moving_controls(teacher: Teacher, pose: Float32) -> Float64:
     """Change of the controls per measure of `MEASURES`, the others unchanged [shape=(C, 2)]."""
     lips, controls = teacher.lips, teacher.model.controls
-    slope = torch.autograd.functional.jacobian(lips, torch.from_numpy(pose)).numpy()
+    slope = torch.func.jacrev(lips)(torch.from_numpy(pose)).detach().numpy()
     free = looseness(controls, ("lipsTogether",)).numpy().astype(np.float64) ** 2
     spread = free[:, None] * slope.T
     inverse = np.linalg.inv(slope @ spread + np.diag(np.square(TOLERANCE_CM)))
