@@ -88,8 +88,7 @@ PLACES = {
     "LINES": "folder of some hundred recordings of 2 to 6 s",
     "ICT.npz": "ICT-FaceKit's neutral face and 57 shapes (mesh.md)",
     "lips_rig/": "measured lips as a rig (finetuning.md)",
-    "facegood_data/": "FACEGOOD's clips 2_01 to 2_05 of the actors both, pucker, oh, pucker, oh "
-    "(`data import --rig facegood --fps 30 --emotion neutral --keep-listening --split-by time`, "
-    "then `data check --fix`)",
+    "facegood_data/": "FACEGOOD's clips 2_01 to 2_05 of one actor (`data import --rig facegood "
+    "--fps 30 --emotion neutral --actor fg --keep-listening`)",
 }
 """Words of the commands that stand for data."""

@@ -15,7 +15,11 @@ def captured_lips() -> str:
         systems[f"{speaker}, tuned"] = found["scores"]["after"]
         systems[f"{speaker}, loudness"] = found["scores"]["loudness"]
     takes = report("facegood")["mean"]
-    systems |= {"FACEGOOD, tuned": takes["after"], "FACEGOOD, loudness": takes["loudness"]}
+    systems |= {
+        "FACEGOOD, nearest style": takes["after"],
+        "FACEGOOD, mean style": takes["after, mean style"],
+        "FACEGOOD, loudness": takes["loudness"],
+    }
     return table(_systems(f"left out, from weights {found['base_sha256'][:8]}…", systems))
 
 
