@@ -131,7 +131,7 @@ def test_whole_clip_equals_one_forward():
 @each("saliency_frames", [None, 31, 121])
 @torch.no_grad()
 def test_pieces_equal_one_piece(monkeypatch, saliency_frames):
-    model = build(saliency_frames=saliency_frames, effort=True)
+    model = build(saliency_frames=saliency_frames, effort=True, lips=True)
     n = 2 * DECODE_FRAMES + 300
     speech = torch.randn(n, 16)
     monkeypatch.setattr(model.frontend, "encode", lambda waveform, frames, **_: speech[:frames])
