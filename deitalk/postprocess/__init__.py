@@ -1,1 +1,1 @@
-"""Rules after the network: arrays in, arrays out."""
+"""Everything after the network: `curve_pass` is the path from its readings to finished curves."""

@@ -55,8 +55,8 @@ class Motion(NamedTuple):
     tracks: MotionTracks
     """What `deitalk.postprocess.life.play.Play` plays."""
     head: Float32 | None
-    """Track of the head [shape=(..., n, 6)], see `deitalk.postprocess.life.head`; None: it is off,
-    of streams side by side 0 instead."""
+    """Track of the head [shape=(..., n, 6)], see `deitalk.postprocess.life.head`; None if it is off
+    in a whole take."""
 
 
 def attend(gaze: Float64, held: Float64, mixture: Float32) -> Float64:

@@ -6,9 +6,19 @@ import torch
 
 from deitalk.config.rig_file import RIGS, read_controls
 from deitalk.config.rules import RulesConfig
+from deitalk.emotions import LABELS
 from deitalk.pipeline import curves as whole_pass
+from deitalk.postprocess.control_groups import ControlGroups
 from deitalk.postprocess.curve_pass import CurvePass, TorchPass
-from deitalk.postprocess.tracks import LIVE_AHEAD, MOTION, N_SHOWN, VOICE
+from deitalk.postprocess.expressions import expression_table
+from deitalk.postprocess.tracks import (
+    LIVE_AHEAD,
+    MOTION,
+    N_SHOWN,
+    VOICE,
+    VoiceTracks,
+    shown_columns,
+)
 from rig import default_controls
 
 CONTROLS = default_controls()
@@ -143,3 +153,61 @@ def test_rigs_without_contacts_pass_all_other_rules(rig):
     curves, neutral, *_ = passed(TorchPass(CurvePass(controls)), given, [20])
     assert np.isfinite(curves).all() and curves.std(axis=1).max() > 0.05
     assert (curves <= controls.maximum).all() and (neutral >= controls.minimum).all()
+
+
+def finished(neutral, emotional, *, scale=1.0, held=1.0, emotion="happy", mouth=None):
+    """Curves and neutral curves of a take without motion."""
+    n_frames, ones = len(neutral), np.ones(len(neutral), np.float32)
+    weights = np.eye(len(LABELS), dtype=np.float32)[[LABELS.index(emotion)] * n_frames]
+    phones = np.zeros((n_frames, 4), np.float32)
+    voice = VoiceTracks(scale * ones, ones, held * ones, phones, weights).columns()
+    gate = ones if mouth is None else mouth
+    curves, plain, gain = emotional.copy(), neutral.copy(), np.ones(len(CONTROLS), np.float32)
+    rules = TorchPass(CurvePass(CONTROLS))
+    whole_pass.apply_rules(rules, plain, curves, voice, shown_columns(gate, gate, None), gain)
+    return curves, plain
+
+
+def readings(seed=0):
+    return np.random.default_rng(seed).uniform(0, 1, (2, 50, len(CONTROLS))).astype(np.float32)
+
+
+@pytest.mark.parametrize("emotion", LABELS)
+def test_intensity_0_is_the_neutral_reading_after_all_rules(emotion):
+    curves, plain = finished(*readings(), scale=0.0, emotion=emotion)
+    np.testing.assert_array_equal(curves, plain)
+
+
+@pytest.mark.parametrize("emotion", LABELS)
+@pytest.mark.parametrize("scale", [1.0, 4.0])
+def test_lips_that_meet_in_the_neutral_reading_meet_after_all_rules(emotion, scale):
+    neutral, emotional = readings(1)
+    groups = ControlGroups(CONTROLS)
+    neutral[10:13, groups.seals] = 1
+    curves, plain = finished(neutral, emotional, scale=scale, emotion=emotion)
+    assert (curves[10:13][:, groups.seals] > 0.99).all()
+    jaw = CONTROLS.index("CTRL_C_jaw.ty")
+    np.testing.assert_allclose(curves[10:13, jaw], plain[10:13, jaw], atol=1e-6)
+
+
+def test_silence_is_at_rest_whatever_is_around_it():
+    """A contact in the frame after: lips that start to close earlier are at rest in silence."""
+    neutral, emotional = readings(2)
+    mouth = np.ones(50, np.float32)
+    mouth[20:24] = 0
+    seals = ControlGroups(CONTROLS).seals
+    neutral[24, seals] = emotional[24, seals] = 1
+    for reading in finished(neutral, emotional, scale=2.0, emotion="fear", mouth=mouth):
+        np.testing.assert_allclose(reading[20:24], np.tile(CONTROLS.rest, (4, 1)), atol=1e-6)
+        assert reading[24, seals].min() > 0.99
+
+
+def test_a_pose_of_a_mood_has_its_size_after_all_rules():
+    """Fear at intensity .5 on a face at rest: half of the table's stretched lips."""
+    face = np.tile(CONTROLS.rest, (20, 1)).astype(np.float32)
+    curves, plain = finished(face, face, scale=1.0, held=0.5, emotion="fear")
+    table = expression_table(CONTROLS.names)
+    name = CONTROLS.index("CTRL_L_mouth_stretch.ty")
+    pose = table.poses[LABELS.index("fear"), list(table.places).index(name)]
+    np.testing.assert_allclose(curves[:, name], 0.5 * pose, rtol=1e-5)
+    np.testing.assert_array_equal(plain, face)
