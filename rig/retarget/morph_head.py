@@ -34,7 +34,7 @@ PICTURE = 1024
 """Side of the pictures of exported heads, texels."""
 
 
-@lru_cache(maxsize=1)
+@lru_cache(maxsize=2)
 def morph_head(identity: int | str = 0) -> tuple[BakedRig, Float64]:
     """Return the head baked to morph targets, in cm, and its linear vertex colours.
 
@@ -61,12 +61,9 @@ def morph_head(identity: int | str = 0) -> tuple[BakedRig, Float64]:
 
 
 def shown_controls() -> frozenset[str]:
-    """Return the controls that a shape, the seal or the eyes of the embedded heads show."""
-    motion, controls = build_head(0).motion, default_controls()
-    halves = np.concatenate([motion.drivers.ravel(), np.flatnonzero(motion.bind.any(axis=1))])
-    count = len(controls.names)
-    names = {controls.names[half % count] for half in halves if half < 2 * count}
-    return frozenset(names | {"CTRL_C_eye_parallelLook.ty"})
+    """Return the controls that a shape or corrective of the embedded heads shows."""
+    rig, _ = morph_head(0)
+    return frozenset(half.control for d in rig.drivers for group in d.groups for half in group)
 
 
 SKIN_ROUGHNESS, HAIR_ROUGHNESS, EYE_ROUGHNESS = 0.52, 0.6, 0.08

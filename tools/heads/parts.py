@@ -163,10 +163,10 @@ class Person:
         x, skin = brows.points, self.skin
         ids = np.flatnonzero(cKDTree(x).query(skin)[0] < 0.5)
         middle = np.array([x[np.abs(x[:, 0] - a) < 0.35, 1].mean() for a in x[:, 0]])
-        away = ((skin[ids, 0] - x[:, :1]) / 0.5) ** 2 + (
+        away = ((skin[ids, 0] - x[:, :1]) / 0.8) ** 2 + (
             (skin[ids, 1] - middle[:, None]) / 0.55
         ) ** 2
-        near = np.argsort(away, 1)[:, : 3 * count : 3]
+        near = np.argsort(away, 1)[:, : 5 * count : 5]
         weight = np.exp(-np.take_along_axis(away, near, 1)) + 1e-9
         brows.near, brows.weight = ids[near], weight / weight.sum(1, keepdims=True)
 
