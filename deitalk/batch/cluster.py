@@ -7,11 +7,14 @@ others. A line may then be animated twice; the second result has the same files.
 import os
 import pickle
 from collections.abc import Iterator, Sequence
+from contextlib import chdir
+from tempfile import TemporaryDirectory
 from typing import Any
 
 from deitalk.batch.lines import Order, Outcome
 from deitalk.batch.processes import Make
 from deitalk.errors import DeitalkError, MissingError
+from deitalk.workers import safe_path
 from rig.errors import UserError, one_line
 
 LINES_PER_BLOCK = 16
@@ -51,7 +54,9 @@ class Cluster:
         self._is_ours = not ray.is_initialized()
         if self._is_ours:
             try:
-                ray.init(address=address, log_to_driver=False, logging_level="ERROR")
+                # Ray puts the working folder where its workers look for modules.
+                with safe_path(), TemporaryDirectory() as empty, chdir(empty):
+                    ray.init(address=address, log_to_driver=False, logging_level="ERROR")
             except (ConnectionError, RuntimeError, ValueError) as error:
                 text = one_line(f"Ray at {address}: {error}")
                 raise DeitalkError(f"{text}; check the address, or start a cluster") from None
