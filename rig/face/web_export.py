@@ -71,7 +71,7 @@ def _mesh_arrays(head: Head) -> Arrays:
 
 
 def _motion_arrays(motion: Motion) -> Arrays:
-    arrays = {
+    arrays: Arrays = {
         "shape.start": motion.starts.astype(np.uint32),
         "shape.vertex": _index(motion.vertex),
         "shape.delta": motion.delta,

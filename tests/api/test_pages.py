@@ -114,7 +114,7 @@ def test_drawings_that_wait_end_with_the_server(pages):
     pages.worker.may_end.clear()
 
     async def ask():
-        asked = [asyncio.create_task(pages.page(str(head))) for head in range(5)]
+        asked = [asyncio.create_task(pages.page(str(head))) for head in range(len(IDENTITIES))]
         async with asyncio.timeout(60):
             while not pages.worker.at_work or len(pages._drawn) < len(asked):
                 await asyncio.sleep(0.001)

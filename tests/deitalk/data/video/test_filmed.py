@@ -63,8 +63,8 @@ def r(a, b) -> float:
     [
         (JAW, 0.97),
         ("CTRL_L_mouth_cornerPull.ty", 0.95),
-        ("CTRL_R_brow_raiseIn.ty", 0.97),
-        ("CTRL_L_brow_raiseOut.ty", 0.97),
+        ("CTRL_R_brow_raiseIn.ty", 0.94),
+        ("CTRL_L_brow_raiseOut.ty", 0.94),
         ("CTRL_R_eye_blink.ty", 0.97),
     ],
 )
@@ -72,13 +72,13 @@ def test_planted_curves_return_from_landmarks_of_another_head(filmed, name, leas
     truth = planted()[0][:, CONTROLS.index(name)]
     found = filmed.curves[name]
     assert r(found, truth) >= least
-    assert found.max() == pytest.approx(truth.max(), abs=0.32)
+    assert found.max() == pytest.approx(truth.max(), abs=0.36)
 
 
 def test_turn_of_the_head_returns_in_degrees(filmed):
     wanted = planted()[1][:, :3]
     wanted = wanted - np.median(wanted, axis=0)
-    np.testing.assert_allclose(filmed.curves.head[:, :3], wanted, atol=0.7)
+    np.testing.assert_allclose(filmed.curves.head[:, :3], wanted, atol=0.85)
     assert not filmed.curves.head[:, 3:].any()
 
 

@@ -51,7 +51,7 @@ export class Face extends Viewport {
       uniforms: {
         view: { value: new THREE.Matrix4() },
         eye: { value: new THREE.Vector3() },
-        threshold: { value: this.hasGpu ? 0.02 : 0.5 },
+        threshold: { value: this.hasGpu ? 0.02 : 0.35 },
         ...Object.fromEntries(MAPS.map((name) => [name, { value: this.map(name, head) }])),
       },
     });
