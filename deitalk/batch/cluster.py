@@ -7,7 +7,7 @@ others. A line may then be animated twice; the second result has the same files.
 import os
 import pickle
 from collections.abc import Iterator, Sequence
-from contextlib import chdir
+from contextlib import chdir, suppress
 from tempfile import TemporaryDirectory
 from typing import Any
 
@@ -52,10 +52,11 @@ class Cluster:
             ) from None
         self._count, self._make = count, pickle.dumps(make)
         self._is_ours = not ray.is_initialized()
+        self._folder, self._empty = os.getcwd(), TemporaryDirectory(prefix="deitalk-ray-")
         if self._is_ours:
             try:
-                # Ray puts the working folder where its workers look for modules.
-                with safe_path(), TemporaryDirectory() as empty, chdir(empty):
+                # Ray puts the working folder where its workers look for modules: an empty one.
+                with safe_path(), chdir(self._empty.name):
                     ray.init(address=address, log_to_driver=False, logging_level="ERROR")
             except (ConnectionError, RuntimeError, ValueError) as error:
                 text = one_line(f"Ray at {address}: {error}")
@@ -69,6 +70,7 @@ class Cluster:
             import ray
 
             ray.shutdown()
+        self._empty.cleanup()
 
     def run(self, orders: Sequence[Order]) -> Iterator[list[Outcome]]:
         """Yield results as blocks of them are finished, in any order.
@@ -89,7 +91,7 @@ class Cluster:
         )
         results = data.map_batches(
             _Actor,
-            fn_constructor_kwargs={"make": self._make},
+            fn_constructor_kwargs={"make": self._make, "folder": self._folder},
             batch_size=None,
             batch_format="numpy",
             compute=ray.data.ActorPoolStrategy(min_size=1, max_size=count),
@@ -113,10 +115,15 @@ def _outcome(row: bytes) -> Outcome:
 
 
 class _Actor:
-    """One actor with its model; a callable for `map_batches`."""
+    """One actor with its model; a callable for `map_batches`.
 
-    def __init__(self, make: bytes) -> None:
+    `folder` is what the paths of the lines are relative to, where the machine has it.
+    """
+
+    def __init__(self, make: bytes, folder: str) -> None:
         self._error: UserError | None = None
+        with suppress(OSError):
+            os.chdir(folder)
         try:
             self._perform = pickle.loads(make)()
         except UserError as error:
