@@ -29,7 +29,7 @@ def test_a_public_rig_needs_no_file(name, expected, tmp_path):
     assert controls[left].mirror == right and controls[right].mirror == left
     assert name not in SHUT or "lip" in controls[SHUT[name]].sets
     assert "lip" not in controls["HeadYaw"].sets if name == "arkit" else True
-    rows = np.linspace(0, 1, 4)[:, None] * controls.maximum
+    rows = np.linspace(0, 0.2, 4)[:, None] * controls.maximum  # of the head 37 degrees
     with (tmp_path / "take.csv").open("w", newline="") as file:
         csv.writer(file).writerows([("frame", *controls.names), *((0, *row) for row in rows)])
     take = read_capture(tmp_path / "take.csv", rig=controls, fps=30)

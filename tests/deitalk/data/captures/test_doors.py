@@ -811,9 +811,3 @@ def test_the_way_out_of_an_unknown_rig_is_the_option_of_the_command(tmp_path):
     (tmp_path / "a.csv").write_text(text(table(*frames(30), [f"own_{name}" for name in SHAPES])))
     line = refused("data", "import", tmp_path / "a.csv", "-o", tmp_path / "data")
     assert "give --map, a table" in line
-
-
-def test_cues_without_a_rate_say_at_which_they_are_read(tmp_path):
-    (tmp_path / "a.dat").write_text("MohoSwitch1\n1 X\n25 A\n49 X\n")
-    assert read_curves(tmp_path / "a.dat").notes == ("holds no rate: read at 24 frames a second",)
-    assert read_curves(tmp_path / "a.dat", fps=30).notes == ()
