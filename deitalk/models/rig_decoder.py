@@ -539,7 +539,12 @@ def _own_count(evaluations: int) -> int:
 
 
 def _each_once(curves: Callable[[Tensor], Tensor], emotions: Tensor) -> Tensor:
-    """Curves of every reading [shape=(R, T, C)], of equal styles computed once."""
+    """Curves of every reading [shape=(R, T, C)], of equal styles computed once.
+
+    On another device all are computed: to compare them would wait for it.
+    """
+    if emotions.device.type != "cpu":
+        return curves(emotions)
     places: list[int] = []
     for row in emotions:
         equal = (k for k in range(len(places)) if torch.equal(emotions[k], row))

@@ -142,7 +142,7 @@ def test_configuration_sdfa_is_the_paper():
     assert config.model.motion == "gradients"
     assert config.data.augment
     assert config.data.fps == 60
-    assert len(config.data.identities) == 8
+    assert len(config.data.identities) == 4  # all embedded heads
 
 
 @each(
