@@ -115,11 +115,13 @@ def test_drawings_that_wait_end_with_the_server(pages):
 
     async def ask():
         asked = [asyncio.create_task(pages.page(str(head))) for head in range(len(IDENTITIES))]
-        async with asyncio.timeout(60):
-            while not pages.worker.at_work or len(pages._drawn) < len(asked):
-                await asyncio.sleep(0.001)
-        pages.stop()
-        pages.worker.may_end.set()
+        try:
+            async with asyncio.timeout(60):
+                while not pages.worker.at_work or len(pages._drawn) < len(asked):
+                    await asyncio.sleep(0.001)
+            pages.stop()
+        finally:  # the thread that draws waits for it
+            pages.worker.may_end.set()
         return await asyncio.gather(*asked, return_exceptions=True)
 
     ended = asyncio.run(ask())
