@@ -29,6 +29,12 @@ def main(folder, asked=""):
     if os.path.isdir(folder):
         if os.listdir(folder) and not os.path.exists(os.path.join(folder, "pyvenv.cfg")):
             sys.exit(f"{folder} is no virtual environment; name another folder: VENV=.venv")
+        if os.path.dirname(os.path.realpath(folder)) != os.path.realpath(ROOT):
+            # It may be of another project.
+            sys.exit(
+                f"{folder} is not whole or of another Python, and outside of this checkout: remove "
+                "it, or name another folder: VENV=.venv"
+            )
         sys.stderr.write(f"{folder} is not whole or of another Python: it is made again\n")
     base = getattr(sys, "_base_executable", None) or sys.executable
     done = subprocess.run([base, "-m", "venv", "--clear", folder], capture_output=True, text=True)

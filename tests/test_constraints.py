@@ -169,6 +169,15 @@ needs_make = pytest.mark.skipif(
 )
 
 
+def test_an_environment_outside_of_the_checkout_is_never_cleared(checkout, tmp_path):
+    environment_of(tmp_path / "other project", "3.11.2", whole=False)
+    folder = tmp_path / "other project/.venv"
+    command = [sys.executable, checkout / "constraints/environment.py", folder]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 1 and "outside of this checkout: remove it" in done.stderr
+    assert (folder / "old").exists() and (folder / "pyvenv.cfg").exists()
+
+
 @needs_make
 @pytest.mark.parametrize("version", ["3, 8", "3, 9", "3, 10", "3, 15"])
 def test_a_python_that_is_not_allowed_is_refused_before_anything_is_made(checkout, version):
