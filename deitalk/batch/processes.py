@@ -378,6 +378,7 @@ class Performer:
                 *filter(None, [note]),
                 *findings(performance),
             ),
+            edges=_edges(performance) if order.with_edges else None,
             stage=str(folder),
             targets=targets,
             files=files,
@@ -414,6 +415,13 @@ class Performer:
         beside = self.stage / TAKE  # one name for all, as each has a lock
         write_take(beside, performance, model=self.about, **form)
         os.rename(beside, folder)
+
+
+def _edges(performance: Performance) -> tuple[str, str]:
+    from deitalk.postprocess.joins import edge_of
+
+    first, last = (str(edge_of(performance, "edge", last=last)) for last in (False, True))
+    return first, last
 
 
 def decoded(path: str, data: bytes | None, choice: AudioChoice = AudioChoice()) -> Any:

@@ -347,9 +347,7 @@ def _between(speech: Speech, acting: Acting) -> Speech:
     return replace(speech, before=before, after=activity_beside(acting.into, before=False))
 
 
-def _join(
-    controls: ControlSet, values: Float32, head: Float32 | None, acting: Acting
-) -> None:
+def _join(controls: ControlSet, values: Float32, head: Float32 | None, acting: Acting) -> None:
     """Have the curves [shape=(T, C)] and the head begin and end at the takes beside them."""
     nexts = [edge for edge in (acting.into,) if isinstance(edge, Edge)]
     most = len(values) // 2 if nexts else None

@@ -235,9 +235,7 @@ def plan_motion(
     seeds, idle, life, traits, has_begun, goes_on
         As for `MotionStream`.
     """
-    stream = MotionStream(
-        seeds, idle, life, traits, voice, has_begun=has_begun, goes_on=goes_on
-    )
+    stream = MotionStream(seeds, idle, life, traits, voice, has_begun=has_begun, goes_on=goes_on)
     for cue in voice.cues():
         stream.cue(cue)
     lead = min(SPEAKING_LEAD, voice.n_frames)
