@@ -299,55 +299,135 @@ def lead(
         return
     if last:
         values, head = values[::-1], None if head is None else head[::-1]
-    lengths = np.minimum(_lengths(values, head, controls, edge), most)
-    stop = int(lengths.max())
-    rows, sign = values[:stop], -1.0 if last else 1.0
-    pose = np.array([edge.pose.get(n, 0.0) for n in controls.names])
-    speed = sign * np.array([edge.speed.get(n, 0.0) for n in controls.names])
-    coasted = np.clip(pose + _coasting(stop) * speed, controls.minimum, controls.maximum)
-    share = _shares(stop, lengths)
-    groups = ControlGroups(controls)
-    if len(groups.together):
-        closed = 2 * rows[:, groups.together].mean(axis=1) - 1
-        gains = np.minimum((np.arange(stop) + 1) / CONTACT_FRAMES, 1)
-        met = (closed.clip(0, 1) * gains)[:, None]
-        share = np.where(groups.follows_mouth, np.maximum(share, met), share)
-    rows[:] = coasted + share * (rows - coasted)
-    if head is not None and edge.head:
-        count = min(_head_frames(head, edge), most)
-        turned = np.array(edge.head) + _coasting(count) * sign * np.array(edge.head_speed)
-        head[:count] = turned + _shares(count, count) * (head[:count] - turned)
+    passage = Passage.of(controls, edge, None if head is None else head[0], most, last=last)
+    passage.mix(values, head)
 
 
-def _coasting(count: int) -> Float64:
-    """Frames' worth of a speed that frames beside an edge have gone on by [shape=(count, 1)]."""
-    gone: Float64 = COASTING * (1 - np.exp(-(np.arange(count) + 1) / COASTING))
+def _coasting(frames: Any) -> Float64:
+    """Frames' worth of a speed that frames beside an edge have gone on by [shape=(n, 1)]."""
+    gone: Float64 = COASTING * (1 - np.exp(-(frames + 1) / COASTING))
     return gone[:, None]
 
 
-def _shares(count: int, lengths: Any) -> Float64:
-    """Share of the own motion in the frames beside an edge [shape=(count, C)]."""
-    part = np.clip((np.arange(count)[:, None] + 1) / (np.atleast_1d(lengths) + 1), 0, 1)
+def _shares(frames: Any, lengths: Any, held: Any = 0) -> Float64:
+    """Share of the own motion in frames beside an edge [shape=(n, C)]."""
+    part = np.clip((frames[:, None] + 1 - held) / (np.atleast_1d(lengths) + 1), 0, 1)
     share: Float64 = part * part * (3 - 2 * part)
     return share
 
 
-def _lengths(
-    values: Float32, head: Float32 | None, controls: ControlSet, edge: Edge
-) -> "np.ndarray[Any, Any]":
-    """Frames of the passage of each control [shape=(C,)]."""
-    names = controls.names
-    mouth: Bool = ControlGroups(controls).follows_mouth
-    found = np.where(mouth, MOUTH_FRAMES, FACE_FRAMES)
-    found[[k for k, name in enumerate(names) if "eye_blink" in name]] = LIDS_FRAMES
-    looks = [k for k, name in enumerate(names) if "_eye.t" in name]
-    found[looks] = FACE_FRAMES if head is None or not edge.head else _head_frames(head, edge)
-    return found
+@dataclass(frozen=True)
+class Passage:
+    """From an edge to the own motion of a take, of consecutive frames.
 
+    Attributes
+    ----------
+    controls : ControlSet
+        Of the columns.
+    pose, speed : array [shape=(C,)]
+        Of the edge, in the direction of the frames.
+    head, head_speed : array [shape=(6,)], or None without a head
+    lengths : array [shape=(C,)]
+        Frames in which each control passes.
+    head_length : int
+        The same of the head.
+    held : array [shape=(C,)] or int
+        Frames for which each control stays at the edge before it passes.
+    """
 
-def _head_frames(head: Float32, edge: Edge) -> int:
-    furthest = float(np.abs(head[0, :3] - np.array(edge.head[:3])).max())
-    return int(np.clip(np.ceil(FRAMES_A_DEGREE * furthest), HEAD_FRAMES, MOST_HEAD_FRAMES))
+    controls: ControlSet
+    pose: Float64
+    speed: Float64
+    head: Float64 | None
+    head_speed: Float64 | None
+    lengths: Any
+    head_length: int
+    held: Any = 0
+
+    @classmethod
+    def of(
+        cls,
+        controls: ControlSet,
+        edge: Edge,
+        head: Float32 | None,
+        most: int,
+        *,
+        last: bool = False,
+        mouth: int = MOUTH_FRAMES,
+        held: int = 0,
+    ) -> "Passage":
+        """The passage from an edge to a take.
+
+        Parameters
+        ----------
+        controls : ControlSet
+            Of the take.
+        edge : Edge
+            Where the passage begins.
+        head : array [shape=(6,)], optional
+            Of the take beside the edge.
+        most : int
+            Most frames of any control.
+        last : bool
+            The frames go backwards, from the end of the take.
+        mouth : int
+            Frames of the mouth.
+        held : int
+            Frames for which brows, cheeks and corners stay first.
+        """
+        turned = None if head is None or not edge.head else np.array(edge.head)
+        head_length = FACE_FRAMES
+        if turned is not None and head is not None:
+            furthest = float(np.abs(head[:3] - turned[:3]).max())
+            wanted = np.ceil(FRAMES_A_DEGREE * furthest)
+            head_length = int(np.clip(wanted, HEAD_FRAMES, MOST_HEAD_FRAMES))
+        names, sign = controls.names, -1.0 if last else 1.0
+        speaks: Bool = ControlGroups(controls).follows_mouth
+        lengths, stay = np.where(speaks, mouth, FACE_FRAMES), np.where(speaks, 0, held)
+        lids, looks = (
+            [k for k, name in enumerate(names) if part in name] for part in ("eye_blink", "_eye.t")
+        )
+        lengths[lids], lengths[looks], stay[lids + looks] = LIDS_FRAMES, head_length, 0
+        return cls(
+            controls,
+            np.array([edge.pose.get(name, 0.0) for name in names]),
+            sign * np.array([edge.speed.get(name, 0.0) for name in names]),
+            turned,
+            None if turned is None else sign * np.array(edge.head_speed),
+            np.minimum(lengths, most),
+            min(head_length, most),
+            stay,
+        )
+
+    @property
+    def n_frames(self) -> int:
+        """Frames of the whole passage."""
+        return int(max((self.lengths + self.held).max(), self.head_length))
+
+    def mix(self, values: Float32, head: Float32 | None, start: int = 0) -> None:
+        """Mix the edge into frames (n, C) and their head (n, 6) in place.
+
+        They are those from number `start` of the passage on.
+        """
+        count = min(len(values), self.n_frames - start)
+        if count <= 0:
+            return
+        frames, controls = start + np.arange(count), self.controls
+        rows = values[:count]
+        coasted = self.pose + _coasting(frames) * self.speed
+        coasted = np.clip(coasted, controls.minimum, controls.maximum)
+        share = _shares(frames, self.lengths, self.held)
+        groups = ControlGroups(controls)
+        if len(groups.together):
+            closed = 2 * rows[:, groups.together].mean(axis=1) - 1
+            gains = np.minimum((frames + 1) / CONTACT_FRAMES, 1)
+            met = (closed.clip(0, 1) * gains)[:, None]
+            share = np.where(groups.follows_mouth, np.maximum(share, met), share)
+        rows[:] = coasted + share * (rows - coasted)
+        if head is not None and self.head is not None and self.head_speed is not None:
+            turned = self.head + _coasting(frames) * self.head_speed
+            part = _shares(frames, self.head_length)
+            head[:count] = turned + part * (head[:count] - turned)
 
 
 def unknown_controls(edge: Edge, controls: ControlSet) -> tuple[str, ...]:
