@@ -60,12 +60,15 @@ class Voices:
     def __init__(self) -> None:
         self.animators: dict[str, LiveAnimator] = {}
         self.places: dict[int, tuple[str, int]] = {}
+        self.interrupted: dict[int, int] = {}
+        """Frame at which the sound begins that comes next, of voices that an order interrupted."""
 
     def perform(self, actions: list[dict[str, Any]], samples: Float32, limits: Limits) -> Any:
         """Carry out actions in their order; return facts of new voices, errors, and all frames.
 
         A voice ends by an error of its own; the others go on.
         """
+        self.interrupted = {}
         opened, failed, at = {}, {}, 0
         for action in actions:
             voice, begin = int(action["voice"]), at
@@ -87,6 +90,11 @@ class Voices:
             animator.take(samples, stream=place)
         elif action["do"] == "set":
             animator.set(stream=place, **action["fields"])
+        elif action["do"] == "interrupt":
+            shown, head = None, None
+            if action["shown"] is not None:
+                shown, head = np.split(np.float32(action["shown"]), [len(animator.names)])
+            self.interrupted[voice] = animator.interrupt(place, shown=shown, head=head)
         elif action["do"] == "finish":
             animator.end(place)
         else:
@@ -124,7 +132,10 @@ def perform_voices(order: Order, limits: Limits, progress: Any) -> Answer:
     out.write_bytes(b"".join(parts))
     counts = [[voice, len(rows)] for voice, rows in frames.items() if len(rows)]
     errors = [[voice, names_of(error), str(error)] for voice, error in failed.items()]
-    facts = {"opened": list(opened.items()), "failed": errors, "frames": counts}
+    facts = {
+        "opened": list(opened.items()), "failed": errors, "frames": counts,
+        "interrupted": list(_voices.interrupted.items()),
+    }  # fmt: skip
     return {"file": str(out), "facts": facts}
 
 
