@@ -14,9 +14,10 @@ import numpy as np
 
 from api.compute.order import MOST_VOICES, SAMPLES, Limits, Order
 from api.compute.pool import CHECK_SECONDS, Stage, checked, result_path
-from api.compute.worker import OutOfTime, Worker, WorkerLost
+from api.compute.worker import OrderWorker, OutOfTime
 from api.errors import Problem, describe, named_problem, problem_for
 from deitalk.acting import Acting
+from deitalk.workers import WorkerLost
 from rig.arrays import Float32
 
 MODEL = "live"
@@ -99,7 +100,7 @@ class Voices:
     """
 
     def __init__(self, limits: Limits, stage: Stage) -> None:
-        self.worker, self.stage = Worker(limits), stage
+        self.worker, self.stage = OrderWorker(limits), stage
         self.known: dict[int, Voice] = {}
         self.actions: list[dict[str, Any]] = []
         self.samples: list[Float32] = []
