@@ -196,9 +196,7 @@ class Voices:
         answer = checked(await asyncio.to_thread(self.worker.run, order, ORDER_SECONDS))
         if self.worker.pid != process:  # the new one has none of the voices
             raise WorkerLost
-        self._give(answer, np.fromfile(result_path(folder, answer), "<f4"))
-
-    def _give(self, answer: Any, values: Float32) -> None:
+        values = np.fromfile(result_path(folder, answer), "<f4")
         for number, seconds in answer["facts"]["opened"]:
             if (voice := self.known.get(number)) and not voice.opened.done():
                 voice.opened.set_result(seconds)

@@ -387,7 +387,12 @@ class Performer:
         targets = []
         for place, suffix in enumerate(order.written.formats):
             if suffix == TAKE:
-                self._write_take(folder / TAKE, performance, form | digits)
+                from deitalk.pipeline.performance import write_take
+
+                beside = self.stage / TAKE  # one name for all, as each has a lock
+                about: Any = form | digits
+                write_take(beside, performance, model=self.about, **about)
+                os.rename(beside, folder / TAKE)
                 targets.append(Target(TAKE, order.output))
             else:
                 name = f"{place}{suffix}"
@@ -395,13 +400,6 @@ class Performer:
                 write_curves(folder / name, performance.curves, **given)
                 targets.append(Target(name, order.output + suffix))
         return folder, tuple(targets)
-
-    def _write_take(self, folder: Path, performance: Any, form: dict[str, Any]) -> None:
-        from deitalk.pipeline.performance import write_take
-
-        beside = self.stage / TAKE  # one name for all, as each has a lock
-        write_take(beside, performance, model=self.about, **form)
-        os.rename(beside, folder)
 
 
 def decoded(path: str, data: bytes | None, choice: AudioChoice = AudioChoice()) -> Any:
