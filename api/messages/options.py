@@ -295,7 +295,17 @@ def choose_format(
         if name not in formats:
             raise Problem(400, f"format {quoted(name)} is none of {known}", "format_unknown")
         return formats[name]
-    wanted = _accepted(accept or "*/*")
+    # Media types of an ``Accept`` header, the most wanted first.
+    header = accept or "*/*"
+    found = []
+    for part in header[:1000].split(","):
+        media_type, *options = (piece.strip().lower() for piece in part.split(";"))
+        weight = next((o[2:] for o in options if o.startswith("q=")), "1")
+        try:
+            found.append((-float(weight), media_type))
+        except ValueError:
+            continue
+    wanted = [media_type for weight, media_type in sorted(found, key=lambda w: w[0]) if weight < 0]
     for media_type in wanted:
         if media_type in ("*/*", "application/*") or media_type == "application/problem+json":
             return formats[default]
@@ -306,16 +316,3 @@ def choose_format(
     raise Problem(
         400, f"Accept {quoted(accept)} fits none of the formats {known}", "format_unknown"
     )
-
-
-def _accepted(header: str) -> list[str]:
-    """Media types of an ``Accept`` header, the most wanted first."""
-    found = []
-    for part in header[:1000].split(","):
-        media_type, *options = (piece.strip().lower() for piece in part.split(";"))
-        weight = next((o[2:] for o in options if o.startswith("q=")), "1")
-        try:
-            found.append((-float(weight), media_type))
-        except ValueError:
-            continue
-    return [media_type for weight, media_type in sorted(found, key=lambda w: w[0]) if weight < 0]

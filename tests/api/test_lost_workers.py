@@ -12,8 +12,8 @@ import pytest
 
 from api.compute import pool
 from api.compute.order import TooLarge
-from api.compute.worker import WorkerLost
 from api.errors import Problem
+from deitalk.workers import WorkerLost
 from tests.api.conftest import wav
 from tests.api.kill import descendants, kill
 from tests.api.server import serving, wait_for
@@ -52,7 +52,7 @@ class Stand:
 
 @pytest.fixture
 def stands(monkeypatch):
-    monkeypatch.setattr(pool, "Worker", Stand)
+    monkeypatch.setattr(pool, "OrderWorker", Stand)
     monkeypatch.setattr(pool, "CHECK_SECONDS", 0.01)
     monkeypatch.setattr(Stand, "ends_in_orders", 0)
     monkeypatch.setattr(Stand, "ends_in_starts", 0)
