@@ -37,11 +37,13 @@ if TYPE_CHECKING:
     from deitalk.emotions import ActorReference as ActorReference
     from deitalk.emotions import EmotionTrack as EmotionTrack
     from deitalk.emotions import IntensityCurve as IntensityCurve
+    from deitalk.postprocess.joins import Edge as Edge
     from deitalk.postprocess.life.amounts import Life as Life
 
     Track = EmotionTrack | Literal["auto"]
+    Next = Edge | Literal["on"]
 else:  # their modules need numpy, which a command line does without until it works
-    ActorReference = EmotionTrack = IntensityCurve = Life = Track = Any
+    ActorReference = Edge = EmotionTrack = IntensityCurve = Life = Next = Track = Any
 
 # Text forms of the fields of an acting, parsed once, and the files that they may name.
 
@@ -194,6 +196,17 @@ def read_voice(given: Any, info: ValidationInfo) -> ActorReference:
     if isinstance(given, str) and (given.lstrip().startswith("{") or "\n" in given):
         return parse_actor(given.encode(errors="replace"), "voice")
     return read_actor(_file(str(given).strip(), _files(info)))
+
+
+def read_edge(given: Any, info: ValidationInfo) -> Edge | Next:
+    """The edge of the take beside: a take folder, a file of curves, a performance, its content."""
+    from deitalk.postprocess.joins import ON, edge_of
+
+    if info.field_name == "into" and given == ON:
+        return ON
+    if isinstance(given, str | Path) and not str(given).lstrip().startswith("{"):
+        given = _file(str(given).strip(), _files(info), DataError)
+    return edge_of(given, str(info.field_name), last=info.field_name == "after")
 
 
 def read_words(given: Any, info: ValidationInfo) -> Words:
@@ -371,6 +384,30 @@ class Acting(BaseModel):
         default=0.0,
         description="Seconds of silence with motion after the speech, 0 to 600.",
         json_schema_extra=_extra(panel="Performance"),
+    )
+    after: Annotated[
+        Edge | None,
+        PlainValidator(read_edge),
+        PlainSerializer(lambda edge: edge.content, return_type=dict, when_used="unless-none"),
+        WithJsonSchema({"anyOf": [{"type": "string"}, {"type": "object"}]}),
+    ] = Field(
+        default=None,
+        description="Take that comes before: begin in its last pose, at its speeds, as the same "
+        "character; a take folder or a file of curves.",
+        json_schema_extra=_extra(panel="Editing"),
+    )
+    into: Annotated[
+        Next | None,
+        PlainValidator(read_edge),
+        PlainSerializer(
+            lambda edge: edge if isinstance(edge, str) else edge.content, when_used="unless-none"
+        ),
+        WithJsonSchema({"anyOf": [{"type": "string"}, {"type": "object"}]}),
+    ] = Field(
+        default=None,
+        description="Take that comes next: do not come to rest, and end in its first pose; or on: "
+        "only do not come to rest.",
+        json_schema_extra=_extra(panel="Editing"),
     )
     rules: bool = Field(
         default=True,

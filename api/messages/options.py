@@ -24,7 +24,7 @@ from rig.formats import FORMATS
 
 NAME_PATTERN = r"^[A-Za-z0-9](?:[A-Za-z0-9 _-]{0,62}[A-Za-z0-9])?$"
 TIMECODE_PATTERN = r"^(zero|recording|[0-9]{1,2}:[0-9]{2}:[0-9]{2}([:;][0-9]{2}|\.[0-9]{1,6})?)$"
-FIELD_FILES = ("emotion", "intensity_curve", "voice", "words")
+FIELD_FILES = ("emotion", "intensity_curve", "voice", "words", "after", "into")
 """Fields that may be files of a form."""
 Options = TypeVar("Options", bound=BaseModel)
 

@@ -366,6 +366,7 @@ class Performer:
                 *filter(None, [note]),
                 *findings(performance),
             ),
+            edges=_edges(performance) if order.with_edges else None,
             stage=str(folder),
             targets=targets,
             files=files,
@@ -400,6 +401,13 @@ class Performer:
                 write_curves(folder / name, performance.curves, **given)
                 targets.append(Target(name, order.output + suffix))
         return folder, tuple(targets)
+
+
+def _edges(performance: Performance) -> tuple[str, str]:
+    from deitalk.postprocess.joins import edge_of
+
+    first, last = (str(edge_of(performance, "edge", last=last)) for last in (False, True))
+    return first, last
 
 
 def decoded(path: str, data: bytes | None, choice: AudioChoice = AudioChoice()) -> Any:

@@ -31,6 +31,7 @@ from deitalk.audio.original import write_original
 from deitalk.emotions import EMOTIONS, MOODS, write_intensity_csv
 from deitalk.errors import AudioError
 from deitalk.installed import __version__
+from deitalk.postprocess.joins import QUIET, quiet_seconds
 from rig.arrays import Bool, Float32, Float64
 from rig.controls import DEFAULT_ID
 from rig.curves import RigCurves
@@ -149,6 +150,8 @@ class Performance:
         Times of the words and phones that were given, and how well the sound fits them.
     suggestion : mapping of str to float, or None
         Probabilities of the emotions that the voice suggests, of the emotion ``auto``.
+    traits : mapping of str to float
+        Of the character (`deitalk.postprocess.life.voice.Traits`); takes that follow keep them.
     """
 
     curves: RigCurves
@@ -162,6 +165,7 @@ class Performance:
     model: str = ""
     words: "WordFit | None" = None
     suggestion: Mapping[str, float] | None = None
+    traits: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def emotion(self) -> str:
@@ -203,6 +207,10 @@ class Performance:
         """Mean over the frames of speech of the curves' intensity; 0 for neutral."""
         applied = self.curves.intensity
         return 0.0 if applied is None or not self.has_emotion else self._while_speaking(applied)
+
+    def quiet(self, *, last: bool) -> float:
+        """Seconds without speech at the end, or at the start."""
+        return quiet_seconds(self.recording.activity, last=last)
 
     @cached_property
     def _speaking(self) -> Bool:
@@ -468,6 +476,8 @@ def _fill(
         "frames": len(curves),
         "settings": performance.acting.settings,
         "procedural_emotions": performance.moods,
+        "traits": {name: round(value, 6) for name, value in performance.traits.items()},
+        QUIET: [round(performance.quiet(last=last), 4) for last in (False, True)],
         "clipped_values": performance.clipped,
         "timings_seconds": {name: round(lap, 4) for name, lap in performance.timings.items()},
         "files": files,

@@ -56,11 +56,15 @@ class Speech:
         1 in speech, else 0.
     gates : Gates or None
         Times of the gates; None: they stay open.
+    before, after : array
+        Activity of the sound before and after it, on which the gates depend too; none by default.
     """
 
     waveform: Float32
     activity: Float32
     gates: Gates | None = field(default_factory=Gates)
+    before: Float32 = field(default_factory=lambda: np.zeros(0, np.float32))
+    after: Float32 = field(default_factory=lambda: np.zeros(0, np.float32))
 
     @classmethod
     def of(cls, waveform: Any, gates: Gates | None = Gates()) -> "Speech":
@@ -108,22 +112,31 @@ class Speech:
 
     @property
     def is_cut(self) -> bool:
-        """Whether the recording ends in speech, as the expression gate has it."""
-        return bool(self.activity[-1 - HOLD_AT_END :].any())
+        """Whether the recording ends in speech, as the expression gate has it, or goes on."""
+        return bool(len(self.after) or self.activity[-1 - HOLD_AT_END :].any())
 
     @cached_property
     def mouth(self) -> Float32:
         """Mouth gate [shape=(T,), range 0 to 1]."""
         if self.gates is None:
             return np.ones(self.n_frames, np.float32)
-        return mouth_gate(self.activity, self.gates)
+        return self._of_take(mouth_gate(self._around, self.gates))
 
     @cached_property
     def shown(self) -> Float32:
         """Expression gate [shape=(T,), range 0 to 1]."""
         if self.gates is None:
             return np.ones(self.n_frames, np.float32)
-        return expression_gate(self.activity, self.gates)
+        return self._of_take(expression_gate(self._around, self.gates))
+
+    @property
+    def _around(self) -> Float32:
+        """Activity with that of the sound before and after."""
+        return np.concatenate((self.before, self.activity, self.after))
+
+    def _of_take(self, gate: Float32) -> Float32:
+        """The frames of the recording itself."""
+        return gate[len(self.before) : len(self.before) + self.n_frames]
 
     @cached_property
     def prosody(self) -> Prosody:

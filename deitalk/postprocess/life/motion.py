@@ -29,7 +29,15 @@ from deitalk.postprocess.life.head import (
     move_heads,
     neck_tracks,
 )
-from deitalk.postprocess.life.voice import STILL_SECONDS, Cue, Seeds, Traits, Voice, presence
+from deitalk.postprocess.life.voice import (
+    ONSET_SECONDS,
+    STILL_SECONDS,
+    Cue,
+    Seeds,
+    Traits,
+    Voice,
+    presence,
+)
 from deitalk.postprocess.tracks import MotionTracks
 from rig.arrays import AnyFloat, Bool, Float32, Float64
 from rig.curves import HEAD
@@ -91,6 +99,8 @@ class MotionStream:
         Of the character; drawn from the seeds by default.
     voice : Voice, optional
         Of the whole take; None if it has not ended.
+    has_begun, goes_on : bool
+        Whether another take comes before, or after: motion does not begin at rest, or end there.
     """
 
     def __init__(
@@ -100,6 +110,9 @@ class MotionStream:
         life: Life = Life(),
         traits: Traits | None = None,
         voice: Voice | None = None,
+        *,
+        has_begun: bool = False,
+        goes_on: bool = False,
     ) -> None:
         self.life = amounts = life.times(idle)
         self.traits = traits = traits or Traits.of(seeds.character())
@@ -108,7 +121,8 @@ class MotionStream:
         self.turns: list[tuple[int, tuple[float, float]]] = []
         self.turning = 0
         self.end = math.inf if voice is None else (voice.n_frames - 1) / FRAME_RATE
-        self.silence = 0.0 if voice is None else voice.silence
+        self.silence = 0.0 if voice is None or goes_on else voice.silence
+        self.onset = 0.0 if has_begun else ONSET_SECONDS
         factor = traits.blink_interval / max(amounts.blinks, 0.05)
         still = self.end - STILL_SECONDS
         self.blinks = Blinks(seeds.generator("blinks"), idle, factor, still)
@@ -175,8 +189,8 @@ def move_together(
     factors = [stream.life for stream in streams]
     gaze, amount = each([one.gaze for one in factors]), each([one.head for one in factors])
     ends = np.array([stream.end for stream in streams])
-    silence = np.array([stream.silence for stream in streams])
-    shown = presence(first[:, None] + np.arange(count), ends, silence)
+    silence, onset = (np.array([getattr(s, n) for s in streams]) for n in ("silence", "onset"))
+    shown = presence(first[:, None] + np.arange(count), ends, silence, onset)
     heads = [stream.head for stream in streams]
     moves = amount * shown[..., None] * move_heads(heads, first, speaking)
     posture = amount * shown[..., None] * hold_postures(heads, mixture)
@@ -206,6 +220,9 @@ def plan_motion(
     idle: Idle = Idle(),
     life: Life = Life(),
     traits: Traits | None = None,
+    *,
+    has_begun: bool = False,
+    goes_on: bool = False,
 ) -> Motion:
     """Motion of a whole take.
 
@@ -215,10 +232,10 @@ def plan_motion(
         Of the recording.
     mixture : array [shape=(T, S)]
         Weights of the emotions times the applied intensity.
-    seeds, idle, life, traits
+    seeds, idle, life, traits, has_begun, goes_on
         As for `MotionStream`.
     """
-    stream = MotionStream(seeds, idle, life, traits, voice)
+    stream = MotionStream(seeds, idle, life, traits, voice, has_begun=has_begun, goes_on=goes_on)
     for cue in voice.cues():
         stream.cue(cue)
     lead = min(SPEAKING_LEAD, voice.n_frames)

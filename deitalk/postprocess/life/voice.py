@@ -285,7 +285,9 @@ class Noise:
         self.rows = np.concatenate((self.rows, np.stack(columns, axis=1)))
 
 
-def presence(frames: Int64, end: Float64, silence: Float64) -> Float64:
+def presence(
+    frames: Int64, end: Float64, silence: Float64, onset: Float64 | float = ONSET_SECONDS
+) -> Float64:
     """Share of the motion shown: 0 at the start of a take and in silence at its end.
 
     Parameters
@@ -296,6 +298,8 @@ def presence(frames: Int64, end: Float64, silence: Float64) -> Float64:
         Seconds of the take's last frame; infinite if it is not known.
     silence : array [shape=(B,)]
         Seconds without speech at the end; a take that is cut in its speech keeps its motion.
+    onset : float or array [shape=(B,)]
+        Seconds in which the motion begins; 0: it has begun before the take.
 
     Returns
     -------
@@ -305,7 +309,9 @@ def presence(frames: Int64, end: Float64, silence: Float64) -> Float64:
     still = np.minimum(STILL_SECONDS, silence / 3)
     fades = np.where(is_cut, 1, np.minimum(FADE_SECONDS, silence - still))
     left = np.where(is_cut, np.inf, end - still)[:, None] - time
-    shape: Float64 = _smooth(time / ONSET_SECONDS) * _smooth(left / fades[:, None])
+    begins = np.broadcast_to(onset, end.shape)[:, None]
+    begun = np.where(begins > 0, _smooth(time / np.maximum(begins, 1e-9)), 1.0)
+    shape: Float64 = begun * _smooth(left / fades[:, None])
     return shape
 
 
