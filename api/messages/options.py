@@ -24,7 +24,7 @@ from rig.formats import FORMATS
 
 NAME_PATTERN = r"^[A-Za-z0-9](?:[A-Za-z0-9 _-]{0,62}[A-Za-z0-9])?$"
 TIMECODE_PATTERN = r"^(zero|recording|[0-9]{1,2}:[0-9]{2}:[0-9]{2}([:;][0-9]{2}|\.[0-9]{1,6})?)$"
-FIELD_FILES = ("emotion", "intensity_curve", "voice", "words", "after", "into")
+FIELD_FILES = ("emotion", "intensity_curve", "voice", "words", "edit", "after", "into")
 """Fields that may be files of a form."""
 Options = TypeVar("Options", bound=BaseModel)
 
@@ -163,6 +163,8 @@ class ConversionOptions(BaseModel):
 
 def is_deferred(name: str, value: Any) -> bool:
     """Whether a field is a table, which the worker process reads: a hostile one harms no other."""
+    if name == "edit":
+        return isinstance(value, str) and value.lstrip()[:1] in ("[", "{")
     return name in ("emotion", "intensity_curve") and isinstance(value, str) and is_table(value)
 
 

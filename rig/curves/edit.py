@@ -223,7 +223,7 @@ def gain(
     scale = gain_factors(controls, gains or {})
     shift = np.zeros(len(controls), np.float32)
     for key, number in (offsets or {}).items():
-        shift[_members(controls, key)] += _finite(number, f"offset of {key}")
+        shift[members(controls, key)] += _finite(number, f"offset of {key}")
     places = controls.indices(curves.names)
     rest = controls.rest[places]
     return replace(curves, values=rest + (curves.values - rest) * scale[places] + shift[places])
@@ -233,7 +233,7 @@ def gain_factors(controls: ControlSet, gains: Mapping[str, float]) -> Float32:
     """Factor of every control [shape=(C,)]; arguments and errors are those of `gain`."""
     scale = np.ones(len(controls), np.float32)
     for key, number in gains.items():
-        scale[_members(controls, key)] *= _finite(number, f"gain of {key}")
+        scale[members(controls, key)] *= _finite(number, f"gain of {key}")
     return scale
 
 
@@ -299,7 +299,7 @@ def smooth(
         chosen = np.arange(len(curves.names))
     else:
         controls = default_controls()
-        wanted = {controls.names[i] for name in names for i in _members(controls, name)}
+        wanted = {controls.names[i] for name in names for i in members(controls, name)}
         chosen = np.array(
             [i for i, name in enumerate(curves.names) if name in wanted], dtype=np.intp
         )
@@ -341,8 +341,14 @@ def _bump(closed: Bool, sigma: float) -> Float32:
     return np.where(distance <= radius, weight, 0.0).astype(np.float32)
 
 
-def _members(controls: ControlSet, key: str) -> NDArray[np.intp]:
-    """Return the columns of a set, or of one control."""
+def members(controls: ControlSet, key: str) -> NDArray[np.intp]:
+    """Return the columns of a set, or of one control.
+
+    Raises
+    ------
+    ControlError
+        If there is neither.
+    """
     if key in controls.subset_names:
         return controls.subset(key)
     return controls.indices([key])
