@@ -268,7 +268,10 @@ def finish(
     # What the pass reads of each frame besides the readings.
     near, usual = (mean_around(x, speaking) for x in (intensities.voice, intensities.network))
     opening = opening_factor(rules.scale_opening, near, usual, intensities.take)
-    voice = VoiceTracks(intensities.scale, opening, intensities.held, phones, weights)
+    kept = speech.held(rules.hold_pose)
+    voice = VoiceTracks(
+        intensities.scale, opening, intensities.held, phones, weights, kept.back, kept.share
+    )
     traits = _traits(prepared)
     motion = _motion(prepared, weights * intensities.applied[:, None], traits)
     shown = shown_columns(speech.mouth, speech.shown, None if motion is None else motion.tracks)
@@ -326,7 +329,7 @@ def apply_rules(
         The pass.
     neutral, emotional : array [shape=(T, C)]
         Two readings, not the same array; then the neutral curves and those that are shown.
-    voice, shown : array [shape=(T, 16)], [shape=(T, 36)]
+    voice, shown : array [shape=(T, 18)], [shape=(T, 36)]
         See `deitalk.postprocess.tracks`.
     gain : array [shape=(C,)]
         Factor of each control.
