@@ -39,11 +39,12 @@ if TYPE_CHECKING:
     from deitalk.emotions import IntensityCurve as IntensityCurve
     from deitalk.postprocess.joins import Edge as Edge
     from deitalk.postprocess.life.amounts import Life as Life
+    from rig.curves.layers import Layer as Layer
 
     Track = EmotionTrack | Literal["auto"]
     Next = Edge | Literal["on"]
 else:  # their modules need numpy, which a command line does without until it works
-    ActorReference = Edge = EmotionTrack = IntensityCurve = Life = Next = Track = Any
+    ActorReference = Edge = EmotionTrack = IntensityCurve = Layer = Life = Next = Track = Any
 
 # Text forms of the fields of an acting, parsed once, and the files that they may name.
 
@@ -263,6 +264,30 @@ def read_gains(given: Any) -> dict[str, float]:
     return parse_gains(given or None)
 
 
+def read_edit(given: Any, info: ValidationInfo) -> tuple[Layer, ...]:
+    """Layers, files of them (a text may name several, with ``;`` between), or their content."""
+    from rig.curves.layers import Layer, parse_layers, read_layers
+
+    if isinstance(given, Layer):
+        return (given,)
+    if isinstance(given, list | tuple):
+        return tuple(layer for part in given for layer in read_edit(part, info))
+    if isinstance(given, Mapping) or (isinstance(given, str) and given.lstrip()[:1] in ("[", "{")):
+        return parse_layers(given)
+    if not isinstance(given, str | Path):
+        raise ConfigError(
+            f"edit {quoted(given)} is a {type(given).__name__}; give a file, a Layer or a list"
+        )
+    names = [name.strip() for name in str(given).split(";") if name.strip()]
+    files = [_file(name, _files(info), ConfigError) for name in names]
+    return tuple(layer for path in files for layer in read_layers(path))
+
+
+def written_edit(layers: tuple[Layer, ...]) -> str:
+    """The text that `read_edit` reads."""
+    return json.dumps([layer.tree() for layer in layers], ensure_ascii=False) if layers else ""
+
+
 def written_gains(gains: Mapping[str, float]) -> str:
     """The text that `read_gains` reads."""
     return ",".join(f"{name}={factor:.9g}" for name, factor in gains.items())
@@ -375,6 +400,18 @@ class Acting(BaseModel):
         description="Factors on how far regions or controls go from rest: jaw=1.2,brow=.8.",
         examples=["jaw=1.2,brow=.8"],
         json_schema_extra=_extra("change", panel="Editing", default=""),
+    )
+    edit: Annotated[
+        tuple[Layer, ...],
+        PlainValidator(read_edit),
+        PlainSerializer(written_edit, return_type=str),
+        _TEXT,
+    ] = Field(
+        default=(),
+        description="Layers of edits by hand, in their order: .edit.json files of `deitalk diff` "
+        "or the studio, or a take folder for its own.",
+        examples=["fixes.edit.json"],
+        json_schema_extra=_extra(panel="Editing", default="") | {"x-repeated": True},
     )
     listen: Annotated[
         float,

@@ -303,7 +303,10 @@ class Session:
         WebSocketDisconnect
             If the client has gone, or does not read its frames for `SEND_SECONDS`.
         """
-        content = _json(await self._text(START_SECONDS))
+        message = await self._message(START_SECONDS)
+        if message.get("text") is None:
+            raise _no_start()
+        content = _json(str(message["text"]))
         if content.pop("type", "start") != "start":
             raise _no_start()
         own = {name: content.pop(name) for name in Start.model_fields if name in content}
@@ -395,7 +398,7 @@ class Session:
             self.stream.finish()
         elif kind in ("set", "interrupt"):
             try:
-                self._change(content) if kind == "set" else self._interrupt(content)
+                self._interrupt(content) if kind == "interrupt" else self._change(content)
             except UserError as error:  # the session goes on unchanged
                 await self._send(problem_message(problem_of(error)))
         else:
@@ -417,12 +420,6 @@ class Session:
             gain_factors(self.controls, acting.gain)
         self.acting = acting
         self.stream.change(acting)
-
-    async def _text(self, seconds: float) -> str:
-        message = await self._message(seconds)
-        if message.get("text") is None:
-            raise _no_start()
-        return str(message["text"])
 
     async def _message(self, seconds: float) -> dict[str, Any]:
         try:

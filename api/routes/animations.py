@@ -215,6 +215,7 @@ FILES: dict[str, tuple[str, tuple[str, ...]]] = {
     "words": ("words", WORDS_SUFFIXES),
     "after": ("after", EDGE_SUFFIXES),
     "into": ("into", EDGE_SUFFIXES),
+    "edit": ("edit", (".json",)),
 }
 """Parts of a form that are files: the fixed name, and the suffixes that tell how to read them."""
 FILES_ALONE = ("recording", "mesh", "curves", "landmarks", "mapping")

@@ -48,29 +48,24 @@ def read_source(source: str | Path, out: str | Path, defaults: Line) -> Plan:
     base = str(source).rstrip("/") if is_url(source) else os.path.normpath(source)
     names = _names_at(base, out) if is_url(source) else _names_in(base, out)
     if names is not None:
-        doubled = _doubled(names)
+        # Recordings that differ from another by their suffix, or by case, alone.
+        stems = Counter(os.path.splitext(name)[0].casefold() for name in names)
+        doubled = [
+            name for name in sorted(names) if stems[os.path.splitext(name)[0].casefold()] > 1
+        ]
         lines = distinct(list(_found(base, names, doubled, defaults)))
         return Plan(lines, tuple(_notes_on(doubled)))
     if base.lower().endswith(RECORDINGS):
         raise DataError(f"{base}: a recording; name its folder or a table, or use deitalk animate")
-    text = _text_of(base)
+    if not is_url(base):
+        text = read_text(Path(base), limits.DATASET_TABLE_BYTES, error=DataError)
+    else:
+        system, path = file_system(base)
+        with cloud_errors(base):
+            data = system.cat_file(path)
+        text = decode_text(data, base, error=DataError)
     lines, notes = read_manifest(text, base, os.path.dirname(base), defaults)
     return Plan(_in_no_circle(distinct(lines)), notes)
-
-
-def _text_of(manifest: str) -> str:
-    if not is_url(manifest):
-        return read_text(Path(manifest), limits.DATASET_TABLE_BYTES, error=DataError)
-    system, path = file_system(manifest)
-    with cloud_errors(manifest):
-        data = system.cat_file(path)
-    return decode_text(data, manifest, error=DataError)
-
-
-def _doubled(names: list[str]) -> list[str]:
-    """Recordings that differ from another by their suffix, or by case, alone."""
-    stems = Counter(os.path.splitext(name)[0].casefold() for name in names)
-    return [name for name in sorted(names) if stems[os.path.splitext(name)[0].casefold()] > 1]
 
 
 def _with_suffix(name: str) -> str:

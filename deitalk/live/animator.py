@@ -642,7 +642,8 @@ class LiveAnimator:
             scale = np.where(with_rules, expression_scale(applied, rows.strength), wanted)
         opening = np.where(with_rules, heard.opening, 1)
         phones = np.zeros((*scale.shape, 4), np.float32)
-        said = VoiceTracks(scale, opening, rows.strength, phones, emotion).columns()
+        back, kept, _ = heard.held
+        said = VoiceTracks(scale, opening, rows.strength, phones, emotion, back, kept).columns()
         # Gates and motion of the frames that come out.
         before, mixture, speaking, *cues = self._taken(self.due, ready)
         found, known = self.cues(heard.measures, heard.speaking, CueState(*cues))

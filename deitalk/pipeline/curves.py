@@ -27,9 +27,11 @@ from deitalk.models.protocol import (
     trained_weights,
     unshown_note,
 )
+from deitalk.pipeline.layers import follow_recording, unused_notes
 from deitalk.pipeline.performance import Performance
 from deitalk.pipeline.speech import Speech, measure_intensities
 from deitalk.pipeline.words.transcript import Transcript
+from deitalk.postprocess.control_groups import ControlGroups
 from deitalk.postprocess.factors import held_intensity, mean_around, opening_factor
 from deitalk.postprocess.joins import Edge, activity_beside, lead, unknown_controls
 from deitalk.postprocess.known_phones import phone_tracks
@@ -39,6 +41,7 @@ from deitalk.postprocess.tracks import VoiceTracks, shown_columns
 from rig import ControlSet, RigCurves
 from rig.arrays import Float32
 from rig.curves.edit import gain_factors
+from rig.curves.layers import apply_layers, target_columns
 from rig.errors import quoted
 
 if TYPE_CHECKING:
@@ -92,7 +95,7 @@ def animate(
         Called with the share of the network's work that is done, 0 to 1.
     **fields
         Of `deitalk.acting.Acting`: intensity, intensity_curve, voice, style, words, language, life,
-        look_at, gain, listen, after, into, rules, seed.
+        look_at, gain, edit, listen, after, into, rules, seed.
 
     Returns
     -------
@@ -185,6 +188,8 @@ def prepare(
     network = load()
     clock.lap("model")
     factors = gain_factors(network.controls, acting.gain)
+    for target in dict.fromkeys(edit.target for layer in acting.edit for edit in layer.edits):
+        target_columns(network.controls, target)
     rules = network.rules if acting.rules else RulesConfig.none()
     recording = recording.noted(*_notes_on_unused(acting, rules))
     speech = _between(Speech.of_recording(recording, rules.gates), acting)
@@ -263,7 +268,10 @@ def finish(
     # What the pass reads of each frame besides the readings.
     near, usual = (mean_around(x, speaking) for x in (intensities.voice, intensities.network))
     opening = opening_factor(rules.scale_opening, near, usual, intensities.take)
-    voice = VoiceTracks(intensities.scale, opening, intensities.held, phones, weights)
+    kept = speech.held(rules.hold_pose)
+    voice = VoiceTracks(
+        intensities.scale, opening, intensities.held, phones, weights, kept.back, kept.share
+    )
     traits = _traits(prepared)
     motion = _motion(prepared, weights * intensities.applied[:, None], traits)
     shown = shown_columns(speech.mouth, speech.shown, None if motion is None else motion.tracks)
@@ -275,12 +283,25 @@ def finish(
     clock.lap("expression")
     head = None if motion is None else motion.head
     _join(network.controls, values, head, acting)
+    shown_curves = _curves(network.controls, values, weights, intensities.applied, head)
+    neutral_curves = _curves(network.controls, neutral)
+    recording = _with_note_of(words, prepared.recording)
+    if acting.edit:
+        layers, notes = follow_recording(acting.edit, speech, words)
+        rule = rules.keep_contacts
+        closures = None if rule is None else ControlGroups(network.controls).closures(rule)
+        recording = recording.noted(*notes, *unused_notes(layers, head is not None))
+        how = layers, network.controls, closures
+        shown_curves, taken_back = apply_layers(shown_curves, *how)
+        neutral_curves, _ = apply_layers(neutral_curves, *how)
+        recording = recording.noted(*taken_back)
+        clock.lap("edits")
     return Performance(
-        _curves(network.controls, values, weights, intensities.applied, head),
-        _curves(network.controls, neutral),
+        shown_curves,
+        neutral_curves,
         intensities.saliency,
         intensities.predicted,
-        _with_note_of(words, prepared.recording),
+        recording,
         clipped,
         clock.laps,
         acting,
@@ -308,7 +329,7 @@ def apply_rules(
         The pass.
     neutral, emotional : array [shape=(T, C)]
         Two readings, not the same array; then the neutral curves and those that are shown.
-    voice, shown : array [shape=(T, 16)], [shape=(T, 36)]
+    voice, shown : array [shape=(T, 18)], [shape=(T, 36)]
         See `deitalk.postprocess.tracks`.
     gain : array [shape=(C,)]
         Factor of each control.

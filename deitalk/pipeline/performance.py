@@ -10,6 +10,7 @@
       intensity.csv    time, emotion weights, saliency, predicted and applied intensity: edit it
       audio.wav        the recording, 16 kHz mono, in time with the curves
       audio_48k.wav    the recording at 48 kHz with its channels, if it has more than 16 kHz
+      layer-001.edit.json …  the layers of edits that it was made with
       <Slate>_take_1_deitalk.csv  Live Link Face, for Unreal's importer
       <Slate>.unreal.json      for the script that runs inside Unreal
 """
@@ -35,6 +36,7 @@ from deitalk.postprocess.joins import QUIET, quiet_seconds
 from rig.arrays import Bool, Float32, Float64
 from rig.controls import DEFAULT_ID
 from rig.curves import RigCurves
+from rig.curves.layers import SUFFIX
 from rig.errors import TargetError, decodable_values
 from rig.files import check_folder, output_folder
 from rig.formats import write_curves
@@ -462,6 +464,8 @@ def _fill(
     slate = Path(performance.recording.source).stem
     if curves.control_set == DEFAULT_ID:
         files |= write_exchange_files(folder, curves, slate=slate, digits=digits, start=start)
+    acting, layers = _with_layers(folder, performance)
+    files |= layers
     for extra in extras:
         files |= extra(folder, performance)
     about = {
@@ -474,7 +478,7 @@ def _fill(
         "fps": curves.fps,
         "start_seconds": start,
         "frames": len(curves),
-        "settings": performance.acting.settings,
+        "settings": acting.settings,
         "procedural_emotions": performance.moods,
         "traits": {name: round(value, 6) for name, value in performance.traits.items()},
         QUIET: [round(performance.quiet(last=last), 4) for last in (False, True)],
@@ -485,6 +489,23 @@ def _fill(
     (folder / "take.json").write_text(
         json.dumps(decodable_values(about), indent=1) + "\n", encoding="utf-8"
     )
+
+
+def _with_layers(folder: Path, performance: Performance) -> tuple[Acting, dict[str, str]]:
+    """Write the layers of edits, which know their recording now; the acting with them."""
+    acting = performance.acting
+    if not acting.edit:
+        return acting, {}
+    from deitalk.pipeline.layers import with_recording
+    from deitalk.pipeline.speech import Speech
+
+    speech = Speech.of_recording(performance.recording)
+    layers, files = with_recording(acting.edit, speech, performance.words), {}
+    for number, layer in enumerate(layers, 1):
+        name = f"layer-{number:03}{SUFFIX}"
+        (folder / name).write_text(layer.text, encoding="utf-8")
+        files[name] = f"edits by hand{f', {layer.name}' if layer.name else ''}; give it as an edit"
+    return Acting.of(acting, edit=layers), files
 
 
 def _original(folder: Path, performance: Performance, start: float) -> dict[str, str]:

@@ -18,10 +18,22 @@ import numpy as np
 from deitalk.acting import Acting
 from deitalk.audio.arrays import Audio, recording_of
 from deitalk.audio.frames import frame_count, frame_times
+from deitalk.audio.held_sound import Held, held_sound
 from deitalk.audio.load import Recording, checked_waveform
-from deitalk.audio.vocal_strength import Prosody, measure_prosody, strength_frames, vocal_strength
-from deitalk.audio.voice_activity import level_gain, normalise_level, speech_activity
-from deitalk.config.rules import Gates, VoiceIntensity
+from deitalk.audio.vocal_strength import (
+    Prosody,
+    measure_prosody,
+    strength_frames,
+    tonality,
+    vocal_strength,
+)
+from deitalk.audio.voice_activity import (
+    band_levels,
+    level_gain,
+    normalise_level,
+    speech_activity,
+)
+from deitalk.config.rules import Gates, HoldPose, VoiceIntensity
 from deitalk.emotions import EMOTIONS
 from deitalk.emotions.tracks import ActorReference
 from deitalk.errors import AudioError
@@ -142,6 +154,12 @@ class Speech:
     def prosody(self) -> Prosody:
         """Level, spectral tilt and pitch of each frame."""
         return measure_prosody(self.waveform, self.n_frames)
+
+    def held(self, rule: HoldPose | None) -> Held:
+        """Where a held sound keeps its pose [each shape=(T,)]."""
+        levels = band_levels(self.waveform)
+        tones = tonality(self.prosody.pitch, self.prosody.periodicity)
+        return held_sound(levels, tones, rule or HoldPose())
 
     @cached_property
     def _followed_strength(self) -> tuple[float, Float32]:
