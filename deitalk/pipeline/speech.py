@@ -124,8 +124,8 @@ class Speech:
 
     @property
     def is_cut(self) -> bool:
-        """Whether the recording ends in speech, as the expression gate has it, or goes on."""
-        return bool(len(self.after) or self.activity[-1 - HOLD_AT_END :].any())
+        """Whether the recording ends in speech, as the expression gate has it."""
+        return bool(self.activity[-1 - HOLD_AT_END :].any())
 
     @cached_property
     def mouth(self) -> Float32:
@@ -229,12 +229,14 @@ def measure_intensities(
     acting: Acting,
     rule: VoiceIntensity | None = VoiceIntensity(),
     held: Callable[[Float32], Float32] = lambda network: network,
+    factor: Float32 | float = 1.0,
 ) -> Intensities:
     """Intensity to apply in each frame, from the network, the voice and the acting.
 
     A network without an intensity module counts as one that predicts 1 everywhere. Without the
     `rule` that corrects the prediction the emotional reading is shown as it is, times the factor.
-    `held` gives the intensity that the emotional reading holds from the predicted one.
+    `held` gives the intensity that the emotional reading holds from the predicted one, `factor`
+    [shape=(T,)] is what a script makes of the applied one.
     """
     network = np.ones(speech.n_frames, np.float32)
     saliency = np.zeros(speech.n_frames, np.float32)
@@ -248,7 +250,7 @@ def measure_intensities(
         voice = voice_intensity(network, speech.prosody, speech.activity, around - usual, rule)
     predicted = voice * speech.shown
     base = predicted if acting.intensity_curve is None else acting.intensity_curve.at(speech.times)
-    applied = (base * acting.intensity).astype(np.float32)
+    applied = (base * acting.intensity * factor).astype(np.float32)
     holds = held(network)
     scale = expression_scale(applied, holds * speech.shown)
     if rule is None and acting.intensity_curve is None:
