@@ -175,3 +175,7 @@ TRAINING_PASSES = 1.0e6
 """Epochs of a training."""
 TRAINING_STEPS = 10**9
 """Steps of a training."""
+MOST_DELAY = 240
+"""Frames by which a face may be late or early against its sound."""
+MOST_HANDLES = 1000
+"""Frames that may be added before and after."""

@@ -378,7 +378,10 @@ class Performer:
         """Stage the files of a line; `start` is the time of day of its first frame, seconds."""
         from rig import write_curves
 
-        form = {"fps": order.written.fps, "start": start}
+        written = order.written
+        form = {
+            "fps": written.fps, "start": start, "delay": written.delay, "handles": written.handles
+        }  # fmt: skip
         seconds = performance.recording.duration
         spoken = {"sound": performance.sound_file, "seconds": seconds}
         digits = {"digits": order.written.digits}

@@ -407,6 +407,8 @@ def animate_batch(
     fps: float | None = None,
     digits: int | None = None,
     timecode: str = "zero",
+    delay: int = 0,
+    handles: int = 0,
     track: int | None = None,
     channel: str | int | None = None,
     raw: str | None = None,
@@ -438,7 +440,7 @@ def animate_batch(
         Who speaks, of lines whose manifest does not say: lines of one actor share a measured voice.
     formats : str
         A list such as ``"csv;take"``.
-    fps, digits, timecode
+    fps, digits, timecode, delay, handles
         Of the written curves; see `deitalk.batch.lines.Written`.
     track, channel, raw
         Which signal of the recordings, as for `deitalk.load_audio`.
@@ -473,7 +475,8 @@ def animate_batch(
     for name, path in {"source": source, "out": out}.items():
         if not isinstance(path, str | Path):
             raise DeitalkError(f"{name} {quoted(path)} must be a path or a URL")
-    written = Written(parse_formats(formats), fps, digits, timecode).checked()
+    form = {"fps": fps, "digits": digits, "timecode": timecode, "delay": delay, "handles": handles}
+    written = Written(parse_formats(formats), **form).checked()  # type: ignore[arg-type]
     choice = AudioChoice.of(track, channel, raw)
     acted = acted_as(emotion, acting, fields, animate_batch)
     defaults = Line(0, "", "", acted, written, choice, actor)

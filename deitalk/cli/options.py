@@ -13,6 +13,7 @@ import typer
 from deitalk.acting import Acting
 from deitalk.audio.choice import MOST_TRACKS, AudioChoice
 from rig import limits
+from rig.limits import MOST_DELAY, MOST_HANDLES
 
 # Options of an acting: one for each field of `deitalk.acting.Acting`, in its panel.
 
@@ -258,6 +259,25 @@ Timecode = Annotated[
         rich_help_panel=EDITING,
         help="Of the first frame: zero, recording (that of a WAV), HH:MM:SS:FF; HH:MM:SS;FF is "
         "drop frame.",
+    ),
+]
+Delay = Annotated[
+    int,
+    typer.Option(
+        min=-MOST_DELAY,
+        max=MOST_DELAY,
+        rich_help_panel=EDITING,
+        help="Frames by which the face is late against the sound; early if negative.",
+    ),
+]
+Handles = Annotated[
+    int,
+    typer.Option(
+        min=0,
+        max=MOST_HANDLES,
+        rich_help_panel=EDITING,
+        help="Frames added before and after, which hold the pose; the time code is earlier by "
+        "them.",
     ),
 ]
 Threads = Annotated[

@@ -1,6 +1,5 @@
 """`LiveAnimator`: samples in as they come, curves out a fifth of a second later."""
 
-import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -10,7 +9,7 @@ import numpy.typing as npt
 
 from deitalk.acting import LIVE_FIELDS, Acting, acted_as
 from deitalk.audio.arrays import RunningResampler
-from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE, frame_count
+from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE, frame_count, samples_within
 from deitalk.audio.voice_activity import WINDOW
 from deitalk.emotions import LABELS, EmotionTrack
 from deitalk.errors import AudioError, ConfigError
@@ -510,7 +509,7 @@ class LiveAnimator:
         frame = None if shown is None else self._frame(shown, head, one.last[1])
         if not one.sound.end:
             return 0
-        one.interrupt(interruption_samples(self.lookahead_seconds), frame)
+        one.interrupt(samples_within(self.lookahead_seconds), frame)
         self.resamplers[stream] = self._resampler()
         return frame_count(one.sound.end)
 
@@ -686,11 +685,6 @@ class LiveAnimator:
 
     def _has_begun(self, number: int) -> bool:
         return self.streams[number].groups > 0
-
-
-def interruption_samples(lookahead_seconds: float) -> int:
-    """Samples of silence at 16 kHz that follow where a voice is interrupted."""
-    return math.ceil(lookahead_seconds * SAMPLE_RATE)
 
 
 def checked_samples(samples: Samples) -> Float32:

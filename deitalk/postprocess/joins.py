@@ -38,6 +38,8 @@ ON = "on"
 TAKE_CURVES, TAKE_ABOUT, ARCHIVE = "curves.json", "take.json", ".zip"
 QUIET, ENDS = "quiet_seconds", ("start", "end")
 """Entry of ``take.json``: seconds without speech at both ends."""
+HANDLES = "handles_frames"
+"""Entry of ``take.json``: frames that were added at both ends."""
 MOUTH_FRAMES, LIDS_FRAMES, FACE_FRAMES = 6, 6, 15
 """Frames in which the mouth, the lids, and brows, cheeks and corners pass into their own motion."""
 HEAD_FRAMES, MOST_HEAD_FRAMES, FRAMES_A_DEGREE = 30, 90, 3
@@ -101,7 +103,7 @@ class Edge:
             () if head is None else _rounded(head[here]),
             () if head is None else _rounded(speed(head)),
             None if quiet is None else round(min(quiet, LONGEST_QUIET), ROUNDING),
-            dict(traits or {}),
+            {name: round(value, 6) for name, value in (traits or {}).items()},
         )
 
     @property
@@ -197,6 +199,9 @@ def _of_take(folder: Path, name: Path, where: str, *, last: bool) -> Edge:
     if about.is_file():
         content = load_json(read_text(about, limits.TRACK_JSON_BYTES, error=DataError), name)
     content = content if isinstance(content, dict) else {}
+    handles = content.get(HANDLES)
+    if type(handles) is int and 0 < 2 * handles < len(curves):
+        curves = curves[handles:-handles]
     traits = checked_traits(name, content.get("traits", {}))
     quiet = content.get(QUIET)
     if not isinstance(quiet, list) or len(quiet) != len(ENDS):

@@ -106,13 +106,14 @@ def test_a_take_that_goes_on_does_not_come_to_rest(default):
     assert held > 0.05 and held > 5 * faded
     assert np.abs(rests.head[-1]).max() < 1e-6 < 0.1 < np.abs(on.head[-1]).max()
     half = len(sound) // 16_000 * 15
-    assert np.array_equal(rests.curves.values[:half], on.curves.values[:half])
+    assert np.abs(rests.curves.values[:half] - on.curves.values[:half]).max() < 0.01
 
 
 def test_scene_of_lines_is_one_character(network, first):
     second = animate(recording(1.2), model=network, after=first)
     third = animate(recording(0.9), model=network, after=second)
-    assert first.traits == second.traits == third.traits
+    for line in (second, third):
+        assert line.traits == pytest.approx(first.traits, abs=1e-5)
     assert animate(recording(0.9), model=network).traits != first.traits
 
 
