@@ -10,8 +10,6 @@ from rig.arrays import Bool
 from rig.controls import DEFAULT_ID
 
 LIVELY = ("jaw.ty", "upperLipRaise", "lowerLipDepress")
-POSING = ("brow", "eye", "nose", "cornerPull", "cornerDepress", "stretch")
-"""Parts of the names of the controls whose change is the size of a pose."""
 OPENING = ("jaw.ty", "jaw_openExtreme", "upperLipRaise", "lowerLipDepress", "funnel", "lipsRoll",
            "lipsBlow", "suckBlow")  # fmt: skip
 """Parts of the names of controls that part the lips."""
@@ -36,11 +34,6 @@ class ControlGroups:
     def lively(self) -> NDArray[np.intp]:
         """Controls that `scale_opening` scales; they rest at 0."""
         return self._named(*LIVELY)
-
-    @cached_property
-    def posing(self) -> NDArray[np.intp]:
-        """Controls whose change is the size of a pose."""
-        return self._named(*POSING)
 
     @cached_property
     def lips(self) -> NDArray[np.intp]:
