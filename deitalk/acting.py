@@ -346,6 +346,16 @@ class Acting(BaseModel):
             json_schema_extra=_extra(panel="Editing"),
         )
     )
+    rest: Annotated[
+        float,
+        PlainValidator(number_within(0.0, 1.0)),
+        _text("number", minimum=0, maximum=1),
+    ] = Field(
+        default=0.5,
+        description="Share of the expression that stays in silence around the speech, 0 (neutral) "
+        "to 1; an intensity curve and keyframes are shown as drawn.",
+        json_schema_extra=_extra("change", panel="Performance"),
+    )
     voice: Annotated[
         ActorReference | None,
         PlainValidator(read_voice),
@@ -513,6 +523,11 @@ class Acting(BaseModel):
         if isinstance(self.emotion, str):
             raise EmotionError("emotion auto needs a whole recording; name an emotion")
         return self.emotion
+
+    @property
+    def is_keyed(self) -> bool:
+        """Whether the emotion has keyframes, which are shown in silence as drawn."""
+        return len(self.emotion_track.times) > 1
 
     @property
     def motion(self) -> Life | None:

@@ -24,12 +24,12 @@ from deitalk.models.protocol import (
     take,
     trained_weights,
 )
-from deitalk.postprocess.factors import expression_scale
+from deitalk.postprocess.factors import expression_scale, held_intensity
+from deitalk.postprocess.feeling import fade
 from deitalk.postprocess.joins import MOST_HEAD_FRAMES, Edge, Passage
 from deitalk.postprocess.life.motion import MotionStream, move_together
 from deitalk.postprocess.life.voice import Seeds
 from deitalk.postprocess.tracks import GATES, LIVE_AHEAD, VoiceTracks, shown_columns
-from deitalk.postprocess.voice_intensity import fade
 from rig import ControlSet
 from rig.arrays import Bool, Float32, Int64
 from rig.curves import HEAD
@@ -334,9 +334,9 @@ class LiveAnimator:
     streams : int
         Voices, each with its own sound, emotion and state; read in one call of the network.
     emotion, acting, fields
-        As for `deitalk.animate`, of every stream at the start: emotion, intensity, style, life,
-        look_at, gain, rules and seed; stream k has ``seed + k``. Other fields of an acting need
-        the whole recording.
+        As for `deitalk.animate`, of every stream at the start: emotion, intensity, rest, style,
+        life, look_at, gain, rules and seed; stream k has ``seed + k``. Other fields of an acting
+        need the whole recording.
     sample_rate : int
         Of the samples, Hz; others than 16000 are resampled.
 
@@ -535,7 +535,8 @@ class LiveAnimator:
         stream : int, optional
             Which stream; all by default.
         **fields
-            emotion, intensity, look_at, gain and rules; those that are not given stay as they are.
+            emotion, intensity, rest, look_at, gain and rules; those that are not given stay as they
+            are.
 
         Raises
         ------
@@ -631,19 +632,29 @@ class LiveAnimator:
         self.state = self._put(self.state, ready, state)
         # What is heard of them: intensity, opening and gates.
         past = self._taken(self.past, ready)
-        heard, past = self.hearing(sound, rows.strength, rows.effort, past)
+        stays = np.array([stream.acting.rest for stream in streams], np.float32)
+        heard, past = self.hearing(sound, rows.strength, rows.effort, stays, past)
         self.past = self._put(self.past, ready, past)
         # Factors.
+        rules = self.network.rules
         with_rules = ruled[:, None] > 0
         voice = np.where(with_rules, heard.intensity, rows.strength)
-        applied = voice * wanted
+        applied, holds = voice * wanted, rows.strength
         scale = wanted
-        if self.network.rules.voice_intensity is not None:
-            scale = np.where(with_rules, expression_scale(applied, rows.strength), wanted)
+        if rules.voice_intensity is not None:
+            holds = held_intensity(
+                rules.expressions,
+                self.network.controls,
+                rows.neutral,
+                rows.emotional,
+                emotion,
+                rows.strength,
+            )
+            scale = np.where(with_rules, expression_scale(applied, holds), wanted)
         opening = np.where(with_rules, heard.opening, 1)
         phones = np.zeros((*scale.shape, 4), np.float32)
         back, kept, _ = heard.held
-        said = VoiceTracks(scale, opening, rows.strength, phones, emotion, back, kept).columns()
+        said = VoiceTracks(scale, opening, holds, phones, emotion, back, kept).columns()
         # Gates and motion of the frames that come out.
         before, mixture, speaking, *cues = self._taken(self.due, ready)
         found, known = self.cues(heard.measures, heard.speaking, CueState(*cues))
@@ -652,9 +663,9 @@ class LiveAnimator:
                 life.cue(cue)
         mixture = np.concatenate((mixture, emotion * applied[..., None]), axis=1)
         speaking = np.concatenate((speaking, heard.speaking), axis=1)
-        mouth, expression = (
-            np.where(with_rules, gate, 1) for gate in (heard.mouth, heard.expression)
-        )
+        keyed = np.array([stream.acting.is_keyed for stream in streams])[:, None]
+        mouth = np.where(with_rules, heard.mouth, 1)
+        expression = np.where(with_rules & ~keyed, heard.expression, 1)
         mouth = mouth * np.stack([stream.mouth_share(count) for stream in streams])
         numbers = [stream.n_given for stream in streams]
         given = [stream.given(count) for stream in streams]

@@ -94,8 +94,8 @@ def animate(
     progress : callable
         Called with the share of the network's work that is done, 0 to 1.
     **fields
-        Of `deitalk.acting.Acting`: intensity, intensity_curve, voice, style, words, language, life,
-        look_at, gain, edit, listen, after, into, rules, seed.
+        Of `deitalk.acting.Acting`: intensity, intensity_curve, rest, voice, style, words, language,
+        life, look_at, gain, edit, listen, after, into, rules, seed.
 
     Returns
     -------
@@ -255,8 +255,7 @@ def finish(
     network, weights = prepared.network, prepared.weights
     # Intensity: of the voice, and what the reading holds of it.
     speaking = speech.activity > 0
-    pose = neutral, emotional, trained_weights(weights), speaking
-    held = partial(held_intensity, rules.pose_size, network.controls, *pose)
+    held = partial(held_intensity, rules.expressions, network.controls, neutral, emotional, weights)
     intensities = measure_intensities(speech, tracks, acting, rules.voice_intensity, held)
     clock.lap("network")
     # Times of the words in the sound.
@@ -267,14 +266,15 @@ def finish(
     phones = phone_tracks(() if words is None else words.known, len(weights))
     # What the pass reads of each frame besides the readings.
     near, usual = (mean_around(x, speaking) for x in (intensities.voice, intensities.network))
-    opening = opening_factor(rules.scale_opening, near, usual, intensities.take)
+    opening = opening_factor(rules.scale_opening, near, usual)
     kept = speech.held(rules.hold_pose)
     voice = VoiceTracks(
         intensities.scale, opening, intensities.held, phones, weights, kept.back, kept.share
     )
     traits = _traits(prepared)
     motion = _motion(prepared, weights * intensities.applied[:, None], traits)
-    shown = shown_columns(speech.mouth, speech.shown, None if motion is None else motion.tracks)
+    tracks_of_motion = None if motion is None else motion.tracks
+    shown = shown_columns(speech.mouth, intensities.share, tracks_of_motion)
     # The rules, in their order: `deitalk.postprocess.curve_pass`.
     values = neutral.copy() if emotional is neutral else emotional
     clipped = apply_rules(

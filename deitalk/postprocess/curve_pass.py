@@ -204,13 +204,15 @@ class CurvePass(nn.Module):
         curves = self.blend(curves, free, said.scale)
         # Poses of the emotions, which yield to closed lips; lips that cover the teeth.
         closing = self.closing(self.closure(contacts[:, :, NEUTRAL].transpose(-1, -2)))
-        strength = (said.scale * said.held.clamp_min(LEAST_PREDICTED)).squeeze(-1)
-        curves = self.express(curves, said.emotion, strength, free, 1 - closing.unsqueeze(-1))
+        least = said.held.clamp_min(LEAST_PREDICTED)
+        strength, missing = ((said.scale * held).squeeze(-1) for held in (least, least - said.held))
+        slow = 1 - closing.unsqueeze(-1)
+        curves = self.express(curves, said.emotion, strength, missing, free, slow, mouth)
         curves = self.rest_lips(curves)
         # Lips start to close earlier and part later; what is hardly open is shut.
         limited = self.limit_speed(self.blend.contacts(contacts, near.scale))
         curves = self.quieten(self.seals.put(curves, limited))
-        # Silence: the mouth shuts, the expression fades.
+        # Silence: the mouth shuts, a share of the expression stays.
         curves = self.gate(curves, mouth.unsqueeze(2), expression.unsqueeze(2))
         # Streams without rules: the readings as they are.
         plain = raw[:, :, :1] + (raw - raw[:, :, :1]) * said.scale

@@ -82,7 +82,10 @@ N_SHOWN = GATES + N_MOTION
 
 
 def shown_columns(mouth: Float32, expression: Float32, motion: MotionTracks | None) -> Float32:
-    """Gates [shape=(T,)] and motion side by side [shape=(T, 2 + 34)]; None: a still face."""
+    """Gate of the mouth and share of the expression [shape=(T,)], and motion beside them.
+
+    [shape=(T, 2 + 34)]; without motion a still face.
+    """
     columns = np.zeros((*mouth.shape, N_SHOWN), np.float32)
     columns[..., 0], columns[..., 1] = mouth, expression
     if motion is not None:
