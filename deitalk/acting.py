@@ -50,6 +50,8 @@ AUTO: Final = "auto"
 LONGEST_LISTENING = 600.0
 """Seconds."""
 MOST_INTENSITY = 4.0
+NO_PLACE = (0.0, 0.0, 65.0)
+"""Where a listener is if no place is given: ahead; degrees and cm."""
 LONGEST_TEXT = 1 << 20
 """Letters of a text that comes from elsewhere."""
 WORDS_SUFFIXES = (".txt", ".textgrid", ".srt", ".vtt")
@@ -236,8 +238,8 @@ def read_life(given: Any) -> Life:
     return Life.of(given)
 
 
-def read_place(given: Any) -> tuple[float, float]:
-    """Two angles, or their text."""
+def read_place(given: Any) -> tuple[float, float, float]:
+    """Two angles with or without a distance, or their text."""
     from deitalk.postprocess.life.amounts import place_of
 
     return place_of(given)
@@ -255,9 +257,11 @@ def written_gains(gains: Mapping[str, float]) -> str:
     return ",".join(f"{name}={factor:.9g}" for name, factor in gains.items())
 
 
-def written_place(place: tuple[float, float]) -> str:
-    """The text that `read_place` reads."""
-    return ",".join(f"{part:.9g}" for part in place)
+def written_place(place: tuple[float, float, float]) -> str:
+    """The text that `read_place` reads, without the usual distance."""
+    *angles, distance = place
+    parts = angles if distance == NO_PLACE[2] else place
+    return ",".join(f"{part:.9g}" for part in parts)
 
 
 def _text(schema: str = "string", **more: Any) -> WithJsonSchema:
@@ -342,14 +346,15 @@ class Acting(BaseModel):
         json_schema_extra=_extra("start", panel="Performance", default="on"),
     )
     look_at: Annotated[
-        tuple[float, float],
+        tuple[float, float, float],
         PlainValidator(read_place),
         PlainSerializer(written_place, return_type=str),
         _text(maxLength=60),
     ] = Field(
-        default=(0.0, 0.0),
-        description="Place of the listener: degrees to the character's left and up, -35 to 35.",
-        examples=["10,-5"],
+        default=NO_PLACE,
+        description="Place of the listener: degrees to the character's left and up, -35 to 35; and "
+        "its distance, on which both eyes meet, 65 cm if it is not given.",
+        examples=["10,-5", "10,-5,120"],
         json_schema_extra=_extra("change", panel="Performance", default="0,0"),
     )
     gain: Annotated[

@@ -269,7 +269,7 @@ def finish(
         network.curve_pass(), neutral, values, voice.columns(), shown, prepared.gain, acting.rules
     )
     clock.lap("expression")
-    head = None if motion is None else motion.head
+    head = None if motion is None or not motion.head.any() else motion.head
     return Performance(
         _curves(network.controls, values, weights, intensities.applied, head),
         _curves(network.controls, neutral),
@@ -302,7 +302,7 @@ def apply_rules(
         The pass.
     neutral, emotional : array [shape=(T, C)]
         Two readings, not the same array; then the neutral curves and those that are shown.
-    voice, shown : array [shape=(T, 16)], [shape=(T, 36)]
+    voice, shown : array [shape=(T, 16)], [shape=(T, 45)]
         See `deitalk.postprocess.tracks`.
     gain : array [shape=(C,)]
         Factor of each control.
