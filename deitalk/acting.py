@@ -37,11 +37,14 @@ if TYPE_CHECKING:
     from deitalk.emotions import ActorReference as ActorReference
     from deitalk.emotions import EmotionTrack as EmotionTrack
     from deitalk.emotions import IntensityCurve as IntensityCurve
+    from deitalk.postprocess.joins import Edge as Edge
     from deitalk.postprocess.life.amounts import Life as Life
+    from rig.curves.layers import Layer as Layer
 
     Track = EmotionTrack | Literal["auto"]
+    Next = Edge | Literal["on"]
 else:  # their modules need numpy, which a command line does without until it works
-    ActorReference = EmotionTrack = IntensityCurve = Life = Track = Any
+    ActorReference = Edge = EmotionTrack = IntensityCurve = Layer = Life = Next = Track = Any
 
 # Text forms of the fields of an acting, parsed once, and the files that they may name.
 
@@ -198,6 +201,17 @@ def read_voice(given: Any, info: ValidationInfo) -> ActorReference:
     return read_actor(_file(str(given).strip(), _files(info)))
 
 
+def read_edge(given: Any, info: ValidationInfo) -> Edge | Next:
+    """The edge of the take beside: a take folder, a file of curves, a performance, its content."""
+    from deitalk.postprocess.joins import ON, edge_of
+
+    if info.field_name == "into" and given == ON:
+        return ON
+    if isinstance(given, str | Path) and not str(given).lstrip().startswith("{"):
+        given = _file(str(given).strip(), _files(info), DataError)
+    return edge_of(given, str(info.field_name), last=info.field_name == "after")
+
+
 def read_words(given: Any, info: ValidationInfo) -> Words:
     """Words, a file of them, or its content."""
     return Words.of(given, _files(info))
@@ -250,6 +264,30 @@ def read_gains(given: Any) -> dict[str, float]:
     from rig.curves.edit import parse_gains
 
     return parse_gains(given or None)
+
+
+def read_edit(given: Any, info: ValidationInfo) -> tuple[Layer, ...]:
+    """Layers, files of them (a text may name several, with ``;`` between), or their content."""
+    from rig.curves.layers import Layer, parse_layers, read_layers
+
+    if isinstance(given, Layer):
+        return (given,)
+    if isinstance(given, list | tuple):
+        return tuple(layer for part in given for layer in read_edit(part, info))
+    if isinstance(given, Mapping) or (isinstance(given, str) and given.lstrip()[:1] in ("[", "{")):
+        return parse_layers(given)
+    if not isinstance(given, str | Path):
+        raise ConfigError(
+            f"edit {quoted(given)} is a {type(given).__name__}; give a file, a Layer or a list"
+        )
+    names = [name.strip() for name in str(given).split(";") if name.strip()]
+    files = [_file(name, _files(info), ConfigError) for name in names]
+    return tuple(layer for path in files for layer in read_layers(path))
+
+
+def written_edit(layers: tuple[Layer, ...]) -> str:
+    """The text that `read_edit` reads."""
+    return json.dumps([layer.tree() for layer in layers], ensure_ascii=False) if layers else ""
 
 
 def written_gains(gains: Mapping[str, float]) -> str:
@@ -368,6 +406,18 @@ class Acting(BaseModel):
         examples=["jaw=1.2,brow=.8"],
         json_schema_extra=_extra("change", panel="Editing", default=""),
     )
+    edit: Annotated[
+        tuple[Layer, ...],
+        PlainValidator(read_edit),
+        PlainSerializer(written_edit, return_type=str),
+        _TEXT,
+    ] = Field(
+        default=(),
+        description="Layers of edits by hand, in their order: .edit.json files of `deitalk diff` "
+        "or the studio, or a take folder for its own.",
+        examples=["fixes.edit.json"],
+        json_schema_extra=_extra(panel="Editing", default="") | {"x-repeated": True},
+    )
     listen: Annotated[
         float,
         PlainValidator(number_within(0.0, LONGEST_LISTENING)),
@@ -376,6 +426,30 @@ class Acting(BaseModel):
         default=0.0,
         description="Seconds of silence with motion after the speech, 0 to 600.",
         json_schema_extra=_extra(panel="Performance"),
+    )
+    after: Annotated[
+        Edge | None,
+        PlainValidator(read_edge),
+        PlainSerializer(lambda edge: edge.content, return_type=dict, when_used="unless-none"),
+        WithJsonSchema({"anyOf": [{"type": "string"}, {"type": "object"}]}),
+    ] = Field(
+        default=None,
+        description="Take that comes before: begin in its last pose, at its speeds, as the same "
+        "character; a take folder or a file of curves.",
+        json_schema_extra=_extra(panel="Editing"),
+    )
+    into: Annotated[
+        Next | None,
+        PlainValidator(read_edge),
+        PlainSerializer(
+            lambda edge: edge if isinstance(edge, str) else edge.content, when_used="unless-none"
+        ),
+        WithJsonSchema({"anyOf": [{"type": "string"}, {"type": "object"}]}),
+    ] = Field(
+        default=None,
+        description="Take that comes next: do not come to rest, and end in its first pose; or on: "
+        "only do not come to rest.",
+        json_schema_extra=_extra(panel="Editing"),
     )
     rules: bool = Field(
         default=True,

@@ -14,9 +14,10 @@ import numpy as np
 
 from api.compute.order import MOST_VOICES, SAMPLES, Limits, Order
 from api.compute.pool import CHECK_SECONDS, Stage, checked, result_path
-from api.compute.worker import OutOfTime, Worker, WorkerLost
+from api.compute.worker import OrderWorker, OutOfTime
 from api.errors import Problem, describe, named_problem, problem_for
 from deitalk.acting import Acting
+from deitalk.workers import WorkerLost
 from rig.arrays import Float32
 
 MODEL = "live"
@@ -99,7 +100,7 @@ class Voices:
     """
 
     def __init__(self, limits: Limits, stage: Stage) -> None:
-        self.worker, self.stage = Worker(limits), stage
+        self.worker, self.stage = OrderWorker(limits), stage
         self.known: dict[int, Voice] = {}
         self.actions: list[dict[str, Any]] = []
         self.samples: list[Float32] = []
@@ -195,9 +196,7 @@ class Voices:
         answer = checked(await asyncio.to_thread(self.worker.run, order, ORDER_SECONDS))
         if self.worker.pid != process:  # the new one has none of the voices
             raise WorkerLost
-        self._give(answer, np.fromfile(result_path(folder, answer), "<f4"))
-
-    def _give(self, answer: Any, values: Float32) -> None:
+        values = np.fromfile(result_path(folder, answer), "<f4")
         for number, seconds in answer["facts"]["opened"]:
             if (voice := self.known.get(number)) and not voice.opened.done():
                 voice.opened.set_result(seconds)

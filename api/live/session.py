@@ -265,7 +265,10 @@ class Session:
         WebSocketDisconnect
             If the client has gone, or does not read its frames for `SEND_SECONDS`.
         """
-        content = _json(await self._text(START_SECONDS))
+        message = await self._message(START_SECONDS)
+        if message.get("text") is None:
+            raise _no_start()
+        content = _json(str(message["text"]))
         if content.pop("type", "start") != "start":
             raise _no_start()
         own = {name: content.pop(name) for name in Start.model_fields if name in content}
@@ -352,26 +355,19 @@ class Session:
             self.stream.finish()
         elif kind == "set":
             try:
-                self._change(content)
+                if fixed := [
+                    name for name in content if LIVE_FIELDS.get(name, "change") != "change"
+                ]:
+                    raise ConfigError(f"{', '.join(fixed)} cannot change while somebody speaks")
+                acting = acting_of(content, self.acting)
+                if self.controls is not None:
+                    gain_factors(self.controls, acting.gain)
+                self.acting = acting
+                self.stream.change(acting)
             except UserError as error:  # the session goes on unchanged
                 await self._send(problem_message(problem_of(error)))
         else:
             raise Problem(422, "type must be set or stop after the start", "message_unknown")
-
-    def _change(self, fields: dict[str, Any]) -> None:
-        if fixed := [name for name in fields if LIVE_FIELDS.get(name, "change") != "change"]:
-            raise ConfigError(f"{', '.join(fixed)} cannot change while somebody speaks")
-        acting = acting_of(fields, self.acting)
-        if self.controls is not None:
-            gain_factors(self.controls, acting.gain)
-        self.acting = acting
-        self.stream.change(acting)
-
-    async def _text(self, seconds: float) -> str:
-        message = await self._message(seconds)
-        if message.get("text") is None:
-            raise _no_start()
-        return str(message["text"])
 
     async def _message(self, seconds: float) -> dict[str, Any]:
         try:

@@ -6,7 +6,7 @@ import io
 import json
 import re
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cache
 from pathlib import Path
@@ -74,6 +74,8 @@ class Line:
     """Which signal of the recording."""
     actor: str = ""
     """Who speaks; lines of one actor share a reference. Empty: nobody in particular."""
+    beside: Mapping[str, str] = field(default_factory=dict)
+    """Outputs of the lines that come before it (``after``) and next (``into``)."""
 
     @property
     def targets(self) -> tuple[str, ...]:
@@ -194,6 +196,8 @@ class Order:
     only_voice: bool = False
     """Measure the strength of the voice and write nothing."""
     choice: AudioChoice = field(default_factory=AudioChoice)
+    with_edges: bool = False
+    """Return the edges of the take: another line begins or ends there."""
 
 
 class Target(NamedTuple):
@@ -222,6 +226,8 @@ class Outcome:
     frames: int = 0
     warnings: tuple[str, ...] = ()
     voice: MeasuredVoice | None = None
+    edges: tuple[str, str] | None = None
+    """First and last edge of the take (`deitalk.postprocess.joins.Edge`), where they are wanted."""
     stage: str = ""
     targets: tuple[Target, ...] = ()
     files: tuple[File, ...] = ()

@@ -541,12 +541,12 @@ def parse_actor(data: bytes, path: object) -> ActorReference:
     for name, value in (("strength", strength), ("effort", effort or 0.0)):
         if not (math.isfinite(value) and abs(value) <= LARGEST):
             raise EmotionError(f"{path}: {name} {value:g} must be from -{LARGEST:g} to {LARGEST:g}")
-    traits = _traits(path, content.get("traits", {}))
+    traits = checked_traits(path, content.get("traits", {}))
     return ActorReference(strength, recordings, seconds, traits, effort)
 
 
-def _traits(path: object, traits: Any) -> dict[str, float]:
-    """Traits of a file, each in its range."""
+def checked_traits(path: object, traits: Any) -> dict[str, float]:
+    """Traits of a file, each in its range; EmotionError names `path`."""
     if not isinstance(traits, dict) or any(name not in TRAITS for name in traits):
         raise EmotionError(f"{path}: traits must be an object with some of {', '.join(TRAITS)}")
     for name, value in traits.items():

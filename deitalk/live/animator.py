@@ -1,5 +1,6 @@
 """`LiveAnimator`: samples in as they come, curves out a fifth of a second later."""
 
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -26,10 +27,12 @@ from deitalk.models.protocol import (
     trained_weights,
 )
 from deitalk.postprocess.factors import expression_scale
+from deitalk.postprocess.joins import MOST_HEAD_FRAMES, Edge, Passage
 from deitalk.postprocess.life.amounts import Life
 from deitalk.postprocess.life.motion import Character, MotionStreams
 from deitalk.postprocess.life.voice import PAUSE, Cues, Seeds
 from deitalk.postprocess.tracks import GATES, LIVE_AHEAD, VoiceTracks, shown_columns
+from deitalk.postprocess.voice_intensity import fade
 from rig import ControlSet
 from rig.arrays import Bool, Float32, Int64
 from rig.curves import HEAD
@@ -43,6 +46,9 @@ if TYPE_CHECKING:
 #
 # Letters: S samples, n frames of a call, P spectra a frame, W samples of a spectrum, C controls.
 
+CLOSING_FRAMES, OPENING_FRAMES = 3, 5
+"""Frames in which the mouth of a voice that is interrupted shuts: a tenth of a second; and over
+which it may open again for the sound that comes then."""
 RAMP_SECONDS = 0.2
 """Time over which one emotion, or intensity, passes into the next."""
 
@@ -123,6 +129,57 @@ class Stream:
         self.n_total: int | None = None
         self.frames: list[Float32] = []
         self.heads: list[Float32] = []
+        self.shut: tuple[int, int] | None = None
+        """First frame of a mouth that is interrupted, and that of the sound that comes after."""
+        self.shown = self.last = (controls.rest, np.zeros(len(HEAD), np.float32))
+        """Frame and head that are on the screen when it is, and those that were given last."""
+        self.passage: Passage | None = None
+
+    def interrupt(self, silence: int, shown: tuple[Float32, Float32] | None) -> None:
+        """Let silence follow from the next frame on, as many samples as make it known."""
+        first = max(self.n_given, 0)
+        sample = first * SAMPLE_RATE // FRAME_RATE - self.sound.begin
+        samples = self.sound.samples.copy()
+        samples[max(sample, 0) :] = 0
+        self.sound.samples, self.rest = samples, b""
+        self.sound.append(np.zeros(silence, np.float32))
+        self.shut, self.shown = (first, frame_count(self.sound.end)), shown or self.last
+        self.passage = None
+
+    def mouth_share(self, count: int) -> Float32:
+        """Share of the mouth's motion in the `count` frames that the rules give next."""
+        if self.shut is None:
+            return np.ones(count, np.float32)
+        begin, end = self.shut
+        frames = np.arange(self.n_given, self.n_given + count)
+        falls = fade((frames - begin + 1) / CLOSING_FRAMES)
+        rises = 1 - fade((frames - end + 1) / OPENING_FRAMES)
+        return np.maximum(falls, rises)
+
+    def give(self, frames: Float32, heads: Float32, first: int) -> None:
+        """Give the frames from number `first` on.
+
+        After an interruption they begin in the frame that was shown: the expression stays until
+        new sound comes.
+        """
+        if self.shut is not None and len(frames):
+            begin, end = self.shut
+            if self.passage is None:
+                pose, head = (tuple(part.tolist()) for part in self.shown)
+                names, still = self.controls.names, tuple(0.0 for _ in HEAD)
+                edge = Edge(dict(zip(names, pose, strict=True)), {}, head, still)
+                self.passage = Passage.of(
+                    self.controls, edge, heads[0], MOST_HEAD_FRAMES,
+                    mouth=CLOSING_FRAMES - 1, held=end - begin,
+                )  # fmt: skip
+            self.passage.mix(frames, heads, first - begin)
+            if first + len(frames) >= begin + max(self.passage.n_frames, end - begin):
+                self.passage = None
+                self.shut = None if first + len(frames) >= end + OPENING_FRAMES else self.shut
+        if len(frames):
+            self.last = frames[-1], heads[-1]
+        self.frames.append(frames)
+        self.heads.append(heads)
 
     def change(self, acting: Acting) -> None:
         """Act otherwise from the sound on that comes next; at once before any."""
@@ -420,6 +477,64 @@ class LiveAnimator:
         self.heads = [head for _, head in given]
         return [frames for frames, _ in given]
 
+    def interrupt(
+        self,
+        stream: int = 0,
+        *,
+        shown: Float32 | None = None,
+        head: Float32 | None = None,
+    ) -> int:
+        """Stop a voice: its mouth shuts within 0.1 s, the rest of the expression stays.
+
+        Sound that has come and was not given yet is dropped, and silence of `lookahead_seconds`
+        follows, so that `read` gives the frames of the shut mouth at once.
+
+        Parameters
+        ----------
+        stream : int
+            Which stream.
+        shown : array [shape=(C,)], optional
+            Frame that is on the screen, from which the next ones go on; by default the one that
+            was given last.
+        head : array [shape=(6,)], optional
+            Its track of the head.
+
+        Returns
+        -------
+        int
+            Number of the frame at which the sound begins that comes next.
+
+        Raises
+        ------
+        AudioError
+            If the stream has ended.
+        ConfigError
+            If `shown` is not one frame of finite curves.
+        """
+        one = self.streams[stream]
+        if one.n_total is not None:
+            raise AudioError("the stream has ended; reset it to begin again")
+        frame = None if shown is None else self._frame(shown, head, one.last[1])
+        if not one.sound.end:
+            return 0
+        one.interrupt(interruption_samples(self.lookahead_seconds), frame)
+        self.resamplers[stream] = self._resampler()
+        return frame_count(one.sound.end)
+
+    def _frame(
+        self, shown: Float32, head: Float32 | None, last: Float32
+    ) -> tuple[Float32, Float32]:
+        """A frame and its head, checked; without a head the last one."""
+        rows = np.asarray(shown, np.float32), np.asarray(last if head is None else head, np.float32)
+        if (rows[0].shape, rows[1].shape) != ((len(self.names),), (len(HEAD),)):
+            raise ConfigError(
+                f"shown of shape {rows[0].shape} must be one frame of {len(self.names)} curves, "
+                f"and head {len(HEAD)} numbers"
+            )
+        if not all(np.isfinite(row).all() for row in rows):
+            raise ConfigError("the frame that is shown must be finite; some of it is not")
+        return rows
+
     def set(self, *, stream: int | None = None, **fields: Any) -> None:
         """Act otherwise from the sound on that comes next; but for gain and rules over 0.2 s.
 
@@ -545,7 +660,8 @@ class LiveAnimator:
             scale = np.where(with_rules, expression_scale(applied, rows.strength), wanted)
         opening = np.where(with_rules, heard.opening, 1)
         phones = np.zeros((*scale.shape, 4), np.float32)
-        said = VoiceTracks(scale, opening, rows.strength, phones, emotion).columns()
+        back, kept, _ = heard.held
+        said = VoiceTracks(scale, opening, rows.strength, phones, emotion, back, kept).columns()
         # Gates and motion of the frames that come out.
         before, mixture, speaking, *cues = self._taken(self.due, ready)
         begin = cues[CueState._fields.index("frame")]
@@ -557,6 +673,8 @@ class LiveAnimator:
         mouth, expression = (
             np.where(with_rules, gate, 1) for gate in (heard.mouth, heard.expression)
         )
+        mouth = mouth * np.stack([stream.mouth_share(count) for stream in streams])
+        numbers = [stream.n_given for stream in streams]
         given = [stream.given(count) for stream in streams]
         shown = shown_columns(mouth, expression, None)
         acted = mixture[:, :count] * expression[..., None]
@@ -568,9 +686,9 @@ class LiveAnimator:
         )
         due = after, mixture[:, count:], speaking[:, count:], *known
         self.due = self._put(self.due, ready, due)
-        for stream, frames, head, which in zip(streams, curves, heads, given, strict=True):
-            stream.frames.append(frames[which])
-            stream.heads.append(head[which])
+        rows = zip(streams, curves, heads, given, numbers, strict=True)
+        for stream, frames, head, which, first in rows:
+            stream.give(frames[which], head[which], first + which.start)
 
     def _listen(
         self, ready: list[int], others: Sequence[Float32 | None], begin: Int64, count: int
@@ -655,6 +773,11 @@ class LiveAnimator:
 
     def _has_begun(self, number: int) -> bool:
         return self.streams[number].groups > 0
+
+
+def interruption_samples(lookahead_seconds: float) -> int:
+    """Samples of silence at 16 kHz that follow where a voice is interrupted."""
+    return math.ceil(lookahead_seconds * SAMPLE_RATE)
 
 
 def checked_samples(samples: Samples) -> Float32:

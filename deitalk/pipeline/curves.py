@@ -1,7 +1,7 @@
 """The main path: speech and an emotion in, 185 curves out."""
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
 from time import perf_counter
@@ -27,10 +27,13 @@ from deitalk.models.protocol import (
     trained_weights,
     unshown_note,
 )
+from deitalk.pipeline.layers import follow_recording, unused_notes
 from deitalk.pipeline.performance import Performance
 from deitalk.pipeline.speech import Speech, measure_intensities
 from deitalk.pipeline.words.transcript import Transcript
+from deitalk.postprocess.control_groups import ControlGroups
 from deitalk.postprocess.factors import held_intensity, mean_around, opening_factor
+from deitalk.postprocess.joins import Edge, activity_beside, lead, unknown_controls
 from deitalk.postprocess.known_phones import phone_tracks
 from deitalk.postprocess.life.motion import Motion, plan_motion
 from deitalk.postprocess.life.voice import Seeds, Traits, measure_voice
@@ -38,6 +41,7 @@ from deitalk.postprocess.tracks import VoiceTracks, shown_columns
 from rig import ControlSet, RigCurves
 from rig.arrays import Float32
 from rig.curves.edit import gain_factors
+from rig.curves.layers import apply_layers, target_columns
 from rig.errors import quoted
 
 if TYPE_CHECKING:
@@ -91,7 +95,7 @@ def animate(
         Called with the share of the network's work that is done, 0 to 1.
     **fields
         Of `deitalk.acting.Acting`: intensity, intensity_curve, voice, style, words, language, life,
-        look_at, gain, listen, rules, seed.
+        look_at, gain, edit, listen, after, into, rules, seed.
 
     Returns
     -------
@@ -184,9 +188,13 @@ def prepare(
     network = load()
     clock.lap("model")
     factors = gain_factors(network.controls, acting.gain)
+    for target in dict.fromkeys(edit.target for layer in acting.edit for edit in layer.edits):
+        target_columns(network.controls, target)
     rules = network.rules if acting.rules else RulesConfig.none()
     recording = recording.noted(*_notes_on_unused(acting, rules))
-    speech = Speech.of_recording(recording, rules.gates)
+    speech = _between(Speech.of_recording(recording, rules.gates), acting)
+    if acting.after is not None:
+        recording = recording.noted(*unknown_controls(acting.after, network.controls))
     weights = acting.emotion_track.at(speech.times)
     style = chosen_actor(network.actors, acting.style)
     unshown = unshown_note(network.emotions, trained_weights(weights))
@@ -260,8 +268,12 @@ def finish(
     # What the pass reads of each frame besides the readings.
     near, usual = (mean_around(x, speaking) for x in (intensities.voice, intensities.network))
     opening = opening_factor(rules.scale_opening, near, usual, intensities.take)
-    voice = VoiceTracks(intensities.scale, opening, intensities.held, phones, weights)
-    motion = _motion(prepared, weights * intensities.applied[:, None])
+    kept = speech.held(rules.hold_pose)
+    voice = VoiceTracks(
+        intensities.scale, opening, intensities.held, phones, weights, kept.back, kept.share
+    )
+    traits = _traits(prepared)
+    motion = _motion(prepared, weights * intensities.applied[:, None], traits)
     shown = shown_columns(speech.mouth, speech.shown, None if motion is None else motion.tracks)
     # The rules, in their order: `deitalk.postprocess.curve_pass`.
     values = neutral.copy() if emotional is neutral else emotional
@@ -270,18 +282,33 @@ def finish(
     )
     clock.lap("expression")
     head = None if motion is None or not motion.head.any() else motion.head
+    _join(network.controls, values, head, acting)
+    shown_curves = _curves(network.controls, values, weights, intensities.applied, head)
+    neutral_curves = _curves(network.controls, neutral)
+    recording = _with_note_of(words, prepared.recording)
+    if acting.edit:
+        layers, notes = follow_recording(acting.edit, speech, words)
+        rule = rules.keep_contacts
+        closures = None if rule is None else ControlGroups(network.controls).closures(rule)
+        recording = recording.noted(*notes, *unused_notes(layers, head is not None))
+        how = layers, network.controls, closures
+        shown_curves, taken_back = apply_layers(shown_curves, *how)
+        neutral_curves, _ = apply_layers(neutral_curves, *how)
+        recording = recording.noted(*taken_back)
+        clock.lap("edits")
     return Performance(
-        _curves(network.controls, values, weights, intensities.applied, head),
-        _curves(network.controls, neutral),
+        shown_curves,
+        neutral_curves,
         intensities.saliency,
         intensities.predicted,
-        _with_note_of(words, prepared.recording),
+        recording,
         clipped,
         clock.laps,
         acting,
         model,
         words,
         prepared.suggestion,
+        asdict(traits),
     )
 
 
@@ -302,7 +329,7 @@ def apply_rules(
         The pass.
     neutral, emotional : array [shape=(T, C)]
         Two readings, not the same array; then the neutral curves and those that are shown.
-    voice, shown : array [shape=(T, 16)], [shape=(T, 45)]
+    voice, shown : array [shape=(T, 18)], [shape=(T, 45)]
         See `deitalk.postprocess.tracks`.
     gain : array [shape=(C,)]
         Factor of each control.
@@ -335,18 +362,43 @@ def apply_rules(
     return round(outside)
 
 
-def _motion(prepared: Prepared, shown: Float32) -> Motion | None:
+def _between(speech: Speech, acting: Acting) -> Speech:
+    """The speech between the takes that the acting has before and after it."""
+    before = activity_beside(acting.after, before=True)
+    return replace(speech, before=before, after=activity_beside(acting.into, before=False))
+
+
+def _join(controls: ControlSet, values: Float32, head: Float32 | None, acting: Acting) -> None:
+    """Have the curves [shape=(T, C)] and the head begin and end at the takes beside them."""
+    nexts = [edge for edge in (acting.into,) if isinstance(edge, Edge)]
+    most = len(values) // 2 if nexts else None
+    if acting.after is not None:
+        lead(values, head, controls, acting.after, most=most)
+    for edge in nexts:
+        lead(values, head, controls, edge, last=True, most=most)
+
+
+def _traits(prepared: Prepared) -> Traits:
+    """Traits of the character: of its voice's reference, of the take before, or drawn."""
+    acting = prepared.acting
+    known = (acting.voice and acting.voice.traits) or (acting.after and acting.after.traits)
+    if known:
+        return Traits(**known)
+    return Traits.of(Seeds.of(prepared.speech.waveform, prepared.style, acting.seed).character())
+
+
+def _motion(prepared: Prepared, shown: Float32, traits: Traits) -> Motion | None:
     """Motion above the mouth for the emotion that is shown [shape=(T, 9)]; None: there is none."""
     speech, acting, idle = prepared.speech, prepared.acting, prepared.rules.idle
-    life, actor = acting.motion, acting.voice
+    life = acting.motion
     if idle is None or life is None or not (acting.listen or speech.activity.any()):
         return None
     emotions = shown.sum(axis=0)
     emotion = int(emotions[1:].argmax()) + 1 if emotions[1:].any() else 0
     seeds = Seeds.of(speech.waveform, prepared.style, acting.seed, emotion)
     voice = measure_voice(speech.activity, speech.prosody)
-    traits = Traits(**actor.traits) if actor is not None and actor.traits else None
-    return plan_motion(voice, shown, seeds, idle, life, traits)
+    beside = {"has_begun": acting.after is not None, "goes_on": acting.into is not None}
+    return plan_motion(voice, shown, seeds, idle, life, traits, **beside)
 
 
 def _curves(

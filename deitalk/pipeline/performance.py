@@ -10,6 +10,7 @@
       intensity.csv    time, emotion weights, saliency, predicted and applied intensity: edit it
       audio.wav        the recording, 16 kHz mono, in time with the curves
       audio_48k.wav    the recording at 48 kHz with its channels, if it has more than 16 kHz
+      layer-001.edit.json …  the layers of edits that it was made with
       <Slate>_take_1_deitalk.csv  Live Link Face, for Unreal's importer
       <Slate>.unreal.json      for the script that runs inside Unreal
 """
@@ -31,9 +32,11 @@ from deitalk.audio.original import write_original
 from deitalk.emotions import EMOTIONS, MOODS, write_intensity_csv
 from deitalk.errors import AudioError
 from deitalk.installed import __version__
+from deitalk.postprocess.joins import QUIET, quiet_seconds
 from rig.arrays import Bool, Float32, Float64
 from rig.controls import DEFAULT_ID
 from rig.curves import RigCurves
+from rig.curves.layers import SUFFIX
 from rig.errors import TargetError, decodable_values
 from rig.files import check_folder, output_folder
 from rig.formats import write_curves
@@ -149,6 +152,8 @@ class Performance:
         Times of the words and phones that were given, and how well the sound fits them.
     suggestion : mapping of str to float, or None
         Probabilities of the emotions that the voice suggests, of the emotion ``auto``.
+    traits : mapping of str to float
+        Of the character (`deitalk.postprocess.life.voice.Traits`); takes that follow keep them.
     """
 
     curves: RigCurves
@@ -162,6 +167,7 @@ class Performance:
     model: str = ""
     words: "WordFit | None" = None
     suggestion: Mapping[str, float] | None = None
+    traits: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def emotion(self) -> str:
@@ -203,6 +209,10 @@ class Performance:
         """Mean over the frames of speech of the curves' intensity; 0 for neutral."""
         applied = self.curves.intensity
         return 0.0 if applied is None or not self.has_emotion else self._while_speaking(applied)
+
+    def quiet(self, *, last: bool) -> float:
+        """Seconds without speech at the end, or at the start."""
+        return quiet_seconds(self.recording.activity, last=last)
 
     @cached_property
     def _speaking(self) -> Bool:
@@ -454,6 +464,8 @@ def _fill(
     slate = Path(performance.recording.source).stem
     if curves.control_set == DEFAULT_ID:
         files |= write_exchange_files(folder, curves, slate=slate, digits=digits, start=start)
+    acting, layers = _with_layers(folder, performance)
+    files |= layers
     for extra in extras:
         files |= extra(folder, performance)
     about = {
@@ -466,8 +478,10 @@ def _fill(
         "fps": curves.fps,
         "start_seconds": start,
         "frames": len(curves),
-        "settings": performance.acting.settings,
+        "settings": acting.settings,
         "procedural_emotions": performance.moods,
+        "traits": {name: round(value, 6) for name, value in performance.traits.items()},
+        QUIET: [round(performance.quiet(last=last), 4) for last in (False, True)],
         "clipped_values": performance.clipped,
         "timings_seconds": {name: round(lap, 4) for name, lap in performance.timings.items()},
         "files": files,
@@ -475,6 +489,23 @@ def _fill(
     (folder / "take.json").write_text(
         json.dumps(decodable_values(about), indent=1) + "\n", encoding="utf-8"
     )
+
+
+def _with_layers(folder: Path, performance: Performance) -> tuple[Acting, dict[str, str]]:
+    """Write the layers of edits, which know their recording now; the acting with them."""
+    acting = performance.acting
+    if not acting.edit:
+        return acting, {}
+    from deitalk.pipeline.layers import with_recording
+    from deitalk.pipeline.speech import Speech
+
+    speech = Speech.of_recording(performance.recording)
+    layers, files = with_recording(acting.edit, speech, performance.words), {}
+    for number, layer in enumerate(layers, 1):
+        name = f"layer-{number:03}{SUFFIX}"
+        (folder / name).write_text(layer.text, encoding="utf-8")
+        files[name] = f"edits by hand{f', {layer.name}' if layer.name else ''}; give it as an edit"
+    return Acting.of(acting, edit=layers), files
 
 
 def _original(folder: Path, performance: Performance, start: float) -> dict[str, str]:

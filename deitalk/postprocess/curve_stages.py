@@ -15,6 +15,7 @@ from deitalk.config.rules import (
     DeadZone,
     Expressions,
     Gates,
+    HoldPose,
     KeepContacts,
     LimitContactSpeed,
     ScaleOpening,
@@ -39,6 +40,44 @@ YIELDED = 0.8
 """Share that is taken away by full rounding."""
 NEUTRAL, SHOWN = 0, 1
 """Places of the readings."""
+
+
+class Hold(nn.Module):
+    """What speech moves keeps its pose while a sound is held."""
+
+    speaks: Tensor
+
+    def __init__(self, rule: HoldPose | None, groups: ControlGroups) -> None:
+        super().__init__()
+        self.rule = rule
+        constant(self, "speaks", np.tile(groups.follows_mouth, 2).astype(np.float32))
+
+    def forward(
+        self, readings: Tensor, before: Tensor, back: Tensor, kept: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """Keep poses.
+
+        Parameters
+        ----------
+        readings : Tensor [shape=(B, T, 2 C)]
+            Both, side by side.
+        before : Tensor [shape=(B, N, 2 C)]
+            The pose that was kept before, and the last frames.
+        back, kept : Tensor [shape=(B, T, 1)]
+            Frames since the pose, and its share; both 0 where none is kept.
+
+        Returns
+        -------
+        readings : Tensor [shape=(B, T, 2 C)]
+        pose : Tensor [shape=(B, 1, 2 C)]
+            Of the last frame.
+        """
+        if self.rule is None:
+            return readings, readings[:, -1:]
+        place = torch.arange(readings.shape[1], device=readings.device)[:, None] - back
+        place = (place + before.shape[1]).clamp_min(0).long().expand(-1, -1, readings.shape[2])
+        poses = torch.cat((before, readings), dim=1).gather(1, place)
+        return readings + kept * self.speaks * (poses - readings), poses[:, -1:]
 
 
 class Near(NamedTuple):

@@ -10,10 +10,12 @@ import numpy as np
 from deitalk.emotions import LABELS
 from rig.arrays import AnyFloat, Float32
 
-VOICE = 7 + len(LABELS)
+VOICE = 9 + len(LABELS)
 """Columns of `VoiceTracks`."""
 LIVE_AHEAD = 2
 """Frames after a frame that its contacts see in a voice that has not ended."""
+POSE_FRAMES = 16
+"""Most frames between a pose and the first in which a held sound keeps it."""
 GATES = 2
 """Columns of the gates in `shown_columns`."""
 
@@ -31,11 +33,17 @@ class VoiceTracks(NamedTuple):
     """From `deitalk.postprocess.known_phones.phone_tracks` [shape=(T, 4)]."""
     emotion: AnyFloat
     """Weights of the emotions [shape=(T, 9)]."""
+    back: AnyFloat
+    """Frames since the pose that a held sound keeps [shape=(T,)]; `deitalk.audio.held_sound`."""
+    kept: AnyFloat
+    """Share of that pose that is shown [shape=(T,), range 0 to 1]."""
 
     def columns(self) -> Float32:
-        """All of them side by side [shape=(T, 16)]."""
+        """All of them side by side [shape=(T, 18)]."""
         single = np.stack((self.scale, self.opening, self.held), axis=-1)
-        return np.concatenate((single, self.phones, self.emotion), axis=-1, dtype=np.float32)
+        kept = np.stack((self.back, self.kept), axis=-1)
+        columns = single, self.phones, kept, self.emotion
+        return np.concatenate(columns, axis=-1, dtype=np.float32)
 
 
 class MotionTracks(NamedTuple):
@@ -81,11 +89,13 @@ def shown_columns(mouth: Float32, expression: Float32, motion: MotionTracks | No
     return columns
 
 
-def rest_rows(rest: Float32, count: int) -> Float32:
-    """Rows of the pass for a face at `rest` [shape=(C,)] and a voice that changes nothing.
+def rest_rows(rest: Float32, window: int) -> Float32:
+    """State of the pass for a face at `rest` [shape=(C,)] and a voice that changes nothing.
 
-    Both readings and the columns of `VoiceTracks` [shape=(count, 2 C + 16)].
+    Both readings and the columns of `VoiceTracks`, of the pose that a held sound keeps and of the
+    last frames, `window` that contacts see or more [shape=(N, 2 C + 18)].
     """
+    count = 1 + max(window, POSE_FRAMES)
     ones, zeros = np.ones((count, 1)), np.zeros((count, VOICE - 3))
     face = np.tile(rest, (count, 2))
     return np.concatenate((face, ones, ones, ones, zeros), axis=1, dtype=np.float32)

@@ -223,7 +223,7 @@ def gain(
     scale = gain_factors(controls, gains or {})
     shift = np.zeros(len(controls), np.float32)
     for key, number in (offsets or {}).items():
-        shift[_members(controls, key)] += _finite(number, f"offset of {key}")
+        shift[members(controls, key)] += _finite(number, f"offset of {key}")
     places = controls.indices(curves.names)
     rest = controls.rest[places]
     return replace(curves, values=rest + (curves.values - rest) * scale[places] + shift[places])
@@ -233,7 +233,7 @@ def gain_factors(controls: ControlSet, gains: Mapping[str, float]) -> Float32:
     """Factor of every control [shape=(C,)]; arguments and errors are those of `gain`."""
     scale = np.ones(len(controls), np.float32)
     for key, number in gains.items():
-        scale[_members(controls, key)] *= _finite(number, f"gain of {key}")
+        scale[members(controls, key)] *= _finite(number, f"gain of {key}")
     return scale
 
 
@@ -295,40 +295,38 @@ def smooth(
     if sigma < 1e-3 or len(curves) < 2:  # the next frame would weigh nothing
         return curves
     values = curves.values.copy()
-    chosen = _columns(curves, names)
+    if names is None:
+        chosen = np.arange(len(curves.names))
+    else:
+        controls = default_controls()
+        wanted = {controls.names[i] for name in names for i in members(controls, name)}
+        chosen = np.array(
+            [i for i, name in enumerate(curves.names) if name in wanted], dtype=np.intp
+        )
     from scipy.ndimage import gaussian_filter1d  # slow to import
 
     smoothed = gaussian_filter1d(values[:, chosen], sigma, axis=0, mode="nearest")
     values[:, chosen] = smoothed
     if keep_closures:
-        _restore_closures(values, curves, chosen, sigma)
+        present = set(chosen.tolist())
+        for name in CLOSURE_CONTROLS:
+            if name not in curves.names or (column := curves.index(name)) not in present:
+                continue
+            original = curves.values[:, column]
+            # Return the frames where a moving curve is deepest in its neighbourhood, and deep.
+            is_jaw = name == "CTRL_C_jaw.ty"
+            from scipy.ndimage import maximum_filter1d, minimum_filter1d
+
+            size = 2 * math.ceil(sigma) + 1
+            lowest, highest = minimum_filter1d(original, size), maximum_filter1d(original, size)
+            reach = float(np.percentile(original, 95))
+            is_deep = original <= 0.25 * reach if is_jaw else original >= max(0.5 * reach, 0.1)
+            is_extreme = original == (lowest if is_jaw else highest)
+            closed = np.asarray(is_extreme & is_deep & (highest - lowest > 0.05))
+            if closed.any():
+                weight = _bump(closed, sigma)
+                values[:, column] = weight * original + (1 - weight) * values[:, column]
     return replace(curves, values=values)
-
-
-def _restore_closures(
-    values: Float32, curves: RigCurves, chosen: NDArray[np.intp], sigma: float
-) -> None:
-    present = set(chosen.tolist())
-    for name in CLOSURE_CONTROLS:
-        if name not in curves.names or (column := curves.index(name)) not in present:
-            continue
-        original = curves.values[:, column]
-        closed = _closures(original, sigma, is_jaw=name == "CTRL_C_jaw.ty")
-        if closed.any():
-            weight = _bump(closed, sigma)
-            values[:, column] = weight * original + (1 - weight) * values[:, column]
-
-
-def _closures(curve: Float32, sigma: float, *, is_jaw: bool) -> Bool:
-    """Return the frames where a moving curve is deepest in its neighbourhood, and deep."""
-    from scipy.ndimage import maximum_filter1d, minimum_filter1d
-
-    size = 2 * math.ceil(sigma) + 1
-    lowest, highest = minimum_filter1d(curve, size), maximum_filter1d(curve, size)
-    reach = float(np.percentile(curve, 95))
-    is_deep = curve <= 0.25 * reach if is_jaw else curve >= max(0.5 * reach, 0.1)
-    is_extreme = curve == (lowest if is_jaw else highest)
-    return np.asarray(is_extreme & is_deep & (highest - lowest > 0.05))
 
 
 def _bump(closed: Bool, sigma: float) -> Float32:
@@ -343,16 +341,14 @@ def _bump(closed: Bool, sigma: float) -> Float32:
     return np.where(distance <= radius, weight, 0.0).astype(np.float32)
 
 
-def _columns(curves: RigCurves, names: Iterable[str] | None) -> NDArray[np.intp]:
-    if names is None:
-        return np.arange(len(curves.names))
-    controls = default_controls()
-    wanted = {controls.names[i] for name in names for i in _members(controls, name)}
-    return np.array([i for i, name in enumerate(curves.names) if name in wanted], dtype=np.intp)
+def members(controls: ControlSet, key: str) -> NDArray[np.intp]:
+    """Return the columns of a set, or of one control.
 
-
-def _members(controls: ControlSet, key: str) -> NDArray[np.intp]:
-    """Return the columns of a set, or of one control."""
+    Raises
+    ------
+    ControlError
+        If there is neither.
+    """
     if key in controls.subset_names:
         return controls.subset(key)
     return controls.indices([key])

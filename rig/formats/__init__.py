@@ -112,7 +112,19 @@ def read_curves(
     path = Path(path)
     chosen = find_format(path, format, readable=True)
     if format is None:
-        chosen = _recognised(path, chosen)
+        # Return the format of a CSV or JSON file by its beginning.
+        name = None
+        if path.suffix.lower() == ".csv":
+            name = format_of_header(read_header(path))
+        elif chosen.name == "rhubarb-tsv" and len(read_header(path)) > RHUBARB_CELLS:
+            name = "csv"
+        elif chosen.name == "emoface" and is_face_cap(path):
+            name = "facecap"
+        elif chosen.name == "json":
+            with open_file(path, JSON_CURVES_BYTES) as stream:
+                beginning = stream.read(4096).replace(b"\0", b"")  # of UTF-16
+            name = next((found for mark, found in JSON_MARKS if mark in beginning), None)
+        chosen = find_format(path, name or chosen.name)
     assert chosen.read is not None
     curves = chosen.read(path, controls, fps)
     known = controls or known_controls(curves.control_set)
@@ -254,22 +266,6 @@ def checked_identity(identity: int | str, chosen: Format) -> int | str:
             parameter="identity",
         )
     return identity
-
-
-def _recognised(path: Path, chosen: Format) -> Format:
-    """Return the format of a CSV or JSON file by its beginning."""
-    name = None
-    if path.suffix.lower() == ".csv":
-        name = format_of_header(read_header(path))
-    elif chosen.name == "rhubarb-tsv" and len(read_header(path)) > RHUBARB_CELLS:
-        name = "csv"
-    elif chosen.name == "emoface" and is_face_cap(path):
-        name = "facecap"
-    elif chosen.name == "json":
-        with open_file(path, JSON_CURVES_BYTES) as stream:
-            beginning = stream.read(4096).replace(b"\0", b"")  # of UTF-16
-        name = next((found for mark, found in JSON_MARKS if mark in beginning), None)
-    return find_format(path, name or chosen.name)
 
 
 def _prepared(path: Path, curves: RigCurves, chosen: Format) -> tuple[RigCurves, ClampReport, str]:
