@@ -39,12 +39,14 @@ if TYPE_CHECKING:
     from deitalk.emotions import IntensityCurve as IntensityCurve
     from deitalk.postprocess.joins import Edge as Edge
     from deitalk.postprocess.life.amounts import Life as Life
+    from deitalk.postprocess.life.other import OtherVoice as OtherVoice
     from rig.curves.layers import Layer as Layer
 
     Track = EmotionTrack | Literal["auto"]
     Next = Edge | Literal["on"]
 else:  # their modules need numpy, which a command line does without until it works
-    ActorReference = Edge = EmotionTrack = IntensityCurve = Layer = Life = Next = Track = Any
+    ActorReference = Edge = EmotionTrack = IntensityCurve = Layer = Life = Any
+    Next = OtherVoice = Track = Any
 
 # Text forms of the fields of an acting, parsed once, and the files that they may name.
 
@@ -210,6 +212,16 @@ def read_edge(given: Any, info: ValidationInfo) -> Edge | Next:
     if isinstance(given, str | Path) and not str(given).lstrip().startswith("{"):
         given = _file(str(given).strip(), _files(info), DataError)
     return edge_of(given, str(info.field_name), last=info.field_name == "after")
+
+
+def read_other(given: Any, info: ValidationInfo) -> OtherVoice:
+    """The voice of another one: a recording, its path, or the content that a take keeps."""
+    from deitalk.postprocess.life.other import other_voice
+
+    path = None
+    if isinstance(given, str | Path) and not str(given).lstrip().startswith("{"):
+        path = _file(str(given).strip(), _files(info), DataError)
+    return other_voice(given, "listen_to", path)
 
 
 def read_words(given: Any, info: ValidationInfo) -> Words:
@@ -425,6 +437,17 @@ class Acting(BaseModel):
     ] = Field(
         default=0.0,
         description="Seconds of silence with motion after the speech, 0 to 600.",
+        json_schema_extra=_extra(panel="Performance"),
+    )
+    listen_to: Annotated[
+        OtherVoice | None,
+        PlainValidator(read_other),
+        PlainSerializer(lambda voice: voice.content, return_type=dict, when_used="unless-none"),
+        WithJsonSchema({"anyOf": [{"type": "string"}, {"type": "object"}]}),
+    ] = Field(
+        default=None,
+        description="Recording of another one who speaks meanwhile, on the same clock: the face "
+        "nods at the ends of its phrases, keeps its eyes there and mirrors a third of its feeling.",
         json_schema_extra=_extra(panel="Performance"),
     )
     after: Annotated[
