@@ -16,7 +16,7 @@ from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE, frame_count
 from deitalk.audio.load import Recording
 from deitalk.config.rules import RulesConfig
 from deitalk.emotions import EmotionTrack, IntensityCurve
-from deitalk.errors import AudioError, DeitalkError
+from deitalk.errors import AudioError, DeitalkError, MissingError
 from deitalk.models.load import load_network
 from deitalk.models.protocol import (
     CurveNetwork,
@@ -36,6 +36,7 @@ from deitalk.postprocess.factors import held_intensity, mean_around, opening_fac
 from deitalk.postprocess.joins import Edge, activity_beside, lead, unknown_controls
 from deitalk.postprocess.known_phones import phone_tracks
 from deitalk.postprocess.life.motion import Motion, plan_motion
+from deitalk.postprocess.life.other import OtherVoice
 from deitalk.postprocess.life.voice import Seeds, Traits, measure_voice
 from deitalk.postprocess.tracks import VoiceTracks, shown_columns
 from rig import ControlSet, RigCurves
@@ -184,6 +185,9 @@ def prepare(
         acting, recording, suggestion = _suggested(acting, recording)
     recording = _with_note_on("emotion", acting.emotion_track, recording)
     recording = _extended(recording, acting.listen)
+    if acting.listen_to is not None:
+        recording = _extended(recording, acting.listen_to.seconds - recording.duration)
+        acting, recording = _felt(acting, acting.listen_to, recording)
     clock.lap("audio")
     network = load()
     clock.lap("model")
@@ -209,7 +213,7 @@ def _notes_on_unused(acting: Acting, rules: RulesConfig) -> Iterator[str]:
     if acting.words is None and "language" in acting.settings:
         yield f"language {acting.language} is of words: none are given"
     if rules.idle is None or acting.motion is None:
-        of_motion = acting.settings.keys() & {"life", "look_at", "seed"}
+        of_motion = acting.settings.keys() & {"life", "look_at", "seed", "listen_to"}
         if unused := sorted(of_motion - ({"life"} if acting.motion is None else set())):
             why = "the rules that move it are off" if acting.motion else "life is off"
             yield f"{', '.join(unused)} not used: {why}"
@@ -234,6 +238,25 @@ def _suggested(
     note = f"suggested from the voice: {found.line}; {others}"
     recording = recording.noted(note)
     return Acting.of(acting, emotion=found.label), recording, found.probabilities
+
+
+def _felt(acting: Acting, other: OtherVoice, recording: Recording) -> tuple[Acting, Recording]:
+    """The acting with what the one feels whom it listens to, and the recording with a note on it.
+
+    Without a note where the emotion is given.
+    """
+    if other.recording is None:
+        return acting, recording
+    try:
+        from deitalk.pipeline.suggest import suggest_emotion  # needs torch
+
+        found = suggest_emotion(other.recording)
+        emotion = f"{found.label}={found.probabilities[found.label]:.2f}"
+        note = f"listens to a voice that sounds {emotion}"
+    except (AudioError, MissingError) as error:
+        emotion, note = "", f"listens without its feeling: {error}"
+    other = replace(other, emotion=emotion, recording=None)
+    return Acting.of(acting, listen_to=other), recording.noted(note)
 
 
 def finish(
@@ -281,7 +304,7 @@ def finish(
         network.curve_pass(), neutral, values, voice.columns(), shown, prepared.gain, acting.rules
     )
     clock.lap("expression")
-    head = None if motion is None else motion.head
+    head = None if motion is None or not motion.head.any() else motion.head
     _join(network.controls, values, head, acting)
     shown_curves = _curves(network.controls, values, weights, intensities.applied, head)
     neutral_curves = _curves(network.controls, neutral)
@@ -329,7 +352,7 @@ def apply_rules(
         The pass.
     neutral, emotional : array [shape=(T, C)]
         Two readings, not the same array; then the neutral curves and those that are shown.
-    voice, shown : array [shape=(T, 18)], [shape=(T, 36)]
+    voice, shown : array [shape=(T, 18)], [shape=(T, 45)]
         See `deitalk.postprocess.tracks`.
     gain : array [shape=(C,)]
         Factor of each control.
@@ -391,14 +414,18 @@ def _motion(prepared: Prepared, shown: Float32, traits: Traits) -> Motion | None
     """Motion above the mouth for the emotion that is shown [shape=(T, 9)]; None: there is none."""
     speech, acting, idle = prepared.speech, prepared.acting, prepared.rules.idle
     life = acting.motion
-    if idle is None or life is None or not (acting.listen or speech.activity.any()):
+    other = acting.listen_to
+    is_still = not (acting.listen or other or speech.activity.any())
+    if idle is None or life is None or is_still:
         return None
     emotions = shown.sum(axis=0)
     emotion = int(emotions[1:].argmax()) + 1 if emotions[1:].any() else 0
     seeds = Seeds.of(speech.waveform, prepared.style, acting.seed, emotion)
     voice = measure_voice(speech.activity, speech.prosody)
-    beside = {"has_begun": acting.after is not None, "goes_on": acting.into is not None}
-    return plan_motion(voice, shown, seeds, idle, life, traits, **beside)
+    if other is None:
+        return plan_motion(voice, shown, seeds, idle, life, traits)
+    heard, felt = other.voice(speech.n_frames), other.felt(speech.n_frames)
+    return plan_motion(voice, shown, seeds, idle, life, traits, heard, felt)
 
 
 def _curves(
@@ -442,7 +469,7 @@ def _with_note_of(words: "WordFit | None", recording: Recording) -> Recording:
 
 def _extended(recording: Recording, seconds: float) -> Recording:
     """The recording with so much silence after it."""
-    silence = np.zeros(round(seconds * recording.sample_rate), np.float32)
+    silence = np.zeros(max(round(seconds * recording.sample_rate), 0), np.float32)
     if not len(silence):
         return recording
     return replace(recording, waveform=np.concatenate([recording.waveform, silence]))

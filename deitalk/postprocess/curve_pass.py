@@ -156,7 +156,7 @@ class CurvePass(nn.Module):
             Two readings of the same speech, as the network gives them.
         voice : Tensor [shape=(B, T, 18)]
             What voice and acting say of the same frames: `tracks.VoiceTracks`.
-        shown : Tensor [shape=(B, T, 2 + 34)]
+        shown : Tensor [shape=(B, T, 2 + 43)]
             Gates and motion of the frames that come *out*: `tracks.shown_columns`.
         gain : Tensor [shape=(B, C)]
             Factor on the distance of each control from rest.

@@ -55,14 +55,13 @@ class MotionTracks(NamedTuple):
     """Degrees to the character's left and up [shape=(T, 2)]."""
     calm_gaze: Any
     """The same of the neutral reading."""
+    vergence: Any
+    """Degrees by which each eye turns inwards [shape=(T, 1)]."""
     accents: Any
-    """Swells of the brows' accents on the left and the right [shape=(T, 2), range 0 to 1]."""
-    frowns: Any
-    """The same of frowns of thought."""
-    question: Any
-    """Swell of the questions [shape=(T, 1), range 0 to 1]."""
-    drift: Any
-    """Slow noise of each stem of `deitalk.postprocess.life.head.STEMS` [shape=(T, 7)]."""
+    """Swells of the accents on the left and the right [shape=(T, 2), range 0 to 1]."""
+    gestures: Any
+    """Motion of each stem of `deitalk.postprocess.life.face.STEMS` in a neutral face, on the left,
+    then on the right [shape=(T, 18)]."""
     posture: Any
     """Share of what an emotion holds that is shown [shape=(T, 1)]."""
     neck: Any
@@ -75,7 +74,7 @@ class MotionTracks(NamedTuple):
     """Factor on brows, lids and cheeks [shape=(T, 1)]."""
 
 
-MOTION = MotionTracks(2, 2, 2, 2, 2, 1, 7, 1, 4, len(LABELS), 1, 1)
+MOTION = MotionTracks(2, 2, 2, 1, 2, 18, 1, 4, len(LABELS), 1, 1)
 """Widths of the columns."""
 N_MOTION: int = sum(MOTION)
 N_SHOWN = GATES + N_MOTION
@@ -84,7 +83,7 @@ N_SHOWN = GATES + N_MOTION
 def shown_columns(mouth: Float32, expression: Float32, motion: MotionTracks | None) -> Float32:
     """Gate of the mouth and share of the expression [shape=(T,)], and motion beside them.
 
-    [shape=(T, 2 + 34)]; without motion a still face.
+    [shape=(T, 2 + 43)]; without motion a still face.
     """
     columns = np.zeros((*mouth.shape, N_SHOWN), np.float32)
     columns[..., 0], columns[..., 1] = mouth, expression
