@@ -28,6 +28,7 @@ from deitalk.postprocess.factors import expression_scale
 from deitalk.postprocess.life.motion import MotionStream, move_together
 from deitalk.postprocess.life.voice import Seeds
 from deitalk.postprocess.tracks import GATES, LIVE_AHEAD, VoiceTracks, shown_columns
+from deitalk.postprocess.variants import choose_ways
 from rig import ControlSet
 from rig.arrays import Bool, Float32, Int64
 from rig.curves import HEAD
@@ -113,6 +114,7 @@ class Stream:
         self.actor, self.rest = actor, b""
         self.sound, self.changes = Sound(), [Change(0.0, acting.emotion_track, acting.intensity)]
         self.acting, self.gain = acting, gain_factors(controls, acting.gain)
+        self.ways = choose_ways(acting.variant, Seeds((0, 0, acting.seed)))
         self.groups = 0
         self.n_given = -LIVE_AHEAD
         """Frame that the rules give next."""
@@ -278,9 +280,9 @@ class LiveAnimator:
     streams : int
         Voices, each with its own sound, emotion and state; read in one call of the network.
     emotion, acting, fields
-        As for `deitalk.animate`, of every stream at the start: emotion, intensity, style, life,
-        look_at, gain, rules and seed; stream k has ``seed + k``. Other fields of an acting need
-        the whole recording.
+        As for `deitalk.animate`, of every stream at the start: emotion, intensity, style, variant,
+        life, look_at, gain, rules and seed; stream k has ``seed + k``. Other fields of an acting
+        need the whole recording.
     sample_rate : int
         Of the samples, Hz; others than 16000 are resampled.
 
@@ -528,7 +530,11 @@ class LiveAnimator:
             scale = np.where(with_rules, expression_scale(applied, rows.strength), wanted)
         opening = np.where(with_rules, heard.opening, 1)
         phones = np.zeros((*scale.shape, 4), np.float32)
-        said = VoiceTracks(scale, opening, rows.strength, phones, emotion).columns()
+        ways = [stream.ways for stream in streams]
+        variants = emotion @ np.stack([way.weights for way in ways])
+        side = np.repeat([[way.side] for way in ways], count, axis=1)
+        heard_of = opening, rows.strength, phones, emotion, variants, side
+        said = VoiceTracks(scale, *heard_of).columns()
         # Gates and motion of the frames that come out.
         before, mixture, speaking, *cues = self._taken(self.due, ready)
         found, known = self.cues(heard.measures, heard.speaking, CueState(*cues))

@@ -35,6 +35,7 @@ from deitalk.postprocess.known_phones import phone_tracks
 from deitalk.postprocess.life.motion import Motion, plan_motion
 from deitalk.postprocess.life.voice import Seeds, Traits, measure_voice
 from deitalk.postprocess.tracks import VoiceTracks, shown_columns
+from deitalk.postprocess.variants import Ways, choose_ways, unused_variants
 from rig import ControlSet, RigCurves
 from rig.arrays import Float32
 from rig.curves.edit import gain_factors
@@ -91,7 +92,7 @@ def animate(
         Called with the share of the network's work that is done, 0 to 1.
     **fields
         Of `deitalk.acting.Acting`: intensity, intensity_curve, voice, style, words, language, life,
-        look_at, gain, listen, rules, seed.
+        variant, look_at, gain, listen, rules, seed.
 
     Returns
     -------
@@ -200,6 +201,10 @@ def _notes_on_unused(acting: Acting, rules: RulesConfig) -> Iterator[str]:
     """Notes on fields that are given and change nothing."""
     if acting.words is None and "language" in acting.settings:
         yield f"language {acting.language} is of words: none are given"
+    if rules.expressions is not None:
+        yield from unused_variants(acting.variant, acting.emotion_track.weights)
+    elif acting.variant:
+        yield "variant not used: the rule that shows it is off"
     if rules.idle is None or acting.motion is None:
         of_motion = acting.settings.keys() & {"life", "look_at", "seed"}
         if unused := sorted(of_motion - ({"life"} if acting.motion is None else set())):
@@ -260,7 +265,10 @@ def finish(
     # What the pass reads of each frame besides the readings.
     near, usual = (mean_around(x, speaking) for x in (intensities.voice, intensities.network))
     opening = opening_factor(rules.scale_opening, near, usual, intensities.take)
-    voice = VoiceTracks(intensities.scale, opening, intensities.held, phones, weights)
+    ways = _ways(prepared, intensities.take)
+    side = np.full(len(weights), ways.side)
+    said = opening, intensities.held, phones, weights, weights @ ways.weights, side
+    voice = VoiceTracks(intensities.scale, *said)
     motion = _motion(prepared, weights * intensities.applied[:, None])
     shown = shown_columns(speech.mouth, speech.shown, None if motion is None else motion.tracks)
     # The rules, in their order: `deitalk.postprocess.curve_pass`.
@@ -302,7 +310,7 @@ def apply_rules(
         The pass.
     neutral, emotional : array [shape=(T, C)]
         Two readings, not the same array; then the neutral curves and those that are shown.
-    voice, shown : array [shape=(T, 16)], [shape=(T, 36)]
+    voice, shown : array [shape=(T, 41)], [shape=(T, 36)]
         See `deitalk.postprocess.tracks`.
     gain : array [shape=(C,)]
         Factor of each control.
@@ -333,6 +341,14 @@ def apply_rules(
         emotional[done], neutral[done] = curves[0, known], plain[0, known]
         outside += float(counts[0, known].sum())
     return round(outside)
+
+
+def _ways(prepared: Prepared, strength: float) -> Ways:
+    """How a take of such a strength shows each emotion."""
+    acting = prepared.acting
+    actor = prepared.style if acting.voice is None else acting.voice.as_json()
+    seeds = Seeds.of(prepared.speech.waveform, actor, acting.seed)
+    return choose_ways(acting.variant, seeds, strength)
 
 
 def _motion(prepared: Prepared, shown: Float32) -> Motion | None:

@@ -41,7 +41,7 @@ from deitalk.postprocess.curve_stages import (
 from deitalk.postprocess.factors import LEAST_PREDICTED
 from deitalk.postprocess.life.play import Play
 from deitalk.postprocess.torch_columns import Columns, constant
-from deitalk.postprocess.tracks import N_MOTION, VOICE, rest_rows
+from deitalk.postprocess.tracks import N_MOTION, N_VARIANTS, VOICE, rest_rows
 from rig import ControlSet
 from rig.arrays import Float32
 from rig.controls import DEFAULT_ID
@@ -53,8 +53,9 @@ OUTSIDE = 0.01
 class Voice(NamedTuple):
     """Columns of the `VoiceTracks` of the frames that come out."""
 
-    scale: Tensor
+    side: Tensor
     """[shape=(B, T, 1, 1)], as the next ones, to be multiplied with curves (B, T, R, C)."""
+    scale: Tensor
     opening: Tensor
     held: Tensor
     closed: Tensor
@@ -63,13 +64,22 @@ class Voice(NamedTuple):
     purse: Tensor
     emotion: Tensor
     """[shape=(B, T, 9)]."""
+    variants: Tensor
+    """[shape=(B, T, 24)]."""
+
+    @property
+    def ways(self) -> Tensor:
+        """Weights of the rows of `expressions.ExpressionTable` [shape=(B, T, 66)]."""
+        rows = torch.cat((self.emotion, self.variants), dim=-1)
+        return torch.cat((rows, rows * self.side.squeeze(-1)), dim=-1)
 
     @classmethod
     def of(cls, columns: Tensor) -> "Voice":
-        """Split columns (B, T, 16)."""
-        single, emotion = torch.split(columns, [VOICE - len(LABELS), len(LABELS)], dim=-1)
-        tracks = [single[..., k, None, None] for k in range(VOICE - len(LABELS))]
-        return cls(*[*tracks, emotion])
+        """Split columns (B, T, 41)."""
+        sizes = [VOICE - len(LABELS) - N_VARIANTS, len(LABELS), N_VARIANTS]
+        single, emotion, variants = torch.split(columns, sizes, dim=-1)
+        tracks = [single[..., k, None, None] for k in range(sizes[0])]
+        return cls(*[*tracks, emotion, variants])
 
 
 class CurvePass(nn.Module):
@@ -108,7 +118,7 @@ class CurvePass(nn.Module):
         window, self.size = (self.behind, self.ahead), count
         both = [*groups.seals, *(groups.seals + count)]
         # scale, closed and bitten follow both readings
-        self.around = Around([*both, *(2 * count + k for k in (0, 3, 4))], *window)
+        self.around = Around([*both, *(2 * count + k for k in (1, 4, 5))], *window)
         self.sharpen = Sharpen(rules.sharpen_contacts)
         self.closure = Closure(rules.keep_contacts, groups)
         self.seals = Columns(groups.seals, count)
@@ -127,7 +137,7 @@ class CurvePass(nn.Module):
         constant(self, "before", rest_rows(controls.rest, self.behind + self.ahead))
 
     def first(self, batch: int) -> Tensor:
-        """State before the first frame: a face at rest [shape=(B, behind + ahead, 2 C + 16)]."""
+        """State before the first frame: a face at rest [shape=(B, behind + ahead, 2 C + 41)]."""
         return self.before.expand(batch, -1, -1).clone()
 
     def forward(
@@ -146,7 +156,7 @@ class CurvePass(nn.Module):
         ----------
         neutral, emotional : Tensor [shape=(B, T, C)]
             Two readings of the same speech, as the network gives them.
-        voice : Tensor [shape=(B, T, 16)]
+        voice : Tensor [shape=(B, T, 41)]
             What voice and acting say of the same frames: `tracks.VoiceTracks`.
         shown : Tensor [shape=(B, T, 2 + 34)]
             Gates and motion of the frames that come *out*: `tracks.shown_columns`.
@@ -154,7 +164,7 @@ class CurvePass(nn.Module):
             Factor on the distance of each control from rest.
         ruled : Tensor [shape=(B,)]
             1 for streams with rules; 0 for the network alone, with its motion if there is any.
-        state : Tensor [shape=(B, behind + ahead, 2 C + 16)]
+        state : Tensor [shape=(B, behind + ahead, 2 C + 41)]
             From `first`, or of the call before.
 
         Returns
@@ -188,7 +198,8 @@ class CurvePass(nn.Module):
         # Poses of the emotions, which yield to closed lips; lips that cover the teeth.
         closing = self.closing(self.closure(contacts[:, :, NEUTRAL].transpose(-1, -2)))
         strength = (said.scale * said.held.clamp_min(LEAST_PREDICTED)).squeeze(-1)
-        curves = self.express(curves, said.emotion, strength, free, 1 - closing.unsqueeze(-1))
+        slow = 1 - closing.unsqueeze(-1)
+        curves = self.express(curves, said.ways, said.emotion, strength, free, slow)
         curves = self.rest_lips(curves)
         # Lips start to close earlier and part later; what is hardly open is shut.
         limited = self.limit_speed(self.blend.contacts(contacts, near.scale))

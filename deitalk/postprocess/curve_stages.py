@@ -20,7 +20,6 @@ from deitalk.config.rules import (
     ScaleOpening,
     SharpenContacts,
 )
-from deitalk.emotions import EMOTIONS
 from deitalk.postprocess.control_groups import ControlGroups
 from deitalk.postprocess.expressions import expression_table
 from deitalk.postprocess.torch_columns import Columns, constant, smoothstep
@@ -230,12 +229,11 @@ class Express(nn.Module):
         captured = () if rule is None else rule.captured
         table, size = expression_table(controls.names, captured), len(controls)
         self.is_on = rule is not None and len(table.places) > 0
-        own, moods = table.parting.copy(), table.parting.copy()
-        own[len(EMOTIONS) :], moods[: len(EMOTIONS)] = 0, 0
+        is_mood = table.is_mood[:, None]
         for name, values in (("gains", table.gains), ("poses", table.poses)):
             constant(self, name, values)
-        constant(self, "parting", own)
-        constant(self, "moods", moods)
+        constant(self, "parting", np.where(is_mood, 0, table.parting))
+        constant(self, "moods", np.where(is_mood, table.parting, 0))
         constant(self, "spreading", table.spreading)
         constant(self, "changed", table.changed[:, None])
         self.columns = Columns(table.places, size)
@@ -243,7 +241,13 @@ class Express(nn.Module):
         self.rounding = nn.ModuleList(columns for columns in rounding if len(columns))
 
     def forward(
-        self, curves: Tensor, emotion: Tensor, strength: Tensor, free: Tensor, slow: Tensor
+        self,
+        curves: Tensor,
+        ways: Tensor,
+        emotion: Tensor,
+        strength: Tensor,
+        free: Tensor,
+        slow: Tensor,
     ) -> Tensor:
         """Change the reading that is shown.
 
@@ -251,8 +255,10 @@ class Express(nn.Module):
         ----------
         curves : Tensor [shape=(B, T, R, C)]
             The neutral reading, and the blend of both.
+        ways : Tensor [shape=(B, T, 66)]
+            Weights of the rows of the table.
         emotion : Tensor [shape=(B, T, 9)]
-            Weights.
+            Weights of the emotions.
         strength : Tensor [shape=(B, T, 1), range 0 to 4]
             Intensity that the blend shows.
         free : Tensor [shape=(B, T, 1), range 0 to 1]
@@ -264,9 +270,9 @@ class Express(nn.Module):
             return curves
         part = self.columns(curves)
         neutral, blend = part[:, :, NEUTRAL], part[:, :, SHOWN]
-        pose = emotion @ self.poses + (emotion @ self.parting) * free
-        pose = pose + (emotion @ self.moods) * slow
-        shown = (blend - neutral) * (emotion @ self.gains) + pose * strength
+        pose = ways @ self.poses + (ways @ self.parting) * free
+        pose = pose + (ways @ self.moods) * slow
+        shown = (blend - neutral) * (ways @ self.gains) + pose * strength
         kept = 1 - YIELDED * self._rounded(curves[:, :, NEUTRAL]) * (emotion @ self.changed)
         shown = shown * (1 - self.spreading + self.spreading * kept)
         return self.columns.put(curves, torch.stack((neutral, neutral + shown), dim=2))

@@ -8,9 +8,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from deitalk.emotions import LABELS
+from deitalk.emotions.variants import EMOTION_OF
 from rig.arrays import AnyFloat, Float32
 
-VOICE = 7 + len(LABELS)
+N_VARIANTS = len(EMOTION_OF)
+VOICE = 8 + len(LABELS) + N_VARIANTS
 """Columns of `VoiceTracks`."""
 LIVE_AHEAD = 2
 """Frames after a frame that its contacts see in a voice that has not ended."""
@@ -31,11 +33,16 @@ class VoiceTracks(NamedTuple):
     """From `deitalk.postprocess.known_phones.phone_tracks` [shape=(T, 4)]."""
     emotion: AnyFloat
     """Weights of the emotions [shape=(T, 9)]."""
+    variants: AnyFloat
+    """Weights of their variants [shape=(T, 24)]; 0: the pose of the emotion itself."""
+    side: AnyFloat
+    """1: the left side does what one side does alone, -1: the right one [shape=(T,)]."""
 
     def columns(self) -> Float32:
-        """All of them side by side [shape=(T, 16)]."""
-        single = np.stack((self.scale, self.opening, self.held), axis=-1)
-        return np.concatenate((single, self.phones, self.emotion), axis=-1, dtype=np.float32)
+        """All of them side by side [shape=(T, 41)]."""
+        single = np.stack((self.side, self.scale, self.opening, self.held), axis=-1)
+        parts = (single, self.phones, self.emotion, self.variants)
+        return np.concatenate(parts, axis=-1, dtype=np.float32)
 
 
 class MotionTracks(NamedTuple):
@@ -85,8 +92,8 @@ def shown_columns(mouth: Float32, expression: Float32, motion: MotionTracks | No
 def rest_rows(rest: Float32, count: int) -> Float32:
     """Rows of the pass for a face at `rest` [shape=(C,)] and a voice that changes nothing.
 
-    Both readings and the columns of `VoiceTracks` [shape=(count, 2 C + 16)].
+    Both readings and the columns of `VoiceTracks` [shape=(count, 2 C + 41)].
     """
-    ones, zeros = np.ones((count, 1)), np.zeros((count, VOICE - 3))
+    ones, zeros = np.ones((count, 1)), np.zeros((count, VOICE - 4))
     face = np.tile(rest, (count, 2))
-    return np.concatenate((face, ones, ones, ones, zeros), axis=1, dtype=np.float32)
+    return np.concatenate((face, ones, ones, ones, ones, zeros), axis=1, dtype=np.float32)

@@ -8,7 +8,7 @@ from deitalk.postprocess.control_groups import ControlGroups
 from deitalk.postprocess.curve_pass import CurvePass
 from deitalk.postprocess.curve_stages import Near
 from deitalk.postprocess.known_phones import phone_tracks
-from deitalk.postprocess.tracks import shown_columns
+from deitalk.postprocess.tracks import N_VARIANTS, shown_columns
 
 
 class Stages(ControlGroups):
@@ -24,7 +24,7 @@ class Stages(ControlGroups):
         blended = self.rules.blend(rows, 1 - closed[:, :, :1], track(scale))
         return blended[0, :, 1].numpy()
 
-    def express(self, curves, neutral, weights, scale, held):
+    def express(self, curves, neutral, weights, scale, held, variants=None, side=1.0):
         closure = self.rules.closure
         free = 1 - closure(both(neutral, curves)[..., self.seals])[:, :, :1]
         near = self.windows(neutral[:, self.seals])
@@ -32,7 +32,10 @@ class Stages(ControlGroups):
         strength = torch.from_numpy(scale * np.maximum(held, 0.15))[None, :, None]
         emotion = torch.from_numpy(weights)[None]
         slow = 1 - closing[None, :, None]
-        shown = self.rules.express(both(neutral, curves), emotion, strength, free, slow)
+        variants = np.zeros((len(weights), N_VARIANTS)) if variants is None else variants
+        rows = np.concatenate((weights, variants), axis=1)
+        ways = torch.from_numpy(np.concatenate((rows, side * rows), axis=1, dtype=np.float32))
+        shown = self.rules.express(both(neutral, curves), ways[None], emotion, strength, free, slow)
         curves[:] = shown[0, :, 1].numpy()
 
     def rest_lips(self, curves, neutral):

@@ -15,6 +15,7 @@ from deitalk.postprocess.tracks import (
     LIVE_AHEAD,
     MOTION,
     N_SHOWN,
+    N_VARIANTS,
     VOICE,
     VoiceTracks,
     shown_columns,
@@ -37,7 +38,7 @@ def inputs(batch, n_frames, seed=0, controls=CONTROLS):
     count = len(controls)
     neutral, emotional = rng.uniform(-0.1, 1, (2, batch, n_frames, count)).astype(np.float32)
     voice = rng.uniform(0, 1.5, (batch, n_frames, VOICE)).astype(np.float32)
-    voice[..., 3:5] = rng.random((batch, n_frames, 2)) < 0.1
+    voice[..., 4:6] = rng.random((batch, n_frames, 2)) < 0.1
     shown = rng.uniform(0, 1, (batch, n_frames, N_SHOWN)).astype(np.float32)
     gain = rng.uniform(0.5, 1.5, (batch, count)).astype(np.float32)
     ruled = (np.arange(batch) % 3 < 2).astype(np.float32)
@@ -133,7 +134,7 @@ def test_motion_and_gates_meet_the_frame_that_comes_out():
     jaw = CONTROLS.index("CTRL_C_jaw.ty")
     speech[:, jaw] = 0.5
     voice = np.zeros((n_frames, VOICE), np.float32)
-    voice[:, :3] = 1
+    voice[:, :4] = 1
     shown = np.zeros((n_frames, N_SHOWN), np.float32)
     shown[:, :2] = 1
     shown[20, 0], shown[31, 2] = 0, 1
@@ -160,7 +161,9 @@ def finished(neutral, emotional, *, scale=1.0, held=1.0, emotion="happy", mouth=
     n_frames, ones = len(neutral), np.ones(len(neutral), np.float32)
     weights = np.eye(len(LABELS), dtype=np.float32)[[LABELS.index(emotion)] * n_frames]
     phones = np.zeros((n_frames, 4), np.float32)
-    voice = VoiceTracks(scale * ones, ones, held * ones, phones, weights).columns()
+    variants = np.zeros((n_frames, N_VARIANTS))
+    said = scale * ones, ones, held * ones, phones, weights, variants, ones
+    voice = VoiceTracks(*said).columns()
     gate = ones if mouth is None else mouth
     curves, plain, gain = emotional.copy(), neutral.copy(), np.ones(len(CONTROLS), np.float32)
     rules = TorchPass(CurvePass(CONTROLS))
