@@ -30,7 +30,7 @@ from pydantic import (
 
 from deitalk.errors import ConfigError, DataError, EmotionError
 from rig import limits
-from rig.emotions import COLORS, EMOTIONS, MOODS
+from rig.emotions import COLORS, EMOTIONS, MOODS, PLAIN, VARIANTS
 from rig.errors import UserError, quoted
 
 if TYPE_CHECKING:
@@ -60,6 +60,7 @@ NO_PLACE = (0.0, 0.0, 65.0)
 LONGEST_TEXT = 1 << 20
 """Letters of a text that comes from elsewhere."""
 WORDS_SUFFIXES = (".txt", ".textgrid", ".srt", ".vtt")
+VARIANT_NAMES = "; ".join(f"{name}: {', '.join(own)}" for name, own in VARIANTS.items())
 _KINDS = {".textgrid": "grid", ".srt": "subtitles", ".vtt": "subtitles"}
 _SUFFIX = re.compile(r"\S\.[A-Za-z][A-Za-z0-9]{1,7}$")
 _CUE = re.compile(r"^\s*[\d:]+[.,]\d+ +--> +[\d:]+[.,]\d+", re.M)
@@ -307,6 +308,20 @@ def written_gains(gains: Mapping[str, float]) -> str:
     return ",".join(f"{name}={factor:.9g}" for name, factor in gains.items())
 
 
+def read_variant(given: Any) -> dict[str, float]:
+    """Weights of named variants, of a mapping or text."""
+    from deitalk.emotions.variants import parse_variant
+
+    return parse_variant(given)
+
+
+def written_variant_text(variant: Mapping[str, float]) -> str:
+    """The text that `read_variant` reads."""
+    from deitalk.emotions.variants import written_variant
+
+    return written_variant(variant)
+
+
 def written_place(place: tuple[float, float, float]) -> str:
     """The text that `read_place` reads, without the usual distance."""
     *angles, distance = place
@@ -489,11 +504,24 @@ class Acting(BaseModel):
         description="The model's rules after the network; without them the network alone.",
         json_schema_extra=_extra("change", panel="Expert"),
     )
+    variant: Annotated[
+        dict[str, float],
+        PlainValidator(read_variant),
+        PlainSerializer(written_variant_text, return_type=str),
+        _text(maxLength=400),
+    ] = Field(
+        default={},
+        description=f"Way to show the emotion, {VARIANT_NAMES}; or a mixture such as "
+        f"hot=.7,cold=.3, or {PLAIN}; by default drawn by the seed and the voice.",
+        examples=["hot", "hot=.7,cold=.3"],
+        json_schema_extra=_extra("start", panel="Performance", default=""),
+    )
     seed: Annotated[
         int, PlainValidator(read_seed), _text("integer", minimum=0, maximum=limits.SEED)
     ] = Field(
         default=0,
-        description="Another drawing of the motion above the mouth, 0 to 2**63 - 1.",
+        description="Another drawing of the variant of the emotion and of the motion above the "
+        "mouth, 0 to 2**63 - 1.",
         json_schema_extra=_extra("start", panel="Performance"),
     )
 

@@ -33,12 +33,14 @@ from deitalk.pipeline.speech import Speech, measure_intensities
 from deitalk.pipeline.words.transcript import Transcript
 from deitalk.postprocess.control_groups import ControlGroups
 from deitalk.postprocess.factors import held_intensity, mean_around, opening_factor
+from deitalk.postprocess.feeling import state_of_intensity
 from deitalk.postprocess.joins import Edge, activity_beside, lead, unknown_controls
 from deitalk.postprocess.known_phones import phone_tracks
 from deitalk.postprocess.life.motion import Motion, plan_motion
 from deitalk.postprocess.life.other import OtherVoice
 from deitalk.postprocess.life.voice import Seeds, Traits, measure_voice
 from deitalk.postprocess.tracks import VoiceTracks, shown_columns
+from deitalk.postprocess.variants import Ways, choose_ways, unused_variants
 from rig import ControlSet, RigCurves
 from rig.arrays import Float32
 from rig.curves.edit import gain_factors
@@ -96,7 +98,7 @@ def animate(
         Called with the share of the network's work that is done, 0 to 1.
     **fields
         Of `deitalk.acting.Acting`: intensity, intensity_curve, rest, voice, style, words, language,
-        life, look_at, gain, edit, listen, after, into, rules, seed.
+        life, variant, look_at, gain, edit, listen, after, into, rules, seed.
 
     Returns
     -------
@@ -212,6 +214,10 @@ def _notes_on_unused(acting: Acting, rules: RulesConfig) -> Iterator[str]:
     """Notes on fields that are given and change nothing."""
     if acting.words is None and "language" in acting.settings:
         yield f"language {acting.language} is of words: none are given"
+    if rules.expressions is not None:
+        yield from unused_variants(acting.variant, acting.emotion_track.weights)
+    elif acting.variant:
+        yield "variant not used: the rule that shows it is off"
     if rules.idle is None or acting.motion is None:
         of_motion = acting.settings.keys() & {"life", "look_at", "seed", "listen_to"}
         if unused := sorted(of_motion - ({"life"} if acting.motion is None else set())):
@@ -291,9 +297,11 @@ def finish(
     near, usual = (mean_around(x, speaking) for x in (intensities.voice, intensities.network))
     opening = opening_factor(rules.scale_opening, near, usual)
     kept = speech.held(rules.hold_pose)
-    voice = VoiceTracks(
-        intensities.scale, opening, intensities.held, phones, weights, kept.back, kept.share
-    )
+    state = state_of_intensity(np.median(intensities.voice[speaking])) if speaking.any() else 0.0
+    ways = _ways(prepared, state)
+    said = opening, intensities.held, phones, weights, kept.back, kept.share
+    side = np.full(len(weights), ways.side)
+    voice = VoiceTracks(intensities.scale, *said, weights @ ways.weights, side)
     traits = _traits(prepared)
     motion = _motion(prepared, weights * intensities.applied[:, None], traits)
     tracks_of_motion = None if motion is None else motion.tracks
@@ -352,7 +360,7 @@ def apply_rules(
         The pass.
     neutral, emotional : array [shape=(T, C)]
         Two readings, not the same array; then the neutral curves and those that are shown.
-    voice, shown : array [shape=(T, 18)], [shape=(T, 45)]
+    voice, shown : array [shape=(T, 43)], [shape=(T, 45)]
         See `deitalk.postprocess.tracks`.
     gain : array [shape=(C,)]
         Factor of each control.
@@ -408,6 +416,14 @@ def _traits(prepared: Prepared) -> Traits:
     if known:
         return Traits(**known)
     return Traits.of(Seeds.of(prepared.speech.waveform, prepared.style, acting.seed).character())
+
+
+def _ways(prepared: Prepared, strength: float) -> Ways:
+    """How a take of such a strength shows each emotion."""
+    acting = prepared.acting
+    actor = prepared.style if acting.voice is None else acting.voice.as_json()
+    seeds = Seeds.of(prepared.speech.waveform, actor, acting.seed)
+    return choose_ways(acting.variant, seeds, strength)
 
 
 def _motion(prepared: Prepared, shown: Float32, traits: Traits) -> Motion | None:

@@ -21,7 +21,6 @@ from deitalk.config.rules import (
     ScaleOpening,
     SharpenContacts,
 )
-from deitalk.emotions import EMOTIONS
 from deitalk.postprocess.control_groups import ControlGroups
 from deitalk.postprocess.expressions import expression_table
 from deitalk.postprocess.torch_columns import Columns, constant, smoothstep
@@ -270,13 +269,12 @@ class Express(nn.Module):
         captured = () if rule is None else rule.captured
         table, size = expression_table(controls.names, captured), len(controls)
         self.is_on = rule is not None and len(table.places) > 0
-        own, moods = table.parting.copy(), table.parting.copy()
-        own[len(EMOTIONS) :], moods[: len(EMOTIONS)] = 0, 0
-        for name in ("gains", "poses"):
-            constant(self, name, getattr(table, name))
+        is_mood = table.is_mood[:, None]
+        constant(self, "gains", table.gains)
+        constant(self, "poses", table.poses)
         constant(self, "taught", table.taught * (1.0 if rule is None else rule.size))
-        constant(self, "parting", own)
-        constant(self, "moods", moods)
+        constant(self, "parting", np.where(is_mood, 0, table.parting))
+        constant(self, "moods", np.where(is_mood, table.parting, 0))
         constant(self, "spreading", table.spreading)
         constant(self, "changed", table.changed[:, None])
         self.columns = Columns(table.places, size)
@@ -286,6 +284,7 @@ class Express(nn.Module):
     def forward(
         self,
         curves: Tensor,
+        ways: Tensor,
         emotion: Tensor,
         strength: Tensor,
         missing: Tensor,
@@ -302,8 +301,10 @@ class Express(nn.Module):
         ----------
         curves : Tensor [shape=(B, T, R, C)]
             The neutral reading, and the blend of both.
+        ways : Tensor [shape=(B, T, 66)]
+            Weights of the rows of the table.
         emotion : Tensor [shape=(B, T, 9)]
-            Weights.
+            Weights of the emotions.
         strength : Tensor [shape=(B, T, 1), range 0 to 4]
             Intensity to show.
         missing : Tensor [shape=(B, T, 1), range 0 to 4]
@@ -320,10 +321,10 @@ class Express(nn.Module):
         free, slow = 1 - (1 - free) * spoken, 1 - (1 - slow) * spoken
         part = self.columns(curves)
         neutral, blend = part[:, :, NEUTRAL], part[:, :, SHOWN]
-        pose = emotion @ self.poses + (emotion @ self.parting) * free
-        pose = pose + (emotion @ self.moods) * slow
+        pose = ways @ self.poses + (ways @ self.parting) * free
+        pose = pose + (ways @ self.moods) * slow
         read = (blend - neutral) + missing * (emotion @ self.taught)
-        shown = read * (emotion @ self.gains) + pose * strength
+        shown = read * (ways @ self.gains) + pose * strength
         rounded = self._rounded(curves[:, :, NEUTRAL]) * spoken
         kept = 1 - YIELDED * rounded * (emotion @ self.changed)
         shown = shown * (1 - self.spreading + self.spreading * kept)

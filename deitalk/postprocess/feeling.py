@@ -25,6 +25,8 @@ The numbers were chosen on training and validation actors, validation readers, a
 corpus; MODEL_CARD.md has the scores of test actors.
 """
 
+import math
+
 import numpy as np
 import numpy.typing as npt
 
@@ -204,6 +206,12 @@ def state_of(strength: Float32 | Float64 | float, rule: VoiceIntensity) -> Float
 def intensity_of(state: Float64) -> Float32:
     """Intensity of a state with its display."""
     return np.asarray(MOST / (1 + np.exp(-state)), np.float32)
+
+
+def state_of_intensity(intensity: float) -> float:
+    """State without a display of an intensity; inverse of `intensity_of`."""
+    share = min(max(float(intensity) / MOST, 1e-3), 1 - 1e-3)
+    return math.log(share / (1 - share))
 
 
 def deviation(intensity: Float32) -> Float64:

@@ -17,7 +17,7 @@ from deitalk.postprocess.life.draws import (
     uniforms,
 )
 from deitalk.postprocess.life.voice import END, PAUSE, SPEECH, START, Cues
-from rig.arrays import Bool, Float64, Int64
+from rig.arrays import Float64, Int64
 
 # Blinks: their times on the voice, and the closure of the lids.
 #
