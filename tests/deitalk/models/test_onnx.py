@@ -296,6 +296,7 @@ def test_a_graph_of_other_settings_is_not_used(plain_folder):
         (gzip.compress(b'{"digest": "", "weights": []}\nno graph'), "cannot be read as ONNX"),
         (gzip.compress(b'{"digest": "", "weights": ["jaw"]}\n'), "no weight 'jaw'"),
     ],
+    ids=["gzip", "header", "graph", "weights"],
 )
 def test_a_damaged_graph_is_one_line(content, message, plain_folder, tmp_path):
     (tmp_path / "x.gz").write_bytes(content)
