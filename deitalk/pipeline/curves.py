@@ -63,7 +63,7 @@ def animate(
     *,
     acting: Acting | None = None,
     model: "str | Path | CurveNetwork | Model" = "default",
-    backend: str = "torch",
+    backend: str = "auto",
     device: str = "cpu",
     sample_rate: float | None = None,
     track: int | None = None,
@@ -85,9 +85,9 @@ def animate(
     acting : Acting, optional
         How the recording is acted; `emotion` and `fields` replace its own.
     model : str, Path, DEITalk or OnnxNetwork
-        Name of an embedded model, a model folder, an ``.onnx`` file, or a loaded model.
+        Name of an embedded model, a model folder, or a loaded model.
     backend : str
-        ``torch``, or ``onnx`` for ONNX Runtime; see `deitalk.models.load.load_network`.
+        ``auto``, ``torch`` or ``onnx``; see `deitalk.models.load.load_network`.
     device : str
         ``cpu``, ``cuda``, ``cuda:N`` or ``mps``; for a model given by name or folder.
     sample_rate : float, optional
