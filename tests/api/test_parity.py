@@ -44,9 +44,16 @@ EDGE = json.dumps({
     "speed": {"CTRL_C_jaw.ty": 0.05}, "head": [3, 1, 0, 0, 0, 0], "head_speed": [0] * 6,
     "traits": {"side": 0.1},
 })  # fmt: skip
+FIXES = json.dumps({
+    "schema": "deitalk.edit/1", "name": "fixes", "edits": [
+        {"target": "brow", "mode": "offset", "keys": [[0.2, 0], [0.6, 0.4], [1.1, 0, -0.3, 0]]},
+        {"target": "CTRL_C_jaw.ty", "mode": "own", "keys": [[0.5, 0.3]], "span": [0.4, 0.8]},
+        {"target": "head.yaw", "mode": "scale", "keys": [[0, 2]], "span": [0, 1], "ease": [0.2, 0.2]},
+    ],
+})  # fmt: skip
 FILES = {
-    "keys.csv": KEYS, "intensity.csv": CURVE, "anna.json": VOICE, "said.srt": TIMED,
-    "spoken.srt": SPOKEN, "edge.json": EDGE,
+    "fixes.edit.json": FIXES, "keys.csv": KEYS, "intensity.csv": CURVE, "anna.json": VOICE,
+    "said.srt": TIMED, "spoken.srt": SPOKEN, "edge.json": EDGE,
 }  # fmt: skip
 CASES = {
     "nothing": {},
@@ -64,6 +71,7 @@ CASES = {
     "life off": {"life": "off"},
     "look_at": {"look_at": "10,-5"},
     "gain": {"emotion": "happy", "gain": "jaw=1.2,brow=.5"},
+    "edit": {"emotion": "happy", "edit": "fixes.edit.json"},
     "listen": {"listen": "1.5"},
     "after": {"after": "edge.json"},
     "into": {"emotion": "sad", "into": "edge.json"},
