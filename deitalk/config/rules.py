@@ -33,6 +33,17 @@ class VoiceIntensity(Section):
     """Display of the changes within a phrase, per standard deviation of liveliness."""
 
 
+class HoldPose(Section):
+    """The mouth keeps its pose while a sound is held: a vowel, singing, a hum."""
+
+    steady_db: Size = 4.0
+    """Most mean difference of the spectrum's bands from those 0.27 s before, dB."""
+    frames: Annotated[int, Field(ge=1, le=limits.TRAINING_FRAMES)] = 7
+    """Frames that a sound is steady before the pose is kept, after the first 0.27 s."""
+    leaves: Annotated[int, Field(ge=1, le=limits.TRAINING_FRAMES)] = 5
+    """Frames after the sound in which the pose is left."""
+
+
 class SharpenContacts(Section):
     """Likely lip contacts are raised, and unlikely ones lowered."""
 
@@ -151,6 +162,7 @@ class RulesConfig(Section):
     """Rules on the curves of a model, in the order in which they apply."""
 
     voice_intensity: VoiceIntensity | None = VoiceIntensity()
+    hold_pose: HoldPose | None = HoldPose()
     sharpen_contacts: SharpenContacts | None = SharpenContacts()
     scale_opening: ScaleOpening | None = ScaleOpening()
     keep_contacts: KeepContacts | None = KeepContacts()
@@ -167,8 +179,9 @@ class RulesConfig(Section):
 
     @classmethod
     def for_captures(cls) -> "RulesConfig":
-        """Gates and idle motion alone, which no capture shows, with the brows of an actor."""
-        return cls.none().model_copy(update={"gates": Gates(), "idle": Idle(brows=0)})
+        """Held poses, gates and idle motion, which no capture shows, with the brows of an actor."""
+        own = {"hold_pose": HoldPose(), "gates": Gates(), "idle": Idle(brows=0)}
+        return cls.none().model_copy(update=own)
 
     def taught(
         self, base: "RulesConfig", emotions: Collection[str], *, lips: bool, other_rig: bool
@@ -186,7 +199,7 @@ class RulesConfig(Section):
         other_rig : bool
             Whether the controls are not those of the base, by whose names its rules act.
         """
-        names = {"voice_intensity"}
+        names = {"voice_intensity", "hold_pose"}
         if not other_rig:
             names |= {"sharpen_contacts", "keep_contacts", "limit_contact_speed"}
             names |= {"expressions"}

@@ -99,7 +99,7 @@ class RunningActivity:
         )
 
     def __call__(
-        self, levels: Float32, rest: Float32, state: ActivityState
+        self, levels: Float32, held: Bool, rest: Float32, state: ActivityState
     ) -> tuple[Bool, Float32, Float32, ActivityState]:
         """Take the next frames.
 
@@ -107,6 +107,8 @@ class RunningActivity:
         ----------
         levels : array [shape=(B, n, K)]
             Level of each band, dB.
+        held : array of bool [shape=(B, n)]
+            Frames of a sound that a voice holds: speech, and no noise.
         rest : array [shape=(B,), range 0 to 1]
             Share of the expression that stays in silence.
         state : ActivityState
@@ -128,8 +130,9 @@ class RunningActivity:
         gap, on = state.gap[:, -1], state.on[:, -1]
         for k in range(count):
             excess = np.sort(levels[:, k] - floor, axis=1)[:, -TOP_BANDS:].mean(axis=1)
-            on = excess >= np.where(on, KEEP_DB, OPEN_DB)
-            ring[streams, (QUIET_ROWS + frames) % FLOOR_FRAMES] = levels[:, k]
+            on = held[:, k] | (excess >= np.where(on, KEEP_DB, OPEN_DB))
+            row = np.where(held[:, k, None], np.inf, levels[:, k])
+            ring[streams, (QUIET_ROWS + frames) % FLOOR_FRAMES] = row
             above[streams, frames % FLOOR_FRAMES] = excess
             frames += 1
             gaps.append(gap[:, None])

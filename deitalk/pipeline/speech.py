@@ -18,10 +18,22 @@ import numpy as np
 from deitalk.acting import Acting
 from deitalk.audio.arrays import Audio, recording_of
 from deitalk.audio.frames import frame_count, frame_times
+from deitalk.audio.held_sound import Held, held_sound
 from deitalk.audio.load import Recording, checked_waveform
-from deitalk.audio.vocal_strength import Prosody, measure_prosody, strength_frames, vocal_strength
-from deitalk.audio.voice_activity import level_gain, normalise_level, speech_activity
-from deitalk.config.rules import Gates, VoiceIntensity
+from deitalk.audio.vocal_strength import (
+    Prosody,
+    measure_prosody,
+    strength_frames,
+    tonality,
+    vocal_strength,
+)
+from deitalk.audio.voice_activity import (
+    band_levels,
+    level_gain,
+    normalise_level,
+    speech_activity,
+)
+from deitalk.config.rules import Gates, HoldPose, VoiceIntensity
 from deitalk.emotions import EMOTIONS
 from deitalk.emotions.tracks import ActorReference
 from deitalk.errors import AudioError
@@ -61,11 +73,15 @@ class Speech:
         1 in speech, else 0.
     gates : Gates or None
         Times of the gates; None: they stay open.
+    before, after : array
+        Activity of the sound before and after it, on which the gates depend too; none by default.
     """
 
     waveform: Float32
     activity: Float32
     gates: Gates | None = field(default_factory=Gates)
+    before: Float32 = field(default_factory=lambda: np.zeros(0, np.float32))
+    after: Float32 = field(default_factory=lambda: np.zeros(0, np.float32))
 
     @classmethod
     def of(cls, waveform: Any, gates: Gates | None = Gates()) -> "Speech":
@@ -113,26 +129,41 @@ class Speech:
 
     @property
     def is_cut(self) -> bool:
-        """Whether the recording ends in speech."""
-        return bool(self.activity[-1 - CUT_FRAMES :].any())
+        """Whether the recording ends in speech, or goes on."""
+        return bool(len(self.after) or self.activity[-1 - CUT_FRAMES :].any())
 
     @cached_property
     def mouth(self) -> Float32:
         """Mouth gate [shape=(T,), range 0 to 1]."""
         if self.gates is None:
             return np.ones(self.n_frames, np.float32)
-        return mouth_gate(self.activity, self.gates)
+        return self._of_take(mouth_gate(self._around, self.gates))
 
     def share(self, rest: float) -> Float32:
         """Share of the expression shown, of which `rest` stays in silence [shape=(T,)]."""
         if self.gates is None:
             return np.ones(self.n_frames, np.float32)
-        return expression_share(self.activity, rest, self.gates)
+        return self._of_take(expression_share(self._around, rest, self.gates))
+
+    @property
+    def _around(self) -> Float32:
+        """Activity with that of the sound before and after."""
+        return np.concatenate((self.before, self.activity, self.after))
+
+    def _of_take(self, gate: Float32) -> Float32:
+        """The frames of the recording itself."""
+        return gate[len(self.before) : len(self.before) + self.n_frames]
 
     @cached_property
     def prosody(self) -> Prosody:
         """Level, spectral tilt and pitch of each frame."""
         return measure_prosody(self.waveform, self.n_frames)
+
+    def held(self, rule: HoldPose | None) -> Held:
+        """Where a held sound keeps its pose [each shape=(T,)]."""
+        levels = band_levels(self.waveform)
+        tones = tonality(self.prosody.pitch, self.prosody.periodicity)
+        return held_sound(levels, tones, rule or HoldPose())
 
     @cached_property
     def _followed_strength(self) -> tuple[float, Float32]:
@@ -146,7 +177,7 @@ class Speech:
     def strengths(self, effort: Float32 | None = None) -> tuple[float, Float32]:
         """The same, and that of each frame's phrase [shape=(T,)], which changes little within it.
 
-        That of a short phrase, which is measured badly, is nearer to the whole. With a network's
+        Of a short phrase, which is measured badly, it is nearer to the whole. With a network's
         readout of the effort [shape=(T,), dB] the two are averaged; the command of
         `deitalk.research.training.effort` prints how it orders the takes of unheard actors.
         """

@@ -5,9 +5,11 @@ from functools import cached_property, lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from deitalk.config.rules import KeepContacts
 from rig import ControlSet
 from rig.arrays import Bool
 from rig.controls import DEFAULT_ID
+from rig.curves.layers import Closures
 
 LIVELY = ("jaw.ty", "upperLipRaise", "lowerLipDepress")
 OPENING = ("jaw.ty", "jaw_openExtreme", "upperLipRaise", "lowerLipDepress", "funnel", "lipsRoll",
@@ -60,6 +62,11 @@ class ControlGroups:
     def seals(self) -> NDArray[np.intp]:
         """Controls that close the lips; an expression may increase them only."""
         return np.concatenate((self.together, self.bite))
+
+    def closures(self, rule: KeepContacts) -> Closures:
+        """What layers of edits do not part, by the rule for expressions."""
+        seals = self.together.tolist(), self.bite.tolist()
+        return Closures(seals, self.opening.tolist(), rule.begin, rule.full)
 
     @cached_property
     def follows_mouth(self) -> Bool:

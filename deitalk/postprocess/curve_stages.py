@@ -15,12 +15,12 @@ from deitalk.config.rules import (
     DeadZone,
     Expressions,
     Gates,
+    HoldPose,
     KeepContacts,
     LimitContactSpeed,
     ScaleOpening,
     SharpenContacts,
 )
-from deitalk.emotions import EMOTIONS
 from deitalk.postprocess.control_groups import ControlGroups
 from deitalk.postprocess.expressions import expression_table
 from deitalk.postprocess.torch_columns import Columns, constant, smoothstep
@@ -39,6 +39,44 @@ YIELDED = 0.4
 """Share that is taken away by full rounding."""
 NEUTRAL, SHOWN = 0, 1
 """Places of the readings."""
+
+
+class Hold(nn.Module):
+    """What speech moves keeps its pose while a sound is held."""
+
+    speaks: Tensor
+
+    def __init__(self, rule: HoldPose | None, groups: ControlGroups) -> None:
+        super().__init__()
+        self.rule = rule
+        constant(self, "speaks", np.tile(groups.follows_mouth, 2).astype(np.float32))
+
+    def forward(
+        self, readings: Tensor, before: Tensor, back: Tensor, kept: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """Keep poses.
+
+        Parameters
+        ----------
+        readings : Tensor [shape=(B, T, 2 C)]
+            Both, side by side.
+        before : Tensor [shape=(B, N, 2 C)]
+            The pose that was kept before, and the last frames.
+        back, kept : Tensor [shape=(B, T, 1)]
+            Frames since the pose, and its share; both 0 where none is kept.
+
+        Returns
+        -------
+        readings : Tensor [shape=(B, T, 2 C)]
+        pose : Tensor [shape=(B, 1, 2 C)]
+            Of the last frame.
+        """
+        if self.rule is None:
+            return readings, readings[:, -1:]
+        place = torch.arange(readings.shape[1], device=readings.device)[:, None] - back
+        place = (place + before.shape[1]).clamp_min(0).long().expand(-1, -1, readings.shape[2])
+        poses = torch.cat((before, readings), dim=1).gather(1, place)
+        return readings + kept * self.speaks * (poses - readings), poses[:, -1:]
 
 
 class Near(NamedTuple):
@@ -231,13 +269,12 @@ class Express(nn.Module):
         captured = () if rule is None else rule.captured
         table, size = expression_table(controls.names, captured), len(controls)
         self.is_on = rule is not None and len(table.places) > 0
-        own, moods = table.parting.copy(), table.parting.copy()
-        own[len(EMOTIONS) :], moods[: len(EMOTIONS)] = 0, 0
-        for name in ("gains", "poses"):
-            constant(self, name, getattr(table, name))
+        is_mood = table.is_mood[:, None]
+        constant(self, "gains", table.gains)
+        constant(self, "poses", table.poses)
         constant(self, "taught", table.taught * (1.0 if rule is None else rule.size))
-        constant(self, "parting", own)
-        constant(self, "moods", moods)
+        constant(self, "parting", np.where(is_mood, 0, table.parting))
+        constant(self, "moods", np.where(is_mood, table.parting, 0))
         constant(self, "spreading", table.spreading)
         constant(self, "changed", table.changed[:, None])
         self.columns = Columns(table.places, size)
@@ -247,6 +284,7 @@ class Express(nn.Module):
     def forward(
         self,
         curves: Tensor,
+        ways: Tensor,
         emotion: Tensor,
         strength: Tensor,
         missing: Tensor,
@@ -263,8 +301,10 @@ class Express(nn.Module):
         ----------
         curves : Tensor [shape=(B, T, R, C)]
             The neutral reading, and the blend of both.
+        ways : Tensor [shape=(B, T, 66)]
+            Weights of the rows of the table.
         emotion : Tensor [shape=(B, T, 9)]
-            Weights.
+            Weights of the emotions.
         strength : Tensor [shape=(B, T, 1), range 0 to 4]
             Intensity to show.
         missing : Tensor [shape=(B, T, 1), range 0 to 4]
@@ -281,10 +321,10 @@ class Express(nn.Module):
         free, slow = 1 - (1 - free) * spoken, 1 - (1 - slow) * spoken
         part = self.columns(curves)
         neutral, blend = part[:, :, NEUTRAL], part[:, :, SHOWN]
-        pose = emotion @ self.poses + (emotion @ self.parting) * free
-        pose = pose + (emotion @ self.moods) * slow
+        pose = ways @ self.poses + (ways @ self.parting) * free
+        pose = pose + (ways @ self.moods) * slow
         read = (blend - neutral) + missing * (emotion @ self.taught)
-        shown = read * (emotion @ self.gains) + pose * strength
+        shown = read * (ways @ self.gains) + pose * strength
         rounded = self._rounded(curves[:, :, NEUTRAL]) * spoken
         kept = 1 - YIELDED * rounded * (emotion @ self.changed)
         shown = shown * (1 - self.spreading + self.spreading * kept)

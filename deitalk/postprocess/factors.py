@@ -22,7 +22,7 @@ AROUND_FRAMES = 30.0
 UPPER = ("brow", "eye", "nose")
 """Parts of the names of the controls whose change is the size of a pose."""
 FAINT_SIZE, MOST_HELD = 1.0, 2.0
-"""Size of a pose at intensity 1 below which it tells less, and the most intensity that it tells."""
+"""Size of a pose at intensity 1 below which it tells less, and the most that one tells."""
 
 
 def expression_scale(applied: Float32, predicted: Float32) -> Float32:

@@ -28,6 +28,8 @@ The numbers were chosen on training and validation actors, validation readers, a
 corpus; MODEL_CARD.md has the scores of test actors.
 """
 
+import math
+
 import numpy as np
 import numpy.typing as npt
 
@@ -120,7 +122,7 @@ def mouth_between(since: Float32, until: Float32, gates: Gates, ahead: int = 999
     It opens no earlier than `ahead` frames before speech.
     """
     opens = min(gates.mouth_opens, ahead)
-    return np.maximum(_fade(since / (gates.mouth_closes + 1)), _fade(until / (opens + 1)))
+    return np.maximum(fade(since / (gates.mouth_closes + 1)), fade(until / (opens + 1)))
 
 
 def expression_after(
@@ -135,16 +137,16 @@ def expression_after(
     rest : float or array
         Share that stays in silence.
     gates : Gates
-        Frames of its decay.
+        Frames of the decay.
     """
     kept = rest + (1 - np.asarray(rest)) * np.exp(-since / gates.feeling_decays)
     beyond = np.minimum(since, until) - gates.feeling_leaves
-    return np.asarray(kept * _fade(beyond / (2 * gates.feeling_decays)), np.float32)
+    return np.asarray(kept * fade(beyond / (2 * gates.feeling_decays)), np.float32)
 
 
 def _rising(until: Float32, gates: Gates) -> Float32:
     """Share of the expression so many frames before speech."""
-    return _fade((until - READY_FRAMES) / (gates.feeling_rises + 1))
+    return fade((until - READY_FRAMES) / (gates.feeling_rises + 1))
 
 
 def _distances(activity: npt.ArrayLike) -> tuple[Float32, Float32]:
@@ -156,7 +158,7 @@ def _distances(activity: npt.ArrayLike) -> tuple[Float32, Float32]:
     return (frames - last).astype(np.float32), (following - frames).astype(np.float32)
 
 
-def _fade(progress: AnyFloat) -> Float32:
+def fade(progress: AnyFloat) -> Float32:
     """Raised cosine from 1 (progress 0) to 0 (progress 1), flat outside."""
     faded: Float32 = 0.5 + 0.5 * np.cos(np.pi * np.clip(progress, 0, 1)).astype(np.float32)
     return faded
@@ -226,6 +228,12 @@ def felt_intensity(voice: Float32, weights: Float32, rule: VoiceIntensity) -> Fl
     """
     quieter = np.exp(rule.per_decibel * (weights @ QUIETER_DB)[..., 0])
     return np.asarray(MOST * quieter * voice / (MOST + (quieter - 1) * voice), np.float32)
+
+
+def state_of_intensity(intensity: float) -> float:
+    """State without a display of an intensity; inverse of `intensity_of`."""
+    share = min(max(float(intensity) / MOST, 1e-3), 1 - 1e-3)
+    return math.log(share / (1 - share))
 
 
 def deviation(intensity: Float32) -> Float64:

@@ -25,7 +25,9 @@ def gates_of(speaking, *, rest=0.5, noise_db=-75.0, piece=1000):
     running, gates, stays = RunningActivity(Gates()), [], np.full(1, rest, np.float32)
     state = running.first(1)
     for start in range(0, len(levels), piece):
-        _, *found, state = running(levels[None, start : start + piece], stays, state)
+        levels_now = levels[None, start : start + piece]
+        held = np.zeros(levels_now.shape[:2], bool)
+        _, *found, state = running(levels_now, held, stays, state)
         gates.append([gate[0] for gate in found])
     return tuple(np.concatenate(parts)[GATE_AHEAD:] for parts in zip(*gates, strict=True))
 
@@ -71,7 +73,8 @@ def test_gates_are_the_same_for_any_pieces():
 def test_steady_noise_becomes_the_floor():
     levels = np.full((120, BANDS), -50, np.float32)
     running = RunningActivity(Gates())
-    on = running(levels[None], np.zeros(1, np.float32), running.first(1))[0][0, -120:]
+    held, rest = np.zeros((1, 120), bool), np.zeros(1, np.float32)
+    on = running(levels[None], held, rest, running.first(1))[0][0, -120:]
     assert on[:30].all() and not on[70:].any()
 
 
@@ -160,10 +163,10 @@ def test_streams_side_by_side_are_heard_as_each_alone_in_any_pieces(rng):
     for size in (1, 7, 30, 2, 24):
         rows = slice(at, at + size)
         heard, state = hearing(sound[:, rows], network[:, rows], effort[:, rows], rest, state)
-        together.append(np.stack(heard[1:], axis=-1))
+        together.append(np.stack((*heard[1:-1], *heard.held), axis=-1))
         at += size
     for k in range(3):
         own = (part[k : k + 1] for part in (sound, network, effort, rest))
         alone, _ = hearing(*own, take(first, [k]))
-        expected = np.stack(alone[1:], axis=-1)[0]
+        expected = np.stack((*alone[1:-1], *alone.held), axis=-1)[0]
         np.testing.assert_allclose(np.concatenate(together, axis=1)[k], expected, atol=1e-6)
