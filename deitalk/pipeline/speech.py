@@ -40,7 +40,13 @@ from deitalk.errors import AudioError
 from deitalk.models.load import load_network
 from deitalk.models.protocol import CurveNetwork, Tracks
 from deitalk.postprocess.factors import expression_scale
-from deitalk.postprocess.feeling import expression_share, mouth_gate, phrases, voice_intensity
+from deitalk.postprocess.feeling import (
+    expression_share,
+    felt_intensity,
+    mouth_gate,
+    phrases,
+    voice_intensity,
+)
 from deitalk.postprocess.life.voice import Seeds, Traits
 from rig.arrays import Float32, Float64
 from rig.curves.edit import gaussian_smooth
@@ -221,7 +227,7 @@ class Intensities(NamedTuple):
     share: Float32
     """Share of the expression that is shown, 0 to 1."""
     predicted: Float32
-    """`voice` times `share`, 0 to 1.2."""
+    """That of the voice in the emotion, times `share`, 0 to 1.2."""
     applied: Float32
     """`predicted`, or the curve that was given, times the factor, 0 to 4.8."""
     scale: Float32
@@ -257,13 +263,16 @@ def measure_intensities(
     share = np.ones(speech.n_frames, np.float32)
     if curve is None and not acting.is_keyed:
         share = speech.share(acting.rest)
-    wanted = voice if curve is None else curve.at(speech.times).astype(np.float32)
+    felt = voice
+    if rule is not None:
+        felt = felt_intensity(voice, acting.emotion_track.at(speech.times), rule)
+    wanted = felt if curve is None else curve.at(speech.times).astype(np.float32)
     whole = np.asarray(wanted * acting.intensity * factor, np.float32)
     holds = held(network)
     scale = expression_scale(whole, holds)
     if rule is None and curve is None:
         scale = np.full(speech.n_frames, acting.intensity, np.float32)
-    predicted = voice * share if curve is None else voice * speech.share(acting.rest)
+    predicted = felt * (share if curve is None else speech.share(acting.rest))
     return Intensities(saliency, network, holds, voice, share, predicted, whole * share, scale)
 
 
