@@ -75,7 +75,7 @@ CASES = {
     "listen": {"listen": "1.5"},
     "after": {"after": "edge.json"},
     "into": {"emotion": "sad", "into": "edge.json"},
-    "goes on": {"into": "on", "after": "edge.json"},
+    "between": {"into": "edge.json", "after": "edge.json"},
     "script": {"script": "[happily] My promise is *big*."},
     "script of a role": {"script": "spoken.srt", "role": "anna"},
     "words of a role": {"words": "spoken.srt", "role": "bob"},
