@@ -67,8 +67,8 @@ class Settings(BaseSettings):
     models: dict[str, Path] = {}
     preload: tuple[str, ...] = ("default",)
     device: str = "cpu"
-    backend: Backend = "torch"
-    live_backend: Backend | Literal[""] = ""
+    backend: Literal["torch", "onnx"] = "torch"
+    live_backend: Literal["torch", "onnx", ""] = ""
     workers: int = Field(default_factory=lambda: min(os.cpu_count() or 1, 4), ge=1, le=64)
     job_workers: int = Field(default=1, ge=0, le=64)
     memory_mb: int = Field(default=4096, ge=256, le=1_000_000)
@@ -215,7 +215,10 @@ def load_settings(file: Path | None = None, **given: Any) -> Settings:
     content = {} if path is None else read_yaml(path) or {}
     if not isinstance(content, dict):
         raise ConfigError(f"{path}: settings are lines such as `port: 8000`")
-    _check_variables()
+    known = {PREFIX + name.upper() for name in Settings.model_fields} | {*OTHER_VARIABLES}
+    for name in os.environ:
+        if name.upper().startswith(PREFIX) and name.upper() not in known:
+            raise ConfigError(f"variable {quoted(name)} is no setting; see docs/service.md")
 
     class FromFile(Settings):
         @classmethod
@@ -261,13 +264,6 @@ class _Fixed(PydanticBaseSettingsSource):
 
     def __call__(self) -> dict[str, Any]:
         return self.values
-
-
-def _check_variables() -> None:
-    known = {PREFIX + name.upper() for name in Settings.model_fields} | {*OTHER_VARIABLES}
-    for name in os.environ:
-        if name.upper().startswith(PREFIX) and name.upper() not in known:
-            raise ConfigError(f"variable {quoted(name)} is no setting; see docs/service.md")
 
 
 def _data_folder() -> Path:

@@ -37,13 +37,14 @@ from api.messages.outgoing import JobView, ValidationView, answer_order, file_an
 from api.routes import schema
 from api.routes.deps import AnimatorDep, ServiceDep, problems
 from api.service import Service
-from deitalk.acting import LONGEST_TEXT, WORDS_SUFFIXES, user_error
+from deitalk.acting import LONGEST_TEXT, SCRIPT_SUFFIXES, WORDS_SUFFIXES, user_error
 from deitalk.emotions.track_files import TRACK_SUFFIXES
 from deitalk.errors import ConfigError
 from rig.errors import quoted
 
 router = APIRouter(prefix="/v1", tags=["animation"], responses=problems(404, 409, 415))
 SPEECH = ("recording", *FIELD_FILES)
+EDGE_SUFFIXES = (".zip", *CURVE_SUFFIXES)
 RETARGET = ("mesh", "curves", "landmarks", "mapping", *SPEECH)
 
 
@@ -212,6 +213,9 @@ FILES: dict[str, tuple[str, tuple[str, ...]]] = {
     "intensity_curve": ("intensity", TRACK_SUFFIXES),
     "voice": ("voice", (".json",)),
     "words": ("words", WORDS_SUFFIXES),
+    "script": ("script", SCRIPT_SUFFIXES),
+    "after": ("after", EDGE_SUFFIXES),
+    "into": ("into", EDGE_SUFFIXES),
     "edit": ("edit", (".json",)),
 }
 """Parts of a form that are files: the fixed name, and the suffixes that tell how to read them."""
