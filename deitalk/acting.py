@@ -61,7 +61,14 @@ LONGEST_TEXT = 1 << 20
 """Letters of a text that comes from elsewhere."""
 WORDS_SUFFIXES = (".txt", ".textgrid", ".srt", ".vtt")
 VARIANT_NAMES = "; ".join(f"{name}: {', '.join(own)}" for name, own in VARIANTS.items())
-_KINDS = {".textgrid": "grid", ".srt": "subtitles", ".vtt": "subtitles"}
+SCRIPT_SUFFIXES = (".txt", ".srt", ".vtt", ".ssml", ".xml")
+_KINDS = {
+    ".ssml": "ssml",
+    ".xml": "ssml",
+    ".textgrid": "grid",
+    ".srt": "subtitles",
+    ".vtt": "subtitles",
+}
 _SUFFIX = re.compile(r"\S\.[A-Za-z][A-Za-z0-9]{1,7}$")
 _CUE = re.compile(r"^\s*[\d:]+[.,]\d+ +--> +[\d:]+[.,]\d+", re.M)
 
@@ -75,7 +82,7 @@ class Words:
     text : str
         The words themselves, or the content of the file.
     kind : str
-        ``text``, ``grid`` or ``subtitles``.
+        ``text``, ``grid``, ``subtitles`` or ``ssml``.
     source : str
         Name of the file; empty of a text.
     """
@@ -85,8 +92,15 @@ class Words:
     source: str = field(default="", compare=False)
 
     @classmethod
-    def of(cls, given: "str | Path | Words", files: Mapping[str, Path] | None = None) -> "Words":
+    def of(
+        cls,
+        given: "str | Path | Words",
+        files: Mapping[str, Path] | None = None,
+        what: str = "words",
+    ) -> "Words":
         """Read words, or the file that is named: a line that ends with a suffix such as ``.txt``.
+
+        `what` they are, ``words`` or ``script``, determines the suffixes.
 
         Raises
         ------
@@ -96,15 +110,16 @@ class Words:
         if isinstance(given, Words):
             return given
         if not isinstance(given, str | Path):
-            raise DataError(f"words {quoted(given)} must be a text or a path")
+            raise DataError(f"{what} {quoted(given)} must be a text or a path")
         text = str(given)
         if isinstance(given, Path) or _names_file(text):
             path = Path(text.strip())
             suffix = path.suffix.lower()
-            if suffix not in WORDS_SUFFIXES:
-                known = ", ".join(WORDS_SUFFIXES)
+            suffixes = WORDS_SUFFIXES if what == "words" else SCRIPT_SUFFIXES
+            if suffix not in suffixes:
+                known = ", ".join(suffixes)
                 raise DataError(
-                    f"words {quoted(str(path))}: a file of words is one of {known}; if this is "
+                    f"{what} {quoted(str(path))}: a file of words is one of {known}; if this is "
                     "spoken, end it with a full stop"
                 )
             from rig.files.reading import read_text
@@ -113,7 +128,7 @@ class Words:
             content = read_text(path, limits.TRANSCRIPT_BYTES, error=DataError)
             return cls(content, _KINDS.get(suffix, "text"), path.name)
         if len(text) > limits.TRANSCRIPT_BYTES:
-            raise DataError(f"the words have more than {limits.TRANSCRIPT_BYTES} characters")
+            raise DataError(f"the {what} have more than {limits.TRANSCRIPT_BYTES} characters")
         return cls(text if "\n" in text else text.strip(), _kind(text))
 
     def __str__(self) -> str:
@@ -128,6 +143,8 @@ def _kind(text: str) -> str:
     """Kind of a file's content that is given in place of its name."""
     if "ooTextFile" in text[:200]:
         return "grid"
+    if re.match(r"\s*(<\?xml|<!DOCTYPE|<speak\b)", text):
+        return "ssml"
     return "subtitles" if _CUE.search(text) else "text"
 
 
@@ -227,7 +244,7 @@ def read_other(given: Any, info: ValidationInfo) -> OtherVoice:
 
 def read_words(given: Any, info: ValidationInfo) -> Words:
     """Words, a file of them, or its content."""
-    return Words.of(given, _files(info))
+    return Words.of(given, _files(info), str(info.field_name))
 
 
 def number_within(low: float, high: float) -> Callable[[Any, ValidationInfo], float]:
@@ -408,6 +425,20 @@ class Acting(BaseModel):
         description="Spoken words: text, or a .txt, .TextGrid, .srt or .vtt; closures are met "
         "where the sound agrees.",
         examples=["My promise is big."],
+    )
+    script: Annotated[Words | None, PlainValidator(read_words), _STR, _TEXT] = Field(
+        default=None,
+        description="Spoken words with how they are spoken, in place of words: tags such as "
+        "[angrily] or [laughs], SSML, subtitles; text, or a .txt, .srt, .vtt or .ssml.",
+        examples=["[whispers] Come here. [angrily] Now!"],
+        json_schema_extra=_extra(panel="Performance"),
+    )
+    role: Annotated[str | None, Field(min_length=1, max_length=100)] = Field(
+        default=None,
+        description="Whose lines, of subtitles with speakers (ANNA: …, <v Anna>); those of others "
+        "are silent.",
+        examples=["anna"],
+        json_schema_extra=_extra(panel="Performance"),
     )
     language: Annotated[str, Field(pattern="^[A-Za-z0-9-]{2,32}$")] = Field(
         default="en-us",

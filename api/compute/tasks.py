@@ -33,7 +33,7 @@ from deitalk.audio.load import Recording, read_sound
 from deitalk.audio.original import ZERO, start_of, start_seconds
 from deitalk.errors import CheckpointError
 from deitalk.live.animator import LiveAnimator
-from deitalk.models.folder import describe_model, is_causal, product_of
+from deitalk.models.folder import describe_model, is_causal, model_folder, product_of
 from deitalk.models.load import load_causal, load_network
 from deitalk.pipeline.curves import animate
 from deitalk.pipeline.performance import Performance, write_take
@@ -192,7 +192,7 @@ def _acting(order: Order, limits: Limits) -> Acting:
     fields = json.loads(Path(ACTING).read_text(encoding="utf-8"))
     files = {name: Path(name) for name in order["options"].get("sent", ())}
     acting = Acting.of(files=files, **fields)
-    if limits["backend"] == "onnx" and (acting.words or acting.emotion == AUTO):
+    if limits["backend"] == "onnx" and (acting.words or acting.script or acting.emotion == AUTO):
         raise CheckpointError(
             "words and emotion auto need torch; this service has the backend onnx"
         )
@@ -415,14 +415,14 @@ def _read(name: str, folder: str, limits: Limits) -> Any:
         from deitalk.models.checkpoint import load_model
 
         return load_model(folder)
-    from deitalk.models.onnx.network import cached_path, load_onnx
+    from deitalk.models.onnx.network import load_onnx, ready_graph
 
-    if product_of(folder) != "curves" or not cached_path(folder).is_file():
+    if product_of(folder) != "curves" or ready_graph(model_folder(folder)) is None:
         raise CheckpointError(
             f"model {name!r} is not in ONNX; this service has the backend onnx, another with torch "
             "can use it"
         )
-    return load_onnx(cached_path(folder), threads=limits["threads"])
+    return load_onnx(folder, threads=limits["threads"])
 
 
 def prepare(limits: Limits) -> None:
@@ -438,12 +438,13 @@ def prepare(limits: Limits) -> None:
 
 
 def export_all(limits: Limits, *, only_live: bool = False) -> None:
-    """Write the files of models that have one into the cache; torch runs in other processes."""
-    from deitalk.models.onnx.network import cached_export
+    """Write graphs that models lack into the cache; torch runs in other processes."""
+    from deitalk.models.onnx.network import cached_graph, ready_graph
 
     for folder in limits["models"].values():
         with suppress(UserError, OSError):  # a request for that model gets the error
-            if product_of(folder) != "curves" or folder.endswith(".onnx"):
+            path = model_folder(folder)
+            if product_of(folder) != "curves" or ready_graph(path):
                 continue
             if is_causal(folder) or not only_live:
-                cached_export(folder)
+                cached_graph(path, folder)

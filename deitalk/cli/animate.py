@@ -61,7 +61,7 @@ def animate(
         float | None, typer.Option(help="Rate of the written curves: 24 25 29.97 30 50 60.")
     ] = None,
     digits: Digits = None,
-    backend: Backend = "torch",
+    backend: Backend = "auto",
     device: Device = "cpu",
     threads: Threads = 1,
     timecode: Timecode = "zero",
@@ -117,7 +117,7 @@ def animate(
         "fps": fps, "digits": digits, "timecode": timecode, "delay": delay, "handles": handles
     }  # fmt: skip
     inputs = (speech, *given.texts)
-    if vertices or mesh is not None or landmarks is not None or _makes_mesh(model, backend):
+    if vertices or mesh is not None or landmarks is not None or _makes_mesh(model):
         _refuse_curve_options("a mesh", form | {"preview": preview, "backend": backend}, fps=True)
         animate_vertices(
             speech, out, given, model=model, speaker=identity or "0", mesh=mesh,
@@ -155,16 +155,15 @@ def animate(
     )
 
 
-def _makes_mesh(model: str, backend: str) -> bool:
+def _makes_mesh(model: str) -> bool:
     from deitalk.models.folder import product_of
-    from deitalk.models.load import is_onnx
 
-    return not is_onnx(model, backend) and product_of(model) == "mesh"
+    return product_of(model) == "mesh"
 
 
 def _refuse_curve_options(what: str, options: dict[str, Any], *, fps: bool = False) -> None:
     """Raise for options that are given and that only written curves have."""
-    usual = {"timecode": "zero", "backend": "torch", "preview": False, "delay": 0, "handles": 0}
+    usual = {"timecode": "zero", "backend": "auto", "preview": False, "delay": 0, "handles": 0}
     for name, value in options.items():
         if value != usual.get(name) and not (fps and name == "fps"):
             raise DeitalkError(f"--{name} does not apply to {what}; leave it out")
@@ -279,14 +278,15 @@ def _check_page() -> None:
 
 def _loader(model: str, backend: str, device: str, threads: int) -> "Callable[[], CurveNetwork]":
     def load() -> "CurveNetwork":
-        from deitalk.models.load import is_onnx, load_network
+        from deitalk.models.load import chosen_backend, load_network
 
         most = min(threads, os.cpu_count() or 1)
-        if not is_onnx(model, backend):
+        chosen = chosen_backend(model, backend, device)
+        if chosen == "torch":
             import torch
 
             torch.set_num_threads(most)
-        return load_network(model, backend=backend, device=device, threads=most)
+        return load_network(model, backend=chosen, device=device, threads=most)
 
     return load
 
@@ -360,7 +360,7 @@ def batch(
         str, typer.Option("--format", help="csv, json, npz, livelink, take … or several: csv;take")
     ] = "csv",
     model: AnyModel = "default",
-    backend: Backend = "torch",
+    backend: Backend = "auto",
     fps: Annotated[
         float | None, typer.Option(help="Rate of the written curves: 24 25 29.97 30 50 60.")
     ] = None,

@@ -120,6 +120,8 @@ def _option(name: str) -> inspect.Parameter:
         flags = [f"{flags[0]}/--no-{name}"]
     if name == "emotion":
         flags.append("-e")
+    if name == "role":
+        flags.append("--speaker")
     help_text = schema["description"]
     if schema.get("x-repeated"):
         kind, default, help_text = list[str], None, f"{help_text} Repeatable."
@@ -229,15 +231,13 @@ def control_set_of(rig: str) -> str:
 Model = Annotated[str, typer.Option(help="default, live, or a model folder.")]
 AnyModel = Annotated[
     str,
-    typer.Option(
-        "--model", help="default, live, a mesh model (mesh_head, sdfa), a folder, or an .onnx file."
-    ),
+    typer.Option("--model", help="default, live, a mesh model (mesh_head, sdfa), or a folder."),
 ]
 Backend = Annotated[
     str,
     typer.Option(
         rich_help_panel=EXPERT,
-        help="torch, or onnx: ONNX Runtime (extra onnx), which starts faster.",
+        help="onnx: ONNX Runtime; torch; auto: ONNX Runtime on a processor.",
     ),
 ]
 Device = Annotated[

@@ -305,9 +305,9 @@ class LiveAnimator:
     Parameters
     ----------
     model : str, Path, DEITalk or CausalNetwork
-        A model with a causal frontend, such as ``live``; or its ``.onnx`` file.
+        A model with a causal frontend, such as ``live``.
     backend : str
-        ``torch``, or ``onnx`` for ONNX Runtime, without torch.
+        As for `deitalk.models.load.load_network`.
     streams : int
         Voices, each with its own sound, emotion and state; read in one call of the network.
     emotion, acting, fields
@@ -350,7 +350,7 @@ class LiveAnimator:
         acting: Acting | None = None,
         streams: int = 1,
         sample_rate: int = SAMPLE_RATE,
-        backend: str = "torch",
+        backend: str = "auto",
         **fields: Any,
     ) -> None:
         self.network = load_causal(model, backend=backend)

@@ -241,13 +241,15 @@ def measure_intensities(
     acting: Acting,
     rule: VoiceIntensity | None = VoiceIntensity(),
     held: Callable[[Float32], Float32] = lambda network: network,
+    factor: Float32 | float = 1.0,
 ) -> Intensities:
     """Intensity to apply in each frame, from the network, the voice and the acting.
 
     A network without an intensity module counts as one that predicts 1 everywhere. Without the
     `rule` of the voice's intensity the emotional reading is shown as it is, times the factor.
-    `held` gives the intensity that the emotional reading holds from the predicted one. A curve of
-    the intensity and keyframes of the emotion are shown as drawn, in silence too.
+    `held` gives the intensity that the emotional reading holds from the predicted one, `factor`
+    [shape=(T,)] is what a script makes of the applied one. A curve of the intensity and keyframes
+    of the emotion are shown as drawn, in silence too.
     """
     network = np.ones(speech.n_frames, np.float32)
     saliency = np.zeros(speech.n_frames, np.float32)
@@ -265,7 +267,7 @@ def measure_intensities(
     if rule is not None:
         felt = felt_intensity(voice, acting.emotion_track.at(speech.times), rule)
     wanted = felt if curve is None else curve.at(speech.times).astype(np.float32)
-    whole = np.asarray(wanted * acting.intensity, np.float32)
+    whole = np.asarray(wanted * acting.intensity * factor, np.float32)
     holds = held(network)
     scale = expression_scale(whole, holds)
     if rule is None and curve is None:

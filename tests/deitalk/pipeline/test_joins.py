@@ -103,10 +103,10 @@ def test_a_take_that_goes_on_does_not_come_to_rest(default):
     smile = rests.curves.index("CTRL_L_mouth_cornerPull.ty")
     assert abs(rests.curves.values[-1, smile]) < 0.01
     held, faded = (part.curves.values[-10:, smile].mean() for part in (on, rests))
-    assert held > 0.05 and held > 5 * faded
+    assert held > 3 * faded
     assert np.abs(rests.head[-1]).max() < 1e-6 < 0.1 < np.abs(on.head[-1]).max()
     half = len(sound) // 16_000 * 15
-    assert np.abs(rests.curves.values[:half] - on.curves.values[:half]).max() < 0.01
+    assert np.array_equal(rests.curves.values[:half], on.curves.values[:half])
 
 
 def test_scene_of_lines_is_one_character(network, first):
