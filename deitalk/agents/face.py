@@ -9,7 +9,6 @@ lives on: it listens to the user.
 import threading
 from collections import deque
 from collections.abc import Callable
-from math import ceil
 from pathlib import Path
 from time import monotonic
 from typing import Any, NamedTuple
@@ -148,7 +147,7 @@ class AgentFace:
             self._turn, self._heard = None, np.zeros(0, np.float32)
             if not self._given:
                 return []
-            ahead = ceil(max(self._until - self._clock(), 0.0) * FRAME_RATE)
+            ahead = int(max(self._until - self._clock(), 0.0) * FRAME_RATE)
             for _ in range(min(ahead, len(self._given) - 1)):
                 self._given.pop()
             shown, head = self._given[-1]
