@@ -26,7 +26,9 @@ from rig.curves.layers import Layer, apply_layers
 from rig.errors import listed
 from rig.formats import livelink_csv, unreal_json
 from rig.formats.table import find_format
+from rig.formats.wide_csv import read_header
 
+TABLES = (".csv", ".tsv", ".txt")
 LEAST_LOST = 0.02
 """Of a control that another set of controls does not give back, to be reported."""
 LEAST_FRAMES = 2
@@ -166,7 +168,11 @@ def _twin(path: Path, base: RigCurves, found: CapturedCurves) -> CapturedCurves:
             form = "livelink" if control_set == ARKIT_ID else "livelink-raw"
         elif control_set == DEFAULT_ID:
             return replace(found, curves=base)
-        write_curves(copy, convert(base, control_set), format=form)
+        carried = convert(base, control_set)
+        if path.suffix.lower() in TABLES and form == "csv":  # which may have some columns alone
+            present = [name for name in read_header(path) if name in KNOWN[control_set]()]
+            carried = carried.select(KNOWN[control_set]().resolve(present))
+        write_curves(copy, carried, format=form)
         return read_capture(copy)
 
 

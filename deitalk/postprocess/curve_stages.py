@@ -267,6 +267,7 @@ class Express(nn.Module):
     moods: Tensor
     spreading: Tensor
     taught: Tensor
+    opening: Tensor
     changed: Tensor
 
     def __init__(self, rule: Expressions | None, controls: ControlSet) -> None:
@@ -280,6 +281,9 @@ class Express(nn.Module):
         constant(self, "taught", table.taught * (1.0 if rule is None else rule.size))
         constant(self, "parting", np.where(is_mood, 0, table.parting))
         constant(self, "moods", np.where(is_mood, table.parting, 0))
+        constant(
+            self, "opening", np.isin(table.places, ControlGroups(controls).opening).astype(float)
+        )
         constant(self, "spreading", table.spreading)
         constant(self, "changed", table.changed[:, None])
         self.columns = Columns(table.places, size)
@@ -328,7 +332,8 @@ class Express(nn.Module):
         neutral, blend = part[:, :, NEUTRAL], part[:, :, SHOWN]
         pose = ways @ self.poses + (ways @ self.parting) * free
         pose = pose + (ways @ self.moods) * slow
-        read = (blend - neutral) + missing * (emotion @ self.taught)
+        yields = 1 - (1 - free) * self.opening  # closed lips stay closed
+        read = (blend - neutral) + missing * (emotion @ self.taught) * yields
         shown = read * (ways @ self.gains) + pose * strength
         rounded = self._rounded(curves[:, :, NEUTRAL]) * spoken
         kept = 1 - YIELDED * rounded * (emotion @ self.changed)
