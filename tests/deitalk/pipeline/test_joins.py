@@ -53,8 +53,9 @@ def check_join(before, after):
     step = np.abs(after.curves.values[0] - before.curves.values[-1])
     inside = max(steps(part.curves.values).max() for part in (before, after))
     assert step.max() <= inside
-    both = np.concatenate((before.head[-HEAD_FRAMES:], after.head[:HEAD_FRAMES]))[:, :3]
-    assert steps(both).max() <= MOST_TURN
+    heads = [part.head[:, :3] for part in (before, after)]
+    both = np.concatenate((heads[0][-HEAD_FRAMES:], heads[1][:HEAD_FRAMES]))
+    assert steps(both).max() <= max(MOST_TURN, *(steps(head).max() for head in heads))
 
 
 # --- of speech
@@ -96,15 +97,17 @@ def test_an_end_leads_into_the_take_after_it(default, emotion):
 
 
 def test_a_take_that_goes_on_does_not_come_to_rest(default):
+    """Its expression; the life of a face comes to rest nowhere."""
     sound = np.pad(load_audio("docs/samples/promise.flac").waveform, (0, 6_400))
     rests, on = (
-        animate(sound, "happy", model=default, sample_rate=16_000, into=into) for into in (None, ON)
+        animate(sound, "happy", model=default, sample_rate=16_000, into=into, life="brows=0")
+        for into in (None, ON)
     )
     smile = rests.curves.index("CTRL_L_mouth_cornerPull.ty")
     assert abs(rests.curves.values[-1, smile]) < 0.01
     held, faded = (part.curves.values[-10:, smile].mean() for part in (on, rests))
     assert held > 0.05 and held > 5 * faded
-    assert np.abs(rests.head[-1]).max() < 1e-6 < 0.1 < np.abs(on.head[-1]).max()
+    assert min(np.abs(part.head[-1]).max() for part in (rests, on)) > 0.1
     half = len(sound) // 16_000 * 15
     assert np.array_equal(rests.curves.values[:half], on.curves.values[:half])
 
@@ -197,7 +200,9 @@ def test_every_form_of_a_take_has_one_edge(first, tmp_path):
         assert found.traits == pytest.approx(wanted.traits, abs=1e-5)
         assert found.quiet == pytest.approx(wanted.quiet, abs=1e-3)
         assert found.pose == pytest.approx(wanted.pose, abs=2e-5)
-        assert found.speed == pytest.approx(wanted.speed, abs=4e-5)
+        names = {*found.speed, *wanted.speed}  # a speed of 0 is left out
+        speeds = [[edge.speed.get(name, 0.0) for name in names] for edge in (found, wanted)]
+        assert speeds[0] == pytest.approx(speeds[1], abs=4e-5)
         assert found.head == pytest.approx(wanted.head, abs=1e-4)
     for name in ("curves.csv", "curves.json"):
         assert edge_of(folder / name, "after", last=True).pose == pytest.approx(
