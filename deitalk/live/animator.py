@@ -1,6 +1,5 @@
 """`LiveAnimator`: samples in as they come, curves out a fifth of a second later."""
 
-import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -10,7 +9,7 @@ import numpy.typing as npt
 
 from deitalk.acting import LIVE_FIELDS, Acting, acted_as
 from deitalk.audio.arrays import RunningResampler
-from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE, frame_count
+from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE, frame_count, samples_within
 from deitalk.audio.voice_activity import WINDOW
 from deitalk.config.rules import Idle, RulesConfig
 from deitalk.emotions import LABELS, EmotionTrack
@@ -26,13 +25,14 @@ from deitalk.models.protocol import (
     take,
     trained_weights,
 )
-from deitalk.postprocess.factors import expression_scale
+from deitalk.postprocess.factors import expression_scale, held_intensity
+from deitalk.postprocess.feeling import fade, felt_intensity
 from deitalk.postprocess.joins import MOST_HEAD_FRAMES, Edge, Passage
 from deitalk.postprocess.life.amounts import Life
 from deitalk.postprocess.life.motion import Character, MotionStreams
 from deitalk.postprocess.life.voice import PAUSE, Cues, Seeds
 from deitalk.postprocess.tracks import GATES, LIVE_AHEAD, VoiceTracks, shown_columns
-from deitalk.postprocess.voice_intensity import fade
+from deitalk.postprocess.variants import choose_ways
 from rig import ControlSet
 from rig.arrays import Bool, Float32, Int64
 from rig.curves import HEAD
@@ -123,6 +123,7 @@ class Stream:
         """Sound of the one whom it listens to."""
         self.sound, self.changes = Sound(), [Change(0.0, acting.emotion_track, acting.intensity)]
         self.acting, self.gain = acting, gain_factors(controls, acting.gain)
+        self.ways = choose_ways(acting.variant, Seeds((0, 0, acting.seed)))
         self.groups = 0
         self.n_given = -LIVE_AHEAD
         """Frame that the rules give next."""
@@ -304,15 +305,15 @@ class LiveAnimator:
     Parameters
     ----------
     model : str, Path, DEITalk or CausalNetwork
-        A model with a causal frontend, such as ``live``; or its ``.onnx`` file.
+        A model with a causal frontend, such as ``live``.
     backend : str
-        ``torch``, or ``onnx`` for ONNX Runtime, without torch.
+        As for `deitalk.models.load.load_network`.
     streams : int
         Voices, each with its own sound, emotion and state; read in one call of the network.
     emotion, acting, fields
-        As for `deitalk.animate`, of every stream at the start: emotion, intensity, style, life,
-        look_at, gain, rules and seed; stream k has ``seed + k``. Other fields of an acting need
-        the whole recording.
+        As for `deitalk.animate`, of every stream at the start: emotion, intensity, rest, style,
+        variant, life, look_at, gain, rules and seed; stream k has ``seed + k``. Other fields
+        of an acting need the whole recording.
     sample_rate : int
         Of the samples, Hz; others than 16000 are resampled.
 
@@ -349,7 +350,7 @@ class LiveAnimator:
         acting: Acting | None = None,
         streams: int = 1,
         sample_rate: int = SAMPLE_RATE,
-        backend: str = "torch",
+        backend: str = "auto",
         **fields: Any,
     ) -> None:
         self.network = load_causal(model, backend=backend)
@@ -517,8 +518,8 @@ class LiveAnimator:
         frame = None if shown is None else self._frame(shown, head, one.last[1])
         if not one.sound.end:
             return 0
-        one.interrupt(interruption_samples(self.lookahead_seconds), frame)
-        self.resamplers[stream] = self._resampler()
+        one.interrupt(samples_within(self.lookahead_seconds), frame)
+        self.resamplers[stream][0] = self._resampler()
         return frame_count(one.sound.end)
 
     def _frame(
@@ -543,7 +544,8 @@ class LiveAnimator:
         stream : int, optional
             Which stream; all by default.
         **fields
-            emotion, intensity, look_at, gain and rules; those that are not given stay as they are.
+            emotion, intensity, rest, look_at, gain and rules; those that are not given stay as they
+            are.
 
         Raises
         ------
@@ -649,19 +651,34 @@ class LiveAnimator:
         self.state = self._put(self.state, ready, state)
         # What is heard of them: intensity, opening and gates.
         past = self._taken(self.past, ready)
-        heard, past = self.hearing(sound, rows.strength, rows.effort, past)
+        stays = np.array([stream.acting.rest for stream in streams], np.float32)
+        heard, past = self.hearing(sound, rows.strength, rows.effort, stays, past)
         self.past = self._put(self.past, ready, past)
         # Factors.
+        rules = self.network.rules
         with_rules = ruled[:, None] > 0
-        voice = np.where(with_rules, heard.intensity, rows.strength)
-        applied = voice * wanted
-        scale = wanted
-        if self.network.rules.voice_intensity is not None:
-            scale = np.where(with_rules, expression_scale(applied, rows.strength), wanted)
+        felt, holds, scale = heard.intensity, rows.strength, wanted
+        if rules.voice_intensity is not None:
+            felt = felt_intensity(felt, emotion, rules.voice_intensity)
+            holds = held_intensity(
+                rules.expressions,
+                self.network.controls,
+                rows.neutral,
+                rows.emotional,
+                emotion,
+                rows.strength,
+            )
+            scale = np.where(with_rules, expression_scale(felt * wanted, holds), wanted)
+        applied = np.where(with_rules, felt, rows.strength) * wanted
         opening = np.where(with_rules, heard.opening, 1)
         phones = np.zeros((*scale.shape, 4), np.float32)
         back, kept, _ = heard.held
-        said = VoiceTracks(scale, opening, rows.strength, phones, emotion, back, kept).columns()
+        ways = [stream.ways for stream in streams]
+        variants = emotion @ np.stack([way.weights for way in ways])
+        side = np.repeat([[way.side] for way in ways], count, axis=1)
+        said = VoiceTracks(
+            scale, opening, holds, phones, emotion, back, kept, variants, side
+        ).columns()
         # Gates and motion of the frames that come out.
         before, mixture, speaking, *cues = self._taken(self.due, ready)
         begin = cues[CueState._fields.index("frame")]
@@ -670,9 +687,9 @@ class LiveAnimator:
         self._cue(ready, found, begin, listens)
         mixture = np.concatenate((mixture, emotion * applied[..., None]), axis=1)
         speaking = np.concatenate((speaking, heard.speaking), axis=1)
-        mouth, expression = (
-            np.where(with_rules, gate, 1) for gate in (heard.mouth, heard.expression)
-        )
+        keyed = np.array([stream.acting.is_keyed for stream in streams])[:, None]
+        mouth = np.where(with_rules, heard.mouth, 1)
+        expression = np.where(with_rules & ~keyed, heard.expression, 1)
         mouth = mouth * np.stack([stream.mouth_share(count) for stream in streams])
         numbers = [stream.n_given for stream in streams]
         given = [stream.given(count) for stream in streams]
@@ -702,7 +719,7 @@ class LiveAnimator:
         state = take(self.other, who)
         hearing, cues = state[: -len(CueState._fields)], CueState(*state[-len(CueState._fields) :])
         sound, none = np.stack([others[k] for k in places]), np.zeros((len(who), count), np.float32)
-        heard, hearing = self.ears(sound, none, none, hearing)
+        heard, hearing = self.ears(sound, none, none, none[:, 0], hearing)
         state = cues._replace(frame=begin[places])
         found, state = self.cues(heard.measures, heard.speaking, state)
         put(self.other, who, (*hearing, *state))
@@ -773,11 +790,6 @@ class LiveAnimator:
 
     def _has_begun(self, number: int) -> bool:
         return self.streams[number].groups > 0
-
-
-def interruption_samples(lookahead_seconds: float) -> int:
-    """Samples of silence at 16 kHz that follow where a voice is interrupted."""
-    return math.ceil(lookahead_seconds * SAMPLE_RATE)
 
 
 def checked_samples(samples: Samples) -> Float32:

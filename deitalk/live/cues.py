@@ -9,7 +9,6 @@ Streams are side by side, and their state is in the caller's hands. Letters: B s
 a call.
 """
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -144,9 +143,7 @@ class RunningCues:
             kind, stream = np.nonzero(there)
             time, size, prominence, stop = (part[kind, stream] for part in numbers)
             asked = np.zeros(len(kind), bool)  # questions are known too late
-            parts.append(
-                Cues(stream, kind, time, known[stream], size, prominence, stop, asked)
-            )
+            parts.append(Cues(stream, kind, time, known[stream], size, prominence, stop, asked))
         return Cues(*(np.concatenate(part) for part in zip(*parts, strict=True))), state
 
     def _phrases(self, speaks: Bool, state: CueState) -> tuple[list[Found], CueState]:
@@ -175,9 +172,7 @@ class RunningCues:
         ]
         return found, state._replace(begun=np.where(ends, NONE, begun), spoken=spoken)
 
-    def _peaks(
-        self, row: Measures, speaks: Bool, state: CueState
-    ) -> tuple[list[Found], CueState]:
+    def _peaks(self, row: Measures, speaks: Bool, state: CueState) -> tuple[list[Found], CueState]:
         """`ACCENT` and `STRESS`, which were at the frame before."""
         loudest = np.maximum(state.loudest - LOUDEST_FALLS_DB, row.sonority)
         sonority = np.maximum(row.sonority, loudest - SONORITY_DB)
@@ -207,7 +202,9 @@ class RunningCues:
         none, to_come = np.zeros(len(time)), np.full(len(time), np.nan)
         found = [
             Found(is_peak[:, ACCENTS], time, size[:, ACCENTS], none, to_come),
-            Found(is_peak[:, STRESSES] & (state.begun != NONE), time, size[:, STRESSES], high, to_come),
+            Found(
+                is_peak[:, STRESSES] & (state.begun != NONE), time, size[:, STRESSES], high, to_come
+            ),
         ]
         state = state._replace(
             means=means,

@@ -17,7 +17,7 @@ from deitalk.postprocess.life.draws import (
     uniforms,
 )
 from deitalk.postprocess.life.voice import END, PAUSE, SPEECH, START, Cues
-from rig.arrays import Bool, Float64, Int64
+from rig.arrays import Float64, Int64
 
 # Blinks: their times on the voice, and the closure of the lids.
 #
@@ -66,7 +66,7 @@ def closure(blinks: Float64, times: Float64) -> Float64:
 
 def blink_ends(blinks: Float64) -> Float64:
     """Seconds at which the lids are open."""
-    ends: Float64 = blinks[:, BEGIN : DEPTH].sum(axis=1)
+    ends: Float64 = blinks[:, BEGIN:DEPTH].sum(axis=1)
     return ends
 
 
@@ -377,8 +377,8 @@ class Gaze:
         found[..., :2] += FIXATION_SPREAD * normals(shares[..., 2:])
         averted = (rows[:, 0, None] <= times[place]) & (times[place] < rows[:, 1, None])
         event, frame = np.nonzero(averted)
-        found[place[event], frame, :2] = (
-            rows[event, 2:] + FIXATION_SPREAD * normals(shares[place[event], frame, 2:])
+        found[place[event], frame, :2] = rows[event, 2:] + FIXATION_SPREAD * normals(
+            shares[place[event], frame, 2:]
         )
         found[place[event], frame, 2] = vergence(AVERTED_CM)
         return found

@@ -8,8 +8,8 @@
   in sadness (AU1, AU4), all in surprise (AU1, AU2, AU5), cheeks and lower lids in happiness (AU6)
   (Ekman 1979; Ekman, Friesen and Hager 2002). A neutral face raises or knits them.
 - A face at rest is not still: it smiles a little, tightens a lid, knits or raises its brows, one
-  after the other, and is still between (`IDLE`). Ranges, speeds and shares of stillness of a neutral
-  take are of the size of five captured ones (docs/life.md).
+  after the other, and is still between (`IDLE`). Ranges, speeds and shares of stillness of a
+  neutral take are of the size of five captured ones (docs/life.md).
 - Onsets of 150 to 400 ms and slower offsets, as of spontaneous brow raises and smiles (Schmidt,
   Cohn and Tian 2003).
 - Sides differ by 10 to 15 %, by the character and from event to event (`voice.ASYMMETRY`); a few

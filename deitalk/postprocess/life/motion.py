@@ -239,9 +239,7 @@ class MotionStreams:
 def _followed(values: AnyFloat, seconds: float, states: Float64, streams: Int64) -> Float64:
     """Values (B, n, ...) that a time constant smooths, with the state of streams."""
     share = 1 / (seconds * FRAME_RATE)
-    rows, states[streams] = lfilter(
-        [share], [1, share - 1], values, axis=1, zi=states[streams]
-    )
+    rows, states[streams] = lfilter([share], [1, share - 1], values, axis=1, zi=states[streams])
     return np.asarray(rows, np.float64)
 
 
@@ -282,5 +280,7 @@ def plan_motion(
         rows = slice(start, start + BLOCK_FRAMES)
         other = None if felt is None else felt[None, rows]
         parts.append(streams.move(speaking[None, rows], mixture[None, rows], felt=other))
-    tracks = (np.concatenate(track, axis=1)[0] for track in zip(*(p.tracks for p in parts), strict=True))
+    tracks = (
+        np.concatenate(track, axis=1)[0] for track in zip(*(p.tracks for p in parts), strict=True)
+    )
     return Motion(MotionTracks(*tracks), np.concatenate([part.head[0] for part in parts]))

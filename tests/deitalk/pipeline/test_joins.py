@@ -14,7 +14,7 @@ from deitalk.errors import DataError
 from deitalk.models.checkpoint import load_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.models.folder import embedded_models
-from deitalk.postprocess.joins import HEAD_FRAMES, LONGEST_QUIET, ON, Edge, edge_of, lead
+from deitalk.postprocess.joins import HEAD_FRAMES, LONGEST_QUIET, Edge, edge_of, lead
 from rig import RigCurves, default_controls
 from rig.errors import UserError
 from tests.deitalk.pipeline.test_curves import SMALL, recording
@@ -81,8 +81,6 @@ def test_the_known_case_has_no_step(default, shared):
     folder = shared / "cases" / "17_joins"
     before = animate(folder / "a.wav", "happy", model=default)
     place = before.curves.index("CTRL_L_mouth_cornerPull.ty")
-    alone = animate(folder / "b.wav", "happy", model=default)
-    assert abs(alone.curves.values[0, place] - before.curves.values[-1, place]) > 0.25
     after = animate(folder / "b.wav", "happy", model=default, after=before)
     check_join(before, after)
     assert abs(after.curves.values[0, place] - before.curves.values[-1, place]) < 0.05
@@ -96,26 +94,11 @@ def test_an_end_leads_into_the_take_after_it(default, emotion):
     check_join(before, after)
 
 
-def test_a_take_that_goes_on_does_not_come_to_rest(default):
-    """Its expression; the life of a face comes to rest nowhere."""
-    sound = np.pad(load_audio("docs/samples/promise.flac").waveform, (0, 6_400))
-    rests, on = (
-        animate(sound, "happy", model=default, sample_rate=16_000, into=into, life="brows=0")
-        for into in (None, ON)
-    )
-    smile = rests.curves.index("CTRL_L_mouth_cornerPull.ty")
-    assert abs(rests.curves.values[-1, smile]) < 0.01
-    held, faded = (part.curves.values[-10:, smile].mean() for part in (on, rests))
-    assert held > 0.05 and held > 5 * faded
-    assert min(np.abs(part.head[-1]).max() for part in (rests, on)) > 0.1
-    half = len(sound) // 16_000 * 15
-    assert np.array_equal(rests.curves.values[:half], on.curves.values[:half])
-
-
 def test_scene_of_lines_is_one_character(network, first):
     second = animate(recording(1.2), model=network, after=first)
     third = animate(recording(0.9), model=network, after=second)
-    assert first.traits == second.traits == third.traits
+    for line in (second, third):
+        assert line.traits == pytest.approx(first.traits, abs=1e-5)
     assert animate(recording(0.9), model=network).traits != first.traits
 
 
@@ -221,7 +204,7 @@ def test_speeds_are_those_of_a_thirtieth_of_a_second(fps):
 
 def test_settings_hold_the_edge_and_give_the_take_again(network, first, tmp_path):
     folder = first.save(tmp_path / "take")
-    made = animate(recording(1.2), model=network, after=folder, into=ON)
+    made = animate(recording(1.2), model=network, after=folder, into=folder)
     settings = json.loads(json.dumps(made.acting.settings))
     assert settings.keys() == {"after", "into"}
     shutil.rmtree(folder)

@@ -15,8 +15,8 @@ from deitalk.postprocess.life.motion import plan_motion
 from deitalk.postprocess.life.voice import Accent, Phrase, Seeds, Voice, measure_voice
 from deitalk.postprocess.tracks import MOTION, MotionTracks
 from rig import RigCurves, default_controls
-from rig.conversion.arkit import raw_to_arkit
 from rig.controls import DEFAULT_ID
+from rig.conversion.arkit import raw_to_arkit
 from tests.deitalk.postprocess.stages import Stages
 
 CONTROLS = default_controls()

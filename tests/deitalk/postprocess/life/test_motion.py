@@ -211,10 +211,7 @@ def test_head_rises_before_a_phrase_and_is_low_at_its_end():
     phrase = Phrase(120, 300, False)
     voice = VOICE._replace(phrases=(phrase,), stresses=())
     pitch = np.mean(
-        [
-            head_motion(voice, shown("neutral"), seed)[0][:, 1]
-            for seed in range(60)
-        ],
+        [head_motion(voice, shown("neutral"), seed)[0][:, 1] for seed in range(60)],
         axis=0,
     )
     before, within, end = pitch[phrase.start - 6], pitch[200:240].mean(), pitch[phrase.stop]
@@ -270,7 +267,9 @@ def test_nods_of_one_voice_come_in_phases():
     assert 0.5 < depths.std() / depths.mean() < 0.9
 
 
-@pytest.mark.parametrize(("emotion", "column", "sign"), [("sad", 1, -1), ("angry", 5, 1), ("surprised", 5, -1)])
+@pytest.mark.parametrize(
+    ("emotion", "column", "sign"), [("sad", 1, -1), ("angry", 5, 1), ("surprised", 5, -1)]
+)
 def test_posture_is_that_of_the_emotion(emotion, column, sign):
     _, posture = head_motion(VOICE, shown(emotion))
     middle = posture[200:600, column]
@@ -325,7 +324,9 @@ def test_gaze_rests_where_it_is_told():
     np.testing.assert_allclose((there - here), [[10, -5]] * N_FRAMES, atol=1e-4)
 
 
-@pytest.mark.parametrize("text", ["brows=.8,head=1.2, gaze=0", {"brows": 0.8, "head": 1.2, "gaze": 0}])
+@pytest.mark.parametrize(
+    "text", ["brows=.8,head=1.2, gaze=0", {"brows": 0.8, "head": 1.2, "gaze": 0}]
+)
 def test_amounts_are_read_from_text_and_mappings(text):
     assert Life.of(text) == Life(brows=0.8, head=1.2, gaze=0.0)
     assert Life.of(str(Life.of(text))) == Life.of(text)
