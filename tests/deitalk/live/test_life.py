@@ -163,7 +163,9 @@ def test_motion_before_an_accent_does_not_depend_on_it():
     """The first accent is at frame 60, and known at 61: frames to 58 are without it."""
     measures, speaking = voice()
     accented = brows()
-    calm, _ = moved(measures._replace(level=np.full(240, -20.0), sonority=np.full(240, -20.0)), speaking)
+    calm, _ = moved(
+        measures._replace(level=np.full(240, -20.0), sonority=np.full(240, -20.0)), speaking
+    )
     np.testing.assert_array_equal(accented[:58], calm[:58])
     assert max(column(accented, s)[60:100].max() for s in ("brow_raiseIn", "brow_down")) > 0.1
 
