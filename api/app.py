@@ -129,14 +129,13 @@ def _add_handlers(app: FastAPI) -> None:
         code, headers = STATUS_CODES.get(error.status_code, "error"), dict(error.headers or {})
         text = NO_PATH if error.status_code == 404 else str(error.detail)
         if error.status_code == 405:
-            headers["Allow"] = ", ".join(_methods(request.scope["path"]))
+            # Methods of every route that has a path.
+            path = request.scope["path"]
+            routes = [route for module in ROUTES for route in module.router.routes]
+            fitting = [r for r in routes if isinstance(r, Route) and r.path_regex.match(path)]
+            methods = {method for route in fitting for method in route.methods or ()}
+            headers["Allow"] = ", ".join(
+                sorted(methods | {"HEAD"} if "GET" in methods else methods)
+            )
             text = f"this path takes {headers['Allow']}"
         return problem_answer(Problem(error.status_code, text, code, None, headers))
-
-
-def _methods(path: str) -> list[str]:
-    """Methods of every route that has a path."""
-    routes = [route for module in ROUTES for route in module.router.routes]
-    fitting = [r for r in routes if isinstance(r, Route) and r.path_regex.match(path)]
-    methods = {method for route in fitting for method in route.methods or ()}
-    return sorted(methods | {"HEAD"} if "GET" in methods else methods)

@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 from api.compute.live import MODEL, Voices
 from api.compute.order import Limits, Order
 from api.compute.pool import Pool, Stage, checked, result_path
-from api.compute.worker import OutOfTime, Worker, WorkerLost
+from api.compute.worker import OrderWorker, OutOfTime
 from api.errors import RETRY, Problem, database_away, problem_for
 from api.guard.keys import Caller, Places
 from api.guard.metrics import Metrics
@@ -19,6 +19,7 @@ from api.jobs.queue import Queue
 from api.jobs.runner import Runner, Store
 from api.jobs.table import open_database
 from api.settings import Settings
+from deitalk.workers import WorkerLost
 
 Result = TypeVar("Result")
 DATABASE_THREADS = 8
@@ -183,7 +184,7 @@ class Pages:
     """
 
     def __init__(self, limits: Limits, stage: Stage) -> None:
-        self.worker, self.stage = Worker({**limits, "memory_bytes": DRAW_BYTES}), stage
+        self.worker, self.stage = OrderWorker({**limits, "memory_bytes": DRAW_BYTES}), stage
         self._one = asyncio.Lock()
         self._drawn: dict[str, asyncio.Task[bytes]] = {}
 

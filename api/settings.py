@@ -215,7 +215,10 @@ def load_settings(file: Path | None = None, **given: Any) -> Settings:
     content = {} if path is None else read_yaml(path) or {}
     if not isinstance(content, dict):
         raise ConfigError(f"{path}: settings are lines such as `port: 8000`")
-    _check_variables()
+    known = {PREFIX + name.upper() for name in Settings.model_fields} | {*OTHER_VARIABLES}
+    for name in os.environ:
+        if name.upper().startswith(PREFIX) and name.upper() not in known:
+            raise ConfigError(f"variable {quoted(name)} is no setting; see docs/service.md")
 
     class FromFile(Settings):
         @classmethod
@@ -261,13 +264,6 @@ class _Fixed(PydanticBaseSettingsSource):
 
     def __call__(self) -> dict[str, Any]:
         return self.values
-
-
-def _check_variables() -> None:
-    known = {PREFIX + name.upper() for name in Settings.model_fields} | {*OTHER_VARIABLES}
-    for name in os.environ:
-        if name.upper().startswith(PREFIX) and name.upper() not in known:
-            raise ConfigError(f"variable {quoted(name)} is no setting; see docs/service.md")
 
 
 def _data_folder() -> Path:

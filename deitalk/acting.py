@@ -37,11 +37,16 @@ if TYPE_CHECKING:
     from deitalk.emotions import ActorReference as ActorReference
     from deitalk.emotions import EmotionTrack as EmotionTrack
     from deitalk.emotions import IntensityCurve as IntensityCurve
+    from deitalk.postprocess.joins import Edge as Edge
     from deitalk.postprocess.life.amounts import Life as Life
+    from deitalk.postprocess.life.other import OtherVoice as OtherVoice
+    from rig.curves.layers import Layer as Layer
 
     Track = EmotionTrack | Literal["auto"]
+    Next = Edge | Literal["on"]
 else:  # their modules need numpy, which a command line does without until it works
-    ActorReference = EmotionTrack = IntensityCurve = Life = Track = Any
+    ActorReference = Edge = EmotionTrack = IntensityCurve = Layer = Life = Any
+    Next = OtherVoice = Track = Any
 
 # Text forms of the fields of an acting, parsed once, and the files that they may name.
 
@@ -50,6 +55,8 @@ AUTO: Final = "auto"
 LONGEST_LISTENING = 600.0
 """Seconds."""
 MOST_INTENSITY = 4.0
+NO_PLACE = (0.0, 0.0, 65.0)
+"""Where a listener is if no place is given: ahead; degrees and cm."""
 LONGEST_TEXT = 1 << 20
 """Letters of a text that comes from elsewhere."""
 WORDS_SUFFIXES = (".txt", ".textgrid", ".srt", ".vtt")
@@ -196,6 +203,27 @@ def read_voice(given: Any, info: ValidationInfo) -> ActorReference:
     return read_actor(_file(str(given).strip(), _files(info)))
 
 
+def read_edge(given: Any, info: ValidationInfo) -> Edge | Next:
+    """The edge of the take beside: a take folder, a file of curves, a performance, its content."""
+    from deitalk.postprocess.joins import ON, edge_of
+
+    if info.field_name == "into" and given == ON:
+        return ON
+    if isinstance(given, str | Path) and not str(given).lstrip().startswith("{"):
+        given = _file(str(given).strip(), _files(info), DataError)
+    return edge_of(given, str(info.field_name), last=info.field_name == "after")
+
+
+def read_other(given: Any, info: ValidationInfo) -> OtherVoice:
+    """The voice of another one: a recording, its path, or the content that a take keeps."""
+    from deitalk.postprocess.life.other import other_voice
+
+    path = None
+    if isinstance(given, str | Path) and not str(given).lstrip().startswith("{"):
+        path = _file(str(given).strip(), _files(info), DataError)
+    return other_voice(given, "listen_to", path)
+
+
 def read_words(given: Any, info: ValidationInfo) -> Words:
     """Words, a file of them, or its content."""
     return Words.of(given, _files(info))
@@ -236,8 +264,8 @@ def read_life(given: Any) -> Life:
     return Life.of(given)
 
 
-def read_place(given: Any) -> tuple[float, float]:
-    """Two angles, or their text."""
+def read_place(given: Any) -> tuple[float, float, float]:
+    """Two angles with or without a distance, or their text."""
     from deitalk.postprocess.life.amounts import place_of
 
     return place_of(given)
@@ -250,14 +278,40 @@ def read_gains(given: Any) -> dict[str, float]:
     return parse_gains(given or None)
 
 
+def read_edit(given: Any, info: ValidationInfo) -> tuple[Layer, ...]:
+    """Layers, files of them (a text may name several, with ``;`` between), or their content."""
+    from rig.curves.layers import Layer, parse_layers, read_layers
+
+    if isinstance(given, Layer):
+        return (given,)
+    if isinstance(given, list | tuple):
+        return tuple(layer for part in given for layer in read_edit(part, info))
+    if isinstance(given, Mapping) or (isinstance(given, str) and given.lstrip()[:1] in ("[", "{")):
+        return parse_layers(given)
+    if not isinstance(given, str | Path):
+        raise ConfigError(
+            f"edit {quoted(given)} is a {type(given).__name__}; give a file, a Layer or a list"
+        )
+    names = [name.strip() for name in str(given).split(";") if name.strip()]
+    files = [_file(name, _files(info), ConfigError) for name in names]
+    return tuple(layer for path in files for layer in read_layers(path))
+
+
+def written_edit(layers: tuple[Layer, ...]) -> str:
+    """The text that `read_edit` reads."""
+    return json.dumps([layer.tree() for layer in layers], ensure_ascii=False) if layers else ""
+
+
 def written_gains(gains: Mapping[str, float]) -> str:
     """The text that `read_gains` reads."""
     return ",".join(f"{name}={factor:.9g}" for name, factor in gains.items())
 
 
-def written_place(place: tuple[float, float]) -> str:
-    """The text that `read_place` reads."""
-    return ",".join(f"{part:.9g}" for part in place)
+def written_place(place: tuple[float, float, float]) -> str:
+    """The text that `read_place` reads, without the usual distance."""
+    *angles, distance = place
+    parts = angles if distance == NO_PLACE[2] else place
+    return ",".join(f"{part:.9g}" for part in parts)
 
 
 def _text(schema: str = "string", **more: Any) -> WithJsonSchema:
@@ -308,6 +362,16 @@ class Acting(BaseModel):
             json_schema_extra=_extra(panel="Editing"),
         )
     )
+    rest: Annotated[
+        float,
+        PlainValidator(number_within(0.0, 1.0)),
+        _text("number", minimum=0, maximum=1),
+    ] = Field(
+        default=0.5,
+        description="Share of the expression that stays in silence around the speech, 0 (neutral) "
+        "to 1; an intensity curve and keyframes are shown as drawn.",
+        json_schema_extra=_extra("change", panel="Performance"),
+    )
     voice: Annotated[
         ActorReference | None,
         PlainValidator(read_voice),
@@ -342,14 +406,15 @@ class Acting(BaseModel):
         json_schema_extra=_extra("start", panel="Performance", default="on"),
     )
     look_at: Annotated[
-        tuple[float, float],
+        tuple[float, float, float],
         PlainValidator(read_place),
         PlainSerializer(written_place, return_type=str),
         _text(maxLength=60),
     ] = Field(
-        default=(0.0, 0.0),
-        description="Place of the listener: degrees to the character's left and up, -35 to 35.",
-        examples=["10,-5"],
+        default=NO_PLACE,
+        description="Place of the listener: degrees to the character's left and up, -35 to 35; and "
+        "its distance, on which both eyes meet, 65 cm if it is not given.",
+        examples=["10,-5", "10,-5,120"],
         json_schema_extra=_extra("change", panel="Performance", default="0,0"),
     )
     gain: Annotated[
@@ -363,6 +428,18 @@ class Acting(BaseModel):
         examples=["jaw=1.2,brow=.8"],
         json_schema_extra=_extra("change", panel="Editing", default=""),
     )
+    edit: Annotated[
+        tuple[Layer, ...],
+        PlainValidator(read_edit),
+        PlainSerializer(written_edit, return_type=str),
+        _TEXT,
+    ] = Field(
+        default=(),
+        description="Layers of edits by hand, in their order: .edit.json files of `deitalk diff` "
+        "or the studio, or a take folder for its own.",
+        examples=["fixes.edit.json"],
+        json_schema_extra=_extra(panel="Editing", default="") | {"x-repeated": True},
+    )
     listen: Annotated[
         float,
         PlainValidator(number_within(0.0, LONGEST_LISTENING)),
@@ -371,6 +448,41 @@ class Acting(BaseModel):
         default=0.0,
         description="Seconds of silence with motion after the speech, 0 to 600.",
         json_schema_extra=_extra(panel="Performance"),
+    )
+    listen_to: Annotated[
+        OtherVoice | None,
+        PlainValidator(read_other),
+        PlainSerializer(lambda voice: voice.content, return_type=dict, when_used="unless-none"),
+        WithJsonSchema({"anyOf": [{"type": "string"}, {"type": "object"}]}),
+    ] = Field(
+        default=None,
+        description="Recording of another one who speaks meanwhile, on the same clock: the face "
+        "nods at the ends of its phrases, keeps its eyes there and mirrors a third of its feeling.",
+        json_schema_extra=_extra(panel="Performance"),
+    )
+    after: Annotated[
+        Edge | None,
+        PlainValidator(read_edge),
+        PlainSerializer(lambda edge: edge.content, return_type=dict, when_used="unless-none"),
+        WithJsonSchema({"anyOf": [{"type": "string"}, {"type": "object"}]}),
+    ] = Field(
+        default=None,
+        description="Take that comes before: begin in its last pose, at its speeds, as the same "
+        "character; a take folder or a file of curves.",
+        json_schema_extra=_extra(panel="Editing"),
+    )
+    into: Annotated[
+        Next | None,
+        PlainValidator(read_edge),
+        PlainSerializer(
+            lambda edge: edge if isinstance(edge, str) else edge.content, when_used="unless-none"
+        ),
+        WithJsonSchema({"anyOf": [{"type": "string"}, {"type": "object"}]}),
+    ] = Field(
+        default=None,
+        description="Take that comes next: do not come to rest, and end in its first pose; or on: "
+        "only do not come to rest.",
+        json_schema_extra=_extra(panel="Editing"),
     )
     rules: bool = Field(
         default=True,
@@ -439,6 +551,11 @@ class Acting(BaseModel):
         if isinstance(self.emotion, str):
             raise EmotionError("emotion auto needs a whole recording; name an emotion")
         return self.emotion
+
+    @property
+    def is_keyed(self) -> bool:
+        """Whether the emotion has keyframes, which are shown in silence as drawn."""
+        return len(self.emotion_track.times) > 1
 
     @property
     def motion(self) -> Life | None:

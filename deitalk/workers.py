@@ -1,4 +1,6 @@
-"""Worker processes: they end with their parent, and import nothing from the working folder.
+"""Worker processes: one is started, sent messages, waited for, ended and started again.
+
+They end with their parent, and import nothing from the working folder.
 
 Python puts the working folder first where it looks for modules in what `multiprocessing` starts
 (new processes, the fork server, the resource tracker): a ``struct.py`` there would be executed.
@@ -6,13 +8,16 @@ Python puts the working folder first where it looks for modules in what `multipr
 
 import multiprocessing
 import os
+import signal
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from multiprocessing import parent_process
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import BaseContext, SpawnContext, SpawnProcess
+from multiprocessing.process import BaseProcess
+from typing import Any
 
 SAFE_PATH = "PYTHONSAFEPATH"
 """With this variable Python leaves the working folder out."""
@@ -71,6 +76,111 @@ else:
 DATA_WORKERS = multiprocessing.get_context("fork") if sys.platform == "linux" else NEW_PROCESSES
 """Context of the processes of a `DataLoader`: a fork has the data and what cannot be pickled. It is
 Python's own choice up to 3.13."""
+
+
+class WorkerLost(Exception):
+    """The worker process ended before it answered."""
+
+
+class Worker:
+    """A process that takes messages from a pipe and answers on it.
+
+    Messages are bytes, so that who reads them chooses how they are decoded.
+
+    Parameters
+    ----------
+    context : BaseContext
+        `NEW_PROCESSES` or `FORK_SERVER`.
+    serve : callable
+        Function of a module, called in the process with its end of the pipe, then `args`; it
+        returns when the pipe is closed. `begin_worker` is what it calls first.
+    *args : Any
+        Can be pickled.
+
+    Notes
+    -----
+    Not for several threads at once.
+    """
+
+    def __init__(self, context: BaseContext, serve: Callable[..., None], *args: Any) -> None:
+        self._context, self._serve, self._args = context, serve, args
+        self._process: BaseProcess | None = None
+        self.pipe: Connection
+
+    @property
+    def pid(self) -> int | None:
+        """Number of the process, if there is one."""
+        return None if self._process is None else self._process.pid
+
+    @property
+    def is_alive(self) -> bool:
+        """Whether the process has started and not ended."""
+        return self._process is not None and self._process.is_alive()
+
+    def start(self) -> None:
+        """Start a process in the place of the one before.
+
+        Raises
+        ------
+        WorkerLost
+            If the process that it is forked from has ended.
+        """
+        self.stop()
+        self.pipe, child = self._context.Pipe()
+        with child:
+            process = self._context.Process(  # type: ignore[attr-defined]
+                target=self._serve, args=(child, *self._args), daemon=True
+            )
+            try:
+                process.start()
+            except (EOFError, OSError):
+                self.pipe.close()
+                raise WorkerLost("a worker process did not start") from None
+        self._process = process
+
+    def send(self, message: bytes) -> None:
+        """Send a message.
+
+        Raises
+        ------
+        WorkerLost
+            If the process has ended.
+        """
+        try:
+            self.pipe.send_bytes(message)
+        except OSError:
+            raise WorkerLost("the worker process ended") from None
+
+    def receive(self, seconds: float | None = None) -> bytes | None:
+        """Wait for a message; None if none comes in a number of seconds.
+
+        Raises
+        ------
+        WorkerLost
+            If the process has ended.
+        """
+        try:
+            return self.pipe.recv_bytes() if self.pipe.poll(seconds) else None
+        except (EOFError, OSError):
+            raise WorkerLost("the worker process ended") from None
+
+    def stop(self, *, at_once: bool = True) -> None:
+        """End the process, at once or after the message that it works on."""
+        if self._process is None:
+            return
+        if at_once:
+            self._process.kill()
+        else:
+            self.pipe.close()
+        self._process.join()
+        self._process = None
+        self.pipe.close()
+
+
+def begin_worker() -> None:
+    """Have this process end with its parent alone: Ctrl-C is the parent's."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    end_with_parent()
 
 
 def end_with_parent(worker_id: int = 0) -> None:

@@ -18,6 +18,8 @@ TRACK_BYTES = 32 * MIB
 """Emotion or intensity as CSV: three hours of a take's intensity.csv are 25 MB."""
 TRACK_JSON_BYTES = 8 * MIB
 """Emotion or intensity as JSON: parsed objects take thirty times the memory of their text."""
+EDIT_BYTES = 8 * MIB
+"""Layers of edits as JSON; one of 20 edits has 20 kB."""
 TRANSCRIPT_BYTES = 16 * MIB
 """Words or phones with times: three hours of phones as a TextGrid are 12 MB."""
 YAML_BYTES = 256 * KIB
@@ -175,3 +177,7 @@ TRAINING_PASSES = 1.0e6
 """Epochs of a training."""
 TRAINING_STEPS = 10**9
 """Steps of a training."""
+MOST_DELAY = 240
+"""Frames by which a face may be late or early against its sound."""
+MOST_HANDLES = 1000
+"""Frames that may be added before and after."""

@@ -323,9 +323,17 @@ def check_live_link(path: Path) -> list[Finding]:
     _check_header(path, _first_line(path))
     highest = _highest_frame_field(path)
     take = read_take(path)
+    subject = subject_of(path)
+    text = f"Unreal makes the Live Link subject {subject!r}"
+    parts = TAKE.fullmatch(path.stem)
+    if parts and subject == path.stem:
+        better = f"{parts['slate']}_take_{parts['take']}_{parts['subject']}.csv"
+        text += f", the whole name; {better} gives {parts['subject']!r}"
+    if suffix_note(path):
+        text = suffix_note(path)
     findings = [
         Finding("note", path, _count_of_frames(take)),
-        Finding("note", path, _subject(path)),
+        Finding("note", path, text),
     ]
     if take.ticks[0] > 60_000:
         text = "the time code starts late: Unreal places the section at that hour of the timeline"
@@ -393,18 +401,6 @@ def _highest_frame_field(path: Path) -> float:
             field = line.partition(",")[0].rpartition(":")[2]
             highest = max(highest, float(field) if re.fullmatch(r"\d+(\.\d+)?", field) else 0.0)
     return highest
-
-
-def _subject(path: Path) -> str:
-    subject = subject_of(path)
-    text = f"Unreal makes the Live Link subject {subject!r}"
-    parts = TAKE.fullmatch(path.stem)
-    if parts and subject == path.stem:
-        better = f"{parts['slate']}_take_{parts['take']}_{parts['subject']}.csv"
-        text += f", the whole name; {better} gives {parts['subject']!r}"
-    if suffix_note(path):
-        text = suffix_note(path)
-    return text
 
 
 def _metahuman(path: Path, take: LiveLinkTake) -> list[Finding]:

@@ -1,4 +1,4 @@
-"""Worker processes that requests share, and the folders they work in."""
+"""OrderWorker processes that requests share, and the folders they work in."""
 
 import asyncio
 import logging
@@ -17,9 +17,10 @@ import anyio
 from filelock import FileLock, Timeout
 
 from api.compute.order import OUT, Answer, Limits, Order, TooLarge
-from api.compute.worker import OutOfTime, Worker, WorkerLost
+from api.compute.worker import OrderWorker, OutOfTime
 from api.errors import InternalError, Problem, named_problem
 from api.guard.keys import Caller, Places
+from deitalk.workers import WorkerLost
 
 SERVER_PREFIX = "deitalk-server-"
 LOCK = ".deitalk.lock"
@@ -36,14 +37,14 @@ class Turns:
     """Workers that are free, none at first, and the callers who wait for one."""
 
     def __init__(self) -> None:
-        self.idle: list[Worker] = []
-        self.waiting: list[tuple[Caller, asyncio.Future[Worker]]] = []
+        self.idle: list[OrderWorker] = []
+        self.waiting: list[tuple[Caller, asyncio.Future[OrderWorker]]] = []
         self.work: dict[str, list[list[float]]] = {}
         """Begin and end of the work for each caller in the last `FAIR_SECONDS`."""
 
-    async def take(self, caller: Caller) -> Worker:
+    async def take(self, caller: Caller) -> OrderWorker:
         """Wait for a worker; a caller who is cancelled meanwhile takes none."""
-        turn: asyncio.Future[Worker] = asyncio.get_running_loop().create_future()
+        turn: asyncio.Future[OrderWorker] = asyncio.get_running_loop().create_future()
         self.waiting.append((caller, turn))
         self._next()
         try:
@@ -56,7 +57,7 @@ class Turns:
             self._next()
             raise
 
-    def give(self, worker: Worker) -> None:
+    def give(self, worker: OrderWorker) -> None:
         """Take a worker, for the first time or back."""
         self.idle.append(worker)
         self._next()
@@ -84,7 +85,7 @@ class Turns:
 
 
 class Pool:
-    """Worker processes for work that a client waits for.
+    """OrderWorker processes for work that a client waits for.
 
     Parameters
     ----------
@@ -100,7 +101,7 @@ class Pool:
 
     def __init__(self, limits: Limits, workers: int, seconds: float, waiting: int) -> None:
         self.seconds, self.places = seconds, Places(workers + waiting)
-        self._all = [Worker(limits) for _ in range(workers)]
+        self._all = [OrderWorker(limits) for _ in range(workers)]
         self.turns = Turns()
         self._threads = ThreadPoolExecutor(workers, "worker")
         self.lost = self.left = 0
@@ -118,7 +119,7 @@ class Pool:
             await self._start(worker)
         self._tasks.add(asyncio.create_task(self._keep()))
 
-    async def _start(self, worker: Worker) -> None:
+    async def _start(self, worker: OrderWorker) -> None:
         """Start a process; where that fails, `_keep` or an order tries again after a while."""
         try:
             await asyncio.get_running_loop().run_in_executor(self._threads, worker.start)
@@ -135,7 +136,7 @@ class Pool:
                 self.turns.idle.remove(worker)
                 self._give(worker)
 
-    def _give(self, worker: Worker) -> None:
+    def _give(self, worker: OrderWorker) -> None:
         """Take a worker back, after another process has started if its own has ended."""
         if worker.is_alive or self._is_ending:
             self.turns.give(worker)

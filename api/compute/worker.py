@@ -2,9 +2,7 @@
 
 import ctypes
 import json
-import multiprocessing.process
 import os
-import signal
 import sys
 from collections.abc import Callable
 from contextlib import suppress
@@ -16,16 +14,19 @@ from typing import Any
 
 from api.compute.order import Answer, Limits, Order, TooLarge
 from api.errors import DISK_FULL, describe, is_disk_full, names_of
-from deitalk.workers import FORK_SERVER, NEW_PROCESSES, end_with_parent, safe_path
+from deitalk.workers import (
+    FORK_SERVER,
+    NEW_PROCESSES,
+    Worker,
+    WorkerLost,
+    begin_worker,
+    safe_path,
+)
 from rig.errors import UserError
 
 START_SECONDS = 120.0
 """Longest time until a new worker is ready."""
 _POLL_SECONDS = 0.1
-
-
-class WorkerLost(Exception):
-    """The worker process ended before it answered."""
 
 
 class OutOfTime(Exception):
@@ -36,7 +37,7 @@ class Stopped(Exception):
     """The worker was stopped because its owner wanted it."""
 
 
-class Worker:
+class OrderWorker(Worker):
     """A process that is started at the first order and again after it was stopped.
 
     Parameters
@@ -46,25 +47,18 @@ class Worker:
 
     Notes
     -----
-    Not for several threads at once. On Linux the process is forked from one that holds the models;
-    elsewhere it starts anew and reads them.
+    On Linux the process is forked from one that holds the models; elsewhere it starts anew and
+    reads them.
     """
 
     def __init__(self, limits: Limits) -> None:
-        self.limits = limits
-        self._context = process_context(limits["backend"])
-        self._process: multiprocessing.process.BaseProcess | None = None
+        super().__init__(process_context(limits["backend"]), work, limits)
         self.is_ready = False
-
-    @property
-    def pid(self) -> int | None:
-        """Number of the process, if there is one."""
-        return None if self._process is None else self._process.pid
 
     @property
     def is_alive(self) -> bool:
         """Whether the process has started and not ended; not while an order is at work."""
-        return self.is_ready and self._process is not None and self._process.is_alive()
+        return self.is_ready and super().is_alive
 
     def start(self) -> None:
         """Start the process and wait until its models are read.
@@ -76,20 +70,14 @@ class Worker:
         """
         if self.is_alive:
             return
-        self.stop()
-        self._connection, child = self._context.Pipe()
-        process = self._context.Process(target=work, args=(child, self.limits), daemon=True)  # type: ignore[attr-defined]
+        super().start()
         try:
-            process.start()
-            self._process = process
-            child.close()
-            if not self._connection.poll(START_SECONDS):
-                raise EOFError
-            self._connection.recv_bytes()
-        except (EOFError, OSError):
-            child.close()
+            is_ready = self.receive(START_SECONDS)
+        except WorkerLost:
+            is_ready = None
+        if is_ready is None:
             self.stop()
-            raise WorkerLost("a worker process did not start") from None
+            raise WorkerLost("a worker process did not start")
         self.is_ready = True
 
     def run(
@@ -120,34 +108,27 @@ class Worker:
         self.start()
         end = monotonic() + seconds
         try:
-            self._connection.send_bytes(json.dumps(order).encode())
+            self.send(json.dumps(order).encode())
             while True:
-                while not self._connection.poll(_POLL_SECONDS):
+                while (message := self.receive(_POLL_SECONDS)) is None:
                     if stopped():
                         raise Stopped
                     if monotonic() > end:
                         raise OutOfTime
-                answer: Answer = json.loads(self._connection.recv_bytes())
+                answer: Answer = json.loads(message)
                 if "progress" not in answer:
                     return answer
                 progress(answer["progress"])
                 if stopped():
                     raise Stopped
-        except (EOFError, OSError):
-            self.stop()
-            raise WorkerLost("the worker process ended") from None
         except BaseException:
             self.stop()
             raise
 
-    def stop(self) -> None:
-        """End the process at once."""
+    def stop(self, *, at_once: bool = True) -> None:
+        """End the process."""
         self.is_ready = False
-        if self._process is not None:
-            self._process.kill()
-            self._process.join()
-            self._process = None
-            self._connection.close()
+        super().stop(at_once=at_once)
 
 
 def start_early(backend: str) -> None:
@@ -201,8 +182,7 @@ def work(connection: Connection, limits: Limits) -> None:
 
 def begin_process() -> None:
     """End with the server alone, and send what libraries print to nowhere: it may name files."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    end_with_parent()
+    begin_worker()
     nowhere = os.open(os.devnull, os.O_WRONLY)
     for stream in (1, 2):
         os.dup2(nowhere, stream)

@@ -146,7 +146,17 @@ class Guard:
                 await self._run(active, body, send)
                 group.cancel_scope.cancel()
         if active.is_ended and not active.is_complete:
-            await _end(active, send)
+            # Answer a request that was ended because the server ends.
+            problem = _ending()
+            if active.status == 0:
+                await _refuse(active.scope, problem, send)
+            elif active.scope["type"] == "websocket":
+                text = json.dumps({"type": "problem", **problem.content})
+                await send({"type": "websocket.send", "text": text})
+                await send({"type": "websocket.close", "code": 1012})
+            elif active.is_stream:
+                event = f"event: {problem.code}\ndata: {json.dumps(problem.content)}\n\n"
+                await send({"type": "http.response.body", "body": event.encode()})
 
     async def _run(self, active: _Active, receive: Receive, send: Send) -> None:
         scope = active.scope
@@ -154,7 +164,16 @@ class Guard:
         if scope.get("method") == "HEAD":  # the answer to GET, which has no parts
             headers = [header for header in scope["headers"] if header[0] != b"range"]
             inner |= {"method": "GET", "headers": headers}
-            send = _head_alone(active, send)
+
+            # End the work on an answer once its headers are sent.
+            async def sent(message: Message) -> None:
+                if message["type"] == "http.response.body":
+                    await send({"type": "http.response.body", "body": b""})
+                    active.cancelling.cancel()
+                    return
+                await send(message)
+
+            send = sent
         try:
             with self._admit(scope):
                 await self.app(inner, receive, send)
@@ -295,33 +314,6 @@ def _noted(message: Message, active: _Active, identity: str) -> Message:
     added = [(REQUEST_ID, identity.encode()), *(ADDED_HEADERS if "status" in message else ())]
     headers += [header for header in added if header[0] not in given]
     return dict(message) | {"headers": headers}
-
-
-def _head_alone(active: _Active, send: Send) -> Send:
-    """End the work on an answer once its headers are sent."""
-
-    async def sent(message: Message) -> None:
-        if message["type"] == "http.response.body":
-            await send({"type": "http.response.body", "body": b""})
-            active.cancelling.cancel()
-            return
-        await send(message)
-
-    return sent
-
-
-async def _end(active: _Active, send: Send) -> None:
-    """Answer a request that was ended because the server ends."""
-    problem = _ending()
-    if active.status == 0:
-        await _refuse(active.scope, problem, send)
-    elif active.scope["type"] == "websocket":
-        text = json.dumps({"type": "problem", **problem.content})
-        await send({"type": "websocket.send", "text": text})
-        await send({"type": "websocket.close", "code": 1012})
-    elif active.is_stream:
-        body = f"event: {problem.code}\ndata: {json.dumps(problem.content)}\n\n"
-        await send({"type": "http.response.body", "body": body.encode()})
 
 
 def _ending() -> Problem:

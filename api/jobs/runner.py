@@ -15,12 +15,13 @@ import fsspec
 
 from api.compute.order import Limits, Order
 from api.compute.pool import Stage, checked, result_path
-from api.compute.worker import OutOfTime, Stopped, Worker, WorkerLost
+from api.compute.worker import OrderWorker, OutOfTime, Stopped
 from api.errors import InternalError, Problem, problem_for
 from api.guard.metrics import Metrics, Traces
 from api.jobs.queue import LOST, Queue
 from api.jobs.table import Job
 from api.settings import Settings
+from deitalk.workers import WorkerLost
 
 # Files of jobs: a folder, or whatever fsspec reaches, such as an S3 bucket.
 #
@@ -194,7 +195,7 @@ class Runner:
         self.queue, self.store, self.stage = queue, store, stage
         self.settings, self.metrics, self.traces = settings, metrics, traces
         self.at_work = 0
-        self.workers = [Worker(limits) for _ in range(settings.job_workers)]
+        self.workers = [OrderWorker(limits) for _ in range(settings.job_workers)]
         self._ending, self._wake = threading.Event(), threading.Event()
         self._draining = False
         self._threads = [
@@ -223,7 +224,7 @@ class Runner:
         for thread in self._threads:
             thread.join(timeout=10)
 
-    def _work(self, worker: Worker) -> None:
+    def _work(self, worker: OrderWorker) -> None:
         while not self._ending.is_set():
             try:
                 job = None if self._draining else self.queue.claim()
@@ -237,7 +238,7 @@ class Runner:
             self._wake.clear()
         worker.stop()
 
-    def _work_on(self, job: Job, worker: Worker) -> None:
+    def _work_on(self, job: Job, worker: OrderWorker) -> None:
         began = time()
         if job.attempts == 1:
             self.metrics.waited.observe(began - job.created)
@@ -250,7 +251,7 @@ class Runner:
             self.at_work -= 1
             self.metrics.job_seconds.labels(job.work["format"]).observe(time() - began)
 
-    def _carry_out(self, job: Job, worker: Worker) -> None:
+    def _carry_out(self, job: Job, worker: OrderWorker) -> None:
         """Do a job and end it, or leave it to the next."""
         folder = self.stage.make()
         seconds = self.settings.job_work_seconds

@@ -123,7 +123,15 @@ class _Voice:
     async def messages(self) -> AsyncIterator[Any]:
         header = (await self._next(START_SECONDS)).audio_stream_header
         audio, self.shapes = header.audio_header, header.blendshape_params
-        _check(audio)
+        # Refuse sound that is not 16-bit PCM of one channel.
+        is_pcm = audio.audio_format == audio_pb2.AudioHeader.AUDIO_FORMAT_PCM
+        if not is_pcm or (audio.channel_count, audio.bits_per_sample) != (1, 16):
+            raise Problem(422, "send 16-bit PCM of one channel", "option_invalid")
+        if not 8_000 <= audio.samples_per_second <= 192_000:
+            raise Problem(
+                422, f"{audio.samples_per_second} samples a second must be 8000 to 192000",
+                "option_invalid",
+            )  # fmt: skip
         life = replace(Acting().life, head=0.0)  # ARKit's shapes have no head
         emotion = _emotion(header.emotion_params.beginning_emotion)
         acting = Acting.of(None, life=life, emotion=emotion)
@@ -218,18 +226,6 @@ class _Voice:
         skeleton = ace.SkelAnimation(blend_shape_weights=weights)
         data = ace.AnimationData(skel_animation=skeleton, audio=spoken)
         return a2f.A2F3DAnimationDataStream(animation_data=data)
-
-
-def _check(audio: Any) -> None:
-    """Refuse sound that is not 16-bit PCM of one channel."""
-    is_pcm = audio.audio_format == audio_pb2.AudioHeader.AUDIO_FORMAT_PCM
-    if not is_pcm or (audio.channel_count, audio.bits_per_sample) != (1, 16):
-        raise Problem(422, "send 16-bit PCM of one channel", "option_invalid")
-    if not 8_000 <= audio.samples_per_second <= 192_000:
-        raise Problem(
-            422, f"{audio.samples_per_second} samples a second must be 8000 to 192000",
-            "option_invalid",
-        )  # fmt: skip
 
 
 def _emotion(given: Mapping[str, float]) -> dict[str, float]:

@@ -21,10 +21,11 @@ from deitalk.emotions.track_files import is_table
 from rig.curves.edit import parse_gains
 from rig.errors import quoted
 from rig.formats import FORMATS
+from rig.limits import MOST_DELAY, MOST_HANDLES
 
 NAME_PATTERN = r"^[A-Za-z0-9](?:[A-Za-z0-9 _-]{0,62}[A-Za-z0-9])?$"
 TIMECODE_PATTERN = r"^(zero|recording|[0-9]{1,2}:[0-9]{2}:[0-9]{2}([:;][0-9]{2}|\.[0-9]{1,6})?)$"
-FIELD_FILES = ("emotion", "intensity_curve", "voice", "words")
+FIELD_FILES = ("emotion", "intensity_curve", "voice", "words", "edit", "after", "into")
 """Fields that may be files of a form."""
 Options = TypeVar("Options", bound=BaseModel)
 
@@ -99,6 +100,17 @@ class SpeechOptions(Acting):
     ] = None
 
 
+Delay = Annotated[
+    int,
+    Field(
+        ge=-MOST_DELAY,
+        le=MOST_DELAY,
+        description="Frames by which the face is late against the sound; early if negative.",
+    ),
+]
+Handles = Annotated[int, Field(ge=0, le=MOST_HANDLES, description="Frames added before and after.")]
+
+
 class AnimationOptions(SpeechOptions):
     """The same, for curves."""
 
@@ -111,6 +123,8 @@ class AnimationOptions(SpeechOptions):
             examples=["recording", "10:00:00:12", "10:00:00;12"],
         ),
     ] = "zero"
+    delay: Delay = 0
+    handles: Handles = 0
 
 
 class MeshOptions(SpeechOptions):
@@ -151,6 +165,8 @@ class ConversionOptions(BaseModel):
         float | None, Field(ge=1, le=240, description="Rate of curves without one.")
     ] = None
     gain: Gain = None
+    delay: Delay = 0
+    handles: Handles = 0
     name: Annotated[
         str | None, Field(pattern=NAME_PATTERN, description="Name of the result's file.")
     ] = None
@@ -163,6 +179,8 @@ class ConversionOptions(BaseModel):
 
 def is_deferred(name: str, value: Any) -> bool:
     """Whether a field is a table, which the worker process reads: a hostile one harms no other."""
+    if name == "edit":
+        return isinstance(value, str) and value.lstrip()[:1] in ("[", "{")
     return name in ("emotion", "intensity_curve") and isinstance(value, str) and is_table(value)
 
 
@@ -295,7 +313,17 @@ def choose_format(
         if name not in formats:
             raise Problem(400, f"format {quoted(name)} is none of {known}", "format_unknown")
         return formats[name]
-    wanted = _accepted(accept or "*/*")
+    # Media types of an ``Accept`` header, the most wanted first.
+    header = accept or "*/*"
+    found = []
+    for part in header[:1000].split(","):
+        media_type, *options = (piece.strip().lower() for piece in part.split(";"))
+        weight = next((o[2:] for o in options if o.startswith("q=")), "1")
+        try:
+            found.append((-float(weight), media_type))
+        except ValueError:
+            continue
+    wanted = [media_type for weight, media_type in sorted(found, key=lambda w: w[0]) if weight < 0]
     for media_type in wanted:
         if media_type in ("*/*", "application/*") or media_type == "application/problem+json":
             return formats[default]
@@ -306,16 +334,3 @@ def choose_format(
     raise Problem(
         400, f"Accept {quoted(accept)} fits none of the formats {known}", "format_unknown"
     )
-
-
-def _accepted(header: str) -> list[str]:
-    """Media types of an ``Accept`` header, the most wanted first."""
-    found = []
-    for part in header[:1000].split(","):
-        media_type, *options = (piece.strip().lower() for piece in part.split(";"))
-        weight = next((o[2:] for o in options if o.startswith("q=")), "1")
-        try:
-            found.append((-float(weight), media_type))
-        except ValueError:
-            continue
-    return [media_type for weight, media_type in sorted(found, key=lambda w: w[0]) if weight < 0]

@@ -44,6 +44,7 @@ from rig.errors import quoted
 
 router = APIRouter(prefix="/v1", tags=["animation"], responses=problems(404, 409, 415))
 SPEECH = ("recording", *FIELD_FILES)
+EDGE_SUFFIXES = (".zip", *CURVE_SUFFIXES)
 RETARGET = ("mesh", "curves", "landmarks", "mapping", *SPEECH)
 
 
@@ -212,6 +213,9 @@ FILES: dict[str, tuple[str, tuple[str, ...]]] = {
     "intensity_curve": ("intensity", TRACK_SUFFIXES),
     "voice": ("voice", (".json",)),
     "words": ("words", WORDS_SUFFIXES),
+    "after": ("after", EDGE_SUFFIXES),
+    "into": ("into", EDGE_SUFFIXES),
+    "edit": ("edit", (".json",)),
 }
 """Parts of a form that are files: the fixed name, and the suffixes that tell how to read them."""
 FILES_ALONE = ("recording", "mesh", "curves", "landmarks", "mapping")

@@ -101,7 +101,7 @@ async def job_result(
     known = request.headers.get("if-none-match", "")
     if tag in known or known.strip() == "*":
         return Response(status_code=304, headers=headers)
-    wanted = request.headers.get("range") if _is_of(request, tag) else None
+    wanted = request.headers.get("range") if (request.headers.get("if-range", tag) == tag) else None
     begin, end = part_of(wanted, job.result_bytes)
     headers["Content-Length"] = str(end - begin)
     status = 200
@@ -112,10 +112,6 @@ async def job_result(
         service.store.read, job.result, begin, end, job.result_bytes
     )
     return StreamingResponse(blocks, status, headers, media_type=job.work["media_type"])
-
-
-def _is_of(request: Request, tag: str) -> bool:
-    return request.headers.get("if-range", tag) == tag
 
 
 def part_of(header: str | None, size: int) -> tuple[int, int]:

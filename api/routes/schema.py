@@ -143,6 +143,7 @@ DESCRIPTIONS = {
     "emotion": "Keyframes as a file; or the text of the option.",
     "intensity_curve": "intensity.csv as a file; or the text of the option.",
     "voice": "A file of `deitalk data voice`; or its text.",
+    "edit": "Layers of edits as a file; or the text of the option.",
     "format": "Kind of file; else that of `Accept`.",
     "words": "Words as .txt, .TextGrid, .srt or .vtt; or the text of the option.",
 }

@@ -116,18 +116,14 @@ def recording_from_array(
             f"{name} has shape {np.shape(samples)}; it must be (samples,) or (samples, channels) "
             f"with up to {MOST_CHANNELS} channels: transpose it with .T"
         )
-    source, choice = _ArraySource(array, _rate(sample_rate)), AudioChoice.of(channel=channel)
-    return read_sound(name, source, max_seconds, choice=choice)
-
-
-def _rate(sample_rate: float) -> int:
     try:
         rate = int(sample_rate)
     except (TypeError, ValueError, OverflowError):
         rate = -1
     if isinstance(sample_rate, bool) or rate != sample_rate:
         raise AudioError(f"sample_rate={sample_rate!r} must be a whole number of Hz, such as 48000")
-    return rate
+    source, choice = _ArraySource(array, rate), AudioChoice.of(channel=channel)
+    return read_sound(name, source, max_seconds, choice=choice)
 
 
 def _array(samples: Any) -> npt.NDArray[Any]:

@@ -110,7 +110,28 @@ def mixing(survey: Survey, channel: str | None, layout: tuple[str, ...]) -> Mixi
         return Mixing(only(loudest, count), str(loudest + 1), note if count > 1 else ())
     if channel is not None:
         return Mixing(only(channel_index(channel, count, layout), count), channel)
-    return _mean(survey, layout)
+    # The mean of all channels, or the loudest if the mean cancels.
+    count, covariance = len(survey.total), survey.covariance
+    power = covariance.diagonal()
+    unrelated = power.sum() / count**2  # the mean's power if the channels were independent
+    if survey.n_samples and covariance.mean() < 0.1 * unrelated:
+        loudest = int(power.argmax())
+        text = f"the {count} channels cancel each other: took channel {loudest + 1} alone"
+        return Mixing(only(loudest, count), str(loudest + 1), (text,))
+    leads = survey.leads
+    notes: tuple[str, ...] = ()
+    if (leads > 0).sum() >= 2:
+        names = layout or (("left", "right") if count == 2 else ())
+        parts = [
+            f"{k + 1}{f' ({names[k]})' if names else ''} leads for {leads[k]:.1f} s"
+            for k in np.flatnonzero(leads)
+        ]
+        first = int(np.flatnonzero(leads)[0]) + 1
+        notes = (
+            f"channels hold different voices: {', '.join(parts)}; all are mixed, the option "
+            f"channel takes one: {'left or right' if count == 2 else first}",
+        )
+    return Mixing(np.full(count, 1 / count, np.float32), None, notes)
 
 
 def only(index: int, count: int) -> Float32:
@@ -131,28 +152,3 @@ def centre(layout: tuple[str, ...]) -> Mixing:
     """The centre of a surround recording."""
     note = f"{len(layout)} channels ({', '.join(layout)}): took the centre, which has the speech"
     return Mixing(only(layout.index("FC"), len(layout)), CENTRE, (note,))
-
-
-def _mean(survey: Survey, layout: tuple[str, ...]) -> Mixing:
-    """The mean of all channels, or the loudest if the mean cancels."""
-    count, covariance = len(survey.total), survey.covariance
-    power = covariance.diagonal()
-    unrelated = power.sum() / count**2  # the mean's power if the channels were independent
-    if survey.n_samples and covariance.mean() < 0.1 * unrelated:
-        loudest = int(power.argmax())
-        note = f"the {count} channels cancel each other: took channel {loudest + 1} alone"
-        return Mixing(only(loudest, count), str(loudest + 1), (note,))
-    leads = survey.leads
-    notes: tuple[str, ...] = ()
-    if (leads > 0).sum() >= 2:
-        names = layout or (("left", "right") if count == 2 else ())
-        parts = [
-            f"{k + 1}{f' ({names[k]})' if names else ''} leads for {leads[k]:.1f} s"
-            for k in np.flatnonzero(leads)
-        ]
-        first = int(np.flatnonzero(leads)[0]) + 1
-        notes = (
-            f"channels hold different voices: {', '.join(parts)}; all are mixed, the option "
-            f"channel takes one: {'left or right' if count == 2 else first}",
-        )
-    return Mixing(np.full(count, 1 / count, np.float32), None, notes)

@@ -137,7 +137,18 @@ def open_sound(
     """
     with open(name, "rb") if data is None else io.BytesIO(data) as file:
         if choice.raw is not None:
-            parts = [_raw_part(name, file, choice.raw)]
+            # All whole samples of a file without a header.
+            known = sniff(file)
+            if known not in (None, "mp3", "aac", "mpegts"):  # bytes of samples may look like those
+                raise AudioError(f"{name} has a header ({known}): leave `raw` out", parameter="raw")
+            size = file.seek(0, io.SEEK_END)
+            rest = size % choice.raw.frame_bytes
+            note = (
+                f"{rest} bytes at the end are no whole sample of {choice.raw}: left out"
+                if rest
+                else ""
+            )
+            parts = [Part(0, size - rest, note=note)]
             yield _Recordings(name, partial(_SndfileReader, name, file, raw=choice.raw), parts)
             return
         demuxer = sniff(file)
@@ -167,17 +178,6 @@ def _opened(
                 raise AudioError(_NOT_AUDIO.format(name), parameter="raw") from None
     demuxer = "wav" if demuxer == "w64" and part.head else demuxer
     return FFmpegReader(name, window, demuxer or "", track)
-
-
-def _raw_part(name: str, file: IO[bytes], raw: RawFormat) -> Part:
-    """All whole samples of a file without a header."""
-    known = sniff(file)
-    if known not in (None, "mp3", "aac", "mpegts"):  # bytes of samples may look like those
-        raise AudioError(f"{name} has a header ({known}): leave `raw` out", parameter="raw")
-    size = file.seek(0, io.SEEK_END)
-    rest = size % raw.frame_bytes
-    note = f"{rest} bytes at the end are no whole sample of {raw}: left out" if rest else ""
-    return Part(0, size - rest, note=note)
 
 
 class _NotSupportedError(Exception):

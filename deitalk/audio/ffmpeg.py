@@ -357,13 +357,14 @@ def _seconds(packet: "Packet[AudioStream]") -> float:
 
 def _origin(container: "InputContainer") -> float | None:
     """Time of the container at which its picture or sound begins; None: with this sound alone."""
+    # Whether a picture is the cover of a recording.
     starts = [
         float(stream.start_time * stream.time_base)
         for stream in container.streams
         if stream.type in ("audio", "video")
         and stream.start_time is not None
         and stream.time_base is not None
-        and not _is_cover(stream)
+        and "attached_pic" not in str(getattr(stream, "disposition", "")).lower()
     ]
     # a time before 0 is that of an encoder's delay, which is not played
     return max(min(starts), 0.0) if len(starts) > 1 else None
@@ -381,11 +382,6 @@ def _title(stream: "AudioStream") -> str:
 
 
 UNTITLED = ("und", "SoundHandler", "Sound Media Handler")
-
-
-def _is_cover(stream: Any) -> bool:
-    """Whether a picture is the cover of a recording."""
-    return "attached_pic" in str(getattr(stream, "disposition", "")).lower()
 
 
 def lenient(version: str) -> dict[str, Any]:

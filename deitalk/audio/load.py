@@ -4,7 +4,7 @@ Letters: N samples at the source's rate, n of a block, C channels.
 """
 
 import stat
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -189,13 +189,7 @@ def read_sound(
     read = partial(_read_track, name, max_seconds=max_seconds, start=start, choice=choice)
     if choice.track is not None or len(sound.tracks) == 1:
         return read(sound)
-    return _with_speech(name, sound, read)
-
-
-def _with_speech(
-    name: str, sound: SoundSource, read: Callable[[SoundSource], Recording]
-) -> Recording:
-    """The first track with speech; a later one if it has more than twice as much."""
+    # The first track with speech; a later one if it has more than twice as much.
     chosen, most, found = read(sound), 0.0, {}
     for number in range(1, min(len(sound.tracks), MOST_HEARD) + 1):
         try:
@@ -228,7 +222,14 @@ def _read_track(
     choice: AudioChoice,
 ) -> Recording:
     """One track of an open source."""
-    _check_header(name, sound, max_seconds)
+    rate = sound.rate
+    if not LOWEST_RATE <= rate <= HIGHEST_RATE:
+        raise AudioError(
+            f"{name}: the sample rate is {rate} Hz; it must be {LOWEST_RATE} to "
+            f"{HIGHEST_RATE} Hz: export it at 16000 Hz or more"
+        )
+    if sound.expected / rate > max_seconds:
+        raise _too_long(name, sound.expected / rate, max_seconds)
     mixed, read = _mixing(name, sound, choice.channel), partial(_mono, name, sound, max_seconds)
     if isinstance(mixed, Survey):
         # Surround sound: its centre if that has speech.
@@ -419,17 +420,6 @@ def _finite_blocks(name: str, sound: SoundSource) -> Iterator[Float32]:
             )
         yield block
         start += len(block)
-
-
-def _check_header(name: str, sound: SoundSource, max_seconds: float) -> None:
-    rate = sound.rate
-    if not LOWEST_RATE <= rate <= HIGHEST_RATE:
-        raise AudioError(
-            f"{name}: the sample rate is {rate} Hz; it must be {LOWEST_RATE} to "
-            f"{HIGHEST_RATE} Hz: export it at 16000 Hz or more"
-        )
-    if sound.expected / rate > max_seconds:
-        raise _too_long(name, sound.expected / rate, max_seconds)
 
 
 def _too_long(name: str, seconds: float, max_seconds: float) -> AudioError:

@@ -146,6 +146,15 @@ def _measure(waveform: Float32, frames: Int64) -> Float64:
     return measure_windows(windows[centres - centres[0]])
 
 
+def tonality(pitch: Float64, periodicity: Float64) -> Float64:
+    """Periodicity of `Prosody` where it has a pitch, else 0.
+
+    That of a rumble, which has none, is largest at the shortest lag.
+    """
+    highest = 12 * math.log2(SAMPLE_RATE / SHORTEST / 100)
+    return np.where(pitch < highest - 1e-6, periodicity, 0.0)
+
+
 def measure_windows(windows: Float64) -> Float64:
     """Measures of `WINDOW` samples each (T, WINDOW).
 

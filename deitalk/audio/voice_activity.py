@@ -7,6 +7,9 @@ import numpy as np
 import numpy.typing as npt
 
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE, frame_count, runs
+from deitalk.audio.held_sound import BEFORE, held_sound, steady_frames
+from deitalk.audio.vocal_strength import measure_windows, tonality
+from deitalk.config.rules import HoldPose
 from rig.arrays import Bool, Float32, Int64
 
 WINDOW = 1024  # samples, 64 ms, centred on the frame's time
@@ -56,12 +59,10 @@ def speech_activity(waveform: npt.ArrayLike) -> Float32:
     if len(samples) == 0:
         return np.zeros(0, np.float32)
     # Power per band (T, K) in dB re full scale, not below `SILENCE_DB`.
-    n_frames = frame_count(len(samples))
-    levels = np.empty((n_frames, len(BAND_EDGES_HZ) - 1), np.float32)
-    for first in range(0, n_frames, 2048):
-        frames = np.arange(first, min(first + 2048, n_frames))
-        levels[frames] = window_levels(_windows(samples, frames))
-    excess = np.sort(levels - _noise_floor(levels), axis=1)[:, -TOP_BANDS:].mean(axis=1)
+    levels = band_levels(samples)
+    held = _held_frames(samples, levels)
+    excess = np.sort(levels - _noise_floor(levels, held), axis=1)[:, -TOP_BANDS:].mean(axis=1)
+    excess[held] = np.maximum(excess[held], OPEN_DB)
     # Runs of `keeps` that hold at least one frame of `opens`.
     opens = excess >= OPEN_DB
     keeps = excess >= KEEP_DB
@@ -167,6 +168,31 @@ def noise_likeness(waveform: npt.ArrayLike, activity: npt.ArrayLike) -> float:
     return float(np.percentile(np.concatenate(found)[1:], 10)) if len(active) else 0.0
 
 
+def band_levels(waveform: Float32) -> Float32:
+    """Power per band of every frame of a recording [shape=(T, K)], dB re full scale."""
+    n_frames = frame_count(len(waveform))
+    levels = np.empty((n_frames, len(BAND_EDGES_HZ) - 1), np.float32)
+    for first in range(0, n_frames, 2048):
+        frames = np.arange(first, min(first + 2048, n_frames))
+        levels[frames] = window_levels(_windows(waveform, frames))
+    return levels
+
+
+def _held_frames(samples: Float32, levels: Float32) -> Bool:
+    """Frames of sounds that a voice holds, their beginnings too [shape=(T,)]."""
+    rule, tones = HoldPose(), np.zeros(len(levels))
+    for start, stop in runs(steady_frames(levels, rule)):
+        if stop - start >= rule.frames:
+            for first in range(start, stop, 2048):
+                frames = np.arange(first, min(first + 2048, stop))
+                measured = measure_windows(_windows(samples, frames).astype(np.float64))
+                tones[frames] = tonality(measured[3], measured[4])
+    held = held_sound(levels, tones, rule).sounding
+    for start, _ in runs(held):
+        held[max(start - BEFORE - rule.frames, 0) : start] = True
+    return held
+
+
 def window_levels(windows: Float32) -> Float32:
     """Power per band (n, K) in dB re full scale of `WINDOW` samples each (n, WINDOW)."""
     window = np.hanning(WINDOW + 1)[:-1].astype(np.float32)
@@ -189,16 +215,23 @@ def _windows(samples: Float32, frames: Int64) -> Float32:
     return windows
 
 
-def _noise_floor(levels: Float32) -> Float32:
-    """Level per band (T, K) above which there is more than noise, in dB."""
+def _noise_floor(levels: Float32, held: Bool) -> Float32:
+    """Level per band (T, K) above which there is more than noise, in dB.
+
+    Frames of a `held` sound (T,) are no noise.
+    """
     n_frames = len(levels)
     if n_frames < SHORT_SECONDS * FRAME_RATE:
         return np.full_like(levels, SHORT_FLOOR_DB - OPEN_DB)
     half = round(FLOOR_SECONDS * FRAME_RATE / 2)
     centres = np.unique(np.append(np.arange(0, n_frames, half // 3), n_frames - 1))
+    known = np.where(held[:, None], np.float32(np.nan), levels)
+    lowest = [known[max(0, c - half) : c + half] for c in centres]
     lowest = [
-        np.percentile(levels[max(0, c - half) : c + half], FLOOR_PERCENTILE, axis=0)
-        for c in centres
+        np.nanpercentile(rows, FLOOR_PERCENTILE, axis=0)
+        if np.isfinite(rows).any()
+        else np.full(rows.shape[1], SHORT_FLOOR_DB - OPEN_DB)
+        for rows in lowest
     ]
     floor = np.empty_like(levels)
     for band, values in enumerate(np.array(lowest).T):

@@ -6,7 +6,7 @@ import io
 import json
 import re
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cache
 from pathlib import Path
@@ -19,6 +19,7 @@ from deitalk.audio.original import ZERO, start_of
 from deitalk.errors import DeitalkError
 from deitalk.pipeline.speech import MeasuredVoice
 from rig.curves import snap_fps
+from rig.curves.edit import checked_shift
 from rig.errors import as_line, quoted
 from rig.formats import checked_digits, find_format
 from rig.formats.table import FORMATS, Format, writable_suffixes
@@ -41,18 +42,23 @@ class Written:
         Digits after the point, of the formats that have them.
     timecode : str
         Of the first frame: ``zero``, ``recording`` or ``HH:MM:SS:FF``.
+    delay, handles : int
+        Frames by which the face is late, and that are added before and after.
     """
 
     formats: tuple[str, ...] = (".csv",)
     fps: float | None = None
     digits: int | None = None
     timecode: str = ZERO
+    delay: int = 0
+    handles: int = 0
 
     def checked(self) -> "Written":
         """Return these; UserError if a number is out of its range."""
         if self.fps is not None:
             snap_fps(self.fps)
         start_of(self.timecode, self.fps, 0.0)
+        checked_shift(self.delay, self.handles)
         if self.digits is not None:
             _check_digits(self.digits, self.formats)
         return self
@@ -74,6 +80,8 @@ class Line:
     """Which signal of the recording."""
     actor: str = ""
     """Who speaks; lines of one actor share a reference. Empty: nobody in particular."""
+    beside: Mapping[str, str] = field(default_factory=dict)
+    """Outputs of the lines that come before it (``after``) and next (``into``)."""
 
     @property
     def targets(self) -> tuple[str, ...]:
@@ -194,6 +202,8 @@ class Order:
     only_voice: bool = False
     """Measure the strength of the voice and write nothing."""
     choice: AudioChoice = field(default_factory=AudioChoice)
+    with_edges: bool = False
+    """Return the edges of the take: another line begins or ends there."""
 
 
 class Target(NamedTuple):
@@ -222,6 +232,8 @@ class Outcome:
     frames: int = 0
     warnings: tuple[str, ...] = ()
     voice: MeasuredVoice | None = None
+    edges: tuple[str, str] | None = None
+    """First and last edge of the take (`deitalk.postprocess.joins.Edge`), where they are wanted."""
     stage: str = ""
     targets: tuple[Target, ...] = ()
     files: tuple[File, ...] = ()

@@ -54,6 +54,7 @@ CREATE INDEX IF NOT EXISTS files_of ON files (output);
 CREATE TABLE IF NOT EXISTS voice_strengths (
     audio TEXT PRIMARY KEY, signature TEXT, strength REAL, effort REAL, seconds REAL
 ) WITHOUT ROWID;
+CREATE TABLE IF NOT EXISTS edges (output TEXT PRIMARY KEY, first TEXT, last TEXT) WITHOUT ROWID;
 """
 
 PLACING, DONE, FAILED = "placing", "done", "failed"
@@ -207,6 +208,15 @@ class Journal:
         """Keep the voice of a recording."""
         row = (audio, signature, *voice)
         self._run("INSERT OR REPLACE INTO voice_strengths VALUES (?, ?, ?, ?, ?)", *row)
+
+    def edges(self, output: str) -> tuple[str, str] | None:
+        """First and last edge of the take of an output, if a line needed them."""
+        row = self._one("SELECT first, last FROM edges WHERE output = ?", output)
+        return None if row is None else (str(row[0]), str(row[1]))
+
+    def write_edges(self, output: str, edges: tuple[str, str]) -> None:
+        """Keep the edges of an output."""
+        self._run("INSERT OR REPLACE INTO edges VALUES (?, ?, ?)", output, *edges)
 
     def _run(self, query: str, *values: Any) -> None:
         with self._errors():

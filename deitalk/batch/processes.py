@@ -11,8 +11,8 @@ given up.
 import errno
 import hashlib
 import os
+import pickle
 import shutil
-import signal
 import socket
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
@@ -32,7 +32,7 @@ from deitalk.batch.lines import TAKE, File, Order, Outcome, Target, has_option
 from deitalk.errors import DeitalkError
 from deitalk.models.load import Backend
 from deitalk.pipeline.performance import Performance
-from deitalk.workers import NEW_PROCESSES, end_with_parent
+from deitalk.workers import NEW_PROCESSES, Worker, WorkerLost, begin_worker
 from rig.errors import UserError, one_line
 from rig.limits import MIB
 
@@ -82,14 +82,14 @@ class Workers:
 
     def __init__(self, count: int, make: Make) -> None:
         self._count, self._make = count, make
-        self._processes: list[_Process] = []
+        self._workers: list[_BatchWorker] = []
 
     def __enter__(self) -> "Workers":
         return self
 
     def __exit__(self, *error: object) -> None:
-        for process in self._processes:
-            process.end(at_once=error[0] is not None)
+        for worker in self._workers:
+            worker.stop(at_once=error[0] is not None)
 
     def run(self, orders: Sequence[Order]) -> Iterator[list[Outcome]]:
         """Yield results as they come, in any order, several at a time.
@@ -101,31 +101,28 @@ class Workers:
         UserError
             If the model cannot be loaded.
         """
-        while len(self._processes) < min(self._count, len(orders)):
-            self._processes.append(_Process(self._make))
+        while len(self._workers) < min(self._count, len(orders)):
+            self._workers.append(_BatchWorker(self._make))
         waiting, attempts = deque(chunks(orders, self._count)), dict[str, int]()
-        while waiting or any(process.chunks for process in self._processes):
-            for process in self._processes:
-                while waiting and len(process.chunks) < AHEAD:
-                    process.give(waiting.popleft())
-            busy = {process.pipe: process for process in self._processes if process.chunks}
+        while waiting or any(worker.chunks for worker in self._workers):
+            for worker in self._workers:
+                while waiting and len(worker.chunks) < AHEAD:
+                    worker.give(waiting.popleft())
+            busy = {worker.pipe: worker for worker in self._workers if worker.chunks}
             results: list[Outcome] = []
             for pipe in wait(list(busy)):
-                process = busy[pipe]  # type: ignore[index]
-                answer = process.take()
-                if answer is None:
-                    self._replace(process)
-                    answer = _given_up(process.chunks, waiting, attempts)
-                results += answer
+                worker = busy[pipe]  # type: ignore[index]
+                try:
+                    results += worker.take()
+                except WorkerLost:
+                    if not worker.is_ready:
+                        raise DeitalkError(
+                            "a worker process ended while loading the model; use fewer workers"
+                        ) from None
+                    results += _given_up(worker.chunks, waiting, attempts)
+                    worker.start()
             if results:
                 yield results
-
-    def _replace(self, ended: "_Process") -> None:
-        """Start a process in the place of one that ended."""
-        if not ended.is_ready:
-            raise DeitalkError("a worker process ended while loading the model; use fewer workers")
-        ended.end(at_once=True)
-        self._processes[self._processes.index(ended)] = _Process(self._make)
 
 
 def chunks(orders: Sequence[Order], processes: int) -> Iterator[list[Order]]:
@@ -161,34 +158,34 @@ def _given_up(
     return []
 
 
-class _Process:
-    """One process and its pipe; its chunks are answered in turn."""
+class _BatchWorker(Worker):
+    """A process and the chunks that it holds, which are answered in turn."""
 
     def __init__(self, make: Make) -> None:
-        self.pipe, child = NEW_PROCESSES.Pipe()
-        self.process = NEW_PROCESSES.Process(target=_serve, args=(child, make), daemon=True)
-        self.process.start()
-        child.close()
+        super().__init__(NEW_PROCESSES, _serve, make)
         self.chunks: deque[dict[str, Order]] = deque()
+        self.start()
+
+    def start(self) -> None:
         self.is_ready = False
+        super().start()
 
     def give(self, orders: list[Order]) -> None:
         self.chunks.append({order.output: order for order in orders})
-        with suppress(OSError):  # it has ended; `take` finds out
-            self.pipe.send(orders)
+        with suppress(WorkerLost):  # `take` finds out
+            self.send(pickle.dumps(orders))
 
-    def take(self) -> list[Outcome] | None:
-        """The next results; None if the process has ended.
+    def take(self) -> list[Outcome]:
+        """The next results.
 
         Raises
         ------
+        WorkerLost
+            If the process has ended.
         UserError
             If it could not load the model.
         """
-        try:
-            answer = self.pipe.recv()
-        except (EOFError, OSError):
-            return None
+        answer = pickle.loads(self.receive() or b"")
         if isinstance(answer, Exception):
             raise answer
         self.is_ready = True
@@ -199,30 +196,21 @@ class _Process:
                 self.chunks.popleft()
         return outcomes
 
-    def end(self, *, at_once: bool) -> None:
-        self.pipe.close()  # ends its loop
-        if at_once:
-            self.process.kill()
-        self.process.join()
-
 
 def _serve(pipe: Connection, make: Make) -> None:
-    """Loop of a process: an order in, a result out, until the pipe is closed."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's
-    end_with_parent()
+    """Loop of a process: orders in, results out, until the pipe is closed."""
+    begin_worker()
     os.environ["OMP_NUM_THREADS"] = "1"
     try:
         perform = make()
     except UserError as error:
         pipe.send(type(error)(str(error)))
         return
-    try:
+    with suppress(EOFError, OSError):
         pipe.send(READY)
         while True:
             for outcomes in perform(pipe.recv()):
                 pipe.send(outcomes)
-    except (EOFError, OSError):
-        return
 
 
 # One line in a worker process: a recording to staged files.
@@ -379,6 +367,7 @@ class Performer:
                 *filter(None, [note]),
                 *findings(performance),
             ),
+            edges=_edges(performance) if order.with_edges else None,
             stage=str(folder),
             targets=targets,
             files=files,
@@ -390,7 +379,10 @@ class Performer:
         """Stage the files of a line; `start` is the time of day of its first frame, seconds."""
         from rig import write_curves
 
-        form = {"fps": order.written.fps, "start": start}
+        written = order.written
+        form = {
+            "fps": written.fps, "start": start, "delay": written.delay, "handles": written.handles
+        }  # fmt: skip
         seconds = performance.recording.duration
         spoken = {"sound": performance.sound_file, "seconds": seconds}
         digits = {"digits": order.written.digits}
@@ -400,7 +392,12 @@ class Performer:
         targets = []
         for place, suffix in enumerate(order.written.formats):
             if suffix == TAKE:
-                self._write_take(folder / TAKE, performance, form | digits)
+                from deitalk.pipeline.performance import write_take
+
+                beside = self.stage / TAKE  # one name for all, as each has a lock
+                about: Any = form | digits
+                write_take(beside, performance, model=self.about, **about)
+                os.rename(beside, folder / TAKE)
                 targets.append(Target(TAKE, order.output))
             else:
                 name = f"{place}{suffix}"
@@ -409,12 +406,12 @@ class Performer:
                 targets.append(Target(name, order.output + suffix))
         return folder, tuple(targets)
 
-    def _write_take(self, folder: Path, performance: Any, form: dict[str, Any]) -> None:
-        from deitalk.pipeline.performance import write_take
 
-        beside = self.stage / TAKE  # one name for all, as each has a lock
-        write_take(beside, performance, model=self.about, **form)
-        os.rename(beside, folder)
+def _edges(performance: Performance) -> tuple[str, str]:
+    from deitalk.postprocess.joins import edge_of
+
+    first, last = (str(edge_of(performance, "edge", last=last)) for last in (False, True))
+    return first, last
 
 
 def decoded(path: str, data: bytes | None, choice: AudioChoice = AudioChoice()) -> Any:

@@ -11,6 +11,7 @@ import os
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from time import monotonic
@@ -36,7 +37,7 @@ from deitalk.batch.lines import (
 )
 from deitalk.batch.outputs import DONE, FAILED, Entry, Journal, opened_folder
 from deitalk.batch.processes import Make, Performer, Pool, Workers
-from deitalk.batch.source import ACTORS, SUMMARY, read_source
+from deitalk.batch.source import ACTORS, SUMMARY, read_source, waves
 from deitalk.batch.source import FAILED as FAILED_TABLE
 from deitalk.emotions import ActorReference, EmotionTrack, parse_actor
 from deitalk.errors import AudioError, CheckpointError, DeitalkError
@@ -88,18 +89,29 @@ class Batch:
         self._orders: list[Order] = []
         self._entries: dict[str, tuple[int, Entry]] = {}
         self._before: dict[str, Entry] = {}
+        self._voices: dict[str, ActorReference] = {}
+        self._waves = waves(lines)
+        self._needed = {
+            name for line in lines if isinstance(line, Line) for name in line.beside.values()
+        }
 
     def prepare(self, run: Run) -> None:
-        """Measure the actors, then find what is to be done."""
+        """Measure the actors, then find what is to be done first."""
         good = [line for line in self.lines if isinstance(line, Line)]
-        voices = references(good, self.outputs, self._voice_signature, run)
+        self._voices = references(good, self.outputs, self._voice_signature, run)
         actors = {line.actor for line in good if line.acting.voice is None} - {""}
-        if unmeasured := sorted(actors - voices.keys()):
+        if unmeasured := sorted(actors - self._voices.keys()):
             self.notes.append(
                 f"too few lines with voice for a reference of {', '.join(unmeasured[:5])}"
             )
-        for line in self.lines:
-            self.rows.append(self._row(line, voices))
+        self.rows = [_preliminary(line) for line in self.lines]
+        for wave in self._waves[:1]:
+            self._plan(wave)
+
+    def _plan(self, wave: Sequence[int]) -> None:
+        """Find what is to be done for the lines at some places."""
+        for place in wave:
+            self.rows[place] = self._row(place)
 
     def _voice_signature(self, audio: str) -> str:
         """State of a recording's file and the model; empty if the file is not there."""
@@ -107,12 +119,35 @@ class Batch:
         return signature and f"{signature} {self.model}"
 
     def perform(self, run: Run, progress: Progress) -> None:
-        """Animate what is to be done, the longest recordings first."""
+        """Animate what is to be done, the longest recordings first.
+
+        Lines that begin or end at others wait for these, so that the order of the workers changes
+        nothing.
+        """
+        later = [self.lines[place] for wave in self._waves[1:] for place in wave]
+        ahead = {line.output: self._size(line) for line in later}
+        sizes = {order.output: order.size for order in self._orders} | ahead
+        pace = Pace(len(sizes), sum(sizes.values()))
+        for number, wave in enumerate(self._waves):
+            if number:
+                self._orders = []
+                self._plan(wave)
+            ordered = {order.output for order in self._orders}
+            for place in wave:
+                if number and self.lines[place].output not in ordered:
+                    pace.add(sizes[self.lines[place].output], 0.0, failed=False)
+            self._perform(run, sizes, pace, progress)
+
+    def _size(self, line: Line | BadLine) -> float:
+        return self.recordings.size(line.audio) if self.recordings.signature(line.audio) else 0.0
+
+    def _perform(
+        self, run: Run, sizes: Mapping[str, float], pace: Pace, progress: Progress
+    ) -> None:
+        """Animate the lines of a wave."""
         orders = sorted(self._orders, key=lambda order: -order.size)
-        sizes = {order.output: order.size for order in orders}
         new = [self._entries[order.output][1] for order in orders if not order.known]
         self.outputs.announce(new)
-        pace = Pace(len(orders), sum(sizes.values()))
         for outcomes in run(orders) if orders else ():
             self._store(outcomes)
             for outcome in outcomes:
@@ -120,46 +155,67 @@ class Batch:
                 pace.add(sizes[outcome.output], outcome.seconds, failed=failed)
             progress(pace.share, pace.text())
 
-    def _row(self, line: Line | BadLine, voices: dict[str, ActorReference]) -> Row:
+    def _row(self, place: int) -> Row:
         """The row of a line that needs no work; else a preliminary one, and an order."""
+        line = self.lines[place]
         if isinstance(line, BadLine):
-            return Row(line.number, line.audio, line.output, FAILED, error=line.error)
+            return self.rows[place]
         try:
-            return self._known(line, voices) or self._ordered(line, voices)
+            acting = self._acting(line)
+            return self._known(place, line, acting) or self._ordered(line, acting)
         except UserError as error:
-            return Row(line.number, line.audio, line.output, FAILED, error=str(error))
+            return replace(self.rows[place], error=str(error))
 
-    def _known(self, line: Line, voices: dict[str, ActorReference]) -> Row | None:
+    def _acting(self, line: Line) -> Acting:
+        """The acting of a line, with the voice of its actor, and the takes beside it.
+
+        Raises
+        ------
+        DeitalkError
+            If a line that it follows, or leads into, was not made.
+        """
+        voice = line.acting.voice or self._voices.get(line.actor)
+        beside = {}
+        for name, output in line.beside.items():
+            edges = self.journal.edges(output)
+            number, entry = self._entries.get(output, (0, None))
+            if edges is None or entry is None or self.rows[number].status == FAILED:
+                raise DeitalkError(f"{name}: line {output} was not made; see its own row")
+            beside[name] = edges[name == "after"]
+        return Acting.of(line.acting, voice=voice, **beside)
+
+    def _known(self, place: int, line: Line, acting: Acting) -> Row | None:
         """The row of a line whose outputs are there."""
         if not self.recordings.signature(line.audio):
             raise AudioError(f"there is no recording {line.audio}; check the path")
         entry = self.journal.entry(line.output)
-        key = line_key(line, _acting(line, voices), self.model)
+        key = line_key(line, acting, self.model)
         fresh = Entry(line.output, line.audio, self.recordings.signature(line.audio), key=key)
-        self._entries[line.output] = (len(self.rows), fresh)
+        self._entries[line.output] = (place, fresh)
         if entry is None or entry.state != DONE or entry.key != key:
             return None
         state = self.outputs.state(line.output)
-        if state == "missing":
+        lacks_edges = line.output in self._needed and self.journal.edges(line.output) is None
+        if state == "missing" or lacks_edges:
             return None
         fresh.sound, self._before[line.output] = entry.sound, entry
         if (entry.signature, entry.audio) != (fresh.signature, fresh.audio):
             return None
         status = "unchanged" if state == "intact" else "edited"
-        place = (line.number, line.audio, line.output)
-        return Row(*place, status, entry.seconds, entry.warnings)
+        row = self.rows[place]
+        return replace(row, status=status, seconds=entry.seconds, warnings=entry.warnings, error="")
 
-    def _ordered(self, line: Line, voices: dict[str, ActorReference]) -> Row:
+    def _ordered(self, line: Line, acting: Acting) -> Row:
         """Order a line; `known` is the sound that its outputs are of, if they are there."""
-        _, entry = self._entries[line.output]
+        place, entry = self._entries[line.output]
         self.outputs.check_free(line.targets)
         size = self.recordings.size(line.audio)
         order = Order(
-            line.output, line.audio, _acting(line, voices), line.written, line.actor, entry.sound,
-            size, choice=line.choice,
+            line.output, line.audio, acting, line.written, line.actor, entry.sound, size,
+            choice=line.choice, with_edges=line.output in self._needed,
         )  # fmt: skip
         self._orders.append(order)
-        return Row(line.number, line.audio, line.output, FAILED, error="was not animated")
+        return self.rows[place]
 
     def _store(self, outcomes: Sequence[Outcome]) -> None:
         """Place the files of results, and complete their rows."""
@@ -181,6 +237,10 @@ class Batch:
             entry.state = FAILED if outcome.status == FAILED else DONE
             placed.append((entry, outcome))
         self.outputs.place(placed)
+        with self.journal.transaction():
+            for entry, outcome in placed:
+                if outcome.edges is not None:
+                    self.journal.write_edges(entry.output, outcome.edges)
         for entry, outcome in placed:
             number, _ = self._entries[entry.output]
             # The row of a line that a worker has returned.
@@ -190,9 +250,10 @@ class Batch:
             self.rows[number] = Row(*place, status, entry.seconds, entry.warnings, entry.error)
 
 
-def _acting(line: Line, voices: dict[str, ActorReference]) -> Acting:
-    """The acting of a line, with the voice of its actor where none is given."""
-    return Acting.of(line.acting, voice=line.acting.voice or voices.get(line.actor))
+def _preliminary(line: Line | BadLine) -> Row:
+    """The row of a line of which nothing is known yet."""
+    error = line.error if isinstance(line, BadLine) else "was not animated"
+    return Row(line.number, line.audio, line.output, FAILED, error=error)
 
 
 def model_identity(model: str | Path, backend: Backend = "auto", device: str = "cpu") -> str:
@@ -340,6 +401,8 @@ def animate_batch(
     fps: float | None = None,
     digits: int | None = None,
     timecode: str = "zero",
+    delay: int = 0,
+    handles: int = 0,
     track: int | None = None,
     channel: str | int | None = None,
     raw: str | None = None,
@@ -371,7 +434,7 @@ def animate_batch(
         Who speaks, of lines whose manifest does not say: lines of one actor share a measured voice.
     formats : str
         A list such as ``"csv;take"``.
-    fps, digits, timecode
+    fps, digits, timecode, delay, handles
         Of the written curves; see `deitalk.batch.lines.Written`.
     track, channel, raw
         Which signal of the recordings, as for `deitalk.load_audio`.
@@ -406,7 +469,8 @@ def animate_batch(
     for name, path in {"source": source, "out": out}.items():
         if not isinstance(path, str | Path):
             raise DeitalkError(f"{name} {quoted(path)} must be a path or a URL")
-    written = Written(parse_formats(formats), fps, digits, timecode).checked()
+    form = {"fps": fps, "digits": digits, "timecode": timecode, "delay": delay, "handles": handles}
+    written = Written(parse_formats(formats), **form).checked()  # type: ignore[arg-type]
     choice = AudioChoice.of(track, channel, raw)
     acted = acted_as(emotion, acting, fields, animate_batch)
     defaults = Line(0, "", "", acted, written, choice, actor)

@@ -5,7 +5,7 @@ import io
 import os
 import re
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -48,29 +48,24 @@ def read_source(source: str | Path, out: str | Path, defaults: Line) -> Plan:
     base = str(source).rstrip("/") if is_url(source) else os.path.normpath(source)
     names = _names_at(base, out) if is_url(source) else _names_in(base, out)
     if names is not None:
-        doubled = _doubled(names)
+        # Recordings that differ from another by their suffix, or by case, alone.
+        stems = Counter(os.path.splitext(name)[0].casefold() for name in names)
+        doubled = [
+            name for name in sorted(names) if stems[os.path.splitext(name)[0].casefold()] > 1
+        ]
         lines = distinct(list(_found(base, names, doubled, defaults)))
         return Plan(lines, tuple(_notes_on(doubled)))
     if base.lower().endswith(RECORDINGS):
         raise DataError(f"{base}: a recording; name its folder or a table, or use deitalk animate")
-    text = _text_of(base)
+    if not is_url(base):
+        text = read_text(Path(base), limits.DATASET_TABLE_BYTES, error=DataError)
+    else:
+        system, path = file_system(base)
+        with cloud_errors(base):
+            data = system.cat_file(path)
+        text = decode_text(data, base, error=DataError)
     lines, notes = read_manifest(text, base, os.path.dirname(base), defaults)
-    return Plan(distinct(lines), notes)
-
-
-def _text_of(manifest: str) -> str:
-    if not is_url(manifest):
-        return read_text(Path(manifest), limits.DATASET_TABLE_BYTES, error=DataError)
-    system, path = file_system(manifest)
-    with cloud_errors(manifest):
-        data = system.cat_file(path)
-    return decode_text(data, manifest, error=DataError)
-
-
-def _doubled(names: list[str]) -> list[str]:
-    """Recordings that differ from another by their suffix, or by case, alone."""
-    stems = Counter(os.path.splitext(name)[0].casefold() for name in names)
-    return [name for name in sorted(names) if stems[os.path.splitext(name)[0].casefold()] > 1]
+    return Plan(_in_no_circle(distinct(lines)), notes)
 
 
 def _with_suffix(name: str) -> str:
@@ -135,6 +130,59 @@ def _is_recording(name: str) -> bool:
     return name.lower().endswith(RECORDINGS) and not is_hidden
 
 
+def _plain(output: str) -> str:
+    """An output as lines have it; an output of no line where it is none."""
+    try:
+        return checked_output(output)
+    except UserError:
+        return ""
+
+
+def waves(lines: Sequence[Line | BadLine]) -> list[list[int]]:
+    """Places of the lines, those that others begin or end at before these.
+
+    Lines of a wave depend on lines of the waves before it alone; lines of a circle are in none.
+    """
+    places = {line.output: k for k, line in enumerate(lines) if isinstance(line, Line)}
+    needs = [
+        {places[name] for name in line.beside.values() if name in places}
+        if isinstance(line, Line)
+        else set()
+        for line in lines
+    ]
+    followers: dict[int, list[int]] = {}
+    for k, before in enumerate(needs):
+        for other in before:
+            followers.setdefault(other, []).append(k)
+    left = [len(before) for before in needs]
+    wave = [k for k, count in enumerate(left) if not count]
+    found = []
+    while wave:
+        found.append(wave)
+        after: list[int] = []
+        for k in wave:
+            for other in followers.get(k, ()):
+                left[other] -= 1
+                after += [other] if not left[other] else []
+        wave = sorted(after)
+    return found
+
+
+def _in_no_circle(lines: list[Line | BadLine]) -> list[Line | BadLine]:
+    """The lines, those that wait for one another made bad."""
+    reached = {k for wave in waves(lines) for k in wave}
+    return [
+        line
+        if k in reached or isinstance(line, BadLine)
+        else BadLine(
+            line.number, line.audio, line.output,
+            f"line {line.output} follows {' and '.join(line.beside.values())}, which waits for it; "
+            "of two lines give one `after`, and the other `into` as on",
+        )
+        for k, line in enumerate(lines)
+    ]  # fmt: skip
+
+
 def distinct(lines: list[Line | BadLine]) -> list[Line | BadLine]:
     """The lines, those whose outputs are another line's made bad."""
     owners: dict[str, Line] = {}
@@ -192,14 +240,20 @@ def _outside_takes(lines: list[Line | BadLine], takes: dict[str, Line]) -> list[
 #     actor             who speaks: lines of one actor share a measured voice
 #     fps, digits       numbers
 #     timecode          zero, recording or HH:MM:SS:FF
+#     delay, handles    frames by which the face is late, and added before and after
 #     track, channel, raw  which signal, as for `deitalk.load_audio`
+#     after, into       the output of the line before it or next, or a take (into also ``on``)
 #     emotion, life …   each field of `deitalk.acting.Acting`; files are relative to the manifest
 #
 # Cells are separated by commas, semicolons or tabs; text is UTF-8 or UTF-16.
 
 
 SIGNAL = ("track", "channel", "raw")
-OWN_COLUMNS = ("audio", "output", "formats", "actor", "fps", "digits", "timecode", *SIGNAL)
+OWN_COLUMNS = (
+    "audio", "output", "formats", "actor", "fps", "digits", "timecode", "delay", "handles", *SIGNAL
+)  # fmt: skip
+BESIDE = ("after", "into")
+"""Columns that name another line, or a take."""
 COLUMNS = (*OWN_COLUMNS, *Acting.model_fields)
 _SETTINGS = COLUMNS[3:]
 _SEPARATORS = ",;\t"
@@ -239,7 +293,7 @@ def read_manifest(
     if doubled is not None:
         raise DataError(f"{where}: column {doubled!r} is there twice; keep one")
     read = _Reader(base, defaults)
-    lines = [read.line(i, row) for i, row in enumerate(rows, 1)]
+    lines = read.linked([read.line(i, row) for i, row in enumerate(rows, 1)])
     if not lines:
         raise DataError(f"{where}: holds no rows; write one for each recording")
     return lines, tuple(_notes(header))
@@ -298,17 +352,38 @@ class _Reader:
                 raise DeitalkError("no recording is named in the column audio")
             formats, output = _named(row, audio, self.defaults.written)
             # A line with the settings of a row.
-            cells = (*formats, *(row.get(name) for name in _SETTINGS))
+            cells = (*formats, *(row.get(name) for name in _SETTINGS if name not in BESIDE))
             if cells not in self._known:
                 self._known[cells] = self._read(row, formats)
             like = self._known[cells]
-            return replace(like, number=place, audio=joined(self.base, audio), output=output)
+            beside = {name: row[name] for name in BESIDE if row.get(name)}
+            return replace(
+                like, number=place, audio=joined(self.base, audio), output=output, beside=beside
+            )
         except UserError as error:
             return BadLine(place, audio, row.get("output", ""), str(error))
 
+    def linked(self, lines: list[Line | BadLine]) -> list[Line | BadLine]:
+        """The lines, with the takes before and after that are no lines of the batch read."""
+        outputs = {line.output for line in lines if isinstance(line, Line)}
+        return [
+            self._linked(line, outputs) if isinstance(line, Line) and line.beside else line
+            for line in lines
+        ]
+
+    def _linked(self, line: Line, outputs: set[str]) -> Line | BadLine:
+        inside = {n: name for n, cell in line.beside.items() if (name := _plain(cell)) in outputs}
+        others = {name: cell for name, cell in line.beside.items() if name not in inside}
+        try:
+            acting = Acting.of(line.acting, files=_Beside(self.base), **others)
+        except UserError as error:
+            return BadLine(line.number, line.audio, line.output, str(error))
+        return replace(line, acting=acting, beside=inside)
+
     def _read(self, row: Row, formats: tuple[str, ...]) -> Line:
         cells = {name: row[name] for name in _SETTINGS if row.get(name)}
-        fields = {name: cells[name] for name in Acting.model_fields if name in cells}
+        alone = [name for name in Acting.model_fields if name not in BESIDE]
+        fields = {name: cells[name] for name in alone if name in cells}
         acting = Acting.of(self.defaults.acting, files=_Beside(self.base), **fields)
         form: dict[str, Any] = {"formats": formats}
         if fps := cells.get("fps"):
@@ -317,6 +392,10 @@ class _Reader:
             form["digits"] = int(digits) if digits.isdecimal() else digits
         if timecode := cells.get("timecode"):
             form["timecode"] = timecode
+        for name in ("delay", "handles"):
+            if cell := cells.get(name):
+                is_whole = cell.lstrip("+-").isdecimal()
+                form[name] = int(cell) if is_whole else cell
         written = replace(self.defaults.written, **form).checked()
         actor = cells.get("actor", self.defaults.actor)
         signal = {name: cells[name] for name in SIGNAL if name in cells}

@@ -13,6 +13,7 @@ import typer
 from deitalk.acting import Acting
 from deitalk.audio.choice import MOST_TRACKS, AudioChoice
 from rig import limits
+from rig.limits import MOST_DELAY, MOST_HANDLES
 
 # Options of an acting: one for each field of `deitalk.acting.Acting`, in its panel.
 
@@ -71,7 +72,8 @@ def acting_options(
     def run(**arguments: Any) -> None:
         choice = AudioChoice.of(**{name: arguments.pop(name) for name in signal})
         found = {name: arguments.pop(name) for name in names}
-        texts = tuple(value for value in found.values() if isinstance(value, str))
+        parts = (part for v in found.values() for part in (v if isinstance(v, list) else [v]))
+        texts = tuple(part for part in parts if isinstance(part, str))
         command(given=Given(Acting.of(**found), texts, choice), **arguments)
 
     run.__signature__ = signature.replace(parameters=made)  # type: ignore[attr-defined]
@@ -110,16 +112,20 @@ SIGNAL: dict[str, Any] = {
 
 def _option(name: str) -> inspect.Parameter:
     schema = _SCHEMA[name]
-    kind, default = _TYPES.get(schema.get("type", ""), str), schema["default"]
+    kind: Any = _TYPES.get(schema.get("type", ""), str)
+    default = schema["default"]
     more: dict[str, Any] = {"min": 0, "max": limits.SEED} if kind is int else {}
     flags = [f"--{name.replace('_', '-')}"]
     if kind is bool:
         flags = [f"{flags[0]}/--no-{name}"]
     if name == "emotion":
         flags.append("-e")
+    help_text = schema["description"]
+    if schema.get("x-repeated"):
+        kind, default, help_text = list[str], None, f"{help_text} Repeatable."
     option = typer.Option(
         *flags,
-        help=schema["description"],
+        help=help_text,
         rich_help_panel=schema.get("x-panel"),
         show_default=bool(default),
         **more,
@@ -251,6 +257,25 @@ Timecode = Annotated[
         rich_help_panel=EDITING,
         help="Of the first frame: zero, recording (that of a WAV), HH:MM:SS:FF; HH:MM:SS;FF is "
         "drop frame.",
+    ),
+]
+Delay = Annotated[
+    int,
+    typer.Option(
+        min=-MOST_DELAY,
+        max=MOST_DELAY,
+        rich_help_panel=EDITING,
+        help="Frames by which the face is late against the sound; early if negative.",
+    ),
+]
+Handles = Annotated[
+    int,
+    typer.Option(
+        min=0,
+        max=MOST_HANDLES,
+        rich_help_panel=EDITING,
+        help="Frames added before and after, which hold the pose; the time code is earlier by "
+        "them.",
     ),
 ]
 Threads = Annotated[

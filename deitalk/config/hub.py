@@ -60,12 +60,13 @@ def model_files(names: Iterable[str]) -> tuple[str, ...]:
         Paths within it.
     """
     return tuple(
-        sorted(name for name in names if PurePath(name).name == name and _is_of_model(name))
+        sorted(
+            name
+            for name in names
+            if PurePath(name).name == name
+            and (not name.startswith(".") and name.endswith(SUFFIXES))
+        )
     )
-
-
-def _is_of_model(name: str) -> bool:
-    return not name.startswith(".") and name.endswith(SUFFIXES)
 
 
 @lru_cache

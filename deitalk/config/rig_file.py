@@ -90,7 +90,14 @@ def read_controls(name: str) -> ControlSet:
     if name == DEFAULT_ID:
         return default_controls()
     if name in RIGS:
-        return _public(RIGS[name])
+        id = RIGS[name]
+        controls = known_controls(id)
+        if controls is None:
+            with resources.as_file(
+                resources.files("rig.conversion").joinpath("facegood.csv")
+            ) as path:
+                controls = ControlSet.from_csv(path, id=id)
+        return classified_by_names(id, controls.controls)
     path = Path(name)
     if path.suffix not in RIG_SUFFIXES:
         raise ConfigError(
@@ -98,14 +105,6 @@ def read_controls(name: str) -> ControlSet:
             f"{', '.join(RIGS)}"
         )
     return _checked(path, read_yaml(path))
-
-
-def _public(id: str) -> ControlSet:
-    controls = known_controls(id)
-    if controls is None:
-        with resources.as_file(resources.files("rig.conversion").joinpath("facegood.csv")) as path:
-            controls = ControlSet.from_csv(path, id=id)
-    return classified_by_names(id, controls.controls)
 
 
 def classified_by_names(id: str, controls: Iterable[Control]) -> ControlSet:
@@ -134,33 +133,30 @@ def parse_controls(text: str, where: Path) -> ControlSet:
 
 def _checked(path: Path, tree: Any) -> ControlSet:
     try:
-        return _controls(path, RigFile.model_validate(tree))
+        rig = RigFile.model_validate(tree)
+        mirrors = {a: b for pair in rig.mirror for a, b in (pair, pair[::-1])}
+        sets = {"lip": rig.lip, "upper_face": rig.upper_face}
+        named = {*mirrors, *rig.lip, *rig.upper_face}
+        for name in sorted(named - rig.controls.keys()):
+            raise ConfigError(f"{path}: {quoted(name)} is in a pair or a set, but is no control")
+        return ControlSet(
+            rig.id,
+            tuple(
+                Control(
+                    name,
+                    **(settings or RigControl()).model_dump(),
+                    mirror=mirrors.get(name, ""),
+                    sets=frozenset(key for key, names in sets.items() if name in names),
+                )
+                for name, settings in rig.controls.items()
+            ),
+        )
     except ValidationError as error:
         first = error.errors(include_url=False, include_context=False)[0]
         key = ".".join(str(part) for part in first["loc"]) or "the file"
         raise ConfigError(f"{path}: {key}: {first['msg']}") from None
     except ControlError as error:
         raise ConfigError(f"{path}: {error}") from None
-
-
-def _controls(path: Path, rig: RigFile) -> ControlSet:
-    mirrors = {a: b for pair in rig.mirror for a, b in (pair, pair[::-1])}
-    sets = {"lip": rig.lip, "upper_face": rig.upper_face}
-    named = {*mirrors, *rig.lip, *rig.upper_face}
-    for name in sorted(named - rig.controls.keys()):
-        raise ConfigError(f"{path}: {quoted(name)} is in a pair or a set, but is no control")
-    return ControlSet(
-        rig.id,
-        tuple(
-            Control(
-                name,
-                **(settings or RigControl()).model_dump(),
-                mirror=mirrors.get(name, ""),
-                sets=frozenset(key for key, names in sets.items() if name in names),
-            )
-            for name, settings in rig.controls.items()
-        ),
-    )
 
 
 def rig_text(controls: ControlSet) -> str:

@@ -1,6 +1,6 @@
 """Types and limits of the fields of a configuration, and the YAML it is read from."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
@@ -236,29 +236,28 @@ def load_yaml(text: str, where: object, *, error: ErrorClass = ConfigError) -> A
             f"{where}: {len(text)} characters of YAML; at most {limits.YAML_BYTES} are read"
         )
     try:
-        _check_events(yaml.parse(text, Loader=_Loader))
+        # Raise ValueError if a text has aliases, is too large or is nested too deep.
+        events = yaml.parse(text, Loader=_Loader)
+        depth, values = 0, 1
+        for event in events:
+            if isinstance(event, yaml.AliasEvent):
+                raise ValueError(
+                    f"alias {quoted(f'*{event.anchor}')} is not read; repeat the value"
+                )
+            depth += isinstance(event, yaml.CollectionStartEvent)
+            depth -= isinstance(event, yaml.CollectionEndEvent)
+            values += isinstance(event, yaml.CollectionStartEvent | yaml.ScalarEvent)
+            if depth > limits.NESTING:
+                raise ValueError(_TOO_DEEP)
+            if values > limits.YAML_VALUES:
+                raise ValueError(f"more than {limits.YAML_VALUES} values; shorten it")
+            if isinstance(event, yaml.ScalarEvent) and len(event.value) > limits.SCALAR_CHARACTERS:
+                raise ValueError(
+                    f"a value of {len(event.value)} characters; at most {limits.SCALAR_CHARACTERS}"
+                )
         return yaml.load(text, Loader=_Loader)
     except _BUILD_ERRORS as problem:
         reason = " ".join(shorten(str(problem), 500).split()) or type(problem).__name__
         if isinstance(problem, RecursionError) or "maximum nesting depth" in reason:
             reason = _TOO_DEEP  # libyaml reads ahead, and has a limit of its own
         raise error(f"{where}: cannot be read as YAML ({shorten(reason, 200)})") from None
-
-
-def _check_events(events: Iterator[Any]) -> None:
-    """Raise ValueError if a text has aliases, is too large or is nested too deep."""
-    depth, values = 0, 1
-    for event in events:
-        if isinstance(event, yaml.AliasEvent):
-            raise ValueError(f"alias {quoted(f'*{event.anchor}')} is not read; repeat the value")
-        depth += isinstance(event, yaml.CollectionStartEvent)
-        depth -= isinstance(event, yaml.CollectionEndEvent)
-        values += isinstance(event, yaml.CollectionStartEvent | yaml.ScalarEvent)
-        if depth > limits.NESTING:
-            raise ValueError(_TOO_DEEP)
-        if values > limits.YAML_VALUES:
-            raise ValueError(f"more than {limits.YAML_VALUES} values; shorten it")
-        if isinstance(event, yaml.ScalarEvent) and len(event.value) > limits.SCALAR_CHARACTERS:
-            raise ValueError(
-                f"a value of {len(event.value)} characters; at most {limits.SCALAR_CHARACTERS}"
-            )

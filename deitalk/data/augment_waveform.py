@@ -155,26 +155,25 @@ def _noise(
         noise = _piece(noises[int(rng.integers(len(noises)))], n, rng)
         noise = _coloured(noise, rng.uniform(-4, 4))
     elif kind < 0.85:
-        noise = _hiss(n, rng)
+        # Noise with a random spectrum: a slope of ±6 dB an octave at most, and peaks of ±20 dB.
+        slope = -rng.uniform(0, 6) if rng.random() < 0.6 else rng.uniform(0, 6)
+        hills = rng.integers(1, 5) if rng.random() < 0.6 else 0
+        peaks = [
+            (rng.uniform(0, 7), rng.uniform(0.2, 1.2), rng.uniform(-20, 20)) for _ in range(hills)
+        ]
+        noise = _coloured(rng.standard_normal(n), slope, peaks)
     else:
-        noise = _tone(n, rng)
+        # Harmonics of a varying pitch, as of engines, horns and animals.
+        pitch = np.exp(rng.uniform(np.log(60), np.log(900)))
+        glide = 2 ** (rng.uniform(0, 0.6) * _wandering(n, rng, rng.uniform(0.5, 3)))
+        phase = 2 * np.pi * np.cumsum(pitch * glide) / SAMPLE_RATE
+        harmonics = range(1, int(min(7000 / (pitch * glide.max()), 12)) + 1)
+        fall = rng.uniform(0.3, 1.5)
+        noise = np.sum([np.sin(k * phase) * k**-fall for k in harmonics], axis=0)
     if rng.random() < 0.4:
         noise = noise * 10 ** (_wandering(n, rng, rng.uniform(1, 8)) * rng.uniform(3, 12) / 20)
     scaled: Float64 = noise / (noise.std() + 1e-9)
     return scaled
-
-
-def _hiss(n: int, rng: np.random.Generator) -> Float64:
-    """Noise with a random spectrum: a slope of ±6 dB an octave at most, and peaks of ±20 dB.
-
-    Noise of traffic and rooms falls with frequency, that of water and cloth rises.
-    """
-    slope = -rng.uniform(0, 6) if rng.random() < 0.6 else rng.uniform(0, 6)
-    hills = rng.integers(1, 5) if rng.random() < 0.6 else 0
-    chosen = [
-        (rng.uniform(0, 7), rng.uniform(0.2, 1.2), rng.uniform(-20, 20)) for _ in range(hills)
-    ]
-    return _coloured(rng.standard_normal(n), slope, chosen)
 
 
 def _coloured(
@@ -189,17 +188,6 @@ def _coloured(
         gain_db += height * np.exp(-(((octaves - octaves[-1] + below) / width) ** 2))
     coloured: Float64 = fft.irfft(spectrum * 10 ** (gain_db / 20))[:n]
     return coloured
-
-
-def _tone(n: int, rng: np.random.Generator) -> Float64:
-    """Harmonics of a varying pitch, as of engines, horns and animals."""
-    pitch = np.exp(rng.uniform(np.log(60), np.log(900)))
-    glide = 2 ** (rng.uniform(0, 0.6) * _wandering(n, rng, rng.uniform(0.5, 3)))
-    phase = 2 * np.pi * np.cumsum(pitch * glide) / SAMPLE_RATE
-    harmonics = range(1, int(min(7000 / (pitch * glide.max()), 12)) + 1)
-    fall = rng.uniform(0.3, 1.5)
-    tone: Float64 = np.sum([np.sin(k * phase) * k**-fall for k in harmonics], axis=0)
-    return tone
 
 
 def _wandering(n: int, rng: np.random.Generator, hertz: float) -> Float64:

@@ -89,7 +89,18 @@ def read_clips(folder: Path | str, split: str | None = None) -> list[Clip]:
     if not table.is_file():
         raise DataError(f"{folder}: holds no clips.csv; docs/dataset.md describes it")
     frame = _read_table(table, REQUIRED, dtype=str, keep_default_na=False)
-    _check_values(table, frame)
+    # Names differ, emotions and splits are known.
+    if (frame["clip"] == "").any():
+        raise DataError(f"{table}: a clip has no name; name every row")
+    doubled = frame["clip"][frame["clip"].duplicated()]
+    if len(doubled):
+        raise DataError(f"{table}: clip {doubled.iloc[0]!r} appears twice; names must differ")
+    known = {"emotion": EMOTIONS, "split": SPLITS, "voice": ("", *EMOTIONS)}
+    for column in known.keys() & set(frame.columns):
+        unknown = frame[column][~frame[column].isin(known[column])]
+        if len(unknown):
+            names = ", ".join(filter(None, known[column]))
+            raise DataError(f"{table}: {column} {unknown.iloc[0]!r} is unknown; known are {names}")
     rows: list[dict[str, str]] = frame.to_dict("records")  # type: ignore[assignment]
     clips = [_clip(folder, row) for row in rows if split is None or row["split"] == split]
     return clips
@@ -110,21 +121,6 @@ def _read_table(path: Path, columns: Sequence[str], **options: Any) -> pd.DataFr
             f"{path}: lacks the column {', '.join(missing)}; needs {', '.join(columns)}"
         )
     return frame
-
-
-def _check_values(table: Path, frame: pd.DataFrame) -> None:
-    """Names differ, emotions and splits are known."""
-    if (frame["clip"] == "").any():
-        raise DataError(f"{table}: a clip has no name; name every row")
-    doubled = frame["clip"][frame["clip"].duplicated()]
-    if len(doubled):
-        raise DataError(f"{table}: clip {doubled.iloc[0]!r} appears twice; names must differ")
-    known = {"emotion": EMOTIONS, "split": SPLITS, "voice": ("", *EMOTIONS)}
-    for column in known.keys() & set(frame.columns):
-        unknown = frame[column][~frame[column].isin(known[column])]
-        if len(unknown):
-            names = ", ".join(filter(None, known[column]))
-            raise DataError(f"{table}: {column} {unknown.iloc[0]!r} is unknown; known are {names}")
 
 
 def _clip(folder: Path, row: dict[str, str]) -> Clip:

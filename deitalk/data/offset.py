@@ -214,7 +214,10 @@ def clip_lags(
     columns = range(len(curves.names)) if known is None else np.flatnonzero(known)
     names = {curves.names[i] for i in columns}
     if predicted is None:
-        wanted: Mapping[str, Float64] = {"jaw": _level(waveform, at)}
+        # Level of the vowels' band at given seconds, 0 (40 dB below the loudest) to 1.
+        level = level_db(vowel_band(waveform), (at * SAMPLE_RATE).astype(int))
+        scaled: Float64 = np.clip(1 + (level - level.max(initial=-100)) / 40, 0, 1)
+        wanted: Mapping[str, Float64] = {"jaw": scaled}
     else:
         on_board = curves.control_set == DEFAULT_ID
         wanted = _signals(
@@ -333,13 +336,6 @@ def _signals(curves: RigCurves, names: set[str], times: Float64, at: Float64) ->
             mean = np.mean([curves[name].astype(np.float64) for name in members], axis=0)
             found[group] = np.interp(at, times, mean)
     return found
-
-
-def _level(waveform: Float32, at: Float64) -> Float64:
-    """Level of the vowels' band at given seconds, 0 (40 dB below the loudest) to 1."""
-    level = level_db(vowel_band(waveform), (at * SAMPLE_RATE).astype(int))
-    scaled: Float64 = np.clip(1 + (level - level.max(initial=-100)) / 40, 0, 1)
-    return scaled
 
 
 def vowel_band(waveform: Float32) -> Float32:

@@ -325,21 +325,19 @@ class WindowBatches(SeededBatches[Window]):
         self.frozen_features, self.clean = frozen_features if is_plain else None, clean
         self.encoded = encoded
         self.needs_sound = clean or self.frozen_features is None
-        self.measured, self.others = self._divided()
-        self.recorded = np.array([clip.source == "recording" for clip in self.others])
-        self.surroundings = Surroundings.read(config.noise_folder, config.room_folder)
-        self.cache = ClipCache(controls, int(config.cache_gigabytes * 1e9), sound=self.needs_sound)
-
-    def _divided(self) -> tuple[list[list[Clip]], list[Clip]]:
-        """Measured clips by speaker, if they have a share of their own, and the other clips."""
+        # Measured clips by speaker, if they have a share of their own, and the other clips.
         speakers: dict[str, list[Clip]] = {}
         for clip in self.clips:
             if clip.source == MEASURED:
                 speakers.setdefault(clip.speaker, []).append(clip)
         others = [clip for clip in self.clips if clip.source != MEASURED]
         if self.config.measured_fraction is None or not others:
-            return [], self.clips
-        return list(speakers.values()), others
+            self.measured, self.others = [], self.clips
+        else:
+            self.measured, self.others = list(speakers.values()), others
+        self.recorded = np.array([clip.source == "recording" for clip in self.others])
+        self.surroundings = Surroundings.read(config.noise_folder, config.room_folder)
+        self.cache = ClipCache(controls, int(config.cache_gigabytes * 1e9), sound=self.needs_sound)
 
     def item(self, number: int) -> Window:
         """Cut the window of a number."""
@@ -524,7 +522,12 @@ class FrozenFeatures:
         -------
         ndarray [shape=(T or more, D)]
         """
-        known = self._known(clip.audio)
+        sound = clip.audio
+        if sound in self._features:
+            self._features.move_to_end(sound)
+        elif self.folder is not None and (path := self._file(sound)).is_file():
+            self._remember(sound, np.load(path, mmap_mode="r"))
+        known = self._features.get(sound)
         if known is None or len(known) < n_frames:
             waveform = read_waveform(clip.audio)
             length = n_frames * SAMPLE_RATE // FRAME_RATE
@@ -560,13 +563,6 @@ class FrozenFeatures:
             self.features(clip, max(recorded_frames(str(clip.audio)), window_frames))
             progress(done / len(clips))
         self.owner.frontend.to("cpu")
-
-    def _known(self, sound: Path) -> NDArray[np.float16] | None:
-        if sound in self._features:
-            self._features.move_to_end(sound)
-        elif self.folder is not None and (path := self._file(sound)).is_file():
-            self._remember(sound, np.load(path, mmap_mode="r"))
-        return self._features.get(sound)
 
     def _keep(self, sound: Path, features: NDArray[np.float16]) -> NDArray[np.float16]:
         if self.folder is not None and self.folder.is_dir():

@@ -44,7 +44,7 @@ ROUNDING = 1e-4  # files round their weights
 
 def by_emotion(table: Mapping[str, Sequence[float]]) -> Float64:
     """Rows of a table in the order of `LABELS`; zeros for an emotion that it lacks."""
-    none = [0.0] * len(table["neutral"])
+    none = [0.0] * len(next(iter(table.values())))
     return np.array([table.get(name, none) for name in LABELS])
 
 
@@ -541,12 +541,12 @@ def parse_actor(data: bytes, path: object) -> ActorReference:
     for name, value in (("strength", strength), ("effort", effort or 0.0)):
         if not (math.isfinite(value) and abs(value) <= LARGEST):
             raise EmotionError(f"{path}: {name} {value:g} must be from -{LARGEST:g} to {LARGEST:g}")
-    traits = _traits(path, content.get("traits", {}))
+    traits = checked_traits(path, content.get("traits", {}))
     return ActorReference(strength, recordings, seconds, traits, effort)
 
 
-def _traits(path: object, traits: Any) -> dict[str, float]:
-    """Traits of a file, each in its range."""
+def checked_traits(path: object, traits: Any) -> dict[str, float]:
+    """Traits of a file, each in its range; EmotionError names `path`."""
     if not isinstance(traits, dict) or any(name not in TRAITS for name in traits):
         raise EmotionError(f"{path}: traits must be an object with some of {', '.join(TRAITS)}")
     for name, value in traits.items():

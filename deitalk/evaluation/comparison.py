@@ -380,7 +380,10 @@ def _intensity(strengths: Sequence[Float32 | None], captures: CaptureSet) -> dic
 def _own(captures: CaptureSet) -> dict[str, float]:
     """What the captures themselves would score, where that is defined."""
     rows = [_steps(example.curves[:, captures.pose.moving]) for example in captures.examples]
-    own = {name: _mean([row[name] for row in rows if name in row]) for name in _steps_of(rows)}
+    own = {
+        name: _mean([row[name] for row in rows if name in row])
+        for name in list(dict.fromkeys(name for row in rows for name in row))
+    }
     curves = [example.curves for example in captures.examples]
     still = {"error_of_mean_pose": 0.0, "error_at_best_gain": 0.0}
     return {**still, "range": 1.0, **own, **_closures(curves, captures)}
@@ -408,10 +411,6 @@ def _controls(curves: dict[str, list[Float32]], captures: CaptureSet) -> dict[st
 def _steps(values: Float32) -> dict[str, float]:
     found = smoothness(values)
     return {name: found[name] for name in ("largest_step", "jerk_per_speed") if name in found}
-
-
-def _steps_of(rows: Sequence[dict[str, float]]) -> list[str]:
-    return list(dict.fromkeys(name for row in rows for name in row))
 
 
 def _closures(curves: Sequence[Float32], captures: CaptureSet) -> dict[str, float]:

@@ -110,7 +110,13 @@ def draw_curves(curves: RigCurves, waveform: Float32, path: Path, title: str) ->
         axes = figure.subplots(
             len(ROWS) + 1, 1, sharex=True, height_ratios=[1.6, *([1.0] * len(ROWS))]
         )
-        _waveform(axes[0], curves, waveform, title)
+        axis = axes[0]
+        draw_waveform(axis, waveform)
+        strength = axis.twinx()
+        strength.plot(curves.times, curves.intensity, color="crimson")
+        strength.set_ylim(0, 1.05)
+        strength.set_ylabel("intensity", color="crimson")
+        axis.set_title(title, loc="left")
         times = curves.times
         for axis, (label, names) in zip(axes[1:], ROWS, strict=True):
             for name in names:
@@ -120,15 +126,6 @@ def draw_curves(curves: RigCurves, waveform: Float32, path: Path, title: str) ->
             axis.set_ylim(-0.05, 1.05)
             axis.legend(loc="upper right", fontsize=7, ncols=len(names), frameon=False)
         axes[-1].set_xlabel("seconds")
-
-
-def _waveform(axis: Any, curves: RigCurves, waveform: Float32, title: str) -> None:
-    draw_waveform(axis, waveform)
-    strength = axis.twinx()
-    strength.plot(curves.times, curves.intensity, color="crimson")
-    strength.set_ylim(0, 1.05)
-    strength.set_ylabel("intensity", color="crimson")
-    axis.set_title(title, loc="left")
 
 
 # Clips over time, target and prediction: the picture of an evaluation while training.
@@ -180,18 +177,16 @@ def draw_clips(path: Path, clips: Sequence[ClipRows]) -> None:
     with drawing(path, (7 * len(clips), 1.75 * n_rows)) as figure:
         grid = figure.subplots(n_rows, len(clips), sharex="col", squeeze=False)
         for column, clip in zip(grid.T, clips, strict=True):
-            _draw_clip(column, clip)
-
-
-def _draw_clip(column: Sequence[Any], clip: ClipRows) -> None:
-    column[0].set_title(clip.title, loc="left")
-    draw_waveform(column[0], clip.waveform)
-    for axis, row in zip(column[1:], clip.rows, strict=True):
-        _draw_row(axis, row, clip.fps)
-    column[1].legend(loc="upper right", fontsize=7, ncols=2, frameon=False)
-    seconds = max(len(curve) for row in clip.rows for curve in row[1:3] if curve is not None)
-    column[-1].set_xlabel("seconds")
-    column[-1].set_xlim(0, min(seconds / clip.fps, SHOWN_SECONDS))
+            column[0].set_title(clip.title, loc="left")
+            draw_waveform(column[0], clip.waveform)
+            for axis, row in zip(column[1:], clip.rows, strict=True):
+                _draw_row(axis, row, clip.fps)
+            column[1].legend(loc="upper right", fontsize=7, ncols=2, frameon=False)
+            seconds = max(
+                len(curve) for row in clip.rows for curve in row[1:3] if curve is not None
+            )
+            column[-1].set_xlabel("seconds")
+            column[-1].set_xlim(0, min(seconds / clip.fps, SHOWN_SECONDS))
 
 
 def _draw_row(axis: Any, row: Row, fps: float) -> None:

@@ -201,7 +201,10 @@ class CausalWhisperFrontend(WhisperFrontend):
         times = state.place + torch.arange(x.shape[1], device=x.device)
         x = x + self.encoder.positions[(times % PERIOD).long()]
         queries, kept, depth = x, [], len(self.encoder.layers)
-        near, keys_at = _around(x)
+        # Which key each query attends to (G, KEPT + G), and the frames of the keys (KEPT + G,).
+        keys = torch.arange(KEPT + x.shape[1], device=x.device) - KEPT
+        after = keys - _queries_at(x)
+        near, keys_at = (after <= LOOKAHEAD_FRAMES) & (after >= -PAST_FRAMES), keys
         for k, layer in enumerate(cast("list[Layer]", list(self.encoder.layers))):
             rows, *past = state.layers[3 * k : 3 * k + 3]
             rows = torch.cat((rows, x), dim=1)
@@ -245,13 +248,6 @@ class CausalWhisperFrontend(WhisperFrontend):
 def _queries_at(x: Tensor) -> Tensor:
     """Frames of the queries (G, 1) of new rows (B, G, D), after that of the first new row."""
     return torch.arange(x.shape[1], device=x.device).unsqueeze(1) - LOOKAHEAD_FRAMES
-
-
-def _around(x: Tensor) -> tuple[Tensor, Tensor]:
-    """Which key each query attends to (G, KEPT + G), and the frames of the keys (KEPT + G,)."""
-    keys = torch.arange(KEPT + x.shape[1], device=x.device) - KEPT
-    after = keys - _queries_at(x)
-    return (after <= LOOKAHEAD_FRAMES) & (after >= -PAST_FRAMES), keys
 
 
 def _attended(

@@ -368,7 +368,7 @@ class MelFrontend(Frontend):
         half = config.window_frames // 2
         centres = nearest_spectra(last, config.frame_rate)[first:] + half  # padded by half a window
         begin = int(centres[0]) - half
-        padded = F.pad(waveform, (self._samples(half), 0))
+        padded = F.pad(waveform, (round(half * SAMPLE_RATE / self.config.frame_rate), 0))
         n_spectra = int(centres[-1]) - half - begin + config.window_frames
         spectral = self.spectral(self.mel(padded, n_spectra, begin, shift))  # (B, L, C_spec)
         index = (centres - half - begin).unsqueeze(1) + torch.arange(config.window_frames)
@@ -388,9 +388,6 @@ class MelFrontend(Frontend):
             return attended
         out: Tensor = self.normalise(attended + centre)
         return out
-
-    def _samples(self, spectra: int) -> int:
-        return round(spectra * SAMPLE_RATE / self.config.frame_rate)
 
 
 def normalise_weights(module: nn.Module) -> None:

@@ -205,7 +205,12 @@ class StridedFrontend(Frontend):
         while done < n_frames:
             start = done - overlap if done else 0
             stop = min(start + chunk, n_frames)
-            yield Piece(start, done, stop, *self._sample_span(start, stop))
+            # Samples [first, last) that the rows start … stop - 1 are interpolated from.
+            first = start * SAMPLE_RATE // FRAME_RATE - self.margin
+            last = -(-stop * SAMPLE_RATE // FRAME_RATE) + self.margin
+            grid = Fraction(self.stride).limit_denominator(FRAME_RATE)
+            step = grid.numerator  # the least number of samples that is whole in strides
+            yield Piece(start, done, stop, *(max(0, first // step * step), last))
             done = stop
 
     def _add(self, rows: Tensor, piece: "Piece", features: Tensor) -> None:
@@ -215,17 +220,6 @@ class StridedFrontend(Frontend):
         fade = torch.arange(1, done - start + 1, device=rows.device).unsqueeze(1)
         rows[start:done].lerp_(new[: done - start], fade / (done - start + 1))
         rows[done:stop] = new[done - start :]
-
-    def _sample_span(self, start: int, stop: int) -> tuple[int, int]:
-        """Samples [first, last) that the rows start … stop - 1 are interpolated from.
-
-        `first` is a whole number of strides, so a chunk's features lie on the whole clip's grid.
-        """
-        first = start * SAMPLE_RATE // FRAME_RATE - self.margin
-        last = -(-stop * SAMPLE_RATE // FRAME_RATE) + self.margin
-        grid = Fraction(self.stride).limit_denominator(FRAME_RATE)
-        step = grid.numerator  # the least number of samples that is whole in strides
-        return max(0, first // step * step), last
 
     def rows(self, features: Tensor, start: int, stop: int, *, first_sample: int) -> Tensor:
         """Interpolate features (B, K, D), begun at `first_sample`, at the times of rows (B, n, D).

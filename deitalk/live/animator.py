@@ -9,8 +9,9 @@ import numpy.typing as npt
 
 from deitalk.acting import LIVE_FIELDS, Acting, acted_as
 from deitalk.audio.arrays import RunningResampler
-from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE, frame_count
+from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE, frame_count, samples_within
 from deitalk.audio.voice_activity import WINDOW
+from deitalk.config.rules import Idle, RulesConfig
 from deitalk.emotions import LABELS, EmotionTrack
 from deitalk.errors import AudioError, ConfigError
 from deitalk.live.cues import CueState, RunningCues
@@ -24,9 +25,12 @@ from deitalk.models.protocol import (
     take,
     trained_weights,
 )
-from deitalk.postprocess.factors import expression_scale
-from deitalk.postprocess.life.motion import MotionStream, move_together
-from deitalk.postprocess.life.voice import Seeds
+from deitalk.postprocess.factors import expression_scale, held_intensity
+from deitalk.postprocess.feeling import fade
+from deitalk.postprocess.joins import MOST_HEAD_FRAMES, Edge, Passage
+from deitalk.postprocess.life.amounts import Life
+from deitalk.postprocess.life.motion import Character, MotionStreams
+from deitalk.postprocess.life.voice import PAUSE, Cues, Seeds
 from deitalk.postprocess.tracks import GATES, LIVE_AHEAD, VoiceTracks, shown_columns
 from rig import ControlSet
 from rig.arrays import Bool, Float32, Int64
@@ -41,6 +45,9 @@ if TYPE_CHECKING:
 #
 # Letters: S samples, n frames of a call, P spectra a frame, W samples of a spectrum, C controls.
 
+CLOSING_FRAMES, OPENING_FRAMES = 3, 5
+"""Frames in which the mouth of a voice that is interrupted shuts: a tenth of a second; and over
+which it may open again for the sound that comes then."""
 RAMP_SECONDS = 0.2
 """Time over which one emotion, or intensity, passes into the next."""
 
@@ -95,8 +102,8 @@ class Stream:
         Columns of the curves.
     acting : Acting
         At the start.
-    life : MotionStream or None
-        Blinks, gaze, brows, head and neck.
+    moves : bool
+        Whether blinks, gaze, brows, head and neck move.
     actor : array [shape=(A,)]
         Weights of the network's actors.
     """
@@ -106,11 +113,13 @@ class Stream:
         grid: SpectraGrid,
         controls: ControlSet,
         acting: Acting,
-        life: MotionStream | None,
+        moves: bool,
         actor: Float32,
     ) -> None:
-        self.grid, self.controls, self.life = grid, controls, life
+        self.grid, self.controls, self.moves = grid, controls, moves
         self.actor, self.rest = actor, b""
+        self.other: Sound | None = None
+        """Sound of the one whom it listens to."""
         self.sound, self.changes = Sound(), [Change(0.0, acting.emotion_track, acting.intensity)]
         self.acting, self.gain = acting, gain_factors(controls, acting.gain)
         self.groups = 0
@@ -119,6 +128,57 @@ class Stream:
         self.n_total: int | None = None
         self.frames: list[Float32] = []
         self.heads: list[Float32] = []
+        self.shut: tuple[int, int] | None = None
+        """First frame of a mouth that is interrupted, and that of the sound that comes after."""
+        self.shown = self.last = (controls.rest, np.zeros(len(HEAD), np.float32))
+        """Frame and head that are on the screen when it is, and those that were given last."""
+        self.passage: Passage | None = None
+
+    def interrupt(self, silence: int, shown: tuple[Float32, Float32] | None) -> None:
+        """Let silence follow from the next frame on, as many samples as make it known."""
+        first = max(self.n_given, 0)
+        sample = first * SAMPLE_RATE // FRAME_RATE - self.sound.begin
+        samples = self.sound.samples.copy()
+        samples[max(sample, 0) :] = 0
+        self.sound.samples, self.rest = samples, b""
+        self.sound.append(np.zeros(silence, np.float32))
+        self.shut, self.shown = (first, frame_count(self.sound.end)), shown or self.last
+        self.passage = None
+
+    def mouth_share(self, count: int) -> Float32:
+        """Share of the mouth's motion in the `count` frames that the rules give next."""
+        if self.shut is None:
+            return np.ones(count, np.float32)
+        begin, end = self.shut
+        frames = np.arange(self.n_given, self.n_given + count)
+        falls = fade((frames - begin + 1) / CLOSING_FRAMES)
+        rises = 1 - fade((frames - end + 1) / OPENING_FRAMES)
+        return np.maximum(falls, rises)
+
+    def give(self, frames: Float32, heads: Float32, first: int) -> None:
+        """Give the frames from number `first` on.
+
+        After an interruption they begin in the frame that was shown: the expression stays until
+        new sound comes.
+        """
+        if self.shut is not None and len(frames):
+            begin, end = self.shut
+            if self.passage is None:
+                pose, head = (tuple(part.tolist()) for part in self.shown)
+                names, still = self.controls.names, tuple(0.0 for _ in HEAD)
+                edge = Edge(dict(zip(names, pose, strict=True)), {}, head, still)
+                self.passage = Passage.of(
+                    self.controls, edge, heads[0], MOST_HEAD_FRAMES,
+                    mouth=CLOSING_FRAMES - 1, held=end - begin,
+                )  # fmt: skip
+            self.passage.mix(frames, heads, first - begin)
+            if first + len(frames) >= begin + max(self.passage.n_frames, end - begin):
+                self.passage = None
+                self.shut = None if first + len(frames) >= end + OPENING_FRAMES else self.shut
+        if len(frames):
+            self.last = frames[-1], heads[-1]
+        self.frames.append(frames)
+        self.heads.append(heads)
 
     def change(self, acting: Acting) -> None:
         """Act otherwise from the sound on that comes next; at once before any."""
@@ -127,8 +187,6 @@ class Stream:
         change = Change(self.sound.end / SAMPLE_RATE, acting.emotion_track, acting.intensity)
         if (acting.emotion, acting.intensity) != (before.emotion, before.intensity):
             self.changes = [*self.changes, change] if self.sound.end else [change]
-        if self.life is not None and acting.look_at != before.look_at:
-            self.life.look_at(acting.look_at, frame_count(self.sound.end))
 
     def finish(self) -> None:
         """Take the end of the sound: silence follows, until the last frame is known."""
@@ -166,18 +224,31 @@ class Stream:
         self.groups += count
         return windows, *self._directed(frames)
 
-    def heard(self, count: int) -> Float32:
-        """Sound (count, `WINDOW`) of the frames `MEASURED_AHEAD` after those that were taken."""
+    def hear(self, samples: Float32, begin: int) -> None:
+        """Take sound of the one whom it listens to, which begins with a sample of its own."""
+        self.other = self.other or Sound()
+        silent = max(begin - self.other.end, 0)
+        self.other.append(np.concatenate((np.zeros(silent, np.float32), samples)))
+
+    def measured(self, count: int) -> tuple[Float32, Float32 | None]:
+        """Sound (count, `WINDOW`) of the frames `MEASURED_AHEAD` after those that were taken.
+
+        Its own, and that of the one whom it listens to, silence where none has come.
+        """
         stop = self.groups - self.grid.delay + MEASURED_AHEAD
         starts = np.arange(stop - count, stop) * SAMPLE_RATE // FRAME_RATE - WINDOW // 2
-        windows = self.sound.windows(starts, WINDOW)
+        windows, other = self.sound.windows(starts, WINDOW), None
+        if self.other is not None:
+            self.hear(np.zeros(0, np.float32), self.sound.end)
+            other = self.other.windows(starts, WINDOW)
+            self.other.drop(int(starts[-1]))
         # Sound and changes that no frame needs any more.
         spectrum = int(self.groups * SAMPLE_RATE / FRAME_RATE) - self.grid.length
         self.sound.drop(min(spectrum, stop * SAMPLE_RATE // FRAME_RATE - WINDOW))
         seconds = (self.groups - self.grid.delay) / FRAME_RATE - RAMP_SECONDS
         while len(self.changes) > 1 and self.changes[1].seconds < seconds:
             self.changes.pop(0)
-        return windows
+        return windows, other
 
     def given(self, count: int) -> slice:
         """Which of the `count` frames that the rules give next there are.
@@ -215,46 +286,6 @@ def _none(count: int) -> Float32:
     return np.zeros((0, count), np.float32)
 
 
-def move_streams(
-    streams: Sequence[Stream],
-    given: Sequence[slice],
-    speaking: Bool,
-    acted: Float32,
-    shown: Float32,
-) -> Float32:
-    """Write the motion of the next frames of streams into their columns.
-
-    Parameters
-    ----------
-    streams : sequence of Stream
-        B; those without life do not move.
-    given : sequence of slice
-        Which of the n frames each stream gives.
-    speaking : array of bool [shape=(B, n)]
-        Frames of speech.
-    acted : array [shape=(B, n, 9)]
-        Emotion shown.
-    shown : array [shape=(B, n, 36)]
-        Gates and motion; the latter is written.
-
-    Returns
-    -------
-    array [shape=(B, n, 6)]
-        Track of the head.
-    """
-    heads = np.zeros((*speaking.shape, len(HEAD)), np.float32)
-    alike: dict[tuple[int, int], list[int]] = {}  # one, but for first and last frames
-    for k, (stream, which) in enumerate(zip(streams, given, strict=True)):
-        if stream.life is not None and which.start < which.stop:
-            alike.setdefault((which.start, which.stop), []).append(k)
-    for (start, stop), places in alike.items():
-        lives = [life for k in places if (life := streams[k].life) is not None]
-        motion = move_together(lives, speaking[places, start:stop], acted[places, start:stop])
-        shown[places, start:stop, GATES:] = np.concatenate(motion.tracks, axis=-1)
-        heads[places, start:stop] = motion.head
-    return heads
-
-
 BLOCK_FRAMES, FEW_FRAMES = 256, 8
 """Most frames of a stream that the network reads at once, and most of any number."""
 Arrays = tuple[Any, ...]
@@ -278,9 +309,9 @@ class LiveAnimator:
     streams : int
         Voices, each with its own sound, emotion and state; read in one call of the network.
     emotion, acting, fields
-        As for `deitalk.animate`, of every stream at the start: emotion, intensity, style, life,
-        look_at, gain, rules and seed; stream k has ``seed + k``. Other fields of an acting need
-        the whole recording.
+        As for `deitalk.animate`, of every stream at the start: emotion, intensity, rest, style,
+        life, look_at, gain, rules and seed; stream k has ``seed + k``. Other fields of an acting
+        need the whole recording.
     sample_rate : int
         Of the samples, Hz; others than 16000 are resampled.
 
@@ -334,9 +365,12 @@ class LiveAnimator:
         self.lookahead_seconds = ahead + LIVE_AHEAD / FRAME_RATE
         self.rules = self.network.curve_pass(live=True)
         self.hearing, self.cues = RunningHearing(self.network.rules), RunningCues(LIVE_AHEAD)
-        self.state, self.past, self.due = self._first(streams)
+        self.ears = RunningHearing(RulesConfig.none())
+        self.state, self.past, self.due, self.other = self._first(streams)
         self.streams = [self._stream(k) for k in range(streams)]
-        self.resamplers = [self._resampler() for _ in range(streams)]
+        idle = self.network.rules.idle or Idle()
+        self.motion = MotionStreams([self._character(k) for k in range(streams)], idle)
+        self.resamplers = [[self._resampler(), self._resampler()] for _ in range(streams)]
         self.heads = [np.zeros((0, len(HEAD)), np.float32)] * streams
 
     @property
@@ -344,7 +378,11 @@ class LiveAnimator:
         """Track of the head of the frames that were given last."""
         return self._single(self.heads)
 
-    def feed(self, samples: Samples | Sequence[Samples]) -> Any:
+    def feed(
+        self,
+        samples: Samples | Sequence[Samples],
+        heard: Samples | Sequence[Samples | None] | None = None,
+    ) -> Any:
         """Take the next samples; return the frames that are known now.
 
         Parameters
@@ -353,6 +391,10 @@ class LiveAnimator:
             Mono: floating point with full scale 1, 16-bit integers, or bytes of these
             (little-endian), of which an odd one is kept for the next call. Of several streams a
             sequence of one entry each, of any lengths.
+        heard : array, bytes, or a sequence of them, optional
+            Samples of the one whom the face listens to, from the same time on: it nods at the ends
+            of that one's phrases and keeps its eyes there. Of several streams None for those that
+            hear nothing.
 
         Returns
         -------
@@ -366,6 +408,12 @@ class LiveAnimator:
         rows: list[Any] = [samples] if len(self.streams) == 1 else list(samples)  # type: ignore[arg-type]
         if len(rows) != len(self.streams):
             raise AudioError(f"samples of {len(rows)} streams; there are {len(self.streams)}")
+        others: list[Any] = [heard] if len(rows) == 1 or heard is None else list(heard)  # type: ignore[arg-type]
+        if len(others) != len(rows) and heard is not None:
+            raise AudioError(f"heard samples of {len(others)} streams; there are {len(rows)}")
+        for k, other in enumerate(others):
+            if other is not None:
+                self.hear(other, stream=k)
         pieces = [self._whole(row, k) for k, row in enumerate(rows)]
         checked = [checked_samples(samples) for samples, _ in pieces]
         for k, row in enumerate(checked):
@@ -391,6 +439,21 @@ class LiveAnimator:
         self._append(stream, checked, last=False)
         self.streams[stream].rest = rest
 
+    def hear(self, samples: Samples, *, stream: int = 0) -> None:
+        """Take samples of the one whom a stream listens to, from the time of its own next ones.
+
+        Raises
+        ------
+        AudioError
+            As `feed`; bytes must be whole samples.
+        """
+        if isinstance(samples, bytes | bytearray | memoryview) and len(samples) % 2:
+            raise AudioError(f"heard samples have {len(samples)} bytes; give two for each")
+        checked, one = checked_samples(samples), self.streams[stream]
+        if (resampler := self.resamplers[stream][1]) is not None:
+            checked = resampler.feed(checked, last=False)
+        one.hear(checked, one.sound.end)
+
     def _whole(self, samples: Samples, stream: int) -> tuple[Samples, bytes]:
         """Whole samples, and the byte of the next one that came already."""
         rest = self.streams[stream].rest
@@ -413,6 +476,64 @@ class LiveAnimator:
         self.heads = [head for _, head in given]
         return [frames for frames, _ in given]
 
+    def interrupt(
+        self,
+        stream: int = 0,
+        *,
+        shown: Float32 | None = None,
+        head: Float32 | None = None,
+    ) -> int:
+        """Stop a voice: its mouth shuts within 0.1 s, the rest of the expression stays.
+
+        Sound that has come and was not given yet is dropped, and silence of `lookahead_seconds`
+        follows, so that `read` gives the frames of the shut mouth at once.
+
+        Parameters
+        ----------
+        stream : int
+            Which stream.
+        shown : array [shape=(C,)], optional
+            Frame that is on the screen, from which the next ones go on; by default the one that
+            was given last.
+        head : array [shape=(6,)], optional
+            Its track of the head.
+
+        Returns
+        -------
+        int
+            Number of the frame at which the sound begins that comes next.
+
+        Raises
+        ------
+        AudioError
+            If the stream has ended.
+        ConfigError
+            If `shown` is not one frame of finite curves.
+        """
+        one = self.streams[stream]
+        if one.n_total is not None:
+            raise AudioError("the stream has ended; reset it to begin again")
+        frame = None if shown is None else self._frame(shown, head, one.last[1])
+        if not one.sound.end:
+            return 0
+        one.interrupt(samples_within(self.lookahead_seconds), frame)
+        self.resamplers[stream] = self._resampler()
+        return frame_count(one.sound.end)
+
+    def _frame(
+        self, shown: Float32, head: Float32 | None, last: Float32
+    ) -> tuple[Float32, Float32]:
+        """A frame and its head, checked; without a head the last one."""
+        rows = np.asarray(shown, np.float32), np.asarray(last if head is None else head, np.float32)
+        if (rows[0].shape, rows[1].shape) != ((len(self.names),), (len(HEAD),)):
+            raise ConfigError(
+                f"shown of shape {rows[0].shape} must be one frame of {len(self.names)} curves, "
+                f"and head {len(HEAD)} numbers"
+            )
+        if not all(np.isfinite(row).all() for row in rows):
+            raise ConfigError("the frame that is shown must be finite; some of it is not")
+        return rows
+
     def set(self, *, stream: int | None = None, **fields: Any) -> None:
         """Act otherwise from the sound on that comes next; but for gain and rules over 0.2 s.
 
@@ -421,7 +542,8 @@ class LiveAnimator:
         stream : int, optional
             Which stream; all by default.
         **fields
-            emotion, intensity, look_at, gain and rules; those that are not given stay as they are.
+            emotion, intensity, rest, look_at, gain and rules; those that are not given stay as they
+            are.
 
         Raises
         ------
@@ -430,44 +552,53 @@ class LiveAnimator:
         """
         if fixed := [name for name in fields if LIVE_FIELDS.get(name) != "change"]:
             raise ConfigError(f"{', '.join(fixed)} cannot change while somebody speaks")
-        for one in self.streams if stream is None else [self.streams[stream]]:
-            acting = Acting.of(one.acting, **fields).check_live()
+        for k in range(len(self.streams)) if stream is None else [stream]:
+            one = self.streams[k]
+            acting, before = Acting.of(one.acting, **fields).check_live(), one.acting
             one.change(acting)
+            if one.moves and acting.look_at != before.look_at:
+                self.motion.look_at(k, acting.look_at, frame_count(one.sound.end))
 
     def reset(self, stream: int | None = None) -> None:
         """Begin a stream again, or all: no sound, first emotion and intensity, first blinks."""
         for k in range(len(self.streams)) if stream is None else [stream]:
-            for state, first in zip((self.state, self.past, self.due), self._first(1), strict=True):
+            states = self.state, self.past, self.due, self.other
+            for state, first in zip(states, self._first(1), strict=True):
                 put(state, [k], first)
-            self.streams[k], self.resamplers[k] = self._stream(k), self._resampler()
+            self.streams[k] = self._stream(k)
+            self.motion.reset(k, self._character(k))
+            self.resamplers[k] = [self._resampler(), self._resampler()]
 
     def open(self, stream: int, acting: Acting) -> None:
         """Begin a stream again, acted otherwise."""
         self.actings[stream] = acting.check_live()
         self.reset(stream)
 
-    def _first(self, batch: int) -> tuple[Arrays, Arrays, Arrays]:
-        """State before the first sound: of the network, of what is heard, of the rules."""
+    def _first(self, batch: int) -> tuple[Arrays, Arrays, Arrays, Arrays]:
+        """State before the first sound: of the network, its own voice, the rules, the other one."""
         network = tuple(part.copy() for part in self.network.first_state(batch))
         mixture = np.zeros((batch, LIVE_AHEAD, len(LABELS)), np.float32)
         speaking = np.zeros((batch, LIVE_AHEAD), bool)
         due = self.rules.first(batch), mixture, speaking, *self.cues.first(batch)
-        return network, self.hearing.first(batch), due
+        other = *self.ears.first(batch), *self.cues.first(batch)
+        return network, self.hearing.first(batch), due, other
+
+    def _character(self, number: int) -> Character:
+        acting = self.actings[number]
+        return Character(Seeds((0, 0, acting.seed)), acting.motion or Life())
 
     def _stream(self, number: int) -> Stream:
-        controls, acting, motion = self.network.controls, self.actings[number], None
-        life, idle = acting.motion, self.network.rules.idle
-        if life is not None and idle is not None and acting.rules:
-            motion = MotionStream(Seeds((0, 0, acting.seed)), idle, life)
+        controls, acting = self.network.controls, self.actings[number]
+        moves = acting.motion is not None and self.network.rules.idle is not None and acting.rules
         style = chosen_actor(self.network.actors, acting.style)
         actor = np.array([name == style for name in self.network.actors], np.float32)
-        return Stream(self.network.grid, controls, acting, motion, actor)
+        return Stream(self.network.grid, controls, acting, moves, actor)
 
     def _resampler(self) -> RunningResampler | None:
         return None if self.sample_rate == SAMPLE_RATE else RunningResampler(self.sample_rate)
 
     def _append(self, number: int, samples: Float32, *, last: bool) -> None:
-        resampler = self.resamplers[number]
+        resampler = self.resamplers[number][0]
         if resampler is not None:
             samples = resampler.feed(samples, last=last)
         self.streams[number].sound.append(samples)
@@ -498,7 +629,7 @@ class LiveAnimator:
         if new:
             windows = np.stack([self.streams[k].take(delay)[0] for k in new])
             put(self.state, new, self.network.begin(windows, take(self.state, new)))
-            sound = np.stack([self.streams[k].heard(MEASURED_AHEAD) for k in new])
+            sound = np.stack([self.streams[k].measured(MEASURED_AHEAD)[0] for k in new])
             put(self.past, new, self.hearing.begin(sound, take(self.past, new)))
 
     def _read(self, ready: list[int], count: int) -> None:
@@ -507,7 +638,8 @@ class LiveAnimator:
         # Sound and acting of the frames.
         taken = zip(*(stream.take(count) for stream in streams), strict=True)
         windows, emotion, wanted = (np.stack(parts) for parts in taken)
-        sound = np.stack([stream.heard(count) for stream in streams])
+        sounds, others = zip(*(stream.measured(count) for stream in streams), strict=True)
+        sound = np.stack(sounds)
         ruled = np.array([stream.acting.rules for stream in streams], np.float32)
         # The network: two readings.
         actors = np.stack([stream.actor for stream in streams])[:, None]
@@ -517,33 +649,46 @@ class LiveAnimator:
         self.state = self._put(self.state, ready, state)
         # What is heard of them: intensity, opening and gates.
         past = self._taken(self.past, ready)
-        heard, past = self.hearing(sound, rows.strength, rows.effort, past)
+        stays = np.array([stream.acting.rest for stream in streams], np.float32)
+        heard, past = self.hearing(sound, rows.strength, rows.effort, stays, past)
         self.past = self._put(self.past, ready, past)
         # Factors.
+        rules = self.network.rules
         with_rules = ruled[:, None] > 0
         voice = np.where(with_rules, heard.intensity, rows.strength)
-        applied = voice * wanted
+        applied, holds = voice * wanted, rows.strength
         scale = wanted
-        if self.network.rules.voice_intensity is not None:
-            scale = np.where(with_rules, expression_scale(applied, rows.strength), wanted)
+        if rules.voice_intensity is not None:
+            holds = held_intensity(
+                rules.expressions,
+                self.network.controls,
+                rows.neutral,
+                rows.emotional,
+                emotion,
+                rows.strength,
+            )
+            scale = np.where(with_rules, expression_scale(applied, holds), wanted)
         opening = np.where(with_rules, heard.opening, 1)
         phones = np.zeros((*scale.shape, 4), np.float32)
-        said = VoiceTracks(scale, opening, rows.strength, phones, emotion).columns()
+        back, kept, _ = heard.held
+        said = VoiceTracks(scale, opening, holds, phones, emotion, back, kept).columns()
         # Gates and motion of the frames that come out.
         before, mixture, speaking, *cues = self._taken(self.due, ready)
+        begin = cues[CueState._fields.index("frame")]
         found, known = self.cues(heard.measures, heard.speaking, CueState(*cues))
-        for k, cue in found:
-            if (life := streams[k].life) is not None:
-                life.cue(cue)
+        listens = self._listen(ready, others, begin, count)
+        self._cue(ready, found, begin, listens)
         mixture = np.concatenate((mixture, emotion * applied[..., None]), axis=1)
         speaking = np.concatenate((speaking, heard.speaking), axis=1)
-        mouth, expression = (
-            np.where(with_rules, gate, 1) for gate in (heard.mouth, heard.expression)
-        )
+        keyed = np.array([stream.acting.is_keyed for stream in streams])[:, None]
+        mouth = np.where(with_rules, heard.mouth, 1)
+        expression = np.where(with_rules & ~keyed, heard.expression, 1)
+        mouth = mouth * np.stack([stream.mouth_share(count) for stream in streams])
+        numbers = [stream.n_given for stream in streams]
         given = [stream.given(count) for stream in streams]
         shown = shown_columns(mouth, expression, None)
         acted = mixture[:, :count] * expression[..., None]
-        heads = move_streams(streams, given, speaking[:, :count], acted, shown)
+        heads = self._move(ready, given, speaking[:, :count], acted, shown)
         # The rules, in their order: `deitalk.postprocess.curve_pass`.
         gain = np.stack([stream.gain for stream in streams])
         curves, _, _, after = self.rules(
@@ -551,9 +696,79 @@ class LiveAnimator:
         )
         due = after, mixture[:, count:], speaking[:, count:], *known
         self.due = self._put(self.due, ready, due)
-        for stream, frames, head, which in zip(streams, curves, heads, given, strict=True):
-            stream.frames.append(frames[which])
-            stream.heads.append(head[which])
+        rows = zip(streams, curves, heads, given, numbers, strict=True)
+        for stream, frames, head, which, first in rows:
+            stream.give(frames[which], head[which], first + which.start)
+
+    def _listen(
+        self, ready: list[int], others: Sequence[Float32 | None], begin: Int64, count: int
+    ) -> Bool:
+        """Frames in which the ones speak whom some streams listen to [shape=(B, count)]."""
+        speaking = np.zeros((len(ready), count), bool)
+        places = [k for k, other in enumerate(others) if other is not None]
+        if not places:
+            return speaking
+        who = [ready[k] for k in places]
+        state = take(self.other, who)
+        hearing, cues = state[: -len(CueState._fields)], CueState(*state[-len(CueState._fields) :])
+        sound, none = np.stack([others[k] for k in places]), np.zeros((len(who), count), np.float32)
+        heard, hearing = self.ears(sound, none, none, hearing)
+        state = cues._replace(frame=begin[places])
+        found, state = self.cues(heard.measures, heard.speaking, state)
+        put(self.other, who, (*hearing, *state))
+        moving = np.array([self.streams[k].moves for k in who])[found.stream]
+        self.motion.hear(found._replace(stream=np.array(who)[found.stream]).where(moving))
+        speaking[places] = heard.speaking
+        return speaking
+
+    def _cue(self, ready: list[int], cues: Cues, begin: Int64, listens: Bool) -> None:
+        """Move faces by the cues of their voices; one that listens makes no pause of its own."""
+        row = np.round(cues.known * FRAME_RATE).astype(int) + LIVE_AHEAD - begin[cues.stream]
+        busy = (cues.kind == PAUSE) & listens[cues.stream, np.clip(row, 0, listens.shape[1] - 1)]
+        moving = np.array([self.streams[k].moves for k in ready])[cues.stream]
+        chosen = cues._replace(stream=np.array(ready)[cues.stream]).where(moving & ~busy)
+        self.motion.cue(chosen)
+
+    def _move(
+        self,
+        ready: list[int],
+        given: Sequence[slice],
+        speaking: Bool,
+        acted: Float32,
+        shown: Float32,
+    ) -> Float32:
+        """Write the motion of the next frames of streams into their columns.
+
+        Parameters
+        ----------
+        ready : list of int
+            The streams; those without life do not move.
+        given : sequence of slice
+            Which of the n frames each stream gives.
+        speaking : array of bool [shape=(B, n)]
+            Frames of speech.
+        acted : array [shape=(B, n, 9)]
+            Emotion shown.
+        shown : array [shape=(B, n, 45)]
+            Gates and motion; the latter is written.
+
+        Returns
+        -------
+        array [shape=(B, n, 6)]
+            Track of the head.
+        """
+        heads = np.zeros((*speaking.shape, len(HEAD)), np.float32)
+        alike: dict[tuple[int, int], list[int]] = {}  # one, but for first and last frames
+        for k, which in enumerate(given):
+            if self.streams[ready[k]].moves and which.start < which.stop:
+                alike.setdefault((which.start, which.stop), []).append(k)
+        for (start, stop), places in alike.items():
+            who = np.array(ready)[places]
+            frames = places, slice(start, stop)
+            motion = self.motion.move(speaking[frames], acted[frames], who)
+            shown[places, start:stop, GATES:] = np.concatenate(motion.tracks, axis=-1)
+            heads[frames] = motion.head
+        return heads
 
     def _taken(self, state: Arrays, ready: list[int]) -> Arrays:
         """State of some streams; of all without a copy."""

@@ -86,7 +86,7 @@ class CurveRules(Protocol):
     """Frames by which what comes out is behind what comes in."""
 
     def first(self, batch: int) -> Float32:
-        """State of streams before their first frame [shape=(B, behind + ahead, 2 C + 16)]."""
+        """State of streams before their first frame [shape=(B, N, 2 C + 18)]."""
 
     def __call__(self, *arrays: Float32) -> tuple[Float32, Float32, Float32, Float32]:
         """Finish the next frames.

@@ -75,17 +75,15 @@ class TemporalConv(nn.Module):
         """
         if self.causal:
             x = F.pad(x, (self.span, 0)) if past is None else torch.cat((past, x), dim=2)
-            if x.shape[2] - self.span <= FEW_FRAMES:
-                return self._few(x)
-        out: Tensor = self.after(self.conv(x))
-        return out
-
-    def _few(self, x: Tensor) -> Tensor:
-        """The same for so few frames that a convolution's preparations cost more than its work."""
         frames = x.shape[2] - self.span
-        taps = [x[:, :, start : start + frames] for start in self._starts]
-        rows = torch.cat(taps, dim=1).transpose(1, 2)  # (B, T, K in_channels)
-        out: Tensor = self.after(F.linear(rows, self._flat(), self.conv.bias).transpose(1, 2))
+        if self.causal and frames <= FEW_FRAMES:
+            # A convolution's preparations cost more than so few frames.
+            taps = [x[:, :, start : start + frames] for start in self._starts]
+            rows = torch.cat(taps, dim=1).transpose(1, 2)  # (B, T, K in_channels)
+            x = F.linear(rows, self._flat(), self.conv.bias).transpose(1, 2)
+        else:
+            x = self.conv(x)
+        out: Tensor = self.after(x)
         return out
 
     @property
@@ -489,7 +487,8 @@ class RigDecoder(Decoder):
             For the next call.
         """
         size, kept = len(self.layers), self.kept
-        split = len(past) if kept is None else size * _own_count(len(past) // size)
+        # Evaluations of the own layers among all: 1 of 2, 1 of 3, 2 of 5.
+        split = len(past) if kept is None else size * max((len(past) // size) // 2, 1)
         pasts = [iter(part) for part in (past[:split], past[split:])]
         after: tuple[list[Tensor], list[Tensor]] = ([], [])
 
@@ -531,11 +530,6 @@ class RigDecoder(Decoder):
         if guidance is not None:
             extra = torch.cat((extra, guidance[..., : self.guidance_size]), dim=-1)
         return speech.transpose(1, 2), extra.transpose(1, 2)
-
-
-def _own_count(evaluations: int) -> int:
-    """Evaluations of the own layers among all: 1 of 2, 1 of 3, 2 of 5."""
-    return max(evaluations // 2, 1)
 
 
 def _each_once(curves: Callable[[Tensor], Tensor], emotions: Tensor) -> Tensor:

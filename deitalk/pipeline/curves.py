@@ -1,7 +1,7 @@
 """The main path: speech and an emotion in, 185 curves out."""
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
 from time import perf_counter
@@ -16,7 +16,7 @@ from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE, frame_count
 from deitalk.audio.load import Recording
 from deitalk.config.rules import RulesConfig
 from deitalk.emotions import EmotionTrack, IntensityCurve
-from deitalk.errors import AudioError, DeitalkError
+from deitalk.errors import AudioError, DeitalkError, MissingError
 from deitalk.models.load import load_network
 from deitalk.models.protocol import (
     CurveNetwork,
@@ -27,17 +27,22 @@ from deitalk.models.protocol import (
     trained_weights,
     unshown_note,
 )
+from deitalk.pipeline.layers import follow_recording, unused_notes
 from deitalk.pipeline.performance import Performance
 from deitalk.pipeline.speech import Speech, measure_intensities
 from deitalk.pipeline.words.transcript import Transcript
+from deitalk.postprocess.control_groups import ControlGroups
 from deitalk.postprocess.factors import held_intensity, mean_around, opening_factor
+from deitalk.postprocess.joins import Edge, activity_beside, lead, unknown_controls
 from deitalk.postprocess.known_phones import phone_tracks
 from deitalk.postprocess.life.motion import Motion, plan_motion
+from deitalk.postprocess.life.other import OtherVoice
 from deitalk.postprocess.life.voice import Seeds, Traits, measure_voice
 from deitalk.postprocess.tracks import VoiceTracks, shown_columns
 from rig import ControlSet, RigCurves
 from rig.arrays import Float32
 from rig.curves.edit import gain_factors
+from rig.curves.layers import apply_layers, target_columns
 from rig.errors import quoted
 
 if TYPE_CHECKING:
@@ -90,8 +95,8 @@ def animate(
     progress : callable
         Called with the share of the network's work that is done, 0 to 1.
     **fields
-        Of `deitalk.acting.Acting`: intensity, intensity_curve, voice, style, words, language, life,
-        look_at, gain, listen, rules, seed.
+        Of `deitalk.acting.Acting`: intensity, intensity_curve, rest, voice, style, words, language,
+        life, look_at, gain, edit, listen, after, into, rules, seed.
 
     Returns
     -------
@@ -180,13 +185,20 @@ def prepare(
         acting, recording, suggestion = _suggested(acting, recording)
     recording = _with_note_on("emotion", acting.emotion_track, recording)
     recording = _extended(recording, acting.listen)
+    if acting.listen_to is not None:
+        recording = _extended(recording, acting.listen_to.seconds - recording.duration)
+        acting, recording = _felt(acting, acting.listen_to, recording)
     clock.lap("audio")
     network = load()
     clock.lap("model")
     factors = gain_factors(network.controls, acting.gain)
+    for target in dict.fromkeys(edit.target for layer in acting.edit for edit in layer.edits):
+        target_columns(network.controls, target)
     rules = network.rules if acting.rules else RulesConfig.none()
     recording = recording.noted(*_notes_on_unused(acting, rules))
-    speech = Speech.of_recording(recording, rules.gates)
+    speech = _between(Speech.of_recording(recording, rules.gates), acting)
+    if acting.after is not None:
+        recording = recording.noted(*unknown_controls(acting.after, network.controls))
     weights = acting.emotion_track.at(speech.times)
     style = chosen_actor(network.actors, acting.style)
     unshown = unshown_note(network.emotions, trained_weights(weights))
@@ -201,7 +213,7 @@ def _notes_on_unused(acting: Acting, rules: RulesConfig) -> Iterator[str]:
     if acting.words is None and "language" in acting.settings:
         yield f"language {acting.language} is of words: none are given"
     if rules.idle is None or acting.motion is None:
-        of_motion = acting.settings.keys() & {"life", "look_at", "seed"}
+        of_motion = acting.settings.keys() & {"life", "look_at", "seed", "listen_to"}
         if unused := sorted(of_motion - ({"life"} if acting.motion is None else set())):
             why = "the rules that move it are off" if acting.motion else "life is off"
             yield f"{', '.join(unused)} not used: {why}"
@@ -228,6 +240,25 @@ def _suggested(
     return Acting.of(acting, emotion=found.label), recording, found.probabilities
 
 
+def _felt(acting: Acting, other: OtherVoice, recording: Recording) -> tuple[Acting, Recording]:
+    """The acting with what the one feels whom it listens to, and the recording with a note on it.
+
+    Without a note where the emotion is given.
+    """
+    if other.recording is None:
+        return acting, recording
+    try:
+        from deitalk.pipeline.suggest import suggest_emotion  # needs torch
+
+        found = suggest_emotion(other.recording)
+        emotion = f"{found.label}={found.probabilities[found.label]:.2f}"
+        note = f"listens to a voice that sounds {emotion}"
+    except (AudioError, MissingError) as error:
+        emotion, note = "", f"listens without its feeling: {error}"
+    other = replace(other, emotion=emotion, recording=None)
+    return Acting.of(acting, listen_to=other), recording.noted(note)
+
+
 def finish(
     prepared: Prepared, reading: Reading, model: str = "", words: "WordFit | None" = None
 ) -> Performance:
@@ -247,8 +278,7 @@ def finish(
     network, weights = prepared.network, prepared.weights
     # Intensity: of the voice, and what the reading holds of it.
     speaking = speech.activity > 0
-    pose = neutral, emotional, trained_weights(weights), speaking
-    held = partial(held_intensity, rules.pose_size, network.controls, *pose)
+    held = partial(held_intensity, rules.expressions, network.controls, neutral, emotional, weights)
     intensities = measure_intensities(speech, tracks, acting, rules.voice_intensity, held)
     clock.lap("network")
     # Times of the words in the sound.
@@ -259,29 +289,49 @@ def finish(
     phones = phone_tracks(() if words is None else words.known, len(weights))
     # What the pass reads of each frame besides the readings.
     near, usual = (mean_around(x, speaking) for x in (intensities.voice, intensities.network))
-    opening = opening_factor(rules.scale_opening, near, usual, intensities.take)
-    voice = VoiceTracks(intensities.scale, opening, intensities.held, phones, weights)
-    motion = _motion(prepared, weights * intensities.applied[:, None])
-    shown = shown_columns(speech.mouth, speech.shown, None if motion is None else motion.tracks)
+    opening = opening_factor(rules.scale_opening, near, usual)
+    kept = speech.held(rules.hold_pose)
+    voice = VoiceTracks(
+        intensities.scale, opening, intensities.held, phones, weights, kept.back, kept.share
+    )
+    traits = _traits(prepared)
+    motion = _motion(prepared, weights * intensities.applied[:, None], traits)
+    tracks_of_motion = None if motion is None else motion.tracks
+    shown = shown_columns(speech.mouth, intensities.share, tracks_of_motion)
     # The rules, in their order: `deitalk.postprocess.curve_pass`.
     values = neutral.copy() if emotional is neutral else emotional
     clipped = apply_rules(
         network.curve_pass(), neutral, values, voice.columns(), shown, prepared.gain, acting.rules
     )
     clock.lap("expression")
-    head = None if motion is None else motion.head
+    head = None if motion is None or not motion.head.any() else motion.head
+    _join(network.controls, values, head, acting)
+    shown_curves = _curves(network.controls, values, weights, intensities.applied, head)
+    neutral_curves = _curves(network.controls, neutral)
+    recording = _with_note_of(words, prepared.recording)
+    if acting.edit:
+        layers, notes = follow_recording(acting.edit, speech, words)
+        rule = rules.keep_contacts
+        closures = None if rule is None else ControlGroups(network.controls).closures(rule)
+        recording = recording.noted(*notes, *unused_notes(layers, head is not None))
+        how = layers, network.controls, closures
+        shown_curves, taken_back = apply_layers(shown_curves, *how)
+        neutral_curves, _ = apply_layers(neutral_curves, *how)
+        recording = recording.noted(*taken_back)
+        clock.lap("edits")
     return Performance(
-        _curves(network.controls, values, weights, intensities.applied, head),
-        _curves(network.controls, neutral),
+        shown_curves,
+        neutral_curves,
         intensities.saliency,
         intensities.predicted,
-        _with_note_of(words, prepared.recording),
+        recording,
         clipped,
         clock.laps,
         acting,
         model,
         words,
         prepared.suggestion,
+        asdict(traits),
     )
 
 
@@ -302,7 +352,7 @@ def apply_rules(
         The pass.
     neutral, emotional : array [shape=(T, C)]
         Two readings, not the same array; then the neutral curves and those that are shown.
-    voice, shown : array [shape=(T, 16)], [shape=(T, 36)]
+    voice, shown : array [shape=(T, 18)], [shape=(T, 45)]
         See `deitalk.postprocess.tracks`.
     gain : array [shape=(C,)]
         Factor of each control.
@@ -335,18 +385,47 @@ def apply_rules(
     return round(outside)
 
 
-def _motion(prepared: Prepared, shown: Float32) -> Motion | None:
+def _between(speech: Speech, acting: Acting) -> Speech:
+    """The speech between the takes that the acting has before and after it."""
+    before = activity_beside(acting.after, before=True)
+    return replace(speech, before=before, after=activity_beside(acting.into, before=False))
+
+
+def _join(controls: ControlSet, values: Float32, head: Float32 | None, acting: Acting) -> None:
+    """Have the curves [shape=(T, C)] and the head begin and end at the takes beside them."""
+    nexts = [edge for edge in (acting.into,) if isinstance(edge, Edge)]
+    most = len(values) // 2 if nexts else None
+    if acting.after is not None:
+        lead(values, head, controls, acting.after, most=most)
+    for edge in nexts:
+        lead(values, head, controls, edge, last=True, most=most)
+
+
+def _traits(prepared: Prepared) -> Traits:
+    """Traits of the character: of its voice's reference, of the take before, or drawn."""
+    acting = prepared.acting
+    known = (acting.voice and acting.voice.traits) or (acting.after and acting.after.traits)
+    if known:
+        return Traits(**known)
+    return Traits.of(Seeds.of(prepared.speech.waveform, prepared.style, acting.seed).character())
+
+
+def _motion(prepared: Prepared, shown: Float32, traits: Traits) -> Motion | None:
     """Motion above the mouth for the emotion that is shown [shape=(T, 9)]; None: there is none."""
     speech, acting, idle = prepared.speech, prepared.acting, prepared.rules.idle
-    life, actor = acting.motion, acting.voice
-    if idle is None or life is None or not (acting.listen or speech.activity.any()):
+    life = acting.motion
+    other = acting.listen_to
+    is_still = not (acting.listen or other or speech.activity.any())
+    if idle is None or life is None or is_still:
         return None
     emotions = shown.sum(axis=0)
     emotion = int(emotions[1:].argmax()) + 1 if emotions[1:].any() else 0
     seeds = Seeds.of(speech.waveform, prepared.style, acting.seed, emotion)
     voice = measure_voice(speech.activity, speech.prosody)
-    traits = Traits(**actor.traits) if actor is not None and actor.traits else None
-    return plan_motion(voice, shown, seeds, idle, life, traits)
+    if other is None:
+        return plan_motion(voice, shown, seeds, idle, life, traits)
+    heard, felt = other.voice(speech.n_frames), other.felt(speech.n_frames)
+    return plan_motion(voice, shown, seeds, idle, life, traits, heard, felt)
 
 
 def _curves(
@@ -390,7 +469,7 @@ def _with_note_of(words: "WordFit | None", recording: Recording) -> Recording:
 
 def _extended(recording: Recording, seconds: float) -> Recording:
     """The recording with so much silence after it."""
-    silence = np.zeros(round(seconds * recording.sample_rate), np.float32)
+    silence = np.zeros(max(round(seconds * recording.sample_rate), 0), np.float32)
     if not len(silence):
         return recording
     return replace(recording, waveform=np.concatenate([recording.waveform, silence]))

@@ -5,13 +5,13 @@ from functools import cached_property, lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from deitalk.config.rules import KeepContacts
 from rig import ControlSet
 from rig.arrays import Bool
 from rig.controls import DEFAULT_ID
+from rig.curves.layers import Closures
 
 LIVELY = ("jaw.ty", "upperLipRaise", "lowerLipDepress")
-POSING = ("brow", "eye", "nose", "cornerPull", "cornerDepress", "stretch")
-"""Parts of the names of the controls whose change is the size of a pose."""
 OPENING = ("jaw.ty", "jaw_openExtreme", "upperLipRaise", "lowerLipDepress", "funnel", "lipsRoll",
            "lipsBlow", "suckBlow")  # fmt: skip
 """Parts of the names of controls that part the lips."""
@@ -38,11 +38,6 @@ class ControlGroups:
         return self._named(*LIVELY)
 
     @cached_property
-    def posing(self) -> NDArray[np.intp]:
-        """Controls whose change is the size of a pose."""
-        return self._named(*POSING)
-
-    @cached_property
     def lips(self) -> NDArray[np.intp]:
         """The jaw, the raises of the upper lip and the depressions of the lower one; or none."""
         places = np.concatenate([self._named(part) for part in LIVELY])
@@ -67,6 +62,11 @@ class ControlGroups:
     def seals(self) -> NDArray[np.intp]:
         """Controls that close the lips; an expression may increase them only."""
         return np.concatenate((self.together, self.bite))
+
+    def closures(self, rule: KeepContacts) -> Closures:
+        """What layers of edits do not part, by the rule for expressions."""
+        seals = self.together.tolist(), self.bite.tolist()
+        return Closures(seals, self.opening.tolist(), rule.begin, rule.full)
 
     @cached_property
     def follows_mouth(self) -> Bool:

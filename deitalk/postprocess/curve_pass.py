@@ -30,6 +30,7 @@ from deitalk.postprocess.curve_stages import (
     Closure,
     Express,
     Gate,
+    Hold,
     MeetPhones,
     OpenMouth,
     QuietLips,
@@ -41,7 +42,7 @@ from deitalk.postprocess.curve_stages import (
 from deitalk.postprocess.factors import LEAST_PREDICTED
 from deitalk.postprocess.life.play import Play
 from deitalk.postprocess.torch_columns import Columns, constant
-from deitalk.postprocess.tracks import N_MOTION, VOICE, rest_rows
+from deitalk.postprocess.tracks import N_MOTION, POSE_FRAMES, VOICE, rest_rows
 from rig import ControlSet
 from rig.arrays import Float32
 from rig.controls import DEFAULT_ID
@@ -61,12 +62,14 @@ class Voice(NamedTuple):
     bitten: Tensor
     funnel: Tensor
     purse: Tensor
+    back: Tensor
+    kept: Tensor
     emotion: Tensor
     """[shape=(B, T, 9)]."""
 
     @classmethod
     def of(cls, columns: Tensor) -> "Voice":
-        """Split columns (B, T, 16)."""
+        """Split columns (B, T, 18)."""
         single, emotion = torch.split(columns, [VOICE - len(LABELS), len(LABELS)], dim=-1)
         tracks = [single[..., k, None, None] for k in range(VOICE - len(LABELS))]
         return cls(*[*tracks, emotion])
@@ -108,6 +111,8 @@ class CurvePass(nn.Module):
         window, self.size = (self.behind, self.ahead), count
         both = [*groups.seals, *(groups.seals + count)]
         # scale, closed and bitten follow both readings
+        self.unseen = max(POSE_FRAMES - self.behind - self.ahead, 0)
+        self.hold = Hold(rules.hold_pose, groups)
         self.around = Around([*both, *(2 * count + k for k in (0, 3, 4))], *window)
         self.sharpen = Sharpen(rules.sharpen_contacts)
         self.closure = Closure(rules.keep_contacts, groups)
@@ -127,7 +132,10 @@ class CurvePass(nn.Module):
         constant(self, "before", rest_rows(controls.rest, self.behind + self.ahead))
 
     def first(self, batch: int) -> Tensor:
-        """State before the first frame: a face at rest [shape=(B, behind + ahead, 2 C + 16)]."""
+        """A face at rest, the state before the first frame.
+
+        [shape=(B, N, 2 C + 18)]: the pose that a held sound keeps, then the last frames.
+        """
         return self.before.expand(batch, -1, -1).clone()
 
     def forward(
@@ -146,15 +154,15 @@ class CurvePass(nn.Module):
         ----------
         neutral, emotional : Tensor [shape=(B, T, C)]
             Two readings of the same speech, as the network gives them.
-        voice : Tensor [shape=(B, T, 16)]
+        voice : Tensor [shape=(B, T, 18)]
             What voice and acting say of the same frames: `tracks.VoiceTracks`.
-        shown : Tensor [shape=(B, T, 2 + 34)]
+        shown : Tensor [shape=(B, T, 2 + 43)]
             Gates and motion of the frames that come *out*: `tracks.shown_columns`.
         gain : Tensor [shape=(B, C)]
             Factor on the distance of each control from rest.
         ruled : Tensor [shape=(B,)]
             1 for streams with rules; 0 for the network alone, with its motion if there is any.
-        state : Tensor [shape=(B, behind + ahead, 2 C + 16)]
+        state : Tensor [shape=(B, N, 2 C + 18)]
             From `first`, or of the call before.
 
         Returns
@@ -166,8 +174,17 @@ class CurvePass(nn.Module):
         state : Tensor
         """
         # Frames that come out, with what is around them.
-        rows = torch.cat((state, torch.cat((neutral, emotional, voice), dim=-1)), dim=1)
-        state = rows[:, -(self.behind + self.ahead) :]
+        readings = torch.cat((neutral, emotional), dim=-1)
+        # A held sound keeps its pose.
+        new = Voice.of(voice)
+        kept = new.kept.squeeze(-1) * ruled[:, None, None]
+        readings, pose = self.hold(
+            readings, state[..., : 2 * self.size], new.back.squeeze(-1), kept
+        )
+        rows = torch.cat((state[:, 1:], torch.cat((readings, voice), dim=-1)), dim=1)
+        pose = torch.cat((pose, voice[:, -1:]), dim=-1)
+        state = torch.cat((pose, rows[:, neutral.shape[1] :]), dim=1)
+        rows = rows[:, self.unseen :]
         own = torch.split(rows[:, self.behind : -self.ahead], [self.size, self.size, VOICE], dim=-1)
         raw, said = torch.stack(own[:2], dim=2), Voice.of(own[2])
         mouth, expression, motion = torch.split(shown, [1, 1, N_MOTION], dim=-1)
@@ -187,13 +204,15 @@ class CurvePass(nn.Module):
         curves = self.blend(curves, free, said.scale)
         # Poses of the emotions, which yield to closed lips; lips that cover the teeth.
         closing = self.closing(self.closure(contacts[:, :, NEUTRAL].transpose(-1, -2)))
-        strength = (said.scale * said.held.clamp_min(LEAST_PREDICTED)).squeeze(-1)
-        curves = self.express(curves, said.emotion, strength, free, 1 - closing.unsqueeze(-1))
+        least = said.held.clamp_min(LEAST_PREDICTED)
+        strength, missing = ((said.scale * held).squeeze(-1) for held in (least, least - said.held))
+        slow = 1 - closing.unsqueeze(-1)
+        curves = self.express(curves, said.emotion, strength, missing, free, slow, mouth)
         curves = self.rest_lips(curves)
         # Lips start to close earlier and part later; what is hardly open is shut.
         limited = self.limit_speed(self.blend.contacts(contacts, near.scale))
         curves = self.quieten(self.seals.put(curves, limited))
-        # Silence: the mouth shuts, the expression fades.
+        # Silence: the mouth shuts, a share of the expression stays.
         curves = self.gate(curves, mouth.unsqueeze(2), expression.unsqueeze(2))
         # Streams without rules: the readings as they are.
         plain = raw[:, :, :1] + (raw - raw[:, :, :1]) * said.scale

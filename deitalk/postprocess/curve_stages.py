@@ -15,6 +15,7 @@ from deitalk.config.rules import (
     DeadZone,
     Expressions,
     Gates,
+    HoldPose,
     KeepContacts,
     LimitContactSpeed,
     ScaleOpening,
@@ -35,10 +36,48 @@ YIELDING_STEP = 1 / 3
 """Share of a mood's pose that yields in a frame, 0.1 s in all: disgust raises the lip by .6."""
 ROUNDED = (0.15, 0.6)
 """Mean of purse, or of funnel, at which an expression begins to yield, and yields fully."""
-YIELDED = 0.8
+YIELDED = 0.4
 """Share that is taken away by full rounding."""
 NEUTRAL, SHOWN = 0, 1
 """Places of the readings."""
+
+
+class Hold(nn.Module):
+    """What speech moves keeps its pose while a sound is held."""
+
+    speaks: Tensor
+
+    def __init__(self, rule: HoldPose | None, groups: ControlGroups) -> None:
+        super().__init__()
+        self.rule = rule
+        constant(self, "speaks", np.tile(groups.follows_mouth, 2).astype(np.float32))
+
+    def forward(
+        self, readings: Tensor, before: Tensor, back: Tensor, kept: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """Keep poses.
+
+        Parameters
+        ----------
+        readings : Tensor [shape=(B, T, 2 C)]
+            Both, side by side.
+        before : Tensor [shape=(B, N, 2 C)]
+            The pose that was kept before, and the last frames.
+        back, kept : Tensor [shape=(B, T, 1)]
+            Frames since the pose, and its share; both 0 where none is kept.
+
+        Returns
+        -------
+        readings : Tensor [shape=(B, T, 2 C)]
+        pose : Tensor [shape=(B, 1, 2 C)]
+            Of the last frame.
+        """
+        if self.rule is None:
+            return readings, readings[:, -1:]
+        place = torch.arange(readings.shape[1], device=readings.device)[:, None] - back
+        place = (place + before.shape[1]).clamp_min(0).long().expand(-1, -1, readings.shape[2])
+        poses = torch.cat((before, readings), dim=1).gather(1, place)
+        return readings + kept * self.speaks * (poses - readings), poses[:, -1:]
 
 
 class Near(NamedTuple):
@@ -223,6 +262,7 @@ class Express(nn.Module):
     parting: Tensor
     moods: Tensor
     spreading: Tensor
+    taught: Tensor
     changed: Tensor
 
     def __init__(self, rule: Expressions | None, controls: ControlSet) -> None:
@@ -232,8 +272,9 @@ class Express(nn.Module):
         self.is_on = rule is not None and len(table.places) > 0
         own, moods = table.parting.copy(), table.parting.copy()
         own[len(EMOTIONS) :], moods[: len(EMOTIONS)] = 0, 0
-        for name, values in (("gains", table.gains), ("poses", table.poses)):
-            constant(self, name, values)
+        for name in ("gains", "poses"):
+            constant(self, name, getattr(table, name))
+        constant(self, "taught", table.taught * (1.0 if rule is None else rule.size))
         constant(self, "parting", own)
         constant(self, "moods", moods)
         constant(self, "spreading", table.spreading)
@@ -243,9 +284,19 @@ class Express(nn.Module):
         self.rounding = nn.ModuleList(columns for columns in rounding if len(columns))
 
     def forward(
-        self, curves: Tensor, emotion: Tensor, strength: Tensor, free: Tensor, slow: Tensor
+        self,
+        curves: Tensor,
+        emotion: Tensor,
+        strength: Tensor,
+        missing: Tensor,
+        free: Tensor,
+        slow: Tensor,
+        spoken: Tensor,
     ) -> Tensor:
         """Change the reading that is shown.
+
+        What a network does not show, in silence most, is added of the pose that it is taught. In
+        silence nothing yields to the lips, which are at rest.
 
         Parameters
         ----------
@@ -254,20 +305,27 @@ class Express(nn.Module):
         emotion : Tensor [shape=(B, T, 9)]
             Weights.
         strength : Tensor [shape=(B, T, 1), range 0 to 4]
-            Intensity that the blend shows.
+            Intensity to show.
+        missing : Tensor [shape=(B, T, 1), range 0 to 4]
+            Part of it that the blend lacks.
         free : Tensor [shape=(B, T, 1), range 0 to 1]
             Share of the opening that closed lips leave to an expression.
         slow : Tensor [shape=(B, T, 1), range 0 to 1]
             The same of the moods, which changes slowly and is never more.
+        spoken : Tensor [shape=(B, T, 1), range 0 to 1]
+            Gate of the mouth: 1 in speech, 0 in silence.
         """
         if not self.is_on:
             return curves
+        free, slow = 1 - (1 - free) * spoken, 1 - (1 - slow) * spoken
         part = self.columns(curves)
         neutral, blend = part[:, :, NEUTRAL], part[:, :, SHOWN]
         pose = emotion @ self.poses + (emotion @ self.parting) * free
         pose = pose + (emotion @ self.moods) * slow
-        shown = (blend - neutral) * (emotion @ self.gains) + pose * strength
-        kept = 1 - YIELDED * self._rounded(curves[:, :, NEUTRAL]) * (emotion @ self.changed)
+        read = (blend - neutral) + missing * (emotion @ self.taught)
+        shown = read * (emotion @ self.gains) + pose * strength
+        rounded = self._rounded(curves[:, :, NEUTRAL]) * spoken
+        kept = 1 - YIELDED * rounded * (emotion @ self.changed)
         shown = shown * (1 - self.spreading + self.spreading * kept)
         return self.columns.put(curves, torch.stack((neutral, neutral + shown), dim=2))
 
@@ -341,7 +399,7 @@ class QuietLips(nn.Module):
 
 
 class Gate(nn.Module):
-    """Curves brought to rest in silence: speech by the mouth's gate, all by the expression's."""
+    """The mouth brought to rest in silence, and the share of the expression that is shown."""
 
     rest: Tensor
 
@@ -352,8 +410,9 @@ class Gate(nn.Module):
         constant(self, "rest", rest)
 
     def forward(self, curves: Tensor, mouth: Tensor, expression: Tensor) -> Tensor:
-        """Of both readings; gates (B, T, 1, 1)."""
+        """Of both readings, by a gate and a share (B, T, 1, 1)."""
         if self.rule is None:
             return curves
-        speaks = self.speaks.mask
-        return self.rest + (curves - self.rest) * expression * (1 - speaks + speaks * mouth)
+        speaks, neutral = self.speaks.mask, curves[:, :, :1]
+        curves = neutral + (curves - neutral) * expression
+        return self.rest + (curves - self.rest) * (1 - speaks + speaks * mouth)

@@ -11,12 +11,17 @@ Moods are procedural: the network reads their mixture of the trained emotions
 (`rig.emotions.MOODS`) and the table adds the prototype of their action units; contempt is of one
 side.
 
+``taught_poses.csv`` has the poses of the five at intensity 1 that networks are taught
+(`deitalk.research.corpus.rig_targets`), with the action unit. They complete the
+difference of its readings where that is faint, as in silence.
+
 A smile yields to rounding: spread corners and a raised upper lip are muscles that act against
 those of /u/ and /o/.
 
 Letters: S styles, K controls of the table.
 """
 
+from collections.abc import Collection
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -24,7 +29,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from deitalk.emotions import EMOTIONS, LABELS
+from deitalk.emotions import EMOTIONS, LABELS, MOODS
 from rig.arrays import Float32
 from rig.files.reading import rows_of
 
@@ -48,6 +53,8 @@ class ExpressionTable:
         added as far as the lips are open.
     spreading : array [shape=(K,), 0 or 1]
         Whether a control yields to rounding.
+    taught : array [shape=(S, K)]
+        Difference of the readings that a network is taught, at intensity 1.
     changed : array [shape=(S,), 0 or 1]
         0 of emotions that stay as captures show them.
     """
@@ -57,22 +64,31 @@ class ExpressionTable:
     poses: Float32
     parting: Float32
     spreading: Float32
+    taught: Float32
     changed: Float32
 
 
 @lru_cache(maxsize=8)
-def expression_table(names: tuple[str, ...], captured: tuple[str, ...] = ()) -> ExpressionTable:
+def expression_table(names: tuple[str, ...], captured: Collection[str] = ()) -> ExpressionTable:
     """The table for the columns of a rig; controls that it lacks are left out.
 
     Emotions that captures show have a gain of 1 and no pose.
     """
+    folder = Path(__file__).parent
     rows = [
         (LABELS.index(row["emotion"]), name, float(row["gain"]), float(row["pose"]))
-        for row in rows_of(Path(__file__).with_name("expressions.csv"))
+        for row in rows_of(folder / "expressions.csv")
         for name in (row["control"].replace("*", side) for side in "LR")
         if name in names
     ]
-    moved = sorted({name for _, name, _, _ in rows}, key=names.index)
+    learnt = taught_poses(names)
+    moved = sorted({name for _, name, _, _ in rows} | learnt.keys(), key=names.index)
+    taught = np.zeros((len(LABELS), len(moved)), np.float32)
+    for name, sizes in learnt.items():
+        taught[:, moved.index(name)] = [
+            sum(share * sizes[one] for one, share in MOODS.get(label, {label: 1.0}).items())
+            for label in LABELS
+        ]
     gains = np.ones((len(LABELS), len(moved)), np.float32)
     poses, parting = np.zeros_like(gains), np.zeros_like(gains)
     for emotion, name, gain, pose in rows:
@@ -88,5 +104,16 @@ def expression_table(names: tuple[str, ...], captured: tuple[str, ...] = ()) -> 
         changed[:, None] * poses,
         changed[:, None] * parting,
         np.array([any(part in name for part in SPREADING) for name in moved], np.float32),
+        changed[:, None] * taught,
         changed,
     )
+
+
+def taught_poses(names: tuple[str, ...]) -> dict[str, dict[str, float]]:
+    """Size of each emotion's pose at intensity 1, by control of a rig and by emotion."""
+    return {
+        name: {emotion: float(row.get(emotion) or 0) for emotion in EMOTIONS}
+        for row in rows_of(Path(__file__).with_name("taught_poses.csv"))
+        for name in dict.fromkeys(row["control"].replace("*", side) for side in "LR")
+        if name in names
+    }

@@ -98,31 +98,29 @@ def load_source(
     if not source.exists():
         raise PreviewError(f"{source} does not exist; name a take folder or a file of curves")
     if source.is_dir():
-        return _load_take(source, audio, phones)
+        path = source / "curves.json"
+        if not path.is_file():
+            raise PreviewError(
+                f"{source} has no curves.json; name a folder that deitalk animate wrote"
+            )
+        curves = _read(path)
+        recording = Path(audio) if audio is not None else source / "audio.wav"
+        samples, rate = _read_audio(recording)
+        neutral = None
+        if (source / "neutral.npz").is_file():
+            neutral = _read(source / "neutral.npz").values
+            if neutral.shape != curves.values.shape:
+                raise PreviewError(
+                    f"neutral.npz has {len(neutral)} frames and curves.json {len(curves)}; "
+                    "write the take again"
+                )
+        if phones is None and (source / "phones.csv").is_file():
+            phones = source / "phones.csv"
+        known = _read_phones(phones)
+        return _checked(PreviewSource(source.name, curves, samples, rate, neutral, known))
     curves = _read(source)
     samples, rate = (np.zeros(0, np.float32), 0) if audio is None else _read_audio(Path(audio))
     return _checked(PreviewSource(source.stem, curves, samples, rate, None, _read_phones(phones)))
-
-
-def _load_take(folder: Path, audio: Path | str | None, phones: Path | str | None) -> PreviewSource:
-    path = folder / "curves.json"
-    if not path.is_file():
-        raise PreviewError(f"{folder} has no curves.json; name a folder that deitalk animate wrote")
-    curves = _read(path)
-    recording = Path(audio) if audio is not None else folder / "audio.wav"
-    samples, rate = _read_audio(recording)
-    neutral = None
-    if (folder / "neutral.npz").is_file():
-        neutral = _read(folder / "neutral.npz").values
-        if neutral.shape != curves.values.shape:
-            raise PreviewError(
-                f"neutral.npz has {len(neutral)} frames and curves.json {len(curves)}; "
-                "write the take again"
-            )
-    if phones is None and (folder / "phones.csv").is_file():
-        phones = folder / "phones.csv"
-    known = _read_phones(phones)
-    return _checked(PreviewSource(folder.name, curves, samples, rate, neutral, known))
 
 
 def _read_phones(path: Path | str | None) -> Phones:
@@ -243,7 +241,13 @@ def offset_warnings(source: PreviewSource) -> list[Finding]:
     """
     if not source.sample_rate:
         return []
-    samples = _at_16_khz(source.samples, source.sample_rate)
+    import soxr
+
+    if source.sample_rate == SAMPLE_RATE:
+        samples = source.samples
+    else:
+        resampled: Float32 = soxr.resample(source.samples, source.sample_rate, SAMPLE_RATE)
+        samples = resampled
     lags = clip_lags(source.curves, samples, predicted=None)
     if lags is None or not lags.is_clear or abs(lags.lag) * source.curves.fps <= MOST_LAG_FRAMES:
         return []
@@ -279,12 +283,3 @@ def lip_gaps(head: Head, values: AnyFloat) -> Float64:
     """Widest distance between the rims of the lips (T,), cm, of control values (T, 185)."""
     gaps: Float64 = head.lip_gaps(head.pose(values)).max(axis=1)
     return gaps
-
-
-def _at_16_khz(samples: Float32, rate: int) -> Float32:
-    import soxr
-
-    if rate == SAMPLE_RATE:
-        return samples
-    resampled: Float32 = soxr.resample(samples, rate, SAMPLE_RATE)
-    return resampled

@@ -183,7 +183,16 @@ class _Sound:
 
     def __init__(self, container: "OutputContainer", samples: Float32, sample_rate: int) -> None:
         self.container = container
-        self.samples, self.rate = _at_aac_rate(samples, sample_rate)
+        # The samples at a rate of AAC in MP4: unchanged, or resampled to 48 kHz.
+        if sample_rate in SOUND_RATES:
+            self.samples, self.rate = samples, sample_rate
+        else:
+            import soxr
+
+            self.samples, self.rate = (
+                np.asarray(soxr.resample(samples, sample_rate, 48_000), np.float32),
+                48_000,
+            )
         self.track: Any = container.add_stream("aac", rate=self.rate, layout="mono")
         self.track.bit_rate = SOUND_BIT_RATE
         self.written = 0
@@ -211,15 +220,6 @@ class _Sound:
         frame.time_base = Fraction(1, self.rate)
         self.container.mux(self.track.encode(frame))
         self.written += count
-
-
-def _at_aac_rate(samples: Float32, sample_rate: int) -> tuple[Float32, int]:
-    """The samples at a rate of AAC in MP4: unchanged, or resampled to 48 kHz."""
-    if sample_rate in SOUND_RATES:
-        return samples, sample_rate
-    import soxr
-
-    return np.asarray(soxr.resample(samples, sample_rate, 48_000), np.float32), 48_000
 
 
 WIDTH, FACE_HEIGHT, PANEL_HEIGHT = 960, 480, 240
@@ -317,23 +317,21 @@ def draw_frames(
             picture[:FACE_HEIGHT, :FACE_WIDTH] = views[0].render(pose, normals, accent[k])
             picture[:FACE_HEIGHT, FACE_WIDTH:] = views[1].render(pose, normals, accent[k])
             picture[FACE_HEIGHT:] = panel.at(start + k)
-            _caption(picture, source, panel.time_code(start + k), start + k)
+            # Title, time code, emotion and intensity over the faces.
+            time_code = panel.time_code(start + k)
+            frame = start + k
+            label(picture, source.title[:40], (14, 14))
+            label(picture, time_code, (14, FACE_HEIGHT - 24))
+            curves = source.curves
+            words = []
+            if curves.emotion is not None:
+                strongest = int(curves.emotion[frame].argmax())
+                words.append(f"{LABELS[strongest]} {curves.emotion[frame, strongest]:.0%}")
+            if curves.intensity is not None:
+                words.append(f"intensity {curves.intensity[frame]:.2f}")
+            if words:
+                label(picture, "  ".join(words), (FACE_WIDTH + 14, 14))
             yield picture
-
-
-def _caption(picture: Picture, source: PreviewSource, time_code: str, frame: int) -> None:
-    """Title, time code, emotion and intensity over the faces."""
-    label(picture, source.title[:40], (14, 14))
-    label(picture, time_code, (14, FACE_HEIGHT - 24))
-    curves = source.curves
-    words = []
-    if curves.emotion is not None:
-        strongest = int(curves.emotion[frame].argmax())
-        words.append(f"{LABELS[strongest]} {curves.emotion[frame, strongest]:.0%}")
-    if curves.intensity is not None:
-        words.append(f"intensity {curves.intensity[frame]:.2f}")
-    if words:
-        label(picture, "  ".join(words), (FACE_WIDTH + 14, 14))
 
 
 def _counted(frames: Iterator[Picture], total: int, progress: Progress | None) -> Iterator[Picture]:
@@ -384,28 +382,7 @@ class Panel:
         self._source = source
         self._size = size
         self._seconds = max(source.curves.duration, 1 / source.curves.fps)
-        self._lanes = self._lane_heights()
-        self._picture = self._draw()
-
-    def at(self, frame: int) -> Picture:
-        """The strip (height, width, 3) with the playhead at `frame`."""
-        seconds = frame / self._source.curves.fps
-        picture = self._picture.copy()
-        column = int(self._column(seconds))
-        picture[:, column : column + 2] = (250, 250, 250)
-        return picture
-
-    def time_code(self, frame: int) -> str:
-        """Minutes, seconds, frame of the second, and frame number."""
-        fps = self._source.curves.fps
-        whole, rest = divmod(frame / fps, 60)
-        return f"{int(whole):02d}:{rest:06.3f}  frame {frame}  {fps:.6g} fps"
-
-    def _column(self, seconds: float) -> float:
-        return _MARGIN + seconds / self._seconds * (self._size[0] - _MARGIN - 12)
-
-    def _lane_heights(self) -> list[tuple[str, int, int]]:
-        """Name, top and height of every lane."""
+        # Name, top and height of every lane.
         height = self._size[1]
         plan = [("sound", 0.24), ("emotion", 0.08), ("intensity", 0.14)]
         plan += [(name, 0.54 / len(KEY_CURVES)) for name, _ in KEY_CURVES]
@@ -414,7 +391,22 @@ class Panel:
             tall = share * (height - 12)
             lanes.append((name, round(top), round(tall) - 3))
             top += tall
-        return lanes
+        self._lanes = lanes
+        self._picture = self._draw()
+
+    def at(self, frame: int) -> Picture:
+        """The strip (height, width, 3) with the playhead at `frame`."""
+        seconds = frame / self._source.curves.fps
+        picture = self._picture.copy()
+        column = int(_MARGIN + seconds / self._seconds * (self._size[0] - _MARGIN - 12))
+        picture[:, column : column + 2] = (250, 250, 250)
+        return picture
+
+    def time_code(self, frame: int) -> str:
+        """Minutes, seconds, frame of the second, and frame number."""
+        fps = self._source.curves.fps
+        whole, rest = divmod(frame / fps, 60)
+        return f"{int(whole):02d}:{rest:06.3f}  frame {frame}  {fps:.6g} fps"
 
     def _draw(self) -> Picture:
         width, height = self._size
@@ -434,7 +426,14 @@ class Panel:
         if name == "sound":
             _draw_sound(lane, self._source, self._seconds)
         elif name == "emotion":
-            _draw_emotion(lane, curves.emotion)
+            # Colour of every frame's emotions, mixed by their weights.
+            emotion = curves.emotion
+            if emotion is not None:
+                frames = np.linspace(0, len(emotion) - 1, lane.shape[1]).round().astype(int)
+                weight = emotion[frames] / np.maximum(emotion[frames].sum(1, keepdims=True), 1e-6)
+                lane[:] = (
+                    weight @ np.array([[*bytes.fromhex(color[1:])] for color in COLORS.values()])
+                ).astype(np.uint8)[None]
         elif name == "intensity":
             if curves.intensity is not None:
                 _draw_curve(lane, curves.intensity / max(1.0, float(curves.intensity.max())),
@@ -458,17 +457,6 @@ def _draw_sound(lane: Picture, source: PreviewSource, seconds: float) -> None:
         if len(part):
             low, high = (0.5 - 0.48 * part.max() / loudest, 0.5 - 0.48 * part.min() / loudest)
             lane[int(low * tall) : int(high * tall) + 1, x] = (110, 160, 200)
-
-
-def _draw_emotion(lane: Picture, emotion: Float32 | None) -> None:
-    """Colour of every frame's emotions, mixed by their weights."""
-    if emotion is None:
-        return
-    frames = np.linspace(0, len(emotion) - 1, lane.shape[1]).round().astype(int)
-    weight = emotion[frames] / np.maximum(emotion[frames].sum(1, keepdims=True), 1e-6)
-    lane[:] = (
-        weight @ np.array([[*bytes.fromhex(color[1:])] for color in COLORS.values()])
-    ).astype(np.uint8)[None]
 
 
 def _draw_curve(lane: Picture, values: Float32, color: tuple[int, int, int]) -> None:

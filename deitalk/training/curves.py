@@ -165,27 +165,23 @@ class CurveTask(Task[Window]):
         self.validation = ValidationSet.of(self.validation_clips, controls)
         self.shown = shown_examples(self.validation_clips, controls)
         if config.data.encoded_passes:
-            self.encoded = self._encode()
+            # Encode every recording of the training clips several times.
+            recordings = list(dict.fromkeys(clip.audio for clip in self.clips))
+            passes = research("training.encoded_passes", "data.encoded_passes")
+            self.encoded = passes.EncodedPasses.write(
+                self.out / "features",
+                recordings,
+                read_waveform,
+                self.model.eval().frontend,
+                Surroundings.read(config.data.noise_folder, config.data.room_folder),
+                passes=config.data.encoded_passes,
+                seed=config.train.seed,
+            )
 
     def read(self, out: Path) -> None:
         """Check that a resumed run has its own data; remember where features are kept."""
         record_data(out, self.data)
         self.out = out
-
-    def _encode(self) -> Any:
-        """Encode every recording of the training clips several times."""
-        config = self.config
-        sounds = list(dict.fromkeys(clip.audio for clip in self.clips))
-        passes = research("training.encoded_passes", "data.encoded_passes")
-        return passes.EncodedPasses.write(
-            self.out / "features",
-            sounds,
-            read_waveform,
-            self.model.eval().frontend,
-            Surroundings.read(config.data.noise_folder, config.data.room_folder),
-            passes=config.data.encoded_passes,
-            seed=config.train.seed,
-        )
 
     def epoch_size(self) -> int:
         """All windows of all clips."""

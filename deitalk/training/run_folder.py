@@ -96,21 +96,17 @@ def open_folder(
             check_folder(folder, kind="model", force=True)
         remove_leftovers(out / "curves")
         if resume and (out / "config.yaml").is_file():
-            _check_settings(out, config)
+            before = load_config(out / "config.yaml").model_dump(mode="json")
+            settings = config.model_dump(mode="json")
+            changed = [key for key in _differences(before, settings) if key not in MAY_CHANGE]
+            if changed:
+                raise ConfigError(
+                    f"{out}: the run was begun with another {', '.join(changed)}; resume with its "
+                    "own config.yaml"
+                )
         settings = config.model_dump(mode="json")
         replace_recorded(out, "config.yaml", yaml.safe_dump(settings, sort_keys=False))
         yield
-
-
-def _check_settings(out: Path, config: AnyConfig) -> None:
-    before = load_config(out / "config.yaml").model_dump(mode="json")
-    settings = config.model_dump(mode="json")
-    changed = [key for key in _differences(before, settings) if key not in MAY_CHANGE]
-    if changed:
-        raise ConfigError(
-            f"{out}: the run was begun with another {', '.join(changed)}; resume with its "
-            "own config.yaml"
-        )
 
 
 def record_data(out: Path, data: Path) -> None:
@@ -269,17 +265,15 @@ def save_checkpoints(
         best_score = scores["score"]
         save(out / "best", summary)
     save(out / "last", summary)
-    _share_encoder(out / "best", out / "last")
-    save_state(out, parts, {"step": step, "best_score": best_score})
-    return best_score
-
-
-def _share_encoder(best: Path, last: Path) -> None:
-    """Keep the encoder that did not learn once on disk, where that can be."""
+    # Keep the encoder that did not learn once on disk, where that can be.
+    best = out / "best"
+    last = out / "last"
     if (best / ENCODER).is_file() and (last / ENCODER).is_file():
         with suppress(OSError), atomic_write(last / ENCODER) as beside:
             beside.unlink(missing_ok=True)
             os.link(best / ENCODER, beside)
+    save_state(out, parts, {"step": step, "best_score": best_score})
+    return best_score
 
 
 def picture_path(out: Path, step: int) -> Path:

@@ -223,19 +223,17 @@ class Trainer(Generic[Item]):
         self.settings = task.config.train
         torch.manual_seed(self.settings.seed)
         task.build(accelerator.device)
-        self.total = self._n_steps()
+        settings = self.settings
+        if settings.steps is not None:
+            self.total = settings.steps
+        else:
+            size = settings.batch_size * settings.accumulate
+            self.total = max(math.ceil(settings.epochs * self.task.epoch_size() / size), 1)
         self.average = copy.deepcopy(task.model).eval().requires_grad_(False)
         self.optimizer = task.optimizer()
         self.scheduler = new_scheduler(self.optimizer, self.settings, self.total)
         self.step, self.best_score = 0, -math.inf
         self.gradient_norm, self.seconds, self.bad_steps, self.taken = 0.0, 0.0, 0, 0
-
-    def _n_steps(self) -> int:
-        settings = self.settings
-        if settings.steps is not None:
-            return settings.steps
-        size = settings.batch_size * settings.accumulate
-        return max(math.ceil(settings.epochs * self.task.epoch_size() / size), 1)
 
     @property
     def parts(self) -> dict[str, Any]:
@@ -266,7 +264,14 @@ class Trainer(Generic[Item]):
             self.taken += self.settings.batch_size * self.settings.accumulate
             is_last = self.step == self.total
             if self.step % LOG_EVERY == 0 or is_last:
-                self._log(parts, journal)
+                # Log the parts of the loss, averaged over the processes, the gradient and the rate.
+                mean = mean_over_processes(torch.stack([part.detach() for part in parts.values()]))
+                values = dict(zip(parts, mean.tolist(), strict=True))
+                values["gradient_norm"] = self.gradient_norm
+                values["learning_rate"] = float(max(self.scheduler.get_last_lr()))
+                if self.accelerator.is_main_process:
+                    journal.write("metrics", self.step, values)
+                self.progress(self.step, self.total, values | {"rate": self.taken / self.seconds})
             if self.step % self.settings.evaluate_every == 0 or is_last:
                 self._evaluate(journal)
                 if self._is_stale(journal.out):
@@ -350,7 +355,13 @@ class Trainer(Generic[Item]):
         if math.isfinite(self.gradient_norm):
             self._accept()
         else:
-            self._leave_out()
+            restore_buffers(self.task.model, self.average)
+            self.bad_steps += 1
+            if self.bad_steps >= MAX_BAD_STEPS:
+                raise DataError(
+                    f"step {self.step}: {self.bad_steps} gradients in a row are not finite; lower "
+                    "train.learning_rate, set train.gradient_clip, or check the data"
+                )
         self.step += 1
         return parts
 
@@ -360,25 +371,6 @@ class Trainer(Generic[Item]):
         self.scheduler.step()
         model, decay = self.task.model, self.settings.ema
         update_average(self.average, model, self.step, decay, self.task.frozen)
-
-    def _leave_out(self) -> None:
-        restore_buffers(self.task.model, self.average)
-        self.bad_steps += 1
-        if self.bad_steps >= MAX_BAD_STEPS:
-            raise DataError(
-                f"step {self.step}: {self.bad_steps} gradients in a row are not finite; lower "
-                "train.learning_rate, set train.gradient_clip, or check the data"
-            )
-
-    def _log(self, parts: dict[str, Tensor], journal: Journal) -> None:
-        """Log the parts of the loss, averaged over the processes, the gradient and the rate."""
-        mean = mean_over_processes(torch.stack([part.detach() for part in parts.values()]))
-        values = dict(zip(parts, mean.tolist(), strict=True))
-        values["gradient_norm"] = self.gradient_norm
-        values["learning_rate"] = float(max(self.scheduler.get_last_lr()))
-        if self.accelerator.is_main_process:
-            journal.write("metrics", self.step, values)
-        self.progress(self.step, self.total, values | {"rate": self.taken / self.seconds})
 
     def evaluate(self, journal: Journal) -> dict[str, float]:
         """Score and draw the averaged weights, keep them if none were better, save the state."""

@@ -261,7 +261,11 @@ class ControlSet:
         """
         found = self._aliases.get(name) or self._older_aliases.get(name)
         if found is None:
-            raise ControlError(self._unknown(name))
+            known = [*self.names, *self._older_aliases]
+            is_short = len(name) <= _LONGEST_NAME  # comparing takes the product of the lengths
+            near = difflib.get_close_matches(name, known, n=3, cutoff=0.6) if is_short else []
+            hint = f"did you mean {', '.join(near)}?" if near else "see `deitalk face controls`"
+            raise ControlError(f"unknown control {quoted(name)} in {self.id}; {hint}")
         return found
 
     def resolve(self, names: Sequence[str]) -> tuple[str, ...]:
@@ -390,13 +394,6 @@ class ControlSet:
             for group in sorted(groups - {""}):
                 members.setdefault(group, []).append(i)
         return {name: _indices(places) for name, places in members.items()}
-
-    def _unknown(self, name: str) -> str:
-        known = [*self.names, *self._older_aliases]
-        is_short = len(name) <= _LONGEST_NAME  # comparing takes the product of the lengths
-        near = difflib.get_close_matches(name, known, n=3, cutoff=0.6) if is_short else []
-        hint = f"did you mean {', '.join(near)}?" if near else "see `deitalk face controls`"
-        return f"unknown control {quoted(name)} in {self.id}; {hint}"
 
 
 @cache

@@ -120,7 +120,18 @@ def raw_to_board(curves: RigCurves) -> RigCurves:
     board = default_controls()
     values = np.tile(board.rest, (len(curves), 1))
     for driver, (columns, inputs, outputs) in _paths().items():
-        values[:, board.index(driver)] = _nearest(raw.values[:, columns], inputs, outputs)
+        # Return the input of the nearest point on a path [points shape=(T, curves)].
+        points = raw.values[:, columns]
+        best = np.full(len(points), np.inf, np.float32)
+        x = np.zeros(len(points), np.float32)
+        for i in range(len(inputs) - 1):
+            start, step = outputs[i], outputs[i + 1] - outputs[i]
+            along = np.clip((points - start) @ step / (step @ step), 0, 1)
+            distance = ((points - start - along[:, None] * step) ** 2).sum(axis=1)
+            is_nearer = distance < best
+            best = np.where(is_nearer, distance, best)
+            x = np.where(is_nearer, inputs[i] + along * (inputs[i + 1] - inputs[i]), x)
+        values[:, board.index(driver)] = x
     return replace(raw, values=values, names=board.names, control_set=DEFAULT_ID)
 
 
@@ -140,20 +151,6 @@ def board_of_raw_curves(names: Iterable[str]) -> set[str]:
         for driver, (columns, _, _) in _paths().items()
         if any(raw.names[i] in wanted for i in columns)
     }
-
-
-def _nearest(points: Float32, inputs: Float32, outputs: Float32) -> Float32:
-    """Return the input of the nearest point on a path [points shape=(T, curves)]."""
-    best = np.full(len(points), np.inf, np.float32)
-    x = np.zeros(len(points), np.float32)
-    for i in range(len(inputs) - 1):
-        start, step = outputs[i], outputs[i + 1] - outputs[i]
-        along = np.clip((points - start) @ step / (step @ step), 0, 1)
-        distance = ((points - start - along[:, None] * step) ** 2).sum(axis=1)
-        is_nearer = distance < best
-        best = np.where(is_nearer, distance, best)
-        x = np.where(is_nearer, inputs[i] + along * (inputs[i + 1] - inputs[i]), x)
-    return x
 
 
 @cache
@@ -289,7 +286,12 @@ def arkit_to_raw(curves: RigCurves, *, least_jaw: float = 0.0) -> RigCurves:
     ratio = np.where(jaw > SMALLEST_JAW, share, 0)
     values[:, raw.indices(LIPS_TOGETHER)] = np.clip(ratio, 0, 1)[:, None]
     values = np.clip(values, 0, 1)
-    head = _head_track(shapes)
+    # The head track of curves, or that of their rotations, if the head turns at all.
+    turns = shapes.values[:, arkit_controls().indices(HEAD)]
+    if shapes.head is not None or not turns.any():
+        head = shapes.head
+    else:
+        head = np.pad(turns * np.array(HEAD_DEGREES, np.float32), ((0, 0), (0, 3)))
     return replace(shapes, values=values, names=raw.names, control_set=RAW_ID, head=head)
 
 
@@ -411,14 +413,6 @@ def _turn_eyes(values: Float32, raw: RigCurves) -> None:
         pitch = GAZE_DOWN_DEGREES * look["Down"] - GAZE_UP_DEGREES * look["Up"]
         values[:, arkit.index(f"{side}EyeYaw")] = np.radians(yaw)
         values[:, arkit.index(f"{side}EyePitch")] = np.radians(pitch)
-
-
-def _head_track(shapes: RigCurves) -> Float32 | None:
-    """The head track of curves, or that of their rotations, if the head turns at all."""
-    turns = shapes.values[:, arkit_controls().indices(HEAD)]
-    if shapes.head is not None or not turns.any():
-        return shapes.head
-    return np.pad(turns * np.array(HEAD_DEGREES, np.float32), ((0, 0), (0, 3)))
 
 
 @cache

@@ -133,7 +133,14 @@ class ShapePoses:
             close_lips(weights, moved, self.closing, bare, self.close_gain)
         if closes:
             missed[:, together] = 0.0
-        return _described(self, weights, moved, missed, replaced)
+        total = float(np.square(moved).sum())
+        lost = min(1.0, float(np.sqrt(np.square(missed).sum() / total))) if total else 0.0
+        amount = np.abs(moved).sum(axis=0)
+        order = [i for i in np.argsort(-amount) if amount[i] > 1e-3 * max(1.0, amount.sum())]
+        bare, covered = bare_names(), np.asarray(self.poses.any(axis=0))
+        unsaid = [bare[i] for i in order if missed[:, i].any() and not covered[i]]
+        similar = tuple(bare[i] for i in order if replaced[i])
+        return ShapeFit(self.names, weights.astype(np.float32), lost, tuple(unsaid), similar)
 
     def mapping(self) -> dict[str, dict[str, float]]:
         """Return the raw curves of each shape by name; empty for shapes of unknown name."""
@@ -142,23 +149,6 @@ class ShapePoses:
             name: {bare[i]: round(float(pose[i]), 4) for i in np.flatnonzero(pose)}
             for name, pose in zip(self.names, self.poses, strict=True)
         }
-
-
-def _described(
-    shapes: ShapePoses,
-    weights: Float64,
-    moved: Float64,
-    missed: Float64,
-    replaced: Bool,
-) -> ShapeFit:
-    total = float(np.square(moved).sum())
-    lost = min(1.0, float(np.sqrt(np.square(missed).sum() / total))) if total else 0.0
-    amount = np.abs(moved).sum(axis=0)
-    order = [i for i in np.argsort(-amount) if amount[i] > 1e-3 * max(1.0, amount.sum())]
-    bare, covered = bare_names(), np.asarray(shapes.poses.any(axis=0))
-    unsaid = [bare[i] for i in order if missed[:, i].any() and not covered[i]]
-    similar = tuple(bare[i] for i in order if replaced[i])
-    return ShapeFit(shapes.names, weights.astype(np.float32), lost, tuple(unsaid), similar)
 
 
 @cache

@@ -13,6 +13,63 @@ from rig.arrays import Bool, Float32, Float64
 from rig.controls import ControlSet, default_controls
 from rig.curves import RigCurves
 from rig.errors import CurveError, quoted
+from rig.limits import MOST_DELAY, MOST_HANDLES
+
+# Frames moved in time.
+
+
+DAY_SECONDS = 24 * 3600.0
+
+
+def checked_shift(delay: int, handles: int) -> None:
+    """Refuse a delay or handles out of range.
+
+    Raises
+    ------
+    CurveError
+        If one is no whole number, or beyond `MOST_DELAY` or `MOST_HANDLES`.
+    """
+    rows = (("delay", delay, -MOST_DELAY, MOST_DELAY), ("handles", handles, 0, MOST_HANDLES))
+    for name, value, low, high in rows:
+        if type(value) is not int or not low <= value <= high:
+            raise CurveError(
+                f"{name} {quoted(value)} must be a whole number of frames, {low} to {high}",
+                parameter=name,
+            )
+
+
+def shift(curves: RigCurves, delay: int = 0, handles: int = 0) -> RigCurves:
+    """Move the face against the sound, and add frames that hold its first and last pose.
+
+    Parameters
+    ----------
+    curves : RigCurves
+        At the rate whose frames are meant.
+    delay : int
+        Frames by which the face is late; early if negative. The length stays: the pose of the
+        first or last frame is held.
+    handles : int
+        Frames added before and after.
+
+    Raises
+    ------
+    CurveError
+        As `checked_shift`.
+    """
+    checked_shift(delay, handles)
+    if not (delay or handles) or not len(curves):
+        return curves
+    count = len(curves)
+    moved = np.clip(np.arange(count) - delay, 0, count - 1)
+    rows = moved[np.clip(np.arange(-handles, count + handles), 0, count - 1)]
+    tracks = {name: track[rows] for name, track in curves.tracks.items()}
+    return replace(curves, values=curves.values[rows], **tracks)  # type: ignore[arg-type]
+
+
+def start_with_handles(start: float, handles: int, fps: float) -> float:
+    """Time of day of the first frame with handles, seconds; 0 is no time and stays."""
+    return (start - handles / fps) % DAY_SECONDS if start else start
+
 
 # Filters along time in numpy: scipy.ndimage takes longer to import than a recording to animate.
 
@@ -223,7 +280,7 @@ def gain(
     scale = gain_factors(controls, gains or {})
     shift = np.zeros(len(controls), np.float32)
     for key, number in (offsets or {}).items():
-        shift[_members(controls, key)] += _finite(number, f"offset of {key}")
+        shift[members(controls, key)] += _finite(number, f"offset of {key}")
     places = controls.indices(curves.names)
     rest = controls.rest[places]
     return replace(curves, values=rest + (curves.values - rest) * scale[places] + shift[places])
@@ -233,7 +290,7 @@ def gain_factors(controls: ControlSet, gains: Mapping[str, float]) -> Float32:
     """Factor of every control [shape=(C,)]; arguments and errors are those of `gain`."""
     scale = np.ones(len(controls), np.float32)
     for key, number in gains.items():
-        scale[_members(controls, key)] *= _finite(number, f"gain of {key}")
+        scale[members(controls, key)] *= _finite(number, f"gain of {key}")
     return scale
 
 
@@ -295,40 +352,38 @@ def smooth(
     if sigma < 1e-3 or len(curves) < 2:  # the next frame would weigh nothing
         return curves
     values = curves.values.copy()
-    chosen = _columns(curves, names)
+    if names is None:
+        chosen = np.arange(len(curves.names))
+    else:
+        controls = default_controls()
+        wanted = {controls.names[i] for name in names for i in members(controls, name)}
+        chosen = np.array(
+            [i for i, name in enumerate(curves.names) if name in wanted], dtype=np.intp
+        )
     from scipy.ndimage import gaussian_filter1d  # slow to import
 
     smoothed = gaussian_filter1d(values[:, chosen], sigma, axis=0, mode="nearest")
     values[:, chosen] = smoothed
     if keep_closures:
-        _restore_closures(values, curves, chosen, sigma)
+        present = set(chosen.tolist())
+        for name in CLOSURE_CONTROLS:
+            if name not in curves.names or (column := curves.index(name)) not in present:
+                continue
+            original = curves.values[:, column]
+            # Return the frames where a moving curve is deepest in its neighbourhood, and deep.
+            is_jaw = name == "CTRL_C_jaw.ty"
+            from scipy.ndimage import maximum_filter1d, minimum_filter1d
+
+            size = 2 * math.ceil(sigma) + 1
+            lowest, highest = minimum_filter1d(original, size), maximum_filter1d(original, size)
+            reach = float(np.percentile(original, 95))
+            is_deep = original <= 0.25 * reach if is_jaw else original >= max(0.5 * reach, 0.1)
+            is_extreme = original == (lowest if is_jaw else highest)
+            closed = np.asarray(is_extreme & is_deep & (highest - lowest > 0.05))
+            if closed.any():
+                weight = _bump(closed, sigma)
+                values[:, column] = weight * original + (1 - weight) * values[:, column]
     return replace(curves, values=values)
-
-
-def _restore_closures(
-    values: Float32, curves: RigCurves, chosen: NDArray[np.intp], sigma: float
-) -> None:
-    present = set(chosen.tolist())
-    for name in CLOSURE_CONTROLS:
-        if name not in curves.names or (column := curves.index(name)) not in present:
-            continue
-        original = curves.values[:, column]
-        closed = _closures(original, sigma, is_jaw=name == "CTRL_C_jaw.ty")
-        if closed.any():
-            weight = _bump(closed, sigma)
-            values[:, column] = weight * original + (1 - weight) * values[:, column]
-
-
-def _closures(curve: Float32, sigma: float, *, is_jaw: bool) -> Bool:
-    """Return the frames where a moving curve is deepest in its neighbourhood, and deep."""
-    from scipy.ndimage import maximum_filter1d, minimum_filter1d
-
-    size = 2 * math.ceil(sigma) + 1
-    lowest, highest = minimum_filter1d(curve, size), maximum_filter1d(curve, size)
-    reach = float(np.percentile(curve, 95))
-    is_deep = curve <= 0.25 * reach if is_jaw else curve >= max(0.5 * reach, 0.1)
-    is_extreme = curve == (lowest if is_jaw else highest)
-    return np.asarray(is_extreme & is_deep & (highest - lowest > 0.05))
 
 
 def _bump(closed: Bool, sigma: float) -> Float32:
@@ -343,16 +398,14 @@ def _bump(closed: Bool, sigma: float) -> Float32:
     return np.where(distance <= radius, weight, 0.0).astype(np.float32)
 
 
-def _columns(curves: RigCurves, names: Iterable[str] | None) -> NDArray[np.intp]:
-    if names is None:
-        return np.arange(len(curves.names))
-    controls = default_controls()
-    wanted = {controls.names[i] for name in names for i in _members(controls, name)}
-    return np.array([i for i, name in enumerate(curves.names) if name in wanted], dtype=np.intp)
+def members(controls: ControlSet, key: str) -> NDArray[np.intp]:
+    """Return the columns of a set, or of one control.
 
-
-def _members(controls: ControlSet, key: str) -> NDArray[np.intp]:
-    """Return the columns of a set, or of one control."""
+    Raises
+    ------
+    ControlError
+        If there is neither.
+    """
     if key in controls.subset_names:
         return controls.subset(key)
     return controls.indices([key])

@@ -36,21 +36,17 @@ def accents(head: Head, values: AnyFloat, poses: AnyFloat) -> Float32:
     seam = head.slices["seam"]
     found[:, seam] = skin[:, head.mesh.weld[seam]]
     for k, side in enumerate("LR"):
-        found[:, head.slices[f"eye_{side}"]] = _under_lid(head, poses, k, side)
+        # Shadow [shape=(T, V of an eye)] by how far a vertex lies below the rim of the upper lid.
+        center = head.eyes[k, :3]
+        lid = poses[:, head.lid_rims[k]] - center
+        ball = poses[:, head.slices[f"eye_{side}"]] - center
+        high, angle = (np.arctan2(p[..., 1], p[..., 2]) for p in (lid, ball))
+        edge = np.stack(
+            [np.interp(b, a, h) for b, a, h in zip(ball[..., 0], lid[..., 0], high, strict=True)]
+        )
+        shadow = SHADOW * smoothstep(1 - (edge - angle) / SHADOW_RADIANS)
+        found[:, head.slices[f"eye_{side}"]] = np.asarray(shadow * (ball[..., 2] > 0), np.float32)
     return found
-
-
-def _under_lid(head: Head, poses: AnyFloat, k: int, side: str) -> Float32:
-    """Shadow [shape=(T, V of an eye)] by how far a vertex lies below the rim of the upper lid."""
-    center = head.eyes[k, :3]
-    lid = poses[:, head.lid_rims[k]] - center
-    ball = poses[:, head.slices[f"eye_{side}"]] - center
-    high, angle = (np.arctan2(p[..., 1], p[..., 2]) for p in (lid, ball))
-    edge = np.stack(
-        [np.interp(b, a, h) for b, a, h in zip(ball[..., 0], lid[..., 0], high, strict=True)]
-    )
-    shadow = SHADOW * smoothstep(1 - (edge - angle) / SHADOW_RADIANS)
-    return np.asarray(shadow * (ball[..., 2] > 0), np.float32)
 
 
 # Turn and shift of a whole head on its neck.

@@ -168,19 +168,6 @@ class Motion:
         return self.vertex[part], self.delta[part] * np.float32(self.step)
 
 
-def _drivers(names: tuple[str, ...]) -> Int64:
-    controls = default_controls()
-    count = len(controls.names)
-    place = {name: k for k, name in enumerate(controls.names)}
-    place |= {f"{name}_negative": count + k for k, name in enumerate(controls.names)}
-    found = np.full((len(names), 2, 2), 2 * count)
-    for k, name in enumerate(names):
-        for group, halves in enumerate(CORRECTIVES.get(name, ((name,), ()))):
-            for slot, half in enumerate(halves):
-                found[k, group, slot] = place[half]
-    return found
-
-
 def _bind() -> tuple[tuple[str, ...], Float32]:
     controls = default_controls()
     rows = [
@@ -231,8 +218,17 @@ def _motion(identity: Identity) -> Motion:
     ]  # fmt: skip
     inputs, bind = _bind()
     is_peak = np.array(["_half" in name for name in names])
+    controls = default_controls()
+    count = len(controls.names)
+    place = {name: k for k, name in enumerate(controls.names)}
+    place |= {f"{name}_negative": count + k for k, name in enumerate(controls.names)}
+    found = np.full((len(names), 2, 2), 2 * count)
+    for k, name in enumerate(names):
+        for group, halves in enumerate(CORRECTIVES.get(name, ((name,), ()))):
+            for slot, half in enumerate(halves):
+                found[k, group, slot] = place[half]
     return Motion(
-        names, _drivers(names), is_peak, gain.astype(np.float32), starts, vertex,
+        names, found, is_peak, gain.astype(np.float32), starts, vertex,
         np.ascontiguousarray(delta), float(stored["step"]), inputs, bind,
         (lips[0], lips[1]), _profiles(inputs, stored["lip_columns"]), stored["lip_fade"],
     )  # fmt: skip
@@ -374,13 +370,20 @@ class Head:
             at = np.flatnonzero(weights[:, k])
             vertex, delta = motion.shape(int(k))
             out[at[:, None], vertex] += weights[at, k, None, None] * delta
-        self._clear_eyes(out)
+        for ids, eye, least in zip(self.lids, self.eyes, self.lid_least, strict=True):
+            away = out[:, ids] - eye[:3]
+            grow = least / np.linalg.norm(away, axis=-1)
+            out[:, ids] += away * np.maximum(grow - 1, 0)[..., None]
         upper, lower = self._sealed(halves)
         for power in SEAL_POWERS:
             seal_lips(out, motion.lips, (upper**power, lower**power), motion.fade)
         shift = out[:, self.near] - self.straight[self.near].astype(np.float32)
         out[:, self.follow] += np.einsum("tvkc,vk->tvc", shift, self.near_weight)
-        self._turn_eyes(out, frames)
+        pitch, yaw = gaze_degrees(frames)
+        for place, side in enumerate("LR"):
+            part, center = self.slices[f"eye_{side}"], self.eyes[place, :3]
+            turn = _gaze_matrix(pitch[:, place], yaw[:, place])
+            out[:, part] = (out[:, part] - center) @ turn.transpose(0, 2, 1) + center
         seam = self.slices["seam"]
         out[:, seam] = out[:, _shared()["weld"][seam]]
         return out
@@ -390,19 +393,6 @@ class Head:
         inputs = halves @ self.motion.bind
         upper, lower = (np.clip(inputs @ profile, 0, 1) for profile in self.motion.profiles)
         return upper, lower
-
-    def _clear_eyes(self, out: Float32) -> None:
-        for ids, eye, least in zip(self.lids, self.eyes, self.lid_least, strict=True):
-            away = out[:, ids] - eye[:3]
-            grow = least / np.linalg.norm(away, axis=-1)
-            out[:, ids] += away * np.maximum(grow - 1, 0)[..., None]
-
-    def _turn_eyes(self, out: Float32, frames: Float64) -> None:
-        pitch, yaw = gaze_degrees(frames)
-        for k, side in enumerate("LR"):
-            part, center = self.slices[f"eye_{side}"], self.eyes[k, :3]
-            turn = _gaze_matrix(pitch[:, k], yaw[:, k])
-            out[:, part] = (out[:, part] - center) @ turn.transpose(0, 2, 1) + center
 
 
 def seal_lips(

@@ -256,7 +256,16 @@ def read_npz(
     try:
         with open_file(path, limit, error=error) as stream, zipfile.ZipFile(stream) as archive:
             entries = archive.infolist()
-            _check_entries(path, entries, size, limit, error)
+            names = [entry.filename for entry in entries]
+            if len(names) > limits.ARRAYS:
+                raise error(f"{path} holds {len(names)} arrays; at most {limits.ARRAYS} are read")
+            doubled = _doubled(names)
+            if doubled is not None:
+                raise error(f"{path} holds {quoted(doubled)} twice; save it again")
+            total = sum(entry.file_size for entry in entries)
+            if total > limit:
+                raise error(f"{path} unpacks to {_size(total)}; at most {_size(limit)} are read")
+            check_expansion(total, size, path, error=error)
             return {e.filename.removesuffix(".npy"): _array(archive, e) for e in entries}
     except _ARCHIVE_ERRORS as problem:
         if type(problem) is error:
@@ -294,21 +303,6 @@ def check_expansion(
         )
 
 
-def _check_entries(
-    path: Path, entries: list[zipfile.ZipInfo], size: int, limit: int, error: ErrorClass
-) -> None:
-    names = [entry.filename for entry in entries]
-    if len(names) > limits.ARRAYS:
-        raise error(f"{path} holds {len(names)} arrays; at most {limits.ARRAYS} are read")
-    doubled = _doubled(names)
-    if doubled is not None:
-        raise error(f"{path} holds {quoted(doubled)} twice; save it again")
-    total = sum(entry.file_size for entry in entries)
-    if total > limit:
-        raise error(f"{path} unpacks to {_size(total)}; at most {_size(limit)} are read")
-    check_expansion(total, size, path, error=error)
-
-
 def _doubled(names: Iterable[str]) -> str | None:
     seen: set[str] = set()
     for name in names:
@@ -320,7 +314,8 @@ def _doubled(names: Iterable[str]) -> str | None:
 
 def _array(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> NDArray[Any]:
     """One array of an archive, its header checked before it is allocated."""
-    with archive.open(entry) as stream:
+    with archive.open(entry) as file:
+        stream: Any = file
         shape, is_fortran, dtype = _header(stream, entry.filename)
         count = math.prod(shape)
         if dtype.kind not in _ARRAY_KINDS or not dtype.itemsize:
@@ -333,7 +328,15 @@ def _array(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> NDArray[Any]:
                 f"array {quoted(entry.filename)} is cut short, or longer than its header"
             )
         flat = np.empty(count, dtype)
-        _fill(stream, flat.view(np.uint8))
+        target = flat.view(np.uint8)
+        done = 0
+        while done < len(target):
+            got = stream.readinto(target[done : done + _CHUNK].data)
+            if not got:
+                raise EOFError("an array is cut short")
+            done += got
+        if stream.read(1):
+            raise ValueError("an array is longer than its header")
     if dtype.kind == "U" and (flat.view(f"{dtype.byteorder}u4") > sys.maxunicode).any():
         raise ValueError(f"array {quoted(entry.filename)} holds what is no text")
     array = flat.reshape(shape, order="F" if is_fortran else "C")
@@ -353,17 +356,6 @@ def _header(stream: Any, name: str) -> tuple[tuple[int, ...], bool, np.dtype[Any
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
         return read(stream)
-
-
-def _fill(stream: Any, target: NDArray[np.uint8]) -> None:
-    done = 0
-    while done < len(target):
-        got = stream.readinto(target[done : done + _CHUNK].data)
-        if not got:
-            raise EOFError("an array is cut short")
-        done += got
-    if stream.read(1):
-        raise ValueError("an array is longer than its header")
 
 
 def _no_constant(text: str) -> NoReturn:

@@ -220,7 +220,14 @@ def check_place(folder: Path | str) -> None:
             raise TargetError(f"{folder} is {where}; name a new folder, such as {folder}/take")
     if os.path.ismount(real):
         raise TargetError(f"{folder} is a mount point; name a folder in it")
-    _check_writable(real)
+    # The folder, or the nearest one above it that exists, must take new files.
+    nearest = real
+    while not nearest.exists():
+        nearest = nearest.parent
+    if not nearest.is_dir():
+        raise TargetError(f"cannot write {real}: {nearest} is a file; name another folder")
+    if not os.access(nearest, os.W_OK | os.X_OK):
+        raise TargetError(f"cannot write {real}: {nearest} is read-only; name another folder")
 
 
 def is_same(one: Path | str, other: Path | str) -> bool:
@@ -247,17 +254,6 @@ def _home() -> Path | None:
         return Path.home().resolve()
     except (RuntimeError, OSError):
         return None
-
-
-def _check_writable(real: Path) -> None:
-    """The folder, or the nearest one above it that exists, must take new files."""
-    nearest = real
-    while not nearest.exists():
-        nearest = nearest.parent
-    if not nearest.is_dir():
-        raise TargetError(f"cannot write {real}: {nearest} is a file; name another folder")
-    if not os.access(nearest, os.W_OK | os.X_OK):
-        raise TargetError(f"cannot write {real}: {nearest} is read-only; name another folder")
 
 
 # One process at a time per target, by locks in the user's cache folder.

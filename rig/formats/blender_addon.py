@@ -77,7 +77,24 @@ def read(path: str) -> Curves:
     try:
         if path.lower().endswith(".json"):
             return _read_json(path)
-        return _read_csv(path)
+        with open(path, newline="", encoding="utf-8-sig") as stream:
+            rows = csv.reader(stream)
+            header = next(rows)
+            cells = [row for row in rows if row]
+        first = [name.strip().lower() for name in header[:2]]
+        if first == ["timecode", "blendshapecount"]:
+            # Return seconds from the first; FF counts sixtieths, or thirtieths if none exceeds 30.
+            texts = [row[0] for row in cells]
+            fields = np.array([[float(part) for part in text.split(":")] for text in texts])
+            rate = 60 if fields[:, 3].max() > 30 else 30
+            seconds = fields[:, :3] @ [3600, 60, 1] + fields[:, 3] / rate
+            times = seconds - seconds[0]
+        elif first == ["frame", "time"]:
+            times = np.array([float(row[1]) for row in cells])
+        else:
+            raise ValueError(f"{os.path.basename(path)} is no CSV of Live Link Face or deitalk")
+        numbers = np.array([row[2 : len(header)] for row in cells], float)
+        return Curves(times, {name: numbers[:, i] for i, name in enumerate(header[2:])}, path)
     except (KeyError, TypeError, IndexError, StopIteration, UnicodeDecodeError) as error:
         raise ValueError(f"{os.path.basename(path)} is damaged or of another kind") from error
 
@@ -109,27 +126,6 @@ def _raw(curve: Any, board: dict[str, Any], n_frames: int) -> Any:
     place = np.clip(sum(np.zeros(n_frames) + np.array(values) for values in channels), -1, 1)
     places, levels = np.array(curve["knots"], float).T
     return np.interp(place, places, levels)
-
-
-def _read_csv(path: str) -> Curves:
-    with open(path, newline="", encoding="utf-8-sig") as stream:
-        rows = csv.reader(stream)
-        header = next(rows)
-        cells = [row for row in rows if row]
-    first = [name.strip().lower() for name in header[:2]]
-    if first == ["timecode", "blendshapecount"]:
-        # Return seconds from the first; FF counts sixtieths, or thirtieths if none exceeds 30.
-        texts = [row[0] for row in cells]
-        fields = np.array([[float(part) for part in text.split(":")] for text in texts])
-        rate = 60 if fields[:, 3].max() > 30 else 30
-        seconds = fields[:, :3] @ [3600, 60, 1] + fields[:, 3] / rate
-        times = seconds - seconds[0]
-    elif first == ["frame", "time"]:
-        times = np.array([float(row[1]) for row in cells])
-    else:
-        raise ValueError(f"{os.path.basename(path)} is no CSV of Live Link Face or deitalk")
-    numbers = np.array([row[2 : len(header)] for row in cells], float)
-    return Curves(times, {name: numbers[:, i] for i, name in enumerate(header[2:])}, path)
 
 
 def files_of_take(path: str) -> list[str]:

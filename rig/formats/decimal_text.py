@@ -113,19 +113,7 @@ def _cells(
     text[..., 0] = ord("-")
     keep[..., 0] = (values < 0) & (whole > 0)
     text[..., -1] = ord(separator)
-    _fraction(whole, block, text, keep, point=1 + n_integer)
-    _integer(whole // 10**block.decimals, text, keep, n_integer)
-    n_rows = len(values)
-    return text.reshape(n_rows, -1), keep.reshape(n_rows, -1)
-
-
-def _fraction(
-    whole: NDArray[np.signedinteger],
-    block: Block,
-    text: NDArray[np.uint8],
-    keep: Bool,
-    point: int,
-) -> None:
+    point = 1 + n_integer
     text[..., point] = ord(".")
     rest = whole
     is_kept = np.full(whole.shape, not block.trim)
@@ -137,17 +125,12 @@ def _fraction(
         text[..., place] = digit + ord("0")
         keep[..., place] = is_kept
     keep[..., point] = is_kept if block.decimals else False
-
-
-def _integer(
-    rest: NDArray[np.signedinteger],
-    text: NDArray[np.uint8],
-    keep: Bool,
-    n_integer: int,
-) -> None:
+    rest = whole // 10**block.decimals
     for place in range(n_integer, 0, -1):
         higher = rest // 10
         text[..., place] = rest - higher * 10 + ord("0")
         if place < n_integer:
             keep[..., place] = rest > 0
         rest = higher
+    n_rows = len(values)
+    return text.reshape(n_rows, -1), keep.reshape(n_rows, -1)

@@ -88,7 +88,23 @@ def read(path: Path, controls: ControlSet | None, fps: float | None) -> RigCurve
     document, binary = read_container(path)
     with consistent(path):
         shapes = dict(morphing_nodes(document))
-        moved = _moved(document, binary)
+        # Return what the last animation moves, by node and part.
+        moved: dict[tuple[int, str], Track] = {}
+        for animation in document.get("animations", [])[-1:]:
+            for channel in animation["channels"]:
+                sampler = animation["samplers"][channel["sampler"]]
+                times, rows = (
+                    np.atleast_1d(read_accessor(document, binary, sampler[part]))
+                    for part in ("input", "output")
+                )
+                way = sampler.get("interpolation", "LINEAR")
+                if times.ndim != 1 or not len(times) or not np.isfinite(times).all():
+                    raise FormatError("times of keys must be finite numbers")
+                if (np.diff(times) <= 0).any() or not np.isfinite(rows).all():
+                    raise FormatError("times of keys must rise, and their values be finite")
+                keys = (len(times), 3) if way == "CUBICSPLINE" else (len(times),)
+                target = channel["target"]
+                moved[target["node"], target["path"]] = times, rows.reshape(*keys, -1), way
         driven = {node: moved[node, "weights"] for node in shapes if (node, "weights") in moved}
         if not driven:
             raise FormatError(f"{path.name} has no animated shapes")
@@ -118,27 +134,6 @@ def _rate(step: float) -> float:
 
 Track = tuple[Float64, Float64, str]
 """Times (K,) in seconds, rows (K, columns) or (K, 3, columns), interpolation."""
-
-
-def _moved(document: dict[str, Any], binary: bytes) -> dict[tuple[int, str], Track]:
-    """Return what the last animation moves, by node and part."""
-    found: dict[tuple[int, str], Track] = {}
-    for animation in document.get("animations", [])[-1:]:
-        for channel in animation["channels"]:
-            sampler = animation["samplers"][channel["sampler"]]
-            times, rows = (
-                np.atleast_1d(read_accessor(document, binary, sampler[part]))
-                for part in ("input", "output")
-            )
-            way = sampler.get("interpolation", "LINEAR")
-            if times.ndim != 1 or not len(times) or not np.isfinite(times).all():
-                raise FormatError("times of keys must be finite numbers")
-            if (np.diff(times) <= 0).any() or not np.isfinite(rows).all():
-                raise FormatError("times of keys must rise, and their values be finite")
-            keys = (len(times), 3) if way == "CUBICSPLINE" else (len(times),)
-            target = channel["target"]
-            found[target["node"], target["path"]] = times, rows.reshape(*keys, -1), way
-    return found
 
 
 def _sampled(track: Track, at: Float64) -> Float64:

@@ -112,7 +112,12 @@ class LiveLinkTake:
         fps = snap_fps(fps or self.fps)
         seconds = (self.ticks - self.ticks[0]) / TICKS_PER_SECOND
         n_frames = int(seconds[-1] * fps + 0.5) + 1
-        self._check_gaps(n_frames)
+        most = limits.GAP_FRAMES + limits.GAP_SHARE * len(self.ticks)
+        if n_frames > most:
+            raise FormatError(
+                f"a take of {len(self.ticks)} frames lasts {n_frames}; at most {most} are made of "
+                "it: cut it where nothing was recorded"
+            )
         check_clip(n_frames, len(controls))
         grid = np.arange(n_frames) / fps
         values = np.empty((n_frames, len(names)), np.float32)
@@ -137,14 +142,6 @@ class LiveLinkTake:
             if name in self.names
         }
         return subject_head(columns)
-
-    def _check_gaps(self, n_frames: int) -> None:
-        most = limits.GAP_FRAMES + limits.GAP_SHARE * len(self.ticks)
-        if n_frames > most:
-            raise FormatError(
-                f"a take of {len(self.ticks)} frames lasts {n_frames}; at most {most} are made of "
-                "it: cut it where nothing was recorded"
-            )
 
 
 def read_take(path: Path) -> LiveLinkTake:
@@ -296,7 +293,13 @@ def with_subject(curves: RigCurves) -> RigCurves:
     rest = np.zeros((len(curves), len(SUBJECT_REST)), np.float32)
     if curves.head is not None:
         rest[:, 0] = 1
-        rest[:, 1:7] = _subject_head(curves.head)
+        # Columns 1 to 6 of `SUBJECT_REST` [shape=(T, 6)]; `subject_head` is the inverse.
+        from scipy.spatial.transform import Rotation
+
+        turn = Rotation.from_euler(_HEAD_TURN, curves.head[:, :3] * _HEAD_SIGNS, degrees=True)
+        left, up, forward = curves.head[:, 3:].T
+        roll_last = turn.as_euler(_BONE_TURN, degrees=True)
+        rest[:, 1:7] = np.column_stack([roll_last[:, ::-1], -forward, left, up])
     rest[:, 7:] = 1
     values = np.column_stack([curves.values, rest])
     return replace(curves, values=values, names=(*curves.names, *SUBJECT_REST))
@@ -312,16 +315,6 @@ def subject_head(columns: Mapping[str, Float64]) -> Float32 | None:
     turn = Rotation.from_euler(_BONE_TURN, np.column_stack([yaw, pitch, roll]), degrees=True)
     angles = turn.as_euler(_HEAD_TURN, degrees=True) * _HEAD_SIGNS
     return np.column_stack([angles, left, up, -back]).astype(np.float32)
-
-
-def _subject_head(track: Float32) -> Float64:
-    """Columns 1 to 6 of `SUBJECT_REST` [shape=(T, 6)]; `subject_head` is the inverse."""
-    from scipy.spatial.transform import Rotation
-
-    turn = Rotation.from_euler(_HEAD_TURN, track[:, :3] * _HEAD_SIGNS, degrees=True)
-    left, up, forward = track[:, 3:].T
-    roll_last = turn.as_euler(_BONE_TURN, degrees=True)
-    return np.column_stack([roll_last[:, ::-1], -forward, left, up])
 
 
 def frame_ticks(n_frames: int, fps: float) -> Int64:

@@ -325,19 +325,8 @@ def _read_json(path: Path) -> Table:
         data = rows
     if not (isinstance(data, list) and data and all(isinstance(row, dict | list) for row in data)):
         raise FormatError(f"{path}: is no JSON of curves; docs/finetuning.md lists what is read")
-    return _rows(path, data, rate, times)
-
-
-def _listed_times(path: Path, data: Mapping[str, Any], n_frames: int) -> Float64 | None:
-    """Times that an object lists beside its frames; None if it lists none."""
-    listed = [v for k, v in data.items() if is_time(k) and isinstance(v, list)]
-    fitting = [[[time] for time in v] for v in listed if len(v) == n_frames]
-    return _matrix(path, fitting[0], 1)[:, 0] if fitting else None
-
-
-def _rows(path: Path, frames: Sequence[Any], rate: float | None, times: Float64 | None) -> Table:
-    """Names, values and times of frames that are objects, or lists of categories."""
-    weights = [_weights(path, place, frame) for place, frame in enumerate(frames, 1)]
+    # Names, values and times of frames that are objects, or lists of categories.
+    weights = [_weights(path, place, frame) for place, frame in enumerate(data, 1)]
     names = tuple(next((row for row in weights if row), ()))
     if not names:
         raise FormatError(f"{path}: is no JSON of curves; docs/finetuning.md lists what is read")
@@ -347,9 +336,16 @@ def _rows(path: Path, frames: Sequence[Any], rate: float | None, times: Float64 
         if row.keys() != none.keys():
             raise FormatError(f"{path}: frame {place} has other curves than the first frame")
     values = _matrix(path, [[row[name] for name in names] for row in rows], len(names))
-    objects = [frame for frame in frames if isinstance(frame, dict)]
-    own = _times(path, objects) if len(objects) == len(frames) else None
+    objects = [frame for frame in data if isinstance(frame, dict)]
+    own = _times(path, objects) if len(objects) == len(data) else None
     return Table(names, values, times if own is None else own, rate)
+
+
+def _listed_times(path: Path, data: Mapping[str, Any], n_frames: int) -> Float64 | None:
+    """Times that an object lists beside its frames; None if it lists none."""
+    listed = [v for k, v in data.items() if is_time(k) and isinstance(v, list)]
+    fitting = [[[time] for time in v] for v in listed if len(v) == n_frames]
+    return _matrix(path, fitting[0], 1)[:, 0] if fitting else None
 
 
 def _weights(path: Path, place: int, frame: Any) -> dict[str, Any]:

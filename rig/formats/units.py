@@ -141,7 +141,12 @@ def in_units(curves: RigCurves, controls: ControlSet, where: object) -> RigCurve
         return curves
     places = controls.indices(curves.names)
     largest = np.maximum(np.abs(controls.minimum), np.abs(controls.maximum))[places]
-    angles = np.array([_is_angle(name, controls) for name in curves.names])
+    angles = np.array(
+        [
+            (controls.id == ARKIT_ID and name.endswith(("Yaw", "Pitch", "Roll")))
+            for name in curves.names
+        ]
+    )
     shapes = np.flatnonzero(~angles & (largest > 0))
     values, notes = curves.values, list(curves.notes)
     scale, note = _scale(curves, controls, shapes, largest[shapes], where)
@@ -152,14 +157,11 @@ def in_units(curves: RigCurves, controls: ControlSet, where: object) -> RigCurve
     if angles.any():
         values, said = _angles(values, curves.names, where)
         notes += said
-    _check_head(curves.head, where)
+    if curves.head is not None and len(curves.head):
+        _turns(curves.head[:, :3], "the head", where)
     if len(notes) == len(curves.notes):
         return curves
     return replace(curves, values=values, notes=tuple(notes))
-
-
-def _is_angle(name: str, controls: ControlSet) -> bool:
-    return controls.id == ARKIT_ID and name.endswith(("Yaw", "Pitch", "Roll"))
 
 
 def _scale(
@@ -284,8 +286,3 @@ def _turns(degrees: Float32, what: str, where: object) -> Float32:
             f"{MOST_DEGREES:g}; write angles as radians or degrees from straight ahead"
         )
     return turned
-
-
-def _check_head(head: Float32 | None, where: object) -> None:
-    if head is not None and len(head):
-        _turns(head[:, :3], "the head", where)

@@ -97,38 +97,34 @@ def read(path: Path, controls: ControlSet | None, fps: float | None) -> RigCurve
     """
     document, binary = read_container(path)
     try:
-        return _curves(document, binary, fps)
+        own, animation = document["extensions"][EXTENSION], document["animations"][0]
+        custom = own["expressions"]["custom"]
+        moved = {}
+        for channel in animation["channels"]:
+            sampler = animation["samplers"][channel["sampler"]]
+            moved[channel["target"]["node"]] = [
+                read_accessor(document, binary, sampler[part]) for part in ("input", "output")
+            ]
+        columns = {name: moved[custom[name]["node"]] for name in APPLE if name in custom}
+        times = next(iter(columns.values()), [np.empty(0)])[0]
+        steps = np.diff(times)
+        rate = fps or (1 / float(steps.mean()) if len(steps) else 30.0)
+        if times.ndim != 1 or not len(times) or not np.isfinite(times).all():
+            raise FormatError(f"no {EXTENSION} with Apple's expressions")
+        if len(steps) and not np.ptp(steps) <= 1e-3 * steps.mean():
+            raise FormatError("keys at uneven times; bake them to frames")
+        check_clip(len(times), len(arkit_controls()))
+        values = np.zeros((len(times), len(arkit_controls())), np.float32)
+        for name, (_, output) in columns.items():
+            values[:, APPLE.index(name)] = np.clip(output[:, 0], 0, 1)
+        turn = Rotation.identity(len(times))
+        for bone in ("neck", "head"):
+            node = own["humanoid"]["humanBones"].get(bone, {}).get("node")
+            if node in moved:
+                turn = turn * Rotation.from_quat(moved[node][1])
+        names, head = arkit_controls().names, head_track(turn)
+        return RigCurves(values, names, rate, control_set=ARKIT_ID, head=head)
     except FormatError as error:
         raise FormatError(f"{path.name}: {error}") from error
     except (LookupError, TypeError, AttributeError, ValueError, OverflowError) as error:
         raise FormatError(f"{path.name} has no {EXTENSION} with Apple's expressions") from error
-
-
-def _curves(document: dict[str, Any], binary: bytes, fps: float | None) -> RigCurves:
-    own, animation = document["extensions"][EXTENSION], document["animations"][0]
-    custom = own["expressions"]["custom"]
-    moved = {}
-    for channel in animation["channels"]:
-        sampler = animation["samplers"][channel["sampler"]]
-        moved[channel["target"]["node"]] = [
-            read_accessor(document, binary, sampler[part]) for part in ("input", "output")
-        ]
-    columns = {name: moved[custom[name]["node"]] for name in APPLE if name in custom}
-    times = next(iter(columns.values()), [np.empty(0)])[0]
-    steps = np.diff(times)
-    rate = fps or (1 / float(steps.mean()) if len(steps) else 30.0)
-    if times.ndim != 1 or not len(times) or not np.isfinite(times).all():
-        raise FormatError(f"no {EXTENSION} with Apple's expressions")
-    if len(steps) and not np.ptp(steps) <= 1e-3 * steps.mean():
-        raise FormatError("keys at uneven times; bake them to frames")
-    check_clip(len(times), len(arkit_controls()))
-    values = np.zeros((len(times), len(arkit_controls())), np.float32)
-    for name, (_, output) in columns.items():
-        values[:, APPLE.index(name)] = np.clip(output[:, 0], 0, 1)
-    turn = Rotation.identity(len(times))
-    for bone in ("neck", "head"):
-        node = own["humanoid"]["humanBones"].get(bone, {}).get("node")
-        if node in moved:
-            turn = turn * Rotation.from_quat(moved[node][1])
-    names, head = arkit_controls().names, head_track(turn)
-    return RigCurves(values, names, rate, control_set=ARKIT_ID, head=head)

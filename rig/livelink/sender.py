@@ -263,7 +263,8 @@ class LiveSender:
         for row in rows:
             self.offsets.append(now - self.n_pushed / self.fps)
             self.waiting.append((self.n_pushed, now, row))
-            self._follow()
+            latest = float(np.quantile(self.offsets, IN_TIME)) + MARGIN_SECONDS
+            self.base = latest if self.n_pushed == 0 else max(latest, self.base - SLEW)
             self.n_pushed += 1
         if catch_up:
             self.base = min(self.base, self.offsets[-1] + MOST_SECONDS)
@@ -307,10 +308,6 @@ class LiveSender:
         waits = np.array(self.waits or [0.0])
         waited = float(np.median(waits)), float(waits.max())
         return LiveReport(self.n_sent, self.n_skipped, self.n_failed, waited)
-
-    def _follow(self) -> None:
-        latest = float(np.quantile(self.offsets, IN_TIME)) + MARGIN_SECONDS
-        self.base = latest if self.n_pushed == 0 else max(latest, self.base - SLEW)
 
     def _due(self, number: int) -> float:
         return self.base + number / self.fps

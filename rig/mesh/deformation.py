@@ -215,7 +215,13 @@ class DeformationSolver:
         self.template = template
         self.parts = tuple(parts)
         count = len(template.vertices)
-        in_part = _membership(self.parts, count)
+        parts = self.parts
+        in_part = np.zeros(count, dtype=bool)
+        for part in parts:
+            outside = [i for i in (*part.vertices, *part.follows) if not 0 <= i < count]
+            if outside:
+                raise MeshError(f"a rigid part names vertex {outside[0]}; the mesh has {count}")
+            in_part[part.vertices] = True
         self._solved = np.flatnonzero(~in_part[template.faces].any(axis=1))
         self.pins = _choose_pins(template, in_part, np.asarray(pins, dtype=np.int64))
         fixed = in_part.copy()
@@ -294,7 +300,14 @@ class DeformationSolver:
 
     def _run(self, gradients: Iterator[Float64], frames: int, pin_positions: Any) -> Float64:
         vertices = np.tile(self.template.vertices, (frames, 1, 1))
-        pins = self._pin_positions(pin_positions, frames)
+        given = self.template.vertices[self.pins] if pin_positions is None else pin_positions
+        given = np.asarray(given, dtype=np.float64)
+        if given.shape not in ((len(self.pins), 3), (frames, len(self.pins), 3)):
+            raise TopologyError(
+                f"pin positions have shape {given.shape}; "
+                f"{frames} frames and {len(self.pins)} pins need ({frames}, {len(self.pins)}, 3)"
+            )
+        pins = np.broadcast_to(given, (frames, len(self.pins), 3))
         vertices[:, self.pins] = pins
         with self._threads.limit(limits=1, user_api="blas"):
             for start in range(0, frames, FRAMES_PER_SOLVE):
@@ -316,16 +329,6 @@ class DeformationSolver:
         for axis in range(3):
             out[axis] = self._right_hand @ np.ascontiguousarray(gradient[axis]).ravel()
         out -= (self._coupling @ pins).T
-
-    def _pin_positions(self, positions: Any, frames: int) -> Float64:
-        given = self.template.vertices[self.pins] if positions is None else positions
-        given = np.asarray(given, dtype=np.float64)
-        if given.shape not in ((len(self.pins), 3), (frames, len(self.pins), 3)):
-            raise TopologyError(
-                f"pin positions have shape {given.shape}; "
-                f"{frames} frames and {len(self.pins)} pins need ({frames}, {len(self.pins)}, 3)"
-            )
-        return np.broadcast_to(given, (frames, len(self.pins), 3))
 
     def _move_rigidly(self, part: RigidPart, vertices: Float64) -> None:
         rest = self.template.vertices
@@ -374,16 +377,6 @@ def small_parts(template: TriMesh) -> list[RigidPart]:
         nearest = np.argsort(distance, kind="stable")[: max(12, len(own))]
         parts.append(RigidPart(own, skin[nearest]))
     return parts
-
-
-def _membership(parts: Sequence[RigidPart], count: int) -> Bool:
-    inside = np.zeros(count, dtype=bool)
-    for part in parts:
-        outside = [i for i in (*part.vertices, *part.follows) if not 0 <= i < count]
-        if outside:
-            raise MeshError(f"a rigid part names vertex {outside[0]}; the mesh has {count}")
-        inside[part.vertices] = True
-    return inside
 
 
 def _choose_pins(template: TriMesh, in_part: Bool, pins: Int64) -> Int64:

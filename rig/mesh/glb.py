@@ -199,12 +199,41 @@ def write_glb(
     builder.json["asset"] = {"version": "2.0", "generator": "deitalk"}
     used = _add_mesh(builder, shapes, colour, colours, metres)
     if surface is not None:
-        _add_surface(builder, surface, used)
+        # Append texture coordinates and textures (§3.8) to the one mesh and material.
+        uv = builder.dense(np.asarray(surface.uv, np.float64)[used], "VEC2", _ARRAY_BUFFER)
+        builder.json["meshes"][0]["primitives"][0]["attributes"]["TEXCOORD_0"] = uv
+        textures = {
+            "baseColorTexture": surface.base_color,
+            "metallicRoughnessTexture": surface.roughness,
+        }
+        material = builder.json["materials"][0]["pbrMetallicRoughness"]
+        material["roughnessFactor"] = 1.0
+        if surface.cutoff is not None:
+            builder.json["materials"][0] |= {
+                "alphaMode": "MASK", "alphaCutoff": surface.cutoff, "doubleSided": True,
+            }  # fmt: skip
+        builder.json["samplers"] = [{"magFilter": 9729, "minFilter": 9987}]  # linear, with mip maps
+        for index, (name, data) in enumerate(textures.items()):
+            kind = "image/png" if data.startswith(b"\x89PNG") else "image/jpeg"
+            picture = {"bufferView": builder.view(np.frombuffer(data, np.uint8)), "mimeType": kind}
+            builder.json.setdefault("images", []).append(picture)
+            builder.json.setdefault("textures", []).append({"source": index, "sampler": 0})
+            material[name] = {"index": index}
     builder.json["nodes"] = [{"mesh": 0, "name": "face"}]
     builder.json["scenes"] = [{"nodes": [0]}]
     builder.json["scene"] = 0
     if animation is not None:
-        add_animation(builder, animation, {0: _checked_weights(animation, len(shapes.names))})
+        count = len(shapes.names)
+        weights = np.asarray(animation.weights, dtype=np.float32)
+        if weights.ndim != 2 or weights.shape[1] != count or len(weights) == 0:
+            raise MeshError(
+                f"animation weights have shape {weights.shape}; they must be (T, {count})"
+            )
+        if not np.isfinite(weights).all():
+            raise MeshError("animation weights hold numbers that are not finite")
+        if not animation.fps > 0:
+            raise MeshError(f"fps is {animation.fps}; it must be above 0")
+        add_animation(builder, animation, {0: weights})
     write_container(path, builder.json, bytes(builder.binary))
 
 
@@ -256,40 +285,6 @@ def _add_mesh(
         {"name": "skin", "pbrMetallicRoughness": plain, "doubleSided": True}
     ]
     return used
-
-
-def _add_surface(builder: GlbBuilder, surface: Surface, used: Int64) -> None:
-    """Append texture coordinates and textures (§3.8) to the one mesh and material."""
-    uv = builder.dense(np.asarray(surface.uv, np.float64)[used], "VEC2", _ARRAY_BUFFER)
-    builder.json["meshes"][0]["primitives"][0]["attributes"]["TEXCOORD_0"] = uv
-    textures = {
-        "baseColorTexture": surface.base_color,
-        "metallicRoughnessTexture": surface.roughness,
-    }
-    material = builder.json["materials"][0]["pbrMetallicRoughness"]
-    material["roughnessFactor"] = 1.0
-    if surface.cutoff is not None:
-        builder.json["materials"][0] |= {
-            "alphaMode": "MASK", "alphaCutoff": surface.cutoff, "doubleSided": True,
-        }  # fmt: skip
-    builder.json["samplers"] = [{"magFilter": 9729, "minFilter": 9987}]  # linear, with mip maps
-    for index, (name, data) in enumerate(textures.items()):
-        kind = "image/png" if data.startswith(b"\x89PNG") else "image/jpeg"
-        picture = {"bufferView": builder.view(np.frombuffer(data, np.uint8)), "mimeType": kind}
-        builder.json.setdefault("images", []).append(picture)
-        builder.json.setdefault("textures", []).append({"source": index, "sampler": 0})
-        material[name] = {"index": index}
-
-
-def _checked_weights(animation: WeightAnimation, count: int) -> Float32:
-    weights = np.asarray(animation.weights, dtype=np.float32)
-    if weights.ndim != 2 or weights.shape[1] != count or len(weights) == 0:
-        raise MeshError(f"animation weights have shape {weights.shape}; they must be (T, {count})")
-    if not np.isfinite(weights).all():
-        raise MeshError("animation weights hold numbers that are not finite")
-    if not animation.fps > 0:
-        raise MeshError(f"fps is {animation.fps}; it must be above 0")
-    return weights
 
 
 def add_animation(

@@ -61,11 +61,32 @@ def read_glb(path: Path | str) -> ShapeSet:
     path = Path(path)
     document, binary = read_container(path)
     with consistent(path), np.errstate(all="ignore"):  # what is not finite is refused later
-        _refuse_compressed(document, path.name)
+        required = document.get("extensionsRequired", [])
+        for extension in required:
+            if extension in _COMPRESSED:
+                raise FormatError(
+                    f"{path.name} uses {_COMPRESSED[extension]} compression ({extension}); "
+                    "export it again without compression"
+                )
+            if extension not in _READABLE and not extension.startswith("KHR_materials_"):
+                raise FormatError(
+                    f"{path.name} needs the extension {extension}, which is not read here"
+                )
         pieces = _bounded(_pieces(document, binary))
         if not pieces:
             raise FormatError(f"{path.name} holds no triangle mesh")
-        return _join(pieces)
+        starts = np.cumsum([0, *(len(p.vertices) for p in pieces)])
+        names = list(dict.fromkeys(name for p in pieces for name in p.names))
+        place = {name: k for k, name in enumerate(names)}
+        check_shape_count(len(names), int(starts[-1]))
+        deltas = np.zeros((len(names), int(starts[-1]), 3), dtype=np.float32)
+        for start, piece in zip(starts, pieces, strict=False):
+            for name, delta in zip(piece.names, piece.deltas, strict=True):
+                deltas[place[name], start : start + len(delta)] += delta
+        faces = np.concatenate([p.faces + s for s, p in zip(starts, pieces, strict=False)])
+        vertices = np.concatenate([p.vertices for p in pieces])
+        deltas.setflags(write=False)  # not copied again
+        return ShapeSet(TriMesh(vertices, faces), tuple(names), deltas)
 
 
 @contextmanager
@@ -100,18 +121,6 @@ def _bounded(found: Iterator[_Piece]) -> list[_Piece]:
             )
         check_shape_count(len(names), vertices)
     return pieces
-
-
-def _refuse_compressed(document: dict[str, Any], name: str) -> None:
-    required = document.get("extensionsRequired", [])
-    for extension in required:
-        if extension in _COMPRESSED:
-            raise FormatError(
-                f"{name} uses {_COMPRESSED[extension]} compression ({extension}); "
-                "export it again without compression"
-            )
-        if extension not in _READABLE and not extension.startswith("KHR_materials_"):
-            raise FormatError(f"{name} needs the extension {extension}, which is not read here")
 
 
 def _pieces(document: dict[str, Any], binary: bytes) -> Iterator[_Piece]:
@@ -252,21 +261,6 @@ def _view(
     if start < 0 or stride < row or end > len(binary):
         raise FormatError(f"bufferView {source['bufferView']} reaches past the file's data")
     return np.ndarray((count, width), kind, binary, start, (stride, kind.itemsize))
-
-
-def _join(pieces: list[_Piece]) -> ShapeSet:
-    starts = np.cumsum([0, *(len(p.vertices) for p in pieces)])
-    names = list(dict.fromkeys(name for p in pieces for name in p.names))
-    place = {name: k for k, name in enumerate(names)}
-    check_shape_count(len(names), int(starts[-1]))
-    deltas = np.zeros((len(names), int(starts[-1]), 3), dtype=np.float32)
-    for start, piece in zip(starts, pieces, strict=False):
-        for name, delta in zip(piece.names, piece.deltas, strict=True):
-            deltas[place[name], start : start + len(delta)] += delta
-    faces = np.concatenate([p.faces + s for s, p in zip(starts, pieces, strict=False)])
-    vertices = np.concatenate([p.vertices for p in pieces])
-    deltas.setflags(write=False)  # not copied again
-    return ShapeSet(TriMesh(vertices, faces), tuple(names), deltas)
 
 
 def _separate(node: dict[str, Any]) -> None:

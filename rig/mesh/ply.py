@@ -128,7 +128,17 @@ def read_element(file: BinaryIO, element: Element, order: str, left: int) -> Col
     if element.count * _least_bytes(element, order) > left + 1:  # the last line may have no end
         raise ValueError("the file is cut short")
     if order == "":
-        return _ascii(file, element)
+        if any(p.length_type for p in element.properties):
+            return _gathered(element, _ascii_rows(file, element))
+        width, parts = len(element.properties), []
+        for start in range(0, element.count, _LINES_AT_ONCE):
+            n_rows = min(_LINES_AT_ONCE, element.count - start)
+            words = [line.split(None, width)[:width] for line in islice(file, n_rows)]
+            if len(words) < n_rows or any(len(row) < width for row in words):
+                raise ValueError("the file is cut short")
+            parts.append(np.array(words, dtype="S").astype(np.float64))
+        table = np.concatenate(parts) if parts else np.zeros((0, width))
+        return {p.name: table[:, i] for i, p in enumerate(element.properties)}
     if any(p.length_type for p in element.properties):
         return _equal_lists(file, element, order, left) or _gathered(
             element, _rows(file, element, order, left)
@@ -165,20 +175,6 @@ def _exactly(file: BinaryIO, size: int) -> bytes:
     if len(data) != size:
         raise ValueError("the file is cut short")
     return data
-
-
-def _ascii(file: BinaryIO, element: Element) -> Columns:
-    if any(p.length_type for p in element.properties):
-        return _gathered(element, _ascii_rows(file, element))
-    width, parts = len(element.properties), []
-    for start in range(0, element.count, _LINES_AT_ONCE):
-        n_rows = min(_LINES_AT_ONCE, element.count - start)
-        words = [line.split(None, width)[:width] for line in islice(file, n_rows)]
-        if len(words) < n_rows or any(len(row) < width for row in words):
-            raise ValueError("the file is cut short")
-        parts.append(np.array(words, dtype="S").astype(np.float64))
-    rows = np.concatenate(parts) if parts else np.zeros((0, width))
-    return {p.name: rows[:, i] for i, p in enumerate(element.properties)}
 
 
 def _ascii_rows(file: BinaryIO, element: Element) -> Iterator[Row]:
@@ -301,11 +297,7 @@ def read_ply(path: Path | str) -> TriMesh:
         raise FormatError(f"{path.name} has no 'vertex' element")
     if not isinstance(polygons, Lists) or polygons.values.dtype.kind not in "iu":
         raise FormatError(f"{path.name}: corners of faces must be lists of whole numbers")
-    return TriMesh(vertices, _triangulate(polygons))
-
-
-def _triangulate(polygons: Lists) -> Int64:
-    """Triangles [shape=(N, 3)] of polygons: fans from their first corners."""
+    # Triangles [shape=(N, 3)] of polygons: fans from their first corners.
     counts = np.maximum(polygons.lengths - 2, 0)
     if counts.sum() > TRIANGLES:
         raise MeshError(f"{counts.sum()} triangles; at most {TRIANGLES} are read: decimate it")
@@ -314,7 +306,7 @@ def _triangulate(polygons: Lists) -> Int64:
     within = np.arange(len(first)) - np.repeat(np.cumsum(counts) - counts, counts)
     places = np.stack([first, first + within + 1, first + within + 2], axis=1)
     triangles: Int64 = polygons.values.astype(np.int64)[places]
-    return triangles
+    return TriMesh(vertices, triangles)
 
 
 def _numbers(column: NDArray[Any] | Lists) -> NDArray[Any]:

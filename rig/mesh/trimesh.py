@@ -48,7 +48,18 @@ class TriMesh:
         faces = np.array(self.faces)
         _check_shapes(vertices, faces)
         faces = faces.astype(np.int64)
-        _check_indices(faces, len(vertices))
+        count = len(vertices)
+        outside = np.flatnonzero((faces < 0).any(axis=1) | (faces >= count).any(axis=1))
+        if len(outside):
+            raise TopologyError(
+                f"triangles {listed(outside, 8)} name vertices outside 0..{count - 1}; "
+                "the file is cut short or its indices are wrong"
+            )
+        doubled = (faces == np.roll(faces, 1, axis=1)).any(axis=1)
+        if doubled.any():
+            raise TopologyError(
+                f"triangles {listed(np.flatnonzero(doubled), 8)} name a vertex twice; remove them"
+            )
         vertices.setflags(write=False)
         faces.setflags(write=False)
         object.__setattr__(self, "vertices", vertices)
@@ -105,20 +116,6 @@ def _check_shapes(vertices: Float64, faces: NDArray[Any]) -> None:
         raise MeshError(
             f"vertices {listed(bad, 8)} are not finite numbers within ±{COORDINATE:g}; export the "
             "mesh again"
-        )
-
-
-def _check_indices(faces: Int64, count: int) -> None:
-    outside = np.flatnonzero((faces < 0).any(axis=1) | (faces >= count).any(axis=1))
-    if len(outside):
-        raise TopologyError(
-            f"triangles {listed(outside, 8)} name vertices outside 0..{count - 1}; "
-            "the file is cut short or its indices are wrong"
-        )
-    doubled = (faces == np.roll(faces, 1, axis=1)).any(axis=1)
-    if doubled.any():
-        raise TopologyError(
-            f"triangles {listed(np.flatnonzero(doubled), 8)} name a vertex twice; remove them"
         )
 
 

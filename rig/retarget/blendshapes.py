@@ -301,7 +301,10 @@ def turns_of(path: Path | str, curves: RigCurves, *, has_gaze: bool) -> dict[int
         if found.get(bone) in rest and np.abs(turn.magnitude()).max() > 0:
             parent, local = rest[found[bone]]
             axes = parent.inv() * facing
-            turns[found[bone]] = _steady((axes * turn * axes.inv() * local).as_quat())
+            # Quaternions of one hemisphere, so that players turn the short way.
+            rows = (axes * turn * axes.inv() * local).as_quat()
+            sign = np.where((rows[1:] * rows[:-1]).sum(axis=1) < 0, -1.0, 1.0)
+            turns[found[bone]] = np.concatenate([rows[:1], rows[1:] * np.cumprod(sign)[:, None]])
     return turns
 
 
@@ -328,12 +331,6 @@ def head_track(turn: Rotation, place: Float64 | None = None) -> Float32 | None:
 def _facing(document: dict[str, Any]) -> Rotation:
     is_older = "VRM" in document.get("extensions", {})
     return Rotation.from_euler("y", 180.0 * is_older, degrees=True)
-
-
-def _steady(rows: Float64) -> Float64:
-    """Quaternions of one hemisphere, so that players turn the short way."""
-    sign = np.where((rows[1:] * rows[:-1]).sum(axis=1) < 0, -1.0, 1.0)
-    return np.concatenate([rows[:1], rows[1:] * np.cumprod(sign)[:, None]])
 
 
 def _part(turn: Rotation, share: float) -> Rotation:

@@ -370,16 +370,16 @@ def fit_lids(
         if height == 0 or not np.linalg.norm(carried) > 0:
             continue
         ratio = np.clip(height / np.linalg.norm(carried), 1 / _STEEPEST, _STEEPEST)
-        fade = _fade(rest[skin], outer, inner, float(np.linalg.norm(outer - inner)))
+        # 1 on the slit from corner to corner, falling off around it.
+        points = rest[skin]
+        width = float(np.linalg.norm(outer - inner))
+        span = inner - outer
+        along = np.clip((points - outer) @ span / (span @ span), 0.0, 1.0)
+        distance = np.linalg.norm(points - outer - along[:, None] * span, axis=1)
+        fade = np.asarray(
+            np.exp(-((np.maximum(distance - 0.2 * width, 0.0) / (_REACH * width)) ** 2))
+        )
         across = opening / height
         travel = result[:, skin] @ across
         result[:, skin] += ((ratio - 1.0) * fade * travel)[..., None] * across
     return result
-
-
-def _fade(points: Float64, outer: Float64, inner: Float64, width: float) -> Float64:
-    """1 on the slit from corner to corner, falling off around it."""
-    span = inner - outer
-    along = np.clip((points - outer) @ span / (span @ span), 0.0, 1.0)
-    distance = np.linalg.norm(points - outer - along[:, None] * span, axis=1)
-    return np.asarray(np.exp(-((np.maximum(distance - 0.2 * width, 0.0) / (_REACH * width)) ** 2)))

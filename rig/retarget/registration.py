@@ -149,7 +149,12 @@ def register(
     aligned = aligned + np.asarray(spline(aligned))
     corners = [target_landmarks[f"eye_outer_{side}"] for side in ("left", "right")]
     eyes = float(np.linalg.norm(np.subtract(*target.vertices[corners])))
-    inside_out = _is_inside_out(TriMesh(aligned, source.faces), target, eyes)
+    placed = TriMesh(aligned, source.faces)
+    found = ClosestPoints(target, candidates=8).query(placed.vertices)
+    near = found.distances < _ROUNDS[0][1] * eyes
+    theirs = found.interpolate(target.faces, vertex_normals(target))
+    cosine = np.einsum("vc,vc->v", vertex_normals(placed), theirs)[near]
+    inside_out = bool(len(cosine) and np.median(cosine) < 0)
     facing = target.flipped() if inside_out else target
     search = ClosestPoints(facing, labels=target_labels, candidates=24)
 
@@ -157,19 +162,19 @@ def register(
     new_index = np.full(len(aligned), -1, dtype=np.int64)
     new_index[skin] = np.arange(len(skin))
     inside = (new_index[source.faces] >= 0).all(axis=1)
-    skin_mesh, _ = TriMesh(aligned[skin], new_index[source.faces[inside]]), np.flatnonzero(inside)
+    skin_mesh = TriMesh(aligned[skin], new_index[source.faces[inside]])
     position = np.searchsorted(skin, from_)
     on_skin = (position < len(skin)) & (skin[np.minimum(position, len(skin) - 1)] == from_)
     surface = closest_rounds(
         skin_mesh, source_labels[skin], search, position[on_skin], to[on_skin], eyes
     )
-    placed = _carry_along(aligned, skin, surface)
+    carried = _carry_along(aligned, skin, surface)
     matched = search.query(surface, labels=source_labels[skin])
     residual = float(np.median(matched.distances)) / eyes
     return Registration(
         source,
         target,
-        placed,
+        carried,
         source_labels,
         target_labels,
         rotation,
@@ -241,14 +246,6 @@ def edge_lengths(mesh: TriMesh) -> csr_array:
     _, first = np.unique(low * len(mesh.vertices) + high, return_index=True)
     count = len(mesh.vertices)
     return csr_array(coo_array((lengths[first], (low[first], high[first])), shape=(count, count)))
-
-
-def _is_inside_out(placed: TriMesh, target: TriMesh, eyes: float) -> bool:
-    found = ClosestPoints(target, candidates=8).query(placed.vertices)
-    near = found.distances < _ROUNDS[0][1] * eyes
-    theirs = found.interpolate(target.faces, vertex_normals(target))
-    cosine = np.einsum("vc,vc->v", vertex_normals(placed), theirs)[near]
-    return bool(len(cosine) and np.median(cosine) < 0)
 
 
 def closest_rounds(

@@ -153,7 +153,25 @@ def _retarget(
     if known_controls(curves.control_set) is None:
         return _drive_by_name(curves, mesh, out, keys)
     if mesh.suffix.lower() == ".glb" and not as_neutral and morph_names(mesh):
-        return _drive_glb(curves, mesh, out, mapping, keys)
+        # Drive a GLB's own shapes, head, neck and eyes; a GLB that is written keeps the rest.
+        if check_out(out) != "glb":
+            shapes = read_glb(mesh)
+            fit, poses = _fit(curves, shapes, mapping)
+            _write(out, shapes, fit.weights, curves.fps)
+            return _driven(out, fit, poses, len(curves))
+        try:
+            fit, poses = _fit(curves, read_glb(mesh), mapping)
+        except FormatError:
+            # Compressed geometry cannot be measured; its names can be driven all the same.
+            own = None if mapping is None else read_mapping(mapping)
+            poses = match_shapes(morph_names(mesh), mapping=own)
+            fit = poses.weights(curves)
+        gaze = [i for i, name in enumerate(bare_names()) if name.startswith("eyeLook")]
+        turns = turns_of(mesh, curves, has_gaze=bool(poses.poses[:, gaze].any()))
+        animation = WeightAnimation(fit.weights, curves.fps, turns=turns, tolerance=keys)
+        animate_glb(mesh, Path(out), fit.names, animation)
+        report = _driven(out, fit, poses, len(curves))
+        return replace(report, bones=len(turns), notes=(*report.notes, *_unturned(curves, turns)))
     shapes = read_shapes(mesh)
     if shapes.names and not as_neutral:
         fit, poses = _fit(curves, shapes, mapping)
@@ -273,30 +291,6 @@ def read_shapes(path: Path | str) -> ShapeSet:
     if isinstance(read, TriMesh):
         return ShapeSet(read, (), np.zeros((0, *read.vertices.shape), dtype=np.float32))
     return read
-
-
-def _drive_glb(
-    curves: RigCurves, mesh: Path, out: Path | str, mapping: Path | str | None, keys: float
-) -> RetargetReport:
-    """Drive a GLB's own shapes, head, neck and eyes; a GLB that is written keeps the rest."""
-    if check_out(out) != "glb":
-        shapes = read_glb(mesh)
-        fit, poses = _fit(curves, shapes, mapping)
-        _write(out, shapes, fit.weights, curves.fps)
-        return _driven(out, fit, poses, len(curves))
-    try:
-        fit, poses = _fit(curves, read_glb(mesh), mapping)
-    except FormatError:
-        # Compressed geometry cannot be measured; its names can be driven all the same.
-        own = None if mapping is None else read_mapping(mapping)
-        poses = match_shapes(morph_names(mesh), mapping=own)
-        fit = poses.weights(curves)
-    gaze = [i for i, name in enumerate(bare_names()) if name.startswith("eyeLook")]
-    turns = turns_of(mesh, curves, has_gaze=bool(poses.poses[:, gaze].any()))
-    animation = WeightAnimation(fit.weights, curves.fps, turns=turns, tolerance=keys)
-    animate_glb(mesh, Path(out), fit.names, animation)
-    report = _driven(out, fit, poses, len(curves))
-    return replace(report, bones=len(turns), notes=(*report.notes, *_unturned(curves, turns)))
 
 
 def _unturned(curves: RigCurves, turns: Mapping[int, Any]) -> tuple[str, ...]:

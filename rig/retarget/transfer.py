@@ -15,7 +15,7 @@ from scipy.sparse import coo_array, csc_array, csr_array, diags_array
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import splu
 
-from rig.arrays import Bool, Float64, Int64
+from rig.arrays import Bool, Float64
 from rig.errors import MeshError
 from rig.mesh.deformation import DeformationSolver, deformation_gradients, rigid_motion
 from rig.mesh.trimesh import (
@@ -67,7 +67,30 @@ def transfer_displacements(registration: Registration, deltas: Any) -> Float64:
     result = np.stack([points.interpolate(faces, delta) for delta in mapped])
     trusted = points.allowed & (points.distances < _TRUSTED * registration.eyes)
     result = _soften(registration, _fill(registration.target, result, trusted))
-    return _settle_parts(registration, mapped, result)
+    # Make loose parts of the target (eyes, teeth) move as one piece.
+    labels = components(registration.target)
+    if labels.max() == 0:
+        return result
+    skin, inner = _searches(registration)
+    source_labels = components(registration.source)
+    for label in range(1, int(labels.max()) + 1):
+        part = np.flatnonzero(labels == label)
+        rest = registration.target.vertices[part]
+        to_skin = np.median(skin.query(rest).distances)
+        near = None if inner is None else inner.query(rest)
+        to_inner = np.inf if near is None else np.median(near.distances)
+        if to_skin < min(to_inner, _ON_SKIN * registration.eyes):
+            continue
+        result[:, part] = 0.0
+        if inner is None or near is None or to_inner > _NEAR_PART * registration.eyes:
+            continue
+        # Upper and lower teeth touch: only the part with most of the points determines the motion.
+        owners = source_labels[inner.mesh.faces[:, 0]]
+        leader = inner.mesh.faces[owners == np.bincount(owners[near.triangles]).argmax()]
+        points = ClosestPoints(TriMesh(registration.placed, leader)).query(rest)
+        for k, delta in enumerate(mapped):
+            result[k, part] = _as_one_piece(rest, points.interpolate(leader, delta))
+    return result
 
 
 def transfer_gradients(registration: Registration, deltas: Any) -> Float64:
@@ -83,7 +106,15 @@ def transfer_gradients(registration: Registration, deltas: Any) -> Float64:
     used = np.unique(target.faces)
     quiet = used[motion[used] < 1e-3 * registration.eyes]
     solver = DeformationSolver(target, pins=quiet)
-    where = _sampled_triangles(registration, target)
+    # Triangles of the source's skin under four points of each target triangle [shape=(N, 4)].
+    corners = target.vertices[target.faces]
+    sides = np.sign(registration.target_labels[target.faces].sum(axis=1))
+    normals = triangle_normals(target)
+    found = [
+        registration.correspond_points(np.einsum("k,nkc->nc", w, corners), normals, sides)
+        for w in _SAMPLES
+    ]
+    where = np.stack([points.triangles for points in found], axis=1)
     skin = TriMesh(registration.source.vertices, registration.source.faces[registration.skin_faces])
     rotation = registration.rotation
     result = np.empty_like(by_displacement)
@@ -150,18 +181,6 @@ def _moments(weights: Float64, values: Float64, points: Float64) -> Float64:
     return np.asarray((weights @ outer).reshape(-1, 3, 3))
 
 
-def _sampled_triangles(registration: Registration, target: TriMesh) -> Int64:
-    """Triangles of the source's skin under four points of each target triangle [shape=(N, 4)]."""
-    corners = target.vertices[target.faces]
-    sides = np.sign(registration.target_labels[target.faces].sum(axis=1))
-    normals = triangle_normals(target)
-    found = [
-        registration.correspond_points(np.einsum("k,nkc->nc", w, corners), normals, sides)
-        for w in _SAMPLES
-    ]
-    return np.stack([points.triangles for points in found], axis=1)
-
-
 def _fill(target: TriMesh, deltas: Float64, trusted: Bool) -> Float64:
     """Fill untrusted vertices harmonically from trusted ones of their part; parts without: 0."""
     links = adjacency(target)
@@ -202,37 +221,6 @@ def _soften(registration: Registration, deltas: Float64) -> Float64:
     result = deltas
     for _ in range(_SOFTENING):
         result = np.stack([mix @ delta for delta in result])
-    return result
-
-
-def _settle_parts(registration: Registration, mapped: Float64, result: Float64) -> Float64:
-    """Make loose parts of the target (eyes, teeth) move as one piece.
-
-    A part nearest to a loose part of the source takes its motion, rigid if that is; a part on the
-    skin (brow, lash) keeps what it has; any other stays still: an eyeball does not follow the lids.
-    """
-    labels = components(registration.target)
-    if labels.max() == 0:
-        return result
-    skin, inner = _searches(registration)
-    source_labels = components(registration.source)
-    for label in range(1, int(labels.max()) + 1):
-        part = np.flatnonzero(labels == label)
-        rest = registration.target.vertices[part]
-        to_skin = np.median(skin.query(rest).distances)
-        points = None if inner is None else inner.query(rest)
-        to_inner = np.inf if points is None else np.median(points.distances)
-        if to_skin < min(to_inner, _ON_SKIN * registration.eyes):
-            continue
-        result[:, part] = 0.0
-        if inner is None or points is None or to_inner > _NEAR_PART * registration.eyes:
-            continue
-        # Upper and lower teeth touch: only the part with most of the points determines the motion.
-        owners = source_labels[inner.mesh.faces[:, 0]]
-        leader = inner.mesh.faces[owners == np.bincount(owners[points.triangles]).argmax()]
-        points = ClosestPoints(TriMesh(registration.placed, leader)).query(rest)
-        for k, delta in enumerate(mapped):
-            result[k, part] = _as_one_piece(rest, points.interpolate(leader, delta))
     return result
 
 

@@ -128,7 +128,12 @@ def level_sequence(
     library, unit = unreal.ControlRigSequencerLibrary, importer.display_rate()
     channels: dict[str, dict[str, Any]] = {}
     for name, kind in _controls(board):
-        spelling = _present_name(board, name)
+        # Return the present name of a control of an older board.
+        if importer.has_control(board, "CTRL_C_tongue_move"):
+            spelling = name
+        else:
+            present = {old: new for new, old in importer.OLDER_NAMES.items()}
+            spelling = str(present.get(name, name))
         if kind == "float":
             values = library.get_local_control_rig_floats(opened, board, name, frames, unit)
             channels[spelling] = {"value": _rounded(values)}
@@ -217,14 +222,6 @@ def _controls(board: Any) -> list[tuple[str, str]]:
             if kind:
                 found.append((str(key.name), kind))
     return found
-
-
-def _present_name(board: Any, name: str) -> str:
-    """Return the present name of a control of an older board."""
-    if importer.has_control(board, "CTRL_C_tongue_move"):
-        return name
-    present = {old: new for new, old in importer.OLDER_NAMES.items()}
-    return str(present.get(name, name))
 
 
 def _sound(sequence: Any) -> tuple[str, int]:

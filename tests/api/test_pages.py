@@ -10,12 +10,12 @@ import pytest
 
 from api.app import problem_answer
 from api.compute.pool import Stage
-from api.compute.worker import WorkerLost
 from api.errors import Problem
 from api.guard.metrics import Metrics
 from api.guard.middleware import Guard, Traffic
 from api.service import Pages
 from api.settings import Settings
+from deitalk.workers import WorkerLost
 from rig.errors import RigError
 from rig.face.identity import IDENTITIES, ROLES
 from tests.api.test_worker import limits

@@ -35,8 +35,15 @@ VOICE = json.dumps({
     "traits": {"side": 0.2, "brow_range": 1.5},
 })  # fmt: skip
 TIMED = "1\n00:00:00,100 --> 00:00:00,900\nPromise big\n"
+FIXES = json.dumps({
+    "schema": "deitalk.edit/1", "name": "fixes", "edits": [
+        {"target": "brow", "mode": "offset", "keys": [[0.2, 0], [0.6, 0.4], [1.1, 0, -0.3, 0]]},
+        {"target": "CTRL_C_jaw.ty", "mode": "own", "keys": [[0.5, 0.3]], "span": [0.4, 0.8]},
+        {"target": "head.yaw", "mode": "scale", "keys": [[0, 2]], "span": [0, 1], "ease": [0.2, 0.2]},
+    ],
+})  # fmt: skip
 FILES = {
-    "keys.csv": KEYS, "intensity.csv": CURVE, "anna.json": VOICE, "said.srt": TIMED,
+    "fixes.edit.json": FIXES, "keys.csv": KEYS, "intensity.csv": CURVE, "anna.json": VOICE, "said.srt": TIMED,
 }  # fmt: skip
 CASES = {
     "nothing": {},
@@ -54,6 +61,7 @@ CASES = {
     "life off": {"life": "off"},
     "look_at": {"look_at": "10,-5"},
     "gain": {"emotion": "happy", "gain": "jaw=1.2,brow=.5"},
+    "edit": {"emotion": "happy", "edit": "fixes.edit.json"},
     "listen": {"listen": "1.5"},
     "network alone": {"rules": "false"},
     "seed": {"seed": str(2**40)},

@@ -14,10 +14,10 @@ import pytest
 from api.compute import live
 from api.compute.pool import Stage
 from api.compute.tasks import Voices as VoicesInWorker
-from api.compute.worker import WorkerLost
 from api.errors import InternalError, Problem
 from api.routes.health import ready
 from deitalk.acting import Acting
+from deitalk.workers import WorkerLost
 from tests.api.test_worker import limits
 
 STILL = Acting.of(life="off", seed=1)

@@ -10,9 +10,10 @@ import pytest
 
 from api.compute import pool
 from api.compute.order import TooLarge
-from api.compute.worker import OutOfTime, Stopped, Worker, WorkerLost
+from api.compute.worker import OrderWorker, OutOfTime, Stopped
 from api.guard.keys import Caller
 from api.settings import SCOPES
+from deitalk.workers import WorkerLost
 from tests.api.conftest import wav
 from tests.api.kill import kill
 from tests.each import each
@@ -36,7 +37,7 @@ def limits(**given):
 
 @pytest.fixture(scope="module")
 def worker():
-    made = Worker(limits())
+    made = OrderWorker(limits())
     yield made
     made.stop()
 
@@ -100,7 +101,7 @@ class Starting:
 
 
 def test_orders_that_come_while_workers_start_wait_for_one(monkeypatch):
-    monkeypatch.setattr(pool, "Worker", Starting)
+    monkeypatch.setattr(pool, "OrderWorker", Starting)
 
     async def answers():
         made = pool.Pool(limits(), 3, 60, 9)
@@ -127,7 +128,7 @@ class Ending(Starting):
 
 def test_order_of_a_client_who_goes_is_over_once_its_worker_has_ended(monkeypatch):
     """Its folder is removed then; a worker that still wrote left files there."""
-    monkeypatch.setattr(pool, "Worker", Ending)
+    monkeypatch.setattr(pool, "OrderWorker", Ending)
 
     async def ended():
         made, order = pool.Pool(limits(), 1, 60, 9), {}
@@ -185,7 +186,7 @@ def test_order_that_ends_early_ends_its_process_and_the_next_has_another(
 
 
 def test_order_beyond_the_memory_is_refused(tmp_path):
-    small = Worker(limits(memory_bytes=2**26))
+    small = OrderWorker(limits(memory_bytes=2**26))
     try:
         answer = small.run(order(tmp_path, wav(60.0, 192_000, 2)), 60)
         assert answer["error"] == [TooLarge.__name__] and "memory" in answer["message"]

@@ -285,6 +285,10 @@ def write_person(name, look, base, shapes, person, joined) -> None:
     for part, where in slices.items():
         kind[where] = KINDS.get(part, PLAIN)
         gloss[where] = GLOSS.get(part, 0.1)
+    for part in ("teeth_upper", "teeth_lower"):  # side lamps reach no back teeth
+        front = _front(joined.points[slices[part]])
+        colour[slices[part]] *= front[:, None]
+        gloss[slices[part]] *= front
     colour[slices["shirt"]] = np.array(look["shirt_colour"]) / 255
     scalp = _scalp(base, person)
     tint = np.minimum(np.array(look["hair_colour"]) / 255 / 0.62, 1)
@@ -302,9 +306,11 @@ def write_person(name, look, base, shapes, person, joined) -> None:
         weight.append(full[1])
         follows.append(np.arange(slices[part].start, slices[part].stop))
     is_own = (joined.faces >= first_own).any(1)
+    steps = np.round(GRID * (joined.points + SHIFT))
+    assert np.abs(steps).max() < 2**15, f"{name} does not fit in 16 bits: {steps.min(0)}"
     np.savez_compressed(
         DATA / f"{name}.npz",
-        points=np.round(GRID * (joined.points + SHIFT)).astype(np.int16),
+        points=steps.astype(np.int16),
         stops=np.array([slices[n].stop for n in OWN]), parts=np.array(OWN),
         faces=joined.faces[is_own].astype(np.uint16), weld=joined.weld[first_own:].astype(np.uint16),
         uv=np.round(65535 * joined.uv[first_own:]).astype(np.uint16),
@@ -326,7 +332,7 @@ def _scalp(base, person):
     hair = person.parts["hair"].points
     distance, near = cKDTree(hair).query(person.skin)
     over = ((hair[near] - person.skin) * person.normals).sum(1) > 0
-    share = np.clip((1.1 - distance) / 0.6, 0, 1) * over * (person.skin[:, 1] > 1)
+    share = np.clip((0.65 - distance) / 0.35, 0, 1) * over * (person.skin[:, 1] > 1)
     faces = base.skin_faces
     for _ in range(4):
         total, count = np.zeros(len(share)), np.zeros(len(share))
@@ -335,6 +341,11 @@ def _scalp(base, person):
             np.add.at(count, faces[:, a], 1)
         share = 0.4 * share + 0.6 * total / np.maximum(count, 1)
     return np.clip((share - 0.4) * 1.6, 0, 1)
+
+
+def _front(points):
+    """How much of a place in the mouth is not in the shadow of the cheeks, 0 to 1."""
+    return 1 - 0.94 * pictures._smooth((np.abs(points[:, 0]) - 0.9) / 0.9)
 
 
 def _light(base, shapes, person, joined, picture):
@@ -369,8 +380,7 @@ def _light(base, shapes, person, joined, picture):
     depth = 0.10 + 0.90 * pictures._smooth((x[:, 2] - front + 3.8) / 3.0)
     for part in ("teeth_upper", "teeth_lower", "tongue"):
         own = joined.slices[part]
-        aside = 1 - 0.88 * pictures._smooth((np.abs(x[own, 0]) - 0.9) / 1.1)
-        light[own] = np.maximum(light[own], [0.85, 0.6]) * (depth[own] * aside)[:, None]
+        light[own] = np.maximum(light[own], [0.85, 0.6]) * (depth[own] * _front(x[own]))[:, None]
     inner = np.flatnonzero((away > 0.9) & (away < 9) & (shut[: base.n_skin, 0] < 0.45)
                            & (x[: base.n_skin, 2] < front - 1.2) & (x[: base.n_skin, 2] > front - 8)
                            & (np.abs(x[: base.n_skin, 0]) < 3.2)

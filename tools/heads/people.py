@@ -12,6 +12,7 @@ PEOPLE = {
         "brow": "010", "brow_colour": (74, 54, 42), "shirt": "female_casualsuit01",
         "shirt_colour": (74, 92, 104), "iris": (78, 96, 76), "lip": (0.93, 0.80, 0.79),
         "mottle": 0.6, "gain": 0.97, "saturation": 0.88, "freckles": 0.35, "creases": 0.8, "lashes": 0.75,
+        "hair_to": -26.0,
     },
     "Bruno": {
         "mix": [("caucasian", "male", "young", 1)],

@@ -170,7 +170,8 @@ def atlas(base, look):
     put("hair", _hair(base, look))
     put("eye", _eye(look))
     brow = proxies / f"eyebrows/eyebrow{look['brow']}/textures/eyebrow{look['brow']}.png"
-    alpha = _filled(Image.open(brow))[1]
+    alpha = gaussian_filter(_filled(Image.open(brow))[1], 0.003 * 512)  # soft; without thin ends
+    alpha = np.clip(1.9 * (alpha - 0.07), 0, 1)
     dark = 1 + 0.12 * _noise(alpha.shape, 1.2, 6)
     put(
         "brow",

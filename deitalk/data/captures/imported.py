@@ -97,7 +97,22 @@ def cut_at_silences(
     spoken = (runs(active) / FRAME_RATE).tolist()
     parts = [part for a, b in spoken for part in _divided((a, b), level, longest)]
     if keep_listening:
-        return _whole(parts, seconds, longest)
+        # The whole take in clips whose borders lie in pauses.
+        ends = [0.0, *(stop for _, stop in parts)]
+        starts = [*(start for start, _ in parts), seconds]
+        borders: list[float] = []
+        for quiet, loud in zip(ends, starts, strict=True):
+            pad = min(PAD_SECONDS, (loud - quiet) / 2)
+            count = max(int(loud - quiet - 2 * pad), 1) + 1
+            borders += np.linspace(quiet + pad, loud - pad, count).tolist()
+        spans: list[Span] = []
+        start = 0.0
+        while seconds - start > longest:
+            stop = max(b for b in borders if b <= start + longest + 1e-9)
+            spans.append((start, stop))
+            start = stop
+        spans.append((start, seconds))
+        return [(a, b) for a, b in spans if b - a >= SHORTEST_SECONDS]
     groups: list[list[Span]] = []
     for start, stop in parts:
         last = groups[-1] if groups else None
@@ -109,7 +124,16 @@ def cut_at_silences(
             last.append((start, stop))
         else:
             groups.append([(start, stop)])
-    return _padded([(group[0][0], group[-1][1]) for group in groups], seconds)
+    # Spans with silence around them, at most half of what lies between two.
+    spans = [(group[0][0], group[-1][1]) for group in groups]
+    padded = []
+    for place, (start, stop) in enumerate(spans):
+        before = spans[place - 1][1] if place else 0.0
+        after = spans[place + 1][0] if place + 1 < len(spans) else seconds
+        front = min(PAD_SECONDS, (start - before) / (2 if place else 1))
+        back = min(PAD_SECONDS, (after - stop) / (2 if place + 1 < len(spans) else 1))
+        padded.append((max(start - front, 0.0), min(stop + max(back, 0.0), seconds)))
+    return [(a, b) for a, b in padded if b - a >= SHORTEST_SECONDS]
 
 
 def within_captured(spans: Sequence[Span], seen: Bool, fps: float) -> list[Span]:
@@ -144,37 +168,6 @@ def _divided(run: Span, level: Float64, longest: float) -> list[Span]:
     last = min(int((middle + reach) * FRAME_RATE), int((start + room) * FRAME_RATE), len(smooth))
     cut = (first + int(smooth[first:last].argmin())) / FRAME_RATE
     return [(start, cut), *_divided((cut, stop), level, longest)]
-
-
-def _padded(spans: Sequence[Span], seconds: float) -> list[Span]:
-    """Spans with silence around them, at most half of what lies between two."""
-    padded = []
-    for place, (start, stop) in enumerate(spans):
-        before = spans[place - 1][1] if place else 0.0
-        after = spans[place + 1][0] if place + 1 < len(spans) else seconds
-        front = min(PAD_SECONDS, (start - before) / (2 if place else 1))
-        back = min(PAD_SECONDS, (after - stop) / (2 if place + 1 < len(spans) else 1))
-        padded.append((max(start - front, 0.0), min(stop + max(back, 0.0), seconds)))
-    return [(a, b) for a, b in padded if b - a >= SHORTEST_SECONDS]
-
-
-def _whole(runs: Sequence[Span], seconds: float, longest: float) -> list[Span]:
-    """The whole take in clips whose borders lie in pauses."""
-    ends = [0.0, *(stop for _, stop in runs)]
-    starts = [*(start for start, _ in runs), seconds]
-    borders: list[float] = []
-    for quiet, loud in zip(ends, starts, strict=True):
-        pad = min(PAD_SECONDS, (loud - quiet) / 2)
-        count = max(int(loud - quiet - 2 * pad), 1) + 1
-        borders += np.linspace(quiet + pad, loud - pad, count).tolist()
-    spans: list[Span] = []
-    start = 0.0
-    while seconds - start > longest:
-        stop = max(b for b in borders if b <= start + longest + 1e-9)
-        spans.append((start, stop))
-        start = stop
-    spans.append((start, seconds))
-    return [(a, b) for a, b in spans if b - a >= SHORTEST_SECONDS]
 
 
 HEADER = (
@@ -282,13 +275,17 @@ def import_captures(
             raise _fault(faults, len(takes))
         labels.check_rows(names)
         splits = writer.finish(split_by)
+    # A warning about actors of whom a tuned model will have no style; none without any.
+    trained = {row["speaker"] for row in writer.rows if row["split"] == TRAIN}
+    others = sorted({row["speaker"] for row in writer.rows} - trained)
+    text = f"{listed(others)} only validate and test; split by time to train on every actor"
     return Imported(
         len(writer.rows),
         writer.seconds,
         tuple(writer.reports),
         dict(splits),
         writer.left_out,
-        (*skipped_files(skipped), *warnings_of(writer.reports), *_untrained(writer.rows)),
+        (*skipped_files(skipped), *warnings_of(writer.reports), *([text] if others else [])),
     )
 
 
@@ -472,14 +469,6 @@ def _write_table(path: Path, header: Sequence[str], rows: Sequence[dict[str, str
         table = csv.DictWriter(file, header, lineterminator="\n", restval="")
         table.writeheader()
         table.writerows(rows)
-
-
-def _untrained(rows: Sequence[dict[str, str]]) -> list[str]:
-    """A warning about actors of whom a tuned model will have no style; none without any."""
-    trained = {row["speaker"] for row in rows if row["split"] == TRAIN}
-    others = sorted({row["speaker"] for row in rows} - trained)
-    text = f"{listed(others)} only validate and test; split by time to train on every actor"
-    return [text] if others else []
 
 
 def _notes(labels: Labels, capture: CapturedCurves, sound: Recording, reason: str) -> list[str]:

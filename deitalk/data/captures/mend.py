@@ -20,7 +20,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from deitalk.data.captures.sources import SPELLINGS
-from deitalk.data.captures.survey import ClipSurvey, Survey, without_rest
+from deitalk.data.captures.survey import Survey, without_rest
 from deitalk.data.clips import SPLITS
 from deitalk.emotions import EMOTIONS
 from deitalk.errors import DataError
@@ -398,14 +398,27 @@ def mend(folder: Path, survey: Survey, rows: Sequence[Check], *, emotions: int =
                 middle = c.clip.span[0] + c.seconds / 2
                 row["offset_s"] = f"{c.clip.offset_seconds - take.lag_at(middle):.4f}"
             if c.clip.speaker in rests:
-                row["curves"] = _without_rest(folder, c, rests[c.clip.speaker], survey.controls)
+                target = f"mended/{c.clip.name}.npz"
+                (folder / "mended").mkdir(exist_ok=True)
+                own = None if survey.controls.id == DEFAULT_ID else survey.controls
+                curves = read_curves(c.clip.curves, controls=own)
+                write_curves(
+                    folder / target,
+                    without_rest(curves, rests[c.clip.speaker], c.known, survey.controls),
+                )
+                row["curves"] = target
                 files.add(row["curves"])
             if (c.known & dead).any() and (c.known & ~dead).any():
                 row["known"] = _list_of_known(folder, c.known & ~dead, survey.controls)
                 files.add(row["known"])
         is_wrong = bool(shifted or rests or files)
         if is_wrong or not (folder / REPORT).exists():
-            _report(folder, survey, rows, rests)
+            # Write the report.
+            (folder / "check").mkdir(exist_ok=True)
+            if (folder / "check").is_symlink():
+                raise TargetError(f"{folder / 'check'} is a symbolic link; remove it")
+            with atomic_write(folder / REPORT) as beside:
+                beside.write_text(_markdown(survey, rows, rests), encoding="utf-8")
         if is_wrong:
             header = list(dict.fromkeys([*header, "offset_s", "known"]))
             _write(folder, header, table)
@@ -413,15 +426,6 @@ def mend(folder: Path, survey: Survey, rows: Sequence[Check], *, emotions: int =
             record(folder, _written(folder), kind=KIND)
     counts = {actor: int((pose != survey.controls.rest).sum()) for actor, pose in rests.items()}
     return Mended(len(shifted), counts, int(dead.sum()), emotions)
-
-
-def _without_rest(folder: Path, c: ClipSurvey, pose: Float32, controls: ControlSet) -> str:
-    target = f"mended/{c.clip.name}.npz"
-    (folder / "mended").mkdir(exist_ok=True)
-    own = None if controls.id == DEFAULT_ID else controls
-    curves = read_curves(c.clip.curves, controls=own)
-    write_curves(folder / target, without_rest(curves, pose, c.known, controls))
-    return target
 
 
 def _list_of_known(folder: Path, known: Bool, controls: ControlSet) -> str:
@@ -478,15 +482,6 @@ def _written(folder: Path) -> list[str]:
         for path in sorted((folder / name).glob("*"))
         if path.is_file() and not path.name.startswith(".")
     ]
-
-
-def _report(folder: Path, survey: Survey, rows: Sequence[Check], rests: dict[str, Float32]) -> None:
-    """Write the report."""
-    (folder / "check").mkdir(exist_ok=True)
-    if (folder / "check").is_symlink():
-        raise TargetError(f"{folder / 'check'} is a symbolic link; remove it")
-    with atomic_write(folder / REPORT) as beside:
-        beside.write_text(_markdown(survey, rows, rests), encoding="utf-8")
 
 
 def _markdown(survey: Survey, rows: Sequence[Check], rests: dict[str, Float32]) -> str:

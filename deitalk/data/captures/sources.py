@@ -89,7 +89,19 @@ def find_takes(
         files = find_files(source)
         curves = [p for p in files if _holds_curves(p, columns)]
         skipped += [p for p in files if p not in set(curves)]
-        chosen = _one_a_take(curves) or (_videos(source) if columns is None else [])
+        # One file of each take: the best variant, and of equal names the exact format.
+        best: dict[tuple[Path, str], Path] = {}
+
+        def rank(path: Path) -> tuple[int, int]:
+            ending = _without_suffix(path)[len(_stem(path)) :]
+            formats = (".npz", ".json", ".csv", ".txt", ".tsv")
+            return VARIANTS.index(ending), formats.index(path.suffix.lower())
+
+        for path in curves:
+            key = (path.parent, _stem(path))
+            if key not in best or rank(path) < rank(best[key]):
+                best[key] = path
+        chosen = sorted(best.values()) or (_videos(source) if columns is None else [])
         if not chosen and columns is not None:
             names = columns.names if isinstance(columns, ControlSet) else columns
             raise DataError(
@@ -195,22 +207,6 @@ def _holds_curves(path: Path, columns: ControlSet | AbstractSet[str] | None) -> 
         return kind_of(path) is not None
     except UserError:
         return True  # its error is reported with the take
-
-
-def _one_a_take(paths: Sequence[Path]) -> list[Path]:
-    """One file of each take: the best variant, and of equal names the exact format."""
-    best: dict[tuple[Path, str], Path] = {}
-
-    def rank(path: Path) -> tuple[int, int]:
-        ending = _without_suffix(path)[len(_stem(path)) :]
-        formats = (".npz", ".json", ".csv", ".txt", ".tsv")
-        return VARIANTS.index(ending), formats.index(path.suffix.lower())
-
-    for path in paths:
-        key = (path.parent, _stem(path))
-        if key not in best or rank(path) < rank(best[key]):
-            best[key] = path
-    return sorted(best.values())
 
 
 def _stem(path: Path) -> str:

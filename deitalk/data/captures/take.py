@@ -119,12 +119,32 @@ def _read(
     if rig is not None:
         return _of_rig(path, rig, fps)
     if mapping is not None:
-        return _mapped(path, mapping, fps)
+        named = read_named(path, otherwise=fps)
+        unused = [name for name in named.names if name not in mapping.sources]
+        notes = [f"{len(unused)} columns are in no row of the map: {describe_columns(unused)}"]
+        found = _from_set(
+            path,
+            mapping.apply(named, path),
+            "mapped",
+            present=mapping.targets,
+            notes=tuple(notes if unused else ()),
+        )
+        return _seen(replace(found, start=named.start), named.seen)
     kind = kind_of(path)
     if kind == "livelink":
-        return _live_link(path)
+        take = livelink_csv.read_take(path)
+        curves = take.to_curves()
+        controls = KNOWN[curves.control_set]()
+        present, said = _columns(path, take.names, controls)
+        captured = _from_set(path, curves, "livelink", present=present, notes=said)
+        captured = replace(captured, start=float(take.ticks[0]) / TICKS_PER_SECOND)
+        return _seen(captured, take.seen(curves))
     if kind == "video":
-        return _filmed(path, progress)
+        is_video = path.suffix.lower() in VIDEOS
+        filmed = research("video.filmed", f"{path}, a video").read_filmed(path, is_video, progress)
+        return CapturedCurves(
+            filmed.curves, filmed.known, "video", notes=filmed.notes, seen=filmed.seen
+        )
     if kind == "emoface":
         curves = read_curves(path, fps=fps)
         return CapturedCurves(curves, emoface_txt.columns(), "emoface", notes=curves.notes)
@@ -226,16 +246,6 @@ def _kind_of_table(path: Path) -> str | None:
     return "table" if _best_set(header)[1] >= LEAST_KNOWN or form == "a2f" else None
 
 
-def _live_link(path: Path) -> CapturedCurves:
-    take = livelink_csv.read_take(path)
-    curves = take.to_curves()
-    controls = KNOWN[curves.control_set]()
-    present, notes = _columns(path, take.names, controls)
-    captured = _from_set(path, curves, "livelink", present=present, notes=notes)
-    captured = replace(captured, start=float(take.ticks[0]) / TICKS_PER_SECOND)
-    return _seen(captured, take.seen(curves))
-
-
 def _seen(captured: CapturedCurves, seen: Bool | None) -> CapturedCurves:
     """The capture with the frames that were captured, and a note on the others."""
     if seen is None or seen.all():
@@ -243,14 +253,6 @@ def _seen(captured: CapturedCurves, seen: Bool | None) -> CapturedCurves:
     seconds = float((~seen).sum()) / captured.curves.fps
     lost = f"{seconds:.1f} s without a frame, left out"
     return replace(captured, seen=seen, notes=(*captured.notes, lost))
-
-
-def _filmed(path: Path, progress: Callable[[float], None]) -> CapturedCurves:
-    is_video = path.suffix.lower() in VIDEOS
-    filmed = research("video.filmed", f"{path}, a video").read_filmed(path, is_video, progress)
-    return CapturedCurves(
-        filmed.curves, filmed.known, "video", notes=filmed.notes, seen=filmed.seen
-    )
 
 
 def _table(path: Path, curves: NamedCurves) -> CapturedCurves:
@@ -270,20 +272,6 @@ def _table(path: Path, curves: NamedCurves) -> CapturedCurves:
         captured = replace(captured, head=livelink_csv.subject_head(rest))
     found = _from_set(path, captured, _kind_of_set(control_set), present=present, notes=notes)
     return _seen(replace(found, start=curves.start), curves.seen)
-
-
-def _mapped(path: Path, mapping: RigMapping, fps: float | None) -> CapturedCurves:
-    named = read_named(path, otherwise=fps)
-    unused = [name for name in named.names if name not in mapping.sources]
-    notes = [f"{len(unused)} columns are in no row of the map: {describe_columns(unused)}"]
-    found = _from_set(
-        path,
-        mapping.apply(named, path),
-        "mapped",
-        present=mapping.targets,
-        notes=tuple(notes if unused else ()),
-    )
-    return _seen(replace(found, start=named.start), named.seen)
 
 
 def _of_rig(path: Path, rig: ControlSet, fps: float | None) -> CapturedCurves:

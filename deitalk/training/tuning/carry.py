@@ -50,7 +50,12 @@ def carry_matrix(
     if base.id != DEFAULT_ID:
         return None
     if mapping is not None:
-        return _inverse(mapping, controls) @ _conversion(base, mapping)
+        # Shares of the board in the targets of a table.
+        target = KNOWN[mapping.control_set]()
+        slopes = _slopes(base, target)
+        return (
+            _inverse(mapping, controls) @ slopes[[target.index(name) for name in mapping.targets]]
+        )
     known = known_controls(controls.id)
     if known is None or known.names != controls.names:
         return None
@@ -68,13 +73,6 @@ def _slopes(base: ControlSet, target: ControlSet) -> Float64:
     moved = convert(curves, target.id).reorder(target).values.astype(np.float64)
     slopes = (moved[1:] - moved[0]).T / np.where(steps == 0, 1, steps)
     return np.where(np.abs(slopes) < LEAST, 0, slopes)
-
-
-def _conversion(base: ControlSet, mapping: RigMapping) -> Float64:
-    """Shares of the board in the targets of a table."""
-    target = KNOWN[mapping.control_set]()
-    slopes = _slopes(base, target)
-    return slopes[[target.index(name) for name in mapping.targets]]
 
 
 def _inverse(mapping: RigMapping, controls: ControlSet) -> Float64:

@@ -266,7 +266,15 @@ def mix_models(before: DEITalk, after: DEITalk, share: float) -> DEITalk:
         )
     new = after.state_dict()
     old = _widened(before.state_dict(), new)
-    _check_shapes(old, new)
+    shapes = [
+        {name: tuple(value.shape) for name, value in weights.items()} for weights in (old, new)
+    ]
+    for name in sorted(shapes[0].keys() | shapes[1].keys()):
+        if (a := shapes[0].get(name)) != (b := shapes[1].get(name)):
+            raise CheckpointError(
+                f"the networks differ: {name} is {a or 'absent'} in one and {b or 'absent'} in the "
+                "other; mix a model with one that was tuned from it, of the same actors"
+            )
     model = deepcopy(after).eval()
     model.load_state_dict({
         name: torch.lerp(old[name].to(value), value, share) if value.is_floating_point() else value
@@ -289,15 +297,3 @@ def _widened(
             wide[name] = torch.zeros_like(value)
             wide[name][:, : old[name].shape[1]] = old[name]
     return {k: v for k, v in wide.items() if k in new or not k.startswith(LIP_WEIGHTS)}
-
-
-def _check_shapes(old: Mapping[str, torch.Tensor], new: Mapping[str, torch.Tensor]) -> None:
-    shapes = [
-        {name: tuple(value.shape) for name, value in weights.items()} for weights in (old, new)
-    ]
-    for name in sorted(shapes[0].keys() | shapes[1].keys()):
-        if (a := shapes[0].get(name)) != (b := shapes[1].get(name)):
-            raise CheckpointError(
-                f"the networks differ: {name} is {a or 'absent'} in one and {b or 'absent'} in the "
-                "other; mix a model with one that was tuned from it, of the same actors"
-            )

@@ -362,19 +362,15 @@ def _solve(
         weight += [part[:, size - 1 :] - part[:, : size - 1] @ common for part in parts]
     means = grams[:, 0] / counts[:, 0]
     stacked = np.stack(weight).transpose(0, 2, 1).astype(np.float64)
-    return _with_biases(stacked, means, size)
-
-
-def _with_biases(weight: Float64, means: Float64, size: int) -> tuple[Float64, Float64]:
-    """Weights, and the biases with which each actor's mean is met; the shared one is their mean."""
-    shared, change = weight[0], weight[1:]
+    # Weights, and the biases with which each actor's mean is met; the shared one is their mean.
+    shared, change = stacked[0], stacked[1:]
     bias = [mean[size:] - shared @ mean[1:size] for mean in means if mean[0]]
     centre = np.mean(bias, axis=0)
-    own = [
+    biases = [
         (mean[size:] - (shared + each) @ mean[1:size] - centre) * mean[0]
         for mean, each in zip(means, change, strict=True)
     ]
-    return weight, np.stack([centre, *own])
+    return stacked, np.stack([centre, *biases])
 
 
 def _positive(matrix: Float64, right: Float64) -> Any:

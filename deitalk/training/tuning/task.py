@@ -74,7 +74,6 @@ from deitalk.training.tuning.regression import (
     take_of,
 )
 from deitalk.training.tuning.ridge import (
-    ExpressionAxis,
     Maps,
     expression_axes,
     label_intensity,
@@ -138,7 +137,20 @@ def finetune(
     captures, systems = job.systems(require_model(out / "best", DEITalk))
 
     def compared() -> dict[str, Any]:
-        about = _about(config, out, job)
+        # The base, the start and the course of a run, for its report.
+        tune = config.tune
+        facts: dict[str, Any] = {name: getattr(tune, name) for name in ABOUT}
+        rows = pd.read_csv(out / "development.csv").to_dict("list")
+        course = {str(name).removeprefix("dev_"): values for name, values in rows.items()}
+        best = describe_model(out / "best")["training"]["step"]
+        about = facts | {
+            "base_sha256": weights_hash(model_folder(tune.base)),
+            "actors": list(job.model.actors),
+            "conventions": {name: list(found.takes) for name, found in job.conventions.items()},
+            "best_step": best,
+            "delivered": job.delivered(best),
+            "learning": course if len(course["step"]) > 1 else {},
+        }
         return write_comparison(out, systems, captures, job.clips, held=job.held, about=about)
 
     scores = compared()
@@ -148,23 +160,6 @@ def finetune(
         scores = compared()
     remove_features(out / "features")  # a run that is over needs none
     return scores
-
-
-def _about(config: FinetuneConfig, out: Path, task: "FinetuneTask") -> dict[str, Any]:
-    """The base, the start and the course of a run, for its report."""
-    tune = config.tune
-    facts: dict[str, Any] = {name: getattr(tune, name) for name in ABOUT}
-    rows = pd.read_csv(out / "development.csv").to_dict("list")
-    course = {str(name).removeprefix("dev_"): values for name, values in rows.items()}
-    best = describe_model(out / "best")["training"]["step"]
-    return facts | {
-        "base_sha256": weights_hash(model_folder(tune.base)),
-        "actors": list(task.model.actors),
-        "conventions": {name: list(found.takes) for name, found in task.conventions.items()},
-        "best_step": best,
-        "delivered": task.delivered(best),
-        "learning": course if len(course["step"]) > 1 else {},
-    }
 
 
 class FinetuneTask(CurveTask):
@@ -241,7 +236,17 @@ class FinetuneTask(CurveTask):
         self.config = with_base_parts(config, self.controls, self.learnt, captured, shown)
         if is_same_rig(config):
             self.learnt = captured
-        self.axes = self._axes()
+        # The captured expressions from which intensity is learnt.
+        config = self.config
+        axes = {}
+        if config.train.steps and can_learn_intensity(config):
+            axes = expression_axes(self.clips, self.controls, self.learnt)
+        if not axes and config.tune.intensity == "captured":
+            raise ConfigError(
+                "tune.intensity=captured: no captured emotion differs from the actor's neutral "
+                "clips, the base has no intensity, or train.steps is 0; use auto"
+            )
+        self.axes = axes
         if self.axes:
             self.config = with_captured_intensity(self.config)
 
@@ -260,19 +265,6 @@ class FinetuneTask(CurveTask):
         for done, clip in enumerate(self.clips, 1):
             yield clip
             self.progress(0, 1, {phase: done / len(self.clips)})
-
-    def _axes(self) -> dict[tuple[str, str], ExpressionAxis]:
-        """The captured expressions from which intensity is learnt."""
-        config = self.config
-        axes = {}
-        if config.train.steps and can_learn_intensity(config):
-            axes = expression_axes(self.clips, self.controls, self.learnt)
-        if not axes and config.tune.intensity == "captured":
-            raise ConfigError(
-                "tune.intensity=captured: no captured emotion differs from the actor's neutral "
-                "clips, the base has no intensity, or train.steps is 0; use auto"
-            )
-        return axes
 
     def read(self, out: Path) -> None:
         """Encode the captures, find their conventions, measure the strength of expressions.
@@ -349,7 +341,18 @@ class FinetuneTask(CurveTask):
         self._start_as(self.base)
         self._fit_last_layers()
         self.base.to(device)
-        self._choose(tune.part)
+        # Let only the weights of a part learn.
+        decoder, intensity = self.model.rig_decoder, self.model.intensity if self.axes else None
+        parts: dict[str, nn.Module] = {"all": self.model, "decoder": decoder}
+        learns: list[nn.Module | None] = [parts.get(tune.part), decoder.output]
+        learns += [decoder.actors, decoder.actor_layers]
+        learns += [] if intensity is None else [intensity, self.model.motion]
+        held = [decoder.kept, decoder.change, None if intensity is None else intensity.kept]
+        self.model.requires_grad_(False)
+        for modules, moves in ((learns, True), (held, False)):
+            for module in modules:
+                if module is not None:
+                    module.requires_grad_(moves)
         moving = {name for name, p in self.model.named_parameters() if p.requires_grad}
         self.frozen = self.model.state_dict().keys() - moving
         self._loss = CurveLoss(self.config.loss, self.controls, device, hold=tune.hold)
@@ -405,9 +408,10 @@ class FinetuneTask(CurveTask):
         fit.maps.add_to(self.model.rig_decoder)
         gain = fit.teach_emotions(scales=self.is_same_rig)
         rules = self.config.rules
-        if rules.pose_size is not None:
-            sizes = {name: gain * value for name, value in rules.pose_size.model_dump().items()}
-            rules = rules.model_copy(update={"pose_size": rules.pose_size.model_copy(update=sizes)})
+        if rules.expressions is not None:
+            size = {"size": gain * rules.expressions.size}
+            update = {"expressions": rules.expressions.model_copy(update=size)}
+            rules = rules.model_copy(update=update)
             self.config = self.config.model_copy(update={"rules": rules})
             self.model.rules = rules
         if self.config.tune.range is not None:
@@ -467,20 +471,6 @@ class FinetuneTask(CurveTask):
         what = "the regression" if not best_step else f"the weights of step {best_step}"
         kept = f", the base for {int(stays.sum())} that it predicts as well" if stays.any() else ""
         return f"{what} for {learnt} controls{kept}"
-
-    def _choose(self, part: str) -> None:
-        """Let only the weights of a part learn."""
-        decoder, intensity = self.model.rig_decoder, self.model.intensity if self.axes else None
-        parts: dict[str, nn.Module] = {"all": self.model, "decoder": decoder}
-        learns: list[nn.Module | None] = [parts.get(part), decoder.output]
-        learns += [decoder.actors, decoder.actor_layers]
-        learns += [] if intensity is None else [intensity, self.model.motion]
-        held = [decoder.kept, decoder.change, None if intensity is None else intensity.kept]
-        self.model.requires_grad_(False)
-        for modules, moves in ((learns, True), (held, False)):
-            for module in modules:
-                if module is not None:
-                    module.requires_grad_(moves)
 
     def optimizer(self) -> torch.optim.Optimizer:
         """AdamW or Adam; styles of actors learn `ACTORS_FASTER`, last layers `LAST_SLOWER`."""

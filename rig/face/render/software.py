@@ -19,7 +19,6 @@ from rig.face.mesh import (
     HAIR,
     PORES,
     SKIN,
-    Maps,
     Mesh,
     adjacency,
     unit,
@@ -494,7 +493,22 @@ class Renderer:
         distance = float(np.linalg.norm(np.subtract(view.position, view.target)))
         self._step = np.float32(STEP_CM * NEAR * FAR / (FAR - NEAR) / distance**2)
         pixels_per_cm = height / (2 * distance * np.tan(np.radians(view.degrees) / 2))
-        self._maps = _sharp_maps(mesh.maps, pixels_per_cm)
+        # The maps at about one texel a pixel: means of 2 x 2 texels as often as it takes.
+        maps = mesh.maps
+
+        def shrunk(picture: Picture, texels_per_cm: float) -> Picture:
+            while texels_per_cm > 1.5 * pixels_per_cm and picture.shape[0] > 2:
+                quads = picture.reshape(picture.shape[0] // 2, 2, picture.shape[1] // 2, 2, -1)
+                picture = np.round(quads.mean((1, 3))).astype(np.uint8)
+                texels_per_cm /= 2
+            return np.ascontiguousarray(picture)
+
+        share = TEXELS_PER_CM / 1024
+        self._maps = (
+            shrunk(maps.atlas, share * maps.atlas.shape[0]),
+            shrunk(maps.creases, share * maps.creases.shape[0]),
+            shrunk(maps.pores, share * PORES * maps.pores.shape[0]),
+        )
         self._alpha = np.ascontiguousarray(self._maps[0][..., 3])
 
     def render(
@@ -537,21 +551,3 @@ def _parts(mesh: Mesh) -> Int32:
 
 TEXELS_PER_CM = 28.0
 """Of an atlas of 1,024 texels at the middle of a face."""
-
-
-def _sharp_maps(maps: Maps, pixels_per_cm: float) -> tuple[Picture, Picture, Picture]:
-    """The maps at about one texel a pixel: means of 2 x 2 texels as often as it takes."""
-
-    def shrunk(picture: Picture, texels_per_cm: float) -> Picture:
-        while texels_per_cm > 1.5 * pixels_per_cm and picture.shape[0] > 2:
-            quads = picture.reshape(picture.shape[0] // 2, 2, picture.shape[1] // 2, 2, -1)
-            picture = np.round(quads.mean((1, 3))).astype(np.uint8)
-            texels_per_cm /= 2
-        return np.ascontiguousarray(picture)
-
-    share = TEXELS_PER_CM / 1024
-    return (
-        shrunk(maps.atlas, share * maps.atlas.shape[0]),
-        shrunk(maps.creases, share * maps.creases.shape[0]),
-        shrunk(maps.pores, share * PORES * maps.pores.shape[0]),
-    )

@@ -9,9 +9,11 @@ from deitalk.batch.lines import BadLine, Line, Written
 from deitalk.batch.source import distinct, read_manifest, read_source
 from deitalk.emotions import ActorReference
 from deitalk.errors import DataError
+from deitalk.postprocess.joins import Edge
 from tests.each import each
 
 NOTHING = Line(0, "", "")
+EDGE = str(Edge({"CTRL_C_jaw.ty": 0.5})).replace('"', '""')
 
 
 def rows(text, defaults=NOTHING, base="base"):
@@ -51,7 +53,8 @@ def test_every_field_of_an_acting_is_a_column(name):
         "emotion": "sad", "intensity_curve": "[{'time': 0, 'intensity': 1}]".replace("'", '""'),
         "voice": ActorReference(1.0, 2, 3.0).as_json().strip().replace('"', '""'), "words": "a",
         "language": "de", "life": "off", "look_at": "1,2", "gain": "jaw=2", "rules": "no",
-        "style": "eve",
+        "style": "eve", "after": EDGE, "into": "on",
+        "edit": '{""schema"": ""deitalk.edit/1"", ""edits"": []}',
     }.get(name, "2")  # fmt: skip
     line = only(f'audio,{name}\na.wav,"{cell}"\n')
     assert isinstance(line, Line), line

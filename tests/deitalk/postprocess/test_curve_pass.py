@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 import torch
 
+from deitalk.audio.held_sound import first_held, follow_held
 from deitalk.config.rig_file import RIGS, read_controls
-from deitalk.config.rules import RulesConfig
+from deitalk.config.rules import HoldPose, RulesConfig
 from deitalk.emotions import LABELS
 from deitalk.pipeline import curves as whole_pass
 from deitalk.postprocess.control_groups import ControlGroups
@@ -31,17 +32,32 @@ RULES = {
 }
 
 
-def inputs(batch, n_frames, seed=0, controls=CONTROLS):
+def inputs(batch, n_frames, seed=0, controls=CONTROLS, *, held=False):
     """Readings, voice, gates and motion, gain and flags; all that a pass takes but its state."""
     rng = np.random.default_rng(seed)
     count = len(controls)
     neutral, emotional = rng.uniform(-0.1, 1, (2, batch, n_frames, count)).astype(np.float32)
     voice = rng.uniform(0, 1.5, (batch, n_frames, VOICE)).astype(np.float32)
     voice[..., 3:5] = rng.random((batch, n_frames, 2)) < 0.1
+    voice[..., 7:9] = 0
+    if held:
+        voice[..., 7], voice[..., 8] = held_tracks(rng, batch, n_frames)
     shown = rng.uniform(0, 1, (batch, n_frames, N_SHOWN)).astype(np.float32)
     gain = rng.uniform(0.5, 1.5, (batch, count)).astype(np.float32)
     ruled = (np.arange(batch) % 3 < 2).astype(np.float32)
     return neutral, emotional, voice, shown, gain, ruled
+
+
+def held_tracks(rng, batch, n_frames):
+    """Frames since the pose, and its share, of streams that hold a sound, break it and go on."""
+    levels = rng.uniform(-40, -20, (batch, n_frames, 14))
+    for stream, first in enumerate(rng.integers(2, 6, batch)):
+        levels[stream, first : first + 30] = levels[stream, first]
+        levels[stream, first + 22] += np.linspace(-30, 30, 14)
+    rule = HoldPose(frames=4)
+    held, _ = follow_held(levels, np.ones((batch, n_frames)), rule, first_held(batch, 14))
+    assert held.sounding.any(axis=1).all()
+    return held.back, held.share
 
 
 def passed(rules, given, sizes):
@@ -60,7 +76,7 @@ def passed(rules, given, sizes):
 @pytest.mark.parametrize("ahead", [None, LIVE_AHEAD])
 @pytest.mark.parametrize("rules", RULES.values(), ids=RULES)
 def test_blocks_of_any_sizes_and_streams_side_by_side_give_the_same(rules, ahead):
-    given = inputs(3, 60)
+    given = inputs(3, 60, held=True)
     numbers = TorchPass(CurvePass(CONTROLS, rules, ahead))
     expected = passed(numbers, given, [60])
     assert expected[0].std(axis=1).max() > 0.05
@@ -160,7 +176,8 @@ def finished(neutral, emotional, *, scale=1.0, held=1.0, emotion="happy", mouth=
     n_frames, ones = len(neutral), np.ones(len(neutral), np.float32)
     weights = np.eye(len(LABELS), dtype=np.float32)[[LABELS.index(emotion)] * n_frames]
     phones = np.zeros((n_frames, 4), np.float32)
-    voice = VoiceTracks(scale * ones, ones, held * ones, phones, weights).columns()
+    free = 0 * ones
+    voice = VoiceTracks(scale * ones, ones, held * ones, phones, weights, free, free).columns()
     gate = ones if mouth is None else mouth
     curves, plain, gain = emotional.copy(), neutral.copy(), np.ones(len(CONTROLS), np.float32)
     rules = TorchPass(CurvePass(CONTROLS))
@@ -190,15 +207,17 @@ def test_lips_that_meet_in_the_neutral_reading_meet_after_all_rules(emotion, sca
     np.testing.assert_allclose(curves[10:13, jaw], plain[10:13, jaw], atol=1e-6)
 
 
-def test_silence_is_at_rest_whatever_is_around_it():
+def test_mouth_in_silence_is_at_rest_whatever_is_around_it():
     """A contact in the frame after: lips that start to close earlier are at rest in silence."""
     neutral, emotional = readings(2)
     mouth = np.ones(50, np.float32)
     mouth[20:24] = 0
-    seals = ControlGroups(CONTROLS).seals
+    groups = ControlGroups(CONTROLS)
+    seals, speaks = groups.seals, groups.follows_mouth
     neutral[24, seals] = emotional[24, seals] = 1
     for reading in finished(neutral, emotional, scale=2.0, emotion="fear", mouth=mouth):
-        np.testing.assert_allclose(reading[20:24], np.tile(CONTROLS.rest, (4, 1)), atol=1e-6)
+        rest = np.tile(CONTROLS.rest[speaks], (4, 1))
+        np.testing.assert_allclose(reading[20:24, speaks], rest, atol=1e-6)
         assert reading[24, seals].min() > 0.99
 
 

@@ -118,7 +118,7 @@ def test_face_is_drawn_as_by_the_shaders_of_the_page(head):
     inside = pictures[1].any(axis=2).reshape(110, 3, 100, 3).all((1, 3))  # no backdrop
     assert 0.3 < inside.mean() < 0.9
     difference = np.abs(blocks[0] - blocks[1]).mean(2)[inside]
-    assert difference.mean() < 2.2  # 3.5 where one of both has 5 % less light
+    assert difference.mean() < 2.4  # 3.5 where one of both has 5 % less light
     assert np.percentile(difference, 97) < 10
 
 

@@ -1,0 +1,258 @@
+"""Layers of edits on the curves of a recording, and on those of another reading of its line.
+
+A layer that was made on a take knows its recording: levels, words and phones with their times. On
+the same recording its times hold. On another one of the same line they follow the words where both
+have them, else the phones, which are laid through the new sound.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from difflib import SequenceMatcher
+from importlib.util import find_spec
+from itertools import pairwise
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
+from deitalk.pipeline.speech import Speech
+from deitalk.postprocess.phones import PHONES, SILENCE
+from rig.arrays import Float32, Float64
+from rig.curves.layers import Edit, Layer, Sound, retimed
+from rig.errors import listed
+
+if TYPE_CHECKING:
+    from deitalk.pipeline.words.align import WordFit
+
+PHONE_RATE = 2 * FRAME_RATE
+"""Of the lengths of a layer's phones, Hz."""
+SWITCH = 4.0
+"""Logarithm of the probability that a phone of unknown words must gain to begin."""
+LEAST_MATCHED = 0.5
+"""Share of a layer's words that must be in another recording, for it to follow them."""
+EARLIEST_MOVE = 0.5 / FRAME_RATE
+"""Seconds by which times must change to be reported."""
+
+
+class Followed(NamedTuple):
+    """Layers on the times of a recording, and a line on each that was changed for it."""
+
+    layers: tuple[Layer, ...]
+    notes: tuple[str, ...]
+
+
+def follow_recording(
+    layers: Iterable[Layer], speech: Speech, words: "WordFit | None" = None
+) -> Followed:
+    """Layers on the times of a recording.
+
+    Parameters
+    ----------
+    layers : iterable of Layer
+        Those without a sound keep their times.
+    speech : Speech
+        The recording.
+    words : WordFit, optional
+        Its words, where they are known.
+    """
+    found, notes = [], []
+    sound: Sound | None = None
+    for layer in layers:
+        if layer.sound is not None and not layer.muted:
+            sound = sound or Sound.of(speech.waveform, SAMPLE_RATE)
+            if not layer.sound.is_same(sound):
+                layer, note = _followed(layer, speech, words)
+                notes.append(note)
+        found.append(layer)
+    return Followed(tuple(found), tuple(notes))
+
+
+def _followed(layer: Layer, speech: Speech, words: "WordFit | None") -> tuple[Layer, str]:
+    name = f"edit {layer.name}" if layer.name else "the edit"
+    by, times = "words", _times_by_words(layer, words)
+    if times is None:
+        by, times = "phones", _times_by_phones(layer, speech)
+    if times is None:
+        why = (
+            "has neither its words nor its phones"
+            if layer.words or layer.phones
+            else ("is another one, and the file knows no words or phones")
+        )
+        return layer, f"{name} was made on another recording; this one {why}: its times are kept"
+    old, new, lost = times
+    kept = tuple(edit for edit in layer.edits if not _is_within(edit, lost))
+    moved = new - old
+    note = (
+        f"{name} was made on another recording and follows its {by}: "
+        f"{moved.min():+.2f} to {moved.max():+.2f} s"
+    )
+    if len(kept) < len(layer.edits):
+        left = [edit for edit in layer.edits if _is_within(edit, lost)]
+        named = listed([f"{edit.target} at {edit.span[0]:.2f} s" for edit in left])
+        note += f"; left out, as their words are not said here: {named}"
+    return retimed(replace(layer, edits=kept), old, new), note
+
+
+def _is_within(edit: Edit, spans: Sequence[tuple[float, float]]) -> bool:
+    """Whether the middle of an edit lies within one of some spans."""
+    middle = sum(edit.span) / 2
+    return any(start <= middle < end for start, end in spans)
+
+
+Times = tuple[Float64, Float64, list[tuple[float, float]]]
+"""Old and new seconds that belong together, and old spans that have no counterpart."""
+
+
+def _times_by_words(layer: Layer, words: "WordFit | None") -> Times | None:
+    """Times of the words that both have; None if they are too few."""
+    if words is None or not words.is_used or not layer.words:
+        return None
+    old = [_plain(text) for text, _, _ in layer.words]
+    new = [_plain(word.text) for word in words.words]
+    pairs = [
+        (block.a + k, block.b + k)
+        for block in SequenceMatcher(None, old, new, autojunk=False).get_matching_blocks()
+        for k in range(block.size)
+    ]
+    if len(pairs) < LEAST_MATCHED * len(old):
+        return None
+    anchors = []
+    for a, b in pairs:
+        (_, start, end), word = layer.words[a], words.words[b]
+        anchors += [(start, word.start), (end, word.end)]
+    matched = {a for a, _ in pairs}
+    lost = [(start, end) for k, (_, start, end) in enumerate(layer.words) if k not in matched]
+    return *_rising(anchors), lost
+
+
+def _plain(word: str) -> str:
+    return "".join(letter for letter in word.casefold() if letter.isalnum())
+
+
+def _times_by_phones(layer: Layer, speech: Speech) -> Times | None:
+    """Times of the layer's phones, laid through the sound; None if they do not fit it."""
+    if not layer.phones or not _has_torch():
+        return None
+    from deitalk.pipeline.words.align import fit_words, measure_phones, phone_evidence
+    from deitalk.pipeline.words.transcript import Transcript, Word
+
+    runs: list[list[tuple[str, float, float]]] = [[]]
+    start = 0.0
+    for name, length in layer.phones:
+        end = start + length / PHONE_RATE
+        if name == SILENCE or name not in PHONES:
+            runs.append([])
+        else:
+            runs[-1].append((name, start, end))
+        start = end
+    spoken = [run for run in runs if run]
+    if not spoken:
+        return None
+    chain = tuple(Word("", tuple(name for name, _, _ in run)) for run in spoken)
+    prior = phone_evidence().weights["prior"]
+    fit = fit_words(measure_phones(speech), Transcript(chain, layer.name), prior)
+    if not fit.is_used:
+        return None
+    old = [phone for run in spoken for phone in run]
+    new = [phone for phone in fit.phones if phone.name != SILENCE]
+    anchors = [
+        pair
+        for (_, start, end), phone in zip(old, new, strict=True)
+        for pair in ((start, phone.start), (end, phone.end))
+    ]
+    return *_rising(anchors), []
+
+
+def _rising(anchors: Sequence[tuple[float, float]]) -> tuple[Float64, Float64]:
+    """Anchors with one new time for each old one, both rising."""
+    given = np.array(anchors, float)
+    old, place = np.unique(given[:, 0].round(4), return_inverse=True)
+    new = np.bincount(place, given[:, 1]) / np.bincount(place)
+    return old, np.maximum.accumulate(new)
+
+
+# What a layer knows of its recording.
+
+
+def with_recording(
+    layers: Iterable[Layer], speech: Speech, words: "WordFit | None" = None
+) -> tuple[Layer, ...]:
+    """Layers that know the recording that they lie on; those that know one already stay.
+
+    Parameters
+    ----------
+    layers, speech, words
+        As for `follow_recording`. Without words the phones are those that the sound shows; without
+        torch there are none.
+    """
+    layers = tuple(layers)
+    if all(layer.sound is not None for layer in layers):
+        return layers
+    sound, used = Sound.of(speech.waveform, SAMPLE_RATE), words if words and words.is_used else None
+    spoken = tuple((w.text, w.start, w.end) for w in used.words) if used else ()
+    phones = _known_phones(used) if used else heard_phones(speech)
+    return tuple(
+        layer
+        if layer.sound is not None
+        else replace(
+            layer,
+            sound=sound,
+            words=spoken,
+            phones=phones,
+            edits=tuple(_with_words(edit, spoken) for edit in layer.edits),
+        )
+        for layer in layers
+    )
+
+
+def _with_words(edit: Edit, words: Sequence[tuple[str, float, float]]) -> Edit:
+    """The edit with the words within its span."""
+    (start, end) = edit.span
+    within = " ".join(text for text, first, last in words if first < end and last > start)
+    return replace(edit, words=within or edit.words)
+
+
+def _known_phones(words: "WordFit") -> tuple[tuple[str, int], ...]:
+    return tuple((p.name, round((p.end - p.start) * PHONE_RATE)) for p in words.phones)
+
+
+def heard_phones(speech: Speech) -> tuple[tuple[str, int], ...]:
+    """Phones that a sound of unknown words shows, with their lengths at `PHONE_RATE`."""
+    if not _has_torch() or not speech.activity.any():
+        return ()
+    from deitalk.pipeline.words.align import PRIOR_POWER, measure_phones, phone_evidence
+
+    prior = np.float32(PRIOR_POWER) * np.log(phone_evidence().weights["prior"])
+    path = _best_phones(measure_phones(speech) - prior.astype(np.float32))
+    edges = np.flatnonzero(np.diff(path)) + 1
+    starts = [0, *edges.tolist(), len(path)]
+    return tuple((PHONES[path[a]], b - a) for a, b in pairwise(starts) if b > a)
+
+
+def _best_phones(evidence: Float32) -> np.ndarray:
+    """Phone of each row [shape=(R,)] (Viterbi); another one costs `SWITCH`."""
+    score, back = np.zeros(evidence.shape[1]), np.zeros(evidence.shape, np.int64)
+    own = np.arange(evidence.shape[1])
+    for row, logs in enumerate(evidence):
+        best = int(score.argmax())
+        stays = score >= score[best] - SWITCH
+        back[row] = np.where(stays, own, best)
+        score = np.where(stays, score, score[best] - SWITCH) + logs
+    path = np.empty(len(evidence), np.int64)
+    state = int(score.argmax())
+    for row in range(len(evidence) - 1, -1, -1):
+        path[row] = state
+        state = int(back[row, state])
+    return path
+
+
+def _has_torch() -> bool:
+    return find_spec("torch") is not None
+
+
+def unused_notes(layers: Iterable[Layer], has_head: bool) -> Iterable[str]:
+    """A line on edits of a head that a take does not have."""
+    edits = [edit.target for layer in layers if not layer.muted for edit in layer.edits]
+    of_head = [target for target in dict.fromkeys(edits) if target.startswith("head.")]
+    if of_head and not has_head:
+        yield f"edits of {listed(of_head)} are not used: the head does not move here"
