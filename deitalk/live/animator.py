@@ -26,12 +26,13 @@ from deitalk.models.protocol import (
     trained_weights,
 )
 from deitalk.postprocess.factors import expression_scale, held_intensity
-from deitalk.postprocess.feeling import fade
+from deitalk.postprocess.feeling import fade, felt_intensity
 from deitalk.postprocess.joins import MOST_HEAD_FRAMES, Edge, Passage
 from deitalk.postprocess.life.amounts import Life
 from deitalk.postprocess.life.motion import Character, MotionStreams
 from deitalk.postprocess.life.voice import PAUSE, Cues, Seeds
 from deitalk.postprocess.tracks import GATES, LIVE_AHEAD, VoiceTracks, shown_columns
+from deitalk.postprocess.variants import choose_ways
 from rig import ControlSet
 from rig.arrays import Bool, Float32, Int64
 from rig.curves import HEAD
@@ -122,6 +123,7 @@ class Stream:
         """Sound of the one whom it listens to."""
         self.sound, self.changes = Sound(), [Change(0.0, acting.emotion_track, acting.intensity)]
         self.acting, self.gain = acting, gain_factors(controls, acting.gain)
+        self.ways = choose_ways(acting.variant, Seeds((0, 0, acting.seed)))
         self.groups = 0
         self.n_given = -LIVE_AHEAD
         """Frame that the rules give next."""
@@ -310,8 +312,8 @@ class LiveAnimator:
         Voices, each with its own sound, emotion and state; read in one call of the network.
     emotion, acting, fields
         As for `deitalk.animate`, of every stream at the start: emotion, intensity, rest, style,
-        life, look_at, gain, rules and seed; stream k has ``seed + k``. Other fields of an acting
-        need the whole recording.
+        variant, life, look_at, gain, rules and seed; stream k has ``seed + k``. Other fields
+        of an acting need the whole recording.
     sample_rate : int
         Of the samples, Hz; others than 16000 are resampled.
 
@@ -517,7 +519,7 @@ class LiveAnimator:
         if not one.sound.end:
             return 0
         one.interrupt(samples_within(self.lookahead_seconds), frame)
-        self.resamplers[stream] = self._resampler()
+        self.resamplers[stream][0] = self._resampler()
         return frame_count(one.sound.end)
 
     def _frame(
@@ -655,10 +657,9 @@ class LiveAnimator:
         # Factors.
         rules = self.network.rules
         with_rules = ruled[:, None] > 0
-        voice = np.where(with_rules, heard.intensity, rows.strength)
-        applied, holds = voice * wanted, rows.strength
-        scale = wanted
+        felt, holds, scale = heard.intensity, rows.strength, wanted
         if rules.voice_intensity is not None:
+            felt = felt_intensity(felt, emotion, rules.voice_intensity)
             holds = held_intensity(
                 rules.expressions,
                 self.network.controls,
@@ -667,11 +668,17 @@ class LiveAnimator:
                 emotion,
                 rows.strength,
             )
-            scale = np.where(with_rules, expression_scale(applied, holds), wanted)
+            scale = np.where(with_rules, expression_scale(felt * wanted, holds), wanted)
+        applied = np.where(with_rules, felt, rows.strength) * wanted
         opening = np.where(with_rules, heard.opening, 1)
         phones = np.zeros((*scale.shape, 4), np.float32)
         back, kept, _ = heard.held
-        said = VoiceTracks(scale, opening, holds, phones, emotion, back, kept).columns()
+        ways = [stream.ways for stream in streams]
+        variants = emotion @ np.stack([way.weights for way in ways])
+        side = np.repeat([[way.side] for way in ways], count, axis=1)
+        said = VoiceTracks(
+            scale, opening, holds, phones, emotion, back, kept, variants, side
+        ).columns()
         # Gates and motion of the frames that come out.
         before, mixture, speaking, *cues = self._taken(self.due, ready)
         begin = cues[CueState._fields.index("frame")]
@@ -712,7 +719,7 @@ class LiveAnimator:
         state = take(self.other, who)
         hearing, cues = state[: -len(CueState._fields)], CueState(*state[-len(CueState._fields) :])
         sound, none = np.stack([others[k] for k in places]), np.zeros((len(who), count), np.float32)
-        heard, hearing = self.ears(sound, none, none, hearing)
+        heard, hearing = self.ears(sound, none, none, none[:, 0], hearing)
         state = cues._replace(frame=begin[places])
         found, state = self.cues(heard.measures, heard.speaking, state)
         put(self.other, who, (*hearing, *state))

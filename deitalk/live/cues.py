@@ -9,7 +9,6 @@ Streams are side by side, and their state is in the caller's hands. Letters: B s
 a call.
 """
 
-import math
 from typing import NamedTuple
 
 import numpy as np

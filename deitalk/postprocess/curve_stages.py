@@ -21,7 +21,6 @@ from deitalk.config.rules import (
     ScaleOpening,
     SharpenContacts,
 )
-from deitalk.emotions import EMOTIONS
 from deitalk.postprocess.control_groups import ControlGroups
 from deitalk.postprocess.expressions import expression_table
 from deitalk.postprocess.torch_columns import Columns, constant, smoothstep
@@ -30,6 +29,8 @@ from rig.arrays import Float32
 
 PEAK_FRAMES = 7
 """A frame belongs to the highest peak within three frames (0.1 s) of it."""
+GENTLE = 1.5
+"""Steepness of the share of contacts by which certain ones stay above likely ones."""
 PARTED = 0.8
 """Share by which a contact that is added lowers what parts the lips."""
 YIELDING_STEP = 1 / 3
@@ -153,13 +154,16 @@ class Sharpen(nn.Module):
         rows = values.reshape(-1, 1, values.shape[-1])
         peaks = F.max_pool1d(rows, PEAK_FRAMES, 1, PEAK_FRAMES // 2).reshape(values.shape)
         shoulder = (rule.shoulder + rule.doubt * (1 - peaks)).clamp_max(rule.sharpest)
-        height = decided(peaks, torch.full_like(peaks, rule.peak), rule.steepness)
-        return height * decided(values / peaks.clamp_min(1e-6), shoulder, rule.steepness)
+        height = decided(peaks, torch.full_like(peaks, rule.peak), rule.height, rule.tail)
+        share = values / peaks.clamp_min(1e-6)
+        return height * decided(share, shoulder, rule.steepness, rule.tail)
 
 
-def decided(values: Tensor, middle: Tensor, steepness: float) -> Tensor:
-    """S-curve from 0 to 1 that makes one half of `middle`."""
-    return torch.sigmoid(steepness * (_log_odds(values) - _log_odds(middle)))
+def decided(values: Tensor, middle: Tensor, steepness: float, tail: float = 0.0) -> Tensor:
+    """S-curve from 0 to 1 that makes one half of `middle`; a share of it is gentle."""
+    distance = _log_odds(values) - _log_odds(middle)
+    steep = torch.sigmoid(steepness * distance)
+    return steep + tail * (torch.sigmoid(GENTLE * distance) - steep) if tail else steep
 
 
 def _log_odds(share: Tensor) -> Tensor:
@@ -263,6 +267,7 @@ class Express(nn.Module):
     moods: Tensor
     spreading: Tensor
     taught: Tensor
+    opening: Tensor
     changed: Tensor
 
     def __init__(self, rule: Expressions | None, controls: ControlSet) -> None:
@@ -270,13 +275,15 @@ class Express(nn.Module):
         captured = () if rule is None else rule.captured
         table, size = expression_table(controls.names, captured), len(controls)
         self.is_on = rule is not None and len(table.places) > 0
-        own, moods = table.parting.copy(), table.parting.copy()
-        own[len(EMOTIONS) :], moods[: len(EMOTIONS)] = 0, 0
-        for name in ("gains", "poses"):
-            constant(self, name, getattr(table, name))
+        is_mood = table.is_mood[:, None]
+        constant(self, "gains", table.gains)
+        constant(self, "poses", table.poses)
         constant(self, "taught", table.taught * (1.0 if rule is None else rule.size))
-        constant(self, "parting", own)
-        constant(self, "moods", moods)
+        constant(self, "parting", np.where(is_mood, 0, table.parting))
+        constant(self, "moods", np.where(is_mood, table.parting, 0))
+        constant(
+            self, "opening", np.isin(table.places, ControlGroups(controls).opening).astype(float)
+        )
         constant(self, "spreading", table.spreading)
         constant(self, "changed", table.changed[:, None])
         self.columns = Columns(table.places, size)
@@ -286,6 +293,7 @@ class Express(nn.Module):
     def forward(
         self,
         curves: Tensor,
+        ways: Tensor,
         emotion: Tensor,
         strength: Tensor,
         missing: Tensor,
@@ -302,8 +310,10 @@ class Express(nn.Module):
         ----------
         curves : Tensor [shape=(B, T, R, C)]
             The neutral reading, and the blend of both.
+        ways : Tensor [shape=(B, T, 66)]
+            Weights of the rows of the table.
         emotion : Tensor [shape=(B, T, 9)]
-            Weights.
+            Weights of the emotions.
         strength : Tensor [shape=(B, T, 1), range 0 to 4]
             Intensity to show.
         missing : Tensor [shape=(B, T, 1), range 0 to 4]
@@ -320,10 +330,11 @@ class Express(nn.Module):
         free, slow = 1 - (1 - free) * spoken, 1 - (1 - slow) * spoken
         part = self.columns(curves)
         neutral, blend = part[:, :, NEUTRAL], part[:, :, SHOWN]
-        pose = emotion @ self.poses + (emotion @ self.parting) * free
-        pose = pose + (emotion @ self.moods) * slow
-        read = (blend - neutral) + missing * (emotion @ self.taught)
-        shown = read * (emotion @ self.gains) + pose * strength
+        pose = ways @ self.poses + (ways @ self.parting) * free
+        pose = pose + (ways @ self.moods) * slow
+        yields = 1 - (1 - free) * self.opening  # closed lips stay closed
+        read = (blend - neutral) + missing * (emotion @ self.taught) * yields
+        shown = read * (ways @ self.gains) + pose * strength
         rounded = self._rounded(curves[:, :, NEUTRAL]) * spoken
         kept = 1 - YIELDED * rounded * (emotion @ self.changed)
         shown = shown * (1 - self.spreading + self.spreading * kept)

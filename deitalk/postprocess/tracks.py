@@ -8,9 +8,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from deitalk.emotions import LABELS
+from deitalk.emotions.variants import EMOTION_OF
 from rig.arrays import AnyFloat, Float32
 
-VOICE = 9 + len(LABELS)
+N_VARIANTS = len(EMOTION_OF)
+VOICE = 10 + len(LABELS) + N_VARIANTS
 """Columns of `VoiceTracks`."""
 LIVE_AHEAD = 2
 """Frames after a frame that its contacts see in a voice that has not ended."""
@@ -37,12 +39,16 @@ class VoiceTracks(NamedTuple):
     """Frames since the pose that a held sound keeps [shape=(T,)]; `deitalk.audio.held_sound`."""
     kept: AnyFloat
     """Share of that pose that is shown [shape=(T,), range 0 to 1]."""
+    variants: AnyFloat
+    """Weights of their variants [shape=(T, 24)]; 0: the pose of the emotion itself."""
+    side: AnyFloat
+    """1: the left side does what one side does alone, -1: the right one [shape=(T,)]."""
 
     def columns(self) -> Float32:
-        """All of them side by side [shape=(T, 18)]."""
+        """All of them side by side [shape=(T, 43)]."""
         single = np.stack((self.scale, self.opening, self.held), axis=-1)
-        kept = np.stack((self.back, self.kept), axis=-1)
-        columns = single, self.phones, kept, self.emotion
+        kept = np.stack((self.back, self.kept, self.side), axis=-1)
+        columns = single, self.phones, kept, self.emotion, self.variants
         return np.concatenate(columns, axis=-1, dtype=np.float32)
 
 
@@ -96,7 +102,7 @@ def rest_rows(rest: Float32, window: int) -> Float32:
     """State of the pass for a face at `rest` [shape=(C,)] and a voice that changes nothing.
 
     Both readings and the columns of `VoiceTracks`, of the pose that a held sound keeps and of the
-    last frames, `window` that contacts see or more [shape=(N, 2 C + 18)].
+    last frames, `window` that contacts see or more [shape=(N, 2 C + 43)].
     """
     count = 1 + max(window, POSE_FRAMES)
     ones, zeros = np.ones((count, 1)), np.zeros((count, VOICE - 3))

@@ -9,7 +9,7 @@ from deitalk.postprocess.curve_pass import CurvePass
 from deitalk.postprocess.curve_stages import Near
 from deitalk.postprocess.factors import LEAST_PREDICTED
 from deitalk.postprocess.known_phones import phone_tracks
-from deitalk.postprocess.tracks import shown_columns
+from deitalk.postprocess.tracks import N_VARIANTS, shown_columns
 
 
 class Stages(ControlGroups):
@@ -25,7 +25,7 @@ class Stages(ControlGroups):
         blended = self.rules.blend(rows, 1 - closed[:, :, :1], track(scale))
         return blended[0, :, 1].numpy()
 
-    def express(self, curves, neutral, weights, scale, held):
+    def express(self, curves, neutral, weights, scale, held, variants=None, side=1.0):
         closure = self.rules.closure
         free = 1 - closure(both(neutral, curves)[..., self.seals])[:, :, :1]
         near = self.windows(neutral[:, self.seals])
@@ -34,9 +34,11 @@ class Stages(ControlGroups):
         strength, missing = track(scale * least)[..., 0], track(scale * (least - held))[..., 0]
         emotion = torch.from_numpy(weights)[None]
         slow = 1 - closing[None, :, None]
-        rows = both(neutral, curves)
-        spoken = torch.ones_like(slow)
-        shown = self.rules.express(rows, emotion, strength, missing, free, slow, spoken)
+        variants = np.zeros((len(weights), N_VARIANTS)) if variants is None else variants
+        rows = np.concatenate((weights, variants), axis=1)
+        ways = torch.from_numpy(np.concatenate((rows, side * rows), axis=1, dtype=np.float32))
+        read, spoken = both(neutral, curves), torch.ones_like(slow)
+        shown = self.rules.express(read, ways[None], emotion, strength, missing, free, slow, spoken)
         curves[:] = shown[0, :, 1].numpy()
 
     def rest_lips(self, curves, neutral):
