@@ -76,7 +76,7 @@ class ScaleOpening(Section):
 class PoseSize(Section):
     """The expression is scaled by the size of the network's pose; off: by its own intensity.
 
-    The numbers are for the weights of a model: `deitalk.research.training.pose_size`. An emotion
+    The numbers are for the weights of a model. An emotion
     with 0 is scaled by its own intensity.
     """
 

@@ -1,8 +1,7 @@
 """Linear readout of lips from the speech features; not in the papers.
 
 A decoder that is trained on computed faces does not show all that its features hold. The readout
-is fitted to phones and to measured lips of people (`deitalk.research.training.lip_readout`), and
-corrects the decoder:
+is fitted to phones and to measured lips of people, and corrects the decoder:
 
 - A contact, lips together or lower lip on the teeth, becomes the geometric mean of the decoder's
   and of the probability that the readout gives it: none that either denies, and the decoder's
@@ -22,7 +21,7 @@ from torch.nn import functional as F
 CONTACTS = ("lipsTogether", "lipBiteD")
 """Parts of the names of the controls of each contact."""
 MEASURES = ("width", "corner")
-"""Measures of the embedded head (`deitalk.research.lips.head_lips`) that are corrected."""
+"""Measures of the embedded head that are corrected."""
 TAPS = 9
 """Frames that a row is read from: those around it, or in a causal model those up to it."""
 

@@ -173,8 +173,7 @@ class Speech:
     def strengths(self, effort: Float32 | None = None) -> tuple[float, Float32]:
         """The same, and around each frame [shape=(T,)]: its mean over speech is that of the voice.
 
-        With a network's readout of the effort [shape=(T,), dB] the two are averaged; the command
-        of `deitalk.research.training.effort` prints how it orders the takes of unheard actors.
+        With a network's readout of the effort [shape=(T,), dB] the two are averaged.
         """
         strength, around = self._followed_strength
         speaking = self.activity > 0

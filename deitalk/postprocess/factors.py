@@ -49,7 +49,7 @@ def opening_factor(
     """Factor on the opening of the mouth for the corrected intensity of the voice [shape=(T,)].
 
     The network opens it for the intensity that it predicts, by the law of its training data:
-    45 % more per unit of intensity (`deitalk.research.corpus.rig_targets`). The factor is that
+    45 % more per unit of intensity. The factor is that
     law at the corrected intensity over that at the predicted one. Loud talkers lower the jaw
     further, which a network with all takes at one level cannot predict: hence `take`.
 

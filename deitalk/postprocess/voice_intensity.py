@@ -114,7 +114,7 @@ def fade(progress: AnyFloat) -> Float32:
 
 
 FAINTEST, STEEPNESS = 0.15, 1.3
-"""Lowest intensity, and its slope in z (`deitalk.research.corpus.rig_targets`)."""
+"""Lowest intensity, and its slope in z; those of the training corpus."""
 SMOOTHING_FRAMES = 6.0
 """Sigma, 0.2 s: intensity does not follow single syllables."""
 MOST_TAKE = 3.0

@@ -1,4 +1,4 @@
-"""Order of acted strengths in the face: ``deitalk evaluate MODEL --acted TABLE``.
+"""Order of acted strengths in the face: ``evaluate MODEL --acted TABLE``.
 
 Every recording of an actor in anger, joy, sadness, fear or disgust at three strengths is animated
 in that emotion, with its gain removed as always; the mean intensity over speech and the mean
