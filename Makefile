@@ -14,7 +14,7 @@ TAKE ?= take
 SAMPLE_TEXT := Maybe you believe me. But mother, Bob promised everybody a piece of that perfect apple pie! Well, what a wonderful evening this could become.
 
 .DEFAULT_GOAL := help
-.PHONY: FORCE help setup setup-dev demo page pictures test test-all test-slow check lint type format train-tiny figure docs sample clean
+.PHONY: FORCE help setup setup-dev demo page pictures test test-all test-slow check lint type format train-tiny figure docs graphs sample clean
 
 help:  ## Show this help
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  %-12s %s\n", $$1, $$2}'
@@ -106,6 +106,9 @@ figure: setup-dev  ## Draw docs/curves.png: curves over the waveform
 docs: setup  ## Write docs/api.md from the docstrings, tables from docs/results
 	$(BIN)/python docs/make_api.py
 	$(BIN)/python docs/make_results.py
+
+graphs: setup-dev  ## Write the graphs of the embedded models again, after a change of the rules
+	$(BIN)/python docs/make_graphs.py
 
 sample:  ## Synthesise the bundled sample (needs flite)
 	flite -voice slt -t "$(SAMPLE_TEXT)" -o docs/samples/promise.wav

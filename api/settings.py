@@ -67,8 +67,8 @@ class Settings(BaseSettings):
     models: dict[str, Path] = {}
     preload: tuple[str, ...] = ("default",)
     device: str = "cpu"
-    backend: Backend = "torch"
-    live_backend: Backend | Literal[""] = ""
+    backend: Literal["torch", "onnx"] = "torch"
+    live_backend: Literal["torch", "onnx", ""] = ""
     workers: int = Field(default_factory=lambda: min(os.cpu_count() or 1, 4), ge=1, le=64)
     job_workers: int = Field(default=1, ge=0, le=64)
     memory_mb: int = Field(default=4096, ge=256, le=1_000_000)

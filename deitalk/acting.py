@@ -30,7 +30,7 @@ from pydantic import (
 
 from deitalk.errors import ConfigError, DataError, EmotionError
 from rig import limits
-from rig.emotions import COLORS, EMOTIONS, MOODS
+from rig.emotions import COLORS, EMOTIONS, MOODS, PLAIN, VARIANTS
 from rig.errors import UserError, quoted
 
 if TYPE_CHECKING:
@@ -39,12 +39,13 @@ if TYPE_CHECKING:
     from deitalk.emotions import IntensityCurve as IntensityCurve
     from deitalk.postprocess.joins import Edge as Edge
     from deitalk.postprocess.life.amounts import Life as Life
+    from deitalk.postprocess.life.other import OtherVoice as OtherVoice
     from rig.curves.layers import Layer as Layer
 
     Track = EmotionTrack | Literal["auto"]
-    Next = Edge | Literal["on"]
 else:  # their modules need numpy, which a command line does without until it works
-    ActorReference = Edge = EmotionTrack = IntensityCurve = Layer = Life = Next = Track = Any
+    ActorReference = Edge = EmotionTrack = IntensityCurve = Layer = Life = Any
+    OtherVoice = Track = Any
 
 # Text forms of the fields of an acting, parsed once, and the files that they may name.
 
@@ -53,10 +54,20 @@ AUTO: Final = "auto"
 LONGEST_LISTENING = 600.0
 """Seconds."""
 MOST_INTENSITY = 4.0
+NO_PLACE = (0.0, 0.0, 65.0)
+"""Where a listener is if no place is given: ahead; degrees and cm."""
 LONGEST_TEXT = 1 << 20
 """Letters of a text that comes from elsewhere."""
 WORDS_SUFFIXES = (".txt", ".textgrid", ".srt", ".vtt")
-_KINDS = {".textgrid": "grid", ".srt": "subtitles", ".vtt": "subtitles"}
+VARIANT_NAMES = "; ".join(f"{name}: {', '.join(own)}" for name, own in VARIANTS.items())
+SCRIPT_SUFFIXES = (".txt", ".srt", ".vtt", ".ssml", ".xml")
+_KINDS = {
+    ".ssml": "ssml",
+    ".xml": "ssml",
+    ".textgrid": "grid",
+    ".srt": "subtitles",
+    ".vtt": "subtitles",
+}
 _SUFFIX = re.compile(r"\S\.[A-Za-z][A-Za-z0-9]{1,7}$")
 _CUE = re.compile(r"^\s*[\d:]+[.,]\d+ +--> +[\d:]+[.,]\d+", re.M)
 
@@ -70,7 +81,7 @@ class Words:
     text : str
         The words themselves, or the content of the file.
     kind : str
-        ``text``, ``grid`` or ``subtitles``.
+        ``text``, ``grid``, ``subtitles`` or ``ssml``.
     source : str
         Name of the file; empty of a text.
     """
@@ -80,8 +91,15 @@ class Words:
     source: str = field(default="", compare=False)
 
     @classmethod
-    def of(cls, given: "str | Path | Words", files: Mapping[str, Path] | None = None) -> "Words":
+    def of(
+        cls,
+        given: "str | Path | Words",
+        files: Mapping[str, Path] | None = None,
+        what: str = "words",
+    ) -> "Words":
         """Read words, or the file that is named: a line that ends with a suffix such as ``.txt``.
+
+        `what` they are, ``words`` or ``script``, determines the suffixes.
 
         Raises
         ------
@@ -91,15 +109,16 @@ class Words:
         if isinstance(given, Words):
             return given
         if not isinstance(given, str | Path):
-            raise DataError(f"words {quoted(given)} must be a text or a path")
+            raise DataError(f"{what} {quoted(given)} must be a text or a path")
         text = str(given)
         if isinstance(given, Path) or _names_file(text):
             path = Path(text.strip())
             suffix = path.suffix.lower()
-            if suffix not in WORDS_SUFFIXES:
-                known = ", ".join(WORDS_SUFFIXES)
+            suffixes = WORDS_SUFFIXES if what == "words" else SCRIPT_SUFFIXES
+            if suffix not in suffixes:
+                known = ", ".join(suffixes)
                 raise DataError(
-                    f"words {quoted(str(path))}: a file of words is one of {known}; if this is "
+                    f"{what} {quoted(str(path))}: a file of words is one of {known}; if this is "
                     "spoken, end it with a full stop"
                 )
             from rig.files.reading import read_text
@@ -108,7 +127,7 @@ class Words:
             content = read_text(path, limits.TRANSCRIPT_BYTES, error=DataError)
             return cls(content, _KINDS.get(suffix, "text"), path.name)
         if len(text) > limits.TRANSCRIPT_BYTES:
-            raise DataError(f"the words have more than {limits.TRANSCRIPT_BYTES} characters")
+            raise DataError(f"the {what} have more than {limits.TRANSCRIPT_BYTES} characters")
         return cls(text if "\n" in text else text.strip(), _kind(text))
 
     def __str__(self) -> str:
@@ -123,6 +142,8 @@ def _kind(text: str) -> str:
     """Kind of a file's content that is given in place of its name."""
     if "ooTextFile" in text[:200]:
         return "grid"
+    if re.match(r"\s*(<\?xml|<!DOCTYPE|<speak\b)", text):
+        return "ssml"
     return "subtitles" if _CUE.search(text) else "text"
 
 
@@ -199,20 +220,28 @@ def read_voice(given: Any, info: ValidationInfo) -> ActorReference:
     return read_actor(_file(str(given).strip(), _files(info)))
 
 
-def read_edge(given: Any, info: ValidationInfo) -> Edge | Next:
+def read_edge(given: Any, info: ValidationInfo) -> Edge:
     """The edge of the take beside: a take folder, a file of curves, a performance, its content."""
-    from deitalk.postprocess.joins import ON, edge_of
+    from deitalk.postprocess.joins import edge_of
 
-    if info.field_name == "into" and given == ON:
-        return ON
     if isinstance(given, str | Path) and not str(given).lstrip().startswith("{"):
         given = _file(str(given).strip(), _files(info), DataError)
     return edge_of(given, str(info.field_name), last=info.field_name == "after")
 
 
+def read_other(given: Any, info: ValidationInfo) -> OtherVoice:
+    """The voice of another one: a recording, its path, or the content that a take keeps."""
+    from deitalk.postprocess.life.other import other_voice
+
+    path = None
+    if isinstance(given, str | Path) and not str(given).lstrip().startswith("{"):
+        path = _file(str(given).strip(), _files(info), DataError)
+    return other_voice(given, "listen_to", path)
+
+
 def read_words(given: Any, info: ValidationInfo) -> Words:
     """Words, a file of them, or its content."""
-    return Words.of(given, _files(info))
+    return Words.of(given, _files(info), str(info.field_name))
 
 
 def number_within(low: float, high: float) -> Callable[[Any, ValidationInfo], float]:
@@ -250,8 +279,8 @@ def read_life(given: Any) -> Life:
     return Life.of(given)
 
 
-def read_place(given: Any) -> tuple[float, float]:
-    """Two angles, or their text."""
+def read_place(given: Any) -> tuple[float, float, float]:
+    """Two angles with or without a distance, or their text."""
     from deitalk.postprocess.life.amounts import place_of
 
     return place_of(given)
@@ -293,9 +322,25 @@ def written_gains(gains: Mapping[str, float]) -> str:
     return ",".join(f"{name}={factor:.9g}" for name, factor in gains.items())
 
 
-def written_place(place: tuple[float, float]) -> str:
-    """The text that `read_place` reads."""
-    return ",".join(f"{part:.9g}" for part in place)
+def read_variant(given: Any) -> dict[str, float]:
+    """Weights of named variants, of a mapping or text."""
+    from deitalk.emotions.variants import parse_variant
+
+    return parse_variant(given)
+
+
+def written_variant_text(variant: Mapping[str, float]) -> str:
+    """The text that `read_variant` reads."""
+    from deitalk.emotions.variants import written_variant
+
+    return written_variant(variant)
+
+
+def written_place(place: tuple[float, float, float]) -> str:
+    """The text that `read_place` reads, without the usual distance."""
+    *angles, distance = place
+    parts = angles if distance == NO_PLACE[2] else place
+    return ",".join(f"{part:.9g}" for part in parts)
 
 
 def _text(schema: str = "string", **more: Any) -> WithJsonSchema:
@@ -346,6 +391,16 @@ class Acting(BaseModel):
             json_schema_extra=_extra(panel="Editing"),
         )
     )
+    rest: Annotated[
+        float,
+        PlainValidator(number_within(0.0, 1.0)),
+        _text("number", minimum=0, maximum=1),
+    ] = Field(
+        default=0.5,
+        description="Share of the expression that stays in silence around the speech, 0 (neutral) "
+        "to 1; an intensity curve and keyframes are shown as drawn.",
+        json_schema_extra=_extra("change", panel="Performance"),
+    )
     voice: Annotated[
         ActorReference | None,
         PlainValidator(read_voice),
@@ -368,6 +423,20 @@ class Acting(BaseModel):
         "where the sound agrees.",
         examples=["My promise is big."],
     )
+    script: Annotated[Words | None, PlainValidator(read_words), _STR, _TEXT] = Field(
+        default=None,
+        description="Spoken words with how they are spoken, in place of words: tags such as "
+        "[angrily] or [laughs], SSML, subtitles; text, or a .txt, .srt, .vtt or .ssml.",
+        examples=["[whispers] Come here. [angrily] Now!"],
+        json_schema_extra=_extra(panel="Performance"),
+    )
+    role: Annotated[str | None, Field(min_length=1, max_length=100)] = Field(
+        default=None,
+        description="Whose lines, of subtitles with speakers (ANNA: …, <v Anna>); those of others "
+        "are silent.",
+        examples=["anna"],
+        json_schema_extra=_extra(panel="Performance"),
+    )
     language: Annotated[str, Field(pattern="^[A-Za-z0-9-]{2,32}$")] = Field(
         default="en-us",
         description="espeak-ng's voice for the words: en-us, en-gb, de, fr, es, cmn …",
@@ -380,14 +449,15 @@ class Acting(BaseModel):
         json_schema_extra=_extra("start", panel="Performance", default="on"),
     )
     look_at: Annotated[
-        tuple[float, float],
+        tuple[float, float, float],
         PlainValidator(read_place),
         PlainSerializer(written_place, return_type=str),
         _text(maxLength=60),
     ] = Field(
-        default=(0.0, 0.0),
-        description="Place of the listener: degrees to the character's left and up, -35 to 35.",
-        examples=["10,-5"],
+        default=NO_PLACE,
+        description="Place of the listener: degrees to the character's left and up, -35 to 35; and "
+        "its distance, on which both eyes meet, 65 cm if it is not given.",
+        examples=["10,-5", "10,-5,120"],
         json_schema_extra=_extra("change", panel="Performance", default="0,0"),
     )
     gain: Annotated[
@@ -422,6 +492,17 @@ class Acting(BaseModel):
         description="Seconds of silence with motion after the speech, 0 to 600.",
         json_schema_extra=_extra(panel="Performance"),
     )
+    listen_to: Annotated[
+        OtherVoice | None,
+        PlainValidator(read_other),
+        PlainSerializer(lambda voice: voice.content, return_type=dict, when_used="unless-none"),
+        WithJsonSchema({"anyOf": [{"type": "string"}, {"type": "object"}]}),
+    ] = Field(
+        default=None,
+        description="Recording of another one who speaks meanwhile, on the same clock: the face "
+        "nods at the ends of its phrases, keeps its eyes there and mirrors a third of its feeling.",
+        json_schema_extra=_extra(panel="Performance"),
+    )
     after: Annotated[
         Edge | None,
         PlainValidator(read_edge),
@@ -434,16 +515,13 @@ class Acting(BaseModel):
         json_schema_extra=_extra(panel="Editing"),
     )
     into: Annotated[
-        Next | None,
+        Edge | None,
         PlainValidator(read_edge),
-        PlainSerializer(
-            lambda edge: edge if isinstance(edge, str) else edge.content, when_used="unless-none"
-        ),
+        PlainSerializer(lambda edge: edge.content, return_type=dict, when_used="unless-none"),
         WithJsonSchema({"anyOf": [{"type": "string"}, {"type": "object"}]}),
     ] = Field(
         default=None,
-        description="Take that comes next: do not come to rest, and end in its first pose; or on: "
-        "only do not come to rest.",
+        description="Take that comes next: end in its first pose, at its speeds.",
         json_schema_extra=_extra(panel="Editing"),
     )
     rules: bool = Field(
@@ -451,11 +529,24 @@ class Acting(BaseModel):
         description="The model's rules after the network; without them the network alone.",
         json_schema_extra=_extra("change", panel="Expert"),
     )
+    variant: Annotated[
+        dict[str, float],
+        PlainValidator(read_variant),
+        PlainSerializer(written_variant_text, return_type=str),
+        _text(maxLength=400),
+    ] = Field(
+        default={},
+        description=f"Way to show the emotion, {VARIANT_NAMES}; or a mixture such as "
+        f"hot=.7,cold=.3, or {PLAIN}; by default drawn by the seed and the voice.",
+        examples=["hot", "hot=.7,cold=.3"],
+        json_schema_extra=_extra("start", panel="Performance", default=""),
+    )
     seed: Annotated[
         int, PlainValidator(read_seed), _text("integer", minimum=0, maximum=limits.SEED)
     ] = Field(
         default=0,
-        description="Another drawing of the motion above the mouth, 0 to 2**63 - 1.",
+        description="Another drawing of the variant of the emotion and of the motion above the "
+        "mouth, 0 to 2**63 - 1.",
         json_schema_extra=_extra("start", panel="Performance"),
     )
 
@@ -513,6 +604,11 @@ class Acting(BaseModel):
         if isinstance(self.emotion, str):
             raise EmotionError("emotion auto needs a whole recording; name an emotion")
         return self.emotion
+
+    @property
+    def is_keyed(self) -> bool:
+        """Whether the emotion has keyframes, which are shown in silence as drawn."""
+        return len(self.emotion_track.times) > 1
 
     @property
     def motion(self) -> Life | None:

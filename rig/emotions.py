@@ -28,3 +28,17 @@ neutral."""
 LABELS = tuple(COLORS)
 EMOTIONS = LABELS[: -len(MOODS)]
 """DEITalk §3.1: the labels of ETH-3D."""
+VARIANTS = {
+    "angry": {"hot": 1, "cold": -1, "disgusted": 0},
+    "happy": {"broad": 1, "warm": -1, "amused": 0},
+    "sad": {"anguished": 1, "dejected": -1, "sorrowful": 0},
+    "surprised": {"startled": 1, "puzzled": -1, "amazed": 0},
+    "fear": {"terrified": 1, "wary": -1, "worried": 0},
+    "disgust": {"revolted": 1, "averse": -1, "nauseated": 0},
+    "contempt": {"scornful": 1, "haughty": -1, "smug": 0},
+    "calm": {"attentive": 1, "relaxed": -1, "serene": 0},
+}
+"""Ways to show an emotion, each name once: points around its own pose; and where each is at home,
+in a strong voice (1), a weak one (-1) or any (0)."""
+PLAIN = "plain"
+"""In place of a variant: the poses of the emotions themselves."""

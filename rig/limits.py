@@ -34,6 +34,8 @@ MODEL_JSON_BYTES = MIB
 """model.json: the names of the controls and a summary of the training."""
 WEIGHTS_BYTES = 4 * GIB
 """model.safetensors: twice the most parameters at four bytes each."""
+GRAPH_BYTES = 64 * MIB
+"""graph.gz of a model, unpacked; those of the embedded ones are under 2 MB."""
 DATASET_TABLE_BYTES = 512 * MIB
 """clips.csv and the tables beside clips of a dataset."""
 BATCH_LINES = 1_000_000
@@ -175,3 +177,7 @@ TRAINING_PASSES = 1.0e6
 """Epochs of a training."""
 TRAINING_STEPS = 10**9
 """Steps of a training."""
+MOST_DELAY = 240
+"""Frames by which a face may be late or early against its sound."""
+MOST_HANDLES = 1000
+"""Frames that may be added before and after."""

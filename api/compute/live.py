@@ -8,7 +8,7 @@ import asyncio
 import logging
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -30,6 +30,13 @@ RESTART_SECONDS = 1.0
 log = logging.getLogger("deitalk.service")
 
 
+class Interrupted(NamedTuple):
+    """Between the frames of a voice before and after its interruption."""
+
+    next_frame: int
+    """Number of the frame at which the sound begins that comes next."""
+
+
 class Voice:
     """One voice.
 
@@ -41,7 +48,7 @@ class Voice:
 
     def __init__(self, voices: "Voices", number: int) -> None:
         self.voices, self.number = voices, number
-        self.frames: asyncio.Queue[Float32 | Exception] = asyncio.Queue()
+        self.frames: asyncio.Queue[Float32 | Interrupted | Exception] = asyncio.Queue()
         self.opened: asyncio.Future[float] = asyncio.get_running_loop().create_future()
 
     def feed(self, samples: Float32) -> None:
@@ -52,6 +59,11 @@ class Voice:
     def change(self, fields: dict[str, Any]) -> None:
         """Change fields of the acting; as `LiveAnimator.set`."""
         self.voices.add({"voice": self.number, "do": "set", "fields": fields})
+
+    def interrupt(self, shown: Float32 | None) -> None:
+        """Stop speaking, from a frame and its head (C + 6,); as `LiveAnimator.interrupt`."""
+        frame = None if shown is None else shown.tolist()
+        self.voices.add({"voice": self.number, "do": "interrupt", "shown": frame})
 
     def finish(self) -> None:
         """Take the end of the sound."""
@@ -68,8 +80,8 @@ class Voice:
             self.opened.set_exception(problem)
         self.frames.put_nowait(problem)
 
-    async def next_frames(self) -> Float32:
-        """Wait for frames and their track of the head [shape=(n, C + 6)].
+    async def next_frames(self) -> Float32 | Interrupted:
+        """Wait for frames and their track of the head [shape=(n, C + 6)], or an interruption.
 
         Raises
         ------
@@ -204,6 +216,9 @@ class Voices:
         for number, classes, message in answer["facts"]["failed"]:
             if voice := self.known.pop(number, None):
                 voice.fail(named_problem(classes, message))
+        for number, next_frame in answer["facts"]["interrupted"]:
+            if voice := self.known.get(number):
+                voice.frames.put_nowait(Interrupted(next_frame))
         rows = values.reshape(sum(count for _, count in counts), -1) if counts else values
         for number, count in counts:
             frames, rows = rows[:count], rows[count:]

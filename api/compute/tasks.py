@@ -33,7 +33,7 @@ from deitalk.audio.load import Recording, read_sound
 from deitalk.audio.original import ZERO, start_of, start_seconds
 from deitalk.errors import CheckpointError
 from deitalk.live.animator import LiveAnimator
-from deitalk.models.folder import describe_model, is_causal, product_of
+from deitalk.models.folder import describe_model, is_causal, model_folder, product_of
 from deitalk.models.load import load_causal, load_network
 from deitalk.pipeline.curves import animate
 from deitalk.pipeline.performance import Performance, write_take
@@ -41,7 +41,7 @@ from rig.arrays import Float32
 from rig.controls import DEFAULT_ID
 from rig.conversion.convert import convert
 from rig.curves import RigCurves
-from rig.curves.edit import clamp, gain
+from rig.curves.edit import clamp, gain, shift
 from rig.errors import UserError
 from rig.formats import read_curves, write_curves
 from rig.limits import STREAM_BYTES
@@ -60,12 +60,15 @@ class Voices:
     def __init__(self) -> None:
         self.animators: dict[str, LiveAnimator] = {}
         self.places: dict[int, tuple[str, int]] = {}
+        self.interrupted: dict[int, int] = {}
+        """Frame at which the sound begins that comes next, of voices that an order interrupted."""
 
     def perform(self, actions: list[dict[str, Any]], samples: Float32, limits: Limits) -> Any:
         """Carry out actions in their order; return facts of new voices, errors, and all frames.
 
         A voice ends by an error of its own; the others go on.
         """
+        self.interrupted = {}
         opened, failed, at = {}, {}, 0
         for action in actions:
             voice, begin = int(action["voice"]), at
@@ -87,6 +90,11 @@ class Voices:
             animator.take(samples, stream=place)
         elif action["do"] == "set":
             animator.set(stream=place, **action["fields"])
+        elif action["do"] == "interrupt":
+            shown, head = None, None
+            if action["shown"] is not None:
+                shown, head = np.split(np.float32(action["shown"]), [len(animator.names)])
+            self.interrupted[voice] = animator.interrupt(place, shown=shown, head=head)
         elif action["do"] == "finish":
             animator.end(place)
         else:
@@ -124,7 +132,10 @@ def perform_voices(order: Order, limits: Limits, progress: Any) -> Answer:
     out.write_bytes(b"".join(parts))
     counts = [[voice, len(rows)] for voice, rows in frames.items() if len(rows)]
     errors = [[voice, names_of(error), str(error)] for voice, error in failed.items()]
-    facts = {"opened": list(opened.items()), "failed": errors, "frames": counts}
+    facts = {
+        "opened": list(opened.items()), "failed": errors, "frames": counts,
+        "interrupted": list(_voices.interrupted.items()),
+    }  # fmt: skip
     return {"file": str(out), "facts": facts}
 
 
@@ -181,7 +192,7 @@ def _acting(order: Order, limits: Limits) -> Acting:
     fields = json.loads(Path(ACTING).read_text(encoding="utf-8"))
     files = {name: Path(name) for name in order["options"].get("sent", ())}
     acting = Acting.of(files=files, **fields)
-    if limits["backend"] == "onnx" and (acting.words or acting.emotion == AUTO):
+    if limits["backend"] == "onnx" and (acting.words or acting.script or acting.emotion == AUTO):
         raise CheckpointError(
             "words and emotion auto need torch; this service has the backend onnx"
         )
@@ -219,18 +230,21 @@ def _write(
     fps = options.get("fps")
     start, note = start_of(options.get("timecode", ZERO), fps, performance.recording.start)
     notes = [note] if note else []
+    form: dict[str, Any] = {"fps": fps, "start": start} | _shift(options)
     if name == "take":
         folder = out.with_suffix("")
         model = options.get("model", "default")
         about = describe_model(limits["models"][model]) | {"name": model}
-        written = write_take(folder, performance, model=about, fps=fps, start=start)
+        written = write_take(folder, performance, model=about, **form)
         _zip(written, out)
         return notes
     seconds = performance.recording.duration
-    report = write_curves(
-        out, performance.curves, format=name, fps=fps, seconds=seconds, start=start
-    )
+    report = write_curves(out, performance.curves, format=name, seconds=seconds, **form)
     return [*notes, report.note] if report.note else notes
+
+
+def _shift(options: dict[str, Any]) -> dict[str, Any]:
+    return {name: options.get(name, 0) for name in ("delay", "handles")}
 
 
 def _preview(
@@ -245,10 +259,13 @@ def _preview(
     fps, title = order["options"].get("fps"), order["options"].get("name") or NAME
     if fps is not None:
         curves, neutral = curves.resample(fps), neutral.resample(fps)
+    moved = _shift(order["options"])
+    curves, neutral = shift(curves, **moved), shift(neutral, **moved)
     if out.suffix == ".mp4" and len(curves) * VIDEO_PIXELS > limits["max_pixels"]:
         most = int(limits["max_pixels"] // VIDEO_PIXELS)
         raise TooLarge(f"the video has {len(curves)} frames; at most {most} are drawn")
     waveform = performance.recording.waveform
+    waveform = np.pad(waveform, round(moved["handles"] / curves.fps * SAMPLE_RATE))
     source = PreviewSource(title, curves, waveform, SAMPLE_RATE, neutral.values)
     if out.suffix == ".mp4":
         render_video(source, out, progress=progress)
@@ -335,7 +352,8 @@ def _conversion(order: Order, limits: Limits, progress: Progress) -> Answer:
     if "gain" in options:
         curves, _ = clamp(gain(curves, options["gain"]))
     out = Path(OUT) / f"{options.get('name') or NAME}{options['suffix']}"
-    report = write_curves(out, curves, format=options["format"], fps=options.get("fps"))
+    form = {"format": options["format"], "fps": options.get("fps")} | _shift(options)
+    report = write_curves(out, curves, **form)
     return {"file": str(out), "notes": report.notes}
 
 
@@ -397,14 +415,14 @@ def _read(name: str, folder: str, limits: Limits) -> Any:
         from deitalk.models.checkpoint import load_model
 
         return load_model(folder)
-    from deitalk.models.onnx.network import cached_path, load_onnx
+    from deitalk.models.onnx.network import load_onnx, ready_graph
 
-    if product_of(folder) != "curves" or not cached_path(folder).is_file():
+    if product_of(folder) != "curves" or ready_graph(model_folder(folder)) is None:
         raise CheckpointError(
             f"model {name!r} is not in ONNX; this service has the backend onnx, another with torch "
             "can use it"
         )
-    return load_onnx(cached_path(folder), threads=limits["threads"])
+    return load_onnx(folder, threads=limits["threads"])
 
 
 def prepare(limits: Limits) -> None:
@@ -420,12 +438,13 @@ def prepare(limits: Limits) -> None:
 
 
 def export_all(limits: Limits, *, only_live: bool = False) -> None:
-    """Write the files of models that have one into the cache; torch runs in other processes."""
-    from deitalk.models.onnx.network import cached_export
+    """Write graphs that models lack into the cache; torch runs in other processes."""
+    from deitalk.models.onnx.network import cached_graph, ready_graph
 
     for folder in limits["models"].values():
         with suppress(UserError, OSError):  # a request for that model gets the error
-            if product_of(folder) != "curves" or folder.endswith(".onnx"):
+            path = model_folder(folder)
+            if product_of(folder) != "curves" or ready_graph(path):
                 continue
             if is_causal(folder) or not only_live:
-                cached_export(folder)
+                cached_graph(path, folder)

@@ -3,6 +3,7 @@
 import asyncio
 import json
 import struct
+from collections import deque
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -15,14 +16,14 @@ from fastapi import APIRouter, WebSocket
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from starlette.websockets import WebSocketDisconnect
 
-from api.compute.live import MODEL, Voice
+from api.compute.live import MODEL, Interrupted, Voice
 from api.errors import Problem, problem_for, problem_of
 from api.guard.keys import Caller, require
 from api.guard.middleware import SUBPROTOCOL
 from api.guard.protocol import SEND_SECONDS
 from api.service import Service
 from deitalk.acting import LIVE_FIELDS, Acting, user_error
-from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
+from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE, samples_within
 from deitalk.errors import ConfigError
 from deitalk.models.folder import is_causal, model_folder, product_of, read_about
 from rig.arrays import Float32
@@ -36,6 +37,8 @@ from rig.errors import UserError
 
 BACKLOG_SECONDS = 5.0
 """Sound that waits; while there is more, the connection is not read."""
+KEPT_FRAMES = 20 * FRAME_RATE
+"""Last frames that a client may name as shown when it interrupts the voice."""
 
 
 class LiveStream:
@@ -61,11 +64,11 @@ class LiveStream:
     """
 
     def __init__(self, sample_rate: int, is_float: bool, voice: Voice) -> None:
-        self.is_float, self.voice = is_float, voice
+        self.sample_rate, self.is_float, self.voice = sample_rate, is_float, voice
         self.end = self.next_frame = 0
         self.is_whole = False
-        self._resampler = soxr.ResampleStream(sample_rate, SAMPLE_RATE, 1, dtype="float32")
-        self._rest = b""
+        self._kept: deque[Float32] = deque(maxlen=KEPT_FRAMES)
+        self._begin()
         self._arrivals: list[tuple[int, float]] = []
 
     @property
@@ -110,6 +113,38 @@ class LiveStream:
         if len(chunk):  # messages without a sample are not kept
             self._append(chunk)
 
+    def _begin(self) -> None:
+        """Forget what the next samples would be joined to."""
+        self._resampler = soxr.ResampleStream(self.sample_rate, SAMPLE_RATE, 1, dtype="float32")
+        self._rest = b""
+
+    def interrupt(self, lookahead: float, frame: int | None = None) -> None:
+        """Stop the voice: the mouth shuts, silence follows; see `LiveAnimator.interrupt`.
+
+        Parameters
+        ----------
+        lookahead : float
+            Of the model, seconds.
+        frame : int, optional
+            Number of the frame that is shown; by default the one that was given last.
+
+        Raises
+        ------
+        ConfigError
+            If that frame was not given, or so long ago that it is not kept.
+        """
+        shown = None
+        if frame is not None:
+            first = self.next_frame - len(self._kept)
+            if not first <= frame < self.next_frame:
+                raise ConfigError(f"frame {frame} is none of {first} to {self.next_frame - 1}")
+            shown = self._kept[frame - first]
+        self._begin()
+        if self.end:
+            self.end += samples_within(lookahead)
+            self._arrivals.append((self.end, monotonic()))
+        self.voice.interrupt(shown)
+
     def finish(self) -> None:
         """Take the end of the sound."""
         self._append(self._resampler.resample_chunk(np.zeros(0, np.float32), last=True))
@@ -136,6 +171,7 @@ class LiveStream:
         begin, now = self.next_frame, monotonic()
         late = [now - self._arrival(begin + k) for k in range(len(frames))]
         self.next_frame += len(frames)
+        self._kept.extend(frames)
         sample = self.next_frame * SAMPLE_RATE // FRAME_RATE
         self._arrivals = [arrival for arrival in self._arrivals if arrival[0] >= sample]
         return begin, late
@@ -159,6 +195,8 @@ class LiveStream:
 #     server   {"type": "header", "names": […], "head": […], "fps": 30, "lookahead_seconds": 0.2, …}
 #     client   samples as bytes, any number a message       {"type": "set", "emotion": "sad"}
 #     server   frames as bytes or {"type": "frames", …}
+#     client   {"type": "interrupt", "frame": 372}
+#     server   {"type": "interrupted", "frame": 380, "next": 389}, frames of a mouth that shuts
 #     client   {"type": "stop"}
 #     server   the last frames, {"type": "end", "frames": 421}
 
@@ -279,6 +317,7 @@ class Session:
             life = replace(self.acting.life, head=0.0)
             self.acting = Acting.of(self.acting, life=life)
         voice, lookahead = await self.service.voices.open(self.start.model, self.acting)
+        self.lookahead = lookahead
         try:
             is_float = self.start.encoding == "float32"
             self.stream = LiveStream(self.start.sample_rate, is_float, voice)
@@ -318,6 +357,10 @@ class Session:
         as_json = self.start.frames == "json"
         while not self.stream.is_done:
             frames = await self.stream.voice.next_frames()
+            if isinstance(frames, Interrupted):
+                place = {"frame": self.stream.next_frame, "next": frames.next_frame}
+                await self._send({"type": "interrupted", **place})
+                continue
             if not len(frames):
                 continue
             begin, late = self.stream.come(frames)
@@ -353,21 +396,30 @@ class Session:
         kind = content.pop("type", None)
         if kind == "stop" and not content:
             self.stream.finish()
-        elif kind == "set":
+        elif kind in ("set", "interrupt"):
             try:
-                if fixed := [
-                    name for name in content if LIVE_FIELDS.get(name, "change") != "change"
-                ]:
-                    raise ConfigError(f"{', '.join(fixed)} cannot change while somebody speaks")
-                acting = acting_of(content, self.acting)
-                if self.controls is not None:
-                    gain_factors(self.controls, acting.gain)
-                self.acting = acting
-                self.stream.change(acting)
+                self._interrupt(content) if kind == "interrupt" else self._change(content)
             except UserError as error:  # the session goes on unchanged
                 await self._send(problem_message(problem_of(error)))
         else:
-            raise Problem(422, "type must be set or stop after the start", "message_unknown")
+            raise Problem(
+                422, "type must be set, interrupt or stop after the start", "message_unknown"
+            )
+
+    def _interrupt(self, fields: dict[str, Any]) -> None:
+        frame = fields.pop("frame", None)
+        if fields or (frame is not None and type(frame) is not int):
+            raise ConfigError("interrupt takes frame alone, a whole number")
+        self.stream.interrupt(self.lookahead, frame)
+
+    def _change(self, fields: dict[str, Any]) -> None:
+        if fixed := [name for name in fields if LIVE_FIELDS.get(name, "change") != "change"]:
+            raise ConfigError(f"{', '.join(fixed)} cannot change while somebody speaks")
+        acting = acting_of(fields, self.acting)
+        if self.controls is not None:
+            gain_factors(self.controls, acting.gain)
+        self.acting = acting
+        self.stream.change(acting)
 
     async def _message(self, seconds: float) -> dict[str, Any]:
         try:

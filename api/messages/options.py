@@ -21,10 +21,11 @@ from deitalk.emotions.track_files import is_table
 from rig.curves.edit import parse_gains
 from rig.errors import quoted
 from rig.formats import FORMATS
+from rig.limits import MOST_DELAY, MOST_HANDLES
 
 NAME_PATTERN = r"^[A-Za-z0-9](?:[A-Za-z0-9 _-]{0,62}[A-Za-z0-9])?$"
 TIMECODE_PATTERN = r"^(zero|recording|[0-9]{1,2}:[0-9]{2}:[0-9]{2}([:;][0-9]{2}|\.[0-9]{1,6})?)$"
-FIELD_FILES = ("emotion", "intensity_curve", "voice", "words", "edit", "after", "into")
+FIELD_FILES = ("emotion", "intensity_curve", "voice", "words", "script", "edit", "after", "into")
 """Fields that may be files of a form."""
 Options = TypeVar("Options", bound=BaseModel)
 
@@ -99,6 +100,17 @@ class SpeechOptions(Acting):
     ] = None
 
 
+Delay = Annotated[
+    int,
+    Field(
+        ge=-MOST_DELAY,
+        le=MOST_DELAY,
+        description="Frames by which the face is late against the sound; early if negative.",
+    ),
+]
+Handles = Annotated[int, Field(ge=0, le=MOST_HANDLES, description="Frames added before and after.")]
+
+
 class AnimationOptions(SpeechOptions):
     """The same, for curves."""
 
@@ -111,6 +123,8 @@ class AnimationOptions(SpeechOptions):
             examples=["recording", "10:00:00:12", "10:00:00;12"],
         ),
     ] = "zero"
+    delay: Delay = 0
+    handles: Handles = 0
 
 
 class MeshOptions(SpeechOptions):
@@ -151,6 +165,8 @@ class ConversionOptions(BaseModel):
         float | None, Field(ge=1, le=240, description="Rate of curves without one.")
     ] = None
     gain: Gain = None
+    delay: Delay = 0
+    handles: Handles = 0
     name: Annotated[
         str | None, Field(pattern=NAME_PATTERN, description="Name of the result's file.")
     ] = None

@@ -196,6 +196,8 @@ class EmotionsView(BaseModel):
     emotions: list[str]
     procedural: list[str]
     """Those of them that no capture taught the network."""
+    variants: dict[str, list[str]]
+    """Names of the ways to show each."""
     intensity_minimum: float
     intensity_maximum: float
 

@@ -12,6 +12,7 @@ from deitalk.emotions import LABELS, MOODS
 from deitalk.emotions.tracks import MAX_INTENSITY
 from deitalk.models.folder import describe_model, product_of
 from rig.conversion.convert import KNOWN, known_controls
+from rig.emotions import VARIANTS
 
 router = APIRouter(prefix="/v1", tags=["catalogue"], responses=problems())
 
@@ -37,6 +38,7 @@ def list_emotions(caller: AnimatorDep) -> EmotionsView:
     return EmotionsView(
         emotions=list(LABELS),
         procedural=list(MOODS),
+        variants={emotion: list(own) for emotion, own in VARIANTS.items()},
         intensity_minimum=0.0,
         intensity_maximum=MAX_INTENSITY,
     )

@@ -1,5 +1,7 @@
 """The two rates: samples at 16 kHz and rig frames at 30 Hz (DEITalk §3.2)."""
 
+from math import ceil
+
 import numpy as np
 
 from rig.arrays import Bool, Float64, Int64
@@ -27,3 +29,8 @@ def runs(mask: Bool) -> Int64:
     """[start, stop) of every run of True [shape=(n, 2)]."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(np.int8), [0]])))
     return edges.reshape(-1, 2)
+
+
+def samples_within(seconds: float) -> int:
+    """Samples of sound that last for at least so many seconds."""
+    return ceil(seconds * SAMPLE_RATE)

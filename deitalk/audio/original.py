@@ -117,6 +117,7 @@ def write_original(
     seconds: float,
     start: float = 0.0,
     choice: AudioChoice = AudioChoice(),
+    lead: float = 0.0,
 ) -> None:
     """Write a recording as 48 kHz PCM, 24 bits or 16 if the source has 16.
 
@@ -134,6 +135,8 @@ def write_original(
         Time of day of the first sample, seconds.
     choice : AudioChoice
         Of the recording that was read.
+    lead : float
+        Seconds of silence before it and after it.
 
     Raises
     ------
@@ -141,7 +144,8 @@ def write_original(
         If the recording cannot be read or the file cannot be written.
     """
     with open_sound(source, None, choice) as sound:
-        n_samples = round(seconds * ORIGINAL_RATE)
+        before = round(lead * ORIGINAL_RATE)
+        n_samples = 2 * before + round(seconds * ORIGINAL_RATE)
         width = _sample_bytes(source)
         taken, count = slice(None), sound.channels
         if not choice.is_mix:
@@ -152,7 +156,8 @@ def write_original(
             raise AudioError(f"{source} is longer than a WAV file can be at 48 kHz")
         with atomic_write(path) as beside, beside.open("wb") as file:
             file.write(wav_header(ORIGINAL_RATE, count, 8 * width, n_bytes, start))
-            left = n_samples
+            file.write(bytes(before * count * width))
+            left = n_samples - before
             blocks = (block[:, taken] for block in sound.blocks(BLOCK_SAMPLES // sound.channels))
             for block in _at_48k(blocks, sound.rate):
                 file.write(_pcm(block[:left], width))

@@ -19,6 +19,7 @@ from deitalk.audio.original import ZERO, start_of
 from deitalk.errors import DeitalkError
 from deitalk.pipeline.speech import MeasuredVoice
 from rig.curves import snap_fps
+from rig.curves.edit import checked_shift
 from rig.errors import as_line, quoted
 from rig.formats import checked_digits, find_format
 from rig.formats.table import FORMATS, Format, writable_suffixes
@@ -41,18 +42,23 @@ class Written:
         Digits after the point, of the formats that have them.
     timecode : str
         Of the first frame: ``zero``, ``recording`` or ``HH:MM:SS:FF``.
+    delay, handles : int
+        Frames by which the face is late, and that are added before and after.
     """
 
     formats: tuple[str, ...] = (".csv",)
     fps: float | None = None
     digits: int | None = None
     timecode: str = ZERO
+    delay: int = 0
+    handles: int = 0
 
     def checked(self) -> "Written":
         """Return these; UserError if a number is out of its range."""
         if self.fps is not None:
             snap_fps(self.fps)
         start_of(self.timecode, self.fps, 0.0)
+        checked_shift(self.delay, self.handles)
         if self.digits is not None:
             _check_digits(self.digits, self.formats)
         return self

@@ -236,7 +236,7 @@ class Performer:
     url : str
         Where files are uploaded to; empty: they stay staged.
     backend : str
-        ``torch`` or ``onnx``.
+        As for `deitalk.models.load.load_network`.
     device : str
         Where the network is, as for `deitalk.models.load.load_network`.
     """
@@ -246,17 +246,18 @@ class Performer:
         model: str,
         stage: str,
         url: str = "",
-        backend: Backend = "torch",
+        backend: Backend = "auto",
         device: str = "cpu",
     ) -> None:
         from deitalk.models.folder import describe_model
-        from deitalk.models.load import is_onnx, load_network
+        from deitalk.models.load import chosen_backend, load_network
 
-        if not is_onnx(model, backend):
+        chosen = chosen_backend(model, backend, device)
+        if chosen == "torch":
             import torch
 
             torch.set_num_threads(1)
-        self.network: Any = load_network(model, backend=backend, device=device)
+        self.network: Any = load_network(model, backend=chosen, device=device)
         self.about = describe_model(model)
         if not stage:
             stage = mkdtemp(prefix="deitalk-batch-")
@@ -378,7 +379,10 @@ class Performer:
         """Stage the files of a line; `start` is the time of day of its first frame, seconds."""
         from rig import write_curves
 
-        form = {"fps": order.written.fps, "start": start}
+        written = order.written
+        form = {
+            "fps": written.fps, "start": start, "delay": written.delay, "handles": written.handles
+        }  # fmt: skip
         seconds = performance.recording.duration
         spoken = {"sound": performance.sound_file, "seconds": seconds}
         digits = {"digits": order.written.digits}

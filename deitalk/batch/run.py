@@ -45,13 +45,12 @@ from deitalk.installed import __version__
 from deitalk.models.folder import (
     RIG_FILE,
     check_device,
-    describe_model,
     model_folder,
     product_of,
     require_device,
     weights_hash,
 )
-from deitalk.models.load import BACKENDS, Backend
+from deitalk.models.load import Backend, chosen_backend
 from deitalk.pipeline.speech import reference_of
 from rig.errors import TargetError, UserError, quoted
 
@@ -257,7 +256,7 @@ def _preliminary(line: Line | BadLine) -> Row:
     return Row(line.number, line.audio, line.output, FAILED, error=error)
 
 
-def model_identity(model: str | Path, backend: Backend = "torch") -> str:
+def model_identity(model: str | Path, backend: Backend = "auto", device: str = "cpu") -> str:
     """Hash of everything of a curve model that outputs follow from, and of this version.
 
     Raises
@@ -267,17 +266,12 @@ def model_identity(model: str | Path, backend: Backend = "torch") -> str:
     DeitalkError
         If the backend is unknown.
     """
-    if backend not in BACKENDS:
-        raise DeitalkError(f"backend {quoted(backend)} is unknown; use torch or onnx")
-    if str(model).endswith(".onnx"):
-        parts = [__version__, "onnx", str(describe_model(model)["sha256"])]
-        return hashlib.sha256("\0".join(parts).encode()).hexdigest()
     folder = model_folder(model)
     if product_of(folder) != "curves":
         raise CheckpointError(
             f"{model}: a mesh model; a DEITalk model (curves) is needed, such as default"
         )
-    parts = [__version__, backend, weights_hash(folder)]
+    parts = [__version__, chosen_backend(model, backend, device), weights_hash(folder)]
     for name in ("config.yaml", RIG_FILE):
         if (folder / name).is_file():
             parts.append((folder / name).read_text(encoding="utf-8"))
@@ -407,11 +401,13 @@ def animate_batch(
     fps: float | None = None,
     digits: int | None = None,
     timecode: str = "zero",
+    delay: int = 0,
+    handles: int = 0,
     track: int | None = None,
     channel: str | int | None = None,
     raw: str | None = None,
     model: str | Path = "default",
-    backend: Backend = "torch",
+    backend: Backend = "auto",
     device: str = "cpu",
     workers: int | None = None,
     ray: str | None = None,
@@ -438,14 +434,14 @@ def animate_batch(
         Who speaks, of lines whose manifest does not say: lines of one actor share a measured voice.
     formats : str
         A list such as ``"csv;take"``.
-    fps, digits, timecode
+    fps, digits, timecode, delay, handles
         Of the written curves; see `deitalk.batch.lines.Written`.
     track, channel, raw
         Which signal of the recordings, as for `deitalk.load_audio`.
     model : str or Path
-        Name or folder of a curve model, or an ``.onnx`` file.
+        Name or folder of a curve model.
     backend : str
-        ``torch``, or ``onnx`` for ONNX Runtime.
+        As for `deitalk.models.load.load_network`.
     device : str
         ``cpu``, ``cuda``, ``cuda:N`` or ``mps``: where the networks of all processes are.
     workers : int, optional
@@ -473,7 +469,8 @@ def animate_batch(
     for name, path in {"source": source, "out": out}.items():
         if not isinstance(path, str | Path):
             raise DeitalkError(f"{name} {quoted(path)} must be a path or a URL")
-    written = Written(parse_formats(formats), fps, digits, timecode).checked()
+    form = {"fps": fps, "digits": digits, "timecode": timecode, "delay": delay, "handles": handles}
+    written = Written(parse_formats(formats), **form).checked()  # type: ignore[arg-type]
     choice = AudioChoice.of(track, channel, raw)
     acted = acted_as(emotion, acting, fields, animate_batch)
     defaults = Line(0, "", "", acted, written, choice, actor)
@@ -482,7 +479,7 @@ def animate_batch(
         check_device(device)
     else:
         require_device(device)
-    identity, count = model_identity(model, backend), _processes(workers, ray)
+    identity, count = model_identity(model, backend, device), _processes(workers, ray)
     plan = read_source(source, out, defaults)
     with _opened(out, source, force=force) as outputs:
         outputs.begin()

@@ -177,7 +177,7 @@ def _in_no_circle(lines: list[Line | BadLine]) -> list[Line | BadLine]:
         else BadLine(
             line.number, line.audio, line.output,
             f"line {line.output} follows {' and '.join(line.beside.values())}, which waits for it; "
-            "of two lines give one `after`, and the other `into` as on",
+            "of two lines give one `after` or `into`, not both",
         )
         for k, line in enumerate(lines)
     ]  # fmt: skip
@@ -240,15 +240,18 @@ def _outside_takes(lines: list[Line | BadLine], takes: dict[str, Line]) -> list[
 #     actor             who speaks: lines of one actor share a measured voice
 #     fps, digits       numbers
 #     timecode          zero, recording or HH:MM:SS:FF
+#     delay, handles    frames by which the face is late, and added before and after
 #     track, channel, raw  which signal, as for `deitalk.load_audio`
-#     after, into       the output of the line before it or next, or a take (into also ``on``)
+#     after, into       the output of the line before it or next, or a take
 #     emotion, life …   each field of `deitalk.acting.Acting`; files are relative to the manifest
 #
 # Cells are separated by commas, semicolons or tabs; text is UTF-8 or UTF-16.
 
 
 SIGNAL = ("track", "channel", "raw")
-OWN_COLUMNS = ("audio", "output", "formats", "actor", "fps", "digits", "timecode", *SIGNAL)
+OWN_COLUMNS = (
+    "audio", "output", "formats", "actor", "fps", "digits", "timecode", "delay", "handles", *SIGNAL
+)  # fmt: skip
 BESIDE = ("after", "into")
 """Columns that name another line, or a take."""
 COLUMNS = (*OWN_COLUMNS, *Acting.model_fields)
@@ -389,6 +392,10 @@ class _Reader:
             form["digits"] = int(digits) if digits.isdecimal() else digits
         if timecode := cells.get("timecode"):
             form["timecode"] = timecode
+        for name in ("delay", "handles"):
+            if cell := cells.get(name):
+                is_whole = cell.lstrip("+-").isdecimal()
+                form[name] = int(cell) if is_whole else cell
         written = replace(self.defaults.written, **form).checked()
         actor = cells.get("actor", self.defaults.actor)
         signal = {name: cells[name] for name in SIGNAL if name in cells}

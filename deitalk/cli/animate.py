@@ -23,10 +23,12 @@ from deitalk.cli.options import (
     MESH,
     AnyModel,
     Backend,
+    Delay,
     Device,
     Digits,
     Force,
     Given,
+    Handles,
     Json,
     Threads,
     Timecode,
@@ -59,10 +61,12 @@ def animate(
         float | None, typer.Option(help="Rate of the written curves: 24 25 29.97 30 50 60.")
     ] = None,
     digits: Digits = None,
-    backend: Backend = "torch",
+    backend: Backend = "auto",
     device: Device = "cpu",
     threads: Threads = 1,
     timecode: Timecode = "zero",
+    delay: Delay = 0,
+    handles: Handles = 0,
     preview: Annotated[
         bool, typer.Option("--preview", help="Add a page, preview.html, to the take.")
     ] = False,
@@ -109,9 +113,11 @@ def animate(
     """
     # Threads of numpy's BLAS: it starts one per processor when it is imported, and they spin.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", str(threads))
-    form: dict[str, Any] = {"fps": fps, "digits": digits, "timecode": timecode}
+    form: dict[str, Any] = {
+        "fps": fps, "digits": digits, "timecode": timecode, "delay": delay, "handles": handles
+    }  # fmt: skip
     inputs = (speech, *given.texts)
-    if vertices or mesh is not None or landmarks is not None or _makes_mesh(model, backend):
+    if vertices or mesh is not None or landmarks is not None or _makes_mesh(model):
         _refuse_curve_options("a mesh", form | {"preview": preview, "backend": backend}, fps=True)
         animate_vertices(
             speech, out, given, model=model, speaker=identity or "0", mesh=mesh,
@@ -140,7 +146,7 @@ def animate(
         console().note(warning)
     if performance.words is not None and performance.words.fits:
         console().note(performance.words.line)
-    frames = len(performance.curves.resample(fps or performance.curves.fps))
+    frames = 2 * handles + len(performance.curves.resample(fps or performance.curves.fps))
     if as_json:
         emit_json(_summary(target, performance, frames))
         return
@@ -149,16 +155,15 @@ def animate(
     )
 
 
-def _makes_mesh(model: str, backend: str) -> bool:
+def _makes_mesh(model: str) -> bool:
     from deitalk.models.folder import product_of
-    from deitalk.models.load import is_onnx
 
-    return not is_onnx(model, backend) and product_of(model) == "mesh"
+    return product_of(model) == "mesh"
 
 
 def _refuse_curve_options(what: str, options: dict[str, Any], *, fps: bool = False) -> None:
     """Raise for options that are given and that only written curves have."""
-    usual = {"timecode": "zero", "backend": "torch", "preview": False}
+    usual = {"timecode": "zero", "backend": "auto", "preview": False, "delay": 0, "handles": 0}
     for name, value in options.items():
         if value != usual.get(name) and not (fps and name == "fps"):
             raise DeitalkError(f"--{name} does not apply to {what}; leave it out")
@@ -217,6 +222,8 @@ def _check(
     fps: float | None,
     digits: int | None,
     timecode: str,
+    delay: int,
+    handles: int,
     preview: bool,
     identity: str | None,
     force: bool,
@@ -271,14 +278,15 @@ def _check_page() -> None:
 
 def _loader(model: str, backend: str, device: str, threads: int) -> "Callable[[], CurveNetwork]":
     def load() -> "CurveNetwork":
-        from deitalk.models.load import is_onnx, load_network
+        from deitalk.models.load import chosen_backend, load_network
 
         most = min(threads, os.cpu_count() or 1)
-        if not is_onnx(model, backend):
+        chosen = chosen_backend(model, backend, device)
+        if chosen == "torch":
             import torch
 
             torch.set_num_threads(most)
-        return load_network(model, backend=backend, device=device, threads=most)
+        return load_network(model, backend=chosen, device=device, threads=most)
 
     return load
 
@@ -303,15 +311,21 @@ def _extras(preview: bool, identity: str | None) -> "tuple[Extra, ...]":
 
 
 def _write_file(out: Path, performance: "Performance", form: dict[str, Any]) -> None:
+    import numpy as np
+
     from deitalk.audio.load import write_wav
     from rig import write_curves
+    from rig.curves.edit import start_with_handles
 
-    sound, seconds = performance.sound_file, performance.recording.duration
-    report = write_curves(out, performance.curves, sound=sound, seconds=seconds, **form)
+    source, seconds = performance.sound_file, performance.recording.duration
+    report = write_curves(out, performance.curves, sound=source, seconds=seconds, **form)
     for note in report.notes:
         console().note(note)
     if out.suffix.lower() == ".fbx":
-        write_wav(out.with_suffix(".wav"), performance.recording.waveform, start=form["start"])
+        pad = round(form["handles"] / report.fps * performance.recording.sample_rate)
+        sound = np.pad(performance.recording.waveform, pad)
+        start = start_with_handles(form["start"], form["handles"], report.fps)
+        write_wav(out.with_suffix(".wav"), sound, start=start)
         console().print(f"{out.with_suffix('.wav')}: its sound, from the first frame on")
 
 
@@ -346,12 +360,14 @@ def batch(
         str, typer.Option("--format", help="csv, json, npz, livelink, take … or several: csv;take")
     ] = "csv",
     model: AnyModel = "default",
-    backend: Backend = "torch",
+    backend: Backend = "auto",
     fps: Annotated[
         float | None, typer.Option(help="Rate of the written curves: 24 25 29.97 30 50 60.")
     ] = None,
     digits: Digits = None,
     timecode: Timecode = "zero",
+    delay: Delay = 0,
+    handles: Handles = 0,
     device: Device = "cpu",
     workers: Annotated[
         int | None,
@@ -368,8 +384,8 @@ def batch(
     """Animate many recordings; the same command again goes on where it was.
 
     The options hold for lines whose manifest does not say otherwise. Its columns: audio, output,
-    formats, actor, fps, digits, timecode, track, channel, raw, and the options of the acting
-    (docs/batch.md).
+    formats, actor, fps, digits, timecode, delay, handles, track, channel, raw, and the options of
+    the acting (docs/batch.md).
 
     Examples
     --------
@@ -382,7 +398,8 @@ def batch(
     with bar("animating") as progress:
         report = animate_batch(
             source, out, acting=given.acting, actor=actor, formats=formats, fps=fps, digits=digits,
-            timecode=timecode, model=model, backend=backend, device=device,  # type: ignore[arg-type]
+            timecode=timecode, delay=delay, handles=handles, model=model, device=device,
+            backend=backend,  # type: ignore[arg-type]
             workers=workers, ray=ray, force=force, progress=progress, **given.choice.settings,
         )  # fmt: skip
     for note in report.notes:

@@ -248,8 +248,11 @@ def reserve_sound(out: Path, sound: Path | None, *, force: bool) -> Path | None:
     return beside
 
 
-def write_sound(beside: Path, sound: Path, start: float = 0.0, end: float | None = None) -> None:
-    """Write the sound of a take from one second to another, and say so."""
+def write_sound(
+    beside: Path, sound: Path, start: float = 0.0, end: float | None = None, lead: float = 0.0
+) -> None:
+    """Write the sound of a take from one second to another, silence around it, and say so."""
+    import numpy as np
     import soundfile
 
     from rig.files import atomic_write
@@ -260,6 +263,7 @@ def write_sound(beside: Path, sound: Path, start: float = 0.0, end: float | None
         last = total if end is None else min(round(end * rate), total)
         opened.seek(first)
         rows = opened.read(max(last - first, 0), dtype="int16")
+        rows = np.pad(rows, [(round(lead * rate),) * 2, (0, 0)][: rows.ndim])
         with atomic_write(beside) as path:
             soundfile.write(path, rows, opened.samplerate)
     console().print(f"{beside}: its sound, from the first frame on")

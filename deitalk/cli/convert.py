@@ -18,9 +18,11 @@ from deitalk.cli.console import (
     write_sound,
 )
 from deitalk.cli.options import (
+    Delay,
     Digits,
     Force,
     Given,
+    Handles,
     Json,
     WrittenIdentity,
     acting_options,
@@ -50,6 +52,8 @@ def convert(
         float | None, typer.Option(help="Rate of the source, Hz, if the file does not contain it.")
     ] = None,
     digits: Digits = None,
+    delay: Delay = 0,
+    handles: Handles = 0,
     start: Annotated[float, typer.Option(min=0, help="First second to take.")] = 0.0,
     end: Annotated[float | None, typer.Option(min=0, help="Second to stop before.")] = None,
     gain: Annotated[
@@ -120,11 +124,12 @@ def convert(
     curves, note = convert_and_note(curves, wanted or curves.control_set)
     speech = _speech(source, target, to, is_whole=not start and end is None)
     report = write_curves(
-        target, curves, format=to, fps=fps, digits=digits, identity=head, **speech
-    )
+        target, curves, format=to, fps=fps, digits=digits, identity=head, delay=delay,
+        handles=handles, **speech,
+    )  # fmt: skip
     _report(replace(report, note="; ".join(filter(None, (note, report.note)))), as_json)
     if sound is not None:
-        write_sound(sound, source / "audio.wav", start, end)
+        write_sound(sound, source / "audio.wav", start, end, handles / report.fps)
 
 
 def _control_set(rig: str, target: Path, to: str | None) -> str | None:

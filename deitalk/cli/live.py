@@ -317,8 +317,8 @@ def live(
     model: Annotated[
         str,
         typer.Option(
-            help="live, the folder of a causal model, or its .onnx file; of a recording also "
-            "default or another, which reads all of it first."
+            help="live, or the folder of a causal model; of a recording also default or another, "
+            "which reads all of it first."
         ),
     ] = "live",
     host: Annotated[
@@ -377,7 +377,7 @@ def live(
             min=0, rich_help_panel=RECORD, help="Stop after this time without a packet, seconds."
         ),
     ] = None,
-    backend: Backend = "torch",
+    backend: Backend = "auto",
     force: Force = False,
 ) -> None:
     """Animate a voice while it is spoken, 0.2 s behind it, and send the face.
@@ -398,7 +398,7 @@ def live(
     """
     if (source is not None) + mic + (record is not None) != 1:
         raise DeitalkError("give one of a recording, a take or curves, --mic, and --record")
-    of_model = {"model": model != "live", "backend": backend != "torch"}
+    of_model = {"model": model != "live", "backend": backend != "auto"}
     if record is not None:
         _refuse(
             "--record", **dict.fromkeys(given.acting.settings | given.choice.settings, True),
@@ -442,9 +442,8 @@ def _refuse(kind: str, **options: Any) -> None:
 def _is_live(model: str) -> bool:
     """Whether a model is causal: made for a voice that has not ended."""
     from deitalk.models.folder import is_causal
-    from deitalk.models.load import is_onnx
 
-    return is_onnx(model, "torch") or is_causal(model)
+    return is_causal(model)
 
 
 def _speak(

@@ -173,8 +173,11 @@ def export(
         Path | None, typer.Option("--out", "-o", help="Folder to write, or FILE.onnx.")
     ] = None,
     onnx: Annotated[
-        Path | None, typer.Option("--onnx", help="File.onnx to write, for ONNX Runtime and Unreal.")
+        Path | None, typer.Option("--onnx", help="File.onnx to write, for engines and browsers.")
     ] = None,
+    precision: Annotated[
+        str, typer.Option(help="Weights of the .onnx file: float32, or float16 of half the size.")
+    ] = "float32",
     data: Annotated[str, typer.Option(help="Description of the training data.")] = "",
     force: Annotated[bool, typer.Option("--force", help="Replace the folder.")] = False,
 ) -> None:
@@ -193,12 +196,12 @@ def export(
     if (out is None) == (onnx is None):
         raise DeitalkError("give either --out FOLDER or --onnx FILE.onnx")
     if onnx is not None:
-        _export_onnx(model, onnx, force)
+        _export_onnx(model, onnx, precision, force)
     elif out is not None:
         _export_folder(model, out, data, force)
 
 
-def _export_onnx(model: str, out: Path, force: bool) -> None:
+def _export_onnx(model: str, out: Path, precision: str, force: bool) -> None:
     from deitalk.models.checkpoint import require_model
     from deitalk.models.curve_model import DEITalk
     from deitalk.models.folder import model_folder
@@ -206,7 +209,7 @@ def _export_onnx(model: str, out: Path, force: bool) -> None:
 
     source = model_folder(model)
     reserve_file(out, force=force, inputs=(source / "model.safetensors",))
-    export_onnx(require_model(model, DEITalk), out, name=model)
+    export_onnx(require_model(model, DEITalk), out, name=model, precision=precision)
     console().print(f"{out}: {out.stat().st_size / 1e6:.1f} MB")
     console().note(f"operators: {', '.join(sorted(operators(out)))}")
 
@@ -221,7 +224,7 @@ def _export_folder(model: str, out: Path, data: str, force: bool) -> None:
     network = require_model(model, DEITalk)
     config, summary = portable(source)
     summary |= {"data": data} if data else {}
-    save_model(out, network, config, summary, half=True)
+    save_model(out, network, config, summary, half=True, graph=True)
     console().print(f"{out}: {describe_model(out)['bytes'] / 1e6:.1f} MB")
 
 
@@ -255,7 +258,7 @@ def mix(
     network = mix_models(require_model(before, DEITalk), require_model(after, DEITalk), share)
     config, summary = portable(folders[1])
     summary["mixed"] = {"share": share, "sha256": [weights_hash(folder) for folder in folders]}
-    save_model(out, network, config, summary, half=True)
+    save_model(out, network, config, summary, half=True, graph=True)
     console().print(f"{out}: {describe_model(out)['bytes'] / 1e6:.1f} MB")
 
 

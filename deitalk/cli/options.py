@@ -13,6 +13,7 @@ import typer
 from deitalk.acting import Acting
 from deitalk.audio.choice import MOST_TRACKS, AudioChoice
 from rig import limits
+from rig.limits import MOST_DELAY, MOST_HANDLES
 
 # Options of an acting: one for each field of `deitalk.acting.Acting`, in its panel.
 
@@ -119,6 +120,8 @@ def _option(name: str) -> inspect.Parameter:
         flags = [f"{flags[0]}/--no-{name}"]
     if name == "emotion":
         flags.append("-e")
+    if name == "role":
+        flags.append("--speaker")
     help_text = schema["description"]
     if schema.get("x-repeated"):
         kind, default, help_text = list[str], None, f"{help_text} Repeatable."
@@ -228,15 +231,13 @@ def control_set_of(rig: str) -> str:
 Model = Annotated[str, typer.Option(help="default, live, or a model folder.")]
 AnyModel = Annotated[
     str,
-    typer.Option(
-        "--model", help="default, live, a mesh model (mesh_head, sdfa), a folder, or an .onnx file."
-    ),
+    typer.Option("--model", help="default, live, a mesh model (mesh_head, sdfa), or a folder."),
 ]
 Backend = Annotated[
     str,
     typer.Option(
         rich_help_panel=EXPERT,
-        help="torch, or onnx: ONNX Runtime (extra onnx), which starts faster.",
+        help="onnx: ONNX Runtime; torch; auto: ONNX Runtime on a processor.",
     ),
 ]
 Device = Annotated[
@@ -258,6 +259,25 @@ Timecode = Annotated[
         rich_help_panel=EDITING,
         help="Of the first frame: zero, recording (that of a WAV), HH:MM:SS:FF; HH:MM:SS;FF is "
         "drop frame.",
+    ),
+]
+Delay = Annotated[
+    int,
+    typer.Option(
+        min=-MOST_DELAY,
+        max=MOST_DELAY,
+        rich_help_panel=EDITING,
+        help="Frames by which the face is late against the sound; early if negative.",
+    ),
+]
+Handles = Annotated[
+    int,
+    typer.Option(
+        min=0,
+        max=MOST_HANDLES,
+        rich_help_panel=EDITING,
+        help="Frames added before and after, which hold the pose; the time code is earlier by "
+        "them.",
     ),
 ]
 Threads = Annotated[

@@ -23,22 +23,24 @@ Frames = Annotated[int, Field(ge=0, le=limits.TRAINING_FRAMES)]
 
 
 class VoiceIntensity(Section):
-    """The predicted intensity is corrected by measured prosody; off: the network's own."""
+    """Intensity is that of the voice: `deitalk.postprocess.feeling`; off: the network's own."""
 
-    index_weight: Slope = 0.6
-    """Deviations of liveliness per one of the prosody."""
-    strength_weight: Slope = 0.15
-    """Deviations per decibel of the voice's strength."""
+    per_decibel: Slope = 0.1
+    """State of feeling per decibel of the voice's strength, in the logarithm of odds."""
+    middle: float = Field(default=2.7, ge=-100, le=100)
+    """Strength whose intensity is half of the most, dB above the usual."""
+    display: Slope = 0.2
+    """Display of the changes within a phrase, per standard deviation of liveliness."""
 
 
 class HoldPose(Section):
     """The mouth keeps its pose while a sound is held: a vowel, singing, a hum."""
 
-    steady_db: Size = 4.0
+    steady_db: Size = 2.5
     """Most mean difference of the spectrum's bands from those 0.27 s before, dB."""
-    frames: Annotated[int, Field(ge=1, le=limits.TRAINING_FRAMES)] = 7
-    """Frames that a sound is steady before the pose is kept, after the first 0.27 s."""
-    leaves: Annotated[int, Field(ge=1, le=limits.TRAINING_FRAMES)] = 5
+    frames: Annotated[int, Field(ge=1, le=13)] = 10
+    """Frames that a sound is steady before the pose is kept, after the first 0.33 s."""
+    leaves: Annotated[int, Field(ge=1, le=5)] = 5
     """Frames after the sound in which the pose is left."""
 
 
@@ -47,8 +49,13 @@ class SharpenContacts(Section):
 
     peak: Inner = 0.25
     """Height of a peak that becomes one half."""
+    height: Size = 4.0
+    """Factor on the distance from it, in logits: how suddenly peaks become contacts."""
     steepness: Size = 4.0
-    """Factor on the distance from it, in logits."""
+    """The same of the frames beside a peak."""
+    tail: Share = 0.0
+    """Share of an S-curve of `deitalk.postprocess.curve_stages.GENTLE` in both: contacts that are
+    certain stay higher than those that are likely."""
     shoulder: Inner = 0.7
     """Share of a peak of 1 at which a frame beside it becomes one half."""
     doubt: Share = 0.4
@@ -58,36 +65,16 @@ class SharpenContacts(Section):
 
 
 class ScaleOpening(Section):
-    """The mouth opens for the corrected intensity of the voice.
+    """The mouth opens for the intensity of the voice.
 
     Intense anger and joy of actors widen the range of the lips to 1.41 and 1.32 times that of their
-    neutral take (a measurement of video that is not repeated here). `default`, whose intensity
-    tells strong takes from weak ones, needs no `take` for it.
+    neutral take (a measurement of video that is not repeated here).
     """
 
-    gain: Share = 0.45
+    gain: Slope = 1.0
     """Increase of the opening per unit of intensity."""
-    usual: Share = 0.575
+    usual: Share = 0.52
     """Intensity at which the increase is 0."""
-    take: Share = 0.04
-    """Increase of a take per standard deviation of its strength."""
-
-
-class PoseSize(Section):
-    """The expression is scaled by the size of the network's pose; off: by its own intensity.
-
-    The numbers are for the weights of a model. An emotion
-    with 0 is scaled by its own intensity.
-    """
-
-    angry: Weight
-    """Size of the pose over predicted intensity."""
-    happy: Weight
-    """The same of joy."""
-    sad: Weight
-    """The same of sadness."""
-    surprised: Weight
-    """The same of surprise."""
 
 
 class KeepContacts(Section):
@@ -118,6 +105,8 @@ class Expressions(Section):
     """Of what is above it, taken away."""
     covers_teeth: bool = True
     """Whether the lips of the neutral reading are lowered so; captures of lips show their own."""
+    size: Weight = 1.0
+    """Size of the poses of the other emotions over those that networks are taught."""
     captured: tuple[Emotion, ...] = ()
     """Emotions that captures show, which the table leaves as they are."""
 
@@ -137,17 +126,18 @@ class DeadZone(Section):
 
 
 class Gates(Section):
-    """The mouth shuts and the expression decays in silence."""
+    """In silence the mouth shuts, and the expression decays to a share that stays."""
 
     mouth_opens: Frames = 5
     """Frames before speech."""
     mouth_closes: Frames = 10
     """Frames after speech."""
-    expression_rises: Frames = 12
-    """Frames before speech."""
-    expression_holds: Frames = 45
-    """Frames of a pause that it stays."""
-    expression_fades: Annotated[int, Field(ge=1, le=limits.TRAINING_FRAMES)] = 30
+    feeling_rises: Annotated[int, Field(ge=1, le=limits.TRAINING_FRAMES)] = 15
+    """Frames before speech in which the expression rises."""
+    feeling_decays: Annotated[int, Field(ge=1, le=limits.TRAINING_FRAMES)] = 75
+    """Time constant of its decay after speech, frames."""
+    feeling_leaves: Frames = 600
+    """Frames from any speech beyond which the share that stays goes, over two time constants."""
 
 
 Factor = Annotated[float, Field(ge=0, le=2)]
@@ -180,7 +170,6 @@ class RulesConfig(Section):
     hold_pose: HoldPose | None = HoldPose()
     sharpen_contacts: SharpenContacts | None = SharpenContacts()
     scale_opening: ScaleOpening | None = ScaleOpening()
-    pose_size: PoseSize | None = None
     keep_contacts: KeepContacts | None = KeepContacts()
     expressions: Expressions | None = Expressions()
     limit_contact_speed: LimitContactSpeed | None = LimitContactSpeed()
@@ -218,12 +207,10 @@ class RulesConfig(Section):
         names = {"voice_intensity", "hold_pose"}
         if not other_rig:
             names |= {"sharpen_contacts", "keep_contacts", "limit_contact_speed"}
-            names |= {"pose_size", "expressions"}
+            names |= {"expressions"}
             names |= set() if lips else {"scale_opening", "dead_zone"}
         held = {name: getattr(self, name) or getattr(base, name) for name in names}
         shown = set(emotions) - {"neutral"}
-        if (sizes := held.get("pose_size")) is not None and shown:
-            held["pose_size"] = sizes.model_copy(update=dict.fromkeys(shown, 0.0))
         if (table := held.get("expressions")) is not None and (shown or lips):
             captured = tuple(sorted({*table.captured, *shown}))
             covers = table.covers_teeth and not lips

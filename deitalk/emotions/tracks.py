@@ -44,7 +44,7 @@ ROUNDING = 1e-4  # files round their weights
 
 def by_emotion(table: Mapping[str, Sequence[float]]) -> Float64:
     """Rows of a table in the order of `LABELS`; zeros for an emotion that it lacks."""
-    none = [0.0] * len(table["neutral"])
+    none = [0.0] * len(next(iter(table.values())))
     return np.array([table.get(name, none) for name in LABELS])
 
 

@@ -1,8 +1,8 @@
 """Voice activity and gates of voices that have not ended.
 
 The causal form of `deitalk.audio.voice_activity.speech_activity` and of the gates in
-`deitalk.postprocess.voice_intensity`: the noise floor is of the last 12 s, and a frame depends on
-`GATE_AHEAD` frames after it.
+`deitalk.postprocess.feeling`: the noise floor is of the last 12 s, and a frame depends on
+`GATE_AHEAD` frames after it, in which the expression begins to rise before speech.
 
 Streams are side by side, and their state is in the caller's hands. Letters: B streams, n frames of
 a call, K frequency bands.
@@ -28,11 +28,13 @@ from deitalk.audio.voice_activity import (
     TOP_BANDS,
 )
 from deitalk.config.rules import Gates
-from deitalk.postprocess.voice_intensity import expression_between, mouth_between
+from deitalk.postprocess.feeling import expression_after, mouth_between
 from rig.arrays import Bool, Float32, Float64, Int64
 
 GATE_AHEAD = 5
 """Frames after a frame that its gates depend on (0.17 s)."""
+MOST_STEP = 1 / 6
+"""Most by which the share of the expression changes in a frame: 0.2 s from none to all."""
 FLOOR_EVERY = 10
 """Frames between two measurements of the noise floor."""
 QUIET_ROWS = 5
@@ -58,6 +60,10 @@ class ActivityState(NamedTuple):
     """Frames that have come [shape=(B,)]."""
     on: Bool
     """Which of the last frames are speech [shape=(B, P)]."""
+    silent: Float64
+    """Frames since the last speech, at the frame whose gates came last [shape=(B,)]."""
+    share: Float64
+    """Share of the expression of that frame; infinite before the first one [shape=(B,)]."""
 
 
 class RunningActivity:
@@ -71,14 +77,14 @@ class RunningActivity:
 
     def __init__(self, gates: Gates | None) -> None:
         self.gates = gates
-        longest = gates or Gates()
-        past = max(longest.mouth_closes, longest.expression_holds + longest.expression_fades)
-        self.past = LONGEST_DROWNED + GATE_AHEAD + 2 + past
+        self.past = LONGEST_DROWNED + GATE_AHEAD + 2 + (gates or Gates()).mouth_closes
         """P, frames before the last known one on which gates depend."""
 
     def first(self, batch: int) -> ActivityState:
         """State of streams before their first frame."""
         bands = len(BAND_EDGES_HZ) - 1
+        gates = self.gates or Gates()
+        settled = min(5 * gates.feeling_decays, gates.feeling_leaves)  # as after speech
         levels = np.full((batch, FLOOR_FRAMES, bands), np.inf)
         levels[:, :QUIET_ROWS] = SHORT_FLOOR_DB - OPEN_DB
         return ActivityState(
@@ -88,10 +94,12 @@ class RunningActivity:
             np.full((batch, GATE_AHEAD + 1), LONGEST_CLOSURE),
             np.zeros(batch, np.int64),
             np.zeros((batch, self.past), bool),
+            np.full(batch, float(settled)),
+            np.full(batch, np.inf),
         )
 
     def __call__(
-        self, levels: Float32, held: Bool, state: ActivityState
+        self, levels: Float32, held: Bool, rest: Float32, state: ActivityState
     ) -> tuple[Bool, Float32, Float32, ActivityState]:
         """Take the next frames.
 
@@ -101,6 +109,8 @@ class RunningActivity:
             Level of each band, dB.
         held : array of bool [shape=(B, n)]
             Frames of a sound that a voice holds: speech, and no noise.
+        rest : array [shape=(B,), range 0 to 1]
+            Share of the expression that stays in silence.
         state : ActivityState
             From `first`, or from the call before.
 
@@ -109,7 +119,8 @@ class RunningActivity:
         speaking : array of bool [shape=(B, P + n)]
             Frames of speech; gaps are not bridged and clicks not left out. The last n are new.
         mouth, expression : array [shape=(B, n), range 0 to 1]
-            Gates of the frames `GATE_AHEAD` before the new ones.
+            Gate of the mouth and share of the expression, of the frames `GATE_AHEAD` before the
+            new ones.
         state : ActivityState
         """
         streams, count = np.arange(len(levels)), levels.shape[1]
@@ -133,21 +144,37 @@ class RunningActivity:
                 bridged = np.interp(loud, [NOISY_DB, CLEAN_DB], [LONGEST_DROWNED, LONGEST_CLOSURE])
                 gap[due] = np.round(bridged)
         speaking, known = np.concatenate(flags, axis=1), np.concatenate(gaps, axis=1)
-        mouth, expression = self._gates(speaking, known[:, :count])
         kept = np.concatenate((known[:, count:], gap[:, None]), axis=1)
-        after = ActivityState(ring, above, floor, kept, frames, speaking[:, count:])
+        after = ActivityState(
+            ring, above, floor, kept, frames, speaking[:, count:], state.silent, state.share
+        )
+        mouth, expression, after = self._gates(speaking, known[:, :count], rest, after)
         return speaking, mouth, expression, after
 
-    def _gates(self, speaking: Bool, gaps: Int64) -> tuple[Float32, Float32]:
+    def _gates(
+        self, speaking: Bool, gaps: Int64, rest: Float32, state: ActivityState
+    ) -> tuple[Float32, Float32, ActivityState]:
         """Gates of the frames of n gaps [shape=(B, n)]."""
         if self.gates is None:
-            return np.ones(gaps.shape, np.float32), np.ones(gaps.shape, np.float32)
+            return np.ones(gaps.shape, np.float32), np.ones(gaps.shape, np.float32), state
         rows = np.lib.stride_tricks.sliding_window_view(speaking, self.past + 1, axis=1)
         since, until = _distances(rows)
         bridged = since + until - 1 <= gaps
         since, until = np.where(bridged, 0, since), np.where(bridged, 0, until)
         mouth = mouth_between(since, until, self.gates, GATE_AHEAD)
-        return mouth, expression_between(since, until, self.gates, GATE_AHEAD)
+        # Speech may have ended before what is kept of it; speech that comes raises the share.
+        count = np.arange(since.shape[1])
+        spoken = np.maximum.accumulate(count - since, axis=1)
+        since = count - np.maximum(spoken, -1 - state.silent[:, None])
+        wanted = expression_after(since, until, rest[:, None], self.gates)
+        wanted = np.where(np.isfinite(until), 1, wanted)
+        share = np.where(np.isinf(state.share), wanted[:, 0], state.share)
+        expression = wanted.copy()
+        for k in count:
+            share = np.clip(wanted[:, k], share - MOST_STEP, share + MOST_STEP)
+            expression[:, k] = share
+        after = state._replace(silent=since[:, -1].astype(np.float64), share=share)
+        return mouth, expression.astype(np.float32), after
 
 
 def _floor(levels: Float64) -> Float64:

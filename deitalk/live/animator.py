@@ -1,6 +1,5 @@
 """`LiveAnimator`: samples in as they come, curves out a fifth of a second later."""
 
-import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -10,8 +9,9 @@ import numpy.typing as npt
 
 from deitalk.acting import LIVE_FIELDS, Acting, acted_as
 from deitalk.audio.arrays import RunningResampler
-from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE, frame_count
+from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE, frame_count, samples_within
 from deitalk.audio.voice_activity import WINDOW
+from deitalk.config.rules import Idle, RulesConfig
 from deitalk.emotions import LABELS, EmotionTrack
 from deitalk.errors import AudioError, ConfigError
 from deitalk.live.cues import CueState, RunningCues
@@ -25,12 +25,14 @@ from deitalk.models.protocol import (
     take,
     trained_weights,
 )
-from deitalk.postprocess.factors import expression_scale
+from deitalk.postprocess.factors import expression_scale, held_intensity
+from deitalk.postprocess.feeling import fade, felt_intensity
 from deitalk.postprocess.joins import MOST_HEAD_FRAMES, Edge, Passage
-from deitalk.postprocess.life.motion import MotionStream, move_together
-from deitalk.postprocess.life.voice import Seeds
+from deitalk.postprocess.life.amounts import Life
+from deitalk.postprocess.life.motion import Character, MotionStreams
+from deitalk.postprocess.life.voice import PAUSE, Cues, Seeds
 from deitalk.postprocess.tracks import GATES, LIVE_AHEAD, VoiceTracks, shown_columns
-from deitalk.postprocess.voice_intensity import fade
+from deitalk.postprocess.variants import choose_ways
 from rig import ControlSet
 from rig.arrays import Bool, Float32, Int64
 from rig.curves import HEAD
@@ -101,8 +103,8 @@ class Stream:
         Columns of the curves.
     acting : Acting
         At the start.
-    life : MotionStream or None
-        Blinks, gaze, brows, head and neck.
+    moves : bool
+        Whether blinks, gaze, brows, head and neck move.
     actor : array [shape=(A,)]
         Weights of the network's actors.
     """
@@ -112,13 +114,16 @@ class Stream:
         grid: SpectraGrid,
         controls: ControlSet,
         acting: Acting,
-        life: MotionStream | None,
+        moves: bool,
         actor: Float32,
     ) -> None:
-        self.grid, self.controls, self.life = grid, controls, life
+        self.grid, self.controls, self.moves = grid, controls, moves
         self.actor, self.rest = actor, b""
+        self.other: Sound | None = None
+        """Sound of the one whom it listens to."""
         self.sound, self.changes = Sound(), [Change(0.0, acting.emotion_track, acting.intensity)]
         self.acting, self.gain = acting, gain_factors(controls, acting.gain)
+        self.ways = choose_ways(acting.variant, Seeds((0, 0, acting.seed)))
         self.groups = 0
         self.n_given = -LIVE_AHEAD
         """Frame that the rules give next."""
@@ -184,8 +189,6 @@ class Stream:
         change = Change(self.sound.end / SAMPLE_RATE, acting.emotion_track, acting.intensity)
         if (acting.emotion, acting.intensity) != (before.emotion, before.intensity):
             self.changes = [*self.changes, change] if self.sound.end else [change]
-        if self.life is not None and acting.look_at != before.look_at:
-            self.life.look_at(acting.look_at, frame_count(self.sound.end))
 
     def finish(self) -> None:
         """Take the end of the sound: silence follows, until the last frame is known."""
@@ -223,18 +226,31 @@ class Stream:
         self.groups += count
         return windows, *self._directed(frames)
 
-    def heard(self, count: int) -> Float32:
-        """Sound (count, `WINDOW`) of the frames `MEASURED_AHEAD` after those that were taken."""
+    def hear(self, samples: Float32, begin: int) -> None:
+        """Take sound of the one whom it listens to, which begins with a sample of its own."""
+        self.other = self.other or Sound()
+        silent = max(begin - self.other.end, 0)
+        self.other.append(np.concatenate((np.zeros(silent, np.float32), samples)))
+
+    def measured(self, count: int) -> tuple[Float32, Float32 | None]:
+        """Sound (count, `WINDOW`) of the frames `MEASURED_AHEAD` after those that were taken.
+
+        Its own, and that of the one whom it listens to, silence where none has come.
+        """
         stop = self.groups - self.grid.delay + MEASURED_AHEAD
         starts = np.arange(stop - count, stop) * SAMPLE_RATE // FRAME_RATE - WINDOW // 2
-        windows = self.sound.windows(starts, WINDOW)
+        windows, other = self.sound.windows(starts, WINDOW), None
+        if self.other is not None:
+            self.hear(np.zeros(0, np.float32), self.sound.end)
+            other = self.other.windows(starts, WINDOW)
+            self.other.drop(int(starts[-1]))
         # Sound and changes that no frame needs any more.
         spectrum = int(self.groups * SAMPLE_RATE / FRAME_RATE) - self.grid.length
         self.sound.drop(min(spectrum, stop * SAMPLE_RATE // FRAME_RATE - WINDOW))
         seconds = (self.groups - self.grid.delay) / FRAME_RATE - RAMP_SECONDS
         while len(self.changes) > 1 and self.changes[1].seconds < seconds:
             self.changes.pop(0)
-        return windows
+        return windows, other
 
     def given(self, count: int) -> slice:
         """Which of the `count` frames that the rules give next there are.
@@ -272,46 +288,6 @@ def _none(count: int) -> Float32:
     return np.zeros((0, count), np.float32)
 
 
-def move_streams(
-    streams: Sequence[Stream],
-    given: Sequence[slice],
-    speaking: Bool,
-    acted: Float32,
-    shown: Float32,
-) -> Float32:
-    """Write the motion of the next frames of streams into their columns.
-
-    Parameters
-    ----------
-    streams : sequence of Stream
-        B; those without life do not move.
-    given : sequence of slice
-        Which of the n frames each stream gives.
-    speaking : array of bool [shape=(B, n)]
-        Frames of speech.
-    acted : array [shape=(B, n, 9)]
-        Emotion shown.
-    shown : array [shape=(B, n, 36)]
-        Gates and motion; the latter is written.
-
-    Returns
-    -------
-    array [shape=(B, n, 6)]
-        Track of the head.
-    """
-    heads = np.zeros((*speaking.shape, len(HEAD)), np.float32)
-    alike: dict[tuple[int, int], list[int]] = {}  # one, but for first and last frames
-    for k, (stream, which) in enumerate(zip(streams, given, strict=True)):
-        if stream.life is not None and which.start < which.stop:
-            alike.setdefault((which.start, which.stop), []).append(k)
-    for (start, stop), places in alike.items():
-        lives = [life for k in places if (life := streams[k].life) is not None]
-        motion = move_together(lives, speaking[places, start:stop], acted[places, start:stop])
-        shown[places, start:stop, GATES:] = np.concatenate(motion.tracks, axis=-1)
-        heads[places, start:stop] = motion.head
-    return heads
-
-
 BLOCK_FRAMES, FEW_FRAMES = 256, 8
 """Most frames of a stream that the network reads at once, and most of any number."""
 Arrays = tuple[Any, ...]
@@ -329,15 +305,15 @@ class LiveAnimator:
     Parameters
     ----------
     model : str, Path, DEITalk or CausalNetwork
-        A model with a causal frontend, such as ``live``; or its ``.onnx`` file.
+        A model with a causal frontend, such as ``live``.
     backend : str
-        ``torch``, or ``onnx`` for ONNX Runtime, without torch.
+        As for `deitalk.models.load.load_network`.
     streams : int
         Voices, each with its own sound, emotion and state; read in one call of the network.
     emotion, acting, fields
-        As for `deitalk.animate`, of every stream at the start: emotion, intensity, style, life,
-        look_at, gain, rules and seed; stream k has ``seed + k``. Other fields of an acting need
-        the whole recording.
+        As for `deitalk.animate`, of every stream at the start: emotion, intensity, rest, style,
+        variant, life, look_at, gain, rules and seed; stream k has ``seed + k``. Other fields
+        of an acting need the whole recording.
     sample_rate : int
         Of the samples, Hz; others than 16000 are resampled.
 
@@ -374,7 +350,7 @@ class LiveAnimator:
         acting: Acting | None = None,
         streams: int = 1,
         sample_rate: int = SAMPLE_RATE,
-        backend: str = "torch",
+        backend: str = "auto",
         **fields: Any,
     ) -> None:
         self.network = load_causal(model, backend=backend)
@@ -391,9 +367,12 @@ class LiveAnimator:
         self.lookahead_seconds = ahead + LIVE_AHEAD / FRAME_RATE
         self.rules = self.network.curve_pass(live=True)
         self.hearing, self.cues = RunningHearing(self.network.rules), RunningCues(LIVE_AHEAD)
-        self.state, self.past, self.due = self._first(streams)
+        self.ears = RunningHearing(RulesConfig.none())
+        self.state, self.past, self.due, self.other = self._first(streams)
         self.streams = [self._stream(k) for k in range(streams)]
-        self.resamplers = [self._resampler() for _ in range(streams)]
+        idle = self.network.rules.idle or Idle()
+        self.motion = MotionStreams([self._character(k) for k in range(streams)], idle)
+        self.resamplers = [[self._resampler(), self._resampler()] for _ in range(streams)]
         self.heads = [np.zeros((0, len(HEAD)), np.float32)] * streams
 
     @property
@@ -401,7 +380,11 @@ class LiveAnimator:
         """Track of the head of the frames that were given last."""
         return self._single(self.heads)
 
-    def feed(self, samples: Samples | Sequence[Samples]) -> Any:
+    def feed(
+        self,
+        samples: Samples | Sequence[Samples],
+        heard: Samples | Sequence[Samples | None] | None = None,
+    ) -> Any:
         """Take the next samples; return the frames that are known now.
 
         Parameters
@@ -410,6 +393,10 @@ class LiveAnimator:
             Mono: floating point with full scale 1, 16-bit integers, or bytes of these
             (little-endian), of which an odd one is kept for the next call. Of several streams a
             sequence of one entry each, of any lengths.
+        heard : array, bytes, or a sequence of them, optional
+            Samples of the one whom the face listens to, from the same time on: it nods at the ends
+            of that one's phrases and keeps its eyes there. Of several streams None for those that
+            hear nothing.
 
         Returns
         -------
@@ -423,6 +410,12 @@ class LiveAnimator:
         rows: list[Any] = [samples] if len(self.streams) == 1 else list(samples)  # type: ignore[arg-type]
         if len(rows) != len(self.streams):
             raise AudioError(f"samples of {len(rows)} streams; there are {len(self.streams)}")
+        others: list[Any] = [heard] if len(rows) == 1 or heard is None else list(heard)  # type: ignore[arg-type]
+        if len(others) != len(rows) and heard is not None:
+            raise AudioError(f"heard samples of {len(others)} streams; there are {len(rows)}")
+        for k, other in enumerate(others):
+            if other is not None:
+                self.hear(other, stream=k)
         pieces = [self._whole(row, k) for k, row in enumerate(rows)]
         checked = [checked_samples(samples) for samples, _ in pieces]
         for k, row in enumerate(checked):
@@ -447,6 +440,21 @@ class LiveAnimator:
             raise AudioError("the stream has ended; reset it to begin again")
         self._append(stream, checked, last=False)
         self.streams[stream].rest = rest
+
+    def hear(self, samples: Samples, *, stream: int = 0) -> None:
+        """Take samples of the one whom a stream listens to, from the time of its own next ones.
+
+        Raises
+        ------
+        AudioError
+            As `feed`; bytes must be whole samples.
+        """
+        if isinstance(samples, bytes | bytearray | memoryview) and len(samples) % 2:
+            raise AudioError(f"heard samples have {len(samples)} bytes; give two for each")
+        checked, one = checked_samples(samples), self.streams[stream]
+        if (resampler := self.resamplers[stream][1]) is not None:
+            checked = resampler.feed(checked, last=False)
+        one.hear(checked, one.sound.end)
 
     def _whole(self, samples: Samples, stream: int) -> tuple[Samples, bytes]:
         """Whole samples, and the byte of the next one that came already."""
@@ -510,8 +518,8 @@ class LiveAnimator:
         frame = None if shown is None else self._frame(shown, head, one.last[1])
         if not one.sound.end:
             return 0
-        one.interrupt(interruption_samples(self.lookahead_seconds), frame)
-        self.resamplers[stream] = self._resampler()
+        one.interrupt(samples_within(self.lookahead_seconds), frame)
+        self.resamplers[stream][0] = self._resampler()
         return frame_count(one.sound.end)
 
     def _frame(
@@ -536,7 +544,8 @@ class LiveAnimator:
         stream : int, optional
             Which stream; all by default.
         **fields
-            emotion, intensity, look_at, gain and rules; those that are not given stay as they are.
+            emotion, intensity, rest, look_at, gain and rules; those that are not given stay as they
+            are.
 
         Raises
         ------
@@ -545,44 +554,53 @@ class LiveAnimator:
         """
         if fixed := [name for name in fields if LIVE_FIELDS.get(name) != "change"]:
             raise ConfigError(f"{', '.join(fixed)} cannot change while somebody speaks")
-        for one in self.streams if stream is None else [self.streams[stream]]:
-            acting = Acting.of(one.acting, **fields).check_live()
+        for k in range(len(self.streams)) if stream is None else [stream]:
+            one = self.streams[k]
+            acting, before = Acting.of(one.acting, **fields).check_live(), one.acting
             one.change(acting)
+            if one.moves and acting.look_at != before.look_at:
+                self.motion.look_at(k, acting.look_at, frame_count(one.sound.end))
 
     def reset(self, stream: int | None = None) -> None:
         """Begin a stream again, or all: no sound, first emotion and intensity, first blinks."""
         for k in range(len(self.streams)) if stream is None else [stream]:
-            for state, first in zip((self.state, self.past, self.due), self._first(1), strict=True):
+            states = self.state, self.past, self.due, self.other
+            for state, first in zip(states, self._first(1), strict=True):
                 put(state, [k], first)
-            self.streams[k], self.resamplers[k] = self._stream(k), self._resampler()
+            self.streams[k] = self._stream(k)
+            self.motion.reset(k, self._character(k))
+            self.resamplers[k] = [self._resampler(), self._resampler()]
 
     def open(self, stream: int, acting: Acting) -> None:
         """Begin a stream again, acted otherwise."""
         self.actings[stream] = acting.check_live()
         self.reset(stream)
 
-    def _first(self, batch: int) -> tuple[Arrays, Arrays, Arrays]:
-        """State before the first sound: of the network, of what is heard, of the rules."""
+    def _first(self, batch: int) -> tuple[Arrays, Arrays, Arrays, Arrays]:
+        """State before the first sound: of the network, its own voice, the rules, the other one."""
         network = tuple(part.copy() for part in self.network.first_state(batch))
         mixture = np.zeros((batch, LIVE_AHEAD, len(LABELS)), np.float32)
         speaking = np.zeros((batch, LIVE_AHEAD), bool)
         due = self.rules.first(batch), mixture, speaking, *self.cues.first(batch)
-        return network, self.hearing.first(batch), due
+        other = *self.ears.first(batch), *self.cues.first(batch)
+        return network, self.hearing.first(batch), due, other
+
+    def _character(self, number: int) -> Character:
+        acting = self.actings[number]
+        return Character(Seeds((0, 0, acting.seed)), acting.motion or Life())
 
     def _stream(self, number: int) -> Stream:
-        controls, acting, motion = self.network.controls, self.actings[number], None
-        life, idle = acting.motion, self.network.rules.idle
-        if life is not None and idle is not None and acting.rules:
-            motion = MotionStream(Seeds((0, 0, acting.seed)), idle, life)
+        controls, acting = self.network.controls, self.actings[number]
+        moves = acting.motion is not None and self.network.rules.idle is not None and acting.rules
         style = chosen_actor(self.network.actors, acting.style)
         actor = np.array([name == style for name in self.network.actors], np.float32)
-        return Stream(self.network.grid, controls, acting, motion, actor)
+        return Stream(self.network.grid, controls, acting, moves, actor)
 
     def _resampler(self) -> RunningResampler | None:
         return None if self.sample_rate == SAMPLE_RATE else RunningResampler(self.sample_rate)
 
     def _append(self, number: int, samples: Float32, *, last: bool) -> None:
-        resampler = self.resamplers[number]
+        resampler = self.resamplers[number][0]
         if resampler is not None:
             samples = resampler.feed(samples, last=last)
         self.streams[number].sound.append(samples)
@@ -613,7 +631,7 @@ class LiveAnimator:
         if new:
             windows = np.stack([self.streams[k].take(delay)[0] for k in new])
             put(self.state, new, self.network.begin(windows, take(self.state, new)))
-            sound = np.stack([self.streams[k].heard(MEASURED_AHEAD) for k in new])
+            sound = np.stack([self.streams[k].measured(MEASURED_AHEAD)[0] for k in new])
             put(self.past, new, self.hearing.begin(sound, take(self.past, new)))
 
     def _read(self, ready: list[int], count: int) -> None:
@@ -622,7 +640,8 @@ class LiveAnimator:
         # Sound and acting of the frames.
         taken = zip(*(stream.take(count) for stream in streams), strict=True)
         windows, emotion, wanted = (np.stack(parts) for parts in taken)
-        sound = np.stack([stream.heard(count) for stream in streams])
+        sounds, others = zip(*(stream.measured(count) for stream in streams), strict=True)
+        sound = np.stack(sounds)
         ruled = np.array([stream.acting.rules for stream in streams], np.float32)
         # The network: two readings.
         actors = np.stack([stream.actor for stream in streams])[:, None]
@@ -632,36 +651,51 @@ class LiveAnimator:
         self.state = self._put(self.state, ready, state)
         # What is heard of them: intensity, opening and gates.
         past = self._taken(self.past, ready)
-        heard, past = self.hearing(sound, rows.strength, rows.effort, past)
+        stays = np.array([stream.acting.rest for stream in streams], np.float32)
+        heard, past = self.hearing(sound, rows.strength, rows.effort, stays, past)
         self.past = self._put(self.past, ready, past)
         # Factors.
+        rules = self.network.rules
         with_rules = ruled[:, None] > 0
-        voice = np.where(with_rules, heard.intensity, rows.strength)
-        applied = voice * wanted
-        scale = wanted
-        if self.network.rules.voice_intensity is not None:
-            scale = np.where(with_rules, expression_scale(applied, rows.strength), wanted)
+        felt, holds, scale = heard.intensity, rows.strength, wanted
+        if rules.voice_intensity is not None:
+            felt = felt_intensity(felt, emotion, rules.voice_intensity)
+            holds = held_intensity(
+                rules.expressions,
+                self.network.controls,
+                rows.neutral,
+                rows.emotional,
+                emotion,
+                rows.strength,
+            )
+            scale = np.where(with_rules, expression_scale(felt * wanted, holds), wanted)
+        applied = np.where(with_rules, felt, rows.strength) * wanted
         opening = np.where(with_rules, heard.opening, 1)
         phones = np.zeros((*scale.shape, 4), np.float32)
         back, kept, _ = heard.held
-        said = VoiceTracks(scale, opening, rows.strength, phones, emotion, back, kept).columns()
+        ways = [stream.ways for stream in streams]
+        variants = emotion @ np.stack([way.weights for way in ways])
+        side = np.repeat([[way.side] for way in ways], count, axis=1)
+        said = VoiceTracks(
+            scale, opening, holds, phones, emotion, back, kept, variants, side
+        ).columns()
         # Gates and motion of the frames that come out.
         before, mixture, speaking, *cues = self._taken(self.due, ready)
+        begin = cues[CueState._fields.index("frame")]
         found, known = self.cues(heard.measures, heard.speaking, CueState(*cues))
-        for k, cue in found:
-            if (life := streams[k].life) is not None:
-                life.cue(cue)
+        listens = self._listen(ready, others, begin, count)
+        self._cue(ready, found, begin, listens)
         mixture = np.concatenate((mixture, emotion * applied[..., None]), axis=1)
         speaking = np.concatenate((speaking, heard.speaking), axis=1)
-        mouth, expression = (
-            np.where(with_rules, gate, 1) for gate in (heard.mouth, heard.expression)
-        )
+        keyed = np.array([stream.acting.is_keyed for stream in streams])[:, None]
+        mouth = np.where(with_rules, heard.mouth, 1)
+        expression = np.where(with_rules & ~keyed, heard.expression, 1)
         mouth = mouth * np.stack([stream.mouth_share(count) for stream in streams])
         numbers = [stream.n_given for stream in streams]
         given = [stream.given(count) for stream in streams]
         shown = shown_columns(mouth, expression, None)
         acted = mixture[:, :count] * expression[..., None]
-        heads = move_streams(streams, given, speaking[:, :count], acted, shown)
+        heads = self._move(ready, given, speaking[:, :count], acted, shown)
         # The rules, in their order: `deitalk.postprocess.curve_pass`.
         gain = np.stack([stream.gain for stream in streams])
         curves, _, _, after = self.rules(
@@ -672,6 +706,76 @@ class LiveAnimator:
         rows = zip(streams, curves, heads, given, numbers, strict=True)
         for stream, frames, head, which, first in rows:
             stream.give(frames[which], head[which], first + which.start)
+
+    def _listen(
+        self, ready: list[int], others: Sequence[Float32 | None], begin: Int64, count: int
+    ) -> Bool:
+        """Frames in which the ones speak whom some streams listen to [shape=(B, count)]."""
+        speaking = np.zeros((len(ready), count), bool)
+        places = [k for k, other in enumerate(others) if other is not None]
+        if not places:
+            return speaking
+        who = [ready[k] for k in places]
+        state = take(self.other, who)
+        hearing, cues = state[: -len(CueState._fields)], CueState(*state[-len(CueState._fields) :])
+        sound, none = np.stack([others[k] for k in places]), np.zeros((len(who), count), np.float32)
+        heard, hearing = self.ears(sound, none, none, none[:, 0], hearing)
+        state = cues._replace(frame=begin[places])
+        found, state = self.cues(heard.measures, heard.speaking, state)
+        put(self.other, who, (*hearing, *state))
+        moving = np.array([self.streams[k].moves for k in who])[found.stream]
+        self.motion.hear(found._replace(stream=np.array(who)[found.stream]).where(moving))
+        speaking[places] = heard.speaking
+        return speaking
+
+    def _cue(self, ready: list[int], cues: Cues, begin: Int64, listens: Bool) -> None:
+        """Move faces by the cues of their voices; one that listens makes no pause of its own."""
+        row = np.round(cues.known * FRAME_RATE).astype(int) + LIVE_AHEAD - begin[cues.stream]
+        busy = (cues.kind == PAUSE) & listens[cues.stream, np.clip(row, 0, listens.shape[1] - 1)]
+        moving = np.array([self.streams[k].moves for k in ready])[cues.stream]
+        chosen = cues._replace(stream=np.array(ready)[cues.stream]).where(moving & ~busy)
+        self.motion.cue(chosen)
+
+    def _move(
+        self,
+        ready: list[int],
+        given: Sequence[slice],
+        speaking: Bool,
+        acted: Float32,
+        shown: Float32,
+    ) -> Float32:
+        """Write the motion of the next frames of streams into their columns.
+
+        Parameters
+        ----------
+        ready : list of int
+            The streams; those without life do not move.
+        given : sequence of slice
+            Which of the n frames each stream gives.
+        speaking : array of bool [shape=(B, n)]
+            Frames of speech.
+        acted : array [shape=(B, n, 9)]
+            Emotion shown.
+        shown : array [shape=(B, n, 45)]
+            Gates and motion; the latter is written.
+
+        Returns
+        -------
+        array [shape=(B, n, 6)]
+            Track of the head.
+        """
+        heads = np.zeros((*speaking.shape, len(HEAD)), np.float32)
+        alike: dict[tuple[int, int], list[int]] = {}  # one, but for first and last frames
+        for k, which in enumerate(given):
+            if self.streams[ready[k]].moves and which.start < which.stop:
+                alike.setdefault((which.start, which.stop), []).append(k)
+        for (start, stop), places in alike.items():
+            who = np.array(ready)[places]
+            frames = places, slice(start, stop)
+            motion = self.motion.move(speaking[frames], acted[frames], who)
+            shown[places, start:stop, GATES:] = np.concatenate(motion.tracks, axis=-1)
+            heads[frames] = motion.head
+        return heads
 
     def _taken(self, state: Arrays, ready: list[int]) -> Arrays:
         """State of some streams; of all without a copy."""
@@ -686,11 +790,6 @@ class LiveAnimator:
 
     def _has_begun(self, number: int) -> bool:
         return self.streams[number].groups > 0
-
-
-def interruption_samples(lookahead_seconds: float) -> int:
-    """Samples of silence at 16 kHz that follow where a voice is interrupted."""
-    return math.ceil(lookahead_seconds * SAMPLE_RATE)
 
 
 def checked_samples(samples: Samples) -> Float32:

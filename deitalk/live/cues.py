@@ -9,7 +9,6 @@ Streams are side by side, and their state is in the caller's hands. Letters: B s
 a call.
 """
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -19,17 +18,19 @@ from deitalk.audio.vocal_strength import LEVEL_DB, PITCH_SEMITONES, VOICED
 from deitalk.live.intensity import FORGET_FRAMES, Measures
 from deitalk.postprocess.life.voice import (
     ACCENT_DISTANCE,
-    FULL_PROMINENCE,
+    ACCENT_WEIGHTS,
+    FULL_ACCENT,
     FULL_STRESS_DB,
     JOINED_SECONDS,
-    LEAST_PROMINENCE,
+    LEAST_ACCENT,
     LEAST_STRESS_DB,
     LISTENING_EVERY,
     LISTENING_SECONDS,
     PAUSES,
     SONORITY_DB,
+    SONORITY_SPREAD_DB,
     STRESS_DISTANCE,
-    Cue,
+    Cues,
 )
 from rig.arrays import Bool, Float64, Int64
 
@@ -38,15 +39,18 @@ SMOOTHING, SONORITY_SMOOTHING = 0.4, 0.6
 LOUDEST_FALLS_DB = 0.75 / FRAME_RATE
 """Decrease per frame of the loudest sonority, from which `SONORITY_DB` counts."""
 MOST_TARGET = 3.0
-"""Limit of level and pitch together, standard deviations."""
+"""Limit of each of level, pitch and sonority, standard deviations."""
+EAGER_SECONDS, RELUCTANT = 3.0, 1.2
+"""Seconds from an accent on in which another one must stand out more, and how much at first."""
 NONE = -1
 """Frame of a phrase, or of speech, where there is none."""
 ACCENTS, STRESSES = 0, 1
 """Columns of the peaks."""
 SMOOTHINGS = np.array([SMOOTHING, SONORITY_SMOOTHING])
 DISTANCES = np.array([ACCENT_DISTANCE, STRESS_DISTANCE])
-LEAST_RISES = np.array([LEAST_PROMINENCE, LEAST_STRESS_DB])
-FULL_RISES = np.array([FULL_PROMINENCE, FULL_STRESS_DB])
+FREE_FRAMES = np.array([round(EAGER_SECONDS * FRAME_RATE), STRESS_DISTANCE])
+FULL = np.array([FULL_ACCENT, FULL_STRESS_DB])
+SPREADS = np.array([LEVEL_DB, PITCH_SEMITONES, SONORITY_SPREAD_DB])
 PAUSE_SIZES = np.zeros(round(LISTENING_SECONDS * FRAME_RATE))
 """Length of the pause that is a cue, by the frames that it has lasted; 0: none."""
 for _size in PAUSES:
@@ -57,12 +61,12 @@ class CueState(NamedTuple):
     """What is kept of streams between two calls."""
 
     means: Float64
-    """Of level and pitch in speech [shape=(B, 2)]."""
+    """Of level, pitch and sonority in speech [shape=(B, 3)]."""
     weights: Float64
     """Frames that they count for."""
     peaks: Float64
-    """Smoothed value, the one before, and the lowest since the last peak, of level and pitch and of
-    the sonority [shape=(B, 3, 2)]."""
+    """Smoothed value, the one before, and the lowest since the last peak, of all three weighted and
+    of the sonority [shape=(B, 3, 2)]."""
     since: Int64
     """Frames since the last peak [shape=(B, 2)]."""
     loudest: Float64
@@ -73,6 +77,16 @@ class CueState(NamedTuple):
     """First of the phrase, or `NONE` [shape=(B,)]."""
     spoken: Int64
     """Last of speech, or `NONE` [shape=(B,)]."""
+
+
+class Found(NamedTuple):
+    """Whether there is a cue of one kind in each stream, and its numbers [shape=(B,) each]."""
+
+    there: Bool
+    time: Float64
+    size: Float64
+    prominence: Float64
+    stop: Float64
 
 
 class RunningCues:
@@ -93,10 +107,10 @@ class RunningCues:
         peaks[:, :, STRESSES] = np.nan  # begins with the first value
         none = np.full(batch, NONE)
         return CueState(
-            np.zeros((batch, 2)),
-            np.zeros((batch, 2)),
+            np.zeros((batch, 3)),
+            np.zeros((batch, 3)),
             peaks,
-            np.tile(DISTANCES, (batch, 1)),
+            np.tile(FREE_FRAMES, (batch, 1)),
             np.full(batch, -100.0),
             np.zeros(batch, np.int64),
             none,
@@ -105,8 +119,8 @@ class RunningCues:
 
     def __call__(
         self, measures: Measures, speaking: Bool, state: CueState
-    ) -> tuple[list[tuple[int, Cue]], CueState]:
-        """Cues that the next frames make known, each after the number of its stream.
+    ) -> tuple[Cues, CueState]:
+        """Cues that the next frames make known, in the order of the frames.
 
         Parameters
         ----------
@@ -117,82 +131,86 @@ class RunningCues:
         state : CueState
             From `first`, or from the call before.
         """
-        found: list[tuple[int, Cue]] = []
+        parts = []
         for k in range(speaking.shape[1]):
             row = Measures(*(track[:, k] for track in measures))
             known = np.maximum(state.frame - self.ahead, 0) / FRAME_RATE
-            state = self._phrases(speaking[:, k], known, state, found)
-            state = self._peaks(row, speaking[:, k], known, state, found)
+            phrases, state = self._phrases(speaking[:, k], state)
+            peaks, state = self._peaks(row, speaking[:, k], state)
             state = state._replace(frame=state.frame + 1)
-        return found, state
+            # Of all kinds and streams, those that there are: (kinds, B).
+            there, *numbers = (np.stack(part) for part in zip(*phrases, *peaks, strict=True))
+            kind, stream = np.nonzero(there)
+            time, size, prominence, stop = (part[kind, stream] for part in numbers)
+            asked = np.zeros(len(kind), bool)  # questions are known too late
+            parts.append(Cues(stream, kind, time, known[stream], size, prominence, stop, asked))
+        return Cues(*(np.concatenate(part) for part in zip(*parts, strict=True))), state
 
-    def _phrases(
-        self, speaks: Bool, known: Float64, state: CueState, found: list[tuple[int, Cue]]
-    ) -> CueState:
-        """Append the cues of phrases and pauses."""
+    def _phrases(self, speaks: Bool, state: CueState) -> tuple[list[Found], CueState]:
+        """Cues of phrases and pauses: `START`, `SPEECH`, `END` and `PAUSE`."""
         frame, now = state.frame, state.frame / FRAME_RATE
+        none, to_come = np.zeros(len(frame)), np.full(len(frame), np.nan)
         # A phrase starts, or has lasted whole seconds.
         starts = speaks & (state.begun == NONE)
         begun = np.where(starts, frame, state.begun)
         spoken = np.where(speaks, frame, state.spoken)
         length = frame - begun
-        for k in np.flatnonzero(starts).tolist():
-            found.append((k, Cue("start", now[k], known[k], math.inf)))
-        for k in np.flatnonzero(speaks & ~starts & (length % FRAME_RATE == 0)).tolist():
-            found.append((k, Cue("speech", now[k], known[k], int(length[k]) // FRAME_RATE)))
+        lasts = speaks & ~starts & (length % FRAME_RATE == 0)
         # It has ended for long enough; a pause has lasted one of its lengths.
         silent = ~speaks & (spoken != NONE)
         pause, start = frame - spoken, (spoken + 1) / FRAME_RATE
         ends = silent & (begun != NONE) & (pause / FRAME_RATE > JOINED_SECONDS)
-        for k in np.flatnonzero(ends).tolist():
-            size = start[k] - begun[k] / FRAME_RATE
-            found.append((k, Cue("end", start[k], known[k], size)))
         sizes = PAUSE_SIZES[np.minimum(pause, len(PAUSE_SIZES) - 1)]
         listened = pause / FRAME_RATE - LISTENING_SECONDS
         beats = (listened >= 0) & (listened % LISTENING_EVERY < 0.5 / FRAME_RATE)
         sizes = np.where(pause < len(PAUSE_SIZES), sizes, beats * pause / FRAME_RATE)
-        for k in np.flatnonzero(silent & (sizes > 0)).tolist():
-            found.append((k, Cue("pause", start[k], known[k], sizes[k])))
-        return state._replace(begun=np.where(ends, NONE, begun), spoken=spoken)
+        found = [
+            Found(starts, now, none, none, to_come),
+            Found(lasts, now, length // FRAME_RATE + none, none, to_come),
+            Found(ends, start, start - begun / FRAME_RATE, none, to_come),
+            Found(silent & (sizes > 0), start, sizes, none, to_come),
+        ]
+        return found, state._replace(begun=np.where(ends, NONE, begun), spoken=spoken)
 
-    def _peaks(
-        self,
-        row: Measures,
-        speaks: Bool,
-        known: Float64,
-        state: CueState,
-        found: list[tuple[int, Cue]],
-    ) -> CueState:
-        """Append the cues of accents and stresses, which were at the frame before."""
-        # Level and pitch over their means so far, and the sonority above the quietest speech.
-        counts = np.stack((speaks, speaks & (row.periodicity > VOICED)), axis=-1)
-        values = np.stack((row.level, row.pitch), axis=-1)
+    def _peaks(self, row: Measures, speaks: Bool, state: CueState) -> tuple[list[Found], CueState]:
+        """`ACCENT` and `STRESS`, which were at the frame before."""
+        loudest = np.maximum(state.loudest - LOUDEST_FALLS_DB, row.sonority)
+        sonority = np.maximum(row.sonority, loudest - SONORITY_DB)
+        # Level, pitch and sonority over their means so far, and the sonority itself.
+        voiced = speaks & (row.periodicity > VOICED)
+        counts = np.stack((speaks, voiced, speaks), axis=-1)
+        values = np.stack((row.level, row.pitch, sonority), axis=-1)
         weights = np.where(counts, np.minimum(state.weights + 1, FORGET_FRAMES), state.weights)
         moved = state.means + (values - state.means) / np.maximum(weights, 1)
         means = np.where(counts, moved, state.means)
-        above = np.where(counts, (values - means) / (LEVEL_DB, PITCH_SEMITONES), 0).sum(axis=-1)
-        loudest = np.maximum(state.loudest - LOUDEST_FALLS_DB, row.sonority)
-        lively = np.clip(above / 2**0.5, -MOST_TARGET, MOST_TARGET)
-        target = np.stack((lively, np.maximum(row.sonority, loudest - SONORITY_DB)), axis=-1)
-        # Peaks that rise far enough above the lowest value since the last one.
+        above = np.clip((values - means) / SPREADS, -MOST_TARGET, MOST_TARGET)
+        weighted = (np.where(counts, above, 0) * ACCENT_WEIGHTS).sum(axis=-1)
+        target = np.stack((weighted, sonority), axis=-1)
+        # Peaks that stand out, and those that rise far enough above the lowest since the last one.
         last, before, valley = np.moveaxis(
             np.where(np.isnan(state.peaks), target[:, None], state.peaks), 1, 0
         )
         value = last + SMOOTHINGS * (target - last)
-        rise, since = last - valley, state.since + 1
-        is_peak = (before < last) & (last > value) & (since >= DISTANCES) & (rise >= LEAST_RISES)
+        since = state.since + 1
+        free = np.minimum(since[:, ACCENTS] / (EAGER_SECONDS * FRAME_RATE), 1)
+        least = np.stack((LEAST_ACCENT + RELUCTANT * (1 - free), 0 * free + LEAST_STRESS_DB), -1)
+        height = np.stack((last[:, ACCENTS], (last - valley)[:, STRESSES]), axis=-1)
+        is_peak = (before < last) & (last > value) & (since >= DISTANCES) & (height >= least)
         valley = np.where(is_peak, value, np.minimum(valley, value))
         time = np.maximum(state.frame - 1, 0) / FRAME_RATE
-        size = np.minimum(rise / FULL_RISES, 1.0)
-        for k in np.flatnonzero(is_peak[:, ACCENTS]).tolist():
-            found.append((k, Cue("accent", time[k], known[k], size[k, ACCENTS])))
-        for k in np.flatnonzero(is_peak[:, STRESSES] & (state.begun != NONE)).tolist():
-            high = value[k, ACCENTS]
-            found.append((k, Cue("stress", time[k], known[k], size[k, STRESSES], high)))
-        return state._replace(
+        size, high = np.minimum(height / FULL, 1.0), value[:, ACCENTS] / np.hypot(1, 1)
+        none, to_come = np.zeros(len(time)), np.full(len(time), np.nan)
+        found = [
+            Found(is_peak[:, ACCENTS], time, size[:, ACCENTS], none, to_come),
+            Found(
+                is_peak[:, STRESSES] & (state.begun != NONE), time, size[:, STRESSES], high, to_come
+            ),
+        ]
+        state = state._replace(
             means=means,
             weights=weights,
             peaks=np.stack((value, last, valley), axis=1),
             since=np.where(is_peak, 0, since),
             loudest=loudest,
         )
+        return found, state

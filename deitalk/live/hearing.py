@@ -13,7 +13,7 @@ from deitalk.audio.voice_activity import BAND_EDGES_HZ, window_levels
 from deitalk.config.rules import HoldPose, RulesConfig
 from deitalk.live.activity import GATE_AHEAD, ActivityState, RunningActivity
 from deitalk.live.intensity import IntensityState, Measures, RunningIntensity, follow_means
-from deitalk.postprocess.factors import opening_factor
+from deitalk.postprocess.factors import LEARNT_USUAL, opening_factor
 from deitalk.postprocess.tracks import LIVE_AHEAD
 from rig.arrays import Bool, Float32, Float64
 
@@ -31,13 +31,13 @@ class Heard(NamedTuple):
     speaking: Bool
     """Frames of speech [shape=(B, n)]; a lone one is a click."""
     intensity: Float32
-    """Corrected intensity [shape=(B, n), range 0 to 1]."""
+    """Intensity of the voice [shape=(B, n), range 0 to 1.2]."""
     opening: Float32
     """Factor on the opening of the mouth [shape=(B, n)]."""
     mouth: Float32
     """Gate of the mouth `LIVE_AHEAD` frames before [shape=(B, n), range 0 to 1]."""
     expression: Float32
-    """The same of the expression."""
+    """Share of the expression of the same frames."""
     held: Held
     """Where a held sound keeps its pose [shape=(B, n)]."""
 
@@ -62,10 +62,11 @@ class RunningHearing:
 
     def first(self, batch: int) -> HearingState:
         """State of streams before their first frame."""
-        usual = 0.0 if self.rules.scale_opening is None else self.rules.scale_opening.usual
+        opens = self.rules.scale_opening
+        usual = (0.0, 0.0) if opens is None else (opens.usual, LEARNT_USUAL)
         intensity = () if self.intensity is None else self.intensity.first(batch)
         measured = np.zeros((batch, MEASURED_AHEAD, N_MEASURES))
-        means = np.full((batch, 2), usual)
+        means = np.tile(usual, (batch, 1))
         held = first_held(batch, len(BAND_EDGES_HZ) - 1)
         return (*self.activity.first(batch), *held, measured, means, *intensity)
 
@@ -74,11 +75,17 @@ class RunningHearing:
         levels, measured = measure(windows)
         activity, held, _, means, intensity = self._split(state)
         found, held = follow_held(levels, _tones(measured), self.hold, held)
-        *_, activity = self.activity(levels, found.sounding, activity)
+        rest = np.zeros(len(levels), np.float32)
+        *_, activity = self.activity(levels, found.sounding, rest, activity)
         return (*activity, *held, measured, means, *intensity)
 
     def __call__(
-        self, windows: Float32, network: Float32, effort: Float32, state: HearingState
+        self,
+        windows: Float32,
+        network: Float32,
+        effort: Float32,
+        rest: Float32,
+        state: HearingState,
     ) -> tuple[Heard, HearingState]:
         """Hear the next frames.
 
@@ -88,6 +95,8 @@ class RunningHearing:
             Sound of the frames that are `MEASURED_AHEAD` after those of the network's rows.
         network, effort : array [shape=(B, n)]
             Of the rows: predicted intensity, and strength of the voice.
+        rest : array [shape=(B,), range 0 to 1]
+            Share of the expression that stays in silence.
         state : HearingState
             From `begin`, or from the call before.
         """
@@ -95,7 +104,7 @@ class RunningHearing:
         count = windows.shape[1]
         levels, measured = measure(windows)
         held, past = follow_held(levels, _tones(measured), self.hold, past)
-        on, mouth, expression, activity = self.activity(levels, held.sounding, activity)
+        on, mouth, expression, activity = self.activity(levels, held.sounding, rest, activity)
         measured = np.concatenate((before, measured), axis=1)
         measures = Measures.of(measured[:, :count])
         # Activity of the rows and of the frames beside them, of which the last n + 4 flags are.

@@ -1,9 +1,8 @@
 """Intensity of voices that have not ended.
 
-The causal form of `deitalk.postprocess.voice_intensity`: the variation is the same sum, about
-running means that forget; smoothing looks back instead of to both sides, and after a pause the
-intensity rises with the voice instead of before it. The strength of the voice is the network's
-readout alone.
+The causal form of `deitalk.postprocess.feeling`: the state is the strength of the voice by the
+network's readout, over the last second and a half of speech; the display is the same sum, about
+running means that forget, and its smoothing looks back instead of to both sides.
 
 Streams are side by side, and their state is in the caller's hands; frames are taken one after the
 other, of all streams at once. Letters: B streams, n frames of a call.
@@ -15,39 +14,37 @@ import numpy as np
 
 from deitalk.audio.vocal_strength import LEVEL_DB, PITCH_SEMITONES, TILT_DB, VOICED, sonority_db
 from deitalk.config.rules import VoiceIntensity
-from deitalk.postprocess.voice_intensity import (
-    AROUND_WEIGHT,
+from deitalk.postprocess.feeling import (
     BRIGHTEST_DB,
-    FAINTEST,
-    FALL_FRAMES,
     FURTHEST_SEMITONES,
     LEVEL_SHARE,
     MOST_TONE,
-    MOST_VARIATION,
-    NEAR_SHARE,
-    NETWORK_WEIGHT,
-    RISE_FRAMES,
-    STEEPNESS,
+    NETWORK_SHARE,
     TONE_SHARE,
-    base_z,
     deviation,
+    intensity_of,
+    limited,
+    state_of,
 )
 from rig.arrays import Bool, Float32, Float64
 
 FORGET_FRAMES = 900.0
 """Frames of speech that a mean remembers (30 s)."""
-USUAL_FRAMES = 30.0
-"""Weight of the usual intensity at the start, frames."""
+STATE_FRAMES = 45.0
+"""Frames of speech whose strength is the state (1.5 s)."""
+MEMORIES = np.array([*[FORGET_FRAMES] * 4, STATE_FRAMES])
+USUAL_FRAMES = np.array([30.0, 0, 0, 0, 8.0])
+"""Weight of the usual voice at the start, frames."""
 SMOOTHING = 1 / 8
-"""Share of a new frame in the smoothed values: 0.27 s."""
-AROUND_SMOOTHING = 1 / 30
-"""The same in the strength and the intensity around a frame: a second."""
+"""Share of a new frame in the display: 0.27 s."""
+AROUND_SMOOTHING, NEAR_SHARE = 1 / 30, 0.5
+"""The same in the mean display of the second before, and the share of it that is taken off."""
+PRESENCE_SMOOTHING = 1 / 6
+"""The same in the presence of the display, 1 in speech and 0 in silence: 0.2 s."""
 MOST_LEVEL = 4.0
 """Limit of the standard deviations of the level, whose mean is young at first."""
-USUAL, LEVEL, TILT, PITCH, STRENGTH = range(5)
+NETWORK, LEVEL, TILT, PITCH, STRENGTH = range(5)
 """Columns of the running means."""
-Z, KEPT, AROUND, NEAR = range(4)
-"""Columns of the smoothed values: variation, decay, strength around a frame, variation around."""
 
 
 class Measures(NamedTuple):
@@ -69,7 +66,8 @@ class Measures(NamedTuple):
 
 
 IntensityState = tuple[Float64, Float64, Float64]
-"""Running means and their weights [shape=(B, 5)] each, smoothed values [shape=(B, 4)]."""
+"""Running means and their weights [shape=(B, 5)] each, and display, its presence and its mean
+around [shape=(B, 3)]."""
 
 
 class RunningIntensity:
@@ -78,7 +76,7 @@ class RunningIntensity:
     Parameters
     ----------
     rule : VoiceIntensity
-        Weight of the prosody.
+        Weights.
     """
 
     def __init__(self, rule: VoiceIntensity) -> None:
@@ -86,9 +84,7 @@ class RunningIntensity:
 
     def first(self, batch: int) -> IntensityState:
         """State of streams before their first frame."""
-        weights = np.zeros((batch, 5))
-        weights[:, [USUAL, STRENGTH]] = USUAL_FRAMES
-        return np.zeros((batch, 5)), weights, np.zeros((batch, 4))
+        return np.zeros((batch, 5)), np.tile(USUAL_FRAMES, (batch, 1)), np.zeros((batch, 3))
 
     def __call__(
         self,
@@ -98,7 +94,7 @@ class RunningIntensity:
         effort: Float32,
         state: IntensityState,
     ) -> tuple[Float32, IntensityState]:
-        """Corrected intensity of the next frames [shape=(B, n), range 0 to 1].
+        """Intensity of the next frames [shape=(B, n), range 0 to 1.2].
 
         Parameters
         ----------
@@ -107,7 +103,7 @@ class RunningIntensity:
         measures : Measures
             Prosody of the same frames.
         speaking : array of bool [shape=(B, n)]
-            Frames of speech; in others the intensity decays.
+            Frames of speech; in others the state stays and the display ends.
         effort : array [shape=(B, n)]
             Strength of the voice, dB above the usual; 0 where no network has read it.
         state : IntensityState
@@ -118,46 +114,31 @@ class RunningIntensity:
         counts = np.stack((speaking, speaking, toned, toned, speaking), axis=-1)
         rows = deviation(network), measures.level, measures.tilt, measures.pitch, effort
         new: Float64 = np.stack(rows, axis=-1).astype(np.float64)
-        found = np.empty((*network.shape, 5))
+        found = np.empty(network.shape)
         for k in range(network.shape[1]):
             count = counts[:, k]
-            weights = np.where(count, np.minimum(weights + 1, FORGET_FRAMES), weights)
+            weights = np.where(count, np.minimum(weights + 1, MEMORIES), weights)
             means = np.where(count, means + (new[:, k] - means) / np.maximum(weights, 1), means)
-            values = self._smoothed(
-                values, new[:, k] - means, speaking[:, k], toned[:, k], effort[:, k]
-            )
-            found[:, k, :4], found[:, k, 4] = values, means[:, STRENGTH]
-        z, kept, around, near, strength = np.moveaxis(found, -1, 0)
-        strength = strength + AROUND_WEIGHT * (around - strength)
-        z = bounded(z) - NEAR_SHARE * near + base_z(strength, self.rule)
-        share = (1 - FAINTEST) / (1 + np.exp(-STEEPNESS * z))
-        return (FAINTEST + share * kept).astype(np.float32), (means, weights, values)
-
-    def _smoothed(
-        self, values: Float64, distance: Float64, speaking: Bool, toned: Bool, effort: Float32
-    ) -> Float64:
-        """Smoothed values after a frame, of its distances from the means [shape=(B, 5)]."""
-        z, kept, around, near = values.T
-        index = LEVEL_SHARE * np.clip(distance[:, LEVEL] / LEVEL_DB, -MOST_LEVEL, MOST_LEVEL)
-        tilt = np.clip(distance[:, TILT] / TILT_DB, -MOST_TONE, MOST_TONE)
-        pitch = np.clip(distance[:, PITCH] / PITCH_SEMITONES, -MOST_TONE, MOST_TONE)
-        is_near = np.abs(distance[:, PITCH]) <= FURTHEST_SEMITONES
-        index = index + TONE_SHARE * toned * (tilt + is_near * pitch)
-        target = NETWORK_WEIGHT * distance[:, USUAL] + self.rule.index_weight * index
-        z = z + SMOOTHING * (target - z)
-        risen = kept + (1 - kept) * (1 - np.exp(-1 / RISE_FRAMES))
-        near = near + AROUND_SMOOTHING * (bounded(z) - near)
-        around = around + AROUND_SMOOTHING * (effort - around)
-        silent = values.copy()
-        silent[:, KEPT] *= np.exp(-1 / FALL_FRAMES)
-        spoken = np.stack((z, risen, around, near), axis=-1)
-        return np.where(speaking[:, None], spoken, silent)
+            values = _displayed(values, new[:, k] - means, speaking[:, k], toned[:, k])
+            display, presence, near = values.T
+            display = self.rule.display * presence * (limited(display) - NEAR_SHARE * near)
+            found[:, k] = state_of(means[:, STRENGTH], self.rule) + display
+        return intensity_of(found), (means, weights, values)
 
 
-def bounded(z: Float64) -> Float64:
-    """Variation within `MOST_VARIATION`, as that of a whole take is bounded."""
-    found: Float64 = MOST_VARIATION * np.tanh(z / MOST_VARIATION)
-    return found
+def _displayed(values: Float64, distance: Float64, speaking: Bool, toned: Bool) -> Float64:
+    """Display, presence and mean display after a frame, of its distances from the means."""
+    display, presence, near = values.T
+    tilt = np.clip(distance[:, TILT] / TILT_DB, -MOST_TONE, MOST_TONE)
+    pitch = np.clip(distance[:, PITCH] / PITCH_SEMITONES, -MOST_TONE, MOST_TONE)
+    is_near = np.abs(distance[:, PITCH]) <= FURTHEST_SEMITONES
+    target = NETWORK_SHARE * distance[:, NETWORK]
+    target = target + LEVEL_SHARE * np.clip(distance[:, LEVEL] / LEVEL_DB, -MOST_LEVEL, MOST_LEVEL)
+    target = target + TONE_SHARE * toned * (tilt + is_near * pitch)
+    display = np.where(speaking, display + SMOOTHING * (target - display), display)
+    moved = near + AROUND_SMOOTHING * (limited(display) - near)
+    presence = presence + PRESENCE_SMOOTHING * (speaking - presence)
+    return np.stack((display, presence, np.where(speaking, moved, near)), axis=-1)
 
 
 def follow_means(rows: Float64, speaking: Bool, means: Float64) -> tuple[Float64, Float64]:

@@ -5,6 +5,7 @@ What a folder holds is listed in `deitalk.models.folder`; `KINDS` is the table o
 
 import json
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias, TypeVar, cast
@@ -18,7 +19,7 @@ from deitalk.config.hub import check_repository, model_files
 from deitalk.config.load import AnyConfig, load_model_config, model_text, without_paths
 from deitalk.config.mesh import SDFAConfig
 from deitalk.config.rig_file import read_controls, rig_text
-from deitalk.errors import CheckpointError
+from deitalk.errors import CheckpointError, MissingError
 from deitalk.frontends import build_encoder
 from deitalk.frontends.base import Encoder
 from deitalk.installed import imported
@@ -26,6 +27,7 @@ from deitalk.models.curve_model import DEITalk
 from deitalk.models.folder import (
     ENCODER,
     FORMAT_VERSION,
+    GRAPH,
     READOUTS,
     RIG_FILE,
     Shapes,
@@ -158,6 +160,7 @@ def save_model(
     half: bool = False,
     half_bases: bool = True,
     encoder_of: str | None = None,
+    graph: bool = False,
 ) -> None:
     """Write a model folder; the files of one that was written before are replaced.
 
@@ -177,6 +180,8 @@ def save_model(
         Store the frozen bases of a mesh model in float16, the precision they were fitted in.
     encoder_of : str or None
         Embedded model whose encoder file is named instead of written, for embedded models.
+    graph : bool
+        Write its graph for ONNX Runtime too, if the model can have one.
 
     Raises
     ------
@@ -222,6 +227,11 @@ def save_model(
                 (beside / RIG_FILE).write_text(rig_text(curves.controls))
         (beside / "config.yaml").write_text(model_text(config))
         (beside / "model.json").write_text(json.dumps(about, indent=1) + "\n")
+        if graph:
+            from deitalk.models.onnx.engine_graph import write_graph
+
+            with suppress(CheckpointError, MissingError):  # torch evaluates it
+                write_graph(cast("DEITalk", model), beside, beside / GRAPH)
 
 
 def _complete(config: Config, model: DEITalk) -> Config:

@@ -9,6 +9,8 @@
     lips.safetensors     readout of the lips from its features, where there is one
     model.json           format version, control set or speakers, training summary; with
                          "encoder_of", the embedded model whose encoder.safetensors it uses
+    graph.gz             graph for ONNX Runtime, where it was written: a line with a `GraphHeader`
+                         of `deitalk.models.onnx.network` as JSON, then the ONNX file
     controls.yaml        the rig, where it is not the board: see `deitalk.config.rig_file`
     templates.npz        mesh models only: see `deitalk.models.mesh_model`
 """
@@ -235,6 +237,7 @@ def require_device(name: str) -> str:
 
 
 FORMAT_VERSION = 1
+GRAPH = "graph.gz"
 RIG_FILE = "controls.yaml"
 ENCODER = "encoder.safetensors"
 EFFORT_WEIGHTS, LIP_WEIGHTS = "intensity.effort.", "lips."
@@ -312,14 +315,9 @@ def product_of(name_or_path: str | Path) -> Literal["curves", "mesh"]:
 
 
 def describe_model(name_or_path: str | Path) -> dict[str, Any]:
-    """Content of ``model.json`` but for the control names; rules, hash and size of the weights.
-
-    Of an ``.onnx`` file: its hash and size.
-    """
+    """Content of ``model.json`` but for the control names; rules, hash and size of the weights."""
     from deitalk.config.rules import read_rules
 
-    if str(name_or_path).endswith(".onnx"):
-        return {"name": str(name_or_path), **_size_and_hash(Path(name_or_path))}
     folder = model_folder(name_or_path)
     about = read_about(folder)
     about.pop("controls", None)

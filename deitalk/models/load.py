@@ -1,39 +1,64 @@
-"""Networks of curves by name, folder, file or as they are, in torch or in ONNX Runtime.
+"""Networks of curves by name, folder or as they are, in torch or in ONNX Runtime.
 
-`deitalk.models.checkpoint` reads model folders and `deitalk.models.onnx` ONNX files; both are
-imported only where they are needed, so that one backend does not wait for the other.
+`deitalk.models.checkpoint` reads model folders for torch and `deitalk.models.onnx` for ONNX
+Runtime; both are imported only where they are needed, so that one does not wait for the other.
 """
 
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias, cast
 
 from deitalk.errors import CheckpointError, DeitalkError
+from deitalk.models.folder import model_folder
 from deitalk.models.protocol import CausalNetwork, CurveNetwork, check_product
 from rig.errors import quoted
 
 if TYPE_CHECKING:
     from deitalk.models.checkpoint import Model
 
-Backend: TypeAlias = Literal["torch", "onnx"]
-BACKENDS: tuple[Backend, ...] = ("torch", "onnx")
+Backend: TypeAlias = Literal["auto", "torch", "onnx"]
+BACKENDS: tuple[Backend, ...] = ("auto", "torch", "onnx")
+
+
+def chosen_backend(
+    model: "str | Path | CurveNetwork | Model", backend: str = "auto", device: str = "cpu"
+) -> Literal["torch", "onnx"]:
+    """Return what evaluates a model: of ``auto``, ONNX Runtime on a processor if it has a graph.
+
+    Raises
+    ------
+    DeitalkError
+        If the backend is unknown.
+    CheckpointError
+        If there is no such model.
+    """
+    if backend not in BACKENDS:
+        raise DeitalkError(f"backend {quoted(backend)} is unknown; use {', '.join(BACKENDS)}")
+    if backend != "auto":
+        return cast(Any, backend)
+    if device != "cpu" or not isinstance(model, str | Path) or find_spec("onnxruntime") is None:
+        return "torch"
+    from deitalk.models.onnx.network import ready_graph
+
+    return "onnx" if ready_graph(model_folder(model)) else "torch"
 
 
 def load_network(
     model: "str | Path | CurveNetwork | Model",
     *,
-    backend: str = "torch",
+    backend: str = "auto",
     device: str = "cpu",
     threads: int = 1,
 ) -> CurveNetwork:
-    """Return a curve network, loaded if a name, a folder or an ONNX file is given.
+    """Return a curve network, loaded if a name or a folder is given.
 
     Parameters
     ----------
     model : str, Path or CurveNetwork
-        As for `deitalk.models.checkpoint.load_model`; an ``.onnx`` file of
-        ``deitalk model export --onnx``; or a loaded network, which stays as it is.
+        As for `deitalk.models.checkpoint.load_model`; or a loaded network, which stays as it is.
     backend : str
-        ``torch``, or ``onnx``: ONNX Runtime, for which a model is exported once into the cache.
+        ``torch``; ``onnx``: ONNX Runtime, for which the graph of a model that has none is written
+        into the cache once; ``auto``: see `chosen_backend`.
     device : str
         As for `load_model`; ONNX Runtime has ``cpu`` only.
     threads : int
@@ -46,12 +71,11 @@ def load_network(
     DeitalkError
         If the backend is unknown, not installed, or lacks the device.
     """
-    if backend not in BACKENDS:
-        raise DeitalkError(f"backend {quoted(backend)} is unknown; use torch or onnx")
+    chosen = chosen_backend(model, backend, device)
     if not isinstance(model, str | Path):
         check_product(model, "curves")
         return cast("CurveNetwork", model.eval())
-    if is_onnx(model, backend):
+    if chosen == "onnx":
         from deitalk.models.onnx import load_onnx
 
         return load_onnx(model, device=device, threads=threads)
@@ -61,13 +85,8 @@ def load_network(
     return require_model(model, DEITalk, device=device)
 
 
-def is_onnx(model: str | Path, backend: str) -> bool:
-    """Whether a model is evaluated by ONNX Runtime."""
-    return backend == "onnx" or str(model).endswith(".onnx")
-
-
 def load_causal(
-    model: str | Path | CurveNetwork | CausalNetwork, *, backend: str = "torch"
+    model: str | Path | CurveNetwork | CausalNetwork, *, backend: str = "auto"
 ) -> CausalNetwork:
     """Return a causal network; arguments and errors as for `load_network`.
 

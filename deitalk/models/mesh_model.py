@@ -308,7 +308,7 @@ class MeshHead(MeshModel):
             Factor on the difference of the readings; see
             `deitalk.postprocess.factors.expression_scale`.
         shown : Tensor [shape=(T,), range 0 to 1]
-            Expression gate; at 0 the coefficients are those of the template.
+            Share of the motion; at 0 the coefficients are those of the template.
         speaker : str or int
             Style, by name or number.
 

@@ -16,7 +16,7 @@ from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE, frame_count
 from deitalk.audio.load import Recording
 from deitalk.config.rules import RulesConfig
 from deitalk.emotions import EmotionTrack, IntensityCurve
-from deitalk.errors import AudioError, DeitalkError
+from deitalk.errors import AudioError, DeitalkError, MissingError
 from deitalk.models.load import load_network
 from deitalk.models.protocol import (
     CurveNetwork,
@@ -30,14 +30,18 @@ from deitalk.models.protocol import (
 from deitalk.pipeline.layers import follow_recording, unused_notes
 from deitalk.pipeline.performance import Performance
 from deitalk.pipeline.speech import Speech, measure_intensities
-from deitalk.pipeline.words.transcript import Transcript
+from deitalk.pipeline.words.script import Script, TimedMark, levels, with_accents, with_emotions
+from deitalk.pipeline.words.transcript import Transcript, other_spans
 from deitalk.postprocess.control_groups import ControlGroups
 from deitalk.postprocess.factors import held_intensity, mean_around, opening_factor
-from deitalk.postprocess.joins import Edge, activity_beside, lead, unknown_controls
+from deitalk.postprocess.feeling import state_of_intensity
+from deitalk.postprocess.joins import activity_beside, lead, unknown_controls
 from deitalk.postprocess.known_phones import phone_tracks
 from deitalk.postprocess.life.motion import Motion, plan_motion
+from deitalk.postprocess.life.other import OtherVoice
 from deitalk.postprocess.life.voice import Seeds, Traits, measure_voice
 from deitalk.postprocess.tracks import VoiceTracks, shown_columns
+from deitalk.postprocess.variants import Ways, choose_ways, unused_variants
 from rig import ControlSet, RigCurves
 from rig.arrays import Float32
 from rig.curves.edit import gain_factors
@@ -49,6 +53,8 @@ if TYPE_CHECKING:
     from deitalk.pipeline.words.align import WordFit
 
 READ_ON_SAMPLES = SAMPLE_RATE // 2
+FADE_SECONDS = 0.005
+"""Half of the time over which the sound of others fades."""
 BLOCK_FRAMES = 1024
 """Frames of a recording that pass the rules at once."""
 CURVE_OVERHANG_SECONDS = 0.5  # by which an intensity curve may outlast the recording, without note
@@ -60,7 +66,7 @@ def animate(
     *,
     acting: Acting | None = None,
     model: "str | Path | CurveNetwork | Model" = "default",
-    backend: str = "torch",
+    backend: str = "auto",
     device: str = "cpu",
     sample_rate: float | None = None,
     track: int | None = None,
@@ -82,9 +88,9 @@ def animate(
     acting : Acting, optional
         How the recording is acted; `emotion` and `fields` replace its own.
     model : str, Path, DEITalk or OnnxNetwork
-        Name of an embedded model, a model folder, an ``.onnx`` file, or a loaded model.
+        Name of an embedded model, a model folder, or a loaded model.
     backend : str
-        ``torch``, or ``onnx`` for ONNX Runtime; see `deitalk.models.load.load_network`.
+        ``auto``, ``torch`` or ``onnx``; see `deitalk.models.load.load_network`.
     device : str
         ``cpu``, ``cuda``, ``cuda:N`` or ``mps``; for a model given by name or folder.
     sample_rate : float, optional
@@ -94,8 +100,8 @@ def animate(
     progress : callable
         Called with the share of the network's work that is done, 0 to 1.
     **fields
-        Of `deitalk.acting.Acting`: intensity, intensity_curve, voice, style, words, language, life,
-        look_at, gain, edit, listen, after, into, rules, seed.
+        Of `deitalk.acting.Acting`: intensity, intensity_curve, rest, voice, style, words, script,
+        role, language, life, variant, look_at, gain, edit, listen, after, into, rules, seed.
 
     Returns
     -------
@@ -141,6 +147,10 @@ class Prepared:
     words: Transcript | None
     clock: "_Clock"
     suggestion: Mapping[str, float] | None = None
+    said: "WordFit | None" = None
+    """Times of the words of a script."""
+    marks: "tuple[TimedMark, ...]" = ()
+    """What the script says of them."""
 
     @cached_property
     def inputs(self) -> tuple[Float32, Float32]:
@@ -174,16 +184,18 @@ def prepare(
     `load` returns the network, after the recording was read. Errors are those of `animate`.
     """
     clock = _Clock()
-    words = None if acting.words is None else Transcript.of(acting.words, acting.language)
-    if words is not None and not acting.rules:
-        raise DeitalkError("words belong to the rules, which are off; give one of the two")
+    words, script = read_words(acting)
     recording = recording_of(audio, sample_rate, choice)
+    recording = _of_role(recording, acting)
     recording = _with_note_on("intensity curve", acting.intensity_curve, recording)
     suggestion = None
     if acting.emotion == AUTO:
         acting, recording, suggestion = _suggested(acting, recording)
     recording = _with_note_on("emotion", acting.emotion_track, recording)
     recording = _extended(recording, acting.listen)
+    if acting.listen_to is not None:
+        recording = _extended(recording, acting.listen_to.seconds - recording.duration)
+        acting, recording = _felt(acting, acting.listen_to, recording)
     clock.lap("audio")
     network = load()
     clock.lap("model")
@@ -195,21 +207,73 @@ def prepare(
     speech = _between(Speech.of_recording(recording, rules.gates), acting)
     if acting.after is not None:
         recording = recording.noted(*unknown_controls(acting.after, network.controls))
-    weights = acting.emotion_track.at(speech.times)
+    weights, said, marks = acting.emotion_track.at(speech.times), None, ()
+    if script is not None:
+        from deitalk.pipeline.words.align import align_words
+
+        said = align_words(speech, script.transcript)
+        marks = script.timed(said, recording.duration)
+        weights = with_emotions(weights, marks, speech.times)
+        lost = ("its tags are not used: they have no times",) if script.marks and not marks else ()
+        recording = recording.noted(*script.notes(), *lost)
     style = chosen_actor(network.actors, acting.style)
     unshown = unshown_note(network.emotions, trained_weights(weights))
     recording = recording.noted(*mean_actor_note(network.actors, style), *unshown)
     return Prepared(
-        network, recording, acting, speech, weights, style, rules, factors, words, clock, suggestion
-    )
+        network, recording, acting, speech, weights, style, rules, factors, words, clock,
+        suggestion, said, marks,
+    )  # fmt: skip
+
+
+def read_words(acting: Acting) -> "tuple[Transcript | None, Script | None]":
+    """The words of an acting, or its script."""
+    if (acting.words or acting.script) and not acting.rules:
+        raise DeitalkError("words belong to the rules, which are off; give one of the two")
+    if acting.words and acting.script:
+        raise DeitalkError("a script has its words; give words or script, not both")
+    if acting.script:
+        script = Script.of(acting.script, acting.language, acting.role)
+        return script.transcript, script
+    if acting.words is None:
+        return None, None
+    return Transcript.of(acting.words, acting.language, acting.role), None
+
+
+def _of_role(recording: Recording, acting: Acting) -> Recording:
+    """The recording, silent where others than the role speak."""
+    given = acting.script or acting.words
+    if acting.role is None:
+        return recording
+    if given is None:
+        raise DeitalkError(
+            f"role {quoted(acting.role)} needs lines with times; give words or a script as .srt "
+            "or .vtt"
+        )
+    spans = other_spans(given, given.source or "the subtitles", acting.role)
+    if not spans:
+        return recording
+    heard = np.ones(len(recording.waveform), np.float32)
+    fade = round(FADE_SECONDS * recording.sample_rate)
+    for begin, end in spans:
+        first, stop = (round(seconds * recording.sample_rate) for seconds in (begin, end))
+        heard[max(first, 0) : max(stop, 0)] = 0
+    kernel = np.ones(2 * fade + 1, np.float32) / (2 * fade + 1)
+    heard = np.convolve(np.pad(heard, fade, mode="edge"), kernel, mode="valid")
+    silent = replace(recording, waveform=recording.waveform * heard.astype(np.float32))
+    seconds = sum(end - begin for begin, end in spans)
+    return silent.noted(f"silent where others than {acting.role} speak: {seconds:.1f} s")
 
 
 def _notes_on_unused(acting: Acting, rules: RulesConfig) -> Iterator[str]:
     """Notes on fields that are given and change nothing."""
-    if acting.words is None and "language" in acting.settings:
+    if not (acting.words or acting.script) and "language" in acting.settings:
         yield f"language {acting.language} is of words: none are given"
+    if rules.expressions is not None:
+        yield from unused_variants(acting.variant, acting.emotion_track.weights)
+    elif acting.variant:
+        yield "variant not used: the rule that shows it is off"
     if rules.idle is None or acting.motion is None:
-        of_motion = acting.settings.keys() & {"life", "look_at", "seed"}
+        of_motion = acting.settings.keys() & {"life", "look_at", "seed", "listen_to"}
         if unused := sorted(of_motion - ({"life"} if acting.motion is None else set())):
             why = "the rules that move it are off" if acting.motion else "life is off"
             yield f"{', '.join(unused)} not used: {why}"
@@ -236,6 +300,25 @@ def _suggested(
     return Acting.of(acting, emotion=found.label), recording, found.probabilities
 
 
+def _felt(acting: Acting, other: OtherVoice, recording: Recording) -> tuple[Acting, Recording]:
+    """The acting with what the one feels whom it listens to, and the recording with a note on it.
+
+    Without a note where the emotion is given.
+    """
+    if other.recording is None:
+        return acting, recording
+    try:
+        from deitalk.pipeline.suggest import suggest_emotion  # needs torch
+
+        found = suggest_emotion(other.recording)
+        emotion = f"{found.label}={found.probabilities[found.label]:.2f}"
+        note = f"listens to a voice that sounds {emotion}"
+    except (AudioError, MissingError) as error:
+        emotion, note = "", f"listens without its feeling: {error}"
+    other = replace(other, emotion=emotion, recording=None)
+    return Acting.of(acting, listen_to=other), recording.noted(note)
+
+
 def finish(
     prepared: Prepared, reading: Reading, model: str = "", words: "WordFit | None" = None
 ) -> Performance:
@@ -255,11 +338,14 @@ def finish(
     network, weights = prepared.network, prepared.weights
     # Intensity: of the voice, and what the reading holds of it.
     speaking = speech.activity > 0
-    pose = neutral, emotional, trained_weights(weights), speaking
-    held = partial(held_intensity, rules.pose_size, network.controls, *pose)
-    intensities = measure_intensities(speech, tracks, acting, rules.voice_intensity, held)
+    held = partial(held_intensity, rules.expressions, network.controls, neutral, emotional, weights)
+    factor = levels(prepared.marks, speech.times) if prepared.marks else 1.0
+    intensities = measure_intensities(
+        speech, tracks, acting, rules.voice_intensity, held, weights, factor
+    )
     clock.lap("network")
     # Times of the words in the sound.
+    words = words or prepared.said
     if words is None and prepared.words is not None:
         from deitalk.pipeline.words.align import align_words
 
@@ -267,21 +353,24 @@ def finish(
     phones = phone_tracks(() if words is None else words.known, len(weights))
     # What the pass reads of each frame besides the readings.
     near, usual = (mean_around(x, speaking) for x in (intensities.voice, intensities.network))
-    opening = opening_factor(rules.scale_opening, near, usual, intensities.take)
+    opening = opening_factor(rules.scale_opening, near, usual)
     kept = speech.held(rules.hold_pose)
-    voice = VoiceTracks(
-        intensities.scale, opening, intensities.held, phones, weights, kept.back, kept.share
-    )
+    state = state_of_intensity(np.median(intensities.voice[speaking])) if speaking.any() else 0.0
+    ways = _ways(prepared, state)
+    said = opening, intensities.held, phones, weights, kept.back, kept.share
+    side = np.full(len(weights), ways.side)
+    voice = VoiceTracks(intensities.scale, *said, weights @ ways.weights, side)
     traits = _traits(prepared)
     motion = _motion(prepared, weights * intensities.applied[:, None], traits)
-    shown = shown_columns(speech.mouth, speech.shown, None if motion is None else motion.tracks)
+    tracks_of_motion = None if motion is None else motion.tracks
+    shown = shown_columns(speech.mouth, intensities.share, tracks_of_motion)
     # The rules, in their order: `deitalk.postprocess.curve_pass`.
     values = neutral.copy() if emotional is neutral else emotional
     clipped = apply_rules(
         network.curve_pass(), neutral, values, voice.columns(), shown, prepared.gain, acting.rules
     )
     clock.lap("expression")
-    head = None if motion is None else motion.head
+    head = None if motion is None or not motion.head.any() else motion.head
     _join(network.controls, values, head, acting)
     shown_curves = _curves(network.controls, values, weights, intensities.applied, head)
     neutral_curves = _curves(network.controls, neutral)
@@ -309,6 +398,7 @@ def finish(
         words,
         prepared.suggestion,
         asdict(traits),
+        prepared.marks,
     )
 
 
@@ -329,7 +419,7 @@ def apply_rules(
         The pass.
     neutral, emotional : array [shape=(T, C)]
         Two readings, not the same array; then the neutral curves and those that are shown.
-    voice, shown : array [shape=(T, 18)], [shape=(T, 36)]
+    voice, shown : array [shape=(T, 43)], [shape=(T, 45)]
         See `deitalk.postprocess.tracks`.
     gain : array [shape=(C,)]
         Factor of each control.
@@ -370,12 +460,11 @@ def _between(speech: Speech, acting: Acting) -> Speech:
 
 def _join(controls: ControlSet, values: Float32, head: Float32 | None, acting: Acting) -> None:
     """Have the curves [shape=(T, C)] and the head begin and end at the takes beside them."""
-    nexts = [edge for edge in (acting.into,) if isinstance(edge, Edge)]
-    most = len(values) // 2 if nexts else None
+    most = len(values) // 2 if acting.into is not None else None
     if acting.after is not None:
         lead(values, head, controls, acting.after, most=most)
-    for edge in nexts:
-        lead(values, head, controls, edge, last=True, most=most)
+    if acting.into is not None:
+        lead(values, head, controls, acting.into, last=True, most=most)
 
 
 def _traits(prepared: Prepared) -> Traits:
@@ -387,18 +476,30 @@ def _traits(prepared: Prepared) -> Traits:
     return Traits.of(Seeds.of(prepared.speech.waveform, prepared.style, acting.seed).character())
 
 
+def _ways(prepared: Prepared, strength: float) -> Ways:
+    """How a take of such a strength shows each emotion."""
+    acting = prepared.acting
+    actor = prepared.style if acting.voice is None else acting.voice.as_json()
+    seeds = Seeds.of(prepared.speech.waveform, actor, acting.seed)
+    return choose_ways(acting.variant, seeds, strength)
+
+
 def _motion(prepared: Prepared, shown: Float32, traits: Traits) -> Motion | None:
     """Motion above the mouth for the emotion that is shown [shape=(T, 9)]; None: there is none."""
     speech, acting, idle = prepared.speech, prepared.acting, prepared.rules.idle
     life = acting.motion
-    if idle is None or life is None or not (acting.listen or speech.activity.any()):
+    other = acting.listen_to
+    is_still = not (acting.listen or other or speech.activity.any())
+    if idle is None or life is None or is_still:
         return None
     emotions = shown.sum(axis=0)
     emotion = int(emotions[1:].argmax()) + 1 if emotions[1:].any() else 0
     seeds = Seeds.of(speech.waveform, prepared.style, acting.seed, emotion)
-    voice = measure_voice(speech.activity, speech.prosody)
-    beside = {"has_begun": acting.after is not None, "goes_on": acting.into is not None}
-    return plan_motion(voice, shown, seeds, idle, life, traits, **beside)
+    voice = with_accents(measure_voice(speech.activity, speech.prosody), prepared.marks)
+    if other is None:
+        return plan_motion(voice, shown, seeds, idle, life, traits)
+    heard, felt = other.voice(speech.n_frames), other.felt(speech.n_frames)
+    return plan_motion(voice, shown, seeds, idle, life, traits, heard, felt)
 
 
 def _curves(
@@ -442,7 +543,7 @@ def _with_note_of(words: "WordFit | None", recording: Recording) -> Recording:
 
 def _extended(recording: Recording, seconds: float) -> Recording:
     """The recording with so much silence after it."""
-    silence = np.zeros(round(seconds * recording.sample_rate), np.float32)
+    silence = np.zeros(max(round(seconds * recording.sample_rate), 0), np.float32)
     if not len(silence):
         return recording
     return replace(recording, waveform=np.concatenate([recording.waveform, silence]))

@@ -167,10 +167,9 @@ def _head_coefficients(
     weights = np.stack(neutral_and_acted(trained_weights(acting.emotion_track.at(speech.times))))
     described = network.describe(analysis, torch.from_numpy(weights).to(network.device))
     scale = measure_intensities(speech, analysis.tracks, acting).scale
+    share = torch.from_numpy(speech.share(0.0))  # of the whole face, the mouth as well
     readings = described[0], described[-1]
-    return model.coefficients(
-        *readings, torch.from_numpy(scale), torch.from_numpy(speech.shown), speaker
-    )
+    return model.coefficients(*readings, torch.from_numpy(scale), share, speaker)
 
 
 def _by_curves(

@@ -19,11 +19,13 @@ import json
 import os
 import re
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from deitalk.acting import Acting
 from deitalk.audio.frames import frame_times
@@ -32,10 +34,11 @@ from deitalk.audio.original import write_original
 from deitalk.emotions import EMOTIONS, MOODS, write_intensity_csv
 from deitalk.errors import AudioError
 from deitalk.installed import __version__
-from deitalk.postprocess.joins import QUIET, quiet_seconds
+from deitalk.postprocess.joins import HANDLES, QUIET, quiet_seconds
 from rig.arrays import Bool, Float32, Float64
 from rig.controls import DEFAULT_ID
 from rig.curves import RigCurves
+from rig.curves.edit import checked_shift, shift, start_with_handles
 from rig.curves.layers import SUFFIX
 from rig.errors import TargetError, decodable_values
 from rig.files import check_folder, output_folder
@@ -44,6 +47,7 @@ from rig.formats.livelink_csv import take_name
 
 if TYPE_CHECKING:
     from deitalk.pipeline.words.align import WordFit
+    from deitalk.pipeline.words.script import TimedMark
     from rig.mesh import TriMesh
 
 
@@ -154,6 +158,8 @@ class Performance:
         Probabilities of the emotions that the voice suggests, of the emotion ``auto``.
     traits : mapping of str to float
         Of the character (`deitalk.postprocess.life.voice.Traits`); takes that follow keep them.
+    marks : tuple of TimedMark
+        What a script says of the words, with their times: emotions, accents, sounds.
     """
 
     curves: RigCurves
@@ -168,6 +174,7 @@ class Performance:
     words: "WordFit | None" = None
     suggestion: Mapping[str, float] | None = None
     traits: Mapping[str, float] = field(default_factory=dict)
+    marks: "tuple[TimedMark, ...]" = ()
 
     @property
     def emotion(self) -> str:
@@ -229,6 +236,8 @@ class Performance:
         *,
         fps: float | None = None,
         start: float = 0.0,
+        delay: int = 0,
+        handles: int = 0,
         force: bool = False,
     ) -> Path:
         """Write a take folder, or one file of curves.
@@ -243,6 +252,12 @@ class Performance:
         start : float
             Time of day of the first frame, seconds, for files with time codes; see
             `recording.start`.
+        delay : int
+            Frames of the written rate by which the face is late against the sound; early if
+            negative.
+        handles : int
+            Frames that are added before and after; `start` is that of the frame after the first
+            ones.
         force : bool
             Replace a file, or the files of a take, that are there.
 
@@ -266,15 +281,17 @@ class Performance:
             about: dict[str, Any] = {"name": "passed in", "control_set": self.curves.control_set}
             if self.model:
                 about = describe_model(self.model)
-            return write_take(folder, self, model=about, fps=fps, start=start, force=force)
+            form: dict[str, Any] = {"fps": fps, "start": start, "delay": delay, "handles": handles}
+            return write_take(folder, self, model=about, force=force, **form)
         from rig.files import check_file
         from rig.formats import write_curves
 
         check_file(target, force=force, inputs=(self.recording.source,))
         seconds = self.recording.duration
         write_curves(
-            target, self.curves, fps=fps, sound=self.sound_file, seconds=seconds, start=start
-        )
+            target, self.curves, fps=fps, sound=self.sound_file, seconds=seconds, start=start,
+            delay=delay, handles=handles,
+        )  # fmt: skip
         return Path(target)
 
     def __repr__(self) -> str:
@@ -362,6 +379,8 @@ def write_take(
     fps: float | None = None,
     digits: int | None = None,
     start: float = 0.0,
+    delay: int = 0,
+    handles: int = 0,
     force: bool = False,
     extras: tuple[Extra, ...] = (),
 ) -> Path:
@@ -382,6 +401,8 @@ def write_take(
     start : float
         Time of day of the first frame, seconds: time code of the Live Link Face CSV, the file for
         Unreal and the sounds.
+    delay, handles : int
+        As for `Performance.save`; the sounds have silence for the handles.
     force : bool
         Replace the files of an existing take; other files in its folder stay.
     extras : tuple of callables
@@ -399,10 +420,11 @@ def write_take(
     rig.errors.TargetError
         If the folder holds something else, a file of the take was edited, or writing fails.
     """
+    checked_shift(delay, handles)
     inputs = (performance.recording.source,)
     try:
         with output_folder(folder, kind=KIND, force=force, inputs=inputs) as stage:
-            _fill(stage, performance, model, fps, digits, start, extras)
+            _fill(stage, performance, model, fps, digits, start, delay, handles, extras)
     except OSError as error:
         reason = error.strerror or str(error)
         raise TargetError(
@@ -443,10 +465,18 @@ def _fill(
     fps: float | None,
     digits: int | None,
     start: float,
+    delay: int,
+    handles: int,
     extras: tuple[Extra, ...],
 ) -> None:
-    curves = performance.curves if fps is None else performance.curves.resample(fps)
-    neutral = performance.neutral if fps is None else performance.neutral.resample(fps)
+    curves, neutral = (
+        shift(own if fps is None else own.resample(fps), delay, handles)
+        for own in (performance.curves, performance.neutral)
+    )
+    lead = handles / curves.fps
+    start = start_with_handles(start, handles, curves.fps)
+    pad = round(lead * performance.recording.sample_rate)
+    waveform = np.pad(performance.recording.waveform, pad)
     write_curves(folder / "curves.csv", curves, digits=digits)
     write_curves(folder / "curves.json", curves, digits=digits)
     write_curves(folder / "neutral.npz", neutral)
@@ -459,15 +489,19 @@ def _fill(
         predicted=performance.predicted,
         intensity=_track(performance.curves.intensity),
     )
-    write_wav(folder / "audio.wav", performance.recording.waveform, start=start)
-    files = FILES | _original(folder, performance, start)
+    write_wav(folder / "audio.wav", waveform, start=start)
+    files = FILES | _original(folder, performance, start, lead)
     slate = Path(performance.recording.source).stem
     if curves.control_set == DEFAULT_ID:
         files |= write_exchange_files(folder, curves, slate=slate, digits=digits, start=start)
     acting, layers = _with_layers(folder, performance)
     files |= layers
+    shown = performance
+    if delay or handles:
+        recording = replace(performance.recording, waveform=waveform)
+        shown = replace(performance, curves=curves, neutral=neutral, recording=recording)
     for extra in extras:
-        files |= extra(folder, performance)
+        files |= extra(folder, shown)
     about = {
         "schema": SCHEMA,
         "deitalk": __version__,
@@ -477,11 +511,17 @@ def _fill(
         "control_set": curves.control_set,
         "fps": curves.fps,
         "start_seconds": start,
+        "delay_frames": delay,
+        HANDLES: handles,
+        "marks": [
+            {**mark._asdict(), "start": round(mark.start, 3), "end": round(mark.end, 3)}
+            for mark in performance.marks
+        ],
         "frames": len(curves),
         "settings": acting.settings,
         "procedural_emotions": performance.moods,
         "traits": {name: round(value, 6) for name, value in performance.traits.items()},
-        QUIET: [round(performance.quiet(last=last), 4) for last in (False, True)],
+        QUIET: [round(performance.quiet(last=last), 5) for last in (False, True)],
         "clipped_values": performance.clipped,
         "timings_seconds": {name: round(lap, 4) for name, lap in performance.timings.items()},
         "files": files,
@@ -508,7 +548,7 @@ def _with_layers(folder: Path, performance: Performance) -> tuple[Acting, dict[s
     return Acting.of(acting, edit=layers), files
 
 
-def _original(folder: Path, performance: Performance, start: float) -> dict[str, str]:
+def _original(folder: Path, performance: Performance, start: float, lead: float) -> dict[str, str]:
     """Write the recording at 48 kHz, if it has more than the 16 kHz of ``audio.wav``.
 
     A file that was removed or changed since it was read is left out.
@@ -519,8 +559,9 @@ def _original(folder: Path, performance: Performance, start: float) -> dict[str,
     seconds, choice = recording.duration, recording.choice
     try:
         write_original(
-            folder / ORIGINAL, recording.source, seconds=seconds, start=start, choice=choice
-        )
+            folder / ORIGINAL, recording.source, seconds=seconds, start=start, choice=choice,
+            lead=lead,
+        )  # fmt: skip
     except AudioError:
         return {}
     track = "" if choice.track is None else f", track {choice.track}"

@@ -2,7 +2,7 @@
 
 ::
 
-    recording -> speech activity -> gates of mouth and expression
+    recording -> speech activity -> gate of the mouth, share of the expression
               -> level-normalised sound -> the network's analysis -> neutral, emotional reading
               -> prosody -> intensity of the voice -> applied intensity
 """
@@ -40,20 +40,25 @@ from deitalk.errors import AudioError
 from deitalk.models.load import load_network
 from deitalk.models.protocol import CurveNetwork, Tracks
 from deitalk.postprocess.factors import expression_scale
-from deitalk.postprocess.life.voice import Seeds, Traits
-from deitalk.postprocess.voice_intensity import (
-    AROUND_WEIGHT,
-    HOLD_AT_END,
-    expression_gate,
+from deitalk.postprocess.feeling import (
+    expression_share,
+    felt_intensity,
     mouth_gate,
-    take_z,
+    phrases,
     voice_intensity,
 )
+from deitalk.postprocess.life.voice import Seeds, Traits
 from rig.arrays import Float32, Float64
 from rig.curves.edit import gaussian_smooth
 
-EFFORT_SHARE, EFFORT_FRAMES = 0.8, 15.0
+EFFORT_SHARE, EFFORT_FRAMES = 0.7, 15.0
 """Share of a network's readout in the strength, and sigma of what counts around a frame."""
+PHRASE_FRAMES = 10.0
+"""Frames of a phrase at which its strength counts half."""
+WITHIN_SHARE = 0.3
+"""Share of what the strength changes within a phrase."""
+CUT_FRAMES = 6
+"""Frames of silence (0.2 s) at the end up to which a recording counts as cut in its speech."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,8 +129,8 @@ class Speech:
 
     @property
     def is_cut(self) -> bool:
-        """Whether the recording ends in speech, as the expression gate has it, or goes on."""
-        return bool(len(self.after) or self.activity[-1 - HOLD_AT_END :].any())
+        """Whether the recording ends in speech."""
+        return bool(self.activity[-1 - CUT_FRAMES :].any())
 
     @cached_property
     def mouth(self) -> Float32:
@@ -134,12 +139,11 @@ class Speech:
             return np.ones(self.n_frames, np.float32)
         return self._of_take(mouth_gate(self._around, self.gates))
 
-    @cached_property
-    def shown(self) -> Float32:
-        """Expression gate [shape=(T,), range 0 to 1]."""
+    def share(self, rest: float) -> Float32:
+        """Share of the expression shown, of which `rest` stays in silence [shape=(T,)]."""
         if self.gates is None:
             return np.ones(self.n_frames, np.float32)
-        return self._of_take(expression_gate(self._around, self.gates))
+        return self._of_take(expression_share(self._around, rest, self.gates))
 
     @property
     def _around(self) -> Float32:
@@ -171,21 +175,28 @@ class Speech:
         return self._followed_strength[0]
 
     def strengths(self, effort: Float32 | None = None) -> tuple[float, Float32]:
-        """The same, and around each frame [shape=(T,)]: its mean over speech is that of the voice.
+        """The same, and that of each frame's phrase [shape=(T,)], which changes little within it.
 
-        With a network's readout of the effort [shape=(T,), dB] the two are averaged.
+        Of a short phrase, which is measured badly, it is nearer to the whole. With a network's
+        readout of the effort [shape=(T,), dB] the two are averaged.
         """
         strength, around = self._followed_strength
         speaking = self.activity > 0
         if not speaking.any():
             return strength, np.full(self.n_frames, strength, np.float32)
+        exact = around
         if effort is not None:
             used = speaking.astype(np.float64)
             near = gaussian_smooth(used * effort, EFFORT_FRAMES)
             near = near / np.maximum(gaussian_smooth(used, EFFORT_FRAMES), 1e-6)
             strength = _shared(strength, float(effort[speaking].mean()))
-            around = _shared(around, near).astype(np.float32)
-        rows = strength + AROUND_WEIGHT * (around - around[speaking].mean())
+            exact, around = _shared(around, effort), _shared(around, near)
+        rows = np.full(self.n_frames, strength)
+        for start, stop in phrases(speaking):
+            spoken, follows = speaking[start:stop], around[start:stop]
+            mean, usual = float(exact[start:stop][spoken].mean()), float(follows[spoken].mean())
+            share = spoken.sum() / (spoken.sum() + PHRASE_FRAMES)
+            rows[start:stop] += share * (mean - strength) + WITHIN_SHARE * (follows - usual)
         return strength, rows.astype(np.float32)
 
 
@@ -211,15 +222,16 @@ class Intensities(NamedTuple):
     held: Float32
     """What the emotional reading holds, 0 to 2; by default as much as `network`."""
     voice: Float32
-    """The same, corrected by the prosody, 0 to 1."""
+    """That of the voice, 0 to 1.2."""
+    share: Float32
+    """Share of the expression that is shown, 0 to 1."""
     predicted: Float32
-    """`voice` times the expression gate, 0 to 1."""
+    """That of the voice in the emotion, times `share`, 0 to 1.2."""
     applied: Float32
-    """`predicted`, or the curve that was given, times the factor, 0 to 4."""
+    """`predicted`, or the curve that was given, times the factor, 0 to 4.8."""
     scale: Float32
-    """Factor on the difference of the emotional and the neutral reading."""
-    take: float
-    """Strength of the whole recording, standard deviations from the usual."""
+    """Factor on the difference of the emotional and the neutral reading, of which `share` is
+    shown."""
 
 
 def measure_intensities(
@@ -228,31 +240,42 @@ def measure_intensities(
     acting: Acting,
     rule: VoiceIntensity | None = VoiceIntensity(),
     held: Callable[[Float32], Float32] = lambda network: network,
+    weights: Float32 | None = None,
+    factor: Float32 | float = 1.0,
 ) -> Intensities:
     """Intensity to apply in each frame, from the network, the voice and the acting.
 
     A network without an intensity module counts as one that predicts 1 everywhere. Without the
-    `rule` that corrects the prediction the emotional reading is shown as it is, times the factor.
-    `held` gives the intensity that the emotional reading holds from the predicted one.
+    `rule` of the voice's intensity the emotional reading is shown as it is, times the factor.
+    `held` gives the intensity that the emotional reading holds from the predicted one. Of a script
+    come `weights` of the emotions [shape=(T, 9)], in place of the acting's, and a `factor`
+    [shape=(T,)] on the intensity. A curve of the intensity and keyframes
+    of the emotion are shown as drawn, in silence too.
     """
     network = np.ones(speech.n_frames, np.float32)
     saliency = np.zeros(speech.n_frames, np.float32)
     if tracks.strength is not None and tracks.saliency is not None:
         network, saliency = tracks.strength, tracks.saliency
-    voice, take = network, 0.0
+    voice, curve = network, acting.intensity_curve
     if rule is not None:
         usual = 0.0 if acting.voice is None else _usual(acting.voice, tracks)
-        whole, around = speech.strengths(tracks.effort)
-        take = take_z(whole - usual, rule)
+        _, around = speech.strengths(tracks.effort)
         voice = voice_intensity(network, speech.prosody, speech.activity, around - usual, rule)
-    predicted = voice * speech.shown
-    base = predicted if acting.intensity_curve is None else acting.intensity_curve.at(speech.times)
-    applied = (base * acting.intensity).astype(np.float32)
+    share = np.ones(speech.n_frames, np.float32)
+    if curve is None and not acting.is_keyed:
+        share = speech.share(acting.rest)
+    felt = voice
+    if rule is not None:
+        emotions = acting.emotion_track.at(speech.times) if weights is None else weights
+        felt = felt_intensity(voice, emotions, rule)
+    wanted = felt if curve is None else curve.at(speech.times).astype(np.float32)
+    whole = np.asarray(wanted * acting.intensity * factor, np.float32)
     holds = held(network)
-    scale = expression_scale(applied, holds * speech.shown)
-    if rule is None and acting.intensity_curve is None:
+    scale = expression_scale(whole, holds)
+    if rule is None and curve is None:
         scale = np.full(speech.n_frames, acting.intensity, np.float32)
-    return Intensities(saliency, network, holds, voice, predicted, applied, scale, take)
+    predicted = felt * (share if curve is None else speech.share(acting.rest))
+    return Intensities(saliency, network, holds, voice, share, predicted, whole * share, scale)
 
 
 # Measure the usual voice of an actor from recordings: ``deitalk data voice``.

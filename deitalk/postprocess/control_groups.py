@@ -12,8 +12,6 @@ from rig.controls import DEFAULT_ID
 from rig.curves.layers import Closures
 
 LIVELY = ("jaw.ty", "upperLipRaise", "lowerLipDepress")
-POSING = ("brow", "eye", "nose", "cornerPull", "cornerDepress", "stretch")
-"""Parts of the names of the controls whose change is the size of a pose."""
 OPENING = ("jaw.ty", "jaw_openExtreme", "upperLipRaise", "lowerLipDepress", "funnel", "lipsRoll",
            "lipsBlow", "suckBlow")  # fmt: skip
 """Parts of the names of controls that part the lips."""
@@ -38,11 +36,6 @@ class ControlGroups:
     def lively(self) -> NDArray[np.intp]:
         """Controls that `scale_opening` scales; they rest at 0."""
         return self._named(*LIVELY)
-
-    @cached_property
-    def posing(self) -> NDArray[np.intp]:
-        """Controls whose change is the size of a pose."""
-        return self._named(*POSING)
 
     @cached_property
     def lips(self) -> NDArray[np.intp]:

@@ -42,7 +42,7 @@ from deitalk.postprocess.curve_stages import (
 from deitalk.postprocess.factors import LEAST_PREDICTED
 from deitalk.postprocess.life.play import Play
 from deitalk.postprocess.torch_columns import Columns, constant
-from deitalk.postprocess.tracks import N_MOTION, POSE_FRAMES, VOICE, rest_rows
+from deitalk.postprocess.tracks import N_MOTION, N_VARIANTS, POSE_FRAMES, VOICE, rest_rows
 from rig import ControlSet
 from rig.arrays import Float32
 from rig.controls import DEFAULT_ID
@@ -64,15 +64,25 @@ class Voice(NamedTuple):
     purse: Tensor
     back: Tensor
     kept: Tensor
+    side: Tensor
     emotion: Tensor
     """[shape=(B, T, 9)]."""
+    variants: Tensor
+    """[shape=(B, T, 24)]."""
+
+    @property
+    def ways(self) -> Tensor:
+        """Weights of the rows of `expressions.ExpressionTable` [shape=(B, T, 66)]."""
+        rows = torch.cat((self.emotion, self.variants), dim=-1)
+        return torch.cat((rows, rows * self.side.squeeze(-1)), dim=-1)
 
     @classmethod
     def of(cls, columns: Tensor) -> "Voice":
-        """Split columns (B, T, 18)."""
-        single, emotion = torch.split(columns, [VOICE - len(LABELS), len(LABELS)], dim=-1)
-        tracks = [single[..., k, None, None] for k in range(VOICE - len(LABELS))]
-        return cls(*[*tracks, emotion])
+        """Split columns (B, T, 43)."""
+        sizes = [VOICE - len(LABELS) - N_VARIANTS, len(LABELS), N_VARIANTS]
+        single, emotion, variants = torch.split(columns, sizes, dim=-1)
+        tracks = [single[..., k, None, None] for k in range(sizes[0])]
+        return cls(*[*tracks, emotion, variants])
 
 
 class CurvePass(nn.Module):
@@ -134,7 +144,7 @@ class CurvePass(nn.Module):
     def first(self, batch: int) -> Tensor:
         """A face at rest, the state before the first frame.
 
-        [shape=(B, N, 2 C + 18)]: the pose that a held sound keeps, then the last frames.
+        [shape=(B, N, 2 C + 43)]: the pose that a held sound keeps, then the last frames.
         """
         return self.before.expand(batch, -1, -1).clone()
 
@@ -154,15 +164,15 @@ class CurvePass(nn.Module):
         ----------
         neutral, emotional : Tensor [shape=(B, T, C)]
             Two readings of the same speech, as the network gives them.
-        voice : Tensor [shape=(B, T, 18)]
+        voice : Tensor [shape=(B, T, 43)]
             What voice and acting say of the same frames: `tracks.VoiceTracks`.
-        shown : Tensor [shape=(B, T, 2 + 34)]
+        shown : Tensor [shape=(B, T, 2 + 43)]
             Gates and motion of the frames that come *out*: `tracks.shown_columns`.
         gain : Tensor [shape=(B, C)]
             Factor on the distance of each control from rest.
         ruled : Tensor [shape=(B,)]
             1 for streams with rules; 0 for the network alone, with its motion if there is any.
-        state : Tensor [shape=(B, N, 2 C + 18)]
+        state : Tensor [shape=(B, N, 2 C + 43)]
             From `first`, or of the call before.
 
         Returns
@@ -204,13 +214,15 @@ class CurvePass(nn.Module):
         curves = self.blend(curves, free, said.scale)
         # Poses of the emotions, which yield to closed lips; lips that cover the teeth.
         closing = self.closing(self.closure(contacts[:, :, NEUTRAL].transpose(-1, -2)))
-        strength = (said.scale * said.held.clamp_min(LEAST_PREDICTED)).squeeze(-1)
-        curves = self.express(curves, said.emotion, strength, free, 1 - closing.unsqueeze(-1))
+        least = said.held.clamp_min(LEAST_PREDICTED)
+        strength, missing = ((said.scale * held).squeeze(-1) for held in (least, least - said.held))
+        slow = 1 - closing.unsqueeze(-1)
+        curves = self.express(curves, said.ways, said.emotion, strength, missing, free, slow, mouth)
         curves = self.rest_lips(curves)
         # Lips start to close earlier and part later; what is hardly open is shut.
         limited = self.limit_speed(self.blend.contacts(contacts, near.scale))
         curves = self.quieten(self.seals.put(curves, limited))
-        # Silence: the mouth shuts, the expression fades.
+        # Silence: the mouth shuts, a share of the expression stays.
         curves = self.gate(curves, mouth.unsqueeze(2), expression.unsqueeze(2))
         # Streams without rules: the readings as they are.
         plain = raw[:, :, :1] + (raw - raw[:, :, :1]) * said.scale

@@ -21,7 +21,6 @@ from deitalk.config.rules import (
     ScaleOpening,
     SharpenContacts,
 )
-from deitalk.emotions import EMOTIONS
 from deitalk.postprocess.control_groups import ControlGroups
 from deitalk.postprocess.expressions import expression_table
 from deitalk.postprocess.torch_columns import Columns, constant, smoothstep
@@ -30,13 +29,15 @@ from rig.arrays import Float32
 
 PEAK_FRAMES = 7
 """A frame belongs to the highest peak within three frames (0.1 s) of it."""
+GENTLE = 1.5
+"""Steepness of the share of contacts by which certain ones stay above likely ones."""
 PARTED = 0.8
 """Share by which a contact that is added lowers what parts the lips."""
 YIELDING_STEP = 1 / 3
 """Share of a mood's pose that yields in a frame, 0.1 s in all: disgust raises the lip by .6."""
 ROUNDED = (0.15, 0.6)
 """Mean of purse, or of funnel, at which an expression begins to yield, and yields fully."""
-YIELDED = 0.8
+YIELDED = 0.4
 """Share that is taken away by full rounding."""
 NEUTRAL, SHOWN = 0, 1
 """Places of the readings."""
@@ -153,13 +154,16 @@ class Sharpen(nn.Module):
         rows = values.reshape(-1, 1, values.shape[-1])
         peaks = F.max_pool1d(rows, PEAK_FRAMES, 1, PEAK_FRAMES // 2).reshape(values.shape)
         shoulder = (rule.shoulder + rule.doubt * (1 - peaks)).clamp_max(rule.sharpest)
-        height = decided(peaks, torch.full_like(peaks, rule.peak), rule.steepness)
-        return height * decided(values / peaks.clamp_min(1e-6), shoulder, rule.steepness)
+        height = decided(peaks, torch.full_like(peaks, rule.peak), rule.height, rule.tail)
+        share = values / peaks.clamp_min(1e-6)
+        return height * decided(share, shoulder, rule.steepness, rule.tail)
 
 
-def decided(values: Tensor, middle: Tensor, steepness: float) -> Tensor:
-    """S-curve from 0 to 1 that makes one half of `middle`."""
-    return torch.sigmoid(steepness * (_log_odds(values) - _log_odds(middle)))
+def decided(values: Tensor, middle: Tensor, steepness: float, tail: float = 0.0) -> Tensor:
+    """S-curve from 0 to 1 that makes one half of `middle`; a share of it is gentle."""
+    distance = _log_odds(values) - _log_odds(middle)
+    steep = torch.sigmoid(steepness * distance)
+    return steep + tail * (torch.sigmoid(GENTLE * distance) - steep) if tail else steep
 
 
 def _log_odds(share: Tensor) -> Tensor:
@@ -262,6 +266,8 @@ class Express(nn.Module):
     parting: Tensor
     moods: Tensor
     spreading: Tensor
+    taught: Tensor
+    opening: Tensor
     changed: Tensor
 
     def __init__(self, rule: Expressions | None, controls: ControlSet) -> None:
@@ -269,12 +275,15 @@ class Express(nn.Module):
         captured = () if rule is None else rule.captured
         table, size = expression_table(controls.names, captured), len(controls)
         self.is_on = rule is not None and len(table.places) > 0
-        own, moods = table.parting.copy(), table.parting.copy()
-        own[len(EMOTIONS) :], moods[: len(EMOTIONS)] = 0, 0
-        for name, values in (("gains", table.gains), ("poses", table.poses)):
-            constant(self, name, values)
-        constant(self, "parting", own)
-        constant(self, "moods", moods)
+        is_mood = table.is_mood[:, None]
+        constant(self, "gains", table.gains)
+        constant(self, "poses", table.poses)
+        constant(self, "taught", table.taught * (1.0 if rule is None else rule.size))
+        constant(self, "parting", np.where(is_mood, 0, table.parting))
+        constant(self, "moods", np.where(is_mood, table.parting, 0))
+        constant(
+            self, "opening", np.isin(table.places, ControlGroups(controls).opening).astype(float)
+        )
         constant(self, "spreading", table.spreading)
         constant(self, "changed", table.changed[:, None])
         self.columns = Columns(table.places, size)
@@ -282,31 +291,52 @@ class Express(nn.Module):
         self.rounding = nn.ModuleList(columns for columns in rounding if len(columns))
 
     def forward(
-        self, curves: Tensor, emotion: Tensor, strength: Tensor, free: Tensor, slow: Tensor
+        self,
+        curves: Tensor,
+        ways: Tensor,
+        emotion: Tensor,
+        strength: Tensor,
+        missing: Tensor,
+        free: Tensor,
+        slow: Tensor,
+        spoken: Tensor,
     ) -> Tensor:
         """Change the reading that is shown.
+
+        What a network does not show, in silence most, is added of the pose that it is taught. In
+        silence nothing yields to the lips, which are at rest.
 
         Parameters
         ----------
         curves : Tensor [shape=(B, T, R, C)]
             The neutral reading, and the blend of both.
+        ways : Tensor [shape=(B, T, 66)]
+            Weights of the rows of the table.
         emotion : Tensor [shape=(B, T, 9)]
-            Weights.
+            Weights of the emotions.
         strength : Tensor [shape=(B, T, 1), range 0 to 4]
-            Intensity that the blend shows.
+            Intensity to show.
+        missing : Tensor [shape=(B, T, 1), range 0 to 4]
+            Part of it that the blend lacks.
         free : Tensor [shape=(B, T, 1), range 0 to 1]
             Share of the opening that closed lips leave to an expression.
         slow : Tensor [shape=(B, T, 1), range 0 to 1]
             The same of the moods, which changes slowly and is never more.
+        spoken : Tensor [shape=(B, T, 1), range 0 to 1]
+            Gate of the mouth: 1 in speech, 0 in silence.
         """
         if not self.is_on:
             return curves
+        free, slow = 1 - (1 - free) * spoken, 1 - (1 - slow) * spoken
         part = self.columns(curves)
         neutral, blend = part[:, :, NEUTRAL], part[:, :, SHOWN]
-        pose = emotion @ self.poses + (emotion @ self.parting) * free
-        pose = pose + (emotion @ self.moods) * slow
-        shown = (blend - neutral) * (emotion @ self.gains) + pose * strength
-        kept = 1 - YIELDED * self._rounded(curves[:, :, NEUTRAL]) * (emotion @ self.changed)
+        pose = ways @ self.poses + (ways @ self.parting) * free
+        pose = pose + (ways @ self.moods) * slow
+        yields = 1 - (1 - free) * self.opening  # closed lips stay closed
+        read = (blend - neutral) + missing * (emotion @ self.taught) * yields
+        shown = read * (ways @ self.gains) + pose * strength
+        rounded = self._rounded(curves[:, :, NEUTRAL]) * spoken
+        kept = 1 - YIELDED * rounded * (emotion @ self.changed)
         shown = shown * (1 - self.spreading + self.spreading * kept)
         return self.columns.put(curves, torch.stack((neutral, neutral + shown), dim=2))
 
@@ -380,7 +410,7 @@ class QuietLips(nn.Module):
 
 
 class Gate(nn.Module):
-    """Curves brought to rest in silence: speech by the mouth's gate, all by the expression's."""
+    """The mouth brought to rest in silence, and the share of the expression that is shown."""
 
     rest: Tensor
 
@@ -391,8 +421,9 @@ class Gate(nn.Module):
         constant(self, "rest", rest)
 
     def forward(self, curves: Tensor, mouth: Tensor, expression: Tensor) -> Tensor:
-        """Of both readings; gates (B, T, 1, 1)."""
+        """Of both readings, by a gate and a share (B, T, 1, 1)."""
         if self.rule is None:
             return curves
-        speaks = self.speaks.mask
-        return self.rest + (curves - self.rest) * expression * (1 - speaks + speaks * mouth)
+        speaks, neutral = self.speaks.mask, curves[:, :, :1]
+        curves = neutral + (curves - neutral) * expression
+        return self.rest + (curves - self.rest) * (1 - speaks + speaks * mouth)

@@ -5,19 +5,24 @@ Letters: T frames, C controls.
 
 import numpy as np
 
-from deitalk.config.rules import PoseSize, ScaleOpening
-from deitalk.emotions import EMOTIONS
-from deitalk.postprocess.control_groups import ControlGroups
+from deitalk.config.rules import Expressions, ScaleOpening
+from deitalk.postprocess.expressions import expression_table
 from rig import ControlSet
 from rig.arrays import AnyFloat, Bool, Float32
 from rig.curves.edit import gaussian_smooth
 
-LEAST_PREDICTED = 0.15
-"""Lower bound of the predicted intensity that an applied one is divided by."""
+LEAST_PREDICTED = 0.2
+"""Lower bound of the predicted intensity that an applied one is divided by; below it the pose that
+networks are taught is added."""
+LEARNT_GAIN, LEARNT_USUAL = 0.45, 0.575
+"""Increase of the opening per unit of intensity that networks are taught, and the intensity at
+which it is 0."""
 AROUND_FRAMES = 30.0
 """Sigma of the speech around a frame in which it and the intensity are measured, 1 s."""
-MOST_RESIZED = 2.0
-"""Most by which the intensity that a pose holds and the predicted one differ, a factor."""
+UPPER = ("brow", "eye", "nose")
+"""Parts of the names of the controls whose change is the size of a pose."""
+FAINT_SIZE, MOST_HELD = 1.0, 2.0
+"""Size of a pose at intensity 1 below which it tells less, and the most that one tells."""
 
 
 def expression_scale(applied: Float32, predicted: Float32) -> Float32:
@@ -43,68 +48,64 @@ def mean_around(values: AnyFloat, speaking: Bool) -> Float32:
     return np.asarray((total + 1e-6 * values[speaking].mean()) / weight, np.float32)
 
 
-def opening_factor(
-    rule: ScaleOpening | None, voice: AnyFloat, network: AnyFloat, take: float = 0.0
-) -> Float32:
+def opening_factor(rule: ScaleOpening | None, voice: AnyFloat, network: AnyFloat) -> Float32:
     """Factor on the opening of the mouth for the corrected intensity of the voice [shape=(T,)].
 
     The network opens it for the intensity that it predicts, by the law of its training data:
-    45 % more per unit of intensity. The factor is that
-    law at the corrected intensity over that at the predicted one. Loud talkers lower the jaw
-    further, which a network with all takes at one level cannot predict: hence `take`.
+    45 % more per unit of intensity. The factor is the law
+    of people (`ScaleOpening`) at the intensity of the voice over that of the network.
 
     Parameters
     ----------
     rule : ScaleOpening or None
         Its numbers; None: 1 everywhere.
-    voice, network : array [shape=(T,), range 0 to 1]
-        Corrected intensity, and the one that the network predicts, each as its mean over the
+    voice, network : array [shape=(T,), range 0 to 1.2]
+        Intensity of the voice, and the one that the network predicts, each as its mean over the
         speech around a frame; the reading itself has the faster variation.
-    take : float
-        Strength of the whole take, standard deviations above the usual
-        (`deitalk.postprocess.voice_intensity.take_z`).
     """
     if rule is None:
         return np.ones(voice.shape, np.float32)
-    ratio = (1 + rule.gain * (voice - rule.usual)) / (1 + rule.gain * (network - rule.usual))
-    return np.asarray(ratio * max(0.0, 1 + rule.take * take), np.float32)
+    opened = 1 + rule.gain * (voice - rule.usual)
+    return np.asarray(opened / (1 + LEARNT_GAIN * (network - LEARNT_USUAL)), np.float32)
 
 
 def held_intensity(
-    rule: PoseSize | None,
+    rule: Expressions | None,
     controls: ControlSet,
     neutral: Float32,
     emotional: Float32,
     weights: Float32,
-    speaking: Bool,
     network: Float32,
 ) -> Float32:
-    """Intensity that the emotional reading holds [shape=(T,), range 0 to 2].
+    """Intensity that the emotional reading holds [shape=(..., T), range 0 to 2].
 
-    The predicted one; with the `rule` the measured size of the pose, over about 2 s
-    of speech and as far as one trained emotion is shown. The pose of anger grows less than
-    the prediction: divided by it, a strong take would show less.
+    The size of its pose of the upper face over that which networks are taught: the expression then
+    changes as the intensity that is applied, and not with the reading's own errors. Where a pose
+    is faint, or captures show the emotion, the predicted intensity.
 
     Parameters
     ----------
-    rule : PoseSize or None
-        Size of the poses of a model; None: the predicted intensity.
+    rule : Expressions or None
+        Which emotions captures show; None: the predicted intensity.
     controls : ControlSet
         Columns of the readings.
-    neutral, emotional : array [shape=(T, C)]
+    neutral, emotional : array [shape=(..., T, C)]
         Two readings of the same speech.
-    weights : array [shape=(T, 5)]
-        Trained emotions of each frame.
-    speaking : array of bool [shape=(T,)]
-        Frames of speech.
-    network : array [shape=(T,), range 0 to 1]
+    weights : array [shape=(..., T, 9)]
+        Emotion of each frame.
+    network : array [shape=(..., T)]
         Predicted intensity.
     """
-    if rule is None or not speaking.any():
+    if rule is None:
         return network
-    posing = ControlGroups(controls).posing
-    usual = np.array([getattr(rule, name, 0.0) for name in EMOTIONS])
-    size = np.abs(emotional[:, posing] - neutral[:, posing]).sum(axis=1)
-    change = mean_around(size, speaking) / np.maximum((weights @ usual) * network, 1e-6)
-    pure = np.clip(2 * (weights * (usual > 0)).max(axis=1) - 1, 0, 1)
-    return np.asarray(network * np.clip(change, 1 / MOST_RESIZED, MOST_RESIZED) ** pure, np.float32)
+    table = expression_table(controls.names, rule.captured)
+    names = [controls.names[place] for place in table.places]
+    upper = [k for k, name in enumerate(names) if any(part in name for part in UPPER)]
+    if not upper:
+        return network
+    columns = table.places[upper]
+    usual = np.abs(weights @ (rule.size * table.taught[:, upper])).sum(axis=-1)
+    size = np.abs(emotional[..., columns] - neutral[..., columns]).sum(axis=-1)
+    found = np.clip(size / np.maximum(usual, 1e-6), 0, MOST_HELD)
+    taught = np.clip(usual / FAINT_SIZE, 0, 1) * (weights @ table.changed)
+    return np.asarray(network + taught * (found - network), np.float32)

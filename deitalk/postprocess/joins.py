@@ -33,11 +33,11 @@ from rig.files.reading import load_json, read_text
 from rig.formats import read_curves
 
 FORMAT, VERSION = "deitalk-edge", 1
-ON = "on"
-"""In place of a take to lead into: one that is not there yet."""
 TAKE_CURVES, TAKE_ABOUT, ARCHIVE = "curves.json", "take.json", ".zip"
 QUIET, ENDS = "quiet_seconds", ("start", "end")
 """Entry of ``take.json``: seconds without speech at both ends."""
+HANDLES = "handles_frames"
+"""Entry of ``take.json``: frames that were added at both ends."""
 MOUTH_FRAMES, LIDS_FRAMES, FACE_FRAMES = 6, 6, 15
 """Frames in which the mouth, the lids, and brows, cheeks and corners pass into their own motion."""
 HEAD_FRAMES, MOST_HEAD_FRAMES, FRAMES_A_DEGREE = 30, 90, 3
@@ -101,7 +101,7 @@ class Edge:
             () if head is None else _rounded(head[here]),
             () if head is None else _rounded(speed(head)),
             None if quiet is None else round(min(quiet, LONGEST_QUIET), ROUNDING),
-            dict(traits or {}),
+            {name: round(value, 6) for name, value in (traits or {}).items()},
         )
 
     @property
@@ -197,6 +197,9 @@ def _of_take(folder: Path, name: Path, where: str, *, last: bool) -> Edge:
     if about.is_file():
         content = load_json(read_text(about, limits.TRACK_JSON_BYTES, error=DataError), name)
     content = content if isinstance(content, dict) else {}
+    handles = content.get(HANDLES)
+    if type(handles) is int and 0 < 2 * handles < len(curves):
+        curves = curves[handles:-handles]
     traits = checked_traits(name, content.get("traits", {}))
     quiet = content.get(QUIET)
     if not isinstance(quiet, list) or len(quiet) != len(ENDS):
@@ -438,7 +441,7 @@ def unknown_controls(edge: Edge, controls: ControlSet) -> tuple[str, ...]:
     return (f"{len(others)} controls of the other take are none of the model's: {others[0]} …",)
 
 
-def activity_beside(edge: Edge | str | None, *, before: bool) -> Float32:
+def activity_beside(edge: Edge | None, *, before: bool) -> Float32:
     """Activity of the sound before or after a take, as far as its gates depend on it.
 
     The edge's seconds without speech, then speech; nothing without an edge. Without a known time
@@ -446,7 +449,7 @@ def activity_beside(edge: Edge | str | None, *, before: bool) -> Float32:
     """
     if edge is None:
         return np.zeros(0, np.float32)
-    quiet = edge.quiet if isinstance(edge, Edge) and edge.quiet is not None else PAUSE_SECONDS
+    quiet = PAUSE_SECONDS if edge.quiet is None else edge.quiet
     silence = np.zeros(round(min(quiet, LONGEST_QUIET) * FRAME_RATE), np.float32)
     speech = np.ones(1 if quiet < LONGEST_QUIET else 0, np.float32)
     return np.concatenate((speech, silence) if before else (silence, speech))

@@ -8,9 +8,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from deitalk.emotions import LABELS
+from deitalk.emotions.variants import EMOTION_OF
 from rig.arrays import AnyFloat, Float32
 
-VOICE = 9 + len(LABELS)
+N_VARIANTS = len(EMOTION_OF)
+VOICE = 10 + len(LABELS) + N_VARIANTS
 """Columns of `VoiceTracks`."""
 LIVE_AHEAD = 2
 """Frames after a frame that its contacts see in a voice that has not ended."""
@@ -37,12 +39,16 @@ class VoiceTracks(NamedTuple):
     """Frames since the pose that a held sound keeps [shape=(T,)]; `deitalk.audio.held_sound`."""
     kept: AnyFloat
     """Share of that pose that is shown [shape=(T,), range 0 to 1]."""
+    variants: AnyFloat
+    """Weights of their variants [shape=(T, 24)]; 0: the pose of the emotion itself."""
+    side: AnyFloat
+    """1: the left side does what one side does alone, -1: the right one [shape=(T,)]."""
 
     def columns(self) -> Float32:
-        """All of them side by side [shape=(T, 18)]."""
+        """All of them side by side [shape=(T, 43)]."""
         single = np.stack((self.scale, self.opening, self.held), axis=-1)
-        kept = np.stack((self.back, self.kept), axis=-1)
-        columns = single, self.phones, kept, self.emotion
+        kept = np.stack((self.back, self.kept, self.side), axis=-1)
+        columns = single, self.phones, kept, self.emotion, self.variants
         return np.concatenate(columns, axis=-1, dtype=np.float32)
 
 
@@ -55,14 +61,13 @@ class MotionTracks(NamedTuple):
     """Degrees to the character's left and up [shape=(T, 2)]."""
     calm_gaze: Any
     """The same of the neutral reading."""
+    vergence: Any
+    """Degrees by which each eye turns inwards [shape=(T, 1)]."""
     accents: Any
-    """Swells of the brows' accents on the left and the right [shape=(T, 2), range 0 to 1]."""
-    frowns: Any
-    """The same of frowns of thought."""
-    question: Any
-    """Swell of the questions [shape=(T, 1), range 0 to 1]."""
-    drift: Any
-    """Slow noise of each stem of `deitalk.postprocess.life.head.STEMS` [shape=(T, 7)]."""
+    """Swells of the accents on the left and the right [shape=(T, 2), range 0 to 1]."""
+    gestures: Any
+    """Motion of each stem of `deitalk.postprocess.life.face.STEMS` in a neutral face, on the left,
+    then on the right [shape=(T, 18)]."""
     posture: Any
     """Share of what an emotion holds that is shown [shape=(T, 1)]."""
     neck: Any
@@ -75,14 +80,17 @@ class MotionTracks(NamedTuple):
     """Factor on brows, lids and cheeks [shape=(T, 1)]."""
 
 
-MOTION = MotionTracks(2, 2, 2, 2, 2, 1, 7, 1, 4, len(LABELS), 1, 1)
+MOTION = MotionTracks(2, 2, 2, 1, 2, 18, 1, 4, len(LABELS), 1, 1)
 """Widths of the columns."""
 N_MOTION: int = sum(MOTION)
 N_SHOWN = GATES + N_MOTION
 
 
 def shown_columns(mouth: Float32, expression: Float32, motion: MotionTracks | None) -> Float32:
-    """Gates [shape=(T,)] and motion side by side [shape=(T, 2 + 34)]; None: a still face."""
+    """Gate of the mouth and share of the expression [shape=(T,)], and motion beside them.
+
+    [shape=(T, 2 + 43)]; without motion a still face.
+    """
     columns = np.zeros((*mouth.shape, N_SHOWN), np.float32)
     columns[..., 0], columns[..., 1] = mouth, expression
     if motion is not None:
@@ -94,7 +102,7 @@ def rest_rows(rest: Float32, window: int) -> Float32:
     """State of the pass for a face at `rest` [shape=(C,)] and a voice that changes nothing.
 
     Both readings and the columns of `VoiceTracks`, of the pose that a held sound keeps and of the
-    last frames, `window` that contacts see or more [shape=(N, 2 C + 18)].
+    last frames, `window` that contacts see or more [shape=(N, 2 C + 43)].
     """
     count = 1 + max(window, POSE_FRAMES)
     ones, zeros = np.ones((count, 1)), np.zeros((count, VOICE - 3))

@@ -14,7 +14,7 @@ from rig.controls import DEFAULT_ID, ControlSet
 from rig.conversion.arkit import ARKIT_ID
 from rig.conversion.convert import convert, convert_and_note, known_controls, unshown
 from rig.curves import RigCurves
-from rig.curves.edit import ClampReport, clamp
+from rig.curves.edit import ClampReport, clamp, shift, start_with_handles
 from rig.errors import FormatError, quoted
 from rig.files import atomic_write
 from rig.files.reading import open_file
@@ -163,6 +163,8 @@ def write_curves(
     seconds: float | None = None,
     start: float = 0.0,
     identity: int | str | None = None,
+    delay: int = 0,
+    handles: int = 0,
 ) -> WriteReport:
     """Write curves to a file, whole or not at all; values outside their ranges are clamped.
 
@@ -190,6 +192,9 @@ def write_curves(
     identity : int or str, optional
         Number or name of the embedded head in a GLB or USD, of `rig.face.IDENTITIES` or ``female``,
         ``male`` or ``child``; head 0 by default.
+    delay, handles : int
+        Frames of the written rate by which the face is late against the sound, and that are added
+        before and after (`rig.curves.edit.shift`); `start` is that of the frame after the handles.
 
     Returns
     -------
@@ -218,6 +223,10 @@ def write_curves(
         raise FormatError(f"there are no frames to write to {path}")
     if fps is not None:
         curves = curves.resample(fps)
+    curves = shift(curves, delay, handles)
+    given["start"] = start_with_handles(start, handles, curves.fps)
+    if seconds is not None:
+        given["seconds"] = seconds + 2 * handles / curves.fps
     curves, clipped, note = _prepared(path, curves, chosen)
     if start and "start" not in chosen.options:
         note = "; ".join(filter(None, (f"{chosen.name} has no time code: it starts at 0", note)))

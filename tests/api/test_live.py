@@ -433,3 +433,62 @@ def test_eyes_turn_when_the_listener_moves(server):
         1
     )
     assert side[-10:].min() > 0.2 + side[:30].max()
+
+
+# --- interruption
+
+
+def until_interrupted(session):
+    """Records before an interruption, its message, and those after it up to the frame of sound."""
+    before, after = [], []
+    while isinstance(message := session.recv(60), bytes):
+        before += records(message, 185)
+    told = json.loads(message)
+    assert told["type"] == "interrupted", told
+    while len(after) < 5:
+        after += records(session.recv(60), 185)
+    return before, told, after
+
+
+@pytest.mark.parametrize("frame", [None, 40])
+def test_interrupted_voice_shuts_its_mouth_without_more_sound(server, frame):
+    with live(server) as session:
+        header = begin(session, emotion="happy")
+        session.send(pcm(2.0))
+        seen = 0
+        while seen < 45:
+            seen += len(list(records(session.recv(60), 185)))
+        given = {} if frame is None else {"frame": frame}
+        session.send(json.dumps({"type": "interrupt", **given}))
+        _, told, after = until_interrupted(session)
+        assert told["frame"] == after[0][0] and told["next"] > told["frame"]
+        parts = ("jaw.ty", "funnel", "purse", "LipRaise", "lowerLipDepress")
+        mouth = [k for k, n in enumerate(header["names"]) if any(part in n for part in parts)]
+        assert max(np.abs(values[mouth]).max() for _, _, _, values in after[2:]) < 1e-6
+        session.send(pcm(1.0))
+        session.send('{"type": "stop"}')
+        while isinstance(message := session.recv(60), bytes):
+            after += records(message, 185)
+    assert json.loads(message) == {"type": "end", "frames": told["next"] + 30}
+    assert [index for index, *_ in after] == list(range(told["frame"], told["next"] + 30))
+
+
+@pytest.mark.parametrize(
+    "fields", [{"frame": 10**6}, {"frame": -1}, {"frame": "x"}, {"frame": 1.5}, {"now": True}]
+)
+def test_wrong_interruption_is_answered_and_changes_nothing(server, fields):
+    with live(server) as session:
+        begin(session)
+        session.send(pcm(1.0))
+        session.send(json.dumps({"type": "interrupt", **fields}))
+        session.send('{"type": "stop"}')
+        problems, count = [], 0
+        while (message := session.recv(60)) and (
+            isinstance(message, bytes) or json.loads(message)["type"] == "problem"
+        ):
+            if isinstance(message, bytes):
+                count += len(list(records(message, 185)))
+            else:
+                problems.append(json.loads(message))
+        assert len(problems) == 1 and "frame" in problems[0]["message"]
+        assert json.loads(message) == {"type": "end", "frames": count} and count == 30

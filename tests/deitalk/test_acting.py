@@ -15,6 +15,7 @@ from rig.limits import SEED
 from tests.each import each
 from tests.errors import one_line
 
+FIXES = '{"schema": "deitalk.edit/1", "edits": [{"target": "brow", "keys": [[0, 0.5]]}]}'
 KEYS = "time,emotion,strength\n0,happy,0.2\n1,angry,1\n"
 NUMBERS = {"intensity": (0.0, 4.0), "listen": (0.0, 600.0)}
 
@@ -31,6 +32,7 @@ NUMBERS = {"intensity": (0.0, 4.0), "listen": (0.0, 600.0)}
         ({"emotion": '{"happy": 0.7}'}, {"emotion": "happy=.7"}),
         ({"rules": "no"}, {"rules": False}),
         ({"seed": "12"}, {"seed": 12}),
+        ({"edit": f"[{FIXES}]"}, {"edit": json.loads(FIXES)}),
         ({}, {"emotion": "neutral", "life": "on", "gain": "", "voice": None, "words": None}),
     ],
 )
@@ -52,6 +54,7 @@ actings = strategies.fixed_dictionaries(
         ),
         "life": strategies.dictionaries(strategies.sampled_from(["blinks", "head"]), finite),
         "look_at": strategies.tuples(strategies.integers(-35, 35), strategies.integers(-35, 35)),
+        "edit": strategies.sampled_from([FIXES, f"[{FIXES}, {FIXES}]", [FIXES, FIXES]]),
         "gain": strategies.dictionaries(strategies.sampled_from(["jaw", "brow"]), finite),
         "listen": strategies.floats(0, 600),
         "rules": strategies.booleans(),
@@ -93,6 +96,7 @@ def test_seeds_are_whole_numbers_up_to_one_largest(seed):
         ("emotion", "keys.csv", KEYS),
         ("emotion", "keys.json", '[{"time": 0, "emotion": "sad", "strength": 1}]'),
         ("intensity_curve", "intensity.csv", "time,intensity\n0,1\n"),
+        ("edit", "fixes.edit.json", FIXES),
         ("words", "said.txt", "Bob may bring my map."),
         ("words", "said.srt", "1\n00:00:01,000 --> 00:00:02,000\nBob\n"),
         (
@@ -131,7 +135,7 @@ def test_no_text_of_a_request_opens_a_path(text, tmp_path, monkeypatch):
 
     monkeypatch.setattr("rig.files.reading.read_bytes", opened)
     monkeypatch.setattr("deitalk.emotions.tracks.read_table", opened)
-    for field in ("emotion", "intensity_curve", "voice"):
+    for field in ("emotion", "intensity_curve", "voice", *(("edit",) if text else ())):
         with pytest.raises(UserError) as caught:
             Acting.of(files={}, **{field: text})
         told = str(caught.value)
@@ -147,13 +151,24 @@ def test_partial_updates_keep_the_rest():
     assert first.settings["emotion"] == "sad"
 
 
+def test_several_layers_are_named_in_one_text_or_a_list(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for name in ("a.edit.json", "b.edit.json"):
+        Path(name).write_text(FIXES.replace('"edits"', f'"name": "{name[0]}", "edits"'))
+    for given_edit in ("a.edit.json; b.edit.json", ["a.edit.json", Path("b.edit.json")]):
+        assert [layer.name for layer in Acting.of(edit=given_edit).edit] == ["a", "b"]
+    assert len(Acting.of(edit=tmp_path).edit) == 2  # as of a take folder
+    with one_line(ConfigError, match="edit 3 is a int"):
+        Acting.of(edit=3)
+
+
 def test_live_voices_refuse_what_needs_the_whole_recording():
     assert Acting.of(emotion="happy", life="off", seed=3).check_live().seed == 3
-    for fields in ({"words": "a"}, {"listen": 2}, {"emotion": "auto"}):
+    for fields in ({"words": "a"}, {"listen": 2}, {"emotion": "auto"}, {"edit": FIXES}):
         with pytest.raises(ConfigError, match="whole recording"):
             Acting.of(**fields).check_live()
     assert {name for name, when in LIVE_FIELDS.items() if when == "change"} == {
-        "emotion", "intensity", "look_at", "gain", "rules"
+        "emotion", "intensity", "rest", "look_at", "gain", "rules"
     }  # fmt: skip
 
 

@@ -2,10 +2,14 @@
 
 ::
 
-    whisper_graph.py    the Whisper frontend as layers of a graph
-    export.py           the model as one graph, or one frame of a causal model with its state; file
-    network.py          name, folder or file -> `deitalk.models.protocol` networks, without torch;
-                        exports into the cache at the first use
+    network.py          name or folder -> `deitalk.models.protocol` networks, without torch
+    rules.py            the rules after them
+    engine_graph.py     writes the graphs that these open, in torch
+    network_graph.py    the network of a whole clip, or of one frame of a causal model
+    whisper_graph.py    its Whisper frontend; spectra.py, its Fourier transform
+
+    export.py           one file for other programs: sound in, finished curves out
+    finished.py         its modules, with clip_hearing.py and live_hearing.py
 """
 
 from deitalk.models.onnx.network import OnnxCausalNetwork, OnnxNetwork, load_onnx

@@ -1,27 +1,34 @@
 """Curve models in ONNX Runtime, without torch."""
 
+import gzip
 import hashlib
 import json
 import math
 import os
 import subprocess
 import sys
+import zlib
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from pydantic import ValidationError
 
-from deitalk import postprocess
+import deitalk
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE, frame_count
 from deitalk.audio.log_mel import loudest
 from deitalk.config.rig_file import parse_controls
 from deitalk.config.rules import RulesConfig
-from deitalk.emotions import EMOTIONS
 from deitalk.errors import CheckpointError, DeitalkError, MissingError
-from deitalk.installed import __version__
-from deitalk.models.folder import READOUTS, model_folder, weights_hash
+from deitalk.models.folder import (
+    GRAPH,
+    RIG_FILE,
+    model_folder,
+    read_about,
+    weight_files,
+    weights_hash,
+)
 from deitalk.models.onnx.rules import LIVE, WHOLE, OnnxPass
 from deitalk.models.protocol import (
     NetworkRows,
@@ -40,46 +47,58 @@ from rig.errors import quoted
 from rig.files import cache_folder
 from rig.files.reading import check_file
 
-SCHEMA, CAUSAL_SCHEMA = "deitalk.onnx/2", "deitalk.onnx-live/3"
+SCHEMA, CAUSAL_SCHEMA = "deitalk.graph/1", "deitalk.graph-live/1"
 NEXT = "next_"
 """Before the names of the outputs that are the state for the next call."""
-PART_FRAMES, CONTEXT_FRAMES = 8640, 2880
-"""Frames of a recording that are predicted at once, and frames on either side of them that are
-predicted as context only (96 s), unless the file says otherwise. The memory of a recurrent network
-is long: with this context, parts and whole differ by at most 0.02 of a range. Both are multiples of
-3, so that parts begin on a sample."""
+WEIGHTS, STORED = "model.", "_stored"
+"""Before the names of weights in a graph; after those that are cast."""
+
+
+class GraphHeader(NamedTuple):
+    """What is known of a graph before it is opened."""
+
+    digest: str
+    """`graph_digest` of the model folder that it was made for."""
+    weights: tuple[str, ...]
+    """Names of the weights that it is given."""
 
 
 class OnnxFile:
-    """A file of ``deitalk model export --onnx`` in ONNX Runtime.
+    """The graph of a model in ONNX Runtime, with the weights of its folder.
 
     Parameters
     ----------
     path : Path
-        An ``.onnx`` file.
+        Of `deitalk.models.onnx.engine_graph.write_graph`.
+    folder : Path
+        The model's.
     threads : int
         Processor threads.
 
     Raises
     ------
     CheckpointError
-        If there is no such file, or it is no export of a curve model.
+        If a file is not there or damaged.
     MissingError
         If onnxruntime is not installed.
     """
 
-    def __init__(self, path: Path, threads: int = 1) -> None:
-        check_file(path, limits.WEIGHTS_BYTES, error=CheckpointError)
+    def __init__(self, path: Path, folder: Path, threads: int = 1) -> None:
         self.path, self.threads = path, threads
-        self.session = open_session(str(path), path, threads)
+        header, graph = read_graph(path)
+        weights = stored_weights(folder)
+        if missing := [name for name in header.weights if name not in weights]:
+            raise CheckpointError(f"{folder}: no weight {quoted(missing[0])}; copy the model again")
+        # ONNX Runtime does not copy them: they live as long as the session.
+        self.weights = {name: weights[name] for name in header.weights}
+        self.session = open_session(graph, path, threads, self.weights)
         self.metadata: Mapping[str, str] = self.session.get_modelmeta().custom_metadata_map
         if self.metadata.get("schema") not in (SCHEMA, CAUSAL_SCHEMA):
-            raise CheckpointError(f"{path}: no exported deitalk model ({SCHEMA}); export it again")
+            raise damaged(path)
         try:
             self.rules = RulesConfig.model_validate(json.loads(self.metadata["rules"]))
             self.actors: tuple[str, ...] = tuple(json.loads(self.metadata["actors"]))
-            shown = self.metadata.get("shown_emotions") or json.dumps(EMOTIONS)
-            self.emotions: tuple[str, ...] = tuple(json.loads(shown))
+            self.emotions: tuple[str, ...] = tuple(json.loads(self.metadata["shown_emotions"]))
             self.controls = _controls(path, self.metadata)
         except (KeyError, ValueError, ValidationError):
             raise damaged(path) from None
@@ -90,9 +109,62 @@ class OnnxFile:
         return self.metadata["schema"] == CAUSAL_SCHEMA
 
 
+def read_graph(path: Path) -> tuple[GraphHeader, bytes]:
+    """Header and ONNX file of a graph file."""
+    check_file(path, limits.GRAPH_BYTES, error=CheckpointError)
+    try:
+        with gzip.open(path) as stream:
+            content = stream.read(limits.GRAPH_BYTES + 1)
+    except (OSError, EOFError, zlib.error) as error:
+        raise CheckpointError(f"{path}: damaged ({error}); remove it") from None
+    if len(content) > limits.GRAPH_BYTES:
+        raise CheckpointError(f"{path}: unpacks to more than {limits.GRAPH_BYTES} bytes; remove it")
+    line, _, graph = content.partition(b"\n")
+    try:
+        header = json.loads(line)
+        return GraphHeader(str(header["digest"]), tuple(map(str, header["weights"]))), graph
+    except (ValueError, KeyError, TypeError):
+        raise damaged(path) from None
+
+
+def stored_weights(folder: Path) -> dict[str, np.ndarray]:
+    """Weights of a model folder as they are stored, by their names.
+
+    Raises
+    ------
+    CheckpointError
+        If a file is damaged, or a value is not finite.
+    """
+    from safetensors import SafetensorError
+    from safetensors.numpy import load_file
+
+    found: dict[str, np.ndarray] = {}
+    for path in weight_files(folder):
+        check_file(path, limits.WEIGHTS_BYTES, error=CheckpointError)
+        try:
+            found |= load_file(path)
+        except (SafetensorError, OSError, ValueError) as error:
+            reason = " ".join(str(error).split())
+            raise CheckpointError(
+                f"{path}: no safetensors file ({reason}); copy it again"
+            ) from None
+    return found
+
+
+def stored_types(folder: Path) -> dict[str, str]:
+    """Type of each weight of a model folder, as safetensors names it: ``F16``, ``F32``."""
+    from safetensors import safe_open
+
+    found = {}
+    for path in weight_files(folder):
+        with safe_open(path, "np") as file:
+            found |= {name: file.get_slice(name).get_dtype() for name in file.keys()}
+    return found
+
+
 def damaged(path: Path) -> CheckpointError:
     """Error of a file whose metadata lack something."""
-    return CheckpointError(f"{path}: damaged metadata; export the model again")
+    return CheckpointError(f"{path}: damaged metadata; remove it")
 
 
 class _Network:
@@ -144,11 +216,11 @@ class OnnxNetwork(_Network):
     is_causal = False
 
     def _read_metadata(self) -> None:
-        parts = json.loads(self.metadata.get("parts", "{}"))
-        self._mel = parts.get("n_mels"), parts.get("mel_rate")
-        self._part: int = parts.get("frames", PART_FRAMES)
-        self._before: int = parts.get("before", CONTEXT_FRAMES)
-        self._after: int = parts.get("after", CONTEXT_FRAMES)
+        parts = json.loads(self.metadata["parts"])
+        self._mel = int(parts["n_mels"]), int(parts["mel_rate"])
+        self._part, self._before, self._after = (
+            int(parts[name]) for name in ("frames", "before", "after")
+        )
 
     def read(
         self,
@@ -181,35 +253,37 @@ class OnnxNetwork(_Network):
         return Reading(neutral, emotional, Tracks(*tracks))
 
     def _known(self, sound: Float32, gain: float) -> dict[str, Float32]:
-        """What a part must know of the whole recording: of a Whisper frontend, its peak."""
+        """What a part must know of the whole recording: its peak."""
         n_mels, rate = self._mel
-        if n_mels is None:
-            return {}
         n_frames = frame_count(len(sound)) * rate // FRAME_RATE
         peak = loudest(sound, n_mels, n_frames, rate) + 2 * math.log10(gain)
         return {"peak": np.array(peak, np.float32)}
 
 
-def open_session(graph: str | bytes, path: Path, threads: int) -> Any:
-    """Session of ONNX Runtime of a file or of bytes; `path` is for messages."""
+def open_session(
+    graph: bytes, path: Path, threads: int, weights: Mapping[str, np.ndarray] = {}
+) -> Any:
+    """Session of ONNX Runtime of a graph and its weights; `path` is for messages."""
     try:
         import onnxruntime
     except ImportError:
         raise MissingError(
-            "the backend onnx needs onnxruntime; install it with pip install 'deitalk[onnx]'"
+            "the backend onnx needs onnxruntime; pip install onnxruntime, or use --backend torch"
         ) from None
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads, options.inter_op_num_threads = threads, 1
     options.log_severity_level = 3
     # beyond constant folding, the search for fusions takes longer than they save in a minute
     options.graph_optimization_level = onnxruntime.GraphOptimizationLevel.ORT_ENABLE_BASIC
+    if weights:
+        names = [WEIGHTS + name + STORED * (x.dtype == np.float16) for name, x in weights.items()]
+        values = [onnxruntime.OrtValue.ortvalue_from_numpy(x) for x in weights.values()]
+        options.add_external_initializers(names, values)
     try:
         return onnxruntime.InferenceSession(graph, options, providers=["CPUExecutionProvider"])
     except Exception as error:  # its errors have classes of its own, derived from Exception
         reason = " ".join(str(error).split())[:160]
-        raise CheckpointError(
-            f"{path}: cannot be read as ONNX ({reason}); export it again"
-        ) from None
+        raise CheckpointError(f"{path}: cannot be read as ONNX ({reason}); remove it") from None
 
 
 def _controls(path: Path, metadata: Mapping[str, str]) -> ControlSet:
@@ -298,20 +372,26 @@ class OnnxCausalNetwork(_Network):
 # Networks of ONNX Runtime by the names of models.
 
 
-EXPORT = """
+WRITE = """
 import sys
 from pathlib import Path
 from deitalk.models.checkpoint import require_model
 from deitalk.models.curve_model import DEITalk
-from deitalk.models.onnx.export import export_onnx
+from deitalk.models.onnx.engine_graph import write_graph
 from rig.errors import UserError
-folder, path, name = sys.argv[1:]
+folder, path = map(Path, sys.argv[1:])
 try:
-    export_onnx(require_model(Path(folder), DEITalk), Path(path), name=name)
+    write_graph(require_model(folder, DEITalk), folder, path)
 except UserError as error:
     sys.exit(str(error))
 """
-"""Program of the process that exports a model."""
+"""Program of the process that writes the graph of a model."""
+TRACED = (
+    "audio/log_mel.py", "frontends/*.py", "models/curve_model.py", "models/intensity.py",
+    "models/lip_readout.py", "models/rig_decoder.py", "models/tuned_parts.py", "models/onnx/*.py",
+    "postprocess/*.py", "postprocess/*.csv", "postprocess/life/*.py",
+)  # fmt: skip
+"""Files of the package that make a graph what it is."""
 
 
 def load_onnx(
@@ -322,8 +402,8 @@ def load_onnx(
     Parameters
     ----------
     model : str or Path
-        An ``.onnx`` file; or a name or a folder as for `deitalk.models.checkpoint.load_model`,
-        which is exported into the cache folder once, with torch.
+        As for `deitalk.models.checkpoint.load_model`. Its graph is that of the folder, else it is
+        written into the cache folder once, with torch.
     device : str
         ``cpu``.
     threads : int
@@ -332,56 +412,64 @@ def load_onnx(
     Raises
     ------
     CheckpointError
-        If there is no such model, or it cannot be exported or read.
+        If there is no such model, or it has no graph.
     DeitalkError
-        If the device is another, or a package of the extra ``onnx`` is not installed.
+        If the device is another, or a package is not installed.
     """
     if device != "cpu":
         raise DeitalkError(f"device {quoted(device)}: the backend onnx runs on cpu only")
-    path = Path(model)
-    if path.suffix != ".onnx":
-        path = cached_export(model)
-    file = OnnxFile(path, threads)
+    if str(model).endswith(".onnx"):
+        raise CheckpointError(
+            f"{quoted(str(model))} is for other programs; name the model or its folder"
+        )
+    folder = model_folder(model)
+    path = ready_graph(folder) or cached_graph(folder, str(model))
+    file = OnnxFile(path, folder, threads)
     return OnnxCausalNetwork(file) if file.is_causal else OnnxNetwork(file)
 
 
-def cached_export(model: str | Path) -> Path:
-    """File of a model in the cache folder, written if it is not there; errors as `load_onnx`.
+def ready_graph(folder: Path) -> Path | None:
+    """File with the graph of a model, if it was written and is not of other rules or settings."""
+    beside = folder / GRAPH
+    if beside.is_file() and read_graph(beside)[0].digest == graph_digest(folder):
+        return beside
+    path = cached_path(folder)
+    return path if path.is_file() else None
+
+
+def cached_graph(folder: Path, name: str = "") -> Path:
+    """Graph of a model in the cache folder, written if it is not there; errors as `load_onnx`.
 
     It is written by a process of its own, so that torch is not imported here.
     """
-    path = cached_path(model)
+    path = cached_path(folder)
     if not path.is_file():
         path.parent.mkdir(parents=True, exist_ok=True)
-        command = [
-            sys.executable,
-            "-P",
-            "-c",
-            EXPORT,
-            str(model_folder(model)),
-            str(path),
-            str(model),
-        ]
+        command = [sys.executable, "-P", "-c", WRITE, str(folder), str(path)]
         environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
         done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
         if done.returncode:
             lines = (done.stderr or "it was ended").strip().splitlines()
-            raise CheckpointError(f"model {quoted(str(model))} is not exported: {lines[-1]}")
+            raise CheckpointError(f"model {quoted(name or str(folder))} has no graph: {lines[-1]}")
     return path
 
 
-def cached_path(model: str | Path) -> Path:
-    """Where `cached_export` keeps the file of a model.
+def cached_path(folder: Path) -> Path:
+    """Where `cached_graph` keeps the graph of a model folder; another for other weights."""
+    digest = hashlib.sha256(f"{graph_digest(folder)} {weights_hash(folder)}".encode())
+    return cache_folder() / f"graph-{digest.hexdigest()[:20]}.gz"
 
-    Another for other weights, settings, rules, or another form of the file.
-    """
-    folder = model_folder(model)
-    digest = hashlib.sha256(f"{__version__} {SCHEMA} {CAUSAL_SCHEMA}".encode())
-    digest.update(weights_hash(folder).encode())
-    for path in (folder / name for name in ("config.yaml", *READOUTS)):
-        if path.is_file():
+
+def graph_digest(folder: Path) -> str:
+    """Digest of what the graph of a model folder depends on but its weights' values."""
+    digest = hashlib.sha256(f"{SCHEMA} {CAUSAL_SCHEMA}".encode())
+    about = read_about(folder)
+    digest.update(json.dumps([about["control_set"], about["controls"]]).encode())
+    for name in ("config.yaml", RIG_FILE):
+        if (folder / name).is_file():
+            digest.update((folder / name).read_bytes())
+    package = Path(deitalk.__file__).parent
+    for pattern in TRACED:  # a checkout whose rules change
+        for path in sorted(package.glob(pattern)):
             digest.update(path.read_bytes())
-    for path in sorted(Path(postprocess.__file__).parent.rglob("*.[cp][sy]*")):
-        if path.suffix != ".pyc":  # a checkout whose rules change
-            digest.update(path.read_bytes())
-    return cache_folder() / f"model-{digest.hexdigest()[:20]}.onnx"
+    return digest.hexdigest()[:20]

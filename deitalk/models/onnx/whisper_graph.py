@@ -16,7 +16,8 @@ from torch.nn import functional as F
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
 from deitalk.audio.log_mel import N_FFT, SILENCE, centres
 from deitalk.errors import DeitalkError
-from deitalk.frontends.whisper import Attention, LogMel, WhisperFrontend, scaled
+from deitalk.frontends.whisper import Attention, WhisperFrontend, scaled
+from deitalk.models.onnx.spectra import with_formulas
 
 OVERLAP = round(WhisperFrontend.overlap_seconds * FRAME_RATE)
 PIECE = round(WhisperFrontend.chunk_seconds * FRAME_RATE)
@@ -58,28 +59,6 @@ class Pieces(NamedTuple):
     """Features that there are [shape=(N, W)]."""
 
 
-class ProductMel(LogMel):
-    """`LogMel` whose Fourier transform is a product with a matrix."""
-
-    transform: Tensor
-
-    @classmethod
-    def of(cls, mel: LogMel) -> "ProductMel":
-        """The same spectrogram."""
-        found = cls(mel.filters.shape[1], mel.rate)
-        angle = 2 * math.pi / N_FFT * torch.arange(N_FFT // 2 + 1, dtype=torch.float64)
-        angle = torch.arange(N_FFT, dtype=torch.float64)[:, None] * angle
-        window = mel.window.double()[:, None]
-        waves = torch.cat((window * angle.cos(), window * angle.sin()), dim=1)
-        found.register_buffer("transform", waves.float())  # (400, 402)
-        return found
-
-    def decades(self, windows: Tensor) -> Tensor:
-        """See `LogMel.decades`."""
-        power = (windows @ self.transform).square() @ self.filters.repeat(2, 1)
-        return power.clamp_min(SILENCE).log10()
-
-
 class WhisperGraph(nn.Module):
     """`WhisperFrontend.encode` of a whole clip.
 
@@ -102,20 +81,22 @@ class WhisperGraph(nn.Module):
             raise DeitalkError(
                 f"model.frontend.rate={frontend.config.rate} has no ONNX graph; train with 30"
             )
-        self.frontend, self.mel = frontend, ProductMel.of(frontend.mel)
+        self.frontend = with_formulas(frontend)
+        self.mel = self.frontend.mel
         begins = centres(0, PIECE * frontend.spectra, frontend.mel.rate) - N_FFT // 2
         self.register_buffer("begins", torch.from_numpy(begins))  # (3 · 300,)
 
-    def forward(self, sound: Tensor, n_frames: int, peak: Tensor) -> Tensor:
+    def forward(self, sound: Tensor, n_frames: int, peak: Tensor | None = None) -> Tensor:
         """Map a clip (S,) to (1, T, D).
 
-        `peak` () is `deitalk.audio.log_mel.loudest` of the recording that it is a part of.
+        `peak` () is `deitalk.audio.log_mel.loudest` of the recording that it is a part of; without
+        it the clip is whole.
         """
         pieces = _pieces(torch.as_tensor(n_frames))
         rows = self._encoded(self._mel(sound, pieces, peak), pieces)
         return _faded(rows, torch.arange(n_frames), pieces).unsqueeze(0)
 
-    def _mel(self, sound: Tensor, pieces: Pieces, peak: Tensor) -> Tensor:
+    def _mel(self, sound: Tensor, pieces: Pieces, peak: Tensor | None) -> Tensor:
         """Log-mel spectra (N, F, 3 W) with zeros after a piece."""
         width, spectra = pieces.is_inside.shape[1], self.frontend.spectra
         begin = pieces.number[:, None] * (STEP * SAMPLE_RATE // FRAME_RATE)
@@ -130,7 +111,18 @@ class WhisperGraph(nn.Module):
             samples[:, index].view(samples.shape[0], -1, N_FFT)
         )  # (N, 3 W, F)
         inside = pieces.is_inside.repeat_interleave(spectra, dim=1)
+        if peak is None:
+            whole = inside & self._is_uncut(pieces, spectra * width)
+            peak = torch.where(whole[:, :, None], decades, math.log10(SILENCE)).amax()
         return scaled(decades, peak) * inside[:, None]
+
+    def _is_uncut(self, pieces: Pieces, count: Any) -> Tensor:
+        """Spectra (N, 3 W) that no end of a piece cuts but those of the clip."""
+        place, last = torch.arange(count), pieces.number[-1:, None]
+        reach = N_FFT // 2 * self.mel.rate // SAMPLE_RATE + 1
+        first, number = pieces.number[:, None] == 0, pieces.number[:, None]
+        stop = pieces.size[:, None] * self.frontend.spectra - reach + 1
+        return (first | (place >= reach)) & ((number == last) | (place < stop))
 
     def _encoded(self, mel: Tensor, pieces: Pieces) -> Tensor:
         """Mixed features (K, D); only attention is computed piece by piece."""

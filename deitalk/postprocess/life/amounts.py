@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
+from deitalk.acting import NO_PLACE
 from deitalk.config.rules import Idle
 from deitalk.errors import DeitalkError
 from rig.errors import quoted
@@ -13,6 +14,9 @@ from rig.errors import quoted
 MOST = 2.0
 FURTHEST_LOOK = 35.0
 """Degrees; an eye turns little further."""
+DISTANCES = (20.0, 10_000.0)
+"""Cm, of the listener."""
+USUAL_CM = NO_PLACE[2]
 
 
 @dataclass(frozen=True)
@@ -24,14 +28,15 @@ class Life:
     blinks, gaze, brows, head : float, range 0 to 2
         Of the blinks more or fewer; of the others wider or smaller.
     look_at : tuple of float
-        Place of the listener: degrees to the character's left and up, -35 to 35.
+        Place of the listener: degrees to the character's left and up, -35 to 35, and its distance,
+        20 to 10,000 cm, on which both eyes meet.
     """
 
     blinks: float = 1.0
     gaze: float = 1.0
     brows: float = 1.0
     head: float = 1.0
-    look_at: tuple[float, float] = (0.0, 0.0)
+    look_at: tuple[float, float, float] = NO_PLACE
 
     @classmethod
     def of(cls, life: "Life | Mapping[str, float] | str") -> "Life":
@@ -61,7 +66,7 @@ class Life:
     @property
     def is_off(self) -> bool:
         """Whether nothing moves."""
-        return not any(getattr(self, name) for name in PARTS) and self.look_at == (0.0, 0.0)
+        return not any(getattr(self, name) for name in PARTS) and self.look_at[:2] == (0.0, 0.0)
 
     def times(self, idle: Idle) -> "Life":
         """These factors on a model's own."""
@@ -107,22 +112,26 @@ def _factor(name: Any, value: Any) -> float:
     return float(f"{value:.9g}")  # as text has it
 
 
-def place_of(look_at: Any) -> tuple[float, float]:
-    """The listener's place of two numbers, or of text such as ``10,-5``.
+def place_of(look_at: Any) -> tuple[float, float, float]:
+    """The listener's place of two or three numbers, or of text such as ``10,-5`` or ``10,-5,120``.
 
     Raises
     ------
     DeitalkError
-        If it is not two numbers from -35 to 35.
+        If it is not two numbers from -35 to 35, with or without a distance in cm.
     """
     parts = look_at.split(",") if isinstance(look_at, str) else look_at
     try:
-        side, up = (float(part) for part in parts)
+        side, up, *distance = (float(part) for part in parts)
     except (TypeError, ValueError):
-        side = math.nan
-    if not (math.isfinite(side) and math.isfinite(up) and max(abs(side), abs(up)) <= FURTHEST_LOOK):
+        side = up = math.nan
+        distance = []
+    far = distance[0] if distance else USUAL_CM
+    is_near = math.isfinite(side) and math.isfinite(up) and max(abs(side), abs(up)) <= FURTHEST_LOOK
+    if not is_near or len(distance) > 1 or not DISTANCES[0] <= far <= DISTANCES[1]:
         raise DeitalkError(
             f"look_at {quoted(look_at)} must be two numbers, degrees to the character's left and "
-            f"up, -{FURTHEST_LOOK:g} to {FURTHEST_LOOK:g}, such as 10,-5"
+            f"up, -{FURTHEST_LOOK:g} to {FURTHEST_LOOK:g}, and may have a third, the distance, "
+            f"{DISTANCES[0]:g} to {DISTANCES[1]:g} cm: such as 10,-5 or 10,-5,120"
         )
-    return side, up
+    return side, up, far

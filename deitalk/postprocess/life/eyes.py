@@ -1,14 +1,23 @@
-"""The eyes after the network: blinks, and where they look."""
+"""The eyes after the network: blinks, and where they look.
 
-import math
-from typing import NamedTuple
+Streams are side by side. Letters: B streams, n frames of a call, N events.
+"""
 
 import numpy as np
 
 from deitalk.audio.frames import FRAME_RATE
-from deitalk.config.rules import Idle
-from deitalk.postprocess.life.voice import STILL_SECONDS, Cue
-from rig.arrays import Float64
+from deitalk.postprocess.life.amounts import USUAL_CM
+from deitalk.postprocess.life.draws import (
+    Events,
+    UInt64,
+    between,
+    by_rank,
+    normals,
+    smooth_noise,
+    uniforms,
+)
+from deitalk.postprocess.life.voice import END, PAUSE, SPEECH, START, Cues
+from rig.arrays import Float64, Int64
 
 # Blinks: their times on the voice, and the closure of the lids.
 #
@@ -36,276 +45,340 @@ LONG_PAUSE, UNKNOWN_PAUSE = 0.8, 1.6
 """Seconds of a pause in which a blink is likely, and of one whose end is not known."""
 SIDE_SPREAD = 0.02
 """Standard deviation of the difference of the lids in an incomplete blink."""
+CLOSING, OPENING = (0.085, 0.15, 0.06, 0.12), (0.19, 0.2, 0.12, 0.3)
+"""Seconds to the deepest point and back: median, sigma of the logarithm, limits."""
+MOST_HELD = 0.06
+"""Seconds at the deepest point; a frame at least, so that one shows it."""
+BEGIN, CLOSES, HOLDS, OPENS, DEPTH, UNEVEN = range(6)
+"""Fields of a blink: seconds at which the lids begin to close, of the three parts of the motion,
+closure at the deepest point, 0 to 1, and the difference of the lids."""
 
 
-class Blink(NamedTuple):
-    """One blink."""
-
-    time: float
-    """Seconds at which the lids begin to close."""
-    closing: float
-    """Seconds to the deepest point."""
-    held: float
-    """Seconds there; a frame at least, so that one shows it."""
-    opening: float
-    """Seconds until the lids are open."""
-    depth: float
-    """Closure at the deepest point, 0 to 1."""
-
-    @property
-    def end(self) -> float:
-        """Seconds at which the lids are open."""
-        return self.time + self.closing + self.held + self.opening
-
-    def closure(self, times: Float64) -> Float64:
-        """Closure of the lids at some times: fast down, slower and slowing up."""
-        since = times - self.time
-        down = np.clip(since / self.closing, 0, 1)
-        up = np.clip((since - self.closing - self.held) / self.opening, 0, 1)
-        shape: Float64 = self.depth * np.sin(0.5 * np.pi * down) ** 2 * (1 - up) ** 1.6
-        return shape
+def closure(blinks: Float64, times: Float64) -> Float64:
+    """Closure of the lids (N, n) by blinks (N, 6) at times (N, n): fast down, slower up."""
+    begin, closes, holds, opens, depth = (blinks[:, k, None] for k in range(UNEVEN))
+    since = times - begin
+    down = np.clip(since / closes, 0, 1)
+    up = np.clip((since - closes - holds) / opens, 0, 1)
+    shape: Float64 = depth * np.sin(0.5 * np.pi * down) ** 2 * (1 - up) ** 1.6
+    return shape
 
 
-def draw_blink(time: float, rng: np.random.Generator) -> Blink:
-    """Draw the shape of a blink that begins at a time, seconds."""
-    is_full = rng.random() >= INCOMPLETE_SHARE
-    depth = 1.0 if is_full else float(rng.uniform(*INCOMPLETE_DEPTH))
-    closing = float(np.clip(0.085 * np.exp(0.15 * rng.standard_normal()), 0.06, 0.12))
-    opening = float(np.clip(0.19 * np.exp(0.2 * rng.standard_normal()), 0.12, 0.3))
-    held = float(rng.uniform(1 / FRAME_RATE, 0.06)) if is_full else 0.0
-    return Blink(time, closing, held, opening, depth)
+def blink_ends(blinks: Float64) -> Float64:
+    """Seconds at which the lids are open."""
+    ends: Float64 = blinks[:, BEGIN:DEPTH].sum(axis=1)
+    return ends
+
+
+def draw_blinks(times: Float64, shares: Float64) -> Float64:
+    """Blinks (N, 6) that begin at times (N,), of uniform numbers (N, 6)."""
+    is_full = shares[:, 0] >= INCOMPLETE_SHARE
+    parts = []
+    for (median, sigma, low, high), share in zip((CLOSING, OPENING), shares.T[1:3], strict=True):
+        parts.append(np.clip(median * np.exp(sigma * normals(share)), low, high))
+    held = np.where(is_full, between(shares[:, 3], (1 / FRAME_RATE, MOST_HELD)), 0)
+    depth = np.where(is_full, 1, between(shares[:, 4], INCOMPLETE_DEPTH))
+    uneven = np.where(is_full, 0, SIDE_SPREAD * normals(shares[:, 5]))
+    rows: Float64 = np.stack((times, parts[0], held, parts[1], depth, uneven), axis=1)
+    return rows
 
 
 class Blinks:
-    """Blinks of a take, one after another.
+    """Blinks of streams, one after another.
 
     Parameters
     ----------
-    rng : numpy.random.Generator
-        Equal generators give equal blinks, whatever the emotion.
-    idle : Idle
-        Median and spread of the intervals.
-    factor : float
-        On the intervals.
-    end : float
-        Seconds at which the lids are to be still; infinite if the take has not ended.
+    keys : array of uint64 [shape=(B,)]
+        Equal keys give equal blinks, whatever the emotion.
+    seconds, spread : array [shape=(B,)]
+        Median and sigma of the logarithm of the intervals.
     """
 
-    def __init__(
-        self,
-        rng: np.random.Generator,
-        idle: Idle = Idle(),
-        factor: float = 1.0,
-        end: float = math.inf,
-    ) -> None:
-        self.rng, self.idle, self.factor, self.end = rng, idle, factor, end
-        self.cues = rng.spawn(1)[0]
-        self.blinks: list[tuple[Blink, float]] = []
-        """Those that are not over, and the difference of the lids in them."""
-        self.over, self.earliest = 0.0, FIRST_SECONDS[0]
-        self.places: list[float] = []
-        self._plan(rng.uniform(*FIRST_SECONDS))
+    def __init__(self, keys: UInt64, seconds: Float64, spread: Float64) -> None:
+        self.keys, self.seconds, self.spread = keys, seconds, spread
+        self.blinks, self.places = Events(6), Events(2)
+        """Those that are not over; times that draw blinks, and from when they are known."""
+        self.number = np.zeros(len(keys), np.int64)
+        """Blinks that were drawn."""
+        self.earliest = np.full(len(keys), FIRST_SECONDS[0])
+        self.next = between(uniforms(keys, self.number, 1)[:, 0], FIRST_SECONDS)
 
-    def cue(self, cue: Cue) -> None:
+    def reset(self, stream: int) -> None:
+        """Begin a stream again."""
+        self.blinks.clear(stream)
+        self.places.clear(stream)
+        self.number[stream], self.earliest[stream] = 0, FIRST_SECONDS[0]
+        share = uniforms(self.keys[stream : stream + 1], self.number[stream : stream + 1], 1)
+        self.next[stream] = between(share[0, 0], FIRST_SECONDS)
+
+    def cue(self, cues: Cues) -> None:
         """A blink is likely at ends of phrases, and within long pauses."""
-        if cue.kind == "end":
-            self.draw_to(cue.time + self.cues.uniform(*PHRASE_END_SECONDS), cue.known)
-        elif cue.kind == "pause" and cue.size == LONG_PAUSE:
-            stop = self.end if cue.stop is None else min(cue.stop, self.end)
-            latest = min(stop, cue.time + UNKNOWN_PAUSE) if math.isinf(stop) else stop
-            self.draw_to(self.cues.uniform(cue.time, max(latest, cue.time)), cue.known)
+        ends = cues.where(cues.kind == END)
+        self.attract(ends, ends.time, PHRASE_END_SECONDS)
+        pauses = cues.where((cues.kind == PAUSE) & (cues.size == LONG_PAUSE))
+        unknown = ~np.isfinite(pauses.stop)
+        stop = np.where(unknown, pauses.time + UNKNOWN_PAUSE, pauses.stop)
+        self.attract(pauses, pauses.time, (0.0, 1.0), np.maximum(stop - pauses.time, 0))
 
-    def draw_to(self, place: float, known: float = -math.inf) -> None:
-        """Draw the blink that is near to a place, seconds, from when that is known."""
-        self.draw_until(known)
-        self.places.append(max(place, known))
+    def attract(
+        self,
+        cues: Cues,
+        times: Float64,
+        span: tuple[float, float],
+        scale: Float64 | float = 1.0,
+        chance: float = 1.0,
+    ) -> None:
+        """Draw blinks that are near to some times, plus a span of seconds, so often."""
+        frames = np.round(times * FRAME_RATE)
+        shares = uniforms(self.keys[cues.stream], frames, 8)[:, 6:]
+        place = np.maximum(times + scale * between(shares[:, 0], span), cues.known)
+        rows = np.stack((place, cues.known), axis=1)
+        taken = shares[:, 1] < chance
+        self.places.append(cues.stream[taken], rows[taken])
 
-    def at(self, first: int, count: int) -> Float64:
-        """Closure of the left and the right lids in the next frames [shape=(n, 2)]."""
-        stop = first + count
-        self.draw_until(stop / FRAME_RATE)
-        track = np.zeros((count, 2))
-        if not self.blinks:
-            return track
-        for blink, uneven in self.blinks:
-            begin = max(int(blink.time * FRAME_RATE), first)
-            end = min(int(blink.end * FRAME_RATE) + 2, stop)
-            if begin < end:
-                shape = blink.closure(np.arange(begin, end) / FRAME_RATE)[:, None]
-                rows = track[begin - first : end - first]
-                np.maximum(rows, shape * (1 + uneven * np.array([1, -1])), out=rows)
-        self.blinks = [row for row in self.blinks if row[0].end * FRAME_RATE + 2 > stop]
+    def play(self, streams: Int64, first: Int64, count: int) -> Float64:
+        """Closure of the left and the right lids in the next frames [shape=(B, n, 2)]."""
+        self._draw(streams, (first + count) / FRAME_RATE)
+        order = np.full(len(self.keys), -1)
+        order[streams] = np.arange(len(streams))
+        place, rows = order[self.blinks.stream], self.blinks.rows
+        times = (first[:, None] + np.arange(count)) / FRAME_RATE
+        shapes = closure(rows, times[place])[..., None]
+        sides = 1 + rows[:, None, UNEVEN:] * np.array([1, -1])
+        track = np.zeros((len(streams), count, 2))
+        moved = place >= 0
+        np.maximum.at(track, place[moved], (shapes * sides)[moved])
+        stops = first[place] + count
+        self.blinks.keep(~moved | (blink_ends(rows) * FRAME_RATE + 2 > stops))
         return track.clip(0, 1)
 
-    def _plan(self, time: float) -> None:
-        self.time, self.is_drawn = time, self.rng.random() < DRAWN_SHARE
+    def _draw(self, streams: Int64, until: Float64) -> None:
+        """Draw all blinks of some streams that begin before a time (B,)."""
+        while True:
+            # The earliest place near the planned time that was known by then and is not too early.
+            planned, earliest = self.next[streams], self.earliest[streams]
+            shares = uniforms(self.keys[streams], self.number[streams] + (1 << 40), 16)
+            place, known = self.places.rows.T
+            near = (self.places.stream == streams[:, None]) & (known <= planned[:, None])
+            near &= (place > earliest[:, None]) & (shares[:, :1] < DRAWN_SHARE)
+            near &= np.abs(place - planned[:, None]) < DRAWN_SECONDS
+            times = np.where(near, place, np.inf).min(axis=1, initial=np.inf)
+            times = np.where(np.isfinite(times), times, planned)
+            due = times < until
+            if not due.any():
+                break
+            who, times, shares = streams[due], times[due], shares[due]
+            # One blink, or two; then an interval.
+            blinks = draw_blinks(times, shares[:, 1:7])
+            self.blinks.append(who, blinks)
+            double = shares[:, 7] < DOUBLE_SHARE
+            seconds = times + between(shares[:, 8], DOUBLE_SECONDS)
+            after = np.maximum(blink_ends(blinks), seconds)
+            second = draw_blinks(after, shares[:, 9:15])
+            self.blinks.append(who[double], second[double])
+            over = np.where(double, blink_ends(second), blink_ends(blinks))
+            self.earliest[who] = over + LEAST_INTERVAL / 2
+            spread = self.spread[who] * normals(shares[:, 15])
+            interval = self.seconds[who] * np.exp(spread)
+            self.next[who] = times + np.maximum(interval, LEAST_INTERVAL)
+            self.number[who] += 1
+        if len(self.places.stream):
+            self.places.keep(self.places.rows[:, 0] > self.earliest[self.places.stream])
 
-    def draw_until(self, until: float) -> None:
-        """Draw all blinks that begin before a time."""
-        while self.time - DRAWN_SECONDS < min(until, self.end):
-            near = [p for p in self.places if p > self.earliest]
-            near = [p for p in near if abs(p - self.time) < DRAWN_SECONDS]
-            time = self.time
-            if near and self.is_drawn:
-                time = min(near, key=lambda place: abs(place - self.time))
-            if time >= min(until, self.end):
-                return
-            starts = [time, time + self.rng.uniform(*DOUBLE_SECONDS)]
-            for start in starts if self.rng.random() < DOUBLE_SHARE else starts[:1]:
-                blink = draw_blink(max(start, self.over), self.rng)
-                uneven = SIDE_SPREAD * self.rng.standard_normal() if blink.depth < 1 else 0.0
-                if blink.end < self.end:
-                    self.blinks.append((blink, uneven))
-                    self.over = blink.end
-            self.earliest = self.over + LEAST_INTERVAL / 2
-            spread = self.idle.interval_spread * self.rng.standard_normal()
-            interval = self.idle.interval_seconds * np.exp(spread) * self.factor
-            self.places = [place for place in self.places if place > time]
-            self._plan(time + max(float(interval), LEAST_INTERVAL))
+
+# Where the eyes look: two numbers and the vergence, degrees.
+#
+# - Fixations go from one eye of the listener to the other, and to the mouth (Yarbus 1967), 2 to 3 a
+#   second at most; five captured takes have 49 to 141 saccades a minute, of which a part is noise.
+# - A saccade lasts 21 ms and 2.2 ms a degree (Carpenter 1988): the main sequence.
+# - Speakers look away before and within long phrases and while they think, 1 s at a time (Argyle
+#   and Cook 1976; Andrist et al. 2014), listeners hardly.
 
 
 SIDE_DEGREES, UP_DEGREES, DOWN_DEGREES = 40.0, 30.0, 40.0
 """Turn of an eye for a control at 1 (`rig.conversion.arkit`)."""
+SACCADE_SECONDS, SACCADE_SECONDS_PER_DEGREE = 0.021, 0.0022
+HALF_EYES_CM = 3.15
+"""Half of the distance of the eyes (Dodgson 2004: 63 mm)."""
+EYE_DEGREES, MOUTH_DEGREES, MOUTH_SHARE = (1.5, 0.4), (0.0, -3.2), 0.22
+"""Where fixations on the listener's eyes and mouth are, to a side and up, at the usual distance;
+share of those on the mouth."""
+FIXATION_SECONDS, FIXATION_JITTER = 0.8, 0.75
+"""Mean time of a fixation, and the share of it by which a saccade is early or late."""
+FIXATION_SPREAD = 0.45
+"""Standard deviation of the place of a fixation, degrees."""
+DRIFT_DEGREES, DRIFT_SECONDS = 0.12, 0.15
+"""Of the slow motion within a fixation."""
 AVERSION_DEGREES = (5.0, 12.0)
-AVERSION_SECONDS = (1.4, 0.4)
-"""Median, and sigma of the logarithm."""
-START_SHARE, PAUSE_SHARE = 0.45, 0.6
-"""How often the gaze is averted before a phrase that follows a pause, and in a pause."""
-WITHIN_SECONDS, WITHIN_SHARE = (4.75, 1.4), 0.6
-"""Seconds of speech from one place for an aversion within a phrase to the next (mean and standard
-deviation, Andrist et al. 2014; 3 at least), and how often the gaze is averted there."""
+AVERSION_SECONDS = (0.9, 0.35, 0.4, 1.8)
+"""Median, sigma of the logarithm, limits."""
+AVERTED_CM = 200.0
+"""Distance at which the eyes meet in an aversion."""
+START_SHARE, PAUSE_SHARE, WITHIN_SHARE = 0.45, 0.6, 0.5
+"""How often the gaze is averted before a phrase that follows a pause, in a pause, and within a
+phrase at its every `WITHIN_EVERY` seconds."""
+WITHIN_EVERY = 4
+"""Seconds of speech from one place for an aversion within a phrase to the next (4.75 on the
+average, Andrist et al. 2014)."""
 START_LEAD, AVERTED_PAUSE = 0.35, 0.45
 """Seconds before a phrase, and of a pause, from which the gaze may be averted."""
-LEAST_BETWEEN = 3.0
+LEAST_BETWEEN = 2.5
 """Seconds from the end of an aversion to the next one."""
-FACE_DEGREES = (0.9, 0.7)
-"""Standard deviation of the fixations on the listener's face, to the side and up."""
-FIXATION_SECONDS = (0.75, 0.45)
-MICRO_DEGREES, MICRO_PER_SECOND = 0.25, 1.3
-BLINK_DEGREES, BLINK_SHARE = 4.5, 0.4
-"""A shift from so many degrees brings a blink, so often."""
-LID_SHARE = 0.12
+BLINK_SHARE = 0.4
+"""How often an aversion brings a blink."""
+LID_SHARE = 0.55
 """Closure of the lids for a look straight down at the end of the range, besides the lids' own
-following of the eyes in the rig (Becker and Fuchs 1988)."""
+following of the eyes in the rig (Becker and Fuchs 1988): where shapes of ARKit are exported nothing
+else lowers them. Slopes of five Live Link takes are .50, .64, .76, 1.19 and, with squinted lids,
+4.2."""
+BEFORE = 1e-6
+"""Seconds before a saccade at which the eyes are where they were."""
 
 
-def draw_wait(rng: np.random.Generator) -> float:
-    """Seconds of speech to the next place for an aversion within a phrase."""
-    mean, spread = WITHIN_SECONDS
-    return float(max(mean + spread * rng.standard_normal(), 3.0))
+def vergence(distance: Float64 | float) -> Float64:
+    """Degrees by which each eye turns inwards for a place at a distance, cm."""
+    degrees: Float64 = np.degrees(np.arctan(HALF_EYES_CM / np.asarray(distance)))
+    return degrees
 
 
-def draw_direction(rng: np.random.Generator, avoids: float) -> tuple[float, float]:
-    """Degrees to the left and up of a look up and to a side in thought, or down and to a side."""
-    size = rng.uniform(*AVERSION_DEGREES)
-    elevation = np.radians(rng.choice((-1.0, 1.0), p=(0.55, 0.45)) * rng.uniform(5, 50))
-    sign = 1.0 if rng.random() < 0.5 * (1 + avoids) else -1.0
-    return float(sign * size * np.cos(elevation)), float(size * np.sin(elevation))
+def draw_directions(shares: Float64, avoids: Float64) -> Float64:
+    """Degrees to the left and up (N, 2) of looks in thought, up or down and to a side.
+
+    Of uniform numbers (N, 4) and the preference (N,) for the character's left, -1 to 1.
+    """
+    size, slope = between(shares[:, 0], AVERSION_DEGREES), between(shares[:, 1], (5, 50))
+    elevation = np.radians(np.where(shares[:, 2] < 0.55, -slope, slope))
+    sign = np.where(shares[:, 3] < 0.5 * (1 + avoids), 1, -1)
+    return np.stack((sign * size * np.cos(elevation), size * np.sin(elevation)), axis=1)
 
 
 class Gaze:
-    """Fixations, aversions and micro-saccades of a take.
+    """Fixations and aversions of streams.
 
     Parameters
     ----------
-    rng : numpy.random.Generator
-        Equal generators give equal looks.
-    avoids : float, range -1 to 1
-        Preference for the character's left.
-    end : float
-        Seconds of the last frame; the last half second is still. Infinite if it is not known.
+    keys : array of uint64 [shape=(B,)]
+        Equal keys give equal looks.
+    avoids : array [shape=(B,), range -1 to 1]
+        Preference of the aversions for the character's left.
     """
 
-    def __init__(
-        self, rng: np.random.Generator, avoids: float = 0.0, end: float = math.inf
-    ) -> None:
-        self.cues, self.rng, self.small = rng.spawn(3)
-        self.avoids, self.still = avoids, end - STILL_SECONDS
-        self.looks = [Look(-1.0, np.zeros(2), np.zeros(2))]
-        """Fixations from the last one before the next frame on."""
-        self.micros = [(-1.0, np.zeros(2))]
-        self.next_look = float(0.3 + self.rng.uniform(0, 0.4))
-        self.next_micro = 10 / FRAME_RATE
-        self.averted: tuple[float, Float64] | None = None
-        """End of an aversion, and its direction."""
-        self.free = self.within = 0.0
-        self.shifts: list[float] = []
-        """Times of large shifts that bring a blink."""
+    def __init__(self, keys: UInt64, avoids: Float64) -> None:
+        self.keys, self.avoids = keys, avoids
+        self.aversions = Events(4)
+        """Begin and end, seconds; degrees to the left and up."""
+        self.free = np.zeros(len(keys))
+        """Seconds from which the next aversion may begin."""
 
-    def cue(self, cue: Cue) -> None:
+    def reset(self, stream: int) -> None:
+        """Begin a stream again."""
+        self.aversions.clear(stream)
+        self.free[stream] = 0
+
+    def cue(self, cues: Cues, blinks: Blinks) -> None:
         """Avert the gaze before a phrase, in a pause and within a long phrase."""
-        if cue.kind == "start":
-            self.within = cue.time + draw_wait(self.cues)
-            self._avert(cue.time - START_LEAD, START_SHARE, cue.known)
-        elif cue.kind == "pause" and cue.size == AVERTED_PAUSE and cue.time:
-            self._avert(cue.time, PAUSE_SHARE, cue.known)
-        elif cue.kind == "speech" and cue.time >= self.within:
-            self.within = cue.time + draw_wait(self.cues)
-            if cue.stop is None or cue.time < cue.stop - 0.5:
-                self._avert(cue.time, WITHIN_SHARE, cue.known)
+        within = (cues.kind == SPEECH) & (cues.size % WITHIN_EVERY == 0)
+        within &= np.isnan(cues.stop) | (cues.time < cues.stop - 0.5)
+        pause = (cues.kind == PAUSE) & (cues.size == AVERTED_PAUSE) & (cues.time > 0)
+        starts = cues.kind == START
+        chance = np.select((starts, pause, within), (START_SHARE, PAUSE_SHARE, WITHIN_SHARE))
+        shares = uniforms(self.keys[cues.stream], np.round(cues.time * FRAME_RATE), 7)
+        begin = cues.time - START_LEAD * starts + 0.3 * shares[:, 0]
+        begin = np.maximum(np.maximum(begin, 0.3), cues.known)
+        median, sigma, low, high = AVERSION_SECONDS
+        length = np.clip(median * np.exp(sigma * normals(shares[:, 1])), low, high)
+        places = draw_directions(shares[:, 2:6], self.avoids[cues.stream])
+        rows = np.concatenate((np.stack((begin, begin + length), axis=1), places), axis=1)
+        drawn = np.flatnonzero(shares[:, 6] < chance)
+        for rank in by_rank(cues.stream[drawn]):
+            chosen = drawn[rank]
+            chosen = chosen[begin[chosen] >= self.free[cues.stream[chosen]]]
+            who = cues.stream[chosen]
+            self.free[who] = rows[chosen, 1] + LEAST_BETWEEN
+            self.aversions.append(who, rows[chosen])
+            averted = Cues(*(part[chosen] for part in cues))
+            blinks.attract(averted, begin[chosen], (0.0, 0.0), chance=BLINK_SHARE)
 
-    def at(self, first: int, count: int) -> Float64:
-        """Degrees to the character's left and up in the next frames [shape=(n, 2)]."""
-        frames = np.arange(first, first + count) / FRAME_RATE
-        if not count:
-            return np.zeros((0, 2))
-        last = float(frames[-1])
-        self._look(last)
-        while self.next_micro <= min(last, self.still - 0.1):
-            place = 0.4 * self.micros[-1][1] + self.small.normal(0, MICRO_DEGREES, 2)
-            self.micros.append((self.next_micro, place))
-            self.next_micro += max(self.small.exponential(1 / MICRO_PER_SECOND), 0.15)
-        if last > self.still - 0.1:
-            zero, (_, before, _) = np.zeros(2), self.looks[-1]
-            self.looks.append(Look(max(self.still - 0.1, self.looks[-1].time), zero, -before))
-            self.micros.append((max(self.still - 0.1, self.micros[-1][0]), zero))
-        times, targets, steps = (np.array(part) for part in zip(*self.looks, strict=True))
-        now = np.searchsorted(times, frames, side="right") - 1
-        lengths = 0.021 + 0.0022 * np.hypot(*steps[now].T)
-        left = np.maximum(1 - (frames - times[now]) / lengths, 0)
-        track: Float64 = targets[now] - (left * left * (3 - 2 * left))[:, None] * steps[now]
-        moved, places = (np.array(part) for part in zip(*self.micros, strict=True))
-        track = track + places[np.searchsorted(moved, frames, side="right") - 1]
-        track[frames > self.still] = 0
-        self.looks, self.micros = self.looks[now[-1] :], self.micros[-1:]
+    def play(self, streams: Int64, first: Int64, count: int, distance: Float64) -> Float64:
+        """Degrees to the left and up, and vergence, in the next frames [shape=(B, n, 3)].
+
+        Parameters
+        ----------
+        streams, first : array of int [shape=(B,)]
+            Which streams, and their next frames.
+        count : int
+            n.
+        distance : array [shape=(B, n)]
+            Of the listener, cm.
+        """
+        times = (first[:, None] + np.arange(count)) / FRAME_RATE
+        keys = self.keys[streams]
+        begins = self._changes(keys, times)
+        order = np.full(len(self.keys), -1)
+        order[streams] = np.arange(len(streams))
+        place = order[self.aversions.stream]
+        rows = self.aversions.rows[place >= 0]
+        place = place[place >= 0]
+        # The last saccade at or before each frame, and where the eyes were before it.
+        for edge in (0, 1):
+            edges = np.broadcast_to(rows[:, edge, None], (len(rows), count))
+            np.maximum.at(begins, place, np.where(edges <= times[place], edges, -np.inf))
+        now, was = (
+            self._targets(keys, when, rows, place, distance) for when in (times, begins - BEFORE)
+        )
+        steps = now - was
+        size = np.hypot(steps[..., 0], steps[..., 1])
+        lengths = SACCADE_SECONDS + SACCADE_SECONDS_PER_DEGREE * size
+        left = np.clip(1 - (times - begins) / lengths, 0, 1)
+        track: Float64 = now - (left * left * (3 - 2 * left))[..., None] * steps
+        spread, seconds = np.full(2, DRIFT_DEGREES), np.full(2, DRIFT_SECONDS)
+        track[..., :2] += smooth_noise(keys, times, spread, seconds)
+        ends = self.aversions.rows[:, 1] * FRAME_RATE
+        starts = first[order[self.aversions.stream]]
+        gone = (order[self.aversions.stream] >= 0) & (ends < starts + count - FRAME_RATE)
+        self.aversions.keep(~gone)
         return track
 
-    def _avert(self, time: float, share: float, known: float) -> None:
-        """Begin an aversion, so often."""
-        start = max(time + self.cues.uniform(0, 0.3), 0.3, known)
-        length = AVERSION_SECONDS[0] * np.exp(AVERSION_SECONDS[1] * self.cues.standard_normal())
-        is_drawn, direction = self.cues.random() < share, draw_direction(self.cues, self.avoids)
-        if is_drawn and start >= self.free and start + length < self.still:
-            self._look(start)
-            self.averted = float(start + length), np.array(direction)
-            self.next_look = start
-            self.free = start + length + LEAST_BETWEEN
+    def _fixations(self, keys: UInt64, times: Float64) -> Float64:
+        """Number of the fixation at some times [shape=(B, n)]."""
+        near = np.floor(times / FIXATION_SECONDS)
+        late = [times >= self._begin(keys, near + k) for k in (0, 1)]
+        found: Float64 = near - 1 + late[0] + late[1]
+        return found
 
-    def _look(self, until: float) -> None:
-        """Append the fixations that begin before a time."""
-        while self.next_look <= min(until, self.still - 0.1):
-            time, last = self.next_look, self.looks[-1]
-            if self.averted is not None and time >= self.averted[0]:
-                self.averted = None
-            if self.averted is not None:
-                target = self.averted[1] + self.rng.normal(0, 0.5, 2)
-                self.next_look = min(time + self.rng.uniform(0.4, 1.1), self.averted[0])
-            else:
-                target = self.rng.normal(0, FACE_DEGREES)
-                spread = FIXATION_SECONDS[1] * self.rng.standard_normal()
-                self.next_look = time + max(FIXATION_SECONDS[0] * np.exp(spread), 0.3)
-            step = target - last.target
-            self.looks.append(Look(time, target, step))
-            if np.hypot(*step) >= BLINK_DEGREES and self.rng.random() < BLINK_SHARE:
-                self.shifts.append(time)
+    def _begin(self, keys: UInt64, number: Float64) -> Float64:
+        """Seconds at which fixations begin."""
+        jitter = FIXATION_JITTER * uniforms(keys[:, None], number, 1)[..., 0]
+        begin: Float64 = (number + jitter) * FIXATION_SECONDS
+        return begin
 
+    def _changes(self, keys: UInt64, times: Float64) -> Float64:
+        """Seconds at which the fixations at some times began [shape=(B, n)]."""
+        return self._begin(keys, self._fixations(keys, times))
 
-class Look(NamedTuple):
-    """A fixation."""
-
-    time: float
-    """Seconds at which the eyes leave the one before."""
-    target: Float64
-    """Degrees to the left and up [shape=(2,)]."""
-    step: Float64
-    """From the one before."""
+    def _targets(
+        self, keys: UInt64, times: Float64, rows: Float64, place: Int64, distance: Float64
+    ) -> Float64:
+        """Where the eyes are to be at some times [shape=(B, n, 3)]."""
+        number = self._fixations(keys, times)
+        shares = uniforms(keys[:, None], number, 4)
+        near = USUAL_CM / distance
+        # Even fixations are on one eye, odd ones on the other, some of both on the mouth.
+        is_mouth = shares[..., 1] < MOUTH_SHARE
+        side = np.where(number % 2 == 0, EYE_DEGREES[0], -EYE_DEGREES[0])
+        found = np.stack(
+            (
+                np.where(is_mouth, MOUTH_DEGREES[0], side) * near,
+                np.where(is_mouth, MOUTH_DEGREES[1], EYE_DEGREES[1]) * near,
+                vergence(distance),
+            ),
+            axis=-1,
+        )
+        found[..., :2] += FIXATION_SPREAD * normals(shares[..., 2:])
+        averted = (rows[:, 0, None] <= times[place]) & (times[place] < rows[:, 1, None])
+        event, frame = np.nonzero(averted)
+        found[place[event], frame, :2] = rows[event, 2:] + FIXATION_SPREAD * normals(
+            shares[place[event], frame, 2:]
+        )
+        found[place[event], frame, 2] = vergence(AVERTED_CM)
+        return found

@@ -1,4 +1,4 @@
-"""Brows, and turn and shift of the head, on the voice.
+"""Turn and shift of the head, and the neck, on the voice and while another one speaks.
 
 - Nods on stressed syllables, deeper where level and pitch are high (Hadar et al. 1983; Munhall et
   al. 2004; Graf et al. 2002), lowering at the end of a phrase and a raise before the next one
@@ -17,227 +17,23 @@ left, up and forward, the axes of the embedded head.
 Letters: T frames at 30 per second.
 """
 
-import math
-from collections.abc import Sequence
-from typing import NamedTuple
-
 import numpy as np
+from scipy.signal import lfilter
 
 from deitalk.audio.frames import FRAME_RATE
 from deitalk.emotions import LABELS, by_emotion
-from deitalk.postprocess.life.voice import (
-    LISTENING_SECONDS,
-    Cue,
-    Noise,
+from deitalk.postprocess.life.draws import (
     Swells,
-    Traits,
-    play_swells,
+    UInt64,
+    between,
+    by_rank,
+    normals,
+    smooth_noise,
+    uniforms,
 )
-from rig.arrays import AnyFloat, Bool, Float32, Float64, Int64
+from deitalk.postprocess.life.voice import END, LISTENING_SECONDS, PAUSE, START, STRESS, Cues
+from rig.arrays import Float32, Float64, Int64
 from rig.curves import HEAD
-
-# Brows, lids and cheeks on the voice.
-#
-# - Brows rise with pitch accents, their peak 60 ms before that of the accent (Flecha-Garcia 2010);
-#   brow height goes with pitch (Cave et al. 1996; Huron and Shanahan 2013) and lifts in questions
-#   (Srinivasan and Massaro 2003). Not every accent brings a brow: the stronger, the more often.
-# - Which muscles: the emotion decides. Accents knit brows in anger (AU4, AU7), raise the inner ones
-#   in sadness (AU1, AU4), all in surprise (AU1, AU2, AU5), cheeks and lower lids in happiness (AU6)
-#   (Ekman 1979; Ekman, Friesen and Hager 2002).
-# - Onsets of 150 to 400 ms and slower offsets, as of spontaneous brow raises and smiles (Schmidt,
-#   Cohn and Tian 2003).
-# - Sides differ by 10 to 15 %, by the character and from event to event (`traits.ASYMMETRY`); a few
-#   raises are of one brow, more often the stronger one. Some phrases have none at all.
-# - Brows knit in thought, in a pause before a phrase (Ekman 1979; Goodwin and Goodwin 1986).
-#
-# An expression is held no longer as a plateau: it swells with accents and yields between them. What
-# an emotion holds besides (`HELD`), lids above all, and the opening of the lids waver slowly.
-#
-# Letters: T frames at 30 per second, S styles, K stems of control names, 2 the sides.
-
-
-STEMS = ("brow_raiseIn", "brow_raiseOut", "brow_down", "brow_lateral", "eye_squintInner",
-         "eye_cheekRaise", "eye_blink")  # fmt: skip
-"""Controls that this moves, on both sides."""
-LIDS = STEMS.index("eye_blink")
-ACCENTS: dict[str, tuple[float, ...]] = {
-    "neutral": (0.18, 0.15, 0.0, 0.0, 0.02, 0.02, -0.03),
-    "angry": (-0.17, -0.14, 0.24, 0.08, 0.18, 0.12, -0.04),
-    "happy": (-0.03, 0.04, 0.0, 0.0, 0.15, 0.28, 0.03),
-    "sad": (0.15, -0.14, 0.10, 0.14, 0.10, 0.13, 0.04),
-    "surprised": (0.13, 0.16, 0.0, 0.0, 0.0, 0.20, -0.16),
-    "fear": (0.16, 0.05, 0.06, 0.14, 0.0, 0.0, -0.14),
-    "disgust": (-0.16, -0.14, 0.14, 0.04, 0.16, 0.14, 0.02),
-    "contempt": (-0.06, 0.02, 0.0, 0.0, 0.04, 0.0, 0.05),
-    "calm": (-0.09, -0.08, 0.0, 0.0, -0.01, 0.0, 0.02),
-}
-"""Motion of `STEMS` for a full accent; that of an emotion is added to the neutral one."""
-HELD: dict[str, tuple[float, ...]] = {
-    "neutral": (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
-    "angry": (0.0, 0.0, 0.32, 0.18, 0.24, 0.0, 0.0),
-    "happy": (0.0, 0.0, 0.0, 0.0, 0.06, 0.12, 0.0),
-    "sad": (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.08),
-    "surprised": (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
-}
-"""What an emotion holds of `STEMS` besides the network's expression, also between the accents:
-lower lids and knit brows in anger, raised cheeks and lower lids in joy, heavy lids in sadness
-(Ekman, Friesen and Hager 2002); amounts by eye."""
-HELD_SPREAD, HELD_SECONDS = 0.25, 2.0
-"""Standard deviation of its slow factor, and the sigma of the Gaussian that smooths its noise."""
-QUESTION = (0.16, 0.15, 0.0, 0.0, 0.0, 0.02, -0.05)
-QUESTION_SECONDS = (0.4, 0.35, 0.8)
-FROWN = (0.0, 0.0, 0.16, 0.12, 0.05, 0.0, 0.02)
-"""The same of a full frown of thought."""
-DRIFT = (0.014, 0.012, 0.006, 0.006, 0.010, 0.008, 0.020)
-"""Standard deviation of the slow drift of a calm face."""
-DRIFT_SECONDS = 0.9
-LID_DRIFT, LID_SECONDS = 0.045, 4.0
-"""A slower drift of the lids, of the size of what six readers of the GRID corpus do from sentence
-to sentence (measured once)."""
-LEAD_SECONDS, LEAD_SPREAD = 0.06, 0.05
-ATTACK_SECONDS, HOLD_SECONDS, DECAY_SECONDS = (0.15, 0.4), (0.05, 0.2), (0.45, 1.0)
-TAKEN_SHARE = (0.3, 0.6)
-"""Share of the accents with a motion: of the weakest, and more of the strongest."""
-EVENT_SIDE, MOST_UNEVEN = 0.1, 0.15
-"""Standard deviation and limit of the difference of the sides in an event."""
-ALONE_SHARE, OTHER_BROW = 0.12, 0.2
-"""Share of the accents that raise one brow, and how far the other one follows."""
-STILL_SHARE = 0.2
-"""Share of the phrases without accents of the brows; never the first one of a take."""
-FROWN_SHARE, FROWN_PAUSE, FROWN_LEAD = 0.35, 0.5, 0.15
-"""Share of the pauses with a frown, the shortest such pause, and its peak before the phrase; s."""
-FROWN_SECONDS, FROWN_HEIGHT = ((0.3, 0.5), (0.15, 0.5), (0.5, 0.9)), (0.5, 1.0)
-"""Attack, hold and decay."""
-HELD_SIDE = 0.25
-"""Share of a character's difference of the sides in an expression that is held."""
-SWELL = 0.4
-"""Part of an expression that comes and goes with the accents."""
-
-
-class BrowEvents(NamedTuple):
-    """Motion of a take before the emotion decides what moves."""
-
-    accents: Float64
-    """Swells of the accents on the left and the right [shape=(T, 2), range 0 to 1]."""
-    frowns: Float64
-    """The same of frowns of thought."""
-    question: Float64
-    """Swell of the questions [shape=(T, 1), range 0 to 1]."""
-    drift: Float64
-    """Slow noise of each stem [shape=(T, K)], control units."""
-    posture: Float64
-    """Share of `HELD` that is shown [shape=(T, 1)]."""
-
-
-class BrowMove(NamedTuple):
-    """Swell of an accent or a frown."""
-
-    attack: float
-    hold: float
-    decay: float
-    """Seconds."""
-    sides: Float64
-    """Heights on the left and the right [shape=(2,)]; 0 where there is none."""
-
-
-def draw_accent(strength: float, side: float, rng: np.random.Generator) -> BrowMove:
-    """Draw the motion of an accent.
-
-    Parameters
-    ----------
-    strength : float, range 0 to 1
-        Of the accent.
-    side : float
-        How much stronger the character's left side is.
-    rng : numpy.random.Generator
-        Gives eight numbers, whatever they are.
-    """
-    is_taken = rng.random() < TAKEN_SHARE[0] + TAKEN_SHARE[1] * strength
-    attack, hold, decay = (
-        float(rng.uniform(*span)) for span in (ATTACK_SECONDS, HOLD_SECONDS, DECAY_SECONDS)
-    )
-    height = (0.25 + 0.75 * strength) * rng.uniform(0.7, 1.2)
-    sides = _uneven(side, rng)
-    alone, place = rng.random(2)
-    if alone < ALONE_SHARE:
-        is_stronger = place < 0.7
-        sides[int((side >= 0) == is_stronger)] *= OTHER_BROW
-    return BrowMove(attack, hold, decay, is_taken * height * sides)
-
-
-def draw_frown(side: float, rng: np.random.Generator) -> BrowMove:
-    """Draw the frown of a pause; its height is 0 in most."""
-    is_taken = rng.random() < FROWN_SHARE
-    attack, hold, decay = (float(rng.uniform(*span)) for span in FROWN_SECONDS)
-    height = rng.uniform(*FROWN_HEIGHT)
-    return BrowMove(attack, hold, decay, is_taken * height * _uneven(side, rng))
-
-
-def _uneven(side: float, rng: np.random.Generator) -> Float64:
-    """Factors on the left and the right side in an event [shape=(2,)]."""
-    event = float(np.clip(EVENT_SIDE * rng.standard_normal(), -MOST_UNEVEN, MOST_UNEVEN))
-    return 1 + np.array([0.5, -0.5]) * (side + event)
-
-
-class Brows:
-    """Motion of a take before the emotion decides what moves.
-
-    Parameters
-    ----------
-    traits : Traits
-        Of the character.
-    rng : numpy.random.Generator
-        Equal generators give equal motion.
-    """
-
-    def __init__(self, traits: Traits, rng: np.random.Generator) -> None:
-        self.traits, self.swells = traits, Swells(5)
-        self.cues, noise = rng.spawn(2)
-        seconds = (*[DRIFT_SECONDS] * len(STEMS), LID_SECONDS, HELD_SECONDS)
-        self.noise = Noise((*DRIFT, LID_DRIFT, HELD_SPREAD), seconds, noise)
-        self.is_still, self.is_first = False, True
-
-    def cue(self, cue: Cue) -> None:
-        """Begin the motion of an accent, of a question, or of thought in a pause."""
-        if cue.kind == "start":
-            self.is_still = bool(self.cues.random() < STILL_SHARE) and not self.is_first
-            self.is_first = False
-        elif cue.kind == "accent":
-            move = draw_accent(cue.size, self.traits.side, self.cues)
-            peak = cue.time - LEAD_SECONDS + LEAD_SPREAD * self.cues.standard_normal()
-            if not self.is_still:
-                self._add(peak, move, 0, cue.known)
-        elif cue.kind == "pause" and cue.size == FROWN_PAUSE and cue.time:
-            move = draw_frown(self.traits.side, self.cues)
-            frown = cue.before_next(FROWN_LEAD + move.hold, FROWN_PAUSE + move.attack)
-            if frown is not None:
-                self._add(frown, move, 2, cue.known)
-        elif cue.kind == "end" and cue.is_question:
-            self.swells.add(cue.time - 0.15, QUESTION_SECONDS, {4: 1.0}, cue.known)
-
-    def _add(self, peak: float, move: BrowMove, channel: int, known: float) -> None:
-        left, right = move.sides
-        seconds = move.attack, move.hold, move.decay
-        self.swells.add(peak, seconds, {channel: left, channel + 1: right}, known)
-
-
-def brow_events(brows: Sequence[Brows], first: Int64, shown: Float64) -> BrowEvents:
-    """Events of the next frames of streams, of which the share `shown` [shape=(B, n)] is seen."""
-    count, share = shown.shape[1], shown[..., None]
-    swells = play_swells([one.swells for one in brows], first, count)
-    noise = np.stack([one.noise.at(k, count) for one, k in zip(brows, first.tolist(), strict=True)])
-    drift = noise[..., : len(STEMS)].copy()
-    drift[..., LIDS] += noise[..., -2]
-    ranges = np.array([one.traits.brow_range for one in brows])[:, None, None]
-    raised = ranges * (1 - np.exp(-swells[..., :4])) * share
-    return BrowEvents(
-        raised[..., :2],
-        raised[..., 2:],
-        np.minimum(swells[..., 4:], 1) * share,
-        drift * share,
-        np.maximum(1 + noise[..., -1:], 0) * share,
-    )
-
 
 # Neck: breath before phrases (.3 to .6 s: Winkworth et al. 1995), swallowing about once a minute in
 # pauses (Lear et al. 1965; it takes a second: Logemann 1998), the muscle that turns the head
@@ -334,191 +130,239 @@ _POSTURES = by_emotion(POSTURE)
 _LIVELY = np.array([LIVELINESS.get(name, 1.0) for name in LABELS])
 POSTURE_SECONDS = 0.35
 """Over which a posture, and the raise of speech, come and go."""
+POSTURE_SHARE = 1.4 / (POSTURE_SECONDS * FRAME_RATE)
+"""Share of a frame in each of the two filters of the posture."""
+QUIET_BREATH = 0.13
+"""Breath of the neck in silence, on the average."""
 PITCH, UP, BREATH, SWALLOWS = 1, 4, 6, 7
 CHANNELS = 8
 """The columns of `rig.curves.HEAD`, breath and swallowing of the neck."""
 
 
-class Nod(NamedTuple):
-    """A nod of one syllable."""
-
-    lag: float
-    """Seconds from the peak of the syllable to the lowest point."""
-    attack: float
-    """Seconds down."""
-    decay: float
-    """Seconds up."""
-    degrees: Float64
-    """Yaw, pitch and roll at the lowest point [shape=(3,)]; 0 where the syllable has no nod."""
-
-    def scaled(self, factor: float) -> "Nod":
-        """So much deeper; where that is faster than `NOD_SPEED`, longer and less deep."""
-        degrees = factor * self.degrees
-        fastest = 0.5 * np.pi * abs(float(degrees[1])) / self.attack
-        share = max(fastest / NOD_SPEED, 1.0) ** 0.5
-        return Nod(self.lag, share * self.attack, share * self.decay, degrees / share)
+LISTENER_SHARE, LISTENER_LEAD = 0.75, 0.25
+"""Share of the ends of another one's phrases at which a listener nods, and seconds to the first
+nod's lowest point."""
+LISTENER_DEGREES, LISTENER_SECONDS = (1.8, 3.6), (0.22, 0.0, 0.30)
+"""Depth of its first nod, of which each further one has `LISTENER_DECAY`; attack, hold, decay."""
+LISTENER_DECAY, LISTENER_BEAT, LISTENER_MOST = 0.65, 0.42, 3
+"""Nods come in one to three, so many seconds apart (Hadar, Steiner and Rose 1985)."""
 
 
-def draw_nod(strength: float, prominence: float, rng: np.random.Generator) -> Nod:
-    """Draw the nod of a stressed syllable.
+def draw_nods(
+    strength: Float64, prominence: Float64, vigour: Float64, shares: Float64
+) -> tuple[Float64, Float64, Float64, Float64]:
+    """Draw the nods of stressed syllables.
 
     Parameters
     ----------
-    strength : float, range 0 to 1
+    strength : array [shape=(N,), range 0 to 1]
         Of the stress.
-    prominence : float
-        Level and pitch of the syllable, as in `Voice`.
-    rng : numpy.random.Generator
-        Gives nine numbers, whatever they are.
+    prominence : array [shape=(N,)]
+        Level and pitch of the syllable, as in `deitalk.postprocess.life.voice.Voice`.
+    vigour : array [shape=(N,)]
+        Factor on the depth.
+    shares : array [shape=(N, 10)]
+        Uniform numbers.
+
+    Returns
+    -------
+    lag, attack, decay : array [shape=(N,)]
+        Seconds from the peak of the syllable to the lowest point, down and up: longer where the nod
+        would be faster than `NOD_SPEED`, and less deep.
+    degrees : array [shape=(N, 3)]
+        Yaw, pitch and roll at the lowest point; 0 where the syllable has no nod.
     """
-    lag = NOD_LAG + NOD_SPREAD * rng.standard_normal()
+    lag = NOD_LAG + NOD_SPREAD * normals(shares[:, 0])
     height = LEAST_NOD + (1 - LEAST_NOD) * strength
-    height *= (1 + HIGH_NOD * min(max(prominence, 0.0), 2.0)) * rng.uniform(0.5, 1.5)
-    height *= rng.random() < NOD_SHARE[0] + NOD_SHARE[1] * strength
-    quick, slow, kind = rng.random(3)
-    aside = rng.standard_normal(2)
-    sign = 1.0 if rng.random() < 0.5 else -1.0
+    height *= (1 + HIGH_NOD * np.clip(prominence, 0, 2)) * between(shares[:, 1], (0.5, 1.5))
+    height *= shares[:, 2] < NOD_SHARE[0] + NOD_SHARE[1] * strength
+    kind, sign = shares[:, 5], np.where(shares[:, 8] < 0.5, 1.0, -1.0)
     is_aside = kind < ASIDE_SHARE
     attack, decay = (
-        low + share * (high - low)
-        for (low, high), share in zip(
-            TURN_SECONDS if is_aside else NOD_SECONDS, (quick, slow), strict=True
-        )
+        between(share, span) + is_aside * (between(share, slow) - between(share, span))
+        for share, span, slow in zip(shares.T[3:5], NOD_SECONDS, TURN_SECONDS, strict=True)
     )
-    if is_aside:
-        yaw, pitch, roll = TURN[int(kind < ASIDE_SHARE / 2)]
-        degrees = np.array([sign * yaw, -pitch, sign * roll]) / max(height / MOST_ASIDE, 1)
-    else:
-        up = 0.7 if kind > 1 - UP_SHARE else -1.0
-        degrees = np.asarray(NODS) * np.array([aside[0], up, aside[1]])
-    return Nod(lag, attack, decay, height * degrees)
+    turn = np.array(TURN)[(kind < ASIDE_SHARE / 2).astype(int)]
+    aside = turn * np.stack((sign, -np.ones(len(sign)), sign), axis=1)
+    aside /= np.maximum(height / MOST_ASIDE, 1)[:, None]
+    up = np.where(kind > 1 - UP_SHARE, 0.7, -1.0)
+    sides = normals(shares[:, 6:8])
+    nod = np.array(NODS) * np.stack((sides[:, 0], up, sides[:, 1]), axis=1)
+    degrees = (vigour * height)[:, None] * np.where(is_aside[:, None], aside, nod)
+    slower = np.maximum(0.5 * np.pi * np.abs(degrees[:, 1]) / attack / NOD_SPEED, 1) ** 0.5
+    return lag, slower * attack, slower * decay, degrees / slower[:, None]
 
 
 class Head:
-    """Motion of head and neck of a take, and the posture beneath it.
+    """Motion of the heads and necks of streams, and the posture beneath it.
 
     Parameters
     ----------
-    traits : Traits
-        Of the character.
-    rng : numpy.random.Generator
-        Equal generators give equal motion.
-    end : float
-        Seconds of the last frame; infinite if it is not known.
+    keys : array of uint64 [shape=(B,)]
+        Equal keys give equal motion.
+    side, ranges : array [shape=(B,)]
+        How much stronger the left side moves; factor on the motion.
     """
 
-    def __init__(self, traits: Traits, rng: np.random.Generator, end: float = math.inf) -> None:
-        self.traits, self.end, self.swells = traits, end, Swells(CHANNELS)
-        self.cues, self.pauses, noise = rng.spawn(3)
-        spread = (*SWAY, *STIR, *SHIFT_CM, 0.6, VIGOUR)
+    def __init__(self, keys: UInt64, side: Float64, ranges: Float64) -> None:
+        self.keys, self.side, self.ranges = keys, side, ranges
+        self.swells = Swells(CHANNELS)
+        self.spread = np.array([*SWAY, *STIR, *SHIFT_CM, 0.6, VIGOUR])
         seconds = [SWAY_SECONDS] * 3 + [STIR_SECONDS] * 3 + [SHIFT_SECONDS] * 3
-        self.noise = Noise(spread, [*seconds, 1.5, VIGOUR_SECONDS], noise)
-        self.phase = 2 * np.pi * self.pauses.random()
-        self.swallow = self.pauses.exponential(SWALLOW_EVERY)
+        self.seconds = np.array([*seconds, 1.5, VIGOUR_SECONDS])
+        self.phase = 2 * np.pi * uniforms(keys, np.full(len(keys), -1), 1)[:, 0]
+        self.swallow = self._wait(np.arange(len(keys)), np.full(len(keys), -2.0), SWALLOW_EVERY)
         """Seconds of the next one."""
-        self.speaks = 0.0
-        self.held = np.zeros((2, len(HEAD)))
+        self.held = np.zeros((len(keys), len(HEAD), 2))
+        """State of the filter of the posture."""
 
-    def cue(self, cue: Cue) -> None:
-        """Begin the motion of a syllable, of a phrase's ends, or of a pause."""
-        if cue.kind == "stress":
-            vigour = math.exp(self.noise.peek(round(cue.time * FRAME_RATE))[-1])
-            nod = draw_nod(cue.size, cue.prominence, self.cues).scaled(vigour)
-            heights = dict(enumerate(nod.degrees))
-            self.swells.add(cue.time + nod.lag, (nod.attack, 0.0, nod.decay), heights, cue.known)
-        elif cue.kind == "start" and cue.stop is not None:
-            attack, hold, decay = INITIAL_SECONDS
-            seconds = attack, hold, min(decay, cue.size / 2)
-            self.swells.add(cue.time - INITIAL_LEAD, seconds, {PITCH: INITIAL_DEGREES}, cue.known)
-        elif cue.kind == "end":
-            attack, hold, decay = FINAL_SECONDS
-            seconds = min(attack, cue.size / 2), hold, decay
-            pitch = {PITCH: -0.5 * FINAL_DEGREES if cue.is_question else FINAL_DEGREES}
-            self.swells.add(cue.time, seconds, pitch, cue.known, LATE_SECONDS)
-        elif cue.kind == "pause":
-            self._pause(cue)
+    def reset(self, stream: int) -> None:
+        """Begin a stream again."""
+        self.swells.clear(stream)
+        one = np.array([stream])
+        self.phase[stream] = 2 * np.pi * uniforms(self.keys[one], np.array([-1]), 1)[0, 0]
+        self.swallow[stream] = self._wait(one, np.array([-2.0]), SWALLOW_EVERY)[0]
+        self.held[stream] = 0
 
-    def _pause(self, cue: Cue) -> None:
-        """Breath and raise before the next phrase, a swallow, nods of a listener."""
-        to_come = cue.stop is None
-        if cue.size == (INHALE_AFTER if to_come else INHALE_PAUSE):
-            lift = cue.before_next(LIFT_LEAD, INHALE_AFTER + LIFT_SECONDS[0])
-            breath = cue.before_next(INHALE_LEAD, INHALE_AFTER + INHALE_SECONDS[0])
-            if lift is not None and breath is not None:
-                heights = {UP: INHALE_CM, PITCH: INHALE_DEGREES}
-                self.swells.add(lift, LIFT_SECONDS, heights, cue.known)
-                self.swells.add(breath, INHALE_SECONDS, {BREATH: INHALE}, cue.known)
-        if to_come and cue.size == READY_AFTER:
-            peak = cue.time + READY_AFTER + INITIAL_SECONDS[0]
-            self.swells.add(peak, INITIAL_SECONDS, {PITCH: INITIAL_DEGREES}, cue.known)
-        stop = min(self.end if cue.stop is None else cue.stop, self.end)
-        if cue.size >= SWALLOW_PAUSE:
-            begin = max(cue.known, cue.time, self.swallow - 0.5)
-            is_due = begin == cue.known if to_come else stop - begin >= SWALLOW_PAUSE
-            if is_due:
-                self.swells.add(begin + 0.5, SWALLOW, {SWALLOWS: 1.0}, cue.known)
-                wait = self.pauses.exponential(SWALLOW_EVERY - LEAST_WAIT)
-                self.swallow = begin + LEAST_WAIT + wait
-        if cue.size >= LISTENING_SECONDS:
-            beats = 0.45 * np.arange(self.pauses.integers(1, 3))
-            times = cue.time + cue.size + self.pauses.uniform(0, 2) + beats
-            depths = self.pauses.uniform(*LISTENING_DEGREES, len(beats))
-            for time, depth in zip(times.tolist(), depths.tolist(), strict=True):
-                if time < stop - 1:
-                    self.swells.add(time, (0.25, 0.0, 0.35), {PITCH: -depth}, cue.known)
+    def _wait(self, streams: Int64, places: Float64, mean: float) -> Float64:
+        """Exponential waits of some places, seconds."""
+        waits: Float64 = -mean * np.log(uniforms(self.keys[streams], places, 1)[:, 0])
+        return waits
 
+    def cue(self, cues: Cues) -> None:
+        """Begin the motion of syllables, of the ends of phrases, and of pauses."""
+        self._nods(cues.where(cues.kind == STRESS))
+        starts = cues.where((cues.kind == START) & ~np.isnan(cues.stop))
+        attack, hold, decay = INITIAL_SECONDS
+        seconds = attack, hold, np.minimum(decay, starts.size / 2)
+        self._pitch(starts, starts.time - INITIAL_LEAD, seconds, INITIAL_DEGREES)
+        ends = cues.where(cues.kind == END)
+        attack, hold, decay = FINAL_SECONDS
+        lowered = np.where(ends.is_question, -0.5 * FINAL_DEGREES, FINAL_DEGREES)
+        seconds = np.minimum(attack, ends.size / 2), hold, decay
+        self._pitch(ends, ends.time, seconds, lowered, LATE_SECONDS)
+        self._pauses(cues.where(cues.kind == PAUSE))
 
-def move_heads(heads: Sequence[Head], first: Int64, speaking: AnyFloat | Bool) -> Float64:
-    """Motion of the next frames of streams on neutral faces [shape=(B, n, `CHANNELS`)].
+    def hear(self, cues: Cues) -> None:
+        """Nod at the ends of another one's phrases."""
+        ends = cues.where(cues.kind == END)
+        shares = self._shares(ends, ends.time)
+        depth = -between(shares[:, 1], LISTENER_DEGREES) * (shares[:, 0] < LISTENER_SHARE)
+        first = np.maximum(ends.time, ends.known) + LISTENER_LEAD + 0.2 * shares[:, 2]
+        count = np.ceil(LISTENER_MOST * shares[:, 3])
+        for beat in range(LISTENER_MOST):
+            height = depth * LISTENER_DECAY**beat * (beat < count)
+            self._pitch(ends, first + beat * LISTENER_BEAT, LISTENER_SECONDS, height)
 
-    `speaking` [shape=(B, n)] is 1 in speech, else 0.
-    """
-    count = speaking.shape[1]
-    total = play_swells([head.swells for head in heads], first, count)
-    noise = np.stack(
-        [head.noise.at(k, count) for head, k in zip(heads, first.tolist(), strict=True)]
-    )
-    speaks, now = np.empty(speaking.shape), np.array([head.speaks for head in heads])
-    for k in range(count):
-        now = now + (speaking[:, k] - now) / (POSTURE_SECONDS * FRAME_RATE)
-        speaks[:, k] = now
-    for head, value in zip(heads, now.tolist(), strict=True):
-        head.speaks = value
-    lively = QUIET + (1 - QUIET) * speaks[..., None]
-    total[..., :3] += (np.exp(noise[..., 10:]) * noise[..., :3] + noise[..., 3:6]) * lively
-    total[..., 3:6] += noise[..., 6:9]
-    time = (first[:, None] + np.arange(count)) / FRAME_RATE
-    phase = np.array([head.phase for head in heads])[:, None]
-    quiet = np.sin(phase + 2 * np.pi * time / BREATH_SECONDS + noise[..., 9])
-    quiet *= 1 - 0.7 * speaks
-    total[..., UP] += BREATH_CM * quiet
-    total[..., PITCH] += BREATH_DEGREES * quiet + NOD_RAISE * speaks
-    total[..., SWALLOWS] *= 1 - speaks
-    return total
+    def _shares(self, cues: Cues, times: Float64) -> Float64:
+        return uniforms(self.keys[cues.stream], np.round(times * FRAME_RATE), 10)
 
+    def _pitch(
+        self,
+        cues: Cues,
+        peak: Float64,
+        seconds: "tuple[Float64 | float, float, Float64 | float]",
+        degrees: Float64 | float,
+        shortest: float | None = None,
+        channel: int = PITCH,
+    ) -> None:
+        """Add swells of one channel, the pitch."""
+        heights = np.zeros((len(peak), CHANNELS))
+        heights[:, channel] = degrees
+        self.swells.add(cues.stream, peak, seconds, heights, cues.known, shortest)
 
-def hold_postures(heads: Sequence[Head], mixture: Float32) -> Float64:
-    """Posture of the emotion in the next frames [shape=(B, n, 6)], which comes and goes slowly.
+    def _nods(self, cues: Cues) -> None:
+        keys = self.keys[cues.stream]
+        noise = smooth_noise(keys, cues.time[:, None], self.spread, self.seconds)
+        vigour = np.exp(noise[:, 0, -1])
+        shares = self._shares(cues, cues.time)
+        lag, attack, decay, degrees = draw_nods(cues.size, cues.prominence, vigour, shares)
+        heights = np.pad(degrees, ((0, 0), (0, CHANNELS - 3)))
+        self.swells.add(cues.stream, cues.time + lag, (attack, 0.0, decay), heights, cues.known)
 
-    `mixture` [shape=(B, n, S)] is the emotion shown: weights times intensity.
-    """
-    share = 1.4 / (POSTURE_SECONDS * FRAME_RATE)
-    side = np.ones((len(heads), 1, len(HEAD)))
-    side[:, 0, 2] = [1 if head.traits.side >= 0 else -1 for head in heads]
-    rows: Float64 = mixture @ _POSTURES * side
-    near, held = np.stack([head.held for head in heads], axis=1)
-    for k in range(rows.shape[1]):
-        near = near + share * (rows[:, k] - near)
-        held = held + share * (near - held)
-        rows[:, k] = held
-    for head, pair in zip(heads, np.stack((near, held), axis=1), strict=True):
-        head.held = pair
-    return rows
+    def _pauses(self, cues: Cues) -> None:
+        """Breath and raise before the next phrase, a swallow, nods in long silence."""
+        to_come = np.isnan(cues.stop)
+        breath = cues.where(cues.size == np.where(to_come, INHALE_AFTER, INHALE_PAUSE))
+        lift = breath.before_next(LIFT_LEAD, INHALE_AFTER + LIFT_SECONDS[0])
+        top = breath.before_next(INHALE_LEAD, INHALE_AFTER + INHALE_SECONDS[0])
+        follows = ~np.isnan(lift)
+        breath, lift, top = breath.where(follows), lift[follows], top[follows]
+        self._pitch(breath, lift, LIFT_SECONDS, INHALE_DEGREES)
+        self._pitch(breath, lift, LIFT_SECONDS, INHALE_CM, channel=UP)
+        self._pitch(breath, top, INHALE_SECONDS, INHALE, channel=BREATH)
+        ready = cues.where(to_come & (cues.size == READY_AFTER))
+        peak = ready.time + READY_AFTER + INITIAL_SECONDS[0]
+        self._pitch(ready, peak, INITIAL_SECONDS, INITIAL_DEGREES)
+        self._swallows(cues.where(cues.size >= SWALLOW_PAUSE))
+        silent = cues.where(cues.size >= LISTENING_SECONDS)
+        shares = self._shares(silent, silent.time + silent.size)
+        for beat in (0, 1):
+            time = silent.time + silent.size + 2 * shares[:, 0] + 0.45 * beat
+            depth = -between(shares[:, 2 + beat], LISTENING_DEGREES)
+            nods = (shares[:, 1] < 0.5) | (beat == 0)
+            nods &= ~(time >= silent.stop - 1)
+            self._pitch(silent.where(nods), time[nods], (0.25, 0.0, 0.35), depth[nods])
 
+    def _swallows(self, cues: Cues) -> None:
+        for rank in by_rank(cues.stream):
+            part = cues.where(rank)
+            wanted = self.swallow[part.stream] - 0.5
+            begin = np.maximum(np.maximum(part.known, part.time), wanted)
+            to_come = np.isnan(part.stop)
+            due = np.where(to_come, begin == part.known, part.stop - begin >= SWALLOW_PAUSE)
+            part, begin = part.where(due), begin[due]
+            self._pitch(part, begin + 0.5, SWALLOW, 1.0, channel=SWALLOWS)
+            places = np.round(begin * FRAME_RATE) + (1 << 40)
+            wait = self._wait(part.stream, places, SWALLOW_EVERY - LEAST_WAIT)
+            self.swallow[part.stream] = begin + LEAST_WAIT + wait
 
-def liveliness(heads: Sequence[Head], mixture: Float32) -> Float64:
-    """Factor on the motion [shape=(B, n)]: of the emotion shown, and of the character."""
-    calm = np.maximum(1 - mixture[..., 1:].sum(axis=-1), 0)
-    ranges = np.array([head.traits.head_range for head in heads])[:, None]
-    factor: Float64 = (calm + mixture[..., 1:] @ _LIVELY[1:]) * ranges
-    return factor
+    def play(self, streams: Int64, first: Int64, speaks: Float64) -> Float64:
+        """Motion of the next frames of some streams on neutral faces [shape=(B, n, `CHANNELS`)].
+
+        `speaks` [shape=(B, n), range 0 to 1] is how far the face speaks.
+        """
+        count = speaks.shape[1]
+        total = self.swells.play(streams, first, count)
+        times = (first[:, None] + np.arange(count)) / FRAME_RATE
+        noise = smooth_noise(self.keys[streams], times, self.spread, self.seconds)
+        lively = QUIET + (1 - QUIET) * speaks[..., None]
+        total[..., :3] += (np.exp(noise[..., 10:]) * noise[..., :3] + noise[..., 3:6]) * lively
+        total[..., 3:6] += noise[..., 6:9]
+        phase = self.phase[streams, None] + 2 * np.pi * times / BREATH_SECONDS
+        quiet = np.sin(phase + noise[..., 9]) * (1 - 0.7 * speaks)
+        total[..., UP] += BREATH_CM * quiet
+        total[..., PITCH] += BREATH_DEGREES * quiet + NOD_RAISE * speaks
+        total[..., BREATH] += QUIET_BREATH * (1 - speaks) * (1 + quiet)
+        total[..., SWALLOWS] *= 1 - speaks
+        return total
+
+    def _wanted(self, streams: Int64, mixture: Float32) -> Float64:
+        side = np.ones((len(streams), 1, len(HEAD)))
+        side[:, 0, 2] = np.where(self.side[streams] >= 0, 1, -1)
+        wanted: Float64 = mixture @ _POSTURES * side
+        return wanted
+
+    def settle(self, streams: Int64, mixture: Float32) -> None:
+        """Begin streams in the posture of an emotion [shape=(B, 1, S)]."""
+        wanted = (1 - POSTURE_SHARE) * self._wanted(streams, mixture)[:, 0]
+        self.held[streams] = wanted[..., None]
+
+    def postures(self, streams: Int64, mixture: Float32) -> Float64:
+        """Posture of the emotion in the next frames [shape=(B, n, 6)], which comes and goes slowly.
+
+        `mixture` [shape=(B, n, S)] is the emotion shown: weights times intensity.
+        """
+        wanted = self._wanted(streams, mixture)
+        near, held = np.moveaxis(self.held[streams], -1, 0)
+        near, held = near[:, None], held[:, None]
+        rows, near = lfilter([POSTURE_SHARE], [1, POSTURE_SHARE - 1], wanted, axis=1, zi=near)
+        rows, held = lfilter([POSTURE_SHARE], [1, POSTURE_SHARE - 1], rows, axis=1, zi=held)
+        self.held[streams] = np.stack((near[:, 0], held[:, 0]), axis=-1)
+        return np.asarray(rows, np.float64)
+
+    def liveliness(self, streams: Int64, mixture: Float32) -> Float64:
+        """Factor on the motion [shape=(B, n)]: of the emotion shown, and of the character."""
+        calm = np.maximum(1 - mixture[..., 1:].sum(axis=-1), 0)
+        factor: Float64 = (calm + mixture[..., 1:] @ _LIVELY[1:]) * self.ranges[streams, None]
+        return factor

@@ -1,52 +1,36 @@
-"""Blinks, gaze, brows, head and neck of a take, or of a voice that has not ended.
+"""Blinks, gaze, brows, head and neck of takes, or of voices that have not ended.
 
 The times of all events come from the voice and the seed alone. What they move depends on the
 emotion shown, which is 0 in the neutral reading: both readings blink and look alike, and intensity
 0 gives the neutral reading with its motion.
 
-Letters: T frames at 30 per second, n frames of a call, S styles.
+Streams are side by side, in one array operation each step. Letters: B streams, n frames of a call,
+T frames at 30 per second, S styles.
 """
 
-import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from scipy.signal import lfilter
 
 from deitalk.audio.frames import FRAME_RATE
 from deitalk.config.rules import Idle
-from deitalk.emotions import LABELS
+from deitalk.emotions import LABELS, by_emotion
 from deitalk.postprocess.life.amounts import Life
 from deitalk.postprocess.life.eyes import Blinks, Gaze
-from deitalk.postprocess.life.head import (
-    BREATH,
-    SWALLOWS,
-    Brows,
-    Head,
-    brow_events,
-    hold_postures,
-    liveliness,
-    move_heads,
-    neck_tracks,
-)
-from deitalk.postprocess.life.voice import (
-    ONSET_SECONDS,
-    STILL_SECONDS,
-    Cue,
-    Seeds,
-    Traits,
-    Voice,
-    presence,
-)
+from deitalk.postprocess.life.face import MIRROR, Face
+from deitalk.postprocess.life.head import BREATH, POSTURE_SECONDS, SWALLOWS, Head, neck_tracks
+from deitalk.postprocess.life.voice import PARTS, PAUSE, Cues, Seeds, Traits, Voice
 from deitalk.postprocess.tracks import MotionTracks
-from rig.arrays import AnyFloat, Bool, Float32, Float64
+from rig.arrays import AnyFloat, Bool, Float32, Float64, Int64
 from rig.curves import HEAD
 
 ADDED_CONTROLS = ("_eye_blink.", "_eye.t")
 """Parts of the names of controls that blinks and gaze move, whatever the emotion."""
 SPEAKING_LEAD = 10
 """Frames by which speech moves the head before it is there, in a take that is known: those by
-which the smoothing of `Head.at` is late."""
+which the smoothing is late."""
 AGAINST = np.array([1, -1], np.float32)
 """Signs of a turn of the eyes that undoes yaw and pitch of the head."""
 STARE = 0.8
@@ -55,6 +39,15 @@ TURN_FRAMES = 6
 """Frames in which the eyes turn to another place, as long as an emotion takes to change."""
 MOST_SHOWN = 1.5
 """Intensity above which accents and posture grow no more."""
+MIRRORED = 1 / 3
+"""Share of another one's feeling that a listener shows."""
+MIRROR_SECONDS = 1.2
+"""Time constant with which it comes and goes."""
+TALK_SECONDS = 1.5
+"""Time constant with which a face that talks begins to rest."""
+BLOCK_FRAMES = 1024
+"""Frames of a take that are moved at once."""
+_MIRROR = by_emotion(MIRROR)
 
 
 class Motion(NamedTuple):
@@ -62,9 +55,8 @@ class Motion(NamedTuple):
 
     tracks: MotionTracks
     """What `deitalk.postprocess.life.play.Play` plays."""
-    head: Float32 | None
-    """Track of the head [shape=(..., n, 6)], see `deitalk.postprocess.life.head`; None if it is off
-    in a whole take."""
+    head: Float32
+    """Track of the head [shape=(..., n, 6)], see `deitalk.postprocess.life.head`."""
 
 
 def attend(gaze: Float64, held: Float64, mixture: Float32) -> Float64:
@@ -84,133 +76,171 @@ def attend(gaze: Float64, held: Float64, mixture: Float32) -> Float64:
     return shown
 
 
-class MotionStream:
-    """Eyes, brows, head and neck of a take or of a stream, which the cues of a voice move.
+class Character(NamedTuple):
+    """Who moves in a stream, and how far."""
+
+    seeds: Seeds
+    life: Life = Life()
+    traits: Traits | None = None
+    """Drawn from the seeds by default."""
+
+
+class MotionStreams:
+    """Eyes, brows, head and neck of takes or of streams, which the cues of voices move.
 
     Parameters
     ----------
-    seeds : Seeds
-        Of the recording and its actor, or of the stream.
+    characters : sequence of Character
+        B.
     idle : Idle
         The model's own numbers.
-    life : Life
-        Factors on them, and the listener's place.
-    traits : Traits, optional
-        Of the character; drawn from the seeds by default.
-    voice : Voice, optional
-        Of the whole take; None if it has not ended.
-    has_begun, goes_on : bool
-        Whether another take comes before, or after: motion does not begin at rest, or end there.
     """
 
-    def __init__(
-        self,
-        seeds: Seeds,
-        idle: Idle = Idle(),
-        life: Life = Life(),
-        traits: Traits | None = None,
-        voice: Voice | None = None,
-        *,
-        has_begun: bool = False,
-        goes_on: bool = False,
-    ) -> None:
-        self.life = amounts = life.times(idle)
-        self.traits = traits = traits or Traits.of(seeds.character())
-        self.n_frames = 0
-        self.place = self.looks = np.array(life.look_at)
-        self.turns: list[tuple[int, tuple[float, float]]] = []
-        self.turning = 0
-        self.end = math.inf if voice is None else (voice.n_frames - 1) / FRAME_RATE
-        self.silence = 0.0 if voice is None or goes_on else voice.silence
-        self.onset = 0.0 if has_begun else ONSET_SECONDS
+    def __init__(self, characters: Sequence[Character], idle: Idle = Idle()) -> None:
+        self.idle, batch = idle, len(characters)
+        self.keys = np.zeros((len(PARTS), batch), np.uint64)
+        self.side, self.brow_range, self.head_range, self.avoids = np.zeros((4, batch))
+        self.amounts = np.zeros((4, batch))
+        """Factors on blinks, gaze, brows and head."""
+        self.seconds, self.spread = np.zeros((2, batch))
+        self.n_frames = np.zeros(batch, np.int64)
+        self.places = np.zeros((batch, 2, 3))
+        """Where the listener was, and where the eyes turn to: degrees and cm."""
+        self.turns = np.zeros(batch, np.int64)
+        """Frames from which on they do."""
+        self.speaks, self.talks = np.zeros((2, batch, 1))
+        self.mirrored = np.zeros((batch, 1, len(LABELS)))
+        """State of the filters."""
+        for k, character in enumerate(characters):
+            self._set(k, character)
+        _, blinks, gaze, face, head = self.keys
+        self.blinks = Blinks(blinks, self.seconds, self.spread)
+        self.gaze = Gaze(gaze, self.avoids)
+        self.face = Face(face, self.side, self.brow_range)
+        self.head = Head(head, self.side, self.head_range)
+
+    def _set(self, stream: int, character: Character) -> None:
+        seeds, life, traits = character
+        traits = traits or Traits.of(seeds.character())
+        self.keys[:, stream] = [seeds.key(part) for part in PARTS]
+        self.side[stream], self.avoids[stream] = traits.side, traits.avoids
+        self.brow_range[stream], self.head_range[stream] = traits.brow_range, traits.head_range
+        amounts = life.times(self.idle)
+        self.amounts[:, stream] = amounts.blinks, amounts.gaze, amounts.brows, amounts.head
         factor = traits.blink_interval / max(amounts.blinks, 0.05)
-        still = self.end - STILL_SECONDS
-        self.blinks = Blinks(seeds.generator("blinks"), idle, factor, still)
-        self.gaze = Gaze(seeds.generator("gaze"), traits.avoids, self.end)
-        self.brows = Brows(traits, seeds.generator("brows"))
-        self.head = Head(traits, seeds.generator("head"), self.end)
+        self.seconds[stream] = factor * self.idle.interval_seconds
+        self.spread[stream] = self.idle.interval_spread
+        self.places[stream] = life.look_at
+        self.n_frames[stream] = self.turns[stream] = 0
+        self.speaks[stream] = self.talks[stream] = self.mirrored[stream] = 0
 
-    def cue(self, cue: Cue) -> None:
-        """Take what comes next in the voice."""
-        for part in (self.blinks, self.gaze, self.brows, self.head):
-            part.cue(cue)
+    def reset(self, stream: int, character: Character) -> None:
+        """Begin a stream again."""
+        self._set(stream, character)
+        for part in (self.blinks, self.gaze, self.face, self.head):
+            part.reset(stream)
 
-    def look_at(self, place: tuple[float, float], frame: int) -> None:
-        """Turn to another place of the listener, degrees, within `TURN_FRAMES` from a frame on."""
-        self.turns.append((frame, place))
+    def cue(self, cues: Cues) -> None:
+        """Take what comes next in the voices."""
+        self.blinks.cue(cues)
+        self.gaze.cue(cues, self.blinks)
+        self.face.cue(cues)
+        self.head.cue(cues)
 
-    def looks_at(self, first: int, count: int) -> Float64:
-        """Where the listener is in the next frames, degrees [shape=(n, 2)]."""
-        looks = np.empty((count, 2))
-        for k in range(count):
-            while self.turns and self.turns[0][0] <= first + k:
-                self.place, self.turning = np.array(self.turns.pop(0)[1]), TURN_FRAMES
-            if self.turning:
-                self.looks = self.looks + (self.place - self.looks) / self.turning
-                self.turning -= 1
-            looks[k] = self.looks
-        return looks
+    def hear(self, cues: Cues) -> None:
+        """Take what comes next in the voices of those whom the streams listen to."""
+        self.head.hear(cues)
 
-    def eyes(self, count: int) -> tuple[Float64, Float64, Float64]:
-        """Gaze, closure of the lids and the listener's place in the next frames [shape=(n, 2)]."""
-        first, amounts = self.n_frames, self.life
-        gaze = self.gaze.at(first, count)
-        if amounts.gaze and math.isfinite(self.end):  # those of a stream are known too late
-            for time in self.gaze.shifts:
-                self.blinks.draw_to(time)
-            self.gaze.shifts = []
-        return gaze, self.blinks.at(first, count), self.looks_at(first, count)
+    def look_at(self, stream: int, place: tuple[float, float, float], frame: int) -> None:
+        """Turn to another place of the listener within `TURN_FRAMES` from a frame on."""
+        self.places[stream, 0] = self._places(np.array([stream]), np.array([[frame]]))[0, 0]
+        self.places[stream, 1], self.turns[stream] = place, frame
+
+    def _places(self, streams: Int64, frames: Int64) -> Float64:
+        """Places of the listeners in some frames [shape=(B, n, 3)]."""
+        turned = np.clip((frames + 1 - self.turns[streams, None]) / TURN_FRAMES, 0, 1)
+        before, after = self.places[streams].swapaxes(0, 1)[:, :, None]
+        found: Float64 = before + turned[..., None] * (after - before)
+        return found
+
+    def move(
+        self,
+        speaking: AnyFloat | Bool,
+        mixture: Float32,
+        streams: Int64 | None = None,
+        felt: Float32 | None = None,
+    ) -> Motion:
+        """Move the next frames of some streams, or of all.
+
+        Parameters
+        ----------
+        speaking : array [shape=(B, n)]
+            1 in speech, else 0.
+        mixture : array [shape=(B, n, S)]
+            Emotion shown: weights times intensity.
+        streams : array of int, optional [shape=(B,)]
+            Which; each once.
+        felt : array, optional [shape=(B, n, S)]
+            Emotion of those whom they listen to.
+        """
+        streams = np.arange(len(self.n_frames)) if streams is None else streams
+        count, mixture = speaking.shape[1], np.minimum(mixture, MOST_SHOWN)
+        first = self.n_frames[streams]
+        if (begins := streams[first == 0]).size and count:  # as if it had been so before
+            self._settle(begins, speaking[first == 0, :1], mixture[first == 0, :1])
+        self.n_frames[streams] += count
+        blinks, gaze, brows, amount = self.amounts[:, streams, None, None]
+        place = self._places(streams, first[:, None] + np.arange(count))
+        looks = self.gaze.play(streams, first, count, place[..., 2])
+        lids = self.blinks.play(streams, first, count)
+        spoken = speaking.astype(np.float64)
+        speaks = _followed(spoken, POSTURE_SECONDS, self.speaks, streams)
+        talks = _followed(spoken, TALK_SECONDS, self.talks, streams)
+        face = self.face.play(streams, first, talks)
+        gestures = face.gestures + self._mirror(streams, mixture if felt is None else felt, felt)
+        moves = amount * self.head.play(streams, first, speaks)
+        posture = amount * self.head.postures(streams, mixture)
+        turn = moves[..., : len(HEAD)] * self.head.liveliness(streams, mixture)[..., None]
+        head = (turn + posture).astype(np.float32)
+        turned, held = turn[..., :2] * AGAINST, posture[..., :2] * AGAINST
+        neck = neck_tracks(moves[..., BREATH], moves[..., SWALLOWS], head[..., 0])
+        still = np.ones((*speaking.shape, 1))
+        tracks = MotionTracks(
+            lids * (blinks > 0),
+            gaze * (attend(looks[..., :2], held, mixture) + turned) + place[..., :2],
+            gaze * (looks[..., :2] + turned) + place[..., :2],
+            np.minimum(gaze, 1) * looks[..., 2:],
+            face.accents,
+            gestures,
+            face.posture,
+            neck * (amount > 0),
+            mixture,
+            still * self.side[streams, None, None],
+            still * brows,
+        )
+        return Motion(tracks, head)
+
+    def _settle(self, streams: Int64, speaking: AnyFloat | Bool, mixture: Float32) -> None:
+        """Begin streams in the state that their first frame holds."""
+        for seconds, states in ((POSTURE_SECONDS, self.speaks), (TALK_SECONDS, self.talks)):
+            states[streams] = (1 - 1 / (seconds * FRAME_RATE)) * speaking
+        self.head.settle(streams, mixture)
+
+    def _mirror(self, streams: Int64, shown: Float32, felt: Float32 | None) -> Float64 | float:
+        """Gestures of a listener who feels with another one [shape=(B, n, 2 K)]."""
+        if felt is None and not self.mirrored[streams].any():
+            return 0.0
+        wanted = 0 * shown if felt is None else MIRRORED * np.minimum(felt, 1)
+        rows = _followed(wanted, MIRROR_SECONDS, self.mirrored, streams)
+        poses = rows @ _MIRROR
+        return np.concatenate((poses, poses), axis=-1)
 
 
-def move_together(
-    streams: Sequence[MotionStream], speaking: AnyFloat | Bool, mixture: Float32
-) -> Motion:
-    """Motion of the next frames of streams side by side.
-
-    Parameters
-    ----------
-    streams : sequence of MotionStream
-        B.
-    speaking : array [shape=(B, n)]
-        1 in speech, else 0.
-    mixture : array [shape=(B, n, S)]
-        Emotion shown: weights times intensity.
-    """
-    count, mixture = speaking.shape[1], np.minimum(mixture, MOST_SHOWN)
-    first = np.array([stream.n_frames for stream in streams])
-    eyes = (stream.eyes(count) for stream in streams)
-    looks, lids, place = (np.stack(parts) for parts in zip(*eyes, strict=True))
-    for stream in streams:
-        stream.n_frames += count
-
-    def each(values: Sequence[float]) -> Float64:
-        return np.array(values)[:, None, None]
-
-    factors = [stream.life for stream in streams]
-    gaze, amount = each([one.gaze for one in factors]), each([one.head for one in factors])
-    ends = np.array([stream.end for stream in streams])
-    silence, onset = (np.array([getattr(s, n) for s in streams]) for n in ("silence", "onset"))
-    shown = presence(first[:, None] + np.arange(count), ends, silence, onset)
-    heads = [stream.head for stream in streams]
-    moves = amount * shown[..., None] * move_heads(heads, first, speaking)
-    posture = amount * shown[..., None] * hold_postures(heads, mixture)
-    turn = moves[..., : len(HEAD)] * liveliness(heads, mixture)[..., None]
-    head = (turn + posture).astype(np.float32)
-    turned, held = turn[..., :2] * AGAINST, posture[..., :2] * AGAINST
-    place = shown[..., None] * place
-    neck = neck_tracks(moves[..., BREATH], moves[..., SWALLOWS], head[..., 0])
-    still = np.ones((*speaking.shape, 1))
-    tracks = MotionTracks(
-        lids * each([bool(one.blinks) for one in factors]),
-        gaze * (attend(looks, held, mixture) + turned) + place,
-        gaze * (looks + turned) + place,
-        *brow_events([stream.brows for stream in streams], first, shown),
-        neck * (amount > 0),
-        mixture,
-        still * each([stream.traits.side for stream in streams]),
-        still * each([one.brows for one in factors]),
-    )
-    return Motion(tracks, head)
+def _followed(values: AnyFloat, seconds: float, states: Float64, streams: Int64) -> Float64:
+    """Values (B, n, ...) that a time constant smooths, with the state of streams."""
+    share = 1 / (seconds * FRAME_RATE)
+    rows, states[streams] = lfilter([share], [1, share - 1], values, axis=1, zi=states[streams])
+    return np.asarray(rows, np.float64)
 
 
 def plan_motion(
@@ -220,9 +250,8 @@ def plan_motion(
     idle: Idle = Idle(),
     life: Life = Life(),
     traits: Traits | None = None,
-    *,
-    has_begun: bool = False,
-    goes_on: bool = False,
+    heard: Voice | None = None,
+    felt: Float32 | None = None,
 ) -> Motion:
     """Motion of a whole take.
 
@@ -232,14 +261,26 @@ def plan_motion(
         Of the recording.
     mixture : array [shape=(T, S)]
         Weights of the emotions times the applied intensity.
-    seeds, idle, life, traits, has_begun, goes_on
-        As for `MotionStream`.
+    seeds, idle, life, traits
+        Of the character, and the model's own numbers.
+    heard : Voice, optional
+        Of the one whom it listens to, T frames.
+    felt : array, optional [shape=(T, S)]
+        Emotion of that one.
     """
-    stream = MotionStream(seeds, idle, life, traits, voice, has_begun=has_begun, goes_on=goes_on)
-    for cue in voice.cues():
-        stream.cue(cue)
+    streams, cues = MotionStreams([Character(seeds, life, traits)], idle), voice.cues()
+    if heard is not None:
+        streams.hear(heard.cues())
+        cues = cues.where((cues.kind != PAUSE) | ~heard.is_speaking(cues.time + cues.size))
+    streams.cue(cues)
     lead = min(SPEAKING_LEAD, voice.n_frames)
     speaking = np.append(voice.speaking[lead:], np.zeros(lead, np.float32))
-    motion = move_together([stream], speaking[None], mixture[None])
-    head = None if motion.head is None or not stream.life.head else motion.head[0]
-    return Motion(MotionTracks(*(track[0] for track in motion.tracks)), head)
+    parts = []
+    for start in range(0, max(voice.n_frames, 1), BLOCK_FRAMES):
+        rows = slice(start, start + BLOCK_FRAMES)
+        other = None if felt is None else felt[None, rows]
+        parts.append(streams.move(speaking[None, rows], mixture[None, rows], felt=other))
+    tracks = (
+        np.concatenate(track, axis=1)[0] for track in zip(*(p.tracks for p in parts), strict=True)
+    )
+    return Motion(MotionTracks(*tracks), np.concatenate([part.head[0] for part in parts]))

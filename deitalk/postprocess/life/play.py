@@ -11,18 +11,8 @@ from torch import Tensor, nn
 
 from deitalk.emotions import by_emotion
 from deitalk.postprocess.life.eyes import DOWN_DEGREES, LID_SHARE, SIDE_DEGREES, UP_DEGREES
-from deitalk.postprocess.life.head import (
-    ACCENTS,
-    BREATH_CONTROL,
-    FROWN,
-    HELD,
-    HELD_SIDE,
-    QUESTION,
-    STEMS,
-    SWALLOW_CONTROL,
-    SWELL,
-    TURNS,
-)
+from deitalk.postprocess.life.face import ACCENTS, HELD, STEMS, UPPER
+from deitalk.postprocess.life.head import BREATH_CONTROL, SWALLOW_CONTROL, TURNS
 from deitalk.postprocess.torch_columns import Columns, constant
 from deitalk.postprocess.tracks import MOTION, MotionTracks
 from rig import ControlSet
@@ -50,6 +40,13 @@ SPOKEN = 0.5
 """Share of it in the neutral reading."""
 EVENT = 0.4
 """Of the difference of the brows' accents."""
+YIELDED, SMILE_YIELDED = 0.75, 2.5
+"""Share of a neutral face's gestures that an emotion at intensity 1 takes away, and of its smiles:
+what it shows must not depend on the seed."""
+SWELL, USUAL_SWELL = 0.3, 0.2
+"""Part of an expression above the mouth that comes and goes with the accents, and their mean."""
+HELD_SIDE = 0.25
+"""Share of a character's difference of the sides in an expression that is held."""
 LOWER_LID = 0.14
 """Inner squint of a whole blink: the muscle that closes the lids draws the lower one up and towards
 the nose (Evinger, Manning and Sibony 1991); amount by eye."""
@@ -69,9 +66,9 @@ class Play(nn.Module):
     leans: Tensor
     styles: Tensor
     poses: Tensor
-    question: Tensor
-    frown: Tensor
     least: Tensor
+    swells: Tensor
+    yielded: Tensor
 
     def __init__(self, controls: ControlSet) -> None:
         super().__init__()
@@ -81,25 +78,27 @@ class Play(nn.Module):
             return Columns([controls.index(name) for name in names], size)
 
         self.mouth = columns([f"CTRL_{side}_{stem}.ty" for stem in LEANS for side in "LR"])
-        self.brows = columns([f"CTRL_{side}_{stem}.ty" for side in "LR" for stem in STEMS])
+        self.face = columns([f"CTRL_{side}_{stem}.ty" for side in "LR" for stem in STEMS])
         neck = [BREATH_CONTROL, SWALLOW_CONTROL, *TURNS]
         self.eyes = columns([f"CTRL_{side}_{stem}" for stem in EYES for side in "LR"] + neck)
         constant(self, "leans", [sign * 0.5 * lean for lean in LEANS.values() for sign in (1, -1)])
         constant(self, "styles", by_emotion(ACCENTS))
         constant(self, "poses", by_emotion(HELD))
-        constant(self, "question", QUESTION)
-        constant(self, "frown", FROWN)
         constant(self, "least", [-1.0 if stem == "eye_blink" else 0.0 for stem in STEMS])
+        smiles = ("mouth_cornerPull", "eye_cheekRaise")
+        shares = [SMILE_YIELDED if stem in smiles else YIELDED for stem in STEMS]
+        constant(self, "yielded", shares)
+        constant(self, "swells", [float(k < UPPER) for k in range(len(STEMS))])
 
     def forward(self, curves: Tensor, motion: Tensor) -> Tensor:
-        """Play tracks (B, T, 34) on curves (B, T, R, C).
+        """Play tracks (B, T, 43) on curves (B, T, R, C).
 
         Controls approach the end of their range and do not reach it: a motion of m takes the share
         m of what is left.
         """
         tracks = MotionTracks(*torch.split(motion, [*MOTION], dim=-1))
         curves = self._lean_mouth(curves, tracks)
-        curves = self._move_brows(curves, tracks)
+        curves = self._move_face(curves, tracks)
         return self._turn_eyes(curves, tracks)
 
     def _lean_mouth(self, curves: Tensor, tracks: MotionTracks) -> Tensor:
@@ -111,28 +110,30 @@ class Play(nn.Module):
         spoken = SPOKEN * tracks.side.unsqueeze(2) * leans * neutral
         return self.mouth.put(curves, part + spoken + event * leans * (part - neutral))
 
-    def _move_brows(self, curves: Tensor, tracks: MotionTracks) -> Tensor:
-        """Brows, lids and cheeks on accents, questions and frowns; by the emotion that is shown."""
+    def _move_face(self, curves: Tensor, tracks: MotionTracks) -> Tensor:
+        """Move brows, lids and cheeks on accents, by the emotion that is shown, and by gestures."""
         # (B, T, R, sides, stems)
-        part = torch.stack(self.brows(curves).chunk(2, dim=-1), dim=-2)
-        held = part[:, :, :1]
+        part = torch.stack(self.face(curves).chunk(2, dim=-1), dim=-2)
+        calm = part[:, :, :1]
         amount, side = tracks.amount.unsqueeze(2), tracks.side.unsqueeze(2)
         mixture = tracks.mixture.unsqueeze(2)[..., 1:]
         mixture = torch.cat((0 * mixture, mixture), dim=2)
-        gains = amount * (self.styles[0] + mixture @ self.styles[1:])
-        posture = amount * tracks.posture.unsqueeze(2) * (mixture @ self.poses[1:])
-        calm = amount * (tracks.question * self.question + tracks.drift).unsqueeze(2)
-        thought = amount.unsqueeze(-1) * tracks.frowns[:, :, None, :, None] * self.frown
-        swells = tracks.accents.unsqueeze(2)  # (B, T, 1, sides)
-        breath = 1 + amount * SWELL * (swells - 0.4)
-        uneven = torch.cat((side, -side), dim=-1)
-        breath = (breath * (1 + amount.clamp_max(1) * uneven * HELD_SIDE)).unsqueeze(-1)
-        values = torch.maximum(held + (part - held) * breath, self.least).clamp_max(1)
-        moved = gains.unsqueeze(3) * swells.unsqueeze(-1) + (posture + calm).unsqueeze(3) + thought
-        moved = moved.clamp(-1, 1)
+        shown = mixture.sum(dim=-1, keepdim=True).clamp_max(1)
+        styles, posture = mixture @ self.styles[1:], mixture @ self.poses[1:]
+        accents = tracks.accents.unsqueeze(2)  # (B, T, 1, sides)
+        # An expression swells on accents, and one side of it is stronger.
+        uneven = torch.cat((side, -side), dim=-1) * amount.clamp_max(1) * HELD_SIDE
+        swell = ((1 + amount * SWELL * (accents - USUAL_SWELL)) * (1 + uneven)).unsqueeze(-1)
+        values = calm + (part - calm) * (1 + (swell - 1) * self.swells)
+        values = torch.maximum(values, self.least).clamp_max(1)
+        gestures = torch.stack(tracks.gestures.chunk(2, dim=-1), dim=-2).unsqueeze(2)
+        moved = gestures * (1 - self.yielded * shown.unsqueeze(-1)).clamp_min(0)
+        moved = moved + accents.unsqueeze(-1) * styles.unsqueeze(3)
+        moved = moved + (tracks.posture.unsqueeze(2) * posture).unsqueeze(3)
+        moved = (amount.unsqueeze(-1) * moved).clamp(-1, 1)
         values = values + moved * torch.where(moved > 0, 1 - values, values - self.least)
         values = torch.where(amount.unsqueeze(-1) > 0, values, part)
-        return self.brows.put(curves, values.flatten(-2))
+        return self.face.put(curves, values.flatten(-2))
 
     def _turn_eyes(self, curves: Tensor, tracks: MotionTracks) -> Tensor:
         """Turn the eyes, close the lids, draw breath, swallow, turn the neck."""
@@ -140,7 +141,8 @@ class Play(nn.Module):
         looks = torch.stack((tracks.calm_gaze, tracks.gaze), dim=2)  # (B, T, R, 2)
         side, up = looks.chunk(2, dim=-1)
         up = up / torch.where(up > 0, UP_DEGREES + 0 * up, DOWN_DEGREES + 0 * up)
-        side = (side / SIDE_DEGREES).expand(-1, -1, -1, 2)
+        inwards = tracks.vergence.unsqueeze(2)
+        side = torch.cat((side - inwards, side + inwards), dim=-1) / SIDE_DEGREES
         lids, neck = tracks.lids.unsqueeze(2), tracks.neck.unsqueeze(2)
         closure = torch.maximum(lids, LID_SHARE * (-up).clamp_min(0))
         lids, neck = (track.expand(-1, -1, 2, -1) for track in (lids, neck))

@@ -5,9 +5,9 @@ Letters: T frames at 30 per second.
 
 import hashlib
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +23,7 @@ from rig.curves.edit import gaussian_smooth
 # the same take always moves alike, two recordings, actors or emotions never do. Each part
 # of the motion has its own numbers, so that one that is off changes no other.
 
-PARTS = ("traits", "blinks", "gaze", "brows", "head", "neck")
+PARTS = ("traits", "blinks", "gaze", "face", "head")
 ASYMMETRY = 0.15
 """How much stronger one side of a character moves than the other, at most: spontaneous faces are
 asymmetric by 10 to 15 % (Skinner and Mullen 1991; Borod et al. 1998)."""
@@ -50,10 +50,10 @@ class Seeds:
         """Seeds of a recording [shape=(S,)] of an actor; equal arguments give equal ones."""
         return cls((_hash(_pcm(waveform)), _hash([actor.encode()]), seed), emotion)
 
-    def generator(self, part: str) -> np.random.Generator:
-        """Random numbers of a part of `PARTS`."""
+    def key(self, part: str) -> int:
+        """Key of the numbers of a part of `PARTS`, see `deitalk.postprocess.life.draws`."""
         own = (self.emotion,) if self.emotion else ()
-        return np.random.default_rng([*self.words, PARTS.index(part), *own])
+        return _hash([repr((*self.words, PARTS.index(part), *own)).encode()])
 
     def character(self) -> np.random.Generator:
         """Random numbers of the actor, whatever the recording; of the take if there is none."""
@@ -111,226 +111,24 @@ def _hash(parts: Iterable[bytes]) -> int:
     return int.from_bytes(digest.digest()[:8], "little")
 
 
-# Shapes over time that the parts share: swells of events, slow noise, fades at the ends.
-#
-# All are given for consecutive frames, and do not depend on how a stream is divided.
-#
-# Letters: T frames at 30 per second, n frames of a call, K channels.
-
-ONSET_SECONDS, FADE_SECONDS = 0.5, 0.9
-"""Motion begins at rest with a take, and comes to rest before its end."""
-STILL_SECONDS = 0.5
-"""Rest at the end, but for a silence that is too short for it."""
-CUT_SECONDS = 0.2
-"""Silence at the end below which a take counts as cut."""
-BLOCK_FRAMES, PLAYED_FRAMES = 64, 256
-"""Frames of noise that are drawn at once, and of events that are played at once."""
-
-
-class Swell(NamedTuple):
-    """One event."""
-
-    begin: float
-    attack: float
-    hold: float
-    decay: float
-    """Seconds."""
-    heights: Float64
-    """[shape=(K,)]."""
-
-    @property
-    def end(self) -> float:
-        """Seconds."""
-        return self.begin + self.attack + self.hold + self.decay
-
-
-class Swells:
-    """Events that rise, hold and fall in raised cosines; each adds to some channels.
-
-    Parameters
-    ----------
-    channels : int
-        K.
-    """
-
-    def __init__(self, channels: int) -> None:
-        self.channels = channels
-        self.swells: list[Swell] = []
-
-    def add(
-        self,
-        peak: float,
-        seconds: tuple[float, float, float],
-        heights: dict[int, float],
-        known: float,
-        shortest: float | None = None,
-    ) -> None:
-        """Add an event.
-
-        Parameters
-        ----------
-        peak : float
-            Seconds at which it is wanted to be highest.
-        seconds : tuple of float
-            Attack, hold and decay.
-        heights : dict
-            Height by channel.
-        known : float
-            Seconds before which it cannot begin; its peak is late then.
-        shortest : float, optional
-            To how many seconds the attack may be shortened for that; not at all by default.
-        """
-        attack, hold, decay = seconds
-        least = attack if shortest is None else min(shortest, attack)
-        attack = min(attack, max(peak - known, least))
-        rows = np.zeros(self.channels)
-        rows[list(heights)] = list(heights.values())
-        self.swells.append(Swell(max(known, peak - attack), attack, hold, decay, rows))
-
-
-def play_swells(swells: Sequence[Swells], first: Int64, count: int) -> Float64:
-    """Sums of the events of streams in their next frames; those that are over are dropped.
-
-    Parameters
-    ----------
-    swells : sequence of Swells
-        Of B streams, with K channels each.
-    first : array of int [shape=(B,)]
-        Frame that comes next.
-    count : int
-        n.
-
-    Returns
-    -------
-    array [shape=(B, n, K)]
-    """
-    found = np.zeros((len(swells), count, swells[0].channels))
-    events = [event for part in swells for event in part.swells]
-    if not events:
-        return found
-    stream = np.repeat(np.arange(len(swells)), [len(part.swells) for part in swells])
-    begin, attack, hold, decay = np.array([event[:4] for event in events]).T
-    heights, length = np.array([event.heights for event in events]), attack + hold + decay
-    for start in range(0, count, PLAYED_FRAMES):
-        stop = min(start + PLAYED_FRAMES, count)
-        seconds = (first[stream, None] + np.arange(start, stop)) / FRAME_RATE - begin[:, None]
-        now = np.flatnonzero((seconds[:, -1] > 0) & (seconds[:, 0] < length))
-        time = seconds[now]
-        rise = np.clip(time / attack[now, None], 0, 1)
-        fall = np.clip((length[now, None] - time) / decay[now, None], 0, 1)
-        shape = 0.25 * (1 - np.cos(np.pi * rise)) * (1 - np.cos(np.pi * fall))
-        moved = shape[..., None] * heights[now, None]
-        np.add.at(found[:, start:stop], stream[now], moved)
-    is_over = (begin + length) * FRAME_RATE < first[stream] + count
-    if is_over.any():
-        for k in {*stream[is_over].tolist()}:
-            after = float(first[k] + count)
-            swells[k].swells = [s for s in swells[k].swells if s.end * FRAME_RATE >= after]
-    return found
-
-
-class Noise:
-    """Noise with Gaussian spectra.
-
-    Parameters
-    ----------
-    spread : sequence of float [shape=(K,)]
-        Standard deviations.
-    seconds : sequence of float [shape=(K,)]
-        Sigmas of the Gaussians that white noise is smoothed with.
-    rng : numpy.random.Generator
-        Equal generators give equal noise.
-    """
-
-    def __init__(
-        self, spread: Sequence[float], seconds: Sequence[float], rng: np.random.Generator
-    ) -> None:
-        sigmas = np.asarray(seconds) * FRAME_RATE
-        self.kernels = []
-        for height, sigma in zip(spread, sigmas.tolist(), strict=True):
-            radius = int(4 * sigma) + 1
-            kernel = np.exp(-0.5 * (np.arange(-radius, radius + 1) / sigma) ** 2)
-            kernel *= height * np.sqrt(2 * sigma * np.sqrt(np.pi)) / kernel.sum()
-            self.kernels.append(kernel)
-        self.margin = max(len(kernel) // 2 for kernel in self.kernels)
-        self.rng, self.begin = rng, 0
-        self.white = rng.standard_normal((2 * self.margin, len(sigmas)))
-        self.rows: Float64 = np.zeros((0, len(sigmas)))
-
-    def peek(self, frame: int) -> Float64:
-        """Values of one frame [shape=(K,)], which may be to come."""
-        self._draw(frame + 1)
-        row: Float64 = self.rows[max(frame - self.begin, 0)]
-        return row
-
-    def at(self, first: int, count: int) -> Float64:
-        """Values of the next frames [shape=(n, K)]."""
-        self._draw(first + count)
-        rows = self.rows[first - self.begin : first + count - self.begin]
-        self.begin, self.rows = first + count, self.rows[first + count - self.begin :]
-        return rows
-
-    def _draw(self, stop: int) -> None:
-        lacking = stop - self.begin - len(self.rows)
-        if lacking <= 0:
-            return
-        count = -(-lacking // BLOCK_FRAMES) * BLOCK_FRAMES
-        white = np.concatenate((self.white, self.rng.standard_normal((count, len(self.kernels)))))
-        self.white = white[count:]
-        columns = []
-        for column, kernel in zip(white.T, self.kernels, strict=True):
-            free = self.margin - len(kernel) // 2
-            inner = column[free : len(column) - free]
-            columns.append(np.convolve(inner, kernel, mode="valid"))
-        self.rows = np.concatenate((self.rows, np.stack(columns, axis=1)))
-
-
-def presence(
-    frames: Int64, end: Float64, silence: Float64, onset: Float64 | float = ONSET_SECONDS
-) -> Float64:
-    """Share of the motion shown: 0 at the start of a take and in silence at its end.
-
-    Parameters
-    ----------
-    frames : array of int [shape=(B, n)]
-        Of B takes.
-    end : array [shape=(B,)]
-        Seconds of the take's last frame; infinite if it is not known.
-    silence : array [shape=(B,)]
-        Seconds without speech at the end; a take that is cut in its speech keeps its motion.
-    onset : float or array [shape=(B,)]
-        Seconds in which the motion begins; 0: it has begun before the take.
-
-    Returns
-    -------
-    array [shape=(B, n)]
-    """
-    time, is_cut = frames / FRAME_RATE, np.isinf(end) | (silence <= CUT_SECONDS)
-    still = np.minimum(STILL_SECONDS, silence / 3)
-    fades = np.where(is_cut, 1, np.minimum(FADE_SECONDS, silence - still))
-    left = np.where(is_cut, np.inf, end - still)[:, None] - time
-    begins = np.broadcast_to(onset, end.shape)[:, None]
-    begun = np.where(begins > 0, _smooth(time / np.maximum(begins, 1e-9)), 1.0)
-    shape: Float64 = begun * _smooth(left / fades[:, None])
-    return shape
-
-
-def _smooth(share: Float64) -> Float64:
-    share = np.clip(share, 0, 1)
-    return share * share * (3 - 2 * share)
-
-
 JOINED_SECONDS = 0.2
 """Pauses up to this length, such as that of a stop consonant, do not part phrases."""
 SYLLABLE_SECONDS = 0.08
 """Sigma of the Gaussian that smooths level and pitch: about a syllable at half its height."""
-ACCENT_DISTANCE = 9
-"""Least frames from accent to accent: 0.3 s, between stressed syllables of English."""
+ACCENT_DISTANCE = 16
+"""Least frames from accent to accent, 0.5 s: brows that rise twice within it rise once."""
+ACCENTS_PER_SECOND = 0.45
+"""Most accents of speech: those of the syllables that stand out most."""
+ACCENT_WEIGHTS = (0.5, 1.0, 1.0)
+"""Of level, pitch and sonority; smoothed over a syllable, the latter two are higher in long ones.
+On nine readers a syllable's being chosen so correlates by .5 with the sum of its energy, pitch and
+length, measured independently (`tests/deitalk/postprocess/life/test_face.py`)."""
+SONORITY_SPREAD_DB = 7.0
+"""Standard deviation of the sonority of speech."""
+LEAST_ACCENT, FULL_ACCENT = 0.8, 4.0
+"""Weighted sum from which a syllable may stand out, and that of a full accent."""
 SURROUNDINGS = 45
 """Frames on either side of a peak with which it is compared."""
-LEAST_PROMINENCE, FULL_PROMINENCE = 0.3, 2.0
-"""Rise above its surroundings from which a peak is an accent, and that of a full one; in standard
-deviations of a lively reading."""
 SONORITY_SECONDS = 0.04
 """Sigma of the Gaussian that smooths the sonority: less than a syllable."""
 SONORITY_DB = 35.0
@@ -356,32 +154,54 @@ LISTENING_SECONDS, LISTENING_EVERY = 3.0, 6.0
 """Silence of at least so long is a turn of the other."""
 
 
-class Cue(NamedTuple):
-    """Something in a voice that may move a face."""
+START, SPEECH, END, PAUSE, ACCENT, STRESS = range(6)
+"""Kinds of cues: a phrase starts, has lasted whole seconds, ends; a pause has lasted one of
+`PAUSES`; a syllable stands out; a syllable is stressed."""
 
-    kind: Literal["start", "end", "speech", "pause", "accent", "stress"]
-    """A phrase starts, ends, or has lasted whole seconds; a pause has lasted one of `PAUSES`."""
-    time: float
+
+class Cues(NamedTuple):
+    """What may move a face in the voices of streams, in the order in which it is known.
+
+    All arrays have the shape (N,).
+    """
+
+    stream: Int64
+    """Whose."""
+    kind: Int64
+    """`START` to `STRESS`."""
+    time: Float64
     """Where it is, seconds; of a pause its start."""
-    known: float = -math.inf
+    known: Float64
     """Seconds of the stream at which it is known, before which nothing can move for it."""
-    size: float = 0.0
+    size: Float64
     """Strength of an accent or a stress, 0 to 1; seconds that a pause or a phrase has lasted."""
-    prominence: float = 0.0
+    prominence: Float64
     """Level and pitch of a stressed syllable, see `Voice`."""
-    stop: float | None = None
-    """Seconds at which the pause or the phrase ends: None if that is to come, infinite if the take
+    stop: Float64
+    """Seconds at which the pause or the phrase ends: NaN if that is to come, infinite if the take
     ends with it."""
-    is_question: bool = False
+    is_question: Bool
+    """Whether a phrase ends as a question does."""
 
-    def before_next(self, lead: float, after: float) -> float | None:
-        """Peak of what a pause brings: so long before the next phrase, or after its own start.
+    @classmethod
+    def of(cls, rows: Sequence[tuple[float, ...]]) -> "Cues":
+        """Cues of rows of these numbers."""
+        table = np.array(rows, np.float64).reshape(-1, len(cls._fields)).T
+        stream, kind, *numbers, is_question = table
+        return cls(stream.astype(np.int64), kind.astype(np.int64), *numbers, is_question > 0)
 
-        None if no phrase follows.
+    def where(self, chosen: Bool) -> "Cues":
+        """Some of them."""
+        return Cues(*(part[chosen] for part in self))
+
+    def before_next(self, lead: Float64 | float, after: Float64 | float) -> Float64:
+        """Peaks of what pauses bring: so long before the next phrase, or after their own start.
+
+        NaN where no phrase follows.
         """
-        if self.stop is None:
-            return self.time + after
-        return None if math.isinf(self.stop) else self.stop - lead
+        peaks = np.where(np.isnan(self.stop), self.time + after, self.stop - lead)
+        found: Float64 = np.where(np.isinf(peaks), np.nan, peaks)
+        return found
 
 
 def pause_lengths(seconds: float) -> Iterator[float]:
@@ -431,11 +251,10 @@ class Voice(NamedTuple):
             track[phrase.start : phrase.stop] = 1
         return track
 
-    @property
-    def silence(self) -> float:
-        """Seconds after the last phrase."""
-        spoken = self.phrases[-1].stop if self.phrases else 0
-        return (self.n_frames - spoken) / FRAME_RATE
+    def is_speaking(self, seconds: Float64) -> Bool:
+        """Whether some times are within phrases."""
+        frames = np.clip((seconds * FRAME_RATE).astype(np.int64), 0, max(self.n_frames - 1, 0))
+        return self.speaking[frames] > 0
 
     def pauses(self, least: float = 0.3) -> Iterator[tuple[int, int]]:
         """Yield first frame and end of the silences of at least so many seconds."""
@@ -444,26 +263,31 @@ class Voice(NamedTuple):
             if stop - start >= least * FRAME_RATE:
                 yield start, stop
 
-    def cues(self) -> list[Cue]:
+    def cues(self) -> Cues:
         """All that may move a face, in the order of time; known from the start."""
-        found: list[Cue] = []
+        rows: list[tuple[float, ...]] = []
+
+        def found(
+            kind: int, time: float, size: float, stop: float = math.nan, high: float = 0.0,
+            is_question: bool = False,
+        ) -> None:  # fmt: skip
+            rows.append((0, kind, time, -math.inf, size, high, stop, is_question))
+
         for phrase in self.phrases:
             start, stop = phrase.start / FRAME_RATE, phrase.stop / FRAME_RATE
-            length = stop - start
-            found.append(Cue("start", start, size=length, stop=stop))
-            seconds = range(1, int(length) + 1)
-            found += [Cue("speech", start + k, size=k, stop=stop) for k in seconds]
-            found.append(Cue("end", stop, size=length, is_question=phrase.is_question))
+            found(START, start, stop - start, stop)
+            for second in range(1, int(stop - start) + 1):
+                found(SPEECH, start + second, second, stop)
+            found(END, stop, stop - start, is_question=phrase.is_question)
         for first, last in self.pauses():
-            start, length = first / FRAME_RATE, (last - first) / FRAME_RATE
             end = last / FRAME_RATE if last < self.n_frames else math.inf
-            found += [Cue("pause", start, size=s, stop=end) for s in pause_lengths(length)]
+            for size in pause_lengths((last - first) / FRAME_RATE):
+                found(PAUSE, first / FRAME_RATE, size, end)
         for accent in self.accents:
-            found.append(Cue("accent", accent.frame / FRAME_RATE, size=accent.strength))
+            found(ACCENT, accent.frame / FRAME_RATE, accent.strength)
         for frame, size in self.stresses:
-            high = float(self.prominence[frame])
-            found.append(Cue("stress", frame / FRAME_RATE, size=size, prominence=high))
-        return sorted(found, key=lambda cue: cue.time)
+            found(STRESS, frame / FRAME_RATE, size, high=float(self.prominence[frame]))
+        return Cues.of(sorted(rows, key=lambda row: row[2]))
 
 
 def measure_voice(activity: Float32, prosody: Prosody) -> Voice:
@@ -485,16 +309,25 @@ def measure_voice(activity: Float32, prosody: Prosody) -> Voice:
     pitch = _standard(np.median(near, axis=1), prosody.voiced, PITCH_SEMITONES)
     level = _standard(prosody.level, prosody.active & speaking, LEVEL_DB)
     phrases = tuple(_phrases(speaking, prosody))
-    prominence = np.where(speaking, (level + pitch) / np.sqrt(2), 0)
-    accents = _peaks(prominence, ACCENT_DISTANCE, LEAST_PROMINENCE, FULL_PROMINENCE)
-    stresses = _peaks(_sonority(prosody), STRESS_DISTANCE, LEAST_STRESS_DB, FULL_STRESS_DB)
+    sonority = _sonority(prosody)
+    loud = _standard(sonority, prosody.active & speaking, SONORITY_SPREAD_DB)
+    weighted = np.dot(ACCENT_WEIGHTS, (level, pitch, loud))
+    stresses = _peaks(sonority, STRESS_DISTANCE, LEAST_STRESS_DB, FULL_STRESS_DB)
     return Voice(
         len(speaking),
-        prominence.astype(np.float32),
-        tuple(accent for accent in accents if speaking[accent.frame]),
+        np.where(speaking, (level + pitch) / np.sqrt(2), 0).astype(np.float32),
+        tuple(sorted(_accents(np.where(speaking, weighted, -np.inf)))),
         phrases,
         tuple(stress for stress in stresses if speaking[stress.frame]),
     )
+
+
+def _accents(weighted: Float64) -> Iterator[Accent]:
+    """Yield the highest peaks, no more than `ACCENTS_PER_SECOND` of speech."""
+    most = max(round(ACCENTS_PER_SECOND * np.isfinite(weighted).sum() / FRAME_RATE), 1)
+    for top in _tops(weighted, ACCENT_DISTANCE)[:most]:
+        if weighted[top] >= LEAST_ACCENT:
+            yield Accent(top, min(float(weighted[top]) / FULL_ACCENT, 1.0))
 
 
 def _sonority(prosody: Prosody) -> Float64:
@@ -506,16 +339,27 @@ def _sonority(prosody: Prosody) -> Float64:
 
 def _peaks(values: Float64, distance: int, least: float, full: float) -> list[Accent]:
     """Peaks that rise enough above their surroundings, the higher of two that are near."""
+
+    def rise(top: int) -> float:
+        return min(_fall(values[top::-1][:SURROUNDINGS]), _fall(values[top:][:SURROUNDINGS]))
+
+    tops = _tops(values, distance, lambda top: rise(top) >= least)
+    return sorted(Accent(top, min(rise(top) / full, 1.0)) for top in tops)
+
+
+def _tops(
+    values: Float64, distance: int, counts: Callable[[int], bool] = lambda top: True
+) -> list[int]:
+    """Frames of peaks that count, the highest first, none nearer to a higher one."""
     padded = np.pad(values, 1, constant_values=-np.inf)
     tops = np.flatnonzero((values > padded[:-2]) & (values >= padded[2:]))
     is_free = np.ones(len(values) + distance, bool)
     found = []
     for top in sorted(tops.tolist(), key=lambda frame: -values[frame]):
-        rise = min(_fall(values[top::-1][:SURROUNDINGS]), _fall(values[top:][:SURROUNDINGS]))
-        if is_free[top] and rise >= least:
+        if is_free[top] and counts(top):
             is_free[max(top - distance + 1, 0) : top + distance] = False
-            found.append(Accent(top, min(float(rise) / full, 1.0)))
-    return sorted(found)
+            found.append(top)
+    return found
 
 
 def _fall(values: Float64) -> float:

@@ -56,7 +56,7 @@ def evaluate(
     ] = None,
     acted: Annotated[
         Path | None,
-        typer.Option(help="Table of actors at three strengths, instead of a dataset folder."),
+        typer.Option(help="Table of actors at two or three strengths, instead of a dataset."),
     ] = None,
     contacts: Annotated[
         Path | None,

@@ -1,8 +1,9 @@
 """Target curves of a rig from articulation, emotion and intensity.
 
 ``tables/channels.csv`` maps articulation channels to controls (left and right differ a little),
-``tables/styles.csv`` holds the pose of every emotion at full intensity with its FACS source (Ekman,
-Friesen and Hager 2002; EMFACS), and `GAINS` scales the mouth per emotion. Gains follow studies with
+`deitalk.postprocess.expressions.taught_poses` holds the pose of every emotion at full intensity
+with its FACS source (Ekman, Friesen and Hager 2002; EMFACS), and `GAINS` scales the mouth per
+emotion. Gains follow studies with
 articulographs: strong joy and anger widen the range of the lips 1.2 to 1.5 times against neutral
 speech (mostly by `LOUDNESS_GAIN`), quiet sadness narrows it to 0.85 to 0.95.
 
@@ -17,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deitalk.emotions import EMOTIONS
+from deitalk.postprocess.expressions import taught_poses
 from deitalk.research.corpus.articulation import (
     BITE,
     CHANNELS,
@@ -81,10 +83,8 @@ def channel_matrix(controls: ControlSet) -> Float64:
 def style_poses(controls: ControlSet) -> Float64:
     """Pose of every emotion at full intensity, as offsets from rest [shape=(5, C)]."""
     poses = np.zeros((len(EMOTIONS), len(controls.names)))
-    for row in _rows("styles"):
-        for name in _sides(row["control"]):
-            for i, emotion in enumerate(EMOTIONS):
-                poses[i, controls.index(name)] = float(row.get(emotion) or 0)
+    for name, sizes in taught_poses(controls.names).items():
+        poses[:, controls.index(name)] = [sizes[emotion] for emotion in EMOTIONS]
     return poses * (1 + _lean(controls))
 
 

@@ -403,9 +403,10 @@ class FinetuneTask(CurveTask):
         fit.maps.add_to(self.model.rig_decoder)
         gain = fit.teach_emotions(scales=self.is_same_rig)
         rules = self.config.rules
-        if rules.pose_size is not None:
-            sizes = {name: gain * value for name, value in rules.pose_size.model_dump().items()}
-            rules = rules.model_copy(update={"pose_size": rules.pose_size.model_copy(update=sizes)})
+        if rules.expressions is not None:
+            size = {"size": gain * rules.expressions.size}
+            update = {"expressions": rules.expressions.model_copy(update=size)}
+            rules = rules.model_copy(update=update)
             self.config = self.config.model_copy(update={"rules": rules})
             self.model.rules = rules
         if self.config.tune.range is not None:

@@ -7,27 +7,27 @@ import torch
 from deitalk.audio.voice_activity import BAND_EDGES_HZ, WINDOW
 from deitalk.config.rules import Gates, RulesConfig, VoiceIntensity
 from deitalk.frontends.causal_whisper import USUAL_POWER, first_level, follow_level
-from deitalk.live.activity import GATE_AHEAD, RunningActivity
+from deitalk.live.activity import GATE_AHEAD, MOST_STEP, RunningActivity
 from deitalk.live.hearing import MEASURED_AHEAD, RunningHearing
 from deitalk.live.intensity import Measures, RunningIntensity, follow_means
 from deitalk.models.protocol import put, take
+from deitalk.postprocess.feeling import expression_share
 from tests.each import each
 
 BANDS = len(BAND_EDGES_HZ) - 1
 
 
-def gates_of(speaking, *, noise_db=-75.0, piece=1000):
-    """Gates for a voice 30 dB above its noise, fed in pieces."""
+def gates_of(speaking, *, rest=0.5, noise_db=-75.0, piece=1000):
+    """Gate of the mouth and share of the expression for a voice 30 dB above its noise, fed in
+    pieces."""
     levels = np.full((len(speaking), BANDS), noise_db, np.float32)
     levels[np.asarray(speaking, bool)] += 30
-    running, gates = RunningActivity(Gates()), []
+    running, gates, stays = RunningActivity(Gates()), [], np.full(1, rest, np.float32)
     state = running.first(1)
     for start in range(0, len(levels), piece):
-        _, *found, state = running(
-            levels[None, start : start + piece],
-            np.zeros((1, len(levels)), bool)[:, start : start + piece],
-            state,
-        )
+        levels_now = levels[None, start : start + piece]
+        held = np.zeros(levels_now.shape[:2], bool)
+        _, *found, state = running(levels_now, held, stays, state)
         gates.append([gate[0] for gate in found])
     return tuple(np.concatenate(parts)[GATE_AHEAD:] for parts in zip(*gates, strict=True))
 
@@ -50,21 +50,31 @@ def test_closures_are_bridged_and_clicks_left_out():
     assert mouth[60:100].min() == 1 and mouth[140:160].max() == 0
 
 
-def test_expression_stays_through_a_pause_and_fades():
-    _, expression = gates_of(spoken((60, 80), frames=300))
-    assert expression[80:120].min() == 1 and expression[170:].max() == 0
+@pytest.mark.parametrize("rest", [0, 0.5, 1])
+@pytest.mark.parametrize("piece", [1, 3, 1000])
+def test_share_of_the_expression_is_that_of_a_whole_recording(rest, piece):
+    """But for its rise, which begins with what is heard ahead, and is as fast from any share."""
+    speaking = spoken((60, 100), (190, 230), frames=1000)
+    _, share = gates_of(speaking, rest=rest, piece=piece)
+    whole = expression_share(speaking, rest)[: len(share)]
+    assert share[0] == pytest.approx(rest, abs=0.01), "before any speech as long after it"
+    settled = np.r_[62:170, 192:820]
+    np.testing.assert_allclose(share[settled], whole[settled], atol=1e-5)
+    assert share[184] < share[187] < share[191] == 1 or rest == 1, "it rises before speech"
+    assert np.abs(np.diff(share)).max() <= MOST_STEP + 1e-6
 
 
 def test_gates_are_the_same_for_any_pieces():
     speaking = spoken((20, 60), (70, 90), (140, 180))
     one, other = gates_of(speaking), gates_of(speaking, piece=3)
-    assert all(np.array_equal(a, b) for a, b in zip(one, other, strict=True))
+    assert all(np.allclose(a, b, atol=1e-6) for a, b in zip(one, other, strict=True))
 
 
 def test_steady_noise_becomes_the_floor():
     levels = np.full((120, BANDS), -50, np.float32)
     running = RunningActivity(Gates())
-    on = running(levels[None], np.zeros((1, 120), bool), running.first(1))[0][0, -120:]
+    held, rest = np.zeros((1, 120), bool), np.zeros(1, np.float32)
+    on = running(levels[None], held, rest, running.first(1))[0][0, -120:]
     assert on[:30].all() and not on[70:].any()
 
 
@@ -99,10 +109,10 @@ def intensity_of(level_db, network=0.5, rule=VoiceIntensity(), speaking=True, ef
 
 
 def test_steady_effort_gives_in_time_the_operating_point_of_a_take_of_that_strength():
-    """0.15 deviations a decibel, 1.3 at most, as `voice_intensity` has it for a whole take."""
-    for effort, base in ((0.0, 0.0), (5.0, 0.6766), (-5.0, -0.6766), (60.0, 1.3)):
+    """0.1 of the logarithm of odds a decibel, as `voice_intensity` has it for a whole take."""
+    for effort in (0.0, 5.0, -5.0, 20.0):
         found = intensity_of(np.full(3000, -20.0), effort=effort)[-1]
-        assert found == pytest.approx(0.15 + 0.85 / (1 + np.exp(-1.3 * base)), abs=0.01)
+        assert found == pytest.approx(1.2 / (1 + np.exp(-0.1 * (effort - 2.7))), abs=0.01)
 
 
 def test_effort_is_followed_within_a_second_or_two():
@@ -115,7 +125,7 @@ def test_effort_is_followed_within_a_second_or_two():
 def test_intensity_rises_with_the_level_and_not_with_the_gain():
     louder = np.repeat([-30.0, -20.0], 90)
     voice = intensity_of(louder)
-    assert voice[110] > voice[80] + 0.05
+    assert voice[110] > voice[80] + 0.03
     assert np.allclose(intensity_of(louder + 12), voice)
 
 
@@ -123,7 +133,9 @@ def test_intensity_stays_in_pauses_and_is_the_networks_without_the_rule():
     assert np.ptp(intensity_of(np.linspace(-60, 0, 50), speaking=False)) == 0
     hearing = RunningHearing(RulesConfig(voice_intensity=None))
     network = np.full((2, 5), 0.3, np.float32)
-    heard, _ = hearing(np.zeros((2, 5, WINDOW), np.float32), network, 0 * network, hearing.first(2))
+    rest = np.zeros(2, np.float32)
+    silence = np.zeros((2, 5, WINDOW), np.float32)
+    heard, _ = hearing(silence, network, 0 * network, rest, hearing.first(2))
     np.testing.assert_array_equal(heard.intensity, network)
 
 
@@ -144,16 +156,17 @@ def test_streams_side_by_side_are_heard_as_each_alone_in_any_pieces(rng):
     sound = 0.1 * rng.standard_normal((3, n_frames, WINDOW)) * (rng.random((3, n_frames, 1)) < 0.6)
     sound = (sound * np.array([1.0, 0.1, 3.0])[:, None, None]).astype(np.float32)
     network, effort = rng.random((2, 3, n_frames)).astype(np.float32)
+    rest = np.array([0, 0.3, 1], np.float32)
     state = list(hearing.first(3))
     put(state, [1], hearing.begin(0.1 + sound[1:2, :MEASURED_AHEAD], hearing.first(1)))
     first, together, at = tuple(state), [], 0
     for size in (1, 7, 30, 2, 24):
         rows = slice(at, at + size)
-        heard, state = hearing(sound[:, rows], network[:, rows], effort[:, rows], state)
+        heard, state = hearing(sound[:, rows], network[:, rows], effort[:, rows], rest, state)
         together.append(np.stack((*heard[1:-1], *heard.held), axis=-1))
         at += size
     for k in range(3):
-        own = sound[k : k + 1], network[k : k + 1], effort[k : k + 1]
+        own = (part[k : k + 1] for part in (sound, network, effort, rest))
         alone, _ = hearing(*own, take(first, [k]))
         expected = np.stack((*alone[1:-1], *alone.held), axis=-1)[0]
         np.testing.assert_allclose(np.concatenate(together, axis=1)[k], expected, atol=1e-6)

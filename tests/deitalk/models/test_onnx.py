@@ -1,6 +1,7 @@
-"""Curve models as ONNX files: equal to torch at every length, and read without torch."""
+"""Networks in ONNX Runtime: equal to torch at every length, and read without torch."""
 
 import base64
+import gzip
 import json
 import re
 import subprocess
@@ -16,46 +17,32 @@ import torch
 from deitalk import animate
 from deitalk.config.curves import Config, ModelConfig
 from deitalk.config.frontends import MelConfig
-from deitalk.config.rules import RulesConfig
 from deitalk.emotions import EMOTIONS
 from deitalk.errors import CheckpointError, DeitalkError
 from deitalk.live.animator import LiveAnimator
-from deitalk.models.checkpoint import load_model, save_model
+from deitalk.models.checkpoint import require_model, save_model
 from deitalk.models.curve_model import DEITalk
-from deitalk.models.folder import embedded_models
-from deitalk.models.load import load_network
+from deitalk.models.folder import GRAPH, model_folder
+from deitalk.models.load import chosen_backend, load_network
 from deitalk.models.onnx import OnnxNetwork, load_onnx
 from deitalk.models.onnx import network as network_module
+from deitalk.models.onnx.network import graph_digest, read_graph
 from deitalk.models.onnx.rules import LIVE, WHOLE
 from deitalk.research.evaluation.benchmark_curves import speechlike
 from deitalk.research.evaluation.clip_scores import live_frames
 from rig import default_controls, read_curves
-from tests.command import ran
 from tests.deitalk.models.test_curve_model import MEL, SMALL
 from tests.deitalk.postprocess.test_curve_pass import inputs, passed
 from tests.each import each
 
 onnx = pytest.importorskip("onnx")
 pytest.importorskip("onnxruntime")
-from deitalk.models.onnx.export import OPSET, export_onnx, operators  # noqa: E402
+from deitalk.models.onnx.engine_graph import write_graph  # noqa: E402
+from deitalk.models.onnx.export import OPSET  # noqa: E402
 
-RIG_LAYERS = MEL | {"rig_layers": 1, "phases": 2, "tapers": 3}
 TOLERANCE = 1e-4
 """Of a control's range."""
 CONTROL_FLOW = {"If", "Loop", "Scan", "DFT", "STFT", "ScatterElements", "ScatterND"}
-
-
-def tiny(**settings):
-    """A network whose rig layers and styles change the curves."""
-    torch.manual_seed(6)
-    config = {"frontend": MelConfig(**RIG_LAYERS), "saliency_frames": 31} | SMALL | settings
-    model = DEITalk(ModelConfig(**config)).eval()
-    with torch.no_grad():
-        model.decoder.output.weight.normal_(std=0.2)
-        model.decoder.style.weight.normal_()
-        for layer in model.frontend.rig:
-            layer.project.weight.normal_(std=0.3)
-    return model
 
 
 WHISPER = {
@@ -78,6 +65,24 @@ def of_frontend(frontend, **settings):
         network.decoder.output.weight.normal_(std=0.2)
         network.decoder.style.weight.normal_()
     return network
+
+
+def in_folder(network, folder):
+    """A model folder with its graph; the network as it is stored there, and that of its graph."""
+    settings = Config(model=network.config, rules=network.rules)
+    save_model(folder, network, settings, {})
+    stored = require_model(folder, DEITalk)
+    write_graph(stored, folder, folder / GRAPH)
+    return stored, load_onnx(folder)
+
+
+def graph_of(folder):
+    """The ONNX file of a folder's graph."""
+    return onnx.load_from_string(read_graph(folder / GRAPH)[1])
+
+
+def used_operators(folder):
+    return {node.op_type for node in graph_of(folder).graph.node}
 
 
 TUNED = {
@@ -103,29 +108,21 @@ def with_random_parts(network):
 
 
 @pytest.fixture(scope="module", params=["plain", "tuned"])
-def causal(request):
+def causal_pair(request, tmp_path_factory):
     parts = TUNED if request.param == "tuned" else {}
     network = of_frontend(CAUSAL, positions=False, actors=("ann", "bob"), **parts)
-    return with_random_parts(network) if parts else network
+    network = with_random_parts(network) if parts else network
+    return in_folder(network, tmp_path_factory.mktemp("causal") / "model")
 
 
 @pytest.fixture(scope="module")
-def exported_causal(causal, tmp_path_factory):
-    path = tmp_path_factory.mktemp("onnx") / "causal.onnx"
-    export_onnx(causal, path, name="causal")
-    return load_onnx(path)
+def causal(causal_pair):
+    return causal_pair[0]
 
 
 @pytest.fixture(scope="module")
-def model():
-    return tiny(actors=("ann", "bob"))
-
-
-@pytest.fixture(scope="module")
-def exported(model, tmp_path_factory):
-    path = tmp_path_factory.mktemp("onnx") / "tiny.onnx"
-    export_onnx(model, path, name="tiny")
-    return load_onnx(path)
+def exported_causal(causal_pair):
+    return causal_pair[1]
 
 
 def weights(n_frames, **amounts):
@@ -146,28 +143,25 @@ def assert_equal(found, expected, controls=None):
             np.testing.assert_allclose(ours, theirs, atol=TOLERANCE)
 
 
-@each("n_frames", [1, 2, 7, 64, 65, 131])
-def test_onnx_equals_torch_at_any_length(model, exported, n_frames):
-    sound = speechlike(n_frames / 30)[: n_frames * 1600 // 3]
-    rows = weights(n_frames, happy=0.6, sad=0.4)
-    assert_equal(exported.read(sound, rows, "bob"), model.read(sound, rows, "bob"))
-
-
 @pytest.fixture(scope="module")
-def whisper():
+def whisper_pair(tmp_path_factory):
     network = of_frontend(WHISPER, actors=("ann", "bob"), effort=True)
     with torch.no_grad():  # layers and positions that matter
         for weight in network.frontend.encoder.parameters():
             weight.normal_(std=0.2)
+        network.decoder.actors.weight.normal_()
     network.frontend.measure([speechlike(4.0)])
-    return network
+    return in_folder(network, tmp_path_factory.mktemp("whisper") / "model")
 
 
 @pytest.fixture(scope="module")
-def exported_whisper(whisper, tmp_path_factory):
-    path = tmp_path_factory.mktemp("onnx") / "whisper.onnx"
-    export_onnx(whisper, path, name="whisper")
-    return load_onnx(path)
+def whisper(whisper_pair):
+    return whisper_pair[0]
+
+
+@pytest.fixture(scope="module")
+def exported_whisper(whisper_pair):
+    return whisper_pair[1]
 
 
 @each("n_frames", [1, 2, 30, 31, 299, 300, 301, 330, 571, 701])
@@ -177,7 +171,7 @@ def test_whisper_equals_torch_at_any_length(whisper, exported_whisper, n_frames)
     rows = weights(n_frames, happy=0.6, sad=0.4)
     found = exported_whisper.read(sound, rows, "bob", gain=0.5)
     assert_equal(found, whisper.read(sound, rows, "bob", gain=0.5))
-    assert not set(operators(exported_whisper.path)) & CONTROL_FLOW
+    assert not used_operators(exported_whisper.path.parent) & CONTROL_FLOW
 
 
 def test_whisper_of_a_recording_in_parts_equals_torch(whisper, exported_whisper, monkeypatch):
@@ -198,13 +192,12 @@ def test_whisper_of_a_recording_in_parts_equals_torch(whisper, exported_whisper,
     assert np.abs(alone.emotional - expected.emotional).max() > 0.01, "the floor matters"
 
 
-def test_damaged_parts_are_refused_in_one_line(exported_whisper, tmp_path):
-    content = onnx.load(str(exported_whisper.path))
-    (entry,) = (entry for entry in content.metadata_props if entry.key == "parts")
-    entry.value = "[1"
-    onnx.save(content, str(tmp_path / "x.onnx"))
-    with pytest.raises(CheckpointError, match="damaged metadata; export the model again"):
-        load_onnx(tmp_path / "x.onnx")
+def test_actors_differ_as_they_do_in_torch(whisper, exported_whisper):
+    sound, rows = speechlike(1.0), weights(30, angry=1)
+    assert exported_whisper.actors == ("ann", "bob") == whisper.actors
+    ann, bob = (exported_whisper.read(sound, rows, name).emotional for name in ("ann", "bob"))
+    assert np.abs(ann - bob).max() > 0.01
+    np.testing.assert_allclose(ann, whisper.read(sound, rows, "ann").emotional, atol=1e-4)
 
 
 def test_causal_model_of_a_whole_recording_equals_torch(causal, exported_causal):
@@ -214,7 +207,7 @@ def test_causal_model_of_a_whole_recording_equals_torch(causal, exported_causal)
         for actor in ("ann", "bob"):
             found = exported_causal.read(sound, rows, actor, gain=0.5)
             assert_equal(found, causal.read(sound, rows, actor, gain=0.5))
-    assert not set(operators(exported_causal.path)) & CONTROL_FLOW
+    assert not used_operators(exported_causal.path.parent) & CONTROL_FLOW
 
 
 def test_live_frames_of_streams_are_those_of_torch(causal, exported_causal):
@@ -253,128 +246,113 @@ def test_rules_in_the_file_have_standard_operators(exported_causal, entry):
     assert [entry.version for entry in graph.opset_import if not entry.domain] == [OPSET]
 
 
-@pytest.mark.parametrize("value", [None, "{", '{"behind": 6, "ahead": 6}'])
-def test_a_file_without_its_rules_is_refused_in_one_line(exported, tmp_path, value):
-    content = onnx.load(str(exported.path))
-    entry = next(entry for entry in content.metadata_props if entry.key == WHOLE)
-    content.metadata_props.remove(entry)
-    if value is not None:
-        content.metadata_props.add(key=WHOLE, value=value)
-    onnx.save(content, str(tmp_path / "x.onnx"))
-    with pytest.raises(CheckpointError, match="damaged metadata; export the model again"):
-        animate(speechlike(0.5), sample_rate=16_000, model=tmp_path / "x.onnx")
-
-
-def test_models_for_whole_clips_are_refused_live(exported):
+def test_models_for_whole_clips_are_refused_live(exported_whisper):
     with pytest.raises(CheckpointError, match="needs the whole clip; use the model live"):
-        LiveAnimator(str(exported.path))
+        LiveAnimator(str(exported_whisper.path.parent), backend="onnx")
 
 
-def test_actors_differ_as_they_do_in_torch(model, exported):
-    with torch.no_grad():
-        model.decoder.actors.weight.normal_()
-    sound, rows = speechlike(1.0), weights(30, angry=1)
-    assert exported.actors == ("ann", "bob") == model.actors
-    before = exported.read(sound, rows, "ann").emotional
-    np.testing.assert_allclose(before, exported.read(sound, rows, "bob").emotional, atol=1e-6)
-    model.decoder.actors.weight.data.zero_()
-
-
-def test_long_recordings_are_divided_on_frames_that_lie_on_samples(exported, monkeypatch):
-    """Parts of 90 frames with 60 of context, more than the tiny network remembers."""
-    sound, rows = speechlike(8.0), weights(240, happy=1)
-    whole = exported.read(sound, rows)
-    shares = []
-    monkeypatch.setattr(exported, "_part", 90)
-    monkeypatch.setattr(exported, "_before", 60)
-    monkeypatch.setattr(exported, "_after", 60)
-    parts = exported.read(sound, rows, progress=shares.append)
-    assert shares == [90 / 240, 180 / 240, 1]
-    assert parts.emotional.shape == whole.emotional.shape
-    assert np.abs(parts.emotional - whole.emotional).max() < 0.01
-
-
-def test_metadata_describes_controls_rules_and_input(model, exported):
-    about = exported.metadata
-    assert json.loads(about["controls"]) == list(model.controls.names)
-    assert json.loads(about["rest"]) == pytest.approx(model.controls.rest.tolist())
-    assert json.loads(about["emotions"]) == list(EMOTIONS)
-    assert (about["sample_rate"], about["frame_rate"], about["level_db"]) == (
-        "16000",
-        "30",
-        "-23.0",
-    )
-    assert RulesConfig.model_validate(json.loads(about["rules"])) == model.rules == exported.rules
-    content = onnx.load(str(exported.path))
-    assert [entry.version for entry in content.opset_import if not entry.domain] == [OPSET]
-    inputs = {
-        i.name: [d.dim_param for d in i.type.tensor_type.shape.dim] for i in content.graph.input
-    }
-    assert {name: shape[0] for name, shape in inputs.items()} == {
-        "sound": "S",
-        "emotion": "T",
-        "place": "T",
-    }
-
-
-def test_file_has_standard_operators_without_control_flow(exported):
-    found = operators(exported.path)
-    assert found["LSTM"] == 4 and found["Conv"] >= 9
-    assert not set(found) & CONTROL_FLOW
-
-
-def test_animate_gives_the_same_curves_with_either_backend(model, tmp_path, monkeypatch):
+@pytest.fixture
+def plain_folder(tmp_path, monkeypatch):
+    """A model folder without a graph, and an empty cache."""
     monkeypatch.setenv("DEITALK_CACHE", str(tmp_path / "cache"))
-    settings = Config(model=model.config, name="tiny")
-    save_model(tmp_path / "tiny", model, settings, {})
+    network = of_frontend(WHISPER)
+    save_model(tmp_path / "tiny", network, Config(model=network.config, rules=network.rules), {})
+    return tmp_path / "tiny"
+
+
+def test_a_folder_without_a_graph_gets_one_in_the_cache(plain_folder, tmp_path):
     sound = speechlike(2.0)
-    torch_made, onnx_made = (
-        animate(sound, "happy", sample_rate=16_000, model=tmp_path / "tiny", backend=backend)
+    assert chosen_backend(plain_folder) == "torch"
+    made = [
+        animate(sound, "happy", sample_rate=16_000, model=plain_folder, backend=backend)
         for backend in ("torch", "onnx")
-    )
-    span = model.controls.maximum - model.controls.minimum
-    difference = np.abs(torch_made.curves.values - onnx_made.curves.values) / span
-    assert difference.max() <= TOLERANCE
-    (kept,) = (tmp_path / "cache").glob("model-*.onnx")
+    ]
+    controls = default_controls()
+    span = controls.maximum - controls.minimum
+    assert (np.abs(made[0].curves.values - made[1].curves.values) / span).max() <= TOLERANCE
+    (kept,) = (tmp_path / "cache").glob("graph-*.gz")
     written = kept.stat().st_mtime_ns
-    assert isinstance(load_network(tmp_path / "tiny", backend="onnx"), OnnxNetwork)
-    assert kept.stat().st_mtime_ns == written, "exported once"
+    assert isinstance(load_network(plain_folder, backend="onnx"), OnnxNetwork)
+    assert kept.stat().st_mtime_ns == written, "written once"
+    assert chosen_backend(plain_folder) == "onnx"
 
 
-@each(
-    ("settings", "message"),
-    [({"intensity": False}, "intensity module"), ({"frontend": MEL | {"recurrence": "window"}}, "recurrence: segment")],
-)  # fmt: skip
-def test_export_rejects_models_with_other_parts(settings, message, tmp_path):
+def test_a_graph_of_other_settings_is_not_used(plain_folder):
+    network = require_model(plain_folder, DEITalk)
+    write_graph(network, plain_folder, plain_folder / GRAPH)
+    assert chosen_backend(plain_folder) == "onnx"
+    assert chosen_backend(plain_folder, device="cuda") == "torch"
+    assert chosen_backend(network) == "torch"
+    config = plain_folder / "config.yaml"
+    config.write_text(config.read_text().replace("peak: 0.25", "peak: 0.3"))
+    assert chosen_backend(plain_folder) == "torch"
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"no gzip", "damaged"),
+        (gzip.compress(b"no header"), "damaged"),
+        (gzip.compress(b'{"digest": "", "weights": []}\nno graph'), "cannot be read as ONNX"),
+        (gzip.compress(b'{"digest": "", "weights": ["jaw"]}\n'), "no weight 'jaw'"),
+    ],
+    ids=["gzip", "header", "graph", "weights"],
+)
+def test_a_damaged_graph_is_one_line(content, message, plain_folder, tmp_path):
+    (tmp_path / "x.gz").write_bytes(content)
+    with pytest.raises(CheckpointError, match=message):
+        network_module.OnnxFile(tmp_path / "x.gz", plain_folder)
+
+
+@pytest.mark.parametrize(
+    "settings", [{"intensity": False}, {"frontend": MEL}], ids=["intensity", "mel"]
+)
+def test_models_with_other_parts_have_no_graph(settings, tmp_path):
     if "frontend" in settings:
         settings = {"frontend": MelConfig(**settings["frontend"])}
-    chosen = {
-        "frontend": MelConfig(**MEL),
-        "motion_channels": (8,),
-        "decoder_channels": 8,
-    } | settings
-    with pytest.raises(CheckpointError, match=message):
-        export_onnx(DEITalk(ModelConfig(**chosen)), tmp_path / "x.onnx")
-    assert not (tmp_path / "x.onnx").exists()
+    chosen = {"frontend": MelConfig(**MEL), "motion_channels": (8,), "decoder_channels": 8}
+    network = DEITalk(ModelConfig(**(chosen | settings)))
+    save_model(tmp_path / "mel", network, Config(model=network.config), {})
+    assert chosen_backend(tmp_path / "mel") == "torch"
+    with pytest.raises(CheckpointError, match="only models with a Whisper frontend"):
+        write_graph(network, tmp_path / "mel", tmp_path / "x.gz")
+    assert not (tmp_path / "x.gz").exists()
 
 
-def test_load_onnx_rejects_what_is_no_export(tmp_path, exported):
-    with pytest.raises(CheckpointError, match=r"none\.onnx"):
-        load_onnx(tmp_path / "none.onnx")
-    (tmp_path / "text.onnx").write_text("not a graph")
-    with pytest.raises(CheckpointError, match=r"text\.onnx: cannot be read as ONNX"):
-        load_onnx(tmp_path / "text.onnx")
-    other = onnx.load(str(exported.path))
-    del other.metadata_props[:]
-    onnx.save(other, str(tmp_path / "other.onnx"))
-    with pytest.raises(CheckpointError, match="no exported deitalk model"):
-        load_onnx(tmp_path / "other.onnx")
+def test_a_file_for_other_programs_is_no_model(tmp_path):
+    with pytest.raises(CheckpointError, match="is for other programs; name the model"):
+        load_onnx(tmp_path / "default.onnx")
+
+
+@pytest.mark.parametrize("name", ["default", "live"])
+def test_graphs_of_the_package_are_of_its_rules(name):
+    """Else torch is imported instead of them: run ``python docs/make_graphs.py``."""
+    folder = model_folder(name)
+    assert read_graph(folder / GRAPH)[0].digest == graph_digest(folder)
+    assert chosen_backend(name) == "onnx"
+    assert (folder / GRAPH).stat().st_size < 200_000
+
+
+@pytest.mark.parametrize(("name", "emotion"), [("default", "angry"), ("live", "happy")])
+def test_embedded_models_give_the_same_curves_with_either_backend(name, emotion):
+    sound = speechlike(12.0)
+    made = [
+        animate(sound, emotion, sample_rate=16_000, model=name, backend=backend)
+        for backend in ("torch", "onnx")
+    ]
+    controls = default_controls()
+    span = controls.maximum - controls.minimum
+    for part in ("curves", "neutral"):
+        ours, theirs = (getattr(each, part).values for each in made)
+        assert (np.abs(ours - theirs) / span).max() <= TOLERANCE
+    np.testing.assert_allclose(made[0].predicted, made[1].predicted, atol=TOLERANCE)
+    assert made[0].clipped == made[1].clipped
 
 
 def test_onnx_rejects_other_devices_and_unknown_backends():
     with pytest.raises(DeitalkError, match="runs on cpu only"):
         load_onnx("default", device="cuda")
-    with pytest.raises(DeitalkError, match="'tensorflow' is unknown; use torch or onnx"):
+    with pytest.raises(DeitalkError, match="'tensorflow' is unknown; use auto, torch, onnx"):
         load_network("default", backend="tensorflow")
 
 
@@ -401,13 +379,12 @@ def run_without_torch(*arguments):
     assert done.stdout.splitlines()[-1] == "LOADED []"
 
 
-def test_live_with_an_onnx_file_imports_no_torch(exported_causal):
+def test_live_imports_no_torch():
     sample = Path(__file__).parents[3] / "docs/samples/promise.flac"
-    model = str(exported_causal.path)
-    run_without_torch("live", str(sample), "--model", model, "--seconds", "0.5", "--port", "9")
+    run_without_torch("live", str(sample), "--seconds", "0.5", "--port", "9")
 
 
-def test_packages_of_the_small_installation_are_enough(exported, tmp_path):
+def test_packages_of_the_small_installation_are_enough(tmp_path):
     """The list of docs/onnx.md; all other requirements of the package are hidden."""
     root = Path(__file__).parents[3]
     document = (root / "docs/onnx.md").read_text(encoding="utf-8")
@@ -422,7 +399,7 @@ def test_packages_of_the_small_installation_are_enough(exported, tmp_path):
     ]
     assert {"torch", "transformers", "fastapi"} <= set(hidden)
     arguments = ["animate", str(root / "docs/samples/promise.flac"), "--emotion", "happy"]
-    arguments += ["--model", str(exported.path), "-o", str(tmp_path / "take")]
+    arguments += ["-o", str(tmp_path / "take")]
     code = f"import sys; sys.modules.update(dict.fromkeys({hidden!r})); sys.argv = "
     code += f"['deitalk', *{arguments!r}]; from deitalk.cli import main; main()"
     done = subprocess.run(
@@ -430,16 +407,6 @@ def test_packages_of_the_small_installation_are_enough(exported, tmp_path):
     )
     assert done.returncode == 0, done.stderr
     assert len(read_curves(tmp_path / "take/curves.csv")) == 262
-
-
-@pytest.mark.slow
-def test_default_in_onnx_equals_torch(tmp_path):
-    if "default" not in embedded_models():
-        pytest.skip("the default weights are not in this checkout")
-    model = load_model("default")
-    export_onnx(model, tmp_path / "default.onnx")
-    sound, rows = speechlike(40.0), weights(1200, angry=0.8, surprised=0.2)
-    assert_equal(load_onnx(tmp_path / "default.onnx").read(sound, rows), model.read(sound, rows))
 
 
 @pytest.mark.parametrize(
@@ -452,17 +419,9 @@ def test_readout_of_the_lips_is_in_the_graph(frontend, settings, tmp_path):
     with torch.no_grad():
         for weight in network.lips.parameters():
             weight.normal_(std=0.05)
-    export_onnx(network, tmp_path / "lips.onnx")
+    network, exported = in_folder(network, tmp_path / "lips")
     sound, rows = speechlike(71 / 30), weights(71, happy=0.6)
     expected = network.read(sound, rows)
-    assert_equal(load_onnx(tmp_path / "lips.onnx").read(sound, rows), expected)
+    assert_equal(exported.read(sound, rows), expected)
     network.lips = None
     assert np.abs(network.read(sound, rows).neutral - expected.neutral).max() > 0.01
-
-
-@pytest.mark.parametrize("option", ["-o", "--onnx"])
-def test_export_to_a_name_of_onnx_writes_that_file(tmp_path, model, option):
-    save_model(tmp_path / "model", model, Config(model=model.config), {})
-    ran("model", "export", tmp_path / "model", option, tmp_path / "x.onnx")
-    assert (tmp_path / "x.onnx").is_file()
-    assert load_onnx(tmp_path / "x.onnx").controls.names == model.controls.names

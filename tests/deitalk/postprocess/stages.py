@@ -7,8 +7,9 @@ from deitalk.config.rules import RulesConfig
 from deitalk.postprocess.control_groups import ControlGroups
 from deitalk.postprocess.curve_pass import CurvePass
 from deitalk.postprocess.curve_stages import Near
+from deitalk.postprocess.factors import LEAST_PREDICTED
 from deitalk.postprocess.known_phones import phone_tracks
-from deitalk.postprocess.tracks import shown_columns
+from deitalk.postprocess.tracks import N_VARIANTS, shown_columns
 
 
 class Stages(ControlGroups):
@@ -24,15 +25,20 @@ class Stages(ControlGroups):
         blended = self.rules.blend(rows, 1 - closed[:, :, :1], track(scale))
         return blended[0, :, 1].numpy()
 
-    def express(self, curves, neutral, weights, scale, held):
+    def express(self, curves, neutral, weights, scale, held, variants=None, side=1.0):
         closure = self.rules.closure
         free = 1 - closure(both(neutral, curves)[..., self.seals])[:, :, :1]
         near = self.windows(neutral[:, self.seals])
         closing = self.rules.closing(closure(near.transpose(-1, -2)))
-        strength = torch.from_numpy(scale * np.maximum(held, 0.15))[None, :, None]
+        least = np.maximum(held, LEAST_PREDICTED)
+        strength, missing = track(scale * least)[..., 0], track(scale * (least - held))[..., 0]
         emotion = torch.from_numpy(weights)[None]
         slow = 1 - closing[None, :, None]
-        shown = self.rules.express(both(neutral, curves), emotion, strength, free, slow)
+        variants = np.zeros((len(weights), N_VARIANTS)) if variants is None else variants
+        rows = np.concatenate((weights, variants), axis=1)
+        ways = torch.from_numpy(np.concatenate((rows, side * rows), axis=1, dtype=np.float32))
+        read, spoken = both(neutral, curves), torch.ones_like(slow)
+        shown = self.rules.express(read, ways[None], emotion, strength, missing, free, slow, spoken)
         curves[:] = shown[0, :, 1].numpy()
 
     def rest_lips(self, curves, neutral):
@@ -52,9 +58,9 @@ class Stages(ControlGroups):
         closed = self.rules.closure(rows[..., self.seals])
         curves[:] = self.rules.open_mouth(rows, 1 - closed, track(factor))[0, :, 0].numpy()
 
-    def rest_in_silence(self, curves, mouth, expression):
-        found = self.rules.gate(both(curves, curves), track(mouth), track(expression))
-        curves[:] = found[0, :, 0].numpy()
+    def rest_in_silence(self, curves, neutral, mouth, expression):
+        found = self.rules.gate(both(neutral, curves), track(mouth), track(expression))[0].numpy()
+        neutral[:], curves[:] = found[:, 0], found[:, 1]
 
     def apply_dead_zone(self, curves):
         curves[:] = self.rules.quieten(both(curves, curves))[0, :, 0].numpy()

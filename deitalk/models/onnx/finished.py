@@ -1,0 +1,321 @@
+"""Sound in, finished curves out: a model, what is heard of the voice and the rules in one graph.
+
+Letters: B streams, S samples, T frames, A actors, C controls.
+"""
+
+import math
+from typing import Any, cast
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+from torch.utils import _pytree as tree
+
+from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
+from deitalk.audio.log_mel import N_FFT
+from deitalk.audio.voice_activity import WINDOW
+from deitalk.emotions import LABELS
+from deitalk.errors import CheckpointError
+from deitalk.live.activity import FLOOR_EVERY
+from deitalk.live.hearing import MEASURED_AHEAD
+from deitalk.models.curve_model import (
+    DEITalk,
+    TensorState,
+    advance,
+    causal_frontend,
+    first_state,
+    grid_of,
+)
+from deitalk.models.onnx.clip_hearing import ClipHearing, expression_scale
+from deitalk.models.onnx.live_hearing import LiveHearing
+from deitalk.models.onnx.network_graph import CurveGraph, causal_graph
+from deitalk.models.protocol import trained_weights
+from deitalk.pipeline.curves import READ_ON_SAMPLES
+from deitalk.postprocess.curve_pass import CurvePass
+from deitalk.postprocess.torch_columns import constant
+from deitalk.postprocess.tracks import LIVE_AHEAD, rest_rows
+from deitalk.postprocess.voice_intensity import HOLD_AT_END
+
+MIXTURES = trained_weights(np.eye(len(LABELS), dtype=np.float32))
+"""Trained emotions (9, 5) of each label."""
+
+
+LEVEL_DB = -23.0
+"""Active level of the speech that a network of whole clips reads, dB re full scale."""
+
+
+def voice_columns(scale: Tensor, opening: Tensor, held: Tensor, emotion: Tensor) -> Tensor:
+    """`deitalk.postprocess.tracks.VoiceTracks` without words, of tensors."""
+    phones = torch.zeros_like(emotion[..., :4])
+    return torch.cat((torch.stack((scale, opening, held), dim=-1), phones, emotion), dim=-1)
+
+
+class FinishedClip(nn.Module):
+    """A whole recording to finished curves.
+
+    Parameters
+    ----------
+    model : DEITalk
+        With a Whisper frontend and an intensity module.
+
+    Raises
+    ------
+    CheckpointError
+        If it has other ones.
+    """
+
+    trained: Tensor
+    after: Tensor
+
+    def __init__(self, model: DEITalk) -> None:
+        super().__init__()
+        self.graph = CurveGraph(model)
+        self.hearing = ClipHearing(model.controls, model.rules)
+        self.rules = CurvePass(model.controls, model.rules)
+        self.has_rule = model.rules.voice_intensity is not None
+        constant(self, "trained", MIXTURES)
+        constant(self, "after", rest_rows(model.controls.rest, self.rules.ahead))
+
+    def forward(
+        self, sound: Tensor, emotion: Tensor, intensity: Tensor, motion: Tensor
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """Animate a recording.
+
+        Parameters
+        ----------
+        sound : Tensor [shape=(S,)]
+            16 kHz mono, any level.
+        emotion : Tensor [shape=(T, 9 + A)]
+            Weights of the emotions, then of the actors, of T = ceil(30 S / 16000) frames.
+        intensity : Tensor [shape=(2, T)]
+            Intensity to show, below 0 that of the voice; and a factor on it.
+        motion : Tensor [shape=(T, 34)]
+            `deitalk.postprocess.tracks.MotionTracks`; zeros: none.
+
+        Returns
+        -------
+        curves, neutral : Tensor [shape=(T, C)]
+        intensity : Tensor [shape=(T,)]
+            Of the voice.
+        """
+        n_frames = emotion.shape[0]
+        sound = sound - sound.mean()
+        sound = sound - sound.mean()  # what rounding left
+        speech = self.hearing.activity(sound, n_frames)
+        gain = self.hearing.activity.gain(sound, speech, LEVEL_DB)
+        labels, actors = emotion[:, : len(LABELS)], emotion[:, len(LABELS) :]
+        styles = torch.cat((labels @ self.trained, actors), dim=1)
+        emotional, neutral, network, effort = self._readings(sound * gain, styles, speech)
+        heard = self.hearing(
+            sound, speech, network, effort, (neutral, emotional), styles[:, : self.trained.shape[1]]
+        )
+        predicted = heard.voice * heard.expression
+        curve, factor = intensity.unbind(0)
+        applied = torch.where(curve < 0, predicted, curve) * factor
+        scale = expression_scale(applied, heard.held * heard.expression)
+        if not self.has_rule:
+            scale = torch.where(curve < 0, factor, scale)
+        voice = voice_columns(scale, heard.opening, heard.held, labels)
+        shown = torch.cat((heard.mouth[:, None], heard.expression[:, None], motion), dim=1)
+        curves, plain = self._finished(neutral, emotional, voice, shown)
+        return curves, plain, predicted
+
+    def _readings(
+        self, sound: Tensor, styles: Tensor, speech: Tensor
+    ) -> tuple[Tensor, Tensor, Tensor, Tensor | None]:
+        """What the network reads, on beyond the end of a recording that is cut in its speech."""
+        n_frames, n_samples = torch.as_tensor(speech.shape[0]), torch.as_tensor(sound.shape[0])
+        is_cut = (speech[-1 - HOLD_AT_END :].amax() > 0).long()
+        added = torch.minimum(torch.as_tensor(READ_ON_SAMPLES), n_samples) * is_cut
+        total = n_samples + added
+        backwards = sound[-READ_ON_SAMPLES:].flip(0)
+        longer = torch.cat((sound, backwards))[:total]
+        count = (FRAME_RATE * total + SAMPLE_RATE - 1) // SAMPLE_RATE
+        more = styles[-1:].expand(1 + READ_ON_SAMPLES * FRAME_RATE // SAMPLE_RATE, -1)
+        rows = torch.cat((styles, more))[: torch.maximum(count, n_frames)]
+        frames = torch.arange(rows.shape[0])
+        place = frames.float() / torch.as_tensor(rows.shape[0]).float()
+        found = self.graph(longer, rows, place)
+        emotional, neutral, _, strength, *effort = (part[:n_frames] for part in found)
+        return emotional, neutral, strength, effort[0] if effort else None
+
+    def _finished(
+        self, neutral: Tensor, emotional: Tensor, voice: Tensor, shown: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """Curves of both readings after the rules, the whole recording at once."""
+        rules = self.rules
+        rows = torch.cat((neutral, emotional, voice), dim=1)
+        rows = torch.cat((rows, self.after))[None]  # a face at rest follows the last frame
+        size = neutral.shape[1]
+        before = torch.zeros_like(shown[:1]).expand(rules.ahead, -1)
+        curves, plain, *_ = rules(
+            *torch.split(rows, [size, size, voice.shape[1]], dim=2),
+            torch.cat((before, shown))[None],
+            torch.ones(1, size),
+            torch.ones(1),
+            rules.first(1),
+        )
+        return curves[0, rules.ahead :], plain[0, rules.ahead :]
+
+
+# Voices that have not ended: a frame a call, all state in one tensor.
+
+
+WRAP = 720
+"""Frames after which a counter goes back by half: a multiple of all periods."""
+
+
+class FinishedLive(nn.Module):
+    """The next frame of streams to finished curves.
+
+    Parameters
+    ----------
+    model : DEITalk
+        With a causal frontend.
+
+    Raises
+    ------
+    CheckpointError
+        If it looks another number of frames ahead.
+
+    Attributes
+    ----------
+    window : int
+        Samples of a call, the first of them `before` ahead of the time of the frame that is heard.
+    behind : int
+        Frames by which the curves are behind it.
+    """
+
+    offsets: Tensor
+
+    def __init__(self, model: DEITalk) -> None:
+        super().__init__()
+        self.model, grid = causal_graph(model), grid_of(model)
+        if grid.delay != MEASURED_AHEAD:  # sound is heard when the network reads it
+            raise CheckpointError(
+                f"only causal models that look {MEASURED_AHEAD} frames ahead are exported, such as "
+                f"live; this one looks {grid.delay} ahead"
+            )
+        self.delay, self.behind = grid.delay, grid.delay + LIVE_AHEAD
+        self.hearing = LiveHearing(model.rules)
+        self.rules = CurvePass(model.controls, model.rules, LIVE_AHEAD)
+        self.before = WINDOW // 2
+        # Samples of the spectra in a window, of the frames 3 n, 3 n + 1 and 3 n + 2.
+        frames = np.arange(3)[:, None]
+        centres = np.round(
+            (frames * grid.spectra + np.arange(grid.spectra)) * SAMPLE_RATE / grid.rate
+        )
+        starts = centres - frames * SAMPLE_RATE // FRAME_RATE + self.before - grid.length // 2
+        self.window = max(WINDOW, int(starts.max()) + grid.length)
+        constant(self, "offsets", starts.astype(np.int64))
+        constant(self, "trained", MIXTURES)
+        first, self.shape = tree.tree_flatten(self.first_states(1))
+        self.sizes = [part.shape[1:] for part in first]
+        self.begins = [bool((part != 0).any()) for part in first]
+        for k, part in enumerate(first):
+            if self.begins[k]:
+                is_one = bool((part == part.flatten()[0]).all())
+                constant(self, f"begin_{k}", (part.flatten()[:1] if is_one else part).numpy())
+
+    def first_states(self, batch: int) -> Any:
+        """State of streams before their first sample, in its parts.
+
+        The frame that is heard next; state of the network, of what is heard, and of the rules.
+        """
+        low = torch.finfo(torch.float32).min
+        network = (part.clamp_min(low) for part in first_state(self.model, batch).tensors())
+        return (
+            torch.zeros(batch, 1),
+            tuple(network),
+            self.hearing.first(batch),
+            self.rules.first(batch),
+        )
+
+    def first(self, batch: int) -> Tensor:
+        """State before the first call (B, N)."""
+        return torch.zeros(batch, sum(math.prod(size) for size in self.sizes))
+
+    def forward(
+        self, sound: Tensor, emotion: Tensor, intensity: Tensor, motion: Tensor, state: Tensor
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """Hear a frame, and finish the one `behind` it.
+
+        Parameters
+        ----------
+        sound : Tensor [shape=(B, window)]
+            16 kHz, any level.
+        emotion : Tensor [shape=(B, 9 + A)]
+            Weights of the emotions, then of the actors, of the frame `delay` before.
+        intensity : Tensor [shape=(B,)]
+            Factor on the intensity of the voice, of the same frame.
+        motion : Tensor [shape=(B, 34)]
+            `deitalk.postprocess.tracks.MotionTracks` of the frame that comes out; zeros: none.
+        state : Tensor [shape=(B, N)]
+            Of the call before; zeros before the first.
+
+        Returns
+        -------
+        curves : Tensor [shape=(B, C)]
+        intensity : Tensor [shape=(B,)]
+            Of the voice, of the frame `delay` before.
+        state : Tensor [shape=(B, N)]
+        """
+        parts = torch.split(state, [math.prod(size) for size in self.sizes], dim=1)
+        shaped = [
+            self._begun(k, part.reshape(-1, *size), state[:, 0] > 0)
+            for k, (part, size) in enumerate(zip(parts, self.sizes, strict=True))
+        ]
+        frame, network, heard, rules = tree.tree_unflatten(shaped, self.shape)
+        # The network: two readings of the frame `delay` before.
+        labels, actors = emotion[:, : len(LABELS)], emotion[:, len(LABELS) :]
+        styles = torch.cat((labels @ cast(Tensor, self.trained), actors), dim=1)
+        n_frontend = causal_frontend(self.model).n_states
+        before = TensorState.of(network, n_frontend)
+        rows, after = advance(self.model, self._spectra(sound, frame), styles[:, None], before)
+        # What is heard of it.
+        due = (torch.remainder(frame[:, 0] + 1, FLOOR_EVERY) == 0).to(sound.dtype)
+        strength = rows.strength[:, 0]
+        found, (kept, spoken) = self.hearing(
+            sound[:, :WINDOW], due, strength, rows.effort[:, 0], heard
+        )
+        applied = found.intensity * intensity
+        scale = intensity
+        if self.model.rules.voice_intensity is not None:
+            scale = expression_scale(applied, strength)
+        voice = voice_columns(scale, found.opening, strength, labels)
+        # The rules.
+        gates = torch.stack((found.mouth, found.expression), dim=1)
+        shown = torch.cat((gates, motion), dim=1)[:, None]
+        gain, ruled = torch.ones_like(rows.neutral[:, 0]), torch.ones_like(intensity)
+        curves, _, _, finished = self.rules(
+            rows.neutral, rows.emotional, voice[:, None], shown, gain, ruled, rules
+        )
+        # Before the first frame only the sound counts.
+        heard_now = tuple(after.tensors()[:n_frontend])
+        later = (tuple(after.tensors()[n_frontend:]), spoken, finished)
+        earlier = (tuple(network[n_frontend:]), heard[1], rules)
+        begun = frame[:, 0] >= self.delay
+        decoder, spoken, finished = tree.tree_map(
+            lambda new, old: torch.where(begun.view(-1, *[1] * (new.dim() - 1)), new, old),
+            later,
+            earlier,
+        )
+        frame = frame + 1
+        frame = torch.where(frame >= WRAP, frame - WRAP // 2, frame)
+        states = tree.tree_leaves((frame, heard_now + decoder, (kept, spoken), finished))
+        new = torch.cat([part.flatten(1) for part in states], dim=1)
+        return curves[:, 0], found.intensity, new
+
+    def _begun(self, number: int, part: Tensor, has_begun: Tensor) -> Tensor:
+        """A part of the state, with its first value where no frame has come."""
+        if not self.begins[number]:
+            return part
+        first = cast(Tensor, getattr(self, f"begin_{number}"))
+        return torch.where(has_begun.view(-1, *[1] * (part.dim() - 1)), part, first)
+
+    def _spectra(self, sound: Tensor, frame: Tensor) -> Tensor:
+        """Samples of the spectra of the frame (B, P, 400)."""
+        starts = self.offsets[torch.remainder(frame[:, 0], 3).long()]
+        places = starts[:, :, None] + torch.arange(N_FFT)
+        rows = torch.gather(sound, 1, places.flatten(1))
+        return rows.view(-1, starts.shape[1], N_FFT)

@@ -1,0 +1,173 @@
+"""`deitalk diff`: takes edited in files of many programs, as layers that give the edits again."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import soundfile
+
+from deitalk import animate
+from deitalk.data.edited import changes_of_take
+from deitalk.errors import DataError
+from deitalk.postprocess.control_groups import ControlGroups
+from rig import default_controls, read_curves, write_curves
+from rig.conversion.arkit import ARKIT_ID, RAW_ID
+from rig.conversion.convert import convert
+from rig.curves.edit import clamp
+from tests.command import deitalk, ran, refused
+from tests.errors import one_line
+
+SAMPLE = Path(__file__).parents[3] / "docs" / "samples" / "promise.flac"
+BOARD = default_controls()
+TARGETS = (
+    "CTRL_C_jaw.ty", "CTRL_L_brow_raiseOut.ty", "CTRL_R_brow_down.ty", "CTRL_C_mouth.tx",
+    "CTRL_L_mouth_cornerPull.ty", "CTRL_R_mouth_upperLipRaise.ty", "CTRL_L_eye_blink.ty",
+    "CTRL_L_mouth_lipsTogetherU.ty", "CTRL_L_nose.ty", "CTRL_C_tongue_move.ty",
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def take(tmp_path_factory):
+    return animate(SAMPLE, "happy", seed=3).save(tmp_path_factory.mktemp("edited") / "take")
+
+
+@pytest.fixture(scope="module")
+def wanted(take):
+    """The take with twenty edits by hand."""
+    base, rng = read_curves(take / "curves.json"), np.random.default_rng(4)
+    values = base.values.copy()
+    for k in range(20):
+        column, length = BOARD.index(TARGETS[k % len(TARGETS)]), int(rng.integers(4, 25))
+        start = int(rng.integers(1, len(base) - length))
+        part = values[start : start + length, column]
+        part += (0.35 * np.hanning(length), 0.2 - 0.7 * part, 0.5 - part, -0.25)[k % 4]
+    return clamp(replace(base, values=values))[0]
+
+
+def written(wanted, form, folder):
+    """The edited curves as a program leaves them."""
+    if form == "board.csv":  # of Maya: some columns, in another order and spelling
+        names = [name for name in BOARD.names if name in TARGETS or "eye" in name][::-1]
+        rows = [",".join(f"{x:.6f}" for x in (k / 30, *row))
+                for k, row in enumerate(wanted.select(names).values)]  # fmt: skip
+        header = ",".join(
+            ["time", *(n.replace(".t", "-translate").replace("eX", "eX") for n in names)]
+        )
+        header = header.replace("translatex", "translateX").replace("translatey", "translateY")
+        path = folder / "board.csv"
+        path.write_text("\n".join([header, *rows]) + "\n")
+        return path
+    path = folder / f"edited{form}"
+    curves = convert(wanted, RAW_ID) if form == ".raw.csv" else wanted
+    write_curves(path, curves)
+    return path
+
+
+FORMS = (".csv", ".json", ".npz", ".unreal.json", ".raw.csv", ".maya.py", "board.csv")
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_what_was_edited_comes_back_from_every_program(take, wanted, form, tmp_path):
+    path = written(wanted, form, tmp_path)
+    ran("diff", path, take, "-o", tmp_path / "fixes.edit.json")
+    text = (tmp_path / "fixes.edit.json").read_text()
+    layer = json.loads(text)
+    n_keys = sum(len(edit["keys"]) for edit in layer["edits"])
+    assert len(text.encode()) <= 20_000 and n_keys <= 0.01 * wanted.values.size
+    assert layer["name"] == "fixes" and layer["sound"]["seconds"] > 8 and layer["phones"]
+    acted = animate(SAMPLE, "happy", seed=3, edit=tmp_path / "fixes.edit.json")
+    assert np.abs(acted.curves.values - wanted.values).max() < 0.01
+    assert met(acted.curves) >= met(wanted)
+
+
+def met(curves):
+    """Frames in which the lips meet."""
+    return int((curves.values[:, ControlGroups(BOARD).together].mean(axis=1) >= 0.9).sum())
+
+
+def test_another_seed_has_the_same_edits(take, wanted, tmp_path):
+    layer = changes_of_take(written(wanted, ".csv", tmp_path), take).layer
+    plain, acted = (animate(SAMPLE, "happy", seed=9, edit=edit) for edit in ((), layer))
+    asked = wanted.values - read_curves(take / "curves.json").values
+    changed = np.abs(acted.curves.values - plain.curves.values)
+    free = (np.abs(asked) > 0.05) & (plain.curves.values > 0.05) & (plain.curves.values < 0.95)
+    assert (changed[free] > 0.01).mean() > 0.9  # but where a range ends
+    assert changed[np.abs(asked) < 1e-6].max() < 1e-5 + 0.01
+
+
+def test_a_live_link_take_is_carried_back_as_far_as_arkit_goes(take, tmp_path):
+    base = read_curves(take / "curves.json")
+    shapes = convert(base, ARKIT_ID)
+    values = shapes.values.copy()
+    values[60:90, shapes.index("BrowInnerUp")] += 0.3 * np.hanning(30)
+    values[30:50, shapes.index("MouthSmileLeft")] *= 0.5
+    path = tmp_path / "edited_take_1.livelink.csv"
+    write_curves(path, replace(shapes, values=values), format="livelink")
+    found = changes_of_take(path, take)
+    spans = {edit.span for edit in found.layer.edits}
+    assert all(1.9 < a < b < 3.1 or 0.9 < a < b < 1.8 for a, b in spans) and spans
+    assert any("controls are not in the file and stay as they are" in note for note in found.notes)
+    acted = animate(SAMPLE, "happy", seed=3, edit=found.layer)
+    again = convert(acted.curves, ARKIT_ID).values - values
+    assert np.abs(again).max() < 0.05
+
+
+def test_another_rate_is_no_change(take, tmp_path):
+    write_curves(tmp_path / "e.csv", read_curves(take / "curves.json"), fps=24)
+    told = refused("diff", tmp_path / "e.csv", take, "-o", tmp_path / "x.edit.json")
+    assert "no more than noise" in told and not (tmp_path / "x.edit.json").exists()
+
+
+def test_a_shorter_file_is_compared_as_far_as_it_goes(take, wanted, tmp_path):
+    write_curves(tmp_path / "e.csv", wanted[:100])
+    found = changes_of_take(tmp_path / "e.csv", take)
+    assert any("100 frames" in note for note in found.notes)
+    assert max(edit.span[1] for edit in found.layer.edits) <= 100 / 30
+
+
+def test_the_layers_of_the_take_come_first(take, wanted, tmp_path):
+    path = written(wanted, ".csv", tmp_path)
+    ran("diff", path, take, "-o", tmp_path / "one.edit.json")
+    second = animate(SAMPLE, "happy", seed=3, edit=tmp_path / "one.edit.json").save(tmp_path / "t2")
+    values = read_curves(second / "curves.json").values.copy()
+    values[10:30, BOARD.index("CTRL_R_nose.ty")] += 0.2
+    more = replace(wanted, values=values)
+    write_curves(tmp_path / "more.csv", more)
+    done = deitalk("diff", tmp_path / "more.csv", second, "-o", tmp_path / "two.edit.json")
+    assert done.code == 0 and "has layers of its own, which come first" in done.err
+    acted = animate(SAMPLE, "happy", seed=3, edit=[second, tmp_path / "two.edit.json"])
+    assert np.abs(acted.curves.values - values).max() < 0.01
+
+
+def test_words_of_the_take_name_the_edits(take, wanted, tmp_path):
+    pytest.importorskip("espeakng_loader")
+    words = (
+        "Maybe you believe me. But mother, Bob promised everybody a piece of that perfect apple "
+        "pie! Well, what a wonderful evening this could become."
+    )
+    spoken = animate(SAMPLE, words=words).save(tmp_path / "spoken")
+    values = read_curves(spoken / "curves.json").values.copy()
+    values[60:66, BOARD.index("CTRL_L_nose.ty")] += 0.3
+    write_curves(tmp_path / "e.csv", replace(wanted, values=values))
+    (edit,) = changes_of_take(tmp_path / "e.csv", spoken).layer.edits
+    assert edit.words and edit.words.split()[0].strip(".,") in words
+
+
+def test_files_that_are_no_edit_are_refused_in_one_line(take, tmp_path):
+    (tmp_path / "a.csv").write_text("time,x\n0,1\n")
+    soundfile.write(tmp_path / "a.wav", np.zeros(10), 8000)
+    for edited, of, words in (
+        (tmp_path / "a.csv", take, ""),
+        (take / "curves.csv", tmp_path, "has no curves.json"),
+        (tmp_path / "none.csv", take, "none.csv"),
+    ):
+        with one_line(ValueError, words):
+            changes_of_take(edited, of)
+    with one_line(DataError, "arkit"):
+        write_curves(tmp_path / "shapes.json", convert(read_curves(take / "curves.json"), ARKIT_ID))
+        changes_of_take(take / "curves.csv", tmp_path / "shapes.json")
+    assert "must be a .json file" in refused(
+        "diff", take / "curves.csv", take, "-o", tmp_path / "x.csv"
+    )

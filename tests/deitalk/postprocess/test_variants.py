@@ -1,0 +1,232 @@
+"""Variants of the emotions: laws of every one, how they are drawn, and how they are given."""
+
+from itertools import combinations, pairwise
+
+import numpy as np
+import pytest
+
+from deitalk import animate
+from deitalk.acting import Acting
+from deitalk.emotions.variants import EMOTION_OF
+from deitalk.errors import EmotionError
+from deitalk.live.animator import LiveAnimator
+from deitalk.postprocess.life.voice import Seeds
+from deitalk.postprocess.variants import COLUMNS, choose_ways
+from deitalk.research.evaluation.benchmark_curves import speechlike
+from rig import default_controls
+from rig.emotions import EMOTIONS, LABELS, VARIANTS
+from tests.deitalk.postprocess.stages import Stages
+
+CONTROLS = default_controls()
+RULES = Stages(CONTROLS)
+LEFT = [i for i, name in enumerate(CONTROLS.names) if name.startswith("CTRL_L_")]
+RIGHT = [CONTROLS.index(CONTROLS.names[i].replace("_L_", "_R_")) for i in LEFT]
+
+
+def one_hot(names, name):
+    return np.eye(len(names), dtype=np.float32)[[list(names).index(name)]]
+
+
+def shown(variant, applied=1.0, *, neutral=None, emotional=None, side=1.0, weight=1.0):
+    """One frame of a variant on two readings; by default faces at rest."""
+    rest = CONTROLS.rest[None].astype(np.float32)
+    neutral = rest if neutral is None else neutral
+    curves = neutral + applied * ((neutral if emotional is None else emotional) - neutral)
+    applied = np.array([applied], np.float32)
+    emotion = one_hot(LABELS, EMOTION_OF[variant])
+    ways = weight * one_hot(COLUMNS, variant)
+    RULES.express(curves, neutral, emotion, applied, np.ones(1, np.float32), ways, side)
+    return curves
+
+
+def readings(seed):
+    rng = np.random.default_rng(seed)
+    span = CONTROLS.maximum - CONTROLS.minimum
+    rows = CONTROLS.rest + span * rng.uniform(0, 0.4, (2, len(CONTROLS)))
+    return {"neutral": rows[:1].astype(np.float32), "emotional": rows[1:].astype(np.float32)}
+
+
+def test_every_emotion_but_neutral_has_three_variants_with_names_of_their_own():
+    assert [*VARIANTS] == [*LABELS[1:]]
+    assert all(len(own) >= 3 and {*own.values()} >= {-1, 1} for own in VARIANTS.values())
+    names = [name for own in VARIANTS.values() for name in own]
+    assert len({*names, *LABELS, "plain"}) == len(names) + len(LABELS) + 1
+
+
+@pytest.mark.parametrize("variant", EMOTION_OF)
+@pytest.mark.parametrize("seed", range(2))
+def test_no_intensity_is_the_neutral_reading_and_more_goes_further_the_same_way(variant, seed):
+    given = readings(seed)
+    steps = [shown(variant, k, **given) - given["neutral"] for k in (0, 0.3, 0.6, 1, 1.5)]
+    assert not steps[0].any()
+    for less, more in pairwise(steps):
+        assert (np.abs(more) >= np.abs(less) - 1e-6).all()
+        assert (more * less >= -1e-9).all()
+
+
+@pytest.mark.parametrize("variant", EMOTION_OF)
+def test_closed_lips_stay_closed(variant):
+    neutral = CONTROLS.rest[None].astype(np.float32).copy()
+    neutral[:, RULES.seals] = 1
+    curves = shown(variant, 1.5, neutral=neutral)
+    np.testing.assert_array_equal(curves[:, RULES.opening], neutral[:, RULES.opening])
+    np.testing.assert_array_equal(curves[:, RULES.seals], neutral[:, RULES.seals])
+
+
+@pytest.mark.parametrize("variant", EMOTION_OF)
+def test_half_a_variant_is_half_way_from_the_pose_of_the_emotion(variant):
+    plain, half, whole = (shown(variant, weight=weight) for weight in (0, 0.5, 1))
+    np.testing.assert_allclose(half, (plain + whole) / 2, atol=1e-6)
+    assert np.abs(whole - plain).max() > 0.05
+
+
+@pytest.mark.parametrize("variant", EMOTION_OF)
+def test_the_other_side_is_the_mirror(variant):
+    """Of a symmetric reading, also where the emotion is of one side."""
+    left, right = (shown(variant, side=side) for side in (1, -1))
+    np.testing.assert_allclose(left[:, LEFT], right[:, RIGHT], atol=1e-6)
+    np.testing.assert_allclose(left[:, RIGHT], right[:, LEFT], atol=1e-6)
+
+
+def test_an_emotion_that_captures_show_has_no_variants():
+    from deitalk.postprocess.expressions import expression_table
+
+    captured = expression_table(CONTROLS.names, EMOTIONS)
+    rows = [k for k, name in enumerate([*LABELS, *EMOTION_OF.values()]) if name in EMOTIONS]
+    assert not captured.poses[rows].any() and not captured.parting[rows].any()
+    assert (captured.gains[rows[: len(EMOTIONS)]] == 1).all()
+    assert not captured.gains[rows[len(EMOTIONS) :]].any()
+
+
+def drawn(seed=0, actor="", sound=0, strength=0.0, **given):
+    waveform = np.full(100, sound / 1000, np.float32)
+    return choose_ways(given, Seeds.of(waveform, actor, seed), strength)
+
+
+def rows_of(ways):
+    """Weights of each emotion's own variants."""
+    table = {}
+    for name, own in VARIANTS.items():
+        table[name] = ways.weights[LABELS.index(name), [COLUMNS.index(v) for v in own]]
+    return table
+
+
+def test_a_take_is_between_the_variants_of_each_emotion_and_near_one():
+    found = [rows_of(drawn(seed)) for seed in range(200)]
+    for name in VARIANTS:
+        weights = np.array([rows[name] for rows in found])
+        np.testing.assert_allclose(weights.sum(axis=1), 1, rtol=1e-5)
+        assert weights.max(axis=1).mean() > 0.75
+        assert (np.bincount(weights.argmax(axis=1), minlength=3) > 40).all()
+    assert not drawn().weights[LABELS.index("neutral")].any()
+
+
+@pytest.mark.parametrize(
+    ("other", "is_same"),
+    [
+        ({}, True),
+        ({"seed": 1}, False),
+        ({"sound": 5}, False),
+        ({"actor": "anna", "sound": 5}, False),
+    ],
+)
+def test_seed_voice_and_actor_draw(other, is_same):
+    assert np.array_equal(drawn().weights, drawn(**other).weights) == is_same
+
+
+def test_takes_of_a_named_actor_are_alike():
+    anna = [drawn(actor="anna", sound=sound) for sound in (1, 2)]
+    np.testing.assert_array_equal(anna[0].weights, anna[1].weights)
+    assert anna[0].side == anna[1].side
+    assert (drawn(actor="ben", sound=1).weights != anna[0].weights).any()
+
+
+@pytest.mark.parametrize("emotion", VARIANTS)
+def test_a_strong_voice_is_nearer_to_the_variant_of_strong_voices(emotion):
+    own = VARIANTS[emotion]
+    loud, quiet = (list(own.values()).index(home) for home in (1, -1))
+    for seed in range(20):
+        steps = [rows_of(drawn(seed, strength=z))[emotion] for z in (-2, -1, 0, 1, 2)]
+        odds = [np.log(row[loud] / row[quiet]) for row in steps]
+        assert (np.diff(odds) > 0).all()
+
+
+def test_given_variants_are_shown_and_the_others_drawn():
+    free, given = drawn(), drawn(hot=0.6, cold=0.4)
+    assert rows_of(given)["angry"] == pytest.approx([0.6, 0.4, 0])
+    assert (rows_of(given)["happy"] == rows_of(free)["happy"]).all()
+    assert not drawn(plain=1.0).weights.any()
+
+
+@pytest.mark.parametrize(
+    ("text", "weights", "written"),
+    [
+        ("hot", {"hot": 1}, "hot"),
+        (" Hot , warm", {"hot": 1, "warm": 1}, "hot,warm"),
+        ("hot=.7,cold=.3", {"hot": 0.7, "cold": 0.3}, "hot=0.7,cold=0.3"),
+        ({"smug": 0.5}, {"smug": 0.5}, "smug=0.5"),
+        ("plain", {"plain": 1}, "plain"),
+        ("", {}, ""),
+    ],
+)
+def test_text_of_a_variant(text, weights, written):
+    acting = Acting.of(variant=text)
+    assert acting.variant == pytest.approx(weights)
+    assert acting.settings == ({"variant": written} if written else {})
+    assert Acting.of(**acting.settings).variant == acting.variant
+
+
+@pytest.mark.parametrize(
+    ("text", "rule"),
+    [
+        ("angry", "unknown variant 'angry'; known are angry: hot, cold, disgusted;"),
+        ("hot,plain", "unknown variant 'plain'"),
+        ("hot=2", "variant hot=2: weights must be 0 to 1"),
+        ("hot=nan", "it must be a finite number"),
+        ("hot=x", "it must be a finite number"),
+        ("hot=.7,cold=.6", "variants of angry sum to 1.3; they must not exceed 1"),
+        ("hot,hot", "variant hot is given twice"),
+        (5, "variant 5 must be a text"),
+    ],
+)
+def test_a_wrong_variant_is_refused_in_one_line(text, rule):
+    with pytest.raises(EmotionError, match=rule) as caught:
+        Acting.of(variant=text)
+    assert "\n" not in str(caught.value)
+
+
+def test_takes_of_two_seeds_differ_in_their_expression_and_one_seed_is_one_take():
+    sound = speechlike(2.0)
+    takes = [
+        animate(sound, "angry", sample_rate=16_000, seed=seed, life="off").curves.values
+        for seed in (1, 1, 2)
+    ]
+    np.testing.assert_array_equal(takes[0], takes[1])
+    assert np.abs(takes[0] - takes[2]).max() > 0.1
+
+
+def test_live_voices_have_variants_too():
+    sound, poses = speechlike(2.0), []
+    for variant in ("hot", "cold", "hot"):
+        animator = LiveAnimator("live", "angry", variant=variant, life="off")
+        poses.append(np.concatenate((animator.feed(sound), animator.finish())))
+    np.testing.assert_array_equal(poses[0], poses[2])
+    lid = CONTROLS.index("CTRL_L_eye_blink.ty")
+    assert poses[1][:, lid].min() > poses[0][:, lid].min() + 0.1
+
+
+def test_a_variant_that_is_not_shown_is_said():
+    take = animate(speechlike(1.0), "happy", sample_rate=16_000, variant="hot", life="off")
+    assert any("variant hot is of angry" in note for note in take.recording.warnings)
+    assert not any("variant" in note for note in animate(
+        speechlike(1.0), "happy", sample_rate=16_000, variant="warm", life="off"
+    ).recording.warnings)  # fmt: skip
+
+
+def test_variants_of_an_emotion_are_poses_of_their_own():
+    """On faces at rest: what the table adds differs, by more than size."""
+    for own in VARIANTS.values():
+        for a, b in combinations(own, 2):
+            rest = CONTROLS.rest
+            r = np.corrcoef(shown(a)[0] - rest, shown(b)[0] - rest)[0, 1]
+            assert r < 0.9, (a, b)

@@ -1,0 +1,286 @@
+"""Layers of edits: hand-worked values, closures, ranges, files, other times."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from rig import RigCurves, default_controls
+from rig.curves.layer_diff import layer_of_changes
+from rig.curves.layers import (
+    Closures,
+    Edit,
+    Layer,
+    Sound,
+    apply_layers,
+    parse_layers,
+    read_layers,
+    retimed,
+)
+from rig.errors import ControlError, CurveError
+from tests.errors import one_line
+
+BOARD = default_controls()
+JAW, BROW, NOSE = "CTRL_C_jaw.ty", "CTRL_L_brow_raiseOut.ty", "CTRL_L_nose.ty"
+TOGETHER = tuple(k for k, name in enumerate(BOARD.names) if "lipsTogether" in name)
+CLOSURES = Closures((TOGETHER,), (BOARD.index(JAW),), 0.25, 0.75)
+FLAT = ((0.0, 0.5, 0.0, 0.0),)
+
+
+def curves(frames=31, fps=30.0, head=None, **values):
+    rows = np.tile(BOARD.rest, (frames, 1)).astype(np.float32)
+    for name, value in values.items():
+        rows[:, BOARD.index({"jaw": JAW, "brow": BROW}[name])] = value
+    return RigCurves(rows, BOARD.names, fps, head=head)
+
+
+def applied(given, *edits, closures=None):
+    return apply_layers(given, [Layer(edits)], closures=closures)[0]
+
+
+@pytest.mark.parametrize(
+    ("mode", "before", "wanted"),
+    [("offset", 0.2, 0.7), ("scale", 0.2, 0.1), ("own", 0.2, 0.5), ("offset", 0.9, 1.0)],
+)
+def test_modes_within_the_span_and_nothing_outside(mode, before, wanted):
+    found = applied(curves(brow=before), Edit(BROW, FLAT, mode, (0.2, 0.4)))[BROW]
+    np.testing.assert_allclose(found[6:13], wanted, atol=1e-6)  # 0.2 to 0.4 s
+    np.testing.assert_allclose(np.delete(found, range(6, 13)), before, atol=1e-6)
+
+
+def test_ease_is_a_smooth_rise_and_fall_within_the_span():
+    found = applied(curves(), Edit(BROW, FLAT, "offset", (0.0, 1.0), (0.2, 0.4)))[BROW]
+    share = np.array([0, 0.5, 1.0])  # at 0, 0.1 and 0.2 s
+    np.testing.assert_allclose(found[[0, 3, 6]], 0.5 * share**2 * (3 - 2 * share), atol=1e-6)
+    assert found[18] == pytest.approx(0.5) and found[24] == pytest.approx(0.25)
+    assert found[30] == pytest.approx(0, abs=1e-6)
+
+
+def test_keys_are_cubic_with_a_slope_on_either_side():
+    keys = (0.0, 0.0, 0.0, 1.0), (0.5, 0.5, 1.0, -1.0), (1.0, 0.0, -1.0, 0.0)
+    found = applied(curves(), Edit(BROW, keys, "offset", (0, 1)))[BROW]
+    time = np.arange(31) / 30
+    np.testing.assert_allclose(found, 0.5 - np.abs(time - 0.5), atol=1e-6)
+
+
+def test_a_region_moves_all_its_members_and_the_head_its_own_track():
+    head = np.zeros((31, 6), np.float32)
+    given = curves(head=head)
+    found = applied(
+        given, Edit("brow", FLAT, "offset", (0, 1)), Edit("head.pitch", FLAT, "own", (0, 1))
+    )
+    moved = np.flatnonzero((found.values != given.values).any(axis=0))
+    assert set(moved) == set(BOARD.subset("brow"))
+    np.testing.assert_allclose(found.head, 0.5 * np.eye(6)[1] * np.ones((31, 1)))
+    assert applied(curves(), Edit("head.pitch", FLAT, "own", (0, 1))).head is None
+
+
+def test_muted_layers_and_none_change_nothing():
+    given = curves(brow=0.3)
+    loud = Layer((Edit(BROW, FLAT, "own", (0, 1)),), muted=True)
+    for layers in ([], [loud]):
+        assert np.array_equal(apply_layers(given, layers)[0].values, given.values)
+
+
+def closed_face():
+    """Lips that meet in frames 10 to 20."""
+    given = curves(jaw=0.1)
+    values = given.values.copy()
+    values[10:21, list(TOGETHER)] = 1
+    return replace(given, values=values)
+
+
+@pytest.mark.parametrize(
+    ("name", "edit", "wanted"),
+    [
+        ("jaw", Edit(JAW, FLAT, "offset", (0, 1)), 0.1),
+        ("seal", Edit(BOARD.names[TOGETHER[0]], ((0.0, -0.8, 0, 0),), "offset", (0, 1)), 1.0),
+        ("scaled seal", Edit(BOARD.names[TOGETHER[0]], ((0.0, 0.1, 0, 0),), "scale", (0, 1)), 1.0),
+        ("owned jaw", Edit(JAW, FLAT, "offset", (0, 1), owns=True), 0.6),
+        ("own jaw", Edit(JAW, FLAT, "own", (0, 1)), 0.5),
+        ("brow", Edit(BROW, FLAT, "offset", (0, 1)), 0.5),
+    ],
+)
+def test_lips_that_met_meet_again_unless_the_edit_owns_them(name, edit, wanted):
+    found, notes = apply_layers(closed_face(), [Layer((edit,))], closures=CLOSURES)
+    assert found[edit.target][15] == pytest.approx(wanted, abs=1e-6)
+    taken_back = name in ("jaw", "seal", "scaled seal")
+    assert any("taken back, as lips meet there" in note for note in notes) == taken_back
+    if name == "jaw":  # it opens elsewhere
+        assert found[JAW][5] == pytest.approx(0.6)
+
+
+def test_values_beyond_a_range_are_brought_into_it_and_said():
+    found, (note,) = apply_layers(
+        curves(), [Layer((Edit(BROW, ((0, 3.0, 0, 0),), "own", (0, 1)),))]
+    )
+    assert found[BROW].max() == 1
+    assert f"31 edited values of {BROW} were brought into their ranges" in note
+
+
+def test_a_file_holds_all_of_a_layer(tmp_path):
+    sound = Sound.of(np.random.default_rng(0).normal(size=8000).astype(np.float32), 16_000)
+    edits = (
+        Edit(JAW, ((0.25, 0.1, 0.0, 1.5), (0.5, -0.2, -1.0, 0.0)), "scale", (0.25, 0.5), (0.1, 0)),
+        Edit("brow", ((0.0, 0.4, 0.0, 0.0),), "own", (0.0, 2.0), owns=True, words="a map"),
+    )
+    layer = Layer(edits, "fixes", True, sound, (("a", 0.1, 0.2), ("map", 0.2, 0.5)), (("M", 4),))
+    path = tmp_path / "x.edit.json"
+    path.write_text(layer.text)
+    assert read_layers(path) == read_layers(tmp_path) == parse_layers(layer.text) == (layer,)
+    assert parse_layers(f"[{layer.text}, {layer.text}]") == (layer, layer)
+
+
+def test_a_short_file_written_by_hand_has_defaults():
+    (layer,) = parse_layers(
+        '{"schema": "deitalk.edit/1", "edits": [{"target": "jaw", "keys": [[1, 0], [2, 0.4]]}]}'
+    )
+    (edit,) = layer.edits
+    assert edit == Edit("jaw", ((1, 0, 0, 0), (2, 0.4, 0, 0)), "offset", (1, 2))
+
+
+def tree(**edit):
+    whole = {"target": JAW, "keys": [[0, 1]]} | edit
+    return {"schema": "deitalk.edit/1", "edits": [whole]}
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ("{", "is no JSON"),
+        ({"edits": []}, "schema must be deitalk.edit/1"),
+        ({"schema": "deitalk.edit/1", "edit": []}, "no field 'edit'"),
+        ({"schema": "deitalk.edit/1"}, "edits must be a list"),
+        ({"schema": "deitalk.edit/1", "edits": [3]}, "edit 1 is 3"),
+        (tree(target=""), "has no target"),
+        (tree(mode="add"), "mode 'add' must be offset, scale, own"),
+        (tree(keys=[]), "has no keys"),
+        (tree(keys=[[1]]), "must be [time, value]"),
+        (tree(keys=[[1, 2], [1, 3]]), "sort them"),
+        (tree(keys=[[-1, 2]]), "within 0 to"),
+        (tree(keys=[[1, float("inf")]]), "must be a finite number"),
+        (tree(keys=[[1, True]]), "must be a finite number"),
+        (tree(span=[2, 1]), "must rise"),
+        (tree(span=[1]), "must be 2 numbers"),
+        (tree(ease=[-1, 0]), "must be 0 or more"),
+        (tree(owns=1), "must be true or false"),
+        (tree() | {"words": [["a", 1]]}, "must be [text, start, end]"),
+        (tree() | {"phones": "M x"}, "each with a whole number"),
+        (tree() | {"sound": {"seconds": 1, "levels": "é"}}, "letters and digits"),
+        (tree() | {"muted": "no"}, "must be true or false"),
+    ],
+)
+def test_what_is_no_layer_is_refused_in_one_line(given, words):
+    with one_line(CurveError, words):
+        parse_layers(given if isinstance(given, str) else json.loads(json.dumps(given)))
+
+
+def test_an_unknown_target_is_named():
+    with one_line(ControlError, "CTRL_C_jaw.tz"):
+        applied(curves(), Edit("CTRL_C_jaw.tz", FLAT, "own", (0, 1)))
+
+
+def test_a_folder_without_layers_is_refused(tmp_path):
+    with one_line(CurveError, "holds no layers"):
+        read_layers(tmp_path)
+
+
+def test_retimed_edits_keep_their_values_at_the_new_times():
+    keys = (1.0, 0.0, 0.0, 0.2), (1.5, 0.3, 0.4, 0.4), (2.0, 0.0, -0.2, 0.0)
+    layer = Layer((Edit(BROW, keys, "offset", (1.0, 2.0), (0.1, 0.1)),))
+    (edit,) = retimed(layer, np.array([1.0, 2.0]), np.array([3.0, 5.0])).edits
+    assert edit.span == (3.0, 5.0) and edit.ease == pytest.approx((0.2, 0.2))
+    times = np.linspace(1, 2, 20)
+    np.testing.assert_allclose(
+        edit.curve(3 + 2 * (times - 1)), layer.edits[0].curve(times), atol=1e-9
+    )
+    before = retimed(layer, np.array([2.5, 3.0]), np.array([0.5, 1.0])).edits[0]
+    assert before.span == (0.0, 0.0)  # shifted before the recording
+
+
+@pytest.mark.parametrize(
+    ("change", "is_same"),
+    [
+        (lambda x: np.round(x * 32767) / 32767, True),
+        (lambda x: 0.5 * x, True),
+        (lambda x: np.concatenate((x, np.zeros(16_000))), True),
+        (lambda x: np.concatenate((np.zeros(8_000), x)), False),
+        (lambda x: x[::-1], False),
+        (lambda x: np.concatenate((x, x)), False),
+    ],
+)
+def test_a_recording_is_known_by_its_levels(change, is_same):
+    rng, t = np.random.default_rng(1), np.arange(48_000) / 16_000
+    loud = (0.02 + np.clip(np.sin(5 * t + t**2), 0, 1)) * rng.normal(size=len(t)) * 0.1
+    first = Sound.of(loud.astype(np.float32), 16_000)
+    assert first.is_same(Sound.of(change(loud).astype(np.float32), 16_000)) == is_same
+
+
+# What was changed by hand, as a layer.
+
+
+def edited(given, seed):
+    """The curves with twenty edits and noise."""
+    rng, values = np.random.default_rng(seed), given.values.copy()
+    for k in range(20):
+        column, length = rng.integers(len(BOARD)), int(rng.integers(1, 30))
+        start = int(rng.integers(0, len(given) - length + 1))
+        part = values[start : start + length, column]
+        part += (0.3 * np.hanning(length + 2)[1:-1], 0.4 - part, -0.2)[k % 3]
+    values += rng.uniform(-0.002, 0.002, values.shape)
+    return replace(given, values=np.clip(values, BOARD.minimum, BOARD.maximum))
+
+
+def moving(frames=300):
+    rng = np.random.default_rng(5)
+    wave = np.sin(np.arange(frames)[:, None] / 9 + rng.uniform(0, 6, len(BOARD)))
+    values = BOARD.rest + (BOARD.maximum - BOARD.rest) * (0.3 + 0.3 * wave)
+    values[:, list(TOGETHER)] = (np.sin(np.arange(frames) / 8) > 0.7)[:, None]
+    return RigCurves(np.clip(values, BOARD.minimum, BOARD.maximum), BOARD.names, 30)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_the_layer_of_changes_gives_the_edited_curves(seed):
+    base = moving()
+    wanted = edited(base, seed)
+    layer = layer_of_changes(base, wanted, closures=CLOSURES)
+    (read,) = parse_layers(layer.text)
+    found, notes = apply_layers(base, [read], closures=CLOSURES)
+    assert np.abs(found.values - wanted.values).max() < 0.01 and notes == ()
+    assert layer.n_keys <= 0.01 * base.values.size and len(layer.text) <= 20_000
+    assert len(layer.edits) <= 26  # noise is no edit; an edit may be clamped apart
+
+
+def test_noise_is_no_change_and_one_frame_is_one():
+    base = curves()
+    values = base.values + np.float32(0.004)
+    assert layer_of_changes(base, replace(base, values=values)).edits == ()
+    values[17, BOARD.index(BROW)] += 0.5
+    (edit,) = layer_of_changes(base, replace(base, values=values)).edits
+    assert edit.span == (16 / 30, 18 / 30) and len(edit.keys) <= 3
+
+
+def test_a_closure_that_was_opened_by_hand_stays_open():
+    base = closed_face()
+    values = base.values.copy()
+    values[12:18, list(TOGETHER)] = 0
+    wanted = replace(base, values=values)
+    layer = layer_of_changes(base, wanted, closures=CLOSURES)
+    assert all(edit.owns for edit in layer.edits)
+    found, _ = apply_layers(base, [layer], closures=CLOSURES)
+    assert np.abs(found.values - values).max() < 0.01
+
+
+def test_edits_of_the_head_are_found():
+    base = curves(head=np.zeros((31, 6), np.float32))
+    head = base.head.copy()
+    head[5:20, 0] = 4.0
+    (edit,) = layer_of_changes(base, replace(base, head=head)).edits
+    assert edit.target == "head.yaw"
+    np.testing.assert_allclose(applied(base, edit).head, head, atol=0.1)
+
+
+def test_other_rates_are_refused():
+    with one_line(CurveError, "another rate"):
+        layer_of_changes(curves(), curves(fps=60))
