@@ -2,7 +2,7 @@
 
 A linear map of the speech features of `default`, mean and spread over the speech, and of the manner
 of the voice (`manner`), at any gain; fitted to what raters of acted speech named
-from the voice alone, and to readers as neutral (`deitalk.research.training.suggestion`).
+from the voice alone, and to readers as neutral.
 Probabilities are those of four equally frequent emotions. It suggests and never imposes: where no
 emotion is probable enough, the suggestion is neutral. Surprise was not among the raters' answers
 and is never suggested. Not in the paper, where the emotion is given. Letters: T frames, D features,
