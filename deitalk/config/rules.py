@@ -71,7 +71,7 @@ class ScaleOpening(Section):
     neutral take (a measurement of video that is not repeated here).
     """
 
-    gain: Slope = 1.0
+    gain: Slope = 0.6
     """Increase of the opening per unit of intensity."""
     usual: Share = 0.52
     """Intensity at which the increase is 0."""
