@@ -33,7 +33,7 @@ from torch.nn import functional as F
 
 from deitalk.audio.load import load_audio
 from deitalk.errors import DataError, DeitalkError
-from deitalk.evaluation.validation import table
+from deitalk.evaluation.report import table
 from deitalk.models.checkpoint import require_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.pipeline.speech import Speech
