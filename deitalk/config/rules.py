@@ -12,7 +12,8 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from deitalk.config.section import Inner, Section, Share, Weight, checked, read_yaml
+from deitalk.config.section import Inner, Section, Share, Weight, checked
+from deitalk.config.yaml_files import read_yaml
 from deitalk.errors import ConfigError
 from rig import limits
 
