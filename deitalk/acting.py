@@ -29,6 +29,7 @@ from pydantic import (
 )
 
 from deitalk.errors import ConfigError, DataError, EmotionError
+from deitalk.postprocess.life.listener import NO_PLACE
 from rig import limits
 from rig.emotions import COLORS, EMOTIONS, MOODS, PLAIN, VARIANTS
 from rig.errors import UserError, quoted
@@ -43,10 +44,9 @@ if TYPE_CHECKING:
     from rig.curves.layers import Layer as Layer
 
     Track = EmotionTrack | Literal["auto"]
-    Next = Edge | Literal["on"]
 else:  # their modules need numpy, which a command line does without until it works
     ActorReference = Edge = EmotionTrack = IntensityCurve = Layer = Life = Any
-    Next = OtherVoice = Track = Any
+    OtherVoice = Track = Any
 
 # Text forms of the fields of an acting, parsed once, and the files that they may name.
 
@@ -55,13 +55,18 @@ AUTO: Final = "auto"
 LONGEST_LISTENING = 600.0
 """Seconds."""
 MOST_INTENSITY = 4.0
-NO_PLACE = (0.0, 0.0, 65.0)
-"""Where a listener is if no place is given: ahead; degrees and cm."""
 LONGEST_TEXT = 1 << 20
 """Letters of a text that comes from elsewhere."""
 WORDS_SUFFIXES = (".txt", ".textgrid", ".srt", ".vtt")
 VARIANT_NAMES = "; ".join(f"{name}: {', '.join(own)}" for name, own in VARIANTS.items())
-_KINDS = {".textgrid": "grid", ".srt": "subtitles", ".vtt": "subtitles"}
+SCRIPT_SUFFIXES = (".txt", ".srt", ".vtt", ".ssml", ".xml")
+_KINDS = {
+    ".ssml": "ssml",
+    ".xml": "ssml",
+    ".textgrid": "grid",
+    ".srt": "subtitles",
+    ".vtt": "subtitles",
+}
 _SUFFIX = re.compile(r"\S\.[A-Za-z][A-Za-z0-9]{1,7}$")
 _CUE = re.compile(r"^\s*[\d:]+[.,]\d+ +--> +[\d:]+[.,]\d+", re.M)
 
@@ -75,7 +80,7 @@ class Words:
     text : str
         The words themselves, or the content of the file.
     kind : str
-        ``text``, ``grid`` or ``subtitles``.
+        ``text``, ``grid``, ``subtitles`` or ``ssml``.
     source : str
         Name of the file; empty of a text.
     """
@@ -85,8 +90,15 @@ class Words:
     source: str = field(default="", compare=False)
 
     @classmethod
-    def of(cls, given: "str | Path | Words", files: Mapping[str, Path] | None = None) -> "Words":
+    def of(
+        cls,
+        given: "str | Path | Words",
+        files: Mapping[str, Path] | None = None,
+        what: str = "words",
+    ) -> "Words":
         """Read words, or the file that is named: a line that ends with a suffix such as ``.txt``.
+
+        `what` they are, ``words`` or ``script``, determines the suffixes.
 
         Raises
         ------
@@ -96,15 +108,16 @@ class Words:
         if isinstance(given, Words):
             return given
         if not isinstance(given, str | Path):
-            raise DataError(f"words {quoted(given)} must be a text or a path")
+            raise DataError(f"{what} {quoted(given)} must be a text or a path")
         text = str(given)
         if isinstance(given, Path) or _names_file(text):
             path = Path(text.strip())
             suffix = path.suffix.lower()
-            if suffix not in WORDS_SUFFIXES:
-                known = ", ".join(WORDS_SUFFIXES)
+            suffixes = WORDS_SUFFIXES if what == "words" else SCRIPT_SUFFIXES
+            if suffix not in suffixes:
+                known = ", ".join(suffixes)
                 raise DataError(
-                    f"words {quoted(str(path))}: a file of words is one of {known}; if this is "
+                    f"{what} {quoted(str(path))}: a file of words is one of {known}; if this is "
                     "spoken, end it with a full stop"
                 )
             from rig.files.reading import read_text
@@ -113,7 +126,7 @@ class Words:
             content = read_text(path, limits.TRANSCRIPT_BYTES, error=DataError)
             return cls(content, _KINDS.get(suffix, "text"), path.name)
         if len(text) > limits.TRANSCRIPT_BYTES:
-            raise DataError(f"the words have more than {limits.TRANSCRIPT_BYTES} characters")
+            raise DataError(f"the {what} have more than {limits.TRANSCRIPT_BYTES} characters")
         return cls(text if "\n" in text else text.strip(), _kind(text))
 
     def __str__(self) -> str:
@@ -128,6 +141,8 @@ def _kind(text: str) -> str:
     """Kind of a file's content that is given in place of its name."""
     if "ooTextFile" in text[:200]:
         return "grid"
+    if re.match(r"\s*(<\?xml|<!DOCTYPE|<speak\b)", text):
+        return "ssml"
     return "subtitles" if _CUE.search(text) else "text"
 
 
@@ -204,12 +219,10 @@ def read_voice(given: Any, info: ValidationInfo) -> ActorReference:
     return read_actor(_file(str(given).strip(), _files(info)))
 
 
-def read_edge(given: Any, info: ValidationInfo) -> Edge | Next:
+def read_edge(given: Any, info: ValidationInfo) -> Edge:
     """The edge of the take beside: a take folder, a file of curves, a performance, its content."""
-    from deitalk.postprocess.joins import ON, edge_of
+    from deitalk.postprocess.joins import edge_of
 
-    if info.field_name == "into" and given == ON:
-        return ON
     if isinstance(given, str | Path) and not str(given).lstrip().startswith("{"):
         given = _file(str(given).strip(), _files(info), DataError)
     return edge_of(given, str(info.field_name), last=info.field_name == "after")
@@ -227,7 +240,7 @@ def read_other(given: Any, info: ValidationInfo) -> OtherVoice:
 
 def read_words(given: Any, info: ValidationInfo) -> Words:
     """Words, a file of them, or its content."""
-    return Words.of(given, _files(info))
+    return Words.of(given, _files(info), str(info.field_name))
 
 
 def number_within(low: float, high: float) -> Callable[[Any, ValidationInfo], float]:
@@ -409,6 +422,20 @@ class Acting(BaseModel):
         "where the sound agrees.",
         examples=["My promise is big."],
     )
+    script: Annotated[Words | None, PlainValidator(read_words), _STR, _TEXT] = Field(
+        default=None,
+        description="Spoken words with how they are spoken, in place of words: tags such as "
+        "[angrily] or [laughs], SSML, subtitles; text, or a .txt, .srt, .vtt or .ssml.",
+        examples=["[whispers] Come here. [angrily] Now!"],
+        json_schema_extra=_extra(panel="Performance"),
+    )
+    role: Annotated[str | None, Field(min_length=1, max_length=100)] = Field(
+        default=None,
+        description="Whose lines, of subtitles with speakers (ANNA: …, <v Anna>); those of others "
+        "are silent.",
+        examples=["anna"],
+        json_schema_extra=_extra(panel="Performance"),
+    )
     language: Annotated[str, Field(pattern="^[A-Za-z0-9-]{2,32}$")] = Field(
         default="en-us",
         description="espeak-ng's voice for the words: en-us, en-gb, de, fr, es, cmn …",
@@ -487,16 +514,13 @@ class Acting(BaseModel):
         json_schema_extra=_extra(panel="Editing"),
     )
     into: Annotated[
-        Next | None,
+        Edge | None,
         PlainValidator(read_edge),
-        PlainSerializer(
-            lambda edge: edge if isinstance(edge, str) else edge.content, when_used="unless-none"
-        ),
+        PlainSerializer(lambda edge: edge.content, return_type=dict, when_used="unless-none"),
         WithJsonSchema({"anyOf": [{"type": "string"}, {"type": "object"}]}),
     ] = Field(
         default=None,
-        description="Take that comes next: do not come to rest, and end in its first pose; or on: "
-        "only do not come to rest.",
+        description="Take that comes next: end in its first pose, at its speeds.",
         json_schema_extra=_extra(panel="Editing"),
     )
     rules: bool = Field(

@@ -192,7 +192,7 @@ def _acting(order: Order, limits: Limits) -> Acting:
     fields = json.loads(Path(ACTING).read_text(encoding="utf-8"))
     files = {name: Path(name) for name in order["options"].get("sent", ())}
     acting = Acting.of(files=files, **fields)
-    if limits["backend"] == "onnx" and (acting.words or acting.emotion == AUTO):
+    if limits["backend"] == "onnx" and (acting.words or acting.script or acting.emotion == AUTO):
         raise CheckpointError(
             "words and emotion auto need torch; this service has the backend onnx"
         )

@@ -25,7 +25,7 @@ from rig.limits import MOST_DELAY, MOST_HANDLES
 
 NAME_PATTERN = r"^[A-Za-z0-9](?:[A-Za-z0-9 _-]{0,62}[A-Za-z0-9])?$"
 TIMECODE_PATTERN = r"^(zero|recording|[0-9]{1,2}:[0-9]{2}:[0-9]{2}([:;][0-9]{2}|\.[0-9]{1,6})?)$"
-FIELD_FILES = ("emotion", "intensity_curve", "voice", "words", "edit", "after", "into")
+FIELD_FILES = ("emotion", "intensity_curve", "voice", "words", "script", "edit", "after", "into")
 """Fields that may be files of a form."""
 Options = TypeVar("Options", bound=BaseModel)
 

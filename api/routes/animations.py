@@ -37,7 +37,7 @@ from api.messages.outgoing import JobView, ValidationView, answer_order, file_an
 from api.routes import schema
 from api.routes.deps import AnimatorDep, ServiceDep, problems
 from api.service import Service
-from deitalk.acting import LONGEST_TEXT, WORDS_SUFFIXES, user_error
+from deitalk.acting import LONGEST_TEXT, SCRIPT_SUFFIXES, WORDS_SUFFIXES, user_error
 from deitalk.emotions.track_files import TRACK_SUFFIXES
 from deitalk.errors import ConfigError
 from rig.errors import quoted
@@ -213,6 +213,7 @@ FILES: dict[str, tuple[str, tuple[str, ...]]] = {
     "intensity_curve": ("intensity", TRACK_SUFFIXES),
     "voice": ("voice", (".json",)),
     "words": ("words", WORDS_SUFFIXES),
+    "script": ("script", SCRIPT_SUFFIXES),
     "after": ("after", EDGE_SUFFIXES),
     "into": ("into", EDGE_SUFFIXES),
     "edit": ("edit", (".json",)),

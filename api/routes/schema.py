@@ -145,6 +145,9 @@ DESCRIPTIONS = {
     "voice": "A file of `deitalk data voice`; or its text.",
     "edit": "Layers of edits as a file; or the text of the option.",
     "format": "Kind of file; else that of `Accept`.",
+    "script": "A script as .txt, .srt, .vtt or .ssml; or the text of the option.",
+    "after": "The take before: a zipped take, its curves.json, or another file of curves.",
+    "into": "The same of the take that comes next.",
     "words": "Words as .txt, .TextGrid, .srt or .vtt; or the text of the option.",
 }
 

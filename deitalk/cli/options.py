@@ -120,6 +120,8 @@ def _option(name: str) -> inspect.Parameter:
         flags = [f"{flags[0]}/--no-{name}"]
     if name == "emotion":
         flags.append("-e")
+    if name == "role":
+        flags.append("--speaker")
     help_text = schema["description"]
     if schema.get("x-repeated"):
         kind, default, help_text = list[str], None, f"{help_text} Repeatable."

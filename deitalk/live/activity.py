@@ -168,10 +168,8 @@ class RunningActivity:
         since = count - np.maximum(spoken, -1 - state.silent[:, None])
         wanted = expression_after(since, until, rest[:, None], self.gates)
         wanted = np.where(np.isfinite(until), 1, wanted)
-        share, expression = (
-            np.where(np.isinf(state.share), wanted[:, 0], state.share),
-            wanted.copy(),
-        )
+        share = np.where(np.isinf(state.share), wanted[:, 0], state.share)
+        expression = wanted.copy()
         for k in count:
             share = np.clip(wanted[:, k], share - MOST_STEP, share + MOST_STEP)
             expression[:, k] = share

@@ -26,7 +26,7 @@ from deitalk.models.protocol import (
     trained_weights,
 )
 from deitalk.postprocess.factors import expression_scale, held_intensity
-from deitalk.postprocess.feeling import fade
+from deitalk.postprocess.feeling import fade, felt_intensity
 from deitalk.postprocess.joins import MOST_HEAD_FRAMES, Edge, Passage
 from deitalk.postprocess.life.amounts import Life
 from deitalk.postprocess.life.motion import Character, MotionStreams
@@ -519,7 +519,7 @@ class LiveAnimator:
         if not one.sound.end:
             return 0
         one.interrupt(samples_within(self.lookahead_seconds), frame)
-        self.resamplers[stream] = self._resampler()
+        self.resamplers[stream][0] = self._resampler()
         return frame_count(one.sound.end)
 
     def _frame(
@@ -657,10 +657,9 @@ class LiveAnimator:
         # Factors.
         rules = self.network.rules
         with_rules = ruled[:, None] > 0
-        voice = np.where(with_rules, heard.intensity, rows.strength)
-        applied, holds = voice * wanted, rows.strength
-        scale = wanted
+        felt, holds, scale = heard.intensity, rows.strength, wanted
         if rules.voice_intensity is not None:
+            felt = felt_intensity(felt, emotion, rules.voice_intensity)
             holds = held_intensity(
                 rules.expressions,
                 self.network.controls,
@@ -669,7 +668,8 @@ class LiveAnimator:
                 emotion,
                 rows.strength,
             )
-            scale = np.where(with_rules, expression_scale(applied, holds), wanted)
+            scale = np.where(with_rules, expression_scale(felt * wanted, holds), wanted)
+        applied = np.where(with_rules, felt, rows.strength) * wanted
         opening = np.where(with_rules, heard.opening, 1)
         phones = np.zeros((*scale.shape, 4), np.float32)
         back, kept, _ = heard.held

@@ -13,7 +13,7 @@ from deitalk.audio.voice_activity import BAND_EDGES_HZ, window_levels
 from deitalk.config.rules import HoldPose, RulesConfig
 from deitalk.live.activity import GATE_AHEAD, ActivityState, RunningActivity
 from deitalk.live.intensity import IntensityState, Measures, RunningIntensity, follow_means
-from deitalk.postprocess.factors import opening_factor
+from deitalk.postprocess.factors import LEARNT_USUAL, opening_factor
 from deitalk.postprocess.tracks import LIVE_AHEAD
 from rig.arrays import Bool, Float32, Float64
 
@@ -62,10 +62,11 @@ class RunningHearing:
 
     def first(self, batch: int) -> HearingState:
         """State of streams before their first frame."""
-        usual = 0.0 if self.rules.scale_opening is None else self.rules.scale_opening.usual
+        opens = self.rules.scale_opening
+        usual = (0.0, 0.0) if opens is None else (opens.usual, LEARNT_USUAL)
         intensity = () if self.intensity is None else self.intensity.first(batch)
         measured = np.zeros((batch, MEASURED_AHEAD, N_MEASURES))
-        means = np.full((batch, 2), usual)
+        means = np.tile(usual, (batch, 1))
         held = first_held(batch, len(BAND_EDGES_HZ) - 1)
         return (*self.activity.first(batch), *held, measured, means, *intensity)
 

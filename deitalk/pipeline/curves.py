@@ -30,11 +30,12 @@ from deitalk.models.protocol import (
 from deitalk.pipeline.layers import follow_recording, unused_notes
 from deitalk.pipeline.performance import Performance
 from deitalk.pipeline.speech import Speech, measure_intensities
-from deitalk.pipeline.words.transcript import Transcript
+from deitalk.pipeline.words.script import Script, TimedMark, levels, with_accents, with_emotions
+from deitalk.pipeline.words.transcript import Transcript, other_spans
 from deitalk.postprocess.control_groups import ControlGroups
 from deitalk.postprocess.factors import held_intensity, mean_around, opening_factor
 from deitalk.postprocess.feeling import state_of_intensity
-from deitalk.postprocess.joins import Edge, activity_beside, lead, unknown_controls
+from deitalk.postprocess.joins import activity_beside, lead, unknown_controls
 from deitalk.postprocess.known_phones import phone_tracks
 from deitalk.postprocess.life.motion import Motion, plan_motion
 from deitalk.postprocess.life.other import OtherVoice
@@ -52,6 +53,8 @@ if TYPE_CHECKING:
     from deitalk.pipeline.words.align import WordFit
 
 READ_ON_SAMPLES = SAMPLE_RATE // 2
+FADE_SECONDS = 0.005
+"""Half of the time over which the sound of others fades."""
 BLOCK_FRAMES = 1024
 """Frames of a recording that pass the rules at once."""
 CURVE_OVERHANG_SECONDS = 0.5  # by which an intensity curve may outlast the recording, without note
@@ -97,8 +100,8 @@ def animate(
     progress : callable
         Called with the share of the network's work that is done, 0 to 1.
     **fields
-        Of `deitalk.acting.Acting`: intensity, intensity_curve, rest, voice, style, words, language,
-        life, variant, look_at, gain, edit, listen, after, into, rules, seed.
+        Of `deitalk.acting.Acting`: intensity, intensity_curve, rest, voice, style, words, script,
+        role, language, life, variant, look_at, gain, edit, listen, after, into, rules, seed.
 
     Returns
     -------
@@ -144,6 +147,10 @@ class Prepared:
     words: Transcript | None
     clock: "_Clock"
     suggestion: Mapping[str, float] | None = None
+    said: "WordFit | None" = None
+    """Times of the words of a script."""
+    marks: "tuple[TimedMark, ...]" = ()
+    """What the script says of them."""
 
     @cached_property
     def inputs(self) -> tuple[Float32, Float32]:
@@ -177,10 +184,9 @@ def prepare(
     `load` returns the network, after the recording was read. Errors are those of `animate`.
     """
     clock = _Clock()
-    words = None if acting.words is None else Transcript.of(acting.words, acting.language)
-    if words is not None and not acting.rules:
-        raise DeitalkError("words belong to the rules, which are off; give one of the two")
+    words, script = read_words(acting)
     recording = recording_of(audio, sample_rate, choice)
+    recording = _of_role(recording, acting)
     recording = _with_note_on("intensity curve", acting.intensity_curve, recording)
     suggestion = None
     if acting.emotion == AUTO:
@@ -201,18 +207,66 @@ def prepare(
     speech = _between(Speech.of_recording(recording, rules.gates), acting)
     if acting.after is not None:
         recording = recording.noted(*unknown_controls(acting.after, network.controls))
-    weights = acting.emotion_track.at(speech.times)
+    weights, said, marks = acting.emotion_track.at(speech.times), None, ()
+    if script is not None:
+        from deitalk.pipeline.words.align import align_words
+
+        said = align_words(speech, script.transcript)
+        marks = script.timed(said, recording.duration)
+        weights = with_emotions(weights, marks, speech.times)
+        lost = ("its tags are not used: they have no times",) if script.marks and not marks else ()
+        recording = recording.noted(*script.notes(), *lost)
     style = chosen_actor(network.actors, acting.style)
     unshown = unshown_note(network.emotions, trained_weights(weights))
     recording = recording.noted(*mean_actor_note(network.actors, style), *unshown)
     return Prepared(
-        network, recording, acting, speech, weights, style, rules, factors, words, clock, suggestion
-    )
+        network, recording, acting, speech, weights, style, rules, factors, words, clock,
+        suggestion, said, marks,
+    )  # fmt: skip
+
+
+def read_words(acting: Acting) -> "tuple[Transcript | None, Script | None]":
+    """The words of an acting, or its script."""
+    if (acting.words or acting.script) and not acting.rules:
+        raise DeitalkError("words belong to the rules, which are off; give one of the two")
+    if acting.words and acting.script:
+        raise DeitalkError("a script has its words; give words or script, not both")
+    if acting.script:
+        script = Script.of(acting.script, acting.language, acting.role)
+        return script.transcript, script
+    if acting.words is None:
+        return None, None
+    return Transcript.of(acting.words, acting.language, acting.role), None
+
+
+def _of_role(recording: Recording, acting: Acting) -> Recording:
+    """The recording, silent where others than the role speak."""
+    given = acting.script or acting.words
+    if acting.role is None:
+        return recording
+    if given is None:
+        raise DeitalkError(
+            f"role {quoted(acting.role)} needs lines with times; give words or a script as .srt "
+            "or .vtt"
+        )
+    spans = other_spans(given, given.source or "the subtitles", acting.role)
+    if not spans:
+        return recording
+    heard = np.ones(len(recording.waveform), np.float32)
+    fade = round(FADE_SECONDS * recording.sample_rate)
+    for begin, end in spans:
+        first, stop = (round(seconds * recording.sample_rate) for seconds in (begin, end))
+        heard[max(first, 0) : max(stop, 0)] = 0
+    kernel = np.ones(2 * fade + 1, np.float32) / (2 * fade + 1)
+    heard = np.convolve(np.pad(heard, fade, mode="edge"), kernel, mode="valid")
+    silent = replace(recording, waveform=recording.waveform * heard.astype(np.float32))
+    seconds = sum(end - begin for begin, end in spans)
+    return silent.noted(f"silent where others than {acting.role} speak: {seconds:.1f} s")
 
 
 def _notes_on_unused(acting: Acting, rules: RulesConfig) -> Iterator[str]:
     """Notes on fields that are given and change nothing."""
-    if acting.words is None and "language" in acting.settings:
+    if not (acting.words or acting.script) and "language" in acting.settings:
         yield f"language {acting.language} is of words: none are given"
     if rules.expressions is not None:
         yield from unused_variants(acting.variant, acting.emotion_track.weights)
@@ -285,9 +339,13 @@ def finish(
     # Intensity: of the voice, and what the reading holds of it.
     speaking = speech.activity > 0
     held = partial(held_intensity, rules.expressions, network.controls, neutral, emotional, weights)
-    intensities = measure_intensities(speech, tracks, acting, rules.voice_intensity, held)
+    factor = levels(prepared.marks, speech.times) if prepared.marks else 1.0
+    intensities = measure_intensities(
+        speech, tracks, acting, rules.voice_intensity, held, weights, factor
+    )
     clock.lap("network")
     # Times of the words in the sound.
+    words = words or prepared.said
     if words is None and prepared.words is not None:
         from deitalk.pipeline.words.align import align_words
 
@@ -340,6 +398,7 @@ def finish(
         words,
         prepared.suggestion,
         asdict(traits),
+        prepared.marks,
     )
 
 
@@ -401,12 +460,11 @@ def _between(speech: Speech, acting: Acting) -> Speech:
 
 def _join(controls: ControlSet, values: Float32, head: Float32 | None, acting: Acting) -> None:
     """Have the curves [shape=(T, C)] and the head begin and end at the takes beside them."""
-    nexts = [edge for edge in (acting.into,) if isinstance(edge, Edge)]
-    most = len(values) // 2 if nexts else None
+    most = len(values) // 2 if acting.into is not None else None
     if acting.after is not None:
         lead(values, head, controls, acting.after, most=most)
-    for edge in nexts:
-        lead(values, head, controls, edge, last=True, most=most)
+    if acting.into is not None:
+        lead(values, head, controls, acting.into, last=True, most=most)
 
 
 def _traits(prepared: Prepared) -> Traits:
@@ -437,7 +495,7 @@ def _motion(prepared: Prepared, shown: Float32, traits: Traits) -> Motion | None
     emotions = shown.sum(axis=0)
     emotion = int(emotions[1:].argmax()) + 1 if emotions[1:].any() else 0
     seeds = Seeds.of(speech.waveform, prepared.style, acting.seed, emotion)
-    voice = measure_voice(speech.activity, speech.prosody)
+    voice = with_accents(measure_voice(speech.activity, speech.prosody), prepared.marks)
     if other is None:
         return plan_motion(voice, shown, seeds, idle, life, traits)
     heard, felt = other.voice(speech.n_frames), other.felt(speech.n_frames)

@@ -47,6 +47,7 @@ from rig.formats.livelink_csv import take_name
 
 if TYPE_CHECKING:
     from deitalk.pipeline.words.align import WordFit
+    from deitalk.pipeline.words.script import TimedMark
     from rig.mesh import TriMesh
 
 
@@ -157,6 +158,8 @@ class Performance:
         Probabilities of the emotions that the voice suggests, of the emotion ``auto``.
     traits : mapping of str to float
         Of the character (`deitalk.postprocess.life.voice.Traits`); takes that follow keep them.
+    marks : tuple of TimedMark
+        What a script says of the words, with their times: emotions, accents, sounds.
     """
 
     curves: RigCurves
@@ -171,6 +174,7 @@ class Performance:
     words: "WordFit | None" = None
     suggestion: Mapping[str, float] | None = None
     traits: Mapping[str, float] = field(default_factory=dict)
+    marks: "tuple[TimedMark, ...]" = ()
 
     @property
     def emotion(self) -> str:
@@ -509,6 +513,10 @@ def _fill(
         "start_seconds": start,
         "delay_frames": delay,
         HANDLES: handles,
+        "marks": [
+            {**mark._asdict(), "start": round(mark.start, 3), "end": round(mark.end, 3)}
+            for mark in performance.marks
+        ],
         "frames": len(curves),
         "settings": acting.settings,
         "procedural_emotions": performance.moods,

@@ -40,7 +40,13 @@ from deitalk.errors import AudioError
 from deitalk.models.load import load_network
 from deitalk.models.protocol import CurveNetwork, Tracks
 from deitalk.postprocess.factors import expression_scale
-from deitalk.postprocess.feeling import expression_share, mouth_gate, phrases, voice_intensity
+from deitalk.postprocess.feeling import (
+    expression_share,
+    felt_intensity,
+    mouth_gate,
+    phrases,
+    voice_intensity,
+)
 from deitalk.postprocess.life.voice import Seeds, Traits
 from rig.arrays import Float32, Float64
 from rig.curves.edit import gaussian_smooth
@@ -123,8 +129,8 @@ class Speech:
 
     @property
     def is_cut(self) -> bool:
-        """Whether the recording ends in speech, or goes on."""
-        return bool(len(self.after) or self.activity[-1 - CUT_FRAMES :].any())
+        """Whether the recording ends in speech."""
+        return bool(self.activity[-1 - CUT_FRAMES :].any())
 
     @cached_property
     def mouth(self) -> Float32:
@@ -172,8 +178,7 @@ class Speech:
         """The same, and that of each frame's phrase [shape=(T,)], which changes little within it.
 
         Of a short phrase, which is measured badly, it is nearer to the whole. With a network's
-        readout of the effort [shape=(T,), dB] the two are averaged; the command of
-        `deitalk.research.training.effort` prints how it orders the takes of unheard actors.
+        readout of the effort [shape=(T,), dB] the two are averaged.
         """
         strength, around = self._followed_strength
         speaking = self.activity > 0
@@ -221,7 +226,7 @@ class Intensities(NamedTuple):
     share: Float32
     """Share of the expression that is shown, 0 to 1."""
     predicted: Float32
-    """`voice` times `share`, 0 to 1.2."""
+    """That of the voice in the emotion, times `share`, 0 to 1.2."""
     applied: Float32
     """`predicted`, or the curve that was given, times the factor, 0 to 4.8."""
     scale: Float32
@@ -235,13 +240,17 @@ def measure_intensities(
     acting: Acting,
     rule: VoiceIntensity | None = VoiceIntensity(),
     held: Callable[[Float32], Float32] = lambda network: network,
+    weights: Float32 | None = None,
+    factor: Float32 | float = 1.0,
 ) -> Intensities:
     """Intensity to apply in each frame, from the network, the voice and the acting.
 
     A network without an intensity module counts as one that predicts 1 everywhere. Without the
     `rule` of the voice's intensity the emotional reading is shown as it is, times the factor.
-    `held` gives the intensity that the emotional reading holds from the predicted one. A curve of
-    the intensity and keyframes of the emotion are shown as drawn, in silence too.
+    `held` gives the intensity that the emotional reading holds from the predicted one. Of a script
+    come `weights` of the emotions [shape=(T, 9)], in place of the acting's, and a `factor`
+    [shape=(T,)] on the intensity. A curve of the intensity and keyframes
+    of the emotion are shown as drawn, in silence too.
     """
     network = np.ones(speech.n_frames, np.float32)
     saliency = np.zeros(speech.n_frames, np.float32)
@@ -255,13 +264,17 @@ def measure_intensities(
     share = np.ones(speech.n_frames, np.float32)
     if curve is None and not acting.is_keyed:
         share = speech.share(acting.rest)
-    wanted = voice if curve is None else curve.at(speech.times).astype(np.float32)
-    whole = np.asarray(wanted * acting.intensity, np.float32)
+    felt = voice
+    if rule is not None:
+        emotions = acting.emotion_track.at(speech.times) if weights is None else weights
+        felt = felt_intensity(voice, emotions, rule)
+    wanted = felt if curve is None else curve.at(speech.times).astype(np.float32)
+    whole = np.asarray(wanted * acting.intensity * factor, np.float32)
     holds = held(network)
     scale = expression_scale(whole, holds)
     if rule is None and curve is None:
         scale = np.full(speech.n_frames, acting.intensity, np.float32)
-    predicted = voice * share if curve is None else voice * speech.share(acting.rest)
+    predicted = felt * (share if curve is None else speech.share(acting.rest))
     return Intensities(saliency, network, holds, voice, share, predicted, whole * share, scale)
 
 

@@ -12,6 +12,9 @@ reaches, is above 1. The *display* is what a listener sees change within a phras
 tilt and the network's prediction about their means. It is small, has a mean of 0 in each phrase,
 and ends with the voice.
 
+The intensity that is felt is that of the voice, but for sadness, in which people are quieter
+(`felt_intensity`); the mouth opens by that of the voice.
+
 The *share* is 1 in speech. It rises over the half second before speech, decays over seconds after
 it to the share that stays in silence (`Acting.rest`), and goes to 0 where speech is far, so that a
 face is at rest in its emotion before and after it speaks. An intensity curve or keyframes of the
@@ -38,12 +41,13 @@ from deitalk.audio.vocal_strength import (
     Prosody,
 )
 from deitalk.config.rules import Gates, VoiceIntensity
+from deitalk.emotions import by_emotion
 from rig.arrays import AnyFloat, Bool, Float32, Float64, Int64
 from rig.curves.edit import gaussian_smooth
 
 FAINTEST, STEEPNESS = 0.15, 1.3
-"""Lowest intensity that a network is taught, and its slope per standard deviation of liveliness
-(`deitalk.research.corpus.rig_targets`)."""
+"""Lowest intensity that a network is taught, and its slope per standard deviation of liveliness,
+as in the training corpus."""
 READY_FRAMES = 3
 """Frames before speech (0.1 s) at which the whole expression is there."""
 MOST = 1.2
@@ -52,6 +56,8 @@ SMOOTHING_FRAMES = 6.0
 """Sigma, 0.2 s: the display does not follow single syllables."""
 MOST_DISPLAY = 3.0
 """Limit of the standard deviations of the display."""
+QUIETER_DB = by_emotion({"neutral": (0.0,), "sad": (4.0,)})
+"""Decibels by which people are quieter in an emotion, which is no weakness of it, by emotion."""
 PAUSE_FRAMES = 8
 """Longest silence within a phrase, 0.27 s."""
 LEVEL_SHARE, TONE_SHARE = 0.9, 0.3
@@ -206,6 +212,22 @@ def state_of(strength: Float32 | Float64 | float, rule: VoiceIntensity) -> Float
 def intensity_of(state: Float64) -> Float32:
     """Intensity of a state with its display."""
     return np.asarray(MOST / (1 + np.exp(-state)), np.float32)
+
+
+def felt_intensity(voice: Float32, weights: Float32, rule: VoiceIntensity) -> Float32:
+    """Intensity of the emotion that a voice is acted in: a quiet voice may be very sad.
+
+    Parameters
+    ----------
+    voice : array [shape=(..., T), range 0 to 1.2]
+        Of the voice.
+    weights : array [shape=(..., T, 9)]
+        Emotion of each frame.
+    rule : VoiceIntensity
+        State per decibel.
+    """
+    quieter = np.exp(rule.per_decibel * (weights @ QUIETER_DB)[..., 0])
+    return np.asarray(MOST * quieter * voice / (MOST + (quieter - 1) * voice), np.float32)
 
 
 def state_of_intensity(intensity: float) -> float:

@@ -10,7 +10,7 @@ import re
 import tempfile
 import unicodedata
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, lru_cache
 from pathlib import Path
 
@@ -336,7 +336,9 @@ class Transcript:
     source: str
 
     @classmethod
-    def of(cls, given: str | Path | Words, language: str = LANGUAGE) -> "Transcript":
+    def of(
+        cls, given: str | Path | Words, language: str = LANGUAGE, role: str | None = None
+    ) -> "Transcript":
         """Words of a text or a file, see `deitalk.acting.Words`.
 
         Parameters
@@ -345,11 +347,13 @@ class Transcript:
             Text or a path.
         language : str
             Voice of espeak-ng that pronounces words: ``en-us``, ``de``, ``cmn`` …
+        role : str, optional
+            Speaker of subtitles whose words are read; all by default.
 
         Raises
         ------
         DataError
-            If there is no word, or the file is not as described.
+            If there is no word, no such speaker, or the file is not as described.
         MissingError
             If espeak-ng is not installed.
         ConfigError
@@ -358,18 +362,24 @@ class Transcript:
         words = Words.of(given)
         check_language(language)
         source = words.source or shorten(words.text, 60)
+        if words.kind == "grid" and role is not None:
+            raise DataError(f"role {quoted(role)} needs lines with speakers; give a .srt or a .vtt")
         if words.kind == "grid":
             rows = _tier(words.text, source)
             found = [Word(label, _phones_of(label, language), *times) for *times, label in rows]
-        elif words.kind == "subtitles":
-            found = [
-                Word(word.text, word.phones, start - CUE_SECONDS, end + CUE_SECONDS)
-                for start, end, text in _cues(words.text, source)
-                for word in _pronounced(text, language)
-            ]
+        elif words.kind == "ssml":
+            raise DataError(f"words {source}: SSML is a script; give it as script")
+        elif words.kind == "subtitles" or role is not None:
+            cues = cues_of(words, source, role)
+            found = [word for cue in cues for word in cue.words(cue.text, language)]
         else:
             found = _pronounced(_checked_text(words.text), language)
         return cls(_checked(found, source), source)
+
+
+def spoken_transcript(words: Iterable[Word], source: str) -> Transcript:
+    """A transcript of words; DataError if none is pronounced."""
+    return Transcript(_checked(words, source), source)
 
 
 def check_language(language: str) -> None:
@@ -405,6 +415,11 @@ def _checked(words: Iterable[Word], source: str) -> tuple[Word, ...]:
 # --- words
 
 
+def bare(word: str) -> str:
+    """A word as written, without the marks around it."""
+    return word.strip(",.!?;:\"'()…«»")
+
+
 def _pronounced(text: str, language: str) -> list[Word]:
     """Words of a text with their phones, clause by clause."""
     words: list[Word] = []
@@ -417,7 +432,7 @@ def _pronounced(text: str, language: str) -> list[Word]:
             parts = [(w, phones) for w in written for phones in _spoken(w, language)]
         else:
             parts = list(zip(written, spoken, strict=True))
-        words += [Word(word.strip(",.!?;:\"'()…«»"), phones) for word, phones in parts]
+        words += [Word(bare(word), phones) for word, phones in parts]
     return words
 
 
@@ -452,15 +467,138 @@ def _tier(text: str, source: str) -> list[Interval]:
     return rows
 
 
-def _cues(text: str, source: str) -> list[Interval]:
-    """Texts of SubRip or WebVTT subtitles in the order of their times."""
+_SPEAKER = re.compile(r"\s*([A-Z][A-Z0-9 .'&_-]{0,30}):\s+")
+"""A speaker before a line: ``ANNA: …``."""
+_VOICE = re.compile(r"<v(?:\.[^\s>]*)?\s+([^>]{1,100})>")
+_MARK = "\u2063"
+"""Invisible letter around the name of a voice, which the reader of subtitles keeps."""
+
+
+@dataclass(frozen=True)
+class Cue:
+    """A line that somebody speaks.
+
+    Attributes
+    ----------
+    text : str
+        As written, without the speaker.
+    start, end : float or None
+        Seconds, of subtitles.
+    speaker : str
+        Empty where none is named.
+    """
+
+    text: str = ""
+    start: float | None = None
+    end: float | None = None
+    speaker: str = ""
+
+    def words(self, text: str, language: str) -> list[Word]:
+        """Words of a text of it, within its times."""
+        found = _pronounced(_checked_text(text), language)
+        if self.start is None or self.end is None:
+            return found
+        times = self.start - CUE_SECONDS, self.end + CUE_SECONDS
+        return [Word(word.text, word.phones, *times) for word in found]
+
+
+def cues_of(
+    words: Words, source: str, role: str | None = None, *, brackets: bool = False
+) -> list[Cue]:
+    """Lines of a text or of subtitles, those of one speaker if a role is given.
+
+    Parameters
+    ----------
+    words : Words
+        A text or subtitles.
+    source : str
+        Its name, for messages.
+    role : str, optional
+        A speaker, in any case of letters.
+    brackets : bool
+        Keep what stands in brackets, which is not spoken.
+
+    Raises
+    ------
+    DataError
+        If there is no subtitle, or none of the role.
+    """
+    if words.kind == "subtitles":
+        found = _subtitles(words.text, source)
+    elif role is not None:
+        raise DataError(f"role {quoted(role)} needs lines with times; give a .srt or a .vtt")
+    else:
+        found = [_spoken_by(line, None, None) for line in words.text.splitlines() if line.strip()]
+    if not brackets:
+        found = [replace(cue, text=_BRACKETS.sub(" ", cue.text)) for cue in found]
+    return found if role is None else [cue for cue in found if _is(cue, role, found, source)]
+
+
+def other_spans(words: Words, source: str, role: str) -> list[tuple[float, float]]:
+    """Seconds in which others speak and the role does not."""
+    found = cues_of(words, source)
+    spans = []
+    own = [(c.start, c.end) for c in found if c.speaker.casefold() == role.casefold()]
+    for cue in found:
+        if not cue.speaker or cue.speaker.casefold() == role.casefold():
+            continue
+        pieces = [(cue.start or 0.0, cue.end or 0.0)]
+        for begin, end in own:
+            pieces = [
+                part
+                for first, last in pieces
+                for part in ((first, min(last, begin or 0.0)), (max(first, end or 0.0), last))
+                if part[1] > part[0]
+            ]
+        spans += pieces
+    return spans
+
+
+def _is(cue: Cue, role: str, cues: list[Cue], source: str) -> bool:
+    """Whether a cue is of a role, which one of them must be."""
+    speakers = dict.fromkeys(c.speaker for c in cues if c.speaker)
+    if role.casefold() not in {speaker.casefold() for speaker in speakers}:
+        known = ", ".join(speakers) or "none"
+        raise DataError(f"role {quoted(role)} is no speaker of {source}; there are: {known}")
+    return cue.speaker.casefold() == role.casefold()
+
+
+def _subtitles(text: str, source: str) -> list[Cue]:
+    """Cues of SubRip or WebVTT subtitles in the order of their times."""
     import pysubs2
 
     plain = re.sub(r"(?m)^(NOTE|STYLE|REGION)\b.*(\n.+)*", "", "\n".join(text.splitlines()))
     form = "vtt" if plain.startswith("WEBVTT") else "srt"
-    cues = pysubs2.SSAFile.from_string(plain, format_=form)
-    cues.sort()
-    rows = [(cue.start / 1000, cue.end / 1000, _BRACKETS.sub(" ", cue.plaintext)) for cue in cues]
+    plain = _VOICE.sub(lambda match: f"{_MARK}{match[1].strip()}{_MARK}", plain)
+    events = pysubs2.SSAFile.from_string(plain, format_=form)
+    events.sort()
+    rows = []
+    for event in events:
+        before, *voices = event.plaintext.split(_MARK)
+        pieces = [("", before), *zip(voices[::2], voices[1::2], strict=False)]
+        for speaker, said in pieces:
+            if said.strip():
+                times = event.start / 1000, event.end / 1000
+                lines = said.splitlines() if not speaker else [said]
+                rows += _joined_lines([_spoken_by(line, *times, speaker) for line in lines])
     if not rows:
         raise DataError(f"{source}: no subtitle with times such as 00:00:01,000 --> 00:00:02,500")
     return rows
+
+
+def _spoken_by(text: str, start: float | None, end: float | None, speaker: str = "") -> Cue:
+    match = None if speaker else _SPEAKER.match(text)
+    if match is None:
+        return Cue(text, start, end, speaker)
+    return Cue(text[match.end() :], start, end, match[1].strip())
+
+
+def _joined_lines(cues: list[Cue]) -> list[Cue]:
+    """Lines of one subtitle; those without a speaker go on with the line before."""
+    found: list[Cue] = []
+    for cue in cues:
+        if found and not cue.speaker:
+            found[-1] = replace(found[-1], text=f"{found[-1].text} {cue.text}")
+        else:
+            found.append(cue)
+    return found

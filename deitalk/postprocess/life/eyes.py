@@ -279,7 +279,7 @@ class Gaze:
         """Avert the gaze before a phrase, in a pause and within a long phrase."""
         within = (cues.kind == SPEECH) & (cues.size % WITHIN_EVERY == 0)
         within &= np.isnan(cues.stop) | (cues.time < cues.stop - 0.5)
-        pause = (cues.kind == PAUSE) & (cues.size == AVERTED_PAUSE)
+        pause = (cues.kind == PAUSE) & (cues.size == AVERTED_PAUSE) & (cues.time > 0)
         starts = cues.kind == START
         chance = np.select((starts, pause, within), (START_SHARE, PAUSE_SHARE, WITHIN_SHARE))
         shares = uniforms(self.keys[cues.stream], np.round(cues.time * FRAME_RATE), 7)

@@ -8,8 +8,8 @@
   in sadness (AU1, AU4), all in surprise (AU1, AU2, AU5), cheeks and lower lids in happiness (AU6)
   (Ekman 1979; Ekman, Friesen and Hager 2002). A neutral face raises or knits them.
 - A face at rest is not still: it smiles a little, tightens a lid, knits or raises its brows, one
-  after the other, and is still between (`IDLE`). Ranges, speeds and shares of stillness of a neutral
-  take are of the size of five captured ones (docs/life.md).
+  after the other, and is still between (`IDLE`). Ranges, speeds and shares of stillness of a
+  neutral take are of the size of five captured ones (docs/life.md).
 - Onsets of 150 to 400 ms and slower offsets, as of spontaneous brow raises and smiles (Schmidt,
   Cohn and Tian 2003).
 - Sides differ by 10 to 15 %, by the character and from event to event (`voice.ASYMMETRY`); a few
@@ -48,8 +48,8 @@ UPPER = 7
 ACCENTS: dict[str, tuple[float, ...]] = {
     "angry": (-0.12, -0.10, 0.24, 0.08, 0.18, 0.12, -0.04, 0.0, 0.06),
     "happy": (0.14, 0.16, 0.0, 0.0, 0.10, 0.16, -0.02, 0.0, 0.0),
-    "sad": (0.24, 0.0, 0.08, 0.12, 0.08, 0.0, 0.04, 0.0, 0.0),
-    "surprised": (0.24, 0.26, 0.0, 0.0, 0.0, 0.0, -0.16, 0.0, 0.0),
+    "sad": (0.34, 0.0, 0.08, 0.12, 0.08, 0.0, 0.04, 0.0, 0.0),
+    "surprised": (0.28, 0.32, 0.0, 0.0, 0.0, 0.0, -0.16, 0.0, 0.0),
     "fear": (0.24, 0.14, 0.06, 0.14, 0.0, 0.0, -0.14, 0.0, 0.0),
     "disgust": (-0.08, -0.08, 0.16, 0.04, 0.16, 0.12, 0.02, 0.0, 0.14),
     "contempt": (0.06, 0.14, 0.0, 0.0, 0.06, 0.0, 0.05, 0.0, 0.02),
@@ -73,11 +73,11 @@ MIRROR: dict[str, tuple[float, ...]] = {
 """Pose of a listener who feels with a speaker in full; a frown of concern for anger."""
 GESTURES: dict[str, tuple[float, ...]] = {
     "raise": (0.44, 0.22, 0.0, 0.20, 0.0, 0.04, -0.10, 0.0, 0.0),
-    "knit": (0.0, 0.0, 0.40, 0.20, 0.16, 0.04, 0.02, 0.0, 0.14),
+    "knit": (0.0, 0.0, 0.35, 0.20, 0.16, 0.04, 0.02, 0.0, 0.12),
     "frown": (0.0, 0.0, 0.22, 0.18, 0.10, 0.0, 0.02, 0.0, 0.05),
     "question": (0.22, 0.16, 0.0, 0.06, 0.0, 0.02, -0.06, 0.0, 0.0),
-    "smile": (0.0, 0.0, 0.0, 0.0, 0.12, 0.18, 0.02, 0.30, 0.0),
-    "squint": (0.0, 0.0, 0.02, 0.0, 0.26, 0.05, 0.03, 0.0, 0.0),
+    "smile": (0.0, 0.0, 0.0, 0.0, 0.17, 0.20, 0.02, 0.30, 0.0),
+    "squint": (0.0, 0.0, 0.02, 0.0, 0.24, 0.05, 0.03, 0.0, 0.0),
     "sneer": (0.0, 0.0, 0.02, 0.0, 0.08, 0.05, 0.0, 0.0, 0.18),
     "lids": (0.0, 0.0, 0.0, 0.0, 0.04, 0.0, 0.10, 0.0, 0.0),
 }
@@ -107,17 +107,22 @@ IDLE = (
     Idle("sneer", 6.8, 0.80, (0.35, 1.00), (0.15, 0.30), (0.1, 0.6), (0.3, 0.6), 1.0),
     Idle("knit", 5.3, 0.80, (0.25, 0.60), (0.25, 0.45), (0.3, 1.2), (0.5, 0.9), 0.0),
     Idle("raise", 4.7, 0.80, (0.25, 0.60), (0.25, 0.45), (0.2, 0.9), (0.5, 0.9), 0.0),
-    Idle("lids", 2.6, 0.80, (-0.8, 1.0), (0.20, 0.50), (0.3, 1.0), (0.3, 0.6), 1.0),
+    Idle("lids", 2.1, 0.85, (-0.8, 1.0), (0.20, 0.50), (0.3, 1.0), (0.3, 0.6), 1.0),
+    Idle("lids", 1.7, 0.90, (-0.6, 0.8), (0.30, 0.60), (0.1, 0.5), (0.3, 0.6), 0.0),
+    Idle("squint", 2.9, 0.80, (0.10, 0.35), (0.30, 0.60), (0.1, 0.6), (0.5, 0.9), 0.0),
+    Idle("smile", 3.7, 0.80, (0.10, 0.40), (0.40, 0.80), (0.2, 0.8), (0.7, 1.2), 0.0),
+    Idle("raise", 3.3, 0.80, (0.08, 0.25), (0.30, 0.60), (0.1, 0.6), (0.6, 1.0), 0.0),
 )
+"""The last ones are of a face that is silent, which is never frozen."""
 KNIT_SHARE = 0.35
 """Accents of a neutral face that knit the brows instead of raising them."""
 QUESTION_SECONDS, QUESTION_LEAD = (0.4, 0.35, 0.8), 0.15
-DRIFT, DRIFT_SECONDS = (0.006, 0.006, 0.004, 0.004, 0.006, 0.005, 0.014, 0.003, 0.0), 0.7
+DRIFT, DRIFT_SECONDS = (0.008, 0.008, 0.006, 0.005, 0.012, 0.008, 0.018, 0.006, 0.003), 0.5
 """Standard deviation of slow noise, control units."""
 HELD_SPREAD, HELD_SECONDS = 0.1, 2.0
 """Standard deviation of the slow factor on `HELD`."""
 LEAD_SECONDS, LEAD_SPREAD = 0.09, 0.02
-ATTACK_SECONDS, HOLD_SECONDS, DECAY_SECONDS = (0.18, 0.3), (0.04, 0.16), (0.35, 0.7)
+ATTACK_SECONDS, HOLD_SECONDS, DECAY_SECONDS = (0.2, 0.32), (0.04, 0.16), (0.35, 0.7)
 LEAST_HEIGHT, HEIGHT_SPREAD = 0.35, (0.85, 1.15)
 """Height of the weakest accent, and what the seed changes of any."""
 EVENT_SIDE, MOST_UNEVEN = 0.1, 0.15

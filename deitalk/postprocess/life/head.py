@@ -130,7 +130,9 @@ _POSTURES = by_emotion(POSTURE)
 _LIVELY = np.array([LIVELINESS.get(name, 1.0) for name in LABELS])
 POSTURE_SECONDS = 0.35
 """Over which a posture, and the raise of speech, come and go."""
-QUIET_BREATH = 0.1
+POSTURE_SHARE = 1.4 / (POSTURE_SECONDS * FRAME_RATE)
+"""Share of a frame in each of the two filters of the posture."""
+QUIET_BREATH = 0.13
 """Breath of the neck in silence, on the average."""
 PITCH, UP, BREATH, SWALLOWS = 1, 4, 6, 7
 CHANNELS = 8
@@ -335,19 +337,27 @@ class Head:
         total[..., SWALLOWS] *= 1 - speaks
         return total
 
+    def _wanted(self, streams: Int64, mixture: Float32) -> Float64:
+        side = np.ones((len(streams), 1, len(HEAD)))
+        side[:, 0, 2] = np.where(self.side[streams] >= 0, 1, -1)
+        wanted: Float64 = mixture @ _POSTURES * side
+        return wanted
+
+    def settle(self, streams: Int64, mixture: Float32) -> None:
+        """Begin streams in the posture of an emotion [shape=(B, 1, S)]."""
+        wanted = (1 - POSTURE_SHARE) * self._wanted(streams, mixture)[:, 0]
+        self.held[streams] = wanted[..., None]
+
     def postures(self, streams: Int64, mixture: Float32) -> Float64:
         """Posture of the emotion in the next frames [shape=(B, n, 6)], which comes and goes slowly.
 
         `mixture` [shape=(B, n, S)] is the emotion shown: weights times intensity.
         """
-        share = 1.4 / (POSTURE_SECONDS * FRAME_RATE)
-        side = np.ones((len(streams), 1, len(HEAD)))
-        side[:, 0, 2] = np.where(self.side[streams] >= 0, 1, -1)
-        wanted = mixture @ _POSTURES * side
+        wanted = self._wanted(streams, mixture)
         near, held = np.moveaxis(self.held[streams], -1, 0)
         near, held = near[:, None], held[:, None]
-        rows, near = lfilter([share], [1, share - 1], wanted, axis=1, zi=near)
-        rows, held = lfilter([share], [1, share - 1], rows, axis=1, zi=held)
+        rows, near = lfilter([POSTURE_SHARE], [1, POSTURE_SHARE - 1], wanted, axis=1, zi=near)
+        rows, held = lfilter([POSTURE_SHARE], [1, POSTURE_SHARE - 1], rows, axis=1, zi=held)
         self.held[streams] = np.stack((near[:, 0], held[:, 0]), axis=-1)
         return np.asarray(rows, np.float64)
 

@@ -186,6 +186,8 @@ class MotionStreams:
         streams = np.arange(len(self.n_frames)) if streams is None else streams
         count, mixture = speaking.shape[1], np.minimum(mixture, MOST_SHOWN)
         first = self.n_frames[streams]
+        if (begins := streams[first == 0]).size and count:  # as if it had been so before
+            self._settle(begins, speaking[first == 0, :1], mixture[first == 0, :1])
         self.n_frames[streams] += count
         blinks, gaze, brows, amount = self.amounts[:, streams, None, None]
         place = self._places(streams, first[:, None] + np.arange(count))
@@ -217,6 +219,12 @@ class MotionStreams:
             still * brows,
         )
         return Motion(tracks, head)
+
+    def _settle(self, streams: Int64, speaking: AnyFloat | Bool, mixture: Float32) -> None:
+        """Begin streams in the state that their first frame holds."""
+        for seconds, states in ((POSTURE_SECONDS, self.speaks), (TALK_SECONDS, self.talks)):
+            states[streams] = (1 - 1 / (seconds * FRAME_RATE)) * speaking
+        self.head.settle(streams, mixture)
 
     def _mirror(self, streams: Int64, shown: Float32, felt: Float32 | None) -> Float64 | float:
         """Gestures of a listener who feels with another one [shape=(B, n, 2 K)]."""

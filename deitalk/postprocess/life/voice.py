@@ -324,7 +324,7 @@ def measure_voice(activity: Float32, prosody: Prosody) -> Voice:
 
 def _accents(weighted: Float64) -> Iterator[Accent]:
     """Yield the highest peaks, no more than `ACCENTS_PER_SECOND` of speech."""
-    most = math.ceil(ACCENTS_PER_SECOND * np.isfinite(weighted).sum() / FRAME_RATE)
+    most = max(round(ACCENTS_PER_SECOND * np.isfinite(weighted).sum() / FRAME_RATE), 1)
     for top in _tops(weighted, ACCENT_DISTANCE)[:most]:
         if weighted[top] >= LEAST_ACCENT:
             yield Accent(top, min(float(weighted[top]) / FULL_ACCENT, 1.0))

@@ -9,6 +9,7 @@ import torch
 from deitalk.emotions import EMOTIONS
 from deitalk.errors import AudioError, CheckpointError, EmotionError
 from deitalk.live.animator import LiveAnimator
+from deitalk.postprocess.control_groups import ControlGroups
 from tests.deitalk.live.conftest import RATE
 from tests.each import each
 
@@ -91,7 +92,7 @@ def test_changes_hold_from_the_sound_on_that_comes_next(tiny, voice, rng):
     assert np.abs(frames[:28] - plain[:28]).max() < CLOSE  # contacts are known two frames ahead
     assert np.abs(frames[36:50] - plain[36:50]).max() > 0.02
     angry = whole(tiny, voice, emotion="angry", intensity=2.0)
-    controls = [i for i, name in enumerate(animator.names) if "_eye.t" not in name]
+    controls = [i for i, n in enumerate(animator.names) if "_eye.t" not in n and "blink" not in n]
     settled = np.abs(frames[70:] - angry[70:])  # older than every layer's past
     assert settled[:, controls].max() < CLOSE
     assert settled.max() < 0.01  # the head's posture, which the eyes undo, comes slowly
@@ -104,7 +105,32 @@ def test_intensity_0_gives_the_neutral_reading(tiny, voice):
 
 def test_mouth_rests_in_silence(tiny):
     frames = whole(tiny, np.zeros(2 * RATE, np.float32), emotion="happy", life="off")
-    assert np.abs(frames - tiny.controls.rest).max() < 1e-6
+    mouth = ControlGroups(tiny.controls).follows_mouth
+    assert np.abs(frames - tiny.controls.rest)[:, mouth].max() < 1e-6
+
+
+@pytest.mark.parametrize("rest", [0.0, 0.5, 1.0])
+def test_expression_rests_in_silence_and_rest_changes_it(tiny, rest):
+    """Before any speech as after it; over a fifth of a second."""
+    live = LiveAnimator(tiny, "happy", rest=rest, life="off")
+    neutral = whole(tiny, np.zeros(4 * RATE, np.float32), emotion="neutral", life="off")
+    first = live.feed(np.zeros(2 * RATE, np.float32))
+    live.set(rest=0.0)
+    last = np.concatenate((live.feed(np.zeros(2 * RATE, np.float32)), live.finish()))
+    smile = tiny.controls.index("CTRL_L_mouth_cornerPull.ty")
+    shown = first[30, smile] - neutral[30, smile]
+    assert shown == pytest.approx(rest * 2 * whole_smile(tiny), rel=0.05, abs=1e-3)
+    assert np.abs(last[20:] - neutral[-len(last) + 20 :]).max() < 0.02
+    shown = (np.concatenate((first, last)) - neutral)[:, smile]
+    assert np.abs(np.diff(shown)).max() <= 0.2, "no jump"
+
+
+def whole_smile(tiny):
+    """Smile of half the share in silence."""
+    frames = whole(tiny, np.zeros(2 * RATE, np.float32), emotion="happy", rest=0.5, life="off")
+    plain = whole(tiny, np.zeros(2 * RATE, np.float32), emotion="happy", rest=0.0, life="off")
+    smile = tiny.controls.index("CTRL_L_mouth_cornerPull.ty")
+    return float(frames[30, smile] - plain[30, smile])
 
 
 def test_other_rates_and_integers_are_read(tiny, voice):

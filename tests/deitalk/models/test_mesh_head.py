@@ -57,7 +57,7 @@ def network(tmp_path_factory):
 def no_gates(monkeypatch):
     """Gates open and intensity as the network predicts it, for tones, which are no speech."""
     monkeypatch.setattr(
-        speech_module, "expression_gate", lambda activity, gates: np.ones_like(activity)
+        speech_module, "expression_share", lambda activity, *rest: np.ones_like(activity)
     )
     monkeypatch.setattr(speech_module, "voice_intensity", lambda strength, *rest: strength)
 

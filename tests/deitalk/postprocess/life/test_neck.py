@@ -7,7 +7,6 @@ from deitalk.postprocess.life.amounts import Life
 from deitalk.postprocess.life.head import neck_tracks
 from deitalk.postprocess.life.motion import plan_motion
 from deitalk.postprocess.life.voice import Phrase, Seeds, Voice
-from tests.each import each
 
 N_FRAMES = 900
 BREATH, SWALLOW, TURNS = 0, 1, (2, 3)
@@ -26,7 +25,7 @@ def test_breath_is_drawn_before_phrases_and_is_over_within_them():
     breath = necks(VOICE, 1)[0][:, BREATH]
     for phrase in PHRASES[1:]:
         assert breath[phrase.start - 6 : phrase.start].max() > 0.3
-        assert breath[phrase.start + 12 : phrase.stop - 20].max() == 0
+        assert breath[phrase.start + 12 : phrase.stop - 20].max() < 0.02
 
 
 def test_people_swallow_once_a_minute_and_never_while_they_speak():
@@ -48,7 +47,7 @@ def test_people_swallow_once_a_minute_and_never_while_they_speak():
     assert all(tracks[:, SWALLOW].max() == 0 for tracks in necks(short, 10)), "pauses of 0.7 s"
 
 
-@each(("yaw", "contracts"), [(22.0, 0), (-22.0, 1)])
+@pytest.mark.parametrize(("yaw", "contracts"), [(22.0, 0), (-22.0, 1)])
 def test_the_muscle_of_the_other_side_turns_the_head(yaw, contracts):
     none = np.zeros(2)
     tracks = neck_tracks(none, none, np.array([yaw, yaw]))

@@ -5,8 +5,7 @@ import pytest
 
 from deitalk.audio.vocal_strength import Prosody, measure_prosody
 from deitalk.audio.voice_activity import speech_activity
-from deitalk.postprocess.life.voice import ASYMMETRY, Seeds, Traits, measure_voice
-from tests.each import each
+from deitalk.postprocess.life.voice import ACCENT_DISTANCE, ASYMMETRY, Seeds, Traits, measure_voice
 
 
 def buzz(pitch, level):
@@ -22,12 +21,28 @@ def voice_of(pitch, level):
     return measure_voice(activity.astype("f4"), measure_prosody(waveform, n_frames))
 
 
-def test_accents_are_where_level_and_pitch_peak():
-    time = np.arange(4 * 16_000) / 16_000
-    stress = sum(np.exp(-(((time - at) / 0.12) ** 2)) for at in (1.0, 1.8, 2.9))
+def test_accents_are_where_level_and_pitch_peak_and_the_strongest_are_kept():
+    """Of five syllables in 9 s of speech those that stand out most, four at most."""
+    time = np.arange(9 * 16_000) / 16_000
+    at, tall = [1.0, 2.8, 4.6, 6.4, 8.1], [1.0, 0.8, 0.15, 0.9, 0.7]
+    stress = sum(h * np.exp(-(((time - a) / 0.12) ** 2)) for a, h in zip(at, tall, strict=True))
     voice = voice_of(120 * 2 ** (stress / 3), 0.05 + 0.2 * stress)
-    strong = [accent.frame for accent in voice.accents if accent.strength > 0.3]
-    assert strong == pytest.approx([30, 54, 87], abs=2)
+    frames = [accent.frame for accent in voice.accents]
+    assert frames == pytest.approx([30, 84, 192, 243], abs=2)
+    assert all(0 < accent.strength <= 1 for accent in voice.accents)
+
+
+@pytest.mark.parametrize("seconds", [6, 20])
+def test_accents_are_few_and_apart(seconds):
+    """Syllables of five strengths, three a second."""
+    time = np.arange(seconds * 16_000) / 16_000
+    tall = np.tile([1.0, 0.2, 0.6, 0.4, 0.8], seconds)[: 3 * seconds]
+    stress = sum(h * np.exp(-(((time - (k + 0.5) / 3) / 0.07) ** 2)) for k, h in enumerate(tall))
+    voice = voice_of(120 * 2 ** (stress / 3), 0.03 + 0.2 * stress)
+    frames = np.array([accent.frame for accent in voice.accents])
+    assert 0.2 * seconds <= len(frames) <= np.ceil(0.45 * seconds)
+    assert np.diff(frames).min() >= ACCENT_DISTANCE
+    assert np.mean(tall[np.clip(frames // 10, 0, len(tall) - 1)]) > 0.75
 
 
 def test_stresses_are_syllables_and_stronger_where_they_rise_further():
@@ -40,7 +55,7 @@ def test_stresses_are_syllables_and_stronger_where_they_rise_further():
     assert min(strengths[::2]) > 1.5 * max(strengths[1::2])
 
 
-@each(("end", "is_question"), [(1.6, True), (0.8, False), (1.0, False)])
+@pytest.mark.parametrize(("end", "is_question"), [(1.6, True), (0.8, False), (1.0, False)])
 def test_final_rise_is_a_question(end, is_question):
     time = np.arange(2 * 16_000) / 16_000
     pitch = 140 * np.interp(time, [0, 1.4, 2], [1, 0.95, end])
@@ -48,7 +63,7 @@ def test_final_rise_is_a_question(end, is_question):
     assert [phrase.is_question for phrase in voice.phrases] == [is_question]
 
 
-@each("flaw", ["jump", "fragments"])
+@pytest.mark.parametrize("flaw", ["jump", "fragments"])
 def test_pitch_found_in_a_creaking_end_is_no_question(flaw):
     """Statements whose last voiced frames have twice the pitch, or stand alone."""
     frames = 90
@@ -95,9 +110,8 @@ def test_seeds_follow_sound_actor_and_number():
         Seeds.of(sound, "ben", 0),
         Seeds.of(sound, "anna", 1),
     ]
-    draws = {seeds.generator("blinks").random() for seeds in (first, *others)}
-    assert len(draws) == 4
-    assert first.generator("blinks").random() != first.generator("gaze").random()
+    assert len({seeds.key("blinks") for seeds in (first, *others)}) == 4
+    assert first.key("blinks") != first.key("gaze")
 
 
 def test_character_is_the_same_in_two_recordings_of_an_actor():
