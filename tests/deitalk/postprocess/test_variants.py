@@ -1,6 +1,8 @@
 """Variants of the emotions: laws of every one, how they are drawn, and how they are given."""
 
+import re
 from itertools import combinations, pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -96,6 +98,14 @@ def test_an_emotion_that_captures_show_has_no_variants():
     assert not captured.poses[rows].any() and not captured.parting[rows].any()
     assert (captured.gains[rows[: len(EMOTIONS)]] == 1).all()
     assert not captured.gains[rows[len(EMOTIONS) :]].any()
+
+
+def test_the_page_lists_every_variant():
+    page = (Path(__file__).parents[3] / "docs/emotions.md").read_text(encoding="utf-8")
+    rows = dict(re.findall(r"^\| (\w+) \| (.*) \|$", page, re.M))
+    for emotion, own in VARIANTS.items():
+        columns = {cell.partition(":")[0].strip() for cell in rows[emotion].split("|")}
+        assert columns == {*own}, emotion
 
 
 def drawn(seed=0, actor="", sound=0, strength=0.0, **given):
