@@ -221,13 +221,14 @@ def _with_sound(layer: Layer, take: Path, settings: dict[str, Any]) -> Layer:
     from deitalk.pipeline.speech import Speech
 
     speech, words = Speech.of_recording(load_audio(sound)), None
-    if "words" in settings:
+    spoken = {n: settings[n] for n in ("words", "script", "language", "role") if n in settings}
+    if spoken.keys() & {"words", "script"}:
+        from deitalk.pipeline.curves import read_words
         from deitalk.pipeline.words.align import align_words
-        from deitalk.pipeline.words.transcript import Transcript
 
-        acting = Acting.of(words=settings["words"], language=settings.get("language"))
-        assert acting.words is not None
-        words = align_words(speech, Transcript.of(acting.words, acting.language))
+        transcript, script = read_words(Acting.of(files={}, **spoken))
+        transcript = transcript or (None if script is None else script.transcript)
+        words = None if transcript is None else align_words(speech, transcript)
     (layer,) = with_recording([layer], speech, words)
     return layer
 

@@ -1,4 +1,4 @@
-"""Order of acted strengths in the face: ``deitalk evaluate MODEL --acted TABLE``.
+"""Order of acted strengths in the face: ``evaluate MODEL --acted TABLE``.
 
 Every recording of an actor in an emotion at two or three strengths is animated in that emotion as
 users see it, with life, and with its gain removed as always; the mean intensity over speech, the

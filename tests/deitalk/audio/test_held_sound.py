@@ -6,6 +6,7 @@ from scipy.signal import lfilter
 
 from deitalk import animate
 from deitalk.audio.held_sound import Held, first_held, follow_held, held_sound
+from deitalk.audio.load import load_audio
 from deitalk.audio.vocal_strength import measure_prosody, tonality
 from deitalk.audio.voice_activity import band_levels, speech_activity
 from deitalk.config.rules import HoldPose
@@ -80,6 +81,12 @@ NOISES = {"white": 0.0, "dark": 0.9, "rumble": 0.99}
 def test_noise_is_not_held(pole, rng):
     noise = lfilter([1], [1, -pole], rng.standard_normal(6 * RATE)).astype(np.float32)
     assert held_in(0.1 * noise / noise.std()).sounding.mean() < 0.02
+
+
+@pytest.mark.parametrize("name", ["promise", "amiable"])
+def test_speech_is_not_held(name):
+    """Nasals between vowels change a spectrum little."""
+    assert not held_in(load_audio(f"docs/samples/{name}.flac").waveform).share.any()
 
 
 @pytest.mark.parametrize("piece", [1, 3, 50])
