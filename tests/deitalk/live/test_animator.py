@@ -172,7 +172,7 @@ def test_blinks_are_those_of_the_seed(tiny):
     lid = tiny.controls.index("CTRL_L_eye_blink.ty")
     first, same, other = (whole(tiny, silence, seed=seed)[:, lid] for seed in (1, 1, 2))
     assert np.array_equal(first, same) and not np.array_equal(first, other)
-    assert first.max() > 0.9 and 2 <= np.sum(np.diff((first > 0.5).astype(int)) == 1) <= 15
+    assert first.max() > 0.9 and 2 <= np.sum(np.diff((first > 0.8).astype(int)) == 1) <= 15
 
 
 def test_messages_name_the_value_and_the_way_out(tiny, voice):

@@ -164,7 +164,7 @@ def test_written_intensity_curve_given_back_changes_nothing(network, tmp_path):
     first = animate(speech, "sad", model=network)
     take = write_take(tmp_path / "take", first, model={})
     second = values(speech, "sad", model=network, intensity_curve=take / "intensity.csv")
-    np.testing.assert_allclose(second, first.curves.values, atol=2e-4)
+    np.testing.assert_allclose(second, first.curves.values, atol=5e-4)
 
 
 def test_intensity_curve_gives_the_neutral_reading_where_it_is_0(network):
