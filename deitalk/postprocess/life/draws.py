@@ -65,6 +65,7 @@ def smooth_noise(keys: UInt64, times: Float64, spread: Float64, seconds: Float64
     Parameters
     ----------
     keys : array of uint64 [shape=(B,)]
+        Of the streams.
     times : array [shape=(B, n)]
         Seconds.
     spread, seconds : array [shape=(K,)]
@@ -154,6 +155,7 @@ class Swells(Events):
         seconds : tuple
             Attack, hold and decay.
         heights : array [shape=(N, K)]
+            At the peaks.
         known : array
             Seconds before which they cannot begin; the peak is late then.
         shortest : float, optional
@@ -172,6 +174,7 @@ class Swells(Events):
         Parameters
         ----------
         streams : array of int [shape=(B,)]
+            Which; each once.
         first : array of int [shape=(B,)]
             Frame that comes next.
         count : int
