@@ -310,7 +310,7 @@ def measure_actor(
     model : str, Path or CurveNetwork
         The model whose takes count from it.
     traits : mapping of str to float, optional
-        Those measured on captured takes (`deitalk.data.captures.survey.measure_traits`); the others
+        Those measured on captured takes (`deitalk.data.captures.traits.measure_traits`); the others
         are drawn. With them there may be no recordings: the usual strength is 0 then.
 
     Raises

@@ -18,14 +18,8 @@ from deitalk.emotions import LABELS
 from deitalk.errors import CheckpointError
 from deitalk.live.activity import FLOOR_EVERY
 from deitalk.live.hearing import MEASURED_AHEAD
-from deitalk.models.curve_model import (
-    DEITalk,
-    TensorState,
-    advance,
-    causal_frontend,
-    first_state,
-    grid_of,
-)
+from deitalk.models.causal_model import TensorState, advance, causal_frontend, first_state, grid_of
+from deitalk.models.curve_model import DEITalk
 from deitalk.models.onnx.clip_hearing import ClipHearing, HeldIntensity, expression_scale
 from deitalk.models.onnx.live_hearing import LiveHearing
 from deitalk.models.onnx.network_graph import CurveGraph, causal_graph

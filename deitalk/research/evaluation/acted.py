@@ -26,8 +26,8 @@ from deitalk.audio.load import load_audio
 from deitalk.audio.vocal_strength import measure_prosody
 from deitalk.audio.voice_activity import normalise_level, speech_activity
 from deitalk.errors import DataError
+from deitalk.evaluation.report import table
 from deitalk.evaluation.scores import correlation
-from deitalk.evaluation.validation import table
 from deitalk.models.curve_model import DEITalk
 from deitalk.pipeline.curves import animate
 from deitalk.pipeline.performance import Performance
