@@ -1,7 +1,7 @@
-"""Write docs/pictures/studio.webp, a picture of the studio: ``make pictures``.
+"""Write docs/pictures/studio.webp and layers.webp, pictures of the studio: ``make pictures``.
 
 The recording docs/samples/promise.flac, happy that turns to surprised, with twice the intensity
-from 3.4 s on. Needs Chromium and the built page.
+from 3.4 s on; and the lane of edits with two layers. Needs Chromium and the built page.
 """
 
 import io
@@ -17,6 +17,7 @@ from tests.browser import chromium
 
 DOCS = Path(__file__).parent
 RECORDING, PICTURE = DOCS / "samples/promise.flac", DOCS / "pictures/studio.webp"
+LAYERS = DOCS / "pictures/layers.webp"
 SIZE = {"width": 1280, "height": 860}
 SHOWN_SECONDS = 3.27
 
@@ -35,6 +36,13 @@ def main() -> None:
         _edit(tab)
         picture = Image.open(io.BytesIO(tab.screenshot()))
         picture.convert("RGB").save(PICTURE, quality=82, method=6)
+        _edit_layers(tab)
+        first, last = (tab.locator(f"#{name}").bounding_box() for name in ("edit-target", "layers"))
+        lane = tab.locator("#layer-lane").bounding_box()
+        top, end = first["y"] - 10, last["y"] + last["height"] + 10
+        part = {"x": lane["x"] - 10, "y": top, "width": lane["width"] + 20, "height": end - top}
+        picture = Image.open(io.BytesIO(tab.screenshot(clip=part)))
+        picture.convert("RGB").save(LAYERS, quality=82, method=6)
 
 
 def _edit(tab: Any) -> None:
@@ -55,6 +63,26 @@ def _edit(tab: Any) -> None:
     tab.evaluate("document.activeElement.blur()")
     tab.evaluate("s => deitalk.page.seek(s)", SHOWN_SECONDS)
     time.sleep(2)  # the page draws with all pixels once it is at rest
+
+
+def _edit_layers(tab: Any) -> None:
+    """Raise a brow and open the jaw where the curves are dragged, in two layers."""
+    names = "deitalk.page.workbench.layers"
+    for target, times in (("CTRL_L_brow_raiseOut.ty", (1.1, 3.5)), ("CTRL_C_jaw.ty", (2.2, 5.4))):
+        tab.click("#add-layer")
+        tab.evaluate(f"name => {names}.choose(name)", target)
+        tab.locator("#layer-lane").scroll_into_view_if_needed()
+        box = tab.locator("#layer-lane").bounding_box()
+        for seconds in times:
+            x = tab.evaluate("([t, w]) => deitalk.page.span.x(t, w)", [seconds, box["width"]])
+            level = tab.evaluate(f"t => {names}.levelOf({names}.shownAt(t))", seconds)
+            y = box["y"] + 10 + (1 - level) * (box["height"] - 20)
+            tab.mouse.move(box["x"] + x, y)
+            tab.mouse.down()
+            tab.mouse.move(box["x"] + x, y - 30, steps=4)
+            tab.mouse.up()
+    tab.evaluate("document.activeElement.blur()")
+    tab.locator("#layers").scroll_into_view_if_needed()
 
 
 def _until(tab: Any, condition: str) -> None:

@@ -16,7 +16,6 @@ from deitalk.cli.console import (
 )
 from deitalk.cli.options import CheckedCommands, Force, Identity
 from deitalk.errors import DeitalkError
-from deitalk.installed import research
 
 app = CheckedCommands(
     help="The embedded head: sheets, identities, export; its controls.",
@@ -25,29 +24,14 @@ app = CheckedCommands(
 
 
 @app.command()
-def identities(
-    out: Annotated[
-        Path | None, typer.Option("--out", "-o", help="Also draw all heads into this PNG file.")
-    ] = None,
-    force: Force = False,
-) -> None:
-    """List the identities of the embedded head, and draw them.
-
-    Examples
-    --------
-    deitalk face identities -o people.png
-    """
+def identities() -> None:
+    """List the identities of the embedded head."""
     from rig.face import IDENTITIES
     from rig.face.identity import ROLES
-    from rig.face.render.shading import write_png
 
     roles = {name: role for role, name in ROLES.items()}
     for number, person in enumerate(IDENTITIES):
         emit("\t".join([str(number), person.name, *filter(None, [roles.get(person.name)])]))
-    if out is not None:
-        reserve_file(out, force=force)
-        write_png(out, research("contact_sheet", "face identities --out").draw_people())
-        console().print(f"{out}: {len(IDENTITIES)} heads")
 
 
 @app.command()

@@ -8,11 +8,9 @@ import typer
 
 from deitalk.cli.console import bar, console, emit, emit_json, reserve_file, reserve_folder
 from deitalk.cli.options import CheckedCommands
-from deitalk.installed import research
 
 if TYPE_CHECKING:
     from deitalk.cli.console import Advance
-    from deitalk.config.curves import FinetuneConfig
     from deitalk.training.trainer import Progress
 
 
@@ -68,9 +66,6 @@ def finetune(
     leave_out: Annotated[
         str | None, typer.Option("--leave-out", help="Take or actor to test on, not to train on.")
     ] = None,
-    folds: Annotated[
-        str | None, typer.Option(help="Leave out each of the takes, or actors, in turn.")
-    ] = None,
     overrides: Annotated[
         list[str] | None, typer.Option("--set", help="Override, such as train.steps=400.")
     ] = None,
@@ -93,8 +88,6 @@ def finetune(
     deitalk finetune my_captures/ -o runs/anna
 
     deitalk finetune my_captures/ --rig my_rig.yaml -o runs/my_rig
-
-    deitalk finetune my_captures/ --folds takes -o runs/folds
     """
     changes = {"tune.part": part, "tune.corpus": rehearse}
     with console().status("loading"):
@@ -111,14 +104,11 @@ def finetune(
             settings=changes,
             overrides=overrides or (),
         )
-    if folds is not None:
-        _tune_folds(settings, data, out, folds, strict, resume=resume, tensorboard=tensorboard)
-        return
     options: dict[str, Any] = {"resume": resume, "tensorboard": tensorboard}
     with bar("tuning") as advance:
         tuned = run_tuning(settings, data, out, progress=shown_on(advance), **options)
     remove_written(out / "last")  # only the best is used
-    _print_scores(tuned.scores)
+    print_scores(tuned.scores)
     console().print(f"{tuned.model}: the tuned model; {out / 'report.md'}: before and after")
     console().print(f"the result is {tuned.delivered}")
     for name, takes in tuned.conventions.items():
@@ -134,26 +124,8 @@ NOT_BETTER = 3
 """Exit code with --strict where a tuned model is no better than a line over loudness."""
 
 
-def _tune_folds(
-    settings: "FinetuneConfig", data: Path, out: Path, kind: str, strict: bool, **options: bool
-) -> None:
-    """Leave out each take or actor in turn, and print the scores."""
-    from deitalk.evaluation.comparison import beats_loudness, warnings_of
-
-    tune_folds = research("training.folds", "finetune --folds").tune_folds
-    with bar("tuning") as advance:
-        result = tune_folds(settings, data, out, kind, progress=shown_on(advance), **options)
-    _print_scores(result["folds"])
-    console().print("means over the folds:")
-    _print_scores(result["mean"])
-    for line in warnings_of(result["mean"]):
-        console().note(line)
-    console().print(f"{out / 'folds.md'}: all scores, of each control too")
-    if strict and not beats_loudness(result["mean"]):
-        raise typer.Exit(NOT_BETTER)
-
-
-def _print_scores(scores: dict[str, dict[str, float]]) -> None:
+def print_scores(scores: dict[str, dict[str, float]]) -> None:
+    """Print the scores of systems, one a line."""
     for name, values in scores.items():
         text = ", ".join(
             f"{key} {values[key]:.3g}"

@@ -56,6 +56,7 @@ def augment(
     rng: np.random.Generator,
     surroundings: Surroundings,
     voices: Sequence[Float32] = (),
+    noisy: float = 0.62,
 ) -> Float32:
     """Change spectrum, room, band, noise and level, not the timing.
 
@@ -69,6 +70,8 @@ def augment(
         Recordings of noise and of rooms.
     voices : sequence of ndarray
         Other speech, for babble.
+    noisy : float, range 0 to 1
+        Share of the noises that are less than 11 dB below the speech.
 
     Returns
     -------
@@ -84,8 +87,8 @@ def augment(
     power = float(np.sqrt(np.mean(x**2)) + 1e-9)
     if rng.random() < 0.9:
         noise = _noise(len(x), rng, surroundings.noises, voices)
-        # Signal-to-noise ratio; of most windows below 11 dB.
-        low, high = (-3, 11) if rng.random() < 0.62 else (11, 48)
+        # Signal-to-noise ratio, dB.
+        low, high = (-3, 11) if rng.random() < noisy else (11, 48)
         x = x + noise * power * 10 ** (-float(rng.uniform(low, high)) / 20)
     else:
         x = x + rng.standard_normal(len(x)) * 10 ** rng.uniform(-5, -3.5)

@@ -26,7 +26,9 @@ from rig.curves.layers import Layer, apply_layers
 from rig.errors import listed
 from rig.formats import livelink_csv, unreal_json
 from rig.formats.table import find_format
+from rig.formats.wide_csv import read_header
 
+TABLES = (".csv", ".tsv", ".txt")
 LEAST_LOST = 0.02
 """Of a control that another set of controls does not give back, to be reported."""
 LEAST_FRAMES = 2
@@ -166,7 +168,11 @@ def _twin(path: Path, base: RigCurves, found: CapturedCurves) -> CapturedCurves:
             form = "livelink" if control_set == ARKIT_ID else "livelink-raw"
         elif control_set == DEFAULT_ID:
             return replace(found, curves=base)
-        write_curves(copy, convert(base, control_set), format=form)
+        carried = convert(base, control_set)
+        if path.suffix.lower() in TABLES and form == "csv":  # which may have some columns alone
+            present = [name for name in read_header(path) if name in KNOWN[control_set]()]
+            carried = carried.select(KNOWN[control_set]().resolve(present))
+        write_curves(copy, carried, format=form)
         return read_capture(copy)
 
 
@@ -215,13 +221,14 @@ def _with_sound(layer: Layer, take: Path, settings: dict[str, Any]) -> Layer:
     from deitalk.pipeline.speech import Speech
 
     speech, words = Speech.of_recording(load_audio(sound)), None
-    if "words" in settings:
+    spoken = {n: settings[n] for n in ("words", "script", "language", "role") if n in settings}
+    if spoken.keys() & {"words", "script"}:
+        from deitalk.pipeline.curves import read_words
         from deitalk.pipeline.words.align import align_words
-        from deitalk.pipeline.words.transcript import Transcript
 
-        acting = Acting.of(words=settings["words"], language=settings.get("language"))
-        assert acting.words is not None
-        words = align_words(speech, Transcript.of(acting.words, acting.language))
+        transcript, script = read_words(Acting.of(files={}, **spoken))
+        transcript = transcript or (None if script is None else script.transcript)
+        words = None if transcript is None else align_words(speech, transcript)
     (layer,) = with_recording([layer], speech, words)
     return layer
 

@@ -19,7 +19,6 @@ from deitalk.audio.frames import SAMPLE_RATE
 from deitalk.audio.mel import MelSpectrogram, nearest_spectra
 from deitalk.config.frontends import MelConfig, SDFAMelConfig
 from deitalk.frontends.base import Encoder, Frontend, window_index
-from deitalk.installed import research
 
 SEGMENT_FRAMES = 960
 """Rig frames whose windows are encoded at once on a clip, with ``recurrence: window`` (32 s)."""
@@ -488,9 +487,6 @@ class SDFAEncoder(Encoder):
         self.reach = config.window_frames // 2
         if config.recurrence == "segment":
             self.context_seconds = CONTEXT_SECONDS
-        if "convolution" in (config.gathering, config.summary):
-            parts = research("comparison.sdfa_parts", "an ablation of SDFA's encoder")
-            parts.replace_parts(self.frontend, config)
 
     def features(self, waveform: Tensor, n_spectra: int, first: int = 0) -> Tensor:
         """Log-mel and its derivatives [shape=(B, 3, F, n_spectra)]."""

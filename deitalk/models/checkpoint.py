@@ -14,7 +14,7 @@ import torch
 from safetensors.torch import save
 
 from deitalk.config.curves import Config, ModelConfig
-from deitalk.config.frontends import DEITalkFeaturesConfig, KarrasConfig, SDFAMelConfig, VocaConfig
+from deitalk.config.frontends import DEITalkFeaturesConfig, SDFAMelConfig
 from deitalk.config.hub import check_repository, model_files
 from deitalk.config.load import AnyConfig, load_model_config, model_text, without_paths
 from deitalk.config.mesh import SDFAConfig
@@ -22,7 +22,7 @@ from deitalk.config.rig_file import read_controls, rig_text
 from deitalk.errors import CheckpointError, MissingError
 from deitalk.frontends import build_encoder
 from deitalk.frontends.base import Encoder
-from deitalk.installed import research
+from deitalk.installed import imported
 from deitalk.models.curve_model import DEITalk
 from deitalk.models.folder import (
     ENCODER,
@@ -248,7 +248,7 @@ def _half(value: torch.Tensor) -> torch.Tensor:
 
 
 def new_encoder(
-    config: SDFAMelConfig | KarrasConfig | VocaConfig | DEITalkFeaturesConfig,
+    config: SDFAMelConfig | DEITalkFeaturesConfig,
 ) -> Encoder | DEITalkFeatures:
     """Build the encoder of a mesh model; the DEITalk model that a mesh head decodes is loaded."""
     if config.kind != "deitalk":
@@ -259,9 +259,7 @@ def new_encoder(
 
 def network_class(config: ModelConfig) -> type[DEITalk]:
     """The class of a configuration's network."""
-    if config.decoder != "emotalk":
-        return DEITalk
-    network: type[DEITalk] = research("comparison", "decoder emotalk").EmoTalk
+    network: type[DEITalk] = imported(config.network)
     return network
 
 
@@ -273,8 +271,9 @@ def _read_curves(folder: Path, config: Config, about: About, shapes: Shapes) -> 
             f"{folder}: made for control set {quoted(about['control_set'])}, this deitalk drives "
             f"{controls.id!r}; train on curves of that set"
         )
-    network = network_class(config.model)
-    return partial(network, config.model, controls, pretrained=False, rules=config.rules)
+    return partial(
+        network_class(config.model), config.model, controls, pretrained=False, rules=config.rules
+    )
 
 
 def _read_sdfa(folder: Path, config: SDFAConfig, about: About, shapes: Shapes) -> Build:
@@ -316,16 +315,15 @@ class Kind(NamedTuple):
 
 
 KINDS = {
-    "deitalk": Kind(DEITalk, _read_curves),
-    "finetune": Kind(DEITalk, _read_curves),
-    "sdfa": Kind(SDFA, _read_sdfa),
+    "curves": Kind(DEITalk, _read_curves),
+    "mesh": Kind(SDFA, _read_sdfa),
     "mesh_head": Kind(MeshHead, _read_mesh_head),
 }
 
 
 def kind_of(config: AnyConfig) -> Kind:
     """Kind of the model that a configuration describes."""
-    return KINDS["mesh_head" if config.model.frontend.kind == "deitalk" else config.kind]
+    return KINDS["mesh_head" if config.model.frontend.kind == "deitalk" else config.product]
 
 
 # Models to the Hugging Face hub, with a card made of what the folder and its run's report say.
@@ -417,7 +415,7 @@ def model_card(folder: Path, name: str, license: str | None = None) -> str:
         "data": summary.get("data"),
         "SHA-256 of the weights": about["sha256"],
     }
-    product = "A moving mesh" if config.kind == "sdfa" else "Curves of a face rig"
+    product = "A moving mesh" if config.product == "mesh" else "Curves of a face rig"
     report = folder.parent / REPORT
     lines = [
         f"---\n{head}\n---\n# {name}\n",

@@ -13,7 +13,6 @@ from deitalk.audio.log_mel import N_FFT
 from deitalk.config.curves import ModelConfig
 from deitalk.config.rules import RulesConfig
 from deitalk.emotions import EMOTIONS
-from deitalk.errors import CheckpointError
 from deitalk.frontends import build_frontend
 from deitalk.frontends.causal_whisper import CausalState, CausalWhisperFrontend
 from deitalk.models.intensity import DynamicIntensity, Intensity, MotionEncoder, temporal_maximum
@@ -27,7 +26,7 @@ from deitalk.models.protocol import (
     Tracks,
     neutral_and_acted,
 )
-from deitalk.models.rig_decoder import RigDecoder, build_decoder
+from deitalk.models.rig_decoder import Decoder, RigDecoder, build_decoder
 from deitalk.postprocess.curve_pass import CurvePass, TorchPass
 from deitalk.postprocess.tracks import LIVE_AHEAD
 from rig import ControlSet, default_controls
@@ -49,8 +48,6 @@ class Output(NamedTuple):
     """m_max [shape=(B, E)]; only where the captured curves were given."""
     speech: Tensor | None = None
     """Speech features [shape=(B, T, D)]."""
-    supervised: Tensor | None = None
-    """1 for windows whose curves can be learnt from this batch, else 0 [shape=(B,)]; None: all."""
 
 
 class Analysis(NamedTuple):
@@ -67,7 +64,7 @@ class Analysis(NamedTuple):
     effort: Tensor | None = None
     """Strength of the voice [shape=(T,)], dB above the usual."""
     lips: Tensor | None = None
-    """What `deitalk.models.lip_readout` reads [shape=(T, 4)]."""
+    """What `deitalk.models.lip_readout` reads [shape=(T, 10)]."""
 
     @property
     def tracks(self) -> Tracks:
@@ -122,9 +119,14 @@ class DEITalk(nn.Module):
             self.motion = MotionEncoder(
                 n_controls, config.motion_channels, config.kernel_size, config.emotion_size
             )
-        self.decoder = build_decoder(config, size, self.controls, causal=self.is_causal)
+        self.decoder = self.new_decoder()
         names = self.controls.names
         self.lips = LipReadout(size, names, causal=self.is_causal) if config.lips else None
+
+    def new_decoder(self) -> Decoder:
+        """Make the decoder, that of Eq. 7."""
+        size = self.frontend.output_size
+        return build_decoder(self.config, size, self.controls, causal=self.is_causal)
 
     def forward(
         self,
@@ -133,7 +135,6 @@ class DEITalk(nn.Module):
         frames: Tensor,
         total: Tensor,
         curves: Tensor | None = None,
-        voice: Tensor | None = None,
     ) -> Output:
         """Predict one batch of windows.
 
@@ -150,8 +151,6 @@ class DEITalk(nn.Module):
             Frames of the whole clip.
         curves : Tensor [shape=(B, T, C)] or None
             Captured curves, for the motion encoder.
-        voice : Tensor [shape=(B, 5)] or None
-            Emotion that the voice acts; only `deitalk.research.comparison.emotalk` pairs by it.
         """
         is_encoded = waveform.dim() == 3
         speech = waveform if is_encoded else self.frontend(waveform, frames.shape[1])  # (B, T, D)
@@ -183,8 +182,6 @@ class DEITalk(nn.Module):
         CheckpointError
             If the model has the decoder of another paper.
         """
-        if self.config.decoder != "convolution":
-            raise CheckpointError(f"a model with decoder: {self.config.decoder} is for comparison")
         return cast("RigDecoder", self.decoder)
 
     @property
@@ -342,7 +339,7 @@ class DEITalk(nn.Module):
         return Analysis(speech, guidance, saliency, strength, effort, lips)
 
     def _read_lips(self, speech: Tensor) -> Tensor | None:
-        """Readout of a whole clip's features (T, D), piece by piece [shape=(T, 4)]."""
+        """Readout of a whole clip's features (T, D), piece by piece [shape=(T, 10)]."""
         if self.lips is None:
             return None
         parts = [

@@ -7,8 +7,7 @@ C channels of a spectrum, W spectra of a window::
              -> decoder: coefficients (B, T, K) -> (T, 6 N), (T, 3 N) -> solve -> vertices (T, V, 3)
 
 With another encoder, or vertex offsets in place of gradients, it is one of the models that the
-paper compares itself with (`deitalk.research.comparison.karras`,
-`deitalk.research.comparison.voca`).
+paper compares itself with.
 """
 
 import math

@@ -184,7 +184,7 @@ def prepare(
     `load` returns the network, after the recording was read. Errors are those of `animate`.
     """
     clock = _Clock()
-    words, script = _read_words(acting)
+    words, script = read_words(acting)
     recording = recording_of(audio, sample_rate, choice)
     recording = _of_role(recording, acting)
     recording = _with_note_on("intensity curve", acting.intensity_curve, recording)
@@ -225,7 +225,7 @@ def prepare(
     )  # fmt: skip
 
 
-def _read_words(acting: Acting) -> "tuple[Transcript | None, Script | None]":
+def read_words(acting: Acting) -> "tuple[Transcript | None, Script | None]":
     """The words of an acting, or its script."""
     if (acting.words or acting.script) and not acting.rules:
         raise DeitalkError("words belong to the rules, which are off; give one of the two")

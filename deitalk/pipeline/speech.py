@@ -178,8 +178,7 @@ class Speech:
         """The same, and that of each frame's phrase [shape=(T,)], which changes little within it.
 
         Of a short phrase, which is measured badly, it is nearer to the whole. With a network's
-        readout of the effort [shape=(T,), dB] the two are averaged; the command of
-        `deitalk.research.training.effort` prints how it orders the takes of unheard actors.
+        readout of the effort [shape=(T,), dB] the two are averaged.
         """
         strength, around = self._followed_strength
         speaking = self.activity > 0

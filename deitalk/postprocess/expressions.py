@@ -11,9 +11,9 @@ Moods are procedural: the network reads their mixture of the trained emotions
 (`rig.emotions.MOODS`) and the table adds the prototype of their action units; contempt is of one
 side.
 
-``taught_poses.csv`` has the poses of the five at intensity 1 that networks are taught
-(`deitalk.research.corpus.rig_targets`), with the action unit. They complete the
-difference of its readings where that is faint, as in silence.
+``taught_poses.csv`` has the poses of the five at intensity 1 that networks are taught as in the
+training corpus, with the action unit. They complete the difference of its readings where that is
+faint, as in silence.
 
 Rows with a variant are what it differs by from its emotion: a factor on the emotion's gains, and
 what is added to its poses. Their weights are `deitalk.postprocess.variants`'.

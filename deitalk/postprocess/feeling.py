@@ -46,8 +46,8 @@ from rig.arrays import AnyFloat, Bool, Float32, Float64, Int64
 from rig.curves.edit import gaussian_smooth
 
 FAINTEST, STEEPNESS = 0.15, 1.3
-"""Lowest intensity that a network is taught, and its slope per standard deviation of liveliness
-(`deitalk.research.corpus.rig_targets`)."""
+"""Lowest intensity that a network is taught, and its slope per standard deviation of liveliness,
+as in the training corpus."""
 READY_FRAMES = 3
 """Frames before speech (0.1 s) at which the whole expression is there."""
 MOST = 1.2

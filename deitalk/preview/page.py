@@ -9,6 +9,7 @@ import gzip
 import json
 import struct
 from collections.abc import Sequence
+from dataclasses import asdict
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -18,8 +19,10 @@ from numpy.typing import NDArray
 
 from deitalk.audio.frames import SAMPLE_RATE
 from deitalk.audio.voice_activity import speech_activity
+from deitalk.config.rules import KeepContacts
 from deitalk.errors import MissingError
 from deitalk.pipeline.performance import Performance
+from deitalk.postprocess.control_groups import ControlGroups
 from deitalk.preview.source import (
     PreviewError,
     PreviewSource,
@@ -28,6 +31,7 @@ from deitalk.preview.source import (
     load_source,
     sound_as_wav,
 )
+from rig.controls import default_controls
 from rig.emotions import LABELS
 from rig.face import build_head
 from rig.face.accents import JOINT, neck_share
@@ -185,6 +189,9 @@ def _packed_head(identity: int | str | Identity) -> str:
     arrays, facts = head_arrays(head)
     arrays["neck.share"] = neck_share(head.mesh.vertices).astype(np.float32)
     facts["joint"] = JOINT.tolist()
+    controls = default_controls()
+    facts["sets"] = {name: controls.subset(name).tolist() for name in controls.subset_names}
+    facts["closures"] = asdict(ControlGroups(controls).closures(KeepContacts()))
     light, sky = glsl(), glsl_background()
     facts["shaders"] = {
         "vertex": light[0], "fragment": light[1], "skyVertex": sky[0], "skyFragment": sky[1],

@@ -1,8 +1,8 @@
 """The training loop of every model: step, average, evaluate, save, resume, log.
 
-It depends on a `Task` and on no product; the tasks are `deitalk.training.curves` and
-`deitalk.research.meshes.training`. The main path is `run_training`, then `Trainer.fit`, then
-`Trainer.update`; `deitalk.training.run_folder` writes the files.
+It depends on a `Task` and on no product, such as `deitalk.training.curves`. The main path is
+`run_training`, then `Trainer.fit`, then `Trainer.update`; `deitalk.training.run_folder` writes the
+files.
 """
 
 import copy
@@ -394,7 +394,7 @@ class Trainer(Generic[Item]):
 
 
 def new_optimizer(
-    model: nn.Module, settings: TrainConfig, factor: Callable[[str], float]
+    model: nn.Module, settings: TrainConfig, factor: Callable[[str], float] = lambda name: 1.0
 ) -> torch.optim.Optimizer:
     """Make the configured optimizer of all parameters that learn.
 

@@ -46,6 +46,8 @@ HEAD_TARGETS = tuple(f"head.{part}" for part in HEAD)
 MOST_EDITS = 20_000
 """Edits of one layer, and of all layers of a file."""
 MOST_LAYERS = 256
+DECIMALS = 5
+"""Of times, values and slopes, in files and in what is read."""
 SLACK = 1e-3
 """Seconds by which a frame may lie outside of a span: times of files are rounded."""
 SEEN = 0.01
@@ -125,8 +127,8 @@ def _smooth(share: Float64) -> Float64:
 
 
 def _rounded(number: float) -> float:
-    """A time or value as files hold it: a hundredth of a millisecond."""
-    short = round(number, 5)
+    """A time or value as files hold it."""
+    short = round(number, DECIMALS)
     return int(short) if short == int(short) else short
 
 
@@ -378,7 +380,7 @@ def _numbers(given: Any, count: int, where: str) -> list[float]:
             raise CurveError(f"{where} {quoted(number)} must be a finite number within ±1e6")
     if len(numbers) != count:
         raise CurveError(f"{where} {quoted(given)} must be {count} numbers")
-    return [float(number) for number in numbers]
+    return [round(float(number), DECIMALS) for number in numbers]
 
 
 # Layers on curves.

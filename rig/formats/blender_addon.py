@@ -14,6 +14,9 @@ choose File > Import > deitalk curves: a take folder, any file of it, or
   ``deitalk retarget`` (``blendShape1.jawOpen``);
 - ``.glb`` of deitalk: its animation, by the names of its shapes.
 
+File > Export > deitalk curves writes the keys of the selected faces and boards as a CSV, frame by
+frame, which ``deitalk diff`` compares with the take.
+
 A selected armature with the bones of the MetaHuman face board (``CTRL_C_jaw`` ...) gets the
 take's controls. In a take folder the file whose names fit the face best is taken. All selected
 meshes with such shape keys are keyed: face, teeth, lashes.
@@ -28,7 +31,7 @@ from typing import Any
 
 import bpy  # type: ignore[import-not-found]
 import numpy as np
-from bpy_extras.io_utils import ImportHelper  # type: ignore[import-not-found]
+from bpy_extras.io_utils import ExportHelper, ImportHelper  # type: ignore[import-not-found]
 
 from rig.conversion.shape_fit import close_lips, closing_columns, fit_shapes, pose_of, shape_key
 from rig.formats.blender import POSES, RAW, REST, VISEMES
@@ -514,6 +517,94 @@ class DEITALK_OT_import(bpy.types.Operator, ImportHelper):  # type: ignore[misc]
         return last
 
 
+def keyed(owner: Any) -> list[Any]:
+    """Return the F-curves of the action of a board or of shape keys."""
+    data = owner.animation_data
+    if data is None or data.action is None:
+        return []
+    if hasattr(data.action, "fcurves"):
+        return list(data.action.fcurves)
+    bags = [strip.channelbag(data.action_slot) for strip in data.action.layers[0].strips]
+    return [curve for bag in bags if bag for curve in bag.fcurves]
+
+
+def channels_of(objects: list[Any]) -> dict[str, tuple[Any, int, int]]:
+    """Return what has keys, by the name of its control or shape.
+
+    Each is what holds the value (a pose bone, or a shape key), the axis of its location (-1 of a
+    shape key) and the last frame with a key.
+    """
+    raw = {shape_key(PREFIX + name): PREFIX + name for name in RAW}
+    found = {}
+    for made in objects:
+        owner = made.data.shape_keys if made.type == "MESH" else made
+        for curve in keyed(owner) if owner else []:
+            last = math.ceil(curve.range()[1])
+            board = re.fullmatch(r'pose\.bones\["(CTRL_\w+)"\]\.location', curve.data_path)
+            if board and made.type == "ARMATURE" and curve.array_index < 2:
+                bone = made.pose.bones.get(board[1])
+                name = f"{board[1]}.t{'xy'[curve.array_index]}"
+                found.setdefault(name, (bone, curve.array_index, last))
+            elif made.type == "MESH":
+                block = next((b for b in owner.key_blocks if _path(b) == curve.data_path), None)
+                if block:
+                    plain = re.split(r"[.|]", block.name)[-1]
+                    name = raw.get(shape_key(block.name), plain)
+                    found.setdefault(name, (block, -1, last))
+    return {name: channel for name, channel in found.items() if channel[0] is not None}
+
+
+def export(path: str, objects: list[Any], scene: Any, start: float = 1.0) -> tuple[int, int]:
+    """Write what has keys as a CSV with a row for each frame of the scene's rate.
+
+    Returns
+    -------
+    channels, frames : int
+
+    Raises
+    ------
+    ValueError
+        If nothing that is selected has keys.
+    """
+    channels = channels_of(objects)
+    if not channels:
+        raise ValueError("nothing that is selected has keys of a face; select what was imported")
+    rate, was = scene.render.fps / scene.render.fps_base, scene.frame_current
+    frames = range(math.ceil(start), max(last for *_, last in channels.values()) + 1)
+    rows = []
+    for frame in frames:
+        scene.frame_set(frame)
+        values = [held.location[axis] if axis >= 0 else held.value
+                  for held, axis, _ in channels.values()]  # fmt: skip
+        rows.append([frame - frames[0], f"{(frame - start) / rate:.6f}"]
+                    + [f"{value:.6f}" for value in values])  # fmt: skip
+    scene.frame_set(was)
+    with open(path, "w", newline="", encoding="utf-8") as stream:
+        csv.writer(stream).writerows([["frame", "time", *channels], *rows])
+    return len(channels), len(rows)
+
+
+class DEITALK_OT_export(bpy.types.Operator, ExportHelper):  # type: ignore[misc]
+    """Write the keys of the selected faces and boards for ``deitalk diff``."""
+
+    bl_idname = "export_anim.deitalk"
+    bl_label = "Export deitalk curves"
+    filename_ext = ".csv"
+    filter_glob: bpy.props.StringProperty(default="*.csv", options={"HIDDEN"})  # type: ignore[valid-type]
+    start: bpy.props.FloatProperty(name="First frame", default=1.0)  # type: ignore[valid-type]
+
+    def execute(self, context: Any) -> set[str]:
+        """Run the export; a mistake is one line."""
+        try:
+            wanted = [f for f in context.selected_objects if f.type in ("MESH", "ARMATURE")]
+            channels, frames = export(self.filepath, wanted, context.scene, self.start)
+        except (OSError, ValueError) as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        self.report({"INFO"}, f"{channels} curves of {frames} frames in {self.filepath}")
+        return {"FINISHED"}
+
+
 def unshown(curves: Curves, meshes: list[Any]) -> list[str]:
     """Say what of the curves the shape keys do not show."""
     have = {name for mesh in meshes for name in keys_of(mesh)}
@@ -535,16 +626,24 @@ def _entry(menu: Any, _context: Any) -> None:
     menu.layout.operator(DEITALK_OT_import.bl_idname, text="deitalk curves (.json, .csv, .glb)")
 
 
+def _export_entry(menu: Any, _context: Any) -> None:
+    menu.layout.operator(DEITALK_OT_export.bl_idname, text="deitalk curves (.csv)")
+
+
 def register() -> None:
-    """Add the operator and its menu entry."""
-    bpy.utils.register_class(DEITALK_OT_import)
+    """Add the operators and their menu entries."""
+    for operator in (DEITALK_OT_import, DEITALK_OT_export):
+        bpy.utils.register_class(operator)
     bpy.types.TOPBAR_MT_file_import.append(_entry)
+    bpy.types.TOPBAR_MT_file_export.append(_export_entry)
 
 
 def unregister() -> None:
     """Remove them."""
+    bpy.types.TOPBAR_MT_file_export.remove(_export_entry)
     bpy.types.TOPBAR_MT_file_import.remove(_entry)
-    bpy.utils.unregister_class(DEITALK_OT_import)
+    for operator in (DEITALK_OT_export, DEITALK_OT_import):
+        bpy.utils.unregister_class(operator)
 
 
 if __name__ == "__main__":

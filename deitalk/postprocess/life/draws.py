@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from deitalk.audio.frames import FRAME_RATE
-from rig.arrays import Float64, Int64
+from rig.arrays import Bool, Float64, Int64
 
 UInt64 = NDArray[np.uint64]
 _STEP = np.uint64(0x9E3779B97F4A7C15)
@@ -114,7 +114,7 @@ class Events:
         self.stream = np.concatenate((self.stream, stream))
         self.rows = np.concatenate((self.rows, rows))
 
-    def keep(self, is_kept: NDArray[np.bool_]) -> None:
+    def keep(self, is_kept: Bool) -> None:
         """Drop the others."""
         self.stream, self.rows = self.stream[is_kept], self.rows[is_kept]
 

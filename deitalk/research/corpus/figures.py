@@ -1,4 +1,4 @@
-"""Pictures of the articulation and emotion tables: ``deitalk corpus sheet``.
+"""Pictures of the articulation and emotion tables: ``python -m deitalk.research corpus sheet``.
 
 `plot_channels` draws the articulation of a sentence channel by channel; `draw_faces` draws phones
 by emotions on the embedded head.

@@ -1,4 +1,4 @@
-"""Contacts of the lips on recordings with phones: ``deitalk evaluate MODEL --contacts TABLE``.
+"""Contacts of the lips on recordings with phones: ``evaluate MODEL --contacts TABLE``.
 
 The table is a CSV file with the columns clip, start, end (seconds), label and kind, and beside it
 or below it the recordings, ``<clip>.opus`` or another audio file. Kinds are closure (p b m),

@@ -1,4 +1,4 @@
-"""Score a model on a dataset folder: ``deitalk evaluate MODEL --data DIR``.
+"""Score a model on a dataset folder: ``python -m deitalk.research evaluate MODEL --data DIR``.
 
 Every recording is animated by `deitalk.pipeline.curves.animate` without blinks, with the rules of
 the model and by its network alone; then lips, errors, correlations, emotions and silence are

@@ -1,4 +1,4 @@
-"""Scores of predicted lips against measured lips: ``deitalk evaluate MODEL --lips FOLDER``.
+"""Scores of predicted lips against measured lips: ``evaluate MODEL --lips FOLDER``.
 
 Every recording is animated in the neutral emotion; the lip measures of the embedded head
 (`deitalk.research.lips`) are compared with those of the speaker during speech. Predictions are the

@@ -1,4 +1,4 @@
-"""Score a mesh model on held-out speech: ``deitalk evaluate MODEL --data DIR``.
+"""Score a mesh model on held-out speech: ``python -m deitalk.research evaluate MODEL --data DIR``.
 
 The ground truth is an embedded head posed by the curves of a dataset folder; the model's input is
 the recordings. Errors are distances in mm on a head of known size.

@@ -1,6 +1,6 @@
 """Training of mesh models, from segments of adjacent frames (SDFA §4): the task of the trainer.
 
-``deitalk train configs/sdfa.yaml --data DIR --out DIR``. The loop is `deitalk.training.trainer`;
+``train configs/sdfa.yaml --data DIR --out DIR``. The loop is `deitalk.training.trainer`;
 the run folder holds ``meshes/`` too where the data had to be built.
 """
 
@@ -199,7 +199,7 @@ def copy_encoder(model: MeshModel, name: str, new: Sequence[str]) -> None:
     encoder, owner = cast("SDFAEncoder", model.encoder), require_model(name, DEITalk)
     start = cast("MelFrontend", owner.frontend)
     try:
-        assert model.config.frontend.kind == owner.config.frontend.kind == "mel"
+        assert owner.config.frontend.kind == "mel" and "mel" in model.config.frontend.kind
         for setting in ("window_seconds", "frame_rate", "tapers"):  # which no shape shows
             assert getattr(encoder.frontend.config, setting) == getattr(start.config, setting)
         left_out = {*new, "rig"}

@@ -62,6 +62,11 @@ def read_recipe(
     folder = model_folder(tune["base"])
     of_base = load_model_config(folder)
     check_kind(tune["base"], of_base, DEITalk)
+    if of_base.kind != "deitalk":
+        raise ConfigError(
+            f"tune.base: {tune['base']!r} has a decoder for comparison; fine-tune a model such as "
+            "default"
+        )
     network = of_base.model.model_dump(mode="json")
     network["lips"] = False  # what an actor shows is not corrected
     if network.get("control_set") == RIG_FILE:

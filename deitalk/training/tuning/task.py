@@ -220,11 +220,6 @@ class FinetuneTask(CurveTask):
         speakers = {clip.speaker for clip in division.train}
         others = (*division.validation, *division.between)
         self.late_clips = [clip for clip in others if clip.speaker in speakers]
-        if config.model.decoder != "convolution":
-            raise ConfigError(
-                f"tune.base: {config.tune.base!r} has decoder: {config.model.decoder}, which is "
-                "for comparison; fine-tune a model such as default"
-            )
         if not self.clips or (config.train.steps and not self.validation_clips):
             found = shortage(len(self.clips), len(self.validation_clips))
             raise DataError(f"{data}: has {found}")

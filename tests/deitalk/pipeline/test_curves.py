@@ -9,6 +9,7 @@ import torch
 from deitalk import animate
 from deitalk.acting import Acting
 from deitalk.audio.load import Recording, load_audio
+from deitalk.audio.voice_activity import speech_activity
 from deitalk.config.curves import ModelConfig
 from deitalk.config.frontends import MelConfig
 from deitalk.config.rules import RulesConfig
@@ -19,6 +20,7 @@ from deitalk.models.curve_model import DEITalk
 from deitalk.models.folder import embedded_models
 from deitalk.pipeline.curves import READ_ON_SAMPLES, prepare
 from deitalk.pipeline.speech import Speech
+from deitalk.postprocess.control_groups import ControlGroups
 from deitalk.postprocess.life.play import LEANS
 from deitalk.research.evaluation.benchmark_curves import speechlike
 from deitalk.research.evaluation.clip_scores import mouth_opening
@@ -150,11 +152,91 @@ def test_weights_of_an_emotion_lie_between_neutral_and_the_label(network):
     assert 0 < away[0] < away[1]
 
 
-def test_face_in_silence_is_at_rest(network):
+def test_face_is_neutral_where_nobody_ever_speaks(network):
+    """Emotion rests beside speech alone; the mouth is shut in silence."""
     quiet = Recording(np.zeros(48_000, np.float32), "silence", 16_000, 1)
     performance = animate(quiet, "angry", model=network, intensity=2)
-    rest = np.tile(network.controls.rest, (90, 1))
-    np.testing.assert_array_equal(performance.curves.values, rest)
+    np.testing.assert_array_equal(performance.curves.values, performance.neutral.values)
+    mouth = ControlGroups(network.controls).follows_mouth
+    rest = np.tile(network.controls.rest[mouth], (90, 1))
+    np.testing.assert_array_equal(performance.curves.values[:, mouth], rest)
+
+
+def paused(default, voice, **fields):
+    """A take of speech, a pause of two seconds and the speech again, and its frames of speech."""
+    speech = voice.waveform[: 6 * 16_000]
+    speaking = np.flatnonzero(speech_activity(speech) > 0)
+    first, last = speaking[0] * 16_000 // 30, (speaking[-1] + 1) * 16_000 // 30
+    pause, lead = np.zeros(32_000, np.float32), np.zeros(6_400, np.float32)
+    speech = speech[first:last]
+    sound = np.concatenate((lead, speech, pause, speech, np.zeros(8_000, np.float32)))
+    take = animate(sound, model=default, sample_rate=16_000, life="off", **fields)
+    return take, len(speech) * 30 // 16_000
+
+
+def silence_between(default, voice, **fields):
+    """Expression of the upper face of `paused`, mean over speech 1; begin and length of speech."""
+    take, count = paused(default, voice, **fields)
+    names = default.controls.names
+    upper = [k for k, n in enumerate(names) if any(part in n for part in UPPER_FACE)]
+    shown = np.abs(take.curves.values - take.neutral.values)[:, upper].sum(axis=1)
+    begin = 12
+    spoken = np.r_[begin : begin + count, begin + count + 60 : begin + 2 * count + 60]
+    return shown / shown[spoken].mean(), begin, count
+
+
+UPPER_FACE = ("brow", "cheekRaise", "squint", "eyelidD", "nose")
+
+
+@pytest.mark.parametrize("emotion", ["angry", "happy", "sad", "surprised", "fear", "disgust"])
+def test_expression_is_there_before_the_voice_and_stays_in_pauses_and_after_it(
+    default, voice, emotion
+):
+    """A former law ended it with the voice: .02 to .16 of a smile was left in a pause."""
+    shown, begin, count = silence_between(default, voice, emotion=emotion)
+    inside = shown[begin : begin + count]
+    assert shown[begin + count : begin + count + 60].mean() >= 0.6, "a pause of two seconds"
+    assert shown[-1] >= 0.5, "half a second after the last word"
+    assert shown[begin - 3] >= 0.7 * inside.max(), "a tenth of a second before the voice"
+    assert shown[0] >= 0.3 * inside.max(), "the first frame, 0.4 s before the voice"
+    low, high = np.percentile(inside[5:-5], (5, 95))
+    assert low / high >= 0.6, "an even phrase"
+
+
+@pytest.mark.parametrize(
+    "fields",
+    [
+        {"emotion": "happy", "intensity_curve": "time,intensity\n0,.8\n"},
+        {"emotion": "angry", "intensity_curve": "time,intensity\n0,.4\n", "rest": 0},
+    ],
+)
+def test_curve_of_the_intensity_is_shown_in_silence_as_drawn(default, voice, fields):
+    shown, begin, count = silence_between(default, voice, **fields)
+    assert shown[begin + count : begin + count + 60].mean() >= 0.95
+    assert shown[0] >= 0.85 and shown[-1] >= 0.85
+
+
+def test_keyed_emotion_is_shown_in_a_pause_as_keyed(default, voice):
+    """Anger in the pause alone is that of a take that is angry all through and rests in full."""
+    _, begin, count = silence_between(default, voice, emotion="angry")
+    start, stop = (begin + count) / 30, (begin + count + 60) / 30
+    keys = [(0, "neutral"), (start, "neutral"), (start + 0.4, "angry"), (stop - 0.4, "angry")]
+    rows = "".join(f"{time:.2f},{name},1\n" for time, name in (*keys, (stop, "neutral")))
+    middle, found = begin + count + 30, []
+    for fields in ({"emotion": "time,emotion,strength\n" + rows}, {"emotion": "angry", "rest": 1}):
+        take, _ = paused(default, voice, **fields)
+        knit = default.controls.index("CTRL_L_brow_down.ty")
+        found.append(take.curves.values[middle, knit])
+    assert found[0] >= 0.95 * found[1] > 0.2
+
+
+def test_a_face_rests_as_far_from_neutral_as_asked(default, voice):
+    """Nine seconds after the last word, when the decay is over."""
+    sizes = []
+    for rest in (0, 0.25, 0.5, 1):
+        take = animate(voice, "angry", model=default, life="off", listen=9, rest=rest)
+        sizes.append(np.abs(take.curves.values - take.neutral.values)[-1].sum())
+    np.testing.assert_allclose(np.array(sizes) / sizes[-1], [0, 0.25, 0.5, 1], atol=0.06)
 
 
 def test_written_intensity_curve_given_back_changes_nothing(network, tmp_path):
@@ -164,7 +246,7 @@ def test_written_intensity_curve_given_back_changes_nothing(network, tmp_path):
     first = animate(speech, "sad", model=network)
     take = write_take(tmp_path / "take", first, model={})
     second = values(speech, "sad", model=network, intensity_curve=take / "intensity.csv")
-    np.testing.assert_allclose(second, first.curves.values, atol=5e-4)
+    np.testing.assert_allclose(second, first.curves.values, atol=1e-3)
 
 
 def test_intensity_curve_gives_the_neutral_reading_where_it_is_0(network):

@@ -24,7 +24,7 @@ from deitalk.postprocess.tracks import (
 from rig import default_controls
 
 CONTROLS = default_controls()
-CLOSE = 1e-6  # rounding
+CLOSE = 3e-6  # rounding
 RULES = {
     "default": RulesConfig(),
     "captures": RulesConfig.for_captures(),

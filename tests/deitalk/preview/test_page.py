@@ -155,7 +155,7 @@ def page_file(tmp_path_factory):
 RESET = """() => {
   const { page } = deitalk;
   page.transport.pause();
-  page.history.reset({ points: [], keys: [], gains: {}, muted: [], life: {} });
+  page.history.reset({ points: [], keys: [], gains: {}, muted: [], layers: [], life: {} });
   page.transport.setRange();
   page.span.fit();
   document.getElementById("loop").checked = false;

@@ -24,6 +24,7 @@ from tests.each import each
 from tests.errors import one_line
 
 SESSION = Path(__file__).with_name("inside_blender.py")
+EDITING = Path(__file__).with_name("edit_inside_blender.py")
 BOARD = default_controls()
 
 
@@ -35,7 +36,8 @@ def addon(monkeypatch, tmp_path):
     make = staticmethod(lambda **_: str)
     names = ("StringProperty", "FloatProperty", "BoolProperty")
     bpy.props = type("Props", (), dict.fromkeys(names, make))
-    helpers.ImportHelper = type("ImportHelper", (), {})
+    for name in ("ImportHelper", "ExportHelper"):
+        setattr(helpers, name, type(name, (), {}))
     for name, module in (("bpy", bpy), ("bpy_extras", extras), ("bpy_extras.io_utils", helpers)):
         monkeypatch.setitem(sys.modules, name, module)
     (tmp_path / "deitalk_blender.py").write_text(addon_text())
@@ -169,13 +171,13 @@ def blenders() -> list:
     return found or [pytest.param("", marks=missing)]
 
 
-def run_inside(program: str, *arguments: Path) -> tuple[dict, str]:
+def run_inside(program: str, *arguments: Path, session: Path = SESSION) -> tuple[dict, str]:
     """What the session inside Blender found, and all that was printed."""
     command = [program]
     if Path(program).name == "blender":
         command += ["--background", "--factory-startup", "--python-exit-code", "3", "--python"]
     done = subprocess.run(
-        [*command, str(SESSION), *(["--"] if len(command) > 1 else []), *map(str, arguments)],
+        [*command, str(session), *(["--"] if len(command) > 1 else []), *map(str, arguments)],
         capture_output=True, text=True, timeout=600, check=False,
     )  # fmt: skip
     lines = [line for line in done.stdout.splitlines() if line.startswith("OUT ")]
@@ -241,3 +243,55 @@ def test_blender_moves_the_face(take, tmp_path, program):
     assert f"{moving - 2} moving curves have no shape key: " in printed
     assert "none of 1 shape keys has a name" in out["errors"][0]
     assert "is no take folder" in out["errors"][1]
+
+
+EDITS = {
+    "board": [(name, 0.1 + 0.11 * k, 0.4 + 0.11 * k) for k, name in enumerate((
+        "CTRL_C_jaw.ty", "CTRL_L_brow_raiseOut.ty", "CTRL_R_brow_down.ty", "CTRL_C_mouth.tx",
+        "CTRL_L_mouth_cornerPull.ty", "CTRL_R_mouth_upperLipRaise.ty", "CTRL_L_eye_blink.ty",
+        "CTRL_L_mouth_lipsTogetherU.ty", "CTRL_L_nose.ty", "CTRL_C_tongue_move.ty",
+        "CTRL_R_nose.ty", "CTRL_R_eye_blink.ty", "CTRL_L_eye_squintInner.ty",
+        "CTRL_R_mouth_dimple.ty", "CTRL_L_mouth_funnelU.ty", "CTRL_R_mouth_stretch.ty",
+        "CTRL_L_mouth_cornerDepress.ty", "CTRL_R_mouth_lowerLipDepress.ty", "CTRL_C_jaw.tx",
+        "CTRL_R_brow_raiseIn.ty",
+    ))],
+    "raw": [("CTRL_expressions_browRaiseOuterL", 0.2, 0.6), ("jawOpen", 1.0, 1.3),
+            ("head_lod0_mesh__nose_wrinkle_L", 0.4, 0.7)],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("program", blenders())
+@pytest.mark.parametrize(("kind", "rate"), [("board", 30), ("board", 24), ("raw", 30)])
+def test_keys_edited_in_blender_come_back_as_a_layer(tmp_path, program, kind, rate):
+    """Import of a take, an animator's edits at 20 places, export, diff, and the take again."""
+    from deitalk import animate
+    from deitalk.data.edited import changes_of_take
+
+    sample = Path(__file__).parents[3] / "docs" / "samples" / "promise.flac"
+    take = animate(sample, "happy").save(tmp_path / "take")
+    (tmp_path / "deitalk_blender.py").write_text(addon_text())
+    target, base = tmp_path / "edited.csv", read_curves(take / "curves.json")
+    moves = {name: (start, end, 0.25) for name, start, end in EDITS[kind]}
+    out, _ = run_inside(
+        program, tmp_path / "deitalk_blender.py", take, target, rate, kind, json.dumps(moves),
+        session=EDITING,
+    )  # fmt: skip
+    assert out["edited"] > 5 * len(moves) and "nothing that is selected" in out["refused"]
+    found = changes_of_take(target, take)
+    assert len(found.layer.text) <= 20_000 and found.share <= 0.01
+    acted = animate(sample, "happy", edit=found.layer).curves
+    changed = set(np.flatnonzero(np.abs(acted.values - base.values).max(axis=0) > 0.01))
+    if kind == "raw":
+        assert {"CTRL_L_brow_raiseOut.ty", "CTRL_C_jaw.ty", "CTRL_L_nose.ty"} == {
+            BOARD.names[k] for k in changed
+        }
+        return
+    edited = base.resample(rate)
+    values, seconds = edited.values.copy(), np.arange(len(edited)) / rate
+    for name, (start, end, added) in moves.items():
+        # Keys are at the take's frames; Blender draws lines between them.
+        keys = base[name] + added * ((base.times >= start - 1e-3) & (base.times <= end + 1e-3))
+        values[:, BOARD.index(name)] = np.interp(seconds, base.times, keys)
+    wanted = np.clip(values, BOARD.minimum, BOARD.maximum)
+    assert {BOARD.names[k] for k in changed} <= set(moves)
+    assert np.abs(acted.resample(rate).values - wanted).max() < (0.01 if rate == 30 else 0.13)

@@ -4,6 +4,7 @@ import { $, messageOf, notice } from "./dom";
 
 /** What the page does with each kind of file; a recording needs a service. */
 export interface Intake {
+  layers(text: string, name: string): void;
   glb(file: File): void;
   curves(file: File): Promise<void>;
   take(files: Map<string, Uint8Array>, name: string): Promise<void>;
@@ -43,10 +44,11 @@ export function bindIntake(intake: Intake): void {
 async function open(file: File, intake: Intake): Promise<void> {
   try {
     if (/\.glb$/i.test(file.name)) intake.glb(file);
+    else if (/\.edit\.json$/i.test(file.name)) intake.layers(await file.text(), file.name);
     else if (/\.zip$/i.test(file.name)) await intake.archive(file);
     else if (CURVES.test(file.name)) await intake.curves(file);
     else if (RECORDING.test(file.type) || RECORDING_NAME.test(file.name)) await openRecording(file, intake);
-    else notice(`${file.name}: drop a recording, a take folder, curves or a .glb`);
+    else notice(`${file.name}: drop a recording, a take folder, curves, layers of edits or a .glb`);
   } catch (error) {
     notice(`${file.name}: ${messageOf(error)}`);
   }

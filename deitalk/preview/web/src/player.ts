@@ -2,6 +2,7 @@
 
 import { filesOfZip, readCurves, readTake, type TakeFiles } from "./data/curvefile";
 import { type Edit, History, NO_EDIT } from "./data/edit";
+import { parseLayers } from "./data/layers";
 import type { Packed } from "./data/packed";
 import { type Board, Take } from "./data/take";
 import { $, button } from "./dom";
@@ -46,9 +47,8 @@ export class Player {
     const keys = Object.fromEntries(VIEWS.map(([key, view]) => [key, () => this.look(view)]));
     if (head) {
       this.faces = new Faces($("faces"), head);
-      const regions = [...new Set<string>(head.facts.regions)];
       this.workbench = new Workbench(
-        head.facts.controls, regions, this.history, this.span, () => this.transport.shown, (s) => this.seek(s),
+        head.facts as Board, this.history, this.span, () => this.transport.shown, (s) => this.seek(s),
       );
     }
     this.transport = new Transport(this.clock, this.span, (s) => this.draw(s), { ...keys, o: () => $("open").click() });
@@ -214,6 +214,10 @@ export class Player {
       this.onTake(read);
     };
     return {
+      layers: (text, name) => {
+        if (!this.take) throw new Error("open a take first; layers of edits change it");
+        this.history.change({ layers: [...this.history.edit.layers, ...parseLayers(text, name)] });
+      },
       glb: (file) => void this.opener.open(file),
       take,
       archive: async (file) => take(await filesOfZip(await file.arrayBuffer()), file.name.replace(/\.zip$/i, "")),

@@ -24,7 +24,7 @@ def test_curves_are_the_measures_and_a_speaker_can_be_left_out(tmp_path):
     table = np.load(path)["meas"]
     table[20:22, 3] = -32768
     np.savez(path, meas=table)
-    ran("data", "lips", folder, "--as-rig", "-o", out)
+    ran("lips", folder, "--as-rig", "-o", out)
     controls = read_controls(str(out / "rig.yaml"))
     assert controls.names == MEASURES
     measured = {c.name: c for c in read_lips(folder, HeadLips(build_head()).eye_distance)}

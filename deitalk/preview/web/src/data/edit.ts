@@ -1,4 +1,6 @@
-/** Edits of a performance, with undo: factor on the intensity, keys of emotion, gains of regions. */
+/** Edits of a performance, with undo: factor on the intensity, keys of emotion, gains of regions, layers. */
+
+import type { Layer } from "./layers";
 
 export interface FactorPoint {
   time: number;
@@ -19,6 +21,8 @@ export interface Edit {
   /** Factor of a region's distance from rest; 1 where none is given. */
   readonly gains: Readonly<Record<string, number>>;
   readonly muted: readonly string[];
+  /** Edits of controls, in the order in which they apply. */
+  readonly layers: readonly Layer[];
   /** Factors on the idle motion of brows, head, blinks and gaze; 1 where none is given. */
   readonly life: Readonly<Record<string, number>>;
   /** What is said, and the language in which it is pronounced; no words where it is empty. */
@@ -28,7 +32,7 @@ export interface Edit {
   readonly acting: Readonly<Record<string, string>>;
 }
 
-export const NO_EDIT: Edit = { points: [], keys: [], gains: {}, muted: [], life: {}, words: "", language: "en-us", acting: {} };
+export const NO_EDIT: Edit = { points: [], keys: [], gains: {}, muted: [], layers: [], life: {}, words: "", language: "en-us", acting: {} };
 export const MAX_FACTOR = 4;
 export const MAX_GAIN = 2;
 
@@ -74,6 +78,11 @@ export class History {
     this.future = [];
     this.now = { ...this.now, ...part };
     this.changed();
+  }
+
+  /** Go on with a gesture under another name. */
+  renameGesture(gesture: string): void {
+    this.gesture = gesture;
   }
 
   endGesture(): void {

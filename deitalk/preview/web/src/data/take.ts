@@ -1,6 +1,7 @@
 /** One performance: curves over time, blended between its neutral and its emotional reading. */
 
 import { type Edit, factorAt, gainsOf, NO_EDIT } from "./edit";
+import { headWithLayers, type Layer, withLayers } from "./layers";
 import type { Packed } from "./packed";
 import { findWarnings, type Warning } from "./warnings";
 
@@ -13,6 +14,10 @@ export interface Board {
   maximum: number[];
   rest: number[];
   regions: string[];
+  /** Columns of the named sets of controls. */
+  sets?: Record<string, number[]>;
+  /** What closes and parts the lips, which layers keep: `rig.curves.layers.Closures`. */
+  closures?: { seals: number[][]; opening: number[]; begin: number; full: number };
 }
 
 /** Curves for the intensity of an edit, computed by the service: they replace the blend. */
@@ -119,7 +124,8 @@ export class Take {
   /** Turn and shift of the head at a time: degrees and cm. */
   headAt(seconds: number): Float32Array | undefined {
     const { head } = this.isExact ? this.exact!.take : this;
-    return head && this.between(seconds, (frame) => head.slice(6 * frame, 6 * frame + 6));
+    const { fps, edit } = this;
+    return head && this.between(seconds, (frame) => headWithLayers(head.slice(6 * frame, 6 * frame + 6), frame / fps, edit.layers ?? []));
   }
 
   private between(seconds: number, row: (frame: number) => Float32Array): Float32Array {
@@ -131,8 +137,8 @@ export class Take {
     return a.map((x, k) => x + t * (b[k] - x));
   }
 
-  /** All controls of one frame with the edit, within their ranges. */
-  frame(index: number): Float32Array {
+  /** All controls of one frame with the edit, within their ranges; with other layers where they are given. */
+  frame(index: number, layers: readonly Layer[] = this.edit.layers ?? []): Float32Array {
     const { board } = this, n = board.controls.length;
     const values = (this.isExact ? this.exact!.take : this).values;
     const out = values.slice(index * n, index * n + n);
@@ -147,7 +153,7 @@ export class Take {
       const scaled = board.rest[k] + (out[k] - board.rest[k]) * this.gains[k];
       out[k] = Math.min(Math.max(scaled, board.minimum[k]), board.maximum[k]);
     }
-    return out;
+    return withLayers(out, index / this.fps, layers, board, this.edit.acting?.rules !== "false");
   }
 
   /** A fixed copy as it is now, under another name. */

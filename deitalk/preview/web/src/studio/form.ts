@@ -18,7 +18,7 @@ interface Field {
 
 export const FIELDS: Record<string, Field> = schema.properties;
 /** Fields with an editor of their own. */
-const EDITED: ActingField[] = ["emotion", "intensity_curve", "words", "language", "life", "gain"];
+const EDITED: ActingField[] = ["emotion", "intensity_curve", "words", "language", "life", "gain", "edit"];
 const TYPES: Record<string, string> = { number: "number", integer: "number", boolean: "checkbox" };
 
 /** The inputs, bound to the edits; returns what shows an edit in them. */

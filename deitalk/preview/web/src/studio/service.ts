@@ -50,11 +50,12 @@ export function emotionCsv(edit: Edit, source: Source): string {
 /** Arguments of an edit beside emotion and intensity. */
 export function optionsOf(source: Source, edit: Edit): Record<string, string> {
   const life = Object.entries(edit.life).filter(([, factor]) => factor !== 1).map(([part, factor]) => `${part}=${factor}`);
-  const words = edit.words?.trim();
+  const words = edit.words?.trim(), layers = edit.layers ?? [];
   return {
     ...source.options,
     ...edit.acting,
     ...(life.length ? { life: life.join(",") } : {}),
+    ...(layers.some((layer) => layer.edits.length) ? { edit: JSON.stringify(layers) } : {}),
     ...(words ? { words, language: edit.language || "en-us" } : {}),
   };
 }
@@ -84,7 +85,9 @@ export async function order(given: Order, progress: Progress, signal: AbortSigna
   if (given.intensityCsv) form.append("intensity_curve", new Blob([given.intensityCsv]), "intensity.csv");
   const gains = Object.entries(gainsOf(given.edit)).map(([region, gain]) => `${region}=${gain}`);
   if (gains.length && given.format !== "packed") form.append("gain", gains.join(","));
-  for (const [name, value] of Object.entries(optionsOf(given, given.edit))) form.append(name, value);
+  const { edit, ...options } = optionsOf(given, given.edit);
+  if (edit && given.format !== "packed") form.append("edit", edit); // the page applies them itself
+  for (const [name, value] of Object.entries(options)) form.append(name, value);
   form.append("format", given.format);
   form.append("name", fileNameOf(given.name));
   const path = given.isLong ? "/v1/jobs" : "/v1/animations";

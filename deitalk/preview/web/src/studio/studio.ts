@@ -2,6 +2,7 @@
 
 import type { TakeFiles } from "../data/curvefile";
 import { type Edit, gainsOf, NO_EDIT } from "../data/edit";
+import { layersText, parseLayers } from "../data/layers";
 import { unpackBytes } from "../data/packed";
 import { Take } from "../data/take";
 import { $, button, messageOf, notice, save } from "../dom";
@@ -29,7 +30,7 @@ const EXPORTS: [string, string, boolean][] = [
   ["Video", "mp4", true], ["Page", "page", false], ["Take", "take", false],
 ];
 /** Fields that the tracks and the sound of a dropped take hold, and factors. */
-const OWN = ["emotion", "intensity", "intensity_curve", "listen", "gain", "life"];
+const OWN = ["emotion", "intensity", "intensity_curve", "listen", "gain", "life", "edit"];
 /** Arguments of a dropped take that its edit shows. */
 const SHOWN = Object.keys(FIELDS).filter((name) => !OWN.includes(name));
 /** Pause after the last edit until the take is animated again; of a recording that is a job of the service. */
@@ -217,6 +218,7 @@ export class Studio {
     const shown = Object.fromEntries(given.map(([name, value]) => [name, typeof value === "object" ? JSON.stringify(value) : String(value)]));
     const { words = "", language = NO_EDIT.language, ...acting } = shown;
     const gains = factorsOf(settings.gain), life = factorsOf(settings.life);
+    const layers = settings.edit ? parseLayers(settings.edit) : [];
     const options = { model, ...(life || !settings.life ? {} : { life: String(settings.life) }) };
     const source: Source = { recording, name: recording.name, options, weightsCsv: intensityCsv, hasOwnIntensity: true };
     const animated: Edit = { ...NO_EDIT, words, language, acting, life: life ?? {} };
@@ -224,9 +226,9 @@ export class Studio {
     const found = await this.opening.run("Animating", (...work) => this.reading({ ...source, edit: animated, intensityCsv }, ...work));
     if (!found) return;
     this.session = { ...source, edit: animated, animated, packed: found.packed };
-    if (gains) {
+    if (gains || layers.length) {
       player.replace(found.take, found.wav); // the curves of the folder hold them already
-      player.history.reset({ ...player.history.edit, gains });
+      player.history.reset({ ...player.history.edit, gains: gains ?? {}, layers });
     }
     this.enable();
     this.edited();
@@ -355,7 +357,11 @@ export class Studio {
       save(new Blob([player.take!.intensityCsv()], { type: "text/csv" }), "intensity.csv");
       words.push("--intensity-curve intensity.csv");
     }
-    const { voice, ...options } = optionsOf(session, session.edit);
+    const { voice, edit, ...options } = optionsOf(session, session.edit);
+    if (edit) {
+      save(new Blob([layersText(session.edit.layers)], { type: "application/json" }), "fixes.edit.json");
+      words.push("--edit fixes.edit.json");
+    }
     if (voice) {
       save(new Blob([voice], { type: "application/json" }), "voice.json");
       words.push("--voice voice.json");

@@ -1,12 +1,13 @@
 /** The timeline of a take: lanes on one span, edits with undo, regions, warnings. */
 
 import type { History } from "../data/edit";
-import type { Take } from "../data/take";
+import type { Board, Take } from "../data/take";
 import { $, button, save, showValue, timeCode } from "../dom";
 import { isText } from "../playback/keys";
 import { CurveLanes } from "./curves";
 import { EmotionLane } from "./emotion";
 import { IntensityLane } from "./intensity";
+import { LayerLane } from "./layers";
 import { factorSlider, Regions } from "./regions";
 import { bindSearch } from "./search";
 import type { Span } from "./span";
@@ -22,6 +23,7 @@ export class Workbench {
   readonly emotion: EmotionLane;
   private readonly intensity: IntensityLane;
   private readonly lanes: CurveLanes;
+  readonly layers: LayerLane;
   private readonly regions: Regions;
   private readonly life: (() => void)[];
   private take?: Take;
@@ -29,8 +31,7 @@ export class Workbench {
   private stale = 0;
 
   constructor(
-    controls: string[],
-    regions: string[],
+    board: Board,
     private readonly history: History,
     private readonly span: Span,
     private readonly time: () => number,
@@ -38,11 +39,12 @@ export class Workbench {
   ) {
     this.emotion = new EmotionLane($<HTMLCanvasElement>("emotion"), $<SVGSVGElement>("keys"), span, history);
     this.intensity = new IntensityLane($<SVGSVGElement>("intensity"), span, history);
-    this.lanes = new CurveLanes($("curves"), span, controls, seek);
-    this.regions = new Regions($("regions"), regions, history);
+    this.lanes = new CurveLanes($("curves"), span, board.controls, seek);
+    this.regions = new Regions($("regions"), [...new Set(board.regions)], history);
+    this.layers = new LayerLane($<SVGSVGElement>("layer-lane"), span, board, history, (name) => this.lanes.add(name));
     this.life = LIFE.map((name) => this.lifeSlider(name));
     this.bindWords();
-    bindSearch(controls, (name) => this.lanes.add(name));
+    bindSearch(board.controls, (name) => this.layers.choose(name));
     this.bindEdits();
     this.bindZoom();
   }
@@ -52,6 +54,7 @@ export class Workbench {
     this.take = take;
     this.intensity.show(take);
     this.emotion.show(take);
+    this.layers.show(take);
     this.lanes.show([take, ...others]);
     this.listWarnings();
     this.edited();
@@ -66,17 +69,20 @@ export class Workbench {
     this.life.forEach((show) => show());
     for (const name of WORDS) showValue($(name), history.edit[name] ?? "");
     if (!take) return;
+    $<HTMLButtonElement>("add-edit").disabled = false;
     for (const id of ["add-point", "save"]) $<HTMLButtonElement>(id).disabled = !take.isEditable;
     $<HTMLButtonElement>("reset").disabled = !history.edit.points.length;
     this.mean = take.meanIntensity;
     this.intensity.scale();
     this.emotion.layout();
+    this.layers.edited();
     clearTimeout(this.stale);
     this.stale = window.setTimeout(() => this.lanes.build(), REBUILD_MS);
   }
 
   at(seconds: number): void {
     this.intensity.at(seconds);
+    this.layers.at(seconds);
     this.lanes.at(seconds);
     if (this.take) $("status").textContent = this.words(this.take, seconds);
   }
@@ -84,6 +90,7 @@ export class Workbench {
   layout(): void {
     this.intensity.layout();
     this.emotion.layout();
+    this.layers.layout();
     this.lanes.resize();
   }
 
@@ -131,6 +138,7 @@ export class Workbench {
     $("reset").addEventListener("click", () => history.change({ points: [] }));
     $("add-point").addEventListener("click", () => this.intensity.addAt(this.time()));
     $("add-key").addEventListener("click", () => this.emotion.addAt(this.time()));
+    $("add-edit").addEventListener("click", () => this.layers.addAt(this.time()));
     $("save").addEventListener("click", () => {
       if (this.take) save(new Blob([this.take.intensityCsv()], { type: "text/csv" }), "intensity.csv");
     });

@@ -18,7 +18,7 @@ from deitalk.research.video.detector import _chosen
 from deitalk.research.video.landmarks import USED
 from rig import default_controls, read_curves, rest_curves
 from rig.face.head import build_head
-from tests.deitalk.data.video.test_decode import write_video
+from tests.deitalk.research.video.test_decode import write_video
 from tests.each import each
 from tests.errors import one_line
 from tests.filmed_head import filmed_mesh, write_mesh
