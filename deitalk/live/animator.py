@@ -8,8 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 from deitalk.acting import LIVE_FIELDS, Acting, acted_as
-from deitalk.audio.arrays import RunningResampler
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE, frame_count, samples_within
+from deitalk.audio.resampling import RunningResampler
 from deitalk.audio.voice_activity import WINDOW
 from deitalk.config.rules import Idle, RulesConfig
 from deitalk.emotions import LABELS, EmotionTrack
