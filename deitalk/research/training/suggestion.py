@@ -44,7 +44,7 @@ from deitalk.audio.load import load_audio
 from deitalk.audio.vocal_strength import rms_db
 from deitalk.data.augment_waveform import Surroundings, augment, change_speed
 from deitalk.errors import DataError, DeitalkError
-from deitalk.evaluation.validation import table
+from deitalk.evaluation.report import table
 from deitalk.models.checkpoint import require_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.pipeline.speech import Speech
