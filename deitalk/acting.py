@@ -29,6 +29,7 @@ from pydantic import (
 )
 
 from deitalk.errors import ConfigError, DataError, EmotionError
+from deitalk.postprocess.life.listener import NO_PLACE
 from rig import limits
 from rig.emotions import COLORS, EMOTIONS, MOODS, PLAIN, VARIANTS
 from rig.errors import UserError, quoted
@@ -43,10 +44,9 @@ if TYPE_CHECKING:
     from rig.curves.layers import Layer as Layer
 
     Track = EmotionTrack | Literal["auto"]
-    Next = Edge | Literal["on"]
 else:  # their modules need numpy, which a command line does without until it works
     ActorReference = Edge = EmotionTrack = IntensityCurve = Layer = Life = Any
-    Next = OtherVoice = Track = Any
+    OtherVoice = Track = Any
 
 # Text forms of the fields of an acting, parsed once, and the files that they may name.
 
@@ -55,8 +55,6 @@ AUTO: Final = "auto"
 LONGEST_LISTENING = 600.0
 """Seconds."""
 MOST_INTENSITY = 4.0
-NO_PLACE = (0.0, 0.0, 65.0)
-"""Where a listener is if no place is given: ahead; degrees and cm."""
 LONGEST_TEXT = 1 << 20
 """Letters of a text that comes from elsewhere."""
 WORDS_SUFFIXES = (".txt", ".textgrid", ".srt", ".vtt")
@@ -221,12 +219,10 @@ def read_voice(given: Any, info: ValidationInfo) -> ActorReference:
     return read_actor(_file(str(given).strip(), _files(info)))
 
 
-def read_edge(given: Any, info: ValidationInfo) -> Edge | Next:
+def read_edge(given: Any, info: ValidationInfo) -> Edge:
     """The edge of the take beside: a take folder, a file of curves, a performance, its content."""
-    from deitalk.postprocess.joins import ON, edge_of
+    from deitalk.postprocess.joins import edge_of
 
-    if info.field_name == "into" and given == ON:
-        return ON
     if isinstance(given, str | Path) and not str(given).lstrip().startswith("{"):
         given = _file(str(given).strip(), _files(info), DataError)
     return edge_of(given, str(info.field_name), last=info.field_name == "after")
@@ -518,16 +514,13 @@ class Acting(BaseModel):
         json_schema_extra=_extra(panel="Editing"),
     )
     into: Annotated[
-        Next | None,
+        Edge | None,
         PlainValidator(read_edge),
-        PlainSerializer(
-            lambda edge: edge if isinstance(edge, str) else edge.content, when_used="unless-none"
-        ),
+        PlainSerializer(lambda edge: edge.content, return_type=dict, when_used="unless-none"),
         WithJsonSchema({"anyOf": [{"type": "string"}, {"type": "object"}]}),
     ] = Field(
         default=None,
-        description="Take that comes next: do not come to rest, and end in its first pose; or on: "
-        "only do not come to rest.",
+        description="Take that comes next: end in its first pose, at its speeds.",
         json_schema_extra=_extra(panel="Editing"),
     )
     rules: bool = Field(

@@ -13,7 +13,7 @@ FLOORS = {
     "deitalk": """
         research
         cli
-        preview training batch
+        agents preview training batch
         evaluation
         data
         live

@@ -30,7 +30,7 @@ NEVER = 1_000_000
 """Frames since a sound was held, where none was."""
 EARLY = 3
 """Frames by which the sound is known before a frame whose pose is held."""
-GOES_ON = 16
+GOES_ON = 20
 """Longest gap of a sound that goes on, frames from its last held frame to the next."""
 POSE = 4
 """Frames after the onset of a sound at which its pose is read."""

@@ -177,7 +177,7 @@ def _in_no_circle(lines: list[Line | BadLine]) -> list[Line | BadLine]:
         else BadLine(
             line.number, line.audio, line.output,
             f"line {line.output} follows {' and '.join(line.beside.values())}, which waits for it; "
-            "of two lines give one `after`, and the other `into` as on",
+            "of two lines give one `after` or `into`, not both",
         )
         for k, line in enumerate(lines)
     ]  # fmt: skip
@@ -242,7 +242,7 @@ def _outside_takes(lines: list[Line | BadLine], takes: dict[str, Line]) -> list[
 #     timecode          zero, recording or HH:MM:SS:FF
 #     delay, handles    frames by which the face is late, and added before and after
 #     track, channel, raw  which signal, as for `deitalk.load_audio`
-#     after, into       the output of the line before it or next, or a take (into also ``on``)
+#     after, into       the output of the line before it or next, or a take
 #     emotion, life …   each field of `deitalk.acting.Acting`; files are relative to the manifest
 #
 # Cells are separated by commas, semicolons or tabs; text is UTF-8 or UTF-16.

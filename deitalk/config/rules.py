@@ -12,7 +12,8 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from deitalk.config.section import Inner, Section, Share, Weight, checked, read_yaml
+from deitalk.config.section import Inner, Section, Share, Weight, checked
+from deitalk.config.yaml_files import read_yaml
 from deitalk.errors import ConfigError
 from rig import limits
 
@@ -27,7 +28,7 @@ class VoiceIntensity(Section):
 
     per_decibel: Slope = 0.1
     """State of feeling per decibel of the voice's strength, in the logarithm of odds."""
-    middle: float = Field(default=2.7, ge=-100, le=100)
+    middle: float = Field(default=0.5, ge=-100, le=100)
     """Strength whose intensity is half of the most, dB above the usual."""
     display: Slope = 0.2
     """Display of the changes within a phrase, per standard deviation of liveliness."""
@@ -36,11 +37,11 @@ class VoiceIntensity(Section):
 class HoldPose(Section):
     """The mouth keeps its pose while a sound is held: a vowel, singing, a hum."""
 
-    steady_db: Size = 4.0
+    steady_db: Size = 2.5
     """Most mean difference of the spectrum's bands from those 0.27 s before, dB."""
-    frames: Annotated[int, Field(ge=1, le=limits.TRAINING_FRAMES)] = 7
-    """Frames that a sound is steady before the pose is kept, after the first 0.27 s."""
-    leaves: Annotated[int, Field(ge=1, le=limits.TRAINING_FRAMES)] = 5
+    frames: Annotated[int, Field(ge=1, le=13)] = 12
+    """Frames that a sound is steady before the pose is kept, after the first 0.33 s; fewer hold nasals and glides of slow speech."""
+    leaves: Annotated[int, Field(ge=1, le=5)] = 5
     """Frames after the sound in which the pose is left."""
 
 
@@ -49,8 +50,13 @@ class SharpenContacts(Section):
 
     peak: Inner = 0.25
     """Height of a peak that becomes one half."""
+    height: Size = 4.0
+    """Factor on the distance from it, in logits: how suddenly peaks become contacts."""
     steepness: Size = 4.0
-    """Factor on the distance from it, in logits."""
+    """The same of the frames beside a peak."""
+    tail: Share = 0.0
+    """Share of an S-curve of `deitalk.postprocess.curve_stages.GENTLE` in both: contacts that are
+    certain stay higher than those that are likely."""
     shoulder: Inner = 0.7
     """Share of a peak of 1 at which a frame beside it becomes one half."""
     doubt: Share = 0.4

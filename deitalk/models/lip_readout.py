@@ -1,16 +1,19 @@
-"""Linear readout of lips from the speech features; not in the papers.
+"""Linear readout of lips and tongue from the speech features; not in the papers.
 
 A decoder that is trained on computed faces does not show all that its features hold. The readout
-is fitted to phones and to measured lips of people (`deitalk.research.training.lip_readout`), and
+is fitted to phones and to measured lips of people, and
 corrects the decoder:
 
 - A contact, lips together or lower lip on the teeth, becomes the geometric mean of the decoder's
   and of the probability that the readout gives it: none that either denies, and the decoder's
   timing.
-- The width of the mouth and the height of its corners move towards those that the readout gives,
-  by the controls that change nothing else of the lips. What an emotion adds stays.
+- Rounding and the tip of the tongue are those of the phones that are heard; the tongue comes out
+  for TH alone, and the lower lip does not touch the teeth meanwhile.
+- The opening and the width of the mouth, the height of the lower lip and of the corners move
+  towards those that the readout gives, by controls that change nothing else of the lips.
 
-Letters: R readings, B streams, T frames, D width of the features, C controls.
+What an emotion adds stays. Letters: R readings, B streams, T frames, D width of the features, C
+controls.
 """
 
 from collections.abc import Sequence
@@ -19,16 +22,34 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from deitalk.postprocess.torch_columns import smoothstep
+
 CONTACTS = ("lipsTogether", "lipBiteD")
 """Parts of the names of the controls of each contact."""
-MEASURES = ("width", "corner")
-"""Measures of the embedded head (`deitalk.research.lips.head_lips`) that are corrected."""
+CHANNELS = ("together", "bite", "out", "tip", "funnel", "purse")
+"""Of the articulation table of the phones, which are read; the first are the contacts."""
+MEASURES = ("opening", "width", "lower_lip", "corner")
+"""Measures of the embedded head that are corrected."""
 TAPS = 9
 """Frames that a row is read from: those around it, or in a causal model those up to it."""
+OUT = (0.08, 0.16)
+"""Reading of the tongue from which it comes out, and at which it is out."""
+SHOWN = {
+    "out": ("tongue_inOut", -0.65, 1.0),
+    "tip": ("tongue_tipMove.ty", 0.75, 0.0),
+    "funnel": ("mouth_funnel", 0.75, 0.0),
+    "purse": ("mouth_purse", 0.45, 0.5),
+}
+"""Part of the names of the controls of a channel, their value at 1, and the share of the decoder's
+that is added."""
+PURSED_FUNNEL = 0.35
+"""Funnel of pursed lips."""
+PURSED_CM = 0.26
+"""By which the mouth is narrower at a purse of 1, besides what the controls of it do."""
 
 
 class LipReadout(nn.Module):
-    """Contacts and measures of the lips from speech features, and the curves that show them.
+    """Channels of phones and measures of the lips from features, and the curves that show them.
 
     Parameters
     ----------
@@ -42,17 +63,34 @@ class LipReadout(nn.Module):
 
     places: Tensor
     """1 where a control (column) is of a contact (row) [shape=(2, C)]."""
+    values: Tensor
+    """Of the controls where a channel of `SHOWN` is 1 [shape=(4, C)]."""
+    own: Tensor
+    """Share of the decoder's curves that stays [shape=(C,)]."""
+    low: Tensor
+    """Least of the decoder's curves: no tongue comes out by them [shape=(C,)]."""
+    narrows: Tensor
+    """1 at the width [shape=(4,)]."""
 
     def __init__(self, in_size: int, names: Sequence[str], *, causal: bool = False) -> None:
         super().__init__()
         self.causal = causal
-        self.listen = nn.Conv1d(in_size, len(CONTACTS) + len(MEASURES), TAPS)
+        self.listen = nn.Conv1d(in_size, len(CHANNELS) + len(MEASURES), TAPS)
         self.shown = nn.Linear(len(names), len(MEASURES))
         """Part of the change that depends on the curves: less where they show the measure."""
         self.moves = nn.Linear(len(MEASURES), len(names), bias=False)
         """Controls per change of a measure."""
-        places = [[float(part in name) for name in names] for part in CONTACTS]
-        self.register_buffer("places", torch.tensor(places), persistent=False)
+
+        def of(part: str) -> Tensor:
+            return torch.tensor([float(part in name) for name in names])
+
+        tables = {"places": torch.stack([of(part) for part in CONTACTS])}
+        tables["values"] = torch.stack([value * of(part) for part, value, _ in SHOWN.values()])
+        tables["own"] = 1 - sum((1 - share) * of(part) for part, _, share in SHOWN.values())
+        tables["low"] = torch.where(of(SHOWN["out"][0]) > 0, 0.0, -torch.inf)
+        tables["narrows"] = torch.tensor([float(name == "width") for name in MEASURES])
+        for name, table in tables.items():
+            self.register_buffer(name, table, persistent=False)
 
     @property
     def margin(self) -> int:
@@ -71,15 +109,15 @@ class LipReadout(nn.Module):
 
         Returns
         -------
-        Tensor [shape=(B, T, 4)]
-            Probabilities of `CONTACTS`, and parts of the change of `MEASURES` in cm.
+        Tensor [shape=(B, T, 10)]
+            `CHANNELS`, 0 to 1, and parts of the change of `MEASURES` in cm.
         """
         if past is not None:
             x = torch.cat((past, speech), dim=1).transpose(1, 2)
         else:
             x = F.pad(speech.transpose(1, 2), (self.margin, TAPS - 1 - self.margin))
         rows = self.listen(x).transpose(1, 2)
-        n = len(CONTACTS)
+        n = len(CHANNELS)
         return torch.cat((rows[..., :n].sigmoid(), rows[..., n:]), dim=-1)
 
     def first_past(self, batch: int) -> Tensor:
@@ -93,11 +131,30 @@ class LipReadout(nn.Module):
         ----------
         readings : Tensor [shape=(R, ..., T, C)]
             The first is the neutral one.
-        read : Tensor [shape=(..., T, 4)]
+        read : Tensor [shape=(..., T, 10)]
             From `forward`.
         """
-        n = len(CONTACTS)
-        likely, wanted = read[..., :n], read[..., n:]
-        curves = readings + self.moves(wanted + self.shown(readings[:1]))
-        contacts = (curves.clamp(0, 1) * (likely @ self.places)).sqrt()
-        return torch.where(self.places.sum(dim=0) > 0, contacts, curves)
+        said, seals = self.articulated(readings, read)
+        purse = read[..., CHANNELS.index("purse"), None]
+        wanted = read[..., len(CHANNELS) :] - PURSED_CM * purse * self.narrows
+        curves = readings + said - readings[:1] + self.moves(wanted + self.shown(said))
+        return torch.where(self.places.sum(dim=0) > 0, seals, curves)
+
+    def articulated(self, readings: Tensor, read: Tensor) -> tuple[Tensor, Tensor]:
+        """Curves that show the channels, of `correct`'s arguments.
+
+        Returns
+        -------
+        said : Tensor [shape=(1, ..., T, C)]
+            Of the neutral reading.
+        seals : Tensor [shape=(R, ..., T, C)]
+            Of all readings; they hold in the controls of contacts.
+        """
+        together, bite, out, tip, funnel, purse = read[..., : len(CHANNELS), None].unbind(-2)
+        out = smoothstep((out - OUT[0]) / (OUT[1] - OUT[0]))
+        likely = torch.cat((together, bite), dim=-1) @ self.places
+        seals = (readings.clamp(0, 1) * likely).sqrt() * (1 - out * self.places[1])
+        funnel = (funnel + PURSED_FUNNEL * purse).clamp_max(1)
+        channels = torch.cat((out, tip, funnel, purse), dim=-1)
+        said = torch.maximum(readings[:1], self.low) * self.own + channels @ self.values
+        return torch.where(self.places.sum(dim=0) > 0, seals[:1], said), seals

@@ -34,7 +34,7 @@ from deitalk.pipeline.words.script import Script, TimedMark, levels, with_accent
 from deitalk.pipeline.words.transcript import Transcript, other_spans
 from deitalk.postprocess.factors import held_intensity, mean_around, opening_factor
 from deitalk.postprocess.feeling import state_of_intensity
-from deitalk.postprocess.joins import Edge, activity_beside, lead, unknown_controls
+from deitalk.postprocess.joins import activity_beside, lead, unknown_controls
 from deitalk.postprocess.known_phones import phone_tracks
 from deitalk.postprocess.life.motion import Motion, plan_motion
 from deitalk.postprocess.life.other import OtherVoice
@@ -339,7 +339,9 @@ def finish(
     speaking = speech.activity > 0
     held = partial(held_intensity, rules.expressions, network.controls, neutral, emotional, weights)
     factor = levels(prepared.marks, speech.times) if prepared.marks else 1.0
-    intensities = measure_intensities(speech, tracks, acting, rules.voice_intensity, held, factor)
+    intensities = measure_intensities(
+        speech, tracks, acting, rules.voice_intensity, held, weights, factor
+    )
     clock.lap("network")
     # Times of the words in the sound.
     words = words or prepared.said
@@ -452,12 +454,11 @@ def _between(speech: Speech, acting: Acting) -> Speech:
 
 def _join(controls: ControlSet, values: Float32, head: Float32 | None, acting: Acting) -> None:
     """Have the curves [shape=(T, C)] and the head begin and end at the takes beside them."""
-    nexts = [edge for edge in (acting.into,) if isinstance(edge, Edge)]
-    most = len(values) // 2 if nexts else None
+    most = len(values) // 2 if acting.into is not None else None
     if acting.after is not None:
         lead(values, head, controls, acting.after, most=most)
-    for edge in nexts:
-        lead(values, head, controls, edge, last=True, most=most)
+    if acting.into is not None:
+        lead(values, head, controls, acting.into, last=True, most=most)
 
 
 def _traits(prepared: Prepared) -> Traits:

@@ -129,8 +129,8 @@ class Speech:
 
     @property
     def is_cut(self) -> bool:
-        """Whether the recording ends in speech, or goes on."""
-        return bool(len(self.after) or self.activity[-1 - CUT_FRAMES :].any())
+        """Whether the recording ends in speech."""
+        return bool(self.activity[-1 - CUT_FRAMES :].any())
 
     @cached_property
     def mouth(self) -> Float32:
@@ -178,8 +178,7 @@ class Speech:
         """The same, and that of each frame's phrase [shape=(T,)], which changes little within it.
 
         Of a short phrase, which is measured badly, it is nearer to the whole. With a network's
-        readout of the effort [shape=(T,), dB] the two are averaged; the command of
-        `deitalk.research.training.effort` prints how it orders the takes of unheard actors.
+        readout of the effort [shape=(T,), dB] the two are averaged.
         """
         strength, around = self._followed_strength
         speaking = self.activity > 0
@@ -241,14 +240,16 @@ def measure_intensities(
     acting: Acting,
     rule: VoiceIntensity | None = VoiceIntensity(),
     held: Callable[[Float32], Float32] = lambda network: network,
+    weights: Float32 | None = None,
     factor: Float32 | float = 1.0,
 ) -> Intensities:
     """Intensity to apply in each frame, from the network, the voice and the acting.
 
     A network without an intensity module counts as one that predicts 1 everywhere. Without the
     `rule` of the voice's intensity the emotional reading is shown as it is, times the factor.
-    `held` gives the intensity that the emotional reading holds from the predicted one, `factor`
-    [shape=(T,)] is what a script makes of the applied one. A curve of the intensity and keyframes
+    `held` gives the intensity that the emotional reading holds from the predicted one. Of a script
+    come `weights` of the emotions [shape=(T, 9)], in place of the acting's, and a `factor`
+    [shape=(T,)] on the intensity. A curve of the intensity and keyframes
     of the emotion are shown as drawn, in silence too.
     """
     network = np.ones(speech.n_frames, np.float32)
@@ -265,7 +266,8 @@ def measure_intensities(
         share = speech.share(acting.rest)
     felt = voice
     if rule is not None:
-        felt = felt_intensity(voice, acting.emotion_track.at(speech.times), rule)
+        emotions = acting.emotion_track.at(speech.times) if weights is None else weights
+        felt = felt_intensity(voice, emotions, rule).astype(np.float32)
     wanted = felt if curve is None else curve.at(speech.times).astype(np.float32)
     whole = np.asarray(wanted * acting.intensity * factor, np.float32)
     holds = held(network)
@@ -308,7 +310,7 @@ def measure_actor(
     model : str, Path or CurveNetwork
         The model whose takes count from it.
     traits : mapping of str to float, optional
-        Those measured on captured takes (`deitalk.data.captures.survey.measure_traits`); the others
+        Those measured on captured takes (`deitalk.data.captures.traits.measure_traits`); the others
         are drawn. With them there may be no recordings: the usual strength is 0 then.
 
     Raises

@@ -29,6 +29,8 @@ from rig.arrays import Float32
 
 PEAK_FRAMES = 7
 """A frame belongs to the highest peak within three frames (0.1 s) of it."""
+GENTLE = 1.5
+"""Steepness of the share of contacts by which certain ones stay above likely ones."""
 PARTED = 0.8
 """Share by which a contact that is added lowers what parts the lips."""
 YIELDING_STEP = 1 / 3
@@ -152,13 +154,16 @@ class Sharpen(nn.Module):
         rows = values.reshape(-1, 1, values.shape[-1])
         peaks = F.max_pool1d(rows, PEAK_FRAMES, 1, PEAK_FRAMES // 2).reshape(values.shape)
         shoulder = (rule.shoulder + rule.doubt * (1 - peaks)).clamp_max(rule.sharpest)
-        height = decided(peaks, torch.full_like(peaks, rule.peak), rule.steepness)
-        return height * decided(values / peaks.clamp_min(1e-6), shoulder, rule.steepness)
+        height = decided(peaks, torch.full_like(peaks, rule.peak), rule.height, rule.tail)
+        share = values / peaks.clamp_min(1e-6)
+        return height * decided(share, shoulder, rule.steepness, rule.tail)
 
 
-def decided(values: Tensor, middle: Tensor, steepness: float) -> Tensor:
-    """S-curve from 0 to 1 that makes one half of `middle`."""
-    return torch.sigmoid(steepness * (_log_odds(values) - _log_odds(middle)))
+def decided(values: Tensor, middle: Tensor, steepness: float, tail: float = 0.0) -> Tensor:
+    """S-curve from 0 to 1 that makes one half of `middle`; a share of it is gentle."""
+    distance = _log_odds(values) - _log_odds(middle)
+    steep = torch.sigmoid(steepness * distance)
+    return steep + tail * (torch.sigmoid(GENTLE * distance) - steep) if tail else steep
 
 
 def _log_odds(share: Tensor) -> Tensor:
@@ -262,6 +267,7 @@ class Express(nn.Module):
     moods: Tensor
     spreading: Tensor
     taught: Tensor
+    opening: Tensor
     changed: Tensor
 
     def __init__(self, rule: Expressions | None, controls: ControlSet) -> None:
@@ -275,6 +281,9 @@ class Express(nn.Module):
         constant(self, "taught", table.taught * (1.0 if rule is None else rule.size))
         constant(self, "parting", np.where(is_mood, 0, table.parting))
         constant(self, "moods", np.where(is_mood, table.parting, 0))
+        constant(
+            self, "opening", np.isin(table.places, ControlGroups(controls).opening).astype(float)
+        )
         constant(self, "spreading", table.spreading)
         constant(self, "changed", table.changed[:, None])
         self.columns = Columns(table.places, size)
@@ -323,7 +332,8 @@ class Express(nn.Module):
         neutral, blend = part[:, :, NEUTRAL], part[:, :, SHOWN]
         pose = ways @ self.poses + (ways @ self.parting) * free
         pose = pose + (ways @ self.moods) * slow
-        read = (blend - neutral) + missing * (emotion @ self.taught)
+        yields = 1 - (1 - free) * self.opening  # closed lips stay closed
+        read = (blend - neutral) + missing * (emotion @ self.taught) * yields
         shown = read * (ways @ self.gains) + pose * strength
         rounded = self._rounded(curves[:, :, NEUTRAL]) * spoken
         kept = 1 - YIELDED * rounded * (emotion @ self.changed)

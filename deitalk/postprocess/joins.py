@@ -33,8 +33,6 @@ from rig.files.reading import load_json, read_text
 from rig.formats import read_curves
 
 FORMAT, VERSION = "deitalk-edge", 1
-ON = "on"
-"""In place of a take to lead into: one that is not there yet."""
 TAKE_CURVES, TAKE_ABOUT, ARCHIVE = "curves.json", "take.json", ".zip"
 QUIET, ENDS = "quiet_seconds", ("start", "end")
 """Entry of ``take.json``: seconds without speech at both ends."""
@@ -443,7 +441,7 @@ def unknown_controls(edge: Edge, controls: ControlSet) -> tuple[str, ...]:
     return (f"{len(others)} controls of the other take are none of the model's: {others[0]} …",)
 
 
-def activity_beside(edge: Edge | str | None, *, before: bool) -> Float32:
+def activity_beside(edge: Edge | None, *, before: bool) -> Float32:
     """Activity of the sound before or after a take, as far as its gates depend on it.
 
     The edge's seconds without speech, then speech; nothing without an edge. Without a known time
@@ -451,7 +449,7 @@ def activity_beside(edge: Edge | str | None, *, before: bool) -> Float32:
     """
     if edge is None:
         return np.zeros(0, np.float32)
-    quiet = edge.quiet if isinstance(edge, Edge) and edge.quiet is not None else PAUSE_SECONDS
+    quiet = PAUSE_SECONDS if edge.quiet is None else edge.quiet
     silence = np.zeros(round(min(quiet, LONGEST_QUIET) * FRAME_RATE), np.float32)
     speech = np.ones(1 if quiet < LONGEST_QUIET else 0, np.float32)
     return np.concatenate((speech, silence) if before else (silence, speech))

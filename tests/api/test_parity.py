@@ -14,7 +14,7 @@ import pytest
 import soundfile
 from websockets.sync.client import connect
 
-from api.live.session import FRAME
+from api.live.messages import FRAME
 from deitalk import LiveAnimator, animate, suggest_emotion
 from deitalk.audio.load import load_audio
 from deitalk.live.sources import PacedSound
@@ -35,6 +35,15 @@ VOICE = json.dumps({
     "traits": {"side": 0.2, "brow_range": 1.5},
 })  # fmt: skip
 TIMED = "1\n00:00:00,100 --> 00:00:00,900\nPromise big\n"
+SPOKEN = (
+    "1\n00:00:00,100 --> 00:00:00,900\nANNA: [angrily] Promise *big*\n\n"
+    "2\n00:00:01,000 --> 00:00:01,300\nBOB: No.\n"
+)
+EDGE = json.dumps({
+    "format": "deitalk-edge", "version": 1, "pose": {"CTRL_C_jaw.ty": 0.4}, "quiet": 0.2,
+    "speed": {"CTRL_C_jaw.ty": 0.05}, "head": [3, 1, 0, 0, 0, 0], "head_speed": [0] * 6,
+    "traits": {"side": 0.1},
+})  # fmt: skip
 FIXES = json.dumps({
     "schema": "deitalk.edit/1", "name": "fixes", "edits": [
         {"target": "brow", "mode": "offset", "keys": [[0.2, 0], [0.6, 0.4], [1.1, 0, -0.3, 0]]},
@@ -43,7 +52,8 @@ FIXES = json.dumps({
     ],
 })  # fmt: skip
 FILES = {
-    "fixes.edit.json": FIXES, "keys.csv": KEYS, "intensity.csv": CURVE, "anna.json": VOICE, "said.srt": TIMED,
+    "fixes.edit.json": FIXES, "keys.csv": KEYS, "intensity.csv": CURVE, "anna.json": VOICE,
+    "said.srt": TIMED, "spoken.srt": SPOKEN, "edge.json": EDGE,
 }  # fmt: skip
 CASES = {
     "nothing": {},
@@ -63,6 +73,12 @@ CASES = {
     "gain": {"emotion": "happy", "gain": "jaw=1.2,brow=.5"},
     "edit": {"emotion": "happy", "edit": "fixes.edit.json"},
     "listen": {"listen": "1.5"},
+    "after": {"after": "edge.json"},
+    "into": {"emotion": "sad", "into": "edge.json"},
+    "between": {"into": "edge.json", "after": "edge.json"},
+    "script": {"script": "[happily] My promise is *big*."},
+    "script of a role": {"script": "spoken.srt", "role": "anna"},
+    "words of a role": {"words": "spoken.srt", "role": "bob"},
     "network alone": {"rules": "false"},
     "seed": {"seed": str(2**40)},
 }
@@ -116,7 +132,7 @@ def here(place):
 
 
 def fields_of(case):
-    if case in ("transcript", "timed words") and espeak.missing():
+    if {"words", "script"} & CASES[case].keys() and espeak.missing():
         pytest.skip("needs espeak-ng")
     return CASES[case]
 

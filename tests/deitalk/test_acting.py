@@ -168,7 +168,7 @@ def test_live_voices_refuse_what_needs_the_whole_recording():
         with pytest.raises(ConfigError, match="whole recording"):
             Acting.of(**fields).check_live()
     assert {name for name, when in LIVE_FIELDS.items() if when == "change"} == {
-        "emotion", "intensity", "look_at", "gain", "rules"
+        "emotion", "intensity", "rest", "look_at", "gain", "rules"
     }  # fmt: skip
 
 

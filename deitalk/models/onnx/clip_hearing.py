@@ -1,9 +1,9 @@
 """What is heard of a whole recording, as operators of a graph.
 
-The functions of `deitalk.audio.voice_activity`, `deitalk.audio.vocal_strength` and
-`deitalk.postprocess.voice_intensity`, which say what each step is for and hold its numbers, in
-torch: without loops over frames, and by operators that every runtime of ONNX has. Tests hold both
-to the same values.
+The functions of `deitalk.audio.voice_activity`, `deitalk.audio.held_sound`,
+`deitalk.audio.vocal_strength` and `deitalk.postprocess.feeling`, which say what each step is for
+and hold its numbers, in torch: without loops over frames, and by operators that every runtime of
+ONNX has. Tests hold both to the same values.
 
 Letters: S samples, T frames, K frequency bands, W samples of a window.
 """
@@ -17,6 +17,16 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
+from deitalk.audio.held_sound import (
+    BEFORE,
+    DEPTH_DB,
+    EARLY,
+    GOES_ON,
+    LAG,
+    PERIODIC,
+    POSE,
+    SMOOTHED,
+)
 from deitalk.audio.vocal_strength import (
     ACTIVE_DB,
     AROUND_BLOCKS,
@@ -39,9 +49,7 @@ from deitalk.audio.vocal_strength import (
     WINDOW,
     vocal_strength,
 )
-from deitalk.audio.voice_activity import (
-    BAND_EDGES_HZ as ACTIVITY_EDGES_HZ,
-)
+from deitalk.audio.voice_activity import BAND_EDGES_HZ as ACTIVITY_EDGES_HZ
 from deitalk.audio.voice_activity import (
     CLEAN_DB,
     FLOOR_PERCENTILE,
@@ -57,37 +65,49 @@ from deitalk.audio.voice_activity import (
     SPEECH_RANGE_DB,
     TOP_BANDS,
 )
-from deitalk.config.rules import Gates, PoseSize, RulesConfig, ScaleOpening, VoiceIntensity
-from deitalk.emotions import EMOTIONS
+from deitalk.config.rules import (
+    Expressions,
+    Gates,
+    HoldPose,
+    RulesConfig,
+    ScaleOpening,
+    VoiceIntensity,
+)
 from deitalk.models.onnx.spectra import SpectralPower
-from deitalk.pipeline.speech import EFFORT_FRAMES, EFFORT_SHARE
-from deitalk.postprocess.control_groups import ControlGroups
-from deitalk.postprocess.factors import AROUND_FRAMES, LEAST_PREDICTED, MOST_RESIZED
-from deitalk.postprocess.torch_columns import constant
-from deitalk.postprocess.voice_intensity import (
-    AROUND_WEIGHT,
+from deitalk.pipeline.speech import (
+    EFFORT_FRAMES,
+    EFFORT_SHARE,
+    PHRASE_FRAMES,
+    WITHIN_SHARE,
+)
+from deitalk.postprocess.expressions import expression_table
+from deitalk.postprocess.factors import (
+    AROUND_FRAMES,
+    FAINT_SIZE,
+    LEARNT_GAIN,
+    LEARNT_USUAL,
+    LEAST_PREDICTED,
+    MOST_HELD,
+    UPPER,
+)
+from deitalk.postprocess.feeling import (
     BRIGHTEST_DB,
     DEEPEST_DB,
-    END_FRAMES,
     FAINTEST,
-    FALL_FRAMES,
     FEWEST_VOICED,
     FURTHEST_SEMITONES,
-    HOLD_AT_END,
     LEVEL_SHARE,
-    MOST_BASE,
-    MOST_TAKE,
+    MOST,
+    MOST_DISPLAY,
     MOST_TONE,
-    MOST_VARIATION,
-    NEAR_FRAMES,
-    NEAR_SHARE,
-    NETWORK_WEIGHT,
-    REST_AT_END,
-    RISE_FRAMES,
+    NETWORK_SHARE,
+    PAUSE_FRAMES,
+    READY_FRAMES,
     SMOOTHING_FRAMES,
     STEEPNESS,
     TONE_SHARE,
 )
+from deitalk.postprocess.torch_columns import constant
 from rig import ControlSet
 from rig.curves.edit import TRUNCATE
 
@@ -155,13 +175,19 @@ class Measured(NamedTuple):
         """Bright over dark, dB."""
         return decibels((self.bright + 1e-12) / (self.dark + 1e-12), 0.0)
 
+    @property
+    def tone(self) -> Tensor:
+        """`deitalk.audio.vocal_strength.tonality`."""
+        highest = 12 * math.log2(SAMPLE_RATE / SHORTEST / 100)
+        return self.periodicity * (self.pitch < highest - 1e-3).float()
+
 
 class MeasureProsody(nn.Module):
     """`deitalk.audio.vocal_strength.measure_windows`."""
 
     window: Tensor
     sums: Tensor
-    waves: Tensor
+    weight: Tensor
 
     def __init__(self) -> None:
         super().__init__()
@@ -176,21 +202,21 @@ class MeasureProsody(nn.Module):
             (number >= edges[:-1]) & (number < edges[1:]),
         ]
         self.power = SpectralPower(WINDOW, FFT, bins)
-        turns = np.outer(np.arange(bins), np.arange(LONGEST)) % FFT
         weight = np.full((bins, 1), 2.0)
         weight[[0, -1]] = 1
-        waves = np.cos(2 * np.pi / FFT * turns) * weight / FFT
         unused = ((0, self.power.bins - bins), (0, 0))
         sums = np.concatenate(columns, axis=1).astype(float)
         constant(self, "window", np.hanning(WINDOW))
         constant(self, "sums", np.pad(sums, unused))
-        constant(self, "waves", np.pad(waves, unused))
+        constant(self, "weight", np.pad(weight / FFT, unused))
 
     def forward(self, windows: Tensor) -> Measured:
         """Measures of windows (T, W)."""
         power = self.power(windows * self.window)
         mean, bright, dark, bands = torch.split(power @ self.sums, [1, 1, 1, BANDS], dim=-1)
-        correlation = power @ self.waves
+        # Inverse transform, of whole numbers of turns: not a table, which the file would hold.
+        turns = torch.arange(power.shape[1])[:, None] * torch.arange(LONGEST) % FFT
+        correlation = power @ (torch.cos(turns.float() * (2 * math.pi / FFT)) * self.weight)
         correlation = correlation / (correlation[..., :1] + 1e-12)
         periodicity, lag = correlation[..., SHORTEST:].max(dim=-1)
         pitch = 12 / math.log(2) * torch.log(SAMPLE_RATE / 100 / (lag + SHORTEST).float())
@@ -256,14 +282,18 @@ def mean_around(values: Tensor, used: Tensor) -> Tensor:
 class SpeechActivity(nn.Module):
     """`deitalk.audio.voice_activity.speech_activity` and `level_gain`."""
 
-    def __init__(self) -> None:
+    def __init__(self, prosody: MeasureProsody) -> None:
         super().__init__()
-        self.levels = BandLevels()
+        self.levels, self.prosody = BandLevels(), prosody
 
-    def forward(self, sound: Tensor, n_frames: Tensor | int) -> Tensor:
-        """Frames with speech: 1, all others 0 (T,)."""
-        levels = self.levels(frame_windows(sound, n_frames, nearest=False))
-        excess = torch.topk(levels - self._floor(levels), TOP_BANDS, dim=1)[0].mean(dim=1)
+    def forward(self, sound: Tensor, n_frames: Tensor | int) -> tuple[Tensor, Tensor]:
+        """Frames with speech: 1, all others 0 (T,); and the levels of bands (T, K)."""
+        windows, rule = frame_windows(sound, n_frames, nearest=False), HoldPose()
+        levels = self.levels(windows)
+        _, sounding = follow_held(levels, self.prosody(windows).tone, rule)
+        held = torch.maximum(sounding, begins(sounding, BEFORE + rule.frames))
+        excess = torch.topk(levels - self._floor(levels, held), TOP_BANDS, dim=1)[0].mean(dim=1)
+        excess = torch.where(held > 0, excess.clamp_min(OPEN_DB), excess)
         # Runs of `keeps` that hold at least one frame of `opens`.
         opens, keeps = (excess >= OPEN_DB).float(), (excess >= KEEP_DB).float()
         opened, begun = neighbours(opens), neighbours(1 - keeps)
@@ -278,7 +308,7 @@ class SpeechActivity(nn.Module):
         # A single frame is a click.
         beside = F.pad(speech, (1, 1))
         paired = speech * torch.maximum(beside[:-2], beside[2:])
-        return torch.where(self._is_short(sound), speech, paired)
+        return torch.where(self._is_short(sound), speech, paired), levels
 
     def gain(self, sound: Tensor, speech: Tensor, target_db: float) -> Tensor:
         """Factor that brings the speech (T,) to a level; 1 if there is none."""
@@ -308,7 +338,7 @@ class SpeechActivity(nn.Module):
     def _is_short(self, sound: Tensor) -> Tensor:
         return torch.as_tensor(sound.shape[0]) < SHORT_SECONDS * SAMPLE_RATE
 
-    def _floor(self, levels: Tensor) -> Tensor:
+    def _floor(self, levels: Tensor, held: Tensor) -> Tensor:
         """Level per band (T, K) above which there is more than noise, dB."""
         half = round(FLOOR_SECONDS * FRAME_RATE / 2)
         hop, total = half // 3, torch.as_tensor(levels.shape[0])
@@ -316,9 +346,13 @@ class SpeechActivity(nn.Module):
         centres = torch.minimum(number * hop, total - 1)  # the last frame too
         places = centres + torch.arange(-half, half)[:, None]  # (2 half, N)
         inside = ((places >= 0) & (places < total)).long()
-        rows = levels[torch.minimum(places.clamp_min(0), total - 1)]  # (2 half, N, K)
+        places = torch.minimum(places.clamp_min(0), total - 1)
+        inside = inside * (1 - held[places].long())
+        rows = levels[places]  # (2 half, N, K)
         used = inside[:, :, None].expand_as(rows)
         lowest = masked_percentile(rows, used, FLOOR_PERCENTILE)  # (N, K)
+        quiet = torch.full_like(lowest, SHORT_FLOOR_DB - OPEN_DB)
+        lowest = torch.where(inside.sum(dim=0)[:, None] > 0, lowest, quiet)
         frames = torch.arange(levels.shape[0])
         before = frames // hop
         first, second = centres[before], centres[before + 1]
@@ -331,13 +365,103 @@ class SpeechActivity(nn.Module):
         return torch.where(is_short, torch.full_like(floor, SHORT_FLOOR_DB - OPEN_DB), floor)
 
 
+def begins(flags: Tensor, count: int) -> Tensor:
+    """1 at the `count` frames before each run of flags (T,)."""
+    starts = flags * (1 - F.pad(flags, (1, 0))[:-1])
+    following = neighbours(starts)[1] - torch.arange(flags.shape[0])
+    return (following <= count).float()
+
+
+# Held sounds.
+
+
+def change_of(rows: Tensor) -> Tensor:
+    """Mean difference of smoothed bands from those `LAG` frames before, dB.
+
+    Rows (B, BEFORE + n, K); the result is (B, n).
+    """
+    shapes = (rows - rows.amax(dim=2, keepdim=True)).clamp_min(-DEPTH_DB)
+    length = rows.shape[1] - SMOOTHED + 1
+    smooth = shapes[:, :length]
+    for k in range(1, SMOOTHED):
+        smooth = smooth + shapes[:, k : length + k]
+    smooth = smooth / SMOOTHED
+    return (smooth[:, LAG:] - smooth[:, :-LAG]).abs().mean(dim=2)
+
+
+def follow_held(
+    levels: Tensor, tones: Tensor, rule: HoldPose
+) -> tuple[tuple[Tensor, Tensor], Tensor]:
+    """`deitalk.audio.held_sound.held_sound` of levels (T, K) and tones (T,).
+
+    Returns
+    -------
+    (back, share), sounding
+        [shape=(T,)] each: frames since the pose that is kept, its share, and 1 where a sound is
+        held.
+    """
+    total = levels.shape[0]
+    rows = torch.cat((levels[:1].expand(BEFORE, -1), levels, levels[-1:].expand(EARLY, -1)))
+    frames = torch.arange(total + EARLY)
+    # Before the first frame there is none: the first frames are not steady.
+    steady = (change_of(rows[None])[0] <= rule.steady_db) & (frames >= BEFORE)
+    steady = steady & (F.pad(tones, (0, EARLY)) > PERIODIC)
+    age = frames - neighbours((~steady).float())[0].clamp_min(-1)
+    sounding = (age >= rule.frames).float()
+    last = neighbours(sounding)[0]
+    before = F.pad(last + FAR, (1, 0))[:-1] - FAR  # last held frame before each frame
+    is_onset = (sounding > 0) & (age == rule.frames) & (frames - before > GOES_ON)
+    onset = neighbours(is_onset.float())[0]
+    back = frames - onset + rule.frames + BEFORE - POSE - EARLY
+    risen = ((age - rule.frames + 1).float() / rule.leaves).clamp_max(1)
+    since = frames - last
+    risen = risen[last.clamp_min(0)] * (last >= 0).float()
+    share = risen * (1 - since.float() / rule.leaves).clamp(0, 1)
+    back = torch.where((since <= GOES_ON) & (onset >= 0), back, torch.zeros_like(back))
+    back, share, frames = back[EARLY:], share[EARLY:], frames[:total]
+    # The pose is kept from its own frame on, with the most that its sound shows.
+    runs = (back > 0).float()
+    starts = runs * (1 - F.pad(runs, (1, 0))[:-1])
+    levels_of = torch.round(share * rule.leaves**2).long()  # exact, as shares are
+    number = torch.cumsum(starts.long(), dim=0) * (rule.leaves**2 + 1)
+    most = running_most(torch.where(runs > 0, levels_of + number, torch.zeros_like(number)))
+    rising = most - number
+    backwards = running_most(torch.where(runs > 0, levels_of - number, -number - 1).flip(0)).flip(0)
+    whole = torch.maximum(rising, backwards + number)
+    top = (whole.float() / rule.leaves**2) * runs
+    share = torch.where((runs > 0) & (rising < whole), top, share)
+    start = neighbours(starts)[1]
+    place = start.clamp_max(total - 1)
+    pose = (place - back[place]).clamp_min(0)
+    is_before = (start < FAR) & (frames >= pose) & (frames < start)
+    back = torch.where(is_before, frames - pose, back)
+    share = torch.where(is_before, top[place], share)
+    return (back.float(), share), sounding[:total]
+
+
+def running_most(values: Tensor) -> Tensor:
+    """Largest of the values (T,) up to each, for up to 2^17 frames, an hour."""
+    for k in range(17):
+        none = (0 * values[:1] - (1 << 40)).expand(1 << k)
+        earlier = torch.cat((none, values))[: values.shape[0]]
+        values = torch.maximum(values, earlier)
+    return values
+
+
 def faded(progress: Tensor) -> Tensor:
-    """`deitalk.postprocess.voice_intensity.fade`."""
+    """`deitalk.postprocess.feeling.fade`."""
     return 0.5 + 0.5 * torch.cos(math.pi * progress.clamp(0, 1))
 
 
-def gates_of(speech: Tensor, rule: Gates | None) -> tuple[Tensor, Tensor]:
-    """Gates of the mouth and of the expression (T,)."""
+def expression_after(since: Tensor, until: Tensor, rest: Tensor, rule: Gates) -> Tensor:
+    """`deitalk.postprocess.feeling.expression_after`."""
+    kept = rest + (1 - rest) * torch.exp(-since / rule.feeling_decays)
+    beyond = torch.minimum(since, until) - rule.feeling_leaves
+    return kept * faded(beyond / (2 * rule.feeling_decays))
+
+
+def gates_of(speech: Tensor, rest: Tensor, rule: Gates | None) -> tuple[Tensor, Tensor]:
+    """Gate of the mouth and share of the expression (T,), of which `rest` (T,) stays."""
     if rule is None:
         return torch.ones_like(speech), torch.ones_like(speech)
     last, following = neighbours(speech)
@@ -346,17 +470,8 @@ def gates_of(speech: Tensor, rule: Gates | None) -> tuple[Tensor, Tensor]:
     mouth = torch.maximum(
         faded(since / (rule.mouth_closes + 1)), faded(until / (rule.mouth_opens + 1))
     )
-    fading = faded((since - rule.expression_holds) / rule.expression_fades)
-    expression = torch.maximum(fading, faded(until / (rule.expression_rises + 1)))
-    # A take that ends in silence ends in a face at rest.
-    trailing = since[-1]
-    depth = ((trailing - HOLD_AT_END) / (REST_AT_END - HOLD_AT_END)).clamp(0, 1)
-    held = torch.maximum(trailing - rule.expression_fades, (trailing / 4).floor())
-    progress = (since - held) / (trailing - held).clamp_min(1e-6)
-    ends = 1 - depth * (1 - faded(progress))
-    is_ending = (trailing > 0) & (trailing < rule.expression_holds + rule.expression_fades)
-    is_last = is_ending & (following >= FAR)
-    return mouth, torch.where(is_last & (since > 0), ends, expression)
+    rising = faded((until - READY_FRAMES) / (rule.feeling_rises + 1))
+    return mouth, torch.maximum(expression_after(since, until, rest, rule), rising)
 
 
 # Strength of the voice.
@@ -464,15 +579,17 @@ class Strength(nn.Module):
 class Heard(NamedTuple):
     """What is heard of a recording [shape=(T,)]."""
 
-    speech: Tensor
     mouth: Tensor
     expression: Tensor
+    """Share of the expression."""
     voice: Tensor
-    """Intensity of the voice, 0 to 1."""
-    held: Tensor
-    """Intensity that the emotional reading holds, 0 to 2."""
+    """Intensity of the voice, 0 to 1.2."""
     opening: Tensor
     """Factor on the opening of the mouth."""
+    back: Tensor
+    """Frames since the pose that a held sound keeps."""
+    kept: Tensor
+    """Share of that pose."""
 
 
 class ClipHearing(nn.Module):
@@ -480,29 +597,22 @@ class ClipHearing(nn.Module):
 
     Parameters
     ----------
-    controls : ControlSet
     rules : RulesConfig
     """
 
-    usual: Tensor
-    posing: Tensor
-
-    def __init__(self, controls: ControlSet, rules: RulesConfig) -> None:
+    def __init__(self, rules: RulesConfig) -> None:
         super().__init__()
         self.rules = rules
-        self.activity, self.prosody, self.strength = SpeechActivity(), MeasureProsody(), Strength()
-        sizes = [getattr(rules.pose_size, name, 0.0) for name in EMOTIONS]
-        constant(self, "usual", sizes)
-        constant(self, "posing", np.asarray(ControlGroups(controls).posing, np.int64))
+        self.prosody, self.strength = MeasureProsody(), Strength()
+        self.activity = SpeechActivity(self.prosody)
 
     def forward(
         self,
         sound: Tensor,
-        speech: Tensor,
+        activity: tuple[Tensor, Tensor],
+        rest: Tensor,
         network: Tensor,
         effort: Tensor | None,
-        readings: tuple[Tensor, Tensor],
-        emotion: Tensor,
     ) -> Heard:
         """Hear a recording.
 
@@ -510,72 +620,120 @@ class ClipHearing(nn.Module):
         ----------
         sound : Tensor [shape=(S,)]
             16 kHz, any level.
-        speech : Tensor [shape=(T,)]
+        activity : tuple of Tensor
             From `SpeechActivity`.
+        rest : Tensor [shape=(T,)]
+            Share of the expression that stays in silence.
         network, effort : Tensor [shape=(T,)]
             What the network predicts: intensity, and strength of the voice or None.
-        readings : tuple of Tensor [shape=(T, C)]
-            Neutral and emotional.
-        emotion : Tensor [shape=(T, 5)]
-            Weights of the trained emotions.
         """
-        rule, n_frames = self.rules.voice_intensity, speech.shape[0]
-        mouth, expression = gates_of(speech, self.rules.gates)
-        voice, take = network, torch.zeros(())
+        rule, (speech, levels) = self.rules.voice_intensity, activity
+        mouth, expression = gates_of(speech, rest, self.rules.gates)
+        measured = self.prosody(frame_windows(sound, speech.shape[0], nearest=True))
+        (back, kept), _ = follow_held(levels, measured.tone, self.rules.hold_pose or HoldPose())
+        voice = network
         if rule is not None:
-            windows = frame_windows(sound, n_frames, nearest=True)
-            measured = self.prosody(windows)
             loudest = masked_percentile(measured.level, torch.ones_like(measured.level), 95)
             active = measured.level > loudest - ACTIVE_DB
             voiced = (active & (measured.periodicity > VOICED)).float()
-            whole, around = self._strengths(measured, voiced, speech, effort)
-            take = MOST_TAKE * torch.tanh(rule.strength_weight * whole / MOST_TAKE)
+            around = self._strengths(measured, voiced, speech, effort)
             voice = voice_intensity(network, measured, voiced, speech, around, rule)
-        held = self._held(network, readings, emotion, speech)
         near, usual = mean_around(voice, speech), mean_around(network, speech)
-        opening = opening_factor(self.rules.scale_opening, near, usual, take)
-        return Heard(speech, mouth, expression, voice, held, opening)
+        opening = opening_factor(self.rules.scale_opening, near, usual)
+        return Heard(mouth, expression, voice, opening, back, kept)
 
     def _strengths(
         self, measured: Measured, voiced: Tensor, speech: Tensor, effort: Tensor | None
-    ) -> tuple[Tensor, Tensor]:
-        """`deitalk.pipeline.speech.Speech.strengths`."""
-        whole, around = self.strength(measured, voiced, speech)
-        strength = whole
+    ) -> Tensor:
+        """`deitalk.pipeline.speech.Speech.strengths` of each frame (T,)."""
+        strength, around = self.strength(measured, voiced, speech)
+        whole, exact = strength, around
         if effort is not None:
             near = smoothed(speech * effort, EFFORT_FRAMES)
             near = near / smoothed(speech, EFFORT_FRAMES).clamp_min(1e-6)
             strength = whole + EFFORT_SHARE * (masked_mean(effort, speech) - whole)
+            exact = around + EFFORT_SHARE * (effort - around)
             around = around + EFFORT_SHARE * (near - around)
-        rows = strength + AROUND_WEIGHT * (around - masked_mean(around, speech))
-        speaks = speech.sum() > 0
-        return torch.where(speaks, strength, whole), torch.where(
-            speaks, rows, whole.expand_as(rows)
-        )
+        phrase = Phrases(speech)
+        share = phrase.sums(speech) / (phrase.sums(speech) + PHRASE_FRAMES)
+        changed = share * (phrase.mean(exact) - strength)
+        changed = changed + WITHIN_SHARE * (around - phrase.mean(around))
+        rows = strength + phrase.inside * changed
+        return torch.where(speech.sum() > 0, rows, whole.expand_as(rows))
 
-    def _held(
-        self, network: Tensor, readings: tuple[Tensor, Tensor], emotion: Tensor, speech: Tensor
+
+class Phrases:
+    """`deitalk.postprocess.feeling.phrases` of frames of speech (T,).
+
+    Attributes
+    ----------
+    inside : Tensor [shape=(T,)]
+        1 within a phrase.
+    """
+
+    def __init__(self, speech: Tensor) -> None:
+        last, following = neighbours(speech)
+        is_short = (following - last - 1 <= PAUSE_FRAMES) & (last >= 0) & (following < FAR)
+        self.speech, self.inside = speech, torch.maximum(speech, is_short.float())
+        beside = F.pad(self.inside, (1, 1))
+        starts, ends = (self.inside * (1 - part) for part in (beside[:-2], beside[2:]))
+        end = torch.as_tensor(speech.shape[0] - 1)
+        self.start = torch.minimum(neighbours(starts)[0].clamp_min(0), end)
+        self.end = torch.minimum(neighbours(ends)[1], end)
+
+    def sums(self, values: Tensor) -> Tensor:
+        """Sum of the values (T,) at the speech of each frame's phrase."""
+        total = F.pad(torch.cumsum((values * self.speech).double(), dim=0), (1, 0))
+        return (total[self.end + 1] - total[self.start]).float()
+
+    def mean(self, values: Tensor) -> Tensor:
+        """Their mean."""
+        return self.sums(values) / self.sums(self.speech).clamp_min(1)
+
+
+class HeldIntensity(nn.Module):
+    """`deitalk.postprocess.factors.held_intensity`.
+
+    Parameters
+    ----------
+    rule : Expressions or None
+    controls : ControlSet
+    """
+
+    columns: Tensor
+    taught: Tensor
+    changed: Tensor
+
+    def __init__(self, rule: Expressions | None, controls: ControlSet) -> None:
+        super().__init__()
+        table = expression_table(controls.names, () if rule is None else rule.captured)
+        names = [controls.names[place] for place in table.places]
+        upper = [k for k, name in enumerate(names) if any(part in name for part in UPPER)]
+        self.is_on = rule is not None and bool(upper)
+        size = 1.0 if rule is None else rule.size
+        constant(self, "columns", np.asarray(table.places[upper], np.int64))
+        constant(self, "taught", size * table.taught[:, upper])
+        constant(self, "changed", table.changed[:, None])
+
+    def forward(
+        self, neutral: Tensor, emotional: Tensor, weights: Tensor, network: Tensor
     ) -> Tensor:
-        """`deitalk.postprocess.factors.held_intensity`."""
-        rule: PoseSize | None = self.rules.pose_size
-        if rule is None:
+        """Intensity (...) of readings (..., C), emotions (..., 9) and the predicted one (...)."""
+        if not self.is_on:
             return network
-        neutral, emotional = (part.index_select(1, self.posing) for part in readings)
-        size = mean_around((emotional - neutral).abs().sum(dim=1), speech)
-        change = size / ((emotion @ self.usual) * network).clamp_min(1e-6)
-        pure = (2 * (emotion * (self.usual > 0).float()).amax(dim=1) - 1).clamp(0, 1)
-        held = network * change.clamp(1 / MOST_RESIZED, MOST_RESIZED) ** pure
-        return torch.where(speech.sum() > 0, held, network)
+        usual = (weights @ self.taught).abs().sum(dim=-1)
+        size = (emotional - neutral).index_select(-1, self.columns).abs().sum(dim=-1)
+        found = (size / usual.clamp_min(1e-6)).clamp(0, MOST_HELD)
+        taught = (usual / FAINT_SIZE).clamp(0, 1) * (weights @ self.changed)[..., 0]
+        return network + taught * (found - network)
 
 
-def opening_factor(
-    rule: ScaleOpening | None, voice: Tensor, network: Tensor, take: Tensor
-) -> Tensor:
+def opening_factor(rule: ScaleOpening | None, voice: Tensor, network: Tensor) -> Tensor:
     """`deitalk.postprocess.factors.opening_factor`."""
     if rule is None:
         return torch.ones_like(voice)
-    ratio = (1 + rule.gain * (voice - rule.usual)) / (1 + rule.gain * (network - rule.usual))
-    return ratio * (1 + rule.take * take).clamp_min(0)
+    opened = 1 + rule.gain * (voice - rule.usual)
+    return opened / (1 + LEARNT_GAIN * (network - LEARNT_USUAL))
 
 
 def expression_scale(applied: Tensor, held: Tensor) -> Tensor:
@@ -591,28 +749,35 @@ def voice_intensity(
     strength: Tensor,
     rule: VoiceIntensity,
 ) -> Tensor:
-    """`deitalk.postprocess.voice_intensity.voice_intensity`; all are (T,)."""
-    base = MOST_BASE * torch.tanh(rule.strength_weight * strength / MOST_BASE)
-    z = _variation(network, measured, voiced, speech, rule) + base
-    # The mean intensity of the take is that of its base.
-    mean = masked_mean(_intensity(base), speech)
-    low, high = torch.full((), -2 * MOST_VARIATION), torch.full((), 2 * MOST_VARIATION)
-    for _ in range(math.ceil(math.log2(4 * MOST_VARIATION / 1e-6))):
-        middle = (low + high) / 2
-        is_more = masked_mean(_intensity(z + middle), speech) > mean
-        low, high = torch.where(is_more, low, middle), torch.where(is_more, middle, high)
-    found = _decayed(_intensity(z + low), speech)
-    return torch.where((voiced.sum() > 0) & (speech.sum() > 0), found, network)
+    """`deitalk.postprocess.feeling.voice_intensity`; all are (T,)."""
+    state = rule.per_decibel * (strength - rule.middle)
+    near = (2 * smoothed(speech, SMOOTHING_FRAMES)).clamp_max(1)
+    display = _display(network, measured, voiced, speech)
+    found = between(state, speech) + rule.display * near * display
+    usual = torch.full_like(state, -rule.per_decibel * rule.middle)
+    return MOST * torch.sigmoid(torch.where(speech.sum() > 0, found, usual))
+
+
+def between(values: Tensor, used: Tensor) -> Tensor:
+    """Values (T,) of the used frames, and those between by straight lines."""
+    last, following = neighbours(used)
+    frames, end = torch.arange(used.shape[0]), torch.as_tensor(used.shape[0] - 1)
+    left = torch.where(last >= 0, last, following)
+    right = torch.where(following < FAR, following, last)
+    left, right = (torch.minimum(place.clamp_min(0), end) for place in (left, right))
+    share = (frames - left).float() / (right - left).clamp_min(1).float()
+    return values[left] + share * (values[right] - values[left])
+
+
+def limited(display: Tensor) -> Tensor:
+    """`deitalk.postprocess.feeling.limited`."""
+    return MOST_DISPLAY * torch.tanh(display / MOST_DISPLAY)
 
 
 def deviation(intensity: Tensor) -> Tensor:
-    """`deitalk.postprocess.voice_intensity.deviation`."""
+    """`deitalk.postprocess.feeling.deviation`."""
     share = ((intensity - FAINTEST) / (1 - FAINTEST)).clamp(1e-3, 1 - 1e-3)
     return torch.log(share / (1 - share)) / STEEPNESS
-
-
-def _intensity(z: Tensor) -> Tensor:
-    return FAINTEST + (1 - FAINTEST) * torch.sigmoid(STEEPNESS * z)
 
 
 def _centred(track: Tensor, used: Tensor) -> Tensor:
@@ -620,33 +785,17 @@ def _centred(track: Tensor, used: Tensor) -> Tensor:
     return beside - masked_mean(beside, used)
 
 
-def _variation(
-    network: Tensor, measured: Measured, voiced: Tensor, speech: Tensor, rule: VoiceIntensity
-) -> Tensor:
+def _display(network: Tensor, measured: Measured, voiced: Tensor, speech: Tensor) -> Tensor:
+    """Standard deviations of every frame about its phrase's mean, limited."""
     deepest = masked_percentile(measured.level, speech, 95) - DEEPEST_DB
-    index = LEVEL_SHARE / LEVEL_DB * _centred(torch.maximum(measured.level, deepest), speech)
+    z = NETWORK_SHARE * _centred(deviation(network), speech)
+    z = z + LEVEL_SHARE / LEVEL_DB * _centred(torch.maximum(measured.level, deepest), speech)
     toned = voiced * speech * (measured.tilt < BRIGHTEST_DB).float()
     middle = masked_percentile(measured.pitch, toned, 50)
     toned = toned * ((measured.pitch - middle).abs() <= FURTHEST_SEMITONES).float()
     enough = (toned.sum() >= FEWEST_VOICED).float()
     for track, unit in ((measured.pitch, PITCH_SEMITONES), (measured.tilt, TILT_DB)):
         tone = ((track - masked_mean(track, toned)) / unit).clamp(-MOST_TONE, MOST_TONE)
-        index = index + enough * TONE_SHARE * mean_beside(tone, toned, SMOOTHING_FRAMES)
-    z = NETWORK_WEIGHT * _centred(deviation(network), speech) + rule.index_weight * index
-    limited = MOST_VARIATION * torch.tanh(z / MOST_VARIATION)
-    return limited - NEAR_SHARE * mean_beside(limited, speech, NEAR_FRAMES)
-
-
-def _decayed(intensity: Tensor, speech: Tensor) -> Tensor:
-    last, following = neighbours(speech)
-    frames, end = torch.arange(speech.shape[0]), torch.as_tensor(speech.shape[0] - 1)
-    is_after, is_before = following < FAR, last >= 0
-    left = torch.where(is_before, last, following).clamp_min(0)
-    right = torch.where(is_after, following, last)
-    left, right = torch.minimum(left, end), torch.minimum(right.clamp_min(0), end)
-    share = (frames - left).float() / (right - left).clamp_min(1).float()
-    held = intensity[left] + share * (intensity[right] - intensity[left])
-    fall = torch.where(is_after, torch.full((), FALL_FRAMES), torch.full((), END_FRAMES))
-    since, until = (frames - last).float(), (following - frames).float()
-    kept = torch.maximum(torch.exp(-since / fall), torch.exp(-until / RISE_FRAMES))
-    return torch.where(speech > 0, intensity, FAINTEST + (held - FAINTEST) * kept)
+        z = z + enough * TONE_SHARE * mean_beside(tone, toned, SMOOTHING_FRAMES)
+    z, phrases = limited(z), Phrases(speech)
+    return z - phrases.inside * phrases.mean(z)

@@ -91,6 +91,7 @@ def metadata(model: DEITalk, name: str) -> dict[str, str]:
         "actors": list(model.actors),
         "sample_rate": SAMPLE_RATE,
         "frame_rate": FRAME_RATE,
+        "motion": N_MOTION,
     }
     texts = {key: json.dumps(value) for key, value in values.items()}
     return texts | {"name": name, "control_set": controls.id, "rig": rig_text(controls)}
@@ -102,7 +103,7 @@ def _clip(model: DEITalk) -> tuple[Any, dict[str, str]]:
     example = (
         0.1 * torch.randn(SAMPLE_RATE),
         torch.full((n_frames, len(LABELS) + len(model.actors)), 0.1),
-        torch.ones(2, n_frames),
+        torch.ones(3, n_frames),
         torch.zeros(n_frames, N_MOTION),
     )
     axes: Axes = {name: {0: "T"} for name in (*CLIP_INPUTS, *CLIP_OUTPUTS)}
@@ -117,7 +118,7 @@ def _live(model: DEITalk) -> tuple[Any, dict[str, str]]:
     example = (
         torch.zeros(batch, graph.window),
         torch.full((batch, len(LABELS) + len(model.actors)), 0.1),
-        torch.ones(batch),
+        torch.ones(batch, 2),
         torch.zeros(batch, N_MOTION),
         graph.first(batch),
     )

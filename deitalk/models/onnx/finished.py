@@ -18,23 +18,18 @@ from deitalk.emotions import LABELS
 from deitalk.errors import CheckpointError
 from deitalk.live.activity import FLOOR_EVERY
 from deitalk.live.hearing import MEASURED_AHEAD
-from deitalk.models.curve_model import (
-    DEITalk,
-    TensorState,
-    advance,
-    causal_frontend,
-    first_state,
-    grid_of,
-)
-from deitalk.models.onnx.clip_hearing import ClipHearing, expression_scale
+from deitalk.models.causal_model import TensorState, advance, causal_frontend, first_state, grid_of
+from deitalk.models.curve_model import DEITalk
+from deitalk.models.onnx.clip_hearing import ClipHearing, HeldIntensity, expression_scale
 from deitalk.models.onnx.live_hearing import LiveHearing
 from deitalk.models.onnx.network_graph import CurveGraph, causal_graph
 from deitalk.models.protocol import trained_weights
 from deitalk.pipeline.curves import READ_ON_SAMPLES
+from deitalk.pipeline.speech import CUT_FRAMES
 from deitalk.postprocess.curve_pass import CurvePass
+from deitalk.postprocess.feeling import felt_intensity
 from deitalk.postprocess.torch_columns import constant
 from deitalk.postprocess.tracks import LIVE_AHEAD, rest_rows
-from deitalk.postprocess.voice_intensity import HOLD_AT_END
 
 MIXTURES = trained_weights(np.eye(len(LABELS), dtype=np.float32))
 """Trained emotions (9, 5) of each label."""
@@ -44,10 +39,16 @@ LEVEL_DB = -23.0
 """Active level of the speech that a network of whole clips reads, dB re full scale."""
 
 
-def voice_columns(scale: Tensor, opening: Tensor, held: Tensor, emotion: Tensor) -> Tensor:
-    """`deitalk.postprocess.tracks.VoiceTracks` without words, of tensors."""
+def voice_columns(
+    factors: tuple[Tensor, ...], kept: tuple[Tensor, Tensor], emotion: Tensor
+) -> Tensor:
+    """`deitalk.postprocess.tracks.VoiceTracks` without words, of tensors.
+
+    `factors` are its `scale`, `opening` and `held`, and `kept` its `back` and `kept`.
+    """
     phones = torch.zeros_like(emotion[..., :4])
-    return torch.cat((torch.stack((scale, opening, held), dim=-1), phones, emotion), dim=-1)
+    columns = torch.stack(factors, dim=-1), phones, torch.stack(kept, dim=-1), emotion
+    return torch.cat(columns, dim=-1)
 
 
 class FinishedClip(nn.Module):
@@ -70,11 +71,13 @@ class FinishedClip(nn.Module):
     def __init__(self, model: DEITalk) -> None:
         super().__init__()
         self.graph = CurveGraph(model)
-        self.hearing = ClipHearing(model.controls, model.rules)
+        self.hearing = ClipHearing(model.rules)
+        self.held = HeldIntensity(model.rules.expressions, model.controls)
         self.rules = CurvePass(model.controls, model.rules)
-        self.has_rule = model.rules.voice_intensity is not None
+        self.rule = model.rules.voice_intensity
         constant(self, "trained", MIXTURES)
-        constant(self, "after", rest_rows(model.controls.rest, self.rules.ahead))
+        window = self.rules.behind + self.rules.ahead
+        constant(self, "after", rest_rows(model.controls.rest, window)[: self.rules.ahead])
 
     def forward(
         self, sound: Tensor, emotion: Tensor, intensity: Tensor, motion: Tensor
@@ -87,9 +90,10 @@ class FinishedClip(nn.Module):
             16 kHz mono, any level.
         emotion : Tensor [shape=(T, 9 + A)]
             Weights of the emotions, then of the actors, of T = ceil(30 S / 16000) frames.
-        intensity : Tensor [shape=(2, T)]
-            Intensity to show, below 0 that of the voice; and a factor on it.
-        motion : Tensor [shape=(T, 34)]
+        intensity : Tensor [shape=(3, T)]
+            Intensity to show, below 0 that of the voice; a factor on it; and the share of the
+            expression that stays in silence.
+        motion : Tensor [shape=(T, M)]
             `deitalk.postprocess.tracks.MotionTracks`; zeros: none.
 
         Returns
@@ -101,31 +105,34 @@ class FinishedClip(nn.Module):
         n_frames = emotion.shape[0]
         sound = sound - sound.mean()
         sound = sound - sound.mean()  # what rounding left
-        speech = self.hearing.activity(sound, n_frames)
-        gain = self.hearing.activity.gain(sound, speech, LEVEL_DB)
+        activity = self.hearing.activity(sound, n_frames)
+        gain = self.hearing.activity.gain(sound, activity[0], LEVEL_DB)
         labels, actors = emotion[:, : len(LABELS)], emotion[:, len(LABELS) :]
         styles = torch.cat((labels @ self.trained, actors), dim=1)
-        emotional, neutral, network, effort = self._readings(sound * gain, styles, speech)
-        heard = self.hearing(
-            sound, speech, network, effort, (neutral, emotional), styles[:, : self.trained.shape[1]]
-        )
-        predicted = heard.voice * heard.expression
-        curve, factor = intensity.unbind(0)
-        applied = torch.where(curve < 0, predicted, curve) * factor
-        scale = expression_scale(applied, heard.held * heard.expression)
-        if not self.has_rule:
-            scale = torch.where(curve < 0, factor, scale)
-        voice = voice_columns(scale, heard.opening, heard.held, labels)
-        shown = torch.cat((heard.mouth[:, None], heard.expression[:, None], motion), dim=1)
+        emotional, neutral, network, effort = self._readings(sound * gain, styles, activity[0])
+        curve, factor, rest = intensity.unbind(0)
+        heard = self.hearing(sound, activity, rest, network, effort)
+        # Intensity: of the voice, or as drawn, which silence does not change.
+        is_drawn = curve >= 0
+        share = torch.where(is_drawn, torch.ones_like(curve), heard.expression)
+        felt = heard.voice if self.rule is None else felt_intensity(heard.voice, labels, self.rule)
+        wanted = torch.where(is_drawn, curve, felt) * factor
+        held = self.held(neutral, emotional, labels, network)
+        scale = expression_scale(wanted, held)
+        if self.rule is None:
+            scale = torch.where(is_drawn, scale, factor)
+        kept = heard.back, heard.kept
+        voice = voice_columns((scale, heard.opening, held), kept, labels)
+        shown = torch.cat((heard.mouth[:, None], share[:, None], motion), dim=1)
         curves, plain = self._finished(neutral, emotional, voice, shown)
-        return curves, plain, predicted
+        return curves, plain, felt * heard.expression
 
     def _readings(
         self, sound: Tensor, styles: Tensor, speech: Tensor
     ) -> tuple[Tensor, Tensor, Tensor, Tensor | None]:
         """What the network reads, on beyond the end of a recording that is cut in its speech."""
         n_frames, n_samples = torch.as_tensor(speech.shape[0]), torch.as_tensor(sound.shape[0])
-        is_cut = (speech[-1 - HOLD_AT_END :].amax() > 0).long()
+        is_cut = (speech[-1 - CUT_FRAMES :].amax() > 0).long()
         added = torch.minimum(torch.as_tensor(READ_ON_SAMPLES), n_samples) * is_cut
         total = n_samples + added
         backwards = sound[-READ_ON_SAMPLES:].flip(0)
@@ -198,6 +205,7 @@ class FinishedLive(nn.Module):
             )
         self.delay, self.behind = grid.delay, grid.delay + LIVE_AHEAD
         self.hearing = LiveHearing(model.rules)
+        self.held = HeldIntensity(model.rules.expressions, model.controls)
         self.rules = CurvePass(model.controls, model.rules, LIVE_AHEAD)
         self.before = WINDOW // 2
         # Samples of the spectra in a window, of the frames 3 n, 3 n + 1 and 3 n + 2.
@@ -246,9 +254,10 @@ class FinishedLive(nn.Module):
             16 kHz, any level.
         emotion : Tensor [shape=(B, 9 + A)]
             Weights of the emotions, then of the actors, of the frame `delay` before.
-        intensity : Tensor [shape=(B,)]
-            Factor on the intensity of the voice, of the same frame.
-        motion : Tensor [shape=(B, 34)]
+        intensity : Tensor [shape=(B, 2)]
+            Of the same frame: factor on the intensity of the voice, and share of the expression
+            that stays in silence.
+        motion : Tensor [shape=(B, M)]
             `deitalk.postprocess.tracks.MotionTracks` of the frame that comes out; zeros: none.
         state : Tensor [shape=(B, N)]
             Of the call before; zeros before the first.
@@ -275,35 +284,40 @@ class FinishedLive(nn.Module):
         # What is heard of it.
         due = (torch.remainder(frame[:, 0] + 1, FLOOR_EVERY) == 0).to(sound.dtype)
         strength = rows.strength[:, 0]
-        found, (kept, spoken) = self.hearing(
-            sound[:, :WINDOW], due, strength, rows.effort[:, 0], heard
+        begun = frame[:, 0] >= self.delay
+        factor, rest = intensity.unbind(1)
+        rest = torch.where(begun, rest, torch.zeros_like(rest))
+        window = sound[:, :WINDOW]
+        found, (heard_now, spoken) = self.hearing(
+            window, due, strength, rows.effort[:, 0], rest, heard
         )
-        applied = found.intensity * intensity
-        scale = intensity
-        if self.model.rules.voice_intensity is not None:
-            scale = expression_scale(applied, strength)
-        voice = voice_columns(scale, found.opening, strength, labels)
+        held, scale, rule = strength, factor, self.model.rules.voice_intensity
+        if rule is not None:
+            applied = felt_intensity(found.intensity, labels, rule) * factor
+            held = self.held(rows.neutral[:, 0], rows.emotional[:, 0], labels, strength)
+            scale = expression_scale(applied, held)
+        voice = voice_columns((scale, found.opening, held), (found.back, found.kept), labels)
         # The rules.
         gates = torch.stack((found.mouth, found.expression), dim=1)
         shown = torch.cat((gates, motion), dim=1)[:, None]
-        gain, ruled = torch.ones_like(rows.neutral[:, 0]), torch.ones_like(intensity)
+        gain, ruled = torch.ones_like(rows.neutral[:, 0]), torch.ones_like(factor)
         curves, _, _, finished = self.rules(
             rows.neutral, rows.emotional, voice[:, None], shown, gain, ruled, rules
         )
         # Before the first frame only the sound counts.
-        heard_now = tuple(after.tensors()[:n_frontend])
-        later = (tuple(after.tensors()[n_frontend:]), spoken, finished)
-        earlier = (tuple(network[n_frontend:]), heard[1], rules)
-        begun = frame[:, 0] >= self.delay
+        read = tuple(after.tensors())
         decoder, spoken, finished = tree.tree_map(
             lambda new, old: torch.where(begun.view(-1, *[1] * (new.dim() - 1)), new, old),
-            later,
-            earlier,
+            (read[n_frontend:], spoken, finished),
+            (tuple(network[n_frontend:]), heard[1], rules),
         )
         frame = frame + 1
         frame = torch.where(frame >= WRAP, frame - WRAP // 2, frame)
-        states = tree.tree_leaves((frame, heard_now + decoder, (kept, spoken), finished))
-        new = torch.cat([part.flatten(1) for part in states], dim=1)
+        parts = (frame, (*read[:n_frontend], *decoder), (heard_now, spoken), finished)
+        rows = [
+            part.flatten(1) if part.dim() > 1 else part[:, None] for part in tree.tree_leaves(parts)
+        ]
+        new = torch.cat(rows, dim=1)
         return curves[:, 0], found.intensity, new
 
     def _begun(self, number: int, part: Tensor, has_begun: Tensor) -> Tensor:

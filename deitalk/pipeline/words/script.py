@@ -30,6 +30,7 @@ from deitalk.pipeline.words.transcript import (
     Cue,
     Transcript,
     Word,
+    bare,
     check_language,
     cues_of,
     spoken_transcript,
@@ -283,7 +284,7 @@ class _Reading:
                 places.append((len(text), piece))
         said = line.words(" ".join(text), language)
         # Words as written to those that are pronounced, which may be more or fewer.
-        index = _indices([word for word in text if any(c.isalnum() for c in word)], text, said)
+        index = _indices(text, said)
         first = len(spoken)
         spoken += said
         for place, piece in places:
@@ -322,12 +323,20 @@ class _Reading:
                 return
 
 
-def _indices(written: list[str], text: list[str], said: list[Word]) -> list[int]:
-    """Place among the pronounced words of each word as written, and of their end."""
-    total, found, spoken = max(len(written), 1), [], 0
-    for word in text:
-        found.append(round(spoken * len(said) / total))
-        spoken += any(c.isalnum() for c in word)
+def _indices(text: list[str], said: list[Word]) -> list[int]:
+    """Place among the pronounced words of each word as written, and of their end.
+
+    A number is pronounced as several words of its text, and a sign may be none.
+    """
+    found, place = [], 0
+    for word, following in zip(text, [*text, ""][1:], strict=True):
+        found.append(place)
+        if not any(c.isalnum() for c in word):
+            continue
+        same = place
+        while same < len(said) and said[same].text == bare(word):
+            same += 1
+        place = place + 1 if same > place and bare(following) == bare(word) else same
     return [*found, len(said)]
 
 

@@ -415,6 +415,11 @@ def _checked(words: Iterable[Word], source: str) -> tuple[Word, ...]:
 # --- words
 
 
+def bare(word: str) -> str:
+    """A word as written, without the marks around it."""
+    return word.strip(",.!?;:\"'()…«»")
+
+
 def _pronounced(text: str, language: str) -> list[Word]:
     """Words of a text with their phones, clause by clause."""
     words: list[Word] = []
@@ -427,7 +432,7 @@ def _pronounced(text: str, language: str) -> list[Word]:
             parts = [(w, phones) for w in written for phones in _spoken(w, language)]
         else:
             parts = list(zip(written, spoken, strict=True))
-        words += [Word(word.strip(",.!?;:\"'()…«»"), phones) for word, phones in parts]
+        words += [Word(bare(word), phones) for word, phones in parts]
     return words
 
 

@@ -40,9 +40,9 @@ SPOKEN = 0.5
 """Share of it in the neutral reading."""
 EVENT = 0.4
 """Of the difference of the brows' accents."""
-YIELDED = 0.75
-"""Share of a neutral face's gestures that an emotion at intensity 1 takes away: what it shows must
-not depend on the seed."""
+YIELDED, SMILE_YIELDED = 0.75, 2.5
+"""Share of a neutral face's gestures that an emotion at intensity 1 takes away, and of its smiles:
+what it shows must not depend on the seed."""
 SWELL, USUAL_SWELL = 0.3, 0.2
 """Part of an expression above the mouth that comes and goes with the accents, and their mean."""
 HELD_SIDE = 0.25
@@ -68,6 +68,7 @@ class Play(nn.Module):
     poses: Tensor
     least: Tensor
     swells: Tensor
+    yielded: Tensor
 
     def __init__(self, controls: ControlSet) -> None:
         super().__init__()
@@ -84,6 +85,9 @@ class Play(nn.Module):
         constant(self, "styles", by_emotion(ACCENTS))
         constant(self, "poses", by_emotion(HELD))
         constant(self, "least", [-1.0 if stem == "eye_blink" else 0.0 for stem in STEMS])
+        smiles = ("mouth_cornerPull", "eye_cheekRaise")
+        shares = [SMILE_YIELDED if stem in smiles else YIELDED for stem in STEMS]
+        constant(self, "yielded", shares)
         constant(self, "swells", [float(k < UPPER) for k in range(len(STEMS))])
 
     def forward(self, curves: Tensor, motion: Tensor) -> Tensor:
@@ -123,7 +127,7 @@ class Play(nn.Module):
         values = calm + (part - calm) * (1 + (swell - 1) * self.swells)
         values = torch.maximum(values, self.least).clamp_max(1)
         gestures = torch.stack(tracks.gestures.chunk(2, dim=-1), dim=-2).unsqueeze(2)
-        moved = gestures * (1 - YIELDED * shown).unsqueeze(-1)
+        moved = gestures * (1 - self.yielded * shown.unsqueeze(-1)).clamp_min(0)
         moved = moved + accents.unsqueeze(-1) * styles.unsqueeze(3)
         moved = moved + (tracks.posture.unsqueeze(2) * posture).unsqueeze(3)
         moved = (amount.unsqueeze(-1) * moved).clamp(-1, 1)

@@ -1,11 +1,12 @@
-"""Order of acted strengths in the face: ``deitalk evaluate MODEL --acted TABLE``.
+"""Order of acted strengths in the face: ``evaluate MODEL --acted TABLE``.
 
-Every recording of an actor in anger, joy, sadness, fear or disgust at three strengths is animated
-in that emotion, with its gain removed as always; the mean intensity over speech and the mean
-distance of the curves from rest, of the whole face and of its parts, should be ordered as the
-strengths.
+Every recording of an actor in an emotion at two or three strengths is animated in that emotion as
+users see it, with life, and with its gain removed as always; the mean intensity over speech, the
+mean distance of the curves from rest, of the whole face and of its parts, and the range of the
+opening should be ordered as the strengths. The range of a strong take is also divided by that of
+the actor's neutral takes.
 
-The three takes of an actor and emotion are also joined to one recording, with 0.4 s of silence
+The takes of an actor and emotion are also joined to one recording, with 0.4 s of silence
 between, at their own gain and each at one level; the mean level of the speech is the baseline.
 Within the middle and high takes, the range of the intensity and its correlation with the smoothed
 level are those over speech.
@@ -25,8 +26,8 @@ from deitalk.audio.load import load_audio
 from deitalk.audio.vocal_strength import measure_prosody
 from deitalk.audio.voice_activity import normalise_level, speech_activity
 from deitalk.errors import DataError
+from deitalk.evaluation.report import table
 from deitalk.evaluation.scores import correlation
-from deitalk.evaluation.validation import table
 from deitalk.models.curve_model import DEITalk
 from deitalk.pipeline.curves import animate
 from deitalk.pipeline.performance import Performance
@@ -46,7 +47,9 @@ from rig.files.reading import check_file
 #     readers   path, speaker[, chapter]         one gain in a chapter; LibriSpeech's file names
 #                                                (speaker-chapter-number) give it otherwise
 #     actors    clip, actor, emotion, level      original gain; level LO, MD, HI or another word,
-#                                                emotion NEU or another word (CREMA-D)
+#                                                emotion NEU or another word (CREMA-D); or path, and
+#                                                level normal or strong and emotions in full
+#                                                (RAVDESS)
 #
 # Speakers are divided by a hash of their name: 28 % of the actors and 22 % of the readers are for
 # tests, a further 18 % and 20 % for validation.
@@ -56,7 +59,12 @@ LEVELS = ("LO", "MD", "HI")
 NEUTRAL = "NEU"
 TEST_SHARE = {READERS: 0.22, ACTORS: 0.28}
 VALIDATION_SHARE = {READERS: 0.42, ACTORS: 0.46}
-_COLUMNS = {READERS: ("path", "speaker"), ACTORS: ("clip", "actor", "emotion", "level")}
+_COLUMNS = {READERS: ("path", "speaker"), ACTORS: ("actor", "emotion", "level")}
+_WORDS = {
+    "normal": "LO", "strong": "HI", "neutral": "NEU", "angry": "ANG", "happy": "HAP", "sad": "SAD",
+    "fear": "FEA", "fearful": "FEA", "disgust": "DIS", "surprised": "SUR",
+}  # fmt: skip
+"""Levels and emotions of other tables, in CREMA-D's."""
 
 
 @dataclass(frozen=True)
@@ -107,6 +115,7 @@ def read_strength_clips(table: Path, kind: str) -> list[StrengthClip]:
     except (ValueError, UnicodeDecodeError) as error:
         raise DataError(f"{table}: no table ({quoted(error, 120)})") from None
     missing = [name for name in _COLUMNS[kind] if name not in frame.columns]
+    missing += [] if {"clip", "path"} & {*frame.columns} else ["clip"]
     if missing or frame.empty:
         need = ", ".join(_COLUMNS[kind])
         raise DataError(f"{table}: needs rows with the columns {need}")
@@ -120,19 +129,27 @@ def read_strength_clips(table: Path, kind: str) -> list[StrengthClip]:
 
 def _clip(table: Path, kind: str, row: dict[str, str]) -> StrengthClip:
     if kind == ACTORS:
-        path = table.parent / row["clip"]
-        return StrengthClip(kind, path, row["actor"], row["actor"], row["emotion"], row["level"])
+        emotion, level = (_WORDS.get(row[name], row[name]) for name in ("emotion", "level"))
+        path = table.parent / (row.get("clip") or row["path"])
+        return StrengthClip(kind, path, row["actor"], row["actor"], emotion, level)
     path = table.parent / row["path"]
     chapter = row.get("chapter") or path.stem.rpartition("-")[0] or row["speaker"]
     return StrengthClip(kind, path, row["speaker"], chapter)
 
 
-EMOTIONS = {"ANG": "angry", "HAP": "happy", "SAD": "sad", "FEA": "fear", "DIS": "disgust"}
+EMOTIONS = {
+    "ANG": "angry", "HAP": "happy", "SAD": "sad", "SUR": "surprised", "FEA": "fear",
+    "DIS": "disgust",
+}  # fmt: skip
 """Emotions of the table (CREMA-D's names); the last two are procedural."""
 GROUPS = {
-    "anger and joy": ("ANG", "HAP"), "sadness": ("SAD",), "fear": ("FEA",), "disgust": ("DIS",),
+    "anger and joy": ("ANG", "HAP"), "sadness": ("SAD",), "surprise": ("SUR",), "fear": ("FEA",),
+    "disgust": ("DIS",),
 }  # fmt: skip
-PARTS = {"brows": ("brow",), "nose": ("nose",), "lips": ("mouth",), "jaw": ("jaw",)}
+PARTS = {
+    "upper face": ("brow", "cheekRaise", "squint", "eyelid", "nose"), "brows": ("brow",),
+    "nose": ("nose",), "lips": ("mouth",), "jaw": ("jaw",),
+}  # fmt: skip
 """Parts of the face, by parts of the names of their controls."""
 JOINED = {"joined": False, "joined at one level": True}
 """Recordings of three takes, and whether each take is brought to one level."""
@@ -158,7 +175,8 @@ def evaluate(
     path : Path
         Table of actors (see the top).
     split : str
-        Actors to score: ``test``, ``validation`` or ``train``.
+        Actors to score: ``test``, ``validation`` or ``train``; ``all`` of a table that nothing was
+        trained on.
     progress : callable
         Called with the share done, 0 to 1.
 
@@ -166,24 +184,23 @@ def evaluate(
     -------
     dict
         By group of emotions: share of pairs in which high is above low, and mean rank correlation
-        of low, middle and high, of every measure; mean difference of high and low, of joined takes;
-        range (5th to 95th percentile) and r with the level inside takes.
+        of the strengths, of every measure; mean difference of high and low, of joined takes; range
+        (5th to 95th percentile) and r with the level inside takes; median range of the opening in
+        high takes over that of the actor's neutral ones.
 
     Raises
     ------
     DataError
-        If the table is not as described, or holds no actor of the split at three strengths.
+        If the table is not as described, or holds no actor of the split at two strengths.
     """
-    clips = [
-        clip
-        for clip in read_strength_clips(path, ACTORS)
-        if clip.split == split and clip.level in LEVELS and clip.emotion in EMOTIONS
-    ]
+    every = [c for c in read_strength_clips(path, ACTORS) if split in (c.split, "all")]
+    clips = [c for c in every if c.level in LEVELS and c.emotion in EMOTIONS]
     if not clips:
         raise DataError(f"{path}: no actor of the {split} split at the strengths {LEVELS}")
     rows, inside = {}, []
+    neutral = _neutral_openings(model, [clip for clip in every if clip.emotion == NEUTRAL])
     for number, clip in enumerate(clips, 1):
-        performance = animate(clip.path, EMOTIONS[clip.emotion], model=model, life="off")
+        performance = animate(clip.path, EMOTIONS[clip.emotion], model=model)
         speaking = speech_activity(performance.recording.waveform) > 0
         rows[clip.speaker, clip.emotion, clip.level] = _measures(model, performance, speaking)
         if clip.level != LEVELS[0]:
@@ -198,8 +215,12 @@ def evaluate(
             joined[name] |= _joined(model, own, is_levelled)
         progress(0.5 + 0.5 * number / len(takes))
     report = {}
-    for group, emotions in GROUPS.items():
+    groups = {k: v for k, v in GROUPS.items() if any(clip.emotion in v for clip in clips)}
+    for group, emotions in groups.items():
         report[group] = _orders(rows, emotions)
+        for emotion in emotions:
+            name = f"opening range: high over neutral, {EMOTIONS[emotion]}"
+            report[group][name] = _over_neutral(rows, emotion, neutral)
         for name, own_rows in joined.items():
             orders = _orders(own_rows, emotions)
             report[group] |= {f"{name}, {k}": v for k, v in orders.items() if ": " in k}
@@ -209,6 +230,31 @@ def evaluate(
         names = ("intensity: range inside takes", "intensity: r with level inside takes")
         report[group] |= dict(zip(names, map(float, means), strict=True))
     return report
+
+
+def _neutral_openings(model: DEITalk, clips: Sequence[StrengthClip]) -> dict[str, float]:
+    """Mean range of the opening in neutral takes, by actor."""
+    found: dict[str, list[float]] = {}
+    for clip in clips:
+        performance = animate(clip.path, model=model)
+        speaking = speech_activity(performance.recording.waveform) > 0
+        opening = _measures(model, performance, speaking)["opening range"]
+        found.setdefault(clip.speaker, []).append(opening)
+    return {actor: float(np.mean(ranges)) for actor, ranges in found.items()}
+
+
+def _over_neutral(
+    rows: Mapping[tuple[str, str, str], Mapping[str, float]],
+    emotion: str,
+    neutral: Mapping[str, float],
+) -> float:
+    """Median range of the opening in high takes over that of the actor's neutral ones."""
+    ratios = [
+        row["opening range"] / neutral[actor]
+        for (actor, of, level), row in rows.items()
+        if of == emotion and level == LEVELS[-1] and neutral.get(actor)
+    ]
+    return float(np.median(ratios)) if ratios else float("nan")
 
 
 def joined_takes(
@@ -238,16 +284,14 @@ def _joined(
     """Measures of the takes of one actor and emotion within one recording."""
     one = next(iter(takes.values()))
     sound, spans = joined_takes(takes, is_levelled)
-    performance = animate(
-        sound, EMOTIONS[one.emotion], model=model, sample_rate=SAMPLE_RATE, life="off"
-    )
+    performance = animate(sound, EMOTIONS[one.emotion], model=model, sample_rate=SAMPLE_RATE)
     speaking, times = speech_activity(sound) > 0, np.arange(len(performance.curves)) / FRAME_RATE
     found = {}
     for level, (first, last) in spans.items():
         of_take = (times >= first / SAMPLE_RATE) & (times < last / SAMPLE_RATE)
         measures = _measures(model, performance, speaking & of_take)
         found[one.speaker, one.emotion, level] = {
-            k: measures[k] for k in ("intensity", "level", "whole face", "brows")
+            k: measures[k] for k in ("intensity", "level", "whole face", "upper face", "brows")
         }
     return found
 
@@ -280,8 +324,10 @@ def _inside(performance: Performance, speaking: Bool) -> tuple[float, float]:
 def _measures(model: DEITalk, performance: Performance, speaking: Bool) -> dict[str, float]:
     """Mean intensity, distance of the curves from rest, and opening of the mouth over speech."""
     if not speaking.any():
-        return dict.fromkeys(("intensity", "level", "whole face", "opening", *PARTS), 0.0)
+        names = "intensity", "level", "whole face", "opening", "opening range"
+        return dict.fromkeys((*names, *PARTS), 0.0)
     controls = performance.curves.names
+    opening = mouth_opening(performance.curves.values, model.controls)[speaking]
     moved: Float32 = np.abs(performance.curves.values - model.controls.rest)[speaking]
     measures = {
         "intensity": float(performance.predicted[speaking].mean()),
@@ -289,7 +335,8 @@ def _measures(model: DEITalk, performance: Performance, speaking: Bool) -> dict[
             measure_prosody(performance.recording.waveform, len(speaking)).level[speaking].mean()
         ),
         "whole face": float(moved.sum(axis=1).mean()),
-        "opening": float(mouth_opening(performance.curves.values, model.controls)[speaking].mean()),
+        "opening": float(opening.mean()),
+        "opening range": float(np.subtract(*np.percentile(opening, (95, 5)))),
     }
     for part, names in PARTS.items():
         inside = [any(name in control for name in names) for control in controls]
@@ -312,7 +359,7 @@ def _orders(
 def acted_order(
     values: Mapping[tuple[str, str, str], float], emotions: Sequence[str]
 ) -> dict[str, float]:
-    """How well values are ordered as the strengths of the same actor and emotion.
+    """How well values are ordered as the two or three strengths of the same actor and emotion.
 
     Parameters
     ----------
@@ -326,17 +373,17 @@ def acted_order(
     dict
         ``high above low``, ``rank correlation``, ``actors and emotions``; NaN and 0 without any.
     """
-    triples = [
-        tuple(values[actor, emotion, level] for level in LEVELS)
+    ordered = [
+        [values[key] for level in LEVELS if (key := (actor, emotion, level)) in values]
         for actor in sorted({key[0] for key in values})
         for emotion in emotions
-        if all((actor, emotion, level) in values for level in LEVELS)
+        if all((actor, emotion, level) in values for level in (LEVELS[0], LEVELS[-1]))
     ]
-    ranks = [spearmanr(triple, range(3)).statistic for triple in triples if np.ptp(triple) > 0]
+    ranks = [spearmanr(row, range(len(row))).statistic for row in ordered if np.ptp(row) > 0]
     return {
-        "high above low": float(np.mean([t[2] > t[0] for t in triples])) if triples else np.nan,
-        "rank correlation": float(np.sum(ranks) / len(triples)) if triples else np.nan,
-        "actors and emotions": len(triples),
+        "high above low": float(np.mean([t[-1] > t[0] for t in ordered])) if ordered else np.nan,
+        "rank correlation": float(np.sum(ranks) / len(ordered)) if ordered else np.nan,
+        "actors and emotions": len(ordered),
     }
 
 

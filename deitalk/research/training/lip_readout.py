@@ -1,11 +1,11 @@
 """Readout of the lips from the speech encoder: run it by ``python -m`` and its name.
 
 Writes a model's ``lips.safetensors`` (`deitalk.models.lip_readout`) from ridge regressions on the
-features of its frozen encoder. Contacts are taught by the phones of a dataset folder's training
-recordings, each clean and once more in noise and rooms, and become probabilities on those of its
-validation speakers; width and corners are taught by measured lips of speakers that are not held
-out. A regression is the mean of what it does not know, so that measures are amplified about their
-mean.
+features of its frozen encoder. Channels of the articulation table are taught by the phones of a
+dataset folder's training recordings, each clean and once more in noise and rooms, and become
+probabilities on those of its validation speakers; measures are taught by lips of speakers that are
+not held out. A regression is the mean of what it does not know, so that measures are amplified
+about their mean.
 """
 
 import argparse
@@ -17,6 +17,7 @@ import numpy as np
 import torch
 from safetensors.torch import save
 from scipy.optimize import minimize
+from torch import Tensor
 
 from deitalk.audio.frames import FRAME_RATE
 from deitalk.audio.load import Recording, load_audio
@@ -26,9 +27,11 @@ from deitalk.data.clips import Clip, read_clips, read_phones
 from deitalk.models.checkpoint import load_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.models.folder import LIP_WEIGHTS
-from deitalk.models.lip_readout import MEASURES, TAPS, LipReadout
-from deitalk.postprocess.phones import BILABIALS, LABIODENTALS, Phones
+from deitalk.models.lip_readout import CHANNELS, MEASURES, TAPS, LipReadout
+from deitalk.postprocess.phones import Phones
 from deitalk.research.arguments import new_file
+from deitalk.research.corpus.articulation import CHANNELS as TABLE_CHANNELS
+from deitalk.research.corpus.articulation import targets
 from deitalk.research.evaluation.ridge import REACH, Readout, Rows
 from deitalk.research.lips.dataset import SPEAKER_CLIPS
 from deitalk.research.lips.fit import TOLERANCE_CM, looseness, neutral_reading
@@ -39,11 +42,13 @@ from rig.arrays import Float32, Float64
 from rig.face.head import build_head
 from rig.files import atomic_write
 
-CONTACT_PENALTY, MEASURE_PENALTY = 100_000.0, 10_000.0
-SHARE = 0.7
-"""Of the regression in a measure; the rest is the decoder's."""
-GAINS = (1.8, 1.5)
+CHANNEL_PENALTY, MEASURE_PENALTY = 100_000.0, 10_000.0
+SHARES = (0.8, 0.6, 0.8, 0.7)
+"""Of the regression in each measure; the rest is the decoder's."""
+GAINS = (1.1, 1.6, 1.1, 1.3)
 """Of the mixed measures about their mean."""
+KEPT = ("lipsTogether", "funnel", "purse")
+"""Parts of the names of controls that move for no measure: phones move them."""
 SMOOTHING = (0.25, 0.5, 0.25)
 """Of the measures, over frames."""
 LEAST = 1e-4
@@ -79,44 +84,43 @@ class Teacher:
             return features
         return features[np.maximum(np.arange(len(features)) - frames, 0)]
 
-    def contacts(
+    def channels(
         self, clips: Sequence[Clip], surroundings: Surroundings | None = None
     ) -> Iterator[Rows]:
-        """Features and contacts of recordings, each also changed where there are surroundings."""
+        """Features and channels of recordings, each also changed where there are surroundings."""
         rng = np.random.default_rng(1)
         for clip in clips:
             assert clip.phones is not None
             recording = load_audio(clip.audio)
-            targets = contact_rows(read_phones(clip.phones), recording.n_frames)
-            yield self.late(self.hear(recording), REACH), targets
+            rows = channel_rows(read_phones(clip.phones), recording.n_frames)
+            yield self.late(self.hear(recording), REACH), rows
             if surroundings is not None:
                 changed = augment(recording.waveform, rng, surroundings)
-                yield self.late(self.hear(recording, changed), REACH), targets
+                yield self.late(self.hear(recording, changed), REACH), rows
 
-    def measures(self, clips: Sequence[LipClip]) -> tuple[list[Rows], list[Float32]]:
-        """Features with measured lips, and the curves that the network has for the recordings."""
-        rows, curves = [], []
-        for clip in clips:
-            recording = load_audio(clip.sound)
-            sound = torch.from_numpy(normalise_level(recording.waveform))
-            features, found = neutral_reading(self.model, sound, recording.n_frames)
-            n = min(recording.n_frames, len(clip.measures))
-            late = self.late(features.float().numpy(), TAPS // 2)
-            known = np.isfinite(clip.measures[:n]).all(axis=1, keepdims=True)
-            wanted = np.where(known, clip.measures[:n][:, self.chosen], np.nan)
-            rows.append((late[:n], wanted.astype(np.float32)))
-            curves.append(found.numpy())
-        return rows, curves
+    def read(self, sound: Path) -> Rows:
+        """Features [shape=(T, D)] of a recording, and the network's curves [shape=(T, C)]."""
+        recording = load_audio(sound)
+        waveform = torch.from_numpy(normalise_level(recording.waveform))
+        features, curves = neutral_reading(self.model, waveform, recording.n_frames)
+        return features.float().numpy(), curves.numpy()
+
+    def measures(self, clip: LipClip, features: Float32) -> Rows:
+        """Features and measured lips of a recording."""
+        n = min(len(features), len(clip.measures))
+        known = np.isfinite(clip.measures[:n]).all(axis=1, keepdims=True)
+        wanted = np.where(known, clip.measures[:n][:, self.chosen], np.nan)
+        return self.late(features, TAPS // 2)[:n], wanted.astype(np.float32)
 
 
-def contact_rows(phones: Phones, n_frames: int) -> Float32:
-    """1 in frames within p b m, and within f v [shape=(T, 2)]."""
-    times = np.arange(n_frames) / FRAME_RATE
-    rows = np.zeros((n_frames, 2), np.float32)
+def channel_rows(phones: Phones, n_frames: int) -> Float32:
+    """Values of `CHANNELS` in the articulation table, frame by frame [shape=(T, 6)]."""
+    times, table = np.arange(n_frames) / FRAME_RATE, targets()
+    chosen = [TABLE_CHANNELS.index(name) for name in CHANNELS]
+    rows = np.zeros((n_frames, len(CHANNELS)), np.float32)
     for start, end, name in phones:
-        for column, names in enumerate((BILABIALS, LABIODENTALS)):
-            if name in names:
-                rows[(times >= start) & (times < end), column] = 1
+        if name in table:
+            rows[(times >= start) & (times < end)] = table[name][chosen]
     return rows
 
 
@@ -135,12 +139,12 @@ def padded(kernel: Float64, is_causal: bool) -> Float64:
     return np.pad(kernel, ((0, 0), (0, 0), (before, more - before)))
 
 
-def calibration(scores: Float64, is_contact: Float64) -> Float64:
-    """Slope and offset with which the logistic function of scores is a probability."""
-    signs = 2 * is_contact - 1
+def calibration(scores: Float64, values: Float64) -> Float64:
+    """Slope and offset with which the logistic function of scores gives expected values."""
 
     def loss(v: Float64) -> float:
-        return float(np.logaddexp(0, -signs * (v[0] * scores + v[1])).mean())
+        logits = v[0] * scores + v[1]
+        return float((np.logaddexp(0, logits) - values * logits).mean())
 
     return np.asarray(minimize(loss, np.array([8.0, -4.0])).x, np.float64)
 
@@ -155,47 +159,51 @@ def shown_measures(curves: Float64, measures: Float64) -> tuple[Float64, Float64
 
 
 def moving_controls(teacher: Teacher, pose: Float32) -> Float64:
-    """Change of the controls per measure of `MEASURES`, the others unchanged [shape=(C, 2)]."""
+    """Change of the controls per measure of `MEASURES`, the others unchanged [shape=(C, 4)]."""
     lips, controls = teacher.lips, teacher.model.controls
     slope = torch.func.jacrev(lips)(torch.from_numpy(pose)).detach().numpy()
-    free = looseness(controls, ("lipsTogether",)).numpy().astype(np.float64) ** 2
+    free = looseness(controls, KEPT).numpy().astype(np.float64) ** 2
     spread = free[:, None] * slope.T
     inverse = np.linalg.inv(slope @ spread + np.diag(np.square(TOLERANCE_CM)))
     return np.asarray((spread @ inverse)[:, teacher.chosen], np.float64)
 
 
 @torch.no_grad()
-def fill(
+def fill_channels(module: LipReadout, channels: Readout, slopes: Sequence[Float64]) -> None:
+    """Give the module its weights of the channels; `slopes` are their calibrations."""
+    kernel, bias = folded(channels)
+    slope, offset = np.array(slopes).T
+    assert module.listen.bias is not None
+    taps = padded(kernel * slope[:, None, None], module.causal)
+    _set(module.listen.weight[: len(slope)], taps)
+    _set(module.listen.bias[: len(slope)], bias * slope + offset)
+
+
+@torch.no_grad()
+def fill_measures(
     module: LipReadout,
-    contacts: Readout,
-    slopes: Sequence[Float64],
     measures: Readout,
     shown: tuple[Float64, Float64],
     moves: Float64,
     mean: Float64,
 ) -> None:
-    """Give the module its weights; `mean` is that of the measured lips (2,)."""
-    kernel, bias = folded(contacts)
-    slope = np.array([a for a, _ in slopes])
-    first = padded(kernel * slope[:, None, None], module.causal)
-    offsets = bias * slope + np.array([b for _, b in slopes])
+    """Give the module its weights of the measures; `mean` is that of the measured lips (4,)."""
     taps, constant = folded(measures)
     wide = np.apply_along_axis(np.convolve, 2, taps, np.array(SMOOTHING))
-    gain = np.array(GAINS)
+    gain, share = np.array(GAINS), np.array(SHARES)
     # change = mean + gain (share regression + (1 - share) shown - mean) - shown
-    second = padded(wide * (gain * SHARE)[:, None, None], module.causal)
-    rest = constant * gain * SHARE + (1 - gain) * mean
-    weights, offset = shown
-    left = gain * (1 - SHARE) - 1
-    for target, values in (
-        (module.listen.weight, np.concatenate((first, second))),
-        (module.listen.bias, np.concatenate((offsets, rest))),
-        (module.shown.weight, left[:, None] * weights),
-        (module.shown.bias, left * offset),
-        (module.moves.weight, moves),
-    ):
-        assert target is not None
-        target.copy_(torch.from_numpy(np.asarray(values, np.float32)))
+    left = gain * (1 - share) - 1
+    assert module.listen.bias is not None
+    n = len(CHANNELS)
+    _set(module.listen.weight[n:], padded(wide * (gain * share)[:, None, None], module.causal))
+    _set(module.listen.bias[n:], constant * gain * share + (1 - gain) * mean)
+    _set(module.shown.weight, left[:, None] * shown[0])
+    _set(module.shown.bias, left * shown[1])
+    _set(module.moves.weight, moves)
+
+
+def _set(target: Tensor, values: Float64) -> None:
+    target.copy_(torch.from_numpy(np.asarray(values, np.float32)))
 
 
 def fit(
@@ -211,37 +219,54 @@ def fit(
         list({clip.audio: clip for clip in read_clips(data, split) if clip.phones}.values())
         for split in ("train", "validation")
     )
-    contacts = Readout.fit([*teacher.contacts(taught, surroundings)], penalty=CONTACT_PENALTY)
-    pairs = [(contacts(features), targets) for features, targets in teacher.contacts(judged)]
-    scores, closed = (np.concatenate(part).astype(np.float64) for part in zip(*pairs, strict=True))
-    slopes = [calibration(scores[:, k], closed[:, k]) for k in range(2)]
+    channels = Readout.fit([*teacher.channels(taught, surroundings)], penalty=CHANNEL_PENALTY)
+    known = [teacher.read(clip.audio) for clip in judged]
+    wanted = [
+        channel_rows(read_phones(clip.phones), len(pair[0]))
+        for clip, pair in zip(judged, known, strict=True)
+        if clip.phones is not None
+    ]
+    scores = np.concatenate([channels(teacher.late(features, REACH)) for features, _ in known])
+    values = np.concatenate(wanted).astype(np.float64)
+    slopes = [calibration(scores[:, k], values[:, k]) for k in range(len(CHANNELS))]
+    module = LipReadout(model.frontend.output_size, model.controls.names, causal=model.is_causal)
+    fill_channels(module, channels, slopes)
     clips: dict[str, list[LipClip]] = {}
     for clip in read_lips(lips, teacher.lips.eye_distance):
         if clip.speaker not in held_out:
             clips.setdefault(clip.speaker, []).append(clip)
     chosen = [clip for group in clips.values() for clip in group[:CLIPS]]
-    rows, curves = teacher.measures(chosen)
+    spoken = [teacher.read(clip.sound) for clip in chosen]
+    rows = [
+        teacher.measures(clip, features) for clip, (features, _) in zip(chosen, spoken, strict=True)
+    ]
     count = {name: min(len(group), CLIPS) for name, group in clips.items()}
     shares = [min(1.0, SPEAKER_CLIPS / count[clip.speaker]) for clip in chosen]
     measures = Readout.fit(rows, shares, MEASURE_PENALTY)
-    every = np.concatenate(curves)
+    every = np.concatenate([said_curves(module, *pair) for pair in (*known, *spoken)])
     with torch.no_grad():
         own = teacher.lips.displacements(torch.from_numpy(every)).numpy()[:, teacher.chosen]
     by_speaker: dict[str, list[Float32]] = {}
-    for (_, wanted), clip in zip(rows, chosen, strict=True):
-        by_speaker.setdefault(clip.speaker, []).append(wanted)
+    for (_, lips_of), clip in zip(rows, chosen, strict=True):
+        by_speaker.setdefault(clip.speaker, []).append(lips_of)
     means = [np.nanmean(np.concatenate(group), axis=0) for group in by_speaker.values()]
-    module = LipReadout(model.frontend.output_size, model.controls.names, causal=model.is_causal)
-    fill(
+    fill_measures(
         module,
-        contacts,
-        slopes,
         measures,
         shown_measures(every.astype(np.float64), own.astype(np.float64)),
         moving_controls(teacher, every.mean(axis=0)),
         np.mean(means, axis=0).astype(np.float64),
     )
     return module
+
+
+@torch.no_grad()
+def said_curves(module: LipReadout, features: Float32, curves: Float32) -> Float32:
+    """Curves (T, C) that show the channels of a recording's features."""
+    read = module(torch.from_numpy(features)[None])[0]
+    said, _ = module.articulated(torch.from_numpy(curves)[None], read)
+    found: Float32 = said[0].numpy()
+    return found
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

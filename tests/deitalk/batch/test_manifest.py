@@ -53,7 +53,7 @@ def test_every_field_of_an_acting_is_a_column(name):
         "emotion": "sad", "intensity_curve": "[{'time': 0, 'intensity': 1}]".replace("'", '""'),
         "voice": ActorReference(1.0, 2, 3.0).as_json().strip().replace('"', '""'), "words": "a",
         "language": "de", "life": "off", "look_at": "1,2", "gain": "jaw=2", "rules": "no",
-        "style": "eve", "after": EDGE, "into": "on",
+        "style": "eve", "script": "[sad] a", "role": "anna", "after": EDGE, "into": EDGE,
         "edit": '{""schema"": ""deitalk.edit/1"", ""edits"": []}',
     }.get(name, "2")  # fmt: skip
     line = only(f'audio,{name}\na.wav,"{cell}"\n')

@@ -330,12 +330,12 @@ def test_lines_of_an_actor_share_a_reference(run, orders, lines):
 
 def scene(lines, rng, count):
     """A manifest of a scene: each line begins where the one before it ends."""
-    table = ["audio,after,into"]
+    table = ["audio,after"]
     for number in range(count):
         sound = speechlike(0.5 + 0.1 * (number % 4)) + 0.02 * rng.standard_normal(1)
         soundfile.write(lines / f"{number:03}.wav", sound, 16_000)
         before = f"{number - 1:03}" if number else ""
-        table.append(f"{number:03}.wav,{before},on")
+        table.append(f"{number:03}.wav,{before}")
     order = [table[0], *sorted(table[1:], key=lambda row: row[::-1])]  # not that of the scene
     path = lines / "scene.csv"
     path.write_text("\n".join(order) + "\n")
@@ -347,7 +347,7 @@ def test_lines_of_a_scene_begin_where_those_before_end(run, lines, model, rng):
     assert status(report) == {f"{k:03}": "done" for k in range(5)}
     before = None
     for k in range(5):
-        wanted = animate(lines / f"{k:03}.wav", "happy", model=model, after=before, into="on")
+        wanted = animate(lines / f"{k:03}.wav", "happy", model=model, after=before)
         found = read_curves(run.out / f"{k:03}/curves.json")
         assert np.abs(found.values - wanted.curves.values).max() < 1e-4
         before = wanted

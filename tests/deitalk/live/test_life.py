@@ -3,18 +3,16 @@
 import numpy as np
 import pytest
 
-from deitalk.config.rules import Idle
 from deitalk.emotions import LABELS
 from deitalk.live.cues import RunningCues
 from deitalk.live.intensity import Measures
 from deitalk.postprocess.life.amounts import Life
-from deitalk.postprocess.life.head import STEMS
-from deitalk.postprocess.life.motion import MotionStream, move_together
-from deitalk.postprocess.life.voice import Noise, Seeds
+from deitalk.postprocess.life.face import STEMS
+from deitalk.postprocess.life.motion import Character, MotionStreams
+from deitalk.postprocess.life.voice import ACCENT, END, PAUSE, SPEECH, START, STRESS, Cues, Seeds
 from deitalk.postprocess.tracks import MotionTracks
 from rig import default_controls
 from tests.deitalk.postprocess.stages import Stages
-from tests.each import each
 
 CONTROLS = default_controls()
 STAGES = Stages(CONTROLS)
@@ -38,7 +36,7 @@ def moved(
     measures, speaking, *, piece=1000, emotion="neutral", strength=1.0, life=ONLY_BROWS, seed=0
 ):
     """Curves and head of a face at rest."""
-    running, stream = RunningCues(AHEAD), MotionStream(Seeds((0, 0, seed)), Idle(), life)
+    running, stream = RunningCues(AHEAD), MotionStreams([Character(Seeds((0, 0, seed)), life)])
     state, count, done, out, heads = running.first(1), len(speaking), 0, [], []
     mixture = np.zeros((count, len(LABELS)), np.float32)
     mixture[:, LABELS.index(emotion)] = strength
@@ -47,8 +45,7 @@ def moved(
         found, state = running(
             Measures(*(m[None, part] for m in measures)), speaking[None, part], state
         )
-        for _, cue in found:
-            stream.cue(cue)
+        stream.cue(found)
         stop = max(min(start + piece, count) - AHEAD, done)
         curves, head = played(stream, speaking[done:stop], mixture[done:stop])
         out.append(curves)
@@ -62,19 +59,21 @@ def played(stream, speaking, mixture):
     curves = np.zeros((len(speaking), len(CONTROLS)), np.float32)
     if not len(curves):
         return curves, np.zeros((0, 6), np.float32)
-    motion = move_together([stream], speaking[None], mixture[None])
+    motion = stream.move(speaking[None], mixture[None])
     tracks = MotionTracks(*(track[0] for track in motion.tracks))
     STAGES.play(curves, curves.copy(), tracks)
     return curves, motion.head[0]
 
 
-KINDS = ("start", "end", "speech", "pause", "accent", "stress")
+KINDS = {"start": START, "end": END, "speech": SPEECH, "pause": PAUSE, "accent": ACCENT,
+         "stress": STRESS}  # fmt: skip
 
 
-def cues(measures, speaking, kind=""):
+def cues(measures, speaking, kind=None):
     running = RunningCues(AHEAD)
     given = Measures(*(track[None] for track in measures)), speaking[None]
-    return [cue for _, cue in running(*given, running.first(1))[0] if kind in cue.kind]
+    found = running(*given, running.first(1))[0]
+    return found if kind is None else found.where(found.kind == kind)
 
 
 def brows(**options):
@@ -97,41 +96,38 @@ def column(curves, stem):
 
 def test_accents_are_peaks_and_known_soon_after():
     measures, speaking = voice()
-    found = cues(measures, speaking, "accent")
-    assert len(found) == 3 and all(0 <= round(30 * cue.time) % 60 <= 3 for cue in found)
-    assert all(0 < cue.size <= 1 for cue in found)
-    assert all(cue.known == pytest.approx(cue.time + (1 - AHEAD) / 30) for cue in found)
+    found = cues(measures, speaking, ACCENT)
+    assert len(found.time) == 3
+    assert all(0 <= frame % 60 <= 3 for frame in np.round(30 * found.time))
+    assert ((0 < found.size) & (found.size <= 1)).all()
+    assert found.known == pytest.approx(found.time + (1 - AHEAD) / 30)
+
+
+def test_accents_are_few_where_all_syllables_are_strong():
+    found = cues(*syllables(), ACCENT)
+    assert len(found.time) <= 0.55 * 800 / 30
+    assert np.diff(found.time).min() >= 0.5
 
 
 def test_every_syllable_is_a_stress_and_phrases_begin_and_end():
     measures, speaking = syllables()
     found = cues(measures, speaking)
-    frames = {kind: [round(30 * cue.time) for cue in found if cue.kind == kind] for kind in KINDS}
+    frames = {n: np.round(30 * found.time[found.kind == k]).tolist() for n, k in KINDS.items()}
     assert len(frames["stress"]) == pytest.approx(800 / 12, abs=3)
     assert all(f % 12 in (1, 2) for f in frames["stress"][2:-1] if not 400 <= f < 515)
     assert frames["start"] == [0, 500] and frames["end"] == [400]
-    known = [round(30 * cue.known) for cue in found if cue.kind == "end"]
-    assert known == [406 - AHEAD], "0.2 s are no pause"
-    pauses = [cue.size for cue in found if cue.kind == "pause"]
+    assert np.round(30 * found.known[found.kind == END]) == [406 - AHEAD], "0.2 s are no pause"
+    pauses = found.size[found.kind == PAUSE].tolist()
     assert pauses == [0.3, 0.45, 0.5, 0.6, 0.8, 0.9, 1.2, 3.0]
     assert len(frames["speech"]) == 400 // 30 + 400 // 30
 
 
-@each("level", [-20.0, -60.0])
+@pytest.mark.parametrize("level", [-20.0, -60.0])
 def test_level_voice_and_silence_have_no_accent_and_no_stress(level):
     flat, zeros = np.full(200, level), np.zeros(200)
     measures = Measures(flat, zeros, zeros + 40, zeros + 1, flat)
     found = cues(measures, np.full(200, level > -40))
-    assert not {cue.kind for cue in found} & {"accent", "stress"}
-
-
-@each("seconds", [0.1, 0.7])
-def test_noise_has_its_spread_and_the_speed_of_its_gaussian(seconds):
-    noise = Noise((2.0, 0.5), (seconds, seconds), np.random.default_rng(0))
-    values = np.concatenate([noise.at(7 * k, 7) for k in range(3000)])
-    assert values.std(axis=0) == pytest.approx([2.0, 0.5], rel=0.15)
-    speed = 30 * np.diff(values, axis=0).std(axis=0) / [2.0, 0.5]
-    assert speed == pytest.approx([2**-0.5 / seconds] * 2, rel=0.15)
+    assert not {*found.kind.tolist()} & {ACCENT, STRESS}
 
 
 def test_pieces_give_the_same_motion():
@@ -150,7 +146,7 @@ def test_anger_knits_the_brows_between_accents():
     level = Measures(*flat, flat[0]), np.ones(600, bool)
     calm, angry = (moved(*level, emotion=emotion)[0][60:] for emotion in ("neutral", "angry"))
     for stem, least in (("brow_lateral", 0.03), ("eye_squintInner", 0.05), ("brow_down", 0.05)):
-        assert (column(angry, stem) - column(calm, stem)).min() > least, stem
+        assert np.percentile(column(angry, stem) - column(calm, stem), 5) > least, stem
 
 
 def test_gaze_is_averted_within_long_phrases():
@@ -159,7 +155,7 @@ def test_gaze_is_averted_within_long_phrases():
     measures = Measures(level, zeros, zeros + 40, zeros + 1, level)
     curves, _ = moved(measures, speaking, life=Life(blinks=0, brows=0, head=0))
     sideways = np.abs(curves[:, CONTROLS.index("CTRL_L_eye.tx")]) * 40
-    away = sideways > 3.5
+    away = sideways > 4.5
     assert 3 < (away[1:] & ~away[:-1]).sum() < 60  # in two minutes without a pause
 
 
@@ -167,17 +163,18 @@ def test_motion_before_an_accent_does_not_depend_on_it():
     """The first accent is at frame 60, and known at 61: frames to 58 are without it."""
     measures, speaking = voice()
     accented = brows()
-    calm, _ = moved(measures, speaking & False)
+    calm, _ = moved(
+        measures._replace(level=np.full(240, -20.0), sonority=np.full(240, -20.0)), speaking
+    )
     np.testing.assert_array_equal(accented[:58], calm[:58])
-    assert column(accented, "brow_raiseIn")[60:100].max() > 0.03
-    assert column(calm, "brow_raiseIn").max() < 0.06
+    assert max(column(accented, s)[60:100].max() for s in ("brow_raiseIn", "brow_down")) > 0.1
 
 
 def test_emotion_decides_what_moves():
-    sizes = {e: {s: column(brows(emotion=e), s).max() for s in STEMS} for e in LABELS}
-    assert sizes["angry"]["brow_down"] > sizes["neutral"]["brow_down"] + 0.05
-    assert sizes["happy"]["eye_cheekRaise"] > sizes["neutral"]["eye_cheekRaise"] + 0.05
-    assert sizes["surprised"]["brow_raiseOut"] > sizes["neutral"]["brow_raiseOut"] + 0.02
+    sizes = {e: {s: np.ptp(column(brows(emotion=e), s)[50:]) for s in STEMS} for e in LABELS}
+    assert sizes["angry"]["brow_down"] > sizes["happy"]["brow_down"] + 0.05
+    assert sizes["happy"]["eye_cheekRaise"] > sizes["sad"]["eye_cheekRaise"] + 0.05
+    assert sizes["surprised"]["brow_raiseOut"] > sizes["angry"]["brow_raiseOut"] + 0.02
     still = [i for i, n in enumerate(CONTROLS.names) if not any(s in n for s in STEMS)]
     assert not brows()[:, still].any()
     nothing, head = moved(*voice(), life=Life(blinks=0, gaze=0, brows=0, head=0))
@@ -195,17 +192,16 @@ def test_head_is_lowest_a_fifth_of_a_second_after_syllables_and_sinks_after_phra
     beats = pitch[60:396].reshape(-1, 12).mean(axis=0)
     assert 3 <= beats.argmin() <= 8 and np.ptp(beats) > 0.4
     assert pitch[412:426].min() < pitch[60:396].mean() - 0.1
-    assert pitch[480:498].mean() > pitch[412:426].mean() + 0.5, "ready for the next phrase"
+    assert pitch[480:498].mean() > pitch[412:426].mean() + 0.3, "ready for the next phrase"
 
 
-def test_head_and_neck_are_at_rest_at_the_start_and_hold_the_emotions_posture():
+def test_head_holds_the_emotions_posture_and_the_neck_breathes():
     curves, head = moved(*syllables(), life=Life(), emotion="sad")
-    assert not head[0, :3].any() and not curves[0, CONTROLS.index("CTRL_L_eye.tx")]
     assert head[200:390, 1].mean() < -2
     half = moved(*syllables(), life=Life(head=0.5), emotion="sad")[1]
     np.testing.assert_allclose(half, head / 2, atol=1e-5)
     neck = CONTROLS.index("CTRL_neck_throatExhaleInhale.ty")
-    assert curves[410:440, neck].max() > 0.3 and curves[100:390, neck].max() == 0
+    assert curves[410:440, neck].max() > 0.3 and curves[150:390, neck].max() < 0.02
 
 
 def test_intensity_0_moves_like_a_neutral_voice():
@@ -218,7 +214,7 @@ def test_eyes_turn_against_the_head_and_rest_where_they_are_told():
     column_of = CONTROLS.index("CTRL_L_eye.tx")
     still, (turned, head), told = (
         moved(*syllables(), life=Life(blinks=0, **options))
-        for options in ({"head": 0}, {}, {"look_at": (20.0, 0.0)})
+        for options in ({"head": 0}, {}, {"look_at": (20.0, 0.0, 65.0)})
     )
     difference = turned[:, column_of] - still[0][:, column_of]
     np.testing.assert_allclose(40 * difference, head[:, 0], atol=1e-3)
@@ -235,47 +231,74 @@ def test_blinks_come_as_often_as_in_a_whole_take_and_gather_at_ends_of_phrases()
     assert begins[904:914].mean() > 2 * begins[60:900].mean()
 
 
-@each("piece", [1, 7])
+@pytest.mark.parametrize("piece", [1, 7])
 def test_eyes_turn_to_another_place_within_a_fifth_of_a_second(piece):
     """Without motion of their own they are where the listener is: ahead, then 20 degrees left."""
     still = Life(blinks=0, gaze=0, head=0, brows=0)
-    stream, given = MotionStream(Seeds((0, 0, 0)), Idle(), still), []
-    stream.look_at((20.0, 0.0), 140)
+    stream, given = MotionStreams([Character(Seeds((0, 0, 0)), still)]), []
+    stream.look_at(0, (20.0, 0.0, 65.0), 140)
     for _ in range(0, 210, piece):
         mixture = np.zeros((piece, len(LABELS)), np.float32)
         given.append(played(stream, np.ones(piece, bool), mixture)[0])
     faces = np.concatenate(given)
     eyes = np.abs(faces[:, np.abs(faces).max(axis=0).argmax()])
     assert not faces[:140].any()
-    assert (np.diff(eyes[139:146]) > 0).all() and eyes[145] == eyes[-1] > 0.1
+    assert (np.diff(eyes[139:146]) > 0).all() and abs(eyes[145] - eyes[-1]) < 1e-6 < 0.1 < eyes[-1]
 
 
 def test_streams_side_by_side_move_as_each_alone():
     """Of other voices, seeds, factors and emotions; one began 20 frames before the others."""
-    lives = [Life(), Life(head=0.5, brows=1.5), Life(blinks=0, look_at=(5.0, 0.0))]
+    lives = [Life(), Life(head=0.5, brows=1.5), Life(blinks=0, look_at=(5.0, 0.0, 80.0))]
     mixture = np.zeros((3, 90, len(LABELS)), np.float32)
     for k, emotion in enumerate(("happy", "sad", "angry")):
         mixture[k, :, LABELS.index(emotion)] = 0.8
+    spoken = [syllables(240, pause=(60, 80 + 10 * k)) for k in range(3)]
+    who = [Character(Seeds((0, 0, k)), life) for k, life in enumerate(lives)]
+    together = MotionStreams(who)
+    together.move(spoken[1][1][None, :20], mixture[1:2, :20], np.array([1]))
+    found = [cues(*one) for one in spoken]
+    joined = [part._replace(stream=part.stream + k) for k, part in enumerate(found)]
+    together.cue(Cues.joined(joined))
+    rows = np.stack([one[1][:90] for one in spoken])
+    motion = together.move(rows, mixture)
+    for k in range(3):
+        alone = MotionStreams(who[k : k + 1])
+        if k == 1:
+            alone.move(spoken[1][1][None, :20], mixture[1:2, :20])
+        alone.cue(found[k])
+        one = alone.move(rows[k : k + 1], mixture[k : k + 1])
+        for ours, theirs in zip(motion.tracks, one.tracks, strict=True):
+            np.testing.assert_allclose(ours[k], theirs[0], atol=1e-9)
+        np.testing.assert_allclose(motion.head[k], one.head[0], atol=1e-6)
+    assert motion.head.std(axis=1).max() > 0.1
+
+
+def test_a_stream_that_begins_again_moves_as_at_first():
     measures, speaking = syllables(240, pause=(60, 80))
-    found = {}
-    for together in (True, False):
-        streams = [MotionStream(Seeds((0, 0, k)), Idle(), life) for k, life in enumerate(lives)]
-        played(streams[1], speaking[:20], mixture[1, :20])
-        for stream in streams:
-            for cue in cues(measures, speaking):
-                stream.cue(cue)
-        rows = np.tile(speaking[:90], (3, 1))
-        if together:
-            found[together] = move_together(streams, rows, mixture)
-        else:
-            alone = [move_together([s], rows[:1], mixture[k][None]) for k, s in enumerate(streams)]
-            tracks = zip(*(motion.tracks for motion in alone), strict=True)
-            heads = np.concatenate([motion.head for motion in alone])
-            found[together] = MotionTracks(*(np.concatenate(t) for t in tracks)), heads
-    for ours, theirs in zip(found[True].tracks, found[False][0], strict=True):
-        np.testing.assert_allclose(ours, theirs, atol=1e-9)
-    np.testing.assert_allclose(found[True].head, found[False][1], atol=1e-6)
-    assert found[True].head.std(axis=1).max() > 0.1
+    who, calm = Character(Seeds((0, 0, 3))), np.zeros((2, 120, len(LABELS)), np.float32)
+    found, rows = cues(measures, speaking), np.tile(speaking[:120], (2, 1))
+    streams = MotionStreams([Character(Seeds((0, 0, 9))), who])
+    streams.cue(found._replace(stream=found.stream + 1))
+    first = streams.move(rows, calm)
+    streams.reset(1, who)
+    streams.cue(found._replace(stream=found.stream + 1))
+    again = streams.move(rows, calm)
+    for ours, theirs in zip(first.tracks, again.tracks, strict=True):
+        np.testing.assert_array_equal(ours[1], theirs[1])
+    assert not np.array_equal(first.tracks.gaze[0], again.tracks.gaze[0])
+
+
+def test_a_listener_nods_at_the_ends_of_the_others_phrases():
+    measures, speaking = syllables(600, every=12, pause=(300, 330))
+    silent, calm = np.zeros((1, 600), bool), np.zeros((1, 600, len(LABELS)), np.float32)
+    pitch = np.zeros(600)
+    for seed in range(40):
+        streams = [MotionStreams([Character(Seeds((0, 0, seed)))]) for _ in range(2)]
+        streams[0].hear(cues(measures, speaking))
+        with_it, without = (one.move(silent, calm).head[0, :, 1] for one in streams)
+        pitch += (with_it - without) / 40
+    assert not pitch[:300].any()
+    assert pitch[306:330].min() < -0.8, "lowest 0.2 to 0.7 s after the end is known"
 
 
 def test_cues_of_streams_side_by_side_are_those_of_each_alone_in_any_pieces():
@@ -283,12 +306,15 @@ def test_cues_of_streams_side_by_side_are_those_of_each_alone_in_any_pieces():
     rows = Measures(*(np.stack(tracks) for tracks in zip(*(v[0] for v in voices), strict=True)))
     speaking = np.stack([v[1] for v in voices])
     running = RunningCues(AHEAD)
-    state, found, at = running.first(3), [[], [], []], 0
+    state, parts, at = running.first(3), [], 0
     for size in (1, 50, 3, 186):
         part = slice(at, at + size)
         new, state = running(Measures(*(t[:, part] for t in rows)), speaking[:, part], state)
-        for k, cue in new:
-            found[k].append(cue)
+        parts.append(new)
         at += size
+    found = Cues.joined(parts)
     for k, spoken in enumerate(voices):
-        assert found[k] == cues(*spoken) and len(found[k]) > 3
+        mine, alone = found.where(found.stream == k), cues(*spoken)
+        assert len(alone.time) > 3
+        for ours, theirs in zip(mine[1:], alone[1:], strict=True):
+            np.testing.assert_array_equal(ours, theirs)

@@ -7,14 +7,25 @@ from safetensors.torch import load_file
 
 from deitalk.config.curves import Config
 from deitalk.live.animator import LiveAnimator
+from deitalk.models.causal_model import TorchNetwork
 from deitalk.models.checkpoint import load_model, save_model
-from deitalk.models.curve_model import DECODE_FRAMES, TorchNetwork
-from deitalk.models.lip_readout import TAPS, LipReadout
+from deitalk.models.curve_model import DECODE_FRAMES
+from deitalk.models.lip_readout import CHANNELS, MEASURES, OUT, TAPS, LipReadout
 from deitalk.research.evaluation.benchmark_curves import speechlike
 from deitalk.training.tuning.recipe import read_recipe
 from tests.deitalk.models.test_onnx import CAUSAL, WHISPER, of_frontend, weights
 
-NAMES = ("jaw", "CTRL_C_lipsTogetherUL", "CTRL_C_lipBiteD", "stretch")
+NAMES = (
+    "jaw", "CTRL_C_lipsTogetherUL", "CTRL_C_lipBiteD", "stretch", "tongue_inOut",
+    "tongue_tipMove.ty", "mouth_funnelU", "mouth_purseD",
+)  # fmt: skip
+JAW, TOGETHER, BITE, STRETCH, OUT_OF, TIP, FUNNEL, PURSE = range(8)
+
+
+def read_of(**channels):
+    """A readout's row of channels, whose measures are as the curves have them."""
+    values = [channels.get(name, 0.0) for name in CHANNELS]
+    return torch.tensor([[*values, *[0.0] * len(MEASURES)]])
 
 
 def filled(readout, std=0.1):
@@ -34,29 +45,65 @@ def readout():
 @torch.no_grad()
 def test_a_contact_is_the_geometric_mean_of_the_curve_and_its_probability(readout):
     readout.moves.weight.zero_()
-    curves = torch.tensor([[[0.3, 0.81, 0.25, -0.2]]])
-    read = torch.tensor([[0.49, 1.0, 5.0, 5.0]])
-    found = readout.correct(curves, read)[0, 0]
-    np.testing.assert_allclose(found, [0.3, 0.63, 0.5, -0.2], atol=1e-6)
+    curves = torch.tensor([[[0.3, 0.81, 0.25, -0.2, 0.1, 0, 0, 0]]])
+    found = readout.correct(curves, read_of(together=0.49, bite=1.0))[0, 0]
+    np.testing.assert_allclose(found[:5], [0.3, 0.63, 0.5, -0.2, 0.1], atol=1e-6)
 
 
 @pytest.mark.parametrize("denied", ["decoder", "readout"])
 @torch.no_grad()
 def test_what_one_of_both_denies_is_no_contact(readout, denied):
     readout.moves.weight.zero_()
-    high, low = (torch.tensor([[[value, value]]]) for value in (0.9, 0.0))
-    curves, likely = (low, high) if denied == "decoder" else (high, low)
-    curves = torch.cat((torch.zeros(1, 1, 1), curves, torch.zeros(1, 1, 1)), dim=-1)
-    read = torch.cat((likely[0], torch.zeros(1, 2)), dim=-1)
-    assert readout.correct(curves, read)[0, 0, 1:3].tolist() == [0, 0]
+    decoder, likely = (0.0, 0.9) if denied == "decoder" else (0.9, 0.0)
+    curves = torch.full((1, 1, len(NAMES)), decoder)
+    found = readout.correct(curves, read_of(together=likely, bite=likely))
+    assert found[0, 0, [TOGETHER, BITE]].tolist() == [0, 0]
+
+
+CASES = {
+    "the tongue is out and bites nothing": ({"out": 1, "bite": 1}, OUT_OF, -0.65, -0.3),
+    "the decoder's tongue stays in": ({}, OUT_OF, 0.0, -0.5),
+    "a tongue that is drawn in stays so": ({}, OUT_OF, 0.5, 0.5),
+    "a little of the tongue does not show": ({"out": OUT[0]}, OUT_OF, 0.0, -0.1),
+    "the tip is that of the phones": ({"tip": 0.8}, TIP, 0.6, 0.1),
+    "the funnel too": ({"funnel": 0.4}, FUNNEL, 0.3, 0.9),
+    "pursed lips have some funnel": ({"purse": 1}, FUNNEL, 0.75 * 0.35, 0.9),
+    "the purse is half the decoder's": ({"purse": 1}, PURSE, 0.45 + 0.5 * 0.4, 0.4),
+}
+
+
+@pytest.mark.parametrize("case", CASES.values(), ids=CASES)
+@torch.no_grad()
+def test_phones_move_the_controls_of_their_channels(readout, case):
+    readout.moves.weight.zero_()
+    channels, control, expected, before = case
+    curves = torch.full((1, 1, len(NAMES)), 0.5)
+    curves[..., control] = before
+    found = readout.correct(curves, read_of(**channels))[0, 0]
+    assert found[control] == pytest.approx(expected, abs=1e-6)
+    assert found[JAW] == 0.5
+    if channels.get("out") == 1:
+        assert found[BITE] == 0
+
+
+@torch.no_grad()
+def test_a_purse_narrows_the_mouth(readout):
+    readout.shown.weight.zero_()
+    readout.shown.bias.zero_()
+    readout.moves.weight.zero_()
+    readout.moves.weight[STRETCH, MEASURES.index("width")] = 1
+    curves = torch.full((1, 1, len(NAMES)), 0.5)
+    found = [readout.correct(curves, read_of(purse=value))[0, 0, STRETCH] for value in (0, 1)]
+    assert found[0] == 0.5 and 0.1 < found[0] - found[1] < 0.5
 
 
 @torch.no_grad()
 def test_what_an_emotion_adds_stays(readout):
     """The change is that of the neutral reading, except in contacts."""
-    readings, read = torch.rand(2, 30, 4), torch.rand(30, 4)
+    readings = torch.rand(2, 30, len(NAMES))
+    read = torch.rand(30, len(CHANNELS) + len(MEASURES))
     found = readout.correct(readings, read)
-    kept = [0, 3]
+    kept = [JAW, STRETCH, OUT_OF, TIP, FUNNEL, PURSE]
     before, after = (part[1, :, kept] - part[0, :, kept] for part in (readings, found))
     np.testing.assert_allclose(after, before, atol=1e-6)
     assert (found[0] - readings[0]).abs().max() > 0.05

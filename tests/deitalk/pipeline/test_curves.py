@@ -9,6 +9,7 @@ import torch
 from deitalk import animate
 from deitalk.acting import Acting
 from deitalk.audio.load import Recording, load_audio
+from deitalk.audio.voice_activity import speech_activity
 from deitalk.config.curves import ModelConfig
 from deitalk.config.frontends import MelConfig
 from deitalk.config.rules import RulesConfig
@@ -19,6 +20,7 @@ from deitalk.models.curve_model import DEITalk
 from deitalk.models.folder import embedded_models
 from deitalk.pipeline.curves import READ_ON_SAMPLES, prepare
 from deitalk.pipeline.speech import Speech
+from deitalk.postprocess.control_groups import ControlGroups
 from deitalk.postprocess.life.play import LEANS
 from deitalk.research.evaluation.benchmark_curves import speechlike
 from deitalk.research.evaluation.clip_scores import mouth_opening
@@ -150,11 +152,91 @@ def test_weights_of_an_emotion_lie_between_neutral_and_the_label(network):
     assert 0 < away[0] < away[1]
 
 
-def test_face_in_silence_is_at_rest(network):
+def test_face_is_neutral_where_nobody_ever_speaks(network):
+    """Emotion rests beside speech alone; the mouth is shut in silence."""
     quiet = Recording(np.zeros(48_000, np.float32), "silence", 16_000, 1)
     performance = animate(quiet, "angry", model=network, intensity=2)
-    rest = np.tile(network.controls.rest, (90, 1))
-    np.testing.assert_array_equal(performance.curves.values, rest)
+    np.testing.assert_array_equal(performance.curves.values, performance.neutral.values)
+    mouth = ControlGroups(network.controls).follows_mouth
+    rest = np.tile(network.controls.rest[mouth], (90, 1))
+    np.testing.assert_array_equal(performance.curves.values[:, mouth], rest)
+
+
+def paused(default, voice, **fields):
+    """A take of speech, a pause of two seconds and the speech again, and its frames of speech."""
+    speech = voice.waveform[: 6 * 16_000]
+    speaking = np.flatnonzero(speech_activity(speech) > 0)
+    first, last = speaking[0] * 16_000 // 30, (speaking[-1] + 1) * 16_000 // 30
+    pause, lead = np.zeros(32_000, np.float32), np.zeros(6_400, np.float32)
+    speech = speech[first:last]
+    sound = np.concatenate((lead, speech, pause, speech, np.zeros(8_000, np.float32)))
+    take = animate(sound, model=default, sample_rate=16_000, life="off", **fields)
+    return take, len(speech) * 30 // 16_000
+
+
+def silence_between(default, voice, **fields):
+    """Expression of the upper face of `paused`, mean over speech 1; begin and length of speech."""
+    take, count = paused(default, voice, **fields)
+    names = default.controls.names
+    upper = [k for k, n in enumerate(names) if any(part in n for part in UPPER_FACE)]
+    shown = np.abs(take.curves.values - take.neutral.values)[:, upper].sum(axis=1)
+    begin = 12
+    spoken = np.r_[begin : begin + count, begin + count + 60 : begin + 2 * count + 60]
+    return shown / shown[spoken].mean(), begin, count
+
+
+UPPER_FACE = ("brow", "cheekRaise", "squint", "eyelidD", "nose")
+
+
+@pytest.mark.parametrize("emotion", ["angry", "happy", "sad", "surprised", "fear", "disgust"])
+def test_expression_is_there_before_the_voice_and_stays_in_pauses_and_after_it(
+    default, voice, emotion
+):
+    """A former law ended it with the voice: .02 to .16 of a smile was left in a pause."""
+    shown, begin, count = silence_between(default, voice, emotion=emotion)
+    inside = shown[begin : begin + count]
+    assert shown[begin + count : begin + count + 60].mean() >= 0.6, "a pause of two seconds"
+    assert shown[-1] >= 0.5, "half a second after the last word"
+    assert shown[begin - 3] >= 0.7 * inside.max(), "a tenth of a second before the voice"
+    assert shown[0] >= 0.3 * inside.max(), "the first frame, 0.4 s before the voice"
+    low, high = np.percentile(inside[5:-5], (5, 95))
+    assert low / high >= 0.6, "an even phrase"
+
+
+@pytest.mark.parametrize(
+    "fields",
+    [
+        {"emotion": "happy", "intensity_curve": "time,intensity\n0,.8\n"},
+        {"emotion": "angry", "intensity_curve": "time,intensity\n0,.4\n", "rest": 0},
+    ],
+)
+def test_curve_of_the_intensity_is_shown_in_silence_as_drawn(default, voice, fields):
+    shown, begin, count = silence_between(default, voice, **fields)
+    assert shown[begin + count : begin + count + 60].mean() >= 0.95
+    assert shown[0] >= 0.85 and shown[-1] >= 0.85
+
+
+def test_keyed_emotion_is_shown_in_a_pause_as_keyed(default, voice):
+    """Anger in the pause alone is that of a take that is angry all through and rests in full."""
+    _, begin, count = silence_between(default, voice, emotion="angry")
+    start, stop = (begin + count) / 30, (begin + count + 60) / 30
+    keys = [(0, "neutral"), (start, "neutral"), (start + 0.4, "angry"), (stop - 0.4, "angry")]
+    rows = "".join(f"{time:.2f},{name},1\n" for time, name in (*keys, (stop, "neutral")))
+    middle, found = begin + count + 30, []
+    for fields in ({"emotion": "time,emotion,strength\n" + rows}, {"emotion": "angry", "rest": 1}):
+        take, _ = paused(default, voice, **fields)
+        knit = default.controls.index("CTRL_L_brow_down.ty")
+        found.append(take.curves.values[middle, knit])
+    assert found[0] >= 0.95 * found[1] > 0.2
+
+
+def test_a_face_rests_as_far_from_neutral_as_asked(default, voice):
+    """Nine seconds after the last word, when the decay is over."""
+    sizes = []
+    for rest in (0, 0.25, 0.5, 1):
+        take = animate(voice, "angry", model=default, life="off", listen=9, rest=rest)
+        sizes.append(np.abs(take.curves.values - take.neutral.values)[-1].sum())
+    np.testing.assert_allclose(np.array(sizes) / sizes[-1], [0, 0.25, 0.5, 1], atol=0.06)
 
 
 def test_written_intensity_curve_given_back_changes_nothing(network, tmp_path):
@@ -164,7 +246,7 @@ def test_written_intensity_curve_given_back_changes_nothing(network, tmp_path):
     first = animate(speech, "sad", model=network)
     take = write_take(tmp_path / "take", first, model={})
     second = values(speech, "sad", model=network, intensity_curve=take / "intensity.csv")
-    np.testing.assert_allclose(second, first.curves.values, atol=2e-4)
+    np.testing.assert_allclose(second, first.curves.values, atol=1e-3)
 
 
 def test_intensity_curve_gives_the_neutral_reading_where_it_is_0(network):
@@ -236,10 +318,52 @@ def test_face_listens_in_silence_after_the_speech(network):
     listening = performance.curves.values[120:210]
     assert (listening[:, eyes].std(axis=0) > 0.005).all()
     assert np.ptp(performance.head[120:210, 1]) > 0.3
-    np.testing.assert_allclose(performance.curves.values[-1], network.controls.rest, atol=1e-6)
+    assert mouth_opening(performance.curves.values, network.controls)[-30:].max() < 0.01
+    frozen = np.abs(np.diff(performance.curves.values[120:], axis=0)).max(axis=1) < 0.002
+    assert frozen.mean() <= 0.05, "to its last frame"
     for seconds in (-1, float("nan"), 1e4, "long"):
         with pytest.raises(ConfigError, match="listen"):
             animate(recording(1), model=network, listen=seconds)
+
+
+def test_face_listens_to_another_voice(network, tmp_path):
+    """It lasts as long, nods at the ends of phrases, feels with the other, and is the same again."""
+    sound = recording(3).waveform.copy()
+    sound[-16_000:] = 0
+    phrases = [[0.3, 2.0, 0.9], [2.8, 5.0, 0.9]]
+    heard = {"format": "deitalk-heard", "version": 1, "seconds": 6.0, "phrases": phrases}
+    nods, calm = np.zeros(180), None
+    for seed in range(6):
+        one = {"model": network, "sample_rate": 16_000, "seed": seed}
+        alone, calm = animate(sound, listen=3, **one), animate(sound, listen_to=heard, **one)
+        nods += (calm.head[:, 1] - alone.head[:, 1]) / 6
+    assert len(calm.curves) == len(alone.curves) == 180
+    assert not nods[:55].any() and nods[60:90].min() < -0.8 and nods[150:].min() < -0.8
+    glad = animate(sound, listen_to=heard | {"emotion": "happy"}, **one)
+    smile, knit = (glad.curves[n] - calm.curves[n] for n in
+                   ("CTRL_L_mouth_cornerPull.ty", "CTRL_L_brow_down.ty"))  # fmt: skip
+    assert 0.08 < smile.max() < 0.3 and np.abs(knit).max() < 0.02, "a third of it"
+    again = animate(sound, **one | glad.acting.settings)
+    np.testing.assert_array_equal(again.curves.values, glad.curves.values)
+
+
+@pytest.mark.parametrize(
+    ("given", "why"),
+    [
+        ("no.wav", "there is no recording"),
+        (3, "give the path of a recording"),
+        ({"format": "deitalk-edge"}, "is no content of format"),
+        ({"format": "deitalk-heard", "version": 9}, "version 9 is unknown"),
+        ({"format": "deitalk-heard", "version": 1, "seconds": "long"}, "seconds must be a number"),
+        ({"format": "deitalk-heard", "version": 1, "seconds": 2, "phrases": [[1, 0, 1]]}, "order"),
+        ({"format": "deitalk-heard", "version": 1, "seconds": 2, "phrases": [[0, 1, 3]]}, "order"),
+        ({"format": "deitalk-heard", "version": 1, "seconds": 2, "emotion": "odd"}, "odd"),
+    ],
+)
+def test_what_is_no_voice_to_listen_to_is_refused(network, given, why):
+    with pytest.raises(DeitalkError, match=why) as caught:
+        animate(recording(1), model=network, listen_to=given)
+    assert "\n" not in str(caught.value)
 
 
 def test_actor_file_decides_how_the_face_moves(network):
@@ -374,8 +498,6 @@ def test_mouth_is_shut_in_silence(default, voice, emotion):
     speech = np.percentile(opening[30:-30], 95)
     silence = np.concatenate((opening[:20], opening[-15:]))
     assert silence.mean() <= 0.01 * speech
-    rest = default.controls.rest
-    np.testing.assert_allclose(acted[-1], rest, atol=0.01)
 
 
 @pytest.mark.slow

@@ -37,6 +37,17 @@ def test_readers_are_grouped_by_chapter_and_actors_by_name(tables):
     assert neutral.emotion == "NEU"
 
 
+def test_tables_of_other_words_are_read_as_the_same(tables, tmp_path):
+    """RAVDESS's levels and emotions, and a column of another name."""
+    other = tmp_path / "ravdess.csv"
+    other.write_text(
+        "path,actor,emotion,level\na_lo.wav,01,neutral,normal\na_lo.wav,01,surprised,normal\n"
+        "a_lo.wav,01,angry,strong\n"
+    )
+    found = [(c.path.name, c.emotion, c.level) for c in read_strength_clips(other, ACTORS)]
+    assert found == [("a_lo.wav", e, v) for e, v in (("NEU", "LO"), ("SUR", "LO"), ("ANG", "HI"))]
+
+
 def test_level_is_that_of_the_recording_and_silence_is_left_out(tables):
     clips = read_strength_clips(tables[0], READERS)[:1] + read_strength_clips(tables[1], ACTORS)
     loud, soft = measure_clips(clips)

@@ -73,12 +73,13 @@ def test_acted_order_of_three_actors():
         ("a", "ANG", "LO"): 1.0, ("a", "ANG", "MD"): 2.0, ("a", "ANG", "HI"): 3.0,
         ("b", "ANG", "LO"): 3.0, ("b", "ANG", "MD"): 2.0, ("b", "ANG", "HI"): 1.0,
         ("c", "ANG", "LO"): 1.0, ("c", "ANG", "MD"): 0.0, ("c", "ANG", "HI"): 2.0,
-        ("d", "ANG", "LO"): 1.0, ("d", "ANG", "HI"): 0.0,  # one is missing
+        ("d", "ANG", "LO"): 1.0, ("d", "ANG", "HI"): 2.0,  # of two strengths
+        ("e", "ANG", "LO"): 1.0, ("e", "ANG", "MD"): 2.0,  # the strongest is missing
     }  # fmt: skip
     order = acted_order(values, ("ANG", "HAP"))
-    assert order["high above low"] == pytest.approx(2 / 3)
-    assert order["rank correlation"] == pytest.approx((1 - 1 + 0.5) / 3)
-    assert order["actors and emotions"] == 3
+    assert order["high above low"] == pytest.approx(3 / 4)
+    assert order["rank correlation"] == pytest.approx((1 - 1 + 0.5 + 1) / 4)
+    assert order["actors and emotions"] == 4
     assert np.isnan(acted_order({}, ("ANG",))["high above low"])
 
 

@@ -1,0 +1,1 @@
+"""Faces of voice agents: curves in step with the sound of a text-to-speech service."""
