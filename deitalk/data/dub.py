@@ -436,7 +436,7 @@ class _Clock:
     def _join(self, frame: int, before: float) -> None:
         """After a frame, come from a place of the performance that does not follow."""
         stop = min(frame + JOIN_FRAMES, self.n_new)
-        self._joins.append((frame, before + np.arange(stop - frame)))
+        self._joins.append((frame, np.arange(stop - frame) + np.float64(before)))
         self.exact[frame:stop] = False
 
     def shown(self, rows: Float32) -> Float32:
