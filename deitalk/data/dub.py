@@ -305,8 +305,8 @@ def paired_phrases(
 
     Where one has more, up to `MOST_TOGETHER` of them stand for one of the other. Of a recording
     that is longer than the limit allows the last phrases have no counterpart. Where that would
-    stretch more than the limit on the average, the first recording's phrases up to the length of
-    the second stand for all of it.
+    stretch more than the limit on the average, as much of the first recording as the second has
+    stands for all of it.
 
     Parameters
     ----------
@@ -334,8 +334,8 @@ def paired_phrases(
     off = np.array([abs(np.log(_length(b) / _length(a))) for a, b in pairs])
     if pairs and (off * lengths).sum() <= np.log(limit) * lengths.sum():
         return pairs[::-1]
-    fits = [(old[0][0], stop) for _, stop in old]
-    return [(min(fits, key=lambda span: abs(_length(span) - _length(all_new))), all_new)]
+    first, stop = all_old  # of what need not be stretched nothing is
+    return [((first, min(stop, first + _length(all_new))), all_new)]
 
 
 def _costs(
