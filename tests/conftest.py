@@ -53,7 +53,7 @@ def empty_pictures() -> Iterator[None]:
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("deitalk.training.trainer.draw_clips", draw)
-        patch.setattr("deitalk.evaluation.comparison.draw_before_after", draw)
+        patch.setattr("deitalk.evaluation.captures.draw_before_after", draw)
         yield
 
 

@@ -24,13 +24,13 @@ from deitalk.cli.convert import convert, validate
 from deitalk.cli.data import app as data_app
 from deitalk.cli.edits import diff
 from deitalk.cli.face import app as face_app
-from deitalk.cli.face import preview
 from deitalk.cli.install import app as install_app
 from deitalk.cli.live import live
-from deitalk.cli.mesh import retarget
-from deitalk.cli.models import app as model_app
+from deitalk.cli.model import app as model_app
 from deitalk.cli.models import finetune
 from deitalk.cli.options import CheckedCommands
+from deitalk.cli.preview import preview
+from deitalk.cli.retarget import retarget
 from deitalk.cli.serve import app as serve_app
 from deitalk.installed import __version__
 from deitalk.workers import safe_path

@@ -169,7 +169,7 @@ class SDFAMelConfig(MelConfig):
     @property
     def encoder(self) -> str:
         """Module and class of the encoder."""
-        return "deitalk.frontends.mel_bilstm:SDFAEncoder"
+        return "deitalk.frontends.sdfa_encoder:SDFAEncoder"
 
     @field_validator("time_stack")
     @classmethod

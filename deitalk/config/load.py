@@ -6,9 +6,11 @@ from typing import Any, cast
 
 import yaml
 
-from deitalk.config.curves import Config, FinetuneConfig
+from deitalk.config.curves import Config
+from deitalk.config.finetuning import FinetuneConfig
 from deitalk.config.mesh import SDFAConfig
-from deitalk.config.section import checked, load_yaml, read_yaml
+from deitalk.config.section import checked
+from deitalk.config.yaml_files import load_yaml, read_yaml
 from deitalk.errors import ConfigError
 from rig import limits
 from rig.errors import quoted

@@ -1,10 +1,10 @@
 """Emotion suggested from a voice: neutral, angry, happy or sad, with its probability.
 
 A linear map of the speech features of `default`, mean and spread over the speech, at any gain;
-fitted to acted speech and its altered copies, and to readers as neutral. The suggestion is the most probable emotion, neutral only
-where neutral is. Probabilities are those of four equally frequent emotions. Surprise and the moods
-were not among the recordings and are never suggested. Not in the paper, where the emotion is given.
-Letters: T frames, D features.
+fitted to acted speech and its altered copies, and to readers as neutral. The suggestion is the
+most probable emotion, neutral only where neutral is. Probabilities are those of four equally
+frequent emotions. Surprise and the moods were not among the recordings and are never suggested.
+Not in the paper, where the emotion is given. Letters: T frames, D features.
 """
 
 from collections.abc import Mapping

@@ -12,7 +12,7 @@ from deitalk.data.windows import Window
 from deitalk.errors import ConfigError
 from deitalk.models.curve_model import DEITalk, Output
 from deitalk.models.rig_decoder import TemporalConv
-from deitalk.training.trainer import gather_rows
+from deitalk.training.several_processes import gather_rows
 from rig import ControlSet
 
 

@@ -25,8 +25,8 @@ from deitalk.data.windows import (
     read_waveform,
 )
 from deitalk.errors import ConfigError
-from deitalk.evaluation.figures import ClipRows, Row
-from deitalk.evaluation.validation import (
+from deitalk.evaluation.clips_figure import ClipRows, Row
+from deitalk.evaluation.smoothness import (
     Example,
     ValidationSet,
     lips_together,
@@ -40,8 +40,9 @@ from deitalk.training.curve_losses import (
     CurveLoss,
     turn_to_the_past,
 )
+from deitalk.training.optimizer import new_optimizer
 from deitalk.training.run_folder import record_data
-from deitalk.training.trainer import Progress, Task, new_optimizer, run_training, silent
+from deitalk.training.trainer import Progress, Task, run_training, silent
 from rig import ControlSet
 
 N_SHOWN = 2

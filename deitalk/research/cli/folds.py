@@ -38,7 +38,7 @@ def folds(
     --------
     python -m deitalk.research folds my_captures/ -o runs/folds
     """
-    from deitalk.evaluation.comparison import beats_loudness, warnings_of
+    from deitalk.evaluation.captures import beats_loudness, warnings_of
     from deitalk.research.training.folds import tune_folds
     from deitalk.training.tuning.public import settings_of
 

@@ -36,7 +36,7 @@ def sheet(
     """
     from deitalk.research.contact_sheet import draw_people, draw_sheet, sheet_tiles
     from rig.face import build_head
-    from rig.face.render.shading import write_png
+    from rig.face.render.picture import write_png
 
     if out.suffix.lower() != ".png":
         raise DeitalkError(f"{out} has suffix {out.suffix or 'none'!r}; a sheet is a .png file")

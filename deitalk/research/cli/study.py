@@ -55,7 +55,7 @@ def build(
     if post is not None and not post.startswith(("https://", "http://")):
         raise DataError(f"--post {post!r} must begin with https:// or http://")
     reserve_folder(out, kind="study", force=force, inputs=systems)
-    from deitalk.preview.video import check_needs
+    from deitalk.preview.needs import check_needs
     from deitalk.research.study.build import build_study
     from deitalk.research.study.design import TASKS
 

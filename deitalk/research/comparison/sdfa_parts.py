@@ -9,7 +9,8 @@ from typing import Any, cast
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from deitalk.frontends.mel_bilstm import SDFAEncoder, normalise_weights
+from deitalk.frontends.mel_bilstm import normalise_weights
+from deitalk.frontends.sdfa_encoder import SDFAEncoder
 from deitalk.research.config import AblatedMelConfig
 
 

@@ -22,7 +22,7 @@ from deitalk.audio.frames import SAMPLE_RATE
 from deitalk.config.load import parse_config
 from deitalk.config.mesh import SDFAConfig, SDFAModelConfig
 from deitalk.frontends.base import window_index
-from deitalk.frontends.mel_bilstm import SDFAEncoder
+from deitalk.frontends.sdfa_encoder import SDFAEncoder
 from deitalk.models.checkpoint import require_model, save_model
 from deitalk.models.deformation_decoder import InversePCA
 from deitalk.models.mesh_model import SDFA

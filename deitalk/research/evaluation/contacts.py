@@ -20,12 +20,9 @@ import numpy as np
 from deitalk.audio.frames import FRAME_RATE
 from deitalk.audio.load import load_audio
 from deitalk.errors import DataError
-from deitalk.evaluation.validation import (
-    closure_scores,
-    lips_together,
-    summarise_closures,
-    table,
-)
+from deitalk.evaluation.report import table
+from deitalk.evaluation.smoothness import lips_together
+from deitalk.evaluation.validation import closure_scores, summarise_closures
 from deitalk.models.curve_model import DEITalk
 from deitalk.postprocess.phones import (
     CLEAR_SECONDS,

@@ -21,13 +21,8 @@ from deitalk.data.clips import Clip, read_clips, read_phones
 from deitalk.emotions import EMOTIONS, IntensityCurve
 from deitalk.errors import DataError
 from deitalk.evaluation.scores import correlation
-from deitalk.evaluation.validation import (
-    JAW,
-    closure_scores,
-    lips_together,
-    load_example,
-    summarise_closures,
-)
+from deitalk.evaluation.smoothness import lips_together, load_example
+from deitalk.evaluation.validation import JAW, closure_scores, summarise_closures
 from deitalk.models.curve_model import DEITalk
 from deitalk.pipeline.curves import animate
 from deitalk.research.evaluation.clip_scores import (

@@ -18,8 +18,9 @@ import torch
 
 from deitalk.audio.load import load_audio
 from deitalk.errors import DataError
+from deitalk.evaluation.report import table
 from deitalk.evaluation.scores import correlation
-from deitalk.evaluation.validation import loudness, table
+from deitalk.evaluation.smoothness import loudness
 from deitalk.models.curve_model import DEITalk
 from deitalk.pipeline.curves import animate
 from deitalk.research.evaluation.ridge import Readout, Rows, listen, losses

@@ -20,7 +20,8 @@ from deitalk.audio.load import Recording, load_audio
 from deitalk.data.clips import Clip, read_phones
 from deitalk.emotions import EMOTIONS
 from deitalk.errors import CheckpointError, DataError
-from deitalk.models.mesh_model import MeshHead, MeshModel
+from deitalk.models.mesh_head import MeshHead
+from deitalk.models.mesh_model import MeshModel
 from deitalk.pipeline.curves import animate
 from deitalk.pipeline.mesh import mesh_frames
 from deitalk.postprocess.known_phones import seal_lips

@@ -19,13 +19,15 @@ from deitalk.config.mesh import SDFAConfig, SDFAModelConfig
 from deitalk.data.windows import Share
 from deitalk.emotions import parse_emotion
 from deitalk.errors import ConfigError, DataError
-from deitalk.evaluation.figures import ClipRows, Row
+from deitalk.evaluation.clips_figure import ClipRows, Row
 from deitalk.frontends.base import Encoder
-from deitalk.frontends.mel_bilstm import MelFrontend, SDFAEncoder
+from deitalk.frontends.mel_bilstm import MelFrontend
+from deitalk.frontends.sdfa_encoder import SDFAEncoder
 from deitalk.models.checkpoint import new_encoder, require_model, save_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.models.deformation_decoder import InversePCA
-from deitalk.models.mesh_model import SDFA, DEITalkFeatures, MeshHead, MeshModel
+from deitalk.models.mesh_head import MeshHead
+from deitalk.models.mesh_model import SDFA, DEITalkFeatures, MeshModel
 from deitalk.postprocess.known_phones import check_faces
 from deitalk.research.meshes.folder import MeshClip, MeshFolder, has_lips, open_meshes
 from deitalk.research.meshes.gradient_bases import GradientBasis

@@ -22,10 +22,10 @@ import numpy as np
 from deitalk.config.curves import Config
 from deitalk.config.load import AnyConfig, load_config
 from deitalk.config.mesh import SDFAConfig
-from deitalk.config.section import read_yaml
+from deitalk.config.yaml_files import read_yaml
 from deitalk.data.windows import FrozenFeatures
 from deitalk.errors import ConfigError, DataError
-from deitalk.evaluation.validation import as_json
+from deitalk.evaluation.report import as_json
 from deitalk.models.checkpoint import require_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.models.mesh_model import MeshModel

@@ -23,7 +23,7 @@ from deitalk.research.training.encoded_passes import EncodedPasses
 from deitalk.training import curves
 from deitalk.training.curve_losses import CurveLoss, start_as
 from deitalk.training.curves import CurveTask
-from deitalk.training.trainer import new_optimizer
+from deitalk.training.optimizer import new_optimizer
 from rig import ControlSet
 from rig.arrays import Float32
 from rig.controls import DEFAULT_ID

@@ -7,7 +7,7 @@ from deitalk.config.rig_file import read_controls
 from deitalk.data.captures.splits import divide_clips
 from deitalk.data.clips import read_clips
 from deitalk.errors import DataError
-from deitalk.evaluation.validation import load_example
+from deitalk.evaluation.smoothness import load_example
 from deitalk.research.lips.head_lips import MEASURES, HeadLips
 from deitalk.research.lips.measured import read_lips
 from deitalk.research.lips.own_rig import write_measure_dataset

@@ -18,7 +18,8 @@ from typer.testing import CliRunner
 from deitalk.config.load import load_config
 from deitalk.config.mesh import SDFAConfig
 from deitalk.errors import ConfigError, DataError
-from deitalk.evaluation.figures import can_draw, draw_clips
+from deitalk.evaluation.clips_figure import draw_clips
+from deitalk.evaluation.figures import can_draw
 from deitalk.models.checkpoint import load_model, save_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.research.cli import app

@@ -10,7 +10,8 @@ import soundfile
 
 from deitalk.data.captures import imported
 from deitalk.data.captures.imported import within_captured
-from deitalk.data.captures.sources import Labelling, find_sound, find_takes
+from deitalk.data.captures.labels import Labelling
+from deitalk.data.captures.sources import find_sound, find_takes
 from deitalk.data.captures.take import CapturedCurves, read_capture
 from deitalk.data.clips import read_clips, read_known
 from deitalk.errors import MissingError
