@@ -184,12 +184,13 @@ def _coloured(
 ) -> Float64:
     """Tilt the spectrum by `slope` dB an octave; `hills`: octaves below the top, width, dB."""
     n = len(noise)
-    spectrum = fft.rfft(noise, fft.next_fast_len(n, real=True))
+    length = fft.next_fast_len(n, real=True)
+    spectrum = fft.rfft(noise, length)
     octaves = np.log2(np.arange(len(spectrum)) + 1.0)
     gain_db = slope * octaves
     for below, width, height in hills:
         gain_db += height * np.exp(-(((octaves - octaves[-1] + below) / width) ** 2))
-    coloured: Float64 = fft.irfft(spectrum * 10 ** (gain_db / 20))[:n]
+    coloured: Float64 = fft.irfft(spectrum * 10 ** (gain_db / 20), length)[:n]
     return coloured
 
 

@@ -267,7 +267,7 @@ def measure_intensities(
     felt = voice
     if rule is not None:
         emotions = acting.emotion_track.at(speech.times) if weights is None else weights
-        felt = felt_intensity(voice, emotions, rule)
+        felt = felt_intensity(voice, emotions, rule).astype(np.float32)
     wanted = felt if curve is None else curve.at(speech.times).astype(np.float32)
     whole = np.asarray(wanted * acting.intensity * factor, np.float32)
     holds = held(network)

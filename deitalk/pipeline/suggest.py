@@ -4,7 +4,8 @@ A linear map of the speech features of `default`, mean and spread over the speec
 fitted to acted speech and its altered copies, and to readers as neutral. The suggestion is the
 most probable emotion, neutral only where neutral is. Probabilities are those of four equally
 frequent emotions. Surprise and the moods were not among the recordings and are never suggested.
-Not in the paper, where the emotion is given. Letters: T frames, D features."""
+Not in the paper, where the emotion is given. Letters: T frames, D features.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -23,7 +23,8 @@ WEIGHTS = {
     "motion-energy": f"{_PEOPLE}.motion_energy --animate docs/samples/amiable.flac --seconds 6",
     "phone-evidence": f"{_TRAINING}.phone_evidence --data corpus/ --embedded",
     "suggestion": f"{_TRAINING}.suggestion --actors CREMA.csv "
-    "--readers LIBRISPEECH.tsv --readers SPEECHOCEAN.tsv --split test",
+    "--readers LIBRISPEECH.tsv --readers SPEECHOCEAN.tsv --noise NOISE --rooms ROOMS "
+    "--split test",
     "mesh-head-test": f"{_RESEARCH} evaluate mesh_head --data corpus/ --split test --most 24",
 }
 """Of the weights of `default`: with new ones they have to run again (and its times, below)."""

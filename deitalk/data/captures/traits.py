@@ -23,10 +23,10 @@ BLINK_RISE, BLINK_SECONDS, LEAST_WAITS = 0.3, 0.5, 6
 least intervals, double blinks apart, for their median."""
 AVERTED_DEGREES, AVERTED_SECONDS, LEAST_LOOKS = 4.0, 0.25, 8
 """What counts as a look aside, and the least number for their balance."""
-USUAL_BROWS = {"raiseIn": 0.031, "raiseOut": 0.026, "down": 0.0086}
-USUAL_HEAD = (0.54, 0.77, 0.36)
+USUAL_BROWS = {"raiseIn": 0.064, "raiseOut": 0.032, "down": 0.039}
+USUAL_HEAD = (0.55, 0.83, 0.41)
 """Mean standard deviation within a window: of a side's control, and of yaw, pitch and roll in
-degrees. Of 410 s of neutral takes of 12 LibriSpeech readers with `Traits()`."""
+degrees. Of 403 s of neutral takes of 12 LibriSpeech readers with `Traits()`."""
 Timed = tuple[Float32 | Float64, float]
 """A track [shape=(T,)] and its frames per second."""
 

@@ -27,6 +27,7 @@ from deitalk.models.protocol import trained_weights
 from deitalk.pipeline.curves import READ_ON_SAMPLES
 from deitalk.pipeline.speech import CUT_FRAMES
 from deitalk.postprocess.curve_pass import CurvePass
+from deitalk.postprocess.feeling import felt_intensity
 from deitalk.postprocess.torch_columns import constant
 from deitalk.postprocess.tracks import LIVE_AHEAD, rest_rows
 
@@ -73,7 +74,7 @@ class FinishedClip(nn.Module):
         self.hearing = ClipHearing(model.rules)
         self.held = HeldIntensity(model.rules.expressions, model.controls)
         self.rules = CurvePass(model.controls, model.rules)
-        self.has_rule = model.rules.voice_intensity is not None
+        self.rule = model.rules.voice_intensity
         constant(self, "trained", MIXTURES)
         window = self.rules.behind + self.rules.ahead
         constant(self, "after", rest_rows(model.controls.rest, window)[: self.rules.ahead])
@@ -114,16 +115,17 @@ class FinishedClip(nn.Module):
         # Intensity: of the voice, or as drawn, which silence does not change.
         is_drawn = curve >= 0
         share = torch.where(is_drawn, torch.ones_like(curve), heard.expression)
-        wanted = torch.where(is_drawn, curve, heard.voice) * factor
+        felt = heard.voice if self.rule is None else felt_intensity(heard.voice, labels, self.rule)
+        wanted = torch.where(is_drawn, curve, felt) * factor
         held = self.held(neutral, emotional, labels, network)
         scale = expression_scale(wanted, held)
-        if not self.has_rule:
+        if self.rule is None:
             scale = torch.where(is_drawn, scale, factor)
         kept = heard.back, heard.kept
         voice = voice_columns((scale, heard.opening, held), kept, labels)
         shown = torch.cat((heard.mouth[:, None], share[:, None], motion), dim=1)
         curves, plain = self._finished(neutral, emotional, voice, shown)
-        return curves, plain, heard.voice * heard.expression
+        return curves, plain, felt * heard.expression
 
     def _readings(
         self, sound: Tensor, styles: Tensor, speech: Tensor
@@ -289,8 +291,9 @@ class FinishedLive(nn.Module):
         found, (heard_now, spoken) = self.hearing(
             window, due, strength, rows.effort[:, 0], rest, heard
         )
-        applied, held, scale = found.intensity * factor, strength, factor
-        if self.model.rules.voice_intensity is not None:
+        held, scale, rule = strength, factor, self.model.rules.voice_intensity
+        if rule is not None:
+            applied = felt_intensity(found.intensity, labels, rule) * factor
             held = self.held(rows.neutral[:, 0], rows.emotional[:, 0], labels, strength)
             scale = expression_scale(applied, held)
         voice = voice_columns((scale, found.opening, held), (found.back, found.kept), labels)

@@ -155,7 +155,7 @@ class Swells(Events):
         seconds : tuple
             Attack, hold and decay.
         heights : array [shape=(N, K)]
-            At the peak.
+            At the peaks.
         known : array
             Seconds before which they cannot begin; the peak is late then.
         shortest : float, optional
@@ -174,7 +174,7 @@ class Swells(Events):
         Parameters
         ----------
         streams : array of int [shape=(B,)]
-            Which.
+            Which; each once.
         first : array of int [shape=(B,)]
             Frame that comes next.
         count : int

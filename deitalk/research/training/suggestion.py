@@ -15,7 +15,7 @@ speakers are fitted together; their scores are those of five fits, each to four 
 speakers and scored on the rest. One temperature makes those probabilities true (Guo et al. 2017).
 
 The command prints the scores of these speakers, with ``--judge`` those of another corpus, which is
-never fitted, and with ``--split test`` also those of the test speakers: recall of every class,
+never fitted nor written to the file of scores, and with ``--split test`` also those of the test speakers: recall of every class,
 their mean (unweighted recall, chance .25), anger against sadness, the share of readers suggested as
 neutral, and how probable suggestions are against how often they are right. Baselines: the level of
 the speech, and ridge regression on the same numbers.
@@ -433,6 +433,7 @@ def main() -> int:
     parser.add_argument("-o", "--out", type=new_file, help=".safetensors to write")
     options = parser.parse_args()
     scores: dict[str, dict[str, float]] = {}
+    judged: dict[str, dict[str, float]] = {}
     try:
         around = Surroundings.read(options.noise, options.rooms)
         voices = read_voices(options.actors, options.readers, around, options.split)
@@ -447,13 +448,13 @@ def main() -> int:
                 scores[f"{name}, {TEST}"] = score(predict(found, heard.numbers), heard, TEST)
             if name != "level":
                 for path in options.judge:
-                    scores[f"{name}, {path.stem}"] = judge(found, path)
+                    judged[f"{name}, {path.stem}"] = judge(found, path)
             if name == "map":
                 made = found
     except DeitalkError as error:
         sys.stderr.write(f"deitalk: {error}\n")
         return 1
-    sys.stdout.write("\n".join(table("", scores)) + "\n")
+    sys.stdout.write("\n".join(table("", scores | judged)) + "\n")
     write_json(options.json, identified(MODEL) | scores)
     if options.out is not None:
         with atomic_write(options.out) as beside:
