@@ -17,7 +17,6 @@ from deitalk.config.rig_file import rig_text
 from deitalk.emotions import EMOTIONS
 from deitalk.frontends.whisper import WhisperFrontend
 from deitalk.models.curve_model import DEITalk, grid_of
-from deitalk.models.onnx.export import Axes, traced
 from deitalk.models.onnx.network import (
     CAUSAL_SCHEMA,
     NEXT,
@@ -38,6 +37,7 @@ from deitalk.models.onnx.network_graph import (
 from deitalk.models.onnx.rules import INPUTS as RULES_INPUTS
 from deitalk.models.onnx.rules import LIVE, WHOLE
 from deitalk.models.onnx.rules import OUTPUTS as RULES_OUTPUTS
+from deitalk.models.onnx.tracing import Axes, traced
 from deitalk.models.onnx.whisper_graph import parts_of
 from deitalk.postprocess.curve_pass import CurvePass
 from deitalk.postprocess.tracks import LIVE_AHEAD, N_SHOWN

@@ -16,6 +16,8 @@ from deitalk.audio.log_mel import N_FFT
 from deitalk.audio.voice_activity import WINDOW
 from deitalk.emotions import LABELS
 from deitalk.errors import CheckpointError
+from deitalk.export.clip_hearing import ClipHearing, HeldIntensity, expression_scale
+from deitalk.export.live_hearing import LiveHearing
 from deitalk.live.activity import FLOOR_EVERY
 from deitalk.live.hearing import MEASURED_AHEAD
 from deitalk.models.curve_model import (
@@ -26,8 +28,6 @@ from deitalk.models.curve_model import (
     first_state,
     grid_of,
 )
-from deitalk.models.onnx.clip_hearing import ClipHearing, HeldIntensity, expression_scale
-from deitalk.models.onnx.live_hearing import LiveHearing
 from deitalk.models.onnx.network_graph import CurveGraph, causal_graph
 from deitalk.models.protocol import trained_weights
 from deitalk.pipeline.curves import READ_ON_SAMPLES

@@ -27,6 +27,16 @@ from deitalk.audio.voice_activity import (
     TOP_BANDS,
 )
 from deitalk.config.rules import Gates, HoldPose, RulesConfig, VoiceIntensity
+from deitalk.export.clip_hearing import (
+    BandLevels,
+    MeasureProsody,
+    change_of,
+    deviation,
+    expression_after,
+    faded,
+    limited,
+    opening_factor,
+)
 from deitalk.live.activity import (
     FLOOR_FRAMES,
     GATE_AHEAD,
@@ -45,16 +55,6 @@ from deitalk.live.intensity import (
     PRESENCE_SMOOTHING,
     SMOOTHING,
     USUAL_FRAMES,
-)
-from deitalk.models.onnx.clip_hearing import (
-    BandLevels,
-    MeasureProsody,
-    change_of,
-    deviation,
-    expression_after,
-    faded,
-    limited,
-    opening_factor,
 )
 from deitalk.postprocess.feeling import (
     BRIGHTEST_DB,

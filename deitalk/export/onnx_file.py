@@ -1,29 +1,24 @@
 """Export of a model to one ONNX file for other programs: sound in, finished curves out."""
 
-import io
 import json
-import warnings
 from collections import Counter
 from pathlib import Path
 from typing import Any, Literal, TypeAlias, get_args
 
 import numpy as np
 import torch
-from torch import Tensor, nn
 
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
 from deitalk.config.rig_file import rig_text
 from deitalk.emotions import LABELS
-from deitalk.errors import CheckpointError, MissingError
-from deitalk.installed import __version__
+from deitalk.errors import CheckpointError
+from deitalk.export.finished import FinishedClip, FinishedLive
 from deitalk.models.curve_model import DEITalk
-from deitalk.models.onnx.finished import FinishedClip, FinishedLive
+from deitalk.models.onnx.tracing import Axes, traced
 from deitalk.postprocess.tracks import N_MOTION
 from rig.errors import quoted
 from rig.files import atomic_write
 
-OPSET = 17
-"""The first with LayerNormalization; read by ONNX Runtime 1.12 and later."""
 CLIP_SCHEMA, LIVE_SCHEMA = "deitalk.onnx/3", "deitalk.onnx-live/4"
 CLIP_INPUTS = "sound", "emotion", "intensity", "motion"
 STATE, NEXT_STATE = "state", "next_state"
@@ -32,7 +27,6 @@ Precision: TypeAlias = Literal["float32", "float16"]
 PRECISIONS: tuple[Precision, ...] = get_args(Precision)
 SMALLEST = 4096
 """Numbers of a weight that is stored with less precision."""
-Axes = dict[str, dict[int, str]]
 
 
 def export_onnx(model: DEITalk, path: Path, *, name: str = "", precision: str = "float32") -> None:
@@ -134,48 +128,6 @@ def _live(model: DEITalk) -> tuple[Any, dict[str, str]]:
     }
     texts = {key: json.dumps(value) for key, value in numbers.items()}
     return content, texts | {"schema": LIVE_SCHEMA}
-
-
-def traced(
-    graph: nn.Module,
-    example: tuple[Tensor, ...],
-    inputs: tuple[str, ...],
-    outputs: tuple[str, ...],
-    axes: Axes,
-) -> Any:
-    """A module as an ONNX model, its weights by their names in the module.
-
-    Raises
-    ------
-    MissingError
-        If the package onnx is not installed.
-    """
-    try:
-        import onnx
-    except ImportError:
-        raise MissingError(
-            "the export needs the package onnx; install it with pip install 'deitalk[onnx]'"
-        ) from None
-    file = io.BytesIO()
-    with warnings.catch_warnings(), torch.no_grad():
-        warnings.simplefilter("ignore")  # the exporter's own, on constants that are meant
-        torch.onnx.export(
-            graph.eval(),
-            example,
-            file,
-            dynamo=False,  # the newer exporter needs packages more
-            opset_version=OPSET,
-            do_constant_folding=False,  # runtimes do that; weights keep their names
-            input_names=list(inputs),
-            output_names=list(outputs),
-            dynamic_axes=axes,
-        )
-    content = onnx.load_from_string(file.getvalue())
-    for node in content.graph.node:
-        node.ClearField("name")
-        node.ClearField("doc_string")
-    content.producer_name, content.producer_version = "deitalk", __version__
-    return content
 
 
 def _store(graph: Any, precision: str) -> None:

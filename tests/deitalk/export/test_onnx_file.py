@@ -16,10 +16,11 @@ from deitalk.audio.frames import frame_count
 from deitalk.audio.load import load_audio
 from deitalk.emotions import LABELS, IntensityCurve
 from deitalk.errors import CheckpointError
+from deitalk.export.finished import FinishedClip, FinishedLive
 from deitalk.live.animator import LiveAnimator
 from deitalk.models.checkpoint import load_model
 from deitalk.models.curve_model import DEITalk
-from deitalk.models.onnx.finished import FinishedClip, FinishedLive
+from deitalk.models.onnx.tracing import OPSET
 from deitalk.postprocess.tracks import N_MOTION
 from deitalk.research.evaluation.benchmark_curves import speechlike
 from tests.command import ran
@@ -27,7 +28,7 @@ from tests.deitalk.models.test_onnx import CAUSAL, CONTROL_FLOW, WHISPER, of_fro
 
 onnx = pytest.importorskip("onnx")
 onnxruntime = pytest.importorskip("onnxruntime")
-from deitalk.models.onnx.export import OPSET, export_onnx, operators  # noqa: E402
+from deitalk.export.onnx_file import export_onnx, operators  # noqa: E402
 
 TOLERANCE = 1e-4
 """Of a control's range."""
