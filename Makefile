@@ -89,13 +89,13 @@ format: setup-dev  ## Format the code
 	$(BIN)/ruff check --fix .
 
 train-tiny: setup  ## Build a corpus of two minutes and train six steps
-	$(BIN)/deitalk corpus build --hours 0.03 -o corpus/tiny
-	$(BIN)/deitalk train configs/tiny.yaml --data corpus/tiny -o runs/tiny
+	$(BIN)/python -m deitalk.research corpus build --hours 0.03 -o corpus/tiny
+	$(BIN)/python -m deitalk.research train configs/tiny.yaml --data corpus/tiny -o runs/tiny
 
 pictures: setup-dev page  ## Draw docs/pictures: head, moving picture, architecture, studio
 	mkdir -p docs/pictures
-	$(BIN)/deitalk face sheet mouth --tile 150 -o docs/pictures/face-mouth.png --force
-	$(BIN)/deitalk face sheet emotions --columns 5 --tile 150 -o docs/pictures/face-emotions.png --force
+	$(BIN)/python -m deitalk.research sheet mouth --tile 150 -o docs/pictures/face-mouth.png --force
+	$(BIN)/python -m deitalk.research sheet emotions --columns 5 --tile 150 -o docs/pictures/face-emotions.png --force
 	$(BIN)/python docs/make_architecture.py
 	$(if $(CREMA),$(BIN)/python docs/make_talking.py $(CREMA))
 	PYTHONPATH=. $(BIN)/python docs/make_studio.py

@@ -41,7 +41,7 @@ def serve(
     studio = studio_address(settings) if opens else ""
     settings.check()
     if migrate:
-        from api.jobs.table import open_database
+        from api.jobs.versions import open_database
 
         settings.data.mkdir(parents=True, exist_ok=True, mode=0o700)
         open_database(settings.database_url, migrate=True).dispose()

@@ -21,7 +21,7 @@ from api.errors import describe
 from api.guard.middleware import HEADER_BYTES
 from api.guard.protocol import GuardedProtocol, GuardedSocket
 from api.jobs.runner import Store
-from api.jobs.table import open_database
+from api.jobs.versions import open_database
 from api.service import Service
 from api.settings import Settings
 from deitalk.errors import ConfigError

@@ -16,7 +16,7 @@ from sqlalchemy.engine import make_url
 from sqlalchemy.exc import ArgumentError
 
 from deitalk.config.hub import is_hub_name
-from deitalk.config.section import read_yaml
+from deitalk.config.yaml_files import read_yaml
 from deitalk.errors import ConfigError, DeitalkError
 from deitalk.models.folder import check_device, embedded_models, model_folder
 from deitalk.models.load import Backend

@@ -41,12 +41,13 @@ if TYPE_CHECKING:
     from deitalk.acting import Acting
     from deitalk.audio.arrays import recording_from_array
     from deitalk.audio.load import Recording, load_audio
-    from deitalk.batch.lines import BatchReport
+    from deitalk.batch.report import BatchReport
     from deitalk.batch.run import animate_batch
     from deitalk.emotions import EMOTIONS, LABELS, EmotionTrack, IntensityCurve
     from deitalk.errors import DeitalkError
     from deitalk.live.animator import LiveAnimator
-    from deitalk.models.checkpoint import load_model, push_to_hub
+    from deitalk.models.checkpoint import load_model
+    from deitalk.models.hub import push_to_hub
     from deitalk.pipeline.curves import animate
     from deitalk.pipeline.mesh import animate_mesh
     from deitalk.pipeline.performance import MeshPerformance, Performance
@@ -56,9 +57,10 @@ if TYPE_CHECKING:
 _HOMES = {
     "acting": ("Acting",),
     "audio.load": ("Recording", "load_audio"),
-    "batch.lines": ("BatchReport",),
+    "batch.report": ("BatchReport",),
     "batch.run": ("animate_batch",),
-    "models.checkpoint": ("load_model", "push_to_hub"),
+    "models.checkpoint": ("load_model",),
+    "models.hub": ("push_to_hub",),
     "emotions": ("EMOTIONS", "LABELS", "EmotionTrack", "IntensityCurve"),
     "errors": ("DeitalkError",),
     "live.animator": ("LiveAnimator",),

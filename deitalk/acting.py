@@ -29,6 +29,7 @@ from pydantic import (
 )
 
 from deitalk.errors import ConfigError, DataError, EmotionError
+from deitalk.postprocess.life.listener import NO_PLACE
 from rig import limits
 from rig.emotions import COLORS, EMOTIONS, MOODS, PLAIN, VARIANTS
 from rig.errors import UserError, quoted
@@ -54,8 +55,6 @@ AUTO: Final = "auto"
 LONGEST_LISTENING = 600.0
 """Seconds."""
 MOST_INTENSITY = 4.0
-NO_PLACE = (0.0, 0.0, 65.0)
-"""Where a listener is if no place is given: ahead; degrees and cm."""
 LONGEST_TEXT = 1 << 20
 """Letters of a text that comes from elsewhere."""
 WORDS_SUFFIXES = (".txt", ".textgrid", ".srt", ".vtt")

@@ -80,14 +80,17 @@ def filled(command: str, places: dict[str, str], out: Path) -> Command:
 
 def runnable(words: Command, report: Path) -> tuple[Command, Path | None]:
     """A command that writes a report, and the file of it; None if it prints the report."""
-    program = [sys.executable] if words[0] == "python" else [sys.executable, "-m", "deitalk"]
-    action, rest = words[1], [*program, *words[1:]]
-    if words[0] == "python":
+    own = ["python", "-m", "deitalk.research"]
+    is_verb = words[:3] == own or words[0] == "deitalk"
+    if words[0] == "deitalk":
+        words = ["python", "-m", *words]
+    action, rest = words[3] if is_verb else "", [sys.executable, *words[1:]]
+    if not is_verb:
         return [*rest, "--json", str(report)], report
     if action == "evaluate" and "--speed" not in words:
         return [*rest, "-o", str(report), "--force"], report
-    if action in ("ablate", "finetune"):
-        name = "ablations" if action == "ablate" else "folds" if "--folds" in words else "report"
+    if action in ("ablate", "finetune", "folds"):
+        name = {"ablate": "ablations", "finetune": "report"}.get(action, action)
         return rest, ROOT / words[words.index("-o") + 1] / f"{name}.json"
     return rest, None
 
@@ -104,7 +107,7 @@ def make(name: str, places: dict[str, str]) -> None:
         out = Path(folder)
         (out / "OUT").mkdir()
         words = filled(COMMANDS[name], places, out)
-        if words[1] == "finetune":
+        if {"finetune", "folds"} & {*words}:
             (out / "OUT").rmdir()
         command, file = runnable(words, out / f"{name}.json")
         paths = os.pathsep.join(filter(None, (str(ROOT), os.environ.get("PYTHONPATH"))))

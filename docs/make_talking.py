@@ -16,14 +16,15 @@ from PIL import Image
 from deitalk import animate
 from deitalk.audio.frames import SAMPLE_RATE
 from deitalk.audio.load import load_audio
-from deitalk.preview.video import label
+from deitalk.preview.strip import label
 from deitalk.research.evaluation.acted import ACTORS, read_strength_clips
 from rig import RigCurves
 from rig.emotions import COLORS
 from rig.face import build_head
-from rig.face.accents import accents, neck_share, turned
+from rig.face.accents import accents
+from rig.face.head_pose import neck_share, turned
 from rig.face.render import View
-from rig.face.render.shading import Picture, text_width
+from rig.face.render.picture import Picture, text_width
 from rig.face.render.software import Renderer
 
 PICTURE = Path(__file__).parent / "pictures/talking.webp"

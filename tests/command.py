@@ -10,6 +10,18 @@ from typer.testing import CliRunner
 
 from deitalk.cli import app, main
 
+CHECKOUT = ("ablate", "attention", "corpus", "evaluate", "folds", "lips", "sheet", "study", "train")
+"""Verbs of `python -m deitalk.research`."""
+
+
+def commands_of(verb: str) -> Any:
+    """The application that has a verb."""
+    if verb not in CHECKOUT:
+        return app
+    from deitalk.research.cli import app as checkout
+
+    return checkout
+
 
 class Done(NamedTuple):
     """How a command ended."""
@@ -26,7 +38,7 @@ def deitalk(*arguments: object, stdin: bytes = b"") -> Done:
     given = patch.multiple(sys, argv=line, stdin=io.TextIOWrapper(io.BytesIO(stdin)))
     with given, redirect_stdout(out), redirect_stderr(err):
         try:
-            main()
+            main(commands_of(str(arguments[0]) if arguments else ""))
         except SystemExit as ended:
             return Done(int(ended.code or 0), out.getvalue(), err.getvalue())
     raise AssertionError("main returns by an exit alone")
@@ -43,6 +55,8 @@ def refused(*arguments: object, code: int = 1) -> str:
 
 def ran(*arguments: object) -> Any:
     """The result of a command, run by Typer, that must succeed."""
-    done = CliRunner().invoke(app, [str(argument) for argument in arguments])
+    done = CliRunner().invoke(
+        commands_of(str(arguments[0])), [str(argument) for argument in arguments]
+    )
     assert done.exit_code == 0, (done.output, done.exception)
     return done

@@ -53,7 +53,7 @@ def empty_pictures() -> Iterator[None]:
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("deitalk.training.trainer.draw_clips", draw)
-        patch.setattr("deitalk.evaluation.comparison.draw_before_after", draw)
+        patch.setattr("deitalk.evaluation.captures.draw_before_after", draw)
         yield
 
 
@@ -88,13 +88,10 @@ THOROUGH = (
     "tests/api/test_store.py",
     "tests/api/test_studio.py",
     "tests/api/test_trouble.py",
-    "tests/deitalk/data/captures/test_video.py",
-    "tests/deitalk/data/test_mesh_segments.py",
     "tests/deitalk/data/test_offset.py",
     "tests/deitalk/evaluation/",
     "tests/deitalk/preview/test_page.py",
     "tests/deitalk/research/",
-    "tests/deitalk/training/test_mesh.py",
     "tests/test_docs_finetuning.py",
     "tests/test_full_disk.py",
     "tests/test_fuzz.py",

@@ -15,8 +15,8 @@ from deitalk.research.video.landmarks import (
     RIGID_MIRROR,
     RIMS,
 )
-from rig.face.accents import neck_share, turned
 from rig.face.head import Head
+from rig.face.head_pose import neck_share, turned
 
 SIZE = (720, 1280)
 PIXELS_PER_CM = 40.0

@@ -27,7 +27,7 @@ from scipy.spatial.transform import Rotation
 from rig import RigCurves, default_controls, read_curves, write_curves
 from rig.conversion.arkit import ARKIT_ID, HEAD, HEAD_DEGREES, RAW_ID, udp_order
 from rig.conversion.convert import convert
-from rig.face.accents import quaternions
+from rig.face.head_pose import quaternions
 from rig.formats.blender import addon_text
 from rig.formats.table import FORMATS
 from rig.livelink import make_protocol

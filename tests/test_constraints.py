@@ -19,7 +19,7 @@ from tests.each import each
 
 ROOT = Path(__file__).resolve().parents[1]
 TORCH_INDEX = ROOT / "constraints/torch_index.py"
-TOOLS = {"dev", "video", "ray", "audio2face", "fbx"}
+TOOLS = {"dev", "video", "ray", "audio2face", "fbx", "pipecat", "livekit"}
 """Extras of the checks, and those that need a Python, a machine or another package of their own."""
 
 

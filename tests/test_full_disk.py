@@ -22,6 +22,7 @@ from deitalk.research.evaluation.benchmark_curves import speechlike
 from rig import default_controls, write_curves
 from rig.curves import RigCurves
 from rig.mesh import TriMesh
+from tests.command import commands_of
 from tests.deitalk.pipeline.test_curves import SMALL
 from tests.meshes import write_obj
 
@@ -66,7 +67,7 @@ def commands(sources, out):
         "take": ["animate", speech, "-e", "happy", "--model", model, "-o", out / "take"],
         "animate-file": ["animate", speech, "--model", model, "-o", out / "a.json"],
         "face-export": ["face", "export", "-o", out / "head.glb"],
-        "face-sheet": ["face", "sheet", "ear", "--tile", "64", "-o", out / "s.png"],
+        "face-sheet": ["sheet", "ear", "--tile", "64", "-o", out / "s.png"],
         "mesh-glb": ["animate", speech, "--vertices", "--model", model, "-o", out / "m.glb"],
         "mesh-ply": ["animate", speech, "--vertices", "--model", model, "-o", out / "frames"],
         "model-export": ["model", "export", model, "-o", out / "exported"],
@@ -89,7 +90,7 @@ def run(arguments, monkeypatch, capfd):
     """Exit code and lines on stderr."""
     monkeypatch.setattr(sys, "argv", ["deitalk", *arguments])
     with pytest.raises(SystemExit) as ended:
-        main()
+        main(commands_of(arguments[0]))
     return ended.value.code or 0, capfd.readouterr().err.splitlines()
 
 

@@ -9,8 +9,8 @@ import pytest
 from markdown_it import MarkdownIt
 from typer.main import get_command
 
-from deitalk.cli import app
 from deitalk.models.folder import embedded_models
+from tests.command import commands_of
 from tests.each import each
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -95,11 +95,12 @@ def test_pages_are_short():
 
 @each("page", PAGES)
 def test_commands_of_the_pages_exist_with_their_options(page):
-    commands = get_command(app).commands
     text = (ROOT / page).read_text()
-    for line in re.findall(r"(?:^|`|time )deitalk ([a-z][^\n#`]*)", text, re.M):
+    for line in re.findall(
+        r"(?:^|`|time )(?:deitalk|python -m deitalk\.research) ([a-z][^\n#`]*)", text, re.M
+    ):
         words = line.split()
-        command = commands[words[0]]
+        command = get_command(commands_of(words[0])).commands[words[0]]
         if hasattr(command, "commands") and words[1:] and words[1][0] != "-":
             command = command.commands[words[1]]
         known = {option for parameter in command.params for option in parameter.opts}

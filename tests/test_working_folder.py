@@ -37,12 +37,14 @@ SETTINGS = {
 }
 PROGRAM = """
 import json, sys
-from deitalk.cli import main
+from deitalk.cli import app, main
 if __name__ == "__main__":
     for words in json.loads(sys.argv[1]):
         sys.argv = ["deitalk", *words]
         try:
-            main()
+            if words[0] in ("train", "corpus"):
+                from deitalk.research.cli import app
+            main(app)
         except SystemExit as ended:
             print(json.dumps([words, ended.code]), flush=True)
 """

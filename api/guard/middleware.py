@@ -26,7 +26,8 @@ from starlette.websockets import WebSocketDisconnect
 
 from api.errors import MEDIA_TYPE, Problem, describe, problem_for
 from api.guard.keys import KeyRing, Places, Rates, client_of
-from api.guard.metrics import Metrics, Traces, parent_of
+from api.guard.metrics import Metrics
+from api.guard.traces import Traces, parent_of
 from api.settings import Settings, is_loopback
 
 STUDIO_PATH = "/"

@@ -45,7 +45,7 @@ class Queue:
     Parameters
     ----------
     engine : Engine
-        From `api.jobs.table.open_database`.
+        From `api.jobs.versions.open_database`.
     lease_seconds : float
         Time after which a job whose holder was not seen is given to another.
     attempts : int

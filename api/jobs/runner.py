@@ -17,7 +17,8 @@ from api.compute.order import Limits, Order
 from api.compute.pool import Stage, checked, result_path
 from api.compute.worker import OrderWorker, OutOfTime, Stopped
 from api.errors import InternalError, Problem, problem_for
-from api.guard.metrics import Metrics, Traces
+from api.guard.metrics import Metrics
+from api.guard.traces import Traces
 from api.jobs.queue import LOST, Queue
 from api.jobs.table import Job
 from api.settings import Settings

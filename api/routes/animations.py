@@ -15,26 +15,29 @@ from starlette.requests import ClientDisconnect
 from api.compute.order import MESH_SUFFIXES, RECORDING, Kind, Order, suffix_of
 from api.errors import Problem
 from api.guard.keys import Caller
-from api.messages.options import (
+from api.messages.formats import (
     ANIMATION_FORMATS,
     CURVE_FORMATS,
     CURVE_SUFFIXES,
-    FIELD_FILES,
     MESH_FORMATS,
+    OutputFormat,
+    choose_format,
+)
+from api.messages.options import (
+    FIELD_FILES,
     AnimationOptions,
     ConversionOptions,
     MeshOptions,
     Options,
-    OutputFormat,
     Received,
     RetargetOptions,
     SpeechOptions,
-    choose_format,
     is_deferred,
     order_options,
 )
-from api.messages.outgoing import JobView, ValidationView, answer_order, file_answer
-from api.routes import schema
+from api.messages.outgoing import answer_order, file_answer
+from api.messages.views import JobView, ValidationView
+from api.routes import form_schema
 from api.routes.deps import AnimatorDep, ServiceDep, problems
 from api.service import Service
 from deitalk.acting import LONGEST_TEXT, SCRIPT_SUFFIXES, WORDS_SUFFIXES, user_error
@@ -51,8 +54,8 @@ RETARGET = ("mesh", "curves", "landmarks", "mapping", *SPEECH)
 @router.post(
     "/animations",
     response_class=Response,
-    responses=schema.answers(ANIMATION_FORMATS, JobView),
-    openapi_extra=schema.body(AnimationOptions, SPEECH, ANIMATION_FORMATS, raw=True),
+    responses=form_schema.answers(ANIMATION_FORMATS, JobView),
+    openapi_extra=form_schema.body(AnimationOptions, SPEECH, ANIMATION_FORMATS, raw=True),
 )
 async def animate(request: Request, service: ServiceDep, caller: AnimatorDep) -> Response:
     """Curves of a recording: at once up to `max_seconds` (60 s), a job (202) beyond."""
@@ -64,8 +67,8 @@ async def animate(request: Request, service: ServiceDep, caller: AnimatorDep) ->
 @router.post(
     "/meshes",
     response_class=Response,
-    responses=schema.answers(MESH_FORMATS, JobView),
-    openapi_extra=schema.body(MeshOptions, SPEECH, MESH_FORMATS, raw=True),
+    responses=form_schema.answers(MESH_FORMATS, JobView),
+    openapi_extra=form_schema.body(MeshOptions, SPEECH, MESH_FORMATS, raw=True),
 )
 async def animate_mesh(request: Request, service: ServiceDep, caller: AnimatorDep) -> Response:
     """A moving mesh of a recording: an embedded head, or a mesh model's template."""
@@ -75,8 +78,8 @@ async def animate_mesh(request: Request, service: ServiceDep, caller: AnimatorDe
 @router.post(
     "/retargets",
     response_class=Response,
-    responses=schema.answers(MESH_FORMATS, JobView),
-    openapi_extra=schema.body(
+    responses=form_schema.answers(MESH_FORMATS, JobView),
+    openapi_extra=form_schema.body(
         RetargetOptions,
         ("mesh", "curves", "landmarks", "mapping", *SPEECH),
         MESH_FORMATS,
@@ -93,8 +96,8 @@ async def retarget(request: Request, service: ServiceDep, caller: AnimatorDep) -
 @router.post(
     "/conversions",
     response_class=Response,
-    responses=schema.file_answers(CURVE_FORMATS),
-    openapi_extra=schema.body(ConversionOptions, ("curves",), CURVE_FORMATS, raw=False),
+    responses=form_schema.file_answers(CURVE_FORMATS),
+    openapi_extra=form_schema.body(ConversionOptions, ("curves",), CURVE_FORMATS, raw=False),
 )
 async def convert(request: Request, service: ServiceDep, caller: AnimatorDep) -> Response:
     """A file of curves in another format, on the control board."""
@@ -115,7 +118,7 @@ class NoOptions(BaseModel):
     model_config = ConfigDict(extra="forbid")
 
 
-@router.post("/validate", openapi_extra=schema.body(NoOptions, ("curves",), raw=False))
+@router.post("/validate", openapi_extra=form_schema.body(NoOptions, ("curves",), raw=False))
 async def validate(request: Request, service: ServiceDep, caller: AnimatorDep) -> ValidationView:
     """Check a file of curves by the rules of the programs that import it."""
     await service.check_room(caller, is_job=False)

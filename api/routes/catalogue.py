@@ -5,8 +5,8 @@ from typing import Annotated
 from fastapi import APIRouter, Path
 
 from api.errors import Problem
-from api.messages.options import ANIMATION_FORMATS, MESH_FORMATS, OutputFormat
-from api.messages.outgoing import ControlSetView, ControlView, EmotionsView, FormatView, ModelView
+from api.messages.formats import ANIMATION_FORMATS, MESH_FORMATS, OutputFormat
+from api.messages.views import ControlSetView, ControlView, EmotionsView, FormatView, ModelView
 from api.routes.deps import AnimatorDep, ServiceDep, problems
 from deitalk.emotions import LABELS, MOODS
 from deitalk.emotions.tracks import MAX_INTENSITY

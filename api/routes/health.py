@@ -3,7 +3,7 @@
 from fastapi import APIRouter, Response
 
 from api.errors import Problem
-from api.messages.outgoing import StatusView
+from api.messages.views import StatusView
 from api.routes.deps import MetricsDep, ServiceDep, problems
 from deitalk.installed import __version__
 

@@ -12,9 +12,11 @@ from starlette.responses import StreamingResponse
 from api.errors import Problem
 from api.guard.keys import Caller
 from api.jobs.table import DONE, Job
-from api.messages.options import ANIMATION_FORMATS, AnimationOptions
-from api.messages.outgoing import JOB_EXAMPLE, JobsView, JobView, result_headers, view_of
-from api.routes import schema
+from api.messages.formats import ANIMATION_FORMATS
+from api.messages.options import AnimationOptions
+from api.messages.outgoing import result_headers
+from api.messages.views import JOB_EXAMPLE, JobsView, JobView, view_of
+from api.routes import form_schema
 from api.routes.animations import SPEECH, speech
 from api.routes.deps import JobCallerDep, ServiceDep, problems
 from api.service import Service
@@ -31,8 +33,8 @@ Status = Literal["queued", "running", "done", "failed", "cancelled"]
     "",
     status_code=202,
     response_class=Response,
-    responses=schema.answers(ANIMATION_FORMATS, JobView, at_once=False) | problems(409, 415),
-    openapi_extra=schema.body(AnimationOptions, SPEECH, ANIMATION_FORMATS, raw=True),
+    responses=form_schema.answers(ANIMATION_FORMATS, JobView, at_once=False) | problems(409, 415),
+    openapi_extra=form_schema.body(AnimationOptions, SPEECH, ANIMATION_FORMATS, raw=True),
 )
 async def create_job(request: Request, service: ServiceDep, caller: JobCallerDep) -> Response:
     """Animate a recording of any length; with an `Idempotency-Key` the same request is one job."""

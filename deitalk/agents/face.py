@@ -15,8 +15,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from deitalk.audio.arrays import RunningResampler
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE, samples_within
+from deitalk.audio.resampling import RunningResampler
 from deitalk.errors import AudioError
 from deitalk.live.animator import Emotion, LiveAnimator
 from rig.arrays import Float32

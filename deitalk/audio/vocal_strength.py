@@ -3,8 +3,7 @@
 At any gain, the decibels by which the speaker is louder than usual, as far as spectrum and pitch
 tell. Three small networks, trained from different seeds, are averaged;
 each is three convolutions on prosody and spectrum, whose mean and spread over the speech are mapped
-to the number. They are evaluated here in numpy, and trained in torch:
-`deitalk.research.training.strength_network` has the same layers.
+to the number. They are evaluated here in numpy, and trained in torch.
 
 Not in the paper: DEITalk's saliency compares frames of one clip, not clips. Letters: F features.
 """
@@ -243,7 +242,7 @@ class VocalStrength:
     Parameters
     ----------
     weights : mapping of str to array
-        State of `deitalk.research.training.strength_network.StrengthNetwork`.
+        State of the trained network.
     """
 
     def __init__(self, weights: Mapping[str, Float32]) -> None:

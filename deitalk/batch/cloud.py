@@ -15,7 +15,7 @@ from pathlib import Path
 from time import monotonic
 from typing import Any, TypeAlias
 
-from deitalk.batch.lines import File, Outcome
+from deitalk.batch.orders import File, Outcome
 from deitalk.batch.outputs import DONE, PLACING, PRIVATE, Entry, Journal, Outputs
 from deitalk.errors import AudioError, DataError, MissingError
 from rig import limits

@@ -11,7 +11,7 @@ from contextlib import chdir, suppress
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from deitalk.batch.lines import Order, Outcome
+from deitalk.batch.orders import Order, Outcome
 from deitalk.batch.processes import Make
 from deitalk.errors import DeitalkError, MissingError
 from deitalk.workers import safe_path

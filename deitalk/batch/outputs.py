@@ -9,7 +9,7 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
-from deitalk.batch.lines import File, Outcome
+from deitalk.batch.orders import File, Outcome
 from deitalk.pipeline.performance import KIND as TAKE_KIND
 from deitalk.pipeline.speech import MeasuredVoice
 from rig import limits

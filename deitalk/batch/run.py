@@ -20,23 +20,12 @@ from typing import Any, NamedTuple
 from deitalk.acting import Acting, acted_as
 from deitalk.audio.choice import AudioChoice
 from deitalk.batch.cloud import AnyOutputs, Recordings, is_url, opened_cloud
-from deitalk.batch.lines import (
-    BadLine,
-    BatchReport,
-    Line,
-    Order,
-    Outcome,
-    Pace,
-    Progress,
-    Row,
-    Written,
-    failed_text,
-    line_key,
-    parse_formats,
-    summary_text,
-)
+from deitalk.batch.lines import BadLine, Line, Written, line_key, parse_formats
+from deitalk.batch.orders import Order, Outcome
 from deitalk.batch.outputs import DONE, FAILED, Entry, Journal, opened_folder
-from deitalk.batch.processes import Make, Performer, Pool, Workers
+from deitalk.batch.performer import Performer
+from deitalk.batch.processes import Make, Pool, Workers
+from deitalk.batch.report import BatchReport, Pace, Progress, Row, failed_text, summary_text
 from deitalk.batch.source import ACTORS, SUMMARY, read_source, waves
 from deitalk.batch.source import FAILED as FAILED_TABLE
 from deitalk.emotions import ActorReference, EmotionTrack, parse_actor

@@ -24,15 +24,15 @@ from deitalk.cli.convert import convert, validate
 from deitalk.cli.data import app as data_app
 from deitalk.cli.edits import diff
 from deitalk.cli.face import app as face_app
-from deitalk.cli.face import preview
 from deitalk.cli.install import app as install_app
 from deitalk.cli.live import live
-from deitalk.cli.mesh import retarget
-from deitalk.cli.models import app as model_app
+from deitalk.cli.model import app as model_app
 from deitalk.cli.models import finetune
 from deitalk.cli.options import CheckedCommands
+from deitalk.cli.preview import preview
+from deitalk.cli.retarget import retarget
 from deitalk.cli.serve import app as serve_app
-from deitalk.installed import VERBS, __version__, has_research, research
+from deitalk.installed import __version__
 from deitalk.workers import safe_path
 from rig.errors import UserError, one_line
 
@@ -53,24 +53,6 @@ app.command()(finetune)
 app.add_typer(model_app, name="model")
 
 
-def _add_research(app: CheckedCommands) -> None:
-    """Add the verbs of a checkout; in an installed wheel they say that they need one."""
-    if has_research():
-        research("cli", "deitalk").register(app)
-        return
-    options = {"allow_extra_args": True, "ignore_unknown_options": True}
-    verbs = (*((app, verb) for verb in VERBS), (data_app, "lips"), (face_app, "sheet"))
-    for group, verb in verbs:
-        group.command(verb, hidden=True, add_help_option=False, context_settings=options)(_absent)
-
-
-def _absent(context: typer.Context) -> None:
-    research("cli", context.command_path)
-
-
-_add_research(app)
-
-
 def _version(wanted: bool) -> None:
     if wanted:
         emit(__version__)
@@ -78,7 +60,7 @@ def _version(wanted: bool) -> None:
 
 
 @app.callback()
-def _root(
+def root(
     context: typer.Context,
     version: Annotated[
         bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
@@ -91,7 +73,7 @@ def _root(
 UsageError = cast(type[Exception], typer.BadParameter.__base__)  # typer does not export it
 
 
-def main() -> None:
+def main(commands: typer.Typer = app, name: str = "deitalk") -> None:
     """Run a command; an error that a user can correct is one line on stderr.
 
     The exit code is 2 for a wrong command line, 128 and the number of the signal for a command
@@ -103,7 +85,7 @@ def main() -> None:
     try:
         catch_signals()
         with safe_path():
-            code = app(prog_name="deitalk", standalone_mode=False)
+            code = commands(prog_name=name, standalone_mode=False)
         if code == CTRL_C_CODE:
             _fail("stopped", CTRL_C_CODE)
         sys.exit(code)

@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from deitalk.audio.load import Recording
-    from deitalk.batch.lines import BatchReport
+    from deitalk.batch.report import BatchReport
     from deitalk.models.protocol import CurveNetwork
     from deitalk.pipeline.performance import Extra, Performance
 
@@ -178,7 +178,7 @@ def _plot(
     check_drawing()
     reserve_picture(out, force=force, inputs=(speech, *given.texts))
     performance = _perform(speech, given, load)
-    from deitalk.evaluation.figures import draw_curves
+    from deitalk.evaluation.curves_figure import draw_curves
 
     title = f"{Path(speech).name}, {performance.emotion}"
     draw_curves(performance.curves, performance.recording.waveform, out, title)

@@ -128,8 +128,9 @@ def import_(
     folders = tuple(audio or ())
     reserve_folder(out, kind="dataset", force=force, inputs=(*sources, table, mapping))
     with console().status("loading"):
-        from deitalk.data.captures.imported import import_captures, rig_of_takes
-        from deitalk.data.captures.sources import Labelling
+        from deitalk.data.captures.imported import import_captures
+        from deitalk.data.captures.labels import Labelling
+        from deitalk.data.captures.rig_of import rig_of_takes
 
         if rig is not None and rig_from is not None:
             raise DeitalkError("--rig-from makes the rig of the takes; leave --rig out")
@@ -286,8 +287,8 @@ def _traits(sources: list[Path], mapping: Path | None, fps: float | None) -> dic
     """Traits of an actor's motion, measured on captured takes."""
     from deitalk.data.captures.columns import read_mapping
     from deitalk.data.captures.sources import find_takes
-    from deitalk.data.captures.survey import measure_traits
     from deitalk.data.captures.take import read_capture
+    from deitalk.data.captures.traits import measure_traits
 
     table = None if mapping is None else read_mapping(mapping)
     takes, _ = find_takes(sources, None if table is None else table.sources)

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from rig import RigCurves
     from rig.formats.livelink_csv import LiveLinkTake
     from rig.livelink import LiveSender
-    from rig.livelink.sender import LiveReport
+    from rig.livelink.pace import LiveReport
 
 # Faces over UDP for `deitalk live`: send a take or curves, record what is sent.
 

@@ -1,8 +1,8 @@
 """Settings of DEITalk, the model of 185 curves: network, loss, data and training."""
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import Field, ValidationInfo, field_validator, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from deitalk.config.frontends import (
     CausalWhisperConfig,
@@ -24,7 +24,6 @@ from deitalk.config.section import (
     Share,
     Weight,
     Width,
-    Window,
 )
 from rig import limits
 
@@ -74,16 +73,7 @@ class ModelConfig(Section):
         default=(384, 384, 768, 768), min_length=1, max_length=limits.MOTION_LAYERS
     )
     classifier_size: Width = 64
-    decoder: Literal["convolution", "faceformer", "emotalk"] = "convolution"
-    """Eq. 7, or that of FaceFormer or EmoTalk, for comparison; these take positions: false and
-    intensity: false."""
     decoder_channels: Width = 512
-    decoder_heads: Width = 4
-    """Heads of faceformer and emotalk."""
-    decoder_period: Window = 30
-    """Frames of a period of faceformer and emotalk."""
-    decoder_labelled: bool = True
-    """emotalk: the emotion is given; false: it is the voice's only."""
     decoder_dilations: tuple[Dilation, ...] = Field(
         default=(1, 2, 4, 8, 1, 2, 4, 8), min_length=1, max_length=limits.LAYERS
     )
@@ -93,6 +83,11 @@ class ModelConfig(Section):
     """The last layer has the speech features too; not in the paper."""
     kernel_size: Odd = 3
     dropout: Dropout = 0.0
+
+    @property
+    def network(self) -> str:
+        """Module and class of the network."""
+        return "deitalk.models.curve_model:DEITalk"
 
     @field_validator("frontend", mode="before")
     @classmethod
@@ -108,26 +103,6 @@ class ModelConfig(Section):
             raise ValueError(
                 "kept_intensity needs saliency_frames, and kept_controls or captured_emotions"
             )
-        return self
-
-    @model_validator(mode="after")
-    def _other_decoders_stand_alone(self) -> "ModelConfig":
-        """Decoders of other papers have their own positions and their own emotion."""
-        if self.decoder == "convolution":
-            if not self.decoder_labelled:
-                raise ValueError("decoder_labelled: false is for decoder: emotalk")
-            return self
-        if self.positions or self.intensity:
-            raise ValueError(f"decoder: {self.decoder} takes positions: false and intensity: false")
-        is_causal = self.frontend.kind == "causal_whisper"
-        added = self.kept_controls or self.captured_emotions or self.actor_layers
-        if is_causal or added or self.decoder_direct:
-            raise ValueError(
-                f"decoder: {self.decoder} takes no causal frontend, kept_controls, "
-                "captured_emotions, actor_layers or decoder_direct"
-            )
-        if self.decoder_channels % self.decoder_heads:
-            raise ValueError("decoder_channels must be a multiple of decoder_heads")
         return self
 
     @model_validator(mode="after")
@@ -158,12 +133,6 @@ class LossConfig(Section):
     """Weight of labelled intensity on the saliency; not in the paper."""
     contact: Weight = 0.0
     """Weight of the lip-contact loss; not in the paper."""
-    lips: Weight = 0.0
-    """Weight of the lips of the embedded head, which the curves move; not in the paper."""
-    range: Weight = 0.0
-    """Weight of how far and how fast these lips move, against the target's; not in the paper."""
-    distillation: Weight = 1.0
-    """Weight of the distance to the features of train.teacher; not in the paper."""
     control_weights: dict[str, Weight] = Field(default_factory=dict)
     """Weight of a control or subset in Eq. 12-13 (default 1)."""
 
@@ -188,9 +157,6 @@ class DataConfig(Section):
     """Share of windows from clips whose lips were measured, their speakers alike."""
     clips: Positive | None = None
     """Clips taken of the training split, evenly spread; null: all."""
-    encoded_passes: int = Field(default=0, ge=0, le=100)
-    """Times that every recording is encoded before training, all but the first changed in speed,
-    room and noise; needs a frontend that does not learn."""
     cache_gigabytes: AboveZero = 1.0
     """Clips a loading process keeps in memory; 0.2 an hour."""
 
@@ -206,22 +172,14 @@ class TrainConfig(Optimisation):
     weight_decay: Weight = 0.0
     frozen_frontend: str | None = None
     """Model whose frontend is taken and does not learn."""
-    teacher: str | None = None
-    """Model (name or folder) whose speech features are learnt; not in the paper."""
-
-    @field_validator("teacher")
-    @classmethod
-    def _teaching_needs_a_trained_frontend(
-        cls, value: str | None, info: ValidationInfo
-    ) -> str | None:
-        if value is not None and info.data.get("frozen_frontend") is not None:
-            raise ValueError("a frozen frontend cannot be taught; set one of the two to null")
-        return value
 
 
 class Config(Section):
     """Settings of a run: network, rules, loss, data and training."""
 
+    product: ClassVar[str] = "curves"
+    stored_kind: ClassVar[str] = "deitalk"
+    """Kind of the configuration in a model folder, which has no settings of the training."""
     kind: Literal["deitalk"] = "deitalk"
     name: str = "deitalk"
     model: ModelConfig = ModelConfig()
@@ -229,87 +187,3 @@ class Config(Section):
     loss: LossConfig = LossConfig()
     data: DataConfig = DataConfig()
     train: TrainConfig = TrainConfig()
-
-
-# Settings of fine-tuning a curve model on captures; the defaults are the recipe.
-#
-# A recipe has no ``model`` section: the network is that of the base model.
-
-
-class TuneConfig(Section):
-    """What is tuned, and what holds the base model's abilities."""
-
-    base: str = "default"
-    """Model that is tuned: a name or a folder."""
-    part: Literal["head", "decoder", "all"] = "decoder"
-    """What the steps change: the last layer, the decoder, or every weight."""
-    range: Annotated[float, Field(gt=0, le=1)] | None = None
-    """Share of the captured spread to which every control is raised about its mean, its timing
-    unchanged: a regression moves less the less it knows. null: as regressed, with the least error.
-    """
-    hold: Weight = 1.0
-    """Weight of the base's curves as the target of controls that a clip does not know."""
-    keep: bool = True
-    """Controls that no capture knows stay those of the base, by its own decoder; not where the
-    frontend learns."""
-    anonymous: Share = 0.2
-    """Share of windows shown without their actor: what a stranger gets is the mean of the actors.
-    """
-    base_rules: bool = True
-    """The rules of the base hold where captures do not teach what they do; false: those of the
-    section `rules` alone."""
-    intensity: Literal["auto", "base", "captured"] = "auto"
-    """Emotional intensity: the base's, or learnt from captured motion (DEITalk Eq. 4-11) with the
-    strength of the captured expressions; auto learns it where emotions differ from neutral in the
-    captures."""
-    map: str | None = None
-    """Table of the curves of another rig to board, raw curves or ARKit, as of the import; with it
-    emotions that captures lack are carried to the rig. Public rigs need none."""
-    conventions: bool = True
-    """Takes of an actor that relate the face to the sound otherwise than others have styles of
-    their own, found by how well one predicts the other."""
-    corpus: str | None = None
-    """Dataset folder whose speech the base's curves are learnt on."""
-    leave_out: str | None = None
-    """Take or actor that is tested on and never trained on."""
-
-
-class TuneTraining(TrainConfig):
-    """Optimiser and schedule of a fine-tuning's steps."""
-
-    steps: Annotated[int, Field(ge=0, le=limits.TRAINING_STEPS)] = 0
-    """Steps after the regression; 0: none."""
-
-
-class FinetuneConfig(Config):
-    """Settings of a fine-tuning: a regression, then steps at low rates, if any."""
-
-    kind: Literal["finetune"] = "finetune"  # type: ignore[assignment]
-    name: str = "finetune"
-    rules: RulesConfig = RulesConfig.for_captures()
-    loss: LossConfig = LossConfig(contrast=0, classification=0, velocity=2.0)
-    data: DataConfig = DataConfig(real_fraction=0.7)
-    train: TuneTraining = TuneTraining(
-        learning_rate=1e-4,
-        optimizer="adamw",
-        weight_decay=0.05,
-        schedule="one_cycle",
-        batch_size=8,
-        gradient_clip=5.0,
-        ema=0.98,
-        evaluate_every=20,
-        patience=3,
-        workers=1,
-    )
-    tune: TuneConfig = TuneConfig()
-
-    @model_validator(mode="before")
-    @classmethod
-    def _over_the_recipe(cls, tree: dict[str, Any]) -> dict[str, Any]:
-        """A section that names some settings leaves the others as the recipe has them."""
-        recipe = {
-            name: field.default.model_dump()
-            for name, field in cls.model_fields.items()
-            if hasattr(field.default, "model_dump") and isinstance(tree.get(name), dict)
-        }
-        return tree | {name: settings | tree[name] for name, settings in recipe.items()}

@@ -164,12 +164,12 @@ class CausalWhisperConfig(WhisperShape):
 
 
 class SDFAMelConfig(MelConfig):
-    """SDFA's encoder, and its two ablations (SDFA §5.2.2)."""
+    """SDFA's encoder (SDFA §3.2-3.3)."""
 
-    gathering: Literal["bilstm", "convolution"] = "bilstm"
-    """What gathers a spectrum: Spec-BiLSTM, or convolutions."""
-    summary: Literal["attention", "convolution"] = "attention"
-    """What sums up a window: attention, or convolutions."""
+    @property
+    def encoder(self) -> str:
+        """Module and class of the encoder."""
+        return "deitalk.frontends.sdfa_encoder:SDFAEncoder"
 
     @field_validator("time_stack")
     @classmethod
@@ -184,45 +184,6 @@ class SDFAMelConfig(MelConfig):
         if value != 0:
             raise ValueError("SDFA has no BiLSTM along rig frames; leave it at 0")
         return value
-
-
-class KarrasConfig(Section):
-    """Convolutions over frequency, then over time (after Karras et al. 2017)."""
-
-    kind: Literal["karras"] = "karras"
-    window_seconds: SpectrumSeconds = 0.016
-    """Length of one spectrum."""
-    frame_rate: SpectraRate = 125.0
-    """Spectra per second."""
-    lags: int = Field(default=32, ge=8, le=limits.MEL_BINS)
-    """Autocorrelation numbers."""
-    window_frames: Window = Field(default=64, ge=2)
-    """Spectra a frame."""
-    formant_channels: tuple[Width, ...] = Field(
-        default=(72, 108, 162, 243, 256), min_length=1, max_length=limits.LAYERS
-    )
-    articulation_channels: tuple[Width, ...] = Field(
-        default=(256,) * 5, min_length=1, max_length=limits.LAYERS
-    )
-
-
-class VocaConfig(Section):
-    """Convolutions over a window of speech features (after Cudeiro et al. 2019)."""
-
-    kind: Literal["voca"] = "voca"
-    window_seconds: SpectrumSeconds = 0.032
-    """Length of one spectrum."""
-    frame_rate: SpectraRate = 60.0
-    """Feature rows per second."""
-    n_mels: int = Field(default=40, ge=8, le=limits.MEL_BINS)
-    """Mel bins before the DCT."""
-    n_mfcc: int = Field(default=26, ge=2, le=limits.MEL_BINS)
-    """Cepstral coefficients."""
-    window_frames: Window = Field(default=16, ge=2)
-    """Rows a frame."""
-    channels: tuple[Width, ...] = Field(
-        default=(32, 32, 64, 64), min_length=1, max_length=limits.LAYERS
-    )
 
 
 class DEITalkFeaturesConfig(Section):

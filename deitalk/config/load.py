@@ -2,22 +2,26 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any, cast
 
 import yaml
-from pydantic import Field, TypeAdapter
 
-from deitalk.config.curves import Config, FinetuneConfig
+from deitalk.config.curves import Config
+from deitalk.config.finetuning import FinetuneConfig
 from deitalk.config.mesh import SDFAConfig
-from deitalk.config.section import checked, load_yaml, read_yaml
+from deitalk.config.section import checked
+from deitalk.config.yaml_files import load_yaml, read_yaml
 from deitalk.errors import ConfigError
 from rig import limits
 from rig.errors import quoted
 
 AnyConfig = Config | SDFAConfig
-_ANY: TypeAdapter[AnyConfig] = TypeAdapter(
-    Annotated[Config | FinetuneConfig | SDFAConfig, Field(discriminator="kind")]
-)
+CONFIGS: dict[str, type[AnyConfig]] = {
+    "deitalk": Config,
+    "finetune": FinetuneConfig,
+    "sdfa": SDFAConfig,
+}
+"""Class of each ``kind``; a package with kinds of its own adds them."""
 
 
 def parse_config(tree: dict[str, Any]) -> AnyConfig:
@@ -33,7 +37,11 @@ def parse_config(tree: dict[str, Any]) -> AnyConfig:
     ConfigError
         With the key, the value and the rule of every problem, in one line.
     """
-    return checked(_ANY.validate_python, {"kind": "deitalk"} | tree)
+    kind = tree.get("kind", "deitalk")
+    if not isinstance(kind, str) or kind not in CONFIGS:
+        raise ConfigError(f"kind={quoted(kind)}: must be one of {', '.join(CONFIGS)}")
+    config = cast("AnyConfig", checked(CONFIGS[kind].model_validate, tree | {"kind": kind}))
+    return config
 
 
 def load_config(path: Path | str, overrides: Sequence[str] = ()) -> AnyConfig:
@@ -54,8 +62,6 @@ def load_config(path: Path | str, overrides: Sequence[str] = ()) -> AnyConfig:
     return parse_config(read_tree(path, overrides))
 
 
-OF_CURVES = ("deitalk", "finetune")
-"""Kinds of configurations of models of curves."""
 OF_MODEL = ("name", "model", "rules")
 """Sections of a configuration of curves that a model folder has; those of its training stay with
 the run."""
@@ -68,16 +74,18 @@ def load_model_config(folder: Path) -> AnyConfig:
     are not read. Errors as `load_config`.
     """
     tree = read_tree(folder / "config.yaml")
-    if tree.get("kind", OF_CURVES[0]) in OF_CURVES:
-        tree = {key: tree[key] for key in OF_MODEL if key in tree}
+    kind = CONFIGS.get(tree.get("kind", "deitalk"))
+    if kind is not None and kind.product == "curves":
+        stored = cast("type[Config]", kind).stored_kind
+        tree = {key: tree[key] for key in OF_MODEL if key in tree} | {"kind": stored}
     return parse_config(tree)
 
 
 def model_text(config: AnyConfig) -> str:
     """Text of a model folder's ``config.yaml``."""
     tree = config.model_dump(mode="json")
-    if tree["kind"] in OF_CURVES:
-        tree = {"kind": "deitalk", **{key: tree[key] for key in OF_MODEL}}
+    if config.product == "curves":
+        tree = {"kind": cast("Config", config).stored_kind, **{key: tree[key] for key in OF_MODEL}}
     return yaml.safe_dump(tree, sort_keys=False)
 
 
@@ -98,7 +106,7 @@ def without_paths(config: AnyConfig) -> AnyConfig:
     """A model's configuration without folders of this machine; of a model's the last part stays."""
     tree = config.model_dump(mode="json")
     sections = [(tree["model"]["frontend"], "checkpoint")]
-    sections += [(tree["train"], key) for key in ("teacher", "frozen_frontend")]
+    sections += [(tree["train"], "frozen_frontend")]
     for section, key in sections:
         if section.get(key) is not None and Path(section[key]).is_absolute():
             section[key] = Path(section[key]).name

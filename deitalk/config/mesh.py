@@ -1,10 +1,10 @@
 """Settings of SDFA and of the mesh head, the models of a mesh: network, data and training."""
 
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
-from deitalk.config.frontends import DEITalkFeaturesConfig, KarrasConfig, SDFAMelConfig, VocaConfig
+from deitalk.config.frontends import DEITalkFeaturesConfig, SDFAMelConfig
 from deitalk.config.section import (
     AboveZero,
     Inner,
@@ -21,7 +21,7 @@ from rig import limits
 class SDFAModelConfig(Section):
     """A speech encoder and the decoder of SDFA §3.4; defaults are Tables 1-3."""
 
-    frontend: SDFAMelConfig | KarrasConfig | VocaConfig | DEITalkFeaturesConfig = Field(
+    frontend: SDFAMelConfig | DEITalkFeaturesConfig = Field(
         default_factory=SDFAMelConfig, discriminator="kind"
     )
     motion: Literal["gradients", "offsets"] = "gradients"
@@ -95,6 +95,7 @@ class MeshTrainConfig(Optimisation):
 class SDFAConfig(Section):
     """Settings of a run of SDFA or a mesh head; chosen by ``kind: sdfa``."""
 
+    product: ClassVar[str] = "mesh"
     kind: Literal["sdfa"]
     name: str = "sdfa"
     model: SDFAModelConfig = SDFAModelConfig()

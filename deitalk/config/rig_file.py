@@ -29,7 +29,8 @@ from typing import Any
 import yaml
 from pydantic import Field, ValidationError
 
-from deitalk.config.section import Section, load_yaml, read_yaml
+from deitalk.config.section import Section
+from deitalk.config.yaml_files import load_yaml, read_yaml
 from deitalk.errors import ConfigError
 from rig import ControlSet, default_controls
 from rig.controls import DEFAULT_ID, Control

@@ -12,7 +12,8 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from deitalk.config.section import Inner, Section, Share, Weight, checked, read_yaml
+from deitalk.config.section import Inner, Section, Share, Weight, checked
+from deitalk.config.yaml_files import read_yaml
 from deitalk.errors import ConfigError
 from rig import limits
 
@@ -27,7 +28,7 @@ class VoiceIntensity(Section):
 
     per_decibel: Slope = 0.1
     """State of feeling per decibel of the voice's strength, in the logarithm of odds."""
-    middle: float = Field(default=2.7, ge=-100, le=100)
+    middle: float = Field(default=0.5, ge=-100, le=100)
     """Strength whose intensity is half of the most, dB above the usual."""
     display: Slope = 0.2
     """Display of the changes within a phrase, per standard deviation of liveliness."""
@@ -38,8 +39,8 @@ class HoldPose(Section):
 
     steady_db: Size = 2.5
     """Most mean difference of the spectrum's bands from those 0.27 s before, dB."""
-    frames: Annotated[int, Field(ge=1, le=13)] = 10
-    """Frames that a sound is steady before the pose is kept, after the first 0.33 s."""
+    frames: Annotated[int, Field(ge=1, le=13)] = 12
+    """Frames that a sound is steady before the pose is kept, after the first 0.33 s; fewer hold nasals and glides of slow speech."""
     leaves: Annotated[int, Field(ge=1, le=5)] = 5
     """Frames after the sound in which the pose is left."""
 

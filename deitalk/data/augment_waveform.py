@@ -56,6 +56,7 @@ def augment(
     rng: np.random.Generator,
     surroundings: Surroundings,
     voices: Sequence[Float32] = (),
+    noisy: float = 0.62,
 ) -> Float32:
     """Change spectrum, room, band, noise and level, not the timing.
 
@@ -69,6 +70,8 @@ def augment(
         Recordings of noise and of rooms.
     voices : sequence of ndarray
         Other speech, for babble.
+    noisy : float, range 0 to 1
+        Share of the noises that are less than 11 dB below the speech.
 
     Returns
     -------
@@ -84,8 +87,8 @@ def augment(
     power = float(np.sqrt(np.mean(x**2)) + 1e-9)
     if rng.random() < 0.9:
         noise = _noise(len(x), rng, surroundings.noises, voices)
-        # Signal-to-noise ratio; of most windows below 11 dB.
-        low, high = (-3, 11) if rng.random() < 0.62 else (11, 48)
+        # Signal-to-noise ratio, dB.
+        low, high = (-3, 11) if rng.random() < noisy else (11, 48)
         x = x + noise * power * 10 ** (-float(rng.uniform(low, high)) / 20)
     else:
         x = x + rng.standard_normal(len(x)) * 10 ** rng.uniform(-5, -3.5)
@@ -181,12 +184,13 @@ def _coloured(
 ) -> Float64:
     """Tilt the spectrum by `slope` dB an octave; `hills`: octaves below the top, width, dB."""
     n = len(noise)
-    spectrum = fft.rfft(noise, fft.next_fast_len(n, real=True))
+    length = fft.next_fast_len(n, real=True)
+    spectrum = fft.rfft(noise, length)
     octaves = np.log2(np.arange(len(spectrum)) + 1.0)
     gain_db = slope * octaves
     for below, width, height in hills:
         gain_db += height * np.exp(-(((octaves - octaves[-1] + below) / width) ** 2))
-    coloured: Float64 = fft.irfft(spectrum * 10 ** (gain_db / 20))[:n]
+    coloured: Float64 = fft.irfft(spectrum * 10 ** (gain_db / 20), length)[:n]
     return coloured
 
 

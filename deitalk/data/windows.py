@@ -118,9 +118,6 @@ class Window(NamedTuple):
     """Frames of the whole clip, scalar."""
     known: Tensor
     """1 for controls that the clip's curves hold, else 0 [shape=(C,)]; others are at rest."""
-    clean: Tensor
-    """The waveform before augmentation [shape=(S,)], for a teacher, or the teacher's features
-    [shape=(T, D)]; without one [shape=(0,)]."""
 
 
 class LoadedClip(NamedTuple):
@@ -289,10 +286,6 @@ class WindowBatches(SeededBatches[Window]):
     frozen_features : FrozenFeatures or None
         A frontend that does not learn: windows carry its features instead of the sound. Only
         without augmentation.
-    encoded : deitalk.research.training.encoded_passes.EncodedPasses or None
-        Windows carry features of a random pass instead of the sound.
-    clean : bool
-        Windows carry the sound before augmentation too.
     actors : sequence of str
         Speakers that the emotion's vector tells apart.
 
@@ -312,8 +305,6 @@ class WindowBatches(SeededBatches[Window]):
         share: Share = Share(),
         *,
         frozen_features: "FrozenFeatures | None" = None,
-        encoded: Any = None,
-        clean: bool = False,
         actors: Sequence[str] = (),
     ) -> None:
         if not clips:
@@ -321,10 +312,8 @@ class WindowBatches(SeededBatches[Window]):
         super().__init__(seed, batch_size, share)
         self.clips, self.controls, self.config = list(clips), controls, config
         self.actors = tuple(actors)
-        is_plain = not config.augment and encoded is None
-        self.frozen_features, self.clean = frozen_features if is_plain else None, clean
-        self.encoded = encoded
-        self.needs_sound = clean or self.frozen_features is None
+        self.frozen_features = None if config.augment else frozen_features
+        self.needs_sound = self.frozen_features is None
         # Measured clips by speaker, if they have a share of their own, and the other clips.
         speakers: dict[str, list[Clip]] = {}
         for clip in self.clips:
@@ -344,30 +333,15 @@ class WindowBatches(SeededBatches[Window]):
         rng = self.rng(number)
         clip = self._draw(rng)
         loaded = self.cache.read(clip)
-        config, turn = self.config, 0
-        speed = speed_factor(rng) if config.augment else 1.0
-        if self.encoded is not None:
-            turn = int(rng.integers(len(self.encoded.rows)))
-            speed = self.encoded.speed(turn, clip.audio)
+        config, speed = self.config, self.speed(rng, clip)
         if self.needs_sound:
             total = n_clip_frames(len(loaded.waveform), speed)
         else:
             total = recorded_frames(str(clip.audio))
         first = int(rng.integers(n_starts(total, config))) * config.stride_frames
         waveform, curves, intensity, _ = cut(loaded, first, config.window_frames, speed)
-        clean = torch.from_numpy(waveform if self.clean else waveform[:0])
-        if config.augment and self.encoded is None:
-            waveform = augment(waveform, rng, self.surroundings, _other_voices(self.clips, rng))
-        sound = torch.from_numpy(waveform)
-        if self.frozen_features is not None:
-            stop = first + config.window_frames
-            rows = self.frozen_features.features(clip, max(total, stop))[first:stop]
-            sound = torch.from_numpy(rows.astype(np.float32))
-        if self.encoded is not None:
-            rows = self.encoded.window(turn, clip.audio, first, config.window_frames)
-            sound = torch.from_numpy(rows.astype(np.float32))
         return Window(
-            sound,
+            torch.from_numpy(self.sound(rng, clip, waveform, first, total)),
             torch.from_numpy(curves),
             torch.cat((_one_hot(clip.emotion, EMOTIONS), _one_hot(clip.speaker, self.actors))),
             _one_hot(clip.voice, EMOTIONS),
@@ -375,8 +349,23 @@ class WindowBatches(SeededBatches[Window]):
             torch.arange(first, first + config.window_frames),
             torch.tensor(total),
             torch.from_numpy(loaded.known.astype(np.float32)),
-            clean,
         )
+
+    def speed(self, rng: np.random.Generator, clip: Clip) -> float:
+        """Return the speed of a window, of that of the recording."""
+        return speed_factor(rng) if self.config.augment else 1.0
+
+    def sound(
+        self, rng: np.random.Generator, clip: Clip, waveform: Float32, first: int, total: int
+    ) -> Float32:
+        """Return what a window carries of a sound cut at its frame `first` of `total`."""
+        if self.config.augment:
+            return augment(waveform, rng, self.surroundings, _other_voices(self.clips, rng))
+        if self.frozen_features is None:
+            return waveform
+        stop = first + self.config.window_frames
+        rows = self.frozen_features.features(clip, max(total, stop))[first:stop]
+        return rows.astype(np.float32)
 
     def _draw(self, rng: np.random.Generator) -> Clip:
         if self.measured and rng.random() < (self.config.measured_fraction or 0.0):

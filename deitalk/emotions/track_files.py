@@ -106,7 +106,7 @@ def read_table(path: Path) -> Table:
         text = read_text(path, limits.TRACK_JSON_BYTES, error=EmotionError)
         return table_of(load_json(text, path, error=EmotionError), path)
     if suffix in (".yaml", ".yml"):
-        from deitalk.config.section import read_yaml
+        from deitalk.config.yaml_files import read_yaml
 
         return table_of(read_yaml(path, error=EmotionError), path)
     raise EmotionError(

@@ -20,19 +20,14 @@ from deitalk.export.clip_hearing import ClipHearing, HeldIntensity, expression_s
 from deitalk.export.live_hearing import LiveHearing
 from deitalk.live.activity import FLOOR_EVERY
 from deitalk.live.hearing import MEASURED_AHEAD
-from deitalk.models.curve_model import (
-    DEITalk,
-    TensorState,
-    advance,
-    causal_frontend,
-    first_state,
-    grid_of,
-)
+from deitalk.models.causal_model import TensorState, advance, causal_frontend, first_state, grid_of
+from deitalk.models.curve_model import DEITalk
 from deitalk.models.onnx.network_graph import CurveGraph, causal_graph
 from deitalk.models.protocol import trained_weights
 from deitalk.pipeline.curves import READ_ON_SAMPLES
 from deitalk.pipeline.speech import CUT_FRAMES
 from deitalk.postprocess.curve_pass import CurvePass
+from deitalk.postprocess.feeling import felt_intensity
 from deitalk.postprocess.torch_columns import constant
 from deitalk.postprocess.tracks import LIVE_AHEAD, rest_rows
 
@@ -45,15 +40,16 @@ LEVEL_DB = -23.0
 
 
 def voice_columns(
-    factors: tuple[Tensor, ...], kept: tuple[Tensor, Tensor], emotion: Tensor
+    factors: tuple[Tensor, ...], kept: tuple[Tensor, Tensor], emotion: Tensor, variants: Tensor
 ) -> Tensor:
     """`deitalk.postprocess.tracks.VoiceTracks` without words, of tensors.
 
-    `factors` are its `scale`, `opening` and `held`, and `kept` its `back` and `kept`.
+    `factors` are its `scale`, `opening` and `held`, `kept` its `back` and `kept`, and `variants`
+    its `variants` and `side`.
     """
-    phones = torch.zeros_like(emotion[..., :4])
-    columns = torch.stack(factors, dim=-1), phones, torch.stack(kept, dim=-1), emotion
-    return torch.cat(columns, dim=-1)
+    phones, ways, side = torch.zeros_like(emotion[..., :4]), variants[..., :-1], variants[..., -1]
+    single = torch.stack(factors, dim=-1), phones, torch.stack((*kept, side), dim=-1)
+    return torch.cat((*single, emotion, ways), dim=-1)
 
 
 class FinishedClip(nn.Module):
@@ -79,13 +75,18 @@ class FinishedClip(nn.Module):
         self.hearing = ClipHearing(model.rules)
         self.held = HeldIntensity(model.rules.expressions, model.controls)
         self.rules = CurvePass(model.controls, model.rules)
-        self.has_rule = model.rules.voice_intensity is not None
+        self.rule = model.rules.voice_intensity
         constant(self, "trained", MIXTURES)
         window = self.rules.behind + self.rules.ahead
         constant(self, "after", rest_rows(model.controls.rest, window)[: self.rules.ahead])
 
     def forward(
-        self, sound: Tensor, emotion: Tensor, intensity: Tensor, motion: Tensor
+        self,
+        sound: Tensor,
+        emotion: Tensor,
+        intensity: Tensor,
+        variants: Tensor,
+        motion: Tensor,
     ) -> tuple[Tensor, Tensor, Tensor]:
         """Animate a recording.
 
@@ -98,6 +99,9 @@ class FinishedClip(nn.Module):
         intensity : Tensor [shape=(3, T)]
             Intensity to show, below 0 that of the voice; a factor on it; and the share of the
             expression that stays in silence.
+        variants : Tensor [shape=(T, V + 1)]
+            `variants` and `side` of `deitalk.postprocess.tracks.VoiceTracks`; zeros: the poses of
+            the emotions themselves, on both sides.
         motion : Tensor [shape=(T, M)]
             `deitalk.postprocess.tracks.MotionTracks`; zeros: none.
 
@@ -120,16 +124,17 @@ class FinishedClip(nn.Module):
         # Intensity: of the voice, or as drawn, which silence does not change.
         is_drawn = curve >= 0
         share = torch.where(is_drawn, torch.ones_like(curve), heard.expression)
-        wanted = torch.where(is_drawn, curve, heard.voice) * factor
+        felt = heard.voice if self.rule is None else felt_intensity(heard.voice, labels, self.rule)
+        wanted = torch.where(is_drawn, curve, felt) * factor
         held = self.held(neutral, emotional, labels, network)
         scale = expression_scale(wanted, held)
-        if not self.has_rule:
+        if self.rule is None:
             scale = torch.where(is_drawn, scale, factor)
         kept = heard.back, heard.kept
-        voice = voice_columns((scale, heard.opening, held), kept, labels)
+        voice = voice_columns((scale, heard.opening, held), kept, labels, variants)
         shown = torch.cat((heard.mouth[:, None], share[:, None], motion), dim=1)
         curves, plain = self._finished(neutral, emotional, voice, shown)
-        return curves, plain, heard.voice * heard.expression
+        return curves, plain, felt * heard.expression
 
     def _readings(
         self, sound: Tensor, styles: Tensor, speech: Tensor
@@ -248,7 +253,13 @@ class FinishedLive(nn.Module):
         return torch.zeros(batch, sum(math.prod(size) for size in self.sizes))
 
     def forward(
-        self, sound: Tensor, emotion: Tensor, intensity: Tensor, motion: Tensor, state: Tensor
+        self,
+        sound: Tensor,
+        emotion: Tensor,
+        intensity: Tensor,
+        variants: Tensor,
+        motion: Tensor,
+        state: Tensor,
     ) -> tuple[Tensor, Tensor, Tensor]:
         """Hear a frame, and finish the one `behind` it.
 
@@ -261,6 +272,8 @@ class FinishedLive(nn.Module):
         intensity : Tensor [shape=(B, 2)]
             Of the same frame: factor on the intensity of the voice, and share of the expression
             that stays in silence.
+        variants : Tensor [shape=(B, V + 1)]
+            Of the same frame, as for a recording.
         motion : Tensor [shape=(B, M)]
             `deitalk.postprocess.tracks.MotionTracks` of the frame that comes out; zeros: none.
         state : Tensor [shape=(B, N)]
@@ -295,11 +308,13 @@ class FinishedLive(nn.Module):
         found, (heard_now, spoken) = self.hearing(
             window, due, strength, rows.effort[:, 0], rest, heard
         )
-        applied, held, scale = found.intensity * factor, strength, factor
-        if self.model.rules.voice_intensity is not None:
+        held, scale, rule = strength, factor, self.model.rules.voice_intensity
+        if rule is not None:
+            applied = felt_intensity(found.intensity, labels, rule) * factor
             held = self.held(rows.neutral[:, 0], rows.emotional[:, 0], labels, strength)
             scale = expression_scale(applied, held)
-        voice = voice_columns((scale, found.opening, held), (found.back, found.kept), labels)
+        factors, kept = (scale, found.opening, held), (found.back, found.kept)
+        voice = voice_columns(factors, kept, labels, variants)
         # The rules.
         gates = torch.stack((found.mouth, found.expression), dim=1)
         shown = torch.cat((gates, motion), dim=1)[:, None]

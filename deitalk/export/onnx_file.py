@@ -15,12 +15,12 @@ from deitalk.errors import CheckpointError
 from deitalk.export.finished import FinishedClip, FinishedLive
 from deitalk.models.curve_model import DEITalk
 from deitalk.models.onnx.tracing import Axes, traced
-from deitalk.postprocess.tracks import N_MOTION
+from deitalk.postprocess.tracks import N_MOTION, N_VARIANTS
 from rig.errors import quoted
 from rig.files import atomic_write
 
 CLIP_SCHEMA, LIVE_SCHEMA = "deitalk.onnx/3", "deitalk.onnx-live/4"
-CLIP_INPUTS = "sound", "emotion", "intensity", "motion"
+CLIP_INPUTS = "sound", "emotion", "intensity", "variants", "motion"
 STATE, NEXT_STATE = "state", "next_state"
 CLIP_OUTPUTS, LIVE_OUTPUTS = ("curves", "neutral", "predicted"), ("curves", "predicted")
 Precision: TypeAlias = Literal["float32", "float16"]
@@ -85,6 +85,7 @@ def metadata(model: DEITalk, name: str) -> dict[str, str]:
         "actors": list(model.actors),
         "sample_rate": SAMPLE_RATE,
         "frame_rate": FRAME_RATE,
+        "variants": N_VARIANTS + 1,
         "motion": N_MOTION,
     }
     texts = {key: json.dumps(value) for key, value in values.items()}
@@ -98,6 +99,7 @@ def _clip(model: DEITalk) -> tuple[Any, dict[str, str]]:
         0.1 * torch.randn(SAMPLE_RATE),
         torch.full((n_frames, len(LABELS) + len(model.actors)), 0.1),
         torch.ones(3, n_frames),
+        torch.zeros(n_frames, N_VARIANTS + 1),
         torch.zeros(n_frames, N_MOTION),
     )
     axes: Axes = {name: {0: "T"} for name in (*CLIP_INPUTS, *CLIP_OUTPUTS)}
@@ -113,6 +115,7 @@ def _live(model: DEITalk) -> tuple[Any, dict[str, str]]:
         torch.zeros(batch, graph.window),
         torch.full((batch, len(LABELS) + len(model.actors)), 0.1),
         torch.ones(batch, 2),
+        torch.zeros(batch, N_VARIANTS + 1),
         torch.zeros(batch, N_MOTION),
         graph.first(batch),
     )

@@ -4,25 +4,21 @@ A `Frontend` gives one row per frame at 30 Hz, for DEITalk; an `Encoder` gives r
 for SDFA and its comparison models.
 """
 
-from importlib import import_module
-
 from deitalk.config.frontends import (
     CausalWhisperConfig,
-    KarrasConfig,
     MelConfig,
     SDFAMelConfig,
-    VocaConfig,
     Wav2VecConfig,
     WhisperConfig,
 )
 from deitalk.frontends.base import Encoder, Frontend
-from deitalk.installed import research
+from deitalk.installed import imported
 
 FRONTENDS = {
-    "mel": ("mel_bilstm", "MelFrontend"),
-    "wav2vec": ("wav2vec", "Wav2VecFrontend"),
-    "whisper": ("whisper", "WhisperFrontend"),
-    "causal_whisper": ("causal_whisper", "CausalWhisperFrontend"),
+    "mel": "mel_bilstm:MelFrontend",
+    "wav2vec": "wav2vec:Wav2VecFrontend",
+    "whisper": "whisper:WhisperFrontend",
+    "causal_whisper": "causal_whisper:CausalWhisperFrontend",
 }
 """Module and class of each kind; a module is imported when its frontend is built."""
 
@@ -39,19 +35,12 @@ def build_frontend(
     pretrained : bool
         Read the weights of a checkpoint; False reads its sizes only.
     """
-    module, name = FRONTENDS[config.kind]
-    kind = getattr(import_module(f"deitalk.frontends.{module}"), name)
+    kind = imported(f"deitalk.frontends.{FRONTENDS[config.kind]}")
     frontend: Frontend = kind.build(config, pretrained=pretrained)
     return frontend
 
 
-def build_encoder(config: SDFAMelConfig | KarrasConfig | VocaConfig) -> Encoder:
-    """Build the encoder of a mesh model, by the kind of its configuration."""
-    if config.kind == "mel":
-        from deitalk.frontends.mel_bilstm import SDFAEncoder
-
-        return SDFAEncoder(config)
-    kinds = {"karras": "KarrasEncoder", "voca": "VocaEncoder"}
-    module = research(f"comparison.{config.kind}", f"frontend {config.kind}")
-    encoder: Encoder = getattr(module, kinds[config.kind])(config)
+def build_encoder(config: SDFAMelConfig) -> Encoder:
+    """Build the encoder of a mesh model."""
+    encoder: Encoder = imported(config.encoder)(config)
     return encoder

@@ -1,12 +1,11 @@
 """Whisper's first layers on a voice that has not ended: bounded past, three frames of look-ahead.
 
 Not in the papers, whose encoders need the whole clip. The weights are those of
-`deitalk.frontends.whisper`, which were tuned to be read in this way too
-(`deitalk.research.training.encoder_noise`): a layer attends to `PAST_FRAMES` before a frame and
-`LOOKAHEAD_FRAMES` after it, positions begin anew after `PERIOD`, and in place of the loudest
-spectrum of the clip a fixed peak at a running level gives the floor. Keys and values of the past
-are kept, so that every frame is computed once. State is explicit: a clip in one piece and in any
-pieces gives the same features, to rounding.
+`deitalk.frontends.whisper`, which were tuned to be read in this way too: a layer attends to
+`PAST_FRAMES` before a frame and `LOOKAHEAD_FRAMES` after it, positions begin anew after `PERIOD`,
+and in place of the loudest spectrum of the clip a fixed peak at a running level gives the floor.
+Keys and values of the past are kept, so that every frame is computed once. State is explicit: a
+clip in one piece and in any pieces gives the same features, to rounding.
 
 With three layers the features of frame t depend on the sound until 135 ms after it: on the spectra
 of three more frames, the last centred at 3 2/3 frames and reaching 12.5 ms further.

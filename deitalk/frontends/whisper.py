@@ -6,8 +6,8 @@ than any here; scores are in MODEL_CARD.md.
 
 Deviation: the published encoder gives 50 features a second, of two spectra each. Here a feature is
 a rig frame: of three spectra, 90 a second. Nothing is resampled, and attention and linear maps cost
-three fifths. The weights are those of the published encoder, tuned to this rate and to noise
-(`deitalk.research.training.encoder_noise`); ``rate: 50`` is the published encoder itself.
+three fifths. The weights are those of the published encoder, tuned to this rate and to noise;
+``rate: 50`` is the published encoder itself.
 
 The encoder is written anew because importing ``transformers`` takes three times as long as torch;
 the names and numbers of its weights are those of ``transformers``' ``WhisperEncoder``.

@@ -8,8 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 from deitalk.acting import LIVE_FIELDS, Acting, acted_as
-from deitalk.audio.arrays import RunningResampler
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE, frame_count, samples_within
+from deitalk.audio.resampling import RunningResampler
 from deitalk.audio.voice_activity import WINDOW
 from deitalk.config.rules import Idle, RulesConfig
 from deitalk.emotions import LABELS, EmotionTrack
@@ -712,17 +712,22 @@ class LiveAnimator:
     ) -> Bool:
         """Frames in which the ones speak whom some streams listen to [shape=(B, count)]."""
         speaking = np.zeros((len(ready), count), bool)
-        places = [k for k, other in enumerate(others) if other is not None]
-        if not places:
+        given = [(k, other) for k, other in enumerate(others) if other is not None]
+        if not given:
             return speaking
+        places = [k for k, _ in given]
         who = [ready[k] for k in places]
-        state = take(self.other, who)
-        hearing, cues = state[: -len(CueState._fields)], CueState(*state[-len(CueState._fields) :])
-        sound, none = np.stack([others[k] for k in places]), np.zeros((len(who), count), np.float32)
-        heard, hearing = self.ears(sound, none, none, none[:, 0], hearing)
-        state = cues._replace(frame=begin[places])
-        found, state = self.cues(heard.measures, heard.speaking, state)
-        put(self.other, who, (*hearing, *state))
+        kept: Arrays = take(self.other, who)
+        size = len(CueState._fields)
+        sound, none = (
+            np.stack([other for _, other in given]),
+            np.zeros((len(who), count), np.float32),
+        )
+        heard, past = self.ears(sound, none, none, none[:, 0], kept[:-size])
+        before = CueState(*kept[-size:])._replace(frame=begin[places])
+        found, after = self.cues(heard.measures, heard.speaking, before)
+        now: Arrays = *past, *after
+        put(self.other, who, now)
         moving = np.array([self.streams[k].moves for k in who])[found.stream]
         self.motion.hear(found._replace(stream=np.array(who)[found.stream]).where(moving))
         speaking[places] = heard.speaking

@@ -144,7 +144,7 @@ class RunningCues:
             time, size, prominence, stop = (part[kind, stream] for part in numbers)
             asked = np.zeros(len(kind), bool)  # questions are known too late
             parts.append(Cues(stream, kind, time, known[stream], size, prominence, stop, asked))
-        return Cues(*(np.concatenate(part) for part in zip(*parts, strict=True))), state
+        return Cues.joined(parts), state
 
     def _phrases(self, speaks: Bool, state: CueState) -> tuple[list[Found], CueState]:
         """Cues of phrases and pauses: `START`, `SPEECH`, `END` and `PAUSE`."""

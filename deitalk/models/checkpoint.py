@@ -14,15 +14,14 @@ import torch
 from safetensors.torch import save
 
 from deitalk.config.curves import Config, ModelConfig
-from deitalk.config.frontends import DEITalkFeaturesConfig, KarrasConfig, SDFAMelConfig, VocaConfig
-from deitalk.config.hub import check_repository, model_files
-from deitalk.config.load import AnyConfig, load_model_config, model_text, without_paths
+from deitalk.config.frontends import DEITalkFeaturesConfig, SDFAMelConfig
+from deitalk.config.load import AnyConfig, load_model_config, model_text
 from deitalk.config.mesh import SDFAConfig
 from deitalk.config.rig_file import read_controls, rig_text
 from deitalk.errors import CheckpointError, MissingError
 from deitalk.frontends import build_encoder
 from deitalk.frontends.base import Encoder
-from deitalk.installed import research
+from deitalk.installed import imported
 from deitalk.models.curve_model import DEITalk
 from deitalk.models.folder import (
     ENCODER,
@@ -32,7 +31,6 @@ from deitalk.models.folder import (
     RIG_FILE,
     Shapes,
     check_fit,
-    describe_model,
     model_folder,
     network_shapes,
     read_about,
@@ -42,12 +40,8 @@ from deitalk.models.folder import (
     weights_hash,
     without_random_numbers,
 )
-from deitalk.models.mesh_model import (
+from deitalk.models.mesh_folder import (
     FROZEN,
-    SDFA,
-    DEITalkFeatures,
-    MeshHead,
-    MeshModel,
     all_numbers,
     empty_layers,
     only_moving,
@@ -56,13 +50,13 @@ from deitalk.models.mesh_model import (
     whole_shapes,
     write_templates,
 )
+from deitalk.models.mesh_head import MeshHead
+from deitalk.models.mesh_model import SDFA, DEITalkFeatures, MeshModel
 from deitalk.models.protocol import NEEDED, check_product
 from deitalk.postprocess.known_phones import check_faces
-from rig import limits
 from rig.controls import DEFAULT_ID
 from rig.errors import quoted, shorten
 from rig.files import output_folder
-from rig.files.reading import read_json, read_text
 
 Model: TypeAlias = DEITalk | MeshModel
 ModelT = TypeVar("ModelT", DEITalk, MeshModel)
@@ -248,7 +242,7 @@ def _half(value: torch.Tensor) -> torch.Tensor:
 
 
 def new_encoder(
-    config: SDFAMelConfig | KarrasConfig | VocaConfig | DEITalkFeaturesConfig,
+    config: SDFAMelConfig | DEITalkFeaturesConfig,
 ) -> Encoder | DEITalkFeatures:
     """Build the encoder of a mesh model; the DEITalk model that a mesh head decodes is loaded."""
     if config.kind != "deitalk":
@@ -259,9 +253,7 @@ def new_encoder(
 
 def network_class(config: ModelConfig) -> type[DEITalk]:
     """The class of a configuration's network."""
-    if config.decoder != "emotalk":
-        return DEITalk
-    network: type[DEITalk] = research("comparison", "decoder emotalk").EmoTalk
+    network: type[DEITalk] = imported(config.network)
     return network
 
 
@@ -273,8 +265,9 @@ def _read_curves(folder: Path, config: Config, about: About, shapes: Shapes) -> 
             f"{folder}: made for control set {quoted(about['control_set'])}, this deitalk drives "
             f"{controls.id!r}; train on curves of that set"
         )
-    network = network_class(config.model)
-    return partial(network, config.model, controls, pretrained=False, rules=config.rules)
+    return partial(
+        network_class(config.model), config.model, controls, pretrained=False, rules=config.rules
+    )
 
 
 def _read_sdfa(folder: Path, config: SDFAConfig, about: About, shapes: Shapes) -> Build:
@@ -316,154 +309,12 @@ class Kind(NamedTuple):
 
 
 KINDS = {
-    "deitalk": Kind(DEITalk, _read_curves),
-    "finetune": Kind(DEITalk, _read_curves),
-    "sdfa": Kind(SDFA, _read_sdfa),
+    "curves": Kind(DEITalk, _read_curves),
+    "mesh": Kind(SDFA, _read_sdfa),
     "mesh_head": Kind(MeshHead, _read_mesh_head),
 }
 
 
 def kind_of(config: AnyConfig) -> Kind:
     """Kind of the model that a configuration describes."""
-    return KINDS["mesh_head" if config.model.frontend.kind == "deitalk" else config.kind]
-
-
-# Models to the Hugging Face hub, with a card made of what the folder and its run's report say.
-
-
-REPORT = "report.md"
-"""Beside the model folder, where `deitalk finetune` wrote one."""
-
-
-def portable(name_or_path: str | Path) -> tuple[AnyConfig, dict[str, Any]]:
-    """Settings and training summary of a model without folders of this machine."""
-    config = without_paths(load_model_config(model_folder(name_or_path)))
-    summary = dict(read_about(model_folder(name_or_path))["training"])
-    if "@" not in (base := summary.get("base", "@")):  # a commit on the hub has one
-        summary["base"] = Path(base).name
-    return config, summary
-
-
-def push_to_hub(
-    model: str | Path, name: str, *, private: bool = True, license: str | None = None
-) -> str:
-    """Write a model into a repository of the Hugging Face hub, in one commit with its card.
-
-    Parameters
-    ----------
-    model : str or Path
-        A model folder, such as ``runs/anna/best``; its weights are not changed.
-    name : str
-        ``org/name``; made if it is not there.
-    private : bool
-        Whether a new repository is for its owners only.
-    license : str or None
-        The hub's name of a licence, such as ``cc-by-4.0``, for the card.
-
-    Returns
-    -------
-    str
-        Address of the commit.
-
-    Raises
-    ------
-    CheckpointError
-        If there is no such model, the name is none of a repository, or the hub refuses.
-    """
-    from huggingface_hub import CommitOperationAdd, HfApi
-
-    check_repository(name)
-    folder, (config, summary) = model_folder(model), portable(model)
-    about = read_about(folder) | {"training": summary}
-    texts = {
-        "README.md": model_card(folder, name, license),
-        "config.yaml": model_text(config),
-        "model.json": json.dumps(about, indent=1) + "\n",
-    }
-    given: dict[str, Any] = {file: text.encode() for file, text in texts.items()}
-    files = model_files(path.name for path in folder.iterdir() if path.is_file())
-    given |= {f: folder / f for f in files if f not in given}
-    try:
-        api = HfApi(library_name="deitalk")
-        api.create_repo(name, private=private, exist_ok=True)
-        added = [CommitOperationAdd(path_in_repo=f, path_or_fileobj=x) for f, x in given.items()]
-        return str(api.create_commit(name, added, commit_message="deitalk model push").commit_url)
-    except Exception as error:  # of the package, its client of HTTP, and the disk
-        reason = shorten(" ".join(str(error).split()), 200)
-        raise CheckpointError(f"{name}: not pushed ({reason}); `hf auth login` logs in") from None
-
-
-def model_card(folder: Path, name: str, license: str | None = None) -> str:
-    """Text of a model's card, in Markdown with the hub's header.
-
-    Parameters
-    ----------
-    folder : Path
-        Of the model; with `REPORT` beside it, the card ends with that.
-    name : str
-        ``org/name``.
-    license : str or None
-        As for `push_to_hub`.
-    """
-    about, (config, summary) = describe_model(folder), portable(folder)
-    base = str(summary.get("base", ""))
-    head = _card_data(folder, name, license, base)
-    facts = {
-        "control set": about["control_set"],
-        "parameters": f"{about['parameters']:,}",
-        "actors": ", ".join(getattr(config.model, "actors", ())),
-        "base": base,
-        "steps": summary.get("step"),
-        "data": summary.get("data"),
-        "SHA-256 of the weights": about["sha256"],
-    }
-    product = "A moving mesh" if config.kind == "sdfa" else "Curves of a face rig"
-    report = folder.parent / REPORT
-    lines = [
-        f"---\n{head}\n---\n# {name}\n",
-        f"{product} from speech, for deitalk.\n",
-        f"```\ndeitalk animate speech.wav --model {name} -o take/\n```\n",
-        "| | |\n|---|---|",
-        *(f"| {key} | {value} |" for key, value in facts.items() if value not in (None, "")),
-    ]
-    if report.is_file():
-        lines += ["", "#" + read_text(report, limits.MODEL_JSON_BYTES, error=CheckpointError)]
-    return "\n".join(lines).rstrip() + "\n"
-
-
-SCORED = ("error_of_mean_pose", "mean_r", "range", "jaw_r", "bilabial_window_auc")
-"""Scores of a report that a card's header has."""
-
-
-def _card_data(folder: Path, name: str, license: str | None, base: str) -> str:
-    """Header of a card, as YAML: what the hub filters by, and scores of the run's report."""
-    from huggingface_hub import EvalResult, ModelCardData
-
-    path, results = folder.parent / "report.json", []
-    report = (
-        read_json(path, limits.MODEL_JSON_BYTES, error=CheckpointError) if path.is_file() else {}
-    )
-    scores = report.get("scores", {}).get("after", {}) if isinstance(report, dict) else {}
-    for score in SCORED:
-        if isinstance(scores.get(score), int | float):
-            results.append(
-                EvalResult(
-                    task_type="other",
-                    task_name="Speech to facial animation",
-                    dataset_type="captures",
-                    dataset_name=f"{report.get('clips', 0)} held-out clips",
-                    metric_type=score,
-                    metric_name=score,
-                    metric_value=scores[score],
-                )
-            )
-    data = ModelCardData(
-        library_name="deitalk",
-        pipeline_tag="other",
-        tags=["speech", "facial-animation"],
-        license=license,
-        base_model=base.partition("@")[0] if "@" in base else None,
-        model_name=name.rpartition("/")[2] if results else None,
-        eval_results=results or None,
-    )
-    return str(data.to_yaml())
+    return KINDS["mesh_head" if config.model.frontend.kind == "deitalk" else config.product]

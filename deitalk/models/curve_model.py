@@ -1,33 +1,27 @@
 """DEITalk's network: the stages of §3, wired in the order of Fig. 2."""
 
-import math
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any, NamedTuple, Self, cast
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
 from deitalk.audio.frames import FRAME_RATE
-from deitalk.audio.log_mel import N_FFT
 from deitalk.config.curves import ModelConfig
 from deitalk.config.rules import RulesConfig
 from deitalk.emotions import EMOTIONS
-from deitalk.errors import CheckpointError
 from deitalk.frontends import build_frontend
-from deitalk.frontends.causal_whisper import CausalState, CausalWhisperFrontend
 from deitalk.models.intensity import DynamicIntensity, Intensity, MotionEncoder, temporal_maximum
 from deitalk.models.lip_readout import LipReadout
+from deitalk.models.positions import dynamic_positions
 from deitalk.models.protocol import (
-    NetworkRows,
     Product,
     Reading,
-    SpectraGrid,
-    State,
     Tracks,
     neutral_and_acted,
 )
-from deitalk.models.rig_decoder import RigDecoder, build_decoder
+from deitalk.models.rig_decoder import Decoder, RigDecoder, build_decoder
 from deitalk.postprocess.curve_pass import CurvePass, TorchPass
 from deitalk.postprocess.tracks import LIVE_AHEAD
 from rig import ControlSet, default_controls
@@ -49,8 +43,6 @@ class Output(NamedTuple):
     """m_max [shape=(B, E)]; only where the captured curves were given."""
     speech: Tensor | None = None
     """Speech features [shape=(B, T, D)]."""
-    supervised: Tensor | None = None
-    """1 for windows whose curves can be learnt from this batch, else 0 [shape=(B,)]; None: all."""
 
 
 class Analysis(NamedTuple):
@@ -122,9 +114,14 @@ class DEITalk(nn.Module):
             self.motion = MotionEncoder(
                 n_controls, config.motion_channels, config.kernel_size, config.emotion_size
             )
-        self.decoder = build_decoder(config, size, self.controls, causal=self.is_causal)
+        self.decoder = self.new_decoder()
         names = self.controls.names
         self.lips = LipReadout(size, names, causal=self.is_causal) if config.lips else None
+
+    def new_decoder(self) -> Decoder:
+        """Make the decoder, that of Eq. 7."""
+        size = self.frontend.output_size
+        return build_decoder(self.config, size, self.controls, causal=self.is_causal)
 
     def forward(
         self,
@@ -133,7 +130,6 @@ class DEITalk(nn.Module):
         frames: Tensor,
         total: Tensor,
         curves: Tensor | None = None,
-        voice: Tensor | None = None,
     ) -> Output:
         """Predict one batch of windows.
 
@@ -150,8 +146,6 @@ class DEITalk(nn.Module):
             Frames of the whole clip.
         curves : Tensor [shape=(B, T, C)] or None
             Captured curves, for the motion encoder.
-        voice : Tensor [shape=(B, 5)] or None
-            Emotion that the voice acts; only `deitalk.research.comparison.emotalk` pairs by it.
         """
         is_encoded = waveform.dim() == 3
         speech = waveform if is_encoded else self.frontend(waveform, frames.shape[1])  # (B, T, D)
@@ -183,8 +177,6 @@ class DEITalk(nn.Module):
         CheckpointError
             If the model has the decoder of another paper.
         """
-        if self.config.decoder != "convolution":
-            raise CheckpointError(f"a model with decoder: {self.config.decoder} is for comparison")
         return cast("RigDecoder", self.decoder)
 
     @property
@@ -406,211 +398,3 @@ def _pieces(total: int, margin: int) -> Iterator[tuple[int, int, int, int]]:
     for start in range(0, total, DECODE_FRAMES):
         stop = min(start + DECODE_FRAMES, total)
         yield max(start - margin, 0), min(stop + margin, total), start, stop
-
-
-# Dynamic positional encoding: a frame's place in its whole clip (DEITalk §3.2, Eq. 2-3).
-#
-# L frames of a window, T frames of the clip, as printed.
-
-
-def dynamic_positions(frames: Tensor, total: Tensor, size: int) -> Tensor:
-    """Sines and cosines of a frame's place relative to its clip.
-
-    DEITalk Eq. 2: ``sin(20 pi t / (T 10000^(2i/d)))`` in the even columns, the cosine in the odd
-    ones. Only ``t / T`` matters: a window cut from a clip keeps the encoding it has in the clip.
-
-    Parameters
-    ----------
-    frames : Tensor [shape=(B, L)]
-        Frame indices t in the whole clip (not in the window).
-    total : Tensor [shape=(B,)]
-        Frames T of the whole clip.
-    size : int
-        Width d.
-
-    Returns
-    -------
-    Tensor [shape=(B, L, size), range -1 to 1]
-
-    Notes
-    -----
-    Paper silent: whether t starts at 0 or 1; we count from 0. An odd d ends with a sine.
-    """
-    exponent = torch.arange(0, size, 2, device=frames.device, dtype=torch.float32) / size
-    frequency = 20 * math.pi * 10000.0**-exponent
-    place = frames.to(torch.float32) / total.to(torch.float32).unsqueeze(-1)
-    angle = place.unsqueeze(-1) * frequency  # (B, L, ceil(d / 2))
-    return torch.stack((angle.sin(), angle.cos()), dim=-1).flatten(-2)[..., :size]
-
-
-# A causal DEITalk on many streams at once, as a `CausalNetwork`.
-#
-# Letters: B streams, G groups of spectra (one a rig frame), P spectra of a group, W samples of a
-# spectrum, C controls.
-
-
-NEUTRAL = EMOTIONS.index("neutral")
-
-
-class TensorState(NamedTuple):
-    """What the network keeps of streams between two calls; all tensors begin with the stream."""
-
-    frontend: CausalState
-    saliency: Tensor
-    """Last emotion features [shape=(B, saliency_frames - 1, E)]; empty without the module."""
-    neutral: tuple[Tensor, ...]
-    """Of the decoder's layers, neutral reading."""
-    emotional: tuple[Tensor, ...]
-    """Of the decoder's layers, emotional reading."""
-    lips: tuple[Tensor, ...] = ()
-    """Of the readout of the lips, where there is one."""
-
-    def tensors(self) -> tuple[Tensor, ...]:
-        """All of them, in a row."""
-        decoders = *self.neutral, *self.emotional
-        return (*self.frontend.tensors(), self.saliency, *decoders, *self.lips)
-
-    @classmethod
-    def of(cls, tensors: tuple[Tensor, ...], n_frontend: int) -> "TensorState":
-        """The state that `tensors` gave, so many of them of the frontend."""
-        frontend, rest = CausalState.of(tensors[:n_frontend]), tensors[n_frontend + 1 :]
-        layers = len(rest) // 2
-        decoders = rest[:layers], rest[layers : 2 * layers]
-        return cls(frontend, tensors[n_frontend], *decoders, rest[2 * layers :])
-
-
-class TensorRows(NamedTuple):
-    """As `NetworkRows`."""
-
-    neutral: Tensor
-    emotional: Tensor
-    saliency: Tensor
-    strength: Tensor
-    effort: Tensor
-
-
-class TorchNetwork:
-    """A causal DEITalk as a `CausalNetwork`.
-
-    Parameters
-    ----------
-    model : DEITalk
-        With a causal frontend, in evaluation mode.
-    """
-
-    product: Product = "curves"
-    is_causal = True
-
-    def __init__(self, model: DEITalk) -> None:
-        self.model = model
-        self.controls: ControlSet = model.controls
-        self.rules: RulesConfig = model.rules
-        self.actors: tuple[str, ...] = model.actors
-        self.emotions: tuple[str, ...] = model.emotions
-        self.grid = grid_of(model)
-
-    def eval(self) -> Self:
-        """The network, its model in evaluation mode."""
-        self.model.eval()
-        return self
-
-    def curve_pass(self, *, live: bool = False) -> TorchPass:
-        """Rules after the network."""
-        return self.model.curve_pass(live=live)
-
-    def first_state(self, batch: int) -> State:
-        """See `CausalNetwork`; so the other methods."""
-        return _arrays(first_state(self.model, batch))
-
-    @torch.no_grad()
-    def begin(self, windows: Float32, state: State) -> State:
-        """Read the first groups."""
-        before = self._state(state)
-        frontend = causal_frontend(self.model)
-        _, kept = frontend.advance(torch.from_numpy(windows), before.frontend)
-        return _arrays(before._replace(frontend=kept))
-
-    @torch.no_grad()
-    def advance(self, windows: Float32, styles: Float32, state: State) -> tuple[NetworkRows, State]:
-        """Read the next frames."""
-        sound, style = torch.from_numpy(windows), torch.from_numpy(styles).to(self.model.device)
-        rows, after = advance(self.model, sound, style, self._state(state))
-        return NetworkRows(*(part.cpu().numpy() for part in rows)), _arrays(after)
-
-    def _state(self, state: State) -> TensorState:
-        device = self.model.device
-        tensors = tuple(torch.from_numpy(part).to(device) for part in state)
-        return TensorState.of(tensors, causal_frontend(self.model).n_states)
-
-
-def grid_of(model: DEITalk) -> SpectraGrid:
-    """Where the spectra of a causal model lie."""
-    frontend = causal_frontend(model)
-    return SpectraGrid(frontend.spectra, N_FFT, frontend.delay)
-
-
-def first_state(model: DEITalk, batch: int) -> TensorState:
-    """State of streams before their first sample."""
-    frontend = causal_frontend(model).first_state(batch)
-    module = model.intensity if model.config.intensity else None
-    saliency = frontend.level.new_zeros(batch, 0) if module is None else module.first_past(batch)
-    neutral, emotional = (model.rig_decoder.first_past(batch) for _ in range(2))
-    lips = () if model.lips is None else (model.lips.first_past(batch),)
-    return TensorState(frontend, saliency, neutral, emotional, lips)
-
-
-def causal_frontend(model: DEITalk) -> CausalWhisperFrontend:
-    """The model's frontend, which is causal."""
-    return cast("CausalWhisperFrontend", model.frontend)
-
-
-def advance(
-    model: DEITalk, windows: Tensor, styles: Tensor, state: TensorState
-) -> tuple[TensorRows, TensorState]:
-    """Read the next frames of streams in the neutral and in another emotion.
-
-    Parameters
-    ----------
-    model : DEITalk
-        With a causal frontend, in evaluation mode.
-    windows : Tensor [shape=(B, G P, W)]
-        Samples of the next groups of spectra.
-    styles : Tensor [shape=(B, G, 5 + actors)]
-        Of the frames that are read: the frontend's `delay` before the groups.
-    state : TensorState
-        From `first_state`, or from the call before.
-    """
-    speech, frontend = causal_frontend(model).advance(windows, state.frontend)
-    guidance, kept = None, state.saliency
-    strength = speech.new_ones(speech.shape[:2])
-    saliency = effort = speech.new_zeros(speech.shape[:2])
-    if model.config.intensity:
-        intensity, kept = model.intensity.advance(speech, state.saliency)
-        guidance, saliency = intensity.guidance, intensity.saliency
-        strength = intensity.strength
-        effort = effort if intensity.effort is None else intensity.effort
-    neutral_style = torch.eye(len(EMOTIONS), device=styles.device)[NEUTRAL]
-    plain = 0 * styles[..., : len(EMOTIONS)] + neutral_style
-    plain = torch.cat((plain, styles[..., len(EMOTIONS) :]), dim=-1)
-    both = tuple(torch.cat(pair) for pair in zip(state.neutral, state.emotional, strict=True))
-    curves, past = model.rig_decoder.advance(
-        torch.cat((speech, speech)),
-        torch.cat((plain, styles)),
-        None if guidance is None else torch.cat((guidance, guidance)),
-        both,
-    )
-    pair = torch.stack(curves.chunk(2))
-    lips: tuple[Tensor, ...] = ()
-    if model.lips is not None:
-        pair = model.lips.correct(pair, model.lips(speech, state.lips[0]))
-        lips = (torch.cat((state.lips[0], speech), dim=1)[:, speech.shape[1] :],)
-    neutral, emotional = pair
-    halves = tuple(zip(*(part.chunk(2) for part in past), strict=True))
-    return (
-        TensorRows(neutral, emotional, saliency, strength, effort),
-        TensorState(frontend, kept, halves[0], halves[1], lips),
-    )
-
-
-def _arrays(state: TensorState) -> State:
-    return tuple(part.cpu().numpy() for part in state.tensors())

@@ -299,9 +299,7 @@ def read_about(folder: Path) -> dict[str, Any]:
         about = read_json(path, limits.MODEL_JSON_BYTES, error=CheckpointError)
         version, _, _ = about["format_version"], about["control_set"], about["controls"]
     except (CheckpointError, KeyError, TypeError):
-        raise CheckpointError(
-            f"{path}: missing or damaged; save the model again with `deitalk train`"
-        ) from None
+        raise CheckpointError(f"{path}: missing or damaged; save the model again") from None
     if version != FORMAT_VERSION:
         raise CheckpointError(
             f"{path}: format version {quoted(version)}, this deitalk reads {FORMAT_VERSION}; "

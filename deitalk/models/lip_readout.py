@@ -1,7 +1,7 @@
 """Linear readout of lips and tongue from the speech features; not in the papers.
 
 A decoder that is trained on computed faces does not show all that its features hold. The readout
-is fitted to phones and to measured lips of people (`deitalk.research.training.lip_readout`), and
+is fitted to phones and to measured lips of people, and
 corrects the decoder:
 
 - A contact, lips together or lower lip on the teeth, becomes the geometric mean of the decoder's
@@ -29,7 +29,7 @@ CONTACTS = ("lipsTogether", "lipBiteD")
 CHANNELS = ("together", "bite", "out", "tip", "funnel", "purse")
 """Of the articulation table of the phones, which are read; the first are the contacts."""
 MEASURES = ("opening", "width", "lower_lip", "corner")
-"""Measures of the embedded head (`deitalk.research.lips.head_lips`) that are corrected."""
+"""Measures of the embedded head that are corrected."""
 TAPS = 9
 """Frames that a row is read from: those around it, or in a causal model those up to it."""
 OUT = (0.08, 0.16)

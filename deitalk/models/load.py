@@ -105,6 +105,6 @@ def load_causal(
         )
     if hasattr(network, "first_state"):
         return cast("CausalNetwork", network)
-    from deitalk.models.curve_model import TorchNetwork
+    from deitalk.models.causal_model import TorchNetwork
 
     return TorchNetwork(cast(Any, network))

@@ -7,14 +7,11 @@ C channels of a spectrum, W spectra of a window::
              -> decoder: coefficients (B, T, K) -> (T, 6 N), (T, 3 N) -> solve -> vertices (T, V, 3)
 
 With another encoder, or vertex offsets in place of gradients, it is one of the models that the
-paper compares itself with (`deitalk.research.comparison.karras`,
-`deitalk.research.comparison.voca`).
+paper compares itself with.
 """
 
-import math
 from collections.abc import Iterable, Iterator, Mapping
 from functools import lru_cache
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -31,11 +28,8 @@ from deitalk.models.deformation_decoder import (
     Motion,
     MotionDecoder,
 )
-from deitalk.models.folder import Shapes, read_shapes
 from deitalk.models.protocol import Product
-from rig import limits
 from rig.arrays import Float32
-from rig.files.reading import check_expansion, check_file, read_npz
 from rig.mesh import TriMesh
 from rig.mesh.deformation import DeformationSolver, mesh_solver
 
@@ -272,169 +266,3 @@ class SDFA(MeshModel):
 @lru_cache(maxsize=16)
 def _solver(template: TriMesh) -> DeformationSolver:
     return mesh_solver(template)
-
-
-# SDFA's decoder (§3.4) on the features of a frozen DEITalk model (§3.2-3.4): emotion on a mesh.
-#
-# ::
-#
-#     waveform -> DEITalk -> features (T, D), neutral and emotional     deitalk.pipeline.speech
-#              -> decoder: coefficients (T, K) of both readings -> their blend by the intensity
-#              -> (T, 6 N), (T, 3 N) -> solve -> vertices (T, V, 3)
-#
-# Deviation: neither paper gives emotion to a learnt mesh.
-
-
-class MeshHead(MeshModel):
-    """`MeshModel` whose encoder is a trained DEITalk model."""
-
-    has_emotion = True
-    encoder: DEITalkFeatures
-
-    def about(self) -> dict[str, Any]:
-        """With the weights whose features it decodes."""
-        return super().about() | {"decodes_sha256": self.encoder.fingerprint}
-
-    @torch.no_grad()
-    def coefficients(
-        self, neutral: Tensor, emotional: Tensor, scale: Tensor, shown: Tensor, speaker: str | int
-    ) -> Iterator[Coefficients]:
-        """Blend the coefficients of two readings, `FRAMES_AT_ONCE` frames at a time.
-
-        Parameters
-        ----------
-        neutral, emotional : Tensor [shape=(T, D)]
-            Features of the same speech, from `DEITalk.describe`.
-        scale : Tensor [shape=(T,)]
-            Factor on the difference of the readings; see
-            `deitalk.postprocess.factors.expression_scale`.
-        shown : Tensor [shape=(T,), range 0 to 1]
-            Share of the motion; at 0 the coefficients are those of the template.
-        speaker : str or int
-            Style, by name or number.
-
-        Yields
-        ------
-        Coefficients [shape=(T, K)], by branch
-        """
-        label, rest = self.label(speaker), self.rest
-        rows = (neutral, emotional, scale.unsqueeze(1), shown.unsqueeze(1))
-        parts = (torch.split(each.to(self.device), FRAMES_AT_ONCE) for each in rows)
-        for plain, moved, factor, gate in zip(*parts, strict=True):
-            labels = label.expand(len(plain), -1)
-            low = self.decoder(self.encoder.standardised(plain), labels)
-            high = self.decoder(self.encoder.standardised(moved), labels)
-            blend = {name: low[name] + factor * (high[name] - low[name]) for name in low}
-            yield {name: rest[name] + gate * (row - rest[name]) for name, row in blend.items()}
-
-    @property
-    def rest(self) -> Coefficients:
-        """Coefficients nearest to the template itself, by branch."""
-        return {name: branch.inverse_pca.rest() for name, branch in self.decoder.branches.items()}
-
-
-# What a mesh model's folder holds besides `deitalk.models.folder`'s: bases and templates.
-#
-# The frozen bases are half of the weights. Stored are only the numbers that a component moves,
-# which the tensor `moving` marks. ``templates.npz`` holds the expressionless vertices of every
-# speaker and the triangles.
-
-FROZEN = "inverse_pca"
-"""Name of the frozen layers in the weights."""
-
-
-def only_moving(weights: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
-    """Weights without the numbers that no component moves: most of scalp, neck and back."""
-    out = dict(weights)
-    for name in [name for name in weights if name.endswith(f"{FROZEN}.components")]:
-        layer = name.removesuffix(".components")
-        components, mean = weights[name], weights[f"{layer}.mean"]
-        moving = (components != 0).any(dim=0) | (mean != 0)
-        out[name], out[f"{layer}.mean"] = components[:, moving], mean[moving]
-        out[f"{layer}.moving"] = moving
-    return out
-
-
-def all_numbers(weights: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
-    """Undo `only_moving`."""
-    out = dict(weights)
-    for name in [name for name in weights if name.endswith(f"{FROZEN}.moving")]:
-        layer, moving = name.removesuffix(".moving"), out.pop(name).bool()
-        for part in ("components", "mean"):
-            kept = out[f"{layer}.{part}"]
-            whole = kept.new_zeros((*kept.shape[:-1], len(moving)))
-            whole[..., moving] = kept
-            out[f"{layer}.{part}"] = whole
-    return out
-
-
-def whole_shapes(path: Path) -> Shapes:
-    """Shapes of a weight file after `all_numbers`.
-
-    Raises
-    ------
-    CheckpointError
-        As `read_shapes`; or if a frozen layer expands to far more than the file.
-    """
-    shapes = read_shapes(path)
-    end = f"{FROZEN}.moving"
-    total = 0
-    for name in [name for name in shapes if name.endswith(end)]:
-        layer, width = name.removesuffix(".moving"), shapes.pop(name)
-        for part in ("components", "mean"):
-            kept = shapes.get(f"{layer}.{part}", ())
-            shapes[f"{layer}.{part}"] = (*kept[:-1], *width)
-            total += math.prod(shapes[f"{layer}.{part}"])
-    size = check_file(path, limits.WEIGHTS_BYTES, error=CheckpointError)
-    check_expansion(4 * total, size, path, error=CheckpointError)
-    return shapes
-
-
-def empty_layers(shapes: Shapes) -> dict[str, InversePCA]:
-    """Frozen layers of the sizes that the weights have, by branch."""
-    end = f".{FROZEN}.components"
-    return {
-        name.removeprefix("decoder.branches.").removesuffix(end): InversePCA(*shape)
-        for name, shape in shapes.items()
-        if name.endswith(end)
-    }
-
-
-def read_rates(about: dict[str, Any]) -> dict[str, float]:
-    """Frames per second `fps`, and millimetres in a unit of the templates `unit_mm`."""
-    fps, unit_mm = float(about["fps"]), float(about["unit_mm"])
-    if not limits.FPS_LOWEST <= fps <= limits.FPS_HIGHEST:
-        raise ValueError(f"fps is {fps:g}")
-    if not 0 < unit_mm <= limits.COORDINATE:
-        raise ValueError(f"unit_mm is {unit_mm:g}")
-    return {"fps": fps, "unit_mm": unit_mm}
-
-
-def write_templates(folder: Path, model: MeshModel, *, half: bool) -> None:
-    """Write ``templates.npz``; vertices in float32 if `half`."""
-    meshes = [model.templates[speaker] for speaker in model.speakers]
-    vertices = np.stack([mesh.vertices for mesh in meshes])
-    np.savez_compressed(
-        folder / "templates.npz",
-        vertices=vertices.astype(np.float32) if half else vertices,
-        faces=meshes[0].faces.astype(np.int32),
-    )
-
-
-def read_templates(folder: Path, speakers: Any) -> dict[str, TriMesh]:
-    """Expressionless mesh of every speaker, from ``templates.npz``.
-
-    Raises
-    ------
-    CheckpointError, MeshError, ValueError
-        If the file is damaged, or has not one mesh for each name.
-    """
-    arrays = read_npz(folder / "templates.npz", limit=limits.MESH_BYTES, error=CheckpointError)
-    vertices, faces = arrays["vertices"], arrays["faces"]
-    is_list = isinstance(speakers, list) and all(isinstance(name, str) for name in speakers)
-    if not is_list or not 0 < len(speakers) <= limits.SPEAKERS:
-        raise ValueError(f"speakers must be 1 to {limits.SPEAKERS} names")
-    if vertices.dtype.kind != "f" or vertices.ndim != 3 or len(set(speakers)) != len(vertices):
-        raise ValueError(f"templates of shape {vertices.shape} for {len(speakers)} speakers")
-    meshes = [TriMesh(rows.astype(np.float64), faces) for rows in vertices]
-    return dict(zip(speakers, meshes, strict=True))

@@ -5,7 +5,7 @@
     CurveNetwork    a whole recording -> curves
     CausalNetwork   the next frames of many streams, with the state in the caller's hands
 
-`deitalk.models.curve_model.DEITalk` and `deitalk.models.curve_model.TorchNetwork` evaluate in
+`deitalk.models.curve_model.DEITalk` and `deitalk.models.causal_model.TorchNetwork` evaluate in
 torch, the classes of `deitalk.models.onnx` in ONNX Runtime; `deitalk.models.load` makes them.
 
 Letters: B streams, G groups of spectra (one a rig frame), P spectra of a group, W samples of a

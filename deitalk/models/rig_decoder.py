@@ -10,7 +10,6 @@ from torch.nn import functional as F
 
 from deitalk.config.curves import ModelConfig
 from deitalk.emotions import EMOTIONS
-from deitalk.installed import research
 from deitalk.models.tuned_parts import ActorLayers, BaseChange
 from rig import ControlSet
 
@@ -164,7 +163,7 @@ def receptive_margin(dilations: Sequence[int], kernel_size: int, *, causal: bool
 
 
 class Decoder(nn.Module):
-    """What every decoder of curves has: DEITalk's, and those of `deitalk.research.comparison`.
+    """What every decoder of curves has, whatever its layers.
 
     Attributes
     ----------
@@ -550,13 +549,13 @@ def _each_once(curves: Callable[[Tensor], Tensor], emotions: Tensor) -> Tensor:
 
 def build_decoder(
     config: ModelConfig, in_size: int, controls: ControlSet, *, causal: bool = False
-) -> Decoder:
-    """Build the decoder that a configuration names.
+) -> RigDecoder:
+    """Build the decoder of a configuration.
 
     Parameters
     ----------
     config : ModelConfig
-        Its ``decoder`` and what belongs to it.
+        The network's.
     in_size : int
         Width of the speech features.
     controls : ControlSet
@@ -565,10 +564,6 @@ def build_decoder(
         As for `RigDecoder`.
     """
     rest = torch.tensor(controls.rest)
-    if config.decoder != "convolution":
-        kinds = research("comparison", f"decoder {config.decoder}").DECODERS
-        other: Decoder = kinds[config.decoder](config, in_size, rest)
-        return other
     return RigDecoder(
         in_size=in_size,
         style_size=config.style_size,

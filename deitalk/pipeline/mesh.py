@@ -30,7 +30,8 @@ from deitalk.errors import CheckpointError, EmotionError
 from deitalk.models.checkpoint import Model, load_model, require_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.models.deformation_decoder import Coefficients
-from deitalk.models.mesh_model import SDFA, MeshHead, MeshModel
+from deitalk.models.mesh_head import MeshHead
+from deitalk.models.mesh_model import SDFA, MeshModel
 from deitalk.models.protocol import neutral_and_acted, trained_weights
 from deitalk.pipeline.curves import animate, check_progress
 from deitalk.pipeline.performance import GLB_TOLERANCE_MM, MeshPerformance, Performance

@@ -178,8 +178,7 @@ class Speech:
         """The same, and that of each frame's phrase [shape=(T,)], which changes little within it.
 
         Of a short phrase, which is measured badly, it is nearer to the whole. With a network's
-        readout of the effort [shape=(T,), dB] the two are averaged; the command of
-        `deitalk.research.training.effort` prints how it orders the takes of unheard actors.
+        readout of the effort [shape=(T,), dB] the two are averaged.
         """
         strength, around = self._followed_strength
         speaking = self.activity > 0
@@ -268,7 +267,7 @@ def measure_intensities(
     felt = voice
     if rule is not None:
         emotions = acting.emotion_track.at(speech.times) if weights is None else weights
-        felt = felt_intensity(voice, emotions, rule)
+        felt = felt_intensity(voice, emotions, rule).astype(np.float32)
     wanted = felt if curve is None else curve.at(speech.times).astype(np.float32)
     whole = np.asarray(wanted * acting.intensity * factor, np.float32)
     holds = held(network)
@@ -311,7 +310,7 @@ def measure_actor(
     model : str, Path or CurveNetwork
         The model whose takes count from it.
     traits : mapping of str to float, optional
-        Those measured on captured takes (`deitalk.data.captures.survey.measure_traits`); the others
+        Those measured on captured takes (`deitalk.data.captures.traits.measure_traits`); the others
         are drawn. With them there may be no recordings: the usual strength is 0 then.
 
     Raises

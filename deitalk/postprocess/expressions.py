@@ -11,12 +11,15 @@ Moods are procedural: the network reads their mixture of the trained emotions
 (`rig.emotions.MOODS`) and the table adds the prototype of their action units; contempt is of one
 side.
 
-``taught_poses.csv`` has the poses of the five at intensity 1 that networks are taught
-(`deitalk.research.corpus.rig_targets`), with the action unit. They complete the
-difference of its readings where that is faint, as in silence.
+``taught_poses.csv`` has the poses of the five at intensity 1 that networks are taught as in the
+training corpus, with the action unit. They complete the difference of its readings where that is
+faint, as in silence.
 
 Rows with a variant are what it differs by from its emotion: a factor on the emotion's gains, and
-what is added to its poses. Their weights are `deitalk.postprocess.variants`'.
+what is added to its poses. Its rows ``upper`` and ``lower`` are factors on all that it shows of
+brows, eyes and nose, and of the rest: with them it is about as large as its emotion's own pose, so
+that a strong take is not smaller than a weak one for its variant. Weights of variants are those of
+`deitalk.postprocess.variants`.
 
 A smile yields to rounding: spread corners and a raised upper lip are muscles that act against
 those of /u/ and /o/.
@@ -39,6 +42,8 @@ from rig.files.reading import rows_of
 
 SPREADING = ("cornerPull", "CornerPull", "stretch", "dimple", "corner.", "upperLipRaise")
 """Parts of the names of the controls whose expression yields to rounding."""
+UPPER = ("brow", "eye", "nose")
+"""Parts of the names of the controls of the upper face."""
 PARTING = ("jaw.ty", "lowerLipDepress", "upperLipRaise")
 """Parts of the names of the controls whose poses yield to closed lips. Corners of a trained emotion
 yield too; those of a mood, up to .8 of a range, would jump at every closure."""
@@ -83,9 +88,10 @@ def expression_table(names: tuple[str, ...], captured: Collection[str] = ()) -> 
     Emotions that captures show have a gain of 1 and no pose.
     """
     folder = Path(__file__).parent
+    content = list(rows_of(folder / "expressions.csv"))
     rows = [
         (row["emotion"], row["variant"], name, float(row["gain"]), float(row["pose"]))
-        for row in rows_of(folder / "expressions.csv")
+        for row in content
         for name in (row["control"].replace("*", side) for side in "LR")
         if name in names
     ]
@@ -109,6 +115,14 @@ def expression_table(names: tuple[str, ...], captured: Collection[str] = ()) -> 
         yielding = PARTING + (SPREADING if emotion in EMOTIONS else ())
         gains[place, column] = (gain - 1) * base if variant else gain
         (parting if any(part in name for part in yielding) else poses)[place, column] = pose
+    is_upper = np.array([any(part in name for part in UPPER) for name in moved], bool)
+    for row in content:
+        if row["control"] in ("upper", "lower"):
+            columns = is_upper == (row["control"] == "upper")
+            base, place = LABELS.index(row["emotion"]), places.index(row["variant"])
+            for values in (gains, poses, parting):
+                whole = float(row["gain"]) * (values[base] + values[place])
+                values[place, columns] = (whole - values[base])[columns]
     changed = np.array([label not in captured for label in own], np.float32)[:, None]
     gains *= changed
     gains[: len(LABELS)] += 1 - changed[: len(LABELS)]

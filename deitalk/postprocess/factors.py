@@ -52,7 +52,7 @@ def opening_factor(rule: ScaleOpening | None, voice: AnyFloat, network: AnyFloat
     """Factor on the opening of the mouth for the corrected intensity of the voice [shape=(T,)].
 
     The network opens it for the intensity that it predicts, by the law of its training data:
-    45 % more per unit of intensity (`deitalk.research.corpus.rig_targets`). The factor is the law
+    45 % more per unit of intensity. The factor is the law
     of people (`ScaleOpening`) at the intensity of the voice over that of the network.
 
     Parameters

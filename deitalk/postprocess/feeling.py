@@ -29,6 +29,7 @@ corpus; MODEL_CARD.md has the scores of test actors.
 """
 
 import math
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -41,13 +42,13 @@ from deitalk.audio.vocal_strength import (
     Prosody,
 )
 from deitalk.config.rules import Gates, VoiceIntensity
-from deitalk.emotions import by_emotion
+from deitalk.emotions import LABELS
 from rig.arrays import AnyFloat, Bool, Float32, Float64, Int64
 from rig.curves.edit import gaussian_smooth
 
 FAINTEST, STEEPNESS = 0.15, 1.3
-"""Lowest intensity that a network is taught, and its slope per standard deviation of liveliness
-(`deitalk.research.corpus.rig_targets`)."""
+"""Lowest intensity that a network is taught, and its slope per standard deviation of liveliness,
+as in the training corpus."""
 READY_FRAMES = 3
 """Frames before speech (0.1 s) at which the whole expression is there."""
 MOST = 1.2
@@ -56,8 +57,8 @@ SMOOTHING_FRAMES = 6.0
 """Sigma, 0.2 s: the display does not follow single syllables."""
 MOST_DISPLAY = 3.0
 """Limit of the standard deviations of the display."""
-QUIETER_DB = by_emotion({"neutral": (0.0,), "sad": (4.0,)})
-"""Decibels by which people are quieter in an emotion, which is no weakness of it, by emotion."""
+SAD, QUIETER_DB = LABELS.index("sad"), 6.0
+"""Decibels by which people are quieter in sadness, which is no weakness of it."""
 PAUSE_FRAMES = 8
 """Longest silence within a phrase, 0.27 s."""
 LEVEL_SHARE, TONE_SHARE = 0.9, 0.3
@@ -214,20 +215,22 @@ def intensity_of(state: Float64) -> Float32:
     return np.asarray(MOST / (1 + np.exp(-state)), np.float32)
 
 
-def felt_intensity(voice: Float32, weights: Float32, rule: VoiceIntensity) -> Float32:
+def felt_intensity(voice: Any, weights: Any, rule: VoiceIntensity) -> Any:
     """Intensity of the emotion that a voice is acted in: a quiet voice may be very sad.
+
+    By operators that arrays and tensors share.
 
     Parameters
     ----------
-    voice : array [shape=(..., T), range 0 to 1.2]
+    voice : array or Tensor [shape=(..., T), range 0 to 1.2]
         Of the voice.
-    weights : array [shape=(..., T, 9)]
+    weights : array or Tensor [shape=(..., T, 9)]
         Emotion of each frame.
     rule : VoiceIntensity
         State per decibel.
     """
-    quieter = np.exp(rule.per_decibel * (weights @ QUIETER_DB)[..., 0])
-    return np.asarray(MOST * quieter * voice / (MOST + (quieter - 1) * voice), np.float32)
+    more = (math.exp(rule.per_decibel * QUIETER_DB) - 1) * weights[..., SAD]
+    return MOST * (1 + more) * voice / (MOST + more * voice)
 
 
 def state_of_intensity(intensity: float) -> float:

@@ -24,11 +24,11 @@ ROUNDED = {
     "UW": (0.35, 0.9), "W": (0.3, 1.0), "OW": (0.5, 0.6), "UH": (0.35, 0.4), "AO": (0.55, 0.15),
     "SH": (0.85, 0.1), "ZH": (0.8, 0.1), "CH": (0.8, 0.1), "JH": (0.75, 0.1),
 }  # fmt: skip
-"""Funnel and purse of rounded phones, from the tables of `deitalk.research.corpus.articulation`."""
+"""Funnel and purse of rounded phones, from the tables of the training corpus."""
 ROUNDED_SHARE = 0.6
 """Of that rounding, which is met at least: quick speech rounds less."""
 FUNNEL, PURSE = 0.75, 0.79
-"""Values of the controls for a full funnel and purse (`deitalk/research/corpus/tables`)."""
+"""Values of the controls for a full funnel and purse."""
 LEAST_FRAMES = 2
 """Frames of the shortest contact."""
 ROUNDING_STEP = 0.2

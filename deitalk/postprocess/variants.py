@@ -19,8 +19,8 @@ from deitalk.postprocess.life.voice import Seeds, Traits
 from rig.arrays import Float32, Float64
 from rig.emotions import PLAIN, VARIANTS
 
-SPREAD = 3.0
-"""Standard deviation of the logarithms of the drawn weights: the largest of three is .85 on the
+SPREAD = 2.0
+"""Standard deviation of the logarithms of the drawn weights: the largest of three is .74 on the
 average."""
 HOME = 1.2
 """Added per standard deviation of the take's strength to a variant of strong voices."""

@@ -4,11 +4,6 @@ The player is built from ``deitalk/preview/web/`` by ``npm run build`` into ``ap
 beside this file; this module inserts the data.
 """
 
-import base64
-import gzip
-import json
-import struct
-from collections.abc import Sequence
 from dataclasses import asdict
 from functools import lru_cache
 from pathlib import Path
@@ -23,18 +18,20 @@ from deitalk.config.rules import KeepContacts
 from deitalk.errors import MissingError
 from deitalk.pipeline.performance import Performance
 from deitalk.postprocess.control_groups import ControlGroups
+from deitalk.preview.curves_page import write_curves_page
+from deitalk.preview.packing import pack, pack_bytes
 from deitalk.preview.source import (
     PreviewError,
     PreviewSource,
     check_board,
-    find_warnings,
     load_source,
     sound_as_wav,
 )
+from deitalk.preview.speech_warnings import find_warnings
 from rig.controls import default_controls
 from rig.emotions import LABELS
 from rig.face import build_head
-from rig.face.accents import JOINT, neck_share
+from rig.face.head_pose import JOINT, neck_share
 from rig.face.identity import Identity
 from rig.face.render import VIEWS
 from rig.face.render.shading import glsl, glsl_background
@@ -219,107 +216,3 @@ def _take_arrays(source: PreviewSource) -> tuple[dict[str, NDArray[Any]], dict[s
         "warnings": [{"time": time, "text": text} for time, text in find_warnings(source)],
     }  # fmt: skip
     return arrays, facts
-
-
-# Arrays and facts as one text: JSON header, bytes, gzip, base64; ``packed.ts`` reads it.
-
-
-KINDS = ("float32", "uint16", "uint32", "int16", "uint8")
-
-
-BEST = 9
-
-
-def pack(arrays: dict[str, NDArray[Any]], facts: dict[str, Any]) -> str:
-    """Pack arrays and facts as `pack_bytes`, as text."""
-    return base64.b64encode(pack_bytes(arrays, facts)).decode()
-
-
-def pack_bytes(
-    arrays: dict[str, NDArray[Any]], facts: dict[str, Any], *, level: int = BEST
-) -> bytes:
-    """Pack arrays (flattened, little-endian) and JSON-ready facts; gzip of a level, 0 to 9.
-
-    ::
-
-        length of header | header (JSON) | padding to 8 | array | padding to 8 | array ...
-    """
-    entries, blobs, offset = [], [], 0
-    for name, array in arrays.items():
-        assert array.dtype.name in KINDS, (name, array.dtype)
-        blob = np.ascontiguousarray(array).astype(array.dtype.newbyteorder("<")).tobytes()
-        entries.append(
-            {"name": name, "kind": array.dtype.name, "length": int(array.size), "offset": offset}
-        )
-        blob += b"\0" * (-len(blob) % 8)
-        blobs.append(blob)
-        offset += len(blob)
-    header = json.dumps({"facts": facts, "arrays": entries}).encode()
-    head = struct.pack("<I", len(header)) + header
-    head += b"\0" * (-len(head) % 8)
-    return gzip.compress(head + b"".join(blobs), level, mtime=0)
-
-
-# The page of curves: those of a rig that has no head here, with the recording.
-#
-# One HTML file that needs no player: every control that moves is a line over time, under its name,
-# and up to six takes lie over each other.
-
-
-TEMPLATE = Path(__file__).with_name("curves_page.html")
-MOVING = 1e-3
-"""Standard deviation from which on a control is shown at first."""
-_CURVES_SLOT = "<!--deitalk-curves-->"
-
-
-def write_curves_page(takes: Sequence[PreviewSource], out: Path) -> None:
-    """Write the page; the order of the controls is by how far they move.
-
-    Parameters
-    ----------
-    takes : sequence of PreviewSource
-        The recording is that of the first.
-    out : Path
-        ``.html``, may be replaced.
-
-    Raises
-    ------
-    PreviewError
-        If the takes are of different rigs.
-    """
-    names = takes[0].curves.names
-    for take in takes:
-        if take.curves.names != names:
-            raise PreviewError(
-                f"{take.title} is of the rig {take.curves.control_set}, {takes[0].title} of "
-                f"{takes[0].curves.control_set}; compare takes of one rig"
-            )
-    text = json.dumps(_facts(takes)).replace("<", "\\u003c")
-    page = TEMPLATE.read_text(encoding="utf-8").replace(_CURVES_SLOT, text)
-    with atomic_write(out) as beside:
-        beside.write_text(page, encoding="utf-8")
-
-
-def _facts(takes: Sequence[PreviewSource]) -> dict[str, Any]:
-    values = np.concatenate([take.curves.values for take in takes])
-    spread = values.std(axis=0)
-    order = np.argsort(-spread, kind="stable")
-    low, high = np.minimum(values.min(axis=0), 0), np.maximum(values.max(axis=0), 0)
-    return {
-        "title": takes[0].title,
-        "names": [takes[0].curves.names[k] for k in order],
-        "moving": [bool(spread[k] > MOVING) for k in order],
-        "ranges": [[float(low[k]), float(high[k])] for k in order],
-        "audio": sound_as_wav(takes[0]),
-        "takes": [
-            {
-                "title": take.title,
-                "fps": take.curves.fps,
-                "frames": len(take.curves),
-                "values": base64.b64encode(
-                    np.ascontiguousarray(take.curves.values[:, order], "<f4").tobytes()
-                ).decode(),
-            }
-            for take in takes
-        ],
-    }

@@ -10,7 +10,19 @@
     lips/         datasets of measured lips for experiments
     video/        filmed faces to curves; contact_sheet.py draws the head
     study/        blind comparisons by people
-    cli/          the verbs ablate, attention, corpus, evaluate and study, and face sheet
+    cli/          the verbs ablate, attention, corpus, evaluate, folds, lips, sheet, study and train
 
-Nothing outside imports it; `deitalk.installed.research` finds it at run time.
+`python -m deitalk.research` is the command line with its verbs. Nothing outside imports it; its
+kinds of configurations and its reader of videos are added when it is imported.
 """
+
+from deitalk.config.load import CONFIGS
+from deitalk.data.captures.take import READERS
+from deitalk.research.config import ComparedConfig, ComparedSDFAConfig, TrainingConfig
+
+CONFIGS |= {
+    "training": TrainingConfig,
+    "compared": ComparedConfig,
+    "sdfa_compared": ComparedSDFAConfig,
+}
+READERS["video"] = "deitalk.research.video.filmed:read_capture"

@@ -11,7 +11,7 @@ from rig.errors import RigError
 from rig.face.accents import accents
 from rig.face.head import Head
 from rig.face.render import VIEWS
-from rig.face.render.shading import Picture, text_width, write_text
+from rig.face.render.picture import Picture, text_width, write_text
 
 SHEETS = (
     "mouth", "mouth-side", "emotions", "views", "brow", "eye", "nose", "cheek", "lips", "jaw",

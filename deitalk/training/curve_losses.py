@@ -3,9 +3,6 @@
 Letters: B batch, T frames, C controls, E width of the joint embedding.
 """
 
-from collections.abc import Callable
-from typing import Any
-
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
@@ -13,12 +10,10 @@ from torch.nn import functional as F
 from deitalk.config.curves import LossConfig
 from deitalk.data.windows import Window
 from deitalk.errors import ConfigError
-from deitalk.installed import research
 from deitalk.models.curve_model import DEITalk, Output
 from deitalk.models.rig_decoder import TemporalConv
-from deitalk.training.trainer import gather_rows
+from deitalk.training.several_processes import gather_rows
 from rig import ControlSet
-from rig.controls import DEFAULT_ID
 
 
 @torch.no_grad()
@@ -165,7 +160,6 @@ def total_loss(
     weights: Tensor,
     hold: float = 0.0,
     contact_controls: Tensor,
-    lips: Callable[[Tensor, Tensor], dict[str, Tensor]] | None = None,
 ) -> dict[str, Tensor]:
     """Every part, and their weighted sum as ``total`` (Eq. 8).
 
@@ -189,11 +183,7 @@ def total_loss(
         Weight of controls that are not known, in Eq. 12-13; no other part depends on them.
     contact_controls : Tensor [shape=(K,)]
         Indices of the lips-together controls.
-    lips : callable or None
-        `deitalk.research.lips.losses.LipLoss`; None if `config.lips` and `config.range` are 0.
     """
-    if output.supervised is not None:
-        known = known * output.supervised[:, None]
     weights = weights * (known + hold * (1 - known))[:, None]
     parts = {
         "position": position_loss(curves, output.curves, weights),
@@ -213,9 +203,6 @@ def total_loss(
             output.curves[..., contact_controls],
             known[:, contact_controls],
         )
-    if lips is not None:
-        predicted = torch.where(known[:, None] > 0, output.curves, curves)
-        parts |= lips(curves, predicted)
     settings = config.model_dump()
     parts["total"] = torch.stack([settings[name] * part for name, part in parts.items()]).sum()
     return parts
@@ -232,16 +219,13 @@ class CurveLoss:
         Columns of the curves.
     device : torch.device
         Where batches are.
-    teacher : deitalk.research.training.distillation.Teacher or None
-        Whose features are a second target.
     hold : float
         As for `total_loss`.
 
     Raises
     ------
     ConfigError
-        If a control weight's name is unknown, or `config.lips` or `config.range` is set for a rig
-        other than the board.
+        If a control weight's name is unknown.
     """
 
     def __init__(
@@ -249,22 +233,13 @@ class CurveLoss:
         config: LossConfig,
         controls: ControlSet,
         device: torch.device,
-        teacher: Any = None,
         hold: float = 0.0,
     ) -> None:
-        self.config, self.teacher, self.hold = config, teacher, hold
+        self.config, self.hold = config, hold
         self.weights = control_weights(config.control_weights, controls).to(device)
         self.contact = torch.tensor(
             [i for i, name in enumerate(controls.names) if "lipsTogether" in name], device=device
         )
-        if (config.lips or config.range) and controls.id != DEFAULT_ID:
-            raise ConfigError(
-                "loss.lips, loss.range: the embedded head has the board's controls only; set 0"
-            )
-        self.lips = None
-        if config.lips or config.range:
-            losses = research("lips.losses", "loss.lips or loss.range")
-            self.lips = losses.LipLoss(bool(config.range), device)
 
     def __call__(
         self, network: nn.Module, batch: Window, motion: Tensor | None = None
@@ -275,28 +250,25 @@ class CurveLoss:
         """
         motion = batch.curves if motion is None else motion
         curves = motion if self.config.contrast else None
-        clip = batch.frames, batch.total
-        output = network(batch.waveform, batch.emotion, *clip, curves, batch.voice)
-        parts = total_loss(
-            _across_processes(output),
+        output = network(batch.waveform, batch.emotion, batch.frames, batch.total, curves)
+        return self.parts(output, batch, batch.known)
+
+    def parts(self, output: Output, batch: Window, known: Tensor) -> dict[str, Tensor]:
+        """Every part of the loss of a network's output; `known` as for `total_loss`."""
+        return total_loss(
+            across_processes(output),
             batch.curves,
             batch.voice,
             batch.intensity,
             config=self.config,
-            known=batch.known,
+            known=known,
             weights=self.weights,
             hold=self.hold,
             contact_controls=self.contact,
-            lips=self.lips,
         )
-        if self.teacher is not None:
-            distance = self.teacher.distance(batch.clean, output.speech)
-            parts["distillation"] = distance
-            parts["total"] = parts["total"] + self.config.distillation * distance
-        return parts
 
 
-def _across_processes(output: Output) -> Output:
+def across_processes(output: Output) -> Output:
     """Embeddings of all processes' clips: contrast (Eq. 9-10) is of the whole batch."""
     if output.intensity is None or output.motion_embedding is None:
         return output

@@ -1,6 +1,6 @@
 """Training of DEITalk models, from windows of curves (DEITalk §4.1): the task of the trainer.
 
-``deitalk train CONFIG --data DIR --out DIR``. The loop is `deitalk.training.trainer`.
+The loop is `deitalk.training.trainer`.
 """
 
 from collections.abc import Sequence
@@ -14,7 +14,6 @@ from torch import Tensor, nn
 from deitalk.audio.frames import FRAME_RATE
 from deitalk.config.curves import Config
 from deitalk.config.rig_file import read_controls
-from deitalk.data.augment_waveform import Surroundings
 from deitalk.data.clips import Clip, read_clips, spread_clips
 from deitalk.data.windows import (
     FrozenFeatures,
@@ -26,25 +25,24 @@ from deitalk.data.windows import (
     read_waveform,
 )
 from deitalk.errors import ConfigError
-from deitalk.evaluation.figures import ClipRows, Row
-from deitalk.evaluation.validation import (
+from deitalk.evaluation.clips_figure import ClipRows, Row
+from deitalk.evaluation.smoothness import (
     Example,
     ValidationSet,
     lips_together,
     load_example,
     predict,
 )
-from deitalk.installed import research
 from deitalk.models.checkpoint import network_class, require_model, save_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.models.folder import network_shapes
 from deitalk.training.curve_losses import (
     CurveLoss,
-    start_as,
     turn_to_the_past,
 )
+from deitalk.training.optimizer import new_optimizer
 from deitalk.training.run_folder import record_data
-from deitalk.training.trainer import Progress, Task, new_optimizer, run_training, silent
+from deitalk.training.trainer import Progress, Task, run_training, silent
 from rig import ControlSet
 
 N_SHOWN = 2
@@ -54,8 +52,6 @@ MEASURED_CLIPS = 200
 """Training clips from which the mean and spread of an encoder's states are measured."""
 LIMITS = (-0.05, 1.05)
 """Of the axes of a picture."""
-STARTED_SLOWER = 3
-"""Weights that begin as the teacher's learn at a rate so many times lower."""
 
 
 def train_curves(
@@ -68,6 +64,7 @@ def train_curves(
     tensorboard: bool = False,
     frozen_features: FrozenFeatures | None = None,
     progress: Progress = silent,
+    task: "type[CurveTask] | None" = None,
 ) -> dict[str, Any]:
     """Train a model of curves.
 
@@ -83,6 +80,8 @@ def train_curves(
         Model folder whose weights are the start (fine-tuning).
     frozen_features : FrozenFeatures or None
         Those of ``train.frozen_frontend``, where several runs share them.
+    task : type or None
+        `CurveTask`, or a class of it with parts of its own.
 
     Returns
     -------
@@ -94,10 +93,10 @@ def train_curves(
     DataError, MissingError, rig.errors.TargetError
         As `run_training`.
     ConfigError
-        As `run_training`; and if `config` does not fit the weights to start from or the teacher.
+        As `run_training`; and if `config` does not fit the weights to start from.
     """
-    task = CurveTask(config, data, start_from=start_from, frozen_features=frozen_features)
-    return run_training(task, out, resume=resume, tensorboard=tensorboard, progress=progress)
+    job = (task or CurveTask)(config, data, start_from=start_from, frozen_features=frozen_features)
+    return run_training(job, out, resume=resume, tensorboard=tensorboard, progress=progress)
 
 
 class CurveTask(Task[Window]):
@@ -129,7 +128,6 @@ class CurveTask(Task[Window]):
     ) -> None:
         self.config, self.data, self.start_from = config, data, start_from
         self.frozen_features = frozen_features
-        self.encoded: Any = None
         self.controls = read_controls(config.model.control_set)
         network_shapes(self._network)  # not too large to be built
         self.clips = spread_clips(read_clips(data, "train"), config.data.clips)
@@ -137,19 +135,17 @@ class CurveTask(Task[Window]):
 
     def _network(self, pretrained: bool = False) -> DEITalk:
         config = self.config
-        build = network_class(config.model)
-        return build(config.model, self.controls, pretrained=pretrained, rules=config.rules)
+        network = network_class(config.model)
+        return network(config.model, self.controls, pretrained=pretrained, rules=config.rules)
+
+    def new_model(self) -> DEITalk:
+        """Make the model with the published weights that it starts from."""
+        return self._network(pretrained=True)
 
     def build(self, device: torch.device) -> None:
-        """Build the model with the weights it starts from, its teacher and the validation clips."""
+        """Build the model with the weights it starts from, and the validation clips."""
         config, settings = self.config, self.config.train
-        self.model = self._network(pretrained=True)
-        distilled = None
-        if settings.teacher is not None:
-            distillation = research("training.distillation", "train.teacher")
-            teacher = distillation.read_teacher(settings.teacher, self.model)
-            start_as(self.model, teacher)
-            distilled = distillation.Teacher(teacher, device, settings.precision)
+        self.model = self.new_model()
         if self.start_from is not None:
             _copy_weights(self.model, self.start_from)
         elif self.model.frontend.layers:
@@ -161,22 +157,9 @@ class CurveTask(Task[Window]):
             self.frozen_features = self.frozen_features or FrozenFeatures(settings.frozen_frontend)
             self.frozen_features.copy_into(self.model)
         controls = self.controls
-        self._loss = CurveLoss(config.loss, controls, device, distilled)
+        self._loss = CurveLoss(config.loss, controls, device)
         self.validation = ValidationSet.of(self.validation_clips, controls)
         self.shown = shown_examples(self.validation_clips, controls)
-        if config.data.encoded_passes:
-            # Encode every recording of the training clips several times.
-            recordings = list(dict.fromkeys(clip.audio for clip in self.clips))
-            passes = research("training.encoded_passes", "data.encoded_passes")
-            self.encoded = passes.EncodedPasses.write(
-                self.out / "features",
-                recordings,
-                read_waveform,
-                self.model.eval().frontend,
-                Surroundings.read(config.data.noise_folder, config.data.room_folder),
-                passes=config.data.encoded_passes,
-                seed=config.train.seed,
-            )
 
     def read(self, out: Path) -> None:
         """Check that a resumed run has its own data; remember where features are kept."""
@@ -188,14 +171,8 @@ class CurveTask(Task[Window]):
         return count_windows(self.clips, self.config.data)
 
     def optimizer(self) -> torch.optim.Optimizer:
-        """Adam or AdamW; with a teacher, all behind the frontend learns `STARTED_SLOWER`."""
-        settings = self.config.train
-
-        def factor(name: str) -> float:
-            is_started = settings.teacher is not None and not name.startswith("frontend.")
-            return 1 / STARTED_SLOWER if is_started else 1
-
-        return new_optimizer(self.model, settings, factor)
+        """Adam or AdamW."""
+        return new_optimizer(self.model, self.config.train)
 
     def batches(self, share: Share) -> SeededBatches[Window]:
         """Windows of the training clips."""
@@ -208,8 +185,6 @@ class CurveTask(Task[Window]):
             settings.batch_size,
             share,
             frozen_features=self.frozen_features,
-            encoded=self.encoded,
-            clean=settings.teacher is not None,
         )
 
     def loss(self, network: nn.Module, batch: Window) -> dict[str, Tensor]:
@@ -219,7 +194,7 @@ class CurveTask(Task[Window]):
     def set_training(self) -> None:
         """Put the model in training mode, but for a frontend that does not learn."""
         self.model.train()
-        if self.config.train.frozen_frontend is not None or self.encoded is not None:
+        if self.config.train.frozen_frontend is not None:
             self.model.get_submodule("frontend").eval()
 
     def validate(self, model: nn.Module) -> tuple[dict[str, float], list[ClipRows]]:

@@ -1,8 +1,8 @@
 """The training loop of every model: step, average, evaluate, save, resume, log.
 
-It depends on a `Task` and on no product; the tasks are `deitalk.training.curves` and
-`deitalk.research.meshes.training`. The main path is `run_training`, then `Trainer.fit`, then
-`Trainer.update`; `deitalk.training.run_folder` writes the files.
+It depends on a `Task` and on no product, such as `deitalk.training.curves`. The main path is
+`run_training`, then `Trainer.fit`, then `Trainer.update`; `deitalk.training.run_folder` writes the
+files.
 """
 
 import copy
@@ -10,7 +10,6 @@ import math
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence, Set
-from datetime import timedelta
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Generic, cast
@@ -19,23 +18,23 @@ import torch
 from torch import Tensor, nn
 from torch.utils.data import DataLoader
 
-from deitalk.config.curves import TrainConfig
 from deitalk.config.load import AnyConfig
-from deitalk.config.section import Optimisation
 from deitalk.data.windows import Item, SeededBatches, Share
-from deitalk.errors import ConfigError, DataError
-from deitalk.evaluation.figures import ClipRows, can_draw, draw_clips
+from deitalk.errors import DataError
+from deitalk.evaluation.clips_figure import ClipRows, draw_clips
+from deitalk.evaluation.figures import can_draw
 from deitalk.models.folder import describe_model, read_about
+from deitalk.training.journal import Journal, summary_writer
+from deitalk.training.optimizer import new_scheduler, restore_buffers, update_average
 from deitalk.training.run_folder import (
-    Journal,
     Learnt,
     open_folder,
     picture_path,
     resume_run,
     save_checkpoints,
     save_state,
-    summary_writer,
 )
+from deitalk.training.several_processes import in_precision, mean_over_processes, new_accelerator
 from deitalk.workers import DATA_WORKERS, end_with_parent, safe_path
 from rig.errors import UserError
 
@@ -388,203 +387,3 @@ class Trainer(Generic[Item]):
             lambda folder, summary: self.task.save(folder, self.average, summary),
         )
         return named
-
-
-# The optimizer, the learning rate's schedule and the averaged weights of any training.
-
-
-def new_optimizer(
-    model: nn.Module, settings: TrainConfig, factor: Callable[[str], float]
-) -> torch.optim.Optimizer:
-    """Make the configured optimizer of all parameters that learn.
-
-    Parameters
-    ----------
-    model : Module
-        Parameters without gradient are left out.
-    settings : TrainConfig
-        Names the optimizer, its rate and weight decay.
-    factor : callable
-        Factor on the learning rate of the parameter of a name.
-    """
-    rates: dict[float, list[nn.Parameter]] = {}
-    for name, parameter in model.named_parameters():
-        if parameter.requires_grad:
-            rates.setdefault(settings.learning_rate * factor(name), []).append(parameter)
-    kind = torch.optim.AdamW if settings.optimizer == "adamw" else torch.optim.Adam
-    groups = [{"params": parameters, "lr": rate} for rate, parameters in rates.items()]
-    return kind(groups, weight_decay=settings.weight_decay)
-
-
-def new_scheduler(
-    optimizer: torch.optim.Optimizer, settings: Optimisation, total: int
-) -> torch.optim.lr_scheduler.LRScheduler:
-    """Make the configured schedule.
-
-    Parameters
-    ----------
-    optimizer : Optimizer
-        The rates of its groups are the highest of ``one_cycle``, which begins at a tenth and ends
-        at a thousandth of them.
-    settings : Optimisation
-        Names the schedule.
-    total : int
-        Steps of the run.
-    """
-    if settings.schedule == "constant":
-        return torch.optim.lr_scheduler.ConstantLR(optimizer, factor=1.0)
-    return torch.optim.lr_scheduler.OneCycleLR(
-        optimizer,
-        [group["lr"] for group in optimizer.param_groups],
-        total_steps=total + 1,
-        pct_start=0.08,  # share of the steps in which the rate rises
-        cycle_momentum=False,
-        div_factor=10,
-        final_div_factor=100,
-    )
-
-
-@torch.no_grad()
-def update_average(
-    average: nn.Module, model: nn.Module, step: int, decay: float | None, frozen: Set[str]
-) -> None:
-    """Move an exponential moving average of weights and buffers on by one step.
-
-    Parameters
-    ----------
-    average, model : Module
-        Of the same structure.
-    step : int
-        Steps done before; the decay is at most (1 + step) / (10 + step), so that a young average
-        forgets the first weights fast.
-    decay : float or None
-        In 0..1; None makes the average equal the model.
-    frozen : set of str
-        Names in the state dict that never change, and are left out.
-    """
-    rate = 1.0 if decay is None else 1 - min(decay, (1 + step) / (10 + step))
-    values = model.state_dict()
-    for name, mean in average.state_dict().items():
-        if name in frozen:
-            continue
-        if mean.dtype.is_floating_point:
-            mean.lerp_(values[name], rate)
-        else:
-            mean.copy_(values[name])
-
-
-@torch.no_grad()
-def restore_buffers(model: nn.Module, average: nn.Module) -> None:
-    """Replace buffers that a bad batch left not finite (running means) by those of the average."""
-    for mean, value in zip(average.buffers(), model.buffers(), strict=True):
-        if not value.isfinite().all():
-            value.copy_(mean)
-
-
-# Several processes that train one model, each on its share of every batch.
-#
-# One process is the case of a share that is the whole; nothing is exchanged then.
-
-
-PATIENCE = timedelta(hours=6)
-"""The other processes wait so long for the first, which builds meshes and evaluates."""
-
-
-def new_accelerator(settings: Optimisation, item_size: int = 1) -> Any:
-    """Join the processes of this training and choose the device.
-
-    Parameters
-    ----------
-    settings : Optimisation
-        Size of a batch.
-    item_size : int
-        What one item counts in ``train.batch_size``: the frames of a segment.
-
-    Returns
-    -------
-    accelerate.Accelerator
-
-    Raises
-    ------
-    ConfigError
-        If the items of a batch cannot be shared equally.
-    """
-    from accelerate import Accelerator, DistributedDataParallelKwargs, InitProcessGroupKwargs
-
-    accelerator = Accelerator(
-        cpu=not torch.accelerator.is_available(),
-        mixed_precision="no",  # `in_precision` does it: accelerate fixes one for the whole process
-        kwargs_handlers=[
-            # Without contrast or intensity the motion encoder has no gradient. Buffers are running
-            # means, of which the first process's are saved, and bases, which never change.
-            DistributedDataParallelKwargs(find_unused_parameters=True, broadcast_buffers=False),
-            InitProcessGroupKwargs(timeout=PATIENCE),
-        ],
-    )
-    whole = item_size * accelerator.num_processes
-    if settings.batch_size % whole:
-        raise ConfigError(
-            f"train.batch_size={settings.batch_size} cannot be shared by "
-            f"{accelerator.num_processes} processes; make it a multiple of {whole}"
-        )
-    return accelerator
-
-
-class InBfloat16(nn.Module):
-    """A network that computes in bfloat16 and returns float32; its weights stay float32."""
-
-    def __init__(self, network: nn.Module, device: torch.device) -> None:
-        super().__init__()
-        self.network, self.kind = network, device.type
-
-    def forward(self, *inputs: Any) -> Any:
-        """As the network's."""
-        from accelerate.utils import convert_to_fp32
-
-        with torch.autocast(self.kind, torch.bfloat16):
-            output = self.network(*inputs)
-        return convert_to_fp32(output)
-
-
-def in_precision(network: nn.Module, precision: str, device: torch.device) -> nn.Module:
-    """The network itself for ``float32``, an `InBfloat16` of it for ``bfloat16``."""
-    return InBfloat16(network, device) if precision == "bfloat16" else network
-
-
-def mean_over_processes(values: Tensor) -> Tensor:
-    """Mean of every number over the processes; no gradient flows through it."""
-    if not _are_several():
-        return values
-    total = values.detach().clone()
-    torch.distributed.all_reduce(total)
-    return total / torch.distributed.get_world_size()
-
-
-def gather_rows(rows: Tensor) -> Tensor:
-    """Rows (B, E) of all processes, one process after another; gradients flow back.
-
-    The gradients of the gathered rows are summed over the processes and then averaged with all
-    others, which gives the gradient of one process with the whole batch.
-    """
-    if not _are_several():
-        return rows
-    gather: Callable[[Tensor], Tensor] = _Gather.apply
-    return gather(rows)
-
-
-def _are_several() -> bool:
-    return torch.distributed.is_available() and torch.distributed.is_initialized()
-
-
-class _Gather(torch.autograd.Function):
-    @staticmethod
-    def forward(ctx: Any, rows: Tensor) -> Tensor:
-        parts = [torch.empty_like(rows) for _ in range(torch.distributed.get_world_size())]
-        torch.distributed.all_gather(parts, rows.contiguous())
-        return torch.cat(parts)
-
-    @staticmethod
-    def backward(ctx: Any, gradient: Tensor) -> Tensor:
-        gradient = gradient.clone()
-        torch.distributed.all_reduce(gradient)
-        return gradient.chunk(torch.distributed.get_world_size())[torch.distributed.get_rank()]

@@ -1,7 +1,8 @@
 """The command of each report of ``docs/results``, in three groups; words that stand for data."""
 
-_EVALUATE = "deitalk evaluate default"
-_ABLATE = "deitalk ablate --data corpus/ --steps 300"
+_RESEARCH = "python -m deitalk.research"
+_EVALUATE = f"{_RESEARCH} evaluate default"
+_ABLATE = f"{_RESEARCH} ablate --data corpus/ --steps 300"
 _TUNE = "deitalk finetune"
 _PEOPLE = "python -m deitalk.research.evaluation"
 _TRAINING = "python -m deitalk.research.training"
@@ -16,19 +17,21 @@ WEIGHTS = {
     "default-noise": f"{_EVALUATE} --data corpus/ --split test --most 12 --probes 12 "
     "--noise UNHEARD",
     "default-validation": f"{_EVALUATE} --data corpus/ --split validation --most 12 --probes 12",
-    "mel-attention": "deitalk attention corpus/ --clips 20 --model mel -o OUT/attention.png --json",
+    "mel-attention": f"{_RESEARCH} attention corpus/ --clips 20 --model mel "
+    "-o OUT/attention.png --json",
     "known-words": f"{_PEOPLE}.words --data corpus/ --split test --most 90",
     "motion-energy": f"{_PEOPLE}.motion_energy --animate docs/samples/amiable.flac --seconds 6",
     "phone-evidence": f"{_TRAINING}.phone_evidence --data corpus/ --embedded",
     "suggestion": f"{_TRAINING}.suggestion --actors CREMA.csv "
-    "--readers LIBRISPEECH.tsv --readers SPEECHOCEAN.tsv --split test",
-    "mesh-head-test": "deitalk evaluate mesh_head --data corpus/ --split test --most 24",
+    "--readers LIBRISPEECH.tsv --readers SPEECHOCEAN.tsv --noise NOISE --rooms ROOMS "
+    "--split test",
+    "mesh-head-test": f"{_RESEARCH} evaluate mesh_head --data corpus/ --split test --most 24",
 }
 """Of the weights of `default`: with new ones they have to run again (and its times, below)."""
 TIMING = {
-    "default-speed": "deitalk evaluate --speed --threads 1 --json",
-    "mesh-speed-1": "deitalk evaluate --speed --mesh --threads 1 --json",
-    "mesh-speed-2": "deitalk evaluate --speed --mesh --threads 2 --json",
+    "default-speed": f"{_RESEARCH} evaluate --speed --threads 1 --json",
+    "mesh-speed-1": f"{_RESEARCH} evaluate --speed --mesh --threads 1 --json",
+    "mesh-speed-2": f"{_RESEARCH} evaluate --speed --mesh --threads 2 --json",
     "live-speed": "python -m deitalk.research.speed.live_speed",
     "live-run": "python -m deitalk.research.speed.live_run --minutes 2 --period 0.5",
     "batch-rate": "python -m deitalk.research.speed.batch_rate LINES",
@@ -38,8 +41,8 @@ TIMING = {
 }
 """Times: for a machine with nothing beside."""
 OTHER = {
-    "live-test": "deitalk evaluate live --data corpus/ --split test --most 90 --probes 0",
-    "live-lips": "deitalk evaluate live --lips LIPS --speaker s03 --speaker s32",
+    "live-test": f"{_RESEARCH} evaluate live --data corpus/ --split test --most 90 --probes 0",
+    "live-lips": f"{_RESEARCH} evaluate live --lips LIPS --speaker s03 --speaker s32",
     "ablations": f"{_ABLATE} -o runs/ablations --seeds 2 --most 24 --only full --only no_dei "
     "--only no_dpe --only no_velocity --only no_classification --set train.frozen_frontend=mel "
     "--set data.augment=false --set train.batch_size=8 --set train.precision=bfloat16 "
@@ -47,16 +50,16 @@ OTHER = {
     "--set model.motion_channels=[64,64,96,96] --set data.cache_gigabytes=4",
     "comparison": f"{_ABLATE} -o runs/comparison --configs configs/comparison --seeds 3 --most 6 "
     "--probes 0 --set data.clips=300 --set train.evaluate_every=300",
-    "sdfa-test": "deitalk evaluate sdfa --data corpus/ --split test --transitions --most 16",
-    "sdfa-lips": "deitalk evaluate sdfa --data lips_data/ --split test",
-    "sdfa-attention": "deitalk attention corpus/ --clips 20 --model sdfa -o OUT/attention.png "
+    "sdfa-test": f"{_RESEARCH} evaluate sdfa --data corpus/ --split test --transitions --most 16",
+    "sdfa-lips": f"{_RESEARCH} evaluate sdfa --data lips_data/ --split test",
+    "sdfa-attention": f"{_RESEARCH} attention corpus/ --clips 20 --model sdfa -o OUT/attention.png "
     "--json",
     **{
-        f"attention-{name}": "deitalk attention corpus/ --clips 20 --model "
+        f"attention-{name}": f"{_RESEARCH} attention corpus/ --clips 20 --model "
         f"runs/attention_{name}/best -o OUT/attention.png --json"
         for name in ("centre", "0", "1", "window")
     },
-    "mesh-ablations": "deitalk ablate --configs configs/mesh_ablations --data corpus/ "
+    "mesh-ablations": f"{_RESEARCH} ablate --configs configs/mesh_ablations --data corpus/ "
     "-o runs/mesh_ablations --seeds 2 --most 40 --set data.clips=480",
     "vocal-strength": f"{_TRAINING}.vocal_strength --readers LIBRISPEECH.tsv "
     "--actors CREMA.csv --split test --embedded",
@@ -68,14 +71,14 @@ OTHER = {
         f"--leave-out {speaker} -o OUT"
         for speaker in LIP_SPEAKERS
     },
-    "facegood": f"{_TUNE} facegood_data/ --folds takes -o OUT",
+    "facegood": f"{_RESEARCH} folds facegood_data/ -o OUT",
 }
 """The rest. Reports of trainings state the weights that they began with."""
 GROUPS = {"weights": WEIGHTS, "timing": TIMING, "other": OTHER}
 COMMANDS = {**WEIGHTS, **TIMING, **OTHER}
 
 PLACES = {
-    "corpus/": "`deitalk corpus build --hours 1 --recordings SPEECH`, as in the model card",
+    "corpus/": f"`{_RESEARCH} corpus build --hours 1 --recordings SPEECH`, as in the model card",
     "fresh/": "the same of readers outside all trainings",
     "LIPS": "measured lips (dataset.md)",
     "lips_data/": "measured lips and a corpus that they correct (model card, step 7)",

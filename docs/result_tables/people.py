@@ -73,7 +73,8 @@ def motion_energy() -> str:
 def suggestion() -> str:
     """Scores of suggested emotions."""
     found = report("suggestion")
-    both = [found["cross-validation"], found["test"]]
+    splits = ("cross-validation", "test")
+    both = [found[f"map, {split}"] for split in splits]
     named = [name for name in both[0] if name.startswith("recall ")]
     rows = [
         [
@@ -81,18 +82,18 @@ def suggestion() -> str:
             *(" / ".join(short(s[name], 2) for name in named) for s in both),
         ]
     ]
+    mean = "unweighted recall"
+    rows.append(["their mean (chance .25)", *(short(s[mean], 2) for s in both)])
+    for name, text in (("ridge", "ridge regression, same features"), ("level", "the level alone")):
+        cells = (short(found[f"{name}, {split}"][mean], 2) for split in splits)
+        rows.append([f"the same of {text}", *cells])
     for key, text in (
-        ("unweighted recall", "their mean (chance .25)"),
-        ("unweighted recall, asked", "the same by the emotion asked of the actor"),
         ("anger against sadness", "anger against sadness"),
         ("calibration error", "expected calibration error, classes weighted alike"),
-        ("suggested", "clips with a suggestion other than neutral"),
-        ("right", "... of which raters named the same"),
-        ("probability", "... their mean probability"),
         ("readers neutral", "readers for whom neutral is suggested"),
     ):
         rows.append([text, *(short(s[key], 2) for s in both)])
-    return table([["", "cross-validation", "test"], *rows])
+    return table([["", *splits], *rows])
 
 
 ORDERED = ("anger and joy", "sadness")

@@ -9,24 +9,10 @@
                   use, such as a training run's
 """
 
-from rig.files.folder import (
-    begin_folder,
-    check_folder,
-    kind_of,
-    output_folder,
-    record,
-    recover,
-    remove_written,
-    replace_recorded,
-)
-from rig.files.targets import (
-    atomic_write,
-    cache_folder,
-    check_file,
-    claim,
-    is_folder_name,
-    remove_leftovers,
-)
+from rig.files.claims import cache_folder, claim
+from rig.files.folder import check_folder, kind_of, output_folder, record, recover, remove_written
+from rig.files.kept_folder import begin_folder, replace_recorded
+from rig.files.targets import atomic_write, check_file, is_folder_name, remove_leftovers
 
 __all__ = [
     "atomic_write",

@@ -18,7 +18,7 @@ from rig.conversion.convert import shapes_named
 from rig.curves import RigCurves, check_clip
 from rig.curves.edit import hermite
 from rig.errors import FormatError
-from rig.face.accents import matrices, quaternions
+from rig.face.head_pose import matrices, quaternions
 from rig.mesh.fbx import blender, fbx_to_glb, glb_to_fbx
 from rig.mesh.glb import RigidMotion, WeightAnimation, read_container, write_glb
 from rig.mesh.glb_reader import consistent, morphing_nodes, read_accessor
@@ -41,7 +41,7 @@ def write(path: Path, curves: RigCurves, identity: int | str = 0) -> None:
     `identity` is a number or name of an embedded head.
     """
     if curves.control_set == ARKIT_ID:
-        from rig.retarget.morph_head import write_animation
+        from rig.retarget.head_glb import write_animation
 
         write_animation(path, curves, identity, motion=_motion(curves))
         return
@@ -181,7 +181,7 @@ def _head(
     at: Float64,
 ) -> Float32 | None:
     """Head track of a mesh's node, or of bones; None if neither turns."""
-    from rig.retarget.blendshapes import head_track, turn_of_bones
+    from rig.retarget.bones import head_track, turn_of_bones
 
     for node, turn in turns.items():
         if "mesh" in document["nodes"][node] and "skin" not in document["nodes"][node]:

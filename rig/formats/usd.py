@@ -19,8 +19,8 @@ from rig.controls import ControlSet
 from rig.conversion.arkit import RAW_ID, board_to_raw, raw_controls
 from rig.curves import HEAD, RigCurves
 from rig.errors import FormatError
-from rig.face.accents import matrices
 from rig.face.head import Head
+from rig.face.head_pose import matrices
 from rig.face.mesh import EYE, FINE, HAIR
 from rig.files.reading import check_expansion, check_file
 from rig.limits import CURVES_BYTES, FRAMES, SPARSE_BYTES

@@ -18,10 +18,10 @@ from rig.conversion.arkit import ARKIT_ID, arkit_controls
 from rig.conversion.convert import convert, convert_and_note
 from rig.curves import RigCurves, check_clip
 from rig.errors import FormatError
-from rig.face.accents import quaternions
+from rig.face.head_pose import quaternions
 from rig.mesh.glb import GlbBuilder, read_container, write_container
 from rig.mesh.glb_reader import read_accessor
-from rig.retarget.blendshapes import gaze_turn, head_track
+from rig.retarget.bones import gaze_turn, head_track
 
 EXTENSION = "VRMC_vrm_animation"
 BONES = {"hips": 1.0, "spine": 0.1, "chest": 0.15, "neck": 0.25, "head": 0.1}

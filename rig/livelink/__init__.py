@@ -1,8 +1,9 @@
 """Live curves over UDP: to Unreal's Live Link, JSON receivers and VMC programs, and back."""
 
+from rig.livelink.pace import LiveReport, LiveSender
 from rig.livelink.protocols import PROTOCOLS, find_protocol, make_protocol
 from rig.livelink.receiver import Packet, Receiver, Recording, decode, encode
-from rig.livelink.sender import LiveReport, LiveSender, SendReport, check_address, send
+from rig.livelink.sender import SendReport, check_address, send
 
 __all__ = [
     "PROTOCOLS",

@@ -1,6 +1,5 @@
 """From a take's curves and a mesh file to an animated file (`deitalk retarget`)."""
 
-import csv
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -14,20 +13,21 @@ from rig.conversion.convert import known_controls
 from rig.curves import RigCurves
 from rig.errors import FormatError, RigError
 from rig.files import atomic_write
-from rig.files.reading import load_json, read_text
-from rig.limits import MAPPED_VALUE, POINT_NAMES, POINTS_BYTES
 from rig.mesh.fbx import blender, glb_to_fbx
 from rig.mesh.glb import WeightAnimation, write_glb
 from rig.mesh.glb_reader import animate_glb, morph_names, read_glb
+from rig.mesh.obj import read_obj, read_obj_folder
 from rig.mesh.ply import read_ply
 from rig.mesh.sequence import check_out, principal_shapes, write_sequence
-from rig.mesh.shapes import ShapeSet, read_obj, read_obj_folder, read_shapes_npz
+from rig.mesh.shapes import ShapeSet, read_shapes_npz
 from rig.mesh.trimesh import TriMesh, check_length
-from rig.retarget.blendshapes import FacePoses, match_shapes, turns_of
+from rig.retarget.blendshapes import FacePoses, match_shapes
+from rig.retarget.bones import turns_of
+from rig.retarget.found_landmarks import guess_landmarks
+from rig.retarget.head_source import source_head
 from rig.retarget.landmarks import read_landmarks
+from rig.retarget.mapping_files import read_mapping
 from rig.retarget.methods import Method, carry_shapes, shapes_for, warnings_of
-from rig.retarget.morph_head import source_head
-from rig.retarget.registration import guess_landmarks
 
 LEAST_LOST = 1e-3
 """Share of the movement below which nothing is said."""
@@ -367,64 +367,3 @@ def _write(out: Path | str, shapes: ShapeSet, weights: Any, fps: float, keys: fl
     check_length(len(weights), len(shapes.neutral.vertices))
     vertices = shapes.evaluate(weights).astype(np.float32)
     write_sequence(out, shapes.neutral, vertices, fps=fps)
-
-
-# Files that map the shapes of a user's face to controls.
-
-
-def read_mapping(path: Path | str) -> dict[str, dict[str, float]]:
-    """Read a mapping file: CSV ``shape,control,value`` or JSON ``{shape: {control: value}}``.
-
-    A row without a control, as `write_mapping` has it for an unknown shape, says nothing.
-
-    Raises
-    ------
-    FormatError
-        If it is neither, names more than 1000 shapes, or gives a value beyond ±100.
-    """
-    path = Path(path)
-    text = read_text(path, POINTS_BYTES, errors="replace")
-    given = load_json(text, path.name) if path.suffix.lower() == ".json" else None
-    mapping: dict[str, dict[str, float]] = {}
-    try:
-        if given is not None:
-            for shape, controls in given.items():
-                mapping[str(shape)] = {str(c): _value(v) for c, v in controls.items()}
-        else:
-            for row in csv.DictReader(text.splitlines()):
-                if not row["control"]:
-                    continue
-                value = _value(row.get("value") or 1.0)
-                mapping.setdefault(_name(row["shape"]), {})[_name(row["control"])] = value
-    except (ValueError, KeyError, AttributeError, TypeError, OverflowError, csv.Error):
-        mapping = {}
-    if len(mapping) > POINT_NAMES:
-        raise FormatError(f"{path.name} maps {len(mapping)} shapes; at most {POINT_NAMES} are read")
-    if not mapping:
-        raise FormatError(
-            f"{path.name} is no mapping; write CSV with the header shape,control,value "
-            'or JSON {"smile_L": {"mouthCornerPullL": 1.0}}'
-        )
-    return mapping
-
-
-def write_mapping(path: Path | str, mapping: Mapping[str, Mapping[str, float]]) -> None:
-    """Write a mapping as CSV, to be edited and read by `read_mapping`."""
-    with atomic_write(path) as beside, open(beside, "w", encoding="utf-8", newline="") as stream:
-        rows = csv.writer(stream, lineterminator="\n")
-        rows.writerow(("shape", "control", "value"))
-        for shape, controls in mapping.items():
-            rows.writerows((shape, *pair) for pair in controls.items() or (("", ""),))
-
-
-def _name(text: str | None) -> str:
-    if not text:
-        raise ValueError("every row names a shape and a control")
-    return text
-
-
-def _value(text: Any) -> float:
-    value = float(text)
-    if not abs(value) <= MAPPED_VALUE:
-        raise ValueError("a control's value must be within its range")
-    return value

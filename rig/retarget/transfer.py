@@ -17,9 +17,9 @@ from scipy.sparse.linalg import splu
 
 from rig.arrays import Bool, Float64
 from rig.errors import MeshError
+from rig.mesh.closest import ClosestPoints
 from rig.mesh.deformation import DeformationSolver, deformation_gradients, rigid_motion
 from rig.mesh.trimesh import (
-    ClosestPoints,
     TriMesh,
     adjacency,
     components,

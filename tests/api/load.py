@@ -126,7 +126,7 @@ def format_costs() -> None:
     import torch
 
     from api.compute.tasks import perform
-    from api.messages.options import ANIMATION_FORMATS, MESH_FORMATS
+    from api.messages.formats import ANIMATION_FORMATS, MESH_FORMATS
 
     torch.set_num_threads(1)
     seconds = 3.0

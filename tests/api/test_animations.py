@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import soundfile
 
-from api.messages.options import ANIMATION_FORMATS
+from api.messages.formats import ANIMATION_FORMATS
 from deitalk import animate
 from deitalk.audio.load import write_wav
 from deitalk.research.corpus.engines import espeak

@@ -22,7 +22,8 @@ from websockets.sync.client import connect
 from api.errors import Problem
 from api.guard import protocol
 from api.live import session as live_route
-from api.live.session import FRAME, LiveStream
+from api.live.messages import FRAME
+from api.live.session import LiveStream
 from api.serving import server_config
 from api.settings import Settings
 from deitalk import LiveAnimator

@@ -9,11 +9,11 @@ import httpx
 import pytest
 
 from api.app import problem_answer
+from api.compute.pages import Pages
 from api.compute.pool import Stage
 from api.errors import Problem
 from api.guard.metrics import Metrics
 from api.guard.middleware import Guard, Traffic
-from api.service import Pages
 from api.settings import Settings
 from deitalk.workers import WorkerLost
 from rig.errors import RigError

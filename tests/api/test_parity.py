@@ -14,7 +14,7 @@ import pytest
 import soundfile
 from websockets.sync.client import connect
 
-from api.live.session import FRAME
+from api.live.messages import FRAME
 from deitalk import LiveAnimator, animate, suggest_emotion
 from deitalk.audio.load import load_audio
 from deitalk.live.sources import PacedSound

@@ -12,9 +12,10 @@ from typer.testing import CliRunner
 
 from api.errors import Problem
 from api.guard.keys import Caller
-from api.jobs import table
+from api.jobs import versions
 from api.jobs.queue import Queue, new_id
-from api.jobs.table import DUTIES, JOBS, METADATA, VERSIONS, open_database
+from api.jobs.table import DUTIES, JOBS, METADATA
+from api.jobs.versions import VERSIONS, open_database
 from api.settings import SCOPES
 from deitalk.cli import app as cli
 from deitalk.errors import ConfigError
@@ -103,7 +104,7 @@ def test_schema_two_versions_ahead_is_refused_and_one_ahead_is_not(empty):
 
 
 def test_step_that_is_not_safe_waits_for_the_command(empty, monkeypatch, tmp_path):
-    monkeypatch.setattr(table, "is_safe", lambda step: False)
+    monkeypatch.setattr(versions, "is_safe", lambda step: False)
     with pytest.raises(ConfigError, match="serve --migrate"):
         open_database(url_of(empty))
     monkeypatch.setenv("DEITALK_DATABASE", url_of(empty))

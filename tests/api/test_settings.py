@@ -20,7 +20,7 @@ from api.errors import Problem
 from api.guard.keys import KEY_PREFIX, Rates, digest_of, new_key
 from api.guard.metrics import Metrics
 from api.guard.middleware import Guard, Traffic
-from api.messages.options import ANIMATION_FORMATS, choose_format
+from api.messages.formats import ANIMATION_FORMATS, choose_format
 from api.serving import check_places
 from api.settings import Settings, load_settings
 from deitalk.cli import app

@@ -13,10 +13,12 @@ import pytest
 from api.compute.pool import SERVER_PREFIX, Stage
 from api.errors import Problem
 from api.guard.keys import Caller
-from api.guard.metrics import Metrics, Traces
+from api.guard.metrics import Metrics
+from api.guard.traces import Traces
 from api.jobs.queue import Queue, new_id
 from api.jobs.runner import Runner, Store, remove_lost, remove_old
-from api.jobs.table import JOBS, open_database
+from api.jobs.table import JOBS
+from api.jobs.versions import open_database
 from api.settings import SCOPES, Settings
 from tests.api.server import ROOT, wait_for
 from tests.each import each

@@ -15,7 +15,7 @@ import sqlalchemy as sql
 
 from api.errors import DISK_FULL, describe, is_disk_full, problem_for
 from api.jobs.queue import Queue, new_id
-from api.jobs.table import open_database
+from api.jobs.versions import open_database
 from rig.errors import FormatError
 from tests.api.conftest import wav
 from tests.api.database import serving_postgres

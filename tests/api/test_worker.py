@@ -201,4 +201,4 @@ def test_error_of_ours_has_no_text_of_the_request(worker, tmp_path):
     answer = worker.run(asked, 60)
     assert answer["error"] == ["Internal"]
     assert "passwd" not in answer["message"]
-    assert answer["message"].startswith("KeyError in api.compute.worker._answer:")
+    assert answer["message"].startswith("KeyError in api.compute.process._answer:")

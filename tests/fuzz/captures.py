@@ -86,7 +86,8 @@ def _label_seeds(folder: Path) -> list[Seed]:
 
 
 def _read_labels(path: Path) -> object:
-    from deitalk.data.captures.sources import Labelling, Source
+    from deitalk.data.captures.labels import Labelling
+    from deitalk.data.captures.sources import Source
 
     return Labelling(table=path).of(Source(path.with_name("a.csv"), "a"))
 

@@ -220,7 +220,7 @@ def _mapping_seeds(folder: Path) -> list[Seed]:
 
 def _read_mapping(path: Path) -> object:
     from rig.retarget.blendshapes import match_shapes
-    from rig.retarget.retarget_files import read_mapping
+    from rig.retarget.mapping_files import read_mapping
 
     return match_shapes(("smile", "b", "jawOpen"), mapping=read_mapping(path))
 
@@ -259,7 +259,7 @@ def _model_seeds(folder: Path) -> list[Seed]:
 def _read_model_file(path: Path) -> object:
     from deitalk.config.load import load_config
     from deitalk.models.folder import read_about, read_weights
-    from deitalk.models.mesh_model import read_templates, whole_shapes
+    from deitalk.models.mesh_folder import read_templates, whole_shapes
 
     if path.name == "config.yaml":
         return load_config(path)

@@ -111,8 +111,9 @@ def _run(arguments: Sequence[str], folder: Path, output: int) -> None:
         sys.stdout = os.fdopen(1, "w", buffering=1)
         sys.stderr = os.fdopen(2, "w", buffering=1)
         from deitalk.cli import main
+        from tests.command import commands_of
 
-        main()
+        main(commands_of(arguments[0]))
     except SystemExit as ended:
         code = ended.code if isinstance(ended.code, int) else int(ended.code is not None)
     except BaseException:

@@ -3,8 +3,6 @@
 import csv
 import hashlib
 import itertools
-import math
-import re
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -17,8 +15,9 @@ from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE, runs
 from deitalk.audio.load import Recording, load_audio
 from deitalk.audio.vocal_strength import measure_prosody
 from deitalk.audio.voice_activity import speech_activity
-from deitalk.config.rig_file import DATASET_RIG, classified_by_names, rig_text
+from deitalk.config.rig_file import DATASET_RIG, rig_text
 from deitalk.data.captures.columns import read_mapping
+from deitalk.data.captures.labels import Labelling, Labels
 from deitalk.data.captures.mend import (
     TAKE_HEADER,
     VOICED_FRAMES,
@@ -28,23 +27,14 @@ from deitalk.data.captures.mend import (
     skipped_files,
     warnings_of,
 )
-from deitalk.data.captures.sources import (
-    Labelling,
-    Labels,
-    Source,
-    find_files,
-    find_sound,
-    find_takes,
-)
+from deitalk.data.captures.sources import Source, find_sound, find_takes
 from deitalk.data.captures.splits import TRAIN, Piece, check_way, divide
 from deitalk.data.captures.take import LEAST_SECONDS, CapturedCurves, paired, read_capture
 from deitalk.errors import DataError
 from rig import ControlSet, write_curves
 from rig.arrays import Bool, Float32, Float64
-from rig.controls import Control
 from rig.errors import UserError, listed
 from rig.files import output_folder
-from rig.formats.named import read_named
 
 # Long takes to clips: cut in pauses, never inside a word.
 #
@@ -484,49 +474,3 @@ def _notes(labels: Labels, capture: CapturedCurves, sound: Recording, reason: st
     if not labels.is_emotion_given:
         notes.append("no emotion given, taken as neutral")
     return notes
-
-
-# The rig that captures are of, from the names and the motion of their columns.
-
-
-def rig_of_takes(sources: Sequence[Path], fps: float | None = None) -> ControlSet:
-    """Controls of the columns of tables of curves, in the order of the first table.
-
-    A control goes from 0 to 1, or to the whole numbers around what the takes show, and rests at 0.
-    Sides, mouth and upper face follow from the names.
-
-    Parameters
-    ----------
-    sources : sequence of Path
-        Files of curves, or folders that are searched to any depth.
-    fps : float or None
-        Of files without a rate.
-
-    Raises
-    ------
-    DataError
-        If no file holds named curves.
-    """
-    low: dict[str, float] = {}
-    high: dict[str, float] = {}
-    refused: UserError | None = None
-    for path in (path for source in sources for path in find_files(source)):
-        try:
-            curves = read_named(path, otherwise=fps)
-        except UserError as error:
-            refused = refused or error
-            continue  # no table of curves; if it is a take, its import says why
-        for name, values in zip(curves.names, curves.values.T, strict=True):
-            low[name] = min(low.get(name, 0.0), float(np.min(values)))
-            high[name] = max(high.get(name, 1.0), float(np.max(values)))
-    if not low:
-        raise DataError(
-            f"{sources[0]}: holds no table of named curves to make a rig of"
-            f"{f' ({refused})' if refused else ''}; give `rig`",
-            parameter="rig",
-        )
-    name = re.sub(r"[^A-Za-z0-9]+", "_", sources[0].stem).strip("_") or "rig"
-    return classified_by_names(
-        f"{name.lower()}@1",
-        (Control(column, math.floor(low[column]), math.ceil(high[column])) for column in low),
-    )

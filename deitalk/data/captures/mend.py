@@ -19,8 +19,9 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from deitalk.data.captures.sources import SPELLINGS
-from deitalk.data.captures.survey import Survey, without_rest
+from deitalk.data.captures.labels import SPELLINGS
+from deitalk.data.captures.rest_pose import without_rest
+from deitalk.data.captures.survey import Survey
 from deitalk.data.clips import SPLITS
 from deitalk.emotions import EMOTIONS
 from deitalk.errors import DataError

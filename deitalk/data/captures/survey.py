@@ -1,8 +1,8 @@
 """Measures of captures by clip, take and actor; every clip is read once."""
 
 from collections import defaultdict
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -11,17 +11,14 @@ from deitalk.audio.frames import FRAME_RATE, runs
 from deitalk.audio.load import Recording
 from deitalk.audio.vocal_strength import measure_prosody
 from deitalk.audio.voice_activity import speech_activity
-from deitalk.config.rules import Idle
 from deitalk.data.captures.conventions import Relations
-from deitalk.data.captures.take import CapturedCurves
+from deitalk.data.captures.expressions import RULE, style_scores
+from deitalk.data.captures.rest_pose import rest_pose
 from deitalk.data.clips import Clip, read_known
 from deitalk.data.offset import ClipLags, TakeSync, clip_lags, fit_rate, predicted_curves, take_sync
-from deitalk.emotions.tracks import TRAITS
-from deitalk.postprocess.life.eyes import LEAST_INTERVAL, SIDE_DEGREES
 from rig import ControlSet, RigCurves
 from rig.arrays import Bool, Float32, Float64
 from rig.controls import DEFAULT_ID
-from rig.curves.edit import gaussian_smooth
 
 MOVES = 1e-3
 CLIPPED_SHARE = 0.05
@@ -357,245 +354,3 @@ def _grouped(
     for clip in clips:
         groups[key(clip)].append(clip)
     return dict(groups)
-
-
-# Scores of expressions in curves by a rule in action units.
-#
-# The rule uses the prototypes of EMFACS (Ekman, Friesen and Hager 2002) on means of the curves over
-# the frames with speech:
-#
-# - happy: AU12 + AU6: mean of corner pull and cheek raise
-# - sad: AU1 + AU15 + AU17 without AU2: mean of inner brow raise, corner depress and chin raise,
-#   less the outer brow raise
-# - angry: AU4 + AU7 + AU23: mean of brow down, inner squint and lip tightening
-# - surprised: AU1 + AU2 + AU5: mean of inner and outer brow raise and the lids' widening
-#
-# Letters: T frames, C controls.
-
-
-RULE: dict[str, tuple[tuple[str, float], ...]] = {
-    "happy": (("mouth_cornerPull.ty", 0.5), ("eye_cheekRaise.ty", 0.5)),
-    "sad": (
-        ("brow_raiseIn.ty", 1 / 3), ("mouth_cornerDepress.ty", 1 / 3), ("jaw_ChinRaiseD.ty", 1 / 3),
-        ("brow_raiseOut.ty", -1.0),
-    ),
-    "angry": (
-        ("brow_down.ty", 1 / 3), ("eye_squintInner.ty", 1 / 3), ("mouth_tightenU.ty", 1 / 6),
-        ("mouth_tightenD.ty", 1 / 6),
-    ),
-    "surprised": (
-        ("brow_raiseIn.ty", 1 / 3), ("brow_raiseOut.ty", 1 / 3), ("eye_blink.ty", -1 / 3),
-    ),
-}  # fmt: skip
-"""Controls of both sides and their weight."""
-
-
-def style_scores(curves: Float32, speaking: Bool, controls: ControlSet) -> Float32:
-    """Scores of happy, sad, angry and surprised [shape=(4,)], control units."""
-    rows = curves[speaking] if speaking.any() else curves
-    face = rows.mean(axis=0) - controls.rest
-    scores = [
-        sum(weight * _sides(face, name, controls) for name, weight in rule)
-        for rule in RULE.values()
-    ]
-    return np.array(scores, np.float32)
-
-
-def _sides(face: Float32, name: str, controls: ControlSet) -> float:
-    left, right = (face[controls.index(f"CTRL_{side}_{name}")] for side in "LR")
-    return float(left + right) / 2
-
-
-# The pose of an actor's face at rest, and its removal.
-#
-# Captures of an uncalibrated face have a mouth a little open, a brow a little raised. A model would
-# learn that pose as a part of every expression. It is the median of silent frames; where an actor
-# is captured in several emotions, of each control the one nearest to rest, so that an expression
-# held in silence is not removed.
-#
-# Letters: T frames, C controls.
-
-
-LEAST_SECONDS = 3.0
-"""Silence of an emotion from which on its pose is known."""
-NOTICEABLE = 0.03
-"""Distance from rest that is removed."""
-NOT_REST = ("eye.tx", "eye.ty")
-"""Ends of the names of gaze: where somebody looks is no pose of rest."""
-
-
-def rest_pose(
-    silent: Mapping[str, Float32], fps: Mapping[str, float], controls: ControlSet
-) -> Float32 | None:
-    """Pose of an actor at rest [shape=(C,)]; None if there is too little silence.
-
-    Parameters
-    ----------
-    silent : mapping of str to array [shape=(T, C)]
-        Silent frames of the actor's clips by emotion.
-    fps : mapping of str to float
-        Frames per second by emotion.
-    controls : ControlSet
-        Columns.
-    """
-    poses = []
-    for emotion, frames in silent.items():
-        if len(frames) >= LEAST_SECONDS * fps[emotion]:
-            poses.append(np.median(frames, axis=0))
-    if not poses:
-        return None
-    stacked = np.stack(poses)
-    nearest = np.abs(stacked - controls.rest).argmin(axis=0)
-    pose: Float32 = stacked[nearest, np.arange(len(controls))].astype(np.float32)
-    small = np.abs(pose - controls.rest) < NOTICEABLE
-    gaze = np.array([name.endswith(NOT_REST) for name in controls.names])
-    return np.where(small | gaze, controls.rest, pose).astype(np.float32)
-
-
-def without_rest(curves: RigCurves, pose: Float32, known: Bool, controls: ControlSet) -> RigCurves:
-    """Return curves whose pose at rest is the controls' rest.
-
-    Of every known control the pose goes to rest, the ends of its range stay: linear between.
-    """
-    values = curves.reorder(controls).values.astype(np.float64)
-    low, high, rest = (
-        a.astype(np.float64) for a in (controls.minimum, controls.maximum, controls.rest)
-    )
-    moved = np.where(
-        values >= pose,
-        rest + (values - pose) * _ratio(high - rest, high - pose),
-        rest - (pose - values) * _ratio(rest - low, pose - low),
-    )
-    changed = known & (pose != controls.rest)
-    result = np.where(changed, np.clip(moved, low, high), values).astype(np.float32)
-    return replace(curves, values=result, names=controls.names, control_set=controls.id)
-
-
-def _ratio(above: Float64, below: Float64) -> Float64:
-    ratio: Float64 = np.divide(above, below, out=np.zeros_like(above), where=below > 1e-6)
-    return ratio
-
-
-# Traits of an actor's motion from captured takes, with or without sound.
-#
-# A factor is what the takes show over what neutral takes of the usual person show, measured alike.
-
-
-TRAIT_SECONDS, WINDOW_SECONDS, TRACKER_SECONDS = 20.0, 3.0, 0.06
-"""Least length of takes to measure a trait on; windows in which motion is measured, so that
-postures and moods do not count; sigma of the Gaussian against a tracker's noise."""
-BLINK_RISE, BLINK_SECONDS, LEAST_WAITS = 0.3, 0.5, 6
-"""Closure of the lids in a blink, its most seconds at half of that (more is a look down), and the
-least intervals, double blinks apart, for their median."""
-AVERTED_DEGREES, AVERTED_SECONDS, LEAST_LOOKS = 4.0, 0.25, 8
-"""What counts as a look aside, and the least number for their balance."""
-USUAL_BROWS = {"raiseIn": 0.031, "raiseOut": 0.026, "down": 0.0086}
-USUAL_HEAD = (0.54, 0.77, 0.36)
-"""Mean standard deviation within a window: of a side's control, and of yaw, pitch and roll in
-degrees. Of 410 s of neutral takes of 12 LibriSpeech readers with `Traits()`."""
-Timed = tuple[Float32 | Float64, float]
-"""A track [shape=(T,)] and its frames per second."""
-
-
-def measure_traits(captures: Sequence[CapturedCurves]) -> dict[str, float]:
-    """Traits of the motion of one actor, relative to the usual person of the life model.
-
-    Parameters
-    ----------
-    captures : sequence of CapturedCurves
-        Takes on the board, as `deitalk.data.captures.take.read_capture` gives them.
-
-    Returns
-    -------
-    dict of str to float
-        Those of `deitalk.emotions.tracks.TRAITS` that can be measured, within their ranges: none on
-        less than `TRAIT_SECONDS`, nor on controls that are not known or never move.
-    """
-    parts = [part for capture in captures for part in _captured_parts(capture)]
-    brows = {
-        (side, stem): spread
-        for side in "LR"
-        for stem in USUAL_BROWS
-        if (spread := _spread(_tracks(parts, f"CTRL_{side}_brow_{stem}.ty")))
-    }
-    heads = [
-        _spread([(p.head[:, k], p.fps) for p in parts if p.head is not None]) for k in (0, 1, 2)
-    ]
-    found = {
-        "blink_interval": _blink_interval(parts),
-        "side": _side(brows),
-        "brow_range": _over(list(brows.values()), [USUAL_BROWS[stem] for _, stem in brows]),
-        "head_range": _over(heads, USUAL_HEAD),
-        "avoids": _avoids(parts),
-    }
-    known = {name: value for name, value in found.items() if value is not None}
-    return {name: float(np.clip(value, *TRAITS[name])) for name, value in known.items()}
-
-
-def _over(spreads: Sequence[float], usual: Sequence[float]) -> float | None:
-    return sum(spreads) / sum(usual) if any(spreads) else None
-
-
-def _captured_parts(capture: CapturedCurves) -> list[RigCurves]:
-    """Known controls of a take, without frames that were not captured."""
-    curves = capture.curves.select(capture.known)
-    seen = np.ones(len(curves), bool) if capture.seen is None else capture.seen
-    edges = np.flatnonzero(np.diff(np.pad(seen.astype(np.int8), 1))).tolist()
-    return [curves.slice_frames(*span) for span in zip(edges[::2], edges[1::2], strict=True)]
-
-
-def _tracks(parts: Sequence[RigCurves], *names: str) -> list[Timed]:
-    """Mean of some controls in the parts that hold them all; empty if those are too short."""
-    tracks = [
-        (part.select(names).values.mean(axis=1, dtype=np.float64), part.fps)
-        for part in parts
-        if set(names) <= set(part.names)
-    ]
-    return tracks if _seconds(tracks) >= TRAIT_SECONDS else []
-
-
-def _seconds(tracks: Sequence[Timed]) -> float:
-    return sum(len(track) / fps for track, fps in tracks)
-
-
-def _spread(tracks: Sequence[Timed]) -> float:
-    """Mean standard deviation within `WINDOW_SECONDS`; 0 if the tracks are too short."""
-    found: list[Float64] = []
-    for track, fps in tracks if _seconds(tracks) >= TRAIT_SECONDS else ():
-        length = round(WINDOW_SECONDS * fps)
-        smooth = gaussian_smooth(np.asarray(track, float), TRACKER_SECONDS * fps, "mirror")
-        found += list(smooth[: len(track) // length * length].reshape(-1, length).std(axis=1))
-    return float(np.mean(found)) if found else 0.0
-
-
-def _blink_interval(parts: Sequence[RigCurves]) -> float | None:
-    from scipy.signal import find_peaks
-
-    waits: list[float] = []
-    for track, fps in _tracks(parts, "CTRL_L_eye_blink.ty", "CTRL_R_eye_blink.ty"):
-        places, _ = find_peaks(track, prominence=BLINK_RISE, width=(0, BLINK_SECONDS * fps))
-        waits += [wait for wait in np.diff(places) / fps if wait >= LEAST_INTERVAL]
-    return float(np.median(waits)) / Idle().interval_seconds if len(waits) >= LEAST_WAITS else None
-
-
-def _side(brows: Mapping[tuple[str, str], float]) -> float | None:
-    """Relative difference of the brows' ranges, on controls with different values on both sides."""
-    pairs = [(brows.get(("L", stem)), brows.get(("R", stem))) for stem in USUAL_BROWS]
-    apart = [(left, right) for left, right in pairs if left and right and left != right]
-    left, right = np.sum(apart, axis=0) if apart else (0.0, 0.0)
-    return float(2 * (left - right) / (left + right)) if apart else None
-
-
-def _avoids(parts: Sequence[RigCurves]) -> float | None:
-    """Balance of the looks to the left and to the right of where the actor looks most."""
-    looks: list[float] = []
-    eyes = ("CTRL_L_eye.tx", "CTRL_R_eye.tx")
-    seen = [part for part in parts if set(eyes) <= set(part.names)]
-    for part, (track, fps) in zip(seen, _tracks(parts, *eyes), strict=False):
-        left = SIDE_DEGREES * track - (0.0 if part.head is None else part.head[:, 0])
-        aside = gaussian_smooth(left - np.median(left), TRACKER_SECONDS * fps, "mirror")
-        for sign in (1.0, -1.0):
-            edges = np.flatnonzero(np.diff(np.pad(sign * aside > AVERTED_DEGREES, 1).astype(int)))
-            lengths = (edges[1::2] - edges[::2]) / fps
-            looks += [sign] * int((lengths >= AVERTED_SECONDS).sum())
-    return float(np.mean(looks)) if len(looks) >= LEAST_LOOKS else None

@@ -12,8 +12,8 @@ import numpy as np
 
 from deitalk.audio.load import Recording
 from deitalk.data.captures.columns import RigMapping
-from deitalk.errors import DataError
-from deitalk.installed import research
+from deitalk.errors import DataError, MissingError
+from deitalk.installed import imported
 from rig import ControlSet, RigCurves, default_controls, read_curves
 from rig.arrays import Bool
 from rig.controls import DEFAULT_ID
@@ -31,6 +31,8 @@ from rig.formats.units import check_rate, in_units
 from rig.formats.wide_csv import read_header
 from rig.limits import JSON_CURVES_BYTES
 
+READERS: dict[str, str] = {}
+"""``module:function`` of readers of kinds of captures that other packages add."""
 VIDEOS = (".mp4", ".mov", ".m4v", ".webm", ".mkv")
 LEAST_JAW = 0.03
 """`arkit_to_raw`'s: lips-together passes .9 in 8 % of the frames of a range-of-motion take, and in
@@ -140,11 +142,12 @@ def _read(
         captured = replace(captured, start=float(take.ticks[0]) / TICKS_PER_SECOND)
         return _seen(captured, take.seen(curves))
     if kind == "video":
-        is_video = path.suffix.lower() in VIDEOS
-        filmed = research("video.filmed", f"{path}, a video").read_filmed(path, is_video, progress)
-        return CapturedCurves(
-            filmed.curves, filmed.known, "video", notes=filmed.notes, seen=filmed.seen
-        )
+        if kind not in READERS:
+            raise MissingError(
+                f"{path}: videos are read by a checkout of the repository; see docs/finetuning.md"
+            )
+        filmed: CapturedCurves = imported(READERS[kind])(path, progress)
+        return filmed
     if kind == "emoface":
         curves = read_curves(path, fps=fps)
         return CapturedCurves(curves, emoface_txt.columns(), "emoface", notes=curves.notes)

@@ -16,7 +16,8 @@ from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
 from deitalk.config.rig_file import rig_text
 from deitalk.emotions import EMOTIONS
 from deitalk.frontends.whisper import WhisperFrontend
-from deitalk.models.curve_model import DEITalk, grid_of
+from deitalk.models.causal_model import grid_of
+from deitalk.models.curve_model import DEITalk
 from deitalk.models.onnx.network import (
     CAUSAL_SCHEMA,
     NEXT,

@@ -386,7 +386,8 @@ except UserError as error:
 """
 """Program of the process that writes the graph of a model."""
 TRACED = (
-    "audio/log_mel.py", "frontends/*.py", "models/curve_model.py", "models/intensity.py",
+    "audio/log_mel.py", "emotions/*.py", "frontends/*.py", "models/causal_model.py",
+    "models/curve_model.py", "models/positions.py", "models/intensity.py",
     "models/lip_readout.py", "models/rig_decoder.py", "models/tuned_parts.py", "models/onnx/*.py",
     "postprocess/*.py", "postprocess/*.csv", "postprocess/life/*.py",
 )  # fmt: skip

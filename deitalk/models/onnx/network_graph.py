@@ -14,13 +14,8 @@ from torch.nn import functional as F
 
 from deitalk.errors import CheckpointError
 from deitalk.frontends.whisper import WhisperFrontend
-from deitalk.models.curve_model import (
-    DEITalk,
-    TensorState,
-    advance,
-    causal_frontend,
-    first_state,
-)
+from deitalk.models.causal_model import TensorState, advance, causal_frontend, first_state
+from deitalk.models.curve_model import DEITalk
 from deitalk.models.intensity import local_maximum
 from deitalk.models.onnx.spectra import with_formulas
 from deitalk.models.onnx.whisper_graph import WhisperGraph

@@ -304,8 +304,8 @@ def _traced(lows: Int64, moves: list[np.ndarray], last: int) -> Int64:
 
 # Evidence for phones in a recording: how probable each is at each moment.
 #
-# A linear map of the speech features of `default`, fitted to phone times of the training corpus
-# (`deitalk.research.training.phone_evidence`). Features are computed twice, the second time half a
+# A linear map of the speech features of `default`, fitted to phone times of the training corpus.
+# Features are computed twice, the second time half a
 # frame later, so that there are 60 rows per second: a phone may last 30 ms. The phones are classes
 # of articulation (`deitalk.pipeline.words.transcript`), which all languages share.
 #

@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
-from deitalk.acting import NO_PLACE
 from deitalk.config.rules import Idle
 from deitalk.errors import DeitalkError
+from deitalk.postprocess.life.listener import NO_PLACE
 from rig.errors import quoted
 
 MOST = 2.0

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deitalk.audio.frames import FRAME_RATE
-from rig.arrays import AnyFloat, Float64, Int64
+from rig.arrays import AnyFloat, Bool, Float64, Int64
 
 UInt64 = NDArray[np.uint64]
 _STEP = np.uint64(0x9E3779B97F4A7C15)
@@ -143,6 +143,7 @@ def smooth_noise(keys: UInt64, times: Float64, spread: Float64, seconds: Float64
     Parameters
     ----------
     keys : array of uint64 [shape=(B,)]
+        Of the streams.
     times : array [shape=(B, n)]
         Seconds.
     spread, seconds : array [shape=(K,)]
@@ -191,7 +192,7 @@ class Events:
         self.stream = np.concatenate((self.stream, stream))
         self.rows = np.concatenate((self.rows, rows))
 
-    def keep(self, is_kept: NDArray[np.bool_]) -> None:
+    def keep(self, is_kept: Bool) -> None:
         """Drop the others."""
         self.stream, self.rows = self.stream[is_kept], self.rows[is_kept]
 
@@ -232,6 +233,7 @@ class Swells(Events):
         seconds : tuple
             Attack, hold and decay.
         heights : array [shape=(N, K)]
+            At the peaks.
         known : array
             Seconds before which they cannot begin; the peak is late then.
         shortest : float, optional
@@ -250,6 +252,7 @@ class Swells(Events):
         Parameters
         ----------
         streams : array of int [shape=(B,)]
+            Which; each once.
         first : array of int [shape=(B,)]
             Frame that comes next.
         count : int

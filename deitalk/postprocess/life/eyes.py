@@ -296,8 +296,7 @@ class Gaze:
             who = cues.stream[chosen]
             self.free[who] = rows[chosen, 1] + LEAST_BETWEEN
             self.aversions.append(who, rows[chosen])
-            averted = Cues(*(part[chosen] for part in cues))
-            blinks.attract(averted, begin[chosen], (0.0, 0.0), chance=BLINK_SHARE)
+            blinks.attract(cues.where(chosen), begin[chosen], (0.0, 0.0), chance=BLINK_SHARE)
 
     def play(self, streams: Int64, first: Int64, count: int, distance: Float64) -> Float64:
         """Degrees to the left and up, and vergence, in the next frames [shape=(B, n, 3)].

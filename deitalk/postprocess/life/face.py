@@ -272,4 +272,5 @@ class Face:
         heights = (shape[..., None] * sides).sum(axis=3)  # (B, n, gestures, 2)
         heights *= (1 + (_SPOKEN - 1) * talks[..., None])[..., None]
         poses = heights.swapaxes(2, 3) @ _IDLE_POSES  # (B, n, 2, K)
-        return poses.reshape(*times.shape, 2 * len(STEMS))
+        found: Float64 = poses.reshape(*times.shape, 2 * len(STEMS))
+        return found

@@ -234,13 +234,13 @@ class Head:
         self._nods(cues.where(cues.kind == STRESS))
         starts = cues.where((cues.kind == START) & ~np.isnan(cues.stop))
         attack, hold, decay = INITIAL_SECONDS
-        seconds = attack, hold, np.minimum(decay, starts.size / 2)
-        self._pitch(starts, starts.time - INITIAL_LEAD, seconds, INITIAL_DEGREES)
+        shorter = np.minimum(decay, starts.size / 2)
+        self._pitch(starts, starts.time - INITIAL_LEAD, (attack, hold, shorter), INITIAL_DEGREES)
         ends = cues.where(cues.kind == END)
         attack, hold, decay = FINAL_SECONDS
         lowered = np.where(ends.is_question, -0.5 * FINAL_DEGREES, FINAL_DEGREES)
-        seconds = np.minimum(attack, ends.size / 2), hold, decay
-        self._pitch(ends, ends.time, seconds, lowered, LATE_SECONDS)
+        shorter = np.minimum(attack, ends.size / 2)
+        self._pitch(ends, ends.time, (shorter, hold, decay), lowered, LATE_SECONDS)
         self._pauses(cues.where(cues.kind == PAUSE))
 
     def hear(self, cues: Cues) -> None:

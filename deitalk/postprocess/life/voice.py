@@ -7,7 +7,7 @@ import hashlib
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -187,12 +187,20 @@ class Cues(NamedTuple):
     def of(cls, rows: Sequence[tuple[float, ...]]) -> "Cues":
         """Cues of rows of these numbers."""
         table = np.array(rows, np.float64).reshape(-1, len(cls._fields)).T
-        stream, kind, *numbers, is_question = table
-        return cls(stream.astype(np.int64), kind.astype(np.int64), *numbers, is_question > 0)
+        stream, kind = table[:2].astype(np.int64)
+        time, known, size, prominence, stop = table[2:-1]
+        return cls(stream, kind, time, known, size, prominence, stop, table[-1] > 0)
 
-    def where(self, chosen: Bool) -> "Cues":
-        """Some of them."""
-        return Cues(*(part[chosen] for part in self))
+    def where(self, chosen: Bool | Int64) -> "Cues":
+        """Some of them: a mask, or their places."""
+        parts: list[Any] = [part[chosen] for part in self]
+        return Cues(*parts)
+
+    @classmethod
+    def joined(cls, parts: Sequence["Cues"]) -> "Cues":
+        """Cues one after the other."""
+        columns: list[Any] = [np.concatenate(part) for part in zip(*parts, strict=True)]
+        return cls(*columns)
 
     def before_next(self, lead: Float64 | float, after: Float64 | float) -> Float64:
         """Peaks of what pauses bring: so long before the next phrase, or after their own start.

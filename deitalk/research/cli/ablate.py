@@ -1,4 +1,4 @@
-"""`deitalk ablate`: train variants of a configuration and compare them."""
+"""`python -m deitalk.research ablate`: train variants of a configuration and compare them."""
 
 from pathlib import Path
 from typing import Annotated
@@ -42,13 +42,13 @@ def ablate(
 
     Examples
     --------
-    deitalk ablate --data corpus/ -o runs/ablations
+    python -m deitalk.research ablate --data corpus/ -o runs/ablations
 
-    deitalk ablate --data corpus/ -o runs/quick --only full --only no_dei --steps 600 --seeds 1
+    ablate --data corpus/ -o runs/quick --only full --only no_dei --steps 600 --seeds 1
 
-    deitalk ablate --configs configs/comparison --data corpus/ -o runs/comparison --steps 300
+    ablate --configs configs/comparison --data corpus/ -o runs/comparison --steps 300
 
-    deitalk ablate --configs configs/mesh_ablations --data corpus/ -o runs/mesh_ablations
+    ablate --configs configs/mesh_ablations --data corpus/ -o runs/mesh_ablations
     """
     with console().status("loading"):
         from deitalk.errors import ConfigError

@@ -1,4 +1,4 @@
-"""`deitalk attention`: temporal attention of a model."""
+"""`python -m deitalk.research attention`: temporal attention of a model."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -39,9 +39,9 @@ def attention(
 
     Examples
     --------
-    deitalk attention speech.wav --phones speech.csv -o attention.png
+    python -m deitalk.research attention speech.wav --phones speech.csv -o attention.png
 
-    deitalk attention DATA --clips 20 -o attention.png
+    python -m deitalk.research attention DATA --clips 20 -o attention.png
     """
     from deitalk.evaluation.figures import check_drawing
 

@@ -1,4 +1,4 @@
-"""`deitalk corpus`: make a dataset of labelled speech and facial curves."""
+"""`python -m deitalk.research corpus`: make a dataset of labelled speech and facial curves."""
 
 from pathlib import Path
 from typing import Annotated
@@ -48,9 +48,9 @@ def build(
 
     Examples
     --------
-    deitalk corpus build --hours 1 -o corpus/
+    python -m deitalk.research corpus build --hours 1 -o corpus/
 
-    deitalk corpus build --hours 4 --recordings LibriSpeech/dev-clean -o corpus/
+    python -m deitalk.research corpus build --hours 4 --recordings LibriSpeech/dev-clean -o corpus/
     """
     from deitalk.research.corpus import build as building
     from deitalk.research.corpus.engines import available_engines

@@ -1,4 +1,4 @@
-"""`deitalk evaluate`: score a model on a dataset folder."""
+"""`python -m deitalk.research evaluate`: score a model on a dataset folder."""
 
 from importlib import import_module
 from pathlib import Path
@@ -109,19 +109,19 @@ def evaluate(
 
     Examples
     --------
-    deitalk evaluate default --data corpus/ --split test
+    python -m deitalk.research evaluate default --data corpus/ --split test
 
-    deitalk evaluate runs/mel/best --data corpus/ --most 100 --noise pink -o report.md
+    evaluate runs/mel/best --data corpus/ --most 100 --noise pink -o report.md
 
-    deitalk evaluate runs/sdfa_small/best --data corpus/ --split test
+    python -m deitalk.research evaluate runs/sdfa_small/best --data corpus/ --split test
 
-    deitalk evaluate default --lips grid_lips/
+    python -m deitalk.research evaluate default --lips grid_lips/
 
-    deitalk evaluate default --contacts phones.csv --data corpus/ --encoder whisper-base/
+    evaluate default --contacts phones.csv --data corpus/ --encoder whisper-base/
 
-    deitalk evaluate default --acted crema/clips.csv --split test
+    python -m deitalk.research evaluate default --acted crema/clips.csv --split test
 
-    deitalk evaluate default --speed --memory
+    python -m deitalk.research evaluate default --speed --memory
     """
     if speed:
         scores = {"out": out, "picture": picture, "noise": noise, "captured": captured}

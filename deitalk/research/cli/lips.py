@@ -1,4 +1,4 @@
-"""`deitalk data lips`: dataset folders of measured lips."""
+"""`python -m deitalk.research lips`: dataset folders of measured lips."""
 
 from pathlib import Path
 from typing import Annotated
@@ -49,11 +49,11 @@ def lips(
 
     Examples
     --------
-    deitalk data lips grid_lips/ --validation s02 --test s03 -o lips_data/
+    python -m deitalk.research lips grid_lips/ --validation s02 --test s03 -o lips_data/
 
-    deitalk data lips grid_lips/ --corpus corpus/ -o lips_data/
+    python -m deitalk.research lips grid_lips/ --corpus corpus/ -o lips_data/
 
-    deitalk data lips grid_lips/ --as-rig --most 20 -o lips_rig/
+    python -m deitalk.research lips grid_lips/ --as-rig --most 20 -o lips_rig/
     """
     corpora = tuple(corpus or ())
     reserve_folder(out, kind="dataset", force=force, inputs=(folder, *corpora))

@@ -27,7 +27,7 @@ def reserve_report(out: Path | None, picture: Path | None, *, force: bool) -> No
 
 def write_report(report: Any, markdown: str, out: Path | None, *, as_json: bool) -> None:
     """Print a report, and write it to `out`."""
-    from deitalk.evaluation.validation import as_json as to_json
+    from deitalk.evaluation.report import as_json as to_json
     from rig.files import atomic_write
 
     emit(to_json(report) if as_json else markdown)

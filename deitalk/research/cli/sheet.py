@@ -1,4 +1,4 @@
-"""`deitalk face sheet`: contact sheets of the embedded head."""
+"""`python -m deitalk.research sheet`: contact sheets of the embedded head."""
 
 from pathlib import Path
 from typing import Annotated
@@ -14,7 +14,7 @@ def sheet(
     name: Annotated[
         str,
         typer.Argument(
-            help="mouth, mouth-side, emotions, views, or a region: brow, eye, nose, "
+            help="people, mouth, mouth-side, emotions, views, or a region: brow, eye, nose, "
             "cheek, lips, jaw, tongue, teeth, neck, ear."
         ),
     ] = "mouth",
@@ -30,17 +30,21 @@ def sheet(
 
     Examples
     --------
-    deitalk face sheet mouth -o mouth.png
+    python -m deitalk.research sheet mouth -o mouth.png
 
-    deitalk face sheet emotions --identity child --columns 5 -o child.png
+    python -m deitalk.research sheet emotions --identity child --columns 5 -o child.png
     """
-    from deitalk.research.contact_sheet import draw_sheet, sheet_tiles
+    from deitalk.research.contact_sheet import draw_people, draw_sheet, sheet_tiles
     from rig.face import build_head
-    from rig.face.render.shading import write_png
+    from rig.face.render.picture import write_png
 
     if out.suffix.lower() != ".png":
         raise DeitalkError(f"{out} has suffix {out.suffix or 'none'!r}; a sheet is a .png file")
     reserve_file(out, force=force)
+    if name == "people":
+        write_png(out, draw_people())
+        console().print(f"{out}: all heads")
+        return
     tiles = sheet_tiles(name)
     head = build_head(identity)
     picture = draw_sheet(

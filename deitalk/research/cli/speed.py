@@ -1,4 +1,4 @@
-"""`deitalk evaluate --speed`: time of the stages, real-time factor and memory on this machine."""
+"""`evaluate --speed`: time of the stages, real-time factor and memory on this machine."""
 
 import os
 from typing import Any

@@ -1,4 +1,4 @@
-"""`deitalk study`: blind comparisons by people."""
+"""`python -m deitalk.research study`: blind comparisons by people."""
 
 from pathlib import Path
 from typing import Annotated
@@ -48,14 +48,14 @@ def build(
 
     Examples
     --------
-    deitalk study build takes_a/ takes_b/ -o study/
+    python -m deitalk.research study build takes_a/ takes_b/ -o study/
 
-    deitalk study build ours/ theirs/ --with-loudness --task lips --most 40 -o study/
+    study build ours/ theirs/ --with-loudness --task lips --most 40 -o study/
     """
     if post is not None and not post.startswith(("https://", "http://")):
         raise DataError(f"--post {post!r} must begin with https:// or http://")
     reserve_folder(out, kind="study", force=force, inputs=systems)
-    from deitalk.preview.video import check_needs
+    from deitalk.preview.needs import check_needs
     from deitalk.research.study.build import build_study
     from deitalk.research.study.design import TASKS
 
@@ -94,9 +94,9 @@ def report(
 
     Examples
     --------
-    deitalk study report answers/ --key study/key.json
+    python -m deitalk.research study report answers/ --key study/key.json
 
-    deitalk study report answers/ --key study/key.json -o report.md --picture report.png
+    study report answers/ --key study/key.json -o report.md --picture report.png
     """
     reserve_report(out, picture, force=force)
     from deitalk.research.study.answers import read_answers, read_key

@@ -1,4 +1,4 @@
-"""`deitalk train`: a model of a configuration."""
+"""`python -m deitalk.research train`: a model of a configuration."""
 
 import os
 from collections.abc import Callable
@@ -36,15 +36,15 @@ def train(
 
     Examples
     --------
-    deitalk train configs/mel.yaml --data corpus/ -o runs/mel
+    python -m deitalk.research train configs/mel.yaml --data corpus/ -o runs/mel
 
-    deitalk train configs/mel.yaml --data my_rig/ --from default --set train.steps=500 -o runs/mine
+    train configs/mel.yaml --data my_rig/ --from default --set train.steps=500 -o runs/mine
 
-    deitalk train configs/sdfa.yaml --data corpus/ -o runs/sdfa
+    python -m deitalk.research train configs/sdfa.yaml --data corpus/ -o runs/sdfa
     """
-    from deitalk.config.load import load_config
+    from deitalk.research.config import read_training
 
-    settings = load_config(config, overrides or ())
+    settings = read_training(config, overrides or ())
     with console().status("loading"):
         from deitalk.evaluation.figures import can_draw
 
@@ -58,16 +58,17 @@ def train(
 
 def _training(settings: "AnyConfig", start_from: str | None) -> "Callable[..., dict[str, Any]]":
     """The training of the configuration's kind of model."""
+    from deitalk.config.mesh import SDFAConfig
     from deitalk.errors import ConfigError
     from deitalk.models.folder import model_folder
 
-    if settings.kind == "sdfa":
+    if isinstance(settings, SDFAConfig):
         if start_from is not None:
             raise ConfigError("--from: not for mesh models; leave it out, or use --resume")
         from deitalk.research.meshes.training import train_mesh
 
         return partial(train_mesh, settings)
-    from deitalk.training.curves import train_curves
+    from deitalk.research.training.curves import train_curves
 
     start = None if start_from is None else model_folder(start_from)
     return partial(train_curves, settings, start_from=start)

@@ -6,10 +6,20 @@ as far as these and the authors' published code describe them. SDFA, Table 4: th
 `karras` and `voca`.
 """
 
-from deitalk.research.comparison.emotalk import EmoTalk, EmoTalkDecoder
+import torch
+
+from deitalk.models.rig_decoder import Decoder
+from deitalk.research.comparison.emotalk import EmoTalk
 from deitalk.research.comparison.faceformer import FaceFormerDecoder
+from deitalk.research.comparison.network import ComparedNetwork
 
-DECODERS = {"faceformer": FaceFormerDecoder, "emotalk": EmoTalkDecoder}
-"""By ``model.decoder`` of a configuration."""
+__all__ = ["EmoTalk", "FaceFormer"]
 
-__all__ = ["DECODERS", "EmoTalk"]
+
+class FaceFormer(ComparedNetwork):
+    """The network with FaceFormer's decoder; parameters as for `DEITalk`."""
+
+    def new_decoder(self) -> Decoder:
+        """Make FaceFormer's decoder."""
+        rest = torch.tensor(self.controls.rest)
+        return FaceFormerDecoder(self.config, self.frontend.output_size, rest)

@@ -14,18 +14,20 @@ Letters: B batch, T frames, D speech features, E emotion features, W width.
 """
 
 from collections.abc import Callable
+from typing import Any
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from deitalk.config.curves import ModelConfig
 from deitalk.config.rules import RulesConfig
 from deitalk.emotions import EMOTIONS
-from deitalk.models.curve_model import Analysis, DEITalk, Output
+from deitalk.models.curve_model import Analysis, Output
 from deitalk.models.rig_decoder import Decoder, TemporalConv
 from deitalk.research.comparison.biased_attention import BiasedLayer
 from deitalk.research.comparison.faceformer import CONTEXT_FRAMES, output_layer, style_layers
+from deitalk.research.comparison.network import ComparedNetwork
+from deitalk.research.config import ComparedModelConfig
 from rig import ControlSet
 
 CONTENT_SHARE = 4
@@ -101,7 +103,7 @@ class EmoTalkDecoder(Decoder):
         As for `deitalk.research.comparison.faceformer.FaceFormerDecoder`.
     """
 
-    def __init__(self, config: ModelConfig, in_size: int, rest: Tensor) -> None:
+    def __init__(self, config: ComparedModelConfig, in_size: int, rest: Tensor) -> None:
         super().__init__()
         width = config.decoder_channels
         style_size = config.style_size if config.decoder_labelled else 0
@@ -128,12 +130,12 @@ class EmoTalkDecoder(Decoder):
         return rows
 
 
-class EmoTalk(DEITalk):
+class EmoTalk(ComparedNetwork):
     """The network with both encoders; parameters as for `DEITalk`."""
 
     def __init__(
         self,
-        config: ModelConfig,
+        config: ComparedModelConfig,
         controls: ControlSet | None = None,
         *,
         pretrained: bool = True,
@@ -144,6 +146,11 @@ class EmoTalk(DEITalk):
             self.frontend.output_size, config.emotion_size, config.classifier_size, config.dropout
         )
 
+    def new_decoder(self) -> Decoder:
+        """Make EmoTalk's decoder."""
+        rest = torch.tensor(self.controls.rest)
+        return EmoTalkDecoder(self.config, self.frontend.output_size, rest)
+
     def forward(
         self,
         waveform: Tensor,
@@ -152,17 +159,21 @@ class EmoTalk(DEITalk):
         total: Tensor,
         curves: Tensor | None = None,
         voice: Tensor | None = None,
-    ) -> Output:
-        """Predict one batch; with `voice`, the emotion is that of `emotion_sources`."""
+    ) -> Any:
+        """Predict one batch.
+
+        With `voice` [shape=(B, 5)], the emotion that the voices act, the emotion is that of
+        `emotion_sources`, and its `found` [shape=(B,)] is returned too.
+        """
         is_encoded = waveform.dim() == 3
         speech = waveform if is_encoded else self.frontend(waveform, frames.shape[1])
         features = self.emotion(speech)
-        logits, supervised = self.emotion.classify(features), None
+        logits, found = self.emotion.classify(features), None
         if voice is not None:
-            source, supervised = emotion_sources(emotion[:, : len(EMOTIONS)], voice)
+            source, found = emotion_sources(emotion[:, : len(EMOTIONS)], voice)
             features = features[source]
-        predicted = self.decoder(speech, emotion, features)
-        return Output(predicted, None, logits, None, speech, supervised)
+        output = Output(self.decoder(speech, emotion, features), None, logits, None, speech)
+        return output if found is None else (output, found)
 
     def reads_together(self, n_frames: int) -> bool:
         """No recordings are read together."""

@@ -8,7 +8,6 @@ have one rate.
 import torch
 from torch import Tensor, nn
 
-from deitalk.config.curves import ModelConfig
 from deitalk.emotions import EMOTIONS
 from deitalk.models.rig_decoder import Decoder
 from deitalk.research.comparison.biased_attention import (
@@ -16,6 +15,7 @@ from deitalk.research.comparison.biased_attention import (
     KeysAndValues,
     periodic_positions,
 )
+from deitalk.research.config import ComparedModelConfig
 
 CONTEXT_FRAMES = 300
 """Frames that are decoded before a piece of a long clip."""
@@ -33,7 +33,7 @@ class FaceFormerDecoder(Decoder):
 
     Parameters
     ----------
-    config : ModelConfig
+    config : ComparedModelConfig
         Its ``decoder_channels``, ``decoder_heads`` and ``decoder_period``.
     in_size : int
         Width of the speech features.
@@ -44,7 +44,7 @@ class FaceFormerDecoder(Decoder):
     rest: Tensor
     style: nn.Linear
 
-    def __init__(self, config: ModelConfig, in_size: int, rest: Tensor) -> None:
+    def __init__(self, config: ComparedModelConfig, in_size: int, rest: Tensor) -> None:
         super().__init__()
         width = config.decoder_channels
         self.margin = CONTEXT_FRAMES
@@ -75,7 +75,7 @@ class FaceFormerDecoder(Decoder):
         return torch.stack(rows, dim=1)
 
 
-def style_layers(config: ModelConfig, width: int) -> tuple[nn.Linear, nn.Linear | None]:
+def style_layers(config: ComparedModelConfig, width: int) -> tuple[nn.Linear, nn.Linear | None]:
     """Embeddings of the emotional styles, and of the actors, which begin at 0."""
     style = nn.Linear(len(EMOTIONS), width, bias=False)
     if not config.actors:

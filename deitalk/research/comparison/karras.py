@@ -14,8 +14,8 @@ from torch.nn import functional as F
 
 from deitalk.audio.frames import SAMPLE_RATE
 from deitalk.audio.mel import spectra_centres
-from deitalk.config.frontends import KarrasConfig
 from deitalk.frontends.base import Encoder, window_index
+from deitalk.research.config import KarrasConfig
 
 
 class Autocorrelation(nn.Module):

@@ -9,25 +9,9 @@ from typing import Any, cast
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from deitalk.config.frontends import SDFAMelConfig
-from deitalk.frontends.mel_bilstm import MelFrontend, normalise_weights
-
-
-def replace_parts(frontend: MelFrontend, config: SDFAMelConfig) -> None:
-    """Put the convolutions of a configuration in place of a BiLSTM or an attention.
-
-    They have the methods of what they replace, and no common base class.
-    """
-    if config.gathering == "convolution":
-        frontend.spectral = cast("Any", ConvolutionGathering(config))
-    if config.summary == "convolution":
-        summary = ConvolutionSummary(frontend.output_size, config.window_frames)
-        frontend.attention = cast("Any", summary)
-    if config.weight_norm:
-        if config.gathering == "convolution":
-            normalise_weights(frontend.spectral)
-        if config.summary == "convolution":
-            normalise_weights(frontend.attention)
+from deitalk.frontends.mel_bilstm import normalise_weights
+from deitalk.frontends.sdfa_encoder import SDFAEncoder
+from deitalk.research.config import AblatedMelConfig
 
 
 class ConvolutionGathering(nn.Module):
@@ -38,10 +22,10 @@ class ConvolutionGathering(nn.Module):
 
     Parameters
     ----------
-    config : SDFAMelConfig
+    config : AblatedMelConfig
     """
 
-    def __init__(self, config: SDFAMelConfig) -> None:
+    def __init__(self, config: AblatedMelConfig) -> None:
         super().__init__()
         first, second, third = config.conv_channels
         wide = 2 * config.spec_hidden
@@ -104,3 +88,29 @@ class ConvolutionSummary(nn.Module):
     def along(self, memory: Tensor, centres: Tensor, window: int) -> Tensor:
         """As `TemporalAttention.along`."""
         return self._all(memory)[:, centres]
+
+
+class AblatedEncoder(SDFAEncoder):
+    """SDFA's encoder with convolutions in place of a BiLSTM or an attention.
+
+    They have the methods of what they replace, and no common base class.
+
+    Parameters
+    ----------
+    config : AblatedMelConfig
+    """
+
+    def __init__(self, config: AblatedMelConfig) -> None:
+        super().__init__(config)
+        frontend = self.frontend
+        new: list[nn.Module] = []
+        if config.gathering == "convolution":
+            frontend.spectral = cast("Any", ConvolutionGathering(config))
+            new.append(frontend.spectral)
+        if config.summary == "convolution":
+            summary = ConvolutionSummary(frontend.output_size, config.window_frames)
+            frontend.attention = cast("Any", summary)
+            new.append(frontend.attention)
+        if config.weight_norm:
+            for module in new:
+                normalise_weights(module)

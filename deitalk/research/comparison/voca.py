@@ -13,8 +13,8 @@ import torch
 from torch import Tensor, nn
 
 from deitalk.audio.mel import MelSpectrogram
-from deitalk.config.frontends import VocaConfig
 from deitalk.frontends.base import Encoder, window_index
+from deitalk.research.config import VocaConfig
 
 
 class VocaEncoder(Encoder):

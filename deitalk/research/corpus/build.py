@@ -1,4 +1,4 @@
-"""Build a dataset folder from speech engines and recordings: ``deitalk corpus build``.
+"""Build a dataset folder from speech engines and recordings: ``corpus build``.
 
 The work is divided into shards of a few minutes; a shard depends on the seed and its number
 alone, is written by one process, and is skipped if it exists. So an interrupted build is continued,

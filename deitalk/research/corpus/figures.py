@@ -1,4 +1,4 @@
-"""Pictures of the articulation and emotion tables: ``deitalk corpus sheet``.
+"""Pictures of the articulation and emotion tables: ``python -m deitalk.research corpus sheet``.
 
 `plot_channels` draws the articulation of a sentence channel by channel; `draw_faces` draws phones
 by emotions on the embedded head.
@@ -136,7 +136,7 @@ def draw_faces(
     """
     from deitalk.research.contact_sheet import Tile, draw_sheet
     from rig.face import build_head
-    from rig.face.render.shading import write_png
+    from rig.face.render.picture import write_png
 
     evenly_timed(phones)  # raises for unknown names
     tiles = [

@@ -1,4 +1,4 @@
-"""Order of acted strengths in the face: ``deitalk evaluate MODEL --acted TABLE``.
+"""Order of acted strengths in the face: ``evaluate MODEL --acted TABLE``.
 
 Every recording of an actor in an emotion at two or three strengths is animated in that emotion as
 users see it, with life, and with its gain removed as always; the mean intensity over speech, the
@@ -26,8 +26,8 @@ from deitalk.audio.load import load_audio
 from deitalk.audio.vocal_strength import measure_prosody
 from deitalk.audio.voice_activity import normalise_level, speech_activity
 from deitalk.errors import DataError
+from deitalk.evaluation.report import table
 from deitalk.evaluation.scores import correlation
-from deitalk.evaluation.validation import table
 from deitalk.models.curve_model import DEITalk
 from deitalk.pipeline.curves import animate
 from deitalk.pipeline.performance import Performance
@@ -198,13 +198,7 @@ def evaluate(
     if not clips:
         raise DataError(f"{path}: no actor of the {split} split at the strengths {LEVELS}")
     rows, inside = {}, []
-    neutral: dict[str, list[float]] = {}
-    for clip in every:
-        if clip.emotion == NEUTRAL:
-            performance = animate(clip.path, model=model)
-            speaking = speech_activity(performance.recording.waveform) > 0
-            opening = _measures(model, performance, speaking)["opening range"]
-            neutral.setdefault(clip.speaker, []).append(opening)
+    neutral = _neutral_openings(model, [clip for clip in every if clip.emotion == NEUTRAL])
     for number, clip in enumerate(clips, 1):
         performance = animate(clip.path, EMOTIONS[clip.emotion], model=model)
         speaking = speech_activity(performance.recording.waveform) > 0
@@ -221,18 +215,12 @@ def evaluate(
             joined[name] |= _joined(model, own, is_levelled)
         progress(0.5 + 0.5 * number / len(takes))
     report = {}
-    for group, emotions in GROUPS.items():
-        if not any(clip.emotion in emotions for clip in clips):
-            continue
+    groups = {k: v for k, v in GROUPS.items() if any(clip.emotion in v for clip in clips)}
+    for group, emotions in groups.items():
         report[group] = _orders(rows, emotions)
         for emotion in emotions:
-            ratios = [
-                row["opening range"] / np.mean(neutral[actor])
-                for (actor, of, level), row in rows.items()
-                if of == emotion and level == LEVELS[-1] and actor in neutral
-            ]
             name = f"opening range: high over neutral, {EMOTIONS[emotion]}"
-            report[group][name] = float(np.median(ratios)) if ratios else float("nan")
+            report[group][name] = _over_neutral(rows, emotion, neutral)
         for name, own_rows in joined.items():
             orders = _orders(own_rows, emotions)
             report[group] |= {f"{name}, {k}": v for k, v in orders.items() if ": " in k}
@@ -242,6 +230,31 @@ def evaluate(
         names = ("intensity: range inside takes", "intensity: r with level inside takes")
         report[group] |= dict(zip(names, map(float, means), strict=True))
     return report
+
+
+def _neutral_openings(model: DEITalk, clips: Sequence[StrengthClip]) -> dict[str, float]:
+    """Mean range of the opening in neutral takes, by actor."""
+    found: dict[str, list[float]] = {}
+    for clip in clips:
+        performance = animate(clip.path, model=model)
+        speaking = speech_activity(performance.recording.waveform) > 0
+        opening = _measures(model, performance, speaking)["opening range"]
+        found.setdefault(clip.speaker, []).append(opening)
+    return {actor: float(np.mean(ranges)) for actor, ranges in found.items()}
+
+
+def _over_neutral(
+    rows: Mapping[tuple[str, str, str], Mapping[str, float]],
+    emotion: str,
+    neutral: Mapping[str, float],
+) -> float:
+    """Median range of the opening in high takes over that of the actor's neutral ones."""
+    ratios = [
+        row["opening range"] / neutral[actor]
+        for (actor, of, level), row in rows.items()
+        if of == emotion and level == LEVELS[-1] and neutral.get(actor)
+    ]
+    return float(np.median(ratios)) if ratios else float("nan")
 
 
 def joined_takes(

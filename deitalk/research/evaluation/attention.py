@@ -18,7 +18,7 @@ from deitalk.config.frontends import MelConfig
 from deitalk.data.clips import Clip, read_clips, read_phones
 from deitalk.errors import CheckpointError, DataError
 from deitalk.frontends.base import window_index
-from deitalk.frontends.mel_bilstm import WINDOWS_AT_ONCE, SDFAEncoder
+from deitalk.frontends.sdfa_encoder import WINDOWS_AT_ONCE, SDFAEncoder
 from deitalk.pipeline.speech import Speech
 from deitalk.postprocess.phones import PLOSIVES, VOWELS
 from deitalk.research.evaluation.attention_figure import AttentionMap, attention_at

@@ -1,4 +1,4 @@
-"""Time per stage, real-time factor and memory of the curve model: ``deitalk evaluate --speed``.
+"""Time per stage, real-time factor and memory of the curve model: ``evaluate --speed``.
 
 All numbers are measured in one run on this machine. RTF is the time over the clip's duration.
 Memory is measured in a separate process, because a peak never falls.

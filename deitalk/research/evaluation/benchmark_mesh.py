@@ -1,4 +1,4 @@
-"""SDFA's Table 4 on this machine, three mesh models by stage: ``deitalk evaluate --speed --mesh``.
+"""SDFA's Table 4 on this machine, three mesh models by stage: ``evaluate --speed --mesh``.
 
 The models have the papers' sizes and random weights, which determine the time. The mesh is
 the embedded head's skin (8,434 triangles; VOCASET's has 9,976), the clip 5.1 s of noise with the
@@ -19,15 +19,15 @@ import torch
 from torch import Tensor, nn
 
 from deitalk.audio.frames import SAMPLE_RATE
-from deitalk.config.frontends import KarrasConfig, VocaConfig
 from deitalk.config.load import parse_config
 from deitalk.config.mesh import SDFAConfig, SDFAModelConfig
 from deitalk.frontends.base import window_index
-from deitalk.frontends.mel_bilstm import SDFAEncoder
+from deitalk.frontends.sdfa_encoder import SDFAEncoder
 from deitalk.models.checkpoint import require_model, save_model
 from deitalk.models.deformation_decoder import InversePCA
 from deitalk.models.mesh_model import SDFA
 from deitalk.pipeline.speech import Speech
+from deitalk.research.config import ComparedSDFAModelConfig, KarrasConfig, VocaConfig
 from deitalk.research.evaluation.benchmark_curves import TABLE_4_SECONDS, speechlike
 from deitalk.research.meshes.folder import head_templates
 from deitalk.research.meshes.scores import predict_mesh
@@ -171,10 +171,10 @@ def per_window(model: SDFA, sound: Any, repeats: int) -> dict[str, float]:
 def _models() -> dict[str, SDFA]:
     """The three models with the papers' sizes and random weights."""
     ways = {
-        "Karras-style": SDFAModelConfig(
+        "Karras-style": ComparedSDFAModelConfig(
             frontend=KarrasConfig(), motion="offsets", shared_size=None, branch_sizes=()
         ),
-        "VOCA-style": SDFAModelConfig(
+        "VOCA-style": ComparedSDFAModelConfig(
             frontend=VocaConfig(), motion="offsets", shared_size=None, branch_sizes=(128,)
         ),
         "SDFA": SDFAModelConfig(),
@@ -245,7 +245,7 @@ def _stages(model: SDFA, sound: Any) -> dict[str, float | None]:
 
 @contextmanager
 def _saved(model: SDFA) -> Iterator[Path]:
-    config = parse_config({"kind": "sdfa", "model": model.config.model_dump(mode="json")})
+    config = parse_config({"kind": "sdfa_compared", "model": model.config.model_dump(mode="json")})
     assert isinstance(config, SDFAConfig)
     with tempfile.TemporaryDirectory() as folder:
         save_model(Path(folder) / "model", model, config, {}, half_bases=False)

@@ -21,7 +21,7 @@ from deitalk.audio.frames import FRAME_RATE
 from deitalk.audio.load import load_audio
 from deitalk.emotions import LABELS
 from deitalk.errors import DataError, DeitalkError
-from deitalk.evaluation.validation import table
+from deitalk.evaluation.report import table
 from deitalk.pipeline.speech import Speech
 from deitalk.postprocess.life.motion import plan_motion
 from deitalk.postprocess.life.voice import Seeds, measure_voice

@@ -25,20 +25,17 @@ from deitalk.evaluation.scores import (
     hit_rate,
     lip_parameter_error,
 )
-from deitalk.evaluation.validation import (
+from deitalk.evaluation.smoothness import (
     ARTICULATION,
-    JAW,
-    ClosureScores,
     Example,
     articulation,
-    closure_scores,
     knows_contact,
     lips_together,
     load_example,
     loudness,
     smoothness,
-    summarise_closures,
 )
+from deitalk.evaluation.validation import JAW, ClosureScores, closure_scores, summarise_closures
 from deitalk.live.animator import LiveAnimator
 from deitalk.models.curve_model import DEITalk
 from deitalk.models.protocol import CausalNetwork

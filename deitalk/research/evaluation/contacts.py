@@ -1,4 +1,4 @@
-"""Contacts of the lips on recordings with phones: ``deitalk evaluate MODEL --contacts TABLE``.
+"""Contacts of the lips on recordings with phones: ``evaluate MODEL --contacts TABLE``.
 
 The table is a CSV file with the columns clip, start, end (seconds), label and kind, and beside it
 or below it the recordings, ``<clip>.opus`` or another audio file. Kinds are closure (p b m),
@@ -20,12 +20,9 @@ import numpy as np
 from deitalk.audio.frames import FRAME_RATE
 from deitalk.audio.load import load_audio
 from deitalk.errors import DataError
-from deitalk.evaluation.validation import (
-    closure_scores,
-    lips_together,
-    summarise_closures,
-    table,
-)
+from deitalk.evaluation.report import table
+from deitalk.evaluation.smoothness import lips_together
+from deitalk.evaluation.validation import closure_scores, summarise_closures
 from deitalk.models.curve_model import DEITalk
 from deitalk.postprocess.phones import (
     CLEAR_SECONDS,

@@ -1,4 +1,4 @@
-"""Score a model on a dataset folder: ``deitalk evaluate MODEL --data DIR``.
+"""Score a model on a dataset folder: ``python -m deitalk.research evaluate MODEL --data DIR``.
 
 Every recording is animated by `deitalk.pipeline.curves.animate` without blinks, with the rules of
 the model and by its network alone; then lips, errors, correlations, emotions and silence are
@@ -21,13 +21,8 @@ from deitalk.data.clips import Clip, read_clips, read_phones
 from deitalk.emotions import EMOTIONS, IntensityCurve
 from deitalk.errors import DataError
 from deitalk.evaluation.scores import correlation
-from deitalk.evaluation.validation import (
-    JAW,
-    closure_scores,
-    lips_together,
-    load_example,
-    summarise_closures,
-)
+from deitalk.evaluation.smoothness import lips_together, load_example
+from deitalk.evaluation.validation import JAW, closure_scores, summarise_closures
 from deitalk.models.curve_model import DEITalk
 from deitalk.pipeline.curves import animate
 from deitalk.research.evaluation.clip_scores import (

@@ -1,4 +1,4 @@
-"""Scores of predicted lips against measured lips: ``deitalk evaluate MODEL --lips FOLDER``.
+"""Scores of predicted lips against measured lips: ``evaluate MODEL --lips FOLDER``.
 
 Every recording is animated in the neutral emotion; the lip measures of the embedded head
 (`deitalk.research.lips`) are compared with those of the speaker during speech. Predictions are the
@@ -18,8 +18,9 @@ import torch
 
 from deitalk.audio.load import load_audio
 from deitalk.errors import DataError
+from deitalk.evaluation.report import table
 from deitalk.evaluation.scores import correlation
-from deitalk.evaluation.validation import loudness, table
+from deitalk.evaluation.smoothness import loudness
 from deitalk.models.curve_model import DEITalk
 from deitalk.pipeline.curves import animate
 from deitalk.research.evaluation.ridge import Readout, Rows, listen, losses

@@ -19,7 +19,7 @@ import numpy as np
 from deitalk.emotions import EMOTIONS
 from deitalk.errors import DataError, DeitalkError
 from deitalk.evaluation.figures import drawing
-from deitalk.evaluation.validation import table
+from deitalk.evaluation.report import table
 from deitalk.models.load import load_network
 from deitalk.pipeline.curves import animate
 from deitalk.research.arguments import new_file

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from deitalk.audio.frames import FRAME_RATE
-from deitalk.evaluation.validation import as_json, cell, rows_of, table
+from deitalk.evaluation.report import as_json, cell, rows_of, table
 from deitalk.research.evaluation.ridge import losses
 from rig.files import atomic_write
 

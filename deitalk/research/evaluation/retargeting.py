@@ -22,9 +22,10 @@ from rig.arrays import Float64
 from rig.files import atomic_write
 from rig.mesh.deformation import DeformationSolver, deformation_gradients, gradient_entries
 from rig.mesh.trimesh import TriMesh
+from rig.retarget.found_landmarks import guess_landmarks
+from rig.retarget.head_source import source_head
 from rig.retarget.methods import Method, carry_shapes
-from rig.retarget.morph_head import source_head
-from rig.retarget.registration import guess_landmarks, lip_labels
+from rig.retarget.registration import lip_labels
 
 RUNS = 5
 PAPER_TRIANGLES = 9976

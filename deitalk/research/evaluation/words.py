@@ -21,13 +21,9 @@ from deitalk.acting import Acting
 from deitalk.audio.load import load_audio
 from deitalk.data.clips import read_clips, read_phones
 from deitalk.errors import DataError, DeitalkError
-from deitalk.evaluation.validation import (
-    ClosureScores,
-    closure_scores,
-    lips_together,
-    summarise_closures,
-    table,
-)
+from deitalk.evaluation.report import table
+from deitalk.evaluation.smoothness import lips_together
+from deitalk.evaluation.validation import ClosureScores, closure_scores, summarise_closures
 from deitalk.models.load import load_network
 from deitalk.models.protocol import CurveNetwork
 from deitalk.pipeline.curves import finish, prepare

@@ -6,7 +6,7 @@
     python -m deitalk.research.lips.vocabulary LIPS 1 --alone -o words_1  # the other half alone
 
 A model that is trained on the first folder has heard the other words and never seen lips say them;
-``deitalk evaluate MODEL --lips words_1`` scores it on those.
+``python -m deitalk.research evaluate MODEL --lips words_1`` scores it on those.
 """
 
 import argparse

@@ -15,7 +15,7 @@ from deitalk.models.deformation_decoder import Coefficients
 from deitalk.models.mesh_model import MeshModel
 from deitalk.research.meshes.folder import MeshFolder
 from deitalk.research.meshes.segments import Segment, SegmentBatches
-from deitalk.training.trainer import mean_over_processes
+from deitalk.training.several_processes import mean_over_processes
 from rig.arrays import Float32, Float64
 
 LIPS = "lips"

@@ -1,4 +1,4 @@
-"""Score a mesh model on held-out speech: ``deitalk evaluate MODEL --data DIR``.
+"""Score a mesh model on held-out speech: ``python -m deitalk.research evaluate MODEL --data DIR``.
 
 The ground truth is an embedded head posed by the curves of a dataset folder; the model's input is
 the recordings. Errors are distances in mm on a head of known size.
@@ -20,7 +20,8 @@ from deitalk.audio.load import Recording, load_audio
 from deitalk.data.clips import Clip, read_phones
 from deitalk.emotions import EMOTIONS
 from deitalk.errors import CheckpointError, DataError
-from deitalk.models.mesh_model import MeshHead, MeshModel
+from deitalk.models.mesh_head import MeshHead
+from deitalk.models.mesh_model import MeshModel
 from deitalk.pipeline.curves import animate
 from deitalk.pipeline.mesh import mesh_frames
 from deitalk.postprocess.known_phones import seal_lips

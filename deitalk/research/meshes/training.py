@@ -1,6 +1,6 @@
 """Training of mesh models, from segments of adjacent frames (SDFA §4): the task of the trainer.
 
-``deitalk train configs/sdfa.yaml --data DIR --out DIR``. The loop is `deitalk.training.trainer`;
+``train configs/sdfa.yaml --data DIR --out DIR``. The loop is `deitalk.training.trainer`;
 the run folder holds ``meshes/`` too where the data had to be built.
 """
 
@@ -19,13 +19,15 @@ from deitalk.config.mesh import SDFAConfig, SDFAModelConfig
 from deitalk.data.windows import Share
 from deitalk.emotions import parse_emotion
 from deitalk.errors import ConfigError, DataError
-from deitalk.evaluation.figures import ClipRows, Row
+from deitalk.evaluation.clips_figure import ClipRows, Row
 from deitalk.frontends.base import Encoder
-from deitalk.frontends.mel_bilstm import MelFrontend, SDFAEncoder
+from deitalk.frontends.mel_bilstm import MelFrontend
+from deitalk.frontends.sdfa_encoder import SDFAEncoder
 from deitalk.models.checkpoint import new_encoder, require_model, save_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.models.deformation_decoder import InversePCA
-from deitalk.models.mesh_model import SDFA, DEITalkFeatures, MeshHead, MeshModel
+from deitalk.models.mesh_head import MeshHead
+from deitalk.models.mesh_model import SDFA, DEITalkFeatures, MeshModel
 from deitalk.postprocess.known_phones import check_faces
 from deitalk.research.meshes.folder import MeshClip, MeshFolder, has_lips, open_meshes
 from deitalk.research.meshes.gradient_bases import GradientBasis
@@ -199,7 +201,7 @@ def copy_encoder(model: MeshModel, name: str, new: Sequence[str]) -> None:
     encoder, owner = cast("SDFAEncoder", model.encoder), require_model(name, DEITalk)
     start = cast("MelFrontend", owner.frontend)
     try:
-        assert model.config.frontend.kind == owner.config.frontend.kind == "mel"
+        assert owner.config.frontend.kind == "mel" and "mel" in model.config.frontend.kind
         for setting in ("window_seconds", "frame_rate", "tapers"):  # which no shape shows
             assert getattr(encoder.frontend.config, setting) == getattr(start.config, setting)
         left_out = {*new, "rig"}

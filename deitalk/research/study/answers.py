@@ -48,7 +48,7 @@ def read_key(path: Path) -> dict[str, Any]:
     """
     key = read_json(path, KEY_BYTES, error=DataError)
     if not isinstance(key, dict) or key.get("schema") != "deitalk.study/1":
-        raise DataError(f"{path} is no key of a study; name the key.json of `deitalk study build`")
+        raise DataError(f"{path} is no key of a study; name the key.json of `study build`")
     clips, systems = key.get("clips"), key.get("systems")
     if (
         not isinstance(clips, dict)
@@ -57,7 +57,7 @@ def read_key(path: Path) -> dict[str, Any]:
             isinstance(clip, dict) and {"item", "system"} <= set(clip) for clip in clips.values()
         )
     ):
-        raise DataError(f"{path}: clips and systems are not as `deitalk study build` wrote them")
+        raise DataError(f"{path}: clips and systems are not as `study build` wrote them")
     return key
 
 

@@ -10,7 +10,8 @@ import soxr
 
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE, frame_times
 from deitalk.errors import DataError
-from deitalk.evaluation.validation import JAW, loudness
+from deitalk.evaluation.smoothness import loudness
+from deitalk.evaluation.validation import JAW
 from deitalk.preview.source import PreviewSource, load_source
 from deitalk.preview.video import write_mp4
 from rig import RigCurves
@@ -19,7 +20,7 @@ from rig.face import build_head
 from rig.face.accents import accents
 from rig.face.identity import Identity
 from rig.face.render import VIEWS
-from rig.face.render.shading import Picture
+from rig.face.render.picture import Picture
 from rig.formats.table import FORMATS
 
 VIDEO = ".mp4"

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from itertools import combinations
 from typing import Any
 
-from deitalk.evaluation.validation import table
+from deitalk.evaluation.report import table
 from deitalk.research.study.answers import Answers, Choice
 from deitalk.research.study.statistics import Share, agreement, share_of, strengths
 

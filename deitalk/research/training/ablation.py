@@ -1,7 +1,7 @@
 """Ablations: variants of a configuration, trained with several seeds and scored.
 
 A variant is a file of a few lines: a base configuration and overrides (``configs/ablations/``).
-``deitalk ablate`` trains every variant in a folder of its own and resumes what was interrupted::
+``ablate`` trains every variant in a folder of its own and resumes what was interrupted::
 
     OUT/<variant>/seed0/      a run folder (see `deitalk.training.run_folder`)
     OUT/<variant>/seed0/report.json    its evaluation; a run that has one is done
@@ -22,17 +22,18 @@ import numpy as np
 from deitalk.config.curves import Config
 from deitalk.config.load import AnyConfig, load_config
 from deitalk.config.mesh import SDFAConfig
-from deitalk.config.section import read_yaml
+from deitalk.config.yaml_files import read_yaml
 from deitalk.data.windows import FrozenFeatures
 from deitalk.errors import ConfigError, DataError
-from deitalk.evaluation.validation import as_json
+from deitalk.evaluation.report import as_json
 from deitalk.models.checkpoint import require_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.models.mesh_model import MeshModel
+from deitalk.research.config import read_training
 from deitalk.research.evaluation.curves import evaluate
 from deitalk.research.meshes.scores import evaluate_mesh
 from deitalk.research.meshes.training import train_mesh
-from deitalk.training.curves import train_curves
+from deitalk.research.training.curves import train_curves
 from rig.files import atomic_write, begin_folder, claim, replace_recorded
 
 METRICS = {
@@ -71,7 +72,7 @@ class Variant:
         run = [f"name={self.name}", f"train.seed={seed}"]
         if steps is not None:
             run += [f"train.steps={steps}"]
-        return load_config(self.base, [*common, *self.overrides, *run])
+        return read_training(self.base, [*common, *self.overrides, *run])
 
 
 def read_variants(folder: Path) -> list[Variant]:
@@ -87,8 +88,8 @@ def read_variants(folder: Path) -> list[Variant]:
     if not files:
         raise ConfigError(f"{folder}: holds no .yaml; each gives a base and overrides")
     variants = [_variant(path) for path in files]
-    kinds = {type(variant.config(0, None)) for variant in variants}
-    if len(kinds) > 1 or not kinds <= {Config, SDFAConfig}:
+    kinds = {isinstance(variant.config(0, None), Config) for variant in variants}
+    if len(kinds) > 1:
         raise ConfigError(f"{folder}: base all variants on configurations of curves, or of meshes")
     return variants
 

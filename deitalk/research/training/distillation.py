@@ -17,7 +17,7 @@ from torch import Tensor
 from deitalk.errors import ConfigError
 from deitalk.models.checkpoint import require_model
 from deitalk.models.curve_model import DEITalk
-from deitalk.training.trainer import in_precision
+from deitalk.training.several_processes import in_precision
 
 
 def read_teacher(name: str, student: DEITalk) -> DEITalk:

@@ -10,7 +10,7 @@ the published weights give for the same speech without them (feature distillatio
 A part of every batch is read with a bounded past and look-ahead, as a stream would be, so that one
 set of weights serves both.
 
-SPEECH are folders of recordings as for ``deitalk corpus build``; only training speakers are used.
+SPEECH are folders of recordings as for ``corpus build``; only training speakers are used.
 Not in the papers.
 
 B batch, S samples, K features at 50 Hz, T rig frames, D width.

@@ -17,12 +17,12 @@ from typing import Any
 
 import numpy as np
 
-from deitalk.config.curves import FinetuneConfig
+from deitalk.config.finetuning import FinetuneConfig
 from deitalk.data.captures.splits import names_of
 from deitalk.data.clips import read_clips
 from deitalk.data.windows import FrozenFeatures
 from deitalk.errors import DataError
-from deitalk.evaluation.validation import as_json, table, turned
+from deitalk.evaluation.report import as_json, table, turned
 from deitalk.training.trainer import Progress, silent
 from deitalk.training.tuning.task import ABOUT, finetune
 from rig.errors import quoted

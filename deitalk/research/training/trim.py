@@ -15,7 +15,8 @@ from deitalk.errors import CheckpointError
 from deitalk.models.checkpoint import require_model, save_model
 from deitalk.models.deformation_decoder import InversePCA
 from deitalk.models.folder import model_folder, read_about
-from deitalk.models.mesh_model import FROZEN, MeshModel
+from deitalk.models.mesh_folder import FROZEN
+from deitalk.models.mesh_model import MeshModel
 
 MeshT = TypeVar("MeshT", bound=MeshModel)
 

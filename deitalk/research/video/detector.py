@@ -19,7 +19,7 @@ from deitalk.errors import DataError, MissingError
 from deitalk.research.video.landmarks import N_POINTS, USED, FaceTrack, pixels
 from rig import limits
 from rig.arrays import Float32
-from rig.face.render.shading import Picture
+from rig.face.render.picture import Picture
 
 if TYPE_CHECKING:
     from av import VideoFrame

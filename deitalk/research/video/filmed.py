@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from deitalk.audio.frames import FRAME_RATE
+from deitalk.data.captures.take import VIDEOS, CapturedCurves
 from deitalk.research.lips.head_lips import CENTRAL, HeadLips
 from deitalk.research.lips.nearest import nearest_curves
 from deitalk.research.video.detector import Progress, track_face
@@ -319,10 +320,13 @@ class Filmed:
     notes: tuple[str, ...]
 
 
-def read_filmed(path: Path, is_video: bool, progress: Progress) -> Filmed:
+def read_capture(path: Path, progress: Progress) -> CapturedCurves:
     """Curves of the face in a video, or of a file of its landmarks; errors as `filmed_curves`."""
-    track = track_face(path, progress) if is_video else read_landmarks(path)
-    return filmed_curves(track, str(path))
+    is_video = path.suffix.lower() in VIDEOS
+    found = filmed_curves(
+        track_face(path, progress) if is_video else read_landmarks(path), str(path)
+    )
+    return CapturedCurves(found.curves, found.known, "video", notes=found.notes, seen=found.seen)
 
 
 def filmed_curves(track: FaceTrack, where: str) -> Filmed:

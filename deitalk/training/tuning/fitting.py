@@ -13,7 +13,7 @@ import torch
 
 from deitalk.data.clips import Clip
 from deitalk.errors import DataError
-from deitalk.evaluation.validation import load_example, predict
+from deitalk.evaluation.smoothness import load_example, predict
 from deitalk.models.curve_model import DEITalk
 from rig.arrays import Bool, Float32, Float64
 from rig.errors import ControlError

@@ -8,16 +8,16 @@ from typing import TYPE_CHECKING, Any
 
 from deitalk.config.rig_file import read_controls, rig_of_dataset
 from deitalk.data.captures.imported import import_captures as import_takes
+from deitalk.data.captures.labels import Labelling
 from deitalk.data.captures.mend import Imported
-from deitalk.data.captures.sources import Labelling
-from deitalk.evaluation.comparison import beats_loudness, warnings_of
+from deitalk.evaluation.captures import beats_loudness, warnings_of
 from deitalk.training.trainer import Progress, silent
 from deitalk.training.tuning.recipe import read_recipe
 from deitalk.training.tuning.task import FinetuneTask
 from deitalk.training.tuning.task import finetune as tune
 
 if TYPE_CHECKING:
-    from deitalk.config.curves import FinetuneConfig
+    from deitalk.config.finetuning import FinetuneConfig
 
 PathLike = str | Path
 

@@ -16,7 +16,7 @@ from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
 from deitalk.data.clips import Clip, read_known, spread_clips
 from deitalk.data.windows import FrozenFeatures, read_waveform
 from deitalk.emotions import EMOTIONS
-from deitalk.evaluation.validation import MOVING, Example, load_example
+from deitalk.evaluation.smoothness import MOVING, Example, load_example
 from deitalk.models.curve_model import Analysis, DEITalk
 from deitalk.models.rig_decoder import RigDecoder
 from deitalk.training.trainer import Progress, silent

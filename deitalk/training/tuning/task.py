@@ -22,7 +22,7 @@ import pandas as pd
 import torch
 from torch import Tensor, nn
 
-from deitalk.config.curves import FinetuneConfig
+from deitalk.config.finetuning import FinetuneConfig
 from deitalk.data.captures.conventions import (
     Convention,
     TakeProducts,
@@ -39,23 +39,18 @@ from deitalk.data.windows import (
 )
 from deitalk.emotions import EMOTIONS
 from deitalk.errors import ConfigError, DataError
-from deitalk.evaluation.comparison import (
-    CaptureSet,
-    MeanPose,
-    System,
-    by_model,
-    errs_less,
-    mean_pose,
-    write_comparison,
-)
-from deitalk.evaluation.figures import ClipRows
-from deitalk.evaluation.validation import load_example
+from deitalk.evaluation.captures import System, by_model, errs_less, write_comparison
+from deitalk.evaluation.clips_figure import ClipRows
+from deitalk.evaluation.comparison import CaptureSet, MeanPose, mean_pose
+from deitalk.evaluation.smoothness import load_example
 from deitalk.models.checkpoint import require_model, save_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.models.folder import describe_model, model_folder, weights_hash
 from deitalk.training.curve_losses import CurveLoss, start_as
 from deitalk.training.curves import CurveTask, clip_rows, shown_examples
-from deitalk.training.trainer import Progress, new_optimizer, run_training, silent
+from deitalk.training.optimizer import new_optimizer
+from deitalk.training.trainer import Progress, run_training, silent
+from deitalk.training.tuning.expression_strength import expression_axes, label_intensity
 from deitalk.training.tuning.recipe import (
     can_learn_intensity,
     carried,
@@ -73,11 +68,7 @@ from deitalk.training.tuning.regression import (
     styles_of_clip,
     take_of,
 )
-from deitalk.training.tuning.ridge import (
-    Maps,
-    expression_axes,
-    label_intensity,
-)
+from deitalk.training.tuning.ridge import Maps
 from rig.arrays import Float32
 from rig.errors import ControlError
 
@@ -220,11 +211,6 @@ class FinetuneTask(CurveTask):
         speakers = {clip.speaker for clip in division.train}
         others = (*division.validation, *division.between)
         self.late_clips = [clip for clip in others if clip.speaker in speakers]
-        if config.model.decoder != "convolution":
-            raise ConfigError(
-                f"tune.base: {config.tune.base!r} has decoder: {config.model.decoder}, which is "
-                "for comparison; fine-tune a model such as default"
-            )
         if not self.clips or (config.train.steps and not self.validation_clips):
             found = shortage(len(self.clips), len(self.validation_clips))
             raise DataError(f"{data}: has {found}")

@@ -24,7 +24,8 @@ from rig.face.mesh import (
     unit,
 )
 from rig.face.render import shading
-from rig.face.render.shading import FAR, NEAR, Picture, View, background
+from rig.face.render.picture import Picture
+from rig.face.render.shading import FAR, NEAR, View, background
 
 # Compiled loops of the software renderer: scan conversion and light (numba).
 #

@@ -5,7 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deitalk.audio.load import describe, load_audio
+from deitalk.audio.load import load_audio
+from deitalk.audio.speech_warnings import describe
 from deitalk.audio.voice_activity import active_level_db, noise_likeness, speech_activity
 from tests.each import each
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from deitalk.audio.arrays import RunningResampler
+from deitalk.audio.resampling import RunningResampler
 from tests.each import each
 
 RATES = (8_000, 22_050, 44_100, 48_000, 44_101)

@@ -3,7 +3,7 @@
 import numpy as np
 
 from deitalk.audio.load import Recording
-from deitalk.batch.processes import findings
+from deitalk.batch.findings import findings
 from deitalk.pipeline.performance import Performance
 from rig import RigCurves, default_controls
 

@@ -1,6 +1,6 @@
 """Rate and time left of a batch."""
 
-from deitalk.batch.lines import Pace
+from deitalk.batch.report import Pace
 
 
 def test_pace_counts_from_the_first_result():

@@ -10,7 +10,7 @@ import pytest
 from typer.main import get_command
 
 from deitalk.cli import app, main
-from deitalk.cli.face import _beside
+from deitalk.cli.preview import _beside
 from deitalk.errors import DeitalkError
 from deitalk.models.folder import check_device, require_device
 from rig import default_controls, rest_curves, write_curves

@@ -190,9 +190,7 @@ def test_controls_lists_and_filters():
 
 
 def test_benchmark_prints_stages_and_the_numbers_of_the_paper(model):
-    done = CliRunner().invoke(
-        app, ["evaluate", model, "--speed", "--seconds", "1", "--repeats", "1", "--json"]
-    )
+    done = ran("evaluate", model, "--speed", "--seconds", "1", "--repeats", "1", "--json")
     result = json.loads(done.stdout)
     assert {"audio", "model", "network", "expression"} == set(result["clip"]["stages"])
     assert result["clip"]["rtf_cpu"] == pytest.approx(result["clip"]["cpu_seconds"])

@@ -57,7 +57,6 @@ FIELDS = [
     (lambda v: {"train": {"seed": v}}, limits.SEED),
     (lambda v: {"train": {"epochs": v}}, limits.TRAINING_PASSES),
     (lambda v: {"kind": "sdfa", "model": {"branch_sizes": [v]}}, limits.WIDTH),
-    (lambda v: {"kind": "sdfa", "model": {"frontend": {"kind": "karras", "lags": v}}}, limits.MEL_BINS),
     (lambda v: {"kind": "sdfa", "data": {"identities": [0] * v}}, limits.SPEAKERS),
 ]  # fmt: skip
 

@@ -7,7 +7,7 @@ import yaml
 
 from deitalk.config.curves import Config, TrainConfig
 from deitalk.config.frontends import MelConfig, Wav2VecConfig
-from deitalk.config.load import load_config, parse_config
+from deitalk.config.load import load_config, load_model_config, parse_config
 from deitalk.config.mesh import MeshTrainConfig
 from deitalk.config.rules import RulesConfig
 from deitalk.config.section import Optimisation
@@ -94,7 +94,7 @@ def test_both_trainings_have_the_settings_of_optimisation(kind):
 
 @each(("recipe", "model"), [("measured_lips", "mel")])
 def test_embedded_weights_fit_their_recipe(recipe, model):
-    embedded = load_config(FOLDER.parent / "deitalk/models/weights" / model / "config.yaml")
+    embedded = load_model_config(FOLDER.parent / "deitalk/models/weights" / model)
     wanted = load_config(FOLDER / f"{recipe}.yaml")
     assert (wanted.model, wanted.rules) == (embedded.model, embedded.rules)
 

@@ -5,8 +5,8 @@ import time
 import pytest
 import yaml
 
-from deitalk.config import section
-from deitalk.config.section import load_yaml
+from deitalk.config import yaml_files
+from deitalk.config.yaml_files import load_yaml
 from deitalk.errors import ConfigError
 from rig import limits
 from tests.each import each
@@ -62,7 +62,7 @@ def test_nesting_at_the_limit_is_read_and_above_is_not(style):
 def test_deep_nesting_is_told_alike_by_every_parser(monkeypatch, loader):
     if not hasattr(yaml, loader):
         pytest.skip("PyYAML was built without libyaml")
-    monkeypatch.setattr(section, "_Loader", getattr(yaml, loader))
+    monkeypatch.setattr(yaml_files, "_Loader", getattr(yaml, loader))
     for text in ("[" * 2000 + "]" * 2000, "- " * 2000 + "x", "{a: " * 2000 + "1" + "}" * 2000):
         message = "it.yaml: cannot be read as YAML (nested deeper than 32 levels)"
         assert refused(text) == message

@@ -144,21 +144,6 @@ def test_window_holds_its_position_in_the_clip(folder):
         assert 0 <= window.intensity.min() and window.intensity.max() <= 0.8 + 1e-6
 
 
-def test_windows_for_a_teacher_hold_the_sound_before_augmentation(folder, monkeypatch):
-    import deitalk.data.windows as module
-
-    monkeypatch.setattr(module, "speed_factor", lambda rng: 1.25)
-    drawn = batches(folder, clean=True)
-    for number in range(4):
-        window = drawn.item(number)
-        first, name = int(window.frames[0]), drawn._draw(np.random.default_rng((3, number))).name
-        clip = next(clip for clip in drawn.clips if clip.name == name)
-        sound = cut(load_clip(clip, CONTROLS), first, 32, 1.25)[0]
-        np.testing.assert_array_equal(window.clean.numpy(), sound)
-        assert not torch.equal(window.waveform, window.clean)
-    assert len(batches(folder).item(0).clean) == 0, "without a teacher"
-
-
 def test_recorded_speech_has_the_configured_share(folder):
     drawn = batches(folder, config=config(real_fraction=0.8))
     sources = [drawn._draw(np.random.default_rng(i)).source for i in range(400)]

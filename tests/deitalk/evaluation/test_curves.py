@@ -13,7 +13,8 @@ from deitalk.config.load import load_config
 from deitalk.data.clips import read_clips
 from deitalk.emotions import EMOTIONS
 from deitalk.errors import DataError
-from deitalk.evaluation.validation import as_json, load_example
+from deitalk.evaluation.report import as_json
+from deitalk.evaluation.smoothness import load_example
 from deitalk.models.checkpoint import load_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.models.folder import embedded_models

@@ -163,7 +163,9 @@ def test_motion_before_an_accent_does_not_depend_on_it():
     """The first accent is at frame 60, and known at 61: frames to 58 are without it."""
     measures, speaking = voice()
     accented = brows()
-    calm, _ = moved(measures._replace(level=np.full(240, -20.0), sonority=np.full(240, -20.0)), speaking)
+    calm, _ = moved(
+        measures._replace(level=np.full(240, -20.0), sonority=np.full(240, -20.0)), speaking
+    )
     np.testing.assert_array_equal(accented[:58], calm[:58])
     assert max(column(accented, s)[60:100].max() for s in ("brow_raiseIn", "brow_down")) > 0.1
 
@@ -254,9 +256,9 @@ def test_streams_side_by_side_move_as_each_alone():
     who = [Character(Seeds((0, 0, k)), life) for k, life in enumerate(lives)]
     together = MotionStreams(who)
     together.move(spoken[1][1][None, :20], mixture[1:2, :20], np.array([1]))
-    found = [cues(*one)._replace() for one in spoken]
+    found = [cues(*one) for one in spoken]
     joined = [part._replace(stream=part.stream + k) for k, part in enumerate(found)]
-    together.cue(Cues(*(np.concatenate(part) for part in zip(*joined, strict=True))))
+    together.cue(Cues.joined(joined))
     rows = np.stack([one[1][:90] for one in spoken])
     motion = together.move(rows, mixture)
     for k in range(3):
@@ -310,7 +312,7 @@ def test_cues_of_streams_side_by_side_are_those_of_each_alone_in_any_pieces():
         new, state = running(Measures(*(t[:, part] for t in rows)), speaking[:, part], state)
         parts.append(new)
         at += size
-    found = Cues(*(np.concatenate(part) for part in zip(*parts, strict=True)))
+    found = Cues.joined(parts)
     for k, spoken in enumerate(voices):
         mine, alone = found.where(found.stream == k), cues(*spoken)
         assert len(alone.time) > 3

@@ -21,7 +21,8 @@ from deitalk.models.folder import (
     product_of,
     weights_hash,
 )
-from deitalk.models.mesh_model import SDFA, MeshHead, MeshModel
+from deitalk.models.mesh_head import MeshHead
+from deitalk.models.mesh_model import SDFA, MeshModel
 from rig import default_controls
 from tests.each import each
 from tests.errors import one_line

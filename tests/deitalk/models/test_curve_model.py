@@ -10,8 +10,9 @@ import deitalk.models.curve_model
 from deitalk.config.curves import ModelConfig
 from deitalk.config.frontends import MelConfig
 from deitalk.config.load import load_config
-from deitalk.models.curve_model import DECODE_FRAMES, DEITalk, dynamic_positions
+from deitalk.models.curve_model import DECODE_FRAMES, DEITalk
 from deitalk.models.intensity import temporal_maximum
+from deitalk.models.positions import dynamic_positions
 from tests.closeness import assert_same
 from tests.each import each
 

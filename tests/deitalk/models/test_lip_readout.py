@@ -7,8 +7,9 @@ from safetensors.torch import load_file
 
 from deitalk.config.curves import Config
 from deitalk.live.animator import LiveAnimator
+from deitalk.models.causal_model import TorchNetwork
 from deitalk.models.checkpoint import load_model, save_model
-from deitalk.models.curve_model import DECODE_FRAMES, TorchNetwork
+from deitalk.models.curve_model import DECODE_FRAMES
 from deitalk.models.lip_readout import CHANNELS, MEASURES, OUT, TAPS, LipReadout
 from deitalk.research.evaluation.benchmark_curves import speechlike
 from deitalk.training.tuning.recipe import read_recipe

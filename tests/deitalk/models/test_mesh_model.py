@@ -9,12 +9,13 @@ import torch
 from deitalk.audio.voice_activity import normalise_level
 from deitalk.config.frontends import SDFAMelConfig
 from deitalk.config.load import load_config, parse_config
-from deitalk.config.mesh import SDFAConfig, SDFAModelConfig
+from deitalk.config.mesh import SDFAConfig
 from deitalk.errors import AudioError, CheckpointError, ConfigError
 from deitalk.models import mesh_model as sdfa_module
 from deitalk.models.deformation_decoder import InversePCA
 from deitalk.pipeline.mesh import mesh_coefficients
 from deitalk.pipeline.speech import Speech
+from deitalk.research.config import ComparedSDFAModelConfig
 from deitalk.research.evaluation.attention import weights_of
 from deitalk.research.meshes.folder import Lips
 from deitalk.research.meshes.scores import predict_mesh
@@ -48,8 +49,8 @@ VOCA = {"kind": "voca", "n_mels": 16, "n_mfcc": 10, "channels": [8, 8, 12, 12]}
 ENCODERS = {
     "window": FRONTEND,
     "segment": SEGMENT,
-    "no Spec-BiLSTM": SEGMENT | {"gathering": "convolution"},
-    "no attention": FRONTEND | {"summary": "convolution"},
+    "no Spec-BiLSTM": SEGMENT | {"kind": "mel_ablated", "gathering": "convolution"},
+    "no attention": FRONTEND | {"kind": "mel_ablated", "summary": "convolution"},
     "karras": KARRAS,
     "voca": VOCA,
 }
@@ -58,7 +59,7 @@ ENCODERS = {
 def tiny(frontend=FRONTEND, motion="gradients", **train):
     return parse_config(
         {
-            "kind": "sdfa",
+            "kind": "sdfa" if frontend.get("kind", "mel") == "mel" else "sdfa_compared",
             "name": "tiny",
             "model": {
                 "frontend": frontend,
@@ -107,7 +108,7 @@ def model(fps=60, frontend=FRONTEND, motion="gradients", **changes):
     layers = {name: InversePCA(*size) for name, size in sizes.items()}
     for layer in layers.values():
         layer.components.normal_(std=0.02)
-    config = SDFAModelConfig(
+    config = ComparedSDFAModelConfig(
         frontend=frontend | changes, motion=motion, shared_size=48, branch_sizes=(48, 32)
     )
     speakers = {"ann": template, "bob": sheet(4, 12.0)}
@@ -250,6 +251,6 @@ def test_attention_rows_sum_to_one():
         assert weights.shape == (30, 16)
         np.testing.assert_allclose(weights.sum(axis=1), 1, atol=1e-5)
         assert (weights >= 0).all()
-    for other in (KARRAS, FRONTEND | {"summary": "convolution"}):
+    for other in (KARRAS, FRONTEND | {"kind": "mel_ablated", "summary": "convolution"}):
         with pytest.raises(CheckpointError, match="no temporal attention"):
             weights_of(model(frontend=other), torch.from_numpy(Speech.of(noise(0.5)).sound))

@@ -6,7 +6,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from deitalk.models.curve_model import dynamic_positions
+from deitalk.models.positions import dynamic_positions
 
 
 def encode(frames, total, size=8):

@@ -15,8 +15,8 @@ from deitalk.acting import Acting
 from deitalk.audio.load import load_audio
 from deitalk.cli import app
 from deitalk.config.rules import VoiceIntensity
-from deitalk.data.captures.survey import measure_traits
 from deitalk.data.captures.take import CapturedCurves
+from deitalk.data.captures.traits import measure_traits
 from deitalk.emotions import ActorReference, read_actor
 from deitalk.emotions.tracks import TRAITS
 from deitalk.errors import AudioError, EmotionError

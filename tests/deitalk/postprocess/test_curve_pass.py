@@ -40,6 +40,7 @@ def inputs(batch, n_frames, seed=0, controls=CONTROLS, *, held=False):
     neutral, emotional = rng.uniform(-0.1, 1, (2, batch, n_frames, count)).astype(np.float32)
     voice = rng.uniform(0, 1.5, (batch, n_frames, VOICE)).astype(np.float32)
     voice[..., 3:5] = rng.random((batch, n_frames, 2)) < 0.1
+    voice[..., -N_VARIANTS:] /= N_VARIANTS  # those of an emotion sum to 1
     voice[..., 7:9] = 0
     if held:
         voice[..., 7], voice[..., 8] = held_tracks(rng, batch, n_frames)
@@ -87,7 +88,7 @@ def test_blocks_of_any_sizes_and_streams_side_by_side_give_the_same(rules, ahead
     for k in range(3):
         alone = passed(numbers, [part[k : k + 1] for part in given], [60])
         for ours, theirs in zip(alone, expected, strict=True):
-            np.testing.assert_allclose(ours[0], theirs[k], atol=CLOSE)
+            np.testing.assert_allclose(ours[0], theirs[k], atol=2 * CLOSE)
 
 
 @pytest.mark.parametrize("ahead", [None, LIVE_AHEAD])

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from deitalk.config.mesh import SDFAModelConfig
 from deitalk.errors import ConfigError
 from deitalk.models.deformation_decoder import InversePCA
 from deitalk.postprocess.known_phones import known_skins, seal_lips
+from deitalk.research.config import ComparedSDFAModelConfig
 from deitalk.research.meshes.folder import head_templates
 from deitalk.research.meshes.training import new_mesh_model
 from tests.deitalk.models.test_mesh_model import VOCA, sheet
@@ -48,7 +48,7 @@ def test_seal_lips_by_hand(gap_mm, left):
 def test_new_mesh_model_rejects_a_seal_of_other_faces():
     with pytest.raises(ConfigError, match=r"seal_mm=2: only the embedded heads"):
         new_mesh_model(
-            SDFAModelConfig(frontend=VOCA, motion="offsets", seal_mm=2),
+            ComparedSDFAModelConfig(frontend=VOCA, motion="offsets", seal_mm=2),
             {"offsets": InversePCA(1, 48)},
             {"ann": sheet(4)},
             fps=30,

@@ -1,6 +1,8 @@
 """Variants of the emotions: laws of every one, how they are drawn, and how they are given."""
 
+import re
 from itertools import combinations, pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -98,6 +100,14 @@ def test_an_emotion_that_captures_show_has_no_variants():
     assert not captured.gains[rows[len(EMOTIONS) :]].any()
 
 
+def test_the_page_lists_every_variant():
+    page = (Path(__file__).parents[3] / "docs/emotions.md").read_text(encoding="utf-8")
+    rows = dict(re.findall(r"^\| (\w+) \| (.*) \|$", page, re.M))
+    for emotion, own in VARIANTS.items():
+        columns = {cell.partition(":")[0].strip() for cell in rows[emotion].split("|")}
+        assert columns == {*own}, emotion
+
+
 def drawn(seed=0, actor="", sound=0, strength=0.0, **given):
     waveform = np.full(100, sound / 1000, np.float32)
     return choose_ways(given, Seeds.of(waveform, actor, seed), strength)
@@ -116,7 +126,7 @@ def test_a_take_is_between_the_variants_of_each_emotion_and_near_one():
     for name in VARIANTS:
         weights = np.array([rows[name] for rows in found])
         np.testing.assert_allclose(weights.sum(axis=1), 1, rtol=1e-5)
-        assert weights.max(axis=1).mean() > 0.75
+        assert 0.7 < weights.max(axis=1).mean() < 0.8
         assert (np.bincount(weights.argmax(axis=1), minlength=3) > 40).all()
     assert not drawn().weights[LABELS.index("neutral")].any()
 

@@ -9,7 +9,8 @@ import pytest
 
 from deitalk.preview import page as page_module
 from deitalk.preview.page import render_page
-from deitalk.preview.source import PreviewError, PreviewSource, find_warnings
+from deitalk.preview.source import PreviewError, PreviewSource
+from deitalk.preview.speech_warnings import find_warnings
 from deitalk.preview.video import render_video
 from rig import RigCurves, write_curves
 from tests.command import ran

@@ -14,8 +14,10 @@ import pytest
 from deitalk.emotions import read_intensity_curve
 from deitalk.errors import MissingError
 from deitalk.preview import page as page_module
-from deitalk.preview.page import pack, render_page
-from deitalk.preview.source import PreviewError, PreviewSource, bilabial_warnings
+from deitalk.preview.packing import pack
+from deitalk.preview.page import render_page
+from deitalk.preview.source import PreviewError, PreviewSource
+from deitalk.preview.speech_warnings import bilabial_warnings
 from deitalk.research.contact_sheet import EMOTION_POSES, MOUTH_POSES, pose_values
 from rig import RigCurves, clamp, default_controls, gain
 from rig.errors import TargetError

@@ -12,13 +12,9 @@ from deitalk.audio.load import load_audio
 from deitalk.cli import app
 from deitalk.errors import MissingError
 from deitalk.preview import page, video
+from deitalk.preview.needs import check_needs
 from deitalk.preview.source import PreviewError, PreviewSource, load_source
-from deitalk.preview.video import (
-    PANEL_HEIGHT,
-    check_needs,
-    draw_frames,
-    render_video,
-)
+from deitalk.preview.video import PANEL_HEIGHT, draw_frames, render_video
 from rig import RigCurves, default_controls, write_curves
 from rig.curves import snap_fps
 from rig.curves.rig_curves import NTSC
@@ -198,7 +194,7 @@ def test_requirements_of_a_preview_are_reported(tmp_path, monkeypatch, name, err
 def test_commands_check_for_the_page_before_any_work(tmp_path, monkeypatch):
     monkeypatch.setattr(page, "BUNDLE", tmp_path / "none.html")
     monkeypatch.setattr("deitalk.audio.load.open_sound", None)  # no sound is read
-    monkeypatch.setattr("deitalk.preview.source.find_warnings", None)
+    monkeypatch.setattr("deitalk.preview.speech_warnings.find_warnings", None)
     speech, take = "docs/samples/promise.flac", str(tmp_path / "take")
     curves = tmp_path / "curves.csv"
     write_curves(curves, RigCurves(np.zeros((3, 185), np.float32), default_controls().names))

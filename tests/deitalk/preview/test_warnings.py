@@ -7,13 +7,11 @@ import pytest
 import soundfile
 
 from deitalk.errors import DataError
-from deitalk.preview.source import (
-    PreviewError,
-    PreviewSource,
+from deitalk.preview.source import PreviewError, PreviewSource, load_source
+from deitalk.preview.speech_warnings import (
     bilabial_warnings,
     find_warnings,
     lip_gaps,
-    load_source,
     offset_warnings,
 )
 from deitalk.research.contact_sheet import MOUTH_POSES, pose_values

@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 import torch
 
-from deitalk.config.curves import FinetuneConfig
+from deitalk.config.finetuning import FinetuneConfig
 from deitalk.config.load import load_config
 from deitalk.models.checkpoint import save_model
 from deitalk.models.curve_model import DEITalk

@@ -10,7 +10,6 @@ from deitalk.models.curve_model import Output
 from deitalk.models.intensity import Intensity
 from deitalk.research.lips.losses import LIP_SPREAD_CM, LIP_WEIGHTS, lip_loss, range_loss
 from deitalk.training.curve_losses import (
-    CurveLoss,
     classification_loss,
     contact_loss,
     contrast_loss,
@@ -19,7 +18,6 @@ from deitalk.training.curve_losses import (
     total_loss,
     velocity_loss,
 )
-from rig import default_controls
 from tests.each import each
 
 
@@ -110,20 +108,6 @@ def test_unknown_controls_have_no_part_in_the_loss():
     assert float(nothing["position"]) == float(nothing["velocity"]) == 0
 
 
-def test_windows_that_no_voice_can_teach_have_no_part_in_the_loss():
-    output, curves, emotion, intensity = example()
-    config = LossConfig(contact=2.0)
-    both = total(config, output, curves, emotion, intensity)
-    supervised = total(
-        config, output._replace(supervised=torch.ones(1)), curves, emotion, intensity
-    )
-    assert supervised == both
-    nothing = total(config, output._replace(supervised=torch.zeros(1)), curves, emotion, intensity)
-    for name in ("position", "velocity", "contact"):
-        assert float(both[name]) > float(nothing[name]) == 0
-    assert nothing["classification"] == both["classification"]
-
-
 def test_default_weights_are_those_of_equation_eight():
     output, curves, emotion, intensity = example()
     parts = total(LossConfig(), output, curves, emotion, intensity)
@@ -171,29 +155,3 @@ def test_range_loss_by_hand():
     for twice in (2 * target, target / 2):
         expected = 2 * math.log(2) ** 2
         assert float(range_loss(target, twice)) == pytest.approx(expected, rel=1e-3)
-
-
-def test_lip_loss_is_part_of_the_total_if_it_has_a_weight():
-    config = LossConfig(lips=0.5, range=2, contrast=0, position=0, velocity=0)
-    controls = default_controls()
-    loss = CurveLoss(config, controls, torch.device("cpu"))
-    rest = torch.tensor(controls.rest).float()
-    curves = rest.repeat(2, 16, 1)
-    curves[..., controls.index("CTRL_C_jaw.ty")] = torch.linspace(0, 0.5, 16)
-    output, _, _, _ = example()
-    parts = total_loss(
-        output._replace(curves=rest.repeat(2, 16, 1), intensity=None, emotion_logits=None),
-        curves,
-        torch.zeros(2, 5),
-        torch.zeros(2, 16),
-        config=config,
-        known=torch.ones(2, 185),
-        weights=torch.ones(185),
-        contact_controls=loss.contact,
-        lips=loss.lips,
-    )
-    assert float(parts["lips"]) > 3
-    expected = 0.5 * float(parts["lips"]) + 2 * float(parts["range"])
-    assert float(parts["range"]) > 1
-    assert float(parts["total"]) == pytest.approx(expected)
-    assert CurveLoss(LossConfig(), controls, torch.device("cpu")).lips is None

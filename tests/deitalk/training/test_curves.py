@@ -224,7 +224,15 @@ def test_two_processes_make_the_weights_of_one(data, tmp_path, contrast):
 
     def fit(launcher: list[str], out: Path) -> None:
         options = ["--data", str(data), "-o", str(out), "--set", f"loss.contrast={contrast}"]
-        command = [sys.executable, *launcher, "-m", "deitalk", "train", str(config), *options]
+        command = [
+            sys.executable,
+            *launcher,
+            "-m",
+            "deitalk.research",
+            "train",
+            str(config),
+            *options,
+        ]
         done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=300)
         assert done.returncode == 0, done.stderr[-3000:]
         assert "FutureWarning" not in done.stderr and done.stderr.count("best: step") == 1

@@ -7,9 +7,9 @@ import soundfile
 
 from deitalk.data.clips import read_clips
 from deitalk.errors import ConfigError
-from deitalk.evaluation.validation import load_example, predict
+from deitalk.evaluation.smoothness import load_example, predict
 from deitalk.models.checkpoint import load_model
-from deitalk.training.tuning.ridge import expression_axes, label_intensity
+from deitalk.training.tuning.expression_strength import expression_axes, label_intensity
 from deitalk.training.tuning.task import FinetuneTask, finetune
 from rig import RigCurves, write_curves
 from tests.dataset import JAW, RATE

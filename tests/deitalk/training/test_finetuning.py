@@ -15,13 +15,14 @@ import torch
 from deitalk import animate
 from deitalk.audio.load import Recording
 from deitalk.cli.console import name_option
-from deitalk.config.curves import FinetuneConfig
+from deitalk.config.finetuning import FinetuneConfig
 from deitalk.config.rig_file import read_controls
 from deitalk.data.clips import read_clips
 from deitalk.data.windows import Share
 from deitalk.errors import CheckpointError, ConfigError, DataError
-from deitalk.evaluation.comparison import CaptureSet, warnings_of
-from deitalk.evaluation.validation import load_example, predict
+from deitalk.evaluation.captures import warnings_of
+from deitalk.evaluation.comparison import CaptureSet
+from deitalk.evaluation.smoothness import load_example, predict
 from deitalk.models.checkpoint import load_model
 from deitalk.models.folder import describe_model
 from deitalk.research.evaluation.benchmark_curves import speechlike

@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from deitalk.data.clips import read_clips
-from deitalk.evaluation.validation import load_example, predict
+from deitalk.evaluation.smoothness import load_example, predict
 from deitalk.models.checkpoint import load_model
 from deitalk.training.tuning.fitting import fit_model
 from deitalk.training.tuning.task import finetune

@@ -8,7 +8,7 @@ import torch
 from deitalk.research.meshes.folder import read_mesh_folder
 from deitalk.research.meshes.losses import LipRegression
 from tests.deitalk.models.test_mesh_model import LIPS
-from tests.deitalk.training.test_mesh import write_sheets
+from tests.deitalk.research.training.test_mesh import write_sheets
 
 
 def test_lips_are_exact_where_motion_is_linear(tmp_path: Path):

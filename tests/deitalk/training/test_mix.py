@@ -10,7 +10,7 @@ from deitalk.errors import CheckpointError
 from deitalk.models.checkpoint import load_model, save_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.models.folder import describe_model, weights_hash
-from deitalk.training.tuning.recipe import mix_models
+from deitalk.training.tuning.mix import mix_models
 from rig.errors import ExistsError
 from tests.command import ran
 from tests.deitalk.training.test_finetuning import TINY

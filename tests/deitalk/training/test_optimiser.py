@@ -8,7 +8,7 @@ from torch import nn
 
 from deitalk.config.curves import Config
 from deitalk.config.load import parse_config
-from deitalk.training.trainer import new_scheduler, restore_buffers, update_average
+from deitalk.training.optimizer import new_scheduler, restore_buffers, update_average
 from tests.each import each
 
 

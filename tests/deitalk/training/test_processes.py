@@ -8,7 +8,7 @@ from torch import Tensor, nn
 
 from deitalk.config.load import parse_config
 from deitalk.errors import ConfigError
-from deitalk.training.trainer import (
+from deitalk.training.several_processes import (
     gather_rows,
     in_precision,
     mean_over_processes,

@@ -10,13 +10,8 @@ import torch
 
 from deitalk.models.folder import ENCODER
 from deitalk.training import run_folder
-from deitalk.training.run_folder import (
-    Journal,
-    picture_path,
-    restore_state,
-    resume_run,
-    save_checkpoints,
-)
+from deitalk.training.journal import Journal
+from deitalk.training.run_folder import picture_path, restore_state, resume_run, save_checkpoints
 
 
 def parts() -> dict[str, torch.nn.Module]:

@@ -15,7 +15,7 @@ from deitalk.errors import ConfigError, DataError
 from deitalk.research.meshes.folder import MeshSequence, write_mesh_folder
 from deitalk.research.meshes.training import train_mesh
 from deitalk.training.curves import train_curves
-from deitalk.training.run_folder import log, truncate_log
+from deitalk.training.journal import log, truncate_log
 from rig.errors import TargetError
 from tests.dataset import write_dataset
 from tests.deitalk.models.test_mesh_model import LIPS, sheet, spoken

@@ -16,9 +16,10 @@ from deitalk.config.curves import Config
 from deitalk.config.load import parse_config
 from deitalk.data.windows import SeededBatches, Share
 from deitalk.errors import ConfigError, DataError
-from deitalk.evaluation.figures import ClipRows, Row
+from deitalk.evaluation.clips_figure import ClipRows, Row
 from deitalk.training import trainer as module
-from deitalk.training.trainer import MAX_BAD_STEPS, Task, Trainer, new_accelerator, run_training
+from deitalk.training.several_processes import new_accelerator
+from deitalk.training.trainer import MAX_BAD_STEPS, Task, Trainer, run_training
 from rig.files import output_folder
 from tests.deitalk.training.conftest import killed_at
 from tests.each import each

@@ -10,7 +10,7 @@ import torch
 
 from deitalk import animate
 from deitalk.audio.load import Recording
-from deitalk.config.curves import FinetuneConfig
+from deitalk.config.finetuning import FinetuneConfig
 from deitalk.config.rig_file import read_controls
 from deitalk.emotions import EMOTIONS, LABELS
 from deitalk.errors import DataError

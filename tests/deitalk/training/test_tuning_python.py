@@ -218,7 +218,7 @@ def test_held_predictions_leave_the_model_as_it_is(base, takes):
     before = {name: value.clone() for name, value in task.model.state_dict().items()}
     fit = task.regression
     assert isinstance(fit, Regression) and len(fit.maps.held) > 1
-    from deitalk.evaluation.validation import load_example
+    from deitalk.evaluation.smoothness import load_example
 
     fit.predicted(task.clips[0], load_example(task.clips[0], task.controls))
     for name, value in task.model.state_dict().items():

@@ -10,7 +10,7 @@ from rig.conversion.convert import convert, convert_and_note
 from rig.conversion.shape_fit import bounded_fit, shape_key
 from rig.errors import FormatError
 from rig.retarget.blendshapes import match_shapes
-from rig.retarget.retarget_files import read_mapping, write_mapping
+from rig.retarget.mapping_files import read_mapping, write_mapping
 from tests.each import each
 
 

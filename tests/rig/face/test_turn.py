@@ -3,7 +3,7 @@
 import numpy as np
 
 from rig.face import build_head
-from rig.face.accents import JOINT, matrices, neck_share, quaternions, turned
+from rig.face.head_pose import JOINT, matrices, neck_share, quaternions, turned
 from tests.each import each
 
 LEFT, UP, FORWARD = np.eye(3)

@@ -6,7 +6,7 @@ import pytest
 
 from rig.errors import TargetError
 from rig.files import begin_folder, kind_of, record, replace_recorded
-from rig.files.folder import settle
+from rig.files.kept_folder import settle
 from tests.interrupt import count_writes, kill_at_write
 from tests.written import changed_files
 

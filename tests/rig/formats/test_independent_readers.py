@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 from rig import RigCurves, default_controls, write_curves
 from rig.conversion.arkit import ARKIT_ID, arkit_controls, udp_order
 from rig.conversion.convert import convert
-from rig.face.accents import quaternions
+from rig.face.head_pose import quaternions
 from rig.formats.vrma import APPLE, PRESETS
 from rig.livelink import make_protocol
 from rig.mesh.glb import write_container

@@ -20,7 +20,7 @@ from rig.conversion.arkit import (
 )
 from rig.curves.timecode import read_timecodes
 from rig.errors import FormatError
-from rig.face.accents import quaternions
+from rig.face.head_pose import quaternions
 from rig.formats.livelink_csv import (
     SUBJECT_REST,
     LiveLinkTake,

@@ -16,8 +16,9 @@ from rig import RigCurves, default_controls, read_curves, rest_curves, write_cur
 from rig.conversion.arkit import arkit_controls
 from rig.errors import FormatError, RigError
 from rig.face import build_head
-from rig.face.accents import matrices
-from rig.retarget.morph_head import arkit_pose, srgb_to_linear, textured
+from rig.face.head_pose import matrices
+from rig.retarget.head_glb import arkit_pose
+from rig.retarget.morph_head import srgb_to_linear, textured
 from tests.each import each
 from tests.rig.formats.test_other_tools import NVIDIA
 

@@ -8,8 +8,9 @@ import pytest
 
 from rig.controls import DEFAULT_ID, default_controls
 from rig.conversion.arkit import ARKIT_ID, HEAD, arkit_controls
+from rig.livelink.pace import MARGIN_SECONDS, MOST_SECONDS, LiveSender
 from rig.livelink.protocols import LiveLinkFace, PropertyJson
-from rig.livelink.sender import MARGIN_SECONDS, MOST_SECONDS, REST_REPEATS, Clock, LiveSender
+from rig.livelink.sender import REST_REPEATS, Clock
 from tests.each import each
 
 FPS = 30.0

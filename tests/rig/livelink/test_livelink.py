@@ -17,7 +17,7 @@ from rig import RigCurves, default_controls, rest_curves
 from rig.conversion.arkit import ARKIT_ID, RAW_ID, arkit_controls
 from rig.conversion.convert import convert
 from rig.errors import FormatError
-from rig.face.accents import quaternions
+from rig.face.head_pose import quaternions
 from rig.formats.livelink_csv import read_take, with_subject, write_take
 from rig.livelink import Packet, Receiver, decode, encode, make_protocol, protocols, send
 from rig.livelink.protocols import (

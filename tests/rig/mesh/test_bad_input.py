@@ -50,7 +50,7 @@ def as_polygons(mesh):
 @pytest.mark.slow
 def test_mesh_with_many_defects_is_retargeted(tmp_path):
     """Quads, unused vertices, loose eyes, metres, and normals inside out, all in one OBJ."""
-    from rig.retarget.morph_head import source_head
+    from rig.retarget.head_source import source_head
 
     source = source_head()
     head = source.mesh.flipped()

@@ -9,8 +9,9 @@ from deitalk.research.meshes.frames import read_ply_sequence
 from rig.errors import FormatError, MeshError, TopologyError
 from rig.mesh.glb import WeightAnimation, read_container, write_container, write_glb
 from rig.mesh.glb_reader import animate_glb, morph_names, read_accessor, read_glb
+from rig.mesh.obj import read_obj, read_obj_folder
 from rig.mesh.ply import read_ply, write_ply, write_ply_sequence
-from rig.mesh.shapes import ShapeSet, read_obj, read_obj_folder, read_shapes_npz
+from rig.mesh.shapes import ShapeSet, read_shapes_npz
 from rig.mesh.trimesh import (
     TriMesh,
     boundary_edges,

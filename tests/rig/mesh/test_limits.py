@@ -11,10 +11,12 @@ from rig.errors import RigError
 from rig.mesh import ShapeSet, TriMesh, write_ply
 from rig.mesh.glb import read_container, write_container, write_glb
 from rig.mesh.glb_reader import morph_names, read_glb
+from rig.mesh.obj import read_obj
 from rig.mesh.ply import read_ply
-from rig.mesh.shapes import check_shape_count, read_obj, read_shapes_npz
+from rig.mesh.shapes import check_shape_count, read_shapes_npz
 from rig.mesh.trimesh import check_length
-from rig.retarget.retarget_files import read_mapping, read_shapes
+from rig.retarget.mapping_files import read_mapping
+from rig.retarget.retarget_files import read_shapes
 from tests.each import each
 from tests.errors import one_line
 
@@ -45,7 +47,7 @@ def test_coordinates_beyond_the_limit_are_rejected():
 
 @each(("most", "fits"), [(4, True), (3, False)])
 def test_obj_vertices_are_counted_while_reading(tmp_path, monkeypatch, most, fits):
-    monkeypatch.setattr("rig.mesh.shapes.VERTICES", most)
+    monkeypatch.setattr("rig.mesh.obj.VERTICES", most)
     path = written(tmp_path / "a.obj", OBJ)
     if fits:
         assert len(read_obj(path).vertices) == 4

@@ -8,7 +8,7 @@ from deitalk.cli import app
 from deitalk.research.contact_sheet import pose_values
 from rig.face import build_head
 from rig.mesh.glb_reader import read_glb
-from rig.retarget.morph_head import (
+from rig.retarget.head_glb import (
     CORRECTIVES,
     SHAPES,
     arkit_morphs,

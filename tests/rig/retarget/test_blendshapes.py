@@ -13,7 +13,7 @@ from rig.mesh.shapes import ShapeSet
 from rig.mesh.trimesh import TriMesh
 from rig.retarget.bake import Driver, Half, bake, face_correctives
 from rig.retarget.blendshapes import closing_weight, match_shapes
-from rig.retarget.retarget_files import read_mapping
+from rig.retarget.mapping_files import read_mapping
 from tests.each import each
 
 BOARD = default_controls()

@@ -10,7 +10,7 @@ from rig.mesh.glb import GlbBuilder, read_container, write_container, write_glb
 from rig.mesh.glb_reader import read_accessor
 from rig.mesh.shapes import ShapeSet
 from rig.mesh.trimesh import TriMesh
-from rig.retarget.blendshapes import NECK_SHARE
+from rig.retarget.bones import NECK_SHARE
 from rig.retarget.retarget_files import CUBIC, retarget_curves
 from tests.each import each
 

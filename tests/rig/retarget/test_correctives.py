@@ -8,8 +8,9 @@ from rig.face import build_head
 from rig.mesh.glb import read_container
 from rig.mesh.glb_reader import read_accessor
 from rig.mesh.trimesh import TriMesh
-from rig.retarget.blendshapes import ARKIT_HALVES, half_weight, match_shapes
-from rig.retarget.morph_head import CORRECTIVES, SHAPES, arkit_pose, corrective_weights, write_head
+from rig.retarget.blendshapes import match_shapes
+from rig.retarget.correctives import ARKIT_HALVES, half_weight
+from rig.retarget.head_glb import CORRECTIVES, SHAPES, arkit_pose, corrective_weights, write_head
 from rig.retarget.retarget_files import read_shapes, retarget_curves
 
 BOARD = default_controls()

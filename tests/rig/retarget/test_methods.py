@@ -7,11 +7,14 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from rig.errors import FormatError, MeshError
+from rig.mesh.closest import ClosestPoints, closest_barycentric
 from rig.mesh.deformation import rigid_motion
-from rig.mesh.trimesh import ClosestPoints, TriMesh, closest_barycentric, components
+from rig.mesh.trimesh import TriMesh, components
+from rig.retarget.found_landmarks import guess_landmarks
 from rig.retarget.landmarks import LANDMARKS, NEEDED, check_landmarks, read_landmarks, similarity
-from rig.retarget.methods import _along_slit, fit_lids, lip_pairs
-from rig.retarget.registration import guess_landmarks, lip_labels, register
+from rig.retarget.lids import fit_lids
+from rig.retarget.methods import _along_slit, lip_pairs
+from rig.retarget.registration import lip_labels, register
 from rig.retarget.transfer import local_jacobians, transfer_displacements
 from tests.each import each
 
@@ -23,7 +26,7 @@ PLANES = TriMesh(
 
 @pytest.fixture(scope="module")
 def head():
-    from rig.retarget.morph_head import source_head
+    from rig.retarget.head_source import source_head
 
     return source_head()
 

@@ -7,7 +7,7 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from deitalk.cli.mesh import retarget
+from deitalk.cli.retarget import retarget
 from deitalk.research.meshes.frames import read_ply_sequence
 from rig import RigCurves, default_controls, write_curves
 from rig.errors import ExistsError, FormatError, MeshError
@@ -214,8 +214,8 @@ def test_command_rejects_invalid_arguments(tmp_path, shapes):
 @pytest.mark.slow
 def test_our_head_on_the_ict_face(shared, tmp_path, curves):
     """A neutral ICT face with landmarks: right motion, and lips that seal where ours do."""
+    from rig.retarget.head_source import source_head
     from rig.retarget.methods import shapes_for
-    from rig.retarget.morph_head import source_head
 
     mesh, landmarks = ict(shared)
     made = shapes_for(mesh, landmarks)
@@ -258,8 +258,8 @@ def test_our_head_on_the_ict_face(shared, tmp_path, curves):
 @pytest.mark.slow
 def test_landmarks_of_the_ict_face_are_found(shared):
     """In metres and with z up, as Blender may write it; within 4 mm on average, 1 cm at worst."""
-    from rig.retarget.morph_head import source_head
-    from rig.retarget.registration import guess_landmarks
+    from rig.retarget.found_landmarks import guess_landmarks
+    from rig.retarget.head_source import source_head
 
     mesh, landmarks = ict(shared)
     source = source_head()
@@ -281,8 +281,8 @@ def test_landmarks_of_the_ict_face_are_found(shared):
 @pytest.mark.slow
 def test_ict_shapes_on_our_head(shared):
     """The reverse: every ICT shape moves our head where it moves the ICT face."""
+    from rig.retarget.head_source import source_head
     from rig.retarget.methods import carry_shapes
-    from rig.retarget.morph_head import source_head
 
     mesh, landmarks = ict(shared)
     theirs = ShapeSet(mesh, *ict_shapes(shared), landmarks)

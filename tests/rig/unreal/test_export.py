@@ -10,7 +10,7 @@ import pytest
 import soundfile
 
 from deitalk.data.captures.imported import import_captures
-from deitalk.data.captures.sources import Labelling
+from deitalk.data.captures.labels import Labelling
 from deitalk.data.clips import read_clips, read_known
 from rig import read_curves, write_curves
 from rig.conversion.arkit import board_to_raw

@@ -3,14 +3,13 @@
 import numpy as np
 import pytest
 
+from deitalk.data.captures.rest_pose import rest_pose, without_rest
 from deitalk.data.captures.survey import (
     MOST_FRAMES,
     Frames,
     asymmetry,
     channel_faults,
-    rest_pose,
     swapped_takes,
-    without_rest,
 )
 from rig import RigCurves, default_controls
 

@@ -14,7 +14,8 @@ import pytest
 from deitalk.audio.load import load_audio, write_wav
 from deitalk.data.captures.columns import read_mapping
 from deitalk.data.captures.imported import import_captures
-from deitalk.data.captures.sources import Labelling, find_takes
+from deitalk.data.captures.labels import Labelling
+from deitalk.data.captures.sources import find_takes
 from deitalk.data.captures.take import paired, read_capture
 from rig import read_curves, write_curves
 from rig.conversion.arkit import ARKIT_ID, HEAD, arkit_controls

@@ -14,8 +14,8 @@ from typer.testing import CliRunner
 from deitalk.audio.load import load_audio
 from deitalk.config.rig_file import read_controls, rig_of_dataset
 from deitalk.data.captures import imported
-from deitalk.data.captures.imported import rig_of_takes
-from deitalk.data.captures.sources import Labelling
+from deitalk.data.captures.labels import Labelling
+from deitalk.data.captures.rig_of import rig_of_takes
 from deitalk.data.clips import read_clips, read_known
 from deitalk.errors import DataError
 from rig import default_controls, read_curves, rest_curves

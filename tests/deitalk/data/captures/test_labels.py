@@ -4,7 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from deitalk.data.captures.sources import Labelling, Source
+from deitalk.data.captures.labels import Labelling
+from deitalk.data.captures.sources import Source
 from deitalk.errors import DataError
 from tests.each import each
 from tests.errors import one_line

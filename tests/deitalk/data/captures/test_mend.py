@@ -10,8 +10,8 @@ from typer.testing import CliRunner
 from deitalk.audio.load import load_audio, write_wav
 from deitalk.cli.data import app
 from deitalk.data.captures.imported import import_captures
+from deitalk.data.captures.labels import Labelling
 from deitalk.data.captures.mend import rename_emotions
-from deitalk.data.captures.sources import Labelling
 from deitalk.data.checks import inspect_dataset
 from deitalk.data.clips import read_clips, read_known
 from deitalk.models.checkpoint import load_model

@@ -7,11 +7,11 @@ from torch.nn import functional as F
 
 from deitalk import animate
 from deitalk.audio.load import Recording
-from deitalk.config.curves import Config, ModelConfig
 from deitalk.config.frontends import MelConfig
 from deitalk.config.load import load_config
 from deitalk.models.checkpoint import load_model, network_class, save_model
 from deitalk.research.comparison.emotalk import EmoTalk, emotion_sources
+from deitalk.research.config import ComparedConfig, ComparedModelConfig
 from deitalk.research.evaluation.benchmark_curves import speechlike
 from deitalk.research.training.ablation import read_variants
 from tests.deitalk.models.test_curve_model import MEL
@@ -32,7 +32,7 @@ OWN = {
 
 def build(**settings):
     torch.manual_seed(5)
-    model = EmoTalk(ModelConfig(frontend=MelConfig(**MEL), **(OWN | settings))).eval()
+    model = EmoTalk(ComparedModelConfig(frontend=MelConfig(**MEL), **(OWN | settings))).eval()
     with torch.no_grad():
         model.decoder.output.weight.normal_(std=0.3)
     return model
@@ -66,15 +66,14 @@ def test_batch_is_predicted_from_the_emotion_of_the_sources():
     model = build()
     speech, frames, total = batch(3)
     shown, voices = styles(0, 1, 2), styles(1, 0, 0)
-    out = model(speech, shown, frames, total, None, voices)
+    out, found = model(speech, shown, frames, total, None, voices)
     features = model.emotion(speech)
-    assert out.supervised.tolist() == [1, 1, 0]
+    assert found.tolist() == [1, 1, 0]
     for row, source in ((0, 1), (1, 0)):
         expected = model.decoder(speech[row : row + 1], shown[row : row + 1], features[[source]])
         torch.testing.assert_close(out.curves[row], expected[0])
     torch.testing.assert_close(out.emotion_logits, model.emotion.classify(features))
     alone = model(speech, shown, frames, total)
-    assert alone.supervised is None
     torch.testing.assert_close(alone.curves, model.decoder(speech, shown, features))
 
 
@@ -99,7 +98,7 @@ def test_clip_is_read_as_a_batch_of_one():
 
 def test_saved_network_is_read_and_animates(tmp_path):
     model = build()
-    save_model(tmp_path / "m", model, Config(name="m", model=model.config), {"steps": 0})
+    save_model(tmp_path / "m", model, ComparedConfig(name="m", model=model.config), {"steps": 0})
     read = load_model(tmp_path / "m")
     assert isinstance(read, EmoTalk)
     speech = Recording(speechlike(1.0), "test", 16_000, 1)
@@ -113,7 +112,7 @@ def test_configurations_share_the_frontend_of_one_model():
         config = variant.config(0, None)
         assert config.model.frontend == shared and config.train.frozen_frontend == "mel"
         assert network_class(config.model).__name__ == (
-            "EmoTalk" if variant.name.startswith("emotalk") else "DEITalk"
+            {"deitalk": "DEITalk", "faceformer": "FaceFormer"}.get(variant.name, "EmoTalk")
         )
 
 

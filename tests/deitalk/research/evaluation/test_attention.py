@@ -11,13 +11,13 @@ from typer.testing import CliRunner
 from deitalk.audio.load import write_wav
 from deitalk.audio.mel import nearest_spectra
 from deitalk.audio.voice_activity import normalise_level, speech_activity
-from deitalk.cli import app
 from deitalk.config.curves import ModelConfig
 from deitalk.config.frontends import WhisperConfig
 from deitalk.config.load import parse_config
 from deitalk.errors import CheckpointError, DataError, DeitalkError
 from deitalk.models.checkpoint import save_model
 from deitalk.models.curve_model import DEITalk
+from deitalk.research.cli import app
 from deitalk.research.evaluation.attention import attention_of, corpus_attention, frontend_weights
 from deitalk.research.evaluation.report import identified
 from rig.errors import RigError

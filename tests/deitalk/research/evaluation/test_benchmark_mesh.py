@@ -5,7 +5,7 @@ import json
 import pytest
 from typer.testing import CliRunner
 
-from deitalk.cli import app
+from deitalk.research.cli import app
 from deitalk.research.evaluation import benchmark_mesh as mesh_timing
 from deitalk.research.evaluation.benchmark_mesh import PUBLISHED, STAGES, as_markdown, table_4
 from tests.closeness import SHARE

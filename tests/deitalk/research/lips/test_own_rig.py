@@ -7,7 +7,7 @@ from deitalk.config.rig_file import read_controls
 from deitalk.data.captures.splits import divide_clips
 from deitalk.data.clips import read_clips
 from deitalk.errors import DataError
-from deitalk.evaluation.validation import load_example
+from deitalk.evaluation.smoothness import load_example
 from deitalk.research.lips.head_lips import MEASURES, HeadLips
 from deitalk.research.lips.measured import read_lips
 from deitalk.research.lips.own_rig import write_measure_dataset
@@ -24,7 +24,7 @@ def test_curves_are_the_measures_and_a_speaker_can_be_left_out(tmp_path):
     table = np.load(path)["meas"]
     table[20:22, 3] = -32768
     np.savez(path, meas=table)
-    ran("data", "lips", folder, "--as-rig", "-o", out)
+    ran("lips", folder, "--as-rig", "-o", out)
     controls = read_controls(str(out / "rig.yaml"))
     assert controls.names == MEASURES
     measured = {c.name: c for c in read_lips(folder, HeadLips(build_head()).eye_distance)}

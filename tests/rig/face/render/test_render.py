@@ -9,7 +9,8 @@ from deitalk.research.contact_sheet import SHEETS, Tile, draw_sheet, pose_values
 from rig.face import build_head
 from rig.face.mesh import Mesh
 from rig.face.render import VIEWS, View
-from rig.face.render.shading import background, glsl, text_width, write_png, write_text
+from rig.face.render.picture import text_width, write_png, write_text
+from rig.face.render.shading import background, glsl
 from rig.face.render.software import Renderer, Screen, front_faces, nearest_faces
 from tests.each import each
 

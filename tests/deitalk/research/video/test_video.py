@@ -10,7 +10,8 @@ import soundfile
 
 from deitalk.data.captures import imported
 from deitalk.data.captures.imported import within_captured
-from deitalk.data.captures.sources import Labelling, find_sound, find_takes
+from deitalk.data.captures.labels import Labelling
+from deitalk.data.captures.sources import find_sound, find_takes
 from deitalk.data.captures.take import CapturedCurves, read_capture
 from deitalk.data.clips import read_clips, read_known
 from deitalk.errors import MissingError
@@ -18,7 +19,7 @@ from deitalk.research.video.detector import _chosen
 from deitalk.research.video.landmarks import USED
 from rig import default_controls, read_curves, rest_curves
 from rig.face.head import build_head
-from tests.deitalk.data.video.test_decode import write_video
+from tests.deitalk.research.video.test_decode import write_video
 from tests.each import each
 from tests.errors import one_line
 from tests.filmed_head import filmed_mesh, write_mesh

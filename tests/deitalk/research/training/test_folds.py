@@ -7,16 +7,16 @@ import pandas as pd
 import pytest
 from typer.testing import CliRunner
 
-from deitalk.cli import app
 from deitalk.data.clips import read_clips
 from deitalk.errors import DataError
+from deitalk.research.cli import app
 from deitalk.research.training.folds import tune_folds
 from deitalk.training.tuning.task import FinetuneTask
-from tests.command import ran
 from tests.dataset import JAW, write_dataset
-from tests.deitalk.training.conftest import recipe
+from tests.deitalk.training.conftest import base, no_pictures, recipe
 from tests.each import each
 
+__all__ = ["base", "no_pictures"]
 SHORT = ("train.steps=2", "train.evaluate_every=2", "train.batch_size=2", "data.window_frames=32")
 
 
@@ -50,8 +50,9 @@ def test_means_are_those_of_the_folds(base, two_takes, tmp_path, monkeypatch):
     """One set of features serves all folds, and the command goes on with folds that are there."""
     monkeypatch.delattr("deitalk.training.tuning.task.FrozenFeatures")
     sets = [part for override in SHORT for part in ("--set", override)]
-    command = ["finetune", str(two_takes), "--from", base, "-o", f"{tmp_path}/out", *sets]
-    done = ran(*command, "--folds", "takes")
+    command = ["folds", str(two_takes), "--from", base, "-o", f"{tmp_path}/out", *sets]
+    done = CliRunner().invoke(app, command)
+    assert done.exit_code == 0
     assert [line.split("\t")[0] for line in done.stdout.splitlines()][:3] == ["a", "b", "before"]
     reports = [json.loads((tmp_path / f"out/{n}/report.json").read_text()) for n in "ab"]
     result = json.loads((tmp_path / "out/folds.json").read_text())
@@ -61,10 +62,10 @@ def test_means_are_those_of_the_folds(base, two_takes, tmp_path, monkeypatch):
         assert result["mean"][system]["mean_r"] == pytest.approx(sum(scores) / 2)
     moving = result["controls"][JAW]
     assert 0 < moving["captured_sd"] and {"before_r", "after_r"} <= moving.keys()
-    again = CliRunner().invoke(app, [*command, "--folds", "takes", "--resume"])
+    again = CliRunner().invoke(app, [*command, "--resume"])
     assert again.exit_code == 0 and again.stdout == done.stdout
     with pytest.raises(DataError, match="holds a run already"):
-        CliRunner().invoke(app, [*command, "--folds", "takes"], catch_exceptions=False)
+        CliRunner().invoke(app, command, catch_exceptions=False)
 
 
 def test_takes_of_one_folder_are_refused_before_any_training(base, two_takes, tmp_path):
@@ -82,14 +83,12 @@ def test_takes_of_one_folder_are_refused_before_any_training(base, two_takes, tm
 @each(
     ("options", "match"),
     [
-        (["--leave-out", "2_01"], "`leave_out=2_01` must be one of several takes or actors"),
-        (["--leave-out", "c"], "`leave_out=c` must be one of several takes or actors, such as a"),
-        (["--folds", "clips"], "`folds=clips` must be one of takes, actors"),
-        (["--folds", "takes", "--leave-out", "a"], "each in turn: no `leave_out`"),
-        (["--folds", "actors"], "folds of actors need two; here is anna alone"),
+        (["--of", "clips"], "`folds=clips` must be one of takes, actors"),
+        (["--leave-out", "a"], "each in turn: no `leave_out`"),
+        (["--of", "actors"], "folds of actors need two; here is anna alone"),
     ],
 )
 def test_command_rejects_what_cannot_be_left_out(base, two_takes, tmp_path, options, match):
-    arguments = ["finetune", str(two_takes), "--from", base, "-o", f"{tmp_path}/out", *options]
+    arguments = ["folds", str(two_takes), "--from", base, "-o", f"{tmp_path}/out", *options]
     with pytest.raises(DataError, match=match):
         CliRunner().invoke(app, arguments, catch_exceptions=False)

@@ -9,7 +9,7 @@ from rig import default_controls
 from rig.face.head import build_head
 from rig.face.render.shading import VIEWS
 from rig.face.render.software import Renderer
-from tests.deitalk.data.video.test_decode import encode
+from tests.deitalk.research.video.test_decode import encode
 
 pytestmark = pytest.mark.slow
 CONTROLS = default_controls()

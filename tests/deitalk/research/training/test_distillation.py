@@ -10,13 +10,14 @@ from deitalk.config.curves import Config
 from deitalk.config.load import load_config
 from deitalk.models.checkpoint import load_model, save_model
 from deitalk.models.curve_model import DEITalk
+from deitalk.research.config import read_training
+from deitalk.research.training.curves import TrainingTask, train_curves
 from deitalk.research.training.distillation import Teacher, read_teacher
 from deitalk.training.curve_losses import start_as
-from deitalk.training.curves import CurveTask, train_curves
 from tests.dataset import write_dataset
 from tests.deitalk.training.conftest import killed_at
 
-TINY = Path(__file__).resolve().parents[3] / "configs" / "tiny.yaml"
+TINY = Path(__file__).resolve().parents[4] / "configs" / "tiny.yaml"
 FRONTEND = (
     "{kind: whisper, checkpoint: null, n_mels: 16, width: 32, heads: 2, intermediate: 32, "
     "layers: [0, 1], learns: everything}"
@@ -26,7 +27,7 @@ FRONTEND = (
 def student(teacher: Path | str, *overrides: str) -> Config:
     """A small Whisper encoder before tiny.yaml's decoder."""
     mine = ("train.steps=6", "train.evaluate_every=3", f"model.frontend={FRONTEND}")
-    return load_config(TINY, (*mine, f"train.teacher={teacher}", *overrides))
+    return read_training(TINY, (*mine, f"train.teacher={teacher}", *overrides))
 
 
 def weights(folder: Path) -> dict[str, torch.Tensor]:
@@ -137,7 +138,7 @@ def test_resumed_run_has_the_weights_of_an_uninterrupted_one(data, teacher, fini
 
 
 def test_weights_that_begin_as_the_teachers_learn_at_a_third(data, teacher):
-    task = CurveTask(student(teacher), data)
+    task = TrainingTask(student(teacher), data)
     task.build(torch.device("cpu"))
     groups = task.optimizer().param_groups
     rates = {id(p): group["lr"] for group in groups for p in group["params"]}
@@ -146,6 +147,6 @@ def test_weights_that_begin_as_the_teachers_learn_at_a_third(data, teacher):
         if parameter.requires_grad:
             share = 1 if name.startswith("frontend.") else 1 / 3
             assert rates[id(parameter)] == pytest.approx(share * task.config.train.learning_rate)
-    alone = CurveTask(load_config(TINY), data)
+    alone = TrainingTask(read_training(TINY), data)
     alone.build(torch.device("cpu"))
     assert len(alone.optimizer().param_groups) == 1

@@ -15,13 +15,14 @@ import torch
 import yaml
 from typer.testing import CliRunner
 
-from deitalk.cli import app
 from deitalk.config.load import load_config
 from deitalk.config.mesh import SDFAConfig
 from deitalk.errors import ConfigError, DataError
-from deitalk.evaluation.figures import can_draw, draw_clips
+from deitalk.evaluation.clips_figure import draw_clips
+from deitalk.evaluation.figures import can_draw
 from deitalk.models.checkpoint import load_model, save_model
 from deitalk.models.curve_model import DEITalk
+from deitalk.research.cli import app
 from deitalk.research.meshes import training as module
 from deitalk.research.meshes.folder import (
     MeshFolder,
@@ -51,7 +52,7 @@ from tests.deitalk.models.test_mesh_model import (
 from tests.deitalk.training.conftest import killed_at
 from tests.each import each
 
-CONFIGS = Path(__file__).resolve().parents[3] / "configs"
+CONFIGS = Path(__file__).resolve().parents[4] / "configs"
 
 
 def write_sheets(out: Path, *, with_lips: bool = True) -> Path:
@@ -212,7 +213,15 @@ def test_two_processes_make_the_weights_of_one(tmp_path):
 
     def fit(launcher: list[str], out: Path) -> None:
         options = ["--data", str(data), "-o", str(out)]
-        command = [sys.executable, *launcher, "-m", "deitalk", "train", str(settings), *options]
+        command = [
+            sys.executable,
+            *launcher,
+            "-m",
+            "deitalk.research",
+            "train",
+            str(settings),
+            *options,
+        ]
         done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=300)
         assert done.returncode == 0, done.stderr[-3000:]
         assert done.stderr.count("best: step") == 1, "one process reports"
@@ -317,7 +326,7 @@ def test_copied_encoder_keeps_the_parts_that_an_ablation_replaces(tmp_path):
     for key, value in sdfa.encoder.frontend.state_dict().items():
         is_new = key.startswith("attention.")
         assert torch.equal(value, (before if is_new else wanted)[key]), key
-    convolved = model(frontend=sizes, gathering="convolution")
+    convolved = model(frontend=sizes | {"kind": "mel_ablated"}, gathering="convolution")
     copy_encoder(convolved, name, ("spectral",))
     with pytest.raises(ConfigError, match=r"name what differs in train\.start_new"):
         copy_encoder(convolved, name, ())

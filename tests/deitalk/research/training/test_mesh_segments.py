@@ -13,7 +13,7 @@ from deitalk.config.frontends import SDFAMelConfig
 from deitalk.config.mesh import MeshDataConfig
 from deitalk.data.windows import Share
 from deitalk.errors import DataError
-from deitalk.frontends.mel_bilstm import SDFAEncoder
+from deitalk.frontends.sdfa_encoder import SDFAEncoder
 from deitalk.research.meshes.folder import (
     Lips,
     MeshSequence,

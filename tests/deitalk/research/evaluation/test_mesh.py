@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from deitalk.cli import app
 from deitalk.config.load import parse_config
-from deitalk.config.mesh import SDFAModelConfig
 from deitalk.errors import CheckpointError, DataError
 from deitalk.models.checkpoint import save_model
 from deitalk.models.deformation_decoder import InversePCA
+from deitalk.research.cli import app
+from deitalk.research.config import ComparedSDFAModelConfig
 from deitalk.research.meshes.folder import Lips, act, acted_clips, head_lips, head_templates
 from deitalk.research.meshes.scores import as_markdown, evaluate_mesh, lip_gap, smallest_gaps
 from deitalk.research.meshes.training import new_mesh_model
@@ -25,7 +25,9 @@ VOCA = {"kind": "voca", "n_mels": 16, "n_mfcc": 10, "channels": [8, 8, 12, 12]}
 def still(templates=None):
     """A model of vertex offsets with lips at rest."""
     templates = templates or head_templates((0,))
-    config = SDFAModelConfig(frontend=VOCA, motion="offsets", shared_size=None, branch_sizes=())
+    config = ComparedSDFAModelConfig(
+        frontend=VOCA, motion="offsets", shared_size=None, branch_sizes=()
+    )
     count = len(next(iter(templates.values())).vertices)
     layers = {"offsets": InversePCA(1, 3 * count)}
     return new_mesh_model(config, layers, templates, fps=30, unit_mm=10).eval()
@@ -99,7 +101,7 @@ def test_command_writes_a_report_and_refuses_other_options(tmp_path):
     data = write_dataset(tmp_path / "d", 1, 5)
     config = parse_config(
         {
-            "kind": "sdfa",
+            "kind": "sdfa_compared",
             "model": {
                 "frontend": VOCA,
                 "motion": "offsets",

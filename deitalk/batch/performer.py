@@ -1,0 +1,266 @@
+"""One line in a worker process: a recording to staged files."""
+
+import errno
+import hashlib
+import os
+import shutil
+import socket
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from functools import partial
+from pathlib import Path
+from tempfile import mkdtemp
+from typing import TYPE_CHECKING, Any, TypeVar
+from weakref import finalize
+
+from deitalk.acting import Acting
+from deitalk.audio.choice import AudioChoice
+from deitalk.batch.cloud import read_recording, upload
+from deitalk.batch.findings import findings
+from deitalk.batch.lines import TAKE, has_option
+from deitalk.batch.orders import File, Order, Outcome, Target
+from deitalk.models.load import Backend
+from deitalk.pipeline.performance import Performance
+from rig.errors import UserError, one_line
+
+if TYPE_CHECKING:
+    from deitalk.models.protocol import Reading
+    from deitalk.pipeline.curves import Prepared
+
+
+TOGETHER = 8
+"""Most recordings of one length that the network reads in one call."""
+TOGETHER_FRAMES = 1500
+"""Most of their frames: eight of 6 s, which take some 300 MB."""
+T = TypeVar("T")
+_FULL = {errno.ENOSPC, errno.EDQUOT}
+
+
+class Performer:
+    """A model in a worker process, with a folder for unfinished files.
+
+    Parameters
+    ----------
+    model : str
+        Name or folder.
+    stage : str
+        Folder on the disk of the outputs; empty: a temporary one.
+    url : str
+        Where files are uploaded to; empty: they stay staged.
+    backend : str
+        As for `deitalk.models.load.load_network`.
+    device : str
+        Where the network is, as for `deitalk.models.load.load_network`.
+    """
+
+    def __init__(
+        self,
+        model: str,
+        stage: str,
+        url: str = "",
+        backend: Backend = "auto",
+        device: str = "cpu",
+    ) -> None:
+        from deitalk.models.folder import describe_model
+        from deitalk.models.load import chosen_backend, load_network
+
+        chosen = chosen_backend(model, backend, device)
+        if chosen == "torch":
+            import torch
+
+            torch.set_num_threads(1)
+        self.network: Any = load_network(model, backend=chosen, device=device)
+        self.about = describe_model(model)
+        if not stage:
+            stage = mkdtemp(prefix="deitalk-batch-")
+            finalize(self, shutil.rmtree, stage, ignore_errors=True)
+        self.stage = Path(stage) / f"{socket.gethostname()}-{os.getpid()}"
+        self.url, self.count = url, 0
+
+    def __call__(self, orders: Sequence[Order]) -> Iterator[list[Outcome]]:
+        """Animate lines, those of one length together; what is wrong with one is in its result."""
+        ready: dict[int, list[tuple[Order, str, Prepared]]] = {}
+        for order in orders:
+            result = self._guarded(order, partial(self._prepared, order))
+            if isinstance(result, Outcome):
+                yield [result]
+                continue
+            sound, prepared = result
+            length = len(prepared.inputs[1])
+            group = ready.setdefault(length, [])
+            group.append((order, sound, prepared))
+            if len(group) >= self._most_together(length):
+                yield self._finished(ready.pop(length))
+        for group in ready.values():
+            yield self._finished(group)
+
+    def _guarded(self, order: Order, work: Callable[[], T]) -> T | Outcome:
+        """The result of some work on a line, or of the line if it fails."""
+        try:
+            return work()
+        except UserError as error:
+            return Outcome(order.output, "full" if _is_full(error) else "failed", str(error))
+        except MemoryError:
+            text = "not enough memory; give a shorter recording, or use fewer workers"
+            return Outcome(order.output, "failed", text)
+        except OSError as error:
+            text = one_line(error.strerror or error)
+            return Outcome(order.output, "full" if _is_full(error) else "failed", text)
+        except Exception as error:  # one line must not end a night's work
+            text = one_line(f"{type(error).__name__}: {error}")
+            return Outcome(order.output, "failed", text)
+
+    def _prepared(self, order: Order) -> tuple[str, "Prepared"] | Outcome:
+        """Hash of a line's recording, and the line ready for the network; or its result."""
+        from deitalk.pipeline.curves import prepare
+        from deitalk.pipeline.speech import measure_voice
+
+        data, sound = read_recording(order.audio)
+        if sound == order.known:
+            return Outcome(order.output, "unchanged", sound=sound)
+        recording = decoded(order.audio, data, order.choice)
+        if order.only_voice:
+            return Outcome(order.output, "done", voice=measure_voice(recording, self.network))
+        acting = order.acting
+        if acting.style is None and order.actor in self.network.actors:
+            acting = Acting.of(acting, style=order.actor)
+        return sound, prepare(recording, acting, lambda: self.network)
+
+    def _most_together(self, n_frames: int) -> int:
+        """Recordings of a length that are animated in one call."""
+        can = getattr(self.network, "reads_together", None)
+        if can is None or not can(n_frames):
+            return 1
+        return max(min(TOGETHER, TOGETHER_FRAMES // n_frames), 1)
+
+    def _finished(self, group: list[tuple[Order, str, "Prepared"]]) -> list[Outcome]:
+        """Results of prepared lines of one length; each alone if they fail together."""
+        readings: Sequence[Reading | None] = [None] * len(group)
+        if len(group) > 1:
+            with suppress(Exception):
+                sounds, weights = zip(*(prepared.inputs for _, _, prepared in group), strict=True)
+                readings = self.network.read_together(
+                    [sound * p.speech.gain for sound, (_, _, p) in zip(sounds, group, strict=True)],
+                    weights,
+                    [prepared.style for _, _, prepared in group],
+                )
+        return [
+            self._guarded(line[0], partial(self._performed, *line, reading))
+            for line, reading in zip(group, readings, strict=True)
+        ]
+
+    def _performed(
+        self, order: Order, sound: str, prepared: "Prepared", reading: "Reading | None"
+    ) -> Outcome:
+        from deitalk.audio.original import start_of
+        from deitalk.pipeline.curves import finish
+
+        if reading is None:
+            reading = prepared.read()
+        performance = finish(prepared, reading)
+        written = order.written
+        start, note = start_of(written.timecode, written.fps, prepared.recording.start)
+        if start and not any(has_option(suffix, "start") for suffix in written.formats):
+            note = f"{', '.join(written.formats)} without time code: starts at 0"
+        folder, targets = self._write(order, performance, start)
+        staged = _files(folder, targets)
+        files = tuple(staged.values())
+        if self.url:
+            files = tuple(upload(self.url, path, file) for path, file in staged.items())
+            shutil.rmtree(folder)
+        return Outcome(
+            order.output,
+            "done",
+            sound=sound,
+            seconds=prepared.recording.duration,
+            frames=len(performance.curves),
+            warnings=(
+                *performance.recording.warnings,
+                *filter(None, [note]),
+                *findings(performance),
+            ),
+            edges=_edges(performance) if order.with_edges else None,
+            stage=str(folder),
+            targets=targets,
+            files=files,
+        )
+
+    def _write(
+        self, order: Order, performance: Any, start: float
+    ) -> tuple[Path, tuple[Target, ...]]:
+        """Stage the files of a line; `start` is the time of day of its first frame, seconds."""
+        from rig import write_curves
+
+        written = order.written
+        form = {
+            "fps": written.fps, "start": start, "delay": written.delay, "handles": written.handles
+        }  # fmt: skip
+        seconds = performance.recording.duration
+        spoken = {"sound": performance.sound_file, "seconds": seconds}
+        digits = {"digits": order.written.digits}
+        self.count += 1
+        folder = self.stage / str(self.count)
+        folder.mkdir(parents=True)
+        targets = []
+        for place, suffix in enumerate(order.written.formats):
+            if suffix == TAKE:
+                from deitalk.pipeline.performance import write_take
+
+                beside = self.stage / TAKE  # one name for all, as each has a lock
+                about: Any = form | digits
+                write_take(beside, performance, model=self.about, **about)
+                os.rename(beside, folder / TAKE)
+                targets.append(Target(TAKE, order.output))
+            else:
+                name = f"{place}{suffix}"
+                given: Any = form | spoken | (digits if has_option(suffix, "digits") else {})
+                write_curves(folder / name, performance.curves, **given)
+                targets.append(Target(name, order.output + suffix))
+        return folder, tuple(targets)
+
+
+def _edges(performance: Performance) -> tuple[str, str]:
+    from deitalk.postprocess.joins import edge_of
+
+    first, last = (str(edge_of(performance, "edge", last=last)) for last in (False, True))
+    return first, last
+
+
+def decoded(path: str, data: bytes | None, choice: AudioChoice = AudioChoice()) -> Any:
+    """The recording of a file that was read; warnings and errors name its path."""
+    from deitalk.audio.decoding import open_sound
+    from deitalk.audio.load import load_chosen, read_sound
+    from deitalk.audio.original import start_seconds
+
+    if data is None:
+        return load_chosen(path, choice)
+    with open_sound(path, data, choice) as sound:
+        return read_sound(path, sound, start=start_seconds(data), choice=choice)
+
+
+def _files(folder: Path, targets: tuple[Target, ...]) -> dict[Path, File]:
+    """Staged files, and their hashes under the names that they will have; take.json is the last."""
+    found: dict[Path, File] = {}
+    for name, place in targets:
+        staged = folder / name
+        if staged.is_dir():
+            paths = sorted(staged.iterdir(), key=lambda path: (path.name == "take.json", path.name))
+            found |= {path: _file(path, f"{place}/{path.name}") for path in paths}
+        else:
+            found[staged] = _file(staged, place)
+    return found
+
+
+def _file(path: Path, place: str) -> File:
+    status = path.stat()
+    sha = hashlib.sha256(path.read_bytes()).hexdigest()
+    return File(place, sha, status.st_size, status.st_mtime_ns)
+
+
+def _is_full(error: BaseException | None) -> bool:
+    """Whether an error comes from a full disk."""
+    while error is not None:
+        if isinstance(error, OSError) and error.errno in _FULL:
+            return True
+        error = error.__cause__ or error.__context__
+    return False

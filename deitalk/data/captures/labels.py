@@ -1,0 +1,194 @@
+"""Actor, emotion and style of takes: from a table, options, a pattern or names of folders.
+
+The first that gives a label counts, in this order: a row of the table, an option, a named group
+of the pattern, and for the emotion a folder or a part of the file's name that is one.
+"""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import pandas as pd
+
+from deitalk.data.captures.sources import Source
+from deitalk.data.clips import SPLITS
+from deitalk.emotions import EMOTIONS
+from deitalk.errors import DataError
+from rig.errors import quoted
+from rig.formats.wide_csv import read_layout
+from rig.limits import TRACK_BYTES
+
+GROUPS = ("actor", "emotion", "style")
+UNNAMED = "actor"
+"""Actor of takes that no label names."""
+SPELLINGS = {
+    "anger": "angry", "mad": "angry", "ang": "angry", "furious": "angry",
+    "happiness": "happy", "joy": "happy", "joyful": "happy", "hap": "happy",
+    "sadness": "sad", "sorrow": "sad",
+    "surprise": "surprised", "sur": "surprised", "suprised": "surprised",
+    "neutral": "neutral", "neu": "neutral", "calm": "neutral",
+}  # fmt: skip
+"""Other spellings of the five emotions."""
+
+
+@dataclass(frozen=True)
+class Labels:
+    """Labels of one take."""
+
+    actor: str
+    emotion: str
+    style: str = ""
+    split: str = ""
+    """As the table gives it; empty: chosen by `deitalk.data.captures.splits`."""
+    voice: str = ""
+    is_actor_given: bool = True
+    is_emotion_given: bool = True
+
+
+@dataclass(frozen=True)
+class Labelling:
+    """Where labels come from.
+
+    Parameters
+    ----------
+    actor, emotion, style : str or None
+        The same for all takes.
+    pattern : str or None
+        Regular expression with a group ``(?P<actor>…)``, ``(?P<emotion>…)`` or ``(?P<style>…)``,
+        searched in a take's path without suffix.
+    table : Path or None
+        CSV with a column ``take`` (name, in the dataset or of the file, or path of the take) and
+        any of actor, emotion, style, voice, split.
+    """
+
+    actor: str | None = None
+    emotion: str | None = None
+    style: str | None = None
+    pattern: str | None = None
+    table: Path | None = None
+    _rows: dict[str, dict[str, str]] = field(default_factory=dict, init=False, repr=False)
+    _used: set[str] = field(default_factory=set, init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        if self.emotion is not None:
+            emotion_of(self.emotion, "`emotion`", parameter="emotion")
+        if self.pattern is not None:
+            _check_pattern(self.pattern)
+        if self.table is not None:
+            self._rows.update(_read_table(self.table))
+
+    def of(self, source: Source, name: str = "") -> Labels:
+        """Labels of a take; `name` is the one that it has in the dataset.
+
+        Raises
+        ------
+        DataError
+            If an emotion or split is unknown, or the pattern is not found in the take's path.
+        """
+        row = self._row(source, name)
+        groups = self._groups(source)
+        found = {
+            name: row.get(name) or getattr(self, name) or groups.get(name) or "" for name in GROUPS
+        }
+        where = str(source.curves)
+        emotion = emotion_of(found["emotion"], where) if found["emotion"] else _in_path(source)
+        split = row.get("split", "")
+        if split and split not in SPLITS:
+            raise DataError(f"{where}: split {quoted(split)} must be {', '.join(SPLITS)}")
+        actor = found["actor"].strip()
+        return Labels(
+            actor or UNNAMED,
+            emotion or "neutral",
+            found["style"].strip(),
+            split,
+            emotion_of(row["voice"], where) if row.get("voice") else "",
+            is_actor_given=bool(actor),
+            is_emotion_given=bool(emotion),
+        )
+
+    def check_rows(self, names: Sequence[str]) -> None:
+        """Refuse a table with a row of none of the takes that were labelled."""
+        unknown = [row["take"] for take, row in self._rows.items() if take not in self._used]
+        if unknown:
+            raise DataError(
+                f"{self.table}: take {quoted(unknown[0])} is not among the takes "
+                f"{', '.join(names[:6])}{' …' if len(names) > 6 else ''}; mend or remove the row"
+            )
+
+    def _row(self, source: Source, name: str) -> dict[str, str]:
+        if self.table is None:
+            return {}
+        given = (name, source.place, source.curves.name, source.curves.stem, source.stem)
+        for key in map(str.lower, given):
+            if key in self._rows:
+                self._used.add(key)
+                return self._rows[key]
+        raise DataError(f"{self.table}: has no row of take {quoted(source.stem)}; add one")
+
+    def _groups(self, source: Source) -> dict[str, str]:
+        if self.pattern is None:
+            return {}
+        found = re.search(self.pattern, source.place)
+        if found is None:
+            raise DataError(
+                f"{source.curves}: `pattern={self.pattern}` is not found in {quoted(source.place)}",
+                parameter="pattern",
+            )
+        return {name: text for name, text in found.groupdict().items() if text}
+
+
+def emotion_of(text: str, where: str, *, parameter: str = "") -> str:
+    """Return one of the five emotions for a name of one, in any of the known spellings."""
+    name = text.strip().lower()
+    name = SPELLINGS.get(name, name)
+    if name not in EMOTIONS:
+        raise DataError(
+            f"{where}: emotion {quoted(text)} is unknown; known are {', '.join(EMOTIONS)}",
+            parameter=parameter,
+        )
+    return name
+
+
+def _in_path(source: Source) -> str:
+    """The emotion that a part of the path names; the last one, empty if none."""
+    words = re.split(r"[^A-Za-z]+", source.place.lower())
+    named = [SPELLINGS.get(word, word) for word in words]
+    return next((name for name in reversed(named) if name in EMOTIONS), "")
+
+
+def _check_pattern(pattern: str) -> None:
+    try:
+        groups = re.compile(pattern).groupindex
+    except re.error as error:
+        raise DataError(
+            f"`pattern={pattern}` is no regular expression: {error}", parameter="pattern"
+        ) from None
+    unknown = set(groups) - set(GROUPS)
+    if unknown or not groups:
+        raise DataError(
+            f"`pattern={pattern}` needs a group (?P<actor>…), (?P<emotion>…) or (?P<style>…) and "
+            "no other named one",
+            parameter="pattern",
+        )
+
+
+def _read_table(path: Path) -> dict[str, dict[str, str]]:
+    try:
+        if path.stat().st_size > TRACK_BYTES:
+            raise DataError(f"{path}: larger than {TRACK_BYTES} bytes; this is no table of takes")
+        layout = read_layout(path)
+        frame = pd.read_csv(
+            path, dtype=str, keep_default_na=False, encoding=layout.encoding, sep=layout.separator,
+            skiprows=layout.skipped, skipinitialspace=True,
+        )  # fmt: skip
+    except (OSError, UnicodeDecodeError, pd.errors.ParserError, pd.errors.EmptyDataError) as error:
+        reason = " ".join(str(error).split())
+        raise DataError(f"{path}: cannot be read as CSV ({reason})") from None
+    if "take" not in frame.columns:
+        raise DataError(f"{path}: lacks the column take, the name of each take's file")
+    doubled = frame["take"][frame["take"].str.lower().duplicated()]
+    if len(doubled):
+        raise DataError(f"{path}: take {doubled.iloc[0]!r} appears twice; names must differ")
+    rows: Sequence[dict[str, str]] = frame.to_dict("records")  # type: ignore[assignment]
+    return {row["take"].strip().lower(): row for row in rows}

@@ -1,0 +1,117 @@
+"""Several processes that train one model, each on its share of every batch.
+
+One process is the case of a share that is the whole; nothing is exchanged then.
+"""
+
+from collections.abc import Callable
+from datetime import timedelta
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from deitalk.config.section import Optimisation
+from deitalk.errors import ConfigError
+
+PATIENCE = timedelta(hours=6)
+"""The other processes wait so long for the first, which builds meshes and evaluates."""
+
+
+def new_accelerator(settings: Optimisation, item_size: int = 1) -> Any:
+    """Join the processes of this training and choose the device.
+
+    Parameters
+    ----------
+    settings : Optimisation
+        Size of a batch.
+    item_size : int
+        What one item counts in ``train.batch_size``: the frames of a segment.
+
+    Returns
+    -------
+    accelerate.Accelerator
+
+    Raises
+    ------
+    ConfigError
+        If the items of a batch cannot be shared equally.
+    """
+    from accelerate import Accelerator, DistributedDataParallelKwargs, InitProcessGroupKwargs
+
+    accelerator = Accelerator(
+        cpu=not torch.accelerator.is_available(),
+        mixed_precision="no",  # `in_precision` does it: accelerate fixes one for the whole process
+        kwargs_handlers=[
+            # Without contrast or intensity the motion encoder has no gradient. Buffers are running
+            # means, of which the first process's are saved, and bases, which never change.
+            DistributedDataParallelKwargs(find_unused_parameters=True, broadcast_buffers=False),
+            InitProcessGroupKwargs(timeout=PATIENCE),
+        ],
+    )
+    whole = item_size * accelerator.num_processes
+    if settings.batch_size % whole:
+        raise ConfigError(
+            f"train.batch_size={settings.batch_size} cannot be shared by "
+            f"{accelerator.num_processes} processes; make it a multiple of {whole}"
+        )
+    return accelerator
+
+
+class InBfloat16(nn.Module):
+    """A network that computes in bfloat16 and returns float32; its weights stay float32."""
+
+    def __init__(self, network: nn.Module, device: torch.device) -> None:
+        super().__init__()
+        self.network, self.kind = network, device.type
+
+    def forward(self, *inputs: Any) -> Any:
+        """As the network's."""
+        from accelerate.utils import convert_to_fp32
+
+        with torch.autocast(self.kind, torch.bfloat16):
+            output = self.network(*inputs)
+        return convert_to_fp32(output)
+
+
+def in_precision(network: nn.Module, precision: str, device: torch.device) -> nn.Module:
+    """The network itself for ``float32``, an `InBfloat16` of it for ``bfloat16``."""
+    return InBfloat16(network, device) if precision == "bfloat16" else network
+
+
+def mean_over_processes(values: Tensor) -> Tensor:
+    """Mean of every number over the processes; no gradient flows through it."""
+    if not _are_several():
+        return values
+    total = values.detach().clone()
+    torch.distributed.all_reduce(total)
+    return total / torch.distributed.get_world_size()
+
+
+def gather_rows(rows: Tensor) -> Tensor:
+    """Rows (B, E) of all processes, one process after another; gradients flow back.
+
+    The gradients of the gathered rows are summed over the processes and then averaged with all
+    others, which gives the gradient of one process with the whole batch.
+    """
+    if not _are_several():
+        return rows
+    gather: Callable[[Tensor], Tensor] = _Gather.apply
+    return gather(rows)
+
+
+def _are_several() -> bool:
+    return torch.distributed.is_available() and torch.distributed.is_initialized()
+
+
+class _Gather(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, rows: Tensor) -> Tensor:
+        parts = [torch.empty_like(rows) for _ in range(torch.distributed.get_world_size())]
+        torch.distributed.all_gather(parts, rows.contiguous())
+        return torch.cat(parts)
+
+    @staticmethod
+    def backward(ctx: Any, gradient: Tensor) -> Tensor:
+        gradient = gradient.clone()
+        torch.distributed.all_reduce(gradient)
+        return gradient.chunk(torch.distributed.get_world_size())[torch.distributed.get_rank()]

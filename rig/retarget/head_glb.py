@@ -1,0 +1,178 @@
+"""The head as a GLB with ARKit's 52 shapes, for any viewer.
+
+Viewers and face trackers use ARKit's names. Each shape is the board pose of that name in Unreal
+(`rig.conversion.arkit`). What shapes alone cannot express (a jaw and lids turn, lips seal) comes
+as correctives, whose drivers stand in ``mesh.extras.correctives``. For a take, with shapes of
+all 185 controls, use ``deitalk convert take/curves.csv face.glb``.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rig.arrays import Float32, Float64
+from rig.controls import default_controls
+from rig.conversion.arkit import arkit_controls
+from rig.conversion.convert import convert
+from rig.curves import RigCurves
+from rig.face import Head, build_head
+from rig.mesh.glb import (
+    RigidMotion,
+    WeightAnimation,
+    read_container,
+    write_container,
+    write_glb,
+)
+from rig.mesh.shapes import ShapeSet
+from rig.mesh.trimesh import TriMesh
+from rig.retarget.morph_head import METRES_PER_CM, textured
+
+SHAPES = tuple(name[0].lower() + name[1:] for name in arkit_controls().names[:52])
+"""ARKit's 52 blend shapes, by Apple's names."""
+BASES = {"mouthClose": ("jawOpen", 1.0), "tongueOut": ("jawOpen", 0.4)}
+"""Shapes that act on an open jaw only, as displacements from it."""
+CORRECTIVES: dict[str, dict[str, float]] = {
+    "jawOpen_half": {"jawOpen": 0.5},
+    "eyeBlinkLeft_half": {"eyeBlinkLeft": 0.5},
+    "eyeBlinkRight_half": {"eyeBlinkRight": 0.5},
+    "mouthClose_half": {"jawOpen": 0.5, "mouthClose": 0.5},
+}
+"""Pose in which each is fully on; `corrective_weights` fades them in and out."""
+
+
+Weight = Any
+"""A number, or numbers of each frame."""
+
+
+@dataclass(frozen=True)
+class Morphs:
+    """A head's linear shapes.
+
+    Attributes
+    ----------
+    names : tuple of str
+        ARKit's 52, then the correctives.
+    deltas : ndarray [shape=(K, V, 3)], cm
+    """
+
+    names: tuple[str, ...]
+    deltas: Float32
+
+
+@lru_cache(maxsize=1)
+def arkit_morphs(head: Head) -> Morphs:
+    """Shapes of a head under ARKit's names, and correctives."""
+    rest = head.mesh.vertices
+    deltas: dict[str, Float64] = {}
+    for name in SHAPES:
+        base = dict([BASES[name]]) if name in BASES else {}
+        with_it = {**base, name: 1.0}
+        deltas[name] = arkit_pose(head, with_it) - (arkit_pose(head, base) if base else rest)
+    for name, pose in CORRECTIVES.items():
+        shown = rest + _added(deltas, {**pose, **corrective_weights(pose)})
+        deltas[name] = arkit_pose(head, pose) - shown
+    return Morphs(tuple(deltas), np.stack(list(deltas.values())).astype(np.float32))
+
+
+def _added(deltas: dict[str, Float64], weights: dict[str, float]) -> Float64:
+    return np.asarray(sum(weights[name] * deltas[name] for name in weights if name in deltas))
+
+
+def arkit_pose(head: Head, pose: dict[str, float]) -> Float64:
+    """Vertices (V, 3) of the head itself, cm, for ARKit weights."""
+    controls = arkit_controls()
+    values = controls.rest.copy()
+    for name, weight in pose.items():
+        values[controls.index(name[0].upper() + name[1:])] = weight
+    curves = RigCurves(values[None], controls.names, 30.0, control_set=controls.id)
+    board = convert(curves, default_controls().id)
+    return np.asarray(head.pose(board.values[0]), np.float64)
+
+
+def corrective_weights(weights: Mapping[str, Weight]) -> dict[str, Weight]:
+    """Weights of the correctives for weights of ARKit's shapes, numbers or one of each frame.
+
+    A half is on at 0.5 and off at 0 and 1; ``mouthClose_half`` takes the weight of mouthClose.
+    """
+    get = {name: weights.get(name, 0.0) for name in ("jawOpen", "mouthClose")}
+    halves = {name.removesuffix("_half"): weights.get(name.removesuffix("_half"), 0.0)
+              for name in CORRECTIVES}  # fmt: skip
+    halves["mouthClose"] = np.minimum(get["jawOpen"], get["mouthClose"])
+    return {
+        f"{name}_half": np.maximum(1 - abs(2 * weight - 1), 0) for name, weight in halves.items()
+    }
+
+
+def arkit_weights(curves: RigCurves) -> Float32:
+    """Weights [shape=(T, 56)] of ARKit's 52 shapes, from 0 to 1, and of the correctives.
+
+    Raises
+    ------
+    ControlError
+        If the curves are not ARKit's.
+    """
+    values = curves.reorder(arkit_controls()).values[:, : len(SHAPES)].clip(0, 1)
+    moving = {name for pose in CORRECTIVES.values() for name in pose}
+    added = corrective_weights({name: values[:, SHAPES.index(name)] for name in moving})
+    columns = [added[name] for name in CORRECTIVES]
+    return np.column_stack([values, *columns]).astype(np.float32)
+
+
+def write_animation(
+    path: Path | str,
+    curves: RigCurves,
+    identity: int | str = 0,
+    *,
+    motion: RigidMotion | None = None,
+) -> None:
+    """Write an embedded head with an animation of its ARKit shapes.
+
+    Parameters
+    ----------
+    path : Path or str
+        The ``.glb``.
+    curves : RigCurves
+        Of ARKit.
+    identity : int or str
+        Number or name of the head.
+    motion : RigidMotion, optional
+        Of the head as a whole, in metres.
+    """
+    animation = WeightAnimation(arkit_weights(curves), curves.fps, motion=motion)
+    write_head(path, build_head(identity), animation=animation)
+
+
+def write_head(path: Path | str, head: Head, *, animation: WeightAnimation | None = None) -> Morphs:
+    """Write the head, y up, facing +z, in metres, its shapes as sparse morph targets.
+
+    Parameters
+    ----------
+    path : Path or str
+        The ``.glb``.
+    head : Head
+        Whose.
+    animation : WeightAnimation, optional
+        Of `arkit_weights`.
+
+    Returns
+    -------
+    morphs : Morphs
+        What was written.
+    """
+    morphs = arkit_morphs(head)
+    shapes = ShapeSet(TriMesh(head.mesh.vertices, head.mesh.faces), morphs.names, morphs.deltas)
+    colours, surface = textured(head)
+    write_glb(
+        path, shapes, animation=animation, colours=colours, surface=surface, metres=METRES_PER_CM
+    )
+    # Extras of the file: whose head it is, and the pose in which each corrective is fully on.
+    document, binary = read_container(path)
+    (mesh,) = document["meshes"]
+    mesh["name"] = head.identity.name
+    mesh["extras"]["correctives"] = {name: {"peak_at": pose} for name, pose in CORRECTIVES.items()}
+    write_container(path, document, binary)
+    return morphs
