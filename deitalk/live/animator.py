@@ -65,16 +65,13 @@ class Sound:
     """The last samples of a stream at 16 kHz."""
 
     def __init__(self) -> None:
-        self.samples, self.begin = np.zeros(0, np.float32), 0
-
-    @property
-    def end(self) -> int:
-        """Samples that have come."""
-        return self.begin + len(self.samples)
+        self.samples, self.begin, self.end = np.zeros(0, np.float32), 0, 0
+        """The last ones, the number of the first of them, and how many have come."""
 
     def append(self, samples: Float32) -> None:
         """Take the next samples."""
         self.samples = np.concatenate((self.samples, samples))
+        self.end += samples.size
 
     def windows(self, starts: Int64, size: int) -> Float32:
         """`size` samples from each start on [shape=(n, size)]; silence before the first sample."""
@@ -413,14 +410,13 @@ class LiveAnimator:
         others: list[Any] = [heard] if len(rows) == 1 or heard is None else list(heard)  # type: ignore[arg-type]
         if len(others) != len(rows) and heard is not None:
             raise AudioError(f"heard samples of {len(others)} streams; there are {len(rows)}")
+        pieces = [self._whole(row, k) for k, row in enumerate(rows)]
+        checked = [checked_samples(samples) for samples, _ in pieces]  # before any is taken
         for k, other in enumerate(others):
             if other is not None:
                 self.hear(other, stream=k)
-        pieces = [self._whole(row, k) for k, row in enumerate(rows)]
-        checked = [checked_samples(samples) for samples, _ in pieces]
-        for k, row in enumerate(checked):
-            self.take(row, stream=k)
-            self.streams[k].rest = pieces[k][1]
+        for k, (row, (_, rest)) in enumerate(zip(checked, pieces, strict=True)):
+            self._take(row, rest, k)
         return self._single(self.read())
 
     def finish(self) -> Any:
@@ -435,10 +431,13 @@ class LiveAnimator:
     def take(self, samples: Samples, *, stream: int = 0) -> None:
         """Take the next samples of one stream, for the next `read`; errors as `feed`."""
         samples, rest = self._whole(samples, stream)
-        checked = checked_samples(samples)
-        if self.streams[stream].n_total is not None and len(checked):
+        self._take(checked_samples(samples), rest, stream)
+
+    def _take(self, samples: Float32, rest: bytes, stream: int) -> None:
+        """Take checked samples, and the byte of the next one that came already."""
+        if self.streams[stream].n_total is not None and samples.size:
             raise AudioError("the stream has ended; reset it to begin again")
-        self._append(stream, checked, last=False)
+        self._append(stream, samples, last=False)
         self.streams[stream].rest = rest
 
     def hear(self, samples: Samples, *, stream: int = 0) -> None:
@@ -612,8 +611,13 @@ class LiveAnimator:
         """Read what has come, as many streams at once as have something new."""
         self._begin()
         while True:
-            counts = [stream.n_ready() for stream in self.streams]
-            ready = [k for k, count in enumerate(counts) if count > 0 and self._has_begun(k)]
+            known: dict[tuple[int, int, int | None], int] = {}  # equal streams have equal counts
+            keys = [(one.sound.end, one.groups, one.n_total) for one in self.streams]
+            for key, stream in zip(keys, self.streams, strict=True):
+                if key not in known:
+                    known[key] = stream.n_ready()
+            counts = [known[key] for key in keys]
+            ready = [k for k, (_, groups, _) in enumerate(keys) if groups > 0 and counts[k] > 0]
             if not ready:
                 return
             most = min(BLOCK_FRAMES, *(counts[k] for k in ready))
@@ -626,7 +630,7 @@ class LiveAnimator:
         new = [
             k
             for k, stream in enumerate(self.streams)
-            if not self._has_begun(k) and stream.n_ready() >= delay
+            if not stream.groups and stream.n_ready() >= delay
         ]
         if new:
             windows = np.stack([self.streams[k].take(delay)[0] for k in new])
@@ -690,7 +694,8 @@ class LiveAnimator:
         keyed = np.array([stream.acting.is_keyed for stream in streams])[:, None]
         mouth = np.where(with_rules, heard.mouth, 1)
         expression = np.where(with_rules & ~keyed, heard.expression, 1)
-        mouth = mouth * np.stack([stream.mouth_share(count) for stream in streams])
+        if any([stream.shut for stream in streams]):
+            mouth = mouth * np.stack([stream.mouth_share(count) for stream in streams])
         numbers = [stream.n_given for stream in streams]
         given = [stream.given(count) for stream in streams]
         shown = shown_columns(mouth, expression, None)
@@ -792,9 +797,6 @@ class LiveAnimator:
             return new
         put(state, ready, new)
         return state
-
-    def _has_begun(self, number: int) -> bool:
-        return self.streams[number].groups > 0
 
 
 def checked_samples(samples: Samples) -> Float32:
