@@ -13,12 +13,12 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.signal import lfilter
 
 from deitalk.audio.frames import FRAME_RATE
 from deitalk.config.rules import Idle
 from deitalk.emotions import LABELS, by_emotion
 from deitalk.postprocess.life.amounts import Life
+from deitalk.postprocess.life.draws import followed
 from deitalk.postprocess.life.eyes import Blinks, Gaze
 from deitalk.postprocess.life.face import MIRROR, Face
 from deitalk.postprocess.life.head import BREATH, POSTURE_SECONDS, SWALLOWS, Head, neck_tracks
@@ -244,8 +244,8 @@ class MotionStreams:
 def _followed(values: AnyFloat, seconds: float, states: Float64, streams: Int64) -> Float64:
     """Values (B, n, ...) that a time constant smooths, with the state of streams."""
     share = 1 / (seconds * FRAME_RATE)
-    rows, states[streams] = lfilter([share], [1, share - 1], values, axis=1, zi=states[streams])
-    return np.asarray(rows, np.float64)
+    rows, states[streams] = followed(values, share, states[streams])
+    return rows
 
 
 def plan_motion(
