@@ -22,7 +22,7 @@ from rig.emotions import PLAIN, VARIANTS
 SPREAD = 2.0
 """Standard deviation of the logarithms of the drawn weights: the largest of three is .74 on the
 average."""
-HOME = 1.2
+HOME = 0.9
 """Added per standard deviation of the take's strength to a variant of strong voices."""
 COLUMNS = tuple(EMOTION_OF)
 
