@@ -30,7 +30,7 @@ from deitalk.postprocess.feeling import fade, felt_intensity
 from deitalk.postprocess.joins import MOST_HEAD_FRAMES, Edge, Passage
 from deitalk.postprocess.life.amounts import Life
 from deitalk.postprocess.life.motion import Character, MotionStreams
-from deitalk.postprocess.life.voice import PAUSE, Cues, Seeds
+from deitalk.postprocess.life.voice import PAUSE, Cues, Seeds, Traits
 from deitalk.postprocess.tracks import GATES, LIVE_AHEAD, VoiceTracks, shown_columns
 from deitalk.postprocess.variants import choose_ways
 from rig import ControlSet
@@ -130,7 +130,8 @@ class Stream:
         self.sound, self.changes = Sound(), [Change(0.0, acting.emotion_track, acting.intensity)]
         self.acting, self.gain = acting, gain_factors(controls, acting.gain)
         self.wanted = self._wanted()
-        self.ways = choose_ways(acting.variant, Seeds((0, 0, acting.seed)))
+        traits = Traits.of(Seeds((0, 0, acting.seed)).character())
+        self.ways = choose_ways(acting.variant, traits, acting.seed)
         self.groups = 0
         self.n_given = -LIVE_AHEAD
         """Frame that the rules give next."""
