@@ -206,7 +206,8 @@ def prepare(
     speech = _between(Speech.of_recording(recording, rules.gates), acting)
     if acting.after is not None:
         recording = recording.noted(*unknown_controls(acting.after, network.controls))
-    weights, said, marks = acting.emotion_track.at(speech.times), None, ()
+    weights, said = acting.emotion_track.at(speech.times), None
+    marks: tuple[TimedMark, ...] = ()
     if script is not None:
         from deitalk.pipeline.words.align import align_words
 
@@ -256,9 +257,9 @@ def _of_role(recording: Recording, acting: Acting) -> Recording:
     for begin, end in spans:
         first, stop = (round(seconds * recording.sample_rate) for seconds in (begin, end))
         heard[max(first, 0) : max(stop, 0)] = 0
-    kernel = np.ones(2 * fade + 1, np.float32) / (2 * fade + 1)
-    heard = np.convolve(np.pad(heard, fade, mode="edge"), kernel, mode="valid")
-    silent = replace(recording, waveform=recording.waveform * heard.astype(np.float32))
+    kernel = np.full(2 * fade + 1, 1 / (2 * fade + 1), np.float32)
+    share = np.convolve(np.pad(heard, fade, mode="edge"), kernel, mode="valid")
+    silent = replace(recording, waveform=recording.waveform * share.astype(np.float32))
     seconds = sum(end - begin for begin, end in spans)
     return silent.noted(f"silent where others than {acting.role} speak: {seconds:.1f} s")
 
