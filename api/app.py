@@ -12,7 +12,7 @@ from starlette.routing import Route
 
 from api.errors import MEDIA_TYPE, STATUS_CODES, Problem
 from api.guard.middleware import NO_PATH, Guard
-from api.live import session as live
+from api.live import route as live
 from api.routes import animations, catalogue, health, jobs, studio
 from api.routes.schema import complete_schema
 from api.service import Service
