@@ -27,12 +27,11 @@ from deitalk.models.protocol import (
     trained_weights,
     unshown_note,
 )
-from deitalk.pipeline.layers import follow_recording, unused_notes
+from deitalk.pipeline.layers import edited
 from deitalk.pipeline.performance import Performance
 from deitalk.pipeline.speech import Speech, measure_intensities
 from deitalk.pipeline.words.script import Script, TimedMark, levels, with_accents, with_emotions
 from deitalk.pipeline.words.transcript import Transcript, other_spans
-from deitalk.postprocess.control_groups import ControlGroups
 from deitalk.postprocess.factors import held_intensity, mean_around, opening_factor
 from deitalk.postprocess.feeling import state_of_intensity
 from deitalk.postprocess.joins import activity_beside, lead, unknown_controls
@@ -45,7 +44,7 @@ from deitalk.postprocess.variants import Ways, choose_ways, unused_variants
 from rig import ControlSet, RigCurves
 from rig.arrays import Float32
 from rig.curves.edit import gain_factors
-from rig.curves.layers import apply_layers, target_columns
+from rig.curves.layers import target_columns
 from rig.errors import quoted
 
 if TYPE_CHECKING:
@@ -377,14 +376,9 @@ def finish(
     neutral_curves = _curves(network.controls, neutral)
     recording = _with_note_of(words, prepared.recording)
     if acting.edit:
-        layers, notes = follow_recording(acting.edit, speech, words)
-        rule = rules.keep_contacts
-        closures = None if rule is None else ControlGroups(network.controls).closures(rule)
-        recording = recording.noted(*notes, *unused_notes(layers, head is not None))
-        how = layers, network.controls, closures
-        shown_curves, taken_back = apply_layers(shown_curves, *how)
-        neutral_curves, _ = apply_layers(neutral_curves, *how)
-        recording = recording.noted(*taken_back)
+        given = (shown_curves, neutral_curves), network.controls, rules.keep_contacts
+        (shown_curves, neutral_curves), notes = edited(acting.edit, *given, speech, words)
+        recording = recording.noted(*notes)
         clock.lap("edits")
     return Performance(
         shown_curves,
