@@ -72,7 +72,7 @@ def tab(site):
         tab.goto(address)
         until(tab, "window.deitalk?.ready")
         yield tab
-        assert not tab.complaints
+        assert not tab.complaints, tab.complaints
 
 
 def until(tab, condition, seconds=120):

@@ -47,12 +47,13 @@ export class Site {
     const found = await this.work.run(`Animating ${file.name}`, async () => {
       const sound = await samplesOf(file);
       if (!sound.length) throw new Error(`${file.name} has no sound`);
+      this.name = file.name.replace(/\.[^.]*$/, "");
       return { sound, ...await this.reading(sound, this.player.history.edit.keys) };
     });
     if (!found) return;
     const { keys } = this.player.history.edit;
     this.sound = found.sound;
-    this.name = file.name.replace(/\.[^.]*$/, "");
+
     this.keys = keys;
     const peak = found.sound.reduce((most, x) => Math.max(most, Math.abs(x)), 1);
     const samples = Int16Array.from(found.sound, (x) => Math.round((32767 * x) / peak));
