@@ -12,15 +12,15 @@ from starlette.routing import Route
 
 from api.errors import MEDIA_TYPE, STATUS_CODES, Problem
 from api.guard.middleware import NO_PATH, Guard
-from api.live import session as live
-from api.routes import animations, catalogue, health, jobs, studio
+from api.live import route as live
+from api.routes import animations, catalogue, documentation, health, jobs, studio
 from api.routes.schema import complete_schema
 from api.service import Service
 from api.settings import Settings, load_settings
 from deitalk.config.section import rule
 from deitalk.installed import __version__
 
-ROUTES = (animations, jobs, catalogue, health, live, studio)
+ROUTES = (animations, jobs, catalogue, health, live, studio, documentation)
 SENT_HEADERS = (
     "Authorization", "Content-Type", "Idempotency-Key", "If-None-Match", "If-Range", "Range",
     "X-Request-ID",

@@ -703,8 +703,8 @@ class LiveAnimator:
         )
         due = after, mixture[:, count:], speaking[:, count:], *known
         self.due = self._put(self.due, ready, due)
-        rows = zip(streams, curves, heads, given, numbers, strict=True)
-        for stream, frames, head, which, first in rows:
+        finished = zip(streams, curves, heads, given, numbers, strict=True)
+        for stream, frames, head, which, first in finished:
             stream.give(frames[which], head[which], first + which.start)
 
     def _listen(

@@ -8,6 +8,7 @@ Streams are side by side, in one array operation each step. Letters: B streams, 
 T frames at 30 per second, S styles.
 """
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -94,9 +95,13 @@ class MotionStreams:
         B.
     idle : Idle
         The model's own numbers.
+    end : float
+        Seconds of the last frame, in which no eye is shut; infinite if it is not known.
     """
 
-    def __init__(self, characters: Sequence[Character], idle: Idle = Idle()) -> None:
+    def __init__(
+        self, characters: Sequence[Character], idle: Idle = Idle(), end: float = math.inf
+    ) -> None:
         self.idle, batch = idle, len(characters)
         self.keys = np.zeros((len(PARTS), batch), np.uint64)
         self.side, self.brow_range, self.head_range, self.avoids = np.zeros((4, batch))
@@ -114,7 +119,7 @@ class MotionStreams:
         for k, character in enumerate(characters):
             self._set(k, character)
         _, blinks, gaze, face, head = self.keys
-        self.blinks = Blinks(blinks, self.seconds, self.spread)
+        self.blinks = Blinks(blinks, self.seconds, self.spread, end)
         self.gaze = Gaze(gaze, self.avoids)
         self.face = Face(face, self.side, self.brow_range)
         self.head = Head(head, self.side, self.head_range)
@@ -268,7 +273,8 @@ def plan_motion(
     felt : array, optional [shape=(T, S)]
         Emotion of that one.
     """
-    streams, cues = MotionStreams([Character(seeds, life, traits)], idle), voice.cues()
+    end = (voice.n_frames - 1) / FRAME_RATE
+    streams, cues = MotionStreams([Character(seeds, life, traits)], idle, end), voice.cues()
     if heard is not None:
         streams.hear(heard.cues())
         cues = cues.where((cues.kind != PAUSE) | ~heard.is_speaking(cues.time + cues.size))

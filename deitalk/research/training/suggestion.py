@@ -15,10 +15,10 @@ speakers are fitted together; their scores are those of five fits, each to four 
 speakers and scored on the rest. One temperature makes those probabilities true (Guo et al. 2017).
 
 The command prints the scores of these speakers, with ``--judge`` those of another corpus, which is
-never fitted nor written to the file of scores, and with ``--split test`` also those of the test speakers: recall of every class,
-their mean (unweighted recall, chance .25), anger against sadness, the share of readers suggested as
-neutral, and how probable suggestions are against how often they are right. Baselines: the level of
-the speech, and ridge regression on the same numbers.
+never fitted nor written to the file of scores, and with ``--split test`` also those of the test
+speakers: recall of every class, their mean (unweighted recall, chance .25), anger against sadness,
+the share of readers suggested as neutral, and how probable suggestions are against how often they
+are right. Baselines: the level of the speech, and ridge regression on the same numbers.
 """
 
 import argparse
