@@ -16,6 +16,7 @@ from rig.controls import DEFAULT_ID
 from rig.conversion.arkit import ARKIT_ID, PREFIX, RAW_ID, arkit_controls
 from rig.conversion.convert import known_controls
 from rig.curves import RigCurves
+from rig.curves.layers import SUFFIX, read_layers
 from rig.errors import FormatError, RigError
 from rig.files.reading import decode_text, open_file
 from rig.formats import read_curves
@@ -135,7 +136,10 @@ def _take_folder(folder: Path) -> list[Finding]:
     durations: dict[str, float] = {}
     own = _own_rig(folder / "curves.json")
     for path in sorted(folder.iterdir()):
-        is_other = path.name.startswith(".") or path.name in ("take.json", *OTHER_CSV)
+        is_other = path.name.startswith(".") or path.name in ("take.json", "dub.json", *OTHER_CSV)
+        if path.name.endswith(SUFFIX):
+            findings += _layers(path)
+            continue
         if is_other or path.suffix.lower() not in CURVE_SUFFIXES:
             continue
         if own and path.name == "curves.csv":  # it does not name its rig
@@ -154,6 +158,16 @@ def _take_folder(folder: Path) -> list[Finding]:
         lengths = ", ".join(f"{name} {seconds:.2f} s" for name, seconds in durations.items())
         findings.append(Finding("warning", folder, f"files differ in length: {lengths}"))
     return findings
+
+
+def _layers(path: Path) -> list[Finding]:
+    """Check a file of layers of edits."""
+    try:
+        layers = read_layers(path)
+    except RigError as error:
+        return [Finding("error", path, str(error))]
+    count = sum(len(layer.edits) for layer in layers)
+    return [Finding("note", path, f"{count} edits by hand")]
 
 
 def _own_rig(path: Path) -> str:

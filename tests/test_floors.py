@@ -14,7 +14,7 @@ FLOORS = {
         research
         cli
         agents preview training batch
-        evaluation
+        evaluation export
         data
         live
         pipeline

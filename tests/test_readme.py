@@ -35,13 +35,19 @@ def test_python_of_the_readme_runs(monkeypatch, capsys):
 
 def anchors(text):
     """Anchors of the headings of a page, as GitHub forms them."""
-    headings = re.findall(r"^#+ (.+)$", re.sub(r"^```.*?^```", "", text, flags=re.M | re.S), re.M)
+    headings = re.findall(r"^#+ (.+)$", prose(text), re.M)
     return {re.sub(r"[^\w\- ]", "", heading).lower().replace(" ", "-") for heading in headings}
+
+
+def prose(text):
+    """A page without its blocks of code."""
+    return re.sub(r"^```.*?^```", "", text, flags=re.M | re.S)
 
 
 @each("page", PAGES)
 def test_linked_files_and_headings_of_the_pages_exist(page):
-    for target, anchor in re.findall(r"\]\((?!http)([^)#]*)#?([^)]*)\)", (ROOT / page).read_text()):
+    text = prose((ROOT / page).read_text())
+    for target, anchor in re.findall(r"\]\((?!http)([^)#]*)#?([^)]*)\)", text):
         linked = (ROOT / page).parent / target if target else ROOT / page
         assert linked.exists(), target
         assert not anchor or anchor in anchors(linked.read_text()), f"{target}#{anchor}"

@@ -50,6 +50,7 @@ class LiveStream:
         self.end = self.next_frame = 0
         self.is_whole = False
         self._kept: deque[Float32] = deque(maxlen=KEPT_FRAMES)
+        self._rest = b""
         self._begin()
         self._arrivals: list[tuple[int, float]] = []
 

@@ -41,7 +41,7 @@ except ImportError as error:
 
 
 @dataclass
-class CurvesFrame(DataFrame):
+class CurvesFrame(DataFrame):  # type: ignore[misc, unused-ignore]
     """Consecutive frames of a face, to be shown one after another from now on.
 
     Parameters

@@ -164,7 +164,7 @@ class Batch:
             If a line that it follows, or leads into, was not made.
         """
         voice = line.acting.voice or self._voices.get(line.actor)
-        beside = {}
+        beside: dict[str, Any] = {}
         for name, output in line.beside.items():
             edges = self.journal.edges(output)
             number, entry = self._entries.get(output, (0, None))

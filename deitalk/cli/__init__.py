@@ -22,7 +22,8 @@ from deitalk.cli.console import (
 )
 from deitalk.cli.convert import convert, validate
 from deitalk.cli.data import app as data_app
-from deitalk.cli.edits import diff
+from deitalk.cli.edits import diff, dub
+from deitalk.cli.export import app as export_app
 from deitalk.cli.face import app as face_app
 from deitalk.cli.install import app as install_app
 from deitalk.cli.live import live
@@ -43,7 +44,7 @@ app = CheckedCommands(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for _verb in (animate, batch, live, preview, convert, diff, validate, retarget):
+for _verb in (animate, batch, live, preview, convert, diff, dub, validate, retarget):
     app.command()(_verb)
 app.add_typer(face_app, name="face")
 app.add_typer(install_app, name="install")
@@ -51,6 +52,7 @@ app.add_typer(serve_app, name="serve")
 app.add_typer(data_app, name="data")
 app.command()(finetune)
 app.add_typer(model_app, name="model")
+app.add_typer(export_app, name="export")
 
 
 def _version(wanted: bool) -> None:

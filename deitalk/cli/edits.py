@@ -1,12 +1,12 @@
-"""`deitalk diff`: edits by hand as a layer that survives the next run."""
+"""`deitalk diff`: edits by hand as a layer; `deitalk dub`: another voice for a performance."""
 
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from deitalk.cli.console import console, emit_json, reserve_file
-from deitalk.cli.options import Force, Json
+from deitalk.cli.console import bar, console, emit_json, reserve_file, reserve_folder
+from deitalk.cli.options import Device, Force, Given, Json, Model, acting_options
 from deitalk.errors import DeitalkError
 
 
@@ -22,7 +22,7 @@ def diff(
     out: Annotated[
         Path, typer.Option("--out", "-o", help="Layer to write: fixes.edit.json.")
     ] = Path("fixes.edit.json"),
-    source_fps: Annotated[
+    fps: Annotated[
         float | None, typer.Option(help="Rate of the edited file, Hz, if it does not contain it.")
     ] = None,
     tolerance: Annotated[
@@ -55,7 +55,7 @@ def diff(
     inputs = (edited, take if take.is_file() else take / "curves.json")
     reserve_file(out, force=force, inputs=inputs)
     name = out.name.removesuffix(SUFFIX).removesuffix(".json")
-    found = changes_of_take(edited, take, fps=source_fps, tolerance=tolerance, name=name)
+    found = changes_of_take(edited, take, fps=fps, tolerance=tolerance, name=name)
     layer = found.layer
     if not layer.edits:
         raise DeitalkError(
@@ -80,3 +80,70 @@ def diff(
         f"{out}: {len(layer.edits)} edits of {controls} controls, {layer.n_keys} keys "
         f"({found.share:.2%} of the take's values), {size / 1000:.1f} kB"
     )
+
+
+@acting_options
+def dub(
+    performance: Annotated[
+        Path,
+        typer.Argument(
+            help="Take folder, or captured or keyed curves: Live Link CSV, unreal.json, csv …"
+        ),
+    ],
+    speech: Annotated[Path, typer.Argument(help="The new recording.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Take folder/.")],
+    given: Given,
+    sound: Annotated[
+        Path | None,
+        typer.Option(
+            help="Recording of the performance; else that of the take, or of the same name."
+        ),
+    ] = None,
+    mapping: Annotated[
+        Path | None, typer.Option(help="Map of another rig's curves, as for `data import`.")
+    ] = None,
+    stretch: Annotated[
+        float, typer.Option(min=1, max=3, help="Most by which phrases are played slower or faster.")
+    ] = 1.5,
+    fps: Annotated[
+        float | None, typer.Option(help="Rate of the performance, Hz, if its file has none.")
+    ] = None,
+    model: Model = "default",
+    device: Device = "cpu",
+    force: Force = False,
+    as_json: Json = False,
+) -> None:
+    """Keep a performance and replace its mouth by that of another recording.
+
+    Examples
+    --------
+    deitalk dub MySlate_1_iPhone.csv german.wav -o take/
+
+    deitalk dub take/ retake.wav -o take2/ --words "My promise is big."
+    """
+    from deitalk.data.captures.columns import read_mapping
+    from deitalk.data.dub import dub as dubbed
+    from deitalk.models.folder import describe_model
+    from deitalk.pipeline.performance import KIND, check_take, write_take
+
+    inputs = (str(speech), str(performance), *given.texts)
+    reserve_folder(out, kind=KIND, force=force, inputs=inputs)
+    check_take(out, source=str(speech), force=force, inputs=inputs)
+    table = None if mapping is None else read_mapping(mapping)
+    with bar("animating") as progress:
+        found = dubbed(
+            performance, speech, sound=sound, acting=given.acting, mapping=table, stretch=stretch,
+            fps=fps, model=model, device=device, progress=progress, **given.choice.settings,
+        )  # fmt: skip
+    about = describe_model(model)
+    write_take(out, found.performance, model=about, force=force, extras=(found.write_report,))
+    for note in (*found.performance.recording.warnings, *found.notes):
+        console().note(note)
+    if as_json:
+        frames = len(found.exact)
+        emit_json({
+            "out": str(out), "frames": frames, "unchanged": int(found.exact.sum()),
+            "amplitude": found.amplitude, "kept": list(found.kept), "notes": list(found.notes),
+        })  # fmt: skip
+        return
+    console().print(f"{out}: {found.line}")

@@ -57,10 +57,10 @@ def export(
 
 
 def _export_onnx(model: str, out: Path, precision: str, force: bool) -> None:
+    from deitalk.export.onnx_file import export_onnx, operators
     from deitalk.models.checkpoint import require_model
     from deitalk.models.curve_model import DEITalk
     from deitalk.models.folder import model_folder
-    from deitalk.models.onnx.export import export_onnx, operators
 
     source = model_folder(model)
     reserve_file(out, force=force, inputs=(source / "model.safetensors",))

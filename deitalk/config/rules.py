@@ -40,8 +40,8 @@ class HoldPose(Section):
     steady_db: Size = 2.5
     """Most mean difference of the spectrum's bands from those 0.27 s before, dB."""
     frames: Annotated[int, Field(ge=1, le=13)] = 12
-    """Frames that a sound is steady before the pose is kept, after the first 0.33 s; fewer hold
-    nasals and glides of slow speech."""
+    """Frames that a sound is steady before the pose is kept, after the first 0.33 s; with fewer,
+    nasals and glides of slow speech are held."""
     leaves: Annotated[int, Field(ge=1, le=5)] = 5
     """Frames after the sound in which the pose is left."""
 
@@ -73,7 +73,7 @@ class ScaleOpening(Section):
     neutral take (a measurement of video that is not repeated here).
     """
 
-    gain: Slope = 1.0
+    gain: Slope = 0.6
     """Increase of the opening per unit of intensity."""
     usual: Share = 0.52
     """Intensity at which the increase is 0."""

@@ -122,8 +122,8 @@ def _own_controls(base: RigCurves) -> ControlSet | None:
                 f"the take's curves are {base.control_set}; name the take folder itself"
             )
         return None
-    wide = {"minimum": -1e6, "maximum": 1e6}
-    return ControlSet(base.control_set, tuple(Control(name, **wide) for name in base.names))
+    wide = (Control(name, minimum=-1e6, maximum=1e6) for name in base.names)
+    return ControlSet(base.control_set, tuple(wide))
 
 
 def _of_own_rig(path: Path, base: RigCurves, fps: float | None) -> CapturedCurves:

@@ -27,12 +27,11 @@ from deitalk.models.protocol import (
     trained_weights,
     unshown_note,
 )
-from deitalk.pipeline.layers import follow_recording, unused_notes
+from deitalk.pipeline.layers import edited
 from deitalk.pipeline.performance import Performance
 from deitalk.pipeline.speech import Speech, measure_intensities
 from deitalk.pipeline.words.script import Script, TimedMark, levels, with_accents, with_emotions
 from deitalk.pipeline.words.transcript import Transcript, other_spans
-from deitalk.postprocess.control_groups import ControlGroups
 from deitalk.postprocess.factors import held_intensity, mean_around, opening_factor
 from deitalk.postprocess.feeling import state_of_intensity
 from deitalk.postprocess.joins import activity_beside, lead, unknown_controls
@@ -41,11 +40,11 @@ from deitalk.postprocess.life.motion import Motion, plan_motion
 from deitalk.postprocess.life.other import OtherVoice
 from deitalk.postprocess.life.voice import Seeds, Traits, measure_voice
 from deitalk.postprocess.tracks import VoiceTracks, shown_columns
-from deitalk.postprocess.variants import Ways, choose_ways, unused_variants
+from deitalk.postprocess.variants import choose_ways, unused_variants
 from rig import ControlSet, RigCurves
 from rig.arrays import Float32
 from rig.curves.edit import gain_factors
-from rig.curves.layers import apply_layers, target_columns
+from rig.curves.layers import target_columns
 from rig.errors import quoted
 
 if TYPE_CHECKING:
@@ -207,7 +206,8 @@ def prepare(
     speech = _between(Speech.of_recording(recording, rules.gates), acting)
     if acting.after is not None:
         recording = recording.noted(*unknown_controls(acting.after, network.controls))
-    weights, said, marks = acting.emotion_track.at(speech.times), None, ()
+    weights, said = acting.emotion_track.at(speech.times), None
+    marks: tuple[TimedMark, ...] = ()
     if script is not None:
         from deitalk.pipeline.words.align import align_words
 
@@ -257,9 +257,9 @@ def _of_role(recording: Recording, acting: Acting) -> Recording:
     for begin, end in spans:
         first, stop = (round(seconds * recording.sample_rate) for seconds in (begin, end))
         heard[max(first, 0) : max(stop, 0)] = 0
-    kernel = np.ones(2 * fade + 1, np.float32) / (2 * fade + 1)
-    heard = np.convolve(np.pad(heard, fade, mode="edge"), kernel, mode="valid")
-    silent = replace(recording, waveform=recording.waveform * heard.astype(np.float32))
+    kernel = np.full(2 * fade + 1, 1 / (2 * fade + 1), np.float32)
+    share = np.convolve(np.pad(heard, fade, mode="edge"), kernel, mode="valid")
+    silent = replace(recording, waveform=recording.waveform * share.astype(np.float32))
     seconds = sum(end - begin for begin, end in spans)
     return silent.noted(f"silent where others than {acting.role} speak: {seconds:.1f} s")
 
@@ -356,11 +356,11 @@ def finish(
     opening = opening_factor(rules.scale_opening, near, usual)
     kept = speech.held(rules.hold_pose)
     state = state_of_intensity(np.median(intensities.voice[speaking])) if speaking.any() else 0.0
-    ways = _ways(prepared, state)
+    traits = _traits(prepared)
+    ways = choose_ways(acting.variant, traits, acting.seed, state)
     said = opening, intensities.held, phones, weights, kept.back, kept.share
     side = np.full(len(weights), ways.side)
     voice = VoiceTracks(intensities.scale, *said, weights @ ways.weights, side)
-    traits = _traits(prepared)
     motion = _motion(prepared, weights * intensities.applied[:, None], traits)
     tracks_of_motion = None if motion is None else motion.tracks
     shown = shown_columns(speech.mouth, intensities.share, tracks_of_motion)
@@ -376,14 +376,9 @@ def finish(
     neutral_curves = _curves(network.controls, neutral)
     recording = _with_note_of(words, prepared.recording)
     if acting.edit:
-        layers, notes = follow_recording(acting.edit, speech, words)
-        rule = rules.keep_contacts
-        closures = None if rule is None else ControlGroups(network.controls).closures(rule)
-        recording = recording.noted(*notes, *unused_notes(layers, head is not None))
-        how = layers, network.controls, closures
-        shown_curves, taken_back = apply_layers(shown_curves, *how)
-        neutral_curves, _ = apply_layers(neutral_curves, *how)
-        recording = recording.noted(*taken_back)
+        given = (shown_curves, neutral_curves), network.controls, rules.keep_contacts
+        (shown_curves, neutral_curves), notes = edited(acting.edit, *given, speech, words)
+        recording = recording.noted(*notes)
         clock.lap("edits")
     return Performance(
         shown_curves,
@@ -474,14 +469,6 @@ def _traits(prepared: Prepared) -> Traits:
     if known:
         return Traits(**known)
     return Traits.of(Seeds.of(prepared.speech.waveform, prepared.style, acting.seed).character())
-
-
-def _ways(prepared: Prepared, strength: float) -> Ways:
-    """How a take of such a strength shows each emotion."""
-    acting = prepared.acting
-    actor = prepared.style if acting.voice is None else acting.voice.as_json()
-    seeds = Seeds.of(prepared.speech.waveform, actor, acting.seed)
-    return choose_ways(acting.variant, seeds, strength)
 
 
 def _motion(prepared: Prepared, shown: Float32, traits: Traits) -> Motion | None:

@@ -15,10 +15,13 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
+from deitalk.config.rules import KeepContacts
 from deitalk.pipeline.speech import Speech
+from deitalk.postprocess.control_groups import ControlGroups
 from deitalk.postprocess.phones import PHONES, SILENCE
+from rig import ControlSet, RigCurves
 from rig.arrays import Float32, Float64
-from rig.curves.layers import Edit, Layer, Sound, retimed
+from rig.curves.layers import Edit, Layer, Sound, apply_layers, retimed
 from rig.errors import listed
 
 if TYPE_CHECKING:
@@ -32,6 +35,38 @@ LEAST_MATCHED = 0.5
 """Share of a layer's words that must be in another recording, for it to follow them."""
 EARLIEST_MOVE = 0.5 / FRAME_RATE
 """Seconds by which times must change to be reported."""
+
+
+def edited(
+    layers: Iterable[Layer],
+    readings: tuple[RigCurves, RigCurves],
+    controls: ControlSet,
+    rule: KeepContacts | None,
+    speech: Speech,
+    words: "WordFit | None" = None,
+) -> tuple[tuple[RigCurves, RigCurves], tuple[str, ...]]:
+    """Curves that are shown, and their neutral reading, with layers; and a line on each change.
+
+    Parameters
+    ----------
+    layers : iterable of Layer
+        In their order.
+    readings : (RigCurves, RigCurves)
+        Of the recording.
+    controls : ControlSet
+        Of their columns.
+    rule : KeepContacts, optional
+        Which closures are met again; None: none.
+    speech, words
+        As for `follow_recording`.
+    """
+    shown, neutral = readings
+    followed, notes = follow_recording(layers, speech, words)
+    closures = None if rule is None else ControlGroups(controls).closures(rule)
+    shown, changes = apply_layers(shown, followed, controls, closures)
+    neutral, _ = apply_layers(neutral, followed, controls, closures)
+    unused = unused_notes(followed, shown.head is not None)
+    return (shown, neutral), (*notes, *unused, *changes)
 
 
 class Followed(NamedTuple):

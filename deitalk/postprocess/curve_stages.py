@@ -44,14 +44,16 @@ NEUTRAL, SHOWN = 0, 1
 
 
 class Hold(nn.Module):
-    """What speech moves keeps its pose while a sound is held."""
+    """What speech moves, contacts excepted, keeps its pose while a sound is held."""
 
     speaks: Tensor
 
     def __init__(self, rule: HoldPose | None, groups: ControlGroups) -> None:
         super().__init__()
         self.rule = rule
-        constant(self, "speaks", np.tile(groups.follows_mouth, 2).astype(np.float32))
+        speaks = groups.follows_mouth.astype(np.float32)
+        speaks[groups.seals] = 0
+        constant(self, "speaks", np.tile(speaks, 2))
 
     def forward(
         self, readings: Tensor, before: Tensor, back: Tensor, kept: Tensor

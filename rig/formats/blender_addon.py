@@ -535,7 +535,7 @@ def channels_of(objects: list[Any]) -> dict[str, tuple[Any, int, int]]:
     shape key) and the last frame with a key.
     """
     raw = {shape_key(PREFIX + name): PREFIX + name for name in RAW}
-    found = {}
+    found: dict[str, tuple[Any, int, int]] = {}
     for made in objects:
         owner = made.data.shape_keys if made.type == "MESH" else made
         for curve in keyed(owner) if owner else []:

@@ -7,9 +7,7 @@
     engine_graph.py     writes the graphs that these open, in torch
     network_graph.py    the network of a whole clip, or of one frame of a causal model
     whisper_graph.py    its Whisper frontend; spectra.py, its Fourier transform
-
-    export.py           one file for other programs: sound in, finished curves out
-    finished.py         its modules, with clip_hearing.py and live_hearing.py
+    tracing.py          a module as an ONNX model
 """
 
 from deitalk.models.onnx.network import OnnxCausalNetwork, OnnxNetwork, load_onnx

@@ -18,7 +18,6 @@ from deitalk.emotions import EMOTIONS
 from deitalk.frontends.whisper import WhisperFrontend
 from deitalk.models.causal_model import grid_of
 from deitalk.models.curve_model import DEITalk
-from deitalk.models.onnx.export import Axes, traced
 from deitalk.models.onnx.network import (
     CAUSAL_SCHEMA,
     NEXT,
@@ -39,6 +38,7 @@ from deitalk.models.onnx.network_graph import (
 from deitalk.models.onnx.rules import INPUTS as RULES_INPUTS
 from deitalk.models.onnx.rules import LIVE, WHOLE
 from deitalk.models.onnx.rules import OUTPUTS as RULES_OUTPUTS
+from deitalk.models.onnx.tracing import Axes, traced
 from deitalk.models.onnx.whisper_graph import parts_of
 from deitalk.postprocess.curve_pass import CurvePass
 from deitalk.postprocess.tracks import LIVE_AHEAD, N_SHOWN

@@ -15,7 +15,6 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 from pydantic import ValidationError
 
-import deitalk
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE, frame_count
 from deitalk.audio.log_mel import loudest
 from deitalk.config.rig_file import parse_controls
@@ -387,7 +386,8 @@ except UserError as error:
 """
 """Program of the process that writes the graph of a model."""
 TRACED = (
-    "audio/log_mel.py", "frontends/*.py", "models/curve_model.py", "models/intensity.py",
+    "audio/log_mel.py", "emotions/*.py", "frontends/*.py", "models/causal_model.py",
+    "models/curve_model.py", "models/positions.py", "models/intensity.py",
     "models/lip_readout.py", "models/rig_decoder.py", "models/tuned_parts.py", "models/onnx/*.py",
     "postprocess/*.py", "postprocess/*.csv", "postprocess/life/*.py",
 )  # fmt: skip
@@ -468,7 +468,7 @@ def graph_digest(folder: Path) -> str:
     for name in ("config.yaml", RIG_FILE):
         if (folder / name).is_file():
             digest.update((folder / name).read_bytes())
-    package = Path(deitalk.__file__).parent
+    package = Path(__file__).parents[2]
     for pattern in TRACED:  # a checkout whose rules change
         for path in sorted(package.glob(pattern)):
             digest.update(path.read_bytes())

@@ -2,15 +2,20 @@
 
 ::
 
-    voice.py     accents, phrases, questions and pauses of a recording; shapes over time; random
-                 numbers of a take, and what tells characters apart
-    eyes.py      times and shapes of blinks; fixations, micro-saccades, aversions
-    head.py      brows, lids and cheeks: accents, questions, drift, left and right; turn and shift
-                 of the head; the neck
+    voice.py     accents, phrases, questions and pauses of a recording; seeds, and what tells
+                 characters apart
+    other.py     the voice of the one whom a face listens to
+    draws.py     random numbers, slow noise and events of streams side by side
+    eyes.py      times and shapes of blinks; fixations, saccades, aversions, vergence
+    face.py      brows, lids, cheeks, smiles: accents, questions, gestures of a calm face
+    head.py      turn and shift of the head; the neck
     amounts.py   how much of each is wanted
-    motion.py    all of them on the curves of a take; left and right of the mouth
+    listener.py  where the listener is
+    motion.py    all of them for streams side by side
+    play.py      what they move on the curves, by the emotion; left and right of the mouth
 
 A network that regresses this motion from sound learns its mean: half-closed eyes, still brows. It
 is left out of the training curves and added after the rules. Sources are in each file, measured
-statistics in docs/life.md. Of the mouth only the difference of its sides is changed.
+statistics in docs/life.md. Of the mouth it changes the difference of the sides, and adds small
+smiles of a calm face.
 """

@@ -11,10 +11,9 @@ from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtri
 
 from deitalk.audio.frames import FRAME_RATE
-from rig.arrays import Bool, Float64, Int64
+from rig.arrays import AnyFloat, Bool, Float64, Int64
 
 UInt64 = NDArray[np.uint64]
 _STEP = np.uint64(0x9E3779B97F4A7C15)
@@ -42,9 +41,88 @@ def uniforms(keys: UInt64, places: Int64 | Float64, count: int) -> Float64:
 
 
 def normals(shares: Float64) -> Float64:
-    """Standard normal numbers of uniform ones."""
-    values: Float64 = ndtri(shares)
-    return values
+    """Standard normal numbers of uniform ones, by Wichura's algorithm AS 241 (1988), to 1e-15.
+
+    `scipy.special` takes an eighth of the time of a whole command to import.
+    """
+    distance = shares - 0.5
+    inner = 0.180625 - distance**2
+    middle = distance * _ratio(inner, _MIDDLE)
+    tail = np.sqrt(-np.log(np.minimum(shares, 1 - shares)))
+    near, far = _ratio(tail - 1.6, _NEAR), _ratio(tail - 5, _FAR)
+    outer = np.copysign(np.where(tail <= 5, near, far), distance)
+    return np.where(np.abs(distance) <= 0.425, middle, outer)
+
+
+def _ratio(x: Float64, coefficients: Float64) -> Float64:
+    """Ratio of two polynomials, of whose coefficients the highest powers come first."""
+    above, below = (np.polyval(row, x) for row in coefficients)
+    return np.asarray(above / below, np.float64)
+
+
+_MIDDLE = np.array(
+    [
+        [2.5090809287301226727e3, 3.3430575583588128105e4, 6.7265770927008700853e4,
+         4.5921953931549871457e4, 1.3731693765509461125e4, 1.9715909503065514427e3,
+         1.3314166789178437745e2, 3.3871328727963666080],
+        [5.2264952788528545610e3, 2.8729085735721942674e4, 3.9307895800092710610e4,
+         2.1213794301586595867e4, 5.3941960214247511077e3, 6.8718700749205790830e2,
+         4.2313330701600911252e1, 1],
+    ]
+)  # fmt: skip
+_NEAR = np.array(
+    [
+        [7.74545014278341407640e-4, 2.27238449892691845833e-2, 2.41780725177450611770e-1,
+         1.27045825245236838258, 3.64784832476320460504, 5.76949722146069140550,
+         4.63033784615654529590, 1.42343711074968357734],
+        [1.05075007164441684324e-9, 5.47593808499534494600e-4, 1.51986665636164571966e-2,
+         1.48103976427480074590e-1, 6.89767334985100004550e-1, 1.67638483018380384940,
+         2.05319162663775882187, 1],
+    ]
+)  # fmt: skip
+_FAR = np.array(
+    [
+        [2.01033439929228813265e-7, 2.71155556874348757815e-5, 1.24266094738807843860e-3,
+         2.65321895265761230930e-2, 2.96560571828504891230e-1, 1.78482653991729133580,
+         5.46378491116411436990, 6.65790464350110377720],
+        [2.04426310338993978564e-15, 1.42151175831644588870e-7, 1.84631831751005468180e-5,
+         7.86869131145613259100e-4, 1.48753612908506148525e-2, 1.36929880922735805310e-1,
+         5.99832206555887937690e-1, 1],
+    ]
+)  # fmt: skip
+
+
+def followed(values: AnyFloat, share: float, state: Float64) -> tuple[Float64, Float64]:
+    """Values that come and go slowly: each row goes a share of the way from the one before.
+
+    Parameters
+    ----------
+    values : array [shape=(B, n, ...)]
+        Of the next frames.
+    share : float
+        Of a new row.
+    state : array [shape=(B, 1, ...)]
+        The part of the last row that stays.
+
+    Returns
+    -------
+    array [shape=(B, n, ...)], array [shape=(B, 1, ...)]
+        Rows, and the state after them.
+    """
+    rows = np.empty(values.shape)
+    flat, found = (x.reshape(*values.shape[:2], -1) for x in (np.asarray(values, float), rows))
+    kept = np.asarray(state, float).reshape(len(flat), 1, -1)
+    for start in range(0, flat.shape[1], _BLOCK):  # a product of matrices instead of a loop
+        part = flat[:, start : start + _BLOCK]
+        lag = np.subtract.outer(np.arange(part.shape[1]), np.arange(part.shape[1]))
+        weights = np.where(lag >= 0, share * (1 - share) ** np.maximum(lag, 0), 0.0)
+        block = weights @ part + (1 - share) ** np.arange(part.shape[1])[:, None] * kept
+        found[:, start : start + _BLOCK] = block
+        kept = (1 - share) * block[:, -1:]
+    return rows, kept.reshape(state.shape)
+
+
+_BLOCK = 64
 
 
 def between(shares: Float64, span: tuple[float, float]) -> Float64:

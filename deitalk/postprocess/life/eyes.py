@@ -3,6 +3,8 @@
 Streams are side by side. Letters: B streams, n frames of a call, N events.
 """
 
+import math
+
 import numpy as np
 
 from deitalk.audio.frames import FRAME_RATE
@@ -92,10 +94,14 @@ class Blinks:
         Equal keys give equal blinks, whatever the emotion.
     seconds, spread : array [shape=(B,)]
         Median and sigma of the logarithm of the intervals.
+    end : float
+        Seconds of the last frame, in which the lids are open; infinite if it is not known.
     """
 
-    def __init__(self, keys: UInt64, seconds: Float64, spread: Float64) -> None:
-        self.keys, self.seconds, self.spread = keys, seconds, spread
+    def __init__(
+        self, keys: UInt64, seconds: Float64, spread: Float64, end: float = math.inf
+    ) -> None:
+        self.keys, self.seconds, self.spread, self.end = keys, seconds, spread, end
         self.blinks, self.places = Events(6), Events(2)
         """Those that are not over; times that draw blinks, and from when they are known."""
         self.number = np.zeros(len(keys), np.int64)
@@ -170,20 +176,24 @@ class Blinks:
             who, times, shares = streams[due], times[due], shares[due]
             # One blink, or two; then an interval.
             blinks = draw_blinks(times, shares[:, 1:7])
-            self.blinks.append(who, blinks)
+            self._add(who, blinks)
             double = shares[:, 7] < DOUBLE_SHARE
             seconds = times + between(shares[:, 8], DOUBLE_SECONDS)
             after = np.maximum(blink_ends(blinks), seconds)
             second = draw_blinks(after, shares[:, 9:15])
-            self.blinks.append(who[double], second[double])
+            self._add(who[double], second[double])
             over = np.where(double, blink_ends(second), blink_ends(blinks))
             self.earliest[who] = over + LEAST_INTERVAL / 2
             spread = self.spread[who] * normals(shares[:, 15])
             interval = self.seconds[who] * np.exp(spread)
             self.next[who] = times + np.maximum(interval, LEAST_INTERVAL)
             self.number[who] += 1
-        if len(self.places.stream):
+        if self.places.stream.size:
             self.places.keep(self.places.rows[:, 0] > self.earliest[self.places.stream])
+
+    def _add(self, streams: Int64, blinks: Float64) -> None:
+        whole = blink_ends(blinks) < self.end
+        self.blinks.append(streams[whole], blinks[whole])
 
 
 # Where the eyes look: two numbers and the vergence, degrees.

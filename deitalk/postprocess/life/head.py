@@ -18,7 +18,6 @@ Letters: T frames at 30 per second.
 """
 
 import numpy as np
-from scipy.signal import lfilter
 
 from deitalk.audio.frames import FRAME_RATE
 from deitalk.emotions import LABELS, by_emotion
@@ -27,6 +26,7 @@ from deitalk.postprocess.life.draws import (
     UInt64,
     between,
     by_rank,
+    followed,
     normals,
     smooth_noise,
     uniforms,
@@ -356,10 +356,10 @@ class Head:
         wanted = self._wanted(streams, mixture)
         near, held = np.moveaxis(self.held[streams], -1, 0)
         near, held = near[:, None], held[:, None]
-        rows, near = lfilter([POSTURE_SHARE], [1, POSTURE_SHARE - 1], wanted, axis=1, zi=near)
-        rows, held = lfilter([POSTURE_SHARE], [1, POSTURE_SHARE - 1], rows, axis=1, zi=held)
+        rows, near = followed(wanted, POSTURE_SHARE, near)
+        rows, held = followed(rows, POSTURE_SHARE, held)
         self.held[streams] = np.stack((near[:, 0], held[:, 0]), axis=-1)
-        return np.asarray(rows, np.float64)
+        return rows
 
     def liveliness(self, streams: Int64, mixture: Float32) -> Float64:
         """Factor on the motion [shape=(B, n)]: of the emotion shown, and of the character."""

@@ -8,16 +8,17 @@ Streams are side by side, in one array operation each step. Letters: B streams, 
 T frames at 30 per second, S styles.
 """
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.signal import lfilter
 
 from deitalk.audio.frames import FRAME_RATE
 from deitalk.config.rules import Idle
 from deitalk.emotions import LABELS, by_emotion
 from deitalk.postprocess.life.amounts import Life
+from deitalk.postprocess.life.draws import followed
 from deitalk.postprocess.life.eyes import Blinks, Gaze
 from deitalk.postprocess.life.face import MIRROR, Face
 from deitalk.postprocess.life.head import BREATH, POSTURE_SECONDS, SWALLOWS, Head, neck_tracks
@@ -94,9 +95,13 @@ class MotionStreams:
         B.
     idle : Idle
         The model's own numbers.
+    end : float
+        Seconds of the last frame, in which no eye is shut; infinite if it is not known.
     """
 
-    def __init__(self, characters: Sequence[Character], idle: Idle = Idle()) -> None:
+    def __init__(
+        self, characters: Sequence[Character], idle: Idle = Idle(), end: float = math.inf
+    ) -> None:
         self.idle, batch = idle, len(characters)
         self.keys = np.zeros((len(PARTS), batch), np.uint64)
         self.side, self.brow_range, self.head_range, self.avoids = np.zeros((4, batch))
@@ -114,7 +119,7 @@ class MotionStreams:
         for k, character in enumerate(characters):
             self._set(k, character)
         _, blinks, gaze, face, head = self.keys
-        self.blinks = Blinks(blinks, self.seconds, self.spread)
+        self.blinks = Blinks(blinks, self.seconds, self.spread, end)
         self.gaze = Gaze(gaze, self.avoids)
         self.face = Face(face, self.side, self.brow_range)
         self.head = Head(head, self.side, self.head_range)
@@ -239,8 +244,8 @@ class MotionStreams:
 def _followed(values: AnyFloat, seconds: float, states: Float64, streams: Int64) -> Float64:
     """Values (B, n, ...) that a time constant smooths, with the state of streams."""
     share = 1 / (seconds * FRAME_RATE)
-    rows, states[streams] = lfilter([share], [1, share - 1], values, axis=1, zi=states[streams])
-    return np.asarray(rows, np.float64)
+    rows, states[streams] = followed(values, share, states[streams])
+    return rows
 
 
 def plan_motion(
@@ -268,7 +273,8 @@ def plan_motion(
     felt : array, optional [shape=(T, S)]
         Emotion of that one.
     """
-    streams, cues = MotionStreams([Character(seeds, life, traits)], idle), voice.cues()
+    end = (voice.n_frames - 1) / FRAME_RATE
+    streams, cues = MotionStreams([Character(seeds, life, traits)], idle, end), voice.cues()
     if heard is not None:
         streams.hear(heard.cues())
         cues = cues.where((cues.kind != PAUSE) | ~heard.is_speaking(cues.time + cues.size))

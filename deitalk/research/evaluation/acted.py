@@ -324,8 +324,8 @@ def _inside(performance: Performance, speaking: Bool) -> tuple[float, float]:
 def _measures(model: DEITalk, performance: Performance, speaking: Bool) -> dict[str, float]:
     """Mean intensity, distance of the curves from rest, and opening of the mouth over speech."""
     if not speaking.any():
-        names = "intensity", "level", "whole face", "opening", "opening range"
-        return dict.fromkeys((*names, *PARTS), 0.0)
+        whole = ("intensity", "level", "whole face", "opening", "opening range")
+        return dict.fromkeys((*whole, *PARTS), 0.0)
     controls = performance.curves.names
     opening = mouth_opening(performance.curves.values, model.controls)[speaking]
     moved: Float32 = np.abs(performance.curves.values - model.controls.rest)[speaking]

@@ -19,9 +19,9 @@ import numpy as np
 
 from deitalk import load_audio
 from deitalk.audio.voice_activity import normalise_level
+from deitalk.export.onnx_file import export_onnx
 from deitalk.models.checkpoint import require_model
 from deitalk.models.curve_model import DEITalk
-from deitalk.models.onnx.export import export_onnx
 from deitalk.research.arguments import new_file
 from deitalk.research.evaluation.benchmark_curves import machine
 from deitalk.research.evaluation.report import identified, write_json

@@ -14,12 +14,11 @@ Whole speakers are divided as in `deitalk.research.evaluation.acted`. Training a
 speakers are fitted together; their scores are those of five fits, each to four fifths of these
 speakers and scored on the rest. One temperature makes those probabilities true (Guo et al. 2017).
 
-The command prints the scores of these speakers, with ``--judge`` those of another corpus, which
-is never fitted nor written to the file of scores, and with ``--split test`` also those of the
-test speakers: recall of every class, their mean (unweighted recall, chance .25), anger against
-sadness, the share of readers suggested as neutral, and how probable suggestions are against how
-often they are right. Baselines: the level of the speech, and ridge regression on the same
-numbers.
+The command prints the scores of these speakers, with ``--judge`` those of another corpus, which is
+never fitted nor written to the file of scores, and with ``--split test`` also those of the test
+speakers: recall of every class, their mean (unweighted recall, chance .25), anger against sadness,
+the share of readers suggested as neutral, and how probable suggestions are against how often they
+are right. Baselines: the level of the speech, and ridge regression on the same numbers.
 """
 
 import argparse

@@ -38,7 +38,7 @@ from tests.each import each
 onnx = pytest.importorskip("onnx")
 pytest.importorskip("onnxruntime")
 from deitalk.models.onnx.engine_graph import write_graph  # noqa: E402
-from deitalk.models.onnx.export import OPSET  # noqa: E402
+from deitalk.models.onnx.tracing import OPSET  # noqa: E402
 
 TOLERANCE = 1e-4
 """Of a control's range."""

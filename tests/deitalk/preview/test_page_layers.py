@@ -141,7 +141,7 @@ def test_points_are_moved_and_removed_by_keys(page, source):
     (edit,) = layers_of(page)[0].edits
     assert edit.keys[1][1] == pytest.approx(0.1, abs=0.011)
     page.keyboard.press("ArrowRight")
-    assert layers_of(page)[0].edits[0].keys[1][0] == pytest.approx(1 + 1 / 30)
+    assert layers_of(page)[0].edits[0].keys[1][0] == pytest.approx(1 + 1 / 30, abs=1e-4)
     for left in (2, 1, 0):
         page.locator("#layer-lane circle").nth(0).focus()
         page.keyboard.press("Delete")

@@ -180,7 +180,7 @@ def test_public_rigs_need_no_map(name):
 def test_an_exported_tuned_model_gives_the_same(neutral, emotion, tmp_path):
     pytest.importorskip("onnxruntime")
     weights = np.zeros((50, 9), np.float32)
-    from deitalk.models.onnx.export import export_onnx
+    from deitalk.export.onnx_file import export_onnx
 
     weights[:, LABELS.index(emotion)] = 1
     model = load_model(neutral)

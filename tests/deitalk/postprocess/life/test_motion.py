@@ -295,6 +295,15 @@ def test_anger_keeps_its_eyes_on_the_listener_under_a_lowered_head(emotion):
     assert np.abs(motion.head[:, 1]).max() > 2
 
 
+@pytest.mark.parametrize("n_frames", [20, 70, 151])
+def test_a_take_ends_with_open_eyes(n_frames):
+    voice = Voice(n_frames, np.zeros(n_frames, np.float32), (), (Phrase(0, n_frames, False),))
+    calm = np.zeros((n_frames, len(LABELS)), np.float32)
+    for seed in range(60):
+        lids = plan_motion(voice, calm, Seeds((0, 0, seed))).tracks.lids
+        assert not lids[-1].any()
+
+
 def test_emotions_of_a_recording_have_their_own_times_and_one_character():
     takes = [Seeds((1, 2, 3), emotion) for emotion in range(2)]
     assert Traits.of(takes[0].character()) == Traits.of(takes[1].character())

@@ -17,8 +17,8 @@ interface Field {
 }
 
 export const FIELDS: Record<string, Field> = schema.properties;
-/** Fields with an editor of their own. */
-const EDITED: ActingField[] = ["emotion", "intensity_curve", "words", "language", "life", "gain", "edit"];
+/** Fields with an editor of their own, and those that name a take. */
+const EDITED: ActingField[] = ["emotion", "intensity_curve", "words", "language", "life", "gain", "edit", "after", "into"];
 const TYPES: Record<string, string> = { number: "number", integer: "number", boolean: "checkbox" };
 
 /** The inputs, bound to the edits; returns what shows an edit in them. */

@@ -16,18 +16,19 @@ from deitalk.audio.frames import frame_count
 from deitalk.audio.load import load_audio
 from deitalk.emotions import LABELS, IntensityCurve
 from deitalk.errors import CheckpointError
+from deitalk.export.finished import FinishedClip, FinishedLive
 from deitalk.live.animator import LiveAnimator
 from deitalk.models.checkpoint import load_model
 from deitalk.models.curve_model import DEITalk
-from deitalk.models.onnx.finished import FinishedClip, FinishedLive
-from deitalk.postprocess.tracks import N_MOTION
+from deitalk.models.onnx.tracing import OPSET
+from deitalk.postprocess.tracks import N_MOTION, N_VARIANTS
 from deitalk.research.evaluation.benchmark_curves import speechlike
 from tests.command import ran
 from tests.deitalk.models.test_onnx import CAUSAL, CONTROL_FLOW, WHISPER, of_frontend
 
 onnx = pytest.importorskip("onnx")
 onnxruntime = pytest.importorskip("onnxruntime")
-from deitalk.models.onnx.export import OPSET, export_onnx, operators  # noqa: E402
+from deitalk.export.onnx_file import export_onnx, operators  # noqa: E402
 
 TOLERANCE = 1e-4
 """Of a control's range."""
@@ -67,7 +68,7 @@ def one_hot(emotion, *shape):
     return rows
 
 
-def finished(session, sound, emotion, curve=None, factor=1.0):
+def finished(session, sound, emotion, curve=None, factor=1.0, ways=None):
     """Curves, neutral curves and predicted intensity of a recording."""
     total = frame_count(len(sound))
     shown = np.full(total, -1) if curve is None else curve
@@ -75,6 +76,7 @@ def finished(session, sound, emotion, curve=None, factor=1.0):
         "sound": np.asarray(sound, np.float32),
         "emotion": one_hot(emotion, total),
         "intensity": np.stack((shown, np.full(total, factor), np.full(total, REST))),
+        "variants": np.zeros((total, N_VARIANTS + 1)) if ways is None else ways,
         "motion": np.zeros((total, N_MOTION), np.float32),
     }
     return session.run(None, {name: array.astype(np.float32) for name, array in given.items()})
@@ -134,8 +136,10 @@ def sounds():
 @pytest.mark.parametrize("kind", sounds())
 def test_finished_curves_of_a_recording_are_those_of_animate(kind, clip, default):
     sound = sounds()[kind]
-    for emotion in ("angry", "contempt") if len(sound) > 20_000 else ("happy",):
-        made = animate(sound, emotion, sample_rate=16_000, model=default, life="off")
+    for emotion in ("angry", "disgust") if len(sound) > 20_000 else ("happy",):
+        made = animate(
+            sound, emotion, sample_rate=16_000, model=default, life="off", variant="plain"
+        )
         assert_same(finished(clip, sound, emotion), made, default.controls)
 
 
@@ -145,11 +149,13 @@ def test_an_intensity_curve_and_a_factor_are_applied(name, clip, default):
     times = np.arange(frame_count(len(sound))) / 30
     curve = 0.5 + 0.5 * np.sin(times)
     made = animate(
-        sound, "sad", sample_rate=16_000, model=default, life="off", intensity=0.7,
+        sound, "sad", sample_rate=16_000, model=default, life="off", variant="plain", intensity=0.7,
         intensity_curve=IntensityCurve(times, curve),
     )  # fmt: skip
     assert_same(finished(clip, sound, "sad", curve, 0.7), made, default.controls)
-    made = animate(sound, "sad", sample_rate=16_000, model=default, life="off", intensity=1.5)
+    made = animate(
+        sound, "sad", sample_rate=16_000, model=default, life="off", variant="plain", intensity=1.5
+    )
     assert_same(finished(clip, sound, "sad", factor=1.5), made, default.controls)
 
 
@@ -161,6 +167,7 @@ def test_the_graph_equals_its_module_in_torch(clip, default):
         "sound": sound,
         "emotion": rng.dirichlet(np.ones(len(LABELS)), total).astype(np.float32),
         "intensity": rng.uniform(-0.5, 1, (3, total)).astype(np.float32),
+        "variants": rng.uniform(0, 0.2, (total, N_VARIANTS + 1)).astype(np.float32),
         "motion": rng.uniform(0, 1, (total, N_MOTION)).astype(np.float32),
     }
     module = FinishedClip(default).eval()
@@ -195,6 +202,7 @@ def spoken(session, sounds, emotions, factors):
             "sound": padded[:, start : start + window],
             "emotion": np.stack([one_hot(emotion) for emotion in emotions]),
             "intensity": np.array([(factor, REST) for factor in factors], np.float32),
+            "variants": np.zeros((batch, N_VARIANTS + 1), np.float32),
             "motion": np.zeros((batch, N_MOTION), np.float32),
             "state": state,
         }
@@ -212,12 +220,12 @@ def test_finished_frames_of_live_streams_are_those_of_the_animator(voices):
         np.concatenate((0.1 * speech[30_000:], pause, pause, speech[:30_000])),
         np.random.default_rng(0).normal(0, 0.02, 60_000).astype(np.float32),
     ]
-    emotions, factors = ("happy", "contempt", "neutral"), (1.0, 0.6, 1.3)
+    emotions, factors = ("happy", "disgust", "neutral"), (1.0, 0.6, 1.3)
     found = spoken(voices, sounds, emotions, factors)
     network = load_model("live")
     span = network.controls.maximum - network.controls.minimum
     for k, (sound, emotion, factor) in enumerate(zip(sounds, emotions, factors, strict=True)):
-        animator = LiveAnimator(network, emotion, intensity=factor, life="off")
+        animator = LiveAnimator(network, emotion, intensity=factor, life="off", variant="plain")
         expected = np.concatenate((animator.feed(sound), animator.finish()))
         off = np.abs(found[k, : len(expected)] - expected) / span
         assert off.max() <= TOLERANCE, (k, off.max())
@@ -231,13 +239,14 @@ def test_the_live_graph_equals_its_module_in_torch(voices):
     for _ in range(8):
         given = [
             rng.normal(0, 0.1, (1, module.window)).astype(np.float32), one_hot("sad", 1),
-            np.ones((1, 2), np.float32), rng.uniform(0, 1, (1, N_MOTION)).astype(np.float32), states[-1],
+            np.ones((1, 2), np.float32),
+            np.zeros((1, N_VARIANTS + 1), np.float32), rng.uniform(0, 1, (1, N_MOTION)).astype(np.float32), states[-1],
         ]  # fmt: skip
         with torch.no_grad():
             states.append(module(*map(torch.from_numpy, given))[2].numpy())
     together = np.concatenate(states)
     for batch in (1, len(together)):
-        arrays = [np.repeat(array, batch, axis=0) for array in given[:4]] + [together[-batch:]]
+        arrays = [np.repeat(array, batch, axis=0) for array in given[:5]] + [together[-batch:]]
         with torch.no_grad():
             expected = module(*map(torch.from_numpy, arrays))
         names = [entry.name for entry in voices.get_inputs()]
@@ -269,7 +278,9 @@ def test_half_precision_is_half_the_size_and_changes_nothing_of_embedded_models(
     whole = (files / "default.onnx").stat().st_size
     assert (tmp_path / "half.onnx").stat().st_size < 0.52 * whole
     sound = recorded("amiable")[:64_000]
-    made = animate(sound, "surprised", sample_rate=16_000, model=default, life="off")
+    made = animate(
+        sound, "surprised", sample_rate=16_000, model=default, life="off", variant="plain"
+    )
     assert_same(
         finished(opened(tmp_path / "half.onnx"), sound, "surprised"), made, default.controls
     )
@@ -304,7 +315,9 @@ def test_a_causal_model_with_another_look_ahead_is_refused_in_one_line(tmp_path)
 def test_speech_like_noise_of_any_length(clip, default):
     for seconds in (0.1, 0.4, 11.0):
         sound = speechlike(seconds)
-        made = animate(sound, "happy", sample_rate=16_000, model=default, life="off")
+        made = animate(
+            sound, "happy", sample_rate=16_000, model=default, life="off", variant="plain"
+        )
         assert_same(finished(clip, sound, "happy"), made, default.controls)
 
 

@@ -16,12 +16,12 @@ from deitalk.audio.log_mel import N_FFT
 from deitalk.audio.voice_activity import WINDOW
 from deitalk.emotions import LABELS
 from deitalk.errors import CheckpointError
+from deitalk.export.clip_hearing import ClipHearing, HeldIntensity, expression_scale
+from deitalk.export.live_hearing import LiveHearing
 from deitalk.live.activity import FLOOR_EVERY
 from deitalk.live.hearing import MEASURED_AHEAD
 from deitalk.models.causal_model import TensorState, advance, causal_frontend, first_state, grid_of
 from deitalk.models.curve_model import DEITalk
-from deitalk.models.onnx.clip_hearing import ClipHearing, HeldIntensity, expression_scale
-from deitalk.models.onnx.live_hearing import LiveHearing
 from deitalk.models.onnx.network_graph import CurveGraph, causal_graph
 from deitalk.models.protocol import trained_weights
 from deitalk.pipeline.curves import READ_ON_SAMPLES
@@ -40,15 +40,16 @@ LEVEL_DB = -23.0
 
 
 def voice_columns(
-    factors: tuple[Tensor, ...], kept: tuple[Tensor, Tensor], emotion: Tensor
+    factors: tuple[Tensor, ...], kept: tuple[Tensor, Tensor], emotion: Tensor, variants: Tensor
 ) -> Tensor:
     """`deitalk.postprocess.tracks.VoiceTracks` without words, of tensors.
 
-    `factors` are its `scale`, `opening` and `held`, and `kept` its `back` and `kept`.
+    `factors` are its `scale`, `opening` and `held`, `kept` its `back` and `kept`, and `variants`
+    its `variants` and `side`.
     """
-    phones = torch.zeros_like(emotion[..., :4])
-    columns = torch.stack(factors, dim=-1), phones, torch.stack(kept, dim=-1), emotion
-    return torch.cat(columns, dim=-1)
+    phones, ways, side = torch.zeros_like(emotion[..., :4]), variants[..., :-1], variants[..., -1]
+    single = torch.stack(factors, dim=-1), phones, torch.stack((*kept, side), dim=-1)
+    return torch.cat((*single, emotion, ways), dim=-1)
 
 
 class FinishedClip(nn.Module):
@@ -80,7 +81,12 @@ class FinishedClip(nn.Module):
         constant(self, "after", rest_rows(model.controls.rest, window)[: self.rules.ahead])
 
     def forward(
-        self, sound: Tensor, emotion: Tensor, intensity: Tensor, motion: Tensor
+        self,
+        sound: Tensor,
+        emotion: Tensor,
+        intensity: Tensor,
+        variants: Tensor,
+        motion: Tensor,
     ) -> tuple[Tensor, Tensor, Tensor]:
         """Animate a recording.
 
@@ -93,6 +99,9 @@ class FinishedClip(nn.Module):
         intensity : Tensor [shape=(3, T)]
             Intensity to show, below 0 that of the voice; a factor on it; and the share of the
             expression that stays in silence.
+        variants : Tensor [shape=(T, V + 1)]
+            `variants` and `side` of `deitalk.postprocess.tracks.VoiceTracks`; zeros: the poses of
+            the emotions themselves, on both sides.
         motion : Tensor [shape=(T, M)]
             `deitalk.postprocess.tracks.MotionTracks`; zeros: none.
 
@@ -122,7 +131,7 @@ class FinishedClip(nn.Module):
         if self.rule is None:
             scale = torch.where(is_drawn, scale, factor)
         kept = heard.back, heard.kept
-        voice = voice_columns((scale, heard.opening, held), kept, labels)
+        voice = voice_columns((scale, heard.opening, held), kept, labels, variants)
         shown = torch.cat((heard.mouth[:, None], share[:, None], motion), dim=1)
         curves, plain = self._finished(neutral, emotional, voice, shown)
         return curves, plain, felt * heard.expression
@@ -244,7 +253,13 @@ class FinishedLive(nn.Module):
         return torch.zeros(batch, sum(math.prod(size) for size in self.sizes))
 
     def forward(
-        self, sound: Tensor, emotion: Tensor, intensity: Tensor, motion: Tensor, state: Tensor
+        self,
+        sound: Tensor,
+        emotion: Tensor,
+        intensity: Tensor,
+        variants: Tensor,
+        motion: Tensor,
+        state: Tensor,
     ) -> tuple[Tensor, Tensor, Tensor]:
         """Hear a frame, and finish the one `behind` it.
 
@@ -257,6 +272,8 @@ class FinishedLive(nn.Module):
         intensity : Tensor [shape=(B, 2)]
             Of the same frame: factor on the intensity of the voice, and share of the expression
             that stays in silence.
+        variants : Tensor [shape=(B, V + 1)]
+            Of the same frame, as for a recording.
         motion : Tensor [shape=(B, M)]
             `deitalk.postprocess.tracks.MotionTracks` of the frame that comes out; zeros: none.
         state : Tensor [shape=(B, N)]
@@ -296,7 +313,8 @@ class FinishedLive(nn.Module):
             applied = felt_intensity(found.intensity, labels, rule) * factor
             held = self.held(rows.neutral[:, 0], rows.emotional[:, 0], labels, strength)
             scale = expression_scale(applied, held)
-        voice = voice_columns((scale, found.opening, held), (found.back, found.kept), labels)
+        factors, kept = (scale, found.opening, held), (found.back, found.kept)
+        voice = voice_columns(factors, kept, labels, variants)
         # The rules.
         gates = torch.stack((found.mouth, found.expression), dim=1)
         shown = torch.cat((gates, motion), dim=1)[:, None]

@@ -27,6 +27,16 @@ from deitalk.audio.voice_activity import (
     TOP_BANDS,
 )
 from deitalk.config.rules import Gates, HoldPose, RulesConfig, VoiceIntensity
+from deitalk.export.clip_hearing import (
+    BandLevels,
+    MeasureProsody,
+    change_of,
+    deviation,
+    expression_after,
+    faded,
+    limited,
+    opening_factor,
+)
 from deitalk.live.activity import (
     FLOOR_FRAMES,
     GATE_AHEAD,
@@ -46,16 +56,7 @@ from deitalk.live.intensity import (
     SMOOTHING,
     USUAL_FRAMES,
 )
-from deitalk.models.onnx.clip_hearing import (
-    BandLevels,
-    MeasureProsody,
-    change_of,
-    deviation,
-    expression_after,
-    faded,
-    limited,
-    opening_factor,
-)
+from deitalk.postprocess.factors import LEARNT_USUAL
 from deitalk.postprocess.feeling import (
     BRIGHTEST_DB,
     FURTHEST_SEMITONES,
@@ -160,7 +161,8 @@ class LiveHearing(nn.Module):
         quiet = SHORT_FLOOR_DB - OPEN_DB
         levels = torch.full((batch, FLOOR_FRAMES, self.n_bands), NONE_DB)
         levels[:, -QUIET_ROWS:] = quiet
-        usual = 0.0 if self.rules.scale_opening is None else self.rules.scale_opening.usual
+        opens = self.rules.scale_opening
+        usual = (0.0, 0.0) if opens is None else (opens.usual, LEARNT_USUAL)
         gates = self.rules.gates or Gates()
         settled = min(5 * gates.feeling_decays, gates.feeling_leaves)
         held = torch.tensor([0.0, NEVER, 0.0, 0.0]).repeat(batch, 1)
@@ -178,7 +180,10 @@ class LiveHearing(nn.Module):
         )
         weights = torch.from_numpy(USUAL_FRAMES).float().repeat(batch, 1)
         return activity, SpokenState(
-            torch.full((batch, 2), usual), torch.zeros(batch, 5), weights, torch.zeros(batch, 3)
+            torch.tensor(usual).repeat(batch, 1),
+            torch.zeros(batch, 5),
+            weights,
+            torch.zeros(batch, 3),
         )
 
     def forward(

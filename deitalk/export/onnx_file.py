@@ -1,38 +1,32 @@
 """Export of a model to one ONNX file for other programs: sound in, finished curves out."""
 
-import io
 import json
-import warnings
 from collections import Counter
 from pathlib import Path
 from typing import Any, Literal, TypeAlias, get_args
 
 import numpy as np
 import torch
-from torch import Tensor, nn
 
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
 from deitalk.config.rig_file import rig_text
 from deitalk.emotions import LABELS
-from deitalk.errors import CheckpointError, MissingError
-from deitalk.installed import __version__
+from deitalk.errors import CheckpointError
+from deitalk.export.finished import FinishedClip, FinishedLive
 from deitalk.models.curve_model import DEITalk
-from deitalk.models.onnx.finished import FinishedClip, FinishedLive
-from deitalk.postprocess.tracks import N_MOTION
+from deitalk.models.onnx.tracing import Axes, traced
+from deitalk.postprocess.tracks import N_MOTION, N_VARIANTS
 from rig.errors import quoted
 from rig.files import atomic_write
 
-OPSET = 17
-"""The first with LayerNormalization; read by ONNX Runtime 1.12 and later."""
 CLIP_SCHEMA, LIVE_SCHEMA = "deitalk.onnx/3", "deitalk.onnx-live/4"
-CLIP_INPUTS = "sound", "emotion", "intensity", "motion"
+CLIP_INPUTS = "sound", "emotion", "intensity", "variants", "motion"
 STATE, NEXT_STATE = "state", "next_state"
 CLIP_OUTPUTS, LIVE_OUTPUTS = ("curves", "neutral", "predicted"), ("curves", "predicted")
 Precision: TypeAlias = Literal["float32", "float16"]
 PRECISIONS: tuple[Precision, ...] = get_args(Precision)
 SMALLEST = 4096
 """Numbers of a weight that is stored with less precision."""
-Axes = dict[str, dict[int, str]]
 
 
 def export_onnx(model: DEITalk, path: Path, *, name: str = "", precision: str = "float32") -> None:
@@ -91,6 +85,7 @@ def metadata(model: DEITalk, name: str) -> dict[str, str]:
         "actors": list(model.actors),
         "sample_rate": SAMPLE_RATE,
         "frame_rate": FRAME_RATE,
+        "variants": N_VARIANTS + 1,
         "motion": N_MOTION,
     }
     texts = {key: json.dumps(value) for key, value in values.items()}
@@ -104,6 +99,7 @@ def _clip(model: DEITalk) -> tuple[Any, dict[str, str]]:
         0.1 * torch.randn(SAMPLE_RATE),
         torch.full((n_frames, len(LABELS) + len(model.actors)), 0.1),
         torch.ones(3, n_frames),
+        torch.zeros(n_frames, N_VARIANTS + 1),
         torch.zeros(n_frames, N_MOTION),
     )
     axes: Axes = {name: {0: "T"} for name in (*CLIP_INPUTS, *CLIP_OUTPUTS)}
@@ -119,6 +115,7 @@ def _live(model: DEITalk) -> tuple[Any, dict[str, str]]:
         torch.zeros(batch, graph.window),
         torch.full((batch, len(LABELS) + len(model.actors)), 0.1),
         torch.ones(batch, 2),
+        torch.zeros(batch, N_VARIANTS + 1),
         torch.zeros(batch, N_MOTION),
         graph.first(batch),
     )
@@ -134,48 +131,6 @@ def _live(model: DEITalk) -> tuple[Any, dict[str, str]]:
     }
     texts = {key: json.dumps(value) for key, value in numbers.items()}
     return content, texts | {"schema": LIVE_SCHEMA}
-
-
-def traced(
-    graph: nn.Module,
-    example: tuple[Tensor, ...],
-    inputs: tuple[str, ...],
-    outputs: tuple[str, ...],
-    axes: Axes,
-) -> Any:
-    """A module as an ONNX model, its weights by their names in the module.
-
-    Raises
-    ------
-    MissingError
-        If the package onnx is not installed.
-    """
-    try:
-        import onnx
-    except ImportError:
-        raise MissingError(
-            "the export needs the package onnx; install it with pip install 'deitalk[onnx]'"
-        ) from None
-    file = io.BytesIO()
-    with warnings.catch_warnings(), torch.no_grad():
-        warnings.simplefilter("ignore")  # the exporter's own, on constants that are meant
-        torch.onnx.export(
-            graph.eval(),
-            example,
-            file,
-            dynamo=False,  # the newer exporter needs packages more
-            opset_version=OPSET,
-            do_constant_folding=False,  # runtimes do that; weights keep their names
-            input_names=list(inputs),
-            output_names=list(outputs),
-            dynamic_axes=axes,
-        )
-    content = onnx.load_from_string(file.getvalue())
-    for node in content.graph.node:
-        node.ClearField("name")
-        node.ClearField("doc_string")
-    content.producer_name, content.producer_version = "deitalk", __version__
-    return content
 
 
 def _store(graph: Any, precision: str) -> None:
