@@ -23,6 +23,7 @@ from deitalk.cli.console import (
 from deitalk.cli.convert import convert, validate
 from deitalk.cli.data import app as data_app
 from deitalk.cli.edits import diff, dub
+from deitalk.cli.export import app as export_app
 from deitalk.cli.face import app as face_app
 from deitalk.cli.install import app as install_app
 from deitalk.cli.live import live
@@ -51,6 +52,7 @@ app.add_typer(serve_app, name="serve")
 app.add_typer(data_app, name="data")
 app.command()(finetune)
 app.add_typer(model_app, name="model")
+app.add_typer(export_app, name="export")
 
 
 def _version(wanted: bool) -> None:

@@ -4,6 +4,8 @@ The player is built from ``deitalk/preview/web/`` by ``npm run build`` into ``ap
 beside this file; this module inserts the data.
 """
 
+import json
+from collections.abc import Mapping
 from dataclasses import asdict
 from functools import lru_cache
 from pathlib import Path
@@ -145,6 +147,19 @@ def render_studio(identity: int | str | Identity = 0) -> str:
         If this installation has no player.
     """
     blocks = [_block("head", _packed_head(identity)), _block("service", "v1")]
+    return _player().replace(_SLOT, "\n".join(blocks))
+
+
+def render_site(facts: Mapping[str, Any], identity: int | str | Identity = 0) -> str:
+    """Return the page that animates recordings by itself, with the `facts` of its model.
+
+    Raises
+    ------
+    MissingError
+        If this installation has no player.
+    """
+    text = json.dumps(facts).replace("<", "\\u003c")
+    blocks = [_block("head", _packed_head(identity)), _block("site", text)]
     return _player().replace(_SLOT, "\n".join(blocks))
 
 

