@@ -1,8 +1,9 @@
 """Which variant of each emotion a take shows: given, or drawn for the voice.
 
-A drawn take is between the variants of its emotion. Takes of one character (its traits are those of
-a style, a voice or the take before) with one seed are alike but for their strength; of nobody each
-recording has its own. A strong voice is nearer to the variants of strong voices (`rig.emotions.VARIANTS`).
+A drawn take is between the variants of its emotion. Takes of one character (its traits are those
+of a style, a voice or the take before) with one seed are alike but for their strength; of nobody
+each recording has its own. A strong voice is nearer to the variants of strong voices
+(`rig.emotions.VARIANTS`).
 
 Letters: S emotions, V variants of all of them.
 """
