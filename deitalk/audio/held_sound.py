@@ -92,7 +92,7 @@ def follow_held(
     state : HeldState
     """
     count = tones.shape[1]
-    rows = np.concatenate((state.levels, levels), axis=1)
+    rows: Float64 = np.concatenate((state.levels, levels), axis=1)
     steady = (_change(rows, count) <= rule.steady_db) & (tones > PERIODIC)
     place = np.arange(count)
     age = place - _last(~steady, place, -1 - state.age)
@@ -111,9 +111,8 @@ def follow_held(
     risen = np.take_along_axis(risen, np.maximum(last, 0), axis=1)
     risen = np.where(last >= 0, risen, state.share[:, None])
     share = risen * np.clip(1 - since / rule.leaves, 0, 1)
-    ends = (part[:, -1] for part in (age, since, back, risen))
     found = Held(np.where(since <= GOES_ON, back, 0), share.astype(np.float32), sounding)
-    return found, HeldState(rows[:, count:], *ends)
+    return found, HeldState(rows[:, count:], age[:, -1], since[:, -1], back[:, -1], risen[:, -1])
 
 
 def held_sound(levels: AnyFloat, tones: AnyFloat, rule: HoldPose) -> Held:
@@ -121,8 +120,10 @@ def held_sound(levels: AnyFloat, tones: AnyFloat, rule: HoldPose) -> Held:
 
     `sounding` is of the frames themselves.
     """
-    rows = np.pad(levels, ((0, EARLY), (0, 0)), mode="edge"), np.pad(tones, (0, EARLY))
-    found, _ = follow_held(*(part[None] for part in rows), rule, first_held(1, levels.shape[1]))
+    rows = np.pad(levels, ((0, EARLY), (0, 0)), mode="edge")[None]
+    found, _ = follow_held(
+        rows, np.pad(tones, (0, EARLY))[None], rule, first_held(1, levels.shape[1])
+    )
     back, share = found.back[0, EARLY:].copy(), found.share[0, EARLY:].copy()
     for start, stop in runs(back > 0):
         pose, top = max(start - int(back[start]), 0), start + int(share[start:stop].argmax())
@@ -143,7 +144,7 @@ def _change(rows: Float64, count: int) -> Float64:
     loudest = rows.max(axis=2, keepdims=True)
     with np.errstate(invalid="ignore"):
         shapes = np.where(np.isfinite(loudest), np.maximum(rows - loudest, -DEPTH_DB), np.inf)
-        smooth = sum(shapes[:, k : k + count + LAG] for k in range(SMOOTHED)) / SMOOTHED
+        smooth = np.mean([shapes[:, k : k + count + LAG] for k in range(SMOOTHED)], axis=0)
         change = np.abs(smooth[:, LAG:] - smooth[:, :-LAG]).mean(axis=2)
     return np.where(np.isfinite(change), change, np.inf)
 

@@ -9,7 +9,7 @@ Letters: S samples, T frames, K frequency bands, W samples of a window.
 """
 
 import math
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import numpy as np
 import torch
@@ -127,7 +127,7 @@ def frame_windows(sound: Tensor, n_frames: Tensor | int, *, nearest: bool) -> Te
     """
     half = WINDOW // 2
     padded = F.pad(sound, (half, half + PERIOD_SAMPLES))
-    frames = torch.arange(n_frames) * SAMPLE_RATE
+    frames = torch.arange(cast(int, n_frames)) * SAMPLE_RATE
     starts = (frames + (FRAME_RATE // 2 if nearest else 0)) // FRAME_RATE
     return padded[starts[:, None] + torch.arange(WINDOW)]
 
@@ -220,8 +220,8 @@ class MeasureProsody(nn.Module):
         correlation = correlation / (correlation[..., :1] + 1e-12)
         periodicity, lag = correlation[..., SHORTEST:].max(dim=-1)
         pitch = 12 / math.log(2) * torch.log(SAMPLE_RATE / 100 / (lag + SHORTEST).float())
-        rows = (decibels(mean), bright, dark)
-        return Measured(*(row[..., 0] for row in rows), pitch, periodicity, bands)
+        level = decibels(mean)[..., 0]
+        return Measured(level, bright[..., 0], dark[..., 0], pitch, periodicity, bands)
 
 
 # Statistics of some of the frames, of which there may be none.

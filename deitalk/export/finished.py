@@ -331,11 +331,12 @@ class FinishedLive(nn.Module):
         )
         frame = frame + 1
         frame = torch.where(frame >= WRAP, frame - WRAP // 2, frame)
-        parts = (frame, (*read[:n_frontend], *decoder), (heard_now, spoken), finished)
-        rows = [
-            part.flatten(1) if part.dim() > 1 else part[:, None] for part in tree.tree_leaves(parts)
+        carried = (frame, (*read[:n_frontend], *decoder), (heard_now, spoken), finished)
+        flat = [
+            part.flatten(1) if part.dim() > 1 else part[:, None]
+            for part in tree.tree_leaves(carried)
         ]
-        new = torch.cat(rows, dim=1)
+        new = torch.cat(flat, dim=1)
         return curves[:, 0], found.intensity, new
 
     def _begun(self, number: int, part: Tensor, has_begun: Tensor) -> Tensor:

@@ -163,14 +163,14 @@ class RunningActivity:
         since, until = np.where(bridged, 0, since), np.where(bridged, 0, until)
         mouth = mouth_between(since, until, self.gates, GATE_AHEAD)
         # Speech may have ended before what is kept of it; speech that comes raises the share.
-        count = np.arange(since.shape[1])
+        count = np.arange(since.shape[1], dtype=np.float32)
         spoken = np.maximum.accumulate(count - since, axis=1)
         since = count - np.maximum(spoken, -1 - state.silent[:, None])
         wanted = expression_after(since, until, rest[:, None], self.gates)
         wanted = np.where(np.isfinite(until), 1, wanted)
         share = np.where(np.isinf(state.share), wanted[:, 0], state.share)
         expression = wanted.copy()
-        for k in count:
+        for k in range(since.shape[1]):
             share = np.clip(wanted[:, k], share - MOST_STEP, share + MOST_STEP)
             expression[:, k] = share
         after = state._replace(silent=since[:, -1].astype(np.float64), share=share)

@@ -86,7 +86,8 @@ class LipReadout(nn.Module):
 
         tables = {"places": torch.stack([of(part) for part in CONTACTS])}
         tables["values"] = torch.stack([value * of(part) for part, value, _ in SHOWN.values()])
-        tables["own"] = 1 - sum((1 - share) * of(part) for part, _, share in SHOWN.values())
+        given = torch.stack([(1 - share) * of(part) for part, _, share in SHOWN.values()])
+        tables["own"] = 1 - given.sum(0)
         tables["low"] = torch.where(of(SHOWN["out"][0]) > 0, 0.0, -torch.inf)
         tables["narrows"] = torch.tensor([float(name == "width") for name in MEASURES])
         for name, table in tables.items():

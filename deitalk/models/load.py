@@ -35,7 +35,7 @@ def chosen_backend(
     if backend not in BACKENDS:
         raise DeitalkError(f"backend {quoted(backend)} is unknown; use {', '.join(BACKENDS)}")
     if backend != "auto":
-        return cast(Any, backend)
+        return "torch" if backend == "torch" else "onnx"
     if device != "cpu" or not isinstance(model, str | Path) or find_spec("onnxruntime") is None:
         return "torch"
     from deitalk.models.onnx.network import ready_graph

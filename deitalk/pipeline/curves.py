@@ -355,12 +355,16 @@ def finish(
     near, usual = (mean_around(x, speaking) for x in (intensities.voice, intensities.network))
     opening = opening_factor(rules.scale_opening, near, usual)
     kept = speech.held(rules.hold_pose)
-    state = state_of_intensity(np.median(intensities.voice[speaking])) if speaking.any() else 0.0
+    state = (
+        state_of_intensity(float(np.median(intensities.voice[speaking]))) if speaking.any() else 0.0
+    )
     traits = _traits(prepared)
     ways = choose_ways(acting.variant, traits, acting.seed, state)
-    said = opening, intensities.held, phones, weights, kept.back, kept.share
     side = np.full(len(weights), ways.side)
-    voice = VoiceTracks(intensities.scale, *said, weights @ ways.weights, side)
+    voice = VoiceTracks(
+        intensities.scale, opening, intensities.held, phones, weights, kept.back, kept.share,
+        weights @ ways.weights, side,
+    )  # fmt: skip
     motion = _motion(prepared, weights * intensities.applied[:, None], traits)
     tracks_of_motion = None if motion is None else motion.tracks
     shown = shown_columns(speech.mouth, intensities.share, tracks_of_motion)

@@ -9,7 +9,7 @@ import numpy as np
 
 from deitalk.emotions import LABELS
 from deitalk.emotions.variants import EMOTION_OF
-from rig.arrays import AnyFloat, Float32
+from rig.arrays import AnyFloat, Float32, Int64
 
 N_VARIANTS = len(EMOTION_OF)
 VOICE = 10 + len(LABELS) + N_VARIANTS
@@ -35,7 +35,7 @@ class VoiceTracks(NamedTuple):
     """From `deitalk.postprocess.known_phones.phone_tracks` [shape=(T, 4)]."""
     emotion: AnyFloat
     """Weights of the emotions [shape=(T, 9)]."""
-    back: AnyFloat
+    back: AnyFloat | Int64
     """Frames since the pose that a held sound keeps [shape=(T,)]; `deitalk.audio.held_sound`."""
     kept: AnyFloat
     """Share of that pose that is shown [shape=(T,), range 0 to 1]."""

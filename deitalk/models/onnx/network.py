@@ -154,7 +154,7 @@ def stored_types(folder: Path) -> dict[str, str]:
     """Type of each weight of a model folder, as safetensors names it: ``F16``, ``F32``."""
     from safetensors import safe_open
 
-    found = {}
+    found: dict[str, str] = {}
     for path in weight_files(folder):
         with safe_open(path, "np") as file:
             found |= {name: file.get_slice(name).get_dtype() for name in file.keys()}

@@ -82,9 +82,9 @@ class ProductMel(LogMel):
 
     def decades(self, windows: Tensor) -> Tensor:
         """See `LogMel.decades`."""
-        power = self.power((windows * self.window).flatten(0, -2))
-        power = power.view(*windows.shape[:-1], -1) @ self.filters
-        return power.clamp_min(SILENCE).log10()
+        power: Tensor = self.power((windows * self.window).flatten(0, -2))  # type: ignore[operator]
+        bands = power.view(*windows.shape[:-1], -1) @ self.filters
+        return bands.clamp_min(SILENCE).log10()
 
 
 class Positions:

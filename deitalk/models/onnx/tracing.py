@@ -42,7 +42,7 @@ def traced(
         torch.onnx.export(
             graph.eval(),
             example,
-            file,
+            file,  # type: ignore[arg-type]
             dynamo=False,  # the newer exporter needs packages more
             opset_version=OPSET,
             do_constant_folding=False,  # runtimes do that; weights keep their names

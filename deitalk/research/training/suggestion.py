@@ -108,7 +108,8 @@ class Voices(NamedTuple):
     @property
     def is_copy(self) -> Bool:
         """As an array [shape=(N,)]."""
-        return self.originals != np.arange(len(self.originals))
+        copied: Bool = self.originals != np.arange(len(self.originals))
+        return copied
 
     def having(self, split: str) -> Bool:
         """Test speakers, or with another word all that are fitted [shape=(N,)]."""
@@ -151,15 +152,16 @@ def read_voices(
         for clip, corpus in zip(clips, corpora, strict=True)
         if split == TEST or clip.split != TEST
     ]
-    network, rows, own = require_model(MODEL, DEITalk), [], 0
+    network, own = require_model(MODEL, DEITalk), 0
+    rows: list[tuple[Float32, StrengthClip, str, int, float]] = []
     for clip, corpus in wanted:
         found = list(_measured(network, clip, surroundings))
         for number, (numbers, level) in enumerate(found):
             rows.append((numbers, clip, corpus, own if number else len(rows), level))
             own = own if number else len(rows) - 1
-    numbers, found_clips, corpora_of, originals, levels = zip(*rows, strict=True)
+    features, found_clips, corpora_of, originals, levels = zip(*rows, strict=True)
     return Voices(
-        np.stack(numbers),
+        np.stack(features),
         np.array([PLACES.get(clip.emotion, 0) for clip in found_clips], np.int64),
         [clip.speaker for clip in found_clips],
         [clip.split for clip in found_clips],
