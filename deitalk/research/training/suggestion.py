@@ -108,7 +108,7 @@ class Voices(NamedTuple):
     @property
     def is_copy(self) -> Bool:
         """As an array [shape=(N,)]."""
-        return self.originals != np.arange(len(self.originals))
+        return np.asarray(self.originals != np.arange(len(self.originals)), bool)
 
     def having(self, split: str) -> Bool:
         """Test speakers, or with another word all that are fitted [shape=(N,)]."""
@@ -151,11 +151,12 @@ def read_voices(
         for clip, corpus in zip(clips, corpora, strict=True)
         if split == TEST or clip.split != TEST
     ]
-    network, rows, own = require_model(MODEL, DEITalk), [], 0
+    network, own = require_model(MODEL, DEITalk), 0
+    rows: list[tuple[Float32, StrengthClip, str, int, float]] = []
     for clip, corpus in wanted:
         found = list(_measured(network, clip, surroundings))
-        for number, (numbers, level) in enumerate(found):
-            rows.append((numbers, clip, corpus, own if number else len(rows), level))
+        for number, (row, level) in enumerate(found):
+            rows.append((row, clip, corpus, own if number else len(rows), level))
             own = own if number else len(rows) - 1
     numbers, found_clips, corpora_of, originals, levels = zip(*rows, strict=True)
     return Voices(
