@@ -108,8 +108,7 @@ class Voices(NamedTuple):
     @property
     def is_copy(self) -> Bool:
         """As an array [shape=(N,)]."""
-        copied: Bool = self.originals != np.arange(len(self.originals))
-        return copied
+        return np.asarray(self.originals != np.arange(len(self.originals)), bool)
 
     def having(self, split: str) -> Bool:
         """Test speakers, or with another word all that are fitted [shape=(N,)]."""
@@ -156,8 +155,8 @@ def read_voices(
     rows: list[tuple[Float32, StrengthClip, str, int, float]] = []
     for clip, corpus in wanted:
         found = list(_measured(network, clip, surroundings))
-        for number, (numbers, level) in enumerate(found):
-            rows.append((numbers, clip, corpus, own if number else len(rows), level))
+        for number, (row, level) in enumerate(found):
+            rows.append((row, clip, corpus, own if number else len(rows), level))
             own = own if number else len(rows) - 1
     features, found_clips, corpora_of, originals, levels = zip(*rows, strict=True)
     return Voices(
