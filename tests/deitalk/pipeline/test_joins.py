@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -103,9 +104,13 @@ def test_scene_of_lines_is_one_character(network, first):
 
 
 def test_only_the_beginning_changes(network, first):
-    """The own motion is there from the head's passage on; the last frame is never another."""
+    """The own motion is there from the head's passage on; the last frame is never another.
+
+    Without the traits of the other take: the sides of an expression are those of the character.
+    """
+    edge = replace(edge_of(first, "after", last=True), traits={})
     alone = animate(recording(4.0), "happy", model=network, life="off")
-    joined = animate(recording(4.0), "happy", model=network, life="off", after=first)
+    joined = animate(recording(4.0), "happy", model=network, life="off", after=edge)
     later = slice(HEAD_FRAMES, None)
     assert np.array_equal(joined.curves.values[later], alone.curves.values[later])
     assert not np.array_equal(joined.curves.values[0], alone.curves.values[0])
