@@ -32,9 +32,10 @@ def commands(verbs: str) -> list[list[str]]:
     lines = [line for block in blocks for line in block.splitlines()]
     others = ("talk.mp4", "facegood", "my_rig", "my_org", "new_take")
     return [
-        shlex.split(line)[1:]
+        shlex.split(line.removeprefix(found[1]))
         for line in lines
-        if re.match(f"deitalk ({verbs}) ", line) and not any(word in line for word in others)
+        if (found := re.match(f"(deitalk|python -m deitalk.research) ({verbs}) ", line))
+        and not any(word in line for word in others)
     ]
 
 
@@ -98,8 +99,8 @@ def test_commands_from_takes_to_a_dataset_and_a_tuned_model_run_as_written(takes
     table = (takes / "anna_data/clips.csv").read_text()
     assert ",happy,anna," in table and ",sad,anna," in table
     assert "`--set train.steps=" in PAGE
-    lines = commands("finetune|animate|model mix")
-    assert [line[0] for line in lines] == ["finetune", "animate", "model"]
+    lines = commands("finetune|animate|model mix|folds")
+    assert [line[0] for line in lines] == ["finetune", "animate", "folds", "model"]
     run(lines)
     report = json.loads((takes / "runs/anna/report.json").read_text())
     assert {"before", "after", "loudness", "mean pose"} <= report["scores"].keys()

@@ -30,7 +30,7 @@ from deitalk.postprocess.feeling import fade, felt_intensity
 from deitalk.postprocess.joins import MOST_HEAD_FRAMES, Edge, Passage
 from deitalk.postprocess.life.amounts import Life
 from deitalk.postprocess.life.motion import Character, MotionStreams
-from deitalk.postprocess.life.voice import PAUSE, Cues, Seeds
+from deitalk.postprocess.life.voice import PAUSE, Cues, Seeds, Traits
 from deitalk.postprocess.tracks import GATES, LIVE_AHEAD, VoiceTracks, shown_columns
 from deitalk.postprocess.variants import choose_ways
 from rig import ControlSet
@@ -65,25 +65,31 @@ class Sound:
     """The last samples of a stream at 16 kHz."""
 
     def __init__(self) -> None:
-        self.samples, self.begin = np.zeros(0, np.float32), 0
-
-    @property
-    def end(self) -> int:
-        """Samples that have come."""
-        return self.begin + len(self.samples)
+        self.samples, self.begin, self.end = np.zeros(0, np.float32), 0, 0
+        """The last ones, the number of the first of them, and how many have come."""
 
     def append(self, samples: Float32) -> None:
         """Take the next samples."""
         self.samples = np.concatenate((self.samples, samples))
+        self.end += samples.size
 
     def windows(self, starts: Int64, size: int) -> Float32:
-        """`size` samples from each start on [shape=(n, size)]; silence before the first sample."""
+        """`size` samples from each start on [shape=(..., n, size)]; silence before the first."""
         first = int(starts[0])
-        piece = self.samples[max(first - self.begin, 0) :]
+        piece = self.samples[..., max(first - self.begin, 0) :]
         if first < 0:
-            piece = np.concatenate((np.zeros(-first, np.float32), piece))
-        rows: Float32 = piece[(starts - first)[:, None] + np.arange(size)]
+            silence = np.zeros((*piece.shape[:-1], -first), np.float32)
+            piece = np.concatenate((silence, piece), axis=-1)
+        rows: Float32 = piece[..., (starts - first)[:, None] + np.arange(size)]
         return rows
+
+    @classmethod
+    def together(cls, sounds: Sequence["Sound"]) -> "Sound":
+        """Sounds of which as many samples have come and are kept, side by side."""
+        one = cls()
+        one.samples = np.stack([sound.samples for sound in sounds])
+        one.begin, one.end = sounds[0].begin, sounds[0].end
+        return one
 
     def drop(self, before: int) -> None:
         """Drop samples before a place."""
@@ -123,7 +129,9 @@ class Stream:
         """Sound of the one whom it listens to."""
         self.sound, self.changes = Sound(), [Change(0.0, acting.emotion_track, acting.intensity)]
         self.acting, self.gain = acting, gain_factors(controls, acting.gain)
-        self.ways = choose_ways(acting.variant, Seeds((0, 0, acting.seed)))
+        self.wanted = self._wanted()
+        traits = Traits.of(Seeds((0, 0, acting.seed)).character())
+        self.ways = choose_ways(acting.variant, traits, acting.seed)
         self.groups = 0
         self.n_given = -LIVE_AHEAD
         """Frame that the rules give next."""
@@ -189,6 +197,12 @@ class Stream:
         change = Change(self.sound.end / SAMPLE_RATE, acting.emotion_track, acting.intensity)
         if (acting.emotion, acting.intensity) != (before.emotion, before.intensity):
             self.changes = [*self.changes, change] if self.sound.end else [change]
+            self.wanted = self._wanted()
+
+    def _wanted(self) -> tuple[Float32, float] | None:
+        """Emotion (9,) and intensity of the last change; None if the emotion has keys."""
+        last = self.changes[-1]
+        return None if self.acting.is_keyed else (last.emotion.at([0.0])[0], last.intensity)
 
     def finish(self) -> None:
         """Take the end of the sound: silence follows, until the last frame is known."""
@@ -209,22 +223,18 @@ class Stream:
             spectra -= 1
         return max(spectra // self.grid.spectra - self.groups, 0)
 
-    def take(self, count: int) -> tuple[Float32, Float32, Float32]:
-        """Take the next groups.
-
-        Returns
-        -------
-        windows : array [shape=(count P, W)]
-        emotion, intensity : array [shape=(count, 9)], [shape=(count,)]
-            What the acting wants of the frames that the network reads with them.
-        """
+    def spectrum_starts(self, count: int) -> Int64:
+        """First samples of the spectra of the next groups [shape=(count P,)]."""
         grid = self.grid
         index = np.arange(self.groups * grid.spectra, (self.groups + count) * grid.spectra)
         centres = np.round(index * SAMPLE_RATE / grid.rate).astype(np.int64)
-        windows = self.sound.windows(centres - grid.length // 2, grid.length)
-        frames = np.arange(self.groups, self.groups + count) - grid.delay
-        self.groups += count
-        return windows, *self._directed(frames)
+        return centres - grid.length // 2
+
+    def measured_starts(self, count: int) -> Int64:
+        """First samples of the frames `MEASURED_AHEAD` after the next groups [shape=(count,)]."""
+        stop = self.groups + count - self.grid.delay + MEASURED_AHEAD
+        starts: Int64 = np.arange(stop - count, stop) * SAMPLE_RATE // FRAME_RATE - WINDOW // 2
+        return starts
 
     def hear(self, samples: Float32, begin: int) -> None:
         """Take sound of the one whom it listens to, which begins with a sample of its own."""
@@ -232,25 +242,23 @@ class Stream:
         silent = max(begin - self.other.end, 0)
         self.other.append(np.concatenate((np.zeros(silent, np.float32), samples)))
 
-    def measured(self, count: int) -> tuple[Float32, Float32 | None]:
-        """Sound (count, `WINDOW`) of the frames `MEASURED_AHEAD` after those that were taken.
+    def other_windows(self, starts: Int64) -> Float32 | None:
+        """Sound (n, `WINDOW`) of the one whom it listens to, silence where none has come."""
+        if self.other is None:
+            return None
+        self.hear(np.zeros(0, np.float32), self.sound.end)
+        windows = self.other.windows(starts, WINDOW)
+        self.other.drop(int(starts[-1]))
+        return windows
 
-        Its own, and that of the one whom it listens to, silence where none has come.
-        """
+    def forget(self) -> None:
+        """Drop sound and changes that no frame needs any more."""
         stop = self.groups - self.grid.delay + MEASURED_AHEAD
-        starts = np.arange(stop - count, stop) * SAMPLE_RATE // FRAME_RATE - WINDOW // 2
-        windows, other = self.sound.windows(starts, WINDOW), None
-        if self.other is not None:
-            self.hear(np.zeros(0, np.float32), self.sound.end)
-            other = self.other.windows(starts, WINDOW)
-            self.other.drop(int(starts[-1]))
-        # Sound and changes that no frame needs any more.
         spectrum = int(self.groups * SAMPLE_RATE / FRAME_RATE) - self.grid.length
         self.sound.drop(min(spectrum, stop * SAMPLE_RATE // FRAME_RATE - WINDOW))
         seconds = (self.groups - self.grid.delay) / FRAME_RATE - RAMP_SECONDS
         while len(self.changes) > 1 and self.changes[1].seconds < seconds:
             self.changes.pop(0)
-        return windows, other
 
     def given(self, count: int) -> slice:
         """Which of the `count` frames that the rules give next there are.
@@ -271,8 +279,9 @@ class Stream:
             return _none(len(self.controls)), _none(len(HEAD))
         return np.concatenate(frames), np.concatenate(heads)
 
-    def _directed(self, frames: Int64) -> tuple[Float32, Float32]:
-        """Emotion (n, 9) and intensity (n,) of frames."""
+    def directed(self, count: int) -> tuple[Float32, Float32]:
+        """Emotion (count, 9) and intensity (count,) that the acting wants in the next groups."""
+        frames = np.arange(self.groups, self.groups + count) - self.grid.delay
         times = np.maximum(frames, 0) / FRAME_RATE
         first = self.changes[0]
         emotion = first.emotion.at(times)
@@ -413,14 +422,17 @@ class LiveAnimator:
         others: list[Any] = [heard] if len(rows) == 1 or heard is None else list(heard)  # type: ignore[arg-type]
         if len(others) != len(rows) and heard is not None:
             raise AudioError(f"heard samples of {len(others)} streams; there are {len(rows)}")
+        if are_plain(rows):
+            pieces = [(row, self.streams[k].rest) for k, row in enumerate(rows)]
+            checked = rows
+        else:
+            pieces = [self._whole(row, k) for k, row in enumerate(rows)]
+            checked = [checked_samples(samples) for samples, _ in pieces]  # before any is taken
         for k, other in enumerate(others):
             if other is not None:
                 self.hear(other, stream=k)
-        pieces = [self._whole(row, k) for k, row in enumerate(rows)]
-        checked = [checked_samples(samples) for samples, _ in pieces]
-        for k, row in enumerate(checked):
-            self.take(row, stream=k)
-            self.streams[k].rest = pieces[k][1]
+        for k, (row, (_, rest)) in enumerate(zip(checked, pieces, strict=True)):
+            self._take(row, rest, k)
         return self._single(self.read())
 
     def finish(self) -> Any:
@@ -435,10 +447,13 @@ class LiveAnimator:
     def take(self, samples: Samples, *, stream: int = 0) -> None:
         """Take the next samples of one stream, for the next `read`; errors as `feed`."""
         samples, rest = self._whole(samples, stream)
-        checked = checked_samples(samples)
-        if self.streams[stream].n_total is not None and len(checked):
+        self._take(checked_samples(samples), rest, stream)
+
+    def _take(self, samples: Float32, rest: bytes, stream: int) -> None:
+        """Take checked samples, and the byte of the next one that came already."""
+        if self.streams[stream].n_total is not None and samples.size:
             raise AudioError("the stream has ended; reset it to begin again")
-        self._append(stream, checked, last=False)
+        self._append(stream, samples, last=False)
         self.streams[stream].rest = rest
 
     def hear(self, samples: Samples, *, stream: int = 0) -> None:
@@ -612,8 +627,13 @@ class LiveAnimator:
         """Read what has come, as many streams at once as have something new."""
         self._begin()
         while True:
-            counts = [stream.n_ready() for stream in self.streams]
-            ready = [k for k, count in enumerate(counts) if count > 0 and self._has_begun(k)]
+            known: dict[tuple[int, int, int | None], int] = {}  # equal streams have equal counts
+            keys = [(one.sound.end, one.groups, one.n_total) for one in self.streams]
+            for key, stream in zip(keys, self.streams, strict=True):
+                if key not in known:
+                    known[key] = stream.n_ready()
+            counts = [known[key] for key in keys]
+            ready = [k for k, (_, groups, _) in enumerate(keys) if groups > 0 and counts[k] > 0]
             if not ready:
                 return
             most = min(BLOCK_FRAMES, *(counts[k] for k in ready))
@@ -626,22 +646,68 @@ class LiveAnimator:
         new = [
             k
             for k, stream in enumerate(self.streams)
-            if not self._has_begun(k) and stream.n_ready() >= delay
+            if not stream.groups and stream.n_ready() >= delay
         ]
         if new:
-            windows = np.stack([self.streams[k].take(delay)[0] for k in new])
+            windows, _, _ = self._windows([self.streams[k] for k in new], delay)
             put(self.state, new, self.network.begin(windows, take(self.state, new)))
-            sound = np.stack([self.streams[k].measured(MEASURED_AHEAD)[0] for k in new])
+            starts = np.arange(MEASURED_AHEAD) * SAMPLE_RATE // FRAME_RATE - WINDOW // 2
+            sound = np.stack([self.streams[k].sound.windows(starts, WINDOW) for k in new])
             put(self.past, new, self.hearing.begin(sound, take(self.past, new)))
+
+    def _directed(self, streams: Sequence[Stream], count: int) -> tuple[Float32, Float32]:
+        """Emotion (B, count, 9) and intensity (B, count) that are wanted in the next groups."""
+        fixed = [one.wanted for one in streams if one.wanted and not one.changes[1:]]
+        if len(fixed) < len(streams):
+            parts = zip(*[one.directed(count) for one in streams], strict=True)
+            emotion, wanted = (np.stack(part) for part in parts)
+            return emotion, wanted
+        emotion = np.stack([weights for weights, _ in fixed]).astype(np.float32)
+        wanted = np.array([intensity for _, intensity in fixed], np.float32)
+        return np.repeat(emotion[:, None], count, axis=1), np.repeat(wanted[:, None], count, axis=1)
+
+    def _windows(
+        self, streams: Sequence[Stream], count: int
+    ) -> tuple[Float32, Float32, list[Float32 | None]]:
+        """Sound of the next `count` groups of streams, which are taken then.
+
+        Returns
+        -------
+        windows : array [shape=(B, count P, W)]
+            Of the spectra.
+        sound : array [shape=(B, count, `WINDOW`)]
+            Of the frames `MEASURED_AHEAD` after them.
+        others : list
+            Of the same frames of those whom they listen to [shape=(count, `WINDOW`)], or None.
+        """
+        length = self.network.grid.length
+        places = [(one.groups, one.sound.begin, one.sound.end) for one in streams]
+        if places.count(places[0]) == len(places):  # read at once
+            whole, first = Sound.together([one.sound for one in streams]), streams[0]
+            windows = whole.windows(first.spectrum_starts(count), length)
+            starts = [first.measured_starts(count)] * len(streams)
+            sound = whole.windows(starts[0], WINDOW)
+        else:
+            rows = [one.sound.windows(one.spectrum_starts(count), length) for one in streams]
+            starts = [one.measured_starts(count) for one in streams]
+            heard = zip(streams, starts, strict=True)
+            sound = np.stack([one.sound.windows(at, WINDOW) for one, at in heard])
+            windows = np.stack(rows)
+        others: list[Float32 | None] = [None] * len(streams)
+        for k, one in enumerate(streams):
+            one.groups += count
+            if one.other is not None:
+                others[k] = one.other_windows(starts[k])
+            if one.groups % FRAME_RATE < count:
+                one.forget()
+        return windows, sound, others
 
     def _read(self, ready: list[int], count: int) -> None:
         """Finish `count` frames of some streams."""
         streams = [self.streams[k] for k in ready]
         # Sound and acting of the frames.
-        taken = zip(*(stream.take(count) for stream in streams), strict=True)
-        windows, emotion, wanted = (np.stack(parts) for parts in taken)
-        sounds, others = zip(*(stream.measured(count) for stream in streams), strict=True)
-        sound = np.stack(sounds)
+        emotion, wanted = self._directed(streams, count)
+        windows, sound, others = self._windows(streams, count)
         ruled = np.array([stream.acting.rules for stream in streams], np.float32)
         # The network: two readings.
         actors = np.stack([stream.actor for stream in streams])[:, None]
@@ -687,10 +753,11 @@ class LiveAnimator:
         self._cue(ready, found, begin, listens)
         mixture = np.concatenate((mixture, emotion * applied[..., None]), axis=1)
         speaking = np.concatenate((speaking, heard.speaking), axis=1)
-        keyed = np.array([stream.acting.is_keyed for stream in streams])[:, None]
+        keyed = np.array([stream.wanted is None for stream in streams])[:, None]
         mouth = np.where(with_rules, heard.mouth, 1)
         expression = np.where(with_rules & ~keyed, heard.expression, 1)
-        mouth = mouth * np.stack([stream.mouth_share(count) for stream in streams])
+        if any([stream.shut for stream in streams]):
+            mouth = mouth * np.stack([stream.mouth_share(count) for stream in streams])
         numbers = [stream.n_given for stream in streams]
         given = [stream.given(count) for stream in streams]
         shown = shown_columns(mouth, expression, None)
@@ -793,8 +860,13 @@ class LiveAnimator:
         put(state, ready, new)
         return state
 
-    def _has_begun(self, number: int) -> bool:
-        return self.streams[number].groups > 0
+
+def are_plain(rows: Sequence[Any]) -> bool:
+    """Whether all samples are finite float32 of one length, which need no check of their own."""
+    shapes = [row.shape for row in rows if type(row) is np.ndarray and row.dtype == np.float32]
+    if shapes.count(shapes[0]) < len(rows) if shapes else True:
+        return False
+    return len(shapes[0]) == 1 and bool(np.isfinite(np.stack(rows)).all())
 
 
 def checked_samples(samples: Samples) -> Float32:

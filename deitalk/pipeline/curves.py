@@ -40,7 +40,7 @@ from deitalk.postprocess.life.motion import Motion, plan_motion
 from deitalk.postprocess.life.other import OtherVoice
 from deitalk.postprocess.life.voice import Seeds, Traits, measure_voice
 from deitalk.postprocess.tracks import VoiceTracks, shown_columns
-from deitalk.postprocess.variants import Ways, choose_ways, unused_variants
+from deitalk.postprocess.variants import choose_ways, unused_variants
 from rig import ControlSet, RigCurves
 from rig.arrays import Float32
 from rig.curves.edit import gain_factors
@@ -356,11 +356,11 @@ def finish(
     opening = opening_factor(rules.scale_opening, near, usual)
     kept = speech.held(rules.hold_pose)
     state = state_of_intensity(np.median(intensities.voice[speaking])) if speaking.any() else 0.0
-    ways = _ways(prepared, state)
+    traits = _traits(prepared)
+    ways = choose_ways(acting.variant, traits, acting.seed, state)
     said = opening, intensities.held, phones, weights, kept.back, kept.share
     side = np.full(len(weights), ways.side)
     voice = VoiceTracks(intensities.scale, *said, weights @ ways.weights, side)
-    traits = _traits(prepared)
     motion = _motion(prepared, weights * intensities.applied[:, None], traits)
     tracks_of_motion = None if motion is None else motion.tracks
     shown = shown_columns(speech.mouth, intensities.share, tracks_of_motion)
@@ -469,14 +469,6 @@ def _traits(prepared: Prepared) -> Traits:
     if known:
         return Traits(**known)
     return Traits.of(Seeds.of(prepared.speech.waveform, prepared.style, acting.seed).character())
-
-
-def _ways(prepared: Prepared, strength: float) -> Ways:
-    """How a take of such a strength shows each emotion."""
-    acting = prepared.acting
-    actor = prepared.style if acting.voice is None else acting.voice.as_json()
-    seeds = Seeds.of(prepared.speech.waveform, actor, acting.seed)
-    return choose_ways(acting.variant, seeds, strength)
 
 
 def _motion(prepared: Prepared, shown: Float32, traits: Traits) -> Motion | None:

@@ -180,7 +180,9 @@ class Performance:
     def emotion(self) -> str:
         """The emotion in a few words."""
         track = self.acting.emotion_track
-        return str(track) if len(track.times) == 1 else f"a track of {len(track.times)} keys"
+        given = str(track) if len(track.times) == 1 else f"a track of {len(track.times)} keys"
+        tags = sum(mark.kind in ("emotion", "sound") for mark in self.marks)
+        return f"{given} and {tags} of the script" if tags else given
 
     @property
     def has_emotion(self) -> bool:

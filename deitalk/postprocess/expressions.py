@@ -130,7 +130,8 @@ def expression_table(names: tuple[str, ...], captured: Collection[str] = ()) -> 
 
     def both(rows: Float32) -> Float32:
         other = rows[:, mirrored]
-        return np.concatenate((rows + other, rows - other)) / 2
+        halves: Float32 = np.concatenate((rows + other, rows - other)) * np.float32(0.5)
+        return halves
 
     return ExpressionTable(
         np.array([names.index(name) for name in moved], np.intp),

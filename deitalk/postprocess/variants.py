@@ -1,29 +1,33 @@
 """Which variant of each emotion a take shows: given, or drawn for the voice.
 
-A drawn take is between the variants of its emotion and near one of them. Takes of a named actor
-(a style or a voice) with one seed are alike but for their strength; without a name each recording
-has its own. A strong voice is nearer to the variants of strong voices (`rig.emotions.VARIANTS`).
+A drawn take is between the variants of its emotion. Takes of one character (its traits are those
+of a style, a voice or the take before) with one seed are alike but for their strength; of nobody
+each recording has its own. A strong voice is nearer to the variants of strong voices
+(`rig.emotions.VARIANTS`).
 
 Letters: S emotions, V variants of all of them.
 """
 
 import math
 from collections.abc import Iterator, Mapping
+from dataclasses import astuple
 from typing import NamedTuple
 
 import numpy as np
 
 from deitalk.emotions import LABELS
 from deitalk.emotions.variants import EMOTION_OF
-from deitalk.postprocess.life.voice import Seeds, Traits
+from deitalk.postprocess.life.voice import Traits
 from rig.arrays import Float32, Float64
 from rig.emotions import PLAIN, VARIANTS
 
 SPREAD = 2.0
 """Standard deviation of the logarithms of the drawn weights: the largest of three is .74 on the
 average."""
-HOME = 1.2
+HOME = 0.9
 """Added per standard deviation of the take's strength to a variant of strong voices."""
+FURTHEST_TRAIT = 10.0
+"""More than any trait is below 0."""
 COLUMNS = tuple(EMOTION_OF)
 
 
@@ -37,23 +41,28 @@ class Ways(NamedTuple):
     one."""
 
 
-def choose_ways(given: Mapping[str, float], seeds: Seeds, strength: float = 0.0) -> Ways:
+def choose_ways(
+    given: Mapping[str, float], traits: Traits, seed: int, strength: float = 0.0
+) -> Ways:
     """Variants that are given, and drawn ones of the other emotions.
 
     Parameters
     ----------
     given : mapping of str to float
         From `deitalk.emotions.variants.parse_variant`; emotions without one are drawn.
-    seeds : Seeds
-        Of the take, with its actor.
+    traits : Traits
+        Of the character.
+    seed : int
+        Another number draws otherwise.
     strength : float
         State of the voice (`feeling.state_of`), about standard deviations from the usual one.
     """
     weights = np.zeros((len(LABELS), len(COLUMNS)), np.float32)
-    side = math.copysign(1.0, Traits.of(seeds.character()).side)
+    side = math.copysign(1.0, traits.side)
     if PLAIN in given:
         return Ways(weights, side)
-    (rng,) = seeds.character().spawn(1)
+    character = (round((value + FURTHEST_TRAIT) * 1000) for value in astuple(traits))
+    rng = np.random.default_rng([seed, *character])
     for emotion, own in VARIANTS.items():
         drawn = SPREAD * rng.standard_normal(len(own)) + HOME * strength * np.array([*own.values()])
         shares = np.exp(drawn - drawn.max())

@@ -21,7 +21,7 @@ from websockets.sync.client import connect
 
 from api.errors import Problem
 from api.guard import protocol
-from api.live import session as live_route
+from api.live import route as live_route
 from api.live.messages import FRAME
 from api.live.session import LiveStream
 from api.serving import server_config

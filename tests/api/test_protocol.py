@@ -9,7 +9,7 @@ from starlette.testclient import TestClient
 from api.app import create_app
 from api.errors import Problem
 from api.guard.keys import digest_of
-from api.messages import options as messages
+from api.messages import formats as messages
 from api.routes.jobs import part_of
 from api.settings import ApiKey, Settings
 from tests.api.conftest import KEYS, bearer, wav

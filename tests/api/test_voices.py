@@ -45,7 +45,10 @@ class Stand:
         out = Path(order["folder"], "out")
         out.mkdir(exist_ok=True)
         np.zeros(0, "<f4").tofile(out / "frames")
-        return {"file": "out/frames", "facts": {"opened": opened, "failed": [], "frames": []}}
+        return {
+            "file": "out/frames",
+            "facts": {"opened": opened, "failed": [], "frames": [], "interrupted": []},
+        }
 
 
 @pytest.fixture

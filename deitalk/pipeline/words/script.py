@@ -12,6 +12,7 @@ end of its line, a sound that is no word, a pause, or something that no face sho
 listed, and change nothing.
 """
 
+import math
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -303,6 +304,8 @@ class _Reading:
         elif piece.do == "begin":
             self.open.append((piece.kind, piece.text, piece.value, place))
         elif piece.kind in ("emotion", "voice"):
+            # Tags without a word between them hold together.
+            self._close(place, lambda kind: kind in ("emotion", "voice"), before=place)
             self._close(place, lambda kind: kind == piece.kind)
             self.open.append((piece.kind, piece.text, piece.value, place))
         elif piece.value == UNKNOWN:
@@ -310,11 +313,13 @@ class _Reading:
         else:
             self.marks.append(Mark(piece.kind, piece.text, piece.value, place, place))
 
-    def _close(self, place: int, which: Any, *, only_last: bool = False) -> None:
-        """End the marks of some kinds before a word."""
+    def _close(
+        self, place: int, which: Any, *, only_last: bool = False, before: float = math.inf
+    ) -> None:
+        """End the marks of some kinds before a word; those that began before another one."""
         for k in range(len(self.open) - 1, -1, -1):
             kind, name, value, first = self.open[k]
-            if not which(kind):
+            if not which(kind) or first >= before:
                 continue
             del self.open[k]
             if place > first:

@@ -112,7 +112,8 @@ def test_steady_effort_gives_in_time_the_operating_point_of_a_take_of_that_stren
     """0.1 of the logarithm of odds a decibel, as `voice_intensity` has it for a whole take."""
     for effort in (0.0, 5.0, -5.0, 20.0):
         found = intensity_of(np.full(3000, -20.0), effort=effort)[-1]
-        assert found == pytest.approx(1.2 / (1 + np.exp(-0.1 * (effort - 2.7))), abs=0.01)
+        expected = 1.2 / (1 + np.exp(-0.1 * (effort - VoiceIntensity().middle)))
+        assert found == pytest.approx(expected, abs=0.01)
 
 
 def test_effort_is_followed_within_a_second_or_two():

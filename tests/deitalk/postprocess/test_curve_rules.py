@@ -234,7 +234,7 @@ def test_mouth_opens_with_an_intensity_above_the_predicted_and_contacts_stay():
     predicted = np.full(3, 0.575, np.float32)
     strength = np.array([0.52, 0.72, 0.72], np.float32)
     RULES.scale_opening(curves, opening_factor(OPENS, strength, predicted))
-    np.testing.assert_allclose(curves[:, JAW], [0.4, 0.4 * 1.2, 0.4], rtol=1e-5)
+    np.testing.assert_allclose(curves[:, JAW], [0.4, 0.4 * (1 + 0.2 * OPENS.gain), 0.4], rtol=1e-5)
     others = np.delete(np.arange(len(CONTROLS.names)), RULES.lively)
     np.testing.assert_array_equal(curves[:, others], half_open()[:, others])
 

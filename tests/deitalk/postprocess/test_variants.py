@@ -12,7 +12,7 @@ from deitalk.acting import Acting
 from deitalk.emotions.variants import EMOTION_OF
 from deitalk.errors import EmotionError
 from deitalk.live.animator import LiveAnimator
-from deitalk.postprocess.life.voice import Seeds
+from deitalk.postprocess.life.voice import Seeds, Traits
 from deitalk.postprocess.variants import COLUMNS, choose_ways
 from deitalk.research.evaluation.benchmark_curves import speechlike
 from rig import default_controls
@@ -110,7 +110,8 @@ def test_the_page_lists_every_variant():
 
 def drawn(seed=0, actor="", sound=0, strength=0.0, **given):
     waveform = np.full(100, sound / 1000, np.float32)
-    return choose_ways(given, Seeds.of(waveform, actor, seed), strength)
+    traits = Traits.of(Seeds.of(waveform, actor, seed).character())
+    return choose_ways(given, traits, seed, strength)
 
 
 def rows_of(ways):
@@ -213,6 +214,19 @@ def test_takes_of_two_seeds_differ_in_their_expression_and_one_seed_is_one_take(
     ]
     np.testing.assert_array_equal(takes[0], takes[1])
     assert np.abs(takes[0] - takes[2]).max() > 0.1
+
+
+def test_a_take_that_follows_another_shows_the_emotion_alike():
+    """Of other sound; the traits of the take before are its character's."""
+    first, second = speechlike(2.0), 0.5 * speechlike(2.5)[::-1].copy()
+    before = animate(first, "angry", sample_rate=16_000)
+    shown = []
+    for after in (None, before):
+        take = animate(second, "angry", sample_rate=16_000, after=after)
+        shown.append(choose_ways({}, Traits(**take.traits), 0))
+    own = choose_ways({}, Traits(**before.traits), 0)
+    np.testing.assert_array_equal(shown[1].weights, own.weights)
+    assert (shown[0].weights != own.weights).any()
 
 
 def test_live_voices_have_variants_too():

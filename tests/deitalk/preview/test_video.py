@@ -204,7 +204,7 @@ def test_commands_check_for_the_page_before_any_work(tmp_path, monkeypatch):
         assert "has no preview page" in str(done.exception)
 
 
-@each("command", ["animate", "attention"])
+@each("command", ["animate"])
 def test_commands_check_for_matplotlib_before_any_work(tmp_path, monkeypatch, command):
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     monkeypatch.setattr("deitalk.audio.load.open_sound", None)

@@ -79,10 +79,12 @@ def test_every_tag_of_the_table_means_something(tag):
         ("(sadly) One", [("sadly", ["One"])]),
         ("One two [sad]", []),
         ("[whispers] [sad] One [neutral] two",
-         [("whispers", ["One", "two"]), ("sad", ["One"]), ("neutral", ["two"])]),
+         [("whispers", ["One"]), ("sad", ["One"]), ("neutral", ["two"])]),
+        ("[whispers] One [angrily] two [shouts] three",
+         [("whispers", ["One"]), ("angrily", ["two"]), ("shouts", ["three"])]),
     ],
 )  # fmt: skip
-def test_a_tag_holds_to_the_next_of_its_kind_or_the_end_of_its_line(text, found):
+def test_a_tag_holds_to_the_next_one_or_the_end_of_its_line(text, found):
     assert sorted(spans(text, "emotion", "voice")) == sorted(found)
 
 
@@ -335,6 +337,7 @@ def test_emotions_of_a_take_follow_its_script(default, take):
     plain = re.sub(r"\[.*?\]|\*", "", TAGGED)
     assert [word.text for word in take.words.words] == re.sub(r"[.,!]", "", plain).split()
     shown = take.curves.emotion.argmax(axis=1)
+    assert take.emotion == "neutral and 3 of the script"
     times = {word.text: word for word in take.words.words}
     for word, label in (("believe", "neutral"), ("everybody", "angry"), ("evening", "happy")):
         middle = round((times[word].start + times[word].end) / 2 * 30)
