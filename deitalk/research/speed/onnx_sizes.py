@@ -1,11 +1,10 @@
-"""Size, time and error of `default` in int8 by ONNX Runtime.
+"""Size, time and error of `default` as an ONNX file, in each precision.
 
 ``python -m deitalk.research.speed.onnx_sizes``.
 
-Dynamic quantisation of the weights by `onnxruntime.quantization.quantize_dynamic` on the layers
-named, one scale a channel. A recording of a minute (`docs/samples/amiable.flac`, repeated) is
-predicted on one thread; differences from float32 are shares of the ranges of the controls. ``--json
-FILE`` writes the table. Run it with nothing beside.
+A recording of a minute (`docs/samples/amiable.flac`, repeated) becomes finished curves on one
+thread; differences from float32 are shares of the ranges of the controls. ``--json FILE`` writes
+the table. Run it with nothing beside.
 """
 
 import argparse
@@ -18,10 +17,11 @@ from typing import Any
 import numpy as np
 
 from deitalk import load_audio
-from deitalk.audio.voice_activity import normalise_level
-from deitalk.export.onnx_file import export_onnx
+from deitalk.emotions import LABELS
+from deitalk.export.onnx_file import PRECISIONS, export_onnx
 from deitalk.models.checkpoint import require_model
 from deitalk.models.curve_model import DEITalk
+from deitalk.postprocess.tracks import N_MOTION, N_VARIANTS
 from deitalk.research.arguments import new_file
 from deitalk.research.evaluation.benchmark_curves import machine
 from deitalk.research.evaluation.report import identified, write_json
@@ -29,12 +29,6 @@ from rig import default_controls
 
 SAMPLE = Path(__file__).resolve().parents[3] / "docs/samples/amiable.flac"
 SECONDS, RUNS = 60, 3
-KINDS = {
-    "float32": (),
-    "int8 feed-forward layers": ("fc1", "fc2"),
-    "int8 linear layers of the encoder": ("fc1", "fc2", "q_proj", "k_proj", "v_proj", "out_proj"),
-}
-"""Names of the layers that are int8."""
 
 
 def predict(path: Path, inputs: dict[str, np.ndarray]) -> tuple[list[np.ndarray], float]:
@@ -47,51 +41,40 @@ def predict(path: Path, inputs: dict[str, np.ndarray]) -> tuple[list[np.ndarray]
     times = []
     for _ in range(RUNS):
         began = time.process_time()
-        outputs = session.run(["curves", "intensity"], inputs)
+        outputs = session.run(["curves", "predicted"], inputs)
         times.append(time.process_time() - began)
     return outputs, min(times)
 
 
 def measure(folder: Path, model: str) -> dict[str, dict[str, float]]:
-    """Size, time and differences of every kind."""
-    import onnx
-    from onnxruntime.quantization import QuantType, quantize_dynamic
-
-    sound = normalise_level(np.resize(load_audio(SAMPLE).waveform, 16_000 * SECONDS))
+    """Size, time and differences of every precision."""
     frames = 30 * SECONDS
-    emotion = np.zeros((frames, 5), np.float32)
-    emotion[:, 2] = 1
-    place = (np.arange(frames) / frames).astype(np.float32)
-    peak = np.array(-10, np.float32)
-    inputs = {"sound": sound, "emotion": emotion, "place": place, "peak": peak}
+    emotion = np.zeros((frames, len(LABELS)), np.float32)
+    emotion[:, LABELS.index("happy")] = 1
+    intensity = np.tile(np.array([[-1.0], [1.0], [0.5]], np.float32), (1, frames))
+    inputs = {
+        "sound": np.resize(load_audio(SAMPLE).waveform, 16_000 * SECONDS),
+        "emotion": emotion,
+        "intensity": intensity,
+        "variants": np.zeros((frames, N_VARIANTS + 1), np.float32),
+        "motion": np.zeros((frames, N_MOTION), np.float32),
+    }
     controls, table, plain = default_controls(), {}, None
     span = controls.maximum - controls.minimum
-    whole = folder / "float32.onnx"
-    export_onnx(require_model(model, DEITalk), whole)
-    nodes = [node.name for node in onnx.load(str(whole)).graph.node]
-    for name, layers in KINDS.items():
-        path = whole if not layers else folder / f"{len(layers)}.onnx"
-        if layers:
-            others = [node for node in nodes if not any(layer in node for layer in layers)]
-            quantize_dynamic(
-                whole,
-                path,
-                op_types_to_quantize=["MatMul", "Gemm"],
-                per_channel=True,
-                nodes_to_exclude=others,
-                weight_type=QuantType.QUInt8,  # saturates nowhere on processors without VNNI
-            )
+    for precision in PRECISIONS:
+        path = folder / f"{precision}.onnx"
+        export_onnx(require_model(model, DEITalk), path, precision=precision)
         outputs, seconds = predict(path, inputs)
         plain = plain or outputs
         off = np.abs(outputs[0] - plain[0]) / span
-        table[name] = {
+        table[precision] = {
             "megabytes": path.stat().st_size / 1e6,
             "processor_seconds_per_second": seconds / SECONDS,
             "largest": float(off.max()),
             "rms": float(np.sqrt(np.square(off).mean())),
             "intensity": float(np.abs(outputs[1] - plain[1]).max()),
         }
-        sys.stdout.write(f"{name}: {table[name]}\n")
+        sys.stdout.write(f"{precision}: {table[precision]}\n")
     return table
 
 
