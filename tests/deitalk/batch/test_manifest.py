@@ -1,5 +1,6 @@
 """Manifests: tables of any spreadsheet to lines, one error a row."""
 
+import json
 from collections import Counter
 
 import pytest
@@ -10,6 +11,7 @@ from deitalk.batch.source import distinct, read_manifest, read_source
 from deitalk.emotions import ActorReference
 from deitalk.errors import DataError
 from deitalk.postprocess.joins import Edge
+from deitalk.postprocess.life.other import OtherVoice
 from tests.each import each
 
 NOTHING = Line(0, "", "")
@@ -54,7 +56,8 @@ def test_every_field_of_an_acting_is_a_column(name):
         "voice": ActorReference(1.0, 2, 3.0).as_json().strip().replace('"', '""'), "words": "a",
         "language": "de", "life": "off", "look_at": "1,2", "gain": "jaw=2", "rules": "no",
         "style": "eve", "script": "[sad] a", "role": "anna", "after": EDGE, "into": EDGE,
-        "edit": '{""schema"": ""deitalk.edit/1"", ""edits"": []}',
+        "edit": '{""schema"": ""deitalk.edit/1"", ""edits"": []}', "rest": ".25",
+        "variant": "hot", "listen_to": json.dumps(OtherVoice(2.0).content).replace('"', '""'),
     }.get(name, "2")  # fmt: skip
     line = only(f'audio,{name}\na.wav,"{cell}"\n')
     assert isinstance(line, Line), line
