@@ -165,16 +165,7 @@ class Guard:
         if scope.get("method") == "HEAD":  # the answer to GET, which has no parts
             headers = [header for header in scope["headers"] if header[0] != b"range"]
             inner |= {"method": "GET", "headers": headers}
-
-            # End the work on an answer once its headers are sent.
-            async def sent(message: Message) -> None:
-                if message["type"] == "http.response.body":
-                    await send({"type": "http.response.body", "body": b""})
-                    active.cancelling.cancel()
-                    return
-                await send(message)
-
-            send = sent
+            send = _head_alone(active, send)
         try:
             with self._admit(scope):
                 await self.app(inner, receive, send)
@@ -315,6 +306,19 @@ def _noted(message: Message, active: _Active, identity: str) -> Message:
     added = [(REQUEST_ID, identity.encode()), *(ADDED_HEADERS if "status" in message else ())]
     headers += [header for header in added if header[0] not in given]
     return dict(message) | {"headers": headers}
+
+
+def _head_alone(active: _Active, send: Send) -> Send:
+    """End the work on an answer once its headers are sent."""
+
+    async def sent(message: Message) -> None:
+        if message["type"] == "http.response.body":
+            await send({"type": "http.response.body", "body": b""})
+            active.cancelling.cancel()
+            return
+        await send(message)
+
+    return sent
 
 
 def _ending() -> Problem:

@@ -117,7 +117,7 @@ def part(
         (FORM, b"--x\r\nContent-Disposition: form-data\r\n\r\nv\r\n--x--\r\n", 400, "name"),
         (FORM, b"--x\r\nContent Disposition: a\r\n\r\nv\r\n--x--\r\n", 400, "header"),
         (FORM, part("emotion", "", b"x" * 9_000_000)[:3_900_000] + b"\r\n--x--\r\n", 400, "size"),
-        (FORM, part("f1") * 12 + b"--x--\r\n", 400, "files"),
+        (FORM, part("f1") * 30 + b"--x--\r\n", 400, "files"),
         (FORM, part("f", "", b"1") * 40 + b"--x--\r\n", 400, "fields"),
         (FORM, part("recording", "", b"RIFF") + b"--x--\r\n", 422, "recording=@FILE"),
         (FORM, part("mesh") + b"--x--\r\n", 422, "mesh"),
