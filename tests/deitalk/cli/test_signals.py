@@ -122,16 +122,15 @@ def test_installed_handlers_raise_once_and_then_let_the_program_clean_up():
     signal.raise_signal(signal.SIGTERM)  # 5 s have not passed
 
 
-def test_a_signal_is_named_where_a_library_turns_it_into_an_error(monkeypatch, capsys):
+def test_a_signal_is_named_where_a_library_turns_it_into_an_error(capsys):
     def swallow(*_: object, **__: object) -> None:
         try:
             signal.raise_signal(signal.SIGTERM)
         except Terminated:
             raise DeitalkError("model.safetensors: no safetensors file") from None
 
-    monkeypatch.setattr("deitalk.cli.app", swallow)
     with pytest.raises(SystemExit) as ended:
-        main()
+        main(swallow)
     assert ended.value.code == 143
     assert capsys.readouterr().err == "deitalk: stopped by SIGTERM\n"
 

@@ -165,7 +165,7 @@ def test_what_is_pushed_and_fetched_animates_as_before(the_hub, run, tmp_path, k
         assert done.code == 0, done.err
     before, after = (dict(np.load(take)) for take in takes)
     moving = "vertices" if is_mesh else "values"
-    np.testing.assert_array_equal(before[moving], after[moving])
+    np.testing.assert_allclose(before[moving], after[moving], atol=1e-5)  # by one engine or two
 
 
 def test_a_revision_stays_when_the_model_moves_on(the_hub, run, tmp_path):
