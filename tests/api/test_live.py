@@ -254,7 +254,7 @@ def test_causal_model_gives_the_frames_of_live_animator(server, tiny_model):
     sound = pcm(3.0)
     with live(server) as session, live(server) as other:
         for one in (session, other):
-            header = begin(one, model="tiny", emotion="happy", life="off", seed=0)
+            header = begin(one, model="tiny", emotion="happy", life="off", seed=0, variant="plain")
             assert header["lookahead_seconds"] <= 0.202
             assert header["head"] == []
         for start in range(0, len(sound), 3000):
@@ -265,7 +265,7 @@ def test_causal_model_gives_the_frames_of_live_animator(server, tiny_model):
         found, end = frames_of(session)
     assert end == {"type": "end", "frames": 90}
     assert [index for index, *_ in found] == list(range(90))
-    animator = LiveAnimator(tiny_model, emotion="happy", life="off")
+    animator = LiveAnimator(tiny_model, emotion="happy", life="off", variant="plain")
     expected = np.concatenate((animator.feed(sound), animator.finish()))
     assert np.abs(np.array([values for *_, values in found]) - expected).max() < 1e-4
 
