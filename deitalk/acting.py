@@ -424,8 +424,9 @@ class Acting(BaseModel):
     )
     script: Annotated[Words | None, PlainValidator(read_words), _STR, _TEXT] = Field(
         default=None,
-        description="Spoken words with how they are spoken, in place of words: tags such as "
-        "[angrily] or [laughs], SSML, subtitles; text, or a .txt, .srt, .vtt or .ssml.",
+        description="Spoken words with how they are spoken, in place of words: tags in "
+        "square brackets such as angrily or laughs, SSML, subtitles; text, or a .txt, .srt, .vtt "
+        "or .ssml.",
         examples=["[whispers] Come here. [angrily] Now!"],
         json_schema_extra=_extra(panel="Performance"),
     )

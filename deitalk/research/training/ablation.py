@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from deitalk.config.curves import Config
+from deitalk.config.finetuning import FinetuneConfig
 from deitalk.config.load import AnyConfig, load_config
 from deitalk.config.mesh import SDFAConfig
 from deitalk.config.yaml_files import read_yaml
@@ -88,8 +89,9 @@ def read_variants(folder: Path) -> list[Variant]:
     if not files:
         raise ConfigError(f"{folder}: holds no .yaml; each gives a base and overrides")
     variants = [_variant(path) for path in files]
-    kinds = {isinstance(variant.config(0, None), Config) for variant in variants}
-    if len(kinds) > 1:
+    configs = [variant.config(0, None) for variant in variants]
+    is_tuning = any(isinstance(config, FinetuneConfig) for config in configs)
+    if is_tuning or len({isinstance(config, Config) for config in configs}) > 1:
         raise ConfigError(f"{folder}: base all variants on configurations of curves, or of meshes")
     return variants
 

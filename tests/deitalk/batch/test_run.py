@@ -272,7 +272,7 @@ def test_journal_of_another_version_or_damaged_is_refused(run):
         ({"formats": ["csv"]}, DeitalkError, "a text such as"),
         ({"source": ["a.wav"]}, DeitalkError, "a path or a URL"),
         ({"emotion": "hapy"}, ValueError, "hapy"),
-        ({"backend": "jax"}, ValueError, "torch or onnx"),
+        ({"backend": "jax"}, ValueError, "auto, torch, onnx"),
         ({"device": "cuda:99"}, DeitalkError, r"torch finds \w+ CUDA device"),
         ({"device": "gpu", "ray": "local"}, DeitalkError, "cuda:N"),
         ({"life": "nose=1"}, ValueError, "nose"),

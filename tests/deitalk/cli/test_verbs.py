@@ -5,13 +5,13 @@ from typer.main import get_command
 from deitalk.cli import app
 
 VERBS = """animate batch live preview convert diff dub validate retarget face install serve data finetune
-model""".split()
+model export""".split()
 
 
-def test_fifteen_verbs_are_shown():
+def test_sixteen_verbs_are_shown():
     commands = get_command(app).commands
     shown = {name for name, command in commands.items() if not command.hidden}
-    assert shown == {*VERBS} and len(VERBS) == 15
+    assert shown == {*VERBS} and len(VERBS) == 16
 
 
 def test_options_of_every_day_are_the_first_panel_of_animate():

@@ -144,7 +144,7 @@ def test_microphone_that_is_gone_at_the_start_is_one_line(monkeypatch):
         ([SAMPLE, "--model", "none"], "none: no model there"),
         ([SAMPLE, "--model", "none", "--backend", "onnx"], "none: no model there"),
         (["--mic", "--model", "default"], "needs the whole clip; use the model live"),
-        ([SAMPLE, "--backend", "gpu"], "backend 'gpu' is unknown; use torch or onnx"),
+        ([SAMPLE, "--backend", "gpu"], "backend 'gpu' is unknown; use auto, torch, onnx"),
         ([SAMPLE, "--loop"], "for a take or curves; leave them out"),
         ([SAMPLE, "--input", "x", "--force"], "sending does not use --force"),
         ([SAMPLE, "--input", "x"], "does not use --input"),

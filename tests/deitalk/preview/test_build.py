@@ -65,7 +65,11 @@ def test_page_is_built_and_added_to_the_wheel(hook, source, npm):
     built, data = hook.PreviewPageHook(source), {"artifacts": [], "force_include": {}}
     assert built.dependencies() == []
     built.initialize("editable", data)
-    assert data["artifacts"] == [str(hook.PAGE)] and not built.warnings
+    assert data["artifacts"][0] == str(hook.PAGE) and not built.warnings
+    beside = {Path(path).name for path in data["artifacts"][1:]}
+    assert beside == {
+        "engine.js", "ort.wasm.bundle.min.mjs", "ort-wasm-simd-threaded.wasm"
+    }, "a site without a service"  # fmt: skip
     assert (source / hook.PAGE).read_text() == "page\n"
     npm("exit 1")
     built.initialize("standard", {"artifacts": [], "force_include": {}})

@@ -57,7 +57,7 @@ def test_obj_vertices_are_counted_while_reading(tmp_path, monkeypatch, most, fit
 
 @each(("most", "fits"), [(2, True), (1, False)])
 def test_triangles_are_counted_while_reading(tmp_path, monkeypatch, most, fits):
-    for module in ("shapes", "ply"):
+    for module in ("obj", "ply"):
         monkeypatch.setattr(f"rig.mesh.{module}.TRIANGLES", most)
     write_ply(tmp_path / "a.ply", SQUARE)
     for read, path in (

@@ -30,8 +30,15 @@ def weights(emotion: str) -> np.ndarray:
     return np.eye(5)[EMOTIONS.index(emotion)]
 
 
+TABLES = {
+    "channels": ("deitalk.research.corpus", "tables/channels.csv"),
+    "styles": ("deitalk.postprocess", "taught_poses.csv"),
+}
+
+
 def rows(name: str) -> list[dict[str, str]]:
-    text = resources.files("deitalk.research.corpus").joinpath(f"tables/{name}.csv").read_text()
+    package, path = TABLES[name]
+    text = resources.files(package).joinpath(path).read_text()
     return list(csv.DictReader(text.splitlines()))
 
 
