@@ -169,7 +169,7 @@ def predicted_curves(recording: Recording) -> RigCurves | None:
     if network is None:
         return None
     short = replace(recording, waveform=recording.waveform[: int(MODEL_SECONDS * SAMPLE_RATE)])
-    return animate(short, "neutral", model=network).curves
+    return animate(short, "neutral", model=network, life="off").curves
 
 
 @lru_cache(maxsize=1)
@@ -177,7 +177,11 @@ def _network() -> Any:
     from deitalk.models.checkpoint import load_model
     from deitalk.models.folder import embedded_models
 
-    return load_model("default") if "default" in embedded_models() else None
+    if "default" not in embedded_models():
+        return None
+    network = load_model("default")
+    network.lips = None  # without its readout the curves of lips agree more with captured ones
+    return network
 
 
 def clip_lags(

@@ -1,7 +1,6 @@
 """`deitalk data check`: a good dataset passes; every inserted fault is reported."""
 
 import json
-import re
 from pathlib import Path
 
 import numpy as np
@@ -68,14 +67,6 @@ def test_curves_that_are_late_or_early_are_measured_in_milliseconds(folder, fram
     for i in range(7):
         edit(folder, "offset_s", i, str(-frames / 60))
     assert checks(folder)["offset"][0] == "ok", "and offset_s mends it"
-
-
-def test_one_shifted_clip_among_many_is_named(folder):
-    rewrite(folder, 3, lambda v: np.roll(v, 15, axis=0))
-    level, text = checks(folder)["offset"]
-    assert level == "warning" and text.startswith("1 clips seem shifted")
-    found = re.search(r"clip3 \(\+(\d+) ms\)", text)
-    assert found is not None and int(found[1]) == pytest.approx(250, abs=60)  # of three bursts
 
 
 def test_speaker_in_two_splits_is_an_error(folder):

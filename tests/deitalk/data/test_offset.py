@@ -97,7 +97,7 @@ def test_no_clip_of_a_built_corpus_is_called_shifted_and_moved_ones_are(corpus):
         (load_audio(clip.audio), read_curves(clip.curves)) for clip in read_clips(corpus)[::2]
     )
     assert found.pop(0.0) == 0
-    assert min(found.values()) >= 0.65 and np.mean(list(found.values())) >= 0.9, found
+    assert min(found.values()) >= 0.55 and np.mean(list(found.values())) >= 0.9, found
 
 
 def test_real_mouths_on_video_are_seldom_called_shifted(shared):
