@@ -64,9 +64,9 @@ class HeldState(NamedTuple):
 
 def first_held(batch: int, n_bands: int) -> HeldState:
     """State of streams before their first frame."""
-    none = np.zeros(batch, np.int64)
+    age, since, back = np.zeros((3, batch), np.int64)  # no two of a stream share their memory
     levels = np.full((batch, BEFORE, n_bands), -np.inf)
-    return HeldState(levels, none, none + NEVER, none, np.zeros(batch))
+    return HeldState(levels, age, since + NEVER, back, np.zeros(batch))
 
 
 def follow_held(

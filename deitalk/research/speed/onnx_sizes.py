@@ -59,7 +59,8 @@ def measure(folder: Path, model: str) -> dict[str, dict[str, float]]:
         "variants": np.zeros((frames, N_VARIANTS + 1), np.float32),
         "motion": np.zeros((frames, N_MOTION), np.float32),
     }
-    controls, table, plain = default_controls(), {}, None
+    controls, plain = default_controls(), None
+    table: dict[str, dict[str, float]] = {}
     span = controls.maximum - controls.minimum
     for precision in PRECISIONS:
         path = folder / f"{precision}.onnx"

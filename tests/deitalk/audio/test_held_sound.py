@@ -1,5 +1,7 @@
 """Held sounds: found in voices and not in noise; the mouth stays open while a vowel sounds."""
 
+from itertools import combinations
+
 import numpy as np
 import pytest
 from scipy.signal import lfilter
@@ -102,3 +104,9 @@ def test_pieces_give_the_same(piece, rng):
     for name, part in zip(Held._fields, zip(*parts, strict=True), strict=True):
         np.testing.assert_array_equal(np.concatenate(part, axis=1), getattr(whole, name))
     assert whole.sounding.any() and (np.diff(whole.back[0]) == 1).any()
+
+
+def test_parts_of_a_state_share_no_memory():
+    """Streams write theirs in place."""
+    state = first_held(2, 14)
+    assert not any(np.shares_memory(one, other) for one, other in combinations(state, 2))
