@@ -190,7 +190,8 @@ def test_messages_beyond_the_size_close_the_connection(server):
         with pytest.raises(ConnectionClosed) as closed:
             session.send(bytes(2_000_000))
             session.recv(60)
-    assert closed.value.rcvd.code == 1009  # RFC 6455: message too big
+    # RFC 6455: message too big; a reset of what was not read may come before the reason.
+    assert closed.value.rcvd is None or closed.value.rcvd.code == 1009
 
 
 def resident_mb(pid: int) -> float:
