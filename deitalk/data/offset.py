@@ -169,7 +169,7 @@ def predicted_curves(recording: Recording) -> RigCurves | None:
     if network is None:
         return None
     short = replace(recording, waveform=recording.waveform[: int(MODEL_SECONDS * SAMPLE_RATE)])
-    return animate(short, "neutral", model=network, life="off").curves
+    return animate(short, "neutral", model=network, life="off", rules=False).curves
 
 
 @lru_cache(maxsize=1)

@@ -1,6 +1,8 @@
 """Single clips that are early or late: by hand, on a built corpus, on lips measured on video."""
 
 import json
+import re
+import shutil
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -15,7 +17,7 @@ from deitalk.data.clips import read_clips
 from deitalk.data.offset import LAGS, ClipLags, clip_lags, predicted_curves, vowel_band
 from deitalk.research.corpus.build import Shard, build
 from deitalk.research.corpus.engines import available_engines
-from rig import RigCurves, default_controls, read_curves
+from rig import RigCurves, default_controls, read_curves, write_curves
 from tests.each import each
 
 CONTROLS = default_controls()
@@ -97,7 +99,22 @@ def test_no_clip_of_a_built_corpus_is_called_shifted_and_moved_ones_are(corpus):
         (load_audio(clip.audio), read_curves(clip.curves)) for clip in read_clips(corpus)[::2]
     )
     assert found.pop(0.0) == 0
-    assert min(found.values()) >= 0.55 and np.mean(list(found.values())) >= 0.9, found
+    assert min(found.values()) >= 0.65 and np.mean(list(found.values())) >= 0.9, found
+
+
+@needs_espeak
+def test_one_shifted_clip_among_many_is_named(corpus, tmp_path):
+    """Of speech: the tones of `tests.dataset` hold no phones that the network could follow."""
+    folder = tmp_path / "moved"
+    shutil.copytree(corpus, folder)
+    clip = list(read_clips(folder))[3]
+    curves = read_curves(clip.curves)
+    moved = np.roll(curves.values, round(0.25 * curves.fps), axis=0)
+    write_curves(clip.curves, RigCurves(moved, curves.names, fps=curves.fps))
+    (offset,) = [check for check in inspect_dataset(folder).checks if check.name == "offset"]
+    assert offset.level == "warning" and offset.text.startswith("1 clips seem shifted")
+    found = re.search(rf"{clip.name} \(\+(\d+) ms\)", offset.text)
+    assert found is not None and int(found[1]) == pytest.approx(250, abs=30)
 
 
 def test_real_mouths_on_video_are_seldom_called_shifted(shared):
