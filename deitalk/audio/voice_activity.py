@@ -142,21 +142,11 @@ def active_level_db(waveform: npt.ArrayLike, activity: npt.ArrayLike | None = No
     """
     samples = np.asarray(waveform, dtype=np.float32)
     active = np.asarray(speech_activity(samples) if activity is None else activity) > 0.5
-    energy, count = 0.0, 0.0
-    for first in range(0, len(active), 900):  # a multiple of 3, frames of a whole number of samples
-        piece = samples[first * SAMPLE_RATE // FRAME_RATE :][: 900 * SAMPLE_RATE // FRAME_RATE]
-        more = speech_energy(piece, active[first : first + 900])
-        energy, count = energy + float(more[0]), count + float(more[1])
+    energy, count = 0.0, 0
+    for start, stop in runs(active) * SAMPLE_RATE // FRAME_RATE:
+        piece = samples[start:stop]
+        energy, count = energy + float(piece @ piece), count + len(piece)
     return 10 * float(np.log10(energy / count)) if energy > 0 else -np.inf
-
-
-def speech_energy(samples: Array, speech: Array) -> tuple[Array, Array]:
-    """Sum of the squares of the samples (S,) in frames of speech (T,), and their number.
-
-    Arrays or tensors; frame i has the samples from floor(533.33 i) on.
-    """
-    is_speech = speech[(3 * library(samples).arange(samples.shape[0]) + 2) // 1600]
-    return (samples * samples * is_speech).sum(), as_index(is_speech).sum()
 
 
 def normalise_level(

@@ -16,7 +16,7 @@ from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
 from deitalk.audio.held_sound import held_sound
 from deitalk.audio.log_mel import N_FFT
 from deitalk.audio.vocal_strength import strength_frames, vocal_strength
-from deitalk.audio.voice_activity import WINDOW, active_frames, speech_energy
+from deitalk.audio.voice_activity import WINDOW, active_frames
 from deitalk.config.rules import HoldPose
 from deitalk.emotions import LABELS
 from deitalk.errors import CheckpointError
@@ -155,8 +155,10 @@ class FinishedClip(nn.Module):
         return curves, plain, felt * expression
 
     def _gain(self, sound: Tensor, speaking: Tensor) -> Tensor:
-        """Factor that brings the speech to `LEVEL_DB`; 1 if there is none."""
-        energy, count = speech_energy(sound, speaking)
+        """`deitalk.audio.voice_activity.level_gain`, without a loop over the runs of speech."""
+        frames = (3 * torch.arange(sound.shape[0]) + 2) // 1600  # of the samples
+        is_speech = speaking[frames].float()
+        energy, count = (sound * sound * is_speech).sum(), is_speech.sum()
         usual = 10 ** (LEVEL_DB / 20) * torch.sqrt(count / energy.clamp_min(1e-30))
         return torch.where(energy > 0, usual, torch.ones_like(usual))
 
