@@ -1,10 +1,10 @@
 """Level, pitch, brightness and bands of synthetic voices."""
 
 import numpy as np
+import pytest
 
 from deitalk.audio.vocal_strength import BAND_EDGES_HZ, PIECE, level_db, measure_prosody
 from deitalk.research.evaluation.contours import prosody_index
-from tests.each import each
 
 RATE = 16_000
 
@@ -50,7 +50,7 @@ def test_measures_do_not_depend_on_the_piece_length(monkeypatch):
     assert PIECE > 150
 
 
-@each("gain", [0.01, 10.0])
+@pytest.mark.parametrize("gain", [0.01, 10.0])
 def test_gain_does_not_change_the_index(gain):
     waveform = voice()
     waveform[RATE:] *= 0.5
