@@ -9,17 +9,7 @@ from typing import Annotated, Any, cast
 import typer
 
 from deitalk.cli.animate import animate, batch
-from deitalk.cli.console import (
-    CTRL_C_CODE,
-    Terminated,
-    catch_signals,
-    emit,
-    escape_what_cannot_be_encoded,
-    hold_targets,
-    name_option,
-    received,
-    release_signals,
-)
+from deitalk.cli.console import emit, escape_what_cannot_be_encoded, name_option
 from deitalk.cli.convert import convert, validate
 from deitalk.cli.data import app as data_app
 from deitalk.cli.edits import diff, dub
@@ -33,6 +23,8 @@ from deitalk.cli.options import CheckedCommands
 from deitalk.cli.preview import preview
 from deitalk.cli.retarget import retarget
 from deitalk.cli.serve import app as serve_app
+from deitalk.cli.signals import CTRL_C_CODE, Terminated, catch_signals, received, release_signals
+from deitalk.cli.targets import hold_targets
 from deitalk.installed import __version__
 from deitalk.workers import safe_path
 from rig.errors import UserError, one_line

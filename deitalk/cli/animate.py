@@ -8,15 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from deitalk.cli.console import (
-    PICTURES,
-    bar,
-    console,
-    emit_json,
-    reserve_file,
-    reserve_folder,
-    reserve_picture,
-)
+from deitalk.cli.console import bar, console, emit_json
 from deitalk.cli.mesh import animate_vertices
 from deitalk.cli.options import (
     MAX_PROCESSES,
@@ -35,6 +27,7 @@ from deitalk.cli.options import (
     WrittenIdentity,
     acting_options,
 )
+from deitalk.cli.targets import PICTURES, reserve_file, reserve_folder, reserve_picture
 from deitalk.errors import DeitalkError
 
 if TYPE_CHECKING:

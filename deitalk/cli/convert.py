@@ -8,15 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from deitalk.cli.console import (
-    console,
-    curves_of,
-    emit,
-    emit_json,
-    reserve_file,
-    reserve_sound,
-    write_sound,
-)
+from deitalk.cli.console import console, emit, emit_json
 from deitalk.cli.options import (
     Delay,
     Digits,
@@ -28,6 +20,7 @@ from deitalk.cli.options import (
     acting_options,
     control_set_of,
 )
+from deitalk.cli.targets import curves_of, reserve_file, reserve_sound, write_sound
 from deitalk.errors import DeitalkError
 from rig.errors import as_line
 

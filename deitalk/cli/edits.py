@@ -5,8 +5,9 @@ from typing import Annotated
 
 import typer
 
-from deitalk.cli.console import bar, console, emit_json, reserve_file, reserve_folder
+from deitalk.cli.console import bar, console, emit_json
 from deitalk.cli.options import Device, Force, Given, Json, Model, acting_options
+from deitalk.cli.targets import reserve_file, reserve_folder
 from deitalk.errors import DeitalkError
 
 

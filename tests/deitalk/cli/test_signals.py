@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from deitalk.cli import main
-from deitalk.cli.console import Terminated, catch_signals, held
+from deitalk.cli.signals import Terminated, catch_signals, held
 from deitalk.errors import DeitalkError
 from rig import RigCurves
 from rig.conversion.arkit import ARKIT_ID, arkit_controls
