@@ -7,7 +7,8 @@ import pytest
 
 from deitalk.acting import Acting
 from deitalk.batch.lines import BadLine, Line, Written
-from deitalk.batch.source import distinct, read_manifest, read_source
+from deitalk.batch.manifest import read_manifest
+from deitalk.batch.source import distinct, read_source
 from deitalk.emotions import ActorReference
 from deitalk.errors import DataError
 from deitalk.postprocess.joins import Edge

@@ -1,4 +1,4 @@
-"""`deitalk finetune` and `deitalk model`."""
+"""`deitalk finetune`: a model tuned on captures."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -25,9 +25,6 @@ def shown_on(advance: "Advance") -> "Progress":
         advance(step / max(total, 1), text, always=bool(scores))
 
     return progress
-
-
-# `deitalk finetune`: a model tuned on captures.
 
 
 def finetune(
