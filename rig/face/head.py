@@ -8,7 +8,6 @@ eyes turned. `Head.motion` has all numbers of it, which the preview page uses as
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from io import BytesIO
 from typing import Any
 
 import numpy as np
@@ -17,7 +16,15 @@ from numpy.typing import ArrayLike, NDArray
 from rig.arrays import AnyFloat, Bool, Float32, Float64, Int64
 from rig.controls import default_controls
 from rig.errors import RigError
-from rig.face.head_file import GRID, PICTURES, Arrays, embedded, embedded_pictures, read_head
+from rig.face.head_file import (
+    GRID,
+    PICTURES,
+    Arrays,
+    decoded,
+    embedded,
+    embedded_pictures,
+    read_head,
+)
 from rig.face.identity import Identity, resolve_identity
 from rig.face.mesh import Maps, Mesh, smoothstep
 from rig.files.reading import rows_of
@@ -264,10 +271,8 @@ class Head:
     @cached_property
     def mesh(self) -> Mesh:
         """All parts joined, neutral; `pose` returns its vertices."""
-        from PIL import Image
-
         stored = self._stored
-        maps = Maps(*(np.asarray(Image.open(BytesIO(self.pictures[name]))) for name in PICTURES))
+        maps = Maps(*(decoded(self.pictures[name], name) for name in PICTURES))
         return Mesh(
             self.neutral, stored["faces"].astype(np.int64), stored["colour"] / 255,
             stored["gloss"] / 255, stored["uv"] / 65535, stored["light"] / 255,

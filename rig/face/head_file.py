@@ -5,16 +5,17 @@ creases, followers) is empty in what `read_head` returns.
 """
 
 from functools import lru_cache
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.errors import FormatError
+from rig.errors import FormatError, quoted
 from rig.files import atomic_write
 from rig.files.reading import read_npz
-from rig.limits import HEAD_BYTES, HEAD_VERTICES
+from rig.limits import HEAD_BYTES, HEAD_VERTICES, PICTURE_PIXELS
 
 DATA = Path(__file__).parent / "data"
 GRID = 800.0
@@ -116,6 +117,25 @@ def read_head(path: Path) -> Arrays:
            for what in ("", "_column", "_share")},
         **{f"picture.{name}": arrays[name] for name in PICTURES},
     }  # fmt: skip
+
+
+def decoded(data: bytes, name: str) -> NDArray[np.uint8]:
+    """Picture (h, w, 4) of a file of `PICTURES`; `pores` has no alpha.
+
+    Raises
+    ------
+    FormatError
+        If it is no picture, or too large.
+    """
+    from PIL import Image
+
+    try:
+        with Image.open(BytesIO(data), formats=("WEBP",)) as image:
+            if image.width != image.height or image.width**2 > PICTURE_PIXELS:
+                raise ValueError("it is too large, or not square")
+            return np.asarray(image.convert("RGB" if name == "pores" else "RGBA"))
+    except (OSError, ValueError, Image.DecompressionBombError) as error:
+        raise FormatError(f"a head's picture {name!r} cannot be read: {quoted(error)}") from None
 
 
 def _fits(array: NDArray[Any], kind: str, shape: str, lengths: dict[str, int]) -> bool:

@@ -8,6 +8,7 @@ from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -63,6 +64,61 @@ class Piece:
     primitive: dict[str, Any]
 
 
+@dataclass(frozen=True, eq=False)
+class GlbParts:
+    """A file, and what each vertex of its joined mesh belongs to."""
+
+    document: dict[str, Any]
+    binary: bytes
+    pieces: list[Piece]
+
+    @cached_property
+    def shapes(self) -> ShapeSet:
+        """All pieces as one mesh, shapes of the same name as one."""
+        starts = np.cumsum([0, *(len(p.vertices) for p in self.pieces)])
+        names = list(dict.fromkeys(name for p in self.pieces for name in p.names))
+        place = {name: k for k, name in enumerate(names)}
+        check_shape_count(len(names), int(starts[-1]))
+        deltas = np.zeros((len(names), int(starts[-1]), 3), dtype=np.float32)
+        for start, piece in zip(starts, self.pieces, strict=False):
+            for name, delta in zip(piece.names, piece.deltas, strict=True):
+                deltas[place[name], start : start + len(delta)] += delta
+        faces = np.concatenate([p.faces + s for s, p in zip(starts, self.pieces, strict=False)])
+        vertices = np.concatenate([p.vertices for p in self.pieces])
+        deltas.setflags(write=False)  # not copied again
+        return ShapeSet(TriMesh(vertices, faces), tuple(names), deltas)
+
+    def column(self, piece: Piece, name: str) -> Float64 | None:
+        """An attribute of a piece's vertices (V, width), or none."""
+        index = piece.primitive["attributes"].get(name)
+        if index is None:
+            return None
+        values = read_accessor(self.document, self.binary, index)
+        return values.reshape(len(piece.vertices), -1)
+
+    def each(self, values: Sequence[Any]) -> NDArray[Any]:
+        """A value of each piece for each of its vertices."""
+        return np.repeat(np.asarray(values), [len(p.vertices) for p in self.pieces], axis=0)
+
+    def material(self, piece: Piece) -> dict[str, Any]:
+        """The material of a piece; empty without one."""
+        index = piece.primitive.get("material")
+        found: dict[str, Any] = {} if index is None else self.document["materials"][index]
+        return found
+
+    @cached_property
+    def parents(self) -> dict[int, int]:
+        """The parent of each node that has one."""
+        nodes = enumerate(self.document["nodes"])
+        return {child: k for k, node in nodes for child in node.get("children", [])}
+
+    def names(self, piece: Piece) -> list[str]:
+        """Names of a piece: of its node, mesh and material."""
+        node = self.document["nodes"][piece.node]
+        parts = node, self.document["meshes"][node["mesh"]], self.material(piece)
+        return [str(part.get("name", "")) for part in parts]
+
+
 def read_glb(path: Path | str) -> ShapeSet:
     """Join all triangle meshes of the default scene into one mesh with its morph targets.
 
@@ -75,10 +131,10 @@ def read_glb(path: Path | str) -> ShapeSet:
         If the file is compressed (Draco, meshopt, KTX2), needs an unknown extension, or is
         inconsistent.
     """
-    return joined(read_pieces(path)[2])
+    return read_parts(path).shapes
 
 
-def read_pieces(path: Path | str) -> tuple[dict[str, Any], bytes, list[Piece]]:
+def read_parts(path: Path | str) -> GlbParts:
     """Read the document, the binary chunk and all triangle meshes of the default scene.
 
     Raises
@@ -103,23 +159,7 @@ def read_pieces(path: Path | str) -> tuple[dict[str, Any], bytes, list[Piece]]:
         pieces = _bounded(_pieces(document, binary))
         if not pieces:
             raise FormatError(f"{path.name} holds no triangle mesh")
-        return document, binary, pieces
-
-
-def joined(pieces: list[Piece]) -> ShapeSet:
-    """Join pieces into one mesh, and shapes of the same name into one."""
-    starts = np.cumsum([0, *(len(p.vertices) for p in pieces)])
-    names = list(dict.fromkeys(name for p in pieces for name in p.names))
-    place = {name: k for k, name in enumerate(names)}
-    check_shape_count(len(names), int(starts[-1]))
-    deltas = np.zeros((len(names), int(starts[-1]), 3), dtype=np.float32)
-    for start, piece in zip(starts, pieces, strict=False):
-        for name, delta in zip(piece.names, piece.deltas, strict=True):
-            deltas[place[name], start : start + len(delta)] += delta
-    faces = np.concatenate([p.faces + s for s, p in zip(starts, pieces, strict=False)])
-    vertices = np.concatenate([p.vertices for p in pieces])
-    deltas.setflags(write=False)  # not copied again
-    return ShapeSet(TriMesh(vertices, faces), tuple(names), deltas)
+        return GlbParts(document, binary, pieces)
 
 
 @contextmanager

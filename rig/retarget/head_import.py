@@ -9,7 +9,6 @@ same shapes move, and its light is baked.
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +25,7 @@ from rig.face import build_head
 from rig.face.head import CORRECTIVES
 from rig.face.head_file import GRID, Arrays, write_head
 from rig.limits import HEAD_MOVES, HEAD_VERTICES
-from rig.mesh.glb_reader import Piece, consistent, joined, read_accessor, read_pieces, walk
+from rig.mesh.glb_reader import GlbParts, consistent, read_parts, walk
 from rig.mesh.shapes import ShapeSet
 from rig.mesh.trimesh import TriMesh
 from rig.retarget.bake import bake, face_correctives
@@ -91,7 +90,7 @@ def import_head(source: Path | str, out: Path | str) -> ImportedHead:
     """
     source = Path(source)
     with consistent(source):
-        read = Source(*read_pieces(source))
+        read = read_parts(source)
         known = match_shapes(read.shapes.names)
         notes = _names(read.shapes.names, known.understood)
         try:
@@ -115,68 +114,7 @@ def _names(names: Sequence[str], known: Sequence[str]) -> list[str]:
     return notes
 
 
-@dataclass(frozen=True, eq=False)
-class Source:
-    """A file, and what each vertex of its joined mesh belongs to."""
-
-    document: dict[str, Any]
-    binary: bytes
-    pieces: list[Piece]
-
-    @cached_property
-    def shapes(self) -> ShapeSet:
-        """All pieces joined."""
-        return joined(self.pieces)
-
-    def column(self, piece: Piece, name: str) -> Float64 | None:
-        """An attribute of a piece's vertices (V, width), or none."""
-        index = piece.primitive["attributes"].get(name)
-        if index is None:
-            return None
-        values = read_accessor(self.document, self.binary, index)
-        return values.reshape(len(piece.vertices), -1)
-
-    def each(self, values: Sequence[Any]) -> NDArray[Any]:
-        """A value of each piece for each of its vertices."""
-        return np.repeat(np.asarray(values), [len(p.vertices) for p in self.pieces], axis=0)
-
-    def material(self, piece: Piece) -> dict[str, Any]:
-        """The material of a piece; empty without one."""
-        index = piece.primitive.get("material")
-        found: dict[str, Any] = {} if index is None else self.document["materials"][index]
-        return found
-
-    @cached_property
-    def parents(self) -> dict[int, int]:
-        """The parent of each node that has one."""
-        nodes = enumerate(self.document["nodes"])
-        return {child: k for k, node in nodes for child in node.get("children", [])}
-
-    def names(self, piece: Piece) -> list[str]:
-        """Names of a piece: of its node, mesh and material."""
-        node = self.document["nodes"][piece.node]
-        parts = node, self.document["meshes"][node["mesh"]], self.material(piece)
-        return [str(part.get("name", "")) for part in parts]
-
-    def hangs_on(self, bone: str) -> Float64:
-        """Share (V,) of a bone's motion that each vertex takes."""
-        node, found = bones_of(self.document).get(bone), []
-        for piece in self.pieces:
-            names, parent = self.names(piece), piece.node
-            while parent in self.parents:
-                parent = self.parents[parent]
-                names.append(str(self.document["nodes"][parent].get("name", "")))
-            share = np.full(len(piece.vertices), float(bone in map(bone_named, names)))
-            skin = self.document["nodes"][piece.node].get("skin")
-            joints, weights = (self.column(piece, f"{name}_0") for name in ("JOINTS", "WEIGHTS"))
-            if skin is not None and joints is not None and weights is not None:
-                is_bone = np.array([j == node for j in self.document["skins"][skin]["joints"]])
-                share = (weights * is_bone[joints.astype(np.int64)]).sum(1)
-            found.append(share)
-        return np.concatenate(found)
-
-
-def _arrays(read: Source, notes: list[str]) -> Arrays:
+def _arrays(read: GlbParts, notes: list[str]) -> Arrays:
     """Arrays of a head file; what is guessed or left out is added to the notes."""
     shapes, to_cm = _placed(read.shapes, notes)
     shapes = _with_jaw(read, shapes, to_cm, notes)
@@ -200,6 +138,24 @@ def _arrays(read: Source, notes: list[str]) -> Arrays:
         "eyes": np.array(centers, np.float32), "stops": ends[[0, 0, 1, 2, 3]].astype(np.int64),
         **surface, **_motion(ShapeSet(TriMesh(points, faces), shapes.names, deltas)),
     }  # fmt: skip
+
+
+def _hangs_on(read: GlbParts, bone: str) -> Float64:
+    """Share (V,) of a bone's motion that each vertex takes."""
+    node, found = bones_of(read.document).get(bone), []
+    for piece in read.pieces:
+        names, parent = read.names(piece), piece.node
+        while parent in read.parents:
+            parent = read.parents[parent]
+            names.append(str(read.document["nodes"][parent].get("name", "")))
+        share = np.full(len(piece.vertices), float(bone in map(bone_named, names)))
+        skin = read.document["nodes"][piece.node].get("skin")
+        joints, weights = (read.column(piece, f"{name}_0") for name in ("JOINTS", "WEIGHTS"))
+        if skin is not None and joints is not None and weights is not None:
+            is_bone = np.array([j == node for j in read.document["skins"][skin]["joints"]])
+            share = (weights * is_bone[joints.astype(np.int64)]).sum(1)
+        found.append(share)
+    return np.concatenate(found)
 
 
 def _placed(shapes: ShapeSet, notes: list[str]) -> tuple[ShapeSet, Any]:
@@ -236,15 +192,16 @@ def _middle(points: Float64, delta: NDArray[Any]) -> Float64:
     return np.asarray(weight @ points / weight.sum())
 
 
-def _with_jaw(read: Source, shapes: ShapeSet, to_cm: Any, notes: list[str]) -> ShapeSet:
+def _with_jaw(read: GlbParts, shapes: ShapeSet, to_cm: Any, notes: list[str]) -> ShapeSet:
     """The shapes, and a jaw that a bone opens if no shape does."""
     if match_shapes(shapes.names).poses[:, bare_names().index("jawOpen")].any():
         return shapes
-    share, bone = read.hangs_on("jaw"), bones_of(read.document).get("jaw")
-    if not share.any() or bone is None:
+    share = _hangs_on(read, "jaw")
+    place = dict(walk(read.document)).get(bones_of(read.document).get("jaw", -1))
+    if not share.any() or place is None:
         notes.append("no shape jawOpen and no bone of a jaw: it stays shut")
         return shapes
-    center = to_cm(dict(walk(read.document))[bone][:3, 3])
+    center = to_cm(place[:3, 3])
     turned = []
     for degrees in (JAW_DEGREES, JAW_DEGREES / 2):
         cosine, sine = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
@@ -257,7 +214,7 @@ def _with_jaw(read: Source, shapes: ShapeSet, to_cm: Any, notes: list[str]) -> S
     return ShapeSet(shapes.neutral, (*shapes.names, "jawOpen", "jawOpen_half"), deltas)
 
 
-def _eyes(read: Source, shapes: ShapeSet, notes: list[str]) -> list[Bool]:
+def _eyes(read: GlbParts, shapes: ShapeSet, notes: list[str]) -> list[Bool]:
     """Vertices (V,) of both eyes that turn, left first; none where shapes turn them."""
     looks = [k for k, name in enumerate(shapes.names) if "eyelook" in shape_key(name)]
     moved = np.abs(shapes.deltas[looks]).max((0, 2), initial=0) > STILL_CM
@@ -266,7 +223,7 @@ def _eyes(read: Source, shapes: ShapeSet, notes: list[str]) -> list[Bool]:
                       for piece in read.pieces])  # fmt: skip
     found = []
     for bone, side in (("leftEye", is_left), ("rightEye", ~is_left)):
-        alone = (read.hangs_on(bone) > 0.5) & ~moved
+        alone = (_hangs_on(read, bone) > 0.5) & ~moved
         found.append(alone if alone.any() else both & side & ~moved)
     if found[0].any() and found[1].any():
         return found

@@ -2,7 +2,7 @@
 
 import re
 from io import BytesIO
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,12 +11,9 @@ from rig.arrays import Float32, Float64, Int64
 from rig.face.head_file import Arrays
 from rig.face.mesh import CLOTH, EYE, FINE, HAIR, NO_MAPS, PLAIN, SKIN
 from rig.limits import PICTURE_PIXELS
-from rig.mesh.glb_reader import Piece
+from rig.mesh.glb_reader import GlbParts, Piece
 from rig.mesh.trimesh import TriMesh, components
 from rig.retarget.morph_head import linear_to_srgb
-
-if TYPE_CHECKING:
-    from rig.retarget.head_import import Source
 
 Picture = NDArray[np.uint8]
 SIDE, FIRST, EDGE, MOST_TILES = 2048, 1536, 4, 4
@@ -44,7 +41,7 @@ PLACE, TURNED = 1e-3, 0.05
 
 
 def surface_of(
-    read: "Source", points: Float64, faces: Int64, order: Int64, deltas: Float32, jaw: int
+    read: GlbParts, points: Float64, faces: Int64, order: Int64, deltas: Float32, jaw: int
 ) -> tuple[Arrays, list[str]]:
     """Arrays of a head file that are not its motion, and what was guessed.
 
@@ -122,7 +119,7 @@ def _weld(points: Float64, deltas: Float32, normals: Float64) -> NDArray[np.uint
     return first[which.reshape(-1)].astype(np.uint16)
 
 
-def _kinds(read: "Source", piece: Piece, picture: Picture, uv: Float64) -> Int64:
+def _kinds(read: GlbParts, piece: Piece, picture: Picture, uv: Float64) -> Int64:
     """Materials of `rig.face.mesh` (V,): by names, and hair where the surface has holes."""
     material = read.material(piece)
     words = [(kind, words) for name in reversed(read.names(piece)) for kind, words in KINDS
@@ -159,7 +156,7 @@ def _factor(material: dict[str, Any]) -> Float64:
     return np.clip(np.nan_to_num(factor), 0, 1)
 
 
-def _colour(read: "Source", piece: Piece, is_skin: bool, notes: list[str]) -> Float64:
+def _colour(read: GlbParts, piece: Piece, is_skin: bool, notes: list[str]) -> Float64:
     """SRGB colours (V, 3) by which the texture is multiplied."""
     material, painted = read.material(piece), read.column(piece, "COLOR_0")
     base = _base(material)
@@ -171,7 +168,7 @@ def _colour(read: "Source", piece: Piece, is_skin: bool, notes: list[str]) -> Fl
     return np.broadcast_to(linear_to_srgb(light), (len(piece.vertices), 3))
 
 
-def _texture(read: "Source", piece: Piece, notes: list[str]) -> tuple[Picture, Float64]:
+def _texture(read: GlbParts, piece: Piece, notes: list[str]) -> tuple[Picture, Float64]:
     """Picture of the base colour, RGBA, and places (V, 2) in it, 0..1; white without one."""
     count, texture = len(piece.vertices), _base(read.material(piece))["texture"]
     white, nowhere = np.full((2, 2, 4), 255, np.uint8), np.full((count, 2), 0.5)
@@ -195,7 +192,7 @@ def _texture(read: "Source", piece: Piece, notes: list[str]) -> tuple[Picture, F
     return np.tile(picture, (rows, columns, 1)), np.clip(uv / tiles, 0, 1)
 
 
-def _picture(read: "Source", index: int, notes: list[str]) -> Picture | None:
+def _picture(read: GlbParts, index: int, notes: list[str]) -> Picture | None:
     """A texture's picture (h, w, 4), at most `SIDE` texels a side; none if it cannot be read."""
     from PIL import Image
 
