@@ -37,7 +37,7 @@ from deitalk.postprocess.joins import TAKE_CURVES, opened_take
 from rig import ControlSet, RigCurves, default_controls, read_curves
 from rig.arrays import Bool, Float32, Float64
 from rig.controls import DEFAULT_ID
-from rig.curves.edit import gaussian_smooth
+from rig.curves.edit import clamp, gain, gaussian_smooth
 from rig.errors import listed
 
 STRETCH = 1.5
@@ -175,8 +175,8 @@ def dub(
         Recording of the performance; by default that of the take, or a file of the same name
         beside the curves. Without one its phrases are those of its mouth.
     acting : Acting, optional
-        How the new recording is acted. Takes beside it (`after`, `into`) are joined as those of
-        `deitalk.animate` are; edits come last.
+        How the new recording is acted. Its gain scales the performance too, takes beside it
+        (`after`, `into`) are joined as those of `deitalk.animate` are, edits come last.
     mapping : RigMapping, optional
         Of another rig's curves to the board.
     stretch : float
@@ -203,6 +203,8 @@ def dub(
         face, known, notes = _read(path, mapping, fps)
         old, source = _phrases_of(path, face, sound)
     acting = Acting.of(acting)
+    if acting.gain:
+        face, _ = clamp(gain(face, acting.gain))
     made = perform(audio, acting=Acting.of(acting, edit=()), **options)  # edits come last
     controls = default_controls()
     if made.curves.control_set != DEFAULT_ID:
