@@ -659,7 +659,7 @@ def test_files_of_the_acting_are_chosen_kept_and_left_out(
         text = tab.inner_text("#acting")
         assert text.count("of the take") == 2
         again = download(tab, "CSV", tmp_path)
-        tab.get_by_role("button", name="No after").click()
+        tab.get_by_role("button", name="No after", exact=True).click()
         animated_again(tab)
         assert tab.evaluate("Object.keys(deitalk.page.history.edit.acting)") == ["listen_to"]
     with zipfile.ZipFile(take) as archive:

@@ -54,7 +54,10 @@ function bindFile(name: string, field: Field, history: History): () => void {
   const drop = button("×", () => set(history, name, ""));
   input.accept = FILES[name];
   drop.setAttribute("aria-label", `No ${name.replaceAll("_", " ")}`);
-  caption.append(input, given, drop);
+  const row = document.createElement("span");
+  caption.replaceWith(row);
+  caption.append(input);
+  row.append(caption, given, drop);
   input.addEventListener("change", () => input.files?.[0] && set(history, name, input.files[0]));
   return () => {
     const value = history.edit.acting?.[name] ?? "";
