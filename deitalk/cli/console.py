@@ -13,9 +13,9 @@ import signal
 import sys
 import threading
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import AbstractContextManager, ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from contextvars import ContextVar
-from functools import cache
+from functools import cache, cached_property
 from pathlib import Path
 from time import monotonic
 from types import FrameType
@@ -27,6 +27,8 @@ from deitalk.errors import DeitalkError
 from rig.errors import UserError, as_line, decodable, decodable_values
 
 if TYPE_CHECKING:
+    from rich.console import Console as RichConsole
+
     from rig import RigCurves
 
 _ASSIGNED = r"`{}(?:=(?P<value>[^`]*))?`"
@@ -56,20 +58,25 @@ class Advance(Protocol):
 class Console:
     """The console of stderr: plain lines, a line of status, a bar."""
 
-    def __init__(self) -> None:
+    @cached_property
+    def rich(self) -> "RichConsole":
+        """Of the package rich, which is imported for a terminal only."""
         from rich.console import Console as RichConsole
 
-        self.rich: RichConsole = RichConsole(
-            stderr=True, emoji=False, highlight=False, soft_wrap=True
-        )
+        return RichConsole(stderr=True, emoji=False, highlight=False, soft_wrap=True)
 
     @property
     def is_terminal(self) -> bool:
-        """Whether stderr is a terminal."""
-        return self.rich.is_terminal
+        """Whether stderr is a terminal, or the environment says so (see the page of rich)."""
+        asked = ("FORCE_COLOR", "TTY_COMPATIBLE")
+        is_asked = any(os.environ.get(name) for name in asked)
+        return (sys.stderr.isatty() or is_asked) and self.rich.is_terminal
 
     def print(self, text: str, *, style: str = "") -> None:
         """Print one line without markup."""
+        if not self.is_terminal:
+            sys.stderr.write(as_line(text) + "\n")
+            return
         from rich.text import Text
 
         self.rich.print(Text(as_line(text)), style=style or None)
@@ -80,7 +87,7 @@ class Console:
 
     def status(self, title: str) -> AbstractContextManager[object]:
         """Show a title during the block; nothing off a terminal."""
-        return self.rich.status(title)
+        return self.rich.status(title) if self.is_terminal else nullcontext()
 
 
 @cache
