@@ -278,7 +278,7 @@ def _loader(model: str, backend: str, device: str, threads: int) -> "Callable[[]
             import torch
 
             torch.set_num_threads(most)
-        return load_network(model, backend=chosen, device=device, threads=most)
+        return load_network(model, backend=chosen, device=device, threads=most, once=True)
 
     return load
 

@@ -113,7 +113,7 @@ def animate(
     """
     check_progress(progress)
     acted = acted_as(emotion, acting, fields, animate)
-    load = partial(load_network, model, backend=backend, device=device)
+    load = partial(load_network, model, backend=backend, device=device, once=True)
     choice = AudioChoice.of(track, channel, raw)
     prepared = prepare(audio, acted, load, sample_rate=sample_rate, choice=choice)
     name = str(model) if isinstance(model, str | Path) else ""
