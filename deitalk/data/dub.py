@@ -37,7 +37,7 @@ from deitalk.postprocess.control_groups import ControlGroups
 from rig import ControlSet, RigCurves, default_controls, read_curves
 from rig.arrays import Bool, Float32, Float64
 from rig.controls import DEFAULT_ID
-from rig.curves.edit import gaussian_smooth
+from rig.curves.filters import gaussian_smooth
 from rig.errors import listed
 
 STRETCH = 1.5

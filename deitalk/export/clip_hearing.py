@@ -109,7 +109,7 @@ from deitalk.postprocess.feeling import (
 )
 from deitalk.postprocess.torch_columns import constant
 from rig import ControlSet
-from rig.curves.edit import TRUNCATE
+from rig.curves.filters import TRUNCATE
 
 FAR = 10**6
 """Frames to a neighbour that there is not."""
@@ -256,7 +256,7 @@ def neighbours(used: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def smoothed(values: Tensor, sigma: float) -> Tensor:
-    """`rig.curves.edit.gaussian_smooth` with zeros beyond the ends, (T,)."""
+    """`rig.curves.filters.gaussian_smooth` with zeros beyond the ends, (T,)."""
     radius = int(TRUNCATE * sigma + 0.5)
     kernel = torch.exp(-0.5 * (torch.arange(-radius, radius + 1).double() / sigma) ** 2)
     kernel = (kernel / kernel.sum()).float()[None, None]

@@ -35,7 +35,7 @@ from deitalk.audio.voice_activity import (
 )
 from deitalk.config.rules import Gates, HoldPose, VoiceIntensity
 from deitalk.emotions import EMOTIONS
-from deitalk.emotions.tracks import ActorReference
+from deitalk.emotions.actor import ActorReference
 from deitalk.errors import AudioError
 from deitalk.models.load import load_network
 from deitalk.models.protocol import CurveNetwork, Tracks
@@ -49,7 +49,7 @@ from deitalk.postprocess.feeling import (
 )
 from deitalk.postprocess.life.voice import Seeds, Traits
 from rig.arrays import Float32, Float64
-from rig.curves.edit import gaussian_smooth
+from rig.curves.filters import gaussian_smooth
 
 EFFORT_SHARE, EFFORT_FRAMES = 0.7, 15.0
 """Share of a network's readout in the strength, and sigma of what counts around a frame."""

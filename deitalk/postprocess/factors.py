@@ -9,7 +9,7 @@ from deitalk.config.rules import Expressions, ScaleOpening
 from deitalk.postprocess.expressions import expression_table
 from rig import ControlSet
 from rig.arrays import AnyFloat, Bool, Float32
-from rig.curves.edit import gaussian_smooth
+from rig.curves.filters import gaussian_smooth
 
 LEAST_PREDICTED = 0.2
 """Lower bound of the predicted intensity that an applied one is divided by; below it the pose that

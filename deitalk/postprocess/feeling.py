@@ -44,7 +44,7 @@ from deitalk.audio.vocal_strength import (
 from deitalk.config.rules import Gates, VoiceIntensity
 from deitalk.emotions import LABELS
 from rig.arrays import AnyFloat, Bool, Float32, Float64, Int64
-from rig.curves.edit import gaussian_smooth
+from rig.curves.filters import gaussian_smooth
 
 FAINTEST, STEEPNESS = 0.15, 1.3
 """Lowest intensity that a network is taught, and its slope per standard deviation of liveliness,
