@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from deitalk.audio.load import Recording
     from deitalk.models.protocol import CurveNetwork
     from deitalk.pipeline.performance import Extra, Performance
+    from rig.face import Identity as Head
 
 
 @acting_options
@@ -119,9 +120,11 @@ def animate(
         _refuse_curve_options("a plot", form | {"preview": preview, "identity": identity})
         _plot(speech, Path(out), given, _loader(model, backend, device, threads), force=force)
         return
-    target, is_folder = Path(out), _is_folder(out)
+    from rig.face.identity import identity_of
+
+    target, is_folder, head = Path(out), _is_folder(out), identity and identity_of(identity)
     _check(target, is_folder, inputs, preview=preview, identity=identity, force=force, **form)
-    extras = _extras(preview, identity)
+    extras = _extras(preview, head)
     performance = _perform(speech, given, _loader(model, backend, device, threads))
     form["start"] = _start(form.pop("timecode"), fps, performance.recording)
     if is_folder:
@@ -131,7 +134,7 @@ def animate(
         about = describe_model(model)
         write_take(target, performance, model=about, force=force, extras=extras, **form)
     else:
-        _write_file(target, performance, form | {"identity": identity})
+        _write_file(target, performance, form | {"identity": head})
     # Print the notes on the recording, and how well the words fit it.
     for warning in performance.recording.warnings:
         console().note(warning)
@@ -245,13 +248,11 @@ def _check(
 
 
 def _check_head(out: Path, is_folder: bool, preview: bool, identity: str | None) -> None:
-    """Raise for an unknown head, and for one that nothing would show."""
+    """Raise for a head that nothing would show."""
     if identity is None:
         return
-    from rig.face.identity import resolve_identity
     from rig.formats import checked_identity, find_format
 
-    resolve_identity(identity)
     if not is_folder:
         checked_identity(identity, find_format(out, writable=True))
     elif not preview:
@@ -277,7 +278,7 @@ def _loader(model: str, backend: str, device: str, threads: int) -> "Callable[[]
             import torch
 
             torch.set_num_threads(most)
-        return load_network(model, backend=chosen, device=device, threads=most)
+        return load_network(model, backend=chosen, device=device, threads=most, once=True)
 
     return load
 
@@ -292,13 +293,12 @@ def _perform(speech: str, given: Given, load: "Callable[[], CurveNetwork]") -> "
         return finish(prepared, prepared.read(progress))
 
 
-def _extras(preview: bool, identity: str | None) -> "tuple[Extra, ...]":
+def _extras(preview: bool, identity: "Head | str | None") -> "tuple[Extra, ...]":
     if not preview:
         return ()
     from deitalk.preview.page import add_preview
-    from rig.face.identity import resolve_identity
 
-    return (partial(add_preview, identity=resolve_identity(identity or 0)),)
+    return (partial(add_preview, identity=identity or 0),)
 
 
 def _write_file(out: Path, performance: "Performance", form: dict[str, Any]) -> None:

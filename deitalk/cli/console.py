@@ -7,15 +7,20 @@ characters are printed escaped.
 """
 
 import json
+import os
 import re
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager
-from functools import cache
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from functools import cache, cached_property
 from time import monotonic
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 from rig.errors import UserError, as_line, decodable, decodable_values
+
+if TYPE_CHECKING:
+    from rich.console import Console as RichConsole
+
 
 _ASSIGNED = r"`{}(?:=(?P<value>[^`]*))?`"
 """A parameter in an error message, alone or with its value."""
@@ -44,20 +49,25 @@ class Advance(Protocol):
 class Console:
     """The console of stderr: plain lines, a line of status, a bar."""
 
-    def __init__(self) -> None:
+    @cached_property
+    def rich(self) -> "RichConsole":
+        """Of the package rich, which is imported for a terminal only."""
         from rich.console import Console as RichConsole
 
-        self.rich: RichConsole = RichConsole(
-            stderr=True, emoji=False, highlight=False, soft_wrap=True
-        )
+        return RichConsole(stderr=True, emoji=False, highlight=False, soft_wrap=True)
 
     @property
     def is_terminal(self) -> bool:
-        """Whether stderr is a terminal."""
-        return self.rich.is_terminal
+        """Whether stderr is a terminal, or the environment says so (see the page of rich)."""
+        asked = ("FORCE_COLOR", "TTY_COMPATIBLE")
+        is_asked = any(os.environ.get(name) for name in asked)
+        return (sys.stderr.isatty() or is_asked) and self.rich.is_terminal
 
     def print(self, text: str, *, style: str = "") -> None:
         """Print one line without markup."""
+        if not self.is_terminal:
+            sys.stderr.write(as_line(text) + "\n")
+            return
         from rich.text import Text
 
         self.rich.print(Text(as_line(text)), style=style or None)
@@ -68,7 +78,7 @@ class Console:
 
     def status(self, title: str) -> AbstractContextManager[object]:
         """Show a title during the block; nothing off a terminal."""
-        return self.rich.status(title)
+        return self.rich.status(title) if self.is_terminal else nullcontext()
 
 
 @cache

@@ -86,6 +86,7 @@ def convert(
     from rig.controls import DEFAULT_ID
     from rig.conversion.convert import convert as to_set
     from rig.conversion.convert import convert_and_note
+    from rig.face.identity import identity_of
 
     if list_formats:
         from rig.formats.table import FORMATS
@@ -98,7 +99,7 @@ def convert(
         raise typer.BadParameter("give a source and a target (or --list-formats)")
     reserve_file(target, force=force, inputs=(source, curves_of(source)))
     sound = reserve_sound(target, source / "audio.wav", force=force)
-    wanted, head = _control_set(rig, target, to), _head(identity)
+    wanted, head = _control_set(rig, target, to), identity and identity_of(identity)
     curves = read_curves(curves_of(source), format=from_, fps=source_fps, control_set=None)
     if start or end is not None:
         whole, curves = curves.duration, curves.slice_seconds(start, end)
@@ -133,15 +134,6 @@ def _control_set(rig: str, target: Path, to: str | None) -> str | None:
             "leave it out, or write csv, json, npz, or for arkit glb"
         )
     return None
-
-
-def _head(identity: str | None) -> str | None:
-    """Name of an embedded head, or None; raises for an unknown one before anything is read."""
-    if identity is None:
-        return None
-    from rig.face.identity import resolve_identity
-
-    return resolve_identity(identity).name
 
 
 def _speech(source: Path, target: Path, to: str | None, *, is_whole: bool) -> dict[str, Any]:

@@ -293,7 +293,8 @@ Threads = Annotated[
 Identity = Annotated[
     str,
     typer.Option(
-        help="Head: female, male, child, or a number or name of `deitalk face identities`."
+        help="Head: female, male, child, one of `deitalk face identities`, or the .npz of "
+        "`deitalk face import`."
     ),
 ]
 WrittenIdentity = Annotated[
@@ -301,8 +302,9 @@ WrittenIdentity = Annotated[
     typer.Option(
         "--identity",
         rich_help_panel=MESH,
-        help="Head of a GLB, a USD, --preview or --vertices: female, male, child, or one of "
-        "`deitalk face identities`; a speaker of an SDFA model.",
+        help="Head of a GLB, a USD, --preview or --vertices: female, male, child, one of "
+        "`deitalk face identities`, or the .npz of `deitalk face import`; a speaker of an SDFA "
+        "model.",
     ),
 ]
 MeshOut = Annotated[

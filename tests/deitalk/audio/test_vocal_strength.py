@@ -4,14 +4,13 @@ import numpy as np
 import pytest
 import torch
 
+from deitalk.audio.prosody import BANDS, measure_prosody
 from deitalk.audio.vocal_strength import (
-    BANDS,
     FEATURES,
     HIGHEST,
     LOWEST,
     REST_WEIGHT,
     VocalStrength,
-    measure_prosody,
     strength_frames,
     vocal_strength,
     without_level,

@@ -22,6 +22,8 @@ from deitalk.research.contact_sheet import EMOTION_POSES, MOUTH_POSES, pose_valu
 from rig import RigCurves, clamp, default_controls, gain
 from rig.errors import TargetError
 from rig.face import build_head
+from rig.face.identity import identity_of
+from rig.retarget.head_import import import_head
 from tests.browser import chromium, lateness, needs_player, numbers, opened
 from tests.command import ran
 
@@ -195,6 +197,21 @@ def test_rig_of_the_page_equals_that_of_python(page):
     for row, expected in zip(values, head.pose(values), strict=True):
         posed = numbers(page, "deitalk.page.pose(given)", row.tolist()).reshape(-1, 3)
         assert np.abs(posed - expected).max() < 0.01  # 0.1 mm
+
+
+def test_a_users_head_moves_in_the_page_as_in_python(browser, tmp_path):
+    from tests.rig.retarget.test_head_import import Face
+
+    import_head(Face().write(tmp_path / "mine.glb"), tmp_path / "mine.npz")
+    mine = identity_of(str(tmp_path / "mine.npz"))
+    render_page(make_source(), tmp_path / "p.html", identity=mine)
+    head, rng = build_head(mine), np.random.default_rng(12)
+    values = CONTROLS.minimum + (CONTROLS.maximum - CONTROLS.minimum) * rng.random((4, 185))
+    with opened(browser, tmp_path / "p.html") as tab:
+        for row, expected in zip(values, head.pose(values), strict=True):
+            posed = numbers(tab, "deitalk.page.pose(given)", row.tolist()).reshape(-1, 3)
+            assert np.abs(posed - expected).max() < 0.01  # 0.1 mm
+        assert not tab.complaints
 
 
 def test_buttons_of_the_studio_are_not_in_a_file(page):

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from deitalk.audio.vocal_strength import measure_prosody
+from deitalk.audio.prosody import measure_prosody
 from deitalk.research.evaluation.contours import (
     apply_contour,
     contour_at,

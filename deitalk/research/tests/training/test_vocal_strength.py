@@ -5,7 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deitalk.audio.vocal_strength import BANDS, FEATURES, IS_VOICED, PITCH
+from deitalk.audio.prosody import BANDS
+from deitalk.audio.vocal_strength import FEATURES, IS_VOICED, PITCH
 from deitalk.errors import DataError
 from deitalk.research.evaluation.acted import ACTORS, LEVELS, NEUTRAL, READERS, StrengthClip
 from deitalk.research.evaluation.strength import (
