@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rig.curves.edit import TRUNCATE, gaussian_smooth
+from rig.curves.filters import TRUNCATE, gaussian_smooth
 
 Array = Any
 """A numpy array or a torch tensor."""

@@ -43,8 +43,8 @@ from deitalk.postprocess.tracks import VoiceTracks, shown_columns
 from deitalk.postprocess.variants import choose_ways, unused_variants
 from rig import ControlSet, RigCurves
 from rig.arrays import Float32
+from rig.curves.apply_layers import target_columns
 from rig.curves.edit import gain_factors
-from rig.curves.layers import target_columns
 from rig.errors import quoted
 
 if TYPE_CHECKING:

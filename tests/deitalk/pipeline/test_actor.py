@@ -18,7 +18,7 @@ from deitalk.config.rules import VoiceIntensity
 from deitalk.data.captures.take import CapturedCurves
 from deitalk.data.captures.traits import measure_traits
 from deitalk.emotions import ActorReference, read_actor
-from deitalk.emotions.tracks import TRAITS
+from deitalk.emotions.actor import TRAITS
 from deitalk.errors import AudioError, EmotionError
 from deitalk.models.load import load_network
 from deitalk.pipeline.speech import Speech, measure_actor, measure_intensities
