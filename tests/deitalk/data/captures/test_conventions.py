@@ -8,7 +8,7 @@ from deitalk.data.captures.conventions import TakeProducts, find_conventions, na
 NAMES = ("jaw", "oh", "pucker", "smile")
 MOVING = np.array([True, True, True, False])
 ALL = np.ones(4, bool)
-ROUND_BY = {"oh": (1.0, 0.0), "pucker": (0.0, 1.0), "both": (0.5, 0.5), "near": (0.9, 0.35)}
+ROUND_BY = {"oh": (1.0, 0.0), "pucker": (0.0, 1.0), "both": (0.5, 0.5), "near": (1.0, 0.3)}
 
 
 def take(rng, how, frames=900, noise=0.05, rest=0.0, gain=1.0, known=ALL, size=6):
@@ -44,10 +44,10 @@ def test_takes_that_round_alike_share_a_convention(rng, hows, wanted):
         assert one.controls == (hows[int(one.takes[0][1:])],), "and what they move more"
 
 
-def test_a_take_that_helps_another_of_few_frames_is_no_convention_of_it(rng):
-    """Halves of 3 s are better predicted with a near convention's frames too, yet it is another."""
+def test_a_take_may_help_to_predict_others_of_another_convention(rng):
+    """Of many predictors halves tell little: a near convention's frames are better than none."""
     hows = ("oh", "oh", "near", "pucker", "pucker")
-    takes = {f"t{i}": take(rng, how, frames=180, noise=0.2) for i, how in enumerate(hows)}
+    takes = {f"t{i}": take(rng, how, noise=0.1, size=60) for i, how in enumerate(hows)}
     found = find_conventions(takes, NAMES, MOVING)
     assert sorted(sorted(one.takes) for one in found) == [["t0", "t1"], ["t2"], ["t3", "t4"]]
 
