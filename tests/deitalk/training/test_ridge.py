@@ -7,7 +7,6 @@ import torch
 from deitalk.models.rig_decoder import RigDecoder
 from deitalk.training.tuning import ridge
 from deitalk.training.tuning.ridge import Capture, fit_ridge, take_folds
-from tests.each import each
 
 EVERY = np.ones(2, bool)
 
@@ -137,7 +136,7 @@ def test_clips_teach_only_what_they_show(rng):
     assert not none.weight[:, 0].any() and not none.bias[:, 0].any()
 
 
-@each("n_first", [2, 5, 6])
+@pytest.mark.parametrize("n_first", [2, 5, 6])
 def test_clips_that_are_added_are_read_alone(rng, n_first):
     """Unless the clips before them are in other folds with them."""
     maps = {"ann": (rng.normal(size=(5, 2)), np.zeros(2))}
