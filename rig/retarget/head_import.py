@@ -105,7 +105,7 @@ def import_head(source: Path | str, out: Path | str) -> ImportedHead:
 
 def _names(names: Sequence[str], known: Sequence[str]) -> list[str]:
     keys, notes = {shape_key(name) for name in names}, []
-    missing = [name for name in SHAPES if shape_key(name) not in keys]
+    missing = [name for name in SHAPES if keys.isdisjoint({(key := shape_key(name)), f"{key}_l"})]
     if missing:
         notes.append(f"{len(missing)} of ARKit's 52 shapes are missing: {listed(missing, 6)}")
     unknown = [name for name in names if name not in known]
