@@ -79,7 +79,7 @@ def follow_held(
     levels : array [shape=(B, n, K)]
         Of frequency bands, dB: `deitalk.audio.voice_activity.window_levels`.
     tones : array [shape=(B, n)]
-        From `deitalk.audio.vocal_strength.tonality`; it matters where the levels are steady.
+        From `deitalk.audio.prosody.tonality`; it matters where the levels are steady.
     rule : HoldPose
         Of the model.
     state : HeldState

@@ -8,7 +8,7 @@ import numpy.typing as npt
 
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE, frame_count, runs
 from deitalk.audio.held_sound import BEFORE, held_sound, steady_frames
-from deitalk.audio.vocal_strength import measure_windows, tonality
+from deitalk.audio.prosody import measure_windows, tonality
 from deitalk.config.rules import HoldPose
 from rig.arrays import Bool, Float32, Int64
 

@@ -14,17 +14,13 @@ from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from multiprocessing.connection import Connection, wait
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 from deitalk.batch.orders import Order, Outcome
 from deitalk.errors import DeitalkError
 from deitalk.workers import NEW_PROCESSES, Worker, WorkerLost, begin_worker
 from rig.errors import UserError
 from rig.limits import MIB
-
-if TYPE_CHECKING:
-    pass
-
 
 Perform = Callable[[Sequence[Order]], Iterator[list[Outcome]]]
 """Animates lines; yields results as they come."""

@@ -5,8 +5,9 @@ from typing import Annotated
 
 import typer
 
-from deitalk.cli.console import console, reserve_folder
+from deitalk.cli.console import console
 from deitalk.cli.options import CheckedCommands, Force, Identity
+from deitalk.cli.targets import reserve_folder
 
 app = CheckedCommands(help="Export what browsers run by themselves.", no_args_is_help=True)
 

@@ -5,13 +5,9 @@ from typing import Annotated
 
 import typer
 
-from deitalk.cli.console import (
-    console,
-    emit,
-    emit_json,
-    reserve_file,
-)
+from deitalk.cli.console import console, emit, emit_json
 from deitalk.cli.options import CheckedCommands, Force, Identity
+from deitalk.cli.targets import reserve_file
 from deitalk.errors import DeitalkError
 
 app = CheckedCommands(

@@ -151,7 +151,7 @@ MAX_PROCESSES = 256
 MAX_COUNT = 10**9
 """Largest number of steps, clips or recordings."""
 
-EDITING, PERFORMANCE, MESH, EXPERT = "Editing", "Performance", "Mesh", "Expert"
+EDITING, MESH, EXPERT = "Editing", "Mesh", "Expert"
 """Panels of options in the help; those of every day have none and come first."""
 
 Command = TypeVar("Command", bound=Callable[..., Any])

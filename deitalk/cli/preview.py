@@ -5,14 +5,9 @@ from typing import Annotated
 
 import typer
 
-from deitalk.cli.console import (
-    bar,
-    console,
-    curves_of,
-    note_reading,
-    reserve_file,
-)
+from deitalk.cli.console import bar, console
 from deitalk.cli.options import Force, Identity
+from deitalk.cli.targets import curves_of, note_reading, reserve_file
 from deitalk.errors import DeitalkError
 
 

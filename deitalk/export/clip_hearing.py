@@ -27,26 +27,28 @@ from deitalk.audio.held_sound import (
     POSE,
     SMOOTHED,
 )
-from deitalk.audio.vocal_strength import (
+from deitalk.audio.prosody import (
     ACTIVE_DB,
-    AROUND_BLOCKS,
     BAND_EDGES_HZ,
     BANDS,
+    LEVEL_DB,
+    LONGEST,
+    PITCH_SEMITONES,
+    SHORTEST,
+    TILT_DB,
+    VOICED,
+    WINDOW,
+)
+from deitalk.audio.vocal_strength import (
+    AROUND_BLOCKS,
     BLOCK_FRAMES,
     DILATIONS,
     FEWEST_FRAMES,
     HIGHEST,
     KERNEL,
-    LEVEL_DB,
-    LONGEST,
     LOWEST,
-    PITCH_SEMITONES,
     REST_WEIGHT,
-    SHORTEST,
-    TILT_DB,
     UNIT_DB,
-    VOICED,
-    WINDOW,
     vocal_strength,
 )
 from deitalk.audio.voice_activity import BAND_EDGES_HZ as ACTIVITY_EDGES_HZ
@@ -160,7 +162,7 @@ class BandLevels(nn.Module):
 
 
 class Measured(NamedTuple):
-    """Prosody of frames, as `deitalk.audio.vocal_strength.Prosody` [shape=(..., T)]."""
+    """Prosody of frames, as `deitalk.audio.prosody.Prosody` [shape=(..., T)]."""
 
     level: Tensor
     bright: Tensor
@@ -177,13 +179,13 @@ class Measured(NamedTuple):
 
     @property
     def tone(self) -> Tensor:
-        """`deitalk.audio.vocal_strength.tonality`."""
+        """`deitalk.audio.prosody.tonality`."""
         highest = 12 * math.log2(SAMPLE_RATE / SHORTEST / 100)
         return self.periodicity * (self.pitch < highest - 1e-3).float()
 
 
 class MeasureProsody(nn.Module):
-    """`deitalk.audio.vocal_strength.measure_windows`."""
+    """`deitalk.audio.prosody.measure_windows`."""
 
     window: Tensor
     sums: Tensor

@@ -13,7 +13,12 @@ import torch
 from torch import Tensor, nn
 
 from deitalk.audio.held_sound import BEFORE, EARLY, GOES_ON, NEVER, PERIODIC, POSE
-from deitalk.audio.vocal_strength import LEVEL_DB, PITCH_SEMITONES, TILT_DB, VOICED
+from deitalk.audio.prosody import (
+    LEVEL_DB,
+    PITCH_SEMITONES,
+    TILT_DB,
+    VOICED,
+)
 from deitalk.audio.voice_activity import (
     CLEAN_DB,
     FLOOR_PERCENTILE,

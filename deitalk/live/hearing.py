@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from deitalk.audio.held_sound import EARLY, Held, HeldState, first_held, follow_held
-from deitalk.audio.vocal_strength import measure_windows, tonality
+from deitalk.audio.prosody import measure_windows, tonality
 from deitalk.audio.voice_activity import BAND_EDGES_HZ, window_levels
 from deitalk.config.rules import HoldPose, RulesConfig
 from deitalk.live.activity import GATE_AHEAD, ActivityState, RunningActivity

@@ -12,7 +12,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from deitalk.audio.vocal_strength import LEVEL_DB, PITCH_SEMITONES, TILT_DB, VOICED, sonority_db
+from deitalk.audio.prosody import (
+    LEVEL_DB,
+    PITCH_SEMITONES,
+    TILT_DB,
+    VOICED,
+    sonority_db,
+)
 from deitalk.config.rules import VoiceIntensity
 from deitalk.postprocess.feeling import (
     BRIGHTEST_DB,

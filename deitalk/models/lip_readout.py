@@ -10,7 +10,8 @@ corrects the decoder:
 - Rounding and the tip of the tongue are those of the phones that are heard; the tongue comes out
   for TH alone, and the lower lip does not touch the teeth meanwhile.
 - The opening and the width of the mouth, the height of the lower lip and of the corners move
-  towards those that the readout gives, by controls that change nothing else of the lips.
+  towards those that the readout gives, by controls that change nothing else of the lips. They
+  stay the decoder's where the decoder shuts the mouth: in pauses, breaths and closures.
 
 What an emotion adds stays. Letters: R readings, B streams, T frames, D width of the features, C
 controls.
@@ -32,6 +33,10 @@ MEASURES = ("opening", "width", "lower_lip", "corner")
 """Measures of the embedded head that are corrected."""
 TAPS = 9
 """Frames that a row is read from: those around it, or in a causal model those up to it."""
+OPENERS = ("C_jaw.ty", "mouth_upperLipRaise", "mouth_lowerLipDepress")
+"""Parts of the names of the controls whose mean tells how open the decoder's mouth is."""
+OPEN = (0.05, 0.2)
+"""That mean, up to which the measures stay the decoder's, and from which they are the readout's."""
 OUT = (0.08, 0.16)
 """Reading of the tongue from which it comes out, and at which it is out."""
 SHOWN = {
@@ -71,6 +76,8 @@ class LipReadout(nn.Module):
     """Least of the decoder's curves: no tongue comes out by them [shape=(C,)]."""
     narrows: Tensor
     """1 at the width [shape=(4,)]."""
+    opens: Tensor
+    """Shares of `OPENERS`, whose sum is 1 [shape=(C,)]."""
 
     def __init__(self, in_size: int, names: Sequence[str], *, causal: bool = False) -> None:
         super().__init__()
@@ -90,6 +97,8 @@ class LipReadout(nn.Module):
         tables["own"] = 1 - given.sum(0)
         tables["low"] = torch.where(of(SHOWN["out"][0]) > 0, 0.0, -torch.inf)
         tables["narrows"] = torch.tensor([float(name == "width") for name in MEASURES])
+        opens = torch.stack([of(part) for part in OPENERS]).sum(0)
+        tables["opens"] = opens / opens.sum().clamp_min(1)
         for name, table in tables.items():
             self.register_buffer(name, table, persistent=False)
 
@@ -138,7 +147,8 @@ class LipReadout(nn.Module):
         said, seals = self.articulated(readings, read)
         purse = read[..., CHANNELS.index("purse"), None]
         wanted = read[..., len(CHANNELS) :] - PURSED_CM * purse * self.narrows
-        curves = readings + said - readings[:1] + self.moves(wanted + self.shown(said))
+        open_ = smoothstep(((readings[:1] @ self.opens)[..., None] - OPEN[0]) / (OPEN[1] - OPEN[0]))
+        curves = readings + said - readings[:1] + open_ * self.moves(wanted + self.shown(said))
         return torch.where(self.places.sum(dim=0) > 0, seals, curves)
 
     def articulated(self, readings: Tensor, read: Tensor) -> tuple[Tensor, Tensor]:

@@ -20,13 +20,8 @@ from deitalk.audio.arrays import Audio, recording_of
 from deitalk.audio.frames import frame_count, frame_times
 from deitalk.audio.held_sound import Held, held_sound
 from deitalk.audio.load import Recording, checked_waveform
-from deitalk.audio.vocal_strength import (
-    Prosody,
-    measure_prosody,
-    strength_frames,
-    tonality,
-    vocal_strength,
-)
+from deitalk.audio.prosody import Prosody, measure_prosody, tonality
+from deitalk.audio.vocal_strength import strength_frames, vocal_strength
 from deitalk.audio.voice_activity import (
     band_levels,
     level_gain,

@@ -35,7 +35,7 @@ import numpy as np
 import numpy.typing as npt
 
 from deitalk.audio.frames import runs
-from deitalk.audio.vocal_strength import (
+from deitalk.audio.prosody import (
     LEVEL_DB,
     PITCH_SEMITONES,
     TILT_DB,
@@ -182,7 +182,7 @@ def voice_intensity(
     network : array [shape=(T,), range 0 to 1]
         Predicted by the network.
     prosody : Prosody
-        Of the same T frames, from `deitalk.audio.vocal_strength.measure_prosody`.
+        Of the same T frames, from `deitalk.audio.prosody.measure_prosody`.
     activity : array [shape=(T,)]
         From `deitalk.audio.voice_activity.speech_activity`.
     strength : float or array [shape=(T,)]

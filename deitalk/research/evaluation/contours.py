@@ -10,7 +10,7 @@ from scipy.stats import spearmanr
 
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE, frame_centres
 from deitalk.audio.load import Recording
-from deitalk.audio.vocal_strength import (
+from deitalk.audio.prosody import (
     LEVEL_DB,
     PITCH_SEMITONES,
     SMOOTHING_SECONDS,

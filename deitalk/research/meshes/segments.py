@@ -17,7 +17,7 @@ from torch.nn import functional as F
 
 from deitalk.audio.frames import SAMPLE_RATE
 from deitalk.audio.mel import FLOOR, derivative
-from deitalk.audio.vocal_strength import rms_db
+from deitalk.audio.prosody import rms_db
 from deitalk.audio.voice_activity import normalise_level
 from deitalk.data.windows import SeededBatches, Share
 from deitalk.errors import DataError

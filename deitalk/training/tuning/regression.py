@@ -77,6 +77,8 @@ class Regression:
         Of the clips; None: their sound is read.
     progress : callable
         As of the trainer.
+    new_actors : bool
+        As for `fit_ridge`.
     """
 
     maps: Maps
@@ -89,7 +91,10 @@ class Regression:
         learnt: Bool,
         features: FrozenFeatures | None = None,
         progress: Progress = silent,
+        *,
+        new_actors: bool = True,
     ) -> None:
+        self.new_actors = new_actors
         self.model, self.base, self.clips, self.learnt = model, base, clips, learnt
         self.features, self.progress, self.controls = features, progress, model.controls
         self.factor: Float64 | None = None
@@ -104,7 +109,7 @@ class Regression:
         if not late:
             return None
         whole = self._maps([*self.clips, *late], sums, may_stay)
-        return Maps(whole.weight - self.maps.weight, whole.bias - self.maps.bias, whole.penalty)
+        return Maps(whole.weight - self.maps.weight, whole.bias - self.maps.bias, whole.stays)
 
     def _maps(
         self, clips: Sequence[Clip], sums: dict[tuple[int, ...], Sums], may_stay: bool
@@ -122,7 +127,15 @@ class Regression:
             return self._rows(clips[place])
 
         actors = self.model.actors
-        return fit_ridge(captures, read, actors, self.learnt, sums, may_stay=may_stay)
+        return fit_ridge(
+            captures,
+            read,
+            actors,
+            self.learnt,
+            sums,
+            may_stay=may_stay,
+            new_actors=self.new_actors,
+        )
 
     @torch.no_grad()
     def teach_emotions(self, *, scales: bool) -> float:

@@ -9,7 +9,7 @@ from scipy.signal import lfilter
 from deitalk import animate
 from deitalk.audio.held_sound import Held, first_held, follow_held, held_sound
 from deitalk.audio.load import load_audio
-from deitalk.audio.vocal_strength import measure_prosody, tonality
+from deitalk.audio.prosody import measure_prosody, tonality
 from deitalk.audio.voice_activity import band_levels, speech_activity
 from deitalk.config.rules import HoldPose
 from deitalk.live.animator import LiveAnimator

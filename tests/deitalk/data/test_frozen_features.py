@@ -23,7 +23,6 @@ from deitalk.research.training.ablation import Variant, ablate
 from deitalk.research.training.encoded_passes import EncodedPasses
 from deitalk.training.curves import train_curves
 from tests.dataset import write_dataset
-from tests.each import each
 
 pytestmark = pytest.mark.usefixtures("empty_pictures")
 
@@ -53,7 +52,7 @@ def frontend(folder: Path) -> dict[str, torch.Tensor]:
     return load_model(folder).frontend.state_dict()
 
 
-@each("augment", [False, True])
+@pytest.mark.parametrize("augment", [False, True])
 def test_training_changes_all_weights_but_the_frontend(data, source, tmp_path, augment):
     config = tiny(f"train.frozen_frontend={source}", f"data.augment={augment}", "train.ema=0.5")
     train_curves(config, data, tmp_path / "run")

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from deitalk.audio.vocal_strength import measure_prosody
+from deitalk.audio.prosody import measure_prosody
 from deitalk.audio.voice_activity import speech_activity
 from deitalk.config.rules import VoiceIntensity
 from deitalk.postprocess.feeling import MOST, intensity_of, phrases, state_of, voice_intensity

@@ -26,7 +26,6 @@ from rig.face.identity import identity_of
 from rig.retarget.head_import import import_head
 from tests.browser import chromium, lateness, needs_player, numbers, opened
 from tests.command import ran
-from tests.each import each
 
 CONTROLS = default_controls()
 RATE = 16000
@@ -131,7 +130,9 @@ def test_missing_player_error_gives_the_build_steps(tmp_path, monkeypatch):
     assert not (tmp_path / "p.html").exists()
 
 
-@each(("name", "message"), [("p.txt", r"\.html file"), ("no/p.html", "is not a folder")])
+@pytest.mark.parametrize(
+    ("name", "message"), [("p.txt", r"\.html file"), ("no/p.html", "is not a folder")]
+)
 def test_bad_targets_are_refused(tiny_player, tmp_path, name, message):
     with pytest.raises((PreviewError, TargetError), match=message):
         render_page(make_source(), tmp_path / name)
@@ -223,7 +224,7 @@ def test_shown_frame_agrees_with_the_audio_clock(page):
     assert lateness(page, 0.034) <= 0.034
 
 
-@each("seconds", [0.4, 1.1, 2.5])
+@pytest.mark.parametrize("seconds", [0.4, 1.1, 2.5])
 def test_seeking_shows_the_curves_of_that_time(page, seconds):
     source, head = make_source("first"), build_head(0)
     page.evaluate("s => deitalk.page.seek(s)", seconds)
@@ -437,7 +438,9 @@ def test_text_of_the_notice_can_be_selected_and_a_click_closes_it(page):
     assert not page.is_visible("#notice")
 
 
-@each("files, words", [(["a.pdf"], "a.pdf: drop a"), (["a.wav", "b.wav"], "drop one"), ([], "")])
+@pytest.mark.parametrize(
+    "files, words", [(["a.pdf"], "a.pdf: drop a"), (["a.wav", "b.wav"], "drop one"), ([], "")]
+)
 def test_a_file_is_taken_and_text_falls_where_it_is_dropped(page, files, words):
     is_taken, notice = page.evaluate(
         """(files) => {
@@ -552,7 +555,7 @@ def test_held_space_starts_once_and_altgr_makes_brackets(page):
     assert page.evaluate("deitalk.page.transport.range") == pytest.approx([1, 2], abs=0.02)
 
 
-@each(
+@pytest.mark.parametrize(
     "given",
     [
         {"values": []},
@@ -637,7 +640,7 @@ def test_targets_are_at_least_24_pixels(page):
     assert [small for small in sizes if min(small[1:]) < 24] == []
 
 
-@each("scheme", ["dark", "light"])
+@pytest.mark.parametrize("scheme", ["dark", "light"])
 def test_placeholder_has_the_contrast_of_text(page, scheme):
     page.emulate_media(color_scheme=scheme)
     color, back = page.evaluate(

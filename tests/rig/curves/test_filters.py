@@ -5,11 +5,10 @@ import pytest
 from scipy.ndimage import gaussian_filter1d, maximum_filter1d
 
 from rig.curves.edit import gaussian_smooth, sliding_maximum
-from tests.each import each
 
 
-@each(("ends", "mode"), [("zero", "constant"), ("mirror", "reflect")])
-@each(("frames", "sigma"), [(1, 5.0), (7, 6.0), (200, 3.0), (200, 0.4)])
+@pytest.mark.parametrize(("ends", "mode"), [("zero", "constant"), ("mirror", "reflect")])
+@pytest.mark.parametrize(("frames", "sigma"), [(1, 5.0), (7, 6.0), (200, 3.0), (200, 0.4)])
 def test_gaussian_equals_scipy(rng, frames, sigma, ends, mode):
     values = rng.normal(size=frames)
     expected = gaussian_filter1d(values, sigma, mode=mode)
@@ -32,7 +31,7 @@ def test_sliding_maximum_reaches_half_the_window():
     assert sliding_maximum(values, 5)[:, 0].tolist() == [0, 0, 1, 1, 1, 1, 1, 0, 0]
 
 
-@each("frames", [1, 2, 3, 40])
+@pytest.mark.parametrize("frames", [1, 2, 3, 40])
 def test_sliding_maximum_equals_scipy(rng, frames):
     values = rng.normal(size=(frames, 3)).astype(np.float32)
     expected = maximum_filter1d(values, 7, axis=0)
