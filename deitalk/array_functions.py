@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from rig.arrays import Float64
-from rig.curves.edit import TRUNCATE, gaussian_smooth
+from rig.curves.filters import TRUNCATE, gaussian_smooth
 
 Array = Any
 """A numpy array or a torch tensor."""
@@ -180,7 +180,7 @@ def between(values: Array, used: Array) -> Array:
 
 
 def smoothed(values: Array, sigma: float) -> Array:
-    """`rig.curves.edit.gaussian_smooth` with zeros beyond the ends [shape=(T,)]."""
+    """`rig.curves.filters.gaussian_smooth` with zeros beyond the ends [shape=(T,)]."""
     if not is_tensor(values):
         return gaussian_smooth(values, sigma)
     radius = int(TRUNCATE * sigma + 0.5)

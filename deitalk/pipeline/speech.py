@@ -31,7 +31,7 @@ from deitalk.audio.voice_activity import (
 )
 from deitalk.config.rules import Gates, HoldPose, VoiceIntensity
 from deitalk.emotions import EMOTIONS
-from deitalk.emotions.tracks import ActorReference
+from deitalk.emotions.actor import ActorReference
 from deitalk.errors import AudioError
 from deitalk.models.load import load_network
 from deitalk.models.protocol import CurveNetwork, Tracks

@@ -1,6 +1,7 @@
 """Level, pitch, brightness and bands of synthetic voices."""
 
 import numpy as np
+import pytest
 
 from deitalk.audio.prosody import (
     BAND_EDGES_HZ,
@@ -9,7 +10,6 @@ from deitalk.audio.prosody import (
     measure_prosody,
 )
 from deitalk.research.evaluation.contours import prosody_index
-from tests.each import each
 
 RATE = 16_000
 
@@ -55,7 +55,7 @@ def test_measures_do_not_depend_on_the_piece_length(monkeypatch):
     assert PIECE > 150
 
 
-@each("gain", [0.01, 10.0])
+@pytest.mark.parametrize("gain", [0.01, 10.0])
 def test_gain_does_not_change_the_index(gain):
     waveform = voice()
     waveform[RATE:] *= 0.5

@@ -12,7 +12,6 @@ from deitalk.live.analysis import MEASURED_AHEAD, FrameMeasures, VoiceAnalysis
 from deitalk.live.intensity import Measures, RunningIntensity, follow_means
 from deitalk.models.protocol import put, take
 from deitalk.postprocess.feeling import expression_share
-from tests.each import each
 
 BANDS = len(BAND_EDGES_HZ) - 1
 
@@ -78,7 +77,7 @@ def test_steady_noise_becomes_the_floor():
     assert on[:30].all() and not on[70:].any()
 
 
-@each("gain_db", [-20, 0, 15])
+@pytest.mark.parametrize("gain_db", [-20, 0, 15])
 def test_running_level_finds_the_voice_and_keeps_it_through_a_pause(gain_db, rng):
     syllables = np.clip(np.sin(np.arange(150) / 2), 0, 1) ** 2
     power = USUAL_POWER * 10 ** (gain_db / 10) * np.concatenate((syllables, np.zeros(300)))
