@@ -3,7 +3,7 @@
 At any gain, the decibels by which the speaker is louder than usual, as far as spectrum and pitch
 tell. Three small networks, trained from different seeds, are averaged;
 each is three convolutions on prosody and spectrum, whose mean and spread over the speech are mapped
-to the number. They are evaluated here on arrays or tensors, and trained in `deitalk.research`.
+to the number. They are evaluated on arrays or tensors.
 
 Not in the paper: DEITalk's saliency compares frames of one clip, not clips. Letters: F features.
 """

@@ -81,7 +81,7 @@ def speech_activity(waveform: npt.ArrayLike) -> Float32:
         for first in range(start, stop if stop - start >= rule.frames else start, 2048):
             frames = np.arange(first, min(first + 2048, stop))
             tones[frames] = measure_windows(_windows(samples, frames).astype(np.float64)).tone
-    return active_frames(levels, tones, len(samples)).astype(np.float32)
+    return np.asarray(active_frames(levels, tones, len(samples)), np.float32)
 
 
 def active_frames(levels: Array, tones: Array, n_samples: int) -> Array:
@@ -229,7 +229,7 @@ def window_levels(windows: Float32) -> Float32:
     """Power per band (n, K) in dB re full scale of `WINDOW` samples each (n, WINDOW)."""
     spectra = np.fft.rfft(windows * HANN.astype(np.float32))
     power = np.square(spectra.real) + np.square(spectra.imag)
-    return levels_of_power(power).astype(np.float32)
+    return np.asarray(levels_of_power(power), np.float32)
 
 
 def levels_of_power(power: Array) -> Array:
