@@ -49,7 +49,8 @@ from api.messages.views import JobView, ValidationView
 from api.routes import form_schema
 from api.routes.deps import AnimatorDep, ServiceDep, problems
 from api.service import Service
-from deitalk.acting import LONGEST_TEXT, SCRIPT_SUFFIXES, WORDS_SUFFIXES, user_error
+from deitalk.acting import user_error
+from deitalk.acting_fields import LONGEST_TEXT, SCRIPT_SUFFIXES, WORDS_SUFFIXES
 from deitalk.emotions.track_files import TRACK_SUFFIXES
 from deitalk.errors import ConfigError
 from rig.errors import quoted

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from deitalk.acting import AUTO, Acting, acted_as
+from deitalk.acting import Acting, acted_as
+from deitalk.acting_fields import AUTO
 from deitalk.audio.arrays import Audio, recording_of
 from deitalk.audio.choice import AudioChoice
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE, frame_count
