@@ -36,6 +36,7 @@ from deitalk.postprocess.factors import held_intensity, mean_around, opening_fac
 from deitalk.postprocess.feeling import state_of_intensity
 from deitalk.postprocess.joins import activity_beside, lead, unknown_controls
 from deitalk.postprocess.known_phones import phone_tracks
+from deitalk.postprocess.life.breath import draw_breaths
 from deitalk.postprocess.life.motion import Motion, plan_motion
 from deitalk.postprocess.life.other import OtherVoice
 from deitalk.postprocess.life.voice import Seeds, Traits, measure_voice
@@ -365,7 +366,7 @@ def finish(
         intensities.scale, opening, intensities.held, phones, weights, kept.back, kept.share,
         weights @ ways.weights, side,
     )  # fmt: skip
-    motion = _motion(prepared, weights * intensities.applied[:, None], traits)
+    motion, breathe = _motion(prepared, weights * intensities.applied[:, None], traits)
     tracks_of_motion = None if motion is None else motion.tracks
     shown = shown_columns(speech.mouth, intensities.share, tracks_of_motion)
     # The rules, in their order: `deitalk.postprocess.curve_pass`.
@@ -373,6 +374,8 @@ def finish(
     clipped = apply_rules(
         network.curve_pass(), neutral, values, voice.columns(), shown, prepared.gain, acting.rules
     )
+    if breathe is not None and acting.rules:
+        breathe(network.controls, neutral, values, gain=prepared.gain)
     clock.lap("expression")
     head = None if motion is None or not motion.head.any() else motion.head
     join(network.controls, values, head, acting)
@@ -478,22 +481,29 @@ def _traits(prepared: Prepared) -> Traits:
     return Traits.of(Seeds.of(prepared.speech.waveform, prepared.style, acting.seed).character())
 
 
-def _motion(prepared: Prepared, shown: Float32, traits: Traits) -> Motion | None:
-    """Motion above the mouth for the emotion that is shown [shape=(T, 9)]; None: there is none."""
+def _motion(
+    prepared: Prepared, shown: Float32, traits: Traits
+) -> tuple[Motion | None, Callable[..., None] | None]:
+    """Motion above the mouth for the emotion that is shown [shape=(T, 9)]; None: there is none.
+
+    And `draw_breaths` of its voice, where the head moves.
+    """
     speech, acting, idle = prepared.speech, prepared.acting, prepared.rules.idle
     life = acting.motion
     other = acting.listen_to
     is_still = not (acting.listen or other or speech.activity.any())
     if idle is None or life is None or is_still:
-        return None
+        return None, None
     emotions = shown.sum(axis=0)
     emotion = int(emotions[1:].argmax()) + 1 if emotions[1:].any() else 0
     seeds = Seeds.of(speech.waveform, prepared.style, acting.seed, emotion)
     voice = with_accents(measure_voice(speech.activity, speech.prosody), prepared.marks)
-    if other is None:
-        return plan_motion(voice, shown, seeds, idle, life, traits)
-    heard, felt = other.voice(speech.n_frames), other.felt(speech.n_frames)
-    return plan_motion(voice, shown, seeds, idle, life, traits, heard, felt)
+    breathe = partial(draw_breaths, voice=voice, key=seeds.key("head"))
+    heard = felt = None
+    if other is not None:
+        heard, felt = other.voice(speech.n_frames), other.felt(speech.n_frames)
+    motion = plan_motion(voice, shown, seeds, idle, life, traits, heard, felt)
+    return motion, breathe if life.times(idle).head > 0 else None
 
 
 def _curves(
