@@ -5,8 +5,7 @@ together by the seal, and set apart where they cross; lashes and brows with the 
 eyes turned. `Head.motion` has all numbers of it, which the preview page uses as they are.
 """
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import Any
 
@@ -20,9 +19,9 @@ from rig.face.head_file import (
     GRID,
     PICTURES,
     Arrays,
-    decoded,
     embedded,
     embedded_pictures,
+    opened,
     read_head,
 )
 from rig.face.identity import Identity, resolve_identity
@@ -37,7 +36,7 @@ UPPER_PART = 0.4
 """Share of the lips' gap by which the upper lip comes down to meet the lower."""
 SEAL_POWERS = (1, 4)
 """The seal is applied once for each, to its amounts to that power: the second finishes contacts."""
-ALONG = np.array([0.6, 1.0, 1.0])
+ALONG = np.array([0.6, 1.0, 1.0], np.float32)
 """Share of the gap that is closed sideways, up and forward."""
 LID_CLEARANCE = 1.02
 """Least distance of a lid from the middle of the eye, in radii."""
@@ -76,12 +75,13 @@ class Lip:
     column: Float32
     share: Float32
 
-    def along(self, move: Float64) -> Float64:
+    def along(self, move: Float32) -> Float32:
         """Movement (..., m, 3) of `reach` of movements of the columns (..., P, 3)."""
         low = np.minimum(self.column.astype(np.int64), move.shape[-2] - 2)
         part = (self.column - low)[:, None]
         mixed = move[..., low, :] * (1 - part) + move[..., low + 1, :] * part
-        return np.asarray(mixed * self.share[:, None] * ALONG)
+        mixed *= self.share[:, None] * ALONG
+        return np.asarray(mixed)
 
     def within(self, count: int) -> "Lip":
         """The lip's part of the first `count` vertices."""
@@ -267,16 +267,22 @@ class Head:
             np.minimum(np.linalg.norm(self.straight[ids] - eye[:3], axis=1), LID_CLEARANCE * eye[3])
             for ids, eye in zip(self.lids, self.eyes, strict=True)
         ]
+        self._rest = self.straight.astype(np.float32)
 
     @cached_property
     def mesh(self) -> Mesh:
         """All parts joined, neutral; `pose` returns its vertices."""
+        maps = Maps(*(np.asarray(opened(self.pictures[name], name)) for name in PICTURES))
+        return replace(self.bare, maps=maps)
+
+    @cached_property
+    def bare(self) -> Mesh:
+        """The mesh without its pictures, which take longer to decode than all else."""
         stored = self._stored
-        maps = Maps(*(decoded(self.pictures[name], name) for name in PICTURES))
         return Mesh(
             self.neutral, stored["faces"].astype(np.int64), stored["colour"] / 255,
             stored["gloss"] / 255, stored["uv"] / 65535, stored["light"] / 255,
-            stored["kind"].astype(np.int64), maps, stored["weld"].astype(np.int64),
+            stored["kind"].astype(np.int64), weld=stored["weld"].astype(np.int64),
         )  # fmt: skip
 
     @cached_property
@@ -345,31 +351,30 @@ class Head:
             raise RigError(f"values have shape {table.shape}; a pose needs (T, {count})")
         if not np.isfinite(table).all():
             raise RigError("values contain NaN or infinity; a pose needs finite numbers")
-        out = np.concatenate([np.zeros((0, *self.straight.shape), np.float32),
-                              *self._batches(np.atleast_2d(table))])  # fmt: skip
+        frames = np.atleast_2d(table)
+        out = np.empty((len(frames), *self.straight.shape), np.float32)
+        for k in range(0, len(frames), BATCH):
+            self._pose(frames[k : k + BATCH], out[k : k + BATCH])
         return out[0] if table.ndim == 1 else out
 
-    def _batches(self, frames: Float64) -> Iterator[Float32]:
-        for k in range(0, len(frames), BATCH):
-            yield self._pose(frames[k : k + BATCH])
-
-    def _pose(self, frames: Float64) -> Float32:
+    def _pose(self, frames: Float64, out: Float32) -> None:
         motion = self.motion
         halves = motion.halves(frames)
         weights = motion.weights(halves).astype(np.float32)
-        out = np.repeat(self.straight.astype(np.float32)[None], len(frames), 0)
+        out[:] = self._rest
         for k in np.flatnonzero(weights.any(axis=0)):
             at = np.flatnonzero(weights[:, k])
             vertex, delta = motion.shape(int(k))
             out[at[:, None], vertex] += weights[at, k, None, None] * delta
         for ids, eye, least in zip(self.lids, self.eyes, self.lid_least, strict=True):
-            away = out[:, ids] - eye[:3]
-            grow = least / np.linalg.norm(away, axis=-1)
-            out[:, ids] += away * np.maximum(grow - 1, 0)[..., None]
-        upper, lower = self._sealed(halves)
+            away = out[:, ids] - eye[:3].astype(np.float32)
+            far = np.sqrt(np.einsum("tvc,tvc->tv", away, away))
+            at = np.nonzero(far < least)
+            out[at[0], ids[at[1]]] += away[at] * (least[at[1]] / far[at] - 1)[:, None]
+        upper, lower = (amount.astype(np.float32) for amount in self._sealed(halves))
         for power in SEAL_POWERS:
             seal_lips(out, motion.lips, (upper**power, lower**power), motion.fade)
-        shift = out[:, self.near] - self.straight[self.near].astype(np.float32)
+        shift = out[:, self.near] - self._rest[self.near]
         out[:, self.follow] += np.einsum("tvkc,vk->tvc", shift, self.near_weight)
         pitch, yaw = gaze_degrees(frames, self.convergence)
         for place, side in enumerate("LR"):
@@ -378,7 +383,6 @@ class Head:
             out[:, part] = (out[:, part] - center) @ turn.transpose(0, 2, 1) + center
         seam = self.slices["seam"]
         out[:, seam] = out[:, self._stored["weld"][seam]]
-        return out
 
     def _sealed(self, halves: Float64) -> tuple[Float64, Float64]:
         """How far (T, P) the upper and the lower lip are brought to the other, 0 to 1."""
