@@ -136,7 +136,9 @@ def opened(data: bytes, name: str) -> "Image.Image":
         with Image.open(BytesIO(data), formats=("WEBP",)) as image:
             if image.width != image.height or image.width**2 > PICTURE_PIXELS:
                 raise ValueError("it is too large, or not square")
-            return image.convert("RGB" if name == "pores" else "RGBA")
+            image.load()
+            mode = "RGB" if name == "pores" else "RGBA"
+            return image if image.mode == mode else image.convert(mode)
     except (OSError, ValueError, Image.DecompressionBombError) as error:
         raise FormatError(f"a head's picture {name!r} cannot be read: {quoted(error)}") from None
 

@@ -22,7 +22,8 @@ from rig.mesh.trimesh import TriMesh
 Evaluate = Callable[[Float32], Any]
 """Control values [shape=(T, C)] to vertices [shape=(T, V, 3)]."""
 
-BATCH = 64
+BATCH = 16
+"""Poses at once: little memory that is used again."""
 _STILL = 1e-4
 """A shape that moves no vertex by this share of the mesh's size is not kept."""
 

@@ -1,5 +1,6 @@
 """The embedded head as one mesh with morph targets, of the board or ARKit, and one picture."""
 
+import zlib
 from functools import lru_cache
 from io import BytesIO
 from typing import TYPE_CHECKING
@@ -76,7 +77,7 @@ def _shrunk(head: Head) -> "Image.Image":
 
 def _png(picture: "Image.Image") -> bytes:
     stream = BytesIO()
-    picture.save(stream, "PNG", compress_level=1)
+    picture.save(stream, "PNG", compress_level=1, compress_type=zlib.Z_RLE)
     return stream.getvalue()
 
 
