@@ -33,8 +33,6 @@ SWITCH = 4.0
 """Logarithm of the probability that a phone of unknown words must gain to begin."""
 LEAST_MATCHED = 0.5
 """Share of a layer's words that must be in another recording, for it to follow them."""
-EARLIEST_MOVE = 0.5 / FRAME_RATE
-"""Seconds by which times must change to be reported."""
 
 
 def edited(

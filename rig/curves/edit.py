@@ -104,27 +104,6 @@ def gaussian_smooth(
     return np.convolve(np.pad(values, radius, mode="symmetric"), kernel, mode="valid")
 
 
-def sliding_maximum(values: Float32, size: int) -> Float32:
-    """Largest value of every column within `size // 2` frames of each frame.
-
-    Parameters
-    ----------
-    values : array [shape=(T, C)]
-        Any numbers.
-    size : int
-        Frames of the window, odd.
-
-    Returns
-    -------
-    array [shape=(T, C)]
-    """
-    largest = values.copy()
-    for step in range(1, min(size // 2, len(values) - 1) + 1):
-        np.maximum(largest[step:], values[:-step], out=largest[step:])
-        np.maximum(largest[:-step], values[step:], out=largest[:-step])
-    return largest
-
-
 CLOSURE_CONTROLS = (
     "CTRL_C_jaw.ty",
     "CTRL_L_mouth_lipsTogetherU.ty",
@@ -292,23 +271,6 @@ def gain_factors(controls: ControlSet, gains: Mapping[str, float]) -> Float32:
     for key, number in gains.items():
         scale[members(controls, key)] *= _finite(number, f"gain of {key}")
     return scale
-
-
-def scale_from_rest(values: Float32, factors: Float32, controls: ControlSet) -> None:
-    """Scale each control's distance from rest within its range, in place.
-
-    Parameters
-    ----------
-    values : array [shape=(T, C)]
-        Within the ranges or not.
-    factors : array [shape=(C,)]
-        From `gain_factors`.
-    controls : ControlSet
-        Of the columns.
-    """
-    places = np.flatnonzero(factors != 1)
-    rest, low, high = (x[places] for x in (controls.rest, controls.minimum, controls.maximum))
-    values[:, places] = np.clip(rest + (values[:, places] - rest) * factors[places], low, high)
 
 
 def smooth(
