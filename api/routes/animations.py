@@ -12,7 +12,15 @@ from starlette.datastructures import FormData, UploadFile
 from starlette.formparsers import MultiPartException, MultiPartParser
 from starlette.requests import ClientDisconnect
 
-from api.compute.order import MESH_SUFFIXES, RECORDING, Kind, Order, suffix_of
+from api.compute.order import (
+    LISTEN_TO,
+    MESH_SUFFIXES,
+    RECORDING,
+    SOUND,
+    Kind,
+    Order,
+    suffix_of,
+)
 from api.errors import Problem
 from api.guard.keys import Caller
 from api.messages.formats import (
@@ -27,6 +35,7 @@ from api.messages.options import (
     FIELD_FILES,
     AnimationOptions,
     ConversionOptions,
+    DubOptions,
     MeshOptions,
     Options,
     Received,
@@ -48,6 +57,7 @@ from rig.errors import quoted
 router = APIRouter(prefix="/v1", tags=["animation"], responses=problems(404, 409, 415))
 SPEECH = ("recording", *FIELD_FILES)
 EDGE_SUFFIXES = (".zip", *CURVE_SUFFIXES)
+DUB = ("performance", "sound", "mapping", *SPEECH)
 RETARGET = ("mesh", "curves", "landmarks", "mapping", *SPEECH)
 
 
@@ -65,6 +75,17 @@ async def animate(request: Request, service: ServiceDep, caller: AnimatorDep) ->
 
 
 @router.post(
+    "/dubs",
+    response_class=Response,
+    responses=form_schema.answers(ANIMATION_FORMATS, JobView),
+    openapi_extra=form_schema.body(DubOptions, DUB, ANIMATION_FORMATS, raw=False),
+)
+async def dub(request: Request, service: ServiceDep, caller: AnimatorDep) -> Response:
+    """A performance that the request sends with the mouth of another recording."""
+    return await speech(request, service, caller, "dub", DubOptions, ANIMATION_FORMATS, "json", DUB)
+
+
+@router.post(
     "/meshes",
     response_class=Response,
     responses=form_schema.answers(MESH_FORMATS, JobView),
@@ -79,12 +100,7 @@ async def animate_mesh(request: Request, service: ServiceDep, caller: AnimatorDe
     "/retargets",
     response_class=Response,
     responses=form_schema.answers(MESH_FORMATS, JobView),
-    openapi_extra=form_schema.body(
-        RetargetOptions,
-        ("mesh", "curves", "landmarks", "mapping", *SPEECH),
-        MESH_FORMATS,
-        raw=False,
-    ),
+    openapi_extra=form_schema.body(RetargetOptions, RETARGET, MESH_FORMATS, raw=False),
 )
 async def retarget(request: Request, service: ServiceDep, caller: AnimatorDep) -> Response:
     """Curves, or a recording, on a mesh that the request sends (GLB, OBJ, PLY or NPZ)."""
@@ -197,7 +213,13 @@ def checked_files(kind: Kind, sent: dict[str, str]) -> dict[str, Any]:
             "send the recording as the body, or as the part `recording` of a form",
             "recording_missing",
         )
-    return {}
+    if kind != "dub":
+        return {}
+    if "performance" not in sent:
+        raise Problem(
+            422, "send the performance as the part `performance` of the form", "curves_missing"
+        )
+    return {part: sent[part] for part in ("performance", "sound", "mapping") if part in sent}
 
 
 # A request's body into the folder of an order: a form with files, or the bytes of one recording.
@@ -208,6 +230,8 @@ def checked_files(kind: Kind, sent: dict[str, str]) -> dict[str, Any]:
 
 FILES: dict[str, tuple[str, tuple[str, ...]]] = {
     "recording": (RECORDING, ()),
+    "sound": (SOUND, ()),
+    "performance": ("performance", EDGE_SUFFIXES),
     "mesh": ("mesh", MESH_SUFFIXES),
     "curves": ("curves", CURVE_SUFFIXES),
     "landmarks": ("landmarks", (".json", ".csv")),
@@ -217,15 +241,17 @@ FILES: dict[str, tuple[str, tuple[str, ...]]] = {
     "voice": ("voice", (".json",)),
     "words": ("words", WORDS_SUFFIXES),
     "script": ("script", SCRIPT_SUFFIXES),
+    "listen_to": (LISTEN_TO, ()),
     "after": ("after", EDGE_SUFFIXES),
     "into": ("into", EDGE_SUFFIXES),
     "edit": ("edit", (".json",)),
 }
 """Parts of a form that are files: the fixed name, and the suffixes that tell how to read them."""
-FILES_ALONE = ("recording", "mesh", "curves", "landmarks", "mapping")
+FILES_ALONE = ("recording", "sound", "performance", "mesh", "curves", "landmarks", "mapping")
 """Those of them that are no text."""
 RAW_TYPES = ("audio/", "video/", "application/octet-stream")
-MOST_FIELDS = 32
+MOST_FIELDS = 64
+"""Of a form; the options of a route are under 40."""
 
 
 async def receive(

@@ -43,8 +43,8 @@ from deitalk.postprocess.tracks import VoiceTracks, shown_columns
 from deitalk.postprocess.variants import choose_ways, unused_variants
 from rig import ControlSet, RigCurves
 from rig.arrays import Float32
+from rig.curves.apply_layers import target_columns
 from rig.curves.edit import gain_factors
-from rig.curves.layers import target_columns
 from rig.errors import quoted
 
 if TYPE_CHECKING:
@@ -113,7 +113,7 @@ def animate(
     """
     check_progress(progress)
     acted = acted_as(emotion, acting, fields, animate)
-    load = partial(load_network, model, backend=backend, device=device)
+    load = partial(load_network, model, backend=backend, device=device, once=True)
     choice = AudioChoice.of(track, channel, raw)
     prepared = prepare(audio, acted, load, sample_rate=sample_rate, choice=choice)
     name = str(model) if isinstance(model, str | Path) else ""
@@ -375,7 +375,7 @@ def finish(
     )
     clock.lap("expression")
     head = None if motion is None or not motion.head.any() else motion.head
-    _join(network.controls, values, head, acting)
+    join(network.controls, values, head, acting)
     shown_curves = _curves(network.controls, values, weights, intensities.applied, head)
     neutral_curves = _curves(network.controls, neutral)
     recording = _with_note_of(words, prepared.recording)
@@ -457,8 +457,11 @@ def _between(speech: Speech, acting: Acting) -> Speech:
     return replace(speech, before=before, after=activity_beside(acting.into, before=False))
 
 
-def _join(controls: ControlSet, values: Float32, head: Float32 | None, acting: Acting) -> None:
-    """Have the curves [shape=(T, C)] and the head begin and end at the takes beside them."""
+def join(controls: ControlSet, values: Float32, head: Float32 | None, acting: Acting) -> None:
+    """Have curves [shape=(T, C)] and a head [shape=(T, 6)] begin and end at the takes beside.
+
+    Both are changed in place.
+    """
     most = len(values) // 2 if acting.into is not None else None
     if acting.after is not None:
         lead(values, head, controls, acting.after, most=most)

@@ -4,7 +4,6 @@ import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from numbers import Real
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +12,7 @@ from rig.arrays import Bool, Float32, Float64
 from rig.controls import ControlSet, default_controls
 from rig.curves import RigCurves
 from rig.errors import CurveError, quoted
+<<<<<<< HEAD
 from rig.limits import MOST_DELAY, MOST_HANDLES
 
 # Frames moved in time.
@@ -103,6 +103,8 @@ def gaussian_smooth(
         return np.convolve(values, kernel)[radius : radius + len(values)]
     return np.convolve(np.pad(values, radius, mode="symmetric"), kernel, mode="valid")
 
+=======
+>>>>>>> main
 
 CLOSURE_CONTROLS = (
     "CTRL_C_jaw.ty",

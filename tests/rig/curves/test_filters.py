@@ -4,12 +4,11 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter1d
 
-from rig.curves.edit import gaussian_smooth
-from tests.each import each
+from rig.curves.filters import gaussian_smooth
 
 
-@each(("ends", "mode"), [("zero", "constant"), ("mirror", "reflect")])
-@each(("frames", "sigma"), [(1, 5.0), (7, 6.0), (200, 3.0), (200, 0.4)])
+@pytest.mark.parametrize(("ends", "mode"), [("zero", "constant"), ("mirror", "reflect")])
+@pytest.mark.parametrize(("frames", "sigma"), [(1, 5.0), (7, 6.0), (200, 3.0), (200, 0.4)])
 def test_gaussian_equals_scipy(rng, frames, sigma, ends, mode):
     values = rng.normal(size=frames)
     expected = gaussian_filter1d(values, sigma, mode=mode)
