@@ -86,10 +86,7 @@ class Performer:
                 yield [result]
                 continue
             sound, prepared = result
-            length, acting = len(prepared.inputs[1]), prepared.acting
-            if order.with_edges or acting.after is not None or acting.into is not None:
-                yield self._finished([(order, sound, prepared)])  # for the same rounding always
-                continue
+            length = len(prepared.inputs[1])
             group = ready.setdefault(length, [])
             group.append((order, sound, prepared))
             if len(group) >= self._most_together(length):
