@@ -15,8 +15,9 @@ from pathlib import Path
 from time import monotonic
 from typing import Any, TypeAlias
 
+from deitalk.batch.journal import DONE, PLACING, Entry, Journal
 from deitalk.batch.orders import File, Outcome
-from deitalk.batch.outputs import DONE, PLACING, PRIVATE, Entry, Journal, Outputs
+from deitalk.batch.outputs import PRIVATE, Outputs
 from deitalk.errors import AudioError, DataError, MissingError
 from rig import limits
 from rig.errors import TargetError, UserError, one_line

@@ -5,8 +5,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from deitalk.cli.console import bar, console, emit, emit_json, reserve_file, reserve_folder
+from deitalk.cli.console import bar, console, emit, emit_json
 from deitalk.cli.options import MAX_COUNT, CheckedCommands, Force, Json
+from deitalk.cli.targets import reserve_file, reserve_folder
 from deitalk.errors import DeitalkError
 from rig.errors import as_line
 

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from deitalk.cli.console import bar, console, emit_json, reserve_file, reserve_folder
+from deitalk.cli.console import bar, console, emit_json
 from deitalk.cli.options import (
     Delay,
     Device,
@@ -17,6 +17,7 @@ from deitalk.cli.options import (
     Timecode,
     acting_options,
 )
+from deitalk.cli.targets import reserve_file, reserve_folder
 from deitalk.errors import DeitalkError
 
 

@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from deitalk.cli.console import console, curves_of, note_reading, reserve_file
+from deitalk.cli.console import console
 from deitalk.cli.options import Backend, Force, Given, acting_options, control_set_of
+from deitalk.cli.targets import curves_of, note_reading, reserve_file
 from deitalk.errors import DeitalkError, MissingError
 
 if TYPE_CHECKING:
@@ -106,7 +107,7 @@ def record_face(
     force : bool
         Replace the file.
     """
-    from deitalk.cli.console import held
+    from deitalk.cli.signals import held
     from rig.formats import find_format
     from rig.livelink import Receiver
 

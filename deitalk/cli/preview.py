@@ -5,14 +5,9 @@ from typing import Annotated
 
 import typer
 
-from deitalk.cli.console import (
-    bar,
-    console,
-    curves_of,
-    note_reading,
-    reserve_file,
-)
+from deitalk.cli.console import bar, console
 from deitalk.cli.options import Force, Identity
+from deitalk.cli.targets import curves_of, note_reading, reserve_file
 from deitalk.errors import DeitalkError
 
 
@@ -54,8 +49,9 @@ def preview(
     from deitalk.preview.source import load_source
     from deitalk.preview.speech_warnings import find_warnings
     from deitalk.preview.video import render_video
+    from rig.face.identity import identity_of
 
-    others = versus or []
+    others, head = versus or [], identity_of(identity)
     target = out or _beside(source)
     is_page = target.suffix.lower() in PAGES
     if (others and not is_page) or (view != "mouth" and is_page):
@@ -73,11 +69,11 @@ def preview(
     for time, text in find_warnings(shown[0]):
         console().print(f"{time:6.2f} s  {text}")
     if is_page:
-        render_page(shown, target, identity=identity, force=force)
+        render_page(shown, target, identity=head, force=force)
     else:
         with bar("drawing") as progress:
             render_video(
-                shown[0], target, identity=identity, second_view=view, force=force,
+                shown[0], target, identity=head, second_view=view, force=force,
                 progress=progress,
             )  # fmt: skip
     # Add a preview to the take's manifest, so that a new take removes it.

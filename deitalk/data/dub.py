@@ -37,7 +37,8 @@ from deitalk.postprocess.joins import TAKE_CURVES, opened_take
 from rig import ControlSet, RigCurves, default_controls, read_curves
 from rig.arrays import Bool, Float32, Float64
 from rig.controls import DEFAULT_ID
-from rig.curves.edit import clamp, gain, gaussian_smooth
+from rig.curves.edit import clamp, gain
+from rig.curves.filters import gaussian_smooth
 from rig.errors import listed
 
 STRETCH = 1.5

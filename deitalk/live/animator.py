@@ -14,8 +14,8 @@ from deitalk.audio.voice_activity import WINDOW
 from deitalk.config.rules import Idle, RulesConfig
 from deitalk.emotions import LABELS, EmotionTrack
 from deitalk.errors import AudioError, ConfigError
+from deitalk.live.analysis import MEASURED_AHEAD, FrameMeasures, VoiceAnalysis
 from deitalk.live.cues import CueState, RunningCues
-from deitalk.live.hearing import MEASURED_AHEAD, RunningHearing
 from deitalk.models.load import load_causal
 from deitalk.models.protocol import (
     CausalNetwork,
@@ -375,8 +375,8 @@ class LiveAnimator:
         ahead = self.network.grid.lookahead_samples / SAMPLE_RATE
         self.lookahead_seconds = ahead + LIVE_AHEAD / FRAME_RATE
         self.rules = self.network.curve_pass(live=True)
-        self.hearing, self.cues = RunningHearing(self.network.rules), RunningCues(LIVE_AHEAD)
-        self.ears = RunningHearing(RulesConfig.none())
+        self.analysis, self.cues = VoiceAnalysis(self.network.rules), RunningCues(LIVE_AHEAD)
+        self.other_analysis = VoiceAnalysis(RulesConfig.none())
         self.state, self.past, self.due, self.other = self._first(streams)
         self.streams = [self._stream(k) for k in range(streams)]
         idle = self.network.rules.idle or Idle()
@@ -597,8 +597,8 @@ class LiveAnimator:
         mixture = np.zeros((batch, LIVE_AHEAD, len(LABELS)), np.float32)
         speaking = np.zeros((batch, LIVE_AHEAD), bool)
         due = self.rules.first(batch), mixture, speaking, *self.cues.first(batch)
-        other = *self.ears.first(batch), *self.cues.first(batch)
-        return network, self.hearing.first(batch), due, other
+        other = *self.other_analysis.first(batch), *self.cues.first(batch)
+        return network, self.analysis.first(batch), due, other
 
     def _character(self, number: int) -> Character:
         acting = self.actings[number]
@@ -653,7 +653,7 @@ class LiveAnimator:
             put(self.state, new, self.network.begin(windows, take(self.state, new)))
             starts = np.arange(MEASURED_AHEAD) * SAMPLE_RATE // FRAME_RATE - WINDOW // 2
             sound = np.stack([self.streams[k].sound.windows(starts, WINDOW) for k in new])
-            put(self.past, new, self.hearing.begin(sound, take(self.past, new)))
+            put(self.past, new, self.analysis.begin(sound, take(self.past, new)))
 
     def _directed(self, streams: Sequence[Stream], count: int) -> tuple[Float32, Float32]:
         """Emotion (B, count, 9) and intensity (B, count) that are wanted in the next groups."""
@@ -715,15 +715,16 @@ class LiveAnimator:
         styles = np.concatenate((trained_weights(emotion), actors), axis=-1)
         rows, state = self.network.advance(windows, styles, self._taken(self.state, ready))
         self.state = self._put(self.state, ready, state)
-        # What is heard of them: intensity, opening and gates.
+        # Intensity, opening and gates of the voices.
         past = self._taken(self.past, ready)
         stays = np.array([stream.acting.rest for stream in streams], np.float32)
-        heard, past = self.hearing(sound, rows.strength, rows.effort, stays, past)
+        measured = FrameMeasures.of_windows(sound)
+        found, past = self.analysis(measured, rows.strength, rows.effort, stays, past)
         self.past = self._put(self.past, ready, past)
         # Factors.
         rules = self.network.rules
         with_rules = ruled[:, None] > 0
-        felt, holds, scale = heard.intensity, rows.strength, wanted
+        felt, holds, scale = found.intensity, rows.strength, wanted
         if rules.voice_intensity is not None:
             felt = felt_intensity(felt, emotion, rules.voice_intensity)
             holds = held_intensity(
@@ -736,9 +737,9 @@ class LiveAnimator:
             )
             scale = np.where(with_rules, expression_scale(felt * wanted, holds), wanted)
         applied = np.where(with_rules, felt, rows.strength) * wanted
-        opening = np.where(with_rules, heard.opening, 1)
+        opening = np.where(with_rules, found.opening, 1)
         phones = np.zeros((*scale.shape, 4), np.float32)
-        back, kept, _ = heard.held
+        back, kept, _ = found.held
         ways = [stream.ways for stream in streams]
         variants = emotion @ np.stack([way.weights for way in ways])
         side = np.repeat([[way.side] for way in ways], count, axis=1)
@@ -748,14 +749,14 @@ class LiveAnimator:
         # Gates and motion of the frames that come out.
         before, mixture, speaking, *cues = self._taken(self.due, ready)
         begin = cues[CueState._fields.index("frame")]
-        found, known = self.cues(heard.measures, heard.speaking, CueState(*cues))
+        new_cues, known = self.cues(found.measures, found.speaking, CueState(*cues))
         listens = self._listen(ready, others, begin, count)
-        self._cue(ready, found, begin, listens)
+        self._cue(ready, new_cues, begin, listens)
         mixture = np.concatenate((mixture, emotion * applied[..., None]), axis=1)
-        speaking = np.concatenate((speaking, heard.speaking), axis=1)
+        speaking = np.concatenate((speaking, found.speaking), axis=1)
         keyed = np.array([stream.wanted is None for stream in streams])[:, None]
-        mouth = np.where(with_rules, heard.mouth, 1)
-        expression = np.where(with_rules & ~keyed, heard.expression, 1)
+        mouth = np.where(with_rules, found.mouth, 1)
+        expression = np.where(with_rules & ~keyed, found.expression, 1)
         if any([stream.shut for stream in streams]):
             mouth = mouth * np.stack([stream.mouth_share(count) for stream in streams])
         numbers = [stream.n_given for stream in streams]
@@ -790,7 +791,8 @@ class LiveAnimator:
             np.stack([other for _, other in given]),
             np.zeros((len(who), count), np.float32),
         )
-        heard, past = self.ears(sound, none, none, none[:, 0], kept[:-size])
+        measured = FrameMeasures.of_windows(sound)
+        heard, past = self.other_analysis(measured, none, none, none[:, 0], kept[:-size])
         before = CueState(*kept[-size:])._replace(frame=begin[places])
         found, after = self.cues(heard.measures, heard.speaking, before)
         now: Arrays = *past, *after

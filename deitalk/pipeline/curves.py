@@ -43,8 +43,8 @@ from deitalk.postprocess.tracks import VoiceTracks, shown_columns
 from deitalk.postprocess.variants import choose_ways, unused_variants
 from rig import ControlSet, RigCurves
 from rig.arrays import Float32
+from rig.curves.apply_layers import target_columns
 from rig.curves.edit import gain_factors
-from rig.curves.layers import target_columns
 from rig.errors import quoted
 
 if TYPE_CHECKING:
@@ -113,7 +113,7 @@ def animate(
     """
     check_progress(progress)
     acted = acted_as(emotion, acting, fields, animate)
-    load = partial(load_network, model, backend=backend, device=device)
+    load = partial(load_network, model, backend=backend, device=device, once=True)
     choice = AudioChoice.of(track, channel, raw)
     prepared = prepare(audio, acted, load, sample_rate=sample_rate, choice=choice)
     name = str(model) if isinstance(model, str | Path) else ""

@@ -21,7 +21,8 @@ from deitalk.postprocess.control_groups import ControlGroups
 from deitalk.postprocess.phones import PHONES, SILENCE
 from rig import ControlSet, RigCurves
 from rig.arrays import Float32, Float64
-from rig.curves.layers import Edit, Layer, Sound, apply_layers, retimed
+from rig.curves.apply_layers import apply_layers, retimed
+from rig.curves.layers import Edit, Layer, Sound
 from rig.errors import listed
 
 if TYPE_CHECKING:

@@ -38,8 +38,8 @@ from deitalk.postprocess.joins import HANDLES, QUIET, quiet_seconds
 from rig.arrays import Bool, Float32, Float64
 from rig.controls import DEFAULT_ID
 from rig.curves import RigCurves
-from rig.curves.edit import checked_shift, shift, start_with_handles
 from rig.curves.layers import SUFFIX
+from rig.curves.shift import checked_shift, shift, start_with_handles
 from rig.errors import TargetError, decodable_values
 from rig.files import check_folder, output_folder
 from rig.formats import write_curves

@@ -16,17 +16,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from deitalk.acting import Acting
+from deitalk.array_functions import Array, as_number, library, mean_of, single, smoothed
 from deitalk.audio.arrays import Audio, recording_of
 from deitalk.audio.frames import frame_count, frame_times
 from deitalk.audio.held_sound import Held, held_sound
 from deitalk.audio.load import Recording, checked_waveform
-from deitalk.audio.vocal_strength import (
-    Prosody,
-    measure_prosody,
-    strength_frames,
-    tonality,
-    vocal_strength,
-)
+from deitalk.audio.prosody import Prosody, measure_prosody
+from deitalk.audio.vocal_strength import strength_frames, vocal_strength
 from deitalk.audio.voice_activity import (
     band_levels,
     level_gain,
@@ -35,21 +31,20 @@ from deitalk.audio.voice_activity import (
 )
 from deitalk.config.rules import Gates, HoldPose, VoiceIntensity
 from deitalk.emotions import EMOTIONS
-from deitalk.emotions.tracks import ActorReference
+from deitalk.emotions.actor import ActorReference
 from deitalk.errors import AudioError
 from deitalk.models.load import load_network
 from deitalk.models.protocol import CurveNetwork, Tracks
 from deitalk.postprocess.factors import expression_scale
 from deitalk.postprocess.feeling import (
+    Phrases,
     expression_share,
     felt_intensity,
     mouth_gate,
-    phrases,
     voice_intensity,
 )
 from deitalk.postprocess.life.voice import Seeds, Traits
 from rig.arrays import Float32, Float64
-from rig.curves.edit import gaussian_smooth
 
 EFFORT_SHARE, EFFORT_FRAMES = 0.7, 15.0
 """Share of a network's readout in the strength, and sigma of what counts around a frame."""
@@ -161,9 +156,7 @@ class Speech:
 
     def held(self, rule: HoldPose | None) -> Held:
         """Where a held sound keeps its pose [each shape=(T,)]."""
-        levels = band_levels(self.waveform)
-        tones = tonality(self.prosody.pitch, self.prosody.periodicity)
-        return held_sound(levels, tones, rule or HoldPose())
+        return held_sound(band_levels(self.waveform), self.prosody.tone, rule or HoldPose())
 
     @cached_property
     def _followed_strength(self) -> tuple[float, Float32]:
@@ -180,24 +173,37 @@ class Speech:
         Of a short phrase, which is measured badly, it is nearer to the whole. With a network's
         readout of the effort [shape=(T,), dB] the two are averaged.
         """
-        strength, around = self._followed_strength
-        speaking = self.activity > 0
-        if not speaking.any():
-            return strength, np.full(self.n_frames, strength, np.float32)
-        exact = around
-        if effort is not None:
-            used = speaking.astype(np.float64)
-            near = gaussian_smooth(used * effort, EFFORT_FRAMES)
-            near = near / np.maximum(gaussian_smooth(used, EFFORT_FRAMES), 1e-6)
-            strength = _shared(strength, float(effort[speaking].mean()))
-            exact, around = _shared(around, effort), _shared(around, near)
-        rows = np.full(self.n_frames, strength)
-        for start, stop in phrases(speaking):
-            spoken, follows = speaking[start:stop], around[start:stop]
-            mean, usual = float(exact[start:stop][spoken].mean()), float(follows[spoken].mean())
-            share = spoken.sum() / (spoken.sum() + PHRASE_FRAMES)
-            rows[start:stop] += share * (mean - strength) + WITHIN_SHARE * (follows - usual)
-        return strength, rows.astype(np.float32)
+        return phrase_strengths(*self._followed_strength, self.activity > 0, effort)
+
+
+def phrase_strengths(
+    strength: Array, around: Array, speaking: Array, effort: Array | None
+) -> tuple[Array, Array]:
+    """Strength of the voice, and that of each frame's phrase, as `Speech.strengths`.
+
+    Parameters
+    ----------
+    strength, around : array or Tensor [shape=() and (T,)]
+        From `deitalk.audio.vocal_strength.VocalStrength.follow`.
+    speaking : array or Tensor of bool [shape=(T,)]
+        Frames of speech.
+    effort : array or Tensor [shape=(T,)], optional
+        Readout of the network.
+    """
+    whole, exact = strength, around
+    if effort is not None:
+        used, xp = as_number(speaking), library(around)
+        weight = xp.clip(smoothed(used, EFFORT_FRAMES), 1e-6, None)
+        near = smoothed(used * effort, EFFORT_FRAMES) / weight
+        strength = _shared(strength, mean_of(effort, speaking))
+        exact, around = _shared(around, effort), _shared(around, near)
+    phrases = Phrases(speaking)
+    count = phrases.sums(speaking * 1.0)
+    changed = count / (count + PHRASE_FRAMES) * (phrases.mean(exact) - strength)
+    changed = changed + WITHIN_SHARE * (around - phrases.mean(around))
+    rows = strength + phrases.inside * changed
+    any_speech, where = speaking.any(), library(around).where
+    return where(any_speech, strength, whole), single(where(any_speech, rows, whole))
 
 
 def _shared(strength: Any, effort: Any) -> Any:
@@ -260,7 +266,7 @@ def measure_intensities(
     if rule is not None:
         usual = 0.0 if acting.voice is None else _usual(acting.voice, tracks)
         _, around = speech.strengths(tracks.effort)
-        voice = voice_intensity(network, speech.prosody, speech.activity, around - usual, rule)
+        voice = voice_intensity(network, speech.prosody, speech.activity > 0, around - usual, rule)
     share = np.ones(speech.n_frames, np.float32)
     if curve is None and not acting.is_keyed:
         share = speech.share(acting.rest)

@@ -1,4 +1,4 @@
-"""The embedded heads: prepared files of `rig/face/data`, and vertices for the 185 controls.
+"""Heads: arrays of `rig.face.head_file`, and vertices for the 185 controls.
 
 A pose is: linear shapes with weights of control halves; lids kept out of the eyes; lips brought
 together by the seal, and set apart where they cross; lashes and brows with the skin below them;
@@ -8,7 +8,6 @@ eyes turned. `Head.motion` has all numbers of it, which the preview page uses as
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,19 +16,23 @@ from numpy.typing import ArrayLike, NDArray
 from rig.arrays import AnyFloat, Bool, Float32, Float64, Int64
 from rig.controls import default_controls
 from rig.errors import RigError
+from rig.face.head_file import (
+    GRID,
+    PICTURES,
+    Arrays,
+    decoded,
+    embedded,
+    embedded_pictures,
+    read_head,
+)
 from rig.face.identity import Identity, resolve_identity
 from rig.face.mesh import Maps, Mesh, smoothstep
 from rig.files.reading import rows_of
 
-DATA = Path(__file__).parent / "data"
 UNIT_MM = 10.0
 """The heads are in centimetres."""
-GRID = 800.0
-"""Steps of stored points in a centimetre."""
 GAZE_DEGREES = {"side": 40.0, "up": 30.0, "down": 35.0}
 """Full gaze; a MetaHuman's board has about these."""
-CONVERGENCE_DEGREES = 3.0
-"""Turn of each eye inwards at rest: an adult's eyes meet 57 cm away."""
 UPPER_PART = 0.4
 """Share of the lips' gap by which the upper lip comes down to meet the lower."""
 SEAL_POWERS = (1, 4)
@@ -57,20 +60,6 @@ CORRECTIVES: dict[str, tuple[Half, Half]] = {
 }
 """Shapes that several halves of controls drive: the product of the least of each group; one named
 ``half`` is full where that is 0.5 and gone at 0 and 1."""
-Arrays = dict[str, NDArray[Any]]
-
-
-@lru_cache(maxsize=1)
-def _shared() -> Arrays:
-    with np.load(DATA / "head.npz") as stored:
-        return {name: stored[name] for name in stored.files}
-
-
-def _picture(name: str) -> NDArray[np.uint8]:
-    from PIL import Image
-
-    with Image.open(DATA / f"{name}.webp") as image:
-        return np.asarray(image)
 
 
 @dataclass(frozen=True)
@@ -199,17 +188,15 @@ def _profiles(inputs: tuple[str, ...], columns: Float32) -> tuple[Float32, Float
     return found[0], found[1]
 
 
-@lru_cache(maxsize=8)
-def _motion(identity: Identity) -> Motion:
-    stored, own = _shared(), _own(identity)
+def _motion(stored: Arrays) -> Motion:
     names = tuple(map(str, stored["names"]))
     starts = np.concatenate([[0], np.cumsum(stored["count"])])
     # Columns are stored as differences within each shape.
     total = np.cumsum(stored["columns"].astype(np.int64))
-    before = np.concatenate([[0], total[starts[1:-1] - 1]])
+    before = np.concatenate([[0], total])[starts[:-1]]
     vertex, delta = total - np.repeat(before, stored["count"]), stored["values"].T
     purse = np.array(["mouth_purse" in name or "mouth_towards" in name for name in names])
-    gain = own["size"] * np.where(purse, own["purse"], 1)
+    gain = stored["size"] * np.where(purse, stored["purse"], 1)
     lips = [
         Lip(stored[f"rim_{k}"].astype(np.int64), stored[f"rim_{k}_weight"],
             stored[f"reach_{k}"].astype(np.int64), stored[f"reach_{k}_column"],
@@ -234,12 +221,6 @@ def _motion(identity: Identity) -> Motion:
     )  # fmt: skip
 
 
-@lru_cache(maxsize=8)
-def _own(identity: Identity) -> Arrays:
-    with np.load(DATA / f"{identity.name}.npz") as stored:
-        return {name: stored[name] for name in stored.files}
-
-
 class Head:
     """A head of one person.
 
@@ -253,26 +234,32 @@ class Head:
         The points at rest before lids, seal and convergence of the eyes, cm.
     eyes : ndarray [shape=(2, 4)]
         Centre and radius of both eyes, left first.
+    convergence : float
+        Turn of each eye inwards at rest, degrees.
     landmarks : dict of str to int
-        The 26 of `rig.retarget.landmarks.LANDMARKS`, vertices of the cage.
+        The 26 of `rig.retarget.landmarks.LANDMARKS`, vertices of the cage; none of a user's head.
     creases : ndarray [shape=(8, V of the skin)]
         Share of each region's depth that the skin takes; left regions first.
     """
 
     def __init__(self, identity: Identity) -> None:
-        stored, own = _shared(), _own(identity)
-        self.identity, self.motion = identity, _motion(identity)
-        names = [*map(str, stored["parts"]), *map(str, own["parts"])]
-        stops = [*map(int, stored["stops"]), *map(int, own["stops"])]
+        file = identity.file
+        self._stored = stored = embedded(identity.name) if file is None else read_head(file)
+        self.identity, self.motion = identity, _motion(stored)
+        names, stops = map(str, stored["parts"]), [*map(int, stored["stops"])]
         self.slices = {n: slice(a, b) for n, a, b in zip(names, [0, *stops], stops, strict=False)}
-        self.slices["cage"] = slice(0, int(stored["cage_faces"].max()) + 1)
-        self.straight = own["points"] / GRID
-        self.eyes = own["eyes"].astype(np.float64)
+        if "cage_faces" in stored:
+            self.slices["cage"] = slice(0, int(stored["cage_faces"].max()) + 1)
+        self.straight = stored["points"] / GRID
+        self.eyes, self.convergence = (
+            stored["eyes"].astype(np.float64),
+            float(stored["convergence"]),
+        )
         marks = zip(stored["landmarks"], stored["landmark_points"], strict=True)
         self.landmarks = {str(name): int(point) for name, point in marks}
-        self.creases = stored["crease_mask"] * np.float32(own["creases"] / 255)
-        self.follow, self.near = own["follow"].astype(np.int64), own["near"].astype(np.int64)
-        self.near_weight = own["weight"].astype(np.float32)
+        self.creases = stored["crease_mask"] * np.float32(stored["creases"] / 255)
+        self.follow, self.near = (stored[key].astype(np.int64) for key in ("follow", "near"))
+        self.near_weight = stored["weight"].astype(np.float32)
         self.near_weight /= self.near_weight.sum(1, keepdims=True)
         self.lids = [stored[f"lid_{s}"].astype(np.int64) for s in "LR"]
         self.lid_rims = [stored[f"lid_rim_{s}"].astype(np.int64) for s in "LR"]
@@ -284,15 +271,20 @@ class Head:
     @cached_property
     def mesh(self) -> Mesh:
         """All parts joined, neutral; `pose` returns its vertices."""
-        stored, own = _shared(), _own(self.identity)
-        faces = np.concatenate([stored["faces"], own["faces"]]).astype(np.int64)
-        uv = np.concatenate([stored["uv"], own["uv"]]) / 65535
-        weld = np.concatenate([stored["weld"], own["weld"]]).astype(np.int64)
-        maps = Maps(*(_picture(name) for name in (self.identity.name, "creases", "pores")))
+        stored = self._stored
+        maps = Maps(*(decoded(self.pictures[name], name) for name in PICTURES))
         return Mesh(
-            self.neutral, faces, own["colour"] / 255, own["gloss"] / 255, uv, own["light"] / 255,
-            own["kind"].astype(np.int64), maps, weld,
+            self.neutral, stored["faces"].astype(np.int64), stored["colour"] / 255,
+            stored["gloss"] / 255, stored["uv"] / 65535, stored["light"] / 255,
+            stored["kind"].astype(np.int64), maps, stored["weld"].astype(np.int64),
         )  # fmt: skip
+
+    @cached_property
+    def pictures(self) -> dict[str, bytes]:
+        """Files of `rig.face.head_file.PICTURES`."""
+        if self.identity.file is None:
+            return embedded_pictures(self.identity.name)
+        return {name: self._stored[f"picture.{name}"].tobytes() for name in PICTURES}
 
     @cached_property
     def neutral(self) -> Float64:
@@ -302,17 +294,17 @@ class Head:
     @cached_property
     def skin(self) -> Mesh:
         """The skin alone, neutral, without seams."""
-        return Mesh(self.neutral[self.slices["skin"]], _shared()["skin_faces"].astype(np.int64))
+        return Mesh(self.neutral[self.slices["skin"]], self._stored["skin_faces"].astype(np.int64))
 
     @cached_property
     def cage(self) -> Mesh:
         """A quarter of the skin's vertices, neutral, for uses that need no finer mesh."""
-        return Mesh(self.neutral[self.slices["cage"]], _shared()["cage_faces"].astype(np.int64))
+        return Mesh(self.neutral[self.slices["cage"]], self._stored["cage_faces"].astype(np.int64))
 
     @cached_property
     def lip_rims(self) -> tuple[Int64, Int64]:
         """Vertices of the cage that face one another across the closed mouth, right to left."""
-        columns = _shared()["lip_columns"]
+        columns = self._stored["lip_columns"]
         chosen = np.flatnonzero(np.abs(columns) < 2.2)[::2]
         upper, lower = (lip.within(self.slices["cage"].stop).rim for lip in self.motion.lips)
         a, b = self.straight[upper], self.straight[lower]
@@ -379,13 +371,13 @@ class Head:
             seal_lips(out, motion.lips, (upper**power, lower**power), motion.fade)
         shift = out[:, self.near] - self.straight[self.near].astype(np.float32)
         out[:, self.follow] += np.einsum("tvkc,vk->tvc", shift, self.near_weight)
-        pitch, yaw = gaze_degrees(frames)
+        pitch, yaw = gaze_degrees(frames, self.convergence)
         for place, side in enumerate("LR"):
             part, center = self.slices[f"eye_{side}"], self.eyes[place, :3]
             turn = _gaze_matrix(pitch[:, place], yaw[:, place])
             out[:, part] = (out[:, part] - center) @ turn.transpose(0, 2, 1) + center
         seam = self.slices["seam"]
-        out[:, seam] = out[:, _shared()["weld"][seam]]
+        out[:, seam] = out[:, self._stored["weld"][seam]]
         return out
 
     def _sealed(self, halves: Float64) -> tuple[Float64, Float64]:
@@ -421,7 +413,7 @@ def seal_lips(
         out[:, lip.reach] += lip.along(move)
 
 
-def gaze_degrees(frames: Float64) -> tuple[Float64, Float64]:
+def gaze_degrees(frames: Float64, convergence: float) -> tuple[Float64, Float64]:
     """Pitch up and yaw to the character's left (T, 2) of the left and the right eye."""
     index = default_controls().index
     x, y = (
@@ -434,7 +426,7 @@ def gaze_degrees(frames: Float64) -> tuple[Float64, Float64]:
     parallel = np.clip(frames[:, index("CTRL_C_eye_parallelLook.ty"), None], 0, 1)
     x = x + parallel * (x.mean(1, keepdims=True) - x)
     y = y + parallel * (y.mean(1, keepdims=True) - y)
-    inwards = CONVERGENCE_DEGREES * (1 - parallel) * np.array([-1, 1])
+    inwards = convergence * (1 - parallel) * np.array([-1, 1])
     pitch = np.where(y > 0, GAZE_DEGREES["up"], GAZE_DEGREES["down"]) * y
     return pitch, GAZE_DEGREES["side"] * x + inwards
 
@@ -454,12 +446,12 @@ def build_head(identity: int | str | Identity = 0) -> Head:
     Parameters
     ----------
     identity : int, str or Identity, optional
-        One of `rig.face.IDENTITIES` by number or name, or a role.
+        One of `rig.face.IDENTITIES` by number or name, or a role; or of a head file.
 
     Raises
     ------
     RigError
-        For an unknown identity.
+        For an unknown identity, or a file that is no head.
     """
     return _head(resolve_identity(identity))
 

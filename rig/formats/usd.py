@@ -21,6 +21,7 @@ from rig.curves import HEAD, RigCurves
 from rig.errors import FormatError, quoted
 from rig.face.head import Head
 from rig.face.head_pose import matrices
+from rig.face.identity import Identity
 from rig.face.mesh import EYE, FINE, HAIR
 from rig.files.reading import check_expansion, check_file
 from rig.limits import CURVES_BYTES, FRAMES, SPARSE_BYTES
@@ -43,10 +44,10 @@ ROUGHNESS = {"hair": HAIR_ROUGHNESS, "eyes": EYE_ROUGHNESS, "skin": SKIN_ROUGHNE
 """Of the materials; what is of neither kind is skin."""
 
 
-def write(path: Path, curves: RigCurves, identity: int | str = 0) -> None:
+def write(path: Path, curves: RigCurves, identity: int | str | Identity = 0) -> None:
     """Write a SkelRoot with mesh, blend shapes and animation; cm, y up, a time code per frame.
 
-    `identity` is a number or name of an embedded head.
+    `identity` is a head as of `rig.face.build_head`.
     """
     from rig.face import build_head
 

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from rig.arrays import AnyFloat, Float64
 from rig.controls import default_controls
 from rig.face import Head, build_head
+from rig.face.identity import Identity
 from rig.face.mesh import CLOTH, EYE, HAIR
 from rig.mesh.glb import (
     Surface,
@@ -22,12 +23,12 @@ PICTURE = 1024
 
 
 @lru_cache(maxsize=2)
-def morph_head(identity: int | str = 0) -> tuple[BakedRig, Float64]:
+def morph_head(identity: int | str | Identity = 0) -> tuple[BakedRig, Float64]:
     """Return the head baked to morph targets, in cm, and its linear vertex colours.
 
     Parameters
     ----------
-    identity : int or str
+    identity : int, str or Identity
         Number or name of an embedded head.
 
     Returns

@@ -29,7 +29,6 @@ from rig.face.head import Head
 from tests.command import ran
 from tests.deitalk.batch.conftest import InProcess
 from tests.deitalk.live.conftest import RATE
-from tests.each import each
 from tests.media import movie
 
 KEYS = "time,emotion,strength\n0,happy,0.2\n1.0,angry,1\n2.0,contempt,1\n"
@@ -333,12 +332,12 @@ def wanted(here, tmp_path_factory):
     return make
 
 
-every_case = each("case", CASES)
-every_live_case = each("case", LIVE)
+every_case = pytest.mark.parametrize("case", CASES)
+every_live_case = pytest.mark.parametrize("case", LIVE)
 
 
 @every_case
-@each("door", [command_line, batch_line, manifest])
+@pytest.mark.parametrize("door", [command_line, batch_line, manifest])
 def test_commands_give_the_curves_and_keep_the_settings(wanted, door, case, tmp_path, monkeypatch):
     only_curves(monkeypatch)
     same(door(fields_of(case), tmp_path, monkeypatch), wanted(case))
@@ -378,14 +377,14 @@ def test_settings_of_a_take_give_the_same_take(wanted, case):
     assert first.settings.keys() == CASES[case].keys()
 
 
-@each("audio", SIGNALS)
-@each("door", [command_line, batch_line, manifest])
+@pytest.mark.parametrize("audio", SIGNALS)
+@pytest.mark.parametrize("door", [command_line, batch_line, manifest])
 def test_commands_read_the_signal_that_is_chosen(wanted, door, audio, tmp_path, monkeypatch):
     only_curves(monkeypatch)
     check_signal(door(SIGNALS[audio], tmp_path, monkeypatch, audio), audio, wanted)
 
 
-@each("audio", SIGNALS)
+@pytest.mark.parametrize("audio", SIGNALS)
 def test_http_reads_the_signal_that_is_chosen(wanted, audio, server):
     check_signal(http(SIGNALS[audio], server, audio), audio, wanted)
 
@@ -485,7 +484,7 @@ def check_signal(made, audio, wanted):
     assert made.signal == {n: int(v) if n == "track" else v for n, v in given.items()}
 
 
-@each("audio", SIGNALS)
+@pytest.mark.parametrize("audio", SIGNALS)
 def test_python_and_the_mesh_read_the_signal_that_is_chosen(wanted, audio, tmp_path, monkeypatch):
     made = animate(audio, model="tiny", **SIGNALS[audio])
     close(made.curves.values, wanted("nothing").values)
@@ -494,13 +493,13 @@ def test_python_and_the_mesh_read_the_signal_that_is_chosen(wanted, audio, tmp_p
     close(curves, wanted("nothing").values)
 
 
-@each("audio", SIGNALS)
+@pytest.mark.parametrize("audio", SIGNALS)
 def test_live_command_reads_the_signal_that_is_chosen(here, audio, monkeypatch):
     read = load_audio("line.wav").waveform
     close(live_line(SIGNALS[audio], monkeypatch, audio), live_python({}, read))
 
 
-@each(
+@pytest.mark.parametrize(
     ("data", "words"),
     [
         ({"track": "0"}, "track"),

@@ -9,7 +9,7 @@ import numpy as np
 
 from deitalk.audio.frames import FRAME_RATE, runs
 from deitalk.audio.load import Recording
-from deitalk.audio.vocal_strength import measure_prosody
+from deitalk.audio.prosody import measure_prosody
 from deitalk.audio.voice_activity import speech_activity
 from deitalk.data.captures.conventions import Relations
 from deitalk.data.captures.expressions import RULE, style_scores

@@ -24,6 +24,7 @@ from deitalk.models.onnx.network import (
     SCHEMA,
     STORED,
     WEIGHTS,
+    WEIGHTS_FILE,
     GraphHeader,
     graph_digest,
     stored_types,
@@ -73,7 +74,7 @@ def write_graph(model: DEITalk, folder: Path, path: Path) -> None:
     for key, value in (metadata(model) | texts).items():
         content.metadata_props.add(key=key, value=value)
     with atomic_write(path) as beside:
-        header = json.dumps(GraphHeader(graph_digest(folder), left)._asdict())
+        header = json.dumps(GraphHeader(graph_digest(folder), left, model.is_causal)._asdict())
         written = f"{header}\n".encode() + content.SerializeToString()
         beside.write_bytes(gzip.compress(written, mtime=0))
 
@@ -165,7 +166,7 @@ def _leave_weights(graph: Any, types: dict[str, str]) -> tuple[str, ...]:
         weight.ClearField("raw_data")
         weight.ClearField("float_data")
         weight.data_location = TensorProto.EXTERNAL
-        weight.external_data.add(key="location", value="model.safetensors")
+        weight.external_data.add(key="location", value=WEIGHTS_FILE)
         if kind == "F16":
             weight.name, weight.data_type = name + STORED, TensorProto.FLOAT16
             casts.append(helper.make_node("Cast", [weight.name], [name], to=TensorProto.FLOAT))

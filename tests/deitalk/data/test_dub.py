@@ -18,7 +18,7 @@ from deitalk.errors import DataError
 from deitalk.postprocess.control_groups import ControlGroups
 from rig import default_controls, read_curves, write_curves
 from rig.curves.layers import Edit, Layer
-from rig.validation import validate
+from rig.validation.files import validate
 from tests.command import ran, refused
 from tests.errors import one_line
 from tests.takes import write_live_link

@@ -7,6 +7,7 @@ import re
 import subprocess
 import sys
 import tomllib
+from functools import partial
 from importlib.metadata import packages_distributions
 from pathlib import Path
 
@@ -33,7 +34,6 @@ from deitalk.research.evaluation.clip_scores import live_frames
 from rig import default_controls, read_curves
 from tests.deitalk.models.test_curve_model import MEL, SMALL
 from tests.deitalk.postprocess.test_curve_pass import inputs, passed
-from tests.each import each
 
 onnx = pytest.importorskip("onnx")
 pytest.importorskip("onnxruntime")
@@ -164,7 +164,7 @@ def exported_whisper(whisper_pair):
     return whisper_pair[1]
 
 
-@each("n_frames", [1, 2, 30, 31, 299, 300, 301, 330, 571, 701])
+@pytest.mark.parametrize("n_frames", [1, 2, 30, 31, 299, 300, 301, 330, 571, 701])
 def test_whisper_equals_torch_at_any_length(whisper, exported_whisper, n_frames):
     """One piece, two and three; the last one is short, or begins a frame before the end."""
     sound = speechlike(n_frames / 30)[: n_frames * 1600 // 3]
@@ -288,18 +288,61 @@ def test_a_graph_of_other_settings_is_not_used(plain_folder):
     assert chosen_backend(plain_folder) == "torch"
 
 
+HEADER = '{"digest": "", "weights": [], "is_causal": false}'
+
+
 @pytest.mark.parametrize(
     ("content", "message"),
     [
         (b"no gzip", "damaged"),
         (gzip.compress(b"no header"), "damaged"),
-        (gzip.compress(b'{"digest": "", "weights": []}\nno graph'), "cannot be read as ONNX"),
-        (gzip.compress(b'{"digest": "", "weights": ["jaw"]}\n'), "no weight 'jaw'"),
+        (gzip.compress(f"{HEADER}\nno graph".encode()), "cannot be read as ONNX"),
+        (gzip.compress(HEADER.replace("[]", '["jaw"]').encode()), "no weight 'jaw'"),
+        (gzip.compress(bytes(network_module.limits.GRAPH_BYTES + 1)), "unpacks to more than"),
     ],
-    ids=["gzip", "header", "graph", "weights"],
+    ids=["gzip", "header", "graph", "weights", "bomb"],
 )
 def test_a_damaged_graph_is_one_line(content, message, plain_folder, tmp_path):
     (tmp_path / "x.gz").write_bytes(content)
+    with pytest.raises(CheckpointError, match=message):
+        network_module.OnnxFile(tmp_path / "x.gz", plain_folder)
+
+
+def _of_a_stranger(kind):
+    """A graph that a model of the hub might come with."""
+    helper, floats = onnx.helper, onnx.TensorProto.FLOAT
+    value = partial(helper.make_tensor_value_info, elem_type=floats, shape=[1])
+    nodes, kept = [helper.make_node("Identity", ["x"], ["y"])], []
+    if kind == "file":
+        kept = [onnx.TensorProto(name="w", dims=[1], data_type=floats, data_location=1)]
+        kept[0].external_data.add(key="location", value="/etc/hostname")
+        nodes = [helper.make_node("Add", ["x", "w"], ["y"])]
+    if kind == "library":
+        nodes = [helper.make_node("Run", ["x"], ["y"], domain="stranger")]
+    if kind == "loop":
+        one = [helper.make_node("Identity", ["c"], ["d"])]
+        flag = [helper.make_tensor_value_info(n, onnx.TensorProto.BOOL, []) for n in "cd"]
+        count = helper.make_tensor_value_info("i", onnx.TensorProto.INT64, [])
+        body = helper.make_graph(one, "body", [count, flag[0]], [flag[1]])
+        nodes += [helper.make_node("Loop", ["", ""], [], body=body)]
+    graph = helper.make_graph(nodes, "g", [value("x")], [value("y")], kept)
+    return helper.make_model(graph).SerializeToString()
+
+
+@pytest.mark.parametrize(
+    ("kind", "message"),
+    [
+        ("file", "reads other files than the weights"),
+        ("library", "cannot be read as ONNX"),
+        ("loop", "has loops"),
+        ("other", "damaged metadata"),
+    ],
+)
+def test_a_stranger_s_graph_runs_nothing_and_reads_nothing_else(
+    kind, message, plain_folder, tmp_path
+):
+    content = f"{HEADER}\n".encode() + _of_a_stranger(kind)
+    (tmp_path / "x.gz").write_bytes(gzip.compress(content))
     with pytest.raises(CheckpointError, match=message):
         network_module.OnnxFile(tmp_path / "x.gz", plain_folder)
 

@@ -25,7 +25,6 @@ from deitalk.postprocess.life.play import LEANS
 from deitalk.research.evaluation.benchmark_curves import speechlike
 from deitalk.research.evaluation.clip_scores import mouth_opening
 from rig.errors import ControlError
-from tests.each import each
 from tests.errors import one_line
 
 pytestmark = pytest.mark.usefixtures("one_analysis")
@@ -132,7 +131,7 @@ def test_rules_are_those_of_the_model(network, monkeypatch):
     assert tuned[-1, jaw] == network.controls.rest[jaw]
 
 
-@each("emotion", EMOTIONAL)
+@pytest.mark.parametrize("emotion", EMOTIONAL)
 def test_intensity_0_gives_the_neutral_reading(network, emotion):
     speech = recording()
     still = animate(speech, emotion, model=network, intensity=0)
@@ -263,7 +262,7 @@ def test_intensity_curve_gives_the_neutral_reading_where_it_is_0(network):
 UPPER = ("_brow_", "_eye_", "_eye.", "neck_")
 
 
-@each("changed", ["seed", "gain"])
+@pytest.mark.parametrize("changed", ["seed", "gain"])
 def test_another_seed_or_recording_changes_eyes_brows_and_sides_only(network, changed):
     """A gain of a thousandth is another recording, which the network takes as the same speech."""
     speech = recording(8)
@@ -279,7 +278,7 @@ def test_another_seed_or_recording_changes_eyes_brows_and_sides_only(network, ch
     np.testing.assert_array_equal(a, values(speech, "happy", seed=1, **how))
 
 
-@each(
+@pytest.mark.parametrize(
     ("fields", "named"),
     [
         ({"language": "de"}, "language de"),
@@ -403,7 +402,7 @@ def test_gain_scales_both_readings_around_rest(network):
         animate(recording(), model=network, gain={"jar": 2})
 
 
-@each(
+@pytest.mark.parametrize(
     ("arguments", "message"),
     [
         ({"emotion": "furious"}, "angry"),
@@ -428,7 +427,7 @@ def test_emotions_give_different_faces(default, voice):
             assert distance > 0.25, f"{a} and {b} are {distance:.3f} apart"
 
 
-@each(
+@pytest.mark.parametrize(
     ("emotion", "control"),
     [
         ("happy", "CTRL_L_mouth_cornerPull.ty"),
@@ -447,7 +446,7 @@ def test_action_unit_of_an_emotion_grows_with_intensity(default, voice, emotion,
     assert means[2] > means[0] + 0.15
 
 
-@each("emotion", EMOTIONAL)
+@pytest.mark.parametrize("emotion", EMOTIONAL)
 def test_closures_survive_double_intensity(default, voice, emotion):
     controls = default.controls
     lips = [i for i, name in enumerate(controls.names) if "lipsTogether" in name]
@@ -473,7 +472,7 @@ def test_a_shout_that_the_file_cuts_keeps_its_anger(default, voice):
     assert short[last, knit].mean() > 0.85 * whole[last, knit].mean() > 0.1
 
 
-@each("trail", [0.25, 1.0])
+@pytest.mark.parametrize("trail", [0.25, 1.0])
 def test_what_ends_in_silence_is_read_as_it_is(network, trail):
     prepared = prepare(recording(trail=trail), Acting(), lambda: network)
     assert prepared.inputs[0] is prepared.speech.waveform
@@ -492,7 +491,7 @@ def test_what_is_cut_is_read_on_backwards(network):
     assert performance.moods == ["fear"]
 
 
-@each("emotion", EMOTIONS)
+@pytest.mark.parametrize("emotion", EMOTIONS)
 def test_mouth_is_shut_in_silence(default, voice, emotion):
     acted = values(voice, emotion, model=default)
     opening = mouth_opening(acted, default.controls)

@@ -20,7 +20,8 @@ from deitalk.pipeline.speech import Speech
 from deitalk.pipeline.words.align import FittedWord, WordFit, align_words
 from deitalk.pipeline.words.transcript import Transcript
 from rig import read_curves
-from rig.curves.layers import Edit, Layer, Sound, read_layers
+from rig.curves.layer_files import read_layers
+from rig.curves.layers import Edit, Layer, Sound
 from rig.errors import ControlError
 from tests.errors import one_line
 

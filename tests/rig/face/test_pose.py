@@ -9,7 +9,8 @@ from deitalk.research.contact_sheet import EMOTION_POSES, MOUTH_POSES, pose_valu
 from rig import default_controls
 from rig.errors import RigError
 from rig.face import IDENTITIES, build_head
-from rig.face.head import DATA, GAZE_DEGREES
+from rig.face.head import GAZE_DEGREES
+from rig.face.head_file import DATA
 
 CONTROLS = default_controls()
 PEOPLE = [person.name for person in IDENTITIES]

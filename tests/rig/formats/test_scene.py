@@ -19,7 +19,6 @@ from rig.face import build_head
 from rig.face.head_pose import matrices
 from rig.retarget.head_glb import arkit_pose
 from rig.retarget.morph_head import srgb_to_linear, textured
-from tests.each import each
 from tests.errors import one_line
 from tests.rig.formats.test_other_tools import NVIDIA
 
@@ -330,7 +329,7 @@ def test_usd_carries_the_raw_curves_and_reads_back(usd_path, curves):
     assert back.fps == 25 and back.values == pytest.approx(curves.values, abs=1e-5)
 
 
-@each("name", ["usd_path", "package"])
+@pytest.mark.parametrize("name", ["usd_path", "package"])
 def test_usd_passes_the_validators_of_usd_core(request, name):
     from pxr import Usd
 

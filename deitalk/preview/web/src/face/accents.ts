@@ -36,6 +36,7 @@ export class Accents {
     const { vertices } = this.rig;
     const [cx, cy, cz] = facts.eyes[eye];
     const rim = arrays[`lid${eye}.rim`];
+    if (!rim.length) return;
     const x = Array.from(rim, (v) => vertices[3 * v] - cx);
     const high = Array.from(rim, (v) => Math.atan2(vertices[3 * v + 1] - cy, vertices[3 * v + 2] - cz));
     const [start, stop] = facts.slices[eye ? "eye_R" : "eye_L"];
