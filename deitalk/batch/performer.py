@@ -85,10 +85,7 @@ class Performer:
             if isinstance(result, Outcome):
                 yield [result]
                 continue
-            length, acting = len(result[1].inputs[1]), result[1].acting
-            if order.with_edges or acting.after is not None or acting.into is not None:
-                yield self._finished([(order, *result)])  # for the same rounding always
-                continue
+            length = len(result[1].inputs[1])
             if ready and frames + length > self.together:
                 yield self._finished(ready)
                 ready, frames = [], 0
