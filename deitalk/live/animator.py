@@ -435,8 +435,8 @@ class LiveAnimator:
         else:
             rows = [one.sound.windows(one.spectrum_starts(count), length) for one in streams]
             starts = [one.measured_starts(count) for one in streams]
-            heard = zip(streams, starts, strict=True)
-            sound = np.stack([one.sound.windows(at, WINDOW) for one, at in heard])
+            pairs = zip(streams, starts, strict=True)
+            sound = np.stack([one.sound.windows(at, WINDOW) for one, at in pairs])
             windows = np.stack(rows)
         others: list[Float32 | None] = [None] * len(streams)
         for k, one in enumerate(streams):
@@ -488,7 +488,7 @@ class LiveAnimator:
         ways = [stream.ways for stream in streams]
         variants = emotion @ np.stack([way.weights for way in ways])
         side = np.repeat([[way.side] for way in ways], count, axis=1)
-        said = VoiceTracks(
+        voice = VoiceTracks(
             scale, opening, holds, phones, emotion, back, kept, variants, side
         ).columns()
         # Gates and motion of the frames that come out.
@@ -512,7 +512,7 @@ class LiveAnimator:
         # The rules, in their order: `deitalk.postprocess.curve_pass`.
         gain = np.stack([stream.gain for stream in streams])
         curves, _, _, after = self.rules(
-            rows.neutral, rows.emotional, said, shown, gain, ruled, before
+            rows.neutral, rows.emotional, voice, shown, gain, ruled, before
         )
         due = after, mixture[:, count:], speaking[:, count:], *known
         self.due = self._put(self.due, ready, due)
@@ -537,14 +537,14 @@ class LiveAnimator:
             np.zeros((len(who), count), np.float32),
         )
         measured = FrameMeasures.of_windows(sound)
-        heard, past = self.other_analysis(measured, none, none, none[:, 0], kept[:-size])
+        analysed, past = self.other_analysis(measured, none, none, none[:, 0], kept[:-size])
         before = CueState(*kept[-size:])._replace(frame=begin[places])
-        found, after = self.cues(heard.measures, heard.speaking, before)
+        found, after = self.cues(analysed.measures, analysed.speaking, before)
         now: Arrays = *past, *after
         put(self.other, who, now)
         moving = np.array([self.streams[k].moves for k in who])[found.stream]
         self.motion.hear(found._replace(stream=np.array(who)[found.stream]).where(moving))
-        speaking[places] = heard.speaking
+        speaking[places] = analysed.speaking
         return speaking
 
     def _cue(self, ready: list[int], cues: Cues, begin: Int64, listens: Bool) -> None:
