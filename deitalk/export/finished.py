@@ -157,7 +157,7 @@ class FinishedClip(nn.Module):
     def _readings(
         self, sound: Tensor, styles: Tensor, speaking: Tensor
     ) -> tuple[Tensor, Tensor, Tensor, Tensor | None]:
-        """What the network reads, on beyond the end of a recording that is cut in its speech."""
+        """Readings of the network; a recording that ends in its speech is mirrored at its end."""
         n_frames, n_samples = torch.as_tensor(speaking.shape[0]), torch.as_tensor(sound.shape[0])
         is_cut = speaking[-1 - CUT_FRAMES :].any().long()
         added = torch.minimum(torch.as_tensor(READ_ON_SAMPLES), n_samples) * is_cut

@@ -111,7 +111,7 @@ class VoiceAnalysis:
     def __call__(
         self, measured: FrameMeasures, network: Array, effort: Array, rest: Array, state: State
     ) -> tuple[Analysis, State]:
-        """Take the next frames.
+        """Analyse the next frames.
 
         Parameters
         ----------
