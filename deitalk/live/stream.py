@@ -147,7 +147,7 @@ class Stream:
         frames = np.arange(self.n_given, self.n_given + count)
         falls = fade((frames - begin + 1) / CLOSING_FRAMES)
         rises = 1 - fade((frames - end + 1) / OPENING_FRAMES)
-        return np.maximum(falls, rises)
+        return np.asarray(np.maximum(falls, rises), np.float32)
 
     def give(self, frames: Float32, heads: Float32, first: int) -> None:
         """Give the frames from number `first` on.
