@@ -55,7 +55,7 @@ GROUP_COST = 0.3
 """Of a phrase that stands for another one's part, as the logarithm of a stretch."""
 CORNER_SECONDS = 0.2
 """Deviation of the filter that divides the corners' emotion from their speech."""
-AMPLITUDE = (0.5, 2.0)
+AMPLITUDE = (0.5, 1.8)
 """Least and greatest factor on the opening of the mouth."""
 MOUTH_REGIONS = ("mouth", "jaw", "tongue", "teeth")
 CORNERS = ("cornerPull", "cornerDepress", "dimple", "mouth_stretch.", "sharpCornerPull", "corner.t")

@@ -138,7 +138,6 @@ class CausalWhisperFrontend(WhisperFrontend):
     """
 
     is_causal = True
-    most_together = 0
     encode_together = Frontend.encode_together
 
     def __init__(self, config: CausalWhisperConfig) -> None:
