@@ -169,11 +169,12 @@ def bake(
     poses = np.stack([driver.pose(controls) for driver in drivers])
     rest = _posed(evaluate, controls.rest[None], neutral)[0]
     deltas = np.empty((len(poses), *rest.shape), np.float32)
-    for k in range(0, len(poses), BATCH):
-        np.subtract(_posed(evaluate, poses[k : k + BATCH], neutral), rest, deltas[k : k + BATCH])
     kept: list[int] = []
     least = _STILL * neutral.size
     for k in range(len(drivers)):
+        if k % BATCH == 0:
+            posed = _posed(evaluate, poses[k : k + BATCH], neutral)
+            np.subtract(posed, rest, deltas[k : k + BATCH])
         for j in kept if k >= len(drivers) - len(correctives) else ():
             weight = float(drivers[j].weight(poses[k : k + 1], controls)[0])
             if weight:
