@@ -587,7 +587,7 @@ class WhisperFrontend(StridedFrontend):
     def _laid(
         self, pieces: Sequence[Piece], begins: Int64, sizes: Int64, features: Tensor
     ) -> Tensor:
-        """Rows (T, D) of all clips from the features (K, D) of their pieces, as `_add` lays them."""
+        """Rows (T, D) of all clips from features (K, D) of their pieces, as `_add` lays them."""
         between, laid, count = [], [np.zeros((3, 0))], 0
         for (start, done, stop, sample, _), begin, size in zip(pieces, begins, sizes, strict=True):
             below, above, part = self._places(start, stop, sample, int(size))

@@ -13,9 +13,9 @@ from deitalk.config.rules import RulesConfig
 from deitalk.emotions import EMOTIONS
 from deitalk.frontends import build_frontend
 from deitalk.models.intensity import DynamicIntensity, Intensity, MotionEncoder, temporal_maximum
+from deitalk.models.joined import JoinedClips
 from deitalk.models.lip_readout import LipReadout
 from deitalk.models.positions import dynamic_positions
-from deitalk.models.joined import JoinedClips
 from deitalk.models.protocol import (
     Product,
     Reading,
