@@ -66,14 +66,15 @@ test test-all test-slow: $(if $(shell command -v npm 2>/dev/null),page)
 
 # One thread a process: there are as many processes as cores.
 PYTEST = OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --maxprocesses 4 --dist loadfile
+ALL_TESTS = tests deitalk/research/tests
 test: setup-dev  ## Run the tests of every day, or TESTS=tests/rig; CONSTRAINTS=constraints/lowest.txt
 	$(PYTEST) $(TESTS)
 
 test-all: setup-dev  ## Run browsers, attacks, kills, fuzzing and research too
-	$(PYTEST) -m "not slow" $(TESTS)
+	$(PYTEST) -m "not slow" $(or $(TESTS),$(ALL_TESTS))
 
 test-slow: setup-dev  ## Run every test, with those that take minutes
-	$(BIN)/python -m pytest -m "slow or not slow"
+	$(BIN)/python -m pytest -m "slow or not slow" $(ALL_TESTS)
 
 check: lint type test  ## All checks of a change
 

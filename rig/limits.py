@@ -117,6 +117,14 @@ MAPPED_VALUE = 100.0
 """Value of a control in a shape mapping; ranges end at 1 or 3.2."""
 RETARGET_VERTICES = 200_000
 """Vertices of a mesh that shapes are made for; two hundred morph targets of more are unusable."""
+HEAD_BYTES = 256 * MIB
+"""Head file, packed or not; an embedded head has 6 MB of arrays."""
+HEAD_VERTICES = 65_535
+"""Vertices of a head that is shown: the page counts them in 16 bits."""
+HEAD_MOVES = 12_000_000
+"""Displacements of all shapes of a head together; the page holds 14 bytes of each."""
+PICTURE_PIXELS = 2**26
+"""Pixels of one texture: 8192 x 8192."""
 
 # Structured text
 

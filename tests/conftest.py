@@ -93,13 +93,12 @@ THOROUGH = (
     "tests/deitalk/evaluation/",
     "tests/deitalk/preview/test_page.py",
     "tests/deitalk/preview/test_page_layers.py",
-    "tests/deitalk/research/",
     "tests/test_docs_finetuning.py",
     "tests/test_full_disk.py",
     "tests/test_fuzz.py",
     "tests/test_kill.py",
 )
-"""Files of `make test-all` alone: browsers, servers under attack, kills, fuzzing, research."""
+"""Files of `make test-all` alone: browsers, servers under attack, kills, fuzzing."""
 
 
 def pytest_itemcollected(item: pytest.Item) -> None:

@@ -15,8 +15,6 @@ import pytest
 from packaging.requirements import Requirement
 from packaging.version import Version
 
-from tests.each import each
-
 ROOT = Path(__file__).resolve().parents[1]
 TORCH_INDEX = ROOT / "constraints/torch_index.py"
 TOOLS = {"dev", "video", "ray", "audio2face", "fbx", "pipecat", "livekit"}
@@ -47,7 +45,7 @@ def test_lowest_set_has_the_lower_bounds_of_the_package():
 
 
 @pytest.mark.skipif(shutil.which("make") is None, reason="needs make")
-@each(("target", "option"), [("setup", "--no-compile"), ("test", "--compile")])
+@pytest.mark.parametrize(("target", "option"), [("setup", "--no-compile"), ("test", "--compile")])
 def test_bytecode_of_all_packages_is_for_tests_alone(tmp_path, target, option):
     """It is 0.4 GB, of which a user needs a tenth."""
     command = ["make", "--dry-run", target, f"VENV={tmp_path}/venv", "TORCH=pypi"]

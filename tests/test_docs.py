@@ -3,10 +3,9 @@
 import re
 from pathlib import Path
 
+import pytest
 import typer
 from typer.testing import CliRunner
-
-from tests.each import each
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 ROOT = Path(__file__).resolve().parents[1]
@@ -21,7 +20,7 @@ def test_list_of_formats_equals_the_output_of_the_command():
     assert printed in (DOCS / "formats.md").read_text()
 
 
-@each("page", sorted(DOCS.glob("unreal*.md")))
+@pytest.mark.parametrize("page", sorted(DOCS.glob("unreal*.md")))
 def test_functions_of_the_script_exist(page):
     script = (ROOT / "rig/unreal/deitalk_unreal.py").read_text()
     for function in re.findall(r"\bd\.(\w+)\(", page.read_text()):
@@ -39,7 +38,7 @@ def test_counts_of_the_pages_equal_those_of_the_code():
     assert sum(kind == "Vector2D" for kind in names.values()) == 14
 
 
-@each(("page", "equations"), [("deitalk.md", 13), ("sdfa.md", 8)])
+@pytest.mark.parametrize(("page", "equations"), [("deitalk.md", 13), ("sdfa.md", 8)])
 def test_every_equation_of_a_paper_stands_beside_its_code(page, equations):
     """Rows `| paper | equation | code |`; that the code exists is tested with all pages."""
     rows = re.findall(

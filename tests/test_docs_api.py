@@ -14,7 +14,6 @@ import soundfile
 import deitalk
 import rig
 from deitalk.models.folder import embedded_models
-from tests.each import each
 
 ROOT = Path(__file__).resolve().parents[1]
 PUBLIC = [(package, name) for package in (deitalk, rig) for name in package.__all__]
@@ -64,7 +63,9 @@ def test_api_page_has_every_public_name_and_error(maker):
                 assert f"─ {name}" in page, name
 
 
-@each(("package", "name"), [pair for pair in PUBLIC if inspect.isfunction(getattr(*pair))])
+@pytest.mark.parametrize(
+    ("package", "name"), [pair for pair in PUBLIC if inspect.isfunction(getattr(*pair))]
+)
 def test_signatures_name_the_parameters(maker, package, name):
     value = getattr(package, name)
     written = maker.signature(value)
@@ -78,7 +79,7 @@ def test_members_are_attributes_of_a_performance(maker):
     assert not [name for name in members if name.startswith("_")]
 
 
-@each(("package", "name"), PUBLIC)
+@pytest.mark.parametrize(("package", "name"), PUBLIC)
 def test_public_names_are_documented(package, name):
     value = getattr(package, name)
     if callable(value):

@@ -20,8 +20,6 @@ import make_results as maker  # noqa: E402
 from result_tables import common, models, speed  # noqa: E402
 from result_tables.commands import COMMANDS, GROUPS, PLACES, WEIGHTS  # noqa: E402
 
-from tests.each import each  # noqa: E402
-
 
 @pytest.fixture
 def changed(tmp_path, monkeypatch):
@@ -60,7 +58,7 @@ def test_every_report_stands_in_a_table(changed):
         (common.RESULTS / "gone").rename(common.RESULTS / path.name)
 
 
-@each(
+@pytest.mark.parametrize(
     ("page", "row", "keys"),
     [
         (
@@ -84,7 +82,7 @@ def test_changed_report_changes_the_table(changed, page, row, keys):
     assert row in maker.written(text)
 
 
-@each("path", RESULTS)
+@pytest.mark.parametrize("path", RESULTS)
 def test_reports_are_of_the_weights_of_today(path):
     """New weights need a new evaluation: `python docs/make_reports.py --group weights`."""
     report = json.loads(path.read_text(encoding="utf-8"))
@@ -123,7 +121,7 @@ def test_sizes_are_those_of_the_weights():
         assert models.numbers(name) == sum(part.size for file in files for part in file.values())
 
 
-@each("name", COMMANDS)
+@pytest.mark.parametrize("name", COMMANDS)
 def test_every_command_can_be_run_with_its_places(name, tmp_path):
     places = {word: str(tmp_path / "data") for word in PLACES}
     words = make_reports.filled(COMMANDS[name], places, tmp_path)

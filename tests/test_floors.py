@@ -1,12 +1,12 @@
-"""The floors of both packages: a file imports from lower floors or its own folder only."""
+"""Imports of each file: from lower floors or its own folder only, and none of research."""
 
 import ast
-import functools
+import graphlib
 import re
 from collections.abc import Iterator
 from pathlib import Path
 
-from tests.each import each
+import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 FLOORS = {
@@ -22,7 +22,7 @@ FLOORS = {
         models
         frontends postprocess
         audio emotions
-        config
+        config array_functions
         installed workers
         errors
     """,
@@ -54,157 +54,78 @@ FLOORS = {
 }
 """Names of folders and modules, the highest floor first; `deitalk` may import all of `rig`, `api` of
 both."""
-PUBLIC = ("__init__", "__main__")
-"""Modules that export names; `deitalk.__version__` is imported from there."""
-
-
-def floors(package: str) -> dict[str, int]:
-    lines = [line.split() for line in FLOORS[package].strip().splitlines()]
-    return {name: len(lines) - i for i, names in enumerate(lines) for name in names}
-
-
-def files(package: str) -> list[Path]:
-    return [p for p in sorted((ROOT / package).rglob("*.py")) if "web" not in p.parts]
-
-
-@functools.cache
-def tree_of(path: Path) -> ast.Module:
-    return ast.parse(path.read_text(encoding="utf-8"))
-
-
-@functools.cache
-def nodes(tree: ast.AST) -> tuple[ast.AST, ...]:
-    return tuple(ast.walk(tree))
+PACKAGES = {"rig": {"rig"}, "deitalk": {"deitalk", "rig"}, "api": {"api", "deitalk", "rig"}}
+HEAVY = {"torch", "transformers", "librosa", "fastapi", "soundfile", "accelerate", "safetensors"}
+"""Packages that `rig` never imports."""
+SERVICE = {
+    "fastapi", "starlette", "uvicorn", "pydantic_settings", "multipart", "sqlalchemy",
+    "prometheus_client", "fsspec", "httpx", "websockets",
+}  # fmt: skip
+"""Packages of the service: nothing below `api` imports them."""
+CLOUD = (Path("deitalk/batch/cloud.py"), "fsspec")
+"""The one file below the service that uses fsspec, which torch needs too."""
+FILES = [
+    path.relative_to(ROOT)
+    for package in FLOORS
+    for path in sorted((ROOT / package).rglob("*.py"))
+    if not {"web", "tests"} & {*path.parts[len(ROOT.parts) :]}
+]
 
 
 def module_of(path: Path) -> str:
-    parts = path.relative_to(ROOT).with_suffix("").parts
+    parts = path.with_suffix("").parts
     return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
 
-def imports(tree: ast.AST) -> Iterator[tuple[str, int]]:
-    """Modules imported anywhere in a tree, with their lines."""
-    for node in nodes(tree):
+def imports(path: Path) -> Iterator[tuple[str, int]]:
+    """Modules imported anywhere in a file, also within functions and for types, with their lines."""
+    for node in ast.walk(ast.parse((ROOT / path).read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
             yield from ((alias.name, node.lineno) for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0 and node.module, f"{path}: a relative import hides its floor"
             for alias in node.names:
-                yield _submodule(node.module or "", alias.name), node.lineno
+                inner = Path(*node.module.split("."), alias.name)
+                is_module = inner.with_suffix(".py") in KNOWN or inner / "__init__.py" in KNOWN
+                yield f"{node.module}.{alias.name}" if is_module else node.module, node.lineno
 
 
-def _submodule(module: str, name: str) -> str:
-    path = ROOT.joinpath(*module.split("."), name)
-    return f"{module}.{name}" if path.with_suffix(".py").is_file() or path.is_dir() else module
+KNOWN = {*FILES}
+IMPORTS = {path: list(imports(path)) for path in FILES}
 
 
 def room(module: str) -> str:
-    parts = module.split(".")
-    return parts[1] if len(parts) > 1 else "__init__"
+    return [*module.split("."), "__init__"][1]
 
 
-@each("package", FLOORS)
-def test_every_folder_has_a_floor(package):
-    rooms = {room(module_of(path)) for path in files(package)} - set(PUBLIC)
-    assert rooms - {"unreal"} == set(
-        floors(package)
-    )  # the script in Unreal imports nothing of the package
-
-
-@each("package", FLOORS)
+@pytest.mark.parametrize("package", FLOORS)
 def test_files_import_from_lower_floors_only(package):
-    level = floors(package) | {"__init__": 99 if package == "rig" else -1, "unreal": 0}
+    lines = [line.split() for line in FLOORS[package].strip().splitlines()]
+    level = {name: len(lines) - i for i, names in enumerate(lines) for name in names}
+    rooms = {room(module_of(path)) for path in FILES if path.parts[0] == package}
+    # The script in Unreal imports nothing of the package; modules in Python's words export names.
+    assert rooms - {"unreal", "__init__", "__main__"} == set(level)
+    own = level | {"__init__": 99, "__main__": 99, "unreal": 99}
+    level |= {"__init__": 98 if package == "rig" else -1, "unreal": 0}
+    forbidden = {*FLOORS} - PACKAGES[package]
+    forbidden |= {"rig": HEAVY | SERVICE, "deitalk": SERVICE, "api": set()}[package]
     wrong = []
-    for path in files(package):
+    for path in (path for path in FILES if path.parts[0] == package):
         here = room(module_of(path))
-        if here in (*PUBLIC, "unreal"):
-            continue
-        for module, line in imports(tree_of(path)):
-            there = room(module)
-            if module.split(".")[0] == package and there != here and level[there] >= level[here]:
-                wrong.append(f"{path.relative_to(ROOT)}:{line} imports {module}")
+        for module, line in IMPORTS[path]:
+            top, there = module.split(".")[0], room(module)
+            is_above = top == package and there != here and own[here] <= level[there]
+            if is_above or (top in forbidden and (path, top) != CLOUD):
+                wrong.append(f"{path}:{line} imports {module}")
     assert not wrong, "\n".join(wrong)
 
 
 def test_modules_form_no_circle():
-    """Circles of imports anywhere: at the load of a module, in functions, for types."""
-    graph = {module_of(path): imported_by(path) for package in FLOORS for path in files(package)}
-    assert not list(circles(graph))
+    graph = {module_of(path): {m for m, _ in IMPORTS[path]} - {module_of(path)} for path in FILES}
+    graphlib.TopologicalSorter(graph).prepare()
 
 
-def test_circles_are_found():
-    graph = {"a": {"b"}, "b": {"c"}, "c": {"a", "d"}, "d": set(), "e": {"d"}}
-    assert list(circles(graph)) == [("a", "b", "c", "a")]
-
-
-def imported_by(path: Path) -> set[str]:
-    """Modules that a file imports, also within functions and under `TYPE_CHECKING`."""
-    return {module for module, _ in imports(tree_of(path))} - {module_of(path)}
-
-
-def circles(graph: dict[str, set[str]]) -> Iterator[tuple[str, ...]]:
-    """Paths that end where they begin, at least one of each set of modules that has any."""
-    done: set[str] = set()
-
-    def visit(module: str, above: tuple[str, ...]) -> Iterator[tuple[str, ...]]:
-        if module in above:
-            yield (*above[above.index(module) :], module)
-        elif module not in done:
-            for other in sorted(graph.get(module, ())):
-                yield from visit(other, (*above, module))
-            done.add(module)
-
-    for module in graph:
-        yield from visit(module, ())
-
-
-def kinds_asked(tree: ast.AST) -> list[int]:
-    """Lines of `isinstance` by a class of a configuration, a frontend or a model."""
-    homes = ("deitalk.config", "deitalk.frontends", "deitalk.models")
-    classes = {
-        alias.asname or alias.name
-        for node in nodes(tree)
-        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith(homes)
-        for alias in node.names
-        if alias.name != "TemporalConv"  # a layer
-    }
-    asked = [
-        node
-        for node in nodes(tree)
-        if isinstance(node, ast.Call)
-        and getattr(node.func, "id", "") in ("isinstance", "issubclass")
-    ]
-    return [
-        call.lineno
-        for call in asked
-        if {name.id for name in ast.walk(call.args[1]) if isinstance(name, ast.Name)} & classes
-    ]
-
-
-def test_no_module_asks_for_the_class_of_a_model_or_its_configuration():
-    """`kind`, `product` and methods decide; a new kind of model needs no change elsewhere."""
-    wrong = [
-        f"{path.relative_to(ROOT)}:{line}"
-        for path in files("deitalk") + files("api")
-        if "research" not in path.parts
-        for line in kinds_asked(tree_of(path))
-    ]
-    assert not wrong, "\n".join(wrong)
-
-
-def test_asking_for_a_kind_is_found():
-    text = "from deitalk.models.curve_model import DEITalk\nisinstance(x, str | DEITalk)\n"
-    assert kinds_asked(ast.parse(text)) == [2]
-
-
-def test_array_types_have_one_home():
-    """`rig.arrays` names them by their numbers; no module has a name of its own."""
-    plain = re.compile(r"NDArray\[np\.(float32|float64|int32|int64|bool_)\]")
-    wrong = [
-        f"{path.relative_to(ROOT)}:{number}"
-        for package in FLOORS
-        for path in files(package)
-        if path.relative_to(ROOT) != Path("rig/arrays.py") and "unreal" not in path.parts
-        for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1)
-        if plain.search(line)
-    ]
-    assert not wrong, "\n".join(wrong)
+def test_product_names_nothing_of_research():
+    """A wheel lacks it."""
+    product = [path for path in FILES if "research" not in path.parts]
+    assert not [p for p in product if re.search(r"deitalk[./]research", (ROOT / p).read_text())]

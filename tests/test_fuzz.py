@@ -8,7 +8,6 @@ import time
 
 import pytest
 
-from tests.each import each
 from tests.fuzz import run
 from tests.fuzz.mutate import mutated
 from tests.fuzz.readers import SLOW, Reader, Seed, readers
@@ -18,7 +17,7 @@ COUNT = int(os.environ.get("FUZZ_COUNT", "100"))
 READERS = readers()
 
 
-@each("name", [name for name in READERS if name not in SLOW])
+@pytest.mark.parametrize("name", [name for name in READERS if name not in SLOW])
 def test_fuzzed_input_is_read_or_refused_in_one_line(name, tmp_path):
     outcome = in_process(READERS[name], name, COUNT, 1, tmp_path)
     assert outcome.failures == []
@@ -26,7 +25,7 @@ def test_fuzzed_input_is_read_or_refused_in_one_line(name, tmp_path):
     assert outcome.slowest < 5
 
 
-@each("name", [name for name in READERS if name not in SLOW])
+@pytest.mark.parametrize("name", [name for name in READERS if name not in SLOW])
 def test_every_seed_is_read(name, tmp_path):
     seeds = READERS[name].seeds(tmp_path)
     for seed in seeds:

@@ -1,7 +1,6 @@
-"""Structure of the packages: allowed imports, modules loaded by a command line, one version."""
+"""Modules that each command and process loads; every module can be imported; one version."""
 
 import ast
-import functools
 import importlib
 import pydoc
 import re
@@ -14,60 +13,29 @@ import pytest
 
 from deitalk.errors import MissingError
 from tests.command import ran
-from tests.each import each
+from tests.test_floors import FILES, IMPORTS, module_of
 
 ROOT = Path(__file__).resolve().parents[1]
-ALLOWED = {"rig": {"rig"}, "deitalk": {"deitalk", "rig"}, "api": {"api", "deitalk", "rig"}}
 HEAVY = {"torch", "transformers", "librosa", "fastapi", "soundfile", "accelerate", "safetensors"}
-SERVICE = {
-    "fastapi", "starlette", "uvicorn", "pydantic_settings", "multipart", "sqlalchemy",
-    "prometheus_client", "fsspec", "httpx", "websockets",
-}  # fmt: skip
-"""Packages of the service: nothing below `api` imports them."""
-CLOUD = Path("deitalk/batch/cloud.py")
-"""The one file below the service that uses fsspec, which torch needs too."""
-FILES = [
-    path
-    for package in ALLOWED
-    for path in sorted((ROOT / package).rglob("*.py"))
-    if "__pycache__" not in path.parts
-]
 
 
-def name_of(path: Path) -> str:
-    parts = path.relative_to(ROOT).with_suffix("").parts
-    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+def test_every_module_imports_and_has_its_exported_names():
+    for path in FILES:
+        if path.name == "__main__.py" or {m for m, _ in IMPORTS[path]} & OUTSIDE:
+            compile((ROOT / path).read_text(encoding="utf-8"), str(path), "exec")
+            continue
+        try:
+            module = importlib.import_module(module_of(path))
+        except (ModuleNotFoundError, MissingError) as error:
+            missing = getattr(error, "name", None) or "an extra"
+            assert missing.split(".")[0] not in ("rig", "deitalk", "api"), error
+            continue
+        for name in getattr(module, "__all__", ()):
+            assert hasattr(module, name), f"{module.__name__}.__all__ names {name}"
 
 
-@functools.cache
-def imported(path: Path) -> set[str]:
-    """Top-level packages of every import, also of those inside functions and strings of types."""
-    found = set()
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-        if isinstance(node, ast.Import):
-            found |= {alias.name.split(".")[0] for alias in node.names}
-        elif isinstance(node, ast.ImportFrom):
-            assert node.level == 0, f"{path}: relative imports hide the direction"
-            found.add((node.module or "").split(".")[0])
-    return found
-
-
-@each("path", FILES)
-def test_imports_point_down_only(path):
-    package = path.relative_to(ROOT).parts[0]
-    forbidden = (imported(path) & set(ALLOWED)) - ALLOWED[package]
-    assert not forbidden, f"{package} must not import {forbidden}"
-    if package == "rig":
-        assert not imported(path) & HEAVY
-    if package != "api":
-        allowed = {"fsspec"} if path.relative_to(ROOT) == CLOUD else set()
-        assert imported(path) & SERVICE <= allowed
-
-
-@each("path", [p for p in FILES if "research" not in p.parts])
-def test_product_names_nothing_of_research(path):
-    """A wheel lacks it."""
-    assert not re.search(r"deitalk[./]research", path.read_text(encoding="utf-8"))
+OUTSIDE = {"unreal", "bpy", "deitalk_clip", "deitalk_call", "hatchling"}
+"""Modules of Unreal, Blender and the build."""
 
 
 def test_wheel_leaves_research_out_and_the_source_archive_has_it():
@@ -75,34 +43,6 @@ def test_wheel_leaves_research_out_and_the_source_archive_has_it():
     wheel, sdist = build["targets"]["wheel"], build["targets"]["sdist"]
     assert "deitalk/research" in wheel["exclude"]
     assert "deitalk" in sdist["include"] and "deitalk/research" not in sdist["exclude"]
-
-
-def test_walk_finds_imports_inside_functions(tmp_path):
-    path = tmp_path / "x.py"
-    path.write_text(
-        "def f():\n    import torch.nn\n    from deitalk.training.curves import train_curves\n"
-    )
-    assert imported(path) == {"torch", "deitalk"}
-
-
-@each("path", FILES)
-def test_every_module_imports_and_has_its_exported_names(path):
-    if (
-        imported(path) & {"unreal", "bpy", "deitalk_clip", "deitalk_call", "hatchling"}
-        or path.name == "__main__.py"
-    ):
-        compile(path.read_text(encoding="utf-8"), str(path), "exec")
-        return
-    try:
-        module = importlib.import_module(name_of(path))
-    except ModuleNotFoundError as error:
-        extra = error.name or ""
-        assert extra.split(".")[0] not in ALLOWED, error
-        pytest.skip(f"{extra} of an extra is not installed")
-    except MissingError as error:
-        pytest.skip(str(error))
-    for name in getattr(module, "__all__", ()):
-        assert hasattr(module, name), f"{module.__name__}.__all__ names {name}"
 
 
 def run(code: str) -> "subprocess.CompletedProcess[str]":
@@ -235,8 +175,8 @@ def test_the_version_is_written_once():
     text = (ROOT / "pyproject.toml").read_text()
     assert 'dynamic = ["version"]' in text and 'path = "deitalk/installed.py"' in text
     assert not re.search(r'(?m)^version\s*=\s*"', text)
-    writers = [p for p in FILES if re.search(r"(?m)^__version__\s*=", p.read_text())]
-    assert [name_of(p) for p in writers] == ["deitalk.installed"]
+    writers = [p for p in FILES if re.search(r"(?m)^__version__\s*=", (ROOT / p).read_text())]
+    assert [module_of(p) for p in writers] == ["deitalk.installed"]
 
 
 @pytest.mark.parametrize("name", ["deitalk", "rig"])

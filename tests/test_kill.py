@@ -7,7 +7,6 @@ from pathlib import Path
 
 import pytest
 
-from tests.each import each
 from tests.kill.contents import check_whole, contents, hidden
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -45,7 +44,7 @@ def test_batch_killed_again_and_again_loses_and_repeats_no_line():
     assert done.returncode == 0, done.stdout + done.stderr[-3000:]
 
 
-@each(
+@pytest.mark.parametrize(
     ("name", "text"),
     [("a.csv", "a,b\n1,2\n3"), ("a.csv", "a,b\n1\n"), ("a.json", '{"a": 1'), ("a.html", "<html>")],
 )

@@ -5,12 +5,11 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
+import pytest
+
 from deitalk.errors import DeitalkError
 from rig.errors import RigError
 from rig.limits import MESSAGE_CHARACTERS
-from tests.each import each
-
-MEASURING = re.compile(r"parser\.add_argument\((?:\"-o\", )?\"--(?:out|json)\", type=(\w+)")
 
 ROOT = Path(__file__).resolve().parents[1]
 OPTION = re.compile(r"(?:^|[\s`'\"(])--[a-z]")
@@ -47,24 +46,10 @@ def test_library_messages_name_no_option():
     assert not wrong, "\n".join(wrong)
 
 
-@each("text", ["\0" * 1000, "a\n" * 300, "\udc80" * 400, "x" * 10_000])
+@pytest.mark.parametrize("text", ["\0" * 1000, "a\n" * 300, "\udc80" * 400, "x" * 10_000])
 def test_message_with_escapes_stays_within_its_limit(text):
     for kind in (RigError, DeitalkError):
         message = str(kind(f"name {text} end"))
         assert len(message) <= MESSAGE_CHARACTERS
         assert "\n" not in message and "\0" not in message
         assert message.startswith("name ") and message.endswith(" end")
-
-
-def test_files_that_modules_write_are_refused_where_they_exist():
-    """Modules run by ``python -m``; `new_file` is tested on its own, commands in tests of the CLI."""
-    kinds = {
-        (path.relative_to(ROOT).as_posix(), kind)
-        for path in (ROOT / "deitalk").rglob("*.py")
-        for kind in MEASURING.findall(path.read_text())
-    }
-    assert len(kinds) >= 8
-    assert [name for name, kind in sorted(kinds) if kind != "new_file"] == [
-        "deitalk/research/lips/vocabulary.py",  # a folder
-        "deitalk/research/training/gains.py",  # a folder
-    ]

@@ -11,7 +11,6 @@ from typer.main import get_command
 
 from deitalk.models.folder import embedded_models
 from tests.command import commands_of
-from tests.each import each
 
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text()
@@ -19,7 +18,6 @@ PAGES = [
     *(Path(name) for name in ("README.md", "CHANGELOG.md", "MODEL_CARD.md", "configs/README.md")),
     *(page.relative_to(ROOT) for page in sorted((ROOT / "docs").rglob("*.md"))),
 ]
-MOST_LINES = {"README.md": 100, "CHANGELOG.md": 100}
 
 
 def test_python_of_the_readme_runs(monkeypatch, capsys):
@@ -44,7 +42,7 @@ def prose(text):
     return re.sub(r"^```.*?^```", "", text, flags=re.M | re.S)
 
 
-@each("page", PAGES)
+@pytest.mark.parametrize("page", PAGES)
 def test_linked_files_and_headings_of_the_pages_exist(page):
     text = prose((ROOT / page).read_text())
     for target, anchor in re.findall(r"\]\((?!http)([^)#]*)#?([^)]*)\)", text):
@@ -53,7 +51,7 @@ def test_linked_files_and_headings_of_the_pages_exist(page):
         assert not anchor or anchor in anchors(linked.read_text()), f"{target}#{anchor}"
 
 
-@each("page", PAGES)
+@pytest.mark.parametrize("page", PAGES)
 def test_paths_of_the_pages_exist(page):
     """A path in backticks, and the names that are listed beside a Python file."""
     text = (ROOT / page).read_text()
@@ -77,7 +75,7 @@ def defined(node):
     return {getattr(node, "name", None), *(getattr(target, "id", None) for target in targets)}
 
 
-@each("page", PAGES)
+@pytest.mark.parametrize("page", PAGES)
 def test_emphasis_of_the_pages_is_closed(page):
     """No star is left as text by a reader of Markdown."""
     text = re.sub(r"\*\.\w+|(?<=\d)\*\*(?=\d)", "", (ROOT / page).read_text())
@@ -86,20 +84,14 @@ def test_emphasis_of_the_pages_is_closed(page):
             assert part.type != "text" or "*" not in part.content, part.content
 
 
-@each("page", PAGES)
+@pytest.mark.parametrize("page", PAGES)
 def test_extras_of_the_pages_exist(page):
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     for extras in re.findall(r"deitalk\[([\w,]+)\]", (ROOT / page).read_text()):
         assert set(extras.split(",")) <= set(project["optional-dependencies"]), extras
 
 
-def test_pages_are_short():
-    texts = {str(page): (ROOT / page).read_text() for page in PAGES if page.parts[0] != "configs"}
-    for name, most in MOST_LINES.items():
-        assert len(texts[name].splitlines()) <= most, name
-
-
-@each("page", PAGES)
+@pytest.mark.parametrize("page", PAGES)
 def test_commands_of_the_pages_exist_with_their_options(page):
     text = (ROOT / page).read_text()
     for line in re.findall(
@@ -115,21 +107,21 @@ def test_commands_of_the_pages_exist_with_their_options(page):
                 assert word.split("=")[0] in known, f"{line}: {word}"
 
 
-@each("page", PAGES)
+@pytest.mark.parametrize("page", PAGES)
 def test_tests_of_the_pages_exist(page):
     text = (ROOT / page).read_text()
     for file, _, word in re.findall(r"pytest (tests/\w+\.py)( -k (\w+))?", text):
         assert re.search(rf"def test_\w*{word}", (ROOT / file).read_text()), f"{file} -k {word}"
 
 
-@each("page", PAGES)
+@pytest.mark.parametrize("page", PAGES)
 def test_make_targets_of_the_pages_exist(page):
     makefile = (ROOT / "Makefile").read_text()
     for target in re.findall(r"(?:^|`)make ([a-z-]+)", (ROOT / page).read_text(), re.M):
         assert re.search(rf"^{target}:", makefile, re.M), target
 
 
-@each("page", PAGES)
+@pytest.mark.parametrize("page", PAGES)
 def test_modules_that_pages_run_exist(page):
     text = (ROOT / page).read_text()
     for module in re.findall(r"python -m ((?:rig|deitalk|tests)[\w.]*)", text):

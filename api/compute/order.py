@@ -5,7 +5,7 @@ Names of files are fixed here: no text of a request becomes a path.
 ::
 
     folder/                 the worker's working folder during the order
-      recording             bytes of any recording
+      recording             bytes of any recording; so are sound and listen_to
       mesh.glb … curves.csv files that a request sent, under fixed names
       acting.json           fields of the acting; emotion.csv … files that they name
       out/                  what the worker wrote
@@ -13,8 +13,11 @@ Names of files are fixed here: no text of a request becomes a path.
 
 from typing import Any, Literal, TypedDict
 
-Kind = Literal["animation", "mesh", "retarget", "conversion", "validation", "voices", "studio"]
-RECORDING = "recording"
+Kind = Literal[
+    "animation", "dub", "mesh", "retarget", "conversion", "validation", "voices", "studio"
+]
+RECORDING, SOUND, LISTEN_TO = "recording", "sound", "listen_to"
+"""Recordings of an order: that which is animated, that of a performance, and another voice."""
 OUT = "out"
 ACTING = "acting.json"
 """Fields of the order's acting, as they were sent."""

@@ -8,6 +8,8 @@ import shutil
 import zipfile
 from collections.abc import Callable
 from contextlib import suppress
+from functools import partial
+from math import inf
 from pathlib import Path
 from typing import Any
 
@@ -15,10 +17,12 @@ import numpy as np
 
 from api.compute.order import (
     ACTING,
+    LISTEN_TO,
     MOST_VOICES,
     OUT,
     RECORDING,
     SAMPLES,
+    SOUND,
     Answer,
     Limits,
     Order,
@@ -36,17 +40,18 @@ from deitalk.live.animator import LiveAnimator
 from deitalk.models.folder import describe_model, is_causal, model_folder, product_of
 from deitalk.models.load import load_causal, load_network
 from deitalk.pipeline.curves import animate
-from deitalk.pipeline.performance import Performance, write_take
+from deitalk.pipeline.performance import Extra, Performance, write_take
 from rig.arrays import Float32
 from rig.controls import DEFAULT_ID
 from rig.conversion.convert import convert
 from rig.curves import RigCurves
-from rig.curves.edit import clamp, gain, shift
+from rig.curves.edit import clamp, gain
+from rig.curves.shift import shift
 from rig.errors import UserError
 from rig.formats import read_curves, write_curves
 from rig.limits import STREAM_BYTES
 from rig.retarget.retarget_files import retarget_curves
-from rig.validation import validate
+from rig.validation.files import validate
 
 # Voices that are animated while they are spoken, in the worker process that keeps their state.
 #
@@ -163,18 +168,59 @@ def perform(order: Order, limits: Limits, progress: Progress) -> Answer:
 
 def _animation(order: Order, limits: Limits, progress: Progress) -> Answer:
     options = order["options"]
-    is_video = options["format"] == "mp4"
-    share = NETWORK_SHARE if is_video else 1.0
+    share = NETWORK_SHARE if options["format"] == "mp4" else 1.0
     performance = _performed(order, limits, lambda done: progress(share * done))
+    return _answered(order, limits, performance, partial(_later, progress, share))
+
+
+def _dub(order: Order, limits: Limits, progress: Progress) -> Answer:
+    """A performance with another recording's mouth."""
+    from deitalk.data.captures.columns import read_mapping
+    from deitalk.data.dub import dub
+
+    options = order["options"]
+    share = NETWORK_SHARE if options["format"] == "mp4" else 1.0
+    recording, mapping = _recording(order, limits), options.get("mapping")
+    found = dub(
+        options["performance"],
+        recording,
+        sound=_sound(SOUND, order, limits) if SOUND in options else None,
+        acting=_acting(order, limits),
+        mapping=None if mapping is None else read_mapping(Path(mapping)),
+        stretch=options["stretch"],
+        fps=options.get("curves_fps"),
+        model=placed(model_of(options.get("model", "default"), limits), limits),
+        progress=lambda done: progress(share * done),
+    )
+    later = partial(_later, progress, share)
+    extras, notes = (found.write_report,), (*found.notes, found.line)
+    return _answered(order, limits, found.performance, later, notes, extras)
+
+
+def _later(progress: Progress, share: float, done: float) -> None:
+    """Progress of what comes after a share of the work."""
+    progress(share + (1 - share) * done)
+
+
+def _answered(
+    order: Order,
+    limits: Limits,
+    performance: Performance,
+    progress: Progress,
+    notes: tuple[str, ...] = (),
+    extras: tuple[Extra, ...] = (),
+) -> Answer:
+    """A performance as the file that an order wants."""
+    options = order["options"]
     out = Path(OUT) / f"{options.get('name') or NAME}{options['suffix']}"
-    notes = [*performance.recording.warnings]
+    said = [*performance.recording.warnings, *notes]
     if performance.words is not None and performance.words.fits:
-        notes.append(performance.words.line)
-    if is_video or options["format"] in ("page", "packed"):
-        _preview(out, performance, order, limits, lambda done: progress(share + (1 - share) * done))
+        said.append(performance.words.line)
+    if options["format"] in ("mp4", "page", "packed"):
+        _preview(out, performance, order, limits, progress)
     else:
-        notes += _write(out, options["format"], performance, options, limits)
-    return {"file": str(out), "notes": notes, "facts": _facts(performance)}
+        said += _write(out, performance, options, limits, extras)
+    return {"file": str(out), "notes": said, "facts": _facts(performance)}
 
 
 def _performed(order: Order, limits: Limits, progress: Progress) -> Performance:
@@ -191,6 +237,8 @@ def _acting(order: Order, limits: Limits) -> Acting:
     """The order's acting; only files that the request sent are read."""
     fields = json.loads(Path(ACTING).read_text(encoding="utf-8"))
     files = {name: Path(name) for name in order["options"].get("sent", ())}
+    if LISTEN_TO in files:
+        fields[LISTEN_TO] = _sound(LISTEN_TO, order, limits)
     acting = Acting.of(files=files, **fields)
     if limits["backend"] == "onnx" and (acting.words or acting.script or acting.emotion == AUTO):
         raise CheckpointError(
@@ -201,11 +249,41 @@ def _acting(order: Order, limits: Limits) -> Acting:
 
 def _recording(order: Order, limits: Limits) -> Recording:
     """The order's recording, of at most its longest length."""
-    most, now = order["most_seconds"], order["at_once_seconds"]
-    data = Path(RECORDING).read_bytes()[: STREAM_BYTES + 1]
     options = order["options"]
-    name = options.get("name") or NAME
     choice = AudioChoice.of(options.get("track"), options.get("channel"), options.get("raw"))
+    name, now = options.get("name") or NAME, order["at_once_seconds"]
+    return _sound(RECORDING, order, limits, choice, name, now)
+
+
+def _sound(
+    file: str,
+    order: Order,
+    limits: Limits,
+    choice: AudioChoice = AudioChoice(),
+    name: str = "",
+    now: float = inf,
+) -> Recording:
+    """A recording in the working folder, checked before all of it is read.
+
+    Parameters
+    ----------
+    file : str
+        Its fixed name.
+    order, limits
+        The longest length and the most channels that are read.
+    choice : AudioChoice
+        Which signal of it.
+    name : str
+        For messages; by default that of the file.
+    now : float
+        Longest length, seconds, that is answered at once.
+
+    Raises
+    ------
+    TooLarge, TooLong, AudioError
+    """
+    most = order["most_seconds"]
+    data, name = Path(file).read_bytes()[: STREAM_BYTES + 1], name or file
     with open_sound(name, data, choice) as sound:
         if sound.channels > limits["max_channels"]:
             raise TooLarge(
@@ -224,10 +302,14 @@ def _recording(order: Order, limits: Limits) -> Recording:
 
 
 def _write(
-    out: Path, name: str, performance: Performance, options: dict[str, Any], limits: Limits
+    out: Path,
+    performance: Performance,
+    options: dict[str, Any],
+    limits: Limits,
+    extras: tuple[Extra, ...],
 ) -> list[str]:
     """Write a performance; return notes on what the file cannot hold."""
-    fps = options.get("fps")
+    name, fps = options["format"], options.get("fps")
     start, note = start_of(options.get("timecode", ZERO), fps, performance.recording.start)
     notes = [note] if note else []
     form: dict[str, Any] = {"fps": fps, "start": start} | _shift(options)
@@ -235,7 +317,7 @@ def _write(
         folder = out.with_suffix("")
         model = options.get("model", "default")
         about = describe_model(limits["models"][model]) | {"name": model}
-        written = write_take(folder, performance, model=about, **form)
+        written = write_take(folder, performance, model=about, extras=extras, **form)
         _zip(written, out)
         return notes
     seconds = performance.recording.duration
@@ -374,6 +456,7 @@ def _studio(order: Order, limits: Limits, progress: Progress) -> Answer:
 
 TASKS: dict[str, Callable[[Order, Limits, Progress], Answer]] = {
     "animation": _animation,
+    "dub": _dub,
     "mesh": _mesh,
     "retarget": _retarget,
     "conversion": _conversion,

@@ -21,7 +21,9 @@ from rig.limits import MOST_DELAY, MOST_HANDLES
 
 NAME_PATTERN = r"^[A-Za-z0-9](?:[A-Za-z0-9 _-]{0,62}[A-Za-z0-9])?$"
 TIMECODE_PATTERN = r"^(zero|recording|[0-9]{1,2}:[0-9]{2}:[0-9]{2}([:;][0-9]{2}|\.[0-9]{1,6})?)$"
-FIELD_FILES = ("emotion", "intensity_curve", "voice", "words", "script", "edit", "after", "into")
+FIELD_FILES = (
+    "emotion", "intensity_curve", "voice", "words", "script", "edit", "listen_to", "after", "into"
+)  # fmt: skip
 """Fields that may be files of a form."""
 Options = TypeVar("Options", bound=BaseModel)
 
@@ -121,6 +123,18 @@ class AnimationOptions(SpeechOptions):
     ] = "zero"
     delay: Delay = 0
     handles: Handles = 0
+
+
+class DubOptions(AnimationOptions):
+    """The same, for a performance that the request sends."""
+
+    stretch: Annotated[
+        float,
+        Field(ge=1, le=3, description="Most by which phrases are played slower or faster."),
+    ] = 1.5
+    curves_fps: Annotated[
+        float | None, Field(ge=1, le=240, description="Rate of a performance without one.")
+    ] = None
 
 
 class MeshOptions(SpeechOptions):

@@ -1,7 +1,7 @@
 """Recordings to curves, to meshes, onto a mesh of the caller; checks of curves."""
 
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import anyio
 from fastapi import APIRouter, Request, Response
@@ -12,9 +12,16 @@ from starlette.datastructures import FormData, UploadFile
 from starlette.formparsers import MultiPartException, MultiPartParser
 from starlette.requests import ClientDisconnect
 
-from api.compute.order import MESH_SUFFIXES, RECORDING, Kind, Order, suffix_of
+from api.compute.order import (
+    LISTEN_TO,
+    MESH_SUFFIXES,
+    RECORDING,
+    SOUND,
+    Kind,
+    Order,
+    suffix_of,
+)
 from api.errors import Problem
-from api.guard.keys import Caller
 from api.messages.formats import (
     ANIMATION_FORMATS,
     CURVE_FORMATS,
@@ -27,6 +34,7 @@ from api.messages.options import (
     FIELD_FILES,
     AnimationOptions,
     ConversionOptions,
+    DubOptions,
     MeshOptions,
     Options,
     Received,
@@ -35,11 +43,10 @@ from api.messages.options import (
     is_deferred,
     order_options,
 )
-from api.messages.outgoing import answer_order, file_answer
+from api.messages.outgoing import Asked, answer_order, file_answer
 from api.messages.views import JobView, ValidationView
 from api.routes import form_schema
 from api.routes.deps import AnimatorDep, ServiceDep, problems
-from api.service import Service
 from deitalk.acting import LONGEST_TEXT, SCRIPT_SUFFIXES, WORDS_SUFFIXES, user_error
 from deitalk.emotions.track_files import TRACK_SUFFIXES
 from deitalk.errors import ConfigError
@@ -48,7 +55,22 @@ from rig.errors import quoted
 router = APIRouter(prefix="/v1", tags=["animation"], responses=problems(404, 409, 415))
 SPEECH = ("recording", *FIELD_FILES)
 EDGE_SUFFIXES = (".zip", *CURVE_SUFFIXES)
+DUB = ("performance", "sound", "mapping", *SPEECH)
 RETARGET = ("mesh", "curves", "landmarks", "mapping", *SPEECH)
+
+
+class Made(NamedTuple):
+    """What a route makes of a recording: an order's kind and options, formats, parts of a form."""
+
+    kind: Kind
+    options: type[SpeechOptions]
+    formats: dict[str, OutputFormat]
+    usual: str
+    """Name of the format for any ``Accept``."""
+    files: tuple[str, ...] = SPEECH
+
+
+ANIMATION = Made("animation", AnimationOptions, ANIMATION_FORMATS, "json")
 
 
 @router.post(
@@ -59,9 +81,19 @@ RETARGET = ("mesh", "curves", "landmarks", "mapping", *SPEECH)
 )
 async def animate(request: Request, service: ServiceDep, caller: AnimatorDep) -> Response:
     """Curves of a recording: at once up to `max_seconds` (60 s), a job (202) beyond."""
-    return await speech(
-        request, service, caller, "animation", AnimationOptions, ANIMATION_FORMATS, "json"
-    )
+    return await speech(Asked(request, service, caller), ANIMATION)
+
+
+@router.post(
+    "/dubs",
+    response_class=Response,
+    responses=form_schema.answers(ANIMATION_FORMATS, JobView),
+    openapi_extra=form_schema.body(DubOptions, DUB, ANIMATION_FORMATS, raw=False),
+)
+async def dub(request: Request, service: ServiceDep, caller: AnimatorDep) -> Response:
+    """A performance that the request sends with the mouth of another recording."""
+    made = Made("dub", DubOptions, ANIMATION_FORMATS, "json", DUB)
+    return await speech(Asked(request, service, caller), made)
 
 
 @router.post(
@@ -72,25 +104,20 @@ async def animate(request: Request, service: ServiceDep, caller: AnimatorDep) ->
 )
 async def animate_mesh(request: Request, service: ServiceDep, caller: AnimatorDep) -> Response:
     """A moving mesh of a recording: an embedded head, or a mesh model's template."""
-    return await speech(request, service, caller, "mesh", MeshOptions, MESH_FORMATS, "glb")
+    made = Made("mesh", MeshOptions, MESH_FORMATS, "glb")
+    return await speech(Asked(request, service, caller), made)
 
 
 @router.post(
     "/retargets",
     response_class=Response,
     responses=form_schema.answers(MESH_FORMATS, JobView),
-    openapi_extra=form_schema.body(
-        RetargetOptions,
-        ("mesh", "curves", "landmarks", "mapping", *SPEECH),
-        MESH_FORMATS,
-        raw=False,
-    ),
+    openapi_extra=form_schema.body(RetargetOptions, RETARGET, MESH_FORMATS, raw=False),
 )
 async def retarget(request: Request, service: ServiceDep, caller: AnimatorDep) -> Response:
     """Curves, or a recording, on a mesh that the request sends (GLB, OBJ, PLY or NPZ)."""
-    return await speech(
-        request, service, caller, "retarget", RetargetOptions, MESH_FORMATS, "glb", RETARGET
-    )
+    made = Made("retarget", RetargetOptions, MESH_FORMATS, "glb", RETARGET)
+    return await speech(Asked(request, service, caller), made)
 
 
 @router.post(
@@ -130,49 +157,31 @@ async def validate(request: Request, service: ServiceDep, caller: AnimatorDep) -
         return ValidationView(**answer["facts"])
 
 
-async def speech(
-    request: Request,
-    service: Service,
-    caller: Caller,
-    kind: Kind,
-    model: type[SpeechOptions],
-    formats: dict[str, OutputFormat],
-    default: str,
-    files: tuple[str, ...] = SPEECH,
-    *,
-    at_once: bool = True,
-) -> Response:
+async def speech(asked: Asked, made: Made, *, at_once: bool = True) -> Response:
     """Read a request, carry it out or make it a job, and answer.
 
     Parameters
     ----------
-    request, service, caller
+    asked : Asked
         Of the route.
-    kind : str
-        Of the order.
-    model : type
-        Of the options.
-    formats : dict
-        Kinds of results.
-    default : str
-        Name of the format for any ``Accept``.
-    files : tuple of str
-        Parts of the form.
+    made : Made
+        What the route makes of a recording.
     at_once : bool
         Whether a short recording is answered at once.
     """
+    request, service, caller = asked
     is_job = not at_once or request.query_params.get("wait") == "false"
     await service.check_room(caller, is_job=is_job)
     async with service.stage.folder() as folder:
-        received = await receive(request, folder, model, files)
-        given = received.options
-        output = choose_format(formats, given.format, request.headers.get("accept"), default)
-        options = order_options(received, folder) | checked_files(kind, received.sent)
+        received = await receive(request, folder, made.options, made.files)
+        given, accepted = received.options, request.headers.get("accept")
+        output = choose_format(made.formats, given.format, accepted, made.usual)
+        options = order_options(received, folder) | checked_files(made.kind, received.sent)
         if given.model not in service.settings.known_models:
             known = ", ".join(service.settings.known_models)
             raise Problem(404, f"no such model; known models: {known}", "model_unknown")
-        given = given if at_once else given.model_copy(update={"wait": False})
-        return await answer_order(request, service, caller, folder, kind, options, given, output)
+        work: Order = {"kind": made.kind, "options": options}
+        return await answer_order(asked, folder, work, output, waits=at_once and given.wait)
 
 
 def checked_curves(sent: dict[str, str]) -> dict[str, Any]:
@@ -197,7 +206,13 @@ def checked_files(kind: Kind, sent: dict[str, str]) -> dict[str, Any]:
             "send the recording as the body, or as the part `recording` of a form",
             "recording_missing",
         )
-    return {}
+    if kind != "dub":
+        return {}
+    if "performance" not in sent:
+        raise Problem(
+            422, "send the performance as the part `performance` of the form", "curves_missing"
+        )
+    return {part: sent[part] for part in ("performance", "sound", "mapping") if part in sent}
 
 
 # A request's body into the folder of an order: a form with files, or the bytes of one recording.
@@ -208,6 +223,8 @@ def checked_files(kind: Kind, sent: dict[str, str]) -> dict[str, Any]:
 
 FILES: dict[str, tuple[str, tuple[str, ...]]] = {
     "recording": (RECORDING, ()),
+    "sound": (SOUND, ()),
+    "performance": ("performance", EDGE_SUFFIXES),
     "mesh": ("mesh", MESH_SUFFIXES),
     "curves": ("curves", CURVE_SUFFIXES),
     "landmarks": ("landmarks", (".json", ".csv")),
@@ -217,15 +234,17 @@ FILES: dict[str, tuple[str, tuple[str, ...]]] = {
     "voice": ("voice", (".json",)),
     "words": ("words", WORDS_SUFFIXES),
     "script": ("script", SCRIPT_SUFFIXES),
+    "listen_to": (LISTEN_TO, ()),
     "after": ("after", EDGE_SUFFIXES),
     "into": ("into", EDGE_SUFFIXES),
     "edit": ("edit", (".json",)),
 }
 """Parts of a form that are files: the fixed name, and the suffixes that tell how to read them."""
-FILES_ALONE = ("recording", "mesh", "curves", "landmarks", "mapping")
+FILES_ALONE = ("recording", "sound", "performance", "mesh", "curves", "landmarks", "mapping")
 """Those of them that are no text."""
 RAW_TYPES = ("audio/", "video/", "application/octet-stream")
-MOST_FIELDS = 32
+MOST_FIELDS = 64
+"""Of a form; the options of a route are under 40."""
 
 
 async def receive(

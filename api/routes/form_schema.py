@@ -9,16 +9,19 @@ from api.messages.formats import OutputFormat
 BINARY = {"type": "string", "format": "binary"}
 DESCRIPTIONS = {
     "recording": "Any recording: wav, flac, ogg, mp3, m4a, mp4, webm …",
+    "performance": "The performance: a zipped take, or captured or keyed curves of any format.",
+    "sound": "Recording of the performance, where it is no take; else its mouth gives its phrases.",
     "mesh": "Your face: .glb with morph targets, .npz, or one neutral .obj, .ply or .glb.",
     "curves": "A file of curves; the end of its name is its format.",
     "landmarks": "Points on a neutral mesh: .json or .csv.",
-    "mapping": "Meaning of your own shape names: .csv.",
+    "mapping": "Meaning of your own names of shapes or controls: .csv.",
     "emotion": "Keyframes as a file; or the text of the option.",
     "intensity_curve": "intensity.csv as a file; or the text of the option.",
     "voice": "A file of `deitalk data voice`; or its text.",
     "edit": "Layers of edits as a file; or the text of the option.",
     "format": "Kind of file; else that of `Accept`.",
     "script": "A script as .txt, .srt, .vtt or .ssml; or the text of the option.",
+    "listen_to": "Recording of another one who speaks meanwhile; or the text of the option.",
     "after": "The take before: a zipped take, its curves.json, or another file of curves.",
     "into": "The same of the take that comes next.",
     "words": "Words as .txt, .TextGrid, .srt or .vtt; or the text of the option.",
@@ -51,7 +54,7 @@ def body(
         about = {"type": "string", "enum": list(formats), "description": DESCRIPTIONS["format"]}
         options["format"] = about
     parts = {n: BINARY | {"description": DESCRIPTIONS[n]} for n in files if n in DESCRIPTIONS}
-    required = ["mesh"] if "mesh" in files else [files[0]]
+    required = ["performance", "recording"] if "performance" in files else [files[0]]
     form = {
         "schema": {
             "type": "object",

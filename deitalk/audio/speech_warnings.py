@@ -1,7 +1,7 @@
 """Warnings about recordings without speech, or with very quiet or voiceless speech."""
 
 from deitalk.audio.frames import SAMPLE_RATE
-from deitalk.audio.vocal_strength import rms_db
+from deitalk.audio.prosody import rms_db
 from deitalk.audio.voice_activity import (
     SHORT_SECONDS,
     active_level_db,

@@ -15,8 +15,9 @@ from pathlib import Path
 from time import monotonic
 from typing import Any, TypeAlias
 
+from deitalk.batch.journal import DONE, PLACING, Entry, Journal
 from deitalk.batch.orders import File, Outcome
-from deitalk.batch.outputs import DONE, PLACING, PRIVATE, Entry, Journal, Outputs
+from deitalk.batch.outputs import PRIVATE, Outputs
 from deitalk.errors import AudioError, DataError, MissingError
 from rig import limits
 from rig.errors import TargetError, UserError, one_line
@@ -213,7 +214,8 @@ class CloudOutputs:
         """Enter lines before they are animated."""
         with self.journal.transaction():
             for entry in entries:
-                self.journal.write(_placing(entry))
+                known = {"signature": entry.signature, "key": entry.key}
+                self.journal.write(Entry(entry.output, entry.audio, state=PLACING, **known))
         self.save()
 
     def place(self, results: Sequence[tuple[Entry, Outcome]]) -> None:
@@ -338,7 +340,3 @@ def _fetch(url: str, path: Path) -> None:
 def _remove_journal(path: Path) -> None:
     for suffix in ("", "-wal", "-shm"):
         path.with_name(path.name + suffix).unlink(missing_ok=True)
-
-
-def _placing(entry: Entry) -> Entry:
-    return Entry(entry.output, entry.audio, entry.signature, key=entry.key, state=PLACING)

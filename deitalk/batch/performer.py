@@ -112,8 +112,8 @@ class Performer:
 
     def _prepared(self, order: Order) -> tuple[str, "Prepared"] | Outcome:
         """Hash of a line's recording, and the line ready for the network; or its result."""
+        from deitalk.pipeline.actor_voice import measure_voice
         from deitalk.pipeline.curves import prepare
-        from deitalk.pipeline.speech import measure_voice
 
         data, sound = read_recording(order.audio)
         if sound == order.known:

@@ -14,17 +14,13 @@ from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from multiprocessing.connection import Connection, wait
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 from deitalk.batch.orders import Order, Outcome
 from deitalk.errors import DeitalkError
 from deitalk.workers import NEW_PROCESSES, Worker, WorkerLost, begin_worker
 from rig.errors import UserError
 from rig.limits import MIB
-
-if TYPE_CHECKING:
-    pass
-
 
 Perform = Callable[[Sequence[Order]], Iterator[list[Outcome]]]
 """Animates lines; yields results as they come."""
@@ -61,7 +57,7 @@ class Workers:
     count : int
         Processes, 1 or more.
     make : callable
-        Makes what animates a line, such as a `deitalk.batch.processes.Performer`; called once in
+        Makes what animates a line, such as a `deitalk.batch.performer.Performer`; called once in
         each process.
     """
 

@@ -8,27 +8,28 @@
 
 import hashlib
 import os
-import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from time import monotonic
-from typing import Any, NamedTuple
+from typing import Any
 
 from deitalk.acting import Acting, acted_as
 from deitalk.audio.choice import AudioChoice
+from deitalk.batch.actors import references
 from deitalk.batch.cloud import AnyOutputs, Recordings, is_url, opened_cloud
+from deitalk.batch.journal import DONE, FAILED, Entry
 from deitalk.batch.lines import BadLine, Line, Written, line_key, parse_formats
 from deitalk.batch.orders import Order, Outcome
-from deitalk.batch.outputs import DONE, FAILED, Entry, Journal, opened_folder
+from deitalk.batch.outputs import opened_folder
 from deitalk.batch.performer import Performer
 from deitalk.batch.processes import Make, Pool, Workers
 from deitalk.batch.report import BatchReport, Pace, Progress, Row, failed_text, summary_text
-from deitalk.batch.source import ACTORS, SUMMARY, read_source, waves
 from deitalk.batch.source import FAILED as FAILED_TABLE
-from deitalk.emotions import ActorReference, EmotionTrack, parse_actor
+from deitalk.batch.source import SUMMARY, read_source, waves
+from deitalk.emotions import ActorReference, EmotionTrack
 from deitalk.errors import AudioError, CheckpointError, DeitalkError
 from deitalk.installed import __version__
 from deitalk.models.folder import (
@@ -40,7 +41,6 @@ from deitalk.models.folder import (
     weights_hash,
 )
 from deitalk.models.load import Backend, chosen_backend
-from deitalk.pipeline.speech import reference_of
 from rig.errors import TargetError, UserError, quoted
 
 # Lines to orders for the workers, and results to files, journal and rows of the summary.
@@ -267,118 +267,6 @@ def model_identity(model: str | Path, backend: Backend = "auto", device: str = "
     return hashlib.sha256("\0".join(parts).encode()).hexdigest()
 
 
-# References of the actors of a batch: the usual voice of each, measured on its own lines.
-#
-# A reference stays in the output folder as ``batch-actors/<actor>.json`` and is used by later runs,
-# so that a line added tomorrow does not change those of today. It is measured again once the file
-# is removed.
-
-
-MOST_LINES = 100
-"""Lines of an actor that are measured, spread evenly over all of them."""
-FEWEST_LINES = 3
-"""With fewer lines with voice an actor gets no reference."""
-
-
-class Sample(NamedTuple):
-    """A recording of an actor."""
-
-    audio: str
-    choice: AudioChoice
-    sign: str
-    """What its voice depends on."""
-
-    @property
-    def name(self) -> str:
-        """Its name in the journal: its path, and which signal of it."""
-        signal = ",".join(f"{name}={value}" for name, value in self.choice.settings.items())
-        return f"{self.audio}#{signal}" if signal else self.audio
-
-
-def file_of(actor: str) -> str:
-    """Path of an actor's reference below the output folder."""
-    plain = re.sub(r"[^0-9a-z]+", "-", actor.lower()).strip("-")[:60]
-    if plain != actor:
-        plain = f"{plain}-{hashlib.sha256(actor.encode()).hexdigest()[:6]}".lstrip("-")
-    return f"{ACTORS}/{plain}.json"
-
-
-def references(
-    lines: Iterable[Line],
-    outputs: AnyOutputs,
-    signature: Callable[[str], str],
-    run: Callable[[Sequence[Order]], Iterator[list[Outcome]]],
-) -> dict[str, ActorReference]:
-    """References of all actors who have one: read from the output folder, or measured.
-
-    Parameters
-    ----------
-    lines : iterable of Line
-        All lines of the batch.
-    outputs : Outputs or CloudOutputs
-        The output folder; its journal keeps the voice of each recording.
-    signature : callable
-        What the voice of a recording depends on; empty if its file is not there.
-    run : callable
-        Measures recordings: orders to results.
-
-    Raises
-    ------
-    EmotionError
-        If a reference in the output folder is malformed.
-    """
-    found: dict[str, ActorReference] = {}
-    samples: dict[str, list[Sample]] = {}
-    for actor, chosen in _by_actor(lines).items():
-        content = outputs.reference(file_of(actor))
-        if content is not None:
-            found[actor] = parse_actor(content, f"{outputs.folder}/{file_of(actor)}")
-        else:
-            heard = dict.fromkeys((line.audio, line.choice) for line in _spread(chosen))
-            signed = [Sample(*sound, signature(sound[0])) for sound in heard]
-            samples[actor] = [sample for sample in signed if sample.sign]
-    journal = outputs.journal
-    _measure([sample for group in samples.values() for sample in group], journal, run)
-    for actor, group in samples.items():
-        measured = [voice for one in group if (voice := journal.voice(one.name, one.sign))]
-        if sum(voice.strength is not None for voice in measured) >= FEWEST_LINES:
-            text = reference_of(measured).as_json()
-            outputs.keep_reference(file_of(actor), text)
-            found[actor] = parse_actor(text.encode(), actor)  # rounded, as later runs read it
-    return found
-
-
-def _by_actor(lines: Iterable[Line]) -> dict[str, list[Line]]:
-    """Lines of each actor, without those with a reference of their own."""
-    found: dict[str, list[Line]] = {}
-    for line in lines:
-        if line.actor and line.acting.voice is None:
-            found.setdefault(line.actor, []).append(line)
-    return found
-
-
-def _spread(lines: list[Line]) -> list[Line]:
-    step = max(len(lines) / MOST_LINES, 1.0)
-    return [lines[int(i * step)] for i in range(min(len(lines), MOST_LINES))]
-
-
-def _measure(
-    samples: list[Sample],
-    journal: Journal,
-    run: Callable[[Sequence[Order]], Iterator[list[Outcome]]],
-) -> None:
-    """Enter the voice of every recording that is not known yet."""
-    new = {one.name: one for one in samples if journal.voice(one.name, one.sign) is None}
-    orders = [
-        Order(name, one.audio, only_voice=True, choice=one.choice) for name, one in new.items()
-    ]
-    for outcomes in run(orders) if orders else ():
-        with journal.transaction():
-            for outcome in outcomes:
-                if outcome.voice is not None:
-                    journal.write_voice(outcome.output, new[outcome.output].sign, outcome.voice)
-
-
 def animate_batch(
     source: str | Path,
     out: str | Path,
@@ -413,7 +301,7 @@ def animate_batch(
     Parameters
     ----------
     source : str or Path
-        A manifest (`deitalk.batch.source`), or a folder of recordings, whose subfolders are
+        A manifest (`deitalk.batch.manifest`), or a folder of recordings, whose subfolders are
         kept.
     out : str or Path
         Folder of the results: new, empty, or one that was begun from the same source.

@@ -1,26 +1,21 @@
 """A manifest or a folder of recordings to lines, with outputs that differ."""
 
-import csv
-import io
 import os
-import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path, PurePosixPath
-from typing import Any
 
-from deitalk.acting import Acting
-from deitalk.audio.choice import AudioChoice
 from deitalk.audio.decoding import RECORDINGS
 from deitalk.batch.cloud import cloud_errors, file_system, is_url
-from deitalk.batch.lines import TAKE, BadLine, Line, Written, parse_formats
-from deitalk.emotions.track_files import number
-from deitalk.errors import DataError, DeitalkError
+from deitalk.batch.lines import TAKE, BadLine, Line
+from deitalk.batch.manifest import checked_output, read_manifest
+from deitalk.errors import DataError
 from rig import limits
-from rig.errors import UserError, listed, quoted
+from rig.errors import UserError, listed
 from rig.files.reading import decode_text, read_text
-from rig.formats.table import writable_suffixes
 
 SUMMARY, FAILED, ACTORS = "batch-summary.csv", "batch-failed.csv", "batch-actors"
 """Tables and references of a batch in its output folder."""
@@ -54,7 +49,9 @@ def read_source(source: str | Path, out: str | Path, defaults: Line) -> Plan:
             name for name in sorted(names) if stems[os.path.splitext(name)[0].casefold()] > 1
         ]
         lines = distinct(list(_found(base, names, doubled, defaults)))
-        return Plan(lines, tuple(_notes_on(doubled)))
+        outputs = listed([_with_suffix(name) for name in doubled])
+        note = f"recordings that differ by their suffix alone have it in their results: {outputs}"
+        return Plan(lines, (note,) if doubled else ())
     if base.lower().endswith(RECORDINGS):
         raise DataError(f"{base}: a recording; name its folder or a table, or use deitalk animate")
     if not is_url(base):
@@ -72,12 +69,6 @@ def _with_suffix(name: str) -> str:
     """Output of a recording that shares its name: ``line_mp3`` of ``line.mp3``."""
     stem, suffix = os.path.splitext(name)
     return f"{stem}_{suffix[1:]}"
-
-
-def _notes_on(doubled: list[str]) -> Iterator[str]:
-    if doubled:
-        outputs = listed([_with_suffix(name) for name in doubled])
-        yield f"recordings that differ by their suffix alone have it in their results: {outputs}"
 
 
 def _found(
@@ -130,41 +121,22 @@ def _is_recording(name: str) -> bool:
     return name.lower().endswith(RECORDINGS) and not is_hidden
 
 
-def _plain(output: str) -> str:
-    """An output as lines have it; an output of no line where it is none."""
-    try:
-        return checked_output(output)
-    except UserError:
-        return ""
-
-
 def waves(lines: Sequence[Line | BadLine]) -> list[list[int]]:
     """Places of the lines, those that others begin or end at before these.
 
     Lines of a wave depend on lines of the waves before it alone; lines of a circle are in none.
     """
     places = {line.output: k for k, line in enumerate(lines) if isinstance(line, Line)}
-    needs = [
-        {places[name] for name in line.beside.values() if name in places}
-        if isinstance(line, Line)
-        else set()
-        for line in lines
-    ]
-    followers: dict[int, list[int]] = {}
-    for k, before in enumerate(needs):
-        for other in before:
-            followers.setdefault(other, []).append(k)
-    left = [len(before) for before in needs]
-    wave = [k for k, count in enumerate(left) if not count]
+    sorter = TopologicalSorter[int]()
+    for k, line in enumerate(lines):
+        beside = line.beside.values() if isinstance(line, Line) else ()
+        sorter.add(k, *(places[name] for name in beside if name in places))
+    with suppress(CycleError):
+        sorter.prepare()
     found = []
-    while wave:
-        found.append(wave)
-        after: list[int] = []
-        for k in wave:
-            for other in followers.get(k, ()):
-                left[other] -= 1
-                after += [other] if not left[other] else []
-        wave = sorted(after)
+    while wave := sorter.get_ready():
+        found.append(sorted(wave))
+        sorter.done(*wave)
     return found
 
 
@@ -228,244 +200,3 @@ def _outside_takes(lines: list[Line | BadLine], takes: dict[str, Line]) -> list[
         else:
             result.append(line)
     return result
-
-
-# Rows of a manifest: a table with the columns that a line can have.
-#
-# ::
-#
-#     audio             recording, relative to the manifest or absolute; the only one that must be
-#     output            name in the output folder, without suffix; by default that of the recording
-#     formats           csv;take …  (`deitalk convert` lists them)
-#     actor             who speaks: lines of one actor share a measured voice
-#     fps, digits       numbers
-#     timecode          zero, recording or HH:MM:SS:FF
-#     delay, handles    frames by which the face is late, and added before and after
-#     track, channel, raw  which signal, as for `deitalk.load_audio`
-#     after, into       the output of the line before it or next, or a take
-#     emotion, life …   each field of `deitalk.acting.Acting`; files are relative to the manifest
-#
-# Cells are separated by commas, semicolons or tabs; text is UTF-8 or UTF-16.
-
-
-SIGNAL = ("track", "channel", "raw")
-OWN_COLUMNS = (
-    "audio", "output", "formats", "actor", "fps", "digits", "timecode", "delay", "handles", *SIGNAL
-)  # fmt: skip
-BESIDE = ("after", "into")
-"""Columns that name another line, or a take."""
-COLUMNS = (*OWN_COLUMNS, *Acting.model_fields)
-_SETTINGS = COLUMNS[3:]
-_SEPARATORS = ",;\t"
-_SUFFIXES = sorted(writable_suffixes(), key=len, reverse=True)
-Row = dict[str, str]
-
-
-def read_manifest(
-    text: str, where: str, base: str, defaults: Line
-) -> tuple[list[Line | BadLine], tuple[str, ...]]:
-    """Lines of a manifest in their order, and notes on its columns.
-
-    Parameters
-    ----------
-    text : str
-        Content of the file.
-    where : str
-        Its name, for messages.
-    base : str
-        Folder or URL that relative paths begin at.
-    defaults : Line
-        For empty cells and missing columns.
-
-    Raises
-    ------
-    DataError
-        If it has no column ``audio``, a column twice, no rows or too many.
-    """
-    header, rows = _rows(text, where)
-    if "audio" not in header:
-        raise DataError(
-            f"{where}: no column 'audio' among {quoted(', '.join(header))}; a manifest has the "
-            f"columns {', '.join(COLUMNS)}"
-        )
-    known = [name for name in header if name in COLUMNS]
-    doubled = next((name for name in known if known.count(name) > 1), None)
-    if doubled is not None:
-        raise DataError(f"{where}: column {doubled!r} is there twice; keep one")
-    read = _Reader(base, defaults)
-    lines = read.linked([read.line(i, row) for i, row in enumerate(rows, 1)])
-    if not lines:
-        raise DataError(f"{where}: holds no rows; write one for each recording")
-    return lines, tuple(_notes(header))
-
-
-def _notes(header: list[str]) -> Iterator[str]:
-    """Notes about columns that are not used."""
-    unused = [name for name in header if name and name not in COLUMNS]
-    if unused:
-        shown = ", ".join(unused[:5]) + (" …" if len(unused) > 5 else "")
-        yield f"columns of the manifest that are not used: {shown}"
-
-
-def _rows(text: str, where: str) -> tuple[list[str], Iterator[Row]]:
-    """Names of the columns, and the rows that are not empty."""
-    first, _, rest = text.partition("\n")
-    if first.lower().startswith("sep="):  # Excel's own first line
-        text = rest
-        first = rest.partition("\n")[0]
-    separator = max(_SEPARATORS, key=first.count)
-    reader = csv.reader(io.StringIO(text, newline=""), delimiter=separator)
-    try:
-        header = [name.strip().lower() for name in next(reader, [])]
-    except csv.Error as error:
-        raise DataError(f"{where}: no table ({error}); save it as CSV") from None
-    return header, _filled(reader, header, where)
-
-
-def _filled(reader: Iterator[list[str]], header: list[str], where: str) -> Iterator[Row]:
-    count = 0
-    try:
-        for cells in reader:
-            if not any(cell.strip() for cell in cells):
-                continue
-            count += 1
-            if count > limits.BATCH_LINES:
-                raise DataError(
-                    f"{where}: more than {limits.BATCH_LINES:,} rows; divide the manifest"
-                )
-            yield {name: cell.strip() for name, cell in zip(header, cells, strict=False)}
-    except csv.Error as error:
-        raise DataError(f"{where}, row {count + 1}: {error}; save it as CSV again") from None
-
-
-class _Reader:
-    """Rows to lines; rows of equal settings share their objects."""
-
-    def __init__(self, base: str, defaults: Line) -> None:
-        self.base, self.defaults = base, defaults
-        self._known: dict[tuple[str | None, ...], Line] = {}
-
-    def line(self, place: int, row: Row) -> Line | BadLine:
-        audio = row.get("audio", "")
-        try:
-            if not audio:
-                raise DeitalkError("no recording is named in the column audio")
-            formats, output = _named(row, audio, self.defaults.written)
-            # A line with the settings of a row.
-            cells = (*formats, *(row.get(name) for name in _SETTINGS if name not in BESIDE))
-            if cells not in self._known:
-                self._known[cells] = self._read(row, formats)
-            like = self._known[cells]
-            beside = {name: row[name] for name in BESIDE if row.get(name)}
-            return replace(
-                like, number=place, audio=joined(self.base, audio), output=output, beside=beside
-            )
-        except UserError as error:
-            return BadLine(place, audio, row.get("output", ""), str(error))
-
-    def linked(self, lines: list[Line | BadLine]) -> list[Line | BadLine]:
-        """The lines, with the takes before and after that are no lines of the batch read."""
-        outputs = {line.output for line in lines if isinstance(line, Line)}
-        return [
-            self._linked(line, outputs) if isinstance(line, Line) and line.beside else line
-            for line in lines
-        ]
-
-    def _linked(self, line: Line, outputs: set[str]) -> Line | BadLine:
-        inside = {n: name for n, cell in line.beside.items() if (name := _plain(cell)) in outputs}
-        others = {name: cell for name, cell in line.beside.items() if name not in inside}
-        try:
-            acting = Acting.of(line.acting, files=_Beside(self.base), **others)
-        except UserError as error:
-            return BadLine(line.number, line.audio, line.output, str(error))
-        return replace(line, acting=acting, beside=inside)
-
-    def _read(self, row: Row, formats: tuple[str, ...]) -> Line:
-        cells = {name: row[name] for name in _SETTINGS if row.get(name)}
-        alone = [name for name in Acting.model_fields if name not in BESIDE]
-        fields = {name: cells[name] for name in alone if name in cells}
-        acting = Acting.of(self.defaults.acting, files=_Beside(self.base), **fields)
-        form: dict[str, Any] = {"formats": formats}
-        if fps := cells.get("fps"):
-            form["fps"] = number(fps, "fps", "column")
-        if digits := cells.get("digits"):
-            form["digits"] = int(digits) if digits.isdecimal() else digits
-        if timecode := cells.get("timecode"):
-            form["timecode"] = timecode
-        for name in ("delay", "handles"):
-            if cell := cells.get(name):
-                is_whole = cell.lstrip("+-").isdecimal()
-                form[name] = int(cell) if is_whole else cell
-        written = replace(self.defaults.written, **form).checked()
-        actor = cells.get("actor", self.defaults.actor)
-        signal = {name: cells[name] for name in SIGNAL if name in cells}
-        choice = AudioChoice.of(**self.defaults.choice.settings | signal)
-        return replace(self.defaults, acting=acting, written=written, actor=actor, choice=choice)
-
-
-class _Beside(dict[str, Path]):
-    """Files by the names that a manifest gives them."""
-
-    def __init__(self, base: str) -> None:
-        super().__init__()
-        self.base = base
-
-    def __contains__(self, name: object) -> bool:
-        return True
-
-    def __getitem__(self, name: str) -> Path:
-        return Path(joined(self.base, name))
-
-
-def _named(row: Row, audio: str, defaults: Written) -> tuple[tuple[str, ...], str]:
-    """Formats and output of a row; the suffix of an output is its format if none is named."""
-    text = row.get("formats", "")
-    formats = parse_formats(text) if text else defaults.formats
-    output = row.get("output", "")
-    if not output:
-        return formats, output_of(audio)
-    suffix = next((s for s in _SUFFIXES if output.lower().endswith(s)), "")
-    if suffix and (not text or suffix in formats):
-        formats = formats if text else (suffix,)
-        output = output[: -len(suffix)]
-    return formats, checked_output(output)
-
-
-def output_of(audio: str) -> str:
-    """Output of a recording that is named by a relative path: the same without suffix."""
-    is_below = not (os.path.isabs(audio) or "://" in audio or ".." in re.split(r"[/\\]", audio))
-    name = audio if is_below else re.split(r"[/\\]", audio)[-1]
-    return checked_output(os.path.splitext(name)[0])
-
-
-def checked_output(output: str) -> str:
-    """An output with ``/`` between its parts.
-
-    Raises
-    ------
-    DeitalkError
-        If it leaves the output folder, is hidden or is no text.
-    """
-    path = output.replace("\\", "/")
-    parts = [part for part in path.split("/") if part not in ("", ".")]
-    if not parts or path.startswith("/") or ":" in parts[0] or ".." in parts or "\0" in path:
-        raise DeitalkError(f"output {quoted(output)} must be a name below the output folder")
-    if any(part.startswith(".") for part in parts):
-        raise DeitalkError(f"output {quoted(output)} has a hidden part; name it without a dot")
-    if not path.isascii():
-        try:
-            path.encode()
-        except UnicodeEncodeError:
-            raise DeitalkError(
-                f"output {quoted(output)} is no UTF-8; rename the recording"
-            ) from None
-    return "/".join(parts)
-
-
-def joined(base: str, path: str) -> str:
-    """A path or URL of a manifest, from the folder that relative ones begin at."""
-    if "://" in path or os.path.isabs(path) or not base:
-        return path
-    if "://" in base:
-        return f"{base.rstrip('/')}/{path}"
-    return os.path.join(base, path)

@@ -8,31 +8,25 @@ from typing import Annotated, Any, cast
 
 import typer
 
-from deitalk.cli.animate import animate, batch
-from deitalk.cli.console import (
-    CTRL_C_CODE,
-    Terminated,
-    catch_signals,
-    emit,
-    escape_what_cannot_be_encoded,
-    hold_targets,
-    name_option,
-    received,
-    release_signals,
-)
-from deitalk.cli.convert import convert, validate
+from deitalk.cli.animate import animate
+from deitalk.cli.batch import batch
+from deitalk.cli.console import emit, escape_what_cannot_be_encoded, name_option
+from deitalk.cli.convert import convert
 from deitalk.cli.data import app as data_app
 from deitalk.cli.edits import diff, dub
 from deitalk.cli.export import app as export_app
 from deitalk.cli.face import app as face_app
+from deitalk.cli.finetune import finetune
 from deitalk.cli.install import app as install_app
 from deitalk.cli.live import live
 from deitalk.cli.model import app as model_app
-from deitalk.cli.models import finetune
 from deitalk.cli.options import CheckedCommands
 from deitalk.cli.preview import preview
 from deitalk.cli.retarget import retarget
 from deitalk.cli.serve import app as serve_app
+from deitalk.cli.signals import CTRL_C_CODE, Terminated, catch_signals, received, release_signals
+from deitalk.cli.targets import hold_targets
+from deitalk.cli.validate import validate
 from deitalk.installed import __version__
 from deitalk.workers import safe_path
 from rig.errors import UserError, one_line

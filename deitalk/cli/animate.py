@@ -8,18 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from deitalk.cli.console import (
-    PICTURES,
-    bar,
-    console,
-    emit_json,
-    reserve_file,
-    reserve_folder,
-    reserve_picture,
-)
+from deitalk.cli.console import bar, console, emit_json
 from deitalk.cli.mesh import animate_vertices
 from deitalk.cli.options import (
-    MAX_PROCESSES,
     MESH,
     AnyModel,
     Backend,
@@ -35,15 +26,16 @@ from deitalk.cli.options import (
     WrittenIdentity,
     acting_options,
 )
+from deitalk.cli.targets import PICTURES, reserve_file, reserve_folder, reserve_picture
 from deitalk.errors import DeitalkError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from deitalk.audio.load import Recording
-    from deitalk.batch.report import BatchReport
     from deitalk.models.protocol import CurveNetwork
     from deitalk.pipeline.performance import Extra, Performance
+    from rig.face import Identity as Head
 
 
 @acting_options
@@ -128,9 +120,11 @@ def animate(
         _refuse_curve_options("a plot", form | {"preview": preview, "identity": identity})
         _plot(speech, Path(out), given, _loader(model, backend, device, threads), force=force)
         return
-    target, is_folder = Path(out), _is_folder(out)
+    from rig.face.identity import identity_of
+
+    target, is_folder, head = Path(out), _is_folder(out), identity and identity_of(identity)
     _check(target, is_folder, inputs, preview=preview, identity=identity, force=force, **form)
-    extras = _extras(preview, identity)
+    extras = _extras(preview, head)
     performance = _perform(speech, given, _loader(model, backend, device, threads))
     form["start"] = _start(form.pop("timecode"), fps, performance.recording)
     if is_folder:
@@ -140,7 +134,7 @@ def animate(
         about = describe_model(model)
         write_take(target, performance, model=about, force=force, extras=extras, **form)
     else:
-        _write_file(target, performance, form | {"identity": identity})
+        _write_file(target, performance, form | {"identity": head})
     # Print the notes on the recording, and how well the words fit it.
     for warning in performance.recording.warnings:
         console().note(warning)
@@ -254,13 +248,11 @@ def _check(
 
 
 def _check_head(out: Path, is_folder: bool, preview: bool, identity: str | None) -> None:
-    """Raise for an unknown head, and for one that nothing would show."""
+    """Raise for a head that nothing would show."""
     if identity is None:
         return
-    from rig.face.identity import resolve_identity
     from rig.formats import checked_identity, find_format
 
-    resolve_identity(identity)
     if not is_folder:
         checked_identity(identity, find_format(out, writable=True))
     elif not preview:
@@ -301,13 +293,12 @@ def _perform(speech: str, given: Given, load: "Callable[[], CurveNetwork]") -> "
         return finish(prepared, prepared.read(progress))
 
 
-def _extras(preview: bool, identity: str | None) -> "tuple[Extra, ...]":
+def _extras(preview: bool, identity: "Head | str | None") -> "tuple[Extra, ...]":
     if not preview:
         return ()
     from deitalk.preview.page import add_preview
-    from rig.face.identity import resolve_identity
 
-    return (partial(add_preview, identity=resolve_identity(identity or 0)),)
+    return (partial(add_preview, identity=identity or 0),)
 
 
 def _write_file(out: Path, performance: "Performance", form: dict[str, Any]) -> None:
@@ -315,7 +306,7 @@ def _write_file(out: Path, performance: "Performance", form: dict[str, Any]) -> 
 
     from deitalk.audio.load import write_wav
     from rig import write_curves
-    from rig.curves.edit import start_with_handles
+    from rig.curves.shift import start_with_handles
 
     source, seconds = performance.sound_file, performance.recording.duration
     report = write_curves(out, performance.curves, sound=source, seconds=seconds, **form)
@@ -343,103 +334,3 @@ def _summary(out: Path, performance: "Performance", frames: int) -> dict[str, An
         "signal": performance.recording.choice.settings,
         "timings_seconds": performance.timings,
     }
-
-
-# `deitalk batch`: all lines of a manifest or a folder.
-
-
-@acting_options
-def batch(
-    source: Annotated[str, typer.Argument(help="Folder of recordings, or a manifest; or a URL.")],
-    out: Annotated[str, typer.Option("--out", "-o", help="Folder of the results, or a URL.")],
-    given: Given,
-    actor: Annotated[
-        str, typer.Option(help="Who speaks; intensity counts from the actor's usual voice.")
-    ] = "",
-    formats: Annotated[
-        str, typer.Option("--format", help="csv, json, npz, livelink, take … or several: csv;take")
-    ] = "csv",
-    model: AnyModel = "default",
-    backend: Backend = "auto",
-    fps: Annotated[
-        float | None, typer.Option(help="Rate of the written curves: 24 25 29.97 30 50 60.")
-    ] = None,
-    digits: Digits = None,
-    timecode: Timecode = "zero",
-    delay: Delay = 0,
-    handles: Handles = 0,
-    device: Device = "cpu",
-    workers: Annotated[
-        int | None,
-        typer.Option(min=1, max=MAX_PROCESSES, help="Processes; one for each processor."),
-    ] = None,
-    ray: Annotated[
-        str | None, typer.Option(help="Address of a Ray cluster, such as host:6379 or auto.")
-    ] = None,
-    force: Annotated[
-        bool, typer.Option("--force", help="Go on in a folder begun from another source.")
-    ] = False,
-    as_json: Json = False,
-) -> None:
-    """Animate many recordings; the same command again goes on where it was.
-
-    The options hold for lines whose manifest does not say otherwise. Its columns: audio, output,
-    formats, actor, fps, digits, timecode, delay, handles, track, channel, raw, and the options of
-    the acting (docs/batch.md).
-
-    Examples
-    --------
-    deitalk batch lines/ -e happy -o curves/
-
-    deitalk batch lines.csv --format take -o takes/
-    """
-    from deitalk.batch.run import animate_batch
-
-    with bar("animating") as progress:
-        report = animate_batch(
-            source, out, acting=given.acting, actor=actor, formats=formats, fps=fps, digits=digits,
-            timecode=timecode, delay=delay, handles=handles, model=model, device=device,
-            backend=backend,  # type: ignore[arg-type]
-            workers=workers, ray=ray, force=force, progress=progress, **given.choice.settings,
-        )  # fmt: skip
-    for note in report.notes:
-        console().note(note)
-    if as_json:
-        emit_json(_batch_summary(report))
-    else:
-        console().print(_batch_line(out, report))
-    _fail_if_any_failed(report)
-
-
-def _batch_line(out: str, report: "BatchReport") -> str:
-    from deitalk.batch.source import SUMMARY
-
-    counts = ", ".join(f"{count} {status}" for status, count in report.counts.items() if count)
-    rate = report.seconds / report.wall_seconds
-    return (
-        f"{out}: {counts} of {len(report.rows)} lines in {report.wall_seconds:.0f} s "
-        f"({rate:.0f} x real time); {SUMMARY} has a row for each"
-    )
-
-
-def _batch_summary(report: "BatchReport") -> dict[str, Any]:
-    return {
-        "out": report.out,
-        "lines": len(report.rows),
-        **report.counts,
-        "with_warnings": sum(bool(row.warnings) for row in report.rows),
-        "seconds": report.seconds,
-        "wall_seconds": report.wall_seconds,
-    }
-
-
-def _fail_if_any_failed(report: "BatchReport") -> None:
-    from deitalk.batch.source import FAILED
-    from deitalk.errors import DeitalkError
-
-    if report.failed:
-        first = report.failed[0]
-        raise DeitalkError(
-            f"{len(report.failed)} of {len(report.rows)} lines failed, see {FAILED} there; "
-            f"the first is {first.audio}: {first.error}"
-        )

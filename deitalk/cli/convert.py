@@ -1,39 +1,26 @@
 """`deitalk convert`: curves from any format to any other."""
 
-from collections import Counter
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from deitalk.cli.console import (
-    console,
-    curves_of,
-    emit,
-    emit_json,
-    reserve_file,
-    reserve_sound,
-    write_sound,
-)
+from deitalk.cli.console import console, emit, emit_json
 from deitalk.cli.options import (
     Delay,
     Digits,
     Force,
-    Given,
     Handles,
     Json,
     WrittenIdentity,
-    acting_options,
     control_set_of,
 )
+from deitalk.cli.targets import curves_of, reserve_file, reserve_sound, write_sound
 from deitalk.errors import DeitalkError
-from rig.errors import as_line
 
 if TYPE_CHECKING:
     from rig import RigCurves, WriteReport
-    from rig.validation import Finding
 
 
 def convert(
@@ -99,6 +86,7 @@ def convert(
     from rig.controls import DEFAULT_ID
     from rig.conversion.convert import convert as to_set
     from rig.conversion.convert import convert_and_note
+    from rig.face.identity import identity_of
 
     if list_formats:
         from rig.formats.table import FORMATS
@@ -111,7 +99,7 @@ def convert(
         raise typer.BadParameter("give a source and a target (or --list-formats)")
     reserve_file(target, force=force, inputs=(source, curves_of(source)))
     sound = reserve_sound(target, source / "audio.wav", force=force)
-    wanted, head = _control_set(rig, target, to), _head(identity)
+    wanted, head = _control_set(rig, target, to), identity and identity_of(identity)
     curves = read_curves(curves_of(source), format=from_, fps=source_fps, control_set=None)
     if start or end is not None:
         whole, curves = curves.duration, curves.slice_seconds(start, end)
@@ -146,15 +134,6 @@ def _control_set(rig: str, target: Path, to: str | None) -> str | None:
             "leave it out, or write csv, json, npz, or for arkit glb"
         )
     return None
-
-
-def _head(identity: str | None) -> str | None:
-    """Name of an embedded head, or None; raises for an unknown one before anything is read."""
-    if identity is None:
-        return None
-    from rig.face.identity import resolve_identity
-
-    return resolve_identity(identity).name
 
 
 def _speech(source: Path, target: Path, to: str | None, *, is_whole: bool) -> dict[str, Any]:
@@ -208,62 +187,3 @@ def _pairs(texts: list[str] | None, option: str) -> dict[str, float]:
         if not equals or not name.strip():
             raise DeitalkError(f"{option} {text!r} must be NAME=NUMBER, such as brow=0.5")
     return pairs
-
-
-# `deitalk validate`: errors and warnings of importers for a file.
-
-
-@partial(acting_options, fields=("words", "language"), of_recording=False)
-def validate(
-    path: Annotated[Path, typer.Argument(help="A file of curves, or a take folder.")],
-    given: Given,
-    strict: Annotated[bool, typer.Option("--strict", help="Exit code 1 on warnings too.")] = False,
-    audio: Annotated[
-        Path | None, typer.Option(help="Recording of a file of curves, for its words.")
-    ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the findings as JSON.")] = False,
-) -> None:
-    """Check a file or a take by the rules of the importing programs; exit code 1 on errors.
-
-    Cell counts, time codes, ranges, NaN, constant curves, jumps, open mouths at the end, and
-    effects in Unreal. With the words of the recording: closures that the lips miss.
-
-    Examples
-    --------
-    deitalk validate take/
-
-    deitalk validate MySlate_1_iPhone.csv --json
-
-    deitalk validate take/ --words "My promise is big."
-    """
-    from rig.validation import validate as check
-
-    if given.acting.words is None and (given.acting.settings or audio is not None):
-        raise DeitalkError("--audio and --language are of --words, which are not given; add them")
-    validation = check(path)
-    findings = list(validation.findings)
-    if validation.ok and given.acting.words is not None:
-        from deitalk.pipeline.words.align import check_closures
-        from deitalk.pipeline.words.transcript import Transcript
-
-        words = Transcript.of(given.acting.words, given.acting.language)
-        findings += check_closures(path, words, audio)
-    is_warned = strict and any(finding.level == "warning" for finding in findings)
-    is_valid = validation.ok and not is_warned
-    if as_json:
-        rows = [{"level": f.level, "path": str(f.path), "text": f.text} for f in findings]
-        emit_json({"ok": validation.ok, "findings": rows}, indent=1)
-    else:
-        for finding in findings:
-            emit(as_line(f"{finding.level:8} {finding.path.name or finding.path}: {finding.text}"))
-        emit(as_line(f"{path}: {_verdict(findings, is_valid=is_valid)}"))
-    if not is_valid:
-        raise typer.Exit(1)
-
-
-def _verdict(findings: "list[Finding]", *, is_valid: bool) -> str:
-    """Whether a file or a take is valid, and how many errors and warnings it has."""
-    counts = Counter(finding.level for finding in findings)
-    found = [f"{counts[level]} {level}{'s' * (counts[level] > 1)}"
-             for level in ("error", "warning") if counts[level]]  # fmt: skip
-    return f"{'valid' if is_valid else 'not valid'}, {' and '.join(found) or 'no error or warning'}"

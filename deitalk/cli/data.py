@@ -5,8 +5,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from deitalk.cli.console import bar, console, emit, emit_json, reserve_file, reserve_folder
+from deitalk.cli.console import bar, console, emit, emit_json
 from deitalk.cli.options import MAX_COUNT, CheckedCommands, Force, Json
+from deitalk.cli.targets import reserve_file, reserve_folder
 from deitalk.errors import DeitalkError
 from rig.errors import as_line
 
@@ -256,7 +257,7 @@ def voice(
     if not sounds and not sources:
         raise AudioError("nothing to measure; name recordings of the actor, or --takes")
     reserve_file(out, force=force, inputs=[*sounds, *sources, mapping])
-    from deitalk.pipeline.speech import measure_actor
+    from deitalk.pipeline.actor_voice import measure_actor
     from rig.files import atomic_write
 
     traits = _traits(sources, mapping, fps) if sources else {}

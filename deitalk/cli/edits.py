@@ -5,8 +5,19 @@ from typing import Annotated
 
 import typer
 
-from deitalk.cli.console import bar, console, emit_json, reserve_file, reserve_folder
-from deitalk.cli.options import Device, Force, Given, Json, Model, acting_options
+from deitalk.cli.console import bar, console, emit_json
+from deitalk.cli.options import (
+    Delay,
+    Device,
+    Force,
+    Given,
+    Handles,
+    Json,
+    Model,
+    Timecode,
+    acting_options,
+)
+from deitalk.cli.targets import reserve_file, reserve_folder
 from deitalk.errors import DeitalkError
 
 
@@ -87,7 +98,7 @@ def dub(
     performance: Annotated[
         Path,
         typer.Argument(
-            help="Take folder, or captured or keyed curves: Live Link CSV, unreal.json, csv …"
+            help="Take folder or .zip, captured or keyed curves: Live Link CSV, unreal.json, csv …"
         ),
     ],
     speech: Annotated[Path, typer.Argument(help="The new recording.")],
@@ -105,11 +116,17 @@ def dub(
     stretch: Annotated[
         float, typer.Option(min=1, max=3, help="Most by which phrases are played slower or faster.")
     ] = 1.5,
-    fps: Annotated[
+    source_fps: Annotated[
         float | None, typer.Option(help="Rate of the performance, Hz, if its file has none.")
     ] = None,
     model: Model = "default",
     device: Device = "cpu",
+    fps: Annotated[
+        float | None, typer.Option(help="Rate of the written curves: 24 25 29.97 30 50 60.")
+    ] = None,
+    timecode: Timecode = "zero",
+    delay: Delay = 0,
+    handles: Handles = 0,
     force: Force = False,
     as_json: Json = False,
 ) -> None:
@@ -119,8 +136,9 @@ def dub(
     --------
     deitalk dub MySlate_1_iPhone.csv german.wav -o take/
 
-    deitalk dub take/ retake.wav -o take2/ --words "My promise is big."
+    deitalk dub take.zip retake.wav -o take2/ --words "My promise is big."
     """
+    from deitalk.audio.original import start_of
     from deitalk.data.captures.columns import read_mapping
     from deitalk.data.dub import dub as dubbed
     from deitalk.models.folder import describe_model
@@ -129,16 +147,20 @@ def dub(
     inputs = (str(speech), str(performance), *given.texts)
     reserve_folder(out, kind=KIND, force=force, inputs=inputs)
     check_take(out, source=str(speech), force=force, inputs=inputs)
+    start_of(timecode, fps, 0.0)
     table = None if mapping is None else read_mapping(mapping)
     with bar("animating") as progress:
         found = dubbed(
             performance, speech, sound=sound, acting=given.acting, mapping=table, stretch=stretch,
-            fps=fps, model=model, device=device, progress=progress, **given.choice.settings,
+            fps=source_fps, model=model, device=device, progress=progress, **given.choice.settings,
         )  # fmt: skip
-    about = describe_model(model)
-    write_take(out, found.performance, model=about, force=force, extras=(found.write_report,))
-    for note in (*found.performance.recording.warnings, *found.notes):
-        console().note(note)
+    start, note = start_of(timecode, fps, found.performance.recording.start)
+    write_take(
+        out, found.performance, model=describe_model(model), force=force,
+        extras=(found.write_report,), fps=fps, start=start, delay=delay, handles=handles,
+    )  # fmt: skip
+    for line in filter(None, (note, *found.performance.recording.warnings, *found.notes)):
+        console().note(line)
     if as_json:
         frames = len(found.exact)
         emit_json({

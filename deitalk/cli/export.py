@@ -5,8 +5,9 @@ from typing import Annotated
 
 import typer
 
-from deitalk.cli.console import console, reserve_folder
+from deitalk.cli.console import console
 from deitalk.cli.options import CheckedCommands, Force, Identity
+from deitalk.cli.targets import reserve_folder
 
 app = CheckedCommands(help="Export what browsers run by themselves.", no_args_is_help=True)
 
@@ -33,10 +34,10 @@ def web(
     deitalk export web -o site/
     """
     from deitalk.preview.site import export_site
-    from rig.face.identity import resolve_identity
+    from rig.face.identity import identity_of
 
-    resolve_identity(identity)
+    head = identity_of(identity)
     reserve_folder(out, kind="site", force=force)
     with console().status("exporting the model"):
-        size = export_site(out, model, identity, force=force)
+        size = export_site(out, model, head, force=force)
     console().print(f"{out}: {size / 1e6:.1f} MB; python -m http.server -d {out}")

@@ -5,13 +5,9 @@ from typing import Annotated
 
 import typer
 
-from deitalk.cli.console import (
-    console,
-    emit,
-    emit_json,
-    reserve_file,
-)
+from deitalk.cli.console import console, emit, emit_json
 from deitalk.cli.options import CheckedCommands, Force, Identity
+from deitalk.cli.targets import reserve_file
 from deitalk.errors import DeitalkError
 
 app = CheckedCommands(
@@ -46,17 +42,50 @@ def export(
     deitalk face export --identity Bruno -o bruno.glb
     """
     from rig.face import build_head
+    from rig.face.identity import identity_of
     from rig.retarget.head_glb import CORRECTIVES, write_head
 
     if out.suffix.lower() != ".glb":
         raise DeitalkError(f"{out} has suffix {out.suffix or 'none'!r}; a head is a .glb file")
     reserve_file(out, force=force)
-    head = build_head(identity)
+    head = build_head(identity_of(identity))
     names = write_head(out, head).names
     console().print(
         f"{out}: {head.identity.name}, {len(names) - len(CORRECTIVES)} shapes "
         f"and {len(CORRECTIVES)} correctives"
     )
+
+
+@app.command("import")
+def import_(
+    source: Annotated[Path, typer.Argument(help="GLB with morph targets of ARKit's names.")],
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="Head file (.npz); beside the GLB.")
+    ] = None,
+    force: Force = False,
+) -> None:
+    """Make a head of your own for --identity, from a GLB with ARKit's blendshapes.
+
+    Examples
+    --------
+    deitalk face import mine.glb
+
+    deitalk preview take/ --identity mine.npz
+    """
+    from rig.face.identity import HEAD_FILE
+    from rig.retarget.head_import import import_head
+
+    target = source.with_suffix(HEAD_FILE) if out is None else out
+    if target.suffix.lower() != HEAD_FILE:
+        raise DeitalkError(
+            f"{target} has suffix {target.suffix or 'none'!r}; a head is a {HEAD_FILE} file"
+        )
+    reserve_file(target, force=force, inputs=(source,))
+    with console().status("importing"):
+        made = import_head(source, target)
+    for note in made.notes:
+        console().note(note)
+    console().print(f"{target}: {made.shapes} shapes, {made.vertices} vertices")
 
 
 @app.command()

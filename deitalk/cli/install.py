@@ -8,8 +8,9 @@ from urllib.parse import urlsplit
 
 import typer
 
-from deitalk.cli.console import console, reserve_file, reserve_folder
+from deitalk.cli.console import console
 from deitalk.cli.options import CheckedCommands, Force
+from deitalk.cli.targets import reserve_file, reserve_folder
 from deitalk.errors import DeitalkError, MissingError
 
 app = CheckedCommands(help="Install deitalk in another program.")

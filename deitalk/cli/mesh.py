@@ -4,17 +4,13 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from deitalk.cli.console import (
-    bar,
-    console,
-    emit_json,
-    reserve_mesh,
-)
+from deitalk.cli.console import bar, console, emit_json
+from deitalk.cli.targets import reserve_mesh
 from deitalk.errors import DeitalkError
 
 if TYPE_CHECKING:
     from deitalk.cli.options import Given
-    from deitalk.pipeline.performance import MeshPerformance
+    from deitalk.pipeline.mesh_performance import MeshPerformance
 
 
 def animate_vertices(

@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from deitalk.cli.console import console, emit, emit_json, reserve_file, reserve_folder
+from deitalk.cli.console import console, emit, emit_json
 from deitalk.cli.options import CheckedCommands
+from deitalk.cli.targets import reserve_file, reserve_folder
 
 if TYPE_CHECKING:
     pass

@@ -151,7 +151,7 @@ MAX_PROCESSES = 256
 MAX_COUNT = 10**9
 """Largest number of steps, clips or recordings."""
 
-EDITING, PERFORMANCE, MESH, EXPERT = "Editing", "Performance", "Mesh", "Expert"
+EDITING, MESH, EXPERT = "Editing", "Mesh", "Expert"
 """Panels of options in the help; those of every day have none and come first."""
 
 Command = TypeVar("Command", bound=Callable[..., Any])
@@ -293,7 +293,8 @@ Threads = Annotated[
 Identity = Annotated[
     str,
     typer.Option(
-        help="Head: female, male, child, or a number or name of `deitalk face identities`."
+        help="Head: female, male, child, one of `deitalk face identities`, or the .npz of "
+        "`deitalk face import`."
     ),
 ]
 WrittenIdentity = Annotated[
@@ -301,8 +302,9 @@ WrittenIdentity = Annotated[
     typer.Option(
         "--identity",
         rich_help_panel=MESH,
-        help="Head of a GLB, a USD, --preview or --vertices: female, male, child, or one of "
-        "`deitalk face identities`; a speaker of an SDFA model.",
+        help="Head of a GLB, a USD, --preview or --vertices: female, male, child, one of "
+        "`deitalk face identities`, or the .npz of `deitalk face import`; a speaker of an SDFA "
+        "model.",
     ),
 ]
 MeshOut = Annotated[

@@ -5,14 +5,9 @@ from typing import Annotated
 
 import typer
 
-from deitalk.cli.console import (
-    bar,
-    console,
-    curves_of,
-    note_reading,
-    reserve_file,
-)
+from deitalk.cli.console import bar, console
 from deitalk.cli.options import Force, Identity
+from deitalk.cli.targets import curves_of, note_reading, reserve_file
 from deitalk.errors import DeitalkError
 
 
@@ -54,9 +49,11 @@ def preview(
     from deitalk.preview.source import load_source
     from deitalk.preview.speech_warnings import find_warnings
     from deitalk.preview.video import render_video
+    from rig.face.identity import identity_of
 
-    others = versus or []
-    target = out or _beside(source)
+    others, head = versus or [], identity_of(identity)
+    in_folder = source / "preview.html"
+    target = out or (in_folder if source.is_dir() else source.with_suffix(".html"))
     is_page = target.suffix.lower() in PAGES
     if (others and not is_page) or (view != "mouth" and is_page):
         raise DeitalkError("--versus is of a page (.html), --view of a video (.mp4); leave it out")
@@ -73,11 +70,11 @@ def preview(
     for time, text in find_warnings(shown[0]):
         console().print(f"{time:6.2f} s  {text}")
     if is_page:
-        render_page(shown, target, identity=identity, force=force)
+        render_page(shown, target, identity=head, force=force)
     else:
         with bar("drawing") as progress:
             render_video(
-                shown[0], target, identity=identity, second_view=view, force=force,
+                shown[0], target, identity=head, second_view=view, force=force,
                 progress=progress,
             )  # fmt: skip
     # Add a preview to the take's manifest, so that a new take removes it.
@@ -88,8 +85,3 @@ def preview(
     if is_own and kind_of(source) == KIND:
         record(source, [target.name], kind=KIND)
     console().print(str(target))
-
-
-def _beside(source: Path) -> Path:
-    """Default page: in a take folder, or beside a file of curves."""
-    return source / "preview.html" if source.is_dir() else source.with_name(source.stem + ".html")

@@ -6,16 +6,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from deitalk.cli.console import (
-    console,
-    curves_of,
-    emit_json,
-    reserve_file,
-    reserve_mesh,
-    reserve_sound,
-    write_sound,
-)
+from deitalk.cli.console import console, emit_json
 from deitalk.cli.options import Force, Json, MeshOut
+from deitalk.cli.targets import curves_of, reserve_file, reserve_mesh, reserve_sound, write_sound
 from deitalk.errors import DeitalkError
 
 if TYPE_CHECKING:

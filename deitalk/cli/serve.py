@@ -10,8 +10,8 @@ from typing import Annotated, Any
 
 import typer
 
-from deitalk.cli.console import reserve_file
 from deitalk.cli.options import CheckedCommands
+from deitalk.cli.targets import reserve_file
 from deitalk.errors import MissingError
 
 app = CheckedCommands()

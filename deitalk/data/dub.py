@@ -23,21 +23,22 @@ import numpy as np
 from deitalk.acting import Acting
 from deitalk.audio.arrays import Audio
 from deitalk.audio.frames import FRAME_RATE, runs
-from deitalk.audio.load import load_audio
-from deitalk.audio.voice_activity import speech_activity
+from deitalk.audio.load import Recording, load_audio
 from deitalk.config.rules import KeepContacts
 from deitalk.data.captures.columns import RigMapping
 from deitalk.data.captures.take import read_capture
 from deitalk.errors import DataError
-from deitalk.pipeline.curves import animate
+from deitalk.pipeline.curves import animate, join
 from deitalk.pipeline.layers import edited
 from deitalk.pipeline.performance import Performance
 from deitalk.pipeline.speech import Speech
 from deitalk.postprocess.control_groups import ControlGroups
+from deitalk.postprocess.joins import TAKE_CURVES, opened_take
 from rig import ControlSet, RigCurves, default_controls, read_curves
 from rig.arrays import Bool, Float32, Float64
 from rig.controls import DEFAULT_ID
-from rig.curves.edit import gaussian_smooth
+from rig.curves.edit import clamp, gain
+from rig.curves.filters import gaussian_smooth
 from rig.errors import listed
 
 STRETCH = 1.5
@@ -54,12 +55,13 @@ GROUP_COST = 0.3
 """Of a phrase that stands for another one's part, as the logarithm of a stretch."""
 CORNER_SECONDS = 0.2
 """Deviation of the filter that divides the corners' emotion from their speech."""
-AMPLITUDE = (0.5, 2.0)
+AMPLITUDE = (0.5, 1.8)
 """Least and greatest factor on the opening of the mouth."""
 MOUTH_REGIONS = ("mouth", "jaw", "tongue", "teeth")
 CORNERS = ("cornerPull", "cornerDepress", "dimple", "mouth_stretch.", "sharpCornerPull", "corner.t")
 SOUNDS = (".wav", ".flac", ".mp3", ".m4a", ".ogg", ".opus", ".mov", ".mp4")
 REPORT = "dub.json"
+TAKE_SOUND = "audio.wav"
 
 
 @dataclass(frozen=True)
@@ -153,7 +155,7 @@ def dub(
     performance: Path | str,
     audio: Audio,
     *,
-    sound: Path | str | None = None,
+    sound: Path | str | Recording | None = None,
     acting: Acting | None = None,
     mapping: RigMapping | None = None,
     stretch: float = STRETCH,
@@ -166,15 +168,16 @@ def dub(
     Parameters
     ----------
     performance : Path or str
-        A take folder, or a file of captured or keyed curves: see
+        A take folder, a zipped take, or a file of captured or keyed curves: see
         `deitalk.data.captures.take.read_capture`.
     audio : path, bytes, file object, Recording, array or tensor
         The new recording, as for `deitalk.animate`.
-    sound : Path or str, optional
+    sound : Path, str or Recording, optional
         Recording of the performance; by default that of the take, or a file of the same name
         beside the curves. Without one its phrases are those of its mouth.
     acting : Acting, optional
-        How the new recording is acted.
+        How the new recording is acted. Its gain scales the performance too, takes beside it
+        (`after`, `into`) are joined as those of `deitalk.animate` are, edits come last.
     mapping : RigMapping, optional
         Of another rig's curves to the board.
     stretch : float
@@ -193,14 +196,20 @@ def dub(
     """
     if not 1 <= stretch <= 3:
         raise DataError(f"stretch {stretch:g} must be 1 to 3")
-    path = Path(performance)
-    face, known, notes = _read(path, mapping, fps)
+    with opened_take(Path(performance), (TAKE_CURVES, TAKE_SOUND)) as path:
+        if path.is_dir() and not (path / TAKE_CURVES).is_file():
+            raise DataError(
+                f"{performance} has no {TAKE_CURVES}; name a take folder or a file of curves"
+            )
+        face, known, notes = _read(path, mapping, fps)
+        old, source = _phrases_of(path, face, sound)
     acting = Acting.of(acting)
+    if acting.gain:
+        face, _ = clamp(gain(face, acting.gain))
     made = perform(audio, acting=Acting.of(acting, edit=()), **options)  # edits come last
     controls = default_controls()
     if made.curves.control_set != DEFAULT_ID:
         raise DataError(f"the model's curves are of {made.curves.control_set}; dub with the board")
-    old, source = _phrases_of(path, face, sound)
     new = phrases(made.recording.activity > 0, len(made.curves))
     clock = _Clock(len(face), len(made.curves), stretch)
     pieces = clock.run(paired_phrases(old, new, stretch))
@@ -217,6 +226,10 @@ def dub(
     if face.head is not None:
         head = clock.shown(face.head)
         notes.append("the head is that of the performance")
+    joined = values.copy()  # the mouth of `made` is joined already
+    join(controls, joined, None if face.head is None else head, acting)
+    clock.exact &= (joined[:, places] == values[:, places]).all(axis=1)
+    values[:, [*places, *corners]] = joined[:, [*places, *corners]]
     absent = [n for n in controls.names if n not in known and not _is_mouth(controls, n)]
     if absent:
         notes.append(
@@ -244,12 +257,10 @@ def dub(
 def _read(
     path: Path, mapping: RigMapping | None, fps: float | None
 ) -> tuple[RigCurves, frozenset[str], list[str]]:
-    """The performance at 30 Hz, the controls that it knows, notes."""
+    """The performance at 30 Hz, the controls whose values are known, notes."""
     controls = default_controls()
     if path.is_dir():
-        if not (path / "curves.json").is_file():
-            raise DataError(f"{path} has no curves.json; name a take folder or a file of curves")
-        curves = read_curves(path / "curves.json").reorder(controls)
+        curves = read_curves(path / TAKE_CURVES).reorder(controls)
         known, notes = controls.names, []
     else:
         found = read_capture(path, mapping=mapping, fps=fps)
@@ -260,15 +271,16 @@ def _read(
 
 
 def _phrases_of(
-    path: Path, face: RigCurves, sound: Path | str | None
+    path: Path, face: RigCurves, sound: Path | str | Recording | None
 ) -> tuple[list[tuple[int, int]], str]:
     """Phrases of the performance, and a line on what they are taken from."""
     if sound is None:
-        beside = [path / "audio.wav"] if path.is_dir() else [path.with_suffix(s) for s in SOUNDS]
+        beside = [path / TAKE_SOUND] if path.is_dir() else [path.with_suffix(s) for s in SOUNDS]
         sound = next((found for found in beside if found.is_file()), None)
     if sound is not None:
-        speaking = speech_activity(load_audio(sound).waveform) > 0
-        return phrases(speaking, len(face)), f"those of the performance by {Path(sound).name}"
+        heard = sound if isinstance(sound, Recording) else load_audio(sound)
+        source = f"those of the performance by {Path(heard.source).name}"
+        return phrases(heard.activity > 0, len(face)), source
     places = ControlGroups(default_controls()).lively
     opened = face.values[:, places].sum(axis=1).astype(float)
     moving = gaussian_smooth(np.abs(np.gradient(opened)), 3.0, "mirror")
@@ -301,7 +313,7 @@ Span = tuple[int, int]
 def paired_phrases(
     old: Sequence[Span], new: Sequence[Span], limit: float = STRETCH
 ) -> list[tuple[Span, Span]]:
-    """Phrases of two recordings that stand for each other, in their order.
+    """Phrases of two recordings that correspond, in their order.
 
     Where one has more, up to `MOST_TOGETHER` of them stand for one of the other. Of a recording
     that is longer than the limit allows the last phrases have no counterpart. Where that would

@@ -25,7 +25,7 @@ import numpy as np
 
 from deitalk.audio.frames import SAMPLE_RATE
 from deitalk.audio.load import Recording
-from deitalk.audio.vocal_strength import level_db
+from deitalk.audio.prosody import level_db
 from rig import RigCurves
 from rig.arrays import Bool, Float32, Float64
 from rig.controls import DEFAULT_ID

@@ -97,7 +97,7 @@ BLOCK_FRAMES = 256
 
 
 class CausalState(NamedTuple):
-    """What a stream keeps between two calls."""
+    """State of a stream between two calls."""
 
     level: Tensor
     """Running level and its weight [shape=(B, 2)]."""

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from deitalk.audio.frames import FRAME_RATE
-from deitalk.audio.vocal_strength import LEVEL_DB, PITCH_SEMITONES, VOICED
+from deitalk.audio.prosody import LEVEL_DB, PITCH_SEMITONES, VOICED
 from deitalk.live.intensity import FORGET_FRAMES, Measures
 from deitalk.postprocess.life.voice import (
     ACCENT_DISTANCE,

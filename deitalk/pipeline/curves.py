@@ -36,6 +36,7 @@ from deitalk.postprocess.factors import held_intensity, mean_around, opening_fac
 from deitalk.postprocess.feeling import state_of_intensity
 from deitalk.postprocess.joins import activity_beside, lead, unknown_controls
 from deitalk.postprocess.known_phones import phone_tracks
+from deitalk.postprocess.life.breath import draw_breaths
 from deitalk.postprocess.life.motion import Motion, plan_motion
 from deitalk.postprocess.life.other import OtherVoice
 from deitalk.postprocess.life.voice import Seeds, Traits, measure_voice
@@ -43,8 +44,8 @@ from deitalk.postprocess.tracks import VoiceTracks, shown_columns
 from deitalk.postprocess.variants import choose_ways, unused_variants
 from rig import ControlSet, RigCurves
 from rig.arrays import Float32
+from rig.curves.apply_layers import target_columns
 from rig.curves.edit import gain_factors
-from rig.curves.layers import target_columns
 from rig.errors import quoted
 
 if TYPE_CHECKING:
@@ -366,6 +367,8 @@ class _Ready(NamedTuple):
     intensities: Intensities
     traits: Traits
     head: Float32 | None
+    breathe: Callable[..., None] | None
+    """Adds breaths to finished curves in place."""
     words: "WordFit | None"
 
 
@@ -402,13 +405,13 @@ def _ready(prepared: Prepared, reading: Reading, words: "WordFit | None" = None)
         intensities.scale, opening, intensities.held, phones, weights, kept.back, kept.share,
         weights @ ways.weights, side,
     )  # fmt: skip
-    motion = _motion(prepared, weights * intensities.applied[:, None], traits)
+    motion, breathe = _motion(prepared, weights * intensities.applied[:, None], traits)
     tracks_of_motion = None if motion is None else motion.tracks
     gates = shown_columns(speech.mouth, intensities.share, tracks_of_motion)
     values = neutral.copy() if emotional is neutral else emotional
     unruled = Unruled(neutral, values, voice.columns(), gates, prepared.gain, acting.rules)
     head = None if motion is None or not motion.head.any() else motion.head
-    return _Ready(prepared, unruled, intensities, traits, head, words)
+    return _Ready(prepared, unruled, intensities, traits, head, breathe, words)
 
 
 def _finished(ready: Sequence[_Ready], model: str = "") -> list[Performance]:
@@ -424,14 +427,17 @@ def _performance(
     intensities: Intensities,
     traits: Traits,
     head: Float32 | None,
+    breathe: Callable[..., None] | None,
     words: "WordFit | None",
     clipped: int,
     model: str,
 ) -> Performance:
     speech, rules, acting, clock = prepared.speech, prepared.rules, prepared.acting, prepared.clock
     controls = prepared.network.controls
+    if breathe is not None and acting.rules:
+        breathe(controls, ruled.neutral, ruled.shown, gain=ruled.gain)
     clock.lap("expression")
-    _join(controls, ruled.shown, head, acting)
+    join(controls, ruled.shown, head, acting)
     shown_curves = _curves(controls, ruled.shown, prepared.weights, intensities.applied, head)
     neutral_curves = _curves(controls, ruled.neutral)
     recording = _with_note_of(words, prepared.recording)
@@ -508,8 +514,11 @@ def _between(speech: Speech, acting: Acting) -> Speech:
     return replace(speech, before=before, after=activity_beside(acting.into, before=False))
 
 
-def _join(controls: ControlSet, values: Float32, head: Float32 | None, acting: Acting) -> None:
-    """Have the curves [shape=(T, C)] and the head begin and end at the takes beside them."""
+def join(controls: ControlSet, values: Float32, head: Float32 | None, acting: Acting) -> None:
+    """Have curves [shape=(T, C)] and a head [shape=(T, 6)] begin and end at the takes beside.
+
+    Both are changed in place.
+    """
     most = len(values) // 2 if acting.into is not None else None
     if acting.after is not None:
         lead(values, head, controls, acting.after, most=most)
@@ -526,22 +535,29 @@ def _traits(prepared: Prepared) -> Traits:
     return Traits.of(Seeds.of(prepared.speech.waveform, prepared.style, acting.seed).character())
 
 
-def _motion(prepared: Prepared, shown: Float32, traits: Traits) -> Motion | None:
-    """Motion above the mouth for the emotion that is shown [shape=(T, 9)]; None: there is none."""
+def _motion(
+    prepared: Prepared, shown: Float32, traits: Traits
+) -> tuple[Motion | None, Callable[..., None] | None]:
+    """Motion above the mouth for the emotion that is shown [shape=(T, 9)]; None: there is none.
+
+    And `draw_breaths` of its voice, where the head moves.
+    """
     speech, acting, idle = prepared.speech, prepared.acting, prepared.rules.idle
     life = acting.motion
     other = acting.listen_to
     is_still = not (acting.listen or other or speech.activity.any())
     if idle is None or life is None or is_still:
-        return None
+        return None, None
     emotions = shown.sum(axis=0)
     emotion = int(emotions[1:].argmax()) + 1 if emotions[1:].any() else 0
     seeds = Seeds.of(speech.waveform, prepared.style, acting.seed, emotion)
     voice = with_accents(measure_voice(speech.activity, speech.prosody), prepared.marks)
-    if other is None:
-        return plan_motion(voice, shown, seeds, idle, life, traits)
-    heard, felt = other.voice(speech.n_frames), other.felt(speech.n_frames)
-    return plan_motion(voice, shown, seeds, idle, life, traits, heard, felt)
+    breathe = partial(draw_breaths, voice=voice, key=seeds.key("head"))
+    heard = felt = None
+    if other is not None:
+        heard, felt = other.voice(speech.n_frames), other.felt(speech.n_frames)
+    motion = plan_motion(voice, shown, seeds, idle, life, traits, heard, felt)
+    return motion, breathe if life.times(idle).head > 0 else None
 
 
 def _curves(

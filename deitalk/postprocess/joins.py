@@ -13,7 +13,8 @@ import json
 import math
 import zipfile
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -22,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from deitalk.audio.frames import FRAME_RATE
-from deitalk.emotions.tracks import checked_traits
+from deitalk.emotions.actor import checked_traits
 from deitalk.errors import DataError
 from deitalk.postprocess.control_groups import ControlGroups
 from rig import ControlSet, RigCurves, limits
@@ -175,12 +176,9 @@ def quiet_seconds(activity: Float32, *, last: bool) -> float:
 def _read(path: Path, where: str, *, last: bool) -> Edge:
     if not path.exists():
         raise DataError(f"{where}: there is no take {path}; name a take folder or a file of curves")
-    if path.is_dir():
-        return _of_take(path, path, where, last=last)
-    if path.suffix.lower() == ARCHIVE:
-        with TemporaryDirectory(prefix="deitalk-take-") as folder:
-            _unpack(path, Path(folder))
-            return _of_take(Path(folder), path, where, last=last)
+    if path.is_dir() or path.suffix.lower() == ARCHIVE:
+        with opened_take(path, (TAKE_CURVES, TAKE_ABOUT)) as folder:
+            return _of_take(folder, path, where, last=last)
     if path.suffix.lower() == ".json":
         text = read_text(path, limits.JSON_CURVES_BYTES, error=DataError)
         if f'"{FORMAT}"' in text[:200]:
@@ -209,20 +207,40 @@ def _of_take(folder: Path, name: Path, where: str, *, last: bool) -> Edge:
     return Edge.of_curves(curves, last=last, quiet=seconds, traits=traits)
 
 
-def _unpack(path: Path, folder: Path) -> None:
-    """The two files of a zipped take that an edge is read from."""
-    try:
-        with zipfile.ZipFile(path) as archive:
-            for name in (TAKE_CURVES, TAKE_ABOUT):
-                if name not in archive.namelist():
-                    continue
-                with archive.open(name) as file:
-                    data = file.read(limits.JSON_CURVES_BYTES + 1)
-                if len(data) > limits.JSON_CURVES_BYTES:
-                    raise DataError(f"{path}: {name} is too large; name a take folder")
-                (folder / name).write_bytes(data)
-    except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError) as error:
-        raise DataError(f"{path}: no zipped take ({error}); name a take folder") from None
+@contextmanager
+def opened_take(path: Path, names: Sequence[str]) -> Iterator[Path]:
+    """Unpack files of a zipped take for as long as they are read.
+
+    Parameters
+    ----------
+    path : Path
+        A zipped take; any other path is given back as it is.
+    names : sequence of str
+        The only files that are unpacked, into a folder of their own; absent ones are left out.
+
+    Raises
+    ------
+    DataError
+        If it is no archive, or a file is larger than `rig.limits.JSON_CURVES_BYTES`.
+    """
+    if path.suffix.lower() != ARCHIVE or path.is_dir():
+        yield path
+        return
+    with TemporaryDirectory(prefix="deitalk-take-") as made:
+        folder = Path(made)
+        try:
+            with zipfile.ZipFile(path) as archive:
+                for name in set(names) & set(archive.namelist()):
+                    with archive.open(name) as file:
+                        data = file.read(limits.JSON_CURVES_BYTES + 1)
+                    if len(data) > limits.JSON_CURVES_BYTES:
+                        raise DataError(f"{path}: {name} is too large; name a take folder")
+                    (folder / name).write_bytes(data)
+        except (
+            zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError
+        ) as error:  # fmt: skip
+            raise DataError(f"{path}: no zipped take ({error}); name a take folder") from None
+        yield folder
 
 
 def _some(curves: RigCurves, path: Path) -> RigCurves:

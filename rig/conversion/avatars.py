@@ -106,7 +106,13 @@ class ShapePoses:
         close = self.closing[0] if self.closing else None
         return tuple(n for i, n in enumerate(self.names) if moving[i] or i == close)
 
-    def fit(self, raw: RigCurves, given: Mapping[int, Float64] | None = None) -> ShapeFit:
+    def fit(
+        self,
+        raw: RigCurves,
+        given: Mapping[int, Float64] | None = None,
+        *,
+        linear: bool = False,
+    ) -> ShapeFit:
         """Fit the weights of every frame.
 
         Parameters
@@ -115,6 +121,8 @@ class ShapePoses:
             Raw curves.
         given : mapping of int to array [shape=(T,)], optional
             Weights by column that are known already; with some of them, lips close.
+        linear : bool
+            Whether weights may leave [0, 1], so that those of two poses add up.
         """
         raw = raw.reorder(raw_controls())
         bare, given = bare_names(), given or {}
@@ -127,7 +135,7 @@ class ShapePoses:
         together = [i for i, name in enumerate(bare) if name.startswith(LIPS_TOGETHER)]
         closes = self.closing is not None or bool(given)
         left = moved - held @ self.poses
-        weights, missed, replaced = fit_shapes(left, free, self.visemes, bare, closes)
+        weights, missed, replaced = fit_shapes(left, free, self.visemes, bare, closes, linear)
         weights = weights + held
         if self.closing is not None:
             close_lips(weights, moved, self.closing, bare, self.close_gain)

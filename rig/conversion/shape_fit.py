@@ -13,6 +13,8 @@ import numpy as np
 
 SWEEPS = 60
 SETTLED = 1e-4
+LEAST_INDEPENDENT = 1e-3
+"""Share of the largest singular value of poses below which they count as the same."""
 VISEME_DAMPING = 0.05
 """Share of a viseme's own size added to its diagonal: visemes overlap, and the fit stays one."""
 STAND_INS = {
@@ -84,7 +86,9 @@ def pose_of(key: str, known: dict[str, Any], raw_names: list[str]) -> Any:
     return np.zeros(len(raw_names))
 
 
-def fit_shapes(moved: Any, poses: Any, visemes: Any, raw_names: list[str], closes: bool) -> Any:
+def fit_shapes(
+    moved: Any, poses: Any, visemes: Any, raw_names: list[str], closes: bool, linear: bool = False
+) -> Any:
     """Weights in [0, 1] of shapes whose poses add up nearest to raw curves, frame by frame.
 
     Visemes rest where the set has the jaw and the rounding of the lips as shapes of their own.
@@ -102,6 +106,8 @@ def fit_shapes(moved: Any, poses: Any, visemes: Any, raw_names: list[str], close
         Without the prefix.
     closes : bool
         Whether the set has a corrective of its own that closes the lips.
+    linear : bool
+        Whether weights may leave [0, 1], so that those of two poses add up.
 
     Returns
     -------
@@ -120,7 +126,10 @@ def fit_shapes(moved: Any, poses: Any, visemes: Any, raw_names: list[str], close
     shuts = not closes and not poses[~visemes][:, together].any()
     if shuts:
         target[:, jaw] *= 1 - np.clip(moved[:, together].mean(axis=1), 0, 1)
-    weights = bounded_fit(target, poses, np.where(visemes, VISEME_DAMPING, 0.0))
+    if linear and not poses[visemes].any():
+        weights = target @ np.linalg.pinv(poses, rcond=LEAST_INDEPENDENT)
+    else:
+        weights = bounded_fit(target, poses, np.where(visemes, VISEME_DAMPING, 0.0))
     missed = np.where(covered, target - weights @ poses, moved)
     if shuts:
         missed[:, jaw] = moved[:, jaw] - weights @ poses[:, jaw]

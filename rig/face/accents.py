@@ -35,6 +35,8 @@ def accents(head: Head, values: AnyFloat, poses: AnyFloat) -> Float32:
     seam = head.slices["seam"]
     found[:, seam] = skin[:, head.mesh.weld[seam]]
     for k, side in enumerate("LR"):
+        if not len(head.lid_rims[k]):
+            continue
         # Shadow [shape=(T, V of an eye)] by how far a vertex lies below the rim of the upper lid.
         center = head.eyes[k, :3]
         lid = poses[:, head.lid_rims[k]] - center

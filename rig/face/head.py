@@ -1,15 +1,12 @@
-"""The embedded heads: prepared files of `rig/face/data`, and vertices for the 185 controls.
+"""Heads: arrays of `rig.face.head_file`, and vertices for the 185 controls.
 
 A pose is: linear shapes with weights of control halves; lids kept out of the eyes; lips brought
 together by the seal, and set apart where they cross; lashes and brows with the skin below them;
 eyes turned. `Head.motion` has all numbers of it, which the preview page uses as they are.
 """
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,24 +14,29 @@ from numpy.typing import ArrayLike, NDArray
 from rig.arrays import AnyFloat, Bool, Float32, Float64, Int64
 from rig.controls import default_controls
 from rig.errors import RigError
+from rig.face.head_file import (
+    GRID,
+    PICTURES,
+    Arrays,
+    embedded,
+    embedded_pictures,
+    opened,
+    read_head,
+)
 from rig.face.identity import Identity, resolve_identity
 from rig.face.mesh import Maps, Mesh, smoothstep
 from rig.files.reading import rows_of
 
-DATA = Path(__file__).parent / "data"
 UNIT_MM = 10.0
 """The heads are in centimetres."""
-GRID = 800.0
-"""Steps of stored points in a centimetre."""
 GAZE_DEGREES = {"side": 40.0, "up": 30.0, "down": 35.0}
 """Full gaze; a MetaHuman's board has about these."""
-CONVERGENCE_DEGREES = 3.0
-"""Turn of each eye inwards at rest: an adult's eyes meet 57 cm away."""
 UPPER_PART = 0.4
 """Share of the lips' gap by which the upper lip comes down to meet the lower."""
-SEAL_POWERS = (1, 4)
-"""The seal is applied once for each, to its amounts to that power: the second finishes contacts."""
-ALONG = np.array([0.6, 1.0, 1.0])
+FINISH = (0.5, 0.8)
+"""A second seal brings what is left of the gap to nothing between these amounts of the first: lips
+that are nearly sealed are shut."""
+ALONG = np.array([0.6, 1.0, 1.0], np.float32)
 """Share of the gap that is closed sideways, up and forward."""
 LID_CLEARANCE = 1.02
 """Least distance of a lid from the middle of the eye, in radii."""
@@ -57,20 +59,6 @@ CORRECTIVES: dict[str, tuple[Half, Half]] = {
 }
 """Shapes that several halves of controls drive: the product of the least of each group; one named
 ``half`` is full where that is 0.5 and gone at 0 and 1."""
-Arrays = dict[str, NDArray[Any]]
-
-
-@lru_cache(maxsize=1)
-def _shared() -> Arrays:
-    with np.load(DATA / "head.npz") as stored:
-        return {name: stored[name] for name in stored.files}
-
-
-def _picture(name: str) -> NDArray[np.uint8]:
-    from PIL import Image
-
-    with Image.open(DATA / f"{name}.webp") as image:
-        return np.asarray(image)
 
 
 @dataclass(frozen=True)
@@ -87,12 +75,29 @@ class Lip:
     column: Float32
     share: Float32
 
-    def along(self, move: Float64) -> Float64:
-        """Movement (..., m, 3) of `reach` of movements of the columns (..., P, 3)."""
-        low = np.minimum(self.column.astype(np.int64), move.shape[-2] - 2)
-        part = (self.column - low)[:, None]
-        mixed = move[..., low, :] * (1 - part) + move[..., low + 1, :] * part
-        return np.asarray(mixed * self.share[:, None] * ALONG)
+    @cached_property
+    def spread(self) -> Float32:
+        """Movement of each vertex of `reach` (m, P) by those of the columns, but for `ALONG`."""
+        count, rows = len(self.weight), np.arange(len(self.reach))
+        low = np.minimum(self.column.astype(np.int64), count - 2)
+        part = self.column - low
+        found = np.zeros((len(rows), count), np.float32)
+        found[rows, low], found[rows, low + 1] = self.share * (1 - part), self.share * part
+        return found
+
+    @cached_property
+    def fed_back(self) -> Float32:
+        """Movement of the columns' own means (P, P) by movements of the columns."""
+        place = {int(vertex): row for row, vertex in enumerate(self.reach)}
+        moved = np.zeros((len(self.rim), len(self.weight)), np.float32)
+        for row, vertex in enumerate(self.rim):
+            if int(vertex) in place:
+                moved[row] = self.spread[place[int(vertex)]]
+        return self.weight @ moved
+
+    def along(self, move: Float32) -> Float32:
+        """Movement (T, m, 3) of `reach` of movements of the columns (T, P, 3)."""
+        return np.moveaxis(np.tensordot(self.spread, move, (1, 1)), 0, 1) * ALONG
 
     def within(self, count: int) -> "Lip":
         """The lip's part of the first `count` vertices."""
@@ -199,17 +204,15 @@ def _profiles(inputs: tuple[str, ...], columns: Float32) -> tuple[Float32, Float
     return found[0], found[1]
 
 
-@lru_cache(maxsize=8)
-def _motion(identity: Identity) -> Motion:
-    stored, own = _shared(), _own(identity)
+def _motion(stored: Arrays) -> Motion:
     names = tuple(map(str, stored["names"]))
     starts = np.concatenate([[0], np.cumsum(stored["count"])])
     # Columns are stored as differences within each shape.
     total = np.cumsum(stored["columns"].astype(np.int64))
-    before = np.concatenate([[0], total[starts[1:-1] - 1]])
+    before = np.concatenate([[0], total])[starts[:-1]]
     vertex, delta = total - np.repeat(before, stored["count"]), stored["values"].T
     purse = np.array(["mouth_purse" in name or "mouth_towards" in name for name in names])
-    gain = own["size"] * np.where(purse, own["purse"], 1)
+    gain = stored["size"] * np.where(purse, stored["purse"], 1)
     lips = [
         Lip(stored[f"rim_{k}"].astype(np.int64), stored[f"rim_{k}_weight"],
             stored[f"reach_{k}"].astype(np.int64), stored[f"reach_{k}_column"],
@@ -234,12 +237,6 @@ def _motion(identity: Identity) -> Motion:
     )  # fmt: skip
 
 
-@lru_cache(maxsize=8)
-def _own(identity: Identity) -> Arrays:
-    with np.load(DATA / f"{identity.name}.npz") as stored:
-        return {name: stored[name] for name in stored.files}
-
-
 class Head:
     """A head of one person.
 
@@ -253,26 +250,32 @@ class Head:
         The points at rest before lids, seal and convergence of the eyes, cm.
     eyes : ndarray [shape=(2, 4)]
         Centre and radius of both eyes, left first.
+    convergence : float
+        Turn of each eye inwards at rest, degrees.
     landmarks : dict of str to int
-        The 26 of `rig.retarget.landmarks.LANDMARKS`, vertices of the cage.
+        The 26 of `rig.retarget.landmarks.LANDMARKS`, vertices of the cage; none of a user's head.
     creases : ndarray [shape=(8, V of the skin)]
         Share of each region's depth that the skin takes; left regions first.
     """
 
     def __init__(self, identity: Identity) -> None:
-        stored, own = _shared(), _own(identity)
-        self.identity, self.motion = identity, _motion(identity)
-        names = [*map(str, stored["parts"]), *map(str, own["parts"])]
-        stops = [*map(int, stored["stops"]), *map(int, own["stops"])]
+        file = identity.file
+        self._stored = stored = embedded(identity.name) if file is None else read_head(file)
+        self.identity, self.motion = identity, _motion(stored)
+        names, stops = map(str, stored["parts"]), [*map(int, stored["stops"])]
         self.slices = {n: slice(a, b) for n, a, b in zip(names, [0, *stops], stops, strict=False)}
-        self.slices["cage"] = slice(0, int(stored["cage_faces"].max()) + 1)
-        self.straight = own["points"] / GRID
-        self.eyes = own["eyes"].astype(np.float64)
+        if "cage_faces" in stored:
+            self.slices["cage"] = slice(0, int(stored["cage_faces"].max()) + 1)
+        self.straight = stored["points"] / GRID
+        self.eyes, self.convergence = (
+            stored["eyes"].astype(np.float64),
+            float(stored["convergence"]),
+        )
         marks = zip(stored["landmarks"], stored["landmark_points"], strict=True)
         self.landmarks = {str(name): int(point) for name, point in marks}
-        self.creases = stored["crease_mask"] * np.float32(own["creases"] / 255)
-        self.follow, self.near = own["follow"].astype(np.int64), own["near"].astype(np.int64)
-        self.near_weight = own["weight"].astype(np.float32)
+        self.creases = stored["crease_mask"] * np.float32(stored["creases"] / 255)
+        self.follow, self.near = (stored[key].astype(np.int64) for key in ("follow", "near"))
+        self.near_weight = stored["weight"].astype(np.float32)
         self.near_weight /= self.near_weight.sum(1, keepdims=True)
         self.lids = [stored[f"lid_{s}"].astype(np.int64) for s in "LR"]
         self.lid_rims = [stored[f"lid_rim_{s}"].astype(np.int64) for s in "LR"]
@@ -280,19 +283,30 @@ class Head:
             np.minimum(np.linalg.norm(self.straight[ids] - eye[:3], axis=1), LID_CLEARANCE * eye[3])
             for ids, eye in zip(self.lids, self.eyes, strict=True)
         ]
+        self._rest = self.straight.astype(np.float32)
 
     @cached_property
     def mesh(self) -> Mesh:
         """All parts joined, neutral; `pose` returns its vertices."""
-        stored, own = _shared(), _own(self.identity)
-        faces = np.concatenate([stored["faces"], own["faces"]]).astype(np.int64)
-        uv = np.concatenate([stored["uv"], own["uv"]]) / 65535
-        weld = np.concatenate([stored["weld"], own["weld"]]).astype(np.int64)
-        maps = Maps(*(_picture(name) for name in (self.identity.name, "creases", "pores")))
+        maps = Maps(*(np.asarray(opened(self.pictures[name], name)) for name in PICTURES))
+        return replace(self.bare, maps=maps)
+
+    @cached_property
+    def bare(self) -> Mesh:
+        """The mesh without its pictures, which take longer to decode than all else."""
+        stored = self._stored
         return Mesh(
-            self.neutral, faces, own["colour"] / 255, own["gloss"] / 255, uv, own["light"] / 255,
-            own["kind"].astype(np.int64), maps, weld,
+            self.neutral, stored["faces"].astype(np.int64), stored["colour"] / 255,
+            stored["gloss"] / 255, stored["uv"] / 65535, stored["light"] / 255,
+            stored["kind"].astype(np.int64), weld=stored["weld"].astype(np.int64),
         )  # fmt: skip
+
+    @cached_property
+    def pictures(self) -> dict[str, bytes]:
+        """Files of `rig.face.head_file.PICTURES`."""
+        if self.identity.file is None:
+            return embedded_pictures(self.identity.name)
+        return {name: self._stored[f"picture.{name}"].tobytes() for name in PICTURES}
 
     @cached_property
     def neutral(self) -> Float64:
@@ -302,17 +316,17 @@ class Head:
     @cached_property
     def skin(self) -> Mesh:
         """The skin alone, neutral, without seams."""
-        return Mesh(self.neutral[self.slices["skin"]], _shared()["skin_faces"].astype(np.int64))
+        return Mesh(self.neutral[self.slices["skin"]], self._stored["skin_faces"].astype(np.int64))
 
     @cached_property
     def cage(self) -> Mesh:
         """A quarter of the skin's vertices, neutral, for uses that need no finer mesh."""
-        return Mesh(self.neutral[self.slices["cage"]], _shared()["cage_faces"].astype(np.int64))
+        return Mesh(self.neutral[self.slices["cage"]], self._stored["cage_faces"].astype(np.int64))
 
     @cached_property
     def lip_rims(self) -> tuple[Int64, Int64]:
         """Vertices of the cage that face one another across the closed mouth, right to left."""
-        columns = _shared()["lip_columns"]
+        columns = self._stored["lip_columns"]
         chosen = np.flatnonzero(np.abs(columns) < 2.2)[::2]
         upper, lower = (lip.within(self.slices["cage"].stop).rim for lip in self.motion.lips)
         a, b = self.straight[upper], self.straight[lower]
@@ -353,40 +367,36 @@ class Head:
             raise RigError(f"values have shape {table.shape}; a pose needs (T, {count})")
         if not np.isfinite(table).all():
             raise RigError("values contain NaN or infinity; a pose needs finite numbers")
-        out = np.concatenate([np.zeros((0, *self.straight.shape), np.float32),
-                              *self._batches(np.atleast_2d(table))])  # fmt: skip
+        frames = np.atleast_2d(table)
+        out = np.empty((len(frames), *self.straight.shape), np.float32)
+        for k in range(0, len(frames), BATCH):
+            self._pose(frames[k : k + BATCH], out[k : k + BATCH])
         return out[0] if table.ndim == 1 else out
 
-    def _batches(self, frames: Float64) -> Iterator[Float32]:
-        for k in range(0, len(frames), BATCH):
-            yield self._pose(frames[k : k + BATCH])
-
-    def _pose(self, frames: Float64) -> Float32:
+    def _pose(self, frames: Float64, out: Float32) -> None:
         motion = self.motion
         halves = motion.halves(frames)
         weights = motion.weights(halves).astype(np.float32)
-        out = np.repeat(self.straight.astype(np.float32)[None], len(frames), 0)
+        out[:] = self._rest
         for k in np.flatnonzero(weights.any(axis=0)):
             at = np.flatnonzero(weights[:, k])
             vertex, delta = motion.shape(int(k))
             out[at[:, None], vertex] += weights[at, k, None, None] * delta
         for ids, eye, least in zip(self.lids, self.eyes, self.lid_least, strict=True):
-            away = out[:, ids] - eye[:3]
-            grow = least / np.linalg.norm(away, axis=-1)
-            out[:, ids] += away * np.maximum(grow - 1, 0)[..., None]
-        upper, lower = self._sealed(halves)
-        for power in SEAL_POWERS:
-            seal_lips(out, motion.lips, (upper**power, lower**power), motion.fade)
-        shift = out[:, self.near] - self.straight[self.near].astype(np.float32)
+            away = out[:, ids] - eye[:3].astype(np.float32)
+            far = np.sqrt(np.einsum("tvc,tvc->tv", away, away))
+            at = np.nonzero(far < least)
+            out[at[0], ids[at[1]]] += away[at] * (least[at[1]] / far[at] - 1)[:, None]
+        seal_lips(out, motion.lips, self._sealed(halves), motion.fade)
+        shift = out[:, self.near] - self._rest[self.near]
         out[:, self.follow] += np.einsum("tvkc,vk->tvc", shift, self.near_weight)
-        pitch, yaw = gaze_degrees(frames)
+        pitch, yaw = gaze_degrees(frames, self.convergence)
         for place, side in enumerate("LR"):
             part, center = self.slices[f"eye_{side}"], self.eyes[place, :3]
             turn = _gaze_matrix(pitch[:, place], yaw[:, place])
             out[:, part] = (out[:, part] - center) @ turn.transpose(0, 2, 1) + center
         seam = self.slices["seam"]
-        out[:, seam] = out[:, _shared()["weld"][seam]]
-        return out
+        out[:, seam] = out[:, self._stored["weld"][seam]]
 
     def _sealed(self, halves: Float64) -> tuple[Float64, Float64]:
         """How far (T, P) the upper and the lower lip are brought to the other, 0 to 1."""
@@ -396,7 +406,7 @@ class Head:
 
 
 def seal_lips(
-    out: Float32, lips: tuple[Lip, Lip], sealed: tuple[Any, Any], fade: Any = 1.0
+    out: Float32, lips: tuple[Lip, Lip], sealed: tuple[Float64, Float64], fade: Float32
 ) -> None:
     """Bring lips together in place, and set them apart where they cross.
 
@@ -407,21 +417,31 @@ def seal_lips(
     lips : tuple of Lip
         Upper and lower.
     sealed : tuple of array [shape=(T, P), range 0 to 1]
-        How far each lip goes.
+        How far each lip goes; see `FINISH`.
     fade : array [shape=(P,)]
         Share of all this at each column.
     """
-    upper, lower = (lip.weight @ out[:, lip.rim] for lip in lips)
-    gap = upper - lower
-    parts = UPPER_PART * sealed[0], (1 - UPPER_PART) * sealed[1]
-    crossed = np.zeros_like(gap)
-    crossed[..., 1] = 0.5 * np.minimum(gap[..., 1], 0) * (1 - parts[0] - parts[1])
-    for lip, part, sign in zip(lips, parts, (-1, 1), strict=True):
-        move = sign * (gap * part[..., None] + crossed) * np.reshape(fade, (-1, 1))
+    columns = [lip.weight @ out[:, lip.rim] for lip in lips]
+    moves = [np.zeros_like(column) for column in columns]
+    first, last = FINISH
+    finished = [smoothstep((s - first) / (last - first)) for s in sealed]
+    for amounts in (sealed, finished, (0 * sealed[0], 0 * sealed[1])):  # the last: crossings alone
+        upper, lower = (
+            (share * s).astype(np.float32)
+            for share, s in zip((UPPER_PART, 1 - UPPER_PART), amounts, strict=True)
+        )
+        gap = columns[0] - columns[1]
+        crossed = np.zeros_like(gap)
+        crossed[..., 1] = 0.5 * np.minimum(gap[..., 1], 0) * (1 - upper - lower)
+        for k, part in enumerate((-upper, lower)):
+            move = (gap * part[..., None] + (crossed if k else -crossed)) * fade[:, None]
+            moves[k] += move
+            columns[k] += lips[k].fed_back @ move * ALONG
+    for lip, move in zip(lips, moves, strict=True):
         out[:, lip.reach] += lip.along(move)
 
 
-def gaze_degrees(frames: Float64) -> tuple[Float64, Float64]:
+def gaze_degrees(frames: Float64, convergence: float) -> tuple[Float64, Float64]:
     """Pitch up and yaw to the character's left (T, 2) of the left and the right eye."""
     index = default_controls().index
     x, y = (
@@ -434,7 +454,7 @@ def gaze_degrees(frames: Float64) -> tuple[Float64, Float64]:
     parallel = np.clip(frames[:, index("CTRL_C_eye_parallelLook.ty"), None], 0, 1)
     x = x + parallel * (x.mean(1, keepdims=True) - x)
     y = y + parallel * (y.mean(1, keepdims=True) - y)
-    inwards = CONVERGENCE_DEGREES * (1 - parallel) * np.array([-1, 1])
+    inwards = convergence * (1 - parallel) * np.array([-1, 1])
     pitch = np.where(y > 0, GAZE_DEGREES["up"], GAZE_DEGREES["down"]) * y
     return pitch, GAZE_DEGREES["side"] * x + inwards
 
@@ -454,12 +474,12 @@ def build_head(identity: int | str | Identity = 0) -> Head:
     Parameters
     ----------
     identity : int, str or Identity, optional
-        One of `rig.face.IDENTITIES` by number or name, or a role.
+        One of `rig.face.IDENTITIES` by number or name, or a role; or of a head file.
 
     Raises
     ------
     RigError
-        For an unknown identity.
+        For an unknown identity, or a file that is no head.
     """
     return _head(resolve_identity(identity))
 

@@ -14,15 +14,13 @@ from rig.controls import default_controls
 from rig.face import accents
 from rig.face.head import (
     ALONG,
-    CONVERGENCE_DEGREES,
-    DATA,
+    FINISH,
     GAZE_DEGREES,
-    GRID,
-    SEAL_POWERS,
     UPPER_PART,
     Head,
     Motion,
 )
+from rig.face.head_file import GRID
 
 Arrays = dict[str, NDArray[Any]]
 
@@ -55,7 +53,6 @@ def _byte(values: Any) -> NDArray[np.uint8]:
 
 def _mesh_arrays(head: Head) -> Arrays:
     mesh = head.mesh
-    files = {"atlas": head.identity.name, "creases": "creases", "pores": "pores"}
     return {
         "points": np.round(head.straight * GRID).astype(np.int16),
         "faces": _index(mesh.faces),
@@ -63,10 +60,7 @@ def _mesh_arrays(head: Head) -> Arrays:
         "paint": _byte(np.c_[mesh.colors, mesh.gloss]),
         "light": _byte(np.c_[mesh.light, mesh.kind / 5]),
         "place": _index(np.round(mesh.uv * 65535)),
-        **{
-            f"maps.{name}": np.frombuffer((DATA / f"{file}.webp").read_bytes(), np.uint8)
-            for name, file in files.items()
-        },
+        **{f"maps.{name}": np.frombuffer(data, np.uint8) for name, data in head.pictures.items()},
     }
 
 
@@ -117,11 +111,11 @@ def _facts(head: Head) -> dict[str, Any]:
         "grid": GRID,
         "eyes": head.eyes.tolist(),
         "gaze": [GAZE_DEGREES["side"], GAZE_DEGREES["up"], GAZE_DEGREES["down"]],
-        "convergence": CONVERGENCE_DEGREES,
+        "convergence": head.convergence,
         "seal": {
             "parts": [UPPER_PART, 1 - UPPER_PART],
             "along": ALONG.tolist(),
-            "powers": SEAL_POWERS,
+            "finish": FINISH,
         },
         "accents": {
             "inputs": accents.crease_inputs(head),

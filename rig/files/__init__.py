@@ -2,16 +2,25 @@
 
 ::
 
-    targets.py    one file: written beside, then renamed; which paths a command may write to; one
-                  process at a time for each
-    folder.py     a whole folder: staged, then exchanged file by file, with a journal; its manifest,
-                  of the files that deitalk wrote, with hashes; single files of one that stays in
-                  use, such as a training run's
+    targets.py    one file: written beside, then renamed; which paths a command may write to
+    claims.py     one process at a time for each target
+    folder.py     a whole folder, or one file of a folder that stays in use: staged, then exchanged
+                  file by file, with a journal; its manifest, of the files that deitalk wrote, with
+                  hashes
+    reading.py    files of others, read within limits
 """
 
 from rig.files.claims import cache_folder, claim
-from rig.files.folder import check_folder, kind_of, output_folder, record, recover, remove_written
-from rig.files.kept_folder import begin_folder, replace_recorded
+from rig.files.folder import (
+    begin_folder,
+    check_folder,
+    kind_of,
+    output_folder,
+    record,
+    recover,
+    remove_written,
+    replace_recorded,
+)
 from rig.files.targets import atomic_write, check_file, is_folder_name, remove_leftovers
 
 __all__ = [

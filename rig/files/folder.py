@@ -192,7 +192,7 @@ def check_folder(
         raise ExistsError(
             f"{folder} exists; name another folder, or set `force=True`", parameter="force"
         )
-    _check_kept(folder, manifest, names)
+    _check_kept(folder, manifest.files, names)
     for source in inputs:
         for name in (*manifest.files, *names):
             if source is not None and is_same(folder / name, source):
@@ -240,24 +240,91 @@ def output_folder(
             folder.parent.mkdir(parents=True, exist_ok=True)
             remove_leftovers(folder.parent, folder.name)
             stage = folder.parent / temporary_name(folder.name)
-        try:
-            stage.mkdir()
+        with _staged(stage, folder, kind):
             yield stage
-            _commit(stage, folder, kind)
-        except OSError as error:
-            if error.errno == errno.ENOSPC:  # some writers name no file
-                error.filename = error.filename or str(folder)
-            raise
-        finally:
-            recover(folder)  # where an interrupt came while files were exchanged
-            shutil.rmtree(stage, ignore_errors=True)
 
 
-def _commit(stage: Path, folder: Path, kind: str) -> None:
-    """Bring what was staged to its place."""
+def begin_folder(folder: Path, *, kind: str) -> None:
+    """Make a folder that stays in use, or open it again; it has a manifest afterwards.
+
+    What killed processes left is finished or removed. The caller holds the folder
+    (`rig.files.claim`).
+
+    Parameters
+    ----------
+    folder : Path
+        New, empty, or begun with the same kind before.
+    kind : str
+        Kind of the folder: run, dataset …
+
+    Raises
+    ------
+    TargetError
+        As `check_folder` with `force`: if it holds what deitalk did not write, or a file of it was
+        edited.
+    """
+    recover(folder)
+    check_folder(folder, kind=kind, force=True)
+    folder.mkdir(parents=True, exist_ok=True)
+    if read_manifest(folder) is None:
+        write_manifest(folder, Manifest(kind, {}))
+    remove_leftovers(folder)
+
+
+def replace_recorded(folder: Path, name: str, text: str) -> None:
+    """Write one file of a folder that stays in use; a file that is equal is left.
+
+    Parameters
+    ----------
+    folder : Path
+        With a manifest (`begin_folder`); no other process writes to it (`rig.files.claim`).
+    name : str
+        Path within the folder, with ``/``.
+    text : str
+        Content, written in UTF-8.
+
+    Raises
+    ------
+    TargetError
+        If the file is there and is not the one that deitalk wrote.
+    """
+    recover(folder)
+    manifest, data = read_manifest(folder) or Manifest("folder", {}), text.encode("utf-8")
+    digest = hashlib.sha256(data).hexdigest()
+    if os.path.lexists(folder / name) and not is_changed(folder / name, digest):
+        if manifest.files.get(name) != digest:
+            write_manifest(folder, Manifest(manifest.kind, manifest.files | {name: digest}))
+        return
+    stage = folder / temporary_name(_STAGE)
+    with _staged(stage, folder, manifest.kind, is_addition=True):
+        (stage / name).parent.mkdir(parents=True, exist_ok=True)
+        (stage / name).write_bytes(data)
+
+
+@contextmanager
+def _staged(stage: Path, folder: Path, kind: str, *, is_addition: bool = False) -> Iterator[None]:
+    """Make a stage, and bring what the block leaves in it to its place.
+
+    Files that deitalk wrote before and that are not staged again are removed, unless the stage is
+    an addition to them.
+    """
+    try:
+        stage.mkdir()
+        yield
+        _commit(stage, folder, kind, is_addition)
+    except OSError as error:
+        if error.errno == errno.ENOSPC:  # some writers name no file
+            error.filename = error.filename or str(folder)
+        raise
+    finally:
+        recover(folder)  # where an interrupt came while files were exchanged
+        shutil.rmtree(stage, ignore_errors=True)
+
+
+def _commit(stage: Path, folder: Path, kind: str, is_addition: bool) -> None:
     files = {name: digest_of(stage / name) for name in _files(stage)}
-    write_manifest(stage, Manifest(kind, files))
     if stage.parent != folder:
+        write_manifest(stage, Manifest(kind, files))
         try:
             os.rename(stage, folder)
         except OSError:
@@ -266,11 +333,14 @@ def _commit(stage: Path, folder: Path, kind: str) -> None:
             raise TargetError(f"{folder} appeared meanwhile; name another folder") from None
         return
     old = read_manifest(folder) or Manifest(kind, {})
-    _check_kept(folder, old, files)
+    others = {name: digest for name, digest in old.files.items() if name not in files}
+    replaced = {name: old.files[name] for name in files if name in old.files}
+    _check_kept(folder, replaced if is_addition else old.files, files)
+    write_manifest(stage, Manifest(kind, others | files if is_addition else files))
     journal = {
         "stage": stage.name,
         "moves": {name: old.files.get(name) for name in files},
-        "removes": {name: old.files[name] for name in old.files.keys() - files.keys()},
+        "removes": {} if is_addition else others,
     }
     with atomic_write(folder / JOURNAL) as beside, beside.open("w", encoding="utf-8") as file:
         json.dump(journal, file)
@@ -382,15 +452,15 @@ def remove_written(folder: Path) -> None:
             folder.rmdir()
 
 
-def _check_kept(folder: Path, manifest: Manifest, names: Iterable[str]) -> None:
+def _check_kept(folder: Path, own: dict[str, str], names: Iterable[str]) -> None:
     """Raise where a file would be lost: an edited one of ours, or another's of the same name."""
-    edited = [n for n, digest in manifest.files.items() if is_changed(folder / n, digest)]
+    edited = [n for n, digest in own.items() if is_changed(folder / n, digest)]
     if edited:
         raise TargetError(
             f"{listed([str(folder / n) for n in edited])} was changed since deitalk wrote it; "
             "move it away, or name another folder"
         )
-    foreign = [n for n in names if n not in manifest.files and os.path.lexists(folder / n)]
+    foreign = [n for n in names if n not in own and os.path.lexists(folder / n)]
     if foreign:
         raise TargetError(
             f"{listed([str(folder / n) for n in foreign])} was not written by deitalk and would be "

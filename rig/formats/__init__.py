@@ -14,8 +14,10 @@ from rig.controls import DEFAULT_ID, ControlSet
 from rig.conversion.arkit import ARKIT_ID
 from rig.conversion.convert import convert, convert_and_note, known_controls, unshown
 from rig.curves import RigCurves
-from rig.curves.edit import ClampReport, clamp, shift, start_with_handles
+from rig.curves.edit import ClampReport, clamp
+from rig.curves.shift import shift, start_with_handles
 from rig.errors import FormatError, quoted
+from rig.face.identity import Identity
 from rig.files import atomic_write
 from rig.files.reading import open_file
 from rig.formats.named import is_face_cap
@@ -162,7 +164,7 @@ def write_curves(
     sound: Path | str = "",
     seconds: float | None = None,
     start: float = 0.0,
-    identity: int | str | None = None,
+    identity: int | str | Identity | None = None,
     delay: int = 0,
     handles: int = 0,
 ) -> WriteReport:
@@ -189,12 +191,12 @@ def write_curves(
     start : float
         Time of day of the first frame, seconds, for formats with time codes (Live Link Face, Unreal
         JSON).
-    identity : int or str, optional
+    identity : int, str or Identity, optional
         Number or name of the embedded head in a GLB or USD, of `rig.face.IDENTITIES` or ``female``,
         ``male`` or ``child``; head 0 by default.
     delay, handles : int
         Frames of the written rate by which the face is late against the sound, and that are added
-        before and after (`rig.curves.edit.shift`); `start` is that of the frame after the handles.
+        before and after (`rig.curves.shift.shift`); `start` is that of the frame after the handles.
 
     Returns
     -------
@@ -260,7 +262,7 @@ def checked_digits(digits: int, chosen: Format | None = None) -> int:
     return digits
 
 
-def checked_identity(identity: int | str, chosen: Format) -> int | str:
+def checked_identity(identity: int | str | Identity, chosen: Format) -> int | str | Identity:
     """Head that a file of the format can show.
 
     Raises
@@ -270,8 +272,9 @@ def checked_identity(identity: int | str, chosen: Format) -> int | str:
     """
     if "identity" not in chosen.options:
         taking = ", ".join(format.name for format in FORMATS if "identity" in format.options)
+        given = quoted(identity.name if isinstance(identity, Identity) else identity)
         raise FormatError(
-            f"identity={quoted(identity)} does not apply to {chosen.name}; it does to {taking}",
+            f"identity={given} does not apply to {chosen.name}; it does to {taking}",
             parameter="identity",
         )
     return identity

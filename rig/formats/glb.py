@@ -19,6 +19,7 @@ from rig.curves import RigCurves, check_clip
 from rig.curves.edit import hermite
 from rig.errors import FormatError
 from rig.face.head_pose import matrices, quaternions
+from rig.face.identity import Identity
 from rig.mesh.fbx import blender, fbx_to_glb, glb_to_fbx
 from rig.mesh.glb import RigidMotion, WeightAnimation, read_container, write_glb
 from rig.mesh.glb_reader import consistent, morphing_nodes, read_accessor
@@ -32,13 +33,13 @@ LEAST_JAW = 1e-3
 """Opening below which lips together move nothing, and come back as less."""
 
 
-def write(path: Path, curves: RigCurves, identity: int | str = 0) -> None:
+def write(path: Path, curves: RigCurves, identity: int | str | Identity = 0) -> None:
     """Write one mesh in metres, y up, facing +z, and one animation of its weights and its node.
 
     ARKit's curves become weights of shapes with Apple's names, and of four correctives.
 
     The head track turns and shifts the whole mesh about the joint of skull and spine.
-    `identity` is a number or name of an embedded head.
+    `identity` is a head as of `rig.face.build_head`.
     """
     if curves.control_set == ARKIT_ID:
         from rig.retarget.head_glb import write_animation
@@ -47,7 +48,7 @@ def write(path: Path, curves: RigCurves, identity: int | str = 0) -> None:
         return
     from rig.face import build_head
 
-    rig, _ = morph_head(identity)
+    rig = morph_head(identity)
     colours, surface = textured(build_head(identity))
     animation = WeightAnimation(rig.weights(curves), curves.fps, motion=_motion(curves))
     write_glb(
@@ -193,7 +194,7 @@ def _head(
     return None if found is None else head_track(found)
 
 
-def write_fbx(path: Path, curves: RigCurves, identity: int | str = 0) -> None:
+def write_fbx(path: Path, curves: RigCurves, identity: int | str | Identity = 0) -> None:
     """Write the head as FBX (extra fbx): one key a frame, and one picture for colours."""
     from rig.face import build_head
 

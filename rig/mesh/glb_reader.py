@@ -5,9 +5,10 @@ compression) and only appends morph weights by name.
 """
 
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -27,7 +28,9 @@ if TYPE_CHECKING:
 _COMPONENTS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
 _TRIANGLES = 4
-_READABLE = {"KHR_mesh_quantization", "KHR_texture_transform", "KHR_lights_punctual"}
+_READABLE = {
+    "KHR_mesh_quantization", "KHR_texture_transform", "KHR_lights_punctual", "EXT_texture_webp"
+}  # fmt: skip
 _COMPRESSED = {
     "KHR_draco_mesh_compression": "Draco",
     "EXT_meshopt_compression": "meshopt",
@@ -37,13 +40,88 @@ _COMPRESSED = {
 
 
 @dataclass(frozen=True, eq=False)
-class _Piece:
-    """One primitive, already in scene space."""
+class Piece:
+    """One primitive, already in scene space.
+
+    Attributes
+    ----------
+    vertices : ndarray [shape=(V, 3)]
+    faces : ndarray [shape=(N, 3)]
+    names : list of str
+        Of its morph targets.
+    deltas : list of ndarray [shape=(V, 3)]
+    node : int
+        The node that shows it.
+    primitive : dict
+        As in the document.
+    """
 
     vertices: Float64
     faces: Int64
     names: list[str]
     deltas: list[Float32]
+    node: int
+    primitive: dict[str, Any]
+
+
+@dataclass(frozen=True, eq=False)
+class GlbParts:
+    """A file, and what each vertex of its joined mesh belongs to."""
+
+    document: dict[str, Any]
+    binary: bytes
+    pieces: list[Piece]
+
+    @cached_property
+    def shapes(self) -> ShapeSet:
+        """All pieces as one mesh, shapes of the same name as one."""
+        starts = np.cumsum([0, *(len(p.vertices) for p in self.pieces)])
+        names = list(dict.fromkeys(name for p in self.pieces for name in p.names))
+        place = {name: k for k, name in enumerate(names)}
+        check_shape_count(len(names), int(starts[-1]))
+        deltas = np.zeros((len(names), int(starts[-1]), 3), dtype=np.float32)
+        for start, piece in zip(starts, self.pieces, strict=False):
+            for name, delta in zip(piece.names, piece.deltas, strict=True):
+                deltas[place[name], start : start + len(delta)] += delta
+        faces = np.concatenate([p.faces + s for s, p in zip(starts, self.pieces, strict=False)])
+        vertices = np.concatenate([p.vertices for p in self.pieces])
+        deltas.setflags(write=False)  # not copied again
+        return ShapeSet(TriMesh(vertices, faces), tuple(names), deltas)
+
+    def column(self, piece: Piece, name: str) -> Float64 | None:
+        """An attribute of a piece's vertices (V, width), what is not finite 0; or none."""
+        index = piece.primitive["attributes"].get(name)
+        if index is None:
+            return None
+        values = read_accessor(self.document, self.binary, index)
+        return np.nan_to_num(values.reshape(len(piece.vertices), -1), posinf=0, neginf=0)
+
+    def each(self, values: Sequence[Any]) -> NDArray[Any]:
+        """A value of each piece for each of its vertices."""
+        return np.repeat(np.asarray(values), [len(p.vertices) for p in self.pieces], axis=0)
+
+    def material(self, piece: Piece) -> dict[str, Any]:
+        """The material of a piece; empty without one."""
+        index = piece.primitive.get("material")
+        found: dict[str, Any] = {} if index is None else self.document["materials"][index]
+        return found
+
+    def names(self, piece: Piece) -> list[str]:
+        """Names of a piece: of its node, mesh and material."""
+        node = self.document["nodes"][piece.node]
+        parts = node, self.document["meshes"][node["mesh"]], self.material(piece)
+        return [str(part.get("name", "")) for part in parts]
+
+    def ancestors(self, piece: Piece) -> list[str]:
+        """Names of the nodes that a piece hangs below."""
+        nodes = self.document["nodes"]
+        parents = {child: k for k, node in enumerate(nodes) for child in node.get("children", [])}
+        found: list[int] = []
+        node = parents.get(piece.node)
+        while node is not None and node not in found:
+            found.append(node)
+            node = parents.get(node)
+        return [str(nodes[k].get("name", "")) for k in found]
 
 
 def read_glb(path: Path | str) -> ShapeSet:
@@ -57,6 +135,17 @@ def read_glb(path: Path | str) -> ShapeSet:
     FormatError
         If the file is compressed (Draco, meshopt, KTX2), needs an unknown extension, or is
         inconsistent.
+    """
+    return read_parts(path).shapes
+
+
+def read_parts(path: Path | str) -> GlbParts:
+    """Read the document, the binary chunk and all triangle meshes of the default scene.
+
+    Raises
+    ------
+    FormatError
+        As `read_glb`.
     """
     path = Path(path)
     document, binary = read_container(path)
@@ -75,18 +164,7 @@ def read_glb(path: Path | str) -> ShapeSet:
         pieces = _bounded(_pieces(document, binary))
         if not pieces:
             raise FormatError(f"{path.name} holds no triangle mesh")
-        starts = np.cumsum([0, *(len(p.vertices) for p in pieces)])
-        names = list(dict.fromkeys(name for p in pieces for name in p.names))
-        place = {name: k for k, name in enumerate(names)}
-        check_shape_count(len(names), int(starts[-1]))
-        deltas = np.zeros((len(names), int(starts[-1]), 3), dtype=np.float32)
-        for start, piece in zip(starts, pieces, strict=False):
-            for name, delta in zip(piece.names, piece.deltas, strict=True):
-                deltas[place[name], start : start + len(delta)] += delta
-        faces = np.concatenate([p.faces + s for s, p in zip(starts, pieces, strict=False)])
-        vertices = np.concatenate([p.vertices for p in pieces])
-        deltas.setflags(write=False)  # not copied again
-        return ShapeSet(TriMesh(vertices, faces), tuple(names), deltas)
+        return GlbParts(document, binary, pieces)
 
 
 @contextmanager
@@ -100,9 +178,9 @@ def consistent(path: Path) -> Iterator[None]:
         raise FormatError(f"{path.name} is inconsistent: {quoted(error)}") from None
 
 
-def _bounded(found: Iterator[_Piece]) -> list[_Piece]:
+def _bounded(found: Iterator[Piece]) -> list[Piece]:
     """Collect pieces until they are all there, or too many to be held."""
-    pieces: list[_Piece] = []
+    pieces: list[Piece] = []
     names: set[str] = set()
     vertices = triangles = targets = 0
     for piece in found:
@@ -123,18 +201,18 @@ def _bounded(found: Iterator[_Piece]) -> list[_Piece]:
     return pieces
 
 
-def _pieces(document: dict[str, Any], binary: bytes) -> Iterator[_Piece]:
-    for node_index, transform in _walk(document):
+def _pieces(document: dict[str, Any], binary: bytes) -> Iterator[Piece]:
+    for node_index, transform in walk(document):
         node = document["nodes"][node_index]
         if "mesh" not in node:
             continue
         mesh = document["meshes"][node["mesh"]]
         for primitive in mesh["primitives"]:
             if primitive.get("mode", _TRIANGLES) == _TRIANGLES:
-                yield _piece(document, binary, mesh, primitive, transform)
+                yield _piece(document, binary, node_index, primitive, transform)
 
 
-def _walk(document: dict[str, Any]) -> Iterator[tuple[int, Float64]]:
+def walk(document: dict[str, Any]) -> Iterator[tuple[int, Float64]]:
     """Nodes of the default scene with their world transforms; a node is visited once."""
     nodes = document.get("nodes", [])
     if len(nodes) > NODES:
@@ -173,10 +251,10 @@ def _local_transform(node: dict[str, Any]) -> Float64:
 def _piece(
     document: dict[str, Any],
     binary: bytes,
-    mesh: dict[str, Any],
+    node: int,
     primitive: dict[str, Any],
     world: Float64,
-) -> _Piece:
+) -> Piece:
     vertices = _stored(document, binary, primitive["attributes"]["POSITION"], "VEC3")
     if "indices" in primitive:
         corners = _stored(document, binary, primitive["indices"], "SCALAR").astype(np.int64)
@@ -186,13 +264,13 @@ def _piece(
     if len(targets) > SHAPES:
         raise FormatError(f"{len(targets)} morph targets; at most {SHAPES} are read")
     check_shape_count(len(targets), len(vertices))
-    names = target_names(mesh, len(targets))
+    names = target_names(document["meshes"][document["nodes"][node]["mesh"]], len(targets))
     turned = [
         np.asarray(_delta(document, binary, t, len(vertices)) @ world[:3, :3].T, np.float32)
         for t in targets
     ]
     placed = vertices @ world[:3, :3].T + world[:3, 3]
-    return _Piece(placed, corners.reshape(-1, 3), names, turned)
+    return Piece(placed, corners.reshape(-1, 3), names, turned, node, primitive)
 
 
 def _stored(document: dict[str, Any], binary: bytes, index: int, kind: str) -> Float64:
@@ -277,7 +355,7 @@ def _separate(node: dict[str, Any]) -> None:
 def world_rotations(document: dict[str, Any]) -> dict[int, "tuple[Rotation, Rotation]"]:
     """Return, by node of the scene, the rotations of its parent in the scene and of itself."""
     found: dict[int, tuple[Rotation, Rotation]] = {}
-    for index, world in _walk(document):
+    for index, world in walk(document):
         local = _local_transform(document["nodes"][index])
         turns = [_rotation(matrix) for matrix in (world, local)]
         found[index] = turns[0] * turns[1].inv(), turns[1]

@@ -57,10 +57,10 @@ class FacePoses(ShapePoses):
         driven = {self.names[i] for i in (*self.drivers, *arkit_halves(self.names))}
         return {name: pose for name, pose in super().mapping().items() if name not in driven}
 
-    def weights(self, curves: RigCurves) -> ShapeFit:
-        """Weights of every frame of board, raw, ARKit or avatar curves."""
+    def weights(self, curves: RigCurves, *, linear: bool = False) -> ShapeFit:
+        """Weights of every frame of board, raw, ARKit or avatar curves; see `ShapePoses.fit`."""
         given = driver_weights(self.drivers, curves) if self.drivers else None
-        fit = self.fit(convert(curves, RAW_ID), given)
+        fit = self.fit(convert(curves, RAW_ID), given, linear=linear)
         weights = fit.weights.copy()
         for half, driving in arkit_halves(self.names).items():
             weights[:, half] = half_weight([weights[:, k] for k in driving])

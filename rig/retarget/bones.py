@@ -35,6 +35,7 @@ BONES = {
     "head": r"head|頭",
     "neck": r"neck(?:1|01|twist01)?|首",
     "leftEye": r"(?:left|l)_?eye(?:ball)?|eye(?:ball)?_?(?:left|l)|l_?faceeye|左目",
+    "jaw": r"jaw(?:bone|root|master|_?joint)?|mandible|顎",
     "rightEye": r"(?:right|r)_?eye(?:ball)?|eye(?:ball)?_?(?:right|r)|r_?faceeye|右目",
 }
 """Names of joints, without case and prefixes such as ``mixamorig:`` and ``CC_Base_``."""
@@ -59,7 +60,7 @@ def turns_of(path: Path | str, curves: RigCurves, *, has_gaze: bool) -> dict[int
         Quaternions x, y, z, w of nodes; empty if there is no such bone or nothing moves.
     """
     document, _ = read_container(path)
-    found, facing = _bones(document), _facing(document)
+    found, facing = bones_of(document), _facing(document)
     wanted: dict[str, Rotation] = {}
     if curves.head is not None:
         head = Rotation.from_quat(quaternions(curves.head))
@@ -82,7 +83,7 @@ def turns_of(path: Path | str, curves: RigCurves, *, has_gaze: bool) -> dict[int
 
 def turn_of_bones(document: dict[str, Any], turns: Mapping[int, Rotation]) -> Rotation | None:
     """Rotations of the head by those of its bone and the neck's, by node; None without them."""
-    found, rest, facing = _bones(document), world_rotations(document), _facing(document)
+    found, rest, facing = bones_of(document), world_rotations(document), _facing(document)
     parts = []
     for node in (found.get("neck"), found.get("head")):
         if node in turns and node in rest:
@@ -122,8 +123,8 @@ def gaze_turn(curves: RigCurves, sides: str = "LR") -> Rotation:
     return Rotation.from_quat(quaternions(track))
 
 
-def _bones(document: dict[str, Any]) -> dict[str, int]:
-    """Nodes of head, neck and eyes."""
+def bones_of(document: dict[str, Any]) -> dict[str, int]:
+    """Nodes of head, neck, jaw and eyes: a VRM's, or the joints of these names."""
     given = document.get("extensions", {})
     bones = given.get("VRMC_vrm", {}).get("humanoid", {}).get("humanBones", {})
     named = {bone: data["node"] for bone, data in bones.items() if bone in BONES}
@@ -132,8 +133,13 @@ def _bones(document: dict[str, Any]) -> dict[str, int]:
             named[data["bone"]] = data["node"]
     joints = [joint for skin in document.get("skins", []) for joint in skin["joints"]]
     for joint in [] if named else joints:
-        name = re.sub(_PREFIXES, "", str(document["nodes"][joint].get("name", "")).lower())
-        for bone, pattern in BONES.items():
-            if re.fullmatch(pattern, name):
-                named.setdefault(bone, joint)
+        bone = bone_named(str(document["nodes"][joint].get("name", "")))
+        if bone is not None:
+            named.setdefault(bone, joint)
     return named
+
+
+def bone_named(name: str) -> str | None:
+    """Return the bone of `BONES` that a node's name means, or none."""
+    bare = re.sub(_PREFIXES, "", name.lower())
+    return next((bone for bone, pattern in BONES.items() if re.fullmatch(pattern, bare)), None)

@@ -20,6 +20,7 @@ from rig.conversion.arkit import arkit_controls
 from rig.conversion.convert import convert
 from rig.curves import RigCurves
 from rig.face import Head, build_head
+from rig.face.identity import Identity
 from rig.mesh.glb import (
     RigidMotion,
     WeightAnimation,
@@ -125,7 +126,7 @@ def arkit_weights(curves: RigCurves) -> Float32:
 def write_animation(
     path: Path | str,
     curves: RigCurves,
-    identity: int | str = 0,
+    identity: int | str | Identity = 0,
     *,
     motion: RigidMotion | None = None,
 ) -> None:
@@ -137,7 +138,7 @@ def write_animation(
         The ``.glb``.
     curves : RigCurves
         Of ARKit.
-    identity : int or str
+    identity : int, str or Identity
         Number or name of the head.
     motion : RigidMotion, optional
         Of the head as a whole, in metres.

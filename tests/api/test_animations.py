@@ -15,7 +15,6 @@ from deitalk.research.corpus.engines import espeak
 from rig import read_curves, write_curves
 from rig.conversion.convert import convert
 from tests.api.conftest import wav
-from tests.each import each
 
 SPEECH = wav(1.5)
 
@@ -50,7 +49,7 @@ def test_words_are_met_as_by_the_library_and_their_fit_is_a_note(client, spoken,
     assert "do not fit" in json.loads(wrong.headers["deitalk-notes"])[-1]
 
 
-@each(
+@pytest.mark.parametrize(
     ("data", "text"),
     [
         ({"words": "w.csv"}, "a file of words is one of .txt"),
@@ -134,7 +133,7 @@ def test_time_code_is_the_recordings_or_the_given_one(client, tmp_path):
     assert "no time code" in starts[2].headers["deitalk-notes"]
 
 
-@each(
+@pytest.mark.parametrize(
     ("data", "status", "code"),
     [
         ({"emotion": "hapy"}, 422, "emotion_invalid"),

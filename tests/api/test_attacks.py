@@ -14,12 +14,12 @@ from pathlib import Path
 import av
 import httpx
 import numpy as np
+import pytest
 from websockets.sync.client import connect
 
 from tests.api.conftest import KEYS, bearer, wav
 from tests.api.kill import frozen
 from tests.api.test_jobs import submit, wait
-from tests.each import each
 
 SPEECH = wav(0.6)
 TRAVERSALS = (
@@ -49,7 +49,7 @@ def status_of(answer: bytes) -> int:
     return int(answer.split(b" ", 2)[1])
 
 
-@each("name", TRAVERSALS)
+@pytest.mark.parametrize("name", TRAVERSALS)
 def test_names_of_a_request_never_become_paths(server, client, name, tmp_path):
     before = {path.name for path in server.log.parent.rglob("*")}
     files = {
@@ -153,7 +153,7 @@ def test_idle_connections_keep_nobody_out(server, client):
             connection.close()
 
 
-@each(
+@pytest.mark.parametrize(
     "head",
     ["nobody", "../../etc/passwd", "0' OR 1=1", "\x00", "9" * 40, "a" * 41, "-1", "1e400", "٣"],
 )
@@ -233,7 +233,7 @@ def _encoded_silence(seconds: float, kind: str) -> bytes:
     return buffer.getvalue()
 
 
-@each("kind", ["FLAC", "OGG", "MP3", *ENCODERS])
+@pytest.mark.parametrize("kind", ["FLAC", "OGG", "MP3", *ENCODERS])
 def test_compressed_minutes_are_refused_by_their_length(client, kind):
     bomb = _silence(400, kind)
     assert len(bomb) < 4_000_000
@@ -302,7 +302,7 @@ def test_nested_keys_are_refused(client):
     assert client.post("/v1/animations", files={"recording": SPEECH}, data=many).status_code == 400
 
 
-@each("charset", ["undefined", "punycode", "utf-16", "hex", "a/../b"])
+@pytest.mark.parametrize("charset", ["undefined", "punycode", "utf-16", "hex", "a/../b"])
 def test_charsets_of_a_form_are_no_fault_of_ours(client, charset):
     form = b'--x\r\nContent-Disposition: form-data; name="emotion"\r\n\r\nh\xc3\xa4ppy\r\n--x--\r\n'
     kind = f"multipart/form-data; boundary=x; charset={charset}"
@@ -310,7 +310,7 @@ def test_charsets_of_a_form_are_no_fault_of_ours(client, charset):
     assert answer.status_code in (400, 422), answer.text
 
 
-@each(
+@pytest.mark.parametrize(
     "parts",
     [
         [("emotion", (None, "happy")), ("emotion", (None, "sad"))],

@@ -29,7 +29,6 @@ from api.settings import Settings
 from deitalk import LiveAnimator
 from tests.api.conftest import KEYS, bearer, wav
 from tests.api.server import free_port, wait_for
-from tests.each import each
 
 RATE = 16000
 
@@ -102,7 +101,7 @@ def test_frames_as_json_and_changes_in_the_stream(server):
     assert {len(frame["values"]) for frame in frames} == {185}
 
 
-@each(
+@pytest.mark.parametrize(
     ("messages", "code"),
     [
         (["no json"], "message_unknown"),
@@ -173,7 +172,7 @@ def test_messages_without_a_whole_sample_take_no_memory():
     assert len(stream._arrivals) == kept
 
 
-@each("sound", [b"", b"\0"])
+@pytest.mark.parametrize("sound", [b"", b"\0"])
 def test_session_without_sound_ends(server, sound):
     with live(server) as session:
         begin(session)
@@ -271,7 +270,7 @@ def test_causal_model_gives_the_frames_of_live_animator(server, tiny_model):
     assert np.abs(np.array([values for *_, values in found]) - expected).max() < 1e-4
 
 
-@each("frames", ["binary", "json"])
+@pytest.mark.parametrize("frames", ["binary", "json"])
 def test_head_and_life_are_those_of_live_animator(server, tiny_model, frames):
     sound = pcm(2.0)
     with live(server) as session:
@@ -345,7 +344,7 @@ class StuckSocket:
         await asyncio.Event().wait()
 
 
-@each("fault", [None, Problem(413, "too long"), ValueError()])
+@pytest.mark.parametrize("fault", [None, Problem(413, "too long"), ValueError()])
 def test_end_of_a_session_does_not_wait_for_its_client(monkeypatch, fault):
     async def run(self):
         if fault is not None:

@@ -16,16 +16,19 @@ from websockets.sync.client import connect
 
 from api.live.messages import FRAME
 from deitalk import LiveAnimator, animate, suggest_emotion
+from deitalk.acting import Acting
 from deitalk.audio.load import load_audio
+from deitalk.audio.original import ZERO, start_of
+from deitalk.data.captures.columns import read_mapping
+from deitalk.data.dub import dub
 from deitalk.live.sources import PacedSound
 from deitalk.research.corpus.engines import espeak
-from rig import read_curves
+from rig import read_curves, write_curves
 from rig.face import build_head
 from rig.face.head import Head
 from tests.command import ran
 from tests.deitalk.batch.conftest import InProcess
 from tests.deitalk.live.conftest import RATE
-from tests.each import each
 from tests.media import movie
 
 KEYS = "time,emotion,strength\n0,happy,0.2\n1.0,angry,1\n2.0,contempt,1\n"
@@ -73,6 +76,7 @@ CASES = {
     "gain": {"emotion": "happy", "gain": "jaw=1.2,brow=.5"},
     "edit": {"emotion": "happy", "edit": "fixes.edit.json"},
     "listen": {"listen": "1.5"},
+    "listen_to": {"listen_to": "other.wav", "listen": "1"},
     "after": {"after": "edge.json"},
     "into": {"emotion": "sad", "into": "edge.json"},
     "between": {"into": "edge.json", "after": "edge.json"},
@@ -83,7 +87,15 @@ CASES = {
     "seed": {"seed": str(2**40)},
 }
 """Fields of an acting as text."""
+WRITTEN = {
+    "late": {"delay": "3"},
+    "early": {"delay": "-2", "fps": "24"},
+    "handles": {"handles": "8", "fps": "24", "timecode": "01:00:00:00"},
+    "both": {"delay": "2", "handles": "5"},
+}
+"""How a take is written."""
 SIGNAL = ("track", "channel", "raw")
+SHIFT = ("delay_frames", "handles_frames")
 SIGNALS = {
     "pair.wav": {"channel": "right"},
     "pair.pcm": {"channel": "2", "raw": f"f32le,{RATE},2"},
@@ -96,11 +108,12 @@ LIVE = ("nothing", "label", "weights", "keys", "intensity", "style", "life", "li
 
 @dataclass
 class Made:
-    """What a door made: curves (T, C), the settings of its take, and the signal of its sound."""
+    """What a door made: curves (T, C), settings and signal of its take, how that is written."""
 
     values: np.ndarray
     settings: dict
     signal: dict
+    written: dict
 
 
 @pytest.fixture(scope="module")
@@ -117,6 +130,7 @@ def place(tmp_path_factory, tiny_model):
     for name, text in FILES.items():
         (folder / name).write_text(text)
     other = np.roll(sound, RATE // 2)
+    soundfile.write(folder / "other.wav", other, RATE, subtype="FLOAT")
     pair = np.stack([other, sound], axis=1)
     soundfile.write(folder / "pair.wav", pair, RATE, subtype="FLOAT")
     soundfile.write(folder / "pair.pcm", pair, RATE, "FLOAT", "LITTLE", "RAW")
@@ -140,10 +154,24 @@ def fields_of(case):
 def take_of(folder: Path) -> Made:
     about = json.loads((folder / "take.json").read_text())
     signal = {name: about["source"][name] for name in SIGNAL if name in about["source"]}
-    return Made(read_curves(folder / "curves.json").values, about["settings"], signal)
+    written = {name: about[name] for name in SHIFT if name in about}
+    written["seconds"] = soundfile.info(folder / "audio.wav").duration
+    written |= {path.name: start_of_live_link(path) for path in folder.glob("*_take_1_*.csv")}
+    values = read_curves(folder / "curves.json").values
+    return Made(values, about["settings"], signal, written)
+
+
+def start_of_live_link(path: Path) -> str:
+    """Time code of the first frame."""
+    return path.read_text().splitlines()[1].split(",")[0]
 
 
 # --- doors
+
+
+def only_curves(monkeypatch):
+    """Leave out the files for other programs, which take longer than all else."""
+    monkeypatch.setattr("deitalk.pipeline.performance.write_exchange_files", lambda *_, **__: {})
 
 
 def run(*words):
@@ -185,18 +213,21 @@ def manifest(fields, tmp_path, monkeypatch, audio="line.wav"):
 
 
 def http(fields, server, audio="line.wav"):
-    given, files = dict(fields), {"recording": (audio, Path(audio).read_bytes())}
-    for name in [name for name, value in given.items() if value in FILES]:
-        files[name] = (given[name], FILES[given.pop(name)].encode())
+    return take_of(post("/v1/animations", fields | {"recording": audio}, server))
+
+
+def post(path, fields, server):
+    """The take that a route answers with; values that are names of files are sent as files."""
+    is_file = {name: Path(value).is_file() for name, value in fields.items()}
+    files = {n: (v, Path(v).read_bytes()) for n, v in fields.items() if is_file[n]}
+    data = {name: value for name, value in fields.items() if not is_file[name]}
     with server.client() as client:
-        answer = client.post(
-            "/v1/animations", files=files, data=given | {"model": "tiny", "format": "take"}
-        )
+        answer = client.post(path, files=files, data=data | {"model": "tiny", "format": "take"})
     assert answer.status_code == 200, answer.text
+    shutil.rmtree("http", ignore_errors=True)
     with zipfile.ZipFile(io.BytesIO(answer.content)) as archive:
-        archive.extract("curves.json", "http")
-        archive.extract("take.json", "http")
-    return take_of(Path("http"))
+        archive.extractall("http")
+    return Path("http")
 
 
 def mesh(fields, tmp_path, monkeypatch, audio="line.wav"):
@@ -296,19 +327,19 @@ def wanted(here, tmp_path_factory):
         performance = animate("line.wav", model="tiny", **fields_of(case))
         take = performance.save(tmp_path_factory.mktemp("python") / "take")
         kept = take_of(take)
-        return Made(performance.curves.values, kept.settings, kept.signal)
+        return Made(performance.curves.values, kept.settings, kept.signal, kept.written)
 
     return make
 
 
-every_case = each("case", CASES)
-every_live_case = each("case", LIVE)
+every_case = pytest.mark.parametrize("case", CASES)
+every_live_case = pytest.mark.parametrize("case", LIVE)
 
 
 @every_case
-@each("door", [command_line, batch_line, manifest])
+@pytest.mark.parametrize("door", [command_line, batch_line, manifest])
 def test_commands_give_the_curves_and_keep_the_settings(wanted, door, case, tmp_path, monkeypatch):
-    monkeypatch.setattr("deitalk.pipeline.performance.write_exchange_files", lambda *_, **__: {})
+    only_curves(monkeypatch)
     same(door(fields_of(case), tmp_path, monkeypatch), wanted(case))
 
 
@@ -346,16 +377,105 @@ def test_settings_of_a_take_give_the_same_take(wanted, case):
     assert first.settings.keys() == CASES[case].keys()
 
 
-@each("audio", SIGNALS)
-@each("door", [command_line, batch_line, manifest])
+@pytest.mark.parametrize("audio", SIGNALS)
+@pytest.mark.parametrize("door", [command_line, batch_line, manifest])
 def test_commands_read_the_signal_that_is_chosen(wanted, door, audio, tmp_path, monkeypatch):
-    monkeypatch.setattr("deitalk.pipeline.performance.write_exchange_files", lambda *_, **__: {})
+    only_curves(monkeypatch)
     check_signal(door(SIGNALS[audio], tmp_path, monkeypatch, audio), audio, wanted)
 
 
-@each("audio", SIGNALS)
+@pytest.mark.parametrize("audio", SIGNALS)
 def test_http_reads_the_signal_that_is_chosen(wanted, audio, server):
     check_signal(http(SIGNALS[audio], server, audio), audio, wanted)
+
+
+@pytest.mark.parametrize("case", WRITTEN)
+def test_every_door_writes_the_same_shift(here, case, tmp_path, server, monkeypatch):
+    given, fps = WRITTEN[case], float(WRITTEN[case].get("fps", 30))
+    whole = {name: int(given[name]) for name in ("delay", "handles") if name in given}
+    start, _ = start_of(given.get("timecode", ZERO), fps, None)
+    saved = animate("line.wav", model="tiny").save(tmp_path / "line", fps=fps, start=start, **whole)
+    wanted = take_of(saved)
+    assert len(wanted.values) == round(1.5 * fps) + 2 * whole.get("handles", 0)
+    assert {wanted.written[f"{name}_frames"] for name in whole} == set(whole.values())
+    for door in (command_line, batch_line, manifest):
+        (tmp_path / door.__name__).mkdir()
+        made = door(given, tmp_path / door.__name__, monkeypatch)
+        same_shift(made, wanted)
+    same_shift(http(given | {"name": "line"}, server), wanted)
+
+
+def same_shift(found, wanted):
+    close(found.values, wanted.values)
+    assert found.written == wanted.written and found.settings == wanted.settings == {}
+
+
+DUBS = {
+    "take": {"performance": "face.zip"},
+    "take with limits": {"performance": "face.zip", "stretch": "1.2", "gain": "brow=.5,jaw=1.2"},
+    "curves and sound": {"performance": "face.csv", "sound": "other.wav", "edit": "fixes.edit.json"},
+    "curves alone": {"performance": "face.csv", "fps": "24", "delay": "2", "handles": "4"},
+    "own rig": {"performance": "rig.csv", "mapping": "map.csv", "source_fps": "25", "after": "edge.json"},
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def face(here):
+    """A performance as a zipped take, as curves, and as curves of another rig."""
+    acted = animate("other.wav", "surprised", model="tiny")
+    shutil.make_archive("face", "zip", acted.save(here / "face"))
+    write_curves("face.csv", acted.curves)
+    rows = ["frame,up,open", *(f"{k},{k % 9 / 10},{k % 5 / 5}" for k in range(40))]
+    Path("rig.csv").write_text("\n".join(rows) + "\n")
+    Path("map.csv").write_text("target,source\nCTRL_L_brow_raiseOut.ty,up\nCTRL_C_jaw.ty,open\n")
+
+
+@pytest.mark.parametrize("case", DUBS)
+def test_every_door_dubs_alike(face, case, tmp_path, server, monkeypatch):
+    given = DUBS[case]
+    acting = {name: value for name, value in given.items() if name in Acting.model_fields}
+    python = {name: given[name] for name in ("performance", "sound") if name in given}
+    if "mapping" in given:
+        python["mapping"] = read_mapping(Path(given["mapping"]))
+    numbers = {"stretch": "stretch", "source_fps": "fps"}
+    python |= {to: float(given[name]) for name, to in numbers.items() if name in given}
+    found = dub(
+        python.pop("performance"), "line.wav", acting=Acting.of(**acting), model="tiny", **python
+    )
+    form = {name: int(given[name]) for name in ("fps", "delay", "handles") if name in given}
+    wanted = take_of(found.performance.save(tmp_path / "line", **form))
+    only_curves(monkeypatch)
+    rest = {name: value for name, value in given.items() if name != "performance"}
+    run("dub", given["performance"], "line.wav", "-o", tmp_path / "take", "--model", "tiny",
+        *options(rest))  # fmt: skip
+    sent = {("curves_fps" if n == "source_fps" else n): v for n, v in given.items()}
+    sent |= {"recording": "line.wav", "name": "line"}
+    for made in (tmp_path / "take", post("/v1/dubs", sent, server)):
+        same(take_of(made), wanted)
+        told = json.loads((made / "dub.json").read_text())
+        assert told["summary"] == found.line and told["kept"] == list(found.kept)
+
+
+@pytest.mark.parametrize(
+    ("fields", "words"),
+    [
+        ({}, "part `performance`"),
+        ({"performance": "line.wav"}, "must end with one of"),
+        ({"performance": "keys.csv"}, "performance.csv: data row 1"),
+        ({"performance": "face.csv", "stretch": "4"}, "stretch"),
+        ({"performance": "face.csv", "sound": "keys.csv"}, "sound"),
+        ({"performance": "face.csv", "sound": "/etc/nothing"}, "text where a file is needed"),
+        ({"listen_to": "/etc/nothing"}, "was not sent"),
+    ],
+)
+def test_http_refuses_a_dub_that_cannot_be(here, face, fields, words, server):
+    is_file = {name: (here / value).is_file() for name, value in fields.items()}
+    files = {n: (v, (here / v).read_bytes()) for n, v in fields.items() if is_file[n]}
+    data = {name: value for name, value in fields.items() if not is_file[name]}
+    files["recording"] = ("line.wav", Path("line.wav").read_bytes())
+    with server.client() as client:
+        answer = client.post("/v1/dubs", files=files, data=data | {"model": "tiny"})
+    assert answer.status_code in (415, 422) and words in answer.json()["message"], answer.text
 
 
 def check_signal(made, audio, wanted):
@@ -364,7 +484,7 @@ def check_signal(made, audio, wanted):
     assert made.signal == {n: int(v) if n == "track" else v for n, v in given.items()}
 
 
-@each("audio", SIGNALS)
+@pytest.mark.parametrize("audio", SIGNALS)
 def test_python_and_the_mesh_read_the_signal_that_is_chosen(wanted, audio, tmp_path, monkeypatch):
     made = animate(audio, model="tiny", **SIGNALS[audio])
     close(made.curves.values, wanted("nothing").values)
@@ -373,13 +493,13 @@ def test_python_and_the_mesh_read_the_signal_that_is_chosen(wanted, audio, tmp_p
     close(curves, wanted("nothing").values)
 
 
-@each("audio", SIGNALS)
+@pytest.mark.parametrize("audio", SIGNALS)
 def test_live_command_reads_the_signal_that_is_chosen(here, audio, monkeypatch):
     read = load_audio("line.wav").waveform
     close(live_line(SIGNALS[audio], monkeypatch, audio), live_python({}, read))
 
 
-@each(
+@pytest.mark.parametrize(
     ("data", "words"),
     [
         ({"track": "0"}, "track"),

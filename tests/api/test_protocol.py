@@ -14,7 +14,6 @@ from api.routes.jobs import part_of
 from api.settings import ApiKey, Settings
 from tests.api.conftest import KEYS, bearer, wav
 from tests.api.test_jobs import submit, wait
-from tests.each import each
 
 
 @pytest.fixture(scope="module")
@@ -57,7 +56,7 @@ def test_usd_is_offered_only_where_it_can_be_made(monkeypatch):
     assert "usd" not in runpy.run_path(messages.__file__)["ANIMATION_FORMATS"]
 
 
-@each(
+@pytest.mark.parametrize(
     ("header", "part"),
     [
         ("bytes=0-9", (0, 10)), ("bytes=90-", (90, 100)), ("bytes=-5", (95, 100)),
@@ -70,7 +69,7 @@ def test_part_of_a_file_is_that_of_rfc_9110(header, part):
     assert part_of(header, 100) == part
 
 
-@each("header", ["bytes=100-", "bytes=-0", "bytes=500-600"])
+@pytest.mark.parametrize("header", ["bytes=100-", "bytes=-0", "bytes=500-600"])
 def test_part_beyond_a_file_is_refused_with_its_size(header):
     with pytest.raises(Problem) as refused:
         part_of(header, 100)

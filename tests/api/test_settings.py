@@ -27,7 +27,6 @@ from deitalk.cli import app
 from deitalk.errors import ConfigError, DeitalkError
 from tests.browser import needs_player
 from tests.command import ran
-from tests.each import each
 from tests.errors import one_line
 
 
@@ -40,7 +39,7 @@ def test_later_sources_replace_earlier_ones(tmp_path, monkeypatch):
     assert settings.host == "127.0.0.1" and settings.is_local
 
 
-@each(
+@pytest.mark.parametrize(
     ("text", "named"),
     [
         ("prot: 1", "prot"),
@@ -106,7 +105,7 @@ def test_rate_refills_evenly(monkeypatch):
     rates.take("a", 60)
 
 
-@each(
+@pytest.mark.parametrize(
     ("accept", "expected"),
     [
         (None, "json"), ("*/*", "json"), ("text/csv", "csv"), ("model/gltf-binary", "glb"),
@@ -141,7 +140,7 @@ async def _answer(guard, path, host):
     return sent[0]["status"] if sent else 200
 
 
-@each("host", ["127.0.0.1:8000", "10.0.0.7", "[::1]:8000"])
+@pytest.mark.parametrize("host", ["127.0.0.1:8000", "10.0.0.7", "[::1]:8000"])
 def test_probes_by_address_are_answered_where_hosts_names_the_service(tmp_path, host):
     """The container's own check, and that of a balancer."""
 
@@ -186,7 +185,7 @@ def test_container_files_name_settings_and_paths_that_exist():
             assert (folder.parents[1] / name).exists(), name
 
 
-@each(
+@pytest.mark.parametrize(
     ("name", "value", "says"),
     [
         ("data", "{folder}/file/below", "Not a directory"),

@@ -21,7 +21,6 @@ from api.jobs.table import JOBS
 from api.jobs.versions import open_database
 from api.settings import SCOPES, Settings
 from tests.api.server import ROOT, wait_for
-from tests.each import each
 
 CALLER = Caller("farm", SCOPES, 3, 600)
 WORK = {"order": {"kind": "animation"}, "format": "json"}
@@ -134,7 +133,7 @@ def test_full_queues_refuse_jobs(queue, store, tmp_path):
     assert refused.value.status == 503
 
 
-@each(("cancels", "status"), [(False, "done"), (True, "cancelled")])
+@pytest.mark.parametrize(("cancels", "status"), [(False, "done"), (True, "cancelled")])
 def test_lease_is_renewed_while_a_result_is_copied(tmp_path, cancels, status):
     """A slow store made the job another's three times; then it failed."""
 

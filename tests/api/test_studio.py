@@ -1,8 +1,11 @@
 """The studio at `/` in a browser: from a recording to edits and files, with this service alone."""
 
 import base64
+import json
 import shlex
+import shutil
 import time
+import zipfile
 from contextlib import contextmanager
 
 import numpy as np
@@ -548,6 +551,124 @@ def test_take_that_is_dropped_shows_its_arguments_and_gives_the_same_files(
         is_quiet(tab)
         other = read_curves(download(tab, "CSV", tmp_path / "other")).values
         assert np.abs(other - curves).max() > 0.05
+
+
+def spoken_command(tab, folder) -> list[str]:
+    """The command of the button Edits, whose files are saved."""
+    tab.on("download", lambda d: d.save_as(folder / d.suggested_filename))
+    tab.get_by_role("button", name="Edits", exact=True).click()
+    until(tab, "document.getElementById('notice').textContent.startsWith('deitalk ')")
+    time.sleep(0.5)
+    return shlex.split(tab.inner_text("#notice"))[1:]
+
+
+def animated_again(tab) -> None:
+    time.sleep(0.6)  # until the page has begun
+    is_quiet(tab)
+
+
+def test_performance_is_dubbed_as_by_the_command_line(
+    browser, server, speech, tmp_path, monkeypatch
+):
+    """A zipped take, then without it again; a gain, an edit and a shift are written too."""
+    other = ROOT / "docs/samples/promise.flac"
+    face = animate(load_audio(other).waveform[:48_000], "surprised", sample_rate=16_000)
+    zipped = tmp_path / shutil.make_archive("face", "zip", face.save(tmp_path / "face"))
+    monkeypatch.chdir(tmp_path)
+    shutil.move(zipped, tmp_path / "face.zip")
+    shutil.copy(speech, tmp_path)
+    with studio(browser, server) as tab:
+        drop(tab, speech)
+        until(tab, "deitalk.page.take?.seconds > 1 && deitalk.page.clock.playing")
+        tab.keyboard.press("Space")
+        is_quiet(tab)
+        own = curve(tab)
+        tab.set_input_files("#performance", tmp_path / "face.zip")
+        until(tab, "document.getElementById('dub').textContent === 'Dubs face.zip'")
+        is_quiet(tab)
+        assert "unchanged" in tab.inner_text("#notice")
+        dubbed = curve(tab)
+        brow = face.curves["CTRL_L_brow_raiseIn.ty"]
+        assert np.abs(dubbed - own).max() > 0.05
+        assert np.isin(dubbed[:30].astype(np.float32).round(3), brow.round(3)).mean() > 0.2
+        tab.get_by_role("slider", name="Gain of brow").fill("0.5")
+        tab.evaluate("deitalk.page.workbench.layers.choose('CTRL_L_nose.ty')")
+        seek(tab, 1.0)
+        tab.click("#add-edit")
+        for _ in range(9):
+            tab.keyboard.press("ArrowUp")
+        tab.fill("#delay", "2")
+        tab.fill("#handles", "4")
+        take = download(tab, "Take", tmp_path)
+        shown = spoken_command(tab, tmp_path)
+        assert tab.complaints == []
+        tab.reload()
+        until(tab, "document.getElementById('dub').textContent === 'Dubs face.zip'")
+        is_quiet(tab)
+        tab.click("#dub")
+        until(tab, "document.getElementById('dub').textContent === 'Dub a performance'")
+        is_quiet(tab)
+        tab.get_by_role("slider", name="Gain of brow").fill("1")
+        animated_again(tab)
+        assert np.abs(curve(tab) - own).max() < 1e-3
+    assert shown[:2] == ["dub", "face.zip"]
+    with zipfile.ZipFile(take) as archive:
+        archive.extractall("exported")
+    command(*shown[:-1], "again/")
+    found, wanted = (read_curves(f"{name}/curves.json") for name in ("exported", "again"))
+    assert np.abs(found.values - wanted.values).max() < 1e-5
+    about = json.loads((tmp_path / "exported/take.json").read_text())
+    assert (about["delay_frames"], about["handles_frames"]) == (2, 4)
+    assert json.loads((tmp_path / "exported/dub.json").read_text())["kept"]
+
+
+def curve(tab) -> np.ndarray:
+    """A brow of all frames as the page shows it."""
+    rows = "Float32Array.from(Array.from({ length: deitalk.page.take.frames }, (_, k) => deitalk.page.take.frame(k)[deitalk.page.board.controls.indexOf('CTRL_L_brow_raiseIn.ty')]))"
+    return numbers(tab, rows)
+
+
+def test_files_of_the_acting_are_chosen_kept_and_left_out(
+    browser, server, speech, tmp_path, monkeypatch
+):
+    """Another voice and the take before, as files; the command line and the take have them."""
+    other = tmp_path / "other.wav"
+    other.write_bytes(wav(1.0))
+    animate(load_audio(other).waveform, "sad", sample_rate=16_000).save(tmp_path / "before.json")
+    shutil.copy(speech, tmp_path)
+    monkeypatch.chdir(tmp_path)
+    with studio(browser, server) as tab:
+        drop(tab, speech)
+        until(tab, "deitalk.page.take?.seconds > 1 && deitalk.page.clock.playing")
+        tab.keyboard.press("Space")
+        is_quiet(tab)
+        tab.set_input_files("#acting input[name=listen_to]", other)
+        animated_again(tab)
+        tab.set_input_files("#acting input[name=after]", tmp_path / "before.json")
+        animated_again(tab)
+        take = download(tab, "Take", tmp_path)
+        shown = spoken_command(tab, tmp_path)
+        assert tab.complaints == []
+        drop(tab, take)
+        until(
+            tab,
+            "typeof deitalk.page.history.edit.acting.after === 'string' && deitalk.studio.isSettled",
+        )
+        text = tab.inner_text("#acting")
+        assert text.count("of the take") == 2
+        again = download(tab, "CSV", tmp_path)
+        tab.get_by_role("button", name="No after", exact=True).click()
+        animated_again(tab)
+        assert tab.evaluate("Object.keys(deitalk.page.history.edit.acting)") == ["listen_to"]
+    with zipfile.ZipFile(take) as archive:
+        archive.extractall("exported")
+    settings = json.loads((tmp_path / "exported/take.json").read_text())["settings"]
+    assert settings["after"]["pose"] and settings["listen_to"]["phrases"]
+    command(*shown[:-1], "again.csv")
+    assert "--listen-to" in shown and "--after" in shown
+    wanted = read_curves("again.csv").values
+    for found in (read_curves("exported/curves.json"), read_curves(again)):
+        assert np.abs(found.values - wanted).max() < 1e-3
 
 
 @pytest.mark.slow

@@ -16,7 +16,6 @@ from api.settings import SCOPES
 from deitalk.workers import WorkerLost
 from tests.api.conftest import wav
 from tests.api.kill import kill
-from tests.each import each
 
 CALLER = Caller("farm", SCOPES, 10, 600)
 OPTIONS = {"format": "json", "suffix": ".json"}
@@ -165,7 +164,7 @@ def test_recording_that_is_not_for_now_is_answered_by_its_length(worker, tmp_pat
     assert beyond["error"] == [TooLarge.__name__]
 
 
-@each(
+@pytest.mark.parametrize(
     ("seconds", "stopped", "error"),
     [
         (0.05, lambda worker: False, OutOfTime),

@@ -12,7 +12,6 @@ from deitalk.emotions import LABELS
 from deitalk.errors import ConfigError
 from rig.errors import UserError
 from rig.limits import SEED
-from tests.each import each
 from tests.errors import one_line
 
 FIXES = '{"schema": "deitalk.edit/1", "edits": [{"target": "brow", "keys": [[0, 0.5]]}]}'
@@ -20,7 +19,7 @@ KEYS = "time,emotion,strength\n0,happy,0.2\n1,angry,1\n"
 NUMBERS = {"intensity": (0.0, 4.0), "listen": (0.0, 600.0)}
 
 
-@each(
+@pytest.mark.parametrize(
     ("text", "value"),
     [
         ({"life": "brows=.8"}, {"life": {"brows": 0.8}}),
@@ -83,14 +82,14 @@ def test_numbers_are_within_their_range_or_refused_in_one_line(value, name):
             Acting.of(**{name: given_value})
 
 
-@each("seed", [-1, SEED + 1, 1.5, "1.5", True, "x", str(10**30)])
+@pytest.mark.parametrize("seed", [-1, SEED + 1, 1.5, "1.5", True, "x", str(10**30)])
 def test_seeds_are_whole_numbers_up_to_one_largest(seed):
     assert Acting.of(seed=SEED).seed == SEED
     with pytest.raises(ConfigError, match="seed"):
         Acting.of(seed=seed)
 
 
-@each(
+@pytest.mark.parametrize(
     ("field", "name", "content"),
     [
         ("emotion", "keys.csv", KEYS),
@@ -126,7 +125,7 @@ def test_requests_read_the_files_that_came_with_them_and_no_others(
     assert Acting.of(files={name: sent}, **{field: name}) == here
 
 
-@each(
+@pytest.mark.parametrize(
     "text", ["../happy.csv", "happy=1/x.csv", "happy=0.5.json", "", "happy=", "a" * 500, "a\n.csv"]
 )
 def test_no_text_of_a_request_opens_a_path(text, tmp_path, monkeypatch):

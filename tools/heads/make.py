@@ -17,9 +17,9 @@ from scipy.spatial import cKDTree
 
 from rig.controls import default_controls
 from rig.face.mesh import CLOTH, EYE, FINE, HAIR, PLAIN, SKIN
+from rig.face.render.occlusion import occlusion
 from tools.heads import pictures
 from tools.heads.base import Base, triangles
-from tools.heads.light import occlusion
 from tools.heads.parts import Person, eye_of
 from tools.heads.people import PEOPLE
 from tools.heads.shapes import COLUMNS, Shapes

@@ -25,6 +25,9 @@ LEAST_FRAMES = 150
 LEAST_GAIN = 0.03
 """Share of the error by which conventions must lower it against one map of all takes. Parts of one
 take and takes of one hand gave at most .007, takes of different ones .05 to .2."""
+MOST_APART = 1.06
+"""Error with which a half of a take is predicted from halves of others of its convention, over that
+from its own other half. Takes of one hand gave .99 and 1.01, takes of different ones 1.11 to 2."""
 PENALTY = 0.03
 """Of a map, as a share of the squares of its predictors."""
 MOVING = 0.02
@@ -247,19 +250,21 @@ class _Compared:
     def best_groups(self) -> list[list[int]]:
         """The grouping in which halves are best predicted from the rest of their group.
 
-        Groups are joined by the mean of the errors of each take's map on the others' takes.
+        Groups are joined by how much worse than a take's own half halves of the others predict it;
+        joins beyond `MOST_APART` are undone.
         """
         count = len(self.takes)
-        maps = [self.map_of(take.sum(axis=0)) for take in self.takes]
+        maps = [[self.map_of(half) for half in take] for take in self.takes]
         apart = np.array([
-            [self.error(maps[i], j, 0) + self.error(maps[i], j, 1) for j in range(count)]
+            [sum(self.error(maps[i][half], j, 1 - half) for half in (0, 1)) for j in range(count)]
             for i in range(count)
         ])  # fmt: skip
-        distance = (apart + apart.T) / 2
-        groups = [[i] for i in range(count)]
+        worse = apart / np.maximum(np.diagonal(apart), 1e-9)
+        distance = (worse + worse.T) / 2
+        groups, furthest = [[i] for i in range(count)], 0.0
         levels = []
         while True:
-            levels.append((sum(self._cost(group) for group in groups), groups))
+            levels.append((sum(self._cost(group) for group in groups), furthest, groups))
             if len(groups) == 1:
                 break
             pairs = [
@@ -268,11 +273,16 @@ class _Compared:
                 for j, b in enumerate(groups)
                 if i < j
             ]
-            _, i, j = min(pairs)
+            nearest, i, j = min(pairs)
+            furthest = max(furthest, nearest)
             joined = sorted(groups[i] + groups[j])
             groups = [group for k, group in enumerate(groups) if k not in (i, j)] + [joined]
-        cost, best = min(levels, key=lambda level: level[0])
-        return best if cost < (1 - LEAST_GAIN) * levels[-1][0] else groups
+        cost, most, best = min(levels, key=lambda level: level[0])
+        if cost >= (1 - LEAST_GAIN) * levels[-1][0]:
+            return groups
+        if most > MOST_APART:
+            best = [level[2] for level in levels if level[1] <= MOST_APART][-1]
+        return best
 
     def _cost(self, group: Sequence[int]) -> float:
         total = self.takes[list(group)].sum(axis=(0, 1))

@@ -13,7 +13,7 @@ import soundfile
 
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE, runs
 from deitalk.audio.load import Recording, load_audio
-from deitalk.audio.vocal_strength import measure_prosody
+from deitalk.audio.prosody import measure_prosody
 from deitalk.audio.voice_activity import speech_activity
 from deitalk.config.rig_file import DATASET_RIG, rig_text
 from deitalk.data.captures.columns import read_mapping

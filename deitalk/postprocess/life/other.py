@@ -11,7 +11,8 @@ import numpy as np
 
 from deitalk.audio.frames import FRAME_RATE, frame_times
 from deitalk.audio.load import Recording, load_audio
-from deitalk.audio.vocal_strength import measure_prosody, strength_frames, vocal_strength
+from deitalk.audio.prosody import measure_prosody
+from deitalk.audio.vocal_strength import strength_frames, vocal_strength
 from deitalk.emotions import LABELS, parse_emotion
 from deitalk.errors import DataError
 from deitalk.postprocess.life.voice import Phrase, Voice, measure_voice

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deitalk.audio.frames import FRAME_RATE
-from deitalk.audio.vocal_strength import LEVEL_DB, PITCH_SEMITONES, Prosody
+from deitalk.audio.prosody import LEVEL_DB, PITCH_SEMITONES, Prosody
 from rig.arrays import Bool, Float32, Float64, Int64
-from rig.curves.edit import gaussian_smooth
+from rig.curves.filters import gaussian_smooth
 
 # Random numbers of a take, and the traits of its character.
 #

@@ -5,8 +5,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from deitalk.cli.console import console, emit_json, reserve_picture
+from deitalk.cli.console import console, emit_json
 from deitalk.cli.options import MAX_COUNT, Device, Force, Json
+from deitalk.cli.targets import reserve_picture
 from deitalk.errors import DataError
 
 if TYPE_CHECKING:

@@ -5,8 +5,9 @@ from typing import Annotated
 
 import typer
 
-from deitalk.cli.console import bar, console, reserve_folder
+from deitalk.cli.console import bar, console
 from deitalk.cli.options import MAX_PROCESSES, CheckedCommands, Force
+from deitalk.cli.targets import reserve_folder
 from deitalk.errors import DataError
 from deitalk.research.cli.options import MAX_SEED
 

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from deitalk.cli.console import bar, console
-from deitalk.cli.models import NOT_BETTER, print_scores, shown_on
+from deitalk.cli.finetune import NOT_BETTER, print_scores, shown_on
 
 
 def folds(

@@ -5,8 +5,9 @@ from typing import Annotated
 
 import typer
 
-from deitalk.cli.console import bar, console, emit, reserve_folder
+from deitalk.cli.console import bar, console, emit
 from deitalk.cli.options import MAX_COUNT, Force
+from deitalk.cli.targets import reserve_folder
 from deitalk.errors import DeitalkError
 from deitalk.research.cli.options import Most
 from rig.errors import as_line

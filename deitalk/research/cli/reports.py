@@ -3,7 +3,8 @@
 from pathlib import Path
 from typing import Any
 
-from deitalk.cli.console import emit, reserve_file, reserve_picture
+from deitalk.cli.console import emit
+from deitalk.cli.targets import reserve_file, reserve_picture
 from deitalk.errors import DataError
 
 

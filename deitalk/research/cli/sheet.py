@@ -5,8 +5,9 @@ from typing import Annotated
 
 import typer
 
-from deitalk.cli.console import console, reserve_file
+from deitalk.cli.console import console
 from deitalk.cli.options import Force, Identity
+from deitalk.cli.targets import reserve_file
 from deitalk.errors import DeitalkError
 
 

@@ -5,8 +5,9 @@ from typing import Annotated
 
 import typer
 
-from deitalk.cli.console import bar, console, reserve_folder
+from deitalk.cli.console import bar, console
 from deitalk.cli.options import MAX_COUNT, CheckedCommands, Force, Identity, Json
+from deitalk.cli.targets import reserve_folder
 from deitalk.errors import DataError
 from deitalk.research.cli.reports import reserve_report, write_report
 

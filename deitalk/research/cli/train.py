@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from deitalk.cli.console import bar, console
-from deitalk.cli.models import shown_on
+from deitalk.cli.finetune import shown_on
 
 if TYPE_CHECKING:
     from deitalk.config.load import AnyConfig

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE, frame_count
-from deitalk.audio.vocal_strength import level_db, measure_prosody
+from deitalk.audio.prosody import level_db, measure_prosody
 from deitalk.postprocess.phones import VOWELS
 from deitalk.research.corpus.articulation import articulate
 from deitalk.research.corpus.rig_targets import intensity_envelope

@@ -23,7 +23,7 @@ from scipy.stats import spearmanr
 
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
 from deitalk.audio.load import load_audio
-from deitalk.audio.vocal_strength import measure_prosody
+from deitalk.audio.prosody import measure_prosody
 from deitalk.audio.voice_activity import normalise_level, speech_activity
 from deitalk.errors import DataError
 from deitalk.evaluation.report import table
@@ -34,7 +34,7 @@ from deitalk.pipeline.performance import Performance
 from deitalk.research.evaluation.clip_scores import mouth_opening
 from rig import limits
 from rig.arrays import Bool, Float32
-from rig.curves.edit import gaussian_smooth
+from rig.curves.filters import gaussian_smooth
 from rig.errors import quoted
 from rig.files.reading import check_file
 

@@ -11,11 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from deitalk.audio.load import load_audio
+from deitalk.audio.prosody import measure_prosody
 from deitalk.audio.vocal_strength import (
     IS_VOICED,
     PITCH,
     VocalStrength,
-    measure_prosody,
     strength_frames,
     without_level,
 )

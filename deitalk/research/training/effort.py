@@ -25,7 +25,7 @@ from scipy.signal import firwin2, lfilter
 
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
 from deitalk.audio.load import load_audio
-from deitalk.audio.vocal_strength import measure_prosody
+from deitalk.audio.prosody import measure_prosody
 from deitalk.audio.voice_activity import normalise_level, speech_activity
 from deitalk.models.checkpoint import load_model
 from deitalk.models.curve_model import DEITalk

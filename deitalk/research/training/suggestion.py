@@ -41,7 +41,7 @@ from torch.nn import functional as F
 
 from deitalk.audio.frames import SAMPLE_RATE
 from deitalk.audio.load import load_audio
-from deitalk.audio.vocal_strength import rms_db
+from deitalk.audio.prosody import rms_db
 from deitalk.data.augment_waveform import Surroundings, augment, change_speed
 from deitalk.errors import DataError, DeitalkError
 from deitalk.evaluation.report import table

@@ -24,8 +24,8 @@ from safetensors.numpy import save_file
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from deitalk.audio.prosody import BANDS
 from deitalk.audio.vocal_strength import (
-    BANDS,
     MEMBERS,
     REST_WEIGHT,
     UNIT_DB,

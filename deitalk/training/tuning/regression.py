@@ -14,7 +14,8 @@ from torch import Tensor, nn
 
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
 from deitalk.data.clips import Clip, read_known, spread_clips
-from deitalk.data.windows import FrozenFeatures, read_waveform
+from deitalk.data.frozen_features import FrozenFeatures
+from deitalk.data.waveforms import read_waveform
 from deitalk.emotions import EMOTIONS
 from deitalk.evaluation.smoothness import MOVING, Example, load_example
 from deitalk.models.curve_model import Analysis, DEITalk
@@ -77,6 +78,8 @@ class Regression:
         Of the clips; None: their sound is read.
     progress : callable
         As of the trainer.
+    new_actors : bool
+        As for `fit_ridge`.
     """
 
     maps: Maps
@@ -89,7 +92,10 @@ class Regression:
         learnt: Bool,
         features: FrozenFeatures | None = None,
         progress: Progress = silent,
+        *,
+        new_actors: bool = True,
     ) -> None:
+        self.new_actors = new_actors
         self.model, self.base, self.clips, self.learnt = model, base, clips, learnt
         self.features, self.progress, self.controls = features, progress, model.controls
         self.factor: Float64 | None = None
@@ -104,7 +110,7 @@ class Regression:
         if not late:
             return None
         whole = self._maps([*self.clips, *late], sums, may_stay)
-        return Maps(whole.weight - self.maps.weight, whole.bias - self.maps.bias, whole.penalty)
+        return Maps(whole.weight - self.maps.weight, whole.bias - self.maps.bias, whole.stays)
 
     def _maps(
         self, clips: Sequence[Clip], sums: dict[tuple[int, ...], Sums], may_stay: bool
@@ -122,7 +128,15 @@ class Regression:
             return self._rows(clips[place])
 
         actors = self.model.actors
-        return fit_ridge(captures, read, actors, self.learnt, sums, may_stay=may_stay)
+        return fit_ridge(
+            captures,
+            read,
+            actors,
+            self.learnt,
+            sums,
+            may_stay=may_stay,
+            new_actors=self.new_actors,
+        )
 
     @torch.no_grad()
     def teach_emotions(self, *, scales: bool) -> float:

@@ -1,11 +1,12 @@
 """What a tuning begins with: last layers by ridge regression, and the strength of expressions.
 
 Captures are few and features many, so that a penalty holds the weights; which, is chosen for every
-control by cross-validation over takes. Actors are pooled in part: all share a map, and each has a
-change of it with a penalty of its own and an offset without one (a ridge with one block of features
-for all and one for each actor; Daumé, "Frustratingly Easy Domain Adaptation", 2007). A stranger
-gets the mean of the actors' maps; of three actors and more a map without changes, whose penalty is
-the one with which each actor is best predicted from the others.
+actor and control by cross-validation over takes. Actors are pooled in part: all share a map, and
+each has a change of it with a penalty of its own and an offset without one (a ridge with one block
+of features for all and one for each actor; Daumé, "Frustratingly Easy Domain Adaptation", 2007). A
+face without a name gets the mean of the actors' maps. Of three actors and more it is that of a new
+actor, and gets a map without changes, whose penalty is the one with which each actor is best
+predicted from the others; conventions of one actor are no new actors.
 
 Everything is computed from sums of products, so that hours of captures need no more memory than
 minutes. Letters: T frames, F features, C controls, A actors, K folds.
@@ -25,17 +26,17 @@ from rig.arrays import Bool, Float32, Float64, Int64
 SHARED = (1.0, 3.0, 10.0, 100.0)
 """Penalties of the shared map to choose from, as shares of the squares of its features; the last
 leaves hardly more than the mean."""
-OWN = (1.0, 10.0)
-"""Penalty of an actor's change over that of the shared map: as free, or nearly none."""
+OWN = (0.3, 1.0, 10.0)
+"""Penalty of an actor's change over that of the shared map: freer, as free, or nearly none."""
 LEAST_BETTER = 0.005
 """Share of a control's error by which a map must lower it, else the control stays as it is."""
 LEAST_ACTORS = 3
-"""From which on a stranger's penalty is told by leaving actors out."""
+"""From which on a new actor's penalty is told by leaving actors out."""
 FOLDS = 4
 """Most parts of the captures of which each is predicted from the others."""
 MANY, MANY_FOLDS = 8, 2
-"""Actors from which on two folds do, an actor's change is nearly none, and sums of products are in
-single precision: time and memory grow with the actors."""
+"""Actors from which on two folds do, an actor's change is nearly none, all actors have the same
+penalties, and sums of products are in single precision: time and memory grow with the actors."""
 
 
 Pair = tuple[float, float | None]
@@ -74,10 +75,10 @@ class Maps(NamedTuple):
     Attributes
     ----------
     weight : ndarray [shape=(A + 1, C, F)]
-        A stranger's map, then how each actor differs from it.
+        The map of a face without a name, then how each actor differs from it.
     bias : ndarray [shape=(A + 1, C)]
-    penalty : ndarray [shape=(C, 2)]
-        The chosen shared and own one; infinite where the curves stay as they are.
+    stays : ndarray [shape=(C,)]
+        Controls whose curves stay as they are, because no map predicts better.
     held : tuple of Maps
         Those with the same penalties, fitted without each fold; empty where there is one fold.
     folds : tuple of int
@@ -86,7 +87,7 @@ class Maps(NamedTuple):
 
     weight: Float64
     bias: Float64
-    penalty: Float64
+    stays: Bool
     held: "tuple[Maps, ...]" = ()
     folds: tuple[int, ...] = ()
 
@@ -120,6 +121,7 @@ def fit_ridge(
     sums: dict[tuple[int, ...], Sums] | None = None,
     *,
     may_stay: bool = False,
+    new_actors: bool = True,
 ) -> Maps:
     """Fit the maps of all learnt controls.
 
@@ -138,6 +140,8 @@ def fit_ridge(
         the first of the clips are gone on with, so that these are read once.
     may_stay : bool
         Whether a control that no map predicts better stays as it is.
+    new_actors : bool
+        Whether a face without a name is that of an actor of no capture; else it is one of these.
     """
     sums = {} if sums is None else sums
     names = [name for name in actors if any(clip.actor == name for clip in clips)]
@@ -153,7 +157,7 @@ def fit_ridge(
         key = (*places.tolist(), *columns.tolist())
         grams = _grams(clips, read, shown, folds, names, columns.tolist(), sums.get(key))
         sums[key] = Sums(folds, grams)
-        whole, *held = _chosen(grams, len(columns), may_stay)
+        whole, *held = _chosen(grams, len(columns), may_stay, new_actors)
         if maps is None:
             shape = len(actors) + 1, len(learnt), whole.weight.shape[-1]
             count = max(folds) + 1 if max(folds) else 0
@@ -164,13 +168,13 @@ def fit_ridge(
         for target, found in zip((maps, *maps.held), (whole, *(held or [])), strict=False):
             target.weight[np.ix_(places, columns)] = found.weight[: len(places)]
             target.bias[np.ix_(places, columns)] = found.bias[: len(places)]
-            target.penalty[columns] = found.penalty
+            target.stays[columns] = found.stays
     assert maps is not None
     return maps
 
 
 def _empty(shape: tuple[int, int, int]) -> Maps:
-    return Maps(np.zeros(shape), np.zeros(shape[:2]), np.zeros((shape[1], 2)))
+    return Maps(np.zeros(shape), np.zeros(shape[:2]), np.zeros(shape[1], bool))
 
 
 def take_folds(clips: Sequence[tuple[str, Hashable]], most: int = FOLDS) -> list[int]:
@@ -222,82 +226,68 @@ def _grams(
     return grams
 
 
-def _chosen(grams: Float64, n_controls: int, may_stay: bool) -> list[Maps]:
-    """Maps with each control's penalties of least error; the same without each fold.
+def _chosen(grams: Float64, n_controls: int, may_stay: bool, new_actors: bool) -> list[Maps]:
+    """Maps with the penalties of least error of each actor and control; those without each fold.
 
     Without folds, as nothing can be predicted from others, they are the largest penalties.
     """
-    own = OWN[-1:] if grams.shape[1] >= MANY else OWN
+    n_actors, total = grams.shape[1], grams.sum(axis=0)
+    own = OWN[-1:] if n_actors >= MANY else OWN
     pairs: list[Pair] = [(shared, shared * each) for shared in SHARED for each in own]
-    if grams.shape[1] == 1:
+    if n_actors == 1:
         pairs = [(shared, shared) for shared in SHARED]
-    total = grams.sum(axis=0)
+    shape, stays = (n_actors, n_controls), np.zeros(n_controls, bool)
     folds = [fold for fold in range(len(grams)) if grams[fold, :, 0, 0].any()]
     if len(folds) == 1:
-        best = np.full(n_controls, len(pairs) - 1)
-        return [_with_stranger(total, n_controls, pairs, best, np.zeros(n_controls, bool))]
-    errors = np.zeros((len(pairs), n_controls))
-    held = [_empty((grams.shape[1] + 1, n_controls, grams.shape[-1] - 1 - n_controls))] * len(grams)
-    held = [maps._replace(weight=maps.weight.astype(np.float32)) for maps in held]
+        best = np.full(shape, len(pairs) - 1)
+        return [_with_stranger(total, pairs, best, stays, new_actors)]
+    errors = np.zeros((len(pairs), *shape))
+    weights = np.zeros((len(grams), *shape, grams.shape[-1] - 1 - n_controls), np.float32)
+    biases = np.zeros((len(grams), *shape))
     for place, pair in enumerate(pairs):
         found = {fold: _solve(total - grams[fold], n_controls, *pair) for fold in folds}
-        for fold, maps in found.items():
-            errors[place] += _error(grams[fold], *maps)
+        for fold, (weight, bias) in found.items():
+            errors[place] += _error(grams[fold], weight, bias)
+        if n_actors >= MANY:
+            errors[place] = errors[place].sum(axis=0)
         better = errors[place] < errors[:place].min(axis=0, initial=np.inf)
         for fold, (weight, bias) in found.items():
-            kept = held[fold]
-            held[fold] = kept._replace(
-                weight=np.where(better[:, None], weight, kept.weight).astype(np.float32),
-                bias=np.where(better, bias, kept.bias),
-            )
-    stays = np.zeros(n_controls, bool)
+            weights[fold][better], biases[fold][better] = weight[better], bias[better]
     if may_stay:
-        squares = np.einsum("kaii->i", grams[:, :, -n_controls:, -n_controls:], dtype=np.float64)
-        stays = errors.min(axis=0) > (1 - LEAST_BETTER) * squares
-    whole = _with_stranger(total, n_controls, pairs, errors.argmin(axis=0), stays)
-    return [whole, *(_staying(_held(maps, whole), stays) for maps in held)]
-
-
-def _held(maps: Maps, whole: Maps) -> Maps:
-    """Maps without a fold, about their stranger, the mean of the actors."""
-    weight, bias = (
-        _about(each[:1] + each[1:], (each[:1] + each[1:]).mean(axis=0))
-        for each in (maps.weight, maps.bias)
-    )
-    return Maps(weight, bias, whole.penalty)
+        squares = np.einsum("kaii->i", grams[..., -n_controls:, -n_controls:], dtype=np.float64)
+        least = errors.min(axis=0)
+        least = least[0] if n_actors >= MANY else least.sum(axis=0)
+        stays = least > (1 - LEAST_BETTER) * squares
+    whole = _with_stranger(total, pairs, errors.argmin(axis=0), stays, new_actors)
+    held = [
+        _about(w, b, w.mean(axis=0), b.mean(axis=0)) for w, b in zip(weights, biases, strict=True)
+    ]
+    return [whole, *(_staying(*maps, stays) for maps in held)]
 
 
 def _with_stranger(
-    total: Float64, n_controls: int, pairs: Sequence[Pair], best: Int64, stays: Bool
+    total: Float64, pairs: Sequence[Pair], best: Int64, stays: Bool, new_actors: bool
 ) -> Maps:
-    """Maps of all clips, each control's with its penalties, and those of a stranger."""
-    weight, bias = _each_solved(total, n_controls, pairs, best)
-    strange = _of_stranger(total, n_controls) if len(total) >= LEAST_ACTORS else None
-    weight, bias = (
-        _about(each, each.mean(axis=0) if strange is None else strange[i])
-        for i, each in enumerate((weight[:1] + weight[1:], bias[:1] + bias[1:]))
-    )
-    return _staying(Maps(weight, bias, np.array(pairs, np.float64)[best]), stays)
+    """Maps of all clips by the penalties of each actor and control, and that without a name."""
+    weight, bias = _each_solved(total, pairs, best)
+    strange = weight.mean(axis=0), bias.mean(axis=0)
+    if new_actors and len(total) >= LEAST_ACTORS:
+        strange = _of_stranger(total, best.shape[1])
+    return _staying(*_about(weight, bias, *strange), stays)
 
 
-def _staying(maps: Maps, stays: Bool) -> Maps:
+def _staying(weight: Float64, bias: Float64, stays: Bool) -> Maps:
     """Maps without those of controls that stay as they are."""
-    weight = np.where(stays[:, None], 0, maps.weight)
-    penalty = np.where(stays[:, None], np.inf, maps.penalty)
-    return maps._replace(weight=weight, bias=np.where(stays, 0, maps.bias), penalty=penalty)
+    return Maps(np.where(stays[:, None], 0, weight), np.where(stays, 0, bias), stays)
 
 
-def _each_solved(
-    grams: Float64, n_controls: int, pairs: Sequence[Pair], best: Int64
-) -> tuple[Float64, Float64]:
-    """`_solve` of every control with the penalties of its place in `pairs`."""
-    weight, bias = _solve(grams, n_controls, *pairs[best[0]])
-    for place in set(best.tolist()) - {best[0]}:
-        weights, biases = _solve(grams, n_controls, *pairs[place])
-        weight[:, best == place], bias[:, best == place] = (
-            weights[:, best == place],
-            biases[:, best == place],
-        )
+def _each_solved(grams: Float64, pairs: Sequence[Pair], best: Int64) -> tuple[Float64, Float64]:
+    """`_solve` of every actor and control with the penalties of its place (A, C) in `pairs`."""
+    weight, bias = _solve(grams, best.shape[1], *pairs[best[0, 0]])
+    for place in set(best.flat) - {best[0, 0]}:
+        weights, biases = _solve(grams, best.shape[1], *pairs[place])
+        chosen = best == place
+        weight[chosen], bias[chosen] = weights[chosen], biases[chosen]
     return weight, bias
 
 
@@ -313,20 +303,26 @@ def _of_stranger(grams: Float64, n_controls: int) -> tuple[Float64, Float64]:
         own = of_actor - np.outer(of_actor[:, 0], of_actor[0]) / max(of_actor[0, 0], 1)
         for place, pair in enumerate(pairs):
             weight, bias = _solve(others, n_controls, *pair)
-            errors[place] += _error(own[None], weight[:2], bias[:2])
-    weight, bias = _each_solved(grams, n_controls, pairs, errors.argmin(axis=0))
-    return weight[0], bias[0]
+            errors[place] += _error(own[None], weight[:1], bias[:1])[0]
+    best = np.tile(errors.argmin(axis=0), (len(grams), 1))
+    weight, bias = _each_solved(grams, pairs, best)
+    return weight[0], bias.mean(axis=0)
 
 
-def _about(actors: Float64, stranger: Float64) -> Float64:
-    """The stranger, and how each actor (A, …) differs [shape=(A + 1, …)]."""
-    return np.concatenate((stranger[None], actors - stranger))
+def _about(
+    weight: Float64, bias: Float64, stranger: Float64, rest: Float64
+) -> tuple[Float64, Float64]:
+    """The map without a name, and how each actor's differs [shape=(A + 1, …)]."""
+    return (
+        np.concatenate((stranger[None], weight - stranger)),
+        np.concatenate((rest[None], bias - rest)),
+    )
 
 
 def _solve(
     grams: Float64, n_controls: int, shared: float, own: float | None
 ) -> tuple[Float64, Float64]:
-    """Weights (A + 1, C, F) and biases (A + 1, C) from the products of each actor (A, …).
+    """Weights (A, C, F) and biases (A, C) of each actor from their products (A, …).
 
     Each actor's change is eliminated: with S its centred products, D the penalty and b the centred
     products with the targets, it is (S + own D)^-1 (b - S W) for the shared map W.
@@ -339,7 +335,7 @@ def _solve(
     left, right = np.diag(shared * scale), np.zeros((size - 1, n_controls))
     if own is None or len(grams) == 1:
         common = _positive(left + squares.sum(axis=0), products.sum(axis=0))
-        weight = [common, *(0 * common for _ in grams)]
+        weight = [common for _ in grams]
     else:
         parts = []
         for square, product in zip(squares, products, strict=True):
@@ -349,19 +345,14 @@ def _solve(
             right += product - square @ part[:, size - 1 :]
             parts.append(part)
         common = _positive(left, right)
-        weight = [common]
-        weight += [part[:, size - 1 :] - part[:, : size - 1] @ common for part in parts]
-    means = grams[:, 0] / counts[:, 0]
+        weight = [common + part[:, size - 1 :] - part[:, : size - 1] @ common for part in parts]
     stacked = np.stack(weight).transpose(0, 2, 1).astype(np.float64)
-    # Weights, and the biases with which each actor's mean is met; the shared one is their mean.
-    shared, change = stacked[0], stacked[1:]
-    bias = [mean[size:] - shared @ mean[1:size] for mean in means if mean[0]]
-    centre = np.mean(bias, axis=0)
-    biases = [
-        (mean[size:] - (shared + each) @ mean[1:size] - centre) * mean[0]
-        for mean, each in zip(means, change, strict=True)
-    ]
-    return stacked, np.stack([centre, *biases])
+    # The biases with which each actor's mean is met; one without rows has the mean of the others'.
+    means = grams[:, 0] / counts[:, 0]
+    bias = np.stack([m[size:] - each @ m[1:size] for m, each in zip(means, stacked, strict=True)])
+    absent = means[:, 0] == 0
+    bias[absent] = bias[~absent].mean(axis=0)
+    return stacked, bias
 
 
 def _positive(matrix: Float64, right: Float64) -> Any:
@@ -371,10 +362,11 @@ def _positive(matrix: Float64, right: Float64) -> Any:
 
 
 def _error(grams: Float64, weight: Float64, bias: Float64) -> Float64:
-    """Squared error of every control on the products of a fold [shape=(C,)]."""
-    n_controls = weight.shape[1]
-    error = np.zeros(n_controls)
-    for gram, change, offset in zip(grams, weight[1:], bias[1:], strict=True):
-        both = np.column_stack((bias[0] + offset, weight[0] + change, -np.eye(n_controls)))
-        error += (both @ gram * both).sum(axis=1)
-    return error
+    """Squared error of every actor and control on the products of a fold [shape=(A, C)]."""
+    minus = -np.eye(weight.shape[1])
+    rows = [
+        np.column_stack((offset, each, minus)) for each, offset in zip(weight, bias, strict=True)
+    ]
+    return np.stack(
+        [(both @ gram * both).sum(axis=1) for both, gram in zip(rows, grams, strict=True)]
+    )

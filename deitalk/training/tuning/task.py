@@ -17,7 +17,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
 
-import numpy as np
 import pandas as pd
 import torch
 from torch import Tensor, nn
@@ -30,13 +29,9 @@ from deitalk.data.captures.conventions import (
 )
 from deitalk.data.captures.splits import divide_clips, last_takes, shortage
 from deitalk.data.clips import REHEARSED, Clip, read_clips, spread_clips
-from deitalk.data.windows import (
-    FrozenFeatures,
-    Share,
-    Window,
-    WindowBatches,
-    remove_features,
-)
+from deitalk.data.frozen_features import FrozenFeatures, remove_features
+from deitalk.data.seeded_batches import Share
+from deitalk.data.windows import Window, WindowBatches
 from deitalk.emotions import EMOTIONS
 from deitalk.errors import ConfigError, DataError
 from deitalk.evaluation.captures import System, by_model, errs_less, write_comparison
@@ -385,7 +380,13 @@ class FinetuneTask(CurveTask):
     def _fit_last_layers(self) -> None:
         """Add what a ridge regression finds to the last layers: the start of the tuning."""
         fit = self.regression = Regression(
-            self.model, self.base, self.clips, self.learnt, self.frozen_features, self.progress
+            self.model,
+            self.base,
+            self.clips,
+            self.learnt,
+            self.frozen_features,
+            self.progress,
+            new_actors=not self.conventions,
         )
         has_start = carried(self.config, self.controls) is not None
         late = self.late_clips if self.config.tune.part != "all" else []
@@ -452,7 +453,7 @@ class FinetuneTask(CurveTask):
 
     def delivered(self, best_step: int) -> str:
         """What the result is, by control."""
-        stays = self.learnt & np.isinf(self.regression.maps.penalty[:, 0])
+        stays = self.learnt & self.regression.maps.stays
         learnt = int((self.learnt & self.pose.alive & ~stays).sum())
         what = "the regression" if not best_step else f"the weights of step {best_step}"
         kept = f", the base for {int(stays.sum())} that it predicts as well" if stays.any() else ""

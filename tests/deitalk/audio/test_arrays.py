@@ -10,7 +10,6 @@ from deitalk.audio.arrays import recording_from_array, recording_of
 from deitalk.audio.load import load_audio
 from deitalk.errors import AudioError
 from deitalk.research.evaluation.benchmark_curves import speechlike
-from tests.each import each
 
 RATE = 44_100
 
@@ -31,7 +30,7 @@ def test_array_equals_its_file(tmp_path, stereo):
     assert made.source == "<array>"
 
 
-@each(
+@pytest.mark.parametrize(
     "change",
     [
         lambda x: x / 2.0**15,
@@ -48,7 +47,7 @@ def test_sample_types_give_the_same_waveform(stereo, change):
     np.testing.assert_allclose(given, expected, atol=1e-6)
 
 
-@each(
+@pytest.mark.parametrize(
     ("samples", "rate", "message"),
     [
         (np.zeros((2, 48_000)), 48_000, r"shape \(2, 48000\).*transpose"),

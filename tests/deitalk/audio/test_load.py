@@ -17,7 +17,6 @@ from hypothesis import strategies as st
 from deitalk.audio.frames import frame_count, frame_times
 from deitalk.audio.load import load_audio, write_wav
 from deitalk.errors import AudioError
-from tests.each import each
 from tests.errors import one_line
 from tests.media import write_silent_video, write_sound
 
@@ -36,7 +35,7 @@ def test_frame_count_by_hand():
     assert frame_times(4).tolist() == [0, 1 / 30, 2 / 30, 3 / 30]
 
 
-@each("rate", [4000, 8000, 11025, 16000, 22050, 44100, 48000, 96000, 768000])
+@pytest.mark.parametrize("rate", [4000, 8000, 11025, 16000, 22050, 44100, 48000, 96000, 768000])
 def test_tone_keeps_frequency_level_and_time_at_any_rate(tmp_path, rate):
     path = tmp_path / "tone.wav"
     sf.write(path, tone(rate), rate, subtype="FLOAT")
@@ -48,7 +47,7 @@ def test_tone_keeps_frequency_level_and_time_at_any_rate(tmp_path, rate):
     assert np.abs(recording.waveform - tone(16000))[middle].max() < 2e-3
 
 
-@each(
+@pytest.mark.parametrize(
     ("suffix", "tolerance"),
     [("wav", 1e-4), ("flac", 1e-4), ("ogg", 0.05), ("mp3", 0.05), ("opus", 0.1)],
 )
@@ -60,7 +59,7 @@ def test_formats_give_the_same_waveform(tmp_path, suffix, tolerance):
     assert np.abs(waveform[2000:14000] - tone(16000)[2000:14000]).max() < tolerance
 
 
-@each("suffix", ["m4a", "mp4", "mov", "webm", "aac", "mka", "wma"])
+@pytest.mark.parametrize("suffix", ["m4a", "mp4", "mov", "webm", "aac", "mka", "wma"])
 def test_containers_keep_frequency_and_length(tmp_path, suffix):
     path = tmp_path / f"-tone.{suffix}"  # a leading dash is no option
     write_sound(path, np.stack([tone(48000)] * 2, 1), 48000, picture=suffix in ("mp4", "mov"))
@@ -72,7 +71,7 @@ def test_containers_keep_frequency_and_length(tmp_path, suffix):
         assert spectrum.argmax() * 2 == 440
 
 
-@each("suffix", ["m4a", "mp4", "mov", "webm", "mka", "mp3"])
+@pytest.mark.parametrize("suffix", ["m4a", "mp4", "mov", "webm", "mka", "mp3"])
 def test_containers_keep_the_time_of_a_click(tmp_path, suffix):
     samples = np.zeros((48000, 1))
     samples[24000] = 0.9
@@ -87,7 +86,7 @@ def test_mp3_samples_equal_those_of_libsndfile(tmp_path, rng):
     np.testing.assert_allclose(load_audio(path).waveform, expected - expected.mean(), atol=1e-5)
 
 
-@each("kept", [0, 4, 40])
+@pytest.mark.parametrize("kept", [0, 4, 40])
 def test_load_audio_rejects_text_named_mp3_and_prints_nothing(tmp_path, capfd, rng, kept):
     sf.write(tmp_path / "a.mp3", tone(44100, 3.0), 44100)
     head = rng.integers(1, 250, kept, dtype=np.uint8).tobytes()
@@ -97,7 +96,7 @@ def test_load_audio_rejects_text_named_mp3_and_prints_nothing(tmp_path, capfd, r
     assert capfd.readouterr() == ("", "")
 
 
-@each(
+@pytest.mark.parametrize(
     ("name", "content", "words"),
     [
         ("a.m4a", b"\0\0\0\x20ftypM4A " + bytes(100), "cut off or damaged"),
@@ -113,7 +112,7 @@ def test_load_audio_rejects_containers_without_content(tmp_path, capfd, name, co
     assert capfd.readouterr() == ("", "")
 
 
-@each("suffix", ["m4a", "mka", "mp3"])
+@pytest.mark.parametrize("suffix", ["m4a", "mka", "mp3"])
 def test_tags_that_are_no_utf_8_are_ignored(tmp_path, suffix):
     path = tmp_path / f"a.{suffix}"
     write_sound(path, np.stack([tone(48000)], 1), 48000, title="Zoe Z.")
@@ -137,7 +136,9 @@ def test_damage_inside_a_container_becomes_silence_and_a_warning(tmp_path, rng):
     assert "damaged pieces are silent now, the first at" in recording.warnings[0]
 
 
-@each("first", ["ffconcat version 1.0\nfile secret.wav\n", "#EXTM3U\nsecret.wav\n"])
+@pytest.mark.parametrize(
+    "first", ["ffconcat version 1.0\nfile secret.wav\n", "#EXTM3U\nsecret.wav\n"]
+)
 def test_playlist_opens_no_other_file(tmp_path, first):
     sf.write(tmp_path / "secret.wav", tone(16000), 16000)
     (tmp_path / "list.m4a").write_text(first)
@@ -216,7 +217,7 @@ def test_clipping_is_measured(tmp_path):
     assert load_audio(tmp_path / "full.wav").clipped_fraction == 0
 
 
-@each("bad", [np.nan, np.inf, -np.inf, 1e30])
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, 1e30])
 def test_load_audio_rejects_samples_that_are_not_finite(tmp_path, bad):
     samples = tone(16000)
     samples[8000] = bad
@@ -226,7 +227,7 @@ def test_load_audio_rejects_samples_that_are_not_finite(tmp_path, bad):
             load_audio(tmp_path / f"{n}.wav")
 
 
-@each("rate", [1, 3999, 768001])
+@pytest.mark.parametrize("rate", [1, 3999, 768001])
 def test_load_audio_rejects_rates_out_of_range(tmp_path, rate):
     sf.write(tmp_path / "a.wav", tone(16000), rate)
     with one_line(AudioError, "4000", "768000", "export", match=f"sample rate is {rate} Hz"):
@@ -242,7 +243,7 @@ def test_load_audio_rejects_recordings_too_long_by_header_or_content(tmp_path):
     assert len(load_audio(bytes(content), max_seconds=5).waveform) == 16000
 
 
-@each(("kind", "endian"), [("WAV", "LITTLE"), ("AIFF", "BIG")])
+@pytest.mark.parametrize(("kind", "endian"), [("WAV", "LITTLE"), ("AIFF", "BIG")])
 def test_wav_shorter_than_its_header_gives_a_warning(kind, endian):
     file = io.BytesIO()
     sf.write(file, np.stack([tone(16000, 4.0)] * 2, 1), 16000, format=kind, endian=endian)
@@ -269,7 +270,7 @@ def test_cut_file_is_read_to_its_end(tmp_path):
         assert "cut short" in recording.warnings[0]
 
 
-@each(
+@pytest.mark.parametrize(
     ("name", "content", "words"),
     [
         ("empty.wav", b"", "empty (0 bytes)"),

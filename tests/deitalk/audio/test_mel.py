@@ -15,13 +15,12 @@ from deitalk.audio.mel import (
     spectra_centres,
 )
 from deitalk.config.frontends import MelConfig
-from tests.each import each
 
 SETTINGS = [(0.064, 125.0, 128), (0.032, 60.0, 80), (0.032, 60.0, 80, 3)]
 """SDFA's, and those of configs/mel.yaml by one window and by tapers."""
 
 
-every_mel = each("mel", [MelSpectrogram(*settings) for settings in SETTINGS])
+every_mel = pytest.mark.parametrize("mel", [MelSpectrogram(*settings) for settings in SETTINGS])
 
 
 def noise(seconds=1.0, seed=0):
@@ -65,7 +64,7 @@ def test_piece_has_the_spectra_of_the_whole_clip(mel):
 
 
 @every_mel
-@each("frame", [1, 7, 20, 29])
+@pytest.mark.parametrize("frame", [1, 7, 20, 29])
 def test_click_at_a_frame_peaks_at_its_spectrum(mel, frame):
     waveform = torch.zeros(1, SAMPLE_RATE)
     waveform[0, round(frame * SAMPLE_RATE / 30)] = 1

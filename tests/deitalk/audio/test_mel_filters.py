@@ -6,16 +6,15 @@ import pytest
 from transformers.audio_utils import mel_filter_bank
 
 from deitalk.audio.log_mel import N_FFT, hz_to_mel, log_mel_filters, mel_filters, mel_to_hz
-from tests.each import each
 
 
-@each(("hz", "mel"), [(0, 0), (200, 3), (1000, 15), (6400, 42)])
+@pytest.mark.parametrize(("hz", "mel"), [(0, 0), (200, 3), (1000, 15), (6400, 42)])
 def test_mel_scale_is_linear_to_one_kilohertz_then_27_steps_to_6400(hz, mel):
     assert hz_to_mel(hz) == pytest.approx(mel)
     assert mel_to_hz(np.array([float(mel)]))[0] == pytest.approx(hz)
 
 
-@each(("n_fft", "n_mels"), [(512, 80), (1024, 40), (256, 26)])
+@pytest.mark.parametrize(("n_fft", "n_mels"), [(512, 80), (1024, 40), (256, 26)])
 def test_filters_equal_those_of_transformers(n_fft, n_mels):
     ours = mel_filters(16_000, n_fft, n_mels, 50, 7600)
     theirs = mel_filter_bank(n_fft // 2 + 1, n_mels, 50, 7600, 16_000, mel_scale="slaney").T
@@ -23,7 +22,7 @@ def test_filters_equal_those_of_transformers(n_fft, n_mels):
     np.testing.assert_allclose(ours, theirs, atol=1e-7)
 
 
-@each("n_mels", [80, 128])
+@pytest.mark.parametrize("n_mels", [80, 128])
 def test_filters_of_whisper_equal_those_of_librosa(n_mels):
     theirs = librosa.filters.mel(sr=16_000, n_fft=N_FFT, n_mels=n_mels)
     np.testing.assert_allclose(log_mel_filters(n_mels), theirs, atol=1e-7)

@@ -8,7 +8,6 @@ import pytest
 from deitalk.audio.load import load_audio
 from deitalk.audio.speech_warnings import describe
 from deitalk.audio.voice_activity import active_level_db, noise_likeness, speech_activity
-from tests.each import each
 
 SPEECH = Path(__file__).resolve().parents[3] / "docs/samples" / "promise.flac"
 
@@ -35,14 +34,14 @@ def test_speech_of_usual_level_has_no_notes(speech):
         assert describe(at_level(speech, level_db)) == ()
 
 
-@each("peak", [0.0, 1e-6, 3e-5])
+@pytest.mark.parametrize("peak", [0.0, 1e-6, 3e-5])
 def test_silence_has_a_note(rng, peak):
     (note,) = describe((peak * rng.uniform(-1, 1, 16000)).astype(np.float32))
     assert note.startswith("silence")
 
 
-@each("slope", [-1.0, 0.0, 1.0, 2.0])
-@each("seconds", [0.5, 3.0, 20.0])
+@pytest.mark.parametrize("slope", [-1.0, 0.0, 1.0, 2.0])
+@pytest.mark.parametrize("seconds", [0.5, 3.0, 20.0])
 def test_steady_noise_of_any_colour_is_no_speech(rng, slope, seconds):
     (note,) = describe(noise(rng, seconds, slope))
     assert note.startswith("no speech found, only steady sound (-")
@@ -57,7 +56,7 @@ def test_noise_of_varying_level_is_no_voice(rng):
         assert note.startswith("no voice found")
 
 
-@each("snr_db", [20, 10, 5, 0])
+@pytest.mark.parametrize("snr_db", [20, 10, 5, 0])
 def test_a_voice_in_noise_is_a_voice(speech, rng, snr_db):
     level = 10 ** ((active_level_db(speech) - snr_db) / 20)
     noisy = speech + level * noise(rng, len(speech) / 16000)[: len(speech)] / np.float32(0.1)

@@ -10,7 +10,6 @@ import soundfile
 from deitalk.audio.load import load_audio, write_wav
 from deitalk.audio.original import parse_timecode, start_of, start_seconds, write_original
 from deitalk.errors import DeitalkError
-from tests.each import each
 from tests.media import write_sound
 
 
@@ -36,8 +35,8 @@ def broadcast(path, samples, rate, *, before=True):
     return path
 
 
-@each("before", [True, False])
-@each(("rate", "hours"), [(48000, 13), (96000, 23), (44100, 0.5)])
+@pytest.mark.parametrize("before", [True, False])
+@pytest.mark.parametrize(("rate", "hours"), [(48000, 13), (96000, 23), (44100, 0.5)])
 def test_time_of_day_is_that_of_the_chunk(tmp_path, rate, hours, before):
     path = broadcast(tmp_path / "a.wav", round(hours * 3600 * rate), rate, before=before)
     assert start_seconds(path) == pytest.approx(hours * 3600)
@@ -77,7 +76,7 @@ def test_written_files_carry_the_time_and_are_plain_wav(tmp_path, rng):
     assert (tmp_path / "b.wav").stat().st_size == 44 + 2 * 1601  # without the chunk
 
 
-@each(("subtype", "bits"), [("PCM_16", 16), ("PCM_24", 24)])
+@pytest.mark.parametrize(("subtype", "bits"), [("PCM_16", 16), ("PCM_24", 24)])
 def test_samples_of_48_khz_survive_unchanged(tmp_path, rng, subtype, bits):
     source = tmp_path / "s.wav"
     soundfile.write(source, rng.uniform(-1, 1, (5001, 2)), 48000, subtype=subtype)
@@ -93,7 +92,7 @@ def test_samples_of_48_khz_survive_unchanged(tmp_path, rng, subtype, bits):
     assert soundfile.info(tmp_path / "c.wav").frames == 4800
 
 
-@each("rate", [44100, 96000])
+@pytest.mark.parametrize("rate", [44100, 96000])
 def test_other_rates_keep_their_place_in_time(tmp_path, rate):
     t = np.arange(rate) / rate
     soundfile.write(tmp_path / "s.flac", 0.5 * np.sin(2 * np.pi * 440 * t) * (t > 0.5), rate)
@@ -104,7 +103,7 @@ def test_other_rates_keep_their_place_in_time(tmp_path, rate):
     assert len(ours) == 48000 and np.abs(ours - expected)[2000:-2000].mean() < 1e-3
 
 
-@each(
+@pytest.mark.parametrize(
     ("text", "fps", "seconds"),
     [
         ("00:00:00:00", 30, 0),
@@ -127,7 +126,7 @@ def test_time_codes_of_hand_worked_times(text, fps, seconds):
     assert parse_timecode(text, fps) == pytest.approx(seconds)
 
 
-@each("text", ["24:00:00:00", "10:11:12:30", "10:60:00:00", "soon", "1:2"])
+@pytest.mark.parametrize("text", ["24:00:00:00", "10:11:12:30", "10:60:00:00", "soon", "1:2"])
 def test_impossible_time_codes_are_refused(text):
     with pytest.raises(DeitalkError, match=r"is not HH:MM:SS:FF with FF below 30"):
         parse_timecode(text, 30)

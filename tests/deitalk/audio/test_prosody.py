@@ -1,10 +1,15 @@
 """Level, pitch, brightness and bands of synthetic voices."""
 
 import numpy as np
+import pytest
 
-from deitalk.audio.vocal_strength import BAND_EDGES_HZ, PIECE, level_db, measure_prosody
+from deitalk.audio.prosody import (
+    BAND_EDGES_HZ,
+    PIECE,
+    level_db,
+    measure_prosody,
+)
 from deitalk.research.evaluation.contours import prosody_index
-from tests.each import each
 
 RATE = 16_000
 
@@ -44,13 +49,13 @@ def test_tilt_of_two_tones_is_their_ratio():
 def test_measures_do_not_depend_on_the_piece_length(monkeypatch):
     waveform = voice(seconds=5)
     whole = measure_prosody(waveform, 150)
-    monkeypatch.setattr("deitalk.audio.vocal_strength.PIECE", 37)
+    monkeypatch.setattr("deitalk.audio.prosody.PIECE", 37)
     for a, b in zip(whole, measure_prosody(waveform, 150), strict=True):
         np.testing.assert_array_equal(a, b)
     assert PIECE > 150
 
 
-@each("gain", [0.01, 10.0])
+@pytest.mark.parametrize("gain", [0.01, 10.0])
 def test_gain_does_not_change_the_index(gain):
     waveform = voice()
     waveform[RATE:] *= 0.5

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from deitalk.audio.resampling import RunningResampler
-from tests.each import each
 
 RATES = (8_000, 22_050, 44_100, 48_000, 44_101)
 
@@ -17,7 +16,7 @@ def whole(sound, rate):
     return RunningResampler(rate).feed(sound, last=True)
 
 
-@each("rate", RATES)
+@pytest.mark.parametrize("rate", RATES)
 def test_tone_keeps_height_and_place(rate):
     resampled = whole(tone(1000, rate), rate)
     assert len(resampled) == 8000
@@ -31,7 +30,7 @@ def test_what_16_khz_cannot_hold_is_left_out():
     assert np.abs(kept).max() == pytest.approx(1.0, abs=0.01)
 
 
-@each("rate", RATES)
+@pytest.mark.parametrize("rate", RATES)
 def test_pieces_give_what_the_whole_gives_4_ms_later(rate, rng):
     sound = rng.standard_normal(rate // 4).astype(np.float32)
     resampler, given, at, lags = RunningResampler(rate), [], 0, []

@@ -4,14 +4,13 @@ import numpy as np
 import pytest
 import torch
 
+from deitalk.audio.prosody import BANDS, measure_prosody
 from deitalk.audio.vocal_strength import (
-    BANDS,
     FEATURES,
     HIGHEST,
     LOWEST,
     REST_WEIGHT,
     VocalStrength,
-    measure_prosody,
     strength_frames,
     vocal_strength,
     without_level,
@@ -19,7 +18,6 @@ from deitalk.audio.vocal_strength import (
 from deitalk.audio.voice_activity import speech_activity
 from deitalk.research.training.strength_network import StrengthNetwork
 from tests.deitalk.audio.test_prosody import voice
-from tests.each import each
 
 
 def frames_of(waveform):
@@ -41,7 +39,7 @@ def test_level_of_the_speech_is_taken_off_the_bands():
     np.testing.assert_array_equal(out[:, BANDS:], frames[:, BANDS:])
 
 
-@each("gain", [0.01, 10.0])
+@pytest.mark.parametrize("gain", [0.01, 10.0])
 def test_gain_does_not_change_the_strength(gain):
     waveform = voice(180.0, 1.0)
     plain, scaled = (vocal_strength().measure(frames_of(g * waveform)) for g in (1, gain))

@@ -10,7 +10,6 @@ from deitalk.audio.voice_activity import (
     normalise_level,
     speech_activity,
 )
-from tests.each import each
 
 RATE = 16000
 
@@ -52,7 +51,7 @@ def test_onsets_and_offsets_are_found_within_two_frames(rng):
     assert np.abs(edges(activity) - edges(truth)).max() <= 3  # of which the envelope takes one
 
 
-@each("level_db", [-60, -50, -35, -10, 0])
+@pytest.mark.parametrize("level_db", [-60, -50, -35, -10, 0])
 def test_activity_does_not_depend_on_the_level(rng, level_db):
     waveform, truth = placed(rng, [-1, 1.5, -0.7, 1, -1.2], level_db, level_db - 30)
     in_steps = np.round(waveform * 32768) / 32768  # as a 16-bit file has it
@@ -76,8 +75,8 @@ def test_masked_syllable_is_no_pause(rng):
     assert not speech_activity(placed(rng, long, noise_db=-28)[0])[92:109].any()
 
 
-@each("seconds", [0.5, 1, 3, 30])
-@each("level_db", [-70, -40, -6])
+@pytest.mark.parametrize("seconds", [0.5, 1, 3, 30])
+@pytest.mark.parametrize("level_db", [-70, -40, -6])
 def test_steady_noise_is_silence(rng, seconds, level_db):
     assert not speech_activity(noise(seconds, rng, level_db)).any()
 
@@ -153,7 +152,7 @@ def test_active_level_by_hand():
     assert np.abs(normalise_level(waveform, -40, activity)).max() == pytest.approx(0.09, rel=1e-5)
 
 
-@each("gain_db", [-27, 0, 20])
+@pytest.mark.parametrize("gain_db", [-27, 0, 20])
 def test_normalised_speech_has_the_target_level_at_any_gain(rng, gain_db):
     waveform, _ = placed(rng, [-3, 2, -3])
     levelled = normalise_level(waveform * 10 ** (gain_db / 20), -30)

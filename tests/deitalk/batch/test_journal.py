@@ -4,7 +4,7 @@ import sqlite3
 
 import pytest
 
-from deitalk.batch.outputs import Journal
+from deitalk.batch.journal import Journal
 from rig.errors import TargetError
 
 

@@ -7,12 +7,12 @@ import pytest
 
 from deitalk.acting import Acting
 from deitalk.batch.lines import BadLine, Line, Written
-from deitalk.batch.source import distinct, read_manifest, read_source
+from deitalk.batch.manifest import read_manifest
+from deitalk.batch.source import distinct, read_source
 from deitalk.emotions import ActorReference
 from deitalk.errors import DataError
 from deitalk.postprocess.joins import Edge
 from deitalk.postprocess.life.other import OtherVoice
-from tests.each import each
 
 NOTHING = Line(0, "", "")
 EDGE = str(Edge({"CTRL_C_jaw.ty": 0.5})).replace('"', '""')
@@ -49,7 +49,7 @@ def test_row_sets_every_column(tmp_path):
     )  # fmt: skip
 
 
-@each("name", Acting.model_fields)
+@pytest.mark.parametrize("name", Acting.model_fields)
 def test_every_field_of_an_acting_is_a_column(name):
     cell = {
         "emotion": "sad", "intensity_curve": "[{'time': 0, 'intensity': 1}]".replace("'", '""'),
@@ -77,7 +77,9 @@ def test_digits_and_time_code_of_a_row_are_checked():
         assert isinstance(bad, BadLine) and words in bad.error
 
 
-@each("text", ["audio\ta\nx.wav\t1\n", "sep=;\naudio;a\nx.wav;1\n", '"audio",a\n"x.wav",1\n\n,\n'])
+@pytest.mark.parametrize(
+    "text", ["audio\ta\nx.wav\t1\n", "sep=;\naudio;a\nx.wav;1\n", '"audio",a\n"x.wav",1\n\n,\n']
+)
 def test_any_spreadsheet_is_read_and_unused_columns_are_named(text):
     lines, notes = read_manifest(text, "lines.csv", "", NOTHING)
     assert [line.audio for line in lines] == ["x.wav"]
@@ -99,7 +101,7 @@ def test_files_are_found_from_the_manifest(tmp_path):
     assert isinstance(missing, BadLine) and "none.csv" in missing.error
 
 
-@each(
+@pytest.mark.parametrize(
     ("audio", "output"),
     [("/abs/one.wav", "one"), ("../up/two.wav", "two"), ("sub/three.v2.wav", "sub/three.v2")],
 )
@@ -107,7 +109,7 @@ def test_output_is_the_name_of_the_recording(audio, output):
     assert only(f"audio\n{audio}\n").output == output
 
 
-@each(
+@pytest.mark.parametrize(
     ("row", "words"),
     [
         (",x,1,happy", "no recording"),
@@ -127,7 +129,7 @@ def test_bad_row_is_one_line_and_the_others_stay(row, words):
     assert isinstance(good, Line) and good.number == 2
 
 
-@each(
+@pytest.mark.parametrize(
     ("text", "words"),
     [
         ("", "no column 'audio'"),

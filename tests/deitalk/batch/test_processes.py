@@ -11,7 +11,6 @@ import pytest
 
 from deitalk.batch.processes import CHUNK_BYTES, ENDED, Order, Outcome, Workers, chunks
 from deitalk.errors import CheckpointError, DeitalkError
-from tests.each import each
 
 ROOT = Path(__file__).resolve().parents[3]
 
@@ -61,7 +60,9 @@ def test_chunks_are_bounded_and_in_order():
     assert [len(chunk) for chunk in chunks(orders[:3], 2)] == [1] * 3
 
 
-@each(("make", "error"), [(no_model, CheckpointError), (no_memory, DeitalkError)])
+@pytest.mark.parametrize(
+    ("make", "error"), [(no_model, CheckpointError), (no_memory, DeitalkError)]
+)
 def test_process_without_model_is_one_error(make, error):
     with pytest.raises(error, match=r"no model|while loading"):
         outcomes([Order("0", "a")], 1, make)

@@ -20,7 +20,6 @@ from deitalk.research.evaluation.benchmark_curves import speechlike
 from rig import read_curves
 from rig.errors import TargetError
 from tests.deitalk.batch.conftest import InProcess
-from tests.each import each
 from tests.interrupt import count_writes, kill_at_write
 from tests.written import changed_files
 
@@ -114,7 +113,7 @@ def test_changed_row_is_the_only_one_done_again(run, orders, lines):
     assert after["anna/b.csv"] != before["anna/b.csv"]
 
 
-@each(("formats", "is_named"), [("csv;npz", True), ("csv;livelink", False)])
+@pytest.mark.parametrize(("formats", "is_named"), [("csv;npz", True), ("csv;livelink", False)])
 def test_a_time_code_that_no_format_has_is_a_warning(run, formats, is_named):
     for row in run(formats=formats, timecode="10:00:00:00").rows:
         assert ("starts at 0" in row.warnings) is is_named
@@ -188,7 +187,7 @@ def test_file_of_the_user_is_never_replaced(run):
     assert (run.out / "c.npz").is_file() and not (run.out / "anna" / "a.npz").exists()
 
 
-@each("formats", ["csv", "take"])
+@pytest.mark.parametrize("formats", ["csv", "take"])
 def test_file_put_at_an_output_meanwhile_stays(run, orders, monkeypatch, tmp_path, formats):
     """Between the check before the first line and the end of its own."""
     out = tmp_path / "meanwhile"
@@ -273,7 +272,7 @@ def test_journal_of_another_version_or_damaged_is_refused(run):
         run()
 
 
-@each(
+@pytest.mark.parametrize(
     ("options", "error", "words"),
     [
         ({"model": "none"}, CheckpointError, "no model there"),

@@ -14,7 +14,6 @@ from deitalk.cli.preview import _beside
 from deitalk.errors import DeitalkError
 from deitalk.models.folder import check_device, require_device
 from rig import default_controls, rest_curves, write_curves
-from tests.each import each
 
 NUMBERS = ["nan", "inf", "-inf", "", "x"]
 HUGE = str(10**30)
@@ -194,7 +193,7 @@ def test_live_rejects_hostile_addresses(refused, tmp_path):
         assert code == 1 and "cannot listen on" in line, line
 
 
-@each("name", ["Scene 1.2.csv", "a.b.c.json", "take.v2"])
+@pytest.mark.parametrize("name", ["Scene 1.2.csv", "a.b.c.json", "take.v2"])
 def test_preview_keeps_the_name_without_its_suffix(tmp_path, name):
     (tmp_path / "take.v2").mkdir()
     page = _beside(tmp_path / name)

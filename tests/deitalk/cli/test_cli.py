@@ -21,7 +21,6 @@ from deitalk.research.evaluation.benchmark_curves import speechlike
 from rig import default_controls, read_curves
 from tests.command import deitalk, ran, refused
 from tests.deitalk.pipeline.test_curves import SMALL
-from tests.each import each
 
 ROOT = Path(__file__).resolve().parents[3]
 
@@ -59,7 +58,7 @@ def test_animate_writes_a_take_and_keeps_stdout_clean(tmp_path, model, speech):
     assert curves.values.shape == (45, 185)
 
 
-@each("name", ["take.v2/", "Scene 1.2", "br[/b]", "[red]"])
+@pytest.mark.parametrize("name", ["take.v2/", "Scene 1.2", "br[/b]", "[red]"])
 def test_animate_writes_a_take_into_a_folder_of_any_name(tmp_path, model, speech, name):
     arguments = ["animate", speech, "--model", model, "-o", f"{tmp_path}/{name}"]
     done = ran(*arguments)
@@ -67,7 +66,7 @@ def test_animate_writes_a_take_into_a_folder_of_any_name(tmp_path, model, speech
     assert f"{tmp_path / name}: 45 frames" in done.stderr
 
 
-@each(
+@pytest.mark.parametrize(
     ("options", "printed", "share"),
     [
         (["-e", "happy"], "applied intensity 0.{mean} on average (0.{mean} predicted", 1.0),
@@ -97,7 +96,7 @@ def test_animate_reads_stdin(tmp_path, model, speech):
     assert len(read_curves(out)) == 45
 
 
-@each(
+@pytest.mark.parametrize(
     ("options", "expected"),
     [
         (["-e", "furious"], "neutral, angry, happy, sad, surprised"),
@@ -137,7 +136,7 @@ def test_errors_are_reported_before_the_network_is_loaded(tmp_path):
     assert done.stdout.strip() == "[]" and "no.wav" in done.stderr
 
 
-@each(
+@pytest.mark.parametrize(
     ("name", "data", "expected"),
     [
         ("missing.wav", None, "missing.wav"),
@@ -169,7 +168,7 @@ def test_silence_shows_no_emotion_and_a_shut_mouth(tmp_path, model):
     np.testing.assert_allclose(faces[0][:, mouth], np.tile(controls.rest[mouth], (30, 1)))
 
 
-@each(
+@pytest.mark.parametrize(
     ("arguments", "expected"),
     [
         (["animate"], "deitalk: Missing argument 'speech'; see `deitalk animate --help`"),

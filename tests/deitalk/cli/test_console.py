@@ -16,13 +16,12 @@ from deitalk.cli.console import console, emit, emit_json, name_option
 from deitalk.errors import DeitalkError
 from rig import default_controls, rest_curves, write_curves
 from rig.errors import RigError, as_line, decodable_values
-from tests.each import each
 
 ROOT = Path(__file__).resolve().parents[3]
 HOSTILE = ["[red]", "br[/b]", ":smile:", "[link=file:///]x", "\\[bold]"]
 
 
-@each("name", HOSTILE)
+@pytest.mark.parametrize("name", HOSTILE)
 def test_names_that_look_like_markup_are_printed_unchanged(name, capsys):
     console().print(f"{name}: 3 frames")
     console().note(name)
@@ -32,7 +31,7 @@ def test_names_that_look_like_markup_are_printed_unchanged(name, capsys):
     assert printed.out == f"{name}\n"
 
 
-@each(
+@pytest.mark.parametrize(
     ("name", "printed"),
     [
         ("caf\udce9.wav", r"caf\xe9.wav"),
@@ -84,7 +83,7 @@ def run(folder, *arguments, **environment):
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="other systems have no such file names")
-@each("locale", ["C", "C.UTF-8"])
+@pytest.mark.parametrize("locale", ["C", "C.UTF-8"])
 def test_convert_takes_file_names_that_are_no_utf8(tmp_path, locale):
     source, target = os.path.join(os.fsencode(tmp_path), b"\xff.csv"), b"t\xfe[b].json"
     write_curves(tmp_path / "c.csv", rest_curves(3, controls=default_controls()))
@@ -98,7 +97,7 @@ def test_convert_takes_file_names_that_are_no_utf8(tmp_path, locale):
     assert done.returncode == 1 and done.stderr.startswith(rb"deitalk: t\xfe[b].json exists")
 
 
-@each(
+@pytest.mark.parametrize(
     ("message", "parameter", "printed"),
     [
         ("a.csv exists, set `force=True`", "force", "a.csv exists, set --force"),

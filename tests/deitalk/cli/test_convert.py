@@ -18,7 +18,6 @@ from rig.formats.livelink_csv import read_take
 from rig.livelink import Receiver, make_protocol, send
 from rig.livelink.sender import REST_REPEATS
 from rig.mesh import fbx
-from tests.each import each
 
 BOARD = default_controls()
 
@@ -101,7 +100,7 @@ def test_convert_refuses_to_overwrite_without_force(curves_file, tmp_path):
     assert run("convert", curves_file, tmp_path / "out.csv", "--force").exit_code == 0
 
 
-@each(
+@pytest.mark.parametrize(
     ("arguments", "message"),
     [
         (["absent.csv", "out.csv"], "does not exist"),
@@ -209,7 +208,7 @@ def test_recording_counts_and_names_other_subjects(tmp_path):
     assert curves["JawOpen"][0] == pytest.approx(0.5)
 
 
-@each(
+@pytest.mark.parametrize(
     ("suffix", "subtype"),
     [("wav", "PCM_16"), ("wav", "FLOAT"), ("flac", "PCM_16"), ("ogg", "VORBIS")],
 )
@@ -247,7 +246,7 @@ def test_sound_of_a_take_lies_beside_its_fbx(curves_file, tmp_path, monkeypatch)
     assert soundfile.info(tmp_path / "audio.wav").frames == 16_000
 
 
-@each("name", ["a.usda", "a.unreal.json", "a.txt"])
+@pytest.mark.parametrize("name", ["a.usda", "a.unreal.json", "a.txt"])
 def test_rig_that_a_format_cannot_hold_is_refused(curves_file, tmp_path, name):
     result = run("convert", curves_file, tmp_path / name, "--rig", "arkit")
     assert result.exit_code == 1
@@ -269,7 +268,7 @@ def test_recording_of_an_absent_subject_names_those_that_came(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-@each("protocol", ["json", "vmc"])
+@pytest.mark.parametrize("protocol", ["json", "vmc"])
 def test_other_protocols_send_every_frame(curves_file, protocol):
     result = run("live", curves_file, "--protocol", protocol, "--port", 9)
     assert result.exit_code == 0

@@ -1,5 +1,6 @@
 """Heads on the command line."""
 
+import pytest
 import soundfile
 from typer.testing import CliRunner
 
@@ -8,7 +9,6 @@ from deitalk.research.evaluation.benchmark_curves import speechlike
 from rig.face import IDENTITIES
 from rig.face.identity import ROLES
 from tests.command import ran
-from tests.each import each
 
 
 def test_identities_are_listed_with_their_roles():
@@ -29,7 +29,7 @@ def test_unknown_identity_is_an_error_before_the_take_is_made(tmp_path):
     assert not (tmp_path / "take").exists()
 
 
-@each("out", ["take/", "a.csv"])
+@pytest.mark.parametrize("out", ["take/", "a.csv"])
 def test_identity_is_refused_where_no_head_is_written(tmp_path, out):
     command = ["animate", "docs/samples/amiable.flac", "--identity", "child"]
     result = CliRunner().invoke(app, [*command, "-o", f"{tmp_path}/{out}"])
@@ -38,7 +38,7 @@ def test_identity_is_refused_where_no_head_is_written(tmp_path, out):
     assert not list(tmp_path.iterdir())
 
 
-@each(
+@pytest.mark.parametrize(
     ("arguments", "message"),
     [
         (["a.csv", "--versus", "b.csv", "-o", "x.mp4"], "--versus is of a page"),

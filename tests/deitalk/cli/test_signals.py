@@ -10,13 +10,12 @@ from pathlib import Path
 import pytest
 
 from deitalk.cli import main
-from deitalk.cli.console import Terminated, catch_signals, held
+from deitalk.cli.signals import Terminated, catch_signals, held
 from deitalk.errors import DeitalkError
 from rig import RigCurves
 from rig.conversion.arkit import ARKIT_ID, arkit_controls
 from rig.formats.livelink_csv import read_take
 from rig.livelink import make_protocol, send
-from tests.each import each
 
 BOTH = [pytest.param(signal.SIGTERM, id="SIGTERM")]
 if hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:
@@ -143,7 +142,9 @@ def test_after_a_command_sigterm_ends_the_process_at_once(monkeypatch, capsys):
     assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
 
 
-@each(("number", "kind"), [(signal.SIGTERM, Terminated), (signal.SIGINT, KeyboardInterrupt)])
+@pytest.mark.parametrize(
+    ("number", "kind"), [(signal.SIGTERM, Terminated), (signal.SIGINT, KeyboardInterrupt)]
+)
 def test_held_signals_act_after_the_block(number, kind):
     catch_signals()
     reached = []
@@ -159,7 +160,7 @@ def test_held_signals_act_after_the_block(number, kind):
 def test_signals_that_nothing_handles_are_not_held():
     code = (
         "import os, signal\n"
-        "from deitalk.cli.console import held\n"
+        "from deitalk.cli.signals import held\n"
         "with held():\n    os.kill(os.getpid(), signal.SIGTERM)\n"
     )
     assert subprocess.run([sys.executable, "-c", code], timeout=60).returncode == -signal.SIGTERM

@@ -12,7 +12,6 @@ from deitalk.models.checkpoint import load_model, save_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.models.folder import network_shapes
 from rig import limits
-from tests.each import each
 from tests.errors import one_line
 
 
@@ -61,13 +60,13 @@ FIELDS = [
 ]  # fmt: skip
 
 
-@each(("tree", "most"), FIELDS)
+@pytest.mark.parametrize(("tree", "most"), FIELDS)
 def test_field_at_its_limit_is_read_and_above_is_not(tree, most):
     parse_config(tree(most))
     assert "configuration: " in refused(tree(most + (2 if most == limits.KERNEL else 1)))
 
 
-@each(
+@pytest.mark.parametrize(
     "tree",
     [
         frontend(kind="mel", rig_layers=1_000_000),
@@ -97,7 +96,7 @@ def test_oversized_network_is_refused_before_it_is_built():
     assert time.process_time() - start < 5
 
 
-@each("name", ["mel", "default", "tiny"])
+@pytest.mark.parametrize("name", ["mel", "default", "tiny"])
 def test_shapes_without_memory_are_those_of_the_network(name):
     from pathlib import Path
 
@@ -110,7 +109,7 @@ def test_shapes_without_memory_are_those_of_the_network(name):
     }
 
 
-@each(
+@pytest.mark.parametrize(
     "override",
     ["model.decoder_channels=*a", "a" * 100_000, ".".join("a" * 40) + "=1", "train.steps=" + "[" * 999],
 )  # fmt: skip
@@ -138,7 +137,7 @@ def folder(tiny, tmp_path):
     return tmp_path / "tiny"
 
 
-@each(
+@pytest.mark.parametrize(
     ("before", "after"),
     [
         ("rig_layers: 0", "rig_layers: 1000000"),
@@ -162,7 +161,7 @@ def test_oversized_model_folder_takes_no_memory(tiny, tmp_path, before, after):
     assert time.process_time() - start < 3
 
 
-@each(
+@pytest.mark.parametrize(
     ("header", "words"),
     [
         (b"{}", "absent, not"),

@@ -3,10 +3,10 @@
 import csv
 
 import numpy as np
+import pytest
 
 from deitalk.config.rig_file import RIGS, parse_controls, read_controls, rig_text
 from deitalk.data.captures.take import read_capture
-from tests.each import each
 
 PUBLIC = {
     "arkit": (61, ("MouthSmileLeft", "MouthSmileRight")),
@@ -20,7 +20,7 @@ PUBLIC = {
 SHUT = {"arkit": "JawOpen", "cc4": "V_Explosive", "daz8": "eCTRLvM", "facegood": "mouth_stretch_c"}
 
 
-@each(("name", "expected"), PUBLIC.items())
+@pytest.mark.parametrize(("name", "expected"), PUBLIC.items())
 def test_a_public_rig_needs_no_file(name, expected, tmp_path):
     assert RIGS.keys() == PUBLIC.keys()
     controls = read_controls(name)

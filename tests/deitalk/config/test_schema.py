@@ -12,7 +12,6 @@ from deitalk.config.mesh import MeshTrainConfig
 from deitalk.config.rules import RulesConfig
 from deitalk.config.section import Optimisation
 from deitalk.errors import ConfigError
-from tests.each import each
 from tests.errors import one_line
 
 FOLDER = Path(__file__).resolve().parents[3] / "configs"
@@ -31,7 +30,7 @@ def written(tmp_path, text):
     return path
 
 
-@each("path", FILES)
+@pytest.mark.parametrize("path", FILES)
 def test_every_file_loads_under_its_name(path):
     config = load_config(path)
     assert config.name == path.stem
@@ -80,7 +79,7 @@ def test_sdfa_encoder_has_the_numbers_of_the_paper():
     assert config.model_copy(update={"name": "deitalk"}).loss == Config().loss
 
 
-@each("kind", [TrainConfig, MeshTrainConfig])
+@pytest.mark.parametrize("kind", [TrainConfig, MeshTrainConfig])
 def test_both_trainings_have_the_settings_of_optimisation(kind):
     """Batches and epochs are of windows or of frames; all else is equal, limits included."""
     unlike = {"batch_size", "epochs"}
@@ -92,14 +91,14 @@ def test_both_trainings_have_the_settings_of_optimisation(kind):
     assert unlike <= set(kind.model_fields)
 
 
-@each(("recipe", "model"), [("measured_lips", "mel")])
+@pytest.mark.parametrize(("recipe", "model"), [("measured_lips", "mel")])
 def test_embedded_weights_fit_their_recipe(recipe, model):
     embedded = load_model_config(FOLDER.parent / "deitalk/models/weights" / model)
     wanted = load_config(FOLDER / f"{recipe}.yaml")
     assert (wanted.model, wanted.rules) == (embedded.model, embedded.rules)
 
 
-@each(
+@pytest.mark.parametrize(
     ("tree", "key"),
     [
         ({"bogus": 1}, "bogus=1"),
@@ -111,7 +110,7 @@ def test_unknown_key_is_in_the_message(tree, key):
     assert f"{key}: unknown key" in problem(tree)
 
 
-@each(
+@pytest.mark.parametrize(
     ("tree", "key"),
     [
         ({"train": {"batch_size": 0}}, "train.batch_size=0"),
@@ -149,7 +148,7 @@ def test_overrides_replace_values(tmp_path):
     assert load_config(path, ["train.learning_rate=1e-3"]).train.learning_rate == 1e-3
 
 
-@each(
+@pytest.mark.parametrize(
     ("override", "message"),
     [
         ("train.batch_size", "no '='"),
@@ -165,7 +164,7 @@ def test_load_config_rejects_invalid_overrides(tmp_path, override, message):
     assert "\n" not in str(caught.value)
 
 
-@each("text", ["- a\n- b", "just words", "a: [1", "\tx: 1"])
+@pytest.mark.parametrize("text", ["- a\n- b", "just words", "a: [1", "\tx: 1"])
 def test_load_config_rejects_other_files(tmp_path, text):
     with pytest.raises(ConfigError) as caught:
         load_config(written(tmp_path, text))

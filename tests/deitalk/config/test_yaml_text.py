@@ -9,7 +9,6 @@ from deitalk.config import yaml_files
 from deitalk.config.yaml_files import load_yaml
 from deitalk.errors import ConfigError
 from rig import limits
-from tests.each import each
 from tests.errors import one_line
 
 
@@ -36,7 +35,7 @@ def test_plain_values_are_read():
     assert load_yaml("", "a") is None
 
 
-@each("levels", [2, 6, 9, 20])
+@pytest.mark.parametrize("levels", [2, 6, 9, 20])
 def test_alias_bomb_is_refused_before_it_is_built(levels):
     assert "alias '*a0' is not read" in refused(bomb(levels))
 
@@ -47,7 +46,7 @@ def test_values_at_the_limit_are_read_and_above_are_not():
     assert "more than 50000 values" in refused(text[:-1] + "0,0]")
 
 
-@each("style", ["flow", "block"])
+@pytest.mark.parametrize("style", ["flow", "block"])
 def test_nesting_at_the_limit_is_read_and_above_is_not(style):
     def nested(depth):
         if style == "flow":
@@ -58,7 +57,7 @@ def test_nesting_at_the_limit_is_read_and_above_is_not(style):
     assert "deeper than 32 levels" in refused(nested(limits.NESTING + 1))
 
 
-@each("loader", ["CSafeLoader", "SafeLoader"])
+@pytest.mark.parametrize("loader", ["CSafeLoader", "SafeLoader"])
 def test_deep_nesting_is_told_alike_by_every_parser(monkeypatch, loader):
     if not hasattr(yaml, loader):
         pytest.skip("PyYAML was built without libyaml")
@@ -72,7 +71,7 @@ def test_text_beyond_the_limit_is_refused():
     assert "262145 characters of YAML; at most 262144" in refused("#" * (limits.YAML_BYTES + 1))
 
 
-@each(
+@pytest.mark.parametrize(
     "text",
     ["!!int x", "!!int ''", "!!float ''", "!!bool maybe", "!!timestamp x", "2024-99-99", "&a [*a]",
      "*a", "!!python/object/apply:os.getcwd []", "a: b: c", "\x00", "[1", "? [1, 2]\n: 3",

@@ -8,7 +8,6 @@ import soundfile
 
 from deitalk.data.augment_waveform import Surroundings, _coloured, _noise, augment, change_speed
 from deitalk.errors import DataError
-from tests.each import each
 
 RATE = 16_000
 
@@ -28,7 +27,7 @@ def rooms() -> Surroundings:
     return Surroundings((noise,), (room,))
 
 
-@each("seed", range(25))
+@pytest.mark.parametrize("seed", range(25))
 def test_augmented_sound_keeps_its_time(seed):
     x = burst()
     y = augment(x, np.random.default_rng(seed), rooms(), [burst(at=0.3)] * 4)
@@ -51,7 +50,7 @@ def test_augmentation_keeps_its_input_and_depends_on_the_generator():
     assert not np.array_equal(first, other)
 
 
-@each("factor", [0.82, 1.0, 1.25])
+@pytest.mark.parametrize("factor", [0.82, 1.0, 1.25])
 def test_speed_moves_pitch_and_time_together(factor):
     t = np.arange(RATE) / RATE
     fast = change_speed(np.sin(2 * np.pi * 500 * t).astype(np.float32), factor)
@@ -80,7 +79,7 @@ def bands(sound: np.ndarray) -> np.ndarray:
     return 10 * np.log10([power[mask].mean() + 1e-12 for mask in inside])
 
 
-@each("seed", range(30))
+@pytest.mark.parametrize("seed", range(30))
 def test_noise_of_every_kind_has_power_one(seed):
     rng = np.random.default_rng(seed)
     voices = [np.random.default_rng(i).standard_normal(RATE).astype(np.float32) for i in range(4)]
@@ -88,7 +87,7 @@ def test_noise_of_every_kind_has_power_one(seed):
     assert noise.shape == (RATE + 17,) and noise.std() == pytest.approx(1, abs=1e-6)
 
 
-@each("slope", [-6.0, 0.0, 4.5])
+@pytest.mark.parametrize("slope", [-6.0, 0.0, 4.5])
 def test_coloured_noise_has_the_given_slope(slope):
     white = np.random.default_rng(1).standard_normal(8 * RATE)
     turned = bands(_coloured(white, slope)) - bands(white)

@@ -10,7 +10,6 @@ from deitalk.data.clips import read_clips, read_intensity, read_known, read_phon
 from deitalk.errors import DataError
 from rig import default_controls
 from tests.dataset import write_dataset
-from tests.each import each
 from tests.errors import one_line
 
 
@@ -63,7 +62,7 @@ def test_optional_columns_have_defaults(folder):
     assert clip.offset_seconds == 0 and clip.phones is None and clip.intensity is None
 
 
-@each(
+@pytest.mark.parametrize(
     "content",
     [b"", b"\xff\xfe\x00\x01\x80", b'clip,audio\n"unclosed,1\n', b"a,b\n1,2,3\n4,5,6,7\n"],
 )
@@ -79,7 +78,7 @@ def test_missing_column_is_named(folder):
     refused(folder, r"lacks the column speaker; needs clip, audio")
 
 
-@each(
+@pytest.mark.parametrize(
     ("column", "value", "match"),
     [
         ("clip", "clip1", "'clip1' appears twice"),
@@ -109,7 +108,7 @@ def test_intensity_is_linear_between_its_rows_and_held_beyond(folder):
     np.testing.assert_allclose(values, [0, 0, 0.4, 0.8, 0.4, 0, 0], atol=1e-6)
 
 
-@each(
+@pytest.mark.parametrize(
     "text",
     [
         "time,intensity\n",
@@ -129,7 +128,9 @@ def test_read_intensity_rejects_damaged_files(tmp_path, text):
         read_intensity(path, np.zeros(1))
 
 
-@each("text", ["start,end\n0,1\n", "start,end,phone\n0,x,AA\n", "start,end,phone\n1,0,AA\n", ""])
+@pytest.mark.parametrize(
+    "text", ["start,end\n0,1\n", "start,end,phone\n0,x,AA\n", "start,end,phone\n1,0,AA\n", ""]
+)
 def test_read_phones_rejects_damaged_files(tmp_path, text):
     path = tmp_path / "p.csv"
     path.write_text(text)
@@ -149,7 +150,7 @@ def test_known_controls_are_those_that_a_file_names(folder):
     assert read_clips(folder)[1].known is None
 
 
-@each(
+@pytest.mark.parametrize(
     ("text", "match"),
     [("jawOpen\n", "unknown control 'jawOpen'"), ("# none\n\n", "names no control")],
 )

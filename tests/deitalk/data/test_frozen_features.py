@@ -11,19 +11,15 @@ from deitalk.config.curves import Config
 from deitalk.config.load import load_config
 from deitalk.data.augment_waveform import Surroundings
 from deitalk.data.clips import read_clips
-from deitalk.data.windows import (
-    FrozenFeatures,
-    WindowBatches,
-    load_clip,
-    recorded_frames,
-)
+from deitalk.data.frozen_features import FrozenFeatures
+from deitalk.data.waveforms import recorded_frames
+from deitalk.data.windows import WindowBatches, load_clip
 from deitalk.models.checkpoint import load_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.research.training.ablation import Variant, ablate
 from deitalk.research.training.encoded_passes import EncodedPasses
 from deitalk.training.curves import train_curves
 from tests.dataset import write_dataset
-from tests.each import each
 
 pytestmark = pytest.mark.usefixtures("empty_pictures")
 
@@ -53,7 +49,7 @@ def frontend(folder: Path) -> dict[str, torch.Tensor]:
     return load_model(folder).frontend.state_dict()
 
 
-@each("augment", [False, True])
+@pytest.mark.parametrize("augment", [False, True])
 def test_training_changes_all_weights_but_the_frontend(data, source, tmp_path, augment):
     config = tiny(f"train.frozen_frontend={source}", f"data.augment={augment}", "train.ema=0.5")
     train_curves(config, data, tmp_path / "run")
@@ -82,7 +78,7 @@ def test_features_on_disk_are_mapped_and_computed_once(data, source, tmp_path, m
     monkeypatch.setattr(again.owner, "frontend", torch.nn.Identity())  # encodes nothing
     again.prepare(clips, length)
     assert again.features(clips[0], n_frames).shape == features.shape
-    monkeypatch.setattr("deitalk.data.windows.load_audio", None)  # nor do windows read a sound
+    monkeypatch.setattr("deitalk.data.waveforms.load_audio", None)  # nor do windows read a sound
     controls = load_model(source).controls
     batches = WindowBatches(clips, controls, tiny().data, 0, 2, frozen_features=again)
     assert batches.item(0).waveform.shape == (length, features.shape[1])

@@ -18,7 +18,6 @@ from deitalk.data.offset import LAGS, ClipLags, clip_lags, predicted_curves, vow
 from deitalk.research.corpus.build import Shard, build
 from deitalk.research.corpus.engines import available_engines
 from rig import RigCurves, default_controls, read_curves, write_curves
-from tests.each import each
 
 CONTROLS = default_controls()
 JAW = "CTRL_C_jaw.ty"
@@ -60,7 +59,7 @@ def shares(clips: Iterator[tuple[Recording, RigCurves]]) -> dict[float, float]:
     return {shift: float(np.mean(answers)) for shift, answers in found.items()}
 
 
-@each(
+@pytest.mark.parametrize(
     ("best", "middle", "clear"),
     # 0.03 + 0.12 / 2 + 0.6 (1 - r): 0.15 for r = 0.9, 0.39 for r = 0.5
     [(0.9, 0.74, True), (0.9, 0.76, False), (0.5, 0.1, True), (0.5, 0.12, False)],

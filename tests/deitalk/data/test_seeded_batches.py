@@ -2,12 +2,12 @@
 
 from typing import NamedTuple
 
+import pytest
 import torch
 from torch import Tensor
 from torch.utils.data import DataLoader
 
-from deitalk.data.windows import SeededBatches, Share
-from tests.each import each
+from deitalk.data.seeded_batches import SeededBatches, Share
 
 
 class Numbered(NamedTuple):
@@ -40,13 +40,13 @@ def test_items_differ_by_number_and_by_seed():
     assert len(drawn.unique()) == 24
 
 
-@each("workers", [1, 2])
+@pytest.mark.parametrize("workers", [1, 2])
 def test_workers_change_nothing(workers):
     for one, other in zip(take(5), take(5, workers=workers), strict=True):
         assert all(torch.equal(a, b) for a, b in zip(one, other, strict=True))
 
 
-@each("workers", [0, 2])
+@pytest.mark.parametrize("workers", [0, 2])
 def test_processes_share_the_batch_of_one(workers):
     whole = take(3)
     parts = [take(3, workers=workers, share=Share(rank=rank, world=2)) for rank in range(2)]
@@ -55,7 +55,7 @@ def test_processes_share_the_batch_of_one(workers):
             assert torch.equal(field[0::2], a) and torch.equal(field[1::2], b)
 
 
-@each("workers", [0, 2])
+@pytest.mark.parametrize("workers", [0, 2])
 def test_interrupted_training_goes_on_with_the_next_batch(workers):
     whole, later = take(5), take(2, workers=workers, share=Share(skip=3))
     for one, other in zip(whole[3:], later, strict=True):

@@ -16,7 +16,6 @@ from deitalk.data.clips import read_clips
 from deitalk.data.windows import ClipCache, LoadedClip, WindowBatches, cut, load_clip
 from rig import RigCurves, default_controls, read_curves, write_curves
 from tests.dataset import CLICKS, FPS, JAW, RATE, SECONDS, write_dataset
-from tests.each import each
 
 CONTROLS = default_controls()
 SECONDS_FRAMES = int(SECONDS * 30)
@@ -37,8 +36,8 @@ def step_clip(at: float = 1.0, seconds: float = 2.0) -> LoadedClip:
     return LoadedClip(waveform, times, values, intensity, np.ones(3, bool))
 
 
-@each("speed", [0.82, 1.0, 1.1, 1.25])
-@each("first", [0, 7, 20])
+@pytest.mark.parametrize("speed", [0.82, 1.0, 1.1, 1.25])
+@pytest.mark.parametrize("first", [0, 7, 20])
 def test_click_stays_with_the_step_of_the_curves(speed, first):
     loaded = step_clip()
     waveform, curves, _, total = cut(loaded, first, 45, speed)

@@ -10,7 +10,6 @@ import pytest
 
 from deitalk.emotions import parse_emotion, read_intensity_curve
 from deitalk.errors import EmotionError
-from tests.each import each
 from tests.errors import one_line
 
 
@@ -34,9 +33,9 @@ def refused(read, path):
 KEYS = [(0.0, 0.45), (1.5, 1.25)]
 
 
-@each("encoding", ["utf-8", "utf-8-sig", "utf-16", "utf-16-le", "utf-16-be"])
-@each("end", ["\n", "\r\n", "\r"])
-@each(
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "utf-16-le", "utf-16-be"])
+@pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
+@pytest.mark.parametrize(
     "text",
     [
         "time,intensity\n0,0.45\n1.5,1.25\n",
@@ -64,7 +63,7 @@ def test_weights_in_columns_are_read_with_decimal_commas(tmp_path):
     assert np.array_equal(parse_emotion(path).weights[:, :5], expected)
 
 
-@each(
+@pytest.mark.parametrize(
     ("text", "words"),
     [
         ("time;intensity\n0;1,2,3\n", "key 1: intensity is '1,2,3'"),
@@ -90,7 +89,7 @@ def test_spreadsheet_rejects(tmp_path, text, words):
     assert words in refused(read_intensity_curve, written(tmp_path / "i.csv", text))
 
 
-@each(("most", "fits"), [(3, True), (2, False)])
+@pytest.mark.parametrize(("most", "fits"), [(3, True), (2, False)])
 def test_keys_are_counted(tmp_path, monkeypatch, most, fits):
     monkeypatch.setattr("rig.limits.KEYS", most)
     rows = [(0.0, 1.0), (1.0, 1.0), (2.0, 1.0)]
@@ -106,8 +105,8 @@ def test_keys_are_counted(tmp_path, monkeypatch, most, fits):
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no named pipes")
-@each("suffix", [".csv", ".json", ".yaml"])
-@each("read", [parse_emotion, read_intensity_curve])
+@pytest.mark.parametrize("suffix", [".csv", ".json", ".yaml"])
+@pytest.mark.parametrize("read", [parse_emotion, read_intensity_curve])
 def test_named_pipe_never_blocks(tmp_path, suffix, read):
     os.mkfifo(tmp_path / f"pipe{suffix}")
     errors = []

@@ -22,7 +22,6 @@ from deitalk.emotions import (
 )
 from deitalk.errors import EmotionError
 from deitalk.models.protocol import trained_weights
-from tests.each import each
 from tests.errors import one_line
 
 KEYS = [
@@ -56,7 +55,7 @@ def weights(emotion, time=0.0):
     return dict(zip(LABELS, parse_emotion(emotion).at([time])[0].tolist(), strict=True))
 
 
-@each("name", LABELS)
+@pytest.mark.parametrize("name", LABELS)
 def test_label_is_one_hot_at_all_times(name):
     track = parse_emotion(f" {name.upper()} ").at([-1, 0, 1e6])
     assert track.dtype == np.float32
@@ -92,7 +91,7 @@ def test_weights_are_a_distribution(strengths):
     assert row.sum() == pytest.approx(1, abs=1e-6)
 
 
-@each("suffix", [".csv", ".json", ".yaml"])
+@pytest.mark.parametrize("suffix", [".csv", ".json", ".yaml"])
 def test_keyframes_are_joined_by_lines_and_held_outside(tmp_path, suffix):
     path = write_track(tmp_path / f"track{suffix}", KEYS)
     for spelling in (path, str(path)):
@@ -113,7 +112,7 @@ def test_keys_at_one_time_mix(tmp_path):
     assert weights(path) == weights("happy=0.6,angry=0.4")
 
 
-@each(
+@pytest.mark.parametrize(
     ("emotion", "words"),
     [
         ("furious", ["unknown emotion 'furious'", *LABELS]),
@@ -136,7 +135,7 @@ def test_parse_emotion_rejects_in_one_line(emotion, words):
     assert_error(emotion, *words)
 
 
-@each(
+@pytest.mark.parametrize(
     ("make", "words"),
     [
         (lambda: EmotionTrack([0], [[0, 0, 2, 0, 0]]), "sum to 1"),
@@ -162,8 +161,8 @@ def test_tracks_take_lists():
     assert parse_emotion(str(track)) == track and parse_intensity_curve(str(curve)) == curve
 
 
-@each("suffix", [".csv", ".json", ".yaml"])
-@each("last", [{}, {"strength": 0.5}])
+@pytest.mark.parametrize("suffix", [".csv", ".json", ".yaml"])
+@pytest.mark.parametrize("last", [{}, {"strength": 0.5}])
 def test_a_key_without_strength_is_full(tmp_path, suffix, last):
     keys = [{"time": 1, "emotion": "happy"}, {"time": 3, "emotion": "sad", **last}]
     shown = parse_emotion(write_track(tmp_path / f"track{suffix}", keys)).at([1.0, 3.0])
@@ -171,8 +170,8 @@ def test_a_key_without_strength_is_full(tmp_path, suffix, last):
     assert shown[1, LABELS.index("sad")] == last.get("strength", 1)
 
 
-@each("suffix", [".csv", ".json", ".yaml"])
-@each(
+@pytest.mark.parametrize("suffix", [".csv", ".json", ".yaml"])
+@pytest.mark.parametrize(
     ("keys", "words"),
     [
         ([KEYS[1], KEYS[0]], ["key 2", "time 1 comes after 3", "sort"]),
@@ -191,7 +190,7 @@ def test_read_emotion_track_rejects_in_one_line(tmp_path, suffix, keys, words):
     assert_error(path, *words)
 
 
-@each(
+@pytest.mark.parametrize(
     ("name", "content"),
     [
         ("t.json", b"{"),
@@ -235,7 +234,7 @@ def test_written_intensity_is_read_back(tmp_path):
     assert weights(path, 1.0)["happy"] == pytest.approx(0.7)  # a take's table is a track too
 
 
-@each(
+@pytest.mark.parametrize(
     ("rows", "words"),
     [
         ("0,-0.1", "intensity -0.1 must be 0 to 4"),
@@ -273,7 +272,9 @@ def test_unwritable_intensity_leaves_the_old_file(tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == ["intensity.csv"]
 
 
-@each(("times", "values"), [([1.0, 0.0], [1.0, 2.0]), ([0.0, 1.0], [1.0]), ([], [])])
+@pytest.mark.parametrize(
+    ("times", "values"), [([1.0, 0.0], [1.0, 2.0]), ([0.0, 1.0], [1.0]), ([], [])]
+)
 def test_times_of_tracks_rise(times, values):
     with one_line(EmotionError, match="times must be seconds that rise"):
         IntensityCurve(np.array(times), np.array(values))

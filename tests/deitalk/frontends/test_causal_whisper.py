@@ -18,7 +18,6 @@ from deitalk.frontends.causal_whisper import (
     CausalWhisperFrontend,
 )
 from deitalk.frontends.whisper import scaled
-from tests.each import each
 
 RATE = 16_000
 TINY = {"checkpoint": None, "n_mels": 16, "width": 32, "heads": 4, "intermediate": 48}
@@ -48,7 +47,7 @@ def windows_of(frontend, sound, n_frames):
 
 
 @torch.no_grad()
-@each("pieces", [(1,) * 40, (3, 1, 30, 6), (17, 23)])
+@pytest.mark.parametrize("pieces", [(1,) * 40, (3, 1, 30, 6), (17, 23)])
 def test_any_pieces_give_the_features_of_one(frontend, pieces):
     windows = windows_of(frontend, voice(40 / 30), 40)
     whole, last = frontend.advance(windows, frontend.first_state(1))
@@ -64,7 +63,7 @@ def test_any_pieces_give_the_features_of_one(frontend, pieces):
 
 
 @torch.no_grad()
-@each("n_frames", [50, PERIOD + 150])
+@pytest.mark.parametrize("n_frames", [50, PERIOD + 150])
 def test_equals_the_whole_encoder_under_a_mask(frontend, n_frames):
     """A frame of silence goes before the clip, attended to by nothing but itself."""
     windows = windows_of(frontend, voice(n_frames / 30, seed=3), n_frames)
@@ -115,7 +114,7 @@ def test_level_of_the_recording_is_followed(frontend):
         assert (other - rows[1]).abs().mean() < 0.03 * spread
 
 
-@each("changes", [{"rate": 50}, {"layers": (1, 3)}, {"layers": (0,)}])
+@pytest.mark.parametrize("changes", [{"rate": 50}, {"layers": (1, 3)}, {"layers": (0,)}])
 def test_what_a_stream_cannot_have_is_refused(changes):
     with pytest.raises(ValueError, match=r"rig frame|one layer"):
         CausalWhisperConfig(**TINY | changes)

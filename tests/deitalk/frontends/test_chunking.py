@@ -2,13 +2,13 @@
 
 from fractions import Fraction
 
+import pytest
 import torch
 
 from deitalk.audio.frames import SAMPLE_RATE
 from deitalk.config.frontends import MelConfig
 from deitalk.frontends import build_frontend
 from deitalk.frontends.mel_bilstm import phase_shifts
-from tests.each import each
 
 MEL = {
     "n_mels": 16,
@@ -41,8 +41,8 @@ def test_phase_shifts_by_hand():
     assert phase_shifts(2, 60) == [-67, 67]  # of 266.7
 
 
-@each("phases", [1, 2, 3, 5])
-@each("rate", [60, 100, 125])
+@pytest.mark.parametrize("phases", [1, 2, 3, 5])
+@pytest.mark.parametrize("rate", [60, 100, 125])
 def test_phase_shifts_divide_a_period_evenly_about_0(phases, rate):
     shifts = phase_shifts(phases, rate)
     step = Fraction(SAMPLE_RATE, rate * phases)
@@ -51,7 +51,7 @@ def test_phase_shifts_divide_a_period_evenly_about_0(phases, rate):
         assert abs(after - before - step) <= 1
 
 
-@each("make", FRONTENDS.values())
+@pytest.mark.parametrize("make", FRONTENDS.values())
 @torch.no_grad()
 def test_two_phases_give_the_mean_of_two_encodings(make):
     n_frames = 70

@@ -9,7 +9,6 @@ from deitalk.config.frontends import MelConfig
 from deitalk.frontends import mel_bilstm
 from deitalk.frontends.mel_bilstm import SEGMENT_FRAMES, MelFrontend, TemporalAttention
 from tests.closeness import assert_same
-from tests.each import each
 
 SMALL = {
     "n_mels": 16,
@@ -117,7 +116,7 @@ def naive(model, waveform, n_frames):
     return torch.stack(rows)
 
 
-@each(
+@pytest.mark.parametrize(
     "settings",
     [
         SMALL,
@@ -179,7 +178,7 @@ def test_windows_by_segments_equal_the_whole_clip():
     assert_same(model.encode(waveform[0], n_frames), whole)
 
 
-@each("settings", [SMALL, SEGMENT])
+@pytest.mark.parametrize("settings", [SMALL, SEGMENT])
 @torch.no_grad()
 def test_clips_of_a_batch_are_independent(settings):
     model = frontend(**settings)

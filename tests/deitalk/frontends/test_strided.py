@@ -6,7 +6,6 @@ from torch import nn
 
 from deitalk.errors import ConfigError
 from deitalk.frontends.whisper import StridedFrontend
-from tests.each import each
 from tests.errors import one_line
 
 CHUNK, OVERLAP = 60, 15
@@ -39,7 +38,7 @@ def clock(seconds):
     return torch.arange(round(seconds * 16_000), dtype=torch.float32) / 16_000
 
 
-@each("n_frames", [1, 30, 60, 61, 104, 106, 150, 240])
+@pytest.mark.parametrize("n_frames", [1, 30, 60, 61, 104, 106, 150, 240])
 def test_rows_are_exact_in_time_in_every_piece(n_frames):
     rows = Samples().encode(clock(n_frames / 30 + 0.1), n_frames)[:, 0]
     torch.testing.assert_close(rows, torch.arange(n_frames) / 30, atol=1e-5, rtol=0)
@@ -70,14 +69,14 @@ def test_only_clips_of_several_pieces_are_surveyed_with_their_gain():
     assert several == [pytest.approx(2 * (4 - 1 / 16_000))] * 3
 
 
-@each("n_frames", [45, 150])
+@pytest.mark.parametrize("n_frames", [45, 150])
 def test_gain_scales_every_piece(n_frames):
     sound = clock(n_frames / 30 + 0.1)
     plain, louder = (Samples().encode(sound, n_frames, gain=gain) for gain in (1.0, 3.0))
     torch.testing.assert_close(louder, 3 * plain)
 
 
-@each(("chunk", "overlap"), [(2, 1.5), (2, -1), (0, 0)])
+@pytest.mark.parametrize(("chunk", "overlap"), [(2, 1.5), (2, -1), (0, 0)])
 def test_impossible_pieces_are_refused_in_one_line(chunk, overlap):
     with one_line(ConfigError, match="at least twice"):
         Samples().encode(clock(1.0), 30, chunk_seconds=chunk, overlap_seconds=overlap)

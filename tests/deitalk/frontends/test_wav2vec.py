@@ -22,7 +22,6 @@ from deitalk.config.frontends import Wav2VecConfig
 from deitalk.errors import CheckpointError, ConfigError
 from deitalk.frontends.wav2vec import PUBLISHED, SPEECH_SCALE, Wav2VecFrontend
 from tests.closeness import SHARE, assert_same
-from tests.each import each
 from tests.errors import one_line
 
 TINY = {
@@ -152,7 +151,7 @@ def local_frontend():
     return frontend
 
 
-@each("n_frames", [61, 90, 119, 121, 200, 301])
+@pytest.mark.parametrize("n_frames", [61, 90, 119, 121, 200, 301])
 def test_chunks_of_a_local_encoder_equal_the_whole(rng, n_frames):
     """Without attention, chunks must equal the whole."""
     frontend = local_frontend()
@@ -168,7 +167,7 @@ def test_chunks_of_a_local_encoder_equal_the_whole(rng, n_frames):
     assert difference.max() < 0.15 * whole.std()
 
 
-@each("kind", ["group", "layer"])
+@pytest.mark.parametrize("kind", ["group", "layer"])
 def test_chunks_with_attention_stay_close_to_the_whole(rng, kind):
     """Random attention spans the whole chunk, the worst case; tolerance 5 % of the spread."""
     torch.manual_seed(0)
@@ -219,7 +218,7 @@ KINDS = {
 }
 
 
-@each("kind", KINDS)
+@pytest.mark.parametrize("kind", KINDS)
 def test_every_kind_of_encoder_reads_as_in_transformers(kind, tmp_path, speech):
     """By the name of its folder; a saved configuration builds it again."""
     torch.manual_seed(2)
@@ -272,7 +271,7 @@ def test_layers_that_the_encoder_lacks_are_refused_in_one_line(checkpoint):
         Wav2VecFrontend.build(Wav2VecConfig(checkpoint=str(checkpoint), layers=(1, 3)))
 
 
-@each(
+@pytest.mark.parametrize(
     ("encoder", "words"),
     [
         ({"hiden_size": 32}, "hiden_size"),

@@ -20,7 +20,6 @@ from deitalk.models.checkpoint import load_model, save_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.models.folder import describe_model, weights_hash
 from tests.deitalk.models.test_curve_model import SMALL
-from tests.each import each
 from tests.errors import one_line
 
 TINY = {"n_mels": 16, "width": 32, "heads": 4, "intermediate": 48}
@@ -91,7 +90,7 @@ def test_states_are_those_of_transformers(checkpoint):
     assert float((found[2] - found[1]).std()) > 0.1, "layers matter"
 
 
-@each("kind", [TheirEncoder, WhisperModel, WhisperForConditionalGeneration])
+@pytest.mark.parametrize("kind", [TheirEncoder, WhisperModel, WhisperForConditionalGeneration])
 def test_weights_are_read_from_any_whisper_model(kind, tmp_path):
     model = saved(kind, tmp_path)
     (prefix,) = {
@@ -102,7 +101,7 @@ def test_weights_are_read_from_any_whisper_model(kind, tmp_path):
         assert torch.equal(weight, model.state_dict()[prefix + name]), name
 
 
-@each("n_mels", [80, 16])
+@pytest.mark.parametrize("n_mels", [80, 16])
 def test_spectrogram_inside_a_clip_is_that_of_transformers(n_mels):
     sound = speech(3.0)
     extractor = WhisperFeatureExtractor(feature_size=n_mels)
@@ -152,7 +151,7 @@ def test_a_click_moves_the_rows_around_its_time():
     assert 58 <= moved.min() and moved.max() <= 62
 
 
-@each("n_frames", [301, 330, 571, 700])
+@pytest.mark.parametrize("n_frames", [301, 330, 571, 700])
 def test_pieces_stay_close_to_the_whole(n_frames):
     """Positions and attention span a piece. Away from where pieces begin, rows of the first are
     those of a clip that ends there; a later piece is as close as its own positions allow."""
@@ -196,7 +195,7 @@ def test_layers_are_mixed_by_learnt_weights():
     torch.testing.assert_close(mixed, 0.25 * single[0] + 0.75 * single[1], atol=1e-5, rtol=0)
 
 
-@each("name", ["no/such/folder/at/all", "not a name", "someone/whisper-none"])
+@pytest.mark.parametrize("name", ["no/such/folder/at/all", "not a name", "someone/whisper-none"])
 def test_missing_checkpoints_are_named_in_one_line(name):
     with one_line(
         CheckpointError, name, "name a folder or a model of the hub", match="no Whisper checkpoint"
@@ -204,7 +203,7 @@ def test_missing_checkpoints_are_named_in_one_line(name):
         WhisperFrontend.build(WhisperConfig(**TINY, checkpoint=name))
 
 
-@each(
+@pytest.mark.parametrize(
     ("changes", "word"),
     [
         ({"width": 64}, "conv1.weight"),
@@ -267,7 +266,9 @@ def test_a_model_without_its_encoder_is_refused_in_one_line(tmp_path):
     assert json.loads((tmp_path / "m" / "model.json").read_text())["control_set"]
 
 
-@each("seconds", [(2.0, 1.99, 1.98, 1.97), (2.0, 1.5, 1.4, 0.3), (23.4, 10.0, 9.1, 12.0, 0.05)])
+@pytest.mark.parametrize(
+    "seconds", [(2.0, 1.99, 1.98, 1.97), (2.0, 1.5, 1.4, 0.3), (23.4, 10.0, 9.1, 12.0, 0.05)]
+)
 def test_recordings_read_together_are_as_read_one_by_one(tmp_path, seconds):
     """Also where some are padded for others, and where some are read in pieces, one of them soft."""
     model, _ = network(tmp_path / "m")

@@ -11,7 +11,6 @@ from deitalk.errors import AudioError, CheckpointError, EmotionError
 from deitalk.live.animator import LiveAnimator
 from deitalk.postprocess.control_groups import ControlGroups
 from tests.deitalk.live.conftest import RATE
-from tests.each import each
 
 CLOSE = 3e-5  # rounding, of other sizes of the products of matrices
 
@@ -58,7 +57,7 @@ def test_streams_in_one_call_give_the_frames_of_each_alone(tiny, voice, rng):
         assert np.abs(np.concatenate([*found[k], frames]) - expected).max() < CLOSE
 
 
-@each("second", [1.0, 2.03])
+@pytest.mark.parametrize("second", [1.0, 2.03])
 def test_frame_depends_on_no_sound_beyond_the_look_ahead(tiny, voice, rng, second):
     changed = voice.copy()
     changed[round(second * RATE) :] = 0.2 * rng.standard_normal(len(voice) - round(second * RATE))

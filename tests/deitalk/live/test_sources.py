@@ -10,7 +10,7 @@ import pytest
 from typer.testing import CliRunner
 
 from deitalk.cli import app
-from deitalk.cli.live import transmit
+from deitalk.cli.udp import transmit
 from deitalk.errors import AudioError, MissingError
 from deitalk.live import sources
 from deitalk.live.animator import LiveAnimator
@@ -18,7 +18,6 @@ from deitalk.live.sources import BLOCKS_A_SECOND, Microphone, PacedSound
 from rig.errors import UserError
 from rig.livelink import LiveSender, decode, make_protocol
 from rig.livelink.sender import Clock
-from tests.each import each
 
 SAMPLE = str(Path(__file__).parents[3] / "docs/samples/promise.flac")
 
@@ -138,7 +137,7 @@ def test_microphone_that_is_gone_at_the_start_is_one_line(monkeypatch):
         microphone.read(0.1)
 
 
-@each(
+@pytest.mark.parametrize(
     ("arguments", "words"),
     [
         ([SAMPLE, "--model", "none"], "none: no model there"),

@@ -24,7 +24,6 @@ from deitalk.models.folder import (
 from deitalk.models.mesh_head import MeshHead
 from deitalk.models.mesh_model import SDFA, MeshModel
 from rig import default_controls
-from tests.each import each
 from tests.errors import one_line
 
 TINY = Path(__file__).resolve().parents[3] / "configs" / "tiny.yaml"
@@ -103,7 +102,7 @@ def test_describe_model_gives_controls_training_and_hash(folder, model):
     assert len(about["sha256"]) == 64 and "controls" not in about
 
 
-@each("content", [b"", b"hello", b"\xff" * 64, b"\x10" + b"\0" * 7 + b"{" * 16])
+@pytest.mark.parametrize("content", [b"", b"hello", b"\xff" * 64, b"\x10" + b"\0" * 7 + b"{" * 16])
 def test_load_model_rejects_damaged_weights(folder, content):
     (folder / "model.safetensors").write_bytes(content)
     refused(folder, r"model\.safetensors(: no safetensors file| is empty|, its header, is no JSON)")
@@ -141,7 +140,7 @@ def test_load_model_rejects_another_control_set(folder):
     refused(folder, "made for control set")
 
 
-@each(
+@pytest.mark.parametrize(
     ("name", "kind"),
     [("default", DEITalk), ("live", DEITalk), ("sdfa", SDFA), ("mesh_head", MeshHead)],
 )
@@ -202,7 +201,7 @@ def test_another_encoder_is_not_named(live, tmp_path):
     assert not (tmp_path / "m").exists()
 
 
-@each("owner", ["other", "/etc/passwd", "../default", 3])
+@pytest.mark.parametrize("owner", ["other", "/etc/passwd", "../default", 3])
 def test_encoder_of_no_embedded_model_is_refused(live, tmp_path, owner):
     model, config = live
     save_model(tmp_path / "m", model, config, {}, half=True, encoder_of="default")

@@ -18,7 +18,6 @@ from deitalk.models.curve_model import DECODE_FRAMES, DEITalk
 from deitalk.models.intensity import temporal_maximum
 from deitalk.models.positions import dynamic_positions
 from tests.closeness import assert_same
-from tests.each import each
 
 CONFIGS = Path(__file__).resolve().parents[3] / "configs"
 MEL = {
@@ -133,7 +132,7 @@ def test_whole_clip_equals_one_forward():
     assert_same(curves, one.curves[0])
 
 
-@each("saliency_frames", [None, 31, 121])
+@pytest.mark.parametrize("saliency_frames", [None, 31, 121])
 @torch.no_grad()
 def test_pieces_equal_one_piece(monkeypatch, saliency_frames):
     model = build(saliency_frames=saliency_frames, effort=True, lips=True)

@@ -27,7 +27,6 @@ from rig import ControlSet
 from rig.controls import Control
 from tests.command import deitalk
 from tests.deitalk.pipeline.test_curves import SMALL
-from tests.each import each
 from tests.hub import TOKEN, serving
 
 NOWHERE = "http://127.0.0.1:9"
@@ -184,7 +183,7 @@ def test_a_revision_stays_when_the_model_moves_on(the_hub, run, tmp_path):
     assert names == {f"me/moving@{after}": "newer", f"me/moving@{before}": "deitalk"}
 
 
-@each(
+@pytest.mark.parametrize(
     ("name", "changes", "words"),
     [
         ("me/none", {}, "no such model"),
@@ -204,7 +203,7 @@ def test_what_cannot_be_fetched_is_one_line(the_hub, tmp_path, name, changes, wo
     assert not list(tmp_path.rglob("*.safetensors"))
 
 
-@each(
+@pytest.mark.parametrize(
     ("changes", "name", "words"),
     [
         ({"HF_TOKEN": "wrong"}, "me/anna", "hf auth login"),

@@ -9,7 +9,6 @@ from deitalk.models.intensity import (
     emotional_saliency,
     local_maximum,
 )
-from tests.each import each
 
 
 def module(saliency_frames=None, in_size=6, emotion_size=4):
@@ -70,7 +69,7 @@ def test_piece_with_the_embedding_of_its_clip_equals_the_piece_of_the_clip():
     torch.testing.assert_close(piece.saliency, whole.saliency[:, 10:15])
 
 
-@each("slope", [-3.0, 0.0, 3.0])
+@pytest.mark.parametrize("slope", [-3.0, 0.0, 3.0])
 def test_strength_rises_with_saliency_for_any_slope(slope):
     plain = identity()
     with torch.no_grad():

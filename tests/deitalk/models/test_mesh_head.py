@@ -30,7 +30,6 @@ from deitalk.research.meshes.scores import as_markdown, evaluate_mesh, predict_m
 from deitalk.research.meshes.training import new_mesh_model, train_mesh
 from tests.dataset import write_dataset
 from tests.deitalk.models.test_mesh_model import LIPS, RATE, noise, sheet, spoken
-from tests.each import each
 from tests.errors import one_line
 
 pytestmark = pytest.mark.usefixtures("empty_pictures")
@@ -186,7 +185,9 @@ def test_folder_stores_the_hash_of_the_decoded_network(tmp_path):
         load_model(tmp_path / "m")
 
 
-@each("section", [{"data": {"fps": 60, "augment": False}}, {"data": {"fps": 30}}])
+@pytest.mark.parametrize(
+    "section", [{"data": {"fps": 60, "augment": False}}, {"data": {"fps": 30}}]
+)
 def test_configuration_rejects_augmentation_and_other_rates(section):
     tree = {"kind": "sdfa", "model": {"frontend": {"kind": "deitalk"}}}
     with one_line(ConfigError, match=r"data\.fps=30, data\.augment=false"):

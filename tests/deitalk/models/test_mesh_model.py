@@ -21,7 +21,6 @@ from deitalk.research.meshes.folder import Lips
 from deitalk.research.meshes.scores import predict_mesh
 from deitalk.research.meshes.training import new_mesh_model
 from rig.mesh import TriMesh
-from tests.each import each
 
 CONFIGS = Path(__file__).resolve().parents[3] / "configs"
 CONFIG = CONFIGS / "sdfa.yaml"
@@ -146,7 +145,7 @@ def test_configuration_sdfa_is_the_paper():
     assert len(config.data.identities) == 4  # all embedded heads
 
 
-@each(
+@pytest.mark.parametrize(
     ("tree", "said"),
     [
         ({"model": {"frontend": SEGMENT | {"time_stack": 2}}}, "uses every spectrum"),
@@ -188,7 +187,7 @@ def silence(sdfa):
     return sdfa.encoder.features(torch.zeros(1, 1000), 1, 0)[0]
 
 
-@each("name", list(ENCODERS))
+@pytest.mark.parametrize("name", list(ENCODERS))
 def test_prediction_in_pieces_equals_the_whole_clip(name, monkeypatch):
     """Pieces of 20 frames with their context, against all at once."""
     sdfa, sound = model(fps=30, frontend=ENCODERS[name]), noise(3.0)
@@ -204,7 +203,7 @@ def test_prediction_in_pieces_equals_the_whole_clip(name, monkeypatch):
     assert whole.s.std(dim=0).max() > (1e-4 if has_context else 2e-3)
 
 
-@each("name", list(ENCODERS))
+@pytest.mark.parametrize("name", list(ENCODERS))
 def test_encoders_depend_on_nearby_sound_only(name):
     """A click 1 s away changes nothing (a recurrence along the clip: little); one near does."""
     sdfa, sound = model(fps=30, frontend=ENCODERS[name]), noise(3.0)
@@ -216,7 +215,9 @@ def test_encoders_depend_on_nearby_sound_only(name):
     assert (moved - before).abs().max() > 20 * (still - before).abs().max()
 
 
-@each(("samples", "frames"), [(1, 1), (RATE // 60, 1), (RATE, 60), (RATE + 1, 61)])
+@pytest.mark.parametrize(
+    ("samples", "frames"), [(1, 1), (RATE // 60, 1), (RATE, 60), (RATE + 1, 61)]
+)
 def test_number_of_frames_covers_the_recording(samples, frames):
     vertices = predict_mesh(model(), noise(2)[:samples])
     assert vertices.shape == (frames, 16, 3)
@@ -237,7 +238,9 @@ def test_another_template_of_the_same_triangles_is_moved():
     np.testing.assert_allclose(np.ptp(moved[..., 0], axis=1), 20, atol=4)
 
 
-@each("bad", [np.zeros(0), np.zeros((2, 100)), np.array([0.0, np.nan]), np.float32(1)])
+@pytest.mark.parametrize(
+    "bad", [np.zeros(0), np.zeros((2, 100)), np.array([0.0, np.nan]), np.float32(1)]
+)
 def test_prediction_rejects_what_is_no_row_of_finite_samples(bad):
     with pytest.raises(AudioError, match="16 kHz"):
         predict_mesh(model(), bad)

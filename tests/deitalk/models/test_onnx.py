@@ -34,7 +34,6 @@ from deitalk.research.evaluation.clip_scores import live_frames
 from rig import default_controls, read_curves
 from tests.deitalk.models.test_curve_model import MEL, SMALL
 from tests.deitalk.postprocess.test_curve_pass import inputs, passed
-from tests.each import each
 
 onnx = pytest.importorskip("onnx")
 pytest.importorskip("onnxruntime")
@@ -165,7 +164,7 @@ def exported_whisper(whisper_pair):
     return whisper_pair[1]
 
 
-@each("n_frames", [1, 2, 30, 31, 299, 300, 301, 330, 571, 701])
+@pytest.mark.parametrize("n_frames", [1, 2, 30, 31, 299, 300, 301, 330, 571, 701])
 def test_whisper_equals_torch_at_any_length(whisper, exported_whisper, n_frames):
     """One piece, two and three; the last one is short, or begins a frame before the end."""
     sound = speechlike(n_frames / 30)[: n_frames * 1600 // 3]

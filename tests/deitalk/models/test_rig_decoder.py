@@ -1,10 +1,10 @@
 """Emotion-guided decoder against a loop over Eq. 7."""
 
+import pytest
 import torch
 from torch.nn import functional as F
 
 from deitalk.models.rig_decoder import RigDecoder
-from tests.each import each
 
 DILATIONS = (1, 2, 4, 8, 1, 2, 4, 8)
 
@@ -31,7 +31,7 @@ def inputs(frames=90, guidance_size=4):
     return torch.randn(1, frames, 10), emotion, torch.randn(1, frames, guidance_size)
 
 
-@each("residual", [False, True])
+@pytest.mark.parametrize("residual", [False, True])
 def test_decoder_equals_equation_7_frame_by_frame(residual):
     net = decoder(residual=residual)
     speech, emotion, guidance = inputs(25)
@@ -73,7 +73,7 @@ def test_style_of_one_frame_acts_near_that_frame_only():
     assert moved[100:].any()
 
 
-@each(
+@pytest.mark.parametrize(
     "options",
     [
         {},
@@ -83,7 +83,7 @@ def test_style_of_one_frame_acts_near_that_frame_only():
         {"direct": True, "actor_layers": True, "n_actors": 2},
     ],
 )
-@each("guidance_size", [0, 4])
+@pytest.mark.parametrize("guidance_size", [0, 4])
 def test_readings_equal_the_forward_pass_of_each(options, guidance_size):
     """Three readings of one speech; clips shorter and longer than the reach of the kernels."""
     net = decoder(guidance_size=guidance_size, **options).eval()
@@ -173,11 +173,11 @@ def own(net, speech, emotion, guidance):
     return net.output(net.hidden(speech, emotion, guidance))
 
 
-@each(
+@pytest.mark.parametrize(
     ("captured", "wanted", "reference"),
     [((0,), 3, 0), ((0, 2), 1, 0), ((2, 4), 0, 2), ((1,), 4, 1)],
 )
-@each("n_base", [None, 7])
+@pytest.mark.parametrize("n_base", [None, 7])
 def test_an_emotion_that_captures_lack_adds_the_change_of_the_base(
     captured, wanted, reference, n_base
 ):
@@ -204,9 +204,9 @@ def test_a_captured_emotion_is_the_captures_where_they_teach_it():
     torch.testing.assert_close(net(speech, emotion, guidance), expected)
 
 
-@each("taught", [1.0, 0.0])
-@each("causal", [False, True])
-@each("kept", [None, torch.tensor([True, False, False])])
+@pytest.mark.parametrize("taught", [1.0, 0.0])
+@pytest.mark.parametrize("causal", [False, True])
+@pytest.mark.parametrize("kept", [None, torch.tensor([True, False, False])])
 def test_readings_and_streams_with_a_change_equal_whole_clips(taught, causal, kept):
     """A stream is advanced by pieces of several lengths."""
     net = changed((0, 1), taught, causal=causal, kept=kept)

@@ -18,16 +18,16 @@ from deitalk.config.rules import VoiceIntensity
 from deitalk.data.captures.take import CapturedCurves
 from deitalk.data.captures.traits import measure_traits
 from deitalk.emotions import ActorReference, read_actor
-from deitalk.emotions.tracks import TRAITS
+from deitalk.emotions.actor import TRAITS
 from deitalk.errors import AudioError, EmotionError
 from deitalk.models.load import load_network
-from deitalk.pipeline.speech import Speech, measure_actor, measure_intensities
+from deitalk.pipeline.actor_voice import measure_actor
+from deitalk.pipeline.speech import Speech, measure_intensities
 from deitalk.postprocess.feeling import intensity_of, state_of
 from rig import RigCurves, default_controls
 from rig.conversion.arkit import arkit_controls
 from rig.formats.livelink_csv import LiveLinkTake, frame_ticks, write_take
 from tests.deitalk.audio.test_prosody import voice
-from tests.each import each
 from tests.errors import one_line
 
 SOFT, USUAL, STRONG = voice(110, 1.6), voice(140, 1.2), voice(220, 0.8)
@@ -84,7 +84,7 @@ def test_traits_are_drawn_from_the_recordings_within_their_ranges(recordings):
     assert all(low <= first.traits[name] <= high for name, (low, high) in TRAITS.items())
 
 
-@each("effort", [None, -0.25])
+@pytest.mark.parametrize("effort", [None, -0.25])
 def test_reference_file_gives_the_reference_back(tmp_path, effort):
     actor = ActorReference(1.25, 12, 63.5, {"side": -0.1, "blink_interval": 1.2}, effort)
     path = tmp_path / "anna.json"
@@ -96,7 +96,7 @@ def test_reference_file_gives_the_reference_back(tmp_path, effort):
 PLAIN = {"format": "deitalk-actor", "version": 1, "strength": 0, "recordings": 1, "seconds": 1}
 
 
-@each(
+@pytest.mark.parametrize(
     "content",
     [
         {},
@@ -181,7 +181,7 @@ def turning(size):
     return lambda t: np.column_stack([size * np.sin(2 * np.pi * t / 3)] * 3 + [0 * t] * 3)
 
 
-@each("fps", [30.0, 60.0])
+@pytest.mark.parametrize("fps", [30.0, 60.0])
 def test_blinks_every_two_seconds_over_the_usual_3_2(fps):
     told = measure_traits([captured(fps=fps, **{"[LR]_eye_blink": blinks(2.0)})])
     assert told == {"blink_interval": approx(2 / 3.2, rel=0.01)}

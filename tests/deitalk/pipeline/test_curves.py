@@ -25,7 +25,6 @@ from deitalk.postprocess.life.play import LEANS
 from deitalk.research.evaluation.benchmark_curves import speechlike
 from deitalk.research.evaluation.clip_scores import mouth_opening
 from rig.errors import ControlError
-from tests.each import each
 from tests.errors import one_line
 
 pytestmark = pytest.mark.usefixtures("one_analysis")
@@ -132,7 +131,7 @@ def test_rules_are_those_of_the_model(network, monkeypatch):
     assert tuned[-1, jaw] == network.controls.rest[jaw]
 
 
-@each("emotion", EMOTIONAL)
+@pytest.mark.parametrize("emotion", EMOTIONAL)
 def test_intensity_0_gives_the_neutral_reading(network, emotion):
     speech = recording()
     still = animate(speech, emotion, model=network, intensity=0)
@@ -261,11 +260,13 @@ def test_intensity_curve_gives_the_neutral_reading_where_it_is_0(network):
 
 
 UPPER = ("_brow_", "_eye_", "_eye.", "neck_")
+BREATH = "CTRL_C_jaw.ty"
 
 
-@each("changed", ["seed", "gain"])
+@pytest.mark.parametrize("changed", ["seed", "gain"])
 def test_another_seed_or_recording_changes_eyes_brows_and_sides_only(network, changed):
-    """A gain of a thousandth is another recording, which the network takes as the same speech."""
+    """And breaths, which open the jaw before phrases. A gain of a thousandth is another recording,
+    which the network takes as the same speech."""
     speech = recording(8)
     louder = Recording(speech.waveform * 1.001, "test", 16_000, 1)
     how = {"model": network, "variant": "plain"}  # others are drawn too
@@ -275,11 +276,11 @@ def test_another_seed_or_recording_changes_eyes_brows_and_sides_only(network, ch
     names = network.controls.names
     moved = {names[i] for i in np.flatnonzero(np.abs(a - b).max(axis=0) > 1e-2)}
     assert {"CTRL_L_eye_blink.ty", "CTRL_R_eye_blink.ty"} <= moved
-    assert all(any(part in name for part in (*UPPER, *LEANS)) for name in moved)
+    assert all(any(part in name for part in (*UPPER, *LEANS, BREATH)) for name in moved)
     np.testing.assert_array_equal(a, values(speech, "happy", seed=1, **how))
 
 
-@each(
+@pytest.mark.parametrize(
     ("fields", "named"),
     [
         ({"language": "de"}, "language de"),
@@ -295,13 +296,17 @@ def test_a_field_that_changes_nothing_is_named(network, fields, named):
 
 
 def test_idle_motion_leaves_the_mouth_as_it_is(network):
+    """But for breaths, which open the jaw before phrases."""
     speech = recording(4)
     lively = animate(speech, "angry", model=network, life="brows=2,head=2,gaze=2,blinks=2")
     still = animate(speech, "angry", model=network, life="off")
     names = network.controls.names
-    moved = (*UPPER, *LEANS)
+    moved = (*UPPER, *LEANS, BREATH)
     mouth = [i for i, name in enumerate(names) if not any(part in name for part in moved)]
     np.testing.assert_array_equal(lively.curves.values[:, mouth], still.curves.values[:, mouth])
+    speaks = np.asarray(speech.activity) > 0
+    jaws = [take.curves.values[speaks, names.index(BREATH)] for take in (lively, still)]
+    np.testing.assert_array_equal(*jaws)
     assert still.head is None
     assert lively.head.shape == (120, 6)
     assert np.ptp(lively.head[:, 1]) > 0.5
@@ -403,7 +408,7 @@ def test_gain_scales_both_readings_around_rest(network):
         animate(recording(), model=network, gain={"jar": 2})
 
 
-@each(
+@pytest.mark.parametrize(
     ("arguments", "message"),
     [
         ({"emotion": "furious"}, "angry"),
@@ -428,7 +433,7 @@ def test_emotions_give_different_faces(default, voice):
             assert distance > 0.25, f"{a} and {b} are {distance:.3f} apart"
 
 
-@each(
+@pytest.mark.parametrize(
     ("emotion", "control"),
     [
         ("happy", "CTRL_L_mouth_cornerPull.ty"),
@@ -447,7 +452,7 @@ def test_action_unit_of_an_emotion_grows_with_intensity(default, voice, emotion,
     assert means[2] > means[0] + 0.15
 
 
-@each("emotion", EMOTIONAL)
+@pytest.mark.parametrize("emotion", EMOTIONAL)
 def test_closures_survive_double_intensity(default, voice, emotion):
     controls = default.controls
     lips = [i for i, name in enumerate(controls.names) if "lipsTogether" in name]
@@ -473,7 +478,7 @@ def test_a_shout_that_the_file_cuts_keeps_its_anger(default, voice):
     assert short[last, knit].mean() > 0.85 * whole[last, knit].mean() > 0.1
 
 
-@each("trail", [0.25, 1.0])
+@pytest.mark.parametrize("trail", [0.25, 1.0])
 def test_what_ends_in_silence_is_read_as_it_is(network, trail):
     prepared = prepare(recording(trail=trail), Acting(), lambda: network)
     assert prepared.inputs[0] is prepared.speech.waveform
@@ -492,7 +497,7 @@ def test_what_is_cut_is_read_on_backwards(network):
     assert performance.moods == ["fear"]
 
 
-@each("emotion", EMOTIONS)
+@pytest.mark.parametrize("emotion", EMOTIONS)
 def test_mouth_is_shut_in_silence(default, voice, emotion):
     acted = values(voice, emotion, model=default)
     opening = mouth_opening(acted, default.controls)

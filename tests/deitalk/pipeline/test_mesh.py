@@ -24,7 +24,6 @@ from rig.face import build_head
 from rig.mesh.glb import read_container
 from rig.mesh.glb_reader import read_accessor, read_glb
 from rig.retarget.retarget_files import RetargetReport
-from tests.each import each
 from tests.meshes import write_obj
 from tests.rig.retarget.test_retarget_files import ict
 
@@ -81,7 +80,7 @@ def corners_rise_mm(performance, neutral):
     return 10 * (performance.vertices - neutral.vertices)[:, corners, 1].mean()
 
 
-@each("emotion", ["neutral", "happy"])
+@pytest.mark.parametrize("emotion", ["neutral", "happy"])
 def test_lips_seal_at_bilabials(acted, emotion):
     assert_lips_seal(acted[emotion])
 
@@ -167,7 +166,7 @@ def test_sdfa_rejects_emotion_and_other_rates(sdfa_folder, speech):
         animate_mesh(speech, model=sdfa_folder, speaker="eve")
 
 
-@each("kind", ["curves", "mesh"])
+@pytest.mark.parametrize("kind", ["curves", "mesh"])
 def test_retarget_speech_follows_the_product_of_the_model(
     kind, sdfa_folder, network, speech, tmp_path, monkeypatch
 ):

@@ -15,7 +15,6 @@ from rig import read_curves
 from rig.errors import ExistsError, TargetError
 from rig.files import is_folder_name
 from tests.deitalk.pipeline.test_curves import network, recording
-from tests.each import each
 from tests.errors import one_line
 
 __all__ = ["network"]
@@ -26,7 +25,7 @@ def happy(network):
     return animate(recording(1.5), "happy", model=network, intensity=1.5)
 
 
-@each("name", ["take", "take.v2/", "Scene 1.2", "Scene 1.a b", "x.animation12"])
+@pytest.mark.parametrize("name", ["take", "take.v2/", "Scene 1.2", "Scene 1.a b", "x.animation12"])
 def test_save_writes_a_take_where_the_name_is_a_folder(tmp_path, happy, name):
     saved = happy.save(f"{tmp_path}/{name}")
     about = json.loads((saved / "take.json").read_text())
@@ -35,7 +34,7 @@ def test_save_writes_a_take_where_the_name_is_a_folder(tmp_path, happy, name):
     assert about["model"]["control_set"] == "metahuman-185@mh4"
 
 
-@each("name", ["c.csv", "c.JSON", "Scene 1.2.npz", "a.v2.unreal.json"])
+@pytest.mark.parametrize("name", ["c.csv", "c.JSON", "Scene 1.2.npz", "a.v2.unreal.json"])
 def test_save_writes_one_file_by_its_suffix(tmp_path, happy, name):
     saved = happy.save(tmp_path / name, fps=60)
     assert saved.is_file()
@@ -57,7 +56,7 @@ def test_save_names_the_model_it_was_given(tmp_path, happy):
     assert about["model"]["name"] == "live" and len(about["model"]["sha256"]) == 64
 
 
-@each(
+@pytest.mark.parametrize(
     ("name", "is_folder"),
     [
         ("a", True),
@@ -129,7 +128,9 @@ def test_performances_print_as_one_short_line(happy, network):
     )
 
 
-@each(("name", "files"), [("m.glb", None), ("m.npz", None), ("m.v2/", 6), ("frames", 6)])
+@pytest.mark.parametrize(
+    ("name", "files"), [("m.glb", None), ("m.npz", None), ("m.v2/", 6), ("frames", 6)]
+)
 def test_mesh_performance_saves_by_the_same_rule(tmp_path, network, name, files):
     performance = animate_mesh(recording(0.2), model=network)
     saved = performance.save(f"{tmp_path}/{name}")
@@ -140,7 +141,7 @@ def test_mesh_performance_saves_by_the_same_rule(tmp_path, network, name, files)
         performance.save(tmp_path / "m.fbx")
 
 
-@each(
+@pytest.mark.parametrize(
     ("arguments", "error", "message"),
     [
         ({"emotion": 3}, EmotionError, "emotion 3 is a int"),
@@ -169,7 +170,7 @@ def test_mesh_performance_saves_by_the_same_rule(tmp_path, network, name, files)
         ({"sample_rate": 48_000}, AudioError, "belongs to an array"),
     ],
 )
-@each("function", [animate, animate_mesh])
+@pytest.mark.parametrize("function", [animate, animate_mesh])
 def test_arguments_reject_other_types(network, function, arguments, error, message):
     given = {"audio": recording(0.2), "emotion": "happy", "model": network} | arguments
     with one_line(error, message):

@@ -11,9 +11,13 @@ from deitalk.audio.voice_activity import active_level_db, speech_activity
 from deitalk.emotions import IntensityCurve
 from deitalk.errors import AudioError
 from deitalk.models.protocol import Tracks, neutral_and_acted
-from deitalk.pipeline.speech import EFFORT_SHARE, PHRASE_FRAMES, Speech, measure_intensities
+from deitalk.pipeline.speech import (
+    EFFORT_SHARE,
+    PHRASE_FRAMES,
+    Speech,
+    measure_intensities,
+)
 from deitalk.research.evaluation.benchmark_curves import speechlike
-from tests.each import each
 
 
 @pytest.fixture(scope="module")
@@ -56,7 +60,7 @@ def test_activity_of_a_recording_is_measured_once(tmp_path, speech, monkeypatch)
     assert len(Speech.of_recording(longer).activity) == len(speech.activity) + 30
 
 
-@each("bad", [np.zeros(0), np.zeros((2, 9)), np.array([0, np.inf]), 1.0])
+@pytest.mark.parametrize("bad", [np.zeros(0), np.zeros((2, 9)), np.array([0, np.inf]), 1.0])
 def test_speech_rejects_what_is_no_row_of_finite_samples(bad):
     with pytest.raises(AudioError, match="one row of finite samples at 16 kHz"):
         Speech.of(bad)

@@ -14,7 +14,6 @@ from deitalk.pipeline.performance import FILES, write_take
 from rig import read_curves
 from rig.errors import ExistsError, TargetError
 from tests.deitalk.pipeline.test_curves import network, recording
-from tests.each import each
 from tests.unreal_live_link import import_csv
 
 __all__ = ["network"]
@@ -94,7 +93,7 @@ def test_write_take_rejects_edited_take(tmp_path, performance):
     assert (take / "intensity.csv").read_text() == "edited"
 
 
-@each("name", ["a.jpg", "take.json"])
+@pytest.mark.parametrize("name", ["a.jpg", "take.json"])
 def test_write_take_rejects_foreign_folder(tmp_path, performance, name):
     (tmp_path / "photos").mkdir()
     (tmp_path / "photos" / name).write_bytes(b"x")

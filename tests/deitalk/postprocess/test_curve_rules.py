@@ -18,7 +18,6 @@ from deitalk.postprocess.factors import (
 )
 from rig import default_controls
 from tests.deitalk.postprocess.stages import Stages
-from tests.each import each
 
 CONTROLS = default_controls()
 RULES = Stages(CONTROLS)
@@ -89,7 +88,7 @@ def test_contacts_are_never_lowered(seed, closed, applied):
     assert (blended[:, RULES.seals] >= neutral[:, RULES.seals]).all()
 
 
-@each("which", ["together", "bite"])
+@pytest.mark.parametrize("which", ["together", "bite"])
 def test_blend_does_not_part_closed_lips(which):
     neutral, emotional = readings()
     neutral[:, getattr(RULES, which)] = 0.8
@@ -180,7 +179,7 @@ def decided(curve: list[float]) -> np.ndarray:
     return values[:, place]
 
 
-@each(
+@pytest.mark.parametrize(
     ("height", "expected"),
     # odds of 0.5 and 0.2 against those of 0.25 are 3 and 3/4; to the fourth 81 and 81/256
     [(0, 0), (0.2, 81 / 337), (0.25, 0.5), (0.5, 81 / 82), (1, 1)],
@@ -196,7 +195,7 @@ def test_lips_part_between_two_contacts():
     assert between == pytest.approx(0.01501 * first, abs=1e-4)
 
 
-@each(
+@pytest.mark.parametrize(
     ("height", "share"),
     # shoulders at 0.72 and 0.96; odds of 0.8 against theirs are 14/9 and 1/6, to the fourth
     # 5.855 and 0.00077; a peak of 0.35 becomes (0.35/0.65 * 75/25)^4 = 6.809 to 1, 0.8719

@@ -10,7 +10,6 @@ from deitalk.postprocess.expressions import expression_table
 from deitalk.postprocess.factors import expression_scale
 from rig import default_controls
 from tests.deitalk.postprocess.stages import Stages
-from tests.each import each
 
 CONTROLS = default_controls()
 RULES = Stages(CONTROLS)
@@ -60,8 +59,8 @@ def test_pose_and_gain_are_those_of_the_table():
     np.testing.assert_allclose(happy[0, SMILE], 0.24 * gain, rtol=1e-5)
 
 
-@each("emotion", LABELS)
-@each("seed", range(3))
+@pytest.mark.parametrize("emotion", LABELS)
+@pytest.mark.parametrize("seed", range(3))
 def test_no_intensity_is_the_neutral_reading_and_more_goes_further_the_same_way(emotion, seed):
     neutral, emotional = readings(seed)
     steps = [expressed(neutral, emotional, emotion, k) - neutral for k in (0, 0.3, 0.6, 1, 1.5)]
@@ -71,7 +70,7 @@ def test_no_intensity_is_the_neutral_reading_and_more_goes_further_the_same_way(
         assert (more * less >= -1e-9).all()
 
 
-@each("emotion", LABELS[1:])
+@pytest.mark.parametrize("emotion", LABELS[1:])
 def test_closed_lips_stay_closed(emotion):
     neutral = CONTROLS.rest[None].astype(np.float32).copy()
     neutral[:, RULES.seals] = 1
@@ -80,7 +79,7 @@ def test_closed_lips_stay_closed(emotion):
     np.testing.assert_array_equal(curves[:, RULES.seals], neutral[:, RULES.seals])
 
 
-@each(
+@pytest.mark.parametrize(
     ("mood", "control", "pose"), [("fear", "mouth_stretch", 0.8), ("contempt", "mouth_dimple", 0.8)]
 )
 def test_corners_of_a_mood_stay_through_a_closure(mood, control, pose):

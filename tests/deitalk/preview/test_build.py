@@ -8,8 +8,6 @@ from types import ModuleType
 
 import pytest
 
-from tests.each import each
-
 HOOK = Path(__file__).resolve().parents[3] / "deitalk/preview/web/hatch_build.py"
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="npm is a shell script here")
 
@@ -82,7 +80,7 @@ def test_without_npm_node_is_a_requirement_of_the_build(hook, source, monkeypatc
     assert hook.PreviewPageHook(source, "sdist").dependencies() == [hook.NODE]
 
 
-@each("script", ["echo no network; exit 1", "exit 0"])
+@pytest.mark.parametrize("script", ["echo no network; exit 1", "exit 0"])
 def test_package_is_installed_without_a_page_where_npm_fails(hook, source, npm, script):
     npm(script)
     built, data = hook.PreviewPageHook(source), {"artifacts": [], "force_include": {}}

@@ -19,7 +19,6 @@ from rig.mesh.glb_reader import read_glb
 from rig.mesh.shapes import ShapeSet
 from rig.mesh.trimesh import TriMesh
 from tests.browser import chromium, numbers, opened
-from tests.each import each
 
 CORNERS = np.array([[-1, 0, 0], [1, 0, 0], [0, 1.5, 0], [0, 0.5, 0.5]], float)
 FACES = np.array([[0, 1, 3], [1, 2, 3], [2, 0, 3]])
@@ -191,7 +190,7 @@ BAD = {
 }  # fmt: skip
 
 
-@each(("data", "message"), BAD.values())
+@pytest.mark.parametrize(("data", "message"), BAD.values())
 def test_bad_files_are_refused_in_one_line(page, tmp_path, data, message):
     page.evaluate("deitalk.page.opener.close()")
     page.evaluate("document.querySelector('#notice').textContent = ''")

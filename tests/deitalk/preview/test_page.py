@@ -22,9 +22,10 @@ from deitalk.research.contact_sheet import EMOTION_POSES, MOUTH_POSES, pose_valu
 from rig import RigCurves, clamp, default_controls, gain
 from rig.errors import TargetError
 from rig.face import build_head
+from rig.face.identity import identity_of
+from rig.retarget.head_import import import_head
 from tests.browser import chromium, lateness, needs_player, numbers, opened
 from tests.command import ran
-from tests.each import each
 
 CONTROLS = default_controls()
 RATE = 16000
@@ -129,7 +130,9 @@ def test_missing_player_error_gives_the_build_steps(tmp_path, monkeypatch):
     assert not (tmp_path / "p.html").exists()
 
 
-@each(("name", "message"), [("p.txt", r"\.html file"), ("no/p.html", "is not a folder")])
+@pytest.mark.parametrize(
+    ("name", "message"), [("p.txt", r"\.html file"), ("no/p.html", "is not a folder")]
+)
 def test_bad_targets_are_refused(tiny_player, tmp_path, name, message):
     with pytest.raises((PreviewError, TargetError), match=message):
         render_page(make_source(), tmp_path / name)
@@ -196,6 +199,21 @@ def test_rig_of_the_page_equals_that_of_python(page):
         assert np.abs(posed - expected).max() < 0.01  # 0.1 mm
 
 
+def test_a_users_head_moves_in_the_page_as_in_python(browser, tmp_path):
+    from tests.rig.retarget.test_head_import import Face
+
+    import_head(Face().write(tmp_path / "mine.glb"), tmp_path / "mine.npz")
+    mine = identity_of(str(tmp_path / "mine.npz"))
+    render_page(make_source(), tmp_path / "p.html", identity=mine)
+    head, rng = build_head(mine), np.random.default_rng(12)
+    values = CONTROLS.minimum + (CONTROLS.maximum - CONTROLS.minimum) * rng.random((4, 185))
+    with opened(browser, tmp_path / "p.html") as tab:
+        for row, expected in zip(values, head.pose(values), strict=True):
+            posed = numbers(tab, "deitalk.page.pose(given)", row.tolist()).reshape(-1, 3)
+            assert np.abs(posed - expected).max() < 0.01  # 0.1 mm
+        assert not tab.complaints
+
+
 def test_buttons_of_the_studio_are_not_in_a_file(page):
     for name in ("#intake", "#pick", "#record", "#compare", "#hint"):
         assert not page.is_visible(name), name
@@ -206,7 +224,7 @@ def test_shown_frame_agrees_with_the_audio_clock(page):
     assert lateness(page, 0.034) <= 0.034
 
 
-@each("seconds", [0.4, 1.1, 2.5])
+@pytest.mark.parametrize("seconds", [0.4, 1.1, 2.5])
 def test_seeking_shows_the_curves_of_that_time(page, seconds):
     source, head = make_source("first"), build_head(0)
     page.evaluate("s => deitalk.page.seek(s)", seconds)
@@ -420,7 +438,9 @@ def test_text_of_the_notice_can_be_selected_and_a_click_closes_it(page):
     assert not page.is_visible("#notice")
 
 
-@each("files, words", [(["a.pdf"], "a.pdf: drop a"), (["a.wav", "b.wav"], "drop one"), ([], "")])
+@pytest.mark.parametrize(
+    "files, words", [(["a.pdf"], "a.pdf: drop a"), (["a.wav", "b.wav"], "drop one"), ([], "")]
+)
 def test_a_file_is_taken_and_text_falls_where_it_is_dropped(page, files, words):
     is_taken, notice = page.evaluate(
         """(files) => {
@@ -535,7 +555,7 @@ def test_held_space_starts_once_and_altgr_makes_brackets(page):
     assert page.evaluate("deitalk.page.transport.range") == pytest.approx([1, 2], abs=0.02)
 
 
-@each(
+@pytest.mark.parametrize(
     "given",
     [
         {"values": []},
@@ -620,7 +640,7 @@ def test_targets_are_at_least_24_pixels(page):
     assert [small for small in sizes if min(small[1:]) < 24] == []
 
 
-@each("scheme", ["dark", "light"])
+@pytest.mark.parametrize("scheme", ["dark", "light"])
 def test_placeholder_has_the_contrast_of_text(page, scheme):
     page.emulate_media(color_scheme=scheme)
     color, back = page.evaluate(

@@ -10,7 +10,9 @@ from deitalk.config.rules import KeepContacts
 from deitalk.postprocess.control_groups import ControlGroups
 from deitalk.preview.page import render_page
 from rig import default_controls
-from rig.curves.layers import Edit, Layer, apply_layers, parse_layers, read_layers
+from rig.curves.apply_layers import apply_layers
+from rig.curves.layer_files import parse_layers, read_layers
+from rig.curves.layers import Edit, Layer
 from tests.browser import chromium, needs_player, numbers, opened
 from tests.deitalk.preview.test_page import RESET, drag, make_source
 
@@ -130,6 +132,56 @@ def test_a_curve_is_dragged_at_a_frame_and_undone(page, source, tmp_path):
     page.keyboard.press("Control+y")
     assert page.locator("#layer-lane circle").count() == 3
     assert page.complaints == []
+
+
+def test_a_single_frame_is_dragged_alone_and_within_another_edit(page, source):
+    """With a reach of one frame a drag moves no other frame, of a control or a region."""
+    before, column = shown(page), BOARD.index(JAW)
+    lane = page.locator("#layer-lane")
+    lane.scroll_into_view_if_needed()
+    page.fill("#edit-reach", "1")
+    drag(page, place(page, source, 1.51, before[45, column]), place(page, source, 1.51, 0.9))
+    change = shown(page) - before
+    assert np.flatnonzero(np.abs(change).max(axis=1) > 1e-6).tolist() == [45]
+    assert change[45, column] == pytest.approx(0.9 - before[45, column], abs=0.03)
+    # Within a longer edit the frames beside it keep that edit's curve.
+    page.keyboard.press("Control+z")
+    longer = Layer(
+        (Edit(JAW, ((0.5, 0, 0, 0), (1.5, 0.4, 0, 0.1), (2.5, 0, 0, 0)), "offset", (0.5, 2.5)),)
+    )
+    page.evaluate("layers => deitalk.page.history.change({ layers })", [longer.tree()])
+    was = shown(page)
+    drag(
+        page,
+        place(page, source, 1.0, was[30, column]),
+        place(page, source, 1.0, was[30, column] - 0.1),
+    )
+    (layer,) = layers_of(page)
+    (edit,) = layer.edits
+    assert len(edit.keys) == 6 and edit.span == (0.5, 2.5)
+    change = shown(page) - was
+    assert np.flatnonzero(np.abs(change).max(axis=1) > 1e-4).tolist() == [30]
+    assert np.abs(shown(page) - python(source, [layer]).values).max() < 1e-5
+    # A region, and a drag to either side, go from frame to frame.
+    page.keyboard.press("Control+z")
+    page.evaluate("deitalk.page.workbench.layers.choose('nose')")
+    page.evaluate("deitalk.page.seek(2.0)")
+    page.click("#add-edit")
+    for _ in range(6):
+        page.keyboard.press("ArrowUp")
+    change = shown(page) - was
+    assert np.flatnonzero(np.abs(change).max(axis=1) > 1e-4).tolist() == [60]
+    assert set(np.flatnonzero(np.abs(change[60]) > 1e-4)) <= set(BOARD.subset("nose"))
+    page.fill("#edit-reach", "8")
+
+
+def test_an_edit_with_a_span_of_its_own_keeps_it(page, source):
+    given = Layer((Edit(JAW, ((1.0, 0.3, 0, 0),), "offset", (0.5, 2.0), (0.2, 0.2)),))
+    page.evaluate("layers => deitalk.page.history.change({ layers })", [given.tree()])
+    page.locator("#layer-lane circle").nth(0).focus()
+    page.keyboard.press("ArrowUp")
+    (edit,) = layers_of(page)[0].edits
+    assert edit.span == (0.5, 2.0) and edit.keys[0][1] > 0.3 and edit.ease == (0.2, 0.2)
 
 
 def test_points_are_moved_and_removed_by_keys(page, source):

@@ -18,7 +18,6 @@ from deitalk.preview.video import PANEL_HEIGHT, draw_frames, render_video
 from rig import RigCurves, default_controls, write_curves
 from rig.curves import snap_fps
 from rig.curves.rig_curves import NTSC
-from tests.each import each
 from tests.media import write_sound
 
 CONTROLS = default_controls()
@@ -113,7 +112,7 @@ def brightness(path) -> list[tuple[Fraction, float]]:
         ]
 
 
-@each("fps", [30.0, 25.0, NTSC, 23.976, 59.94])
+@pytest.mark.parametrize("fps", [30.0, 25.0, NTSC, 23.976, 59.94])
 def test_picture_i_is_at_i_over_fps_and_sound_starts_with_picture_0(tmp_path, monkeypatch, fps):
     small(monkeypatch)
     monkeypatch.setattr(video, "draw_frames", flat_frames)
@@ -151,7 +150,7 @@ def test_sound_of_an_odd_rate_keeps_its_time(tmp_path, monkeypatch):
 HERE = [name for name, _ in video.ENCODERS if name in av.codecs_available]
 
 
-@each("name", HERE)
+@pytest.mark.parametrize("name", HERE)
 def test_every_encoder_of_this_installation_keeps_the_pictures_in_time(tmp_path, name):
     options = dict(video.ENCODERS)[name]
     frames = (np.full((96, 128, 3), 20 + 10 * k, np.uint8) for k in range(15))
@@ -178,7 +177,7 @@ def test_missing_encoder_is_one_line_before_the_source_is_read(tmp_path, monkeyp
         render_video(tmp_path / "not there", tmp_path / "v.mp4")
 
 
-@each(
+@pytest.mark.parametrize(
     ("name", "error", "message"),
     [
         ("p.html", MissingError, "has no preview page"),
@@ -204,7 +203,7 @@ def test_commands_check_for_the_page_before_any_work(tmp_path, monkeypatch):
         assert "has no preview page" in str(done.exception)
 
 
-@each("command", ["animate"])
+@pytest.mark.parametrize("command", ["animate"])
 def test_commands_check_for_matplotlib_before_any_work(tmp_path, monkeypatch, command):
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     monkeypatch.setattr("deitalk.audio.load.open_sound", None)

@@ -17,7 +17,6 @@ from deitalk.preview.speech_warnings import (
 from deitalk.research.contact_sheet import MOUTH_POSES, pose_values
 from rig import RigCurves, default_controls, write_curves
 from rig.face import build_head
-from tests.each import each
 
 CONTROLS = default_controls()
 JAW = CONTROLS.index("CTRL_C_jaw.ty")
@@ -41,7 +40,7 @@ def speaking(late_frames: float, fps: float = 30.0, rate: int = 16000) -> Previe
     return PreviewSource("talk", RigCurves(values, CONTROLS.names, fps), sound, rate)
 
 
-@each(
+@pytest.mark.parametrize(
     ("late", "word", "fps", "rate"),
     [(6, "late", 30, 16000), (-6, "early", 30, 16000), (12, "late", 60, 44100)],
 )
@@ -52,7 +51,7 @@ def test_shifted_curves_are_reported_with_their_shift(late, word, fps, rate):
     assert milliseconds == pytest.approx(200, abs=34)  # within two steps of 1/60 s
 
 
-@each("late", [0, 1, -1])
+@pytest.mark.parametrize("late", [0, 1, -1])
 def test_curves_in_time_are_not_reported(late):
     assert find_warnings(speaking(late)) == []
 

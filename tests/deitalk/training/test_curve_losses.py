@@ -18,7 +18,6 @@ from deitalk.training.curve_losses import (
     total_loss,
     velocity_loss,
 )
-from tests.each import each
 
 
 def test_contrast_of_a_batch_of_two_by_hand():
@@ -117,7 +116,9 @@ def test_default_weights_are_those_of_equation_eight():
     assert float(parts["total"]) == pytest.approx(float(expected), rel=1e-6)
 
 
-@each(("name", "value"), [("position", 6.5), ("velocity", 13.0), ("intensity", 0.16)])
+@pytest.mark.parametrize(
+    ("name", "value"), [("position", 6.5), ("velocity", 13.0), ("intensity", 0.16)]
+)
 def test_every_weight_multiplies_its_part(name, value):
     nothing = dict.fromkeys(("contrast", "classification", "position", "velocity"), 0.0)
     parts = total(LossConfig(**(nothing | {name: 3.0})), *example())

@@ -18,7 +18,7 @@ from deitalk.cli.console import name_option
 from deitalk.config.finetuning import FinetuneConfig
 from deitalk.config.rig_file import read_controls
 from deitalk.data.clips import read_clips
-from deitalk.data.windows import Share
+from deitalk.data.seeded_batches import Share
 from deitalk.errors import CheckpointError, ConfigError, DataError
 from deitalk.evaluation.captures import warnings_of
 from deitalk.evaluation.comparison import CaptureSet
@@ -32,7 +32,6 @@ from rig import RigCurves, read_curves, write_curves
 from tests.command import ran
 from tests.dataset import FPS, JAW, jaw, write_dataset
 from tests.deitalk.training.conftest import CONTROLS, recipe
-from tests.each import each
 from tests.errors import one_line
 
 TINY = Path(__file__).resolve().parents[3] / "configs" / "tiny.yaml"
@@ -78,7 +77,7 @@ def tuned(base, data, tmp_path_factory) -> Callable[[str], Path]:
     return make
 
 
-@each(
+@pytest.mark.parametrize(
     ("part", "expected"),
     [
         ("head", {"decoder.output"}),
@@ -169,7 +168,7 @@ def test_rehearsed_speech_has_the_curves_of_the_base_as_targets(base, data, tmp_
     assert load_model(tmp_path / "small").rules == load_model(tmp_path / "run/best").rules
 
 
-@each("part", ["decoder", "head"])
+@pytest.mark.parametrize("part", ["decoder", "head"])
 def test_resumed_run_equals_the_uninterrupted_one(base, data, tuned, tmp_path, part):
     config = of_part(base, part)
 
@@ -262,7 +261,7 @@ def test_actors_keep_their_last_layers_where_a_tuned_model_is_tuned(
         assert torch.equal(new[:2], old) and not new[2].any()
 
 
-@each(
+@pytest.mark.parametrize(
     ("text", "match"),
     [
         ("id: a\ncontrols: {x: {rest: 2}}", "rest"),

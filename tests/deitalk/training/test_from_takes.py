@@ -2,10 +2,10 @@
 
 import json
 
+import pytest
 from typer.testing import CliRunner
 
 from deitalk.cli import app
-from tests.each import each
 from tests.takes import write_live_link
 
 
@@ -33,8 +33,8 @@ def tune(base, data, out, steps=2) -> tuple[int, str]:
     return run("finetune", data, "-o", out, *(part for s in given for part in ("--set", s)))
 
 
-@each("steps", [0, 2])
-@each("seconds", [(32,), (6, 6.5, 7)])
+@pytest.mark.parametrize("steps", [0, 2])
+@pytest.mark.parametrize("seconds", [(32,), (6, 6.5, 7)])
 def test_takes_that_are_imported_are_sound_and_tune_a_model(base, tmp_path, seconds, steps):
     data, out = tmp_path / "data", tmp_path / "run"
     for code, text in (import_takes(tmp_path / "takes", seconds, data), run("data", "check", data)):

@@ -9,7 +9,6 @@ from torch import nn
 from deitalk.config.curves import Config
 from deitalk.config.load import parse_config
 from deitalk.training.optimizer import new_scheduler, restore_buffers, update_average
-from tests.each import each
 
 
 def rates(schedule: str, total: int = 100) -> list[float]:
@@ -42,7 +41,7 @@ def normalised(value: float) -> nn.BatchNorm1d:
     return layer
 
 
-@each(
+@pytest.mark.parametrize(
     ("step", "decay", "expected"),
     [(0, 0.99, 9.2), (8, 0.99, 6.0), (10**6, 0.99, 2.08), (10**6, None, 10.0)],
 )

@@ -7,7 +7,6 @@ import torch
 from deitalk.models.rig_decoder import RigDecoder
 from deitalk.training.tuning import ridge
 from deitalk.training.tuning.ridge import Capture, fit_ridge, take_folds
-from tests.each import each
 
 EVERY = np.ones(2, bool)
 
@@ -88,6 +87,30 @@ def test_a_stranger_to_three_actors_gets_what_they_share(rng, monkeypatch):
         assert found.bias[0, 2] + found.bias[place + 1, 2] == pytest.approx(bias[2], abs=0.1)
 
 
+def test_conventions_have_penalties_of_their_own_and_their_mean_without_a_name(rng, monkeypatch):
+    """One follows the features, the second the same with the other sign, the third none of them:
+    only the noise of the third is held. None is a new actor, for whom nothing is shared."""
+    monkeypatch.setattr(ridge, "SHARED", (0.01, 100.0))
+    monkeypatch.setattr(ridge, "OWN", (0.01, 1.0))
+    weights = {"a-1": 1.0, "a-2": -0.5, "a-3": 0.0}
+    maps = {name: (np.full((5, 1), w), np.zeros(1)) for name, w in weights.items()}
+    labels, rows = captures(rng, maps, frames=40)
+    labels = [label._replace(known=np.ones(1, bool)) for label in labels]
+    rows = [
+        (x, y if label.actor != "a-3" else rng.normal(size=y.shape).astype(np.float32))
+        for label, (x, y) in zip(labels, rows, strict=True)
+    ]
+    one = np.ones(1, bool)
+    found = fit_ridge(labels, rows.__getitem__, tuple(weights), one, new_actors=False)
+    own = (found.weight[0] + found.weight[1:])[:, 0]
+    np.testing.assert_allclose(own[0], 1, atol=0.05)
+    np.testing.assert_allclose(own[1], -0.5, atol=0.05)
+    assert np.abs(own[2]).max() < 0.02
+    np.testing.assert_allclose(found.weight[0, 0], own.mean(axis=0), atol=1e-9)
+    new = fit_ridge(labels, rows.__getitem__, tuple(weights), one).weight[0, 0]
+    assert np.abs(new).max() < 0.1
+
+
 def test_penalty_is_that_which_predicts_takes_best(rng, monkeypatch):
     """The first control follows the features, the second is noise: held, but for its mean."""
     monkeypatch.setattr(ridge, "SHARED", (0.001, 100.0))
@@ -95,8 +118,8 @@ def test_penalty_is_that_which_predicts_takes_best(rng, monkeypatch):
     labels, rows = captures(rng, {"ann": (weight, np.array([0.0, 4.0]))}, frames=30)
     rows = [(x, y + np.float32([0, 1]) * rng.normal(size=y.shape).astype("f4")) for x, y in rows]
     found = fit_ridge(labels, rows.__getitem__, (), EVERY)
-    assert found.penalty[0, 0] == 0.001 and found.penalty[1, 0] == 100
     np.testing.assert_allclose(found.weight[0, 0], 1, atol=0.01)
+    assert np.abs(found.weight[0, 1]).max() < 0.02
     mean = np.concatenate([x for x, _ in rows]).mean(axis=0) @ found.weight[0, 1] + found.bias[0, 1]
     assert mean == pytest.approx(np.concatenate([y for _, y in rows])[:, 1].mean(), abs=1e-3)
 
@@ -113,7 +136,7 @@ def test_clips_teach_only_what_they_show(rng):
     assert not none.weight[:, 0].any() and not none.bias[:, 0].any()
 
 
-@each("n_first", [2, 5, 6])
+@pytest.mark.parametrize("n_first", [2, 5, 6])
 def test_clips_that_are_added_are_read_alone(rng, n_first):
     """Unless the clips before them are in other folds with them."""
     maps = {"ann": (rng.normal(size=(5, 2)), np.zeros(2))}
@@ -181,7 +204,7 @@ def test_a_control_that_no_map_predicts_better_may_stay_as_it_is(rng):
     swing = np.float32([[1, 0, 0], [-1, 0, 0]] * 1000)
     rows = [(x, y + swing) for x, y in rows]
     found = fit_ridge(labels, rows.__getitem__, (), np.ones(3, bool), may_stay=True)
-    assert np.isinf(found.penalty[:, 0]).tolist() == [True, False, False]
+    assert found.stays.tolist() == [True, False, False]
     assert not found.weight[:, 0].any() and not found.bias[:, 0].any()
     assert all(not held.weight[:, 0].any() for held in found.held)
 

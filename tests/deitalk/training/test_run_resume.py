@@ -20,7 +20,6 @@ from rig.errors import TargetError
 from tests.dataset import write_dataset
 from tests.deitalk.models.test_mesh_model import LIPS, sheet, spoken
 from tests.deitalk.models.test_mesh_model import tiny as tiny_sdfa
-from tests.each import each
 from tests.errors import one_line
 from tests.interrupt import count_writes, kill_at_write
 
@@ -176,7 +175,7 @@ def test_training_rejects_a_folder_in_use(data, run):
     train_curves(tiny(), data, run, resume=True, progress=again)
 
 
-@each(
+@pytest.mark.parametrize(
     ("text", "kept"),
     [
         ("", None),
@@ -205,7 +204,7 @@ def test_killed_log_has_no_header_without_a_row(tmp_path):
         assert not path.exists() or path.read_text() == "step,total\n25,1\n"
 
 
-@each(
+@pytest.mark.parametrize(
     ("data", "message"),
     [(b"step,total\nmine,1\n", "line 2 does not begin with a step"), (b"\xff\n", "no UTF-8 text")],
 )

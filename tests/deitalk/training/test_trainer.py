@@ -14,7 +14,7 @@ from torch import Tensor, nn
 
 from deitalk.config.curves import Config
 from deitalk.config.load import parse_config
-from deitalk.data.windows import SeededBatches, Share
+from deitalk.data.seeded_batches import SeededBatches, Share
 from deitalk.errors import ConfigError, DataError
 from deitalk.evaluation.clips_figure import ClipRows, Row
 from deitalk.training import trainer as module
@@ -22,7 +22,6 @@ from deitalk.training.several_processes import new_accelerator
 from deitalk.training.trainer import MAX_BAD_STEPS, Task, Trainer, run_training
 from rig.files import output_folder
 from tests.deitalk.training.conftest import killed_at
-from tests.each import each
 
 SLOPE = 2.0
 """Of the line that is learnt."""
@@ -127,7 +126,7 @@ def test_line_is_learnt_and_the_loss_is_logged(tmp_path):
     assert (metrics["learning_rate"] == 0.05).all()
 
 
-@each("workers", [0, 2])
+@pytest.mark.parametrize("workers", [0, 2])
 def test_resumed_run_has_the_weights_of_an_uninterrupted_one(tmp_path, workers):
     """The order of batches, dropout, averages, running means and the state beside the model."""
     settings = config(ema=0.8, schedule="one_cycle", workers=workers)
@@ -266,7 +265,7 @@ def test_other_processes_neither_write_nor_evaluate(tmp_path, monkeypatch):
     assert task.seen[0] == whole.x[1].item(), "its share of the first batch"
 
 
-@each("workers", [0, 1])
+@pytest.mark.parametrize("workers", [0, 1])
 def test_fault_in_the_data_is_one_line_from_any_process(tmp_path, monkeypatch, workers):
     def fails(self: Line, number: int) -> Point:
         raise DataError(f"clip {number}: mend it")

@@ -3,7 +3,6 @@ import pytest
 
 from rig import Control, ControlSet, default_controls
 from rig.errors import ControlError
-from tests.each import each
 
 CONTROLS = default_controls()
 
@@ -25,7 +24,7 @@ def test_two_channels_exist_exactly_where_unreal_has_a_vector():
     assert sum(len(channels) == 2 for channels in by_control.values()) == 14
 
 
-@each(
+@pytest.mark.parametrize(
     ("name", "size"),
     [("lip", 86), ("upper_face", 18), ("lip_no_sticky", 86), ("upper_face_gaze", 18), ("all", 185)],
 )
@@ -77,7 +76,7 @@ def test_mirror_negates_sideways_values_and_keeps_the_jaw_opening():
     assert sign["CTRL_C_jaw.ty"] == sign["CTRL_L_mouth_corner.tx"] == 1
 
 
-@each(
+@pytest.mark.parametrize(
     ("spelling", "name"),
     [
         ("CTRL_C_jaw.Y", "CTRL_C_jaw.ty"),
@@ -156,7 +155,7 @@ def test_set_is_read_from_the_header_of_curves(tmp_path):
     )
 
 
-@each(
+@pytest.mark.parametrize(
     ("text", "message"),
     [
         ("frame,time,a,a\n", "'a' occurs twice"),

@@ -20,7 +20,6 @@ from rig.conversion.arkit import (
 )
 from rig.conversion.convert import convert
 from rig.errors import ControlError
-from tests.each import each
 
 ARKIT = arkit_controls()
 SHAPES = ARKIT.names[:52]
@@ -58,8 +57,8 @@ def test_apple_spelling_resolves():
     assert ARKIT.canonical("mouthSmileLeft") == "MouthSmileLeft"
 
 
-@each("strength", [0.1, 0.6, 1.0])
-@each("name", POSED)
+@pytest.mark.parametrize("strength", [0.1, 0.6, 1.0])
+@pytest.mark.parametrize("name", POSED)
 def test_each_posed_shape_is_recovered(name, strength):
     fit = raw_to_arkit(arkit_to_raw(arkit(**{name: strength})))
     assert fit.curves.values[:, :52] == pytest.approx(

@@ -11,7 +11,6 @@ from rig.conversion.shape_fit import bounded_fit, shape_key
 from rig.errors import FormatError
 from rig.retarget.blendshapes import match_shapes
 from rig.retarget.mapping_files import read_mapping, write_mapping
-from tests.each import each
 
 
 def raw(*frames):
@@ -34,7 +33,7 @@ def shown(avatar, frame):
 TOGETHER = {f"mouthLipsTogether{half}": 1.0 for half in ("UL", "UR", "DL", "DR")}
 
 
-@each(
+@pytest.mark.parametrize(
     ("spelling", "name"),
     [
         ("Face.M_F00_000_00_Fcl_MTH_A", "Fcl_MTH_A"),
@@ -55,7 +54,7 @@ def test_spellings_of_one_shape_have_one_pose(spelling, name):
     assert poses[0].any() and (poses[0] == poses[1]).all() and visemes[0] == visemes[1]
 
 
-@each("avatar", AVATARS)
+@pytest.mark.parametrize("avatar", AVATARS)
 def test_names_of_a_set_are_one_each_and_have_a_pose(avatar):
     names = avatar_controls(avatar).names
     assert len({shape_key(name) for name in names}) == len(names)
@@ -64,7 +63,7 @@ def test_names_of_a_set_are_one_each_and_have_a_pose(avatar):
     assert still <= {"Mouth_Close", "viseme_sil", "vrc.v_sil"}
 
 
-@each("avatar", AVATARS)
+@pytest.mark.parametrize("avatar", AVATARS)
 def test_one_shape_comes_back_as_itself(avatar):
     """Weight .6 of each shape to raw curves and back: its poses are shown without a loss."""
     names = avatar_controls(avatar).names

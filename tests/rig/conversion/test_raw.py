@@ -6,7 +6,6 @@ from hypothesis.extra import numpy as hnp
 
 from rig import RigCurves, default_controls, rest_curves
 from rig.conversion.arkit import RAW_ID, board_to_raw, raw_controls, raw_to_board
-from tests.each import each
 
 BOARD = default_controls()
 
@@ -49,7 +48,7 @@ def test_rest_is_converted_to_rest():
     assert rest.values == pytest.approx(rest_curves(1).values)
 
 
-@each(
+@pytest.mark.parametrize(
     ("channel", "value", "expected"),
     [
         ("CTRL_C_jaw__ty", 0.5, {"jawOpen": 0.5}),

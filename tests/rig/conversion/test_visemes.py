@@ -18,7 +18,6 @@ from rig.conversion.avatars import (
     weights,
 )
 from rig.errors import FormatError
-from tests.each import each
 
 
 def frames(**amounts):
@@ -37,7 +36,7 @@ def test_sets_have_the_documented_names():
     assert names(RHUBARB) == tuple("ABCDEFGHX")
 
 
-@each(
+@pytest.mark.parametrize(
     ("amounts", "oculus", "rhubarb"),
     [
         ({}, "sil", "X"),
@@ -104,7 +103,7 @@ def test_rhubarb_json_has_the_documented_schema(tmp_path):
         assert set(cue) == {"start", "end", "value"} and cue["value"] in "ABCDEFGHX"
 
 
-@each("suffix", ["tsv", "rhubarb.json"])
+@pytest.mark.parametrize("suffix", ["tsv", "rhubarb.json"])
 def test_cues_read_back_to_the_same_mouth(tmp_path, suffix):
     _, curves = speech()
     write_curves(tmp_path / f"c.{suffix}", curves)
@@ -121,7 +120,7 @@ def test_visemes_json_has_the_documented_schema(tmp_path):
     assert np.sum(data["values"], axis=1) == pytest.approx(1, abs=1e-3)
 
 
-@each(
+@pytest.mark.parametrize(
     ("name", "text", "message"),
     [
         ("c.tsv", "0.00 X\n", "a time, a tab and a shape"),

@@ -4,7 +4,6 @@ import pytest
 from rig import RigCurves, clamp, default_controls, gain, rest_curves, smooth
 from rig.curves.edit import parse_gains
 from rig.errors import ControlError, CurveError
-from tests.each import each
 from tests.errors import one_line
 
 JAW = "CTRL_C_jaw.ty"
@@ -69,7 +68,7 @@ def test_gains_are_read_from_a_text():
     assert parse_gains({"jaw": 2}) == {"jaw": 2} and parse_gains(None) == {}
 
 
-@each(
+@pytest.mark.parametrize(
     ("text", "message"),
     [
         ("brow", "NAME=FACTOR"),
@@ -120,7 +119,7 @@ def test_constant_curves_and_zero_width_stay():
     assert smooth(curves, 0.0) is curves
 
 
-@each("seconds", [-0.1, float("nan"), float("inf")])
+@pytest.mark.parametrize("seconds", [-0.1, float("nan"), float("inf")])
 def test_smooth_rejects_invalid_widths(seconds):
     with pytest.raises(CurveError, match="finite time of 0 or more"):
         smooth(rest_curves(3), seconds)

@@ -8,7 +8,6 @@ from hypothesis import strategies as st
 from rig import RigCurves, concatenate, default_controls, frames_to_time, rest_curves
 from rig.curves import n_frames_for, snap_fps, time_to_frames
 from rig.errors import ControlError, CurveError
-from tests.each import each
 
 JAW = "CTRL_C_jaw.ty"
 
@@ -23,7 +22,7 @@ def test_frame_i_is_at_i_over_fps():
     assert jaw(np.zeros(90)).duration == pytest.approx(3.0)
 
 
-@each(
+@pytest.mark.parametrize(
     ("seconds", "fps", "frames"),
     [
         (1.0, 30, 30),
@@ -38,7 +37,7 @@ def test_a_clip_has_the_ceiling_of_its_frames(seconds, fps, frames):
     assert n_frames_for(seconds, fps=fps) == frames
 
 
-@each(
+@pytest.mark.parametrize(
     ("given_fps", "meant"),
     [(29.97, 30000 / 1001), (23.976, 24000 / 1001), (59.94, 60000 / 1001), (30, 30), (29.9, 29.9)],
 )
@@ -46,7 +45,7 @@ def test_broadcast_rates_are_exact_fractions(given_fps, meant):
     assert snap_fps(given_fps) == meant
 
 
-@each("fps", [0, -1, np.nan, np.inf, 1001])
+@pytest.mark.parametrize("fps", [0, -1, np.nan, np.inf, 1001])
 def test_curves_reject_invalid_rates(fps):
     with pytest.raises(CurveError, match=r"must be from 0\.01 to 1000"):
         jaw([0.0], fps=fps)
@@ -162,7 +161,7 @@ def test_rest_curves_are_the_rest_values():
     assert (rest.values == default_controls().rest).all() and rest.fps == 25
 
 
-@each(
+@pytest.mark.parametrize(
     ("fields", "message"),
     [
         ({"values": np.zeros(3)}, r"values has shape \(3,\); it must be \(frames, 1\)"),
@@ -222,7 +221,7 @@ def test_mirrored_head_turns_to_the_other_side():
     np.testing.assert_allclose(mirrored[0], [-10, -5, -2, -0.1, 0.2, 0.3])
 
 
-@each("head", [np.zeros((2, 3)), np.full((2, 6), np.nan), np.zeros((3, 6))])
+@pytest.mark.parametrize("head", [np.zeros((2, 3)), np.full((2, 6), np.nan), np.zeros((3, 6))])
 def test_head_track_rejects_other_shapes_and_nan(head):
     with pytest.raises(CurveError, match="head"):
         replace(rest_curves(2), head=head)

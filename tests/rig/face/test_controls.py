@@ -8,7 +8,6 @@ import pytest
 from deitalk.research.contact_sheet import pose_values
 from rig import default_controls
 from rig.face import build_head
-from tests.each import each
 
 CONTROLS = default_controls()
 X, Y, Z = 0, 1, 2
@@ -205,7 +204,7 @@ CASES = [(f"CTRL_L_{stem}", *rest) for stem, rest in SIDED.items()] + [
 ]
 
 
-@each(("name", "landmark", "axis", "plus", "minus"), CASES)
+@pytest.mark.parametrize(("name", "landmark", "axis", "plus", "minus"), CASES)
 def test_control_moves_its_landmark_in_its_direction(
     head, landmarks, name, landmark, axis, plus, minus
 ):
@@ -220,7 +219,7 @@ def test_control_moves_its_landmark_in_its_direction(
             assert sign * moved > 0.015, f"{name}={value} moves {landmark} by {moved:.3f} cm"
 
 
-@each("stem", [*SIDED, "eye_pupil.ty"])
+@pytest.mark.parametrize("stem", [*SIDED, "eye_pupil.ty"])
 def test_sided_control_moves_its_own_side(head, stem):
     x = head.mesh.vertices[:, 0]
     for side, sign in (("L", 1), ("R", -1)):
@@ -247,7 +246,7 @@ def test_thick_tongue_is_taller(head):
     assert height(-1) < height(0) < height(1)
 
 
-@each("lip", ["U", "D"])
+@pytest.mark.parametrize("lip", ["U", "D"])
 def test_lips_together_moves_its_own_lip(head, lip):
     moved = motion(head, f"*mouth_lipsTogether{lip}.ty", 1.0, OPEN)
     upper, lower = (
@@ -257,7 +256,7 @@ def test_lips_together_moves_its_own_lip(head, lip):
     assert (upper < -0.1 and abs(lower) < 0.02) if lip == "U" else (lower > 0.1 > abs(upper) * 5)
 
 
-@each(("names", "at"), [
+@pytest.mark.parametrize(("names", "at"), [
     (("L_mouth_stickyInner",), 0.45), (("L_mouth_stickyOuter",), 0.85), (("C_mouth_sticky",), 0.0),
 ])  # fmt: skip
 def test_sticky_closes_its_part_of_the_lips(head, names, at):

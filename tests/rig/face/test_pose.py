@@ -9,7 +9,8 @@ from deitalk.research.contact_sheet import EMOTION_POSES, MOUTH_POSES, pose_valu
 from rig import default_controls
 from rig.errors import RigError
 from rig.face import IDENTITIES, build_head
-from rig.face.head import DATA, GAZE_DEGREES
+from rig.face.head import GAZE_DEGREES
+from rig.face.head_file import DATA
 
 CONTROLS = default_controls()
 PEOPLE = [person.name for person in IDENTITIES]
@@ -57,6 +58,16 @@ def test_seal_closes_the_lips_in_any_pose(person, share):
             values[:, CONTROLS.index(name)] = 1
     head = build_head(person)
     assert head.lip_gaps(head.pose(values)).max() < (0.03 if share < 0.2 else 0.05)  # cm
+
+
+@pytest.mark.parametrize("person", PEOPLE)
+@pytest.mark.parametrize("amount", [0.8, 0.9, 0.97, 1.0])
+def test_lips_that_are_nearly_together_are_shut(person, amount):
+    """Contacts of a take end below 1: 0.3 mm of gap from 0.8 on, over the jaw of speech."""
+    lips = {"*mouth_lipsTogetherU.ty": amount, "*mouth_lipsTogetherD.ty": amount}
+    jaws = np.stack([pose_values({**lips, "CTRL_C_jaw.ty": jaw}) for jaw in (0.05, 0.15, 0.3)])
+    head = build_head(person)
+    assert head.lip_gaps(head.pose(jaws)).max() < 0.03  # cm
 
 
 @pytest.mark.parametrize("person", PEOPLE)

@@ -1,15 +1,15 @@
 """Turn of the head: hand-worked axes and signs."""
 
 import numpy as np
+import pytest
 
 from rig.face import build_head
 from rig.face.head_pose import JOINT, matrices, neck_share, quaternions, turned
-from tests.each import each
 
 LEFT, UP, FORWARD = np.eye(3)
 
 
-@each(
+@pytest.mark.parametrize(
     ("turn", "before", "after"),
     [
         ([90, 0, 0], FORWARD, -LEFT),  # yaw to the character's right

@@ -27,7 +27,6 @@ from rig.files import (
 )
 from rig.files import folder as folders
 from rig.files.folder import MANIFEST
-from tests.each import each
 from tests.errors import one_line
 from tests.written import changed_files
 
@@ -141,7 +140,7 @@ def test_check_file_rejects_existing_file_and_input(tmp_path):
         check_file(path, force=True, inputs=(link,))
 
 
-@each("place", [".", "..", "/", "~", "link", "file", "file/below", "/proc"])
+@pytest.mark.parametrize("place", [".", "..", "/", "~", "link", "file", "file/below", "/proc"])
 def test_check_folder_rejects_places_never_filled(tmp_path, monkeypatch, place):
     home = tmp_path / "home"
     here = tmp_path / "work/here"
@@ -161,7 +160,7 @@ def test_check_folder_rejects_places_never_filled(tmp_path, monkeypatch, place):
         pass
 
 
-@each("force", [False, True])
+@pytest.mark.parametrize("force", [False, True])
 def test_check_folder_rejects_foreign_folder(tmp_path, force):
     (tmp_path / "take").mkdir()
     check_folder(tmp_path / "take", kind="take", force=force)  # empty
@@ -192,7 +191,7 @@ def test_check_folder_rejects_other_kind_input_and_edited_file(tmp_path):
         check_folder(take, kind="take", force=True)
 
 
-@each("text", ["", "[]", "{}", "{" * 5000, '{"schema": 1, "files": 3}'])
+@pytest.mark.parametrize("text", ["", "[]", "{}", "{" * 5000, '{"schema": 1, "files": 3}'])
 def test_check_folder_rejects_damaged_manifest(tmp_path, text):
     fill(tmp_path / "take", {"a": "1"})
     (tmp_path / "take" / MANIFEST).write_text(text)
@@ -239,7 +238,7 @@ def test_output_folder_keeps_foreign_file_of_a_new_name(tmp_path):
     assert content(take) == {"curves.csv": "1", "preview.mp4": "mine"}
 
 
-@each("exists", [False, True])
+@pytest.mark.parametrize("exists", [False, True])
 def test_output_folder_is_as_before_after_an_error(tmp_path, exists):
     take = tmp_path / "take"
     if exists:
@@ -347,7 +346,7 @@ def test_recover_keeps_file_edited_after_the_kill(tmp_path, monkeypatch):
     assert content(take) == {"a": "new", "b": "edited by the user"}
 
 
-@each(
+@pytest.mark.parametrize(
     "journal",
     [
         "",
@@ -373,7 +372,7 @@ def test_recover_rejects_journal_that_leaves_its_folder(tmp_path, journal):
     assert not (take / "secret").exists()
 
 
-@each("side", ["staged", "target", "removed"])
+@pytest.mark.parametrize("side", ["staged", "target", "removed"])
 def test_recover_follows_no_linked_subfolder(tmp_path, side):
     take, outside = tmp_path / "take", tmp_path / "outside"
     fill(take, {"a": "1"})
@@ -421,7 +420,7 @@ def holder(target, seconds):
     return process
 
 
-@each("exists", [False, True])
+@pytest.mark.parametrize("exists", [False, True])
 def test_claim_rejects_a_second_process(tmp_path, exists):
     take = tmp_path / "take"
     if exists:

@@ -3,8 +3,9 @@
 import os
 from pathlib import Path
 
+import pytest
+
 from rig.files import output_folder
-from tests.each import each
 from tests.written import changed_files
 
 OLD = {"a.csv": "old", "b.csv": "old", "gone.csv": "old"}
@@ -21,7 +22,7 @@ def visible(folder: Path) -> dict[str, str]:
     return {path.name: path.read_text() for path in folder.glob("[!.]*")}
 
 
-@each("when", ["before", "after"])
+@pytest.mark.parametrize("when", ["before", "after"])
 def test_interrupted_replacement_leaves_the_old_or_new_folder_and_no_hidden_files(
     when, tmp_path, monkeypatch
 ):

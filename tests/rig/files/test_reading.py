@@ -21,7 +21,6 @@ from rig.files.reading import (
     read_npz,
     read_text,
 )
-from tests.each import each
 from tests.errors import one_line
 
 
@@ -56,7 +55,7 @@ def test_named_pipe_never_blocks(tmp_path):
     assert messages and "pipe is a named pipe, not a file" in messages[0]
 
 
-@each(
+@pytest.mark.parametrize(
     ("name", "words"),
     [("absent", "does not exist"), (".", "is a folder"), ("empty", "is empty"), ("a\0b", "cannot read")],
 )  # fmt: skip
@@ -72,7 +71,7 @@ def test_read_bytes_rejects_devices():
     assert "is a device" in refused(read_bytes, Path("/dev/zero"), 99)
 
 
-@each("encoding", ["utf-8", "utf-8-sig", "utf-16", "utf-16-le", "utf-16-be"])
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "utf-16-le", "utf-16-be"])
 def test_text_is_read_in_every_encoding_with_a_mark(tmp_path, encoding):
     mark = {"utf-16-le": b"\xff\xfe", "utf-16-be": b"\xfe\xff"}.get(encoding, b"")
     (tmp_path / "a").write_bytes(mark + "time; Zürich €".encode(encoding))
@@ -96,7 +95,7 @@ def test_json_at_the_nesting_limit_is_read_and_above_is_not():
     assert "nests 100000 levels" in refused(load_json, "[" * 100_000, "a")
 
 
-@each(
+@pytest.mark.parametrize(
     ("value", "depth"),
     [(1, 0), ([], 1), ({"a": [1, {"b": []}]}, 4), (["[[[", {"]": '"[['}, "\\"], 2), (['\\"[[[', []], 2)],
 )  # fmt: skip
@@ -105,7 +104,7 @@ def test_depth_counts_brackets_outside_strings(value, depth):
     assert load_json(json.dumps(value), "a") == value
 
 
-@each("text", ["NaN", '{"a": -Infinity}', "{", "1" * 5000, "", "\x00"])
+@pytest.mark.parametrize("text", ["NaN", '{"a": -Infinity}', "{", "1" * 5000, "", "\x00"])
 def test_json_rejects(text):
     assert refused(load_json, text, "it.json").startswith("it.json is no JSON: ")
 
@@ -129,7 +128,7 @@ ARRAYS = {
 }
 
 
-@each("save", [np.savez, np.savez_compressed])
+@pytest.mark.parametrize("save", [np.savez, np.savez_compressed])
 def test_archive_equals_what_numpy_saved(tmp_path, save):
     save(tmp_path / "a.npz", **ARRAYS)
     back = read_npz(tmp_path / "a.npz")
@@ -154,7 +153,7 @@ def archive(path, members, compression=zipfile.ZIP_DEFLATED):
     return path
 
 
-@each(
+@pytest.mark.parametrize(
     ("member", "words"),
     [
         (npy((10**9, 10**9)), "has shape"),
@@ -203,7 +202,7 @@ def test_archive_rejects_sizes_beyond_the_limit(tmp_path):
     assert "at most" in refused(read_npz, tmp_path / "a.npz", limit=size - 1)
 
 
-@each("kept", [0.2, 0.5, 0.9, 0.99])
+@pytest.mark.parametrize("kept", [0.2, 0.5, 0.9, 0.99])
 def test_archive_rejects_a_cut_file(tmp_path, kept):
     np.savez_compressed(tmp_path / "a.npz", **ARRAYS)
     data = (tmp_path / "a.npz").read_bytes()

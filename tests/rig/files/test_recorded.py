@@ -5,8 +5,7 @@ from pathlib import Path
 import pytest
 
 from rig.errors import TargetError
-from rig.files import begin_folder, kind_of, record, replace_recorded
-from rig.files.kept_folder import settle
+from rig.files import begin_folder, kind_of, record, recover, replace_recorded
 from tests.interrupt import count_writes, kill_at_write
 from tests.written import changed_files
 
@@ -59,7 +58,7 @@ def test_kill_at_any_write_leaves_the_old_or_new_file_recorded(tmp_path):
         write(folder, "old")
         kill_at_write(number, folder, lambda folder=folder: write(folder, "new"))
         assert (folder / "table.csv").read_text() in ("old", "new")
-        settle(folder)
+        recover(folder)
         assert changed_files(folder) == []
         write(folder, "other")
         assert (folder / "table.csv").read_text() == "other"

@@ -15,12 +15,11 @@ import numpy as np
 import pytest
 import soundfile
 
-from deitalk.pipeline.performance import write_exchange_files
+from deitalk.pipeline.exchange_files import write_exchange_files
 from rig import RigCurves, default_controls, read_curves, write_curves
 from rig.conversion.arkit import arkit_controls, board_to_raw
 from rig.conversion.shape_fit import shape_key
 from rig.formats.blender import addon_text
-from tests.each import each
 from tests.errors import one_line
 
 SESSION = Path(__file__).with_name("inside_blender.py")
@@ -83,7 +82,7 @@ def test_a_head_that_no_shape_shows_is_said(addon, tmp_path):
             assert addon.unshown(addon.read(str(tmp_path / name)), []) == told, name
 
 
-@each("fps", [24, 30, 60])
+@pytest.mark.parametrize("fps", [24, 30, 60])
 def test_live_link_times_and_values_are_read(addon, tmp_path, fps):
     values = np.linspace(0, 1, 70 * 61).reshape(70, 61).astype(np.float32)
     curves = RigCurves(values, arkit_controls().names, fps, control_set="arkit-61")
@@ -99,7 +98,7 @@ def test_thirtieths_of_the_app_are_read_at_30(addon, tmp_path):
     np.testing.assert_allclose(addon.read(str(tmp_path / "a.csv")).times, np.arange(60) / 30)
 
 
-@each(
+@pytest.mark.parametrize(
     ("theirs", "ours"),
     [
         ("eyeBlink_L", "EyeBlinkLeft"),
@@ -146,7 +145,7 @@ def test_files_of_a_folder_are_those_of_a_file_of_it(addon, take):
         addon.files_of_take(str(take.parent))
 
 
-@each(
+@pytest.mark.parametrize(
     ("name", "text", "message"),
     [
         ("a.json", "{}", "has no curves of deitalk"),

@@ -13,7 +13,6 @@ from rig.errors import ControlError, FormatError, RigError
 from rig.formats.decimal_text import Block, rows
 from rig.formats.table import FORMATS as TABLE
 from rig.formats.wide_csv import read_layout, read_numbers
-from tests.each import each
 
 CONTROLS = default_controls()
 JAW = "CTRL_C_jaw.ty"
@@ -119,7 +118,7 @@ def test_a_time_code_that_a_format_lacks_is_named(tmp_path):
     assert not write_curves(tmp_path / "a.unreal.json", curves, start=60).note
 
 
-@each("fps", [24, 25, 29.97, 30, 50, 60, 23.976, 59.94])
+@pytest.mark.parametrize("fps", [24, 25, 29.97, 30, 50, 60, 23.976, 59.94])
 def test_rate_is_inferred_from_the_times_of_two_frames(tmp_path, fps):
     for n_frames in (2, 3, 1000):
         curves = rest_curves(n_frames, fps=fps)
@@ -182,7 +181,7 @@ def test_read_curves_rejects_wrong_controls(tmp_path):
         read_curves(save(table.assign(**{"CTRL_C_jaws.ty": 0}), tmp_path / "unknown.csv"))
 
 
-@each(
+@pytest.mark.parametrize(
     ("cell", "message"),
     [
         (1.5, r"data row 2, column 'CTRL_C_jaw.ty' is 1.5, outside 0 to 1"),
@@ -214,7 +213,7 @@ def test_read_curves_rejects_uneven_and_falling_times(tmp_path):
     assert read_curves(tmp_path / "c.csv", fps=25).fps == 25
 
 
-@each(
+@pytest.mark.parametrize(
     ("text", "message"),
     [
         ("", "is empty"),
@@ -241,7 +240,7 @@ def json_of_rest():
     }
 
 
-@each(
+@pytest.mark.parametrize(
     ("change", "message"),
     [
         ({"schema": "deitalk.curves/9"}, "schema is 'deitalk.curves/9'; this reads"),
@@ -315,7 +314,7 @@ def test_read_and_write_reject_impossible_paths(tmp_path):
         write_curves(tmp_path / "c.csv", rest_curves(0))
 
 
-@each("suffix", FORMATS)
+@pytest.mark.parametrize("suffix", FORMATS)
 def test_failed_writer_leaves_the_old_file_only(tmp_path, monkeypatch, suffix):
     path = tmp_path / f"c.{suffix}"
     write_curves(path, rest_curves(1))

@@ -31,9 +31,8 @@ from rig.formats.livelink_csv import (
     timecode_text,
     write_take,
 )
-from rig.validation import validate
+from rig.validation.files import validate
 from tests import unreal_live_link
-from tests.each import each
 from tests.rig.unreal.test_unreal import SUBJECTS, head_of_rotator
 
 ALEX = "data/curves/livelink/alex_rom_3.csv"
@@ -44,7 +43,7 @@ def codes(n_frames, fps):
     return [bytes(row).decode() for row in timecode_text(frame_ticks(n_frames, fps))]
 
 
-@each(
+@pytest.mark.parametrize(
     ("fps", "frame", "timecode"),
     [
         (30, 1, "00:00:00:02.000"),
@@ -65,7 +64,7 @@ def test_timecodes_of_hand_worked_times(fps, frame, timecode):
     assert codes(frame + 1, rate)[frame] == timecode
 
 
-@each("fps", [24, 25, 29.97, 30, 50, 60])
+@pytest.mark.parametrize("fps", [24, 25, 29.97, 30, 50, 60])
 def test_files_play_at_the_right_speed_by_the_importers_formula(tmp_path, fps):
     write_curves(tmp_path / "S_1_me.csv", rest_curves(300, fps=fps), format="livelink")
     times = unreal_live_link.import_csv(tmp_path / "S_1_me.csv").times
@@ -140,7 +139,7 @@ def test_takes_that_cross_midnight_keep_rising(tmp_path):
     assert np.diff(read_take(tmp_path / "a.csv").ticks).tolist() == [2000]
 
 
-@each(
+@pytest.mark.parametrize(
     ("row", "message"),
     [
         ("00:00:00:120.000,61" + ",0" * 61, "FF at 119"),
@@ -159,23 +158,23 @@ def test_read_curves_rejects_broken_takes(tmp_path, row, message):
         read_curves(tmp_path / "a.csv")
 
 
-@each(("name", "subject"), SUBJECTS)
+@pytest.mark.parametrize(("name", "subject"), SUBJECTS)
 def test_subject_is_what_the_importer_takes_from_the_name(tmp_path, name, subject):
     assert subject_of(tmp_path / name) == subject
     if name != "a_b_c_1.csv":  # nothing is left of it there
         assert unreal_live_link.subject(name.removesuffix(".csv")) == subject
 
 
-@each("slate", ["My_Slate", "speech", "2"])
-@each("subject", ["anna", "my_phone", "7"])
+@pytest.mark.parametrize("slate", ["My_Slate", "speech", "2"])
+@pytest.mark.parametrize("subject", ["anna", "my_phone", "7"])
 def test_names_of_takes_give_their_subject_in_unreal(slate, subject):
     name = take_name(slate, 3, subject)
     assert name == f"{slate}_take_3_{subject}.csv"
     assert unreal_live_link.subject(name.removesuffix(".csv")) == subject
 
 
-@each("n_frames", [1, 2, 5, 15, 16, 17, 30, 31, 32, 60, 100])
-@each("fps", [2, 24, 30, 60, 10000 / 167])
+@pytest.mark.parametrize("n_frames", [1, 2, 5, 15, 16, 17, 30, 31, 32, 60, 100])
+@pytest.mark.parametrize("fps", [2, 24, 30, 60, 10000 / 167])
 def test_files_of_any_length_play_at_the_right_speed_in_unreal(tmp_path, fps, n_frames):
     values = np.zeros((n_frames, 61), np.float32)
     values[:, 17] = np.linspace(0.1, 0.5, n_frames)
@@ -220,7 +219,7 @@ def test_take_rejects_hours_without_frames(tmp_path):
         read_take(path).to_curves(30)
 
 
-@each("stem", ["anna", "scene_take_2_anna"])
+@pytest.mark.parametrize("stem", ["anna", "scene_take_2_anna"])
 def test_name_with_the_apps_ending_keeps_the_subject_and_another_suffix_is_noted(tmp_path, stem):
     """Unreal leaves ``_cal`` out of the subject, and keeps what stands before ``.csv``."""
     report = write_curves(tmp_path / f"{stem}_cal.csv", rest_curves(40))
@@ -263,7 +262,9 @@ def test_raw_columns_are_those_of_a_metahuman_subject_in_its_order(tmp_path):
     assert read_curves(tmp_path / "b.livelink-raw.csv", control_set=None).head is None
 
 
-@each("seconds, column", [((17.5, 20), "yaw"), ((0, 4.3), "pitch")])  # a shake, and nods
+@pytest.mark.parametrize(
+    "seconds, column", [((17.5, 20), "yaw"), ((0, 4.3), "pitch")]
+)  # a shake, and nods
 def test_eyes_of_a_real_take_turn_against_the_head(shared, tmp_path, seconds, column):
     """The vestibulo-ocular reflex: gaze against the turn of the head, about as fast."""
     table = pd.read_csv(shared / "data/curves/metahuman/arkittest_mha.csv")

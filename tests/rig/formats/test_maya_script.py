@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from rig import RigCurves, default_controls, write_curves
-from tests.each import each
 from tests.splines import hermite
 
 BOARD = default_controls()
@@ -171,7 +170,7 @@ def script(tmp_path, curves):
     return tmp_path / "speech.maya.py"
 
 
-@each("fps", [24.0, 30.0, 60.0])
+@pytest.mark.parametrize("fps", [24.0, 30.0, 60.0])
 def test_board_moves_as_the_curves_in_true_time(script, curves, monkeypatch, fps):
     maya = Maya(board(), fps)
     run(script, maya, monkeypatch)

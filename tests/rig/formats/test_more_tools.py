@@ -11,7 +11,6 @@ from rig.conversion.arkit import ARKIT_ID
 from rig.conversion.avatars import avatar_controls
 from rig.conversion.convert import convert
 from rig.errors import FormatError
-from tests.each import each
 from tests.errors import one_line
 from tests.rig.formats.test_other_tools import NVIDIA
 from tests.splines import hermite
@@ -39,7 +38,7 @@ def test_audio2face_json_has_nvidias_names_and_reads_back(tmp_path, take):
     np.testing.assert_allclose(back.values[:, :52], expected.values[:, :52], atol=1e-6)
 
 
-@each("avatar", ["cc4", "vrm1"])
+@pytest.mark.parametrize("avatar", ["cc4", "vrm1"])
 def test_audio2face_json_of_an_avatar_is_recognised_by_its_names(tmp_path, take, avatar):
     write_curves(tmp_path / "a.a2f.json", convert(take, avatar))
     (tmp_path / "a.a2f.json").rename(tmp_path / "b.json")
@@ -48,7 +47,7 @@ def test_audio2face_json_of_an_avatar_is_recognised_by_its_names(tmp_path, take,
     np.testing.assert_allclose(back.values, convert(take, avatar).values, atol=1e-6)
 
 
-@each(
+@pytest.mark.parametrize(
     ("change", "message"),
     [
         ({"facsNames": ["a", 1]}, "list of texts"),
@@ -64,7 +63,7 @@ def test_damaged_audio2face_json_is_one_line(tmp_path, change, message):
         read_curves(tmp_path / "a.a2f.json")
 
 
-@each("avatar", [ARKIT_ID, "cc4"])
+@pytest.mark.parametrize("avatar", [ARKIT_ID, "cc4"])
 def test_unitys_curves_are_the_weights_in_percent(tmp_path, take, avatar):
     """As Unity evaluates a clip: Hermite with the slopes of both ends, per second."""
     shapes = convert(take, avatar)

@@ -9,8 +9,7 @@ from rig.conversion.arkit import ARKIT_ID, RAW_ID, board_to_raw
 from rig.conversion.convert import convert
 from rig.errors import FormatError
 from rig.formats.emoface_txt import columns
-from rig.validation import validate
-from tests.each import each
+from rig.validation.files import validate
 
 BOARD = default_controls()
 NVIDIA = [
@@ -123,8 +122,8 @@ def test_unreal_json_has_keys_for_both_routes(tmp_path):
         read_curves(tmp_path / "c.unreal.jsonx")
 
 
-@each("suffix", [".csv", ".json", ".unreal.json", ".raw.csv"])
-@each("digits", [2, 4])
+@pytest.mark.parametrize("suffix", [".csv", ".json", ".unreal.json", ".raw.csv"])
+@pytest.mark.parametrize("digits", [2, 4])
 def test_fewer_digits_are_read_again_within_half_of_the_last(tmp_path, rng, suffix, digits):
     curves = RigCurves(rng.uniform(0, 1, (300, len(BOARD))).astype(np.float32), BOARD.names, 30)
     write_curves(tmp_path / f"a{suffix}", curves)
@@ -146,7 +145,7 @@ def test_rhubarb_files_name_the_sound_by_its_whole_path(tmp_path, curves):
     assert json.loads((tmp_path / "none.rhubarb.json").read_text())["metadata"]["soundFile"] == ""
 
 
-@each(("fps", "seconds"), [(None, 8.72), (60, 8.71), (None, 8.73), (None, None)])
+@pytest.mark.parametrize(("fps", "seconds"), [(None, 8.72), (60, 8.71), (None, 8.73), (None, None)])
 def test_rhubarb_files_end_with_the_sound(tmp_path, fps, seconds):
     """8.71 and 8.72 s are 262 frames, of 8.73 s; lips that shut in the last one only are a cue."""
     values = rest_curves(262).values.copy()

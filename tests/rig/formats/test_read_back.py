@@ -19,8 +19,7 @@ from rig.mesh import fbx
 from rig.mesh.glb import GlbBuilder, read_container, write_container
 from rig.retarget.morph_head import PICTURE, baked_picture
 from rig.retarget.retarget_files import retarget_curves
-from rig.validation import validate
-from tests.each import each
+from rig.validation.files import validate
 from tests.errors import one_line
 from tests.readers import take
 from tests.rig.retarget import test_bones as bones
@@ -33,7 +32,7 @@ DEGREES = 2 * np.degrees(2 * np.sqrt(3) * 0.1)
 PYTHONS = [p for p in os.environ.get("BPY_PYTHONS", "").split(os.pathsep) if p]
 
 
-@each("known", [f for f in FORMATS if f.name != "fbx" and f.write])
+@pytest.mark.parametrize("known", [f for f in FORMATS if f.name != "fbx" and f.write])
 def test_what_is_written_is_read_and_every_loss_is_counted(tmp_path, known):
     if known.name == "usd":
         pytest.importorskip("pxr", reason="needs usd-core")
@@ -74,7 +73,7 @@ def test_lips_together_over_an_open_jaw_come_back_from_a_glb(tmp_path):
     np.testing.assert_allclose(found.select(lips).values[:, 0], [0, 0.5, 1], atol=1e-6)
 
 
-@each("keys", [0.0, 0.01])
+@pytest.mark.parametrize("keys", [0.0, 0.01])
 def test_a_retargeted_avatar_is_read_with_the_turn_of_its_bones(tmp_path, keys):
     shapes = ("jawOpen", "mouthFunnel", "mouthSmileLeft", "mouthSmileRight")
     bones.avatar(tmp_path / "a.glb", bones.NAMES["cc"], shapes=shapes)
@@ -121,7 +120,7 @@ COUNT = "import sys, ufbx; print(sum(len(c.keyframes) for c in ufbx.load_file(sy
 
 @pytest.mark.slow
 @pytest.mark.skipif(not PYTHONS, reason="needs BPY_PYTHONS, paths of Pythons with bpy")
-@each("python", PYTHONS)
+@pytest.mark.parametrize("python", PYTHONS)
 def test_fbx_of_the_head_by_blender_with_all_and_with_few_keys(tmp_path, monkeypatch, python):
     pytest.importorskip("ufbx")
     monkeypatch.setenv("BPY_PYTHON", python)
@@ -142,7 +141,7 @@ def test_fbx_of_the_head_by_blender_with_all_and_with_few_keys(tmp_path, monkeyp
 
 @pytest.mark.slow
 @pytest.mark.skipif(not PYTHONS, reason="needs BPY_PYTHONS, paths of Pythons with bpy")
-@each("python", PYTHONS)
+@pytest.mark.parametrize("python", PYTHONS)
 def test_fbx_of_an_avatar_has_its_mesh_alone_and_turns_its_bones(tmp_path, monkeypatch, python):
     monkeypatch.setenv("BPY_PYTHON", python)
     bones.avatar(tmp_path / "a.glb", bones.NAMES["cc"], skinned=True)
@@ -170,7 +169,7 @@ os._exit(0)
 
 @pytest.mark.slow
 @pytest.mark.skipif(not PYTHONS, reason="needs BPY_PYTHONS, paths of Pythons with bpy")
-@each("python", PYTHONS)
+@pytest.mark.parametrize("python", PYTHONS)
 def test_fbx_of_the_head_has_one_picture_of_all_its_colours(tmp_path, monkeypatch, python):
     monkeypatch.setenv("BPY_PYTHON", python)
     monkeypatch.delenv("PYTHONPATH", raising=False)

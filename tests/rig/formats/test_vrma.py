@@ -8,7 +8,6 @@ from rig.conversion.arkit import ARKIT_ID, arkit_controls
 from rig.conversion.convert import convert
 from rig.errors import FormatError
 from rig.mesh.glb import read_container, write_container
-from tests.each import each
 from tests.errors import one_line
 
 BOARD = default_controls()
@@ -47,7 +46,7 @@ def test_the_extension_names_bones_expressions_and_gaze(tmp_path, take):
     assert moved[own["humanoid"]["humanBones"]["head"]["node"]] == "rotation"
 
 
-@each("part", ["extensions", "animations"])
+@pytest.mark.parametrize("part", ["extensions", "animations"])
 def test_other_files_are_refused_in_one_line(tmp_path, take, part):
     write_curves(tmp_path / "a.vrma", take)
     document, binary = read_container(tmp_path / "a.vrma")

@@ -11,7 +11,6 @@ from rig.conversion.arkit import ARKIT_ID, HEAD, arkit_controls
 from rig.livelink.pace import MARGIN_SECONDS, MOST_SECONDS, LiveSender
 from rig.livelink.protocols import LiveLinkFace, PropertyJson
 from rig.livelink.sender import REST_REPEATS, Clock
-from tests.each import each
 
 FPS = 30.0
 NAMES = tuple(arkit_controls().names)
@@ -81,7 +80,7 @@ def test_one_stall_in_three_seconds_delays_no_other_frame():
     assert np.abs(np.delete(behind, [60, 61]) - MARGIN_SECONDS).max() < 0.001
 
 
-@each("drift", [-2e-3, 2e-3])
+@pytest.mark.parametrize("drift", [-2e-3, 2e-3])
 def test_another_clock_of_the_sound_adds_up_to_no_frame(drift):
     run, frames = Run(), 3 * 60 * 30
     for k in range(frames):

@@ -29,7 +29,6 @@ from rig.livelink.protocols import (
     with_head,
 )
 from rig.livelink.sender import REST_REPEATS, Clock
-from tests.each import each
 from tests.readers import take
 from tests.rig.unreal.test_unreal import head_of_rotator
 
@@ -74,7 +73,7 @@ def test_packets_survive_encoding_and_decoding(subject, frame, values):
     assert got.values.tolist() == values and got.subframe == 0.25
 
 
-@each(
+@pytest.mark.parametrize(
     ("change", "message"),
     [
         ({"rate": (30, 0)}, "frame rate 30/0: both must be above 0"),
@@ -341,7 +340,7 @@ def test_vmc_sends_an_avatars_shapes_and_its_head():
     assert bone[4:] == pytest.approx([0, 0.5**0.5, 0, 0.5**0.5], abs=1e-6)
 
 
-@each(
+@pytest.mark.parametrize(
     ("turn", "axis", "after"),
     [
         ({"HeadYaw": -90 / 50}, [0, 0, 1], [1, 0, 0]),  # to the right, x in Unity
@@ -365,7 +364,7 @@ def test_vmc_turns_the_bone_of_the_head_in_unitys_axes(turn, axis, after):
     np.testing.assert_allclose(Rotation.from_quat(bone[4:]).apply(axis), after, atol=1e-6)
 
 
-@each(
+@pytest.mark.parametrize(
     ("address", "arguments", "expected"),
     [
         (
@@ -384,7 +383,7 @@ def test_osc_messages_are_those_of_the_specification(address, arguments, expecte
     assert protocols.message(address, *arguments) == bytes.fromhex(expected)
 
 
-@each("arguments", [(), (1 / 30,), ("Jöw", 0.5, 3), ("", "abc", "abcd")])
+@pytest.mark.parametrize("arguments", [(), (1 / 30,), ("Jöw", 0.5, 3), ("", "abc", "abcd")])
 def test_osc_messages_equal_those_of_python_osc(arguments):
     pytest.importorskip("pythonosc", reason="needs python-osc")
     from pythonosc.osc_message_builder import OscMessageBuilder
@@ -406,7 +405,7 @@ def test_osc_bundles_are_read_by_python_osc_in_order():
     assert [(m.address, m.params) for m in read] == [(f"/{k}", ["text", k]) for k in range(10)]
 
 
-@each("name", ["livelink", "vmc", "json"])
+@pytest.mark.parametrize("name", ["livelink", "vmc", "json"])
 def test_board_curves_are_converted_for_each_protocol(name):
     curves = rest_curves(2)
     report = send(

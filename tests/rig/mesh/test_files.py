@@ -21,7 +21,6 @@ from rig.mesh.trimesh import (
     vertex_normals,
     without_degenerate,
 )
-from tests.each import each
 from tests.errors import one_line
 from tests.meshes import write_obj, write_obj_folder, write_shapes_npz
 
@@ -77,7 +76,7 @@ def test_degenerate_triangles_are_found_and_can_be_left_out():
     assert without_degenerate(mesh).faces.tolist() == [[0, 1, 3]]
 
 
-@each(
+@pytest.mark.parametrize(
     ("vertices", "faces", "error", "words"),
     [
         ([[0, 0]], [[0, 0, 0]], MeshError, r"\(V, 3\)"),
@@ -116,7 +115,7 @@ def test_obj_variants_of_exporters_are_read(tmp_path):
     assert len(mesh.vertices) == 5
 
 
-@each(
+@pytest.mark.parametrize(
     ("text", "error", "words"),
     [
         ("", FormatError, "is empty"),
@@ -144,7 +143,7 @@ def test_obj_folder_round_trip(tmp_path, shapes):
 # --- PLY
 
 
-@each("ascii", [True, False])
+@pytest.mark.parametrize("ascii", [True, False])
 def test_ply_round_trip(tmp_path, rng, ascii):
     mesh = CUBE.with_vertices(rng.normal(size=(8, 3)))
     write_ply(tmp_path / "a.ply", mesh, ascii=ascii)
@@ -172,7 +171,7 @@ def test_ply_big_endian_with_colours_and_a_quad(tmp_path):
         read_ply(tmp_path / "a.ply")
 
 
-@each(
+@pytest.mark.parametrize(
     "text",
     ["", "plx\n", "ply\nformat ascii 1.0\nend_header\n", "ply\nformat odd 1.0\nend_header\n",
      "ply\nformat ascii 1.0\nelement vertex 99999999999\nproperty float x\nend_header\n",
@@ -294,7 +293,7 @@ def test_glb_nodes_move_and_scale_their_meshes(tmp_path, shapes):
     )
 
 
-@each(
+@pytest.mark.parametrize(
     ("extension", "words"),
     [
         ("KHR_draco_mesh_compression", "Draco"),

@@ -17,7 +17,6 @@ from rig.mesh.shapes import check_shape_count, read_shapes_npz
 from rig.mesh.trimesh import check_length
 from rig.retarget.mapping_files import read_mapping
 from rig.retarget.retarget_files import read_shapes
-from tests.each import each
 from tests.errors import one_line
 
 SQUARE = TriMesh([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], [[0, 1, 2], [0, 2, 3]])
@@ -45,7 +44,7 @@ def test_coordinates_beyond_the_limit_are_rejected():
     )
 
 
-@each(("most", "fits"), [(4, True), (3, False)])
+@pytest.mark.parametrize(("most", "fits"), [(4, True), (3, False)])
 def test_obj_vertices_are_counted_while_reading(tmp_path, monkeypatch, most, fits):
     monkeypatch.setattr("rig.mesh.obj.VERTICES", most)
     path = written(tmp_path / "a.obj", OBJ)
@@ -55,7 +54,7 @@ def test_obj_vertices_are_counted_while_reading(tmp_path, monkeypatch, most, fit
         assert "more than 3 vertices" in refused(read_obj, path)
 
 
-@each(("most", "fits"), [(2, True), (1, False)])
+@pytest.mark.parametrize(("most", "fits"), [(2, True), (1, False)])
 def test_triangles_are_counted_while_reading(tmp_path, monkeypatch, most, fits):
     for module in ("obj", "ply"):
         monkeypatch.setattr(f"rig.mesh.{module}.TRIANGLES", most)
@@ -84,7 +83,7 @@ def test_sequences_at_the_limit_are_made_and_above_are_not():
 # --- OBJ
 
 
-@each(
+@pytest.mark.parametrize(
     ("text", "words"),
     [
         (OBJ + "f 1 2 99999999999999999999\n", "line 6: cannot read"),
@@ -112,7 +111,7 @@ CORNERS = "list uchar int vertex_indices"
 POINTS = np.array(SQUARE.vertices, "<f4").tobytes()
 
 
-@each(
+@pytest.mark.parametrize(
     ("data", "words"),
     [
         (ply(("vertex", 5_000_000, "float x", "float y", "float z")), "cut short"),
@@ -135,8 +134,8 @@ def test_ply_rejects(tmp_path, data, words):
     assert words in refused(read_ply, written(tmp_path / "a.ply", data))
 
 
-@each("order", ["<", ">", ""])
-@each("polygons", [[[0, 1, 2], [0, 2, 3]], [[0, 1, 2, 3]], [[0, 1, 2, 3], [1, 2], [3, 0, 2]]])  # fmt: skip
+@pytest.mark.parametrize("order", ["<", ">", ""])
+@pytest.mark.parametrize("polygons", [[[0, 1, 2], [0, 2, 3]], [[0, 1, 2, 3]], [[0, 1, 2, 3], [1, 2], [3, 0, 2]]])  # fmt: skip
 def test_ply_polygons_of_any_lengths_become_fans(tmp_path, order, polygons):
     name = {"<": "binary_little_endian", ">": "binary_big_endian", "": "ascii"}[order]
     if order:
@@ -206,7 +205,7 @@ def set_in(*path):
     return change
 
 
-@each(
+@pytest.mark.parametrize(
     ("change", "words"),
     [
         (bare, "with data"),
@@ -234,12 +233,12 @@ def test_glb_nodes_in_a_circle_are_visited_once(tmp_path):
     assert len(read_glb(path).neutral.vertices) == 4
 
 
-@each("change", [set_in("nodes", [{"mesh": 7}]), set_in("meshes", 0, "primitives", [])])  # fmt: skip
+@pytest.mark.parametrize("change", [set_in("nodes", [{"mesh": 7}]), set_in("meshes", 0, "primitives", [])])  # fmt: skip
 def test_morph_names_reject_documents_that_do_not_fit(tmp_path, change):
     assert "inconsistent" in refused(morph_names, changed_glb(tmp_path, change))
 
 
-@each("length", [100, 2**28, 2**31 - 1])
+@pytest.mark.parametrize("length", [100, 2**28, 2**31 - 1])
 def test_ply_list_longer_than_its_file_takes_no_memory(tmp_path, length):
     data = b"ply\nformat binary_little_endian 1.0\nelement face 1\n"
     data += b"property list uint double vertex_indices\nend_header\n" + struct.pack("<I", length)
@@ -269,7 +268,7 @@ def test_glb_with_large_counts_in_a_small_file_takes_no_memory(tmp_path):
 # --- NPZ
 
 
-@each(
+@pytest.mark.parametrize(
     ("change", "words"),
     [
         ({"neutral": np.array(["a"])}, "'neutral' holds <U1"),

@@ -16,7 +16,6 @@ from rig.retarget.head_glb import (
     corrective_weights,
     write_head,
 )
-from tests.each import each
 
 
 @pytest.fixture(scope="module")
@@ -81,7 +80,7 @@ def test_tongue_comes_out_between_the_teeth(head, morphs):
     assert out[tongue, 2].max() > out[head.slices["skin"]][lips, 2].max() - 0.2
 
 
-@each("pose", CORRECTIVES.values())
+@pytest.mark.parametrize("pose", CORRECTIVES.values())
 def test_correctives_make_their_pose_exact(head, morphs, pose):
     assert farthest_mm(linear(head, morphs, pose), arkit_pose(head, pose)) < 0.01
     without = head.mesh.vertices + sum(

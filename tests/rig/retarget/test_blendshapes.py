@@ -14,7 +14,6 @@ from rig.mesh.trimesh import TriMesh
 from rig.retarget.bake import Driver, Half, bake, face_correctives
 from rig.retarget.blendshapes import closing_weight, match_shapes
 from rig.retarget.mapping_files import read_mapping
-from tests.each import each
 
 BOARD = default_controls()
 ARKIT = ("jawOpen", "mouthClose", "mouthSmileLeft", "mouthSmileRight", "eyeBlinkLeft", "mouthDimpleLeft",
@@ -39,7 +38,7 @@ def weights_of(names, *poses, **options):
     ], fit
 
 
-@each(
+@pytest.mark.parametrize(
     "spelling",
     ["eyeBlinkLeft", "EyeBlinkLeft", "eyeBlink_L", "head_lod0.eyeBlinkLeft", "rig:bs|eyeBlink_left",
      "CTRL_expressions_eyeBlinkL", "eyeBlinkL"],
@@ -198,7 +197,7 @@ def test_baked_shapes_are_the_moving_halves(baked):
     )
 
 
-@each(
+@pytest.mark.parametrize(
     "pose",
     [(0, 0, 0, 0, 1), (1, 0, 0, 0, 1), (0.5, 0, 0, 0, 1), (1, 1, 0, 0, 1), (0, 0.4, 0, 1, 1),
      (0, 0, 0.5, 0, 1), (0, 0, -1.2, 0, 1), (0, 0, 0, 0, 0.25)],

@@ -12,7 +12,6 @@ from rig.mesh.shapes import ShapeSet
 from rig.mesh.trimesh import TriMesh
 from rig.retarget.bones import NECK_SHARE
 from rig.retarget.retarget_files import CUBIC, retarget_curves
-from tests.each import each
 
 BOARD = default_controls()
 NAMES = {
@@ -94,7 +93,7 @@ def expected(curves, facing):
     return [around[0], around[1], around[2], around[2]]
 
 
-@each("kind", [*NAMES, "vrm0", "matrix"])
+@pytest.mark.parametrize("kind", [*NAMES, "vrm0", "matrix"])
 def test_head_neck_and_eyes_turn_in_the_world_as_the_take(tmp_path, kind):
     names = NAMES.get(kind, NAMES["plain"])
     if kind == "vrm0":

@@ -16,7 +16,6 @@ from rig.retarget.lids import fit_lids
 from rig.retarget.methods import _along_slit, lip_pairs
 from rig.retarget.registration import lip_labels, register
 from rig.retarget.transfer import local_jacobians, transfer_displacements
-from tests.each import each
 
 PLANES = TriMesh(
     [[0, 0, 0], [4, 0, 0], [0, 4, 0], [0, 0, 1], [4, 0, 1], [0, 4, 1]], [[0, 1, 2], [3, 5, 4]]
@@ -109,7 +108,7 @@ def test_landmarks_from_json_and_csv(tmp_path):
     assert read_landmarks(tmp_path / "b.csv", mesh) == wanted
 
 
-@each(
+@pytest.mark.parametrize(
     ("text", "error", "words"),
     [
         ("[1, 2]", FormatError, "is no landmark file"),

@@ -19,7 +19,6 @@ from rig.mesh.trimesh import TriMesh
 from rig.retarget.blendshapes import closing_weight
 from rig.retarget.landmarks import check_landmarks
 from rig.retarget.retarget_files import read_shapes, retarget_curves
-from tests.each import each
 from tests.meshes import write_obj, write_obj_folder, write_shapes_npz
 
 MESH = TriMesh([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]], [[0, 1, 2], [1, 3, 2]])
@@ -77,7 +76,7 @@ def glb_weights(path):
 EXPECTED = [[0, 1], [0.5, 0], [1, 0]]
 
 
-@each("kind", ["glb", "folder", "npz"])
+@pytest.mark.parametrize("kind", ["glb", "folder", "npz"])
 def test_own_shapes_are_driven_in_every_file_format(tmp_path, shapes, curves, kind):
     mesh = tmp_path / {"glb": "face.glb", "folder": "face", "npz": "face.npz"}[kind]
     {"glb": write_glb, "folder": write_obj_folder, "npz": write_shapes_npz}[kind](mesh, shapes)
@@ -117,7 +116,7 @@ def test_compressed_glb_is_driven_by_name(tmp_path, shapes, curves):
         retarget_curves(curves, tmp_path / "a.glb", tmp_path / "out.npz")
 
 
-@each("suffix", [".glb", ".npz"])
+@pytest.mark.parametrize("suffix", [".glb", ".npz"])
 def test_curves_of_a_rig_of_the_user_drive_the_shapes_of_their_names(tmp_path, suffix):
     """In any case of letters; other shapes stay, and a control without a shape is named."""
     square = TriMesh(np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]]), np.array([[0, 1, 2]]))
@@ -155,14 +154,14 @@ def test_unknown_shapes_and_missing_curves_are_reported(tmp_path, curves):
     assert "Key 7" in report.notes[0] and "mouthCornerPullL" in report.notes[1]
 
 
-@each("mesh", [MESH, GRID])
+@pytest.mark.parametrize("mesh", [MESH, GRID])
 def test_retarget_rejects_meshes_that_are_no_face(tmp_path, curves, mesh):
     write_obj(tmp_path / "a.obj", mesh)
     with pytest.raises(MeshError, match="give `landmarks`"):
         retarget_curves(curves, tmp_path / "a.obj", tmp_path / "out.glb")
 
 
-@each("name", ["a.obj", "a.ply", "a.glb"])
+@pytest.mark.parametrize("name", ["a.obj", "a.ply", "a.glb"])
 def test_meshes_without_shapes_are_read_as_empty_sets(tmp_path, shapes, name):
     if name == "a.glb":
         write_glb(tmp_path / name, ShapeSet(MESH, (), np.zeros((0, 4, 3))))

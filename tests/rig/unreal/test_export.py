@@ -17,7 +17,6 @@ from rig.conversion.arkit import board_to_raw
 from rig.errors import FormatError
 from rig.formats.unreal_json import read_present
 from tests import fake_unreal
-from tests.each import each
 from tests.rig.unreal.test_unreal import BOARD, SCRIPT, controls_of_the_board, run_inside, speech
 from tests.takes import bursts
 
@@ -51,7 +50,7 @@ def test_head_track_comes_back_from_an_anim_sequence(tmp_path, monkeypatch, rng)
     assert read_present(tmp_path / "off" / "take.unreal.json")[0].head is None
 
 
-@each("fps", [30.0, 60.0, 24000 / 1001])
+@pytest.mark.parametrize("fps", [30.0, 60.0, 24000 / 1001])
 def test_raw_curves_come_back_from_an_anim_sequence(tmp_path, monkeypatch, fps):
     curves = speech(40, fps)
     write_curves(tmp_path / "take.unreal.json", curves)
@@ -84,7 +83,7 @@ def test_thinned_and_differently_spelt_curves_are_put_on_every_frame(tmp_path, m
     np.testing.assert_allclose(found["CTRL_expressions_jawOpen"], expected, atol=1e-6)
 
 
-@each("older", [False, True])
+@pytest.mark.parametrize("older", [False, True])
 def test_board_comes_back_from_the_start_of_the_sound(tmp_path, monkeypatch, older):
     rig = fake_unreal.ControlRig("Face_ControlBoard_CtrlRig", controls_of_the_board(older))
     rig.controls["CTRL_faceGUI"] = object  # a transform
@@ -145,7 +144,7 @@ def test_faults_are_one_line(tmp_path, monkeypatch):
         outside.anim_folder("/Game", str(tmp_path))
 
 
-@each(
+@pytest.mark.parametrize(
     ("change", "expected"),
     [
         ({"schema": "x"}, "is not of schema"),

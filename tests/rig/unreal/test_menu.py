@@ -16,7 +16,6 @@ import pytest
 
 from rig import read_curves, write_curves
 from tests import fake_unreal, fake_unreal_editor
-from tests.each import each
 from tests.fake_unreal_editor import make_editor, metahuman
 from tests.rig.unreal.test_unreal import SCRIPT, SKELETON, controls_of_the_board, run_inside, speech
 
@@ -321,7 +320,7 @@ def test_service_is_called_instead_of_the_command(tmp_path, monkeypatch, sound, 
         menu.animate_audio(sound)
 
 
-@each(
+@pytest.mark.parametrize(
     ("text", "message"),
     [("{", "cannot read"), ("[]", "no object"), ('{"command": "x"}', "must be a list")],
 )
@@ -357,7 +356,7 @@ def test_deitalk_itself_is_started(tmp_path, monkeypatch):
     assert read_curves(path).fps == 30 and Path(path).name == "promise.unreal.json"
 
 
-@each("start", [0.0, 36672.5])
+@pytest.mark.parametrize("start", [0.0, 36672.5])
 def test_live_link_take_gets_its_sound_at_its_time_code(tmp_path, monkeypatch, stand_in, start):
     take = tmp_path / "take"
     take.mkdir()
@@ -376,7 +375,7 @@ def test_live_link_take_gets_its_sound_at_its_time_code(tmp_path, monkeypatch, s
     assert section.sound.path == str(take / "audio_48k.wav")
 
 
-@each("version", [0, 1])
+@pytest.mark.parametrize("version", [0, 1])
 def test_live_link_take_chooses_its_subject_on_the_only_face(
     tmp_path, monkeypatch, stand_in, version
 ):

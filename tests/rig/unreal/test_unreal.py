@@ -16,9 +16,8 @@ from scipy.spatial.transform import Rotation
 from rig import RigCurves, default_controls, read_curves, rest_curves, write_curves
 from rig.conversion.arkit import board_to_raw
 from rig.face.head_pose import quaternions
-from rig.validation import validate
+from rig.validation.files import validate
 from tests import fake_unreal
-from tests.each import each
 from tests.splines import hermite
 
 SCRIPT = Path(__file__).resolve().parents[3] / "rig" / "unreal" / "deitalk_unreal.py"
@@ -123,7 +122,7 @@ def test_numbers_of_the_first_schema_are_read(tmp_path, monkeypatch):
     np.testing.assert_allclose(jaw, [0, 0.5, 1])
 
 
-@each(
+@pytest.mark.parametrize(
     "curve",
     [{"of": ["CTRL_C_jaw.z"], "knots": [[0, 0]]}, {"of": [], "knots": []}, {"of": ["a"]}, {}],
 )
@@ -200,7 +199,7 @@ def test_bracket_is_closed_when_a_curve_fails(take, monkeypatch):
     assert "/Game/deitalk/my_take" not in module.assets
 
 
-@each(
+@pytest.mark.parametrize(
     "rate", [(24, 1), (25, 1), (24000, 1001), (30000, 1001), (15, 1), (48, 1), (50, 1),
              (60000, 1001), (60, 1), (120, 1)],
 )  # fmt: skip
@@ -230,8 +229,10 @@ def test_odd_rate_of_a_phone_is_put_on_the_nearest_standard_rate_in_true_time(
     assert times[-1] == pytest.approx(599 * 0.0167, abs=1001 / 60000)
 
 
-@each("wanted", ["24", "24000/1001", "25", "30000/1001", "60", "10000/167", "23/7"])
-@each("current", ["30", "24", "60000/1001"])
+@pytest.mark.parametrize(
+    "wanted", ["24", "24000/1001", "25", "30000/1001", "60", "10000/167", "23/7"]
+)
+@pytest.mark.parametrize("current", ["30", "24", "60000/1001"])
 def test_every_step_of_the_rate_is_a_multiple_or_a_factor(monkeypatch, current, wanted):
     script = run_inside(None, monkeypatch)
     steps = [Fraction(current), *script.rate_steps(Fraction(current), Fraction(wanted))]
@@ -249,7 +250,7 @@ def test_rate_that_unreal_keeps_is_an_error(take, monkeypatch):
         script.anim_sequence(take)
 
 
-@each("unit", ["MovieSceneTimeUnit", "SequenceTimeUnit"])
+@pytest.mark.parametrize("unit", ["MovieSceneTimeUnit", "SequenceTimeUnit"])
 def test_board_is_keyed_on_the_channels_of_its_section(take, monkeypatch, unit):
     rig = fake_unreal.ControlRig("Face_ControlBoard_CtrlRig", controls_of_the_board())
     other = fake_unreal.ControlRig("MetaHuman_ControlRig", {})
@@ -314,7 +315,7 @@ def hills(rng, n_frames=300):
     return np.minimum((rows - rows.min()) / (np.quantile(rows, 0.97) - rows.min()), 1).tolist()
 
 
-@each("tolerance", [0.002, 0.01, 0.1])
+@pytest.mark.parametrize("tolerance", [0.002, 0.01, 0.1])
 def test_curves_between_few_keys_stay_within_the_tolerance(monkeypatch, rng, tolerance):
     script = run_inside(None, monkeypatch)
     curve = hills(rng)
@@ -461,7 +462,7 @@ def test_existing_asset_is_not_overwritten(take, monkeypatch):
         script.anim_sequence(take)
 
 
-@each("route", ["anim", "rig"])
+@pytest.mark.parametrize("route", ["anim", "rig"])
 def test_dry_run_works_outside_unreal_and_prints_its_steps(take, monkeypatch, capsys, route):
     script = run_inside(None, monkeypatch)
     script.main([route, take, "--dry-run"])
@@ -472,7 +473,7 @@ def test_dry_run_works_outside_unreal_and_prints_its_steps(take, monkeypatch, ca
         script.main([route, take])
 
 
-@each(
+@pytest.mark.parametrize(
     ("arguments", "message"),
     [
         (["anim", "absent.json"], "cannot read absent.json"),
@@ -491,7 +492,7 @@ def test_mistake_on_the_command_line_is_one_line_of_the_log(take, monkeypatch, a
     assert module.messages[-1].startswith("deitalk: ")
 
 
-@each(
+@pytest.mark.parametrize(
     ("change", "message"),
     [
         ({"raw": {"CTRL_expressions_jawOpen": [0, 1]}}, "a curve has 2 values, not 4"),
@@ -514,7 +515,7 @@ def test_script_rejects_damaged_files(take, tmp_path, monkeypatch, change, messa
         script.anim_sequence(str(bad), dry_run=True)
 
 
-@each(("name", "subject"), SUBJECTS)
+@pytest.mark.parametrize(("name", "subject"), SUBJECTS)
 def test_subject_is_the_one_of_unreals_importer(monkeypatch, name, subject):
     """More than three tokens: the first is dropped, then all up to the first number."""
     assert run_inside(None, monkeypatch).subject_of(f"C:/x/{name}") == subject

@@ -8,8 +8,7 @@ from rig import RigCurves, default_controls, rest_curves, write_curves
 from rig.conversion.arkit import arkit_controls
 from rig.errors import FormatError
 from rig.formats.livelink_csv import LiveLinkTake, frame_ticks, write_take
-from rig.validation import validate
-from tests.each import each
+from rig.validation.files import validate
 from tests.unreal_live_link import import_csv
 
 BOARD = default_controls()
@@ -26,7 +25,7 @@ def talking(n_frames=90):
     return RigCurves(values, BOARD.names)
 
 
-@each("suffix", ["csv", "json", "npz", "raw.csv", "tsv"])
+@pytest.mark.parametrize("suffix", ["csv", "json", "npz", "raw.csv", "tsv"])
 def test_our_files_are_valid(tmp_path, suffix):
     write_curves(tmp_path / f"c.{suffix}", talking())
     validation = validate(tmp_path / f"c.{suffix}")
@@ -104,7 +103,7 @@ def spoilt(kind):
     return "\n".join(lines)
 
 
-@each(
+@pytest.mark.parametrize(
     ("kind", "message"),
     [
         ("spaces", "white space at ' BlendShapeCount'"),
@@ -126,7 +125,7 @@ def test_what_unreal_refuses_is_an_error_of_one_short_line(tmp_path, kind, messa
     assert message in error and len(error) - len(str(path)) < 120
 
 
-@each(
+@pytest.mark.parametrize(
     ("name", "note"),
     [
         (

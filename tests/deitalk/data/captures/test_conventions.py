@@ -8,12 +8,12 @@ from deitalk.data.captures.conventions import TakeProducts, find_conventions, na
 NAMES = ("jaw", "oh", "pucker", "smile")
 MOVING = np.array([True, True, True, False])
 ALL = np.ones(4, bool)
-ROUND_BY = {"oh": (1.0, 0.0), "pucker": (0.0, 1.0), "both": (0.5, 0.5)}
+ROUND_BY = {"oh": (1.0, 0.0), "pucker": (0.0, 1.0), "both": (0.5, 0.5), "near": (1.0, 0.3)}
 
 
-def take(rng, how, frames=900, noise=0.05, rest=0.0, gain=1.0, known=ALL):
+def take(rng, how, frames=900, noise=0.05, rest=0.0, gain=1.0, known=ALL, size=6):
     """A take whose jaw opens and whose lips round by one control, or another."""
-    mouth = rng.normal(size=(frames, 6)).astype(np.float32)
+    mouth = rng.normal(size=(frames, size)).astype(np.float32)
     oh, pucker = ROUND_BY[how]
     rounding = 0.2 * mouth[:, 1]
     columns = (0.2 * mouth[:, 0], oh * rounding, pucker * rounding, np.zeros(frames))
@@ -42,6 +42,14 @@ def test_takes_that_round_alike_share_a_convention(rng, hows, wanted):
     assert [set(one.takes) for one in found] == [{f"t{i}" for i in places} for places in wanted]
     for one in found:
         assert one.controls == (hows[int(one.takes[0][1:])],), "and what they move more"
+
+
+def test_a_take_may_help_to_predict_others_of_another_convention(rng):
+    """Of many predictors halves tell little: a near convention's frames are better than none."""
+    hows = ("oh", "oh", "near", "pucker", "pucker")
+    takes = {f"t{i}": take(rng, how, noise=0.1, size=60) for i, how in enumerate(hows)}
+    found = find_conventions(takes, NAMES, MOVING)
+    assert sorted(sorted(one.takes) for one in found) == [["t0", "t1"], ["t2"], ["t3", "t4"]]
 
 
 @pytest.mark.parametrize(

@@ -22,7 +22,6 @@ from rig import default_controls, read_curves, rest_curves
 from rig.errors import UserError
 from rig.formats.livelink_csv import read_take, write_take
 from tests.command import ran
-from tests.each import each
 from tests.errors import one_line
 from tests.media import write_sound
 from tests.takes import bursts, is_open, write_live_link
@@ -172,7 +171,7 @@ def _short(path):
     soundfile.write(path.with_suffix(".wav"), bursts(0.3), 16000)
 
 
-@each(
+@pytest.mark.parametrize(
     ("spoil", "expected"),
     [
         (_no_sound, "no audio beside the take"),

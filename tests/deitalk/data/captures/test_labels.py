@@ -7,7 +7,6 @@ import pytest
 from deitalk.data.captures.labels import Labelling
 from deitalk.data.captures.sources import Source
 from deitalk.errors import DataError
-from tests.each import each
 from tests.errors import one_line
 
 
@@ -15,7 +14,7 @@ def source(place: str) -> Source:
     return Source(Path(place + ".csv"), place)
 
 
-@each(
+@pytest.mark.parametrize(
     ("place", "emotion"),
     [("takes/happy/a_1", "happy"), ("takes/anna_ANGER_03", "angry"), ("sad/joy-2", "happy")],
 )
@@ -44,7 +43,7 @@ def test_table_comes_before_option_before_pattern(tmp_path):
     assert (second.emotion, second.split, second.actor) == ("happy", "", "b")
 
 
-@each(
+@pytest.mark.parametrize(
     ("given", "expected"),
     [
         ({"emotion": "bored"}, "'bored' is unknown; known are neutral"),
@@ -60,7 +59,7 @@ def test_fault_is_one_line(given, expected):
         Labelling(**given).of(source("x/a_1"))
 
 
-@each(
+@pytest.mark.parametrize(
     ("text", "expected"),
     [
         ("name\na\n", "lacks the column take"),

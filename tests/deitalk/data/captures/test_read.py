@@ -14,14 +14,13 @@ from rig.conversion.arkit import raw_controls
 from rig.errors import UserError
 from rig.formats.livelink_csv import SUBJECT_REST
 from rig.formats.named import read_named
-from tests.each import each
 from tests.errors import one_line
 from tests.takes import write_live_link
 
 FRAMES = [{"time": i / 25, "blendShapes": {"jawOpen": i / 10, "jawLeft": 0}} for i in range(10)]
 
 
-@each(
+@pytest.mark.parametrize(
     "data",
     [
         FRAMES,
@@ -48,7 +47,7 @@ def test_uneven_times_are_put_on_an_even_grid(tmp_path):
     np.testing.assert_allclose(curves["jawOpen"], 2 * np.arange(8) / 30, atol=1e-9)
 
 
-@each(
+@pytest.mark.parametrize(
     ("name", "text", "expected"),
     [
         ("a.csv", "jawOpen,jawLeft\n0,0\n", "give `fps`"),
@@ -67,7 +66,7 @@ def test_fault_of_a_table_is_one_line(tmp_path, name, text, expected):
         read_named(tmp_path / name)
 
 
-@each(
+@pytest.mark.parametrize(
     ("text", "expected"),
     [
         ("target,weight\na,1\n", "lacks the column source"),
@@ -83,7 +82,7 @@ def test_fault_of_a_map_is_one_line(tmp_path, text, expected):
         read_mapping(tmp_path / "map.csv")
 
 
-@each(
+@pytest.mark.parametrize(
     ("suffix", "kind", "known"),
     [(".csv", "board", 185), (".raw.csv", "raw", 174),
      (".a2f.csv", "arkit", 73), (".livelink.csv", "livelink", 73), (".json", "board", 185),
@@ -144,7 +143,7 @@ def test_values_out_of_range_are_clamped_and_noted(tmp_path):
     assert "were clamped to their ranges" in " ".join(capture.notes)
 
 
-@each("left_out", [0, 3])
+@pytest.mark.parametrize("left_out", [0, 3])
 def test_table_of_a_metahuman_subject_keeps_the_head(tmp_path, left_out):
     """Of Unreal's axes: a turn to the right is minus HeadRoll; translations are back, left, up."""
     raw = raw_controls().names[: 251 - left_out]

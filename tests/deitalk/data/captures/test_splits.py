@@ -6,7 +6,6 @@ from hypothesis import strategies as st
 
 from deitalk.data.captures.splits import APART_SECONDS, TEST, TRAIN, VALIDATION, Piece, divide
 from deitalk.errors import DataError
-from tests.each import each
 
 
 def take(actor: str, emotion: str, name: str, n: int, length: float = 10.0) -> list[Piece]:
@@ -48,8 +47,8 @@ def test_many_takes_are_kept_whole_and_every_emotion_is_in_every_split():
         }  # fmt: skip
 
 
-@each("clips", [1, 2, 3])
-@each("takes", [2, 3])
+@pytest.mark.parametrize("clips", [1, 2, 3])
+@pytest.mark.parametrize("takes", [2, 3])
 def test_two_and_three_takes_have_clips_to_train_on_and_to_validate(takes, clips):
     """The first take trains; three takes of one clip have a test too."""
     pieces = [p for i in range(takes) for p in take("a", "sad", f"t{i}", clips)]

@@ -20,7 +20,6 @@ from deitalk.models.folder import embedded_models
 from deitalk.pipeline.curves import animate
 from rig import RigCurves
 from tests.deitalk.cli.test_cli import ROOT
-from tests.each import each
 
 FRAME = 1 / 30
 SHIFTS = (-15, -8, -3, -1, 1, 4, 10, 15)
@@ -45,7 +44,7 @@ def test_clips_of_a_take_agree_on_one_lag():
     assert take.drift == 0 and take.is_shifted
 
 
-@each("drift", [NTSC_DRIFT, -NTSC_DRIFT])
+@pytest.mark.parametrize("drift", [NTSC_DRIFT, -NTSC_DRIFT])
 def test_drift_of_ntsc_rates_is_found_exactly(drift):
     clips = [bump(0.1 + drift * c, centre=c) for c in np.arange(8, 300, 15)]
     take = take_sync(clips)

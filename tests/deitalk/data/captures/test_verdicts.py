@@ -4,13 +4,13 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from deitalk.data.captures.mend import capture_rows
 from deitalk.data.captures.survey import ChannelFaults, ClipSurvey, Survey
 from deitalk.data.clips import Clip
 from deitalk.data.offset import LAGS, ClipLags
 from rig import default_controls
-from tests.each import each
 
 CONTROLS = default_controls()
 ALL = np.ones(len(CONTROLS), bool)
@@ -69,7 +69,7 @@ def test_swapped_sides_two_voices_and_dead_channels_are_named():
     assert found["dead"][1].endswith(CONTROLS.names[0])
 
 
-@each("fault", ["clipped", "jittering"])
+@pytest.mark.parametrize("fault", ["clipped", "jittering"])
 def test_faulty_channels_are_counted_in_clips(fault):
     faults = replace(FAULTS, **{fault: ("CTRL_C_jaw.ty",)})
     assert "CTRL_C_jaw.ty (2 clips)" in rows(

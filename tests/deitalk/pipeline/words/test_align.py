@@ -11,7 +11,6 @@ from deitalk.pipeline.words.align import RATE, PhoneEvidence, best_path, fit_wor
 from deitalk.pipeline.words.transcript import Transcript, Word
 from deitalk.postprocess.phones import PHONES
 from deitalk.research.corpus.engines import espeak
-from tests.each import each
 
 FLAT = np.full(len(PHONES), 1 / len(PHONES), np.float32)
 
@@ -29,7 +28,7 @@ def transcript(*words):
     return Transcript(tuple(words), "")
 
 
-@each("seed", range(4))
+@pytest.mark.parametrize("seed", range(4))
 def test_path_is_the_best_of_all(seed):
     rng = np.random.default_rng(seed)
     found = rng.normal(size=(6, 3)).astype(np.float32)

@@ -1,10 +1,11 @@
+import pytest
+
 from deitalk.pipeline.words import transcript
 from deitalk.pipeline.words.transcript import ipa_to_phones
 from deitalk.postprocess import phones
 from deitalk.postprocess.phones import PHONES
 from deitalk.research.corpus.engines.flite import festival_to_phone
 from deitalk.research.corpus.utterance import Phone, contiguous
-from tests.each import each
 
 
 def test_sets_are_phones_and_classes_do_not_overlap():
@@ -21,7 +22,7 @@ def test_ipa_vowel_symbols_give_vowels_and_consonants_do_not():
         assert not set(target.split()) & phones.VOWELS, symbol
 
 
-@each(
+@pytest.mark.parametrize(
     ("ipa", "expected"),
     [
         ("həlˈoʊ", "HH AX L OW"),
@@ -40,7 +41,7 @@ def test_english_words_give_their_phones(ipa, expected):
     assert ipa_to_phones(ipa) == tuple(expected.split())
 
 
-@each(
+@pytest.mark.parametrize(
     ("language", "ipa", "expected"),
     [
         ("de", "ʃøːn", "SH UH N"),

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from deitalk.audio.vocal_strength import Prosody, measure_prosody
+from deitalk.audio.prosody import Prosody, measure_prosody
 from deitalk.audio.voice_activity import speech_activity
 from deitalk.postprocess.life.voice import ACCENT_DISTANCE, ASYMMETRY, Seeds, Traits, measure_voice
 

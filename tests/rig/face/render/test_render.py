@@ -12,7 +12,6 @@ from rig.face.render import VIEWS, View
 from rig.face.render.picture import text_width, write_png, write_text
 from rig.face.render.shading import background, glsl
 from rig.face.render.software import Renderer, Screen, front_faces, nearest_faces
-from tests.each import each
 
 SIZE = (72, 80)
 FROM_FRONT = View((0, 0, 0), (0, 0, 60), 20)
@@ -179,7 +178,7 @@ def test_neighbouring_triangles_leave_no_crack_and_share_no_sample(rng):
     assert (alone == 1).all()
 
 
-@each("name", SHEETS)
+@pytest.mark.parametrize("name", SHEETS)
 def test_every_sheet_has_named_tiles(name):
     tiles = sheet_tiles(name)
     assert len({tile.title for tile in tiles}) == len(tiles) >= 2
@@ -220,7 +219,7 @@ def test_text_is_cut_off_at_the_edge_and_fits_its_width():
     assert np.flatnonzero(write_text(blank, "jaw", (0, 3), height=9).any(axis=(0, 2)))[-1] <= width
 
 
-@each("identity", [0, 1, 3])
+@pytest.mark.parametrize("identity", [0, 1, 3])
 def test_face_view_holds_the_chin_of_an_open_jaw(identity):
     head = build_head(identity)
     posed = head.pose(pose_values({"CTRL_C_jaw.ty": 1.0}))

@@ -28,8 +28,8 @@ export interface Edit {
   /** What is said, and the language in which it is pronounced; no words where it is empty. */
   readonly words: string;
   readonly language: string;
-  /** Other fields of the acting as text; those that are not given have their defaults. */
-  readonly acting: Readonly<Record<string, string>>;
+  /** Other fields of the acting, as text or as a file; those that are not given have their defaults. */
+  readonly acting: Readonly<Record<string, string | File>>;
 }
 
 export const NO_EDIT: Edit = { points: [], keys: [], gains: {}, muted: [], layers: [], life: {}, words: "", language: "en-us", acting: {} };

@@ -50,6 +50,14 @@ export function spanOf(edit: LayerEdit): readonly [number, number] {
   return edit.span ?? [edit.keys[0][0], edit.keys[edit.keys.length - 1][0]];
 }
 
+/** The edit with other keys; its span goes on from the first to the last key, or stays where it has one of its own. */
+export function withKeys(edit: LayerEdit, keys: readonly Key[]): LayerEdit {
+  const ends = (of: readonly Key[]) => [of[0]?.[0] ?? 0, of[of.length - 1]?.[0] ?? 0] as const;
+  const [first, last] = ends(keys), [was, till] = ends(edit.keys), own = edit.span ?? [was, till];
+  const isOwn = edit.keys.length > 0 && keys.length > 0 && (own[0] !== was || own[1] !== till);
+  return { ...edit, keys, span: isOwn ? [Math.min(own[0], first), Math.max(own[1], last)] : [first, last] };
+}
+
 /** Cubic between keys, constant beyond them. */
 export function curveAt(edit: LayerEdit, time: number): number {
   const { keys } = edit, last = keys[keys.length - 1];
@@ -58,6 +66,14 @@ export function curveAt(edit: LayerEdit, time: number): number {
   const after = keys.findIndex((key) => key[0] > time), a = keys[after - 1], b = keys[after];
   const gap = b[0] - a[0], t = (time - a[0]) / gap, leave = a[3] ?? 0, arrive = b[2] ?? 0;
   return a[1] + t * t * (3 - 2 * t) * (b[1] - a[1]) + gap * (t * (1 - t) ** 2 * leave - t * t * (1 - t) * arrive);
+}
+
+/** Slope of the curve, per second. */
+export function slopeAt({ keys }: LayerEdit, time: number): number {
+  const after = keys.findIndex((key) => key[0] > time);
+  if (after < 1) return 0;
+  const a = keys[after - 1], b = keys[after], gap = b[0] - a[0], t = (time - a[0]) / gap;
+  return 6 * t * (1 - t) * (b[1] - a[1]) / gap + (1 - t) * (1 - 3 * t) * (a[3] ?? 0) - t * (2 - 3 * t) * (b[2] ?? 0);
 }
 
 export function weightAt(edit: LayerEdit, time: number): number {

@@ -1,10 +1,9 @@
 /** Depth of creases and shadow of lids, the same mathematics as `rig.face.accents` in Python. */
 
 import type { Packed } from "../data/packed";
-import type { Rig } from "./rig";
+import { type Rig, smoothstep } from "./rig";
 
 const clamp = (x: number) => Math.min(Math.max(x, 0), 1);
-const smoothstep = (x: number) => clamp(x) ** 2 * (3 - 2 * clamp(x));
 
 export class Accents {
   /** One number a vertex. */
@@ -36,6 +35,7 @@ export class Accents {
     const { vertices } = this.rig;
     const [cx, cy, cz] = facts.eyes[eye];
     const rim = arrays[`lid${eye}.rim`];
+    if (!rim.length) return;
     const x = Array.from(rim, (v) => vertices[3 * v] - cx);
     const high = Array.from(rim, (v) => Math.atan2(vertices[3 * v + 1] - cy, vertices[3 * v + 2] - cz));
     const [start, stop] = facts.slices[eye ? "eye_R" : "eye_L"];

@@ -36,8 +36,8 @@ export class Face extends Viewport {
     this.faces = head.arrays.faces as Uint16Array;
     this.weld = head.arrays.weld as Uint16Array;
     this.corners = this.faces.map((v) => this.weld[v]);
-    const vertex = head.facts.slices.hair[0];
-    this.still = { vertex, face: 3 * Math.floor(this.faces.findIndex((v) => v >= vertex) / 3) };
+    const vertex = head.facts.slices.hair[0], first = this.faces.findIndex((v) => v >= vertex);
+    this.still = { vertex, face: first < 0 ? this.faces.length : 3 * Math.floor(first / 3) };
     this.joint = head.facts.joint;
     this.neck = head.arrays["neck.share"] as Float32Array;
     this.renderer.outputColorSpace = THREE.LinearSRGBColorSpace;

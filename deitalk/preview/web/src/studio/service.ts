@@ -17,6 +17,8 @@ export interface Source {
   name: string;
   /** Arguments beside emotion and intensity, such as the seed, of a take that was dropped. */
   options: Record<string, string>;
+  /** Captured or keyed curves, or a zipped take, whose mouth is replaced. */
+  performance?: File;
   /** Weights of the emotions of a dropped take, while it has no keys. */
   weightsCsv?: string;
   /** Whether the intensity is that of a dropped take, not the predicted one. */
@@ -30,6 +32,8 @@ export interface Order extends Source {
   /** `intensity.csv` to apply instead of the predicted intensity. */
   intensityCsv?: string;
   format: string;
+  /** How a file is written: frames by which the face is late, and handles. */
+  shift?: Record<string, string>;
   /** Make it a job, whose progress is known. */
   isLong?: boolean;
 }
@@ -48,7 +52,7 @@ export function emotionCsv(edit: Edit, source: Source): string {
 }
 
 /** Arguments of an edit beside emotion and intensity. */
-export function optionsOf(source: Source, edit: Edit): Record<string, string> {
+export function optionsOf(source: Source, edit: Edit): Record<string, string | File> {
   const life = Object.entries(edit.life).filter(([, factor]) => factor !== 1).map(([part, factor]) => `${part}=${factor}`);
   const words = edit.words?.trim(), layers = edit.layers ?? [];
   return {
@@ -87,10 +91,12 @@ export async function order(given: Order, progress: Progress, signal: AbortSigna
   if (gains.length && given.format !== "packed") form.append("gain", gains.join(","));
   const { edit, ...options } = optionsOf(given, given.edit);
   if (edit && given.format !== "packed") form.append("edit", edit); // the page applies them itself
-  for (const [name, value] of Object.entries(options)) form.append(name, value);
+  for (const [name, value] of Object.entries({ ...options, ...given.shift })) form.append(name, value);
   form.append("format", given.format);
   form.append("name", fileNameOf(given.name));
-  const path = given.isLong ? "/v1/jobs" : "/v1/animations";
+  if (given.performance) form.append("performance", given.performance);
+  if (given.isLong) form.append("wait", "false");
+  const path = given.performance ? "/v1/dubs" : "/v1/animations";
   const answer = await request(path, { method: "POST", body: form, signal });
   return answer.status === 202 ? await finished(await answer.json(), progress, signal) : await resultOf(answer);
 }

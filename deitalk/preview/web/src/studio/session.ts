@@ -17,7 +17,7 @@ export interface View {
 }
 
 const DATABASE = "deitalk-studio", RECORDS = "sessions", FILES = "files", TAB = "deitalk-tab", VIEW = "deitalk-view";
-const PARTS = ["recording", "packed"] as const;
+const PARTS = ["recording", "packed", "performance"] as const;
 const KEPT = 5;
 
 let database: Promise<IDBDatabase> | undefined;
@@ -71,8 +71,8 @@ export async function latestSession(): Promise<{ id: string; name: string } | un
 }
 
 /** Keep the session of this tab, and the latest few of others. */
-export async function saveSession({ recording, packed, ...record }: Session): Promise<void> {
-  const [records, files] = await stores("readwrite"), id = sessionStorage.getItem(TAB)!, parts = { recording, packed };
+export async function saveSession({ recording, packed, performance, ...record }: Session): Promise<void> {
+  const [records, files] = await stores("readwrite"), id = sessionStorage.getItem(TAB)!, parts = { recording, packed, performance };
   for (const part of PARTS) if (written[part] !== parts[part]) files.put(parts[part], `${id} ${part}`);
   records.put({ ...record, saved: Date.now() }, id);
   records.transaction.commit(); // a page that is left does not wait

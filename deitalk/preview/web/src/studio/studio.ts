@@ -31,6 +31,8 @@ const EXPORTS: [string, string, boolean][] = [
 ];
 /** Fields that the tracks and the sound of a dropped take hold, and factors. */
 const OWN = ["emotion", "intensity", "intensity_curve", "listen", "gain", "life", "edit"];
+/** Fields that are files on the command line; a dropped take keeps their content. */
+const KEPT = ["voice", "after", "into"];
 /** Arguments of a dropped take that its edit shows. */
 const SHOWN = Object.keys(FIELDS).filter((name) => !OWN.includes(name));
 /** Pause after the last edit until the take is animated again; of a recording that is a job of the service. */
@@ -41,6 +43,12 @@ const JOB_SECONDS = 60;
 /** Whether two edits need the same curves of the network. */
 const isSameReading = (a: Edit, b: Edit) =>
   a.keys === b.keys && a.life === b.life && a.words === b.words && a.language === b.language && a.acting === b.acting;
+
+/** How files are written: fields beside the exports that are not 0. */
+function shiftOf(): Record<string, string> {
+  const fields = ["delay", "handles"].map((name) => [name, $<HTMLInputElement>(name).value.trim()]);
+  return Object.fromEntries(fields.filter(([, value]) => Number(value)));
+}
 
 /** A take as the service packed it. */
 interface Reading {
@@ -95,6 +103,12 @@ export class Studio {
       button("Edits", () => this.exportEdits()),
     );
     $("compare").addEventListener("click", () => void this.compare());
+    $("dub").addEventListener("click", () => (this.session?.performance ? void this.dub() : $("performance").click()));
+    $("performance").addEventListener("change", () => {
+      const field = $<HTMLInputElement>("performance"), [file] = field.files ?? [];
+      field.value = "";
+      if (file) void this.dub(file);
+    });
     $("keep").addEventListener("click", () => this.setOther(player.take!.frozen("A")));
     $("drop-other").addEventListener("click", () => this.setOther());
     this.enable();
@@ -283,6 +297,15 @@ export class Studio {
     return true;
   }
 
+  /** Keep the face of a performance and have the recording's mouth in it; without one, the recording's own face. */
+  private async dub(performance?: File): Promise<void> {
+    const { session } = this, before = session?.performance;
+    if (!session) return;
+    session.performance = performance;
+    if (!(await this.animateAgain(session, session.edit))) session.performance = before;
+    this.enable();
+  }
+
   private async animatePoints(session: Session, edit: Edit): Promise<void> {
     const take = this.player.take!, found = await this.animate(session, edit, take.intensityCsv());
     if (!found) return;
@@ -338,9 +361,9 @@ export class Studio {
   private async export(work: Work, label: string, format: string, isLong: boolean): Promise<void> {
     const { session, player } = this;
     if (!session) return;
-    const intensityCsv = this.hasIntensity(session) ? player.take!.intensityCsv() : undefined;
+    const intensityCsv = this.hasIntensity(session) ? player.take!.intensityCsv() : undefined, shift = shiftOf();
     const result = await work.run(`Exporting ${label}`, (progress, signal) =>
-      order({ ...session, intensityCsv, format, isLong }, progress, signal));
+      order({ ...session, intensityCsv, format, shift, isLong }, progress, signal));
     if (!result) return;
     save(result.content, result.fileName);
     notice([`saved ${result.fileName}`, ...result.notes].join("; "));
@@ -352,21 +375,22 @@ export class Studio {
     if (!session) return;
     save(new Blob([emotionCsv(session.edit, session)], { type: "text/csv" }), "emotion.csv");
     const recording = session.hasOwnIntensity ? `${session.name}/audio.wav` : session.name;
-    const words = [`deitalk animate ${quoted(recording.replace(/^-/, "./-"))} --emotion emotion.csv`];
+    const path = (name: string) => quoted(name.replace(/^-/, "./-"));
+    const verb = session.performance ? `dub ${path(session.performance.name)}` : "animate";
+    const words = [`deitalk ${verb} ${path(recording)} --emotion emotion.csv`];
     if (this.hasIntensity(session)) {
       save(new Blob([player.take!.intensityCsv()], { type: "text/csv" }), "intensity.csv");
       words.push("--intensity-curve intensity.csv");
     }
-    const { voice, edit, ...options } = optionsOf(session, session.edit);
+    const { edit, ...options } = optionsOf(session, session.edit);
     if (edit) {
       save(new Blob([layersText(session.edit.layers)], { type: "application/json" }), "fixes.edit.json");
       words.push("--edit fixes.edit.json");
     }
-    if (voice) {
-      save(new Blob([voice], { type: "application/json" }), "voice.json");
-      words.push("--voice voice.json");
+    for (const [name, value] of Object.entries({ ...options, ...shiftOf() })) {
+      if (KEPT.includes(name) && !(value instanceof File)) save(new Blob([value], { type: "application/json" }), `${name}.json`);
+      words.push(optionOf(name, value instanceof File ? value.name : KEPT.includes(name) ? `${name}.json` : value));
     }
-    for (const [name, value] of Object.entries(options)) words.push(optionOf(name, value));
     const gains = Object.entries(gainsOf(session.edit)).map(([region, gain]) => `${region}=${gain}`);
     if (gains.length) words.push(`--gain ${quoted(gains.join(","))}`);
     notice(`${words.join(" ")} -o take/`);
@@ -408,9 +432,11 @@ export class Studio {
 
   private enable(): void {
     const isOn = this.session !== undefined;
-    for (const b of document.querySelectorAll<HTMLButtonElement>("#exports button, #compare, #keep, #add-key, #emotions button:last-child")) {
+    for (const b of document.querySelectorAll<HTMLButtonElement>("#exports button, #compare, #dub, #keep, #add-key, #emotions button:last-child")) {
       b.disabled = !isOn;
     }
+    $("dub").setAttribute("aria-pressed", String(this.session?.performance !== undefined));
+    $("dub").textContent = this.session?.performance ? `Dubs ${this.session.performance.name}` : "Dub a performance";
     this.showEmotion();
     this.keep();
   }

@@ -1,15 +1,15 @@
 /** Layers of edits: a lane in which a control or a region is dragged, and the list of layers. */
 
 import type { History } from "../data/edit";
-import { columnsOf, curveAt, type Key, type Layer, type LayerEdit, layersText, SCHEMA, spanOf } from "../data/layers";
+import { columnsOf, curveAt, type Key, type Layer, type LayerEdit, layersText, SCHEMA, slopeAt, spanOf, withKeys } from "../data/layers";
 import type { Board, Take } from "../data/take";
 import { $, button, notice, save } from "../dom";
 import { MARGIN, PointLane, type PointOwner, svg } from "./points";
 import type { Span } from "./span";
 
 const LEVEL_STEP = 0.02;
-/** How near the line a press takes it, pixels, and how far a drag bends it to either side, seconds. */
-const NEAR = 14, REACH = 0.25;
+/** How near the line a press takes it, pixels. */
+const NEAR = 14;
 
 /** A key in the lane: places of its edit in the layer, and of the key in the edit. */
 interface Place {
@@ -23,6 +23,8 @@ export class LayerLane implements PointOwner {
   private readonly after = svg("polyline", "applied");
   private readonly head = svg("line", "head");
   private readonly field = $<HTMLInputElement>("edit-target");
+  /** How many frames a drag bends the curve to either side; 1: it moves one frame. */
+  private readonly reach = $<HTMLInputElement>("edit-reach");
   private take?: Take;
   private target = "CTRL_C_jaw.ty";
   /** Index of the layer that is edited. */
@@ -87,8 +89,8 @@ export class LayerLane implements PointOwner {
   }
 
   move(index: number, time: number, level: number): void {
-    const { edit, key } = this.places[index], old = this.edits[edit];
-    const moved = [time, this.offsetOf(time, level), ...old.keys[key].slice(2)];
+    const { edit, key } = this.places[index], old = this.edits[edit], { fps } = this.take!;
+    const at = Math.round(time * fps) / fps, moved = [at, this.offsetOf(at, level), ...old.keys[key].slice(2)];
     this.put(edit, old.keys.map((other, k) => (k === key ? moved : other)), `layer ${this.target} ${index}`);
   }
 
@@ -152,23 +154,27 @@ export class LayerLane implements PointOwner {
 
   /** Put keys into an edit of the active layer; an edit without keys goes. */
   private put(place: number, keys: readonly Key[], gesture = ""): void {
-    const span = [keys[0]?.[0] ?? 0, keys[keys.length - 1]?.[0] ?? 0] as const;
-    const edits = this.edits.map((edit, k) => (k === place ? { ...edit, keys, span } : edit)).filter((edit) => edit.keys.length);
+    const edits = this.edits.map((edit, k) => (k === place ? withKeys(edit, keys) : edit)).filter((edit) => edit.keys.length);
     this.change(this.layers.map((layer, k) => (k === this.active ? { ...layer, edits } : layer)), gesture);
   }
 
-  /** A key on the curve; where there is no edit of the target, one with a key to either side that holds the rest. */
-  private insert(time: number, value: number, isDrag = false): number {
+  /** A key at the nearest frame. Of a drag, and of an edit that is new, a key to either side holds the rest. */
+  private insert(seconds: number, value: number, isDrag = false): number {
+    const { fps, frames } = this.take!, frame = Math.min(Math.max(Math.round(seconds * fps), 0), frames - 1), time = frame / fps;
     const layers = this.layers.length ? this.layers : [{ schema: SCHEMA, name: "edits", edits: [] }];
     const { edits } = layers[this.active], at = edits.findIndex((edit) =>
       edit.target === this.target && (edit.mode ?? "offset") === "offset" && spanOf(edit)[0] <= time && time <= spanOf(edit)[1]);
-    const gap = 0.5 / (this.take?.fps ?? 30);
-    const near = at < 0 ? [] : edits[at].keys.filter((key) => Math.abs(key[0] - time) > gap);
-    const seconds = this.take!.seconds;
-    const sides = at < 0 ? [time - REACH, time + REACH].map((t) => [Math.min(Math.max(t, 0), seconds), 0]) : [];
-    const keys: Key[] = [...near, [time, value], ...sides.filter(([t]) => Math.abs(t - time) > gap)];
+    const edit = edits[at] as LayerEdit | undefined, half = 0.5 / fps, reach = Math.max(Math.round(Number(this.reach.value)), 1);
+    const keys: Key[] = (edit?.keys ?? []).filter((key) => Math.abs(key[0] - time) > half);
+    for (const sign of edit && !isDrag ? [] : [-1, 1]) {
+      const side = Math.min(Math.max(frame + sign * reach, 0), frames - 1) / fps, slope = edit ? slopeAt(edit, side) : 0;
+      const [first, last] = edit ? spanOf(edit) : [0, this.take!.seconds];
+      const isHeld = keys.some(([t]) => sign * (t - time) > 0 && sign * (t - side) < half);
+      if (side !== time && !isHeld && side >= first && side <= last) keys.push(edit ? [side, curveAt(edit, side), slope, slope] : [side, 0]);
+    }
+    keys.push([time, value]);
     keys.sort((a, b) => a[0] - b[0]);
-    const made: LayerEdit = { ...(at < 0 ? { target: this.target, mode: "offset" } : edits[at]), keys, span: [keys[0][0], keys[keys.length - 1][0]] };
+    const made = withKeys(edit ?? { target: this.target, mode: "offset", keys: [] }, keys);
     const next = at < 0 ? [...edits, made] : edits.map((edit, k) => (k === at ? made : edit));
     const index = () => this.places.findIndex(({ edit, key }) => this.edits[edit].keys[key][0] === time);
     const now = layers.map((layer, k) => (k === this.active ? { ...layer, edits: next } : layer));

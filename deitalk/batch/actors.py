@@ -1,0 +1,124 @@
+"""References of the actors of a batch: the usual voice of each, measured on its own lines.
+
+A reference stays in the output folder as ``batch-actors/<actor>.json`` and is used by later runs,
+so that a line added tomorrow does not change those of today. It is measured again once the file is
+removed.
+"""
+
+import hashlib
+import re
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import NamedTuple
+
+from deitalk.audio.choice import AudioChoice
+from deitalk.batch.cloud import AnyOutputs
+from deitalk.batch.journal import Journal
+from deitalk.batch.lines import Line
+from deitalk.batch.orders import Order, Outcome
+from deitalk.batch.source import ACTORS
+from deitalk.emotions import ActorReference, parse_actor
+from deitalk.pipeline.actor_voice import reference_of
+
+MOST_LINES = 100
+"""Lines of an actor that are measured, spread evenly over all of them."""
+FEWEST_LINES = 3
+"""With fewer lines with voice an actor gets no reference."""
+
+
+class Sample(NamedTuple):
+    """A recording of an actor."""
+
+    audio: str
+    choice: AudioChoice
+    sign: str
+    """What its voice depends on."""
+
+    @property
+    def name(self) -> str:
+        """Its name in the journal: its path, and which signal of it."""
+        signal = ",".join(f"{name}={value}" for name, value in self.choice.settings.items())
+        return f"{self.audio}#{signal}" if signal else self.audio
+
+
+def file_of(actor: str) -> str:
+    """Path of an actor's reference below the output folder."""
+    plain = re.sub(r"[^0-9a-z]+", "-", actor.lower()).strip("-")[:60]
+    if plain != actor:
+        plain = f"{plain}-{hashlib.sha256(actor.encode()).hexdigest()[:6]}".lstrip("-")
+    return f"{ACTORS}/{plain}.json"
+
+
+def references(
+    lines: Iterable[Line],
+    outputs: AnyOutputs,
+    signature: Callable[[str], str],
+    run: Callable[[Sequence[Order]], Iterator[list[Outcome]]],
+) -> dict[str, ActorReference]:
+    """References of all actors who have one: read from the output folder, or measured.
+
+    Parameters
+    ----------
+    lines : iterable of Line
+        All lines of the batch.
+    outputs : Outputs or CloudOutputs
+        The output folder; its journal keeps the voice of each recording.
+    signature : callable
+        What the voice of a recording depends on; empty if its file is not there.
+    run : callable
+        Measures recordings: orders to results.
+
+    Raises
+    ------
+    EmotionError
+        If a reference in the output folder is malformed.
+    """
+    found: dict[str, ActorReference] = {}
+    samples: dict[str, list[Sample]] = {}
+    for actor, chosen in _by_actor(lines).items():
+        content = outputs.reference(file_of(actor))
+        if content is not None:
+            found[actor] = parse_actor(content, f"{outputs.folder}/{file_of(actor)}")
+        else:
+            heard = dict.fromkeys((line.audio, line.choice) for line in _spread(chosen))
+            signed = [Sample(*sound, signature(sound[0])) for sound in heard]
+            samples[actor] = [sample for sample in signed if sample.sign]
+    journal = outputs.journal
+    _measure([sample for group in samples.values() for sample in group], journal, run)
+    for actor, group in samples.items():
+        measured = [voice for one in group if (voice := journal.voice(one.name, one.sign))]
+        if sum(voice.strength is not None for voice in measured) >= FEWEST_LINES:
+            text = reference_of(measured).as_json()
+            outputs.keep_reference(file_of(actor), text)
+            found[actor] = parse_actor(text.encode(), actor)  # rounded, as later runs read it
+    return found
+
+
+def _by_actor(lines: Iterable[Line]) -> dict[str, list[Line]]:
+    """Lines of each actor, without those with a reference of their own."""
+    found: dict[str, list[Line]] = {}
+    for line in lines:
+        if line.actor and line.acting.voice is None:
+            found.setdefault(line.actor, []).append(line)
+    return found
+
+
+def _spread(lines: list[Line]) -> list[Line]:
+    step = max(len(lines) / MOST_LINES, 1.0)
+    return [lines[int(i * step)] for i in range(min(len(lines), MOST_LINES))]
+
+
+def _measure(
+    samples: list[Sample],
+    journal: Journal,
+    run: Callable[[Sequence[Order]], Iterator[list[Outcome]]],
+) -> None:
+    """Enter the voice of every recording that is not known yet."""
+    new = {one.name: one for one in samples if journal.voice(one.name, one.sign) is None}
+    orders = [
+        Order(name, one.audio, only_voice=True, choice=one.choice) for name, one in new.items()
+    ]
+    for outcomes in run(orders) if orders else ():
+        with journal.transaction():
+            for outcome in outcomes:
+                if outcome.voice is not None:
+                    journal.write_voice(outcome.output, new[outcome.output].sign, outcome.voice)

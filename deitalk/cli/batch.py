@@ -1,0 +1,120 @@
+"""`deitalk batch`: all lines of a manifest or a folder."""
+
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from deitalk.cli.console import bar, console, emit_json
+from deitalk.cli.options import (
+    MAX_PROCESSES,
+    AnyModel,
+    Backend,
+    Delay,
+    Device,
+    Digits,
+    Given,
+    Handles,
+    Json,
+    Timecode,
+    acting_options,
+)
+
+if TYPE_CHECKING:
+    from deitalk.batch.report import BatchReport
+
+
+@acting_options
+def batch(
+    source: Annotated[str, typer.Argument(help="Folder of recordings, or a manifest; or a URL.")],
+    out: Annotated[str, typer.Option("--out", "-o", help="Folder of the results, or a URL.")],
+    given: Given,
+    actor: Annotated[
+        str, typer.Option(help="Who speaks; intensity counts from the actor's usual voice.")
+    ] = "",
+    formats: Annotated[
+        str, typer.Option("--format", help="csv, json, npz, livelink, take … or several: csv;take")
+    ] = "csv",
+    model: AnyModel = "default",
+    backend: Backend = "auto",
+    fps: Annotated[
+        float | None, typer.Option(help="Rate of the written curves: 24 25 29.97 30 50 60.")
+    ] = None,
+    digits: Digits = None,
+    timecode: Timecode = "zero",
+    delay: Delay = 0,
+    handles: Handles = 0,
+    device: Device = "cpu",
+    workers: Annotated[
+        int | None,
+        typer.Option(min=1, max=MAX_PROCESSES, help="Processes; one for each processor."),
+    ] = None,
+    ray: Annotated[
+        str | None, typer.Option(help="Address of a Ray cluster, such as host:6379 or auto.")
+    ] = None,
+    force: Annotated[
+        bool, typer.Option("--force", help="Go on in a folder begun from another source.")
+    ] = False,
+    as_json: Json = False,
+) -> None:
+    """Animate many recordings; the same command again goes on where it was.
+
+    The options hold for lines whose manifest does not say otherwise. Its columns: audio, output,
+    formats, actor, fps, digits, timecode, delay, handles, track, channel, raw, and the options of
+    the acting (docs/batch.md).
+
+    Examples
+    --------
+    deitalk batch lines/ -e happy -o curves/
+
+    deitalk batch lines.csv --format take -o takes/
+    """
+    from deitalk.batch.run import animate_batch
+
+    with bar("animating") as progress:
+        report = animate_batch(
+            source, out, acting=given.acting, actor=actor, formats=formats, fps=fps, digits=digits,
+            timecode=timecode, delay=delay, handles=handles, model=model, device=device,
+            backend=backend,  # type: ignore[arg-type]
+            workers=workers, ray=ray, force=force, progress=progress, **given.choice.settings,
+        )  # fmt: skip
+    for note in report.notes:
+        console().note(note)
+    if as_json:
+        emit_json(_batch_summary(report))
+    else:
+        console().print(_batch_line(out, report))
+    _fail_if_any_failed(report)
+
+
+def _batch_line(out: str, report: "BatchReport") -> str:
+    from deitalk.batch.source import SUMMARY
+
+    counts = ", ".join(f"{count} {status}" for status, count in report.counts.items() if count)
+    rate = report.seconds / report.wall_seconds
+    return (
+        f"{out}: {counts} of {len(report.rows)} lines in {report.wall_seconds:.0f} s "
+        f"({rate:.0f} x real time); {SUMMARY} has a row for each"
+    )
+
+
+def _batch_summary(report: "BatchReport") -> dict[str, Any]:
+    return {
+        "out": report.out,
+        "lines": len(report.rows),
+        **report.counts,
+        "with_warnings": sum(bool(row.warnings) for row in report.rows),
+        "seconds": report.seconds,
+        "wall_seconds": report.wall_seconds,
+    }
+
+
+def _fail_if_any_failed(report: "BatchReport") -> None:
+    from deitalk.batch.source import FAILED
+    from deitalk.errors import DeitalkError
+
+    if report.failed:
+        first = report.failed[0]
+        raise DeitalkError(
+            f"{len(report.failed)} of {len(report.rows)} lines failed, see {FAILED} there; "
+            f"the first is {first.audio}: {first.error}"
+        )
