@@ -159,7 +159,7 @@ class Speech:
     @property
     def strength(self) -> float:
         """Strength of the whole voice at any gain, dB above the usual."""
-        return self._followed_strength[0]
+        return float(self._followed_strength[0])
 
     def strengths(self, effort: Float32 | None = None) -> tuple[float, Float32]:
         """The same, and that of each frame's phrase [shape=(T,)], which changes little within it.

@@ -116,7 +116,10 @@ def live_ms(device: str, backend: str, count: int) -> dict[str, float]:
 
 def measure(device: str, most: int, say: Callable[[str, Any], None]) -> None:
     """Measure everything, of at most so many recordings or voices."""
-    model, here = require_model("default", DEITalk, device=device), require_model("default", DEITalk)
+    model, here = (
+        require_model("default", DEITalk, device=device),
+        require_model("default", DEITalk),
+    )
     is_cuda = device.startswith("cuda")
     tens, mixed = lines(64 if is_cuda else 4, 10, 10), lines(4, 1, 20)
     expected = here.read_together(*mixed)
