@@ -472,7 +472,7 @@ def apply_rules(rules: CurveRules, clips: Sequence[Unruled]) -> list[int]:
         Values of the shown curves of each that were outside of their range.
     """
     outside, state = np.zeros(len(clips)), rules.first(len(clips))
-    rest, size = state[0, -1], clips[0].neutral.shape[1]  # a face at rest follows the last frame
+    rest, size = rules.before[-1], clips[0].neutral.shape[1]  # a face at rest follows the last
     after = rest[:size], rest[size : 2 * size], rest[2 * size :], np.zeros(1, np.float32)
     gain = np.stack([clip.gain for clip in clips])
     flags = np.array([clip.ruled for clip in clips], np.float32)
