@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from rig.arrays import Float64
 from rig.curves.filters import TRUNCATE, gaussian_smooth
 
 Array = Any
@@ -179,14 +180,23 @@ def between(values: Array, used: Array) -> Array:
 
 
 def smoothed(values: Array, sigma: float) -> Array:
-    """`rig.curves.edit.gaussian_smooth` with zeros beyond the ends [shape=(T,)]."""
+    """`rig.curves.filters.gaussian_smooth` with zeros beyond the ends [shape=(T,)]."""
     if not is_tensor(values):
         return gaussian_smooth(values, sigma)
     radius = int(TRUNCATE * sigma + 0.5)
     kernel = np.exp(-0.5 * (np.arange(-radius, radius + 1) / sigma) ** 2)
-    weights = like(kernel / kernel.sum(), values)[None, None]
-    rows = values[None, None]
-    return library(values).nn.functional.conv1d(rows, weights, padding=radius)[0, 0]
+    return filtered(values[:, None], kernel / kernel.sum())[:, 0]
+
+
+def filtered(values: Array, kernel: Float64) -> Array:
+    """Columns (T, C) convolved with a symmetric kernel (an odd number), zeros beyond the ends."""
+    count, reach = values.shape[0], len(kernel) // 2
+    if is_tensor(values):
+        conv1d, weight = library(values).nn.functional.conv1d, like(kernel, values)[None, None]
+        return conv1d(values.T[:, None], weight, padding=reach)[:, 0].T
+    beside = padded(values, reach, reach)
+    parts = (share * beside[k : k + count] for k, share in enumerate(kernel))
+    return sum(parts, np.zeros_like(values))
 
 
 def convolved(x: Array, weight: Array, bias: Array, dilation: int) -> Array:

@@ -124,8 +124,8 @@ def follow_held(
     risen = xp.where(last >= 0, grown, state.share[:, None])
     share = risen * xp.clip(1 - since / rule.leaves, 0, 1)
     found = Held(xp.where(since <= GOES_ON, back, xp.zeros_like(back)), share, sounding)
-    counted = (xp.clip(part[:, -1], None, NEVER) for part in (age, since, back))
-    return found, HeldState(rows[:, count:], *counted, risen[:, -1])
+    age, since, back = (xp.clip(part[:, -1], None, NEVER) for part in (age, since, back))
+    return found, HeldState(rows[:, count:], age, since, back, risen[:, -1])
 
 
 def held_sound(levels: Array, tones: Array, rule: HoldPose) -> Held:

@@ -3,7 +3,7 @@
 At any gain, the decibels by which the speaker is louder than usual, as far as spectrum and pitch
 tell. Three small networks, trained from different seeds, are averaged;
 each is three convolutions on prosody and spectrum, whose mean and spread over the speech are mapped
-to the number. They are evaluated here on arrays or tensors, and trained in `deitalk.research`.
+to the number. They are evaluated on arrays or tensors.
 
 Not in the paper: DEITalk's saliency compares frames of one clip, not clips. Letters: F features.
 """
@@ -17,7 +17,9 @@ import numpy as np
 from deitalk.array_functions import (
     Array,
     as_index,
+    as_number,
     convolved,
+    filtered,
     gelu,
     is_tensor,
     join,
@@ -102,7 +104,7 @@ class VocalStrength:
         if not is_tensor(frames) and not is_voiced:
             return np.float32(0), np.zeros(len(frames), np.float32)
         rows, _ = without_level(frames)
-        weight = xp.clip(frames[:, -1:], REST_WEIGHT, None)
+        weight = xp.clip(as_number(frames[:, -1:] > 0), REST_WEIGHT, None)
         read = [_member(weights, rows, weight) for weights in self._members.values()]
         whole, blocks = (xp.stack(part).mean(0) for part in zip(*read, strict=True))
         # Between the middles of blocks by straight lines.
@@ -149,19 +151,15 @@ def _pooled(x: Array, weight: Array) -> tuple[Array, Array]:
     moved = x - centre
 
     def sums(values: Array) -> Array:
-        blocks = padded(values, 0, more).reshape(-1, BLOCK_FRAMES, values.shape[1])
-        return precise(blocks).sum(1)
+        return padded(values, 0, more).reshape(-1, BLOCK_FRAMES, values.shape[1]).sum(1)
 
-    parts = [sums(weight * values) for values in (moved * 0 + 1, moved, moved * moved)]
-    near = []
-    for part in parts:
-        beside, count = padded(part, reach, reach), part.shape[0]
-        near.append(sum(float(share) * beside[k : k + count] for k, share in enumerate(kernel)))
+    parts = [sums(weight), sums(weight * moved), sums(weight * moved * moved)]
     found = []
-    for total, first, second in ([part.sum(0, keepdims=True) for part in parts], near):
+    all_frames = [part.sum(0, keepdims=True) for part in parts]
+    for total, first, second in (all_frames, [filtered(part, kernel) for part in parts]):
         mean = first / total
         spread = xp.sqrt(xp.clip(second / total - mean * mean, 1e-4, None))
-        found.append(single(join((mean + precise(centre), spread), 1)))
+        found.append(single(join((mean + centre, spread), 1)))
     return found[0], found[1]
 
 

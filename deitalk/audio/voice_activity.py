@@ -81,7 +81,7 @@ def speech_activity(waveform: npt.ArrayLike) -> Float32:
         for first in range(start, stop if stop - start >= rule.frames else start, 2048):
             frames = np.arange(first, min(first + 2048, stop))
             tones[frames] = measure_windows(_windows(samples, frames).astype(np.float64)).tone
-    return active_frames(levels, tones, len(samples)).astype(np.float32)
+    return np.asarray(active_frames(levels, tones, len(samples)), np.float32)
 
 
 def active_frames(levels: Array, tones: Array, n_samples: int) -> Array:
@@ -142,21 +142,11 @@ def active_level_db(waveform: npt.ArrayLike, activity: npt.ArrayLike | None = No
     """
     samples = np.asarray(waveform, dtype=np.float32)
     active = np.asarray(speech_activity(samples) if activity is None else activity) > 0.5
-    energy, count = 0.0, 0.0
-    for first in range(0, len(active), 900):  # a multiple of 3, frames of a whole number of samples
-        piece = samples[first * SAMPLE_RATE // FRAME_RATE :][: 900 * SAMPLE_RATE // FRAME_RATE]
-        more = speech_energy(piece, active[first : first + 900])
-        energy, count = energy + float(more[0]), count + float(more[1])
+    energy, count = 0.0, 0
+    for start, stop in runs(active) * SAMPLE_RATE // FRAME_RATE:
+        piece = samples[start:stop]
+        energy, count = energy + float(piece @ piece), count + len(piece)
     return 10 * float(np.log10(energy / count)) if energy > 0 else -np.inf
-
-
-def speech_energy(samples: Array, speech: Array) -> tuple[Array, Array]:
-    """Sum of the squares of the samples (S,) in frames of speech (T,), and their number.
-
-    Arrays or tensors; frame i has the samples from floor(533.33 i) on.
-    """
-    is_speech = speech[(3 * library(samples).arange(samples.shape[0]) + 2) // 1600]
-    return (samples * samples * is_speech).sum(), as_index(is_speech).sum()
 
 
 def normalise_level(
@@ -239,7 +229,7 @@ def window_levels(windows: Float32) -> Float32:
     """Power per band (n, K) in dB re full scale of `WINDOW` samples each (n, WINDOW)."""
     spectra = np.fft.rfft(windows * HANN.astype(np.float32))
     power = np.square(spectra.real) + np.square(spectra.imag)
-    return levels_of_power(power).astype(np.float32)
+    return np.asarray(levels_of_power(power), np.float32)
 
 
 def levels_of_power(power: Array) -> Array:

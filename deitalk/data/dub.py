@@ -257,7 +257,7 @@ def dub(
 def _read(
     path: Path, mapping: RigMapping | None, fps: float | None
 ) -> tuple[RigCurves, frozenset[str], list[str]]:
-    """The performance at 30 Hz, the controls that it knows, notes."""
+    """The performance at 30 Hz, the controls whose values are known, notes."""
     controls = default_controls()
     if path.is_dir():
         curves = read_curves(path / TAKE_CURVES).reorder(controls)
@@ -313,7 +313,7 @@ Span = tuple[int, int]
 def paired_phrases(
     old: Sequence[Span], new: Sequence[Span], limit: float = STRETCH
 ) -> list[tuple[Span, Span]]:
-    """Phrases of two recordings that stand for each other, in their order.
+    """Phrases of two recordings that correspond, in their order.
 
     Where one has more, up to `MOST_TOGETHER` of them stand for one of the other. Of a recording
     that is longer than the limit allows the last phrases have no counterpart. Where that would

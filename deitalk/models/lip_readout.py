@@ -24,6 +24,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from deitalk.models.joined import JoinedClips
 from deitalk.postprocess.torch_columns import smoothstep
 
 CONTACTS = ("lipsTogether", "lipBiteD")
@@ -107,7 +108,9 @@ class LipReadout(nn.Module):
         """Frames around a row, or before it, that it depends on."""
         return TAPS - 1 if self.causal else TAPS // 2
 
-    def forward(self, speech: Tensor, past: Tensor | None = None) -> Tensor:
+    def forward(
+        self, speech: Tensor, past: Tensor | None = None, clips: JoinedClips | None = None
+    ) -> Tensor:
         """Read features.
 
         Parameters
@@ -116,6 +119,8 @@ class LipReadout(nn.Module):
             Without positional encoding.
         past : Tensor [shape=(B, TAPS - 1, D)] or None
             What came before, for a causal readout; None: nothing did.
+        clips : JoinedClips or None
+            Whose frames the features (1, K, D) are.
 
         Returns
         -------
@@ -126,8 +131,11 @@ class LipReadout(nn.Module):
         if past is not None:
             x = torch.cat((past, speech), dim=1).transpose(1, 2)
         else:
-            x = F.pad(speech.transpose(1, 2), (self.margin, TAPS - 1 - self.margin))
+            x = speech if clips is None else clips.spread(speech, TAPS)
+            x = F.pad(x.transpose(1, 2), (self.margin, TAPS - 1 - self.margin))
         rows = self.listen(x).transpose(1, 2)
+        if clips is not None:
+            rows = clips.taken(rows, TAPS)
         n = len(CHANNELS)
         return torch.cat((rows[..., :n].sigmoid(), rows[..., n:]), dim=-1)
 

@@ -58,7 +58,6 @@ from deitalk.audio.prosody import (
 )
 from deitalk.config.rules import Gates, VoiceIntensity
 from deitalk.emotions import LABELS
-from rig.arrays import Float32
 
 FAINTEST, STEEPNESS = 0.15, 1.3
 """Lowest intensity that a network is taught, and its slope per standard deviation of liveliness,
@@ -94,7 +93,7 @@ MOST_TONE = 2.5
 # Shares of the motion that are shown, from the distances to speech.
 
 
-def mouth_gate(activity: npt.ArrayLike, gates: Gates = Gates()) -> Float32:
+def mouth_gate(activity: npt.ArrayLike, gates: Gates = Gates()) -> Array:
     """Share of the mouth's motion shown at each frame: 1 in speech, 0 in silence.
 
     Opens over the 0.17 s before speech and closes over the 0.33 s after it, in raised cosines.
@@ -113,7 +112,7 @@ def mouth_gate(activity: npt.ArrayLike, gates: Gates = Gates()) -> Float32:
     return mouth_between(*_distances(np.asarray(activity) > 0.5), gates)
 
 
-def expression_share(activity: npt.ArrayLike, rest: float, gates: Gates = Gates()) -> Float32:
+def expression_share(activity: npt.ArrayLike, rest: float, gates: Gates = Gates()) -> Array:
     """Share of the expression shown at each frame: 1 in speech, `rest` in silence, 0 far from it.
 
     Parameters

@@ -155,13 +155,12 @@ class Sound:
         shorter, longer = sorted((self.levels, other.levels), key=len)
         if not shorter or longer[len(shorter) + 1 :].strip(_QUIET):
             return False
-        ours, theirs = (_steps(levels[: len(shorter)]) for levels in (shorter, longer))
+        ours, theirs = (
+            np.array([LEVELS.index(letter) for letter in levels[: len(shorter)]], float)
+            for levels in (shorter, longer)
+        )
         heard = np.maximum(ours, theirs) > len(_QUIET)
         return bool(np.abs(ours - theirs)[heard].mean() < 1) if heard.any() else True
-
-
-def _steps(levels: str) -> Float64:
-    return np.array([LEVELS.index(letter) for letter in levels], float)
 
 
 @dataclass(frozen=True)

@@ -33,6 +33,7 @@ from rig.retarget.morph_head import (
     SKIN_ROUGHNESS,
     baked_picture,
     morph_head,
+    painted_colours,
 )
 
 NAMES, VALUES = "custom:mh_curveNames", "custom:mh_curveValues"
@@ -52,7 +53,7 @@ def write(path: Path, curves: RigCurves, identity: int | str | Identity = 0) -> 
     from rig.face import build_head
 
     pxr = _pxr()
-    (rig, colours), head = morph_head(identity), build_head(identity)
+    rig, head = morph_head(identity), build_head(identity)
     stage = pxr.Usd.Stage.CreateInMemory()
     pxr.UsdGeom.SetStageUpAxis(stage, pxr.UsdGeom.Tokens.y)
     pxr.UsdGeom.SetStageMetersPerUnit(stage, METRES_PER_CM)
@@ -68,7 +69,7 @@ def write(path: Path, curves: RigCurves, identity: int | str | Identity = 0) -> 
     skeleton.CreateJointsAttr(["head"])
     skeleton.CreateBindTransformsAttr(still)
     skeleton.CreateRestTransformsAttr(still)
-    mesh, shapes = _mesh(pxr, stage, skeleton, rig.shapes, colours)
+    mesh, shapes = _mesh(pxr, stage, skeleton, rig.shapes, painted_colours(head))
     animation = pxr.UsdSkel.Animation.Define(stage, "/head/animation")
     animation.CreateBlendShapesAttr(shapes)
     pxr.UsdSkel.BindingAPI.Apply(skeleton.GetPrim()).CreateAnimationSourceRel().SetTargets(

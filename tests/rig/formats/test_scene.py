@@ -57,11 +57,12 @@ def accessor(glb, blob, index):
         v = glb.bufferViews[i]
         return np.frombuffer(blob, kind, count * columns, v.byteOffset).reshape(count, columns)
 
-    kinds = {5126: "<f4", 5125: "<u4"}
+    kinds = {5126: "<f4", 5125: "<u4", 5123: "<u2"}
     if a.bufferView is not None:
         array = view(a.bufferView, kinds[a.componentType], a.count, width).copy()
     if a.sparse is not None:
-        rows = view(a.sparse.indices.bufferView, "<u4", a.sparse.count, 1)[:, 0]
+        indices = a.sparse.indices
+        rows = view(indices.bufferView, kinds[indices.componentType], a.sparse.count, 1)[:, 0]
         array[rows] = view(a.sparse.values.bufferView, "<f4", a.sparse.count, width)
     return array
 
