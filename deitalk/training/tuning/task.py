@@ -410,6 +410,7 @@ class FinetuneTask(CurveTask):
             if self.late is not None and fit.factor is not None:
                 weight, bias = fit.factor[:, None] * self.late.weight, fit.factor * self.late.bias
                 self.late = self.late._replace(weight=weight, bias=bias)
+        fit.size_emotions()
         self.ridge = copy.deepcopy(self.model).eval()
 
     def systems(self, after: DEITalk) -> tuple[CaptureSet, dict[str, System]]:
