@@ -148,6 +148,9 @@ def finetune(
         job.save(out / "best", ridge, describe_model(out / "best")["training"] | {"step": 0})
         systems["after"] = systems["ridge"]
         scores = compared()
+    # Once more, with the graph that ONNX Runtime evaluates.
+    tuned, summary = require_model(out / "best", DEITalk), describe_model(out / "best")["training"]
+    save_model(out / "best", tuned, job.config, summary, graph=True)
     remove_features(out / "features")  # a run that is over needs none
     return scores
 
@@ -214,7 +217,7 @@ class FinetuneTask(CurveTask):
             found = shortage(len(self.clips), len(self.validation_clips))
             raise DataError(f"{data}: has {found}")
         self.test_clips, self.conventions = division.test, {}
-        self.learnt = learnt_controls(config, self.controls)
+        self.learnt = learnt_controls(config.rules, self.controls)
         self.pose = self._mean_pose(data)
         captured = self.learnt & self.pose.alive
         shown = {clip.emotion for clip in self.clips}
