@@ -50,7 +50,8 @@ if TYPE_CHECKING:
     from deitalk.models.hub import push_to_hub
     from deitalk.pipeline.curves import animate
     from deitalk.pipeline.mesh import animate_mesh
-    from deitalk.pipeline.performance import MeshPerformance, Performance
+    from deitalk.pipeline.mesh_performance import MeshPerformance
+    from deitalk.pipeline.performance import Performance
     from deitalk.pipeline.suggest import Suggestion, suggest_emotion
     from deitalk.training.tuning.public import Tuned, finetune, import_captures
 
@@ -65,7 +66,8 @@ _HOMES = {
     "errors": ("DeitalkError",),
     "live.animator": ("LiveAnimator",),
     "pipeline.mesh": ("animate_mesh",),
-    "pipeline.performance": ("MeshPerformance", "Performance"),
+    "pipeline.mesh_performance": ("MeshPerformance",),
+    "pipeline.performance": ("Performance",),
     "pipeline.curves": ("animate",),
     "pipeline.suggest": ("Suggestion", "suggest_emotion"),
     "audio.arrays": ("recording_from_array",),

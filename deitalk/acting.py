@@ -294,7 +294,8 @@ def read_gains(given: Any) -> dict[str, float]:
 
 def read_edit(given: Any, info: ValidationInfo) -> tuple[Layer, ...]:
     """Layers, files of them (a text may name several, with ``;`` between), or their content."""
-    from rig.curves.layers import Layer, parse_layers, read_layers
+    from rig.curves.layer_files import parse_layers, read_layers
+    from rig.curves.layers import Layer
 
     if isinstance(given, Layer):
         return (given,)

@@ -195,7 +195,7 @@ def blender(curves: RigCurves, folder: Path) -> list[Any]:
     (folder / "names.json").write_text(json.dumps(list(raw.names)))
     write_curves(folder / "arkit.glb", shapes)
     write_curves(folder / "head.usdz", curves)
-    rig, _ = morph_head()
+    rig = morph_head()
     weights = rig.weights(curves)
     (folder / "addon.py").write_text(addon_text())
     (folder / "inside.py").write_text(IN_BLENDER)

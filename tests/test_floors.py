@@ -22,7 +22,7 @@ FLOORS = {
         models
         frontends postprocess
         audio emotions
-        config
+        config array_functions
         installed workers
         errors
     """,

@@ -45,12 +45,13 @@ from rig.arrays import Float32
 from rig.controls import DEFAULT_ID
 from rig.conversion.convert import convert
 from rig.curves import RigCurves
-from rig.curves.edit import clamp, gain, shift
+from rig.curves.edit import clamp, gain
+from rig.curves.shift import shift
 from rig.errors import UserError
 from rig.formats import read_curves, write_curves
 from rig.limits import STREAM_BYTES
 from rig.retarget.retarget_files import retarget_curves
-from rig.validation import validate
+from rig.validation.files import validate
 
 # Voices that are animated while they are spoken, in the worker process that keeps their state.
 #

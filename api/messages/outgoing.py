@@ -5,20 +5,19 @@ import json
 import shutil
 from collections.abc import AsyncIterator
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import anyio
 from fastapi import Request, Response
 from starlette.responses import StreamingResponse
 
-from api.compute.order import Answer, Kind, Order
+from api.compute.order import Answer, Order
 from api.compute.pool import result_path
 from api.errors import Problem
 from api.guard.keys import Caller, require
 from api.jobs.queue import new_id
 from api.jobs.table import Job
 from api.messages.formats import OutputFormat
-from api.messages.options import SpeechOptions
 from api.messages.views import view_of
 from api.service import Service
 
@@ -28,49 +27,46 @@ LONGEST_NOTES = 2000
 LONGEST_KEY = 200
 
 
+class Asked(NamedTuple):
+    """A request, the service that answers it, and who makes it."""
+
+    request: Request
+    service: Service
+    caller: Caller
+
+
 async def answer_order(
-    request: Request,
-    service: Service,
-    caller: Caller,
-    folder: Path,
-    kind: Kind,
-    options: dict[str, Any],
-    given: SpeechOptions,
-    output: OutputFormat,
+    asked: Asked, folder: Path, work: Order, output: OutputFormat, *, waits: bool
 ) -> Response:
     """Carry out an order now if its recording is short for its format, else accept a job.
 
     Parameters
     ----------
-    request, service, caller
+    asked : Asked
         Of the route.
     folder : Path
         With the order's files; it is removed.
-    kind : str
-        Of the order.
-    options : dict
-        Of the order.
-    given : SpeechOptions
-        Of the request.
+    work : Order
+        Kind and options.
     output : OutputFormat
         Of the result.
+    waits : bool
+        Whether the client waits for a short one; else it is a job too.
     """
-    work: Order = {
-        "kind": kind,
-        "options": options | {"format": output.name, "suffix": output.suffix},
-        "at_once_seconds": min(
-            service.settings.max_seconds, output.at_once_seconds(service.settings.work_seconds)
-        ),
-        "most_seconds": service.settings.max_job_seconds,
-    }
+    _, service, caller = asked
+    settings = service.settings
+    at_once = min(settings.max_seconds, output.at_once_seconds(settings.work_seconds))
+    work = work | {
+        "options": work["options"] | {"format": output.name, "suffix": output.suffix},
+        "at_once_seconds": at_once, "most_seconds": settings.max_job_seconds,
+    }  # fmt: skip
     try:
-        if given.wait:
+        if waits:
             answer = await service.pool.run(work | {"folder": str(folder)}, caller)
             if "long" not in answer:
-                seconds = service.metrics.read(answer, "request")
-                await service.count(caller, seconds)
+                await service.count(caller, service.metrics.read(answer, "request"))
                 return await file_answer(folder, answer, output)
-        job = await accept(request, service, caller, folder, work, given, output)
+        job = await accept(asked, folder, work, output)
         body = view_of(job).model_dump_json()
         headers = {"Location": f"/v1/jobs/{job.id}"}
         return Response(body, 202, headers, "application/json")
@@ -78,15 +74,7 @@ async def answer_order(
         await anyio.to_thread.run_sync(shutil.rmtree, folder, True)
 
 
-async def accept(
-    request: Request,
-    service: Service,
-    caller: Caller,
-    folder: Path,
-    work: Order,
-    given: SpeechOptions,
-    output: OutputFormat,
-) -> Job:
+async def accept(asked: Asked, folder: Path, work: Order, output: OutputFormat) -> Job:
     """Put an order into the queue of jobs.
 
     Raises
@@ -94,6 +82,7 @@ async def accept(
     Problem
         403 without the scope, 409 for an idempotency key of another request, 429, 503.
     """
+    request, service, caller = asked
     require(caller, "jobs")
     key = request.headers.get("idempotency-key")
     if key is not None and not (0 < len(key) <= LONGEST_KEY and key.isprintable()):

@@ -1,7 +1,7 @@
 """Recordings to curves, to meshes, onto a mesh of the caller; checks of curves."""
 
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import anyio
 from fastapi import APIRouter, Request, Response
@@ -22,7 +22,6 @@ from api.compute.order import (
     suffix_of,
 )
 from api.errors import Problem
-from api.guard.keys import Caller
 from api.messages.formats import (
     ANIMATION_FORMATS,
     CURVE_FORMATS,
@@ -44,11 +43,10 @@ from api.messages.options import (
     is_deferred,
     order_options,
 )
-from api.messages.outgoing import answer_order, file_answer
+from api.messages.outgoing import Asked, answer_order, file_answer
 from api.messages.views import JobView, ValidationView
 from api.routes import form_schema
 from api.routes.deps import AnimatorDep, ServiceDep, problems
-from api.service import Service
 from deitalk.acting import LONGEST_TEXT, SCRIPT_SUFFIXES, WORDS_SUFFIXES, user_error
 from deitalk.emotions.track_files import TRACK_SUFFIXES
 from deitalk.errors import ConfigError
@@ -61,6 +59,20 @@ DUB = ("performance", "sound", "mapping", *SPEECH)
 RETARGET = ("mesh", "curves", "landmarks", "mapping", *SPEECH)
 
 
+class Made(NamedTuple):
+    """What a route makes of a recording: an order's kind and options, formats, parts of a form."""
+
+    kind: Kind
+    options: type[SpeechOptions]
+    formats: dict[str, OutputFormat]
+    usual: str
+    """Name of the format for any ``Accept``."""
+    files: tuple[str, ...] = SPEECH
+
+
+ANIMATION = Made("animation", AnimationOptions, ANIMATION_FORMATS, "json")
+
+
 @router.post(
     "/animations",
     response_class=Response,
@@ -69,9 +81,7 @@ RETARGET = ("mesh", "curves", "landmarks", "mapping", *SPEECH)
 )
 async def animate(request: Request, service: ServiceDep, caller: AnimatorDep) -> Response:
     """Curves of a recording: at once up to `max_seconds` (60 s), a job (202) beyond."""
-    return await speech(
-        request, service, caller, "animation", AnimationOptions, ANIMATION_FORMATS, "json"
-    )
+    return await speech(Asked(request, service, caller), ANIMATION)
 
 
 @router.post(
@@ -82,7 +92,8 @@ async def animate(request: Request, service: ServiceDep, caller: AnimatorDep) ->
 )
 async def dub(request: Request, service: ServiceDep, caller: AnimatorDep) -> Response:
     """A performance that the request sends with the mouth of another recording."""
-    return await speech(request, service, caller, "dub", DubOptions, ANIMATION_FORMATS, "json", DUB)
+    made = Made("dub", DubOptions, ANIMATION_FORMATS, "json", DUB)
+    return await speech(Asked(request, service, caller), made)
 
 
 @router.post(
@@ -93,7 +104,8 @@ async def dub(request: Request, service: ServiceDep, caller: AnimatorDep) -> Res
 )
 async def animate_mesh(request: Request, service: ServiceDep, caller: AnimatorDep) -> Response:
     """A moving mesh of a recording: an embedded head, or a mesh model's template."""
-    return await speech(request, service, caller, "mesh", MeshOptions, MESH_FORMATS, "glb")
+    made = Made("mesh", MeshOptions, MESH_FORMATS, "glb")
+    return await speech(Asked(request, service, caller), made)
 
 
 @router.post(
@@ -104,9 +116,8 @@ async def animate_mesh(request: Request, service: ServiceDep, caller: AnimatorDe
 )
 async def retarget(request: Request, service: ServiceDep, caller: AnimatorDep) -> Response:
     """Curves, or a recording, on a mesh that the request sends (GLB, OBJ, PLY or NPZ)."""
-    return await speech(
-        request, service, caller, "retarget", RetargetOptions, MESH_FORMATS, "glb", RETARGET
-    )
+    made = Made("retarget", RetargetOptions, MESH_FORMATS, "glb", RETARGET)
+    return await speech(Asked(request, service, caller), made)
 
 
 @router.post(
@@ -146,49 +157,31 @@ async def validate(request: Request, service: ServiceDep, caller: AnimatorDep) -
         return ValidationView(**answer["facts"])
 
 
-async def speech(
-    request: Request,
-    service: Service,
-    caller: Caller,
-    kind: Kind,
-    model: type[SpeechOptions],
-    formats: dict[str, OutputFormat],
-    default: str,
-    files: tuple[str, ...] = SPEECH,
-    *,
-    at_once: bool = True,
-) -> Response:
+async def speech(asked: Asked, made: Made, *, at_once: bool = True) -> Response:
     """Read a request, carry it out or make it a job, and answer.
 
     Parameters
     ----------
-    request, service, caller
+    asked : Asked
         Of the route.
-    kind : str
-        Of the order.
-    model : type
-        Of the options.
-    formats : dict
-        Kinds of results.
-    default : str
-        Name of the format for any ``Accept``.
-    files : tuple of str
-        Parts of the form.
+    made : Made
+        What the route makes of a recording.
     at_once : bool
         Whether a short recording is answered at once.
     """
+    request, service, caller = asked
     is_job = not at_once or request.query_params.get("wait") == "false"
     await service.check_room(caller, is_job=is_job)
     async with service.stage.folder() as folder:
-        received = await receive(request, folder, model, files)
-        given = received.options
-        output = choose_format(formats, given.format, request.headers.get("accept"), default)
-        options = order_options(received, folder) | checked_files(kind, received.sent)
+        received = await receive(request, folder, made.options, made.files)
+        given, accepted = received.options, request.headers.get("accept")
+        output = choose_format(made.formats, given.format, accepted, made.usual)
+        options = order_options(received, folder) | checked_files(made.kind, received.sent)
         if given.model not in service.settings.known_models:
             known = ", ".join(service.settings.known_models)
             raise Problem(404, f"no such model; known models: {known}", "model_unknown")
-        given = given if at_once else given.model_copy(update={"wait": False})
-        return await answer_order(request, service, caller, folder, kind, options, given, output)
+        work: Order = {"kind": made.kind, "options": options}
+        return await answer_order(asked, folder, work, output, waits=at_once and given.wait)
 
 
 def checked_curves(sent: dict[str, str]) -> dict[str, Any]:

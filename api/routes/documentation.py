@@ -58,7 +58,8 @@ def _route(path: str, method: str, route: dict[str, Any]) -> str:
 def curl(path: str, method: str, content: dict[str, Any]) -> str:
     """Return a command that calls a route."""
     files = content.get("multipart/form-data", {}).get("schema", {}).get("required", [])
-    names = {"recording": "speech.wav", "mesh": "face.glb", "curves": "curves.csv"}
+    names = {"recording": "speech.wav", "mesh": "face.glb", "curves": "curves.csv",
+             "performance": "take.zip"}  # fmt: skip
     parts = [f"-F {name}=@{names.get(name, name)}" for name in files]
     if files == ["mesh"]:
         parts.append("-F curves=@curves.csv")

@@ -14,10 +14,10 @@ from api.guard.keys import Caller
 from api.jobs.table import DONE, Job
 from api.messages.formats import ANIMATION_FORMATS
 from api.messages.options import AnimationOptions
-from api.messages.outgoing import result_headers
+from api.messages.outgoing import Asked, result_headers
 from api.messages.views import JOB_EXAMPLE, JobsView, JobView, view_of
 from api.routes import form_schema
-from api.routes.animations import SPEECH, speech
+from api.routes.animations import ANIMATION, SPEECH, speech
 from api.routes.deps import JobCallerDep, ServiceDep, problems
 from api.service import Service
 
@@ -38,10 +38,7 @@ Status = Literal["queued", "running", "done", "failed", "cancelled"]
 )
 async def create_job(request: Request, service: ServiceDep, caller: JobCallerDep) -> Response:
     """Animate a recording of any length; with an `Idempotency-Key` the same request is one job."""
-    return await speech(
-        request, service, caller, "animation", AnimationOptions, ANIMATION_FORMATS, "json",
-        at_once=False,
-    )  # fmt: skip
+    return await speech(Asked(request, service, caller), ANIMATION, at_once=False)
 
 
 @router.get("")

@@ -94,6 +94,14 @@ class Frames(BaseModel):
     frames: list[Frame]
 
 
+class Interrupted(BaseModel):
+    """Between the frames before and after an interruption."""
+
+    type: Literal["interrupted"]
+    frame: int
+    next: int
+
+
 class End(BaseModel):
     """Last answer of a session."""
 
@@ -118,11 +126,13 @@ def live_messages() -> dict[str, Any]:
             "start": sent("start", Start.model_json_schema()["properties"] | begin),
             "samples": {"type": "string"} | samples,
             "set": sent("set", change),
+            "interrupt": sent("interrupt", {"frame": {"type": "integer", "minimum": 0}}),
             "stop": sent("stop", {}),
         },
         "server": {
             "header": Header.model_json_schema(),
             "frames": Frames.model_json_schema(),
+            "interrupted": Interrupted.model_json_schema(),
             "end": End.model_json_schema(),
             "problem": sent("problem", ProblemView.model_json_schema()["properties"]),
         },

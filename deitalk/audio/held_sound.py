@@ -4,7 +4,8 @@ A speech encoder attends to what changes: its features of a steady sound drift, 
 follows them shuts while the sound goes on. A sound is held where it is periodic and its spectrum
 is that of a quarter of a second before; its pose is then that of `POSE` frames after its onset.
 
-Streams are side by side, and their state is in the caller's hands. Letters: B streams, n frames of
+Streams are side by side, and the caller keeps their state. All functions take arrays or tensors.
+Letters: B streams, n frames of
 a call, K frequency bands.
 """
 
@@ -12,9 +13,21 @@ from typing import NamedTuple
 
 import numpy as np
 
-from deitalk.audio.frames import runs
+from deitalk.array_functions import (
+    FAR,
+    Array,
+    as_index,
+    as_number,
+    join,
+    last_value,
+    library,
+    like,
+    neighbours,
+    padded,
+    running_maximum,
+    take_along,
+)
 from deitalk.config.rules import HoldPose
-from rig.arrays import AnyFloat, Bool, Float32, Float64, Int64
 
 LAG = 8
 """Frames between the spectra that are compared (0.27 s)."""
@@ -26,8 +39,10 @@ DEPTH_DB = 25.0
 """Bands weaker than the strongest by more are as if by this."""
 PERIODIC = 0.5
 """Least tonality."""
-NEVER = 1_000_000
-"""Frames since a sound was held, where none was."""
+NEVER = 1_000_000.0
+"""Frames since a sound was held, where none was; the most that is counted."""
+NONE_DB = 1e9
+"""Level of frames that have not come."""
 EARLY = 3
 """Frames by which the sound is known before a frame whose pose is held."""
 GOES_ON = 20
@@ -39,38 +54,37 @@ POSE = 4
 class Held(NamedTuple):
     """Where a pose is held [shape=(B, n)] each."""
 
-    back: Int64
+    back: Array
     """Frames since the pose that is held."""
-    share: Float32
+    share: Array
     """How much of it is shown, 0 to 1."""
-    sounding: Bool
+    sounding: Array
     """Whether a sound is held."""
 
 
 class HeldState(NamedTuple):
     """What is kept of streams between two calls."""
 
-    levels: Float64
-    """Last levels, dB [shape=(B, BEFORE, K)]; infinite before the first frame."""
-    age: Int64
+    levels: Array
+    """Last levels, dB [shape=(B, BEFORE, K)]; `NONE_DB` before the first frame."""
+    age: Array
     """Frames of steadiness [shape=(B,)]."""
-    since: Int64
-    """Frames since a sound was held, many before the first [shape=(B,)]."""
-    back: Int64
+    since: Array
+    """Frames since a sound was held [shape=(B,)]."""
+    back: Array
     """Frames since the pose that was held last [shape=(B,)]."""
-    share: Float64
+    share: Array
     """How much of it was shown when the sound was held last [shape=(B,)]."""
 
 
 def first_held(batch: int, n_bands: int) -> HeldState:
     """State of streams before their first frame."""
-    age, since, back = np.zeros((3, batch), np.int64)  # no two of a stream share their memory
-    levels = np.full((batch, BEFORE, n_bands), -np.inf)
-    return HeldState(levels, age, since + NEVER, back, np.zeros(batch))
+    levels, never = np.full((batch, BEFORE, n_bands), NONE_DB), np.full(batch, NEVER)
+    return HeldState(levels, np.zeros(batch), never, never.copy(), np.zeros(batch))
 
 
 def follow_held(
-    levels: AnyFloat, tones: AnyFloat, rule: HoldPose, state: HeldState
+    levels: Array, tones: Array, rule: HoldPose, state: HeldState
 ) -> tuple[Held, HeldState]:
     """Take the next frames.
 
@@ -79,7 +93,7 @@ def follow_held(
     levels : array [shape=(B, n, K)]
         Of frequency bands, dB: `deitalk.audio.voice_activity.window_levels`.
     tones : array [shape=(B, n)]
-        From `deitalk.audio.prosody.tonality`; it matters where the levels are steady.
+        `deitalk.audio.prosody.Prosody.tone`; it matters where the levels are steady.
     rule : HoldPose
         Of the model.
     state : HeldState
@@ -91,65 +105,73 @@ def follow_held(
         Of the frames `EARLY` before.
     state : HeldState
     """
-    count = tones.shape[1]
-    rows: Float64 = np.concatenate((state.levels, levels), axis=1)
-    steady = (_change(rows, count) <= rule.steady_db) & (tones > PERIODIC)
-    place = np.arange(count)
-    age = place - _last(~steady, place, -1 - state.age)
+    xp, count = library(levels), tones.shape[1]
+    rows = join((state.levels, levels), 1)
+    known, tonal = rows[:, :count, 0] < NONE_DB, tones > PERIODIC
+    steady = known & (_change(rows) <= rule.steady_db) & tonal
+    place = xp.arange(count) * 1.0
+    age = place - last_value(~steady, place, -1 - state.age)
     sounding = age >= rule.frames
-    last = _last(sounding, place, -1 - state.since)
+    last = last_value(sounding, place, -1 - state.since)
     since = place - last
-
     # Frame of the pose: of its own onset, or where a sound goes on, that of the one before.
-    poses = np.repeat(-1 - state.back[:, None], count, axis=1)
-    for stream, start in np.argwhere(sounding & (age == rule.frames)):
-        ended = last[stream, start - 1] if start else -1 - state.since[stream]
-        if start - ended > GOES_ON:
-            poses[stream, start:] = start - rule.frames - (BEFORE - POSE - EARLY)
-    back = place - poses
-    risen = np.minimum((age - rule.frames + 1) / rule.leaves, 1)
-    risen = np.take_along_axis(risen, np.maximum(last, 0), axis=1)
-    risen = np.where(last >= 0, risen, state.share[:, None])
-    share = risen * np.clip(1 - since / rule.leaves, 0, 1)
-    found = Held(np.where(since <= GOES_ON, back, 0), share.astype(np.float32), sounding)
-    return found, HeldState(rows[:, count:], age[:, -1], since[:, -1], back[:, -1], risen[:, -1])
+    ended = join((-1 - state.since[:, None], last[:, :-1]), 1)
+    is_onset = sounding & (age == rule.frames) & (place - ended > GOES_ON)
+    onset = rule.frames + BEFORE - POSE - EARLY
+    back = place - last_value(is_onset, place - onset, -1 - state.back)
+    grown = xp.clip((age - rule.frames + 1) / rule.leaves, None, 1)
+    grown = take_along(grown, as_index(xp.clip(last, 0, None)), 1)
+    risen = xp.where(last >= 0, grown, state.share[:, None])
+    share = risen * xp.clip(1 - since / rule.leaves, 0, 1)
+    found = Held(xp.where(since <= GOES_ON, back, xp.zeros_like(back)), share, sounding)
+    age, since, back = (xp.clip(part[:, -1], None, NEVER) for part in (age, since, back))
+    return found, HeldState(rows[:, count:], age, since, back, risen[:, -1])
 
 
-def held_sound(levels: AnyFloat, tones: AnyFloat, rule: HoldPose) -> Held:
+def held_sound(levels: Array, tones: Array, rule: HoldPose) -> Held:
     """The same of a whole recording [each shape=(T,)], whose poses are held from their frames on.
 
     `sounding` is of the frames themselves.
     """
-    rows = np.pad(levels, ((0, EARLY), (0, 0)), mode="edge")[None]
-    found, _ = follow_held(
-        rows, np.pad(tones, (0, EARLY))[None], rule, first_held(1, levels.shape[1])
-    )
-    back, share = found.back[0, EARLY:].copy(), found.share[0, EARLY:].copy()
-    for start, stop in runs(back > 0):
-        pose, top = max(start - int(back[start]), 0), start + int(share[start:stop].argmax())
-        back[pose:start] = np.arange(start - pose)
-        share[pose:top] = share[top]
-    return Held(back, share, found.sounding[0, : len(levels)])
+    xp, total, n_bands = library(levels), levels.shape[0], int(levels.shape[1])
+    rows = join((levels, xp.broadcast_to(levels[-1:], (EARLY, n_bands))))[None]
+    first = HeldState(*(like(part, levels) for part in first_held(1, n_bands)))
+    found, _ = follow_held(rows, padded(tones, 0, EARLY)[None], rule, first)
+    back, share = found.back[0, EARLY:], found.share[0, EARLY:]
+    # From its own frame on a pose has the most that its sound shows, until that is reached. Shares
+    # are whole multiples of 1 / leaves^2, and the sounds get ranges of their own, one after the
+    # other, so that a running maximum is one of each sound.
+    is_on, frames = back > 0, xp.arange(total)
+    starts = is_on & ~padded(is_on, 1, 0)[:-1]
+    whole = as_index(xp.round(share * rule.leaves**2))
+    number = as_index(starts).cumsum(0) * (rule.leaves**2 + 1)
+    rising = running_maximum(xp.where(is_on, whole + number, 0)[None])[0] - number
+    falling = xp.where(is_on, whole - number, -number - 1)
+    falling = xp.flip(running_maximum(xp.flip(falling, (0,))[None])[0], (0,)) + number
+    most = xp.maximum(rising, falling)
+    top = as_number(is_on) * most / rule.leaves**2
+    share = xp.where(is_on & (rising < most), top, share)
+    start = neighbours(starts)[1]
+    place = xp.clip(start, None, total - 1)
+    pose = xp.clip(place - as_index(back)[place], 0, None)
+    is_before = (start < FAR) & (frames >= pose) & (frames < start)
+    back = xp.where(is_before, frames - pose, back)
+    return Held(back, xp.where(is_before, top[place], share), found.sounding[0, :total])
 
 
-def steady_frames(levels: AnyFloat, rule: HoldPose) -> Bool:
+def steady_frames(levels: Array, rule: HoldPose) -> Array:
     """Frames of a whole recording (T, K) that may be held, whatever their periodicity."""
-    before = np.full((BEFORE, levels.shape[1]), -np.inf)
-    found: Bool = _change(np.concatenate((before, levels))[None], len(levels))[0] <= rule.steady_db
-    return found
+    change = _change(padded(levels, BEFORE, 0)[None])[0]
+    return (change <= rule.steady_db) & (library(levels).arange(levels.shape[0]) >= BEFORE)
 
 
-def _change(rows: Float64, count: int) -> Float64:
-    """Mean difference of smoothed bands from those `LAG` frames before, dB [shape=(B, n)]."""
-    loudest = rows.max(axis=2, keepdims=True)
-    with np.errstate(invalid="ignore"):
-        shapes = np.where(np.isfinite(loudest), np.maximum(rows - loudest, -DEPTH_DB), np.inf)
-        smooth = np.mean([shapes[:, k : k + count + LAG] for k in range(SMOOTHED)], axis=0)
-        change = np.abs(smooth[:, LAG:] - smooth[:, :-LAG]).mean(axis=2)
-    return np.where(np.isfinite(change), change, np.inf)
+def _change(rows: Array) -> Array:
+    """Mean difference of smoothed bands from those `LAG` frames before, dB.
 
-
-def _last(flags: Bool, place: Int64, before: Int64) -> Int64:
-    """Place of the last flag until each frame [shape=(B, n)]; `before` (B,) where there is none."""
-    found = np.where(flags, place, before[:, None])
-    return np.maximum.accumulate(found, axis=1)
+    Rows (B, BEFORE + n, K); the result is (B, n).
+    """
+    xp = library(rows)
+    shapes = xp.clip(rows - xp.amax(rows, axis=2, keepdims=True), -DEPTH_DB, None)
+    length = rows.shape[1] - SMOOTHED + 1
+    smooth = sum(shapes[:, k : k + length] for k in range(SMOOTHED)) / SMOOTHED
+    return xp.abs(smooth[:, LAG:] - smooth[:, :-LAG]).mean(2)

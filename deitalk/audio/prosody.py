@@ -5,8 +5,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from deitalk.array_functions import Array, library, like, percentile
 from deitalk.audio.frames import SAMPLE_RATE, frame_centres
-from rig.arrays import Bool, Float32, Float64, Int64
+from rig.arrays import Float32, Float64, Int64
 
 LEVEL_DB, PITCH_SEMITONES, TILT_DB = 5.0, 3.5, 5.0
 """One standard deviation of each measure within a lively reading."""
@@ -29,42 +30,67 @@ SONORANT = slice(3, 18)
 """Bands of the first three formants, 330 to 3300 Hz, in which syllables stand out most."""
 
 
+FREQUENCIES = np.fft.rfftfreq(2 * WINDOW, 1 / SAMPLE_RATE)
+_EDGES = np.searchsorted(FREQUENCIES, BAND_EDGES_HZ)
+_NUMBER = np.arange(WINDOW + 1)[:, None]
+SUMS = np.concatenate(
+    (
+        ((FREQUENCIES > 1000) & (FREQUENCIES < 4000))[:, None],
+        ((FREQUENCIES > 80) & (FREQUENCIES < 1000))[:, None],
+        (_NUMBER >= _EDGES[:-1]) & (_NUMBER < _EDGES[1:]),
+    ),
+    axis=1,
+).astype(float)
+"""Bins of the spectrum that are summed: bright, dark and the bands [shape=(1025, 28)]."""
+
+
 class Prosody(NamedTuple):
-    """Measures of every frame."""
+    """Measures of frames, arrays or tensors."""
 
-    level: Float64
-    """dB [shape=(T,)]."""
-    bright: Float64
-    """Power from 1 to 4 kHz [shape=(T,)]."""
-    dark: Float64
-    """Power from 80 Hz to 1 kHz [shape=(T,)]."""
-    pitch: Float64
-    """Semitones over 100 Hz [shape=(T,)]."""
-    active: Bool
-    """Loud enough to be speech [shape=(T,)]."""
-    voiced: Bool
-    """Active and periodic [shape=(T,)]."""
-    periodicity: Float64
-    """Largest autocorrelation at the lags of a pitch, -1 to 1 [shape=(T,)]."""
-    bands: Float64
-    """Power in bands of equal mel width [shape=(T, 26)]."""
+    level: Array
+    """dB [shape=(..., T)]."""
+    bright: Array
+    """Power from 1 to 4 kHz [shape=(..., T)]."""
+    dark: Array
+    """Power from 80 Hz to 1 kHz [shape=(..., T)]."""
+    pitch: Array
+    """Semitones over 100 Hz [shape=(..., T)]."""
+    periodicity: Array
+    """Largest autocorrelation at the lags of a pitch, -1 to 1 [shape=(..., T)]."""
+    bands: Array
+    """Power in bands of equal mel width [shape=(..., T, 26)]."""
 
     @property
-    def tilt(self) -> Float64:
-        """Bright over dark, dB [shape=(T,)]."""
-        tilt: Float64 = 10 * np.log10((self.bright + 1e-12) / (self.dark + 1e-12))
-        return tilt
+    def tilt(self) -> Array:
+        """Bright over dark, dB [shape=(..., T)]."""
+        return 10 * library(self.dark).log10((self.bright + 1e-12) / (self.dark + 1e-12))
 
     @property
-    def sonority(self) -> Float64:
-        """Power of the bands of the formants, dB [shape=(T,)]."""
-        return sonority_db(self.bands.T)
+    def sonority(self) -> Array:
+        """Power of the bands of the formants, dB [shape=(..., T)]."""
+        return 10 * library(self.bands).log10(self.bands[..., SONORANT].sum(-1) + 1e-12)
 
+    @property
+    def tone(self) -> Array:
+        """Periodicity where there is a pitch, else 0 [shape=(..., T)].
 
-def sonority_db(bands: Float64) -> Float64:
-    """Power of the bands of the formants, dB [shape=(T,)], of all bands (26, T)."""
-    sonority: Float64 = 10 * np.log10(bands[SONORANT].sum(axis=0) + 1e-12)
-    return sonority
+        That of a rumble, which has none, is largest at the shortest lag.
+        """
+        highest = 12 * math.log2(SAMPLE_RATE / SHORTEST / 100)
+        return self.periodicity * (self.pitch < highest - 1e-3)
+
+    @property
+    def active(self) -> Array:
+        """Frames of a whole recording that are loud enough to be speech [shape=(T,)]."""
+        level = self.level
+        if level.shape[0] == 0:
+            return level > 0
+        return level > percentile(level, 95, level == level) - ACTIVE_DB
+
+    @property
+    def voiced(self) -> Array:
+        """Active and periodic frames [shape=(T,)]."""
+        return self.active & (self.periodicity > VOICED)
 
 
 def level_db(waveform: Float32, centres: Int64, width: int = LEVEL_WINDOW) -> Float64:
@@ -107,62 +133,43 @@ def measure_prosody(waveform: Float32, n_frames: int) -> Prosody:
     n_frames : int
         Frames T; frame i is at i / 30 seconds.
     """
-    columns = [
-        _measure(waveform, np.arange(first, min(first + PIECE, n_frames)))
-        for first in range(0, n_frames, PIECE)
-    ]
-    measured = np.concatenate(columns, axis=1) if columns else np.zeros((5 + BANDS, 0))
-    level, bright, dark, pitch, periodicity = measured[:5]
-    active = level > np.percentile(level, 95) - ACTIVE_DB if n_frames else np.zeros(0, bool)
-    voiced = active & (periodicity > VOICED)
-    return Prosody(level, bright, dark, pitch, active, voiced, periodicity, measured[5:].T)
+    parts = [measure_windows(np.zeros((0, WINDOW)))]
+    for start in range(0, n_frames, PIECE):
+        centres = frame_centres(np.arange(start, min(start + PIECE, n_frames)))
+        low, high = int(centres[0]) - WINDOW // 2, int(centres[-1]) + WINDOW // 2
+        piece = waveform[max(low, 0) : high].astype(np.float64)
+        piece = np.pad(piece, (max(-low, 0), high - low - max(-low, 0) - len(piece)))
+        windows = np.lib.stride_tricks.sliding_window_view(piece, WINDOW)
+        parts.append(measure_windows(windows[centres - centres[0]]))
+    return Prosody(*(np.concatenate(part) for part in zip(*parts, strict=True)))
 
 
-def _measure(waveform: Float32, frames: Int64) -> Float64:
-    """Level, bright and dark power, pitch, periodicity and power of the bands [shape=(31, T)]."""
-    centres = frame_centres(frames)
-    low, high = int(centres[0]) - WINDOW // 2, int(centres[-1]) + WINDOW // 2
-    piece = waveform[max(low, 0) : high].astype(np.float64)
-    piece = np.pad(piece, (max(-low, 0), high - low - max(-low, 0) - len(piece)))
-    windows = np.lib.stride_tricks.sliding_window_view(piece, WINDOW)
-    return measure_windows(windows[centres - centres[0]])
-
-
-def tonality(pitch: Float64, periodicity: Float64) -> Float64:
-    """Periodicity of `Prosody` where it has a pitch, else 0.
-
-    That of a rumble, which has none, is largest at the shortest lag.
-    """
-    highest = 12 * math.log2(SAMPLE_RATE / SHORTEST / 100)
-    return np.where(pitch < highest - 1e-6, periodicity, 0.0)
-
-
-def measure_windows(windows: Float64) -> Float64:
-    """Measures of `WINDOW` samples each (T, WINDOW).
-
-    Returns
-    -------
-    ndarray [shape=(31, T)]
-        Level, bright and dark power, pitch, periodicity and power of the bands, as in `Prosody`.
-    """
-    rows = windows * np.hanning(WINDOW)
-    spectra = np.fft.rfft(rows, 2 * WINDOW)
+def measure_windows(windows: Float64) -> Prosody:
+    """Measures of `WINDOW` samples each (T, WINDOW)."""
+    spectra = np.fft.rfft(windows * np.hanning(WINDOW), 2 * WINDOW)
     power = np.square(spectra.real) + np.square(spectra.imag)
-    frequency = np.fft.rfftfreq(2 * WINDOW, 1 / SAMPLE_RATE)
-    above = power[:, (frequency > 1000) & (frequency < 4000)].sum(axis=1)
-    below = power[:, (frequency > 80) & (frequency < 1000)].sum(axis=1)
-    edges = np.searchsorted(frequency, BAND_EDGES_HZ)
-    bands = np.add.reduceat(power, edges, axis=1)[:, :-1]
-    correlation = np.fft.irfft(power, axis=1)[:, :LONGEST]
+    return prosody_of(power, np.fft.irfft(power, axis=1)[:, :LONGEST])
+
+
+def prosody_of(power: Array, correlation: Array) -> Prosody:
+    """Measures of the power of spectra and of their autocorrelation.
+
+    Parameters
+    ----------
+    power : array or Tensor [shape=(T, 1025)]
+        Of windows of `WINDOW` samples by the Hann function and as many zeros.
+    correlation : array or Tensor [shape=(T, `LONGEST`)]
+        Inverse Fourier transform of the power.
+    """
+    xp = library(power)
+    sums = power @ like(SUMS, power)
     correlation = correlation / (correlation[:, :1] + 1e-12)
-    lag = correlation[:, SHORTEST:].argmax(axis=1) + SHORTEST
-    return np.stack(
-        [
-            10 * np.log10(power.mean(axis=1) + 1e-12),
-            above,
-            below,
-            12 * np.log2(SAMPLE_RATE / lag / 100),
-            correlation[np.arange(len(lag)), lag],
-            *bands.T,
-        ]
+    lag = correlation[:, SHORTEST:].argmax(1) + SHORTEST
+    return Prosody(
+        10 * xp.log10(power.mean(1) + 1e-12),
+        sums[:, 0],
+        sums[:, 1],
+        12 * xp.log2(SAMPLE_RATE / 100 / lag),
+        xp.amax(correlation[:, SHORTEST:], axis=1),
+        sums[:, 2:],
     )

@@ -1,4 +1,4 @@
-"""Voice activity at 30 Hz and the level of speech, from the whole clip. numpy only.
+"""Voice activity at 30 Hz and the level of speech, from the whole clip.
 
 Letters: K frequency bands.
 """
@@ -6,11 +6,23 @@ Letters: K frequency bands.
 import numpy as np
 import numpy.typing as npt
 
+from deitalk.array_functions import (
+    FAR,
+    Array,
+    as_index,
+    in_order,
+    library,
+    like,
+    neighbours,
+    padded,
+    percentile,
+    scalar,
+)
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE, frame_count, runs
 from deitalk.audio.held_sound import BEFORE, held_sound, steady_frames
-from deitalk.audio.prosody import measure_windows, tonality
+from deitalk.audio.prosody import measure_windows
 from deitalk.config.rules import HoldPose
-from rig.arrays import Bool, Float32, Int64
+from rig.arrays import Float32, Int64
 
 WINDOW = 1024  # samples, 64 ms, centred on the frame's time
 BAND_EDGES_HZ = (100, 200, 320, 460, 640, 860, 1130, 1460, 1870, 2370, 2980, 3720, 4640, 5760, 7200)
@@ -27,7 +39,11 @@ LIKENESS_BINS = 30  # 470 Hz: narrow enough that the colour of noise does not ma
 LONGEST_CLOSURE = 6  # frames; a gap up to 0.2 s is a stop consonant, not a pause
 LONGEST_DROWNED = 15  # frames; in noise a weak syllable beside the consonant is missed as well
 NOISY_DB, CLEAN_DB = 25.0, 40.0  # excess of the loudest speech, between the two in proportion
-SHORTEST_SPEECH = 2  # frames; a single one is a click
+HANN = np.hanning(WINDOW + 1)[:-1]
+_EDGES = np.ceil(np.array(BAND_EDGES_HZ) * WINDOW / SAMPLE_RATE)
+_NUMBER = np.arange(_EDGES[-1])[:, None]
+BINS = ((_NUMBER >= _EDGES[:-1]) & (_NUMBER < _EDGES[1:])) * 2 / (WINDOW * np.square(HANN).sum())
+"""Share of the power of each bin in the mean square of each band [shape=(461, 14)]."""
 
 
 def speech_activity(waveform: npt.ArrayLike) -> Float32:
@@ -58,24 +74,55 @@ def speech_activity(waveform: npt.ArrayLike) -> Float32:
     samples = np.asarray(waveform, dtype=np.float32)
     if len(samples) == 0:
         return np.zeros(0, np.float32)
-    # Power per band (T, K) in dB re full scale, not below `SILENCE_DB`.
     levels = band_levels(samples)
-    held = _held_frames(samples, levels)
-    excess = np.sort(levels - _noise_floor(levels, held), axis=1)[:, -TOP_BANDS:].mean(axis=1)
-    excess[held] = np.maximum(excess[held], OPEN_DB)
+    # Of all steady sounds that are long enough, whether they have a pitch.
+    rule, tones = HoldPose(), np.zeros(len(levels))
+    for start, stop in runs(steady_frames(levels, rule)):
+        for first in range(start, stop if stop - start >= rule.frames else start, 2048):
+            frames = np.arange(first, min(first + 2048, stop))
+            tones[frames] = measure_windows(_windows(samples, frames).astype(np.float64)).tone
+    return np.asarray(active_frames(levels, tones, len(samples)), np.float32)
+
+
+def active_frames(levels: Array, tones: Array, n_samples: int) -> Array:
+    """Frames with speech [shape=(T,)] of a whole recording, as `speech_activity` describes.
+
+    Parameters
+    ----------
+    levels : array or Tensor [shape=(T, K)]
+        From `levels_of_power`.
+    tones : array or Tensor [shape=(T,)]
+        `deitalk.audio.prosody.Prosody.tone`; it matters where the levels are steady.
+    n_samples : int
+        S.
+    """
+    xp, rule = library(levels), HoldPose()
+    held = held_sound(levels, tones, rule).sounding
+    held = held | _frames_before(held, BEFORE + rule.frames)
+    above = in_order(levels - _noise_floor(levels, held), axis=1)[:, -TOP_BANDS:].mean(1)
+    excess = xp.where(held, xp.clip(above, OPEN_DB, None), above)
     # Runs of `keeps` that hold at least one frame of `opens`.
-    opens = excess >= OPEN_DB
-    keeps = excess >= KEEP_DB
-    speech = np.zeros_like(keeps)
-    for start, stop in runs(keeps):
-        speech[start:stop] = opens[start:stop].any()
-    # Frames without speech that are no pause, by how far the loudest speech is above the noise.
-    loudest = np.percentile(excess, 95)
-    gap = np.interp(loudest, [NOISY_DB, CLEAN_DB], [LONGEST_DROWNED, LONGEST_CLOSURE])
-    speech = ~_without_short(~speech, round(float(gap)), keep_ends=True)
-    if len(samples) >= SHORT_SECONDS * SAMPLE_RATE:
-        speech = _without_short(speech, SHORTEST_SPEECH - 1)
-    return speech.astype(np.float32)
+    opens, keeps = excess >= OPEN_DB, excess >= KEEP_DB
+    opened, ended = neighbours(opens), neighbours(~keeps)
+    speech = keeps & ((opened[0] > ended[0]) | (opened[1] < ended[1]))
+    # Frames without speech that are no pause.
+    longest = longest_gap(percentile(excess, 95, excess == excess))
+    last, following = neighbours(speech)
+    speech = speech | ((following - last - 1 <= longest) & (last >= 0) & (following < FAR))
+    # A single frame is a click, but in a clip that is very short.
+    beside = padded(speech, 1, 1)
+    is_short = scalar(n_samples, levels) < SHORT_SECONDS * SAMPLE_RATE
+    return speech & (beside[:-2] | beside[2:] | is_short)
+
+
+def longest_gap(loudest: Array) -> Array:
+    """Longest gap that is no pause, frames, of how far the loudest speech is above the noise, dB.
+
+    In noise longer gaps are bridged.
+    """
+    xp = library(loudest)
+    share = xp.clip((loudest - NOISY_DB) / (CLEAN_DB - NOISY_DB), 0, 1)
+    return xp.round(LONGEST_DROWNED + share * (LONGEST_CLOSURE - LONGEST_DROWNED))
 
 
 def active_level_db(waveform: npt.ArrayLike, activity: npt.ArrayLike | None = None) -> float:
@@ -178,31 +225,21 @@ def band_levels(waveform: Float32) -> Float32:
     return levels
 
 
-def _held_frames(samples: Float32, levels: Float32) -> Bool:
-    """Frames of sounds that a voice holds, their beginnings too [shape=(T,)]."""
-    rule, tones = HoldPose(), np.zeros(len(levels))
-    for start, stop in runs(steady_frames(levels, rule)):
-        if stop - start >= rule.frames:
-            for first in range(start, stop, 2048):
-                frames = np.arange(first, min(first + 2048, stop))
-                measured = measure_windows(_windows(samples, frames).astype(np.float64))
-                tones[frames] = tonality(measured[3], measured[4])
-    held = held_sound(levels, tones, rule).sounding
-    for start, _ in runs(held):
-        held[max(start - BEFORE - rule.frames, 0) : start] = True
-    return held
-
-
 def window_levels(windows: Float32) -> Float32:
     """Power per band (n, K) in dB re full scale of `WINDOW` samples each (n, WINDOW)."""
-    window = np.hanning(WINDOW + 1)[:-1].astype(np.float32)
-    scale = 2 / (WINDOW * float((window**2).sum()))  # bins of one band then sum to mean square
-    bins = np.ceil(np.array(BAND_EDGES_HZ) * WINDOW / SAMPLE_RATE).astype(int)
-    spectra = np.fft.rfft(windows * window)
-    power = (np.square(spectra.real) + np.square(spectra.imag)) * scale
-    bands = np.add.reduceat(power[:, : bins[-1]], bins[:-1], axis=1)
-    levels: Float32 = 10 * np.log10(np.maximum(bands, 10 ** (SILENCE_DB / 10)))
-    return levels.astype(np.float32)
+    spectra = np.fft.rfft(windows * HANN.astype(np.float32))
+    power = np.square(spectra.real) + np.square(spectra.imag)
+    return np.asarray(levels_of_power(power), np.float32)
+
+
+def levels_of_power(power: Array) -> Array:
+    """Power per band (n, K) in dB re full scale, of that of spectra (n, at least 461).
+
+    Arrays or tensors; the spectra are of `WINDOW` samples times `HANN`.
+    """
+    bands = power[:, : len(BINS)] @ like(BINS.astype(np.float32), power)
+    xp = library(power)
+    return 10 * xp.log10(xp.clip(bands, 10 ** (SILENCE_DB / 10), None))
 
 
 def _windows(samples: Float32, frames: Int64) -> Float32:
@@ -215,37 +252,35 @@ def _windows(samples: Float32, frames: Int64) -> Float32:
     return windows
 
 
-def _noise_floor(levels: Float32, held: Bool) -> Float32:
+def _noise_floor(levels: Array, held: Array) -> Array:
     """Level per band (T, K) above which there is more than noise, in dB.
 
-    Frames of a `held` sound (T,) are no noise.
+    Frames of a `held` sound (T,) are no noise. The lowest tenth of `FLOOR_SECONDS` is measured
+    every two seconds and at the last frame; between them it passes by straight lines.
     """
-    n_frames = len(levels)
-    if n_frames < SHORT_SECONDS * FRAME_RATE:
-        return np.full_like(levels, SHORT_FLOOR_DB - OPEN_DB)
+    xp, n_frames = library(levels), levels.shape[0]
     half = round(FLOOR_SECONDS * FRAME_RATE / 2)
-    centres = np.unique(np.append(np.arange(0, n_frames, half // 3), n_frames - 1))
-    known = np.where(held[:, None], np.float32(np.nan), levels)
-    lowest = [known[max(0, c - half) : c + half] for c in centres]
-    lowest = [
-        np.nanpercentile(rows, FLOOR_PERCENTILE, axis=0)
-        if np.isfinite(rows).any()
-        else np.full(rows.shape[1], SHORT_FLOOR_DB - OPEN_DB)
-        for rows in lowest
-    ]
-    floor = np.empty_like(levels)
-    for band, values in enumerate(np.array(lowest).T):
-        floor[:, band] = np.interp(np.arange(n_frames), centres, values)
-    loudest = np.percentile(levels.max(axis=1), 98)
-    floor = np.maximum(floor, np.float32(loudest - SPEECH_RANGE_DB))
-    return floor
+    hop, quiet = half // 3, SHORT_FLOOR_DB - OPEN_DB
+    centres = xp.clip(xp.arange((n_frames + hop - 1) // hop + 1) * hop, None, n_frames - 1)
+    places = centres + xp.arange(-half, half)[:, None]  # (2 half, N)
+    inside = xp.clip(places, 0, n_frames - 1)
+    used = (places == inside) & ~held[inside]
+    rows = levels[inside]  # (2 half, N, K)
+    found = percentile(rows, FLOOR_PERCENTILE, xp.broadcast_to(used[:, :, None], rows.shape))
+    lowest = xp.where(as_index(used).sum(0)[:, None] > 0, found, xp.full_like(found, quiet))
+    frames = xp.arange(n_frames)
+    before = frames // hop
+    first, second = centres[before], centres[before + 1]
+    share = ((frames - first) / xp.clip(second - first, 1, None))[:, None]
+    floor = lowest[before] + share * (lowest[before + 1] - lowest[before])
+    highest = xp.amax(levels, axis=1)
+    loudest = percentile(highest, 98, highest == highest)
+    floor = xp.maximum(floor, loudest - SPEECH_RANGE_DB)
+    is_short = scalar(n_frames, levels) < SHORT_SECONDS * FRAME_RATE
+    return xp.where(is_short, xp.full_like(floor, quiet), floor)
 
 
-def _without_short(mask: Bool, longest: int, *, keep_ends: bool = False) -> Bool:
-    """`mask` without its runs of up to `longest` frames, those at the clip's ends aside."""
-    result = mask.copy()
-    for start, stop in runs(mask):
-        at_end = keep_ends and (start == 0 or stop == len(mask))
-        if stop - start <= longest and not at_end:
-            result[start:stop] = False
-    return result
+def _frames_before(flags: Array, count: int) -> Array:
+    """The `count` frames before each run of flags (T,)."""
+    starts = flags & ~padded(flags, 1, 0)[:-1]
+    return neighbours(starts)[1] - library(flags).arange(flags.shape[0]) <= count

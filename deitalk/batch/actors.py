@@ -17,7 +17,7 @@ from deitalk.batch.lines import Line
 from deitalk.batch.orders import Order, Outcome
 from deitalk.batch.source import ACTORS
 from deitalk.emotions import ActorReference, parse_actor
-from deitalk.pipeline.speech import reference_of
+from deitalk.pipeline.actor_voice import reference_of
 
 MOST_LINES = 100
 """Lines of an actor that are measured, spread evenly over all of them."""

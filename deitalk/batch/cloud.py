@@ -214,7 +214,8 @@ class CloudOutputs:
         """Enter lines before they are animated."""
         with self.journal.transaction():
             for entry in entries:
-                self.journal.write(_placing(entry))
+                known = {"signature": entry.signature, "key": entry.key}
+                self.journal.write(Entry(entry.output, entry.audio, state=PLACING, **known))
         self.save()
 
     def place(self, results: Sequence[tuple[Entry, Outcome]]) -> None:
@@ -339,7 +340,3 @@ def _fetch(url: str, path: Path) -> None:
 def _remove_journal(path: Path) -> None:
     for suffix in ("", "-wal", "-shm"):
         path.with_name(path.name + suffix).unlink(missing_ok=True)
-
-
-def _placing(entry: Entry) -> Entry:
-    return Entry(entry.output, entry.audio, entry.signature, key=entry.key, state=PLACING)

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from deitalk.batch.orders import File
-from deitalk.pipeline.speech import MeasuredVoice
+from deitalk.pipeline.actor_voice import MeasuredVoice
 from rig.errors import TargetError
 
 FORMAT = "1"

@@ -13,7 +13,7 @@ from deitalk.audio.choice import AudioChoice
 from deitalk.audio.original import ZERO, start_of
 from deitalk.errors import DeitalkError
 from rig.curves import snap_fps
-from rig.curves.edit import checked_shift
+from rig.curves.shift import checked_shift
 from rig.errors import quoted
 from rig.formats import checked_digits, find_format
 from rig.formats.table import FORMATS, Format, writable_suffixes

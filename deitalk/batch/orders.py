@@ -6,7 +6,7 @@ from typing import NamedTuple
 from deitalk.acting import Acting
 from deitalk.audio.choice import AudioChoice
 from deitalk.batch.lines import Written
-from deitalk.pipeline.speech import MeasuredVoice
+from deitalk.pipeline.actor_voice import MeasuredVoice
 
 
 class File(NamedTuple):

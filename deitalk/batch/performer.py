@@ -24,14 +24,12 @@ from deitalk.pipeline.performance import Performance
 from rig.errors import UserError, one_line
 
 if TYPE_CHECKING:
-    from deitalk.models.protocol import Reading
     from deitalk.pipeline.curves import Prepared
 
 
-TOGETHER = 8
-"""Most recordings of one length that the network reads in one call."""
-TOGETHER_FRAMES = 1500
-"""Most of their frames: eight of 6 s, which take some 300 MB."""
+TOGETHER_FRAMES = 32_768
+"""Most frames of the recordings that a GPU reads in one call, 18 minutes. On a processor each is
+read alone: its files then are the same whatever comes with it."""
 T = TypeVar("T")
 _FULL = {errno.ENOSPC, errno.EDQUOT}
 
@@ -70,6 +68,7 @@ class Performer:
 
             torch.set_num_threads(1)
         self.network: Any = load_network(model, backend=chosen, device=device)
+        self.together = 0 if device == "cpu" else TOGETHER_FRAMES
         self.about = describe_model(model)
         if not stage:
             stage = mkdtemp(prefix="deitalk-batch-")
@@ -78,21 +77,22 @@ class Performer:
         self.url, self.count = url, 0
 
     def __call__(self, orders: Sequence[Order]) -> Iterator[list[Outcome]]:
-        """Animate lines, those of one length together; what is wrong with one is in its result."""
-        ready: dict[int, list[tuple[Order, str, Prepared]]] = {}
+        """Animate lines, several together; what is wrong with one is in its result."""
+        ready: list[tuple[Order, str, Prepared]] = []
+        frames = 0
         for order in orders:
             result = self._guarded(order, partial(self._prepared, order))
             if isinstance(result, Outcome):
                 yield [result]
                 continue
-            sound, prepared = result
-            length = len(prepared.inputs[1])
-            group = ready.setdefault(length, [])
-            group.append((order, sound, prepared))
-            if len(group) >= self._most_together(length):
-                yield self._finished(ready.pop(length))
-        for group in ready.values():
-            yield self._finished(group)
+            length = len(result[1].inputs[1])
+            if ready and frames + length > self.together:
+                yield self._finished(ready)
+                ready, frames = [], 0
+            ready.append((order, *result))
+            frames += length
+        if ready:
+            yield self._finished(ready)
 
     def _guarded(self, order: Order, work: Callable[[], T]) -> T | Outcome:
         """The result of some work on a line, or of the line if it fails."""
@@ -112,8 +112,8 @@ class Performer:
 
     def _prepared(self, order: Order) -> tuple[str, "Prepared"] | Outcome:
         """Hash of a line's recording, and the line ready for the network; or its result."""
+        from deitalk.pipeline.actor_voice import measure_voice
         from deitalk.pipeline.curves import prepare
-        from deitalk.pipeline.speech import measure_voice
 
         data, sound = read_recording(order.audio)
         if sound == order.known:
@@ -126,38 +126,34 @@ class Performer:
             acting = Acting.of(acting, style=order.actor)
         return sound, prepare(recording, acting, lambda: self.network)
 
-    def _most_together(self, n_frames: int) -> int:
-        """Recordings of a length that are animated in one call."""
-        can = getattr(self.network, "reads_together", None)
-        if can is None or not can(n_frames):
-            return 1
-        return max(min(TOGETHER, TOGETHER_FRAMES // n_frames), 1)
-
     def _finished(self, group: list[tuple[Order, str, "Prepared"]]) -> list[Outcome]:
-        """Results of prepared lines of one length; each alone if they fail together."""
-        readings: Sequence[Reading | None] = [None] * len(group)
+        """Results of prepared lines; each alone if they fail together."""
+        from deitalk.pipeline.curves import finish_together
+
+        made: Sequence[Performance | None] = [None] * len(group)
         if len(group) > 1:
             with suppress(Exception):
-                sounds, weights = zip(*(prepared.inputs for _, _, prepared in group), strict=True)
+                lines = [prepared for _, _, prepared in group]
+                sounds, weights = zip(*(prepared.inputs for prepared in lines), strict=True)
                 readings = self.network.read_together(
-                    [sound * p.speech.gain for sound, (_, _, p) in zip(sounds, group, strict=True)],
+                    [sound * p.speech.gain for sound, p in zip(sounds, lines, strict=True)],
                     weights,
-                    [prepared.style for _, _, prepared in group],
+                    [prepared.style for prepared in lines],
                 )
+                made = finish_together(lines, readings)
         return [
-            self._guarded(line[0], partial(self._performed, *line, reading))
-            for line, reading in zip(group, readings, strict=True)
+            self._guarded(line[0], partial(self._performed, *line, performance))
+            for line, performance in zip(group, made, strict=True)
         ]
 
     def _performed(
-        self, order: Order, sound: str, prepared: "Prepared", reading: "Reading | None"
+        self, order: Order, sound: str, prepared: "Prepared", performance: Performance | None
     ) -> Outcome:
         from deitalk.audio.original import start_of
         from deitalk.pipeline.curves import finish
 
-        if reading is None:
-            reading = prepared.read()
-        performance = finish(prepared, reading)
+        if performance is None:
+            performance = finish(prepared, prepared.read())
         written = order.written
         start, note = start_of(written.timecode, written.fps, prepared.recording.start)
         if start and not any(has_option(suffix, "start") for suffix in written.formats):

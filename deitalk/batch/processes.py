@@ -57,7 +57,7 @@ class Workers:
     count : int
         Processes, 1 or more.
     make : callable
-        Makes what animates a line, such as a `deitalk.batch.processes.Performer`; called once in
+        Makes what animates a line, such as a `deitalk.batch.performer.Performer`; called once in
         each process.
     """
 

@@ -49,7 +49,9 @@ def read_source(source: str | Path, out: str | Path, defaults: Line) -> Plan:
             name for name in sorted(names) if stems[os.path.splitext(name)[0].casefold()] > 1
         ]
         lines = distinct(list(_found(base, names, doubled, defaults)))
-        return Plan(lines, tuple(_notes_on(doubled)))
+        outputs = listed([_with_suffix(name) for name in doubled])
+        note = f"recordings that differ by their suffix alone have it in their results: {outputs}"
+        return Plan(lines, (note,) if doubled else ())
     if base.lower().endswith(RECORDINGS):
         raise DataError(f"{base}: a recording; name its folder or a table, or use deitalk animate")
     if not is_url(base):
@@ -67,12 +69,6 @@ def _with_suffix(name: str) -> str:
     """Output of a recording that shares its name: ``line_mp3`` of ``line.mp3``."""
     stem, suffix = os.path.splitext(name)
     return f"{stem}_{suffix[1:]}"
-
-
-def _notes_on(doubled: list[str]) -> Iterator[str]:
-    if doubled:
-        outputs = listed([_with_suffix(name) for name in doubled])
-        yield f"recordings that differ by their suffix alone have it in their results: {outputs}"
 
 
 def _found(

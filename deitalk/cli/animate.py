@@ -306,7 +306,7 @@ def _write_file(out: Path, performance: "Performance", form: dict[str, Any]) -> 
 
     from deitalk.audio.load import write_wav
     from rig import write_curves
-    from rig.curves.edit import start_with_handles
+    from rig.curves.shift import start_with_handles
 
     source, seconds = performance.sound_file, performance.recording.duration
     report = write_curves(out, performance.curves, sound=source, seconds=seconds, **form)

@@ -257,7 +257,7 @@ def voice(
     if not sounds and not sources:
         raise AudioError("nothing to measure; name recordings of the actor, or --takes")
     reserve_file(out, force=force, inputs=[*sounds, *sources, mapping])
-    from deitalk.pipeline.speech import measure_actor
+    from deitalk.pipeline.actor_voice import measure_actor
     from rig.files import atomic_write
 
     traits = _traits(sources, mapping, fps) if sources else {}

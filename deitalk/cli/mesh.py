@@ -10,7 +10,7 @@ from deitalk.errors import DeitalkError
 
 if TYPE_CHECKING:
     from deitalk.cli.options import Given
-    from deitalk.pipeline.performance import MeshPerformance
+    from deitalk.pipeline.mesh_performance import MeshPerformance
 
 
 def animate_vertices(

@@ -16,7 +16,7 @@ from deitalk.errors import DeitalkError
 from rig.errors import as_line
 
 if TYPE_CHECKING:
-    from rig.validation import Finding
+    from rig.validation.findings import Finding
 
 
 @partial(acting_options, fields=("words", "language"), of_recording=False)
@@ -42,7 +42,7 @@ def validate(
 
     deitalk validate take/ --words "My promise is big."
     """
-    from rig.validation import validate as check
+    from rig.validation.files import validate as check
 
     if given.acting.words is None and (given.acting.settings or audio is not None):
         raise DeitalkError("--audio and --language are of --words, which are not given; add them")

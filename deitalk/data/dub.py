@@ -37,7 +37,8 @@ from deitalk.postprocess.joins import TAKE_CURVES, opened_take
 from rig import ControlSet, RigCurves, default_controls, read_curves
 from rig.arrays import Bool, Float32, Float64
 from rig.controls import DEFAULT_ID
-from rig.curves.edit import clamp, gain, gaussian_smooth
+from rig.curves.edit import clamp, gain
+from rig.curves.filters import gaussian_smooth
 from rig.errors import listed
 
 STRETCH = 1.5
@@ -54,7 +55,7 @@ GROUP_COST = 0.3
 """Of a phrase that stands for another one's part, as the logarithm of a stretch."""
 CORNER_SECONDS = 0.2
 """Deviation of the filter that divides the corners' emotion from their speech."""
-AMPLITUDE = (0.5, 2.0)
+AMPLITUDE = (0.5, 1.8)
 """Least and greatest factor on the opening of the mouth."""
 MOUTH_REGIONS = ("mouth", "jaw", "tongue", "teeth")
 CORNERS = ("cornerPull", "cornerDepress", "dimple", "mouth_stretch.", "sharpCornerPull", "corner.t")
@@ -256,7 +257,7 @@ def dub(
 def _read(
     path: Path, mapping: RigMapping | None, fps: float | None
 ) -> tuple[RigCurves, frozenset[str], list[str]]:
-    """The performance at 30 Hz, the controls that it knows, notes."""
+    """The performance at 30 Hz, the controls whose values are known, notes."""
     controls = default_controls()
     if path.is_dir():
         curves = read_curves(path / TAKE_CURVES).reorder(controls)
@@ -312,7 +313,7 @@ Span = tuple[int, int]
 def paired_phrases(
     old: Sequence[Span], new: Sequence[Span], limit: float = STRETCH
 ) -> list[tuple[Span, Span]]:
-    """Phrases of two recordings that stand for each other, in their order.
+    """Phrases of two recordings that correspond, in their order.
 
     Where one has more, up to `MOST_TOGETHER` of them stand for one of the other. Of a recording
     that is longer than the limit allows the last phrases have no counterpart. Where that would

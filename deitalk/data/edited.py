@@ -21,8 +21,9 @@ from rig import Control, ControlSet, RigCurves, default_controls, read_curves, w
 from rig.controls import DEFAULT_ID
 from rig.conversion.arkit import ARKIT_ID, RAW_ID
 from rig.conversion.convert import KNOWN, convert, reached_controls
+from rig.curves.apply_layers import apply_layers
 from rig.curves.layer_diff import TOLERANCE, layer_of_changes
-from rig.curves.layers import Layer, apply_layers
+from rig.curves.layers import Layer
 from rig.errors import listed
 from rig.formats import livelink_csv, unreal_json
 from rig.formats.table import find_format

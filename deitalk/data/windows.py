@@ -3,99 +3,27 @@
 Letters: S samples, T frames of a window (128), C controls.
 """
 
-import hashlib
-import re
-from abc import ABC, abstractmethod
 from collections import OrderedDict
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import suppress
-from functools import cache, lru_cache
-from itertools import count
-from pathlib import Path
-from typing import Any, Generic, NamedTuple, TypeVar, cast
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
-from torch.utils.data import IterableDataset, get_worker_info
 
-from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE, frame_count
-from deitalk.audio.load import load_audio
-from deitalk.audio.voice_activity import normalise_level
+from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
 from deitalk.config.curves import DataConfig
 from deitalk.data.augment_waveform import Surroundings, augment, change_speed, speed_factor
 from deitalk.data.clips import MEASURED, REHEARSED, Clip, read_intensity, read_known
+from deitalk.data.frozen_features import FrozenFeatures
+from deitalk.data.seeded_batches import SeededBatches, Share
+from deitalk.data.waveforms import n_clip_frames, recorded_frames, sound_of
 from deitalk.emotions import EMOTIONS
-from deitalk.errors import ConfigError, DataError
-from deitalk.models.checkpoint import require_model
-from deitalk.models.curve_model import DEITalk
+from deitalk.errors import DataError
 from rig import ControlSet, read_curves
 from rig.arrays import Bool, Float32, Float64
 from rig.controls import DEFAULT_ID
-from rig.errors import UserError
-from rig.files import atomic_write, remove_leftovers
-
-# Endless batches of numbered items: item k depends on the seed and on k alone.
-#
-# Hence batch b is the same for any number of loading workers and of processes that share it, and an
-# interrupted training continues with the batch that would have come next.
-
-Item = TypeVar("Item", bound=tuple[Any, ...])
-"""A NamedTuple of tensors; a batch is the same with a leading axis."""
-
-
-class Share(NamedTuple):
-    """Where to begin, and this process's part of every batch."""
-
-    skip: int = 0
-    """Number of the first batch, for a training that is resumed."""
-    rank: int = 0
-    """Number of this process; it makes the items rank, rank + world, ... of every batch."""
-    world: int = 1
-    """Processes that share a batch."""
-
-
-class SeededBatches(ABC, IterableDataset[Item], Generic[Item]):
-    """Base of the data sets that training draws from.
-
-    Parameters
-    ----------
-    seed : int
-        Seed of all items.
-    batch_size : int
-        Items of a batch, over all processes.
-    share : Share
-        Where to begin, and this process's part; may be set until the iteration begins.
-    """
-
-    def __init__(self, seed: int, batch_size: int, share: Share) -> None:
-        self.seed, self.batch_size, self.share = seed, batch_size, share
-
-    def __iter__(self) -> Iterator[Item]:
-        """Yield this process's part of the batches of this worker, stacked; in the end its error.
-
-        An error that a worker raised would have the worker's traceback in its message.
-        """
-        worker = get_worker_info()
-        n_workers, lane = (worker.num_workers, worker.id) if worker else (1, 0)
-        for batch in count(self.share.skip + lane, n_workers):
-            first = batch * self.batch_size
-            numbers = range(first + self.share.rank, first + self.batch_size, self.share.world)
-            try:
-                items = [self.item(number) for number in numbers]
-            except UserError as error:
-                yield cast("Item", error)
-                return
-            yield type(items[0])(*(torch.stack(field) for field in zip(*items, strict=True)))
-
-    def rng(self, number: int) -> np.random.Generator:
-        """Generator of random numbers for the item of a number."""
-        return np.random.default_rng((self.seed, number))
-
-    @abstractmethod
-    def item(self, number: int) -> Item:
-        """Make the item of a number."""
 
 
 class Window(NamedTuple):
@@ -148,22 +76,6 @@ def count_windows(clips: Sequence[Clip], config: DataConfig) -> int:
     return sum(n_starts(recorded_frames(str(clip.audio)), config) for clip in clips)
 
 
-@cache
-def recorded_frames(path: str) -> int:
-    """Rig frames of a recording, at least 1; by its header where that counts the samples."""
-    import soundfile
-
-    with suppress(soundfile.LibsndfileError):
-        found = soundfile.info(path)
-        if found.format in COUNTED:
-            return n_clip_frames(round(found.frames * SAMPLE_RATE / found.samplerate))
-    return n_clip_frames(len(load_audio(path).waveform))
-
-
-COUNTED = ("FLAC", "WAV", "WAVEX", "RF64", "AIFF")
-"""Formats of libsndfile whose headers have the number of samples."""
-
-
 def load_clip(clip: Clip, controls: ControlSet, *, sound: bool = True) -> LoadedClip:
     """Read audio and curves of one clip; without `sound` curves alone, in an eighth of the time.
 
@@ -190,22 +102,8 @@ def load_clip(clip: Clip, controls: ControlSet, *, sound: bool = True) -> Loaded
         intensity = np.full(len(times), np.nan, np.float32)
     else:
         intensity = read_intensity(clip.intensity, times)
-    waveform, unit = _waveform(str(clip.audio)) if sound else (np.zeros(0, np.int16), 1.0)
+    waveform, unit = sound_of(str(clip.audio)) if sound else (np.zeros(0, np.int16), 1.0)
     return LoadedClip(waveform, times, values.astype(np.float16), intensity, known, unit)
-
-
-def read_waveform(path: Path) -> Float32:
-    """A recording at the normal level [shape=(S,)]."""
-    steps, unit = _waveform(str(path))
-    return steps.astype(np.float32) * np.float32(unit)
-
-
-@lru_cache(maxsize=64)
-def _waveform(path: str) -> tuple[NDArray[np.int16], float]:
-    """A recording at the normal level in 16 bits of its own peak, and the worth of a step."""
-    waveform = normalise_level(load_audio(path).waveform)
-    unit = float(np.abs(waveform).max(initial=0)) / 32767 or 1.0
-    return np.round(waveform / unit).astype(np.int16), unit
 
 
 def cut(
@@ -236,13 +134,6 @@ def cut(
     waveform = np.pad(piece, (0, length - len(piece)))
     curves, intensity = curves_of(loaded, first, n_frames, speed)
     return waveform, curves, intensity, n_clip_frames(len(loaded.waveform), speed)
-
-
-def n_clip_frames(n_samples: int, speed: float = 1.0) -> int:
-    """Rig frames of a clip that is played at another speed; at least 1."""
-    if speed == 1.0:
-        return max(frame_count(n_samples), 1)
-    return max(int(np.ceil(n_samples / SAMPLE_RATE * FRAME_RATE / speed)), 1)
 
 
 def curves_of(
@@ -304,7 +195,7 @@ class WindowBatches(SeededBatches[Window]):
         batch_size: int,
         share: Share = Share(),
         *,
-        frozen_features: "FrozenFeatures | None" = None,
+        frozen_features: FrozenFeatures | None = None,
         actors: Sequence[str] = (),
     ) -> None:
         if not clips:
@@ -414,160 +305,10 @@ def _other_voices(clips: Sequence[Clip], rng: np.random.Generator) -> list[Float
     """Draw four other recordings for babble, in 6 % of the windows: reading them costs time."""
     if rng.random() > 0.06:
         return []
-    chosen = [_waveform(str(clips[int(rng.integers(len(clips)))].audio)) for _ in range(4)]
+    chosen = [sound_of(str(clips[int(rng.integers(len(clips)))].audio)) for _ in range(4)]
     return [steps.astype(np.float32) * np.float32(unit) for steps, unit in chosen]
 
 
 def _one_hot(name: str, names: Sequence[str]) -> Tensor:
     """1 at the place of a name, if it is there [shape=(names,)]."""
     return torch.tensor([float(name == other) for other in names])
-
-
-# The frozen frontend of another model: only the layers behind it are trained.
-#
-# The paper trains behind a published encoder, ours may train behind that of another model. Without
-# augmentation the features of a clip never change, so that they are computed once per clip and a
-# step costs a fraction: captures can be fitted, or variants compared, in minutes.
-#
-# Letters: S samples, T rig frames, D width of the features.
-
-
-_FILE = re.compile(r"[0-9a-f]{32}\.npy|\d+(\.table)?\.npy")
-"""Names of files of features."""
-OPEN_FILES = 256
-"""Features that are mapped at once."""
-
-
-def remove_features(folder: Path) -> None:
-    """Remove the files of features in a folder, and the folder if it holds no others."""
-    if not folder.is_dir() or folder.is_symlink():
-        return
-    remove_leftovers(folder)
-    for path in folder.iterdir():
-        if _FILE.fullmatch(path.name) and path.is_file():
-            path.unlink()
-    with suppress(OSError):
-        folder.rmdir()
-
-
-class FrozenFeatures:
-    """The frontend of a trained model, and its features of each recording.
-
-    With a folder they lie on disk and are memory-mapped, so that hours need no more memory than
-    minutes, and processes that load windows share them::
-
-        FOLDER/<hash of path, time of change and size>.npy    (T, D) float16
-
-    Parameters
-    ----------
-    name : str
-        An embedded model or a model folder.
-    folder : Path or None
-        Of one model's features; None keeps them in memory.
-
-    Raises
-    ------
-    CheckpointError
-        If there is no such model.
-
-    Attributes
-    ----------
-    owner : DEITalk
-        The model.
-    """
-
-    def __init__(self, name: str, folder: Path | None = None) -> None:
-        self.name, self.folder = name, folder
-        self.owner = require_model(name, DEITalk)
-        self._features: OrderedDict[Path, NDArray[np.float16]] = OrderedDict()
-
-    def copy_into(self, model: DEITalk) -> None:
-        """Copy the frontend into `model`; no gradient reaches it there.
-
-        Raises
-        ------
-        ConfigError
-            If the model's frontend is built otherwise.
-        """
-        if model.config.frontend != self.owner.config.frontend:
-            raise ConfigError(
-                f"train.frozen_frontend={self.name!r} is built otherwise than model.frontend; "
-                "use that model's own config.yaml"
-            )
-        frontend = model.get_submodule("frontend").requires_grad_(False)
-        frontend.load_state_dict(self.owner.get_submodule("frontend").state_dict())
-
-    def features(self, clip: Clip, n_frames: int) -> NDArray[np.float16]:
-        """Features of a whole clip, computed once for all clips of its recording.
-
-        Parameters
-        ----------
-        clip : Clip
-            Its recording, read only if it is to be computed, is the key of the cache.
-        n_frames : int
-            Rig frames T that are needed; beyond the recording there is silence.
-
-        Returns
-        -------
-        ndarray [shape=(T or more, D)]
-        """
-        sound = clip.audio
-        if sound in self._features:
-            self._features.move_to_end(sound)
-        elif self.folder is not None and (path := self._file(sound)).is_file():
-            self._remember(sound, np.load(path, mmap_mode="r"))
-        known = self._features.get(sound)
-        if known is None or len(known) < n_frames:
-            waveform = read_waveform(clip.audio)
-            length = n_frames * SAMPLE_RATE // FRAME_RATE
-            padded = np.pad(waveform, (0, max(length - len(waveform), 0)))
-            features = self.owner.frontend.encode(torch.from_numpy(padded), n_frames)
-            known = self._keep(clip.audio, features.cpu().numpy().astype(np.float16))
-        return known
-
-    def prepare(
-        self,
-        clips: Sequence[Clip],
-        window_frames: int,
-        device: torch.device | str = "cpu",
-        progress: Callable[[float], None] = lambda share: None,
-    ) -> None:
-        """Compute the features of clips on a device, before other processes map them.
-
-        Parameters
-        ----------
-        clips : sequence of Clip
-            Recordings whose features are on disk are not read again.
-        window_frames : int
-            Frames of a window, which may be longer than a clip.
-        device : device
-            Where the frontend computes; it returns to the CPU.
-        progress : callable
-            Called with the share done.
-        """
-        if self.folder is not None:
-            self.folder.mkdir(parents=True, exist_ok=True)
-        self.owner.frontend.to(device)
-        for done, clip in enumerate(clips, 1):
-            self.features(clip, max(recorded_frames(str(clip.audio)), window_frames))
-            progress(done / len(clips))
-        self.owner.frontend.to("cpu")
-
-    def _keep(self, sound: Path, features: NDArray[np.float16]) -> NDArray[np.float16]:
-        if self.folder is not None and self.folder.is_dir():
-            with atomic_write(self._file(sound)) as beside, beside.open("wb") as file:
-                np.save(file, features)
-            features = np.load(self._file(sound), mmap_mode="r")
-        self._remember(sound, features)
-        return features
-
-    def _remember(self, sound: Path, features: NDArray[np.float16]) -> None:
-        self._features[sound] = features
-        while self.folder is not None and len(self._features) > OPEN_FILES:
-            self._features.popitem(last=False)
-
-    def _file(self, sound: Path) -> Path:
-        assert self.folder is not None
-        found = sound.stat()
-        text = f"{sound.resolve()}\n{found.st_mtime_ns}\n{found.st_size}"
-        return self.folder / f"{hashlib.sha256(text.encode()).hexdigest()[:32]}.npy"

@@ -1,15 +1,13 @@
 """Emotions and their intensity over time: labels, weights, keyframes, edited curves."""
 
+from deitalk.emotions.actor import ActorReference, parse_actor, read_actor
 from deitalk.emotions.tracks import (
-    ActorReference,
     EmotionTrack,
     IntensityCurve,
     by_emotion,
     check_intensity,
-    parse_actor,
     parse_emotion,
     parse_intensity_curve,
-    read_actor,
     read_emotion_track,
     read_intensity_curve,
     write_intensity_csv,

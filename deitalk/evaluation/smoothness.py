@@ -13,7 +13,8 @@ from deitalk.audio.frames import frame_centres
 from deitalk.audio.prosody import level_db
 from deitalk.audio.voice_activity import speech_activity
 from deitalk.data.clips import MEASURED, Clip, read_phones
-from deitalk.data.windows import cut, load_clip, n_clip_frames, recorded_frames
+from deitalk.data.waveforms import n_clip_frames, recorded_frames
+from deitalk.data.windows import cut, load_clip
 from deitalk.emotions import EMOTIONS
 from deitalk.evaluation.scores import (
     correlation,

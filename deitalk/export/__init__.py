@@ -4,6 +4,5 @@
 
     onnx_file.py       a model as one ONNX file
     finished.py        its modules: a whole recording, or the next frame of live voices
-    clip_hearing.py    what they hear of a recording, as operators of a graph
-    live_hearing.py    the same of voices that have not ended
+    sound_measures.py  spectra of frames by operators of a graph
 """

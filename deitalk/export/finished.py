@@ -1,35 +1,35 @@
-"""Sound in, finished curves out: a model, what is heard of the voice and the rules in one graph.
+"""Sound in, finished curves out: a model, the measures of the voice and the rules in one graph.
 
-Letters: B streams, S samples, T frames, A actors, C controls.
+Letters: S samples, T frames, A actors, C controls.
 """
-
-import math
-from typing import Any, cast
 
 import numpy as np
 import torch
 from torch import Tensor, nn
-from torch.utils import _pytree as tree
 
+from deitalk.array_functions import single
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
-from deitalk.audio.log_mel import N_FFT
-from deitalk.audio.voice_activity import WINDOW
+from deitalk.audio.held_sound import held_sound
+from deitalk.audio.vocal_strength import strength_frames, vocal_strength
+from deitalk.audio.voice_activity import active_frames
+from deitalk.config.rules import HoldPose
 from deitalk.emotions import LABELS
-from deitalk.errors import CheckpointError
-from deitalk.export.clip_hearing import ClipHearing, HeldIntensity, expression_scale
-from deitalk.export.live_hearing import LiveHearing
-from deitalk.live.activity import FLOOR_EVERY
-from deitalk.live.hearing import MEASURED_AHEAD
-from deitalk.models.causal_model import TensorState, advance, causal_frontend, first_state, grid_of
+from deitalk.export.sound_measures import BandLevels, WindowProsody, frame_windows
 from deitalk.models.curve_model import DEITalk
-from deitalk.models.onnx.network_graph import CurveGraph, causal_graph
+from deitalk.models.onnx.network_graph import CurveGraph
 from deitalk.models.protocol import trained_weights
 from deitalk.pipeline.curves import READ_ON_SAMPLES
-from deitalk.pipeline.speech import CUT_FRAMES
+from deitalk.pipeline.speech import CUT_FRAMES, phrase_strengths
 from deitalk.postprocess.curve_pass import CurvePass
-from deitalk.postprocess.feeling import felt_intensity
+from deitalk.postprocess.factors import (
+    expression_scale,
+    held_intensity,
+    mean_around,
+    opening_factor,
+)
+from deitalk.postprocess.feeling import felt_intensity, gates_of, voice_intensity
 from deitalk.postprocess.torch_columns import constant
-from deitalk.postprocess.tracks import LIVE_AHEAD, rest_rows
+from deitalk.postprocess.tracks import rest_rows
 
 MIXTURES = trained_weights(np.eye(len(LABELS), dtype=np.float32))
 """Trained emotions (9, 5) of each label."""
@@ -72,10 +72,9 @@ class FinishedClip(nn.Module):
     def __init__(self, model: DEITalk) -> None:
         super().__init__()
         self.graph = CurveGraph(model)
-        self.hearing = ClipHearing(model.rules)
-        self.held = HeldIntensity(model.rules.expressions, model.controls)
+        self.levels, self.prosody = BandLevels(), WindowProsody()
+        self.config, self.controls = model.rules, model.controls
         self.rules = CurvePass(model.controls, model.rules)
-        self.rule = model.rules.voice_intensity
         constant(self, "trained", MIXTURES)
         window = self.rules.behind + self.rules.ahead
         constant(self, "after", rest_rows(model.controls.rest, window)[: self.rules.ahead])
@@ -114,34 +113,53 @@ class FinishedClip(nn.Module):
         n_frames = emotion.shape[0]
         sound = sound - sound.mean()
         sound = sound - sound.mean()  # what rounding left
-        activity = self.hearing.activity(sound, n_frames)
-        gain = self.hearing.activity.gain(sound, activity[0], LEVEL_DB)
+        windows = frame_windows(sound, n_frames, nearest=False)
+        levels = self.levels(windows)
+        speaking = active_frames(levels, self.prosody(windows).tone, sound.shape[0])
         labels, actors = emotion[:, : len(LABELS)], emotion[:, len(LABELS) :]
         styles = torch.cat((labels @ self.trained, actors), dim=1)
-        emotional, neutral, network, effort = self._readings(sound * gain, styles, activity[0])
+        gain = self._gain(sound, speaking)
+        emotional, neutral, network, effort = self._readings(sound * gain, styles, speaking)
         curve, factor, rest = intensity.unbind(0)
-        heard = self.hearing(sound, activity, rest, network, effort)
+        prosody = self.prosody(frame_windows(sound, n_frames, nearest=True))
+        rules, rule, voice = self.config, self.config.voice_intensity, network
+        if rule is not None:
+            frames = strength_frames(prosody, speaking)
+            _, strengths = phrase_strengths(*vocal_strength().follow(frames), speaking, effort)
+            voice = voice_intensity(network, prosody, speaking, strengths, rule)
+        near, usual = mean_around(voice, speaking), mean_around(network, speaking)
+        opening = opening_factor(rules.scale_opening, near, usual)
+        pose = held_sound(levels, prosody.tone, rules.hold_pose or HoldPose())
+        mouth, expression = gates_of(speaking, rest, rules.gates)
         # Intensity: of the voice, or as drawn, which silence does not change.
         is_drawn = curve >= 0
-        share = torch.where(is_drawn, torch.ones_like(curve), heard.expression)
-        felt = heard.voice if self.rule is None else felt_intensity(heard.voice, labels, self.rule)
+        share = torch.where(is_drawn, torch.ones_like(curve), expression)
+        felt = voice if rule is None else felt_intensity(voice, labels, rule)
         wanted = torch.where(is_drawn, curve, felt) * factor
-        held = self.held(neutral, emotional, labels, network)
+        held = held_intensity(rules.expressions, self.controls, neutral, emotional, labels, network)
         scale = expression_scale(wanted, held)
-        if self.rule is None:
+        if rule is None:
             scale = torch.where(is_drawn, scale, factor)
-        kept = heard.back, heard.kept
-        voice = voice_columns((scale, heard.opening, held), kept, labels, variants)
-        shown = torch.cat((heard.mouth[:, None], share[:, None], motion), dim=1)
-        curves, plain = self._finished(neutral, emotional, voice, shown)
-        return curves, plain, felt * heard.expression
+        kept = single(pose.back), single(pose.share)
+        columns = voice_columns((scale, opening, held), kept, labels, variants)
+        shown = torch.cat((mouth[:, None], share[:, None], motion), dim=1)
+        curves, plain = self._finished(neutral, emotional, columns, shown)
+        return curves, plain, felt * expression
+
+    def _gain(self, sound: Tensor, speaking: Tensor) -> Tensor:
+        """`deitalk.audio.voice_activity.level_gain`, without a loop over the runs of speech."""
+        frames = (3 * torch.arange(sound.shape[0]) + 2) // 1600  # of the samples
+        is_speech = speaking[frames].float()
+        energy, count = (sound * sound * is_speech).sum(), is_speech.sum()
+        usual = 10 ** (LEVEL_DB / 20) * torch.sqrt(count / energy.clamp_min(1e-30))
+        return torch.where(energy > 0, usual, torch.ones_like(usual))
 
     def _readings(
-        self, sound: Tensor, styles: Tensor, speech: Tensor
+        self, sound: Tensor, styles: Tensor, speaking: Tensor
     ) -> tuple[Tensor, Tensor, Tensor, Tensor | None]:
         """What the network reads, on beyond the end of a recording that is cut in its speech."""
-        n_frames, n_samples = torch.as_tensor(speech.shape[0]), torch.as_tensor(sound.shape[0])
-        is_cut = (speech[-1 - CUT_FRAMES :].amax() > 0).long()
+        n_frames, n_samples = torch.as_tensor(speaking.shape[0]), torch.as_tensor(sound.shape[0])
+        is_cut = speaking[-1 - CUT_FRAMES :].any().long()
         added = torch.minimum(torch.as_tensor(READ_ON_SAMPLES), n_samples) * is_cut
         total = n_samples + added
         backwards = sound[-READ_ON_SAMPLES:].flip(0)
@@ -172,183 +190,3 @@ class FinishedClip(nn.Module):
             rules.first(1),
         )
         return curves[0, rules.ahead :], plain[0, rules.ahead :]
-
-
-# Voices that have not ended: a frame a call, all state in one tensor.
-
-
-WRAP = 720
-"""Frames after which a counter goes back by half: a multiple of all periods."""
-
-
-class FinishedLive(nn.Module):
-    """The next frame of streams to finished curves.
-
-    Parameters
-    ----------
-    model : DEITalk
-        With a causal frontend.
-
-    Raises
-    ------
-    CheckpointError
-        If it looks another number of frames ahead.
-
-    Attributes
-    ----------
-    window : int
-        Samples of a call, the first of them `before` ahead of the time of the frame that is heard.
-    behind : int
-        Frames by which the curves are behind it.
-    """
-
-    offsets: Tensor
-
-    def __init__(self, model: DEITalk) -> None:
-        super().__init__()
-        self.model, grid = causal_graph(model), grid_of(model)
-        if grid.delay != MEASURED_AHEAD:  # sound is heard when the network reads it
-            raise CheckpointError(
-                f"only causal models that look {MEASURED_AHEAD} frames ahead are exported, such as "
-                f"live; this one looks {grid.delay} ahead"
-            )
-        self.delay, self.behind = grid.delay, grid.delay + LIVE_AHEAD
-        self.hearing = LiveHearing(model.rules)
-        self.held = HeldIntensity(model.rules.expressions, model.controls)
-        self.rules = CurvePass(model.controls, model.rules, LIVE_AHEAD)
-        self.before = WINDOW // 2
-        # Samples of the spectra in a window, of the frames 3 n, 3 n + 1 and 3 n + 2.
-        frames = np.arange(3)[:, None]
-        centres = np.round(
-            (frames * grid.spectra + np.arange(grid.spectra)) * SAMPLE_RATE / grid.rate
-        )
-        starts = centres - frames * SAMPLE_RATE // FRAME_RATE + self.before - grid.length // 2
-        self.window = max(WINDOW, int(starts.max()) + grid.length)
-        constant(self, "offsets", starts.astype(np.int64))
-        constant(self, "trained", MIXTURES)
-        first, self.shape = tree.tree_flatten(self.first_states(1))
-        self.sizes = [part.shape[1:] for part in first]
-        self.begins = [bool((part != 0).any()) for part in first]
-        for k, part in enumerate(first):
-            if self.begins[k]:
-                is_one = bool((part == part.flatten()[0]).all())
-                constant(self, f"begin_{k}", (part.flatten()[:1] if is_one else part).numpy())
-
-    def first_states(self, batch: int) -> Any:
-        """State of streams before their first sample, in its parts.
-
-        The frame that is heard next; state of the network, of what is heard, and of the rules.
-        """
-        low = torch.finfo(torch.float32).min
-        network = (part.clamp_min(low) for part in first_state(self.model, batch).tensors())
-        return (
-            torch.zeros(batch, 1),
-            tuple(network),
-            self.hearing.first(batch),
-            self.rules.first(batch),
-        )
-
-    def first(self, batch: int) -> Tensor:
-        """State before the first call (B, N)."""
-        return torch.zeros(batch, sum(math.prod(size) for size in self.sizes))
-
-    def forward(
-        self,
-        sound: Tensor,
-        emotion: Tensor,
-        intensity: Tensor,
-        variants: Tensor,
-        motion: Tensor,
-        state: Tensor,
-    ) -> tuple[Tensor, Tensor, Tensor]:
-        """Hear a frame, and finish the one `behind` it.
-
-        Parameters
-        ----------
-        sound : Tensor [shape=(B, window)]
-            16 kHz, any level.
-        emotion : Tensor [shape=(B, 9 + A)]
-            Weights of the emotions, then of the actors, of the frame `delay` before.
-        intensity : Tensor [shape=(B, 2)]
-            Of the same frame: factor on the intensity of the voice, and share of the expression
-            that stays in silence.
-        variants : Tensor [shape=(B, V + 1)]
-            Of the same frame, as for a recording.
-        motion : Tensor [shape=(B, M)]
-            `deitalk.postprocess.tracks.MotionTracks` of the frame that comes out; zeros: none.
-        state : Tensor [shape=(B, N)]
-            Of the call before; zeros before the first.
-
-        Returns
-        -------
-        curves : Tensor [shape=(B, C)]
-        intensity : Tensor [shape=(B,)]
-            Of the voice, of the frame `delay` before.
-        state : Tensor [shape=(B, N)]
-        """
-        parts = torch.split(state, [math.prod(size) for size in self.sizes], dim=1)
-        shaped = [
-            self._begun(k, part.reshape(-1, *size), state[:, 0] > 0)
-            for k, (part, size) in enumerate(zip(parts, self.sizes, strict=True))
-        ]
-        frame, network, heard, rules = tree.tree_unflatten(shaped, self.shape)
-        # The network: two readings of the frame `delay` before.
-        labels, actors = emotion[:, : len(LABELS)], emotion[:, len(LABELS) :]
-        styles = torch.cat((labels @ cast(Tensor, self.trained), actors), dim=1)
-        n_frontend = causal_frontend(self.model).n_states
-        before = TensorState.of(network, n_frontend)
-        rows, after = advance(self.model, self._spectra(sound, frame), styles[:, None], before)
-        # What is heard of it.
-        due = (torch.remainder(frame[:, 0] + 1, FLOOR_EVERY) == 0).to(sound.dtype)
-        strength = rows.strength[:, 0]
-        begun = frame[:, 0] >= self.delay
-        factor, rest = intensity.unbind(1)
-        rest = torch.where(begun, rest, torch.zeros_like(rest))
-        window = sound[:, :WINDOW]
-        found, (heard_now, spoken) = self.hearing(
-            window, due, strength, rows.effort[:, 0], rest, heard
-        )
-        held, scale, rule = strength, factor, self.model.rules.voice_intensity
-        if rule is not None:
-            applied = felt_intensity(found.intensity, labels, rule) * factor
-            held = self.held(rows.neutral[:, 0], rows.emotional[:, 0], labels, strength)
-            scale = expression_scale(applied, held)
-        factors, kept = (scale, found.opening, held), (found.back, found.kept)
-        voice = voice_columns(factors, kept, labels, variants)
-        # The rules.
-        gates = torch.stack((found.mouth, found.expression), dim=1)
-        shown = torch.cat((gates, motion), dim=1)[:, None]
-        gain, ruled = torch.ones_like(rows.neutral[:, 0]), torch.ones_like(factor)
-        curves, _, _, finished = self.rules(
-            rows.neutral, rows.emotional, voice[:, None], shown, gain, ruled, rules
-        )
-        # Before the first frame only the sound counts.
-        read = tuple(after.tensors())
-        decoder, spoken, finished = tree.tree_map(
-            lambda new, old: torch.where(begun.view(-1, *[1] * (new.dim() - 1)), new, old),
-            (read[n_frontend:], spoken, finished),
-            (tuple(network[n_frontend:]), heard[1], rules),
-        )
-        frame = frame + 1
-        frame = torch.where(frame >= WRAP, frame - WRAP // 2, frame)
-        carried = (frame, (*read[:n_frontend], *decoder), (heard_now, spoken), finished)
-        flat = [
-            part.flatten(1) if part.dim() > 1 else part[:, None]
-            for part in tree.tree_leaves(carried)
-        ]
-        new = torch.cat(flat, dim=1)
-        return curves[:, 0], found.intensity, new
-
-    def _begun(self, number: int, part: Tensor, has_begun: Tensor) -> Tensor:
-        """A part of the state, with its first value where no frame has come."""
-        if not self.begins[number]:
-            return part
-        first = cast(Tensor, getattr(self, f"begin_{number}"))
-        return torch.where(has_begun.view(-1, *[1] * (part.dim() - 1)), part, first)
-
-    def _spectra(self, sound: Tensor, frame: Tensor) -> Tensor:
-        """Samples of the spectra of the frame (B, P, 400)."""
-        starts = self.offsets[torch.remainder(frame[:, 0], 3).long()]
-        places = starts[:, :, None] + torch.arange(N_FFT)
-        rows = torch.gather(sound, 1, places.flatten(1))
-        return rows.view(-1, starts.shape[1], N_FFT)

@@ -12,7 +12,8 @@ from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
 from deitalk.config.rig_file import rig_text
 from deitalk.emotions import LABELS
 from deitalk.errors import CheckpointError
-from deitalk.export.finished import FinishedClip, FinishedLive
+from deitalk.export.finished import FinishedClip
+from deitalk.export.finished_live import FinishedLive
 from deitalk.models.curve_model import DEITalk
 from deitalk.models.onnx.tracing import Axes, traced
 from deitalk.postprocess.tracks import N_MOTION, N_VARIANTS

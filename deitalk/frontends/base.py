@@ -10,7 +10,7 @@ C channels of a spectrum, T places, W spectra of a window.
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from fractions import Fraction
-from typing import Any, TypeVar
+from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -18,10 +18,6 @@ from torch.nn import functional as F
 
 from deitalk.audio.frames import SAMPLE_RATE
 from rig.arrays import Float32
-
-T = TypeVar("T")
-BATCH, PADDING = 64, 1 / 3
-"""Pieces that are read in one pass, and the most of one that is padding."""
 
 
 class Frontend(nn.Module):
@@ -35,14 +31,11 @@ class Frontend(nn.Module):
         Whether rows depend on a bounded look-ahead only.
     layers : tuple of int
         Layers whose standardised states are mixed; none: the output is taken.
-    most_together : int
-        Most frames of recordings that gain from `encode_together` on a processor.
     """
 
     output_size: int
     is_causal = False
     layers: tuple[int, ...] = ()
-    most_together = 0
 
     def encode(
         self,
@@ -119,18 +112,6 @@ class Encoder(ABC, nn.Module):
         padded = F.pad(waveform, (round(before * hop), 0))
         spectra = self.features(padded, last - first + 4, first + before - 2)
         return spectra[..., 2:-2]
-
-
-def alike(entries: Sequence[T], size: Callable[[T], int]) -> list[list[T]]:
-    """Batches, the largest entry first; of `BATCH` at most, that differ by `PADDING` at most."""
-    batches: list[list[T]] = []
-    for entry in sorted(entries, key=size, reverse=True):
-        batch = batches[-1] if batches else []
-        if batch and len(batch) < BATCH and size(entry) >= (1 - PADDING) * size(batch[0]):
-            batch.append(entry)
-        else:
-            batches.append([entry])
-    return batches
 
 
 def window_index(places: Tensor, window: int, length: int) -> Tensor:

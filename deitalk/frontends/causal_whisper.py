@@ -97,7 +97,7 @@ BLOCK_FRAMES = 256
 
 
 class CausalState(NamedTuple):
-    """What a stream keeps between two calls."""
+    """State of a stream between two calls."""
 
     level: Tensor
     """Running level and its weight [shape=(B, 2)]."""
@@ -138,7 +138,6 @@ class CausalWhisperFrontend(WhisperFrontend):
     """
 
     is_causal = True
-    most_together = 0
     encode_together = Frontend.encode_together
 
     def __init__(self, config: CausalWhisperConfig) -> None:

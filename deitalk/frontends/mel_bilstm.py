@@ -224,7 +224,6 @@ class MelFrontend(Frontend):
         super().__init__()
         self.config = config
         self.output_size = 2 * config.time_hidden
-        self.most_together = TOGETHER_FRAMES if config.recurrence == "segment" else 0
         self.mel = MelSpectrogram(
             config.window_seconds, config.frame_rate, config.n_mels, config.tapers
         )

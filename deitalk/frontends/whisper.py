@@ -21,6 +21,7 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any, NamedTuple, Self
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
@@ -38,8 +39,8 @@ from deitalk.audio.log_mel import (
 )
 from deitalk.config.frontends import WhisperShape
 from deitalk.errors import CheckpointError, ConfigError
-from deitalk.frontends.base import Frontend, alike
-from rig.arrays import Float32
+from deitalk.frontends.base import Frontend
+from rig.arrays import Float32, Int64
 
 # Frontends whose encoder gives features at a regular stride, brought to the rig's 30 Hz.
 #
@@ -47,6 +48,8 @@ from rig.arrays import Float32
 
 MOMENTUM = 0.01
 """Of the running mean and variance, where the encoder learns."""
+BATCH = 128
+"""Pieces that are encoded in one pass."""
 LARGEST = 6.0
 """Standardised features are limited to this: a few dimensions have rare, huge values."""
 
@@ -227,15 +230,22 @@ class StridedFrontend(Frontend):
         With stride 320 and centre 199.5, rows 0, 1, 2, 3 (samples 0, 533.3, 1066.7, 1600) lie at
         the feature positions -0.62 (held at 0), 1.04, 2.71 and 4.38.
         """
-        # On the CPU: some devices (MPS) know no double precision.
-        frames = torch.arange(start, stop, device="cpu", dtype=torch.float64)
-        position = frames * SAMPLE_RATE / FRAME_RATE - (first_sample + self.centre)
-        position = (position / self.stride).clamp(0, features.shape[1] - 1)
-        below = position.long()
-        above = (below + 1).clamp(max=features.shape[1] - 1)
-        part = (position - below).to(features.dtype).unsqueeze(-1)  # (n, 1)
-        below, above, part = (row.to(features.device) for row in (below, above, part))
-        return torch.lerp(features[:, below], features[:, above], part)
+        below, above, part = (
+            torch.from_numpy(row).to(features.device)
+            for row in self._places(start, stop, first_sample, features.shape[1])
+        )
+        return torch.lerp(features[:, below], features[:, above], part.unsqueeze(-1))
+
+    def _places(
+        self, start: int, stop: int, first_sample: int, size: int
+    ) -> tuple[Int64, Int64, Float32]:
+        """Features before and after each row of `rows`, and how far it lies between them."""
+        position = np.arange(start, stop) * (SAMPLE_RATE / FRAME_RATE) - (
+            first_sample + self.centre
+        )
+        position = (position / self.stride).clip(0, size - 1)
+        below = position.astype(np.int64)
+        return below, (below + 1).clip(max=size - 1), (position - below).astype(np.float32)
 
 
 def _standardised(rows: Tensor, norm: nn.Module) -> Tensor:
@@ -366,6 +376,22 @@ class Layer(nn.Module):
         """Map (B, K, D) to (B, K, D); `mask` is that of `WhisperEncoder.forward`."""
         return self.after(self.self_attn(self.self_attn_layer_norm(x), mask).add_(x))
 
+    def joined(self, rows: Tensor, places: Tensor, width: int, mask: Tensor | None) -> Tensor:
+        """Map rows (K, D) of pieces that attend to themselves alone.
+
+        `places` (K,) are theirs among pieces of `width` rows, of which `mask` (N, 1, 1, W) says
+        which there are.
+        """
+        attention, x = self.self_attn, self.self_attn_layer_norm(rows)
+        given = torch.cat([f(x) for f in (attention.q_proj, attention.k_proj, attention.v_proj)], 1)
+        if mask is not None:
+            count = len(mask) * width
+            given = given.new_zeros(count, given.shape[1]).index_copy_(0, places, given)
+        heads = given.view(-1, width, 3, attention.heads, rows.shape[1] // attention.heads)
+        q, k, v = heads.permute(2, 0, 3, 1, 4)
+        mixed = F.scaled_dot_product_attention(q, k, v, mask).transpose(1, 2).flatten(2)
+        return self.after(attention.out_proj(mixed.flatten(0, 1)[places]).add_(rows))
+
     def after(self, x: Tensor) -> Tensor:
         """What follows attention, (B, K, D) to (B, K, D)."""
         out: Tensor = self.fc2(_gelu(self.fc1(self.final_layer_norm(x)))).add_(x)
@@ -440,7 +466,6 @@ class WhisperFrontend(StridedFrontend):
 
     centre = 0.0
     chunk_seconds, overlap_seconds = 10.0, 1.0
-    most_together = 120
 
     def __init__(self, config: WhisperShape) -> None:
         super().__init__()
@@ -506,40 +531,83 @@ class WhisperFrontend(StridedFrontend):
     def encode_together(self, waveforms: Sequence[Tensor], counts: Sequence[int]) -> list[Tensor]:
         """Rows (T, D) of clips (S,), as `encode` of each, to rounding.
 
-        Pieces of all clips are read in batches; see `deitalk.frontends.base.alike`.
+        Pieces of all clips are encoded in batches of `BATCH`.
         """
-        device = self.mel.window.device
-        rows = [torch.empty(count, self.output_size, device=device) for count in counts]
         chunk, overlap = (
             round(seconds * FRAME_RATE) for seconds in (self.chunk_seconds, self.overlap_seconds)
         )
-        pieces: list[tuple[int, Piece, Tensor]] = []
-        for clip, (waveform, count) in enumerate(zip(waveforms, counts, strict=True)):
-            peak = self.survey(waveform, 1.0) if count > chunk else None
+        pieces: list[tuple[Piece, Float32, float]] = []
+        for waveform, count in zip(waveforms, counts, strict=True):
+            peak = self.survey(waveform, 1.0) if count > chunk else math.nan
+            samples = waveform.cpu().numpy()
             for piece in self._pieces_of(count, chunk, overlap):
-                sound = waveform[piece.first : piece.last].unsqueeze(0).to(device)
-                pieces.append((clip, piece, self._log_mel(sound, peak)[0]))
-        found: dict[tuple[int, int], Tensor] = {}
-        for batch in alike(pieces, lambda entry: entry[2].shape[1]):
-            features = self._padded([mel for _, _, mel in batch])
-            for (clip, piece, _), part in zip(batch, features, strict=True):
-                found[clip, piece.start] = part
-        for clip, piece, _ in pieces:  # in their order: each is laid over the one before
-            self._add(rows[clip], piece, found[clip, piece.start])
-        return rows
+                pieces.append((piece, samples[piece.first : piece.last], peak))
+        order = sorted(range(len(pieces)), key=lambda place: -len(pieces[place][1]))
+        sizes = np.array([self.count(len(sound)) for _, sound, _ in pieces])
+        begins, found = np.zeros_like(sizes), list[Tensor]()
+        begins[order] = np.cumsum(sizes[order]) - sizes[order]
+        for first in range(0, len(order), BATCH):
+            batch = order[first : first + BATCH]
+            _, sounds, peaks = zip(*(pieces[place] for place in batch), strict=True)
+            found.append(self._encoded(sounds, np.array(peaks, np.float32), sizes[batch]))
+        rows = self._laid([piece for piece, _, _ in pieces], begins, sizes, torch.cat(found))
+        return list(rows.split(list(counts)))
 
-    def _padded(self, mels: Sequence[Tensor]) -> list[Tensor]:
-        """Features (1, K, D) of each spectrogram (F, M), in one pass."""
-        sizes = [mel.shape[1] // self.spectra for mel in mels]
-        joined = torch.stack([F.pad(mel, (0, mels[0].shape[1] - mel.shape[1])) for mel in mels])
-        mask = None
-        if len(set(sizes)) > 1:
-            # Zeros after the end are what the first convolution reads there, the second reads
-            # nothing there, and attention leaves them out.
-            inside = torch.arange(sizes[0]) < torch.tensor(sizes).unsqueeze(1)
-            mask = inside[:, None, None].to(joined.device)
-        features = self._features(joined, mask)
-        return [features[place : place + 1, :size] for place, size in enumerate(sizes)]
+    def _encoded(self, sounds: Sequence[Float32], peaks: Float32, sizes: Int64) -> Tensor:
+        """Features (K, D) of sounds (S,), one after the other; attention alone is padded.
+
+        Peaks are those of their recordings; NaN of those that are whole.
+        """
+        encoder, device = self.encoder, self.mel.window.device
+        width = int(sizes.max())
+        padded = np.zeros((len(sounds), max(map(len, sounds))), np.float32)
+        for row, samples in zip(padded, sounds, strict=True):
+            row[: len(samples)] = samples
+        sound = torch.from_numpy(padded).to(device)
+        inside = (
+            torch.arange(width * self.spectra) < torch.from_numpy(sizes)[:, None] * self.spectra
+        )
+        is_sound = inside[..., None].to(device)
+        decades = self.mel.decades(self.mel.windows(sound, width * self.spectra))
+        known = torch.from_numpy(peaks)[:, None, None].to(device)
+        own = torch.where(is_sound, decades, math.log10(SILENCE)).amax(dim=(1, 2), keepdim=True)
+        peak = torch.where(known.isnan(), own, known)
+        # Zeros after the end are what the first convolution reads there; the second reads nothing
+        # there.
+        mel = scaled(decades, peak) * is_sound.transpose(1, 2)  # (N, F, M)
+        x = _gelu(encoder.conv2(_gelu(encoder.conv1(mel)))).transpose(1, 2)  # (N, W, D)
+        inside = inside[:, :: self.spectra]
+        places = inside.flatten().nonzero().flatten().to(device)  # (K,)
+        mask = None if bool(inside.all()) else inside[:, None, None].to(device)
+        states = [(x + encoder.positions[:width]).flatten(0, 1)[places]]
+        for layer in encoder.layers:
+            states.append(layer.joined(states[-1], places, width, mask))  # type: ignore[operator]
+        return self.mixed(states)
+
+    def _laid(
+        self, pieces: Sequence[Piece], begins: Int64, sizes: Int64, features: Tensor
+    ) -> Tensor:
+        """Rows (T, D) of all clips from features (K, D) of their pieces, as `_add` lays them."""
+        between, laid, count = [], [np.zeros((3, 0))], 0
+        for (start, done, stop, sample, _), begin, size in zip(pieces, begins, sizes, strict=True):
+            below, above, part = self._places(start, stop, sample, int(size))
+            between.append(np.stack((below + begin, above + begin, part)))
+            entries, both = np.arange(count, count + stop - start), done - start
+            if both:  # (before, after, share of the latter)
+                laid[-1][1, -both:] = entries[:both]
+                laid[-1][2, -both:] = np.arange(1, both + 1) / (both + 1)
+            laid.append(np.stack((entries, entries, np.zeros(len(entries))))[:, both:])
+            count += len(entries)
+        for rows in (between, laid):
+            first, second, share = np.concatenate(rows, axis=1)
+            if share.any():
+                places = (torch.from_numpy(row.astype(np.int64)) for row in (first, second))
+                part = torch.from_numpy(share.astype(np.float32)).to(features.device)
+                low, high = (features[place.to(features.device)] for place in places)
+                features = torch.lerp(low, high, part.unsqueeze(-1))
+            else:
+                features = features[torch.from_numpy(first.astype(np.int64)).to(features.device)]
+        return features
 
 
 def encoder_weights(name: str, wanted: Mapping[str, Tensor]) -> dict[str, Tensor]:

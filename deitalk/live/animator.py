@@ -1,8 +1,11 @@
-"""`LiveAnimator`: samples in as they come, curves out a fifth of a second later."""
+"""`LiveAnimator`: samples in as they come, curves out a fifth of a second later.
+
+Letters: n frames of a call, P spectra a frame, W samples of a spectrum, C controls.
+"""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -14,288 +17,30 @@ from deitalk.audio.voice_activity import WINDOW
 from deitalk.config.rules import Idle, RulesConfig
 from deitalk.emotions import LABELS, EmotionTrack
 from deitalk.errors import AudioError, ConfigError
+from deitalk.live.analysis import MEASURED_AHEAD, FrameMeasures, VoiceAnalysis
 from deitalk.live.cues import CueState, RunningCues
-from deitalk.live.hearing import MEASURED_AHEAD, RunningHearing
 from deitalk.models.load import load_causal
 from deitalk.models.protocol import (
     CausalNetwork,
-    SpectraGrid,
     chosen_actor,
     put,
     take,
     trained_weights,
 )
 from deitalk.postprocess.factors import expression_scale, held_intensity
-from deitalk.postprocess.feeling import fade, felt_intensity
-from deitalk.postprocess.joins import MOST_HEAD_FRAMES, Edge, Passage
+from deitalk.postprocess.feeling import felt_intensity
 from deitalk.postprocess.life.amounts import Life
 from deitalk.postprocess.life.motion import Character, MotionStreams
-from deitalk.postprocess.life.voice import PAUSE, Cues, Seeds, Traits
+from deitalk.postprocess.life.voice import PAUSE, Cues, Seeds
 from deitalk.postprocess.tracks import GATES, LIVE_AHEAD, VoiceTracks, shown_columns
-from deitalk.postprocess.variants import choose_ways
-from rig import ControlSet
 from rig.arrays import Bool, Float32, Int64
 from rig.curves import HEAD
-from rig.curves.edit import gain_factors
 from rig.limits import SEED
 
 if TYPE_CHECKING:
     from deitalk.models.curve_model import DEITalk
 
-# One voice that has not ended: its sound, what is measured of it, and its frames.
-#
-# Letters: S samples, n frames of a call, P spectra a frame, W samples of a spectrum, C controls.
-
-CLOSING_FRAMES, OPENING_FRAMES = 3, 5
-"""Frames in which the mouth of a voice that is interrupted shuts: a tenth of a second; and over
-which it may open again for the sound that comes then."""
-RAMP_SECONDS = 0.2
-"""Time over which one emotion, or intensity, passes into the next."""
-
-
-class Change(NamedTuple):
-    """Emotion and intensity from a time of the sound on."""
-
-    seconds: float
-    emotion: EmotionTrack
-    intensity: float
-
-
-class Sound:
-    """The last samples of a stream at 16 kHz."""
-
-    def __init__(self) -> None:
-        self.samples, self.begin, self.end = np.zeros(0, np.float32), 0, 0
-        """The last ones, the number of the first of them, and how many have come."""
-
-    def append(self, samples: Float32) -> None:
-        """Take the next samples."""
-        self.samples = np.concatenate((self.samples, samples))
-        self.end += samples.size
-
-    def windows(self, starts: Int64, size: int) -> Float32:
-        """`size` samples from each start on [shape=(..., n, size)]; silence before the first."""
-        first = int(starts[0])
-        piece = self.samples[..., max(first - self.begin, 0) :]
-        if first < 0:
-            silence = np.zeros((*piece.shape[:-1], -first), np.float32)
-            piece = np.concatenate((silence, piece), axis=-1)
-        rows: Float32 = piece[..., (starts - first)[:, None] + np.arange(size)]
-        return rows
-
-    @classmethod
-    def together(cls, sounds: Sequence["Sound"]) -> "Sound":
-        """Sounds of which as many samples have come and are kept, side by side."""
-        one = cls()
-        one.samples = np.stack([sound.samples for sound in sounds])
-        one.begin, one.end = sounds[0].begin, sounds[0].end
-        return one
-
-    def drop(self, before: int) -> None:
-        """Drop samples before a place."""
-        if before - self.begin > SAMPLE_RATE:
-            self.samples = self.samples[before - self.begin :].copy()
-            self.begin = before
-
-
-class Stream:
-    """One stream.
-
-    Parameters
-    ----------
-    grid : SpectraGrid
-        Of the network.
-    controls : ControlSet
-        Columns of the curves.
-    acting : Acting
-        At the start.
-    moves : bool
-        Whether blinks, gaze, brows, head and neck move.
-    actor : array [shape=(A,)]
-        Weights of the network's actors.
-    """
-
-    def __init__(
-        self,
-        grid: SpectraGrid,
-        controls: ControlSet,
-        acting: Acting,
-        moves: bool,
-        actor: Float32,
-    ) -> None:
-        self.grid, self.controls, self.moves = grid, controls, moves
-        self.actor, self.rest = actor, b""
-        self.other: Sound | None = None
-        """Sound of the one whom it listens to."""
-        self.sound, self.changes = Sound(), [Change(0.0, acting.emotion_track, acting.intensity)]
-        self.acting, self.gain = acting, gain_factors(controls, acting.gain)
-        self.wanted = self._wanted()
-        traits = Traits.of(Seeds((0, 0, acting.seed)).character())
-        self.ways = choose_ways(acting.variant, traits, acting.seed)
-        self.groups = 0
-        self.n_given = -LIVE_AHEAD
-        """Frame that the rules give next."""
-        self.n_total: int | None = None
-        self.frames: list[Float32] = []
-        self.heads: list[Float32] = []
-        self.shut: tuple[int, int] | None = None
-        """First frame of a mouth that is interrupted, and that of the sound that comes after."""
-        self.shown = self.last = (controls.rest, np.zeros(len(HEAD), np.float32))
-        """Frame and head that are on the screen when it is, and those that were given last."""
-        self.passage: Passage | None = None
-
-    def interrupt(self, silence: int, shown: tuple[Float32, Float32] | None) -> None:
-        """Let silence follow from the next frame on, as many samples as make it known."""
-        first = max(self.n_given, 0)
-        sample = first * SAMPLE_RATE // FRAME_RATE - self.sound.begin
-        samples = self.sound.samples.copy()
-        samples[max(sample, 0) :] = 0
-        self.sound.samples, self.rest = samples, b""
-        self.sound.append(np.zeros(silence, np.float32))
-        self.shut, self.shown = (first, frame_count(self.sound.end)), shown or self.last
-        self.passage = None
-
-    def mouth_share(self, count: int) -> Float32:
-        """Share of the mouth's motion in the `count` frames that the rules give next."""
-        if self.shut is None:
-            return np.ones(count, np.float32)
-        begin, end = self.shut
-        frames = np.arange(self.n_given, self.n_given + count)
-        falls = fade((frames - begin + 1) / CLOSING_FRAMES)
-        rises = 1 - fade((frames - end + 1) / OPENING_FRAMES)
-        return np.maximum(falls, rises)
-
-    def give(self, frames: Float32, heads: Float32, first: int) -> None:
-        """Give the frames from number `first` on.
-
-        After an interruption they begin in the frame that was shown: the expression stays until
-        new sound comes.
-        """
-        if self.shut is not None and len(frames):
-            begin, end = self.shut
-            if self.passage is None:
-                pose, head = (tuple(part.tolist()) for part in self.shown)
-                names, still = self.controls.names, tuple(0.0 for _ in HEAD)
-                edge = Edge(dict(zip(names, pose, strict=True)), {}, head, still)
-                self.passage = Passage.of(
-                    self.controls, edge, heads[0], MOST_HEAD_FRAMES,
-                    mouth=CLOSING_FRAMES - 1, held=end - begin,
-                )  # fmt: skip
-            self.passage.mix(frames, heads, first - begin)
-            if first + len(frames) >= begin + max(self.passage.n_frames, end - begin):
-                self.passage = None
-                self.shut = None if first + len(frames) >= end + OPENING_FRAMES else self.shut
-        if len(frames):
-            self.last = frames[-1], heads[-1]
-        self.frames.append(frames)
-        self.heads.append(heads)
-
-    def change(self, acting: Acting) -> None:
-        """Act otherwise from the sound on that comes next; at once before any."""
-        self.gain = gain_factors(self.controls, acting.gain)  # an error changes nothing
-        before, self.acting = self.acting, acting
-        change = Change(self.sound.end / SAMPLE_RATE, acting.emotion_track, acting.intensity)
-        if (acting.emotion, acting.intensity) != (before.emotion, before.intensity):
-            self.changes = [*self.changes, change] if self.sound.end else [change]
-            self.wanted = self._wanted()
-
-    def _wanted(self) -> tuple[Float32, float] | None:
-        """Emotion (9,) and intensity of the last change; None if the emotion has keys."""
-        last = self.changes[-1]
-        return None if self.acting.is_keyed else (last.emotion.at([0.0])[0], last.intensity)
-
-    def finish(self) -> None:
-        """Take the end of the sound: silence follows, until the last frame is known."""
-        self.n_total = frame_count(self.sound.end)
-        self.sound.append(np.zeros(round(1.5 * SAMPLE_RATE), np.float32))
-
-    def n_ready(self) -> int:
-        """Groups of spectra whose samples have come and that were not taken."""
-        if self.n_total is not None:
-            return self.n_total + LIVE_AHEAD + self.grid.delay - self.groups
-        rate, length = self.grid.rate, self.grid.length
-        frames = MEASURED_AHEAD - 1 - self.grid.delay
-        measured = frames * SAMPLE_RATE // FRAME_RATE + WINDOW // 2 + SAMPLE_RATE // rate
-        # centre of the last spectrum that is whole, and whose group can be measured
-        last = self.sound.end - max(length - length // 2, measured)
-        spectra = int((last + 0.5) * rate / SAMPLE_RATE) + 2
-        while spectra > 0 and round((spectra - 1) * SAMPLE_RATE / rate) > last:
-            spectra -= 1
-        return max(spectra // self.grid.spectra - self.groups, 0)
-
-    def spectrum_starts(self, count: int) -> Int64:
-        """First samples of the spectra of the next groups [shape=(count P,)]."""
-        grid = self.grid
-        index = np.arange(self.groups * grid.spectra, (self.groups + count) * grid.spectra)
-        centres = np.round(index * SAMPLE_RATE / grid.rate).astype(np.int64)
-        return centres - grid.length // 2
-
-    def measured_starts(self, count: int) -> Int64:
-        """First samples of the frames `MEASURED_AHEAD` after the next groups [shape=(count,)]."""
-        stop = self.groups + count - self.grid.delay + MEASURED_AHEAD
-        starts: Int64 = np.arange(stop - count, stop) * SAMPLE_RATE // FRAME_RATE - WINDOW // 2
-        return starts
-
-    def hear(self, samples: Float32, begin: int) -> None:
-        """Take sound of the one whom it listens to, which begins with a sample of its own."""
-        self.other = self.other or Sound()
-        silent = max(begin - self.other.end, 0)
-        self.other.append(np.concatenate((np.zeros(silent, np.float32), samples)))
-
-    def other_windows(self, starts: Int64) -> Float32 | None:
-        """Sound (n, `WINDOW`) of the one whom it listens to, silence where none has come."""
-        if self.other is None:
-            return None
-        self.hear(np.zeros(0, np.float32), self.sound.end)
-        windows = self.other.windows(starts, WINDOW)
-        self.other.drop(int(starts[-1]))
-        return windows
-
-    def forget(self) -> None:
-        """Drop sound and changes that no frame needs any more."""
-        stop = self.groups - self.grid.delay + MEASURED_AHEAD
-        spectrum = int(self.groups * SAMPLE_RATE / FRAME_RATE) - self.grid.length
-        self.sound.drop(min(spectrum, stop * SAMPLE_RATE // FRAME_RATE - WINDOW))
-        seconds = (self.groups - self.grid.delay) / FRAME_RATE - RAMP_SECONDS
-        while len(self.changes) > 1 and self.changes[1].seconds < seconds:
-            self.changes.pop(0)
-
-    def given(self, count: int) -> slice:
-        """Which of the `count` frames that the rules give next there are.
-
-        None before the first one, `LIVE_AHEAD` behind the network's rows, and none after the last.
-        """
-        first = self.n_given
-        self.n_given += count
-        stop = self.n_given if self.n_total is None else min(self.n_given, self.n_total)
-        late = min(max(-first, 0), count)
-        return slice(late, max(stop - first, late))
-
-    def collect(self) -> tuple[Float32, Float32]:
-        """Frames since the last call [shape=(n, C)], and their track of the head [shape=(n, 6)]."""
-        frames, heads = self.frames, self.heads
-        self.frames, self.heads = [], []
-        if not frames:
-            return _none(len(self.controls)), _none(len(HEAD))
-        return np.concatenate(frames), np.concatenate(heads)
-
-    def directed(self, count: int) -> tuple[Float32, Float32]:
-        """Emotion (count, 9) and intensity (count,) that the acting wants in the next groups."""
-        frames = np.arange(self.groups, self.groups + count) - self.grid.delay
-        times = np.maximum(frames, 0) / FRAME_RATE
-        first = self.changes[0]
-        emotion = first.emotion.at(times)
-        intensity = np.full(len(times), first.intensity, np.float32)
-        for change in self.changes[1:]:
-            share = np.clip((times - change.seconds) / RAMP_SECONDS, 0, 1).astype(np.float32)
-            emotion = emotion + share[:, None] * (change.emotion.at(times) - emotion)
-            intensity = intensity + share * (np.float32(change.intensity) - intensity)
-        return emotion.astype(np.float32), intensity.astype(np.float32)
-
-
-def _none(count: int) -> Float32:
-    return np.zeros((0, count), np.float32)
-
+from deitalk.live.stream import Sound, Stream
 
 BLOCK_FRAMES, FEW_FRAMES = 256, 8
 """Most frames of a stream that the network reads at once, and most of any number."""
@@ -375,8 +120,8 @@ class LiveAnimator:
         ahead = self.network.grid.lookahead_samples / SAMPLE_RATE
         self.lookahead_seconds = ahead + LIVE_AHEAD / FRAME_RATE
         self.rules = self.network.curve_pass(live=True)
-        self.hearing, self.cues = RunningHearing(self.network.rules), RunningCues(LIVE_AHEAD)
-        self.ears = RunningHearing(RulesConfig.none())
+        self.analysis, self.cues = VoiceAnalysis(self.network.rules), RunningCues(LIVE_AHEAD)
+        self.other_analysis = VoiceAnalysis(RulesConfig.none())
         self.state, self.past, self.due, self.other = self._first(streams)
         self.streams = [self._stream(k) for k in range(streams)]
         idle = self.network.rules.idle or Idle()
@@ -597,8 +342,8 @@ class LiveAnimator:
         mixture = np.zeros((batch, LIVE_AHEAD, len(LABELS)), np.float32)
         speaking = np.zeros((batch, LIVE_AHEAD), bool)
         due = self.rules.first(batch), mixture, speaking, *self.cues.first(batch)
-        other = *self.ears.first(batch), *self.cues.first(batch)
-        return network, self.hearing.first(batch), due, other
+        other = *self.other_analysis.first(batch), *self.cues.first(batch)
+        return network, self.analysis.first(batch), due, other
 
     def _character(self, number: int) -> Character:
         acting = self.actings[number]
@@ -653,7 +398,7 @@ class LiveAnimator:
             put(self.state, new, self.network.begin(windows, take(self.state, new)))
             starts = np.arange(MEASURED_AHEAD) * SAMPLE_RATE // FRAME_RATE - WINDOW // 2
             sound = np.stack([self.streams[k].sound.windows(starts, WINDOW) for k in new])
-            put(self.past, new, self.hearing.begin(sound, take(self.past, new)))
+            put(self.past, new, self.analysis.begin(sound, take(self.past, new)))
 
     def _directed(self, streams: Sequence[Stream], count: int) -> tuple[Float32, Float32]:
         """Emotion (B, count, 9) and intensity (B, count) that are wanted in the next groups."""
@@ -715,15 +460,16 @@ class LiveAnimator:
         styles = np.concatenate((trained_weights(emotion), actors), axis=-1)
         rows, state = self.network.advance(windows, styles, self._taken(self.state, ready))
         self.state = self._put(self.state, ready, state)
-        # What is heard of them: intensity, opening and gates.
+        # Intensity, opening and gates of the voices.
         past = self._taken(self.past, ready)
         stays = np.array([stream.acting.rest for stream in streams], np.float32)
-        heard, past = self.hearing(sound, rows.strength, rows.effort, stays, past)
+        measured = FrameMeasures.of_windows(sound)
+        found, past = self.analysis(measured, rows.strength, rows.effort, stays, past)
         self.past = self._put(self.past, ready, past)
         # Factors.
         rules = self.network.rules
         with_rules = ruled[:, None] > 0
-        felt, holds, scale = heard.intensity, rows.strength, wanted
+        felt, holds, scale = found.intensity, rows.strength, wanted
         if rules.voice_intensity is not None:
             felt = felt_intensity(felt, emotion, rules.voice_intensity)
             holds = held_intensity(
@@ -736,9 +482,9 @@ class LiveAnimator:
             )
             scale = np.where(with_rules, expression_scale(felt * wanted, holds), wanted)
         applied = np.where(with_rules, felt, rows.strength) * wanted
-        opening = np.where(with_rules, heard.opening, 1)
+        opening = np.where(with_rules, found.opening, 1)
         phones = np.zeros((*scale.shape, 4), np.float32)
-        back, kept, _ = heard.held
+        back, kept, _ = found.held
         ways = [stream.ways for stream in streams]
         variants = emotion @ np.stack([way.weights for way in ways])
         side = np.repeat([[way.side] for way in ways], count, axis=1)
@@ -748,14 +494,14 @@ class LiveAnimator:
         # Gates and motion of the frames that come out.
         before, mixture, speaking, *cues = self._taken(self.due, ready)
         begin = cues[CueState._fields.index("frame")]
-        found, known = self.cues(heard.measures, heard.speaking, CueState(*cues))
+        new_cues, known = self.cues(found.measures, found.speaking, CueState(*cues))
         listens = self._listen(ready, others, begin, count)
-        self._cue(ready, found, begin, listens)
+        self._cue(ready, new_cues, begin, listens)
         mixture = np.concatenate((mixture, emotion * applied[..., None]), axis=1)
-        speaking = np.concatenate((speaking, heard.speaking), axis=1)
+        speaking = np.concatenate((speaking, found.speaking), axis=1)
         keyed = np.array([stream.wanted is None for stream in streams])[:, None]
-        mouth = np.where(with_rules, heard.mouth, 1)
-        expression = np.where(with_rules & ~keyed, heard.expression, 1)
+        mouth = np.where(with_rules, found.mouth, 1)
+        expression = np.where(with_rules & ~keyed, found.expression, 1)
         if any([stream.shut for stream in streams]):
             mouth = mouth * np.stack([stream.mouth_share(count) for stream in streams])
         numbers = [stream.n_given for stream in streams]
@@ -790,7 +536,8 @@ class LiveAnimator:
             np.stack([other for _, other in given]),
             np.zeros((len(who), count), np.float32),
         )
-        heard, past = self.ears(sound, none, none, none[:, 0], kept[:-size])
+        measured = FrameMeasures.of_windows(sound)
+        heard, past = self.other_analysis(measured, none, none, none[:, 0], kept[:-size])
         before = CueState(*kept[-size:])._replace(frame=begin[places])
         found, after = self.cues(heard.measures, heard.speaking, before)
         now: Arrays = *past, *after

@@ -4,21 +4,17 @@ The causal form of `deitalk.postprocess.feeling`: the state is the strength of t
 network's readout, over the last second and a half of speech; the display is the same sum, about
 running means that forget, and its smoothing looks back instead of to both sides.
 
-Streams are side by side, and their state is in the caller's hands; frames are taken one after the
-other, of all streams at once. Letters: B streams, n frames of a call.
+Streams are side by side, and the caller keeps their state; frames are taken one after the other, of
+all streams at once. All functions take arrays or tensors. Letters: B streams, n frames of a call.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from deitalk.audio.prosody import (
-    LEVEL_DB,
-    PITCH_SEMITONES,
-    TILT_DB,
-    VOICED,
-    sonority_db,
-)
+from deitalk.array_functions import Array, library, like
+from deitalk.audio.prosody import LEVEL_DB, PITCH_SEMITONES, TILT_DB, VOICED
 from deitalk.config.rules import VoiceIntensity
 from deitalk.postprocess.feeling import (
     BRIGHTEST_DB,
@@ -32,7 +28,6 @@ from deitalk.postprocess.feeling import (
     limited,
     state_of,
 )
-from rig.arrays import Bool, Float32, Float64
 
 FORGET_FRAMES = 900.0
 """Frames of speech that a mean remembers (30 s)."""
@@ -54,24 +49,16 @@ NETWORK, LEVEL, TILT, PITCH, STRENGTH = range(5)
 
 
 class Measures(NamedTuple):
-    """Prosody of consecutive frames [shape=(..., n)], from `measure_windows`."""
+    """Prosody of consecutive frames [shape=(..., n)], as in `deitalk.audio.prosody.Prosody`."""
 
-    level: Float64
-    tilt: Float64
-    pitch: Float64
-    periodicity: Float64
-    sonority: Float64
-
-    @classmethod
-    def of(cls, measured: Float64) -> "Measures":
-        """Take measured rows (..., n, 31)."""
-        level, bright, dark, pitch, periodicity = np.moveaxis(measured[..., :5], -1, 0)
-        tilt = 10 * np.log10((bright + 1e-12) / (dark + 1e-12))
-        sonority = sonority_db(np.moveaxis(measured[..., 5:], -1, 0))
-        return cls(level, tilt, pitch, periodicity, sonority)
+    level: Array
+    tilt: Array
+    pitch: Array
+    periodicity: Array
+    sonority: Array
 
 
-IntensityState = tuple[Float64, Float64, Float64]
+IntensityState = Sequence[Array]
 """Running means and their weights [shape=(B, 5)] each, and display, its presence and its mean
 around [shape=(B, 3)]."""
 
@@ -94,12 +81,12 @@ class RunningIntensity:
 
     def __call__(
         self,
-        network: Float32,
+        network: Array,
         measures: Measures,
-        speaking: Bool,
-        effort: Float32,
+        speaking: Array,
+        effort: Array,
         state: IntensityState,
-    ) -> tuple[Float32, IntensityState]:
+    ) -> tuple[Array, IntensityState]:
         """Intensity of the next frames [shape=(B, n), range 0 to 1.2].
 
         Parameters
@@ -115,39 +102,39 @@ class RunningIntensity:
         state : IntensityState
             From `first`, or from the call before.
         """
-        means, weights, values = state
+        xp, (means, weights, values) = library(network), state
         toned = speaking & (measures.periodicity > VOICED) & (measures.tilt < BRIGHTEST_DB)
-        counts = np.stack((speaking, speaking, toned, toned, speaking), axis=-1)
+        counts = xp.stack((speaking, speaking, toned, toned, speaking), axis=-1)
         rows = deviation(network), measures.level, measures.tilt, measures.pitch, effort
-        new: Float64 = np.stack(rows, axis=-1).astype(np.float64)
-        found = np.empty(network.shape)
+        new, found = xp.stack(rows, axis=-1), []
         for k in range(network.shape[1]):
             count = counts[:, k]
-            weights = np.where(count, np.minimum(weights + 1, MEMORIES), weights)
-            means = np.where(count, means + (new[:, k] - means) / np.maximum(weights, 1), means)
+            weights = xp.where(count, xp.minimum(weights + 1, like(MEMORIES, weights)), weights)
+            moved = means + (new[:, k] - means) / xp.clip(weights, 1, None)
+            means = xp.where(count, moved, means)
             values = _displayed(values, new[:, k] - means, speaking[:, k], toned[:, k])
-            display, presence, near = values.T
+            display, presence, near = (values[:, part] for part in range(3))
             display = self.rule.display * presence * (limited(display) - NEAR_SHARE * near)
-            found[:, k] = state_of(means[:, STRENGTH], self.rule) + display
-        return intensity_of(found), (means, weights, values)
+            found.append(state_of(means[:, STRENGTH], self.rule) + display)
+        return intensity_of(xp.stack(found, axis=1)), (means, weights, values)
 
 
-def _displayed(values: Float64, distance: Float64, speaking: Bool, toned: Bool) -> Float64:
+def _displayed(values: Array, distance: Array, speaking: Array, toned: Array) -> Array:
     """Display, presence and mean display after a frame, of its distances from the means."""
-    display, presence, near = values.T
-    tilt = np.clip(distance[:, TILT] / TILT_DB, -MOST_TONE, MOST_TONE)
-    pitch = np.clip(distance[:, PITCH] / PITCH_SEMITONES, -MOST_TONE, MOST_TONE)
-    is_near = np.abs(distance[:, PITCH]) <= FURTHEST_SEMITONES
+    xp, (display, presence, near) = library(values), (values[:, part] for part in range(3))
+    tilt = xp.clip(distance[:, TILT] / TILT_DB, -MOST_TONE, MOST_TONE)
+    pitch = xp.clip(distance[:, PITCH] / PITCH_SEMITONES, -MOST_TONE, MOST_TONE)
+    is_near = xp.abs(distance[:, PITCH]) <= FURTHEST_SEMITONES
     target = NETWORK_SHARE * distance[:, NETWORK]
-    target = target + LEVEL_SHARE * np.clip(distance[:, LEVEL] / LEVEL_DB, -MOST_LEVEL, MOST_LEVEL)
+    target = target + LEVEL_SHARE * xp.clip(distance[:, LEVEL] / LEVEL_DB, -MOST_LEVEL, MOST_LEVEL)
     target = target + TONE_SHARE * toned * (tilt + is_near * pitch)
-    display = np.where(speaking, display + SMOOTHING * (target - display), display)
+    display = xp.where(speaking, display + SMOOTHING * (target - display), display)
     moved = near + AROUND_SMOOTHING * (limited(display) - near)
-    presence = presence + PRESENCE_SMOOTHING * (speaking - presence)
-    return np.stack((display, presence, np.where(speaking, moved, near)), axis=-1)
+    presence = presence + PRESENCE_SMOOTHING * (speaking * 1.0 - presence)
+    return xp.stack((display, presence, xp.where(speaking, moved, near)), axis=-1)
 
 
-def follow_means(rows: Float64, speaking: Bool, means: Float64) -> tuple[Float64, Float64]:
+def follow_means(rows: Array, speaking: Array, means: Array) -> tuple[Array, Array]:
     """Means of values over the last second of speech.
 
     Parameters
@@ -164,8 +151,8 @@ def follow_means(rows: Float64, speaking: Bool, means: Float64) -> tuple[Float64
     array [shape=(B, n, K)], array [shape=(B, K)]
         Means at each frame, and those after the last one.
     """
-    found = np.empty(rows.shape)
+    found = []
     for k in range(rows.shape[1]):
         means = means + AROUND_SMOOTHING * speaking[:, k, None] * (rows[:, k] - means)
-        found[:, k] = means
-    return found, means
+        found.append(means)
+    return library(rows).stack(found, axis=1), means

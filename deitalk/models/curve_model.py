@@ -13,13 +13,17 @@ from deitalk.config.rules import RulesConfig
 from deitalk.emotions import EMOTIONS
 from deitalk.frontends import build_frontend
 from deitalk.models.intensity import DynamicIntensity, Intensity, MotionEncoder, temporal_maximum
+from deitalk.models.joined import JoinedClips
 from deitalk.models.lip_readout import LipReadout
 from deitalk.models.positions import dynamic_positions
 from deitalk.models.protocol import (
     Product,
     Reading,
     Tracks,
+    is_neutral,
     neutral_and_acted,
+    neutral_weights,
+    styles_of,
 )
 from deitalk.models.rig_decoder import Decoder, RigDecoder, build_decoder
 from deitalk.postprocess.curve_pass import CurvePass, TorchPass
@@ -29,6 +33,8 @@ from rig.arrays import Float32
 
 DECODE_FRAMES = 1024
 """Rig frames decoded at once on a long clip (34 s)."""
+FRAMES_TOGETHER = 32_768
+"""Rig frames of recordings that are decoded at once (18 minutes, some 700 MB)."""
 
 
 class Output(NamedTuple):
@@ -232,18 +238,14 @@ class DEITalk(nn.Module):
         """Whether a weight is that of a published encoder, which did not learn."""
         return self.frontend.is_fixed(name.removeprefix("frontend."))
 
-    def reads_together(self, n_frames: int) -> bool:
-        """Whether recordings of one such length gain from `read_together` on a processor."""
-        return n_frames <= self.frontend.most_together
-
     @torch.no_grad()
     def read_together(
         self, sounds: Sequence[Float32], weights: Sequence[Float32], actors: Sequence[str]
     ) -> list[Reading]:
-        """Curves of recordings; as `read` of each, to rounding.
+        """Curves of recordings of any lengths; as `read` of each, to rounding.
 
-        The network of a frontend that can takes pieces of about one length in one pass. On a
-        processor two to eight of equal length take 82 to 98 % of the time of one after the other.
+        With a Whisper frontend and the decoder of Eq. 7 all of them are one pass, of as many calls
+        of torch as that of one, in parts of at most `FRAMES_TOGETHER` frames.
 
         Parameters
         ----------
@@ -255,10 +257,54 @@ class DEITalk(nn.Module):
             As for `read`, of each recording.
         """
         clips = [torch.from_numpy(sound) for sound in sounds]
-        speech = self.frontend.encode_together(clips, [len(rows) for rows in weights])
+        counts = [len(rows) for rows in weights]
+        speech = self.frontend.encode_together(clips, counts)
+        is_local = not self.config.intensity or self.intensity.saliency_frames is not None
+        if not (is_local and self.decoder.joins):
+            return [
+                self._acted(self.analyse(features, len(features)), rows, actor)
+                for features, rows, actor in zip(speech, weights, actors, strict=True)
+            ]
+        found: list[Reading] = []
+        for part in _parts(counts):
+            found += self._read_joined(speech[part], weights[part], actors[part])
+        return found
+
+    def _read_joined(
+        self, speech: Sequence[Tensor], weights: Sequence[Float32], actors: Sequence[str]
+    ) -> list[Reading]:
+        """Readings of recordings from their features (T, D), in one pass."""
+        clips = JoinedClips([len(rows) for rows in weights], self.device)
+        rows = torch.cat(list(speech)).float().unsqueeze(0)  # (1, K, D)
+        intensity = self.intensity(rows, None, clips) if self.config.intensity else None
+        placed = self.place(rows.transpose(0, 1), clips.frames[:, None], clips.totals)
+        acted = [
+            styles_of(np.stack((neutral_weights(len(each)), each)), self.actors, actor)
+            for each, actor in zip(weights, actors, strict=True)
+        ]
+        curves = self.rig_decoder.readings(
+            placed.transpose(0, 1),
+            torch.from_numpy(np.concatenate(acted, axis=1)).to(self.device),
+            None if intensity is None else intensity.guidance,
+            clips,
+        )
+        if self.lips is not None:
+            curves = self.lips.correct(curves, self.lips(rows, None, clips)[0])
+        values, ends = curves.cpu().numpy(), np.cumsum(clips.counts)[:-1]
+        tracks: list[list[Float32]] = []
+        if intensity is not None:
+            known = [intensity.saliency, intensity.strength]
+            known += [] if intensity.effort is None else [intensity.effort]
+            tracks = np.split(torch.cat(known).cpu().numpy(), ends, axis=1)
         return [
-            self._acted(self.analyse(features, len(features)), rows, actor)
-            for features, rows, actor in zip(speech, weights, actors, strict=True)
+            Reading(
+                each[0],
+                each[0] if is_neutral(given) else each[1],
+                Tracks(*track, *[None] * (len(Tracks._fields) - len(track))),
+            )
+            for each, given, track in zip(
+                np.split(values, ends, axis=1), weights, tracks or [()] * len(weights), strict=True
+            )
         ]
 
     def styles(self, emotion: Tensor, actor: str) -> Tensor:
@@ -391,6 +437,17 @@ class DEITalk(nn.Module):
             )
             rows[:, start:stop] = decoded[:, start - first : stop - first]
         return rows if emotion.dim() == 3 else rows[0]
+
+
+def _parts(counts: Sequence[int]) -> Iterator[slice]:
+    """Neighbours with `FRAMES_TOGETHER` frames at most, or one that has more."""
+    start = total = 0
+    for place, count in enumerate(counts):
+        if total and total + count > FRAMES_TOGETHER:
+            yield slice(start, place)
+            start, total = place, 0
+        total += count
+    yield slice(start, len(counts))
 
 
 def _pieces(total: int, margin: int) -> Iterator[tuple[int, int, int, int]]:

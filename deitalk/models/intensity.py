@@ -13,6 +13,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from deitalk.models.joined import JoinedClips
 from deitalk.models.rig_decoder import TemporalConv
 
 
@@ -134,25 +135,34 @@ class DynamicIntensity(nn.Module):
         self.slope = nn.Parameter(torch.tensor(1.0))
         self.offset = nn.Parameter(torch.tensor(0.0))
 
-    def forward(self, speech: Tensor, embedding: Tensor | None = None) -> Intensity:
+    def forward(
+        self, speech: Tensor, embedding: Tensor | None = None, clips: JoinedClips | None = None
+    ) -> Intensity:
         """Map speech features (B, T, D) to `Intensity`.
 
-        `embedding` (B, E) is the whole clip's where `speech` is a piece of it.
+        `embedding` (B, E) is the whole clip's where `speech` is a piece of it. With `clips` the
+        frames are those of several (1, K, D), each compared with its own.
         """
         features = self.project(speech)
         if embedding is None:
             embedding = temporal_maximum(features)
         around = embedding
         if self.saliency_frames is not None:
-            maximum = past_maximum if self.causal else local_maximum
-            around = maximum(features, self.saliency_frames)
+            around = self._around(features, self.saliency_frames, clips)
         intensity = self._compared(speech, features, embedding, around)
         if self.kept is None or self.saliency_frames is None:
             return intensity
         before = self.kept(speech)
-        saliency = emotional_saliency(before, local_maximum(before, self.saliency_frames))
+        saliency = emotional_saliency(before, self._around(before, self.saliency_frames, clips))
         guidance = torch.cat((intensity.guidance, saliency.unsqueeze(-1) * before), dim=-1)
         return intensity._replace(guidance=guidance)
+
+    def _around(self, features: Tensor, frames: int, clips: JoinedClips | None) -> Tensor:
+        """Largest value of every feature around each frame, or before it."""
+        maximum = past_maximum if self.causal else local_maximum
+        if clips is None:
+            return maximum(features, frames)
+        return clips.taken(maximum(clips.spread(features, frames, -torch.inf), frames), frames)
 
     def first_past(self, batch: int) -> Tensor:
         """Features before the first frame of streams (B, saliency_frames - 1, E): none."""

@@ -4,13 +4,14 @@ A decoder that is trained on computed faces does not show all that its features 
 is fitted to phones and to measured lips of people, and
 corrects the decoder:
 
-- A contact, lips together or lower lip on the teeth, becomes the geometric mean of the decoder's
-  and of the probability that the readout gives it: none that either denies, and the decoder's
-  timing.
+- A contact, lips together or lower lip on the teeth, becomes the product of powers of the
+  decoder's and of the probability that the readout gives it (`POWERS`): none that either denies,
+  and the decoder's timing.
 - Rounding and the tip of the tongue are those of the phones that are heard; the tongue comes out
   for TH alone, and the lower lip does not touch the teeth meanwhile.
 - The opening and the width of the mouth, the height of the lower lip and of the corners move
-  towards those that the readout gives, by controls that change nothing else of the lips. They
+  towards those that the readout gives, by controls that change nothing else of the lips; what
+  rounding does to them is counted, so that lips are as narrow as measured ones. They
   stay the decoder's where the decoder shuts the mouth: in pauses, breaths and closures.
 
 What an emotion adds stays. Letters: R readings, B streams, T frames, D width of the features, C
@@ -23,10 +24,13 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from deitalk.models.joined import JoinedClips
 from deitalk.postprocess.torch_columns import smoothstep
 
 CONTACTS = ("lipsTogether", "lipBiteD")
 """Parts of the names of the controls of each contact."""
+POWERS = (0.5, 0.7)
+"""Of the decoder's contact and of its probability, whose product is the contact."""
 CHANNELS = ("together", "bite", "out", "tip", "funnel", "purse")
 """Of the articulation table of the phones, which are read; the first are the contacts."""
 MEASURES = ("opening", "width", "lower_lip", "corner")
@@ -49,8 +53,6 @@ SHOWN = {
 that is added."""
 PURSED_FUNNEL = 0.35
 """Funnel of pursed lips."""
-PURSED_CM = 0.26
-"""By which the mouth is narrower at a purse of 1, besides what the controls of it do."""
 
 
 class LipReadout(nn.Module):
@@ -74,8 +76,6 @@ class LipReadout(nn.Module):
     """Share of the decoder's curves that stays [shape=(C,)]."""
     low: Tensor
     """Least of the decoder's curves: no tongue comes out by them [shape=(C,)]."""
-    narrows: Tensor
-    """1 at the width [shape=(4,)]."""
     opens: Tensor
     """Shares of `OPENERS`, whose sum is 1 [shape=(C,)]."""
 
@@ -84,7 +84,9 @@ class LipReadout(nn.Module):
         self.causal = causal
         self.listen = nn.Conv1d(in_size, len(CHANNELS) + len(MEASURES), TAPS)
         self.shown = nn.Linear(len(names), len(MEASURES))
-        """Part of the change that depends on the curves: less where they show the measure."""
+        """Measures that curves show, cm."""
+        self.kept = nn.Parameter(torch.zeros(len(MEASURES)))
+        """Share of what the decoder shows, in the measures that are wanted."""
         self.moves = nn.Linear(len(MEASURES), len(names), bias=False)
         """Controls per change of a measure."""
 
@@ -96,7 +98,6 @@ class LipReadout(nn.Module):
         given = torch.stack([(1 - share) * of(part) for part, _, share in SHOWN.values()])
         tables["own"] = 1 - given.sum(0)
         tables["low"] = torch.where(of(SHOWN["out"][0]) > 0, 0.0, -torch.inf)
-        tables["narrows"] = torch.tensor([float(name == "width") for name in MEASURES])
         opens = torch.stack([of(part) for part in OPENERS]).sum(0)
         tables["opens"] = opens / opens.sum().clamp_min(1)
         for name, table in tables.items():
@@ -107,7 +108,9 @@ class LipReadout(nn.Module):
         """Frames around a row, or before it, that it depends on."""
         return TAPS - 1 if self.causal else TAPS // 2
 
-    def forward(self, speech: Tensor, past: Tensor | None = None) -> Tensor:
+    def forward(
+        self, speech: Tensor, past: Tensor | None = None, clips: JoinedClips | None = None
+    ) -> Tensor:
         """Read features.
 
         Parameters
@@ -116,17 +119,23 @@ class LipReadout(nn.Module):
             Without positional encoding.
         past : Tensor [shape=(B, TAPS - 1, D)] or None
             What came before, for a causal readout; None: nothing did.
+        clips : JoinedClips or None
+            Whose frames the features (1, K, D) are.
 
         Returns
         -------
         Tensor [shape=(B, T, 10)]
-            `CHANNELS`, 0 to 1, and parts of the change of `MEASURES` in cm.
+            `CHANNELS`, 0 to 1, and the part of the wanted `MEASURES` in cm that is not the
+            decoder's.
         """
         if past is not None:
             x = torch.cat((past, speech), dim=1).transpose(1, 2)
         else:
-            x = F.pad(speech.transpose(1, 2), (self.margin, TAPS - 1 - self.margin))
+            x = speech if clips is None else clips.spread(speech, TAPS)
+            x = F.pad(x.transpose(1, 2), (self.margin, TAPS - 1 - self.margin))
         rows = self.listen(x).transpose(1, 2)
+        if clips is not None:
+            rows = clips.taken(rows, TAPS)
         n = len(CHANNELS)
         return torch.cat((rows[..., :n].sigmoid(), rows[..., n:]), dim=-1)
 
@@ -145,10 +154,9 @@ class LipReadout(nn.Module):
             From `forward`.
         """
         said, seals = self.articulated(readings, read)
-        purse = read[..., CHANNELS.index("purse"), None]
-        wanted = read[..., len(CHANNELS) :] - PURSED_CM * purse * self.narrows
+        wanted = read[..., len(CHANNELS) :] + self.kept * self.shown(readings[:1])
         open_ = smoothstep(((readings[:1] @ self.opens)[..., None] - OPEN[0]) / (OPEN[1] - OPEN[0]))
-        curves = readings + said - readings[:1] + open_ * self.moves(wanted + self.shown(said))
+        curves = readings + said - readings[:1] + open_ * self.moves(wanted - self.shown(said))
         return torch.where(self.places.sum(dim=0) > 0, seals, curves)
 
     def articulated(self, readings: Tensor, read: Tensor) -> tuple[Tensor, Tensor]:
@@ -164,7 +172,8 @@ class LipReadout(nn.Module):
         together, bite, out, tip, funnel, purse = read[..., : len(CHANNELS), None].unbind(-2)
         out = smoothstep((out - OUT[0]) / (OUT[1] - OUT[0]))
         likely = torch.cat((together, bite), dim=-1) @ self.places
-        seals = (readings.clamp(0, 1) * likely).sqrt() * (1 - out * self.places[1])
+        both = readings.clamp(0, 1) ** POWERS[0] * likely ** POWERS[1]
+        seals = both * (1 - out * self.places[1])
         funnel = (funnel + PURSED_FUNNEL * purse).clamp_max(1)
         channels = torch.cat((out, tip, funnel, purse), dim=-1)
         said = torch.maximum(readings[:1], self.low) * self.own + channels @ self.values

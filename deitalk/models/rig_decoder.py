@@ -10,6 +10,7 @@ from torch.nn import functional as F
 
 from deitalk.config.curves import ModelConfig
 from deitalk.emotions import EMOTIONS
+from deitalk.models.joined import JoinedClips
 from deitalk.models.tuned_parts import ActorLayers, BaseChange
 from rig import ControlSet
 
@@ -175,8 +176,11 @@ class Decoder(nn.Module):
         Embedding of the actors, added to it.
     output : nn.Linear
         Last layer: `hidden` to curves.
+    joins : bool
+        Whether it reads several recordings in one pass: `readings` with `JoinedClips`.
     """
 
+    joins = False
     margin: int
     style: nn.Linear | None
     actors: nn.Linear | None
@@ -269,6 +273,7 @@ class RigDecoder(Decoder):
         Add `ActorLayers`.
     """
 
+    joins = True
     is_kept: Tensor | None
     style: nn.Linear
 
@@ -357,19 +362,27 @@ class RigDecoder(Decoder):
         )
 
     @torch.no_grad()
-    def readings(self, speech: Tensor, emotions: Tensor, guidance: Tensor | None) -> Tensor:
+    def readings(
+        self,
+        speech: Tensor,
+        emotions: Tensor,
+        guidance: Tensor | None,
+        clips: JoinedClips | None = None,
+    ) -> Tensor:
         """Curves (R, T, C) of several readings of one speech; arguments as `hidden_readings`."""
         kept, theirs = self.kept, self._of_kept(guidance)
 
         def own(styles: Tensor) -> Tensor:
-            return self.curves(self.hidden_readings(speech, styles, guidance), styles)
+            return self.curves(self.hidden_readings(speech, styles, guidance, clips), styles)
 
         return self._combined(
             emotions,
             lambda styles: _each_once(own, styles),
             None
             if kept is None
-            else lambda styles: _each_once(lambda s: kept.readings(speech, s, theirs), styles),
+            else lambda styles: _each_once(
+                lambda s: kept.readings(speech, s, theirs, clips), styles
+            ),
         )
 
     def _combined(
@@ -416,22 +429,35 @@ class RigDecoder(Decoder):
         return torch.cat((hidden, speech.expand(hidden.shape[0], -1, -1)), dim=-1)
 
     @torch.no_grad()
-    def hidden_readings(self, speech: Tensor, emotions: Tensor, guidance: Tensor | None) -> Tensor:
+    def hidden_readings(
+        self,
+        speech: Tensor,
+        emotions: Tensor,
+        guidance: Tensor | None,
+        clips: JoinedClips | None = None,
+    ) -> Tensor:
         """Input of the last layer for several readings of one speech, by products of matrices.
 
         What they share, speech and in each layer intensity, is computed once. Arguments as
-        `Decoder.hidden_readings`.
+        `Decoder.hidden_readings`; with `clips` the frames are those of several, none of which
+        depends on another.
         """
         layers = cast("list[TemporalConv]", list(self.layers))
+        gap, spoken, gaps = max(layer.reach for layer in layers), speech, None
+        styles = self.styles(emotions, speech.shape[1])
+        if clips is not None:
+            gaps = clips.gaps(gap)
+            speech, styles = (clips.spread(rows, gap) for rows in (speech, styles))
+            guidance = None if guidance is None else clips.spread(guidance, gap)
         (_, length, width), channels = speech.shape, layers[0].conv.out_channels
-        gap, size = max(layer.reach for layer in layers), channels + self.style.out_features
+        size = channels + self.style.out_features
         given = JoinedRows(1, length, width + self.guidance_size, gap, speech)
         given.rows[..., :width] = speech
         if guidance is not None:
             given.rows[..., width:] = guidance[..., : self.guidance_size]
         shared = JoinedRows(1, length, channels, gap, speech)
         x, out = (JoinedRows(len(emotions), length, size, gap, speech) for _ in range(2))
-        x.rows[..., channels:] = out.rows[..., channels:] = self.styles(emotions, length)
+        x.rows[..., channels:] = out.rows[..., channels:] = styles
         # Columns: x has those of the layer before, then the style; a layer's weights have guidance
         # after them. Nothing comes before the first layer but speech.
         for i, layer in enumerate(layers):
@@ -449,8 +475,11 @@ class RigDecoder(Decoder):
             rows.relu_()
             rows.copy_(self._joined(i, x.inner()[:, :channels], rows))
             out.gaps[..., :channels] = 0
+            if gaps is not None:
+                out.rows[..., :channels].index_fill_(1, gaps, 0)
             x, out = out, x
-        return self._with_speech(x.rows[..., :channels], speech)
+        hidden = x.rows[..., :channels]
+        return self._with_speech(hidden if clips is None else clips.taken(hidden, gap), spoken)
 
     def first_past(self, batch: int) -> tuple[Tensor, ...]:
         """What each causal layer was given before the first frame: zeros (B, channels, span).

@@ -1,11 +1,11 @@
 """The main path: speech and an emotion in, 185 curves out."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -29,13 +29,14 @@ from deitalk.models.protocol import (
 )
 from deitalk.pipeline.layers import edited
 from deitalk.pipeline.performance import Performance
-from deitalk.pipeline.speech import Speech, measure_intensities
+from deitalk.pipeline.speech import Intensities, Speech, measure_intensities
 from deitalk.pipeline.words.script import Script, TimedMark, levels, with_accents, with_emotions
 from deitalk.pipeline.words.transcript import Transcript, other_spans
 from deitalk.postprocess.factors import held_intensity, mean_around, opening_factor
 from deitalk.postprocess.feeling import state_of_intensity
 from deitalk.postprocess.joins import activity_beside, lead, unknown_controls
 from deitalk.postprocess.known_phones import phone_tracks
+from deitalk.postprocess.life.breath import draw_breaths
 from deitalk.postprocess.life.motion import Motion, plan_motion
 from deitalk.postprocess.life.other import OtherVoice
 from deitalk.postprocess.life.voice import Seeds, Traits, measure_voice
@@ -43,8 +44,8 @@ from deitalk.postprocess.tracks import VoiceTracks, shown_columns
 from deitalk.postprocess.variants import choose_ways, unused_variants
 from rig import ControlSet, RigCurves
 from rig.arrays import Float32
+from rig.curves.apply_layers import target_columns
 from rig.curves.edit import gain_factors
-from rig.curves.layers import target_columns
 from rig.errors import quoted
 
 if TYPE_CHECKING:
@@ -333,6 +334,45 @@ def finish(
     words : WordFit, optional
         Times of the words, if they are known already.
     """
+    return _finished([_ready(prepared, reading, words)], model)[0]
+
+
+def finish_together(prepared: Sequence[Prepared], readings: Sequence[Reading]) -> list[Performance]:
+    """As `finish` of recordings of one network, whose rules are applied to all in one pass."""
+    return _finished([_ready(*given) for given in zip(prepared, readings, strict=True)])
+
+
+class Unruled(NamedTuple):
+    """A recording before the rules, which finish its readings in place."""
+
+    neutral: Float32
+    """Reading [shape=(T, C)]; then the neutral curves."""
+    shown: Float32
+    """Another array, the emotional reading [shape=(T, C)]; then the curves that are shown."""
+    voice: Float32
+    """Columns of `deitalk.postprocess.tracks.VoiceTracks` [shape=(T, 43)]."""
+    gates: Float32
+    """Gates and motion, from `deitalk.postprocess.tracks.shown_columns` [shape=(T, 45)]."""
+    gain: Float32
+    """Factor of each control [shape=(C,)]."""
+    ruled: bool = True
+    """False leaves the readings as they are, but for gain and range."""
+
+
+class _Ready(NamedTuple):
+    """A recording that only lacks the rules."""
+
+    prepared: Prepared
+    unruled: Unruled
+    intensities: Intensities
+    traits: Traits
+    head: Float32 | None
+    breathe: Callable[..., None] | None
+    """Adds breaths to finished curves in place."""
+    words: "WordFit | None"
+
+
+def _ready(prepared: Prepared, reading: Reading, words: "WordFit | None" = None) -> _Ready:
     neutral, emotional, tracks = reading.first(len(prepared.weights))
     speech, rules, acting, clock = prepared.speech, prepared.rules, prepared.acting, prepared.clock
     network, weights = prepared.network, prepared.weights
@@ -365,22 +405,44 @@ def finish(
         intensities.scale, opening, intensities.held, phones, weights, kept.back, kept.share,
         weights @ ways.weights, side,
     )  # fmt: skip
-    motion = _motion(prepared, weights * intensities.applied[:, None], traits)
+    motion, breathe = _motion(prepared, weights * intensities.applied[:, None], traits)
     tracks_of_motion = None if motion is None else motion.tracks
-    shown = shown_columns(speech.mouth, intensities.share, tracks_of_motion)
-    # The rules, in their order: `deitalk.postprocess.curve_pass`.
+    gates = shown_columns(speech.mouth, intensities.share, tracks_of_motion)
     values = neutral.copy() if emotional is neutral else emotional
-    clipped = apply_rules(
-        network.curve_pass(), neutral, values, voice.columns(), shown, prepared.gain, acting.rules
-    )
-    clock.lap("expression")
+    unruled = Unruled(neutral, values, voice.columns(), gates, prepared.gain, acting.rules)
     head = None if motion is None or not motion.head.any() else motion.head
-    join(network.controls, values, head, acting)
-    shown_curves = _curves(network.controls, values, weights, intensities.applied, head)
-    neutral_curves = _curves(network.controls, neutral)
+    return _Ready(prepared, unruled, intensities, traits, head, breathe, words)
+
+
+def _finished(ready: Sequence[_Ready], model: str = "") -> list[Performance]:
+    # The rules, in their order: `deitalk.postprocess.curve_pass`.
+    rules = ready[0].prepared.network.curve_pass()
+    outside = apply_rules(rules, [each.unruled for each in ready])
+    return [_performance(*each, count, model) for each, count in zip(ready, outside, strict=True)]
+
+
+def _performance(
+    prepared: Prepared,
+    ruled: Unruled,
+    intensities: Intensities,
+    traits: Traits,
+    head: Float32 | None,
+    breathe: Callable[..., None] | None,
+    words: "WordFit | None",
+    clipped: int,
+    model: str,
+) -> Performance:
+    speech, rules, acting, clock = prepared.speech, prepared.rules, prepared.acting, prepared.clock
+    controls = prepared.network.controls
+    if breathe is not None and acting.rules:
+        breathe(controls, ruled.neutral, ruled.shown, gain=ruled.gain)
+    clock.lap("expression")
+    join(controls, ruled.shown, head, acting)
+    shown_curves = _curves(controls, ruled.shown, prepared.weights, intensities.applied, head)
+    neutral_curves = _curves(controls, ruled.neutral)
     recording = _with_note_of(words, prepared.recording)
     if acting.edit:
-        given = (shown_curves, neutral_curves), network.controls, rules.keep_contacts
+        given = (shown_curves, neutral_curves), controls, rules.keep_contacts
         (shown_curves, neutral_curves), notes = edited(acting.edit, *given, speech, words)
         recording = recording.noted(*notes)
         clock.lap("edits")
@@ -401,54 +463,49 @@ def finish(
     )
 
 
-def apply_rules(
-    rules: CurveRules,
-    neutral: Float32,
-    emotional: Float32,
-    voice: Float32,
-    shown: Float32,
-    gain: Float32,
-    ruled: bool = True,
-) -> int:
-    """Finish both readings of a whole recording in place, block by block.
-
-    Parameters
-    ----------
-    rules : CurveRules
-        The pass.
-    neutral, emotional : array [shape=(T, C)]
-        Two readings, not the same array; then the neutral curves and those that are shown.
-    voice, shown : array [shape=(T, 43)], [shape=(T, 45)]
-        See `deitalk.postprocess.tracks`.
-    gain : array [shape=(C,)]
-        Factor of each control.
-    ruled : bool
-        False leaves the readings as they are, but for gain and range.
+def apply_rules(rules: CurveRules, clips: Sequence[Unruled]) -> list[int]:
+    """Finish both readings of whole recordings in place, block by block, side by side.
 
     Returns
     -------
-    int
-        Values of the shown curves that were outside of their range.
+    list of int
+        Values of the shown curves of each that were outside of their range.
     """
-    outside, state, total = 0.0, rules.first(1), len(neutral)
-    size, flag = neutral.shape[1], np.array([ruled], np.float32)
-    rest = state[:, : rules.ahead]  # a face at rest follows the last frame
-    after = rest[..., :size], rest[..., :size], rest[..., 2 * size :]
-    shown = np.pad(shown, ((rules.ahead, 0), (0, 0)))  # those of the frames that come out
+    outside, state = np.zeros(len(clips)), rules.first(len(clips))
+    rest, size = state[0, -1], clips[0].neutral.shape[1]  # a face at rest follows the last frame
+    after = rest[:size], rest[size : 2 * size], rest[2 * size :], np.zeros(1, np.float32)
+    gain = np.stack([clip.gain for clip in clips])
+    flags = np.array([clip.ruled for clip in clips], np.float32)
+    gates = [np.pad(clip.gates, ((rules.ahead, 0), (0, 0))) for clip in clips]  # as they come out
+    columns = [
+        (clip.neutral, clip.shown, clip.voice, gate)
+        for clip, gate in zip(clips, gates, strict=True)
+    ]
+    total = max(len(clip.neutral) for clip in clips) + rules.ahead
     for start in range(0, total, BLOCK_FRAMES):
         stop = min(start + BLOCK_FRAMES, total)
-        block = [part[start:stop][None] for part in (neutral, emotional, voice)]
-        if stop == total:
-            block = [np.concatenate(pair, axis=1) for pair in zip(block, after, strict=True)]
-            stop += rules.ahead
-        now = shown[start:stop][None]
-        given = [*block, now, gain[None], flag, state]
-        curves, plain, counts, state = rules(*given)
-        done = slice(max(start - rules.ahead, 0), max(stop - rules.ahead, 0))
-        known = slice(stop - start - (done.stop - done.start), None)
-        emotional[done], neutral[done] = curves[0, known], plain[0, known]
-        outside += float(counts[0, known].sum())
-    return round(outside)
+        neutral, shown, voice, gate = (
+            np.stack([_rows(values, start, stop, fill) for values in each])
+            for *each, fill in zip(*columns, after, strict=True)
+        )
+        curves, plain, counts, state = rules(neutral, shown, voice, gate, gain, flags, state)
+        begin = start - rules.ahead
+        for place, clip in enumerate(clips):
+            first, last = max(begin, 0), min(stop - rules.ahead, len(clip.neutral))
+            if first < last:
+                done, known = slice(first, last), slice(first - begin, last - begin)
+                clip.shown[done], clip.neutral[done] = curves[place, known], plain[place, known]
+                outside[place] += counts[place, known].sum()
+    return [round(float(count)) for count in outside]
+
+
+def _rows(values: Float32, start: int, stop: int, after: Float32) -> Float32:
+    """Rows of an array [shape=(T, N)]; others follow its last one."""
+    rows = values[start:stop]
+    missing = stop - start - len(rows)
+    if not missing:
+        return rows
+    return np.concatenate((rows, np.broadcast_to(after, (missing, values.shape[1]))))
 
 
 def _between(speech: Speech, acting: Acting) -> Speech:
@@ -478,22 +535,29 @@ def _traits(prepared: Prepared) -> Traits:
     return Traits.of(Seeds.of(prepared.speech.waveform, prepared.style, acting.seed).character())
 
 
-def _motion(prepared: Prepared, shown: Float32, traits: Traits) -> Motion | None:
-    """Motion above the mouth for the emotion that is shown [shape=(T, 9)]; None: there is none."""
+def _motion(
+    prepared: Prepared, shown: Float32, traits: Traits
+) -> tuple[Motion | None, Callable[..., None] | None]:
+    """Motion above the mouth for the emotion that is shown [shape=(T, 9)]; None: there is none.
+
+    And `draw_breaths` of its voice, where the head moves.
+    """
     speech, acting, idle = prepared.speech, prepared.acting, prepared.rules.idle
     life = acting.motion
     other = acting.listen_to
     is_still = not (acting.listen or other or speech.activity.any())
     if idle is None or life is None or is_still:
-        return None
+        return None, None
     emotions = shown.sum(axis=0)
     emotion = int(emotions[1:].argmax()) + 1 if emotions[1:].any() else 0
     seeds = Seeds.of(speech.waveform, prepared.style, acting.seed, emotion)
     voice = with_accents(measure_voice(speech.activity, speech.prosody), prepared.marks)
-    if other is None:
-        return plan_motion(voice, shown, seeds, idle, life, traits)
-    heard, felt = other.voice(speech.n_frames), other.felt(speech.n_frames)
-    return plan_motion(voice, shown, seeds, idle, life, traits, heard, felt)
+    breathe = partial(draw_breaths, voice=voice, key=seeds.key("head"))
+    heard = felt = None
+    if other is not None:
+        heard, felt = other.voice(speech.n_frames), other.felt(speech.n_frames)
+    motion = plan_motion(voice, shown, seeds, idle, life, traits, heard, felt)
+    return motion, breathe if life.times(idle).head > 0 else None
 
 
 def _curves(

@@ -21,11 +21,13 @@ from deitalk.postprocess.control_groups import ControlGroups
 from deitalk.postprocess.phones import PHONES, SILENCE
 from rig import ControlSet, RigCurves
 from rig.arrays import Float32, Float64
-from rig.curves.layers import Edit, Layer, Sound, apply_layers, retimed
+from rig.curves.apply_layers import apply_layers, retimed
+from rig.curves.layers import Edit, Layer, Sound
 from rig.errors import listed
 
 if TYPE_CHECKING:
-    from deitalk.pipeline.words.align import WordFit
+    from deitalk.pipeline.words.align import FittedWord, WordFit
+    from deitalk.postprocess.known_phones import KnownPhone
 
 PHONE_RATE = 2 * FRAME_RATE
 """Of the lengths of a layer's phones, Hz."""
@@ -33,8 +35,6 @@ SWITCH = 4.0
 """Logarithm of the probability that a phone of unknown words must gain to begin."""
 LEAST_MATCHED = 0.5
 """Share of a layer's words that must be in another recording, for it to follow them."""
-EARLIEST_MOVE = 0.5 / FRAME_RATE
-"""Seconds by which times must change to be reported."""
 
 
 def edited(
@@ -139,7 +139,10 @@ Times = tuple[Float64, Float64, list[tuple[float, float]]]
 
 
 def _times_by_words(layer: Layer, words: "WordFit | None") -> Times | None:
-    """Times of the words that both have; None if they are too few."""
+    """Times of the words that both have, and of their phones if those are the same.
+
+    None if they are too few.
+    """
     if words is None or not words.is_used or not layer.words:
         return None
     old = [_plain(text) for text, _, _ in layer.words]
@@ -151,10 +154,10 @@ def _times_by_words(layer: Layer, words: "WordFit | None") -> Times | None:
     ]
     if len(pairs) < LEAST_MATCHED * len(old):
         return None
-    anchors = []
-    for a, b in pairs:
-        (_, start, end), word = layer.words[a], words.words[b]
-        anchors += [(start, word.start), (end, word.end)]
+    before, after = _spoken(layer), [p for p in words.phones if p.name != SILENCE]
+    if before and [name for name, _, _ in before] == [phone.name for phone in after]:
+        return *_rising(_edges(before, after)), []
+    anchors = _edges([layer.words[a] for a, _ in pairs], [words.words[b] for _, b in pairs])
     matched = {a for a, _ in pairs}
     lost = [(start, end) for k, (_, start, end) in enumerate(layer.words) if k not in matched]
     return *_rising(anchors), lost
@@ -171,16 +174,11 @@ def _times_by_phones(layer: Layer, speech: Speech) -> Times | None:
     from deitalk.pipeline.words.align import fit_words, measure_phones, phone_evidence
     from deitalk.pipeline.words.transcript import Transcript, Word
 
-    runs: list[list[tuple[str, float, float]]] = [[]]
-    start = 0.0
-    for name, length in layer.phones:
-        end = start + length / PHONE_RATE
-        if name == SILENCE or name not in PHONES:
-            runs.append([])
-        else:
-            runs[-1].append((name, start, end))
-        start = end
-    spoken = [run for run in runs if run]
+    spoken: list[list[tuple[str, float, float]]] = []
+    for phone in _spoken(layer):
+        if not spoken or phone[1] > spoken[-1][-1][2]:
+            spoken.append([])
+        spoken[-1].append(phone)
     if not spoken:
         return None
     chain = tuple(Word("", tuple(name for name, _, _ in run)) for run in spoken)
@@ -190,12 +188,29 @@ def _times_by_phones(layer: Layer, speech: Speech) -> Times | None:
         return None
     old = [phone for run in spoken for phone in run]
     new = [phone for phone in fit.phones if phone.name != SILENCE]
-    anchors = [
+    return *_rising(_edges(old, new)), []
+
+
+def _spoken(layer: Layer) -> list[tuple[str, float, float]]:
+    """The layer's phones but silence, with their first and last second."""
+    found, start = [], 0.0
+    for name, length in layer.phones:
+        end = start + length / PHONE_RATE
+        if name != SILENCE and name in PHONES:
+            found.append((name, start, end))
+        start = end
+    return found
+
+
+def _edges(
+    old: Sequence[tuple[str, float, float]], new: "Sequence[FittedWord | KnownPhone]"
+) -> list[tuple[float, float]]:
+    """Old and new seconds of the first and last moments of words or phones."""
+    return [
         pair
-        for (_, start, end), phone in zip(old, new, strict=True)
-        for pair in ((start, phone.start), (end, phone.end))
+        for (_, start, end), other in zip(old, new, strict=True)
+        for pair in ((start, other.start), (end, other.end))
     ]
-    return *_rising(anchors), []
 
 
 def _rising(anchors: Sequence[tuple[float, float]]) -> tuple[Float64, Float64]:

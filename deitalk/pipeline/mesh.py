@@ -34,7 +34,8 @@ from deitalk.models.mesh_head import MeshHead
 from deitalk.models.mesh_model import SDFA, MeshModel
 from deitalk.models.protocol import neutral_and_acted, trained_weights
 from deitalk.pipeline.curves import animate, check_progress
-from deitalk.pipeline.performance import GLB_TOLERANCE_MM, MeshPerformance, Performance
+from deitalk.pipeline.mesh_performance import GLB_TOLERANCE_MM, MeshPerformance
+from deitalk.pipeline.performance import Performance
 from deitalk.pipeline.speech import Speech, measure_intensities
 from deitalk.postprocess.known_phones import known_skin, seal_lips
 from rig.arrays import Float32

@@ -1,4 +1,4 @@
-"""Results of `deitalk.animate` and `deitalk.animate_mesh`, and the take folder of a result.
+"""Result of `deitalk.animate`, and its take folder.
 
 ::
 
@@ -17,7 +17,6 @@
 
 import json
 import os
-import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
@@ -35,78 +34,20 @@ from deitalk.emotions import EMOTIONS, MOODS, write_intensity_csv
 from deitalk.errors import AudioError
 from deitalk.installed import __version__
 from deitalk.postprocess.joins import HANDLES, QUIET, quiet_seconds
-from rig.arrays import Bool, Float32, Float64
+from rig.arrays import Bool, Float32
 from rig.controls import DEFAULT_ID
 from rig.curves import RigCurves
-from rig.curves.edit import checked_shift, shift, start_with_handles
 from rig.curves.layers import SUFFIX
+from rig.curves.shift import checked_shift, shift, start_with_handles
 from rig.errors import TargetError, decodable_values
 from rig.files import check_folder, output_folder
 from rig.formats import write_curves
-from rig.formats.livelink_csv import take_name
 
 if TYPE_CHECKING:
     from deitalk.pipeline.words.align import WordFit
     from deitalk.pipeline.words.script import TimedMark
-    from rig.mesh import TriMesh
 
-
-# Files of a take for other programs.
-
-
-SUBJECT = "deitalk"
-MAX_SLATE = 100
-"""Letters of a slate; file systems take 255 bytes for a whole name."""
-
-
-def exchange_names(slate: str, *, take: int = 1, subject: str = SUBJECT) -> tuple[str, str]:
-    """Names of the Live Link Face CSV and of the file for Unreal; see `write_exchange_files`."""
-    slate = re.sub(r"[^0-9A-Za-z]+", "-", slate)[:MAX_SLATE].strip("-") or "take"
-    return take_name(slate, take, subject), f"{slate}.unreal.json"
-
-
-def write_exchange_files(
-    folder: Path,
-    curves: RigCurves,
-    *,
-    slate: str,
-    take: int = 1,
-    subject: str = SUBJECT,
-    digits: int | None = None,
-    start: float = 0.0,
-) -> dict[str, str]:
-    """Write a Live Link Face CSV and the file for the script inside Unreal.
-
-    Parameters
-    ----------
-    folder : Path
-        Must exist.
-    curves : RigCurves
-        Of the default board.
-    slate : str
-        Name of the recording; characters other than letters and digits become ``-``.
-    take : int
-        Number of the take.
-    subject : str
-        Live Link subject that Unreal's importer makes of the CSV.
-    digits : int, optional
-        Of the file for Unreal; see `rig.write_curves`.
-    start : float
-        Time of day of the first frame, seconds.
-
-    Returns
-    -------
-    dict
-        File names and a line on each, for ``take.json``.
-    """
-    live_link, unreal = exchange_names(slate, take=take, subject=subject)
-    report = write_curves(folder / live_link, curves, format="livelink", start=start)
-    write_curves(folder / unreal, curves, format="unreal", digits=digits, start=start)
-    return {
-        live_link: f"Live Link Face CSV, subject {subject}; {report.note}",
-        unreal: "raw curves and board keys for rig/unreal/deitalk_unreal.py",
-    }
-
+from deitalk.pipeline.exchange_files import exchange_names, write_exchange_files
 
 SCHEMA = "deitalk.pipeline.take/1"
 FILES = {
@@ -122,8 +63,6 @@ FILES = {
 KIND = "take"
 ORIGINAL = "audio_48k.wav"
 PREVIEW_FILES = ("preview.html", "preview.mp4")
-GLB_TOLERANCE_MM = 0.02
-"""Furthest a vertex of a GLB may be from where the model put it."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -303,69 +242,6 @@ class Performance:
             f"{self.curves.fps:g} fps, {self.recording.duration:.2f} s, "
             f"{len(self.curves.names)} controls, emotion {self.emotion}"
             f"{applied if self.has_emotion else ''}>"
-        )
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class MeshPerformance:
-    """A mesh that speaks a recording.
-
-    Parameters
-    ----------
-    mesh : TriMesh
-        The face at rest.
-    vertices : array [shape=(T, V, 3)]
-        In the mesh's unit; frame i is at i / fps seconds.
-    fps : float
-        Frames per second.
-    unit_mm : float
-        Millimetres in the mesh's unit.
-    recording : Recording
-        Its speech.
-    landmarks : mapping of str to int or None
-        Named vertices, where they are known: the embedded heads.
-    colours : array [shape=(V, 3), range 0 to 1] or None
-        Linear vertex colours, where there are any.
-    """
-
-    mesh: "TriMesh"
-    vertices: Float32
-    fps: float
-    unit_mm: float
-    recording: Recording
-    landmarks: Mapping[str, int] | None = None
-    colours: Float64 | None = None
-
-    def save(self, target: str | Path, *, force: bool = False) -> Path:
-        """Write the sequence: ``.glb``, ``.npz`` (vertices), or a folder of PLY files.
-
-        Parameters, result and errors are those of `Performance.save`. A GLB's vertices are within
-        0.02 mm of the model's.
-        """
-        from rig.files import check_file, check_folder
-        from rig.mesh.sequence import check_out, write_sequence
-
-        inputs = (self.recording.source,)
-        if check_out(target) == "folder":
-            check_folder(target, kind="frames", force=force, inputs=inputs)
-        else:
-            check_file(target, force=force, inputs=inputs)
-        write_sequence(
-            target,
-            self.mesh,
-            self.vertices,
-            fps=self.fps,
-            tolerance=GLB_TOLERANCE_MM / self.unit_mm,
-            unit_metres=self.unit_mm / 1000,
-            colours=self.colours,
-        )
-        return Path(target)
-
-    def __repr__(self) -> str:
-        frames, vertices, _ = self.vertices.shape
-        return (
-            f"<MeshPerformance of {self.recording.source!r}: {frames} frames at {self.fps:g} fps, "
-            f"{frames / self.fps:.2f} s, {vertices} vertices>"
         )
 
 

@@ -7,20 +7,19 @@
               -> prosody -> intensity of the voice -> applied intensity
 """
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from functools import cached_property
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from deitalk.acting import Acting
-from deitalk.audio.arrays import Audio, recording_of
+from deitalk.array_functions import Array, as_number, library, mean_of, single, smoothed
 from deitalk.audio.frames import frame_count, frame_times
 from deitalk.audio.held_sound import Held, held_sound
 from deitalk.audio.load import Recording, checked_waveform
-from deitalk.audio.prosody import Prosody, measure_prosody, tonality
+from deitalk.audio.prosody import Prosody, measure_prosody
 from deitalk.audio.vocal_strength import strength_frames, vocal_strength
 from deitalk.audio.voice_activity import (
     band_levels,
@@ -29,22 +28,17 @@ from deitalk.audio.voice_activity import (
     speech_activity,
 )
 from deitalk.config.rules import Gates, HoldPose, VoiceIntensity
-from deitalk.emotions import EMOTIONS
-from deitalk.emotions.tracks import ActorReference
-from deitalk.errors import AudioError
-from deitalk.models.load import load_network
-from deitalk.models.protocol import CurveNetwork, Tracks
+from deitalk.emotions.actor import ActorReference
+from deitalk.models.protocol import Tracks
 from deitalk.postprocess.factors import expression_scale
 from deitalk.postprocess.feeling import (
+    Phrases,
     expression_share,
     felt_intensity,
     mouth_gate,
-    phrases,
     voice_intensity,
 )
-from deitalk.postprocess.life.voice import Seeds, Traits
 from rig.arrays import Float32, Float64
-from rig.curves.edit import gaussian_smooth
 
 EFFORT_SHARE, EFFORT_FRAMES = 0.7, 15.0
 """Share of a network's readout in the strength, and sigma of what counts around a frame."""
@@ -156,9 +150,7 @@ class Speech:
 
     def held(self, rule: HoldPose | None) -> Held:
         """Where a held sound keeps its pose [each shape=(T,)]."""
-        levels = band_levels(self.waveform)
-        tones = tonality(self.prosody.pitch, self.prosody.periodicity)
-        return held_sound(levels, tones, rule or HoldPose())
+        return held_sound(band_levels(self.waveform), self.prosody.tone, rule or HoldPose())
 
     @cached_property
     def _followed_strength(self) -> tuple[float, Float32]:
@@ -175,24 +167,37 @@ class Speech:
         Of a short phrase, which is measured badly, it is nearer to the whole. With a network's
         readout of the effort [shape=(T,), dB] the two are averaged.
         """
-        strength, around = self._followed_strength
-        speaking = self.activity > 0
-        if not speaking.any():
-            return strength, np.full(self.n_frames, strength, np.float32)
-        exact = around
-        if effort is not None:
-            used = speaking.astype(np.float64)
-            near = gaussian_smooth(used * effort, EFFORT_FRAMES)
-            near = near / np.maximum(gaussian_smooth(used, EFFORT_FRAMES), 1e-6)
-            strength = _shared(strength, float(effort[speaking].mean()))
-            exact, around = _shared(around, effort), _shared(around, near)
-        rows = np.full(self.n_frames, strength)
-        for start, stop in phrases(speaking):
-            spoken, follows = speaking[start:stop], around[start:stop]
-            mean, usual = float(exact[start:stop][spoken].mean()), float(follows[spoken].mean())
-            share = spoken.sum() / (spoken.sum() + PHRASE_FRAMES)
-            rows[start:stop] += share * (mean - strength) + WITHIN_SHARE * (follows - usual)
-        return strength, rows.astype(np.float32)
+        return phrase_strengths(*self._followed_strength, self.activity > 0, effort)
+
+
+def phrase_strengths(
+    strength: Array, around: Array, speaking: Array, effort: Array | None
+) -> tuple[Array, Array]:
+    """Strength of the voice, and that of each frame's phrase, as `Speech.strengths`.
+
+    Parameters
+    ----------
+    strength, around : array or Tensor [shape=() and (T,)]
+        From `deitalk.audio.vocal_strength.VocalStrength.follow`.
+    speaking : array or Tensor of bool [shape=(T,)]
+        Frames of speech.
+    effort : array or Tensor [shape=(T,)], optional
+        Readout of the network.
+    """
+    whole, exact = strength, around
+    if effort is not None:
+        used, xp = as_number(speaking), library(around)
+        weight = xp.clip(smoothed(used, EFFORT_FRAMES), 1e-6, None)
+        near = smoothed(used * effort, EFFORT_FRAMES) / weight
+        strength = _shared(strength, mean_of(effort, speaking))
+        exact, around = _shared(around, effort), _shared(around, near)
+    phrases = Phrases(speaking)
+    count = phrases.sums(speaking * 1.0)
+    changed = count / (count + PHRASE_FRAMES) * (phrases.mean(exact) - strength)
+    changed = changed + WITHIN_SHARE * (around - phrases.mean(around))
+    rows = strength + phrases.inside * changed
+    any_speech, where = speaking.any(), library(around).where
+    return where(any_speech, strength, whole), single(where(any_speech, rows, whole))
 
 
 def _shared(strength: Any, effort: Any) -> Any:
@@ -255,7 +260,7 @@ def measure_intensities(
     if rule is not None:
         usual = 0.0 if acting.voice is None else _usual(acting.voice, tracks)
         _, around = speech.strengths(tracks.effort)
-        voice = voice_intensity(network, speech.prosody, speech.activity, around - usual, rule)
+        voice = voice_intensity(network, speech.prosody, speech.activity > 0, around - usual, rule)
     share = np.ones(speech.n_frames, np.float32)
     if curve is None and not acting.is_keyed:
         share = speech.share(acting.rest)
@@ -271,94 +276,3 @@ def measure_intensities(
         scale = np.full(speech.n_frames, acting.intensity, np.float32)
     predicted = felt * (share if curve is None else speech.share(acting.rest))
     return Intensities(saliency, network, holds, voice, share, predicted, whole * share, scale)
-
-
-# Measure the usual voice of an actor from recordings: ``deitalk data voice``.
-
-
-class MeasuredVoice(NamedTuple):
-    """Strength of a recording's voice."""
-
-    strength: float | None
-    """By its prosody, dB above the usual; None without voice."""
-    effort: float | None
-    """By the network's readout, dB; None without voice or without one."""
-    seconds: float
-
-
-def measure_actor(
-    recordings: Iterable[Audio],
-    progress: Callable[[int], None] = lambda done: None,
-    *,
-    model: str | Path | CurveNetwork = "default",
-    traits: Mapping[str, float] | None = None,
-) -> ActorReference:
-    """Median strength of an actor's recordings; those without voice are left out.
-
-    Parameters
-    ----------
-    recordings : iterable of path, bytes, file object or Recording
-        Of one actor, of several moods or of the usual one; the microphone and its gain do not
-        matter.
-    progress : callable
-        Called with the number of recordings that are done.
-    model : str, Path or CurveNetwork
-        The model whose takes count from it.
-    traits : mapping of str to float, optional
-        Those measured on captured takes (`deitalk.data.captures.traits.measure_traits`); the others
-        are drawn. With them there may be no recordings: the usual strength is 0 then.
-
-    Raises
-    ------
-    AudioError
-        If one cannot be read, or none holds a voice.
-    CheckpointError
-        If there is no such model.
-    """
-    measured: list[MeasuredVoice] = []
-    network: CurveNetwork | None = None
-    for number, audio in enumerate(recordings, 1):
-        network = network or load_network(model)
-        measured.append(measure_voice(recording_of(audio), network))
-        progress(number)
-    return reference_of(measured, traits)
-
-
-def measure_voice(recording: Recording, network: CurveNetwork) -> MeasuredVoice:
-    """Strength of a recording's voice, as takes of a network are measured."""
-    speech = Speech.of_recording(recording)
-    if not speech.prosody.voiced.any():
-        return MeasuredVoice(None, None, recording.duration)
-    weights = np.zeros((speech.n_frames, len(EMOTIONS)), np.float32)
-    weights[:, 0] = 1
-    effort = network.read(speech.waveform, weights, gain=speech.gain).tracks.effort
-    speaking = speech.activity > 0
-    if effort is None or not speaking.any():
-        return MeasuredVoice(speech.strength, None, recording.duration)
-    return MeasuredVoice(speech.strength, float(effort[speaking].mean()), recording.duration)
-
-
-def reference_of(
-    measured: Sequence[MeasuredVoice], traits: Mapping[str, float] | None = None
-) -> ActorReference:
-    """Reference of an actor from the voices of recordings.
-
-    Traits of the actor's motion that are not given are drawn from them: equal recordings give
-    equal traits.
-
-    Raises
-    ------
-    AudioError
-        If no recording holds a voice, and none with no traits.
-    """
-    voiced = [voice for voice in measured if voice.strength is not None]
-    if not voiced and (measured or not traits):
-        raise AudioError("no voice in the recordings of the actor; give some with speech")
-    strengths, seconds = [voice.strength for voice in voiced], [voice.seconds for voice in voiced]
-    efforts = [voice.effort for voice in voiced if voice.effort is not None]
-    given = dict(traits or {})
-    facts = np.array([*strengths, *seconds] or list(given.values()), float) / 1000
-    drawn = asdict(Traits.of(Seeds.of(facts.astype(np.float32), "", 0).character()))
-    strength = float(np.median(np.array(strengths, float))) if voiced else 0.0
-    effort = float(np.median(efforts)) if efforts else None
-    return ActorReference(strength, len(voiced), sum(seconds), drawn | given, effort)

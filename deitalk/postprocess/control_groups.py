@@ -9,7 +9,7 @@ from deitalk.config.rules import KeepContacts
 from rig import ControlSet
 from rig.arrays import Bool
 from rig.controls import DEFAULT_ID
-from rig.curves.layers import Closures
+from rig.curves.apply_layers import Closures
 
 LIVELY = ("jaw.ty", "upperLipRaise", "lowerLipDepress")
 OPENING = ("jaw.ty", "jaw_openExtreme", "upperLipRaise", "lowerLipDepress", "funnel", "lipsRoll",

@@ -34,7 +34,22 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from deitalk.audio.frames import runs
+from deitalk.array_functions import (
+    FAR,
+    Array,
+    as_index,
+    as_number,
+    between,
+    join,
+    library,
+    mean_of,
+    neighbours,
+    padded,
+    percentile,
+    precise,
+    single,
+    smoothed,
+)
 from deitalk.audio.prosody import (
     LEVEL_DB,
     PITCH_SEMITONES,
@@ -43,8 +58,6 @@ from deitalk.audio.prosody import (
 )
 from deitalk.config.rules import Gates, VoiceIntensity
 from deitalk.emotions import LABELS
-from rig.arrays import AnyFloat, Bool, Float32, Float64, Int64
-from rig.curves.edit import gaussian_smooth
 
 FAINTEST, STEEPNESS = 0.15, 1.3
 """Lowest intensity that a network is taught, and its slope per standard deviation of liveliness,
@@ -80,7 +93,7 @@ MOST_TONE = 2.5
 # Shares of the motion that are shown, from the distances to speech.
 
 
-def mouth_gate(activity: npt.ArrayLike, gates: Gates = Gates()) -> Float32:
+def mouth_gate(activity: npt.ArrayLike, gates: Gates = Gates()) -> Array:
     """Share of the mouth's motion shown at each frame: 1 in speech, 0 in silence.
 
     Opens over the 0.17 s before speech and closes over the 0.33 s after it, in raised cosines.
@@ -96,10 +109,10 @@ def mouth_gate(activity: npt.ArrayLike, gates: Gates = Gates()) -> Float32:
     -------
     array [shape=(T,), range 0 to 1]
     """
-    return mouth_between(*_distances(activity), gates)
+    return mouth_between(*_distances(np.asarray(activity) > 0.5), gates)
 
 
-def expression_share(activity: npt.ArrayLike, rest: float, gates: Gates = Gates()) -> Float32:
+def expression_share(activity: npt.ArrayLike, rest: float, gates: Gates = Gates()) -> Array:
     """Share of the expression shown at each frame: 1 in speech, `rest` in silence, 0 far from it.
 
     Parameters
@@ -113,106 +126,109 @@ def expression_share(activity: npt.ArrayLike, rest: float, gates: Gates = Gates(
     -------
     array [shape=(T,), range 0 to 1]
     """
-    since, until = _distances(activity)
-    return np.maximum(expression_after(since, until, rest, gates), _rising(until, gates))
+    return expression_between(*_distances(np.asarray(activity) > 0.5), rest, gates)
 
 
-def mouth_between(since: Float32, until: Float32, gates: Gates, ahead: int = 999) -> Float32:
+def gates_of(speaking: Array, rest: Array, gates: Gates | None) -> tuple[Array, Array]:
+    """Mouth gate and share of the expression, as above, of frames of speech, arrays or tensors."""
+    if gates is None:
+        return as_number(speaking) * 0 + 1, as_number(speaking) * 0 + 1
+    since, until = _distances(speaking)
+    return mouth_between(since, until, gates), expression_between(since, until, rest, gates)
+
+
+def mouth_between(since: Array, until: Array, gates: Gates, ahead: int = 999) -> Array:
     """Mouth gate so many frames after the last speech and before the next [shape=(T,) each].
 
     It opens no earlier than `ahead` frames before speech.
     """
     opens = min(gates.mouth_opens, ahead)
-    return np.maximum(fade(since / (gates.mouth_closes + 1)), fade(until / (opens + 1)))
+    after, before = fade(since / (gates.mouth_closes + 1)), fade(until / (opens + 1))
+    return library(since).maximum(after, before)
 
 
-def expression_after(
-    since: Float32, until: Float32, rest: AnyFloat | float, gates: Gates
-) -> Float32:
+def expression_between(since: Array, until: Array, rest: Array | float, gates: Gates) -> Array:
+    """Share of the expression so many frames after the last speech and before the next."""
+    rising = fade((until - READY_FRAMES) / (gates.feeling_rises + 1))
+    return library(since).maximum(expression_after(since, until, rest, gates), rising)
+
+
+def expression_after(since: Array, until: Array, rest: Array | float, gates: Gates) -> Array:
     """Share of the expression that stays after speech: its decay to `rest`, and to 0 far from any.
 
     Parameters
     ----------
-    since, until : array
+    since, until : array or Tensor
         Frames since the last speech and until the next.
-    rest : float or array
+    rest : float, array or Tensor
         Share that stays in silence.
     gates : Gates
         Frames of the decay.
     """
-    kept = rest + (1 - np.asarray(rest)) * np.exp(-since / gates.feeling_decays)
-    beyond = np.minimum(since, until) - gates.feeling_leaves
-    return np.asarray(kept * fade(beyond / (2 * gates.feeling_decays)), np.float32)
+    xp = library(since)
+    kept = rest + (1 - rest) * xp.exp(-since / gates.feeling_decays)
+    beyond = xp.minimum(since, until) - gates.feeling_leaves
+    return single(kept * fade(beyond / (2 * gates.feeling_decays)))
 
 
-def _rising(until: Float32, gates: Gates) -> Float32:
-    """Share of the expression so many frames before speech."""
-    return fade((until - READY_FRAMES) / (gates.feeling_rises + 1))
+def _distances(speaking: Array) -> tuple[Array, Array]:
+    """Frames since the last and until the next speaking frame (T,) each; many where none."""
+    frames, (last, following) = library(speaking).arange(speaking.shape[0]), neighbours(speaking)
+    return single(frames - last), single(following - frames)
 
 
-def _distances(activity: npt.ArrayLike) -> tuple[Float32, Float32]:
-    """Frames since the last and until the next speaking frame (T,) each; inf where none."""
-    active = np.asarray(activity) > 0.5
-    frames = np.arange(len(active), dtype=np.float32)
-    last = np.maximum.accumulate(np.where(active, frames, -np.inf))
-    following = np.minimum.accumulate(np.where(active, frames, np.inf)[::-1])[::-1]
-    return (frames - last).astype(np.float32), (following - frames).astype(np.float32)
-
-
-def fade(progress: AnyFloat) -> Float32:
+def fade(progress: Array) -> Array:
     """Raised cosine from 1 (progress 0) to 0 (progress 1), flat outside."""
-    faded: Float32 = 0.5 + 0.5 * np.cos(np.pi * np.clip(progress, 0, 1)).astype(np.float32)
-    return faded
+    xp = library(progress)
+    return 0.5 + 0.5 * single(xp.cos(math.pi * xp.clip(progress, 0, 1)))
 
 
 # State and display.
 
 
 def voice_intensity(
-    network: Float32,
+    network: Array,
     prosody: Prosody,
-    activity: Float32,
-    strength: Float32 | float = 0.0,
+    speaking: Array,
+    strength: Array | float = 0.0,
     rule: VoiceIntensity = VoiceIntensity(),
-) -> Float32:
+) -> Array:
     """Intensity of every frame, of the strength of the voice, its prosody and the network.
 
     Parameters
     ----------
-    network : array [shape=(T,), range 0 to 1]
+    network : array or Tensor [shape=(T,), range 0 to 1]
         Predicted by the network.
     prosody : Prosody
         Of the same T frames, from `deitalk.audio.prosody.measure_prosody`.
-    activity : array [shape=(T,)]
-        From `deitalk.audio.voice_activity.speech_activity`.
-    strength : float or array [shape=(T,)]
+    speaking : array or Tensor of bool [shape=(T,)]
+        Frames of speech.
+    strength : float, array or Tensor [shape=(T,)]
         Of the voice around each frame, dB above the usual (`Speech.strengths`).
     rule : VoiceIntensity
         Weights.
 
     Returns
     -------
-    array [shape=(T,), range 0 to 1.2]
+    array or Tensor [shape=(T,), range 0 to 1.2]
         That of a usual voice where nobody speaks at all.
     """
-    speaking = activity > 0
-    state = np.broadcast_to(state_of(strength, rule), network.shape)
-    if not speaking.any():
-        return intensity_of(np.zeros(network.shape) + state_of(0.0, rule))
-    held = np.interp(np.arange(len(state)), np.flatnonzero(speaking), state[speaking])
-    near = np.minimum(2 * gaussian_smooth(speaking.astype(float), SMOOTHING_FRAMES), 1)
-    return intensity_of(held + rule.display * near * _display(network, prosody, speaking))
+    xp, usual = library(network), state_of(0.0, rule)
+    state = state_of(strength, rule) + 0 * network
+    near = xp.clip(2 * smoothed(as_number(speaking), SMOOTHING_FRAMES), None, 1)
+    display = rule.display * near * _display(network, prosody, speaking)
+    found = between(state, speaking) + display
+    return intensity_of(xp.where(speaking.any(), found, xp.full_like(found, usual)))
 
 
-def state_of(strength: Float32 | Float64 | float, rule: VoiceIntensity) -> Float64:
+def state_of(strength: Any, rule: VoiceIntensity) -> Any:
     """State of a voice of a strength in dB."""
-    state: Float64 = rule.per_decibel * (np.asarray(strength, np.float64) - rule.middle)
-    return state
+    return rule.per_decibel * (strength - rule.middle)
 
 
-def intensity_of(state: Float64) -> Float32:
+def intensity_of(state: Array) -> Array:
     """Intensity of a state with its display."""
-    return np.asarray(MOST / (1 + np.exp(-state)), np.float32)
+    return single(MOST / (1 + library(state).exp(-state)))
 
 
 def felt_intensity(voice: Any, weights: Any, rule: VoiceIntensity) -> Any:
@@ -239,57 +255,73 @@ def state_of_intensity(intensity: float) -> float:
     return math.log(share / (1 - share))
 
 
-def deviation(intensity: Float32) -> Float64:
+def deviation(intensity: Array) -> Array:
     """Standard deviations from the usual intensity; inverse of the curve of the labels."""
-    share = np.clip((intensity.astype(float) - FAINTEST) / (1 - FAINTEST), 1e-3, 1 - 1e-3)
-    z: Float64 = np.log(share / (1 - share)) / STEEPNESS
-    return z
+    xp = library(intensity)
+    share = xp.clip((intensity - FAINTEST) / (1 - FAINTEST), 1e-3, 1 - 1e-3)
+    return xp.log(share / (1 - share)) / STEEPNESS
 
 
-def limited(display: Float64) -> Float64:
+def limited(display: Array) -> Array:
     """Display within `MOST_DISPLAY`."""
-    found: Float64 = MOST_DISPLAY * np.tanh(display / MOST_DISPLAY)
-    return found
+    return MOST_DISPLAY * library(display).tanh(display / MOST_DISPLAY)
 
 
-def _display(network: Float32, prosody: Prosody, speaking: Bool) -> Float64:
-    """Standard deviations of every frame about the take's mean, limited."""
-    level = np.maximum(prosody.level, np.percentile(prosody.level[speaking], 95) - DEEPEST_DB)
+def _display(network: Array, prosody: Prosody, speaking: Array) -> Array:
+    """Standard deviations of every frame about its phrase's mean, limited."""
+    xp = library(network)
+    deepest = percentile(prosody.level, 95, speaking) - DEEPEST_DB
     z = NETWORK_SHARE * _centred(deviation(network), speaking)
-    z = z + LEVEL_SHARE * _centred(level, speaking) / LEVEL_DB
-    voiced = prosody.voiced & speaking & (prosody.tilt < BRIGHTEST_DB)
-    if voiced.any():
-        near = np.abs(prosody.pitch - np.median(prosody.pitch[voiced])) <= FURTHEST_SEMITONES
-        voiced &= near
-    if voiced.sum() >= FEWEST_VOICED:
-        for track, unit in ((prosody.pitch, PITCH_SEMITONES), (prosody.tilt, TILT_DB)):
-            tone = np.clip((track - track[voiced].mean()) / unit, -MOST_TONE, MOST_TONE)
-            z = z + TONE_SHARE * _smoothed(tone, voiced)
-    z = limited(z)
-    for start, stop in phrases(speaking):
-        z[start:stop] -= z[start:stop][speaking[start:stop]].mean()
-    return z
+    z = z + LEVEL_SHARE / LEVEL_DB * _centred(xp.maximum(prosody.level, deepest), speaking)
+    toned = prosody.voiced & speaking & (prosody.tilt < BRIGHTEST_DB)
+    middle = percentile(prosody.pitch, 50, toned)
+    toned = toned & (xp.abs(prosody.pitch - middle) <= FURTHEST_SEMITONES)
+    is_enough = as_index(toned).sum() >= FEWEST_VOICED
+    for track, unit in ((prosody.pitch, PITCH_SEMITONES), (prosody.tilt, TILT_DB)):
+        tone = xp.clip((track - mean_of(track, toned)) / unit, -MOST_TONE, MOST_TONE)
+        z = z + is_enough * TONE_SHARE * _mean_beside(tone, toned)
+    z, phrases = limited(z), Phrases(speaking)
+    return z - phrases.inside * phrases.mean(z)
 
 
-def phrases(speaking: Bool) -> Int64:
-    """[start, stop) of every phrase [shape=(n, 2)]: speech between pauses."""
-    found = runs(speaking)
-    if not len(found):
-        return found
-    is_pause = found[1:, 0] - found[:-1, 1] > PAUSE_FRAMES
-    starts, stops = found[np.append(True, is_pause), 0], found[np.append(is_pause, True), 1]
-    return np.stack((starts, stops), axis=1)
+class Phrases:
+    """Phrases of frames of speech (T,), arrays or tensors: speech between pauses.
+
+    Attributes
+    ----------
+    inside : array or Tensor of bool [shape=(T,)]
+        Frames within a phrase.
+    """
+
+    def __init__(self, speaking: Array) -> None:
+        last, following = neighbours(speaking)
+        is_short = (following - last - 1 <= PAUSE_FRAMES) & (last >= 0) & (following < FAR)
+        self.speaking, self.inside = speaking, speaking | is_short
+        beside = padded(self.inside, 1, 1)
+        starts, ends = (self.inside & ~part for part in (beside[:-2], beside[2:]))
+        xp, end = library(speaking), speaking.shape[0] - 1
+        self._start = xp.clip(neighbours(starts)[0], 0, end)
+        self._stop = xp.clip(neighbours(ends)[1], None, end) + 1
+
+    def sums(self, values: Array) -> Array:
+        """Sum of the values (T,) at the speech of each frame's phrase."""
+        total = join((precise(0 * values[:1]), precise(values * self.speaking).cumsum(0)))
+        return total[self._stop] - total[self._start]
+
+    def mean(self, values: Array) -> Array:
+        """Their mean [shape=(T,)]."""
+        count = library(self.speaking).clip(self.sums(self.speaking * 1.0), 1, None)
+        return self.sums(values) / count
 
 
-def _centred(track: Float64, frames: Bool) -> Float64:
+def _centred(track: Array, used: Array) -> Array:
     """A track smoothed over some frames, less its mean over them."""
-    smoothed = _smoothed(track, frames)
-    centred: Float64 = smoothed - smoothed[frames].mean()
-    return centred
+    beside = _mean_beside(track, used)
+    return beside - mean_of(beside, used)
 
 
-def _smoothed(z: Float64, frames: Bool, sigma: float = SMOOTHING_FRAMES) -> Float64:
+def _mean_beside(track: Array, used: Array) -> Array:
     """Gaussian mean over some frames; 0 far from them."""
-    weight = gaussian_smooth(frames.astype(float), sigma)
-    total = gaussian_smooth(np.where(frames, z, 0), sigma)
-    return np.where(weight > 1e-3, total / np.maximum(weight, 1e-3), 0)
+    xp, number = library(track), as_number(used)
+    weight, total = smoothed(number, SMOOTHING_FRAMES), smoothed(number * track, SMOOTHING_FRAMES)
+    return xp.where(weight > 1e-3, total / xp.clip(weight, 1e-3, None), 0.0)

@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from deitalk.audio.frames import FRAME_RATE
-from deitalk.emotions.tracks import checked_traits
+from deitalk.emotions.actor import checked_traits
 from deitalk.errors import DataError
 from deitalk.postprocess.control_groups import ControlGroups
 from rig import ControlSet, RigCurves, limits

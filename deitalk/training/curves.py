@@ -15,15 +15,10 @@ from deitalk.audio.frames import FRAME_RATE
 from deitalk.config.curves import Config
 from deitalk.config.rig_file import read_controls
 from deitalk.data.clips import Clip, read_clips, spread_clips
-from deitalk.data.windows import (
-    FrozenFeatures,
-    SeededBatches,
-    Share,
-    Window,
-    WindowBatches,
-    count_windows,
-    read_waveform,
-)
+from deitalk.data.frozen_features import FrozenFeatures
+from deitalk.data.seeded_batches import SeededBatches, Share
+from deitalk.data.waveforms import read_waveform
+from deitalk.data.windows import Window, WindowBatches, count_windows
 from deitalk.errors import ConfigError
 from deitalk.evaluation.clips_figure import ClipRows, Row
 from deitalk.evaluation.smoothness import (

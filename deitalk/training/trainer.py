@@ -19,7 +19,7 @@ from torch import Tensor, nn
 from torch.utils.data import DataLoader
 
 from deitalk.config.load import AnyConfig
-from deitalk.data.windows import Item, SeededBatches, Share
+from deitalk.data.seeded_batches import Item, SeededBatches, Share
 from deitalk.errors import DataError
 from deitalk.evaluation.clips_figure import ClipRows, draw_clips
 from deitalk.evaluation.figures import can_draw

@@ -4,7 +4,6 @@ import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from numbers import Real
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,117 +12,6 @@ from rig.arrays import Bool, Float32, Float64
 from rig.controls import ControlSet, default_controls
 from rig.curves import RigCurves
 from rig.errors import CurveError, quoted
-from rig.limits import MOST_DELAY, MOST_HANDLES
-
-# Frames moved in time.
-
-
-DAY_SECONDS = 24 * 3600.0
-
-
-def checked_shift(delay: int, handles: int) -> None:
-    """Refuse a delay or handles out of range.
-
-    Raises
-    ------
-    CurveError
-        If one is no whole number, or beyond `MOST_DELAY` or `MOST_HANDLES`.
-    """
-    rows = (("delay", delay, -MOST_DELAY, MOST_DELAY), ("handles", handles, 0, MOST_HANDLES))
-    for name, value, low, high in rows:
-        if type(value) is not int or not low <= value <= high:
-            raise CurveError(
-                f"{name} {quoted(value)} must be a whole number of frames, {low} to {high}",
-                parameter=name,
-            )
-
-
-def shift(curves: RigCurves, delay: int = 0, handles: int = 0) -> RigCurves:
-    """Move the face against the sound, and add frames that hold its first and last pose.
-
-    Parameters
-    ----------
-    curves : RigCurves
-        At the rate whose frames are meant.
-    delay : int
-        Frames by which the face is late; early if negative. The length stays: the pose of the
-        first or last frame is held.
-    handles : int
-        Frames added before and after.
-
-    Raises
-    ------
-    CurveError
-        As `checked_shift`.
-    """
-    checked_shift(delay, handles)
-    if not (delay or handles) or not len(curves):
-        return curves
-    count = len(curves)
-    moved = np.clip(np.arange(count) - delay, 0, count - 1)
-    rows = moved[np.clip(np.arange(-handles, count + handles), 0, count - 1)]
-    tracks = {name: track[rows] for name, track in curves.tracks.items()}
-    return replace(curves, values=curves.values[rows], **tracks)  # type: ignore[arg-type]
-
-
-def start_with_handles(start: float, handles: int, fps: float) -> float:
-    """Time of day of the first frame with handles, seconds; 0 is no time and stays."""
-    return (start - handles / fps) % DAY_SECONDS if start else start
-
-
-# Filters along time in numpy: scipy.ndimage takes longer to import than a recording to animate.
-
-TRUNCATE = 4.0
-"""Standard deviations at which a Gaussian kernel ends, as in ``scipy.ndimage``."""
-
-
-def gaussian_smooth(
-    values: Float64, sigma: float, ends: Literal["zero", "mirror"] = "zero"
-) -> Float64:
-    """Convolve with a normalised Gaussian kernel.
-
-    Parameters
-    ----------
-    values : array [shape=(T,)]
-        Any finite numbers.
-    sigma : float
-        Standard deviation of the kernel, frames.
-    ends : str
-        Values beyond the ends: ``zero``, or ``mirror`` (the last value is repeated first), which
-        are ``constant`` and ``reflect`` of ``scipy.ndimage.gaussian_filter1d``.
-
-    Returns
-    -------
-    array [shape=(T,)]
-    """
-    radius = int(TRUNCATE * sigma + 0.5)
-    kernel = np.exp(-0.5 * (np.arange(-radius, radius + 1) / sigma) ** 2)
-    kernel /= kernel.sum()
-    if ends == "zero":
-        return np.convolve(values, kernel)[radius : radius + len(values)]
-    return np.convolve(np.pad(values, radius, mode="symmetric"), kernel, mode="valid")
-
-
-def sliding_maximum(values: Float32, size: int) -> Float32:
-    """Largest value of every column within `size // 2` frames of each frame.
-
-    Parameters
-    ----------
-    values : array [shape=(T, C)]
-        Any numbers.
-    size : int
-        Frames of the window, odd.
-
-    Returns
-    -------
-    array [shape=(T, C)]
-    """
-    largest = values.copy()
-    for step in range(1, min(size // 2, len(values) - 1) + 1):
-        np.maximum(largest[step:], values[:-step], out=largest[step:])
-        np.maximum(largest[:-step], values[step:], out=largest[:-step])
-    return largest
-
 
 CLOSURE_CONTROLS = (
     "CTRL_C_jaw.ty",
@@ -292,23 +180,6 @@ def gain_factors(controls: ControlSet, gains: Mapping[str, float]) -> Float32:
     for key, number in gains.items():
         scale[members(controls, key)] *= _finite(number, f"gain of {key}")
     return scale
-
-
-def scale_from_rest(values: Float32, factors: Float32, controls: ControlSet) -> None:
-    """Scale each control's distance from rest within its range, in place.
-
-    Parameters
-    ----------
-    values : array [shape=(T, C)]
-        Within the ranges or not.
-    factors : array [shape=(C,)]
-        From `gain_factors`.
-    controls : ControlSet
-        Of the columns.
-    """
-    places = np.flatnonzero(factors != 1)
-    rest, low, high = (x[places] for x in (controls.rest, controls.minimum, controls.maximum))
-    values[:, places] = np.clip(rest + (values[:, places] - rest) * factors[places], low, high)
 
 
 def smooth(

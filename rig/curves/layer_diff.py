@@ -9,7 +9,8 @@ import numpy as np
 
 from rig.arrays import Float32
 from rig.controls import ControlSet, default_controls
-from rig.curves.layers import HEAD_TARGETS, Closures, Edit, Layer, apply_layers
+from rig.curves.apply_layers import Closures, apply_layers
+from rig.curves.layers import HEAD_TARGETS, Edit, Layer
 from rig.curves.rig_curves import RigCurves
 from rig.errors import CurveError
 from rig.unreal.deitalk_clip import fit_segment, split_curve

@@ -125,7 +125,7 @@ def _step(seconds: Int64, parts: Int64) -> float:
 
 
 def _by_largest(parts: Int64) -> int:
-    """The count by the largest frame field, as Unreal tells it: at most 30.0 is thirtieths."""
+    """The count by the largest frame field, as Unreal infers it: at most 30.0 is thirtieths."""
     largest = int(parts.max(initial=0))
     return 30 if largest <= 30_000 else 60 if largest < 60_000 else 120
 

@@ -5,10 +5,8 @@ together by the seal, and set apart where they cross; lashes and brows with the 
 eyes turned. `Head.motion` has all numbers of it, which the preview page uses as they are.
 """
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,9 +18,9 @@ from rig.face.head_file import (
     GRID,
     PICTURES,
     Arrays,
-    decoded,
     embedded,
     embedded_pictures,
+    opened,
     read_head,
 )
 from rig.face.identity import Identity, resolve_identity
@@ -35,9 +33,10 @@ GAZE_DEGREES = {"side": 40.0, "up": 30.0, "down": 35.0}
 """Full gaze; a MetaHuman's board has about these."""
 UPPER_PART = 0.4
 """Share of the lips' gap by which the upper lip comes down to meet the lower."""
-SEAL_POWERS = (1, 4)
-"""The seal is applied once for each, to its amounts to that power: the second finishes contacts."""
-ALONG = np.array([0.6, 1.0, 1.0])
+FINISH = (0.5, 0.8)
+"""A second seal brings what is left of the gap to nothing between these amounts of the first: lips
+that are nearly sealed are shut."""
+ALONG = np.array([0.6, 1.0, 1.0], np.float32)
 """Share of the gap that is closed sideways, up and forward."""
 LID_CLEARANCE = 1.02
 """Least distance of a lid from the middle of the eye, in radii."""
@@ -76,12 +75,29 @@ class Lip:
     column: Float32
     share: Float32
 
-    def along(self, move: Float64) -> Float64:
-        """Movement (..., m, 3) of `reach` of movements of the columns (..., P, 3)."""
-        low = np.minimum(self.column.astype(np.int64), move.shape[-2] - 2)
-        part = (self.column - low)[:, None]
-        mixed = move[..., low, :] * (1 - part) + move[..., low + 1, :] * part
-        return np.asarray(mixed * self.share[:, None] * ALONG)
+    @cached_property
+    def spread(self) -> Float32:
+        """Movement of each vertex of `reach` (m, P) by those of the columns, but for `ALONG`."""
+        count, rows = len(self.weight), np.arange(len(self.reach))
+        low = np.minimum(self.column.astype(np.int64), count - 2)
+        part = self.column - low
+        found = np.zeros((len(rows), count), np.float32)
+        found[rows, low], found[rows, low + 1] = self.share * (1 - part), self.share * part
+        return found
+
+    @cached_property
+    def fed_back(self) -> Float32:
+        """Movement of the columns' own means (P, P) by movements of the columns."""
+        place = {int(vertex): row for row, vertex in enumerate(self.reach)}
+        moved = np.zeros((len(self.rim), len(self.weight)), np.float32)
+        for row, vertex in enumerate(self.rim):
+            if int(vertex) in place:
+                moved[row] = self.spread[place[int(vertex)]]
+        return self.weight @ moved
+
+    def along(self, move: Float32) -> Float32:
+        """Movement (T, m, 3) of `reach` of movements of the columns (T, P, 3)."""
+        return np.moveaxis(np.tensordot(self.spread, move, (1, 1)), 0, 1) * ALONG
 
     def within(self, count: int) -> "Lip":
         """The lip's part of the first `count` vertices."""
@@ -267,16 +283,22 @@ class Head:
             np.minimum(np.linalg.norm(self.straight[ids] - eye[:3], axis=1), LID_CLEARANCE * eye[3])
             for ids, eye in zip(self.lids, self.eyes, strict=True)
         ]
+        self._rest = self.straight.astype(np.float32)
 
     @cached_property
     def mesh(self) -> Mesh:
         """All parts joined, neutral; `pose` returns its vertices."""
+        maps = Maps(*(np.asarray(opened(self.pictures[name], name)) for name in PICTURES))
+        return replace(self.bare, maps=maps)
+
+    @cached_property
+    def bare(self) -> Mesh:
+        """The mesh without its pictures, which take longer to decode than all else."""
         stored = self._stored
-        maps = Maps(*(decoded(self.pictures[name], name) for name in PICTURES))
         return Mesh(
             self.neutral, stored["faces"].astype(np.int64), stored["colour"] / 255,
             stored["gloss"] / 255, stored["uv"] / 65535, stored["light"] / 255,
-            stored["kind"].astype(np.int64), maps, stored["weld"].astype(np.int64),
+            stored["kind"].astype(np.int64), weld=stored["weld"].astype(np.int64),
         )  # fmt: skip
 
     @cached_property
@@ -345,31 +367,28 @@ class Head:
             raise RigError(f"values have shape {table.shape}; a pose needs (T, {count})")
         if not np.isfinite(table).all():
             raise RigError("values contain NaN or infinity; a pose needs finite numbers")
-        out = np.concatenate([np.zeros((0, *self.straight.shape), np.float32),
-                              *self._batches(np.atleast_2d(table))])  # fmt: skip
+        frames = np.atleast_2d(table)
+        out = np.empty((len(frames), *self.straight.shape), np.float32)
+        for k in range(0, len(frames), BATCH):
+            self._pose(frames[k : k + BATCH], out[k : k + BATCH])
         return out[0] if table.ndim == 1 else out
 
-    def _batches(self, frames: Float64) -> Iterator[Float32]:
-        for k in range(0, len(frames), BATCH):
-            yield self._pose(frames[k : k + BATCH])
-
-    def _pose(self, frames: Float64) -> Float32:
+    def _pose(self, frames: Float64, out: Float32) -> None:
         motion = self.motion
         halves = motion.halves(frames)
         weights = motion.weights(halves).astype(np.float32)
-        out = np.repeat(self.straight.astype(np.float32)[None], len(frames), 0)
+        out[:] = self._rest
         for k in np.flatnonzero(weights.any(axis=0)):
             at = np.flatnonzero(weights[:, k])
             vertex, delta = motion.shape(int(k))
             out[at[:, None], vertex] += weights[at, k, None, None] * delta
         for ids, eye, least in zip(self.lids, self.eyes, self.lid_least, strict=True):
-            away = out[:, ids] - eye[:3]
-            grow = least / np.linalg.norm(away, axis=-1)
-            out[:, ids] += away * np.maximum(grow - 1, 0)[..., None]
-        upper, lower = self._sealed(halves)
-        for power in SEAL_POWERS:
-            seal_lips(out, motion.lips, (upper**power, lower**power), motion.fade)
-        shift = out[:, self.near] - self.straight[self.near].astype(np.float32)
+            away = out[:, ids] - eye[:3].astype(np.float32)
+            far = np.sqrt(np.einsum("tvc,tvc->tv", away, away))
+            at = np.nonzero(far < least)
+            out[at[0], ids[at[1]]] += away[at] * (least[at[1]] / far[at] - 1)[:, None]
+        seal_lips(out, motion.lips, self._sealed(halves), motion.fade)
+        shift = out[:, self.near] - self._rest[self.near]
         out[:, self.follow] += np.einsum("tvkc,vk->tvc", shift, self.near_weight)
         pitch, yaw = gaze_degrees(frames, self.convergence)
         for place, side in enumerate("LR"):
@@ -378,7 +397,6 @@ class Head:
             out[:, part] = (out[:, part] - center) @ turn.transpose(0, 2, 1) + center
         seam = self.slices["seam"]
         out[:, seam] = out[:, self._stored["weld"][seam]]
-        return out
 
     def _sealed(self, halves: Float64) -> tuple[Float64, Float64]:
         """How far (T, P) the upper and the lower lip are brought to the other, 0 to 1."""
@@ -388,7 +406,7 @@ class Head:
 
 
 def seal_lips(
-    out: Float32, lips: tuple[Lip, Lip], sealed: tuple[Any, Any], fade: Any = 1.0
+    out: Float32, lips: tuple[Lip, Lip], sealed: tuple[Float64, Float64], fade: Float32
 ) -> None:
     """Bring lips together in place, and set them apart where they cross.
 
@@ -399,17 +417,27 @@ def seal_lips(
     lips : tuple of Lip
         Upper and lower.
     sealed : tuple of array [shape=(T, P), range 0 to 1]
-        How far each lip goes.
+        How far each lip goes; see `FINISH`.
     fade : array [shape=(P,)]
         Share of all this at each column.
     """
-    upper, lower = (lip.weight @ out[:, lip.rim] for lip in lips)
-    gap = upper - lower
-    parts = UPPER_PART * sealed[0], (1 - UPPER_PART) * sealed[1]
-    crossed = np.zeros_like(gap)
-    crossed[..., 1] = 0.5 * np.minimum(gap[..., 1], 0) * (1 - parts[0] - parts[1])
-    for lip, part, sign in zip(lips, parts, (-1, 1), strict=True):
-        move = sign * (gap * part[..., None] + crossed) * np.reshape(fade, (-1, 1))
+    columns = [lip.weight @ out[:, lip.rim] for lip in lips]
+    moves = [np.zeros_like(column) for column in columns]
+    first, last = FINISH
+    finished = [smoothstep((s - first) / (last - first)) for s in sealed]
+    for amounts in (sealed, finished, (0 * sealed[0], 0 * sealed[1])):  # the last: crossings alone
+        upper, lower = (
+            (share * s).astype(np.float32)
+            for share, s in zip((UPPER_PART, 1 - UPPER_PART), amounts, strict=True)
+        )
+        gap = columns[0] - columns[1]
+        crossed = np.zeros_like(gap)
+        crossed[..., 1] = 0.5 * np.minimum(gap[..., 1], 0) * (1 - upper - lower)
+        for k, part in enumerate((-upper, lower)):
+            move = (gap * part[..., None] + (crossed if k else -crossed)) * fade[:, None]
+            moves[k] += move
+            columns[k] += lips[k].fed_back @ move * ALONG
+    for lip, move in zip(lips, moves, strict=True):
         out[:, lip.reach] += lip.along(move)
 
 

@@ -7,7 +7,7 @@ creases, followers) is empty in what `read_head` returns.
 from functools import lru_cache
 from io import BytesIO
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,9 @@ from rig.errors import FormatError, quoted
 from rig.files import atomic_write
 from rig.files.reading import read_npz
 from rig.limits import HEAD_BYTES, HEAD_VERTICES, PICTURE_PIXELS
+
+if TYPE_CHECKING:
+    from PIL import Image
 
 DATA = Path(__file__).parent / "data"
 GRID = 800.0
@@ -119,8 +122,8 @@ def read_head(path: Path) -> Arrays:
     }  # fmt: skip
 
 
-def decoded(data: bytes, name: str) -> NDArray[np.uint8]:
-    """Picture (h, w, 4) of a file of `PICTURES`; `pores` has no alpha.
+def opened(data: bytes, name: str) -> "Image.Image":
+    """Picture of a file of `PICTURES`, square, RGBA; `pores` without alpha.
 
     Raises
     ------
@@ -133,7 +136,9 @@ def decoded(data: bytes, name: str) -> NDArray[np.uint8]:
         with Image.open(BytesIO(data), formats=("WEBP",)) as image:
             if image.width != image.height or image.width**2 > PICTURE_PIXELS:
                 raise ValueError("it is too large, or not square")
-            return np.asarray(image.convert("RGB" if name == "pores" else "RGBA"))
+            image.load()
+            mode = "RGB" if name == "pores" else "RGBA"
+            return image if image.mode == mode else image.convert(mode)
     except (OSError, ValueError, Image.DecompressionBombError) as error:
         raise FormatError(f"a head's picture {name!r} cannot be read: {quoted(error)}") from None
 

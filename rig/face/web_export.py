@@ -14,8 +14,8 @@ from rig.controls import default_controls
 from rig.face import accents
 from rig.face.head import (
     ALONG,
+    FINISH,
     GAZE_DEGREES,
-    SEAL_POWERS,
     UPPER_PART,
     Head,
     Motion,
@@ -115,7 +115,7 @@ def _facts(head: Head) -> dict[str, Any]:
         "seal": {
             "parts": [UPPER_PART, 1 - UPPER_PART],
             "along": ALONG.tolist(),
-            "powers": SEAL_POWERS,
+            "finish": FINISH,
         },
         "accents": {
             "inputs": accents.crease_inputs(head),

@@ -14,7 +14,8 @@ from rig.controls import DEFAULT_ID, ControlSet
 from rig.conversion.arkit import ARKIT_ID
 from rig.conversion.convert import convert, convert_and_note, known_controls, unshown
 from rig.curves import RigCurves
-from rig.curves.edit import ClampReport, clamp, shift, start_with_handles
+from rig.curves.edit import ClampReport, clamp
+from rig.curves.shift import shift, start_with_handles
 from rig.errors import FormatError, quoted
 from rig.face.identity import Identity
 from rig.files import atomic_write
@@ -195,7 +196,7 @@ def write_curves(
         ``male`` or ``child``; head 0 by default.
     delay, handles : int
         Frames of the written rate by which the face is late against the sound, and that are added
-        before and after (`rig.curves.edit.shift`); `start` is that of the frame after the handles.
+        before and after (`rig.curves.shift.shift`); `start` is that of the frame after the handles.
 
     Returns
     -------

@@ -48,7 +48,7 @@ def write(path: Path, curves: RigCurves, identity: int | str | Identity = 0) -> 
         return
     from rig.face import build_head
 
-    rig, _ = morph_head(identity)
+    rig = morph_head(identity)
     colours, surface = textured(build_head(identity))
     animation = WeightAnimation(rig.weights(curves), curves.fps, motion=_motion(curves))
     write_glb(

@@ -18,7 +18,7 @@ from rig.arrays import AnyFloat, Float32, Float64
 from rig.controls import ControlSet
 from rig.conversion.arkit import RAW_ID, board_to_raw, raw_controls
 from rig.curves import HEAD, RigCurves
-from rig.errors import FormatError
+from rig.errors import FormatError, quoted
 from rig.face.head import Head
 from rig.face.head_pose import matrices
 from rig.face.identity import Identity
@@ -33,6 +33,7 @@ from rig.retarget.morph_head import (
     SKIN_ROUGHNESS,
     baked_picture,
     morph_head,
+    painted_colours,
 )
 
 NAMES, VALUES = "custom:mh_curveNames", "custom:mh_curveValues"
@@ -52,7 +53,7 @@ def write(path: Path, curves: RigCurves, identity: int | str | Identity = 0) -> 
     from rig.face import build_head
 
     pxr = _pxr()
-    (rig, colours), head = morph_head(identity), build_head(identity)
+    rig, head = morph_head(identity), build_head(identity)
     stage = pxr.Usd.Stage.CreateInMemory()
     pxr.UsdGeom.SetStageUpAxis(stage, pxr.UsdGeom.Tokens.y)
     pxr.UsdGeom.SetStageMetersPerUnit(stage, METRES_PER_CM)
@@ -68,7 +69,7 @@ def write(path: Path, curves: RigCurves, identity: int | str | Identity = 0) -> 
     skeleton.CreateJointsAttr(["head"])
     skeleton.CreateBindTransformsAttr(still)
     skeleton.CreateRestTransformsAttr(still)
-    mesh, shapes = _mesh(pxr, stage, skeleton, rig.shapes, colours)
+    mesh, shapes = _mesh(pxr, stage, skeleton, rig.shapes, painted_colours(head))
     animation = pxr.UsdSkel.Animation.Define(stage, "/head/animation")
     animation.CreateBlendShapesAttr(shapes)
     pxr.UsdSkel.BindingAPI.Apply(skeleton.GetPrim()).CreateAnimationSourceRel().SetTargets(
@@ -170,12 +171,16 @@ def read(path: Path, controls: ControlSet | None = None, fps: float | None = Non
     Raises
     ------
     FormatError
-        If the file is no USD, or no prim carries the two attributes.
+        If the file is no USD, is composed of others, or no prim carries the two attributes.
     """
     check_file(path, CURVES_BYTES)
     pxr = _pxr()
     try:
-        stage = pxr.Usd.Stage.Open(str(path))
+        layer = pxr.Sdf.Layer.OpenAsAnonymous(str(path))
+        if layer is None:
+            raise FormatError(f"{path} is no USD file: it is damaged")
+        _check_alone(path, layer)
+        stage = pxr.Usd.Stage.Open(layer)
         for prim in stage.Traverse():
             names, values = prim.GetAttribute(NAMES), prim.GetAttribute(VALUES)
             if names and values:
@@ -184,6 +189,23 @@ def read(path: Path, controls: ControlSet | None = None, fps: float | None = Non
     except (pxr.Tf.ErrorException, TypeError, UnicodeError) as error:
         raise FormatError(f"{path} is no USD file: {_reason(error)}") from None
     raise FormatError(f"{path} has no prim with {NAMES} and {VALUES}")
+
+
+def _check_alone(path: Path, layer: Any) -> None:
+    """Refuse a file that has USD open others, which may lie anywhere on this machine."""
+    others = [*layer.GetCompositionAssetDependencies(), *layer.GetExternalAssetDependencies()]
+    clips: list[str] = []
+    layer.Traverse(
+        "/", lambda place: clips.append(str(place)) if _has_clips(layer, place) else None
+    )
+    if others or clips:
+        what = quoted(str((others or clips)[0]))
+        raise FormatError(f"{path} is composed of other files ({what}); flatten it to one")
+
+
+def _has_clips(layer: Any, place: Any) -> bool:
+    spec = layer.GetPrimAtPath(place) if place.IsPrimPath() else None
+    return spec is not None and spec.HasInfo("clips")
 
 
 def _reason(error: Exception) -> str:

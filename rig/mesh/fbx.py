@@ -67,7 +67,7 @@ def fbx_to_glb(source: Path | str, target: Path | str) -> None:
 
 
 def blender() -> str:
-    """The Python that has bpy; to be asked for before long work.
+    """Path of the Python that has bpy; looked up before long work.
 
     Raises
     ------

@@ -22,7 +22,7 @@ from rig.mesh.shapes import ShapeSet
 from rig.mesh.trimesh import MovedNormals
 
 _MAGIC, _JSON, _BIN = 0x46546C67, 0x4E4F534A, 0x004E4942  # §4.4: "glTF", "JSON", "BIN"
-_FLOAT, _UINT = 5126, 5125
+_FLOAT, _UINT, _USHORT = 5126, 5125, 5123
 _ARRAY_BUFFER, _INDEX_BUFFER = 34962, 34963
 
 _STILL = 1e-5
@@ -139,13 +139,14 @@ class GlbBuilder:
 
     def sparse(self, count: int, moving: Int64, delta: NDArray[Any]) -> int:
         """Accessor of `count` displacements that stores those of `moving` vertices (§3.6.2.3)."""
-        delta = np.asarray(delta, "<f4")
+        delta, is_long = np.asarray(delta, "<f4"), count > 2**16
         fields: dict[str, Any] = {"componentType": _FLOAT, "count": count, "type": "VEC3"}
         if len(moving):
             fields["sparse"] = {
                 "count": len(moving),
                 "indices": {
-                    "bufferView": self.view(moving.astype("<u4")), "componentType": _UINT
+                    "bufferView": self.view(moving.astype("<u4" if is_long else "<u2")),
+                    "componentType": _UINT if is_long else _USHORT,
                 },
                 "values": {"bufferView": self.view(delta)},
             }  # fmt: skip
@@ -234,7 +235,7 @@ def write_glb(
         if not animation.fps > 0:
             raise MeshError(f"fps is {animation.fps}; it must be above 0")
         add_animation(builder, animation, {0: weights})
-    write_container(path, builder.json, bytes(builder.binary))
+    write_container(path, builder.json, builder.binary)
 
 
 def _add_mesh(
@@ -248,7 +249,7 @@ def _add_mesh(
     mesh, used = shapes.neutral.compact()
     still, targets = (_STILL * mesh.size) ** 2, []
     deltas = shapes.deltas if len(used) == shapes.deltas.shape[1] else shapes.deltas[:, used]
-    moved = [np.flatnonzero(np.einsum("vc,vc->v", delta, delta) > still) for delta in deltas]
+    moved = [_moving(delta, still) for delta in deltas]
     moves = np.zeros(len(used), bool)
     moves[np.concatenate([[], *moved]).astype(np.int64)] = True
     normals = MovedNormals(mesh, moves)
@@ -285,6 +286,15 @@ def _add_mesh(
         {"name": "skin", "pbrMetallicRoughness": plain, "doubleSided": True}
     ]
     return used
+
+
+def _moving(delta: Float32, still: float) -> Int64:
+    """Vertices that move by more than the root of `still`; most of a shape are at rest."""
+    x, y, z = delta.T
+    some = np.flatnonzero((x != 0) | (y != 0) | (z != 0))
+    moves = np.take(delta, some, axis=0)
+    found: Int64 = some[np.einsum("vc,vc->v", moves, moves) > still]
+    return found
 
 
 def add_animation(
@@ -346,17 +356,20 @@ def _few_keys(rows: NDArray[Any], tolerance: float) -> tuple[NDArray[Any], NDArr
     return frames, np.array(splines)
 
 
-def write_container(path: Path | str, document: dict[str, Any], binary: bytes) -> None:
+def write_container(path: Path | str, document: dict[str, Any], binary: bytes | bytearray) -> None:
     """Write the two chunks of a GLB file (§4.4)."""
-    binary += b"\0" * (-len(binary) % 4)
-    document["buffers"] = [{"byteLength": len(binary)}]
+    padding = b"\0" * (-len(binary) % 4)
+    size = len(binary) + len(padding)
+    document["buffers"] = [{"byteLength": size}]
     text = json.dumps(document, separators=(",", ":"), allow_nan=False).encode()
     text += b" " * (-len(text) % 4)
-    total = 12 + 8 + len(text) + 8 + len(binary)
+    total = 12 + 8 + len(text) + 8 + size
     with atomic_write(path) as beside, open(beside, "wb") as file:
         file.write(struct.pack("<III", _MAGIC, 2, total))
         file.write(struct.pack("<II", len(text), _JSON) + text)
-        file.write(struct.pack("<II", len(binary), _BIN) + binary)
+        file.write(struct.pack("<II", size, _BIN))
+        file.write(binary)
+        file.write(padding)
 
 
 def read_container(path: Path | str) -> tuple[dict[str, Any], bytes]:

@@ -89,12 +89,12 @@ class GlbParts:
         return ShapeSet(TriMesh(vertices, faces), tuple(names), deltas)
 
     def column(self, piece: Piece, name: str) -> Float64 | None:
-        """An attribute of a piece's vertices (V, width), or none."""
+        """An attribute of a piece's vertices (V, width), what is not finite 0; or none."""
         index = piece.primitive["attributes"].get(name)
         if index is None:
             return None
         values = read_accessor(self.document, self.binary, index)
-        return values.reshape(len(piece.vertices), -1)
+        return np.nan_to_num(values.reshape(len(piece.vertices), -1), posinf=0, neginf=0)
 
     def each(self, values: Sequence[Any]) -> NDArray[Any]:
         """A value of each piece for each of its vertices."""
@@ -106,17 +106,22 @@ class GlbParts:
         found: dict[str, Any] = {} if index is None else self.document["materials"][index]
         return found
 
-    @cached_property
-    def parents(self) -> dict[int, int]:
-        """The parent of each node that has one."""
-        nodes = enumerate(self.document["nodes"])
-        return {child: k for k, node in nodes for child in node.get("children", [])}
-
     def names(self, piece: Piece) -> list[str]:
         """Names of a piece: of its node, mesh and material."""
         node = self.document["nodes"][piece.node]
         parts = node, self.document["meshes"][node["mesh"]], self.material(piece)
         return [str(part.get("name", "")) for part in parts]
+
+    def ancestors(self, piece: Piece) -> list[str]:
+        """Names of the nodes that a piece hangs below."""
+        nodes = self.document["nodes"]
+        parents = {child: k for k, node in enumerate(nodes) for child in node.get("children", [])}
+        found: list[int] = []
+        node = parents.get(piece.node)
+        while node is not None and node not in found:
+            found.append(node)
+            node = parents.get(node)
+        return [str(nodes[k].get("name", "")) for k in found]
 
 
 def read_glb(path: Path | str) -> ShapeSet:

@@ -192,32 +192,40 @@ class MovedNormals:
         self.rest = _unit(self._sums)
         kept = slice(None) if moves is None else moves[mesh.faces].any(axis=1)
         self._faces, self._products = mesh.faces[kept], products[kept]
-        self._corners = np.ascontiguousarray(self._faces.T)
+        # The faces of each vertex, one after another.
+        count = np.bincount(self._faces.ravel(), minlength=len(mesh.vertices))
+        self._count, self._first = count, np.cumsum(count) - count
+        self._at = np.argsort(self._faces.ravel(), kind="stable") // 3
         self._place = np.zeros(len(mesh.vertices), np.int64)
 
     def turn(self, moving: Int64, delta: AnyFloat) -> tuple[Int64, Float64]:
-        """Vertices (n,) whose faces move with `moving` by `delta`, and the change (n, 3) there."""
-        vertices = self._vertices.copy()
-        vertices[moving] += delta
-        is_moving = np.zeros(len(vertices), bool)
-        is_moving[moving] = True
-        a, b, c = np.take(is_moving, self._corners)
-        touched = np.flatnonzero(a | b | c)
+        """Vertices (n,) whose faces move with `moving` by `delta`, and the change (n, 3) there.
+
+        Vertices of no face do not move.
+        """
+        is_used = self._count[moving] > 0
+        moving, delta = moving[is_used], delta[is_used]
+        count = self._count[moving]
+        start = np.repeat(self._first[moving] - np.cumsum(count) + count, count)
+        is_touched = np.zeros(len(self._faces), bool)
+        is_touched[self._at[start + np.arange(len(start))]] = True
+        touched = np.flatnonzero(is_touched)
         corners: Int64 = np.take(self._faces, touched, axis=0)
         products: Float64 = np.take(self._products, touched, axis=0)
-        is_turned = np.zeros(len(vertices), bool)
+        is_turned = np.zeros(len(self._place), bool)
         is_turned[corners] = True
         turned = np.flatnonzero(is_turned)
         self._place[turned] = np.arange(len(turned))
         faces: Int64 = np.take(self._place, corners)
-        posed: Float64 = np.take(vertices, turned, axis=0)
+        posed: Float64 = np.take(self._vertices, turned, axis=0)
+        posed[self._place[moving]] += delta
         change = _corner_sums(faces, _cross_products(posed, faces) - products, len(turned))
         sums: Float64 = np.take(self._sums, turned, axis=0) + change
         return turned, _unit(sums) - np.take(self.rest, turned, axis=0)
 
 
 def _unit(vectors: Float64) -> Float64:
-    lengths = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    lengths = np.sqrt(np.einsum("...c,...c->...", vectors, vectors))[..., None]
     unit: Float64 = np.divide(vectors, lengths, out=np.zeros_like(vectors), where=lengths > 0)
     return unit
 

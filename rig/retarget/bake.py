@@ -22,6 +22,8 @@ from rig.mesh.trimesh import TriMesh
 Evaluate = Callable[[Float32], Any]
 """Control values [shape=(T, C)] to vertices [shape=(T, V, 3)]."""
 
+BATCH = 16
+"""Poses at once: little memory that is used again."""
 _STILL = 1e-4
 """A shape that moves no vertex by this share of the mesh's size is not kept."""
 
@@ -166,17 +168,21 @@ def bake(
     names, drivers = [name for name, _ in wanted], [driver for _, driver in wanted]
     poses = np.stack([driver.pose(controls) for driver in drivers])
     rest = _posed(evaluate, controls.rest[None], neutral)[0]
-    deltas = _posed(evaluate, poses, neutral) - rest
+    deltas = np.empty((len(poses), *rest.shape), np.float32)
+    for k in range(0, len(poses), BATCH):
+        np.subtract(_posed(evaluate, poses[k : k + BATCH], neutral), rest, deltas[k : k + BATCH])
     kept: list[int] = []
-    least = (_STILL * neutral.size) ** 2
-    for k, driver in enumerate(drivers):
+    least = _STILL * neutral.size
+    for k in range(len(drivers)):
         for j in kept if k >= len(drivers) - len(correctives) else ():
-            weight = float(drivers[j].weight(driver.pose(controls)[None], controls)[0])
+            weight = float(drivers[j].weight(poses[k : k + 1], controls)[0])
             if weight:
                 deltas[k] -= weight * deltas[j]
-        if np.einsum("vc,vc->v", deltas[k], deltas[k]).max() > least:
+        if np.abs(deltas[k]).max() > least or np.linalg.norm(deltas[k], axis=1).max() > least:
             kept.append(k)
-    shapes = ShapeSet(neutral.with_vertices(rest), tuple(names[k] for k in kept), deltas[kept])
+    deltas = deltas if len(kept) == len(deltas) else deltas[kept]
+    deltas.setflags(write=False)  # not copied again
+    shapes = ShapeSet(neutral.with_vertices(rest), tuple(names[k] for k in kept), deltas)
     return BakedRig(shapes, tuple(drivers[k] for k in kept), controls)
 
 

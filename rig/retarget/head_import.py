@@ -105,7 +105,7 @@ def import_head(source: Path | str, out: Path | str) -> ImportedHead:
 
 def _names(names: Sequence[str], known: Sequence[str]) -> list[str]:
     keys, notes = {shape_key(name) for name in names}, []
-    missing = [name for name in SHAPES if shape_key(name) not in keys]
+    missing = [name for name in SHAPES if keys.isdisjoint({(key := shape_key(name)), f"{key}_l"})]
     if missing:
         notes.append(f"{len(missing)} of ARKit's 52 shapes are missing: {listed(missing, 6)}")
     unknown = [name for name in names if name not in known]
@@ -144,10 +144,7 @@ def _hangs_on(read: GlbParts, bone: str) -> Float64:
     """Share (V,) of a bone's motion that each vertex takes."""
     node, found = bones_of(read.document).get(bone), []
     for piece in read.pieces:
-        names, parent = read.names(piece), piece.node
-        while parent in read.parents:
-            parent = read.parents[parent]
-            names.append(str(read.document["nodes"][parent].get("name", "")))
+        names = read.names(piece) + read.ancestors(piece)
         share = np.full(len(piece.vertices), float(bone in map(bone_named, names)))
         skin = read.document["nodes"][piece.node].get("skin")
         joints, weights = (read.column(piece, f"{name}_0") for name in ("JOINTS", "WEIGHTS"))

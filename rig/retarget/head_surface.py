@@ -177,7 +177,7 @@ def _texture(read: GlbParts, piece: Piece, notes: list[str]) -> tuple[Picture, F
     change = texture.get("extensions", {}).get("KHR_texture_transform", {})
     uv = read.column(piece, f"TEXCOORD_{change.get('texCoord', texture.get('texCoord', 0))}")
     picture = _picture(read, texture["index"], notes)
-    if picture is None or uv is None or not np.isfinite(uv).all():
+    if picture is None or uv is None:
         return white, nowhere
     angle = -float(change.get("rotation", 0))
     turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])

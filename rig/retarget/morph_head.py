@@ -1,57 +1,58 @@
 """The embedded head as one mesh with morph targets, of the board or ARKit, and one picture."""
 
+import zlib
 from functools import lru_cache
 from io import BytesIO
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rig.arrays import AnyFloat, Float64
 from rig.controls import default_controls
 from rig.face import Head, build_head
+from rig.face.head_file import opened
 from rig.face.identity import Identity
 from rig.face.mesh import CLOTH, EYE, HAIR
 from rig.mesh.glb import (
     Surface,
 )
 from rig.mesh.trimesh import TriMesh
-from rig.retarget.bake import BakedRig, bake, face_correctives
+from rig.retarget.bake import BakedRig, bake, control_halves, face_correctives
+
+if TYPE_CHECKING:
+    from PIL import Image
 
 METRES_PER_CM = 0.01
+GAZE = ("CTRL_C_eye_parallelLook.ty", *(f"CTRL_{s}_eye.t{a}" for s in "LRC" for a in "xy"))
+"""Controls that turn the eyes."""
 PICTURE = 1024
 """Side of the pictures of exported heads, texels."""
 
 
 @lru_cache(maxsize=2)
-def morph_head(identity: int | str | Identity = 0) -> tuple[BakedRig, Float64]:
-    """Return the head baked to morph targets, in cm, and its linear vertex colours.
+def morph_head(identity: int | str | Identity = 0) -> BakedRig:
+    """Return the head baked to morph targets, in cm: one for each half of a control, correctives.
 
     Parameters
     ----------
     identity : int, str or Identity
         Number or name of an embedded head.
-
-    Returns
-    -------
-    rig : BakedRig
-        One shape per half of a control's range, and correctives.
-    colours : array [shape=(V, 3), range 0 to 1]
-        Linear, for formats without textures.
     """
     head = build_head(identity)
-    rig = bake(
-        TriMesh(head.mesh.vertices, head.mesh.faces),
-        head.pose,
-        default_controls(),
-        correctives=face_correctives(),
-    )
-    return rig, painted_colours(head)
+    neutral = TriMesh(head.bare.vertices, head.bare.faces)
+    return bake(neutral, head.pose, default_controls(), correctives=face_correctives())
 
 
 def shown_controls() -> frozenset[str]:
-    """Return the controls that a shape or corrective of the embedded heads shows."""
-    rig, _ = morph_head(0)
-    return frozenset(half.control for d in rig.drivers for group in d.groups for half in group)
+    """Return the controls that a shape or corrective of the embedded heads shows.
+
+    The seal alone moves nothing where the lips are shut, and has no shape.
+    """
+    halves, head = dict(control_halves(default_controls())), build_head(0)
+    drivers = [halves[name] for name in head.motion.names if name in halves]
+    drivers += [driver for _, driver in face_correctives()]
+    names = {half.control for d in drivers for group in d.groups for half in group}
+    return frozenset(names.union(GAZE))
 
 
 SKIN_ROUGHNESS, HAIR_ROUGHNESS, EYE_ROUGHNESS = 0.52, 0.6, 0.08
@@ -59,39 +60,39 @@ SKIN_ROUGHNESS, HAIR_ROUGHNESS, EYE_ROUGHNESS = 0.52, 0.6, 0.08
 
 def painted_colours(head: Head) -> Float64:
     """Linear colours (V, 3) of a head without a texture, its hollows darkened."""
-    atlas = _shrunk(head)
-    u, v = np.clip(head.mesh.uv * PICTURE, 0, PICTURE - 1).astype(np.int64).T
+    atlas = np.asarray(_shrunk(head))
+    u, v = np.clip(head.bare.uv * PICTURE, 0, PICTURE - 1).astype(np.int64).T
     return _hollow(head) * srgb_to_linear(atlas[v, u, :3] / 255)
 
 
 def _hollow(head: Head) -> Float64:
     """Linear vertex colours (V, 3), by which a texture is multiplied."""
-    return srgb_to_linear(head.mesh.colors) * (0.5 + 0.5 * head.mesh.light[:, :1])
+    return srgb_to_linear(head.bare.colors) * (0.5 + 0.5 * head.bare.light[:, :1])
 
 
-def _shrunk(head: Head) -> NDArray[np.uint8]:
-    from PIL import Image
-
-    size = (PICTURE, PICTURE)
-    return np.asarray(Image.fromarray(head.mesh.maps.atlas).resize(size, Image.Resampling.BOX))
+def _shrunk(head: Head) -> "Image.Image":
+    picture = opened(head.pictures["atlas"], "atlas")
+    return picture.reduce(picture.width // PICTURE)
 
 
-def _png(picture: NDArray[np.uint8]) -> bytes:
-    from PIL import Image
-
+def _png(picture: "Image.Image") -> bytes:
     stream = BytesIO()
-    Image.fromarray(picture).save(stream, "PNG", compress_level=1)
+    picture.save(stream, "PNG", compress_level=1, compress_type=zlib.Z_RLE)
     return stream.getvalue()
 
 
 def textured(head: Head) -> tuple[Float64, Surface]:
     """Linear colours (V, 3) of a head under its textures, and the textures."""
+    from PIL import Image
+
     side = 64
     rough = np.full((side, side, 3), 255 * SKIN_ROUGHNESS, np.uint8)
     for kind, value in ((HAIR, HAIR_ROUGHNESS), (CLOTH, 0.9), (EYE, EYE_ROUGHNESS)):
-        u, v = np.clip(side * head.mesh.uv[head.mesh.kind == kind], 0, side - 1).astype(int).T
+        u, v = np.clip(side * head.bare.uv[head.bare.kind == kind], 0, side - 1).astype(int).T
         rough[v, u] = round(255 * value)
-    return _hollow(head), Surface(head.mesh.uv, _png(_shrunk(head)), _png(rough), cutoff=0.5)
+    return _hollow(head), Surface(
+        head.bare.uv, _png(_shrunk(head)), _png(Image.fromarray(rough)), cutoff=0.5
+    )
 
 
 def baked_picture(head: Head) -> tuple[Float64, bytes]:
@@ -99,15 +100,16 @@ def baked_picture(head: Head) -> tuple[Float64, bytes]:
 
     For formats whose materials cannot multiply a texture by vertex colours.
     """
+    from PIL import Image
     from scipy.ndimage import distance_transform_edt
 
     from rig.face.render.software import Screen, nearest_faces, planes  # compiles
 
-    x, y = (PICTURE * head.mesh.uv.T).astype(np.float32)
+    x, y = (PICTURE * head.bare.uv.T).astype(np.float32)
     screen = Screen(PICTURE, PICTURE, x, y, np.zeros(len(x), np.float32))
-    a, b, c = head.mesh.faces.T
+    a, b, c = head.bare.faces.T
     area = (x[b] - x[a]) * (y[c] - y[a]) - (y[b] - y[a]) * (x[c] - x[a])
-    faces = head.mesh.faces[np.abs(area) > 1e-6]
+    faces = head.bare.faces[np.abs(area) > 1e-6]
     nearest, _ = nearest_faces(screen, faces)
     first, per_x, per_y = planes(screen, faces, _hollow(head).astype(np.float32))
     row, column = np.indices(nearest.shape) + np.float32(0.5)
@@ -115,10 +117,10 @@ def baked_picture(head: Head) -> tuple[Float64, bytes]:
     found = first[nearest] + per_x[nearest] * (column - x[corner])[..., None]
     found += per_y[nearest] * (row - y[corner])[..., None]
     _, place = distance_transform_edt(nearest < 0, return_indices=True)
-    atlas = _shrunk(head)
+    atlas = np.asarray(_shrunk(head))
     light = found[tuple(place)] * srgb_to_linear(atlas[..., :3] / 255)
     picture = np.round(255 * linear_to_srgb(np.clip(light, 0, 1))).astype(np.uint8)
-    return head.mesh.uv[head.mesh.faces], _png(np.dstack([picture, atlas[..., 3]]))
+    return head.bare.uv[head.bare.faces], _png(Image.fromarray(np.dstack([picture, atlas[..., 3]])))
 
 
 def linear_to_srgb(light: AnyFloat) -> Float64:

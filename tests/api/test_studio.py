@@ -553,8 +553,6 @@ def test_take_that_is_dropped_shows_its_arguments_and_gives_the_same_files(
         assert np.abs(other - curves).max() > 0.05
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("scheme", ["dark", "light"])
 def spoken_command(tab, folder) -> list[str]:
     """The command of the button Edits, whose files are saved."""
     tab.on("download", lambda d: d.save_as(folder / d.suggested_filename))
@@ -673,6 +671,8 @@ def test_files_of_the_acting_are_chosen_kept_and_left_out(
         assert np.abs(found.values - wanted).max() < 1e-3
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("scheme", ["dark", "light"])
 def test_studio_fits_a_phone_and_names_everything(browser, server, speech, scheme):
     narrow = {"width": 390, "height": 844}
     with studio(browser, server, viewport=narrow, color_scheme=scheme) as tab:

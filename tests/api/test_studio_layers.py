@@ -10,7 +10,7 @@ from deitalk import animate
 from deitalk.data.edited import changes_of_take
 from deitalk.postprocess.control_groups import ControlGroups
 from rig import default_controls, read_curves
-from rig.curves.layers import read_layers
+from rig.curves.layer_files import read_layers
 from tests.api.server import ROOT
 from tests.api.test_studio import command, download, drop, studio, until
 from tests.browser import chromium, numbers

@@ -86,7 +86,7 @@ def _checked_seeds(folder: Path) -> list[Seed]:
 
 def _check(path: Path) -> object:
     """Check any file of curves: findings of one line each, also of a file that no reader reads."""
-    from rig.validation import validate
+    from rig.validation.files import validate
 
     texts = [finding.text for finding in validate(path).findings]
     assert texts and not [text for text in texts if "\n" in text]

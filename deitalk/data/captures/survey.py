@@ -291,7 +291,7 @@ class Survey:
         return {actor: pose for actor, pose in poses.items() if pose is not None}
 
     def dead(self) -> Bool:
-        """Controls that a source can know and that never move in any clip [shape=(C,)]."""
+        """Controls that a source can record and that never move in any clip [shape=(C,)]."""
         known = np.any([c.known for c in self.clips], axis=0)
         moving = np.any([c.faults.moving for c in self.clips], axis=0)
         dead: Bool = known & ~moving

@@ -9,11 +9,11 @@ import numpy as np
 
 from deitalk.config.rules import Idle
 from deitalk.data.captures.take import CapturedCurves
-from deitalk.emotions.tracks import TRAITS
+from deitalk.emotions.actor import TRAITS
 from deitalk.postprocess.life.eyes import LEAST_INTERVAL, SIDE_DEGREES
 from rig import RigCurves
 from rig.arrays import Float32, Float64
-from rig.curves.edit import gaussian_smooth
+from rig.curves.filters import gaussian_smooth
 
 TRAIT_SECONDS, WINDOW_SECONDS, TRACKER_SECONDS = 20.0, 3.0, 0.06
 """Least length of takes to measure a trait on; windows in which motion is measured, so that
@@ -42,7 +42,7 @@ def measure_traits(captures: Sequence[CapturedCurves]) -> dict[str, float]:
     Returns
     -------
     dict of str to float
-        Those of `deitalk.emotions.tracks.TRAITS` that can be measured, within their ranges: none on
+        Those of `deitalk.emotions.actor.TRAITS` that can be measured, within their ranges: none on
         less than `TRAIT_SECONDS`, nor on controls that are not known or never move.
     """
     parts = [part for capture in captures for part in _captured_parts(capture)]

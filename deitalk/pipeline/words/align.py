@@ -30,7 +30,7 @@ from deitalk.postprocess.phones import BILABIALS, PHONES, SILENCE, WIDEN_FRAMES
 from rig import RigCurves, read_curves
 from rig.arrays import Bool, Float32, Float64, Int64
 from rig.controls import DEFAULT_ID
-from rig.validation import Finding
+from rig.validation.findings import Finding
 
 PRIOR_POWER = 0.6
 """Of the phones' frequency, by which the evidence is divided, so that rare phones are found too."""

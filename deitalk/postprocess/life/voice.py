@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from deitalk.audio.frames import FRAME_RATE
 from deitalk.audio.prosody import LEVEL_DB, PITCH_SEMITONES, Prosody
 from rig.arrays import Bool, Float32, Float64, Int64
-from rig.curves.edit import gaussian_smooth
+from rig.curves.filters import gaussian_smooth
 
 # Random numbers of a take, and the traits of its character.
 #

@@ -34,7 +34,7 @@ from deitalk.pipeline.performance import Performance
 from deitalk.research.evaluation.clip_scores import mouth_opening
 from rig import limits
 from rig.arrays import Bool, Float32
-from rig.curves.edit import gaussian_smooth
+from rig.curves.filters import gaussian_smooth
 from rig.errors import quoted
 from rig.files.reading import check_file
 

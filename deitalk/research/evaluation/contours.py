@@ -24,7 +24,7 @@ from deitalk.models.curve_model import DEITalk
 from deitalk.pipeline.curves import animate
 from deitalk.pipeline.performance import Performance
 from rig.arrays import Bool, Float32, Float64
-from rig.curves.edit import gaussian_smooth
+from rig.curves.filters import gaussian_smooth
 
 Contour = tuple[Float64, Float64]
 """Knots: seconds, and standard deviations of prosody."""

@@ -41,7 +41,7 @@ from deitalk.research.evaluation.report import write_json
 from deitalk.research.evaluation.stress import stress_track
 from deitalk.research.lips.measured import RATE, PoseClip, read_poses
 from rig.arrays import Float64
-from rig.curves.edit import gaussian_smooth
+from rig.curves.filters import gaussian_smooth
 
 TOLERANCE = 0.2
 SMOOTH_SECONDS = 0.06

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from rig.arrays import Float64
-from rig.curves.edit import gaussian_smooth
+from rig.curves.filters import gaussian_smooth
 
 LEAST_DEGREES = 0.3
 SMOOTH_SECONDS = 0.06

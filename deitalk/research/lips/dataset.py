@@ -16,7 +16,8 @@ from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
 from deitalk.audio.load import load_audio
 from deitalk.audio.voice_activity import normalise_level, speech_activity
 from deitalk.data.clips import MEASURED, SPLITS, Clip, read_clips
-from deitalk.data.windows import cut, load_clip, n_clip_frames
+from deitalk.data.waveforms import n_clip_frames
+from deitalk.data.windows import cut, load_clip
 from deitalk.errors import DataError
 from deitalk.models.curve_model import DEITalk
 from deitalk.research.lips.fit import fit_curves, neutral_reading

@@ -19,7 +19,7 @@ from deitalk.audio.frames import SAMPLE_RATE
 from deitalk.audio.mel import FLOOR, derivative
 from deitalk.audio.prosody import rms_db
 from deitalk.audio.voice_activity import normalise_level
-from deitalk.data.windows import SeededBatches, Share
+from deitalk.data.seeded_batches import SeededBatches, Share
 from deitalk.errors import DataError
 from deitalk.frontends.base import Encoder
 from deitalk.research.evaluation.noise import mix_at_level, pink_noise

@@ -16,7 +16,7 @@ from deitalk.acting import Acting
 from deitalk.audio.frames import frame_times
 from deitalk.audio.voice_activity import normalise_level
 from deitalk.config.mesh import SDFAConfig, SDFAModelConfig
-from deitalk.data.windows import Share
+from deitalk.data.seeded_batches import Share
 from deitalk.emotions import parse_emotion
 from deitalk.errors import ConfigError, DataError
 from deitalk.evaluation.clips_figure import ClipRows, Row

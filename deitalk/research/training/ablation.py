@@ -24,7 +24,7 @@ from deitalk.config.finetuning import FinetuneConfig
 from deitalk.config.load import AnyConfig, load_config
 from deitalk.config.mesh import SDFAConfig
 from deitalk.config.yaml_files import read_yaml
-from deitalk.data.windows import FrozenFeatures
+from deitalk.data.frozen_features import FrozenFeatures
 from deitalk.errors import ConfigError, DataError
 from deitalk.evaluation.report import as_json
 from deitalk.models.checkpoint import require_model

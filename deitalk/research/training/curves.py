@@ -12,7 +12,9 @@ from torch import Tensor, nn
 
 from deitalk.data.augment_waveform import Surroundings
 from deitalk.data.clips import Clip
-from deitalk.data.windows import SeededBatches, Share, Window, WindowBatches, read_waveform
+from deitalk.data.seeded_batches import SeededBatches, Share
+from deitalk.data.waveforms import read_waveform
+from deitalk.data.windows import Window, WindowBatches
 from deitalk.errors import ConfigError
 from deitalk.models.curve_model import DEITalk
 from deitalk.research.comparison.emotalk import EmoTalk

@@ -20,7 +20,7 @@ import numpy as np
 from deitalk.config.finetuning import FinetuneConfig
 from deitalk.data.captures.splits import names_of
 from deitalk.data.clips import read_clips
-from deitalk.data.windows import FrozenFeatures
+from deitalk.data.frozen_features import FrozenFeatures
 from deitalk.errors import DataError
 from deitalk.evaluation.report import as_json, table, turned
 from deitalk.training.trainer import Progress, silent

@@ -43,9 +43,9 @@ from rig.face.head import build_head
 from rig.files import atomic_write
 
 CHANNEL_PENALTY, MEASURE_PENALTY = 100_000.0, 10_000.0
-SHARES = (0.8, 0.6, 0.8, 0.7)
+SHARES = (0.8, 0.5, 0.8, 0.7)
 """Of the regression in each measure; the rest is the decoder's."""
-GAINS = (1.1, 1.3, 1.1, 1.3)
+GAINS = (1.1, 1.6, 1.1, 1.3)
 """Of the mixed measures about their mean."""
 KEPT = ("lipsTogether", "funnel", "purse")
 """Parts of the names of controls that move for no measure: phones move them."""
@@ -191,14 +191,14 @@ def fill_measures(
     taps, constant = folded(measures)
     wide = np.apply_along_axis(np.convolve, 2, taps, np.array(SMOOTHING))
     gain, share = np.array(GAINS), np.array(SHARES)
-    # change = mean + gain (share regression + (1 - share) shown - mean) - shown
-    left = gain * (1 - share) - 1
+    # wanted = mean + gain (share regression + (1 - share) shown - mean)
     assert module.listen.bias is not None
     n = len(CHANNELS)
     _set(module.listen.weight[n:], padded(wide * (gain * share)[:, None, None], module.causal))
     _set(module.listen.bias[n:], constant * gain * share + (1 - gain) * mean)
-    _set(module.shown.weight, left[:, None] * shown[0])
-    _set(module.shown.bias, left * shown[1])
+    _set(module.kept, gain * (1 - share))
+    _set(module.shown.weight, shown[0])
+    _set(module.shown.bias, shown[1])
     _set(module.moves.weight, moves)
 
 
@@ -243,7 +243,8 @@ def fit(
     count = {name: min(len(group), CLIPS) for name, group in clips.items()}
     shares = [min(1.0, SPEAKER_CLIPS / count[clip.speaker]) for clip in chosen]
     measures = Readout.fit(rows, shares, MEASURE_PENALTY)
-    every = np.concatenate([said_curves(module, *pair) for pair in (*known, *spoken)])
+    plain = [curves for _, curves in (*known, *spoken)]
+    every = np.concatenate([*plain, *(said_curves(module, *pair) for pair in (*known, *spoken))])
     with torch.no_grad():
         own = teacher.lips.displacements(torch.from_numpy(every)).numpy()[:, teacher.chosen]
     by_speaker: dict[str, list[Float32]] = {}

@@ -22,7 +22,7 @@ from deitalk.data.windows import LoadedClip, load_clip
 from deitalk.evaluation.smoothness import MOVING
 from rig import ControlSet
 from rig.arrays import Bool, Float32, Float64
-from rig.curves.edit import gaussian_smooth
+from rig.curves.filters import gaussian_smooth
 from rig.files import atomic_write
 
 NEUTRAL = "neutral"

@@ -14,7 +14,8 @@ from torch import Tensor, nn
 
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
 from deitalk.data.clips import Clip, read_known, spread_clips
-from deitalk.data.windows import FrozenFeatures, read_waveform
+from deitalk.data.frozen_features import FrozenFeatures
+from deitalk.data.waveforms import read_waveform
 from deitalk.emotions import EMOTIONS
 from deitalk.evaluation.smoothness import MOVING, Example, load_example
 from deitalk.evaluation.validation import JAW

@@ -29,13 +29,9 @@ from deitalk.data.captures.conventions import (
 )
 from deitalk.data.captures.splits import divide_clips, last_takes, shortage
 from deitalk.data.clips import REHEARSED, Clip, read_clips, spread_clips
-from deitalk.data.windows import (
-    FrozenFeatures,
-    Share,
-    Window,
-    WindowBatches,
-    remove_features,
-)
+from deitalk.data.frozen_features import FrozenFeatures, remove_features
+from deitalk.data.seeded_batches import Share
+from deitalk.data.windows import Window, WindowBatches
 from deitalk.emotions import EMOTIONS
 from deitalk.errors import ConfigError, DataError
 from deitalk.evaluation.captures import System, by_model, errs_less, write_comparison

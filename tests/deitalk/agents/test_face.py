@@ -8,7 +8,7 @@ import pytest
 from deitalk import LiveAnimator
 from deitalk.agents.face import IDLE_SECONDS, AgentFace
 from deitalk.errors import AudioError
-from deitalk.live.animator import CLOSING_FRAMES
+from deitalk.live.stream import CLOSING_FRAMES
 from deitalk.postprocess.control_groups import ControlGroups
 from tests.deitalk.live.conftest import RATE, tiny, voice
 from tests.errors import one_line

@@ -6,7 +6,7 @@ import time
 import numpy as np
 import pytest
 
-from deitalk.live.animator import CLOSING_FRAMES
+from deitalk.live.stream import CLOSING_FRAMES
 from deitalk.postprocess.control_groups import ControlGroups
 from tests.deitalk.live.conftest import tiny, voice
 

@@ -9,7 +9,7 @@ from scipy.signal import lfilter
 from deitalk import animate
 from deitalk.audio.held_sound import Held, first_held, follow_held, held_sound
 from deitalk.audio.load import load_audio
-from deitalk.audio.prosody import measure_prosody, tonality
+from deitalk.audio.prosody import measure_prosody
 from deitalk.audio.voice_activity import band_levels, speech_activity
 from deitalk.config.rules import HoldPose
 from deitalk.live.animator import LiveAnimator
@@ -72,8 +72,8 @@ def test_all_of_a_vowel_is_speech(given):
 
 def held_in(sound):
     prosody = measure_prosody(sound, len(sound) * 30 // RATE)
-    tones = tonality(prosody.pitch, prosody.periodicity)
-    return held_sound(band_levels(sound)[: len(tones)], tones, HoldPose())
+    levels = band_levels(sound)[: len(prosody.tone)]
+    return held_sound(levels, prosody.tone, HoldPose())
 
 
 NOISES = {"white": 0.0, "dark": 0.9, "rumble": 0.99}

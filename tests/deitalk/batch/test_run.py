@@ -11,9 +11,11 @@ import pytest
 import soundfile
 
 from deitalk import animate
+from deitalk.batch.performer import Performer
 from deitalk.batch.source import FAILED, SUMMARY
 from deitalk.emotions import read_actor
 from deitalk.errors import CheckpointError, DataError, DeitalkError
+from deitalk.models.curve_model import DEITalk
 from deitalk.research.evaluation.benchmark_curves import speechlike
 from rig import read_curves
 from rig.errors import TargetError
@@ -50,17 +52,29 @@ def test_outputs_are_those_of_animate(run, lines, model, tmp_path):
     assert not (run.out / FAILED).exists() and report.out == str(run.out)
 
 
-def test_lines_of_one_length_are_those_of_animate(run, lines, model, rng, monkeypatch):
-    """Together, to rounding; and each alone where that fails."""
+class OnGpu(Performer):
+    """Reads lines together, as on a GPU."""
+
+    def __init__(self, *given):
+        super().__init__(*given)
+        self.together = 100
+
+
+def test_lines_that_a_gpu_reads_together_are_those_of_animate(run, lines, model, rng, monkeypatch):
+    """Of any lengths, to rounding; and each alone where that fails."""
+    monkeypatch.setattr("deitalk.batch.run.Performer", OnGpu)
+    calls = []
+    read = DEITalk.read_together
+    monkeypatch.setattr(DEITalk, "read_together", lambda *given: calls.append(1) or read(*given))
     for number in range(10):
         sound = speechlike(0.8) + 0.02 * rng.standard_normal(12_800)
-        soundfile.write(lines / f"same{number}.wav", sound, 16_000, subtype="FLOAT")
-    assert run(emotion="happy", formats="npz").counts["done"] == 13
+        soundfile.write(lines / f"{number}.wav", sound[: 12_800 - 700 * number], 16_000)
+    assert run(emotion="happy", formats="npz").counts["done"] == 13 and len(calls) > 1
     for number in range(10):
-        alone = animate(lines / f"same{number}.wav", "happy", model=model).curves
-        found = read_curves(run.out / f"same{number}.npz")
+        alone = animate(lines / f"{number}.wav", "happy", model=model).curves
+        found = read_curves(run.out / f"{number}.npz")
         np.testing.assert_allclose(found.values, alone.values, atol=1e-5)
-    monkeypatch.setattr("deitalk.models.curve_model.DEITalk.read_together", None)
+    monkeypatch.setattr(DEITalk, "read_together", None)
     assert run(emotion="sad").counts["done"] == 13
 
 

@@ -160,7 +160,7 @@ def test_held_signals_act_after_the_block(number, kind):
 def test_signals_that_nothing_handles_are_not_held():
     code = (
         "import os, signal\n"
-        "from deitalk.cli.console import held\n"
+        "from deitalk.cli.signals import held\n"
         "with held():\n    os.kill(os.getpid(), signal.SIGTERM)\n"
     )
     assert subprocess.run([sys.executable, "-c", code], timeout=60).returncode == -signal.SIGTERM

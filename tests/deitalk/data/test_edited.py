@@ -141,18 +141,39 @@ def test_the_layers_of_the_take_come_first(take, wanted, tmp_path):
     assert np.abs(acted.curves.values - values).max() < 0.01
 
 
-def test_words_of_the_take_name_the_edits(take, wanted, tmp_path):
+SAID = (
+    "Maybe you believe me. But mother, Bob promised everybody a piece of that perfect apple "
+    "pie! Well, what a wonderful evening this could become."
+)
+SPOKEN = {
+    "words": {"words": SAID},
+    "script": {"script": SAID.replace("But", "[excitedly] But").replace("Well", "[sighs] *Well*")},
+    "SSML": {"script": f"<speak>{SAID.replace('Well', '<emphasis>Well</emphasis>')}</speak>"},
+    "role": {
+        "script": f"1\n00:00:00,000 --> 00:00:08,700\nANNA: [happily] {SAID}\n", "role": "anna"
+    },
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("given", SPOKEN)
+def test_words_of_the_take_name_the_edits(take, given, tmp_path):
+    """And the words by which a layer follows another reading, whatever said what is spoken."""
     pytest.importorskip("espeakng_loader")
-    words = (
-        "Maybe you believe me. But mother, Bob promised everybody a piece of that perfect apple "
-        "pie! Well, what a wonderful evening this could become."
-    )
-    spoken = animate(SAMPLE, words=words).save(tmp_path / "spoken")
-    values = read_curves(spoken / "curves.json").values.copy()
+    spoken = animate(SAMPLE, **SPOKEN[given]).save(tmp_path / "spoken")
+    edited = read_curves(spoken / "curves.json")
+    values = edited.values.copy()
     values[60:66, BOARD.index("CTRL_L_nose.ty")] += 0.3
-    write_curves(tmp_path / "e.csv", replace(wanted, values=values))
-    (edit,) = changes_of_take(tmp_path / "e.csv", spoken).layer.edits
-    assert edit.words and edit.words.split()[0].strip(".,") in words
+    edited = replace(edited, values=values)
+    write_curves(tmp_path / "e.csv", edited)
+    layer = changes_of_take(tmp_path / "e.csv", spoken).layer
+    (edit,) = layer.edits
+    assert edit.target == "CTRL_L_nose.ty"
+    assert edit.words and edit.words.split()[0].strip(".,") in SAID
+    assert [word.strip(".,!").lower() for word, *_ in layer.words] == [
+        word.strip(".,!").lower() for word in SAID.split()
+    ]
+    again = animate(SAMPLE, **SPOKEN[given], edit=layer).curves
+    assert np.abs(again.values - edited.values).max() < 0.01
 
 
 def test_files_that_are_no_edit_are_refused_in_one_line(take, tmp_path):

@@ -11,12 +11,9 @@ from deitalk.config.curves import Config
 from deitalk.config.load import load_config
 from deitalk.data.augment_waveform import Surroundings
 from deitalk.data.clips import read_clips
-from deitalk.data.windows import (
-    FrozenFeatures,
-    WindowBatches,
-    load_clip,
-    recorded_frames,
-)
+from deitalk.data.frozen_features import FrozenFeatures
+from deitalk.data.waveforms import recorded_frames
+from deitalk.data.windows import WindowBatches, load_clip
 from deitalk.models.checkpoint import load_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.research.training.ablation import Variant, ablate
@@ -81,7 +78,7 @@ def test_features_on_disk_are_mapped_and_computed_once(data, source, tmp_path, m
     monkeypatch.setattr(again.owner, "frontend", torch.nn.Identity())  # encodes nothing
     again.prepare(clips, length)
     assert again.features(clips[0], n_frames).shape == features.shape
-    monkeypatch.setattr("deitalk.data.windows.load_audio", None)  # nor do windows read a sound
+    monkeypatch.setattr("deitalk.data.waveforms.load_audio", None)  # nor do windows read a sound
     controls = load_model(source).controls
     batches = WindowBatches(clips, controls, tiny().data, 0, 2, frozen_features=again)
     assert batches.item(0).waveform.shape == (length, features.shape[1])

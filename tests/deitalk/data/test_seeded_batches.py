@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 from torch.utils.data import DataLoader
 
-from deitalk.data.windows import SeededBatches, Share
+from deitalk.data.seeded_batches import SeededBatches, Share
 
 
 class Numbered(NamedTuple):

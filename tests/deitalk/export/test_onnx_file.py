@@ -16,7 +16,8 @@ from deitalk.audio.frames import frame_count
 from deitalk.audio.load import load_audio
 from deitalk.emotions import LABELS, IntensityCurve
 from deitalk.errors import CheckpointError
-from deitalk.export.finished import FinishedClip, FinishedLive
+from deitalk.export.finished import FinishedClip
+from deitalk.export.finished_live import FinishedLive
 from deitalk.live.animator import LiveAnimator
 from deitalk.models.checkpoint import load_model
 from deitalk.models.curve_model import DEITalk

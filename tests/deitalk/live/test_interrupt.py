@@ -5,7 +5,7 @@ import pytest
 
 from deitalk import LiveAnimator
 from deitalk.errors import AudioError, ConfigError
-from deitalk.live.animator import CLOSING_FRAMES
+from deitalk.live.stream import CLOSING_FRAMES
 from deitalk.postprocess.control_groups import ControlGroups
 from tests.deitalk.live.conftest import RATE
 from tests.errors import one_line

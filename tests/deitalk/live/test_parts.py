@@ -8,7 +8,7 @@ from deitalk.audio.voice_activity import BAND_EDGES_HZ, WINDOW
 from deitalk.config.rules import Gates, RulesConfig, VoiceIntensity
 from deitalk.frontends.causal_whisper import USUAL_POWER, first_level, follow_level
 from deitalk.live.activity import GATE_AHEAD, MOST_STEP, RunningActivity
-from deitalk.live.hearing import MEASURED_AHEAD, RunningHearing
+from deitalk.live.analysis import MEASURED_AHEAD, FrameMeasures, VoiceAnalysis
 from deitalk.live.intensity import Measures, RunningIntensity, follow_means
 from deitalk.models.protocol import put, take
 from deitalk.postprocess.feeling import expression_share
@@ -52,7 +52,7 @@ def test_closures_are_bridged_and_clicks_left_out():
 @pytest.mark.parametrize("rest", [0, 0.5, 1])
 @pytest.mark.parametrize("piece", [1, 3, 1000])
 def test_share_of_the_expression_is_that_of_a_whole_recording(rest, piece):
-    """But for its rise, which begins with what is heard ahead, and is as fast from any share."""
+    """But for its rise, which begins with what is found ahead, and is as fast from any share."""
     speaking = spoken((60, 100), (190, 230), frames=1000)
     _, share = gates_of(speaking, rest=rest, piece=piece)
     whole = expression_share(speaking, rest)[: len(share)]
@@ -131,12 +131,14 @@ def test_intensity_rises_with_the_level_and_not_with_the_gain():
 
 def test_intensity_stays_in_pauses_and_is_the_networks_without_the_rule():
     assert np.ptp(intensity_of(np.linspace(-60, 0, 50), speaking=False)) == 0
-    hearing = RunningHearing(RulesConfig(voice_intensity=None))
+    analysis = VoiceAnalysis(RulesConfig(voice_intensity=None))
     network = np.full((2, 5), 0.3, np.float32)
     rest = np.zeros(2, np.float32)
     silence = np.zeros((2, 5, WINDOW), np.float32)
-    heard, _ = hearing(silence, network, 0 * network, rest, hearing.first(2))
-    np.testing.assert_array_equal(heard.intensity, network)
+    found, _ = analysis(
+        FrameMeasures.of_windows(silence), network, 0 * network, rest, analysis.first(2)
+    )
+    np.testing.assert_array_equal(found.intensity, network)
 
 
 def test_means_of_the_opening_move_a_thirtieth_a_frame_of_speech_and_not_in_silence():
@@ -152,21 +154,23 @@ def test_means_of_the_opening_move_a_thirtieth_a_frame_of_speech_and_not_in_sile
 
 def test_streams_side_by_side_are_heard_as_each_alone_in_any_pieces(rng):
     """Voices of several levels that began at different times, over the measures of the floor."""
-    hearing, n_frames = RunningHearing(RulesConfig()), 64
+    analysis, n_frames = VoiceAnalysis(RulesConfig()), 64
     sound = 0.1 * rng.standard_normal((3, n_frames, WINDOW)) * (rng.random((3, n_frames, 1)) < 0.6)
     sound = (sound * np.array([1.0, 0.1, 3.0])[:, None, None]).astype(np.float32)
     network, effort = rng.random((2, 3, n_frames)).astype(np.float32)
     rest = np.array([0, 0.3, 1], np.float32)
-    state = list(hearing.first(3))
-    put(state, [1], hearing.begin(0.1 + sound[1:2, :MEASURED_AHEAD], hearing.first(1)))
+    state = list(analysis.first(3))
+    put(state, [1], analysis.begin(0.1 + sound[1:2, :MEASURED_AHEAD], analysis.first(1)))
     first, together, at = tuple(state), [], 0
     for size in (1, 7, 30, 2, 24):
         rows = slice(at, at + size)
-        heard, state = hearing(sound[:, rows], network[:, rows], effort[:, rows], rest, state)
-        together.append(np.stack((*heard[1:-1], *heard.held), axis=-1))
+        found, state = analysis(
+            FrameMeasures.of_windows(sound[:, rows]), network[:, rows], effort[:, rows], rest, state
+        )
+        together.append(np.stack((*found[1:-1], *found.held), axis=-1))
         at += size
     for k in range(3):
-        own = (part[k : k + 1] for part in (sound, network, effort, rest))
-        alone, _ = hearing(*own, take(first, [k]))
+        windows, *own = (part[k : k + 1] for part in (sound, network, effort, rest))
+        alone, _ = analysis(FrameMeasures.of_windows(windows), *own, take(first, [k]))
         expected = np.stack((*alone[1:-1], *alone.held), axis=-1)[0]
         np.testing.assert_allclose(np.concatenate(together, axis=1)[k], expected, atol=1e-6)

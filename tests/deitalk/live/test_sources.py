@@ -10,7 +10,7 @@ import pytest
 from typer.testing import CliRunner
 
 from deitalk.cli import app
-from deitalk.cli.live import transmit
+from deitalk.cli.udp import transmit
 from deitalk.errors import AudioError, MissingError
 from deitalk.live import sources
 from deitalk.live.animator import LiveAnimator

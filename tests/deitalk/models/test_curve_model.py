@@ -6,11 +6,14 @@ import numpy as np
 import pytest
 import torch
 from torch.nn import functional as F
+from torch.utils._python_dispatch import TorchDispatchMode
 
 import deitalk.models.curve_model
+from deitalk.audio.frames import frame_count
 from deitalk.config.curves import ModelConfig
 from deitalk.config.frontends import MelConfig
 from deitalk.config.load import load_config
+from deitalk.models.checkpoint import load_model
 from deitalk.models.curve_model import DECODE_FRAMES, DEITalk
 from deitalk.models.intensity import temporal_maximum
 from deitalk.models.positions import dynamic_positions
@@ -182,7 +185,6 @@ def test_recordings_are_read_together_as_each_alone(rng):
     weights[0][:, 0] = weights[1][:, 2] = weights[2][:, 1] = 1
     weights[3][:20, 1] = weights[3][20:, 0] = 1
     names = ["anna", "", "", "bo"]
-    assert model.reads_together(45) and not model.reads_together(10_000)
     together = model.read_together(sounds, weights, names)
     for found, alone in zip(together, map(model.read, sounds, weights, names), strict=True):
         np.testing.assert_allclose(found.neutral, alone.neutral, atol=1e-5)
@@ -191,3 +193,47 @@ def test_recordings_are_read_together_as_each_alone(rng):
         np.testing.assert_allclose(found.tracks.strength, alone.tracks.strength, atol=1e-5)
     assert together[0].emotional is together[0].neutral
     assert abs(together[1].emotional - together[1].neutral).max() > 0.01
+
+
+class Calls(TorchDispatchMode):
+    """Counts calls of torch's functions, each a start of a kernel on a GPU."""
+
+    count = 0
+
+    def __torch_dispatch__(self, function, types, args=(), kwargs=None):
+        self.count += 1
+        return function(*args, **(kwargs or {}))
+
+
+def _lines(count, rng):
+    """Recordings of different lengths up to 16 s, and happy, neutral or mixed weights of each."""
+    sizes = rng.integers(200, 256_000, count)
+    sounds = [0.1 * rng.standard_normal(size).astype(np.float32) for size in sizes]
+    rows = [np.eye(5, dtype=np.float32), np.full((1, 5), 0.2, np.float32)]
+    kinds = np.concatenate(rows)
+    weights = [kinds[[k % 6] * frame_count(len(x))] for k, x in enumerate(sounds)]
+    return sounds, weights, [""] * count
+
+
+@pytest.mark.parametrize("name", ["default", "live"])
+def test_recordings_of_any_lengths_read_together_are_as_each_alone(name, rng, monkeypatch):
+    model = load_model(name)
+    monkeypatch.setattr("deitalk.models.curve_model.FRAMES_TOGETHER", 700)
+    sounds, weights, actors = _lines(7, rng)
+    together = model.read_together(sounds, weights, actors)
+    span = model.controls.maximum - model.controls.minimum
+    for found, alone in zip(together, map(model.read, sounds, weights, actors), strict=True):
+        for one, other in ((found.neutral, alone.neutral), (found.emotional, alone.emotional)):
+            assert one.shape == other.shape and (abs(one - other) / span).max() <= 1e-4
+        for one, other in zip(found.tracks, alone.tracks, strict=True):
+            np.testing.assert_allclose(one, other, atol=1e-4)
+
+
+def test_calls_do_not_grow_with_the_recordings_that_are_read_together(rng):
+    model, counts = load_model("default"), []
+    for count in (4, 64):
+        given = _lines(count, rng)
+        with Calls() as calls:
+            model.read_together(*given)
+        counts.append(calls.count)
+    assert counts[1] <= 1.3 * counts[0]

@@ -10,13 +10,13 @@ from deitalk.live.animator import LiveAnimator
 from deitalk.models.causal_model import TorchNetwork
 from deitalk.models.checkpoint import load_model, save_model
 from deitalk.models.curve_model import DECODE_FRAMES
-from deitalk.models.lip_readout import CHANNELS, MEASURES, OUT, TAPS, LipReadout
+from deitalk.models.lip_readout import CHANNELS, MEASURES, OPEN, OUT, POWERS, TAPS, LipReadout
 from deitalk.research.evaluation.benchmark_curves import speechlike
 from deitalk.training.tuning.recipe import read_recipe
 from tests.deitalk.models.test_onnx import CAUSAL, WHISPER, of_frontend, weights
 
 NAMES = (
-    "jaw", "CTRL_C_lipsTogetherUL", "CTRL_C_lipBiteD", "stretch", "tongue_inOut",
+    "CTRL_C_jaw.ty", "CTRL_C_lipsTogetherUL", "CTRL_C_lipBiteD", "stretch", "tongue_inOut",
     "tongue_tipMove.ty", "mouth_funnelU", "mouth_purseD",
 )  # fmt: skip
 JAW, TOGETHER, BITE, STRETCH, OUT_OF, TIP, FUNNEL, PURSE = range(8)
@@ -43,11 +43,13 @@ def readout():
 
 
 @torch.no_grad()
-def test_a_contact_is_the_geometric_mean_of_the_curve_and_its_probability(readout):
+def test_a_contact_is_the_product_of_powers_of_the_curve_and_its_probability(readout):
     readout.moves.weight.zero_()
+    power, likely = POWERS
     curves = torch.tensor([[[0.3, 0.81, 0.25, -0.2, 0.1, 0, 0, 0]]])
     found = readout.correct(curves, read_of(together=0.49, bite=1.0))[0, 0]
-    np.testing.assert_allclose(found[:5], [0.3, 0.63, 0.5, -0.2, 0.1], atol=1e-6)
+    together = 0.81**power * 0.49**likely
+    np.testing.assert_allclose(found[:5], [0.3, together, 0.25**power, -0.2, 0.1], atol=1e-6)
 
 
 @pytest.mark.parametrize("denied", ["decoder", "readout"])
@@ -86,15 +88,35 @@ def test_phones_move_the_controls_of_their_channels(readout, case):
         assert found[BITE] == 0
 
 
+@pytest.mark.parametrize("channels", [{}, {"purse": 1.0}, {"funnel": 1.0}, {"purse": 0.5}])
 @torch.no_grad()
-def test_a_purse_narrows_the_mouth(readout):
+def test_what_rounding_does_to_the_width_is_counted(readout, channels):
+    """On a face whose width is linear in its controls, with one that nothing else moves."""
+    width = MEASURES.index("width")
+    for weight in (readout.shown.weight, readout.shown.bias, readout.moves.weight):
+        weight.zero_()
+    readout.shown.weight[width] = torch.tensor([0, 0, 0, 1.0, 0, 0, -0.4, -0.7])
+    readout.moves.weight[STRETCH, width] = 1
+    curves = torch.full((1, 1, len(NAMES)), 0.5)
+    row = read_of(**channels)
+    row[..., len(CHANNELS) + width] = 0.2
+    found = readout.correct(curves, row)
+    wanted = 0.2 + readout.kept[width] * readout.shown(curves)[..., width]
+    np.testing.assert_allclose(readout.shown(found)[..., width], wanted, atol=1e-5)
+
+
+@pytest.mark.parametrize(("jaw", "share"), [(0.0, 0.0), (OPEN[0], 0.0), (OPEN[1], 1.0), (0.5, 1.0)])
+@torch.no_grad()
+def test_measures_stay_the_decoders_where_it_shuts_the_mouth(readout, jaw, share):
     readout.shown.weight.zero_()
     readout.shown.bias.zero_()
     readout.moves.weight.zero_()
     readout.moves.weight[STRETCH, MEASURES.index("width")] = 1
-    curves = torch.full((1, 1, len(NAMES)), 0.5)
-    found = [readout.correct(curves, read_of(purse=value))[0, 0, STRETCH] for value in (0, 1)]
-    assert found[0] == 0.5 and 0.1 < found[0] - found[1] < 0.5
+    curves = torch.zeros(1, 1, len(NAMES))
+    curves[..., JAW] = jaw
+    row = read_of()
+    row[..., len(CHANNELS) + MEASURES.index("width")] = 0.2
+    assert readout.correct(curves, row)[0, 0, STRETCH] == pytest.approx(0.2 * share, abs=1e-6)
 
 
 @torch.no_grad()

@@ -18,10 +18,11 @@ from deitalk.config.rules import VoiceIntensity
 from deitalk.data.captures.take import CapturedCurves
 from deitalk.data.captures.traits import measure_traits
 from deitalk.emotions import ActorReference, read_actor
-from deitalk.emotions.tracks import TRAITS
+from deitalk.emotions.actor import TRAITS
 from deitalk.errors import AudioError, EmotionError
 from deitalk.models.load import load_network
-from deitalk.pipeline.speech import Speech, measure_actor, measure_intensities
+from deitalk.pipeline.actor_voice import measure_actor
+from deitalk.pipeline.speech import Speech, measure_intensities
 from deitalk.postprocess.feeling import intensity_of, state_of
 from rig import RigCurves, default_controls
 from rig.conversion.arkit import arkit_controls

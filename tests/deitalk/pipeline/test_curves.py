@@ -260,11 +260,13 @@ def test_intensity_curve_gives_the_neutral_reading_where_it_is_0(network):
 
 
 UPPER = ("_brow_", "_eye_", "_eye.", "neck_")
+BREATH = "CTRL_C_jaw.ty"
 
 
 @pytest.mark.parametrize("changed", ["seed", "gain"])
 def test_another_seed_or_recording_changes_eyes_brows_and_sides_only(network, changed):
-    """A gain of a thousandth is another recording, which the network takes as the same speech."""
+    """And breaths, which open the jaw before phrases. A gain of a thousandth is another recording,
+    which the network takes as the same speech."""
     speech = recording(8)
     louder = Recording(speech.waveform * 1.001, "test", 16_000, 1)
     how = {"model": network, "variant": "plain"}  # others are drawn too
@@ -274,7 +276,7 @@ def test_another_seed_or_recording_changes_eyes_brows_and_sides_only(network, ch
     names = network.controls.names
     moved = {names[i] for i in np.flatnonzero(np.abs(a - b).max(axis=0) > 1e-2)}
     assert {"CTRL_L_eye_blink.ty", "CTRL_R_eye_blink.ty"} <= moved
-    assert all(any(part in name for part in (*UPPER, *LEANS)) for name in moved)
+    assert all(any(part in name for part in (*UPPER, *LEANS, BREATH)) for name in moved)
     np.testing.assert_array_equal(a, values(speech, "happy", seed=1, **how))
 
 
@@ -294,13 +296,17 @@ def test_a_field_that_changes_nothing_is_named(network, fields, named):
 
 
 def test_idle_motion_leaves_the_mouth_as_it_is(network):
+    """But for breaths, which open the jaw before phrases."""
     speech = recording(4)
     lively = animate(speech, "angry", model=network, life="brows=2,head=2,gaze=2,blinks=2")
     still = animate(speech, "angry", model=network, life="off")
     names = network.controls.names
-    moved = (*UPPER, *LEANS)
+    moved = (*UPPER, *LEANS, BREATH)
     mouth = [i for i, name in enumerate(names) if not any(part in name for part in moved)]
     np.testing.assert_array_equal(lively.curves.values[:, mouth], still.curves.values[:, mouth])
+    speaks = np.asarray(speech.activity) > 0
+    jaws = [take.curves.values[speaks, names.index(BREATH)] for take in (lively, still)]
+    np.testing.assert_array_equal(*jaws)
     assert still.head is None
     assert lively.head.shape == (120, 6)
     assert np.ptp(lively.head[:, 1]) > 0.5

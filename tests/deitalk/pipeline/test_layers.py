@@ -2,6 +2,8 @@
 
 import json
 from dataclasses import replace
+from difflib import SequenceMatcher
+from itertools import permutations
 from pathlib import Path
 
 import numpy as np
@@ -15,9 +17,11 @@ from deitalk.audio.load import load_audio
 from deitalk.pipeline import layers as module
 from deitalk.pipeline.layers import follow_recording, heard_phones, with_recording
 from deitalk.pipeline.speech import Speech
-from deitalk.pipeline.words.align import FittedWord, WordFit
+from deitalk.pipeline.words.align import FittedWord, WordFit, align_words
+from deitalk.pipeline.words.transcript import Transcript
 from rig import read_curves
-from rig.curves.layers import Edit, Layer, Sound, read_layers
+from rig.curves.layer_files import read_layers
+from rig.curves.layers import Edit, Layer, Sound
 from rig.errors import ControlError
 from tests.errors import one_line
 
@@ -100,6 +104,62 @@ def test_on_another_recording_an_edit_follows_the_phones(take, other, place):
     assert "follows its phones" in note
     found = np.array(layer.edits[0].span) - [place(time) for time in BUMP.span]
     assert np.abs(found).max() <= 2 / 30
+
+
+SAID = (
+    "Maybe you believe me. But mother, Bob promised everybody a piece of that perfect apple pie! "
+    "Well, what a wonderful evening this could become."
+)
+VOICES = ((None, 165, 50), ("f3", 140, 70), ("m3", 190, 35))
+
+
+@pytest.fixture(scope="module")
+def readings():
+    """One line by three voices, with the exact times of its phones."""
+    from deitalk.research.corpus.engines import espeak
+
+    if espeak.missing():
+        pytest.skip("needs espeak-ng")
+    return [
+        espeak.synthesise(SAID, variant=name, rate=rate, pitch=pitch)
+        for name, rate, pitch in VOICES
+    ]
+
+
+def times_of_words(reading, transcript):
+    """Start and end of each word by the phones of the voice; None where it says others."""
+    phones = [phone for phone in reading.phones if phone.name != "SIL"]
+    chain = [(k, name) for k, word in enumerate(transcript.words) for name in word.phones]
+    names = [phone.name for phone in phones]
+    blocks = SequenceMatcher(None, [name for _, name in chain], names, autojunk=False)
+    place = {b.a + n: b.b + n for b in blocks.get_matching_blocks() for n in range(b.size)}
+    found = {}
+    for k in range(len(transcript.words)):
+        at = [n for n, (word, _) in enumerate(chain) if word == k]
+        if at[0] in place and at[-1] in place:
+            found[k] = (phones[place[at[0]]].start, phones[place[at[-1]]].end)
+    return found
+
+
+@pytest.mark.parametrize("by", ["words", "phones"])
+def test_edits_stay_at_their_words_on_another_reading_of_the_line(readings, by):
+    """An edit of each word, of each reading on each other: within two frames of the word there."""
+    transcript, off = Transcript.of(SAID), []
+    speech = [Speech.of(reading.waveform) for reading in readings]
+    known = [align_words(one, transcript) if by == "words" else None for one in speech]
+    said = [times_of_words(reading, transcript) for reading in readings]
+    assert min(map(len, said)) >= 20
+    for a, b in permutations(range(len(VOICES)), 2):
+        both = [k for k in said[a] if k in said[b]]
+        edits = tuple(Edit(BROW, ((s, 0.3, 0, 0), (e, 0, 0, 0)), "offset", (s, e))
+                      for s, e in (said[a][k] for k in both))  # fmt: skip
+        (layer,) = with_recording([Layer(edits)], speech[a], known[a])
+        (moved,), (note,) = follow_recording([layer], speech[b], known[b])
+        assert f"follows its {by}" in note and len(moved.edits) == len(both)
+        wanted = np.array([said[b][k] for k in both])
+        spans = np.array([edit.span for edit in moved.edits])
+        off += np.abs(np.round(30 * spans) - np.round(30 * wanted)).ravel().tolist()
+    assert max(off) <= 2 and np.mean(off) < 0.5
 
 
 def words(*rows):

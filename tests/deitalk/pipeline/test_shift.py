@@ -15,7 +15,7 @@ from deitalk.models.curve_model import DEITalk
 from deitalk.postprocess.joins import edge_of
 from deitalk.research.evaluation.benchmark_curves import speechlike
 from rig import read_curves
-from rig.curves.edit import shift, start_with_handles
+from rig.curves.shift import shift, start_with_handles
 from rig.errors import CurveError
 from tests.command import ran, refused
 from tests.deitalk.batch.conftest import InProcess

@@ -11,7 +11,12 @@ from deitalk.audio.voice_activity import active_level_db, speech_activity
 from deitalk.emotions import IntensityCurve
 from deitalk.errors import AudioError
 from deitalk.models.protocol import Tracks, neutral_and_acted
-from deitalk.pipeline.speech import EFFORT_SHARE, PHRASE_FRAMES, Speech, measure_intensities
+from deitalk.pipeline.speech import (
+    EFFORT_SHARE,
+    PHRASE_FRAMES,
+    Speech,
+    measure_intensities,
+)
 from deitalk.research.evaluation.benchmark_curves import speechlike
 
 

@@ -136,12 +136,30 @@ def test_a_whole_recording_in_blocks_is_that_of_one_block(n_frames, monkeypatch)
         monkeypatch.setattr(whole_pass, "BLOCK_FRAMES", block)
         neutral, emotional, voice, shown, gain, _ = (part[0] for part in inputs(1, n_frames))
         rules = TorchPass(CurvePass(CONTROLS))
-        outside = whole_pass.apply_rules(rules, neutral, emotional, voice, shown, gain)
+        clip = whole_pass.Unruled(neutral, emotional, voice, shown, gain)
+        (outside,) = whole_pass.apply_rules(rules, [clip])
         found.append((emotional, neutral, outside))
     for curves, plain, outside in found[1:]:
         np.testing.assert_allclose(curves, found[0][0], atol=CLOSE)
         np.testing.assert_allclose(plain, found[0][1], atol=CLOSE)
         assert outside == found[0][2]
+
+
+def test_recordings_of_any_lengths_pass_the_rules_side_by_side_as_each_alone(monkeypatch):
+    monkeypatch.setattr(whole_pass, "BLOCK_FRAMES", 16)
+    rules = TorchPass(CurvePass(CONTROLS))
+
+    def clips():
+        sizes = enumerate((40, 1, 16, 23, 6))
+        given = [[part[0] for part in inputs(1, size, seed=seed)[:5]] for seed, size in sizes]
+        return [whole_pass.Unruled(*arrays, ruled=k != 3) for k, arrays in enumerate(given)]
+
+    together, alone = clips(), clips()
+    outside = whole_pass.apply_rules(rules, together)
+    assert outside == [whole_pass.apply_rules(rules, [clip])[0] for clip in alone]
+    for found, expected in zip(together, alone, strict=True):
+        np.testing.assert_allclose(found.shown, expected.shown, atol=CLOSE)
+        np.testing.assert_allclose(found.neutral, expected.neutral, atol=CLOSE)
 
 
 def test_motion_and_gates_meet_the_frame_that_comes_out():
@@ -157,7 +175,7 @@ def test_motion_and_gates_meet_the_frame_that_comes_out():
     shown[20, 0], shown[31, 2] = 0, 1
     curves, neutral, gain = speech.copy(), speech.copy(), np.ones(len(CONTROLS), np.float32)
     rules = TorchPass(CurvePass(CONTROLS))
-    whole_pass.apply_rules(rules, neutral, curves, voice, shown, gain)
+    whole_pass.apply_rules(rules, [whole_pass.Unruled(neutral, curves, voice, shown, gain)])
     for reading in (curves, neutral):
         assert np.flatnonzero(reading[:, jaw] == 0).tolist() == [20]
         assert np.flatnonzero(reading[:, lid] > 0.5).tolist() == [31]
@@ -184,7 +202,8 @@ def finished(neutral, emotional, *, scale=1.0, held=1.0, emotion="happy", mouth=
     gate = ones if mouth is None else mouth
     curves, plain, gain = emotional.copy(), neutral.copy(), np.ones(len(CONTROLS), np.float32)
     rules = TorchPass(CurvePass(CONTROLS))
-    whole_pass.apply_rules(rules, plain, curves, voice, shown_columns(gate, gate, None), gain)
+    shown = shown_columns(gate, gate, None)
+    whole_pass.apply_rules(rules, [whole_pass.Unruled(plain, curves, voice, shown, gain)])
     return curves, plain
 
 

@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
+from deitalk.audio.frames import runs
 from deitalk.audio.prosody import measure_prosody
 from deitalk.audio.voice_activity import speech_activity
 from deitalk.config.rules import VoiceIntensity
-from deitalk.postprocess.feeling import MOST, intensity_of, phrases, state_of, voice_intensity
+from deitalk.postprocess.feeling import MOST, Phrases, intensity_of, state_of, voice_intensity
 from tests.deitalk.audio.test_prosody import voice
 
 RULE = VoiceIntensity()
@@ -16,7 +17,7 @@ USUAL = MOST / (1 + np.exp(0.1 * 0.5))
 
 def corrected(waveform: np.ndarray, network: np.ndarray, strength: float = 0.0) -> np.ndarray:
     prosody = measure_prosody(waveform, len(network))
-    return voice_intensity(network, prosody, speech_activity(waveform), strength)
+    return voice_intensity(network, prosody, speech_activity(waveform) > 0, strength)
 
 
 def louder(factor: float = 3.0) -> np.ndarray:
@@ -75,7 +76,7 @@ def test_display_has_no_mean_in_any_phrase():
     waveform = np.concatenate((voice(), pause, 4 * voice(), pause))
     network = np.linspace(0.2, 0.9, 240).astype(np.float32)
     intensity, speaking = corrected(waveform, network), speech_activity(waveform) > 0
-    found = phrases(speaking)
+    found = runs(Phrases(speaking).inside)
     assert len(found) == 2
     for start, stop in found:
         spoken = intensity[start:stop][speaking[start:stop]]
@@ -97,7 +98,7 @@ def test_hiss_and_wrong_octaves_do_not_move_the_tone():
         pitch=np.where(np.arange(90) % 10 == 5, prosody.pitch + 14, prosody.pitch),
         bright=np.where(np.arange(90) % 10 == 7, 1e3 * prosody.dark, prosody.bright),
     )
-    on = np.ones(90, np.float32)
+    on = np.ones(90, bool)
     flat = np.full(90, 0.5, np.float32)
     clean, other = (voice_intensity(flat, p, on) for p in (prosody, hiss))
     np.testing.assert_allclose(other, clean, atol=0.02)
@@ -125,11 +126,10 @@ def test_intensity_around_speech_is_that_of_its_state():
     np.testing.assert_allclose(intensity[[0, 30, 180, 209]], expected, rtol=1e-3)
 
 
-@pytest.mark.parametrize("frames", [0, 90])
-def test_intensity_without_speech_is_the_usual_one(frames):
+def test_intensity_without_speech_is_the_usual_one():
     """So that a keyed emotion is shown in silence as it is in a usual voice."""
-    silence, network = np.zeros(frames * 16_000 // 30, np.float32), np.zeros(frames, np.float32)
-    np.testing.assert_allclose(corrected(silence, network), np.full(frames, USUAL), rtol=1e-5)
+    silence, network = np.zeros(48_000, np.float32), np.zeros(90, np.float32)
+    np.testing.assert_allclose(corrected(silence, network), np.full(90, USUAL), rtol=1e-5)
 
 
 @pytest.mark.parametrize(
@@ -143,4 +143,5 @@ def test_intensity_without_speech_is_the_usual_one(frames):
     ],
 )
 def test_phrases_are_parted_by_pauses_of_more_than_a_quarter_of_a_second(speaking, expected):
-    assert phrases(np.array([c == "1" for c in speaking], bool)).tolist() == expected
+    flags = np.array([c == "1" for c in speaking], bool)
+    assert runs(Phrases(flags).inside).tolist() == expected

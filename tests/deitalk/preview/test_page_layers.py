@@ -10,7 +10,9 @@ from deitalk.config.rules import KeepContacts
 from deitalk.postprocess.control_groups import ControlGroups
 from deitalk.preview.page import render_page
 from rig import default_controls
-from rig.curves.layers import Edit, Layer, apply_layers, parse_layers, read_layers
+from rig.curves.apply_layers import apply_layers
+from rig.curves.layer_files import parse_layers, read_layers
+from rig.curves.layers import Edit, Layer
 from tests.browser import chromium, needs_player, numbers, opened
 from tests.deitalk.preview.test_page import RESET, drag, make_source
 

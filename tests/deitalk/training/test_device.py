@@ -5,7 +5,7 @@ import torch
 from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_leaves
 
-from deitalk.data.windows import Share
+from deitalk.data.seeded_batches import Share
 from deitalk.training.curve_losses import CurveLoss
 from deitalk.training.tuning.task import FinetuneTask
 from tests.deitalk.training.conftest import recipe

@@ -18,7 +18,7 @@ from deitalk.cli.console import name_option
 from deitalk.config.finetuning import FinetuneConfig
 from deitalk.config.rig_file import read_controls
 from deitalk.data.clips import read_clips
-from deitalk.data.windows import Share
+from deitalk.data.seeded_batches import Share
 from deitalk.errors import CheckpointError, ConfigError, DataError
 from deitalk.evaluation.captures import warnings_of
 from deitalk.evaluation.comparison import CaptureSet

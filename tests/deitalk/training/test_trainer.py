@@ -14,7 +14,7 @@ from torch import Tensor, nn
 
 from deitalk.config.curves import Config
 from deitalk.config.load import parse_config
-from deitalk.data.windows import SeededBatches, Share
+from deitalk.data.seeded_batches import SeededBatches, Share
 from deitalk.errors import ConfigError, DataError
 from deitalk.evaluation.clips_figure import ClipRows, Row
 from deitalk.training import trainer as module

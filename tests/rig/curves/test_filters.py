@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from scipy.ndimage import gaussian_filter1d, maximum_filter1d
+from scipy.ndimage import gaussian_filter1d
 
-from rig.curves.edit import gaussian_smooth, sliding_maximum
+from rig.curves.filters import gaussian_smooth
 
 
 @pytest.mark.parametrize(("ends", "mode"), [("zero", "constant"), ("mirror", "reflect")])
@@ -23,16 +23,3 @@ def test_gaussian_keeps_a_constant_and_spreads_an_impulse_to_its_deviation():
     frames = np.arange(101) - 50
     assert spread.sum() == pytest.approx(1)
     assert np.sqrt((spread * frames**2).sum()) == pytest.approx(5.0, rel=0.01)
-
-
-def test_sliding_maximum_reaches_half_the_window():
-    values = np.zeros((9, 1), np.float32)
-    values[4] = 1
-    assert sliding_maximum(values, 5)[:, 0].tolist() == [0, 0, 1, 1, 1, 1, 1, 0, 0]
-
-
-@pytest.mark.parametrize("frames", [1, 2, 3, 40])
-def test_sliding_maximum_equals_scipy(rng, frames):
-    values = rng.normal(size=(frames, 3)).astype(np.float32)
-    expected = maximum_filter1d(values, 7, axis=0)
-    np.testing.assert_array_equal(sliding_maximum(values, 7), expected)

@@ -7,17 +7,10 @@ import numpy as np
 import pytest
 
 from rig import RigCurves, default_controls
+from rig.curves.apply_layers import Closures, apply_layers, retimed
 from rig.curves.layer_diff import layer_of_changes
-from rig.curves.layers import (
-    Closures,
-    Edit,
-    Layer,
-    Sound,
-    apply_layers,
-    parse_layers,
-    read_layers,
-    retimed,
-)
+from rig.curves.layer_files import parse_layers, read_layers
+from rig.curves.layers import Edit, Layer, Sound
 from rig.errors import ControlError, CurveError
 from tests.errors import one_line
 

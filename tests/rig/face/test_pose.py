@@ -61,6 +61,16 @@ def test_seal_closes_the_lips_in_any_pose(person, share):
 
 
 @pytest.mark.parametrize("person", PEOPLE)
+@pytest.mark.parametrize("amount", [0.8, 0.9, 0.97, 1.0])
+def test_lips_that_are_nearly_together_are_shut(person, amount):
+    """Contacts of a take end below 1: 0.3 mm of gap from 0.8 on, over the jaw of speech."""
+    lips = {"*mouth_lipsTogetherU.ty": amount, "*mouth_lipsTogetherD.ty": amount}
+    jaws = np.stack([pose_values({**lips, "CTRL_C_jaw.ty": jaw}) for jaw in (0.05, 0.15, 0.3)])
+    head = build_head(person)
+    assert head.lip_gaps(head.pose(jaws)).max() < 0.03  # cm
+
+
+@pytest.mark.parametrize("person", PEOPLE)
 def test_open_jaw_without_seal_opens_the_lips(person):
     head = build_head(person)
     gap = head.lip_gaps(head.pose(pose_values({"CTRL_C_jaw.ty": 1})[None])).max()

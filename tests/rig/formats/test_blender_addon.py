@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 import soundfile
 
-from deitalk.pipeline.performance import write_exchange_files
+from deitalk.pipeline.exchange_files import write_exchange_files
 from rig import RigCurves, default_controls, read_curves, write_curves
 from rig.conversion.arkit import arkit_controls, board_to_raw
 from rig.conversion.shape_fit import shape_key

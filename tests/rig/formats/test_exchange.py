@@ -2,11 +2,11 @@ import json
 
 import pytest
 
-from deitalk.pipeline.performance import write_exchange_files
+from deitalk.pipeline.exchange_files import write_exchange_files
 from rig import rest_curves
 from rig.errors import RigError
 from rig.formats.livelink_csv import read_take, subject_of
-from rig.validation import validate
+from rig.validation.files import validate
 
 
 def test_both_files_are_written_and_described(tmp_path):

@@ -31,7 +31,7 @@ from rig.formats.livelink_csv import (
     timecode_text,
     write_take,
 )
-from rig.validation import validate
+from rig.validation.files import validate
 from tests import unreal_live_link
 from tests.rig.unreal.test_unreal import SUBJECTS, head_of_rotator
 

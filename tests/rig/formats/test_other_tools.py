@@ -9,7 +9,7 @@ from rig.conversion.arkit import ARKIT_ID, RAW_ID, board_to_raw
 from rig.conversion.convert import convert
 from rig.errors import FormatError
 from rig.formats.emoface_txt import columns
-from rig.validation import validate
+from rig.validation.files import validate
 
 BOARD = default_controls()
 NVIDIA = [

@@ -19,7 +19,7 @@ from rig.mesh import fbx
 from rig.mesh.glb import GlbBuilder, read_container, write_container
 from rig.retarget.morph_head import PICTURE, baked_picture
 from rig.retarget.retarget_files import retarget_curves
-from rig.validation import validate
+from rig.validation.files import validate
 from tests.errors import one_line
 from tests.readers import take
 from tests.rig.retarget import test_bones as bones

@@ -19,6 +19,7 @@ from rig.face import build_head
 from rig.face.head_pose import matrices
 from rig.retarget.head_glb import arkit_pose
 from rig.retarget.morph_head import srgb_to_linear, textured
+from tests.errors import one_line
 from tests.rig.formats.test_other_tools import NVIDIA
 
 BOARD = default_controls()
@@ -56,11 +57,12 @@ def accessor(glb, blob, index):
         v = glb.bufferViews[i]
         return np.frombuffer(blob, kind, count * columns, v.byteOffset).reshape(count, columns)
 
-    kinds = {5126: "<f4", 5125: "<u4"}
+    kinds = {5126: "<f4", 5125: "<u4", 5123: "<u2"}
     if a.bufferView is not None:
         array = view(a.bufferView, kinds[a.componentType], a.count, width).copy()
     if a.sparse is not None:
-        rows = view(a.sparse.indices.bufferView, "<u4", a.sparse.count, 1)[:, 0]
+        indices = a.sparse.indices
+        rows = view(indices.bufferView, kinds[indices.componentType], a.sparse.count, 1)[:, 0]
         array[rows] = view(a.sparse.values.bufferView, "<f4", a.sparse.count, width)
     return array
 
@@ -233,6 +235,26 @@ def test_usd_holds_the_posed_head_by_usd_core(usd_path, curves):
     assert Gf
     error = np.linalg.norm(np.asarray(points) - posed(curves)[2], axis=-1)
     assert error.max() < 0.15  # cm
+
+
+@pytest.mark.parametrize(
+    "composed",
+    [
+        'def "a" (references = @{}@</head>) {{}}',
+        'def "a" (payload = @{}@</head>) {{}}',
+        '(subLayers = [@{}@])',
+        'def "a" (clips = {{dictionary default = {{asset[] assetPaths = [@{}@]}}}}) {{}}',
+        'def "a" (variantSets = "v") {{\nvariantSet "v" = {{\n"x" {{\n'
+        'def "b" (references = @{}@</head>) {{\n}}\n}}\n}}\n}}',
+    ],
+)  # fmt: skip
+def test_usd_that_has_other_files_opened_is_refused(usd_path, tmp_path, composed):
+    """They may lie anywhere on the machine of a service."""
+    text = composed.format(usd_path)
+    path = tmp_path / "a.usda"
+    path.write_text("#usda 1.0\n" + (text if text.startswith("(") else f"()\n{text}") + "\n")
+    with one_line(FormatError, match="is composed of other files .*; flatten it to one"):
+        read_curves(path, control_set=None)
 
 
 def test_usd_has_the_head_that_is_asked_for(tmp_path):

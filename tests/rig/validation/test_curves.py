@@ -8,7 +8,7 @@ from rig import RigCurves, default_controls, rest_curves, write_curves
 from rig.conversion.arkit import arkit_controls
 from rig.errors import FormatError
 from rig.formats.livelink_csv import LiveLinkTake, frame_ticks, write_take
-from rig.validation import validate
+from rig.validation.files import validate
 from tests.unreal_live_link import import_csv
 
 BOARD = default_controls()

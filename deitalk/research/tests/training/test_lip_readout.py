@@ -82,7 +82,7 @@ def test_corrected_curves_show_the_mixed_measures(rng):
     shown = rng.normal(size=(M, size)), rng.normal(size=M)
     module = LipReadout(5, names)
     _, _, measures = filled(module, rng, shown, np.linalg.pinv(shown[0]))
-    for table in (module.places, module.values, module.narrows):
+    for table in (module.places, module.values):
         table.zero_()
     module.own.fill_(1)
     features = rng.normal(size=(30, 5)).astype(np.float32)

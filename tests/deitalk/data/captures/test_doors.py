@@ -20,7 +20,7 @@ from deitalk.data.captures.take import paired, read_capture
 from rig import read_curves, write_curves
 from rig.conversion.arkit import ARKIT_ID, HEAD, arkit_controls
 from rig.errors import UserError
-from rig.validation import validate
+from rig.validation.files import validate
 from tests.command import deitalk, ran, refused
 from tests.takes import bursts
 

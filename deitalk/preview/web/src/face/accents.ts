@@ -1,10 +1,9 @@
 /** Depth of creases and shadow of lids, the same mathematics as `rig.face.accents` in Python. */
 
 import type { Packed } from "../data/packed";
-import type { Rig } from "./rig";
+import { type Rig, smoothstep } from "./rig";
 
 const clamp = (x: number) => Math.min(Math.max(x, 0), 1);
-const smoothstep = (x: number) => clamp(x) ** 2 * (3 - 2 * clamp(x));
 
 export class Accents {
   /** One number a vertex. */

@@ -3,6 +3,7 @@
 import type { Arrays, Packed } from "../data/packed";
 
 const clamp = (x: number, low = 0, high = 1) => Math.min(Math.max(x, low), high);
+export const smoothstep = (x: number) => clamp(x) ** 2 * (3 - 2 * clamp(x));
 const DEGREE = Math.PI / 180;
 
 export class Rig {
@@ -33,7 +34,9 @@ export class Rig {
     this.vertices.set(this.neutral);
     this.addShapes();
     this.clearEyes();
-    for (const power of this.f.seal.powers) this.sealLips(power);
+    const [first, last] = this.f.seal.finish;
+    const finished = (amount: number) => smoothstep((amount - first) / (last - first));
+    for (const of of [(amount: number) => amount, finished, () => 0]) this.sealLips(of);
     this.follow();
     this.turnEyes(values);
     this.copySeams();
@@ -102,8 +105,8 @@ export class Rig {
     return out;
   }
 
-  private sealLips(power: number): void {
-    const { fade, parts, count } = this.sealed(power);
+  private sealLips(of: (amount: number) => number): void {
+    const { fade, parts, count } = this.sealed(of);
     const upper = this.columns(0), lower = this.columns(1);
     const { along } = this.f.seal;
     [upper.slice(), lower.slice()].forEach((move, lip) => {
@@ -127,15 +130,15 @@ export class Rig {
     });
   }
 
-  /** How far each lip covers the gap at each column. */
-  private sealed(power: number) {
+  /** How far each lip covers the gap at each column, of how far it is sealed. */
+  private sealed(of: (amount: number) => number) {
     const fade = this.a["seal.fade"], count = fade.length;
     const parts = [0, 1].map((lip) => {
       const profile = this.a[`lip${lip}.profile`];
       return Array.from({ length: count }, (_, p) => {
         let sum = 0;
         for (let j = 0; j < this.inputs.length; j++) sum += this.inputs[j] * profile[j * count + p];
-        return clamp(sum) ** power * this.f.seal.parts[lip];
+        return of(clamp(sum)) * this.f.seal.parts[lip];
       });
     });
     return { fade, parts, count };

@@ -1,0 +1,281 @@
+"""One voice that has not ended: its sound, its acting, and the frames that it gives.
+
+Letters: S samples, n frames of a call, P spectra a frame, W samples of a spectrum, C controls.
+"""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from deitalk.acting import Acting
+from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE, frame_count
+from deitalk.audio.voice_activity import WINDOW
+from deitalk.emotions import EmotionTrack
+from deitalk.live.analysis import MEASURED_AHEAD
+from deitalk.models.protocol import (
+    SpectraGrid,
+)
+from deitalk.postprocess.feeling import fade
+from deitalk.postprocess.joins import MOST_HEAD_FRAMES, Edge, Passage
+from deitalk.postprocess.life.voice import Seeds, Traits
+from deitalk.postprocess.tracks import LIVE_AHEAD
+from deitalk.postprocess.variants import choose_ways
+from rig import ControlSet
+from rig.arrays import Float32, Int64
+from rig.curves import HEAD
+from rig.curves.edit import gain_factors
+
+if TYPE_CHECKING:
+    pass
+
+
+CLOSING_FRAMES, OPENING_FRAMES = 3, 5
+"""Frames in which the mouth of a voice that is interrupted shuts: a tenth of a second; and over
+which it may open again for the sound that comes then."""
+RAMP_SECONDS = 0.2
+"""Time over which one emotion, or intensity, passes into the next."""
+
+
+class Change(NamedTuple):
+    """Emotion and intensity from a time of the sound on."""
+
+    seconds: float
+    emotion: EmotionTrack
+    intensity: float
+
+
+class Sound:
+    """The last samples of a stream at 16 kHz."""
+
+    def __init__(self) -> None:
+        self.samples, self.begin, self.end = np.zeros(0, np.float32), 0, 0
+        """The last ones, the number of the first of them, and how many have come."""
+
+    def append(self, samples: Float32) -> None:
+        """Take the next samples."""
+        self.samples = np.concatenate((self.samples, samples))
+        self.end += samples.size
+
+    def windows(self, starts: Int64, size: int) -> Float32:
+        """`size` samples from each start on [shape=(..., n, size)]; silence before the first."""
+        first = int(starts[0])
+        piece = self.samples[..., max(first - self.begin, 0) :]
+        if first < 0:
+            silence = np.zeros((*piece.shape[:-1], -first), np.float32)
+            piece = np.concatenate((silence, piece), axis=-1)
+        rows: Float32 = piece[..., (starts - first)[:, None] + np.arange(size)]
+        return rows
+
+    @classmethod
+    def together(cls, sounds: Sequence["Sound"]) -> "Sound":
+        """Sounds of which as many samples have come and are kept, side by side."""
+        one = cls()
+        one.samples = np.stack([sound.samples for sound in sounds])
+        one.begin, one.end = sounds[0].begin, sounds[0].end
+        return one
+
+    def drop(self, before: int) -> None:
+        """Drop samples before a place."""
+        if before - self.begin > SAMPLE_RATE:
+            self.samples = self.samples[before - self.begin :].copy()
+            self.begin = before
+
+
+class Stream:
+    """One stream.
+
+    Parameters
+    ----------
+    grid : SpectraGrid
+        Of the network.
+    controls : ControlSet
+        Columns of the curves.
+    acting : Acting
+        At the start.
+    moves : bool
+        Whether blinks, gaze, brows, head and neck move.
+    actor : array [shape=(A,)]
+        Weights of the network's actors.
+    """
+
+    def __init__(
+        self,
+        grid: SpectraGrid,
+        controls: ControlSet,
+        acting: Acting,
+        moves: bool,
+        actor: Float32,
+    ) -> None:
+        self.grid, self.controls, self.moves = grid, controls, moves
+        self.actor, self.rest = actor, b""
+        self.other: Sound | None = None
+        """Sound of the one whom it listens to."""
+        self.sound, self.changes = Sound(), [Change(0.0, acting.emotion_track, acting.intensity)]
+        self.acting, self.gain = acting, gain_factors(controls, acting.gain)
+        self.wanted = self._wanted()
+        traits = Traits.of(Seeds((0, 0, acting.seed)).character())
+        self.ways = choose_ways(acting.variant, traits, acting.seed)
+        self.groups = 0
+        self.n_given = -LIVE_AHEAD
+        """Frame that the rules give next."""
+        self.n_total: int | None = None
+        self.frames: list[Float32] = []
+        self.heads: list[Float32] = []
+        self.shut: tuple[int, int] | None = None
+        """First frame of a mouth that is interrupted, and that of the sound that comes after."""
+        self.shown = self.last = (controls.rest, np.zeros(len(HEAD), np.float32))
+        """Frame and head that are on the screen when it is, and those that were given last."""
+        self.passage: Passage | None = None
+
+    def interrupt(self, silence: int, shown: tuple[Float32, Float32] | None) -> None:
+        """Let silence follow from the next frame on, as many samples as make it known."""
+        first = max(self.n_given, 0)
+        sample = first * SAMPLE_RATE // FRAME_RATE - self.sound.begin
+        samples = self.sound.samples.copy()
+        samples[max(sample, 0) :] = 0
+        self.sound.samples, self.rest = samples, b""
+        self.sound.append(np.zeros(silence, np.float32))
+        self.shut, self.shown = (first, frame_count(self.sound.end)), shown or self.last
+        self.passage = None
+
+    def mouth_share(self, count: int) -> Float32:
+        """Share of the mouth's motion in the `count` frames that the rules give next."""
+        if self.shut is None:
+            return np.ones(count, np.float32)
+        begin, end = self.shut
+        frames = np.arange(self.n_given, self.n_given + count)
+        falls = fade((frames - begin + 1) / CLOSING_FRAMES)
+        rises = 1 - fade((frames - end + 1) / OPENING_FRAMES)
+        return np.maximum(falls, rises)
+
+    def give(self, frames: Float32, heads: Float32, first: int) -> None:
+        """Give the frames from number `first` on.
+
+        After an interruption they begin in the frame that was shown: the expression stays until
+        new sound comes.
+        """
+        if self.shut is not None and len(frames):
+            begin, end = self.shut
+            if self.passage is None:
+                pose, head = (tuple(part.tolist()) for part in self.shown)
+                names, still = self.controls.names, tuple(0.0 for _ in HEAD)
+                edge = Edge(dict(zip(names, pose, strict=True)), {}, head, still)
+                self.passage = Passage.of(
+                    self.controls, edge, heads[0], MOST_HEAD_FRAMES,
+                    mouth=CLOSING_FRAMES - 1, held=end - begin,
+                )  # fmt: skip
+            self.passage.mix(frames, heads, first - begin)
+            if first + len(frames) >= begin + max(self.passage.n_frames, end - begin):
+                self.passage = None
+                self.shut = None if first + len(frames) >= end + OPENING_FRAMES else self.shut
+        if len(frames):
+            self.last = frames[-1], heads[-1]
+        self.frames.append(frames)
+        self.heads.append(heads)
+
+    def change(self, acting: Acting) -> None:
+        """Act otherwise from the sound on that comes next; at once before any."""
+        self.gain = gain_factors(self.controls, acting.gain)  # an error changes nothing
+        before, self.acting = self.acting, acting
+        change = Change(self.sound.end / SAMPLE_RATE, acting.emotion_track, acting.intensity)
+        if (acting.emotion, acting.intensity) != (before.emotion, before.intensity):
+            self.changes = [*self.changes, change] if self.sound.end else [change]
+            self.wanted = self._wanted()
+
+    def _wanted(self) -> tuple[Float32, float] | None:
+        """Emotion (9,) and intensity of the last change; None if the emotion has keys."""
+        last = self.changes[-1]
+        return None if self.acting.is_keyed else (last.emotion.at([0.0])[0], last.intensity)
+
+    def finish(self) -> None:
+        """Take the end of the sound: silence follows, until the last frame is known."""
+        self.n_total = frame_count(self.sound.end)
+        self.sound.append(np.zeros(round(1.5 * SAMPLE_RATE), np.float32))
+
+    def n_ready(self) -> int:
+        """Groups of spectra whose samples have come and that were not taken."""
+        if self.n_total is not None:
+            return self.n_total + LIVE_AHEAD + self.grid.delay - self.groups
+        rate, length = self.grid.rate, self.grid.length
+        frames = MEASURED_AHEAD - 1 - self.grid.delay
+        measured = frames * SAMPLE_RATE // FRAME_RATE + WINDOW // 2 + SAMPLE_RATE // rate
+        # centre of the last spectrum that is whole, and whose group can be measured
+        last = self.sound.end - max(length - length // 2, measured)
+        spectra = int((last + 0.5) * rate / SAMPLE_RATE) + 2
+        while spectra > 0 and round((spectra - 1) * SAMPLE_RATE / rate) > last:
+            spectra -= 1
+        return max(spectra // self.grid.spectra - self.groups, 0)
+
+    def spectrum_starts(self, count: int) -> Int64:
+        """First samples of the spectra of the next groups [shape=(count P,)]."""
+        grid = self.grid
+        index = np.arange(self.groups * grid.spectra, (self.groups + count) * grid.spectra)
+        centres = np.round(index * SAMPLE_RATE / grid.rate).astype(np.int64)
+        return centres - grid.length // 2
+
+    def measured_starts(self, count: int) -> Int64:
+        """First samples of the frames `MEASURED_AHEAD` after the next groups [shape=(count,)]."""
+        stop = self.groups + count - self.grid.delay + MEASURED_AHEAD
+        starts: Int64 = np.arange(stop - count, stop) * SAMPLE_RATE // FRAME_RATE - WINDOW // 2
+        return starts
+
+    def hear(self, samples: Float32, begin: int) -> None:
+        """Take sound of the one whom it listens to, which begins with a sample of its own."""
+        self.other = self.other or Sound()
+        silent = max(begin - self.other.end, 0)
+        self.other.append(np.concatenate((np.zeros(silent, np.float32), samples)))
+
+    def other_windows(self, starts: Int64) -> Float32 | None:
+        """Sound (n, `WINDOW`) of the one whom it listens to, silence where none has come."""
+        if self.other is None:
+            return None
+        self.hear(np.zeros(0, np.float32), self.sound.end)
+        windows = self.other.windows(starts, WINDOW)
+        self.other.drop(int(starts[-1]))
+        return windows
+
+    def forget(self) -> None:
+        """Drop sound and changes that no frame needs any more."""
+        stop = self.groups - self.grid.delay + MEASURED_AHEAD
+        spectrum = int(self.groups * SAMPLE_RATE / FRAME_RATE) - self.grid.length
+        self.sound.drop(min(spectrum, stop * SAMPLE_RATE // FRAME_RATE - WINDOW))
+        seconds = (self.groups - self.grid.delay) / FRAME_RATE - RAMP_SECONDS
+        while len(self.changes) > 1 and self.changes[1].seconds < seconds:
+            self.changes.pop(0)
+
+    def given(self, count: int) -> slice:
+        """Which of the `count` frames that the rules give next there are.
+
+        None before the first one, `LIVE_AHEAD` behind the network's rows, and none after the last.
+        """
+        first = self.n_given
+        self.n_given += count
+        stop = self.n_given if self.n_total is None else min(self.n_given, self.n_total)
+        late = min(max(-first, 0), count)
+        return slice(late, max(stop - first, late))
+
+    def collect(self) -> tuple[Float32, Float32]:
+        """Frames since the last call [shape=(n, C)], and their track of the head [shape=(n, 6)]."""
+        frames, heads = self.frames, self.heads
+        self.frames, self.heads = [], []
+        if not frames:
+            return _none(len(self.controls)), _none(len(HEAD))
+        return np.concatenate(frames), np.concatenate(heads)
+
+    def directed(self, count: int) -> tuple[Float32, Float32]:
+        """Emotion (count, 9) and intensity (count,) that the acting wants in the next groups."""
+        frames = np.arange(self.groups, self.groups + count) - self.grid.delay
+        times = np.maximum(frames, 0) / FRAME_RATE
+        first = self.changes[0]
+        emotion = first.emotion.at(times)
+        intensity = np.full(len(times), first.intensity, np.float32)
+        for change in self.changes[1:]:
+            share = np.clip((times - change.seconds) / RAMP_SECONDS, 0, 1).astype(np.float32)
+            emotion = emotion + share[:, None] * (change.emotion.at(times) - emotion)
+            intensity = intensity + share * (np.float32(change.intensity) - intensity)
+        return emotion.astype(np.float32), intensity.astype(np.float32)
+
+
+def _none(count: int) -> Float32:
+    return np.zeros((0, count), np.float32)
