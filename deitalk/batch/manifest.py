@@ -202,9 +202,13 @@ class _Reader:
             raise DeitalkError(
                 f"{', '.join(given)} without a performance; name one, or leave it out"
             )
-        paths = {n: joined(self.base, given[n]) for n in DUBBING[:3] if n in given}
-        numbers = {n: number(given[n], n, "column") for n in DUBBING[3:] if n in given}
-        return Dubbing(**paths, **numbers)
+        for name in DUBBING[:3]:
+            if name in given:
+                given[name] = joined(self.base, given[name])
+        for name in DUBBING[3:]:
+            if name in given:
+                given[name] = number(given[name], name, "column")
+        return Dubbing(**given)
 
 
 class _Beside(dict[str, Path]):
