@@ -155,9 +155,6 @@ def missing(path: object, row: int, name: str, needed: Sequence[str]) -> Emotion
     )
 
 
-# --- spreadsheets
-
-
 @dataclass(frozen=True)
 class _Sheet(Table):
     path: object
@@ -229,9 +226,6 @@ def _first_line(text: str) -> tuple[str, str]:
     if end is None:
         return text[: limits.HEADER_BYTES], ""
     return text[: min(end.start(), limits.HEADER_BYTES)], text[end.end() :]
-
-
-# --- lists of keys
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,9 @@
 """Curves of NVIDIA's Audio2Face: ``animation_frames.csv``, and JSON of its application.
 
-The CSV is read as any table of ARKit's shapes (`rig.formats.curves_csv.read`).
+The CSV is read as any table of ARKit's shapes (`rig.formats.curves_csv.read`). The JSON has
+``exportFps``, ``trackPath``, ``numPoses``, ``numFrames``, ``facsNames`` and ``weightMat`` with a
+row of weights a frame; names are ARKit's in any spelling, or those of an avatar of
+`rig.conversion.avatars`.
 """
 
 import json
@@ -38,12 +41,6 @@ def write(path: Path, curves: RigCurves) -> None:
         header = ("", "timeCode", *(A2F_PREFIX + name for name in names))
         stream.write(",".join(header).encode() + b"\n")
         stream.writelines(rows(blocks))
-
-
-# Blendshape weights as NVIDIA's Audio2Face application exports them: ``facsNames``, ``weightMat``.
-#
-# ``exportFps``, ``trackPath``, ``numPoses``, ``numFrames``, ``facsNames`` and one row of weights a
-# frame. Names are ARKit's in any spelling, or those of an avatar of `rig.conversion.avatars`.
 
 
 def write_json(path: Path, curves: RigCurves, sound: str = "") -> None:

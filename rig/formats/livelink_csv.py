@@ -30,7 +30,7 @@ from rig.curves.rig_curves import STANDARD_RATES
 from rig.curves.timecode import TICKS_PER_SECOND, Clock, read_timecodes
 from rig.errors import CurveError, FormatError
 from rig.formats.decimal_text import Block, Text, rows
-from rig.formats.named import seen_of, usual_steps
+from rig.formats.even_grid import seen_of, usual_steps
 from rig.formats.wide_csv import read_layout, read_numbers
 
 DECIMALS = 10

@@ -99,9 +99,6 @@ def check_rate(fps: float, where: object) -> None:
         )
 
 
-# Shapes and channels.
-
-
 OVERSHOOT = 1.5
 """Of the end of a range: calibrated captures exceed it by less."""
 CLEARLY = 3.0

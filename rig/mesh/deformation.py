@@ -1,4 +1,7 @@
-"""From deformation gradients back to vertices (SDFA §3.5, Eq. 5-6).
+"""Deformation gradients of triangles, and vertices of them (SDFA §3.4-3.5, Eq. 5-6).
+
+The gradient of triangle i is its rotation and stretch from the neutral face, `T_i = R_i S_i`; a
+frame is packed as s (6N) and r (3N).
 
 The fourth vertices are eliminated: the columns of Eq. 1's system that belong to them only hold
 T n, which does not depend on the three real vertices. The rest is, per triangle, the gradient
@@ -23,11 +26,6 @@ from rig.mesh.trimesh import TriMesh, components, degenerate_triangles, triangle
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
-
-
-# Deformation gradients: rotation and stretch of each triangle from the neutral face (SDFA §3.4).
-#
-# The gradient of triangle i is `T_i = R_i S_i`; a frame is packed as s (6N) and r (3N).
 
 
 def exp_entries(vectors: Float64) -> Float64:
