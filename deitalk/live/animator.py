@@ -338,7 +338,7 @@ class LiveAnimator:
 
     def _first(self, batch: int) -> tuple[Arrays, Arrays, Arrays, Arrays]:
         """State before the first sound: of the network, its own voice, the rules, the other one."""
-        network = tuple(part.copy() for part in self.network.first_state(batch))
+        network = self.network.first_state(batch)
         mixture = np.zeros((batch, LIVE_AHEAD, len(LABELS)), np.float32)
         speaking = np.zeros((batch, LIVE_AHEAD), bool)
         due = self.rules.first(batch), mixture, speaking, *self.cues.first(batch)
