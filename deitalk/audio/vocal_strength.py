@@ -17,7 +17,6 @@ import numpy as np
 from deitalk.array_functions import (
     Array,
     as_index,
-    as_number,
     convolved,
     filtered,
     gelu,
@@ -104,7 +103,7 @@ class VocalStrength:
         if not is_tensor(frames) and not is_voiced:
             return np.float32(0), np.zeros(len(frames), np.float32)
         rows, _ = without_level(frames)
-        weight = xp.clip(as_number(frames[:, -1:] > 0), REST_WEIGHT, None)
+        weight = xp.clip(frames[:, -1:], REST_WEIGHT, None)
         read = [_member(weights, rows, weight) for weights in self._members.values()]
         whole, blocks = (xp.stack(part).mean(0) for part in zip(*read, strict=True))
         # Between the middles of blocks by straight lines.
@@ -151,7 +150,8 @@ def _pooled(x: Array, weight: Array) -> tuple[Array, Array]:
     moved = x - centre
 
     def sums(values: Array) -> Array:
-        return padded(values, 0, more).reshape(-1, BLOCK_FRAMES, values.shape[1]).sum(1)
+        blocks = padded(values, 0, more).reshape(-1, BLOCK_FRAMES, values.shape[1]).sum(1)
+        return blocks if is_tensor(blocks) else precise(blocks)
 
     parts = [sums(weight), sums(weight * moved), sums(weight * moved * moved)]
     found = []
