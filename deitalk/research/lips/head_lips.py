@@ -19,9 +19,10 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
+from deitalk.postprocess.torch_columns import smoothstep
 from rig.arrays import Float32, Int64
 from rig.controls import default_controls
-from rig.face.head import UPPER_PART, Head
+from rig.face.head import FINISH, UPPER_PART, Head
 
 MEASURES = ("opening", "jaw", "width", "upper_lip", "lower_lip", "corner")
 """Mean gap of the rims, chin to nose base, distance of the corners; upper rim, lower rim and
@@ -151,18 +152,18 @@ class HeadLips(nn.Module):
 
     def _seal(self, upper: Tensor, lower: Tensor, halves: Tensor) -> tuple[Tensor, Tensor]:
         """Bring the rims (..., P, 3) together (`rig.face.head.seal_lips`)."""
-        part_u, part_l = (
-            part * (halves @ seal).clamp(0, 1)
-            for part, seal in zip(self._parts, self.seals, strict=True)
-        )
-        gap = upper - lower
-        crossed = gap[..., 1].clamp(max=0) * (1 - part_u - part_l) / 2
-        rise = torch.stack((torch.zeros_like(crossed), crossed, torch.zeros_like(crossed)), dim=-1)
+        sealed = [(halves @ seal).clamp(0, 1) for seal in self.seals]
+        first, last = FINISH
+        finished = [smoothstep((s - first) / (last - first)) for s in sealed]
         fade = self.fade[:, None]
-        return (
-            upper - fade * (gap * part_u[..., None] + rise),
-            lower + fade * (gap * part_l[..., None] + rise),
-        )
+        for amounts in (sealed, finished, [0 * s for s in sealed]):
+            part_u, part_l = (part * s for part, s in zip(self._parts, amounts, strict=True))
+            gap = upper - lower
+            crossed = gap[..., 1].clamp(max=0) * (1 - part_u - part_l) / 2
+            rise = torch.stack((0 * crossed, crossed, 0 * crossed), dim=-1)
+            upper = upper - fade * (gap * part_u[..., None] + rise)
+            lower = lower + fade * (gap * part_l[..., None] + rise)
+        return upper, lower
 
 
 def _distance(a: Tensor, b: Tensor) -> Tensor:
