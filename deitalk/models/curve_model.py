@@ -290,12 +290,12 @@ class DEITalk(nn.Module):
         )
         if self.lips is not None:
             curves = self.lips.correct(curves, self.lips(rows, None, clips)[0])
-        values, ends = curves.cpu().numpy(), np.cumsum(clips.counts)[:-1]
+        values, ends = curves.float().cpu().numpy(), np.cumsum(clips.counts)[:-1]
         tracks: list[list[Float32]] = []
         if intensity is not None:
             known = [intensity.saliency, intensity.strength]
             known += [] if intensity.effort is None else [intensity.effort]
-            tracks = np.split(torch.cat(known).cpu().numpy(), ends, axis=1)
+            tracks = np.split(torch.cat(known).float().cpu().numpy(), ends, axis=1)
         return [
             Reading(
                 each[0],
