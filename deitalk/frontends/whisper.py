@@ -553,7 +553,7 @@ class WhisperFrontend(StridedFrontend):
             _, sounds, peaks = zip(*(pieces[place] for place in batch), strict=True)
             found.append(self._encoded(sounds, np.array(peaks, np.float32), sizes[batch]))
         rows = self._laid([piece for piece, _, _ in pieces], begins, sizes, torch.cat(found))
-        return list(rows.split(list(counts)))
+        return list(torch.split(rows, list(counts)))
 
     def _encoded(self, sounds: Sequence[Float32], peaks: Float32, sizes: Int64) -> Tensor:
         """Features (K, D) of sounds (S,), one after the other; attention alone is padded.
@@ -590,7 +590,7 @@ class WhisperFrontend(StridedFrontend):
         self, pieces: Sequence[Piece], begins: Int64, sizes: Int64, features: Tensor
     ) -> Tensor:
         """Rows (T, D) of all clips from features (K, D) of their pieces, as `_add` lays them."""
-        between, laid, count = [], [np.zeros((3, 0))], 0
+        between, laid, count = list[Any](), list[Any]([np.zeros((3, 0))]), 0
         for (start, done, stop, sample, _), begin, size in zip(pieces, begins, sizes, strict=True):
             below, above, part = self._places(start, stop, sample, int(size))
             between.append(np.stack((below + begin, above + begin, part)))
@@ -600,10 +600,10 @@ class WhisperFrontend(StridedFrontend):
                 laid[-1][2, -both:] = np.arange(1, both + 1) / (both + 1)
             laid.append(np.stack((entries, entries, np.zeros(len(entries))))[:, both:])
             count += len(entries)
-        for rows in (between, laid):
-            first, second, share = np.concatenate(rows, axis=1)
+        for lines in (between, laid):
+            first, second, share = np.concatenate(lines, axis=1)
             if share.any():
-                places = (torch.from_numpy(row.astype(np.int64)) for row in (first, second))
+                places = (torch.from_numpy(ends.astype(np.int64)) for ends in (first, second))
                 part = torch.from_numpy(share.astype(np.float32)).to(features.device)
                 low, high = (features[place.to(features.device)] for place in places)
                 features = torch.lerp(low, high, part.unsqueeze(-1))

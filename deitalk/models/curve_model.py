@@ -291,7 +291,7 @@ class DEITalk(nn.Module):
         if self.lips is not None:
             curves = self.lips.correct(curves, self.lips(rows, None, clips)[0])
         values, ends = curves.float().cpu().numpy(), np.cumsum(clips.counts)[:-1]
-        tracks: list[list[Float32]] = []
+        tracks: list[Any] = []
         if intensity is not None:
             known = [intensity.saliency, intensity.strength]
             known += [] if intensity.effort is None else [intensity.effort]

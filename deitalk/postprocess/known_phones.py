@@ -176,7 +176,7 @@ def seal_lips(vertices: Float32, reach_mm: float, unit_mm: float) -> Float32:
     move[..., 1] = gap * (1 - far * far * (3 - 2 * far))[:, None]
     sealed = vertices.copy()
     for lip, part in zip(skin.lips, (-UPPER_PART, 1 - UPPER_PART), strict=True):
-        sealed[:, lip.reach] += lip.along(part * move).astype(np.float32)
+        sealed[:, lip.reach] += lip.along((part * move).astype(np.float32))
     return sealed
 
 
