@@ -2,13 +2,9 @@
 
 from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from deitalk.preview.page import check_player
 from deitalk.preview.source import PreviewError
-
-if TYPE_CHECKING:
-    pass
 from deitalk.preview.video import find_encoder
 
 PAGES, VIDEOS = (".html", ".htm"), (".mp4",)

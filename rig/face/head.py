@@ -385,8 +385,8 @@ class Head:
         for ids, eye, least in zip(self.lids, self.eyes, self.lid_least, strict=True):
             away = out[:, ids] - eye[:3].astype(np.float32)
             far = np.sqrt(np.einsum("tvc,tvc->tv", away, away))
-            at = np.nonzero(far < least)
-            out[at[0], ids[at[1]]] += away[at] * (least[at[1]] / far[at] - 1)[:, None]
+            frame, n = np.nonzero(far < least)
+            out[frame, ids[n]] += away[frame, n] * (least[n] / far[frame, n] - 1)[:, None]
         seal_lips(out, motion.lips, self._sealed(halves), motion.fade)
         shift = out[:, self.near] - self._rest[self.near]
         out[:, self.follow] += np.einsum("tvkc,vk->tvc", shift, self.near_weight)

@@ -56,7 +56,7 @@ def embedded(name: str) -> Arrays:
     shared, own = _shared(), _stored(name)
     both = [key for key in own if key in shared]
     joined = {key: np.concatenate([shared[key], own[key]]) for key in both}
-    return shared | own | joined | {"convergence": np.float32(CONVERGENCE_DEGREES)}
+    return shared | own | joined | {"convergence": np.array(CONVERGENCE_DEGREES)}
 
 
 def embedded_pictures(name: str) -> dict[str, bytes]:
@@ -108,8 +108,8 @@ def read_head(path: Path) -> Arrays:
         raise FormatError(f"{path.name} is no whole head; import it again from its GLB")
     none, skin = np.zeros(0, np.int64), int(stops[0])
     return arrays | {
-        "parts": np.array(PARTS), "convergence": np.float32(0), "size": np.float32(1),
-        "purse": np.float32(1), "creases": np.float32(0), "crease_mask": np.zeros((8, skin)),
+        "parts": np.array(PARTS), "convergence": np.array(0), "size": np.array(1.0),
+        "purse": np.array(1.0), "creases": np.array(0), "crease_mask": np.zeros((8, skin)),
         "landmarks": none, "landmark_points": none, "follow": none,
         "near": np.zeros((0, 1), np.int64), "weight": np.zeros((0, 1)),
         "lip_columns": np.array([-1, 1], np.float32), "lip_fade": np.zeros(2, np.float32),

@@ -241,7 +241,7 @@ def _sphere(points: Float64) -> Float64:
 def _kept(shapes: ShapeSet, notes: list[str]) -> tuple[Int64, Int64]:
     """Faces within reach of the head, and their vertices."""
     faces = shapes.neutral.faces
-    near = (np.abs(shapes.neutral.vertices) < REACH_CM).all(1)[faces].all(1)
+    near = (np.abs(shapes.neutral.vertices) < REACH_CM)[faces].all(axis=(1, 2))
     a, b, c = (shapes.neutral.vertices[faces[:, k]] for k in range(3))
     is_whole = np.linalg.norm(np.cross(b - a, c - a), axis=1) > 0
     kept = np.unique(faces[near & is_whole])
@@ -282,5 +282,5 @@ def _motion(shapes: ShapeSet) -> Arrays:
     return {
         "names": np.array(baked.names, str), "count": np.array(counts, np.int32),
         "columns": np.concatenate(columns).astype(np.uint16),
-        "values": np.concatenate(values).T, "step": np.float32(step),
+        "values": np.concatenate(values).T, "step": np.array(step, np.float32),
     }  # fmt: skip

@@ -58,7 +58,7 @@ def surface_of(
     jaw : int
         The shape that opens the jaw.
     """
-    from rig.face.render.occlusion import occlusion  # compiles
+    from rig.retarget.head_light import occlusion  # compiles
 
     notes: list[str] = []
     colours, pictures, uv, kinds = [], [], [], []
@@ -96,7 +96,7 @@ def surface_of(
 
 
 def _bytes(values: Any) -> Picture:
-    return np.round(255 * np.clip(values, 0, 1)).astype(np.uint8)
+    return np.asarray(np.round(255 * np.clip(values, 0, 1)), np.uint8)
 
 
 def _webp(picture: Picture) -> Picture:
@@ -136,8 +136,9 @@ def _kinds(read: GlbParts, piece: Piece, picture: Picture, uv: Float64) -> Int64
     x, y = np.clip(corners * (width, height), 0, (width - 1, height - 1)).astype(int).T
     holes = (picture[y, x, 3] < 255 * SOLID).mean(0)  # of each face
     parts = components(TriMesh(piece.vertices, piece.faces))
-    share = np.bincount(parts[piece.faces[:, 0]], holes, parts.max() + 1)
-    share /= np.maximum(np.bincount(parts[piece.faces[:, 0]], minlength=len(share)), 1)
+    of_face, count = parts[piece.faces[:, 0]], int(parts.max()) + 1
+    found = np.bincount(of_face, holes, count)
+    share = found / np.maximum(np.bincount(of_face, minlength=count), 1)
     return np.where(share[parts] > HOLES, HAIR, kinds)
 
 

@@ -17,7 +17,7 @@ from scipy.spatial import cKDTree
 
 from rig.controls import default_controls
 from rig.face.mesh import CLOTH, EYE, FINE, HAIR, PLAIN, SKIN
-from rig.face.render.occlusion import occlusion
+from rig.retarget.head_light import occlusion
 from tools.heads import pictures
 from tools.heads.base import Base, triangles
 from tools.heads.parts import Person, eye_of

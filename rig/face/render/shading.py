@@ -7,15 +7,11 @@ occlusion whose edge is red on skin, and a gentle shoulder. sRGB is approximated
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from rig.arrays import Float64
 from rig.face.mesh import CLOTH, EYE, FINE, FINE_CM, HAIR, PORES, SKIN, unit
-
-if TYPE_CHECKING:
-    pass
 
 # Cameras: position, target and projection.
 

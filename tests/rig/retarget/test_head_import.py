@@ -140,10 +140,10 @@ def face() -> Face:
 def light(request, monkeypatch):
     """No baked light, which takes most of the time, but where a test asks for it."""
     if "baked" not in request.fixturenames:
-        from rig.face.render import occlusion
+        from rig.retarget import head_light
 
         monkeypatch.setattr(
-            occlusion, "occlusion", lambda points, faces, opaque: np.ones((len(points), 2))
+            head_light, "occlusion", lambda points, faces, opaque: np.ones((len(points), 2))
         )
 
 
