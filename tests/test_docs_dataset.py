@@ -24,7 +24,7 @@ PAGE = (ROOT / "docs/dataset.md").read_text(encoding="utf-8")
 def example(tmp_path_factory):
     """The folder made by the Python code of the page."""
     folder = tmp_path_factory.mktemp("page")
-    (block,) = re.findall(r"```python\n(.*?)```", PAGE, re.S)
+    block = next(b for b in re.findall(r"```python\n(.*?)```", PAGE, re.S) if "clips.csv" in b)
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
         exec(compile(block, "dataset.md", "exec"), {})

@@ -283,8 +283,9 @@ def _staying(weight: Float64, bias: Float64, stays: Bool) -> Maps:
 
 def _each_solved(grams: Float64, pairs: Sequence[Pair], best: Int64) -> tuple[Float64, Float64]:
     """`_solve` of every actor and control with the penalties of its place (A, C) in `pairs`."""
-    weight, bias = _solve(grams, best.shape[1], *pairs[best[0, 0]])
-    for place in set(map(int, best.flat)) - {int(best[0, 0])}:
+    first, *others = dict.fromkeys(best.ravel().tolist())
+    weight, bias = _solve(grams, best.shape[1], *pairs[first])
+    for place in others:
         weights, biases = _solve(grams, best.shape[1], *pairs[place])
         chosen = best == place
         weight[chosen], bias[chosen] = weights[chosen], biases[chosen]

@@ -1,5 +1,6 @@
 """A model fitted to a take: which style, how far and where from its controls move."""
 
+import json
 import shutil
 
 import numpy as np
@@ -87,3 +88,17 @@ def test_command_writes_a_model_and_refuses_another_rig_in_one_line(two_actors, 
     refused = deitalk("model", "fit", model, other, "-o", tmp_path / "none")
     assert refused.code == 1 and refused.err.count("\n") == 1 and "another rig" in refused.err
     assert not (tmp_path / "none").exists()
+
+
+def test_a_model_is_scored_on_captures_in_every_style(two_actors, tmp_path):
+    """Clips are scored in the style of their actor; the other actor's style is worse on them."""
+    model, data = two_actors
+    shutil.copytree(data, tmp_path / "data")
+    table = pd.read_csv(tmp_path / "data/clips.csv", dtype=str, keep_default_na=False)
+    table[table["speaker"] == "ben"].to_csv(tmp_path / "data/clips.csv", index=False)
+    done = ran("model", "score", model, tmp_path / "data", "-o", tmp_path / "scores")
+    scores = json.loads((tmp_path / "scores/report.json").read_text())["scores"]
+    error = {name: found["error_of_mean_pose"] for name, found in scores.items()}
+    assert error["after"] == pytest.approx(error["style ben"])
+    assert error["after"] < error["style anna"]
+    assert f"style anna\terror_of_mean_pose {error['style anna']:.3g}" in done.stdout
