@@ -93,12 +93,13 @@ train-tiny: setup  ## Build a corpus of two minutes and train six steps
 	$(BIN)/python -m deitalk.research corpus build --hours 0.03 -o corpus/tiny
 	$(BIN)/python -m deitalk.research train configs/tiny.yaml --data corpus/tiny -o runs/tiny
 
-pictures: setup-dev page  ## Draw docs/pictures: head, moving picture, architecture, studio
+pictures: setup-dev page  ## Draw docs/pictures: head, moving picture, architecture, edits, studio
 	mkdir -p docs/pictures
 	$(BIN)/python -m deitalk.research sheet mouth --tile 150 -o docs/pictures/face-mouth.png --force
 	$(BIN)/python -m deitalk.research sheet emotions --columns 5 --tile 150 -o docs/pictures/face-emotions.png --force
 	$(BIN)/python docs/make_architecture.py
 	$(if $(CREMA),$(BIN)/python docs/make_talking.py $(CREMA))
+	$(BIN)/python docs/make_edits.py
 	PYTHONPATH=. $(BIN)/python docs/make_studio.py
 
 figure: setup-dev  ## Draw docs/curves.png: curves over the waveform

@@ -165,8 +165,6 @@ SPECTRA_PER_SECOND = 1000.0
 """Rate of spectra; every spectrum is computed."""
 WINDOW_FRAMES = 1024
 """Spectra within one frame's attention or convolution."""
-PHASES = 8
-"""Passes of a frontend over a clip; each takes its whole time."""
 SALIENCY_FRAMES = 1800
 """Frames that an embedding is pooled over: one minute; the work grows with it."""
 TRAINING_FRAMES = 36_000

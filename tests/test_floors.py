@@ -19,6 +19,7 @@ FLOORS = {
         live
         pipeline
         acting
+        acting_fields
         models
         frontends postprocess
         audio emotions

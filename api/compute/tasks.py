@@ -29,7 +29,8 @@ from api.compute.order import (
     TooLarge,
 )
 from api.errors import names_of
-from deitalk.acting import AUTO, Acting
+from deitalk.acting import Acting
+from deitalk.acting_fields import AUTO
 from deitalk.audio.choice import AudioChoice
 from deitalk.audio.decoding import open_sound
 from deitalk.audio.frames import SAMPLE_RATE

@@ -47,7 +47,8 @@ from api.messages.outgoing import Asked, answer_order, file_answer
 from api.messages.views import JobView, ValidationView
 from api.routes import form_schema
 from api.routes.deps import AnimatorDep, ServiceDep, problems
-from deitalk.acting import LONGEST_TEXT, SCRIPT_SUFFIXES, WORDS_SUFFIXES, user_error
+from deitalk.acting import user_error
+from deitalk.acting_fields import LONGEST_TEXT, SCRIPT_SUFFIXES, WORDS_SUFFIXES
 from deitalk.emotions.track_files import TRACK_SUFFIXES
 from deitalk.errors import ConfigError
 from rig.errors import quoted

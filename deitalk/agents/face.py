@@ -187,7 +187,7 @@ class AgentFace:
 
     def _feed(self, samples: Float32, heard: Float32 | None = None) -> list[Piece]:
         self._fed += len(samples)
-        return self._pieces(self.animator.feed(samples, heard=heard))
+        return self._pieces(self.animator.feed(samples, other=heard))
 
     def _pieces(self, curves: Float32) -> list[Piece]:
         if not len(curves):

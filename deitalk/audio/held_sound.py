@@ -63,7 +63,7 @@ class Held(NamedTuple):
 
 
 class HeldState(NamedTuple):
-    """What is kept of streams between two calls."""
+    """State of streams between two calls."""
 
     levels: Array
     """Last levels, dB [shape=(B, BEFORE, K)]; `NONE_DB` before the first frame."""
@@ -86,7 +86,7 @@ def first_held(batch: int, n_bands: int) -> HeldState:
 def follow_held(
     levels: Array, tones: Array, rule: HoldPose, state: HeldState
 ) -> tuple[Held, HeldState]:
-    """Take the next frames.
+    """Find held sounds in the next frames.
 
     Parameters
     ----------
@@ -129,7 +129,7 @@ def follow_held(
 
 
 def held_sound(levels: Array, tones: Array, rule: HoldPose) -> Held:
-    """The same of a whole recording [each shape=(T,)], whose poses are held from their frames on.
+    """Find held sounds of a whole recording [each shape=(T,)]; poses are held from their frames on.
 
     `sounding` is of the frames themselves.
     """

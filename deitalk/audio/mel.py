@@ -91,26 +91,18 @@ class MelSpectrogram(nn.Module):
         windows = hann if tapers == 1 else hann.norm() * sine_tapers(self.length, tapers)
         self.register_buffer("tapers", windows, persistent=False)
 
-    def forward(
-        self,
-        waveform: Tensor,
-        n_spectra: int,
-        first: int = 0,
-        shift: int = 0,
-        gain: float = 1.0,
-    ) -> Tensor:
+    def forward(self, waveform: Tensor, n_spectra: int, first: int = 0) -> Tensor:
         """Map (B, S) to (B, 3, F, n_spectra), beginning with spectrum `first` of the waveform.
 
-        Every spectrum is taken `shift` samples later, of samples times `gain`. Outside the waveform
-        there is silence.
+        Outside the waveform there is silence.
         """
-        mel = self.scaled(self.power(self.windows(waveform, n_spectra, first, shift) * gain))
+        mel = self.scaled(self.power(self.windows(waveform, n_spectra, first)))
         slope = derivative(mel)
         return torch.stack((mel, slope, derivative(slope)), dim=1)
 
-    def windows(self, waveform: Tensor, n_spectra: int, first: int = 0, shift: int = 0) -> Tensor:
+    def windows(self, waveform: Tensor, n_spectra: int, first: int = 0) -> Tensor:
         """Samples (B, L, window) of the spectra; parameters as for `forward`."""
-        centres = spectra_centres(first + n_spectra, self.frame_rate)[first:] + shift
+        centres = spectra_centres(first + n_spectra, self.frame_rate)[first:]
         half = self.length // 2
         start = int(centres[0]) - half
         stop = int(centres[-1]) + self.length

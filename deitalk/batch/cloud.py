@@ -11,6 +11,7 @@ import os
 import secrets
 from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
+from dataclasses import replace
 from pathlib import Path
 from time import monotonic
 from typing import Any, TypeAlias
@@ -214,8 +215,7 @@ class CloudOutputs:
         """Enter lines before they are animated."""
         with self.journal.transaction():
             for entry in entries:
-                known = {"signature": entry.signature, "key": entry.key}
-                self.journal.write(Entry(entry.output, entry.audio, state=PLACING, **known))
+                self.journal.write(replace(entry, state=PLACING))
         self.save()
 
     def place(self, results: Sequence[tuple[Entry, Outcome]]) -> None:

@@ -7,11 +7,12 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 from deitalk.acting import Acting
 from deitalk.audio.choice import AudioChoice
 from deitalk.audio.original import ZERO, start_of
-from deitalk.errors import DeitalkError
+from deitalk.errors import DataError, DeitalkError
 from rig.curves import snap_fps
 from rig.curves.shift import checked_shift
 from rig.errors import quoted
@@ -59,6 +60,42 @@ class Written:
 
 
 @dataclass(frozen=True, slots=True)
+class Dubbing:
+    """A performance that a line's recording is to speak: see `deitalk.data.dub.dub`."""
+
+    performance: str
+    """Path of a take or of curves."""
+    sound: str = ""
+    """Path of its recording; empty: that of the take, or beside the curves."""
+    mapping: str = ""
+    """Path of the map of another rig."""
+    stretch: float = 1.5
+    source_fps: float | None = None
+
+    @property
+    def content(self) -> dict[str, Any]:
+        """What the line follows from: numbers, and SHA-256 of the files.
+
+        Raises
+        ------
+        DataError
+            If there is no such file.
+        """
+        numbers = {"stretch": self.stretch, "source_fps": self.source_fps}
+        paths = [path for path in (self.performance, self.sound, self.mapping) if path]
+        return numbers | {"files": [_digest(Path(path)) for path in paths]}
+
+
+def _digest(path: Path) -> str:
+    """SHA-256 of a file, or of the curves and the sound of a take folder."""
+    names = ("curves.json", "audio.wav")
+    files = [path / name for name in names if (path / name).is_file()] if path.is_dir() else [path]
+    if not files or not files[0].is_file():
+        raise DataError(f"there is no performance, sound or map {path}; check the path")
+    return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
+
+
+@dataclass(frozen=True, slots=True)
 class Line:
     """One recording to animate."""
 
@@ -74,6 +111,8 @@ class Line:
     """Which signal of the recording."""
     actor: str = ""
     """Who speaks; lines of one actor share a reference. Empty: nobody in particular."""
+    dubbing: Dubbing | None = None
+    """The performance whose mouth the recording replaces."""
     beside: Mapping[str, str] = field(default_factory=dict)
     """Outputs of the lines that come before it (``after``) and next (``into``)."""
 
@@ -156,10 +195,12 @@ def line_key(line: Line, acting: Acting, model: str) -> str:
     model : str
         Identity of the model: its weights, configuration and rules.
     """
-    parts = {
+    parts: dict[str, Any] = {
         "acting": acting.settings, "written": asdict(line.written), "actor": line.actor,
         "model": model, "signal": line.choice.settings,
     }  # fmt: skip
+    if line.dubbing is not None:
+        parts["dubbing"] = line.dubbing.content
     if TAKE in line.written.formats:
         parts["name"] = Path(line.audio).name  # files of a take are named after it
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()

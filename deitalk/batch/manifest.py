@@ -10,6 +10,8 @@
     timecode          zero, recording or HH:MM:SS:FF
     delay, handles    frames by which the face is late, and added before and after
     track, channel, raw  which signal, as for `deitalk.load_audio`
+    performance       take or curves whose mouth the recording replaces, as for `deitalk dub`;
+                      with sound, mapping, stretch, source_fps
     after, into       the output of the line before it or next, or a take
     emotion, life …   each field of `deitalk.acting.Acting`; files are relative to the manifest
 
@@ -27,7 +29,7 @@ from typing import Any
 
 from deitalk.acting import Acting
 from deitalk.audio.choice import AudioChoice
-from deitalk.batch.lines import BadLine, Line, Written, parse_formats
+from deitalk.batch.lines import BadLine, Dubbing, Line, Written, parse_formats
 from deitalk.emotions.track_files import number
 from deitalk.errors import DataError, DeitalkError
 from rig import limits
@@ -35,8 +37,10 @@ from rig.errors import UserError, quoted
 from rig.formats.table import writable_suffixes
 
 SIGNAL = ("track", "channel", "raw")
+DUBBING = ("performance", "sound", "mapping", "stretch", "source_fps")
 OWN_COLUMNS = (
-    "audio", "output", "formats", "actor", "fps", "digits", "timecode", "delay", "handles", *SIGNAL
+    "audio", "output", "formats", "actor", "fps", "digits", "timecode", "delay", "handles", *SIGNAL,
+    *DUBBING,
 )  # fmt: skip
 BESIDE = ("after", "into")
 """Columns that name another line, or a take."""
@@ -186,7 +190,21 @@ class _Reader:
         actor = cells.get("actor", self.defaults.actor)
         signal = {name: cells[name] for name in SIGNAL if name in cells}
         choice = AudioChoice.of(**self.defaults.choice.settings | signal)
-        return replace(self.defaults, acting=acting, written=written, actor=actor, choice=choice)
+        line = replace(self.defaults, acting=acting, written=written, actor=actor, choice=choice)
+        return replace(line, dubbing=self._dubbing(cells))
+
+    def _dubbing(self, cells: Row) -> Dubbing | None:
+        """The performance of a row."""
+        given: dict[str, Any] = {name: cells[name] for name in DUBBING if name in cells}
+        if not given:
+            return None
+        if "performance" not in given:
+            raise DeitalkError(
+                f"{', '.join(given)} without a performance; name one, or leave it out"
+            )
+        paths = {n: joined(self.base, given[n]) for n in DUBBING[:3] if n in given}
+        numbers = {n: number(given[n], n, "column") for n in DUBBING[3:] if n in given}
+        return Dubbing(**paths, **numbers)
 
 
 class _Beside(dict[str, Path]):

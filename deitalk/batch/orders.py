@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 from deitalk.acting import Acting
 from deitalk.audio.choice import AudioChoice
-from deitalk.batch.lines import Written
+from deitalk.batch.lines import Dubbing, Written
 from deitalk.pipeline.actor_voice import MeasuredVoice
 
 
@@ -37,6 +37,7 @@ class Order:
     only_voice: bool = False
     """Measure the strength of the voice and write nothing."""
     choice: AudioChoice = field(default_factory=AudioChoice)
+    dubbing: Dubbing | None = None
     with_edges: bool = False
     """Return the edges of the take: another line begins or ends there."""
 

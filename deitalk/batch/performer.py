@@ -17,10 +17,10 @@ from deitalk.acting import Acting
 from deitalk.audio.choice import AudioChoice
 from deitalk.batch.cloud import read_recording, upload
 from deitalk.batch.findings import findings
-from deitalk.batch.lines import TAKE, has_option
+from deitalk.batch.lines import TAKE, Dubbing, has_option
 from deitalk.batch.orders import File, Order, Outcome, Target
 from deitalk.models.load import Backend
-from deitalk.pipeline.performance import Performance
+from deitalk.pipeline.performance import Extra, Performance
 from rig.errors import UserError, one_line
 
 if TYPE_CHECKING:
@@ -124,6 +124,8 @@ class Performer:
         acting = order.acting
         if acting.style is None and order.actor in self.network.actors:
             acting = Acting.of(acting, style=order.actor)
+        if order.dubbing is not None:
+            acting = Acting.of(acting, edit=())  # edits come after the dub
         return sound, prepare(recording, acting, lambda: self.network)
 
     def _finished(self, group: list[tuple[Order, str, "Prepared"]]) -> list[Outcome]:
@@ -155,10 +157,14 @@ class Performer:
         if performance is None:
             performance = finish(prepared, prepared.read())
         written = order.written
+        notes: tuple[str, ...] = ()
+        extras: tuple[Extra, ...] = ()
+        if order.dubbing is not None:
+            performance, notes, extras = _dubbed(order.dubbing, order.acting, performance)
         start, note = start_of(written.timecode, written.fps, prepared.recording.start)
         if start and not any(has_option(suffix, "start") for suffix in written.formats):
             note = f"{', '.join(written.formats)} without time code: starts at 0"
-        folder, targets = self._write(order, performance, start)
+        folder, targets = self._write(order, performance, start, extras)
         staged = _files(folder, targets)
         files = tuple(staged.values())
         if self.url:
@@ -172,6 +178,7 @@ class Performer:
             frames=len(performance.curves),
             warnings=(
                 *performance.recording.warnings,
+                *notes,
                 *filter(None, [note]),
                 *findings(performance),
             ),
@@ -182,7 +189,7 @@ class Performer:
         )
 
     def _write(
-        self, order: Order, performance: Any, start: float
+        self, order: Order, performance: Any, start: float, extras: tuple[Extra, ...]
     ) -> tuple[Path, tuple[Target, ...]]:
         """Stage the files of a line; `start` is the time of day of its first frame, seconds."""
         from rig import write_curves
@@ -204,7 +211,7 @@ class Performer:
 
                 beside = self.stage / TAKE  # one name for all, as each has a lock
                 about: Any = form | digits
-                write_take(beside, performance, model=self.about, **about)
+                write_take(beside, performance, model=self.about, extras=extras, **about)
                 os.rename(beside, folder / TAKE)
                 targets.append(Target(TAKE, order.output))
             else:
@@ -213,6 +220,27 @@ class Performer:
                 write_curves(folder / name, performance.curves, **given)
                 targets.append(Target(name, order.output + suffix))
         return folder, tuple(targets)
+
+
+def _dubbed(
+    dubbing: Dubbing, acting: Acting, made: Performance
+) -> tuple[Performance, tuple[str, ...], tuple[Extra, ...]]:
+    """The performance of a line with the mouth that was made of its recording."""
+    from deitalk.data.captures.columns import read_mapping
+    from deitalk.data.dub import dub
+
+    style = made.acting.style
+    found = dub(
+        dubbing.performance,
+        made.recording.source,
+        sound=dubbing.sound or None,
+        acting=acting if style is None else Acting.of(acting, style=style),
+        mapping=read_mapping(Path(dubbing.mapping)) if dubbing.mapping else None,
+        stretch=dubbing.stretch,
+        fps=dubbing.source_fps,
+        perform=lambda *_, **__: made,
+    )
+    return found.performance, (*found.notes, found.line), (found.write_report,)
 
 
 def _edges(performance: Performance) -> tuple[str, str]:

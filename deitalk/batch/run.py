@@ -201,7 +201,7 @@ class Batch:
         size = self.recordings.size(line.audio)
         order = Order(
             line.output, line.audio, acting, line.written, line.actor, entry.sound, size,
-            choice=line.choice, with_edges=line.output in self._needed,
+            choice=line.choice, dubbing=line.dubbing, with_edges=line.output in self._needed,
         )  # fmt: skip
         self._orders.append(order)
         return self.rows[place]

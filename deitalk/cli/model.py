@@ -147,10 +147,41 @@ def fit(
     clips = read_clips(data)
     found = fit_model(require_model(model, DEITalk), clips)
     config, summary = portable(source)
-    save_model(out, found.model, config, summary | {"fitted": {"clips": len(clips)}})
+    save_model(out, found.model, config, summary | {"fitted": {"clips": len(clips)}}, graph=True)
     style = f"style {found.style}" if found.style else "its own face"
     text = f"{out}: {style}, error {found.error:.2f} of the one before on these clips"
     console().print(text)
+
+
+@app.command()
+def score(
+    model: Annotated[str, typer.Argument(help="Model of any rig, such as runs/anna/best.")],
+    data: Annotated[Path, typer.Argument(help="Dataset folder of captures it never saw.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder of the report.")],
+    force: Annotated[bool, typer.Option("--force", help="Replace the folder.")] = False,
+) -> None:
+    """Score a tuned model on new captures, beside their mean pose and loudness.
+
+    Clips are predicted in the style of their actor; where the model has none of the name, in that
+    of nobody. Every style is scored too.
+
+    Examples
+    --------
+    deitalk model score runs/anna/best new_takes_data/ -o scores/
+    """
+    from deitalk.cli.finetune import print_scores
+    from deitalk.data.clips import read_clips
+    from deitalk.models.checkpoint import require_model
+    from deitalk.models.curve_model import DEITalk
+    from deitalk.training.tuning.fitting import score_model
+    from rig.files import output_folder
+
+    reserve_folder(out, kind="scores", force=force, inputs=(data,))
+    network, clips = require_model(model, DEITalk), read_clips(data)
+    with output_folder(out, kind="scores", force=force) as beside:
+        scores = score_model(network, clips, beside)
+    print_scores(scores)
+    console().print(f"{out / 'report.md'}: scores and controls")
 
 
 @app.command()

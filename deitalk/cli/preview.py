@@ -52,8 +52,7 @@ def preview(
     from rig.face.identity import identity_of
 
     others, head = versus or [], identity_of(identity)
-    in_folder = source / "preview.html"
-    target = out or (in_folder if source.is_dir() else source.with_suffix(".html"))
+    target = out or _beside(source)
     is_page = target.suffix.lower() in PAGES
     if (others and not is_page) or (view != "mouth" and is_page):
         raise DeitalkError("--versus is of a page (.html), --view of a video (.mp4); leave it out")
@@ -85,3 +84,8 @@ def preview(
     if is_own and kind_of(source) == KIND:
         record(source, [target.name], kind=KIND)
     console().print(str(target))
+
+
+def _beside(source: Path) -> Path:
+    """Default page: in a take folder, or beside a file of curves."""
+    return source / "preview.html" if source.is_dir() else source.with_suffix(".html")

@@ -12,7 +12,6 @@ from deitalk.config.section import (
     Dropout,
     MelBins,
     Odd,
-    Phases,
     Recurrent,
     Section,
     SpectraRate,
@@ -60,8 +59,6 @@ class MelConfig(Section):
     """Add the window's own centre to what it attends to, and normalise."""
     rig_layers: int = Field(default=0, ge=0, le=limits.RECURRENT_LAYERS)
     """BiLSTMs along rig frames behind the attention; not in SDFA."""
-    phases: Phases = 1
-    """Passes over a clip, shifted by parts of a spectrum; features are their mean."""
     dropout: Dropout = 0.0
 
     @field_validator("recurrence")

@@ -73,9 +73,9 @@ class ScaleOpening(Section):
     neutral take (a measurement of video that is not repeated here).
     """
 
-    gain: Slope = 0.6
+    gain: Slope = 0.9
     """Increase of the opening per unit of intensity."""
-    usual: Share = 0.52
+    usual: Share = 0.55
     """Intensity at which the increase is 0."""
 
 

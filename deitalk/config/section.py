@@ -24,7 +24,6 @@ Odd = Annotated[int, Field(ge=1, le=limits.KERNEL), AfterValidator(_odd)]
 """Frames of a kernel."""
 Recurrent = Annotated[int, Field(ge=1, le=limits.RECURRENT_LAYERS)]
 Dilation = Annotated[int, Field(ge=1, le=limits.DILATION)]
-Phases = Annotated[int, Field(ge=1, le=limits.PHASES)]
 SpectrumSeconds = Annotated[float, Field(gt=0, le=limits.WINDOW_SECONDS)]
 Tapers = Annotated[int, Field(ge=1, le=limits.TAPERS)]
 """Windows of a spectrum; 1: a Hann window (the paper)."""

@@ -5,7 +5,7 @@ Written by `deitalk data voice`::
     {"format": "deitalk-actor", "version": 1, "strength": 0.41, "effort": -0.27,
      "recordings": 12, "seconds": 63.5,
      "traits": {"blink_interval": 1.1, "side": -0.09, "brow_range": 1, "head_range": 1.05,
-                "avoids": 0.3}}
+                "avoids": 0.3, "own": 1}}
 
 The traits may be edited, or left out: then they are drawn for each recording.
 """
@@ -30,6 +30,7 @@ TRAITS = {
     "brow_range": (0.0, 2.0),
     "head_range": (0.0, 2.0),
     "avoids": (-1.0, 1.0),
+    "own": (0.0, 1.0),
 }
 """Names and ranges of the traits, see `deitalk.postprocess.life.voice.Traits`."""
 

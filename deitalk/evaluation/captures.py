@@ -42,8 +42,13 @@ class Shown(NamedTuple):
     """By ``before`` and ``after``, then by control."""
 
 
-def draw_before_after(path: Path, clips: Sequence[Shown]) -> None:
-    """Draw clips side by side, a row for each control.
+def draw_before_after(
+    path: Path,
+    clips: Sequence[Shown],
+    errors: Mapping[str, float],
+    course: Mapping[str, Sequence[float]],
+) -> None:
+    """Draw clips side by side, a row for each control, and below them the errors of all systems.
 
     Parameters
     ----------
@@ -51,6 +56,10 @@ def draw_before_after(path: Path, clips: Sequence[Shown]) -> None:
         .png, .svg or .pdf; its folder must exist.
     clips : sequence of Shown
         At least one; all of the same controls.
+    errors : mapping of str to float
+        By system.
+    course : mapping of str to sequence of float
+        ``step`` and ``error_of_mean_pose`` of validation clips; empty without steps.
 
     Raises
     ------
@@ -58,8 +67,9 @@ def draw_before_after(path: Path, clips: Sequence[Shown]) -> None:
         If matplotlib is not installed.
     """
     names = list(clips[0].captured)
-    with drawing(path, (7 * len(clips), 1.9 * len(names))) as figure:
-        grid = figure.subplots(len(names), len(clips), sharex="col", squeeze=False)
+    with drawing(path, (7 * len(clips), 1.9 * (len(names) + 1))) as figure:
+        above, below = figure.subfigures(2, 1, height_ratios=(len(names), 1))
+        grid = above.subplots(len(names), len(clips), sharex="col", squeeze=False)
         for column, clip in zip(grid.T, clips, strict=True):
             for axis, name in zip(column, names, strict=True):
                 times = np.arange(len(clip.captured[name])) / FRAME_RATE
@@ -70,6 +80,14 @@ def draw_before_after(path: Path, clips: Sequence[Shown]) -> None:
             column[0].legend(loc="upper right", fontsize=7, ncols=3, frameon=False)
             column[-1].set_xlabel("seconds")
             column[-1].set_xlim(0, min(times[-1] + 1 / FRAME_RATE, SHOWN_SECONDS))
+        axes = below.subplots(1, 2 if course else 1, squeeze=False)[0]
+        axes[0].barh(list(errors), list(errors.values()), color="0.6")
+        axes[0].invert_yaxis()
+        axes[0].set_title("error_of_mean_pose", loc="left", fontsize=9)
+        if course:
+            axes[1].plot(course["step"], course["error_of_mean_pose"], color="C3", marker=".")
+            axes[1].set_title("error_of_mean_pose of validation clips", loc="left", fontsize=9)
+            axes[1].set_xlabel("step")
 
 
 System = Callable[[Example], tuple[Float32, Float32 | None]]
@@ -139,7 +157,9 @@ def write_comparison(
         beside.write_text(_markdown(report))
     _write_clip(folder / COMPARED, captures, {name: rows[0] for name, rows in curves.items()})
     if can_draw():
-        draw_before_after(folder / "report.png", _shown(captures, curves))
+        errors = {name: found["error_of_mean_pose"] for name, found in scores.items()}
+        course = report.get("learning", {})
+        draw_before_after(folder / "report.png", _shown(captures, curves), errors, course)
     return scores
 
 

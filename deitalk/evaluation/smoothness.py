@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 import torch
 
-from deitalk.audio.frames import frame_centres
+from deitalk.audio.frames import FRAME_RATE, frame_centres
 from deitalk.audio.prosody import level_db
 from deitalk.audio.voice_activity import speech_activity
 from deitalk.data.clips import MEASURED, Clip, read_phones
@@ -30,15 +30,13 @@ MOVING = 0.02
 """Least standard deviation of a moving control."""
 
 
-def smoothness(curves: Float32, fps: float = 30.0) -> dict[str, float]:
+def smoothness(curves: Float32) -> dict[str, float]:
     """Steps and jerk of the controls that move.
 
     Parameters
     ----------
     curves : ndarray [shape=(T, C)]
-        Values.
-    fps : float
-        Frames per second.
+        Values at 30 Hz.
 
     Returns
     -------
@@ -51,8 +49,8 @@ def smoothness(curves: Float32, fps: float = 30.0) -> dict[str, float]:
     if len(moving) < 4 or not moving.shape[1]:
         return {}
     steps = np.diff(moving, axis=0)
-    speed = np.sqrt(np.square(steps).mean(axis=0)) * fps
-    jerk = np.sqrt(np.square(np.diff(moving, 3, axis=0)).mean(axis=0)) * fps**3
+    speed = np.sqrt(np.square(steps).mean(axis=0)) * FRAME_RATE
+    jerk = np.sqrt(np.square(np.diff(moving, 3, axis=0)).mean(axis=0)) * FRAME_RATE**3
     return {
         "largest_step": float(np.abs(steps).max()),
         "step_p99": float(np.percentile(np.abs(steps), 99)),

@@ -7,7 +7,6 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from deitalk.array_functions import single
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
 from deitalk.audio.held_sound import held_sound
 from deitalk.audio.vocal_strength import strength_frames, vocal_strength
@@ -29,7 +28,7 @@ from deitalk.postprocess.factors import (
 )
 from deitalk.postprocess.feeling import felt_intensity, gates_of, voice_intensity
 from deitalk.postprocess.torch_columns import constant
-from deitalk.postprocess.tracks import rest_rows
+from deitalk.postprocess.tracks import VoiceTracks, rest_rows
 
 MIXTURES = trained_weights(np.eye(len(LABELS), dtype=np.float32))
 """Trained emotions (9, 5) of each label."""
@@ -37,19 +36,6 @@ MIXTURES = trained_weights(np.eye(len(LABELS), dtype=np.float32))
 
 LEVEL_DB = -23.0
 """Active level of the speech that a network of whole clips reads, dB re full scale."""
-
-
-def voice_columns(
-    factors: tuple[Tensor, ...], kept: tuple[Tensor, Tensor], emotion: Tensor, variants: Tensor
-) -> Tensor:
-    """`deitalk.postprocess.tracks.VoiceTracks` without words, of tensors.
-
-    `factors` are its `scale`, `opening` and `held`, `kept` its `back` and `kept`, and `variants`
-    its `variants` and `side`.
-    """
-    phones, ways, side = torch.zeros_like(emotion[..., :4]), variants[..., :-1], variants[..., -1]
-    single = torch.stack(factors, dim=-1), phones, torch.stack((*kept, side), dim=-1)
-    return torch.cat((*single, emotion, ways), dim=-1)
 
 
 class FinishedClip(nn.Module):
@@ -140,10 +126,12 @@ class FinishedClip(nn.Module):
         scale = expression_scale(wanted, held)
         if rule is None:
             scale = torch.where(is_drawn, scale, factor)
-        kept = single(pose.back), single(pose.share)
-        columns = voice_columns((scale, opening, held), kept, labels, variants)
+        phones, ways, side = torch.zeros_like(labels[:, :4]), variants[:, :-1], variants[:, -1]
+        voice_rows = VoiceTracks(
+            scale, opening, held, phones, labels, pose.back, pose.share, ways, side
+        ).columns()
         shown = torch.cat((mouth[:, None], share[:, None], motion), dim=1)
-        curves, plain = self._finished(neutral, emotional, columns, shown)
+        curves, plain = self._finished(neutral, emotional, voice_rows, shown)
         return curves, plain, felt * expression
 
     def _gain(self, sound: Tensor, speaking: Tensor) -> Tensor:
@@ -157,7 +145,7 @@ class FinishedClip(nn.Module):
     def _readings(
         self, sound: Tensor, styles: Tensor, speaking: Tensor
     ) -> tuple[Tensor, Tensor, Tensor, Tensor | None]:
-        """What the network reads, on beyond the end of a recording that is cut in its speech."""
+        """Readings of the network; a recording that ends in its speech is mirrored at its end."""
         n_frames, n_samples = torch.as_tensor(speaking.shape[0]), torch.as_tensor(sound.shape[0])
         is_cut = speaking[-1 - CUT_FRAMES :].any().long()
         added = torch.minimum(torch.as_tensor(READ_ON_SAMPLES), n_samples) * is_cut

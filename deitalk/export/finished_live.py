@@ -17,7 +17,7 @@ from deitalk.audio.log_mel import N_FFT
 from deitalk.audio.voice_activity import WINDOW
 from deitalk.emotions import LABELS
 from deitalk.errors import CheckpointError
-from deitalk.export.finished import MIXTURES, voice_columns
+from deitalk.export.finished import MIXTURES
 from deitalk.export.sound_measures import BandLevels, WindowProsody
 from deitalk.live.analysis import MEASURED_AHEAD, N_SOUND, FrameMeasures, VoiceAnalysis
 from deitalk.models.causal_model import TensorState, advance, causal_frontend, first_state, grid_of
@@ -30,7 +30,7 @@ from deitalk.postprocess.factors import (
 )
 from deitalk.postprocess.feeling import felt_intensity
 from deitalk.postprocess.torch_columns import constant
-from deitalk.postprocess.tracks import LIVE_AHEAD
+from deitalk.postprocess.tracks import LIVE_AHEAD, VoiceTracks
 
 WRAP = 720
 """Frames after which a counter goes back by half: a multiple of all periods."""
@@ -176,8 +176,11 @@ class FinishedLive(nn.Module):
                 rows.strength,
             )
             scale = expression_scale(applied, held)
-        factors, kept = (scale, found.opening, held), (found.held.back, found.held.share)
-        voice = voice_columns(factors, kept, labels, variants[:, None])
+        phones, (back, kept, _) = torch.zeros_like(labels[..., :4]), found.held
+        ways, side = variants[:, None, :-1], variants[:, None, -1]
+        voice = VoiceTracks(
+            scale, found.opening, held, phones, labels, back, kept, ways, side
+        ).columns()
         # The rules.
         gates = torch.cat((found.mouth, found.expression), dim=1)
         shown = torch.cat((gates, motion), dim=1)[:, None]

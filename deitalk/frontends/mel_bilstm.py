@@ -28,8 +28,6 @@ TOGETHER_FRAMES = 375
 """Most rig frames of recordings that are read together (12.5 s)."""
 ATTENDED_FRAMES = 128
 """Rig frames whose attention is applied at once: a matrix of so many rows, banded."""
-PIECE_SPECTRA = 960
-"""Spectra that convolutions and Spec-BiLSTM take at once."""
 ONE_BATCH_FRAMES = 600
 """Longest clips (20 s) that are encoded as one batch."""
 
@@ -227,7 +225,6 @@ class MelFrontend(Frontend):
         self.mel = MelSpectrogram(
             config.window_seconds, config.frame_rate, config.n_mels, config.tapers
         )
-        self.shifts = phase_shifts(config.phases, config.frame_rate)
         self.spectral = SpectralGathering(
             config.n_mels, config.conv_channels, config.spec_hidden, config.spectral_size
         )
@@ -276,19 +273,15 @@ class MelFrontend(Frontend):
         since the memory of the Time-BiLSTM reaches over minutes. `progress` is called with the
         share done, 0 to 1.
         """
-        waveform = waveform * gain
-        if self.config.recurrence == "window":
-            rows = waveform.new_empty(n_frames, self.output_size)
-            return encode_in_segments(
-                self._frames, waveform, rows, SEGMENT_FRAMES, CONTEXT_FRAMES, self.shifts, progress
-            )
-        total: Tensor | None = None
-        for done, shift in enumerate(self.shifts, 1):
-            encoded = self._frames(waveform.unsqueeze(0), 0, n_frames, shift)[0]
-            total = encoded if total is None else total.add_(encoded)
-            progress(done / len(self.shifts))
-        assert total is not None
-        return total / len(self.shifts)
+        waveform = (waveform * gain).unsqueeze(0)
+        segment = SEGMENT_FRAMES if self.config.recurrence == "window" else n_frames
+        rows = waveform.new_empty(n_frames, self.output_size)
+        for start in range(0, n_frames, segment):
+            stop = min(start + segment, n_frames)
+            first, last = max(start - CONTEXT_FRAMES, 0), min(stop + CONTEXT_FRAMES, n_frames)
+            rows[start:stop] = self._frames(waveform, first, last)[0, start - first : stop - first]
+            progress(stop / n_frames)
+        return rows
 
     @torch.no_grad()
     def encode_together(self, waveforms: Sequence[Tensor], counts: Sequence[int]) -> list[Tensor]:
@@ -303,51 +296,24 @@ class MelFrontend(Frontend):
             places = [place for place, other in enumerate(counts) if other == count]
             clips = [waveforms[place] for place in places]
             if count <= ONE_BATCH_FRAMES:
-                found = list(self._together(clips, count))
+                found = list(
+                    self._frames(nn.utils.rnn.pad_sequence(clips, batch_first=True), 0, count)
+                )
             else:
                 found = super().encode_together(clips, [count] * len(clips))
             rows.update(zip(places, found, strict=True))
         return [rows[place] for place in range(len(counts))]
 
-    def _together(self, waveforms: Sequence[Tensor], n_frames: int) -> Tensor:
-        """Rows (B, n_frames, D) of clips (S,): all phases of all clips are one batch."""
-        config = self.config
-        clips = nn.utils.rnn.pad_sequence(list(waveforms), batch_first=True)
-        centres = nearest_spectra(n_frames, config.frame_rate, config.time_stack)
-        n_spectra = (int(centres[-1]) + 1) * config.time_stack
-        mel = torch.cat([self.mel(clips, n_spectra, 0, shift) for shift in self.shifts])
-        rows = self._from_spectral(self.spectral(mel), centres)
-        return rows.view(len(self.shifts), len(clips), n_frames, -1).mean(dim=0)
-
-    def _frames(self, waveform: Tensor, first: int, last: int, shift: int = 0) -> Tensor:
+    def _frames(self, waveform: Tensor, first: int, last: int) -> Tensor:
         """Rows first..last; the mel window may reach outside them, the recurrence may not."""
         config = self.config
         if config.recurrence == "window":
-            return self._frames_by_window(waveform, first, last, shift)
+            return self._frames_by_window(waveform, first, last)
         centres = nearest_spectra(last, config.frame_rate, config.time_stack)[first:]
         begin = int(centres[0])
         n_spectra = (int(centres[-1]) - begin + 1) * config.time_stack
-        if torch.is_grad_enabled():
-            mel = self.mel(waveform, n_spectra, begin * config.time_stack, shift)
-            return self._from_spectral(self.spectral(mel), centres - begin)
-        spectral = [
-            self._spectral(waveform, begin * config.time_stack, n_spectra, start, shift)
-            for start in range(0, n_spectra, PIECE_SPECTRA)
-        ]
-        return self._from_spectral(torch.cat(spectral, dim=1), centres - begin)
-
-    def _spectral(
-        self, waveform: Tensor, begin: int, n_spectra: int, start: int, shift: int
-    ) -> Tensor:
-        """Up to `PIECE_SPECTRA` rows (B, L, C_spec) from `start` of `n_spectra` from `begin`.
-
-        Derivatives depend on two spectra on either side; at the ends of the whole they repeat.
-        """
-        stop = min(start + PIECE_SPECTRA, n_spectra)
-        before, after = min(2, start), min(2, n_spectra - stop)
-        mel = self.mel(waveform, before + stop - start + after, begin + start - before, shift)
-        rows: Tensor = self.spectral(mel[..., before : before + stop - start])
-        return rows
+        mel = self.mel(waveform, n_spectra, begin * config.time_stack)
+        return self._from_spectral(self.spectral(mel), centres - begin)
 
     def _from_spectral(self, spectral: Tensor, places: Tensor) -> Tensor:
         """Features (B, T, D) of rows (B, L, C_spec), at T of their states."""
@@ -360,7 +326,7 @@ class MelFrontend(Frontend):
         out: Tensor = self.rig(self.centred(attended, memory[:, places]))
         return out
 
-    def _frames_by_window(self, waveform: Tensor, first: int, last: int, shift: int) -> Tensor:
+    def _frames_by_window(self, waveform: Tensor, first: int, last: int) -> Tensor:
         """As printed: for every rig frame a window of spectra, a Time-BiLSTM, an attention."""
         config = self.config
         half = config.window_frames // 2
@@ -368,7 +334,7 @@ class MelFrontend(Frontend):
         begin = int(centres[0]) - half
         padded = F.pad(waveform, (round(half * SAMPLE_RATE / self.config.frame_rate), 0))
         n_spectra = int(centres[-1]) - half - begin + config.window_frames
-        spectral = self.spectral(self.mel(padded, n_spectra, begin, shift))  # (B, L, C_spec)
+        spectral = self.spectral(self.mel(padded, n_spectra, begin))  # (B, L, C_spec)
         index = (centres - half - begin).unsqueeze(1) + torch.arange(config.window_frames)
         batch, frames = spectral.shape[0], last - first
         windows = spectral[:, index.to(spectral.device)].flatten(0, 1)  # (B T, window, size)
@@ -396,63 +362,3 @@ def normalise_weights(module: nn.Module) -> None:
         elif isinstance(child, nn.LSTM):
             for name in [name for name, _ in child.named_parameters() if name.startswith("weight")]:
                 weight_norm(child, name)
-
-
-# Encoding of a whole clip in segments, in bounded memory.
-
-
-def phase_shifts(phases: int, frame_rate: float) -> list[int]:
-    """Shifts in samples, one for each encoding, that divide the period of the spectra evenly.
-
-    Balanced about 0, so that the mean of all encodings is in time; a single one is not shifted.
-    """
-    period = SAMPLE_RATE / frame_rate
-    return [round((2 * i + 1 - phases) / (2 * phases) * period) for i in range(phases)]
-
-
-def encode_in_segments(
-    frames: Callable[[Tensor, int, int, int], Tensor],
-    waveform: Tensor,
-    rows: Tensor,
-    segment: int,
-    context: int,
-    shifts: Sequence[int],
-    progress: Callable[[float], None],
-) -> Tensor:
-    """Fill `rows` segment by segment with the mean of the encodings at every shift.
-
-    Not in the papers. In noise the mean of two encodings, half a period of the spectra apart,
-    separates closures from vowels better than one does (MODEL_CARD.md).
-
-    Parameters
-    ----------
-    frames : callable
-        ``frames(waveform, first, last, shift)`` maps (1, S) to the rows first to last - 1, as
-        (1, last - first, D), by spectra that are `shift` samples late.
-    waveform : Tensor [shape=(S,)]
-        The clip.
-    rows : Tensor [shape=(T, D)]
-        Filled in place.
-    segment, context : int
-        Rows kept at once, and rows on either side of them that are computed as context only.
-    shifts : sequence of int
-        Samples, one for each encoding; from `phase_shifts`.
-    progress : callable
-        Called with the share done, 0 to 1.
-
-    Returns
-    -------
-    Tensor [shape=(T, D)]
-        `rows`.
-    """
-    n_frames = len(rows)
-    for start in range(0, n_frames, segment):
-        stop = min(start + segment, n_frames)
-        first, last = max(start - context, 0), min(stop + context, n_frames)
-        inner = slice(start - first, stop - first)
-        rows[start:stop] = 0
-        for shift in shifts:
-            rows[start:stop] += frames(waveform.unsqueeze(0), first, last, shift)[0, inner]
-        rows[start:stop] /= len(shifts)
-        progress(stop / n_frames)
-    return rows

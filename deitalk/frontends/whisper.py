@@ -234,7 +234,9 @@ class StridedFrontend(Frontend):
             torch.from_numpy(row).to(features.device)
             for row in self._places(start, stop, first_sample, features.shape[1])
         )
-        return torch.lerp(features[:, below], features[:, above], part.unsqueeze(-1))
+        return torch.lerp(
+            features[:, below], features[:, above], part.to(features.dtype).unsqueeze(-1)
+        )
 
     def _places(
         self, start: int, stop: int, first_sample: int, size: int

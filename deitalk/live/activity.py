@@ -55,7 +55,7 @@ LOUDEST_PERCENTILE, LOUD_PERCENTILE = 98.0, 95.0
 
 
 class ActivityState(NamedTuple):
-    """What is kept of streams between two calls."""
+    """State of streams between two calls."""
 
     levels: Array
     """Band levels of the last frames, dB, the oldest first; `NONE_DB` where there are none yet
@@ -111,7 +111,7 @@ class RunningActivity:
     def __call__(
         self, levels: Array, held: Array, rest: Array, state: ActivityState
     ) -> tuple[Array, Array, Array, ActivityState]:
-        """Take the next frames.
+        """Find activity and gates of the next frames.
 
         Parameters
         ----------
@@ -165,7 +165,7 @@ class RunningActivity:
     def _gates(
         self, speaking: Array, gaps: Array, rest: Array, state: ActivityState
     ) -> tuple[Array, Array, ActivityState]:
-        """Gates of the frames of n gaps [shape=(B, n)]."""
+        """Gates of the frames to which gaps (B, n) belong [shape=(B, n)]."""
         if self.gates is None:
             return 0 * gaps + 1, 0 * gaps + 1, state
         xp, silent, share = library(gaps), state.silent, state.share

@@ -111,7 +111,7 @@ class VoiceAnalysis:
     def __call__(
         self, measured: FrameMeasures, network: Array, effort: Array, rest: Array, state: State
     ) -> tuple[Analysis, State]:
-        """Take the next frames.
+        """Analyse the next frames.
 
         Parameters
         ----------
@@ -126,7 +126,7 @@ class VoiceAnalysis:
         """
         activity = ActivityState(*state[:N_ACTIVITY])
         past, before = HeldState(*state[N_ACTIVITY : N_SOUND - 1]), state[N_SOUND - 1]
-        means, *intensity = state[N_SOUND:]
+        means, intensity = state[N_SOUND], state[N_SOUND + 1 :]
         count = network.shape[1]
         held, past = follow_held(measured.levels, measured.tones, self.hold, past)
         on, mouth, expression, activity = self.activity(

@@ -137,7 +137,7 @@ class LiveAnimator:
     def feed(
         self,
         samples: Samples | Sequence[Samples],
-        heard: Samples | Sequence[Samples | None] | None = None,
+        other: Samples | Sequence[Samples | None] | None = None,
     ) -> Any:
         """Take the next samples; return the frames that are known now.
 
@@ -147,10 +147,10 @@ class LiveAnimator:
             Mono: floating point with full scale 1, 16-bit integers, or bytes of these
             (little-endian), of which an odd one is kept for the next call. Of several streams a
             sequence of one entry each, of any lengths.
-        heard : array, bytes, or a sequence of them, optional
-            Samples of the one whom the face listens to, from the same time on: it nods at the ends
+        other : array, bytes, or a sequence of them, optional
+            Samples of another speaker, from the same time on: the face nods at the ends
             of that one's phrases and keeps its eyes there. Of several streams None for those that
-            hear nothing.
+            listen to nobody.
 
         Returns
         -------
@@ -164,18 +164,18 @@ class LiveAnimator:
         rows: list[Any] = [samples] if len(self.streams) == 1 else list(samples)  # type: ignore[arg-type]
         if len(rows) != len(self.streams):
             raise AudioError(f"samples of {len(rows)} streams; there are {len(self.streams)}")
-        others: list[Any] = [heard] if len(rows) == 1 or heard is None else list(heard)  # type: ignore[arg-type]
-        if len(others) != len(rows) and heard is not None:
-            raise AudioError(f"heard samples of {len(others)} streams; there are {len(rows)}")
+        others: list[Any] = [other] if len(rows) == 1 or other is None else list(other)  # type: ignore[arg-type]
+        if len(others) != len(rows) and other is not None:
+            raise AudioError(f"other samples of {len(others)} streams; there are {len(rows)}")
         if are_plain(rows):
             pieces = [(row, self.streams[k].rest) for k, row in enumerate(rows)]
             checked = rows
         else:
             pieces = [self._whole(row, k) for k, row in enumerate(rows)]
             checked = [checked_samples(samples) for samples, _ in pieces]  # before any is taken
-        for k, other in enumerate(others):
-            if other is not None:
-                self.hear(other, stream=k)
+        for k, one in enumerate(others):
+            if one is not None:
+                self.take_other(one, stream=k)
         for k, (row, (_, rest)) in enumerate(zip(checked, pieces, strict=True)):
             self._take(row, rest, k)
         return self._single(self.read())
@@ -201,8 +201,8 @@ class LiveAnimator:
         self._append(stream, samples, last=False)
         self.streams[stream].rest = rest
 
-    def hear(self, samples: Samples, *, stream: int = 0) -> None:
-        """Take samples of the one whom a stream listens to, from the time of its own next ones.
+    def take_other(self, samples: Samples, *, stream: int = 0) -> None:
+        """Take samples of the other speaker of a stream, from the time of its own next ones on.
 
         Raises
         ------
@@ -210,11 +210,11 @@ class LiveAnimator:
             As `feed`; bytes must be whole samples.
         """
         if isinstance(samples, bytes | bytearray | memoryview) and len(samples) % 2:
-            raise AudioError(f"heard samples have {len(samples)} bytes; give two for each")
+            raise AudioError(f"other samples have {len(samples)} bytes; give two for each")
         checked, one = checked_samples(samples), self.streams[stream]
         if (resampler := self.resamplers[stream][1]) is not None:
             checked = resampler.feed(checked, last=False)
-        one.hear(checked, one.sound.end)
+        one.append_other(checked, one.sound.end)
 
     def _whole(self, samples: Samples, stream: int) -> tuple[Samples, bytes]:
         """Whole samples, and the byte of the next one that came already."""
@@ -297,7 +297,7 @@ class LiveAnimator:
         return rows
 
     def set(self, *, stream: int | None = None, **fields: Any) -> None:
-        """Act otherwise from the sound on that comes next; but for gain and rules over 0.2 s.
+        """Change the acting of the sound that comes next: gain and rules at once, others in 0.2 s.
 
         Parameters
         ----------
@@ -332,13 +332,13 @@ class LiveAnimator:
             self.resamplers[k] = [self._resampler(), self._resampler()]
 
     def open(self, stream: int, acting: Acting) -> None:
-        """Begin a stream again, acted otherwise."""
+        """Begin a stream again with another acting."""
         self.actings[stream] = acting.check_live()
         self.reset(stream)
 
     def _first(self, batch: int) -> tuple[Arrays, Arrays, Arrays, Arrays]:
         """State before the first sound: of the network, its own voice, the rules, the other one."""
-        network = tuple(part.copy() for part in self.network.first_state(batch))
+        network = self.network.first_state(batch)
         mixture = np.zeros((batch, LIVE_AHEAD, len(LABELS)), np.float32)
         speaking = np.zeros((batch, LIVE_AHEAD), bool)
         due = self.rules.first(batch), mixture, speaking, *self.cues.first(batch)
@@ -369,7 +369,7 @@ class LiveAnimator:
         return frames[0] if len(frames) == 1 else frames
 
     def _advance(self) -> None:
-        """Read what has come, as many streams at once as have something new."""
+        """Finish the frames whose sound has come, of as many streams at once as have any."""
         self._begin()
         while True:
             known: dict[tuple[int, int, int | None], int] = {}  # equal streams have equal counts
@@ -423,7 +423,7 @@ class LiveAnimator:
         sound : array [shape=(B, count, `WINDOW`)]
             Of the frames `MEASURED_AHEAD` after them.
         others : list
-            Of the same frames of those whom they listen to [shape=(count, `WINDOW`)], or None.
+            Of the same frames of the other speakers [shape=(count, `WINDOW`)], or None.
         """
         length = self.network.grid.length
         places = [(one.groups, one.sound.begin, one.sound.end) for one in streams]
@@ -435,8 +435,8 @@ class LiveAnimator:
         else:
             rows = [one.sound.windows(one.spectrum_starts(count), length) for one in streams]
             starts = [one.measured_starts(count) for one in streams]
-            heard = zip(streams, starts, strict=True)
-            sound = np.stack([one.sound.windows(at, WINDOW) for one, at in heard])
+            pairs = zip(streams, starts, strict=True)
+            sound = np.stack([one.sound.windows(at, WINDOW) for one, at in pairs])
             windows = np.stack(rows)
         others: list[Float32 | None] = [None] * len(streams)
         for k, one in enumerate(streams):
@@ -488,7 +488,7 @@ class LiveAnimator:
         ways = [stream.ways for stream in streams]
         variants = emotion @ np.stack([way.weights for way in ways])
         side = np.repeat([[way.side] for way in ways], count, axis=1)
-        said = VoiceTracks(
+        voice = VoiceTracks(
             scale, opening, holds, phones, emotion, back, kept, variants, side
         ).columns()
         # Gates and motion of the frames that come out.
@@ -512,7 +512,7 @@ class LiveAnimator:
         # The rules, in their order: `deitalk.postprocess.curve_pass`.
         gain = np.stack([stream.gain for stream in streams])
         curves, _, _, after = self.rules(
-            rows.neutral, rows.emotional, said, shown, gain, ruled, before
+            rows.neutral, rows.emotional, voice, shown, gain, ruled, before
         )
         due = after, mixture[:, count:], speaking[:, count:], *known
         self.due = self._put(self.due, ready, due)
@@ -523,7 +523,7 @@ class LiveAnimator:
     def _listen(
         self, ready: list[int], others: Sequence[Float32 | None], begin: Int64, count: int
     ) -> Bool:
-        """Frames in which the ones speak whom some streams listen to [shape=(B, count)]."""
+        """Frames in which the other speakers of streams speak [shape=(B, count)]."""
         speaking = np.zeros((len(ready), count), bool)
         given = [(k, other) for k, other in enumerate(others) if other is not None]
         if not given:
@@ -537,18 +537,18 @@ class LiveAnimator:
             np.zeros((len(who), count), np.float32),
         )
         measured = FrameMeasures.of_windows(sound)
-        heard, past = self.other_analysis(measured, none, none, none[:, 0], kept[:-size])
+        analysed, past = self.other_analysis(measured, none, none, none[:, 0], kept[:-size])
         before = CueState(*kept[-size:])._replace(frame=begin[places])
-        found, after = self.cues(heard.measures, heard.speaking, before)
+        found, after = self.cues(analysed.measures, analysed.speaking, before)
         now: Arrays = *past, *after
         put(self.other, who, now)
         moving = np.array([self.streams[k].moves for k in who])[found.stream]
         self.motion.hear(found._replace(stream=np.array(who)[found.stream]).where(moving))
-        speaking[places] = heard.speaking
+        speaking[places] = analysed.speaking
         return speaking
 
     def _cue(self, ready: list[int], cues: Cues, begin: Int64, listens: Bool) -> None:
-        """Move faces by the cues of their voices; one that listens makes no pause of its own."""
+        """Move faces by the cues of their voices; while the other speaks, pauses are no cues."""
         row = np.round(cues.known * FRAME_RATE).astype(int) + LIVE_AHEAD - begin[cues.stream]
         busy = (cues.kind == PAUSE) & listens[cues.stream, np.clip(row, 0, listens.shape[1] - 1)]
         moving = np.array([self.streams[k].moves for k in ready])[cues.stream]
@@ -597,11 +597,11 @@ class LiveAnimator:
         return heads
 
     def _taken(self, state: Arrays, ready: list[int]) -> Arrays:
-        """State of some streams; of all without a copy."""
+        """Select the state of some streams; that of all is not copied."""
         return state if len(ready) == len(self.streams) else take(state, ready)
 
     def _put(self, state: Arrays, ready: list[int], new: Arrays) -> Arrays:
-        """State of all streams with that of some replaced."""
+        """Replace the state of some streams in that of all."""
         if len(ready) == len(self.streams):
             return new
         put(state, ready, new)

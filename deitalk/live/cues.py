@@ -58,7 +58,7 @@ for _size in PAUSES:
 
 
 class CueState(NamedTuple):
-    """What is kept of streams between two calls."""
+    """State of streams between two calls."""
 
     means: Float64
     """Of level, pitch and sonority in speech [shape=(B, 3)]."""

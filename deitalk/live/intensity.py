@@ -8,7 +8,6 @@ Streams are side by side, and the caller keeps their state; frames are taken one
 all streams at once. All functions take arrays or tensors. Letters: B streams, n frames of a call.
 """
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -58,7 +57,7 @@ class Measures(NamedTuple):
     sonority: Array
 
 
-IntensityState = Sequence[Array]
+IntensityState = tuple[Array, ...]
 """Running means and their weights [shape=(B, 5)] each, and display, its presence and its mean
 around [shape=(B, 3)]."""
 

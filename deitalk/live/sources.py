@@ -23,7 +23,7 @@ class Source(Protocol):
 
     @property
     def sample_rate(self) -> int:
-        """Hz."""
+        """Samples per second, Hz."""
 
     @property
     def is_over(self) -> bool:
@@ -151,7 +151,7 @@ class Microphone:
         return np.concatenate(blocks)
 
     def close(self) -> None:
-        """Let the device go."""
+        """Release the device."""
         self.stream.close(ignore_errors=True)
 
     def _closed(self, error: Exception) -> AudioError:

@@ -69,7 +69,7 @@ class Sound:
 
     @classmethod
     def together(cls, sounds: Sequence["Sound"]) -> "Sound":
-        """Sounds of which as many samples have come and are kept, side by side."""
+        """Put sounds of equal length side by side."""
         one = cls()
         one.samples = np.stack([sound.samples for sound in sounds])
         one.begin, one.end = sounds[0].begin, sounds[0].end
@@ -83,7 +83,7 @@ class Sound:
 
 
 class Stream:
-    """One stream.
+    """Sound, acting and frames of one voice.
 
     Parameters
     ----------
@@ -110,7 +110,7 @@ class Stream:
         self.grid, self.controls, self.moves = grid, controls, moves
         self.actor, self.rest = actor, b""
         self.other: Sound | None = None
-        """Sound of the one whom it listens to."""
+        """Sound of the other speaker."""
         self.sound, self.changes = Sound(), [Change(0.0, acting.emotion_track, acting.intensity)]
         self.acting, self.gain = acting, gain_factors(controls, acting.gain)
         self.wanted = self._wanted()
@@ -129,7 +129,7 @@ class Stream:
         self.passage: Passage | None = None
 
     def interrupt(self, silence: int, shown: tuple[Float32, Float32] | None) -> None:
-        """Let silence follow from the next frame on, as many samples as make it known."""
+        """Replace the sound from the next frame on by silence, as long as the look-ahead."""
         first = max(self.n_given, 0)
         sample = first * SAMPLE_RATE // FRAME_RATE - self.sound.begin
         samples = self.sound.samples.copy()
@@ -147,7 +147,7 @@ class Stream:
         frames = np.arange(self.n_given, self.n_given + count)
         falls = fade((frames - begin + 1) / CLOSING_FRAMES)
         rises = 1 - fade((frames - end + 1) / OPENING_FRAMES)
-        return np.maximum(falls, rises)
+        return np.asarray(np.maximum(falls, rises), np.float32)
 
     def give(self, frames: Float32, heads: Float32, first: int) -> None:
         """Give the frames from number `first` on.
@@ -175,7 +175,7 @@ class Stream:
         self.heads.append(heads)
 
     def change(self, acting: Acting) -> None:
-        """Act otherwise from the sound on that comes next; at once before any."""
+        """Change the acting of the sound that comes next; at once before any."""
         self.gain = gain_factors(self.controls, acting.gain)  # an error changes nothing
         before, self.acting = self.acting, acting
         change = Change(self.sound.end / SAMPLE_RATE, acting.emotion_track, acting.intensity)
@@ -189,7 +189,7 @@ class Stream:
         return None if self.acting.is_keyed else (last.emotion.at([0.0])[0], last.intensity)
 
     def finish(self) -> None:
-        """Take the end of the sound: silence follows, until the last frame is known."""
+        """End the sound: silence follows it, until the last frame is known."""
         self.n_total = frame_count(self.sound.end)
         self.sound.append(np.zeros(round(1.5 * SAMPLE_RATE), np.float32))
 
@@ -220,17 +220,17 @@ class Stream:
         starts: Int64 = np.arange(stop - count, stop) * SAMPLE_RATE // FRAME_RATE - WINDOW // 2
         return starts
 
-    def hear(self, samples: Float32, begin: int) -> None:
-        """Take sound of the one whom it listens to, which begins with a sample of its own."""
+    def append_other(self, samples: Float32, begin: int) -> None:
+        """Take sound of the other speaker, which begins with a sample of the own sound."""
         self.other = self.other or Sound()
         silent = max(begin - self.other.end, 0)
         self.other.append(np.concatenate((np.zeros(silent, np.float32), samples)))
 
     def other_windows(self, starts: Int64) -> Float32 | None:
-        """Sound (n, `WINDOW`) of the one whom it listens to, silence where none has come."""
+        """Sound (n, `WINDOW`) of the other speaker, silence where none has come."""
         if self.other is None:
             return None
-        self.hear(np.zeros(0, np.float32), self.sound.end)
+        self.append_other(np.zeros(0, np.float32), self.sound.end)
         windows = self.other.windows(starts, WINDOW)
         self.other.drop(int(starts[-1]))
         return windows
@@ -245,7 +245,7 @@ class Stream:
             self.changes.pop(0)
 
     def given(self, count: int) -> slice:
-        """Which of the `count` frames that the rules give next there are.
+        """Select the frames of the stream among the `count` that the rules give next.
 
         None before the first one, `LIVE_AHEAD` behind the network's rows, and none after the last.
         """
@@ -264,7 +264,7 @@ class Stream:
         return np.concatenate(frames), np.concatenate(heads)
 
     def directed(self, count: int) -> tuple[Float32, Float32]:
-        """Emotion (count, 9) and intensity (count,) that the acting wants in the next groups."""
+        """Emotion (count, 9) and intensity (count,) of the acting in the next groups."""
         frames = np.arange(self.groups, self.groups + count) - self.grid.delay
         times = np.maximum(frames, 0) / FRAME_RATE
         first = self.changes[0]

@@ -6,6 +6,7 @@ spectrum, C controls.
 
 from typing import NamedTuple, Self, cast
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -93,29 +94,36 @@ class TorchNetwork:
         """Rules after the network."""
         return self.model.curve_pass(live=live)
 
+    @torch.no_grad()
     def first_state(self, batch: int) -> State:
-        """See `CausalNetwork`; so the other methods."""
-        return _arrays(first_state(self.model, batch))
+        """See `CausalNetwork`; so the other methods. States stay on the model's device."""
+        return tuple(part.clone() for part in first_state(self.model, batch).tensors())
 
     @torch.no_grad()
     def begin(self, windows: Float32, state: State) -> State:
         """Read the first groups."""
-        before = self._state(state)
-        frontend = causal_frontend(self.model)
-        _, kept = frontend.advance(torch.from_numpy(windows), before.frontend)
-        return _arrays(before._replace(frontend=kept))
+        before, frontend = self._state(state), causal_frontend(self.model)
+        _, kept = frontend.advance(self._given(windows), before.frontend)
+        return before._replace(frontend=kept).tensors()
 
     @torch.no_grad()
     def advance(self, windows: Float32, styles: Float32, state: State) -> tuple[NetworkRows, State]:
         """Read the next frames."""
-        sound, style = torch.from_numpy(windows), torch.from_numpy(styles).to(self.model.device)
-        rows, after = advance(self.model, sound, style, self._state(state))
-        return NetworkRows(*(part.cpu().numpy() for part in rows)), _arrays(after)
+        given = self._given(windows), self._given(styles)
+        rows, after = advance(self.model, *given, self._state(state))
+        *curves, saliency, strength, effort = rows
+        # One array crosses the bus: columns of the readings, then of the tracks.
+        tracks = torch.stack((saliency, strength, effort), dim=-1)
+        columns = torch.cat((*curves, tracks), dim=-1).cpu().numpy()
+        size = len(self.controls)
+        both = columns[..., :size], columns[..., size : 2 * size]
+        return NetworkRows(*both, *np.moveaxis(columns[..., 2 * size :], -1, 0)), after.tensors()
+
+    def _given(self, values: Float32) -> Tensor:
+        return torch.from_numpy(values).to(self.model.device)
 
     def _state(self, state: State) -> TensorState:
-        device = self.model.device
-        tensors = tuple(torch.from_numpy(part).to(device) for part in state)
-        return TensorState.of(tensors, causal_frontend(self.model).n_states)
+        return TensorState.of(state, causal_frontend(self.model).n_states)
 
 
 def grid_of(model: DEITalk) -> SpectraGrid:
@@ -185,7 +193,3 @@ def advance(
         TensorRows(neutral, emotional, saliency, strength, effort),
         TensorState(frontend, kept, halves[0], halves[1], lips),
     )
-
-
-def _arrays(state: TensorState) -> State:
-    return tuple(part.cpu().numpy() for part in state.tensors())

@@ -103,6 +103,8 @@ def _load(folder: Path, config: AnyConfig, device: str) -> Model:
         model = build()
     weights = {name: value for path in files for name, value in read_weights(path).items()}
     model.load_state_dict(all_numbers(weights))  # half precision becomes float32
+    if device.startswith("cuda"):
+        torch.backends.cudnn.allow_tf32 = False  # else convolutions round to ten bits
     try:
         return model.to(torch.device(device)).eval()
     except (RuntimeError, AssertionError) as error:

@@ -84,17 +84,21 @@ class CurveRules(Protocol):
     """Frames before a frame that its contacts depend on."""
     ahead: int
     """Frames by which what comes out is behind what comes in."""
+    before: Float32
+    """State of a stream before its first frame [shape=(N, 2 C + 43)]; each row is a face at rest.
+    """
 
-    def first(self, batch: int) -> Float32:
-        """State of streams before their first frame [shape=(B, N, 2 C + 18)]."""
+    def first(self, batch: int) -> Any:
+        """State of streams before their first frame (B, N, 2 C + 43): an array or a tensor."""
 
-    def __call__(self, *arrays: Float32) -> tuple[Float32, Float32, Float32, Float32]:
+    def __call__(self, *arrays: Any) -> tuple[Float32, Float32, Float32, Any]:
         """Finish the next frames.
 
         Parameters
         ----------
         *arrays : array
-            neutral, emotional, voice, shown, gain, ruled and state of `CurvePass.forward`.
+            neutral, emotional, voice, shown, gain, ruled and state of `CurvePass.forward`; the
+            state as it was given.
 
         Returns
         -------
@@ -162,8 +166,9 @@ class CurveNetwork(Network, Protocol):
         """
 
 
-State: TypeAlias = tuple[Float32, ...]
-"""What a network keeps of streams between two calls; every array begins with the stream."""
+State: TypeAlias = tuple[Any, ...]
+"""What a network keeps of streams between two calls: arrays, or tensors on its device; each begins
+with the stream."""
 
 
 class SpectraGrid(NamedTuple):

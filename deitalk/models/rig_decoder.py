@@ -400,10 +400,10 @@ class RigDecoder(Decoder):
             return torch.where(self.is_kept, kept(emotion), curves)
         base = kept(emotion)
         shown = change.captured(emotion)
-        curves = own(shown) + change(base - kept(shown))
+        curves = own(shown) + change(base - kept(shown), emotion, shown)
         if not change.is_whole:
             plain = change.plain(emotion)
-            others = own(plain) + change(base - kept(plain))
+            others = own(plain) + change(base - kept(plain), emotion, plain)
             curves = others + change.share(shown) * (curves - others)
         return curves if self.is_kept is None else torch.where(self.is_kept, base, curves)
 

@@ -32,6 +32,9 @@ class BaseChange(nn.Module):
         self.register_buffer("is_captured", torch.tensor(list(captured)), persistent=False)
         self.carry = nn.Parameter(torch.zeros(n_controls, n_base), requires_grad=False)
         """Share of each control of the model before in each of the rig."""
+        self.pose = nn.Parameter(torch.zeros(len(captured), n_controls), requires_grad=False)
+        """What each emotion adds besides: the part of its change that does not move with speech,
+        where `carry` has less of it."""
         self.taught = nn.Parameter(torch.ones(len(captured), n_controls), requires_grad=False)
         """1 where a control moves in a captured emotion as the captures do; 0: as the base. It is
         changed by `teach`."""
@@ -61,9 +64,14 @@ class BaseChange(nn.Module):
         moved = (weights - stay).sum(dim=-1, keepdim=True) * target
         return torch.cat((stay + moved, actors), dim=-1)
 
-    def forward(self, change: Tensor) -> Tensor:
-        """Carry a change of the base's curves (B, T, base) to the rig (B, T, C)."""
-        return F.linear(change, self.carry)
+    def forward(self, change: Tensor, emotion: Tensor, before: Tensor) -> Tensor:
+        """Carry a change of the base's curves (B, T, base) to the rig (B, T, C).
+
+        It is that from the styles `before` to `emotion`, each (B, 5 + A) or (B, T, 5 + A).
+        """
+        size = len(self.pose)
+        pose = (emotion[..., :size] - before[..., :size]) @ self.pose
+        return F.linear(change, self.carry) + (pose.unsqueeze(1) if pose.dim() == 2 else pose)
 
     def share(self, emotion: Tensor) -> Tensor:
         """Share of the captured motion in the controls (B, T or 1, C), of its emotions."""

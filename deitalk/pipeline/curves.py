@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from deitalk.acting import AUTO, Acting, acted_as
+from deitalk.acting import Acting, acted_as
+from deitalk.acting_fields import AUTO
 from deitalk.audio.arrays import Audio, recording_of
 from deitalk.audio.choice import AudioChoice
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE, frame_count
@@ -41,7 +42,7 @@ from deitalk.postprocess.life.motion import Motion, plan_motion
 from deitalk.postprocess.life.other import OtherVoice
 from deitalk.postprocess.life.voice import Seeds, Traits, measure_voice
 from deitalk.postprocess.tracks import VoiceTracks, shown_columns
-from deitalk.postprocess.variants import choose_ways, unused_variants
+from deitalk.postprocess.variants import USUAL_STATE, choose_ways, unused_variants
 from rig import ControlSet, RigCurves
 from rig.arrays import Float32
 from rig.curves.apply_layers import target_columns
@@ -395,9 +396,8 @@ def _ready(prepared: Prepared, reading: Reading, words: "WordFit | None" = None)
     near, usual = (mean_around(x, speaking) for x in (intensities.voice, intensities.network))
     opening = opening_factor(rules.scale_opening, near, usual)
     kept = speech.held(rules.hold_pose)
-    state = (
-        state_of_intensity(float(np.median(intensities.voice[speaking]))) if speaking.any() else 0.0
-    )
+    felt = intensities.predicted[speaking]
+    state = state_of_intensity(float(np.median(felt))) if len(felt) else USUAL_STATE
     traits = _traits(prepared)
     ways = choose_ways(acting.variant, traits, acting.seed, state)
     side = np.full(len(weights), ways.side)
@@ -472,7 +472,7 @@ def apply_rules(rules: CurveRules, clips: Sequence[Unruled]) -> list[int]:
         Values of the shown curves of each that were outside of their range.
     """
     outside, state = np.zeros(len(clips)), rules.first(len(clips))
-    rest, size = state[0, -1], clips[0].neutral.shape[1]  # a face at rest follows the last frame
+    rest, size = rules.before[-1], clips[0].neutral.shape[1]  # a face at rest follows the last
     after = rest[:size], rest[size : 2 * size], rest[2 * size :], np.zeros(1, np.float32)
     gain = np.stack([clip.gain for clip in clips])
     flags = np.array([clip.ruled for clip in clips], np.float32)
@@ -532,7 +532,8 @@ def _traits(prepared: Prepared) -> Traits:
     known = (acting.voice and acting.voice.traits) or (acting.after and acting.after.traits)
     if known:
         return Traits(**known)
-    return Traits.of(Seeds.of(prepared.speech.waveform, prepared.style, acting.seed).character())
+    seeds = Seeds.of(prepared.speech.waveform, prepared.style, acting.seed)
+    return replace(Traits.of(seeds.character()), own=float(prepared.style != ""))
 
 
 def _motion(

@@ -20,7 +20,8 @@ from typing import Any, TypeAlias, cast
 import numpy as np
 import torch
 
-from deitalk.acting import AUTO, Acting, acted_as
+from deitalk.acting import Acting, acted_as
+from deitalk.acting_fields import AUTO
 from deitalk.audio.arrays import Audio, recording_of
 from deitalk.audio.choice import AudioChoice
 from deitalk.audio.frames import FRAME_RATE

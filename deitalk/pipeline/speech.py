@@ -1,4 +1,4 @@
-"""What both products compute of a recording before their own part.
+"""Measures of a recording that both products use: activity, gates, level, strength, intensity.
 
 ::
 
@@ -86,7 +86,7 @@ class Speech:
 
     @classmethod
     def of_recording(cls, recording: Recording, gates: Gates | None = Gates()) -> "Speech":
-        """The same of a recording, whose activity is measured once.
+        """Measure a recording, whose activity is known already.
 
         Raises
         ------
@@ -98,7 +98,7 @@ class Speech:
 
     @property
     def n_frames(self) -> int:
-        """T."""
+        """T, number of frames."""
         return frame_count(len(self.waveform))
 
     @property
@@ -140,7 +140,7 @@ class Speech:
         return np.concatenate((self.before, self.activity, self.after))
 
     def _of_take(self, gate: Float32) -> Float32:
-        """The frames of the recording itself."""
+        """Select the frames of the recording itself."""
         return gate[len(self.before) : len(self.before) + self.n_frames]
 
     @cached_property
@@ -159,7 +159,7 @@ class Speech:
     @property
     def strength(self) -> float:
         """Strength of the whole voice at any gain, dB above the usual."""
-        return self._followed_strength[0]
+        return float(self._followed_strength[0])
 
     def strengths(self, effort: Float32 | None = None) -> tuple[float, Float32]:
         """The same, and that of each frame's phrase [shape=(T,)], which changes little within it.
@@ -167,7 +167,8 @@ class Speech:
         Of a short phrase, which is measured badly, it is nearer to the whole. With a network's
         readout of the effort [shape=(T,), dB] the two are averaged.
         """
-        return phrase_strengths(*self._followed_strength, self.activity > 0, effort)
+        strength, rows = phrase_strengths(*self._followed_strength, self.activity > 0, effort)
+        return float(strength), rows
 
 
 def phrase_strengths(
@@ -220,7 +221,7 @@ class Intensities(NamedTuple):
     network: Float32
     """Predicted by the network, 0 to 1."""
     held: Float32
-    """What the emotional reading holds, 0 to 2; by default as much as `network`."""
+    """Intensity already in the emotional reading, 0 to 2; by default `network`."""
     voice: Float32
     """That of the voice, 0 to 1.2."""
     share: Float32
@@ -247,7 +248,7 @@ def measure_intensities(
 
     A network without an intensity module counts as one that predicts 1 everywhere. Without the
     `rule` of the voice's intensity the emotional reading is shown as it is, times the factor.
-    `held` gives the intensity that the emotional reading holds from the predicted one. Of a script
+    `held` gives the intensity already in the emotional reading from the predicted one. Of a script
     come `weights` of the emotions [shape=(T, 9)], in place of the acting's, and a `factor`
     [shape=(T,)] on the intensity. A curve of the intensity and keyframes
     of the emotion are shown as drawn, in silence too.

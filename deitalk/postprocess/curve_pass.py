@@ -12,7 +12,7 @@ Letters: B streams, T frames of a call, R = 2 readings (neutral, then the one th
 controls, K contacts, W frames around a frame.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor, nn
@@ -245,6 +245,8 @@ class CurvePass(nn.Module):
 class TorchPass:
     """A `CurvePass` with arrays: a `deitalk.models.protocol.CurveRules`.
 
+    Its state stays a tensor on the device of the rules.
+
     Parameters
     ----------
     rules : CurvePass
@@ -253,15 +255,19 @@ class TorchPass:
     def __init__(self, rules: CurvePass) -> None:
         self.rules = rules
         self.behind, self.ahead = rules.behind, rules.ahead
+        self.before: Float32 = rules.before.cpu().numpy()
 
-    def first(self, batch: int) -> Float32:
+    def first(self, batch: int) -> Tensor:
         """State before the first frame."""
-        return self.rules.first(batch).cpu().numpy()
+        return self.rules.first(batch)
 
-    @torch.inference_mode()
-    def __call__(self, *arrays: Float32) -> tuple[Float32, Float32, Float32, Float32]:
+    @torch.no_grad()
+    def __call__(self, *arrays: Any) -> tuple[Float32, Float32, Float32, Tensor]:
         """Finish the next frames; parameters and results are those of `CurvePass.forward`."""
         device = self.rules.rest.device
-        found = self.rules(*(torch.from_numpy(array).to(device) for array in arrays))
-        curves, neutral, outside, state = (part.cpu().numpy() for part in found)
-        return curves, neutral, outside, state
+        given = (torch.as_tensor(array, device=device) for array in arrays)
+        curves, neutral, outside, state = self.rules(*given)
+        # One array crosses the bus.
+        columns = torch.cat((curves, neutral, outside.unsqueeze(-1)), dim=-1).cpu().numpy()
+        size = self.rules.size
+        return columns[..., :size], columns[..., size:-1], columns[..., -1], state

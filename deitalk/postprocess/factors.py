@@ -30,7 +30,7 @@ def expression_scale(applied: Array, predicted: Array) -> Array:
     applied : array or Tensor [shape=(T,), range 0 to 4]
         Intensity to show.
     predicted : array or Tensor [shape=(T,), range 0 to 1]
-        Intensity in the emotional reading.
+        Intensity already in the emotional reading.
     """
     return single(applied / library(predicted).clip(predicted, LEAST_PREDICTED, None))
 
@@ -72,7 +72,7 @@ def held_intensity(
     weights: Array,
     network: Array,
 ) -> Array:
-    """Intensity in the emotional reading [shape=(..., T), range 0 to 2].
+    """Intensity already in the emotional reading [shape=(..., T), range 0 to 2].
 
     The size of its pose of the upper face over that which networks are taught: the expression then
     changes as the intensity that is applied, and not with the reading's own errors. Where a pose

@@ -1,4 +1,4 @@
-"""What the pass after the network reads of each frame besides the readings; arrays, no torch.
+"""Columns of each frame that the pass after the network reads besides the readings.
 
 Letters: T frames (with more axes before them, as in the arrays that are joined), S styles.
 """
@@ -7,9 +7,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from deitalk.array_functions import Array, join, library, single
 from deitalk.emotions import LABELS
 from deitalk.emotions.variants import EMOTION_OF
-from rig.arrays import AnyFloat, Float32, Int64
+from rig.arrays import Float32
 
 N_VARIANTS = len(EMOTION_OF)
 VOICE = 10 + len(LABELS) + N_VARIANTS
@@ -23,33 +24,34 @@ GATES = 2
 
 
 class VoiceTracks(NamedTuple):
-    """What voice and acting say of frames."""
+    """Columns of the pass that come from voice and acting, arrays or tensors."""
 
-    scale: AnyFloat
+    scale: Array
     """Factor on the difference of the readings [shape=(T,)]."""
-    opening: AnyFloat
+    opening: Array
     """Factor on the opening of the mouth [shape=(T,)]."""
-    held: AnyFloat
-    """Intensity that the emotional reading holds [shape=(T,), range 0 to 2]."""
-    phones: AnyFloat
+    held: Array
+    """Intensity already in the emotional reading [shape=(T,), range 0 to 2]."""
+    phones: Array
     """From `deitalk.postprocess.known_phones.phone_tracks` [shape=(T, 4)]."""
-    emotion: AnyFloat
+    emotion: Array
     """Weights of the emotions [shape=(T, 9)]."""
-    back: AnyFloat | Int64
+    back: Array
     """Frames since the pose that a held sound keeps [shape=(T,)]; `deitalk.audio.held_sound`."""
-    kept: AnyFloat
+    kept: Array
     """Share of that pose that is shown [shape=(T,), range 0 to 1]."""
-    variants: AnyFloat
+    variants: Array
     """Weights of their variants [shape=(T, 24)]; 0: the pose of the emotion itself."""
-    side: AnyFloat
+    side: Array
     """1: the left side does what one side does alone, -1: the right one [shape=(T,)]."""
 
-    def columns(self) -> Float32:
+    def columns(self) -> Array:
         """All of them side by side [shape=(T, 43)]."""
-        single = np.stack((self.scale, self.opening, self.held), axis=-1)
-        kept = np.stack((self.back, self.kept, self.side), axis=-1)
-        columns = single, self.phones, kept, self.emotion, self.variants
-        return np.concatenate(columns, axis=-1, dtype=np.float32)
+        factors = library(self.scale).stack((self.scale, self.opening, self.held), axis=-1)
+        singles = [single(part) for part in (self.back, self.kept, self.side)]
+        kept = library(self.scale).stack(singles, axis=-1)
+        columns = factors, self.phones, kept, self.emotion, self.variants
+        return join([single(part) for part in columns], -1)
 
 
 class MotionTracks(NamedTuple):

@@ -1,9 +1,10 @@
-"""Which variant of each emotion a take shows: given, or drawn for the voice.
+"""Which variant of each emotion a take shows: given, or chosen by the voice and the character.
 
-A drawn take is between the variants of its emotion. Takes of one character (its traits are those
-of a style, a voice or the take before) with one seed are alike but for their strength; of nobody
-each recording has its own. A strong voice is nearer to the variants of strong voices
-(`rig.emotions.VARIANTS`).
+A take is between the variants of its emotion. A strong voice is nearer to those of strong voices
+(`rig.emotions.VARIANTS`), a weak one to those of weak voices. A character (its traits are those of
+a style, a voice or the take before) has its own besides, which are drawn from its traits and the
+seed. Of nobody the strength alone decides, or with another seed than 0 the seed too: variants that
+were drawn for each recording hid which of two takes is the stronger one.
 
 Letters: S emotions, V variants of all of them.
 """
@@ -24,8 +25,11 @@ from rig.emotions import PLAIN, VARIANTS
 SPREAD = 2.0
 """Standard deviation of the logarithms of the drawn weights: the largest of three is .74 on the
 average."""
-HOME = 0.9
-"""Added per standard deviation of the take's strength to a variant of strong voices."""
+HOME, STEEPNESS = 2.0, 1.5
+"""Most that is added to a variant of strong voices, and how suddenly about the usual state."""
+USUAL_STATE = 0.8
+"""State at which strong and weak voices part, between the normal and the strong takes of two
+corpora of actors."""
 FURTHEST_TRAIT = 10.0
 """More than any trait is below 0."""
 COLUMNS = tuple(EMOTION_OF)
@@ -42,29 +46,31 @@ class Ways(NamedTuple):
 
 
 def choose_ways(
-    given: Mapping[str, float], traits: Traits, seed: int, strength: float = 0.0
+    given: Mapping[str, float], traits: Traits, seed: int, state: float = USUAL_STATE
 ) -> Ways:
-    """Variants that are given, and drawn ones of the other emotions.
+    """Variants that are given, and chosen ones of the other emotions.
 
     Parameters
     ----------
     given : mapping of str to float
-        From `deitalk.emotions.variants.parse_variant`; emotions without one are drawn.
+        From `deitalk.emotions.variants.parse_variant`; of emotions without one they are chosen.
     traits : Traits
         Of the character.
     seed : int
         Another number draws otherwise.
-    strength : float
-        State of the voice (`feeling.state_of`), about standard deviations from the usual one.
+    state : float
+        Of the feeling (`feeling.state_of_intensity`).
     """
     weights = np.zeros((len(LABELS), len(COLUMNS)), np.float32)
     side = math.copysign(1.0, traits.side)
     if PLAIN in given:
         return Ways(weights, side)
     character = (round((value + FURTHEST_TRAIT) * 1000) for value in astuple(traits))
-    rng = np.random.default_rng([seed, *character])
+    rng = np.random.default_rng([seed, *(character if traits.own else ())])
+    spread = SPREAD * (traits.own or float(seed != 0))
+    strength = HOME * math.tanh(STEEPNESS * (state - USUAL_STATE))
     for emotion, own in VARIANTS.items():
-        drawn = SPREAD * rng.standard_normal(len(own)) + HOME * strength * np.array([*own.values()])
+        drawn = spread * rng.standard_normal(len(own)) + strength * np.array([*own.values()])
         shares = np.exp(drawn - drawn.max())
         shares /= shares.sum()
         if any(name in given for name in own):

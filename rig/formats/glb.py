@@ -5,6 +5,7 @@ Opens in Blender, three.js, Windows' viewer and Unreal. For a face of your own, 
 ``deitalk retarget``, whose files `read` reads too.
 """
 
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
@@ -48,8 +49,12 @@ def write(path: Path, curves: RigCurves, identity: int | str | Identity = 0) -> 
         return
     from rig.face import build_head
 
-    rig = morph_head(identity)
-    colours, surface = textured(build_head(identity))
+    head = build_head(identity)
+    head.bare  # noqa: B018, both threads use it
+    with ThreadPoolExecutor(1) as pool:  # pictures leave other threads alone
+        look = pool.submit(textured, head)
+        rig = morph_head(identity)
+        colours, surface = look.result()
     animation = WeightAnimation(rig.weights(curves), curves.fps, motion=_motion(curves))
     write_glb(
         path, rig.shapes, animation=animation, colours=colours, surface=surface,

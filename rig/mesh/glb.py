@@ -5,7 +5,7 @@ Section numbers are those of the Khronos glTF 2.0 specification.
 
 import json
 import struct
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -25,6 +25,8 @@ _MAGIC, _JSON, _BIN = 0x46546C67, 0x4E4F534A, 0x004E4942  # §4.4: "glTF", "JSON
 _FLOAT, _UINT, _USHORT = 5126, 5125, 5123
 _ARRAY_BUFFER, _INDEX_BUFFER = 34962, 34963
 
+SKIN = (0.80, 0.62, 0.53)
+"""Linear colour of a mesh without colours of its vertices."""
 _STILL = 1e-5
 """A vertex is left out of a morph target if it moves less than this share of the mesh's size."""
 
@@ -164,7 +166,6 @@ def write_glb(
     shapes: ShapeSet,
     *,
     animation: WeightAnimation | None = None,
-    colour: Sequence[float] = (0.80, 0.62, 0.53),
     colours: NDArray[Any] | None = None,
     surface: Surface | None = None,
     metres: float = 1.0,
@@ -182,10 +183,8 @@ def write_glb(
         y up, facing +z.
     animation : WeightAnimation, optional
         Weights of the shapes, in their order.
-    colour : sequence of 3 floats [0 to 1]
-        Linear base colour of the one material.
     colours : array [shape=(V, 3), range 0 to 1], optional
-        Linear colours of the vertices, instead.
+        Linear colours of the vertices; by default all are of `SKIN`.
     surface : Surface, optional
         Textures, which multiply the colours.
     metres : float
@@ -198,7 +197,7 @@ def write_glb(
     """
     builder = GlbBuilder()
     builder.json["asset"] = {"version": "2.0", "generator": "deitalk"}
-    used = _add_mesh(builder, shapes, colour, colours, metres)
+    used = _add_mesh(builder, shapes, colours, metres)
     if surface is not None:
         # Append texture coordinates and textures (§3.8) to the one mesh and material.
         uv = builder.dense(np.asarray(surface.uv, np.float64)[used], "VEC2", _ARRAY_BUFFER)
@@ -241,7 +240,6 @@ def write_glb(
 def _add_mesh(
     builder: GlbBuilder,
     shapes: ShapeSet,
-    colour: Sequence[float],
     colours: NDArray[Any] | None,
     metres: float,
 ) -> Int64:
@@ -274,14 +272,14 @@ def _add_mesh(
     if colours is not None:
         painted = np.asarray(colours, dtype=np.float64)[used]
         primitive["attributes"]["COLOR_0"] = builder.dense(painted, "VEC3", _ARRAY_BUFFER)
-        colour = (1.0, 1.0, 1.0)
     described: dict[str, Any] = {"name": "face", "primitives": [primitive]}
     if targets:
         primitive["targets"] = targets
         described["weights"] = [0.0] * len(targets)
         described["extras"] = {"targetNames": list(shapes.names)}
     builder.json["meshes"] = [described]
-    plain = {"baseColorFactor": [*colour, 1.0], "metallicFactor": 0.0, "roughnessFactor": 0.7}
+    base = SKIN if colours is None else (1.0, 1.0, 1.0)
+    plain = {"baseColorFactor": [*base, 1.0], "metallicFactor": 0.0, "roughnessFactor": 0.7}
     builder.json["materials"] = [
         {"name": "skin", "pbrMetallicRoughness": plain, "doubleSided": True}
     ]

@@ -187,15 +187,21 @@ class MovedNormals:
     """
 
     def __init__(self, mesh: TriMesh, moves: Bool | None = None) -> None:
-        self._vertices, products = mesh.vertices, cross_products(mesh)
-        self._sums = _corner_sums(mesh.faces, products, len(mesh.vertices))
-        self.rest = _unit(self._sums)
+        products = cross_products(mesh)
+        sums = _corner_sums(mesh.faces, products, len(mesh.vertices))
+        self.rest = _unit(sums)
         kept = slice(None) if moves is None else moves[mesh.faces].any(axis=1)
-        self._faces, self._products = mesh.faces[kept], products[kept]
+        faces = mesh.faces[kept]
+        # Coordinates and corners each in a row of their own, which is faster.
+        self._vertices, self._sums, self._normals, self._products = (
+            np.ascontiguousarray(array.T)
+            for array in (mesh.vertices, sums, self.rest, products[kept])
+        )
+        self._faces = np.ascontiguousarray(faces.T)
         # The faces of each vertex, one after another.
-        count = np.bincount(self._faces.ravel(), minlength=len(mesh.vertices))
-        self._count, self._first = count, np.cumsum(count) - count
-        self._at = np.argsort(self._faces.ravel(), kind="stable") // 3
+        self._count = np.bincount(faces.ravel(), minlength=len(mesh.vertices))
+        self._first = np.cumsum(self._count) - self._count
+        self._at = np.argsort(faces.ravel(), kind="stable") // 3
         self._place = np.zeros(len(mesh.vertices), np.int64)
 
     def turn(self, moving: Int64, delta: AnyFloat) -> tuple[Int64, Float64]:
@@ -207,21 +213,31 @@ class MovedNormals:
         moving, delta = moving[is_used], delta[is_used]
         count = self._count[moving]
         start = np.repeat(self._first[moving] - np.cumsum(count) + count, count)
-        is_touched = np.zeros(len(self._faces), bool)
+        is_touched = np.zeros(self._faces.shape[1], bool)
         is_touched[self._at[start + np.arange(len(start))]] = True
         touched = np.flatnonzero(is_touched)
-        corners: Int64 = np.take(self._faces, touched, axis=0)
-        products: Float64 = np.take(self._products, touched, axis=0)
+        corners: Int64 = np.take(self._faces, touched, axis=1)
         is_turned = np.zeros(len(self._place), bool)
         is_turned[corners] = True
         turned = np.flatnonzero(is_turned)
         self._place[turned] = np.arange(len(turned))
         faces: Int64 = np.take(self._place, corners)
-        posed: Float64 = np.take(self._vertices, turned, axis=0)
-        posed[self._place[moving]] += delta
-        change = _corner_sums(faces, _cross_products(posed, faces) - products, len(turned))
-        sums: Float64 = np.take(self._sums, turned, axis=0) + change
-        return turned, _unit(sums) - np.take(self.rest, turned, axis=0)
+        posed: Float64 = np.take(self._vertices, turned, axis=1)
+        place = self._place[moving]
+        for axis, by in zip(posed, delta.T, strict=True):
+            axis[place] += by
+        a, b, c = (np.take(posed, corner, axis=1) for corner in faces)
+        (x, y, z), (u, v, w) = b - a, c - a
+        products = y * w - z * v, z * u - x * w, x * v - y * u
+        sums: Float64 = np.take(self._sums, turned, axis=1)
+        for total, product, before in zip(sums, products, self._products, strict=True):
+            product -= np.take(before, touched)
+            for corner in faces:
+                total += np.bincount(corner, product, len(turned))
+        length = np.sqrt((sums * sums).sum(axis=0))
+        unit: Float64 = np.divide(sums, length, out=np.zeros_like(sums), where=length > 0)
+        unit -= np.take(self._normals, turned, axis=1)
+        return turned, unit.T
 
 
 def _unit(vectors: Float64) -> Float64:

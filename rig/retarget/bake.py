@@ -24,7 +24,7 @@ Evaluate = Callable[[Float32], Any]
 
 BATCH = 16
 """Poses at once: little memory that is used again."""
-_STILL = 1e-4
+STILL = 1e-4
 """A shape that moves no vertex by this share of the mesh's size is not kept."""
 
 
@@ -123,7 +123,7 @@ class BakedRig:
 
     def moving(self) -> "BakedRig":
         """The rig without shapes that hardly move."""
-        least = _STILL * self.shapes.neutral.size
+        least = STILL * self.shapes.neutral.size
         moves = np.linalg.norm(self.shapes.deltas, axis=-1).max(axis=1, initial=0.0) > least
         kept = np.flatnonzero(moves)
         shapes = replace(
@@ -169,11 +169,12 @@ def bake(
     poses = np.stack([driver.pose(controls) for driver in drivers])
     rest = _posed(evaluate, controls.rest[None], neutral)[0]
     deltas = np.empty((len(poses), *rest.shape), np.float32)
-    for k in range(0, len(poses), BATCH):
-        np.subtract(_posed(evaluate, poses[k : k + BATCH], neutral), rest, deltas[k : k + BATCH])
     kept: list[int] = []
-    least = _STILL * neutral.size
+    least = STILL * neutral.size
     for k in range(len(drivers)):
+        if k % BATCH == 0:
+            posed = _posed(evaluate, poses[k : k + BATCH], neutral)
+            np.subtract(posed, rest, deltas[k : k + BATCH])
         for j in kept if k >= len(drivers) - len(correctives) else ():
             weight = float(drivers[j].weight(poses[k : k + 1], controls)[0])
             if weight:

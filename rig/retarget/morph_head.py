@@ -17,14 +17,12 @@ from rig.mesh.glb import (
     Surface,
 )
 from rig.mesh.trimesh import TriMesh
-from rig.retarget.bake import BakedRig, bake, control_halves, face_correctives
+from rig.retarget.bake import STILL, BakedRig, bake, control_halves, face_correctives
 
 if TYPE_CHECKING:
     from PIL import Image
 
 METRES_PER_CM = 0.01
-GAZE = ("CTRL_C_eye_parallelLook.ty", *(f"CTRL_{s}_eye.t{a}" for s in "LRC" for a in "xy"))
-"""Controls that turn the eyes."""
 PICTURE = 1024
 """Side of the pictures of exported heads, texels."""
 
@@ -43,16 +41,20 @@ def morph_head(identity: int | str | Identity = 0) -> BakedRig:
     return bake(neutral, head.pose, default_controls(), correctives=face_correctives())
 
 
+@lru_cache(maxsize=1)
 def shown_controls() -> frozenset[str]:
-    """Return the controls that a shape or corrective of the embedded heads shows.
-
-    The seal alone moves nothing where the lips are shut, and has no shape.
-    """
-    halves, head = dict(control_halves(default_controls())), build_head(0)
-    drivers = [halves[name] for name in head.motion.names if name in halves]
-    drivers += [driver for _, driver in face_correctives()]
-    names = {half.control for d in drivers for group in d.groups for half in group}
-    return frozenset(names.union(GAZE))
+    """Return the controls that a shape or corrective of the embedded heads shows."""
+    controls, head = default_controls(), build_head(0)
+    halves = dict(control_halves(controls))
+    shown = [driver for name, driver in halves.items() if name in head.motion.names]
+    # Gaze and seals have no shape of their own: whether they move a face at rest.
+    others = [driver for name, driver in halves.items() if name not in head.motion.names]
+    moved = head.pose(np.stack([driver.pose(controls) for driver in others])) - head.neutral
+    least = STILL * TriMesh(head.neutral, head.bare.faces).size
+    far = np.linalg.norm(moved, axis=-1).max(axis=1) > least
+    shown += [driver for driver, is_far in zip(others, far, strict=True) if is_far]
+    shown += [driver for _, driver in face_correctives()]
+    return frozenset(half.control for d in shown for group in d.groups for half in group)
 
 
 SKIN_ROUGHNESS, HAIR_ROUGHNESS, EYE_ROUGHNESS = 0.52, 0.6, 0.08

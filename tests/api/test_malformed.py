@@ -118,7 +118,7 @@ def part(
         (FORM, b"--x\r\nContent Disposition: a\r\n\r\nv\r\n--x--\r\n", 400, "header"),
         (FORM, part("emotion", "", b"x" * 9_000_000)[:3_900_000] + b"\r\n--x--\r\n", 400, "size"),
         (FORM, part("f1") * 30 + b"--x--\r\n", 400, "files"),
-        (FORM, part("f", "", b"1") * 40 + b"--x--\r\n", 400, "fields"),
+        (FORM, part("f", "", b"1") * 70 + b"--x--\r\n", 400, "fields"),
         (FORM, part("recording", "", b"RIFF") + b"--x--\r\n", 422, "recording=@FILE"),
         (FORM, part("mesh") + b"--x--\r\n", 422, "mesh"),
         (FORM, part() + part("fps", "", b"many") + b"--x--\r\n", 422, "fps"),

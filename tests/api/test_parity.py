@@ -448,9 +448,15 @@ def test_every_door_dubs_alike(face, case, tmp_path, server, monkeypatch):
     rest = {name: value for name, value in given.items() if name != "performance"}
     run("dub", given["performance"], "line.wav", "-o", tmp_path / "take", "--model", "tiny",
         *options(rest))  # fmt: skip
+    monkeypatch.setattr("deitalk.batch.run.Workers", InProcess)
+    row = {"audio": "line.wav", "output": "line", "formats": "take"} | given
+    table = Path(f"dub-{tmp_path.name}.csv")
+    table.write_text(f"{','.join(row)}\n" + ",".join(f'"{cell}"' for cell in row.values()) + "\n")
+    for status in ("1 done", "1 unchanged"):
+        assert status in run("batch", table, "-o", tmp_path / "out", "--model", "tiny")
     sent = {("curves_fps" if n == "source_fps" else n): v for n, v in given.items()}
     sent |= {"recording": "line.wav", "name": "line"}
-    for made in (tmp_path / "take", post("/v1/dubs", sent, server)):
+    for made in (tmp_path / "take", tmp_path / "out/line", post("/v1/dubs", sent, server)):
         same(take_of(made), wanted)
         told = json.loads((made / "dub.json").read_text())
         assert told["summary"] == found.line and told["kept"] == list(found.kept)

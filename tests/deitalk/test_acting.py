@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given, strategies
 
 from deitalk import LiveAnimator, animate, animate_batch, animate_mesh
-from deitalk.acting import LIVE_FIELDS, Acting, Words
+from deitalk.acting import LIVE_FIELDS, Acting
+from deitalk.acting_fields import Words
 from deitalk.emotions import LABELS
 from deitalk.errors import ConfigError
 from rig.errors import UserError

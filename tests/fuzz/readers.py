@@ -293,7 +293,7 @@ def _read_whole_model(path: Path) -> object:
 def _override_seeds(folder: Path) -> list[Seed]:
     texts = (
         b"train.batch_size=8", b"model.decoder_dilations=[1, 2, 4]", b"loss.control_weights={jaw: 2}",
-        b"model.frontend={kind: mel, phases: 2}", b"train.steps=&a 5", b"name=x",
+        b"model.frontend={kind: mel, tapers: 2}", b"train.steps=&a 5", b"name=x",
     )  # fmt: skip
     return [Seed("o.txt", text, mutated) for text in texts]
 

@@ -28,6 +28,8 @@ take and takes of one hand gave at most .007, takes of different ones .05 to .2.
 MOST_APART = 1.06
 """Error with which a half of a take is predicted from halves of others of its convention, over that
 from its own other half. Takes of one hand gave .99 and 1.01, takes of different ones 1.11 to 2."""
+LEAST_HELP = 0.1
+"""Share of the smaller group's error by which a join lowers that of both, where they are alike."""
 PENALTY = 0.03
 """Of a map, as a share of the squares of its predictors."""
 MOVING = 0.02
@@ -250,39 +252,44 @@ class _Compared:
     def best_groups(self) -> list[list[int]]:
         """The grouping in which halves are best predicted from the rest of their group.
 
-        Groups are joined by how much worse than a take's own half halves of the others predict it;
-        joins beyond `MOST_APART` are undone.
+        Groups are joined by the mean of the errors of each take's map on the others' takes. A join
+        is undone where halves predict each other worse than their own take by `MOST_APART`, and the
+        others help by less than `LEAST_HELP`.
         """
         count = len(self.takes)
-        maps = [[self.map_of(half) for half in take] for take in self.takes]
-        apart = np.array([
-            [sum(self.error(maps[i][half], j, 1 - half) for half in (0, 1)) for j in range(count)]
-            for i in range(count)
-        ])  # fmt: skip
-        worse = apart / np.maximum(np.diagonal(apart), 1e-9)
-        distance = (worse + worse.T) / 2
-        groups, furthest = [[i] for i in range(count)], 0.0
+        maps = [[self.map_of(half) for half in (*take, take.sum(axis=0))] for take in self.takes]
+        pairs = [[(own, other) for other in range(count)] for own in maps]
+        whole, halves = (
+            np.array([[sum(self.error(own[k], j, half) for k, half in rows) for own, j in row]
+                      for row in pairs])
+            for rows in (((2, 0), (2, 1)), ((0, 1), (1, 0)))
+        )  # fmt: skip
+        worse = halves / np.maximum(np.diagonal(halves), 1e-9)
+        distance, worse = whole + whole.T, (worse + worse.T) / 2
+        groups, are_alike = [[i] for i in range(count)], True
         levels = []
         while True:
-            levels.append((sum(self._cost(group) for group in groups), furthest, groups))
+            costs = [self._cost(group) for group in groups]
+            levels.append((sum(costs), are_alike, groups))
             if len(groups) == 1:
                 break
-            pairs = [
+            near = [
                 (float(distance[np.ix_(a, b)].mean()), i, j)
                 for i, a in enumerate(groups)
                 for j, b in enumerate(groups)
                 if i < j
             ]
-            nearest, i, j = min(pairs)
-            furthest = max(furthest, nearest)
+            _, i, j = min(near)
             joined = sorted(groups[i] + groups[j])
+            helped = costs[i] + costs[j] - self._cost(joined)
+            ratio = worse[np.ix_(groups[i], groups[j])].mean()
+            if ratio > MOST_APART and helped < LEAST_HELP * min(costs[i], costs[j]):
+                are_alike = False
             groups = [group for k, group in enumerate(groups) if k not in (i, j)] + [joined]
-        cost, most, best = min(levels, key=lambda level: level[0])
+        cost, are_alike, best = min(levels, key=lambda level: level[0])
         if cost >= (1 - LEAST_GAIN) * levels[-1][0]:
             return groups
-        if most > MOST_APART:
-            best = [level[2] for level in levels if level[1] <= MOST_APART][-1]
-        return best
+        return best if are_alike else [groups for _, alike, groups in levels if alike][-1]
 
     def _cost(self, group: Sequence[int]) -> float:
         total = self.takes[list(group)].sum(axis=(0, 1))

@@ -33,12 +33,12 @@ class OnnxPass:
     def __init__(self, entry: str, controls: ControlSet, session: Any) -> None:
         about: Mapping[str, Any] = json.loads(entry)
         self.behind, self.ahead = int(about["behind"]), int(about["ahead"])
-        self._before = rest_rows(controls.rest, self.behind + self.ahead)
+        self.before = rest_rows(controls.rest, self.behind + self.ahead)
         self._session = session(base64.b64decode(about["graph"], validate=True))
 
     def first(self, batch: int) -> Float32:
         """State before the first frame."""
-        return np.repeat(self._before[None], batch, axis=0)
+        return np.repeat(self.before[None], batch, axis=0)
 
     def __call__(self, *arrays: Float32) -> tuple[Float32, Float32, Float32, Float32]:
         """Finish the next frames; see `deitalk.postprocess.curve_pass.CurvePass.forward`."""

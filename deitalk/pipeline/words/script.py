@@ -23,7 +23,7 @@ from xml.parsers import expat
 
 import numpy as np
 
-from deitalk.acting import Words
+from deitalk.acting_fields import Words
 from deitalk.audio.frames import FRAME_RATE
 from deitalk.emotions import EmotionTrack, parse_emotion
 from deitalk.errors import DataError

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from functools import cache, lru_cache
 from pathlib import Path
 
-from deitalk.acting import Words
+from deitalk.acting_fields import Words
 from deitalk.errors import ConfigError, DataError, MissingError
 from rig import limits
 from rig.errors import quoted, shorten
@@ -339,7 +339,7 @@ class Transcript:
     def of(
         cls, given: str | Path | Words, language: str = LANGUAGE, role: str | None = None
     ) -> "Transcript":
-        """Words of a text or a file, see `deitalk.acting.Words`.
+        """Words of a text or a file, see `deitalk.acting_fields.Words`.
 
         Parameters
         ----------

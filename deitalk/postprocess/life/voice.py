@@ -76,6 +76,9 @@ class Traits:
         Factors on the motion of brows and head.
     avoids : float, range -1 to 1
         Side to which the gaze is averted more often; 1 is the character's left.
+    own : float, range 0 to 1
+        How far the character has its own variants of the emotions; 0 where nobody is named, of
+        whom two recordings must differ as their voices do.
     """
 
     blink_interval: float = 1.0
@@ -83,6 +86,7 @@ class Traits:
     brow_range: float = 1.0
     head_range: float = 1.0
     avoids: float = 0.0
+    own: float = 1.0
 
     @classmethod
     def of(cls, rng: np.random.Generator) -> "Traits":

@@ -1,20 +1,24 @@
-"""A model fitted to a few seconds of a take: its nearest style, with gains and offsets.
+"""A model on captures of after its tuning: scored on them, or fitted to a few seconds of a take.
 
 Seconds of captures teach no map of the sound, but they tell which convention a take has, how its
-face rests and how far each control moves.
+face rests and how far each control moves: the nearest style, gains and offsets.
 """
 
 import copy
 from collections.abc import Sequence
-from typing import NamedTuple
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
 
 from deitalk.data.clips import Clip
 from deitalk.errors import DataError
+from deitalk.evaluation.captures import System, by_model, write_comparison
+from deitalk.evaluation.comparison import CaptureSet, mean_pose
 from deitalk.evaluation.smoothness import load_example, predict
 from deitalk.models.curve_model import DEITalk
+from deitalk.training.tuning.recipe import learnt_controls
 from rig.arrays import Bool, Float32, Float64
 from rig.errors import ControlError
 
@@ -33,6 +37,46 @@ class Fit(NamedTuple):
     """The style that was nearest; empty: the model's own or the mean one."""
     error: float
     """Squared error on the clips over that of the model before, without a name."""
+
+
+def score_model(model: DEITalk, clips: Sequence[Clip], folder: Path) -> dict[str, Any]:
+    """Score a model on clips it never saw, and write the report of `write_comparison`.
+
+    Parameters
+    ----------
+    model : DEITalk
+        Of the clips' rig.
+    clips : sequence of Clip
+        Each is predicted in the style of its actor, if the model has it.
+    folder : Path
+        Exists.
+
+    Returns
+    -------
+    dict
+        Scores of each system; ``after`` is the model, and beside it are its styles, the mean pose
+        of these clips and loudness.
+
+    Raises
+    ------
+    DataError
+        If there is no clip, or they are of another rig.
+    """
+    if not clips:
+        raise DataError("no clips to score on")
+    controls, learnt = model.controls, learnt_controls(model.rules, model.controls)
+    try:
+        captures = CaptureSet.of(clips, controls, mean_pose(clips, controls, learnt), learnt)
+    except ControlError as error:
+        text = f"{clips[0].curves}: curves of another rig than {controls.id} ({error})"
+        raise DataError(text) from None
+    plain = by_model(model)
+
+    def styled(name: str) -> System:
+        return lambda example: plain(example._replace(speaker=name))
+
+    systems = {"after": plain} | {f"style {name}": styled(name) for name in model.actors}
+    return write_comparison(folder, systems, captures, clips, held="of captures that are given")
 
 
 class _Sums:

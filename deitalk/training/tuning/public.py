@@ -3,6 +3,7 @@
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,6 +21,10 @@ if TYPE_CHECKING:
     from deitalk.config.finetuning import FinetuneConfig
 
 PathLike = str | Path
+NO_GRAPH = (
+    "{}: no graph for ONNX Runtime was written, torch evaluates the model; after pip install "
+    "'deitalk[onnx]', deitalk model export writes it with one."
+)
 
 
 def import_captures(
@@ -117,7 +122,8 @@ class Tuned:
     conventions : dict of str to list of str
         Takes by style, where an actor's takes differ in convention.
     warnings : tuple of str
-        Lines on a model that is no better than the base or than loudness.
+        Lines on a model that is no better than the base or than loudness, or has no graph for ONNX
+        Runtime.
     """
 
     model: Path
@@ -202,13 +208,10 @@ def run_tuning(config: "FinetuneConfig", dataset: PathLike, out: PathLike, **opt
     """Tune with settings of `settings_of`; `options` and errors as `finetune`."""
     scores = tune(config, Path(dataset), Path(out), **options)
     report = json.loads((Path(out) / "report.json").read_text(encoding="utf-8"))
-    return Tuned(
-        Path(out) / "best",
-        scores,
-        report["delivered"],
-        report["conventions"],
-        tuple(warnings_of(scores)),
-    )
+    best, warnings = Path(out) / "best", warnings_of(scores)
+    if find_spec("onnx") is None:
+        warnings.append(NO_GRAPH.format(best))
+    return Tuned(best, scores, report["delivered"], report["conventions"], tuple(warnings))
 
 
 def settings_of(

@@ -11,7 +11,7 @@ from deitalk.config.finetuning import FinetuneConfig
 from deitalk.config.hub import pinned
 from deitalk.config.load import load_model_config, parse_config, read_tree
 from deitalk.config.rig_file import read_controls
-from deitalk.config.rules import SharpenContacts
+from deitalk.config.rules import RulesConfig, SharpenContacts
 from deitalk.data.captures.columns import read_mapping
 from deitalk.data.clips import Clip
 from deitalk.emotions import EMOTIONS
@@ -220,8 +220,8 @@ def can_learn_intensity(config: FinetuneConfig) -> bool:
     return model.saliency_frames is not None and model.frontend.kind != "causal_whisper"
 
 
-def learnt_controls(config: FinetuneConfig, controls: ControlSet) -> Bool:
+def learnt_controls(rules: RulesConfig, controls: ControlSet) -> Bool:
     """Controls to train [shape=(C,)]: no blinks and gaze where a rule adds them."""
-    is_added = config.rules.idle is not None
+    is_added = rules.idle is not None
     names = controls.names
     return np.array([not (is_added and any(p in n for p in ADDED_CONTROLS)) for n in names], bool)

@@ -18,6 +18,7 @@ from deitalk.data.frozen_features import FrozenFeatures
 from deitalk.data.waveforms import read_waveform
 from deitalk.emotions import EMOTIONS
 from deitalk.evaluation.smoothness import MOVING, Example, load_example
+from deitalk.evaluation.validation import JAW
 from deitalk.models.curve_model import Analysis, DEITalk
 from deitalk.models.rig_decoder import RigDecoder
 from deitalk.training.trainer import Progress, silent
@@ -30,6 +31,10 @@ MOST_RAISED = 3.0
 """Most by which the spread of a control is raised."""
 GAINS = (0.5, 1.5)
 """Range of the size of an actor's expressions over those of the base."""
+CALMEST = 0.2
+"""Least share to which the jaw's motion by the base's emotions is lowered."""
+MOST_SIZED = 20
+"""Clips on which it is measured, evenly spread."""
 
 
 def take_of(clip: Clip) -> str:
@@ -211,12 +216,50 @@ class Regression:
             emotion = styles_of_clip(self.base, clip, len(example.curves))
             readings = torch.stack((decoder.change.plain(emotion), emotion))
             calm, acted = self.base.decode(analysis, readings)
-            change = decoder.change(acted - calm).numpy()
+            change = ((acted - calm) @ decoder.change.carry.T).numpy()
             count += len(example.curves) * example.known
             shown += example.curves.sum(axis=0) * example.known
             changed += change.sum(axis=0) * example.known
         with np.errstate(invalid="ignore", divide="ignore"):
             return shown / count, changed / count
+
+    @torch.no_grad()
+    def size_emotions(self) -> None:
+        """Lower the base's change of the jaw where the actors open it less in speech than the base.
+
+        An emotion changes how far the jaw opens with the speech; added whole to an actor who hardly
+        opens it, that would be most of its motion. It is lowered to the actors' spread over that of
+        the base, but for its pose: what an emotion adds where the base's neutral jaw is at rest.
+        """
+        change, names = self.model.rig_decoder.change, self.base.controls.names
+        if change is None or self.model.rig_decoder.kept is None or JAW not in names:
+            return
+        shares = change.carry.abs().numpy()
+        jaw = self.learnt & (shares.max(axis=1) > 0)
+        jaw &= shares.argmax(axis=1) == names.index(JAW)
+        calm = [clip for clip in self.clips if EMOTIONS.index(clip.emotion) == change.reference]
+        rows, spreads = [], np.zeros((2, len(self.controls)))
+        for clip in spread_clips(calm, MOST_SIZED):
+            example = load_example(clip, self.controls, sound=False)
+            count = len(example.curves)
+            analysis = analysed(self.base, clip, count, self.features)
+            every = torch.eye(len(EMOTIONS))[:, None].expand(-1, count, -1)
+            of_base = self.base.decode(analysis, self.base.styles(every, ""))
+            carried = (of_base @ change.carry.T).numpy().astype(np.float64)
+            styles = styles_of_clip(self.model, clip, count, clip.speaker)
+            own = self.model.decode(analysed(self.model, clip, count, self.features), styles)
+            neutral = carried[change.reference]
+            spreads += count * np.stack((own.numpy().var(axis=0), neutral.var(axis=0)))
+            rows.append(carried)
+        found = np.concatenate(rows, axis=1)
+        neutral, moved = found[change.reference], found - found[change.reference]
+        share = np.sqrt(spreads[0] / np.maximum(spreads[1], 1e-12))
+        share = np.where(jaw & (neutral.std(axis=0) > MOVING), np.clip(share, CALMEST, 1), 1)
+        about = neutral - neutral.mean(axis=0)
+        slope = (moved * about).sum(axis=1) / np.maximum(np.square(about).sum(axis=0), 1e-12)
+        still = moved.mean(axis=1) - slope * neutral.mean(axis=0)
+        change.pose.copy_(torch.from_numpy((1 - share) * still))
+        change.carry.mul_(torch.from_numpy(share).float()[:, None])
 
     @torch.no_grad()
     def match_range(self, share: float) -> None:

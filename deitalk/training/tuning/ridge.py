@@ -299,7 +299,7 @@ def _of_stranger(grams: Float64, n_controls: int) -> tuple[Float64, Float64]:
     pairs: list[Pair] = [(shared, None) for shared in SHARED]
     errors = np.zeros((len(pairs), n_controls))
     for left, of_actor in enumerate(grams):
-        others = np.delete(grams, left, axis=0)
+        others = [gram for place, gram in enumerate(grams) if place != left]
         own = of_actor - np.outer(of_actor[:, 0], of_actor[0]) / max(of_actor[0, 0], 1)
         for place, pair in enumerate(pairs):
             weight, bias = _solve(others, n_controls, *pair)
@@ -320,35 +320,38 @@ def _about(
 
 
 def _solve(
-    grams: Float64, n_controls: int, shared: float, own: float | None
+    grams: Sequence[Float64] | Float64, n_controls: int, shared: float, own: float | None
 ) -> tuple[Float64, Float64]:
     """Weights (A, C, F) and biases (A, C) of each actor from their products (A, …).
 
     Each actor's change is eliminated: with S its centred products, D the penalty and b the centred
     products with the targets, it is (S + own D)^-1 (b - S W) for the shared map W.
     """
-    counts = np.maximum(grams[:, 0, 0], 1)[:, None, None]
-    centred = grams - grams[:, :, :1] * grams[:, :1] / counts
-    size = grams.shape[1] - n_controls
-    squares, products = centred[:, 1:size, 1:size], centred[:, 1:size, size:]
-    scale = np.maximum(np.einsum("aii->i", squares), 1e-6 * grams[:, 0, 0].sum())
+    firsts = np.stack([gram[0] for gram in grams])
+    counts = np.maximum(firsts[:, :1], 1)
+    means = firsts / counts
+    size = firsts.shape[1] - n_controls
+    inner = sum(gram.diagonal() for gram in grams) - (firsts * means).sum(axis=0)
+    scale = np.maximum(inner[1:size], 1e-6 * firsts[:, 0].sum())
     left, right = np.diag(shared * scale), np.zeros((size - 1, n_controls))
-    if own is None or len(grams) == 1:
-        common = _positive(left + squares.sum(axis=0), products.sum(axis=0))
-        weight = [common for _ in grams]
-    else:
-        parts = []
-        for square, product in zip(squares, products, strict=True):
-            both = np.concatenate((square, product), axis=1)
-            part = _positive(square + np.diag(own * scale), both)
-            left += square - square @ part[:, : size - 1]
-            right += product - square @ part[:, size - 1 :]
-            parts.append(part)
-        common = _positive(left, right)
+    parts = []
+    for gram, first, mean in zip(grams, firsts, means, strict=True):
+        centred = gram[1:size, 1:] - np.outer(first[1:size], mean[1:])
+        square, product = centred[:, : size - 1], centred[:, size - 1 :]
+        if own is None or len(grams) == 1:
+            left += square
+            right += product
+            continue
+        part = _positive(square + np.diag(own * scale), centred)
+        left += square - square @ part[:, : size - 1]
+        right += product - square @ part[:, size - 1 :]
+        parts.append(part)
+    common = _positive(left, right)
+    weight = [common] * len(grams)
+    if parts:
         weight = [common + part[:, size - 1 :] - part[:, : size - 1] @ common for part in parts]
     stacked = np.stack(weight).transpose(0, 2, 1).astype(np.float64)
     # The biases with which each actor's mean is met; one without rows has the mean of the others'.
-    means = grams[:, 0] / counts[:, 0]
     bias = np.stack([m[size:] - each @ m[1:size] for m, each in zip(means, stacked, strict=True)])
     absent = means[:, 0] == 0
     bias[absent] = bias[~absent].mean(axis=0)

@@ -144,6 +144,9 @@ def finetune(
         job.save(out / "best", ridge, describe_model(out / "best")["training"] | {"step": 0})
         systems["after"] = systems["ridge"]
         scores = compared()
+    # Once more, with the graph that ONNX Runtime evaluates.
+    tuned, summary = require_model(out / "best", DEITalk), describe_model(out / "best")["training"]
+    save_model(out / "best", tuned, job.config, summary, graph=True)
     remove_features(out / "features")  # a run that is over needs none
     return scores
 
@@ -210,7 +213,7 @@ class FinetuneTask(CurveTask):
             found = shortage(len(self.clips), len(self.validation_clips))
             raise DataError(f"{data}: has {found}")
         self.test_clips, self.conventions = division.test, {}
-        self.learnt = learnt_controls(config, self.controls)
+        self.learnt = learnt_controls(config.rules, self.controls)
         self.pose = self._mean_pose(data)
         captured = self.learnt & self.pose.alive
         shown = {clip.emotion for clip in self.clips}
@@ -406,6 +409,7 @@ class FinetuneTask(CurveTask):
             if self.late is not None and fit.factor is not None:
                 weight, bias = fit.factor[:, None] * self.late.weight, fit.factor * self.late.bias
                 self.late = self.late._replace(weight=weight, bias=bias)
+        fit.size_emotions()
         self.ridge = copy.deepcopy(self.model).eval()
 
     def systems(self, after: DEITalk) -> tuple[CaptureSet, dict[str, System]]:

@@ -52,10 +52,10 @@ def test_what_a_preview_cannot_show_is_refused(arguments, message):
 
 def test_animate_writes_the_given_head(tmp_path, monkeypatch):
     def write(path, curves, identity=0):
-        path.write_text(str(identity))
+        path.write_text(identity.name)
 
     monkeypatch.setattr("rig.formats.usd.write", write)
     soundfile.write(tmp_path / "a.wav", speechlike(1.0), 16_000)
     command = ["animate", f"{tmp_path}/a.wav", "-o", f"{tmp_path}/a.usda", "--identity", "child"]
     ran(*command)
-    assert (tmp_path / "a.usda").read_text() == "child"
+    assert (tmp_path / "a.usda").read_text() == "Kaya"

@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 import yaml
 
+import deitalk.research.config  # noqa: F401 - adds the kinds of the recipes
 from deitalk.config.curves import Config, TrainConfig
 from deitalk.config.frontends import MelConfig, Wav2VecConfig
 from deitalk.config.load import load_config, load_model_config, parse_config

@@ -6,7 +6,6 @@ from torch.nn import functional as F
 
 from deitalk.audio.frames import SAMPLE_RATE
 from deitalk.config.frontends import MelConfig
-from deitalk.frontends import mel_bilstm
 from deitalk.frontends.mel_bilstm import SEGMENT_FRAMES, MelFrontend, TemporalAttention
 from tests.closeness import assert_same
 
@@ -145,28 +144,6 @@ def test_attention_along_a_clip_equals_attention_in_windows():
         window = memory[:, centre - 6 : centre + 6]
         expected, _ = attention.windows(window, memory[:, centre - 1 : centre + 2])
         torch.testing.assert_close(along[:, i], expected)
-
-
-@pytest.mark.parametrize("piece_spectra", [14, 64, 1000])
-@pytest.mark.parametrize(
-    "settings",
-    [
-        SEGMENT,
-        {"frame_rate": 120, "time_stack": 2},
-        {"time_layers": 2, "rig_layers": 2, "phases": 2},
-    ],
-)
-def test_pieces_of_spectra_give_the_whole_clip(settings, piece_spectra, monkeypatch):
-    """A call with gradients has no pieces; the division changes rounding only."""
-    model = frontend(gain=2.0, **SEGMENT | settings)
-    for layer in model.rig:
-        torch.nn.init.normal_(layer.project.weight, std=0.3)
-    n_frames = 100
-    waveform = noise(n_frames / 30)
-    whole = sum(model._frames(waveform, 0, n_frames, shift) for shift in model.shifts)[0].detach()
-    monkeypatch.setattr(mel_bilstm, "PIECE_SPECTRA", piece_spectra)
-    monkeypatch.setattr(mel_bilstm, "ATTENDED_FRAMES", piece_spectra // 2)
-    assert_same(model.encode(waveform[0], n_frames), whole / len(model.shifts))
 
 
 @torch.no_grad()

@@ -179,7 +179,7 @@ def listened(tiny, heard, size, **options):
     animator, heads = LiveAnimator(tiny, **options), []
     silence = np.zeros(len(heard), np.float32)
     for at in range(0, len(heard), size):
-        animator.feed(silence[at : at + size], heard=heard[at : at + size])
+        animator.feed(silence[at : at + size], other=heard[at : at + size])
         heads.append(animator.head)
     animator.finish()
     return np.concatenate([*heads, animator.head])
@@ -202,15 +202,15 @@ def test_streams_hear_each_their_own(tiny, voice):
     animator = LiveAnimator(tiny, streams=3)
     for at in range(0, len(voice), 1600):
         piece = slice(at, at + 1600)
-        animator.feed([silence[piece]] * 3, heard=[None, voice[piece], None])
+        animator.feed([silence[piece]] * 3, other=[None, voice[piece], None])
         rows.append(animator.head)
     both = [np.concatenate([row[k] for row in rows]) for k in range(3)]
     alone = listened(tiny, voice, 1600, seed=1)[: len(both[1])]
     np.testing.assert_allclose(both[1], alone, atol=1e-5)
-    with pytest.raises(AudioError, match="heard samples of 2 streams; there are 3"):
-        animator.feed([silence[:10]] * 3, heard=[None, None])
-    with pytest.raises(AudioError, match="heard samples have 3 bytes"):
-        animator.feed([silence[:10]] * 3, heard=[b"abc", None, None])
+    with pytest.raises(AudioError, match="other samples of 2 streams; there are 3"):
+        animator.feed([silence[:10]] * 3, other=[None, None])
+    with pytest.raises(AudioError, match="other samples have 3 bytes"):
+        animator.feed([silence[:10]] * 3, other=[b"abc", None, None])
 
 
 def test_messages_name_the_value_and_the_way_out(tiny, voice):

@@ -3,6 +3,7 @@
 import sys
 
 import numpy as np
+import torch
 
 from deitalk.live.animator import LiveAnimator
 
@@ -38,3 +39,15 @@ def test_calls_of_functions_grow_little_with_the_streams(tiny, voice):
             animator.feed(piece)
         found[streams] = calls(animator, pieces[8:])
     assert found[64] <= MOST_GROWTH * found[4]
+
+
+def test_state_stays_on_the_device_of_torch(tiny, voice):
+    """Of the network and of the rules: else it crosses to a GPU and back in each call."""
+    animator = LiveAnimator(tiny, "happy", streams=3)
+    for at in range(0, 6400, 1600):
+        animator.feed([voice[at : at + 1600]] * 3)
+    animator.reset(1)
+    animator.feed([voice[:1600]] * 3)
+    kept = (*animator.state, animator.due[0])
+    assert {type(part) for part in kept} == {torch.Tensor}
+    assert {part.device for part in kept} == {animator.network.model.device}

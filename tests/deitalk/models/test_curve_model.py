@@ -171,7 +171,7 @@ SAMPLES = (24_000, 23_700, 16_000, 23_480)
 
 def test_recordings_are_read_together_as_each_alone(rng):
     """Three of one number of frames; emotions and actors by recording."""
-    frontend = MelConfig(**MEL, phases=2, rig_layers=1)
+    frontend = MelConfig(**MEL, rig_layers=1)
     config = ModelConfig(
         frontend=frontend, motion_channels=(8,), decoder_channels=16, actors=("anna", "bo")
     )

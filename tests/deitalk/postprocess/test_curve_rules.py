@@ -231,7 +231,7 @@ def half_open() -> np.ndarray:
 def test_mouth_opens_with_an_intensity_above_the_predicted_and_contacts_stay():
     curves = half_open()
     predicted = np.full(3, 0.575, np.float32)
-    strength = np.array([0.52, 0.72, 0.72], np.float32)
+    strength = np.array([0, 0.2, 0.2], np.float32) + np.float32(OPENS.usual)
     RULES.scale_opening(curves, opening_factor(OPENS, strength, predicted))
     np.testing.assert_allclose(curves[:, JAW], [0.4, 0.4 * (1 + 0.2 * OPENS.gain), 0.4], rtol=1e-5)
     others = np.delete(np.arange(len(CONTROLS.names)), RULES.lively)

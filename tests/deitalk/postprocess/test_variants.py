@@ -1,6 +1,7 @@
 """Variants of the emotions: laws of every one, how they are drawn, and how they are given."""
 
 import re
+from dataclasses import replace
 from itertools import combinations, pairwise
 from pathlib import Path
 
@@ -13,7 +14,7 @@ from deitalk.emotions.variants import EMOTION_OF
 from deitalk.errors import EmotionError
 from deitalk.live.animator import LiveAnimator
 from deitalk.postprocess.life.voice import Seeds, Traits
-from deitalk.postprocess.variants import COLUMNS, choose_ways
+from deitalk.postprocess.variants import COLUMNS, USUAL_STATE, choose_ways
 from deitalk.research.evaluation.benchmark_curves import speechlike
 from rig import default_controls
 from rig.emotions import EMOTIONS, LABELS, VARIANTS
@@ -108,10 +109,10 @@ def test_the_page_lists_every_variant():
         assert columns == {*own}, emotion
 
 
-def drawn(seed=0, actor="", sound=0, strength=0.0, **given):
+def drawn(seed=0, actor="anna", sound=0, state=USUAL_STATE, **given):
     waveform = np.full(100, sound / 1000, np.float32)
     traits = Traits.of(Seeds.of(waveform, actor, seed).character())
-    return choose_ways(given, traits, seed, strength)
+    return choose_ways(given, replace(traits, own=float(actor != "")), seed, state)
 
 
 def rows_of(ways):
@@ -137,12 +138,25 @@ def test_a_take_is_between_the_variants_of_each_emotion_and_near_one():
     [
         ({}, True),
         ({"seed": 1}, False),
-        ({"sound": 5}, False),
-        ({"actor": "anna", "sound": 5}, False),
+        ({"sound": 5}, True),
+        ({"actor": "ben"}, False),
+        ({"state": 0.0}, False),
+        ({"actor": ""}, False),
     ],
 )
-def test_seed_voice_and_actor_draw(other, is_same):
+def test_seed_strength_and_actor_choose(other, is_same):
     assert np.array_equal(drawn().weights, drawn(**other).weights) == is_same
+
+
+@pytest.mark.parametrize("seed", [0, 3])
+@pytest.mark.parametrize("state", [-0.5, USUAL_STATE, 2.0])
+def test_of_nobody_the_strength_alone_chooses_whatever_the_sound(seed, state):
+    """Variants that were drawn for each recording hid which of two takes is the stronger one."""
+    first, second = (drawn(seed, actor="", sound=sound, state=state) for sound in (1, 2))
+    np.testing.assert_array_equal(first.weights, second.weights)
+    if seed == 0 and state == USUAL_STATE:
+        for weights in rows_of(first).values():
+            np.testing.assert_allclose(weights, 1 / len(weights), rtol=1e-6)
 
 
 def test_takes_of_a_named_actor_are_alike():
@@ -157,7 +171,7 @@ def test_a_strong_voice_is_nearer_to_the_variant_of_strong_voices(emotion):
     own = VARIANTS[emotion]
     loud, quiet = (list(own.values()).index(home) for home in (1, -1))
     for seed in range(20):
-        steps = [rows_of(drawn(seed, strength=z))[emotion] for z in (-2, -1, 0, 1, 2)]
+        steps = [rows_of(drawn(seed, state=z))[emotion] for z in (-2, -1, 0, 1, 2)]
         odds = [np.log(row[loud] / row[quiet]) for row in steps]
         assert (np.diff(odds) > 0).all()
 
@@ -210,23 +224,22 @@ def test_takes_of_two_seeds_differ_in_their_expression_and_one_seed_is_one_take(
     sound = speechlike(2.0)
     takes = [
         animate(sound, "angry", sample_rate=16_000, seed=seed, life="off").curves.values
-        for seed in (1, 1, 2)
+        for seed in (1, 1, 3)
     ]
     np.testing.assert_array_equal(takes[0], takes[1])
     assert np.abs(takes[0] - takes[2]).max() > 0.1
 
 
-def test_a_take_that_follows_another_shows_the_emotion_alike():
+def test_a_take_that_follows_another_has_its_character():
     """Of other sound; the traits of the take before are its character's."""
     first, second = speechlike(2.0), 0.5 * speechlike(2.5)[::-1].copy()
     before = animate(first, "angry", sample_rate=16_000)
-    shown = []
-    for after in (None, before):
-        take = animate(second, "angry", sample_rate=16_000, after=after)
-        shown.append(choose_ways({}, Traits(**take.traits), 0))
-    own = choose_ways({}, Traits(**before.traits), 0)
-    np.testing.assert_array_equal(shown[1].weights, own.weights)
-    assert (shown[0].weights != own.weights).any()
+    free, led = (
+        animate(second, "angry", sample_rate=16_000, after=after) for after in (None, before)
+    )
+    assert led.traits == pytest.approx(before.traits, abs=1e-5)
+    assert led.traits["own"] == 0
+    assert free.traits != led.traits
 
 
 def test_live_voices_have_variants_too():

@@ -18,8 +18,8 @@ from deitalk.models.checkpoint import load_model
 from deitalk.research.evaluation.benchmark_curves import speechlike
 from deitalk.training.tuning.carry import carry_matrix
 from deitalk.training.tuning.task import finetune
-from rig import RigCurves, default_controls, write_curves
-from tests.dataset import FPS, jaw
+from rig import RigCurves, default_controls, read_curves, write_curves
+from tests.dataset import FPS, JAW, jaw
 from tests.deitalk.training.conftest import recipe
 
 CONTROLS = default_controls()
@@ -78,6 +78,32 @@ def test_neutral_captures_leave_the_change_of_every_emotion(base, neutral, emoti
     before, after = (readings(model, "neutral")[0] for model in (base, neutral))
     assert np.abs(after - before).max() > 0.05
     np.testing.assert_allclose(change(neutral, emotion), change(base, emotion), atol=2e-5)
+
+
+@pytest.fixture(scope="module")
+def calm(base, data, tmp_path_factory) -> Path:
+    """A model tuned on neutral captures in which the jaw opens a tenth as far."""
+    place = tmp_path_factory.mktemp("calm")
+    folder = labelled(data, place / "data", "neutral")
+    for path in (folder / "curves").iterdir():
+        curves = read_curves(path)
+        values = curves.values.copy()
+        values[:, CONTROLS.index(JAW)] *= 0.1
+        write_curves(path, RigCurves(values, curves.names, curves.fps))
+    finetune(settings(base), folder, place / "run")
+    return place / "run" / "best"
+
+
+@pytest.mark.parametrize("emotion", EMOTIONS[1:])
+def test_emotions_move_the_jaw_of_a_calm_actor_less(base, calm, emotion):
+    """As much less as the neutral jaw moves; every other control as the base's."""
+    place = CONTROLS.index(JAW)
+    of_base, found = change(base, emotion), change(calm, emotion)
+    others = np.delete(np.arange(len(CONTROLS)), place)
+    np.testing.assert_allclose(found[:, others], of_base[:, others], atol=2e-5)
+    share = found[:, place].std() / of_base[:, place].std()
+    assert 0.19 < share < 0.8
+    assert np.corrcoef(found[:, place], of_base[:, place])[0, 1] > 0.999
 
 
 @pytest.mark.parametrize("emotion", ["happy", "fear", "angry=0.5,sad=0.5"])

@@ -12,6 +12,7 @@ import deitalk
 from deitalk.data.clips import read_clips
 from deitalk.models.checkpoint import load_model
 from deitalk.models.folder import describe_model
+from deitalk.models.onnx.network import ready_graph
 from deitalk.training.tuning.regression import Regression
 from deitalk.training.tuning.task import FinetuneTask
 from rig import RigCurves, read_curves, write_curves
@@ -67,6 +68,21 @@ def test_captures_to_a_model_in_two_calls(base, tmp_path):
     assert tuned.delivered.startswith("the regression for ")
     performance = deitalk.animate(read_clips(tmp_path / "data")[0].audio, model=tuned.model)
     assert np.isfinite(performance.curves.values).all()
+
+
+def test_a_tuned_model_has_its_graph(takes, tmp_path, monkeypatch):
+    """ONNX Runtime evaluates it at once, as torch does; without the package onnx a line says so."""
+    tuned = deitalk.finetune(takes, tmp_path / "run")
+    assert ready_graph(tuned.model) and not any("graph" in line for line in tuned.warnings)
+    audio = read_clips(takes)[0].audio
+    values = [
+        deitalk.animate(audio, "happy", model=tuned.model, backend=name).curves
+        for name in ("onnx", "torch")
+    ]
+    np.testing.assert_allclose(values[0].values, values[1].values, atol=1e-4)
+    monkeypatch.setattr("deitalk.training.tuning.public.find_spec", lambda name: None)
+    again = deitalk.finetune(takes, tmp_path / "run", resume=True)
+    assert "no graph for ONNX Runtime was written" in again.warnings[-1]
 
 
 def test_an_own_loss_is_a_subclass_and_its_model_loads_anywhere(base, takes, tmp_path):

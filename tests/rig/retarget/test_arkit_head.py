@@ -16,6 +16,7 @@ from rig.retarget.head_glb import (
     corrective_weights,
     write_head,
 )
+from rig.retarget.morph_head import morph_head, shown_controls
 
 
 @pytest.fixture(scope="module")
@@ -117,3 +118,9 @@ def test_command_writes_and_keeps_what_is_there(tmp_path):
     assert again.exit_code != 0 and out.read_bytes() == before
     wrong = run.invoke(app, ["face", "export", "-o", str(tmp_path / "h.fbx")])
     assert wrong.exit_code != 0 and not (tmp_path / "h.fbx").exists()
+
+
+def test_controls_that_are_shown_are_those_of_the_baked_shapes():
+    rig = morph_head(0)
+    baked = {half.control for d in rig.drivers for group in d.groups for half in group}
+    assert shown_controls() == baked
