@@ -39,8 +39,9 @@ TAPS = 9
 """Frames that a row is read from: those around it, or in a causal model those up to it."""
 OPENERS = ("C_jaw.ty", "mouth_upperLipRaise", "mouth_lowerLipDepress")
 """Parts of the names of the controls whose mean tells how open the decoder's mouth is."""
-OPEN = (0.05, 0.2)
-"""That mean, up to which the measures stay the decoder's, and from which they are the readout's."""
+OPEN = ((0.05, 0.02, 0.05, 0.02), (0.2, 0.1, 0.2, 0.1))
+"""That mean, up to which each measure stays the decoder's, and from which it is the readout's: of
+the width and the corners less, because rounded lips are hardly open."""
 OUT = (0.08, 0.16)
 """Reading of the tongue from which it comes out, and at which it is out."""
 SHOWN = {
@@ -76,6 +77,8 @@ class LipReadout(nn.Module):
     """Share of the decoder's curves that stays [shape=(C,)]."""
     low: Tensor
     """Least of the decoder's curves: no tongue comes out by them [shape=(C,)]."""
+    fade: Tensor
+    """`OPEN` [shape=(2, 4)]."""
     opens: Tensor
     """Shares of `OPENERS`, whose sum is 1 [shape=(C,)]."""
 
@@ -99,6 +102,7 @@ class LipReadout(nn.Module):
         tables["own"] = 1 - given.sum(0)
         tables["low"] = torch.where(of(SHOWN["out"][0]) > 0, 0.0, -torch.inf)
         opens = torch.stack([of(part) for part in OPENERS]).sum(0)
+        tables["fade"] = torch.tensor(OPEN)
         tables["opens"] = opens / opens.sum().clamp_min(1)
         for name, table in tables.items():
             self.register_buffer(name, table, persistent=False)
@@ -155,8 +159,9 @@ class LipReadout(nn.Module):
         """
         said, seals = self.articulated(readings, read)
         wanted = read[..., len(CHANNELS) :] + self.kept * self.shown(readings[:1])
-        open_ = smoothstep(((readings[:1] @ self.opens)[..., None] - OPEN[0]) / (OPEN[1] - OPEN[0]))
-        curves = readings + said - readings[:1] + open_ * self.moves(wanted - self.shown(said))
+        first, full = self.fade
+        open_ = smoothstep(((readings[:1] @ self.opens)[..., None] - first) / (full - first))
+        curves = readings + said - readings[:1] + self.moves(open_ * (wanted - self.shown(said)))
         return torch.where(self.places.sum(dim=0) > 0, seals, curves)
 
     def articulated(self, readings: Tensor, read: Tensor) -> tuple[Tensor, Tensor]:

@@ -105,18 +105,21 @@ def test_what_rounding_does_to_the_width_is_counted(readout, channels):
     np.testing.assert_allclose(readout.shown(found)[..., width], wanted, atol=1e-5)
 
 
-@pytest.mark.parametrize(("jaw", "share"), [(0.0, 0.0), (OPEN[0], 0.0), (OPEN[1], 1.0), (0.5, 1.0)])
+@pytest.mark.parametrize("measure", MEASURES)
+@pytest.mark.parametrize("share", [0.0, 1.0])
 @torch.no_grad()
-def test_measures_stay_the_decoders_where_it_shuts_the_mouth(readout, jaw, share):
+def test_measures_stay_the_decoders_where_it_shuts_the_mouth(readout, measure, share):
+    place = MEASURES.index(measure)
     readout.shown.weight.zero_()
     readout.shown.bias.zero_()
     readout.moves.weight.zero_()
-    readout.moves.weight[STRETCH, MEASURES.index("width")] = 1
-    curves = torch.zeros(1, 1, len(NAMES))
-    curves[..., JAW] = jaw
-    row = read_of()
-    row[..., len(CHANNELS) + MEASURES.index("width")] = 0.2
-    assert readout.correct(curves, row)[0, 0, STRETCH] == pytest.approx(0.2 * share, abs=1e-6)
+    readout.moves.weight[STRETCH, place] = 1
+    for jaw in (0.0, OPEN[0][place]) if share == 0 else (OPEN[1][place], 0.5):
+        curves = torch.zeros(1, 1, len(NAMES))
+        curves[..., JAW] = jaw
+        row = read_of()
+        row[..., len(CHANNELS) + place] = 0.2
+        assert readout.correct(curves, row)[0, 0, STRETCH] == pytest.approx(0.2 * share, abs=1e-6)
 
 
 @torch.no_grad()
