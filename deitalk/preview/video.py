@@ -302,8 +302,8 @@ def draw_frames(
     from rig.face.render.software import Renderer  # compiles; half a second to import
 
     head = build_head(identity)
-    sizes = {"face": (FACE_WIDTH, FACE_HEIGHT), second_view: (WIDTH - FACE_WIDTH, FACE_HEIGHT)}
-    views = [Renderer(head.mesh, size, VIEWS[name]) for name, size in sizes.items()]
+    widths = ("face", FACE_WIDTH), (second_view, WIDTH - FACE_WIDTH)
+    views = [Renderer(head.mesh, (width, FACE_HEIGHT), VIEWS[name]) for name, width in widths]
     panel = Panel(source, (WIDTH, PANEL_HEIGHT))
     values, share = source.curves.values, neck_share(head.mesh.vertices)
     for start in range(0, len(values), BATCH):

@@ -18,6 +18,7 @@ from deitalk.preview.video import PANEL_HEIGHT, draw_frames, render_video
 from rig import RigCurves, default_controls, write_curves
 from rig.curves import snap_fps
 from rig.curves.rig_curves import NTSC
+from rig.face.render import VIEWS
 from tests.media import write_sound
 
 CONTROLS = default_controls()
@@ -110,6 +111,13 @@ def brightness(path) -> list[tuple[Fraction, float]]:
             (frame.pts * frame.time_base, float(frame.to_ndarray(format="rgb24").mean()))
             for frame in container.decode(video=0)
         ]
+
+
+@pytest.mark.parametrize("view", VIEWS)
+def test_every_view_can_be_the_second(view):
+    (picture,) = draw_frames(make_source(1), second_view=view)
+    right = picture[:-PANEL_HEIGHT, video.FACE_WIDTH :]
+    assert right.std() > 5
 
 
 @pytest.mark.parametrize("fps", [30.0, 25.0, NTSC, 23.976, 59.94])
