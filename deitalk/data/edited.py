@@ -119,7 +119,8 @@ def _changes(
     applied, _ = apply_layers(start, [layer], controls, closures)
     notes += _lost_notes(edited, applied, twin, found, count)
     if "edit" in settings:
-        notes.append(f"the take has layers of its own, which come first: --edit {shown} --edit …")
+        way = f": --edit {shown} --edit …" if shown.is_dir() else ""
+        notes.append(f"the take has layers of its own, which come first{way}")
     return Changes(layer, tuple(notes), layer.n_keys / max(base.values.size, 1))
 
 
