@@ -14,7 +14,7 @@ Names of files are fixed here: no text of a request becomes a path.
 from typing import Any, Literal, TypedDict
 
 Kind = Literal[
-    "animation", "dub", "mesh", "retarget", "conversion", "validation", "voices", "studio"
+    "animation", "dub", "diff", "mesh", "retarget", "conversion", "validation", "voices", "studio"
 ]
 RECORDING, SOUND, LISTEN_TO = "recording", "sound", "listen_to"
 """Recordings of an order: that which is animated, that of a performance, and another voice."""

@@ -47,6 +47,7 @@ from rig.controls import DEFAULT_ID
 from rig.conversion.convert import convert
 from rig.curves import RigCurves
 from rig.curves.edit import clamp, gain
+from rig.curves.layers import SUFFIX
 from rig.curves.shift import shift
 from rig.errors import UserError
 from rig.formats import read_curves, write_curves
@@ -440,6 +441,22 @@ def _conversion(order: Order, limits: Limits, progress: Progress) -> Answer:
     return {"file": str(out), "notes": report.notes}
 
 
+def _diff(order: Order, limits: Limits, progress: Progress) -> Answer:
+    from deitalk.data.edited import changes_of_take
+
+    options = order["options"]
+    found = changes_of_take(
+        options["edited"],
+        options["take"],
+        fps=options.get("fps"),
+        tolerance=options["tolerance"],
+        name=options["name"],
+    )
+    out = Path(OUT) / f"{options['name']}{SUFFIX}"
+    out.write_text(found.layer.text, encoding="utf-8")
+    return {"file": str(out), "notes": list(found.notes)}
+
+
 def _validation(order: Order, limits: Limits, progress: Progress) -> Answer:
     validation = validate(Path(order["options"]["curves"]))
     findings = [{"level": f.level, "text": f.text} for f in validation.findings]
@@ -458,6 +475,7 @@ def _studio(order: Order, limits: Limits, progress: Progress) -> Answer:
 TASKS: dict[str, Callable[[Order, Limits, Progress], Answer]] = {
     "animation": _animation,
     "dub": _dub,
+    "diff": _diff,
     "mesh": _mesh,
     "retarget": _retarget,
     "conversion": _conversion,

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 
 from api.errors import Problem
+from rig.curves.layers import SUFFIX
 from rig.errors import quoted
 from rig.formats import FORMATS
 
@@ -70,6 +71,7 @@ ANIMATION_FORMATS = CURVE_FORMATS | {
     "page": OutputFormat("page", ".html", "preview page in one file, offline"),
     "packed": OutputFormat("packed", ".packed.gz", "arrays that the studio shows, and the sound"),
 }
+LAYER = OutputFormat("layer", SUFFIX, "a layer of edits")
 MESH_FORMATS = {
     "glb": OutputFormat("glb", ".glb", "morph targets and their animation", cost=0.7),
     "npz": OutputFormat("npz", ".npz", "vertices (T, V, 3) and triangles", cost=0.4),

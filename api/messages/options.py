@@ -17,6 +17,7 @@ from deitalk.audio.choice import MOST_TRACKS, AudioChoice
 from deitalk.audio.original import start_of
 from deitalk.emotions.track_files import is_table
 from rig.curves.edit import parse_gains
+from rig.curves.layer_diff import TOLERANCE
 from rig.limits import MOST_DELAY, MOST_HANDLES
 
 NAME_PATTERN = r"^[A-Za-z0-9](?:[A-Za-z0-9 _-]{0,62}[A-Za-z0-9])?$"
@@ -40,11 +41,14 @@ class Received(Generic[Options]):
         The options as they were sent.
     sent : dict
         The fixed file name of each part that was sent.
+    names : dict
+        The name of each of these files as it was sent: for titles, never a path.
     """
 
     options: Options
     fields: dict[str, Any]
     sent: dict[str, str]
+    names: dict[str, str]
 
 
 Gain = Annotated[
@@ -134,6 +138,30 @@ class DubOptions(AnimationOptions):
     ] = 1.5
     curves_fps: Annotated[
         float | None, Field(ge=1, le=240, description="Rate of a performance without one.")
+    ] = None
+
+
+class DiffOptions(BaseModel):
+    """How an edited file is compared with its take."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    fps: Annotated[
+        float | None,
+        Field(ge=1, le=240, description="Rate of the edited file, Hz, if it does not contain it."),
+    ] = None
+    tolerance: Annotated[
+        float,
+        Field(
+            ge=0.001,
+            le=0.2,
+            description="How far curves with the layer may be from the edited ones; half of it is "
+            "noise.",
+        ),
+    ] = TOLERANCE
+    name: Annotated[
+        str | None,
+        Field(pattern=NAME_PATTERN, description="Name of the layer; else that of `edited`."),
     ] = None
 
 

@@ -1,5 +1,6 @@
 """Recordings to curves, to meshes, onto a mesh of the caller; checks of curves."""
 
+import re
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -26,6 +27,7 @@ from api.messages.formats import (
     ANIMATION_FORMATS,
     CURVE_FORMATS,
     CURVE_SUFFIXES,
+    LAYER,
     MESH_FORMATS,
     OutputFormat,
     choose_format,
@@ -34,6 +36,7 @@ from api.messages.options import (
     FIELD_FILES,
     AnimationOptions,
     ConversionOptions,
+    DiffOptions,
     DubOptions,
     MeshOptions,
     Options,
@@ -55,8 +58,9 @@ from rig.errors import quoted
 
 router = APIRouter(prefix="/v1", tags=["animation"], responses=problems(404, 409, 415))
 SPEECH = ("recording", *FIELD_FILES)
-EDGE_SUFFIXES = (".zip", *CURVE_SUFFIXES)
+EDGE_SUFFIXES, TAKE_SUFFIXES = (".zip", *CURVE_SUFFIXES), (".zip", ".json")
 DUB = ("performance", "sound", "mapping", *SPEECH)
+DIFF = ("edited", "take")
 RETARGET = ("mesh", "curves", "landmarks", "mapping", *SPEECH)
 
 
@@ -98,6 +102,25 @@ async def dub(request: Request, service: ServiceDep, caller: AnimatorDep) -> Res
 
 
 @router.post(
+    "/diffs",
+    response_class=Response,
+    responses=form_schema.file_answers({LAYER.name: LAYER}),
+    openapi_extra=form_schema.body(DiffOptions, DIFF, raw=False),
+)
+async def diff(request: Request, service: ServiceDep, caller: AnimatorDep) -> Response:
+    """What somebody changed in a take by hand, as a layer of edits: at once."""
+    await service.check_room(caller, is_job=False)
+    async with service.stage.folder() as folder:
+        received = await receive(request, folder, DiffOptions, DIFF)
+        sent = checked_parts(received.sent, edited="the edited curves", take="the zipped take")
+        stem = received.names["edited"][: len("edited") - len(sent["edited"])]
+        title = re.sub(r"[^A-Za-z0-9 _-]+", "_", stem)[:64].strip(" _-")
+        options = {"name": title or "fixes"} | received.options.model_dump(exclude_none=True)
+        order: Order = {"kind": "diff", "folder": str(folder), "options": options | sent}
+        return await file_answer(folder, await service.pool.run(order, caller), LAYER)
+
+
+@router.post(
     "/meshes",
     response_class=Response,
     responses=form_schema.answers(MESH_FORMATS, JobView),
@@ -134,7 +157,7 @@ async def convert(request: Request, service: ServiceDep, caller: AnimatorDep) ->
         received = await receive(request, folder, ConversionOptions, ("curves",))
         given, sent = received.options, received.sent
         output = choose_format(CURVE_FORMATS, given.format, request.headers.get("accept"), "json")
-        options = given.order_options() | checked_curves(sent)
+        options = given.order_options() | checked_parts(sent, curves="the file of curves")
         options |= {"format": output.name, "suffix": output.suffix}
         order: Order = {"kind": "conversion", "folder": str(folder), "options": options}
         return await file_answer(folder, await service.pool.run(order, caller), output)
@@ -152,7 +175,7 @@ async def validate(request: Request, service: ServiceDep, caller: AnimatorDep) -
     await service.check_room(caller, is_job=False)
     async with service.stage.folder() as folder:
         received = await receive(request, folder, NoOptions, ("curves",))
-        options = checked_curves(received.sent)
+        options = checked_parts(received.sent, curves="the file of curves")
         order: Order = {"kind": "validation", "folder": str(folder), "options": options}
         answer = await service.pool.run(order, caller)
         return ValidationView(**answer["facts"])
@@ -185,10 +208,11 @@ async def speech(asked: Asked, made: Made, *, at_once: bool = True) -> Response:
         return await answer_order(asked, folder, work, output, waits=at_once and given.wait)
 
 
-def checked_curves(sent: dict[str, str]) -> dict[str, Any]:
-    """Return the file of curves by its part; Problem 422 if it is missing."""
-    if "curves" not in sent:
-        raise Problem(422, "send the file of curves as the part `curves` of the form")
+def checked_parts(sent: dict[str, str], **needed: str) -> dict[str, Any]:
+    """Return the files by their parts; Problem 422 if one that is needed is missing."""
+    for part, what in needed.items():
+        if part not in sent:
+            raise Problem(422, f"send {what} as the part `{part}` of the form")
     return dict(sent)
 
 
@@ -226,6 +250,8 @@ FILES: dict[str, tuple[str, tuple[str, ...]]] = {
     "recording": (RECORDING, ()),
     "sound": (SOUND, ()),
     "performance": ("performance", EDGE_SUFFIXES),
+    "edited": ("edited", CURVE_SUFFIXES),
+    "take": ("take", TAKE_SUFFIXES),
     "mesh": ("mesh", MESH_SUFFIXES),
     "curves": ("curves", CURVE_SUFFIXES),
     "landmarks": ("landmarks", (".json", ".csv")),
@@ -241,7 +267,9 @@ FILES: dict[str, tuple[str, tuple[str, ...]]] = {
     "edit": ("edit", (".json",)),
 }
 """Parts of a form that are files: the fixed name, and the suffixes that tell how to read them."""
-FILES_ALONE = ("recording", "sound", "performance", "mesh", "curves", "landmarks", "mapping")
+FILES_ALONE = (
+    "recording", "sound", "performance", "edited", "take", "mesh", "curves", "landmarks", "mapping"
+)  # fmt: skip
 """Those of them that are no text."""
 RAW_TYPES = ("audio/", "video/", "application/octet-stream")
 MOST_FIELDS = 64
@@ -273,13 +301,14 @@ async def receive(
     """
     kind = request.headers.get("content-type", "application/octet-stream").partition(";")[0]
     fields: dict[str, Any] = {}
+    names: dict[str, str] = {}
     for name, value in request.query_params.multi_items():
         if name in fields:
             raise _twice(name)
         fields[name] = value
     try:
         if kind.strip().lower() == "multipart/form-data":
-            sent = await _form(request, folder, files, fields)
+            sent = await _form(request, folder, files, fields, names)
         elif "recording" in files and kind.strip().lower().startswith(RAW_TYPES):
             sent = await _raw(request, folder)
         else:
@@ -291,7 +320,7 @@ async def receive(
     except ClientDisconnect:
         raise Problem(400, "the client closed the connection") from None
     given = {name: value for name, value in fields.items() if not is_deferred(name, value)}
-    return Received(_checked(model, given), fields, sent)
+    return Received(_checked(model, given), fields, sent, names)
 
 
 def _twice(name: str) -> Problem:
@@ -299,7 +328,11 @@ def _twice(name: str) -> Problem:
 
 
 async def _form(
-    request: Request, folder: Path, files: tuple[str, ...], fields: dict[str, Any]
+    request: Request,
+    folder: Path,
+    files: tuple[str, ...],
+    fields: dict[str, Any],
+    names: dict[str, str],
 ) -> dict[str, str]:
     sent: dict[str, str] = {}
     form = await _parsed(request)
@@ -311,6 +344,7 @@ async def _form(
                 if name not in files:
                     raise Problem(422, f"file {quoted(name)} is none of {', '.join(files)}")
                 sent[name] = await _save(value, name, folder)
+                names[name] = value.filename or ""
             elif name in FILES_ALONE:
                 raise Problem(
                     422, f"{name}: text where a file is needed; curl sends one by {name}=@FILE"

@@ -11,6 +11,8 @@ DESCRIPTIONS = {
     "recording": "Any recording: wav, flac, ogg, mp3, m4a, mp4, webm …",
     "performance": "The performance: a zipped take, or captured or keyed curves of any format.",
     "sound": "Recording of the performance, where it is no take; else its mouth gives its phrases.",
+    "edited": "The edited curves, of any format; the end of its name is its format.",
+    "take": "The take that was edited: zipped, or its curves.json.",
     "mesh": "Your face: .glb with morph targets, .npz, or one neutral .obj, .ply or .glb.",
     "curves": "A file of curves; the end of its name is its format.",
     "landmarks": "Points on a neutral mesh: .json or .csv.",
@@ -26,6 +28,10 @@ DESCRIPTIONS = {
     "into": "The same of the take that comes next.",
     "words": "Words as .txt, .TextGrid, .srt or .vtt; or the text of the option.",
 }
+
+PAIRS = {"performance": ("recording",), "edited": ("take",)}
+"""Files that a route's first file needs."""
+RESULT = "The result"
 
 
 def body(
@@ -54,7 +60,7 @@ def body(
         about = {"type": "string", "enum": list(formats), "description": DESCRIPTIONS["format"]}
         options["format"] = about
     parts = {n: BINARY | {"description": DESCRIPTIONS[n]} for n in files if n in DESCRIPTIONS}
-    required = ["performance", "recording"] if "performance" in files else [files[0]]
+    required = [*files[:1], *PAIRS.get(files[0], ())]
     form = {
         "schema": {
             "type": "object",
@@ -93,7 +99,7 @@ def file_answers(formats: dict[str, OutputFormat]) -> dict[int | str, Any]:
     for known in formats.values():
         content[known.media_type.partition(";")[0]] = {"schema": BINARY}
     content["application/json"] = {"schema": {"type": "object"}}
-    return {200: {"description": "The result", "content": content}}
+    return {200: {"description": RESULT, "content": content}}
 
 
 def _parameter(name: str, option: dict[str, Any]) -> dict[str, Any]:

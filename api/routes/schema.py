@@ -55,7 +55,7 @@ def _complete(route: dict[str, Any], models: list[str]) -> None:
     """Add headers of the answers and the names of the models."""
     for status, answer in route["responses"].items():
         kinds = answer.get("content", {})
-        is_file = (status == "200" and len(kinds) > 1) or "application/octet-stream" in kinds
+        is_file = answer["description"] == RESULT or "application/octet-stream" in kinds
         answer["headers"] = REQUEST_ID | HEADERS.get(status, RESULT if is_file else {})
     for parameter in route.get("parameters", ()):
         if parameter["name"] == "model":

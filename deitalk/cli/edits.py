@@ -29,7 +29,9 @@ def diff(
             "give back."
         ),
     ],
-    take: Annotated[Path, typer.Argument(help="The take folder that was edited.")],
+    take: Annotated[
+        Path, typer.Argument(help="The take folder that was edited, or that folder zipped.")
+    ],
     out: Annotated[
         Path, typer.Option("--out", "-o", help="Layer to write: fixes.edit.json.")
     ] = Path("fixes.edit.json"),
@@ -68,11 +70,6 @@ def diff(
     name = out.name.removesuffix(SUFFIX).removesuffix(".json")
     found = changes_of_take(edited, take, fps=fps, tolerance=tolerance, name=name)
     layer = found.layer
-    if not layer.edits:
-        raise DeitalkError(
-            f"{edited} differs from {take} by no more than noise ({tolerance / 2:g}); nothing is "
-            "written"
-        )
     with atomic_write(out) as beside:
         beside.write_text(layer.text, encoding="utf-8")
     controls = len({edit.target for edit in layer.edits})

@@ -17,6 +17,7 @@ from deitalk.config.rules import KeepContacts
 from deitalk.data.captures.take import CapturedCurves, kind_of, read_capture
 from deitalk.errors import DataError
 from deitalk.postprocess.control_groups import ControlGroups
+from deitalk.postprocess.joins import TAKE_ABOUT, TAKE_CURVES, TAKE_SOUND, opened_take
 from rig import Control, ControlSet, RigCurves, default_controls, read_curves, write_curves
 from rig.controls import DEFAULT_ID
 from rig.conversion.arkit import ARKIT_ID, RAW_ID
@@ -70,7 +71,7 @@ def changes_of_take(
     edited : Path or str
         Curves of the board, raw curves or ARKit shapes in any format that is read.
     take : Path or str
-        Folder of `deitalk animate`, or a file of its curves.
+        Folder of `deitalk animate`, that folder zipped, or a file of its curves.
     fps : float, optional
         Of a file without a rate.
     tolerance : float
@@ -78,20 +79,23 @@ def changes_of_take(
     name : str
         Of the layer.
 
-    Returns
-    -------
-    Changes
-        The layer has no edits if nothing is changed.
-
     Raises
     ------
     DataError, rig.errors.RigError
-        One line: what is wrong with a file.
+        One line: what is wrong with a file, or that nothing is changed.
     """
     edited, take = Path(edited), Path(take)
-    path = take / "curves.json" if take.is_dir() else take
+    with opened_take(take, (TAKE_CURVES, TAKE_ABOUT, TAKE_SOUND)) as opened:
+        return _changes(edited, opened, take, fps, tolerance, name)
+
+
+def _changes(
+    edited: Path, take: Path, shown: Path, fps: float | None, tolerance: float, name: str
+) -> Changes:
+    """What an edited file changes of a take, which messages name by a path of its own."""
+    path = take / TAKE_CURVES if take.is_dir() else take
     if not path.is_file():
-        raise DataError(f"{take} has no curves.json; name a folder that deitalk animate wrote")
+        raise DataError(f"{shown} has no {TAKE_CURVES}; name a folder that deitalk animate wrote")
     base = read_curves(path, control_set=None)
     own = _own_controls(base)
     found = _read(edited, fps) if own is None else _of_own_rig(edited, base, fps)
@@ -104,14 +108,19 @@ def changes_of_take(
     start = base.resample(found.curves.fps)[:count]
     target = _moved(start, twin.curves[:count], found, controls)
     layer = layer_of_changes(start, target, controls, closures, tolerance)
+    if not layer.edits:
+        raise DataError(
+            f"{edited} differs from {shown} by no more than noise ({tolerance / 2:g}); there is "
+            "nothing to write"
+        )
     layer = _with_sound(replace(layer, name=name), take, settings)
-    notes = [*found.notes, *_length_notes(twin.curves, found.curves, take)]
+    notes = [*found.notes, *_length_notes(twin.curves, found.curves, shown)]
     notes += _set_notes(found, controls)
-    if layer.edits:
-        applied, _ = apply_layers(start, [layer], controls, closures)
-        notes += _lost_notes(edited, applied, twin, found, count)
+    applied, _ = apply_layers(start, [layer], controls, closures)
+    notes += _lost_notes(edited, applied, twin, found, count)
     if "edit" in settings:
-        notes.append(f"the take has layers of its own, which come first: --edit {take} --edit …")
+        way = f": --edit {shown} --edit …" if shown.is_dir() else ""
+        notes.append(f"the take has layers of its own, which come first{way}")
     return Changes(layer, tuple(notes), layer.n_keys / max(base.values.size, 1))
 
 
@@ -203,7 +212,7 @@ def _moved(
 
 
 def _settings(take: Path) -> dict[str, Any]:
-    path = take / "take.json"
+    path = take / TAKE_ABOUT
     if not take.is_dir() or not path.is_file():
         return {}
     try:
@@ -214,8 +223,8 @@ def _settings(take: Path) -> dict[str, Any]:
 
 def _with_sound(layer: Layer, take: Path, settings: dict[str, Any]) -> Layer:
     """The layer with what it takes to follow another recording of the line."""
-    sound = take / "audio.wav"
-    if not layer.edits or not take.is_dir() or not sound.is_file():
+    sound = take / TAKE_SOUND
+    if not take.is_dir() or not sound.is_file():
         return layer
     from deitalk.audio.load import load_audio
     from deitalk.pipeline.layers import with_recording

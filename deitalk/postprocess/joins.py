@@ -34,7 +34,7 @@ from rig.files.reading import load_json, read_text
 from rig.formats import read_curves
 
 FORMAT, VERSION = "deitalk-edge", 1
-TAKE_CURVES, TAKE_ABOUT, ARCHIVE = "curves.json", "take.json", ".zip"
+TAKE_CURVES, TAKE_ABOUT, TAKE_SOUND, ARCHIVE = "curves.json", "take.json", "audio.wav", ".zip"
 QUIET, ENDS = "quiet_seconds", ("start", "end")
 """Entry of ``take.json``: seconds without speech at both ends."""
 HANDLES = "handles_frames"

@@ -145,7 +145,9 @@ def test_what_is_malformed_in_a_form_is_named(server, client, kind, body, status
     assert " ERROR " not in server.log.read_text()[size:]
 
 
-@pytest.mark.parametrize("path", ["/v1/conversions", "/v1/validate", "/v1/retargets", "/v1/jobs"])
+@pytest.mark.parametrize(
+    "path", ["/v1/conversions", "/v1/validate", "/v1/retargets", "/v1/jobs", "/v1/diffs"]
+)
 def test_every_route_with_a_form_names_what_is_malformed(client, path):
     for kind, body, status in (
         ("application/json", b"{}", 415), (FORM, part(), 400), (FORM, b"--x--\r\n", 422),

@@ -6,7 +6,7 @@ import io
 import json
 import shutil
 import zipfile
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -21,9 +21,14 @@ from deitalk.audio.load import load_audio
 from deitalk.audio.original import ZERO, start_of
 from deitalk.data.captures.columns import read_mapping
 from deitalk.data.dub import dub
+from deitalk.data.edited import changes_of_take
 from deitalk.live.sources import PacedSound
 from deitalk.research.corpus.engines import espeak
 from rig import read_curves, write_curves
+from rig.conversion.arkit import RAW_ID
+from rig.conversion.convert import convert
+from rig.curves.edit import clamp
+from rig.curves.layer_files import read_layers
 from rig.face import build_head
 from rig.face.head import Head
 from tests.command import ran
@@ -482,6 +487,93 @@ def test_http_refuses_a_dub_that_cannot_be(here, face, fields, words, server):
     with server.client() as client:
         answer = client.post("/v1/dubs", files=files, data=data | {"model": "tiny"})
     assert answer.status_code in (415, 422) and words in answer.json()["message"], answer.text
+
+
+DIFFS = {
+    "csv": ("edited.csv", {}),
+    "raw curves": ("Shot 7.raw.csv", {"tolerance": "0.03", "name": "anna"}),
+    "rows without a rate": ("rows.csv", {"fps": "30"}),
+}  # fmt: skip
+"""An edited file, and the options of its comparison."""
+TITLES = {"csv": "edited", "raw curves": "anna", "rows without a rate": "rows"}
+
+
+@pytest.fixture(scope="module")
+def edits(face):
+    """The take `face` edited by hand, in files of several programs."""
+    base = read_curves("face/curves.json")
+    values = base.values.copy()
+    for name, change in (("CTRL_L_brow_raiseOut.ty", 0.3), ("CTRL_R_nose.ty", 0.5)):
+        values[10:30, base.index(name)] += change * np.hanning(20)
+    edited, _ = clamp(replace(base, values=values))
+    write_curves("edited.csv", edited)
+    write_curves("Shot 7.raw.csv", convert(edited, RAW_ID))
+    rows = np.savetxt(text := io.StringIO(), edited.values, "%.5f", ",") or text.getvalue()
+    Path("rows.csv").write_text(",".join(edited.names) + "\n" + rows)
+    write_curves("same.csv", base)
+
+
+@pytest.mark.parametrize("case", DIFFS)
+def test_every_door_finds_the_same_edits(edits, case, tmp_path, server):
+    edited, given = DIFFS[case]
+    numbers = {name: float(value) for name, value in given.items() if name != "name"}
+    found = changes_of_take(edited, "face", name=TITLES[case], **numbers)
+    assert {edit.target for edit in found.layer.edits} >= {"CTRL_L_brow_raiseOut.ty"}
+    assert found.layer.sound is not None
+    flags = options({name: value for name, value in given.items() if name != "name"})
+    for take in ("face", "face.zip"):
+        out = tmp_path / take / f"{TITLES[case]}.edit.json"
+        out.parent.mkdir()
+        run("diff", edited, take, "-o", out, *flags)
+        assert out.read_text() == found.layer.text
+    with server.client() as client:
+        answer = client.post("/v1/diffs", files=parts(edited, "face.zip"), data=given)
+    assert answer.content == out.read_bytes(), answer.text
+    assert answer.headers["content-type"] == "application/json"
+    assert f'"{out.name}"' in answer.headers["content-disposition"]
+    assert json.loads(answer.headers.get("deitalk-notes", "[]")) == list(found.notes)
+    again = animate("other.wav", "surprised", model="tiny", edit=read_layers(out)[0]).curves
+    if edited == "edited.csv":
+        assert np.abs(again.values - read_curves(edited).values).max() < 0.011
+
+
+def parts(edited, take):
+    sent = {"edited": edited, "take": take}
+    return {name: (path, Path(path).read_bytes()) for name, path in sent.items() if path}
+
+
+@pytest.mark.parametrize(
+    ("edited", "take", "data", "words"),
+    [
+        (None, "face.zip", {}, "part `edited`"),
+        ("edited.csv", None, {}, "part `take`"),
+        ("edited.csv", None, {"take": "/etc/passwd"}, "text where a file is needed"),
+        (None, "face.zip", {"edited": "/etc/passwd"}, "text where a file is needed"),
+        ("line.wav", "face.zip", {}, "must end with one of"),
+        ("edited.csv", "edited.csv", {}, "must end with one of"),
+        ("keys.csv", "face.zip", {}, "edited.csv"),
+        ("edited.csv", "bare.zip", {}, "take.zip has no curves.json"),
+        ("edited.csv", "broken.zip", {}, "no zipped take"),
+        ("edited.csv", "spoken.zip", {}, "was not sent"),
+        ("same.csv", "face.zip", {}, "no more than noise"),
+        ("edited.csv", "face.zip", {"tolerance": "0.5"}, "tolerance"),
+        ("edited.csv", "face.zip", {"name": "../x"}, "name"),
+        ("edited.csv", "face.zip", {"out": "x.edit.json"}, "out"),
+    ],
+)
+def test_http_refuses_what_cannot_be_compared(edits, edited, take, data, words, server):
+    with zipfile.ZipFile("bare.zip", "w") as bare:
+        bare.writestr("readme.txt", "no curves")
+    Path("broken.zip").write_bytes(b"PK no archive")
+    with zipfile.ZipFile("spoken.zip", "w") as spoken:  # its settings name a file of the server
+        for name in ("curves.json", "audio.wav"):
+            spoken.write(f"face/{name}", name)
+        spoken.writestr("take.json", json.dumps({"settings": {"words": "/etc/hosts.txt"}}))
+    with server.client() as client:
+        answer = client.post("/v1/diffs", files=parts(edited, take), data=data)
+    message = answer.json()["message"]
+    assert answer.status_code in (415, 422) and words in message, answer.text
+    assert "\n" not in message and "/etc/passwd" not in message
 
 
 def check_signal(made, audio, wanted):

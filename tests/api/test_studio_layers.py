@@ -2,6 +2,7 @@
 
 import shlex
 import zipfile
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,7 +10,8 @@ import pytest
 from deitalk import animate
 from deitalk.data.edited import changes_of_take
 from deitalk.postprocess.control_groups import ControlGroups
-from rig import default_controls, read_curves
+from rig import default_controls, read_curves, write_curves
+from rig.curves.edit import clamp
 from rig.curves.layer_files import read_layers
 from tests.api.server import ROOT
 from tests.api.test_studio import command, download, drop, studio, until
@@ -114,3 +116,41 @@ def test_twenty_edits_of_the_studio_come_back_through_every_door(
         for v in (read_curves(base / "curves.csv").values, found.values)
     ]
     assert not (met[0] & ~met[1]).any()  # lips that met still meet
+
+
+def test_edited_file_becomes_the_last_layer_of_the_studio(browser, server, tmp_path):
+    """An exported file that was edited by hand, over a layer of the studio; undo; refusals."""
+    with studio(browser, server) as tab:
+        assert tab.is_disabled("#from-edited")
+        drop(tab, ROOT / "docs/samples/promise.flac")
+        until(tab, "deitalk.page.take?.seconds > 1 && deitalk.page.clock.playing")
+        tab.keyboard.press("Space")
+        until(tab, "deitalk.studio.isSettled")
+        tab.evaluate("deitalk.page.workbench.layers.choose('CTRL_L_nose.ty')")
+        tab.evaluate("deitalk.page.seek(1.0)")
+        tab.click("#add-edit")
+        for _ in range(9):
+            tab.keyboard.press("ArrowUp")
+        until(tab, "deitalk.studio.isSettled")
+        exported = download(tab, "CSV", tmp_path)
+        tab.set_input_files("#edited", exported)  # nothing is changed
+        until(tab, "document.getElementById('notice').textContent.includes('no more than noise')")
+        assert tab.evaluate("deitalk.page.history.edit.layers.length") == 1
+        base = read_curves(exported)
+        values = base.values.copy()
+        for name, change in (("CTRL_L_brow_raiseOut.ty", 0.4), ("CTRL_C_jaw.ty", 0.3)):
+            values[40:70, BOARD.index(name)] += change * np.hanning(30)
+        edited, _ = clamp(replace(base, values=values))
+        write_curves(tmp_path / "anna v2.csv", edited)
+        tab.set_input_files("#edited", tmp_path / "anna v2.csv")
+        until(tab, "deitalk.page.history.edit.layers.length === 2")
+        assert tab.evaluate("deitalk.page.history.edit.layers[1].name") == "anna v2"
+        assert tab.evaluate("deitalk.page.history.edit.layers[1].sound.seconds") > 1
+        assert "anna v2.csv is the last layer" in tab.inner_text("#notice")
+        assert tab.inner_text("#layers li:last-child").startswith("anna v2")
+        assert np.abs(curves_of_page(tab) - edited.values).max() < 0.011
+        again = download(tab, "JSON", tmp_path)
+        tab.click("#undo")
+        assert np.abs(curves_of_page(tab) - base.values).max() < 1e-3
+        assert not [line for line in tab.complaints if "422" not in line]
+    assert np.abs(read_curves(again).values - edited.values).max() < 0.011

@@ -110,6 +110,14 @@ export async function convert(file: File): Promise<File> {
   return new File([content], `${file.name.replace(/\.[^.]*$/, "")}.json`);
 }
 
+/** What a file of edited curves changes of a zipped take, as a layer. */
+export async function diff(edited: File, take: Blob, signal: AbortSignal): Promise<Result> {
+  const form = new FormData();
+  form.append("edited", edited, edited.name);
+  form.append("take", take, "take.zip");
+  return resultOf(await request("/v1/diffs", { method: "POST", body: form, signal }));
+}
+
 /** Wait for a job and fetch its result; without a listener any more it is cancelled. */
 async function finished(job: any, progress: Progress, signal: AbortSignal): Promise<Result> {
   const path = `/v1/jobs/${job.id}`;

@@ -12,7 +12,7 @@ import { wavOf } from "./wav";
 import { bindForm, FIELDS } from "./form";
 import { Live } from "./live";
 import { bindMicrophone } from "./microphone";
-import { convert, emotionCsv, optionOf, optionsOf, order, type Order, type Progress, quoted, request, type Source } from "./service";
+import { convert, diff, emotionCsv, optionOf, optionsOf, order, type Order, type Progress, quoted, request, type Source } from "./service";
 import { keepView, latestSession, loadSession, saveSession, type Session, sessionOf, type View } from "./session";
 import { Work } from "./work";
 
@@ -50,6 +50,16 @@ function shiftOf(): Record<string, string> {
   return Object.fromEntries(fields.filter(([, value]) => Number(value)));
 }
 
+/** Give each file that is chosen in a field to an action. */
+function onFile(id: string, action: (file: File) => void): void {
+  const field = $<HTMLInputElement>(id);
+  field.addEventListener("change", () => {
+    const [file] = field.files ?? [];
+    field.value = "";
+    if (file) action(file);
+  });
+}
+
 /** A take as the service packed it. */
 interface Reading {
   packed: Blob;
@@ -69,6 +79,7 @@ export class Studio {
   private session?: Session;
   private readonly opening = new Work();
   private readonly animating = new Work();
+  private readonly comparing = new Work();
   private readonly live: Live;
   private readonly showForm: () => void;
   /** Keys that nobody chose: those of the start, or what a voice suggested. */
@@ -104,11 +115,9 @@ export class Studio {
     );
     $("compare").addEventListener("click", () => void this.compare());
     $("dub").addEventListener("click", () => (this.session?.performance ? void this.dub() : $("performance").click()));
-    $("performance").addEventListener("change", () => {
-      const field = $<HTMLInputElement>("performance"), [file] = field.files ?? [];
-      field.value = "";
-      if (file) void this.dub(file);
-    });
+    onFile("performance", (file) => void this.dub(file));
+    $("from-edited").addEventListener("click", () => $("edited").click());
+    onFile("edited", (file) => void this.addChanges(file));
     $("keep").addEventListener("click", () => this.setOther(player.take!.frozen("A")));
     $("drop-other").addEventListener("click", () => this.setOther());
     this.enable();
@@ -306,6 +315,22 @@ export class Studio {
     this.enable();
   }
 
+  /** Add what an edited file changes of the take, as it is now, as the last layer. */
+  private async addChanges(file: File): Promise<void> {
+    const { session, player } = this;
+    if (!session) return;
+    const { edit } = session, intensityCsv = this.hasIntensity(session) ? player.take!.intensityCsv() : undefined;
+    const found = await this.comparing.run(`Comparing ${file.name}`, async (progress, signal) => {
+      const take = await order({ ...session, intensityCsv, format: "take" }, progress, signal);
+      const { content, notes } = await diff(file, take.content, signal);
+      return { text: await content.text(), notes };
+    });
+    if (!found) return;
+    if (session !== this.session || edit !== session.edit) return notice(`${file.name}: the take was changed meanwhile; give the file again`);
+    player.intake.layers(found.text, file.name);
+    notice([`${file.name} is the last layer`, ...found.notes].join("; "));
+  }
+
   private async animatePoints(session: Session, edit: Edit): Promise<void> {
     const take = this.player.take!, found = await this.animate(session, edit, take.intensityCsv());
     if (!found) return;
@@ -432,7 +457,7 @@ export class Studio {
 
   private enable(): void {
     const isOn = this.session !== undefined;
-    for (const b of document.querySelectorAll<HTMLButtonElement>("#exports button, #compare, #dub, #keep, #add-key, #emotions button:last-child")) {
+    for (const b of document.querySelectorAll<HTMLButtonElement>("#exports button, #compare, #dub, #from-edited, #keep, #add-key, #emotions button:last-child")) {
       b.disabled = !isOn;
     }
     $("dub").setAttribute("aria-pressed", String(this.session?.performance !== undefined));
