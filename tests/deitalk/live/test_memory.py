@@ -14,7 +14,7 @@ def kept(animator) -> int:
     """Numbers that a stream keeps."""
     stream = animator.streams[0]
     parts = [stream.sound.samples, *animator.state, *animator.past, *animator.due]
-    return sum(np.size(part) for part in parts)
+    return sum(np.asarray(part).size for part in parts)
 
 
 def test_stream_keeps_no_more_after_a_minute_than_after_twenty_seconds(tiny, voice):
