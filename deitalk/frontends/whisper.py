@@ -604,9 +604,9 @@ class WhisperFrontend(StridedFrontend):
             first, second, share = np.concatenate(lines, axis=1)
             if share.any():
                 places = (torch.from_numpy(ends.astype(np.int64)) for ends in (first, second))
-                part = torch.from_numpy(share.astype(np.float32)).to(features.device)
+                weight = torch.from_numpy(share.astype(np.float32)).to(features.device)
                 low, high = (features[place.to(features.device)] for place in places)
-                features = torch.lerp(low, high, part.unsqueeze(-1))
+                features = torch.lerp(low, high, weight[:, None])
             else:
                 features = features[torch.from_numpy(first.astype(np.int64)).to(features.device)]
         return features

@@ -39,11 +39,11 @@ LATE_MS = 1000 / FRAME_RATE
 Lines = tuple[list[Float32], list[Float32], list[str]]
 
 
-class Calls(TorchDispatchMode):
+class Calls(TorchDispatchMode):  # type: ignore[no-untyped-call]
     """Counts calls of torch's functions, and bytes that cross to and from a device."""
 
     def __init__(self) -> None:
-        super().__init__()
+        super().__init__()  # type: ignore[no-untyped-call]
         self.count = self.crossed = 0
 
     def __torch_dispatch__(self, function: Any, types: Any, args: Any = (), kwargs: Any = None):  # type: ignore[no-untyped-def]
