@@ -228,6 +228,7 @@ def test_sessions_beyond_the_limit_and_other_sites_are_refused(server, keyed_ser
     wait_for(lambda: keyed_server.metric("live_sessions", bearer("farm")) == 0)
     with live(keyed_server, additional_headers=bearer("farm")) as session:
         assert begin(session)["type"] == "header"
+    wait_for(lambda: keyed_server.metric("live_sessions", bearer("farm")) == 0)
     key = bearer("farm")["Authorization"].removeprefix("Bearer ")
     with live(keyed_server, subprotocols=["deitalk", f"deitalk.key.{key}"]) as session:
         assert session.subprotocol == "deitalk" and key not in str(session.response)

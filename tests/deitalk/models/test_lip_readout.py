@@ -10,7 +10,7 @@ from deitalk.live.animator import LiveAnimator
 from deitalk.models.causal_model import TorchNetwork
 from deitalk.models.checkpoint import load_model, save_model
 from deitalk.models.curve_model import DECODE_FRAMES
-from deitalk.models.lip_readout import CHANNELS, MEASURES, OPEN, OUT, POWERS, TAPS, LipReadout
+from deitalk.models.lip_readout import CHANNELS, MEASURES, MOST, OPEN, OUT, POWERS, TAPS, LipReadout
 from deitalk.research.evaluation.benchmark_curves import speechlike
 from deitalk.training.tuning.recipe import read_recipe
 from tests.deitalk.models.test_onnx import CAUSAL, WHISPER, of_frontend, weights
@@ -118,8 +118,21 @@ def test_measures_stay_the_decoders_where_it_shuts_the_mouth(readout, measure, s
         curves = torch.zeros(1, 1, len(NAMES))
         curves[..., JAW] = jaw
         row = read_of()
-        row[..., len(CHANNELS) + place] = 0.2
-        assert readout.correct(curves, row)[0, 0, STRETCH] == pytest.approx(0.2 * share, abs=1e-6)
+        row[..., len(CHANNELS) + place] = 0.1
+        assert readout.correct(curves, row)[0, 0, STRETCH] == pytest.approx(0.1 * share, abs=1e-6)
+
+
+@pytest.mark.parametrize("measure", MEASURES)
+@torch.no_grad()
+def test_no_correction_is_larger_than_that_of_usual_speech(readout, measure):
+    place = MEASURES.index(measure)
+    for part in (readout.shown.weight, readout.shown.bias, readout.moves.weight):
+        part.zero_()
+    readout.moves.weight[STRETCH, place] = 1
+    row = read_of()
+    row[..., len(CHANNELS) + place] = -5.0
+    found = readout.correct(torch.full((1, 1, len(NAMES)), 0.5), row)
+    assert found[0, 0, STRETCH] == pytest.approx(0.5 - MOST[place], abs=1e-6)
 
 
 @torch.no_grad()
