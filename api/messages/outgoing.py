@@ -27,7 +27,7 @@ LONGEST_NOTES = 2000
 LONGEST_KEY = 200
 
 
-class Asked(NamedTuple):
+class ServiceRequest(NamedTuple):
     """A request, the service that answers it, and who makes it."""
 
     request: Request
@@ -36,13 +36,13 @@ class Asked(NamedTuple):
 
 
 async def answer_order(
-    asked: Asked, folder: Path, work: Order, output: OutputFormat, *, waits: bool
+    asked: ServiceRequest, folder: Path, work: Order, output: OutputFormat, *, waits: bool
 ) -> Response:
     """Carry out an order now if its recording is short for its format, else accept a job.
 
     Parameters
     ----------
-    asked : Asked
+    asked : ServiceRequest
         Of the route.
     folder : Path
         With the order's files; it is removed.
@@ -74,7 +74,7 @@ async def answer_order(
         await anyio.to_thread.run_sync(shutil.rmtree, folder, True)
 
 
-async def accept(asked: Asked, folder: Path, work: Order, output: OutputFormat) -> Job:
+async def accept(asked: ServiceRequest, folder: Path, work: Order, output: OutputFormat) -> Job:
     """Put an order into the queue of jobs.
 
     Raises

@@ -46,7 +46,7 @@ from api.messages.options import (
     is_deferred,
     order_options,
 )
-from api.messages.outgoing import Asked, answer_order, file_answer
+from api.messages.outgoing import ServiceRequest, answer_order, file_answer
 from api.messages.views import JobView, ValidationView
 from api.routes import form_schema
 from api.routes.deps import AnimatorDep, ServiceDep, problems
@@ -86,7 +86,7 @@ ANIMATION = Made("animation", AnimationOptions, ANIMATION_FORMATS, "json")
 )
 async def animate(request: Request, service: ServiceDep, caller: AnimatorDep) -> Response:
     """Curves of a recording: at once up to `max_seconds` (60 s), a job (202) beyond."""
-    return await speech(Asked(request, service, caller), ANIMATION)
+    return await speech(ServiceRequest(request, service, caller), ANIMATION)
 
 
 @router.post(
@@ -98,7 +98,7 @@ async def animate(request: Request, service: ServiceDep, caller: AnimatorDep) ->
 async def dub(request: Request, service: ServiceDep, caller: AnimatorDep) -> Response:
     """A performance that the request sends with the mouth of another recording."""
     made = Made("dub", DubOptions, ANIMATION_FORMATS, "json", DUB)
-    return await speech(Asked(request, service, caller), made)
+    return await speech(ServiceRequest(request, service, caller), made)
 
 
 @router.post(
@@ -108,12 +108,13 @@ async def dub(request: Request, service: ServiceDep, caller: AnimatorDep) -> Res
     openapi_extra=form_schema.body(DiffOptions, DIFF, raw=False),
 )
 async def diff(request: Request, service: ServiceDep, caller: AnimatorDep) -> Response:
-    """What somebody changed in a take by hand, as a layer of edits: at once."""
+    """Compare an edited file with its take: the changes as a layer of edits, at once."""
     await service.check_room(caller, is_job=False)
     async with service.stage.folder() as folder:
         received = await receive(request, folder, DiffOptions, DIFF)
         sent = checked_parts(received.sent, edited="the edited curves", take="the zipped take")
-        stem = received.names["edited"][: len("edited") - len(sent["edited"])]
+        suffix = sent["edited"].removeprefix("edited")  # of several parts in some formats
+        stem = received.names["edited"][: -len(suffix)]
         title = re.sub(r"[^A-Za-z0-9 _-]+", "_", stem)[:64].strip(" _-")
         options = {"name": title or "fixes"} | received.options.model_dump(exclude_none=True)
         order: Order = {"kind": "diff", "folder": str(folder), "options": options | sent}
@@ -129,7 +130,7 @@ async def diff(request: Request, service: ServiceDep, caller: AnimatorDep) -> Re
 async def animate_mesh(request: Request, service: ServiceDep, caller: AnimatorDep) -> Response:
     """A moving mesh of a recording: an embedded head, or a mesh model's template."""
     made = Made("mesh", MeshOptions, MESH_FORMATS, "glb")
-    return await speech(Asked(request, service, caller), made)
+    return await speech(ServiceRequest(request, service, caller), made)
 
 
 @router.post(
@@ -141,7 +142,7 @@ async def animate_mesh(request: Request, service: ServiceDep, caller: AnimatorDe
 async def retarget(request: Request, service: ServiceDep, caller: AnimatorDep) -> Response:
     """Curves, or a recording, on a mesh that the request sends (GLB, OBJ, PLY or NPZ)."""
     made = Made("retarget", RetargetOptions, MESH_FORMATS, "glb", RETARGET)
-    return await speech(Asked(request, service, caller), made)
+    return await speech(ServiceRequest(request, service, caller), made)
 
 
 @router.post(
@@ -181,12 +182,12 @@ async def validate(request: Request, service: ServiceDep, caller: AnimatorDep) -
         return ValidationView(**answer["facts"])
 
 
-async def speech(asked: Asked, made: Made, *, at_once: bool = True) -> Response:
+async def speech(asked: ServiceRequest, made: Made, *, at_once: bool = True) -> Response:
     """Read a request, carry it out or make it a job, and answer.
 
     Parameters
     ----------
-    asked : Asked
+    asked : ServiceRequest
         Of the route.
     made : Made
         What the route makes of a recording.

@@ -14,7 +14,7 @@ from api.guard.keys import Caller
 from api.jobs.table import DONE, Job
 from api.messages.formats import ANIMATION_FORMATS
 from api.messages.options import AnimationOptions
-from api.messages.outgoing import Asked, result_headers
+from api.messages.outgoing import ServiceRequest, result_headers
 from api.messages.views import JOB_EXAMPLE, JobsView, JobView, view_of
 from api.routes import form_schema
 from api.routes.animations import ANIMATION, SPEECH, speech
@@ -38,7 +38,7 @@ Status = Literal["queued", "running", "done", "failed", "cancelled"]
 )
 async def create_job(request: Request, service: ServiceDep, caller: JobCallerDep) -> Response:
     """Animate a recording of any length; with an `Idempotency-Key` the same request is one job."""
-    return await speech(Asked(request, service, caller), ANIMATION, at_once=False)
+    return await speech(ServiceRequest(request, service, caller), ANIMATION, at_once=False)
 
 
 @router.get("")

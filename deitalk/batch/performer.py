@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 
 TOGETHER_FRAMES = 32_768
-"""Most frames of the recordings that a GPU reads in one call, 18 minutes. On a processor each is
+"""Frames from which recordings are enough for one call of a GPU, 18 minutes. On a processor each is
 read alone: its files then are the same whatever comes with it."""
 T = TypeVar("T")
 _FULL = {errno.ENOSPC, errno.EDQUOT}
@@ -85,12 +85,11 @@ class Performer:
             if isinstance(result, Outcome):
                 yield [result]
                 continue
-            length = len(result[1].inputs[1])
-            if ready and frames + length > self.together:
+            ready.append((order, *result))
+            frames += len(result[1].inputs[1])
+            if frames >= self.together:
                 yield self._finished(ready)
                 ready, frames = [], 0
-            ready.append((order, *result))
-            frames += length
         if ready:
             yield self._finished(ready)
 

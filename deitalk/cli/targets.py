@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 
 import typer
 
+from deitalk.cli.console import console
 from deitalk.errors import DeitalkError
 
 if TYPE_CHECKING:
     from rig import RigCurves
-from deitalk.cli.console import console
 
 PICTURES = (".png", ".svg", ".pdf")
 Inputs = Iterable[Path | str | None]
