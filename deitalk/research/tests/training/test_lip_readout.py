@@ -86,6 +86,7 @@ def test_corrected_curves_show_the_mixed_measures(rng):
         table.zero_()
     module.own.fill_(1)
     module.fade.copy_(torch.tensor([[-2.0], [-1.0]]).expand(2, M))
+    module.most.fill_(torch.inf)
     features = rng.normal(size=(30, 5)).astype(np.float32)
     curves = torch.from_numpy(rng.uniform(0, 0.3, (1, 30, size)).astype(np.float32))
     found = module.correct(curves, module(torch.from_numpy(features)[None])[0])[0].numpy()
