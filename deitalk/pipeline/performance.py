@@ -33,7 +33,7 @@ from deitalk.audio.original import write_original
 from deitalk.emotions import EMOTIONS, MOODS, write_intensity_csv
 from deitalk.errors import AudioError
 from deitalk.installed import __version__
-from deitalk.postprocess.joins import HANDLES, QUIET, quiet_seconds
+from deitalk.postprocess.joins import DELAY, HANDLES, QUIET, quiet_seconds
 from rig.arrays import Bool, Float32
 from rig.controls import DEFAULT_ID
 from rig.curves import RigCurves
@@ -389,7 +389,7 @@ def _fill(
         "control_set": curves.control_set,
         "fps": curves.fps,
         "start_seconds": start,
-        "delay_frames": delay,
+        DELAY: delay,
         HANDLES: handles,
         "marks": [
             {**mark._asdict(), "start": round(mark.start, 3), "end": round(mark.end, 3)}
