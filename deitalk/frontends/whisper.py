@@ -28,6 +28,7 @@ from torch.nn import functional as F
 
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
 from deitalk.audio.log_mel import (
+    BLOCK,
     DYNAMIC_RANGE,
     N_FFT,
     PUBLISHED_RATE,
@@ -35,7 +36,6 @@ from deitalk.audio.log_mel import (
     centres,
     hann_window,
     log_mel_filters,
-    loudest,
 )
 from deitalk.config.frontends import WhisperShape
 from deitalk.errors import CheckpointError, ConfigError
@@ -514,8 +514,12 @@ class WhisperFrontend(StridedFrontend):
     def survey(self, waveform: Tensor, gain: float) -> float:
         """Loudest mel power of the whole clip, from which the floor of every piece follows."""
         n_frames = self.count(len(waveform)) * self.spectra
-        found = loudest(waveform.cpu().numpy(), self.config.n_mels, n_frames, self.mel.rate)
-        return found + 2 * math.log10(gain)
+        sound = waveform.unsqueeze(0).to(self.mel.window.device)
+        blocks = (
+            self.mel.decades(self.mel.windows(sound, min(BLOCK, n_frames - first), first)).amax()
+            for first in range(0, n_frames, BLOCK)
+        )
+        return float(torch.stack([*blocks]).amax()) + 2 * math.log10(gain)
 
     def features(self, waveform: Tensor, context: float | None = None) -> Tensor:
         """Features (B, K, D) of (B, S), at most 30 s."""
