@@ -39,7 +39,7 @@ from deitalk.audio.original import ZERO, start_of, start_seconds
 from deitalk.errors import CheckpointError
 from deitalk.live.animator import LiveAnimator
 from deitalk.models.folder import describe_model, is_causal, model_folder, product_of
-from deitalk.models.load import load_causal, load_network
+from deitalk.models.load import chosen_backend, load_causal, load_network
 from deitalk.pipeline.curves import animate
 from deitalk.pipeline.performance import Extra, Performance, write_take
 from rig.arrays import Float32
@@ -513,9 +513,10 @@ def placed(model: Any, limits: Limits) -> Any:
 
 
 def _read(name: str, folder: str, limits: Limits) -> Any:
-    if limits["backend"] == "torch":
+    if chosen_backend(folder, limits["backend"], limits["device"]) == "torch":
         from deitalk.models.checkpoint import load_model
 
+        _begin_torch(limits)
         return load_model(folder)
     from deitalk.models.onnx.network import load_onnx, ready_graph
 
@@ -530,13 +531,17 @@ def _read(name: str, folder: str, limits: Limits) -> Any:
 def prepare(limits: Limits) -> None:
     """Read the models of the settings; those read before the fork are there."""
     if limits["backend"] == "torch":
-        import torch
-
-        torch.set_num_threads(limits["threads"])
-        torch.backends.cudnn.allow_tf32 = False  # else a GPU rounds to ten bits
+        _begin_torch(limits)
     for name in limits["preload"]:
         with suppress(CheckpointError):  # a request for it gets the error
             placed(model_of(name, limits), limits)
+
+
+def _begin_torch(limits: Limits) -> None:
+    import torch
+
+    torch.set_num_threads(limits["threads"])
+    torch.backends.cudnn.allow_tf32 = False  # else a GPU rounds to ten bits
 
 
 def export_all(limits: Limits, *, only_live: bool = False) -> None:
