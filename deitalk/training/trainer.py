@@ -5,7 +5,6 @@ It depends on a `Task` and on no product, such as `deitalk.training.curves`. The
 files.
 """
 
-import copy
 import math
 import time
 from abc import ABC, abstractmethod
@@ -25,7 +24,12 @@ from deitalk.evaluation.clips_figure import ClipRows, draw_clips
 from deitalk.evaluation.figures import can_draw
 from deitalk.models.folder import describe_model, read_about
 from deitalk.training.journal import Journal, summary_writer
-from deitalk.training.optimizer import new_scheduler, restore_buffers, update_average
+from deitalk.training.optimizer import (
+    new_scheduler,
+    restore_buffers,
+    shared_copy,
+    update_average,
+)
 from deitalk.training.run_folder import (
     Learnt,
     open_folder,
@@ -228,7 +232,10 @@ class Trainer(Generic[Item]):
         else:
             size = settings.batch_size * settings.accumulate
             self.total = max(math.ceil(settings.epochs * self.task.epoch_size() / size), 1)
-        self.average = copy.deepcopy(task.model).eval().requires_grad_(False)
+        self.average = task.model  # without steps they are the same
+        if self.total:
+            average = shared_copy(task.model, task.frozen)
+            self.average = average.eval().requires_grad_(False)
         self.optimizer = task.optimizer()
         self.scheduler = new_scheduler(self.optimizer, self.settings, self.total)
         self.step, self.best_score = 0, -math.inf
