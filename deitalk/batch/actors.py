@@ -94,9 +94,12 @@ def references(
 
 
 def _by_actor(lines: Iterable[Line]) -> dict[str, list[Line]]:
-    """Lines of each actor, without those with a reference of their own."""
+    """Lines of each actor, without those with a reference of their own.
+
+    By their outputs, so that the order of a manifest changes nothing.
+    """
     found: dict[str, list[Line]] = {}
-    for line in lines:
+    for line in sorted(lines, key=lambda line: line.output):
         if line.actor and line.acting.voice is None:
             found.setdefault(line.actor, []).append(line)
     return found
