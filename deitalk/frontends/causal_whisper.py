@@ -147,8 +147,11 @@ class CausalWhisperFrontend(WhisperFrontend):
         """`advance` of windows at the usual level; the running level is not looked at."""
         mel = torch.cat((state.mel, scaled(self.mel.decades(windows), PEAK)), dim=2)
         x = F.gelu(F.conv1d(mel, self.encoder.conv1.weight, self.encoder.conv1.bias))
+        # Few frames of many streams: a product of matrices, where a convolution is one a stream.
         stem = self.encoder.conv2
-        x = F.gelu(F.conv1d(x, stem.weight, stem.bias, stride=self.spectra)).transpose(1, 2)
+        taps = [x[..., k :: self.spectra] for k in range(stem.weight.shape[2])]
+        rows = torch.cat(taps, dim=1).transpose(1, 2).contiguous()  # (B, G, 3 D)
+        x = F.gelu(F.linear(rows, stem.weight.transpose(1, 2).flatten(1), stem.bias))
         times = state.place + torch.arange(x.shape[1], device=x.device)
         x = x + self.encoder.positions[(times % PERIOD).long()]
         queries, kept, depth = x, [], len(self.encoder.layers)

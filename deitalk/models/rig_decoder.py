@@ -79,7 +79,8 @@ class TemporalConv(nn.Module):
         if self.causal and frames <= FEW_FRAMES:
             # A convolution's preparations cost more than so few frames.
             taps = [x[:, :, start : start + frames] for start in self._starts]
-            rows = torch.cat(taps, dim=1).transpose(1, 2)  # (B, T, K in_channels)
+            # (B, T, K in_channels), in order: else torch multiplies stream by stream.
+            rows = torch.cat(taps, dim=1).transpose(1, 2).contiguous()
             x = F.linear(rows, self._flat(), self.conv.bias).transpose(1, 2)
         else:
             x = self.conv(x)

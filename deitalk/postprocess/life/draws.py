@@ -50,8 +50,8 @@ def normals(shares: Float64) -> Float64:
     middle = distance * _ratio(inner, _MIDDLE)
     tail = np.sqrt(-np.log(np.minimum(shares, 1 - shares)))
     outer = _ratio(tail - 1.6, _NEAR)
-    if (tail > 5).any():  # one of 1e11
-        outer = np.where(tail <= 5, outer, _ratio(tail - 5, _FAR))
+    if (is_far := tail > 5).any():
+        outer = np.where(is_far, _ratio(tail - 5, _FAR), outer)
     outer = np.copysign(outer, distance)
     return np.where(np.abs(distance) <= 0.425, middle, outer)
 
@@ -244,6 +244,8 @@ class Swells(Events):
         shortest : float, optional
             To how many seconds the attack may be shortened for that; not at all by default.
         """
+        if not len(peak):
+            return
         attack, hold, decay = (np.broadcast_to(part, peak.shape) for part in seconds)
         least = attack if shortest is None else np.minimum(shortest, attack)
         attack = np.minimum(attack, np.maximum(peak - known, least))

@@ -147,6 +147,8 @@ class MotionStreams:
 
     def cue(self, cues: Cues) -> None:
         """Take what comes next in the voices."""
+        if not len(cues.stream):
+            return
         self.blinks.cue(cues)
         self.gaze.cue(cues, self.blinks)
         self.face.cue(cues)
