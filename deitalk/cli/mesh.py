@@ -32,11 +32,14 @@ def animate_vertices(
     speech, out, given, mesh, landmarks, fps, force, as_json
         As for the command.
     speaker : str
-        Name or number: of an embedded head, or of a speaker of an SDFA model.
+        Name or number of an embedded head, or of a speaker of a mesh model; or a head file.
     **model
         ``model`` and ``device``.
     """
-    reserve_mesh(out, force=force, inputs=(speech, mesh, landmarks, *given.texts))
+    from rig.face.identity import HEAD_FILE, identity_of
+
+    own = Path(speaker) if speaker.lower().endswith(HEAD_FILE) else None
+    reserve_mesh(out, force=force, inputs=(speech, mesh, landmarks, own, *given.texts))
     if landmarks is not None and mesh is None:
         raise DeitalkError("--landmarks are points of a --mesh; give both, or neither")
     # Refuse inputs that cannot be used before the recording is animated.
@@ -52,7 +55,7 @@ def animate_vertices(
         if landmarks is not None:
             read_landmarks(landmarks, shapes.neutral)
     sound = sys.stdin.buffer.read() if speech == "-" else speech
-    who = int(speaker) if speaker.isdigit() else speaker
+    who = int(speaker) if speaker.isdigit() else identity_of(speaker) if own else speaker
     with bar("animating") as progress:
         from deitalk.pipeline.mesh import animate_mesh, retarget_speech
 
