@@ -11,8 +11,10 @@ With steps some takes validate, and the best weights are kept, those of the regr
 """
 
 import copy
+import ctypes
 from collections import defaultdict
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
@@ -73,6 +75,18 @@ LAST_SLOWER = 30
 """Last layers begin as a regression, from which steps of the decoder's size lead away at once."""
 ABOUT = ("base", "part")
 """Settings that a report states; the run's config.yaml has all."""
+MMAP_THRESHOLD = -3
+"""`M_MMAP_THRESHOLD` of glibc's `mallopt`."""
+
+
+def _return_large_blocks() -> None:
+    """Have glibc return blocks from 1 MB on to the system when they are freed; else do nothing.
+
+    It does so at first, but raises the size with every larger block that is freed, and then keeps
+    what lies between others: of a tuning a sixth of its memory.
+    """
+    with suppress(AttributeError, OSError, TypeError):
+        ctypes.CDLL(None).mallopt(MMAP_THRESHOLD, 2**20)
 
 
 @torch.no_grad()
@@ -117,6 +131,7 @@ def finetune(
     DataError, ConfigError, MissingError, rig.errors.TargetError
         As `run_training`, and as `FinetuneTask`.
     """
+    _return_large_blocks()
     job = (task or FinetuneTask)(config, data, frozen_features, progress)
     run_training(job, out, resume=resume, tensorboard=tensorboard, progress=progress)
     scores, complete = job.compare(out), job.config
