@@ -12,7 +12,6 @@ from typing import NamedTuple
 
 from deitalk.audio.choice import AudioChoice
 from deitalk.batch.cloud import AnyOutputs
-from deitalk.batch.journal import Journal
 from deitalk.batch.lines import Line
 from deitalk.batch.orders import Order, Outcome
 from deitalk.batch.source import ACTORS
@@ -74,15 +73,22 @@ def references(
     """
     found: dict[str, ActorReference] = {}
     samples: dict[str, list[Sample]] = {}
-    for actor, chosen in _by_actor(lines).items():
+    by_actor: dict[str, list[Line]] = {}
+    for line in lines:
+        if line.actor and line.acting.voice is None:  # without a reference of its own
+            by_actor.setdefault(line.actor, []).append(line)
+    for actor, chosen in by_actor.items():
         content = outputs.reference(file_of(actor))
         if content is not None:
             found[actor] = parse_actor(content, f"{outputs.folder}/{file_of(actor)}")
         else:
-            heard = dict.fromkeys((line.audio, line.choice) for line in _spread(chosen))
+            step = max(len(chosen) / MOST_LINES, 1.0)
+            spread = [chosen[int(i * step)] for i in range(min(len(chosen), MOST_LINES))]
+            heard = dict.fromkeys((line.audio, line.choice) for line in spread)
             signed = [Sample(*sound, signature(sound[0])) for sound in heard]
             samples[actor] = [sample for sample in signed if sample.sign]
     journal = outputs.journal
+<<<<<<< HEAD
     _measure([sample for group in samples.values() for sample in group], journal, run)
     for actor, group in samples.items():
         measured = [voice for one in group if (voice := journal.voice(one.name, one.sign))]
@@ -117,6 +123,11 @@ def _measure(
 ) -> None:
     """Enter the voice of every recording that is not known yet."""
     new = {one.name: one for one in samples if journal.voice(one.name, one.sign) is None}
+=======
+    # Enter the voice of every recording that is not known yet.
+    listed = [sample for group in samples.values() for sample in group]
+    new = {one.name: one for one in listed if journal.voice(one.name, one.sign) is None}
+>>>>>>> w-house
     orders = [
         Order(name, one.audio, only_voice=True, choice=one.choice) for name, one in new.items()
     ]
@@ -125,3 +136,10 @@ def _measure(
             for outcome in outcomes:
                 if outcome.voice is not None:
                     journal.write_voice(outcome.output, new[outcome.output].sign, outcome.voice)
+    for actor, group in samples.items():
+        measured = [voice for one in group if (voice := journal.voice(one.name, one.sign))]
+        if sum(voice.strength is not None for voice in measured) >= FEWEST_LINES:
+            text = reference_of(measured).as_json()
+            outputs.keep_reference(file_of(actor), text)
+            found[actor] = parse_actor(text.encode(), actor)  # rounded, as later runs read it
+    return found

@@ -9,6 +9,7 @@ from typing import get_args
 import pytest
 from typer.main import get_command
 
+from deitalk.audio.load import write_wav
 from deitalk.cli import app, main
 from deitalk.errors import DeitalkError
 from deitalk.models.folder import check_device, require_device
@@ -197,7 +198,8 @@ def test_live_rejects_hostile_addresses(refused, tmp_path):
 def test_preview_keeps_the_name_without_its_suffix(tmp_path, name, monkeypatch):
     source, targets = tmp_path / name, []
     source.parent.joinpath("take.v2").mkdir()
-    write_curves(source / "curves.csv" if name == "take.v2" else source, rest_curves(3))
+    write_wav(tmp_path / "take.v2" / "audio.wav", [0.0] * 1600)
+    write_curves(source / "curves.json" if name == "take.v2" else source, rest_curves(3))
     monkeypatch.setattr(
         "deitalk.preview.page.render_page", lambda shown, target, **given: targets.append(target)
     )
