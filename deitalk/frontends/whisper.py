@@ -305,7 +305,7 @@ class LogMel(nn.Module):
         power = torch.view_as_real(spectra).square().sum(dim=-1) @ self.filters
         return power.clamp(min=SILENCE).log10()
 
-    def forward(self, waveform: Tensor, n_frames: int, peak: Tensor | float | None = None) -> Tensor:
+    def forward(self, waveform: Tensor, n_frames: int, peak: Tensor | None = None) -> Tensor:
         """Spectrogram (B, F, M) of (B, S).
 
         Parameters
