@@ -314,8 +314,8 @@ class LogMel(nn.Module):
             16 kHz.
         n_frames : int
             M; frame j is at j / rate s.
-        peak : float or None
-            `loudest` of the whole clip; None: each row is a whole clip.
+        peak : Tensor or None
+            `survey` of the whole clip; None: each row is a whole clip.
         """
         decades = self.decades(self.windows(waveform, n_frames))
         if peak is None:
