@@ -50,7 +50,7 @@ def new_accelerator(
     accelerator = Accelerator(
         cpu=not torch.accelerator.is_available(),
         mixed_precision="no",  # `in_precision` does it: accelerate fixes one for the whole process
-        log_with=list(track),
+        log_with=list(track) or None,
         project_dir=None if out is None else str(out / "tensorboard"),
         kwargs_handlers=[
             # Without contrast or intensity the motion encoder has no gradient. Buffers are running
