@@ -13,7 +13,7 @@ With steps some takes validate, and the best weights are kept, those of the regr
 import copy
 import ctypes
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -102,7 +102,7 @@ def finetune(
     out: Path,
     *,
     resume: bool = False,
-    tensorboard: bool = False,
+    track: Sequence[str] = (),
     progress: Progress = silent,
     frozen_features: FrozenFeatures | None = None,
     task: "type[FinetuneTask] | None" = None,
@@ -115,7 +115,7 @@ def finetune(
         From `read_recipe`.
     data : Path
         Dataset folder of captures.
-    out, resume, tensorboard, progress
+    out, resume, track, progress
         As for `deitalk.training.trainer.run_training`.
     frozen_features : FrozenFeatures or None
         Features of the base for several runs on the same clips.
@@ -134,7 +134,7 @@ def finetune(
     """
     _return_large_blocks()
     job = (task or FinetuneTask)(config, data, frozen_features, progress)
-    run_training(job, out, resume=resume, tensorboard=tensorboard, progress=progress)
+    run_training(job, out, resume=resume, track=track, progress=progress)
     scores, complete = job.compare(out), job.config
     del job  # its networks and clips are not needed for the graph
     # Once more, with the graph that ONNX Runtime evaluates.
