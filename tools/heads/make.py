@@ -321,10 +321,19 @@ def write_person(name, look, base, shapes, person, joined) -> None:
         weight=np.concatenate(weight).astype(np.float16),
         eyes=np.array([[*(c + SHIFT), r] for c, r in person.eyes], np.float32),
         size=np.float32(person.size), purse=np.float32(look.get("purse", 1.0)),
+        blink=np.float32(_blink(base, shapes, person)),
         creases=np.float32(look["creases"]),
     )  # fmt: skip
     Image.fromarray(picture).save(DATA / f"{name}.webp", quality=82, method=6)
     print(name, len(joined.points), len(joined.faces), "size", round(person.size, 3))  # noqa: T201
+
+
+def _blink(base, shapes, person):
+    """Factor on a blink of the average head by which these lids meet: eyes differ in height."""
+    marks = landmarks(base, shapes)
+    ends = [marks["eye_lower_left"], marks["eye_upper_left"]]
+    low, high = shapes.deltas[shapes.names.index("CTRL_L_eye_blink.ty")][ends, 1]
+    return np.diff(person.skin[ends, 1])[0] / ((low - high) * person.size)
 
 
 def _scalp(base, person, picture):
