@@ -8,7 +8,6 @@ import numba.core.config
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-from scipy.sparse.csgraph import connected_components
 
 from rig.arrays import Bool, Float32, Float64, Int32, Int64
 from rig.face.mesh import (
@@ -20,7 +19,6 @@ from rig.face.mesh import (
     PORES,
     SKIN,
     Mesh,
-    adjacency,
     unit,
 )
 from rig.face.render import shading
@@ -499,8 +497,10 @@ class Renderer:
 
         def shrunk(picture: Picture, texels_per_cm: float) -> Picture:
             while texels_per_cm > 1.5 * pixels_per_cm and picture.shape[0] > 2:
-                quads = picture.reshape(picture.shape[0] // 2, 2, picture.shape[1] // 2, 2, -1)
-                picture = np.round(quads.mean((1, 3))).astype(np.uint8)
+                rows = np.add(picture[::2], picture[1::2], dtype=np.uint16)
+                pairs = rows.reshape(len(rows), -1, 2, picture.shape[2])
+                total = pairs[:, :, 0] + pairs[:, :, 1]
+                picture = ((total + 1 + (total >> 2 & 1)) >> 2).astype(np.uint8)  # half to even
                 texels_per_cm /= 2
             return np.ascontiguousarray(picture)
 
@@ -544,10 +544,14 @@ class Renderer:
 
 
 def _parts(mesh: Mesh) -> Int32:
-    """Number (V,) of the connected piece each vertex belongs to; hair is one piece."""
-    near = adjacency(mesh.weld[mesh.faces], len(mesh.vertices))
-    parts = connected_components(near)[1].astype(np.int32)[mesh.weld]
-    return np.where(np.isin(mesh.kind, (HAIR, FINE)), np.int32(-1), parts)
+    """Least vertex (V,) of the connected piece each vertex belongs to; hair is one piece."""
+    label, corners, before = mesh.weld.copy(), mesh.weld[mesh.faces.T], None
+    while not np.array_equal(label, before):
+        before, names = label.copy(), label[corners]
+        np.minimum.at(label, names.ravel(), np.tile(names.min(0), 3))
+        while not np.array_equal(label, label[label]):
+            label = label[label]
+    return np.where(np.isin(mesh.kind, (HAIR, FINE)), -1, label[mesh.weld]).astype(np.int32)
 
 
 TEXELS_PER_CM = 28.0
