@@ -123,7 +123,15 @@ def _changes(
         raise DataError(f"{shown} has no {TAKE_CURVES}; name a folder that deitalk animate wrote")
     base = read_curves(path, control_set=None)
     own = _own_controls(base)
-    found = _read(edited, fps) if own is None else _of_own_rig(edited, base, fps)
+    if own is None:
+        found = _read(edited, fps)
+    else:
+        curves = read_curves(edited, control_set=None, fps=fps)
+        if set(curves.names) != set(base.names):
+            raise DataError(
+                f"{edited} has other controls than the take, which is of {base.control_set}"
+            )
+        found = CapturedCurves(curves.select(base.names), base.names, "rig")
     controls = own or default_controls()
     written = shift(base.resample(found.curves.fps), *shifted)
     twin = _twin(edited, written, found)
@@ -134,7 +142,12 @@ def _changes(
     count = min(len(twin.curves), len(found.curves))
     start = written[:count]
     target = _moved(start, twin, found, controls, tolerance)
-    notes = [*found.notes, *_length_notes(twin.curves, found.curves, shown)]
+    notes = list(found.notes)
+    if abs(len(twin.curves) - len(found.curves)) > LEAST_FRAMES:
+        notes.append(
+            f"the edited file has {len(found.curves)} frames, {shown} {len(twin.curves)} at that "
+            "rate: what is beyond the shorter one is not compared"
+        )
     notes += _lost_notes(edited, target, twin, found, count)
     start, target, lost = _on_the_recording(start, target, base.fps, shifted, about, tolerance)
     notes += lost
@@ -146,7 +159,10 @@ def _changes(
         )
     lead = about.get(HANDLES, 0) / base.fps
     layer = _with_sound(replace(layer, name=name), take, settings, lead)
-    notes += _set_notes(found, controls)
+    if absent := [name for name in controls.names if name not in set(found.known)]:
+        notes.append(
+            f"{len(absent)} controls are not in the file and stay as they are: {listed(absent)}"
+        )
     if "edit" in settings:
         way = f": --edit {shown} --edit …" if shown.is_dir() else ""
         notes.append(f"the take has layers of its own, which come first{way}")
@@ -208,13 +224,6 @@ def _own_controls(base: RigCurves) -> ControlSet | None:
         return None
     wide = (Control(name, minimum=-1e6, maximum=1e6) for name in base.names)
     return ControlSet(base.control_set, tuple(wide))
-
-
-def _of_own_rig(path: Path, base: RigCurves, fps: float | None) -> CapturedCurves:
-    curves = read_curves(path, control_set=None, fps=fps)
-    if set(curves.names) != set(base.names):
-        raise DataError(f"{path} has other controls than the take, which is of {base.control_set}")
-    return CapturedCurves(curves.select(base.names), base.names, "rig")
 
 
 def _read(path: Path, fps: float | None) -> CapturedCurves:
@@ -292,7 +301,8 @@ def _moved(
     moved = replace(base, values=values, head=head)
     if found.shapes is None or twin.shapes is None:
         return moved
-    now, before = (_poses(shapes)[: len(base)] for shapes in (found.shapes, twin.shapes))
+    now = _poses(found.shapes)[: len(base)]
+    before = twin.shapes.select(now.names)[: len(base)]
     changed = np.abs(now.values - before.values) > NOISE_SHARE * tolerance
     wanted = np.where(changed, now.values, before.values)
     if {"MouthClose", "JawOpen"} <= set(now.names):  # lips meet and do not cross
@@ -352,22 +362,6 @@ def _with_sound(layer: Layer, take: Path, settings: dict[str, Any], lead: float)
     return layer
 
 
-def _length_notes(twin: RigCurves, edited: RigCurves, take: Path) -> list[str]:
-    if abs(len(twin) - len(edited)) <= LEAST_FRAMES:
-        return []
-    return [
-        f"the edited file has {len(edited)} frames, {take} {len(twin)} at that rate: what is "
-        "beyond the shorter one is not compared"
-    ]
-
-
-def _set_notes(found: CapturedCurves, controls: ControlSet) -> list[str]:
-    absent = [name for name in controls.names if name not in set(found.known)]
-    if not absent:
-        return []
-    return [f"{len(absent)} controls are not in the file and stay as they are: {listed(absent)}"]
-
-
 def _lost_notes(
     path: Path, target: RigCurves, twin: CapturedCurves, found: CapturedCurves, count: int
 ) -> list[str]:
@@ -377,8 +371,9 @@ def _lost_notes(
     again = _twin(path, target, found)
     there, wanted, what, notes = again.curves, found.curves, "controls", []
     if found.shapes is not None and twin.shapes is not None and again.shapes is not None:
-        there, wanted, what = _poses(again.shapes), _poses(found.shapes), "shapes"
-        turned = np.abs(found.shapes.values[:count] - twin.shapes.values[:count]).max(axis=0)
+        wanted, was = _poses(found.shapes), twin.shapes.select(found.shapes.names)
+        there, what = again.shapes.select(wanted.names), "shapes"
+        turned = np.abs(found.shapes.values[:count] - was.values[:count]).max(axis=0)
         eyes = [name for name, much in zip(found.shapes.names, turned, strict=True)
                 if name.startswith(("LeftEye", "RightEye")) and much > LEAST_LOST]  # fmt: skip
         if eyes:
