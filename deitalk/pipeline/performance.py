@@ -33,7 +33,7 @@ from deitalk.audio.original import write_original
 from deitalk.emotions import EMOTIONS, MOODS, write_intensity_csv
 from deitalk.errors import AudioError
 from deitalk.installed import __version__
-from deitalk.postprocess.joins import DELAY, HANDLES, QUIET, quiet_seconds
+from deitalk.postprocess.joins import HANDLES, QUIET, quiet_seconds
 from rig.arrays import Bool, Float32
 from rig.controls import DEFAULT_ID
 from rig.curves import RigCurves
@@ -61,6 +61,8 @@ FILES = {
 }
 
 KIND = "take"
+DELAY = "delay_frames"
+"""Entry of ``take.json``: frames by which the face is late."""
 ORIGINAL = "audio_48k.wav"
 PREVIEW_FILES = ("preview.html", "preview.mp4")
 

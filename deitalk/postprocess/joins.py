@@ -37,8 +37,8 @@ FORMAT, VERSION = "deitalk-edge", 1
 TAKE_CURVES, TAKE_ABOUT, TAKE_SOUND, ARCHIVE = "curves.json", "take.json", "audio.wav", ".zip"
 QUIET, ENDS = "quiet_seconds", ("start", "end")
 """Entry of ``take.json``: seconds without speech at both ends."""
-DELAY, HANDLES = "delay_frames", "handles_frames"
-"""Entries of ``take.json``: frames by which the face is late, and that were added at both ends."""
+HANDLES = "handles_frames"
+"""Entry of ``take.json``: frames that were added at both ends."""
 MOUTH_FRAMES, LIDS_FRAMES, FACE_FRAMES = 6, 6, 15
 """Frames in which the mouth, the lids, and brows, cheeks and corners pass into their own motion."""
 HEAD_FRAMES, MOST_HEAD_FRAMES, FRAMES_A_DEGREE = 30, 90, 3
