@@ -62,7 +62,10 @@ class Service:
         if live["backend"] == "onnx":
             live["device"] = "cpu"
         workers = settings.live_workers if live["device"] == "cpu" else 1
-        self.voices, self.pages = LivePool(live, self.stage, workers), Pages(self.limits, self.stage)
+        self.voices, self.pages = (
+            LivePool(live, self.stage, workers),
+            Pages(self.limits, self.stage),
+        )
         self.pool = Pool(self.limits, settings.workers, settings.work_seconds, settings.waiting)
         engine = await asyncio.to_thread(open_database, settings.database_url)
         self.queue = Queue(

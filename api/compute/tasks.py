@@ -88,7 +88,12 @@ class Voices:
             except UserError as error:
                 self.places.pop(voice, None)
                 failed[voice] = error
-        return opened, failed, self._frames()
+        read = {model: animator.read() for model, animator in self.animators.items()}
+        frames = {  # curves and track of the head [shape=(n, C + 6)]
+            voice: np.concatenate((read[model][k], self.animators[model].heads[k]), axis=1)
+            for voice, (model, k) in self.places.items()
+        }
+        return opened, failed, frames
 
     def _act(self, voice: int, action: dict[str, Any], samples: Float32) -> None:
         model, place = self.places[voice]
@@ -117,14 +122,6 @@ class Voices:
         self.animators[model].open(place, Acting.of(files={}, **fields))
         self.places[voice] = (model, place)
         return self.animators[model].lookahead_seconds
-
-    def _frames(self) -> dict[int, Float32]:
-        """Curves and track of the head of each voice [shape=(n, C + 6)]."""
-        read = {model: animator.read() for model, animator in self.animators.items()}
-        return {
-            voice: np.concatenate((read[model][k], self.animators[model].heads[k]), axis=1)
-            for voice, (model, k) in self.places.items()
-        }
 
 
 _voices = Voices()
@@ -222,7 +219,14 @@ def _answered(
         _preview(out, performance, order, limits, progress)
     else:
         said += _write(out, performance, options, limits, extras)
-    return {"file": str(out), "notes": said, "facts": _facts(performance)}
+    facts = {
+        "frames": len(performance.curves),
+        "seconds": performance.recording.duration,
+        "mean_intensity": performance.mean_intensity,
+        "mean_applied_intensity": performance.mean_applied_intensity,
+        "clipped_values": performance.clipped,
+    }
+    return {"file": str(out), "notes": said, "facts": facts}
 
 
 def _performed(order: Order, limits: Limits, progress: Progress) -> Performance:
@@ -365,16 +369,6 @@ def _zip(folder: Path, out: Path) -> None:
             archive.write(path, path.name)
 
 
-def _facts(performance: Performance) -> dict[str, Any]:
-    return {
-        "frames": len(performance.curves),
-        "seconds": performance.recording.duration,
-        "mean_intensity": performance.mean_intensity,
-        "mean_applied_intensity": performance.mean_applied_intensity,
-        "clipped_values": performance.clipped,
-    }
-
-
 def _mesh(order: Order, limits: Limits, progress: Progress) -> Answer:
     options = order["options"]
     if limits["backend"] == "onnx":
@@ -502,22 +496,14 @@ def model_of(name: str, limits: Limits) -> Any:
     if name not in limits["models"]:
         raise CheckpointError(f"no model {name!r}; known models: {', '.join(limits['models'])}")
     folder = limits["models"][name]
-    if folder not in models:
-        models[folder] = _read(name, folder, limits)
-    return models[folder]
-
-
-def placed(model: Any, limits: Limits) -> Any:
-    """The model, moved to the device of the settings."""
-    return model if limits["device"] == "cpu" else model.to(limits["device"])
-
-
-def _read(name: str, folder: str, limits: Limits) -> Any:
+    if folder in models:
+        return models[folder]
     if chosen_backend(folder, limits["backend"], limits["device"]) == "torch":
         from deitalk.models.checkpoint import load_model
 
         _begin_torch(limits)
-        return load_model(folder)
+        models[folder] = load_model(folder)
+        return models[folder]
     from deitalk.models.onnx.network import load_onnx, ready_graph
 
     if product_of(folder) != "curves" or ready_graph(model_folder(folder)) is None:
@@ -525,7 +511,13 @@ def _read(name: str, folder: str, limits: Limits) -> Any:
             f"model {name!r} is not in ONNX; this service has the backend onnx, another with torch "
             "can use it"
         )
-    return load_onnx(folder, threads=limits["threads"])
+    models[folder] = load_onnx(folder, threads=limits["threads"])
+    return models[folder]
+
+
+def placed(model: Any, limits: Limits) -> Any:
+    """The model, moved to the device of the settings."""
+    return model if limits["device"] == "cpu" else model.to(limits["device"])
 
 
 def prepare(limits: Limits) -> None:

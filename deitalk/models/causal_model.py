@@ -83,7 +83,7 @@ class TorchNetwork:
         self.rules: RulesConfig = model.rules
         self.actors: tuple[str, ...] = model.actors
         self.emotions: tuple[str, ...] = model.emotions
-        self.grid = grid_of(model)
+        self.grid, self.device = grid_of(model), str(model.device)
 
     def eval(self) -> Self:
         """The network, its model in evaluation mode."""

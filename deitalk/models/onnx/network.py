@@ -333,6 +333,7 @@ class OnnxCausalNetwork(_Network):
     """A causal model; a `CausalNetwork`, and a `CurveNetwork` for whole recordings."""
 
     is_causal = True
+    device = "cpu"
 
     def _read_metadata(self) -> None:
         self.grid = SpectraGrid(**json.loads(self.metadata["grid"]))

@@ -46,6 +46,8 @@ class CurveGraph(nn.Module):
     def __init__(self, model: DEITalk) -> None:
         super().__init__()
         self.model = model
+        if model.config.own_decoder is not None:
+            raise CheckpointError("an own decoder has no graph: what it does is not known")
         if model.config.frontend.kind != "whisper" or not model.config.intensity:
             raise CheckpointError(
                 "only models with a Whisper frontend and an intensity module have a graph, such as "

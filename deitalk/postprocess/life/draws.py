@@ -58,8 +58,11 @@ def normals(shares: Float64) -> Float64:
 
 def _ratio(x: Float64, coefficients: Float64) -> Float64:
     """Ratio of two polynomials, of whose coefficients the highest powers come first."""
-    above, below = (np.polyval(row, x) for row in coefficients)
-    return np.asarray(above / below, np.float64)
+    both = np.zeros((2, *x.shape))
+    for power in coefficients.T:  # Horner's scheme for both
+        both = both * x + power.reshape(2, *[1] * x.ndim)
+    ratio: Float64 = both[0] / both[1]
+    return ratio
 
 
 _MIDDLE = np.array(

@@ -12,7 +12,6 @@ import asyncio
 import json
 import math
 import os
-import re
 import socket
 import subprocess
 import sys

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import torch
 
+from deitalk.audio.running_level import USUAL_POWER, first_level, follow_level
 from deitalk.audio.voice_activity import BAND_EDGES_HZ, WINDOW
 from deitalk.config.rules import Gates, RulesConfig, VoiceIntensity
-from deitalk.audio.running_level import USUAL_POWER, first_level, follow_level
 from deitalk.live.activity import GATE_AHEAD, MOST_STEP, RunningActivity
 from deitalk.live.analysis import MEASURED_AHEAD, FrameMeasures, VoiceAnalysis
 from deitalk.live.intensity import Measures, RunningIntensity, follow_means
@@ -174,3 +174,11 @@ def test_streams_side_by_side_are_heard_as_each_alone_in_any_pieces(rng):
         alone, _ = analysis(FrameMeasures.of_windows(windows), *own, take(first, [k]))
         expected = np.stack((*alone[1:-1], *alone.held), axis=-1)[0]
         np.testing.assert_allclose(np.concatenate(together, axis=1)[k], expected, atol=1e-6)
+
+
+def test_windows_are_measured_alike_on_a_device() -> None:
+    """Another name of the processor takes the way of a GPU: tensors measure, arrays come back."""
+    sound = np.random.default_rng(3).standard_normal((2, 5, WINDOW)).astype(np.float32)
+    here, there = (FrameMeasures.of_windows(sound, device) for device in ("cpu", "cpu:0"))
+    for ours, theirs in zip(here, there, strict=True):
+        np.testing.assert_allclose(theirs, ours, atol=2e-4)
