@@ -11,8 +11,8 @@ from torch.nn import functional as F
 
 from deitalk.config.curves import ModelConfig
 from deitalk.emotions import EMOTIONS
-from deitalk.frontends.flat_kernel import FlatKernel, joined_taps
 from deitalk.errors import CheckpointError
+from deitalk.frontends.flat_kernel import FlatKernel, joined_taps
 from deitalk.models.joined import JoinedClips
 from deitalk.models.tuned_parts import ActorLayers, BaseChange
 from rig import ControlSet
@@ -109,7 +109,9 @@ class TemporalConv(nn.Module):
         weights : slice
             Input channels of the convolution that they are.
         """
-        kernel = self._flat(self.conv.weight).view(self.conv.out_channels, -1, self.conv.in_channels)
+        kernel = self._flat(self.conv.weight).view(
+            self.conv.out_channels, -1, self.conv.in_channels
+        )
         for tap, start in enumerate(self._starts):
             out.addmm_(x.inner(start - self.reach)[:, given], kernel[:, tap, weights].T)
 
