@@ -168,6 +168,3 @@ def name_option(error: UserError) -> str:
 
     pattern = _ASSIGNED.format(re.escape(error.parameter))
     return re.sub(pattern, option, str(error)) if error.parameter else str(error)
-
-
-# Checks of the files that commands read and write.

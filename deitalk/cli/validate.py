@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
+from deitalk.cli.acting_options import Given, acting_options
 from deitalk.cli.console import emit, emit_json
-from deitalk.cli.options import Given, acting_options
 from deitalk.errors import DeitalkError
 from rig.errors import as_line
 

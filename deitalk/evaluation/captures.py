@@ -158,8 +158,9 @@ def write_comparison(
     # The first held-out clip: sound, captured curves, before and after.
     example, controls, compared = captures.examples[0], captures.controls, folder / COMPARED
     compared.mkdir(exist_ok=True)
-    played = {name: curves[name][0] for name in ("before", "after") if name in curves}
-    for name, values in {"capture": example.curves, **played}.items():
+    played = {"capture": example.curves}
+    played |= {name: curves[name][0] for name in ("before", "after") if name in curves}
+    for name, values in played.items():
         clip = RigCurves(values, controls.names, fps=FRAME_RATE, control_set=controls.id)
         write_curves(compared / f"{name}.npz", clip)
     with atomic_write(compared / "audio.wav") as beside:
