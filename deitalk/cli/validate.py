@@ -43,7 +43,7 @@ def validate(
     validation = check(path)
     findings = list(validation.findings)
     if validation.ok and given.acting.words is not None:
-        from deitalk.pipeline.words.align import check_closures
+        from deitalk.pipeline.words.closures import check_closures
         from deitalk.pipeline.words.transcript import Transcript
 
         words = Transcript.of(given.acting.words, given.acting.language)
