@@ -1,4 +1,4 @@
-"""What the routes share: settings, worker processes, jobs, counts."""
+"""State that the routes share: settings, worker processes, jobs, counts."""
 
 import asyncio
 from collections.abc import Callable

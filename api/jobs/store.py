@@ -99,7 +99,7 @@ class Store:
         return found
 
     def age(self, job_id: str) -> float:
-        """Seconds since the newest file of a job was written; a day where that is unknown.
+        """Age of the newest file of a job, seconds; a day where that is unknown.
 
         A folder without files counts itself: its first file may be on its way.
         """

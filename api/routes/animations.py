@@ -44,7 +44,7 @@ RETARGET = ("mesh", "curves", "landmarks", "mapping", *SPEECH)
 
 
 class Made(NamedTuple):
-    """What a route makes of a recording: an order's kind and options, formats, parts of a form."""
+    """Order of a route for a recording: its kind and options, formats, parts of a form."""
 
     kind: Kind
     options: type[SpeechOptions]

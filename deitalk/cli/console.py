@@ -51,7 +51,7 @@ class Console:
 
     @cached_property
     def rich(self) -> "RichConsole":
-        """Of the package rich, which is imported for a terminal only."""
+        """The console of the package rich, which is imported for a terminal only."""
         from rich.console import Console as RichConsole
 
         return RichConsole(stderr=True, emoji=False, highlight=False, soft_wrap=True)

@@ -30,16 +30,16 @@ class CheckedCommands(typer.Typer):
     """A group of commands whose arguments are checked."""
 
     def command(self, *arguments: Any, **options: Any) -> Callable[[Command], Command]:
-        """As `typer.Typer.command`."""
+        """Register a command as `typer.Typer.command` does."""
         return _checking(super().command(*arguments, **options))
 
     def callback(self, *arguments: Any, **options: Any) -> Callable[[Command], Command]:
-        """As `typer.Typer.callback`."""
+        """Register a callback as `typer.Typer.callback` does."""
         return _checking(super().callback(*arguments, **options))
 
 
 def _checking(register: Callable[[Command], Command]) -> Callable[[Command], Command]:
-    """As `register`, with checks added to the arguments of a command."""
+    """Wrap `register`: add checks to the arguments of a command."""
 
     def checked(function: Command) -> Command:
         for parameter in inspect.signature(function).parameters.values():

@@ -28,7 +28,7 @@ POLL_SECONDS = 0.05
 
 @dataclass(frozen=True)
 class Link:
-    """Where a face is sent, and how."""
+    """Address and protocol to which a face is sent."""
 
     host: str
     port: int

@@ -251,7 +251,7 @@ def _intensity(strengths: Sequence[Float32 | None], captures: CaptureSet) -> dic
 
 
 def _own(captures: CaptureSet) -> dict[str, float]:
-    """What the captures themselves would score, where that is defined."""
+    """Scores of the captures themselves, where they are defined."""
     rows = [_steps(example.curves[:, captures.pose.moving]) for example in captures.examples]
     own = {
         name: _mean([row[name] for row in rows if name in row])
@@ -371,7 +371,7 @@ def beats_loudness(scores: Mapping[str, Mapping[str, float]]) -> bool:
 
 
 def _course(report: dict[str, Any]) -> list[str]:
-    """What the result is, whose face a stranger gets, and which takes share a convention."""
+    """Lines on the result, the styles, and the takes that share a convention."""
     lines = []
     if report.get("delivered"):
         lines += [f"The result is {report['delivered']}.", ""]

@@ -63,7 +63,7 @@ class FittedWord:
 
 @dataclass(frozen=True)
 class WordFit:
-    """How the words of a transcript lie in a recording.
+    """Times of the words of a transcript in a recording.
 
     Attributes
     ----------

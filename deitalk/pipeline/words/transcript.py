@@ -1,4 +1,4 @@
-"""What is said in a recording: words with or without their times.
+"""Transcripts of recordings: words with or without their times.
 
 Words are pronounced by espeak-ng in the language of one of its voices.
 """
@@ -254,7 +254,7 @@ def cues_of(
 
 
 def other_spans(words: Words, source: str, role: str) -> list[tuple[float, float]]:
-    """Seconds in which others speak and the role does not."""
+    """Spans, seconds, in which others speak and the role does not."""
     found = cues_of(words, source)
     spans = []
     own = [(c.start, c.end) for c in found if c.speaker.casefold() == role.casefold()]
