@@ -328,7 +328,7 @@ class Survey:
         return found
 
     def usable_seconds(self) -> dict[tuple[str, str], float]:
-        """Usable seconds by actor and emotion: clips that move, in takes that belong to their sound."""
+        """Usable seconds by actor and emotion: moving clips of takes that belong to their sound."""
         sync = self.sync()
         seconds: dict[tuple[str, str], float] = defaultdict(float)
         for c in self.clips:
