@@ -5,18 +5,9 @@ from typing import Annotated
 
 import typer
 
+from deitalk.cli.acting_options import Given, acting_options
 from deitalk.cli.console import bar, console, emit_json
-from deitalk.cli.options import (
-    Delay,
-    Device,
-    Force,
-    Given,
-    Handles,
-    Json,
-    Model,
-    Timecode,
-    acting_options,
-)
+from deitalk.cli.options import Delay, Device, Force, Handles, Json, Model, Timecode
 from deitalk.cli.targets import reserve_file, reserve_folder
 from deitalk.errors import DeitalkError
 

@@ -161,7 +161,7 @@ class Performance:
         return 0.0 if applied is None or not self.has_emotion else self._while_speaking(applied)
 
     def quiet(self, *, last: bool) -> float:
-        """Seconds without speech at the end, or at the start."""
+        """Time without speech at the end, or at the start, seconds."""
         return quiet_seconds(self.recording.activity, last=last)
 
     @cached_property
