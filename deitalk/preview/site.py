@@ -128,7 +128,7 @@ def _share_weights(file: Path, other: Path) -> dict[str, int]:
 
 
 def _facts(network: DEITalk) -> dict[str, Any]:
-    """What the page must know of the model and of the formats that it writes."""
+    """Facts on the model and on the formats that the page writes."""
     knots = raw_knots()
     raw = [
         {

@@ -13,7 +13,7 @@ import pytest
 
 from api.compute import live
 from api.compute.pool import Stage
-from api.compute.tasks import Voices as VoicesInWorker
+from api.compute.voices import Voices as VoicesInWorker
 from api.errors import InternalError, Problem
 from api.routes.health import ready
 from deitalk.acting import Acting
