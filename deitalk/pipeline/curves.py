@@ -42,7 +42,7 @@ from deitalk.postprocess.life.motion import Character, Motion, Moved, plan_motio
 from deitalk.postprocess.life.other import OtherVoice
 from deitalk.postprocess.life.voice import Seeds, Traits, measure_voice
 from deitalk.postprocess.tracks import VoiceTracks, shown_columns
-from deitalk.postprocess.variants import USUAL_STATE, choose_ways, unused_variants
+from deitalk.postprocess.variants import choose_ways, unused_variants
 from rig import ControlSet, RigCurves
 from rig.arrays import Float32
 from rig.curves.apply_layers import target_columns
@@ -397,8 +397,8 @@ def _read(prepared: Prepared, reading: Reading, words: "WordFit | None" = None) 
     near, usual = (mean_around(x, speaking) for x in (intensities.voice, intensities.network))
     opening = opening_factor(rules.scale_opening, near, usual)
     kept = speech.held(rules.hold_pose)
-    felt = intensities.predicted[speaking]
-    state = state_of_intensity(float(np.median(felt))) if len(felt) else USUAL_STATE
+    heard = intensities.voice[speaking]
+    state = state_of_intensity(float(np.median(heard))) if len(heard) else None
     traits = _traits(prepared)
     ways = choose_ways(acting.variant, traits, acting.seed, state)
     side = np.full(len(weights), ways.side)
