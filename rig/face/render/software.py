@@ -123,13 +123,24 @@ def fill(
                 covers = value < depth[row, column]
                 if covers and is_thin:
                     dx, dy = column + F(0.5) - xa, row + F(0.5) - ya
-                    at_u = min(max(int(ua + u_x * dx + u_y * dy), 0), len(alpha) - 1)
-                    at_v = min(max(int(va + v_x * dx + v_y * dy), 0), len(alpha) - 1)
-                    covers = alpha[at_v, at_u] > THRESHOLDS[2 * (row % 2) + column % 2]
+                    u, v = ua + u_x * dx + u_y * dy, va + v_x * dx + v_y * dy
+                    covers = _cover(alpha, u, v) > THRESHOLDS[2 * (row % 2) + column % 2]
                 if covers:
                     depth[row, column] = value
                     nearest[row, column] = f
                 value += per_x
+
+
+@compiled
+def _cover(alpha: Any, u: Any, v: Any) -> Any:
+    """Alpha at a place in texels, between the texels."""
+    last = len(alpha) - 1
+    u, v = min(max(u - F(0.5), F(0)), F(last)), min(max(v - F(0.5), F(0)), F(last))
+    x, y = int(u), int(v)
+    right, below = min(x + 1, last), min(y + 1, last)
+    high = alpha[y, x] + (u - x) * (F(alpha[y, right]) - F(alpha[y, x]))
+    low = alpha[below, x] + (u - x) * (F(alpha[below, right]) - F(alpha[below, x]))
+    return high + (v - y) * (low - high)
 
 
 @compiled

@@ -11,6 +11,7 @@ import { COLORS, MOODS } from "../timeline/emotion";
 import { wavOf } from "./wav";
 import { bindForm, FIELDS } from "./form";
 import { Live } from "./live";
+import { SocketVoice } from "./socket";
 import { bindMicrophone } from "./microphone";
 import { convert, diff, emotionCsv, optionOf, optionsOf, order, type Order, type Progress, quoted, request, type Source } from "./service";
 import { keepView, latestSession, loadSession, saveSession, type Session, sessionOf, type View } from "./session";
@@ -103,7 +104,7 @@ export class Studio {
     player.onTake = (take) => void this.adopt(take);
     $("pick").addEventListener("click", () => $("file").click());
     $("sample").addEventListener("click", () => void this.openSample());
-    this.live = new Live(player, () => this.emotion);
+    this.live = new Live(player, () => this.emotion, (...given) => new SocketVoice(player.board, ...given));
     bindMicrophone(() => player.transport.pause(), (file) => this.open(file));
     this.showForm = bindForm(player.history);
     this.showForm();
@@ -118,6 +119,7 @@ export class Studio {
     onFile("performance", (file) => void this.dub(file));
     $("from-edited").addEventListener("click", () => $("edited").click());
     onFile("edited", (file) => void this.addChanges(file));
+    $("other-changes").addEventListener("click", () => void this.addChanges(player.otherFile!));
     $("keep").addEventListener("click", () => this.setOther(player.take!.frozen("A")));
     $("drop-other").addEventListener("click", () => this.setOther());
     this.enable();
@@ -321,13 +323,14 @@ export class Studio {
     if (!session) return;
     const { edit } = session, intensityCsv = this.hasIntensity(session) ? player.take!.intensityCsv() : undefined;
     const found = await this.comparing.run(`Comparing ${file.name}`, async (progress, signal) => {
-      const take = await order({ ...session, intensityCsv, format: "take" }, progress, signal);
+      const take = await order({ ...session, intensityCsv, format: "take", shift: shiftOf() }, progress, signal);
       const { content, notes } = await diff(file, take.content, signal);
       return { text: await content.text(), notes };
     });
     if (!found) return;
     if (session !== this.session || edit !== session.edit) return notice(`${file.name}: the take was changed meanwhile; give the file again`);
     player.intake.layers(found.text, file.name);
+    if (file === player.otherFile) this.setOther(); // the take shows its changes now
     notice([`${file.name} is the last layer`, ...found.notes].join("; "));
   }
 
@@ -457,7 +460,7 @@ export class Studio {
 
   private enable(): void {
     const isOn = this.session !== undefined;
-    for (const b of document.querySelectorAll<HTMLButtonElement>("#exports button, #compare, #dub, #from-edited, #keep, #add-key, #emotions button:last-child")) {
+    for (const b of document.querySelectorAll<HTMLButtonElement>("#exports button, #compare, #dub, #from-edited, #other-changes, #keep, #add-key, #emotions button:last-child")) {
       b.disabled = !isOn;
     }
     $("dub").setAttribute("aria-pressed", String(this.session?.performance !== undefined));
