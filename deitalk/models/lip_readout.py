@@ -1,7 +1,7 @@
-"""Linear readout of lips and tongue from the speech features; not in the papers.
+"""Readout of lips and tongue from the speech features; not in the papers.
 
 A decoder that is trained on computed faces does not show all that its features hold. The readout
-is fitted to phones and to measured lips of people, and
+is fitted to phones, by a network of one hidden layer, and to measured lips of people, linearly. It
 corrects the decoder:
 
 - A contact, lips together or lower lip on the teeth, becomes the product of powers of the
