@@ -59,7 +59,7 @@ def _ms(run: dict[str, Any], kind: str = "") -> str:
 def batch_rate() -> str:
     """Rate of a batch beside its network."""
     found = report("batch-rate")
-    share = found["share_of_twice_the_network"]
+    share = found["share_of_the_network"]
     rows = [
         ["network alone, a line at a time", f"{found['network_ms']:.0f} ms of a core a line"],
         ["batch, files and journal included", f"{found['processor_ms']:.0f} ms of a core a line"],
@@ -100,6 +100,20 @@ def onnx_sizes() -> str:
     ]
     heads = ["", "MB", "processor s per s of sound", "largest", "rms", "intensity"]
     return f"{table([heads, *rows])}\n{_on('onnx-sizes')}"
+
+
+def device() -> str:
+    """What a GPU does."""
+    found = report("device")
+    rows = []
+    for name, values in found["measures"].items():
+        cells = [f"{values['rate']:,.0f}" if "rate" in values else ""]
+        if "median_ms" in values:
+            cells = [f"{values['median_ms']:.0f}, {values['p95_ms']:.0f} ms a message"]
+        off = f"{values['largest']:.1g}" if "largest" in values else ""
+        rows.append([name, *cells, off])
+    heads = [found["device"], "times real time; median, p95", "largest error"]
+    return f"{table([heads, *rows])}\n{_on('device')}"
 
 
 ERRORS = {"largest": 3, "rms": 4, "intensity": 3}
