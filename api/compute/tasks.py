@@ -352,6 +352,7 @@ def _diff(order: Order, limits: Limits, progress: Progress) -> Answer:
         fps=options.get("fps"),
         tolerance=options["tolerance"],
         name=options["name"],
+        **_shift(options),
     )
     out = Path(OUT) / f"{options['name']}{SUFFIX}"
     out.write_text(found.layer.text, encoding="utf-8")

@@ -159,6 +159,8 @@ class DiffOptions(BaseModel):
             "noise.",
         ),
     ] = TOLERANCE
+    delay: Delay = 0
+    handles: Handles = 0
     name: Annotated[
         str | None,
         Field(pattern=NAME_PATTERN, description="Name of the layer; else that of `edited`."),

@@ -178,6 +178,29 @@ def test_worker_that_ends_between_two_orders_ends_the_voices(voices, when):
     asyncio.run(run())
 
 
+def test_a_voice_begins_in_the_worker_with_the_fewest_that_is_ready(voices, tmp_path):
+    pool = live.LivePool(limits(), voices.stage, 3)
+    for one in pool.workers:
+        one.worker = Stand()
+
+    async def begun():
+        voice, _ = await pool.open("live", STILL)
+        return pool.workers.index(voice.voices), voice
+
+    async def run():
+        opened = [await begun() for _ in range(6)]
+        assert [place for place, _ in opened] == [0, 1, 2, 0, 1, 2]
+        assert len({voice.number for _, voice in opened}) == 6
+        opened[1][1].close()
+        assert (await begun())[0] == 1
+        opened[2][1].close()
+        pool.workers[2].is_ready = False
+        assert not pool.is_ready and (await begun())[0] == 0
+        pool.stop()
+
+    asyncio.run(run())
+
+
 def test_sound_of_an_unknown_voice_is_not_given_to_the_next():
     taken = {}
     animator = SimpleNamespace(
