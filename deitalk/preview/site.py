@@ -122,7 +122,9 @@ def _share_weights(file: Path, other: Path) -> dict[str, int]:
         for key, value in at.items():
             weight.external_data.add(key=key, value=str(value))
     file.write_bytes(content.SerializeToString())
-    texts = {entry.key: json.loads(entry.value) for entry in content.metadata_props if entry.key in LIVE}
+    texts = {
+        entry.key: json.loads(entry.value) for entry in content.metadata_props if entry.key in LIVE
+    }
     return texts | {"actors": len(texts["actors"])}
 
 
