@@ -27,6 +27,7 @@ from deitalk.audio.log_mel import SILENCE
 from deitalk.audio.running_level import first_level, levelled
 from deitalk.config.frontends import CausalWhisperConfig
 from deitalk.frontends.base import Frontend
+from deitalk.frontends.flat_kernel import FlatKernel, joined_taps
 from deitalk.frontends.whisper import Layer, WhisperFrontend, scaled
 
 PAST_FRAMES, LOOKAHEAD_FRAMES = 90, 1
@@ -90,6 +91,7 @@ class CausalWhisperFrontend(WhisperFrontend):
     def __init__(self, config: CausalWhisperConfig) -> None:
         super().__init__(config)
         self.delay = LOOKAHEAD_FRAMES * len(self.encoder.layers)
+        self._flat = FlatKernel()
         self.n_states = 3 + 3 * len(self.encoder.layers)
 
     def first_state(self, batch: int) -> CausalState:
@@ -150,8 +152,7 @@ class CausalWhisperFrontend(WhisperFrontend):
         # Few frames of many streams: a product of matrices, where a convolution is one a stream.
         stem = self.encoder.conv2
         taps = [x[..., k :: self.spectra] for k in range(stem.weight.shape[2])]
-        rows = torch.cat(taps, dim=1).transpose(1, 2).contiguous()  # (B, G, 3 D)
-        x = F.gelu(F.linear(rows, stem.weight.transpose(1, 2).flatten(1), stem.bias))
+        x = F.gelu(F.linear(joined_taps(taps), self._flat(stem.weight), stem.bias))
         times = state.place + torch.arange(x.shape[1], device=x.device)
         x = x + self.encoder.positions[(times % PERIOD).long()]
         queries, kept, depth = x, [], len(self.encoder.layers)
