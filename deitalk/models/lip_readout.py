@@ -110,17 +110,17 @@ class LipReadout(nn.Module):
 
         # By numpy: some operations of torch on the meta device import its compiler.
         def of(*parts: str) -> Float32:
-            return np.float32([[part in name for name in names] for part in parts])
+            return np.array([[part in name for name in names] for part in parts], np.float32)
 
         shown, values, shares = zip(*SHOWN.values(), strict=True)
         places, opens = of(*shown), of(*OPENERS).sum(axis=0)
         tables = {
             "places": of(*CONTACTS),
-            "values": np.float32(values)[:, None] * places,
-            "own": 1 - ((1 - np.float32(shares))[:, None] * places).sum(axis=0),
+            "values": np.array(values, np.float32)[:, None] * places,
+            "own": 1 - ((1 - np.array(shares, np.float32))[:, None] * places).sum(axis=0),
             "low": np.where(of(SHOWN["out"][0])[0] > 0, np.float32(0), np.float32(-np.inf)),
-            "fade": np.float32(OPEN),
-            "most": np.float32(MOST),
+            "fade": np.array(OPEN, np.float32),
+            "most": np.array(MOST, np.float32),
             "opens": opens / np.maximum(opens.sum(), 1),
         }
         tables["values"][0] += FLAT * of("tongue_wideNarrow")[0]
