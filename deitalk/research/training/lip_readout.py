@@ -183,6 +183,7 @@ def learn_channels(
         optimiser.step()
         schedule.step()
     per = torch.from_numpy(scale.astype(np.float32))
+    assert first.bias is not None
     return Network(first.weight.detach() / per[:, None], first.bias.detach(), last)
 
 
@@ -208,7 +209,8 @@ def moving_controls(teacher: Teacher, pose: Float32) -> Float64:
 @torch.no_grad()
 def fill_channels(module: LipReadout, found: Network, silence: Float32) -> None:
     """Give the module its weights of the channels."""
-    assert module.listen.bias is not None
+    assert module.listen.bias is not None and module.phones.bias is not None
+    assert found.last.bias is not None
     module.silence.copy_(torch.from_numpy(silence))
     module.listen.weight[:HIDDEN].copy_(found.kernel)
     module.listen.bias[:HIDDEN].copy_(found.bias)
