@@ -149,7 +149,7 @@ def _fit_rigidly(skin: TriMesh, target: TriMesh, axes: Float64) -> tuple[float, 
             distance, nearest = _query(tree, placed[front])
             facing = np.einsum("vc,vc->v", our_normals[front], normals[nearest]) > 0.3
             near = facing & (distance <= np.quantile(distance, 0.85))
-            if near.sum() < 20:
+            if near.sum() < 20 or len(np.unique(nearest[near])) < 4:  # shrunk to a point
                 break
             scale, rotation, shift = similarity(ours[front[near]], points[nearest[near]])
             placed = scale * ours @ rotation.T + shift

@@ -287,7 +287,7 @@ def write_person(name, look, base, shapes, person, joined) -> None:
         gloss[where] = GLOSS.get(part, 0.1)
     for part in ("teeth_upper", "teeth_lower"):  # side lamps reach no back teeth
         front = _front(joined.points[slices[part]])
-        colour[slices[part]] *= front[:, None] ** [0.85, 1.2, 1.25]  # by light from the cheeks
+        colour[slices[part]] *= front[:, None] ** [0.6, 1.2, 1.25]  # by light from the cheeks
         gloss[slices[part]] *= front
     colour[slices["shirt"]] = np.array(look["shirt_colour"]) / 255
     scalp = _scalp(base, person, picture)
@@ -356,7 +356,7 @@ def _scalp(base, person, picture):
 
 def _front(points):
     """How much of a place in the mouth is not in the shadow of the cheeks, 0 to 1."""
-    return 1 - 0.75 * pictures._smooth((np.abs(points[:, 0]) - 1.1) / 1.3)
+    return 1 - 0.65 * pictures._smooth((np.abs(points[:, 0]) - 1.1) / 1.3)
 
 
 def _light(base, shapes, person, joined, picture):
@@ -388,14 +388,17 @@ def _light(base, shapes, person, joined, picture):
     light[: base.n_skin] *= 1 - 0.45 * np.exp(-((contact / 0.14) ** 2))[:, None]
     front = person.skin[shapes.rims[0], 2].max()
     x = joined.points
-    depth = 0.10 + 0.90 * pictures._smooth((x[:, 2] - front + 3.8) / 3.0)
-    for part in ("teeth_upper", "teeth_lower", "tongue"):
+    depth = 0.02 + 0.98 * pictures._smooth((x[:, 2] - front + 4.2) / 3.3)
+    for part, least in (("teeth_upper", [0.85, 0.6]), ("teeth_lower", [0.85, 0.6]),
+                        ("tongue", [0.75, 0.48])):  # fmt: skip
         own = joined.slices[part]
-        light[own] = np.maximum(light[own], [0.85, 0.6]) * (depth[own] * _front(x[own]))[:, None]
-    inner = np.flatnonzero((away > 0.9) & (away < 9) & (shut[: base.n_skin, 0] < 0.45)
-                           & (x[: base.n_skin, 2] < front - 1.2) & (x[: base.n_skin, 2] > front - 8)
-                           & (np.abs(x[: base.n_skin, 0]) < 3.2)
-                           & (x[: base.n_skin, 1] > -6.0) & (x[: base.n_skin, 1] < -1.2))  # fmt: skip
+        light[own] = np.maximum(light[own], least) * (depth[own] * _front(x[own]))[:, None]
+    groove = joined.slices["tongue"]
+    light[groove] *= 1 - 0.5 * np.exp(-((x[groove, :1] / 0.25) ** 2))
+    across, high, far = x[: base.n_skin].T
+    inner = np.flatnonzero((away > 0.9) & (away < 14) & (shut[: base.n_skin, 0] < 0.45)
+                           & (far < front - 1.2) & (far > front - 14) & (np.abs(across) < 3.2)
+                           & (high > -6.0) & (high < np.where(far < front - 5, 1.0, -1.2)))  # fmt: skip
     light[inner] = np.maximum(light[inner], 0.30) * (0.8 * depth[inner])[:, None]
     for k, part in enumerate(("eye_L", "eye_R")):
         own = joined.slices[part]

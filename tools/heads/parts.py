@@ -87,10 +87,13 @@ class Person:
             part.points = part.points + _SETTLE[row]
             found[f"teeth_{row}"] = part
         found["tongue"] = self._proxy("tongue/tongue01/tongue01.json")
+        found["tongue"].points = _rounded(found["tongue"].points)
         lashes = self._proxy("eyelashes/eyelashes02/eyelashes02.json", moves=False)
         brows = self._proxy(
             "eyebrows/eyebrow{0}/eyebrow{0}.json".format(self.look["brow"]), moves=False
         )
+        out = np.abs(brows.points[:, 0])
+        brows.points[:, 1] += self.look.get("brow_tilt", 0) * (out - out.mean())
         self._lift(brows)
         self._follow_lids(lashes)
         self._follow_columns(brows)
@@ -99,6 +102,7 @@ class Person:
             for s, of_side in (("L", x > 0), ("R", x <= 0)):
                 found[f"{name}_{s}"] = both.chosen(of_side)
         for s in "LR":
+            self._shorten(found[f"lash_{s}"])
             self._tweak(found[f"lash_{s}"], s)
         hair = self._proxy("hair/{0}/{0}.json".format(self.look["hair"]), moves=False)
         if "hair_to" in self.look:  # cut: what hangs lower is drawn together
@@ -170,6 +174,13 @@ class Person:
         weight = np.exp(-np.take_along_axis(away, near, 1)) + 1e-9
         brows.near, brows.weight = ids[near], weight / weight.sum(1, keepdims=True)
 
+    def _shorten(self, lash):
+        """Lashes end closer to the lid, most of all at the outer corner."""
+        root = np.einsum("pkc,pk->pc", self.skin[lash.near], lash.weight)
+        out = np.abs(lash.points[:, 0])
+        along = (out - out.min()) / np.ptp(out)
+        lash.points = root + (lash.points - root) * (0.7 - 0.3 * along**3)[:, None]
+
     def _tweak(self, lash, s):
         """Lashes turn about their roots: inner and outer half."""
         root = np.einsum("pkc,pk->pc", self.skin[lash.near], lash.weight)
@@ -187,6 +198,20 @@ class Person:
                 down * share[:, None],
                 -down * share[:, None],
             )
+
+
+def _rounded(tongue):
+    """A tongue's points at rest: low in the mouth, round across, with a groove in the middle."""
+    x, y, z = tongue.T
+    back = (z.max() - z) / np.ptp(z)
+    near = np.abs(z[:, None] - z) < 0.6
+    half = np.where(near, np.abs(x), 0).max(1)
+    low, high = np.where(near, y, np.inf).min(1), np.where(near, y, -np.inf).max(1)
+    top = (y - low) / np.maximum(high - low, 1e-6)
+    across = np.minimum(np.abs(x) / half, 1)
+    fall = 0.15 + 0.85 * np.clip(back / 0.5, 0, 1) + 0.4 * across**2
+    fall = fall + 0.16 * np.exp(-((x / 0.3) ** 2)) * np.clip(back / 0.2, 0.3, 1)
+    return tongue - np.outer(np.clip(top, 0.2, 1) * fall, [0, 1, 0])
 
 
 def eye_of(state, base, s):

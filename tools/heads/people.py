@@ -36,12 +36,13 @@ PEOPLE = {
     },
     "Kaya": {
         "mix": [("asian", "female", "child", 0.4), ("caucasian", "female", "child", 0.6)],
-        "details": {**_SOFT, "eyebrows/eyebrows-trans-up": 0.5, "eyebrows/eyebrows-angle-up": 0.3},
+        "details": {"eyes/@-eye-height2-incr": 0.2, "eyes/@-eye-height1-incr": 0.1,
+                    "eyebrows/eyebrows-trans-up": 0.35, "eyebrows/eyebrows-angle-up": 0.8},
         "skin": "young_asian_female/textures/young_lightskinned_female_diffuse3.png",
         "hair": "long01", "hair_colour": (104, 74, 52), "flat": 0.9, "clip": (0.6, 1.3),
         "brow": "009", "brow_colour": (96, 74, 56), "shirt": "female_casualsuit01",
         "shirt_colour": (104, 132, 98), "iris": (88, 62, 42), "lip": (0.96, 0.86, 0.85),
         "mottle": 0.35, "gain": 0.95, "saturation": 0.88, "freckles": 0.6, "creases": 0.3,
-        "lashes": 0.55, "purse": 0.68, "hair_to": -11.0,
+        "lashes": 0.55, "purse": 0.68, "brow_tilt": 0.12, "hair_to": -11.0,
     },
 }  # fmt: skip

@@ -180,7 +180,7 @@ def atlas(base, look):
     teeth, _ = _filled(Image.open(proxies / "teeth/Teeth_Base/textures/teeth.png"))
     put("teeth", np.clip(teeth * [1.22, 1.17, 1.08], 0, 1))
     tongue = Image.open(proxies / "tongue/tongue01/textures/tongue01_diffuse.png").convert("RGB")
-    put("tongue", np.asarray(tongue, float) / 255 * [0.86, 0.7, 0.68])
+    put("tongue", np.asarray(tongue, float) / 255 * [0.80, 0.60, 0.58])
     lash = Image.open(proxies / "eyelashes/eyelashes02/textures/eyelashes02.png").convert("RGBA")
     alpha = np.asarray(lash.getchannel("A"), float) / 255 * look.get("lashes", 1.0)
     put("lash", np.dstack([np.full((*alpha.shape, 3), (0.085, 0.055, 0.04)), alpha]))

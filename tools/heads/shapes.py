@@ -48,7 +48,7 @@ MIX = {
 COLUMNS = np.linspace(-2.6, 2.6, 53)
 """Places along the lips at which they are sealed, cm of the average head."""
 LIMIT_X = 2.75
-TONGUE_UP = 0.8
+TONGUE_UP = 1.0
 
 
 def _sigmoid(x):
@@ -74,6 +74,7 @@ class Shapes:
         for name, share in (("upper-teeth", 1), ("lower-teeth", 0), ("tongue", 0)):
             self.upper[base.at(f"helper-{name}")] = share
         self._find_rims()
+        self.relax = self._relaxation()
         self.rest = self.rest_of(base.average)
         self.units = self._derived(units)
 
@@ -125,7 +126,20 @@ class Shapes:
         state = CM * self.base.state(points) - self.base.origin(points)
         for _ in range(4):
             state = self.sealed(state)
-        return state
+        state[: self.n] = self.relax @ state[: self.n]
+        return self.sealed(state)
+
+    def _relaxation(self):
+        """Matrix (skin, skin) that smooths the corners of the mouth, where the lips fold."""
+        corners = [np.argmin(np.linalg.norm(self.average[: self.n] - [x, -3.63, 9.49], axis=1))
+                   for x in (2.56, -2.56)]  # fmt: skip
+        share = np.exp(-((self.along(corners) / 0.45) ** 2))
+        share[share < 0.02] = 0
+        a, b = self.base.quads, np.roll(self.base.quads, -1, 1)
+        ends = np.concatenate([a.ravel(), b.ravel()]), np.concatenate([b.ravel(), a.ravel()])
+        beside = sp.coo_matrix((np.ones(len(ends[0])), ends), shape=(self.n, self.n)).tocsr()
+        mean = sp.diags(1 / np.maximum(np.asarray(beside.sum(1)).ravel(), 1)) @ beside
+        return (sp.diags(1 - share) + sp.diags(share) @ mean) ** 6
 
     def _derived(self, units):
         """Face units, split by side and lip, and what else `MIX` names."""
@@ -190,6 +204,8 @@ class Shapes:
         for s in "lr":
             deltas[:, self.base.at(f"helper-{s}-eye")] = 0
         deltas = self._symmetric(names, deltas)
+        for delta in deltas:
+            delta[: self.n] = self.relax @ delta[: self.n]
         known = {half for name in controls.names for half in (name, f"{name}_negative")}
         known |= {"jaw_half", "blink_half_L", "blink_half_R", "seal_L", "seal_R", "seal"}
         known |= {"nose_upper_L", "nose_upper_R"}
@@ -271,7 +287,7 @@ class Shapes:
             **both("inOut.ty", [zero, zero, -1.3 * front], [zero, -0.5 * front**0.6, -3.3 * front**0.9]),
             **both("move.ty", up, [zero, 0.6 * TONGUE_UP * body, zero]),
             **both("move.tx", [0.85 * front**0.8, zero, zero]),
-            **both("tipMove.ty", [zero, 0.62 * tip, 0.15 * tip]),
+            **both("tipMove.ty", [zero, 0.8 * tip, 0.15 * tip]),
             **both("tipMove.tx", [0.75 * tip, zero, zero]),
             **both("bendTwist.ty", [zero, 0.75 * (tip - 0.35 * body), zero]),
             **both("bendTwist.tx", turn(0.5)),

@@ -108,8 +108,9 @@ void main() {
 
 def glsl() -> tuple[str, str]:
     """Vertex and fragment shader: attributes are those of a mesh, and normals and accents."""
+    others = "min(0.35 + 0.65 * light_.x, 3.0 * light_.x)"
     lamps = "".join(
-        f"  lamp({_vec(d)}, {_vec(c)}, {'light_.y' if k == 0 else '0.35 + 0.65 * light_.x'});\n"
+        f"  lamp({_vec(d)}, {_vec(c)}, {'light_.y' if k == 0 else others});\n"
         for k, (d, c) in enumerate(zip(TO_LIGHT, LIGHT_COLORS, strict=True))
     )
     wraps = ", ".join(_vec(wrap) for wrap in WRAPS)

@@ -351,7 +351,7 @@ def _light(count: Any, places: Any) -> None:
         for k in range(N_LIGHTS):
             dx, dy, dz = _TO_LIGHT[k, 0], _TO_LIGHT[k, 1], _TO_LIGHT[k, 2]
             cosine = nx * dx + ny * dy + nz * dz
-            seen = places[SEEN + i] if k == 0 else F(0.35) + F(0.65) * ambient
+            seen = places[SEEN + i] if k == 0 else min(F(0.35) + F(0.65) * ambient, F(3) * ambient)
             bleed = seen * (F(1) - seen) * places[BLEED + i]
             lit = _wrapped(cosine, places[WRAP + i], places[SLOPE + i])
             red += _COLOR[k, 0] * lit * (seen + F(0.3) * bleed)
