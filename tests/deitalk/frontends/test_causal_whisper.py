@@ -67,7 +67,7 @@ def test_any_pieces_give_the_features_of_one(frontend, pieces):
 def test_equals_the_whole_encoder_under_a_mask(frontend, n_frames):
     """A frame of silence goes before the clip, attended to by nothing but itself."""
     windows = windows_of(frontend, voice(n_frames / 30, seed=3), n_frames)
-    given, _ = frontend._spectra(windows, frontend.first_state(1))
+    given, _ = frontend.spectra_of(windows, frontend.first_state(1))
     silence = scaled(torch.full((1, 1, 16), math.log10(SILENCE)), PEAK)
     count = torch.arange(n_frames + 1)
     after = count - count[:, None]
