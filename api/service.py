@@ -7,7 +7,7 @@ from contextlib import suppress
 from functools import partial
 from typing import Any, TypeVar
 
-from api.compute.live import MODEL, Voices
+from api.compute.live import MODEL, LivePool
 from api.compute.order import Limits
 from api.compute.pages import Pages
 from api.compute.pool import Pool, Stage
@@ -61,7 +61,11 @@ class Service:
         live: Limits = {**self.limits, "backend": settings.backend_of_live, "preload": [MODEL]}
         if live["backend"] == "onnx":
             live["device"] = "cpu"
-        self.voices, self.pages = Voices(live, self.stage), Pages(self.limits, self.stage)
+        workers = settings.live_workers if live["device"] == "cpu" else 1
+        self.voices, self.pages = (
+            LivePool(live, self.stage, workers),
+            Pages(self.limits, self.stage),
+        )
         self.pool = Pool(self.limits, settings.workers, settings.work_seconds, settings.waiting)
         engine = await asyncio.to_thread(open_database, settings.database_url)
         self.queue = Queue(
@@ -84,14 +88,16 @@ class Service:
         self._starting = asyncio.create_task(self._start_workers())
 
     async def _start_workers(self) -> None:
-        if "onnx" in (self.settings.backend, self.settings.backend_of_live):
+        settings, live = self.settings, self.settings.backend_of_live
+        may_use = live == "auto" and settings.device == "cpu" and bool(settings.models)
+        if may_use or "onnx" in (settings.backend, live):
             from api.compute.tasks import export_all  # of the workers: the server needs no task
 
-            only_live = self.settings.backend != "onnx"
+            only_live = settings.backend != "onnx"
             await asyncio.to_thread(export_all, self.limits, only_live=only_live)
         await self.pool.start()
         self.runner.start()
-        if self.settings.live_sessions:
+        if settings.live_sessions:
             self._warming = asyncio.create_task(self.voices.warm())
 
     def drain(self) -> None:

@@ -68,7 +68,7 @@ class Settings(BaseSettings):
     preload: tuple[str, ...] = ("default",)
     device: str = "cpu"
     backend: Literal["torch", "onnx"] = "torch"
-    live_backend: Literal["torch", "onnx", ""] = ""
+    live_backend: Backend = "auto"
     workers: int = Field(default_factory=lambda: min(os.cpu_count() or 1, 4), ge=1, le=64)
     job_workers: int = Field(default=1, ge=0, le=64)
     memory_mb: int = Field(default=4096, ge=256, le=1_000_000)
@@ -87,6 +87,7 @@ class Settings(BaseSettings):
     header_seconds: float = Field(default=10, gt=0, le=600)
     body_seconds: float = Field(default=60, gt=0, le=3600)
     live_sessions: int = Field(default=16, ge=0, le=1000)
+    live_workers: int = Field(default_factory=lambda: min(os.cpu_count() or 1, 4), ge=1, le=64)
     live_seconds: float = Field(default=3600, gt=0, le=86_400)
     drain_notice_seconds: float = Field(default=0, ge=0, le=600)
     drain_seconds: float = Field(default=30, ge=0, le=86_400)
@@ -177,8 +178,10 @@ class Settings(BaseSettings):
 
     @property
     def backend_of_live(self) -> Backend:
-        """Of live sessions; that of all others by default."""
-        return self.live_backend or self.backend
+        """Of live sessions; ``auto`` is as for `deitalk.models.load.load_network`."""
+        return (
+            "onnx" if (self.live_backend, self.backend) == ("auto", "onnx") else self.live_backend
+        )
 
     @property
     def shown(self) -> dict[str, str]:

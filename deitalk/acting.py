@@ -68,6 +68,8 @@ def _text(schema: str = "string", **more: Any) -> WithJsonSchema:
 
 _STR = PlainSerializer(str, return_type=str, when_used="unless-none")
 _TEXT = _text(maxLength=LONGEST_TEXT)
+_CONTENT = PlainSerializer(lambda given: given.content, return_type=dict, when_used="unless-none")
+_TEXT_OR_OBJECT = WithJsonSchema({"anyOf": [{"type": "string"}, {"type": "object"}]})
 
 
 def _extra(live: str = "", panel: str = "", **default: str) -> dict[str, Any]:
@@ -121,10 +123,7 @@ class Acting(BaseModel):
         json_schema_extra=_extra("change", panel="Performance"),
     )
     voice: Annotated[
-        ActorReference | None,
-        PlainValidator(read_voice),
-        PlainSerializer(lambda voice: voice.content, return_type=dict, when_used="unless-none"),
-        WithJsonSchema({"anyOf": [{"type": "string"}, {"type": "object"}]}),
+        ActorReference | None, PlainValidator(read_voice), _CONTENT, _TEXT_OR_OBJECT
     ] = Field(
         default=None,
         description="Usual voice of the speaker, from which intensity counts: a file of `deitalk "
@@ -213,33 +212,20 @@ class Acting(BaseModel):
         json_schema_extra=_extra(panel="Performance"),
     )
     listen_to: Annotated[
-        OtherVoice | None,
-        PlainValidator(read_other),
-        PlainSerializer(lambda voice: voice.content, return_type=dict, when_used="unless-none"),
-        WithJsonSchema({"anyOf": [{"type": "string"}, {"type": "object"}]}),
+        OtherVoice | None, PlainValidator(read_other), _CONTENT, _TEXT_OR_OBJECT
     ] = Field(
         default=None,
         description="Recording of another one who speaks meanwhile, on the same clock: the face "
         "nods at the ends of its phrases, keeps its eyes there and mirrors a third of its feeling.",
         json_schema_extra=_extra(panel="Performance"),
     )
-    after: Annotated[
-        Edge | None,
-        PlainValidator(read_edge),
-        PlainSerializer(lambda edge: edge.content, return_type=dict, when_used="unless-none"),
-        WithJsonSchema({"anyOf": [{"type": "string"}, {"type": "object"}]}),
-    ] = Field(
+    after: Annotated[Edge | None, PlainValidator(read_edge), _CONTENT, _TEXT_OR_OBJECT] = Field(
         default=None,
         description="Take that comes before: begin in its last pose, at its speeds, as the same "
         "character; a take folder or a file of curves.",
         json_schema_extra=_extra(panel="Editing"),
     )
-    into: Annotated[
-        Edge | None,
-        PlainValidator(read_edge),
-        PlainSerializer(lambda edge: edge.content, return_type=dict, when_used="unless-none"),
-        WithJsonSchema({"anyOf": [{"type": "string"}, {"type": "object"}]}),
-    ] = Field(
+    into: Annotated[Edge | None, PlainValidator(read_edge), _CONTENT, _TEXT_OR_OBJECT] = Field(
         default=None,
         description="Take that comes next: end in its first pose, at its speeds.",
         json_schema_extra=_extra(panel="Editing"),

@@ -45,7 +45,7 @@ def like(constant: ArrayLike, values: Array) -> Array:
     array = np.asarray(constant)
     if not is_tensor(values):
         return array
-    tensor = library(values).from_numpy(array.copy())
+    tensor = library(values).from_numpy(array.copy()).to(values.device)
     return tensor.float() if tensor.is_floating_point() else tensor
 
 

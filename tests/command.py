@@ -10,7 +10,9 @@ from typer.testing import CliRunner
 
 from deitalk.cli import app, main
 
-CHECKOUT = ("ablate", "attention", "corpus", "evaluate", "folds", "lips", "sheet", "study", "train")
+CHECKOUT = (
+    "ablate", "attention", "corpus", "evaluate", "folds", "lips", "sheet", "study", "train", "tuned",
+)  # fmt: skip
 """Verbs of `python -m deitalk.research`."""
 
 

@@ -77,8 +77,11 @@ def one_analysis() -> Iterator[None]:
 
 THOROUGH = (
     "tests/api/test_attacks.py",
+    "tests/api/test_animations.py::test_every_format_is_answered_and_not_empty[mp4]",
     "tests/api/test_drain.py",
     "tests/api/test_jobs.py",
+    "tests/api/test_live.py::test_documented_client_of_a_browser",
+    "tests/api/test_live.py::test_documented_client_sends_a_minute",
     "tests/api/test_lost_workers.py",
     "tests/api/test_malformed.py",
     "tests/api/test_neighbours.py",
@@ -110,8 +113,12 @@ THOROUGH = (
     "tests/test_fuzz.py",
     "tests/test_kill.py",
     "tests/test_working_folder.py::test_commands_execute_nothing",
+    "tests/test_working_folder.py::test_service_executes_nothing",
 )
-"""Files and tests of `make test-all` alone, by the start of their names: browsers, servers under attack, kills, fuzzing."""
+"""Files and tests of `make test-all` alone, by the start of their names.
+
+They are of browsers, films, servers under attack, kills, fuzzing, and minutes of sound: slow, and seldom broken by a
+change that no test of their part notices."""
 
 
 def pytest_itemcollected(item: pytest.Item) -> None:

@@ -84,3 +84,13 @@ def test_example_trains(example, tmp_path):
 
     best = train_curves(load_config(ROOT / "configs/tiny.yaml"), example, tmp_path / "run")
     assert best["step"] in (3, 6)
+
+
+def test_the_folder_becomes_parquet_as_written(example, monkeypatch):
+    datasets = pytest.importorskip("datasets", reason="needs the package datasets")
+    monkeypatch.chdir(example.parent)
+    block = next(b for b in re.findall(r"```python\n(.*?)```", PAGE, re.S) if "to_parquet" in b)
+    exec(compile(block, "dataset.md", "exec"), {})
+    table = datasets.load_dataset("parquet", data_files="my_captures.parquet")["train"]
+    assert table["clip"][:] == ["anna_01", "ben_01"]
+    assert np.shape(table[0]["curves"]) == (180, len(default_controls()))

@@ -77,15 +77,20 @@ def run(lines: list[list[str]]) -> None:
 
 
 @pytest.mark.skipif("default" not in embedded_models(), reason="needs the embedded weights")
-def test_python_of_the_page_runs_as_written(takes, one_hearing, capsys):
+def test_python_of_the_page_runs_as_written(takes, one_hearing, capsys, monkeypatch):
     """But for the number of steps."""
     section = PAGE.partition("### From Python\n")[2].partition("\n## ")[0]
-    text = "\n".join(re.findall(r"^```python\n(.*?)^```", section, re.S | re.M))
-    assert '{"train.steps": 160}' in text
-    small = {"train.steps": 1, "train.batch_size": 2, "train.workers": 0}
-    exec(compile(text.replace('{"train.steps": 160}', repr(small)), "finetuning.md", "exec"), {})
+    blocks = re.findall(r"^```python\n(.*?)^```", section, re.S | re.M)
+    (module,) = (block for block in blocks if "(RigDecoder)" in block)
+    (takes / "my_decoders.py").write_text(module)
+    monkeypatch.syspath_prepend(str(takes))
+    text = "\n".join(block for block in blocks if block != module)
+    assert text.count('"train.steps": 160') == 2
+    small = '"train.steps": 1, "train.batch_size": 2, "train.workers": 0'
+    text = text.replace('"train.steps": 160', small)
+    exec(compile(text, "finetuning.md", "exec"), {})
     assert capsys.readouterr().out.startswith("the regression for ")
-    for folder in ("runs/anna_again/best", "runs/smooth/best", "take_again"):
+    for folder in ("runs/anna_again/best", "runs/smooth/best", "runs/recurrent/best", "take_again"):
         assert (takes / folder).is_dir()
 
 

@@ -124,6 +124,17 @@ def test_animate_loads_no_slow_package_but_onnxruntime(tmp_path):
     assert done.stdout.splitlines()[-2:] == ["LOADED ['onnxruntime']", "False"]
 
 
+def test_models_load_without_the_compiler_of_torch():
+    """Which operations on the meta device import; and a tuning without all of scipy."""
+    code = (
+        "import sys; from deitalk.models.checkpoint import load_model;"
+        "import deitalk.training.tuning.public; models = [load_model(n) for n in ('default', 'live')];"
+        "print(sorted({'sympy', 'torch._dynamo', 'scipy.signal', 'scipy.stats'} & set(sys.modules)))"
+    )
+    done = run(code)
+    assert done.stdout == "[]\n", done.stdout + done.stderr
+
+
 GLB = """
 import sys
 from deitalk.cli import main

@@ -1,10 +1,11 @@
-"""The voices of all sessions with a causal model: one worker process, one order at a time.
+"""The voices of all sessions with a causal model, in worker processes with one order at a time.
 
-While the worker reads what has come, the next order gathers; so the more voices, the more of them
-are read in one call.
+A voice stays in the worker with the fewest when it begins. While a worker reads what has come, its
+next order gathers; so the more voices, the more of them are read in one call.
 """
 
 import asyncio
+import itertools
 import logging
 from contextlib import suppress
 from pathlib import Path
@@ -28,6 +29,8 @@ OPEN_SECONDS = 30.0
 RESTART_SECONDS = 1.0
 """Time between a failure and the next start of the worker."""
 log = logging.getLogger("deitalk.service")
+_numbers = itertools.count(1)
+"""Numbers of voices, each once."""
 
 
 class Interrupted(NamedTuple):
@@ -95,7 +98,7 @@ class Voice:
 
 
 class Voices:
-    """All voices.
+    """The voices of one worker.
 
     Parameters
     ----------
@@ -116,7 +119,6 @@ class Voices:
         self.known: dict[int, Voice] = {}
         self.actions: list[dict[str, Any]] = []
         self.samples: list[Float32] = []
-        self.number = 0
         self.news = asyncio.Event()
         self.task: asyncio.Task[None] | None = None
         self.is_ready = True
@@ -136,9 +138,9 @@ class Voices:
             raise Problem(503, "all live sessions are taken; try again later", "busy")
         if self.task is None or self.task.done():
             self.task = asyncio.create_task(self._run())
-        self.number += 1
-        voice = self.known[self.number] = Voice(self, self.number)
-        fields = {"seed": self.number} if "seed" not in acting.model_fields_set else {}
+        number = next(_numbers)
+        voice = self.known[number] = Voice(self, number)
+        fields = {"seed": number} if "seed" not in acting.model_fields_set else {}
         fields = acting.settings | fields
         self.add({"voice": voice.number, "do": "open", "model": model, "fields": fields})
         try:
@@ -151,13 +153,15 @@ class Voices:
             raise
 
     async def warm(self) -> None:
-        """Start the worker and have it read the model `MODEL`, so that the first voice need not."""
+        """Start the worker and have it read the model `MODEL`, so that the first voice need not.
+
+        A failure is logged.
+        """
         try:
             voice, _ = await self.open(MODEL, Acting())
             voice.feed(np.zeros(16_000, np.float32))
             await voice.next_frames()
             voice.close()
-            log.info("live voices are ready")
         except Problem as problem:
             log.warning("live voices are not ready: %s", problem.message)
 
@@ -238,6 +242,45 @@ class Voices:
         for voice in list(self.known.values()):
             self.known.pop(voice.number)
             voice.fail(problem)
+
+
+class LivePool:
+    """Workers of voices.
+
+    Parameters
+    ----------
+    limits : Limits
+        Of each worker process.
+    stage : Stage
+        Where their folders are made.
+    workers : int
+        Processes: on a processor one a core, as each computes with one thread; on another device
+        one, which reads all voices in one call.
+    """
+
+    def __init__(self, limits: Limits, stage: Stage, workers: int) -> None:
+        self.workers = [Voices(limits, stage) for _ in range(workers)]
+
+    @property
+    def is_ready(self) -> bool:
+        """Whether no worker has to start again."""
+        return all(voices.is_ready for voices in self.workers)
+
+    async def open(self, model: str, acting: Acting) -> tuple[Voice, float]:
+        """Begin a voice in the worker with the fewest; as `Voices.open`."""
+        least = min(self.workers, key=lambda voices: (not voices.is_ready, len(voices.known)))
+        return await least.open(model, acting)
+
+    async def warm(self) -> None:
+        """Start the workers one after the other, and have each read the model `MODEL`."""
+        for voices in self.workers:
+            await voices.warm()
+        log.info("live voices are ready")
+
+    def stop(self) -> None:
+        """End the processes."""
+        for voices in self.workers:
+            voices.stop()
 
 
 def _ended() -> Problem:

@@ -39,7 +39,7 @@ from deitalk.audio.original import ZERO, start_of, start_seconds
 from deitalk.errors import CheckpointError
 from deitalk.live.animator import LiveAnimator
 from deitalk.models.folder import describe_model, is_causal, model_folder, product_of
-from deitalk.models.load import load_causal, load_network
+from deitalk.models.load import chosen_backend, load_causal, load_network
 from deitalk.pipeline.curves import animate
 from deitalk.pipeline.performance import Extra, Performance, write_take
 from rig.arrays import Float32
@@ -88,7 +88,12 @@ class Voices:
             except UserError as error:
                 self.places.pop(voice, None)
                 failed[voice] = error
-        return opened, failed, self._frames()
+        read = {model: animator.read() for model, animator in self.animators.items()}
+        frames = {  # curves and track of the head [shape=(n, C + 6)]
+            voice: np.concatenate((read[model][k], self.animators[model].heads[k]), axis=1)
+            for voice, (model, k) in self.places.items()
+        }
+        return opened, failed, frames
 
     def _act(self, voice: int, action: dict[str, Any], samples: Float32) -> None:
         model, place = self.places[voice]
@@ -117,14 +122,6 @@ class Voices:
         self.animators[model].open(place, Acting.of(files={}, **fields))
         self.places[voice] = (model, place)
         return self.animators[model].lookahead_seconds
-
-    def _frames(self) -> dict[int, Float32]:
-        """Curves and track of the head of each voice [shape=(n, C + 6)]."""
-        read = {model: animator.read() for model, animator in self.animators.items()}
-        return {
-            voice: np.concatenate((read[model][k], self.animators[model].heads[k]), axis=1)
-            for voice, (model, k) in self.places.items()
-        }
 
 
 _voices = Voices()
@@ -222,7 +219,14 @@ def _answered(
         _preview(out, performance, order, limits, progress)
     else:
         said += _write(out, performance, options, limits, extras)
-    return {"file": str(out), "notes": said, "facts": _facts(performance)}
+    facts = {
+        "frames": len(performance.curves),
+        "seconds": performance.recording.duration,
+        "mean_intensity": performance.mean_intensity,
+        "mean_applied_intensity": performance.mean_applied_intensity,
+        "clipped_values": performance.clipped,
+    }
+    return {"file": str(out), "notes": said, "facts": facts}
 
 
 def _performed(order: Order, limits: Limits, progress: Progress) -> Performance:
@@ -365,16 +369,6 @@ def _zip(folder: Path, out: Path) -> None:
             archive.write(path, path.name)
 
 
-def _facts(performance: Performance) -> dict[str, Any]:
-    return {
-        "frames": len(performance.curves),
-        "seconds": performance.recording.duration,
-        "mean_intensity": performance.mean_intensity,
-        "mean_applied_intensity": performance.mean_applied_intensity,
-        "clipped_values": performance.clipped,
-    }
-
-
 def _mesh(order: Order, limits: Limits, progress: Progress) -> Answer:
     options = order["options"]
     if limits["backend"] == "onnx":
@@ -502,8 +496,22 @@ def model_of(name: str, limits: Limits) -> Any:
     if name not in limits["models"]:
         raise CheckpointError(f"no model {name!r}; known models: {', '.join(limits['models'])}")
     folder = limits["models"][name]
-    if folder not in models:
-        models[folder] = _read(name, folder, limits)
+    if folder in models:
+        return models[folder]
+    if chosen_backend(folder, limits["backend"], limits["device"]) == "torch":
+        from deitalk.models.checkpoint import load_model
+
+        _begin_torch(limits)
+        models[folder] = load_model(folder)
+        return models[folder]
+    from deitalk.models.onnx.network import load_onnx, ready_graph
+
+    if product_of(folder) != "curves" or ready_graph(model_folder(folder)) is None:
+        raise CheckpointError(
+            f"model {name!r} is not in ONNX; this service has the backend onnx, another with torch "
+            "can use it"
+        )
+    models[folder] = load_onnx(folder, threads=limits["threads"])
     return models[folder]
 
 
@@ -512,31 +520,20 @@ def placed(model: Any, limits: Limits) -> Any:
     return model if limits["device"] == "cpu" else model.to(limits["device"])
 
 
-def _read(name: str, folder: str, limits: Limits) -> Any:
-    if limits["backend"] == "torch":
-        from deitalk.models.checkpoint import load_model
-
-        return load_model(folder)
-    from deitalk.models.onnx.network import load_onnx, ready_graph
-
-    if product_of(folder) != "curves" or ready_graph(model_folder(folder)) is None:
-        raise CheckpointError(
-            f"model {name!r} is not in ONNX; this service has the backend onnx, another with torch "
-            "can use it"
-        )
-    return load_onnx(folder, threads=limits["threads"])
-
-
 def prepare(limits: Limits) -> None:
     """Read the models of the settings; those read before the fork are there."""
     if limits["backend"] == "torch":
-        import torch
-
-        torch.set_num_threads(limits["threads"])
-        torch.backends.cudnn.allow_tf32 = False  # else a GPU rounds to ten bits
+        _begin_torch(limits)
     for name in limits["preload"]:
         with suppress(CheckpointError):  # a request for it gets the error
             placed(model_of(name, limits), limits)
+
+
+def _begin_torch(limits: Limits) -> None:
+    import torch
+
+    torch.set_num_threads(limits["threads"])
+    torch.backends.cudnn.allow_tf32 = False  # else a GPU rounds to ten bits
 
 
 def export_all(limits: Limits, *, only_live: bool = False) -> None:

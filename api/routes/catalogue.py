@@ -5,7 +5,7 @@ from typing import Annotated
 from fastapi import APIRouter, Path
 
 from api.errors import Problem
-from api.messages.formats import ANIMATION_FORMATS, MESH_FORMATS, OutputFormat
+from api.messages.formats import ANIMATION_FORMATS, MESH_FORMATS
 from api.messages.views import ControlSetView, ControlView, EmotionsView, FormatView, ModelView
 from api.routes.deps import AnimatorDep, ServiceDep, problems
 from deitalk.emotions import LABELS, MOODS
@@ -48,7 +48,10 @@ def list_emotions(caller: AnimatorDep) -> EmotionsView:
 def list_formats(caller: AnimatorDep) -> dict[str, list[FormatView]]:
     """Kinds of results of animations and of meshes."""
     tables = {"animations": ANIMATION_FORMATS, "meshes": MESH_FORMATS}
-    return {kind: [_view(known) for known in table.values()] for kind, table in tables.items()}
+    return {
+        kind: [FormatView.model_validate(known, from_attributes=True) for known in table.values()]
+        for kind, table in tables.items()
+    }
 
 
 @router.get("/control-sets")
@@ -70,12 +73,3 @@ def show_control_set(
         ControlView(name=c.name, minimum=c.minimum, maximum=c.maximum, rest=c.rest)
         for c in known.controls
     ]
-
-
-def _view(known: OutputFormat) -> FormatView:
-    return FormatView(
-        name=known.name,
-        suffix=known.suffix,
-        media_type=known.media_type,
-        description=known.description,
-    )

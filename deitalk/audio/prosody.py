@@ -144,11 +144,12 @@ def measure_prosody(waveform: Float32, n_frames: int) -> Prosody:
     return Prosody(*(np.concatenate(part) for part in zip(*parts, strict=True)))
 
 
-def measure_windows(windows: Float64) -> Prosody:
-    """Measures of `WINDOW` samples each (T, WINDOW)."""
-    spectra = np.fft.rfft(windows * np.hanning(WINDOW), 2 * WINDOW)
-    power = np.square(spectra.real) + np.square(spectra.imag)
-    return prosody_of(power, np.fft.irfft(power, axis=1)[:, :LONGEST])
+def measure_windows(windows: Array) -> Prosody:
+    """Measures of `WINDOW` samples each (T, WINDOW), arrays or tensors."""
+    fft = library(windows).fft
+    spectra = fft.rfft(windows * like(np.hanning(WINDOW), windows), 2 * WINDOW)
+    power = spectra.real**2 + spectra.imag**2
+    return prosody_of(power, fft.irfft(power)[:, :LONGEST])
 
 
 def prosody_of(power: Array, correlation: Array) -> Prosody:

@@ -83,7 +83,7 @@ class VocalStrength:
     def __init__(self, weights: Mapping[str, Float32]) -> None:
         self.weights = weights
         self._members: dict[str, dict[str, Float32]] = {}
-        for name, value in weights.items():
+        for name, value in sorted(weights.items()):  # a file gives them in no certain order
             _, number, part = name.split(".", 2)
             self._members.setdefault(number, {})[part] = value
 

@@ -17,6 +17,7 @@ from deitalk.array_functions import (
     padded,
     percentile,
     scalar,
+    single,
 )
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE, frame_count, runs
 from deitalk.audio.held_sound import BEFORE, held_sound, steady_frames
@@ -225,11 +226,10 @@ def band_levels(waveform: Float32) -> Float32:
     return levels
 
 
-def window_levels(windows: Float32) -> Float32:
+def window_levels(windows: Array) -> Array:
     """Power per band (n, K) in dB re full scale of `WINDOW` samples each (n, WINDOW)."""
-    spectra = np.fft.rfft(windows * HANN.astype(np.float32))
-    power = np.square(spectra.real) + np.square(spectra.imag)
-    return np.asarray(levels_of_power(power), np.float32)
+    spectra = library(windows).fft.rfft(windows * like(HANN.astype(np.float32), windows))
+    return single(levels_of_power(spectra.real**2 + spectra.imag**2))
 
 
 def levels_of_power(power: Array) -> Array:

@@ -12,7 +12,6 @@ from typing import NamedTuple
 
 from deitalk.audio.choice import AudioChoice
 from deitalk.batch.cloud import AnyOutputs
-from deitalk.batch.journal import Journal
 from deitalk.batch.lines import Line
 from deitalk.batch.orders import Order, Outcome
 from deitalk.batch.source import ACTORS
@@ -74,46 +73,24 @@ def references(
     """
     found: dict[str, ActorReference] = {}
     samples: dict[str, list[Sample]] = {}
-    for actor, chosen in _by_actor(lines).items():
+    by_actor: dict[str, list[Line]] = {}
+    for line in sorted(lines, key=lambda line: line.output):  # whatever the manifest's order
+        if line.actor and line.acting.voice is None:  # without a reference of its own
+            by_actor.setdefault(line.actor, []).append(line)
+    for actor, chosen in by_actor.items():
         content = outputs.reference(file_of(actor))
         if content is not None:
             found[actor] = parse_actor(content, f"{outputs.folder}/{file_of(actor)}")
         else:
-            heard = dict.fromkeys((line.audio, line.choice) for line in _spread(chosen))
+            step = max(len(chosen) / MOST_LINES, 1.0)
+            spread = [chosen[int(i * step)] for i in range(min(len(chosen), MOST_LINES))]
+            heard = dict.fromkeys((line.audio, line.choice) for line in spread)
             signed = [Sample(*sound, signature(sound[0])) for sound in heard]
             samples[actor] = [sample for sample in signed if sample.sign]
     journal = outputs.journal
-    _measure([sample for group in samples.values() for sample in group], journal, run)
-    for actor, group in samples.items():
-        measured = [voice for one in group if (voice := journal.voice(one.name, one.sign))]
-        if sum(voice.strength is not None for voice in measured) >= FEWEST_LINES:
-            text = reference_of(measured).as_json()
-            outputs.keep_reference(file_of(actor), text)
-            found[actor] = parse_actor(text.encode(), actor)  # rounded, as later runs read it
-    return found
-
-
-def _by_actor(lines: Iterable[Line]) -> dict[str, list[Line]]:
-    """Lines of each actor, without those with a reference of their own."""
-    found: dict[str, list[Line]] = {}
-    for line in lines:
-        if line.actor and line.acting.voice is None:
-            found.setdefault(line.actor, []).append(line)
-    return found
-
-
-def _spread(lines: list[Line]) -> list[Line]:
-    step = max(len(lines) / MOST_LINES, 1.0)
-    return [lines[int(i * step)] for i in range(min(len(lines), MOST_LINES))]
-
-
-def _measure(
-    samples: list[Sample],
-    journal: Journal,
-    run: Callable[[Sequence[Order]], Iterator[list[Outcome]]],
-) -> None:
-    """Enter the voice of every recording that is not known yet."""
-    new = {one.name: one for one in samples if journal.voice(one.name, one.sign) is None}
+    # Enter the voice of every recording that is not known yet.
+    listed = [sample for group in samples.values() for sample in group]
+    new = {one.name: one for one in listed if journal.voice(one.name, one.sign) is None}
     orders = [
         Order(name, one.audio, only_voice=True, choice=one.choice) for name, one in new.items()
     ]
@@ -122,3 +99,10 @@ def _measure(
             for outcome in outcomes:
                 if outcome.voice is not None:
                     journal.write_voice(outcome.output, new[outcome.output].sign, outcome.voice)
+    for actor, group in samples.items():
+        measured = [voice for one in group if (voice := journal.voice(one.name, one.sign))]
+        if sum(voice.strength is not None for voice in measured) >= FEWEST_LINES:
+            text = reference_of(measured).as_json()
+            outputs.keep_reference(file_of(actor), text)
+            found[actor] = parse_actor(text.encode(), actor)  # rounded, as later runs read it
+    return found

@@ -1,4 +1,4 @@
-"""Recordings and outputs of a batch in a storage service; the workers upload.
+"""Recordings and outputs of a batch in a storage service that fsspec reaches; the workers upload.
 
 A file there cannot be moved at once, so the lines to make are entered in the journal before any is
 animated; what lies at their outputs after a killed run is taken for the batch's own. SQLite needs a
@@ -10,7 +10,7 @@ import hashlib
 import os
 import secrets
 from collections.abc import Iterator, Sequence
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 from time import monotonic
@@ -23,12 +23,6 @@ from deitalk.errors import AudioError, DataError, MissingError
 from rig import limits
 from rig.errors import TargetError, UserError, one_line
 from rig.files import cache_folder, claim
-
-# Files on this machine or wherever fsspec reaches: ``s3://bucket/lines``, ``gs://…``,
-# ``memory://…``.
-#
-# The package of a service comes with its own client, such as ``s3fs`` or ``gcsfs``.
-
 
 IN_MEMORY_BYTES = 64 * limits.MIB
 """Largest recording on disk that is hashed and decoded from one reading."""
@@ -92,11 +86,14 @@ class Recordings:
     def signature(self, audio: str) -> str:
         """Size and time of a recording, divided by ``-``; empty if it is not there."""
         if audio not in self._known:
+            found = ""
             if is_url(audio):
                 self._list(audio.rpartition("/")[0])
-                self._known.setdefault(audio, "")
             else:
-                self._known[audio] = _local_signature(audio)
+                with suppress(OSError, ValueError):
+                    state = os.stat(audio)
+                    found = f"{state.st_size}-{state.st_mtime_ns}"
+            self._known.setdefault(audio, found)
         return self._known[audio]
 
     def size(self, audio: str) -> float:
@@ -113,14 +110,6 @@ class Recordings:
         for info in found:
             name = info["name"].rpartition("/")[2]
             self._known[f"{folder}/{name}"] = version_of(info)
-
-
-def _local_signature(audio: str) -> str:
-    try:
-        found = os.stat(audio)
-    except (OSError, ValueError):
-        return ""
-    return f"{found.st_size}-{found.st_mtime_ns}"
 
 
 def read_recording(audio: str) -> tuple[bytes | None, str]:

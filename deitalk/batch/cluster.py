@@ -101,17 +101,12 @@ class Cluster:
         )
         try:
             for batch in results.iter_batches(batch_size=None, batch_format="numpy"):
-                yield [_outcome(row) for row in batch["outcome"]]
+                outcomes = [pickle.loads(row) for row in batch["outcome"]]
+                for error in (each for each in outcomes if isinstance(each, Exception)):
+                    raise error
+                yield outcomes
         except ray.exceptions.RayError as error:
             raise DeitalkError(one_line(f"Ray: {error}")) from None
-
-
-def _outcome(row: bytes) -> Outcome:
-    found = pickle.loads(row)
-    if isinstance(found, Exception):
-        raise found
-    assert isinstance(found, Outcome)
-    return found
 
 
 class _Actor:

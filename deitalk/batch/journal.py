@@ -87,28 +87,24 @@ class Journal:
         with self._errors():
             self._database = sqlite3.connect(path, timeout=1.0, isolation_level=None)
         try:
-            self._prepare()
+            with self._errors():
+                run = self._database.execute
+                run("PRAGMA locking_mode = EXCLUSIVE")  # WAL without shared memory: on any disk
+                run("PRAGMA journal_mode = WAL")
+                run("PRAGMA synchronous = NORMAL")
+                self._database.executescript(_TABLES)
+            found = self.about("format")
+            if found is None:
+                with self.transaction():
+                    self.describe("format", FORMAT)
+            elif found != FORMAT:
+                raise TargetError(
+                    f"{self.folder} was written by another version of deitalk (journal {found}, "
+                    f"this reads {FORMAT}); name another folder"
+                )
         except BaseException:
             self.close()  # else its lock stays until the object is collected
             raise
-
-    def _prepare(self) -> None:
-        """Lock the file, make what it lacks, and check its format."""
-        with self._errors():
-            run = self._database.execute
-            run("PRAGMA locking_mode = EXCLUSIVE")  # WAL without shared memory: on any file system
-            run("PRAGMA journal_mode = WAL")
-            run("PRAGMA synchronous = NORMAL")
-            self._database.executescript(_TABLES)
-        found = self.about("format")
-        if found is None:
-            with self.transaction():
-                self.describe("format", FORMAT)
-        elif found != FORMAT:
-            raise TargetError(
-                f"{self.folder} was written by another version of deitalk (journal {found}, "
-                f"this reads {FORMAT}); name another folder"
-            )
 
     def close(self) -> None:
         """Write everything into the one file and close it."""

@@ -55,7 +55,8 @@ class Written:
         start_of(self.timecode, self.fps, 0.0)
         checked_shift(self.delay, self.handles)
         if self.digits is not None:
-            _check_digits(self.digits, self.formats)
+            taking = any(has_option(suffix, "digits") for suffix in self.formats)
+            checked_digits(self.digits, None if taking else _format(self.formats[0]))
         return self
 
 
@@ -174,13 +175,6 @@ def has_option(suffix: str, option: str) -> bool:
 
 def _format(suffix: str) -> Format:
     return find_format(Path(f"x{suffix}"), writable=True)
-
-
-@cache
-def _check_digits(digits: int, formats: tuple[str, ...]) -> None:
-    """Raise if there are too few or too many digits, or none of the formats has them."""
-    taking = any(has_option(suffix, "digits") for suffix in formats)
-    checked_digits(digits, None if taking else _format(formats[0]))
 
 
 def line_key(line: Line, acting: Acting, model: str) -> str:

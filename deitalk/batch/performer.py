@@ -152,6 +152,7 @@ class Performer:
     ) -> Outcome:
         from deitalk.audio.original import start_of
         from deitalk.pipeline.curves import finish
+        from deitalk.postprocess.joins import edge_of
 
         if performance is None:
             performance = finish(prepared, prepared.read())
@@ -181,7 +182,14 @@ class Performer:
                 *filter(None, [note]),
                 *findings(performance),
             ),
-            edges=_edges(performance) if order.with_edges else None,
+            edges=(
+                (
+                    str(edge_of(performance, "edge", last=False)),
+                    str(edge_of(performance, "edge", last=True)),
+                )
+                if order.with_edges
+                else None
+            ),
             stage=str(folder),
             targets=targets,
             files=files,
@@ -240,13 +248,6 @@ def _dubbed(
         perform=lambda *_, **__: made,
     )
     return found.performance, (*found.notes, found.line), (found.write_report,)
-
-
-def _edges(performance: Performance) -> tuple[str, str]:
-    from deitalk.postprocess.joins import edge_of
-
-    first, last = (str(edge_of(performance, "edge", last=last)) for last in (False, True))
-    return first, last
 
 
 def decoded(path: str, data: bytes | None, choice: AudioChoice = AudioChoice()) -> Any:

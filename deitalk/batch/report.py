@@ -74,7 +74,10 @@ class BatchReport:
 def summary_text(rows: Sequence[Row]) -> str:
     """The summary as CSV."""
     header = ("number", "audio", "output", "status", "seconds", "warnings", "error")
-    return _table(header, ((*_place(r), r.status, _seconds(r), _joined(r), r.error) for r in rows))
+    return _table(header, (
+        (*_place(r), r.status, f"{r.seconds:.3f}" if r.seconds else "",
+         "; ".join(r.warnings.splitlines()), r.error) for r in rows
+    ))  # fmt: skip
 
 
 def failed_text(rows: Sequence[Row]) -> str:
@@ -84,14 +87,6 @@ def failed_text(rows: Sequence[Row]) -> str:
 
 def _place(row: Row) -> tuple[int, str, str]:
     return row.number, as_line(row.audio), as_line(row.output)
-
-
-def _seconds(row: Row) -> str:
-    return f"{row.seconds:.3f}" if row.seconds else ""
-
-
-def _joined(row: Row) -> str:
-    return "; ".join(row.warnings.splitlines())
 
 
 def _table(header: Sequence[str], rows: Iterable[tuple[object, ...]]) -> str:

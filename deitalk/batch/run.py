@@ -9,7 +9,7 @@
 import hashlib
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -25,7 +25,7 @@ from deitalk.batch.lines import BadLine, Line, Written, line_key, parse_formats
 from deitalk.batch.orders import Order, Outcome
 from deitalk.batch.outputs import opened_folder
 from deitalk.batch.performer import Performer
-from deitalk.batch.processes import Make, Pool, Workers
+from deitalk.batch.processes import Pool, Workers
 from deitalk.batch.report import BatchReport, Pace, Progress, Row, failed_text, summary_text
 from deitalk.batch.source import FAILED as FAILED_TABLE
 from deitalk.batch.source import SUMMARY, read_source, waves
@@ -87,13 +87,20 @@ class Batch:
     def prepare(self, run: Run) -> None:
         """Measure the actors, then find what is to be done first."""
         good = [line for line in self.lines if isinstance(line, Line)]
-        self._voices = references(good, self.outputs, self._voice_signature, run)
+        signed = self.recordings.signature
+        self._voices = references(
+            good, self.outputs, lambda audio: signed(audio) and f"{signed(audio)} {self.model}", run
+        )
         actors = {line.actor for line in good if line.acting.voice is None} - {""}
         if unmeasured := sorted(actors - self._voices.keys()):
             self.notes.append(
                 f"too few lines with voice for a reference of {', '.join(unmeasured[:5])}"
             )
-        self.rows = [_preliminary(line) for line in self.lines]
+        errors = [x.error if isinstance(x, BadLine) else "was not animated" for x in self.lines]
+        self.rows = [
+            Row(line.number, line.audio, line.output, FAILED, error=error)
+            for line, error in zip(self.lines, errors, strict=True)
+        ]
         for wave in self._waves[:1]:
             self._plan(wave)
 
@@ -102,11 +109,6 @@ class Batch:
         for place in wave:
             self.rows[place] = self._row(place)
 
-    def _voice_signature(self, audio: str) -> str:
-        """State of a recording's file and the model; empty if the file is not there."""
-        signature = self.recordings.signature(audio)
-        return signature and f"{signature} {self.model}"
-
     def perform(self, run: Run, progress: Progress) -> None:
         """Animate what is to be done, the longest recordings first.
 
@@ -114,7 +116,7 @@ class Batch:
         nothing.
         """
         later = [self.lines[place] for wave in self._waves[1:] for place in wave]
-        ahead = {line.output: self._size(line) for line in later}
+        ahead = {line.output: self.recordings.size(line.audio) for line in later}
         sizes = {order.output: order.size for order in self._orders} | ahead
         pace = Pace(len(sizes), sum(sizes.values()))
         for number, wave in enumerate(self._waves):
@@ -125,24 +127,15 @@ class Batch:
             for place in wave:
                 if number and self.lines[place].output not in ordered:
                     pace.add(sizes[self.lines[place].output], 0.0, failed=False)
-            self._perform(run, sizes, pace, progress)
-
-    def _size(self, line: Line | BadLine) -> float:
-        return self.recordings.size(line.audio) if self.recordings.signature(line.audio) else 0.0
-
-    def _perform(
-        self, run: Run, sizes: Mapping[str, float], pace: Pace, progress: Progress
-    ) -> None:
-        """Animate the lines of a wave."""
-        orders = sorted(self._orders, key=lambda order: -order.size)
-        new = [self._entries[order.output][1] for order in orders if not order.known]
-        self.outputs.announce(new)
-        for outcomes in run(orders) if orders else ():
-            self._store(outcomes)
-            for outcome in outcomes:
-                failed = outcome.status == FAILED
-                pace.add(sizes[outcome.output], outcome.seconds, failed=failed)
-            progress(pace.share, pace.text())
+            orders = sorted(self._orders, key=lambda order: -order.size)
+            new = [self._entries[order.output][1] for order in orders if not order.known]
+            self.outputs.announce(new)
+            for outcomes in run(orders) if orders else ():
+                self._store(outcomes)
+                for outcome in outcomes:
+                    failed = outcome.status == FAILED
+                    pace.add(sizes[outcome.output], outcome.seconds, failed=failed)
+                progress(pace.share, pace.text())
 
     def _row(self, place: int) -> Row:
         """The row of a line that needs no work; else a preliminary one, and an order."""
@@ -237,12 +230,6 @@ class Batch:
             status = FAILED if entry.state == FAILED else outcome.status
             place = (row.number, row.audio, row.output)
             self.rows[number] = Row(*place, status, entry.seconds, entry.warnings, entry.error)
-
-
-def _preliminary(line: Line | BadLine) -> Row:
-    """The row of a line of which nothing is known yet."""
-    error = line.error if isinstance(line, BadLine) else "was not animated"
-    return Row(line.number, line.audio, line.output, FAILED, error=error)
 
 
 def model_identity(model: str | Path, backend: Backend = "auto", device: str = "cpu") -> str:
@@ -356,48 +343,15 @@ def animate_batch(
         check_device(device)
     else:
         require_device(device)
-    identity, count = model_identity(model, backend, device), _processes(workers, ray)
+    identity, count = model_identity(model, backend, device), workers
+    if count is not None and count < 1:
+        raise DeitalkError(f"workers {workers} must be 1 or more")
+    if count is None and ray is None:
+        is_linux = hasattr(os, "sched_getaffinity")
+        count = len(os.sched_getaffinity(0)) if is_linux else os.cpu_count()
     plan = read_source(source, out, defaults)
-    with _opened(out, source, force=force) as outputs:
-        outputs.begin()
-        batch = Batch(plan.lines, outputs, identity)
-        make = partial(Performer, str(model), outputs.stage, outputs.url, backend, device)
-        with _pool(count, make, ray) as pool:
-            batch.prepare(pool.run)
-            batch.perform(pool.run, progress)
-        failed = [row for row in batch.rows if row.status == FAILED]
-        outputs.write_table(SUMMARY, summary_text(batch.rows))
-        if failed or outputs.has_table(FAILED_TABLE):
-            outputs.write_table(FAILED_TABLE, failed_text(failed))
-    notes = (*plan.notes, *batch.notes)
-    return BatchReport(batch.rows, str(out), monotonic() - began, notes)
-
-
-def _processes(workers: int | None, ray: str | None) -> int | None:
-    """Number of processes; None: as many as a cluster has processors."""
-    if workers is not None:
-        if workers < 1:
-            raise DeitalkError(f"workers {workers} must be 1 or more")
-        return workers
-    if ray is not None:
-        return None
-    is_linux = hasattr(os, "sched_getaffinity")
-    return len(os.sched_getaffinity(0)) if is_linux else os.cpu_count() or 1
-
-
-def _pool(count: int | None, make: Make, ray: str | None) -> AbstractContextManager[Pool]:
-    if ray is not None:
-        from deitalk.batch.cluster import Cluster
-
-        return Cluster(ray, count, make)
-    return Workers(count or 1, make)
-
-
-@contextmanager
-def _opened(out: str | Path, source: str | Path, *, force: bool) -> Iterator[AnyOutputs]:
-    """The output folder, if it was begun from this source."""
-    opened = opened_cloud(str(out)) if is_url(out) else opened_folder(Path(out))
-    with opened as outputs:
+    with opened_cloud(str(out)) if is_url(out) else opened_folder(Path(out)) as outputs:
+        # The folder must have been begun from this source.
         name = str(source) if is_url(source) else os.path.realpath(source)
         known = outputs.journal.about("source")
         if known not in (None, name) and not force:
@@ -408,4 +362,21 @@ def _opened(out: str | Path, source: str | Path, *, force: bool) -> Iterator[Any
             )
         with outputs.journal.transaction():
             outputs.journal.describe("source", name)
-        yield outputs
+        outputs.begin()
+        batch = Batch(plan.lines, outputs, identity)
+        make = partial(Performer, str(model), outputs.stage, outputs.url, backend, device)
+        if ray is None:
+            machines: AbstractContextManager[Pool] = Workers(count or 1, make)
+        else:
+            from deitalk.batch.cluster import Cluster
+
+            machines = Cluster(ray, count, make)
+        with machines as pool:
+            batch.prepare(pool.run)
+            batch.perform(pool.run, progress)
+        failed = [row for row in batch.rows if row.status == FAILED]
+        outputs.write_table(SUMMARY, summary_text(batch.rows))
+        if failed or outputs.has_table(FAILED_TABLE):
+            outputs.write_table(FAILED_TABLE, failed_text(failed))
+    notes = (*plan.notes, *batch.notes)
+    return BatchReport(batch.rows, str(out), monotonic() - began, notes)

@@ -1,4 +1,4 @@
-"""`deitalk animate`: a take, curves, a mesh or a picture of speech; `batch`: of many recordings."""
+"""`deitalk animate`: a take, curves, a mesh or a picture of speech."""
 
 import os
 import sys
@@ -32,10 +32,8 @@ from deitalk.errors import DeitalkError
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from deitalk.audio.load import Recording
     from deitalk.models.protocol import CurveNetwork
     from deitalk.pipeline.performance import Extra, Performance
-    from rig.face import Identity as Head
 
 
 @acting_options
@@ -105,32 +103,77 @@ def animate(
     """
     # Threads of numpy's BLAS: it starts one per processor when it is imported, and they spin.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", str(threads))
+    from deitalk.models.folder import describe_model, product_of
+
     form: dict[str, Any] = {
         "fps": fps, "digits": digits, "timecode": timecode, "delay": delay, "handles": handles
     }  # fmt: skip
     inputs = (speech, *given.texts)
-    if vertices or mesh is not None or landmarks is not None or _makes_mesh(model):
+    if vertices or mesh is not None or landmarks is not None or product_of(model) == "mesh":
         _refuse_curve_options("a mesh", form | {"preview": preview, "backend": backend}, fps=True)
         animate_vertices(
             speech, out, given, model=model, speaker=identity or "0", mesh=mesh,
             landmarks=landmarks, fps=fps, device=device, force=force, as_json=as_json,
         )  # fmt: skip
         return
-    if Path(out).suffix.lower() in PICTURES:
+    load, target = _loader(model, backend, device, threads), Path(out)
+    if target.suffix.lower() in PICTURES:  # curves and intensity against the waveform
+        from deitalk.evaluation.figures import check_drawing
+
         _refuse_curve_options("a plot", form | {"preview": preview, "identity": identity})
-        _plot(speech, Path(out), given, _loader(model, backend, device, threads), force=force)
+        check_drawing()
+        reserve_picture(target, force=force, inputs=inputs)
+        performance = _perform(speech, given, load)
+        from deitalk.evaluation.curves_figure import draw_curves
+
+        title = f"{Path(speech).name}, {performance.emotion}"
+        draw_curves(performance.curves, performance.recording.waveform, target, title)
+        console().print(f"{out}")
         return
+    from deitalk.audio.original import start_of
+    from deitalk.pipeline.performance import KIND, check_take, write_take
+    from rig.curves import snap_fps
     from rig.face.identity import identity_of
+    from rig.files import is_folder_name
+    from rig.formats import checked_digits, checked_identity, find_format
+    from rig.formats.table import writable_suffixes
 
-    target, is_folder, head = Path(out), _is_folder(out), identity and identity_of(identity)
-    _check(target, is_folder, inputs, preview=preview, identity=identity, force=force, **form)
-    extras = _extras(preview, head)
-    performance = _perform(speech, given, _loader(model, backend, device, threads))
-    form["start"] = _start(form.pop("timecode"), fps, performance.recording)
+    # Refuse targets that cannot be written before the recording is animated.
+    head = identity and identity_of(identity)
+    extras: tuple[Extra, ...] = ()
+    is_folder = is_folder_name(out, writable_suffixes())
+    written = None if is_folder else find_format(target, writable=True)
+    if identity is not None and written is not None:
+        checked_identity(identity, written)
+    elif identity is not None and not preview:
+        raise DeitalkError(
+            f"--identity {identity} is the head of --preview, or of a .glb or .usda file; the take "
+            f"{out} shows none: add --preview, or leave it out"
+        )
+    if fps is not None:
+        snap_fps(fps)
+    if digits is not None:
+        checked_digits(digits, written)
+    start_of(timecode, fps, 0.0)
     if is_folder:
-        from deitalk.models.folder import describe_model
-        from deitalk.pipeline.performance import write_take
+        reserve_folder(target, kind=KIND, force=force, inputs=inputs)
+        check_take(target, source=speech, force=force, inputs=inputs)
+    elif preview:
+        raise DeitalkError(f"--preview goes with a take folder; {out} is one file")
+    else:
+        reserve_file(target, force=force, inputs=inputs)
+        if target.suffix.lower() == ".fbx":  # it holds no sound
+            reserve_file(target.with_suffix(".wav"), force=force, inputs=inputs)
+    if preview:
+        from deitalk.preview.page import add_preview, check_player
 
+        check_player()
+        extras = (partial(add_preview, identity=head or 0),)
+    performance = _perform(speech, given, load)
+    form["start"], note = start_of(form.pop("timecode"), fps, performance.recording.start)
+    if note:  # the recording has no time code
+        console().note(note)
+    if is_folder:
         about = describe_model(model)
         write_take(target, performance, model=about, force=force, extras=extras, **form)
     else:
@@ -142,17 +185,33 @@ def animate(
         console().note(performance.words.line)
     frames = 2 * handles + len(performance.curves.resample(fps or performance.curves.fps))
     if as_json:
-        emit_json(_summary(target, performance, frames))
+        emit_json(
+            {
+                "out": str(target),
+                "frames": frames,
+                "seconds": performance.recording.duration,
+                "mean_intensity": performance.mean_intensity,
+                "mean_applied_intensity": performance.mean_applied_intensity,
+                "clipped_values": performance.clipped,
+                "words": performance.words and performance.words.line,
+                "suggestion": performance.suggestion,
+                "settings": performance.acting.settings,
+                "signal": performance.recording.choice.settings,
+                "timings_seconds": performance.timings,
+            }
+        )
         return
-    console().print(
-        f"{target}: {frames} frames, {performance.recording.duration:.2f} s, {_acted(performance)}"
-    )
-
-
-def _makes_mesh(model: str) -> bool:
-    from deitalk.models.folder import product_of
-
-    return product_of(model) == "mesh"
+    acted = f"emotion {performance.emotion}"
+    if not performance.has_emotion:
+        acted += ": the neutral reading"
+    else:
+        moods = ", ".join(performance.moods)
+        acted += (
+            f"{f' ({moods}: procedural)' if moods else ''}, applied intensity "
+            f"{performance.mean_applied_intensity:.2f} on average "
+            f"({performance.mean_intensity:.2f} predicted from the voice)"
+        )
+    console().print(f"{target}: {frames} frames, {performance.recording.duration:.2f} s, {acted}")
 
 
 def _refuse_curve_options(what: str, options: dict[str, Any], *, fps: bool = False) -> None:
@@ -161,111 +220,6 @@ def _refuse_curve_options(what: str, options: dict[str, Any], *, fps: bool = Fal
     for name, value in options.items():
         if value != usual.get(name) and not (fps and name == "fps"):
             raise DeitalkError(f"--{name} does not apply to {what}; leave it out")
-
-
-def _plot(
-    speech: str, out: Path, given: Given, load: "Callable[[], CurveNetwork]", *, force: bool
-) -> None:
-    """Draw curves and intensity against the waveform."""
-    from deitalk.evaluation.figures import check_drawing
-
-    check_drawing()
-    reserve_picture(out, force=force, inputs=(speech, *given.texts))
-    performance = _perform(speech, given, load)
-    from deitalk.evaluation.curves_figure import draw_curves
-
-    title = f"{Path(speech).name}, {performance.emotion}"
-    draw_curves(performance.curves, performance.recording.waveform, out, title)
-    console().print(f"{out}")
-
-
-def _start(timecode: str, fps: float | None, recording: "Recording") -> float:
-    """Time of day of the first frame, with a note if the recording has none."""
-    from deitalk.audio.original import start_of
-
-    start, note = start_of(timecode, fps, recording.start)
-    if note:
-        console().note(note)
-    return start
-
-
-def _acted(performance: "Performance") -> str:
-    """Emotion and mean intensity of the curves."""
-    emotion = performance.emotion
-    if not performance.has_emotion:
-        return f"emotion {emotion}: the neutral reading"
-    moods = f" ({', '.join(performance.moods)}: procedural)" if performance.moods else ""
-    return (
-        f"emotion {emotion}{moods}, applied intensity {performance.mean_applied_intensity:.2f} on "
-        f"average ({performance.mean_intensity:.2f} predicted from the voice)"
-    )
-
-
-def _is_folder(out: str) -> bool:
-    from rig.files import is_folder_name
-    from rig.formats.table import writable_suffixes
-
-    return is_folder_name(out, writable_suffixes())
-
-
-def _check(
-    out: Path,
-    is_folder: bool,
-    inputs: tuple[str, ...],
-    *,
-    fps: float | None,
-    digits: int | None,
-    timecode: str,
-    delay: int,
-    handles: int,
-    preview: bool,
-    identity: str | None,
-    force: bool,
-) -> None:
-    """Raise for targets that cannot be written, before the recording is animated."""
-    from deitalk.audio.original import start_of
-    from deitalk.pipeline.performance import KIND, check_take
-    from rig.curves import snap_fps
-    from rig.formats import checked_digits, find_format
-
-    _check_head(out, is_folder, preview, identity)
-    if fps is not None:
-        snap_fps(fps)
-    if digits is not None:
-        checked_digits(digits, None if is_folder else find_format(out, writable=True))
-    start_of(timecode, fps, 0.0)
-    if is_folder:
-        reserve_folder(out, kind=KIND, force=force, inputs=inputs)
-        check_take(out, source=inputs[0], force=force, inputs=inputs)
-        if preview:
-            _check_page()
-        return
-    if preview:
-        raise DeitalkError(f"--preview goes with a take folder; {out} is one file")
-    reserve_file(out, force=force, inputs=inputs)
-    if out.suffix.lower() == ".fbx":  # it holds no sound
-        reserve_file(out.with_suffix(".wav"), force=force, inputs=inputs)
-
-
-def _check_head(out: Path, is_folder: bool, preview: bool, identity: str | None) -> None:
-    """Raise for a head that nothing would show."""
-    if identity is None:
-        return
-    from rig.formats import checked_identity, find_format
-
-    if not is_folder:
-        checked_identity(identity, find_format(out, writable=True))
-    elif not preview:
-        raise DeitalkError(
-            f"--identity {identity} is the head of --preview, or of a .glb or .usda file; the take "
-            f"{out} shows none: add --preview, or leave it out"
-        )
-
-
-def _check_page() -> None:
-    from deitalk.preview.page import check_player
-
-    check_player()
 
 
 def _loader(model: str, backend: str, device: str, threads: int) -> "Callable[[], CurveNetwork]":
@@ -293,14 +247,6 @@ def _perform(speech: str, given: Given, load: "Callable[[], CurveNetwork]") -> "
         return finish(prepared, prepared.read(progress))
 
 
-def _extras(preview: bool, identity: "Head | str | None") -> "tuple[Extra, ...]":
-    if not preview:
-        return ()
-    from deitalk.preview.page import add_preview
-
-    return (partial(add_preview, identity=identity or 0),)
-
-
 def _write_file(out: Path, performance: "Performance", form: dict[str, Any]) -> None:
     import numpy as np
 
@@ -318,19 +264,3 @@ def _write_file(out: Path, performance: "Performance", form: dict[str, Any]) -> 
         start = start_with_handles(form["start"], form["handles"], report.fps)
         write_wav(out.with_suffix(".wav"), sound, start=start)
         console().print(f"{out.with_suffix('.wav')}: its sound, from the first frame on")
-
-
-def _summary(out: Path, performance: "Performance", frames: int) -> dict[str, Any]:
-    return {
-        "out": str(out),
-        "frames": frames,
-        "seconds": performance.recording.duration,
-        "mean_intensity": performance.mean_intensity,
-        "mean_applied_intensity": performance.mean_applied_intensity,
-        "clipped_values": performance.clipped,
-        "words": performance.words and performance.words.line,
-        "suggestion": performance.suggestion,
-        "settings": performance.acting.settings,
-        "signal": performance.recording.choice.settings,
-        "timings_seconds": performance.timings,
-    }

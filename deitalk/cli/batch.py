@@ -1,6 +1,6 @@
 """`deitalk batch`: all lines of a manifest or a folder."""
 
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -18,9 +18,6 @@ from deitalk.cli.options import (
     Timecode,
     acting_options,
 )
-
-if TYPE_CHECKING:
-    from deitalk.batch.report import BatchReport
 
 
 @acting_options
@@ -69,6 +66,8 @@ def batch(
     deitalk batch lines.csv --format take -o takes/
     """
     from deitalk.batch.run import animate_batch
+    from deitalk.batch.source import FAILED, SUMMARY
+    from deitalk.errors import DeitalkError
 
     with bar("animating") as progress:
         report = animate_batch(
@@ -79,42 +78,21 @@ def batch(
         )  # fmt: skip
     for note in report.notes:
         console().note(note)
+    counts, n_lines = report.counts, len(report.rows)
     if as_json:
-        emit_json(_batch_summary(report))
+        n_warned = sum(bool(row.warnings) for row in report.rows)
+        summary = {"out": report.out, "lines": n_lines, **counts, "with_warnings": n_warned}
+        emit_json(summary | {"seconds": report.seconds, "wall_seconds": report.wall_seconds})
     else:
-        console().print(_batch_line(out, report))
-    _fail_if_any_failed(report)
-
-
-def _batch_line(out: str, report: "BatchReport") -> str:
-    from deitalk.batch.source import SUMMARY
-
-    counts = ", ".join(f"{count} {status}" for status, count in report.counts.items() if count)
-    rate = report.seconds / report.wall_seconds
-    return (
-        f"{out}: {counts} of {len(report.rows)} lines in {report.wall_seconds:.0f} s "
-        f"({rate:.0f} x real time); {SUMMARY} has a row for each"
-    )
-
-
-def _batch_summary(report: "BatchReport") -> dict[str, Any]:
-    return {
-        "out": report.out,
-        "lines": len(report.rows),
-        **report.counts,
-        "with_warnings": sum(bool(row.warnings) for row in report.rows),
-        "seconds": report.seconds,
-        "wall_seconds": report.wall_seconds,
-    }
-
-
-def _fail_if_any_failed(report: "BatchReport") -> None:
-    from deitalk.batch.source import FAILED
-    from deitalk.errors import DeitalkError
-
+        told = ", ".join(f"{count} {status}" for status, count in counts.items() if count)
+        rate = report.seconds / report.wall_seconds
+        console().print(
+            f"{out}: {told} of {n_lines} lines in {report.wall_seconds:.0f} s "
+            f"({rate:.0f} x real time); {SUMMARY} has a row for each"
+        )
     if report.failed:
         first = report.failed[0]
         raise DeitalkError(
-            f"{len(report.failed)} of {len(report.rows)} lines failed, see {FAILED} there; "
+            f"{len(report.failed)} of {n_lines} lines failed, see {FAILED} there; "
             f"the first is {first.audio}: {first.error}"
         )

@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
@@ -18,9 +18,6 @@ from deitalk.cli.options import (
 )
 from deitalk.cli.targets import curves_of, reserve_file, reserve_sound, write_sound
 from deitalk.errors import DeitalkError
-
-if TYPE_CHECKING:
-    from rig import RigCurves, WriteReport
 
 
 def convert(
@@ -82,15 +79,16 @@ def convert(
 
     deitalk convert take/ face.glb --rig arkit --identity child
     """
+    from rig import gain as scale
     from rig import read_curves, write_curves
+    from rig import smooth as smoothed
     from rig.controls import DEFAULT_ID
     from rig.conversion.convert import convert as to_set
     from rig.conversion.convert import convert_and_note
     from rig.face.identity import identity_of
+    from rig.formats.table import FORMATS, find_format
 
     if list_formats:
-        from rig.formats.table import FORMATS
-
         for known in FORMATS:
             ways = f"{'read' if known.read else ''} {'write' if known.write else ''}".strip()
             emit(f"{known.name:14} {known.suffixes[0]:18} {ways:10}  {known.description}")
@@ -99,7 +97,16 @@ def convert(
         raise typer.BadParameter("give a source and a target (or --list-formats)")
     reserve_file(target, force=force, inputs=(source, curves_of(source)))
     sound = reserve_sound(target, source / "audio.wav", force=force)
-    wanted, head = _control_set(rig, target, to), identity and identity_of(identity)
+    # Controls to convert to before writing; None where the format determines them.
+    wanted = None if rig == "as-is" else control_set_of(rig)
+    chosen, head = find_format(target, to, writable=True), identity and identity_of(identity)
+    if chosen.control_set is not None and wanted not in chosen.also:
+        if rig not in ("board", "as-is") and chosen.control_set != wanted:
+            raise DeitalkError(
+                f"--rig {rig} does not apply to {chosen.name}, whose curves are "
+                f"{chosen.control_set}; leave it out, or write csv, json, npz, or for arkit glb"
+            )
+        wanted = None
     curves = read_curves(curves_of(source), format=from_, fps=source_fps, control_set=None)
     if start or end is not None:
         whole, curves = curves.duration, curves.slice_seconds(start, end)
@@ -108,72 +115,34 @@ def convert(
             raise DeitalkError(f"no frame lies in seconds {start:g}{stop} of the {whole:.2f} s")
     if gain or offset or mirror or smooth:
         gains, offsets = _pairs(gain, "--gain"), _pairs(offset, "--offset")
-        curves = _edited(to_set(curves, DEFAULT_ID), gains, offsets, mirror, smooth)
+        curves = scale(to_set(curves, DEFAULT_ID), gains, offsets)
+        curves = smoothed(curves.mirror() if mirror else curves, smooth)
     curves, note = convert_and_note(curves, wanted or curves.control_set)
-    speech = _speech(source, target, to, is_whole=not start and end is None)
+    # The take's recording for a format that has sound, and its length if it is whole.
+    audio, speech = source / "audio.wav", dict[str, Any]()
+    if "seconds" in chosen.options and audio.is_file():
+        speech["sound"] = audio
+        if not start and end is None:
+            from deitalk.audio.decoding import open_sound
+
+            with open_sound(str(audio), None) as opened:
+                speech["seconds"] = opened.expected / opened.rate
     report = write_curves(
         target, curves, format=to, fps=fps, digits=digits, identity=head, delay=delay,
         handles=handles, **speech,
     )  # fmt: skip
-    _report(replace(report, note="; ".join(filter(None, (note, report.note)))), as_json)
-    if sound is not None:
-        write_sound(sound, source / "audio.wav", start, end, handles / report.fps)
-
-
-def _control_set(rig: str, target: Path, to: str | None) -> str | None:
-    """Control set to convert to before writing; None if the format determines it."""
-    from rig.formats.table import find_format
-
-    given = None if rig == "as-is" else control_set_of(rig)
-    chosen = find_format(target, to, writable=True)
-    if chosen.control_set is None or given in chosen.also:
-        return given
-    if rig not in ("board", "as-is") and chosen.control_set != given:
-        raise DeitalkError(
-            f"--rig {rig} does not apply to {chosen.name}, whose curves are {chosen.control_set}; "
-            "leave it out, or write csv, json, npz, or for arkit glb"
-        )
-    return None
-
-
-def _speech(source: Path, target: Path, to: str | None, *, is_whole: bool) -> dict[str, Any]:
-    """Path of the take's recording, and its length if it is whole, for a format that has them."""
-    from deitalk.audio.decoding import open_sound
-    from rig.formats.table import find_format
-
-    audio = source / "audio.wav"
-    if "seconds" not in find_format(target, to, writable=True).options or not audio.is_file():
-        return {}
-    if not is_whole:
-        return {"sound": audio}
-    with open_sound(str(audio), None) as sound:
-        return {"sound": audio, "seconds": sound.expected / sound.rate}
-
-
-def _edited(
-    curves: "RigCurves",
-    gains: dict[str, float],
-    offsets: dict[str, float],
-    mirror: bool,
-    seconds: float,
-) -> "RigCurves":
-    from rig import gain, smooth
-
-    curves = gain(curves, gains, offsets)
-    return smooth(curves.mirror() if mirror else curves, seconds)
-
-
-def _report(report: "WriteReport", as_json: bool) -> None:
-    """Print the written file and the notes on losses."""
+    report = replace(report, note="; ".join(filter(None, (note, report.note))))
     if as_json:
         summary = {"format": report.format, "frames": report.n_frames, "fps": report.fps}
         emit_json({"out": str(report.path), **summary, "notes": report.notes})
-        return
-    for note in report.notes:
-        console().note(note)
-    console().print(
-        f"{report.path}: {report.format}, {report.n_frames} frames at {report.fps:g} fps"
-    )
+    else:
+        for line in report.notes:
+            console().note(line)
+        console().print(
+            f"{report.path}: {report.format}, {report.n_frames} frames at {report.fps:g} fps"
+        )
+    if sound is not None:
+        write_sound(sound, source / "audio.wav", start, end, handles / report.fps)
 
 
 def _pairs(texts: list[str] | None, option: str) -> dict[str, float]:

@@ -22,12 +22,13 @@ def web(
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder to write.")],
     model: Annotated[str, typer.Option(help="default, or the folder of such a model.")] = "default",
     identity: Identity = "0",
+    live: Annotated[bool, typer.Option(help="Animate the microphone too (5 MB).")] = True,
     force: Force = False,
 ) -> None:
     """Write a static folder that animates recordings in a browser, without a service.
 
-    Any static host serves it, or `python -m http.server -d site`. Drop a recording, choose an
-    emotion, edit the intensity, save the curves: nothing leaves the machine.
+    Any static host serves it, or `python -m http.server -d site`. Drop a recording or speak, choose
+    an emotion, edit the intensity, save the curves: nothing leaves the machine.
 
     Examples
     --------
@@ -39,5 +40,5 @@ def web(
     head = identity_of(identity)
     reserve_folder(out, kind="site", force=force)
     with console().status("exporting the model"):
-        size = export_site(out, model, head, force=force)
+        size = export_site(out, model, head, live=live, force=force)
     console().print(f"{out}: {size / 1e6:.1f} MB; python -m http.server -d {out}")

@@ -70,9 +70,10 @@ def finetune(
     resume: Annotated[
         bool, typer.Option("--resume", help="Continue the run folder; begin it if it is new.")
     ] = False,
-    tensorboard: Annotated[
-        bool, typer.Option("--tensorboard", help="Also write OUT/tensorboard, for TensorBoard.")
-    ] = False,
+    track: Annotated[
+        list[str] | None,
+        typer.Option("--track", help="Also log to tensorboard (in OUT), wandb or mlflow."),
+    ] = None,
 ) -> None:
     """Tune a model on captures of an actor or of another rig; the result is OUT/best.
 
@@ -99,7 +100,7 @@ def finetune(
             settings=changes,
             overrides=overrides or (),
         )
-    options: dict[str, Any] = {"resume": resume, "tensorboard": tensorboard}
+    options: dict[str, Any] = {"resume": resume, "track": track or ()}
     with bar("tuning") as advance:
         tuned = run_tuning(settings, data, out, progress=shown_on(advance), **options)
     remove_written(out / "last")  # only the best is used

@@ -41,43 +41,21 @@ def unreal(
 
     deitalk install unreal MyGame.uproject --service http://192.168.0.20:8000 --force
     """
+    import rig.unreal
+    from deitalk.installed import __version__
     from rig.files import output_folder
 
-    folder = _project_folder(project) / "Plugins" / "deitalk"
+    root = project.parent if project.suffix.lower() == ".uproject" else project
+    if not root.is_dir():
+        raise MissingError(f"{project} does not exist")
+    if not list(root.glob("*.uproject")):
+        raise DeitalkError(f"{root} has no .uproject file; name the folder of an Unreal project")
+    folder = root / "Plugins" / "deitalk"
     if service and urlsplit(service).scheme not in ("http", "https"):
         raise DeitalkError(f"--service {service!r} must begin with http:// or https://")
     reserve_folder(folder, kind=KIND, force=force)
     settings = {"command": [sys.executable, "-P", "-m", "deitalk"], "service": service, "key": key}
-    with output_folder(folder, kind=KIND, force=force) as stage:
-        _write_json(stage / "deitalk.uplugin", _description())
-        scripts = stage / "Content" / "Python"
-        scripts.mkdir(parents=True)
-        for source in _scripts():
-            (scripts / source.name).write_bytes(source.read_bytes())
-        _write_json(scripts / "deitalk_settings.json", settings)
-    console().print(f"{folder}: start the editor again, then: menu deitalk > Animate audio…")
-
-
-def _project_folder(project: Path) -> Path:
-    folder = project.parent if project.suffix.lower() == ".uproject" else project
-    if not folder.is_dir():
-        raise MissingError(f"{project} does not exist")
-    if not list(folder.glob("*.uproject")):
-        raise DeitalkError(f"{folder} has no .uproject file; name the folder of an Unreal project")
-    return folder
-
-
-def _scripts() -> list[Path]:
-    import rig.unreal
-
-    folder = Path(rig.unreal.__file__).parent
-    return sorted(path for path in folder.glob("*.py") if path.name != "__init__.py")
-
-
-def _description() -> dict[str, Any]:
-    from deitalk.installed import __version__
-
-    return {
+    description = {
         "FileVersion": 3,
         "Version": 1,
         "VersionName": __version__,
@@ -88,6 +66,15 @@ def _description() -> dict[str, Any]:
         "EnabledByDefault": True,
         "Plugins": [{"Name": name, "Enabled": True} for name in PLUGINS],
     }
+    with output_folder(folder, kind=KIND, force=force) as stage:
+        _write_json(stage / "deitalk.uplugin", description)
+        scripts = stage / "Content" / "Python"
+        scripts.mkdir(parents=True)
+        for source in Path(rig.unreal.__file__).parent.glob("*.py"):
+            if source.name != "__init__.py":
+                (scripts / source.name).write_bytes(source.read_bytes())
+        _write_json(scripts / "deitalk_settings.json", settings)
+    console().print(f"{folder}: start the editor again, then: menu deitalk > Animate audio…")
 
 
 def _write_json(path: Path, data: dict[str, Any]) -> None:

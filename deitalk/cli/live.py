@@ -3,21 +3,14 @@
 import gc
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
 from deitalk.cli.console import console
 from deitalk.cli.options import Backend, Force, Given, acting_options
+from deitalk.cli.udp import Link, is_sound, link_of, record_face, send_source, sender_of, transmit
 from deitalk.errors import DeitalkError
-
-if TYPE_CHECKING:
-    from deitalk.acting import Acting
-    from deitalk.live.animator import LiveAnimator
-    from deitalk.models.protocol import CausalNetwork
-    from rig.livelink.pace import LiveReport
-
-from deitalk.cli.udp import Link, _sender, is_sound, link_of, record_face, send_source, transmit
 
 TAKES, RECORD = "Takes and curves", "Recording a face"
 """Panels of the help."""
@@ -138,7 +131,9 @@ def live(
         _refuse(str(source), input=source_name)
         if not is_sound(source):
             _refuse(str(source), **of_model, **given.choice.settings)
-    if source is not None and not (is_sound(source) and _is_live(model)):
+    from deitalk.models.folder import is_causal
+
+    if source is not None and not (is_sound(source) and is_causal(model)):
         send_source(
             source, given, (model, backend), link, fps=fps, seconds=seconds, loop=loop,
             play=play, start_signal=start_signal,
@@ -159,13 +154,6 @@ def _refuse(kind: str, **options: Any) -> None:
         raise DeitalkError(f"{kind} does not use {', '.join(unused)}; leave it out")
 
 
-def _is_live(model: str) -> bool:
-    """Whether a model is causal: made for a voice that has not ended."""
-    from deitalk.models.folder import is_causal
-
-    return is_causal(model)
-
-
 def _speak(
     speech: Path | None,
     source_name: str | None,
@@ -177,20 +165,31 @@ def _speak(
 ) -> None:
     """Animate a recording or a microphone while it sounds, and send it."""
     os.environ.setdefault("OMP_NUM_THREADS", "1")  # products of a frame are small: others only spin
+    import numpy as np
+
+    from deitalk.live.animator import LiveAnimator
     from deitalk.live.sources import Microphone, PacedSound
     from deitalk.models.load import load_causal
 
     network = load_causal(model, backend=backend)
-    if speech is not None:
+    source: Microphone | PacedSound
+    if speech is None:
+        is_number = source_name is not None and source_name.isdigit()
+        source = Microphone(int(source_name or 0) if is_number else source_name)
+    else:
         from deitalk.audio.load import load_chosen
 
         recording = load_chosen(speech, given.choice)
-        waveform = recording.waveform
         for warning in recording.warnings:
             console().note(warning)
-    source = PacedSound(waveform) if speech is not None else Microphone(_number(source_name))
-    animator = _warm_animator(network, source.sample_rate, given.acting)
-    sender = _sender(animator, link)
+        source = PacedSound(recording.waveform)
+    rate = source.sample_rate
+    animator = LiveAnimator(network, acting=given.acting, sample_rate=rate)
+    animator.feed(np.zeros(rate, np.float32))  # the first call takes longer
+    animator.reset()
+    gc.collect()
+    gc.freeze()  # a full collection of what is here now would stop the face for a tenth of a second
+    sender = sender_of(animator, link)
     console().print(
         f"sending to {link}, {1000 * animator.lookahead_seconds:.0f} ms and "
         "the computing behind the sound, Ctrl-C stops"
@@ -204,31 +203,9 @@ def _speak(
         sender.close()
         if isinstance(source, Microphone):
             source.close()
-    _print(sender.report())
-
-
-def _warm_animator(network: "CausalNetwork", rate: int, acting: "Acting") -> "LiveAnimator":
-    """An animator that has read once: the first call takes longer."""
-    import numpy as np
-
-    from deitalk.live.animator import LiveAnimator
-
-    animator = LiveAnimator(network, acting=acting, sample_rate=rate)
-    animator.feed(np.zeros(rate, np.float32))
-    animator.reset()
-    gc.collect()
-    gc.freeze()  # a full collection of what is here now would stop the face for a tenth of a second
-    return animator
-
-
-def _print(report: "LiveReport") -> None:
+    report = sender.report()
     console().print(
         f"{report.n_sent} frames, {report.n_skipped} skipped, {report.n_failed} not taken by the "
         f"network; sent {1000 * report.waited[0]:.1f} ms after they were known, at most "
         f"{1000 * report.waited[1]:.1f} ms"
     )
-
-
-def _number(name: str | None) -> str | int | None:
-    """An input by its number, where it is one."""
-    return int(name) if name is not None and name.isdigit() else name

@@ -10,7 +10,6 @@ from deitalk.errors import DeitalkError
 
 if TYPE_CHECKING:
     from deitalk.cli.options import Given
-    from deitalk.pipeline.mesh_performance import MeshPerformance
 
 
 def animate_vertices(
@@ -33,16 +32,30 @@ def animate_vertices(
     speech, out, given, mesh, landmarks, fps, force, as_json
         As for the command.
     speaker : str
-        Name or number: of an embedded head, or of a speaker of an SDFA model.
+        Name or number of an embedded head, or of a speaker of a mesh model; or a head file.
     **model
         ``model`` and ``device``.
     """
-    reserve_mesh(out, force=force, inputs=(speech, mesh, landmarks, *given.texts))
+    from rig.face.identity import HEAD_FILE, identity_of
+
+    own = Path(speaker) if speaker.lower().endswith(HEAD_FILE) else None
+    reserve_mesh(out, force=force, inputs=(speech, mesh, landmarks, own, *given.texts))
     if landmarks is not None and mesh is None:
         raise DeitalkError("--landmarks are points of a --mesh; give both, or neither")
-    _check(fps, mesh, landmarks)
+    # Refuse inputs that cannot be used before the recording is animated.
+    if fps is not None:
+        from rig.curves import snap_fps
+
+        snap_fps(fps)
+    if mesh is not None and mesh.suffix.lower() != ".glb":  # a GLB may be driven without this check
+        from rig.retarget.landmarks import read_landmarks
+        from rig.retarget.retarget_files import read_shapes
+
+        shapes = read_shapes(mesh)
+        if landmarks is not None:
+            read_landmarks(landmarks, shapes.neutral)
     sound = sys.stdin.buffer.read() if speech == "-" else speech
-    who = int(speaker) if speaker.isdigit() else speaker
+    who = int(speaker) if speaker.isdigit() else identity_of(speaker) if own else speaker
     with bar("animating") as progress:
         from deitalk.pipeline.mesh import animate_mesh, retarget_speech
 
@@ -53,44 +66,23 @@ def animate_vertices(
         if mesh is None:
             performance = animate_mesh(sound, **options)
             performance.save(out, force=force)
-            summary = _described(performance)
+            frames, vertices, _ = performance.vertices.shape
+            summary = {
+                "frames": frames, "fps": performance.fps, "vertices": vertices,
+                "notes": list(performance.recording.warnings),
+            }  # fmt: skip
         else:
             report, rate, notes = retarget_speech(sound, mesh, out, landmarks=landmarks, **options)
             summary = {
                 "frames": report.frames, "fps": rate, "shapes": report.shapes, "notes": list(notes)
             }  # fmt: skip
     summary |= {"model": model["model"], "settings": given.acting.settings}
-    _report(out, summary, as_json)
-
-
-def _check(fps: float | None, mesh: Path | None, landmarks: Path | None) -> None:
-    """Raise for inputs that cannot be used, before the recording is animated."""
-    from rig.curves import snap_fps
-
-    if fps is not None:
-        snap_fps(fps)
-    if mesh is not None and mesh.suffix.lower() != ".glb":  # a GLB may be driven without this check
-        from rig.retarget.landmarks import read_landmarks
-        from rig.retarget.retarget_files import read_shapes
-
-        shapes = read_shapes(mesh)
-        if landmarks is not None:
-            read_landmarks(landmarks, shapes.neutral)
-
-
-def _described(performance: "MeshPerformance") -> dict[str, Any]:
-    frames, vertices, _ = performance.vertices.shape
-    notes = list(performance.recording.warnings)
-    return {"frames": frames, "fps": performance.fps, "vertices": vertices, "notes": notes}
-
-
-def _report(out: str, summary: dict[str, Any], as_json: bool) -> None:
     if as_json:
         emit_json({"out": str(Path(out)), **summary})
         return
     for note in summary["notes"]:
         console().note(note)
-    what = "vertices" if "vertices" in summary else "shapes"
+    what = "shapes" if mesh is not None else "vertices"
     console().print(
         f"{Path(out)}: {summary['frames']} frames at {summary['fps']:g} per second, "
         f"{summary[what]} {what}",

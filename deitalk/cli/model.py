@@ -2,17 +2,13 @@
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from deitalk.cli.console import console, emit, emit_json
 from deitalk.cli.options import CheckedCommands
 from deitalk.cli.targets import reserve_file, reserve_folder
-
-if TYPE_CHECKING:
-    pass
-
 
 app = CheckedCommands(help="Describe or export a model.", no_args_is_help=True)
 
@@ -51,38 +47,27 @@ def export(
         out, onnx = None, out
     if (out is None) == (onnx is None):
         raise DeitalkError("give either --out FOLDER or --onnx FILE.onnx")
-    if onnx is not None:
-        _export_onnx(model, onnx, precision, force)
-    elif out is not None:
-        _export_folder(model, out, data, force)
-
-
-def _export_onnx(model: str, out: Path, precision: str, force: bool) -> None:
-    from deitalk.export.onnx_file import export_onnx, operators
-    from deitalk.models.checkpoint import require_model
-    from deitalk.models.curve_model import DEITalk
-    from deitalk.models.folder import model_folder
-
-    source = model_folder(model)
-    reserve_file(out, force=force, inputs=(source / "model.safetensors",))
-    export_onnx(require_model(model, DEITalk), out, name=model, precision=precision)
-    console().print(f"{out}: {out.stat().st_size / 1e6:.1f} MB")
-    console().note(f"operators: {', '.join(sorted(operators(out)))}")
-
-
-def _export_folder(model: str, out: Path, data: str, force: bool) -> None:
     from deitalk.models.checkpoint import require_model, save_model
     from deitalk.models.curve_model import DEITalk
     from deitalk.models.folder import describe_model, model_folder
     from deitalk.models.hub import portable
 
     source = model_folder(model)
-    reserve_folder(out, kind="model", force=force, inputs=(source / "model.safetensors",))
-    network = require_model(model, DEITalk)
-    config, summary = portable(source)
-    summary |= {"data": data} if data else {}
-    save_model(out, network, config, summary, half=True, graph=True)
-    console().print(f"{out}: {describe_model(out)['bytes'] / 1e6:.1f} MB")
+    inputs = (source / "model.safetensors",)
+    if onnx is not None:
+        from deitalk.export.onnx_file import export_onnx, operators
+
+        reserve_file(onnx, force=force, inputs=inputs)
+        export_onnx(require_model(model, DEITalk), onnx, name=model, precision=precision)
+        console().print(f"{onnx}: {onnx.stat().st_size / 1e6:.1f} MB")
+        console().note(f"operators: {', '.join(sorted(operators(onnx)))}")
+    elif out is not None:
+        reserve_folder(out, kind="model", force=force, inputs=inputs)
+        network = require_model(model, DEITalk)
+        config, summary = portable(source)
+        summary |= {"data": data} if data else {}
+        save_model(out, network, config, summary, half=True, graph=True)
+        console().print(f"{out}: {describe_model(out)['bytes'] / 1e6:.1f} MB")
 
 
 @app.command()

@@ -52,7 +52,8 @@ def preview(
     from rig.face.identity import identity_of
 
     others, head = versus or [], identity_of(identity)
-    target = out or _beside(source)
+    beside = source / "preview.html" if source.is_dir() else source.with_suffix(".html")
+    target = out or beside
     is_page = target.suffix.lower() in PAGES
     if (others and not is_page) or (view != "mouth" and is_page):
         raise DeitalkError("--versus is of a page (.html), --view of a video (.mp4); leave it out")
@@ -84,8 +85,3 @@ def preview(
     if is_own and kind_of(source) == KIND:
         record(source, [target.name], kind=KIND)
     console().print(str(target))
-
-
-def _beside(source: Path) -> Path:
-    """Default page: in a take folder, or beside a file of curves."""
-    return source / "preview.html" if source.is_dir() else source.with_suffix(".html")

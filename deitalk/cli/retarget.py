@@ -2,7 +2,7 @@
 
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -10,9 +10,6 @@ from deitalk.cli.console import console, emit_json
 from deitalk.cli.options import Force, Json, MeshOut
 from deitalk.cli.targets import curves_of, reserve_file, reserve_mesh, reserve_sound, write_sound
 from deitalk.errors import DeitalkError
-
-if TYPE_CHECKING:
-    from rig.retarget.retarget_files import RetargetReport
 
 
 def retarget(
@@ -89,18 +86,13 @@ def retarget(
         )
     if write_mapping is not None:
         save(write_mapping, report.mapping)
-    _retarget_report(report, as_json)
-    if sound is not None:
-        write_sound(sound, take / "audio.wav")
-
-
-def _retarget_report(report: "RetargetReport", as_json: bool) -> None:
-    """Print the result and its warnings."""
     if as_json:
         emit_json(asdict(report) | {"path": str(report.path)})
-        return
-    kind = "own shapes" if report.way == "blendshapes" else "shapes made for the mesh"
-    bones = f", {report.bones} bones" if report.bones else ""
-    for note in report.notes:
-        console().note(note)
-    console().print(f"{report.path}: {report.frames} frames, {report.shapes} {kind}{bones}")
+    else:
+        kind = "own shapes" if report.way == "blendshapes" else "shapes made for the mesh"
+        bones = f", {report.bones} bones" if report.bones else ""
+        for note in report.notes:
+            console().note(note)
+        console().print(f"{report.path}: {report.frames} frames, {report.shapes} {kind}{bones}")
+    if sound is not None:
+        write_sound(sound, take / "audio.wav")

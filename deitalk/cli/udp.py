@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from deitalk.live.animator import LiveAnimator
     from deitalk.live.sources import Source
     from rig import RigCurves
-    from rig.formats.livelink_csv import LiveLinkTake
     from rig.livelink import LiveSender
 
 PORT = 11111
@@ -51,10 +50,16 @@ def link_of(
     host: str, port: int | None, protocol: str, subject: str, rig: str, fps: float | None
 ) -> Link:
     """A link with the given port or the protocol's own; raises before anything is animated."""
+    from rig.conversion.avatars import AVATARS
     from rig.curves import snap_fps
     from rig.livelink import check_address, find_protocol, make_protocol
 
-    _check_rig(rig, protocol)
+    control_set_of(rig)
+    if (rig == "raw" and protocol != "json") or (rig in AVATARS and protocol == "livelink"):
+        raise DeitalkError(
+            f"--rig {rig} does not apply to --protocol {protocol}, which sends ARKit's values; "
+            "use --protocol json, or leave it out"
+        )
     own = find_protocol(protocol).port
     if port is not None and not 0 < port < 65536:
         raise DeitalkError(f"port {port} must be 1 to 65535; leave it out for {own}")
@@ -101,12 +106,15 @@ def record_face(
         Replace the file.
     """
     from deitalk.cli.signals import held
+    from rig import write_curves
+    from rig.files import atomic_write
     from rig.formats import find_format
+    from rig.formats.livelink_csv import write_take
     from rig.livelink import Receiver
 
     if port is not None and not 0 <= port < 65536:
         raise DeitalkError(f"port {port} must be 0 to 65535; 0 takes a free one")
-    find_format(out, writable=True)
+    chosen = find_format(out, writable=True)
     reserve_file(out, force=force)
     with Receiver(host, PORT if port is None else port) as receiver, held() as signals:
         console().print(f"listening on {host}:{receiver.port}, Ctrl-C ends the take")
@@ -114,7 +122,11 @@ def record_face(
             subject=subject, seconds=seconds, idle_seconds=timeout, is_over=lambda: bool(signals)
         )
         take = recording.to_take()
-        _write_recording(out, take)
+        if chosen.name in ("csv", "livelink"):
+            with atomic_write(out) as beside:
+                write_take(beside, take)
+        else:
+            write_curves(out, take.to_curves())
         signals.clear()  # handled: the take has ended
     console().print(
         f"{out}: {len(take.ticks)} frames of {recording.subject!r}, {recording.n_lost} lost, "
@@ -126,19 +138,6 @@ def record_face(
             f"{recording.n_other} frames of other subjects left out: {names}; "
             "--subject takes one of them"
         )
-
-
-def _write_recording(out: Path, take: "LiveLinkTake") -> None:
-    from rig import write_curves
-    from rig.files import atomic_write
-    from rig.formats import find_format
-    from rig.formats.livelink_csv import write_take
-
-    if find_format(out, writable=True).name in ("csv", "livelink"):
-        with atomic_write(out) as beside:
-            write_take(beside, take)
-    else:
-        write_curves(out, take.to_curves())
 
 
 def is_sound(source: Path) -> bool:
@@ -172,17 +171,21 @@ def send_source(
     start_signal: str | None,
 ) -> None:
     """Send a take, a file of curves, or a recording that a model and backend animate first."""
+    from rig.conversion.convert import convert
+    from rig.formats.livelink_csv import with_subject
+    from rig.livelink import make_protocol, send
+    from rig.livelink.protocols import lost_by, with_head
+
     started = [_signal(start_signal)] if start_signal else []
     curves, audio = _curves(source, given, *model)
     if link.protocol == "json":
-        curves = _as_rig(curves, link.rig)
+        # Curves of the rig with their head, as a receiver of that rig takes it.
+        curves = convert(curves, control_set_of(link.rig))
+        curves = with_subject(curves) if link.rig == "raw" else with_head(curves)
     if play:
         started = [_player(audio, given.choice), *started]
     if fps is not None:
         curves = curves.resample(fps)
-    from rig.livelink import make_protocol, send
-    from rig.livelink.protocols import lost_by
-
     if seconds is not None:
         curves = curves.slice_seconds(0, seconds)
     chosen = make_protocol(link.protocol, link.subject, curves.names, link.avatar)
@@ -233,28 +236,6 @@ def _curves(
     note_reading(curves)
     audio = source / "audio.wav"
     return curves, audio if audio.is_file() else None
-
-
-def _as_rig(curves: "RigCurves", rig: str) -> "RigCurves":
-    """Curves of a rig with their head, as a receiver of that rig takes it."""
-    from rig.conversion.convert import convert
-    from rig.formats.livelink_csv import with_subject
-    from rig.livelink.protocols import with_head
-
-    curves = convert(curves, control_set_of(rig))
-    return with_subject(curves) if rig == "raw" else with_head(curves)
-
-
-def _check_rig(rig: str, protocol: str) -> None:
-    """Raise for an unknown rig, and for one that the protocol does not send."""
-    from rig.conversion.avatars import AVATARS
-
-    control_set_of(rig)
-    if (rig == "raw" and protocol != "json") or (rig in AVATARS and protocol == "livelink"):
-        raise DeitalkError(
-            f"--rig {rig} does not apply to --protocol {protocol}, which sends ARKit's values; "
-            "use --protocol json, or leave it out"
-        )
 
 
 def _player(audio: Path | None, choice: "AudioChoice") -> Callable[[], None]:
@@ -312,7 +293,8 @@ def transmit(
     sender.drain()
 
 
-def _sender(animator: "LiveAnimator", link: Link) -> "LiveSender":
+def sender_of(animator: "LiveAnimator", link: Link) -> "LiveSender":
+    """Sender of the frames of an animator, at its pace."""
     from rig.conversion.arkit import HEAD
     from rig.livelink import LiveSender, make_protocol
 

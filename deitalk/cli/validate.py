@@ -3,20 +3,14 @@
 from collections import Counter
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from deitalk.cli.console import emit, emit_json
-from deitalk.cli.options import (
-    Given,
-    acting_options,
-)
+from deitalk.cli.options import Given, acting_options
 from deitalk.errors import DeitalkError
 from rig.errors import as_line
-
-if TYPE_CHECKING:
-    from rig.validation.findings import Finding
 
 
 @partial(acting_options, fields=("words", "language"), of_recording=False)
@@ -62,14 +56,10 @@ def validate(
     else:
         for finding in findings:
             emit(as_line(f"{finding.level:8} {finding.path.name or finding.path}: {finding.text}"))
-        emit(as_line(f"{path}: {_verdict(findings, is_valid=is_valid)}"))
+        counts = Counter(finding.level for finding in findings)
+        found = [f"{counts[level]} {level}{'s' * (counts[level] > 1)}"
+                 for level in ("error", "warning") if counts[level]]  # fmt: skip
+        verdict = "valid" if is_valid else "not valid"
+        emit(as_line(f"{path}: {verdict}, {' and '.join(found) or 'no error or warning'}"))
     if not is_valid:
         raise typer.Exit(1)
-
-
-def _verdict(findings: "list[Finding]", *, is_valid: bool) -> str:
-    """Whether a file or a take is valid, and how many errors and warnings it has."""
-    counts = Counter(finding.level for finding in findings)
-    found = [f"{counts[level]} {level}{'s' * (counts[level] > 1)}"
-             for level in ("error", "warning") if counts[level]]  # fmt: skip
-    return f"{'valid' if is_valid else 'not valid'}, {' and '.join(found) or 'no error or warning'}"

@@ -81,6 +81,8 @@ class ModelConfig(Section):
     """Carry every layer's input past it; not in the paper."""
     decoder_direct: bool = False
     """The last layer has the speech features too; not in the paper."""
+    own_decoder: Annotated[str, Field(max_length=200, pattern=r"^[\w.]+:[\w.]+$")] | None = None
+    """A class of `deitalk.models.rig_decoder.RigDecoder`, ``module:Class``; not in the paper."""
     kernel_size: Odd = 3
     dropout: Dropout = 0.0
 
@@ -109,6 +111,8 @@ class ModelConfig(Section):
     def _causal_ends_never(self) -> "ModelConfig":
         """What depends on the whole clip does not go with a frontend for one that has not ended."""
         if self.frontend.kind == "causal_whisper":
+            if self.own_decoder is not None:
+                raise ValueError("causal_whisper takes no own_decoder; set own_decoder: null")
             if self.positions:
                 raise ValueError("causal_whisper takes no positions; set positions: false")
             if self.intensity and self.saliency_frames is None:

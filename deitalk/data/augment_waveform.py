@@ -10,8 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from scipy import fft, signal
-from scipy.interpolate import CubicSpline
+import scipy  # loads its parts at their first use, which takes half a second
 
 from deitalk.audio.frames import SAMPLE_RATE
 from deitalk.audio.load import load_audio
@@ -103,9 +102,9 @@ def _colour(x: Float64, rng: np.random.Generator) -> Float64:
     for _ in range(rng.integers(1, 4)):
         centre = float(np.exp(rng.uniform(np.log(120), np.log(6500))))
         b, a = _peak(centre, rng.uniform(-9, 9), rng.uniform(0.4, 1.2))
-        x = signal.lfilter(b, a, x)
+        x = scipy.signal.lfilter(b, a, x)
     if rng.random() < 0.6:
-        x = signal.lfilter([1, -rng.uniform(-0.5, 0.6)], [1], x)
+        x = scipy.signal.lfilter([1, -rng.uniform(-0.5, 0.6)], [1], x)
     return x
 
 
@@ -124,24 +123,24 @@ def _reverberate(x: Float64, rng: np.random.Generator, rooms: Sequence[Float32])
         room = rooms[int(rng.integers(len(rooms)))][:SAMPLE_RATE].astype(np.float64)
         room = room[max(int(np.abs(room).argmax()) - 8, 0) :]  # no delay: curves stay in time
         room = room / (np.abs(room).max() + 1e-9)
-        wet = signal.fftconvolve(x, room)[: len(x)]
+        wet = scipy.signal.fftconvolve(x, room)[: len(x)]
         mixed = x + rng.uniform(0.1, 1.0) * wet * (np.std(x) / (np.std(wet) + 1e-9))
         return mixed
     length = int(SAMPLE_RATE * rng.uniform(0.08, 0.5))
     tail = rng.standard_normal(length) * np.exp(-6.9 * np.arange(length) / length)
     tail *= rng.uniform(0.02, 0.12)
     tail[0] = 1
-    return signal.fftconvolve(x, tail)[: len(x)]
+    return scipy.signal.fftconvolve(x, tail)[: len(x)]
 
 
 def _limit_band(x: Float64, rng: np.random.Generator) -> Float64:
     if rng.random() < 0.3:
-        x = signal.sosfilt(
-            signal.butter(4, rng.uniform(3300, 7500), fs=SAMPLE_RATE, output="sos"), x
+        x = scipy.signal.sosfilt(
+            scipy.signal.butter(4, rng.uniform(3300, 7500), fs=SAMPLE_RATE, output="sos"), x
         )
     if rng.random() < 0.3:
-        x = signal.sosfilt(
-            signal.butter(2, rng.uniform(60, 300), "high", fs=SAMPLE_RATE, output="sos"), x
+        x = scipy.signal.sosfilt(
+            scipy.signal.butter(2, rng.uniform(60, 300), "high", fs=SAMPLE_RATE, output="sos"), x
         )
     return x
 
@@ -184,13 +183,13 @@ def _coloured(
 ) -> Float64:
     """Tilt the spectrum by `slope` dB an octave; `hills`: octaves below the top, width, dB."""
     n = len(noise)
-    length = fft.next_fast_len(n, real=True)
-    spectrum = fft.rfft(noise, length)
+    length = scipy.fft.next_fast_len(n, real=True)
+    spectrum = scipy.fft.rfft(noise, length)
     octaves = np.log2(np.arange(len(spectrum)) + 1.0)
     gain_db = slope * octaves
     for below, width, height in hills:
         gain_db += height * np.exp(-(((octaves - octaves[-1] + below) / width) ** 2))
-    coloured: Float64 = fft.irfft(spectrum * 10 ** (gain_db / 20), length)[:n]
+    coloured: Float64 = scipy.fft.irfft(spectrum * 10 ** (gain_db / 20), length)[:n]
     return coloured
 
 
@@ -198,7 +197,9 @@ def _wandering(n: int, rng: np.random.Generator, hertz: float) -> Float64:
     """A smooth random curve, mostly within -1 to 1, with about `hertz` knots a second."""
     knots = max(int(n / SAMPLE_RATE * hertz), 1) + 3
     places = np.linspace(0, knots - 1, n)
-    course: Float64 = CubicSpline(np.arange(knots), 0.6 * rng.standard_normal(knots))(places)
+    course: Float64 = scipy.interpolate.CubicSpline(
+        np.arange(knots), 0.6 * rng.standard_normal(knots)
+    )(places)
     return np.clip(course, -1.5, 1.5)
 
 

@@ -98,7 +98,15 @@ def _changes(
         raise DataError(f"{shown} has no {TAKE_CURVES}; name a folder that deitalk animate wrote")
     base = read_curves(path, control_set=None)
     own = _own_controls(base)
-    found = _read(edited, fps) if own is None else _of_own_rig(edited, base, fps)
+    if own is None:
+        found = _read(edited, fps)
+    else:
+        curves = read_curves(edited, control_set=None, fps=fps)
+        if set(curves.names) != set(base.names):
+            raise DataError(
+                f"{edited} has other controls than the take, which is of {base.control_set}"
+            )
+        found = CapturedCurves(curves.select(base.names), base.names, "rig")
     controls = own or default_controls()
     twin = _twin(edited, base.resample(found.curves.fps), found)
     settings = _settings(take)
@@ -114,8 +122,16 @@ def _changes(
             "nothing to write"
         )
     layer = _with_sound(replace(layer, name=name), take, settings)
-    notes = [*found.notes, *_length_notes(twin.curves, found.curves, shown)]
-    notes += _set_notes(found, controls)
+    notes = list(found.notes)
+    if abs(len(twin.curves) - len(found.curves)) > LEAST_FRAMES:
+        notes.append(
+            f"the edited file has {len(found.curves)} frames, {shown} {len(twin.curves)} at that "
+            "rate: what is beyond the shorter one is not compared"
+        )
+    if absent := [name for name in controls.names if name not in set(found.known)]:
+        notes.append(
+            f"{len(absent)} controls are not in the file and stay as they are: {listed(absent)}"
+        )
     applied, _ = apply_layers(start, [layer], controls, closures)
     notes += _lost_notes(edited, applied, twin, found, count)
     if "edit" in settings:
@@ -134,13 +150,6 @@ def _own_controls(base: RigCurves) -> ControlSet | None:
         return None
     wide = (Control(name, minimum=-1e6, maximum=1e6) for name in base.names)
     return ControlSet(base.control_set, tuple(wide))
-
-
-def _of_own_rig(path: Path, base: RigCurves, fps: float | None) -> CapturedCurves:
-    curves = read_curves(path, control_set=None, fps=fps)
-    if set(curves.names) != set(base.names):
-        raise DataError(f"{path} has other controls than the take, which is of {base.control_set}")
-    return CapturedCurves(curves.select(base.names), base.names, "rig")
 
 
 def _read(path: Path, fps: float | None) -> CapturedCurves:
@@ -241,22 +250,6 @@ def _with_sound(layer: Layer, take: Path, settings: dict[str, Any]) -> Layer:
         words = None if transcript is None else align_words(speech, transcript)
     (layer,) = with_recording([layer], speech, words)
     return layer
-
-
-def _length_notes(twin: RigCurves, edited: RigCurves, take: Path) -> list[str]:
-    if abs(len(twin) - len(edited)) <= LEAST_FRAMES:
-        return []
-    return [
-        f"the edited file has {len(edited)} frames, {take} {len(twin)} at that rate: what is "
-        "beyond the shorter one is not compared"
-    ]
-
-
-def _set_notes(found: CapturedCurves, controls: ControlSet) -> list[str]:
-    absent = [name for name in controls.names if name not in set(found.known)]
-    if not absent:
-        return []
-    return [f"{len(absent)} controls are not in the file and stay as they are: {listed(absent)}"]
 
 
 def _lost_notes(

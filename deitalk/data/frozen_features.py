@@ -58,6 +58,8 @@ class FrozenFeatures:
         An embedded model or a model folder.
     folder : Path or None
         Of one model's features; None keeps them in memory.
+    owner : DEITalk or None
+        The model, where it is loaded.
 
     Raises
     ------
@@ -70,9 +72,9 @@ class FrozenFeatures:
         The model.
     """
 
-    def __init__(self, name: str, folder: Path | None = None) -> None:
+    def __init__(self, name: str, folder: Path | None = None, owner: DEITalk | None = None) -> None:
         self.name, self.folder = name, folder
-        self.owner = require_model(name, DEITalk)
+        self.owner = owner or require_model(name, DEITalk)
         self._features: OrderedDict[Path, NDArray[np.float16]] = OrderedDict()
 
     def copy_into(self, model: DEITalk) -> None:

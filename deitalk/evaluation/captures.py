@@ -155,25 +155,20 @@ def write_comparison(
         beside.write_text(as_json(report))
     with atomic_write(folder / "report.md") as beside:
         beside.write_text(_markdown(report))
-    _write_clip(folder / COMPARED, captures, {name: rows[0] for name, rows in curves.items()})
+    # The first held-out clip: sound, captured curves, before and after.
+    example, controls, compared = captures.examples[0], captures.controls, folder / COMPARED
+    compared.mkdir(exist_ok=True)
+    played = {name: curves[name][0] for name in ("before", "after") if name in curves}
+    for name, values in {"capture": example.curves, **played}.items():
+        clip = RigCurves(values, controls.names, fps=FRAME_RATE, control_set=controls.id)
+        write_curves(compared / f"{name}.npz", clip)
+    with atomic_write(compared / "audio.wav") as beside:
+        soundfile.write(beside, example.waveform, SAMPLE_RATE, format="WAV", subtype="PCM_16")
     if can_draw():
         errors = {name: found["error_of_mean_pose"] for name, found in scores.items()}
         course = report.get("learning", {})
         draw_before_after(folder / "report.png", _shown(captures, curves), errors, course)
     return scores
-
-
-def _write_clip(folder: Path, captures: CaptureSet, curves: dict[str, Float32]) -> None:
-    """Write the first held-out clip: sound, captured curves, before and after."""
-    example, controls = captures.examples[0], captures.controls
-    folder.mkdir(exist_ok=True)
-    shown = {"capture": example.curves, **{name: curves.get(name) for name in ("before", "after")}}
-    for name, values in shown.items():
-        if values is not None:
-            clip = RigCurves(values, controls.names, fps=FRAME_RATE, control_set=controls.id)
-            write_curves(folder / f"{name}.npz", clip)
-    with atomic_write(folder / "audio.wav") as beside:
-        soundfile.write(beside, example.waveform, SAMPLE_RATE, format="WAV", subtype="PCM_16")
 
 
 def by_model(model: DEITalk) -> System:

@@ -24,63 +24,10 @@ from torch.nn import functional as F
 
 from deitalk.audio.frames import FRAME_RATE
 from deitalk.audio.log_mel import SILENCE
+from deitalk.audio.running_level import first_level, levelled
 from deitalk.config.frontends import CausalWhisperConfig
 from deitalk.frontends.base import Frontend
 from deitalk.frontends.whisper import Layer, WhisperFrontend, scaled
-
-# Running level of a voice that has not ended: the causal form of `normalise_level`.
-#
-# The level is a mean of the power of the frames so far that forgets, and counts a frame by how loud
-# it is beside the mean. Pauses and quiet noise hardly change it. It begins with that of a quiet
-# voice, with the weight of a few frames.
-#
-# Letters: B streams, T rig frames.
-
-USUAL_POWER = 10**-2.3
-"""Mean square of speech at the level of the training, -23 dB re full scale."""
-FORGET_FRAMES = 240.0
-"""Frames of speech that the mean remembers (8 s)."""
-FIRST_POWER, FIRST_FRAMES = 10**-3.3, 4.0
-"""Mean at the start, and its weight in frames: a quiet voice, which a loud one corrects at once."""
-QUIET = 0.02
-"""Power beside a mean of full weight, -17 dB, at which a frame counts half; less for a young mean,
-which is to find quiet voices soon."""
-SOFTEST, LOUDEST = 1e-7, 10.0
-"""Limits of the mean square: -70 to 10 dB."""
-
-
-def first_level(batch: int, like: Tensor) -> Tensor:
-    """State before the first frame [shape=(B, 2)]: the mean and its weight in frames."""
-    return like.new_tensor([FIRST_POWER, FIRST_FRAMES]).repeat(batch, 1)
-
-
-def follow_level(power: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
-    """Running level at each frame, of that frame and those before it.
-
-    Parameters
-    ----------
-    power : Tensor [shape=(B, T)]
-        Mean square of every frame's sound.
-    state : Tensor [shape=(B, 2)]
-        From `first_level`, or from the call before.
-
-    Returns
-    -------
-    level : Tensor [shape=(B, T)]
-        Mean square of the speech so far.
-    state : Tensor [shape=(B, 2)]
-        For the next call.
-    """
-    level, weight = state.unbind(dim=1)
-    levels = []
-    for now in power.unbind(dim=1):
-        share = now / (now + QUIET * level * weight / FORGET_FRAMES)
-        weight = weight * (1 - share / FORGET_FRAMES) + share
-        level = level + (now - level) * (share / weight)
-        level = level.clamp(SOFTEST, LOUDEST)
-        levels.append(level)
-    return torch.stack(levels, dim=1), torch.stack((level, weight), dim=1)
-
 
 PAST_FRAMES, LOOKAHEAD_FRAMES = 90, 1
 """Rig frames around one that a layer attends to."""
@@ -156,7 +103,7 @@ class CausalWhisperFrontend(WhisperFrontend):
         silence = weight.new_full((batch, STEM_SPECTRA, self.config.n_mels), math.log10(SILENCE))
         sizes = [size for ahead in self.ahead for size in (ahead, KEPT, KEPT) if size]
         return CausalState(
-            first_level(batch, weight),
+            torch.from_numpy(first_level(batch)).to(weight),
             scaled(silence, PEAK),
             weight.new_zeros(batch, 1),
             tuple(weight.new_zeros(batch, size, width) for size in sizes),
@@ -197,16 +144,19 @@ class CausalWhisperFrontend(WhisperFrontend):
         state : CausalState
             From `first_state`, or from the call before.
         """
-        mel, level = self.spectra_of(windows.to(state.mel.device), state)
-        return self.read(mel, level, state)
+        given, level = levelled(windows.to(state.mel.device), self.spectra, state.level)
+        features, after = self.read(given, state)
+        return features, after._replace(level=level)
 
-    def read(
-        self, mel: Tensor, level: Tensor, state: CausalState
-    ) -> tuple[Tensor, CausalState]:
-        """As `advance`, from what `spectra_of` gives."""
+    def read(self, windows: Tensor, state: CausalState) -> tuple[Tensor, CausalState]:
+        """`advance` of windows at the usual level; the running level is not looked at."""
+        mel = torch.cat((state.mel, scaled(self.mel.decades(windows), PEAK)), dim=2)
         x = F.gelu(F.conv1d(mel, self.encoder.conv1.weight, self.encoder.conv1.bias))
+        # Few frames of many streams: a product of matrices, where a convolution is one a stream.
         stem = self.encoder.conv2
-        x = F.gelu(F.conv1d(x, stem.weight, stem.bias, stride=self.spectra)).transpose(1, 2)
+        taps = [x[..., k :: self.spectra] for k in range(stem.weight.shape[2])]
+        rows = torch.cat(taps, dim=1).transpose(1, 2).contiguous()  # (B, G, 3 D)
+        x = F.gelu(F.linear(rows, stem.weight.transpose(1, 2).flatten(1), stem.bias))
         times = state.place + torch.arange(x.shape[1], device=x.device)
         x = x + self.encoder.positions[(times % PERIOD).long()]
         queries, kept, depth = x, list[Tensor](), len(self.encoder.layers)
@@ -232,15 +182,9 @@ class CausalWhisperFrontend(WhisperFrontend):
         mixed = self.mixed({layer: states[layer].flatten(0, 1) for layer in self.layers})
         place = state.place + x.shape[1]
         place = torch.where(place >= 2 * PERIOD, place - PERIOD, place)
-        return mixed.view_as(x), CausalState(level, mel[..., -STEM_SPECTRA:], place, tuple(kept))
-
-    def spectra_of(self, windows: Tensor, state: CausalState) -> tuple[Tensor, Tensor]:
-        """Spectra at the running level after those that were kept (B, F, 2 + G P); the level."""
-        loud = windows.square().mean(dim=2).view(windows.shape[0], -1, self.spectra).mean(dim=2)
-        level, kept = follow_level(loud, state.level)
-        gain = (USUAL_POWER / level).sqrt().repeat_interleave(self.spectra, dim=1)
-        mel = scaled(self.mel.decades(windows * gain.unsqueeze(2)), PEAK)
-        return torch.cat((state.mel, mel), dim=2), kept
+        return mixed.view_as(x), state._replace(
+            mel=mel[..., -STEM_SPECTRA:], place=place, layers=tuple(kept)
+        )
 
     def _pieces(
         self,

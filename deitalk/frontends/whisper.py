@@ -28,6 +28,7 @@ from torch.nn import functional as F
 
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
 from deitalk.audio.log_mel import (
+    BLOCK,
     DYNAMIC_RANGE,
     N_FFT,
     PUBLISHED_RATE,
@@ -35,7 +36,6 @@ from deitalk.audio.log_mel import (
     centres,
     hann_window,
     log_mel_filters,
-    loudest,
 )
 from deitalk.config.frontends import WhisperShape
 from deitalk.errors import CheckpointError, ConfigError
@@ -305,7 +305,7 @@ class LogMel(nn.Module):
         power = torch.view_as_real(spectra).square().sum(dim=-1) @ self.filters
         return power.clamp(min=SILENCE).log10()
 
-    def forward(self, waveform: Tensor, n_frames: int, peak: float | None = None) -> Tensor:
+    def forward(self, waveform: Tensor, n_frames: int, peak: Tensor | None = None) -> Tensor:
         """Spectrogram (B, F, M) of (B, S).
 
         Parameters
@@ -314,8 +314,8 @@ class LogMel(nn.Module):
             16 kHz.
         n_frames : int
             M; frame j is at j / rate s.
-        peak : float or None
-            `loudest` of the whole clip; None: each row is a whole clip.
+        peak : Tensor or None
+            `survey` of the whole clip; None: each row is a whole clip.
         """
         decades = self.decades(self.windows(waveform, n_frames))
         if peak is None:
@@ -511,17 +511,21 @@ class WhisperFrontend(StridedFrontend):
         """Features of a sound."""
         return -(-n_samples * self.config.rate // SAMPLE_RATE)
 
-    def survey(self, waveform: Tensor, gain: float) -> float:
+    def survey(self, waveform: Tensor, gain: float) -> Tensor:
         """Loudest mel power of the whole clip, from which the floor of every piece follows."""
         n_frames = self.count(len(waveform)) * self.spectra
-        found = loudest(waveform.cpu().numpy(), self.config.n_mels, n_frames, self.mel.rate)
-        return found + 2 * math.log10(gain)
+        sound = waveform.unsqueeze(0).to(self.mel.window.device)
+        blocks = (
+            self.mel.decades(self.mel.windows(sound, min(BLOCK, n_frames - first), first)).amax()
+            for first in range(0, n_frames, BLOCK)
+        )
+        return torch.stack([*blocks]).amax() + 2 * math.log10(gain)
 
-    def features(self, waveform: Tensor, context: float | None = None) -> Tensor:
+    def features(self, waveform: Tensor, context: Tensor | None = None) -> Tensor:
         """Features (B, K, D) of (B, S), at most 30 s."""
         return self._features(self._log_mel(waveform, context))
 
-    def _log_mel(self, waveform: Tensor, context: float | None) -> Tensor:
+    def _log_mel(self, waveform: Tensor, context: Tensor | None) -> Tensor:
         out: Tensor = self.mel(waveform, self.count(waveform.shape[1]) * self.spectra, context)
         return out
 
@@ -538,9 +542,10 @@ class WhisperFrontend(StridedFrontend):
         chunk, overlap = (
             round(seconds * FRAME_RATE) for seconds in (self.chunk_seconds, self.overlap_seconds)
         )
-        pieces: list[tuple[Piece, Float32, float]] = []
+        pieces: list[tuple[Piece, Float32, Tensor]] = []
+        whole = self.mel.window.new_tensor(math.nan)
         for waveform, count in zip(waveforms, counts, strict=True):
-            peak = self.survey(waveform, 1.0) if count > chunk else math.nan
+            peak = self.survey(waveform, 1.0) if count > chunk else whole
             samples = waveform.cpu().numpy()
             for piece in self._pieces_of(count, chunk, overlap):
                 pieces.append((piece, samples[piece.first : piece.last], peak))
@@ -551,11 +556,11 @@ class WhisperFrontend(StridedFrontend):
         for first in range(0, len(order), BATCH):
             batch = order[first : first + BATCH]
             _, sounds, peaks = zip(*(pieces[place] for place in batch), strict=True)
-            found.append(self._encoded(sounds, np.array(peaks, np.float32), sizes[batch]))
+            found.append(self._encoded(sounds, torch.stack(peaks), sizes[batch]))
         rows = self._laid([piece for piece, _, _ in pieces], begins, sizes, torch.cat(found))
         return list(torch.split(rows, list(counts)))
 
-    def _encoded(self, sounds: Sequence[Float32], peaks: Float32, sizes: Int64) -> Tensor:
+    def _encoded(self, sounds: Sequence[Float32], peaks: Tensor, sizes: Int64) -> Tensor:
         """Features (K, D) of sounds (S,), one after the other; attention alone is padded.
 
         Peaks are those of their recordings; NaN of those that are whole.
@@ -571,7 +576,7 @@ class WhisperFrontend(StridedFrontend):
         )
         is_sound = inside[..., None].to(device)
         decades = self.mel.decades(self.mel.windows(sound, width * self.spectra))
-        known = torch.from_numpy(peaks)[:, None, None].to(device)
+        known = peaks[:, None, None]
         own = torch.where(is_sound, decades, math.log10(SILENCE)).amax(dim=(1, 2), keepdim=True)
         peak = torch.where(known.isnan(), own, known)
         # Zeros after the end are what the first convolution reads there; the second reads nothing

@@ -35,10 +35,16 @@ class FrameMeasures(NamedTuple):
     """`Measures` side by side [shape=(B, n, 5)]."""
 
     @classmethod
-    def of_windows(cls, windows: Float32) -> "FrameMeasures":
-        """Measure windows [shape=(B, n, W)]."""
+    def of_windows(cls, windows: Float32, device: str = "cpu") -> "FrameMeasures":
+        """Measure windows [shape=(B, n, W)], on a device; the measures are arrays."""
         rows, count = windows.reshape(-1, windows.shape[-1]), windows.shape[1]
-        return cls.of_rows(window_levels(rows), measure_windows(rows.astype(np.float64)), count)
+        if device == "cpu":
+            return cls.of_rows(window_levels(rows), measure_windows(rows.astype(np.float64)), count)
+        import torch
+
+        sent = torch.from_numpy(rows).to(device)
+        measured = cls.of_rows(window_levels(sent), measure_windows(sent), count)
+        return cls(*(np.asarray(part.cpu()) for part in measured))
 
     @classmethod
     def of_rows(cls, levels: Array, prosody: Prosody, count: int) -> "FrameMeasures":
@@ -84,9 +90,12 @@ class VoiceAnalysis:
     Parameters
     ----------
     rules : RulesConfig
+    device : str
+        Where windows are measured.
     """
 
-    def __init__(self, rules: RulesConfig) -> None:
+    def __init__(self, rules: RulesConfig, device: str = "cpu") -> None:
+        self.device = device
         self.rules, self.activity = rules, RunningActivity(rules.gates)
         self.hold = rules.hold_pose or HoldPose()
         rule = rules.voice_intensity
@@ -105,7 +114,9 @@ class VoiceAnalysis:
     def begin(self, windows: Float32, state: State) -> State:
         """Take the first `MEASURED_AHEAD` frames [shape=(B, `MEASURED_AHEAD`, W)]."""
         none = np.zeros(windows.shape[:2], np.float32)
-        _, after = self(FrameMeasures.of_windows(windows), none, none, none[:, 0], state)
+        _, after = self(
+            FrameMeasures.of_windows(windows, self.device), none, none, none[:, 0], state
+        )
         return (*after[:N_SOUND], *state[N_SOUND:])
 
     def __call__(

@@ -120,8 +120,12 @@ class LiveAnimator:
         ahead = self.network.grid.lookahead_samples / SAMPLE_RATE
         self.lookahead_seconds = ahead + LIVE_AHEAD / FRAME_RATE
         self.rules = self.network.curve_pass(live=True)
-        self.analysis, self.cues = VoiceAnalysis(self.network.rules), RunningCues(LIVE_AHEAD)
-        self.other_analysis = VoiceAnalysis(RulesConfig.none())
+        device = self.network.device
+        self.analysis, self.cues = (
+            VoiceAnalysis(self.network.rules, device),
+            RunningCues(LIVE_AHEAD),
+        )
+        self.other_analysis = VoiceAnalysis(RulesConfig.none(), device)
         self.state, self.past, self.due, self.other = self._first(streams)
         self.streams = [self._stream(k) for k in range(streams)]
         idle = self.network.rules.idle or Idle()
@@ -463,7 +467,7 @@ class LiveAnimator:
         # Intensity, opening and gates of the voices.
         past = self._taken(self.past, ready)
         stays = np.array([stream.acting.rest for stream in streams], np.float32)
-        measured = FrameMeasures.of_windows(sound)
+        measured = FrameMeasures.of_windows(sound, self.network.device)
         found, past = self.analysis(measured, rows.strength, rows.effort, stays, past)
         self.past = self._put(self.past, ready, past)
         # Factors.
@@ -536,7 +540,7 @@ class LiveAnimator:
             np.stack([other for _, other in given]),
             np.zeros((len(who), count), np.float32),
         )
-        measured = FrameMeasures.of_windows(sound)
+        measured = FrameMeasures.of_windows(sound, self.network.device)
         analysed, past = self.other_analysis(measured, none, none, none[:, 0], kept[:-size])
         before = CueState(*kept[-size:])._replace(frame=begin[places])
         found, after = self.cues(analysed.measures, analysed.speaking, before)

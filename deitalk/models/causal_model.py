@@ -83,7 +83,7 @@ class TorchNetwork:
         self.rules: RulesConfig = model.rules
         self.actors: tuple[str, ...] = model.actors
         self.emotions: tuple[str, ...] = model.emotions
-        self.grid = grid_of(model)
+        self.grid, self.device = grid_of(model), str(model.device)
 
     def eval(self) -> Self:
         """The network, its model in evaluation mode."""
@@ -164,6 +164,13 @@ def advance(
         From `first_state`, or from the call before.
     """
     speech, frontend = causal_frontend(model).advance(windows, state.frontend)
+    return decode(model, speech, styles, state._replace(frontend=frontend))
+
+
+def decode(
+    model: DEITalk, speech: Tensor, styles: Tensor, state: TensorState
+) -> tuple[TensorRows, TensorState]:
+    """`advance` after the frontend: its features (B, G, D), and its state for the next call."""
     guidance, kept = None, state.saliency
     strength = speech.new_ones(speech.shape[:2])
     saliency = effort = speech.new_zeros(speech.shape[:2])
@@ -191,5 +198,5 @@ def advance(
     halves = tuple(zip(*(part.chunk(2) for part in past), strict=True))
     return (
         TensorRows(neutral, emotional, saliency, strength, effort),
-        TensorState(frontend, kept, halves[0], halves[1], lips),
+        TensorState(state.frontend, kept, halves[0], halves[1], lips),
     )

@@ -215,6 +215,7 @@ def save_model(
             if readout:
                 (beside / file).write_bytes(save(readout))
         (beside / "model.safetensors").write_bytes(save(weights))
+        del encoder, fixed, readouts, weights
         if model.product == "mesh":
             write_templates(beside, cast("MeshModel", model), half=half)
         else:

@@ -20,12 +20,14 @@ controls.
 
 from collections.abc import Sequence
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
 from deitalk.models.joined import JoinedClips
 from deitalk.postprocess.torch_columns import smoothstep
+from rig.arrays import Float32
 
 CONTACTS = ("lipsTogether", "lipBiteD")
 """Parts of the names of the controls of each contact."""
@@ -98,20 +100,23 @@ class LipReadout(nn.Module):
         self.moves = nn.Linear(len(MEASURES), len(names), bias=False)
         """Controls per change of a measure."""
 
-        def of(part: str) -> Tensor:
-            return torch.tensor([float(part in name) for name in names])
+        # By numpy: some operations of torch on the meta device import its compiler.
+        def of(*parts: str) -> Float32:
+            return np.float32([[part in name for name in names] for part in parts])
 
-        tables = {"places": torch.stack([of(part) for part in CONTACTS])}
-        tables["values"] = torch.stack([value * of(part) for part, value, _ in SHOWN.values()])
-        given = torch.stack([(1 - share) * of(part) for part, _, share in SHOWN.values()])
-        tables["own"] = 1 - given.sum(0)
-        tables["low"] = torch.where(of(SHOWN["out"][0]) > 0, 0.0, -torch.inf)
-        opens = torch.stack([of(part) for part in OPENERS]).sum(0)
-        tables["fade"] = torch.tensor(OPEN)
-        tables["most"] = torch.tensor(MOST)
-        tables["opens"] = opens / opens.sum().clamp_min(1)
+        shown, values, shares = zip(*SHOWN.values(), strict=True)
+        places, opens = of(*shown), of(*OPENERS).sum(axis=0)
+        tables = {
+            "places": of(*CONTACTS),
+            "values": np.float32(values)[:, None] * places,
+            "own": 1 - ((1 - np.float32(shares))[:, None] * places).sum(axis=0),
+            "low": np.where(of(SHOWN["out"][0])[0] > 0, np.float32(0), np.float32(-np.inf)),
+            "fade": np.float32(OPEN),
+            "most": np.float32(MOST),
+            "opens": opens / np.maximum(opens.sum(), 1),
+        }
         for name, table in tables.items():
-            self.register_buffer(name, table, persistent=False)
+            self.register_buffer(name, torch.tensor(table), persistent=False)
 
     @property
     def margin(self) -> int:

@@ -215,6 +215,10 @@ class CausalNetwork(Network, Protocol):
     def grid(self) -> SpectraGrid:
         """Where the spectra lie."""
 
+    @property
+    def device(self) -> str:
+        """Where it computes, such as ``cpu`` or ``cuda:0``."""
+
     def first_state(self, batch: int) -> State:
         """State of streams before their first sample."""
 

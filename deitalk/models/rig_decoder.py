@@ -2,7 +2,8 @@
 
 import itertools
 from collections.abc import Callable, Sequence
-from typing import cast
+from importlib.metadata import entry_points
+from typing import Any, ClassVar, cast
 
 import torch
 from torch import Tensor, nn
@@ -10,9 +11,11 @@ from torch.nn import functional as F
 
 from deitalk.config.curves import ModelConfig
 from deitalk.emotions import EMOTIONS
+from deitalk.errors import CheckpointError
 from deitalk.models.joined import JoinedClips
 from deitalk.models.tuned_parts import ActorLayers, BaseChange
 from rig import ControlSet
+from rig.errors import quoted
 
 # Dilated convolutions over time, shared by motion encoder and decoder (DEITalk §4.1).
 
@@ -79,7 +82,8 @@ class TemporalConv(nn.Module):
         if self.causal and frames <= FEW_FRAMES:
             # A convolution's preparations cost more than so few frames.
             taps = [x[:, :, start : start + frames] for start in self._starts]
-            rows = torch.cat(taps, dim=1).transpose(1, 2)  # (B, T, K in_channels)
+            # (B, T, K in_channels), in order: else torch multiplies stream by stream.
+            rows = torch.cat(taps, dim=1).transpose(1, 2).contiguous()
             x = F.linear(rows, self._flat(), self.conv.bias).transpose(1, 2)
         else:
             x = self.conv(x)
@@ -196,7 +200,13 @@ class Decoder(nn.Module):
         raise NotImplementedError
 
     @torch.no_grad()
-    def hidden_readings(self, speech: Tensor, emotions: Tensor, guidance: Tensor | None) -> Tensor:
+    def hidden_readings(
+        self,
+        speech: Tensor,
+        emotions: Tensor,
+        guidance: Tensor | None,
+        clips: JoinedClips | None = None,
+    ) -> Tensor:
         """Input of the last layer for several readings of one speech, without gradients.
 
         Parameters
@@ -207,6 +217,8 @@ class Decoder(nn.Module):
             Of each reading, as for `RigDecoder.forward`.
         guidance : Tensor [shape=(1, T, E)] or None
             As for `RigDecoder.forward`.
+        clips : JoinedClips or None
+            The recordings that the frames are of, where it `joins` them.
 
         Returns
         -------
@@ -236,6 +248,8 @@ class Decoder(nn.Module):
 
 class RigDecoder(Decoder):
     """Eight dilated convolutions; style and intensity join the features before each of them.
+
+    A class of it with another `hidden` is an own decoder, see docs/finetuning.md.
 
     Parameters
     ----------
@@ -276,6 +290,15 @@ class RigDecoder(Decoder):
     joins = True
     is_kept: Tensor | None
     style: nn.Linear
+    own: ClassVar[dict[str, "type[RigDecoder]"]] = {}
+    """Classes of it that were imported, by ``module:Class``."""
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        RigDecoder.own[f"{cls.__module__}:{cls.__qualname__}"] = cls
+        if "hidden" in vars(cls) and "hidden_readings" not in vars(cls):
+            cls.hidden_readings = Decoder.hidden_readings  # type: ignore[method-assign]
+            cls.joins = False
 
     def __init__(
         self,
@@ -418,12 +441,13 @@ class RigDecoder(Decoder):
 
     def hidden(self, speech: Tensor, emotion: Tensor, guidance: Tensor | None) -> Tensor:
         """Input of the last layer [shape=(B, T, channels)]; arguments as `forward`."""
-        x, extra = self._inputs(speech, emotion, guidance)
+        x, extra = self.inputs(speech, emotion, guidance)
         for i, layer in enumerate(self.layers):
             x = self._joined(i, x, layer(torch.cat((x, extra), dim=1)))
-        return self._with_speech(x.transpose(1, 2), speech)
+        return self.with_speech(x.transpose(1, 2), speech)
 
-    def _with_speech(self, hidden: Tensor, speech: Tensor) -> Tensor:
+    def with_speech(self, hidden: Tensor, speech: Tensor) -> Tensor:
+        """Input of the last layer from what is before it (B, T, channels)."""
         if not self.direct:
             return hidden
         return torch.cat((hidden, speech.expand(hidden.shape[0], -1, -1)), dim=-1)
@@ -479,7 +503,7 @@ class RigDecoder(Decoder):
                 out.rows[..., :channels].index_fill_(1, gaps, 0)
             x, out = out, x
         hidden = x.rows[..., :channels]
-        return self._with_speech(hidden if clips is None else clips.taken(hidden, gap), spoken)
+        return self.with_speech(hidden if clips is None else clips.taken(hidden, gap), spoken)
 
     def first_past(self, batch: int) -> tuple[Tensor, ...]:
         """What each causal layer was given before the first frame: zeros (B, channels, span).
@@ -538,19 +562,19 @@ class RigDecoder(Decoder):
         self, speech: Tensor, emotion: Tensor, guidance: Tensor | None, past: tuple[Tensor, ...]
     ) -> tuple[Tensor, tuple[Tensor, ...]]:
         """`advance` of the own layers alone."""
-        x, extra = self._inputs(speech, emotion, guidance)
+        x, extra = self.inputs(speech, emotion, guidance)
         new = []
         for i, layer in enumerate(self.layers):
             given = torch.cat((x, extra), dim=1)
             new.append(torch.cat((past[i], given), dim=2)[..., given.shape[2] :])
             x = self._joined(i, x, layer(given, past[i]))
-        hidden = self._with_speech(x.transpose(1, 2), speech)
+        hidden = self.with_speech(x.transpose(1, 2), speech)
         return self.curves(hidden, emotion), tuple(new)
 
     def _joined(self, i: int, x: Tensor, out: Tensor) -> Tensor:
         return (x + out) / 2**0.5 if self.residual and i else out
 
-    def _inputs(
+    def inputs(
         self, speech: Tensor, emotion: Tensor, guidance: Tensor | None
     ) -> tuple[Tensor, Tensor]:
         """Speech (B, D, T), and what joins it before each layer (B, style + E, T)."""
@@ -576,6 +600,34 @@ def _each_once(curves: Callable[[Tensor], Tensor], emotions: Tensor) -> Tensor:
     return found[[once.index(place) for place in places]] if len(once) < len(places) else found
 
 
+OWN_DECODERS = "deitalk.decoders"
+"""Group of entry points by which an installed package makes its decoders known."""
+
+
+def decoder_class(name: str | None) -> type[RigDecoder]:
+    """The decoder's class; an own one that was imported, or that an entry point names.
+
+    No other module is imported: a model folder does not choose what is executed.
+
+    Raises
+    ------
+    CheckpointError
+        If neither is so.
+    """
+    if name is None:
+        return RigDecoder
+    if name not in RigDecoder.own:
+        for entry in entry_points(group=OWN_DECODERS):
+            if entry.value == name:
+                entry.load()
+    if name not in RigDecoder.own:
+        raise CheckpointError(
+            f"own decoder {quoted(name)} is not known; import its module before the model is read, "
+            f"or install a package that names it as an entry point of the group {OWN_DECODERS}"
+        )
+    return RigDecoder.own[name]
+
+
 def build_decoder(
     config: ModelConfig, in_size: int, controls: ControlSet, *, causal: bool = False
 ) -> RigDecoder:
@@ -591,9 +643,14 @@ def build_decoder(
         The rig.
     causal : bool
         As for `RigDecoder`.
+
+    Raises
+    ------
+    CheckpointError
+        If its own decoder is not known.
     """
     rest = torch.tensor(controls.rest)
-    return RigDecoder(
+    return decoder_class(config.own_decoder)(
         in_size=in_size,
         style_size=config.style_size,
         guidance_size=config.emotion_size if config.intensity else 0,

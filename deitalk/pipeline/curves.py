@@ -38,11 +38,11 @@ from deitalk.postprocess.feeling import state_of_intensity
 from deitalk.postprocess.joins import activity_beside, lead, unknown_controls
 from deitalk.postprocess.known_phones import phone_tracks
 from deitalk.postprocess.life.breath import draw_breaths
-from deitalk.postprocess.life.motion import Motion, plan_motion
+from deitalk.postprocess.life.motion import Character, Motion, Moved, plan_motions
 from deitalk.postprocess.life.other import OtherVoice
 from deitalk.postprocess.life.voice import Seeds, Traits, measure_voice
 from deitalk.postprocess.tracks import VoiceTracks, shown_columns
-from deitalk.postprocess.variants import USUAL_STATE, choose_ways, unused_variants
+from deitalk.postprocess.variants import choose_ways, unused_variants
 from rig import ControlSet, RigCurves
 from rig.arrays import Float32
 from rig.curves.apply_layers import target_columns
@@ -335,12 +335,12 @@ def finish(
     words : WordFit, optional
         Times of the words, if they are known already.
     """
-    return _finished([_ready(prepared, reading, words)], model)[0]
+    return _finished([_read(prepared, reading, words)], model)[0]
 
 
 def finish_together(prepared: Sequence[Prepared], readings: Sequence[Reading]) -> list[Performance]:
     """As `finish` of recordings of one network, whose rules are applied to all in one pass."""
-    return _finished([_ready(*given) for given in zip(prepared, readings, strict=True)])
+    return _finished([_read(*given) for given in zip(prepared, readings, strict=True)])
 
 
 class Unruled(NamedTuple):
@@ -360,20 +360,21 @@ class Unruled(NamedTuple):
     """False leaves the readings as they are, but for gain and range."""
 
 
-class _Ready(NamedTuple):
-    """A recording that only lacks the rules."""
+class _Read(NamedTuple):
+    """A recording that only lacks its motion and the rules."""
 
     prepared: Prepared
-    unruled: Unruled
+    neutral: Float32
+    shown: Float32
+    voice: Float32
+    """As of `Unruled`, as the two before."""
     intensities: Intensities
     traits: Traits
-    head: Float32 | None
-    breathe: Callable[..., None] | None
-    """Adds breaths to finished curves in place."""
+    moved: Moved | None
     words: "WordFit | None"
 
 
-def _ready(prepared: Prepared, reading: Reading, words: "WordFit | None" = None) -> _Ready:
+def _read(prepared: Prepared, reading: Reading, words: "WordFit | None" = None) -> _Read:
     neutral, emotional, tracks = reading.first(len(prepared.weights))
     speech, rules, acting, clock = prepared.speech, prepared.rules, prepared.acting, prepared.clock
     network, weights = prepared.network, prepared.weights
@@ -396,8 +397,8 @@ def _ready(prepared: Prepared, reading: Reading, words: "WordFit | None" = None)
     near, usual = (mean_around(x, speaking) for x in (intensities.voice, intensities.network))
     opening = opening_factor(rules.scale_opening, near, usual)
     kept = speech.held(rules.hold_pose)
-    felt = intensities.predicted[speaking]
-    state = state_of_intensity(float(np.median(felt))) if len(felt) else USUAL_STATE
+    heard = intensities.voice[speaking]
+    state = state_of_intensity(float(np.median(heard))) if len(heard) else None
     traits = _traits(prepared)
     ways = choose_ways(acting.variant, traits, acting.seed, state)
     side = np.full(len(weights), ways.side)
@@ -405,37 +406,35 @@ def _ready(prepared: Prepared, reading: Reading, words: "WordFit | None" = None)
         intensities.scale, opening, intensities.held, phones, weights, kept.back, kept.share,
         weights @ ways.weights, side,
     )  # fmt: skip
-    motion, breathe = _motion(prepared, weights * intensities.applied[:, None], traits)
-    tracks_of_motion = None if motion is None else motion.tracks
-    gates = shown_columns(speech.mouth, intensities.share, tracks_of_motion)
+    moved = _moved(prepared, weights * intensities.applied[:, None], traits)
     values = neutral.copy() if emotional is neutral else emotional
-    unruled = Unruled(neutral, values, voice.columns(), gates, prepared.gain, acting.rules)
-    head = None if motion is None or not motion.head.any() else motion.head
-    return _Ready(prepared, unruled, intensities, traits, head, breathe, words)
+    return _Read(prepared, neutral, values, voice.columns(), intensities, traits, moved, words)
 
 
-def _finished(ready: Sequence[_Ready], model: str = "") -> list[Performance]:
+def _finished(read: Sequence[_Read], model: str = "") -> list[Performance]:
+    motions = _motions(read)
+    clips = []
+    for each, motion in zip(read, motions, strict=True):
+        gates = shown_columns(
+            each.prepared.speech.mouth, each.intensities.share, motion and motion.tracks
+        )
+        given = each.prepared.gain, each.prepared.acting.rules
+        clips.append(Unruled(each.neutral, each.shown, each.voice, gates, *given))
     # The rules, in their order: `deitalk.postprocess.curve_pass`.
-    rules = ready[0].prepared.network.curve_pass()
-    outside = apply_rules(rules, [each.unruled for each in ready])
-    return [_performance(*each, count, model) for each, count in zip(ready, outside, strict=True)]
+    outside = apply_rules(read[0].prepared.network.curve_pass(), clips)
+    return [_performance(*one, model) for one in zip(read, motions, clips, outside, strict=True)]
 
 
 def _performance(
-    prepared: Prepared,
-    ruled: Unruled,
-    intensities: Intensities,
-    traits: Traits,
-    head: Float32 | None,
-    breathe: Callable[..., None] | None,
-    words: "WordFit | None",
-    clipped: int,
-    model: str,
+    read: _Read, motion: Motion | None, ruled: Unruled, clipped: int, model: str
 ) -> Performance:
+    prepared, intensities, words, moved = read.prepared, read.intensities, read.words, read.moved
     speech, rules, acting, clock = prepared.speech, prepared.rules, prepared.acting, prepared.clock
     controls = prepared.network.controls
-    if breathe is not None and acting.rules:
-        breathe(controls, ruled.neutral, ruled.shown, gain=ruled.gain)
+    head = None if motion is None or not motion.head.any() else motion.head
+    if moved is not None and rules.idle and moved.character.life.times(rules.idle).head > 0:
+        key = moved.character.seeds.key("head")
+        draw_breaths(controls, ruled.neutral, ruled.shown, moved.voice, key, ruled.gain)
     clock.lap("expression")
     join(controls, ruled.shown, head, acting)
     shown_curves = _curves(controls, ruled.shown, prepared.weights, intensities.applied, head)
@@ -458,7 +457,7 @@ def _performance(
         model,
         words,
         prepared.suggestion,
-        asdict(traits),
+        asdict(read.traits),
         prepared.marks,
     )
 
@@ -536,29 +535,34 @@ def _traits(prepared: Prepared) -> Traits:
     return replace(Traits.of(seeds.character()), own=float(prepared.style != ""))
 
 
-def _motion(
-    prepared: Prepared, shown: Float32, traits: Traits
-) -> tuple[Motion | None, Callable[..., None] | None]:
-    """Motion above the mouth for the emotion that is shown [shape=(T, 9)]; None: there is none.
-
-    And `draw_breaths` of its voice, where the head moves.
-    """
+def _moved(prepared: Prepared, shown: Float32, traits: Traits) -> Moved | None:
+    """What moves above the mouth for the emotion that is shown [shape=(T, 9)], if anything."""
     speech, acting, idle = prepared.speech, prepared.acting, prepared.rules.idle
-    life = acting.motion
-    other = acting.listen_to
+    life, other = acting.motion, acting.listen_to
     is_still = not (acting.listen or other or speech.activity.any())
     if idle is None or life is None or is_still:
-        return None, None
+        return None
     emotions = shown.sum(axis=0)
     emotion = int(emotions[1:].argmax()) + 1 if emotions[1:].any() else 0
     seeds = Seeds.of(speech.waveform, prepared.style, acting.seed, emotion)
     voice = with_accents(measure_voice(speech.activity, speech.prosody), prepared.marks)
-    breathe = partial(draw_breaths, voice=voice, key=seeds.key("head"))
     heard = felt = None
     if other is not None:
         heard, felt = other.voice(speech.n_frames), other.felt(speech.n_frames)
-    motion = plan_motion(voice, shown, seeds, idle, life, traits, heard, felt)
-    return motion, breathe if life.times(idle).head > 0 else None
+    return Moved(voice, shown, Character(seeds, life, traits), heard, felt)
+
+
+def _motions(read: Sequence["_Read"]) -> list[Motion | None]:
+    """Motion of recordings, drawn for all at once."""
+    found: list[Motion | None] = [None] * len(read)
+    places = [k for k, each in enumerate(read) if each.moved is not None]
+    if places:
+        idle = read[places[0]].prepared.rules.idle
+        assert idle is not None
+        takes = [moved for each in read if (moved := each.moved) is not None]
+        for k, motion in zip(places, plan_motions(takes, idle), strict=True):
+            found[k] = motion
+    return found
 
 
 def _curves(

@@ -27,7 +27,7 @@ from deitalk.audio.choice import AudioChoice
 from deitalk.audio.frames import FRAME_RATE
 from deitalk.audio.load import Recording
 from deitalk.emotions import EmotionTrack
-from deitalk.errors import CheckpointError, EmotionError
+from deitalk.errors import CheckpointError, DeitalkError, EmotionError
 from deitalk.models.checkpoint import Model, load_model, require_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.models.deformation_decoder import Coefficients
@@ -44,6 +44,7 @@ from rig.controls import DEFAULT_ID
 from rig.curves import snap_fps
 from rig.face import build_head
 from rig.face.head import UNIT_MM
+from rig.face.identity import Identity
 from rig.limits import PREDICTED_BYTES
 from rig.mesh import TriMesh
 from rig.mesh.trimesh import check_length
@@ -70,7 +71,7 @@ def animate_mesh(
     track: int | None = None,
     channel: str | int | None = None,
     raw: str | None = None,
-    speaker: str | int = 0,
+    speaker: str | int | Identity = 0,
     fps: float | None = None,
     device: str = "cpu",
     progress: Progress = lambda share: None,
@@ -87,8 +88,9 @@ def animate_mesh(
         intensity_curve and voice.
     model : str, Path, DEITalk, SDFA or MeshHead
         Name, folder or loaded model.
-    speaker : str or int
-        Name or number: an embedded head for DEITalk, a style for the others.
+    speaker : str, int or Identity
+        Name or number: an embedded head for DEITalk, a style for the others. A head of your own
+        for DEITalk is the `rig.face.Identity` of its file.
     fps : float, optional
         Rate of the frames: 30 by default for DEITalk; the others have one rate only.
     device : str
@@ -113,6 +115,11 @@ def animate_mesh(
     network = load_model(model, device=device) if isinstance(model, str | Path) else model
     if getattr(network, "product", None) == "mesh":
         _check_fields(acted)
+        if isinstance(speaker, Identity):
+            raise CheckpointError(
+                f"{speaker.file or speaker.name} is a head for curves, and this model moves faces "
+                "of its own; leave out --identity or --model, or move any mesh with --mesh"
+            )
         return _by_gradients(
             require_model(network, MeshModel), recording, speaker, fps, acted, progress
         )
@@ -179,10 +186,10 @@ def _by_curves(
     network: DEITalk,
     act: Callable[..., Performance],
     recording: Recording,
-    speaker: str | int,
+    speaker: str | int | Identity,
     fps: float | None,
 ) -> MeshPerformance:
-    """An embedded head in the poses of the curves."""
+    """A head in the poses of the curves."""
     if network.controls.id != DEFAULT_ID:
         raise CheckpointError(
             f"the model is of the rig {network.controls.id}, which has no head here; `deitalk "
@@ -199,7 +206,7 @@ def _by_curves(
         rate,
         UNIT_MM,
         acted.recording,
-        head.landmarks,
+        head.landmarks or None,
         painted_colours(head),
     )
 
@@ -252,7 +259,7 @@ def retarget_speech(
     channel: str | int | None = None,
     raw: str | None = None,
     model: str | Path = "default",
-    speaker: str | int = 0,
+    speaker: str | int | Identity = 0,
     fps: float | None = None,
     device: str = "cpu",
     progress: Progress = lambda share: None,
@@ -296,6 +303,11 @@ def retarget_speech(
             landmarks=landmarks,
         )
         return report, moved.fps, (*moved.recording.warnings, *report.notes)
+    if speaker:
+        raise DeitalkError(
+            f"identity {getattr(speaker, 'name', speaker)} is a head of ours, and a mesh of your "
+            "own is moved; leave one out"
+        )
     performance = animate(
         audio, acting=acted, model=require_model(network, DEITalk), progress=progress
     )

@@ -12,8 +12,9 @@ reaches, is above 1. The *display* is what a listener sees change within a phras
 tilt and the network's prediction about their means. It is small, has a mean of 0 in each phrase,
 and ends with the voice.
 
-The intensity that is felt is that of the voice, but for sadness, in which people are quieter
-(`felt_intensity`); the mouth opens by that of the voice.
+The intensity that is shown of a named emotion is more than that of the voice, most in weak voices
+(`felt_intensity`): a line that is read plainly, by a calm reader or a synthetic voice, shows a
+moderate expression. The mouth opens by the intensity of the voice.
 
 The *share* is 1 in speech. It rises over the half second before speech, decays over seconds after
 it to the share that stays in silence (`Acting.rest`), and goes to 0 where speech is far, so that a
@@ -42,6 +43,7 @@ from deitalk.array_functions import (
     between,
     join,
     library,
+    like,
     mean_of,
     neighbours,
     padded,
@@ -70,8 +72,11 @@ SMOOTHING_FRAMES = 6.0
 """Sigma, 0.2 s: the display does not follow single syllables."""
 MOST_DISPLAY = 3.0
 """Limit of the standard deviations of the display."""
-SAD, QUIETER_DB = LABELS.index("sad"), 6.0
-"""Decibels by which people are quieter in sadness, which is no weakness of it."""
+PLAIN_DB, OWN_DB = 4.0, {"neutral": 0.0, "angry": 0.0, "sad": 6.0}
+"""Decibels by which a voice is weaker than an emotion that is named, and those of some labels: a
+line that is read plainly shows a moderate expression. Anger is clear in weak voices without, and
+with it fewer strong takes are above normal ones; in sadness people are quieter."""
+NAMED_DB = np.array([OWN_DB.get(label, PLAIN_DB) for label in LABELS])
 PAUSE_FRAMES = 8
 """Longest silence within a phrase, 0.27 s."""
 LEVEL_SHARE, TONE_SHARE = 0.9, 0.3
@@ -232,7 +237,7 @@ def intensity_of(state: Array) -> Array:
 
 
 def felt_intensity(voice: Any, weights: Any, rule: VoiceIntensity) -> Any:
-    """Intensity of the emotion that a voice is acted in: a quiet voice may be very sad.
+    """Intensity of an emotion that is named: that of a voice which is stronger by `NAMED_DB`.
 
     By operators that arrays and tensors share.
 
@@ -245,7 +250,7 @@ def felt_intensity(voice: Any, weights: Any, rule: VoiceIntensity) -> Any:
     rule : VoiceIntensity
         State per decibel.
     """
-    more = (math.exp(rule.per_decibel * QUIETER_DB) - 1) * weights[..., SAD]
+    more = weights @ like(np.exp(rule.per_decibel * NAMED_DB) - 1, weights)
     return MOST * (1 + more) * voice / (MOST + more * voice)
 
 

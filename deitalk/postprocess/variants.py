@@ -25,11 +25,15 @@ from rig.emotions import PLAIN, VARIANTS
 SPREAD = 2.0
 """Standard deviation of the logarithms of the drawn weights: the largest of three is .74 on the
 average."""
-HOME, STEEPNESS = 2.0, 1.5
-"""Most that is added to a variant of strong voices, and how suddenly about the usual state."""
+HOME, WEAK_HOME, STEEPNESS = 2.0, 1.0, 1.5
+"""Most that is added to a variant of strong voices, and to one of weak voices, and how suddenly
+about the usual state. A calm reader is weak: an emotion that is named stays clear, as `puzzled`
+alone, with one brow, is not."""
 USUAL_STATE = 0.8
-"""State at which strong and weak voices part, between the normal and the strong takes of two
-corpora of actors."""
+"""State of the voice at which strong and weak ones part, between the normal and the strong takes of
+two corpora of actors."""
+QUIETER = {"sad": 0.6}
+"""By which that state is lower of a voice in an emotion: people are quieter in sadness."""
 FURTHEST_TRAIT = 10.0
 """More than any trait is below 0."""
 COLUMNS = tuple(EMOTION_OF)
@@ -46,7 +50,7 @@ class Ways(NamedTuple):
 
 
 def choose_ways(
-    given: Mapping[str, float], traits: Traits, seed: int, state: float = USUAL_STATE
+    given: Mapping[str, float], traits: Traits, seed: int, state: float | None = None
 ) -> Ways:
     """Variants that are given, and chosen ones of the other emotions.
 
@@ -58,8 +62,8 @@ def choose_ways(
         Of the character.
     seed : int
         Another number draws otherwise.
-    state : float
-        Of the feeling (`feeling.state_of_intensity`).
+    state : float, optional
+        Of the voice (`feeling.state_of_intensity`); None: not known, neither strong nor weak.
     """
     weights = np.zeros((len(LABELS), len(COLUMNS)), np.float32)
     side = math.copysign(1.0, traits.side)
@@ -68,8 +72,9 @@ def choose_ways(
     character = (round((value + FURTHEST_TRAIT) * 1000) for value in astuple(traits))
     rng = np.random.default_rng([seed, *(character if traits.own else ())])
     spread = SPREAD * (traits.own or float(seed != 0))
-    strength = HOME * math.tanh(STEEPNESS * (state - USUAL_STATE))
     for emotion, own in VARIANTS.items():
+        above = 0.0 if state is None else state - USUAL_STATE + QUIETER.get(emotion, 0.0)
+        strength = (HOME if above > 0 else WEAK_HOME) * math.tanh(STEEPNESS * above)
         drawn = spread * rng.standard_normal(len(own)) + strength * np.array([*own.values()])
         shares = np.exp(drawn - drawn.max())
         shares /= shares.sum()

@@ -1,11 +1,13 @@
 """A static folder that animates recordings in a browser: ``deitalk export web``.
 
-Page, head, a model for whole recordings with its rules, and ONNX Runtime; any static host serves
-it, and nothing that a user drops leaves the machine. Model and runtime are packed, and unpacked in
-the browser.
+Page, head, a model for whole recordings and one for live voices, with their rules, and ONNX
+Runtime; any static host serves it, and nothing that a user drops or says leaves the machine. Models
+and runtime are packed, and unpacked in the browser. The live model's file has only the weights that
+the other one lacks.
 """
 
 import gzip
+import json
 import shutil
 import tempfile
 from collections.abc import Callable
@@ -26,7 +28,11 @@ from rig.face.identity import Identity
 from rig.files import output_folder
 from rig.formats.livelink_csv import SUBJECT_REST
 
-WASM = "ort-wasm-simd-threaded.wasm"
+WASM, MODEL = "ort-wasm-simd-threaded.wasm", "model.onnx"
+SHARED_BYTES = 4096
+"""Bytes of a weight from which the file of the other model is looked through for it."""
+LIVE = ("window", "before", "delay", "behind", "state", "actors")
+"""Metadata of a live model that the page must know."""
 COPIED = ("engine.js", "ort.wasm.bundle.min.mjs")
 POLICY = "script-src 'self' 'unsafe-inline'"
 """Of the page, where a module of WebAssembly and a worker are to be allowed."""
@@ -37,6 +43,7 @@ def export_site(
     model: str | Path = "default",
     identity: int | str | Identity = 0,
     *,
+    live: bool = True,
     force: bool = False,
     progress: Callable[[str], None] = lambda step: None,
 ) -> int:
@@ -50,6 +57,8 @@ def export_site(
         For whole recordings, of the board's controls.
     identity : int, str or Identity
         Head that is shown.
+    live : bool
+        Animate the microphone too, by the model ``live``.
     force : bool
         Replace a folder of this kind.
     progress : callable
@@ -75,12 +84,17 @@ def export_site(
         )
     with output_folder(out, kind="site", force=force) as beside:
         progress("the model")
+        facts = _facts(network)
         with tempfile.TemporaryDirectory() as folder:
-            file = Path(folder) / "model.onnx"
+            file, live_file = Path(folder) / MODEL, Path(folder) / "live.onnx"
             export_onnx(network, file, name=Path(model).name, precision="float16")
-            _pack(file, beside / "model.onnx.gz")
+            _pack(file, beside / f"{MODEL}.gz")
+            if live:
+                export_onnx(require_model("live", DEITalk), live_file, precision="float16")
+                facts["live"] = _share_weights(live_file, file)
+                _pack(live_file, beside / "live.onnx.gz")
         progress("the page")
-        page = render_site(_facts(network), identity)
+        page = render_site(facts, identity)
         page = page.replace(POLICY, f"{POLICY} 'wasm-unsafe-eval'; worker-src 'self'")
         (beside / "index.html").write_text(page, encoding="utf-8")
         for name in COPIED:
@@ -91,6 +105,25 @@ def export_site(
 
 def _pack(source: Path, target: Path) -> None:
     target.write_bytes(gzip.compress(source.read_bytes(), mtime=0))
+
+
+def _share_weights(file: Path, other: Path) -> dict[str, int]:
+    """Have a live model read the weights that another file has too there; return its numbers."""
+    import onnx
+
+    content, known = onnx.load(str(file)), other.read_bytes()
+    for weight in content.graph.initializer:
+        place = known.find(weight.raw_data) if len(weight.raw_data) >= SHARED_BYTES else -1
+        if place < 0:
+            continue
+        at = {"location": MODEL, "offset": place, "length": len(weight.raw_data)}
+        weight.ClearField("raw_data")
+        weight.data_location = onnx.TensorProto.EXTERNAL
+        for key, value in at.items():
+            weight.external_data.add(key=key, value=str(value))
+    file.write_bytes(content.SerializeToString())
+    texts = {entry.key: json.loads(entry.value) for entry in content.metadata_props if entry.key in LIVE}
+    return texts | {"actors": len(texts["actors"])}
 
 
 def _facts(network: DEITalk) -> dict[str, Any]:

@@ -86,10 +86,11 @@ class ComparedModelConfig(ModelConfig):
             raise ValueError(f"decoder: {self.decoder} takes positions: false and intensity: false")
         is_causal = self.frontend.kind == "causal_whisper"
         added = self.kept_controls or self.captured_emotions or self.actor_layers
+        added = added or self.own_decoder
         if is_causal or added or self.decoder_direct:
             raise ValueError(
                 f"decoder: {self.decoder} takes no causal frontend, kept_controls, "
-                "captured_emotions, actor_layers or decoder_direct"
+                "captured_emotions, actor_layers, own_decoder or decoder_direct"
             )
         if self.decoder_channels % self.decoder_heads:
             raise ValueError("decoder_channels must be a multiple of decoder_heads")

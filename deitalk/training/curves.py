@@ -56,7 +56,7 @@ def train_curves(
     *,
     resume: bool = False,
     start_from: Path | None = None,
-    tensorboard: bool = False,
+    track: Sequence[str] = (),
     frozen_features: FrozenFeatures | None = None,
     progress: Progress = silent,
     task: "type[CurveTask] | None" = None,
@@ -69,7 +69,7 @@ def train_curves(
         Model, loss, data and schedule.
     data : Path
         Dataset folder.
-    out, resume, tensorboard, progress
+    out, resume, track, progress
         As for `deitalk.training.trainer.run_training`.
     start_from : Path or None
         Model folder whose weights are the start (fine-tuning).
@@ -91,7 +91,7 @@ def train_curves(
         As `run_training`; and if `config` does not fit the weights to start from.
     """
     job = (task or CurveTask)(config, data, start_from=start_from, frozen_features=frozen_features)
-    return run_training(job, out, resume=resume, tensorboard=tensorboard, progress=progress)
+    return run_training(job, out, resume=resume, track=track, progress=progress)
 
 
 class CurveTask(Task[Window]):

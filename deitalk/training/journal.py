@@ -1,75 +1,103 @@
-"""The numbers of a training run: rows of CSV files, and TensorBoard's events.
+"""The numbers of a training run: rows of CSV files, and what trackers of accelerate are given.
 
 A killed run leaves rows beyond its last state, and a full disk half of a row; `truncate_log`
 drops them, so that a resumed run writes every row once.
 """
 
+import json
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from deitalk.errors import DataError, MissingError
-from rig.files import (
-    atomic_write,
-)
+from deitalk.errors import ConfigError, DataError, MissingError
+from rig.errors import quoted
+from rig.files import atomic_write, replace_recorded
+
+PROJECT = "deitalk"
+"""Name of the project, experiment or folder in a tracker."""
+RUNS = "trackers.json"
+"""File of a run folder: what trackers call the run, by their names."""
 
 
 class Journal:
-    """The numbers of a run: rows of CSV files, and TensorBoard's events if `tensorboard`.
+    """The numbers of a run: rows of CSV files, and trackers.
 
     Parameters
     ----------
     out : Path
         Run folder.
     step : int
-        Steps done before; events beyond are hidden, as the run makes them again.
-    tensorboard : bool
-        Write events too, to ``tensorboard/``.
-
-    Raises
-    ------
-    MissingError
-        If `tensorboard` is set and TensorBoard is not installed.
+        Steps done before; TensorBoard hides events beyond, as the run makes them again.
+    accelerator : accelerate.Accelerator or None
+        Begins and has the trackers, if it was made with any.
     """
 
-    def __init__(self, out: Path, *, step: int = 0, tensorboard: bool = False) -> None:
-        self.out = out
-        self._events: Any = None
-        if tensorboard:
-            self._events = summary_writer()(out / "tensorboard", purge_step=step + 1)
+    def __init__(self, out: Path, *, step: int = 0, accelerator: Any = None) -> None:
+        self.out, self._accelerator = out, accelerator
+        if accelerator is None or not accelerator.log_with:
+            self._accelerator = None
+            return
+        known = json.loads((out / RUNS).read_text()) if (out / RUNS).is_file() else {}
+        options: dict[str, dict[str, Any]] = {
+            "tensorboard": {"purge_step": step + 1},
+            "wandb": {"name": out.name, "dir": str(out)},
+            "mlflow": {"run_name": out.name},
+        }
+        if "wandb" in known:
+            options["wandb"] |= {"id": known["wandb"], "resume": "allow"}
+        if "mlflow" in known:
+            options["mlflow"] |= {"run_id": known["mlflow"]}
+        accelerator.init_trackers(PROJECT, init_kwargs=options)
+        for tracker in accelerator.trackers:
+            if tracker.name == "wandb":
+                known["wandb"] = tracker.tracker.id
+            elif tracker.name == "mlflow":
+                known["mlflow"] = tracker.tracker.info.run_id
+        if known:
+            replace_recorded(out, RUNS, json.dumps(known))
 
     def write(self, table: str, step: int, values: dict[str, float]) -> None:
-        """Append a row to ``<table>.csv``; finite numbers become scalars ``<table>/<name>``."""
+        """Append a row to ``<table>.csv``; trackers get finite numbers as ``<table>/<name>``."""
         log(self.out / f"{table}.csv", step, values)
-        if self._events is None:
+        if self._accelerator is None:
             return
-        for name, value in values.items():
-            if math.isfinite(value):
-                self._events.add_scalar(f"{table}/{name.removeprefix('dev_')}", value, step)
-        self._events.flush()
+        finite = {
+            f"{table}/{name.removeprefix('dev_')}": value
+            for name, value in values.items()
+            if math.isfinite(value)
+        }
+        self._accelerator.log(finite, step=step)
 
     def close(self) -> None:
-        """Finish the file of events."""
-        if self._events is not None:
-            self._events.close()
+        """Finish the run of each tracker."""
+        for tracker in [] if self._accelerator is None else self._accelerator.trackers:
+            tracker.finish()
 
 
-def summary_writer() -> Any:
-    """TensorBoard's writer of events, a class.
+def check_trackers(names: Sequence[str]) -> None:
+    """Check that trackers can be used, before anything is read.
 
     Raises
     ------
+    ConfigError
+        If accelerate has none of a name.
     MissingError
-        If TensorBoard is not installed.
+        If the package of one is not installed.
     """
-    try:
-        from torch.utils.tensorboard import SummaryWriter
-    except ImportError:
-        raise MissingError(
-            "`tensorboard=True` needs TensorBoard; pip install 'deitalk[tensorboard]'",
-            parameter="tensorboard",
-        ) from None
-    return SummaryWriter
+    if not names:
+        return
+    from accelerate.tracking import LOGGER_TYPE_TO_CLASS, get_available_trackers
+
+    usable = {str(name) for name in get_available_trackers()}
+    for name in names:
+        if name not in LOGGER_TYPE_TO_CLASS:
+            every = ", ".join(sorted(LOGGER_TYPE_TO_CLASS))
+            raise ConfigError(f"`track={quoted(name)}` must be one of {every}", parameter="track")
+        if name not in usable:
+            raise MissingError(
+                f"`track={name}` needs its package; pip install {name}", parameter="track"
+            )
 
 
 def log(path: Path, step: int, values: dict[str, float]) -> None:

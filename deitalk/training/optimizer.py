@@ -1,12 +1,22 @@
 """The optimizer, the learning rate's schedule and the averaged weights of any training."""
 
+import copy
 from collections.abc import Callable, Set
+from typing import TypeVar
 
 import torch
 from torch import nn
 
 from deitalk.config.curves import TrainConfig
 from deitalk.config.section import Optimisation
+
+NetworkT = TypeVar("NetworkT", bound=nn.Module)
+
+
+def shared_copy(model: NetworkT, frozen: Set[str]) -> NetworkT:
+    """Copy of a network that shares the tensors of its state dict that never change."""
+    state = model.state_dict(keep_vars=True)
+    return copy.deepcopy(model, {id(state[name]): state[name] for name in frozen})
 
 
 def new_optimizer(

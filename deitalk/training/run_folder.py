@@ -8,6 +8,7 @@
     development.csv      development scores, a row an evaluation
     curves/<step>.png    fixed clips, targets and predictions, a picture an evaluation
     tensorboard/         both tables as TensorBoard's events, optional
+    trackers.json        what other trackers call the run
     features/            of a frontend that does not learn, memory-mapped; may be removed
     best/, last/         model folders
     state.pt             everything that an exact continuation needs

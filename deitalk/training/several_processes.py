@@ -3,8 +3,9 @@
 One process is the case of a share that is the whole; nothing is exchanged then.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from datetime import timedelta
+from pathlib import Path
 from typing import Any
 
 import torch
@@ -12,12 +13,15 @@ from torch import Tensor, nn
 
 from deitalk.config.section import Optimisation
 from deitalk.errors import ConfigError
+from deitalk.training.journal import check_trackers
 
 PATIENCE = timedelta(hours=6)
 """The other processes wait so long for the first, which builds meshes and evaluates."""
 
 
-def new_accelerator(settings: Optimisation, item_size: int = 1) -> Any:
+def new_accelerator(
+    settings: Optimisation, item_size: int = 1, track: Sequence[str] = (), out: Path | None = None
+) -> Any:
     """Join the processes of this training and choose the device.
 
     Parameters
@@ -26,6 +30,8 @@ def new_accelerator(settings: Optimisation, item_size: int = 1) -> Any:
         Size of a batch.
     item_size : int
         What one item counts in ``train.batch_size``: the frames of a segment.
+    track, out
+        Trackers and run folder, as for `deitalk.training.trainer.run_training`.
 
     Returns
     -------
@@ -34,13 +40,18 @@ def new_accelerator(settings: Optimisation, item_size: int = 1) -> Any:
     Raises
     ------
     ConfigError
-        If the items of a batch cannot be shared equally.
+        If the items of a batch cannot be shared equally, or there is no such tracker.
+    MissingError
+        If the package of a tracker is not installed.
     """
     from accelerate import Accelerator, DistributedDataParallelKwargs, InitProcessGroupKwargs
 
+    check_trackers(track)
     accelerator = Accelerator(
         cpu=not torch.accelerator.is_available(),
         mixed_precision="no",  # `in_precision` does it: accelerate fixes one for the whole process
+        log_with=list(track) or None,
+        project_dir=None if out is None else str(out / "tensorboard"),
         kwargs_handlers=[
             # Without contrast or intensity the motion encoder has no gradient. Buffers are running
             # means, of which the first process's are saved, and bases, which never change.

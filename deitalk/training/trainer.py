@@ -5,7 +5,6 @@ It depends on a `Task` and on no product, such as `deitalk.training.curves`. The
 files.
 """
 
-import copy
 import math
 import time
 from abc import ABC, abstractmethod
@@ -24,8 +23,13 @@ from deitalk.errors import DataError
 from deitalk.evaluation.clips_figure import ClipRows, draw_clips
 from deitalk.evaluation.figures import can_draw
 from deitalk.models.folder import describe_model, read_about
-from deitalk.training.journal import Journal, summary_writer
-from deitalk.training.optimizer import new_scheduler, restore_buffers, update_average
+from deitalk.training.journal import Journal
+from deitalk.training.optimizer import (
+    new_scheduler,
+    restore_buffers,
+    shared_copy,
+    update_average,
+)
 from deitalk.training.run_folder import (
     Learnt,
     open_folder,
@@ -133,7 +137,7 @@ def run_training(
     out: Path,
     *,
     resume: bool = False,
-    tensorboard: bool = False,
+    track: Sequence[str] = (),
     progress: Progress = silent,
 ) -> dict[str, Any]:
     """Train to the end of a run.
@@ -150,8 +154,9 @@ def run_training(
         Continue from the run folder's ``state.pt``: on a CPU the weights become those of an
         uninterrupted run, bit for bit. Where there is none yet the run begins, so that one and
         the same call may be repeated until it ends.
-    tensorboard : bool
-        Write TensorBoard's events to the run folder too.
+    track : sequence of str
+        Trackers of accelerate that get the numbers too: ``tensorboard``, whose events are in the
+        run folder, ``wandb``, ``mlflow`` …; a continued run stays one run there.
     progress : callable
         Called by one process with the step, the number of steps and the values that were logged.
 
@@ -168,13 +173,11 @@ def run_training(
         If the configuration differs from the run that is resumed, or the batch cannot be shared
         among the processes.
     MissingError
-        If `tensorboard` is set and TensorBoard is not installed.
+        If the package of a tracker is not installed.
     rig.errors.TargetError
         If the run folder holds what no run wrote, or edited files, or is in use.
     """
-    if tensorboard:
-        summary_writer()  # an error before anything is read
-    accelerator = new_accelerator(task.config.train, task.item_size)
+    accelerator = new_accelerator(task.config.train, task.item_size, track, out)
     is_main = accelerator.is_main_process
     with open_folder(out, task.config, resume=resume, writes=is_main):
         accelerator.wait_for_everyone()  # before the first process writes
@@ -183,7 +186,7 @@ def run_training(
         trainer = Trainer(task, accelerator, progress if is_main else silent)
         if resume:
             trainer.resume(out)
-        journal = Journal(out, step=trainer.step, tensorboard=tensorboard and is_main)
+        journal = Journal(out, step=trainer.step, accelerator=accelerator if is_main else None)
         try:
             trainer.fit(journal)
         finally:
@@ -228,7 +231,10 @@ class Trainer(Generic[Item]):
         else:
             size = settings.batch_size * settings.accumulate
             self.total = max(math.ceil(settings.epochs * self.task.epoch_size() / size), 1)
-        self.average = copy.deepcopy(task.model).eval().requires_grad_(False)
+        self.average = task.model  # without steps they are the same
+        if self.total:
+            average = shared_copy(task.model, task.frozen)
+            self.average = average.eval().requires_grad_(False)
         self.optimizer = task.optimizer()
         self.scheduler = new_scheduler(self.optimizer, self.settings, self.total)
         self.step, self.best_score = 0, -math.inf

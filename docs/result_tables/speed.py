@@ -59,7 +59,7 @@ def _ms(run: dict[str, Any], kind: str = "") -> str:
 def batch_rate() -> str:
     """Rate of a batch beside its network."""
     found = report("batch-rate")
-    share = found["share_of_twice_the_network"]
+    share = found["share_of_the_network"]
     rows = [
         ["network alone, a line at a time", f"{found['network_ms']:.0f} ms of a core a line"],
         ["batch, files and journal included", f"{found['processor_ms']:.0f} ms of a core a line"],

@@ -212,7 +212,8 @@ def _motion(stored: Arrays) -> Motion:
     before = np.concatenate([[0], total])[starts[:-1]]
     vertex, delta = total - np.repeat(before, stored["count"]), stored["values"].T
     purse = np.array(["mouth_purse" in name or "mouth_towards" in name for name in names])
-    gain = stored["size"] * np.where(purse, stored["purse"], 1)
+    blink = np.array([name.endswith("eye_blink.ty") or "blink_half" in name for name in names])
+    gain = stored["size"] * np.where(purse, stored["purse"], np.where(blink, stored["blink"], 1))
     lips = [
         Lip(stored[f"rim_{k}"].astype(np.int64), stored[f"rim_{k}_weight"],
             stored[f"reach_{k}"].astype(np.int64), stored[f"reach_{k}_column"],

@@ -1,15 +1,11 @@
 """A triangle mesh with its surface, and the few operations that a head needs on it."""
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rig.arrays import Float64, Int64
-
-if TYPE_CHECKING:
-    import scipy.sparse as sp
 
 PLAIN, SKIN, HAIR, EYE, CLOTH, FINE = range(6)
 """Materials of `Mesh.kind`; fine hair is brows, which lie on the skin."""
@@ -74,19 +70,6 @@ class Mesh:
         return vertex_normals(vertices, self.weld[self.faces])[self.weld]
 
 
-def adjacency(faces: Int64, n_vertices: int) -> "sp.csr_matrix":
-    """Symmetric 0/1 matrix of the mesh's edges."""
-    import scipy.sparse as sp
-
-    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
-    one_way = sp.coo_matrix(
-        (np.ones(len(edges)), (edges[:, 0], edges[:, 1])), (n_vertices, n_vertices)
-    )
-    both = (one_way + one_way.T).tocsr()
-    both.data[:] = 1
-    return both
-
-
 def vertex_normals(vertices: Float64, faces: Int64) -> Float64:
     """Unit normals (V, 3), the faces' cross products summed at their corners (area weights)."""
     a, b, c = (vertices[faces[:, k]] for k in range(3))
@@ -104,7 +87,7 @@ def vertex_normals(vertices: Float64, faces: Int64) -> Float64:
 
 def unit(vectors: Float64) -> Float64:
     """Vectors divided by their lengths along the last axis."""
-    return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))
+    return np.asarray(vectors / np.sqrt(np.einsum("...k,...k", vectors, vectors))[..., None])
 
 
 def smoothstep(x: Float64 | float) -> Float64:

@@ -91,21 +91,16 @@ def write(path: Path, curves: RigCurves, identity: int | str | Identity = 0) -> 
     if path.suffix.lower() == ".usdz":
         uv, picture = baked_picture(head)
         _dress(pxr, stage, mesh, head, uv, is_packed=True)
-        written = _package(pxr, stage, picture, path)
+        with TemporaryDirectory(prefix="deitalk-") as folder:
+            layer = Path(folder) / "head.usdc"
+            (Path(folder) / PICTURE).write_bytes(picture)
+            stage.GetRootLayer().Export(str(layer))
+            written = pxr.UsdUtils.CreateNewUsdzPackage(pxr.Sdf.AssetPath(str(layer)), str(path))
     else:
         _dress(pxr, stage, mesh, head, head.mesh.uv, is_packed=False)
         written = stage.GetRootLayer().Export(str(path))
     if not written:
         raise OSError(f"usd-core could not write {path.name}")
-
-
-def _package(pxr: Any, stage: Any, picture: bytes, path: Path) -> bool:
-    """Write the stage and the picture of its materials as one file."""
-    with TemporaryDirectory(prefix="deitalk-") as folder:
-        layer = Path(folder) / "head.usdc"
-        (Path(folder) / PICTURE).write_bytes(picture)
-        stage.GetRootLayer().Export(str(layer))
-        return bool(pxr.UsdUtils.CreateNewUsdzPackage(pxr.Sdf.AssetPath(str(layer)), str(path)))
 
 
 def _dress(pxr: Any, stage: Any, mesh: Any, head: Head, uv: Float64, *, is_packed: bool) -> None:
@@ -194,18 +189,16 @@ def read(path: Path, controls: ControlSet | None = None, fps: float | None = Non
 def _check_alone(path: Path, layer: Any) -> None:
     """Refuse a file that has USD open others, which may lie anywhere on this machine."""
     others = [*layer.GetCompositionAssetDependencies(), *layer.GetExternalAssetDependencies()]
-    clips: list[str] = []
-    layer.Traverse(
-        "/", lambda place: clips.append(str(place)) if _has_clips(layer, place) else None
-    )
-    if others or clips:
-        what = quoted(str((others or clips)[0]))
+
+    def note_clips(place: Any) -> None:
+        spec = layer.GetPrimAtPath(place) if place.IsPrimPath() else None
+        if spec is not None and spec.HasInfo("clips"):
+            others.append(place)
+
+    layer.Traverse("/", note_clips)
+    if others:
+        what = quoted(str(others[0]))
         raise FormatError(f"{path} is composed of other files ({what}); flatten it to one")
-
-
-def _has_clips(layer: Any, place: Any) -> bool:
-    spec = layer.GetPrimAtPath(place) if place.IsPrimPath() else None
-    return spec is not None and spec.HasInfo("clips")
 
 
 def _reason(error: Exception) -> str:

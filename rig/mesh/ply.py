@@ -77,7 +77,9 @@ def read_header(file: BinaryIO) -> tuple[str, list[Element]]:
             case ["format", name, _]:
                 order = _ORDERS[name]
             case ["element", name, count]:
-                elements.append(Element(name, _bounded(int(count)), []))
+                if not 0 <= int(count) <= VERTICES:
+                    raise ValueError(f"{count} rows of an element; at most {VERTICES} are read")
+                elements.append(Element(name, int(count), []))
             case ["property", "list", length, kind, name]:
                 elements[-1].properties.append(Property(name, _TYPES[kind], _TYPES[length]))
             case ["property", kind, name]:
@@ -85,7 +87,12 @@ def read_header(file: BinaryIO) -> tuple[str, list[Element]]:
     if order is None:
         raise ValueError("no 'format' line")
     for element in elements:
-        _check_properties(element)
+        names = [p.name for p in element.properties]
+        if not names or len(set(names)) < len(names):
+            raise ValueError(f"element {quoted(element.name)} has no properties, or one name twice")
+        for p in element.properties:
+            if p.length_type is not None and p.length_type[0] == "f":
+                raise ValueError(f"list {quoted(p.name)} has a length that is no whole number")
     return order, elements
 
 
@@ -148,21 +155,6 @@ def read_element(file: BinaryIO, element: Element, order: str, left: int) -> Col
     return {p.name: rows[p.name] for p in element.properties}
 
 
-def _bounded(count: int) -> int:
-    if not 0 <= count <= VERTICES:
-        raise ValueError(f"{count} rows of an element; at most {VERTICES} are read")
-    return count
-
-
-def _check_properties(element: Element) -> None:
-    names = [p.name for p in element.properties]
-    if not names or len(set(names)) < len(names):
-        raise ValueError(f"element {quoted(element.name)} has no properties, or one name twice")
-    for p in element.properties:
-        if p.length_type is not None and p.length_type[0] == "f":
-            raise ValueError(f"list {quoted(p.name)} has a length that is no whole number")
-
-
 def _least_bytes(element: Element, order: str) -> int:
     """Fewest bytes of a row: empty lists, numbers of one digit."""
     if order == "":
@@ -183,8 +175,10 @@ def _ascii_rows(file: BinaryIO, element: Element) -> Iterator[Row]:
         row: Row = []
         place = 0
         for p in element.properties:
-            count = 1 if p.length_type is None else int(_word(words, place))
-            place += p.length_type is not None
+            count = 1
+            if p.length_type is not None:
+                count = int(words[place]) if place < len(words) else -1
+                place += 1
             if not 0 <= count <= len(words) - place:
                 raise ValueError("the file is cut short")
             convert = float if p.type[0] == "f" else int
@@ -192,12 +186,6 @@ def _ascii_rows(file: BinaryIO, element: Element) -> Iterator[Row]:
             row.append(values[0] if p.length_type is None else values)
             place += count
         yield row
-
-
-def _word(words: list[bytes], place: int) -> bytes:
-    if place >= len(words):
-        raise ValueError("the file is cut short")
-    return words[place]
 
 
 def _equal_lists(file: BinaryIO, element: Element, order: str, left: int) -> Columns | None:
@@ -287,7 +275,9 @@ def read_ply(path: Path | str) -> TriMesh:
             for element in elements:
                 columns = read_element(file, element, order, size - file.tell())
                 if element.name == "vertex":
-                    vertices = np.stack([_numbers(columns[axis]) for axis in "xyz"], axis=1)
+                    if any(isinstance(columns[axis], Lists) for axis in "xyz"):
+                        raise ValueError("x, y and z must be numbers, not lists")
+                    vertices = np.stack([columns[axis] for axis in "xyz"], axis=1)  # type: ignore[list-item]
                 elif element.name == "face":
                     key = "vertex_indices" if "vertex_indices" in columns else "vertex_index"
                     polygons = columns[key]
@@ -307,12 +297,6 @@ def read_ply(path: Path | str) -> TriMesh:
     places = np.stack([first, first + within + 1, first + within + 2], axis=1)
     triangles: Int64 = polygons.values.astype(np.int64)[places]
     return TriMesh(vertices, triangles)
-
-
-def _numbers(column: NDArray[Any] | Lists) -> NDArray[Any]:
-    if isinstance(column, Lists):
-        raise ValueError("x, y and z must be numbers, not lists")
-    return column
 
 
 def write_ply(path: Path | str, mesh: TriMesh, *, ascii: bool = False) -> None:

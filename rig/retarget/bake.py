@@ -174,14 +174,14 @@ def bake(
     for k in range(len(drivers)):
         if k % BATCH == 0:
             posed = _posed(evaluate, poses[k : k + BATCH], neutral)
-            np.subtract(posed, rest, deltas[k : k + BATCH])
-        for j in kept if k >= len(drivers) - len(correctives) else ():
+        delta = np.subtract(posed[k % BATCH], rest, deltas[len(kept)])
+        for place, j in enumerate(kept if k >= len(drivers) - len(correctives) else ()):
             weight = float(drivers[j].weight(poses[k : k + 1], controls)[0])
             if weight:
-                deltas[k] -= weight * deltas[j]
-        if np.abs(deltas[k]).max() > least or np.linalg.norm(deltas[k], axis=1).max() > least:
+                delta -= weight * deltas[place]
+        if np.abs(delta).max() > least or np.linalg.norm(delta, axis=1).max() > least:
             kept.append(k)
-    deltas = deltas if len(kept) == len(deltas) else deltas[kept]
+    deltas = deltas[: len(kept)]
     deltas.setflags(write=False)  # not copied again
     shapes = ShapeSet(neutral.with_vertices(rest), tuple(names[k] for k in kept), deltas)
     return BakedRig(shapes, tuple(drivers[k] for k in kept), controls)

@@ -4,6 +4,7 @@ Every finding is an error (an importer refuses it or plays it wrong), a warning 
 played as intended) or a note (an effect of the import).
 """
 
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -63,12 +64,16 @@ def validate(path: Path | str) -> Validation:
 def _take_folder(folder: Path) -> list[Finding]:
     """Check every file of curves, and that they agree on their length."""
     findings: list[Finding] = []
-    if (folder / "take.json").is_file():
-        findings += _take_json(folder)
+    about = folder / "take.json"
+    if about.is_file():
+        findings += _take_json(about)
     else:
         findings.append(Finding("warning", folder, "no take.json: this is no take of deitalk"))
     durations: dict[str, float] = {}
-    own = _own_rig(folder / "curves.json")
+    own = ""  # the control set of a user's own rig
+    with suppress(RigError):  # reported with the file
+        name = read_curves(folder / "curves.json", control_set=None).control_set
+        own = "" if known_controls(name) else name
     for path in sorted(folder.iterdir()):
         is_other = path.name.startswith(".") or path.name in ("take.json", "dub.json", *OTHER_CSV)
         if path.name.endswith(SUFFIX):
@@ -104,17 +109,7 @@ def _layers(path: Path) -> list[Finding]:
     return [Finding("note", path, f"{count} edits by hand")]
 
 
-def _own_rig(path: Path) -> str:
-    """Control set of a file if it is a user's own; empty if it is not, or cannot be read."""
-    try:
-        name = read_curves(path, control_set=None).control_set
-    except RigError:
-        return ""
-    return "" if known_controls(name) else name
-
-
-def _take_json(folder: Path) -> list[Finding]:
-    path = folder / "take.json"
+def _take_json(path: Path) -> list[Finding]:
     try:
         data = read_object(path)
     except RigError as error:
@@ -124,14 +119,18 @@ def _take_json(folder: Path) -> list[Finding]:
     return [
         Finding("error", path, f"lists {name}, which is not in the folder")
         for name in names
-        if isinstance(name, str) and not (folder / name).exists()
+        if isinstance(name, str) and not (path.parent / name).exists()
     ]
 
 
 def _file(path: Path) -> list[Finding]:
     try:
         if path.suffix.lower() == ".glb":
-            return [Finding("note", path, check_glb(path)), *_shapes(path)]
+            findings = [Finding("note", path, check_glb(path))]
+            try:
+                return [*findings, *_curves(path, read_curves(path, control_set=None))]
+            except RigError as error:  # names of its shapes that are unknown
+                return [*findings, Finding("note", path, f"its values are not checked: {error}")]
         if path.suffix.lower() == ".csv" and is_live_link(path):
             return check_live_link(path)
         if path.suffix.lower() == ".txt" and not is_face_cap(path):  # EmoFace's hold no rate
@@ -164,17 +163,13 @@ def _check_functions(path: Path) -> None:
             raise FormatError(f"{path}: {name} is no function of channels of the board")
 
 
-def _shapes(path: Path) -> list[Finding]:
-    """Check the curves of a GLB's shapes, if their names are known."""
-    try:
-        return _curves(path, read_curves(path, control_set=None))
-    except RigError as error:
-        return [Finding("note", path, f"its values are not checked: {error}")]
-
-
 def _curves(path: Path, curves: RigCurves) -> list[Finding]:
     """Check values, which are finite and in range after reading."""
-    findings = [Finding("note", path, _summary(curves))]
+    summary = (
+        f"{len(curves)} frames at {curves.fps:g} fps, {curves.duration:.2f} s, {len(curves.names)} "
+        f"curves of {curves.control_set}"
+    )
+    findings = [Finding("note", path, summary)]
     findings += [Finding("warning", path, note) for note in curves.notes]
     findings += motion(path, curves.values, curves.names, curves.control_set)
     if curves.control_set == RAW_ID:
@@ -191,13 +186,6 @@ def _curves(path: Path, curves: RigCurves) -> list[Finding]:
             Finding("note", path, "Unreal takes these through rig/unreal or deitalk convert")
         )
     return findings
-
-
-def _summary(curves: RigCurves) -> str:
-    return (
-        f"{len(curves)} frames at {curves.fps:g} fps, {curves.duration:.2f} s, {len(curves.names)} "
-        f"curves of {curves.control_set}"
-    )
 
 
 def check_glb(path: Path) -> str:

@@ -359,8 +359,7 @@ def test_end_of_a_session_does_not_wait_for_its_client(monkeypatch, fault):
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 
 
-@pytest.mark.parametrize("is_fast", [True, False])
-@pytest.mark.parametrize(("rate", "channels"), [(16_000, 1), (44_100, 2)])
+@pytest.mark.parametrize(("is_fast", "rate", "channels"), [(True, 44_100, 2), (False, 16_000, 1)])
 def test_documented_client_in_python_gets_every_frame(
     server, keyed_server, tmp_path, is_fast, rate, channels
 ):

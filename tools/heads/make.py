@@ -287,10 +287,10 @@ def write_person(name, look, base, shapes, person, joined) -> None:
         gloss[where] = GLOSS.get(part, 0.1)
     for part in ("teeth_upper", "teeth_lower"):  # side lamps reach no back teeth
         front = _front(joined.points[slices[part]])
-        colour[slices[part]] *= front[:, None]
+        colour[slices[part]] *= front[:, None] ** [0.85, 1.2, 1.25]  # by light from the cheeks
         gloss[slices[part]] *= front
     colour[slices["shirt"]] = np.array(look["shirt_colour"]) / 255
-    scalp = _scalp(base, person)
+    scalp = _scalp(base, person, picture)
     tint = np.minimum(np.array(look["hair_colour"]) / 255 / 0.62, 1)
     skin_colour = 1 - scalp[:, None] * (1 - tint)
     colour[slices["skin"]] = skin_colour
@@ -321,15 +321,26 @@ def write_person(name, look, base, shapes, person, joined) -> None:
         weight=np.concatenate(weight).astype(np.float16),
         eyes=np.array([[*(c + SHIFT), r] for c, r in person.eyes], np.float32),
         size=np.float32(person.size), purse=np.float32(look.get("purse", 1.0)),
+        blink=np.float32(_blink(base, shapes, person)),
         creases=np.float32(look["creases"]),
     )  # fmt: skip
     Image.fromarray(picture).save(DATA / f"{name}.webp", quality=82, method=6)
     print(name, len(joined.points), len(joined.faces), "size", round(person.size, 3))  # noqa: T201
 
 
-def _scalp(base, person):
-    """Share of the hair's colour on the skin: where hair lies closely over it."""
-    hair = person.parts["hair"].points
+def _blink(base, shapes, person):
+    """Factor on a blink of the average head by which these lids meet: eyes differ in height."""
+    marks = landmarks(base, shapes)
+    ends = [marks["eye_lower_left"], marks["eye_upper_left"]]
+    low, high = shapes.deltas[shapes.names.index("CTRL_L_eye_blink.ty")][ends, 1]
+    return np.diff(person.skin[ends, 1])[0] / ((low - high) * person.size)
+
+
+def _scalp(base, person, picture):
+    """Share of the hair's colour on the skin: where hair that is opaque lies closely over it."""
+    part, side = person.parts["hair"], picture.shape[0]
+    x, y = np.clip(side * pictures.placed(part.uv, "hair"), 0, side - 1).astype(int).T
+    hair = part.points[part.drawn][picture[y, x, 3] > 200]
     distance, near = cKDTree(hair).query(person.skin)
     over = ((hair[near] - person.skin) * person.normals).sum(1) > 0
     share = np.clip((0.65 - distance) / 0.35, 0, 1) * over * (person.skin[:, 1] > 1)
@@ -345,7 +356,7 @@ def _scalp(base, person):
 
 def _front(points):
     """How much of a place in the mouth is not in the shadow of the cheeks, 0 to 1."""
-    return 1 - 0.94 * pictures._smooth((np.abs(points[:, 0]) - 0.9) / 0.9)
+    return 1 - 0.75 * pictures._smooth((np.abs(points[:, 0]) - 1.1) / 1.3)
 
 
 def _light(base, shapes, person, joined, picture):
@@ -385,7 +396,7 @@ def _light(base, shapes, person, joined, picture):
                            & (x[: base.n_skin, 2] < front - 1.2) & (x[: base.n_skin, 2] > front - 8)
                            & (np.abs(x[: base.n_skin, 0]) < 3.2)
                            & (x[: base.n_skin, 1] > -6.0) & (x[: base.n_skin, 1] < -1.2))  # fmt: skip
-    light[inner] *= (0.35 * depth[inner])[:, None]
+    light[inner] = np.maximum(light[inner], 0.30) * (0.8 * depth[inner])[:, None]
     for k, part in enumerate(("eye_L", "eye_R")):
         own = joined.slices[part]
         skin = person.skin[np.linalg.norm(person.skin - person.eyes[k][0], axis=1) < 3]

@@ -110,23 +110,26 @@ def _whole(model: DEITalk) -> tuple[Any, dict[str, str]]:
 
 
 def _causal(model: DEITalk) -> tuple[Any, dict[str, str]]:
-    """Graph of one frame of any number of streams; its metadata."""
-    grid, states, batch = grid_of(model), first_states(model), 2
+    """Graph of any number of frames of any number of streams; its metadata."""
+    grid, states, batch, n_frames = grid_of(model), first_states(model), 2, 3
     example = (
-        torch.zeros(batch, grid.spectra, grid.length),
-        torch.full((batch, len(EMOTIONS) + len(model.actors)), 0.2),
+        torch.zeros(batch, n_frames * grid.spectra, grid.length),
+        torch.full((batch, n_frames, len(EMOTIONS) + len(model.actors)), 0.2),
         *(first.expand(batch, *first.shape).clone() for first in states.values()),
     )
     inputs = ("windows", "emotion", *states)
     outputs = (*OUTPUTS, EFFORT, *(NEXT + name for name in states))
     axes: Axes = {name: {0: "B"} for name in (*inputs, *outputs)}
+    axes["windows"][1] = "S"
+    for name in ("emotion", *OUTPUTS, EFFORT):
+        axes[name][1] = "T"
     content = traced(CausalGraph(model), example, inputs, outputs, axes)
     described = [
         {"name": name, "shape": list(first.shape), "first": _first_value(first)}
         for name, first in states.items()
     ]
     texts = {"grid": json.dumps(grid._asdict()), "state": json.dumps(described)}
-    texts["frontend_states"] = str(list(states).index("saliency_past"))
+    texts["frontend_states"] = str(1 + list(states).index("saliency_past"))
     texts["effort"] = json.dumps(model.config.effort)
     return content, texts | {"schema": CAUSAL_SCHEMA}
 

@@ -18,6 +18,7 @@ from pydantic import ValidationError
 
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE, frame_count
 from deitalk.audio.log_mel import loudest
+from deitalk.audio.running_level import first_level, levelled
 from deitalk.config.rig_file import parse_controls
 from deitalk.config.rules import RulesConfig
 from deitalk.errors import CheckpointError, DeitalkError, MissingError
@@ -47,7 +48,7 @@ from rig.errors import quoted
 from rig.files import cache_folder
 from rig.files.reading import check_file
 
-SCHEMA, CAUSAL_SCHEMA = "deitalk.graph/1", "deitalk.graph-live/1"
+SCHEMA, CAUSAL_SCHEMA = "deitalk.graph/1", "deitalk.graph-live/2"
 NEXT = "next_"
 """Before the names of the outputs that are the state for the next call."""
 WEIGHTS, STORED = "model.", "_stored"
@@ -64,7 +65,7 @@ class GraphHeader(NamedTuple):
     weights: tuple[str, ...]
     """Names of the weights that it is given."""
     is_causal: bool
-    """Whether it predicts one frame a call."""
+    """Whether it predicts the next frames of streams."""
 
 
 class OnnxFile:
@@ -321,7 +322,7 @@ def _controls(path: Path, metadata: Mapping[str, str]) -> ControlSet:
     return parse_controls(metadata["rig"], path)
 
 
-# Causal curve models in ONNX Runtime, one frame a call, without torch.
+# Causal curve models in ONNX Runtime, without torch.
 #
 # Letters: B streams, G frames of a call, P spectra of a frame, W samples of a spectrum.
 
@@ -332,6 +333,7 @@ class OnnxCausalNetwork(_Network):
     """A causal model; a `CausalNetwork`, and a `CurveNetwork` for whole recordings."""
 
     is_causal = True
+    device = "cpu"
 
     def _read_metadata(self) -> None:
         self.grid = SpectraGrid(**json.loads(self.metadata["grid"]))
@@ -343,7 +345,8 @@ class OnnxCausalNetwork(_Network):
 
     def first_state(self, batch: int) -> State:
         """See `CausalNetwork`; so the next two methods."""
-        return tuple(np.repeat(first[None], batch, axis=0) for first in self._first)
+        kept = (np.repeat(first[None], batch, axis=0) for first in self._first)
+        return first_level(batch), *kept
 
     def begin(self, windows: Float32, state: State) -> State:
         """Read the first groups, which change the states of the frontend, the first ones, alone."""
@@ -354,15 +357,11 @@ class OnnxCausalNetwork(_Network):
 
     def advance(self, windows: Float32, styles: Float32, state: State) -> tuple[NetworkRows, State]:
         """Read the next frames."""
-        frames = []
-        for k in range(styles.shape[1]):
-            group = windows[:, k * self.grid.spectra : (k + 1) * self.grid.spectra]
-            inputs = {"windows": np.ascontiguousarray(group), "emotion": styles[:, k]}
-            found = self._session.run(None, inputs | dict(zip(self._names, state, strict=True)))
-            frames.append(found[: len(NetworkRows._fields)])
-            state = tuple(found[len(NetworkRows._fields) :])
-        curves, neutral, *others = (np.stack(part, axis=1) for part in zip(*frames, strict=True))
-        return NetworkRows(neutral, curves, *others), state
+        given, level = levelled(windows, self.grid.spectra, state[0])
+        inputs = {"windows": given, "emotion": np.ascontiguousarray(styles)}
+        found = self._session.run(None, inputs | dict(zip(self._names, state[1:], strict=True)))
+        curves, neutral, *others = found[: len(NetworkRows._fields)]
+        return NetworkRows(neutral, curves, *others), (level, *found[len(NetworkRows._fields) :])
 
     def read(
         self,

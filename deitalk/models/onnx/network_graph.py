@@ -1,4 +1,4 @@
-"""Networks as graphs: sound and emotion of a whole clip in, or the next frame of streams.
+"""Networks as graphs: sound and emotion of a whole clip in, or the next frames of streams.
 
 The layers are those of the model; what lies between them is written without operations that other
 runtimes lack.
@@ -14,7 +14,7 @@ from torch.nn import functional as F
 
 from deitalk.errors import CheckpointError
 from deitalk.frontends.whisper import WhisperFrontend
-from deitalk.models.causal_model import TensorState, advance, causal_frontend, first_state
+from deitalk.models.causal_model import TensorState, causal_frontend, decode, first_state
 from deitalk.models.curve_model import DEITalk
 from deitalk.models.intensity import local_maximum
 from deitalk.models.onnx.spectra import with_formulas
@@ -46,6 +46,8 @@ class CurveGraph(nn.Module):
     def __init__(self, model: DEITalk) -> None:
         super().__init__()
         self.model = model
+        if model.config.own_decoder is not None:
+            raise CheckpointError("an own decoder has no graph: what it does is not known")
         if model.config.frontend.kind != "whisper" or not model.config.intensity:
             raise CheckpointError(
                 "only models with a Whisper frontend and an intensity module have a graph, such as "
@@ -119,10 +121,8 @@ def _norm(features: Tensor) -> Tensor:
     return features.square().sum(dim=-1).sqrt().clamp_min(1e-8)
 
 
-# One frame of a causal model.
-#
-# The level of the sound follows itself from frame to frame, so a graph of several frames would
-# need a loop; one frame a call needs none.
+# The next frames of a causal model, from sound at the usual level: the running level follows
+# itself from frame to frame (`deitalk.audio.running_level`), for which a graph would need a loop.
 
 
 def causal_graph(model: DEITalk) -> DEITalk:
@@ -137,7 +137,7 @@ def causal_graph(model: DEITalk) -> DEITalk:
 
 
 class CausalGraph(nn.Module):
-    """A causal curve model, one frame of B streams a call.
+    """A causal curve model, the next G frames of B streams.
 
     Parameters
     ----------
@@ -150,31 +150,33 @@ class CausalGraph(nn.Module):
         self.model = causal_graph(model)
 
     def forward(self, windows: Tensor, emotion: Tensor, *state: Tensor) -> tuple[Tensor, ...]:
-        """Predict the next frame.
+        """Predict the next frames.
 
         Parameters
         ----------
-        windows : Tensor [shape=(B, P, W)]
-            Samples of the spectra of one rig frame.
-        emotion : Tensor [shape=(B, 5 + actors)]
+        windows : Tensor [shape=(B, G P, W)]
+            Samples of the spectra of the frames, at the usual level.
+        emotion : Tensor [shape=(B, G, 5 + actors)]
             Weights of the styles.
         state : Tensor
             From the call before; see `first_states`.
         """
-        before = TensorState.of(state, causal_frontend(self.model).n_states)
-        rows, after = advance(self.model, windows, emotion[:, None], before)
-        frame = (rows.emotional, rows.neutral, rows.saliency, rows.strength, rows.effort)
-        return (*(part[:, 0] for part in frame), *after.tensors())
+        frontend = causal_frontend(self.model)
+        before = TensorState.of((windows.new_zeros(0), *state), frontend.n_states)
+        speech, kept = frontend.read(windows, before.frontend)
+        rows, after = decode(self.model, speech, emotion, before._replace(frontend=kept))
+        frames = (rows.emotional, rows.neutral, rows.saliency, rows.strength, rows.effort)
+        return (*frames, *after.tensors()[1:])
 
 
 def first_states(model: DEITalk) -> dict[str, Tensor]:
-    """Names and first values of a stream's state, without the stream's axis."""
+    """Names and first values of a stream's state but its level, without the stream's axis."""
     state = first_state(model, 1)
     layers = range(len(state.frontend.layers) // 3)
-    names = ["level", "mel", "place"]
+    names = ["mel", "place"]
     names += [f"{part}_{k}" for k in layers for part in ("rows", "keys", "values")]
     names += ["saliency_past"]
     names += [f"{k}_{i}" for k in ("neutral", "emotional") for i in range(len(state.neutral))]
     names += ["lips_past"] * len(state.lips)
-    finite = (part[0].clamp_min(torch.finfo(torch.float32).min) for part in state.tensors())
+    finite = (part[0].clamp_min(torch.finfo(torch.float32).min) for part in state.tensors()[1:])
     return dict(zip(names, cast("list[Tensor]", list(finite)), strict=True))

@@ -50,7 +50,7 @@ def traced(
             output_names=list(outputs),
             dynamic_axes=axes,
         )
-    content = onnx.load_from_string(file.getvalue())
+    content = onnx.ModelProto.FromString(file.getbuffer())  # no second copy of the weights
     for node in content.graph.node:
         node.ClearField("name")
         node.ClearField("doc_string")

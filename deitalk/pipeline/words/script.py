@@ -25,7 +25,7 @@ import numpy as np
 
 from deitalk.acting_fields import Words
 from deitalk.audio.frames import FRAME_RATE
-from deitalk.emotions import EmotionTrack, parse_emotion
+from deitalk.emotions import parse_emotion
 from deitalk.errors import DataError
 from deitalk.pipeline.words.transcript import (
     Cue,
@@ -235,9 +235,7 @@ def _share(times: Any, mark: TimedMark) -> Any:
     return share * share * (3 - 2 * share)
 
 
-@cache
-def _weights(value: str) -> EmotionTrack:
-    return parse_emotion(value)
+_weights = cache(parse_emotion)
 
 
 # Notations to words and marks.

@@ -49,15 +49,20 @@ def normals(shares: Float64) -> Float64:
     inner = 0.180625 - distance**2
     middle = distance * _ratio(inner, _MIDDLE)
     tail = np.sqrt(-np.log(np.minimum(shares, 1 - shares)))
-    near, far = _ratio(tail - 1.6, _NEAR), _ratio(tail - 5, _FAR)
-    outer = np.copysign(np.where(tail <= 5, near, far), distance)
+    outer = _ratio(tail - 1.6, _NEAR)
+    if (is_far := tail > 5).any():
+        outer = np.where(is_far, _ratio(tail - 5, _FAR), outer)
+    outer = np.copysign(outer, distance)
     return np.where(np.abs(distance) <= 0.425, middle, outer)
 
 
 def _ratio(x: Float64, coefficients: Float64) -> Float64:
     """Ratio of two polynomials, of whose coefficients the highest powers come first."""
-    above, below = (np.polyval(row, x) for row in coefficients)
-    return np.asarray(above / below, np.float64)
+    both = np.zeros((2, *x.shape))
+    for power in coefficients.T:  # Horner's scheme for both
+        both = both * x + power.reshape(2, *[1] * x.ndim)
+    ratio: Float64 = both[0] / both[1]
+    return ratio
 
 
 _MIDDLE = np.array(
@@ -239,6 +244,8 @@ class Swells(Events):
         shortest : float, optional
             To how many seconds the attack may be shortened for that; not at all by default.
         """
+        if not len(peak):
+            return
         attack, hold, decay = (np.broadcast_to(part, peak.shape) for part in seconds)
         least = attack if shortest is None else np.minimum(shortest, attack)
         attack = np.minimum(attack, np.maximum(peak - known, least))

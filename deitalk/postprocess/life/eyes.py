@@ -94,14 +94,15 @@ class Blinks:
         Equal keys give equal blinks, whatever the emotion.
     seconds, spread : array [shape=(B,)]
         Median and sigma of the logarithm of the intervals.
-    end : float
+    end : float or array [shape=(B,)]
         Seconds of the last frame, in which the lids are open; infinite if it is not known.
     """
 
     def __init__(
-        self, keys: UInt64, seconds: Float64, spread: Float64, end: float = math.inf
+        self, keys: UInt64, seconds: Float64, spread: Float64, end: float | Float64 = math.inf
     ) -> None:
-        self.keys, self.seconds, self.spread, self.end = keys, seconds, spread, end
+        self.keys, self.seconds, self.spread = keys, seconds, spread
+        self.end = np.broadcast_to(end, keys.shape)
         self.blinks, self.places = Events(6), Events(2)
         """Those that are not over; times that draw blinks, and from when they are known."""
         self.number = np.zeros(len(keys), np.int64)
@@ -192,7 +193,7 @@ class Blinks:
             self.places.keep(self.places.rows[:, 0] > self.earliest[self.places.stream])
 
     def _add(self, streams: Int64, blinks: Float64) -> None:
-        whole = blink_ends(blinks) < self.end
+        whole = blink_ends(blinks) < self.end[streams]
         self.blinks.append(streams[whole], blinks[whole])
 
 

@@ -95,12 +95,15 @@ class MotionStreams:
         B.
     idle : Idle
         The model's own numbers.
-    end : float
+    end : float or array [shape=(B,)]
         Seconds of the last frame, in which no eye is shut; infinite if it is not known.
     """
 
     def __init__(
-        self, characters: Sequence[Character], idle: Idle = Idle(), end: float = math.inf
+        self,
+        characters: Sequence[Character],
+        idle: Idle = Idle(),
+        end: float | Float64 = math.inf,
     ) -> None:
         self.idle, batch = idle, len(characters)
         self.keys = np.zeros((len(PARTS), batch), np.uint64)
@@ -147,6 +150,8 @@ class MotionStreams:
 
     def cue(self, cues: Cues) -> None:
         """Take what comes next in the voices."""
+        if not len(cues.stream):
+            return
         self.blinks.cue(cues)
         self.gaze.cue(cues, self.blinks)
         self.face.cue(cues)
@@ -248,6 +253,20 @@ def _followed(values: AnyFloat, seconds: float, states: Float64, streams: Int64)
     return rows
 
 
+class Moved(NamedTuple):
+    """A whole take that moves."""
+
+    voice: Voice
+    """Of the recording, T frames."""
+    mixture: Float32
+    """Weights of the emotions times the applied intensity [shape=(T, S)]."""
+    character: Character
+    heard: Voice | None = None
+    """Of the one whom it listens to, T frames."""
+    felt: Float32 | None = None
+    """Emotion of that one [shape=(T, S)]."""
+
+
 def plan_motion(
     voice: Voice,
     mixture: Float32,
@@ -255,38 +274,50 @@ def plan_motion(
     idle: Idle = Idle(),
     life: Life = Life(),
     traits: Traits | None = None,
-    heard: Voice | None = None,
-    felt: Float32 | None = None,
 ) -> Motion:
-    """Motion of a whole take.
+    """Motion of one take."""
+    return plan_motions([Moved(voice, mixture, Character(seeds, life, traits))], idle)[0]
 
-    Parameters
-    ----------
-    voice : Voice
-        Of the recording.
-    mixture : array [shape=(T, S)]
-        Weights of the emotions times the applied intensity.
-    seeds, idle, life, traits
-        Of the character, and the model's own numbers.
-    heard : Voice, optional
-        Of the one whom it listens to, T frames.
-    felt : array, optional [shape=(T, S)]
-        Emotion of that one.
-    """
-    end = (voice.n_frames - 1) / FRAME_RATE
-    streams, cues = MotionStreams([Character(seeds, life, traits)], idle, end), voice.cues()
-    if heard is not None:
-        streams.hear(heard.cues())
-        cues = cues.where((cues.kind != PAUSE) | ~heard.is_speaking(cues.time + cues.size))
-    streams.cue(cues)
-    lead = min(SPEAKING_LEAD, voice.n_frames)
-    speaking = np.append(voice.speaking[lead:], np.zeros(lead, np.float32))
-    parts = []
-    for start in range(0, max(voice.n_frames, 1), BLOCK_FRAMES):
-        rows = slice(start, start + BLOCK_FRAMES)
-        other = None if felt is None else felt[None, rows]
-        parts.append(streams.move(speaking[None, rows], mixture[None, rows], felt=other))
-    tracks = (
-        np.concatenate(track, axis=1)[0] for track in zip(*(p.tracks for p in parts), strict=True)
-    )
-    return Motion(MotionTracks(*tracks), np.concatenate([part.head[0] for part in parts]))
+
+def plan_motions(takes: Sequence[Moved], idle: Idle = Idle()) -> list[Motion]:
+    """Motion of takes side by side; of each as alone."""
+    counts = np.array([take.voice.n_frames for take in takes])
+    streams = MotionStreams([take.character for take in takes], idle, (counts - 1) / FRAME_RATE)
+    for k, take in enumerate(takes):
+        cues = take.voice.cues()
+        cues = cues._replace(stream=np.full_like(cues.stream, k))
+        if take.heard is not None:
+            heard = take.heard.cues()
+            streams.hear(heard._replace(stream=np.full_like(heard.stream, k)))
+            is_heard = take.heard.is_speaking(cues.time + cues.size)
+            cues = cues.where((cues.kind != PAUSE) | ~is_heard)
+        streams.cue(cues)
+    total = max(int(counts.max()), 1)
+    spoken = _beside([take.voice.speaking[SPEAKING_LEAD:] for take in takes], total)
+    mixture = _beside([take.mixture for take in takes], total)
+    none = np.zeros((0, len(LABELS)), np.float32)
+    felt = [none if take.felt is None else take.felt for take in takes]
+    others = _beside(felt, total) if any(map(len, felt)) else None
+    parts: list[list[Motion]] = [[] for _ in takes]
+    for start in range(0, total, BLOCK_FRAMES):
+        rows, left = slice(start, start + BLOCK_FRAMES), np.flatnonzero(counts > start)
+        other = None if others is None else others[left, rows]
+        moved = streams.move(spoken[left, rows], mixture[left, rows], left, other)
+        for place, k in enumerate(map(int, left)):
+            own = slice(0, counts[k] - start)
+            tracks = MotionTracks(*(track[place, own] for track in moved.tracks))
+            parts[k].append(Motion(tracks, moved.head[place, own]))
+    return [_joined(part) for part in parts]
+
+
+def _beside(rows: Sequence[Float32], total: int) -> Float32:
+    """Rows (T, ...) of takes side by side (B, `total`, ...), zeros after their ends."""
+    out = np.zeros((len(rows), total, *rows[0].shape[1:]), np.float32)
+    for place, each in zip(out, rows, strict=True):
+        place[: len(each)] = each
+    return out
+
+
+def _joined(parts: Sequence[Motion]) -> Motion:
+    tracks = (np.concatenate(track) for track in zip(*(p.tracks for p in parts), strict=True))
+    return Motion(MotionTracks(*tracks), np.concatenate([part.head for part in parts]))

@@ -12,6 +12,7 @@ from deitalk.research.cli.lips import lips
 from deitalk.research.cli.sheet import sheet
 from deitalk.research.cli.study import app as study_app
 from deitalk.research.cli.train import train
+from deitalk.research.cli.tuned import tuned
 
 app = CheckedCommands(
     name="deitalk.research",
@@ -21,7 +22,7 @@ app = CheckedCommands(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 app.callback()(root)
-for _verb in (ablate, attention, evaluate, folds, lips, sheet, train):
+for _verb in (ablate, attention, evaluate, folds, lips, sheet, train, tuned):
     app.command()(_verb)
 app.add_typer(corpus_app, name="corpus")
 app.add_typer(study_app, name="study")

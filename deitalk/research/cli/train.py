@@ -28,9 +28,10 @@ def train(
     start_from: Annotated[
         str | None, typer.Option("--from", help="Model whose weights are the start (fine-tuning).")
     ] = None,
-    tensorboard: Annotated[
-        bool, typer.Option("--tensorboard", help="Also write OUT/tensorboard, for TensorBoard.")
-    ] = False,
+    track: Annotated[
+        list[str] | None,
+        typer.Option("--track", help="Also log to tensorboard (in OUT), wandb or mlflow."),
+    ] = None,
 ) -> None:
     """Train a model; the best weights by development score are in OUT/best.
 
@@ -52,7 +53,7 @@ def train(
         if not can_draw():
             console().print("without pictures in OUT/curves: pip install matplotlib")
     with bar("training") as advance:
-        best = fit(data, out, resume=resume, tensorboard=tensorboard, progress=shown_on(advance))
+        best = fit(data, out, resume=resume, track=track or (), progress=shown_on(advance))
     _report(out, best)
 
 

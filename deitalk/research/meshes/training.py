@@ -52,7 +52,7 @@ def train_mesh(
     out: Path,
     *,
     resume: bool = False,
-    tensorboard: bool = False,
+    track: Sequence[str] = (),
     progress: Progress = silent,
 ) -> dict[str, Any]:
     """Train a model of meshes.
@@ -64,7 +64,7 @@ def train_mesh(
     data : Path
         A mesh folder, a folder laid out as VOCASET, or a dataset folder whose curves the embedded
         heads act (`deitalk.research.meshes.folder`).
-    out, resume, tensorboard, progress
+    out, resume, track, progress
         As for `deitalk.training.trainer.run_training`.
 
     Returns
@@ -81,7 +81,7 @@ def train_mesh(
         lips are, or the encoder to start from does not fit.
     """
     task = MeshTask(config, data)
-    return run_training(task, out, resume=resume, tensorboard=tensorboard, progress=progress)
+    return run_training(task, out, resume=resume, track=track, progress=progress)
 
 
 class MeshTask(Task[Segment]):

@@ -1,9 +1,9 @@
 """What a device does: ``python -m deitalk.research.speed.device --device cuda --json FILE``.
 
 The network of recordings of 10 s in each precision, `read_together` of recordings of 1 to 20 s,
-`animate` one by one on the device and on one processor core, live voices, and what crosses between
-processor and device; each precision's largest difference from the processor, as a share of a
-control's range. The device's name is in the table. Run it with nothing beside.
+`animate` one by one on the device and on one processor core, live voices in messages of 100 ms,
+and what crosses between processor and device; each precision's largest difference from the
+processor, as a share of a control's range. The device's name is in the table. Run it with nothing beside.
 """
 
 import argparse
@@ -18,7 +18,7 @@ import torch
 from torch.utils._python_dispatch import TorchDispatchMode
 
 from deitalk import LiveAnimator, animate
-from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE, frame_count
+from deitalk.audio.frames import SAMPLE_RATE, frame_count
 from deitalk.emotions import EMOTIONS
 from deitalk.models.checkpoint import require_model
 from deitalk.models.curve_model import DEITalk
@@ -32,10 +32,10 @@ from rig.arrays import Float32
 PRECISIONS = ("float32", "tf32", "bfloat16")
 LINES = (1, 8, 64, 256)
 """Recordings that are read together."""
-VOICES = (1, 4, 16, 64, 256, 1024)
-LIVE_FRAMES, WARM_FRAMES = 60, 15
-LATE_MS = 1000 / FRAME_RATE
-"""Time of a frame, in which a call for all voices must end."""
+VOICES = (1, 4, 16, 64, 256, 512, 1024)
+MESSAGES, WARM_MESSAGES = 40, 15
+MESSAGE_MS = 100
+"""Sound of a message, ms: a call for all voices must end before the next."""
 Lines = tuple[list[Float32], list[Float32], list[str]]
 
 
@@ -95,22 +95,22 @@ def largest(found: list[Reading], expected: list[Reading], model: DEITalk) -> fl
 
 
 def live_ms(device: str, backend: str, count: int) -> dict[str, float]:
-    """Time of the call that gives the next frame of so many voices, ms."""
+    """Time of the call that takes the next message of so many voices, ms."""
     network: Any = load_network("live", backend=backend, device=device)
     animator = LiveAnimator(network, "happy", streams=count)
-    sound, step = speechlike(10), SAMPLE_RATE // FRAME_RATE
+    sound, step = speechlike(10), SAMPLE_RATE * MESSAGE_MS // 1000
     wall, spent = [], []
-    for frame in range(LIVE_FRAMES):
-        piece = sound[frame * step : (frame + 1) * step]
+    for place in range(MESSAGES):
+        piece = sound[place * step : (place + 1) * step]
         began, used = time.perf_counter(), time.process_time()
         animator.feed([piece] * count if count > 1 else piece)
         wall.append(1e3 * (time.perf_counter() - began))
         spent.append(1e3 * (time.process_time() - used))
-    late = wall[WARM_FRAMES:]
+    late = wall[WARM_MESSAGES:]
     return {
         "median_ms": float(np.median(late)),
         "p95_ms": float(np.percentile(late, 95)),
-        "processor_ms_of_a_voice": float(np.median(spent[WARM_FRAMES:])) / count,
+        "processor_ms_of_a_voice": float(np.median(spent[WARM_MESSAGES:])) / count,
     }
 
 
@@ -148,7 +148,7 @@ def measure(device: str, most: int, say: Callable[[str, Any], None]) -> None:
         for count in (count for count in VOICES if count <= most):
             found = live_ms(device, backend, count)
             say(f"live, {count} voices, {backend}", found)
-            if found["median_ms"] > LATE_MS:
+            if found["median_ms"] > MESSAGE_MS:
                 break
 
 

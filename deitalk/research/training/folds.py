@@ -40,7 +40,7 @@ def tune_folds(
     kind: str,
     *,
     resume: bool = False,
-    tensorboard: bool = False,
+    track: Sequence[str] = (),
     progress: Progress = silent,
 ) -> dict[str, Any]:
     """Tune a model without each take or actor, and test it there.
@@ -57,8 +57,8 @@ def tune_folds(
         What is left out in turn.
     resume : bool
         Continue the folds that were begun.
-    tensorboard : bool
-        Write TensorBoard's events of each fold too.
+    track : sequence of str
+        As for `finetune`, of each fold.
     progress : callable
         Called with the step among those of all folds.
 
@@ -87,9 +87,7 @@ def tune_folds(
     _check_folders(data, names)
     is_frozen = config.tune.part != "all"
     features = FrozenFeatures(config.tune.base, out / "features") if is_frozen else None
-    run = partial(
-        finetune, data=data, resume=resume, tensorboard=tensorboard, frozen_features=features
-    )
+    run = partial(finetune, data=data, resume=resume, track=track, frozen_features=features)
     with claim(out):
         begin_folder(out, kind=KIND)
         reports = {

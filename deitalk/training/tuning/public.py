@@ -150,7 +150,7 @@ def finetune(
     settings: Mapping[str, Any] | None = None,
     task: type[FinetuneTask] = FinetuneTask,
     resume: bool = False,
-    tensorboard: bool = False,
+    track: Sequence[str] = (),
     progress: Progress = silent,
 ) -> Tuned:
     """Tune a model on captures of an actor or of another rig, as ``deitalk finetune``.
@@ -177,8 +177,9 @@ def finetune(
         `deitalk.training.tuning.task.FinetuneTask`, or a class of yours with another loss.
     resume : bool
         Continue the run folder; begin it if it is new.
-    tensorboard : bool
-        Write TensorBoard's events to the run folder too.
+    track : sequence of str
+        Trackers of accelerate that get the numbers too: ``tensorboard``, whose events are in the
+        run folder, ``wandb``, ``mlflow`` …; a continued run stays one run there.
     progress : callable
         Called with the step, the number of steps and values of both.
 
@@ -200,7 +201,7 @@ def finetune(
         recipe=recipe,
         settings=settings,
     )
-    options: dict[str, Any] = {"resume": resume, "tensorboard": tensorboard}
+    options: dict[str, Any] = {"resume": resume, "track": track}
     return run_tuning(config, dataset, out, task=task, progress=progress, **options)
 
 

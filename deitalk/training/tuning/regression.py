@@ -33,6 +33,8 @@ GAINS = (0.5, 1.5)
 """Range of the size of an actor's expressions over those of the base."""
 CALMEST = 0.2
 """Least share to which the jaw's motion by the base's emotions is lowered."""
+SHARES = 9
+"""Shares of it that are tried."""
 MOST_SIZED = 20
 """Clips on which it is measured, evenly spread."""
 
@@ -64,6 +66,32 @@ def _last_layers(decoder: RigDecoder) -> list[nn.Module]:
     """Those that maps are added to."""
     actors = [] if decoder.actor_layers is None else [decoder.actor_layers]
     return [decoder.output, *actors]
+
+
+def _range(values: Float64) -> Float64:
+    """Range of curves, but for their ends [shape=(...,)]."""
+    high, low = np.percentile(values, (95, 5), axis=-1)
+    return np.asarray(high - low)
+
+
+def _jaw_share(acted: Float64, own: Float32, reference: int) -> tuple[float, Float64]:
+    """Share of the base's change of a jaw, and its pose in each emotion, of `size_emotions`.
+
+    From its curves in each emotion [shape=(5, T)], and those of the tuned face [shape=(T,)].
+    """
+    calm = acted[reference]
+    moved, about = acted - calm, calm - calm.mean()
+    if calm.std() <= MOVING or own.std() == 0:
+        return 1.0, np.zeros(len(acted))
+    slope = moved @ about / np.square(about).sum()
+    pose = moved.mean(axis=1) - slope * calm.mean()
+    most = np.maximum(_range(acted) / _range(calm), 1)
+    start = float(np.clip(own.std() / calm.std(), CALMEST, 1))
+    for share in np.linspace(start, CALMEST, SHARES).tolist():
+        shown = own + pose[:, None] + share * (moved - pose[:, None])
+        if start == 1 or (_range(shown) / _range(own) <= most).all():
+            break
+    return share, pose
 
 
 class Regression:
@@ -229,7 +257,8 @@ class Regression:
 
         An emotion changes how far the jaw opens with the speech; added whole to an actor who hardly
         opens it, that would be most of its motion. It is lowered to the actors' spread over that of
-        the base, but for its pose: what an emotion adds where the base's neutral jaw is at rest.
+        the base, and on until no emotion widens the range of the jaw more than that of the base;
+        but for its pose: what an emotion adds where the base's neutral jaw is at rest.
         """
         change, names = self.model.rig_decoder.change, self.base.controls.names
         if change is None or self.model.rig_decoder.kept is None or JAW not in names:
@@ -238,7 +267,7 @@ class Regression:
         jaw = self.learnt & (shares.max(axis=1) > 0)
         jaw &= shares.argmax(axis=1) == names.index(JAW)
         calm = [clip for clip in self.clips if EMOTIONS.index(clip.emotion) == change.reference]
-        rows, spreads = [], np.zeros((2, len(self.controls)))
+        rows, owns = [], []
         for clip in spread_clips(calm, MOST_SIZED):
             example = load_example(clip, self.controls, sound=False)
             count = len(example.curves)
@@ -248,18 +277,15 @@ class Regression:
             carried = (of_base @ change.carry.T).numpy().astype(np.float64)
             styles = styles_of_clip(self.model, clip, count, clip.speaker)
             own = self.model.decode(analysed(self.model, clip, count, self.features), styles)
-            neutral = carried[change.reference]
-            spreads += count * np.stack((own.numpy().var(axis=0), neutral.var(axis=0)))
-            rows.append(carried)
-        found = np.concatenate(rows, axis=1)
-        neutral, moved = found[change.reference], found - found[change.reference]
-        share = np.sqrt(spreads[0] / np.maximum(spreads[1], 1e-12))
-        share = np.where(jaw & (neutral.std(axis=0) > MOVING), np.clip(share, CALMEST, 1), 1)
-        about = neutral - neutral.mean(axis=0)
-        slope = (moved * about).sum(axis=1) / np.maximum(np.square(about).sum(axis=0), 1e-12)
-        still = moved.mean(axis=1) - slope * neutral.mean(axis=0)
-        change.pose.copy_(torch.from_numpy((1 - share) * still))
-        change.carry.mul_(torch.from_numpy(share).float()[:, None])
+            rows.append(carried[..., jaw])
+            owns.append(own.numpy()[:, jaw])
+        found, own_jaw = np.concatenate(rows, axis=1), np.concatenate(owns)
+        for place, acted, calm_jaw in zip(
+            np.flatnonzero(jaw).tolist(), found.transpose(2, 0, 1), own_jaw.T, strict=True
+        ):
+            share, pose = _jaw_share(acted, calm_jaw, change.reference)
+            change.pose[:, place] = torch.from_numpy((1 - share) * pose)
+            change.carry[place] *= share
 
     @torch.no_grad()
     def match_range(self, share: float) -> None:

@@ -35,8 +35,10 @@ LEAST_ACTORS = 3
 FOLDS = 4
 """Most parts of the captures of which each is predicted from the others."""
 MANY, MANY_FOLDS = 8, 2
-"""Actors from which on two folds do, an actor's change is nearly none, all actors have the same
-penalties, and sums of products are in single precision: time and memory grow with the actors."""
+"""Actors from which on two folds do and all have one map, with an offset of each: minutes of one
+of so many say hardly more of it, and neither time nor memory grows with the actors."""
+GROUPS = 4
+"""Parts of many actors, each of which is predicted from the others to choose their map."""
 
 
 Pair = tuple[float, float | None]
@@ -96,9 +98,11 @@ class Maps(NamedTuple):
         with torch.no_grad():
             decoder.output.weight.add_(_tensor(self.weight[0], decoder), alpha=share)
             decoder.output.bias.add_(_tensor(self.bias[0], decoder), alpha=share)
-            if decoder.actor_layers is not None:
-                decoder.actor_layers.weight.add_(_tensor(self.weight[1:], decoder), alpha=share)
-                decoder.actor_layers.bias.add_(_tensor(self.bias[1:], decoder), alpha=share)
+            layers = decoder.actor_layers
+            if layers is not None and self.weight[1:].any():
+                layers.weight.add_(_tensor(self.weight[1:], decoder), alpha=share)
+            if layers is not None:
+                layers.bias.add_(_tensor(self.bias[1:], decoder), alpha=share)
 
 
 def _tensor(values: Float64, decoder: RigDecoder) -> torch.Tensor:
@@ -106,11 +110,17 @@ def _tensor(values: Float64, decoder: RigDecoder) -> torch.Tensor:
 
 
 class Sums(NamedTuple):
-    """Products of the rows of the first clips, to go on with when others are added."""
+    """Sums of the rows (1, features, targets) [R] of clips, and of their products.
+
+    They are gone on with when further clips are added.
+    """
 
     folds: list[int]
     """Of these clips."""
-    grams: Float64
+    squares: Float64
+    """Products, by fold and actor, of many actors by group [shape=(K, A or `GROUPS`, R, R)]."""
+    rows: Float64
+    """By fold and actor [shape=(K, A, R)]."""
 
 
 def fit_ridge(
@@ -145,8 +155,7 @@ def fit_ridge(
     """
     sums = {} if sums is None else sums
     names = [name for name in actors if any(clip.actor == name for clip in clips)]
-    are_many = len(names) >= MANY
-    most = MANY_FOLDS if are_many else FOLDS
+    most = MANY_FOLDS if len(names) >= MANY else FOLDS
     folds = take_folds([(clip.take, clip.group) for clip in clips], most)
     shows = np.stack([clip.known & learnt for clip in clips])  # clips by controls
     places = np.array([0, *(list(actors).index(name) + 1 for name in names)])
@@ -155,9 +164,8 @@ def fit_ridge(
         columns = np.flatnonzero((shows == pattern[:, None]).all(axis=0))
         shown = np.flatnonzero(pattern).tolist()
         key = (*places.tolist(), *columns.tolist())
-        grams = _grams(clips, read, shown, folds, names, columns.tolist(), sums.get(key))
-        sums[key] = Sums(folds, grams)
-        whole, *held = _chosen(grams, len(columns), may_stay, new_actors)
+        sums[key] = _sums(clips, read, shown, folds, names, columns.tolist(), sums.get(key))
+        whole, *held = _chosen(sums[key], len(columns), may_stay, new_actors)
         if maps is None:
             shape = len(actors) + 1, len(learnt), whole.weight.shape[-1]
             count = max(folds) + 1 if max(folds) else 0
@@ -166,7 +174,7 @@ def fit_ridge(
             )
         # Clips that show these controls may all be in one fold; without it there is no other map.
         for target, found in zip((maps, *maps.held), (whole, *(held or [])), strict=False):
-            target.weight[np.ix_(places, columns)] = found.weight[: len(places)]
+            target.weight[np.ix_(places[: len(found.weight)], columns)] = found.weight
             target.bias[np.ix_(places, columns)] = found.bias[: len(places)]
             target.stays[columns] = found.stays
     assert maps is not None
@@ -180,7 +188,8 @@ def _empty(shape: tuple[int, int, int]) -> Maps:
 def take_folds(clips: Sequence[tuple[str, Hashable]], most: int = FOLDS) -> list[int]:
     """Fold of every clip (take, group): whole takes of a group of two or more, else parts of one.
 
-    A fold is so always predicted from other clips of its groups, actors in an emotion.
+    A fold is so always predicted from other clips of its groups, actors in an emotion; where each
+    has one clip only, from other groups.
     """
     takes: dict[Hashable, dict[str, int]] = {}
     for take, group in clips:
@@ -196,69 +205,91 @@ def take_folds(clips: Sequence[tuple[str, Hashable]], most: int = FOLDS) -> list
         else:
             folds.append(seen[clip] * min(most, sizes[clip]) // sizes[clip])
             seen[clip] += 1
+    if not any(folds):
+        order = {group: place for place, group in enumerate(takes)}
+        folds = [order[group] % most for _, group in clips]
     return folds
 
 
-def _grams(
+def _sums(
     clips: Sequence[Capture],
     read: Callable[[int], Rows],
     shown: Sequence[int],
-    folds: Sequence[int],
+    folds: list[int],
     names: Sequence[str],
     columns: Sequence[int],
     before: Sums | None,
-) -> Float64:
-    """Products of rows (1, features, targets) [shape=(K, A, 1 + F + C, 1 + F + C)]."""
-    grams, done = np.zeros(0), 0
+) -> Sums:
+    """Sums of the clips that show some controls; those of the first clips are gone on with."""
+    squares, sums, done = np.zeros(0), np.zeros(0), 0
     if before is not None and folds[: len(before.folds)] == before.folds:
-        grams, done = before.grams, len(before.folds)
-        if (more := max(folds) + 1 - len(grams)) > 0:
-            grams = np.concatenate((grams, np.zeros((more, *grams.shape[1:]))))
+        squares, sums, done = before.squares, before.rows, len(before.folds)
+        if (more := max(folds) + 1 - len(squares)) > 0:
+            squares, sums = (
+                np.concatenate((part, np.zeros((more, *part.shape[1:]))))
+                for part in (squares, sums)
+            )
+    groups = GROUPS if len(names) >= MANY else max(len(names), 1)
     for place in [place for place in shown if place >= done]:
         features, targets = read(place)
         ones = np.ones((len(features), 1), np.float32)
         rows = np.concatenate((ones, features, targets[:, columns]), axis=1)
-        if not grams.size:
-            shape = max(folds) + 1, max(len(names), 1), rows.shape[1], rows.shape[1]
-            grams = np.zeros(shape, np.float32 if len(names) >= MANY else np.float64)
+        if not squares.size:
+            count, size = max(folds) + 1, rows.shape[1]
+            squares = np.zeros((count, groups, size, size))
+            sums = np.zeros((count, max(len(names), 1), size))
         actor = names.index(clips[place].actor) if names else 0
-        grams[folds[place], actor] += rows.T @ rows
-    return grams
+        product = rows.T @ rows
+        squares[folds[place], actor % groups] += product
+        sums[folds[place], actor] += product[0]
+    return Sums(folds, squares, sums)
 
 
-def _chosen(grams: Float64, n_controls: int, may_stay: bool, new_actors: bool) -> list[Maps]:
+def _chosen(sums: Sums, n_controls: int, may_stay: bool, new_actors: bool) -> list[Maps]:
     """Maps with the penalties of least error of each actor and control; those without each fold.
 
     Without folds, as nothing can be predicted from others, they are the largest penalties.
     """
-    n_actors, total = grams.shape[1], grams.sum(axis=0)
-    own = OWN[-1:] if n_actors >= MANY else OWN
-    pairs: list[Pair] = [(shared, shared * each) for shared in SHARED for each in own]
-    if n_actors == 1:
-        pairs = [(shared, shared) for shared in SHARED]
-    shape, stays = (n_actors, n_controls), np.zeros(n_controls, bool)
-    folds = [fold for fold in range(len(grams)) if grams[fold, :, 0, 0].any()]
+    squares, rows = sums.squares, sums.rows
+    n_actors, is_one = rows.shape[1], rows.shape[1] == 1 or rows.shape[1] >= MANY
+    is_new = new_actors and n_actors >= LEAST_ACTORS
+    folds = [fold for fold in range(len(rows)) if rows[fold, :, 0].any()]
+    best = None
+    if is_one:
+        if is_new and len(folds) > 1:
+            best = _best_of_strangers(squares.sum(axis=0), rows.sum(axis=0), n_controls)[None]
+        squares = squares.sum(axis=1, keepdims=True)
+    total = squares.sum(axis=0), rows.sum(axis=0)
+    pairs: list[Pair] = [(shared, shared * each) for shared in SHARED for each in OWN]
+    if is_one:
+        pairs = [(shared, None) for shared in SHARED]
+    shape, stays = (1 if is_one else n_actors, n_controls), np.zeros(n_controls, bool)
     if len(folds) == 1:
         best = np.full(shape, len(pairs) - 1)
-        return [_with_stranger(total, pairs, best, stays, new_actors)]
+        return [_with_stranger(*total, pairs, best, stays, is_new)]
     errors = np.zeros((len(pairs), *shape))
-    weights = np.zeros((len(grams), *shape, grams.shape[-1] - 1 - n_controls), np.float32)
-    biases = np.zeros((len(grams), *shape))
+    weights = np.zeros((len(rows), *shape, rows.shape[-1] - 1 - n_controls), np.float32)
+    biases = np.zeros((len(rows), n_actors, n_controls))
     for place, pair in enumerate(pairs):
-        found = {fold: _solve(total - grams[fold], n_controls, *pair) for fold in folds}
+        found = {
+            fold: _solve(total[0] - squares[fold], total[1] - rows[fold], n_controls, *pair)
+            for fold in folds
+        }
         for fold, (weight, bias) in found.items():
-            errors[place] += _error(grams[fold], weight, bias)
-        if n_actors >= MANY:
-            errors[place] = errors[place].sum(axis=0)
+            error = _error(squares[fold], rows[fold], weight, bias)
+            errors[place] += error.sum(axis=0) if is_one else error
         better = errors[place] < errors[:place].min(axis=0, initial=np.inf)
+        if best is not None:
+            better = best == place
         for fold, (weight, bias) in found.items():
-            weights[fold][better], biases[fold][better] = weight[better], bias[better]
+            weights[fold][better] = weight[better]
+            biases[fold] = np.where(better, bias, biases[fold])
+    best = errors.argmin(axis=0) if best is None else best
     if may_stay:
-        squares = np.einsum("kaii->i", grams[..., -n_controls:, -n_controls:], dtype=np.float64)
-        least = errors.min(axis=0)
-        least = least[0] if n_actors >= MANY else least.sum(axis=0)
-        stays = least > (1 - LEAST_BETTER) * squares
-    whole = _with_stranger(total, pairs, errors.argmin(axis=0), stays, new_actors)
+        still = np.einsum("kaii->i", squares[..., -n_controls:, -n_controls:])
+        least = np.take_along_axis(errors, best[None], axis=0)[0].sum(axis=0)
+        stays = least > (1 - LEAST_BETTER) * still
+    whole = _with_stranger(*total, pairs, best, stays, is_new)
     held = [
         _about(w, b, w.mean(axis=0), b.mean(axis=0)) for w, b in zip(weights, biases, strict=True)
     ]
@@ -266,13 +297,16 @@ def _chosen(grams: Float64, n_controls: int, may_stay: bool, new_actors: bool) -
 
 
 def _with_stranger(
-    total: Float64, pairs: Sequence[Pair], best: Int64, stays: Bool, new_actors: bool
+    squares: Float64, rows: Float64, pairs: Sequence[Pair], best: Int64, stays: Bool, is_new: bool
 ) -> Maps:
     """Maps of all clips by the penalties of each actor and control, and that without a name."""
-    weight, bias = _each_solved(total, pairs, best)
+    weight, bias = _each_solved(squares, rows, pairs, best)
     strange = weight.mean(axis=0), bias.mean(axis=0)
-    if new_actors and len(total) >= LEAST_ACTORS:
-        strange = _of_stranger(total, best.shape[1])
+    if is_new and len(weight) > 1:
+        shared: list[Pair] = [(each, None) for each in SHARED]
+        chosen = _best_of_strangers(squares, rows, best.shape[1])[None]
+        each, rest = _each_solved(squares, rows, shared, chosen)
+        strange = each[0], rest.mean(axis=0)
     return _staying(*_about(weight, bias, *strange), stays)
 
 
@@ -281,82 +315,87 @@ def _staying(weight: Float64, bias: Float64, stays: Bool) -> Maps:
     return Maps(np.where(stays[:, None], 0, weight), np.where(stays, 0, bias), stays)
 
 
-def _each_solved(grams: Float64, pairs: Sequence[Pair], best: Int64) -> tuple[Float64, Float64]:
-    """`_solve` of every actor and control with the penalties of its place (A, C) in `pairs`."""
+def _each_solved(
+    squares: Float64, rows: Float64, pairs: Sequence[Pair], best: Int64
+) -> tuple[Float64, Float64]:
+    """`_solve` with the penalties of each map and control: their places in `pairs` (A or 1, C)."""
     first, *others = dict.fromkeys(best.ravel().tolist())
-    weight, bias = _solve(grams, best.shape[1], *pairs[first])
+    weight, bias = _solve(squares, rows, best.shape[1], *pairs[first])
     for place in others:
-        weights, biases = _solve(grams, best.shape[1], *pairs[place])
+        weights, biases = _solve(squares, rows, best.shape[1], *pairs[place])
         chosen = best == place
-        weight[chosen], bias[chosen] = weights[chosen], biases[chosen]
+        weight[chosen], bias = weights[chosen], np.where(chosen, biases, bias)
     return weight, bias
 
 
-def _of_stranger(grams: Float64, n_controls: int) -> tuple[Float64, Float64]:
-    """Weights (C, F) and biases (C,) for an actor of no capture, from the products of each.
+def _best_of_strangers(squares: Float64, rows: Float64, n_controls: int) -> Int64:
+    """Places in `SHARED` with which groups of actors are best predicted from others [shape=(C,)].
 
     Offsets have no part in the choice: no speech tells how a stranger's face rests.
     """
-    pairs: list[Pair] = [(shared, None) for shared in SHARED]
-    errors = np.zeros((len(pairs), n_controls))
-    for left, of_actor in enumerate(grams):
-        others = [gram for place, gram in enumerate(grams) if place != left]
-        own = of_actor - np.outer(of_actor[:, 0], of_actor[0]) / max(of_actor[0, 0], 1)
-        for place, pair in enumerate(pairs):
-            weight, bias = _solve(others, n_controls, *pair)
-            errors[place] += _error(own[None], weight[:1], bias[:1])[0]
-    best = np.tile(errors.argmin(axis=0), (len(grams), 1))
-    weight, bias = _each_solved(grams, pairs, best)
-    return weight[0], bias.mean(axis=0)
+    errors, total = np.zeros((len(SHARED), n_controls)), squares.sum(axis=0, keepdims=True)
+    group_of = np.arange(len(rows)) % len(squares)
+    for left, of_group in enumerate(squares):
+        theirs = rows[group_of == left]
+        own = of_group - theirs.T @ (theirs / np.maximum(theirs[:, :1], 1))
+        for place, shared in enumerate(SHARED):
+            others = rows[group_of != left]
+            weight, _ = _solve(total - of_group, others, n_controls, shared, None)
+            errors[place] += _square(own, weight[0])
+    best: Int64 = errors.argmin(axis=0)
+    return best
 
 
 def _about(
     weight: Float64, bias: Float64, stranger: Float64, rest: Float64
 ) -> tuple[Float64, Float64]:
-    """The map without a name, and how each actor's differs [shape=(A + 1, …)]."""
+    """The map without a name, how each actor's differs [shape=(A + 1, …)], if they do."""
+    changes = weight - stranger if len(weight) > 1 else weight[:0]
     return (
-        np.concatenate((stranger[None], weight - stranger)),
+        np.concatenate((stranger[None], changes)),
         np.concatenate((rest[None], bias - rest)),
     )
 
 
 def _solve(
-    grams: Sequence[Float64] | Float64, n_controls: int, shared: float, own: float | None
+    squares: Float64, rows: Float64, n_controls: int, shared: float, own: float | None
 ) -> tuple[Float64, Float64]:
-    """Weights (A, C, F) and biases (A, C) of each actor from their products (A, …).
+    """Weights (A, C, F), without changes (1, C, F), and biases (A, C) from sums of all folds.
 
     Each actor's change is eliminated: with S its centred products, D the penalty and b the centred
     products with the targets, it is (S + own D)^-1 (b - S W) for the shared map W.
     """
-    firsts = np.stack([gram[0] for gram in grams])
-    counts = np.maximum(firsts[:, :1], 1)
-    means = firsts / counts
-    size = firsts.shape[1] - n_controls
-    inner = sum(gram.diagonal() for gram in grams) - (firsts * means).sum(axis=0)
-    scale = np.maximum(inner[1:size], 1e-6 * firsts[:, 0].sum())
+    means = rows / np.maximum(rows[:, :1], 1)
+    size = rows.shape[1] - n_controls
+    inner = squares.sum(axis=0) - rows.T @ means
+    scale = np.maximum(inner.diagonal()[1:size], 1e-6 * rows[:, 0].sum())
     left, right = np.diag(shared * scale), np.zeros((size - 1, n_controls))
     parts = []
-    for gram, first, mean in zip(grams, firsts, means, strict=True):
-        centred = gram[1:size, 1:] - np.outer(first[1:size], mean[1:])
-        square, product = centred[:, : size - 1], centred[:, size - 1 :]
-        if own is None or len(grams) == 1:
-            left += square
-            right += product
-            continue
-        part = _positive(square + np.diag(own * scale), centred)
-        left += square - square @ part[:, : size - 1]
-        right += product - square @ part[:, size - 1 :]
-        parts.append(part)
+    if own is None:
+        left += inner[1:size, 1:size]
+        right += inner[1:size, size:]
+    else:
+        for gram, row, mean in zip(squares, rows, means, strict=True):
+            centred = gram[1:size, 1:] - np.outer(row[1:size], mean[1:])
+            square, product = centred[:, : size - 1], centred[:, size - 1 :]
+            part = _positive(square + np.diag(own * scale), centred)
+            left += square - square @ part[:, : size - 1]
+            right += product - square @ part[:, size - 1 :]
+            parts.append(part)
     common = _positive(left, right)
-    weight = [common] * len(grams)
-    if parts:
-        weight = [common + part[:, size - 1 :] - part[:, : size - 1] @ common for part in parts]
-    stacked = np.stack(weight).transpose(0, 2, 1).astype(np.float64)
+    weight = [common + part[:, size - 1 :] - part[:, : size - 1] @ common for part in parts]
+    stacked = np.stack(weight or [common]).transpose(0, 2, 1).astype(np.float64)
     # The biases with which each actor's mean is met; one without rows has the mean of the others'.
-    bias = np.stack([m[size:] - each @ m[1:size] for m, each in zip(means, stacked, strict=True)])
+    bias = means[:, size:] - _products(stacked, means[:, 1:size])
     absent = means[:, 0] == 0
     bias[absent] = bias[~absent].mean(axis=0)
     return stacked, bias
+
+
+def _products(weight: Float64, rows: Float64) -> Float64:
+    """Map (A or 1, C, F) of a row (F,) of each actor [shape=(A, C)]."""
+    maps = np.broadcast_to(weight, (len(rows), *weight.shape[1:]))
+    return np.stack([each @ row for each, row in zip(maps, rows, strict=True)])
 
 
 def _positive(matrix: Float64, right: Float64) -> Any:
@@ -365,12 +404,19 @@ def _positive(matrix: Float64, right: Float64) -> Any:
     return scipy.linalg.cho_solve(factors, right.astype(np.float32), check_finite=False)
 
 
-def _error(grams: Float64, weight: Float64, bias: Float64) -> Float64:
-    """Squared error of every actor and control on the products of a fold [shape=(A, C)]."""
-    minus = -np.eye(weight.shape[1])
-    rows = [
-        np.column_stack((offset, each, minus)) for each, offset in zip(weight, bias, strict=True)
-    ]
-    return np.stack(
-        [(both @ gram * both).sum(axis=1) for both, gram in zip(rows, grams, strict=True)]
-    )
+def _error(squares: Float64, rows: Float64, weight: Float64, bias: Float64) -> Float64:
+    """Squared error of every actor or group and control on a fold [shape=(A or groups, C)]."""
+    size = 1 + weight.shape[2]
+    off = _products(weight, rows[:, 1:size]) - rows[:, size:]
+    offsets = bias * (bias * rows[:, :1] + 2 * off)
+    maps = np.broadcast_to(weight, (len(squares), *weight.shape[1:]))
+    errors = [_square(square, each) for square, each in zip(squares, maps, strict=True)]
+    np.add.at(found := np.stack(errors), np.arange(len(rows)) % len(squares), offsets)
+    return found
+
+
+def _square(square: Float64, weight: Float64) -> Float64:
+    """Squared error of every control by a map without offsets, from products [shape=(C,)]."""
+    both = np.column_stack((weight, -np.eye(len(weight))))
+    error: Float64 = (both @ square[1:, 1:] * both).sum(axis=1)
+    return error

@@ -11,8 +11,10 @@ With steps some takes validate, and the best weights are kept, those of the regr
 """
 
 import copy
+import ctypes
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
@@ -41,9 +43,10 @@ from deitalk.evaluation.smoothness import load_example
 from deitalk.models.checkpoint import require_model, save_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.models.folder import describe_model, model_folder, weights_hash
+from deitalk.models.rig_decoder import RigDecoder
 from deitalk.training.curve_losses import CurveLoss, start_as
 from deitalk.training.curves import CurveTask, clip_rows, shown_examples
-from deitalk.training.optimizer import new_optimizer
+from deitalk.training.optimizer import new_optimizer, shared_copy
 from deitalk.training.trainer import Progress, run_training, silent
 from deitalk.training.tuning.expression_strength import expression_axes, label_intensity
 from deitalk.training.tuning.recipe import (
@@ -73,6 +76,18 @@ LAST_SLOWER = 30
 """Last layers begin as a regression, from which steps of the decoder's size lead away at once."""
 ABOUT = ("base", "part")
 """Settings that a report states; the run's config.yaml has all."""
+MMAP_THRESHOLD = -3
+"""`M_MMAP_THRESHOLD` of glibc's `mallopt`."""
+
+
+def _return_large_blocks() -> None:
+    """Have glibc return blocks from 1 MB on to the system when they are freed; else do nothing.
+
+    It does so at first, but raises the size with every larger block that is freed, and then keeps
+    what lies between others: of a tuning a sixth of its memory.
+    """
+    with suppress(AttributeError, OSError, TypeError):
+        ctypes.CDLL(None).mallopt(MMAP_THRESHOLD, 2**20)
 
 
 @torch.no_grad()
@@ -87,7 +102,7 @@ def finetune(
     out: Path,
     *,
     resume: bool = False,
-    tensorboard: bool = False,
+    track: Sequence[str] = (),
     progress: Progress = silent,
     frozen_features: FrozenFeatures | None = None,
     task: "type[FinetuneTask] | None" = None,
@@ -100,7 +115,7 @@ def finetune(
         From `read_recipe`.
     data : Path
         Dataset folder of captures.
-    out, resume, tensorboard, progress
+    out, resume, track, progress
         As for `deitalk.training.trainer.run_training`.
     frozen_features : FrozenFeatures or None
         Features of the base for several runs on the same clips.
@@ -117,36 +132,14 @@ def finetune(
     DataError, ConfigError, MissingError, rig.errors.TargetError
         As `run_training`, and as `FinetuneTask`.
     """
+    _return_large_blocks()
     job = (task or FinetuneTask)(config, data, frozen_features, progress)
-    run_training(job, out, resume=resume, tensorboard=tensorboard, progress=progress)
-    ridge = copy.deepcopy(job.ridge) if config.train.steps else None
-    captures, systems = job.systems(require_model(out / "best", DEITalk))
-
-    def compared() -> dict[str, Any]:
-        # The base, the start and the course of a run, for its report.
-        tune = config.tune
-        facts: dict[str, Any] = {name: getattr(tune, name) for name in ABOUT}
-        rows = pd.read_csv(out / "development.csv").to_dict("list")
-        course = {str(name).removeprefix("dev_"): values for name, values in rows.items()}
-        best = describe_model(out / "best")["training"]["step"]
-        about = facts | {
-            "base_sha256": weights_hash(model_folder(tune.base)),
-            "actors": list(job.model.actors),
-            "conventions": {name: list(found.takes) for name, found in job.conventions.items()},
-            "best_step": best,
-            "delivered": job.delivered(best),
-            "learning": course if len(course["step"]) > 1 else {},
-        }
-        return write_comparison(out, systems, captures, job.clips, held=job.held, about=about)
-
-    scores = compared()
-    if ridge is not None and job.test_clips and errs_less(scores, "ridge", "after"):
-        job.save(out / "best", ridge, describe_model(out / "best")["training"] | {"step": 0})
-        systems["after"] = systems["ridge"]
-        scores = compared()
+    run_training(job, out, resume=resume, track=track, progress=progress)
+    scores, complete = job.compare(out), job.config
+    del job  # its networks and clips are not needed for the graph
     # Once more, with the graph that ONNX Runtime evaluates.
     tuned, summary = require_model(out / "best", DEITalk), describe_model(out / "best")["training"]
-    save_model(out / "best", tuned, job.config, summary, graph=True)
+    save_model(out / "best", tuned, complete, summary, graph=True)
     remove_features(out / "features")  # a run that is over needs none
     return scores
 
@@ -181,6 +174,8 @@ class FinetuneTask(CurveTask):
     """The model before the first step, whose last layers are a regression."""
     start: DEITalk | None = None
     """The base, or what is carried of it to the rig."""
+    has_start: bool
+    """Whether there is one: the rig is related to the base's, and the decoder is of its class."""
     late: Maps | None = None
     """What validation clips add to the regression; saved models have it, which choosing has not."""
     conventions: dict[str, Convention]
@@ -278,7 +273,9 @@ class FinetuneTask(CurveTask):
             )
         if tune.part == "all":
             return
-        found = self.frozen_features or FrozenFeatures(tune.base, self.features_folder)
+        on_cpu = torch.accelerator.current_accelerator() is None  # where the base stays
+        owner = self.base if on_cpu else None
+        found = self.frozen_features or FrozenFeatures(tune.base, self.features_folder, owner)
         self.frozen_features = found
         if not self.config.data.augment:
             found.prepare(
@@ -323,6 +320,8 @@ class FinetuneTask(CurveTask):
             self._begin()
         self.model = self._network()
         self._start_as(self.base)
+        if tune.part != "all":
+            self.model.frontend = self.base.frontend
         self._fit_last_layers()
         self.base.to(device)
         # Let only the weights of a part learn.
@@ -351,10 +350,13 @@ class FinetuneTask(CurveTask):
         start_as(self.model, base)
         decoder, given = self.model.rig_decoder, base.rig_decoder
         carry = carried(self.config, self.controls)
+        # Last layers go with the layers before them.
+        self.has_start = carry is not None and type(decoder) is type(given)
         if carry is not None:
             share = torch.from_numpy(carry).to(given.output.weight)
             if decoder.change is not None and (given.change is None or not self.is_same_rig):
                 decoder.change.carry.copy_(share[:, : decoder.change.carry.shape[1]])
+        if self.has_start:
             rest = torch.tensor(base.controls.rest)
             _widen(decoder.output.weight, share @ given.output.weight)
             decoder.output.bias.copy_(
@@ -362,11 +364,8 @@ class FinetuneTask(CurveTask):
             )
         else:
             decoder.output.weight.zero_()
-        if decoder.kept is not None and (given.kept is None or not self.is_same_rig):
-            own = decoder.kept.state_dict()
-            for name, weight in given.state_dict().items():
-                if name in own:
-                    _widen(own[name], weight)
+            decoder.output.bias.copy_(torch.tensor(self.controls.rest))
+        self._keep(base)
         kept = self.model.intensity.kept if self.config.model.intensity else None
         if kept is not None:
             before = base.intensity.kept or base.intensity.project
@@ -380,6 +379,21 @@ class FinetuneTask(CurveTask):
             for new, old in pairs:
                 new[: len(old)] = old
 
+    def _keep(self, base: DEITalk) -> None:
+        """Give the decoder of what captures do not show the base's weights."""
+        decoder, given = self.model.rig_decoder, base.rig_decoder
+        if decoder.kept is None or (given.kept is not None and self.is_same_rig):
+            return
+        if type(given) is not RigDecoder:
+            raise ConfigError(
+                f"tune.base: {self.config.tune.base!r} has an own decoder, which cannot stay "
+                "beside another; tune the model that it was tuned from"
+            )
+        own = decoder.kept.state_dict()
+        for name, weight in given.state_dict().items():
+            if name in own:
+                _widen(own[name], weight)
+
     def _fit_last_layers(self) -> None:
         """Add what a ridge regression finds to the last layers: the start of the tuning."""
         fit = self.regression = Regression(
@@ -391,10 +405,9 @@ class FinetuneTask(CurveTask):
             self.progress,
             new_actors=not self.conventions,
         )
-        has_start = carried(self.config, self.controls) is not None
         late = self.late_clips if self.config.tune.part != "all" else []
-        self.late = fit.fit(late, may_stay=has_start)
-        self.start = copy.deepcopy(self.model).eval() if has_start else None
+        self.late = fit.fit(late, may_stay=self.has_start)
+        self.start = self._copy() if self.has_start else None
         fit.maps.add_to(self.model.rig_decoder)
         gain = fit.teach_emotions(scales=self.is_same_rig)
         rules = self.config.rules
@@ -410,22 +423,57 @@ class FinetuneTask(CurveTask):
                 weight, bias = fit.factor[:, None] * self.late.weight, fit.factor * self.late.bias
                 self.late = self.late._replace(weight=weight, bias=bias)
         fit.size_emotions()
-        self.ridge = copy.deepcopy(self.model).eval()
+        self.ridge = self._copy() if self.config.train.steps else None
 
-    def systems(self, after: DEITalk) -> tuple[CaptureSet, dict[str, System]]:
-        """What is scored on which clips, none of which a system learnt from."""
+    def _copy(self) -> DEITalk:
+        """Copy of the model for evaluation, with the same frontend where it does not learn."""
+        fixed = {name for name in self.model.state_dict() if name.startswith("frontend.")}
+        return shared_copy(self.model, set() if self.config.tune.part == "all" else fixed).eval()
+
+    def compare(self, out: Path) -> dict[str, Any]:
+        """Write the report of a run; where the start of its steps errs less, deliver that."""
+        ridge = copy.deepcopy(self.ridge)
+        captures, systems = self.systems(out / "best")
+        scores = self._report(out, captures, systems)
+        if ridge is not None and self.test_clips and errs_less(scores, "ridge", "after"):
+            self.save(out / "best", ridge, describe_model(out / "best")["training"] | {"step": 0})
+            scores = self._report(out, captures, systems | {"after": systems["ridge"]})
+        return scores
+
+    def _report(
+        self, out: Path, captures: CaptureSet, systems: dict[str, System]
+    ) -> dict[str, Any]:
+        """Compare the systems; the report has the base, the start and the course of the run."""
+        tune = self.config.tune
+        facts: dict[str, Any] = {name: getattr(tune, name) for name in ABOUT}
+        rows = pd.read_csv(out / "development.csv").to_dict("list")
+        course = {str(name).removeprefix("dev_"): values for name, values in rows.items()}
+        best = describe_model(out / "best")["training"]["step"]
+        about = facts | {
+            "base_sha256": weights_hash(model_folder(tune.base)),
+            "actors": list(self.model.actors),
+            "conventions": {name: list(found.takes) for name, found in self.conventions.items()},
+            "best_step": best,
+            "delivered": self.delivered(best),
+            "learning": course if len(course["step"]) > 1 else {},
+        }
+        return write_comparison(out, systems, captures, self.clips, held=self.held, about=about)
+
+    def systems(self, best: Path) -> tuple[CaptureSet, dict[str, System]]:
+        """What is scored on which clips, none of which a system learnt from; `best`: the result."""
+        if not self.test_clips and not self.config.train.steps:
+            return self._by_folds()
+        after = require_model(best, DEITalk)
         before = self.base.cpu() if self.is_same_rig else None
-        models = {"before": before, "ridge": self.ridge if self.config.train.steps else None}
+        models = {"before": before, "ridge": self.ridge}
         if self.test_clips:
             self.held = "not used in training"
             if self.late is not None and self.ridge is not None:
                 self.late.add_to(self.ridge.rig_decoder)
-        elif self.config.train.steps:
+        else:
             self.held = "which also chose the weights"
             if self.late is not None:
                 self.late.add_to(after.rig_decoder, -1)
-        else:
-            return self._by_folds()
         clips = self.test_clips or self.validation_clips
         captures = CaptureSet.of(clips, self.controls, self.pose, self.learnt)
         systems = {name: by_model(m) for name, m in (models | {"after": after}).items() if m}
@@ -538,9 +586,9 @@ class FinetuneTask(CurveTask):
 
     def save(self, folder: Path, model: nn.Module, summary: dict[str, Any]) -> None:
         """Write a model folder."""
-        whole = self._network()
-        whole.load_state_dict(model.state_dict())
+        whole = cast("DEITalk", model)
         if self.late is not None:
+            whole = copy.deepcopy(whole)
             self.late.add_to(whole.rig_decoder)
         save_model(folder, whole, self.config, summary | {"base": self.config.tune.base})
 

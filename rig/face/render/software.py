@@ -8,7 +8,6 @@ import numba.core.config
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-from scipy.sparse.csgraph import connected_components
 
 from rig.arrays import Bool, Float32, Float64, Int32, Int64
 from rig.face.mesh import (
@@ -20,7 +19,6 @@ from rig.face.mesh import (
     PORES,
     SKIN,
     Mesh,
-    adjacency,
     unit,
 )
 from rig.face.render import shading
@@ -125,13 +123,24 @@ def fill(
                 covers = value < depth[row, column]
                 if covers and is_thin:
                     dx, dy = column + F(0.5) - xa, row + F(0.5) - ya
-                    at_u = min(max(int(ua + u_x * dx + u_y * dy), 0), len(alpha) - 1)
-                    at_v = min(max(int(va + v_x * dx + v_y * dy), 0), len(alpha) - 1)
-                    covers = alpha[at_v, at_u] > THRESHOLDS[2 * (row % 2) + column % 2]
+                    u, v = ua + u_x * dx + u_y * dy, va + v_x * dx + v_y * dy
+                    covers = _cover(alpha, u, v) > THRESHOLDS[2 * (row % 2) + column % 2]
                 if covers:
                     depth[row, column] = value
                     nearest[row, column] = f
                 value += per_x
+
+
+@compiled
+def _cover(alpha: Any, u: Any, v: Any) -> Any:
+    """Alpha at a place in texels, between the texels."""
+    last = len(alpha) - 1
+    u, v = min(max(u - F(0.5), F(0)), F(last)), min(max(v - F(0.5), F(0)), F(last))
+    x, y = int(u), int(v)
+    right, below = min(x + 1, last), min(y + 1, last)
+    high = alpha[y, x] + (u - x) * (F(alpha[y, right]) - F(alpha[y, x]))
+    low = alpha[below, x] + (u - x) * (F(alpha[below, right]) - F(alpha[below, x]))
+    return high + (v - y) * (low - high)
 
 
 @compiled
@@ -499,8 +508,10 @@ class Renderer:
 
         def shrunk(picture: Picture, texels_per_cm: float) -> Picture:
             while texels_per_cm > 1.5 * pixels_per_cm and picture.shape[0] > 2:
-                quads = picture.reshape(picture.shape[0] // 2, 2, picture.shape[1] // 2, 2, -1)
-                picture = np.round(quads.mean((1, 3))).astype(np.uint8)
+                rows = np.add(picture[::2], picture[1::2], dtype=np.uint16)
+                pairs = rows.reshape(len(rows), -1, 2, picture.shape[2])
+                total = pairs[:, :, 0] + pairs[:, :, 1]
+                picture = ((total + 1 + (total >> 2 & 1)) >> 2).astype(np.uint8)  # half to even
                 texels_per_cm /= 2
             return np.ascontiguousarray(picture)
 
@@ -544,10 +555,14 @@ class Renderer:
 
 
 def _parts(mesh: Mesh) -> Int32:
-    """Number (V,) of the connected piece each vertex belongs to; hair is one piece."""
-    near = adjacency(mesh.weld[mesh.faces], len(mesh.vertices))
-    parts = connected_components(near)[1].astype(np.int32)[mesh.weld]
-    return np.where(np.isin(mesh.kind, (HAIR, FINE)), np.int32(-1), parts)
+    """Least vertex (V,) of the connected piece each vertex belongs to; hair is one piece."""
+    label, corners, before = mesh.weld.copy(), mesh.weld[mesh.faces.T], None
+    while not np.array_equal(label, before):
+        before, names = label.copy(), label[corners]
+        np.minimum.at(label, names.ravel(), np.tile(names.min(0), 3))
+        while not np.array_equal(label, label[label]):
+            label = label[label]
+    return np.where(np.isin(mesh.kind, (HAIR, FINE)), -1, label[mesh.weld]).astype(np.int32)
 
 
 TEXELS_PER_CM = 28.0

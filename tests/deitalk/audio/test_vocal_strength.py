@@ -88,3 +88,15 @@ def test_strength_in_numpy_equals_the_network_that_is_trained(rng):
     weight = np.maximum(rows[:, -1], REST_WEIGHT)
     expected = float(network(torch.tensor(rows)[None], torch.tensor(weight)[None]))
     assert VocalStrength(network.weights()).measure(frames) == pytest.approx(expected, abs=1e-5)
+
+
+def test_the_order_of_the_weights_changes_no_bit(rng):
+    """`safetensors` gives them in another order in every process."""
+    frames = rng.normal(size=(60, FEATURES)).astype(np.float32)
+    frames[:, -2:] = 1
+    weights = vocal_strength().weights
+    orders = (rng.permutation(sorted(weights)).tolist() for _ in range(8))
+    found = [VocalStrength({n: weights[n] for n in names}).follow(frames) for names in orders]
+    for whole, around in found[1:]:
+        assert whole == found[0][0]
+        np.testing.assert_array_equal(around, found[0][1])

@@ -336,6 +336,21 @@ def test_lines_of_an_actor_share_a_reference(run, orders, lines):
     assert run(manifest).counts["unchanged"] == 4, "measured again to the same value"
 
 
+def test_the_order_of_a_manifest_changes_no_reference(run, lines, monkeypatch, rng):
+    """Neither which lines of many are measured, nor the traits that are drawn from them."""
+    monkeypatch.setattr("deitalk.batch.actors.MOST_LINES", 4)
+    for number in range(7):
+        sound = (0.2 + number / 10) * speechlike(0.6 + number / 10)
+        soundfile.write(lines / f"line{number}.wav", sound, 16_000)
+    made = []
+    for order in (range(7), rng.permutation(7)):
+        manifest = lines / f"lines{len(made)}.csv"
+        manifest.write_text("audio,actor\n" + "".join(f"line{k}.wav,anna\n" for k in order))
+        run(manifest, out=run.out / str(len(made)))
+        made.append((run.out / str(len(made)) / "batch-actors/anna.json").read_bytes())
+    assert made[0] == made[1]
+
+
 # --- lines that follow one another
 
 

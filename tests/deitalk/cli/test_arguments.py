@@ -9,11 +9,12 @@ from typing import get_args
 import pytest
 from typer.main import get_command
 
+from deitalk.audio.load import write_wav
 from deitalk.cli import app, main
-from deitalk.cli.preview import _beside
 from deitalk.errors import DeitalkError
 from deitalk.models.folder import check_device, require_device
 from rig import default_controls, rest_curves, write_curves
+from tests.command import ran
 
 NUMBERS = ["nan", "inf", "-inf", "", "x"]
 HUGE = str(10**30)
@@ -194,9 +195,15 @@ def test_live_rejects_hostile_addresses(refused, tmp_path):
 
 
 @pytest.mark.parametrize("name", ["Scene 1.2.csv", "a.b.c.json", "take.v2"])
-def test_preview_keeps_the_name_without_its_suffix(tmp_path, name):
-    (tmp_path / "take.v2").mkdir()
-    page = _beside(tmp_path / name)
-    base = "preview" if name == "take.v2" else name.rpartition(".")[0]
-    assert page.name == f"{base}.html"
-    assert page.parent == (tmp_path / name if name == "take.v2" else tmp_path)
+def test_preview_keeps_the_name_without_its_suffix(tmp_path, name, monkeypatch):
+    source, targets = tmp_path / name, []
+    source.parent.joinpath("take.v2").mkdir()
+    write_wav(tmp_path / "take.v2" / "audio.wav", [0.0] * 1600)
+    write_curves(source / "curves.json" if name == "take.v2" else source, rest_curves(3))
+    monkeypatch.setattr(
+        "deitalk.preview.page.render_page", lambda shown, target, **given: targets.append(target)
+    )
+    ran("preview", source)
+    assert targets == [
+        source / "preview.html" if name == "take.v2" else source.with_suffix(".html")
+    ]

@@ -217,8 +217,8 @@ def test_finished_frames_of_live_streams_are_those_of_the_animator(voices):
     speech = recorded("promise")
     pause = np.zeros(30_000, np.float32)
     sounds = [
-        np.concatenate((speech, pause, vowel(2.0), pause[:9_000], vowel(1.0), speech[:60_000])),
-        np.concatenate((0.1 * speech[30_000:], pause, pause, speech[:30_000])),
+        np.concatenate((speech[:60_000], pause, vowel(2.0), pause[:9_000], vowel(1.0))),
+        np.concatenate((0.1 * speech[30_000:70_000], pause, pause, speech[:30_000])),
         np.random.default_rng(0).normal(0, 0.02, 60_000).astype(np.float32),
     ]
     emotions, factors = ("happy", "disgust", "neutral"), (1.0, 0.6, 1.3)

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import torch
 
+from deitalk.audio.running_level import USUAL_POWER, first_level, follow_level
 from deitalk.audio.voice_activity import BAND_EDGES_HZ, WINDOW
 from deitalk.config.rules import Gates, RulesConfig, VoiceIntensity
-from deitalk.frontends.causal_whisper import USUAL_POWER, first_level, follow_level
 from deitalk.live.activity import GATE_AHEAD, MOST_STEP, RunningActivity
 from deitalk.live.analysis import MEASURED_AHEAD, FrameMeasures, VoiceAnalysis
 from deitalk.live.intensity import Measures, RunningIntensity, follow_means
@@ -81,7 +81,7 @@ def test_steady_noise_becomes_the_floor():
 def test_running_level_finds_the_voice_and_keeps_it_through_a_pause(gain_db, rng):
     syllables = np.clip(np.sin(np.arange(150) / 2), 0, 1) ** 2
     power = USUAL_POWER * 10 ** (gain_db / 10) * np.concatenate((syllables, np.zeros(300)))
-    level, _ = follow_level(torch.tensor(power)[None].float(), first_level(1, torch.zeros(1)))
+    level, _ = follow_level(torch.tensor(power)[None].float(), torch.from_numpy(first_level(1)))
     found = 10 * np.log10(level[0].numpy() / USUAL_POWER) - gain_db
     assert abs(found[149]) < 4 and abs(found[60]) < 6  # syllables are half of the time
     assert found[149] == pytest.approx(found[-1], abs=1e-3)
@@ -89,8 +89,8 @@ def test_running_level_finds_the_voice_and_keeps_it_through_a_pause(gain_db, rng
 
 def test_running_level_goes_on_where_it_stopped(rng):
     power = torch.tensor(rng.uniform(0, 0.01, (2, 50))).float()
-    whole, end = follow_level(power, first_level(2, power))
-    first, state = follow_level(power[:, :20], first_level(2, power))
+    whole, end = follow_level(power, torch.from_numpy(first_level(2)))
+    first, state = follow_level(power[:, :20], torch.from_numpy(first_level(2)))
     second, last = follow_level(power[:, 20:], state)
     assert torch.equal(torch.cat((first, second), dim=1), whole) and torch.equal(last, end)
 
@@ -174,3 +174,11 @@ def test_streams_side_by_side_are_heard_as_each_alone_in_any_pieces(rng):
         alone, _ = analysis(FrameMeasures.of_windows(windows), *own, take(first, [k]))
         expected = np.stack((*alone[1:-1], *alone.held), axis=-1)[0]
         np.testing.assert_allclose(np.concatenate(together, axis=1)[k], expected, atol=1e-6)
+
+
+def test_windows_are_measured_alike_on_a_device() -> None:
+    """Another name of the processor takes the way of a GPU: tensors measure, arrays come back."""
+    sound = np.random.default_rng(3).standard_normal((2, 5, WINDOW)).astype(np.float32)
+    here, there = (FrameMeasures.of_windows(sound, device) for device in ("cpu", "cpu:0"))
+    for ours, theirs in zip(here, there, strict=True):
+        np.testing.assert_allclose(theirs, ours, atol=2e-4)

@@ -21,10 +21,13 @@ from deitalk.research.meshes.scores import predict_mesh
 from rig import ControlSet, default_controls
 from rig.errors import ExistsError, RigError, TargetError
 from rig.face import build_head
+from rig.face.identity import identity_of
 from rig.mesh.glb import read_container
 from rig.mesh.glb_reader import read_accessor, read_glb
+from rig.retarget.head_import import import_head
 from rig.retarget.retarget_files import RetargetReport
 from tests.meshes import write_obj
+from tests.rig.retarget.test_head_import import Face
 from tests.rig.retarget.test_retarget_files import ict
 
 pytestmark = pytest.mark.usefixtures("one_analysis")
@@ -122,6 +125,18 @@ def test_speaker_chooses_the_embedded_head(speech, network):
     assert bruno.landmarks == head.landmarks
     with pytest.raises(RigError, match="'Nobody' is unknown"):
         animate_mesh(speech, model=network, speaker="Nobody")
+
+
+def test_a_head_of_your_own_speaks_and_moves_no_other_mesh(sdfa_folder, speech, network, tmp_path):
+    import_head(Face().write(tmp_path / "mine.glb"), tmp_path / "mine.npz")
+    mine = identity_of(str(tmp_path / "mine.npz"))
+    found = animate_mesh(speech, model=network, speaker=mine)
+    np.testing.assert_array_equal(found.mesh.vertices, build_head(mine).neutral)
+    assert np.abs(found.vertices - found.mesh.vertices).max() > 0.1 and found.landmarks is None
+    with pytest.raises(CheckpointError, match=r"mine.npz is a head for curves.*--mesh"):
+        animate_mesh(speech, model=sdfa_folder, speaker=mine)
+    with pytest.raises(DeitalkError, match=r"identity mine is a head of ours.*leave one out"):
+        retarget_speech(speech, tmp_path / "mine.glb", tmp_path / "o.npz", speaker=mine)
 
 
 # --- SDFA
@@ -237,6 +252,7 @@ def test_command_rejects_bad_arguments_and_writes_nothing(sdfa_folder, speech, t
         ((speech, *out, "--landmarks", "a.json"), DeitalkError, "points of a --mesh"),
         ((speech, *out, "--model", sdfa_folder, "-e", "sad"), EmotionError, "no emotion"),
         ((speech, *out, "--model", tmp_path), CheckpointError, "no model there"),
+        ((speech, *out, "--identity", tmp_path / "none.npz"), RigError, "none.npz does not exist"),
         ((tmp_path / "none.wav", *out), DeitalkError, "there is no recording"),
         ((speech, *out, "--mesh", tmp_path / "none.obj"), RigError | OSError, "none.obj"),
     ):

@@ -8,6 +8,7 @@ import pytest
 from deitalk.acting import Acting
 from deitalk.audio.load import load_audio, write_wav
 from deitalk.audio.voice_activity import active_level_db, speech_activity
+from deitalk.config.rules import VoiceIntensity
 from deitalk.emotions import IntensityCurve
 from deitalk.errors import AudioError
 from deitalk.models.protocol import Tracks, neutral_and_acted
@@ -17,6 +18,7 @@ from deitalk.pipeline.speech import (
     Speech,
     measure_intensities,
 )
+from deitalk.postprocess.feeling import felt_intensity
 from deitalk.research.evaluation.benchmark_curves import speechlike
 
 
@@ -74,8 +76,10 @@ def test_applied_intensity_is_the_factor_times_the_predicted_one(speech):
     np.testing.assert_array_equal(once.applied, once.predicted)
     np.testing.assert_allclose(twice.applied, 2 * once.applied)
     np.testing.assert_allclose(twice.scale, 2 * once.scale)
-    np.testing.assert_allclose(once.predicted, once.voice * speech.share(0.5), rtol=1e-6)
-    assert once.predicted[0] == pytest.approx(0.5 * once.voice[0])
+    happy = Acting.of(emotion="happy").emotion_track.at(speech.times)
+    felt = felt_intensity(once.voice, happy, VoiceIntensity())
+    np.testing.assert_allclose(once.predicted, felt * speech.share(0.5), rtol=1e-6)
+    assert once.predicted[0] == pytest.approx(0.5 * felt[0])
     quiet = measure_intensities(speech, found, Acting.of(emotion="happy", rest=0))
     assert quiet.predicted[:30].max() == 0 < quiet.predicted[100] == once.predicted[100]
 
@@ -104,8 +108,10 @@ def test_keyframes_are_shown_in_silence_as_drawn(speech):
     keyed = Acting.of(emotion="time,emotion,strength\n0,neutral,1\n1,happy,1\n")
     found = measure_intensities(speech, tracks(speech, 0.5), keyed)
     np.testing.assert_array_equal(found.share, 1)
-    np.testing.assert_allclose(found.applied, found.voice, rtol=1e-6)
-    assert found.applied[0] == pytest.approx(found.voice[90:120].mean(), abs=0.15)
+    weights = keyed.emotion_track.at(speech.times)
+    felt = felt_intensity(found.voice, weights, VoiceIntensity())
+    np.testing.assert_allclose(found.applied, felt, rtol=1e-6)
+    assert found.applied[0] == pytest.approx(felt[90:120].mean(), abs=0.15)
 
 
 def test_strength_is_the_mean_of_prosody_and_readout(speech):

@@ -7,7 +7,15 @@ from deitalk.audio.frames import runs
 from deitalk.audio.prosody import measure_prosody
 from deitalk.audio.voice_activity import speech_activity
 from deitalk.config.rules import VoiceIntensity
-from deitalk.postprocess.feeling import MOST, Phrases, intensity_of, state_of, voice_intensity
+from deitalk.emotions import LABELS
+from deitalk.postprocess.feeling import (
+    MOST,
+    Phrases,
+    felt_intensity,
+    intensity_of,
+    state_of,
+    voice_intensity,
+)
 from tests.deitalk.audio.test_prosody import voice
 
 RULE = VoiceIntensity()
@@ -44,6 +52,31 @@ def test_strength_has_no_bound():
     assert (steps > 0.02).all()
     loud, shout = intensity_of(state_of(np.array([7.0, 15.0]), RULE))
     assert shout / loud > 1.2
+
+
+@pytest.mark.parametrize(
+    ("label", "decibels"),
+    [
+        *zip(LABELS[1:], [0, 4, 6, 4, 4, 4, 4, 4], strict=True),
+        ("neutral", 0),
+    ],
+)
+def test_named_emotion_is_shown_as_of_a_stronger_voice(label, decibels):
+    """A line that is read plainly is clear, stronger voices stay stronger, and none is above the
+    most."""
+    weights = np.eye(len(LABELS))[LABELS.index(label)]
+    strengths = np.arange(-20.0, 31.0)
+    voice = intensity_of(state_of(strengths, RULE))
+    felt = felt_intensity(voice, np.tile(weights, (len(voice), 1)), RULE)
+    np.testing.assert_allclose(felt, intensity_of(state_of(strengths + decibels, RULE)), rtol=1e-5)
+    assert (np.diff(felt) > 0).all() and felt.max() < MOST
+
+
+def test_half_an_emotion_is_raised_less():
+    voice, weights = np.full(2, USUAL), np.zeros((2, len(LABELS)))
+    weights[:, LABELS.index("happy")] = 0.5, 1.0
+    half, whole = felt_intensity(voice, weights, RULE)
+    assert USUAL < half < whole
 
 
 def test_strength_is_that_around_each_frame():

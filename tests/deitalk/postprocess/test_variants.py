@@ -109,7 +109,7 @@ def test_the_page_lists_every_variant():
         assert columns == {*own}, emotion
 
 
-def drawn(seed=0, actor="anna", sound=0, state=USUAL_STATE, **given):
+def drawn(seed=0, actor="anna", sound=0, state=None, **given):
     waveform = np.full(100, sound / 1000, np.float32)
     traits = Traits.of(Seeds.of(waveform, actor, seed).character())
     return choose_ways(given, replace(traits, own=float(actor != "")), seed, state)
@@ -149,12 +149,12 @@ def test_seed_strength_and_actor_choose(other, is_same):
 
 
 @pytest.mark.parametrize("seed", [0, 3])
-@pytest.mark.parametrize("state", [-0.5, USUAL_STATE, 2.0])
+@pytest.mark.parametrize("state", [-0.5, None, 2.0])
 def test_of_nobody_the_strength_alone_chooses_whatever_the_sound(seed, state):
     """Variants that were drawn for each recording hid which of two takes is the stronger one."""
     first, second = (drawn(seed, actor="", sound=sound, state=state) for sound in (1, 2))
     np.testing.assert_array_equal(first.weights, second.weights)
-    if seed == 0 and state == USUAL_STATE:
+    if seed == 0 and state is None:
         for weights in rows_of(first).values():
             np.testing.assert_allclose(weights, 1 / len(weights), rtol=1e-6)
 
@@ -164,6 +164,19 @@ def test_takes_of_a_named_actor_are_alike():
     np.testing.assert_array_equal(anna[0].weights, anna[1].weights)
     assert anna[0].side == anna[1].side
     assert (drawn(actor="ben", sound=1).weights != anna[0].weights).any()
+
+
+@pytest.mark.parametrize("emotion", VARIANTS)
+def test_a_voice_at_the_usual_state_is_between_the_variants(emotion):
+    """That of sadness is 6 dB lower: people are quieter in it."""
+    usual = USUAL_STATE - 0.6 * (emotion == "sad")
+    np.testing.assert_allclose(rows_of(drawn(actor="", state=usual))[emotion], 1 / 3, rtol=1e-6)
+
+
+@pytest.mark.parametrize("emotion", VARIANTS)
+def test_a_weak_voice_is_not_of_one_variant_alone(emotion):
+    """A calm reader is weak; surprise of one brow was none for those who looked."""
+    assert rows_of(drawn(actor="", state=-0.6))[emotion].max() < 0.7
 
 
 @pytest.mark.parametrize("emotion", VARIANTS)

@@ -15,6 +15,7 @@ from deitalk import animate
 from deitalk.audio.load import load_audio
 from deitalk.emotions import IntensityCurve
 from deitalk.errors import CheckpointError
+from deitalk.live.animator import LiveAnimator
 from deitalk.preview import page as page_module
 from deitalk.preview.site import WASM, export_site
 from rig import default_controls, read_curves
@@ -58,13 +59,11 @@ def served(folder):
             thread.join()
 
 
-@pytest.fixture(scope="module")
-def tab(site):
-    with (
-        chromium() as browser,
-        served(site) as address,
-        browser.new_context(bypass_csp=False, device_scale_factor=0.25) as window,
-    ):
+@contextmanager
+def here(browser, address):
+    """A tab that shows a site."""
+    sharpness = {"device_scale_factor": 0.25}
+    with browser.new_context(bypass_csp=False, permissions=["microphone"], **sharpness) as window:
         tab = window.new_page()
         tab.complaints = []
         tab.on("console", lambda m: m.type == "error" and tab.complaints.append(m.text))
@@ -73,6 +72,12 @@ def tab(site):
         until(tab, "window.deitalk?.ready")
         yield tab
         assert not tab.complaints, tab.complaints
+
+
+@pytest.fixture(scope="module")
+def tab(site):
+    with chromium() as browser, served(site) as address, here(browser, address) as tab:
+        yield tab
 
 
 def until(tab, condition, seconds=120):
@@ -155,7 +160,64 @@ def test_emotion_intensity_and_files_of_the_page(tab, tmp_path):
 
 @pytest.mark.thorough
 def test_a_site_with_one_model_and_head_is_small(site):
-    assert sum(path.stat().st_size for path in site.iterdir()) <= 35e6
+    sizes = {path.name: path.stat().st_size for path in site.iterdir()}
+    assert sum(sizes.values()) - sizes["live.onnx.gz"] <= 35e6
+    assert sizes["live.onnx.gz"] <= 8e6  # its encoder's weights are those of the other file
+
+
+SPOKEN = """() => {
+  const { engine } = deitalk.site, { next } = engine, log = (window.spoken = { windows: [], curves: [] });
+  engine.next = async (sound, ...given) => {
+    const curves = await next.call(engine, sound, ...given);
+    log.windows.push(sound.slice());
+    log.curves.push(curves);
+    return curves;
+  };
+}"""
+"""Keeps what the model is given and what it gives."""
+RUNS = 90
+HEARD = np.arange(RUNS) * 16_000 // 30 - 512
+"""First samples of the windows of the runs."""
+
+
+@pytest.mark.thorough
+def test_microphone_moves_the_face_as_the_live_model_of_python_does(site, tmp_path):
+    """Chromium's stand-in for a microphone plays a recording."""
+    soundfile.write(tmp_path / "said.wav", load_audio("docs/samples/promise.flac").waveform, 16_000)
+    said = f"--use-file-for-fake-audio-capture={tmp_path / 'said.wav'}"
+    flags = said, "--use-fake-ui-for-media-stream"
+    with chromium(*flags) as browser, served(site) as address, here(browser, address) as tab:
+        tab.evaluate(SPOKEN)
+        tab.click("#emotions button:has-text('angry')")
+        tab.click("#live")
+        until(tab, f"spoken.curves.length > {RUNS} && deitalk.page.live", 400)
+        assert tab.text_content("#recorded").endswith("s late")
+        shown = numbers(tab, "deitalk.page.live.values")
+        size = tab.evaluate("spoken.windows[0].length")
+        windows = numbers(tab, f"spoken.windows.slice(0, {RUNS}).flatMap((x) => [...x])")
+        curves = numbers(tab, f"spoken.curves.slice(0, {RUNS}).flatMap((x) => [...x])")
+        every = numbers(tab, "spoken.curves.flatMap((x) => [...x])").reshape(-1, len(CONTROLS))
+        tab.click("#live")
+        until(tab, "document.getElementById('live').textContent === 'Live'")
+        assert not tab.complaints, tab.complaints
+    assert np.abs(every - shown).max(axis=1).min() < 1e-6  # a frame of the model is on the screen
+    sound = np.zeros(HEARD[-1] + size, np.float32)
+    for begin, window in zip(HEARD, windows.reshape(RUNS, size), strict=True):
+        sound[max(begin, 0) : begin + size] = window[max(-begin, 0) :]
+    assert sound.std() > 0.01
+    expected = LiveAnimator("live", "angry", life="off", variant="plain").feed(sound)
+    found = curves.reshape(RUNS, -1)[5:]
+    assert len(expected) >= len(found)
+    assert (np.abs(found - expected[: len(found)]) / SPAN).max() <= TOLERANCE
+
+
+@pytest.mark.thorough
+def test_site_without_live_has_no_button_for_it(tmp_path):
+    needs_player()
+    ran("export", "web", "-o", tmp_path / "site", "--no-live")
+    assert not (tmp_path / "site/live.onnx.gz").exists()
+    with chromium() as browser, served(tmp_path / "site") as address, here(browser, address) as tab:
+        assert not tab.is_visible("#live")
 
 
 def test_a_model_for_live_voices_is_refused_in_one_line(tmp_path):

@@ -158,6 +158,7 @@ def test_folds_are_takes_or_parts_of_them():
     ]  # fmt: skip
     assert take_folds([("a", "x")] * 8) == [0, 0, 1, 1, 2, 2, 3, 3]
     assert take_folds([("a", "x"), ("a", "x"), ("b", "y"), ("c", "y")]) == [0, 1, 0, 1]
+    assert take_folds([(name, name) for name in "abcde"], 2) == [0, 1, 0, 1, 0]
 
 
 def test_maps_without_a_fold_are_those_of_the_other_clips(rng, monkeypatch):
@@ -176,24 +177,40 @@ def test_maps_without_a_fold_are_those_of_the_other_clips(rng, monkeypatch):
         np.testing.assert_allclose(held.bias, wanted.bias, atol=1e-3)
 
 
-def test_many_actors_are_fitted_as_few(rng, monkeypatch):
-    """In single precision and on two folds; each actor's map is still their own."""
-    monkeypatch.setattr(ridge, "SHARED", (0.01, 1.0))
-    names = [f"a{place}" for place in range(ridge.MANY)]
+def test_many_actors_have_one_map_and_an_offset_of_each(rng, monkeypatch):
+    """That of one least-squares problem; no actor adds to what is kept of the clips but offsets."""
+    monkeypatch.setattr(ridge, "SHARED", (0.5,))
+    names = [f"a{place}" for place in range(ridge.MANY + 1)]
     common = rng.normal(size=(5, 2))
     maps = {n: (common + 0.1 * rng.normal(size=(5, 2)), rng.normal(size=2)) for n in names}
     labels, rows = captures(rng, maps, noise=0.1)
+    sums = {}
+    found = fit_ridge(labels, rows.__getitem__, names, EVERY, sums)
+    assert max(found.folds) == 1 and not found.weight[1:].any()
+    assert [each.squares.shape[:2] for each in sums.values()] == [(2, ridge.GROUPS)]
+
+    x, y = (np.concatenate([row[k] for row in rows]).astype(float) for k in (0, 1))
+    of = np.repeat([label.actor for label in labels], [len(x) for x, _ in rows])
+    is_of = np.stack([of == name for name in names], axis=1).astype(float)
+    means = np.linalg.lstsq(is_of, x, rcond=None)[0]
+    scale = np.square(x - is_of @ means).sum(axis=0)
+    held = np.diag(np.concatenate((np.sqrt(0.5 * scale), np.zeros(len(names)))))[:5]
+    design = np.concatenate((np.concatenate((x, is_of), axis=1), held))
+    wanted = np.linalg.lstsq(design, np.concatenate((y, np.zeros((5, 2)))), rcond=None)[0]
+    np.testing.assert_allclose(found.weight[0], wanted[:5].T, atol=1e-4)
+    np.testing.assert_allclose(found.bias[0] + found.bias[1:], wanted[5:], atol=1e-3)
+
+
+def test_the_map_of_many_actors_is_that_which_predicts_strangers_best(rng, monkeypatch):
+    """The second control moves each their own way, so that it is held."""
+    monkeypatch.setattr(ridge, "SHARED", (0.001, 100.0))
+    names = [f"a{place}" for place in range(2 * ridge.MANY)]
+    ways = {n: np.array([[1.0, 0.0], [0.0, (-1.0) ** (k // 4)]]) for k, n in enumerate(names)}
+    maps = {n: (way, np.zeros(2)) for n, way in ways.items()}
+    labels, rows = captures(rng, maps, noise=0.1, frames=50)
     found = fit_ridge(labels, rows.__getitem__, names, EVERY)
-    assert max(found.folds) == 1
-    np.testing.assert_allclose(found.weight[0], common.T, atol=0.5)
-    for place, (weight, bias) in enumerate(maps.values(), 1):
-        own = found.weight[0] + found.weight[place]
-        means = np.concatenate(
-            [rows[i][0] for i, c in enumerate(labels) if c.actor == names[place - 1]]
-        )
-        mean = means.mean(axis=0)
-        met = own @ mean + found.bias[0] + found.bias[place]
-        np.testing.assert_allclose(met, mean @ weight + bias, atol=0.05)
+    np.testing.assert_allclose(found.weight[0, 0], [1, 0], atol=0.02)
+    assert np.abs(found.weight[0, 1]).max() < 0.05
 
 
 def test_a_control_that_no_map_predicts_better_may_stay_as_it_is(rng):

@@ -1,17 +1,31 @@
 """Files of a run: tables, events, the best weights, the state and pictures."""
 
 import errno
+import importlib.util
+import sys
+import textwrap
 from contextlib import contextmanager
 from pathlib import Path
 
+import accelerate.tracking
 import numpy as np
 import pytest
 import torch
 
+from deitalk.config.curves import Config
+from deitalk.errors import ConfigError, MissingError
 from deitalk.models.folder import ENCODER
 from deitalk.training import run_folder
 from deitalk.training.journal import Journal
-from deitalk.training.run_folder import picture_path, restore_state, resume_run, save_checkpoints
+from deitalk.training.run_folder import (
+    KIND,
+    picture_path,
+    restore_state,
+    resume_run,
+    save_checkpoints,
+)
+from deitalk.training.several_processes import new_accelerator
+from rig.files import begin_folder
 
 
 def parts() -> dict[str, torch.nn.Module]:
@@ -89,18 +103,89 @@ def scalars(folder) -> dict[str, list[tuple[int, float]]]:
     }
 
 
+def journal(out, *track, step=0) -> Journal:
+    accelerator = new_accelerator(Config().train, 1, track, out)
+    return Journal(out, step=step, accelerator=accelerator)
+
+
 def test_tensorboard_holds_the_rows_of_the_tables(tmp_path):
     pytest.importorskip("tensorboard", reason="needs the extra 'tensorboard'")
-    first = Journal(tmp_path, tensorboard=True)
+    first = journal(tmp_path, "tensorboard")
     for step in (25, 50, 75):
         first.write("metrics", step, {"total": 100.0 / step, "gradient_norm": float("inf")})
     first.write("development", 50, {"dev_score": 0.5, "dev_auc": float("nan")})
     first.close()
-    second = Journal(tmp_path, step=50, tensorboard=True)  # a run that goes on from 50
+    second = journal(tmp_path, "tensorboard", step=50)  # a run that goes on from 50
     second.write("metrics", 75, {"total": 7.0, "gradient_norm": 1.0})
     second.close()
-    assert scalars(tmp_path / "tensorboard") == {
+    assert scalars(tmp_path / "tensorboard/deitalk") == {
         "metrics/total": [(25, 4.0), (50, 2.0), (75, 7.0)],
         "metrics/gradient_norm": [(75, 1.0)],
         "development/score": [(50, 0.5)],
     }
+
+
+STUBS = {
+    "wandb": """
+        from types import SimpleNamespace
+        CALLS = []
+        def init(**given):
+            CALLS.append(("init", given))
+            log = lambda values, step: CALLS.append((step, values))
+            finish = lambda: CALLS.append("finish")
+            return SimpleNamespace(id=given.get("id", "first"), log=log, finish=finish)
+    """,
+    "mlflow": """
+        from types import SimpleNamespace
+        CALLS = []
+        def search_experiments(filter_string): return []
+        def create_experiment(name, **_): CALLS.append(("experiment", name))
+        def start_run(run_id=None, **given):
+            CALLS.append(("init", given | ({} if run_id is None else {"id": run_id})))
+            return SimpleNamespace(info=SimpleNamespace(run_id=run_id or "first"))
+        def log_metrics(values, step): CALLS.append((step, values))
+        def end_run(): CALLS.append("finish")
+    """,
+}
+
+
+@pytest.mark.parametrize("name", STUBS)
+def test_a_tracker_gets_every_finite_number_and_a_resumed_run_stays_one(
+    tmp_path, monkeypatch, name
+):
+    (tmp_path / "site").mkdir()
+    (tmp_path / "site" / f"{name}.py").write_text(textwrap.dedent(STUBS[name]))
+    monkeypatch.syspath_prepend(str(tmp_path / "site"))
+    monkeypatch.delitem(sys.modules, name, raising=False)
+    kind = accelerate.tracking.LoggerType(name)
+    monkeypatch.setattr(accelerate.tracking, "_available_trackers", [kind])
+    out = tmp_path / "anna"
+    out.mkdir()
+    begin_folder(out, kind=KIND)
+    for step in (0, 25):
+        run = journal(out, name, step=step)
+        run.write("metrics", step + 25, {"total": 2.0, "gradient_norm": float("inf")})
+        run.close()
+    calls = sys.modules[name].CALLS
+    begun = [given for call, given in (c for c in calls if c[0] == "init")]
+    assert [given.get("id") for given in begun] == [None, "first"]
+    assert "anna" in (begun[0].get("name"), begun[0].get("run_name"))
+    assert [call for call in calls if isinstance(call[0], int)] == [
+        (25, {"metrics/total": 2.0}),
+        (50, {"metrics/total": 2.0}),
+    ]
+    assert calls.count("finish") == 2
+
+
+@pytest.mark.parametrize(
+    ("name", "error", "message"),
+    [
+        ("wandb", MissingError, "pip install wandb"),
+        ("excel", ConfigError, r"must be one of .*mlflow, .*tensorboard, .*wandb"),
+    ],
+)
+def test_a_tracker_that_is_not_there_is_refused(tmp_path, name, error, message):
+    if importlib.util.find_spec(name) is not None:
+        pytest.skip("the package is installed")
+    with pytest.raises(error, match=message):
+        new_accelerator(Config().train, 1, [name], tmp_path)

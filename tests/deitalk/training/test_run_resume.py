@@ -229,10 +229,10 @@ def test_tensorboard_holds_every_step_once_after_a_kill(data, tmp_path, monkeypa
     ):  # after the rows of step 1, then after those of step 1
         monkeypatch.setattr(deitalk.training.trainer, name, fails)
         with pytest.raises(KeyboardInterrupt):
-            train_curves(tiny(), data, tmp_path / "run", resume=True, tensorboard=True)
+            train_curves(tiny(), data, tmp_path / "run", resume=True, track=["tensorboard"])
         monkeypatch.undo()
-    train_curves(tiny(), data, tmp_path / "run", resume=True, tensorboard=True)
-    events = EventAccumulator(str(tmp_path / "run" / "tensorboard"))
+    train_curves(tiny(), data, tmp_path / "run", resume=True, track=["tensorboard"])
+    events = EventAccumulator(str(tmp_path / "run" / "tensorboard/deitalk"))
     events.Reload()
     assert [event.step for event in events.Scalars("development/score")] == [1, 2]
     assert [event.step for event in events.Scalars("metrics/total")] == [2]

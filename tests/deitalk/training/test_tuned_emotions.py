@@ -17,6 +17,7 @@ from deitalk.errors import DataError
 from deitalk.models.checkpoint import load_model
 from deitalk.research.evaluation.benchmark_curves import speechlike
 from deitalk.training.tuning.carry import carry_matrix
+from deitalk.training.tuning.regression import _jaw_share
 from deitalk.training.tuning.task import finetune
 from rig import RigCurves, default_controls, read_curves, write_curves
 from tests.dataset import FPS, JAW, jaw
@@ -104,6 +105,23 @@ def test_emotions_move_the_jaw_of_a_calm_actor_less(base, calm, emotion):
     share = found[:, place].std() / of_base[:, place].std()
     assert 0.19 < share < 0.8
     assert np.corrcoef(found[:, place], of_base[:, place])[0, 1] > 0.999
+
+
+@pytest.mark.parametrize(("size", "shape"), [(1.0, 1), (0.5, 1), (0.5, 3), (0.3, 3), (0.1, 3)])
+def test_no_emotion_widens_the_jaw_of_an_actor_more_than_the_base(rng, size, shape):
+    """Whatever the actor's jaw is of the base's: smaller, or mostly shut with wide openings."""
+    calm = np.abs(np.sin(np.linspace(0, 40, 3000))) * 0.4
+    acted = np.stack([calm, 0.7 * calm, 1.5 * calm, 0.2 + calm, 0.1 + 1.2 * calm])
+    own = np.float32(size * 0.4 * (calm / 0.4) ** shape + rng.normal(0, 0.005, calm.shape))
+    share, pose = _jaw_share(acted, own, 0)
+
+    def wide(rows):
+        return np.subtract(*np.percentile(rows, (95, 5), axis=-1))
+
+    shown = own + pose[:, None] + share * (acted - calm - pose[:, None])
+    assert (wide(shown) / wide(own) <= np.maximum(wide(acted) / wide(calm), 1) + 0.02).all()
+    np.testing.assert_allclose(pose, [0, 0, 0, 0.2, 0.1], atol=0.01)
+    assert share <= 1 and (size == 1.0) == (share == 1)
 
 
 @pytest.mark.parametrize("emotion", ["happy", "fear", "angry=0.5,sad=0.5"])

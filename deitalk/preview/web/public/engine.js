@@ -1,4 +1,4 @@
-/** Worker of a page without a service: runs the model of the folder by ONNX Runtime. */
+/** Worker of a page without a service: runs the models of the folder by ONNX Runtime. */
 
 import * as ort from "./ort.wasm.bundle.min.mjs";
 
@@ -12,20 +12,36 @@ async function content(name) {
   return new Uint8Array(await new Response(stream).arrayBuffer());
 }
 
-async function start() {
+async function begin() {
   ort.env.wasm.numThreads = 1;
-  const [wasm, model] = await Promise.all([content("ort-wasm-simd-threaded.wasm.gz"), content("model.onnx.gz")]);
-  ort.env.wasm.wasmBinary = wasm.buffer;
-  return ort.InferenceSession.create(model, { executionProviders: ["wasm"], graphOptimizationLevel: "basic" });
+  ort.env.wasm.wasmBinary = (await content("ort-wasm-simd-threaded.wasm.gz")).buffer;
 }
 
-const session = start();
+const runtime = begin();
 
-onmessage = async ({ data: { number, inputs } }) => {
+/** Session of "model", or of "live", whose file has only the weights that the other one lacks. */
+async function open(name) {
+  const names = name === "live" ? ["live.onnx.gz", "model.onnx.gz"] : ["model.onnx.gz"];
+  const [model, weights] = await Promise.all([...names.map(content), runtime]);
+  const options = { executionProviders: ["wasm"], graphOptimizationLevel: "basic" };
+  if (name === "live") options.externalData = [{ path: "model.onnx", data: weights }];
+  return ort.InferenceSession.create(model, options);
+}
+
+const sessions = { model: open("model") };
+/** State of the live voice, from one run to the next. */
+let state;
+
+onmessage = async ({ data: { number, model, inputs } }) => {
   try {
-    const ready = await session, began = performance.now();
+    const ready = await (sessions[model] ??= open(model)), began = performance.now();
     const feeds = Object.fromEntries(Object.entries(inputs).map(([name, { data, dims }]) => [name, new ort.Tensor("float32", data, dims)]));
+    if (model === "live") feeds.state ??= state;
     const found = await ready.run(feeds);
+    if (model === "live") {
+      state = found.next_state;
+      delete found.next_state;
+    }
     const outputs = Object.fromEntries(Object.entries(found).map(([name, tensor]) => [name, tensor.data]));
     postMessage({ number, outputs, seconds: (performance.now() - began) / 1000 });
   } catch (error) {

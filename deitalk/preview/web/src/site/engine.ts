@@ -12,6 +12,8 @@ export interface Facts {
   /** Of each raw curve of a MetaHuman: its control, and places and values of its knots. */
   raw: { name: string; control: string; rest: number; places: number[]; values: number[] }[];
   subject: string[];
+  /** Of the model of live voices, if the folder has one: samples of a run from `before` ahead of its frame on, and frames by which what is given is behind. */
+  live?: { window: number; before: number; delay: number; behind: number; state: number; actors: number };
 }
 
 export interface Finished {
@@ -20,6 +22,8 @@ export interface Finished {
   predicted: Float32Array;
   seconds: number;
 }
+
+type Inputs = Record<string, { data: Float32Array; dims: number[] }>;
 
 export class Engine {
   private readonly worker = new Worker(new URL("engine.js", location.href), { type: "module" });
@@ -47,17 +51,36 @@ export class Engine {
     for (let k = 0; k < frames; k++) rows.set(emotion.subarray(k * facts.emotions.length, (k + 1) * facts.emotions.length), k * width);
     intensity.fill(-1, 0, frames).fill(1, frames, 2 * frames).fill(facts.rest, 2 * frames);
     if (curve) intensity.set(curve);
-    const inputs = {
+    const inputs: Inputs = {
       sound: { data: sound, dims: [sound.length] },
       emotion: { data: rows, dims: [frames, width] },
       intensity: { data: intensity, dims: [3, frames] },
       variants: { data: new Float32Array(frames * facts.variants), dims: [frames, facts.variants] },
       motion: { data: new Float32Array(frames * facts.motion), dims: [frames, facts.motion] },
     };
+    return this.run("model", inputs);
+  }
+
+  /** Take the sound of the next frame of a live voice; its state, which is new where the voice `begins`, stays in the worker. */
+  async next(sound: Float32Array, emotion: Float32Array, begins: boolean): Promise<Float32Array> {
+    const { facts } = this, { state } = facts.live!;
+    const row = (data: Float32Array) => ({ data, dims: [1, data.length] });
+    const inputs: Inputs = {
+      sound: row(sound),
+      emotion: row(emotion),
+      intensity: row(Float32Array.of(1, facts.rest)),
+      variants: row(new Float32Array(facts.variants)),
+      motion: row(new Float32Array(facts.motion)),
+    };
+    if (begins) inputs.state = row(new Float32Array(state));
+    return (await this.run("live", inputs)).curves;
+  }
+
+  private run(model: "model" | "live", inputs: Inputs): Promise<Finished> {
     const number = this.count++;
     return new Promise((done, fail) => {
       this.waiting.set(number, { done, fail });
-      this.worker.postMessage({ number, inputs });
+      this.worker.postMessage({ number, model, inputs });
     });
   }
 }

@@ -4,17 +4,20 @@ import { type EmotionKey, NO_EDIT } from "../data/edit";
 import { Take } from "../data/take";
 import { $, button, save } from "../dom";
 import type { Player } from "../player";
+import { Live } from "../studio/live";
 import { bindMicrophone } from "../studio/microphone";
 import { wavOf } from "../studio/wav";
 import { Work } from "../studio/work";
 import { COLORS } from "../timeline/emotion";
 import { Engine, type Facts, type Finished, FPS, frameCount, RATE, samplesOf } from "./engine";
 import { csvOf, jsonOf, liveLinkOf } from "./files";
+import { EngineVoice } from "./voice";
 
 const FIRST = "happy", SETTLE_MS = 350;
 
 export class Site {
   readonly engine: Engine;
+  private readonly live?: Live;
   private readonly work = new Work();
   private sound?: Float32Array;
   private name = "";
@@ -32,6 +35,8 @@ export class Site {
     player.intake.recording = (file) => this.open(file);
     $("pick").addEventListener("click", () => $("file").click());
     bindMicrophone(() => player.transport.pause(), (file) => this.open(file));
+    if (facts.live) this.live = new Live(player, () => this.emotion, (_, ...given) => new EngineVoice(this.engine, ...given), RATE);
+    else $("live").style.display = "none";
     $("emotions").append(...facts.emotions.map((name) => this.emotionButton(name)));
     const kinds: [string, string, (take: Take) => string][] = [
       ["CSV", "curves.csv", csvOf],
@@ -111,8 +116,17 @@ export class Site {
     player.replace(take, null);
   }
 
+  /** Emotion at the place that is shown. */
+  private get emotion(): string {
+    const { keys } = this.player.history.edit, { shown } = this.player.transport;
+    return (keys.filter(({ time }) => time <= shown).pop() ?? keys[0]).emotion;
+  }
+
   private emotionButton(name: string): HTMLButtonElement {
-    const made = button(name, () => this.player.workbench!.emotion.choose(name, this.player.transport.shown));
+    const made = button(name, () => {
+      this.live?.setEmotion(name);
+      this.player.workbench!.emotion.choose(name, this.player.transport.shown);
+    });
     made.style.setProperty("--emotion", COLORS[name]);
     return made;
   }

@@ -11,6 +11,7 @@ import { COLORS, MOODS } from "../timeline/emotion";
 import { wavOf } from "./wav";
 import { bindForm, FIELDS } from "./form";
 import { Live } from "./live";
+import { SocketVoice } from "./socket";
 import { bindMicrophone } from "./microphone";
 import { convert, diff, emotionCsv, optionOf, optionsOf, order, type Order, type Progress, quoted, request, type Source } from "./service";
 import { keepView, latestSession, loadSession, saveSession, type Session, sessionOf, type View } from "./session";
@@ -103,7 +104,7 @@ export class Studio {
     player.onTake = (take) => void this.adopt(take);
     $("pick").addEventListener("click", () => $("file").click());
     $("sample").addEventListener("click", () => void this.openSample());
-    this.live = new Live(player, () => this.emotion);
+    this.live = new Live(player, () => this.emotion, (...given) => new SocketVoice(player.board, ...given));
     bindMicrophone(() => player.transport.pause(), (file) => this.open(file));
     this.showForm = bindForm(player.history);
     this.showForm();

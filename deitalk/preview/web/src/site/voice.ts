@@ -1,0 +1,88 @@
+/** A live voice of the page's own model: samples at 16 kHz in, frames out as soon as they are known. */
+
+import { notice, messageOf } from "../dom";
+import type { Listener, Voice } from "../studio/live";
+import { type Engine, FPS, RATE } from "./engine";
+
+/** Time over which one emotion passes into the next, seconds. */
+const RAMP_SECONDS = 0.2;
+
+export class EngineVoice implements Voice {
+  /** The last samples, and the number of the first of them. */
+  private samples = new Float32Array(0);
+  private begin = 0;
+  /** Runs of the model so far. */
+  private runs = 0;
+  private isBusy = false;
+  private isStopped = false;
+  /** Emotion before and after the last change, and its time in the sound. */
+  private change: { from: Float32Array; to: Float32Array; seconds: number };
+
+  constructor(private readonly engine: Engine, emotion: string, private readonly listener: Listener) {
+    const row = this.row(emotion);
+    this.change = { from: row, to: row, seconds: 0 };
+    queueMicrotask(() => listener.ready());
+  }
+
+  feed(samples: Float32Array): void {
+    const kept = this.samples;
+    this.samples = new Float32Array(kept.length + samples.length);
+    this.samples.set(kept);
+    this.samples.set(samples, kept.length);
+    if (!this.isBusy) void this.advance();
+  }
+
+  setEmotion(emotion: string): void {
+    const seconds = this.heard / RATE;
+    this.change = { from: this.emotionAt(seconds), to: this.row(emotion), seconds };
+  }
+
+  stop(): void {
+    this.isStopped = true;
+  }
+
+  /** Samples that have come. */
+  private get heard(): number {
+    return this.begin + this.samples.length;
+  }
+
+  /** Run the model on the sound that has come, a frame a run. */
+  private async advance(): Promise<void> {
+    this.isBusy = true;
+    try {
+      const { window, before, delay, behind } = this.engine.facts.live!;
+      for (;;) {
+        const first = Math.floor((this.runs * RATE) / FPS) - before;
+        if (this.isStopped || first + window > this.heard) break;
+        const sound = new Float32Array(window), skipped = Math.max(first, 0);
+        sound.set(this.samples.subarray(skipped - this.begin, first + window - this.begin), skipped - first);
+        const emotion = this.emotionAt(Math.max(this.runs - delay, 0) / FPS);
+        const values = await this.engine.next(sound, emotion, this.runs === 0);
+        const frame = this.runs++ - behind;
+        if (frame >= 0 && !this.isStopped) {
+          this.listener.frame({ time: frame / FPS, late: (this.heard / RATE) - (frame + 1) / FPS, values });
+        }
+        if (skipped - this.begin > RATE) {
+          this.samples = this.samples.slice(skipped - this.begin);
+          this.begin = skipped;
+        }
+      }
+    } catch (error) {
+      notice(messageOf(error));
+      this.isStopped = true;
+      this.listener.ended();
+    } finally {
+      this.isBusy = false;
+    }
+  }
+
+  private row(emotion: string): Float32Array {
+    const { emotions, live } = this.engine.facts;
+    return Float32Array.from({ length: emotions.length + live!.actors }, (_, k) => Number(emotions[k] === emotion));
+  }
+
+  private emotionAt(seconds: number): Float32Array {
+    const { from, to, seconds: begin } = this.change, share = Math.min(Math.max((seconds - begin) / RAMP_SECONDS, 0), 1);
+    return from.map((x, k) => x + share * (to[k] - x));
+  }
+}

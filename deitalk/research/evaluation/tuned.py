@@ -1,0 +1,177 @@
+"""What a tuning left of its base, and what it moves: ``python -m deitalk.research tuned MODEL``.
+
+Curves are those of the network alone, without rules. Of recordings of calm speech: how each emotion
+changes the curves, against how it changes those of the base, and the range of the jaw. Of captures
+in no emotion that were not learnt from: the error where another emotion is asked for. Of recordings
+with phones: contacts of the lips. Of actors at two strengths: the order of the faces.
+"""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from deitalk.audio.load import load_audio
+from deitalk.data.clips import Clip
+from deitalk.emotions import EMOTIONS
+from deitalk.evaluation.comparison import CaptureSet, mean_pose
+from deitalk.evaluation.report import table
+from deitalk.evaluation.scores import correlation
+from deitalk.evaluation.smoothness import MOVING, lips_together, predict
+from deitalk.evaluation.validation import JAW
+from deitalk.models.curve_model import DEITalk
+from deitalk.research.evaluation import acted
+from deitalk.research.evaluation.clip_scores import animated
+from deitalk.research.evaluation.contacts import contact_scores, read_table
+from deitalk.training.tuning.carry import carry_matrix
+from deitalk.training.tuning.recipe import learnt_controls
+from rig.arrays import Float32
+
+OPEN, SHUT = 95, 5
+"""Percentiles between which the range of the jaw lies."""
+ORDERS = ("intensity: high above low", "whole face: high above low")
+"""Of `acted`: strength that is predicted, and that of the face."""
+
+
+def emotions_of(
+    model: DEITalk, base: DEITalk, sounds: Sequence[Path], progress: Callable[[float], None]
+) -> dict[str, dict[str, float]]:
+    """Scores of each emotion but neutral.
+
+    Parameters
+    ----------
+    model, base : DEITalk
+        After and before the tuning.
+    sounds : sequence of Path
+        Calm speech.
+    progress : callable
+        Called with the share done.
+
+    Returns
+    -------
+    dict
+        By emotion: ``jaw range over neutral``, and that of the base; ``change r with base``,
+        Pearson's r of the changes by the emotion of all frames and of all controls that the base's
+        change moves, where anything carries it to the rig.
+    """
+    carry = carry_matrix(base.controls, model.controls)
+    changes: dict[str, list[list[Float32]]] = {name: [[], []] for name in EMOTIONS}
+    ranges: dict[str, list[list[float]]] = {name: [[], []] for name in EMOTIONS}
+    for done, sound in enumerate(sounds, 1):
+        recording = load_audio(sound)
+        for place, network in enumerate((model, base)):
+            jaw, calm = _jaw(network), None
+            for name in EMOTIONS:
+                curves = animated(recording, name, network, raw=True).curves.values
+                calm = curves if calm is None else calm
+                high, low = np.percentile(curves[:, jaw], (OPEN, SHUT))
+                ranges[name][place].append(float(high - low))
+                changes[name][place].append(curves - calm)
+        progress(done / len(sounds))
+    rows = {}
+    for name in EMOTIONS[1:]:
+        row = {
+            system: float(np.sum(ranges[name][place]) / np.sum(ranges[EMOTIONS[0]][place]))
+            for place, system in enumerate(("jaw range over neutral", "that of the base"))
+        }
+        if carry is not None:
+            own, of_base = (np.concatenate(part) for part in changes[name])
+            given = of_base @ carry.T.astype(np.float32)
+            moved = given.std(axis=0) > MOVING
+            row["change r with base"] = correlation(own[:, moved].ravel(), given[:, moved].ravel())
+        rows[name] = row
+    return rows
+
+
+def _jaw(model: DEITalk) -> int:
+    """Place of the control that opens the jaw: the board's, else that which is named so."""
+    names = model.controls.names
+    if JAW in names:
+        return names.index(JAW)
+    spoken = [i for i, n in enumerate(names) if "jaw" in n.lower() and "open" in n.lower()]
+    stretch = [i for i, n in enumerate(names) if "mouth_stretch_c" in n.lower()]
+    return (spoken or stretch or [0])[0]
+
+
+@torch.no_grad()
+def labelled_errors(model: DEITalk, clips: Sequence[Clip]) -> dict[str, float]:
+    """Error of neutral captures by the emotion that is asked for, over that of neutral."""
+    calm = [clip for clip in clips if clip.emotion == EMOTIONS[0]]
+    learnt = learnt_controls(model.rules, model.controls)
+    captures = CaptureSet.of(calm, model.controls, mean_pose(calm, model.controls, learnt), learnt)
+    errors = {
+        name: captures.score_curves(
+            [predict(model, each._replace(emotion=name))[0] for each in captures.examples]
+        )["error_of_mean_pose"]
+        for name in EMOTIONS
+    }
+    return {name: errors[name] / errors[EMOTIONS[0]] for name in EMOTIONS[1:]}
+
+
+def evaluate(
+    models: dict[str, DEITalk],
+    *,
+    sounds: Sequence[Path] = (),
+    clips: Sequence[Clip] = (),
+    contacts: Path | None = None,
+    strengths: Path | None = None,
+    progress: Callable[[float], None] = lambda share: None,
+) -> dict[str, Any]:
+    """Score a tuned model and its base.
+
+    Parameters
+    ----------
+    models : dict
+        ``after`` and ``before``.
+    sounds : sequence of Path
+        Recordings of calm speech.
+    clips : sequence of Clip
+        Captures of the model's rig that it did not learn from.
+    contacts : Path or None
+        Table of phones of `deitalk.research.evaluation.contacts`; for models of the board.
+    strengths : Path or None
+        Table of actors of `deitalk.research.evaluation.acted`; for models of the board.
+    progress : callable
+        Called with the share of `sounds` done.
+
+    Returns
+    -------
+    dict
+        ``emotions`` by emotion, ``contacts`` and ``strength`` by model.
+    """
+    after, before = models["after"], models["before"]
+    report: dict[str, Any] = {}
+    if sounds:
+        report["emotions"] = emotions_of(after, before, sounds, progress)
+    if clips:
+        for name, share in labelled_errors(after, clips).items():
+            report.setdefault("emotions", {}).setdefault(name, {})["error over neutral"] = share
+    for name, model in models.items():
+        if contacts is not None:
+            scored = []
+            for clip in read_table(contacts):
+                take = animated(load_audio(clip.audio), EMOTIONS[0], model, raw=False)
+                scored.append((lips_together(take.curves.values, model.controls), clip))
+            report.setdefault("contacts", {})[name] = contact_scores(scored)
+        if strengths is not None:
+            groups = list(acted.evaluate(model, strengths, split="all").values())
+            sizes = [group["actors and emotions"] for group in groups]
+            report.setdefault("strength", {})[name] = {
+                order: float(np.average([group[order] for group in groups], weights=sizes))
+                for order in ORDERS
+            }
+    return report
+
+
+def as_markdown(report: dict[str, Any]) -> str:
+    """Markdown tables."""
+    lines = []
+    if "emotions" in report:
+        lines += ["Emotions, of the network alone:", "", *table("", report["emotions"]), ""]
+    if "contacts" in report:
+        lines += ["Contacts of the lips, with rules:", "", *table("", report["contacts"]), ""]
+    if "strength" in report:
+        lines += ["Acted strengths, share of pairs:", "", *table("", report["strength"]), ""]
+    return "\n".join(lines)

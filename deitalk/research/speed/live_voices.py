@@ -1,0 +1,192 @@
+"""Live voices in real time: ``python -m deitalk.research.speed.live_voices --voices 16 32``.
+
+Starts the service, opens so many sessions of ``WS /v1/live``, and sends each 100 ms of speech every
+100 ms, at phases that differ. Lateness is the time from when the last sound that a frame depends on
+was due at the client, to when the client has the frame. The processor time of a voice's frame is
+given too, of the server's process, its live workers and the client here: it depends little on what
+else the machine does.
+"""
+
+import argparse
+import asyncio
+import json
+import math
+import os
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+import urllib.request
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from websockets.asyncio.client import ClientConnection, connect
+
+from deitalk import load_audio
+from deitalk.research.arguments import new_file
+from deitalk.research.evaluation.benchmark_curves import machine
+from deitalk.research.evaluation.report import identified, write_json
+
+SAMPLE = Path(__file__).resolve().parents[3] / "docs/samples/amiable.flac"
+RATE, FPS = 16_000, 30
+MESSAGE_SECONDS = 0.1
+START_SECONDS = 120.0
+HEAD_BYTES = 4
+"""Of a record: its number, the first field."""
+WARM_SECONDS = 3.0
+"""Sound of a session that is not counted: its beginning, when all sessions begin."""
+
+
+@contextmanager
+def service(backend: str, workers: int, voices: int) -> Iterator[tuple[int, int]]:
+    """A service with this backend for live sessions; its port and the number of its process."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    with tempfile.TemporaryDirectory() as folder:
+        given = {
+            "port": port, "data": folder, "live_backend": backend, "live_workers": workers,
+            "live_sessions": 2 * voices, "workers": 1, "job_workers": 0,
+        }  # fmt: skip
+        environment = os.environ | {f"DEITALK_{k.upper()}": str(v) for k, v in given.items()}
+        log = Path(folder) / "log"
+        with log.open("wb") as out:
+            command = [sys.executable, "-P", "-m", "deitalk", "serve"]
+            process = subprocess.Popen(command, env=environment, stdout=out, stderr=out)
+        try:
+            end = time.monotonic() + START_SECONDS
+            while "live voices are ready" not in log.read_text():
+                if process.poll() is not None or time.monotonic() > end:
+                    raise SystemExit(f"the service did not start: {log.read_text()[-300:]}")
+                time.sleep(0.2)
+            with suppress(OSError):
+                urllib.request.urlopen(f"http://127.0.0.1:{port}/healthz").read()
+            yield port, process.pid
+        finally:
+            process.terminate()
+            process.wait()
+
+
+def processor_seconds(server: int) -> dict[int, float]:
+    """Processor time of a process, and of those that it and its fork server started, by number."""
+    parents, spent = {}, {}
+    for path in Path("/proc").glob("[0-9]*/stat"):
+        with suppress(OSError):
+            fields = path.read_text().rsplit(")", 1)[1].split()
+            pid = int(path.parent.name)
+            parents[pid] = int(fields[1])
+            spent[pid] = (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+    def belongs(pid: int) -> bool:
+        while pid in parents and pid != server:
+            pid = parents[pid]
+        return pid == server
+
+    return {pid: seconds for pid, seconds in spent.items() if belongs(pid)}
+
+
+async def speak(
+    live: ClientConnection, sound: bytes, begin: float, seconds: float, starts: dict[str, float]
+) -> None:
+    """Send a message when its last sample is due, for some seconds."""
+    size = round(2 * RATE * MESSAGE_SECONDS)
+    starts["at"] = begin
+    for number in range(round(seconds / MESSAGE_SECONDS)):
+        at = number * size % (len(sound) - size)
+        await asyncio.sleep(max(begin + (number + 1) * MESSAGE_SECONDS - time.monotonic(), 0))
+        await live.send(sound[at : at + size])
+    await live.send(json.dumps({"type": "stop"}))
+
+
+async def session(port: int, sound: bytes, begin: float, seconds: float) -> list[float]:
+    """Lateness of every frame of a session that begins at a time, ms."""
+    late: list[float] = []
+    async with connect(f"ws://127.0.0.1:{port}/v1/live", proxy=None, compression=None) as live:
+        await live.send(json.dumps({"type": "start", "sample_rate": RATE, "emotion": "happy"}))
+        header = json.loads(await live.recv())
+        ahead = header["lookahead_seconds"]
+        size = 16 + 4 * len(header["names"])
+        began: dict[str, float] = {}
+        sending = asyncio.create_task(speak(live, sound, begin, seconds, began))
+        last = seconds - 2 * MESSAGE_SECONDS - ahead
+        async for message in live:
+            now = time.monotonic()
+            if isinstance(message, str):
+                break
+            for at in range(0, len(message), size):
+                spoken = int.from_bytes(message[at : at + HEAD_BYTES], "little") / FPS
+                if WARM_SECONDS <= spoken < last:
+                    messages = math.ceil((spoken + ahead) / MESSAGE_SECONDS - 1e-9)
+                    late.append(1e3 * (now - begin - messages * MESSAGE_SECONDS))
+        await sending
+    return late
+
+
+async def sessions(port: int, count: int, seconds: float) -> np.ndarray:
+    """Lateness of all frames of `count` sessions, whose messages are spread over their period."""
+    speech = load_audio(SAMPLE).waveform
+    sound = (32767 * np.clip(speech, -1, 1)).astype("<i2")
+    begin = time.monotonic() + 2 + 0.05 * count
+    golden = (5**0.5 - 1) / 2
+    each = [
+        session(
+            port, np.roll(sound, -k * 7919).tobytes(),
+            begin + MESSAGE_SECONDS * (k * golden % 1), seconds + WARM_SECONDS,
+        )
+        for k in range(count)
+    ]  # fmt: skip
+    return np.concatenate([np.array(late) for late in await asyncio.gather(*each)])
+
+
+def measure(backend: str, workers: int, count: int, seconds: float) -> dict[str, Any]:
+    """Lateness of so many voices, and what they cost."""
+    with service(backend, workers, count) as (port, server):
+        before, own = processor_seconds(server), time.process_time()
+        late = asyncio.run(sessions(port, count, seconds))
+        client = time.process_time() - own
+        after = processor_seconds(server)
+    spent = {pid: after[pid] - before.get(pid, 0.0) for pid in after}
+    frames = count * (seconds + WARM_SECONDS) * FPS
+    return {
+        "backend": backend,
+        "voices": count,
+        "live_workers": workers,
+        "frames": len(late),
+        "median_ms": float(np.median(late)),
+        "p95_ms": float(np.percentile(late, 95)),
+        "most_ms": float(late.max()),
+        "worker_ms_of_a_frame": 1e3 * (sum(spent.values()) - spent[server]) / frames,
+        "server_ms_of_a_frame": 1e3 * spent[server] / frames,
+        "client_ms_of_a_frame": 1e3 * client / frames,
+        "load": os.getloadavg()[0],
+    }
+
+
+def main() -> None:
+    """Print a line for each number of voices."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    parser.add_argument("--voices", type=int, nargs="+", default=[16, 32])
+    parser.add_argument("--backend", nargs="+", default=["torch", "onnx"], help="torch, onnx")
+    parser.add_argument("--workers", type=int, default=min(os.cpu_count() or 1, 4))
+    parser.add_argument("--seconds", type=float, default=20, help="of each voice")
+    parser.add_argument("--json", type=new_file, help="also write the measures to this file")
+    given = parser.parse_args()
+    found = []
+    for backend in given.backend:
+        for count in given.voices:
+            found.append(measure(backend, given.workers, count, given.seconds))
+            text = ", ".join(
+                f"{key} {value:.4g}" if isinstance(value, float) else f"{key} {value}"
+                for key, value in found[-1].items()
+            )
+            sys.stdout.write(f"{text}\n")
+            sys.stdout.flush()
+    write_json(given.json, identified("live") | {"machine": machine(), "voices": found})
+
+
+if __name__ == "__main__":
+    main()
