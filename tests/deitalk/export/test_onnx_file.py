@@ -308,11 +308,6 @@ def test_models_with_actors_take_their_weights_after_the_emotions(frontend, sett
     assert json.loads(session.get_modelmeta().custom_metadata_map["actors"]) == ["ann", "bob"]
 
 
-def test_a_causal_model_with_another_look_ahead_is_refused_in_one_line(tmp_path):
-    with pytest.raises(CheckpointError, match="look 3 frames ahead are exported, such as live"):
-        export_onnx(of_frontend(CAUSAL, positions=False), tmp_path / "x.onnx")
-
-
 def test_speech_like_noise_of_any_length(clip, default):
     for seconds in (0.1, 0.4, 11.0):
         sound = speechlike(seconds)
