@@ -1,4 +1,4 @@
-"""What the routes share: settings, worker processes, jobs, counts."""
+"""State that the routes share: settings, worker processes, jobs, counts."""
 
 import asyncio
 from collections.abc import Callable
@@ -16,7 +16,8 @@ from api.guard.keys import Caller, Places
 from api.guard.metrics import Metrics
 from api.guard.middleware import Traffic
 from api.jobs.queue import Queue
-from api.jobs.runner import Runner, Store
+from api.jobs.runner import Runner
+from api.jobs.store import Store
 from api.jobs.versions import open_database
 from api.settings import Settings
 
@@ -91,7 +92,7 @@ class Service:
         settings, live = self.settings, self.settings.backend_of_live
         may_use = live == "auto" and settings.device == "cpu" and bool(settings.models)
         if may_use or "onnx" in (settings.backend, live):
-            from api.compute.tasks import export_all  # of the workers: the server needs no task
+            from api.compute.models import export_all
 
             only_live = settings.backend != "onnx"
             await asyncio.to_thread(export_all, self.limits, only_live=only_live)

@@ -20,7 +20,7 @@ from api.app import create_app
 from api.errors import describe
 from api.guard.middleware import HEADER_BYTES
 from api.guard.protocol import GuardedProtocol, GuardedSocket
-from api.jobs.runner import Store
+from api.jobs.store import Store
 from api.jobs.versions import open_database
 from api.service import Service
 from api.settings import Settings

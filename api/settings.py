@@ -178,7 +178,7 @@ class Settings(BaseSettings):
 
     @property
     def backend_of_live(self) -> Backend:
-        """Of live sessions; ``auto`` is as for `deitalk.models.load.load_network`."""
+        """Backend of live sessions; ``auto`` is as for `deitalk.models.load.load_network`."""
         return (
             "onnx" if (self.live_backend, self.backend) == ("auto", "onnx") else self.live_backend
         )

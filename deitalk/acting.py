@@ -73,12 +73,12 @@ _TEXT_OR_OBJECT = WithJsonSchema({"anyOf": [{"type": "string"}, {"type": "object
 
 
 def _extra(live: str = "", panel: str = "", **default: str) -> dict[str, Any]:
-    """More of a field's schema: when a voice takes it before it has ended, its group, default."""
+    """Further entries of a field's schema: when a live voice takes it, its group, its default."""
     return ({"x-live": live} if live else {}) | ({"x-panel": panel} if panel else {}) | default
 
 
 class Acting(BaseModel):
-    """How a recording is acted.
+    """Options of how a recording is acted.
 
     Fields are given as themselves or as text; a field that is a file, as its path, its content or
     what it holds. `Acting.of` reports errors in one line.

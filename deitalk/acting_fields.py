@@ -56,7 +56,7 @@ _CUE = re.compile(r"^\s*[\d:]+[.,]\d+ +--> +[\d:]+[.,]\d+", re.M)
 
 @dataclass(frozen=True)
 class Words:
-    """What is said: text, a TextGrid of Praat, or subtitles (SubRip or WebVTT).
+    """Spoken words: text, a TextGrid of Praat, or subtitles (SubRip or WebVTT).
 
     Attributes
     ----------

@@ -63,6 +63,7 @@ TABLES: dict[str, Callable[[], str]] = {
     "batch-rate": speed.batch_rate,
     "cold-start": speed.cold_start,
     "onnx-sizes": speed.onnx_sizes,
+    "device": speed.device,
     "service-load": speed.service_load,
     "table-4": speed.table_4,
     "models": models.models,

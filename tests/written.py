@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from rig.files.folder import is_changed, read_manifest
+from rig.files.manifest import is_changed, read_manifest
 
 
 def changed_files(folder: Path) -> list[str]:

@@ -77,7 +77,7 @@ class Turns:
                 least[1].set_result(self.idle.pop())
 
     def _worked(self, caller: Caller, now: float) -> float:
-        """Seconds of work for a caller in the last time, for its share."""
+        """Recent work for a caller, seconds, divided by its share."""
         begin = now - FAIR_SECONDS
         spans = [span for span in self.work.get(caller.holder, ()) if span[1] > begin]
         self.work[caller.holder] = spans

@@ -31,7 +31,7 @@ LARGEST_FILE = 8 * 2**30
 def work(connection: Connection, limits: Limits) -> None:
     """Answer orders until the other side closes the pipe."""
     begin_process()
-    from api.compute.tasks import prepare
+    from api.compute.models import prepare
 
     prepare(limits)
     limit_memory(limits["memory_bytes"])

@@ -7,7 +7,6 @@ import json
 import shutil
 import zipfile
 from collections.abc import Callable
-from contextlib import suppress
 from functools import partial
 from math import inf
 from pathlib import Path
@@ -15,20 +14,19 @@ from typing import Any
 
 import numpy as np
 
+from api.compute.models import model_of, placed
 from api.compute.order import (
     ACTING,
     LISTEN_TO,
-    MOST_VOICES,
     OUT,
     RECORDING,
-    SAMPLES,
     SOUND,
     Answer,
     Limits,
     Order,
     TooLarge,
 )
-from api.errors import names_of
+from api.compute.voices import perform_voices
 from deitalk.acting import Acting
 from deitalk.acting_fields import AUTO
 from deitalk.audio.choice import AudioChoice
@@ -37,111 +35,20 @@ from deitalk.audio.frames import SAMPLE_RATE
 from deitalk.audio.load import Recording, read_sound
 from deitalk.audio.original import ZERO, start_of, start_seconds
 from deitalk.errors import CheckpointError
-from deitalk.live.animator import LiveAnimator
-from deitalk.models.folder import describe_model, is_causal, model_folder, product_of
-from deitalk.models.load import chosen_backend, load_causal, load_network
+from deitalk.models.folder import describe_model
+from deitalk.models.load import load_network
 from deitalk.pipeline.curves import animate
 from deitalk.pipeline.performance import Extra, Performance, write_take
-from rig.arrays import Float32
 from rig.controls import DEFAULT_ID
 from rig.conversion.convert import convert
 from rig.curves import RigCurves
 from rig.curves.edit import clamp, gain
 from rig.curves.layers import SUFFIX
 from rig.curves.shift import shift
-from rig.errors import UserError
 from rig.formats import read_curves, write_curves
 from rig.limits import STREAM_BYTES
 from rig.retarget.retarget_files import retarget_curves
 from rig.validation.files import validate
-
-# Voices that are animated while they are spoken, in the worker process that keeps their state.
-#
-# One order holds what has come for all of them since the last one, and the network reads them in
-# one call.
-
-
-class Voices:
-    """Voices by number; each has a stream of its model's animator."""
-
-    def __init__(self) -> None:
-        self.animators: dict[str, LiveAnimator] = {}
-        self.places: dict[int, tuple[str, int]] = {}
-        self.interrupted: dict[int, int] = {}
-        """Frame at which the sound begins that comes next, of voices that an order interrupted."""
-
-    def perform(self, actions: list[dict[str, Any]], samples: Float32, limits: Limits) -> Any:
-        """Carry out actions in their order; return facts of new voices, errors, and all frames.
-
-        A voice ends by an error of its own; the others go on.
-        """
-        self.interrupted = {}
-        opened, failed, at = {}, {}, 0
-        for action in actions:
-            voice, begin = int(action["voice"]), at
-            at += action.get("count", 0)
-            try:
-                if action["do"] == "open":
-                    opened[voice] = self._open(voice, action["model"], action["fields"], limits)
-                elif voice in self.places:
-                    self._act(voice, action, samples[begin:at])
-            except UserError as error:
-                self.places.pop(voice, None)
-                failed[voice] = error
-        read = {model: animator.read() for model, animator in self.animators.items()}
-        frames = {  # curves and track of the head [shape=(n, C + 6)]
-            voice: np.concatenate((read[model][k], self.animators[model].heads[k]), axis=1)
-            for voice, (model, k) in self.places.items()
-        }
-        return opened, failed, frames
-
-    def _act(self, voice: int, action: dict[str, Any], samples: Float32) -> None:
-        model, place = self.places[voice]
-        animator = self.animators[model]
-        if action["do"] == "feed":
-            animator.take(samples, stream=place)
-        elif action["do"] == "set":
-            animator.set(stream=place, **action["fields"])
-        elif action["do"] == "interrupt":
-            shown, head = None, None
-            if action["shown"] is not None:
-                shown, head = np.split(np.float32(action["shown"]), [len(animator.names)])
-            self.interrupted[voice] = animator.interrupt(place, shown=shown, head=head)
-        elif action["do"] == "finish":
-            animator.end(place)
-        else:
-            self.places.pop(voice)
-
-    def _open(self, voice: int, model: str, fields: dict[str, Any], limits: Limits) -> float:
-        """Give a voice a place; return the look-ahead of its model."""
-        if model not in self.animators:
-            network = load_causal(placed(model_of(model, limits), limits))
-            self.animators[model] = LiveAnimator(network, streams=MOST_VOICES, life="off")
-        taken = {place for name, place in self.places.values() if name == model}
-        place = min(set(range(MOST_VOICES)) - taken)
-        self.animators[model].open(place, Acting.of(files={}, **fields))
-        self.places[voice] = (model, place)
-        return self.animators[model].lookahead_seconds
-
-
-_voices = Voices()
-
-
-def perform_voices(order: Order, limits: Limits, progress: Any) -> Answer:
-    """Carry out the actions of an order; frames of all voices as float32, one after another."""
-    samples = np.fromfile(SAMPLES, "<f4").astype(np.float32)
-    opened, failed, frames = _voices.perform(order["options"]["actions"], samples, limits)
-    out = Path(OUT) / "frames"
-    parts = [rows.astype("<f4").tobytes() for rows in frames.values()]
-    out.write_bytes(b"".join(parts))
-    counts = [[voice, len(rows)] for voice, rows in frames.items() if len(rows)]
-    errors = [[voice, names_of(error), str(error)] for voice, error in failed.items()]
-    facts = {
-        "opened": list(opened.items()), "failed": errors, "frames": counts,
-        "interrupted": list(_voices.interrupted.items()),
-    }  # fmt: skip
-    return {"file": str(out), "facts": facts}
-
 
 Progress = Callable[[float], None]
 VIDEO_PIXELS = 960 * 720
@@ -445,6 +352,7 @@ def _diff(order: Order, limits: Limits, progress: Progress) -> Answer:
         fps=options.get("fps"),
         tolerance=options["tolerance"],
         name=options["name"],
+        **_shift(options),
     )
     out = Path(OUT) / f"{options['name']}{SUFFIX}"
     out.write_text(found.layer.text, encoding="utf-8")
@@ -477,73 +385,3 @@ TASKS: dict[str, Callable[[Order, Limits, Progress], Answer]] = {
     "voices": perform_voices,
     "studio": _studio,
 }
-
-# Models of a worker process by the names of requests, on the settings' backend and device.
-
-
-models: dict[str, Any] = {}
-"""Models that were read, by name or folder as in the settings."""
-
-
-def model_of(name: str, limits: Limits) -> Any:
-    """Return a model, of curves or of a mesh, where it was read.
-
-    Raises
-    ------
-    CheckpointError
-        If there is no such model, it cannot be read, or is not exported for ONNX Runtime.
-    """
-    if name not in limits["models"]:
-        raise CheckpointError(f"no model {name!r}; known models: {', '.join(limits['models'])}")
-    folder = limits["models"][name]
-    if folder in models:
-        return models[folder]
-    if chosen_backend(folder, limits["backend"], limits["device"]) == "torch":
-        from deitalk.models.checkpoint import load_model
-
-        _begin_torch(limits)
-        models[folder] = load_model(folder)
-        return models[folder]
-    from deitalk.models.onnx.network import load_onnx, ready_graph
-
-    if product_of(folder) != "curves" or ready_graph(model_folder(folder)) is None:
-        raise CheckpointError(
-            f"model {name!r} is not in ONNX; this service has the backend onnx, another with torch "
-            "can use it"
-        )
-    models[folder] = load_onnx(folder, threads=limits["threads"])
-    return models[folder]
-
-
-def placed(model: Any, limits: Limits) -> Any:
-    """The model, moved to the device of the settings."""
-    return model if limits["device"] == "cpu" else model.to(limits["device"])
-
-
-def prepare(limits: Limits) -> None:
-    """Read the models of the settings; those read before the fork are there."""
-    if limits["backend"] == "torch":
-        _begin_torch(limits)
-    for name in limits["preload"]:
-        with suppress(CheckpointError):  # a request for it gets the error
-            placed(model_of(name, limits), limits)
-
-
-def _begin_torch(limits: Limits) -> None:
-    import torch
-
-    torch.set_num_threads(limits["threads"])
-    torch.backends.cudnn.allow_tf32 = False  # else a GPU rounds to ten bits
-
-
-def export_all(limits: Limits, *, only_live: bool = False) -> None:
-    """Write graphs that models lack into the cache; torch runs in other processes."""
-    from deitalk.models.onnx.network import cached_graph, ready_graph
-
-    for folder in limits["models"].values():
-        with suppress(UserError, OSError):  # a request for that model gets the error
-            path = model_folder(folder)
-            if product_of(folder) != "curves" or ready_graph(path):
-                continue
-            if is_causal(folder) or not only_live:
-                cached_graph(path, folder)

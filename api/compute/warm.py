@@ -12,7 +12,7 @@ import torch
 from huggingface_hub import constants
 from scipy import linalg
 
-from api.compute.tasks import models
+from api.compute.models import models
 from deitalk.models.checkpoint import require_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.pipeline.curves import animate

@@ -134,7 +134,7 @@ def start_early(backend: str) -> None:
 
 
 def process_context(backend: str) -> BaseContext:
-    """Where processes come from: on Linux a fork of one that has read the default model."""
+    """Start method of processes: on Linux a fork of one that has read the default model."""
     if not sys.platform.startswith("linux"):
         return NEW_PROCESSES
     module = "api.compute.warm_onnx" if backend == "onnx" else "api.compute.warm"

@@ -1,1 +1,1 @@
-"""Who may send what, before any route: keys, rates, hosts, origins, sizes and times."""
+"""Checks of requests before any route: keys, rates, hosts, origins, sizes and times."""

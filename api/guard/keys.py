@@ -23,7 +23,7 @@ MOST_CALLERS = 10_000
 
 @dataclass(frozen=True)
 class Caller:
-    """Who makes a request; fields but `id` and `address` are those of `api.settings.ApiKey`.
+    """Sender of a request; fields but `id` and `address` are those of `api.settings.ApiKey`.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""What every request passes before a route: host, origin, key, rate, size and pace of its body.
+"""Checks of every request before a route: host, origin, key, rate, size and pace of its body.
 
 ::
 

@@ -62,7 +62,7 @@ Gain = Annotated[
 
 
 class SpeechOptions(Acting):
-    """What to make of a recording: an acting, and of what kind the answer is."""
+    """Options of a recording's animation: an acting, and the kind of the answer."""
 
     model: Annotated[
         str, Field(max_length=64, description="A name of /v1/models.", examples=["default"])
@@ -142,7 +142,7 @@ class DubOptions(AnimationOptions):
 
 
 class DiffOptions(BaseModel):
-    """How an edited file is compared with its take."""
+    """Options of the comparison of an edited file with its take."""
 
     model_config = ConfigDict(extra="forbid")
 
@@ -159,6 +159,8 @@ class DiffOptions(BaseModel):
             "noise.",
         ),
     ] = TOLERANCE
+    delay: Delay = 0
+    handles: Handles = 0
     name: Annotated[
         str | None,
         Field(pattern=NAME_PATTERN, description="Name of the layer; else that of `edited`."),
@@ -188,7 +190,7 @@ class RetargetOptions(SpeechOptions):
 
 
 class ConversionOptions(BaseModel):
-    """What to make of a file of curves."""
+    """Options of the conversion of a file of curves."""
 
     model_config = ConfigDict(extra="forbid")
 

@@ -1,4 +1,4 @@
-"""What requests may name: models, control sets, emotions, formats."""
+"""Lists of what requests may name: models, control sets, emotions, formats."""
 
 from typing import Annotated
 

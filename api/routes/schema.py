@@ -1,4 +1,4 @@
-"""What routes cannot say of themselves in the OpenAPI schema: headers, keys, models, messages."""
+"""Parts of the OpenAPI schema that routes do not declare: headers, keys, models, messages."""
 
 from typing import Any, Literal
 

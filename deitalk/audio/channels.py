@@ -19,7 +19,7 @@ CENTRE_BELOW_DB = 30.0  # a quieter centre holds no speech of its own
 
 
 class Mixing(NamedTuple):
-    """How channels become one."""
+    """Weights by which channels are mixed to one."""
 
     weights: Float32
     """[shape=(C,)]"""
@@ -66,7 +66,7 @@ class Survey:
 
     @property
     def leads(self) -> Float64:
-        """Seconds in which each channel is the loudest by far [shape=(C,)]."""
+        """Time in which each channel is the loudest by far, seconds [shape=(C,)]."""
         channels = len(self.total)
         if not self.windows:
             return np.zeros(channels)

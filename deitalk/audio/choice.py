@@ -1,4 +1,4 @@
-"""Which signal of a recording is read: track, channel, and the form of samples without a header."""
+"""Choice of the signal of a recording: track, channel, and the form of samples without a header."""
 
 from dataclasses import dataclass
 from numbers import Integral
@@ -78,7 +78,7 @@ class RawFormat:
 
 @dataclass(frozen=True)
 class AudioChoice:
-    """Which signal of a recording is read.
+    """Choice of the signal of a recording that is read.
 
     Attributes
     ----------
@@ -117,7 +117,7 @@ class AudioChoice:
 
     @property
     def settings(self) -> dict[str, Any]:
-        """What is chosen, as JSON; `of` it gives the same choice."""
+        """The choice as JSON; `of` it gives the same choice."""
         raw = None if self.raw is None else str(self.raw)
         given = {"track": self.track, "channel": self.channel, "raw": raw}
         return {name: value for name, value in given.items() if value is not None}

@@ -331,7 +331,7 @@ class _Alike:
 
     @property
     def notes(self) -> list[str]:
-        """Where rate or channels change."""
+        """Note on the places where rate or channels change."""
         if not self.changes:
             return []
         return [

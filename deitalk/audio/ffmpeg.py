@@ -206,7 +206,7 @@ class FFmpegReader:
                 yield frame, 0.0
 
     def _stated(self, container: "InputContainer", track: "AudioStream") -> float:
-        """Seconds of sound according to the header; 0 where it holds no length."""
+        """Length of the sound by the header, seconds; 0 where it holds none."""
         import av
 
         if self.demuxer not in _KEEP_LENGTH and not self._counts_frames():
@@ -230,7 +230,7 @@ class FFmpegReader:
 
 
 class _Timeline:
-    """Where each frame belongs by its time, and what had to be done for it."""
+    """Places of the frames by their times, and the corrections that these need."""
 
     def __init__(self, origin: float | None, demuxer: str) -> None:
         self.is_kept = demuxer in TIMED
@@ -246,7 +246,7 @@ class _Timeline:
         self.jumps: list[float] = []
 
     def gap_before(self, time: float | None) -> float:
-        """Seconds of silence before a frame of a time; negative: to leave out of it."""
+        """Silence before a frame of a time, seconds; negative: part of the frame to leave out."""
         if time is None or not self.is_kept:
             return 0.0
         is_first = self.offset is None
@@ -267,7 +267,7 @@ class _Timeline:
 
     @property
     def notes(self) -> Iterator[str]:
-        """What was lost or added."""
+        """Notes on sound that was lost or added."""
         if self.lead:
             yield f"the sound starts {self.lead:.2f} s into the file: silent until then"
         if self.holes:

@@ -43,7 +43,7 @@ _AU_BYTES = {1: 1, 2: 1, 3: 2, 4: 3, 5: 4, 6: 4, 7: 8, 27: 1}
 
 
 class _Chunks(NamedTuple):
-    """How chunks of a format are written."""
+    """Layout of the chunks of a format."""
 
     id_bytes: int
     size: struct.Struct
@@ -71,7 +71,7 @@ _W64_CHUNKS = _Chunks(16, struct.Struct("<q"), True, 8)
 
 
 class _Header(NamedTuple):
-    """What the header of a recording says, and how one of another length is written."""
+    """Content of a recording's header, and a function that writes one of another length."""
 
     begin: int
     """First byte of the samples."""
@@ -128,7 +128,7 @@ def _extent(content: Content, demuxer: str, header: _Header) -> tuple[int, int, 
 
 
 def _following(content: Content, demuxer: str, header: _Header, stop: int) -> int | None:
-    """Where the next recording begins after samples that end at a place, over chunks and tags.
+    """Place at which the next recording begins after samples, chunks and tags.
 
     None if there is what looks like more samples.
     """

@@ -54,7 +54,7 @@ POSE = 4
 
 
 class Held(NamedTuple):
-    """Where a pose is held [shape=(B, n)] each."""
+    """Frames in which a pose is held [shape=(B, n)] each."""
 
     back: Array
     """Frames since the pose that is held."""

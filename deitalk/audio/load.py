@@ -165,7 +165,7 @@ def load_chosen(
     *,
     max_seconds: float = MAX_SECONDS,
 ) -> Recording:
-    """As `load_audio`."""
+    """Read a recording as `load_audio` does."""
     name, data = _name_and_data(source)
     with open_sound(name, data, choice) as sound:
         start = start_seconds(name if data is None else data)
@@ -256,7 +256,7 @@ def _read_track(
 
 
 def _mixing(name: str, sound: SoundSource, channel: str | None) -> Mixing | Survey:
-    """How channels become one; the survey of surround sound whose centre may have the speech."""
+    """Mixing of the channels; a survey for surround sound whose centre may have the speech."""
     survey = Survey(sound.channels, sound.rate)
     if sound.channels > 1 and channel in (None, LOUDEST):
         for block in _finite_blocks(name, sound):

@@ -70,7 +70,7 @@ def start_of(timecode: str, fps: float | None, recorded: float | None) -> tuple[
 
 
 def parse_timecode(text: str, fps: float) -> float:
-    """Seconds since midnight of ``HH:MM:SS:FF``, drop frame ``HH:MM:SS;FF`` or ``HH:MM:SS.sss``.
+    """Parse ``HH:MM:SS:FF``, drop frame ``HH:MM:SS;FF`` or ``HH:MM:SS.sss`` to seconds of the day.
 
     FF counts frames of the nearest whole rate. With ``:`` no numbers are left out; with ``;`` they
     are, and the time is that of a clock at 29.97 or 59.94 Hz.

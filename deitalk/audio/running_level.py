@@ -76,7 +76,7 @@ def levelled(windows: Array, spectra: int, state: Array) -> tuple[Array, Array]:
     windows : array [shape=(B, T P, W)]
     state : array [shape=(B, 2)]
     """
-    frames = windows.reshape(len(windows), -1, spectra, windows.shape[-1])
+    frames = windows.reshape(windows.shape[0], -1, spectra, windows.shape[-1])
     level, state = follow_level((frames * frames).mean(-1).mean(-1), state)
     given = frames * (USUAL_POWER / level)[:, :, None, None] ** 0.5
     return given.reshape(windows.shape), state

@@ -25,7 +25,7 @@ TAKE = "take"
 
 @dataclass(frozen=True, slots=True)
 class Written:
-    """How the curves of a line are written.
+    """Form in which the curves of a line are written.
 
     Parameters
     ----------
@@ -75,7 +75,7 @@ class Dubbing:
 
     @property
     def content(self) -> dict[str, Any]:
-        """What the line follows from: numbers, and SHA-256 of the files.
+        """Numbers, and SHA-256 of the files, that the line follows from.
 
         Raises
         ------

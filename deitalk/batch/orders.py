@@ -1,4 +1,4 @@
-"""What goes to a worker, and what comes back."""
+"""Messages between a batch and its workers: orders and outcomes."""
 
 from dataclasses import dataclass, field
 from typing import NamedTuple
@@ -51,7 +51,7 @@ class Target(NamedTuple):
 
 @dataclass(slots=True)
 class Outcome:
-    """What a worker made of a line.
+    """Result of a line.
 
     Attributes
     ----------

@@ -20,7 +20,7 @@ from rig.files import (
     recover,
     replace_recorded,
 )
-from rig.files.folder import MANIFEST, digest_of
+from rig.files.manifest import MANIFEST, digest_of
 from rig.files.reading import read_bytes
 
 KIND = "batch"

@@ -28,7 +28,7 @@ Make = Callable[[], Perform]
 
 
 class Pool(Protocol):
-    """What animates lines: `Workers`, or `deitalk.batch.cluster.Cluster`."""
+    """Interface of those that animate lines: `Workers`, or `deitalk.batch.cluster.Cluster`."""
 
     def run(self, orders: Sequence[Order]) -> Iterator[list[Outcome]]:
         """Yield results as they come, in any order, several at a time."""

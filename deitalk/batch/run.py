@@ -43,9 +43,6 @@ from deitalk.models.folder import (
 from deitalk.models.load import Backend, chosen_backend
 from rig.errors import TargetError, UserError, quoted
 
-# Lines to orders for the workers, and results to files, journal and rows of the summary.
-
-
 Run = Callable[[Sequence[Order]], Iterator[list[Outcome]]]
 """Results of orders, as they come."""
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from deitalk.cli.acting_options import Given, acting_options
 from deitalk.cli.console import bar, console, emit_json
 from deitalk.cli.mesh import animate_vertices
 from deitalk.cli.options import (
@@ -18,13 +19,11 @@ from deitalk.cli.options import (
     Device,
     Digits,
     Force,
-    Given,
     Handles,
     Json,
     Threads,
     Timecode,
     WrittenIdentity,
-    acting_options,
 )
 from deitalk.cli.targets import PICTURES, reserve_file, reserve_folder, reserve_picture
 from deitalk.errors import DeitalkError

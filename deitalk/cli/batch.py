@@ -4,6 +4,7 @@ from typing import Annotated
 
 import typer
 
+from deitalk.cli.acting_options import Given, acting_options
 from deitalk.cli.console import bar, console, emit_json
 from deitalk.cli.options import (
     MAX_PROCESSES,
@@ -12,11 +13,9 @@ from deitalk.cli.options import (
     Delay,
     Device,
     Digits,
-    Given,
     Handles,
     Json,
     Timecode,
-    acting_options,
 )
 
 

@@ -51,7 +51,7 @@ class Console:
 
     @cached_property
     def rich(self) -> "RichConsole":
-        """Of the package rich, which is imported for a terminal only."""
+        """The console of the package rich, which is imported for a terminal only."""
         from rich.console import Console as RichConsole
 
         return RichConsole(stderr=True, emoji=False, highlight=False, soft_wrap=True)
@@ -168,6 +168,3 @@ def name_option(error: UserError) -> str:
 
     pattern = _ASSIGNED.format(re.escape(error.parameter))
     return re.sub(pattern, option, str(error)) if error.parameter else str(error)
-
-
-# Checks of the files that commands read and write.

@@ -5,18 +5,9 @@ from typing import Annotated
 
 import typer
 
+from deitalk.cli.acting_options import Given, acting_options
 from deitalk.cli.console import bar, console, emit_json
-from deitalk.cli.options import (
-    Delay,
-    Device,
-    Force,
-    Given,
-    Handles,
-    Json,
-    Model,
-    Timecode,
-    acting_options,
-)
+from deitalk.cli.options import Delay, Device, Force, Handles, Json, Model, Timecode
 from deitalk.cli.targets import reserve_file, reserve_folder
 from deitalk.errors import DeitalkError
 
@@ -46,6 +37,12 @@ def diff(
             help="How far curves with the layer may be from the edited ones; half of it is noise.",
         ),
     ] = 0.01,
+    delay: Annotated[
+        int, typer.Option(help="Frames of --delay that the edited file alone was written with.")
+    ] = 0,
+    handles: Annotated[
+        int, typer.Option(help="The same of --handles; those of the take are known.")
+    ] = 0,
     force: Force = False,
     as_json: Json = False,
 ) -> None:
@@ -68,7 +65,9 @@ def diff(
     inputs = (edited, take if take.is_file() else take / "curves.json")
     reserve_file(out, force=force, inputs=inputs)
     name = out.name.removesuffix(SUFFIX).removesuffix(".json")
-    found = changes_of_take(edited, take, fps=fps, tolerance=tolerance, name=name)
+    found = changes_of_take(
+        edited, take, fps=fps, tolerance=tolerance, delay=delay, handles=handles, name=name
+    )
     layer = found.layer
     with atomic_write(out) as beside:
         beside.write_text(layer.text, encoding="utf-8")

@@ -7,8 +7,9 @@ from typing import Annotated, Any
 
 import typer
 
+from deitalk.cli.acting_options import Given, acting_options
 from deitalk.cli.console import console
-from deitalk.cli.options import Backend, Force, Given, acting_options
+from deitalk.cli.options import Backend, Force
 from deitalk.cli.udp import Link, is_sound, link_of, record_face, send_source, sender_of, transmit
 from deitalk.errors import DeitalkError
 

@@ -9,7 +9,7 @@ from deitalk.cli.targets import reserve_mesh
 from deitalk.errors import DeitalkError
 
 if TYPE_CHECKING:
-    from deitalk.cli.options import Given
+    from deitalk.cli.acting_options import Given
 
 
 def animate_vertices(

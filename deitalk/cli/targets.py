@@ -59,14 +59,14 @@ def reserve_folder(path: Path, *, kind: str, force: bool, inputs: Inputs = ()) -
 
 
 def reserve_picture(path: Path, *, force: bool, inputs: Inputs = ()) -> None:
-    """As `reserve_file`, for a picture that matplotlib writes."""
+    """Reserve a picture that matplotlib writes, as `reserve_file` does."""
     if path.suffix.lower() not in PICTURES:
         raise DeitalkError(f"{path}: a picture is .png, .svg or .pdf")
     reserve_file(path, force=force, inputs=inputs)
 
 
 def reserve_mesh(out: str, *, force: bool, inputs: Inputs = (), fbx: bool = False) -> None:
-    """As `reserve_file` for .glb, .npz (and .fbx), else as `reserve_folder` of frames."""
+    """Reserve a .glb, .npz (or .fbx) as `reserve_file` does, else a folder of frames."""
     from rig.mesh.sequence import check_out
 
     is_fbx = fbx and out.lower().endswith(".fbx")

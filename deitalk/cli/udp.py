@@ -7,8 +7,9 @@ from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from deitalk.cli.acting_options import Given
 from deitalk.cli.console import console
-from deitalk.cli.options import Given, control_set_of
+from deitalk.cli.options import control_set_of
 from deitalk.cli.targets import curves_of, note_reading, reserve_file
 from deitalk.errors import DeitalkError, MissingError
 
@@ -27,7 +28,7 @@ POLL_SECONDS = 0.05
 
 @dataclass(frozen=True)
 class Link:
-    """Where a face is sent, and how."""
+    """Address and protocol to which a face is sent."""
 
     host: str
     port: int
@@ -258,7 +259,8 @@ def _player(audio: Path | None, choice: "AudioChoice") -> Callable[[], None]:
 
 def _signal(address: str) -> Callable[[], None]:
     """Return a function that signals the first frame to another program."""
-    from rig.livelink import check_address, protocols
+    from rig.livelink import check_address
+    from rig.livelink.osc import message
 
     host, colon, port = address.rpartition(":")
     if not (colon and host and port.isdigit() and 0 < int(port) < 65536):
@@ -267,7 +269,7 @@ def _signal(address: str) -> Callable[[], None]:
 
     def send_start() -> None:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
-            link.sendto(protocols.message("/deitalk/start"), (host, int(port)))
+            link.sendto(message("/deitalk/start"), (host, int(port)))
 
     return send_start
 

@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
+from deitalk.cli.acting_options import Given, acting_options
 from deitalk.cli.console import emit, emit_json
-from deitalk.cli.options import Given, acting_options
 from deitalk.errors import DeitalkError
 from rig.errors import as_line
 
@@ -43,7 +43,7 @@ def validate(
     validation = check(path)
     findings = list(validation.findings)
     if validation.ok and given.acting.words is not None:
-        from deitalk.pipeline.words.align import check_closures
+        from deitalk.pipeline.words.closures import check_closures
         from deitalk.pipeline.words.transcript import Transcript
 
         words = Transcript.of(given.acting.words, given.acting.language)

@@ -109,7 +109,7 @@ class ModelConfig(Section):
 
     @model_validator(mode="after")
     def _causal_ends_never(self) -> "ModelConfig":
-        """What depends on the whole clip does not go with a frontend for one that has not ended."""
+        """Refuse settings that depend on the whole clip with a causal frontend."""
         if self.frontend.kind == "causal_whisper":
             if self.own_decoder is not None:
                 raise ValueError("causal_whisper takes no own_decoder; set own_decoder: null")
@@ -145,7 +145,7 @@ WindowFrames = Annotated[int, Field(ge=1, le=limits.TRAINING_FRAMES)]
 
 
 class DataConfig(Section):
-    """How clips become windows (DEITalk §4.1)."""
+    """Settings by which clips are cut into windows (DEITalk §4.1)."""
 
     window_frames: WindowFrames = 128
     stride_frames: WindowFrames = 5

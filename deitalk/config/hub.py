@@ -52,7 +52,7 @@ def pinned(name: str | Path) -> str:
 
 
 def model_files(names: Iterable[str]) -> tuple[str, ...]:
-    """Those files of a folder or a repository that belong to a model, sorted.
+    """Sorted files of a folder or a repository that belong to a model.
 
     Parameters
     ----------

@@ -128,7 +128,7 @@ class DeadZone(Section):
 
 
 class Gates(Section):
-    """In silence the mouth shuts, and the expression decays to a share that stays."""
+    """Rule for silence: the mouth shuts, and the expression decays to a share that stays."""
 
     mouth_opens: Frames = 5
     """Frames before speech."""

@@ -140,7 +140,7 @@ def rule(item: Any) -> str:
 
 
 class Optimisation(Section):
-    """How any model is trained: steps, batches, learning rate and what is kept."""
+    """Settings of any training: steps, batches, learning rate and what is kept."""
 
     learning_rate: AboveZero = 1e-4
     schedule: Literal["constant", "one_cycle"] = "constant"

@@ -185,7 +185,7 @@ def read_intensity(path: Path, times: Float64) -> Float32:
 
 
 def read_known(path: Path | None, controls: ControlSet) -> Bool:
-    """Which controls the curves of a clip hold [shape=(C,)]; all of them without a file.
+    """Controls that the curves of a clip hold [shape=(C,)]; all of them without a file.
 
     A source of curves cannot see everything: a face camera moves neither the tongue nor the lower
     lip's bite. What it does not see is no zero, but unknown, and left out of losses and scores.

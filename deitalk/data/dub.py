@@ -379,7 +379,7 @@ def _whole(spans: Sequence[Span], first: int, stop: int) -> Span:
 
 
 class _Clock:
-    """Which frame of the performance is shown in each frame of the new recording.
+    """Map of frames of the new recording to frames of the performance.
 
     Attributes
     ----------

@@ -104,7 +104,7 @@ class ClipLags:
 
     @property
     def lag(self) -> float:
-        """Of the curves behind the sound, seconds."""
+        """Lag of the curves behind the sound, seconds."""
         return sharpest_peak(self.scores)
 
     @property

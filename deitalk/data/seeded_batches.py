@@ -20,7 +20,7 @@ Item = TypeVar("Item", bound=tuple[Any, ...])
 
 
 class Share(NamedTuple):
-    """Where to begin, and this process's part of every batch."""
+    """Position at which to begin, and this process's part of every batch."""
 
     skip: int = 0
     """Number of the first batch, for a training that is resumed."""

@@ -63,7 +63,7 @@ class ActorReference:
 
     @property
     def content(self) -> dict[str, Any]:
-        """What a reference file holds."""
+        """Content of a reference file."""
         content: dict[str, Any] = {
             "format": FORMAT,
             "version": VERSION,
@@ -98,7 +98,7 @@ def read_actor(path: Path) -> ActorReference:
 
 
 def parse_actor(data: bytes, path: object) -> ActorReference:
-    """As `read_actor`, of the content of a file; `path` is for messages."""
+    """Parse the content of a file of `read_actor`; `path` is for messages."""
     content = load_json(data, path, error=EmotionError)
     rule = "is no actor reference; `deitalk data voice` writes one"
     if not isinstance(content, dict) or content.get("format") != FORMAT:

@@ -158,8 +158,9 @@ def write_comparison(
     # The first held-out clip: sound, captured curves, before and after.
     example, controls, compared = captures.examples[0], captures.controls, folder / COMPARED
     compared.mkdir(exist_ok=True)
-    played = {name: curves[name][0] for name in ("before", "after") if name in curves}
-    for name, values in {"capture": example.curves, **played}.items():
+    played = {"capture": example.curves}
+    played |= {name: curves[name][0] for name in ("before", "after") if name in curves}
+    for name, values in played.items():
         clip = RigCurves(values, controls.names, fps=FRAME_RATE, control_set=controls.id)
         write_curves(compared / f"{name}.npz", clip)
     with atomic_write(compared / "audio.wav") as beside:
@@ -250,7 +251,7 @@ def _intensity(strengths: Sequence[Float32 | None], captures: CaptureSet) -> dic
 
 
 def _own(captures: CaptureSet) -> dict[str, float]:
-    """What the captures themselves would score, where that is defined."""
+    """Scores of the captures themselves, where they are defined."""
     rows = [_steps(example.curves[:, captures.pose.moving]) for example in captures.examples]
     own = {
         name: _mean([row[name] for row in rows if name in row])
@@ -370,7 +371,7 @@ def beats_loudness(scores: Mapping[str, Mapping[str, float]]) -> bool:
 
 
 def _course(report: dict[str, Any]) -> list[str]:
-    """What the result is, whose face a stranger gets, and which takes share a convention."""
+    """Lines on the result, the styles, and the takes that share a convention."""
     lines = []
     if report.get("delivered"):
         lines += [f"The result is {report['delivered']}.", ""]

@@ -27,6 +27,7 @@ from deitalk.audio.log_mel import SILENCE
 from deitalk.audio.running_level import first_level, levelled
 from deitalk.config.frontends import CausalWhisperConfig
 from deitalk.frontends.base import Frontend
+from deitalk.frontends.flat_kernel import FlatKernel, joined_taps
 from deitalk.frontends.whisper import Layer, WhisperFrontend, scaled
 
 PAST_FRAMES, LOOKAHEAD_FRAMES = 90, 1
@@ -96,6 +97,7 @@ class CausalWhisperFrontend(WhisperFrontend):
         self.ahead = [LOOKAHEAD_FRAMES] * looking + [0] * (depth - looking)
         self.delay = sum(self.ahead)
         self.n_states = 3 + 2 * depth + looking
+        self._flat = FlatKernel()
 
     def first_state(self, batch: int) -> CausalState:
         """State of streams before their first sample."""
@@ -155,8 +157,7 @@ class CausalWhisperFrontend(WhisperFrontend):
         # Few frames of many streams: a product of matrices, where a convolution is one a stream.
         stem = self.encoder.conv2
         taps = [x[..., k :: self.spectra] for k in range(stem.weight.shape[2])]
-        rows = torch.cat(taps, dim=1).transpose(1, 2).contiguous()  # (B, G, 3 D)
-        x = F.gelu(F.linear(rows, stem.weight.transpose(1, 2).flatten(1), stem.bias))
+        x = F.gelu(F.linear(joined_taps(taps), self._flat(stem.weight), stem.bias))
         times = state.place + torch.arange(x.shape[1], device=x.device)
         x = x + self.encoder.positions[(times % PERIOD).long()]
         queries, kept, depth = x, list[Tensor](), len(self.encoder.layers)

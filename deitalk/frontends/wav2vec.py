@@ -302,7 +302,7 @@ def _read_config(name: str) -> tuple[dict[str, Any], float]:
 
 
 def _cached_or_fetched(read: Any, name: str, **options: Any) -> Any:
-    """What `read` finds in the folder or the cache, else on the hub."""
+    """Result of `read` in the folder or the cache, else on the hub."""
     try:
         return read(name, local_files_only=True, **options)
     except OSError:

@@ -28,7 +28,6 @@ from torch.nn import functional as F
 
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
 from deitalk.audio.log_mel import (
-    BLOCK,
     DYNAMIC_RANGE,
     N_FFT,
     PUBLISHED_RATE,
@@ -50,6 +49,10 @@ MOMENTUM = 0.01
 """Of the running mean and variance, where the encoder learns."""
 BATCH = 128
 """Pieces that are encoded in one pass."""
+SURVEYED = 5400
+"""Most spectra of a piece that is surveyed, a minute: they begin at whole samples."""
+TOGETHER_SAMPLES = 1 << 21
+"""Samples that are surveyed at once."""
 LARGEST = 6.0
 """Standardised features are limited to this: a few dimensions have rare, huge values."""
 
@@ -513,13 +516,34 @@ class WhisperFrontend(StridedFrontend):
 
     def survey(self, waveform: Tensor, gain: float) -> Tensor:
         """Loudest mel power of the whole clip, from which the floor of every piece follows."""
-        n_frames = self.count(len(waveform)) * self.spectra
-        sound = waveform.unsqueeze(0).to(self.mel.window.device)
-        blocks = (
-            self.mel.decades(self.mel.windows(sound, min(BLOCK, n_frames - first), first)).amax()
-            for first in range(0, n_frames, BLOCK)
-        )
-        return torch.stack([*blocks]).amax() + 2 * math.log10(gain)
+        return self.surveys([waveform.cpu().numpy()])[0] + 2 * math.log10(gain)
+
+    def surveys(self, sounds: Sequence[Float32]) -> Tensor:
+        """Logarithm to base 10 (N,) of the loudest mel power of each of N clips (S,)."""
+        pieces: list[tuple[Float32, int]] = []
+        for clip, sound in enumerate(sounds):
+            n_frames = self.count(len(sound)) * self.spectra
+            for first in range(0, n_frames, SURVEYED):
+                at = centres(first, min(SURVEYED, n_frames - first), self.mel.rate)
+                begin, end = int(at[0]) - N_FFT // 2, int(at[-1]) + N_FFT // 2
+                piece = sound[max(begin, 0) : max(end, 0)]
+                pieces.append((np.pad(piece, (max(-begin, 0), 0)), clip))
+        pieces.sort(key=lambda piece: -len(piece[0]))
+        found = self.mel.window.new_full((len(sounds),), math.log10(SILENCE))
+        while pieces:
+            length = max(len(pieces[0][0]), N_FFT)
+            taken = max(TOGETHER_SAMPLES // length, 1)
+            group, pieces = pieces[:taken], pieces[taken:]
+            padded = np.zeros((len(group), length), np.float32)
+            for row, (piece, _) in zip(padded, group, strict=True):
+                row[: len(piece)] = piece
+            count = int((length - N_FFT) * self.mel.rate // SAMPLE_RATE) + 1
+            starts = torch.from_numpy(centres(0, count, self.mel.rate)).to(found.device)
+            windows = torch.from_numpy(padded).to(found.device).unfold(1, N_FFT, 1)[:, starts]
+            loudest = self.mel.decades(windows).amax(dim=(1, 2))
+            owners = torch.tensor([clip for _, clip in group]).to(found.device)
+            found.scatter_reduce_(0, owners, loudest, "amax")
+        return found
 
     def features(self, waveform: Tensor, context: Tensor | None = None) -> Tensor:
         """Features (B, K, D) of (B, S), at most 30 s."""
@@ -542,22 +566,27 @@ class WhisperFrontend(StridedFrontend):
         chunk, overlap = (
             round(seconds * FRAME_RATE) for seconds in (self.chunk_seconds, self.overlap_seconds)
         )
-        pieces: list[tuple[Piece, Float32, Tensor]] = []
-        whole = self.mel.window.new_tensor(math.nan)
-        for waveform, count in zip(waveforms, counts, strict=True):
-            peak = self.survey(waveform, 1.0) if count > chunk else whole
-            samples = waveform.cpu().numpy()
-            for piece in self._pieces_of(count, chunk, overlap):
-                pieces.append((piece, samples[piece.first : piece.last], peak))
+        pieces: list[tuple[Piece, Float32]] = []
+        owners: list[int] = []
+        sounds = [waveform.cpu().numpy() for waveform in waveforms]
+        for clip, (samples, count) in enumerate(zip(sounds, counts, strict=True)):
+            cut = self._pieces_of(count, chunk, overlap)
+            pieces += [(piece, samples[piece.first : piece.last]) for piece in cut]
+            owners += [clip] * (len(pieces) - len(owners))
+        # The floor of a piece follows from its whole clip; NaN: the piece is that.
+        peaks = self.mel.window.new_full((len(sounds),), math.nan)
+        if cut_ones := [clip for clip, count in enumerate(counts) if count > chunk]:
+            peaks[cut_ones] = self.surveys([sounds[clip] for clip in cut_ones])
+        peaks = peaks[owners]
         order = sorted(range(len(pieces)), key=lambda place: -len(pieces[place][1]))
-        sizes = np.array([self.count(len(sound)) for _, sound, _ in pieces])
+        sizes = np.array([self.count(len(sound)) for _, sound in pieces])
         begins, found = np.zeros_like(sizes), list[Tensor]()
         begins[order] = np.cumsum(sizes[order]) - sizes[order]
         for first in range(0, len(order), BATCH):
             batch = order[first : first + BATCH]
-            _, sounds, peaks = zip(*(pieces[place] for place in batch), strict=True)
-            found.append(self._encoded(sounds, torch.stack(peaks), sizes[batch]))
-        rows = self._laid([piece for piece, _, _ in pieces], begins, sizes, torch.cat(found))
+            _, parts = zip(*(pieces[place] for place in batch), strict=True)
+            found.append(self._encoded(parts, peaks[batch], sizes[batch]))
+        rows = self._laid([piece for piece, _ in pieces], begins, sizes, torch.cat(found))
         return list(torch.split(rows, list(counts)))
 
     def _encoded(self, sounds: Sequence[Float32], peaks: Tensor, sizes: Int64) -> Tensor:

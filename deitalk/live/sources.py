@@ -123,7 +123,7 @@ class Microphone:
         self._failure = sounddevice.PortAudioError
 
     def read(self, seconds: float) -> Float32 | None:
-        """What has come since the call before, at least a block; None if none came in time.
+        """Read the sound since the call before, at least a block; None if none came in time.
 
         Raises
         ------

@@ -12,6 +12,7 @@ from torch.nn import functional as F
 from deitalk.config.curves import ModelConfig
 from deitalk.emotions import EMOTIONS
 from deitalk.errors import CheckpointError
+from deitalk.frontends.flat_kernel import FlatKernel, joined_taps
 from deitalk.models.joined import JoinedClips
 from deitalk.models.tuned_parts import ActorLayers, BaseChange
 from rig import ControlSet
@@ -56,7 +57,7 @@ class TemporalConv(nn.Module):
     ) -> None:
         super().__init__()
         self.causal, self.span = causal, dilation * (kernel_size - 1)
-        self._kept: tuple[tuple[int, int], Tensor] | None = None
+        self._flat = FlatKernel()
         self.conv = nn.Conv1d(
             in_channels,
             out_channels,
@@ -82,9 +83,8 @@ class TemporalConv(nn.Module):
         if self.causal and frames <= FEW_FRAMES:
             # A convolution's preparations cost more than so few frames.
             taps = [x[:, :, start : start + frames] for start in self._starts]
-            # (B, T, K in_channels), in order: else torch multiplies stream by stream.
-            rows = torch.cat(taps, dim=1).transpose(1, 2).contiguous()
-            x = F.linear(rows, self._flat(), self.conv.bias).transpose(1, 2)
+            flat = self._flat(self.conv.weight)
+            x = F.linear(joined_taps(taps), flat, self.conv.bias).transpose(1, 2)
         else:
             x = self.conv(x)
         out: Tensor = self.after(x)
@@ -109,7 +109,9 @@ class TemporalConv(nn.Module):
         weights : slice
             Input channels of the convolution that they are.
         """
-        kernel = self._flat().view(self.conv.out_channels, -1, self.conv.in_channels)
+        kernel = self._flat(self.conv.weight).view(
+            self.conv.out_channels, -1, self.conv.in_channels
+        )
         for tap, start in enumerate(self._starts):
             out.addmm_(x.inner(start - self.reach)[:, given], kernel[:, tap, weights].T)
 
@@ -117,16 +119,6 @@ class TemporalConv(nn.Module):
     def _starts(self) -> range:
         """Place of each tap of the kernel, frames after the first."""
         return range(0, self.span + 1, self.conv.dilation[0])
-
-    def _flat(self) -> Tensor:
-        """Weights as one matrix (out_channels, K in_channels), kept until they change."""
-        weight = self.conv.weight
-        if weight.requires_grad and torch.is_grad_enabled():
-            return weight.permute(0, 2, 1).flatten(1)
-        state = (weight.data_ptr(), weight._version)
-        if self._kept is None or self._kept[0] != state:
-            self._kept = (state, weight.detach().permute(0, 2, 1).flatten(1).contiguous())
-        return self._kept[1]
 
 
 class JoinedRows:

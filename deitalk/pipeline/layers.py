@@ -171,7 +171,8 @@ def _times_by_phones(layer: Layer, speech: Speech) -> Times | None:
     """Times of the layer's phones, laid through the sound; None if they do not fit it."""
     if not layer.phones or not _has_torch():
         return None
-    from deitalk.pipeline.words.align import fit_words, measure_phones, phone_evidence
+    from deitalk.pipeline.words.align import fit_words
+    from deitalk.pipeline.words.evidence import measure_phones, phone_evidence
     from deitalk.pipeline.words.transcript import Transcript, Word
 
     spoken: list[list[tuple[str, float, float]]] = []
@@ -270,7 +271,8 @@ def heard_phones(speech: Speech) -> tuple[tuple[str, int], ...]:
     """Phones that a sound of unknown words shows, with their lengths at `PHONE_RATE`."""
     if not _has_torch() or not speech.activity.any():
         return ()
-    from deitalk.pipeline.words.align import PRIOR_POWER, measure_phones, phone_evidence
+    from deitalk.pipeline.words.align import PRIOR_POWER
+    from deitalk.pipeline.words.evidence import measure_phones, phone_evidence
 
     prior = np.float32(PRIOR_POWER) * np.log(phone_evidence().weights["prior"])
     path = _best_phones(measure_phones(speech) - prior.astype(np.float32))

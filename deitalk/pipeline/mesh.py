@@ -146,7 +146,7 @@ def mesh_frames(
     *,
     sealed: bool = True,
 ) -> Iterator[Float32]:
-    """As `predict_mesh`, some frames at a time [shape=(T, V, 3)]."""
+    """Predict as `predict_mesh` does, some frames at a time [shape=(T, V, 3)]."""
     mesh = model.template(speaker) if template is None else template
     reach_mm = model.config.seal_mm if sealed else 0.0
     for motion in model.expand(mesh_coefficients(model, waveform, speaker, acting)):

@@ -61,6 +61,8 @@ FILES = {
 }
 
 KIND = "take"
+DELAY = "delay_frames"
+"""Entry of ``take.json``: frames by which the face is late."""
 ORIGINAL = "audio_48k.wav"
 PREVIEW_FILES = ("preview.html", "preview.mp4")
 
@@ -159,7 +161,7 @@ class Performance:
         return 0.0 if applied is None or not self.has_emotion else self._while_speaking(applied)
 
     def quiet(self, *, last: bool) -> float:
-        """Seconds without speech at the end, or at the start."""
+        """Time without speech at the end, or at the start, seconds."""
         return quiet_seconds(self.recording.activity, last=last)
 
     @cached_property
@@ -389,7 +391,7 @@ def _fill(
         "control_set": curves.control_set,
         "fps": curves.fps,
         "start_seconds": start,
-        "delay_frames": delay,
+        DELAY: delay,
         HANDLES: handles,
         "marks": [
             {**mark._asdict(), "start": round(mark.start, 3), "end": round(mark.end, 3)}

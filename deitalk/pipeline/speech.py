@@ -149,7 +149,7 @@ class Speech:
         return measure_prosody(self.waveform, self.n_frames)
 
     def held(self, rule: HoldPose | None) -> Held:
-        """Where a held sound keeps its pose [each shape=(T,)]."""
+        """Frames in which a held sound keeps its pose [each shape=(T,)]."""
         return held_sound(band_levels(self.waveform), self.prosody.tone, rule or HoldPose())
 
     @cached_property

@@ -39,7 +39,7 @@ FURTHEST = 5.0
 
 @dataclass(frozen=True)
 class Suggestion:
-    """What a voice suggests.
+    """Emotion that a voice suggests.
 
     Attributes
     ----------
@@ -100,7 +100,7 @@ def standardised(numbers: Float32, mean: Float32, spread: Float32) -> Float32:
 
 
 class VoiceFrames(NamedTuple):
-    """What the map is given of a recording, or of a window of it, before it is pooled."""
+    """Inputs of the map: frames of a recording, or of a window of it, before they are pooled."""
 
     features: Float32
     """Speech features of the network [shape=(T, D)]."""

@@ -3,9 +3,9 @@
 from collections.abc import Iterable
 from pathlib import Path
 
+from deitalk.preview.mp4 import find_encoder
 from deitalk.preview.page import check_player
 from deitalk.preview.source import PreviewError
-from deitalk.preview.video import find_encoder
 
 PAGES, VIDEOS = (".html", ".htm"), (".mp4",)
 

@@ -31,7 +31,7 @@ from rig.formats.livelink_csv import SUBJECT_REST
 WASM, MODEL = "ort-wasm-simd-threaded.wasm", "model.onnx"
 SHARED_BYTES = 4096
 """Bytes of a weight from which the file of the other model is looked through for it."""
-LIVE = ("window", "before", "delay", "behind", "state", "actors")
+LIVE = ("window", "before", "delay", "behind", "state")
 """Metadata of a live model that the page must know."""
 COPIED = ("engine.js", "ort.wasm.bundle.min.mjs")
 POLICY = "script-src 'self' 'unsafe-inline'"
@@ -122,12 +122,13 @@ def _share_weights(file: Path, other: Path) -> dict[str, int]:
         for key, value in at.items():
             weight.external_data.add(key=key, value=str(value))
     file.write_bytes(content.SerializeToString())
-    texts = {entry.key: json.loads(entry.value) for entry in content.metadata_props if entry.key in LIVE}
-    return texts | {"actors": len(texts["actors"])}
+    texts = {entry.key: entry.value for entry in content.metadata_props}
+    found = {key: json.loads(texts[key]) for key in LIVE}
+    return found | {"actors": len(json.loads(texts["actors"]))}
 
 
 def _facts(network: DEITalk) -> dict[str, Any]:
-    """What the page must know of the model and of the formats that it writes."""
+    """Facts on the model and on the formats that the page writes."""
     knots = raw_knots()
     raw = [
         {

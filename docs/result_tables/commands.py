@@ -37,6 +37,7 @@ TIMING = {
     "batch-rate": "python -m deitalk.research.speed.batch_rate LINES",
     "cold-start": "python -m deitalk.research.speed.cold_start",
     "onnx-sizes": "python -m deitalk.research.speed.onnx_sizes",
+    "device": "python -m deitalk.research.speed.device --device cuda --json",
     "service-load": "python -m tests.api.load",
 }
 """Times: for a machine with nothing beside."""

@@ -102,6 +102,20 @@ def onnx_sizes() -> str:
     return f"{table([heads, *rows])}\n{_on('onnx-sizes')}"
 
 
+def device() -> str:
+    """What a GPU does."""
+    found = report("device")
+    rows = []
+    for name, values in found["measures"].items():
+        cells = [f"{values['rate']:,.0f}" if "rate" in values else ""]
+        if "median_ms" in values:
+            cells = [f"{values['median_ms']:.0f}, {values['p95_ms']:.0f} ms a message"]
+        off = f"{values['largest']:.1g}" if "largest" in values else ""
+        rows.append([name, *cells, off])
+    heads = [found["device"], "times real time; median, p95", "largest error"]
+    return f"{table([heads, *rows])}\n{_on('device')}"
+
+
 ERRORS = {"largest": 3, "rms": 4, "intensity": 3}
 
 

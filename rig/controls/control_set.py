@@ -219,7 +219,7 @@ class ControlSet:
 
     @cached_property
     def mirror_index(self) -> Indices:
-        """For each control, the index of its counterpart on the other side [shape=(C,)]."""
+        """Index of each control's counterpart on the other side [shape=(C,)]."""
         places = [self._places[control.mirror or control.name] for control in self.controls]
         return _indices(places)
 

@@ -402,6 +402,15 @@ def _groups() -> list[list[int]]:
     return groups
 
 
+def shapes_together(names: Iterable[str]) -> set[str]:
+    """Some shapes, and those that share raw curves with them, directly or through others."""
+    arkit, found = arkit_controls(), set(names)
+    for group in _groups():
+        members = {arkit.names[shape] for shape in group}
+        found |= members if members & found else set()
+    return found | ({"MouthClose", "JawOpen"} if "MouthClose" in found else set())
+
+
 def _turn_eyes(values: Float32, raw: RigCurves) -> None:
     """Write eye rotations in radians: yaw to the character's right and pitch down are positive."""
     arkit = arkit_controls()

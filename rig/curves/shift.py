@@ -56,6 +56,18 @@ def shift(curves: RigCurves, delay: int = 0, handles: int = 0) -> RigCurves:
     return replace(curves, values=curves.values[rows], **tracks)  # type: ignore[arg-type]
 
 
+def unshifted(curves: RigCurves, delay: int = 0, handles: int = 0) -> RigCurves:
+    """Undo `shift`: frames that it cut hold the pose beside them.
+
+    Raises
+    ------
+    CurveError
+        As `checked_shift`.
+    """
+    checked_shift(delay, handles)
+    return shift(curves[handles : len(curves) - handles], -delay)
+
+
 def start_with_handles(start: float, handles: int, fps: float) -> float:
     """Time of day of the first frame with handles, seconds; 0 is no time and stays."""
     return (start - handles / fps) % DAY_SECONDS if start else start

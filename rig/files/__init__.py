@@ -10,18 +10,18 @@
     reading.py    files of others, read within limits
 """
 
+from rig.files.atomic import atomic_write, remove_leftovers
 from rig.files.claims import cache_folder, claim
 from rig.files.folder import (
     begin_folder,
     check_folder,
-    kind_of,
     output_folder,
-    record,
     recover,
     remove_written,
     replace_recorded,
 )
-from rig.files.targets import atomic_write, check_file, is_folder_name, remove_leftovers
+from rig.files.manifest import kind_of, record
+from rig.files.targets import check_file, is_folder_name
 
 __all__ = [
     "atomic_write",

@@ -34,7 +34,7 @@ TIME_UNITS = (
 def seconds_of(
     times: Float64, rate: float | None, where: object, *, is_known: bool = False
 ) -> tuple[Float64, str]:
-    """Seconds of the times of frames, and a note (else empty).
+    """Convert times of frames to seconds; return them and a note (else empty).
 
     Times are seconds, milli-, micro- or nanoseconds, or numbers of frames; the step between frames
     decides.
@@ -169,7 +169,7 @@ def _scale(
     ends: Float32,
     where: object,
 ) -> tuple[float, str]:
-    """What values are to be divided by, 1, 100 or 255, and a note."""
+    """Divisor of the values, 1, 100 or 255, and a note."""
     if not len(shapes):
         return 1.0, ""
     values = curves.values[:, shapes]

@@ -31,7 +31,7 @@ APPLE = tuple(name[0].lower() + name[1:] for name in arkit_controls().names[:52]
 
 
 def note(path: Path, curves: RigCurves) -> str:
-    """What the two sets of expressions do not show."""
+    """Note on the controls that the two sets of expressions do not show."""
     return "; ".join(convert_and_note(curves, to)[1] for to in (ARKIT_ID, "vrm1"))
 
 

@@ -34,7 +34,7 @@ _DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+(?:[eE][+-]?\d+)?")
 
 @dataclass(frozen=True)
 class Layout:
-    """How the text of a table is laid out.
+    """Layout of the text of a table.
 
     Parameters
     ----------

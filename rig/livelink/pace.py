@@ -123,7 +123,7 @@ class LiveSender:
             self.base = min(self.base, self.offsets[-1] + MOST_SECONDS)
 
     def wait(self) -> float | None:
-        """Seconds until the next frame is due, 0 or more; None if there is none."""
+        """Time until the next frame is due, seconds, 0 or more; None if there is none."""
         if not self.waiting:
             return None
         return max(self._due(self.waiting[0][0]) - self.clock.now(), 0.0)

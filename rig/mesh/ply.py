@@ -1,4 +1,7 @@
-"""Stanford PLY, ASCII and binary, and folders of them as sequences (the VOCASET layout)."""
+"""Stanford PLY, ASCII and binary, and folders of them as sequences (the VOCASET layout).
+
+Counts of the header are checked against the file's size. Letters: N rows of an element.
+"""
 
 from array import array
 from collections.abc import Iterator
@@ -16,10 +19,6 @@ from rig.files import atomic_write, output_folder
 from rig.files.reading import check_file, open_file
 from rig.limits import HEADER_BYTES, MESH_BYTES, TRIANGLES, VERTICES
 from rig.mesh.trimesh import TriMesh
-
-# Header and elements of a PLY file, ASCII or binary; counts are checked against the file's size.
-#
-# Letters: N rows of an element.
 
 _TYPES = {
     "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2",
@@ -275,9 +274,10 @@ def read_ply(path: Path | str) -> TriMesh:
             for element in elements:
                 columns = read_element(file, element, order, size - file.tell())
                 if element.name == "vertex":
-                    if any(isinstance(columns[axis], Lists) for axis in "xyz"):
+                    points = [columns[axis] for axis in "xyz"]
+                    if any(isinstance(column, Lists) for column in points):
                         raise ValueError("x, y and z must be numbers, not lists")
-                    vertices = np.stack([columns[axis] for axis in "xyz"], axis=1)  # type: ignore[list-item]
+                    vertices = np.stack(points, axis=1)  # type: ignore[arg-type]
                 elif element.name == "face":
                     key = "vertex_indices" if "vertex_indices" in columns else "vertex_index"
                     polygons = columns[key]

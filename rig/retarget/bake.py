@@ -111,7 +111,7 @@ class BakedRig:
         return self.weights_of(values)
 
     def weights_of(self, values: NDArray[Any]) -> Float32:
-        """As `weights`, of bare control values [shape=(T, C)]."""
+        """Weights as those of `weights`, of bare control values [shape=(T, C)]."""
         weights = np.zeros((len(values), len(self.drivers)), dtype=np.float32)
         for k, driver in enumerate(self.drivers):
             weights[:, k] = driver.weight(values, self.controls)

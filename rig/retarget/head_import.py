@@ -54,7 +54,7 @@ EYES = r"(?:.*[_ :.|-])?eyes?(?:ball)?s?(?:[_.]?(?:mesh|geo|grp|\d+))*"
 
 @dataclass(frozen=True)
 class ImportedHead:
-    """What was made of a file.
+    """Result of an import.
 
     Attributes
     ----------

@@ -79,12 +79,12 @@ class Registration:
 
     @cached_property
     def correspondence(self) -> SurfacePoints:
-        """For every target vertex, its point on the placed source's skin."""
+        """Point on the placed source's skin of every target vertex."""
         normals = vertex_normals(self.target)
         return self.correspond_points(self.target.vertices, normals, self.target_labels)
 
     def correspond_points(self, points: Float64, normals: Float64, labels: Int64) -> SurfacePoints:
-        """For points on the target with the target's normals, their points on the source's skin.
+        """Points on the source's skin of points on the target with the target's normals.
 
         The triangles are numbered in `skin_faces`.
         """

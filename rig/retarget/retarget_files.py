@@ -1,4 +1,4 @@
-"""From a take's curves and a mesh file to an animated file (`deitalk retarget`)."""
+"""Conversion of a take's curves and a mesh file to an animated file (`deitalk retarget`)."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -294,7 +294,7 @@ def read_shapes(path: Path | str) -> ShapeSet:
 
 
 def _unturned(curves: RigCurves, turns: Mapping[int, Any]) -> tuple[str, ...]:
-    """What of the head track the file does not show."""
+    """Note on the part of the head track that the file does not show."""
     if curves.head is None:
         return ()
     notes = []

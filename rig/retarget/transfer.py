@@ -94,7 +94,7 @@ def transfer_displacements(registration: Registration, deltas: Any) -> Float64:
 
 
 def transfer_gradients(registration: Registration, deltas: Any) -> Float64:
-    """As `transfer_displacements`, by deformation gradients; also for frames of a take.
+    """Transfer shapes, or frames of a take, by deformation gradients; see `transfer_displacements`.
 
     Vertices whose source stays within 0.1 % of the head through all K are held there; each part
     without one is pinned by its displacement.

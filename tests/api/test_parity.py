@@ -493,9 +493,14 @@ DIFFS = {
     "csv": ("edited.csv", {}),
     "raw curves": ("Shot 7.raw.csv", {"tolerance": "0.03", "name": "anna"}),
     "rows without a rate": ("rows.csv", {"fps": "30"}),
+    "late, with handles": ("late.csv", {"delay": "2", "handles": "8"}),
+    "Live Link": ("live_take_1_deitalk.livelink.csv", {"name": "live"}),
 }  # fmt: skip
 """An edited file, and the options of its comparison."""
-TITLES = {"csv": "edited", "raw curves": "anna", "rows without a rate": "rows"}
+TITLES = {
+    "csv": "edited", "raw curves": "anna", "rows without a rate": "rows",
+    "late, with handles": "late", "Live Link": "live",
+}  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -508,6 +513,8 @@ def edits(face):
     edited, _ = clamp(replace(base, values=values))
     write_curves("edited.csv", edited)
     write_curves("Shot 7.raw.csv", convert(edited, RAW_ID))
+    write_curves("late.csv", edited, delay=2, handles=8)
+    write_curves("live_take_1_deitalk.livelink.csv", edited)
     rows = np.savetxt(text := io.StringIO(), edited.values, "%.5f", ",") or text.getvalue()
     Path("rows.csv").write_text(",".join(edited.names) + "\n" + rows)
     write_curves("same.csv", base)
@@ -516,7 +523,8 @@ def edits(face):
 @pytest.mark.parametrize("case", DIFFS)
 def test_every_door_finds_the_same_edits(edits, case, tmp_path, server):
     edited, given = DIFFS[case]
-    numbers = {name: float(value) for name, value in given.items() if name != "name"}
+    kinds = {"fps": float, "tolerance": float, "delay": int, "handles": int}
+    numbers = {name: kinds[name](value) for name, value in given.items() if name != "name"}
     found = changes_of_take(edited, "face", name=TITLES[case], **numbers)
     assert {edit.target for edit in found.layer.edits} >= {"CTRL_L_brow_raiseOut.ty"}
     assert found.layer.sound is not None

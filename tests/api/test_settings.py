@@ -56,6 +56,20 @@ def test_wrong_settings_are_named(tmp_path, text, named):
         load_settings(file)
 
 
+@pytest.mark.parametrize(
+    ("given", "backend"),
+    [
+        ({}, "auto"),
+        ({"backend": "onnx"}, "onnx"),
+        ({"live_backend": "torch"}, "torch"),
+        ({"backend": "onnx", "live_backend": "torch"}, "torch"),
+        ({"live_backend": "onnx"}, "onnx"),
+    ],
+)
+def test_backend_of_live_sessions(given, backend):
+    assert load_settings(None, **given).backend_of_live == backend
+
+
 def test_device_that_is_missing_is_named_before_the_start(tmp_path):
     with one_line(DeitalkError, "cuda:99", "use cpu"):
         serving.run(Settings(device="cuda:99", data=tmp_path))

@@ -16,7 +16,8 @@ from api.guard.keys import Caller
 from api.guard.metrics import Metrics
 from api.guard.traces import Traces
 from api.jobs.queue import Queue, new_id
-from api.jobs.runner import Runner, Store, remove_lost, remove_old
+from api.jobs.runner import Runner, remove_lost, remove_old
+from api.jobs.store import Store
 from api.jobs.table import JOBS
 from api.jobs.versions import open_database
 from api.settings import SCOPES, Settings

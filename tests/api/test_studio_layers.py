@@ -154,3 +154,31 @@ def test_edited_file_becomes_the_last_layer_of_the_studio(browser, server, tmp_p
         assert np.abs(curves_of_page(tab) - base.values).max() < 1e-3
         assert not [line for line in tab.complaints if "422" not in line]
     assert np.abs(read_curves(again).values - edited.values).max() < 0.011
+
+
+def test_dropped_curves_are_a_reference_and_can_become_a_layer(browser, server, tmp_path):
+    """A file that was exported with a delay and handles, edited, and dropped into the page."""
+    with studio(browser, server) as tab:
+        drop(tab, ROOT / "docs/samples/promise.flac")
+        until(tab, "deitalk.page.take?.seconds > 1 && deitalk.page.clock.playing")
+        tab.keyboard.press("Space")
+        until(tab, "deitalk.studio.isSettled")
+        plain = curves_of_page(tab)
+        assert tab.is_hidden("#other-changes")
+        tab.fill("#delay", "2")
+        tab.fill("#handles", "8")
+        base = read_curves(download(tab, "CSV", tmp_path))
+        values, column = base.values.copy(), BOARD.index("CTRL_L_brow_raiseOut.ty")
+        values[50:80, column] += 0.4 * np.hanning(30)
+        edited, _ = clamp(replace(base, values=values))
+        write_curves(tmp_path / "anna.csv", edited)
+        drop(tab, tmp_path / "anna.csv")
+        until(tab, "deitalk.page.takes.length === 2")
+        assert tab.evaluate("deitalk.page.history.edit.layers.length") == 0
+        tab.click("#other-changes")
+        until(tab, "deitalk.page.history.edit.layers.length === 1")
+        assert tab.evaluate("deitalk.page.takes.length") == 1 and tab.is_hidden("#other-changes")
+        wanted = plain.copy()
+        wanted[40:70] = edited.values[50:80]
+        assert np.abs(curves_of_page(tab) - wanted).max() < 0.011
+        assert tab.complaints == []

@@ -13,7 +13,7 @@ import pytest
 
 from api.compute import live
 from api.compute.pool import Stage
-from api.compute.tasks import Voices as VoicesInWorker
+from api.compute.voices import Voices as VoicesInWorker
 from api.errors import InternalError, Problem
 from api.routes.health import ready
 from deitalk.acting import Acting
@@ -174,6 +174,29 @@ def test_worker_that_ends_between_two_orders_ends_the_voices(voices, when):
         voices.worker.is_alive = True
         assert (await asyncio.wait_for(voices.open("live", STILL), 60))[1] == 0.2
         voices.stop()
+
+    asyncio.run(run())
+
+
+def test_a_voice_begins_in_the_worker_with_the_fewest_that_is_ready(voices, tmp_path):
+    pool = live.LivePool(limits(), voices.stage, 3)
+    for one in pool.workers:
+        one.worker = Stand()
+
+    async def begun():
+        voice, _ = await pool.open("live", STILL)
+        return pool.workers.index(voice.voices), voice
+
+    async def run():
+        opened = [await begun() for _ in range(6)]
+        assert [place for place, _ in opened] == [0, 1, 2, 0, 1, 2]
+        assert len({voice.number for _, voice in opened}) == 6
+        opened[1][1].close()
+        assert (await begun())[0] == 1
+        opened[2][1].close()
+        pool.workers[2].is_ready = False
+        assert not pool.is_ready and (await begun())[0] == 0
+        pool.stop()
 
     asyncio.run(run())
 

@@ -314,7 +314,8 @@ def _datagram_seeds(folder: Path) -> list[Seed]:
 
 
 def _read_datagram(path: Path) -> object:
-    from rig.livelink.receiver import Recording, decode
+    from rig.livelink.packet import decode
+    from rig.livelink.receiver import Recording
 
     packet = decode(path.read_bytes())
     return Recording(packet.subject, (packet,)).to_take().to_curves()

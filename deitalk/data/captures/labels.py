@@ -48,7 +48,7 @@ class Labels:
 
 @dataclass(frozen=True)
 class Labelling:
-    """Where labels come from.
+    """Sources of labels.
 
     Parameters
     ----------

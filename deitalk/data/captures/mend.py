@@ -202,7 +202,7 @@ VOICED_FRAMES = 60
 
 @dataclass(frozen=True)
 class TakeReport:
-    """What became of one take: a row of the table."""
+    """Result of one take: a row of the table."""
 
     take: str
     kind: str
@@ -219,7 +219,7 @@ class TakeReport:
 
 @dataclass(frozen=True)
 class Imported:
-    """What was written."""
+    """Result of an import."""
 
     n_clips: int
     seconds: float
@@ -246,7 +246,7 @@ class Imported:
         ]
 
     def as_dict(self) -> dict[str, object]:
-        """What JSON can hold."""
+        """The report as values of JSON."""
         takes = [
             asdict(t) | {"pitch": t.pitch if np.isfinite(t.pitch) else None} for t in self.takes
         ]
@@ -317,7 +317,7 @@ REPORT = "check/report.md"
 
 @dataclass(frozen=True)
 class Mended:
-    """What was changed."""
+    """Result of a fix."""
 
     moved_takes: int
     rest_poses: dict[str, int]

@@ -32,7 +32,7 @@ WAYS = ("auto", "actor", "time", "none")
 
 @dataclass(frozen=True)
 class Piece:
-    """What the division needs of a clip."""
+    """Part of a clip's description that the division needs."""
 
     actor: str
     emotion: str

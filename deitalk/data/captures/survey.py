@@ -39,7 +39,7 @@ LEAST_MOVEMENT = 0.02
 
 @dataclass(frozen=True)
 class ChannelFaults:
-    """What is wrong with the channels of a clip."""
+    """Faults of the channels of a clip."""
 
     clipped: tuple[str, ...]
     jittering: tuple[str, ...]
@@ -111,7 +111,7 @@ def _jitter(column: Float32) -> float:
 
 
 def _frozen(values: Float32, fps: float, speaking: Bool) -> float:
-    """Seconds of speech in which no moving channel changes, in stretches of `FROZEN_SECONDS`."""
+    """Seconds of speech without a change of a moving channel, in stretches of `FROZEN_SECONDS`."""
     if values.shape[1] < 3 or len(values) < 3:
         return 0.0
     still = (np.abs(np.diff(values, axis=0)) < 1e-6).all(axis=1) & speaking[1:]
@@ -328,7 +328,7 @@ class Survey:
         return found
 
     def usable_seconds(self) -> dict[tuple[str, str], float]:
-        """Seconds by actor and emotion of clips that move, in takes that belong to their sound."""
+        """Usable seconds by actor and emotion: moving clips of takes that belong to their sound."""
         sync = self.sync()
         seconds: dict[tuple[str, str], float] = defaultdict(float)
         for c in self.clips:

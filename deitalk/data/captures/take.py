@@ -63,6 +63,8 @@ class CapturedCurves:
     """Frames that were captured [shape=(T,)]; None: all."""
     start: float | None = None
     """Time of day of the first frame, seconds, by the take's time codes; None without."""
+    shapes: RigCurves | None = None
+    """ARKit shapes of the source, those that it has; None of other controls."""
 
     def around(self, first: int, last: int, margin: int) -> slice:
         """Frames from first to last (excluded) and a margin on both sides, as far as captured."""
@@ -333,10 +335,10 @@ def _from_set(
             parameter="mapping",
         )
     curves = in_units(curves, KNOWN[curves.control_set](), path)
-    notes = (*curves.notes, *notes)
+    notes, shapes = (*curves.notes, *notes), None
     known = reached_controls(curves.names if present is None else present, curves.control_set)
     if curves.control_set == ARKIT_ID:
-        beyond = clamp(curves, KNOWN[ARKIT_ID]())[1]
+        shapes, beyond = clamp(curves, KNOWN[ARKIT_ID]())
         notes = (*notes, *([str(beyond)] if beyond else ()))
         curves = arkit_to_raw(curves, least_jaw=LEAST_JAW)
     board, clipped = clamp(convert(curves, DEFAULT_ID).reorder(default_controls()))
@@ -344,7 +346,9 @@ def _from_set(
         notes = (*notes, str(clipped))
     if not np.ptp(board.values, axis=0).any():
         notes = (*notes, "nothing moves")
-    return CapturedCurves(board, known, kind, audio, notes)
+    if shapes is not None and present is not None:
+        shapes = shapes.select(KNOWN[ARKIT_ID]().resolve(list(present)))
+    return CapturedCurves(board, known, kind, audio, notes, shapes=shapes)
 
 
 def _columns(

@@ -20,7 +20,6 @@ from deitalk.models.intensity import local_maximum
 from deitalk.models.onnx.spectra import with_formulas
 from deitalk.models.onnx.whisper_graph import WhisperGraph
 from deitalk.models.protocol import neutral_weights
-from deitalk.models.rig_decoder import TemporalConv
 
 OUTPUTS, EFFORT = ("curves", "neutral", "saliency", "intensity"), "effort"
 """Outputs of the graphs, in their order; a whole clip has the last one where a model reads it."""
@@ -130,9 +129,6 @@ def causal_graph(model: DEITalk) -> DEITalk:
     found = copy(model)
     found._modules = dict(model._modules)
     found.frontend = with_formulas(causal_frontend(model))
-    for module in model.modules():
-        if isinstance(module, TemporalConv):
-            module._kept = None  # it would be a constant of the graph
     return found
 
 

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from deitalk.errors import MissingError
-from deitalk.pipeline.words.transcript import ipa_to_phones
+from deitalk.pipeline.words.alphabets import ipa_to_phones
 from deitalk.postprocess.phones import VOWELS
 from deitalk.research.corpus.engines import espeak
 from deitalk.research.corpus.utterance import SAMPLE_RATE, Phone, contiguous

@@ -42,7 +42,7 @@ from rig.files import (
     remove_leftovers,
     replace_recorded,
 )
-from rig.files.targets import temporary_name
+from rig.files.atomic import temporary_name
 
 SHARD_SECONDS = 240.0
 MIX = {"espeak": 0.35, "flite": 0.45, "festival": 0.20}

@@ -27,7 +27,8 @@ from deitalk.evaluation.validation import ClosureScores, closure_scores, summari
 from deitalk.models.load import load_network
 from deitalk.models.protocol import CurveNetwork
 from deitalk.pipeline.curves import finish, prepare
-from deitalk.pipeline.words.align import fit_words, measure_phones, phone_evidence
+from deitalk.pipeline.words.align import fit_words
+from deitalk.pipeline.words.evidence import measure_phones, phone_evidence
 from deitalk.pipeline.words.transcript import Transcript, Word
 from deitalk.postprocess.phones import Phones
 from deitalk.research.arguments import new_file

@@ -28,7 +28,7 @@ from rig.arrays import Bool, Float32, Float64
 from rig.errors import quoted
 from rig.face.head import build_head
 from rig.files import output_folder
-from rig.files.folder import is_inside
+from rig.files.manifest import is_inside
 
 # Transfer of measured lips to other speech: corrected curves of an acted corpus.
 #

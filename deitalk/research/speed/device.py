@@ -3,17 +3,21 @@
 The network of recordings of 10 s in each precision, `read_together` of recordings of 1 to 20 s,
 `animate` one by one on the device and on one processor core, live voices in messages of 100 ms,
 and what crosses between processor and device; each precision's largest difference from the
-processor, as a share of a control's range. The device's name is in the table. Run it with nothing beside.
+processor, as a share of a control's range; and batches. The device's name is in the table. Run it
+with nothing beside.
 """
 
 import argparse
 import sys
+import tempfile
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+import soundfile
 import torch
 from torch.utils._python_dispatch import TorchDispatchMode
 
@@ -27,6 +31,8 @@ from deitalk.models.protocol import Reading
 from deitalk.research.arguments import new_file
 from deitalk.research.evaluation.benchmark_curves import machine, speechlike
 from deitalk.research.evaluation.report import identified, write_json
+from deitalk.research.speed.batch_rate import steady_rate
+from deitalk.research.speed.cold_start import environment, spent
 from rig.arrays import Float32
 
 PRECISIONS = ("float32", "tf32", "bfloat16")
@@ -114,6 +120,19 @@ def live_ms(device: str, backend: str, count: int) -> dict[str, float]:
     }
 
 
+def batch(device: str, workers: int) -> dict[str, float]:
+    """Rate of a batch of recordings of 1 to 20 s, a hundred for each process."""
+    with tempfile.TemporaryDirectory() as folder:
+        sounds, count = lines(64, 1, 20)[0], 100 * workers
+        for place in range(count):
+            soundfile.write(f"{folder}/{place:04d}.wav", sounds[place % len(sounds)], SAMPLE_RATE)
+        command = ["-m", "deitalk", "batch", folder, "-e", "happy", "-o", f"{folder}/out"]
+        command += ["--device", device, "--workers", str(workers)]
+        spent(command, environment(folder))
+        seconds = sum(map(len, sounds)) / len(sounds) / SAMPLE_RATE
+        return {"rate": steady_rate(Path(folder, "out"), seconds)}
+
+
 def measure(device: str, most: int, say: Callable[[str, Any], None]) -> None:
     """Measure everything, of at most so many recordings or voices."""
     model, here = (
@@ -144,6 +163,8 @@ def measure(device: str, most: int, say: Callable[[str, Any], None]) -> None:
     say("animate one by one", {"rate": times_real_time(each(model), sounds, 1)})
     engine = load_network("default", backend="onnx")
     say("animate on one processor core", {"rate": times_real_time(each(engine), sounds, 1)})
+    for workers in (12, 15) if is_cuda else (1, 2):
+        say(f"`deitalk batch`, {workers} processes, when all work", batch(device, workers))
     for backend in ("torch", "onnx") if device == "cpu" else ("torch",):
         for count in (count for count in VOICES if count <= most):
             found = live_ms(device, backend, count)

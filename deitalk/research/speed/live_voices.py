@@ -17,7 +17,6 @@ import subprocess
 import sys
 import tempfile
 import time
-import urllib.request
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -35,8 +34,8 @@ SAMPLE = Path(__file__).resolve().parents[3] / "docs/samples/amiable.flac"
 RATE, FPS = 16_000, 30
 MESSAGE_SECONDS = 0.1
 START_SECONDS = 120.0
-HEAD_BYTES = 4
-"""Of a record: its number, the first field."""
+HEAD_BYTES = 16
+"""Of a record before its values; its first field is the number of the frame."""
 WARM_SECONDS = 3.0
 """Sound of a session that is not counted: its beginning, when all sessions begin."""
 
@@ -63,8 +62,6 @@ def service(backend: str, workers: int, voices: int) -> Iterator[tuple[int, int]
                 if process.poll() is not None or time.monotonic() > end:
                     raise SystemExit(f"the service did not start: {log.read_text()[-300:]}")
                 time.sleep(0.2)
-            with suppress(OSError):
-                urllib.request.urlopen(f"http://127.0.0.1:{port}/healthz").read()
             yield port, process.pid
         finally:
             process.terminate()
@@ -89,12 +86,25 @@ def processor_seconds(server: int) -> dict[int, float]:
     return {pid: seconds for pid, seconds in spent.items() if belongs(pid)}
 
 
-async def speak(
-    live: ClientConnection, sound: bytes, begin: float, seconds: float, starts: dict[str, float]
-) -> None:
+async def opened(port: int) -> tuple[ClientConnection, dict[str, Any]]:
+    """A session that takes sound, and its header."""
+    address = f"ws://127.0.0.1:{port}/v1/live"
+    live = await connect(address, proxy=None, compression=None)
+    await live.send(json.dumps({"type": "start", "sample_rate": RATE, "emotion": "happy"}))
+    return live, answer(await live.recv())
+
+
+def answer(message: str | bytes) -> dict[str, Any]:
+    """Content of a message in JSON; a problem ends the measurement."""
+    content: dict[str, Any] = json.loads(message)
+    if content["type"] == "problem":
+        raise SystemExit(f"the service ended a session: {content['message']}")
+    return content
+
+
+async def speak(live: ClientConnection, sound: bytes, begin: float, seconds: float) -> None:
     """Send a message when its last sample is due, for some seconds."""
     size = round(2 * RATE * MESSAGE_SECONDS)
-    starts["at"] = begin
     for number in range(round(seconds / MESSAGE_SECONDS)):
         at = number * size % (len(sound) - size)
         await asyncio.sleep(max(begin + (number + 1) * MESSAGE_SECONDS - time.monotonic(), 0))
@@ -102,27 +112,26 @@ async def speak(
     await live.send(json.dumps({"type": "stop"}))
 
 
-async def session(port: int, sound: bytes, begin: float, seconds: float) -> list[float]:
-    """Lateness of every frame of a session that begins at a time, ms."""
+async def lateness(
+    live: ClientConnection, header: dict[str, Any], sound: bytes, begin: float, seconds: float
+) -> list[float]:
+    """Lateness of every frame of a session whose sound begins at a time, ms."""
     late: list[float] = []
-    async with connect(f"ws://127.0.0.1:{port}/v1/live", proxy=None, compression=None) as live:
-        await live.send(json.dumps({"type": "start", "sample_rate": RATE, "emotion": "happy"}))
-        header = json.loads(await live.recv())
-        ahead = header["lookahead_seconds"]
-        size = 16 + 4 * len(header["names"])
-        began: dict[str, float] = {}
-        sending = asyncio.create_task(speak(live, sound, begin, seconds, began))
-        last = seconds - 2 * MESSAGE_SECONDS - ahead
-        async for message in live:
-            now = time.monotonic()
-            if isinstance(message, str):
-                break
-            for at in range(0, len(message), size):
-                spoken = int.from_bytes(message[at : at + HEAD_BYTES], "little") / FPS
-                if WARM_SECONDS <= spoken < last:
-                    messages = math.ceil((spoken + ahead) / MESSAGE_SECONDS - 1e-9)
-                    late.append(1e3 * (now - begin - messages * MESSAGE_SECONDS))
-        await sending
+    ahead, size = header["lookahead_seconds"], HEAD_BYTES + 4 * len(header["names"])
+    sending = asyncio.create_task(speak(live, sound, begin, seconds))
+    last = seconds - 2 * MESSAGE_SECONDS - ahead  # later frames do not wait for more sound
+    async for message in live:
+        now = time.monotonic()
+        if isinstance(message, str):
+            answer(message)
+            break
+        for at in range(0, len(message), size):
+            spoken = int.from_bytes(message[at : at + 4], "little") / FPS
+            if WARM_SECONDS <= spoken < last:
+                messages = math.ceil((spoken + ahead) / MESSAGE_SECONDS - 1e-9)
+                late.append(1e3 * (now - begin - messages * MESSAGE_SECONDS))
+    await sending
+    await live.close()
     return late
 
 
@@ -130,14 +139,14 @@ async def sessions(port: int, count: int, seconds: float) -> np.ndarray:
     """Lateness of all frames of `count` sessions, whose messages are spread over their period."""
     speech = load_audio(SAMPLE).waveform
     sound = (32767 * np.clip(speech, -1, 1)).astype("<i2")
-    begin = time.monotonic() + 2 + 0.05 * count
-    golden = (5**0.5 - 1) / 2
+    lives = [await opened(port) for _ in range(count)]
+    begin, golden = time.monotonic() + 1, (5**0.5 - 1) / 2
     each = [
-        session(
-            port, np.roll(sound, -k * 7919).tobytes(),
+        lateness(
+            live, header, np.roll(sound, -k * 7919).tobytes(),
             begin + MESSAGE_SECONDS * (k * golden % 1), seconds + WARM_SECONDS,
         )
-        for k in range(count)
+        for k, (live, header) in enumerate(lives)
     ]  # fmt: skip
     return np.concatenate([np.array(late) for late in await asyncio.gather(*each)])
 

@@ -12,8 +12,8 @@ from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE, frame_times
 from deitalk.errors import DataError
 from deitalk.evaluation.smoothness import loudness
 from deitalk.evaluation.validation import JAW
+from deitalk.preview.mp4 import write_mp4
 from deitalk.preview.source import PreviewSource, load_source
-from deitalk.preview.video import write_mp4
 from rig import RigCurves
 from rig.arrays import Float32
 from rig.face import build_head

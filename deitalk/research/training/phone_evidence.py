@@ -1,4 +1,4 @@
-"""Fit of `deitalk.pipeline.words.align`; ``python -m deitalk.research.training.phone_evidence``.
+"""Fit of `deitalk.pipeline.words.evidence`; ``python -m deitalk.research.training.phone_evidence``.
 
 Labels are the phone times of a dataset folder's training speakers: of speech engines, and of
 recordings aligned with their transcripts (`deitalk.research.corpus.alignment`). Multinomial
@@ -25,7 +25,7 @@ from deitalk.errors import DataError, DeitalkError
 from deitalk.models.checkpoint import require_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.pipeline.speech import Speech
-from deitalk.pipeline.words.align import (
+from deitalk.pipeline.words.evidence import (
     CONTEXT,
     MODEL,
     RATE,

@@ -9,13 +9,16 @@ import pytest
 import soundfile
 
 from deitalk import animate
+from deitalk.config.rules import KeepContacts
 from deitalk.data.edited import changes_of_take
 from deitalk.errors import DataError
 from deitalk.postprocess.control_groups import ControlGroups
 from rig import default_controls, read_curves, write_curves
-from rig.conversion.arkit import ARKIT_ID, RAW_ID
+from rig.conversion.arkit import ARKIT_ID, RAW_ID, arkit_controls
 from rig.conversion.convert import convert
+from rig.curves.apply_layers import apply_layers
 from rig.curves.edit import clamp
+from rig.curves.shift import shift
 from tests.command import deitalk, ran, refused
 from tests.errors import one_line
 
@@ -97,21 +100,80 @@ def test_another_seed_has_the_same_edits(take, wanted, tmp_path):
     assert changed[np.abs(asked) < 1e-6].max() < 1e-5 + 0.01
 
 
-def test_a_live_link_take_is_carried_back_as_far_as_arkit_goes(take, tmp_path):
-    base = read_curves(take / "curves.json")
-    shapes = convert(base, ARKIT_ID)
+OPPOSED = ("EyeLook", "EyeWide", "EyeBlink", "JawLeft", "JawRight", "MouthLeft", "MouthRight")
+"""Two of them are one control in its two directions: no face shows both."""
+POSES = [
+    name for name in arkit_controls().names[:52]
+    if not name.startswith(OPPOSED) and name != "MouthClose"
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("form", ["livelink", "csv"])
+@pytest.mark.parametrize("seed", range(4))
+def test_edited_arkit_shapes_come_back_as_shapes(take, form, seed, tmp_path):
+    """52 shapes cannot say what 185 controls do: they are compared as shapes, within .01."""
+    shapes, rng = convert(read_curves(take / "curves.json"), ARKIT_ID), np.random.default_rng(seed)
     values = shapes.values.copy()
-    values[60:90, shapes.index("BrowInnerUp")] += 0.3 * np.hanning(30)
-    values[30:50, shapes.index("MouthSmileLeft")] *= 0.5
-    path = tmp_path / "edited_take_1.livelink.csv"
-    write_curves(path, replace(shapes, values=values), format="livelink")
+    for k, name in enumerate(rng.choice(POSES, 20)):
+        length = int(rng.integers(4, 25))
+        start, column = int(rng.integers(1, len(shapes) - length)), shapes.index(name)
+        part = values[start : start + length, column]
+        part += (0.35 * np.hanning(length), 0.2 - 0.7 * part, 0.5 - part, -0.25)[k % 4]
+    values[:, :52] = values[:, :52].clip(0, 1)
+    closed, jaw = shapes.index("MouthClose"), shapes.index("JawOpen")
+    values[:, closed] = np.minimum(values[:, closed], values[:, jaw])
+    path = tmp_path / "edited_take_1.csv"
+    write_curves(path, replace(shapes, values=values), format=form)
     found = changes_of_take(path, take)
-    spans = {edit.span for edit in found.layer.edits}
-    assert all(1.9 < a < b < 3.1 or 0.9 < a < b < 1.8 for a, b in spans) and spans
     assert any("controls are not in the file and stay as they are" in note for note in found.notes)
-    acted = animate(SAMPLE, "happy", seed=3, edit=found.layer)
-    again = convert(acted.curves, ARKIT_ID).values - values
-    assert np.abs(again).max() < 0.05
+    assert [note for note in found.notes if "carried back" in note] == []
+    assert found.share <= 0.01 and len(found.layer.text.encode()) <= 20_000
+    base = read_curves(take / "curves.json")
+    rule = ControlGroups(BOARD).closures(KeepContacts())
+    again = convert(apply_layers(base, [found.layer], closures=rule)[0], ARKIT_ID).values - values
+    assert np.abs(again[:, :52]).max() < 0.01
+
+
+def test_shapes_that_no_face_has_are_named(take, tmp_path):
+    """Lips that are closed further than the jaw is open, and an eye turned without its shapes."""
+    shapes = convert(read_curves(take / "curves.json"), ARKIT_ID)
+    values = shapes.values.copy()
+    values[60:90, shapes.index("MouthClose")] = 0.9
+    values[60:90, shapes.index("BrowDownLeft")] = 0.5
+    values[60:90, shapes.index("LeftEyeYaw")] += 0.3
+    path = tmp_path / "edited_take_1.livelink.csv"
+    write_curves(path, replace(shapes, values=values))
+    notes = changes_of_take(path, take).notes
+    (note,) = [note for note in notes if "carried back" in note]
+    assert "these shapes" in note and note.endswith(": MouthClose")
+    assert "LeftEyeYaw are not read: the shapes EyeLook… turn the eyes" in notes
+
+
+SHIFTED = ((0, 8), (3, 0), (-3, 0), (2, 8), (-4, 5))
+
+
+@pytest.mark.parametrize("of_take", [True, False])
+@pytest.mark.parametrize(("delay", "handles"), SHIFTED)
+def test_delay_and_handles_are_undone(take, delay, handles, of_take, tmp_path):
+    """Of a take, by its own record; of a file alone, as they are told."""
+    form = {"delay": delay, "handles": handles}
+    told = {} if of_take else form
+    if of_take:
+        take = animate(SAMPLE, "happy", seed=3).save(tmp_path / "shifted", **form)
+    curves = read_curves(take / "curves.json")
+    late = curves if of_take else shift(curves, **form)
+    values, column = late.values.copy(), BOARD.index("CTRL_L_nose.ty")
+    values[70:90, column] += 0.4 * np.hanning(20)
+    values[:2, BOARD.index("CTRL_R_nose.ty")] += 0.3 if handles else 0.0
+    write_curves(tmp_path / "e.csv", replace(late, values=values))
+    found = changes_of_take(tmp_path / "e.csv", take, **told)
+    (edit,) = found.layer.edits
+    first = (70 - handles - delay) / 30
+    assert edit.target == "CTRL_L_nose.ty" and edit.span[0] == pytest.approx(first, abs=0.04)
+    assert any("left out" in note for note in found.notes) == bool(handles)
+    again = animate(SAMPLE, "happy", seed=3, edit=found.layer).save(tmp_path / "again.csv", **form)
+    missed = np.abs(read_curves(again).values - values)[2:]
+    assert missed.max() < 0.01
 
 
 def test_another_rate_is_no_change(take, tmp_path):

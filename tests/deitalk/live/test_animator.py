@@ -191,12 +191,12 @@ def test_a_listener_nods_after_the_phrases_it_hears_in_any_pieces(tiny, voice):
     """Phrases of the voice end at 1.2 and 3.1 s."""
     heard = np.concatenate((voice, np.zeros(RATE, np.float32)))
     nods = 0.0
-    for seed in range(4):
+    for seed in range(2):
         head = listened(tiny, heard, 1600, seed=seed)
         alone = listened(tiny, 0 * heard, 1600, seed=seed)
-        nods = nods + (head - alone)[:, 1] / 4
+        nods = nods + (head - alone)[:, 1] / 2
     assert not nods[:36].any() and nods[40:60].min() < -0.5 and nods[96:].min() < -0.5
-    np.testing.assert_allclose(listened(tiny, heard, 4801, seed=3), head, atol=1e-5)
+    np.testing.assert_allclose(listened(tiny, heard, 4801, seed=1), head, atol=1e-5)
 
 
 def test_streams_hear_each_their_own(tiny, voice):

@@ -21,6 +21,7 @@ from deitalk.config.frontends import MelConfig
 from deitalk.emotions import EMOTIONS
 from deitalk.errors import CheckpointError, DeitalkError
 from deitalk.live.animator import LiveAnimator
+from deitalk.models.causal_model import TorchNetwork
 from deitalk.models.checkpoint import require_model, save_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.models.folder import GRAPH, model_folder
@@ -225,6 +226,27 @@ def test_live_frames_of_streams_are_those_of_torch(causal, exported_causal):
         found = np.concatenate([part[k] for part in parts])
         assert found.shape == expected[k].shape
         assert (np.abs(found - expected[k]) / span).max() <= TOLERANCE
+
+
+@pytest.mark.parametrize("pieces", [(1,) * 12, (3, 3, 3, 3), (5, 1, 6), (12,)])
+def test_any_number_of_frames_per_call_gives_those_of_torch(causal, exported_causal, pieces, rng):
+    """Frames of three streams, and the state after them."""
+    grid, batch = exported_causal.grid, 3
+    windows = rng.normal(0, 0.05, (batch, 12 * grid.spectra, grid.length)).astype(np.float32)
+    styles = rng.uniform(0, 0.5, (batch, 12, len(EMOTIONS) + 2)).astype(np.float32)
+    torch_network = TorchNetwork(causal)
+    expected, last = torch_network.advance(windows, styles, torch_network.first_state(batch))
+    state, parts, begin = exported_causal.first_state(batch), [], 0
+    for count in pieces:
+        sound = windows[:, begin * grid.spectra : (begin + count) * grid.spectra]
+        rows, state = exported_causal.advance(sound, styles[:, begin : begin + count], state)
+        parts.append(rows)
+        begin += count
+    for found, whole in zip(zip(*parts, strict=True), expected, strict=True):
+        np.testing.assert_allclose(np.concatenate(found, axis=1), whole, atol=TOLERANCE)
+    for found, whole in zip(state, last, strict=True):
+        finite = np.maximum(whole.numpy(), np.finfo(np.float32).min)
+        np.testing.assert_allclose(found, finite, atol=TOLERANCE)
 
 
 @pytest.mark.parametrize("live", [False, True])

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 from deitalk.audio.load import load_audio
 from deitalk.cli import app
 from deitalk.errors import MissingError
-from deitalk.preview import page, video
+from deitalk.preview import mp4, page, video
 from deitalk.preview.needs import check_needs
 from deitalk.preview.source import PreviewError, PreviewSource, load_source
 from deitalk.preview.video import PANEL_HEIGHT, draw_frames, render_video
@@ -155,16 +155,16 @@ def test_sound_of_an_odd_rate_keeps_its_time(tmp_path, monkeypatch):
     assert np.abs(played.waveform).argmax() / 16000 == pytest.approx(4000 / 10007, abs=2e-4)
 
 
-HERE = [name for name, _ in video.ENCODERS if name in av.codecs_available]
+HERE = [name for name, _ in mp4.ENCODERS if name in av.codecs_available]
 
 
 @pytest.mark.parametrize("name", HERE)
 def test_every_encoder_of_this_installation_keeps_the_pictures_in_time(tmp_path, name):
-    options = dict(video.ENCODERS)[name]
+    options = dict(mp4.ENCODERS)[name]
     frames = (np.full((96, 128, 3), 20 + 10 * k, np.uint8) for k in range(15))
-    video.write_mp4(
+    mp4.write_mp4(
         tmp_path / "v.mp4", frames, fps=NTSC, size=(128, 96), samples=np.zeros(0, np.float32),
-        sample_rate=0, encoder=video.Encoder(name, options),
+        sample_rate=0, encoder=mp4.Encoder(name, options),
     )  # fmt: skip
     times, levels = zip(*brightness(tmp_path / "v.mp4"), strict=True)
     assert times == tuple(Fraction(1001 * k, 30000) for k in range(15))
@@ -173,10 +173,10 @@ def test_every_encoder_of_this_installation_keeps_the_pictures_in_time(tmp_path,
 
 def test_without_h264_the_encoder_is_mpeg4_with_a_note(monkeypatch):
     monkeypatch.setattr(av, "codecs_available", {"mpeg4", "aac"})
-    found = video.find_encoder()
+    found = mp4.find_encoder()
     assert found.name == "mpeg4"
     assert "no H.264 encoder" in found.note
-    assert video.Encoder("libx264", {}).note is None
+    assert mp4.Encoder("libx264", {}).note is None
 
 
 def test_missing_encoder_is_one_line_before_the_source_is_read(tmp_path, monkeypatch):
@@ -235,7 +235,7 @@ def test_failing_encoder_leaves_no_file(tmp_path, monkeypatch):
 def test_video_has_bt709_colours_and_a_keyframe_every_half_second(tmp_path):
     red = np.zeros((64, 96, 3), np.uint8)
     red[..., 0] = 255
-    video.write_mp4(
+    mp4.write_mp4(
         tmp_path / "red.mp4",
         iter([red] * 40),
         fps=30,

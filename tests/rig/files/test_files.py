@@ -26,7 +26,7 @@ from rig.files import (
     remove_written,
 )
 from rig.files import folder as folders
-from rig.files.folder import MANIFEST
+from rig.files.manifest import MANIFEST
 from tests.errors import one_line
 from tests.written import changed_files
 

@@ -35,6 +35,8 @@ export class Player {
   convert?: (file: File) => Promise<File>;
   /** Called with a take that was dropped. */
   onTake: (take: TakeFiles) => void = () => {};
+  /** The file of the second take, if it was dropped. */
+  otherFile?: File;
   /** Controls that are shown before any take. */
   first?: Float32Array;
   private readonly faces?: Faces;
@@ -83,6 +85,7 @@ export class Player {
   /** Begin with a take, its recording, and others to compare it with. */
   load(take: Take, wav: Uint8Array | null, others: Take[] = [], edit: Edit = NO_EDIT): void {
     this.takes = [take, ...others];
+    this.otherFile = undefined;
     this.transport.fps = take.fps;
     this.transport.range = undefined;
     this.setSound(wav, take.seconds);
@@ -104,8 +107,9 @@ export class Player {
     if (!isAsLong) this.seek(shown);
   }
 
-  /** Takes beside the first: a version kept, a captured reference. */
-  setOthers(others: Take[]): void {
+  /** Takes beside the first: a version kept, a captured reference, which is of a file. */
+  setOthers(others: Take[], file?: File): void {
+    this.otherFile = file;
     this.takes = [...this.takes.slice(0, 1), ...others];
     this.apply();
     this.show();
@@ -158,6 +162,7 @@ export class Player {
     this.showFaces();
     $("title").textContent = takes.map((take) => take.title).join(" | ");
     $("drop-other").hidden = takes.length < 2;
+    $("other-changes").hidden = !this.otherFile;
     this.workbench?.show(first, takes.slice(1));
     this.layout();
   }
@@ -227,7 +232,7 @@ export class Player {
           if (!this.convert) throw error;
           return readCurves(await this.convert(file), this.board);
         });
-        if (this.take) this.setOthers([new Take(curves, this.board, true)]);
+        if (this.take) this.setOthers([new Take(curves, this.board, true)], file);
         else this.load(new Take(curves, this.board), null);
       },
     };

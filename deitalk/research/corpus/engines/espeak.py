@@ -12,13 +12,8 @@ from pathlib import Path
 import numpy as np
 
 from deitalk.errors import ConfigError, DataError
-from deitalk.pipeline.words.transcript import (
-    has_voice,
-    ipa_to_phones,
-    known_voice,
-    missing,
-    pronounce,
-)
+from deitalk.pipeline.words.alphabets import ipa_to_phones
+from deitalk.pipeline.words.espeak import has_voice, known_voice, missing, pronounce
 from deitalk.postprocess.phones import STOPS
 from deitalk.research.corpus.engines.espeak_library import library
 from deitalk.research.corpus.engines.espeak_server import Server

@@ -4,7 +4,7 @@ import ctypes
 from functools import cache
 from typing import Any
 
-from deitalk.pipeline.words.transcript import UTF8, Library
+from deitalk.pipeline.words.espeak import UTF8, Library
 
 _SSML, _PHONEME_EVENT, _LIST_END = 0x10, 7, 0
 _PARAMETERS = {"rate": 1, "volume": 2, "pitch": 3, "pitch_range": 4}

@@ -10,7 +10,7 @@ import pytest
 
 from deitalk.emotions import EMOTIONS
 from deitalk.errors import ConfigError, DataError, MissingError
-from deitalk.pipeline.words import transcript as library
+from deitalk.pipeline.words import espeak as library
 from deitalk.postprocess.phones import BILABIALS, PHONES
 from deitalk.research.corpus import synthesis as sources
 from deitalk.research.corpus.engines import (

@@ -7,8 +7,10 @@ import pytest
 
 from deitalk import animate
 from deitalk.errors import DeitalkError
-from deitalk.pipeline.words.align import RATE, PhoneEvidence, best_path, fit_words, phone_evidence
+from deitalk.pipeline.words.align import fit_words
+from deitalk.pipeline.words.evidence import RATE, PhoneEvidence, phone_evidence
 from deitalk.pipeline.words.transcript import Transcript, Word
+from deitalk.pipeline.words.viterbi import best_path
 from deitalk.postprocess.phones import PHONES
 from deitalk.research.corpus.engines import espeak
 
@@ -51,7 +53,7 @@ def test_path_is_the_best_of_all(seed):
 
 def test_path_stays_in_its_band(monkeypatch):
     """A band of three states follows a chain of forty."""
-    monkeypatch.setattr("deitalk.pipeline.words.align.BAND", 3)
+    monkeypatch.setattr("deitalk.pipeline.words.viterbi.BAND", 3)
     states = np.arange(40) % 10 + 1
     found = np.full((80, 11), -5.0, np.float32)
     found[np.arange(80), np.repeat(states, 2)] = 0
@@ -139,7 +141,7 @@ def test_evidence_is_a_softmax_of_rows_and_those_beside(rng, monkeypatch):
     score = np.hstack([rows[:-6], rows[3:-3], rows[6:]]) @ weight.T
     expected = score - np.log(np.exp(score).sum(axis=1, keepdims=True))
     np.testing.assert_allclose(found.log_probabilities(features), expected, atol=1e-5)
-    monkeypatch.setattr("deitalk.pipeline.words.align.PIECE", 3)
+    monkeypatch.setattr("deitalk.pipeline.words.evidence.PIECE", 3)
     np.testing.assert_allclose(found.log_probabilities(features), expected, atol=1e-5)
 
 

@@ -1,7 +1,7 @@
 import pytest
 
-from deitalk.pipeline.words import transcript
-from deitalk.pipeline.words.transcript import ipa_to_phones
+from deitalk.pipeline.words import alphabets
+from deitalk.pipeline.words.alphabets import ipa_to_phones
 from deitalk.postprocess import phones
 from deitalk.postprocess.phones import PHONES
 from deitalk.research.corpus.engines.flite import festival_to_phone
@@ -16,9 +16,9 @@ def test_sets_are_phones_and_classes_do_not_overlap():
 
 
 def test_ipa_vowel_symbols_give_vowels_and_consonants_do_not():
-    for symbol, target in transcript.IPA_VOWELS.items():
+    for symbol, target in alphabets.IPA_VOWELS.items():
         assert target.split()[0] in phones.VOWELS, symbol
-    for symbol, target in transcript.IPA_CONSONANTS.items():
+    for symbol, target in alphabets.IPA_CONSONANTS.items():
         assert not set(target.split()) & phones.VOWELS, symbol
 
 

@@ -12,6 +12,7 @@ from deitalk.emotions import LABELS, parse_emotion
 from deitalk.errors import DataError, DeitalkError
 from deitalk.models.checkpoint import load_model
 from deitalk.models.folder import embedded_models
+from deitalk.pipeline.words.espeak import missing
 from deitalk.pipeline.words.script import (
     DEEPEST,
     RAMP_SECONDS,
@@ -22,7 +23,6 @@ from deitalk.pipeline.words.script import (
     with_accents,
     with_emotions,
 )
-from deitalk.pipeline.words.transcript import missing
 from deitalk.postprocess.life.voice import Accent, Voice
 from rig.errors import UserError
 from tests.errors import one_line

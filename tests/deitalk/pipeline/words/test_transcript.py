@@ -4,7 +4,9 @@ import pytest
 
 from deitalk.errors import ConfigError, DataError, MissingError
 from deitalk.pipeline.words import transcript
-from deitalk.pipeline.words.transcript import Transcript, Word, intervals_of, spoken_words
+from deitalk.pipeline.words.alphabets import spoken_words
+from deitalk.pipeline.words.textgrid import intervals_of
+from deitalk.pipeline.words.transcript import Transcript, Word
 
 LONG = """File type = "ooTextFile"
 Object class = "TextGrid"

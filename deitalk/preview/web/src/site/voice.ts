@@ -1,11 +1,13 @@
 /** A live voice of the page's own model: samples at 16 kHz in, frames out as soon as they are known. */
 
-import { notice, messageOf } from "../dom";
+import { messageOf, notice } from "../dom";
 import type { Listener, Voice } from "../studio/live";
 import { type Engine, FPS, RATE } from "./engine";
 
 /** Time over which one emotion passes into the next, seconds. */
 const RAMP_SECONDS = 0.2;
+/** Sound that waits for the model at most, seconds; more is skipped. */
+const MOST_WAITING = 1;
 
 export class EngineVoice implements Voice {
   /** The last samples, and the number of the first of them. */
@@ -21,10 +23,30 @@ export class EngineVoice implements Voice {
   constructor(private readonly engine: Engine, emotion: string, private readonly listener: Listener) {
     const row = this.row(emotion);
     this.change = { from: row, to: row, seconds: 0 };
-    queueMicrotask(() => listener.ready());
+    void this.begun();
+  }
+
+  /** Read the model by a run of silence; no sound is taken before. */
+  private async begun(): Promise<void> {
+    try {
+      await this.engine.next(new Float32Array(this.engine.facts.live!.window), this.change.to, true);
+      this.listener.ready();
+    } catch (error) {
+      this.fail(error);
+    }
+  }
+
+  private fail(error: unknown): void {
+    notice(messageOf(error));
+    this.isStopped = true;
+    this.listener.ended();
   }
 
   feed(samples: Float32Array): void {
+    if (this.heard - (this.runs * RATE) / FPS > MOST_WAITING * RATE) {
+      notice("this machine is too slow for live: sound is skipped");
+      return;
+    }
     const kept = this.samples;
     this.samples = new Float32Array(kept.length + samples.length);
     this.samples.set(kept);
@@ -68,9 +90,7 @@ export class EngineVoice implements Voice {
         }
       }
     } catch (error) {
-      notice(messageOf(error));
-      this.isStopped = true;
-      this.listener.ended();
+      this.fail(error);
     } finally {
       this.isBusy = false;
     }

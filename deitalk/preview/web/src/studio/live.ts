@@ -82,6 +82,7 @@ export class Live {
     });
     this.voice = voice;
     this.label(true);
+    $("recorded").textContent = "starting";
     this.draw();
   }
 

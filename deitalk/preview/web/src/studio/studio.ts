@@ -119,6 +119,7 @@ export class Studio {
     onFile("performance", (file) => void this.dub(file));
     $("from-edited").addEventListener("click", () => $("edited").click());
     onFile("edited", (file) => void this.addChanges(file));
+    $("other-changes").addEventListener("click", () => void this.addChanges(player.otherFile!));
     $("keep").addEventListener("click", () => this.setOther(player.take!.frozen("A")));
     $("drop-other").addEventListener("click", () => this.setOther());
     this.enable();
@@ -322,13 +323,14 @@ export class Studio {
     if (!session) return;
     const { edit } = session, intensityCsv = this.hasIntensity(session) ? player.take!.intensityCsv() : undefined;
     const found = await this.comparing.run(`Comparing ${file.name}`, async (progress, signal) => {
-      const take = await order({ ...session, intensityCsv, format: "take" }, progress, signal);
+      const take = await order({ ...session, intensityCsv, format: "take", shift: shiftOf() }, progress, signal);
       const { content, notes } = await diff(file, take.content, signal);
       return { text: await content.text(), notes };
     });
     if (!found) return;
     if (session !== this.session || edit !== session.edit) return notice(`${file.name}: the take was changed meanwhile; give the file again`);
     player.intake.layers(found.text, file.name);
+    if (file === player.otherFile) this.setOther(); // the take shows its changes now
     notice([`${file.name} is the last layer`, ...found.notes].join("; "));
   }
 
@@ -458,7 +460,7 @@ export class Studio {
 
   private enable(): void {
     const isOn = this.session !== undefined;
-    for (const b of document.querySelectorAll<HTMLButtonElement>("#exports button, #compare, #dub, #from-edited, #keep, #add-key, #emotions button:last-child")) {
+    for (const b of document.querySelectorAll<HTMLButtonElement>("#exports button, #compare, #dub, #from-edited, #other-changes, #keep, #add-key, #emotions button:last-child")) {
       b.disabled = !isOn;
     }
     $("dub").setAttribute("aria-pressed", String(this.session?.performance !== undefined));
