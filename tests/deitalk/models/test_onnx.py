@@ -400,7 +400,9 @@ def test_graphs_of_the_package_are_of_its_rules(name):
     assert (folder / GRAPH).stat().st_size < 200_000
 
 
-@pytest.mark.parametrize(("name", "emotion"), [("default", "angry"), ("live", "happy"), ("small", "sad")])
+@pytest.mark.parametrize(
+    ("name", "emotion"), [("default", "angry"), ("live", "happy"), ("small", "sad")]
+)
 def test_embedded_models_give_the_same_curves_with_either_backend(name, emotion):
     sound = speechlike(12.0)
     made = [
