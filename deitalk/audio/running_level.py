@@ -28,7 +28,7 @@ SOFTEST, LOUDEST = 1e-7, 10.0
 
 def first_level(batch: int) -> Float32:
     """State before the first frame [shape=(B, 2)]: the mean and its weight in frames."""
-    return np.tile(np.float32([FIRST_POWER, FIRST_FRAMES]), (batch, 1))
+    return np.tile(np.array([FIRST_POWER, FIRST_FRAMES], np.float32), (batch, 1))
 
 
 def follow_level(power: Array, state: Array) -> tuple[Array, Array]:

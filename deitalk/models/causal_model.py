@@ -194,7 +194,7 @@ def decode(
     lips: tuple[Tensor, ...] = ()
     if model.lips is not None:
         pair = model.lips.correct(pair, model.lips(speech, state.lips[0]))
-        lips = (torch.cat((state.lips[0], speech), dim=1)[:, speech.shape[1] :],)
+        lips = (model.lips.next_past(state.lips[0], speech),)
     neutral, emotional = pair
     halves = tuple(zip(*(part.chunk(2) for part in past), strict=True))
     return (

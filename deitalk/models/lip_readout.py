@@ -1,7 +1,7 @@
-"""Linear readout of lips and tongue from the speech features; not in the papers.
+"""Readout of lips and tongue from the speech features; not in the papers.
 
 A decoder that is trained on computed faces does not show all that its features hold. The readout
-is fitted to phones and to measured lips of people, and
+is fitted to phones, by a network of one hidden layer, and to measured lips of people, linearly. It
 corrects the decoder:
 
 - A contact, lips together or lower lip on the teeth, becomes the product of powers of the
@@ -42,6 +42,8 @@ MOST = (0.3, 0.6, 0.25, 0.17)
 on readers errs where somebody shouts, and would press the lower lip over an open jaw."""
 TAPS = 9
 """Frames that a row is read from: those around it, or in a causal model those up to it."""
+HIDDEN = 64
+"""Units between the features and the channels."""
 OPENERS = ("C_jaw.ty", "mouth_upperLipRaise", "mouth_lowerLipDepress")
 """Parts of the names of the controls whose mean tells how open the decoder's mouth is."""
 OPEN = ((0.05, 0.02, 0.05, 0.02), (0.2, 0.1, 0.2, 0.1))
@@ -57,6 +59,8 @@ SHOWN = {
 }
 """Part of the names of the controls of a channel, their value at 1, and the share of the decoder's
 that is added."""
+FLAT = 0.5
+"""Width of a tongue that is out, as a control's value."""
 PURSED_FUNNEL = 0.35
 """Funnel of pursed lips."""
 
@@ -86,13 +90,17 @@ class LipReadout(nn.Module):
     """`MOST` [shape=(4,)]."""
     fade: Tensor
     """`OPEN` [shape=(2, 4)]."""
+    silence: Tensor
+    """Features of silence, which is before and after every recording [shape=(D,)]."""
     opens: Tensor
     """Shares of `OPENERS`, whose sum is 1 [shape=(C,)]."""
 
     def __init__(self, in_size: int, names: Sequence[str], *, causal: bool = False) -> None:
         super().__init__()
         self.causal = causal
-        self.listen = nn.Conv1d(in_size, len(CHANNELS) + len(MEASURES), TAPS)
+        self.listen = nn.Conv1d(in_size, HIDDEN + len(MEASURES), TAPS)
+        self.phones = nn.Linear(HIDDEN, len(CHANNELS))
+        self.register_buffer("silence", torch.zeros(in_size))
         self.shown = nn.Linear(len(names), len(MEASURES))
         """Measures that curves show, cm."""
         self.kept = nn.Parameter(torch.zeros(len(MEASURES)))
@@ -102,19 +110,20 @@ class LipReadout(nn.Module):
 
         # By numpy: some operations of torch on the meta device import its compiler.
         def of(*parts: str) -> Float32:
-            return np.float32([[part in name for name in names] for part in parts])
+            return np.array([[part in name for name in names] for part in parts], np.float32)
 
         shown, values, shares = zip(*SHOWN.values(), strict=True)
         places, opens = of(*shown), of(*OPENERS).sum(axis=0)
         tables = {
             "places": of(*CONTACTS),
-            "values": np.float32(values)[:, None] * places,
-            "own": 1 - ((1 - np.float32(shares))[:, None] * places).sum(axis=0),
+            "values": np.array(values, np.float32)[:, None] * places,
+            "own": 1 - ((1 - np.array(shares, np.float32))[:, None] * places).sum(axis=0),
             "low": np.where(of(SHOWN["out"][0])[0] > 0, np.float32(0), np.float32(-np.inf)),
-            "fade": np.float32(OPEN),
-            "most": np.float32(MOST),
+            "fade": np.array(OPEN, np.float32),
+            "most": np.array(MOST, np.float32),
             "opens": opens / np.maximum(opens.sum(), 1),
         }
+        tables["values"][0] += FLAT * of("tongue_wideNarrow")[0]
         for name, table in tables.items():
             self.register_buffer(name, torch.tensor(table), persistent=False)
 
@@ -133,7 +142,7 @@ class LipReadout(nn.Module):
         speech : Tensor [shape=(B, T, D)]
             Without positional encoding.
         past : Tensor [shape=(B, TAPS - 1, D)] or None
-            What came before, for a causal readout; None: nothing did.
+            Distance from silence of what came before, for a causal readout; None: nothing did.
         clips : JoinedClips or None
             Whose frames the features (1, K, D) are.
 
@@ -143,19 +152,24 @@ class LipReadout(nn.Module):
             `CHANNELS`, 0 to 1, and the part of the wanted `MEASURES` in cm that is not the
             decoder's.
         """
+        x = speech - self.silence
         if past is not None:
-            x = torch.cat((past, speech), dim=1).transpose(1, 2)
+            x = torch.cat((past, x), dim=1).transpose(1, 2)
         else:
-            x = speech if clips is None else clips.spread(speech, TAPS)
+            x = x if clips is None else clips.spread(x, TAPS)
             x = F.pad(x.transpose(1, 2), (self.margin, TAPS - 1 - self.margin))
         rows = self.listen(x).transpose(1, 2)
         if clips is not None:
             rows = clips.taken(rows, TAPS)
-        n = len(CHANNELS)
-        return torch.cat((rows[..., :n].sigmoid(), rows[..., n:]), dim=-1)
+        channels = self.phones(rows[..., :HIDDEN].relu()).sigmoid()
+        return torch.cat((channels, rows[..., HIDDEN:]), dim=-1)
+
+    def next_past(self, past: Tensor, speech: Tensor) -> Tensor:
+        """`past` of the call after one with these features."""
+        return torch.cat((past, speech - self.silence), dim=1)[:, speech.shape[1] :]
 
     def first_past(self, batch: int) -> Tensor:
-        """Features before the first frame of streams: zeros (B, TAPS - 1, D)."""
+        """`past` of the first frame of streams: silence, which is zeros (B, TAPS - 1, D)."""
         return self.listen.weight.new_zeros(batch, TAPS - 1, self.listen.in_channels)
 
     def correct(self, readings: Tensor, read: Tensor) -> Tensor:

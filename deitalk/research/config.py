@@ -85,8 +85,8 @@ class ComparedModelConfig(ModelConfig):
         if self.positions or self.intensity:
             raise ValueError(f"decoder: {self.decoder} takes positions: false and intensity: false")
         is_causal = self.frontend.kind == "causal_whisper"
-        added = self.kept_controls or self.captured_emotions or self.actor_layers
-        added = added or self.own_decoder
+        kept = self.kept_controls or self.captured_emotions
+        added = bool(kept) or self.actor_layers or self.own_decoder is not None
         if is_causal or added or self.decoder_direct:
             raise ValueError(
                 f"decoder: {self.decoder} takes no causal frontend, kept_controls, "

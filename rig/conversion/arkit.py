@@ -10,7 +10,8 @@ of the fit is reported per frame and summed.
 
 ``MouthClose`` has no pose. Unreal's face blueprint sets the four lips-together curves to
 clamp(MouthClose / JawOpen, 0, 1); we use the same rule, both ways. So MouthClose never exceeds
-JawOpen: lips meet and do not cross.
+JawOpen: lips meet and do not cross. ``TongueOut`` is no more than the tongue is out: one that moves
+within the mouth has none.
 """
 
 import re
@@ -355,6 +356,9 @@ def _shapes(raw: RigCurves) -> Float32:
     jaw = values[:, arkit.index("JawOpen")]
     together = np.stack([raw[name] for name in LIPS_TOGETHER], axis=1).mean(axis=1)
     values[:, arkit.index("MouthClose")] = np.where(jaw > SMALLEST_JAW, together * jaw, 0)
+    tongue = arkit.index("TongueOut")
+    out = raw[PREFIX + "tongueOut"] / poses[tongue, raw_controls().index(PREFIX + "tongueOut")]
+    values[:, tongue] = np.minimum(values[:, tongue], out)
     _turn_eyes(values, raw)
     if raw.head is not None:
         values[:, arkit.indices(HEAD)] = head_values(raw.head)

@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from rig.arrays import Float32, Float64
+from rig.arrays import Float32, Float64, Int64
 from rig.controls import default_controls
 from rig.conversion.arkit import ARKIT_ID, arkit_controls, raw_to_arkit, shapes_together
 from rig.conversion.convert import reached_controls
@@ -59,7 +59,7 @@ def shapes_of(values: Float64, names: tuple[str, ...]) -> Float32:
 
 def _correct(values: Float64, wanted: Float32, names: tuple[str, ...]) -> None:
     board = default_controls()
-    missed = wanted - shapes_of(values, names)
+    missed = (wanted - shapes_of(values, names)).astype(np.float64)
     for _ in range(STEPS):
         rows = np.flatnonzero(np.abs(missed).max(axis=1) > CLOSE)
         if not len(rows):
@@ -85,7 +85,7 @@ def _correct(values: Float64, wanted: Float32, names: tuple[str, ...]) -> None:
             return
 
 
-def _step(values: Float64, missed: Float32, columns: list[int], names: tuple[str, ...]) -> Float64:
+def _step(values: Float64, missed: Float64, columns: Int64, names: tuple[str, ...]) -> Float64:
     """Smallest change of some columns that makes up for missed shapes (T, N), to first order."""
     board = default_controls()
     moved = np.repeat(values[None], 2 * len(columns), axis=0)

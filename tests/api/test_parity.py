@@ -31,6 +31,7 @@ from rig.curves.edit import clamp
 from rig.curves.layer_files import read_layers
 from rig.face import build_head
 from rig.face.head import Head
+from rig.livelink.pace import LiveReport
 from tests.command import ran
 from tests.deitalk.batch.conftest import InProcess
 from tests.deitalk.live.conftest import RATE
@@ -280,14 +281,16 @@ class Kept:
     def push(self, frames, head, **_):
         self.frames.append(frames)
 
+    def report(self):
+        return LiveReport(0, 0, 0, (0.0, 0.0))
+
     def __getattr__(self, name):
         return lambda *_, **__: None
 
 
 def live_line(fields, monkeypatch, audio="line.wav"):
     kept, command = Kept(), importlib.import_module("deitalk.cli.live")
-    monkeypatch.setattr(command, "_sender", lambda *_: kept)
-    monkeypatch.setattr(command, "_print", lambda *_: None)
+    monkeypatch.setattr(command, "sender_of", lambda *_: kept)
     monkeypatch.setattr("deitalk.live.sources.PacedSound", Unpaced)
     run("live", audio, "--model", "tiny", *options(fields))
     return np.concatenate(kept.frames)

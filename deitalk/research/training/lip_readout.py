@@ -1,23 +1,23 @@
 """Readout of the lips from the speech encoder: run it by ``python -m`` and its name.
 
-Writes a model's ``lips.safetensors`` (`deitalk.models.lip_readout`) from ridge regressions on the
-features of its frozen encoder. Channels of the articulation table are taught by the phones of a
-dataset folder's training recordings, each clean and once more in noise and rooms, and become
-probabilities on those of its validation speakers; measures are taught by lips of speakers that are
-not held out. A regression is the mean of what it does not know, so that measures are amplified
-about their mean.
+Writes a model's ``lips.safetensors`` (`deitalk.models.lip_readout`), fitted to the features of its
+frozen encoder. Channels of the articulation table are probabilities, which a small network learns
+from the phones of a dataset folder's training recordings, each clean and once more in noise and
+rooms; measures are ridge regressions on lips of speakers that are not held out. A regression is the
+mean of what it does not know, so that measures are amplified about their mean.
 """
 
 import argparse
 import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import torch
 from safetensors.torch import save
-from scipy.optimize import minimize
-from torch import Tensor
+from torch import Tensor, nn
+from torch.nn import functional as F
 
 from deitalk.audio.frames import FRAME_RATE
 from deitalk.audio.load import Recording, load_audio
@@ -27,7 +27,7 @@ from deitalk.data.clips import Clip, read_clips, read_phones
 from deitalk.models.checkpoint import load_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.models.folder import LIP_WEIGHTS
-from deitalk.models.lip_readout import CHANNELS, MEASURES, TAPS, LipReadout
+from deitalk.models.lip_readout import CHANNELS, HIDDEN, MEASURES, TAPS, LipReadout
 from deitalk.postprocess.phones import Phones
 from deitalk.research.arguments import new_file
 from deitalk.research.corpus.articulation import CHANNELS as TABLE_CHANNELS
@@ -42,7 +42,9 @@ from rig.arrays import Float32, Float64
 from rig.face.head import build_head
 from rig.files import atomic_write
 
-CHANNEL_PENALTY, MEASURE_PENALTY = 100_000.0, 10_000.0
+EPOCHS, BATCH, WINDOW, RATE, DECAY, DROPOUT = 5, 16, 128, 1e-3, 0.3, 0.3
+"""Of the network of the channels; it sees `BATCH` times `WINDOW` frames in a step."""
+MEASURE_PENALTY = 10_000.0
 SHARES = (0.8, 0.6, 0.8, 0.7)
 """Of the regression in each measure; the rest is the decoder's."""
 GAINS = (1.1, 1.7, 1.1, 1.3)
@@ -93,10 +95,10 @@ class Teacher:
             assert clip.phones is not None
             recording = load_audio(clip.audio)
             rows = channel_rows(read_phones(clip.phones), recording.n_frames)
-            yield self.late(self.hear(recording), REACH), rows
+            yield self.hear(recording), rows
             if surroundings is not None:
                 changed = augment(recording.waveform, rng, surroundings)
-                yield self.late(self.hear(recording, changed), REACH), rows
+                yield self.hear(recording, changed), rows
 
     def read(self, sound: Path) -> Rows:
         """Features [shape=(T, D)] of a recording, and the network's curves [shape=(T, C)]."""
@@ -139,14 +141,50 @@ def padded(kernel: Float64, is_causal: bool) -> Float64:
     return np.pad(kernel, ((0, 0), (0, 0), (before, more - before)))
 
 
-def calibration(scores: Float64, values: Float64) -> Float64:
-    """Slope and offset with which the logistic function of scores gives expected values."""
+class Network(NamedTuple):
+    """Weights of the channels, as the module has them."""
 
-    def loss(v: Float64) -> float:
-        logits = v[0] * scores + v[1]
-        return float((np.logaddexp(0, logits) - values * logits).mean())
+    kernel: Tensor
+    """[shape=(HIDDEN, D, TAPS)]."""
+    bias: Tensor
+    last: nn.Conv1d
 
-    return np.asarray(minimize(loss, np.array([8.0, -4.0])).x, np.float64)
+
+def learn_channels(
+    recordings: Sequence[Rows], silence: Float32, *, is_causal: bool, seed: int = 0
+) -> Network:
+    """Learn the channels (T, K) of recordings from features (T, D), by their cross entropy.
+
+    Between recordings there is `silence` (D,), as before and after them in the module.
+    """
+    torch.manual_seed(seed)
+    margin = TAPS - 1 if is_causal else TAPS // 2
+    around = ((margin, TAPS - 1 - margin), (0, 0))
+    scale = np.concatenate([x[::7] for x, _ in recordings]).std(axis=0, dtype=np.float64) + 1e-3
+    scaled = [((x - silence) / scale).astype(np.float16) for x, _ in recordings]
+    features = torch.from_numpy(np.concatenate([np.pad(x, around) for x in scaled]))
+    targets = torch.from_numpy(np.concatenate([np.pad(y, around) for _, y in recordings]))
+    known = torch.cat([torch.from_numpy(np.pad(np.ones(len(x)), around[0])) for x in scaled]) > 0
+    first, last = nn.Conv1d(features.shape[1], HIDDEN, TAPS), nn.Conv1d(HIDDEN, len(CHANNELS), 1)
+    network = nn.Sequential(nn.Dropout(DROPOUT), first, nn.ReLU(), nn.Dropout(DROPOUT), last)
+    optimiser = torch.optim.AdamW(network.parameters(), RATE, weight_decay=DECAY)
+    steps = max(EPOCHS * len(features) // (BATCH * WINDOW), 1)
+    schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, RATE, total_steps=steps)
+    window = torch.arange(min(WINDOW + TAPS - 1, len(features)))
+    for _ in range(steps):
+        places = torch.randint(len(features) - len(window) + 1, (BATCH, 1)) + window
+        inner = places[:, margin : len(window) - TAPS + 1 + margin]
+        logits = network(features[places].float().transpose(1, 2)).transpose(1, 2)
+        loss = F.binary_cross_entropy_with_logits(
+            logits[known[inner]], targets[inner][known[inner]]
+        )
+        optimiser.zero_grad()
+        loss.backward()  # type: ignore[no-untyped-call]
+        optimiser.step()
+        schedule.step()
+    per = torch.from_numpy(scale.astype(np.float32))
+    assert first.bias is not None
+    return Network(first.weight.detach() / per[:, None], first.bias.detach(), last)
 
 
 def shown_measures(curves: Float64, measures: Float64) -> tuple[Float64, Float64]:
@@ -169,14 +207,15 @@ def moving_controls(teacher: Teacher, pose: Float32) -> Float64:
 
 
 @torch.no_grad()
-def fill_channels(module: LipReadout, channels: Readout, slopes: Sequence[Float64]) -> None:
-    """Give the module its weights of the channels; `slopes` are their calibrations."""
-    kernel, bias = folded(channels)
-    slope, offset = np.array(slopes).T
-    assert module.listen.bias is not None
-    taps = padded(kernel * slope[:, None, None], module.causal)
-    _set(module.listen.weight[: len(slope)], taps)
-    _set(module.listen.bias[: len(slope)], bias * slope + offset)
+def fill_channels(module: LipReadout, found: Network, silence: Float32) -> None:
+    """Give the module its weights of the channels."""
+    assert module.listen.bias is not None and module.phones.bias is not None
+    assert found.last.bias is not None
+    module.silence.copy_(torch.from_numpy(silence))
+    module.listen.weight[:HIDDEN].copy_(found.kernel)
+    module.listen.bias[:HIDDEN].copy_(found.bias)
+    module.phones.weight.copy_(found.last.weight[:, :, 0])
+    module.phones.bias.copy_(found.last.bias)
 
 
 @torch.no_grad()
@@ -190,12 +229,12 @@ def fill_measures(
     """Give the module its weights of the measures; `mean` is that of the measured lips (4,)."""
     taps, constant = folded(measures)
     wide = np.apply_along_axis(np.convolve, 2, taps, np.array(SMOOTHING))
+    constant = constant + wide.sum(axis=2) @ module.silence.numpy()
     gain, share = np.array(GAINS), np.array(SHARES)
     # wanted = mean + gain (share regression + (1 - share) shown - mean)
     assert module.listen.bias is not None
-    n = len(CHANNELS)
-    _set(module.listen.weight[n:], padded(wide * (gain * share)[:, None, None], module.causal))
-    _set(module.listen.bias[n:], constant * gain * share + (1 - gain) * mean)
+    _set(module.listen.weight[HIDDEN:], padded(wide * (gain * share)[:, None, None], module.causal))
+    _set(module.listen.bias[HIDDEN:], constant * gain * share + (1 - gain) * mean)
     _set(module.kept, gain * (1 - share))
     _set(module.shown.weight, shown[0])
     _set(module.shown.bias, shown[1])
@@ -219,18 +258,12 @@ def fit(
         list({clip.audio: clip for clip in read_clips(data, split) if clip.phones}.values())
         for split in ("train", "validation")
     )
-    channels = Readout.fit([*teacher.channels(taught, surroundings)], penalty=CHANNEL_PENALTY)
+    heard = [*teacher.channels(taught, surroundings)]
     known = [teacher.read(clip.audio) for clip in judged]
-    wanted = [
-        channel_rows(read_phones(clip.phones), len(pair[0]))
-        for clip, pair in zip(judged, known, strict=True)
-        if clip.phones is not None
-    ]
-    scores = np.concatenate([channels(teacher.late(features, REACH)) for features, _ in known])
-    values = np.concatenate(wanted).astype(np.float64)
-    slopes = [calibration(scores[:, k], values[:, k]) for k in range(len(CHANNELS))]
+    silence = np.concatenate([x[[0, -1]] for x, _ in heard]).mean(axis=0)
     module = LipReadout(model.frontend.output_size, model.controls.names, causal=model.is_causal)
-    fill_channels(module, channels, slopes)
+    network = learn_channels(heard, silence, is_causal=model.is_causal)
+    fill_channels(module, network, silence)
     clips: dict[str, list[LipClip]] = {}
     for clip in read_lips(lips, teacher.lips.eye_distance):
         if clip.speaker not in held_out:

@@ -68,7 +68,7 @@ def _last_layers(decoder: RigDecoder) -> list[nn.Module]:
     return [decoder.output, *actors]
 
 
-def _range(values: Float64) -> Float64:
+def _range(values: Float64 | Float32) -> Float64:
     """Range of curves, but for their ends [shape=(...,)]."""
     high, low = np.percentile(values, (95, 5), axis=-1)
     return np.asarray(high - low)

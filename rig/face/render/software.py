@@ -556,7 +556,7 @@ class Renderer:
 
 def _parts(mesh: Mesh) -> Int32:
     """Least vertex (V,) of the connected piece each vertex belongs to; hair is one piece."""
-    label, corners, before = mesh.weld.copy(), mesh.weld[mesh.faces.T], None
+    label, corners, before = mesh.weld.copy(), mesh.weld[mesh.faces.T], np.zeros(0, np.int64)
     while not np.array_equal(label, before):
         before, names = label.copy(), label[corners]
         np.minimum.at(label, names.ravel(), np.tile(names.min(0), 3))

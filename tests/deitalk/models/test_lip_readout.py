@@ -10,6 +10,7 @@ from deitalk.live.animator import LiveAnimator
 from deitalk.models.causal_model import TorchNetwork
 from deitalk.models.checkpoint import load_model, save_model
 from deitalk.models.curve_model import DECODE_FRAMES
+from deitalk.models.joined import JoinedClips
 from deitalk.models.lip_readout import CHANNELS, MEASURES, MOST, OPEN, OUT, POWERS, TAPS, LipReadout
 from deitalk.research.evaluation.benchmark_curves import speechlike
 from deitalk.training.tuning.recipe import read_recipe
@@ -164,8 +165,23 @@ def test_a_stream_in_blocks_equals_the_whole(readout):
     speech, past, parts = torch.randn(2, 50, 6), causal.first_past(2), []
     for block in speech.split([1, 7, 30, 12], dim=1):
         parts.append(causal(block, past))
-        past = torch.cat((past, block), dim=1)[:, block.shape[1] :]
+        past = causal.next_past(past, block)
     np.testing.assert_allclose(torch.cat(parts, dim=1), causal(speech), atol=1e-5)
+
+
+@pytest.mark.parametrize("causal", [False, True])
+@torch.no_grad()
+def test_a_recording_is_read_as_if_silence_were_around_it(causal):
+    readout = filled(LipReadout(6, NAMES, causal=causal))
+    readout.silence.normal_()
+    speech, quiet = torch.randn(1, 12, 6), readout.silence.expand(1, TAPS, 6)
+    inner = readout(torch.cat((quiet, speech, quiet), dim=1))[:, TAPS:-TAPS]
+    np.testing.assert_allclose(readout(speech), inner, atol=1e-5)
+    stream = readout(speech, readout.first_past(1)) if causal else inner
+    np.testing.assert_allclose(stream, inner, atol=1e-5)
+    clips = JoinedClips([5, 7], torch.device("cpu"))
+    parts = torch.cat([readout(part) for part in speech.split([5, 7], dim=1)], dim=1)
+    np.testing.assert_allclose(readout(speech, None, clips), parts, atol=1e-5)
 
 
 def model_of(frontend, **settings):

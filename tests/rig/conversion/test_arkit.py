@@ -23,6 +23,7 @@ from rig.errors import ControlError
 
 ARKIT = arkit_controls()
 SHAPES = ARKIT.names[:52]
+OUT = raw_controls().index("tongueOut")
 POSED = [name for name in SHAPES if name != "MouthClose"]
 
 
@@ -106,6 +107,8 @@ def test_fit_equals_bounded_least_squares(rng):
         fit = raw_to_arkit(RigCurves(target[None], raw_controls().names, control_set=RAW_ID))
         best = lsq_linear(poses.T, target - rest, bounds=(0, 1), tol=1e-12)
         for name, weight in zip(SHAPES, best.x, strict=True):
+            if name == "TongueOut":
+                weight = min(weight, target[OUT] / poses[SHAPES.index(name), OUT])
             if name != "MouthClose":
                 assert fit.curves[name][0] == pytest.approx(weight, abs=1e-3)
 
@@ -156,6 +159,17 @@ def test_mouth_close_needs_an_open_jaw():
     assert shut[LIPS_TOGETHER[0]][0] == 0
     crossed = arkit_to_raw(arkit(JawOpen=0.2, MouthClose=0.7))
     assert crossed[LIPS_TOGETHER[0]][0] == 1
+
+
+@pytest.mark.parametrize(
+    ("moved", "expected"),
+    [
+        ({"tongueDown": 0.8, "tongueWide": 0.6, "tongueBendDown": 0.3}, 0),
+        ({"tongueDown": 0.826, "tongueWide": 0.628, "tongueOut": 0.07689}, 0.1),
+    ],
+)
+def test_a_tongue_is_out_no_more_than_its_own_curve(moved, expected):
+    assert raw_to_arkit(raw(**moved)).curves["TongueOut"][0] == pytest.approx(expected, abs=1e-4)
 
 
 def test_gaze_turns_the_eyes_as_in_captures():

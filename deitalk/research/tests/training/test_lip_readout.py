@@ -6,19 +6,20 @@ import numpy as np
 import pytest
 import torch
 
-from deitalk.models.lip_readout import CHANNELS, MEASURES, TAPS, LipReadout
+from deitalk.models.lip_readout import CHANNELS, HIDDEN, MEASURES, TAPS, LipReadout
 from deitalk.research.evaluation.ridge import REACH, Readout
 from deitalk.research.lips.head_lips import MEASURES as HEAD_MEASURES
 from deitalk.research.lips.head_lips import HeadLips
+from deitalk.research.training import lip_readout
 from deitalk.research.training.lip_readout import (
     GAINS,
     SHARES,
     SMOOTHING,
     Teacher,
-    calibration,
     channel_rows,
     fill_channels,
     fill_measures,
+    learn_channels,
     moving_controls,
     shown_measures,
 )
@@ -27,7 +28,7 @@ from rig.face.head import build_head
 
 CONTROLS = default_controls()
 WIDTH = HEAD_MEASURES.index("width")
-N, M = len(CHANNELS), len(MEASURES)
+M = len(MEASURES)
 MEAN = np.array([0.5, -0.2, 0.3, 0.1])
 
 
@@ -48,31 +49,47 @@ def smoothed(rows):
 
 
 def filled(module, rng, shown, moves):
-    """The module of random regressions, which are returned too."""
-    channels, measures = readout_of(rng, targets=N), readout_of(rng, targets=M)
-    slopes = rng.uniform(-2, 2, (N, 2))
-    fill_channels(module, channels, list(slopes))
+    """The module of a random regression, which is returned too."""
+    measures = readout_of(rng, targets=M)
+    module.silence.copy_(torch.from_numpy(rng.normal(size=module.silence.shape)))
     fill_measures(module, measures, shown, moves, MEAN)
-    return channels, slopes, measures
+    return measures
 
 
 @pytest.mark.parametrize("causal", [False, True])
 @torch.no_grad()
-def test_the_module_reads_what_the_regressions_read(rng, causal):
+def test_the_module_reads_what_the_regression_reads(rng, causal):
     """A causal one reads it late: its last tap is the frame itself."""
     shown = rng.normal(size=(M, len(CONTROLS.names))), rng.normal(size=M)
     module = LipReadout(5, CONTROLS.names, causal=causal)
-    channels, slopes, measures = filled(module, rng, shown, shown[0].T)
+    measures = filled(module, rng, shown, shown[0].T)
     features = rng.normal(size=(40, 5)).astype(np.float32)
     found = module(torch.from_numpy(features)[None])[0].numpy()
     inner = slice(TAPS, -TAPS)
-    late = np.roll(features, REACH, axis=0) if causal else features
-    logits = channels(late) * slopes[:, 0] + slopes[:, 1]
-    np.testing.assert_allclose(found[inner, :N], (1 / (1 + np.exp(-logits)))[inner], atol=1e-4)
     later = np.roll(features, TAPS // 2, axis=0) if causal else features
     gain, share = np.array(GAINS), np.array(SHARES)
     wanted = gain * share * smoothed(measures(later)) + (1 - gain) * MEAN
-    np.testing.assert_allclose(found[inner, N:], wanted[inner], atol=1e-4)
+    np.testing.assert_allclose(found[inner, len(CHANNELS) :], wanted[inner], atol=1e-4)
+
+
+@pytest.mark.parametrize("causal", [False, True])
+def test_channels_are_learnt_and_silence_is_around_every_recording(rng, monkeypatch, causal):
+    """Each channel is on where its own feature is; frames of the edges are as sure as others."""
+    for name, value in {"EPOCHS": 1000, "RATE": 5e-3, "DROPOUT": 0.0, "DECAY": 0.0}.items():
+        monkeypatch.setattr(lip_readout, name, value)
+    silence = rng.normal(size=len(CHANNELS)).astype(np.float32)
+    recordings = []
+    for length in (190, 40, 3):
+        on = (rng.random((length, len(CHANNELS))) < 0.3).astype(np.float32)
+        recordings.append((silence + 4 * on, on))
+    module = LipReadout(len(CHANNELS), CONTROLS.names, causal=causal).eval()
+    network = learn_channels(recordings, silence, is_causal=causal)
+    fill_channels(module, network, silence)
+    assert network.kernel.shape == (HIDDEN, len(CHANNELS), TAPS)
+    for features, on in recordings:
+        with torch.no_grad():
+            read = module(torch.from_numpy(features)[None])[0, :, : len(CHANNELS)].numpy()
+        assert ((read > 0.5) == on).mean() > 0.95
 
 
 @torch.no_grad()
@@ -81,7 +98,7 @@ def test_corrected_curves_show_the_mixed_measures(rng):
     names, size = CONTROLS.names, len(CONTROLS.names)
     shown = rng.normal(size=(M, size)), rng.normal(size=M)
     module = LipReadout(5, names)
-    _, _, measures = filled(module, rng, shown, np.linalg.pinv(shown[0]))
+    measures = filled(module, rng, shown, np.linalg.pinv(shown[0]))
     for table in (module.places, module.values):
         table.zero_()
     module.own.fill_(1)
@@ -96,12 +113,6 @@ def test_corrected_curves_show_the_mixed_measures(rng):
     np.testing.assert_allclose(
         after[inner], (MEAN + np.array(GAINS) * (mixed - MEAN))[inner], atol=1e-3
     )
-
-
-def test_calibrated_scores_are_probabilities(rng):
-    scores = rng.normal(size=20_000)
-    closed = (rng.random(20_000) < 1 / (1 + np.exp(-(3 * scores - 1)))).astype(float)
-    np.testing.assert_allclose(calibration(scores, closed), [3, -1], atol=0.15)
 
 
 def test_channel_rows_are_those_of_the_articulation_table():

@@ -1,4 +1,4 @@
-"""Live voices in real time: ``python -m deitalk.research.speed.live_voices --voices 16 32``.
+"""Live voices in real time: ``python -m tests.api.live_voices --voices 16 32``.
 
 Starts the service, opens so many sessions of ``WS /v1/live``, and sends each 100 ms of speech every
 100 ms, at phases that differ. Lateness is the time from when the last sound that a frame depends on
@@ -30,7 +30,7 @@ from deitalk.research.arguments import new_file
 from deitalk.research.evaluation.benchmark_curves import machine
 from deitalk.research.evaluation.report import identified, write_json
 
-SAMPLE = Path(__file__).resolve().parents[3] / "docs/samples/amiable.flac"
+SAMPLE = Path(__file__).resolve().parents[2] / "docs/samples/amiable.flac"
 RATE, FPS = 16_000, 30
 MESSAGE_SECONDS = 0.1
 START_SECONDS = 120.0
