@@ -83,6 +83,8 @@ class CausalWhisperFrontend(WhisperFrontend):
         Frames that must come after a frame's own before its features are known.
     lead : int
         Spectra of a frame that lie before it.
+    rules_ahead : int
+        Frames after a frame that its contacts see.
     n_states : int
         Tensors of a `CausalState`.
     """
@@ -92,7 +94,8 @@ class CausalWhisperFrontend(WhisperFrontend):
 
     def __init__(self, config: CausalWhisperConfig) -> None:
         super().__init__(config)
-        depth, self.lead = len(self.encoder.layers), config.lead
+        depth = len(self.encoder.layers)
+        self.lead, self.rules_ahead = config.lead, config.rules_ahead
         looking = depth if config.ahead is None else min(config.ahead, depth)
         self.ahead = [LOOKAHEAD_FRAMES] * looking + [0] * (depth - looking)
         self.delay = sum(self.ahead)
