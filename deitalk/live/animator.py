@@ -17,7 +17,7 @@ from deitalk.audio.voice_activity import WINDOW
 from deitalk.config.rules import Idle, RulesConfig
 from deitalk.emotions import LABELS, EmotionTrack
 from deitalk.errors import AudioError, ConfigError
-from deitalk.live.analysis import MEASURED_AHEAD, FrameMeasures, VoiceAnalysis
+from deitalk.live.analysis import FrameMeasures, VoiceAnalysis
 from deitalk.live.cues import CueState, RunningCues
 from deitalk.models.load import load_causal
 from deitalk.models.protocol import (
@@ -32,7 +32,7 @@ from deitalk.postprocess.feeling import felt_intensity
 from deitalk.postprocess.life.amounts import Life
 from deitalk.postprocess.life.motion import Character, MotionStreams
 from deitalk.postprocess.life.voice import PAUSE, Cues, Seeds
-from deitalk.postprocess.tracks import GATES, LIVE_AHEAD, VoiceTracks, shown_columns
+from deitalk.postprocess.tracks import GATES, VoiceTracks, shown_columns
 from rig.arrays import Bool, Float32, Int64
 from rig.curves import HEAD
 from rig.limits import SEED
@@ -117,15 +117,13 @@ class LiveAnimator:
         self.actings = [
             first.model_copy(update={"seed": (first.seed + k) % (SEED + 1)}) for k in range(streams)
         ]
-        ahead = self.network.grid.lookahead_samples / SAMPLE_RATE
-        self.lookahead_seconds = ahead + LIVE_AHEAD / FRAME_RATE
+        grid = self.network.grid
+        self.lookahead_seconds = grid.lookahead_seconds
         self.rules = self.network.curve_pass(live=True)
         device = self.network.device
-        self.analysis, self.cues = (
-            VoiceAnalysis(self.network.rules, device),
-            RunningCues(LIVE_AHEAD),
-        )
-        self.other_analysis = VoiceAnalysis(RulesConfig.none(), device)
+        self.analysis = VoiceAnalysis(self.network.rules, grid, device)
+        self.cues = RunningCues(grid.rules_ahead)
+        self.other_analysis = VoiceAnalysis(RulesConfig.none(), grid, device)
         self.state, self.past, self.due, self.other = self._first(streams)
         self.streams = [self._stream(k) for k in range(streams)]
         idle = self.network.rules.idle or Idle()
@@ -343,8 +341,9 @@ class LiveAnimator:
     def _first(self, batch: int) -> tuple[Arrays, Arrays, Arrays, Arrays]:
         """State before the first sound: of the network, its own voice, the rules, the other one."""
         network = self.network.first_state(batch)
-        mixture = np.zeros((batch, LIVE_AHEAD, len(LABELS)), np.float32)
-        speaking = np.zeros((batch, LIVE_AHEAD), bool)
+        ahead = self.network.grid.rules_ahead
+        mixture = np.zeros((batch, ahead, len(LABELS)), np.float32)
+        speaking = np.zeros((batch, ahead), bool)
         due = self.rules.first(batch), mixture, speaking, *self.cues.first(batch)
         other = *self.other_analysis.first(batch), *self.cues.first(batch)
         return network, self.analysis.first(batch), due, other
@@ -400,7 +399,7 @@ class LiveAnimator:
         if new:
             windows, _, _ = self._windows([self.streams[k] for k in new], delay)
             put(self.state, new, self.network.begin(windows, take(self.state, new)))
-            starts = np.arange(MEASURED_AHEAD) * SAMPLE_RATE // FRAME_RATE - WINDOW // 2
+            starts = np.arange(delay) * SAMPLE_RATE // FRAME_RATE - WINDOW // 2
             sound = np.stack([self.streams[k].sound.windows(starts, WINDOW) for k in new])
             put(self.past, new, self.analysis.begin(sound, take(self.past, new)))
 
@@ -425,7 +424,7 @@ class LiveAnimator:
         windows : array [shape=(B, count P, W)]
             Of the spectra.
         sound : array [shape=(B, count, `WINDOW`)]
-            Of the frames `MEASURED_AHEAD` after them.
+            Of the frames of the groups.
         others : list
             Of the same frames of the other speakers [shape=(count, `WINDOW`)], or None.
         """
@@ -553,7 +552,7 @@ class LiveAnimator:
 
     def _cue(self, ready: list[int], cues: Cues, begin: Int64, listens: Bool) -> None:
         """Move faces by the cues of their voices; while the other speaks, pauses are no cues."""
-        row = np.round(cues.known * FRAME_RATE).astype(int) + LIVE_AHEAD - begin[cues.stream]
+        row = np.round(cues.known * FRAME_RATE).astype(int) + self.cues.ahead - begin[cues.stream]
         busy = (cues.kind == PAUSE) & listens[cues.stream, np.clip(row, 0, listens.shape[1] - 1)]
         moving = np.array([self.streams[k].moves for k in ready])[cues.stream]
         chosen = cues._replace(stream=np.array(ready)[cues.stream]).where(moving & ~busy)
