@@ -197,8 +197,8 @@ class CurvePass(nn.Module):
         state = torch.cat((pose, rows[:, neutral.shape[1] :]), dim=1)
         rows = rows[:, self.unseen :]
         own = rows[:, self.behind : self.behind + neutral.shape[1]]
-        own = torch.split(own, [self.size, self.size, VOICE], dim=-1)
-        raw, said = torch.stack(own[:2], dim=2), Voice.of(own[2])
+        plain, acted, said_rows = torch.split(own, [self.size, self.size, VOICE], dim=-1)
+        raw, said = torch.stack((plain, acted), dim=2), Voice.of(said_rows)
         mouth, expression, motion = torch.split(shown, [1, 1, N_MOTION], dim=-1)
         near = self.around(rows, neutral.shape[1])
 
