@@ -9,6 +9,6 @@ from deitalk.models.curve_model import DEITalk
 from deitalk.models.folder import GRAPH, model_folder
 from deitalk.models.onnx.engine_graph import write_graph
 
-for name in ("default", "live"):
+for name in ("default", "live", "small"):
     folder = model_folder(name)
     write_graph(require_model(name, DEITalk), folder, folder / GRAPH)

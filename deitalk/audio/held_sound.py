@@ -44,7 +44,9 @@ NEVER = 1_000_000.0
 NONE_DB = 1e9
 """Level of frames that have not come."""
 EARLY = 3
-"""Frames by which the sound is known before a frame whose pose is held."""
+"""Frames of a whole recording by which a sound counts before those whose pose is held."""
+POSE_FRAMES = 16
+"""Most frames between a pose and the first in which a held sound keeps it."""
 GOES_ON = 20
 """Longest gap of a sound that goes on, frames from its last held frame to the next."""
 POSE = 4
@@ -84,7 +86,7 @@ def first_held(batch: int, n_bands: int) -> HeldState:
 
 
 def follow_held(
-    levels: Array, tones: Array, rule: HoldPose, state: HeldState
+    levels: Array, tones: Array, rule: HoldPose, state: HeldState, early: int = EARLY
 ) -> tuple[Held, HeldState]:
     """Find held sounds in the next frames.
 
@@ -98,11 +100,13 @@ def follow_held(
         Of the model.
     state : HeldState
         From `first_held`, or of the call before.
+    early : int
+        Frames of sound that are known after a frame whose pose is held.
 
     Returns
     -------
     held : Held
-        Of the frames `EARLY` before.
+        Of the frames `early` before.
     state : HeldState
     """
     xp, count = library(levels), tones.shape[1]
@@ -117,7 +121,7 @@ def follow_held(
     # Frame of the pose: of its own onset, or where a sound goes on, that of the one before.
     ended = join((-1 - state.since[:, None], last[:, :-1]), 1)
     is_onset = sounding & (age == rule.frames) & (place - ended > GOES_ON)
-    onset = rule.frames + BEFORE - POSE - EARLY
+    onset = min(rule.frames + BEFORE - POSE - early, POSE_FRAMES)
     back = place - last_value(is_onset, place - onset, -1 - state.back)
     grown = xp.clip((age - rule.frames + 1) / rule.leaves, None, 1)
     grown = take_along(grown, as_index(xp.clip(last, 0, None)), 1)

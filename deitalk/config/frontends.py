@@ -144,6 +144,12 @@ class CausalWhisperConfig(WhisperShape):
     """The same from the past and a bounded look-ahead, for voices that have not ended."""
 
     kind: Literal["causal_whisper"] = "causal_whisper"
+    ahead: int | None = Field(default=None, ge=1, le=limits.LAYERS)
+    """First layers that attend to one frame after their own; null: all."""
+    rules_ahead: int = Field(default=2, ge=0, le=2)
+    """Frames after a frame that its contacts see in a voice that has not ended."""
+    lead: int = Field(default=0, ge=0, le=1)
+    """Spectra of a feature that lie before its frame, of three: 11 ms less of look-ahead."""
 
     @field_validator("rate")
     @classmethod

@@ -16,10 +16,9 @@ from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
 from deitalk.audio.log_mel import N_FFT
 from deitalk.audio.voice_activity import WINDOW
 from deitalk.emotions import LABELS
-from deitalk.errors import CheckpointError
 from deitalk.export.finished import MIXTURES
 from deitalk.export.sound_measures import BandLevels, WindowProsody
-from deitalk.live.analysis import MEASURED_AHEAD, N_SOUND, FrameMeasures, VoiceAnalysis
+from deitalk.live.analysis import N_SOUND, FrameMeasures, VoiceAnalysis
 from deitalk.models.causal_model import TensorState, advance, causal_frontend, first_state, grid_of
 from deitalk.models.curve_model import DEITalk
 from deitalk.models.onnx.network_graph import causal_graph
@@ -30,7 +29,7 @@ from deitalk.postprocess.factors import (
 )
 from deitalk.postprocess.feeling import felt_intensity
 from deitalk.postprocess.torch_columns import constant
-from deitalk.postprocess.tracks import LIVE_AHEAD, VoiceTracks
+from deitalk.postprocess.tracks import VoiceTracks
 
 WRAP = 720
 """Frames after which a counter goes back by half: a multiple of all periods."""
@@ -43,11 +42,6 @@ class FinishedLive(nn.Module):
     ----------
     model : DEITalk
         With a causal frontend.
-
-    Raises
-    ------
-    CheckpointError
-        If it looks another number of frames ahead.
 
     Attributes
     ----------
@@ -62,20 +56,15 @@ class FinishedLive(nn.Module):
     def __init__(self, model: DEITalk) -> None:
         super().__init__()
         self.model, grid = causal_graph(model), grid_of(model)
-        if grid.delay != MEASURED_AHEAD:  # sound is measured when the network reads it
-            raise CheckpointError(
-                f"only causal models that look {MEASURED_AHEAD} frames ahead are exported, such as "
-                f"live; this one looks {grid.delay} ahead"
-            )
-        self.delay, self.behind = grid.delay, grid.delay + LIVE_AHEAD
+        self.delay, self.behind = grid.delay, grid.delay + grid.rules_ahead
         self.levels, self.prosody = BandLevels(), WindowProsody()
-        self.analysis = VoiceAnalysis(model.rules)
-        self.rules = CurvePass(model.controls, model.rules, LIVE_AHEAD)
+        self.analysis = VoiceAnalysis(model.rules, grid)
+        self.rules = CurvePass(model.controls, model.rules, grid.rules_ahead)
         self.before = WINDOW // 2
         # Samples of the spectra in a window, of the frames 3 n, 3 n + 1 and 3 n + 2.
         frames = np.arange(3)[:, None]
         centres = np.round(
-            (frames * grid.spectra + np.arange(grid.spectra)) * SAMPLE_RATE / grid.rate
+            (frames * grid.spectra + np.arange(grid.spectra) - grid.lead) * SAMPLE_RATE / grid.rate
         )
         starts = centres - frames * SAMPLE_RATE // FRAME_RATE + self.before - grid.length // 2
         self.window = max(WINDOW, int(starts.max()) + grid.length)

@@ -54,8 +54,8 @@ class CausalState(NamedTuple):
     place: Tensor
     """Frames so far [shape=(B, 1)]; less a multiple of `PERIOD` where they are many."""
     layers: tuple[Tensor, ...]
-    """Of each layer in turn: input whose look-ahead is to come [shape=(B, LOOKAHEAD_FRAMES, D)];
-    keys and values of the past [shape=(B, KEPT, D)]."""
+    """Of each layer in turn: if it looks ahead, input whose look-ahead is to come
+    [shape=(B, LOOKAHEAD_FRAMES, D)]; keys and values of the past [shape=(B, KEPT, D)]."""
 
     def tensors(self) -> tuple[Tensor, ...]:
         """All of them, in a row."""
@@ -81,6 +81,10 @@ class CausalWhisperFrontend(WhisperFrontend):
         Width D of a row.
     delay : int
         Frames that must come after a frame's own before its features are known.
+    lead : int
+        Spectra of a frame that lie before it.
+    rules_ahead : int
+        Frames after a frame that its contacts see.
     n_states : int
         Tensors of a `CausalState`.
     """
@@ -90,15 +94,19 @@ class CausalWhisperFrontend(WhisperFrontend):
 
     def __init__(self, config: CausalWhisperConfig) -> None:
         super().__init__(config)
-        self.delay = LOOKAHEAD_FRAMES * len(self.encoder.layers)
+        depth = len(self.encoder.layers)
+        self.lead, self.rules_ahead = config.lead, config.rules_ahead
+        looking = depth if config.ahead is None else min(config.ahead, depth)
+        self.ahead = [LOOKAHEAD_FRAMES] * looking + [0] * (depth - looking)
+        self.delay = sum(self.ahead)
+        self.n_states = 3 + 2 * depth + looking
         self._flat = FlatKernel()
-        self.n_states = 3 + 3 * len(self.encoder.layers)
 
     def first_state(self, batch: int) -> CausalState:
         """State of streams before their first sample."""
         weight, width = self.encoder.conv1.weight, self.output_size
         silence = weight.new_full((batch, STEM_SPECTRA, self.config.n_mels), math.log10(SILENCE))
-        sizes = (LOOKAHEAD_FRAMES, KEPT, KEPT) * len(self.encoder.layers)
+        sizes = [size for ahead in self.ahead for size in (ahead, KEPT, KEPT) if size]
         return CausalState(
             torch.from_numpy(first_level(batch)).to(weight),
             scaled(silence, PEAK),
@@ -155,19 +163,25 @@ class CausalWhisperFrontend(WhisperFrontend):
         x = F.gelu(F.linear(joined_taps(taps), self._flat(stem.weight), stem.bias))
         times = state.place + torch.arange(x.shape[1], device=x.device)
         x = x + self.encoder.positions[(times % PERIOD).long()]
-        queries, kept, depth = x, [], len(self.encoder.layers)
+        queries, kept, depth = x, list[Tensor](), len(self.encoder.layers)
+        past, behind = list(state.layers), 0
         # Which key each query attends to (G, KEPT + G), and the frames of the keys (KEPT + G,).
-        keys = torch.arange(KEPT + x.shape[1], device=x.device) - KEPT
-        after = keys - _queries_at(x)
-        near, keys_at = (after <= LOOKAHEAD_FRAMES) & (after >= -PAST_FRAMES), keys
-        for k, layer in enumerate(cast("list[Layer]", list(self.encoder.layers))):
-            rows, *past = state.layers[3 * k : 3 * k + 3]
-            rows = torch.cat((rows, x), dim=1)
-            rows, queries = rows[:, x.shape[1] :], rows[:, : x.shape[1]]
-            first = (state.place - k * LOOKAHEAD_FRAMES).unsqueeze(2)  # frame of the first new row
-            begun = near & ((keys_at + first >= 0) | (_queries_at(x) + first < 0))
-            x, keys, values = _attended(layer, queries, x, past, begun)
-            kept += [rows, keys, values]
+        keys_at = torch.arange(KEPT + x.shape[1], device=x.device) - KEPT
+        for ahead, layer in zip(
+            self.ahead, cast("list[Layer]", list(self.encoder.layers)), strict=True
+        ):
+            queries, queries_at = x, keys_at[KEPT:, None] - ahead
+            if ahead:
+                rows = torch.cat((past.pop(0), x), dim=1)
+                queries = rows[:, : x.shape[1]]
+                kept.append(rows[:, x.shape[1] :])
+            after = keys_at - queries_at
+            near = (after <= ahead) & (after >= -PAST_FRAMES)
+            first = (state.place - behind).unsqueeze(2)  # frame of the first new row
+            begun = near & ((keys_at + first >= 0) | (queries_at + first < 0))
+            x, keys, values = _attended(layer, queries, x, (past.pop(0), past.pop(0)), begun)
+            kept += [keys, values]
+            behind += ahead
         states = {depth - 1: queries, depth: x}
         mixed = self.mixed({layer: states[layer].flatten(0, 1) for layer in self.layers})
         place = state.place + x.shape[1]
@@ -187,22 +201,18 @@ class CausalWhisperFrontend(WhisperFrontend):
         total = n_frames + self.delay
         for first in range(0, total, BLOCK_FRAMES):
             count = min(BLOCK_FRAMES, total - first)
-            windows = self.mel.windows(waveform, count * self.spectra, first * self.spectra)
+            begin = first * self.spectra - self.lead
+            windows = self.mel.windows(waveform, count * self.spectra, begin)
             features, state = self.advance(windows, state)
             parts.append(features)
             progress((first + count) / total)
         return torch.cat(parts, dim=1)[:, self.delay :]
 
 
-def _queries_at(x: Tensor) -> Tensor:
-    """Frames of the queries (G, 1) of new rows (B, G, D), after that of the first new row."""
-    return torch.arange(x.shape[1], device=x.device).unsqueeze(1) - LOOKAHEAD_FRAMES
-
-
 def _attended(
     layer: Layer, queries: Tensor, new: Tensor, past: Sequence[Tensor], seen: Tensor
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """A layer's output for queries (B, G, D), `LOOKAHEAD_FRAMES` before its new rows (B, G, D).
+    """A layer's output for queries (B, G, D), which are its new rows (B, G, D) or lie before them.
 
     `past` are keys and values (B, KEPT, D) of the rows before; those to keep now are returned.
     `seen` (B, G, KEPT + G) tells which of the keys a query attends to.

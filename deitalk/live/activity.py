@@ -2,7 +2,7 @@
 
 The causal form of `deitalk.audio.voice_activity.speech_activity` and of the gates in
 `deitalk.postprocess.feeling`: the noise floor is of the last 12 s, and a frame depends on
-`GATE_AHEAD` frames after it, in which the expression begins to rise before speech.
+a few frames after it, in which the expression begins to rise before speech.
 
 Streams are side by side, and the caller keeps their state. All functions take arrays or tensors.
 Letters: B streams, n frames of a call, K frequency bands.
@@ -41,8 +41,6 @@ from deitalk.audio.voice_activity import (
 from deitalk.config.rules import Gates
 from deitalk.postprocess.feeling import expression_after, mouth_between
 
-GATE_AHEAD = 5
-"""Frames after a frame that its gates depend on (0.17 s)."""
 MOST_STEP = 1 / 6
 """Most by which the share of the expression changes in a frame: 0.2 s from none to all."""
 FLOOR_EVERY = 10
@@ -65,7 +63,7 @@ class ActivityState(NamedTuple):
     floor: Array
     """Of each band [shape=(B, K)]."""
     gap: Array
-    """Longest gap that is no pause, at the last `GATE_AHEAD` frames and now [shape=(B, 6)]."""
+    """Longest gap that is no pause, of the last frames and now [shape=(B, `ahead` + 1)]."""
     frames: Array
     """Frames since the floor was measured [shape=(B,)]."""
     on: Array
@@ -83,11 +81,13 @@ class RunningActivity:
     ----------
     gates : Gates or None
         Times of the gates; None: they stay open.
+    ahead : int
+        Frames after a frame that its gates depend on.
     """
 
-    def __init__(self, gates: Gates | None) -> None:
-        self.gates = gates
-        self.past = LONGEST_DROWNED + GATE_AHEAD + 2 + (gates or Gates()).mouth_closes
+    def __init__(self, gates: Gates | None, ahead: int) -> None:
+        self.gates, self.ahead = gates, ahead
+        self.past = LONGEST_DROWNED + ahead + 2 + (gates or Gates()).mouth_closes
         """P, frames before the last known one on which gates depend."""
 
     def first(self, batch: int) -> ActivityState:
@@ -101,7 +101,7 @@ class RunningActivity:
             levels,
             np.full((batch, FLOOR_FRAMES), NONE_DB),
             np.full((batch, bands), quiet),
-            np.full((batch, GATE_AHEAD + 1), float(LONGEST_CLOSURE)),
+            np.full((batch, self.ahead + 1), float(LONGEST_CLOSURE)),
             np.zeros(batch),
             np.zeros((batch, self.past)),
             np.full(batch, float(settled)),
@@ -129,8 +129,8 @@ class RunningActivity:
         speaking : array of bool [shape=(B, P + n)]
             Frames of speech; gaps are not bridged and clicks not left out. The last n are new.
         mouth, expression : array [shape=(B, n), range 0 to 1]
-            Gate of the mouth and share of the expression, of the frames `GATE_AHEAD` before the
-            new ones.
+            Gate of the mouth and share of the expression, of the frames `ahead` before the new
+            ones.
         state : ActivityState
         """
         xp, count = library(levels), levels.shape[1]
@@ -169,7 +169,7 @@ class RunningActivity:
         if self.gates is None:
             return 0 * gaps + 1, 0 * gaps + 1, state
         xp, silent, share = library(gaps), state.silent, state.share
-        lags = like(np.arange(self.past + 1) - float(self.past - GATE_AHEAD), gaps)
+        lags = like(np.arange(self.past + 1) - float(self.past - self.ahead), gaps)
         mouths, shares = [], []
         for k in range(gaps.shape[1]):
             # Frames since the last and until the next speech. A lone frame of it is a click.
@@ -181,7 +181,7 @@ class RunningActivity:
             until = xp.amin(xp.where(paired & (lags >= 0), lags, NEVER), axis=1)
             is_apart = since + until - 1 > gaps[:, k]
             since, until = since * is_apart, until * is_apart
-            mouths.append(mouth_between(since, until, self.gates, GATE_AHEAD))
+            mouths.append(mouth_between(since, until, self.gates, self.ahead))
             # Speech may have ended before what is kept of it; speech that comes raises the share.
             silent = xp.clip(xp.minimum(since, 1 + silent), None, NEVER)
             wanted = expression_after(silent, until, rest, self.gates)

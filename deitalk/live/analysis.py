@@ -9,19 +9,15 @@ from typing import NamedTuple
 import numpy as np
 
 from deitalk.array_functions import Array, join, library
-from deitalk.audio.held_sound import EARLY, Held, HeldState, first_held, follow_held
+from deitalk.audio.held_sound import Held, HeldState, first_held, follow_held
 from deitalk.audio.prosody import Prosody, measure_windows
 from deitalk.audio.voice_activity import BAND_EDGES_HZ, window_levels
 from deitalk.config.rules import HoldPose, RulesConfig
-from deitalk.live.activity import GATE_AHEAD, ActivityState, RunningActivity
+from deitalk.live.activity import ActivityState, RunningActivity
 from deitalk.live.intensity import Measures, RunningIntensity, follow_means
+from deitalk.models.protocol import SpectraGrid
 from deitalk.postprocess.factors import LEARNT_USUAL, opening_factor
-from deitalk.postprocess.tracks import LIVE_AHEAD
 from rig.arrays import Float32
-
-MEASURED_AHEAD = GATE_AHEAD - LIVE_AHEAD
-"""Frames after a row of the network whose sound is measured when it is."""
-assert MEASURED_AHEAD == EARLY
 
 
 class FrameMeasures(NamedTuple):
@@ -59,7 +55,7 @@ class FrameMeasures(NamedTuple):
 
 
 class Analysis(NamedTuple):
-    """Measures of the frames of the network's rows, and gates `LIVE_AHEAD` before them."""
+    """Measures of the frames of the network's rows, and gates of those whose curves come out."""
 
     measures: Measures
     """Prosody [shape=(B, n)] each."""
@@ -70,7 +66,7 @@ class Analysis(NamedTuple):
     opening: Array
     """Factor on the opening of the mouth [shape=(B, n)]."""
     mouth: Array
-    """Gate of the mouth `LIVE_AHEAD` frames before [shape=(B, n), range 0 to 1]."""
+    """Gate of the mouth, the grid's `rules_ahead` frames before [shape=(B, n), range 0 to 1]."""
     expression: Array
     """Share of the expression of the same frames."""
     held: Held
@@ -90,13 +86,15 @@ class VoiceAnalysis:
     Parameters
     ----------
     rules : RulesConfig
+    grid : SpectraGrid
+        Of the model: sound is measured when the network reads it.
     device : str
         Where windows are measured.
     """
 
-    def __init__(self, rules: RulesConfig, device: str = "cpu") -> None:
-        self.device = device
-        self.rules, self.activity = rules, RunningActivity(rules.gates)
+    def __init__(self, rules: RulesConfig, grid: SpectraGrid, device: str = "cpu") -> None:
+        self.device, self.rules, self.delay = device, rules, grid.delay
+        self.activity = RunningActivity(rules.gates, grid.delay + grid.rules_ahead)
         self.hold = rules.hold_pose or HoldPose()
         rule = rules.voice_intensity
         self.intensity = None if rule is None else RunningIntensity(rule)
@@ -106,13 +104,13 @@ class VoiceAnalysis:
         opens = self.rules.scale_opening
         usual = (0.0, 0.0) if opens is None else (opens.usual, LEARNT_USUAL)
         intensity = () if self.intensity is None else self.intensity.first(batch)
-        measured = np.zeros((batch, MEASURED_AHEAD, len(Measures._fields)))
+        measured = np.zeros((batch, self.delay, len(Measures._fields)))
         held = first_held(batch, len(BAND_EDGES_HZ) - 1)
         means = np.tile(usual, (batch, 1))
         return (*self.activity.first(batch), *held, measured, means, *intensity)
 
     def begin(self, windows: Float32, state: State) -> State:
-        """Take the first `MEASURED_AHEAD` frames [shape=(B, `MEASURED_AHEAD`, W)]."""
+        """Take the first frames, as many as the grid's `delay` [shape=(B, delay, W)]."""
         none = np.zeros(windows.shape[:2], np.float32)
         _, after = self(
             FrameMeasures.of_windows(windows, self.device), none, none, none[:, 0], state
@@ -127,7 +125,7 @@ class VoiceAnalysis:
         Parameters
         ----------
         measured : FrameMeasures
-            Of the frames that are `MEASURED_AHEAD` after those of the network's rows.
+            Of the frames that are `delay` after those of the network's rows.
         network, effort : array [shape=(B, n)]
             Of the rows: predicted intensity, and strength of the voice.
         rest : array [shape=(B,), range 0 to 1]
@@ -139,14 +137,14 @@ class VoiceAnalysis:
         past, before = HeldState(*state[N_ACTIVITY : N_SOUND - 1]), state[N_SOUND - 1]
         means, intensity = state[N_SOUND], state[N_SOUND + 1 :]
         count = network.shape[1]
-        held, past = follow_held(measured.levels, measured.tones, self.hold, past)
+        held, past = follow_held(measured.levels, measured.tones, self.hold, past, self.delay)
         on, mouth, expression, activity = self.activity(
             measured.levels, held.sounding, rest, activity
         )
         rows = join((before, measured.prosody), 1)
         measures = Measures(*(rows[:, :count, k] for k in range(len(Measures._fields))))
         # Activity of the rows and of the frames beside them, of which the last n + 4 flags are.
-        on = on[:, -count - MEASURED_AHEAD - 1 :]
+        on = on[:, -count - self.delay - 1 :]
         speaking = on[:, 1 : count + 1] & (on[:, :count] | on[:, 2 : count + 2])
         voice = network
         if self.intensity is not None:

@@ -17,7 +17,7 @@ from deitalk.audio.voice_activity import WINDOW
 from deitalk.config.rules import Idle, RulesConfig
 from deitalk.emotions import LABELS, EmotionTrack
 from deitalk.errors import AudioError, ConfigError
-from deitalk.live.analysis import MEASURED_AHEAD, FrameMeasures, VoiceAnalysis
+from deitalk.live.analysis import FrameMeasures, VoiceAnalysis
 from deitalk.live.cues import CueState, RunningCues
 from deitalk.models.load import load_causal
 from deitalk.models.protocol import (
@@ -32,7 +32,7 @@ from deitalk.postprocess.feeling import felt_intensity
 from deitalk.postprocess.life.amounts import Life
 from deitalk.postprocess.life.motion import Character, MotionStreams
 from deitalk.postprocess.life.voice import PAUSE, Cues, Seeds
-from deitalk.postprocess.tracks import GATES, LIVE_AHEAD, VoiceTracks, shown_columns
+from deitalk.postprocess.tracks import GATES, VoiceTracks, shown_columns
 from rig.arrays import Bool, Float32, Int64
 from rig.curves import HEAD
 from rig.limits import SEED
@@ -117,15 +117,13 @@ class LiveAnimator:
         self.actings = [
             first.model_copy(update={"seed": (first.seed + k) % (SEED + 1)}) for k in range(streams)
         ]
-        ahead = self.network.grid.lookahead_samples / SAMPLE_RATE
-        self.lookahead_seconds = ahead + LIVE_AHEAD / FRAME_RATE
+        grid = self.network.grid
+        self.lookahead_seconds = grid.lookahead_seconds
         self.rules = self.network.curve_pass(live=True)
         device = self.network.device
-        self.analysis, self.cues = (
-            VoiceAnalysis(self.network.rules, device),
-            RunningCues(LIVE_AHEAD),
-        )
-        self.other_analysis = VoiceAnalysis(RulesConfig.none(), device)
+        self.analysis = VoiceAnalysis(self.network.rules, grid, device)
+        self.cues = RunningCues(grid.rules_ahead)
+        self.other_analysis = VoiceAnalysis(RulesConfig.none(), grid, device)
         self.state, self.past, self.due, self.other = self._first(streams)
         self.streams = [self._stream(k) for k in range(streams)]
         idle = self.network.rules.idle or Idle()
@@ -343,8 +341,9 @@ class LiveAnimator:
     def _first(self, batch: int) -> tuple[Arrays, Arrays, Arrays, Arrays]:
         """State before the first sound: of the network, its own voice, the rules, the other one."""
         network = self.network.first_state(batch)
-        mixture = np.zeros((batch, LIVE_AHEAD, len(LABELS)), np.float32)
-        speaking = np.zeros((batch, LIVE_AHEAD), bool)
+        ahead = self.network.grid.rules_ahead
+        mixture = np.zeros((batch, ahead, len(LABELS)), np.float32)
+        speaking = np.zeros((batch, ahead), bool)
         due = self.rules.first(batch), mixture, speaking, *self.cues.first(batch)
         other = *self.other_analysis.first(batch), *self.cues.first(batch)
         return network, self.analysis.first(batch), due, other
@@ -400,8 +399,8 @@ class LiveAnimator:
         if new:
             windows, _, _ = self._windows([self.streams[k] for k in new], delay)
             put(self.state, new, self.network.begin(windows, take(self.state, new)))
-            starts = np.arange(MEASURED_AHEAD) * SAMPLE_RATE // FRAME_RATE - WINDOW // 2
-            sound = np.stack([self.streams[k].sound.windows(starts, WINDOW) for k in new])
+            starts = np.arange(delay) * SAMPLE_RATE // FRAME_RATE - WINDOW // 2
+            sound = np.array([self.streams[k].sound.windows(starts, WINDOW) for k in new])
             put(self.past, new, self.analysis.begin(sound, take(self.past, new)))
 
     def _directed(self, streams: Sequence[Stream], count: int) -> tuple[Float32, Float32]:
@@ -411,7 +410,7 @@ class LiveAnimator:
             parts = zip(*[one.directed(count) for one in streams], strict=True)
             emotion, wanted = (np.stack(part) for part in parts)
             return emotion, wanted
-        emotion = np.stack([weights for weights, _ in fixed]).astype(np.float32)
+        emotion = np.array([weights for weights, _ in fixed]).astype(np.float32)
         wanted = np.array([intensity for _, intensity in fixed], np.float32)
         return np.repeat(emotion[:, None], count, axis=1), np.repeat(wanted[:, None], count, axis=1)
 
@@ -425,7 +424,7 @@ class LiveAnimator:
         windows : array [shape=(B, count P, W)]
             Of the spectra.
         sound : array [shape=(B, count, `WINDOW`)]
-            Of the frames `MEASURED_AHEAD` after them.
+            Of the frames of the groups.
         others : list
             Of the same frames of the other speakers [shape=(count, `WINDOW`)], or None.
         """
@@ -440,8 +439,8 @@ class LiveAnimator:
             rows = [one.sound.windows(one.spectrum_starts(count), length) for one in streams]
             starts = [one.measured_starts(count) for one in streams]
             pairs = zip(streams, starts, strict=True)
-            sound = np.stack([one.sound.windows(at, WINDOW) for one, at in pairs])
-            windows = np.stack(rows)
+            sound = np.array([one.sound.windows(at, WINDOW) for one, at in pairs])
+            windows = np.array(rows)
         others: list[Float32 | None] = [None] * len(streams)
         for k, one in enumerate(streams):
             one.groups += count
@@ -459,7 +458,7 @@ class LiveAnimator:
         windows, sound, others = self._windows(streams, count)
         ruled = np.array([stream.acting.rules for stream in streams], np.float32)
         # The network: two readings.
-        actors = np.stack([stream.actor for stream in streams])[:, None]
+        actors = np.array([stream.actor for stream in streams])[:, None]
         actors = np.broadcast_to(actors, (*wanted.shape, actors.shape[-1]))
         styles = np.concatenate((trained_weights(emotion), actors), axis=-1)
         rows, state = self.network.advance(windows, styles, self._taken(self.state, ready))
@@ -490,7 +489,7 @@ class LiveAnimator:
         phones = np.zeros((*scale.shape, 4), np.float32)
         back, kept, _ = found.held
         ways = [stream.ways for stream in streams]
-        variants = emotion @ np.stack([way.weights for way in ways])
+        variants = emotion @ np.array([way.weights for way in ways])
         side = np.repeat([[way.side] for way in ways], count, axis=1)
         voice = VoiceTracks(
             scale, opening, holds, phones, emotion, back, kept, variants, side
@@ -507,14 +506,14 @@ class LiveAnimator:
         mouth = np.where(with_rules, found.mouth, 1)
         expression = np.where(with_rules & ~keyed, found.expression, 1)
         if any([stream.shut for stream in streams]):
-            mouth = mouth * np.stack([stream.mouth_share(count) for stream in streams])
+            mouth = mouth * np.array([stream.mouth_share(count) for stream in streams])
         numbers = [stream.n_given for stream in streams]
         given = [stream.given(count) for stream in streams]
         shown = shown_columns(mouth, expression, None)
         acted = mixture[:, :count] * expression[..., None]
         heads = self._move(ready, given, speaking[:, :count], acted, shown)
         # The rules, in their order: `deitalk.postprocess.curve_pass`.
-        gain = np.stack([stream.gain for stream in streams])
+        gain = np.array([stream.gain for stream in streams])
         curves, _, _, after = self.rules(
             rows.neutral, rows.emotional, voice, shown, gain, ruled, before
         )
@@ -553,7 +552,7 @@ class LiveAnimator:
 
     def _cue(self, ready: list[int], cues: Cues, begin: Int64, listens: Bool) -> None:
         """Move faces by the cues of their voices; while the other speaks, pauses are no cues."""
-        row = np.round(cues.known * FRAME_RATE).astype(int) + LIVE_AHEAD - begin[cues.stream]
+        row = np.round(cues.known * FRAME_RATE).astype(int) + self.cues.ahead - begin[cues.stream]
         busy = (cues.kind == PAUSE) & listens[cues.stream, np.clip(row, 0, listens.shape[1] - 1)]
         moving = np.array([self.streams[k].moves for k in ready])[cues.stream]
         chosen = cues._replace(stream=np.array(ready)[cues.stream]).where(moving & ~busy)
@@ -617,7 +616,7 @@ def are_plain(rows: Sequence[Any]) -> bool:
     shapes = [row.shape for row in rows if type(row) is np.ndarray and row.dtype == np.float32]
     if shapes.count(shapes[0]) < len(rows) if shapes else True:
         return False
-    return len(shapes[0]) == 1 and bool(np.isfinite(np.stack(rows)).all())
+    return len(shapes[0]) == 1 and bool(np.isfinite(np.array(rows)).all())
 
 
 def checked_samples(samples: Samples) -> Float32:

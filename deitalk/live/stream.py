@@ -12,14 +12,12 @@ from deitalk.acting import Acting
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE, frame_count
 from deitalk.audio.voice_activity import WINDOW
 from deitalk.emotions import EmotionTrack
-from deitalk.live.analysis import MEASURED_AHEAD
 from deitalk.models.protocol import (
     SpectraGrid,
 )
 from deitalk.postprocess.feeling import fade
 from deitalk.postprocess.joins import MOST_HEAD_FRAMES, Edge, Passage
 from deitalk.postprocess.life.voice import Seeds, Traits
-from deitalk.postprocess.tracks import LIVE_AHEAD
 from deitalk.postprocess.variants import choose_ways
 from rig import ControlSet
 from rig.arrays import Float32, Int64
@@ -71,7 +69,7 @@ class Sound:
     def together(cls, sounds: Sequence["Sound"]) -> "Sound":
         """Put sounds of equal length side by side."""
         one = cls()
-        one.samples = np.stack([sound.samples for sound in sounds])
+        one.samples = np.array([sound.samples for sound in sounds])
         one.begin, one.end = sounds[0].begin, sounds[0].end
         return one
 
@@ -117,7 +115,7 @@ class Stream:
         traits = Traits.of(Seeds((0, 0, acting.seed)).character())
         self.ways = choose_ways(acting.variant, traits, acting.seed)
         self.groups = 0
-        self.n_given = -LIVE_AHEAD
+        self.n_given = -grid.rules_ahead
         """Frame that the rules give next."""
         self.n_total: int | None = None
         self.frames: list[Float32] = []
@@ -195,29 +193,29 @@ class Stream:
 
     def n_ready(self) -> int:
         """Groups of spectra whose samples have come and that were not taken."""
+        grid = self.grid
         if self.n_total is not None:
-            return self.n_total + LIVE_AHEAD + self.grid.delay - self.groups
-        rate, length = self.grid.rate, self.grid.length
-        frames = MEASURED_AHEAD - 1 - self.grid.delay
-        measured = frames * SAMPLE_RATE // FRAME_RATE + WINDOW // 2 + SAMPLE_RATE // rate
-        # centre of the last spectrum that is whole, and whose group can be measured
-        last = self.sound.end - max(length - length // 2, measured)
-        spectra = int((last + 0.5) * rate / SAMPLE_RATE) + 2
-        while spectra > 0 and round((spectra - 1) * SAMPLE_RATE / rate) > last:
+            return self.n_total + grid.rules_ahead + grid.delay - self.groups
+        # centre of the last spectrum that is whole, and of the last frame that can be measured
+        last = self.sound.end - (grid.length - grid.length // 2)
+        frame = self.sound.end - (WINDOW - WINDOW // 2)
+        spectra = int((last + 0.5) * grid.rate / SAMPLE_RATE) + 2 + grid.lead
+        while spectra > 0 and round((spectra - 1 - grid.lead) * SAMPLE_RATE / grid.rate) > last:
             spectra -= 1
-        return max(spectra // self.grid.spectra - self.groups, 0)
+        frames = ((frame + 1) * FRAME_RATE - 1) // SAMPLE_RATE + 1
+        return max(min(spectra // grid.spectra, frames) - self.groups, 0)
 
     def spectrum_starts(self, count: int) -> Int64:
         """First samples of the spectra of the next groups [shape=(count P,)]."""
         grid = self.grid
         index = np.arange(self.groups * grid.spectra, (self.groups + count) * grid.spectra)
-        centres = np.round(index * SAMPLE_RATE / grid.rate).astype(np.int64)
+        centres = np.round((index - grid.lead) * SAMPLE_RATE / grid.rate).astype(np.int64)
         return centres - grid.length // 2
 
     def measured_starts(self, count: int) -> Int64:
-        """First samples of the frames `MEASURED_AHEAD` after the next groups [shape=(count,)]."""
-        stop = self.groups + count - self.grid.delay + MEASURED_AHEAD
-        starts: Int64 = np.arange(stop - count, stop) * SAMPLE_RATE // FRAME_RATE - WINDOW // 2
+        """First samples of the frames of the next groups [shape=(count,)]."""
+        frames = np.arange(self.groups, self.groups + count)
+        starts: Int64 = frames * SAMPLE_RATE // FRAME_RATE - WINDOW // 2
         return starts
 
     def append_other(self, samples: Float32, begin: int) -> None:
@@ -237,9 +235,7 @@ class Stream:
 
     def forget(self) -> None:
         """Drop sound and changes that no frame needs any more."""
-        stop = self.groups - self.grid.delay + MEASURED_AHEAD
-        spectrum = int(self.groups * SAMPLE_RATE / FRAME_RATE) - self.grid.length
-        self.sound.drop(min(spectrum, stop * SAMPLE_RATE // FRAME_RATE - WINDOW))
+        self.sound.drop(int(min(self.spectrum_starts(1)[0], self.measured_starts(1)[0])))
         seconds = (self.groups - self.grid.delay) / FRAME_RATE - RAMP_SECONDS
         while len(self.changes) > 1 and self.changes[1].seconds < seconds:
             self.changes.pop(0)
@@ -247,7 +243,7 @@ class Stream:
     def given(self, count: int) -> slice:
         """Select the frames of the stream among the `count` that the rules give next.
 
-        None before the first one, `LIVE_AHEAD` behind the network's rows, and none after the last.
+        None before the first one, `rules_ahead` behind the network's rows, and none after the last.
         """
         first = self.n_given
         self.n_given += count

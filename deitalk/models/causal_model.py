@@ -129,7 +129,8 @@ class TorchNetwork:
 def grid_of(model: DEITalk) -> SpectraGrid:
     """Where the spectra of a causal model lie."""
     frontend = causal_frontend(model)
-    return SpectraGrid(frontend.spectra, N_FFT, frontend.delay)
+    looks = frontend.delay, frontend.lead, frontend.rules_ahead
+    return SpectraGrid(frontend.spectra, N_FFT, *looks)
 
 
 def first_state(model: DEITalk, batch: int) -> TensorState:

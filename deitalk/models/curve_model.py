@@ -9,6 +9,7 @@ from torch import Tensor, nn
 
 from deitalk.audio.frames import FRAME_RATE
 from deitalk.config.curves import ModelConfig
+from deitalk.config.frontends import CausalWhisperConfig
 from deitalk.config.rules import RulesConfig
 from deitalk.emotions import EMOTIONS
 from deitalk.frontends import build_frontend
@@ -27,7 +28,6 @@ from deitalk.models.protocol import (
 )
 from deitalk.models.rig_decoder import Decoder, RigDecoder, build_decoder
 from deitalk.postprocess.curve_pass import CurvePass, TorchPass
-from deitalk.postprocess.tracks import LIVE_AHEAD
 from rig import ControlSet, default_controls
 from rig.arrays import Float32
 
@@ -202,7 +202,8 @@ class DEITalk(nn.Module):
 
     def curve_pass(self, *, live: bool = False) -> TorchPass:
         """Rules after the network; see `deitalk.models.protocol.Network`."""
-        rules = CurvePass(self.controls, self.rules, LIVE_AHEAD if live else None)
+        ahead = cast("CausalWhisperConfig", self.config.frontend).rules_ahead if live else None
+        rules = CurvePass(self.controls, self.rules, ahead)
         return TorchPass(rules.to(self.device))
 
     def read(

@@ -244,7 +244,7 @@ EFFORT_WEIGHTS, LIP_WEIGHTS = "intensity.effort.", "lips."
 READOUTS = {"effort.safetensors": EFFORT_WEIGHTS, "lips.safetensors": LIP_WEIGHTS}
 """Files of readouts of the features, and what the names of their weights begin with."""
 WEIGHT_FILES = ("model.safetensors", ENCODER, *READOUTS)
-EMBEDDED = ("default", "mel", "live", "sdfa", "mesh_head")
+EMBEDDED = ("default", "mel", "live", "small", "sdfa", "mesh_head")
 """Models that come with the package; `embedded_models` lists those that are there."""
 
 

@@ -18,6 +18,7 @@ from typing import Any, Literal, NamedTuple, Protocol, Self, TypeAlias
 import numpy as np
 
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
+from deitalk.audio.voice_activity import WINDOW
 from deitalk.config.rules import RulesConfig
 from deitalk.emotions import EMOTIONS, LABELS, MOODS
 from deitalk.errors import CheckpointError
@@ -179,7 +180,12 @@ class SpectraGrid(NamedTuple):
     length: int
     """W, samples of a spectrum."""
     delay: int
-    """Groups that must come after a frame's own before the frame is known."""
+    """Groups that must come after a frame's own before the network knows the frame, and frames of
+    the sound that are measured by then."""
+    lead: int = 0
+    """Spectra of a group that lie before its frame."""
+    rules_ahead: int = 2
+    """Frames after a frame that its contacts see."""
 
     @property
     def rate(self) -> int:
@@ -187,10 +193,12 @@ class SpectraGrid(NamedTuple):
         return FRAME_RATE * self.spectra
 
     @property
-    def lookahead_samples(self) -> int:
-        """Samples after the time of a frame that the network's rows depend on."""
-        last = (self.delay + 1) * self.spectra - 1
-        return round(last * SAMPLE_RATE / self.rate) + self.length - self.length // 2
+    def lookahead_seconds(self) -> float:
+        """Sound after the time of a frame that its finished curves depend on."""
+        last = (self.delay + 1) * self.spectra - 1 - self.lead
+        read = round(last * SAMPLE_RATE / self.rate) + self.length - self.length // 2
+        measured = self.delay * SAMPLE_RATE // FRAME_RATE + WINDOW - WINDOW // 2
+        return max(read, measured) / SAMPLE_RATE + self.rules_ahead / FRAME_RATE
 
 
 class NetworkRows(NamedTuple):

@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor, nn
 
+from deitalk.audio.held_sound import POSE_FRAMES
 from deitalk.config.rules import LimitContactSpeed, RulesConfig
 from deitalk.emotions import LABELS
 from deitalk.postprocess.control_groups import ControlGroups
@@ -42,7 +43,7 @@ from deitalk.postprocess.curve_stages import (
 from deitalk.postprocess.factors import LEAST_PREDICTED
 from deitalk.postprocess.life.play import Play
 from deitalk.postprocess.torch_columns import Columns, constant
-from deitalk.postprocess.tracks import N_MOTION, N_VARIANTS, POSE_FRAMES, VOICE, rest_rows
+from deitalk.postprocess.tracks import N_MOTION, N_VARIANTS, VOICE, rest_rows
 from rig import ControlSet
 from rig.arrays import Float32
 from rig.controls import DEFAULT_ID
@@ -195,8 +196,9 @@ class CurvePass(nn.Module):
         pose = torch.cat((pose, voice[:, -1:]), dim=-1)
         state = torch.cat((pose, rows[:, neutral.shape[1] :]), dim=1)
         rows = rows[:, self.unseen :]
-        own = torch.split(rows[:, self.behind : -self.ahead], [self.size, self.size, VOICE], dim=-1)
-        raw, said = torch.stack(own[:2], dim=2), Voice.of(own[2])
+        own = rows[:, self.behind : self.behind + neutral.shape[1]]
+        plain, acted, said_rows = torch.split(own, [self.size, self.size, VOICE], dim=-1)
+        raw, said = torch.stack((plain, acted), dim=2), Voice.of(said_rows)
         mouth, expression, motion = torch.split(shown, [1, 1, N_MOTION], dim=-1)
         near = self.around(rows, neutral.shape[1])
 

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from deitalk.array_functions import Array, join, library, single
+from deitalk.audio.held_sound import POSE_FRAMES
 from deitalk.emotions import LABELS
 from deitalk.emotions.variants import EMOTION_OF
 from rig.arrays import Float32
@@ -15,10 +16,6 @@ from rig.arrays import Float32
 N_VARIANTS = len(EMOTION_OF)
 VOICE = 10 + len(LABELS) + N_VARIANTS
 """Columns of `VoiceTracks`."""
-LIVE_AHEAD = 2
-"""Frames after a frame that its contacts see in a voice that has not ended."""
-POSE_FRAMES = 16
-"""Most frames between a pose and the first in which a held sound keeps it."""
 GATES = 2
 """Columns of the gates in `shown_columns`."""
 

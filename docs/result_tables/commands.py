@@ -44,6 +44,7 @@ TIMING = {
 OTHER = {
     "live-test": f"{_RESEARCH} evaluate live --data corpus/ --split test --most 90 --probes 0",
     "live-lips": f"{_RESEARCH} evaluate live --lips LIPS --speaker s03 --speaker s32",
+    "small-lips": f"{_RESEARCH} evaluate small --lips LIPS --speaker s03 --speaker s32",
     "ablations": f"{_ABLATE} -o runs/ablations --seeds 2 --most 24 --only full --only no_dei "
     "--only no_dpe --only no_velocity --only no_classification --set train.frozen_frontend=mel "
     "--set data.augment=false --set train.batch_size=8 --set train.precision=bfloat16 "

@@ -11,6 +11,7 @@ USES = {
     "default": "curves",
     "mel": "curves, without a pretrained encoder",
     "live": "curves while somebody speaks, 0.2 s behind ([docs/live.md](docs/live.md))",
+    "small": "the same, 0.1 s behind ([docs/live.md](docs/live.md#the-model))",
     "sdfa": "a mesh, without curves or emotion ([docs/sdfa.md](docs/sdfa.md))",
     "mesh_head": "a mesh with emotion, on `mel`'s features "
     "([docs/sdfa.md](docs/sdfa.md#a-mesh-head-for-deitalk))",
@@ -22,7 +23,7 @@ def models() -> str:
     rows = []
     for name, use in USES.items():
         cells = ["", ""]
-        if name in ("default", "live"):
+        if name in ("default", "live", "small"):
             people = report(f"{name}-lips")["animated"]["mean"]
             r = " / ".join(short(people[f"{measure} r"], 2) for measure in ("opening", "jaw"))
             cells = [r, ""]

@@ -12,6 +12,7 @@ from deitalk.audio.vocal_strength import strength_frames, vocal_strength
 from deitalk.audio.voice_activity import active_frames, band_levels
 from deitalk.config.rules import Gates, HoldPose, RulesConfig, ScaleOpening
 from deitalk.live.analysis import FrameMeasures, VoiceAnalysis
+from deitalk.models.protocol import SpectraGrid
 from deitalk.pipeline.speech import phrase_strengths
 from deitalk.postprocess.factors import mean_around, opening_factor
 from deitalk.postprocess.feeling import gates_of, voice_intensity
@@ -43,7 +44,7 @@ def held_in_pieces(levels, tones):
 
 def analysed(levels, prosody, network):
     """Analysis of a stream that comes in calls of seven frames."""
-    analysis, parts = VoiceAnalysis(RulesConfig()), []
+    analysis, parts = VoiceAnalysis(RulesConfig(), SpectraGrid(3, 400, 3)), []
     state = tuple(xp.like(part, levels) for part in analysis.first(1))
     measured = FrameMeasures.of_rows(levels, prosody, 120)
     for at in range(0, 120, 7):

@@ -42,7 +42,7 @@ from deitalk.models.onnx.rules import OUTPUTS as RULES_OUTPUTS
 from deitalk.models.onnx.tracing import Axes, traced
 from deitalk.models.onnx.whisper_graph import parts_of
 from deitalk.postprocess.curve_pass import CurvePass
-from deitalk.postprocess.tracks import LIVE_AHEAD, N_SHOWN
+from deitalk.postprocess.tracks import N_SHOWN
 from rig.files import atomic_write
 
 
@@ -69,7 +69,7 @@ def write_graph(model: DEITalk, folder: Path, path: Path) -> None:
     content, texts = _causal(model) if model.is_causal else _whole(model)
     texts[WHOLE] = rules_entry(model)
     if model.is_causal:
-        texts[LIVE] = rules_entry(model, LIVE_AHEAD)
+        texts[LIVE] = rules_entry(model, grid_of(model).rules_ahead)
     left = _leave_weights(content.graph, stored_types(folder))
     for key, value in (metadata(model) | texts).items():
         content.metadata_props.add(key=key, value=value)

@@ -374,10 +374,11 @@ class OnnxCausalNetwork(_Network):
         """Curves of a whole recording; see `deitalk.models.protocol.CurveNetwork`."""
         grid, total = self.grid, len(weights)
         styles = styles_of(weights, self.actors, actor)[None]
-        centres = np.arange((total + grid.delay) * grid.spectra) * SAMPLE_RATE / grid.rate
+        index = np.arange((total + grid.delay) * grid.spectra) - grid.lead
+        centres = index * SAMPLE_RATE / grid.rate
         starts = np.round(centres).astype(np.int64) - grid.length // 2
         after = max(int(starts[-1]) + grid.length - len(sound), 0)
-        before = grid.length // 2
+        before = max(-int(starts[0]), 0)
         padded = np.pad(sound * np.float32(gain), (before, after))
         rows = np.lib.stride_tricks.sliding_window_view(padded, grid.length)
         first = grid.delay * grid.spectra

@@ -168,9 +168,10 @@ class CausalGraph(nn.Module):
 def first_states(model: DEITalk) -> dict[str, Tensor]:
     """Names and first values of a stream's state but its level, without the stream's axis."""
     state = first_state(model, 1)
-    layers = range(len(state.frontend.layers) // 3)
+    looks = enumerate(causal_frontend(model).ahead)
     names = ["mel", "place"]
-    names += [f"{part}_{k}" for k in layers for part in ("rows", "keys", "values")]
+    parts = "rows", "keys", "values"
+    names += [f"{part}_{k}" for k, ahead in looks for part in parts[0 if ahead else 1 :]]
     names += ["saliency_past"]
     names += [f"{k}_{i}" for k in ("neutral", "emotional") for i in range(len(state.neutral))]
     names += ["lips_past"] * len(state.lips)

@@ -38,6 +38,10 @@ REST = 0.5
 """Share of the expression that stays in silence."""
 
 
+LIVE = "live", "small"
+"""Embedded models of voices that have not ended."""
+
+
 def opened(path):
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads, options.log_severity_level = 1, 3
@@ -46,9 +50,9 @@ def opened(path):
 
 @pytest.fixture(scope="module")
 def files(tmp_path_factory):
-    """Both embedded models, exported once."""
+    """Embedded models, exported once."""
     folder = tmp_path_factory.mktemp("finished")
-    for name in ("default", "live"):
+    for name in ("default", *LIVE):
         export_onnx(load_model(name), folder / f"{name}.onnx", name=name)
     return folder
 
@@ -58,9 +62,10 @@ def clip(files):
     return opened(files / "default.onnx")
 
 
-@pytest.fixture(scope="module")
-def voices(files):
-    return opened(files / "live.onnx")
+@pytest.fixture(scope="module", params=LIVE)
+def voices(files, request):
+    """Name of a causal model, and its file."""
+    return request.param, opened(files / f"{request.param}.onnx")
 
 
 def one_hot(emotion, *shape):
@@ -222,8 +227,9 @@ def test_finished_frames_of_live_streams_are_those_of_the_animator(voices):
         np.random.default_rng(0).normal(0, 0.02, 60_000).astype(np.float32),
     ]
     emotions, factors = ("happy", "disgust", "neutral"), (1.0, 0.6, 1.3)
-    found = spoken(voices, sounds, emotions, factors)
-    network = load_model("live")
+    name, session = voices
+    found = spoken(session, sounds, emotions, factors)
+    network = load_model(name)
     span = network.controls.maximum - network.controls.minimum
     for k, (sound, emotion, factor) in enumerate(zip(sounds, emotions, factors, strict=True)):
         animator = LiveAnimator(network, emotion, intensity=factor, life="off", variant="plain")
@@ -234,7 +240,8 @@ def test_finished_frames_of_live_streams_are_those_of_the_animator(voices):
 
 def test_the_live_graph_equals_its_module_in_torch(voices):
     """Streams in any number, at any frame of their own; motion too."""
-    module = FinishedLive(load_model("live")).eval()
+    name, session = voices
+    module = FinishedLive(load_model(name)).eval()
     rng = np.random.default_rng(2)
     states = [np.zeros((1, module.first(1).shape[1]), np.float32)]
     for _ in range(8):
@@ -250,9 +257,9 @@ def test_the_live_graph_equals_its_module_in_torch(voices):
         arrays = [np.repeat(array, batch, axis=0) for array in given[:5]] + [together[-batch:]]
         with torch.no_grad():
             expected = module(*map(torch.from_numpy, arrays))
-        names = [entry.name for entry in voices.get_inputs()]
+        names = [entry.name for entry in session.get_inputs()]
         for ours, theirs in zip(
-            voices.run(None, dict(zip(names, arrays, strict=True))), expected, strict=True
+            session.run(None, dict(zip(names, arrays, strict=True))), expected, strict=True
         ):
             np.testing.assert_allclose(ours, theirs.numpy(), atol=TOLERANCE)
 
@@ -260,7 +267,7 @@ def test_the_live_graph_equals_its_module_in_torch(voices):
 # The files.
 
 
-@pytest.mark.parametrize("name", ["default", "live"])
+@pytest.mark.parametrize("name", ["default", *LIVE])
 def test_files_have_standard_operators_without_control_flow(files, name):
     content = onnx.load(files / f"{name}.onnx")
     onnx.checker.check_model(content)
@@ -306,11 +313,6 @@ def test_models_with_actors_take_their_weights_after_the_emotions(frontend, sett
     (width,) = (entry.shape[1] for entry in session.get_inputs() if entry.name == "emotion")
     assert width in (len(LABELS) + 2, "emotion_dim_1")
     assert json.loads(session.get_modelmeta().custom_metadata_map["actors"]) == ["ann", "bob"]
-
-
-def test_a_causal_model_with_another_look_ahead_is_refused_in_one_line(tmp_path):
-    with pytest.raises(CheckpointError, match="look 3 frames ahead are exported, such as live"):
-        export_onnx(of_frontend(CAUSAL, positions=False), tmp_path / "x.onnx")
 
 
 def test_speech_like_noise_of_any_length(clip, default):

@@ -29,10 +29,30 @@ TINY = {
 }
 
 
+LOOKS = {
+    "live": ({}, 0.202),
+    "short": ({"ahead": 2, "lead": 1, "rules_ahead": 0}, 0.1),
+    "shortest": ({"ahead": 1, "lead": 1, "rules_ahead": 1}, 0.1),
+}
+"""Settings of the look-ahead, and the most of it in seconds."""
+
+
 @pytest.fixture(scope="session")
 def tiny() -> DEITalk:
+    return model_that_looks({})
+
+
+@pytest.fixture(scope="session", params=LOOKS.values(), ids=LOOKS)
+def looking(request) -> tuple[DEITalk, float]:
+    """A tiny model of each look-ahead, and the most of it in seconds."""
+    settings, most = request.param
+    return model_that_looks(settings), most
+
+
+def model_that_looks(settings: dict[str, int]) -> DEITalk:
     torch.manual_seed(0)
-    config = Config.model_validate({"model": TINY})
+    model = TINY | {"frontend": TINY["frontend"] | settings}
+    config = Config.model_validate({"model": model})
     network = DEITalk(config.model, rules=config.rules).eval()
     with torch.no_grad():
         network.decoder.output.weight.normal_(0, 0.3)

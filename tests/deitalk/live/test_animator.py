@@ -29,10 +29,11 @@ def whole(network, sound, **options):
     return np.concatenate((animator.feed(sound), animator.finish()))
 
 
-def test_pieces_of_any_size_give_the_frames_of_the_whole(tiny, voice, rng):
-    expected = whole(tiny, voice, emotion="happy")
+def test_pieces_of_any_size_give_the_frames_of_the_whole(looking, voice, rng):
+    network, _ = looking
+    expected = whole(network, voice, emotion="happy")
     assert expected.shape == (93, 185) and expected.std(axis=0).max() > 0.05
-    animator = LiveAnimator(tiny, emotion="happy")
+    animator = LiveAnimator(network, emotion="happy")
     for _ in range(2):
         animator.reset()
         assert np.abs(in_pieces(animator, voice, rng) - expected).max() < CLOSE
@@ -58,21 +59,22 @@ def test_streams_in_one_call_give_the_frames_of_each_alone(tiny, voice, rng):
 
 
 @pytest.mark.parametrize("second", [1.0, 2.03])
-def test_frame_depends_on_no_sound_beyond_the_look_ahead(tiny, voice, rng, second):
+def test_frame_depends_on_no_sound_beyond_the_look_ahead(looking, voice, rng, second):
+    network, most = looking
     changed = voice.copy()
     changed[round(second * RATE) :] = 0.2 * rng.standard_normal(len(voice) - round(second * RATE))
-    animator = LiveAnimator(tiny, emotion="happy")
+    animator = LiveAnimator(network, emotion="happy")
     first = animator.feed(voice)
     animator.reset()
     second_frames = animator.feed(changed)
-    assert animator.lookahead_seconds <= 0.202
+    assert animator.lookahead_seconds <= most
     known = int((second - animator.lookahead_seconds) * 30) + 1
     assert np.array_equal(first[:known], second_frames[:known])
     assert np.abs(first[known + 3 :] - second_frames[known + 3 :]).max() > 0.01
 
 
-def test_frames_are_given_as_soon_as_their_look_ahead_has_come(tiny, voice):
-    animator = LiveAnimator(tiny)
+def test_frames_are_given_as_soon_as_their_look_ahead_has_come(looking, voice):
+    animator = LiveAnimator(looking[0])
     given = 0
     for stop in range(160, len(voice), 160):
         given += len(animator.feed(voice[stop - 160 : stop]))

@@ -7,28 +7,29 @@ import torch
 from deitalk.audio.running_level import USUAL_POWER, first_level, follow_level
 from deitalk.audio.voice_activity import BAND_EDGES_HZ, WINDOW
 from deitalk.config.rules import Gates, RulesConfig, VoiceIntensity
-from deitalk.live.activity import GATE_AHEAD, MOST_STEP, RunningActivity
-from deitalk.live.analysis import MEASURED_AHEAD, FrameMeasures, VoiceAnalysis
+from deitalk.live.activity import MOST_STEP, RunningActivity
+from deitalk.live.analysis import FrameMeasures, VoiceAnalysis
 from deitalk.live.intensity import Measures, RunningIntensity, follow_means
-from deitalk.models.protocol import put, take
+from deitalk.models.protocol import SpectraGrid, put, take
 from deitalk.postprocess.feeling import expression_share
 
 BANDS = len(BAND_EDGES_HZ) - 1
+GRIDS = {"live": SpectraGrid(3, 400, 3), "small": SpectraGrid(3, 400, 2, 1, 0)}
 
 
-def gates_of(speaking, *, rest=0.5, noise_db=-75.0, piece=1000):
+def gates_of(speaking, *, rest=0.5, noise_db=-75.0, piece=1000, ahead=5):
     """Gate of the mouth and share of the expression for a voice 30 dB above its noise, fed in
     pieces."""
     levels = np.full((len(speaking), BANDS), noise_db, np.float32)
     levels[np.asarray(speaking, bool)] += 30
-    running, gates, stays = RunningActivity(Gates()), [], np.full(1, rest, np.float32)
+    running, gates, stays = RunningActivity(Gates(), ahead), [], np.full(1, rest, np.float32)
     state = running.first(1)
     for start in range(0, len(levels), piece):
         levels_now = levels[None, start : start + piece]
         held = np.zeros(levels_now.shape[:2], bool)
         _, *found, state = running(levels_now, held, stays, state)
         gates.append([gate[0] for gate in found])
-    return tuple(np.concatenate(parts)[GATE_AHEAD:] for parts in zip(*gates, strict=True))
+    return tuple(np.concatenate(parts)[ahead:] for parts in zip(*gates, strict=True))
 
 
 def spoken(*spans, frames=200):
@@ -38,10 +39,11 @@ def spoken(*spans, frames=200):
     return flags
 
 
-def test_mouth_opens_before_speech_and_closes_after():
-    mouth, _ = gates_of(spoken((60, 100)))
-    assert mouth[60:100].min() == 1 and mouth[:56].max() == 0 and mouth[111:150].max() == 0
-    assert np.all(np.diff(mouth[55:61]) > 0) and np.all(np.diff(mouth[99:111]) < 0)
+@pytest.mark.parametrize(("ahead", "first"), [(5, 56), (3, 58), (2, 59), (1, 60)])
+def test_mouth_opens_before_speech_as_far_as_it_is_known_and_closes_after(ahead, first):
+    mouth, _ = gates_of(spoken((60, 100)), ahead=ahead)
+    assert mouth[60:100].min() == 1 and mouth[:first].max() == 0 and mouth[111:150].max() == 0
+    assert np.all(np.diff(mouth[first - 1 : 61]) > 0) and np.all(np.diff(mouth[99:111]) < 0)
 
 
 def test_closures_are_bridged_and_clicks_left_out():
@@ -71,7 +73,7 @@ def test_gates_are_the_same_for_any_pieces():
 
 def test_steady_noise_becomes_the_floor():
     levels = np.full((120, BANDS), -50, np.float32)
-    running = RunningActivity(Gates())
+    running = RunningActivity(Gates(), 5)
     held, rest = np.zeros((1, 120), bool), np.zeros(1, np.float32)
     on = running(levels[None], held, rest, running.first(1))[0][0, -120:]
     assert on[:30].all() and not on[70:].any()
@@ -131,7 +133,7 @@ def test_intensity_rises_with_the_level_and_not_with_the_gain():
 
 def test_intensity_stays_in_pauses_and_is_the_networks_without_the_rule():
     assert np.ptp(intensity_of(np.linspace(-60, 0, 50), speaking=False)) == 0
-    analysis = VoiceAnalysis(RulesConfig(voice_intensity=None))
+    analysis = VoiceAnalysis(RulesConfig(voice_intensity=None), GRIDS["live"])
     network = np.full((2, 5), 0.3, np.float32)
     rest = np.zeros(2, np.float32)
     silence = np.zeros((2, 5, WINDOW), np.float32)
@@ -152,15 +154,16 @@ def test_means_of_the_opening_move_a_thirtieth_a_frame_of_speech_and_not_in_sile
     np.testing.assert_array_equal(later[0], after)
 
 
-def test_streams_side_by_side_are_heard_as_each_alone_in_any_pieces(rng):
+@pytest.mark.parametrize("grid", GRIDS.values(), ids=GRIDS)
+def test_streams_side_by_side_are_heard_as_each_alone_in_any_pieces(grid, rng):
     """Voices of several levels that began at different times, over the measures of the floor."""
-    analysis, n_frames = VoiceAnalysis(RulesConfig()), 64
+    analysis, n_frames = VoiceAnalysis(RulesConfig(), grid), 64
     sound = 0.1 * rng.standard_normal((3, n_frames, WINDOW)) * (rng.random((3, n_frames, 1)) < 0.6)
     sound = (sound * np.array([1.0, 0.1, 3.0])[:, None, None]).astype(np.float32)
     network, effort = rng.random((2, 3, n_frames)).astype(np.float32)
     rest = np.array([0, 0.3, 1], np.float32)
     state = list(analysis.first(3))
-    put(state, [1], analysis.begin(0.1 + sound[1:2, :MEASURED_AHEAD], analysis.first(1)))
+    put(state, [1], analysis.begin(0.1 + sound[1:2, : grid.delay], analysis.first(1)))
     first, together, at = tuple(state), [], 0
     for size in (1, 7, 30, 2, 24):
         rows = slice(at, at + size)

@@ -54,6 +54,7 @@ CAUSAL = {
     "kind": "causal_whisper", "checkpoint": None, "n_mels": 16, "width": 32, "heads": 4,
     "intermediate": 48, "layers": (1, 2),
 }  # fmt: skip
+SHORT = {"ahead": 1, "lead": 1, "rules_ahead": 0}
 
 
 def of_frontend(frontend, **settings):
@@ -108,10 +109,11 @@ def with_random_parts(network):
     return network
 
 
-@pytest.fixture(scope="module", params=["plain", "tuned"])
+@pytest.fixture(scope="module", params=["plain", "tuned", "short look-ahead"])
 def causal_pair(request, tmp_path_factory):
     parts = TUNED if request.param == "tuned" else {}
-    network = of_frontend(CAUSAL, positions=False, actors=("ann", "bob"), **parts)
+    frontend = CAUSAL | SHORT if request.param == "short look-ahead" else CAUSAL
+    network = of_frontend(frontend, positions=False, actors=("ann", "bob"), **parts)
     network = with_random_parts(network) if parts else network
     return in_folder(network, tmp_path_factory.mktemp("causal") / "model")
 
@@ -389,7 +391,7 @@ def test_a_file_for_other_programs_is_no_model(tmp_path):
         load_onnx(tmp_path / "default.onnx")
 
 
-@pytest.mark.parametrize("name", ["default", "live"])
+@pytest.mark.parametrize("name", ["default", "live", "small"])
 def test_graphs_of_the_package_are_of_its_rules(name):
     """Else torch is imported instead of them: run ``python docs/make_graphs.py``."""
     folder = model_folder(name)
@@ -398,7 +400,9 @@ def test_graphs_of_the_package_are_of_its_rules(name):
     assert (folder / GRAPH).stat().st_size < 200_000
 
 
-@pytest.mark.parametrize(("name", "emotion"), [("default", "angry"), ("live", "happy")])
+@pytest.mark.parametrize(
+    ("name", "emotion"), [("default", "angry"), ("live", "happy"), ("small", "sad")]
+)
 def test_embedded_models_give_the_same_curves_with_either_backend(name, emotion):
     sound = speechlike(12.0)
     made = [

@@ -13,7 +13,6 @@ from deitalk.postprocess.control_groups import ControlGroups
 from deitalk.postprocess.curve_pass import CurvePass, TorchPass
 from deitalk.postprocess.expressions import expression_table
 from deitalk.postprocess.tracks import (
-    LIVE_AHEAD,
     MOTION,
     N_SHOWN,
     N_VARIANTS,
@@ -75,7 +74,7 @@ def passed(rules, given, sizes):
     return [np.concatenate(rows, axis=1) for rows in zip(*parts, strict=True)]
 
 
-@pytest.mark.parametrize("ahead", [None, LIVE_AHEAD])
+@pytest.mark.parametrize("ahead", [None, 2, 1, 0])
 @pytest.mark.parametrize("rules", RULES.values(), ids=RULES)
 def test_blocks_of_any_sizes_and_streams_side_by_side_give_the_same(rules, ahead):
     given = inputs(3, 60, held=True)
@@ -91,7 +90,7 @@ def test_blocks_of_any_sizes_and_streams_side_by_side_give_the_same(rules, ahead
             np.testing.assert_allclose(ours[0], theirs[k], atol=2 * CLOSE)
 
 
-@pytest.mark.parametrize("ahead", [None, LIVE_AHEAD])
+@pytest.mark.parametrize("ahead", [None, 2, 1, 0])
 def test_frames_depend_on_no_reading_beyond_the_look_ahead_and_none_before_the_past(ahead):
     """Contacts at rest, and one reading of 1 that everything near it sees."""
     numbers = TorchPass(CurvePass(CONTROLS, RulesConfig(), ahead))
@@ -101,8 +100,9 @@ def test_frames_depend_on_no_reading_beyond_the_look_ahead_and_none_before_the_p
     changed = np.abs(passed(numbers, given, [60])[0] - passed(numbers, other, [60])[0])
     frames = np.flatnonzero(changed[0].max(axis=-1) > 1e-5) - numbers.ahead  # what comes out
     assert 30 in frames
-    assert 30 - numbers.ahead <= frames.min() < 30 < frames.max() <= 30 + numbers.behind
-    assert numbers.ahead == (6 if ahead is None else LIVE_AHEAD)
+    assert 30 - numbers.ahead <= frames.min() <= 30 - (numbers.ahead > 0)
+    assert 30 < frames.max() <= 30 + numbers.behind
+    assert numbers.ahead == (6 if ahead is None else ahead)
 
 
 def test_gradients_go_through_the_rules_to_both_readings():
@@ -119,7 +119,7 @@ def test_gradients_go_through_the_rules_to_both_readings():
 
 
 def test_work_does_not_grow_with_the_number_of_streams():
-    rules, counts = TorchPass(CurvePass(CONTROLS, ahead=LIVE_AHEAD)), []
+    rules, counts = TorchPass(CurvePass(CONTROLS, ahead=2)), []
     for batch in (4, 64):
         given = inputs(batch, 3)
         with torch.profiler.profile() as profile:
