@@ -194,7 +194,7 @@ class Sounds:
         first = self.begins[source] + (chance.uniform(count) * free).long()
         steps = torch.arange(self.length, device=chance.device)
         found = []
-        for begin, factor in zip(first.split(PART), speed.split(PART), strict=True):
+        for begin, factor in zip(torch.split(first, PART), torch.split(speed, PART), strict=True):
             at = steps * factor[:, None]
             whole = at.floor().long()
             left, right = (self.samples[begin[:, None] + whole + k].float() / 32768 for k in (0, 1))
@@ -205,12 +205,13 @@ class Sounds:
 def at_level(sound: Tensor) -> Tensor:
     """Windows (B, S) whose louder frames have the level `LEVEL_DB`."""
     hop = SAMPLE_RATE // FRAME_RATE
-    power = sound[:, : sound.shape[1] // hop * hop].unflatten(1, (-1, hop)).square().mean(2)
+    power = sound[:, : sound.shape[1] // hop * hop].reshape(len(sound), -1, hop).square().mean(2)
     mean = power.mean(1, keepdim=True)
     for _ in range(2):
         loud = (power > 0.1 * mean).float()
         mean = (power * loud).sum(1, keepdim=True) / loud.sum(1, keepdim=True).clamp_min(1)
-    return sound * (10 ** (LEVEL_DB / 20) / mean.clamp_min(1e-8).sqrt())
+    level = mean.clamp_min(1e-8).sqrt()
+    return sound / level * 10 ** (LEVEL_DB / 20)
 
 
 class Changes:
@@ -240,7 +241,7 @@ class Changes:
 
     def __call__(self, windows: Tensor) -> Tensor:
         """Change windows (B, S) of clean speech at one level."""
-        return torch.cat([self._changed(part, windows) for part in windows.split(PART)])
+        return torch.cat([self._changed(part, windows) for part in torch.split(windows, PART)])
 
     def _changed(self, sound: Tensor, voices: Tensor) -> Tensor:
         count, uniform = len(sound), self.chance.uniform
@@ -348,9 +349,9 @@ class Student(NamedTuple):
         ConfigError
             If it has others.
         """
-        frontend, lips, config = model.frontend, model.lips, model.config
-        causal = isinstance(frontend, CausalWhisperFrontend) and config.effort
-        if not causal or lips is None or frontend.config.learns == "nothing":
+        frontend, lips = model.frontend, model.lips
+        learns = getattr(model.config.frontend, "learns", "") == "everything"
+        if lips is None or not (learns and model.is_causal and model.config.effort):
             raise ConfigError(
                 "--config: needs model.frontend of the kind causal_whisper that learns everything, "
                 "model.effort and model.lips; begin with configs/small.yaml"
@@ -401,7 +402,8 @@ class Lessons:
         clean = at_level(sounds.windows(count, self.chance, at_any_speed=changed))
         emotion = self._emotions(count)
         taught = [
-            self._taught(*part) for part in zip(clean.split(PART), emotion.split(PART), strict=True)
+            self._taught(*part)
+            for part in zip(torch.split(clean, PART), torch.split(emotion, PART), strict=True)
         ]
         spectra = self._spectra(self.changes(clean) if changed else clean)
         spectra = self._masked(spectra) if changed else spectra
@@ -429,7 +431,7 @@ class Lessons:
     def _spectra(self, sound: Tensor) -> Tensor:
         """Spectra (B, M, F) of windows (B, S) at the running level."""
         per, found = self.frontend.spectra, []
-        for part in sound.split(PART):
+        for part in torch.split(sound, PART):
             windows = self.mel.windows(part, self.total * per, -self.frontend.lead)
             level = self.frontend.first_state(len(part)).level
             found.append(self.mel.decades(levelled(windows, per, level)[0]))
@@ -543,7 +545,7 @@ class Training:
         while done < self.size.steps:
             chunk = self.lessons.lesson(self.sounds, self.size.chunk, changed=True)
             order = torch.randperm(self.size.chunk, device=self.lessons.chance.device)
-            for part in order.split(self.size.batch)[: self.size.steps - done]:
+            for part in torch.split(order, self.size.batch)[: self.size.steps - done]:
                 loss = self._step(chunk.at(part), done)
                 done += 1
                 yield done, loss
@@ -589,7 +591,7 @@ class Training:
     @torch.no_grad()
     def report(self, lesson: Lesson) -> str:
         """Losses of the mean weights in a lesson, as text."""
-        student, parts = self.average(), torch.arange(len(lesson.curves)).split(PART)
+        student, parts = self.average(), torch.split(torch.arange(len(lesson.curves)), PART)
         rows = [self.losses(student, lesson.at(part)) for part in parts]
         means = {name: sum(float(row[name]) for row in rows) / len(rows) for name in rows[0]}
         return ", ".join(f"{name} {value:.4f}" for name, value in means.items())
@@ -638,6 +640,8 @@ def train(given: argparse.Namespace) -> None:
     device, begun = torch.device(given.device), time.monotonic()
     torch.manual_seed(given.seed)
     config = load_config(given.config)
+    if not isinstance(config, Config):
+        raise ConfigError(f"{given.config}: describes a model of meshes; use configs/small.yaml")
     teacher = require_model(given.teacher, DEITalk, device=given.device).requires_grad_(False)
     if teacher.lips is None or not teacher.config.effort:
         raise ConfigError(f"--teacher {given.teacher}: has no readout of lips or effort")
