@@ -632,40 +632,52 @@ def spoken(
     return found
 
 
-def train(given: argparse.Namespace) -> None:
-    """Train and write a model; the arguments are those of the command."""
-    check_folder(given.out, kind="model", force=True)
-    require_device(given.device)
+def prepare(given: argparse.Namespace, config: Config) -> tuple[Training, Lesson | None]:
+    """The training of the command's arguments, and a lesson of validation speakers, if any."""
     size = Size(given.steps, given.batch, given.chunk, given.frames)
-    device, begun = torch.device(given.device), time.monotonic()
-    torch.manual_seed(given.seed)
-    config = load_config(given.config)
-    if not isinstance(config, Config):
-        raise ConfigError(f"{given.config}: describes a model of meshes; use configs/small.yaml")
+    device, shares = torch.device(given.device), dict(given.share)
     teacher = require_model(given.teacher, DEITalk, device=given.device).requires_grad_(False)
     if teacher.lips is None or not teacher.config.effort:
         raise ConfigError(f"--teacher {given.teacher}: has no readout of lips or effort")
     torch.backends.cuda.matmul.allow_tf32 = torch.backends.cudnn.allow_tf32 = True
     student = begin(config, teacher, device)
+    paths = spoken(given.recordings, given.lips, given.held_out)
+    for source in shares.keys() - paths["train"].keys():
+        known = ", ".join(sorted(paths["train"]))
+        raise ConfigError(f"--share {source}: no such source in train; name one of {known}")
     total = size.frames + student.frontend.delay
     length = round((total + 1) * SAMPLE_RATE / FRAME_RATE) + 400
-    paths = spoken(given.recordings, given.lips, given.held_out)
     surroundings = Surroundings.read(given.noise, given.rooms)
-    chance, shares = Chance(given.seed + 1, device), dict(given.share)
-    changes = Changes(surroundings, length, chance)
+    changes = Changes(surroundings, length, Chance(given.seed + 1, device))
     lessons = Lessons(teacher, student, changes, size.frames)
-    training = Training(student, lessons, Sounds(paths["train"], shares, length, device), size)
-    known = None
-    if paths["validation"]:
-        sounds = Sounds(paths["validation"], shares, length, device)
-        known = lessons.lesson(sounds, min(size.chunk, VALIDATION_WINDOWS), changed=False)
+    taught = Sounds(paths["train"], shares, length, device)
+    for (source, files), samples in zip(paths["train"].items(), taught.sizes, strict=True):
+        minutes = int(samples) / SAMPLE_RATE / 60
+        sys.stdout.write(f"{source}: {len(files)} recordings for training, {minutes:.1f} min\n")
+    training = Training(student, lessons, taught, size)
+    if not paths["validation"]:
+        return training, None
+    judged = Sounds(paths["validation"], shares, length, device)
+    count = min(size.chunk, VALIDATION_WINDOWS)
+    return training, lessons.lesson(judged, count, changed=False)
+
+
+def train(given: argparse.Namespace) -> None:
+    """Train and write a model; the arguments are those of the command."""
+    check_folder(given.out, kind="model", force=True)
+    require_device(given.device)
+    torch.manual_seed(given.seed)
+    begun, config = time.monotonic(), load_config(given.config)
+    if not isinstance(config, Config):
+        raise ConfigError(f"{given.config}: describes a model of meshes; use configs/small.yaml")
+    training, judged = prepare(given, config)
     for step, loss in training.run():
-        if step % REPORT_STEPS == 0 or step == size.steps:
-            losses = training.report(known) if known else "no recording of validation speakers"
-            seconds = time.monotonic() - begun
-            sys.stdout.write(f"step {step}: loss {float(loss):.3f}; {losses}; {seconds:.0f} s\n")
+        if step % REPORT_STEPS == 0 or step == given.steps:
+            losses = training.report(judged) if judged else "no recording of validation speakers"
+            passed = time.monotonic() - begun
+            sys.stdout.write(f"step {step}: loss {float(loss):.3f}; {losses}; {passed:.0f} s\n")
             sys.stdout.flush()
-    save_student(given.out, training.average(), config, given.teacher, size.steps)
+    save_student(given.out, training.average(), config, given.teacher, given.steps)
     sys.stdout.write(f"{given.out}\n")
 
 
