@@ -400,7 +400,7 @@ class LiveAnimator:
             windows, _, _ = self._windows([self.streams[k] for k in new], delay)
             put(self.state, new, self.network.begin(windows, take(self.state, new)))
             starts = np.arange(delay) * SAMPLE_RATE // FRAME_RATE - WINDOW // 2
-            sound = np.stack([self.streams[k].sound.windows(starts, WINDOW) for k in new])
+            sound = np.array([self.streams[k].sound.windows(starts, WINDOW) for k in new])
             put(self.past, new, self.analysis.begin(sound, take(self.past, new)))
 
     def _directed(self, streams: Sequence[Stream], count: int) -> tuple[Float32, Float32]:
@@ -410,7 +410,7 @@ class LiveAnimator:
             parts = zip(*[one.directed(count) for one in streams], strict=True)
             emotion, wanted = (np.stack(part) for part in parts)
             return emotion, wanted
-        emotion = np.stack([weights for weights, _ in fixed]).astype(np.float32)
+        emotion = np.array([weights for weights, _ in fixed]).astype(np.float32)
         wanted = np.array([intensity for _, intensity in fixed], np.float32)
         return np.repeat(emotion[:, None], count, axis=1), np.repeat(wanted[:, None], count, axis=1)
 
@@ -439,8 +439,8 @@ class LiveAnimator:
             rows = [one.sound.windows(one.spectrum_starts(count), length) for one in streams]
             starts = [one.measured_starts(count) for one in streams]
             pairs = zip(streams, starts, strict=True)
-            sound = np.stack([one.sound.windows(at, WINDOW) for one, at in pairs])
-            windows = np.stack(rows)
+            sound = np.array([one.sound.windows(at, WINDOW) for one, at in pairs])
+            windows = np.array(rows)
         others: list[Float32 | None] = [None] * len(streams)
         for k, one in enumerate(streams):
             one.groups += count
@@ -458,7 +458,7 @@ class LiveAnimator:
         windows, sound, others = self._windows(streams, count)
         ruled = np.array([stream.acting.rules for stream in streams], np.float32)
         # The network: two readings.
-        actors = np.stack([stream.actor for stream in streams])[:, None]
+        actors = np.array([stream.actor for stream in streams])[:, None]
         actors = np.broadcast_to(actors, (*wanted.shape, actors.shape[-1]))
         styles = np.concatenate((trained_weights(emotion), actors), axis=-1)
         rows, state = self.network.advance(windows, styles, self._taken(self.state, ready))
@@ -489,7 +489,7 @@ class LiveAnimator:
         phones = np.zeros((*scale.shape, 4), np.float32)
         back, kept, _ = found.held
         ways = [stream.ways for stream in streams]
-        variants = emotion @ np.stack([way.weights for way in ways])
+        variants = emotion @ np.array([way.weights for way in ways])
         side = np.repeat([[way.side] for way in ways], count, axis=1)
         voice = VoiceTracks(
             scale, opening, holds, phones, emotion, back, kept, variants, side
@@ -506,14 +506,14 @@ class LiveAnimator:
         mouth = np.where(with_rules, found.mouth, 1)
         expression = np.where(with_rules & ~keyed, found.expression, 1)
         if any([stream.shut for stream in streams]):
-            mouth = mouth * np.stack([stream.mouth_share(count) for stream in streams])
+            mouth = mouth * np.array([stream.mouth_share(count) for stream in streams])
         numbers = [stream.n_given for stream in streams]
         given = [stream.given(count) for stream in streams]
         shown = shown_columns(mouth, expression, None)
         acted = mixture[:, :count] * expression[..., None]
         heads = self._move(ready, given, speaking[:, :count], acted, shown)
         # The rules, in their order: `deitalk.postprocess.curve_pass`.
-        gain = np.stack([stream.gain for stream in streams])
+        gain = np.array([stream.gain for stream in streams])
         curves, _, _, after = self.rules(
             rows.neutral, rows.emotional, voice, shown, gain, ruled, before
         )
@@ -616,7 +616,7 @@ def are_plain(rows: Sequence[Any]) -> bool:
     shapes = [row.shape for row in rows if type(row) is np.ndarray and row.dtype == np.float32]
     if shapes.count(shapes[0]) < len(rows) if shapes else True:
         return False
-    return len(shapes[0]) == 1 and bool(np.isfinite(np.stack(rows)).all())
+    return len(shapes[0]) == 1 and bool(np.isfinite(np.array(rows)).all())
 
 
 def checked_samples(samples: Samples) -> Float32:

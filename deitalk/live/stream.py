@@ -69,7 +69,7 @@ class Sound:
     def together(cls, sounds: Sequence["Sound"]) -> "Sound":
         """Put sounds of equal length side by side."""
         one = cls()
-        one.samples = np.stack([sound.samples for sound in sounds])
+        one.samples = np.array([sound.samples for sound in sounds])
         one.begin, one.end = sounds[0].begin, sounds[0].end
         return one
 

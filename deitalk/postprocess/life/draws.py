@@ -59,8 +59,8 @@ def normals(shares: Float64) -> Float64:
 def _ratio(x: Float64, coefficients: Float64) -> Float64:
     """Ratio of two polynomials, of whose coefficients the highest powers come first."""
     both = np.zeros((2, *x.shape))
-    for power in coefficients.T:  # Horner's scheme for both
-        both = both * x + power.reshape(2, *[1] * x.ndim)
+    for power in coefficients.T.reshape(-1, 2, *[1] * x.ndim):  # Horner's scheme for both
+        both = both * x + power
     ratio: Float64 = both[0] / both[1]
     return ratio
 
