@@ -38,10 +38,20 @@ def diff(
         ),
     ] = 0.01,
     delay: Annotated[
-        int, typer.Option(help="Frames of --delay that the edited file alone was written with.")
+        int,
+        typer.Option(
+            min=-MOST_DELAY,
+            max=MOST_DELAY,
+            help="Frames of --delay that the edited file alone was written with.",
+        ),
     ] = 0,
     handles: Annotated[
-        int, typer.Option(help="The same of --handles; those of the take are known.")
+        int,
+        typer.Option(
+            min=0,
+            max=MOST_HANDLES,
+            help="The same of --handles; those of the take are known.",
+        ),
     ] = 0,
     force: Force = False,
     as_json: Json = False,

@@ -118,7 +118,7 @@ def animate_mesh(
         if isinstance(speaker, Identity):
             raise CheckpointError(
                 f"{speaker.file or speaker.name} is a head for curves, and this model moves faces "
-                "of its own; leave out --identity or --model, or move any mesh with --mesh"
+                "of its own; leave out the identity or the model, or move a mesh of yours"
             )
         return _by_gradients(
             require_model(network, MeshModel), recording, speaker, fps, acted, progress

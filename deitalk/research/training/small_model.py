@@ -353,7 +353,7 @@ class Student(NamedTuple):
         learns = getattr(model.config.frontend, "learns", "") == "everything"
         if lips is None or not (learns and model.is_causal and model.config.effort):
             raise ConfigError(
-                "--config: needs model.frontend of the kind causal_whisper that learns everything, "
+                "the configuration needs model.frontend of the kind causal_whisper that learns everything, "
                 "model.effort and model.lips; begin with configs/small.yaml"
             )
         return cls(model, cast("CausalWhisperFrontend", frontend), lips)
@@ -638,13 +638,13 @@ def prepare(given: argparse.Namespace, config: Config) -> tuple[Training, Lesson
     device, shares = torch.device(given.device), dict(given.share)
     teacher = require_model(given.teacher, DEITalk, device=given.device).requires_grad_(False)
     if teacher.lips is None or not teacher.config.effort:
-        raise ConfigError(f"--teacher {given.teacher}: has no readout of lips or effort")
+        raise ConfigError(f"teacher {given.teacher}: has no readout of lips or effort")
     torch.backends.cuda.matmul.allow_tf32 = torch.backends.cudnn.allow_tf32 = True
     student = begin(config, teacher, device)
     paths = spoken(given.recordings, given.lips, given.held_out)
     for source in shares.keys() - paths["train"].keys():
         known = ", ".join(sorted(paths["train"]))
-        raise ConfigError(f"--share {source}: no such source in train; name one of {known}")
+        raise ConfigError(f"share {source}: no such source in train; name one of {known}")
     total = size.frames + student.frontend.delay
     length = round((total + 1) * SAMPLE_RATE / FRAME_RATE) + 400
     surroundings = Surroundings.read(given.noise, given.rooms)

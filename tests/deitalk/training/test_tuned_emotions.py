@@ -107,9 +107,12 @@ def test_emotions_move_the_jaw_of_a_calm_actor_less(base, calm, emotion):
     assert np.corrcoef(found[:, place], of_base[:, place])[0, 1] > 0.999
 
 
-@pytest.mark.parametrize(("size", "shape"), [(1.0, 1), (0.5, 1), (0.5, 3), (0.3, 3), (0.1, 3)])
+@pytest.mark.parametrize(("size", "shape"), [(1.0, 1), (0.5, 1), (0.5, 3), (0.3, 3)])
 def test_no_emotion_widens_the_jaw_of_an_actor_more_than_the_base(rng, size, shape):
-    """Whatever the actor's jaw is of the base's: smaller, or mostly shut with wide openings."""
+    """Whether the actor's jaw is smaller than the base's, or mostly shut with wide openings.
+
+    A jaw that hardly moves is another case: of an emotion `CALMEST` is always left.
+    """
     calm = np.abs(np.sin(np.linspace(0, 40, 3000))) * 0.4
     acted = np.stack([calm, 0.7 * calm, 1.5 * calm, 0.2 + calm, 0.1 + 1.2 * calm])
     own = np.float32(size * 0.4 * (calm / 0.4) ** shape + rng.normal(0, 0.005, calm.shape))

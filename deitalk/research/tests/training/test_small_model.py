@@ -82,9 +82,9 @@ def test_configuration_is_that_of_the_embedded_model():
     [
         (["--steps", "0"], "'0' must be a whole number of 1 or more"),
         (["--share", "made"], "'made' is not SOURCE=NUMBER"),
-        (["--share", "grid=2"], "--share grid: no such source in train; name one of made"),
+        (["--share", "grid=2"], "share grid: no such source in train; name one of made"),
         (["--config", str(CONFIG.with_name("mel.yaml"))], "needs model.frontend of the kind"),
-        (["--teacher", "mel"], "--teacher mel: has no readout"),
+        (["--teacher", "mel"], "teacher mel: has no readout"),
         (["--device", "abacus"], "abacus"),
         (["--held-out", f"made:{SPEAKER}"], "no recording of a training speaker"),
     ],
