@@ -10,6 +10,7 @@ from deitalk.cli.console import bar, console, emit_json
 from deitalk.cli.options import Delay, Device, Force, Handles, Json, Model, Timecode
 from deitalk.cli.targets import reserve_file, reserve_folder
 from deitalk.errors import DeitalkError
+from rig.limits import MOST_DELAY, MOST_HANDLES
 
 
 def diff(

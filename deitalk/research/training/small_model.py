@@ -353,8 +353,8 @@ class Student(NamedTuple):
         learns = getattr(model.config.frontend, "learns", "") == "everything"
         if lips is None or not (learns and model.is_causal and model.config.effort):
             raise ConfigError(
-                "the configuration needs model.frontend of the kind causal_whisper that learns everything, "
-                "model.effort and model.lips; begin with configs/small.yaml"
+                "the configuration needs model.frontend of the kind causal_whisper that learns "
+                "everything, model.effort and model.lips; begin with configs/small.yaml"
             )
         return cls(model, cast("CausalWhisperFrontend", frontend), lips)
 
