@@ -100,7 +100,7 @@ share: float = performance.mean_applied_intensity
 deitalk.animate_mesh("a.wav", "happy", speaker=1).save("face.glb")
 read_curves("take/curves.csv").resample(24)
 reveal_type(performance)
-deitalk.animate("a.wav", intensity="loud")
+deitalk.animate("a.wav", track="loud")
 """
 
 
@@ -117,5 +117,5 @@ def test_type_hints_are_exported(tmp_path):
     )  # fmt: skip
     lines = done.stdout.splitlines()
     assert 'Revealed type is "deitalk.pipeline.performance.Performance"' in lines[0]
-    assert 'incompatible type "str"; expected "float"' in lines[1]
+    assert 'incompatible type "str"; expected "int | None"' in lines[1]
     assert lines[2].startswith("Found 1 error")
