@@ -181,7 +181,7 @@ HEARD = np.arange(RUNS) * 16_000 // 30 - 512
 
 
 @pytest.mark.thorough
-@pytest.mark.slow  # passes alone; fails within the whole run, for a cause not found yet
+@pytest.mark.slow  # a second Playwright: fails where another one is open in the process
 def test_microphone_moves_the_face_as_the_live_model_of_python_does(site, tmp_path):
     """Chromium's stand-in for a microphone plays a recording."""
     soundfile.write(tmp_path / "said.wav", load_audio("docs/samples/promise.flac").waveform, 16_000)
@@ -213,7 +213,7 @@ def test_microphone_moves_the_face_as_the_live_model_of_python_does(site, tmp_pa
 
 
 @pytest.mark.thorough
-@pytest.mark.slow  # passes alone; fails within the whole run, for a cause not found yet
+@pytest.mark.slow  # a second Playwright: fails where another one is open in the process
 def test_site_without_live_has_no_button_for_it(tmp_path):
     needs_player()
     ran("export", "web", "-o", tmp_path / "site", "--no-live")
