@@ -4,7 +4,7 @@ Letters: S samples, n frames of a call, P spectra a frame, W samples of a spectr
 """
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -12,9 +12,7 @@ from deitalk.acting import Acting
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE, frame_count
 from deitalk.audio.voice_activity import WINDOW
 from deitalk.emotions import EmotionTrack
-from deitalk.models.protocol import (
-    SpectraGrid,
-)
+from deitalk.models.protocol import SpectraGrid
 from deitalk.postprocess.feeling import fade
 from deitalk.postprocess.joins import MOST_HEAD_FRAMES, Edge, Passage
 from deitalk.postprocess.life.voice import Seeds, Traits
@@ -23,10 +21,6 @@ from rig import ControlSet
 from rig.arrays import Float32, Int64
 from rig.curves import HEAD
 from rig.curves.edit import gain_factors
-
-if TYPE_CHECKING:
-    pass
-
 
 CLOSING_FRAMES, OPENING_FRAMES = 3, 5
 """Frames in which the mouth of a voice that is interrupted shuts: a tenth of a second; and over

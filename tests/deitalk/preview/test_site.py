@@ -75,8 +75,18 @@ def here(browser, address):
 
 
 @pytest.fixture(scope="module")
-def tab(site):
-    with chromium() as browser, served(site) as address, here(browser, address) as tab:
+def browser(tmp_path_factory):
+    """The one browser of these tests; its stand-in for a microphone plays a recording."""
+    said = tmp_path_factory.mktemp("sound") / "said.wav"
+    soundfile.write(said, load_audio("docs/samples/promise.flac").waveform, 16_000)
+    flags = f"--use-file-for-fake-audio-capture={said}", "--use-fake-ui-for-media-stream"
+    with chromium(*flags) as browser:
+        yield browser
+
+
+@pytest.fixture(scope="module")
+def tab(browser, site):
+    with served(site) as address, here(browser, address) as tab:
         yield tab
 
 
@@ -181,13 +191,9 @@ HEARD = np.arange(RUNS) * 16_000 // 30 - 512
 
 
 @pytest.mark.thorough
-@pytest.mark.slow  # a second Playwright: fails where another one is open in the process
-def test_microphone_moves_the_face_as_the_live_model_of_python_does(site, tmp_path):
-    """Chromium's stand-in for a microphone plays a recording."""
-    soundfile.write(tmp_path / "said.wav", load_audio("docs/samples/promise.flac").waveform, 16_000)
-    said = f"--use-file-for-fake-audio-capture={tmp_path / 'said.wav'}"
-    flags = said, "--use-fake-ui-for-media-stream"
-    with chromium(*flags) as browser, served(site) as address, here(browser, address) as tab:
+def test_microphone_moves_the_face_as_the_live_model_of_python_does(browser, site):
+    """Curves of what the stand-in for a microphone says."""
+    with served(site) as address, here(browser, address) as tab:
         tab.evaluate(SPOKEN)
         tab.click("#emotions button:has-text('angry')")
         tab.click("#live")
@@ -213,12 +219,10 @@ def test_microphone_moves_the_face_as_the_live_model_of_python_does(site, tmp_pa
 
 
 @pytest.mark.thorough
-@pytest.mark.slow  # a second Playwright: fails where another one is open in the process
-def test_site_without_live_has_no_button_for_it(tmp_path):
-    needs_player()
+def test_site_without_live_has_no_button_for_it(browser, tmp_path):
     ran("export", "web", "-o", tmp_path / "site", "--no-live")
     assert not (tmp_path / "site/live.onnx.gz").exists()
-    with chromium() as browser, served(tmp_path / "site") as address, here(browser, address) as tab:
+    with served(tmp_path / "site") as address, here(browser, address) as tab:
         assert not tab.is_visible("#live")
 
 
