@@ -12,8 +12,9 @@ class FlatKernel:
 
     def __call__(self, weight: Tensor) -> Tensor:
         """Matrix of weights (out, in, K), whose rows are those of `joined_taps`."""
-        tracing: bool = torch._C._get_tracing_state() is not None
-        if tracing or (weight.requires_grad and torch.is_grad_enabled()):
+        if torch.jit.is_tracing() or (  # type: ignore[attr-defined, no-untyped-call]
+            weight.requires_grad and torch.is_grad_enabled()
+        ):
             return weight.permute(0, 2, 1).flatten(1)
         state = (weight.data_ptr(), weight._version)
         if self._kept is None or self._kept[0] != state:

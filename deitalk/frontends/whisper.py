@@ -520,29 +520,29 @@ class WhisperFrontend(StridedFrontend):
 
     def surveys(self, sounds: Sequence[Float32]) -> Tensor:
         """Logarithm to base 10 (N,) of the loudest mel power of each of N clips (S,)."""
-        pieces: list[tuple[Float32, int]] = []
+        pieces: list[tuple[int, int, int]] = []  # spectra, clip, first sample
         for clip, sound in enumerate(sounds):
             n_frames = self.count(len(sound)) * self.spectra
             for first in range(0, n_frames, SURVEYED):
-                at = centres(first, min(SURVEYED, n_frames - first), self.mel.rate)
-                begin, end = int(at[0]) - N_FFT // 2, int(at[-1]) + N_FFT // 2
-                piece = sound[max(begin, 0) : max(end, 0)]
-                pieces.append((np.pad(piece, (max(-begin, 0), 0)), clip))
-        pieces.sort(key=lambda piece: -len(piece[0]))
+                begin = int(centres(first, 1, self.mel.rate)[0]) - N_FFT // 2
+                pieces.append((min(SURVEYED, n_frames - first), clip, begin))
+        pieces.sort(reverse=True)
         found = self.mel.window.new_full((len(sounds),), math.log10(SILENCE))
         while pieces:
-            length = max(len(pieces[0][0]), N_FFT)
+            starts = centres(0, pieces[0][0], self.mel.rate)
+            length = int(starts[-1]) + N_FFT
             taken = max(TOGETHER_SAMPLES // length, 1)
             group, pieces = pieces[:taken], pieces[taken:]
+            counts, owners, _ = torch.tensor(group).T
             padded = np.zeros((len(group), length), np.float32)
-            for row, (piece, _) in zip(padded, group, strict=True):
-                row[: len(piece)] = piece
-            count = int((length - N_FFT) * self.mel.rate // SAMPLE_RATE) + 1
-            starts = torch.from_numpy(centres(0, count, self.mel.rate)).to(found.device)
-            windows = torch.from_numpy(padded).to(found.device).unfold(1, N_FFT, 1)[:, starts]
-            loudest = self.mel.decades(windows).amax(dim=(1, 2))
-            owners = torch.tensor([clip for _, clip in group]).to(found.device)
-            found.scatter_reduce_(0, owners, loudest, "amax")
+            for row, (_, clip, begin) in zip(padded, group, strict=True):
+                piece = sounds[clip][max(begin, 0) : begin + length]
+                row[max(-begin, 0) :][: len(piece)] = piece
+            places = torch.from_numpy(starts).to(found.device)
+            windows = torch.from_numpy(padded).to(found.device).unfold(1, N_FFT, 1)[:, places]
+            own = (torch.arange(len(starts)) < counts[:, None]).to(found.device)
+            power = self.mel.decades(windows).amax(dim=2).where(own, math.log10(SILENCE))
+            found.scatter_reduce_(0, owners.to(found.device), power.amax(dim=1), "amax")
         return found
 
     def features(self, waveform: Tensor, context: Tensor | None = None) -> Tensor:

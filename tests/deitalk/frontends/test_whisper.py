@@ -11,6 +11,7 @@ from transformers import WhisperFeatureExtractor, WhisperForConditionalGeneratio
 from transformers.models.whisper.modeling_whisper import WhisperEncoder as TheirEncoder
 
 from deitalk.audio.frames import frame_count
+from deitalk.audio.log_mel import loudest
 from deitalk.config.curves import Config
 from deitalk.config.frontends import WhisperConfig
 from deitalk.errors import CheckpointError
@@ -296,3 +297,18 @@ def test_all_that_recordings_read_together_need_is_on_the_network_s_device(tmp_p
     curves = model.decode(analysis, model.styles(torch.from_numpy(weights), "").to(model.device))
     assert curves.shape[:2] == (2, counts[2])
     assert {part.device.type for part in (*rows, analysis.strength, curves)} == {"meta"}
+
+
+@pytest.mark.parametrize("seconds", [(0.01,), (0.3, 2.0), (59.9, 60.0, 60.1), (130.0, 8.0, 0.5)])
+def test_clips_are_surveyed_together_as_each_by_numpy(seconds):
+    """The loudest spectrum may lie in any piece of a minute, also at a clip's very end."""
+    frontend, rng = tiny(), np.random.default_rng(5)
+    sounds = [0.01 * rng.standard_normal(int(16_000 * s)).astype(np.float32) for s in seconds]
+    for place, sound in enumerate(sounds):
+        sound[[0, len(sound) // 2, -1][place % 3]] = 3.0
+    mel = frontend.mel
+    expected = [
+        loudest(sound, TINY["n_mels"], frontend.count(len(sound)) * frontend.spectra, mel.rate)
+        for sound in sounds
+    ]
+    np.testing.assert_allclose(frontend.surveys(sounds), expected, atol=1e-5)
