@@ -19,7 +19,7 @@ from deitalk.postprocess.life.head import (
     Head,
     draw_nods,
 )
-from deitalk.postprocess.life.motion import plan_motion
+from deitalk.postprocess.life.motion import Character, Moved, plan_motion, plan_motions
 from deitalk.postprocess.life.play import LOWER_LID
 from deitalk.postprocess.life.voice import (
     Accent,
@@ -355,3 +355,21 @@ def test_amounts_reject_other_names_and_numbers(life):
 def test_look_rejects_what_are_no_two_angles(look):
     with pytest.raises(DeitalkError, match="look_at"):
         place_of(look)
+
+
+def test_takes_side_by_side_move_as_each_alone():
+    """Of any lengths, seeds and emotions, beside one that listens to another and mirrors it."""
+    takes = []
+    for seed, (n_frames, emotion) in enumerate([(40, "sad"), (900, "happy"), (1500, "angry")]):
+        phrases = tuple(Phrase(at, at + 75, False) for at in range(5, n_frames - 80, 90))
+        voice = Voice(n_frames, np.zeros(n_frames, np.float32), (), phrases, ())
+        mixture = np.zeros((n_frames, len(LABELS)), np.float32)
+        mixture[:, LABELS.index(emotion)] = 1
+        takes.append(Moved(voice, mixture, Character(Seeds((0, 0, seed)))))
+    takes[1] = takes[1]._replace(heard=VOICE, felt=shown("sad"))
+    for take, together in zip(takes, plan_motions(takes), strict=True):
+        (alone,) = plan_motions([take])
+        assert len(together.head) == take.voice.n_frames
+        for ours, theirs in zip(together.tracks, alone.tracks, strict=True):
+            np.testing.assert_array_equal(ours, theirs)
+        np.testing.assert_array_equal(together.head, alone.head)
