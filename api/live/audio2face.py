@@ -26,8 +26,8 @@ from nvidia_audio2face_3d import messages_pb2 as a2f
 from api.compute.live import MODEL
 from api.errors import Problem, problem_for
 from api.guard.keys import Caller, KeyRing, client_of, require
-from api.live.messages import QUIET_SECONDS, START_SECONDS
-from api.live.session import BACKLOG_SECONDS, LiveStream
+from api.live.session import QUIET_SECONDS, START_SECONDS
+from api.live.stream import BACKLOG_SECONDS, LiveStream
 from api.service import Service
 from deitalk.acting import Acting
 from deitalk.audio.frames import FRAME_RATE

@@ -11,7 +11,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
-from deitalk.audio.log_mel import mel_filters
+from deitalk.audio.mel_filters import mel_filters
 
 LOWEST_HZ, HIGHEST_HZ = 50, 7600
 MEAN, SPREAD = -6.5, 3.5

@@ -96,15 +96,14 @@ class Performer:
             return work()
         except UserError as error:
             return Outcome(order.output, "full" if _is_full(error) else "failed", str(error))
-        except MemoryError:
-            text = "not enough memory; give a shorter recording, or use fewer workers"
-            return Outcome(order.output, "failed", text)
-        except OSError as error:
-            text = one_line(error.strerror or error)
-            return Outcome(order.output, "full" if _is_full(error) else "failed", text)
         except Exception as error:  # one line must not end a night's work
-            text = one_line(f"{type(error).__name__}: {error}")
-            return Outcome(order.output, "failed", text)
+            text = f"{type(error).__name__}: {error}"
+            if isinstance(error, MemoryError):
+                text = "not enough memory; give a shorter recording, or use fewer workers"
+            elif isinstance(error, OSError):
+                text = str(error.strerror or error)
+            status = "full" if _is_full(error) else "failed"
+            return Outcome(order.output, status, one_line(text))
 
     def _prepared(self, order: Order) -> tuple[str, "Prepared"] | Outcome:
         """Hash of a line's recording, and the line ready for the network; or its result."""
@@ -162,26 +161,19 @@ class Performer:
         if start and not any(has_option(suffix, "start") for suffix in written.formats):
             note = f"{', '.join(written.formats)} without time code: starts at 0"
         folder, targets = self._write(order, performance, start, extras)
+        edges = None
+        if order.with_edges:
+            first, last = (str(edge_of(performance, "edge", last=end)) for end in (False, True))
+            edges = first, last
+        warnings = *performance.recording.warnings, *notes, note, *findings(performance)
         return Outcome(
             order.output,
             "done",
             sound=sound,
             seconds=prepared.recording.duration,
             frames=len(performance.curves),
-            warnings=(
-                *performance.recording.warnings,
-                *notes,
-                *filter(None, [note]),
-                *findings(performance),
-            ),
-            edges=(
-                (
-                    str(edge_of(performance, "edge", last=False)),
-                    str(edge_of(performance, "edge", last=True)),
-                )
-                if order.with_edges
-                else None
-            ),
+            warnings=tuple(filter(None, warnings)),
+            edges=edges,
             stage=str(folder),
             targets=targets,
             files=tuple(_files(folder, targets)),
@@ -199,12 +191,12 @@ class Performer:
         }  # fmt: skip
         seconds = performance.recording.duration
         spoken = {"sound": performance.sound_file, "seconds": seconds}
-        digits = {"digits": order.written.digits}
+        digits = {"digits": written.digits}
         self.count += 1
         folder = self.stage / str(self.count)
         folder.mkdir(parents=True)
         targets = []
-        for place, suffix in enumerate(order.written.formats):
+        for place, suffix in enumerate(written.formats):
             if suffix == TAKE:
                 from deitalk.pipeline.performance import write_take
 

@@ -23,9 +23,9 @@ import numpy as np
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
 from deitalk.audio.load import Recording, load_audio
 from deitalk.audio.voice_activity import speech_activity
-from deitalk.data.captures.mend import Check, capture_rows, verdict
 from deitalk.data.captures.splits import APART_SECONDS
 from deitalk.data.captures.survey import Survey
+from deitalk.data.captures.verdicts import Check, capture_rows, verdict
 from deitalk.data.clips import (
     SPLITS,
     Clip,
