@@ -31,8 +31,10 @@ from deitalk.models.protocol import (
 from deitalk.pipeline.layers import edited
 from deitalk.pipeline.performance import Performance
 from deitalk.pipeline.speech import Intensities, Speech, measure_intensities
-from deitalk.pipeline.words.script import Script, TimedMark, levels, with_accents, with_emotions
-from deitalk.pipeline.words.transcript import Transcript, other_spans
+from deitalk.pipeline.words.marks import TimedMark, levels, with_accents, with_emotions
+from deitalk.pipeline.words.script import Script
+from deitalk.pipeline.words.subtitles import other_spans
+from deitalk.pipeline.words.transcript import Transcript
 from deitalk.postprocess.factors import held_intensity, mean_around, opening_factor
 from deitalk.postprocess.feeling import state_of_intensity
 from deitalk.postprocess.joins import activity_beside, lead, unknown_controls

@@ -14,6 +14,7 @@ import numpy as np
 
 from deitalk.audio.frames import SAMPLE_RATE
 from deitalk.config.rules import KeepContacts
+from deitalk.pipeline.layer_sounds import PHONE_RATE, has_torch
 from deitalk.pipeline.speech import Speech
 from deitalk.postprocess.control_groups import ControlGroups
 from deitalk.postprocess.phones import PHONES, SILENCE
@@ -26,7 +27,7 @@ from rig.errors import listed
 if TYPE_CHECKING:
     from deitalk.pipeline.words.align import FittedWord, WordFit
     from deitalk.postprocess.known_phones import KnownPhone
-from deitalk.pipeline.layer_sounds import PHONE_RATE, has_torch
+
 
 LEAST_MATCHED = 0.5
 """Share of a layer's words that must be in another recording, for it to follow them."""
@@ -168,7 +169,8 @@ def _times_by_phones(layer: Layer, speech: Speech) -> Times | None:
         return None
     from deitalk.pipeline.words.align import fit_words
     from deitalk.pipeline.words.evidence import measure_phones, phone_evidence
-    from deitalk.pipeline.words.transcript import Transcript, Word
+    from deitalk.pipeline.words.pronounced import Word
+    from deitalk.pipeline.words.transcript import Transcript
 
     spoken: list[list[tuple[str, float, float]]] = []
     for phone in _spoken(layer):

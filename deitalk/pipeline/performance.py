@@ -33,6 +33,7 @@ from deitalk.audio.original import write_original
 from deitalk.emotions import EMOTIONS, MOODS, write_intensity_csv
 from deitalk.errors import AudioError
 from deitalk.installed import __version__
+from deitalk.pipeline.exchange_files import exchange_names, write_exchange_files
 from deitalk.postprocess.joins import HANDLES, QUIET, quiet_seconds
 from rig.arrays import Bool, Float32
 from rig.controls import DEFAULT_ID
@@ -45,9 +46,8 @@ from rig.formats import write_curves
 
 if TYPE_CHECKING:
     from deitalk.pipeline.words.align import WordFit
-    from deitalk.pipeline.words.script import TimedMark
+    from deitalk.pipeline.words.marks import TimedMark
 
-from deitalk.pipeline.exchange_files import exchange_names, write_exchange_files
 
 SCHEMA = "deitalk.pipeline.take/1"
 FILES = {

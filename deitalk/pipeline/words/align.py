@@ -14,7 +14,8 @@ import numpy as np
 
 from deitalk.pipeline.speech import Speech
 from deitalk.pipeline.words.evidence import RATE, measure_phones, phone_evidence
-from deitalk.pipeline.words.transcript import Transcript, Word
+from deitalk.pipeline.words.pronounced import Word
+from deitalk.pipeline.words.transcript import Transcript
 from deitalk.pipeline.words.viterbi import best_path
 from deitalk.postprocess.known_phones import KnownPhone
 from deitalk.postprocess.phones import PHONES, SILENCE
