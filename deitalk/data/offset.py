@@ -289,7 +289,9 @@ def take_sync(clips: Sequence[ClipLags], *, by: str = "model") -> TakeSync | Non
         place = int(np.argmax([s.max() for s in sums]))
         gain = sums[place].max() - still.max()
         if abs(DRIFTS[place]) >= LEAST_DRIFT and gain >= DRIFT_GAIN * still.max():
-            drift = _standard(float(DRIFTS[place]))
+            drift = float(DRIFTS[place])
+            if abs(abs(drift) - NTSC_DRIFT) <= 2.5e-4:
+                drift = float(np.sign(drift)) * NTSC_DRIFT
             best = _along(clips, weights, centres - middle, drift)
     lag = sharpest_peak(best)
     n_groups = float((weights * [clip.n_groups for clip in clips]).sum() / weights.sum())
@@ -397,9 +399,3 @@ def sharpest_peak(scores: Float64, near: float | None = None) -> float:
     bend = before - 2 * top + after
     step = 0.5 * (before - after) / bend if bend < 0 else 0.0
     return float(lags[place] + np.clip(step, -1, 1) / RATE)
-
-
-def _standard(drift: float) -> float:
-    """The drift of 29.97 against 30 where it is near."""
-    near = abs(abs(drift) - NTSC_DRIFT) <= 2.5e-4
-    return float(np.sign(drift)) * NTSC_DRIFT if near else drift

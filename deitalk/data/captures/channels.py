@@ -62,15 +62,23 @@ def channel_faults(
         Frames with speech: only there a face that stands still is a fault.
     """
     moving = known & (np.ptp(values, axis=0) > MOVES)
-    names = controls.names
+    places, x = np.flatnonzero(moving), values.astype(np.float64)
+    # Channels that stay at an end of their range, away from rest, again and again.
+    low, high, rest = controls.minimum, controls.maximum, controls.rest
+    at_end = (high > rest) & (values >= rest + EDGE * (high - rest))
+    at_end |= (low < rest) & (values <= rest - EDGE * (rest - low))
+    held = [_longer(at_end[:, i], max(CLIPPED_SECONDS * fps, 2)) for i in places]
+    noise = x[1:-1] - (x[:-2] + x[2:]) / 2
+    jitter = np.sqrt((noise**2).mean(axis=0)) / np.maximum(x.std(axis=0), 1e-9)
+    is_long = len(values) >= 10
+    # Speech in which no moving channel changes.
+    still = (np.abs(np.diff(values[:, moving], axis=0)) < 1e-6).all(axis=1) & speaking[1:]
+    frozen = _longer(still, FROZEN_SECONDS * fps) / fps if len(places) >= 3 and len(x) >= 3 else 0.0
+    clipped = [i for i, n in zip(places, held, strict=True) if n >= CLIPPED_SHARE * len(values)]
     return ChannelFaults(
-        tuple(
-            names[i]
-            for i in np.flatnonzero(moving).tolist()
-            if _is_clipped(values[:, i], i, fps, controls)
-        ),
-        tuple(names[i] for i in np.flatnonzero(moving) if _jitter(values[:, i]) > JITTER),
-        _frozen(values[:, moving], fps, speaking),
+        tuple(controls.names[i] for i in clipped),
+        tuple(controls.names[i] for i in places if is_long and jitter[i] > JITTER),
+        frozen,
         moving,
         _together(values, "CTRL_L_eye.tx", "CTRL_R_eye.tx", controls),
         _together(values, "CTRL_C_jaw.tx", "CTRL_C_mouth.tx", controls),
@@ -78,34 +86,10 @@ def channel_faults(
     )
 
 
-def _is_clipped(column: Float32, place: int, fps: float, controls: ControlSet) -> bool:
-    """Whether a channel stays at an end of its range, away from rest, again and again."""
-    low, high, rest = (a[place] for a in (controls.minimum, controls.maximum, controls.rest))
-    at_end = np.zeros(len(column), bool)
-    if high > rest:
-        at_end |= column >= rest + EDGE * (high - rest)
-    if low < rest:
-        at_end |= column <= rest - EDGE * (rest - low)
-    lengths = np.diff(runs(at_end), axis=1)
-    held = int(lengths[lengths >= max(CLIPPED_SECONDS * fps, 2)].sum())
-    return held >= CLIPPED_SHARE * len(column)
-
-
-def _jitter(column: Float32) -> float:
-    if len(column) < 10:
-        return 0.0
-    x = column.astype(np.float64)
-    noise = x[1:-1] - (x[:-2] + x[2:]) / 2
-    return float(np.sqrt((noise**2).mean()) / max(x.std(), 1e-9))
-
-
-def _frozen(values: Float32, fps: float, speaking: Bool) -> float:
-    """Seconds of speech without a change of a moving channel, in stretches of `FROZEN_SECONDS`."""
-    if values.shape[1] < 3 or len(values) < 3:
-        return 0.0
-    still = (np.abs(np.diff(values, axis=0)) < 1e-6).all(axis=1) & speaking[1:]
-    lengths = np.diff(runs(still), axis=1)
-    return float(lengths[lengths >= FROZEN_SECONDS * fps].sum() / fps)
+def _longer(flags: Bool, least: float) -> int:
+    """Frames in runs of at least so many."""
+    lengths = np.diff(runs(flags), axis=1)
+    return int(lengths[lengths >= least].sum())
 
 
 def _together(values: Float32, one: str, other: str, controls: ControlSet) -> float:

@@ -138,7 +138,10 @@ def import_captures(
                 faults.append(error)
             of_take(1.0)
         if faults:
-            raise _fault(faults, len(takes))
+            first = faults[0]
+            count = f"{len(faults)} of {len(takes)} takes cannot be read, nothing was written"
+            text = f"{count}; the first: {first}" if len(faults) > 1 else str(first)
+            raise DataError(text, parameter=first.parameter)
         labels.check_rows(names)
         splits = writer.finish(split_by)
     # A warning about actors of whom a tuned model will have no style; none without any.
@@ -152,17 +155,6 @@ def import_captures(
         dict(splits),
         writer.left_out,
         (*skipped_files(skipped), *warnings_of(writer.reports), *([text] if others else [])),
-    )
-
-
-def _fault(faults: Sequence[UserError], n_takes: int) -> DataError:
-    """One error for all takes that cannot be read, the first one in full."""
-    first = faults[0]
-    if len(faults) == 1:
-        return DataError(str(first), parameter=first.parameter)
-    return DataError(
-        f"{len(faults)} of {n_takes} takes cannot be read, nothing was written; the first: {first}",
-        parameter=first.parameter,
     )
 
 

@@ -111,18 +111,14 @@ class Survey:
                 channel_faults(values, curves.fps, known, self.controls, speaking),
                 clip_lags(board, recording.waveform, predicted=predicted, **place),
                 known,
-                self._scores(values, speaking),
+                style_scores(values, speaking, self.controls).astype(np.float64)
+                if self.controls.id == DEFAULT_ID
+                else np.zeros(len(RULE)),  # no rule is known of another rig
                 asymmetry(values, known, self.controls),
                 prosody.pitch[prosody.voiced],
                 None if rate is None else (curves.fps, rate),
             )
         )  # fmt: skip
-
-    def _scores(self, values: Float32, speaking: Bool) -> Float64:
-        """Scores of the expressions; 0 for another rig, of which no rule is known."""
-        if self.controls.id != DEFAULT_ID:
-            return np.zeros(len(RULE))
-        return style_scores(values, speaking, self.controls).astype(np.float64)
 
     def by_take(self) -> dict[str, list[ClipSurvey]]:
         """Clips of every take."""

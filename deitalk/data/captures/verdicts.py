@@ -32,9 +32,16 @@ def verdict(
 
 def capture_rows(survey: Survey) -> list[Check]:
     """Rows about offset, drift, rest pose, channels, sides, expressions and usable minutes."""
+    names, rests = survey.controls.names, []
+    for actor, pose in survey.rests().items():
+        off = pose - survey.controls.rest
+        moved = np.argsort(-np.abs(off))[: int((off != 0).sum())]
+        if len(moved):
+            most = f"{names[moved[0]]} {off[moved[0]]:+.2f}"
+            rests.append(f"{actor} ({len(moved)} controls, {most})")
     return [
         *_sync(survey),
-        _rest(survey),
+        verdict("rest pose", rests, "faces rest", "actors have another pose at rest"),
         *_channels(survey),
         verdict("sides", survey.swapped(), "left and right agree", "takes seem mirrored in part"),
         verdict(
@@ -45,7 +52,7 @@ def capture_rows(survey: Survey) -> list[Check]:
         ),
         verdict(
             "conventions",
-            [str(one) for one in survey.relations.conventions(survey.controls.names).values()],
+            [str(one) for one in survey.relations.conventions(names).values()],
             "takes of an actor move alike",
             "conventions among an actor's takes, each to be a style of a tuned model",
         ),
@@ -65,7 +72,8 @@ def _sync(survey: Survey) -> list[Check]:
     late = [f"{take} ({s.lag * 1000:+.0f} ms)" for take, s in known.items()
             if s.is_shifted and abs(s.lag) > 0.01 and take not in survey.misread()]  # fmt: skip
     drift = [
-        f"{take} ({s.drift * 1000:+.1f} ms a second{_cause(s.drift)})"
+        f"{take} ({s.drift * 1000:+.1f} ms a second"
+        f"{', as 29.97 against 30 or 48 against 48.048 kHz' * (abs(abs(s.drift) - 1e-3) < 2e-5)})"
         for take, s in known.items()
         if s.drift
     ]
@@ -88,31 +96,15 @@ def _sync(survey: Survey) -> list[Check]:
     return rows
 
 
-def _cause(drift: float) -> str:
-    return ", as 29.97 against 30 or 48 against 48.048 kHz" if abs(abs(drift) - 1e-3) < 2e-5 else ""
-
-
-def _rest(survey: Survey) -> Check:
-    names = survey.controls.names
-    rest = survey.controls.rest
-    found = []
-    for actor, pose in survey.rests().items():
-        off = pose - rest
-        moved = np.argsort(-np.abs(off))[: int((off != 0).sum())]
-        if len(moved):
-            found.append(f"{actor} ({len(moved)} controls, {names[moved[0]]} {off[moved[0]]:+.2f})")
-    return verdict("rest pose", found, "faces rest", "actors have another pose at rest")
-
-
 def _channels(survey: Survey) -> list[Check]:
     rows = []
-    for name, well in (("clipped", "no channel held at its end"), ("jittering", "none")):
+    for name, well, fault in (
+        ("clipped", "no channel held at its end", "channels stay at the end of their range"),
+        ("jittering", "none", "channels jitter"),
+    ):
         counts = Counter(n for c in survey.clips for n in getattr(c.faults, name))
         found = [f"{control} ({n} clips)" for control, n in counts.most_common()]
-        fault = (
-            "channels stay at the end of their range" if name == "clipped" else "channels jitter"
-        )
-        rows.append(verdict(f"{name}", found, well, fault))
+        rows.append(verdict(name, found, well, fault))
     frozen = [
         f"{c.clip.name} ({c.faults.frozen_seconds:.1f} s)"
         for c in survey.clips
