@@ -1,6 +1,6 @@
 """What a layer of edits knows of the recording that it was made on: levels, words and phones."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import replace
 from importlib.util import find_spec
 from itertools import pairwise
@@ -12,7 +12,7 @@ from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
 from deitalk.pipeline.speech import Speech
 from deitalk.postprocess.phones import PHONES
 from rig.arrays import Float32
-from rig.curves.layers import Edit, Layer, Sound
+from rig.curves.layers import Layer, Sound
 
 if TYPE_CHECKING:
     from deitalk.pipeline.words.align import WordFit
@@ -39,30 +39,21 @@ def with_recording(
         return layers
     sound, used = Sound.of(speech.waveform, SAMPLE_RATE), words if words and words.is_used else None
     spoken = tuple((w.text, w.start, w.end) for w in used.words) if used else ()
-    phones = _known_phones(used) if used else heard_phones(speech)
-    return tuple(
-        layer
-        if layer.sound is not None
-        else replace(
-            layer,
-            sound=sound,
-            words=spoken,
-            phones=phones,
-            edits=tuple(_with_words(edit, spoken) for edit in layer.edits),
-        )
-        for layer in layers
-    )
-
-
-def _with_words(edit: Edit, words: Sequence[tuple[str, float, float]]) -> Edit:
-    """The edit with the words within its span."""
-    (start, end) = edit.span
-    within = " ".join(text for text, first, last in words if first < end and last > start)
-    return replace(edit, words=within or edit.words)
-
-
-def _known_phones(words: "WordFit") -> tuple[tuple[str, int], ...]:
-    return tuple((p.name, round((p.end - p.start) * PHONE_RATE)) for p in words.phones)
+    if used:
+        phones = tuple((p.name, round((p.end - p.start) * PHONE_RATE)) for p in used.phones)
+    else:
+        phones = heard_phones(speech)
+    found = []
+    for layer in layers:
+        if layer.sound is None:
+            edits = []
+            for edit in layer.edits:  # with the words within its span
+                start, end = edit.span
+                within = [text for text, first, last in spoken if first < end and last > start]
+                edits.append(replace(edit, words=" ".join(within) or edit.words))
+            layer = replace(layer, sound=sound, words=spoken, phones=phones, edits=tuple(edits))
+        found.append(layer)
+    return tuple(found)
 
 
 def heard_phones(speech: Speech) -> tuple[tuple[str, int], ...]:

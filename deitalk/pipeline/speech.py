@@ -28,7 +28,6 @@ from deitalk.audio.voice_activity import (
     speech_activity,
 )
 from deitalk.config.rules import Gates, HoldPose, VoiceIntensity
-from deitalk.emotions.actor import ActorReference
 from deitalk.models.protocol import Tracks
 from deitalk.postprocess.factors import expression_scale
 from deitalk.postprocess.feeling import (
@@ -206,13 +205,6 @@ def _shared(strength: Any, effort: Any) -> Any:
     return strength + EFFORT_SHARE * (effort - strength)
 
 
-def _usual(actor: ActorReference, tracks: Tracks) -> float:
-    """Usual strength of an actor as a network's takes are measured, dB."""
-    if tracks.effort is None or actor.effort is None:
-        return actor.strength
-    return float(_shared(actor.strength, actor.effort))
-
-
 class Intensities(NamedTuple):
     """Emotional intensity of each frame [shape=(T,)], from the network to the face."""
 
@@ -259,7 +251,11 @@ def measure_intensities(
         network, saliency = tracks.strength, tracks.saliency
     voice, curve = network, acting.intensity_curve
     if rule is not None:
-        usual = 0.0 if acting.voice is None else _usual(acting.voice, tracks)
+        usual = 0.0
+        if acting.voice is not None:  # as the network's takes are measured
+            usual, effort = acting.voice.strength, acting.voice.effort
+            if tracks.effort is not None and effort is not None:
+                usual = float(_shared(usual, effort))
         _, around = speech.strengths(tracks.effort)
         voice = voice_intensity(network, speech.prosody, speech.activity > 0, around - usual, rule)
     share = np.ones(speech.n_frames, np.float32)

@@ -114,10 +114,6 @@ class VoiceFrames(NamedTuple):
         features = network.frontend.encode(sound, speech.n_frames, gain=speech.gain)
         return cls(features.cpu().numpy(), speech.activity)
 
-    def window(self, frames: slice) -> "VoiceFrames":
-        """Some of the frames."""
-        return VoiceFrames(self.features[frames], self.activity[frames])
-
     @property
     def is_enough(self) -> bool:
         """Whether there is speech enough to suggest an emotion."""
@@ -175,7 +171,7 @@ def _track(found: EmotionMap, frames: VoiceFrames) -> EmotionTrack:
     n_frames = len(frames.activity)
     times, rows = [], []
     for start in range(0, max(n_frames - length, 0) + hop, hop):
-        window = frames.window(slice(start, start + length))
+        window = VoiceFrames(*(part[start : start + length] for part in frames))
         if not window.is_enough:
             continue
         probabilities = found.probabilities(window.numbers())

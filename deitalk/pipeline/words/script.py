@@ -134,7 +134,8 @@ class _Reading:
         for place, piece in places:
             self._take(piece, first + index[place], len(spoken))
         self._close(len(spoken), lambda kind: True)
-        capitals = [k for k, word in enumerate(said) if _is_loud(word.text)]
+        letters = ["".join(filter(str.isalpha, word.text)) for word in said]
+        capitals = [k for k, word in enumerate(letters) if len(word) > 1 and word.isupper()]
         if len(capitals) < len(said):
             for k in capitals:
                 self.marks.append(
@@ -186,11 +187,6 @@ def _indices(text: list[str], said: list[Word]) -> list[int]:
             same += 1
         place = place + 1 if same > place and bare(following) == bare(word) else same
     return [*found, len(said)]
-
-
-def _is_loud(word: str) -> bool:
-    letters = [c for c in word if c.isalpha()]
-    return len(letters) > 1 and all(c.isupper() for c in letters)
 
 
 def _pieces(text: str) -> Iterator[Piece]:

@@ -81,8 +81,7 @@ class Ssml:
             return
         if name in LINES:
             self._close_line()
-        made = ELEMENTS[name](attributes) if name in ELEMENTS else _other(name, attributes)
-        for piece in made:
+        for piece in pieces_of(name, attributes):
             if piece.value == UNKNOWN:
                 self.unknown.append(piece.text)
                 continue
@@ -115,29 +114,31 @@ class Ssml:
             self.pieces = []
 
 
-def _emphasis(attributes: dict[str, str]) -> Iterator[Piece]:
-    level = attributes.get("level", "moderate")
-    if level in ACCENTS:
-        yield Piece("begin", f"emphasis {level}", "accent", str(ACCENTS[level]))
-    else:
-        yield unknown_tag(f"emphasis level={level}")
-
-
-def _prosody(attributes: dict[str, str]) -> Iterator[Piece]:
-    """The volume; rate, pitch, range and contour are in the sound."""
-    volume = attributes.get("volume")
-    factor = None if volume is None else _volume(volume)
-    if factor is not None:
-        yield Piece("begin", f"volume {volume}", "voice", f"{factor:.4g}")
-    elif volume is not None:
-        yield unknown_tag(f"prosody volume={volume}")
-    others = attributes.keys() - {"volume", "rate", "pitch", "range", "contour", "duration"}
-    yield from (unknown_tag(f"prosody {other}") for other in sorted(others))
-
-
-def _other(name: str, attributes: dict[str, str]) -> Iterator[Piece]:
-    """Styles of vendors, elements that no face shows, and unknown ones."""
-    if name in STYLES:
+def pieces_of(name: str, attributes: dict[str, str]) -> Iterator[Piece]:
+    """Pieces that an element of SSML begins with."""
+    if name == "emphasis":
+        level = attributes.get("level", "moderate")
+        if level in ACCENTS:
+            yield Piece("begin", f"emphasis {level}", "accent", str(ACCENTS[level]))
+        else:
+            yield unknown_tag(f"emphasis level={level}")
+    elif name == "break":
+        yield _break(attributes.get("time"), attributes.get("strength", "medium"))
+    elif name == "prosody":  # rate, pitch, range and contour are in the sound
+        volume = attributes.get("volume", "medium")
+        decibels = re.fullmatch(r"([+-]?\d{1,3}(?:\.\d{0,3})?)dB", volume)
+        factor = VOLUMES.get(volume)
+        if decibels is not None:
+            factor = float(np.clip(2 ** (float(decibels[1]) / DECIBELS), 0.25, 2.0))
+        if factor is None:
+            yield unknown_tag(f"prosody volume={volume}")
+        elif "volume" in attributes:
+            yield Piece("begin", f"volume {volume}", "voice", f"{factor:.4g}")
+        others = attributes.keys() - {"volume", "rate", "pitch", "range", "contour", "duration"}
+        yield from (unknown_tag(f"prosody {other}") for other in sorted(others))
+    elif name == "sub":
+        yield Piece("text", attributes.get("alias", ""))
+    elif name in STYLES:  # of a vendor
         style = attributes.get(STYLES[name], "")
         piece = tag_of(" ".join(style.split()).lower(), f"{name} {style}")
         yield piece._replace(do="begin") if piece.kind in ("emotion", "voice") else piece
@@ -147,31 +148,13 @@ def _other(name: str, attributes: dict[str, str]) -> Iterator[Piece]:
         yield unknown_tag(f"<{name}>")
 
 
-def _break(attributes: dict[str, str]) -> Iterator[Piece]:
-    time, strength = attributes.get("time"), attributes.get("strength", "medium")
+def _break(time: str | None, strength: str) -> Piece:
     match = re.fullmatch(r"\+?(\d{1,5}(?:\.\d{0,3})?|\.\d{1,3})(ms|s)", time or "")
     if match is not None:
         seconds = float(match[1]) / (1000 if match[2] == "ms" else 1)
-        yield Piece("at", f"break {time}", "pause", f"{seconds:.4g}")
-    elif time is not None:
-        yield unknown_tag(f"break time={time}")
-    elif strength in PAUSES:
-        yield Piece("at", f"break {strength}", "pause", f"{PAUSES[strength]:.4g}")
-    else:
-        yield unknown_tag(f"break strength={strength}")
-
-
-def _sub(attributes: dict[str, str]) -> Iterator[Piece]:
-    yield Piece("text", attributes.get("alias", ""))
-
-
-def _volume(volume: str) -> float | None:
-    """Factor of a volume: a name, or decibels; None of another."""
-    match = re.fullmatch(r"([+-]?\d{1,3}(?:\.\d{0,3})?)dB", volume)
-    if match is None:
-        return VOLUMES.get(volume)
-    return float(np.clip(2 ** (float(match[1]) / DECIBELS), 0.25, 2.0))
-
-
-ELEMENTS = {"emphasis": _emphasis, "break": _break, "prosody": _prosody, "sub": _sub}
-"""What an element of SSML begins with, by its attributes."""
+        return Piece("at", f"break {time}", "pause", f"{seconds:.4g}")
+    if time is not None:
+        return unknown_tag(f"break time={time}")
+    if strength in PAUSES:
+        return Piece("at", f"break {strength}", "pause", f"{PAUSES[strength]:.4g}")
+    return unknown_tag(f"break strength={strength}")
