@@ -16,7 +16,7 @@ from api.errors import Problem, problem_of
 from api.guard.keys import Caller
 from api.guard.protocol import SEND_SECONDS
 from api.live.messages import Start, acting_of, frames_message, header_message, problem_message
-from api.live.stream import BACKLOG_SECONDS, LiveStream
+from api.live.stream import LiveStream
 from api.service import Service
 from deitalk.acting import LIVE_FIELDS, Acting, user_error
 from deitalk.errors import ConfigError
@@ -46,8 +46,6 @@ class Session:
 
     def __init__(self, websocket: WebSocket, service: Service, caller: Caller) -> None:
         self.websocket, self.service, self.caller = websocket, service, caller
-        self.room = asyncio.Event()
-        self.room.set()
         self._texts, self._since = TEXTS_AT_ONCE, monotonic()
 
     async def run(self) -> None:
@@ -81,7 +79,8 @@ class Session:
         self.lookahead = lookahead
         try:
             is_float = self.start.encoding == "float32"
-            self.stream = LiveStream(self.start.sample_rate, is_float, voice)
+            longest, late = self.service.settings.live_seconds, self.service.metrics.late.observe
+            self.stream = LiveStream(self.start.sample_rate, is_float, voice, longest, late)
             await self._send(header_message(folder, lookahead, [*HEAD] if self.start.head else []))
             await self._serve()
         finally:
@@ -89,7 +88,6 @@ class Session:
 
     async def _serve(self) -> None:
         """Read and write until one of the two ends."""
-        self.end = monotonic() + self.service.settings.live_seconds
         tasks = {asyncio.create_task(self._read()), asyncio.create_task(self._write())}
         try:
             await asyncio.wait(tasks, return_when=asyncio.FIRST_EXCEPTION)
@@ -125,9 +123,6 @@ class Session:
             if not len(frames):
                 continue
             begin, late = self.stream.come(frames)
-            for seconds in late:
-                self.service.metrics.late.observe(seconds)
-            self.room.set()
             values, head = frames[:, : -len(HEAD)], frames[:, -len(HEAD) :]
             shown = head if self.start.head else None
             await self._send(frames_message(begin, values, late, as_json=as_json, head=shown))
@@ -135,16 +130,13 @@ class Session:
     async def _read(self) -> None:
         """Take messages; none while too much sound waits."""
         while not self.stream.is_whole:
-            await self.room.wait()
+            await self.stream.wait_for_room()
             message = await self._message(QUIET_SECONDS)
-            if monotonic() > self.end or self.stream.seconds > self.service.settings.live_seconds:
-                raise Problem(413, f"sessions last {self.service.settings.live_seconds:g} s")
+            self.stream.check_length()
             if (data := message.get("bytes")) is not None:
                 self.stream.feed(data)
             else:
                 await self._command(message["text"])
-            if self.stream.backlog_seconds > BACKLOG_SECONDS:
-                self.room.clear()
 
     async def _command(self, text: str) -> None:
         """Carry out a text message; a change with a wrong field is answered by a problem."""

@@ -1,6 +1,9 @@
 """Sound of a client to a voice as it comes, and the frames of the voice with their times."""
 
+import asyncio
 from collections import deque
+from collections.abc import Callable
+from math import inf
 from time import monotonic
 
 import numpy as np
@@ -31,6 +34,10 @@ class LiveStream:
         Whether samples are float32; else 16-bit integers. Both little-endian, mono.
     voice : Voice
         What animates it.
+    longest : float
+        Seconds that a session, and its sound, may last.
+    late : callable
+        Given the seconds since each frame's sound came.
 
     Attributes
     ----------
@@ -42,8 +49,17 @@ class LiveStream:
         Whether the sound has ended.
     """
 
-    def __init__(self, sample_rate: int, is_float: bool, voice: Voice) -> None:
+    def __init__(
+        self,
+        sample_rate: int,
+        is_float: bool,
+        voice: Voice,
+        longest: float = inf,
+        late: Callable[[float], object] = lambda seconds: None,
+    ) -> None:
         self.sample_rate, self.is_float, self.voice = sample_rate, is_float, voice
+        self.longest, self.late, self.last = longest, late, monotonic() + longest
+        self.room = asyncio.Event()
         self.end = self.next_frame = 0
         self.is_whole = False
         self._kept: deque[Float32] = deque(maxlen=KEPT_FRAMES)
@@ -70,6 +86,17 @@ class LiveStream:
     def is_done(self) -> bool:
         """Whether all frames of the whole sound have come."""
         return self.is_whole and self.next_frame >= self.n_frames
+
+    async def wait_for_room(self) -> None:
+        """Wait while more than `BACKLOG_SECONDS` of sound have no frames."""
+        while self.backlog_seconds > BACKLOG_SECONDS:
+            self.room.clear()
+            await self.room.wait()
+
+    def check_length(self) -> None:
+        """Refuse more of a session that has lasted too long: Problem 413."""
+        if monotonic() > self.last or self.seconds > self.longest:
+            raise Problem(413, f"sessions last {self.longest:g} s")
 
     def feed(self, data: bytes) -> None:
         """Take samples; a part of one is kept for the next call.
@@ -155,6 +182,9 @@ class LiveStream:
             came = (at for end, at in self._arrivals if end >= sample)
             late.append(now - next(came, self._arrivals[-1][1]))
         self.next_frame += len(frames)
+        for seconds in late:
+            self.late(seconds)
+        self.room.set()
         self._kept.extend(frames)
         sample = self.next_frame * SAMPLE_RATE // FRAME_RATE
         self._arrivals = [arrival for arrival in self._arrivals if arrival[0] >= sample]
