@@ -121,7 +121,7 @@ class Problem(Exception):
 
     @property
     def body(self) -> bytes:
-        """The same as JSON."""
+        """Body of the answer as JSON."""
         return json.dumps(self.content).encode()
 
 

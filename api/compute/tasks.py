@@ -54,7 +54,7 @@ VIDEO_PIXELS = 960 * 720
 """Pixels of a frame of the review video."""
 NAME = "recording"
 NETWORK_SHARE = 0.1
-"""Of the progress of a video; the rest is its pictures."""
+"""Share of the network in the progress of a video; the rest is its pictures."""
 
 
 class TooLong(Exception):

@@ -51,7 +51,7 @@ ADDED_HEADERS = (
 REQUEST_ID = b"x-request-id"
 NO_PATH = "there is no such path; /docs lists all"
 SECOND_BYTES = 64 * 1024
-"""Of a body that takes longer than `body_seconds`, the bytes that come in a second at least."""
+"""Fewest bytes a second of a body that takes longer than `body_seconds`."""
 SPAN_FACTS = ("request", "key", "key_id")
 _PLAIN_ID = re.compile(r"[A-Za-z0-9._-]{1,64}")
 log = logging.getLogger("deitalk.service")

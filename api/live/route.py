@@ -17,7 +17,7 @@ from api.service import Service
 
 router = APIRouter()
 CLOSE_CODES = {400: 1008, 403: 1008, 404: 1008, 413: 1009, 422: 1007, 429: 1008, 503: 1013}
-"""Of WebSocket, by the status of HTTP; others are 1011."""
+"""Codes of WebSocket by the status of HTTP; others are 1011."""
 
 
 @router.websocket("/v1/live")

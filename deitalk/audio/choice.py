@@ -10,7 +10,7 @@ from rig.errors import quoted
 LEFT, RIGHT, CENTRE, LOUDEST, MIX = "left", "right", "centre", "loudest", "mix"
 CHANNEL_NAMES = (LEFT, RIGHT, CENTRE, LOUDEST, MIX)
 MOST_CHANNELS = 64
-"""Of a recording."""
+"""Most channels of a recording."""
 MOST_TRACKS = 64
 LOWEST_RATE, HIGHEST_RATE = 4_000, 768_000
 """Hz that are read."""

@@ -30,7 +30,7 @@ JITTER_SECONDS = 0.01  # times of packets are rounded; a lost packet is longer
 LONGEST_HOLE_SECONDS = 3600.0  # beyond it, a clock that was set
 LONGEST_OVERLAP_SECONDS = 1.0
 LONGEST_HOLE_OF_STREAM_SECONDS = 10.0
-"""Of a transport stream, whose clock may start anew."""
+"""Longest hole of a transport stream, whose clock may start anew."""
 LEAST_BYTE_RATE = 300.0  # a file of fewer bytes a second states a wrong duration
 SILENT_SAMPLES = 1 << 16  # of one block
 

@@ -11,7 +11,7 @@ from rig.arrays import Float32, Float64
 LINEAR_HZ = 200 / 3
 """Hertz per mel up to `BREAK_HZ`."""
 BREAK_HZ = 1000.0
-"""From here the scale is logarithmic."""
+"""Frequency from which the scale is logarithmic."""
 LOG_STEP = np.log(6.4) / 27
 """Natural logarithm of the frequency ratio of one mel above `BREAK_HZ`."""
 

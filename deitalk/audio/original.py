@@ -32,7 +32,7 @@ NO_TIMECODE = "the recording has no time code (bext chunk of a WAV): starts at 0
 DAY = 24 * 3600.0
 BLOCK_SAMPLES = 1 << 20
 MOST_BYTES = (1 << 32) - 1024
-"""Of a WAV file, whose sizes are 32-bit numbers."""
+"""Most bytes of a WAV file, whose sizes are 32-bit numbers."""
 _BEXT_BYTES, _TIME_REFERENCE = 602, 338
 """Size of the chunk's version 1 without history, and offset of the 64-bit number of samples."""
 _TIMECODE = re.compile(r"(\d{1,2})[:;](\d{2})[:;](\d{2})(?:([:;])(\d{2,3})|(\.\d+))?")

@@ -104,7 +104,7 @@ def has_fragments(file: IO[bytes] | Window) -> bool:
 
 _MPEG_COUNTS = (b"Xing", b"Info", b"VBRI")
 _COUNT_PLACES = (36, 21, 13)
-"""In the first frame: MPEG-1 stereo, mono or MPEG-2 stereo, MPEG-2 mono."""
+"""Places in the first frame: of MPEG-1 stereo, mono or MPEG-2 stereo, MPEG-2 mono."""
 
 
 def _mpeg(content: Content, demuxer: str) -> Iterator[Part]:

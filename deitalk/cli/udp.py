@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from rig.livelink import LiveSender
 
 PORT = 11111
-"""Of Live Link Face."""
+"""UDP port of Live Link Face."""
 POLL_SECONDS = 0.05
 """Longest wait for sound."""
 

@@ -66,7 +66,7 @@ class Measured(NamedTuple):
     high: Float64
     """Smallest and largest value of every control [shape=(C,)]; NaN where it is unknown."""
     lags: ClipLags | None
-    """Of the jaw, against the level; None if one of both does not move, or the clip is short."""
+    """Lags of the jaw against the level; None if one does not move, or the clip is short."""
     shift: float
     """Lag of a clip that is shifted by itself, seconds; else 0."""
     speech_share: float
@@ -82,7 +82,7 @@ class Inspection(NamedTuple):
 
     checks: list[Check]
     survey: Survey | None
-    """Of the clips that state their take; None if there are none."""
+    """Survey of the clips that state their take; None if there are none."""
 
 
 def inspect_dataset(

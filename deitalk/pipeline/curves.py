@@ -139,7 +139,7 @@ class Prepared:
     network: CurveNetwork
     recording: Recording
     acting: Acting
-    """With the emotion that the voice suggests in place of ``auto``."""
+    """Acting with the emotion that the voice suggests in place of ``auto``."""
     speech: Speech
     weights: Float32
     """Emotion of each frame [shape=(T, 9)]."""
@@ -344,7 +344,7 @@ def finish(
 
 
 def finish_together(prepared: Sequence[Prepared], readings: Sequence[Reading]) -> list[Performance]:
-    """As `finish` of recordings of one network, whose rules are applied to all in one pass."""
+    """Apply the rules to recordings of one network in one pass, as `finish` does to one."""
     return _finished([_read(*given) for given in zip(prepared, readings, strict=True)])
 
 
@@ -372,7 +372,7 @@ class _Read(NamedTuple):
     neutral: Float32
     shown: Float32
     voice: Float32
-    """As of `Unruled`, as the two before."""
+    """Columns of `deitalk.postprocess.tracks.VoiceTracks` [shape=(T, 43)]."""
     intensities: Intensities
     traits: Traits
     moved: Moved | None

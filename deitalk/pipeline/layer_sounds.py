@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from deitalk.pipeline.words.align import WordFit
 
 PHONE_RATE = 2 * FRAME_RATE
-"""Of the lengths of a layer's phones, Hz."""
+"""Unit of the lengths of a layer's phones, Hz."""
 SWITCH = 4.0
 """Logarithm of the probability that a phone of unknown words must gain to begin."""
 

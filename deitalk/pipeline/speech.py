@@ -161,7 +161,7 @@ class Speech:
         return float(self._followed_strength[0])
 
     def strengths(self, effort: Float32 | None = None) -> tuple[float, Float32]:
-        """The same, and that of each frame's phrase [shape=(T,)], which changes little within it.
+        """Strength of the whole voice, and of each frame's phrase [shape=(T,)]; it changes little in one.
 
         Of a short phrase, which is measured badly, it is nearer to the whole. With a network's
         readout of the effort [shape=(T,), dB] the two are averaged.
@@ -215,11 +215,11 @@ class Intensities(NamedTuple):
     held: Float32
     """Intensity already in the emotional reading, 0 to 2; by default `network`."""
     voice: Float32
-    """That of the voice, 0 to 1.2."""
+    """Intensity of the voice, 0 to 1.2."""
     share: Float32
     """Share of the expression that is shown, 0 to 1."""
     predicted: Float32
-    """That of the voice in the emotion, times `share`, 0 to 1.2."""
+    """Intensity of the voice in the emotion, times `share`, 0 to 1.2."""
     applied: Float32
     """`predicted`, or the curve that was given, times the factor, 0 to 4.8."""
     scale: Float32

@@ -31,7 +31,7 @@ MODEL = "default"
 WEIGHTS = "suggestion.safetensors"
 NAMED = ("neutral", "angry", "happy", "sad")
 WINDOW_SECONDS, HOP_SECONDS = 3.0, 1.0
-"""Of the track; a window has at least `FEWEST_FRAMES` of speech."""
+"""Windows of the track, each with at least `FEWEST_FRAMES` of speech, and their distance."""
 FEWEST_FRAMES = 15
 FURTHEST = 5.0
 """Standard deviations from the mean; what lies further counts as this."""

@@ -11,7 +11,7 @@ from rig.arrays import Bool, Float32, Float64
 
 MOVES = 1e-3
 CLIPPED_SHARE = 0.05
-"""Of the frames at an end of the range, in stretches of `CLIPPED_SECONDS` and more."""
+"""Least share of frames at an end of the range, in stretches of `CLIPPED_SECONDS` and more."""
 CLIPPED_SECONDS = 0.1
 EDGE = 0.995
 JITTER = 0.8

@@ -19,7 +19,7 @@ VOICES_SEMITONES = 7.0
 """Difference of median pitch from which on one actor's takes are two voices; a woman's and a man's
 differ by about 9, an actor's emotions by less than 6."""
 VOICED_FRAMES = 60
-"""From which on the median pitch of a take is known."""
+"""Fewest voiced frames from which the median pitch of a take is known."""
 
 
 @dataclass(frozen=True)

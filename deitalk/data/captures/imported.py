@@ -187,7 +187,7 @@ class _Writer:
 
     @property
     def seconds(self) -> float:
-        """Of all clips."""
+        """Length of all clips."""
         return sum(piece.stop - piece.start for piece in self.pieces)
 
     def take(

@@ -40,7 +40,7 @@ class Labels:
     emotion: str
     style: str = ""
     split: str = ""
-    """As the table gives it; empty: chosen by `deitalk.data.captures.splits`."""
+    """Split that the table gives; empty: chosen by `deitalk.data.captures.splits`."""
     voice: str = ""
     is_actor_given: bool = True
     is_emotion_given: bool = True

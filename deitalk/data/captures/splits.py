@@ -22,7 +22,7 @@ SPLITS = (TRAIN, VALIDATION, TEST, LEFT_OUT)
 APART_SECONDS = 5.0
 """Longer than a training window of 128 frames."""
 SHARE = 1 / 8
-"""Of validation, and of test."""
+"""Share of validation, and of test."""
 LEAST_TAKES = 4
 """Takes of an actor in one emotion from which on whole takes are divided."""
 BLOCK_SECONDS = 90.0

@@ -38,7 +38,7 @@ class ClipSurvey:
     lags: ClipLags | None
     known: Bool
     scores: Float64
-    """Of happy, sad, angry and surprised during speech [shape=(4,)]."""
+    """Scores of happy, sad, angry and surprised during speech [shape=(4,)]."""
     asymmetry: Float64
     voiced: Float64
     """Pitch of the voiced frames, semitones over 100 Hz."""

@@ -44,7 +44,7 @@ LEAST_KNOWN = 3
 """Columns of a known name that make a table a capture."""
 DAY = 24 * 3600.0
 LEAST_SECONDS = 0.5
-"""Of curves and sound of a take."""
+"""Least length of curves and sound of a take."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,7 +23,7 @@ from deitalk.postprocess.phones import PHONES, SILENCE
 from rig.arrays import Float32, Int64
 
 PRIOR_POWER = 0.6
-"""Of the phones' frequency, by which the evidence is divided, so that rare phones are found too."""
+"""Power of the phones' frequency that divides the evidence, so that rare phones are found too."""
 FLOOR = -12.0
 """Least logarithm of a probability on the path: one bad row does not bend it."""
 WORST = -6.0
@@ -31,9 +31,9 @@ WORST = -6.0
 LEAST_FIT = -1.4
 """Mean fit of a recording below which its words are not used."""
 LEAST_WORD = -3.0
-"""The same of one word."""
+"""Mean fit of a word below which it is not used."""
 SLACK_SECONDS = 0.1
-"""By which a phone may lie outside its word's given times."""
+"""Time by which a phone may lie outside its word's given times."""
 _SILENCE = PHONES.index(SILENCE)
 
 

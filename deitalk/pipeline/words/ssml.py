@@ -19,7 +19,7 @@ VOLUMES = {
 }  # fmt: skip
 """Factor on the intensity by ``volume``."""
 DECIBELS = 12.0
-"""Of a volume in dB that halves or doubles the intensity's factor."""
+"""Change of the volume that halves or doubles the intensity's factor, dB."""
 PAUSES = {"none": 0.0, "x-weak": 0.1, "weak": 0.2, "medium": 0.4, "strong": 0.7, "x-strong": 1.2}
 """Seconds by ``strength`` of a break."""
 LINES = ("p", "s")

@@ -11,7 +11,7 @@ from rig.errors import quoted
 _BRACKETS = re.compile(r"\[[^]]*\]|\([^)]*\)")
 """What is not spoken in subtitles: ``[MUSIC]``, ``(laughs)``."""
 CUE_SECONDS = 0.5
-"""By which a word may lie outside the times of its subtitle, beside the slack of timed words."""
+"""Time by which a word may lie outside its subtitle, beside the slack of timed words."""
 _SPEAKER = re.compile(r"\s*([A-Z][A-Z0-9 .'&_-]{0,30}):\s+")
 """A speaker before a line: ``ANNA: …``."""
 _VOICE = re.compile(r"<v(?:\.[^\s>]*)?\s+([^>]{1,100})>")

@@ -8,7 +8,7 @@ from rig.files.reading import rows_of
 
 Kind = Literal["emotion", "voice", "accent", "sound", "pause", "other"]
 UNKNOWN = "unknown"
-"""In place of the value of a tag."""
+"""Value of a tag of which nothing is known."""
 
 
 class Piece(NamedTuple):
