@@ -182,7 +182,7 @@ def animate(
         console().note(warning)
     if performance.words is not None and performance.words.fits:
         console().note(performance.words.line)
-    frames = 2 * handles + len(performance.curves.resample(fps or performance.curves.fps))
+    frames = 2 * handles + len(performance.at(fps)[0])
     if as_json:
         emit_json(
             {
@@ -254,7 +254,8 @@ def _write_file(out: Path, performance: "Performance", form: dict[str, Any]) -> 
     from rig.curves.shift import start_with_handles
 
     source, seconds = performance.sound_file, performance.recording.duration
-    report = write_curves(out, performance.curves, sound=source, seconds=seconds, **form)
+    curves, _ = performance.at(form["fps"])
+    report = write_curves(out, curves, sound=source, seconds=seconds, **form)
     for note in report.notes:
         console().note(note)
     if out.suffix.lower() == ".fbx":
