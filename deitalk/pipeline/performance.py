@@ -156,6 +156,17 @@ class Performance:
         return [name for k, name in enumerate(MOODS, len(EMOTIONS)) if emotion[:, k].any()]
 
     @property
+    def summary(self) -> str:
+        """The emotion, and how intense it is, in one line."""
+        if not self.has_emotion:
+            return f"emotion {self.emotion}: the neutral reading"
+        moods = f" ({', '.join(self.moods)}: procedural)" if self.moods else ""
+        return (
+            f"emotion {self.emotion}{moods}, applied intensity {self.mean_applied_intensity:.2f} "
+            f"on average ({self.mean_intensity:.2f} predicted from the voice)"
+        )
+
+    @property
     def sound_file(self) -> str:
         """Path of the recording; empty if it was no file."""
         return self.recording.source if os.path.isfile(self.recording.source) else ""
