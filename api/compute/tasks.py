@@ -141,7 +141,8 @@ def _answered(
             _zip(write_take(folder, performance, model=about, extras=extras, **form), out)
         else:
             seconds = performance.recording.duration
-            report = write_curves(out, performance.curves, format=name, seconds=seconds, **form)
+            curves, _ = performance.at(fps)
+            report = write_curves(out, curves, format=name, seconds=seconds, **form)
             said.append(report.note)
     facts = {
         "frames": len(performance.curves),
@@ -243,12 +244,9 @@ def _preview(
     from deitalk.preview.source import PreviewSource
     from deitalk.preview.video import render_video
 
-    curves, neutral = performance.curves, performance.neutral
     fps, title = order["options"].get("fps"), order["options"].get("name") or NAME
-    if fps is not None:
-        curves, neutral = curves.resample(fps), neutral.resample(fps)
     moved = _shift(order["options"])
-    curves, neutral = shift(curves, **moved), shift(neutral, **moved)
+    curves, neutral = (shift(own, **moved) for own in performance.at(fps))
     if out.suffix == ".mp4" and len(curves) * VIDEO_PIXELS > limits["max_pixels"]:
         most = int(limits["max_pixels"] // VIDEO_PIXELS)
         raise TooLarge(f"the video has {len(curves)} frames; at most {most} are drawn")
@@ -297,13 +295,13 @@ def _mesh(order: Order, limits: Limits, progress: Progress) -> Answer:
 def _retarget(order: Order, limits: Limits, progress: Progress) -> Answer:
     options = order["options"]
     notes: list[str] = []
+    fps = options.get("fps")
     if "curves" in options:
         curves: RigCurves = read_curves(options["curves"], fps=options.get("curves_fps"))
+        curves = curves if fps is None else curves.resample(fps)
     else:
         performance = _performed(order, limits, progress)
-        curves, notes = performance.curves, list(performance.recording.warnings)
-    if options.get("fps") is not None:
-        curves = curves.resample(options["fps"])
+        (curves, _), notes = performance.at(fps), list(performance.recording.warnings)
     out = _out(options)
     is_ply = options["format"] == "ply"
     report = retarget_curves(

@@ -64,7 +64,7 @@ CURVE_FORMATS = {
 }
 _READ = [known for known in FORMATS if known.read and known.name != "fbx"]
 CURVE_SUFFIXES = tuple(sorted((s for known in _READ for s in known.suffixes), key=len))[::-1]
-"""Suffixes of curves that are read, longer ones first. Blender would open an FBX, without limits."""
+"""Suffixes of curves that are read, longer ones first. No FBX: Blender would open it, unlimited."""
 ANIMATION_FORMATS = CURVE_FORMATS | {
     "take": OutputFormat("take", ".zip", "the take folder of `deitalk animate`, zipped"),
     "mp4": OutputFormat("mp4", ".mp4", "review video, 960 x 720", cost=3.0),

@@ -208,7 +208,7 @@ class Performer:
             else:
                 name = f"{place}{suffix}"
                 given: Any = form | spoken | (digits if has_option(suffix, "digits") else {})
-                write_curves(folder / name, performance.curves, **given)
+                write_curves(folder / name, performance.at(written.fps)[0], **given)
                 targets.append(Target(name, order.output + suffix))
         return folder, tuple(targets)
 

@@ -177,7 +177,7 @@ def animate(
         console().note(line)
     if words is not None and words.fits:
         console().note(words.line)
-    frames = 2 * handles + len(performance.curves.resample(fps or performance.curves.fps))
+    frames = 2 * handles + len(performance.at(fps)[0])
     if as_json:
         emit_json({
             "out": str(target), "frames": frames, "seconds": performance.recording.duration,
@@ -251,7 +251,8 @@ def _write_file(out: Path, performance: "Performance", form: dict[str, Any]) -> 
     from rig.curves.shift import start_with_handles
 
     source, seconds = performance.sound_file, performance.recording.duration
-    report = write_curves(out, performance.curves, sound=source, seconds=seconds, **form)
+    curves, _ = performance.at(form["fps"])
+    report = write_curves(out, curves, sound=source, seconds=seconds, **form)
     if out.suffix.lower() == ".fbx":
         pad = round(form["handles"] / report.fps * performance.recording.sample_rate)
         sound = np.pad(performance.recording.waveform, pad)

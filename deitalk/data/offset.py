@@ -55,7 +55,7 @@ GROUPS = {
 SMOOTH_SECONDS = 0.3
 """Slower movement is removed: postures and expressions."""
 COMPONENTS = 3
-"""Principal components of another rig: jaw, rounding, lips; six and more find fewer planted lags."""
+"""Principal components of another rig: jaw, rounding, lips; six and more find fewer lags."""
 STILL = 1e-3
 LEAST_SECONDS = 2.0
 LEAST_CORRELATION = 0.3

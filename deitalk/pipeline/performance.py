@@ -45,6 +45,7 @@ from rig.files import check_folder, output_folder
 from rig.formats import write_curves
 
 if TYPE_CHECKING:
+    from deitalk.pipeline.layers import Edited
     from deitalk.pipeline.words.align import WordFit
     from deitalk.pipeline.words.marks import TimedMark
 
@@ -101,6 +102,8 @@ class Performance:
         Of the character (`deitalk.postprocess.life.voice.Traits`); takes that follow keep them.
     marks : tuple of TimedMark
         What a script says of the words, with their times: emotions, accents, sounds.
+    edited : deitalk.pipeline.layers.Edited or None
+        The layers of edits that are in the curves.
     """
 
     curves: RigCurves
@@ -116,6 +119,19 @@ class Performance:
     suggestion: Mapping[str, float] | None = None
     traits: Mapping[str, float] = field(default_factory=dict)
     marks: "tuple[TimedMark, ...]" = ()
+    edited: "Edited | None" = field(default=None, repr=False, compare=False)
+
+    def at(self, fps: float | None) -> tuple[RigCurves, RigCurves]:
+        """The curves and their neutral reading at a rate, Hz; None: their own.
+
+        Layers of edits are applied at that rate.
+        """
+        curves, neutral = self.curves, self.neutral
+        if fps is None or fps == curves.fps:
+            return curves, neutral
+        if self.edited is not None and self.edited.readings == (curves, neutral):
+            return self.edited.at(fps)
+        return curves.resample(fps), neutral.resample(fps)
 
     @property
     def emotion(self) -> str:
@@ -239,7 +255,7 @@ class Performance:
             return write_take(folder, self, model=about, force=force, **form)
         check_file(target, force=force, inputs=(self.recording.source,))
         spoken: dict[str, Any] = {"sound": self.sound_file, "seconds": self.recording.duration}
-        write_curves(target, self.curves, **spoken, **form)
+        write_curves(target, self.at(fps)[0], **spoken, **form)
         return Path(target)
 
     def __repr__(self) -> str:
@@ -354,10 +370,7 @@ def _fill(
     delay: int,
     handles: int,
 ) -> None:
-    curves, neutral = (
-        shift(own if fps is None else own.resample(fps), delay, handles)
-        for own in (performance.curves, performance.neutral)
-    )
+    curves, neutral = (shift(own, delay, handles) for own in performance.at(fps))
     lead = handles / curves.fps
     start = start_with_handles(start, handles, curves.fps)
     pad = round(lead * performance.recording.sample_rate)

@@ -161,7 +161,9 @@ class Speech:
         return float(self._followed_strength[0])
 
     def strengths(self, effort: Float32 | None = None) -> tuple[float, Float32]:
-        """Strength of the whole voice, and of each frame's phrase [shape=(T,)]; it changes little in one.
+        """Strength of the whole voice, and of each frame's phrase [shape=(T,)], dB.
+
+        The latter changes little within a phrase.
 
         Of a short phrase, which is measured badly, it is nearer to the whole. With a network's
         readout of the effort [shape=(T,), dB] the two are averaged.
