@@ -337,7 +337,7 @@ def _with_sound(layer: Layer, take: Path, settings: dict[str, Any], lead: float)
     if not take.is_dir() or not sound.is_file():
         return layer
     from deitalk.audio.load import load_audio
-    from deitalk.pipeline.layers import with_recording
+    from deitalk.pipeline.layer_sounds import with_recording
     from deitalk.pipeline.speech import Speech
 
     recording = load_audio(sound)

@@ -443,7 +443,7 @@ def _with_layers(folder: Path, performance: Performance) -> tuple[Acting, dict[s
     acting = performance.acting
     if not acting.edit:
         return acting, {}
-    from deitalk.pipeline.layers import with_recording
+    from deitalk.pipeline.layer_sounds import with_recording
     from deitalk.pipeline.speech import Speech
 
     speech = Speech.of_recording(performance.recording)
