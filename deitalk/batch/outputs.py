@@ -27,6 +27,7 @@ KIND = "batch"
 """Kind of the output folder in its manifest."""
 PRIVATE = ".deitalk-batch"
 """Folder of the journal and of unfinished files."""
+STAGE = f"{PRIVATE}/stage"
 
 
 class Outputs:
@@ -38,11 +39,13 @@ class Outputs:
         The output folder.
     journal : Journal
         Of that folder.
+    shown : str
+        Its name in messages.
     """
 
-    def __init__(self, folder: Path, journal: Journal) -> None:
-        self.folder, self.journal = folder, journal
-        self.stage, self.url = str(folder / PRIVATE / "stage"), ""
+    def __init__(self, folder: Path, journal: Journal, shown: str) -> None:
+        self.folder, self.journal, self.shown = folder, journal, shown
+        self.stage = str(folder / STAGE)
         self._made: set[Path] = set()
 
     def begin(self) -> None:
@@ -76,12 +79,9 @@ class Outputs:
                 self._check_take(path, target)
             elif not self._is_own(target):
                 raise TargetError(
-                    f"{path} was not written by this batch, or was changed since; move it away, or "
-                    "name another output"
+                    f"{self.shown}/{target} was not written by this batch, or was changed since; "
+                    "move it away, or name another output"
                 )
-
-    def announce(self, entries: Sequence[Entry]) -> None:
-        """Nothing: files are entered before they get their names."""
 
     def place(self, results: Sequence[tuple[Entry, Outcome]]) -> None:
         """Give staged files their names and enter the results, all in two transactions."""
@@ -186,8 +186,8 @@ class Outputs:
         check_folder(path, kind=TAKE_KIND, force=True)
         if any(path.iterdir()) and not self._is_own(f"{target}/take.json"):
             raise TargetError(
-                f"{path} is a take that this batch did not write; move it away, or name another "
-                "output"
+                f"{self.shown}/{target} is a take that this batch did not write; move it away, or "
+                "name another output"
             )
 
     def _check_above(self, path: Path) -> None:
@@ -202,8 +202,8 @@ class Outputs:
 
 
 @contextmanager
-def opened_folder(out: Path) -> Iterator[Outputs]:
-    """The outputs in a folder that no other process writes to.
+def opened_folder(out: Path, shown: str = "") -> Iterator[Outputs]:
+    """The outputs in a folder that no other process writes to; messages call it `shown`.
 
     Raises
     ------
@@ -213,7 +213,7 @@ def opened_folder(out: Path) -> Iterator[Outputs]:
     with claim(out):
         begin_folder(out, kind=KIND)
         (out / PRIVATE).mkdir(exist_ok=True)
-        with closing(Journal(out / PRIVATE / "journal.sqlite", out)) as journal:
-            outputs = Outputs(out, journal)
+        with closing(Journal(out / PRIVATE / "journal.sqlite", shown or out)) as journal:
+            outputs = Outputs(out, journal, shown or str(out))
             yield outputs
             shutil.rmtree(outputs.stage, ignore_errors=True)

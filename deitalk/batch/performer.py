@@ -15,10 +15,10 @@ from weakref import finalize
 
 from deitalk.acting import Acting
 from deitalk.audio.choice import AudioChoice
-from deitalk.batch.cloud import read_recording, upload
 from deitalk.batch.findings import findings
 from deitalk.batch.lines import TAKE, Dubbing, has_option
 from deitalk.batch.orders import File, Order, Outcome, Target
+from deitalk.batch.recordings import read_recording
 from deitalk.models.load import Backend
 from deitalk.pipeline.performance import Extra, Performance
 from rig.errors import UserError, one_line
@@ -43,8 +43,6 @@ class Performer:
         Name or folder.
     stage : str
         Folder on the disk of the outputs; empty: a temporary one.
-    url : str
-        Where files are uploaded to; empty: they stay staged.
     backend : str
         As for `deitalk.models.load.load_network`.
     device : str
@@ -54,8 +52,7 @@ class Performer:
     def __init__(
         self,
         model: str,
-        stage: str,
-        url: str = "",
+        stage: str = "",
         backend: Backend = "auto",
         device: str = "cpu",
     ) -> None:
@@ -74,7 +71,7 @@ class Performer:
             stage = mkdtemp(prefix="deitalk-batch-")
             finalize(self, shutil.rmtree, stage, ignore_errors=True)
         self.stage = Path(stage) / f"{socket.gethostname()}-{os.getpid()}"
-        self.url, self.count = url, 0
+        self.count = 0
 
     def __call__(self, orders: Sequence[Order]) -> Iterator[list[Outcome]]:
         """Animate lines, several together; what is wrong with one is in its result."""
@@ -165,11 +162,6 @@ class Performer:
         if start and not any(has_option(suffix, "start") for suffix in written.formats):
             note = f"{', '.join(written.formats)} without time code: starts at 0"
         folder, targets = self._write(order, performance, start, extras)
-        staged = _files(folder, targets)
-        files = tuple(staged.values())
-        if self.url:
-            files = tuple(upload(self.url, path, file) for path, file in staged.items())
-            shutil.rmtree(folder)
         return Outcome(
             order.output,
             "done",
@@ -192,7 +184,7 @@ class Performer:
             ),
             stage=str(folder),
             targets=targets,
-            files=files,
+            files=tuple(_files(folder, targets)),
         )
 
     def _write(
@@ -224,7 +216,7 @@ class Performer:
             else:
                 name = f"{place}{suffix}"
                 given: Any = form | spoken | (digits if has_option(suffix, "digits") else {})
-                write_curves(folder / name, performance.curves, **given)
+                write_curves(folder / name, performance.at(written.fps)[0], **given)
                 targets.append(Target(name, order.output + suffix))
         return folder, tuple(targets)
 
@@ -262,23 +254,15 @@ def decoded(path: str, data: bytes | None, choice: AudioChoice = AudioChoice()) 
         return read_sound(path, sound, start=start_seconds(data), choice=choice)
 
 
-def _files(folder: Path, targets: tuple[Target, ...]) -> dict[Path, File]:
-    """Staged files, and their hashes under the names that they will have; take.json is the last."""
-    found: dict[Path, File] = {}
+def _files(folder: Path, targets: tuple[Target, ...]) -> Iterator[File]:
+    """Staged files under the names that they will have; take.json is the last of its take."""
     for name, place in targets:
         staged = folder / name
-        if staged.is_dir():
-            paths = sorted(staged.iterdir(), key=lambda path: (path.name == "take.json", path.name))
-            found |= {path: _file(path, f"{place}/{path.name}") for path in paths}
-        else:
-            found[staged] = _file(staged, place)
-    return found
-
-
-def _file(path: Path, place: str) -> File:
-    status = path.stat()
-    sha = hashlib.sha256(path.read_bytes()).hexdigest()
-    return File(place, sha, status.st_size, status.st_mtime_ns)
+        paths = sorted(staged.iterdir()) if staged.is_dir() else [staged]
+        for path in sorted(paths, key=lambda path: path.name == "take.json"):
+            status, sha = path.stat(), hashlib.sha256(path.read_bytes()).hexdigest()
+            final = f"{place}/{path.name}" if staged.is_dir() else place
+            yield File(final, sha, status.st_size, status.st_mtime_ns)
 
 
 def _is_full(error: BaseException | None) -> bool:

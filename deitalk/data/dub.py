@@ -242,14 +242,16 @@ def dub(
         replace(made.curves, values=values, head=head),
         replace(made.neutral, values=below),
     )
+    with_edits = None
     if acting.edit:
         speech, rule = Speech.of_recording(made.recording), KeepContacts() if acting.rules else None
         given = readings, controls, rule, speech, made.words
-        readings, said = edited(acting.edit, *given)
-        notes += said
+        with_edits = edited(acting.edit, *given)
+        readings = with_edits.readings
+        notes += with_edits.notes
     shown, neutral = readings
-    with_edits = Acting.of(made.acting, edit=acting.edit)
-    dubbed = replace(made, curves=shown, neutral=neutral, acting=with_edits)
+    acted = Acting.of(made.acting, edit=acting.edit)
+    dubbed = replace(made, curves=shown, neutral=neutral, acting=acted, edited=with_edits)
     return Dubbed(dubbed, pieces, clock.exact, tuple(kept), amplitude, tuple(notes), stretch)
 
 

@@ -439,11 +439,12 @@ def _performance(
     join(controls, ruled.shown, head, acting)
     shown_curves = _curves(controls, ruled.shown, prepared.weights, intensities.applied, head)
     neutral_curves = _curves(controls, ruled.neutral)
-    recording = _with_note_of(words, prepared.recording)
+    recording, with_edits = _with_note_of(words, prepared.recording), None
     if acting.edit:
         given = (shown_curves, neutral_curves), controls, rules.keep_contacts
-        (shown_curves, neutral_curves), notes = edited(acting.edit, *given, speech, words)
-        recording = recording.noted(*notes)
+        with_edits = edited(acting.edit, *given, speech, words)
+        shown_curves, neutral_curves = with_edits.readings
+        recording = recording.noted(*with_edits.notes)
         clock.lap("edits")
     return Performance(
         shown_curves,
@@ -459,6 +460,7 @@ def _performance(
         prepared.suggestion,
         asdict(read.traits),
         prepared.marks,
+        with_edits,
     )
 
 

@@ -21,7 +21,7 @@ from deitalk.postprocess.control_groups import ControlGroups
 from deitalk.postprocess.phones import PHONES, SILENCE
 from rig import ControlSet, RigCurves
 from rig.arrays import Float32, Float64
-from rig.curves.apply_layers import apply_layers, retimed
+from rig.curves.apply_layers import Closures, apply_layers, retimed
 from rig.curves.layers import Edit, Layer, Sound
 from rig.errors import listed
 
@@ -37,6 +37,30 @@ LEAST_MATCHED = 0.5
 """Share of a layer's words that must be in another recording, for it to follow them."""
 
 
+class Edited(NamedTuple):
+    """Curves that are shown, and their neutral reading, with layers."""
+
+    readings: tuple[RigCurves, RigCurves]
+    notes: tuple[str, ...]
+    """A line on each change."""
+    plain: tuple[RigCurves, RigCurves]
+    """The readings without layers."""
+    layers: tuple[Layer, ...]
+    """On the times of the recording."""
+    controls: ControlSet
+    closures: Closures | None
+
+    def at(self, fps: float) -> tuple[RigCurves, RigCurves]:
+        """The readings at another rate, with the layers applied at that rate.
+
+        A layer that was made of curves of that rate gives each of their frames again; resampled
+        curves would soften its steps.
+        """
+        given = self.layers, self.controls, self.closures
+        shown, neutral = (apply_layers(one.resample(fps), *given)[0] for one in self.plain)
+        return shown, neutral
+
+
 def edited(
     layers: Iterable[Layer],
     readings: tuple[RigCurves, RigCurves],
@@ -44,8 +68,8 @@ def edited(
     rule: KeepContacts | None,
     speech: Speech,
     words: "WordFit | None" = None,
-) -> tuple[tuple[RigCurves, RigCurves], tuple[str, ...]]:
-    """Curves that are shown, and their neutral reading, with layers; and a line on each change.
+) -> Edited:
+    """Apply layers to the curves that are shown and to their neutral reading.
 
     Parameters
     ----------
@@ -66,7 +90,8 @@ def edited(
     shown, changes = apply_layers(shown, followed, controls, closures)
     neutral, _ = apply_layers(neutral, followed, controls, closures)
     unused = unused_notes(followed, shown.head is not None)
-    return (shown, neutral), (*notes, *unused, *changes)
+    said = (*notes, *unused, *changes)
+    return Edited((shown, neutral), said, readings, followed, controls, closures)
 
 
 class Followed(NamedTuple):

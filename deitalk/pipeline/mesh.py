@@ -199,10 +199,9 @@ def _by_curves(
     head = build_head(speaker)
     check_length(ceil(recording.duration * rate), len(head.mesh.vertices), most=PREDICTED_BYTES)
     acted = act(model=network)
-    curves = acted.curves
     return MeshPerformance(
         TriMesh(head.mesh.vertices, head.mesh.faces),
-        head.pose((curves if fps is None else curves.resample(fps)).values),
+        head.pose(acted.at(fps)[0].values),
         rate,
         UNIT_MM,
         acted.recording,
@@ -311,6 +310,6 @@ def retarget_speech(
     performance = animate(
         audio, acting=acted, model=require_model(network, DEITalk), progress=progress
     )
-    curves = performance.curves if fps is None else performance.curves.resample(fps)
+    curves, _ = performance.at(fps)
     report = retarget_curves(curves, mesh, out, landmarks=landmarks)
     return report, curves.fps, (*performance.recording.warnings, *report.notes)

@@ -44,6 +44,7 @@ from rig.files import check_folder, output_folder
 from rig.formats import write_curves
 
 if TYPE_CHECKING:
+    from deitalk.pipeline.layers import Edited
     from deitalk.pipeline.words.align import WordFit
     from deitalk.pipeline.words.script import TimedMark
 
@@ -101,6 +102,8 @@ class Performance:
         Of the character (`deitalk.postprocess.life.voice.Traits`); takes that follow keep them.
     marks : tuple of TimedMark
         What a script says of the words, with their times: emotions, accents, sounds.
+    edited : deitalk.pipeline.layers.Edited or None
+        The layers of edits that are in the curves.
     """
 
     curves: RigCurves
@@ -116,6 +119,19 @@ class Performance:
     suggestion: Mapping[str, float] | None = None
     traits: Mapping[str, float] = field(default_factory=dict)
     marks: "tuple[TimedMark, ...]" = ()
+    edited: "Edited | None" = field(default=None, repr=False, compare=False)
+
+    def at(self, fps: float | None) -> tuple[RigCurves, RigCurves]:
+        """The curves and their neutral reading at a rate, Hz; None: their own.
+
+        Layers of edits are applied at that rate.
+        """
+        curves, neutral = self.curves, self.neutral
+        if fps is None or fps == curves.fps:
+            return curves, neutral
+        if self.edited is not None and self.edited.readings == (curves, neutral):
+            return self.edited.at(fps)
+        return curves.resample(fps), neutral.resample(fps)
 
     @property
     def emotion(self) -> str:
@@ -138,6 +154,17 @@ class Performance:
         if emotion is None:
             return []
         return [name for k, name in enumerate(MOODS, len(EMOTIONS)) if emotion[:, k].any()]
+
+    @property
+    def summary(self) -> str:
+        """The emotion, and how intense it is, in one line."""
+        if not self.has_emotion:
+            return f"emotion {self.emotion}: the neutral reading"
+        moods = f" ({', '.join(self.moods)}: procedural)" if self.moods else ""
+        return (
+            f"emotion {self.emotion}{moods}, applied intensity {self.mean_applied_intensity:.2f} "
+            f"on average ({self.mean_intensity:.2f} predicted from the voice)"
+        )
 
     @property
     def sound_file(self) -> str:
@@ -232,7 +259,7 @@ class Performance:
         check_file(target, force=force, inputs=(self.recording.source,))
         seconds = self.recording.duration
         write_curves(
-            target, self.curves, fps=fps, sound=self.sound_file, seconds=seconds, start=start,
+            target, self.at(fps)[0], fps=fps, sound=self.sound_file, seconds=seconds, start=start,
             delay=delay, handles=handles,
         )  # fmt: skip
         return Path(target)
@@ -349,10 +376,7 @@ def _fill(
     handles: int,
     extras: tuple[Extra, ...],
 ) -> None:
-    curves, neutral = (
-        shift(own if fps is None else own.resample(fps), delay, handles)
-        for own in (performance.curves, performance.neutral)
-    )
+    curves, neutral = (shift(own, delay, handles) for own in performance.at(fps))
     lead = handles / curves.fps
     start = start_with_handles(start, handles, curves.fps)
     pad = round(lead * performance.recording.sample_rate)
