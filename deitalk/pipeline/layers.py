@@ -19,7 +19,7 @@ from deitalk.pipeline.speech import Speech
 from deitalk.postprocess.control_groups import ControlGroups
 from deitalk.postprocess.phones import PHONES, SILENCE
 from rig import ControlSet, RigCurves
-from rig.arrays import Float64
+from rig.arrays import Bool, Float64
 from rig.curves.apply_layers import Closures, apply_layers, retimed
 from rig.curves.layers import Edit, Layer, Sound
 from rig.errors import listed
@@ -135,7 +135,7 @@ def _followed(layer: Layer, speech: Speech, words: "WordFit | None") -> tuple[La
             else ("is another one, and the file knows no words or phones")
         )
         return layer, f"{name} was made on another recording; this one {why}: its times are kept"
-    old, new, lost = times
+    old, new, pauses, lost = times
     kept = tuple(edit for edit in layer.edits if not _is_within(edit, lost))
     moved = new - old
     note = (
@@ -146,7 +146,7 @@ def _followed(layer: Layer, speech: Speech, words: "WordFit | None") -> tuple[La
         left = [edit for edit in layer.edits if _is_within(edit, lost)]
         named = listed([f"{edit.target} at {edit.span[0]:.2f} s" for edit in left])
         note += f"; left out, as their words are not said here: {named}"
-    return retimed(replace(layer, edits=kept), old, new), note
+    return retimed(replace(layer, edits=kept), old, new, pauses), note
 
 
 def _is_within(edit: Edit, spans: Sequence[tuple[float, float]]) -> bool:
@@ -155,8 +155,8 @@ def _is_within(edit: Edit, spans: Sequence[tuple[float, float]]) -> bool:
     return any(start <= middle < end for start, end in spans)
 
 
-Times = tuple[Float64, Float64, list[tuple[float, float]]]
-"""Old and new seconds that belong together, and old spans that have no counterpart."""
+Times = tuple[Float64, Float64, Bool, list[tuple[float, float]]]
+"""As for `retimed`, and old spans that have no counterpart."""
 
 
 def _times_by_words(layer: Layer, words: "WordFit | None") -> Times | None:
@@ -236,12 +236,17 @@ def _edges(
     ]
 
 
-def _rising(anchors: Sequence[tuple[float, float]]) -> tuple[Float64, Float64]:
-    """Anchors with one new time for each old one, both rising."""
-    given = np.array(anchors, float)
-    old, place = np.unique(given[:, 0].round(4), return_inverse=True)
-    new = np.bincount(place, given[:, 1]) / np.bincount(place)
-    return old, np.maximum.accumulate(new)
+def _rising(anchors: Sequence[tuple[float, float]]) -> tuple[Float64, Float64, Bool]:
+    """Anchors of `_edges`, both rising; and whether what is between two of them is a pause.
+
+    A moment has two new times where a pause is there now.
+    """
+    given = np.round(np.array(anchors, float), 4)
+    old, new = np.unique(given, axis=0).T
+    new = np.maximum.accumulate(new)
+    middle = (new[:-1] + new[1:]) / 2
+    begun, ended = (np.searchsorted(np.sort(given[k::2, 1]), middle) for k in (0, 1))
+    return old, new, begun == ended
 
 
 def unused_notes(layers: Iterable[Layer], has_head: bool) -> Iterable[str]:

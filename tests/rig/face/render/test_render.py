@@ -127,7 +127,6 @@ def test_face_is_drawn_as_by_the_shaders_of_the_page(head, parts, most, most_of_
     inside = pictures[1].any(axis=2).reshape(110, 3, 100, 3).all((1, 3))  # no backdrop
     assert 0.3 < inside.mean() < 0.9
     difference = np.abs(blocks[0] - blocks[1]).mean(2)[inside]
-    print(difference.mean(), np.percentile(difference, 97))
     assert difference.mean() < most
     assert np.percentile(difference, 97) < most_of_97
 
