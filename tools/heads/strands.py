@@ -153,7 +153,7 @@ def strands(person: Person, hair: Hair) -> Part:
     for kind, count in (("over", look["cards"]), ("edge", look["edge_cards"])):
         if kind == "over":
             chosen = rng.choice(len(hair.place), count, replace=False)
-            points, normal, way, _ = hair.on(hair.place[chosen], 0)
+            points, _, way, _ = hair.on(hair.place[chosen], 0)
             length = look["strand"] * rng.uniform(0.6, 1.3, count)
             hold = 0.6
         else:
