@@ -121,7 +121,7 @@ class Problem(Exception):
 
     @property
     def body(self) -> bytes:
-        """The same as JSON."""
+        """Body of the answer as JSON."""
         return json.dumps(self.content).encode()
 
 
@@ -130,7 +130,7 @@ def problem_of(error: UserError) -> Problem:
     return named_problem(names_of(error), str(error))
 
 
-def names_of(error: UserError) -> list[str]:
+def names_of(error: BaseException) -> list[str]:
     """Names of an error's classes, the nearest first."""
     return [kind.__name__ for kind in type(error).__mro__]
 

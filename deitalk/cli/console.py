@@ -33,7 +33,7 @@ FIRST_LINE_SECONDS = 3.0
 LINE_SECONDS = 10.0
 """Time between two lines of progress at the start of long work."""
 SLOWEST_LINE_SECONDS = 60.0
-"""The same after an hour."""
+"""Time between two lines of progress after an hour."""
 
 
 class Advance(Protocol):

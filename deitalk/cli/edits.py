@@ -8,7 +8,7 @@ import typer
 from deitalk.cli.acting_options import Given, acting_options
 from deitalk.cli.console import bar, console, emit_json
 from deitalk.cli.options import Delay, Device, Force, Handles, Json, Model, Timecode
-from deitalk.cli.targets import reserve_file, reserve_folder
+from deitalk.cli.targets import reserve_file, reserve_take
 from deitalk.errors import DeitalkError
 from rig.limits import MOST_DELAY, MOST_HANDLES
 
@@ -149,11 +149,10 @@ def dub(
     from deitalk.data.captures.columns import read_mapping
     from deitalk.data.dub import dub as dubbed
     from deitalk.models.folder import describe_model
-    from deitalk.pipeline.performance import KIND, check_take, write_take
+    from deitalk.pipeline.performance import write_take
 
     inputs = (str(speech), str(performance), *given.texts)
-    reserve_folder(out, kind=KIND, force=force, inputs=inputs)
-    check_take(out, source=str(speech), force=force, inputs=inputs)
+    reserve_take(out, str(speech), force=force, inputs=inputs)
     start_of(timecode, fps, 0.0)
     table = None if mapping is None else read_mapping(mapping)
     with bar("animating") as progress:

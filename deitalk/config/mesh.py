@@ -30,7 +30,7 @@ class SDFAModelConfig(Section):
     """Width of z_dec; null: the encoder's output goes on as it is."""
     branch_sizes: tuple[Width, ...] = Field(default=(512, 256), max_length=limits.LAYERS)
     weight_norm: bool = True
-    """In the decoder, but on no frozen layer."""
+    """Weight normalisation in the decoder, but on no frozen layer."""
     seal_mm: Weight = 0.0
     """Embedded heads: lips no further apart are brought together; not in the paper."""
 
@@ -74,7 +74,7 @@ class MeshTrainConfig(Optimisation):
     segment_frames: int = Field(default=2, ge=2, le=limits.BATCH)
     """Adjacent frames drawn together; 2: the paper's pairs."""
     loss_decay: Inner = 0.99
-    """Of the loss terms' second moments."""
+    """Decay of the loss terms' second moments."""
     start_encoder: str | None = None
     """DEITalk model whose mel encoder is the start; it then learns at a third of the rate; not in
     the paper."""

@@ -13,6 +13,13 @@ from rig.curves.layers import HEAD_TARGETS, SEEN, SLACK, Edit, Layer, eased
 from rig.curves.rig_curves import RigCurves
 from rig.errors import listed
 
+BESIDE = 0.1
+"""Seconds: the frame before an edit in which it begins, and two by which it may miss its word."""
+STEP = 0.05
+"""Longest first or last piece of an edit, in seconds, that is a step and stays as long."""
+APART = 1e-3
+"""Least seconds between keys that were apart."""
+
 
 @dataclass(frozen=True)
 class Closures:
@@ -161,8 +168,8 @@ def _met(
     return met
 
 
-def retimed(layer: Layer, old: Float64, new: Float64) -> Layer:
-    """The layer on another time axis.
+def retimed(layer: Layer, old: Float64, new: Float64, pauses: Bool) -> Layer:
+    """The layer on another time axis; times before its beginning are negative.
 
     Parameters
     ----------
@@ -171,32 +178,42 @@ def retimed(layer: Layer, old: Float64, new: Float64) -> Layer:
     old, new : array [shape=(N,)]
         Rising seconds that belong together: linear between them, shifted before the first and
         after the last.
+    pauses : array [shape=(N - 1,)]
+        Whether nobody speaks between them. An edit that begins, or ends, within `BESIDE` of a
+        pause that is longer in the new recording stays on its side of it.
     """
-    return replace(layer, edits=tuple(_retimed(edit, old, new) for edit in layer.edits))
+    longer = pauses & (np.diff(new) > np.diff(old))
+    return replace(layer, edits=tuple(_retimed(edit, old, new, longer) for edit in layer.edits))
 
 
-def _retimed(edit: Edit, old: Float64, new: Float64) -> Edit:
-    def place(time: float) -> float:
-        if time <= old[0]:
-            return max(float(time - old[0] + new[0]), 0.0)
-        if time >= old[-1]:
-            return float(time - old[-1] + new[-1])
-        return float(np.interp(time, old, new))
+def _retimed(edit: Edit, old: Float64, new: Float64, longer: Bool) -> Edit:
+    (start, end), (rise, fall) = edit.span, edit.ease
+    middle, places = (start + end) / 2, np.arange(len(old))
+    after, before = old[1:], old[:-1]
+    begins = longer & (start <= after) & (after <= min(start + BESIDE, middle))
+    stops = longer & (max(end - BESIDE, middle) <= before) & (before <= end)
+    first = places[1:][begins].max(initial=0)
+    last = places[:-1][stops].min(initial=len(old) - 1)
+    old, new = old[first : last + 1], new[first : last + 1]
 
-    def stretch(a: float, b: float) -> float:
-        return max(place(b) - place(a), 1e-6) / max(b - a, 1e-6)
+    def place(times: Any) -> Float64:
+        beyond = np.minimum(times - old[0], 0) + np.maximum(times - old[-1], 0)
+        placed: Float64 = np.interp(times, old, new) + beyond
+        return placed
 
-    keys: list[tuple[float, float, float, float]] = []
-    start, end = edit.span
-    times = [key[0] for key in edit.keys]
-    for k, (time, value, arrive, leave) in enumerate(edit.keys):
-        before = stretch(times[k - 1], time) if k else 1.0
-        after = stretch(time, times[k + 1]) if k + 1 < len(times) else 1.0
-        at = place(time)
-        if keys and at <= keys[-1][0]:  # two moments that are one in the other recording
-            at = keys[-1][0] + 1e-3
-        keys.append((at, value, arrive / before, leave / after))
-    (first, last), (rise, fall) = edit.span, edit.ease
-    ease = place(first + rise) - place(first), place(last) - place(last - fall)
-    span = place(start), max(place(end), place(start))
-    return replace(edit, keys=tuple(keys), span=span, ease=(max(ease[0], 0), max(ease[1], 0)))
+    times, values, arrive, leave = np.array(edit.keys, float).T
+    at, gaps = place(times), np.diff(times)
+    if len(gaps) and gaps[0] <= STEP:
+        at[0] = at[1] - gaps[0]
+    if len(gaps) and gaps[-1] <= STEP:
+        at[-1] = at[-2] + gaps[-1]
+    apart = APART * np.arange(len(at))  # two moments may be one in the other recording
+    at = np.maximum.accumulate(at - apart) + apart
+    rates = gaps / np.diff(at)
+    slopes = arrive * np.append(1.0, rates), leave * np.append(rates, 1.0)
+    keys = tuple(zip(*(row.tolist() for row in (at, values, *slopes)), strict=True))
+    starts, ends, risen, falls = place(np.array([start, end, start + rise, end - fall])).tolist()
+    starts = float(at[0]) if start == times[0] else starts
+    ends = max(float(at[-1]) if end == times[-1] else ends, starts)
+    ease = max(risen - starts, 0.0) if rise else 0.0, max(ends - falls, 0.0) if fall else 0.0
+    return replace(edit, keys=keys, span=(starts, ends), ease=ease)

@@ -25,6 +25,7 @@ from rig.face import build_head
 from rig.face.head import CORRECTIVES
 from rig.face.head_file import GRID, Arrays, write_head
 from rig.limits import HEAD_MOVES, HEAD_VERTICES
+from rig.mesh.deformation import similarity
 from rig.mesh.glb_reader import GlbParts, consistent, read_parts, walk
 from rig.mesh.shapes import ShapeSet
 from rig.mesh.trimesh import TriMesh
@@ -33,7 +34,6 @@ from rig.retarget.blendshapes import match_shapes
 from rig.retarget.bones import bone_named, bones_of
 from rig.retarget.head_glb import SHAPES, arkit_pose
 from rig.retarget.head_surface import surface_of
-from rig.retarget.landmarks import similarity
 
 ANCHORS = (
     "eyeBlinkLeft", "eyeBlinkRight", "eyeSquintLeft", "eyeSquintRight", "browOuterUpLeft",

@@ -14,8 +14,9 @@ import soxr
 from deitalk import animate
 from deitalk.acting import Acting
 from deitalk.audio.load import load_audio
-from deitalk.pipeline import layers as module
-from deitalk.pipeline.layers import follow_recording, heard_phones, with_recording
+from deitalk.pipeline import layer_sounds as module
+from deitalk.pipeline.layer_sounds import heard_phones, with_recording
+from deitalk.pipeline.layers import follow_recording
 from deitalk.pipeline.speech import Speech
 from deitalk.pipeline.words.align import FittedWord, WordFit, align_words
 from deitalk.pipeline.words.transcript import Transcript
