@@ -49,7 +49,7 @@ HABITS = (
 )  # fmt: skip
 """Parts of the names of the controls that a character uses more or less together, as one muscle
 moves them; none of them parts or closes the lips."""
-HABIT_SPREAD, MOST_HABIT = 0.35, 1.0
+HABIT_SPREAD, MOST_HABIT = 0.46, 1.0
 """Standard deviation of the logarithms of the factors, and their limit in standard deviations: no
 muscle of an emotion is missing."""
 
