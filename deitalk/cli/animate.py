@@ -21,6 +21,7 @@ from deitalk.cli.options import (
     Force,
     Handles,
     Json,
+    Rate,
     Threads,
     Timecode,
     WrittenIdentity,
@@ -46,9 +47,7 @@ def animate(
     ],
     given: Given,
     model: AnyModel = "default",
-    fps: Annotated[
-        float | None, typer.Option(help="Rate of the written curves: 24 25 29.97 30 50 60.")
-    ] = None,
+    fps: Rate = None,
     digits: Digits = None,
     backend: Backend = "auto",
     device: Device = "cpu",

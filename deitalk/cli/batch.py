@@ -15,6 +15,7 @@ from deitalk.cli.options import (
     Digits,
     Handles,
     Json,
+    Rate,
     Timecode,
 )
 
@@ -32,9 +33,7 @@ def batch(
     ] = "csv",
     model: AnyModel = "default",
     backend: Backend = "auto",
-    fps: Annotated[
-        float | None, typer.Option(help="Rate of the written curves: 24 25 29.97 30 50 60.")
-    ] = None,
+    fps: Rate = None,
     digits: Digits = None,
     timecode: Timecode = "zero",
     delay: Delay = 0,

@@ -7,7 +7,7 @@ import typer
 
 from deitalk.cli.acting_options import Given, acting_options
 from deitalk.cli.console import bar, emit_outcome
-from deitalk.cli.options import Delay, Device, Force, Handles, Json, Model, Timecode
+from deitalk.cli.options import Delay, Device, Force, Handles, Json, Model, Rate, Timecode
 from deitalk.cli.targets import reserve_file, reserve_take
 from deitalk.errors import DeitalkError
 from rig.limits import MOST_DELAY, MOST_HANDLES
@@ -125,9 +125,7 @@ def dub(
     ] = None,
     model: Model = "default",
     device: Device = "cpu",
-    fps: Annotated[
-        float | None, typer.Option(help="Rate of the written curves: 24 25 29.97 30 50 60.")
-    ] = None,
+    fps: Rate = None,
     timecode: Timecode = "zero",
     delay: Delay = 0,
     handles: Handles = 0,
