@@ -6,7 +6,9 @@ import sys
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
+from zlib import crc32
 
 import numpy as np
 import pytest
@@ -75,6 +77,40 @@ def one_analysis() -> Iterator[None]:
         yield
 
 
+@pytest.fixture(scope="session")
+def opened_once() -> Iterator[None]:
+    """Equal graphs and weights are opened once in a process: opening takes as long as a recording.
+
+    A session keeps no state. The features of a recording's phones are computed once, too.
+    """
+    from deitalk.models.onnx import network
+    from deitalk.pipeline.words import evidence
+
+    opened, measured = {}, {}
+    open_session, phone_features = network.open_session, evidence.phone_features
+
+    def session(graph, path, threads, weights=MappingProxyType({}), *, once=False):
+        stored = tuple((name, crc32(np.ascontiguousarray(x))) for name, x in weights.items())
+        key = (graph, threads, once, stored)
+        if key not in opened:
+            if len(opened) == 16:
+                opened.pop(next(iter(opened)))
+            opened[key] = open_session(graph, path, threads, weights, once=once), weights
+        return opened[key][0]
+
+    def features(model, speech):
+        key = speech.sound.tobytes()
+        if key not in measured:
+            measured[key] = phone_features(model, speech)
+        return measured[key]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(network, "open_session", session)
+        patch.setattr(evidence, "phone_features", features)
+        patch.setattr(evidence, "require_model", cache(evidence.require_model))
+        yield
+
+
 THOROUGH = (
     "tests/api/test_attacks.py",
     "tests/api/test_animations.py::test_every_format_is_answered_and_not_empty[mp4]",
@@ -86,6 +122,8 @@ THOROUGH = (
     "tests/api/test_malformed.py",
     "tests/api/test_neighbours.py",
     "tests/api/test_pages.py",
+    "tests/api/test_parity.py::test_commands_give_the_curves_and_keep_the_settings[batch_line",
+    "tests/api/test_parity.py::test_mesh_poses_the_same_curves",
     "tests/api/test_places.py",
     "tests/api/test_protocol.py::test_spans",
     "tests/api/test_queue.py",
