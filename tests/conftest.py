@@ -4,6 +4,7 @@ import gc
 import signal
 import sys
 from collections.abc import Iterator
+from copy import deepcopy
 from functools import cache
 from pathlib import Path
 from types import MappingProxyType
@@ -79,33 +80,39 @@ def one_analysis() -> Iterator[None]:
 
 @pytest.fixture(scope="session")
 def opened_once() -> Iterator[None]:
-    """Equal graphs and weights are opened once in a process: opening takes as long as a recording.
+    """Of equal graphs one session in a process, of an equal recording one reading.
 
-    A session keeps no state. The features of a recording's phones are computed once, too.
+    To open a session takes as long as a recording of seconds; it keeps no state.
     """
     from deitalk.models.onnx import network
     from deitalk.pipeline.words import evidence
 
-    opened, measured = {}, {}
-    open_session, phone_features = network.open_session, evidence.phone_features
+    def kept(function, key_of):
+        """A function that keeps its last 16 results, each with what it was made of."""
+        known: dict[Any, Any] = {}
 
-    def session(graph, path, threads, weights=MappingProxyType({}), *, once=False):
+        def call(*given, **named):
+            key = key_of(*given, **named)
+            if key not in known:
+                if len(known) == 16:
+                    known.pop(next(iter(known)))
+                known[key] = function(*given, **named), given, named
+            return known[key][0]
+
+        return call
+
+    def graph_key(graph, path, threads, weights=MappingProxyType({}), *, once=False):
         stored = tuple((name, crc32(np.ascontiguousarray(x))) for name, x in weights.items())
-        key = (graph, threads, once, stored)
-        if key not in opened:
-            if len(opened) == 16:
-                opened.pop(next(iter(opened)))
-            opened[key] = open_session(graph, path, threads, weights, once=once), weights
-        return opened[key][0]
+        return graph, threads, once, stored
 
-    def features(model, speech):
-        key = speech.sound.tobytes()
-        if key not in measured:
-            measured[key] = phone_features(model, speech)
-        return measured[key]
+    def reading_key(read, sound, weights, actor="", progress=None, gain=1.0):
+        return read._session, read._part, sound.tobytes(), weights.tobytes(), actor, gain
 
+    read = kept(network.OnnxNetwork.read, reading_key)
+    features = kept(evidence.phone_features, lambda model, speech: speech.sound.tobytes())
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(network, "open_session", session)
+        patch.setattr(network, "open_session", kept(network.open_session, graph_key))
+        patch.setattr(network.OnnxNetwork, "read", lambda *a, **named: deepcopy(read(*a, **named)))
         patch.setattr(evidence, "phone_features", features)
         patch.setattr(evidence, "require_model", cache(evidence.require_model))
         yield
