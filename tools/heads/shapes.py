@@ -133,7 +133,7 @@ class Shapes:
     def _parted(self, state):
         """A state whose lips meet along one smooth line: neither reaches beyond it in front."""
         rows = [w @ state[ids, 1] for w, ids in zip(self.rim_weights, self.rims, strict=True)]
-        out, across, soft = state.copy(), self.average[: self.n, 0], 0.02
+        out, across, soft = state.copy(), self.average[: self.n, 0], 0.012
         seam = np.interp(across, COLUMNS, gaussian_filter1d(np.mean(rows, 0), 2.0))
         front = state[self.rims[0], 2].max() - 1.6
         up, low = self.away
