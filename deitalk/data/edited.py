@@ -22,7 +22,7 @@ from deitalk.postprocess.control_groups import ControlGroups
 from deitalk.postprocess.joins import HANDLES, TAKE_ABOUT, TAKE_CURVES, TAKE_SOUND, opened_take
 from rig import Control, ControlSet, RigCurves, default_controls, read_curves, write_curves
 from rig.controls import DEFAULT_ID
-from rig.conversion.arkit import ARKIT_ID, RAW_ID, arkit_controls
+from rig.conversion.arkit import ARKIT_ID, N_SHAPES, RAW_ID, arkit_controls
 from rig.conversion.board_of_shapes import board_of_shapes
 from rig.conversion.convert import KNOWN, convert, reached_controls
 from rig.curves.apply_layers import Closures, apply_layers
@@ -31,7 +31,6 @@ from rig.curves.layers import Layer
 from rig.curves.shift import checked_shift, shift, unshifted
 from rig.errors import listed
 from rig.formats import livelink_csv, unreal_json
-from rig.formats.curves_csv import N_SHAPES
 from rig.formats.table import find_format
 from rig.formats.wide_csv import read_header
 

@@ -44,7 +44,12 @@ from deitalk.postprocess.life.motion import Character, Motion, Moved, plan_motio
 from deitalk.postprocess.life.other import OtherVoice
 from deitalk.postprocess.life.voice import Seeds, Traits, measure_voice
 from deitalk.postprocess.tracks import VoiceTracks, shown_columns
-from deitalk.postprocess.variants import choose_ways, unused_variants
+from deitalk.postprocess.variants import (
+    choose_ways,
+    habit_factors,
+    show_habits,
+    unused_variants,
+)
 from rig import ControlSet, RigCurves
 from rig.arrays import Float32
 from rig.curves.apply_layers import target_columns
@@ -375,6 +380,8 @@ class _Read(NamedTuple):
     """Columns of `deitalk.postprocess.tracks.VoiceTracks` [shape=(T, 43)]."""
     intensities: Intensities
     traits: Traits
+    habits: Float32
+    """Factors of the character on the expression of each control [shape=(C,)]."""
     moved: Moved | None
     words: "WordFit | None"
 
@@ -419,7 +426,10 @@ def _read(prepared: Prepared, reading: Reading, words: "WordFit | None" = None) 
     )  # fmt: skip
     moved = _moved(prepared, weights * intensities.applied[:, None], traits)
     values = neutral.copy() if emotional is neutral else emotional
-    return _Read(prepared, neutral, values, voice.columns(), intensities, traits, moved, words)
+    habits = habit_factors(network.controls, rules.expressions, ways.habits)
+    return _Read(
+        prepared, neutral, values, voice.columns(), intensities, traits, habits, moved, words
+    )
 
 
 def _finished(read: Sequence[_Read], model: str = "") -> list[Performance]:
@@ -436,7 +446,10 @@ def _finished(read: Sequence[_Read], model: str = "") -> list[Performance]:
         given = each.prepared.gain, each.prepared.acting.rules
         clips.append(Unruled(each.neutral, each.shown, each.voice, gates, *given))
     # The rules, in their order: `deitalk.postprocess.curve_pass`.
+    controls = read[0].prepared.network.controls
     outside = apply_rules(read[0].prepared.network.curve_pass(), clips)
+    for each, clip in zip(read, clips, strict=True):
+        show_habits(clip.shown, clip.neutral, controls, each.habits)
     return [_performance(*one, model) for one in zip(read, motions, clips, outside, strict=True)]
 
 

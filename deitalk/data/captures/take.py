@@ -17,14 +17,14 @@ from deitalk.installed import imported
 from rig import ControlSet, RigCurves, default_controls, read_curves
 from rig.arrays import Bool
 from rig.controls import DEFAULT_ID
-from rig.conversion.arkit import ARKIT_ID, RAW_ID, arkit_to_raw
+from rig.conversion.arkit import ARKIT_ID, N_SHAPES, RAW_ID, arkit_to_raw
 from rig.conversion.convert import KNOWN, convert, reached_controls
 from rig.curves.edit import clamp
 from rig.curves.timecode import TICKS_PER_SECOND
 from rig.errors import UserError
 from rig.files.reading import open_file, read_npz
 from rig.formats import emoface_txt, livelink_csv, unreal_json
-from rig.formats.curves_csv import N_SHAPES, describe_columns, known_columns
+from rig.formats.curves_csv import describe_columns, known_columns
 from rig.formats.named import NamedCurves, is_face_cap, read_named
 from rig.formats.table import format_of_header
 from rig.formats.units import check_rate, in_units
