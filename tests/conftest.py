@@ -106,7 +106,8 @@ def opened_once() -> Iterator[None]:
         return graph, threads, once, stored
 
     def reading_key(read, sound, weights, actor="", progress=None, gain=1.0):
-        return read._session, read._part, sound.tobytes(), weights.tobytes(), actor, gain
+        of = read._session, read._part, network.loudest
+        return of, sound.tobytes(), weights.tobytes(), actor, gain
 
     read = kept(network.OnnxNetwork.read, reading_key)
     features = kept(evidence.phone_features, lambda model, speech: speech.sound.tobytes())
