@@ -56,7 +56,7 @@ OPEN = ((0.05, 0.02, 0.05, 0.02), (0.2, 0.1, 0.2, 0.1))
 the width and the corners less, because rounded lips are hardly open."""
 OUT = (0.08, 0.16)
 """Reading of the tongue from which it comes out, and at which it is out."""
-VOICE = (0.03, 0.12)
+VOICE = (0.3, 0.6)
 """Reading of the voice up to which the mouth does not move, and from which it moves as it does."""
 SHOWN = {
     "out": ("tongue_inOut", -0.65, 1.0),
