@@ -15,7 +15,7 @@ import numpy as np
 
 from rig.arrays import Float32, Float64
 from rig.controls import default_controls
-from rig.conversion.arkit import arkit_controls
+from rig.conversion.arkit import apple_names, arkit_controls
 from rig.conversion.convert import convert
 from rig.curves import RigCurves
 from rig.face import Head, build_head
@@ -26,7 +26,7 @@ from rig.mesh.trimesh import TriMesh
 from rig.retarget.correctives import ARKIT_HALVES, half_weight
 from rig.retarget.morph_head import METRES_PER_CM, textured
 
-SHAPES = tuple(name[0].lower() + name[1:] for name in arkit_controls().names[:52])
+SHAPES = apple_names()
 """ARKit's 52 blend shapes, by Apple's names."""
 BASES = {"mouthClose": ("jawOpen", 1.0), "tongueOut": ("jawOpen", 0.4)}
 """Shapes that act on an open jaw only, as displacements from it."""
