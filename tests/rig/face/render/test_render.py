@@ -5,16 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from PIL import Image
-from scipy.spatial import Delaunay
+from scipy.spatial import Delaunay, cKDTree
 
 from deitalk.research.contact_sheet import SHEETS, Tile, draw_sheet, pose_values, sheet_tiles
-from rig.face import build_head
+from rig.face import IDENTITIES, build_head
+from rig.face.accents import accents
 from rig.face.mesh import FINE, HAIR, Mesh
 from rig.face.render import VIEWS, View
 from rig.face.render.picture import text_width, write_png, write_text
 from rig.face.render.shading import background, glsl
 from rig.face.render.software import Renderer, Screen, front_faces, nearest_faces
 
+PEOPLE = [identity.name for identity in IDENTITIES]
 SIZE = (72, 80)
 FROM_FRONT = View((0, 0, 0), (0, 0, 60), 20)
 
@@ -127,9 +129,49 @@ def test_face_is_drawn_as_by_the_shaders_of_the_page(head, parts, most, most_of_
     inside = pictures[1].any(axis=2).reshape(110, 3, 100, 3).all((1, 3))  # no backdrop
     assert 0.3 < inside.mean() < 0.9
     difference = np.abs(blocks[0] - blocks[1]).mean(2)[inside]
-    print(difference.mean(), np.percentile(difference, 97))
     assert difference.mean() < most
     assert np.percentile(difference, 97) < most_of_97
+
+
+def shown(person: str, view: View, size=(360, 300), **raised) -> tuple[np.ndarray, np.ndarray]:
+    """Brightness (h, w) of a person in a pose, and the pixel (column, row) of both pupils."""
+    head, values = build_head(person), pose_values(raised)[None]
+    pose = head.pose(values)
+    renderer = Renderer(head.mesh, size, view)
+    picture = renderer.render(pose[0].astype(float), accents=accents(head, values, pose)[0])
+    front = pose[0, [head.slices[f"eye_{s}"].start for s in "LR"]]
+    x, y, _, w = view.matrix(size[0] / size[1]) @ np.c_[front, np.ones(2)].T
+    return picture.mean(2), np.stack([(x / w + 1) * size[0] / 2, (1 - y / w) * size[1] / 2], 1)
+
+
+@pytest.mark.parametrize("person", PEOPLE)
+def test_closed_lips_meet_in_one_smooth_line(person):
+    """Lips that pass through one another in front of their contact make steps in the line."""
+    light, _ = shown(person, VIEWS["mouth"])
+    rows = 90 + light[90:190, 150:211].argmin(0)  # the darkest row of each column
+    assert np.abs(np.diff(rows)).max() <= 2
+
+
+@pytest.mark.parametrize("person", PEOPLE)
+@pytest.mark.parametrize("cheeks", [0, 0.7])
+def test_pupils_stay_dark_when_lids_narrow(person, cheeks):
+    """A reflection that a lid's shadow only dims lies on the pupil like a film."""
+    raised = {f"CTRL_{s}_eye_cheekRaise.ty": cheeks for s in "LR"}
+    light, pupils = shown(person, VIEWS["eyes"], (600, 500), **raised)
+    for column, row in pupils.astype(int):
+        assert np.percentile(light[row - 5 : row + 6, column - 5 : column + 6], 25) < 45
+
+
+@pytest.mark.parametrize("person", PEOPLE)
+def test_hair_has_strands_before_its_edge(person):
+    """Strands that stand on the bare skin of the forehead or the temples make the hairline soft."""
+    head = build_head(person)
+    x = head.mesh.vertices
+    hair, strands = (x[head.slices[name]] for name in ("hair", "strands"))
+    rooted = strands[(strands[:, 2] > 0) & (strands[:, 1] > 0)]
+    on_skin = cKDTree(head.skin.vertices).query(rooted)[0] < 0.3
+    before_hair = cKDTree(hair).query(rooted)[0] > 0.25
+    assert (on_skin & before_hair).sum() > 40
 
 
 def random_screen(rng, count: int = 60, size: int = 48) -> tuple[Screen, np.ndarray]:
