@@ -121,8 +121,8 @@ class DEITalk(nn.Module):
                 n_controls, config.motion_channels, config.kernel_size, config.emotion_size
             )
         self.decoder = self.new_decoder()
-        names = self.controls.names
-        self.lips = LipReadout(size, names, causal=self.is_causal) if config.lips else None
+        names, kept, causal = self.controls.names, config.kept_controls, self.is_causal
+        self.lips = LipReadout(size, names, causal=causal, kept=kept) if config.lips else None
 
     def new_decoder(self) -> Decoder:
         """Make the decoder, that of Eq. 7."""

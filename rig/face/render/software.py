@@ -522,7 +522,9 @@ class Renderer:
             if halvings < 1:
                 return np.ascontiguousarray(picture)
             mode = "RGB" if picture.shape[2] == 3 else "CMYK"  # RGBA would weigh by alpha
-            image = Image.frombuffer(mode, picture.shape[1::-1], picture.tobytes(), "raw", mode, 0, 1)
+            image = Image.frombuffer(
+                mode, picture.shape[1::-1], picture.tobytes(), "raw", mode, 0, 1
+            )
             return np.asarray(image.reduce(2**halvings))
 
         share = TEXELS_PER_CM / 1024
