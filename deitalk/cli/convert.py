@@ -96,7 +96,8 @@ def convert(
     if source is None or target is None:
         raise typer.BadParameter("give a source and a target (or --list-formats)")
     reserve_file(target, force=force, inputs=(source, curves_of(source)))
-    sound = reserve_sound(target, source / "audio.wav", force=force)
+    audio = source / "audio.wav"
+    sound = reserve_sound(target, force=force, inputs=(audio,)) if audio.is_file() else None
     # Controls to convert to before writing; None where the format determines them.
     wanted = None if rig == "as-is" else control_set_of(rig)
     chosen, head = find_format(target, to, writable=True), identity and identity_of(identity)
@@ -119,7 +120,7 @@ def convert(
         curves = smoothed(curves.mirror() if mirror else curves, smooth)
     curves, note = convert_and_note(curves, wanted or curves.control_set)
     # The take's recording for a format that has sound, and its length if it is whole.
-    audio, speech = source / "audio.wav", dict[str, Any]()
+    speech: dict[str, Any] = {}
     if "seconds" in chosen.options and audio.is_file():
         speech["sound"] = audio
         if not start and end is None:
@@ -139,7 +140,7 @@ def convert(
     }  # fmt: skip
     emit_outcome(line, summary, report.notes, as_json=as_json)
     if sound is not None:
-        write_sound(sound, source / "audio.wav", start, end, handles / report.fps)
+        write_sound(sound, audio, start, end, handles / report.fps)
 
 
 def _pairs(texts: list[str] | None, option: str) -> dict[str, float]:
