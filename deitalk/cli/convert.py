@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -18,6 +18,9 @@ from deitalk.cli.options import (
 )
 from deitalk.cli.targets import curves_of, reserve_file, reserve_sound, write_sound
 from deitalk.errors import DeitalkError
+
+if TYPE_CHECKING:
+    from rig.formats.table import Format
 
 
 def convert(
@@ -98,16 +101,8 @@ def convert(
     reserve_file(target, force=force, inputs=(source, curves_of(source)))
     audio = source / "audio.wav"
     sound = reserve_sound(target, force=force, inputs=(audio,)) if audio.is_file() else None
-    # Controls to convert to before writing; None where the format determines them.
-    wanted = None if rig == "as-is" else control_set_of(rig)
     chosen, head = find_format(target, to, writable=True), identity and identity_of(identity)
-    if chosen.control_set is not None and wanted not in chosen.also:
-        if rig not in ("board", "as-is") and chosen.control_set != wanted:
-            raise DeitalkError(
-                f"--rig {rig} does not apply to {chosen.name}, whose curves are "
-                f"{chosen.control_set}; leave it out, or write csv, json, npz, or for arkit glb"
-            )
-        wanted = None
+    wanted = _control_set(rig, chosen)
     curves = read_curves(curves_of(source), format=from_, fps=source_fps, control_set=None)
     if start or end is not None:
         whole, curves = curves.duration, curves.slice_seconds(start, end)
@@ -141,6 +136,19 @@ def convert(
     emit_outcome(line, summary, report.notes, as_json=as_json)
     if sound is not None:
         write_sound(sound, audio, start, end, handles / report.fps)
+
+
+def _control_set(rig: str, chosen: "Format") -> str | None:
+    """Controls to convert to before writing; None where the format determines them."""
+    wanted = None if rig == "as-is" else control_set_of(rig)
+    if chosen.control_set is None or wanted in chosen.also:
+        return wanted
+    if rig not in ("board", "as-is") and chosen.control_set != wanted:
+        raise DeitalkError(
+            f"--rig {rig} does not apply to {chosen.name}, whose curves are "
+            f"{chosen.control_set}; leave it out, or write csv, json, npz, or for arkit glb"
+        )
+    return None
 
 
 def _pairs(texts: list[str] | None, option: str) -> dict[str, float]:
