@@ -24,8 +24,7 @@ import deitalk_unreal as importer  # type: ignore[import-not-found]
 
 RAW_PREFIX = "ctrl_expressions_"
 """Lower case: some versions give names of curves as they were first spelt in the editor."""
-RATES = ((24000, 1001), (24, 1), (25, 1), (30000, 1001), (30, 1), (48, 1), (50, 1),
-         (60000, 1001), (60, 1), (120, 1))  # fmt: skip
+RATES = [rate.as_integer_ratio() for rate in deitalk_clip.RATES]
 DECIMALS = 6
 STILL = 5e-7
 
@@ -227,14 +226,12 @@ def _controls(board: Any) -> list[tuple[str, str]]:
 def _sound(sequence: Any) -> tuple[str, int]:
     """Return the file name of the first sound, and the frame at which it starts."""
     unreal = importer.unreal
-    find = getattr(sequence, "find_tracks_by_type", None) or sequence.find_master_tracks_by_type
-    for track in find(unreal.MovieSceneAudioTrack):
+    for track in sequence.find_tracks_by_type(unreal.MovieSceneAudioTrack):
         for section in track.get_sections():
             sound = section.get_editor_property("sound")
             if sound is None:
                 continue
-            source = sound.get_editor_property("asset_import_data")
-            path = str(source.get_first_filename()) if source is not None else ""
+            path = importer.file_of(sound)
             name = path.replace("\\", "/").rsplit("/", 1)[-1] or str(sound.get_name())
             return name, int(section.get_start_frame())
     return "", int(sequence.get_playback_start())
