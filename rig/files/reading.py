@@ -227,10 +227,7 @@ def read_json(path: Path, limit: int, *, error: ErrorClass = FormatError) -> Any
 
 
 def read_npz(
-    path: Path,
-    *,
-    limit: int = limits.UNPACKED_BYTES,
-    error: ErrorClass = FormatError,
+    path: Path, *, limit: int = limits.UNPACKED_BYTES, error: ErrorClass = FormatError
 ) -> dict[str, NDArray[Any]]:
     """Return the arrays of an NPZ archive, read-only; nothing is unpickled.
 

@@ -163,11 +163,7 @@ def in_units(curves: RigCurves, controls: ControlSet, where: object) -> RigCurve
 
 
 def _scale(
-    curves: RigCurves,
-    controls: ControlSet,
-    shapes: NDArray[np.intp],
-    ends: Float32,
-    where: object,
+    curves: RigCurves, controls: ControlSet, shapes: NDArray[np.intp], ends: Float32, where: object
 ) -> tuple[float, str]:
     """Divisor of the values, 1, 100 or 255, and a note."""
     if not len(shapes):
