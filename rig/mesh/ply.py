@@ -176,7 +176,7 @@ def _rows(file: BinaryIO, element: Element, order: str, left: int) -> Iterator[R
         if order == "":
             taken = words[:count]
             del words[:count]
-            values = [float(word) if kind[0] == "f" else int(word) for word in taken]
+            values: Any = [float(word) if kind[0] == "f" else int(word) for word in taken]
         elif dtype.itemsize * count > left:  # before so much memory is taken
             raise ValueError("the file is cut short")
         else:

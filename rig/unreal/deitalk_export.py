@@ -24,7 +24,7 @@ import deitalk_unreal as importer  # type: ignore[import-not-found]
 
 RAW_PREFIX = "ctrl_expressions_"
 """Lower case: some versions give names of curves as they were first spelt in the editor."""
-RATES = [rate.as_integer_ratio() for rate in deitalk_clip.RATES]
+RATES: list[tuple[int, int]] = [rate.as_integer_ratio() for rate in deitalk_clip.RATES]
 DECIMALS = 6
 STILL = 5e-7
 
@@ -189,8 +189,6 @@ def _rate_of(keys: dict[str, tuple[list[float], list[float]]], asset: str) -> tu
 
 def _sampled(times: list[float], values: list[float], grid: list[float]) -> Any:
     """Return values at the times of a grid, linear between keys; one number if they are equal."""
-    if max(values) - min(values) < STILL:
-        return round(values[0], DECIMALS)
     out, place = [], 0
     for t in grid:
         while place < len(times) - 2 and times[place + 1] <= t:
@@ -198,8 +196,8 @@ def _sampled(times: list[float], values: list[float], grid: list[float]) -> Any:
         before, after = times[place], times[min(place + 1, len(times) - 1)]
         share = 0.0 if after <= before else min(max((t - before) / (after - before), 0.0), 1.0)
         last = values[min(place + 1, len(values) - 1)]
-        out.append(round(values[place] + share * (last - values[place]), DECIMALS))
-    return out
+        out.append(values[place] + share * (last - values[place]))
+    return _rounded(out)
 
 
 def _rounded(values: Any) -> Any:

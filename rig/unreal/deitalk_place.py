@@ -124,7 +124,7 @@ def export_sound(sound: Any, folder: str) -> str:
     DeitalkError
         If there is no such file and Unreal does not write one.
     """
-    path = importer.file_of(sound)
+    path: str = importer.file_of(sound)
     if path and os.path.isfile(path):
         return path
     os.makedirs(folder, exist_ok=True)
