@@ -30,7 +30,7 @@ log = logging.getLogger("deitalk.service")
 CHECK_SECONDS = 0.5
 """Time between two looks for processes that have ended."""
 FAIR_SECONDS = 60.0
-"""Of two callers that wait, the one with less work in this time, for its share, is next."""
+"""Time in which work counts: of two callers that wait, the one with less for its share is next."""
 
 
 class Turns:

@@ -54,7 +54,7 @@ VIDEO_PIXELS = 960 * 720
 """Pixels of a frame of the review video."""
 NAME = "recording"
 NETWORK_SHARE = 0.1
-"""Of the progress of a video; the rest is its pictures."""
+"""Share of the network in the progress of a video; the rest is its pictures."""
 
 
 class TooLong(Exception):
@@ -130,7 +130,20 @@ def _answered(
     if options["format"] in ("mp4", "page", "packed"):
         _preview(out, performance, order, limits, progress)
     else:
-        said += _write(out, performance, options, limits, extras)
+        name, fps = options["format"], options.get("fps")
+        start, note = start_of(options.get("timecode", ZERO), fps, performance.recording.start)
+        form: dict[str, Any] = {"fps": fps, "start": start} | _shift(options)
+        said.append(note)
+        if name == "take":
+            model = options.get("model", "default")
+            about = describe_model(limits["models"][model]) | {"name": model}
+            folder = out.with_suffix("")
+            _zip(write_take(folder, performance, model=about, extras=extras, **form), out)
+        else:
+            seconds = performance.recording.duration
+            curves, _ = performance.at(fps)
+            report = write_curves(out, curves, format=name, seconds=seconds, **form)
+            said.append(report.note)
     facts = {
         "frames": len(performance.curves),
         "seconds": performance.recording.duration,
@@ -138,7 +151,7 @@ def _answered(
         "mean_applied_intensity": performance.mean_applied_intensity,
         "clipped_values": performance.clipped,
     }
-    return {"file": str(out), "notes": said, "facts": facts}
+    return {"file": str(out), "notes": [*filter(None, said)], "facts": facts}
 
 
 def _performed(order: Order, limits: Limits, progress: Progress) -> Performance:
@@ -217,30 +230,6 @@ def _sound(
     if recording.duration > now:
         raise TooLong(recording.duration)
     return recording
-
-
-def _write(
-    out: Path,
-    performance: Performance,
-    options: dict[str, Any],
-    limits: Limits,
-    extras: tuple[Extra, ...],
-) -> list[str]:
-    """Write a performance; return notes on what the file cannot hold."""
-    name, fps = options["format"], options.get("fps")
-    start, note = start_of(options.get("timecode", ZERO), fps, performance.recording.start)
-    notes = [note] if note else []
-    form: dict[str, Any] = {"fps": fps, "start": start} | _shift(options)
-    if name == "take":
-        folder = out.with_suffix("")
-        model = options.get("model", "default")
-        about = describe_model(limits["models"][model]) | {"name": model}
-        written = write_take(folder, performance, model=about, extras=extras, **form)
-        _zip(written, out)
-        return notes
-    seconds = performance.recording.duration
-    report = write_curves(out, performance.at(fps)[0], format=name, seconds=seconds, **form)
-    return [*notes, report.note] if report.note else notes
 
 
 def _shift(options: dict[str, Any]) -> dict[str, Any]:

@@ -96,7 +96,7 @@ class SpeechOptions(Acting):
 
 
 class AnimationOptions(SpeechOptions):
-    """The same, for curves."""
+    """Options of curves of a recording."""
 
     timecode: str = Field(
         "zero",
@@ -110,7 +110,7 @@ class AnimationOptions(SpeechOptions):
 
 
 class DubOptions(AnimationOptions):
-    """The same, for a performance that the request sends."""
+    """Options of another voice for a performance that the request sends."""
 
     stretch: float = Field(
         1.5, ge=1, le=3, description="Most by which phrases are played slower or faster."
@@ -137,7 +137,7 @@ class DiffOptions(BaseModel):
 
 
 class MeshOptions(SpeechOptions):
-    """The same, for a mesh."""
+    """Options of a moving mesh of a recording."""
 
     speaker: str = Field(
         "0", max_length=64, description="Embedded head, or speaker of a mesh model."
@@ -145,7 +145,7 @@ class MeshOptions(SpeechOptions):
 
 
 class RetargetOptions(SpeechOptions):
-    """The same, for a mesh that the request sends."""
+    """Options of a recording or curves on a mesh that the request sends."""
 
     method: str = Field(
         "displacements",

@@ -21,7 +21,7 @@ from deitalk.pipeline.actor_voice import reference_of
 MOST_LINES = 100
 """Lines of an actor that are measured, spread evenly over all of them."""
 FEWEST_LINES = 3
-"""With fewer lines with voice an actor gets no reference."""
+"""Least number of lines with voice from which an actor gets a reference."""
 
 
 class Sample(NamedTuple):

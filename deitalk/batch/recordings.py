@@ -27,9 +27,15 @@ class Recordings:
         """Size and time of a recording, divided by ``-``; empty if it is not there."""
         if audio not in self._known:
             found = ""
-            if is_url(audio):
-                self._list(audio.rpartition("/")[0])
-            else:
+            folder = audio.rpartition("/")[0]
+            if is_url(audio) and folder not in self._listed:
+                self._listed.add(folder)
+                system, path = file_system(folder)
+                with cloud_errors(folder):
+                    infos = system.ls(path, detail=True) if system.isdir(path) else []
+                for info in infos:
+                    self._known[f"{folder}/{info['name'].rpartition('/')[2]}"] = version_of(info)
+            elif not is_url(audio):
                 with suppress(OSError, ValueError):
                     state = os.stat(audio)
                     found = f"{state.st_size}-{state.st_mtime_ns}"
@@ -39,17 +45,6 @@ class Recordings:
     def size(self, audio: str) -> float:
         """Bytes of a recording; 0 if it is not there."""
         return float(self.signature(audio).partition("-")[0] or 0)
-
-    def _list(self, folder: str) -> None:
-        if folder in self._listed:
-            return
-        self._listed.add(folder)
-        system, path = file_system(folder)
-        with cloud_errors(folder):
-            found = system.ls(path, detail=True) if system.isdir(path) else []
-        for info in found:
-            name = info["name"].rpartition("/")[2]
-            self._known[f"{folder}/{name}"] = version_of(info)
 
 
 def read_recording(audio: str) -> tuple[bytes | None, str]:

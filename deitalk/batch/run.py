@@ -99,12 +99,7 @@ class Batch:
             Row(line.number, line.audio, line.output, FAILED, error=error)
             for line, error in zip(self.lines, errors, strict=True)
         ]
-        for wave in self._waves[:1]:
-            self._plan(wave)
-
-    def _plan(self, wave: Sequence[int]) -> None:
-        """Find what is to be done for the lines at some places."""
-        for place in wave:
+        for place in self._waves[0] if self._waves else ():
             self.rows[place] = self._row(place)
 
     def perform(self, run: Run, progress: Progress) -> None:
@@ -120,7 +115,8 @@ class Batch:
         for number, wave in enumerate(self._waves):
             if number:
                 self._orders = []
-                self._plan(wave)
+                for place in wave:
+                    self.rows[place] = self._row(place)
             ordered = {order.output for order in self._orders}
             for place in wave:
                 if number and self.lines[place].output not in ordered:

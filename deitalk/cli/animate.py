@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from deitalk.cli.acting_options import Given, acting_options
-from deitalk.cli.console import bar, console, emit_json
+from deitalk.cli.console import bar, console, emit_outcome
 from deitalk.cli.mesh import animate_vertices
 from deitalk.cli.options import (
     MESH,
@@ -21,6 +21,7 @@ from deitalk.cli.options import (
     Force,
     Handles,
     Json,
+    Rate,
     Threads,
     Timecode,
     WrittenIdentity,
@@ -46,9 +47,7 @@ def animate(
     ],
     given: Given,
     model: AnyModel = "default",
-    fps: Annotated[
-        float | None, typer.Option(help="Rate of the written curves: 24 25 29.97 30 50 60.")
-    ] = None,
+    fps: Rate = None,
     digits: Digits = None,
     backend: Backend = "auto",
     device: Device = "cpu",
@@ -172,25 +171,23 @@ def animate(
         notes = _write_file(target, performance, form | {"identity": head})
 
     # What there is to say about it.
-    words = performance.words
-    for line in filter(None, (note, *notes, *performance.recording.warnings)):
-        console().note(line)
-    if words is not None and words.fits:
-        console().note(words.line)
+    words, seconds = performance.words, performance.recording.duration
+    fit = words.line if words is not None and words.fits else ""
     frames = 2 * handles + len(performance.at(fps)[0])
-    if as_json:
-        emit_json({
-            "out": str(target), "frames": frames, "seconds": performance.recording.duration,
-            "mean_intensity": performance.mean_intensity,
-            "mean_applied_intensity": performance.mean_applied_intensity,
-            "clipped_values": performance.clipped, "words": words and words.line,
-            "suggestion": performance.suggestion, "settings": performance.acting.settings,
-            "signal": performance.recording.choice.settings,
-            "timings_seconds": performance.timings,
-        })  # fmt: skip
-        return
-    console().print(
-        f"{target}: {frames} frames, {performance.recording.duration:.2f} s, {performance.summary}"
+    summary = {
+        "out": str(target), "frames": frames, "seconds": seconds,
+        "mean_intensity": performance.mean_intensity,
+        "mean_applied_intensity": performance.mean_applied_intensity,
+        "clipped_values": performance.clipped, "words": words and words.line,
+        "suggestion": performance.suggestion, "settings": performance.acting.settings,
+        "signal": performance.recording.choice.settings,
+        "timings_seconds": performance.timings,
+    }  # fmt: skip
+    emit_outcome(
+        f"{target}: {frames} frames, {seconds:.2f} s, {performance.summary}",
+        summary,
+        filter(None, (note, *notes, *performance.recording.warnings, fit)),
+        as_json=as_json,
     )
 
 

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 import typer
 
-from deitalk.cli.console import console, emit, emit_json
+from deitalk.cli.console import emit, emit_outcome
 from deitalk.cli.options import (
     Delay,
     Digits,
@@ -132,15 +132,12 @@ def convert(
         handles=handles, **speech,
     )  # fmt: skip
     report = replace(report, note="; ".join(filter(None, (note, report.note))))
-    if as_json:
-        summary = {"format": report.format, "frames": report.n_frames, "fps": report.fps}
-        emit_json({"out": str(report.path), **summary, "notes": report.notes})
-    else:
-        for line in report.notes:
-            console().note(line)
-        console().print(
-            f"{report.path}: {report.format}, {report.n_frames} frames at {report.fps:g} fps"
-        )
+    line = f"{report.path}: {report.format}, {report.n_frames} frames at {report.fps:g} fps"
+    summary = {
+        "out": str(report.path), "format": report.format, "frames": report.n_frames,
+        "fps": report.fps, "notes": report.notes,
+    }  # fmt: skip
+    emit_outcome(line, summary, report.notes, as_json=as_json)
     if sound is not None:
         write_sound(sound, source / "audio.wav", start, end, handles / report.fps)
 

@@ -125,8 +125,7 @@ def _claim(path: Path) -> None:
 
 def note_reading(curves: "RigCurves") -> None:
     """Print what the reader of a file corrected, filled in or left out."""
-    for note in curves.notes:
-        console().note(note)
+    console().note(*curves.notes)
 
 
 def curves_of(source: Path) -> Path:

@@ -33,6 +33,7 @@ from deitalk.postprocess.life.amounts import Life
 from deitalk.postprocess.life.motion import Character, MotionStreams
 from deitalk.postprocess.life.voice import PAUSE, Cues, Seeds
 from deitalk.postprocess.tracks import GATES, VoiceTracks, shown_columns
+from deitalk.postprocess.variants import habit_factors, show_habits
 from rig.arrays import Bool, Float32, Int64
 from rig.curves import HEAD
 from rig.limits import SEED
@@ -514,9 +515,13 @@ class LiveAnimator:
         heads = self._move(ready, given, speaking[:, :count], acted, shown)
         # The rules, in their order: `deitalk.postprocess.curve_pass`.
         gain = np.array([stream.gain for stream in streams])
-        curves, _, _, after = self.rules(
+        curves, plain, _, after = self.rules(
             rows.neutral, rows.emotional, voice, shown, gain, ruled, before
         )
+        own = np.array([stream.ways.habits for stream in streams])
+        habits = habit_factors(self.network.controls, rules.expressions, own)[:, None]
+        habits = np.where(with_rules[..., None], habits, np.float32(1))
+        curves = show_habits(curves, plain, self.network.controls, habits)
         due = after, mixture[:, count:], speaking[:, count:], *known
         self.due = self._put(self.due, ready, due)
         finished = zip(streams, curves, heads, given, numbers, strict=True)

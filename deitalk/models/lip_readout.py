@@ -27,6 +27,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from deitalk.frontends.flat_kernel import FlatKernel, joined_taps
 from deitalk.models.joined import JoinedClips
 from deitalk.postprocess.torch_columns import smoothstep
 from rig.arrays import Float32
@@ -113,7 +114,7 @@ class LipReadout(nn.Module):
         kept: Collection[str] = (),
     ) -> None:
         super().__init__()
-        self.causal = causal
+        self.causal, self._flat = causal, FlatKernel()
         shown = [name for name in names if kept and name not in kept]
         self.corrects_measures = not any(part in name for part in MEASURED for name in shown)
         mask = torch.tensor([name in kept for name in names]) if shown else None
@@ -174,11 +175,12 @@ class LipReadout(nn.Module):
         """
         x = speech - self.silence
         if past is not None:
-            x = torch.cat((past, x), dim=1).transpose(1, 2)
+            taps = joined_taps(torch.cat((past, x), dim=1), TAPS)
+            rows = F.linear(taps, self._flat(self.listen.weight), self.listen.bias)
         else:
             x = x if clips is None else clips.spread(x, TAPS)
             x = F.pad(x.transpose(1, 2), (self.margin, TAPS - 1 - self.margin))
-        rows = self.listen(x).transpose(1, 2)
+            rows = self.listen(x).transpose(1, 2)
         if clips is not None:
             rows = clips.taken(rows, TAPS)
         channels = self.phones(rows[..., :HIDDEN].relu()).sigmoid()
@@ -186,7 +188,7 @@ class LipReadout(nn.Module):
 
     def next_past(self, past: Tensor, speech: Tensor) -> Tensor:
         """`past` of the call after one with these features."""
-        return torch.cat((past, speech - self.silence), dim=1)[:, speech.shape[1] :]
+        return torch.cat((past, speech - self.silence), dim=1)[:, 1 - TAPS :]
 
     def first_past(self, batch: int) -> Tensor:
         """`past` of the first frame of streams: silence, which is zeros (B, TAPS - 1, D)."""

@@ -84,7 +84,7 @@ class Person:
         is_low = np.isin(teeth.proxy.refs, base.group("helper-lower-teeth")).any(1)
         for row, of_row in (("upper", ~is_low), ("lower", is_low)):
             part = teeth.chosen(of_row[teeth.drawn[teeth.faces[:, 0]]])
-            part.points = part.points + _SETTLE[row]
+            part.points = part.points + _SETTLE[row] - [0, self.look.get("teeth_down", 0), 0]
             found[f"teeth_{row}"] = part
         found["tongue"] = self._proxy("tongue/tongue01/tongue01.json")
         found["tongue"].points = _rounded(found["tongue"].points)
@@ -108,6 +108,9 @@ class Person:
         if "hair_to" in self.look:  # cut: what hangs lower is drawn together
             y, end = hair.points[:, 1], self.look["hair_to"]
             hair.points[:, 1] = np.where(y < end + 2, end + 2 - 2 * np.tanh((end + 2 - y) / 8), y)
+        if "hair_close" in self.look:
+            normal, _, height = self._surface(hair.points, 8)
+            hair.points = hair.points - normal * ((1 - self.look["hair_close"]) * height)[:, None]
         hair.points = self._outside(hair.points, 0.3, 2.0)
         shirt = self._proxy("clothes/{0}/{0}.json".format(self.look["shirt"]), moves=False)
         x = shirt.points[shirt.drawn[shirt.faces]]

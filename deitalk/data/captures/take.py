@@ -44,7 +44,7 @@ LEAST_KNOWN = 3
 """Columns of a known name that make a table a capture."""
 DAY = 24 * 3600.0
 LEAST_SECONDS = 0.5
-"""Of curves and sound of a take."""
+"""Least length of curves and sound of a take."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -228,7 +228,13 @@ def kind_of(path: Path) -> str | None:
         if columns == len(emoface_txt.columns()):
             return "emoface"
     if suffix in (".csv", ".tsv", ".txt"):
-        return "table" if suffix == ".txt" and is_face_cap(path) else _kind_of_table(path)
+        if suffix == ".txt" and is_face_cap(path):
+            return "table"
+        header = read_header(path)
+        form = format_of_header(header)
+        if form == "livelink" or [c.lower() for c in header[:2]] == ["timecode", "blendshapecount"]:
+            return "livelink"
+        return "table" if _best_set(header)[1] >= LEAST_KNOWN or form == "a2f" else None
     if suffix == ".json":
         with open_file(path, JSON_CURVES_BYTES) as stream:
             head = stream.read(4096).replace(b"\0", b"")  # of UTF-16
@@ -241,14 +247,6 @@ def kind_of(path: Path) -> str | None:
         data = read_npz(path)
         return "video" if "landmarks" in data else "curves" if "schema" in data else "table"
     return None
-
-
-def _kind_of_table(path: Path) -> str | None:
-    header = read_header(path)
-    form = format_of_header(header)
-    if form == "livelink" or [c.lower() for c in header[:2]] == ["timecode", "blendshapecount"]:
-        return "livelink"
-    return "table" if _best_set(header)[1] >= LEAST_KNOWN or form == "a2f" else None
 
 
 def _seen(captured: CapturedCurves, seen: Bool | None) -> CapturedCurves:

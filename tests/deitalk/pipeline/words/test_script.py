@@ -13,16 +13,16 @@ from deitalk.errors import DataError, DeitalkError
 from deitalk.models.checkpoint import load_model
 from deitalk.models.folder import embedded_models
 from deitalk.pipeline.words.espeak import missing
-from deitalk.pipeline.words.script import (
-    DEEPEST,
+from deitalk.pipeline.words.marks import (
     RAMP_SECONDS,
-    Script,
     TimedMark,
-    known_tags,
     levels,
     with_accents,
     with_emotions,
 )
+from deitalk.pipeline.words.script import Script
+from deitalk.pipeline.words.ssml import DEEPEST
+from deitalk.pipeline.words.tags import known_tags
 from deitalk.postprocess.life.voice import Accent, Voice
 from rig.errors import UserError
 from tests.errors import one_line

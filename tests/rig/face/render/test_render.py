@@ -1,5 +1,7 @@
 """Pictures: light and edges as of OpenGL, sheets, letters and PNG."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from PIL import Image
@@ -7,7 +9,7 @@ from scipy.spatial import Delaunay
 
 from deitalk.research.contact_sheet import SHEETS, Tile, draw_sheet, pose_values, sheet_tiles
 from rig.face import build_head
-from rig.face.mesh import Mesh
+from rig.face.mesh import FINE, HAIR, Mesh
 from rig.face.render import VIEWS, View
 from rig.face.render.picture import text_width, write_png, write_text
 from rig.face.render.shading import background, glsl
@@ -107,19 +109,26 @@ def drawn_by_opengl(mesh: Mesh, size: tuple[int, int], view: View) -> np.ndarray
     return raw.reshape(*size[::-1], 3)[::-1].astype(int)
 
 
-def test_face_is_drawn_as_by_the_shaders_of_the_page(head):
-    size = (300, 330)
+@pytest.mark.parametrize(
+    ("parts", "most", "most_of_97"), [("face", 1.6, 8), ("face and hair", 3.0, 15)]
+)
+def test_face_is_drawn_as_by_the_shaders_of_the_page(head, parts, most, most_of_97):
+    """Strands of hair are narrower than a pixel: both renderers sample them differently."""
+    size, mesh = (300, 330), head.mesh
+    if parts == "face":
+        is_hair = np.isin(mesh.kind[mesh.faces[:, 0]], (HAIR, FINE))
+        mesh = replace(mesh, faces=mesh.faces[~is_hair])
     pictures = [
-        draw(head.mesh, size, VIEWS["face"]).astype(int),
-        drawn_by_opengl(head.mesh, size, VIEWS["face"]),
+        draw(mesh, size, VIEWS["face"]).astype(int),
+        drawn_by_opengl(mesh, size, VIEWS["face"]),
     ]
     # Means of 3 x 3 pixels: edges of single hairs are sampled differently.
     blocks = [p.reshape(110, 3, 100, 3, 3).mean((1, 3)) for p in pictures]
     inside = pictures[1].any(axis=2).reshape(110, 3, 100, 3).all((1, 3))  # no backdrop
     assert 0.3 < inside.mean() < 0.9
     difference = np.abs(blocks[0] - blocks[1]).mean(2)[inside]
-    assert difference.mean() < 2.4  # 3.5 where one of both has 5 % less light
-    assert np.percentile(difference, 97) < 13
+    assert difference.mean() < most
+    assert np.percentile(difference, 97) < most_of_97
 
 
 def random_screen(rng, count: int = 60, size: int = 48) -> tuple[Screen, np.ndarray]:
