@@ -13,7 +13,6 @@ from rig.curves.layers import HEAD_TARGETS, SEEN, SLACK, Edit, Layer, eased
 from rig.curves.rig_curves import RigCurves
 from rig.errors import listed
 
-
 FRAME = 1 / 30
 BESIDE = 0.07
 """Seconds: the frame before an edit in which it begins, and one by which it may miss its word."""

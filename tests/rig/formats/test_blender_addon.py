@@ -260,7 +260,9 @@ EDITS = {
 
 
 @pytest.mark.parametrize("program", blenders())
-@pytest.mark.parametrize(("kind", "rate"), [("board", 30), ("board", 24), ("board", 60), ("raw", 25)])
+@pytest.mark.parametrize(
+    ("kind", "rate"), [("board", 30), ("board", 24), ("board", 60), ("raw", 25)]
+)
 def test_keys_edited_in_blender_come_back_as_a_layer(tmp_path, program, kind, rate):
     """Import of a take, an animator's edits at 20 places, export, diff, and the take again.
 
