@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from rig.livelink import LiveSender
 
 PORT = 11111
-"""Of Live Link Face."""
+"""UDP port of Live Link Face."""
 POLL_SECONDS = 0.05
 """Longest wait for sound."""
 
@@ -223,8 +223,7 @@ def _curves(
         performance = animate(
             source, acting=given.acting, model=model, backend=backend, **given.choice.settings
         )
-        for warning in performance.recording.warnings:
-            console().note(warning)
+        console().note(*performance.recording.warnings)
         return performance.at(fps)[0], source
     if given.acting.settings:
         raise DeitalkError(

@@ -43,7 +43,8 @@ class ModelConfig(Section):
     effort: bool = False
     """A linear readout of the speech features is the strength of the voice; not in the paper."""
     lips: bool = False
-    """A linear readout of the speech features corrects contacts and width; not in the paper."""
+    """A readout of the speech features corrects contacts and width, of a tuned model those that
+    captures do not show; not in the paper."""
     emotion_size: Width = 128
     """Width of S_emo and E_in."""
     saliency_frames: int | None = Field(default=None, ge=1, le=limits.SALIENCY_FRAMES)

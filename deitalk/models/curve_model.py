@@ -65,7 +65,7 @@ class Analysis(NamedTuple):
     effort: Tensor | None = None
     """Strength of the voice [shape=(T,)], dB above the usual."""
     lips: Tensor | None = None
-    """What `deitalk.models.lip_readout` reads [shape=(T, 10)]."""
+    """What `deitalk.models.lip_readout` reads [shape=(T, 11)]."""
 
     @property
     def tracks(self) -> Tracks:
@@ -121,8 +121,8 @@ class DEITalk(nn.Module):
                 n_controls, config.motion_channels, config.kernel_size, config.emotion_size
             )
         self.decoder = self.new_decoder()
-        names = self.controls.names
-        self.lips = LipReadout(size, names, causal=self.is_causal) if config.lips else None
+        names, kept, causal = self.controls.names, config.kept_controls, self.is_causal
+        self.lips = LipReadout(size, names, causal=causal, kept=kept) if config.lips else None
 
     def new_decoder(self) -> Decoder:
         """Make the decoder, that of Eq. 7."""
@@ -381,7 +381,7 @@ class DEITalk(nn.Module):
         return Analysis(speech, guidance, saliency, strength, effort, lips)
 
     def _read_lips(self, speech: Tensor) -> Tensor | None:
-        """Readout of a whole clip's features (T, D), piece by piece [shape=(T, 10)]."""
+        """Readout of a whole clip's features (T, D), piece by piece [shape=(T, 11)]."""
         if self.lips is None:
             return None
         parts = [

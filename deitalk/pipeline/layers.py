@@ -8,19 +8,18 @@ have them, else the phones, which are laid through the new sound.
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from difflib import SequenceMatcher
-from importlib.util import find_spec
-from itertools import pairwise
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
+from deitalk.audio.frames import SAMPLE_RATE
 from deitalk.config.rules import KeepContacts
+from deitalk.pipeline.layer_sounds import PHONE_RATE, has_torch
 from deitalk.pipeline.speech import Speech
 from deitalk.postprocess.control_groups import ControlGroups
 from deitalk.postprocess.phones import PHONES, SILENCE
 from rig import ControlSet, RigCurves
-from rig.arrays import Bool, Float32, Float64
+from rig.arrays import Bool, Float64
 from rig.curves.apply_layers import Closures, apply_layers, retimed
 from rig.curves.layers import HEAD_TARGETS, Edit, Layer, Sound
 from rig.errors import listed
@@ -29,10 +28,6 @@ if TYPE_CHECKING:
     from deitalk.pipeline.words.align import FittedWord, WordFit
     from deitalk.postprocess.known_phones import KnownPhone
 
-PHONE_RATE = 2 * FRAME_RATE
-"""Of the lengths of a layer's phones, Hz."""
-SWITCH = 4.0
-"""Logarithm of the probability that a phone of unknown words must gain to begin."""
 BEYOND_SECONDS = 0.5
 """By which an edit may reach beyond the recording without a note."""
 LEAST_MATCHED = 0.5
@@ -204,11 +199,12 @@ def _plain(word: str) -> str:
 
 def _times_by_phones(layer: Layer, speech: Speech) -> Times | None:
     """Times of the layer's phones, laid through the sound; None if they do not fit it."""
-    if not layer.phones or not _has_torch():
+    if not layer.phones or not has_torch():
         return None
     from deitalk.pipeline.words.align import fit_words
     from deitalk.pipeline.words.evidence import measure_phones, phone_evidence
-    from deitalk.pipeline.words.transcript import Transcript, Word
+    from deitalk.pipeline.words.pronounced import Word
+    from deitalk.pipeline.words.transcript import Transcript
 
     spoken: list[list[tuple[str, float, float]]] = []
     for phone in _spoken(layer):
@@ -265,86 +261,6 @@ def _rising(anchors: Sequence[Anchor], words: Sequence[Anchor]) -> Times:
         np.isin(old + 1j * new, part[:, 0] + 1j * part[:, 1]) for part in (edges[::2], edges[1::2])
     )
     return Times(old, np.maximum.accumulate(new), begins, ends)
-
-
-# What a layer knows of its recording.
-
-
-def with_recording(
-    layers: Iterable[Layer], speech: Speech, words: "WordFit | None" = None
-) -> tuple[Layer, ...]:
-    """Layers that know the recording that they lie on; those that know one already stay.
-
-    Parameters
-    ----------
-    layers, speech, words
-        As for `follow_recording`. Without words the phones are those that the sound shows; without
-        torch there are none.
-    """
-    layers = tuple(layers)
-    if all(layer.sound is not None for layer in layers):
-        return layers
-    sound, used = Sound.of(speech.waveform, SAMPLE_RATE), words if words and words.is_used else None
-    spoken = tuple((w.text, w.start, w.end) for w in used.words) if used else ()
-    phones = _known_phones(used) if used else heard_phones(speech)
-    return tuple(
-        layer
-        if layer.sound is not None
-        else replace(
-            layer,
-            sound=sound,
-            words=spoken,
-            phones=phones,
-            edits=tuple(_with_words(edit, spoken) for edit in layer.edits),
-        )
-        for layer in layers
-    )
-
-
-def _with_words(edit: Edit, words: Sequence[tuple[str, float, float]]) -> Edit:
-    """The edit with the words within its span."""
-    (start, end) = edit.span
-    within = " ".join(text for text, first, last in words if first < end and last > start)
-    return replace(edit, words=within or edit.words)
-
-
-def _known_phones(words: "WordFit") -> tuple[tuple[str, int], ...]:
-    return tuple((p.name, round((p.end - p.start) * PHONE_RATE)) for p in words.phones)
-
-
-def heard_phones(speech: Speech) -> tuple[tuple[str, int], ...]:
-    """Phones that a sound of unknown words shows, with their lengths at `PHONE_RATE`."""
-    if not _has_torch() or not speech.activity.any():
-        return ()
-    from deitalk.pipeline.words.align import PRIOR_POWER
-    from deitalk.pipeline.words.evidence import measure_phones, phone_evidence
-
-    prior = np.float32(PRIOR_POWER) * np.log(phone_evidence().weights["prior"])
-    path = _best_phones(measure_phones(speech) - prior.astype(np.float32))
-    edges = np.flatnonzero(np.diff(path)) + 1
-    starts = [0, *edges.tolist(), len(path)]
-    return tuple((PHONES[path[a]], b - a) for a, b in pairwise(starts) if b > a)
-
-
-def _best_phones(evidence: Float32) -> np.ndarray:
-    """Phone of each row [shape=(R,)] (Viterbi); another one costs `SWITCH`."""
-    score, back = np.zeros(evidence.shape[1]), np.zeros(evidence.shape, np.int64)
-    own = np.arange(evidence.shape[1])
-    for row, logs in enumerate(evidence):
-        best = int(score.argmax())
-        stays = score >= score[best] - SWITCH
-        back[row] = np.where(stays, own, best)
-        score = np.where(stays, score, score[best] - SWITCH) + logs
-    path = np.empty(len(evidence), np.int64)
-    state = int(score.argmax())
-    for row in range(len(evidence) - 1, -1, -1):
-        path[row] = state
-        state = int(back[row, state])
-    return path
-
-
-def _has_torch() -> bool:
-    return find_spec("torch") is not None
 
 
 def unused_notes(layers: Sequence[Layer], curves: RigCurves) -> Iterator[str]:

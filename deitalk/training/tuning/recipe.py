@@ -19,6 +19,7 @@ from deitalk.errors import ConfigError
 from deitalk.models.checkpoint import check_kind
 from deitalk.models.curve_model import DEITalk
 from deitalk.models.folder import RIG_FILE, model_folder
+from deitalk.models.lip_readout import CONTACTS
 from deitalk.postprocess.control_groups import LIVELY
 from deitalk.postprocess.life.motion import ADDED_CONTROLS
 from deitalk.training.tuning.carry import carry_matrix
@@ -66,7 +67,7 @@ def read_recipe(
             "default"
         )
     network = of_base.model.model_dump(mode="json")
-    network["lips"] = False  # what an actor shows is not corrected
+    network["lips"] = False  # but for what `with_base_parts` keeps
     if network.get("control_set") == RIG_FILE:
         network["control_set"] = str(folder / RIG_FILE)
     tree["model"] = network | (tree.get("model") or {})
@@ -136,18 +137,25 @@ def with_base_parts(
     changes: dict[str, Any] = {"captured_emotions": shown, "base_controls": size}
     model = config.model.model_copy(update=changes | {"kept_controls": (), "kept_intensity": False})
     config = config.model_copy(update={"model": model})
+    if same_rig and size != 0:  # else the start of the decoder has what captures lack
+        config = _with_kept_controls(config, controls, learnt, captured)
     if config.tune.base_rules:
         lips = any(
             shows and any(part in name for part in LIVELY)
             for name, shows in zip(controls.names, captured, strict=True)
         )
-        of_base = base.rules
-        if base.model.lips:  # its numbers are for contacts that the readout corrects
+        of_base, corrects = base.rules, config.model.lips
+        if base.model.lips and (not corrects or (captured & contact_controls(controls)).any()):
+            # The base's numbers are for contacts that the readout corrects.
             of_base = of_base.model_copy(update={"sharpen_contacts": SharpenContacts()})
         rules = config.rules.taught(of_base, shown, lips=lips, other_rig=not same_rig)
         config = config.model_copy(update={"rules": rules})
-    has_base = same_rig and size != 0  # else the start of the decoder has what captures lack
-    return _with_kept_controls(config, controls, learnt, captured) if has_base else config
+    return config
+
+
+def contact_controls(controls: ControlSet) -> Bool:
+    """Whether each control is of a contact of the lips [shape=(C,)]."""
+    return np.array([any(part in name for part in CONTACTS) for name in controls.names])
 
 
 def base_controls(config: FinetuneConfig) -> ControlSet:
@@ -191,7 +199,7 @@ def _with_kept_controls(
         for name, shown in zip(controls.names, captured, strict=True)
         if name in kept and not shown
     )
-    model = config.model.model_copy(update={"kept_controls": names})
+    model = config.model.model_copy(update={"kept_controls": names, "lips": base.lips})
     return config.model_copy(update={"model": model})
 
 

@@ -17,12 +17,27 @@ from deitalk.data.clips import Clip, read_known, spread_clips
 from deitalk.data.frozen_features import FrozenFeatures
 from deitalk.data.waveforms import read_waveform
 from deitalk.emotions import EMOTIONS
-from deitalk.evaluation.smoothness import MOVING, Example, load_example
+from deitalk.evaluation.scores import area_under_curve
+from deitalk.evaluation.smoothness import (
+    MOVING,
+    Example,
+    knows_contact,
+    lips_together,
+    load_example,
+    speaking_frames,
+)
 from deitalk.evaluation.validation import JAW
 from deitalk.models.curve_model import Analysis, DEITalk
 from deitalk.models.rig_decoder import RigDecoder
 from deitalk.training.trainer import Progress, silent
-from deitalk.training.tuning.ridge import Capture, Maps, Rows, Sums, fit_ridge
+from deitalk.training.tuning.ridge import (
+    LEAST_BETTER,
+    Capture,
+    Maps,
+    Rows,
+    Sums,
+    fit_ridge,
+)
 from rig.arrays import Bool, Float32, Float64
 
 MOST_SCORED = 60
@@ -35,6 +50,10 @@ CALMEST = 0.2
 """Least share to which the jaw's motion by the base's emotions is lowered."""
 SHARES = 9
 """Shares of it that are tried."""
+TOUCHING = 0.5
+"""Captured value of lips-together from which lips touch."""
+LEAST_TOUCHING = 30
+"""Frames of speech with a contact, and without, from which on captures tell contacts: 1 s."""
 MOST_SIZED = 20
 """Clips on which it is measured, evenly spread."""
 
@@ -170,6 +189,39 @@ class Regression:
             may_stay=may_stay,
             new_actors=self.new_actors,
         )
+
+    @torch.no_grad()
+    def contacts_are_base(self) -> bool:
+        """Whether the base tells captured contacts of the lips as well as the maps of other clips.
+
+        By the area under the curve of frames of speech whose lips touch against the others, because
+        a regression is nearer to soft contacts than phones that are heard, and shuts fewer lips.
+        """
+        touches, found, of_base = [], [], []
+        for clip in spread_clips(list(self.clips), MOST_SCORED):
+            example = load_example(clip, self.controls)
+            speaks = speaking_frames(example)
+            if not knows_contact(example.known, self.controls) or not speaks.any():
+                continue
+            analysis = analysed(self.base, clip, len(example.curves), self.features)
+            styles = styles_of_clip(self.base, clip, len(example.curves))
+            calm = torch.eye(len(EMOTIONS))[0].expand(len(styles), -1)
+            both = self.base.decode(analysis, torch.stack((self.base.styles(calm, ""), styles)))
+            assert self.base.lips is not None and analysis.lips is not None
+            heard = self.base.lips.correct(both, analysis.lips)[1].numpy()
+            every = example.curves, self.predicted(clip, example), heard
+            for rows, curves in zip((touches, found, of_base), every, strict=True):
+                rows.append(lips_together(curves, self.controls)[speaks])
+        if not touches:
+            return True
+        shut = np.concatenate(touches) >= TOUCHING
+        if min(shut.sum(), (~shut).sum()) < LEAST_TOUCHING:
+            return True
+        own, base = (
+            area_under_curve(values[shut], values[~shut])
+            for values in (np.concatenate(found), np.concatenate(of_base))
+        )
+        return bool(own < base + LEAST_BETTER)
 
     @torch.no_grad()
     def teach_emotions(self, *, scales: bool) -> float:

@@ -52,6 +52,7 @@ from deitalk.training.tuning.expression_strength import expression_axes, label_i
 from deitalk.training.tuning.recipe import (
     can_learn_intensity,
     carried,
+    contact_controls,
     is_same_rig,
     learnt_controls,
     with_actors,
@@ -67,7 +68,7 @@ from deitalk.training.tuning.regression import (
     take_of,
 )
 from deitalk.training.tuning.ridge import Maps
-from rig.arrays import Float32
+from rig.arrays import Bool, Float32
 from rig.errors import ControlError
 
 ACTORS_FASTER = 30
@@ -211,8 +212,8 @@ class FinetuneTask(CurveTask):
         self.learnt = learnt_controls(config.rules, self.controls)
         self.pose = self._mean_pose(data)
         captured = self.learnt & self.pose.alive
-        shown = {clip.emotion for clip in self.clips}
-        self.config = with_base_parts(config, self.controls, self.learnt, captured, shown)
+        self.own_rules = config.rules
+        self._keep_base(captured)
         if is_same_rig(config):
             self.learnt = captured
         # The captured expressions from which intensity is learnt.
@@ -228,6 +229,12 @@ class FinetuneTask(CurveTask):
         self.axes = axes
         if self.axes:
             self.config = with_captured_intensity(self.config)
+
+    def _keep_base(self, captured: Bool) -> None:
+        """Leave to the base what captures do not show, of controls (C,) and emotions."""
+        config = self.config.model_copy(update={"rules": self.own_rules})
+        shown = {clip.emotion for clip in self.clips}
+        self.config = with_base_parts(config, self.controls, self.learnt, captured, shown)
 
     def _mean_pose(self, data: Path) -> MeanPose:
         try:
@@ -318,10 +325,7 @@ class FinetuneTask(CurveTask):
         tune = self.config.tune
         if not hasattr(self, "base"):
             self._begin()
-        self.model = self._network()
-        self._start_as(self.base)
-        if tune.part != "all":
-            self.model.frontend = self.base.frontend
+        self._begin_model()
         self._fit_last_layers()
         self.base.to(device)
         # Let only the weights of a part learn.
@@ -343,6 +347,12 @@ class FinetuneTask(CurveTask):
             self.validation_clips, self.controls, self.pose, self.learnt
         )
         self.shown = shown_examples(self.validation_clips, self.controls)
+
+    def _begin_model(self) -> None:
+        self.model = self._network()
+        self._start_as(self.base)
+        if self.config.tune.part != "all":
+            self.model.frontend = self.base.frontend
 
     @torch.no_grad()
     def _start_as(self, base: DEITalk) -> None:
@@ -407,6 +417,12 @@ class FinetuneTask(CurveTask):
         )
         late = self.late_clips if self.config.tune.part != "all" else []
         self.late = fit.fit(late, may_stay=self.has_start)
+        contacts = contact_controls(self.controls)
+        if self.config.model.lips and (self.learnt & contacts).any() and fit.contacts_are_base():
+            self._keep_base(self.learnt & ~contacts)
+            fit.learnt = self.learnt = self.learnt & ~contacts
+            self._begin_model()
+            fit.model = self.model
         self.start = self._copy() if self.has_start else None
         fit.maps.add_to(self.model.rig_decoder)
         gain = fit.teach_emotions(scales=self.is_same_rig)

@@ -16,13 +16,9 @@ from deitalk.acting import Acting
 from deitalk.audio.frames import runs
 from deitalk.audio.load import load_audio
 from deitalk.data.edited import changes_of_take
-from deitalk.pipeline import layers as module
-from deitalk.pipeline.layers import (
-    follow_recording,
-    heard_phones,
-    unused_notes,
-    with_recording,
-)
+from deitalk.pipeline import layer_sounds as module
+from deitalk.pipeline.layer_sounds import heard_phones, with_recording
+from deitalk.pipeline.layers import follow_recording, unused_notes
 from deitalk.pipeline.speech import Speech
 from deitalk.pipeline.words.align import FittedWord, WordFit, align_words
 from deitalk.pipeline.words.transcript import Transcript

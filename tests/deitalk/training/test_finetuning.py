@@ -467,20 +467,3 @@ def test_contacts_keep_the_rules_of_the_base(base, data, tmp_path):
     assert tuned.dead_zone is None and not tuned.expressions.covers_teeth
     off = FinetuneTask(recipe(base, "tune.base_rules=false"), folder).config.rules
     assert off.sharpen_contacts is None
-
-
-def test_contact_rules_of_a_base_with_a_readout_of_the_lips_have_their_usual_numbers(base):
-    """Its own are for contacts that the readout corrects, which a tuned model does not have."""
-    from deitalk.config.rules import SharpenContacts
-    from deitalk.training.tuning import recipe as module
-
-    settings = recipe(base)
-    of_base = module._base_config(settings)
-    rules = of_base.rules.model_copy(update={"sharpen_contacts": SharpenContacts(shoulder=0.3)})
-    model = of_base.model.model_copy(update={"lips": True})
-    corrected = of_base.model_copy(update={"rules": rules, "model": model})
-    shown = np.ones(len(CONTROLS), bool)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(module, "_base_config", lambda config: corrected)
-        tuned = module.with_base_parts(settings, CONTROLS, shown, shown, ["neutral"]).rules
-    assert tuned.sharpen_contacts == SharpenContacts()
