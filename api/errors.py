@@ -28,6 +28,7 @@ from deitalk.errors import (
     DataError,
     EmotionError,
     MissingError,
+    is_disk_full,
 )
 from rig.errors import (
     ControlError,
@@ -162,15 +163,6 @@ def database_away() -> Problem:
     """The answer while the database does not."""
     return Problem(503, "the database of jobs does not answer; try again", "database_away",
                    headers=RETRY)  # fmt: skip
-
-
-def is_disk_full(error: BaseException | None) -> bool:
-    """Whether an error, or one that it came from, is that of a full disk."""
-    while error is not None:
-        if getattr(error, "errno", None) in (errno.ENOSPC, errno.EDQUOT):
-            return True
-        error = error.__cause__ or error.__context__
-    return False
 
 
 def without_paths(text: str) -> str:

@@ -14,7 +14,8 @@ from pathlib import Path
 from typing import Any
 
 from api.compute.order import Answer, Limits, Order, TooLarge
-from api.errors import DISK_FULL, describe, is_disk_full, names_of
+from api.errors import DISK_FULL, describe, names_of
+from deitalk.errors import is_disk_full
 from deitalk.workers import begin_worker
 from rig.errors import UserError
 

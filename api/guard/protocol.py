@@ -74,7 +74,7 @@ class GuardedProtocol(_Reader, H11Protocol):
             guarded = [other for other in self.connections if isinstance(other, GuardedProtocol)]
             idle = [other for other in guarded if other.is_idle and other is not self]
             own = Counter(_address(other) for other in idle)
-            longest = min(idle, key=lambda o: (-own[_address(o)], o.idle_since), default=None)  # type: ignore[union-attr]
+            longest = min(idle, key=lambda o: (-own[_address(o)], o.idle_since), default=None)
             if longest is not None:
                 longest.transport.close()
                 self.connections.discard(longest)

@@ -132,8 +132,9 @@ class FFmpegReader:
                     timeline.position += lost_seconds
                     continue
                 samples, rate = _samples(frame), frame.sample_rate
-                is_timed = frame.pts is not None and frame.time_base is not None
-                gap = timeline.gap_before(float(frame.pts * frame.time_base) if is_timed else None)
+                ticks, unit = frame.pts, frame.time_base
+                at = None if ticks is None or unit is None else float(ticks * unit)
+                gap = timeline.gap_before(at)
                 if gap > 0:
                     yield from _silence(gap, rate, samples.shape[1])
                 else:

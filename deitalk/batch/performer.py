@@ -1,6 +1,5 @@
 """One line in a worker process: a recording to staged files."""
 
-import errno
 import hashlib
 import os
 import shutil
@@ -19,6 +18,7 @@ from deitalk.batch.findings import findings
 from deitalk.batch.lines import TAKE, Dubbing, has_option
 from deitalk.batch.orders import File, Order, Outcome, Target
 from deitalk.batch.recordings import read_recording
+from deitalk.errors import is_disk_full
 from deitalk.models.load import Backend
 from deitalk.pipeline.performance import Extra, Performance
 from rig.errors import UserError, one_line
@@ -31,7 +31,6 @@ TOGETHER_FRAMES = 32_768
 """Frames from which recordings are enough for one call of a GPU, 18 minutes. On a processor each is
 read alone: its files then are the same whatever comes with it."""
 T = TypeVar("T")
-_FULL = {errno.ENOSPC, errno.EDQUOT}
 
 
 class Performer:
@@ -94,16 +93,16 @@ class Performer:
         """The result of some work on a line, or of the line if it fails."""
         try:
             return work()
-        except UserError as error:
-            return Outcome(order.output, "full" if _is_full(error) else "failed", str(error))
         except Exception as error:  # one line must not end a night's work
-            text = f"{type(error).__name__}: {error}"
-            if isinstance(error, MemoryError):
+            if isinstance(error, UserError):
+                text = str(error)
+            elif isinstance(error, MemoryError):
                 text = "not enough memory; give a shorter recording, or use fewer workers"
             elif isinstance(error, OSError):
-                text = str(error.strerror or error)
-            status = "full" if _is_full(error) else "failed"
-            return Outcome(order.output, status, one_line(text))
+                text = one_line(error.strerror or error)
+            else:
+                text = one_line(f"{type(error).__name__}: {error}")
+            return Outcome(order.output, "full" if is_disk_full(error) else "failed", text)
 
     def _prepared(self, order: Order) -> tuple[str, "Prepared"] | Outcome:
         """Hash of a line's recording, and the line ready for the network; or its result."""
@@ -255,12 +254,3 @@ def _files(folder: Path, targets: tuple[Target, ...]) -> Iterator[File]:
             status, sha = path.stat(), hashlib.sha256(path.read_bytes()).hexdigest()
             final = f"{place}/{path.name}" if staged.is_dir() else place
             yield File(final, sha, status.st_size, status.st_mtime_ns)
-
-
-def _is_full(error: BaseException | None) -> bool:
-    """Whether an error comes from a full disk."""
-    while error is not None:
-        if isinstance(error, OSError) and error.errno in _FULL:
-            return True
-        error = error.__cause__ or error.__context__
-    return False

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from deitalk.cli.acting_options import Given, acting_options
-from deitalk.cli.console import bar, console, emit_json
+from deitalk.cli.console import bar, console, emit_outcome
 from deitalk.cli.mesh import animate_vertices
 from deitalk.cli.options import (
     MESH,
@@ -21,11 +21,12 @@ from deitalk.cli.options import (
     Force,
     Handles,
     Json,
+    Rate,
     Threads,
     Timecode,
     WrittenIdentity,
 )
-from deitalk.cli.targets import PICTURES, reserve_file, reserve_take
+from deitalk.cli.targets import PICTURES, reserve_file, reserve_sound, reserve_take
 from deitalk.errors import DeitalkError
 
 if TYPE_CHECKING:
@@ -46,9 +47,7 @@ def animate(
     ],
     given: Given,
     model: AnyModel = "default",
-    fps: Annotated[
-        float | None, typer.Option(help="Rate of the written curves: 24 25 29.97 30 50 60.")
-    ] = None,
+    fps: Rate = None,
     digits: Digits = None,
     backend: Backend = "auto",
     device: Device = "cpu",
@@ -124,11 +123,11 @@ def animate(
 
     # Whatever cannot be written is refused before the recording is animated.
     from deitalk.audio.original import start_of
+    from deitalk.batch.lines import TAKE, Written
     from deitalk.pipeline.performance import write_take
-    from rig.curves import snap_fps
     from rig.face.identity import identity_of
     from rig.files import is_folder_name
-    from rig.formats import checked_digits, checked_identity, find_format
+    from rig.formats import checked_identity, find_format
     from rig.formats.table import writable_suffixes
 
     head = identity and identity_of(identity)
@@ -141,19 +140,14 @@ def animate(
             f"--identity {identity} is the head of --preview, or of a .glb or .usda file; the take "
             f"{out} shows none: add --preview, or leave it out"
         )
-    if fps is not None:
-        snap_fps(fps)
-    if digits is not None:
-        checked_digits(digits, file_format)
-    start_of(timecode, fps, 0.0)
+    Written((file_format.suffixes[0] if file_format else TAKE,), **form).checked()
     if preview and not is_take:
         raise DeitalkError(f"--preview goes with a take folder; {out} is one file")
     if is_take:
         reserve_take(target, speech, force=force, inputs=inputs)
     else:
         reserve_file(target, force=force, inputs=inputs)
-        if target.suffix.lower() == ".fbx":  # it holds no sound
-            reserve_file(target.with_suffix(".wav"), force=force, inputs=inputs)
+        reserve_sound(target, force=force, inputs=inputs)
     extras: tuple[Extra, ...] = ()
     if preview:
         from deitalk.preview.page import add_preview, check_player
@@ -172,25 +166,23 @@ def animate(
         notes = _write_file(target, performance, form | {"identity": head})
 
     # What there is to say about it.
-    words = performance.words
-    for line in filter(None, (note, *notes, *performance.recording.warnings)):
-        console().note(line)
-    if words is not None and words.fits:
-        console().note(words.line)
+    words, seconds = performance.words, performance.recording.duration
+    fit = words.line if words is not None and words.fits else ""
     frames = 2 * handles + len(performance.at(fps)[0])
-    if as_json:
-        emit_json({
-            "out": str(target), "frames": frames, "seconds": performance.recording.duration,
-            "mean_intensity": performance.mean_intensity,
-            "mean_applied_intensity": performance.mean_applied_intensity,
-            "clipped_values": performance.clipped, "words": words and words.line,
-            "suggestion": performance.suggestion, "settings": performance.acting.settings,
-            "signal": performance.recording.choice.settings,
-            "timings_seconds": performance.timings,
-        })  # fmt: skip
-        return
-    console().print(
-        f"{target}: {frames} frames, {performance.recording.duration:.2f} s, {performance.summary}"
+    summary = {
+        "out": str(target), "frames": frames, "seconds": seconds,
+        "mean_intensity": performance.mean_intensity,
+        "mean_applied_intensity": performance.mean_applied_intensity,
+        "clipped_values": performance.clipped, "words": words and words.line,
+        "suggestion": performance.suggestion, "settings": performance.acting.settings,
+        "signal": performance.recording.choice.settings,
+        "timings_seconds": performance.timings,
+    }  # fmt: skip
+    emit_outcome(
+        f"{target}: {frames} frames, {seconds:.2f} s, {performance.summary}",
+        summary,
+        filter(None, (note, *notes, *performance.recording.warnings, fit)),
+        as_json=as_json,
     )
 
 

@@ -157,8 +157,7 @@ def import_(
         for line in result.lines():
             emit(as_line(line))
         emit(as_line(f"{out}: {result.summary}"))
-    for warning in result.warnings:
-        console().note(warning)
+    console().note(*result.warnings)
 
 
 @app.command()

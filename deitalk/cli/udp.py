@@ -223,8 +223,7 @@ def _curves(
         performance = animate(
             source, acting=given.acting, model=model, backend=backend, **given.choice.settings
         )
-        for warning in performance.recording.warnings:
-            console().note(warning)
+        console().note(*performance.recording.warnings)
         return performance.at(fps)[0], source
     if given.acting.settings:
         raise DeitalkError(

@@ -125,7 +125,7 @@ def follow_recording(
 
 def _followed(layer: Layer, speech: Speech, words: "WordFit | None") -> tuple[Layer, str]:
     name = f"edit {layer.name}" if layer.name else "the edit"
-    by, times = "words", _times_by_words(layer, words)
+    by, (times, lost) = "words", _times_by_words(layer, words)
     if times is None:
         by, times = "phones", _times_by_phones(layer, speech)
     if times is None:
@@ -135,9 +135,8 @@ def _followed(layer: Layer, speech: Speech, words: "WordFit | None") -> tuple[La
             else ("is another one, and the file knows no words or phones")
         )
         return layer, f"{name} was made on another recording; this one {why}: its times are kept"
-    old, new, pauses, lost = times
     kept = tuple(edit for edit in layer.edits if not _is_within(edit, lost))
-    moved = new - old
+    moved = times.new - times.old
     note = (
         f"{name} was made on another recording and follows its {by}: "
         f"{moved.min():+.2f} to {moved.max():+.2f} s"
@@ -146,7 +145,7 @@ def _followed(layer: Layer, speech: Speech, words: "WordFit | None") -> tuple[La
         left = [edit for edit in layer.edits if _is_within(edit, lost)]
         named = listed([f"{edit.target} at {edit.span[0]:.2f} s" for edit in left])
         note += f"; left out, as their words are not said here: {named}"
-    return retimed(replace(layer, edits=kept), old, new, pauses), note
+    return retimed(replace(layer, edits=kept), *times), note
 
 
 def _is_within(edit: Edit, spans: Sequence[tuple[float, float]]) -> bool:
@@ -155,17 +154,26 @@ def _is_within(edit: Edit, spans: Sequence[tuple[float, float]]) -> bool:
     return any(start <= middle < end for start, end in spans)
 
 
-Times = tuple[Float64, Float64, Bool, list[tuple[float, float]]]
-"""As for `retimed`, and old spans that have no counterpart."""
+class Times(NamedTuple):
+    """Moments of two recordings, as for `retimed`."""
+
+    old: Float64
+    new: Float64
+    begins: Bool
+    ends: Bool
 
 
-def _times_by_words(layer: Layer, words: "WordFit | None") -> Times | None:
+Anchor = tuple[float, float]
+"""Old and new seconds that belong together."""
+
+
+def _times_by_words(layer: Layer, words: "WordFit | None") -> tuple[Times | None, list[Anchor]]:
     """Times of the words that both have, and of their phones if those are the same.
 
-    None if they are too few.
+    None if they are too few. Old spans of the words that are not said follow.
     """
     if words is None or not words.is_used or not layer.words:
-        return None
+        return None, []
     old = [_plain(text) for text, _, _ in layer.words]
     new = [_plain(word.text) for word in words.words]
     pairs = [
@@ -174,14 +182,14 @@ def _times_by_words(layer: Layer, words: "WordFit | None") -> Times | None:
         for k in range(block.size)
     ]
     if len(pairs) < LEAST_MATCHED * len(old):
-        return None
+        return None, []
+    edges = _edges([layer.words[a] for a, _ in pairs], [words.words[b] for _, b in pairs])
     before, after = _spoken(layer), [p for p in words.phones if p.name != SILENCE]
     if before and [name for name, _, _ in before] == [phone.name for phone in after]:
-        return *_rising(_edges(before, after)), []
-    anchors = _edges([layer.words[a] for a, _ in pairs], [words.words[b] for _, b in pairs])
+        return _rising(_edges(before, after), edges), []
     matched = {a for a, _ in pairs}
     lost = [(start, end) for k, (_, start, end) in enumerate(layer.words) if k not in matched]
-    return *_rising(anchors), lost
+    return _rising(edges, edges), lost
 
 
 def _plain(word: str) -> str:
@@ -211,7 +219,12 @@ def _times_by_phones(layer: Layer, speech: Speech) -> Times | None:
         return None
     old = [phone for run in spoken for phone in run]
     new = [phone for phone in fit.phones if phone.name != SILENCE]
-    return *_rising(_edges(old, new)), []
+    anchors, k = _edges(old, new), 0
+    runs = []
+    for run in spoken:
+        runs += [anchors[2 * k], anchors[2 * (k + len(run)) - 1]]
+        k += len(run)
+    return _rising(anchors, runs)
 
 
 def _spoken(layer: Layer) -> list[tuple[str, float, float]]:
@@ -227,7 +240,7 @@ def _spoken(layer: Layer) -> list[tuple[str, float, float]]:
 
 def _edges(
     old: Sequence[tuple[str, float, float]], new: "Sequence[FittedWord | KnownPhone]"
-) -> list[tuple[float, float]]:
+) -> list[Anchor]:
     """Old and new seconds of the first and last moments of words or phones."""
     return [
         pair
@@ -236,17 +249,17 @@ def _edges(
     ]
 
 
-def _rising(anchors: Sequence[tuple[float, float]]) -> tuple[Float64, Float64, Bool]:
-    """Anchors of `_edges`, both rising; and whether what is between two of them is a pause.
+def _rising(anchors: Sequence[Anchor], words: Sequence[Anchor]) -> Times:
+    """Anchors of `_edges`, both rising, and where words begin and end, whose edges are given.
 
     A moment has two new times where a pause is there now.
     """
-    given = np.round(np.array(anchors, float), 4)
-    old, new = np.unique(given, axis=0).T
-    new = np.maximum.accumulate(new)
-    middle = (new[:-1] + new[1:]) / 2
-    begun, ended = (np.searchsorted(np.sort(given[k::2, 1]), middle) for k in (0, 1))
-    return old, new, begun == ended
+    rounded, edges = (np.round(np.array(given, float), 3) for given in (anchors, words))
+    old, new = np.unique(rounded, axis=0).T
+    begins, ends = (
+        np.isin(old + 1j * new, part[:, 0] + 1j * part[:, 1]) for part in (edges[::2], edges[1::2])
+    )
+    return Times(old, np.maximum.accumulate(new), begins, ends)
 
 
 def unused_notes(layers: Iterable[Layer], has_head: bool) -> Iterable[str]:

@@ -13,8 +13,9 @@ from rig.curves.layers import HEAD_TARGETS, SEEN, SLACK, Edit, Layer, eased
 from rig.curves.rig_curves import RigCurves
 from rig.errors import listed
 
-BESIDE = 0.1
-"""Seconds: the frame before an edit in which it begins, and two by which it may miss its word."""
+FRAME = 1 / 30
+BESIDE = 0.07
+"""Seconds: the frame before an edit in which it begins, and one by which it may miss its word."""
 STEP = 0.05
 """Longest first or last piece of an edit, in seconds, that is a step and stays as long."""
 APART = 1e-3
@@ -150,12 +151,7 @@ def _changed(edit: Edit, times: Float64, values: Any, rest: Any) -> Float64:
 
 
 def _met(
-    values: Float64,
-    before: Float32,
-    owned: Bool,
-    columns: Any,
-    closures: Closures,
-    closed: Float64,
+    values: Float64, before: Float32, owned: Bool, columns: Any, closures: Closures, closed: Float64
 ) -> Float64:
     """Values without what parts lips that were closed (T,)."""
     met = values.copy()
@@ -168,7 +164,7 @@ def _met(
     return met
 
 
-def retimed(layer: Layer, old: Float64, new: Float64, pauses: Bool) -> Layer:
+def retimed(layer: Layer, old: Float64, new: Float64, begins: Bool, ends: Bool) -> Layer:
     """The layer on another time axis; times before its beginning are negative.
 
     Parameters
@@ -178,23 +174,26 @@ def retimed(layer: Layer, old: Float64, new: Float64, pauses: Bool) -> Layer:
     old, new : array [shape=(N,)]
         Rising seconds that belong together: linear between them, shifted before the first and
         after the last.
-    pauses : array [shape=(N - 1,)]
-        Whether nobody speaks between them. An edit that begins, or ends, within `BESIDE` of a
-        pause that is longer in the new recording stays on its side of it.
+    begins, ends : array [shape=(N,)]
+        Whether a word begins there, or ends. Of an edit that begins, or ends, up to `BESIDE`
+        beyond it, what is beyond is as long as before.
     """
-    longer = pauses & (np.diff(new) > np.diff(old))
-    return replace(layer, edits=tuple(_retimed(edit, old, new, longer) for edit in layer.edits))
+    given = old, new, old[begins], old[ends]
+    return replace(layer, edits=tuple(_retimed(edit, *given) for edit in layer.edits))
 
 
-def _retimed(edit: Edit, old: Float64, new: Float64, longer: Bool) -> Edit:
+def _retimed(edit: Edit, old: Float64, new: Float64, begins: Float64, ends: Float64) -> Edit:
     (start, end), (rise, fall) = edit.span, edit.ease
-    middle, places = (start + end) / 2, np.arange(len(old))
-    after, before = old[1:], old[:-1]
-    begins = longer & (start <= after) & (after <= min(start + BESIDE, middle))
-    stops = longer & (max(end - BESIDE, middle) <= before) & (before <= end)
-    first = places[1:][begins].max(initial=0)
-    last = places[:-1][stops].min(initial=len(old) - 1)
-    old, new = old[first : last + 1], new[first : last + 1]
+    first, last, middle = 0, len(old), (start + end) / 2
+    near = begins[(start <= begins) & (begins <= min(start + BESIDE, middle))]
+    if len(near):
+        begun = near[np.abs(near - start - FRAME).argmin()]
+        first = int(np.searchsorted(old, begun, "right")) - 1
+    near = ends[(max(end - BESIDE, middle) <= ends) & (ends <= end)]
+    if len(near):
+        ended = near[np.abs(near - end + FRAME).argmin()]
+        last = int(np.searchsorted(old, ended)) + 1
+    old, new = old[first:last], new[first:last]
 
     def place(times: Any) -> Float64:
         beyond = np.minimum(times - old[0], 0) + np.maximum(times - old[-1], 0)
@@ -212,8 +211,9 @@ def _retimed(edit: Edit, old: Float64, new: Float64, longer: Bool) -> Edit:
     rates = gaps / np.diff(at)
     slopes = arrive * np.append(1.0, rates), leave * np.append(rates, 1.0)
     keys = tuple(zip(*(row.tolist() for row in (at, values, *slopes)), strict=True))
-    starts, ends, risen, falls = place(np.array([start, end, start + rise, end - fall])).tolist()
-    starts = float(at[0]) if start == times[0] else starts
-    ends = max(float(at[-1]) if end == times[-1] else ends, starts)
-    ease = max(risen - starts, 0.0) if rise else 0.0, max(ends - falls, 0.0) if fall else 0.0
-    return replace(edit, keys=keys, span=(starts, ends), ease=ease)
+    moments = place(np.array([start, end, start + rise, end - fall])).tolist()
+    starts = float(at[0]) if start == times[0] else moments[0]
+    stops = max(float(at[-1]) if end == times[-1] else moments[1], starts)
+    risen, falls = moments[2:]
+    ease = max(risen - starts, 0.0) if rise else 0.0, max(stops - falls, 0.0) if fall else 0.0
+    return replace(edit, keys=keys, span=(starts, stops), ease=ease)
