@@ -139,7 +139,9 @@ void main() {{
   v = normalize(eye - p_); n = normalize(n_); kind = int(light_.z * 5.0 + 0.5);
   vec4 tint = texture(atlas, uv_);
   bool hair = kind == {HAIR} || kind == {FINE}, thin = hair || kind == {CLOTH};
-  if (thin ? hair && tint.a < threshold : !gl_FrontFacing) discard;
+  float cut = threshold;  // without soft coverage pixels are left out by a pattern
+  if (cut > 0.3) cut += 0.6 * fract(52.983 * fract(dot(gl_FragCoord.xy, vec2(0.0671, 0.0058)))) - 0.3;
+  if (thin ? hair && tint.a < cut : !gl_FrontFacing) discard;
   if (thin && dot(n, v) < 0.0) n = -n;
   vec3 albedo = paint_.rgb * tint.rgb;
   float shade = 1.0, strand = 1.0, gloss = paint_.a;
