@@ -117,7 +117,9 @@ def hair(base, look):
     light = given[..., :3][near[0], near[1]].mean(-1)
     even = look["flat"] * gaussian_filter(light, 12) + (1 - look["flat"]) * light.mean()
     light = np.clip(light / even, *look["clip"]) ** 1.15
-    strands = gaussian_filter(np.random.default_rng(4).normal(size=light.shape), (14, 0.6)) * 1.6
+    rng = np.random.default_rng(4)
+    strands = sum(a * gaussian_filter(rng.normal(size=light.shape), w)
+                  for a, w in ((2.2, (14, 0.6)), (3.0, (40, 1.6))))  # fmt: skip
     colour = np.clip(np.array(look["hair_colour"]) / 255 * (light * (1 + strands))[..., None], 0, 1)
     return np.dstack([colour, alpha / 255])
 
@@ -134,10 +136,10 @@ def _strands(look, width=256 // VARIANTS, height=256):
             middle = rng.uniform(5, width - 5) + rng.normal() * 2.5 * y
             middle = middle + 1.2 * np.sin(3 * y + turn[0]) + curl * np.sin(
                 rng.uniform(14, 26) * y + turn[1])  # fmt: skip
-            end, thick = rng.uniform(0.6, 1.02), rng.uniform(0.8, 1.5)
+            start, end, thick = rng.uniform(0, 0.3), rng.uniform(0.6, 1.02), rng.uniform(0.8, 1.5)
             own = np.exp(-(((x - middle) / (thick * (1.15 - 0.7 * y / end).clip(0.3))) ** 2))
-            own = own * np.clip((end - y) / 0.18, 0, 1) * np.clip(y / 0.18 + 0.1, 0, 1)
-            light = np.where(own > alpha, rng.uniform(0.75, 1.3), light)
+            own = own * np.clip((end - y) / 0.18, 0, 1) * np.clip((y - start) / 0.1, 0, 1)
+            light = np.where(own > alpha, rng.uniform(0.85, 1.2), light)
             alpha = np.maximum(alpha, own)
         inside = np.clip(np.minimum(x, width - x) / 2 - 0.5, 0, 1)
         columns.append(np.dstack([light, alpha * inside]))

@@ -23,7 +23,7 @@ SHARE = {
 }  # fmt: skip
 """Share of the carried shape that is kept, by a part of its name; 1 for the others."""
 MIX = {
-    "mouth_lipBiteD.ty": ("rollD_@:.35 closeD_@:.12", ""),
+    "mouth_lipBiteD.ty": ("rollD_@:.35 closeD_@:.12 mouthUpperUp_@:.28", ""),
     "mouth_cornerPull.ty": ("mouthSmile_@:.42 mouthUpperUp_@:.12", ""),
     "mouth_sharpCornerPull.ty": ("mouthSmile_@:.25 mouthDimple_@:.2", ""),
     "eye_cheekRaise.ty": ("cheekSquint_@:.65 eyeSquint_@:.2", ""),
@@ -133,7 +133,7 @@ class Shapes:
     def _parted(self, state):
         """A state whose lips meet along one smooth line: neither reaches beyond it in front."""
         rows = [w @ state[ids, 1] for w, ids in zip(self.rim_weights, self.rims, strict=True)]
-        out, across, soft = state.copy(), self.average[: self.n, 0], 0.02
+        out, across, soft = state.copy(), self.average[: self.n, 0], 0.012
         seam = np.interp(across, COLUMNS, gaussian_filter1d(np.mean(rows, 0), 2.0))
         front = state[self.rims[0], 2].max() - 1.6
         up, low = self.away

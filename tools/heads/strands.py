@@ -93,7 +93,7 @@ class Hair:
         up = np.where(is_near, np.maximum(lift - high, 0), 0)
         return points + normal * up[:, None], normal, is_near
 
-    def curves(self, points, way, length, lift, hold, count=5):
+    def curves(self, points, way, length, lift, hold, count=4):
         """Curves (N, count + 1, 3) along the hair from points, and the normals there."""
         found, across = [points], []
         step = (length / count)[:, None]
@@ -132,6 +132,7 @@ class Hair:
         skin, faces = self.person.skin, self.person.base.skin_faces
         middle = skin[faces].mean(1)
         inside = (middle[:, 1] > look["edge_from"]) & (middle[:, 2] > -4)
+        inside &= (np.abs(middle[:, 0]) < 6.9) | (middle[:, 1] > 5) | (middle[:, 2] > 3)  # no ear
         place, normal, _ = scattered(skin, faces, 60_000, self.rng, inside)
         distance, near = self.tree.query(place)
         way = self.place[near] - place
@@ -152,7 +153,8 @@ def strands(person: Person, hair: Hair) -> Part:
     pieces = []
     for kind, count in (("over", look["cards"]), ("edge", look["edge_cards"])):
         if kind == "over":
-            chosen = rng.choice(len(hair.place), count, replace=False)
+            weight = 1 + 2 * np.clip(hair.normal @ [0, 0.4, 1], 0, 1)  # most where people look
+            chosen = rng.choice(len(hair.place), count, replace=False, p=weight / weight.sum())
             points, _, way, _ = hair.on(hair.place[chosen], 0)
             length = look["strand"] * rng.uniform(0.6, 1.3, count)
             hold = 0.6
@@ -165,7 +167,7 @@ def strands(person: Person, hair: Hair) -> Part:
         wide = look["width"] * rng.uniform(0.6, 1.3, len(points)) * (1 if kind == "over" else 0.6)
         lift = 0.05 + look["lift"] * rng.uniform(0.2, 1.0, len(points)) ** 3
         curves, across = hair.curves(points, way, length, lift, hold)
-        tone = rng.uniform(0.62, 1.0, len(points))
+        tone = rng.uniform(0.75, 1.0, len(points))
         kept = hair.tree.query(curves[:, -1])[0] < 0.9  # none hangs alone
         pieces.append(hair.cards(curves[kept], across[kept], wide[kept], tone[kept]))
     points, uv, faces, tone, first = [], [], [], [], 0

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from functools import cache
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -11,6 +11,9 @@ from deitalk.emotions import parse_emotion
 from deitalk.pipeline.words.tags import Kind
 from deitalk.postprocess.life.voice import ACCENT_DISTANCE, Accent, Voice
 from rig.arrays import Float32
+
+if TYPE_CHECKING:  # needs torch
+    from deitalk.pipeline.words.align import FittedWord
 
 RAMP_SECONDS = 0.3
 """Time over which the emotion of a tag comes before its first word and goes after its last."""
@@ -43,12 +46,20 @@ class TimedMark(NamedTuple):
     """Seconds."""
 
 
-def timed_mark(mark: Mark, starts: list[float], ends: list[float], seconds: float) -> TimedMark:
-    """A mark by the first and last seconds of the words, in a sound of so many seconds."""
-    if mark.stop > mark.first:
-        return TimedMark(*mark[:3], starts[mark.first], ends[mark.stop - 1])
-    before = ends[mark.first - 1] if mark.first else 0.0
-    after = starts[mark.first] if mark.first < len(starts) else seconds
+def timed_mark(mark: Mark, words: "Sequence[FittedWord]", seconds: float) -> TimedMark:
+    """A mark by the times of the words, in a sound of so many seconds.
+
+    A laugh is laid over the word beside it, which then does not fit: a sound that is no word lies
+    between the words that do.
+    """
+    first, stop = mark.first, mark.stop
+    if stop > first:
+        return TimedMark(*mark[:3], words[first].start, words[stop - 1].end)
+    if mark.kind == "sound":
+        first -= bool(first and not words[first - 1].fits)
+        stop += bool(stop < len(words) and not words[stop].fits)
+    before = words[first - 1].end if first else 0.0
+    after = words[stop].start if stop < len(words) else seconds
     if mark.kind == "sound":
         middle, half = (before + after) / 2, min(max(after - before, LEAST_SOUND), MOST_SOUND) / 2
         before, after = max(middle - half, 0.0), min(middle + half, seconds)

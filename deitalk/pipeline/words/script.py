@@ -104,9 +104,7 @@ class Script:
         """The marks in the sound, by the times of the words; none where the words do not fit."""
         if fit is None or not fit.is_used or len(fit.words) != len(self.transcript.words):
             return ()
-        starts = [word.start for word in fit.words]
-        ends = [word.end for word in fit.words]
-        return tuple(timed_mark(mark, starts, ends, seconds) for mark in self.marks)
+        return tuple(timed_mark(mark, fit.words, seconds) for mark in self.marks)
 
 
 class _Reading:

@@ -79,7 +79,7 @@ WRAPS = np.array(
         [0.35, 0.32, 0.3],
     ]
 )
-PORE_TILT = 0.12
+PORE_TILT = 0.09
 """How far pores tilt the normals of skin."""
 SKY, GROUND = (0.24, 0.26, 0.29), (0.11, 0.09, 0.085)
 BACKGROUND_TOP, BACKGROUND_BOTTOM = (0.30, 0.33, 0.37), (0.15, 0.165, 0.19)

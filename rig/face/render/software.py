@@ -8,6 +8,7 @@ import numba.core.config
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
+from PIL import Image
 
 from rig.arrays import Bool, Float32, Float64, Int32, Int64
 from rig.face.mesh import (
@@ -516,13 +517,15 @@ class Renderer:
         maps = mesh.maps
 
         def shrunk(picture: Picture, texels_per_cm: float) -> Picture:
-            while texels_per_cm > 1.5 * pixels_per_cm and picture.shape[0] > 2:
-                rows = np.add(picture[::2], picture[1::2], dtype=np.uint16)
-                pairs = rows.reshape(len(rows), -1, 2, picture.shape[2])
-                total = pairs[:, :, 0] + pairs[:, :, 1]
-                picture = ((total + 1 + (total >> 2 & 1)) >> 2).astype(np.uint8)  # half to even
-                texels_per_cm /= 2
-            return np.ascontiguousarray(picture)
+            halvings = int(np.ceil(np.log2(texels_per_cm / (1.5 * pixels_per_cm))))
+            halvings = min(halvings, len(picture).bit_length() - 2)
+            if halvings < 1:
+                return np.ascontiguousarray(picture)
+            mode = "RGB" if picture.shape[2] == 3 else "CMYK"  # RGBA would weigh by alpha
+            image = Image.frombuffer(
+                mode, picture.shape[1::-1], picture.tobytes(), "raw", mode, 0, 1
+            )
+            return np.asarray(image.reduce(2**halvings))
 
         share = TEXELS_PER_CM / 1024
         self._maps = (
