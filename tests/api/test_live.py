@@ -337,14 +337,12 @@ def test_client_that_does_not_read_is_cut_off_in_time(monkeypatch):
 class StuckSocket:
     """A WebSocket whose client takes nothing, and whose transport waits for it for ever."""
 
-    scope = {}
-    state = SimpleNamespace(caller=CALLER)
-
     def __init__(self):
         async def check_quota(caller):
             return None
 
         service = SimpleNamespace(check_quota=check_quota, live=Places(1))
+        self.scope, self.state = {}, SimpleNamespace(caller=CALLER)
         self.app = SimpleNamespace(state=SimpleNamespace(service=service))
 
     async def accept(self, subprotocol=None):
