@@ -156,6 +156,7 @@ THOROUGH = (
     "tests/deitalk/training/test_run_resume.py::test_run_killed",
     "tests/deitalk/training/test_trainer.py::test_compiled_network",
     "tests/deitalk/training/test_tuned_emotions.py",
+    "tests/deitalk/training/test_tuning_python.py::test_a_tuned_model_has_its_graph",
     "tests/rig/retarget/test_methods.py::test_shapes_follow_an_affine_map",
     "tests/test_constraints.py",
     "tests/test_docs_finetuning.py",

@@ -151,12 +151,7 @@ def _changed(edit: Edit, times: Float64, values: Any, rest: Any) -> Float64:
 
 
 def _met(
-    values: Float64,
-    before: Float32,
-    owned: Bool,
-    columns: Any,
-    closures: Closures,
-    closed: Float64,
+    values: Float64, before: Float32, owned: Bool, columns: Any, closures: Closures, closed: Float64
 ) -> Float64:
     """Values without what parts lips that were closed (T,)."""
     met = values.copy()

@@ -188,10 +188,7 @@ def _curves_of(
 
 
 def _head(
-    document: dict[str, Any],
-    turns: "dict[int, Rotation]",
-    moved: Tracks,
-    at: Float64,
+    document: dict[str, Any], turns: "dict[int, Rotation]", moved: Tracks, at: Float64
 ) -> Float32 | None:
     """Head track of a mesh's node, or of bones; None if neither turns."""
     from rig.retarget.bones import head_track, turn_of_bones

@@ -67,12 +67,7 @@ class ClosestPoints:
         self._sides = np.sign(sides[mesh.faces].sum(axis=1))
 
     def query(
-        self,
-        points: Any,
-        *,
-        normals: Any = None,
-        labels: Any = None,
-        least_cosine: float = 0.3,
+        self, points: Any, *, normals: Any = None, labels: Any = None, least_cosine: float = 0.3
     ) -> SurfacePoints:
         """Closest allowed surface point of each query.
 

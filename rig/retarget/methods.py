@@ -217,10 +217,7 @@ class Carried:
 
 
 def shapes_for(
-    mesh: TriMesh,
-    landmarks: Mapping[str, int],
-    *,
-    method: Method = "displacements",
+    mesh: TriMesh, landmarks: Mapping[str, int], *, method: Method = "displacements"
 ) -> tuple[BakedRig, Carried]:
     """Bake the rig of the embedded head onto a neutral mesh of any topology.
 

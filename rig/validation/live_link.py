@@ -50,10 +50,7 @@ def check_live_link(path: Path) -> list[Finding]:
         text += f", the whole name; {better} gives {parts['subject']!r}"
     if suffix_note(path):
         text = suffix_note(path)
-    findings = [
-        Finding("note", path, _count_of_frames(take)),
-        Finding("note", path, text),
-    ]
+    findings = [Finding("note", path, _count_of_frames(take)), Finding("note", path, text)]
     if take.ticks[0] > 60_000:
         text = "the time code starts late: Unreal places the section at that hour of the timeline"
         findings.append(Finding("warning", path, text))

@@ -222,14 +222,14 @@ def kind_of(path: Path) -> str | None:
     suffix = path.suffix.lower()
     if suffix in VIDEOS:
         return "video"
-    if suffix == ".txt" and not is_face_cap(path):
+    if suffix == ".txt":
+        if is_face_cap(path):
+            return "table"
         with open_file(path, JSON_CURVES_BYTES) as stream:
             columns = stream.readline(1 << 16).count(b",") + 1
         if columns == len(emoface_txt.columns()):
             return "emoface"
     if suffix in (".csv", ".tsv", ".txt"):
-        if suffix == ".txt" and is_face_cap(path):
-            return "table"
         header = read_header(path)
         form = format_of_header(header)
         if form == "livelink" or [c.lower() for c in header[:2]] == ["timecode", "blendshapecount"]:
@@ -240,9 +240,8 @@ def kind_of(path: Path) -> str | None:
             head = stream.read(4096).replace(b"\0", b"")  # of UTF-16
         if any(schema.encode() in head for schema in unreal_json.SCHEMAS):
             return "unreal"
-        if OWN_SCHEMA in head:
-            return "curves"
-        return "table" if any(mark in head for mark in JSON_MARKS) else None
+        known = "table" if any(mark in head for mark in JSON_MARKS) else None
+        return "curves" if OWN_SCHEMA in head else known
     if suffix == ".npz":
         data = read_npz(path)
         return "video" if "landmarks" in data else "curves" if "schema" in data else "table"
