@@ -167,9 +167,9 @@ class CausalWhisperFrontend(WhisperFrontend):
         spectra = scaled(self.mel.decades(windows), PEAK).transpose(1, 2)
         mel = torch.cat((state.mel, spectra), dim=1)
         # Few frames of many streams: products of matrices, where a convolution is one a stream.
-        first, second = self.encoder.conv1, self.encoder.conv2
-        taps = joined_taps(mel, first.kernel_size[0])
-        x = F.gelu(F.linear(taps, self._flat(first.weight), first.bias))
+        stem, second = self.encoder.conv1, self.encoder.conv2
+        taps = joined_taps(mel, stem.kernel_size[0])
+        x = F.gelu(F.linear(taps, self._flat(stem.weight), stem.bias))
         # The steps of the second one are its taps.
         x = x.reshape(x.shape[0], -1, self.spectra * x.shape[2])
         x = F.gelu(F.linear(x, self._flat_stem(second.weight), second.bias))

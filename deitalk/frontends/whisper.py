@@ -360,7 +360,8 @@ class Attention(nn.Module):
 
     def by_heads(self, rows: Tensor) -> Tensor:
         """Rows (B, K, D) as (B, heads, K, D / heads)."""
-        return rows.unflatten(-1, (self.heads, -1)).transpose(1, 2)
+        split: Tensor = rows.unflatten(-1, (self.heads, -1))  # type: ignore[no-untyped-call]
+        return split.transpose(1, 2)
 
 
 class Layer(nn.Module):

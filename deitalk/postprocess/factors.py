@@ -3,7 +3,6 @@
 Letters: T frames, C controls.
 """
 
-from collections.abc import Collection
 from functools import lru_cache
 from typing import Any
 
@@ -109,7 +108,7 @@ def held_intensity(
 
 
 @lru_cache(maxsize=8)
-def _upper_face(names: tuple[str, ...], captured: Collection[str]) -> tuple[Any, Any, Any]:
+def _upper_face(names: tuple[str, ...], captured: tuple[str, ...]) -> tuple[Any, Any, Any]:
     """Places of the controls of the upper face, poses that are taught of them, and `changed`."""
     table = expression_table(names, captured)
     moved = [names[place] for place in table.places]
