@@ -106,12 +106,10 @@ def _sync(survey: Survey) -> list[Check]:
     ]
     lags = [abs(s.lag) * 1000 for s in known.values()]
     well = f"curves within {max(lags, default=0):.0f} ms of the sound ({len(known)} takes)"
-    if not known:
-        well = "of no take; see sound"
     rows = [
         verdict("offset", late, well, "takes are early or late, offset_s is to correct"),
         verdict("drift", drift, "none", "takes drift, offset_s of every clip is to correct"),
-    ]
+    ][: 2 if known else 0]
     if misread := survey.misread():
         found = [
             f"{take} ({own:.5g} Hz, the sound fits {fit:.5g})"
@@ -125,7 +123,7 @@ def _sync(survey: Survey) -> list[Check]:
             "takes are seconds early (-) or late (+) against their sound; cut or pad the recording "
             "by so much, import again"
         )
-        rows.append(verdict("offset", found, "", text, "error"))
+        rows.append(verdict("apart", found, "", text, "error"))
     if foreign:
         text = "takes do not follow their sound; is it the right recording?"
         rows.append(verdict("sound", foreign, "", text))
