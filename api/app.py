@@ -1,7 +1,7 @@
 """The application: routes, the guard around them, errors as problems, life of the workers."""
 
 from collections.abc import AsyncIterator
-from contextlib import AbstractAsyncContextManager, asynccontextmanager, nullcontext
+from contextlib import AsyncExitStack, asynccontextmanager
 
 from fastapi import FastAPI, Request, Response
 from fastapi.exceptions import RequestValidationError
@@ -57,7 +57,11 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
         await service.start()
         try:
-            async with _grpc(service):
+            async with AsyncExitStack() as doors:
+                if settings.grpc_port:
+                    from api.live.audio2face import serving_grpc
+
+                    await doors.enter_async_context(serving_grpc(service))
                 yield
         finally:
             await service.stop()
@@ -89,15 +93,6 @@ def create_app(settings: Settings | None = None) -> FastAPI:
         )
     complete_schema(app)
     return app
-
-
-def _grpc(service: Service) -> AbstractAsyncContextManager[None]:
-    """The stream over gRPC, if it has a port."""
-    if not service.settings.grpc_port:
-        return nullcontext()
-    from api.live.audio2face import serving_grpc
-
-    return serving_grpc(service)
 
 
 def problem_answer(problem: Problem) -> Response:

@@ -70,7 +70,7 @@ def write_openapi(out: Path) -> None:
     """Write the schema of the default settings as JSON."""
     from api.app import create_app
 
-    schema = create_app(Settings.model_construct(**_defaults())).openapi()
+    schema = create_app(Settings.model_construct()).openapi()
     with atomic_write(out) as beside:
         beside.write_text(json.dumps(schema, indent=1) + "\n", encoding="utf-8")
 
@@ -99,8 +99,3 @@ def print_new_key(name: str, scopes: str, per_minute: int) -> None:
         f"    scopes: [{', '.join(entry.scopes)}]\n"
         f"    requests_per_minute: {entry.requests_per_minute}\n"
     )
-
-
-def _defaults() -> dict[str, Any]:
-    return {name: field.get_default(call_default_factory=True)
-            for name, field in Settings.model_fields.items()}  # fmt: skip

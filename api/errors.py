@@ -28,6 +28,7 @@ from deitalk.errors import (
     DataError,
     EmotionError,
     MissingError,
+    is_disk_full,
 )
 from rig.errors import (
     ControlError,
@@ -121,7 +122,7 @@ class Problem(Exception):
 
     @property
     def body(self) -> bytes:
-        """The same as JSON."""
+        """Body of the answer as JSON."""
         return json.dumps(self.content).encode()
 
 
@@ -130,7 +131,7 @@ def problem_of(error: UserError) -> Problem:
     return named_problem(names_of(error), str(error))
 
 
-def names_of(error: UserError) -> list[str]:
+def names_of(error: BaseException) -> list[str]:
     """Names of an error's classes, the nearest first."""
     return [kind.__name__ for kind in type(error).__mro__]
 
@@ -162,15 +163,6 @@ def database_away() -> Problem:
     """The answer while the database does not."""
     return Problem(503, "the database of jobs does not answer; try again", "database_away",
                    headers=RETRY)  # fmt: skip
-
-
-def is_disk_full(error: BaseException | None) -> bool:
-    """Whether an error, or one that it came from, is that of a full disk."""
-    while error is not None:
-        if getattr(error, "errno", None) in (errno.ENOSPC, errno.EDQUOT):
-            return True
-        error = error.__cause__ or error.__context__
-    return False
 
 
 def without_paths(text: str) -> str:

@@ -170,18 +170,13 @@ def check_places(settings: Settings) -> None:
         try:
             use()
         except Exception as error:
-            given = one_line(f"{name} = {settings.shown[name]}: {_reason(error)}")
+            # The first line of the operating system or of a database driver.
+            reason = str(getattr(error, "orig", None) or error).partition("\n")[0]
+            reason = getattr(error, "strerror", None) or reason or type(error).__name__
+            given = one_line(f"{name} = {settings.shown[name]}: {reason}")
             raise ConfigError(
                 f"{given}; check it, or change the setting (DEITALK_{name.upper()})"
             ) from None
-
-
-def _reason(error: Exception) -> str:
-    """First line of the message of an operating system or a database driver."""
-    if isinstance(error, OSError) and error.strerror:
-        return error.strerror
-    reason = str(getattr(error, "orig", None) or error).partition("\n")[0]
-    return reason or type(error).__name__
 
 
 class LineFormatter(logging.Formatter):

@@ -191,7 +191,12 @@ class Settings(BaseSettings):
             "database": make_url(self.database_url).render_as_string(hide_password=True),
             "storage": self.storage_url.rpartition("@")[2],
         }
-        return {name: _text(value) for name, value in values.items()}
+        return {
+            name: (", ".join(map(str, value)) or "none")
+            if isinstance(value, dict | tuple)
+            else str(value)
+            for name, value in values.items()
+        }
 
     def lines(self) -> list[str]:
         """Return one line ``name = value`` for each setting, without secrets."""
@@ -276,11 +281,3 @@ def _data_folder() -> Path:
         return Path.home() / "Library" / "Application Support" / "deitalk-service"
     share = os.environ.get("XDG_DATA_HOME", Path.home() / ".local" / "share")
     return Path(share) / "deitalk-service"
-
-
-def _text(value: Any) -> str:
-    if isinstance(value, dict):
-        return ", ".join(value) or "none"
-    if isinstance(value, tuple):
-        return ", ".join(map(str, value)) or "none"
-    return str(value)

@@ -73,20 +73,6 @@ def test_signatures_name_the_parameters(maker, package, name):
     assert written.startswith(f"{name}(") and names == list(inspect.signature(value).parameters)
 
 
-def test_members_are_attributes_of_a_performance(maker):
-    members = maker._members(deitalk.Performance)
-    assert {"curves", "predicted", "save", "head"} <= set(members)
-    assert not [name for name in members if name.startswith("_")]
-
-
-@pytest.mark.parametrize(("package", "name"), PUBLIC)
-def test_public_names_are_documented(package, name):
-    value = getattr(package, name)
-    if callable(value):
-        summary = inspect.getdoc(value).split("\n")[0]
-        assert summary[0].isupper() and summary.endswith("."), name
-
-
 USER = """
 from pathlib import Path
 import numpy as np

@@ -3,7 +3,7 @@
 import ast
 import graphlib
 import re
-from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -78,21 +78,24 @@ def module_of(path: Path) -> str:
     return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
 
-def imports(path: Path) -> Iterator[tuple[str, int]]:
+@cache
+def imports(path: Path) -> list[tuple[str, int]]:
     """Modules imported anywhere in a file, also within functions and for types, with their lines."""
+    found: list[tuple[str, int]] = []
     for node in ast.walk(ast.parse((ROOT / path).read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
-            yield from ((alias.name, node.lineno) for alias in node.names)
+            found += [(alias.name, node.lineno) for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0 and node.module, f"{path}: a relative import hides its floor"
             for alias in node.names:
                 inner = Path(*node.module.split("."), alias.name)
                 is_module = inner.with_suffix(".py") in KNOWN or inner / "__init__.py" in KNOWN
-                yield f"{node.module}.{alias.name}" if is_module else node.module, node.lineno
+                module = f"{node.module}.{alias.name}" if is_module else node.module
+                found.append((module, node.lineno))
+    return found
 
 
 KNOWN = {*FILES}
-IMPORTS = {path: list(imports(path)) for path in FILES}
 
 
 def room(module: str) -> str:
@@ -113,7 +116,7 @@ def test_files_import_from_lower_floors_only(package):
     wrong = []
     for path in (path for path in FILES if path.parts[0] == package):
         here = room(module_of(path))
-        for module, line in IMPORTS[path]:
+        for module, line in imports(path):
             top, there = module.split(".")[0], room(module)
             is_above = top == package and there != here and own[here] <= level[there]
             if is_above or (top in forbidden and (path, top) != CLOUD):
@@ -122,7 +125,7 @@ def test_files_import_from_lower_floors_only(package):
 
 
 def test_modules_form_no_circle():
-    graph = {module_of(path): {m for m, _ in IMPORTS[path]} - {module_of(path)} for path in FILES}
+    graph = {module_of(path): {m for m, _ in imports(path)} - {module_of(path)} for path in FILES}
     graphlib.TopologicalSorter(graph).prepare()
 
 

@@ -43,6 +43,10 @@ def test_messages_are_one_bounded_line():
     message = str(RigError("value " + "9" * 5_000_000 + "; lower it"))
     assert len(message) == limits.MESSAGE_CHARACTERS
     assert message.startswith("value 999") and message.endswith("; lower it")
+    for text in ("\0" * 1000, "a\n" * 300, "\udc80" * 400):  # escapes are longer
+        message = str(RigError(f"name {text} end"))
+        assert len(message) <= limits.MESSAGE_CHARACTERS and message.isprintable()
+        assert message.startswith("name ") and message.endswith(" end")
 
 
 def one_curve(n_frames):

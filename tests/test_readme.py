@@ -6,7 +6,6 @@ import tomllib
 from pathlib import Path
 
 import pytest
-from markdown_it import MarkdownIt
 from typer.main import get_command
 
 from deitalk.models.folder import embedded_models
@@ -73,15 +72,6 @@ def defined(node):
     """Names that a statement defines."""
     targets = [*getattr(node, "targets", ()), getattr(node, "target", None)]
     return {getattr(node, "name", None), *(getattr(target, "id", None) for target in targets)}
-
-
-@pytest.mark.parametrize("page", PAGES)
-def test_emphasis_of_the_pages_is_closed(page):
-    """No star is left as text by a reader of Markdown."""
-    text = re.sub(r"\*\.\w+|(?<=\d)\*\*(?=\d)", "", (ROOT / page).read_text())
-    for token in MarkdownIt().enable("table").parse(text):
-        for part in token.children or ():
-            assert part.type != "text" or "*" not in part.content, part.content
 
 
 @pytest.mark.parametrize("page", PAGES)

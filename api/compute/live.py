@@ -203,11 +203,7 @@ class Voices:
         self.actions, self.samples = [], []
         joined = np.concatenate([np.zeros(0, np.float32), *samples])
         (folder / SAMPLES).write_bytes(joined.astype("<f4").tobytes())
-        order: Order = {
-            "kind": "voices",
-            "folder": str(folder),
-            "options": {"actions": actions},
-        }
+        order: Order = {"kind": "voices", "folder": str(folder), "options": {"actions": actions}}
         process = self.worker.pid
         answer = checked(await asyncio.to_thread(self.worker.run, order, ORDER_SECONDS))
         if self.worker.pid != process:  # the new one has none of the voices
@@ -232,15 +228,13 @@ class Voices:
     def _fail(self, error: Exception) -> None:
         """End all voices: their state is lost, or may be that of the failing one."""
         self.is_ready = False
-        if isinstance(error, (OutOfTime, WorkerLost)):
-            problem = _ended()
-        else:
-            problem = problem_for(error)
+        is_ended = isinstance(error, OutOfTime | WorkerLost)
+        problem = _ended() if is_ended else problem_for(error)
         log.error("%d live voices ended: %s", len(self.known), describe(error))
         self.worker.stop()
         self.actions, self.samples = [], []
-        for voice in list(self.known.values()):
-            self.known.pop(voice.number)
+        lost, self.known = self.known, {}
+        for voice in lost.values():
             voice.fail(problem)
 
 

@@ -30,7 +30,7 @@ log = logging.getLogger("deitalk.service")
 CHECK_SECONDS = 0.5
 """Time between two looks for processes that have ended."""
 FAIR_SECONDS = 60.0
-"""Of two callers that wait, the one with less work in this time, for its share, is next."""
+"""Time in which work counts: of two callers that wait, the one with less for its share is next."""
 
 
 class Turns:
@@ -156,7 +156,12 @@ class Pool:
         """
         try:
             with self.places.hold(caller.holder):
-                return checked(await self._run(order, caller))
+                try:
+                    answer = await self._try(order, caller)
+                except WorkerLost:
+                    log.warning("a worker process ended in a request, which another begins again")
+                    answer = await self._try(order, caller)
+                return checked(answer)
         except asyncio.CancelledError:
             self.left += 1
             raise
@@ -169,14 +174,6 @@ class Pool:
                 503, "two worker processes ended during the request; try it again later",
                 "worker_lost", headers={"Retry-After": "5"},
             ) from None  # fmt: skip
-
-    async def _run(self, order: Order, caller: Caller) -> Answer:
-        """The answer of a process, or of a second one where the first ends."""
-        try:
-            return await self._try(order, caller)
-        except WorkerLost:
-            log.warning("a worker process ended in a request, which another one begins again")
-            return await self._try(order, caller)
 
     async def _try(self, order: Order, caller: Caller) -> Answer:
         worker = await self.turns.take(caller)

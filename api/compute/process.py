@@ -14,10 +14,9 @@ from pathlib import Path
 from typing import Any
 
 from api.compute.order import Answer, Limits, Order, TooLarge
-from api.errors import DISK_FULL, describe, is_disk_full, names_of
-from deitalk.workers import (
-    begin_worker,
-)
+from api.errors import DISK_FULL, describe, names_of
+from deitalk.errors import is_disk_full
+from deitalk.workers import begin_worker
 from rig.errors import UserError
 
 KEPT = {-1: 128 * 2**20, -3: 32 * 2**20}
@@ -65,18 +64,15 @@ def _answer(order: Order, limits: Limits, connection: Connection) -> Answer:
     try:
         os.chdir(order["folder"])
         return perform(order, limits, report)
-    except TooLarge as error:
-        return {"error": [TooLarge.__name__], "message": str(error)}
-    except (MemoryError, RecursionError):
-        return {"error": [TooLarge.__name__], "message": "the request needs too much memory"}
     except Exception as error:
         if is_disk_full(error):
             return {"error": [DISK_FULL], "message": describe(error)}
-        if isinstance(error, UserError):
+        if isinstance(error, UserError | TooLarge):
             return {"error": names_of(error), "message": str(error)}
-        # Whether torch or a C library could not allocate.
+        # Whether Python, torch or a C library could not allocate.
         text = str(error).lower()
-        if "allocate" in text or "out of memory" in text or "bad_alloc" in text:
+        is_large = isinstance(error, MemoryError | RecursionError)
+        if is_large or "allocate" in text or "out of memory" in text or "bad_alloc" in text:
             return {"error": [TooLarge.__name__], "message": "the request needs too much memory"}
         return {"error": ["Internal"], "message": describe(error)}
     finally:

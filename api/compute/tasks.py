@@ -7,7 +7,6 @@ import json
 import shutil
 import zipfile
 from collections.abc import Callable
-from functools import partial
 from math import inf
 from pathlib import Path
 from typing import Any
@@ -55,7 +54,7 @@ VIDEO_PIXELS = 960 * 720
 """Pixels of a frame of the review video."""
 NAME = "recording"
 NETWORK_SHARE = 0.1
-"""Of the progress of a video; the rest is its pictures."""
+"""Share of the network in the progress of a video; the rest is its pictures."""
 
 
 class TooLong(Exception):
@@ -73,10 +72,8 @@ def perform(order: Order, limits: Limits, progress: Progress) -> Answer:
 
 
 def _animation(order: Order, limits: Limits, progress: Progress) -> Answer:
-    options = order["options"]
-    share = NETWORK_SHARE if options["format"] == "mp4" else 1.0
-    performance = _performed(order, limits, lambda done: progress(share * done))
-    return _answered(order, limits, performance, partial(_later, progress, share))
+    of_network, of_pictures = _parts(order, progress)
+    return _answered(order, limits, _performed(order, limits, of_network), of_pictures)
 
 
 def _dub(order: Order, limits: Limits, progress: Progress) -> Answer:
@@ -85,7 +82,7 @@ def _dub(order: Order, limits: Limits, progress: Progress) -> Answer:
     from deitalk.data.dub import dub
 
     options = order["options"]
-    share = NETWORK_SHARE if options["format"] == "mp4" else 1.0
+    of_network, of_pictures = _parts(order, progress)
     recording, mapping = _recording(order, limits), options.get("mapping")
     found = dub(
         options["performance"],
@@ -96,16 +93,24 @@ def _dub(order: Order, limits: Limits, progress: Progress) -> Answer:
         stretch=options["stretch"],
         fps=options.get("curves_fps"),
         model=placed(model_of(options.get("model", "default"), limits), limits),
-        progress=lambda done: progress(share * done),
+        progress=of_network,
     )
-    later = partial(_later, progress, share)
     extras, notes = (found.write_report,), (*found.notes, found.line)
-    return _answered(order, limits, found.performance, later, notes, extras)
+    return _answered(order, limits, found.performance, of_pictures, notes, extras)
 
 
-def _later(progress: Progress, share: float, done: float) -> None:
-    """Progress of what comes after a share of the work."""
-    progress(share + (1 - share) * done)
+def _parts(order: Order, progress: Progress) -> tuple[Progress, Progress]:
+    """Progress of the network's work, and of what comes after it: the pictures of a video."""
+    share = NETWORK_SHARE if order["options"]["format"] == "mp4" else 1.0
+    return (
+        lambda done: progress(share * done),
+        lambda done: progress(share + (1 - share) * done),
+    )
+
+
+def _out(options: dict[str, Any]) -> Path:
+    """The file that an order wants."""
+    return Path(OUT) / f"{options.get('name') or NAME}{options['suffix']}"
 
 
 def _answered(
@@ -118,14 +123,27 @@ def _answered(
 ) -> Answer:
     """A performance as the file that an order wants."""
     options = order["options"]
-    out = Path(OUT) / f"{options.get('name') or NAME}{options['suffix']}"
+    out = _out(options)
     said = [*performance.recording.warnings, *notes]
     if performance.words is not None and performance.words.fits:
         said.append(performance.words.line)
     if options["format"] in ("mp4", "page", "packed"):
         _preview(out, performance, order, limits, progress)
     else:
-        said += _write(out, performance, options, limits, extras)
+        name, fps = options["format"], options.get("fps")
+        start, note = start_of(options.get("timecode", ZERO), fps, performance.recording.start)
+        form: dict[str, Any] = {"fps": fps, "start": start} | _shift(options)
+        said.append(note)
+        if name == "take":
+            model = options.get("model", "default")
+            about = describe_model(limits["models"][model]) | {"name": model}
+            folder = out.with_suffix("")
+            _zip(write_take(folder, performance, model=about, extras=extras, **form), out)
+        else:
+            seconds = performance.recording.duration
+            curves, _ = performance.at(fps)
+            report = write_curves(out, curves, format=name, seconds=seconds, **form)
+            said.append(report.note)
     facts = {
         "frames": len(performance.curves),
         "seconds": performance.recording.duration,
@@ -133,7 +151,7 @@ def _answered(
         "mean_applied_intensity": performance.mean_applied_intensity,
         "clipped_values": performance.clipped,
     }
-    return {"file": str(out), "notes": said, "facts": facts}
+    return {"file": str(out), "notes": [*filter(None, said)], "facts": facts}
 
 
 def _performed(order: Order, limits: Limits, progress: Progress) -> Performance:
@@ -214,30 +232,6 @@ def _sound(
     return recording
 
 
-def _write(
-    out: Path,
-    performance: Performance,
-    options: dict[str, Any],
-    limits: Limits,
-    extras: tuple[Extra, ...],
-) -> list[str]:
-    """Write a performance; return notes on what the file cannot hold."""
-    name, fps = options["format"], options.get("fps")
-    start, note = start_of(options.get("timecode", ZERO), fps, performance.recording.start)
-    notes = [note] if note else []
-    form: dict[str, Any] = {"fps": fps, "start": start} | _shift(options)
-    if name == "take":
-        folder = out.with_suffix("")
-        model = options.get("model", "default")
-        about = describe_model(limits["models"][model]) | {"name": model}
-        written = write_take(folder, performance, model=about, extras=extras, **form)
-        _zip(written, out)
-        return notes
-    seconds = performance.recording.duration
-    report = write_curves(out, performance.curves, format=name, seconds=seconds, **form)
-    return [*notes, report.note] if report.note else notes
-
-
 def _shift(options: dict[str, Any]) -> dict[str, Any]:
     return {name: options.get(name, 0) for name in ("delay", "handles")}
 
@@ -250,12 +244,9 @@ def _preview(
     from deitalk.preview.source import PreviewSource
     from deitalk.preview.video import render_video
 
-    curves, neutral = performance.curves, performance.neutral
     fps, title = order["options"].get("fps"), order["options"].get("name") or NAME
-    if fps is not None:
-        curves, neutral = curves.resample(fps), neutral.resample(fps)
     moved = _shift(order["options"])
-    curves, neutral = shift(curves, **moved), shift(neutral, **moved)
+    curves, neutral = (shift(own, **moved) for own in performance.at(fps))
     if out.suffix == ".mp4" and len(curves) * VIDEO_PIXELS > limits["max_pixels"]:
         most = int(limits["max_pixels"] // VIDEO_PIXELS)
         raise TooLarge(f"the video has {len(curves)} frames; at most {most} are drawn")
@@ -291,7 +282,7 @@ def _mesh(order: Order, limits: Limits, progress: Progress) -> Answer:
         fps=options.get("fps"),
         progress=progress,
     )
-    out = Path(OUT) / f"{options.get('name') or NAME}{options['suffix']}"
+    out = _out(options)
     if options["format"] == "ply":
         _zip(performance.save(f"{OUT}/frames/"), out)
     else:
@@ -304,14 +295,14 @@ def _mesh(order: Order, limits: Limits, progress: Progress) -> Answer:
 def _retarget(order: Order, limits: Limits, progress: Progress) -> Answer:
     options = order["options"]
     notes: list[str] = []
+    fps = options.get("fps")
     if "curves" in options:
         curves: RigCurves = read_curves(options["curves"], fps=options.get("curves_fps"))
+        curves = curves if fps is None else curves.resample(fps)
     else:
         performance = _performed(order, limits, progress)
-        curves, notes = performance.curves, list(performance.recording.warnings)
-    if options.get("fps") is not None:
-        curves = curves.resample(options["fps"])
-    out = Path(OUT) / f"{options.get('name') or NAME}{options['suffix']}"
+        (curves, _), notes = performance.at(fps), list(performance.recording.warnings)
+    out = _out(options)
     is_ply = options["format"] == "ply"
     report = retarget_curves(
         curves,
@@ -336,7 +327,7 @@ def _conversion(order: Order, limits: Limits, progress: Progress) -> Answer:
     curves = convert(curves, DEFAULT_ID)
     if "gain" in options:
         curves, _ = clamp(gain(curves, options["gain"]))
-    out = Path(OUT) / f"{options.get('name') or NAME}{options['suffix']}"
+    out = _out(options)
     form = {"format": options["format"], "fps": options.get("fps")} | _shift(options)
     report = write_curves(out, curves, **form)
     return {"file": str(out), "notes": report.notes}

@@ -13,7 +13,7 @@ from ipaddress import ip_network
 from time import monotonic
 
 from api.errors import Problem
-from api.settings import SCOPES, ApiKey, Scope, Settings
+from api.settings import SCOPES, Scope, Settings
 
 KEY_PREFIX = "dk_"
 MOST_PLACES = 10**6
@@ -73,7 +73,11 @@ class KeyRing:
     """
 
     def __init__(self, settings: Settings) -> None:
-        self._callers = {key.sha256: _caller(key) for key in settings.keys}
+        known = {field.name for field in fields(Caller)}
+        self._callers = {
+            key.sha256: Caller(id=key.sha256[:8], **key.model_dump(include=known))
+            for key in settings.keys
+        }
         self._local = Caller("local", SCOPES, settings.queued_jobs, settings.requests_per_minute)
 
     def caller(self, key: str | None, address: str) -> Caller:
@@ -185,11 +189,6 @@ def client_of(address: str) -> str:
         return str(ip_network(f"{address}/64", strict=False)) if ":" in address else address
     except ValueError:
         return address
-
-
-def _caller(key: ApiKey) -> Caller:
-    limits = key.model_dump(include={field.name for field in fields(Caller)})
-    return Caller(id=key.sha256[:8], **limits)
 
 
 def _refused(message: str, code: str) -> Problem:

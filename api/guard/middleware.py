@@ -14,7 +14,7 @@ import json
 import logging
 import re
 import secrets
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager, nullcontext, suppress
 from ipaddress import ip_address
 from time import monotonic, perf_counter
 from typing import Any
@@ -51,7 +51,7 @@ ADDED_HEADERS = (
 REQUEST_ID = b"x-request-id"
 NO_PATH = "there is no such path; /docs lists all"
 SECOND_BYTES = 64 * 1024
-"""Of a body that takes longer than `body_seconds`, the bytes that come in a second at least."""
+"""Fewest bytes a second of a body that takes longer than `body_seconds`."""
 SPAN_FACTS = ("request", "key", "key_id")
 _PLAIN_ID = re.compile(r"[A-Za-z0-9._-]{1,64}")
 log = logging.getLogger("deitalk.service")
@@ -114,7 +114,11 @@ class Guard:
             await self.app(scope, receive, send)
             return
         began, active = perf_counter(), _Active(scope)
-        identity = scope.setdefault("state", {})["request"] = _identity(scope)
+        # The request's own id where it is a plain one, else a new one.
+        identity = dict(scope["headers"]).get(REQUEST_ID, b"").decode("latin-1")
+        if not _PLAIN_ID.fullmatch(identity):
+            identity = secrets.token_hex(8)
+        scope.setdefault("state", {})["request"] = identity
 
         async def sent(message: Message) -> None:
             if message["type"] == "websocket.close" and not active.status:
@@ -188,9 +192,7 @@ class Guard:
                 headers={"Connection": "close"},
             )  # fmt: skip
         headers = {name: value.decode("latin-1") for name, value in scope["headers"]}
-        host = headers.get(b"host", "")
-        if not (scope["path"] in PROBE_PATHS and _is_address(host)):
-            self._check_host(host)
+        self._check_host(headers.get(b"host", ""), is_probe=scope["path"] in PROBE_PATHS)
         if scope["path"] != STUDIO_PATH:  # a link of another site may open it
             self._check_origin(headers)
         if scope["path"] in PROBE_PATHS:
@@ -215,10 +217,14 @@ class Guard:
             raise Problem(415, "send the body without Content-Encoding")
         return self.traffic.places.hold(caller.holder, caller.concurrent)
 
-    def _check_host(self, host: str) -> None:
+    def _check_host(self, host: str, *, is_probe: bool) -> None:
         name = _hostname(host)
         if name in self.hosts or (is_loopback(name) and self.settings.is_local):
             return
+        if is_probe:
+            with suppress(ValueError):
+                ip_address(name)
+                return
         if self.settings.keys and not self.settings.hosts:
             return  # every request needs a key, which another site's page has not
         raise Problem(403, "the Host header is none of the service's names", "host_unknown")
@@ -227,9 +233,11 @@ class Guard:
         origin = headers.get(b"origin")
         if origin in self.settings.origins:
             return
-        if origin is not None and _netloc(origin) != headers.get(b"host", "").lower():
-            raise Problem(403, "requests of other sites' pages are refused", "cross_origin")
-        if headers.get(b"sec-fetch-site", "none") not in ("none", "same-origin"):
+        is_own = headers.get(b"sec-fetch-site", "none") in ("none", "same-origin")
+        if origin is not None:
+            site = origin.lower().partition("://")[2]
+            is_own = is_own and site != "" and site == headers.get(b"host", "").lower()
+        if not is_own:
             raise Problem(403, "requests of other sites' pages are refused", "cross_origin")
 
     def _record(self, scope: Scope, status: int, seconds: float, span: dict[str, Any]) -> None:
@@ -326,12 +334,6 @@ def _ending() -> Problem:
     return Problem(503, "the server ends; send it again", "draining", headers=headers)
 
 
-def _identity(scope: Scope) -> str:
-    """The request's own id where it is a plain one, else a new one."""
-    given = dict(scope["headers"]).get(REQUEST_ID, b"").decode("latin-1")
-    return given if _PLAIN_ID.fullmatch(given) else secrets.token_hex(8)
-
-
 async def _refuse(scope: Scope, problem: Problem, send: Send) -> None:
     length = str(len(problem.body))
     headers = {"content-type": MEDIA_TYPE, "content-length": length, **problem.headers}
@@ -361,21 +363,6 @@ def _hostname(host: str) -> str:
     try:
         return (urlsplit(f"//{host}").hostname or "").lower()
     except ValueError:  # a bracket without the other
-        return ""
-
-
-def _is_address(host: str) -> bool:
-    try:
-        ip_address(_hostname(host))
-    except ValueError:
-        return False
-    return True
-
-
-def _netloc(origin: str) -> str:
-    try:
-        return urlsplit(origin).netloc.lower()
-    except ValueError:
         return ""
 
 

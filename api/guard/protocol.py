@@ -71,9 +71,10 @@ class GuardedProtocol(_Reader, H11Protocol):
         super().connection_made(transport)
         self.idle_since = self.loop.time()
         if len(self.connections) > self.most:
-            idle = [other for other in self.connections if _is_idle(other) and other is not self]
+            guarded = [other for other in self.connections if isinstance(other, GuardedProtocol)]
+            idle = [other for other in guarded if other.is_idle and other is not self]
             own = Counter(_address(other) for other in idle)
-            longest = min(idle, key=lambda o: (-own[_address(o)], o.idle_since), default=None)  # type: ignore[union-attr]
+            longest = min(idle, key=lambda o: (-own[_address(o)], o.idle_since), default=None)
             if longest is not None:
                 longest.transport.close()
                 self.connections.discard(longest)
@@ -82,7 +83,7 @@ class GuardedProtocol(_Reader, H11Protocol):
 
     def data_received(self, data: bytes) -> None:
         """Stop the clock when the headers are whole; start it with the next request's."""
-        if self._clock is None and (self.cycle is None or self.cycle.response_complete):
+        if self._clock is None and self.is_idle:
             self._start_clock()
         super().data_received(data)
         self._stop_clock_in_request()
@@ -115,10 +116,10 @@ class GuardedProtocol(_Reader, H11Protocol):
         self.transport.close()
 
     def _start_clock(self) -> None:
-        self._clock = self.loop.call_later(self.header_seconds, self._too_slow)
+        self._clock = self.loop.call_later(self.header_seconds, self.transport.close)
 
     def _stop_clock_in_request(self) -> None:
-        if self.cycle is not None and not self.cycle.response_complete:
+        if not self.is_idle:
             self._stop_clock()
 
     def _stop_clock(self) -> None:
@@ -126,16 +127,10 @@ class GuardedProtocol(_Reader, H11Protocol):
             self._clock.cancel()
             self._clock = None
 
-    def _too_slow(self) -> None:
-        self._clock = None
-        if not self.transport.is_closing():
-            self.transport.close()
-
-
-def _is_idle(connection: Any) -> bool:
-    return isinstance(connection, GuardedProtocol) and (
-        connection.cycle is None or connection.cycle.response_complete
-    )
+    @property
+    def is_idle(self) -> bool:
+        """Whether nothing is asked on the connection."""
+        return self.cycle is None or self.cycle.response_complete
 
 
 def _address(connection: Any) -> str:

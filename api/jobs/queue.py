@@ -27,7 +27,7 @@ from api.jobs.table import (
 )
 
 FAIR_SECONDS = 60.0
-"""Of two keys that wait, the one with less work in this time, for its share, is next."""
+"""Time in which work counts: of two keys that wait, the one with less for its share is next."""
 BATCH = 500
 """Jobs that one statement removes or looks up."""
 HOUR = 3600

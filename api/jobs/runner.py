@@ -3,7 +3,6 @@
 import logging
 import shutil
 import threading
-from functools import partial
 from time import time
 
 from api.compute.order import Limits, Order
@@ -121,14 +120,19 @@ class Runner:
             with _Lease(self.queue, job) as lease:
                 self.store.get_folder(job.id, folder)
                 order: Order = job.work["order"] | {"folder": str(folder)}
-                stopped = partial(self._must_stop, lease)
-                answer = checked(worker.run(order, seconds, lease.note, stopped))
+                answer = checked(
+                    worker.run(
+                        order,
+                        seconds,
+                        lease.note,
+                        stopped=lambda: lease.is_lost or self._ending.is_set(),
+                    )
+                )
                 path = result_path(folder, answer)
                 name = self.store.put_result(path, job.id, job.holder)
             if lease.is_lost:
                 raise Stopped
-            facts = answer.get("facts", {})
-            about = {"notes": answer.get("notes", []), "facts": facts}
+            about = {"notes": answer.get("notes", []), "facts": answer.get("facts", {})}
             if self.queue.finish(job, name, path.stat().st_size, about):
                 self.store.remove_inputs(job.id)
                 self.queue.use(job.owner, self.metrics.read(answer, "job"))
@@ -149,9 +153,6 @@ class Runner:
             (self.queue.fail if is_content else self.queue.retry)(job, problem)
         finally:
             shutil.rmtree(folder, ignore_errors=True)
-
-    def _must_stop(self, lease: "_Lease") -> bool:
-        return lease.is_lost or self._ending.is_set()
 
     def _clear_up(self) -> None:
         while not self._ending.wait(IDLE_SECONDS):

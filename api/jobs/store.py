@@ -78,7 +78,15 @@ class Store:
         if file.size is not None and file.size < size:
             file.close()
             raise Problem(410, "the file of the result is not whole; send the job again")
-        return _blocks(file, begin, end)
+
+        def blocks(at: int = begin) -> Iterator[bytes]:
+            with file:
+                file.seek(at)
+                while at < end and (block := file.read(min(BLOCK_BYTES, end - at))):
+                    at += len(block)
+                    yield block
+
+        return blocks()
 
     def remove(self, job_id: str) -> None:
         """Remove all files of a job."""
@@ -124,14 +132,6 @@ class Store:
             return
         invalidate: Any = getattr(self.files, "invalidate_cache", lambda: None)
         invalidate()
-
-
-def _blocks(file: Any, begin: int, end: int) -> Iterator[bytes]:
-    with file:
-        file.seek(begin)
-        while begin < end and (block := file.read(min(BLOCK_BYTES, end - begin))):
-            begin += len(block)
-            yield block
 
 
 def _written(about: dict[str, Any]) -> float:

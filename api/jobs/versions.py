@@ -1,7 +1,5 @@
 """The version of the jobs' tables in a database, and the steps to that of this program."""
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from importlib.resources import files
 from typing import Any
 
@@ -50,17 +48,24 @@ def open_database(url: str, *, migrate: bool = False) -> Engine:
     engine = sql.create_engine(url, pool_pre_ping=True, connect_args=connect, **pool)
     if engine.dialect.name == "sqlite":
         event.listen(engine, "connect", _tune_sqlite)
-    with _locked(engine) as connection:
+    with engine.begin() as connection:  # servers that start together take it one after another
+        if engine.dialect.name == "sqlite":
+            connection.exec_driver_sql("BEGIN IMMEDIATE")
+        elif engine.dialect.name == "postgresql":
+            connection.execute(sql.select(sql.func.pg_advisory_xact_lock(LOCK)))
         _upgrade(connection, migrate=migrate)
     return engine
 
 
 def _upgrade(connection: Connection, *, migrate: bool) -> None:
-    steps = ScriptDirectory(str(files("api.jobs.migrations")), version_locations=[
-        str(files("api.jobs.migrations"))
-    ])  # fmt: skip
+    folder = str(files("api.jobs.migrations"))
+    steps = ScriptDirectory(folder, version_locations=[folder])
     newest = int(steps.get_current_head() or 0)
-    version = _version(connection)
+    inspect = sql.inspect(connection)
+    version = int(inspect.has_table(JOBS.name))  # 0 without tables; the first wrote no number
+    if inspect.has_table(VERSIONS):
+        number = connection.execute(sql.text(f"SELECT version_num FROM {VERSIONS}")).scalar()
+        version = int(number or 0)
     if 0 < version < int(steps.get_base() or 0):
         raise ConfigError(
             f"the database has schema {version}, of a version before the first release; remove its "
@@ -93,25 +98,6 @@ def _upgrade(connection: Connection, *, migrate: bool) -> None:
 def is_safe(step: Script) -> bool:
     """Whether a server may take a step when it starts."""
     return bool(step.module.SAFE)
-
-
-def _version(connection: Connection) -> int:
-    """The version of the tables, 0 if there are none; the first one wrote no number."""
-    inspect = sql.inspect(connection)
-    if not inspect.has_table(VERSIONS):
-        return 1 if inspect.has_table(JOBS.name) else 0
-    return int(connection.execute(sql.text(f"SELECT version_num FROM {VERSIONS}")).scalar() or 0)
-
-
-@contextmanager
-def _locked(engine: Engine) -> Iterator[Connection]:
-    """A transaction that servers which start together take one after another."""
-    with engine.begin() as connection:
-        if engine.dialect.name == "sqlite":
-            connection.exec_driver_sql("BEGIN IMMEDIATE")
-        elif engine.dialect.name == "postgresql":
-            connection.execute(sql.select(sql.func.pg_advisory_xact_lock(LOCK)))
-        yield connection
 
 
 def _tune_sqlite(connection: Any, record: Any) -> None:

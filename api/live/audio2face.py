@@ -13,7 +13,6 @@ import asyncio
 from collections.abc import AsyncIterator, Mapping
 from contextlib import asynccontextmanager
 from dataclasses import replace
-from time import monotonic
 from typing import Any
 
 import grpc
@@ -26,8 +25,8 @@ from nvidia_audio2face_3d import messages_pb2 as a2f
 from api.compute.live import MODEL
 from api.errors import Problem, problem_for
 from api.guard.keys import Caller, KeyRing, client_of, require
-from api.live.messages import QUIET_SECONDS, START_SECONDS
-from api.live.session import BACKLOG_SECONDS, LiveStream
+from api.live.session import QUIET_SECONDS, START_SECONDS
+from api.live.stream import LiveStream
 from api.service import Service
 from deitalk.acting import Acting
 from deitalk.audio.frames import FRAME_RATE
@@ -118,7 +117,6 @@ class _Voice:
         self.sound = bytearray()
         """Samples that were not sent back."""
         self.sent = 0
-        self.room = asyncio.Event()
         self.about = read_about(model_folder(MODEL))
 
     async def messages(self) -> AsyncIterator[Any]:
@@ -138,7 +136,8 @@ class _Voice:
         acting = Acting.of(None, life=life, emotion=emotion)
         voice, _ = await self.service.voices.open(MODEL, acting)
         self.rate = audio.samples_per_second
-        self.stream = LiveStream(self.rate, False, voice)
+        longest, late = self.service.settings.live_seconds, self.service.metrics.late.observe
+        self.stream = LiveStream(self.rate, False, voice, longest, late)
         reading = asyncio.create_task(self._read(acting))
         try:
             joints = ace.SkelAnimationHeader(blend_shapes=SHAPES)
@@ -154,10 +153,7 @@ class _Voice:
                 frames = np.concatenate(rows)
                 if not len(frames):
                     continue
-                begin, late = self.stream.come(frames)
-                for seconds in late:
-                    self.service.metrics.late.observe(seconds)
-                self.room.set()
+                begin, _ = self.stream.come(frames)
                 yield self._data(begin, await asyncio.to_thread(self._fitted, frames))
             event = a2f.Event(event_type=a2f.END_OF_A2F_AUDIO_PROCESSING)
             yield a2f.A2F3DAnimationDataStream(event=event)
@@ -179,12 +175,9 @@ class _Voice:
     async def _read(self, acting: Acting) -> None:
         """Take requests, none while too much sound waits; an error ends the voice."""
         try:
-            longest = self.service.settings.live_seconds
-            end = monotonic() + longest
             while not self.stream.is_whole:
                 request = await self._next(QUIET_SECONDS)
-                if monotonic() > end or self.stream.seconds > longest:
-                    raise Problem(413, f"sessions last {longest:g} s")
+                self.stream.check_length()
                 if request.WhichOneof("stream_part") == "end_of_audio":
                     self.stream.finish()
                     continue
@@ -194,9 +187,7 @@ class _Voice:
                     self.stream.change(acting)
                 self.sound += part.audio_buffer
                 self.stream.feed(part.audio_buffer)
-                while self.stream.backlog_seconds > BACKLOG_SECONDS:
-                    self.room.clear()
-                    await self.room.wait()
+                await self.stream.wait_for_room()
         except Exception as error:
             self.stream.voice.frames.put_nowait(error)
 

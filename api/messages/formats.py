@@ -52,7 +52,7 @@ class OutputFormat:
 
 
 COSTS = {"glb": 1.0, "fbx": 2.0, "usd": 0.2}
-"""Of formats of curves that draw a head; others have the default."""
+"""Costs of formats of curves that draw a head; others have the default."""
 PACKAGES = {"usd": "pxr", "fbx": "bpy"}
 """Optional ones that a format needs."""
 CURVE_FORMATS = {
@@ -64,7 +64,7 @@ CURVE_FORMATS = {
 }
 _READ = [known for known in FORMATS if known.read and known.name != "fbx"]
 CURVE_SUFFIXES = tuple(sorted((s for known in _READ for s in known.suffixes), key=len))[::-1]
-"""Of curves that are read, longer ones first. An FBX would be opened by Blender, without limits."""
+"""Suffixes of curves that are read, longer ones first. No FBX: Blender would open it, unlimited."""
 ANIMATION_FORMATS = CURVE_FORMATS | {
     "take": OutputFormat("take", ".zip", "the take folder of `deitalk animate`, zipped"),
     "mp4": OutputFormat("mp4", ".mp4", "review video, 960 x 720", cost=3.0),

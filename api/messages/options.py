@@ -51,57 +51,11 @@ class Received(Generic[Options]):
     names: dict[str, str]
 
 
-Gain = Annotated[
-    str | None,
-    Field(
-        max_length=4096,
-        description="Factors on controls or regions, around rest: `brow=0.5,mouth=1.2`.",
-        examples=["brow=0.5"],
-    ),
+Rate = Annotated[float | None, Field(ge=1, le=240)]
+Format = Annotated[
+    str | None, Field(max_length=32, description="Kind of file; else that of `Accept`.")
 ]
-
-
-class SpeechOptions(Acting):
-    """Options of a recording's animation: an acting, and the kind of the answer."""
-
-    model: Annotated[
-        str, Field(max_length=64, description="A name of /v1/models.", examples=["default"])
-    ] = "default"
-    fps: Annotated[
-        float | None, Field(ge=1, le=240, description="Rate of the result, Hz; 30 by default.")
-    ] = None
-    format: Annotated[
-        str | None, Field(max_length=32, description="Kind of file; else that of `Accept`.")
-    ] = None
-    name: Annotated[
-        str | None, Field(pattern=NAME_PATTERN, description="Name of the result's file.")
-    ] = None
-    wait: Annotated[
-        bool, Field(description="False: answer 202 with a job, whatever the length.")
-    ] = True
-    track: Annotated[
-        int | None,
-        Field(ge=1, le=MOST_TRACKS, description="Sound track; else the first with speech."),
-    ] = None
-    channel: Annotated[
-        str | None,
-        Field(
-            max_length=16,
-            description="A number from 1 on, left, right, centre, loudest or mix; else the centre "
-            "of surround sound, or the mean of all.",
-            examples=["left"],
-        ),
-    ] = None
-    raw: Annotated[
-        str | None,
-        Field(
-            max_length=64,
-            description="Form of samples without a header: encoding, Hz, channels.",
-            examples=["s16le,24000,1"],
-        ),
-    ] = None
-
-
+Name = Annotated[str | None, Field(pattern=NAME_PATTERN)]
 Delay = Annotated[
     int,
     Field(
@@ -113,32 +67,55 @@ Delay = Annotated[
 Handles = Annotated[int, Field(ge=0, le=MOST_HANDLES, description="Frames added before and after.")]
 
 
-class AnimationOptions(SpeechOptions):
-    """The same, for curves."""
+class SpeechOptions(Acting):
+    """Options of a recording's animation: an acting, and the kind of the answer."""
 
-    timecode: Annotated[
-        str,
-        Field(
-            pattern=TIMECODE_PATTERN,
-            description="Of the first frame: zero, recording (that of a WAV), or HH:MM:SS:FF "
-            "(;FF for drop frame).",
-            examples=["recording", "10:00:00:12", "10:00:00;12"],
-        ),
-    ] = "zero"
+    model: str = Field(
+        "default", max_length=64, description="A name of /v1/models.", examples=["default"]
+    )
+    fps: Rate = Field(None, description="Rate of the result, Hz; 30 by default.")
+    format: Format = None
+    name: Name = Field(None, description="Name of the result's file.")
+    wait: bool = Field(True, description="False: answer 202 with a job, whatever the length.")
+    track: int | None = Field(
+        None, ge=1, le=MOST_TRACKS, description="Sound track; else the first with speech."
+    )
+    channel: str | None = Field(
+        None,
+        max_length=16,
+        description="A number from 1 on, left, right, centre, loudest or mix; else the centre "
+        "of surround sound, or the mean of all.",
+        examples=["left"],
+    )
+    raw: str | None = Field(
+        None,
+        max_length=64,
+        description="Form of samples without a header: encoding, Hz, channels.",
+        examples=["s16le,24000,1"],
+    )
+
+
+class AnimationOptions(SpeechOptions):
+    """Options of curves of a recording."""
+
+    timecode: str = Field(
+        "zero",
+        pattern=TIMECODE_PATTERN,
+        description="Of the first frame: zero, recording (that of a WAV), or HH:MM:SS:FF "
+        "(;FF for drop frame).",
+        examples=["recording", "10:00:00:12", "10:00:00;12"],
+    )
     delay: Delay = 0
     handles: Handles = 0
 
 
 class DubOptions(AnimationOptions):
-    """The same, for a performance that the request sends."""
+    """Options of another voice for a performance that the request sends."""
 
-    stretch: Annotated[
-        float,
-        Field(ge=1, le=3, description="Most by which phrases are played slower or faster."),
-    ] = 1.5
-    curves_fps: Annotated[
-        float | None, Field(ge=1, le=240, description="Rate of a performance without one.")
-    ] = None
+    stretch: float = Field(
+        1.5, ge=1, le=3, description="Most by which phrases are played slower or faster."
+    )
+    curves_fps: Rate = Field(None, description="Rate of a performance without one.")
 
 
 class DiffOptions(BaseModel):
@@ -146,47 +123,37 @@ class DiffOptions(BaseModel):
 
     model_config = ConfigDict(extra="forbid")
 
-    fps: Annotated[
-        float | None,
-        Field(ge=1, le=240, description="Rate of the edited file, Hz, if it does not contain it."),
-    ] = None
-    tolerance: Annotated[
-        float,
-        Field(
-            ge=0.001,
-            le=0.2,
-            description="How far curves with the layer may be from the edited ones; half of it is "
-            "noise.",
-        ),
-    ] = TOLERANCE
+    fps: Rate = Field(None, description="Rate of the edited file, Hz, if it does not contain it.")
+    tolerance: float = Field(
+        TOLERANCE,
+        ge=0.001,
+        le=0.2,
+        description="How far curves with the layer may be from the edited ones; half of it is "
+        "noise.",
+    )
     delay: Delay = 0
     handles: Handles = 0
-    name: Annotated[
-        str | None,
-        Field(pattern=NAME_PATTERN, description="Name of the layer; else that of `edited`."),
-    ] = None
+    name: Name = Field(None, description="Name of the layer; else that of `edited`.")
 
 
 class MeshOptions(SpeechOptions):
-    """The same, for a mesh."""
+    """Options of a moving mesh of a recording."""
 
-    speaker: Annotated[
-        str,
-        Field(max_length=64, description="Embedded head, or speaker of a mesh model."),
-    ] = "0"
+    speaker: str = Field(
+        "0", max_length=64, description="Embedded head, or speaker of a mesh model."
+    )
 
 
 class RetargetOptions(SpeechOptions):
-    """The same, for a mesh that the request sends."""
+    """Options of a recording or curves on a mesh that the request sends."""
 
-    method: Annotated[
-        str,
-        Field(pattern="^(displacements|gradients)$", description="How shapes are made for a mesh."),
-    ] = "displacements"
-    as_neutral: Annotated[bool, Field(description="Ignore the mesh's own shapes.")] = False
-    curves_fps: Annotated[
-        float | None, Field(ge=1, le=240, description="Rate of curves without one.")
-    ] = None
+    method: str = Field(
+        "displacements",
+        pattern="^(displacements|gradients)$",
+        description="How shapes are made for a mesh.",
+    )
+    as_neutral: bool = Field(False, description="Ignore the mesh's own shapes.")
+    curves_fps: Rate = Field(None, description="Rate of curves without one.")
 
 
 class ConversionOptions(BaseModel):
@@ -194,22 +161,18 @@ class ConversionOptions(BaseModel):
 
     model_config = ConfigDict(extra="forbid")
 
-    format: Annotated[
-        str | None, Field(max_length=32, description="Kind of file; else that of `Accept`.")
-    ] = None
-    fps: Annotated[
-        float | None,
-        Field(ge=1, le=240, description="Rate of the result, Hz; as it is by default."),
-    ] = None
-    curves_fps: Annotated[
-        float | None, Field(ge=1, le=240, description="Rate of curves without one.")
-    ] = None
-    gain: Gain = None
+    format: Format = None
+    fps: Rate = Field(None, description="Rate of the result, Hz; as it is by default.")
+    curves_fps: Rate = Field(None, description="Rate of curves without one.")
+    gain: str | None = Field(
+        None,
+        max_length=4096,
+        description="Factors on controls or regions, around rest: `brow=0.5,mouth=1.2`.",
+        examples=["brow=0.5"],
+    )
     delay: Delay = 0
     handles: Handles = 0
-    name: Annotated[
-        str | None, Field(pattern=NAME_PATTERN, description="Name of the result's file.")
-    ] = None
+    name: Name = Field(None, description="Name of the result's file.")
 
     def order_options(self) -> dict[str, Any]:
         """Return the options of an order."""

@@ -43,7 +43,7 @@ class EmotionsView(BaseModel):
 
     emotions: list[str]
     procedural: list[str]
-    """Those of them that no capture taught the network."""
+    """Emotions that no capture taught the network."""
     variants: dict[str, list[str]]
     """Names of the ways to show each."""
     intensity_minimum: float

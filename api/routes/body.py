@@ -51,10 +51,10 @@ FILES: dict[str, tuple[str, tuple[str, ...]]] = {
 FILES_ALONE = (
     "recording", "sound", "performance", "edited", "take", "mesh", "curves", "landmarks", "mapping"
 )  # fmt: skip
-"""Those of them that are no text."""
+"""Parts of a form that are no text."""
 RAW_TYPES = ("audio/", "video/", "application/octet-stream")
 MOST_FIELDS = 64
-"""Of a form; the options of a route are under 40."""
+"""Most fields of a form; the options of a route are under 40."""
 
 
 async def receive(

@@ -1,48 +1,41 @@
 """Parameters that routes have in common."""
 
+from collections.abc import Callable
 from typing import Annotated, Any
 
 from fastapi import Depends, Request
 
+from api.errors import MEDIA_TYPE, STATUS_CODES
 from api.guard.keys import Caller, require
 from api.service import Service
+from api.settings import Scope
 
 
-def _service(request: Request) -> Service:
+def service_of(request: Request) -> Service:
+    """Return the service of a request's application."""
     service: Service = request.app.state.service
     return service
 
 
-def _caller(request: Request) -> Caller:
-    caller: Caller = request.state.caller
-    return caller
+def with_scope(scope: Scope) -> Callable[[Request], Caller]:
+    """Return a dependency that gives the caller, and refuses one whose key has not the scope."""
+
+    def caller_of(request: Request) -> Caller:
+        require(request.state.caller, scope)
+        caller: Caller = request.state.caller
+        return caller
+
+    return caller_of
 
 
-def _animator(caller: Annotated[Caller, Depends(_caller)]) -> Caller:
-    require(caller, "animate")
-    return caller
-
-
-def _job_caller(caller: Annotated[Caller, Depends(_caller)]) -> Caller:
-    require(caller, "jobs")
-    return caller
-
-
-def _reader(caller: Annotated[Caller, Depends(_caller)]) -> Caller:
-    require(caller, "metrics")
-    return caller
-
-
-ServiceDep = Annotated[Service, Depends(_service)]
-AnimatorDep = Annotated[Caller, Depends(_animator)]
-JobCallerDep = Annotated[Caller, Depends(_job_caller)]
-MetricsDep = Annotated[Caller, Depends(_reader)]
+ServiceDep = Annotated[Service, Depends(service_of)]
+AnimatorDep = Annotated[Caller, Depends(with_scope("animate"))]
+JobCallerDep = Annotated[Caller, Depends(with_scope("jobs"))]
+MetricsDep = Annotated[Caller, Depends(with_scope("metrics"))]
 
 
 def problems(*statuses: int) -> dict[int | str, dict[str, Any]]:
     """Return the documentation of the problems of a route; those of every route are added."""
-    from api.errors import MEDIA_TYPE, STATUS_CODES
-
     schema = {"$ref": "#/components/schemas/Problem"}
     return {
         status: {"description": STATUS_CODES[status], "content": {MEDIA_TYPE: {"schema": schema}}}

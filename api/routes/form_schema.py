@@ -74,7 +74,16 @@ def body(
         content |= {kind: {"schema": BINARY} for kind in ("audio/wav", "application/octet-stream")}
     return {
         "requestBody": {"required": True, "content": content},
-        "parameters": [_parameter(name, option) for name, option in options.items()],
+        "parameters": [
+            {
+                "name": name,
+                "in": "query",
+                "required": False,
+                "schema": {k: v for k, v in option.items() if k not in ("description", "title")},
+                "description": option.get("description", ""),
+            }
+            for name, option in options.items()
+        ],
     }
 
 
@@ -100,9 +109,3 @@ def file_answers(formats: dict[str, OutputFormat]) -> dict[int | str, Any]:
         content[known.media_type.partition(";")[0]] = {"schema": BINARY}
     content["application/json"] = {"schema": {"type": "object"}}
     return {200: {"description": RESULT, "content": content}}
-
-
-def _parameter(name: str, option: dict[str, Any]) -> dict[str, Any]:
-    schema = {key: value for key, value in option.items() if key not in ("description", "title")}
-    parameter = {"name": name, "in": "query", "required": False, "schema": schema}
-    return parameter | {"description": option.get("description", "")}

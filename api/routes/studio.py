@@ -21,7 +21,7 @@ SAMPLES = (
     BUNDLE.with_name("sample.flac"),
     Path(__file__).parents[2] / "docs/samples/amiable.flac",
 )
-"""In a wheel, and in a checkout."""
+"""Places of the sample in a wheel, and in a checkout."""
 _SCRIPT = re.compile(rb"<script type=\"module\"[^>]*>(.*?)</script>", re.DOTALL)
 
 

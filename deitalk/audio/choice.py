@@ -10,7 +10,7 @@ from rig.errors import quoted
 LEFT, RIGHT, CENTRE, LOUDEST, MIX = "left", "right", "centre", "loudest", "mix"
 CHANNEL_NAMES = (LEFT, RIGHT, CENTRE, LOUDEST, MIX)
 MOST_CHANNELS = 64
-"""Of a recording."""
+"""Most channels of a recording."""
 MOST_TRACKS = 64
 LOWEST_RATE, HIGHEST_RATE = 4_000, 768_000
 """Hz that are read."""
@@ -104,11 +104,26 @@ class AudioChoice:
         AudioError
             If one is none of those that are known.
         """
-        return cls(
-            None if track in (None, "") else _track(track),
-            None if channel in (None, "") else _channel(channel),
-            None if raw in (None, "") else RawFormat.of(raw),
-        )
+        if track in (None, ""):
+            track = None
+        else:
+            number = _whole(track) if isinstance(track, str) else track
+            is_whole = isinstance(number, Integral) and not isinstance(number, bool)
+            if not is_whole or not 1 <= int(number) <= MOST_TRACKS:
+                raise AudioError(
+                    f"track {quoted(track)} must be a whole number, 1 to {MOST_TRACKS}"
+                )
+            track = int(number)
+        name = "" if channel is None else str(channel).strip().lower()
+        if 1 <= _whole(name) <= MOST_CHANNELS:
+            name = str(int(name))
+        elif name not in ("", "center", *CHANNEL_NAMES):
+            raise AudioError(
+                f"channel {quoted(channel)} must be a number from 1 to {MOST_CHANNELS}, or one of "
+                f"{', '.join(CHANNEL_NAMES)}"
+            )
+        name = CENTRE if name == "center" else name
+        return cls(track, name or None, None if raw in (None, "") else RawFormat.of(raw))
 
     @property
     def is_mix(self) -> bool:
@@ -156,23 +171,3 @@ def channel_index(channel: str, n_channels: int, layout: tuple[str, ...]) -> int
 def _whole(text: str) -> int:
     """A whole number of up to 8 digits; 0 for any other text."""
     return int(text) if text.strip().isdecimal() and len(text.strip()) < 9 else 0
-
-
-def _track(given: Any) -> int:
-    number = _whole(given) if isinstance(given, str) else given
-    is_whole = isinstance(number, Integral) and not isinstance(number, bool)
-    if not is_whole or not 1 <= int(number) <= MOST_TRACKS:
-        raise AudioError(f"track {quoted(given)} must be a whole number, 1 to {MOST_TRACKS}")
-    return int(number)
-
-
-def _channel(given: Any) -> str:
-    text = str(given).strip().lower()
-    text = CENTRE if text == "center" else text
-    is_number = 1 <= _whole(text) <= MOST_CHANNELS
-    if not is_number and text not in CHANNEL_NAMES:
-        raise AudioError(
-            f"channel {quoted(given)} must be a number from 1 to {MOST_CHANNELS}, or one of "
-            f"{', '.join(CHANNEL_NAMES)}"
-        )
-    return str(int(text)) if is_number else text

@@ -12,7 +12,7 @@ CHANNELS = (
     "FL", "FR", "FC", "LFE", "BL", "BR", "FLC", "FRC", "BC", "SL", "SR", "TC", "TFL", "TFC", "TFR",
     "TBL", "TBC", "TBR",
 )  # fmt: skip
-"""Of the mask of a WAV, from its lowest bit on; FFmpeg's names."""
+"""Names of the bits of a WAV's mask, from the lowest on, as FFmpeg has them."""
 W64 = {
     name: name.encode() + bytes.fromhex(rest)
     for name, rest in {
@@ -75,7 +75,7 @@ class Window:
         self.size = len(part.head) + part.stop - part.start
 
     def read(self, count: int = -1) -> bytes:
-        """At most `count` bytes from the position on."""
+        """Read at most `count` bytes from the position on."""
         left = self.size - self.place
         count = left if count < 0 else min(count, left)
         if count <= 0:
@@ -108,7 +108,7 @@ class Content:
         self.file, self.size = file, file.seek(0, io.SEEK_END)
 
     def at(self, place: int, count: int) -> bytes:
-        """At most so many bytes from a place on."""
+        """Read at most so many bytes from a place on."""
         self.file.seek(place)
         return self.file.read(count)
 

@@ -53,7 +53,7 @@ _SIGNATURES = (
 _TS_PLACES = ((0, 188, 376), (4, 196, 388))  # of the first bytes of packets of a transport stream
 MOST_PADDING = 8192  # samples of a coded WAV's last block
 _BY_SNDFILE = ("wav", "w64", "aiff", "au", "caf")
-"""Of those that FFmpeg reads as well."""
+"""Formats that libsndfile reads first, of those that FFmpeg reads as well."""
 KNOWN = "wav, flac, ogg, opus, mp3, m4a, mp4, mov, webm, aac or wma"
 _NOT_AUDIO = (
     f"{{}} is not audio that can be read; give a {KNOWN} file, or name the form of samples without "
@@ -94,7 +94,7 @@ class SoundSource(Protocol):
         ...
 
     def on(self, track: int) -> "SoundSource":
-        """The same recording on another track."""
+        """Open the same recording on another track."""
         ...
 
 
@@ -245,7 +245,7 @@ class _Recordings:
         self.notes: list[str] = []
 
     def on(self, track: int) -> "_Recordings":
-        """The same file on another track."""
+        """Open the same file on another track."""
         return _Recordings(self.name, self.opened, self.parts, track)
 
     def blocks(self, size: int) -> Iterator[Float32]:

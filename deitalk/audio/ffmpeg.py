@@ -20,7 +20,7 @@ from deitalk.errors import AudioError
 from rig.arrays import Float32
 
 if TYPE_CHECKING:
-    from av import AudioFrame, AudioStream, Packet
+    from av import AudioFrame, AudioStream
     from av.container import InputContainer
 
 LENGTH_SLACK_SECONDS = 0.1  # a container's duration is rounded, and may count encoder padding
@@ -30,7 +30,7 @@ JITTER_SECONDS = 0.01  # times of packets are rounded; a lost packet is longer
 LONGEST_HOLE_SECONDS = 3600.0  # beyond it, a clock that was set
 LONGEST_OVERLAP_SECONDS = 1.0
 LONGEST_HOLE_OF_STREAM_SECONDS = 10.0
-"""Of a transport stream, whose clock may start anew."""
+"""Longest hole of a transport stream, whose clock may start anew."""
 LEAST_BYTE_RATE = 300.0  # a file of fewer bytes a second states a wrong duration
 SILENT_SAMPLES = 1 << 16  # of one block
 
@@ -38,6 +38,7 @@ TIMED = ("mov", "matroska", "mpegts", "asf", "flv", "ogg")
 """Demuxers whose packets have times that mean something; sound of others has no holes."""
 _KEEP_LENGTH = ("mov", "matroska", "flac", "ogg")  # durations of others are estimates by size
 _MP3_LENGTHS = (b"Xing", b"Info", b"VBRI")  # marks of a first mp3 frame that counts the others
+UNTITLED = ("und", "SoundHandler", "Sound Media Handler")
 _DECODERS = frozenset(
     "aac mp1 mp1float mp2 mp2float mp3 mp3float opus libopus vorbis libvorbis flac alac ac3 eac3 "
     "wmav1 wmav2 wmapro wmalossless wmavoice amrnb amrwb libopencore_amrnb libopencore_amrwb "
@@ -91,7 +92,14 @@ class FFmpegReader:
         with self._container() as container:
             stream = self._stream(container)
             self.coding = _codec(stream)
-            self.tracks = tuple(_title(stream) for stream in container.streams.audio)
+            titles = [
+                [track.metadata.get(key, "") for key in ("title", "handler_name", "language")]
+                for track in container.streams.audio
+            ]
+            self.tracks = tuple(
+                next((name for name in names if name and name not in UNTITLED), "")
+                for names in titles
+            )
             first = next((frame for frame, _ in self._frames(container) if frame), None)
             if first is None:
                 raise AudioError(
@@ -124,7 +132,9 @@ class FFmpegReader:
                     timeline.position += lost_seconds
                     continue
                 samples, rate = _samples(frame), frame.sample_rate
-                gap = timeline.gap_before(_time(frame))
+                ticks, unit = frame.pts, frame.time_base
+                at = None if ticks is None or unit is None else float(ticks * unit)
+                gap = timeline.gap_before(at)
                 if gap > 0:
                     yield from _silence(gap, rate, samples.shape[1])
                 else:
@@ -200,7 +210,8 @@ class FFmpegReader:
                         f"{self.name} is damaged in more than {MOST_DAMAGED} places; "
                         "export it again"
                     ) from None
-                yield None, _seconds(packet)
+                lost = float((packet.duration or 0) * (packet.time_base or 0))
+                yield None, min(max(lost, 0.0), LONGEST_LOSS_SECONDS)
                 continue
             for frame in frames:
                 yield frame, 0.0
@@ -209,7 +220,13 @@ class FFmpegReader:
         """Length of the sound by the header, seconds; 0 where it holds none."""
         import av
 
-        if self.demuxer not in _KEEP_LENGTH and not self._counts_frames():
+        keeps_length = self.demuxer in _KEEP_LENGTH
+        if self.demuxer == "mp3":  # its first frame may hold the number of frames
+            self.window.seek(0)
+            self.window.seek(tag_bytes(self.window.read(10)))
+            head = self.window.read(256)
+            keeps_length = any(mark in head for mark in _MP3_LENGTHS)
+        if not keeps_length:
             return 0.0
         if track.duration is not None and track.time_base is not None:
             seconds = float(track.duration * track.time_base)
@@ -218,15 +235,6 @@ class FFmpegReader:
         else:
             return 0.0
         return max(0.0, seconds)
-
-    def _counts_frames(self) -> bool:
-        """Whether this is an mp3 whose first frame holds their number."""
-        if self.demuxer != "mp3":
-            return False
-        self.window.seek(0)
-        self.window.seek(tag_bytes(self.window.read(10)))
-        head = self.window.read(256)
-        return any(mark in head for mark in _MP3_LENGTHS)
 
 
 class _Timeline:
@@ -341,20 +349,6 @@ def _samples(frame: "AudioFrame") -> Float32:
         return values.astype(np.float32)
 
 
-def _time(frame: "AudioFrame") -> float | None:
-    """Time of a frame's first sample by the container, seconds."""
-    if frame.pts is None or frame.time_base is None:
-        return None
-    return float(frame.pts * frame.time_base)
-
-
-def _seconds(packet: "Packet[AudioStream]") -> float:
-    """Duration of a packet according to its header, seconds."""
-    if packet.duration is None or packet.time_base is None:
-        return 0.0
-    return min(max(float(packet.duration * packet.time_base), 0.0), LONGEST_LOSS_SECONDS)
-
-
 def _origin(container: "InputContainer") -> float | None:
     """Time of the container at which its picture or sound begins; None: with this sound alone."""
     # Whether a picture is the cover of a recording.
@@ -373,15 +367,6 @@ def _origin(container: "InputContainer") -> float | None:
 def _codec(stream: "AudioStream") -> str:
     """Name of a track's coding; empty if it is unknown."""
     return "" if stream.codec_context is None else str(stream.codec_context.name)
-
-
-def _title(stream: "AudioStream") -> str:
-    """Title and language of a track, as they are written."""
-    names = (stream.metadata.get(key, "") for key in ("title", "handler_name", "language"))
-    return next((name for name in names if name and name not in UNTITLED), "")
-
-
-UNTITLED = ("und", "SoundHandler", "Sound Media Handler")
 
 
 def lenient(version: str) -> dict[str, Any]:

@@ -42,7 +42,7 @@ _AIFF_PLAIN = (
 _AU_BYTES = {1: 1, 2: 1, 3: 2, 4: 3, 5: 4, 6: 4, 7: 8, 27: 1}
 
 
-class _Chunks(NamedTuple):
+class Chunks(NamedTuple):
     """Layout of the chunks of a format."""
 
     id_bytes: int
@@ -61,13 +61,37 @@ class _Chunks(NamedTuple):
         return head[: self.id_bytes], place + len(head), size
 
     def after(self, begin: int, size: int) -> int:
+        """The place after a content of some bytes."""
         return begin + size + -size % self.align
 
+    def walk(
+        self, content: Content, place: int, samples: bytes, wanted: dict[bytes, int]
+    ) -> tuple[dict[bytes, bytes], int, int]:
+        """Contents of chunks from a place on, and first byte and size of the samples after them.
 
-_RIFF_CHUNKS = _Chunks(4, struct.Struct("<I"), False, 2)
-_FORM_CHUNKS = _Chunks(4, struct.Struct(">I"), False, 2)
-_CAF_CHUNKS = _Chunks(4, struct.Struct(">q"), False, 1)
-_W64_CHUNKS = _Chunks(16, struct.Struct("<q"), True, 8)
+        Of the chunks `wanted`, by their names, at most so many bytes. The first byte is 0 where
+        there is no chunk of the name of the samples.
+        """
+        found: dict[bytes, bytes] = {}
+        for _ in range(MOST_CHUNKS):
+            step = self.step(content, place)
+            if step is None:
+                break
+            name, begin, size = step
+            if name == samples:
+                return found, begin, size
+            if name in wanted:
+                found[name] = content.at(begin, min(max(size, 0), wanted[name]))
+            if size < 0:
+                break
+            place = self.after(begin, size)
+        return found, 0, 0
+
+
+RIFF_CHUNKS = Chunks(4, struct.Struct("<I"), False, 2)
+_FORM_CHUNKS = Chunks(4, struct.Struct(">I"), False, 2)
+_CAF_CHUNKS = Chunks(4, struct.Struct(">q"), False, 1)
+_W64_CHUNKS = Chunks(16, struct.Struct("<q"), True, 8)
 
 
 class _Header(NamedTuple):
@@ -79,7 +103,7 @@ class _Header(NamedTuple):
     """Bytes of samples; negative or very many where they were not known."""
     byte_rate: float
     """Bytes a second; 0 if unknown."""
-    chunks: _Chunks | None
+    chunks: Chunks | None
     """What may follow the samples."""
     made: Callable[[int, bool], bytes]
     """Header for a number of bytes; with what counts samples if the old number holds."""
@@ -181,48 +205,26 @@ def _without_chunks(content: Content, header: _Header, end: int) -> int:
 
 def _riff(content: Content, at: int) -> _Header | None:
     """Header of a RIFF, RF64 or BW64 file (EBU Tech 3306)."""
-    place, form, fact, long = at + 12, b"", b"", -1
     if not RIFF[1].match(content.at(at, 12)):
         return None
-    for _ in range(MOST_CHUNKS):
-        step = _RIFF_CHUNKS.step(content, place)
-        if step is None:
-            return None
-        name, begin, size = step
-        if name == b"data":
-            break
-        if name == b"ds64":
-            (long,) = struct.unpack("<8xQ", content.at(begin, 16).ljust(16, b"\0"))
-        elif name == b"fmt ":
-            form = content.at(begin, min(size, 4096))
-        elif name == b"fact":
-            fact = content.at(begin, min(size, 64))
-        place = _RIFF_CHUNKS.after(begin, size)
-    else:
+    wanted = {b"ds64": 16, b"fmt ": 4096, b"fact": 64}
+    found, begin, size = RIFF_CHUNKS.walk(content, at + 12, b"data", wanted)
+    form = found.get(b"fmt ", b"")
+    if size == 0xFFFFFFFF and b"ds64" in found:
+        (size,) = struct.unpack("<8xQ", found[b"ds64"].ljust(16, b"\0"))
+    if not begin or len(form) < 16:
         return None
-    claimed = long if size == 0xFFFFFFFF and long >= 0 else size
-    return None if len(form) < 16 else _wave(form, fact, begin, claimed, _RIFF_CHUNKS)
+    return _wave(form, found.get(b"fact", b""), begin, size, RIFF_CHUNKS)
 
 
 def _w64(content: Content, at: int) -> _Header | None:
     """Header of a Sony Wave64 file, whose chunks are those of a WAV with longer names."""
-    place, form = at + 40, b""
-    for _ in range(MOST_CHUNKS):
-        step = _W64_CHUNKS.step(content, place)
-        if step is None:
-            return None
-        name, begin, size = step
-        if name == W64["data"]:
-            return None if len(form) < 16 else _wave(form, b"", begin, size, _W64_CHUNKS)
-        if name == W64["fmt "]:
-            form = content.at(begin, min(max(size, 0), 4096))
-        if size < 0:
-            return None
-        place = _W64_CHUNKS.after(begin, size)
-    return None
+    found, begin, size = _W64_CHUNKS.walk(content, at + 40, W64["data"], {W64["fmt "]: 4096})
+    form = found.get(W64["fmt "], b"")
+    return _wave(form, b"", begin, size, _W64_CHUNKS) if begin and len(form) >= 16 else None
 
 
-def _wave(form: bytes, fact: bytes, begin: int, claimed: int, chunks: _Chunks) -> _Header:
+def _wave(form: bytes, fact: bytes, begin: int, claimed: int, chunks: Chunks) -> _Header:
     code, _, rate, byte_rate, block = struct.unpack("<HHIIH", form[:14])
 
     def made(n_bytes: int, is_true: bool) -> bytes:
@@ -254,20 +256,10 @@ def _layout(code: int, form: bytes) -> tuple[str, ...]:
 
 def _aiff(content: Content, at: int) -> _Header | None:
     """Header of an AIFF or AIFC file; None where its format stands after its samples."""
-    form, place, common = content.at(at, 12), at + 12, b""
-    for _ in range(MOST_CHUNKS):
-        step = _FORM_CHUNKS.step(content, place)
-        if step is None:
-            return None
-        name, begin, size = step
-        if name == b"SSND":
-            break
-        if name == b"COMM":
-            common = content.at(begin, min(size, 512))
-        place = _FORM_CHUNKS.after(begin, size)
-    else:
-        return None
-    if len(common) < 18:
+    form = content.at(at, 12)
+    found, begin, size = _FORM_CHUNKS.walk(content, at + 12, b"SSND", {b"COMM": 512})
+    common = found.get(b"COMM", b"")
+    if not begin or len(common) < 18:
         return None
     channels, _, bits, exponent, mantissa = struct.unpack(">HIHHQ", common[:18])
     kind = common[18:22] or b"NONE"
@@ -302,23 +294,10 @@ def _au(content: Content, at: int) -> _Header | None:
 
 def _caf(content: Content, at: int) -> _Header | None:
     """Header of a CAF file; None of coded sound, whose packets may be listed after it."""
-    place, rate, width = at + 8, 0.0, 0
-    for _ in range(MOST_CHUNKS):
-        step = _CAF_CHUNKS.step(content, place)
-        if step is None:
-            return None
-        name, begin, size = step
-        if name == b"data":
-            break
-        if name == b"desc":
-            form = content.at(begin, 32).ljust(32, b"\0")
-            rate, kind, _, width = struct.unpack(">d4sII", form[:20])
-            if kind not in (b"lpcm", b"ulaw", b"alaw"):
-                return None
-        if size < 0:
-            return None
-        place = _CAF_CHUNKS.after(begin, size)
-    else:
+    found, begin, size = _CAF_CHUNKS.walk(content, at + 8, b"data", {b"desc": 32})
+    form = found.get(b"desc", b"").ljust(32, b"\0")
+    rate, kind, _, width = struct.unpack(">d4sII", form[:20])
+    if not begin or (found and kind not in (b"lpcm", b"ulaw", b"alaw")):
         return None
     before = content.at(at, min(begin - 8 - at, TAIL_BYTES)) + b""
     edits = content.at(begin, 4)

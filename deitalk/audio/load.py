@@ -19,9 +19,7 @@ from deitalk.audio.decoding import SoundSource, open_sound
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE, frame_count
 from deitalk.audio.original import start_seconds, wav_header
 from deitalk.audio.speech_warnings import describe
-from deitalk.audio.voice_activity import (
-    speech_activity,
-)
+from deitalk.audio.voice_activity import speech_activity
 from deitalk.errors import AudioError
 from rig.arrays import Float32
 from rig.errors import as_line
@@ -227,18 +225,22 @@ def _read_track(
         )
     if sound.expected / rate > max_seconds:
         raise _too_long(name, sound.expected / rate, max_seconds)
-    mixed, read = _mixing(name, sound, choice.channel), partial(_mono, name, sound, max_seconds)
-    if isinstance(mixed, Survey):
-        # Surround sound: its centre if that has speech.
-        centred = centre(sound.layout)
-        waveform, notes, clipped = read(centred.weights)
-        if speech_activity(waveform).any():
-            mixed = centred
-        else:
-            mixed = mixing(mixed, None, sound.layout)
-            waveform, notes, clipped = read(mixed.weights)
-    else:
-        waveform, notes, clipped = read(mixed.weights)
+    survey = Survey(sound.channels, sound.rate)
+    if sound.channels > 1 and choice.channel in (None, LOUDEST):
+        for block in _finite_blocks(name, sound):
+            survey.add(block)
+
+    def read(mixed: Mixing) -> tuple[Mixing, Float32, list[str], float]:
+        reader = _MonoReader(name, sound, max_seconds)
+        for block in _finite_blocks(name, sound):
+            reader.add(block, mixed.weights)
+        return mixed, *reader.finish(), reader.clipped_fraction
+
+    has_centre = choice.channel is None and has_own_centre(survey, sound.layout)
+    if has_centre:  # surround sound: its centre if that has speech
+        mixed, waveform, notes, clipped = read(centre(sound.layout))
+    if not has_centre or not speech_activity(waveform).any():
+        mixed, waveform, notes, clipped = read(mixing(survey, choice.channel, sound.layout))
     recording = Recording(
         waveform=waveform,
         source=name,
@@ -253,28 +255,6 @@ def _read_track(
         ),
     )  # fmt: skip
     return recording.noted(*describe(recording.waveform, recording.activity))
-
-
-def _mixing(name: str, sound: SoundSource, channel: str | None) -> Mixing | Survey:
-    """Mixing of the channels; a survey for surround sound whose centre may have the speech."""
-    survey = Survey(sound.channels, sound.rate)
-    if sound.channels > 1 and channel in (None, LOUDEST):
-        for block in _finite_blocks(name, sound):
-            survey.add(block)
-    if channel is None and has_own_centre(survey, sound.layout):
-        return survey
-    return mixing(survey, channel, sound.layout)
-
-
-def _mono(
-    name: str, sound: SoundSource, max_seconds: float, weights: Float32
-) -> tuple[Float32, list[str], float]:
-    """The waveform (S,), notes on it, and the share of clipped samples."""
-    reader = _MonoReader(name, sound, max_seconds)
-    for block in _finite_blocks(name, sound):
-        reader.add(block, weights)
-    waveform, notes = reader.finish()
-    return waveform, notes, reader.clipped_fraction
 
 
 def write_wav(path: str | Path, waveform: npt.ArrayLike, *, start: float = 0.0) -> None:
@@ -359,7 +339,9 @@ class _MonoReader:
             raise AudioError(f"{self.name} holds 0 samples; record or export it again")
         self._append(self.resampler.resample_chunk(np.zeros(0, np.float32), last=True))
         waveform = self.waveform[: self._length(self.n_source)]
-        offset, peak = _remove_dc(waveform)
+        offset = float(waveform.mean(dtype=np.float64))
+        waveform -= np.float32(offset)
+        peak = float(max(waveform.max(), -waveform.min()))
         notes = []
         if self.clipped_fraction > 1e-4:
             notes.append(f"{self.clipped_fraction:.2%} of the samples are clipped")
@@ -381,13 +363,6 @@ class _MonoReader:
             self.waveform = grown
         self.waveform[self.filled : end] = part
         self.filled = end
-
-
-def _remove_dc(waveform: Float32) -> tuple[float, float]:
-    """Subtract the mean in place; return it and the remaining peak."""
-    offset = float(waveform.mean(dtype=np.float64))
-    waveform -= np.float32(offset)
-    return offset, float(max(waveform.max(), -waveform.min()))
 
 
 def _count_clipped(block: Float32) -> int:

@@ -11,11 +11,11 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
-from deitalk.audio.log_mel import mel_filters
+from deitalk.audio.mel_filters import mel_filters
 
 LOWEST_HZ, HIGHEST_HZ = 50, 7600
 MEAN, SPREAD = -6.5, 3.5
-"""Of the logarithm, measured on level-normalised speech."""
+"""Mean and spread of the logarithm, measured on level-normalised speech."""
 FLOOR = 1e-5
 """Added to mel power before the logarithm; speech at -23 dB has cells of 1e-4 to 10."""
 

@@ -12,14 +12,14 @@ import re
 import struct
 from collections.abc import Iterator
 from pathlib import Path
-from typing import IO
 
 import numpy as np
 
 from deitalk.audio.choice import AudioChoice, channel_index
+from deitalk.audio.content import Content
 from deitalk.audio.decoding import open_sound
 from deitalk.audio.frames import FRAME_RATE
-from deitalk.audio.headers import MOST_CHUNKS
+from deitalk.audio.headers import RIFF_CHUNKS
 from deitalk.errors import AudioError, DeitalkError
 from rig.arrays import Float32
 from rig.curves.timecode import DROPPED, left_out
@@ -32,7 +32,7 @@ NO_TIMECODE = "the recording has no time code (bext chunk of a WAV): starts at 0
 DAY = 24 * 3600.0
 BLOCK_SAMPLES = 1 << 20
 MOST_BYTES = (1 << 32) - 1024
-"""Of a WAV file, whose sizes are 32-bit numbers."""
+"""Most bytes of a WAV file, whose sizes are 32-bit numbers."""
 _BEXT_BYTES, _TIME_REFERENCE = 602, 338
 """Size of the chunk's version 1 without history, and offset of the 64-bit number of samples."""
 _TIMECODE = re.compile(r"(\d{1,2})[:;](\d{2})[:;](\d{2})(?:([:;])(\d{2,3})|(\.\d+))?")
@@ -40,11 +40,21 @@ _TIMECODE = re.compile(r"(\d{1,2})[:;](\d{2})[:;](\d{2})(?:([:;])(\d{2,3})|(\.\d
 
 def start_seconds(source: Path | str | bytes) -> float | None:
     """Time of day of the first sample of a WAV file or its bytes, seconds; None if it has none."""
+    wanted = {b"fmt ": 8, b"bext": _TIME_REFERENCE + 8}
     try:
         with io.BytesIO(source) if isinstance(source, bytes) else open(source, "rb") as file:
-            return _start_of_wav(file)
+            content = Content(file)
+            head = content.at(0, 12)
+            if head[:4] not in (b"RIFF", b"RF64") or head[8:] != b"WAVE":
+                return None
+            # Of an RF64 the size of the samples is elsewhere; bext stands before them.
+            last = b"data" if head[:4] == b"RF64" else b""
+            found, _, _ = RIFF_CHUNKS.walk(content, 12, last, wanted)
+        (rate,) = struct.unpack("<4xI", found.get(b"fmt ", b""))
+        (samples,) = struct.unpack_from("<Q", found.get(b"bext", b""), _TIME_REFERENCE)
     except (OSError, struct.error):
         return None
+    return samples / rate if rate and samples / rate < DAY else None
 
 
 def start_of(timecode: str, fps: float | None, recorded: float | None) -> tuple[float, str]:
@@ -147,6 +157,7 @@ def write_original(
         before = round(lead * ORIGINAL_RATE)
         n_samples = 2 * before + round(seconds * ORIGINAL_RATE)
         width = _sample_bytes(source)
+        scale = float(1 << (8 * width - 1))
         taken, count = slice(None), sound.channels
         if not choice.is_mix:
             index = channel_index(str(choice.channel), count, sound.layout)
@@ -160,7 +171,9 @@ def write_original(
             left = n_samples - before
             blocks = (block[:, taken] for block in sound.blocks(BLOCK_SAMPLES // sound.channels))
             for block in _at_48k(blocks, sound.rate):
-                file.write(_pcm(block[:left], width))
+                numbers = np.rint(block[:left].astype(np.float64) * scale)
+                numbers = numbers.clip(-scale, scale - 1).astype("<i4").view(np.uint8)
+                file.write(numbers.reshape(-1, 4)[:, :width].tobytes())
                 left -= min(left, len(block))
                 if not left:
                     break
@@ -180,32 +193,6 @@ def wav_header(rate: int, channels: int, bits: int, n_bytes: int, start: float =
         chunks += b"bext" + struct.pack("<I", len(bext)) + bytes(bext)
     chunks += b"data" + struct.pack("<I", n_bytes)
     return b"RIFF" + struct.pack("<I", 4 + len(chunks) + n_bytes) + b"WAVE" + chunks
-
-
-def _start_of_wav(file: IO[bytes]) -> float | None:
-    """Walk the chunks of a RIFF or RF64 file for the rate and the time reference."""
-    head = file.read(12)
-    if head[:4] not in (b"RIFF", b"RF64") or head[8:] != b"WAVE":
-        return None
-    rate, samples = 0, None
-    for _ in range(MOST_CHUNKS):
-        mark = file.read(8)
-        if len(mark) < 8:
-            break
-        (size,) = struct.unpack("<I", mark[4:])
-        at = file.tell()
-        if mark[:4] == b"fmt ":
-            (rate,) = struct.unpack("<4xI", file.read(8))
-        elif mark[:4] == b"bext" and size >= _TIME_REFERENCE + 8:
-            file.seek(at + _TIME_REFERENCE)
-            (samples,) = struct.unpack("<Q", file.read(8))
-        if mark[:4] == b"data" and head[:4] == b"RF64":
-            break  # its size is elsewhere; bext stands before it
-        file.seek(at + size + size % 2)
-    if samples is None or not rate:
-        return None
-    seconds = samples / rate
-    return seconds if seconds < DAY else None
 
 
 def _sample_bytes(source: str) -> int:
@@ -234,10 +221,3 @@ def _at_48k(blocks: Iterator[Float32], rate: int) -> Iterator[Float32]:
         last = block[:0]
     if resampler is not None:
         yield resampler.resample_chunk(last, last=True)
-
-
-def _pcm(block: Float32, width: int) -> bytes:
-    """Little-endian integers of samples within -1 and 1; others are clipped."""
-    scale = float(1 << (8 * width - 1))
-    numbers = np.rint(block.astype(np.float64) * scale).clip(-scale, scale - 1).astype("<i4")
-    return numbers.view(np.uint8).reshape(-1, 4)[:, :width].tobytes()

@@ -7,7 +7,7 @@ and CAF get a header with the true length (`deitalk.audio.headers`).
 
 import struct
 from collections.abc import Callable, Iterator
-from itertools import pairwise
+from itertools import islice, pairwise
 from typing import IO
 
 from deitalk.audio.content import STARTS, Content, Part, Window
@@ -36,9 +36,13 @@ def parts_of(file: IO[bytes], demuxer: str | None) -> list[Part]:
         If there are more than `MOST_PARTS`.
     """
     content = Content(file)
-    find = _FINDERS.get(demuxer or "", _found_starts)
+    if demuxer in _FINDERS:
+        found = _FINDERS[demuxer](content, demuxer)
+    else:  # from each beginning of a recording to the next
+        starts = content.starts(demuxer, 1) if demuxer in STARTS else iter(())
+        found = _between([0, *islice(starts, MOST_PARTS + 1), content.size])
     parts = []
-    for part in find(content, demuxer or ""):
+    for part in found:
         parts.append(part)
         if len(parts) > MOST_PARTS:
             raise AudioError(
@@ -48,19 +52,8 @@ def parts_of(file: IO[bytes], demuxer: str | None) -> list[Part]:
     return parts or [Part(0, content.size)]
 
 
-def _found_starts(content: Content, demuxer: str) -> Iterator[Part]:
-    """Parts from each beginning of a recording to the next."""
-    starts = list(_limited(content.starts(demuxer, 1))) if demuxer in STARTS else []
-    yield from _between([0, *starts, content.size])
-
-
 def _between(places: list[int]) -> Iterator[Part]:
     yield from (Part(*pair) for pair in pairwise(places))
-
-
-def _limited(places: Iterator[int]) -> Iterator[int]:
-    """Places, not many more than may be."""
-    return (place for place, _ in zip(places, range(MOST_PARTS + 1), strict=False))
 
 
 def _ogg(content: Content, demuxer: str) -> Iterator[Part]:
@@ -109,19 +102,16 @@ def has_fragments(file: IO[bytes] | Window) -> bool:
     return any(name == b"moof" for _, name in _boxes(Content(file)))
 
 
-# MPEG audio has no header; the first frame of an encoder's file counts the others.
-
-
 _MPEG_COUNTS = (b"Xing", b"Info", b"VBRI")
-_COUNT_PLACES = (
-    36,
-    21,
-    13,
-)  # in the first frame: MPEG-1 stereo, mono or MPEG-2 stereo, MPEG-2 mono
+_COUNT_PLACES = (36, 21, 13)
+"""Places in the first frame: of MPEG-1 stereo, mono or MPEG-2 stereo, MPEG-2 mono."""
 
 
 def _mpeg(content: Content, demuxer: str) -> Iterator[Part]:
-    """MPEG recordings that begin with a frame of counts, each with the tag before it."""
+    """MPEG recordings that begin with a frame of counts, each with the tag before it.
+
+    MPEG audio has no header; the first frame of an encoder's file counts the others.
+    """
     starts = []
     for mark in _MPEG_COUNTS:
         for place in content.find(mark, 0):

@@ -25,7 +25,7 @@ BAND_EDGES_HZ = 700 * (
     * (1 + 7600 / 700) ** np.linspace(0, 1, BANDS + 1)
     - 1
 )
-"""Of equal width on the mel scale, 80 to 7600 Hz."""
+"""Edges of bands of equal width on the mel scale, 80 to 7600 Hz."""
 SONORANT = slice(3, 18)
 """Bands of the first three formants, 330 to 3300 Hz, in which syllables stand out most."""
 

@@ -8,16 +8,11 @@ Letters: S samples, m samples of a call, R samples on either side that a sample 
 
 from fractions import Fraction
 from functools import lru_cache
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from deitalk.audio.frames import SAMPLE_RATE
 from rig.arrays import Float32, Float64, Int64
-
-if TYPE_CHECKING:
-    pass
-
 
 CROSSINGS = 64
 """Zero crossings of the sinc on either side: 4 ms, or more of a rate below 16 kHz."""

@@ -11,9 +11,9 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import NamedTuple
 
 from deitalk.audio.choice import AudioChoice
-from deitalk.batch.cloud import AnyOutputs
 from deitalk.batch.lines import Line
 from deitalk.batch.orders import Order, Outcome
+from deitalk.batch.outputs import Outputs
 from deitalk.batch.source import ACTORS
 from deitalk.emotions import ActorReference, parse_actor
 from deitalk.pipeline.actor_voice import reference_of
@@ -21,7 +21,7 @@ from deitalk.pipeline.actor_voice import reference_of
 MOST_LINES = 100
 """Lines of an actor that are measured, spread evenly over all of them."""
 FEWEST_LINES = 3
-"""With fewer lines with voice an actor gets no reference."""
+"""Least number of lines with voice from which an actor gets a reference."""
 
 
 class Sample(NamedTuple):
@@ -49,7 +49,7 @@ def file_of(actor: str) -> str:
 
 def references(
     lines: Iterable[Line],
-    outputs: AnyOutputs,
+    outputs: Outputs,
     signature: Callable[[str], str],
     run: Callable[[Sequence[Order]], Iterator[list[Outcome]]],
 ) -> dict[str, ActorReference]:
@@ -59,7 +59,7 @@ def references(
     ----------
     lines : iterable of Line
         All lines of the batch.
-    outputs : Outputs or CloudOutputs
+    outputs : Outputs
         The output folder; its journal keeps the voice of each recording.
     signature : callable
         What the voice of a recording depends on; empty if its file is not there.
@@ -80,7 +80,7 @@ def references(
     for actor, chosen in by_actor.items():
         content = outputs.reference(file_of(actor))
         if content is not None:
-            found[actor] = parse_actor(content, f"{outputs.folder}/{file_of(actor)}")
+            found[actor] = parse_actor(content, f"{outputs.shown}/{file_of(actor)}")
         else:
             step = max(len(chosen) / MOST_LINES, 1.0)
             spread = [chosen[int(i * step)] for i in range(min(len(chosen), MOST_LINES))]

@@ -4,10 +4,15 @@ Ray Data gives blocks of a few lines to the actors, and gives those of a machine
 others. A line may then be animated twice; the second result has the same files.
 """
 
+import io
 import os
 import pickle
+import secrets
+import shutil
+import tarfile
 from collections.abc import Iterator, Sequence
 from contextlib import chdir, suppress
+from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
@@ -31,7 +36,9 @@ class Cluster:
     count : int or None
         Actors; one for each processor if None.
     make : callable
-        As for `deitalk.batch.processes.Workers`.
+        As for `deitalk.batch.processes.Workers`; it stages files in a folder of its machine.
+    stage : str
+        Folder of this machine to which they are brought.
 
     Raises
     ------
@@ -41,7 +48,7 @@ class Cluster:
         If no cluster answers.
     """
 
-    def __init__(self, address: str, count: int | None, make: Make) -> None:
+    def __init__(self, address: str, count: int | None, make: Make, stage: str) -> None:
         os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
         try:
             import ray
@@ -50,7 +57,7 @@ class Cluster:
             raise MissingError(
                 f"a Ray cluster needs Ray ({error}); install it by `pip install 'deitalk[ray]'`"
             ) from None
-        self._count, self._make = count, pickle.dumps(make)
+        self._count, self._make, self._stage = count, pickle.dumps(make), Path(stage)
         self._is_ours = not ray.is_initialized()
         self._folder, self._empty = os.getcwd(), TemporaryDirectory(prefix="deitalk-ray-")
         if self._is_ours:
@@ -101,9 +108,16 @@ class Cluster:
         )
         try:
             for batch in results.iter_batches(batch_size=None, batch_format="numpy"):
-                outcomes = [pickle.loads(row) for row in batch["outcome"]]
-                for error in (each for each in outcomes if isinstance(each, Exception)):
-                    raise error
+                outcomes = []
+                for row in batch["outcome"]:
+                    outcome, files = pickle.loads(row)
+                    if isinstance(outcome, Exception):
+                        raise outcome
+                    if files:
+                        outcome.stage = str(self._stage / secrets.token_hex(8))
+                        with tarfile.open(fileobj=io.BytesIO(files)) as archive:
+                            archive.extractall(outcome.stage, filter="data")
+                    outcomes.append(outcome)
                 yield outcomes
         except ray.exceptions.RayError as error:
             raise DeitalkError(one_line(f"Ray: {error}")) from None
@@ -127,7 +141,18 @@ class _Actor:
     def __call__(self, batch: dict[str, Any]) -> dict[str, Any]:
         """Map a column of orders to one of results."""
         if self._error is not None:
-            return {"outcome": [pickle.dumps(self._error)] * len(batch["order"])}
+            return {"outcome": [pickle.dumps((self._error, b""))] * len(batch["order"])}
         orders = [pickle.loads(order) for order in batch["order"]]
         outcomes = [outcome for found in self._perform(orders) for outcome in found]
-        return {"outcome": [pickle.dumps(outcome) for outcome in outcomes]}
+        return {"outcome": [pickle.dumps((each, _taken(each.stage))) for each in outcomes]}
+
+
+def _taken(stage: str) -> bytes:
+    """The files of a stage as an archive; they are removed."""
+    if not stage:
+        return b""
+    content = io.BytesIO()
+    with tarfile.open(fileobj=content, mode="w") as archive:
+        archive.add(stage, ".")
+    shutil.rmtree(stage)
+    return content.getvalue()

@@ -4,14 +4,8 @@ Bilabials (p, b, m) come about once a second in speech, and each shuts the lips:
 LibriSpeech of 2 to 6 s, 2 % have no contact, of those of 5 s or more none.
 """
 
-from typing import TYPE_CHECKING
-
 from deitalk.audio.frames import FRAME_RATE
 from deitalk.pipeline.performance import Performance
-
-if TYPE_CHECKING:
-    pass
-
 
 CONTACT = 0.5
 """Value of the lips-together controls in a contact; closures of readers reach 0.9."""
@@ -23,14 +17,12 @@ JAW, LIPS = "CTRL_C_jaw.ty", "lipsTogether"
 
 def findings(performance: Performance) -> tuple[str, ...]:
     """Warnings about a performance that a person should look at."""
-    found = []
     curves = performance.curves
     lips = [i for i, name in enumerate(curves.names) if LIPS in name]
-    if lips and JAW in curves.names:
-        moving = int((curves[JAW] > MOVING_JAW).sum()) / FRAME_RATE
-        if moving >= MOVING_SECONDS and curves.values[:, lips].mean(axis=1).max() < CONTACT:
-            found.append(
-                f"the lips never meet in {moving:.1f} s of speech: look at it; the recording "
-                "may be muffled, or no speech"
-            )
-    return tuple(found)
+    if not lips or JAW not in curves.names:
+        return ()
+    moving = int((curves[JAW] > MOVING_JAW).sum()) / FRAME_RATE
+    if moving < MOVING_SECONDS or curves.values[:, lips].mean(axis=1).max() >= CONTACT:
+        return ()
+    text = f"the lips never meet in {moving:.1f} s of speech: look at it; the recording may be"
+    return (f"{text} muffled, or no speech",)

@@ -110,12 +110,6 @@ class Journal:
         """Write everything into the one file and close it."""
         self._database.close()
 
-    def copy(self, path: Path) -> None:
-        """Copy everything into another file."""
-        with self._errors():
-            path.unlink(missing_ok=True)
-            self._database.execute("VACUUM INTO ?", (str(path),))
-
     @contextmanager
     def transaction(self) -> Iterator[None]:
         """Make the changes of the block at once or not at all."""

@@ -22,7 +22,7 @@ import csv
 import io
 import os
 import re
-from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -33,7 +33,7 @@ from deitalk.batch.lines import BadLine, Dubbing, Line, Written, parse_formats
 from deitalk.emotions.track_files import number
 from deitalk.errors import DataError, DeitalkError
 from rig import limits
-from rig.errors import UserError, quoted
+from rig.errors import UserError, listed, quoted
 from rig.formats.table import writable_suffixes
 
 SIGNAL = ("track", "channel", "raw")
@@ -86,46 +86,29 @@ def read_manifest(
     lines = read.linked([read.line(i, row) for i, row in enumerate(rows, 1)])
     if not lines:
         raise DataError(f"{where}: holds no rows; write one for each recording")
-    return lines, tuple(_notes(header))
-
-
-def _notes(header: list[str]) -> Iterator[str]:
-    """Notes about columns that are not used."""
     unused = [name for name in header if name and name not in COLUMNS]
-    if unused:
-        shown = ", ".join(unused[:5]) + (" …" if len(unused) > 5 else "")
-        yield f"columns of the manifest that are not used: {shown}"
+    notes = (f"columns of the manifest that are not used: {listed(unused)}",) if unused else ()
+    return lines, notes
 
 
-def _rows(text: str, where: str) -> tuple[list[str], Iterator[Row]]:
+def _rows(text: str, where: str) -> tuple[list[str], list[Row]]:
     """Names of the columns, and the rows that are not empty."""
-    first, _, rest = text.partition("\n")
-    if first.lower().startswith("sep="):  # Excel's own first line
-        text = rest
-        first = rest.partition("\n")[0]
-    separator = max(_SEPARATORS, key=first.count)
+    if text.lower().startswith("sep="):  # Excel's own first line
+        text = text.partition("\n")[2]
+    separator = max(_SEPARATORS, key=text.partition("\n")[0].count)
     reader = csv.reader(io.StringIO(text, newline=""), delimiter=separator)
+    rows: list[Row] = []
     try:
         header = [name.strip().lower() for name in next(reader, [])]
-    except csv.Error as error:
-        raise DataError(f"{where}: no table ({error}); save it as CSV") from None
-    return header, _filled(reader, header, where)
-
-
-def _filled(reader: Iterator[list[str]], header: list[str], where: str) -> Iterator[Row]:
-    count = 0
-    try:
         for cells in reader:
             if not any(cell.strip() for cell in cells):
                 continue
-            count += 1
-            if count > limits.BATCH_LINES:
-                raise DataError(
-                    f"{where}: more than {limits.BATCH_LINES:,} rows; divide the manifest"
-                )
-            yield {name: cell.strip() for name, cell in zip(header, cells, strict=False)}
+            if len(rows) == limits.BATCH_LINES:
+                raise DataError(f"{where}: more than {len(rows):,} rows; divide the manifest")
+            rows.append({name: cell.strip() for name, cell in zip(header, cells, strict=False)})
     except csv.Error as error:
-        raise DataError(f"{where}, row {count + 1}: {error}; save it as CSV again") from None
+        raise DataError(f"{where}, row {len(rows) + 1}: {error}; save it as CSV again") from None
+    return header, rows
 
 
 class _Reader:
@@ -156,19 +139,22 @@ class _Reader:
     def linked(self, lines: list[Line | BadLine]) -> list[Line | BadLine]:
         """The lines, with the takes before and after that are no lines of the batch read."""
         outputs = {line.output for line in lines if isinstance(line, Line)}
-        return [
-            self._linked(line, outputs) if isinstance(line, Line) and line.beside else line
-            for line in lines
-        ]
-
-    def _linked(self, line: Line, outputs: set[str]) -> Line | BadLine:
-        inside = {n: name for n, cell in line.beside.items() if (name := _plain(cell)) in outputs}
-        others = {name: cell for name, cell in line.beside.items() if name not in inside}
-        try:
-            acting = Acting.of(line.acting, files=_Beside(self.base), **others)
-        except UserError as error:
-            return BadLine(line.number, line.audio, line.output, str(error))
-        return replace(line, acting=acting, beside=inside)
+        found: list[Line | BadLine] = []
+        for line in lines:
+            if isinstance(line, Line) and line.beside:
+                inside, others = {}, dict(line.beside)
+                for name, cell in line.beside.items():
+                    with suppress(UserError):
+                        if (output := checked_output(cell)) in outputs:
+                            inside[name] = output
+                            del others[name]
+                try:
+                    acting = Acting.of(line.acting, files=_Beside(self.base), **others)
+                    line = replace(line, acting=acting, beside=inside)
+                except UserError as error:
+                    line = BadLine(line.number, line.audio, line.output, str(error))
+            found.append(line)
+        return found
 
     def _read(self, row: Row, formats: tuple[str, ...]) -> Line:
         cells = {name: row[name] for name in _SETTINGS if row.get(name)}
@@ -178,37 +164,27 @@ class _Reader:
         form: dict[str, Any] = {"formats": formats}
         if fps := cells.get("fps"):
             form["fps"] = number(fps, "fps", "column")
-        if digits := cells.get("digits"):
-            form["digits"] = int(digits) if digits.isdecimal() else digits
         if timecode := cells.get("timecode"):
             form["timecode"] = timecode
-        for name in ("delay", "handles"):
-            if cell := cells.get(name):
-                is_whole = cell.lstrip("+-").isdecimal()
-                form[name] = int(cell) if is_whole else cell
+        for name in ("digits", "delay", "handles"):
+            if cell := cells.get(name):  # what is no number is refused with the others
+                form[name] = int(cell) if cell.lstrip("+-").isdecimal() else cell
         written = replace(self.defaults.written, **form).checked()
         actor = cells.get("actor", self.defaults.actor)
         signal = {name: cells[name] for name in SIGNAL if name in cells}
         choice = AudioChoice.of(**self.defaults.choice.settings | signal)
         line = replace(self.defaults, acting=acting, written=written, actor=actor, choice=choice)
-        return replace(line, dubbing=self._dubbing(cells))
-
-    def _dubbing(self, cells: Row) -> Dubbing | None:
-        """The performance of a row."""
         given: dict[str, Any] = {name: cells[name] for name in DUBBING if name in cells}
         if not given:
-            return None
+            return replace(line, dubbing=None)
         if "performance" not in given:
             raise DeitalkError(
                 f"{', '.join(given)} without a performance; name one, or leave it out"
             )
-        for name in DUBBING[:3]:
-            if name in given:
-                given[name] = joined(self.base, given[name])
-        for name in DUBBING[3:]:
-            if name in given:
-                given[name] = number(given[name], name, "column")
-        return Dubbing(**given)
+        for name, cell in given.items():
+            is_path = name in DUBBING[:3]
+            given[name] = joined(self.base, cell) if is_path else number(cell, name, "column")
+        return replace(line, dubbing=Dubbing(**given))
 
 
 class _Beside(dict[str, Path]):
@@ -237,14 +213,6 @@ def _named(row: Row, audio: str, defaults: Written) -> tuple[tuple[str, ...], st
         formats = formats if text else (suffix,)
         output = output[: -len(suffix)]
     return formats, checked_output(output)
-
-
-def _plain(output: str) -> str:
-    """An output as lines have it; an output of no line where it is none."""
-    try:
-        return checked_output(output)
-    except UserError:
-        return ""
 
 
 def output_of(audio: str) -> str:

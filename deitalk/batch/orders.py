@@ -27,7 +27,7 @@ class Order:
     output: str
     audio: str
     acting: Acting = field(default_factory=Acting)
-    """With the voice of the actor, where one was measured."""
+    """Acting of the line, with the voice of the actor where one was measured."""
     written: Written = field(default_factory=Written)
     actor: str = ""
     known: str = ""

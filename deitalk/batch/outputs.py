@@ -27,6 +27,7 @@ KIND = "batch"
 """Kind of the output folder in its manifest."""
 PRIVATE = ".deitalk-batch"
 """Folder of the journal and of unfinished files."""
+STAGE = f"{PRIVATE}/stage"
 
 
 class Outputs:
@@ -38,12 +39,13 @@ class Outputs:
         The output folder.
     journal : Journal
         Of that folder.
+    shown : str
+        Its name in messages.
     """
 
-    def __init__(self, folder: Path, journal: Journal) -> None:
-        self.folder, self.journal = folder, journal
-        self.stage, self.url = str(folder / PRIVATE / "stage"), ""
-        self._made: set[Path] = set()
+    def __init__(self, folder: Path, journal: Journal, shown: str) -> None:
+        self.folder, self.journal, self.shown = folder, journal, shown
+        self.stage = str(folder / STAGE)
 
     def begin(self) -> None:
         """Finish what a killed process placed, or leave it to be made again."""
@@ -71,17 +73,23 @@ class Outputs:
         for target in targets:
             path = self.folder / target
             if not os.path.lexists(path):
-                self._check_above(path)
+                above = next((parent for parent in path.parents if parent.exists()), path)
+                if not above.is_dir():
+                    raise TargetError(f"{above} is a file; name another output")
             elif path.is_dir() and not path.is_symlink() and not path.suffix:
-                self._check_take(path, target)
+                # A folder may be filled if its take is unchanged, or it holds nothing.
+                recover(path)
+                check_folder(path, kind=TAKE_KIND, force=True)
+                if any(path.iterdir()) and not self._is_own(f"{target}/take.json"):
+                    raise TargetError(
+                        f"{self.shown}/{target} is a take that this batch did not write; move it "
+                        "away, or name another output"
+                    )
             elif not self._is_own(target):
                 raise TargetError(
-                    f"{path} was not written by this batch, or was changed since; move it away, or "
-                    "name another output"
+                    f"{self.shown}/{target} was not written by this batch, or was changed since; "
+                    "move it away, or name another output"
                 )
-
-    def announce(self, entries: Sequence[Entry]) -> None:
-        """Nothing: files are entered before they get their names."""
 
     def place(self, results: Sequence[tuple[Entry, Outcome]]) -> None:
         """Give staged files their names and enter the results, all in two transactions."""
@@ -149,21 +157,15 @@ class Outputs:
         for target in outcome.targets:
             source, path = stage / target.name, self.folder / target.path
             self.check_free([target.path])
-            if path.parent not in self._made:
-                path.parent.mkdir(parents=True, exist_ok=True)
-                self._made.add(path.parent)
-            if source.is_dir() and path.is_dir():
-                self._exchange(source, path)
+            path.parent.mkdir(parents=True, exist_ok=True)
+            if source.is_dir() and path.is_dir():  # others than the take's files stay in it
+                with output_folder(path, kind=TAKE_KIND, force=True) as beside:
+                    for name in os.listdir(source):
+                        if name != MANIFEST:
+                            os.replace(source / name, beside / name)
             else:
                 os.replace(source, path)
         shutil.rmtree(stage, ignore_errors=True)
-
-    def _exchange(self, source: Path, folder: Path) -> None:
-        """Replace the files of a take; others in its folder stay."""
-        with output_folder(folder, kind=TAKE_KIND, force=True) as stage:
-            for name in os.listdir(source):
-                if name != MANIFEST:
-                    os.replace(source / name, stage / name)
 
     def _state(self, file: File) -> str:
         """Whether a file is as it was written."""
@@ -180,30 +182,10 @@ class Outputs:
     def _is_own(self, target: str) -> bool:
         return any(self._state(file) == "intact" for file in self.journal.hashes(target))
 
-    def _check_take(self, path: Path, target: str) -> None:
-        """A folder may be filled if its take is of the batch and unchanged, or it holds nothing."""
-        recover(path)
-        check_folder(path, kind=TAKE_KIND, force=True)
-        if any(path.iterdir()) and not self._is_own(f"{target}/take.json"):
-            raise TargetError(
-                f"{path} is a take that this batch did not write; move it away, or name another "
-                "output"
-            )
-
-    def _check_above(self, path: Path) -> None:
-        """Folders above a new file must be folders."""
-        for parent in path.parents:
-            if parent == self.folder or parent in self._made:
-                return
-            if parent.exists():
-                if not parent.is_dir():
-                    raise TargetError(f"{parent} is a file; name another output")
-                return
-
 
 @contextmanager
-def opened_folder(out: Path) -> Iterator[Outputs]:
-    """The outputs in a folder that no other process writes to.
+def opened_folder(out: Path, shown: str = "") -> Iterator[Outputs]:
+    """The outputs in a folder that no other process writes to; messages call it `shown`.
 
     Raises
     ------
@@ -213,7 +195,7 @@ def opened_folder(out: Path) -> Iterator[Outputs]:
     with claim(out):
         begin_folder(out, kind=KIND)
         (out / PRIVATE).mkdir(exist_ok=True)
-        with closing(Journal(out / PRIVATE / "journal.sqlite", out)) as journal:
-            outputs = Outputs(out, journal)
+        with closing(Journal(out / PRIVATE / "journal.sqlite", shown or out)) as journal:
+            outputs = Outputs(out, journal, shown or str(out))
             yield outputs
             shutil.rmtree(outputs.stage, ignore_errors=True)

@@ -1,6 +1,5 @@
 """One line in a worker process: a recording to staged files."""
 
-import errno
 import hashlib
 import os
 import shutil
@@ -15,10 +14,11 @@ from weakref import finalize
 
 from deitalk.acting import Acting
 from deitalk.audio.choice import AudioChoice
-from deitalk.batch.cloud import read_recording, upload
 from deitalk.batch.findings import findings
 from deitalk.batch.lines import TAKE, Dubbing, has_option
 from deitalk.batch.orders import File, Order, Outcome, Target
+from deitalk.batch.recordings import read_recording
+from deitalk.errors import is_disk_full
 from deitalk.models.load import Backend
 from deitalk.pipeline.performance import Extra, Performance
 from rig.errors import UserError, one_line
@@ -31,7 +31,6 @@ TOGETHER_FRAMES = 32_768
 """Frames from which recordings are enough for one call of a GPU, 18 minutes. On a processor each is
 read alone: its files then are the same whatever comes with it."""
 T = TypeVar("T")
-_FULL = {errno.ENOSPC, errno.EDQUOT}
 
 
 class Performer:
@@ -43,8 +42,6 @@ class Performer:
         Name or folder.
     stage : str
         Folder on the disk of the outputs; empty: a temporary one.
-    url : str
-        Where files are uploaded to; empty: they stay staged.
     backend : str
         As for `deitalk.models.load.load_network`.
     device : str
@@ -54,8 +51,7 @@ class Performer:
     def __init__(
         self,
         model: str,
-        stage: str,
-        url: str = "",
+        stage: str = "",
         backend: Backend = "auto",
         device: str = "cpu",
     ) -> None:
@@ -74,7 +70,7 @@ class Performer:
             stage = mkdtemp(prefix="deitalk-batch-")
             finalize(self, shutil.rmtree, stage, ignore_errors=True)
         self.stage = Path(stage) / f"{socket.gethostname()}-{os.getpid()}"
-        self.url, self.count = url, 0
+        self.count = 0
 
     def __call__(self, orders: Sequence[Order]) -> Iterator[list[Outcome]]:
         """Animate lines, several together; what is wrong with one is in its result."""
@@ -97,17 +93,16 @@ class Performer:
         """The result of some work on a line, or of the line if it fails."""
         try:
             return work()
-        except UserError as error:
-            return Outcome(order.output, "full" if _is_full(error) else "failed", str(error))
-        except MemoryError:
-            text = "not enough memory; give a shorter recording, or use fewer workers"
-            return Outcome(order.output, "failed", text)
-        except OSError as error:
-            text = one_line(error.strerror or error)
-            return Outcome(order.output, "full" if _is_full(error) else "failed", text)
         except Exception as error:  # one line must not end a night's work
-            text = one_line(f"{type(error).__name__}: {error}")
-            return Outcome(order.output, "failed", text)
+            if isinstance(error, UserError):
+                text = str(error)
+            elif isinstance(error, MemoryError):
+                text = "not enough memory; give a shorter recording, or use fewer workers"
+            elif isinstance(error, OSError):
+                text = one_line(error.strerror or error)
+            else:
+                text = one_line(f"{type(error).__name__}: {error}")
+            return Outcome(order.output, "full" if is_disk_full(error) else "failed", text)
 
     def _prepared(self, order: Order) -> tuple[str, "Prepared"] | Outcome:
         """Hash of a line's recording, and the line ready for the network; or its result."""
@@ -165,34 +160,22 @@ class Performer:
         if start and not any(has_option(suffix, "start") for suffix in written.formats):
             note = f"{', '.join(written.formats)} without time code: starts at 0"
         folder, targets = self._write(order, performance, start, extras)
-        staged = _files(folder, targets)
-        files = tuple(staged.values())
-        if self.url:
-            files = tuple(upload(self.url, path, file) for path, file in staged.items())
-            shutil.rmtree(folder)
+        edges = None
+        if order.with_edges:
+            first, last = (str(edge_of(performance, "edge", last=end)) for end in (False, True))
+            edges = first, last
+        warnings = *performance.recording.warnings, *notes, note, *findings(performance)
         return Outcome(
             order.output,
             "done",
             sound=sound,
             seconds=prepared.recording.duration,
             frames=len(performance.curves),
-            warnings=(
-                *performance.recording.warnings,
-                *notes,
-                *filter(None, [note]),
-                *findings(performance),
-            ),
-            edges=(
-                (
-                    str(edge_of(performance, "edge", last=False)),
-                    str(edge_of(performance, "edge", last=True)),
-                )
-                if order.with_edges
-                else None
-            ),
+            warnings=tuple(filter(None, warnings)),
+            edges=edges,
             stage=str(folder),
             targets=targets,
-            files=files,
+            files=tuple(_files(folder, targets)),
         )
 
     def _write(
@@ -207,12 +190,12 @@ class Performer:
         }  # fmt: skip
         seconds = performance.recording.duration
         spoken = {"sound": performance.sound_file, "seconds": seconds}
-        digits = {"digits": order.written.digits}
+        digits = {"digits": written.digits}
         self.count += 1
         folder = self.stage / str(self.count)
         folder.mkdir(parents=True)
         targets = []
-        for place, suffix in enumerate(order.written.formats):
+        for place, suffix in enumerate(written.formats):
             if suffix == TAKE:
                 from deitalk.pipeline.performance import write_take
 
@@ -224,7 +207,7 @@ class Performer:
             else:
                 name = f"{place}{suffix}"
                 given: Any = form | spoken | (digits if has_option(suffix, "digits") else {})
-                write_curves(folder / name, performance.curves, **given)
+                write_curves(folder / name, performance.at(written.fps)[0], **given)
                 targets.append(Target(name, order.output + suffix))
         return folder, tuple(targets)
 
@@ -262,29 +245,12 @@ def decoded(path: str, data: bytes | None, choice: AudioChoice = AudioChoice()) 
         return read_sound(path, sound, start=start_seconds(data), choice=choice)
 
 
-def _files(folder: Path, targets: tuple[Target, ...]) -> dict[Path, File]:
-    """Staged files, and their hashes under the names that they will have; take.json is the last."""
-    found: dict[Path, File] = {}
+def _files(folder: Path, targets: tuple[Target, ...]) -> Iterator[File]:
+    """Staged files under the names that they will have; take.json is the last of its take."""
     for name, place in targets:
         staged = folder / name
-        if staged.is_dir():
-            paths = sorted(staged.iterdir(), key=lambda path: (path.name == "take.json", path.name))
-            found |= {path: _file(path, f"{place}/{path.name}") for path in paths}
-        else:
-            found[staged] = _file(staged, place)
-    return found
-
-
-def _file(path: Path, place: str) -> File:
-    status = path.stat()
-    sha = hashlib.sha256(path.read_bytes()).hexdigest()
-    return File(place, sha, status.st_size, status.st_mtime_ns)
-
-
-def _is_full(error: BaseException | None) -> bool:
-    """Whether an error comes from a full disk."""
-    while error is not None:
-        if isinstance(error, OSError) and error.errno in _FULL:
-            return True
-        error = error.__cause__ or error.__context__
-    return False
+        paths = sorted(staged.iterdir()) if staged.is_dir() else [staged]
+        for path in sorted(paths, key=lambda path: path.name == "take.json"):
+            status, sha = path.stat(), hashlib.sha256(path.read_bytes()).hexdigest()
+            final = f"{place}/{path.name}" if staged.is_dir() else place
+            yield File(final, sha, status.st_size, status.st_mtime_ns)

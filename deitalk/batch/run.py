@@ -19,13 +19,14 @@ from typing import Any
 from deitalk.acting import Acting, acted_as
 from deitalk.audio.choice import AudioChoice
 from deitalk.batch.actors import references
-from deitalk.batch.cloud import AnyOutputs, Recordings, is_url, opened_cloud
+from deitalk.batch.cloud import is_url, opened_url
 from deitalk.batch.journal import DONE, FAILED, Entry
 from deitalk.batch.lines import BadLine, Line, Written, line_key, parse_formats
 from deitalk.batch.orders import Order, Outcome
-from deitalk.batch.outputs import opened_folder
+from deitalk.batch.outputs import Outputs, opened_folder
 from deitalk.batch.performer import Performer
 from deitalk.batch.processes import Pool, Workers
+from deitalk.batch.recordings import Recordings
 from deitalk.batch.report import BatchReport, Pace, Progress, Row, failed_text, summary_text
 from deitalk.batch.source import FAILED as FAILED_TABLE
 from deitalk.batch.source import SUMMARY, read_source, waves
@@ -54,7 +55,7 @@ class Batch:
     ----------
     lines : sequence of Line or BadLine
         In the order of their source.
-    outputs : Outputs or CloudOutputs
+    outputs : Outputs
         The output folder.
     model : str
         Identity of the model.
@@ -67,7 +68,7 @@ class Batch:
         What applies to the whole batch.
     """
 
-    def __init__(self, lines: Sequence[Line | BadLine], outputs: AnyOutputs, model: str) -> None:
+    def __init__(self, lines: Sequence[Line | BadLine], outputs: Outputs, model: str) -> None:
         self.lines, self.outputs, self.model = lines, outputs, model
         self.journal, self.recordings = outputs.journal, Recordings()
         self.rows: list[Row] = []
@@ -98,12 +99,7 @@ class Batch:
             Row(line.number, line.audio, line.output, FAILED, error=error)
             for line, error in zip(self.lines, errors, strict=True)
         ]
-        for wave in self._waves[:1]:
-            self._plan(wave)
-
-    def _plan(self, wave: Sequence[int]) -> None:
-        """Find what is to be done for the lines at some places."""
-        for place in wave:
+        for place in self._waves[0] if self._waves else ():
             self.rows[place] = self._row(place)
 
     def perform(self, run: Run, progress: Progress) -> None:
@@ -119,14 +115,13 @@ class Batch:
         for number, wave in enumerate(self._waves):
             if number:
                 self._orders = []
-                self._plan(wave)
+                for place in wave:
+                    self.rows[place] = self._row(place)
             ordered = {order.output for order in self._orders}
             for place in wave:
                 if number and self.lines[place].output not in ordered:
                     pace.add(sizes[self.lines[place].output], 0.0, failed=False)
             orders = sorted(self._orders, key=lambda order: -order.size)
-            new = [self._entries[order.output][1] for order in orders if not order.known]
-            self.outputs.announce(new)
             for outcomes in run(orders) if orders else ():
                 self._store(outcomes)
                 for outcome in outcomes:
@@ -347,7 +342,7 @@ def animate_batch(
         is_linux = hasattr(os, "sched_getaffinity")
         count = len(os.sched_getaffinity(0)) if is_linux else os.cpu_count()
     plan = read_source(source, out, defaults)
-    with opened_cloud(str(out)) if is_url(out) else opened_folder(Path(out)) as outputs:
+    with opened_url(str(out)) if is_url(out) else opened_folder(Path(out)) as outputs:
         # The folder must have been begun from this source.
         name = str(source) if is_url(source) else os.path.realpath(source)
         known = outputs.journal.about("source")
@@ -361,13 +356,14 @@ def animate_batch(
             outputs.journal.describe("source", name)
         outputs.begin()
         batch = Batch(plan.lines, outputs, identity)
-        make = partial(Performer, str(model), outputs.stage, outputs.url, backend, device)
+        make = partial(Performer, str(model), backend=backend, device=device)
         if ray is None:
-            machines: AbstractContextManager[Pool] = Workers(count or 1, make)
+            staging = partial(make, stage=outputs.stage)
+            machines: AbstractContextManager[Pool] = Workers(count or 1, staging)
         else:
             from deitalk.batch.cluster import Cluster
 
-            machines = Cluster(ray, count, make)
+            machines = Cluster(ray, count, make, outputs.stage)
         with machines as pool:
             batch.prepare(pool.run)
             batch.perform(pool.run, progress)

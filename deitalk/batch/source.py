@@ -2,7 +2,7 @@
 
 import os
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from graphlib import CycleError, TopologicalSorter
@@ -41,14 +41,29 @@ def read_source(source: str | Path, out: str | Path, defaults: Line) -> Plan:
         If there is no recording, or the manifest is missing or no table.
     """
     base = str(source).rstrip("/") if is_url(source) else os.path.normpath(source)
-    names = _names_at(base, out) if is_url(source) else _names_in(base, out)
+    names = _names_in(base, out)
     if names is not None:
         # Recordings that differ from another by their suffix, or by case, alone.
         stems = Counter(os.path.splitext(name)[0].casefold() for name in names)
         doubled = [
             name for name in sorted(names) if stems[os.path.splitext(name)[0].casefold()] > 1
         ]
-        lines = distinct(list(_found(base, names, doubled, defaults)))
+        if not names:
+            known = " ".join(RECORDINGS)
+            raise DataError(f"{base}: holds no recording ({known}); name another folder")
+        if len(names) > limits.BATCH_LINES:
+            raise DataError(f"{base}: more than {limits.BATCH_LINES:,} recordings; divide it")
+        lines, apart = list[Line | BadLine](), set(doubled)
+        for place, name in enumerate(sorted(names), 1):
+            audio = f"{base}/{name}"
+            stem = _with_suffix(name) if name in apart else os.path.splitext(name)[0]
+            try:
+                output = checked_output(stem)
+            except UserError as error:
+                lines.append(BadLine(place, audio, "", str(error)))
+            else:
+                lines.append(replace(defaults, number=place, audio=audio, output=output))
+        lines = distinct(lines)
         outputs = listed([_with_suffix(name) for name in doubled])
         note = f"recordings that differ by their suffix alone have it in their results: {outputs}"
         return Plan(lines, (note,) if doubled else ())
@@ -71,54 +86,31 @@ def _with_suffix(name: str) -> str:
     return f"{stem}_{suffix[1:]}"
 
 
-def _found(
-    folder: str, names: list[str], doubled: list[str], defaults: Line
-) -> Iterator[Line | BadLine]:
-    apart = set(doubled)
-    if not names:
-        known = " ".join(RECORDINGS)
-        raise DataError(f"{folder}: holds no recording ({known}); name another folder")
-    if len(names) > limits.BATCH_LINES:
-        raise DataError(f"{folder}: more than {limits.BATCH_LINES:,} recordings; divide it")
-    for place, name in enumerate(sorted(names), 1):
-        audio = f"{folder}/{name}"
-        try:
-            stem = _with_suffix(name) if name in apart else os.path.splitext(name)[0]
-            output = checked_output(stem)
-        except UserError as error:
-            yield BadLine(place, audio, "", str(error))
-        else:
-            yield replace(defaults, number=place, audio=audio, output=output)
-
-
 def _names_in(folder: str, out: str | Path) -> list[str] | None:
-    """Recordings below a folder, with ``/``; None if it is no folder."""
-    if not os.path.isdir(folder):
-        return None
-    left_out, found = os.path.realpath(out), []
-    for root, folders, names in os.walk(folder):
-        folders[:] = [
-            name for name in folders if os.path.realpath(os.path.join(root, name)) != left_out
-        ]
-        below = Path(root).relative_to(folder)
-        found += [(below / name).as_posix() for name in names]
-    return [name for name in found if _is_recording(name)]
-
-
-def _names_at(url: str, out: str | Path) -> list[str] | None:
-    """Recordings below a URL; None if it is no folder."""
-    system, path = file_system(url)
-    with cloud_errors(url):
-        if not system.isdir(path):
+    """Recordings below a folder or a URL, with ``/``; None if it is no folder."""
+    if is_url(folder):
+        system, path = file_system(folder)
+        with cloud_errors(folder):
+            if not system.isdir(path):
+                return None
+            left_out = f"{out}/".removeprefix(f"{folder}/")
+            found = [name[len(path) + 1 :] for name in system.find(path)]
+            found = [name for name in found if not name.startswith(left_out)]
+    else:
+        if not os.path.isdir(folder):
             return None
-        names = [name[len(path) + 1 :] for name in system.find(path)]
-    left_out = f"{out}/".removeprefix(f"{url}/")
-    return [name for name in names if _is_recording(name) and not name.startswith(left_out)]
-
-
-def _is_recording(name: str) -> bool:
-    is_hidden = name.startswith(".") or "/." in name
-    return name.lower().endswith(RECORDINGS) and not is_hidden
+        left_out, found = os.path.realpath(out), []
+        for root, folders, names in os.walk(folder):
+            folders[:] = [
+                name for name in folders if os.path.realpath(os.path.join(root, name)) != left_out
+            ]
+            below = Path(root).relative_to(folder)
+            found += [(below / name).as_posix() for name in names]
+    return [
+        name
+        for name in found
+        if name.lower().endswith(RECORDINGS) and not (name.startswith(".") or "/." in name)
+    ]
 
 
 def waves(lines: Sequence[Line | BadLine]) -> list[list[int]]:
@@ -156,47 +148,31 @@ def _in_no_circle(lines: list[Line | BadLine]) -> list[Line | BadLine]:
 
 
 def distinct(lines: list[Line | BadLine]) -> list[Line | BadLine]:
-    """The lines, those whose outputs are another line's made bad."""
+    """The lines, those made bad whose outputs are another line's, a table, or lie in a take."""
     owners: dict[str, Line] = {}
     takes: dict[str, Line] = {}
-    result: list[Line | BadLine] = []
-    for line in lines:
-        if isinstance(line, Line):
-            error = _clash(line, owners, takes)
-            if error:
-                result.append(BadLine(line.number, line.audio, line.output, error))
-                continue
-            for target in line.targets:
-                owners[target.casefold()] = line
-            if TAKE in line.written.formats:
-                takes[line.output.casefold()] = line
-        result.append(line)
-    return _outside_takes(result, takes)
-
-
-def _clash(line: Line, owners: dict[str, Line], takes: dict[str, Line]) -> str:
-    for target in line.targets:
-        folded = target.casefold()
-        if folded in (SUMMARY, FAILED, ACTORS) or folded.startswith(f"{ACTORS}/"):
-            return f"output {target} is a table of the batch itself; name another"
-        if other := owners.get(folded):
-            return (
-                f"output {target} is that of line {other.number} ({other.audio}) too; name another"
-            )
-    return ""
-
-
-def _outside_takes(lines: list[Line | BadLine], takes: dict[str, Line]) -> list[Line | BadLine]:
-    """The lines, those with an output within the take of another made bad."""
-    if not takes:
-        return lines
-    result: list[Line | BadLine] = []
-    for line in lines:
+    errors: dict[int, str] = {}
+    for place, line in enumerate(lines):
+        if isinstance(line, BadLine):
+            continue
+        for target in line.targets:
+            folded = target.casefold()
+            if folded in (SUMMARY, FAILED, ACTORS) or folded.startswith(f"{ACTORS}/"):
+                errors[place] = f"output {target} is a table of the batch itself; name another"
+            elif other := owners.get(folded):
+                first = f"line {other.number} ({other.audio})"
+                errors[place] = f"output {target} is that of {first} too; name another"
+        if place not in errors:
+            owners |= {target.casefold(): line for target in line.targets}
+            takes |= {line.output.casefold(): line} if TAKE in line.written.formats else {}
+    for place, line in enumerate(lines) if takes else ():
         parents = PurePosixPath(line.output.casefold()).parents if isinstance(line, Line) else ()
         other = next((takes[str(p)] for p in parents if str(p) in takes), None)
-        if other is not None:
-            error = f"output {line.output} lies in the take of line {other.number}; name another"
-            result.append(BadLine(line.number, line.audio, line.output, error))
-        else:
-            result.append(line)
-    return result
+        if other is not None and place not in errors:
+            errors[place] = (
+                f"output {line.output} lies in the take of line {other.number}; name another"
+            )
+    return [
+        BadLine(line.number, line.audio, line.output, errors[place]) if place in errors else line
+        for place, line in enumerate(lines)
+    ]

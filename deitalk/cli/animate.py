@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from deitalk.cli.acting_options import Given, acting_options
-from deitalk.cli.console import bar, console, emit_json
+from deitalk.cli.console import bar, console, emit_outcome
 from deitalk.cli.mesh import animate_vertices
 from deitalk.cli.options import (
     MESH,
@@ -21,11 +21,12 @@ from deitalk.cli.options import (
     Force,
     Handles,
     Json,
+    Rate,
     Threads,
     Timecode,
     WrittenIdentity,
 )
-from deitalk.cli.targets import PICTURES, reserve_file, reserve_folder, reserve_picture
+from deitalk.cli.targets import PICTURES, reserve_file, reserve_sound, reserve_take
 from deitalk.errors import DeitalkError
 
 if TYPE_CHECKING:
@@ -46,9 +47,7 @@ def animate(
     ],
     given: Given,
     model: AnyModel = "default",
-    fps: Annotated[
-        float | None, typer.Option(help="Rate of the written curves: 24 25 29.97 30 50 60.")
-    ] = None,
+    fps: Rate = None,
     digits: Digits = None,
     backend: Backend = "auto",
     device: Device = "cpu",
@@ -100,128 +99,107 @@ def animate(
 
     deitalk animate speech.wav -e happy --vertices -o face.glb
     """
-    # Threads of numpy's BLAS: it starts one per processor when it is imported, and they spin.
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", str(threads))
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", str(threads))  # numpy's own would spin
     from deitalk.models.folder import describe_model, product_of
 
     form: dict[str, Any] = {
         "fps": fps, "digits": digits, "timecode": timecode, "delay": delay, "handles": handles
     }  # fmt: skip
-    inputs = (speech, *given.texts)
+    target, inputs = Path(out), (speech, *given.texts)
     if vertices or mesh is not None or landmarks is not None or product_of(model) == "mesh":
-        _refuse_curve_options("a mesh", form | {"preview": preview, "backend": backend}, fps=True)
+        _refuse("a mesh", form | {"fps": None, "preview": preview, "backend": backend})
         animate_vertices(
             speech, out, given, model=model, speaker=identity or "0", mesh=mesh,
             landmarks=landmarks, fps=fps, device=device, force=force, as_json=as_json,
         )  # fmt: skip
         return
-    load, target = _loader(model, backend, device, threads), Path(out)
-    if target.suffix.lower() in PICTURES:  # curves and intensity against the waveform
-        from deitalk.evaluation.figures import check_drawing
-
-        _refuse_curve_options("a plot", form | {"preview": preview, "identity": identity})
-        check_drawing()
-        reserve_picture(target, force=force, inputs=inputs)
-        performance = _perform(speech, given, load)
-        from deitalk.evaluation.curves_figure import draw_curves
-
-        title = f"{Path(speech).name}, {performance.emotion}"
-        draw_curves(performance.curves, performance.recording.waveform, target, title)
-        console().print(f"{out}")
+    perform = partial(
+        _perform, speech, given, model=model, backend=backend, device=device, threads=threads
+    )
+    if target.suffix.lower() in PICTURES:
+        _refuse("a plot", form | {"preview": preview, "identity": identity})
+        _draw(target, perform, force=force, inputs=inputs)
         return
+
+    # Whatever cannot be written is refused before the recording is animated.
     from deitalk.audio.original import start_of
-    from deitalk.pipeline.performance import KIND, check_take, write_take
-    from rig.curves import snap_fps
+    from deitalk.batch.lines import TAKE, Written
+    from deitalk.pipeline.performance import write_take
     from rig.face.identity import identity_of
     from rig.files import is_folder_name
-    from rig.formats import checked_digits, checked_identity, find_format
+    from rig.formats import checked_identity, find_format
     from rig.formats.table import writable_suffixes
 
-    # Refuse targets that cannot be written before the recording is animated.
     head = identity and identity_of(identity)
-    extras: tuple[Extra, ...] = ()
-    is_folder = is_folder_name(out, writable_suffixes())
-    written = None if is_folder else find_format(target, writable=True)
-    if identity is not None and written is not None:
-        checked_identity(identity, written)
+    is_take = is_folder_name(out, writable_suffixes())
+    file_format = None if is_take else find_format(target, writable=True)
+    if identity is not None and file_format is not None:
+        checked_identity(identity, file_format)
     elif identity is not None and not preview:
         raise DeitalkError(
             f"--identity {identity} is the head of --preview, or of a .glb or .usda file; the take "
             f"{out} shows none: add --preview, or leave it out"
         )
-    if fps is not None:
-        snap_fps(fps)
-    if digits is not None:
-        checked_digits(digits, written)
-    start_of(timecode, fps, 0.0)
-    if is_folder:
-        reserve_folder(target, kind=KIND, force=force, inputs=inputs)
-        check_take(target, source=speech, force=force, inputs=inputs)
-    elif preview:
+    Written((file_format.suffixes[0] if file_format else TAKE,), **form).checked()
+    if preview and not is_take:
         raise DeitalkError(f"--preview goes with a take folder; {out} is one file")
+    if is_take:
+        reserve_take(target, speech, force=force, inputs=inputs)
     else:
         reserve_file(target, force=force, inputs=inputs)
-        if target.suffix.lower() == ".fbx":  # it holds no sound
-            reserve_file(target.with_suffix(".wav"), force=force, inputs=inputs)
+        reserve_sound(target, force=force, inputs=inputs)
+    extras: tuple[Extra, ...] = ()
     if preview:
         from deitalk.preview.page import add_preview, check_player
 
         check_player()
         extras = (partial(add_preview, identity=head or 0),)
-    performance = _perform(speech, given, load)
+
+    # The work.
+    performance = perform()
     form["start"], note = start_of(form.pop("timecode"), fps, performance.recording.start)
-    if note:  # the recording has no time code
-        console().note(note)
-    if is_folder:
+    if is_take:
         about = describe_model(model)
         write_take(target, performance, model=about, force=force, extras=extras, **form)
+        notes = []
     else:
-        _write_file(target, performance, form | {"identity": head})
-    # Print the notes on the recording, and how well the words fit it.
-    for warning in performance.recording.warnings:
-        console().note(warning)
-    if performance.words is not None and performance.words.fits:
-        console().note(performance.words.line)
-    frames = 2 * handles + len(performance.curves.resample(fps or performance.curves.fps))
-    if as_json:
-        emit_json(
-            {
-                "out": str(target),
-                "frames": frames,
-                "seconds": performance.recording.duration,
-                "mean_intensity": performance.mean_intensity,
-                "mean_applied_intensity": performance.mean_applied_intensity,
-                "clipped_values": performance.clipped,
-                "words": performance.words and performance.words.line,
-                "suggestion": performance.suggestion,
-                "settings": performance.acting.settings,
-                "signal": performance.recording.choice.settings,
-                "timings_seconds": performance.timings,
-            }
-        )
-        return
-    acted = f"emotion {performance.emotion}"
-    if not performance.has_emotion:
-        acted += ": the neutral reading"
-    else:
-        moods = ", ".join(performance.moods)
-        acted += (
-            f"{f' ({moods}: procedural)' if moods else ''}, applied intensity "
-            f"{performance.mean_applied_intensity:.2f} on average "
-            f"({performance.mean_intensity:.2f} predicted from the voice)"
-        )
-    console().print(f"{target}: {frames} frames, {performance.recording.duration:.2f} s, {acted}")
+        notes = _write_file(target, performance, form | {"identity": head})
+
+    # What there is to say about it.
+    words, seconds = performance.words, performance.recording.duration
+    fit = words.line if words is not None and words.fits else ""
+    frames = 2 * handles + len(performance.at(fps)[0])
+    summary = {
+        "out": str(target), "frames": frames, "seconds": seconds,
+        "mean_intensity": performance.mean_intensity,
+        "mean_applied_intensity": performance.mean_applied_intensity,
+        "clipped_values": performance.clipped, "words": words and words.line,
+        "suggestion": performance.suggestion, "settings": performance.acting.settings,
+        "signal": performance.recording.choice.settings,
+        "timings_seconds": performance.timings,
+    }  # fmt: skip
+    emit_outcome(
+        f"{target}: {frames} frames, {seconds:.2f} s, {performance.summary}",
+        summary,
+        filter(None, (note, *notes, *performance.recording.warnings, fit)),
+        as_json=as_json,
+    )
 
 
-def _refuse_curve_options(what: str, options: dict[str, Any], *, fps: bool = False) -> None:
+def _refuse(what: str, options: dict[str, Any]) -> None:
     """Raise for options that are given and that only written curves have."""
     usual = {"timecode": "zero", "backend": "auto", "preview": False, "delay": 0, "handles": 0}
     for name, value in options.items():
-        if value != usual.get(name) and not (fps and name == "fps"):
+        if value != usual.get(name):
             raise DeitalkError(f"--{name} does not apply to {what}; leave it out")
 
 
-def _loader(model: str, backend: str, device: str, threads: int) -> "Callable[[], CurveNetwork]":
+def _perform(
+    speech: str, given: Given, *, model: str, backend: str, device: str, threads: int
+) -> "Performance":
+    """Animate a recording, with a bar; the network is loaded after the recording was read."""
+    from deitalk.pipeline.curves import finish, prepare
+
     def load() -> "CurveNetwork":
         from deitalk.models.load import chosen_backend, load_network
 
@@ -233,12 +211,6 @@ def _loader(model: str, backend: str, device: str, threads: int) -> "Callable[[]
             torch.set_num_threads(most)
         return load_network(model, backend=chosen, device=device, threads=most, once=True)
 
-    return load
-
-
-def _perform(speech: str, given: Given, load: "Callable[[], CurveNetwork]") -> "Performance":
-    from deitalk.pipeline.curves import finish, prepare
-
     sound = sys.stdin.buffer.read() if speech == "-" else speech
     with console().status("loading the recording and the network"):
         prepared = prepare(sound, given.acting, load, choice=given.choice)
@@ -246,7 +218,24 @@ def _perform(speech: str, given: Given, load: "Callable[[], CurveNetwork]") -> "
         return finish(prepared, prepared.read(progress))
 
 
-def _write_file(out: Path, performance: "Performance", form: dict[str, Any]) -> None:
+def _draw(
+    target: Path, perform: "Callable[[], Performance]", *, force: bool, inputs: tuple[str, ...]
+) -> None:
+    """Draw curves and intensity against the waveform."""
+    from deitalk.evaluation.figures import check_drawing
+
+    check_drawing()
+    reserve_file(target, force=force, inputs=inputs)
+    performance = perform()
+    from deitalk.evaluation.curves_figure import draw_curves
+
+    title = f"{Path(inputs[0]).name}, {performance.emotion}"
+    draw_curves(performance.curves, performance.recording.waveform, target, title)
+    console().print(str(target))
+
+
+def _write_file(out: Path, performance: "Performance", form: dict[str, Any]) -> list[str]:
+    """Write one file of curves, and the sound beside an FBX; return notes on what it lacks."""
     import numpy as np
 
     from deitalk.audio.load import write_wav
@@ -254,12 +243,12 @@ def _write_file(out: Path, performance: "Performance", form: dict[str, Any]) -> 
     from rig.curves.shift import start_with_handles
 
     source, seconds = performance.sound_file, performance.recording.duration
-    report = write_curves(out, performance.curves, sound=source, seconds=seconds, **form)
-    for note in report.notes:
-        console().note(note)
+    curves, _ = performance.at(form["fps"])
+    report = write_curves(out, curves, sound=source, seconds=seconds, **form)
     if out.suffix.lower() == ".fbx":
         pad = round(form["handles"] / report.fps * performance.recording.sample_rate)
         sound = np.pad(performance.recording.waveform, pad)
         start = start_with_handles(form["start"], form["handles"], report.fps)
         write_wav(out.with_suffix(".wav"), sound, start=start)
         console().print(f"{out.with_suffix('.wav')}: its sound, from the first frame on")
+    return report.notes

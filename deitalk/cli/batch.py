@@ -5,7 +5,7 @@ from typing import Annotated
 import typer
 
 from deitalk.cli.acting_options import Given, acting_options
-from deitalk.cli.console import bar, console, emit_json
+from deitalk.cli.console import bar, emit_outcome
 from deitalk.cli.options import (
     MAX_PROCESSES,
     AnyModel,
@@ -15,6 +15,7 @@ from deitalk.cli.options import (
     Digits,
     Handles,
     Json,
+    Rate,
     Timecode,
 )
 
@@ -32,9 +33,7 @@ def batch(
     ] = "csv",
     model: AnyModel = "default",
     backend: Backend = "auto",
-    fps: Annotated[
-        float | None, typer.Option(help="Rate of the written curves: 24 25 29.97 30 50 60.")
-    ] = None,
+    fps: Rate = None,
     digits: Digits = None,
     timecode: Timecode = "zero",
     delay: Delay = 0,
@@ -75,20 +74,19 @@ def batch(
             backend=backend,  # type: ignore[arg-type]
             workers=workers, ray=ray, force=force, progress=progress, **given.choice.settings,
         )  # fmt: skip
-    for note in report.notes:
-        console().note(note)
     counts, n_lines = report.counts, len(report.rows)
-    if as_json:
-        n_warned = sum(bool(row.warnings) for row in report.rows)
-        summary = {"out": report.out, "lines": n_lines, **counts, "with_warnings": n_warned}
-        emit_json(summary | {"seconds": report.seconds, "wall_seconds": report.wall_seconds})
-    else:
-        told = ", ".join(f"{count} {status}" for status, count in counts.items() if count)
-        rate = report.seconds / report.wall_seconds
-        console().print(
-            f"{out}: {told} of {n_lines} lines in {report.wall_seconds:.0f} s "
-            f"({rate:.0f} x real time); {SUMMARY} has a row for each"
-        )
+    told = ", ".join(f"{count} {status}" for status, count in counts.items() if count)
+    rate = report.seconds / report.wall_seconds
+    line = (
+        f"{out}: {told} of {n_lines} lines in {report.wall_seconds:.0f} s "
+        f"({rate:.0f} x real time); {SUMMARY} has a row for each"
+    )
+    summary = {
+        "out": report.out, "lines": n_lines, **counts,
+        "with_warnings": sum(bool(row.warnings) for row in report.rows),
+        "seconds": report.seconds, "wall_seconds": report.wall_seconds,
+    }  # fmt: skip
+    emit_outcome(line, summary, report.notes, as_json=as_json)
     if report.failed:
         first = report.failed[0]
         raise DeitalkError(

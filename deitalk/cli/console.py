@@ -10,7 +10,7 @@ import json
 import os
 import re
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from functools import cache, cached_property
 from time import monotonic
@@ -33,7 +33,7 @@ FIRST_LINE_SECONDS = 3.0
 LINE_SECONDS = 10.0
 """Time between two lines of progress at the start of long work."""
 SLOWEST_LINE_SECONDS = 60.0
-"""The same after an hour."""
+"""Time between two lines of progress after an hour."""
 
 
 class Advance(Protocol):
@@ -72,9 +72,10 @@ class Console:
 
         self.rich.print(Text(as_line(text)), style=style or None)
 
-    def note(self, text: str) -> None:
-        """Print a note about the result."""
-        self.print(f"note: {text}", style="yellow")
+    def note(self, *texts: str) -> None:
+        """Print notes about the result."""
+        for text in texts:
+            self.print(f"note: {text}", style="yellow")
 
     def status(self, title: str) -> AbstractContextManager[object]:
         """Show a title during the block; nothing off a terminal."""
@@ -97,6 +98,15 @@ def emit(text: str) -> None:
 def emit_json(value: Any, *, indent: int | None = None) -> None:
     """Print data to stdout as JSON."""
     emit(json.dumps(decodable_values(value), indent=indent))
+
+
+def emit_outcome(line: str, summary: Any, notes: Iterable[str] = (), *, as_json: bool) -> None:
+    """Print notes, then what was made: as a line of stderr, or a summary on stdout as JSON."""
+    console().note(*notes)
+    if as_json:
+        emit_json(summary)
+    else:
+        console().print(line)
 
 
 def escape_what_cannot_be_encoded() -> None:

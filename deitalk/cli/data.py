@@ -157,8 +157,7 @@ def import_(
         for line in result.lines():
             emit(as_line(line))
         emit(as_line(f"{out}: {result.summary}"))
-    for warning in result.warnings:
-        console().note(warning)
+    console().note(*result.warnings)
 
 
 @app.command()
@@ -260,7 +259,21 @@ def voice(
     from deitalk.pipeline.actor_voice import measure_actor
     from rig.files import atomic_write
 
-    traits = _traits(sources, mapping, fps) if sources else {}
+    traits: dict[str, float] = {}
+    if sources:
+        from deitalk.data.captures.columns import read_mapping
+        from deitalk.data.captures.sources import find_takes
+        from deitalk.data.captures.take import read_capture
+        from deitalk.data.captures.traits import measure_traits
+
+        table = None if mapping is None else read_mapping(mapping)
+        found, _ = find_takes(sources, None if table is None else table.sources)
+        captures = []
+        with bar("reading") as progress:
+            for done, take in enumerate(found, 1):
+                captures.append(read_capture(take.curves, mapping=table, fps=fps))
+                progress(done / len(found))
+        traits = measure_traits(captures)
     if not sounds and not traits:
         raise AudioError(
             f"{sources[0]}: no trait can be measured on the takes; give 20 s and more of moving "
@@ -279,23 +292,6 @@ def voice(
         )
     )
     if sources:
-        found = ", ".join(f"{name} {value:.2f}" for name, value in traits.items()) or "nothing"
+        measured = ", ".join(f"{name} {value:.2f}" for name, value in traits.items())
         drawn = ", ".join(name for name in actor.traits if name not in traits) or "none"
-        emit(as_line(f"measured on the takes: {found}; drawn at random: {drawn}"))
-
-
-def _traits(sources: list[Path], mapping: Path | None, fps: float | None) -> dict[str, float]:
-    """Traits of an actor's motion, measured on captured takes."""
-    from deitalk.data.captures.columns import read_mapping
-    from deitalk.data.captures.sources import find_takes
-    from deitalk.data.captures.take import read_capture
-    from deitalk.data.captures.traits import measure_traits
-
-    table = None if mapping is None else read_mapping(mapping)
-    takes, _ = find_takes(sources, None if table is None else table.sources)
-    with bar("reading") as progress:
-        captures = []
-        for done, take in enumerate(takes, 1):
-            captures.append(read_capture(take.curves, mapping=table, fps=fps))
-            progress(done / len(takes))
-    return measure_traits(captures)
+        emit(as_line(f"measured on the takes: {measured or 'nothing'}; drawn at random: {drawn}"))

@@ -6,9 +6,9 @@ from typing import Annotated
 import typer
 
 from deitalk.cli.acting_options import Given, acting_options
-from deitalk.cli.console import bar, console, emit_json
-from deitalk.cli.options import Delay, Device, Force, Handles, Json, Model, Timecode
-from deitalk.cli.targets import reserve_file, reserve_folder
+from deitalk.cli.console import bar, emit_outcome
+from deitalk.cli.options import Delay, Device, Force, Handles, Json, Model, Rate, Timecode
+from deitalk.cli.targets import reserve_file, reserve_take
 from deitalk.errors import DeitalkError
 from rig.limits import MOST_DELAY, MOST_HANDLES
 
@@ -84,20 +84,17 @@ def diff(
         beside.write_text(layer.text, encoding="utf-8")
     controls = len({edit.target for edit in layer.edits})
     size = len(layer.text.encode())
-    if as_json:
-        emit_json({
-            "out": str(out), "edits": len(layer.edits), "controls": controls,
-            "keys": layer.n_keys, "share_of_values": found.share, "bytes": size,
-            "owned": [edit.target for edit in layer.edits if edit.owns],
-            "notes": list(found.notes),
-        })  # fmt: skip
-        return
-    for note in found.notes:
-        console().note(note)
-    console().print(
+    line = (
         f"{out}: {len(layer.edits)} edits of {controls} controls, {layer.n_keys} keys "
         f"({found.share:.2%} of the take's values), {size / 1000:.1f} kB"
     )
+    summary = {
+        "out": str(out), "edits": len(layer.edits), "controls": controls,
+        "keys": layer.n_keys, "share_of_values": found.share, "bytes": size,
+        "owned": [edit.target for edit in layer.edits if edit.owns],
+        "notes": list(found.notes),
+    }  # fmt: skip
+    emit_outcome(line, summary, found.notes, as_json=as_json)
 
 
 @acting_options
@@ -128,9 +125,7 @@ def dub(
     ] = None,
     model: Model = "default",
     device: Device = "cpu",
-    fps: Annotated[
-        float | None, typer.Option(help="Rate of the written curves: 24 25 29.97 30 50 60.")
-    ] = None,
+    fps: Rate = None,
     timecode: Timecode = "zero",
     delay: Delay = 0,
     handles: Handles = 0,
@@ -146,15 +141,15 @@ def dub(
     deitalk dub take.zip retake.wav -o take2/ --words "My promise is big."
     """
     from deitalk.audio.original import start_of
+    from deitalk.batch.lines import TAKE, Written
     from deitalk.data.captures.columns import read_mapping
     from deitalk.data.dub import dub as dubbed
     from deitalk.models.folder import describe_model
-    from deitalk.pipeline.performance import KIND, check_take, write_take
+    from deitalk.pipeline.performance import write_take
 
     inputs = (str(speech), str(performance), *given.texts)
-    reserve_folder(out, kind=KIND, force=force, inputs=inputs)
-    check_take(out, source=str(speech), force=force, inputs=inputs)
-    start_of(timecode, fps, 0.0)
+    reserve_take(out, str(speech), force=force, inputs=inputs)
+    Written((TAKE,), fps, None, timecode, delay, handles).checked()
     table = None if mapping is None else read_mapping(mapping)
     with bar("animating") as progress:
         found = dubbed(
@@ -166,13 +161,9 @@ def dub(
         out, found.performance, model=describe_model(model), force=force,
         extras=(found.write_report,), fps=fps, start=start, delay=delay, handles=handles,
     )  # fmt: skip
-    for line in filter(None, (note, *found.performance.recording.warnings, *found.notes)):
-        console().note(line)
-    if as_json:
-        frames = len(found.exact)
-        emit_json({
-            "out": str(out), "frames": frames, "unchanged": int(found.exact.sum()),
-            "amplitude": found.amplitude, "kept": list(found.kept), "notes": list(found.notes),
-        })  # fmt: skip
-        return
-    console().print(f"{out}: {found.line}")
+    notes = filter(None, (note, *found.performance.recording.warnings, *found.notes))
+    summary = {
+        "out": str(out), "frames": len(found.exact), "unchanged": int(found.exact.sum()),
+        "amplitude": found.amplitude, "kept": list(found.kept), "notes": list(found.notes),
+    }  # fmt: skip
+    emit_outcome(f"{out}: {found.line}", summary, notes, as_json=as_json)

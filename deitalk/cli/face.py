@@ -83,8 +83,7 @@ def import_(
     reserve_file(target, force=force, inputs=(source,))
     with console().status("importing"):
         made = import_head(source, target)
-    for note in made.notes:
-        console().note(note)
+    console().note(*made.notes)
     console().print(f"{target}: {made.shapes} shapes, {made.vertices} vertices")
 
 

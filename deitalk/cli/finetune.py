@@ -109,8 +109,7 @@ def finetune(
     console().print(f"the result is {tuned.delivered}")
     for name, takes in tuned.conventions.items():
         console().note(f"style {name}: {', '.join(takes)}, which share a convention")
-    for line in tuned.warnings:
-        console().note(line)
+    console().note(*tuned.warnings)
     _write_page(out)
     if strict and not tuned.beats_loudness:
         raise typer.Exit(NOT_BETTER)

@@ -181,8 +181,7 @@ def _speak(
         from deitalk.audio.load import load_chosen
 
         recording = load_chosen(speech, given.choice)
-        for warning in recording.warnings:
-            console().note(warning)
+        console().note(*recording.warnings)
         source = PacedSound(recording.waveform)
     rate = source.sample_rate
     animator = LiveAnimator(network, acting=given.acting, sample_rate=rate)

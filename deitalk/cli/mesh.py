@@ -4,7 +4,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from deitalk.cli.console import bar, console, emit_json
+from deitalk.cli.console import bar, emit_outcome
 from deitalk.cli.targets import reserve_mesh
 from deitalk.errors import DeitalkError
 
@@ -77,13 +77,9 @@ def animate_vertices(
                 "frames": report.frames, "fps": rate, "shapes": report.shapes, "notes": list(notes)
             }  # fmt: skip
     summary |= {"model": model["model"], "settings": given.acting.settings}
-    if as_json:
-        emit_json({"out": str(Path(out)), **summary})
-        return
-    for note in summary["notes"]:
-        console().note(note)
     what = "shapes" if mesh is not None else "vertices"
-    console().print(
+    line = (
         f"{Path(out)}: {summary['frames']} frames at {summary['fps']:g} per second, "
-        f"{summary[what]} {what}",
+        f"{summary[what]} {what}"
     )
+    emit_outcome(line, {"out": str(Path(out)), **summary}, summary["notes"], as_json=as_json)

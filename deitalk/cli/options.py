@@ -113,6 +113,9 @@ Device = Annotated[
     str,
     typer.Option(rich_help_panel=EXPERT, help="cpu, cuda, cuda:N or mps.", callback=usable_device),
 ]
+Rate = Annotated[
+    float | None, typer.Option(help="Rate of the written curves: 24 25 29.97 30 50 60.")
+]
 Digits = Annotated[
     int | None,
     typer.Option(

@@ -64,8 +64,7 @@ def preview(
     for each in shown:
         note_reading(each.curves)
     if shown[0].is_board:
-        for note in check_needs([target]):
-            console().note(note)
+        console().note(*check_needs([target]))
     reserve_file(target, force=force, inputs=(source, audio, phones, *others))
     for time, text in find_warnings(shown[0]):
         console().print(f"{time:6.2f} s  {text}")

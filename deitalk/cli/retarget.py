@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from deitalk.cli.console import console, emit_json
+from deitalk.cli.console import console, emit_outcome
 from deitalk.cli.options import Force, Json, MeshOut
 from deitalk.cli.targets import curves_of, reserve_file, reserve_mesh, reserve_sound, write_sound
 from deitalk.errors import DeitalkError
@@ -69,7 +69,8 @@ def retarget(
     if method not in ("displacements", "gradients"):
         raise DeitalkError(f"--method {method!r} is unknown; use displacements or gradients")
     reserve_mesh(out, force=force, inputs=(curves_of(take), mesh, landmarks, mapping), fbx=True)
-    sound = reserve_sound(Path(out), take / "audio.wav", force=force)
+    audio = take / "audio.wav"
+    sound = reserve_sound(Path(out), force=force, inputs=(audio,)) if audio.is_file() else None
     if write_mapping is not None:
         reserve_file(write_mapping, force=force, inputs=(curves_of(take), mesh, mapping))
     curves = read_known_or_own(curves_of(take))
@@ -86,13 +87,10 @@ def retarget(
         )
     if write_mapping is not None:
         save(write_mapping, report.mapping)
-    if as_json:
-        emit_json(asdict(report) | {"path": str(report.path)})
-    else:
-        kind = "own shapes" if report.way == "blendshapes" else "shapes made for the mesh"
-        bones = f", {report.bones} bones" if report.bones else ""
-        for note in report.notes:
-            console().note(note)
-        console().print(f"{report.path}: {report.frames} frames, {report.shapes} {kind}{bones}")
+    kind = "own shapes" if report.way == "blendshapes" else "shapes made for the mesh"
+    bones = f", {report.bones} bones" if report.bones else ""
+    line = f"{report.path}: {report.frames} frames, {report.shapes} {kind}{bones}"
+    summary = asdict(report) | {"path": str(report.path)}
+    emit_outcome(line, summary, report.notes, as_json=as_json)
     if sound is not None:
-        write_sound(sound, take / "audio.wav")
+        write_sound(sound, audio)

@@ -58,11 +58,12 @@ def reserve_folder(path: Path, *, kind: str, force: bool, inputs: Inputs = ()) -
     check_folder(path, kind=kind, force=force, inputs=inputs)
 
 
-def reserve_picture(path: Path, *, force: bool, inputs: Inputs = ()) -> None:
-    """Reserve a picture that matplotlib writes, as `reserve_file` does."""
-    if path.suffix.lower() not in PICTURES:
-        raise DeitalkError(f"{path}: a picture is .png, .svg or .pdf")
-    reserve_file(path, force=force, inputs=inputs)
+def reserve_take(path: Path, speech: str, *, force: bool, inputs: Inputs) -> None:
+    """Reserve a take folder of a recording, as `reserve_folder` does."""
+    from deitalk.pipeline.performance import KIND, check_take
+
+    reserve_folder(path, kind=KIND, force=force, inputs=inputs)
+    check_take(path, source=speech, force=force, inputs=inputs)
 
 
 def reserve_mesh(out: str, *, force: bool, inputs: Inputs = (), fbx: bool = False) -> None:
@@ -76,15 +77,12 @@ def reserve_mesh(out: str, *, force: bool, inputs: Inputs = (), fbx: bool = Fals
         reserve_file(Path(out), force=force, inputs=inputs)
 
 
-def reserve_sound(out: Path, sound: Path | None, *, force: bool) -> Path | None:
-    """Reserve the ``.wav`` beside an FBX, which holds no sound; None for other files.
-
-    `sound` is that of the take; without one there is nothing to write.
-    """
-    if out.suffix.lower() != ".fbx" or sound is None or not sound.is_file():
+def reserve_sound(out: Path, *, force: bool, inputs: Inputs) -> Path | None:
+    """Reserve the ``.wav`` beside an FBX, which holds no sound; None for other files."""
+    if out.suffix.lower() != ".fbx":
         return None
     beside = out.with_suffix(".wav")
-    reserve_file(beside, force=force, inputs=(sound,))
+    reserve_file(beside, force=force, inputs=inputs)
     return beside
 
 
@@ -124,8 +122,7 @@ def _claim(path: Path) -> None:
 
 def note_reading(curves: "RigCurves") -> None:
     """Print what the reader of a file corrected, filled in or left out."""
-    for note in curves.notes:
-        console().note(note)
+    console().note(*curves.notes)
 
 
 def curves_of(source: Path) -> Path:

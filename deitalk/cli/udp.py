@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from rig.livelink import LiveSender
 
 PORT = 11111
-"""Of Live Link Face."""
+"""UDP port of Live Link Face."""
 POLL_SECONDS = 0.05
 """Longest wait for sound."""
 
@@ -178,15 +178,13 @@ def send_source(
     from rig.livelink.protocols import lost_by, with_head
 
     started = [_signal(start_signal)] if start_signal else []
-    curves, audio = _curves(source, given, *model)
+    curves, audio = _curves(source, given, fps, *model)
     if link.protocol == "json":
         # Curves of the rig with their head, as a receiver of that rig takes it.
         curves = convert(curves, control_set_of(link.rig))
         curves = with_subject(curves) if link.rig == "raw" else with_head(curves)
     if play:
         started = [_player(audio, given.choice), *started]
-    if fps is not None:
-        curves = curves.resample(fps)
     if seconds is not None:
         curves = curves.slice_seconds(0, seconds)
     chosen = make_protocol(link.protocol, link.subject, curves.names, link.avatar)
@@ -213,7 +211,7 @@ def send_source(
 
 
 def _curves(
-    source: Path, given: Given, model: str, backend: str
+    source: Path, given: Given, fps: float | None, model: str, backend: str
 ) -> "tuple[RigCurves, Path | None]":
     """Return curves to send, and the audio that belongs to them."""
     from rig import read_curves
@@ -225,9 +223,8 @@ def _curves(
         performance = animate(
             source, acting=given.acting, model=model, backend=backend, **given.choice.settings
         )
-        for warning in performance.recording.warnings:
-            console().note(warning)
-        return performance.curves, source
+        console().note(*performance.recording.warnings)
+        return performance.at(fps)[0], source
     if given.acting.settings:
         raise DeitalkError(
             f"{source} is sent as it is: {', '.join(given.acting.settings)} would need its "
@@ -236,6 +233,7 @@ def _curves(
     curves = read_curves(curves_of(source), control_set=None)
     note_reading(curves)
     audio = source / "audio.wav"
+    curves = curves if fps is None else curves.resample(fps)
     return curves, audio if audio.is_file() else None
 
 

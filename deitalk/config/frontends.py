@@ -141,7 +141,7 @@ class WhisperConfig(WhisperShape):
 
 
 class CausalWhisperConfig(WhisperShape):
-    """The same from the past and a bounded look-ahead, for voices that have not ended."""
+    """Whisper's first layers on the past and a bounded look-ahead, for live voices."""
 
     kind: Literal["causal_whisper"] = "causal_whisper"
     ahead: int | None = Field(default=None, ge=1, le=limits.LAYERS)

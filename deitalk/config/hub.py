@@ -15,7 +15,7 @@ from deitalk.errors import CheckpointError
 from rig.errors import quoted, shorten
 
 SUFFIXES = (".yaml", ".json", ".safetensors", ".npz", "graph.gz")
-"""Of the files of a model folder, all of which are pushed and fetched; none runs code."""
+"""Suffixes of the files of a model folder, all of which are pushed and fetched; none runs code."""
 NEEDED: tuple[str, ...] = ("config.yaml", "model.safetensors")
 SECONDS = 5.0
 """Longest wait for the hub's first answer."""

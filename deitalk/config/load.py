@@ -63,30 +63,26 @@ def load_config(path: Path | str, overrides: Sequence[str] = ()) -> AnyConfig:
 
 
 OF_MODEL = ("name", "model", "rules")
-"""Sections of a configuration of curves that a model folder has; those of its training stay with
-the run."""
+"""Sections of a configuration that a model folder has; those of its training stay with the run."""
 
 
 def load_model_config(folder: Path) -> AnyConfig:
-    """Read the configuration of a model folder, of a model of curves what describes the model.
+    """Read the configuration of a model folder: what describes the model.
 
     Settings of a training that earlier versions left there, and those of a user's own training,
     are not read. Errors as `load_config`.
     """
     tree = read_tree(folder / "config.yaml")
     kind = CONFIGS.get(tree.get("kind", "deitalk"))
-    if kind is not None and kind.product == "curves":
-        stored = cast("type[Config]", kind).stored_kind
-        tree = {key: tree[key] for key in OF_MODEL if key in tree} | {"kind": stored}
+    if kind is not None:
+        tree = {key: tree[key] for key in OF_MODEL if key in tree} | {"kind": kind.stored_kind}
     return parse_config(tree)
 
 
 def model_text(config: AnyConfig) -> str:
     """Text of a model folder's ``config.yaml``."""
-    tree = config.model_dump(mode="json")
-    if config.product == "curves":
-        tree = {"kind": cast("Config", config).stored_kind, **{key: tree[key] for key in OF_MODEL}}
-    return yaml.safe_dump(tree, sort_keys=False)
+    tree = config.model_dump(mode="json", include=set(OF_MODEL))
+    return yaml.safe_dump({"kind": config.stored_kind, **tree}, sort_keys=False)
 
 
 def read_tree(path: Path | str | None, overrides: Sequence[str] = ()) -> dict[str, Any]:
@@ -106,7 +102,7 @@ def without_paths(config: AnyConfig) -> AnyConfig:
     """A model's configuration without folders of this machine; of a model's the last part stays."""
     tree = config.model_dump(mode="json")
     sections = [(tree["model"]["frontend"], "checkpoint")]
-    sections += [(tree["train"], "frozen_frontend")]
+    sections += [(tree.get("train", {}), "frozen_frontend")]
     for section, key in sections:
         if section.get(key) is not None and Path(section[key]).is_absolute():
             section[key] = Path(section[key]).name

@@ -40,7 +40,7 @@ from rig.errors import ControlError, quoted
 
 RIG_SUFFIXES = (".yaml", ".yml")
 DATASET_RIG = "rig.yaml"
-"""Its name in a dataset folder of another rig than the board."""
+"""Name of the rig file in a dataset folder of another rig than the board."""
 RIGS = {
     "arkit": ARKIT_ID,
     "metahuman-raw": RAW_ID,

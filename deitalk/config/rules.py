@@ -54,7 +54,7 @@ class SharpenContacts(Section):
     height: Size = 4.0
     """Factor on the distance from it, in logits: how suddenly peaks become contacts."""
     steepness: Size = 4.0
-    """The same of the frames beside a peak."""
+    """Factor on the distance of the frames beside a peak."""
     tail: Share = 0.0
     """Share of an S-curve of `deitalk.postprocess.curve_stages.GENTLE` in both: contacts that are
     certain stay higher than those that are likely."""
@@ -98,13 +98,13 @@ class Expressions(Section):
     """
 
     upper: Inner = 0.1
-    """By which the upper lip is lowered."""
+    """Value by which the upper lip is lowered."""
     lower: Share = 0.05
     """Lower lip's depression that is kept, jaw shut."""
     per_jaw: Slope = 1.1
     """More of it per opening of the jaw."""
     share: Share = 0.6
-    """Of what is above it, taken away."""
+    """Share of what is above it that is taken away."""
     covers_teeth: bool = True
     """Whether the lips of the neutral reading are lowered so; captures of lips show their own."""
     size: Weight = 1.0
@@ -181,7 +181,7 @@ class RulesConfig(Section):
 
     @classmethod
     def none(cls) -> "RulesConfig":
-        """No rule: the network alone."""
+        """Turn every rule off: the network alone."""
         return cls(**dict.fromkeys(cls.model_fields))
 
     @classmethod

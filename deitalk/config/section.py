@@ -1,7 +1,7 @@
 """Types and limits of the fields of a configuration, and the YAML it is read from."""
 
 from collections.abc import Callable, Mapping
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, Literal, Protocol, TypeVar
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
@@ -123,8 +123,6 @@ def _problem(item: Any) -> str:
         "karras",
         "voca",
         "deitalk",
-        "sdfa",
-        "finetune",
     )
     key = ".".join(str(part) for part in item["loc"] if part not in kinds)
     if item["type"] == "union_tag_invalid":
@@ -166,3 +164,16 @@ class Optimisation(Section):
     seed: Seed = 0
     workers: Workers = 0
     """Processes that prepare batches."""
+
+
+class RunConfig(Protocol):
+    """All settings of a training of any model."""
+
+    @property
+    def train(self) -> Optimisation:
+        """Steps, batches and learning rate."""
+        ...
+
+    def model_dump(self, *, mode: str) -> dict[str, Any]:
+        """All settings as a tree."""
+        ...

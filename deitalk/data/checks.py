@@ -23,9 +23,9 @@ import numpy as np
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
 from deitalk.audio.load import Recording, load_audio
 from deitalk.audio.voice_activity import speech_activity
-from deitalk.data.captures.mend import Check, capture_rows, verdict
 from deitalk.data.captures.splits import APART_SECONDS
 from deitalk.data.captures.survey import Survey
+from deitalk.data.captures.verdicts import Check, capture_rows, verdict
 from deitalk.data.clips import (
     SPLITS,
     Clip,
@@ -37,7 +37,7 @@ from deitalk.data.clips import (
 from deitalk.data.offset import ClipLags, clip_lags, predicted_curves, sharpest_peak
 from deitalk.emotions import EMOTIONS
 from rig import ControlSet, RigCurves, default_controls, read_curves
-from rig.arrays import Bool, Float64
+from rig.arrays import Float64
 from rig.controls import DEFAULT_ID
 from rig.errors import UserError
 
@@ -66,7 +66,7 @@ class Measured(NamedTuple):
     high: Float64
     """Smallest and largest value of every control [shape=(C,)]; NaN where it is unknown."""
     lags: ClipLags | None
-    """Of the jaw, against the level; None if one of both does not move, or the clip is short."""
+    """Lags of the jaw against the level; None if one does not move, or the clip is short."""
     shift: float
     """Lag of a clip that is shifted by itself, seconds; else 0."""
     speech_share: float
@@ -82,7 +82,7 @@ class Inspection(NamedTuple):
 
     checks: list[Check]
     survey: Survey | None
-    """Of the clips that state their take; None if there are none."""
+    """Survey of the clips that state their take; None if there are none."""
 
 
 def inspect_dataset(
@@ -158,6 +158,11 @@ def measure(clip: Clip, controls: ControlSet) -> Measured:
     high[places] = curves.values[:, columns].max(axis=0)
     speaking = speech_activity(recording.waveform) > 0
     lags = clip_lags(curves, recording.waveform, predicted=None, offset=clip.offset_seconds)
+    open_share = float("nan")
+    if JAW in curves.names and speaking.any() and not speaking.all():
+        jaw = np.interp(np.arange(len(speaking)) / FRAME_RATE, times, curves[JAW])
+        most = max(float(np.percentile(jaw[speaking], 95)), 1e-3)
+        open_share = float(jaw[~speaking].mean() / most)
     return Measured(
         clip.name,
         curves.fps,
@@ -170,7 +175,7 @@ def measure(clip: Clip, controls: ControlSet) -> Measured:
         lags,
         _shift(clip, lags, curves),
         float(speaking.mean()),
-        _open_in_silence(curves, times, speaking),
+        open_share,
         recording.clipped_fraction,
         curves.notes,
     )
@@ -197,16 +202,10 @@ def _shift(clip: Clip, lags: ClipLags | None, curves: RigCurves) -> float:
     """
     if clip.take or lags is None or abs(lags.lag) < SHIFTED_SECONDS:
         return 0.0
-    waveform, predicted = _recording(str(clip.audio)).waveform, _predicted(str(clip.audio))
-    found = clip_lags(curves, waveform, predicted=predicted, offset=clip.offset_seconds)
+    recording = _recording(str(clip.audio))
+    predicted, offset = _predicted(str(clip.audio)), clip.offset_seconds
+    found = clip_lags(curves, recording.waveform, predicted=predicted, offset=offset)
     return found.lag if found is not None and found.is_shifted else 0.0
-
-
-def _open_in_silence(curves: RigCurves, times: Float64, speaking: Bool) -> float:
-    if JAW not in curves.names or not speaking.any() or speaking.all():
-        return float("nan")
-    jaw = np.interp(np.arange(len(speaking)) / FRAME_RATE, times, curves[JAW])
-    return float(jaw[~speaking].mean() / max(float(np.percentile(jaw[speaking], 95)), 1e-3))
 
 
 def _of_the_table(clips: Sequence[Clip]) -> list[Check]:
@@ -224,25 +223,22 @@ def _of_the_table(clips: Sequence[Clip]) -> list[Check]:
     elif set(splits) == {"train"}:
         text = f"{counts}: all are learnt from, finetune judges by folds, train needs validation"
         split = Check("splits", "ok", text)
-    return [
-        split,
-        _speakers(clips),
-        verdict("emotions", rare, shares, f"of {len(EMOTIONS)} are rare in train"),
-    ]
-
-
-def _speakers(clips: Sequence[Clip]) -> Check:
-    """Speakers in several splits: an error, a warning where their takes or blocks are apart."""
+    # Speakers in several splits: an error, a warning where their takes or blocks are apart.
     homes: dict[str, set[str]] = {}
     for clip in clips:
         homes.setdefault(clip.speaker, set()).add(clip.split)
     mixed = {who: f"{who} ({', '.join(sorted(at))})" for who, at in homes.items() if len(at) > 1}
-    well = f"{len(homes)}, each in one split"
     close = [who for who in mixed if not are_apart([c for c in clips if c.speaker == who])]
-    if close:
-        return verdict("speakers", [mixed[w] for w in close], well, "in several splits", "error")
-    apart = "in several splits, in takes or blocks that are apart: scores hold for them only"
-    return verdict("speakers", list(mixed.values()), well, apart)
+    well, fault = f"{len(homes)}, each in one split", "in several splits"
+    if not close:
+        fault += ", in takes or blocks that are apart: scores hold for them only"
+    wrong = [mixed[who] for who in close or mixed]
+    speakers = verdict("speakers", wrong, well, fault, "error" if close else "warning")
+    return [
+        split,
+        speakers,
+        verdict("emotions", rare, shares, f"of {len(EMOTIONS)} are rare in train"),
+    ]
 
 
 def are_apart(clips: Sequence[Clip]) -> bool:
@@ -276,36 +272,19 @@ def _of_the_clips(clips: Sequence[Measured], controls: ControlSet) -> list[Check
     mute = [c.name for c in clips if c.speech_share == 0]
     corrected = [f"{c.name} ({'; '.join(c.notes)})" for c in clips if c.notes]
     gaping = [f"{c.name} ({c.open_share:.0%})" for c in clips if c.open_share > OPEN_SHARE]
-    return [
-        verdict("controls", incomplete, "every clip holds those it knows", "clips", "error"),
-        Check("frame rates", "ok", frames),
-        *([verdict("units", corrected, "", "files are corrected in reading")] if corrected else []),
-        verdict("sample rates", narrow, "16 kHz or more", "below 16 kHz"),
-        verdict("lengths", lengths, "sound and curves end together", "differ"),
-        _offset(clips),
-        verdict("clipping", clipped, "none", "clips distort"),
-        verdict("speech", mute, "in every clip", "clips hold none"),
-        verdict("silence", gaping, "the mouth shuts", "clips keep it open"),
-        _movement(clips, controls),
-    ]
-
-
-def _offset(clips: Sequence[Measured]) -> Check:
-    """Lag of the jaw behind the level, pooled, and the clips that differ clearly."""
-    known = [clip.lags.scores / clip.lags.n_groups for clip in clips if clip.lags is not None]
-    if not known:
-        return Check("offset", "warning", "unknown: no clip of 2 s whose jaw and loudness move")
-    pooled: Float64 = np.mean(known, axis=0)
-    lag = sharpest_peak(pooled)
-    text = f"curves {lag * 1000:+.0f} ms after the sound (r {max(pooled.max(), 0) ** 0.5:.2f})"
-    if abs(lag) > SHIFTED_SECONDS:
-        return Check("offset", "warning", f"{text}; set offset_s to correct it")
-    shifted = [f"{clip.name} ({clip.shift * 1000:+.0f} ms)" for clip in clips if clip.shift]
-    return verdict("offset", shifted, text, f"clips seem shifted; all: {text}")
-
-
-def _movement(clips: Sequence[Measured], controls: ControlSet) -> Check:
-    """Controls that never move in any clip; those of the lips are named."""
+    # Lag of the jaw behind the level, pooled, and the clips that differ clearly.
+    lags = [clip.lags.scores / clip.lags.n_groups for clip in clips if clip.lags is not None]
+    if lags:
+        pooled: Float64 = np.mean(lags, axis=0)
+        lag, r = sharpest_peak(pooled), max(pooled.max(), 0) ** 0.5
+        text = f"curves {lag * 1000:+.0f} ms after the sound (r {r:.2f})"
+        shifted = [f"{clip.name} ({clip.shift * 1000:+.0f} ms)" for clip in clips if clip.shift]
+        offset = verdict("offset", shifted, text, f"clips seem shifted; all: {text}")
+        if abs(lag) > SHIFTED_SECONDS:
+            offset = Check("offset", "warning", f"{text}; set offset_s to correct it")
+    else:
+        offset = Check("offset", "warning", "unknown: no clip of 2 s whose jaw and loudness move")
+    # Controls that never move in any clip; those of the lips are named.
     lows, highs = (np.array([getattr(c, side) for c in clips]) for side in ("low", "high"))
     present = np.isfinite(lows).any(axis=0)
     travel = np.zeros(len(controls))
@@ -313,4 +292,15 @@ def _movement(clips: Sequence[Measured], controls: ControlSet) -> Check:
     moves = travel >= DEAD
     lips = [controls.names[i] for i in controls.subset("lip") if present[i] and not moves[i]]
     text = f"{moves.sum()} of {len(controls)} controls move"
-    return verdict("movement", lips, text, f"lip controls never move ({text})")
+    return [
+        verdict("controls", incomplete, "every clip holds those it knows", "clips", "error"),
+        Check("frame rates", "ok", frames),
+        *([verdict("units", corrected, "", "files are corrected in reading")] if corrected else []),
+        verdict("sample rates", narrow, "16 kHz or more", "below 16 kHz"),
+        verdict("lengths", lengths, "sound and curves end together", "differ"),
+        offset,
+        verdict("clipping", clipped, "none", "clips distort"),
+        verdict("speech", mute, "in every clip", "clips hold none"),
+        verdict("silence", gaping, "the mouth shuts", "clips keep it open"),
+        verdict("movement", lips, text, f"lip controls never move ({text})"),
+    ]

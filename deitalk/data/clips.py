@@ -67,7 +67,7 @@ class Clip:
 
 
 def spread_clips(clips: list[Clip], most: int | None) -> list[Clip]:
-    """At most so many of the clips, evenly spread over the list; None: all."""
+    """Select at most so many clips, evenly spread over the list; None: all."""
     if most is None or len(clips) <= most:
         return clips
     places = np.linspace(0, len(clips) - 1, most).round().astype(int)

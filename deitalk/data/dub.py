@@ -42,7 +42,7 @@ from rig.curves.filters import gaussian_smooth
 from rig.errors import listed
 
 STRETCH = 1.5
-"""By how much, at most, a phrase or a pause is played slower or faster."""
+"""Largest factor by which a phrase or a pause is played slower or faster."""
 SAME_SECONDS = 0.2
 """Difference of two phrases that are not stretched; the pause after them takes it."""
 PAUSE_SECONDS = 0.3
@@ -52,7 +52,7 @@ JOIN_FRAMES = 10
 MOST_TOGETHER = 3
 """Phrases of one recording that one of the other can stand for."""
 GROUP_COST = 0.3
-"""Of a phrase that stands for another one's part, as the logarithm of a stretch."""
+"""Cost of a phrase that stands for a part of another, as the logarithm of a stretch."""
 CORNER_SECONDS = 0.2
 """Deviation of the filter that divides the corners' emotion from their speech."""
 AMPLITUDE = (0.5, 1.8)
@@ -242,14 +242,16 @@ def dub(
         replace(made.curves, values=values, head=head),
         replace(made.neutral, values=below),
     )
+    with_edits = None
     if acting.edit:
         speech, rule = Speech.of_recording(made.recording), KeepContacts() if acting.rules else None
         given = readings, controls, rule, speech, made.words
-        readings, said = edited(acting.edit, *given)
-        notes += said
+        with_edits = edited(acting.edit, *given)
+        readings = with_edits.readings
+        notes += with_edits.notes
     shown, neutral = readings
-    with_edits = Acting.of(made.acting, edit=acting.edit)
-    dubbed = replace(made, curves=shown, neutral=neutral, acting=with_edits)
+    acted = Acting.of(made.acting, edit=acting.edit)
+    dubbed = replace(made, curves=shown, neutral=neutral, acting=acted, edited=with_edits)
     return Dubbed(dubbed, pieces, clock.exact, tuple(kept), amplitude, tuple(notes), stretch)
 
 

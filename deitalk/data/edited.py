@@ -22,7 +22,7 @@ from deitalk.postprocess.control_groups import ControlGroups
 from deitalk.postprocess.joins import HANDLES, TAKE_ABOUT, TAKE_CURVES, TAKE_SOUND, opened_take
 from rig import Control, ControlSet, RigCurves, default_controls, read_curves, write_curves
 from rig.controls import DEFAULT_ID
-from rig.conversion.arkit import ARKIT_ID, RAW_ID, arkit_controls
+from rig.conversion.arkit import ARKIT_ID, N_SHAPES, RAW_ID, arkit_controls
 from rig.conversion.board_of_shapes import board_of_shapes
 from rig.conversion.convert import KNOWN, convert, reached_controls
 from rig.curves.apply_layers import Closures, apply_layers
@@ -31,17 +31,16 @@ from rig.curves.layers import Layer
 from rig.curves.shift import checked_shift, shift, unshifted
 from rig.errors import listed
 from rig.formats import livelink_csv, unreal_json
-from rig.formats.curves_csv import N_SHAPES
 from rig.formats.table import find_format
 from rig.formats.wide_csv import read_header
 
 TABLES = (".csv", ".tsv", ".txt")
 LEAST_LOST = 0.02
-"""Of a control that another set of controls does not give back, to be reported."""
+"""Least difference, of a control that another set does not give back, that is reported."""
 FINER = (1.0, 0.5, 0.25)
 """Shares of the tolerance at which controls are fitted until the shapes of a file are within it."""
 LEAST_FRAMES = 2
-"""By which lengths may differ without a note: a program's last frame."""
+"""Most frames by which lengths differ without a note: a program's last frame."""
 
 
 @dataclass(frozen=True)
@@ -310,7 +309,7 @@ def _moved(
 
 
 def _poses(shapes: RigCurves) -> RigCurves:
-    """Those of some shapes that are no turns of the head or of an eye."""
+    """Select the shapes that are no turns of the head or of an eye."""
     poses = set(arkit_controls().names[:N_SHAPES])
     return shapes.select([name for name in shapes.names if name in poses])
 
@@ -337,7 +336,7 @@ def _with_sound(layer: Layer, take: Path, settings: dict[str, Any], lead: float)
     if not take.is_dir() or not sound.is_file():
         return layer
     from deitalk.audio.load import load_audio
-    from deitalk.pipeline.layers import with_recording
+    from deitalk.pipeline.layer_sounds import with_recording
     from deitalk.pipeline.speech import Speech
 
     recording = load_audio(sound)

@@ -36,10 +36,10 @@ REACH = RATE
 LAGS = np.arange(-REACH, REACH + 1) / RATE
 """Seconds [shape=(L,)]."""
 LARGEST_SECONDS = 0.6
-"""Of the lag of a clip, and of that in the middle of a take."""
+"""Largest lag of a clip, and of the middle of a take."""
 VOWEL_BAND_HZ = (100.0, 1870.0)
 MODEL_SECONDS = 60.0
-"""Of a longer clip the model gets the beginning."""
+"""Longest part of a clip, from its beginning, that the model reads."""
 GROUPS = {
     "jaw": ("CTRL_C_jaw.ty",),
     "contact": ("lipsTogether",),
@@ -55,7 +55,7 @@ GROUPS = {
 SMOOTH_SECONDS = 0.3
 """Slower movement is removed: postures and expressions."""
 COMPONENTS = 3
-"""Of another rig's controls: jaw, rounding and lips; six and more find fewer planted lags."""
+"""Principal components of another rig: jaw, rounding, lips; six and more find fewer lags."""
 STILL = 1e-3
 LEAST_SECONDS = 2.0
 LEAST_CORRELATION = 0.3
@@ -79,7 +79,7 @@ number of groups (one alone peaks at wrong places more often), and a share of wh
 The tests hold: no clip of a built corpus is called shifted, and of those moved by 100 ms or more
 at least 90 % are; of real mouths on video, of which the jaw alone is known, at most 7 % are."""
 RATIOS = (0.4, 0.5, 0.8, 5 / 6, 0.96, 25 / 24, 1.2, 1.25, 2.0, 2.5)
-"""Of two rates of 24, 25, 30, 48, 50, 60 and 120 Hz."""
+"""Ratios of two rates of 24, 25, 30, 48, 50, 60 and 120 Hz."""
 RATIO_LEAST, RATIO_GAIN, RATIO_LEAD = 0.38, 0.12, 0.06
 """Correlation at another rate, which it must gain over the take's own, and over all others. Five
 takes of a hand-animated rig, 12 s of each, gain .17 to .42 at their own rate and .08 over the next;
@@ -207,7 +207,7 @@ class TakeSync:
     """Offset and drift of one take."""
 
     lag: float
-    """Of the curves behind the sound in the middle of the take, seconds."""
+    """Lag of the curves behind the sound in the middle of the take, seconds."""
     drift: float
     """Seconds of lag gained per second; positive: the curves run slow."""
     middle: float
@@ -365,7 +365,9 @@ def take_sync(clips: Sequence[ClipLags], *, by: str = "model") -> TakeSync | Non
         place = int(np.argmax([s.max() for s in sums]))
         gain = sums[place].max() - still.max()
         if abs(DRIFTS[place]) >= LEAST_DRIFT and gain >= DRIFT_GAIN * still.max():
-            drift = _standard(float(DRIFTS[place]))
+            drift = float(DRIFTS[place])
+            if abs(abs(drift) - NTSC_DRIFT) <= 2.5e-4:
+                drift = float(np.sign(drift)) * NTSC_DRIFT
             best = _along(clips, weights, centres - middle, drift)
     lag = sharpest_peak(best)
     n_groups = float((weights * [clip.n_groups for clip in clips]).sum() / weights.sum())
@@ -473,9 +475,3 @@ def sharpest_peak(scores: Float64, near: float | None = None) -> float:
     bend = before - 2 * top + after
     step = 0.5 * (before - after) / bend if bend < 0 else 0.0
     return float(lags[place] + np.clip(step, -1, 1) / RATE)
-
-
-def _standard(drift: float) -> float:
-    """The drift of 29.97 against 30 where it is near."""
-    near = abs(abs(drift) - NTSC_DRIFT) <= 2.5e-4
-    return float(np.sign(drift)) * NTSC_DRIFT if near else drift

@@ -38,6 +38,8 @@ PEAK = 1.0
 """Logarithm to base 10 of the loudest mel power of speech at the normal level; .5 to 1.6."""
 PERIOD = 10 * FRAME_RATE
 """Frames after which the positions of a stream begin anew."""
+UNSEEN = -1e9
+"""Score of a key that a query does not attend to."""
 STEM_SPECTRA = 2
 """Spectra before a frame's own that the two convolutions need."""
 BLOCK_FRAMES = 256
@@ -50,12 +52,13 @@ class CausalState(NamedTuple):
     level: Tensor
     """Running level and its weight [shape=(B, 2)]."""
     mel: Tensor
-    """Last spectra [shape=(B, F, STEM_SPECTRA)]."""
+    """Last spectra [shape=(B, STEM_SPECTRA, F)]."""
     place: Tensor
     """Frames so far [shape=(B, 1)]; less a multiple of `PERIOD` where they are many."""
     layers: tuple[Tensor, ...]
     """Of each layer in turn: if it looks ahead, input whose look-ahead is to come
-    [shape=(B, LOOKAHEAD_FRAMES, D)]; keys and values of the past [shape=(B, KEPT, D)]."""
+    [shape=(B, LOOKAHEAD_FRAMES, D)]; keys [shape=(B, heads, D / heads, KEPT)] and values
+    [shape=(B, heads, KEPT, D / heads)] of the past, as products of matrices take them."""
 
     def tensors(self) -> tuple[Tensor, ...]:
         """All of them, in a row."""
@@ -100,18 +103,24 @@ class CausalWhisperFrontend(WhisperFrontend):
         self.ahead = [LOOKAHEAD_FRAMES] * looking + [0] * (depth - looking)
         self.delay = sum(self.ahead)
         self.n_states = 3 + 2 * depth + looking
-        self._flat = FlatKernel()
+        self._flat, self._flat_stem = FlatKernel(), FlatKernel()
 
     def first_state(self, batch: int) -> CausalState:
         """State of streams before their first sample."""
         weight, width = self.encoder.conv1.weight, self.output_size
         silence = weight.new_full((batch, STEM_SPECTRA, self.config.n_mels), math.log10(SILENCE))
-        sizes = [size for ahead in self.ahead for size in (ahead, KEPT, KEPT) if size]
+        heads = self.config.heads
+        keys, values = (heads, width // heads, KEPT), (heads, KEPT, width // heads)
+        sizes = [
+            size
+            for ahead in self.ahead
+            for size in ([(ahead, width)] if ahead else []) + [keys, values]
+        ]
         return CausalState(
             torch.from_numpy(first_level(batch)).to(weight),
-            scaled(silence, PEAK),
+            scaled(silence, PEAK).transpose(1, 2),
             weight.new_zeros(batch, 1),
-            tuple(weight.new_zeros(batch, size, width) for size in sizes),
+            tuple(weight.new_zeros(batch, *size) for size in sizes),
         )
 
     def features(self, waveform: Tensor, context: Any = None) -> Tensor:
@@ -155,12 +164,15 @@ class CausalWhisperFrontend(WhisperFrontend):
 
     def read(self, windows: Tensor, state: CausalState) -> tuple[Tensor, CausalState]:
         """`advance` of windows at the usual level; the running level is not looked at."""
-        mel = torch.cat((state.mel, scaled(self.mel.decades(windows), PEAK)), dim=2)
-        x = F.gelu(F.conv1d(mel, self.encoder.conv1.weight, self.encoder.conv1.bias))
-        # Few frames of many streams: a product of matrices, where a convolution is one a stream.
-        stem = self.encoder.conv2
-        taps = [x[..., k :: self.spectra] for k in range(stem.weight.shape[2])]
-        x = F.gelu(F.linear(joined_taps(taps), self._flat(stem.weight), stem.bias))
+        spectra = scaled(self.mel.decades(windows), PEAK).transpose(1, 2)
+        mel = torch.cat((state.mel, spectra), dim=1)
+        # Few frames of many streams: products of matrices, where a convolution is one a stream.
+        first, second = self.encoder.conv1, self.encoder.conv2
+        taps = joined_taps(mel, first.kernel_size[0])
+        x = F.gelu(F.linear(taps, self._flat(first.weight), first.bias))
+        # The steps of the second one are its taps.
+        x = x.reshape(x.shape[0], -1, self.spectra * x.shape[2])
+        x = F.gelu(F.linear(x, self._flat_stem(second.weight), second.bias))
         times = state.place + torch.arange(x.shape[1], device=x.device)
         x = x + self.encoder.positions[(times % PERIOD).long()]
         queries, kept, depth = x, list[Tensor](), len(self.encoder.layers)
@@ -173,8 +185,8 @@ class CausalWhisperFrontend(WhisperFrontend):
             queries, queries_at = x, keys_at[KEPT:, None] - ahead
             if ahead:
                 rows = torch.cat((past.pop(0), x), dim=1)
-                queries = rows[:, : x.shape[1]]
-                kept.append(rows[:, x.shape[1] :])
+                queries = rows[:, :-ahead]
+                kept.append(rows[:, -ahead:])
             after = keys_at - queries_at
             near = (after <= ahead) & (after >= -PAST_FRAMES)
             first = (state.place - behind).unsqueeze(2)  # frame of the first new row
@@ -187,7 +199,7 @@ class CausalWhisperFrontend(WhisperFrontend):
         place = state.place + x.shape[1]
         place = torch.where(place >= 2 * PERIOD, place - PERIOD, place)
         return mixed.view_as(x), state._replace(
-            mel=mel[..., -STEM_SPECTRA:], place=place, layers=tuple(kept)
+            mel=mel[:, -STEM_SPECTRA:], place=place, layers=tuple(kept)
         )
 
     def _pieces(
@@ -214,11 +226,15 @@ def _attended(
 ) -> tuple[Tensor, Tensor, Tensor]:
     """A layer's output for queries (B, G, D), which are its new rows (B, G, D) or lie before them.
 
-    `past` are keys and values (B, KEPT, D) of the rows before; those to keep now are returned.
-    `seen` (B, G, KEPT + G) tells which of the keys a query attends to.
+    `past` are keys and values of the rows before, as in `CausalState`; those to keep now are
+    returned. `seen` (B, G, KEPT + G) tells which of the keys a query attends to.
     """
     attention, given = layer.self_attn, layer.self_attn_layer_norm(new)
-    keys = torch.cat((past[0], attention.k_proj(given)), dim=1)
-    values = torch.cat((past[1], attention.v_proj(given)), dim=1)
-    mixed = attention.mixed(layer.self_attn_layer_norm(queries), keys, values, seen.unsqueeze(1))
-    return layer.after(queries + mixed), keys[:, -KEPT:], values[:, -KEPT:]
+    new_keys = attention.by_heads(attention.k_proj(given)).transpose(2, 3)
+    keys = torch.cat((past[0], new_keys), dim=3)
+    values = torch.cat((past[1], attention.by_heads(attention.v_proj(given))), dim=2)
+    asked = attention.by_heads(attention.q_proj(layer.self_attn_layer_norm(queries)))
+    scores = (asked * asked.shape[-1] ** -0.5) @ keys
+    shares = scores.masked_fill(~seen.unsqueeze(1), UNSEEN).softmax(dim=-1)
+    mixed = attention.out_proj((shares @ values).transpose(1, 2).flatten(2))
+    return layer.after(queries + mixed), keys[..., -KEPT:], values[:, :, -KEPT:]

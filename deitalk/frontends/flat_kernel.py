@@ -22,9 +22,8 @@ class FlatKernel:
         return self._kept[1]
 
 
-def joined_taps(taps: list[Tensor]) -> Tensor:
-    """Inputs of the taps of a kernel (B, in, T) side by side, (B, T, K in).
-
-    The rows are in order in memory: else torch multiplies stream by stream.
-    """
-    return torch.cat(taps, dim=1).transpose(1, 2).contiguous()
+def joined_taps(rows: Tensor, taps: int, dilation: int = 1) -> Tensor:
+    """Rows (B, T + span, in) that the taps of a causal kernel are given, (B, T, K in)."""
+    span = dilation * (taps - 1)
+    ends = range(-span, 0, dilation)
+    return torch.cat([*(rows[:, span + end : end] for end in ends), rows[:, span:]], dim=2)

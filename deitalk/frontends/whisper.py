@@ -353,17 +353,14 @@ class Attention(nn.Module):
 
     def forward(self, x: Tensor, mask: Tensor | None = None) -> Tensor:
         """Map (B, K, D) to (B, K, D); `mask` is that of `WhisperEncoder.forward`."""
-        return self.mixed(x, self.k_proj(x), self.v_proj(x), mask)
-
-    def mixed(self, x: Tensor, keys: Tensor, values: Tensor, mask: Tensor | None) -> Tensor:
-        """Map rows (B, Q, D) to (B, Q, D), from keys and values (B, K, D)."""
-        q, k, v = (
-            rows.unflatten(-1, (self.heads, -1)).transpose(1, 2)
-            for rows in (self.q_proj(x), keys, values)
-        )
-        mixed = F.scaled_dot_product_attention(q, k, v, mask)  # (B, heads, Q, D / heads)
+        q, k, v = (self.by_heads(f(x)) for f in (self.q_proj, self.k_proj, self.v_proj))
+        mixed = F.scaled_dot_product_attention(q, k, v, mask)  # (B, heads, K, D / heads)
         out: Tensor = self.out_proj(mixed.transpose(1, 2).flatten(2))
         return out
+
+    def by_heads(self, rows: Tensor) -> Tensor:
+        """Rows (B, K, D) as (B, heads, K, D / heads)."""
+        return rows.unflatten(-1, (self.heads, -1)).transpose(1, 2)
 
 
 class Layer(nn.Module):

@@ -4,6 +4,7 @@ Letters: S samples, n frames of a call, P spectra a frame, W samples of a spectr
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -107,6 +108,7 @@ class Stream:
         self.acting, self.gain = acting, gain_factors(controls, acting.gain)
         self.wanted = self._wanted()
         traits = Traits.of(Seeds((0, 0, acting.seed)).character())
+        traits = replace(traits, own=float(actor.any()))
         self.ways = choose_ways(acting.variant, traits, acting.seed)
         self.groups = 0
         self.n_given = -grid.rules_ahead

@@ -2,7 +2,7 @@
 
 ::
 
-    config.yaml          network and rules, of a mesh model every setting (`kind: sdfa`)
+    config.yaml          network and rules
     model.safetensors    weights, float16 in shipped models
     encoder.safetensors  those of a pretrained encoder that did not learn, where there is one
     effort.safetensors   readout of the voice's strength from its features, where there is one

@@ -46,17 +46,14 @@ def local_maximum(features: Tensor, frames: int) -> Tensor:
     return pooled.transpose(1, 2)
 
 
-def past_maximum(features: Tensor, frames: int, past: Tensor | None = None) -> Tensor:
-    """Largest value of every feature within the last `frames` of each frame, (B, T, E).
+def past_maximum(features: Tensor, frames: int) -> Tensor:
+    """Largest value of every feature within the last `frames` of each frame, (B, T, E)."""
+    return _running_maximum(F.pad(features, (0, 0, frames - 1, 0), value=-torch.inf), frames)
 
-    `past` (B, frames - 1, E) is what came before; without it nothing did.
-    """
-    x = features.transpose(1, 2)
-    if past is None:
-        x = F.pad(x, (frames - 1, 0), value=-torch.inf)
-    else:
-        x = torch.cat((past.transpose(1, 2), x), dim=2)
-    return F.max_pool1d(x, frames, stride=1).transpose(1, 2)
+
+def _running_maximum(rows: Tensor, frames: int) -> Tensor:
+    """Largest value of each column within `frames` rows on from each (B, T, E)."""
+    return F.max_pool1d(rows.transpose(1, 2), frames, stride=1).transpose(1, 2)
 
 
 def emotional_saliency(features: Tensor, embedding: Tensor) -> Tensor:
@@ -174,8 +171,9 @@ class DynamicIntensity(nn.Module):
         """Map the next speech features (B, T, D) of streams; `past` is for the next call."""
         assert self.saliency_frames is not None
         features = self.project(speech)
-        around = past_maximum(features, self.saliency_frames, past)
-        kept = torch.cat((past, features), dim=1)[:, features.shape[1] :]
+        rows = torch.cat((past, features), dim=1)
+        around = _running_maximum(rows, self.saliency_frames)
+        kept = rows[:, 1 - self.saliency_frames :] if self.saliency_frames > 1 else past
         return self._compared(speech, features, around[:, -1], around), kept
 
     def _compared(

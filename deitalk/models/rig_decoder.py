@@ -21,10 +21,6 @@ from rig.errors import quoted
 # Dilated convolutions over time, shared by motion encoder and decoder (DEITalk §4.1).
 
 
-FEW_FRAMES = 4
-"""Frames up to which a causal layer is one product of matrices."""
-
-
 class TemporalConv(nn.Module):
     """One layer: dilated convolution that keeps the length, ReLU, dropout.
 
@@ -72,23 +68,21 @@ class TemporalConv(nn.Module):
         nn.init.zeros_(self.conv.bias)
         self.after = nn.Sequential(nn.ReLU(), nn.Dropout(dropout))
 
-    def forward(self, x: Tensor, past: Tensor | None = None) -> Tensor:
-        """Map (B, in_channels, T) to (B, out_channels, T).
-
-        `past` (B, in_channels, span) is what a causal layer was given before; zeros without it.
-        """
-        if self.causal:
-            x = F.pad(x, (self.span, 0)) if past is None else torch.cat((past, x), dim=2)
-        frames = x.shape[2] - self.span
-        if self.causal and frames <= FEW_FRAMES:
-            # A convolution's preparations cost more than so few frames.
-            taps = [x[:, :, start : start + frames] for start in self._starts]
-            flat = self._flat(self.conv.weight)
-            x = F.linear(joined_taps(taps), flat, self.conv.bias).transpose(1, 2)
-        else:
-            x = self.conv(x)
-        out: Tensor = self.after(x)
+    def forward(self, x: Tensor) -> Tensor:
+        """Map (B, in_channels, T) to (B, out_channels, T)."""
+        out: Tensor = self.after(self.conv(F.pad(x, (self.span, 0)) if self.causal else x))
         return out
+
+    def advance(self, x: Tensor, past: Tensor) -> tuple[Tensor, Tensor]:
+        """Map the next rows (B, T, in_channels) of streams by a causal layer.
+
+        `past` (B, span, in_channels) is what it was given before; that of the next call is
+        returned after the rows (B, T, out_channels).
+        """
+        rows = torch.cat((past, x), dim=1)
+        taps = joined_taps(rows, self.conv.kernel_size[0], self.conv.dilation[0])
+        out: Tensor = self.after(F.linear(taps, self._flat(self.conv.weight), self.conv.bias))
+        return out, rows[:, -self.span :] if self.span else past
 
     @property
     def reach(self) -> int:
@@ -498,13 +492,13 @@ class RigDecoder(Decoder):
         return self.with_speech(hidden if clips is None else clips.taken(hidden, gap), spoken)
 
     def first_past(self, batch: int) -> tuple[Tensor, ...]:
-        """What each causal layer was given before the first frame: zeros (B, channels, span).
+        """What each causal layer was given before the first frame: zeros (B, span, channels).
 
         With a kept decoder, those of every evaluation of both, in the order of `_combined`.
         """
         layers = cast("list[TemporalConv]", list(self.layers))
         own = tuple(
-            layer.conv.weight.new_zeros(batch, layer.conv.in_channels, layer.span)
+            layer.conv.weight.new_zeros(batch, layer.span, layer.conv.in_channels)
             for layer in layers
         )
         if self.kept is None:
@@ -554,14 +548,12 @@ class RigDecoder(Decoder):
         self, speech: Tensor, emotion: Tensor, guidance: Tensor | None, past: tuple[Tensor, ...]
     ) -> tuple[Tensor, tuple[Tensor, ...]]:
         """`advance` of the own layers alone."""
-        x, extra = self.inputs(speech, emotion, guidance)
-        new = []
-        for i, layer in enumerate(self.layers):
-            given = torch.cat((x, extra), dim=1)
-            new.append(torch.cat((past[i], given), dim=2)[..., given.shape[2] :])
-            x = self._joined(i, x, layer(given, past[i]))
-        hidden = self.with_speech(x.transpose(1, 2), speech)
-        return self.curves(hidden, emotion), tuple(new)
+        x, extra, new = speech, self._extra(speech, emotion, guidance), []
+        for i, layer in enumerate(cast("list[TemporalConv]", list(self.layers))):
+            out, after = layer.advance(torch.cat((x, extra), dim=2), past[i])
+            x = self._joined(i, x, out)
+            new.append(after)
+        return self.curves(self.with_speech(x, speech), emotion), tuple(new)
 
     def _joined(self, i: int, x: Tensor, out: Tensor) -> Tensor:
         return (x + out) / 2**0.5 if self.residual and i else out
@@ -570,10 +562,14 @@ class RigDecoder(Decoder):
         self, speech: Tensor, emotion: Tensor, guidance: Tensor | None
     ) -> tuple[Tensor, Tensor]:
         """Speech (B, D, T), and what joins it before each layer (B, style + E, T)."""
+        return speech.transpose(1, 2), self._extra(speech, emotion, guidance).transpose(1, 2)
+
+    def _extra(self, speech: Tensor, emotion: Tensor, guidance: Tensor | None) -> Tensor:
+        """Style and intensity, which join the input of each layer (B, T, style + E)."""
         extra = self.styles(emotion, speech.shape[1])
-        if guidance is not None:
-            extra = torch.cat((extra, guidance[..., : self.guidance_size]), dim=-1)
-        return speech.transpose(1, 2), extra.transpose(1, 2)
+        if guidance is None:
+            return extra
+        return torch.cat((extra, guidance[..., : self.guidance_size]), dim=-1)
 
 
 def _each_once(curves: Callable[[Tensor], Tensor], emotions: Tensor) -> Tensor:

@@ -22,9 +22,9 @@ class MeasuredVoice(NamedTuple):
     """Strength of a recording's voice."""
 
     strength: float | None
-    """By its prosody, dB above the usual; None without voice."""
+    """Strength by the prosody, dB above the usual; None without voice."""
     effort: float | None
-    """By the network's readout, dB; None without voice or without one."""
+    """Effort by the network's readout, dB; None without voice or without one."""
     seconds: float
 
 

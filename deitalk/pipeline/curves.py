@@ -31,8 +31,10 @@ from deitalk.models.protocol import (
 from deitalk.pipeline.layers import edited
 from deitalk.pipeline.performance import Performance
 from deitalk.pipeline.speech import Intensities, Speech, measure_intensities
-from deitalk.pipeline.words.script import Script, TimedMark, levels, with_accents, with_emotions
-from deitalk.pipeline.words.transcript import Transcript, other_spans
+from deitalk.pipeline.words.marks import TimedMark, levels, with_accents, with_emotions
+from deitalk.pipeline.words.script import Script
+from deitalk.pipeline.words.subtitles import other_spans
+from deitalk.pipeline.words.transcript import Transcript
 from deitalk.postprocess.factors import held_intensity, mean_around, opening_factor
 from deitalk.postprocess.feeling import state_of_intensity
 from deitalk.postprocess.joins import activity_beside, lead, unknown_controls
@@ -42,7 +44,12 @@ from deitalk.postprocess.life.motion import Character, Motion, Moved, plan_motio
 from deitalk.postprocess.life.other import OtherVoice
 from deitalk.postprocess.life.voice import Seeds, Traits, measure_voice
 from deitalk.postprocess.tracks import VoiceTracks, shown_columns
-from deitalk.postprocess.variants import choose_ways, unused_variants
+from deitalk.postprocess.variants import (
+    choose_ways,
+    habit_factors,
+    show_habits,
+    unused_variants,
+)
 from rig import ControlSet, RigCurves
 from rig.arrays import Float32
 from rig.curves.apply_layers import target_columns
@@ -137,7 +144,7 @@ class Prepared:
     network: CurveNetwork
     recording: Recording
     acting: Acting
-    """With the emotion that the voice suggests in place of ``auto``."""
+    """Acting with the emotion that the voice suggests in place of ``auto``."""
     speech: Speech
     weights: Float32
     """Emotion of each frame [shape=(T, 9)]."""
@@ -205,7 +212,10 @@ def prepare(
         target_columns(network.controls, target)
     rules = network.rules if acting.rules else RulesConfig.none()
     recording = recording.noted(*_notes_on_unused(acting, rules))
-    speech = _between(Speech.of_recording(recording, rules.gates), acting)
+    before = activity_beside(acting.after, before=True)
+    after = activity_beside(acting.into, before=False)
+    speech = Speech.of_recording(recording, rules.gates)
+    speech = replace(speech, before=before, after=after)
     if acting.after is not None:
         recording = recording.noted(*unknown_controls(acting.after, network.controls))
     weights, said = acting.emotion_track.at(speech.times), None
@@ -339,7 +349,7 @@ def finish(
 
 
 def finish_together(prepared: Sequence[Prepared], readings: Sequence[Reading]) -> list[Performance]:
-    """As `finish` of recordings of one network, whose rules are applied to all in one pass."""
+    """Apply the rules to recordings of one network in one pass, as `finish` does to one."""
     return _finished([_read(*given) for given in zip(prepared, readings, strict=True)])
 
 
@@ -367,9 +377,11 @@ class _Read(NamedTuple):
     neutral: Float32
     shown: Float32
     voice: Float32
-    """As of `Unruled`, as the two before."""
+    """Columns of `deitalk.postprocess.tracks.VoiceTracks` [shape=(T, 43)]."""
     intensities: Intensities
     traits: Traits
+    habits: Float32
+    """Factors of the character on the expression of each control [shape=(C,)]."""
     moved: Moved | None
     words: "WordFit | None"
 
@@ -399,7 +411,13 @@ def _read(prepared: Prepared, reading: Reading, words: "WordFit | None" = None) 
     kept = speech.held(rules.hold_pose)
     heard = intensities.voice[speaking]
     state = state_of_intensity(float(np.median(heard))) if len(heard) else None
-    traits = _traits(prepared)
+    # Traits of the character: of its voice's reference, of the take before, or drawn.
+    given = (acting.voice and acting.voice.traits) or (acting.after and acting.after.traits)
+    if given:
+        traits = Traits(**given)
+    else:
+        seeds = Seeds.of(speech.waveform, prepared.style, acting.seed)
+        traits = replace(Traits.of(seeds.character()), own=float(prepared.style != ""))
     ways = choose_ways(acting.variant, traits, acting.seed, state)
     side = np.full(len(weights), ways.side)
     voice = VoiceTracks(
@@ -408,11 +426,18 @@ def _read(prepared: Prepared, reading: Reading, words: "WordFit | None" = None) 
     )  # fmt: skip
     moved = _moved(prepared, weights * intensities.applied[:, None], traits)
     values = neutral.copy() if emotional is neutral else emotional
-    return _Read(prepared, neutral, values, voice.columns(), intensities, traits, moved, words)
+    habits = habit_factors(network.controls, rules.expressions, ways.habits)
+    return _Read(
+        prepared, neutral, values, voice.columns(), intensities, traits, habits, moved, words
+    )
 
 
 def _finished(read: Sequence[_Read], model: str = "") -> list[Performance]:
-    motions = _motions(read)
+    # Motion, drawn for all recordings at once.
+    takes = [moved for each in read if (moved := each.moved) is not None]
+    idle = next((each.prepared.rules.idle for each in read if each.moved is not None), None)
+    planned = iter(plan_motions(takes, idle) if idle is not None else ())
+    motions = [None if each.moved is None else next(planned) for each in read]
     clips = []
     for each, motion in zip(read, motions, strict=True):
         gates = shown_columns(
@@ -421,7 +446,10 @@ def _finished(read: Sequence[_Read], model: str = "") -> list[Performance]:
         given = each.prepared.gain, each.prepared.acting.rules
         clips.append(Unruled(each.neutral, each.shown, each.voice, gates, *given))
     # The rules, in their order: `deitalk.postprocess.curve_pass`.
+    controls = read[0].prepared.network.controls
     outside = apply_rules(read[0].prepared.network.curve_pass(), clips)
+    for each, clip in zip(read, clips, strict=True):
+        show_habits(clip.shown, clip.neutral, controls, each.habits)
     return [_performance(*one, model) for one in zip(read, motions, clips, outside, strict=True)]
 
 
@@ -439,11 +467,14 @@ def _performance(
     join(controls, ruled.shown, head, acting)
     shown_curves = _curves(controls, ruled.shown, prepared.weights, intensities.applied, head)
     neutral_curves = _curves(controls, ruled.neutral)
-    recording = _with_note_of(words, prepared.recording)
+    recording, with_edits = prepared.recording, None
+    if words is not None and not words.fits:
+        recording = recording.noted(words.line)
     if acting.edit:
         given = (shown_curves, neutral_curves), controls, rules.keep_contacts
-        (shown_curves, neutral_curves), notes = edited(acting.edit, *given, speech, words)
-        recording = recording.noted(*notes)
+        with_edits = edited(acting.edit, *given, speech, words)
+        shown_curves, neutral_curves = with_edits.readings
+        recording = recording.noted(*with_edits.notes)
         clock.lap("edits")
     return Performance(
         shown_curves,
@@ -459,6 +490,7 @@ def _performance(
         prepared.suggestion,
         asdict(read.traits),
         prepared.marks,
+        with_edits,
     )
 
 
@@ -507,12 +539,6 @@ def _rows(values: Float32, start: int, stop: int, after: Float32) -> Float32:
     return np.concatenate((rows, np.broadcast_to(after, (missing, values.shape[1]))))
 
 
-def _between(speech: Speech, acting: Acting) -> Speech:
-    """The speech between the takes that the acting has before and after it."""
-    before = activity_beside(acting.after, before=True)
-    return replace(speech, before=before, after=activity_beside(acting.into, before=False))
-
-
 def join(controls: ControlSet, values: Float32, head: Float32 | None, acting: Acting) -> None:
     """Have curves [shape=(T, C)] and a head [shape=(T, 6)] begin and end at the takes beside.
 
@@ -523,16 +549,6 @@ def join(controls: ControlSet, values: Float32, head: Float32 | None, acting: Ac
         lead(values, head, controls, acting.after, most=most)
     if acting.into is not None:
         lead(values, head, controls, acting.into, last=True, most=most)
-
-
-def _traits(prepared: Prepared) -> Traits:
-    """Traits of the character: of its voice's reference, of the take before, or drawn."""
-    acting = prepared.acting
-    known = (acting.voice and acting.voice.traits) or (acting.after and acting.after.traits)
-    if known:
-        return Traits(**known)
-    seeds = Seeds.of(prepared.speech.waveform, prepared.style, acting.seed)
-    return replace(Traits.of(seeds.character()), own=float(prepared.style != ""))
 
 
 def _moved(prepared: Prepared, shown: Float32, traits: Traits) -> Moved | None:
@@ -550,19 +566,6 @@ def _moved(prepared: Prepared, shown: Float32, traits: Traits) -> Moved | None:
     if other is not None:
         heard, felt = other.voice(speech.n_frames), other.felt(speech.n_frames)
     return Moved(voice, shown, Character(seeds, life, traits), heard, felt)
-
-
-def _motions(read: Sequence["_Read"]) -> list[Motion | None]:
-    """Motion of recordings, drawn for all at once."""
-    found: list[Motion | None] = [None] * len(read)
-    places = [k for k, each in enumerate(read) if each.moved is not None]
-    if places:
-        idle = read[places[0]].prepared.rules.idle
-        assert idle is not None
-        takes = [moved for each in read if (moved := each.moved) is not None]
-        for k, motion in zip(places, plan_motions(takes, idle), strict=True):
-            found[k] = motion
-    return found
 
 
 def _curves(
@@ -595,13 +598,6 @@ def _with_note_on(
         f"{recording.duration:.1f} s: what comes after is not used"
     )
     return recording.noted(note)
-
-
-def _with_note_of(words: "WordFit | None", recording: Recording) -> Recording:
-    """The recording, with a note if the sound contradicts words."""
-    if words is None or words.fits:
-        return recording
-    return recording.noted(words.line)
 
 
 def _extended(recording: Recording, seconds: float) -> Recording:

@@ -2,15 +2,10 @@
 
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from rig.curves import RigCurves
 from rig.formats import write_curves
 from rig.formats.livelink_csv import take_name
-
-if TYPE_CHECKING:
-    pass
-
 
 SUBJECT = "deitalk"
 MAX_SLATE = 100

@@ -8,20 +8,19 @@ have them, else the phones, which are laid through the new sound.
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from difflib import SequenceMatcher
-from importlib.util import find_spec
-from itertools import pairwise
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
+from deitalk.audio.frames import SAMPLE_RATE
 from deitalk.config.rules import KeepContacts
+from deitalk.pipeline.layer_sounds import PHONE_RATE, has_torch
 from deitalk.pipeline.speech import Speech
 from deitalk.postprocess.control_groups import ControlGroups
 from deitalk.postprocess.phones import PHONES, SILENCE
 from rig import ControlSet, RigCurves
-from rig.arrays import Float32, Float64
-from rig.curves.apply_layers import apply_layers, retimed
+from rig.arrays import Bool, Float64
+from rig.curves.apply_layers import Closures, apply_layers, retimed
 from rig.curves.layers import Edit, Layer, Sound
 from rig.errors import listed
 
@@ -29,12 +28,33 @@ if TYPE_CHECKING:
     from deitalk.pipeline.words.align import FittedWord, WordFit
     from deitalk.postprocess.known_phones import KnownPhone
 
-PHONE_RATE = 2 * FRAME_RATE
-"""Of the lengths of a layer's phones, Hz."""
-SWITCH = 4.0
-"""Logarithm of the probability that a phone of unknown words must gain to begin."""
+
 LEAST_MATCHED = 0.5
 """Share of a layer's words that must be in another recording, for it to follow them."""
+
+
+class Edited(NamedTuple):
+    """Curves that are shown, and their neutral reading, with layers."""
+
+    readings: tuple[RigCurves, RigCurves]
+    notes: tuple[str, ...]
+    """A line on each change."""
+    plain: tuple[RigCurves, RigCurves]
+    """The readings without layers."""
+    layers: tuple[Layer, ...]
+    """On the times of the recording."""
+    controls: ControlSet
+    closures: Closures | None
+
+    def at(self, fps: float) -> tuple[RigCurves, RigCurves]:
+        """The readings at another rate, with the layers applied at that rate.
+
+        A layer that was made of curves of that rate gives each of their frames again; resampled
+        curves would soften its steps.
+        """
+        given = self.layers, self.controls, self.closures
+        shown, neutral = (apply_layers(one.resample(fps), *given)[0] for one in self.plain)
+        return shown, neutral
 
 
 def edited(
@@ -44,8 +64,8 @@ def edited(
     rule: KeepContacts | None,
     speech: Speech,
     words: "WordFit | None" = None,
-) -> tuple[tuple[RigCurves, RigCurves], tuple[str, ...]]:
-    """Curves that are shown, and their neutral reading, with layers; and a line on each change.
+) -> Edited:
+    """Apply layers to the curves that are shown and to their neutral reading.
 
     Parameters
     ----------
@@ -66,7 +86,8 @@ def edited(
     shown, changes = apply_layers(shown, followed, controls, closures)
     neutral, _ = apply_layers(neutral, followed, controls, closures)
     unused = unused_notes(followed, shown.head is not None)
-    return (shown, neutral), (*notes, *unused, *changes)
+    said = (*notes, *unused, *changes)
+    return Edited((shown, neutral), said, readings, followed, controls, closures)
 
 
 class Followed(NamedTuple):
@@ -104,7 +125,7 @@ def follow_recording(
 
 def _followed(layer: Layer, speech: Speech, words: "WordFit | None") -> tuple[Layer, str]:
     name = f"edit {layer.name}" if layer.name else "the edit"
-    by, times = "words", _times_by_words(layer, words)
+    by, (times, lost) = "words", _times_by_words(layer, words)
     if times is None:
         by, times = "phones", _times_by_phones(layer, speech)
     if times is None:
@@ -114,9 +135,8 @@ def _followed(layer: Layer, speech: Speech, words: "WordFit | None") -> tuple[La
             else ("is another one, and the file knows no words or phones")
         )
         return layer, f"{name} was made on another recording; this one {why}: its times are kept"
-    old, new, lost = times
     kept = tuple(edit for edit in layer.edits if not _is_within(edit, lost))
-    moved = new - old
+    moved = times.new - times.old
     note = (
         f"{name} was made on another recording and follows its {by}: "
         f"{moved.min():+.2f} to {moved.max():+.2f} s"
@@ -125,7 +145,7 @@ def _followed(layer: Layer, speech: Speech, words: "WordFit | None") -> tuple[La
         left = [edit for edit in layer.edits if _is_within(edit, lost)]
         named = listed([f"{edit.target} at {edit.span[0]:.2f} s" for edit in left])
         note += f"; left out, as their words are not said here: {named}"
-    return retimed(replace(layer, edits=kept), old, new), note
+    return retimed(replace(layer, edits=kept), *times), note
 
 
 def _is_within(edit: Edit, spans: Sequence[tuple[float, float]]) -> bool:
@@ -134,17 +154,26 @@ def _is_within(edit: Edit, spans: Sequence[tuple[float, float]]) -> bool:
     return any(start <= middle < end for start, end in spans)
 
 
-Times = tuple[Float64, Float64, list[tuple[float, float]]]
-"""Old and new seconds that belong together, and old spans that have no counterpart."""
+class Times(NamedTuple):
+    """Moments of two recordings, as for `retimed`."""
+
+    old: Float64
+    new: Float64
+    begins: Bool
+    ends: Bool
 
 
-def _times_by_words(layer: Layer, words: "WordFit | None") -> Times | None:
+Anchor = tuple[float, float]
+"""Old and new seconds that belong together."""
+
+
+def _times_by_words(layer: Layer, words: "WordFit | None") -> tuple[Times | None, list[Anchor]]:
     """Times of the words that both have, and of their phones if those are the same.
 
-    None if they are too few.
+    None if they are too few. Old spans of the words that are not said follow.
     """
     if words is None or not words.is_used or not layer.words:
-        return None
+        return None, []
     old = [_plain(text) for text, _, _ in layer.words]
     new = [_plain(word.text) for word in words.words]
     pairs = [
@@ -153,14 +182,14 @@ def _times_by_words(layer: Layer, words: "WordFit | None") -> Times | None:
         for k in range(block.size)
     ]
     if len(pairs) < LEAST_MATCHED * len(old):
-        return None
+        return None, []
+    edges = _edges([layer.words[a] for a, _ in pairs], [words.words[b] for _, b in pairs])
     before, after = _spoken(layer), [p for p in words.phones if p.name != SILENCE]
     if before and [name for name, _, _ in before] == [phone.name for phone in after]:
-        return *_rising(_edges(before, after)), []
-    anchors = _edges([layer.words[a] for a, _ in pairs], [words.words[b] for _, b in pairs])
+        return _rising(_edges(before, after), edges), []
     matched = {a for a, _ in pairs}
     lost = [(start, end) for k, (_, start, end) in enumerate(layer.words) if k not in matched]
-    return *_rising(anchors), lost
+    return _rising(edges, edges), lost
 
 
 def _plain(word: str) -> str:
@@ -169,11 +198,12 @@ def _plain(word: str) -> str:
 
 def _times_by_phones(layer: Layer, speech: Speech) -> Times | None:
     """Times of the layer's phones, laid through the sound; None if they do not fit it."""
-    if not layer.phones or not _has_torch():
+    if not layer.phones or not has_torch():
         return None
     from deitalk.pipeline.words.align import fit_words
     from deitalk.pipeline.words.evidence import measure_phones, phone_evidence
-    from deitalk.pipeline.words.transcript import Transcript, Word
+    from deitalk.pipeline.words.pronounced import Word
+    from deitalk.pipeline.words.transcript import Transcript
 
     spoken: list[list[tuple[str, float, float]]] = []
     for phone in _spoken(layer):
@@ -189,7 +219,12 @@ def _times_by_phones(layer: Layer, speech: Speech) -> Times | None:
         return None
     old = [phone for run in spoken for phone in run]
     new = [phone for phone in fit.phones if phone.name != SILENCE]
-    return *_rising(_edges(old, new)), []
+    anchors, k = _edges(old, new), 0
+    runs = []
+    for run in spoken:
+        runs += [anchors[2 * k], anchors[2 * (k + len(run)) - 1]]
+        k += len(run)
+    return _rising(anchors, runs)
 
 
 def _spoken(layer: Layer) -> list[tuple[str, float, float]]:
@@ -205,7 +240,7 @@ def _spoken(layer: Layer) -> list[tuple[str, float, float]]:
 
 def _edges(
     old: Sequence[tuple[str, float, float]], new: "Sequence[FittedWord | KnownPhone]"
-) -> list[tuple[float, float]]:
+) -> list[Anchor]:
     """Old and new seconds of the first and last moments of words or phones."""
     return [
         pair
@@ -214,92 +249,17 @@ def _edges(
     ]
 
 
-def _rising(anchors: Sequence[tuple[float, float]]) -> tuple[Float64, Float64]:
-    """Anchors with one new time for each old one, both rising."""
-    given = np.array(anchors, float)
-    old, place = np.unique(given[:, 0].round(4), return_inverse=True)
-    new = np.bincount(place, given[:, 1]) / np.bincount(place)
-    return old, np.maximum.accumulate(new)
+def _rising(anchors: Sequence[Anchor], words: Sequence[Anchor]) -> Times:
+    """Anchors of `_edges`, both rising, and where words begin and end, whose edges are given.
 
-
-# What a layer knows of its recording.
-
-
-def with_recording(
-    layers: Iterable[Layer], speech: Speech, words: "WordFit | None" = None
-) -> tuple[Layer, ...]:
-    """Layers that know the recording that they lie on; those that know one already stay.
-
-    Parameters
-    ----------
-    layers, speech, words
-        As for `follow_recording`. Without words the phones are those that the sound shows; without
-        torch there are none.
+    A moment has two new times where a pause is there now.
     """
-    layers = tuple(layers)
-    if all(layer.sound is not None for layer in layers):
-        return layers
-    sound, used = Sound.of(speech.waveform, SAMPLE_RATE), words if words and words.is_used else None
-    spoken = tuple((w.text, w.start, w.end) for w in used.words) if used else ()
-    phones = _known_phones(used) if used else heard_phones(speech)
-    return tuple(
-        layer
-        if layer.sound is not None
-        else replace(
-            layer,
-            sound=sound,
-            words=spoken,
-            phones=phones,
-            edits=tuple(_with_words(edit, spoken) for edit in layer.edits),
-        )
-        for layer in layers
+    rounded, edges = (np.round(np.array(given, float), 3) for given in (anchors, words))
+    old, new = np.unique(rounded, axis=0).T
+    begins, ends = (
+        np.isin(old + 1j * new, part[:, 0] + 1j * part[:, 1]) for part in (edges[::2], edges[1::2])
     )
-
-
-def _with_words(edit: Edit, words: Sequence[tuple[str, float, float]]) -> Edit:
-    """The edit with the words within its span."""
-    (start, end) = edit.span
-    within = " ".join(text for text, first, last in words if first < end and last > start)
-    return replace(edit, words=within or edit.words)
-
-
-def _known_phones(words: "WordFit") -> tuple[tuple[str, int], ...]:
-    return tuple((p.name, round((p.end - p.start) * PHONE_RATE)) for p in words.phones)
-
-
-def heard_phones(speech: Speech) -> tuple[tuple[str, int], ...]:
-    """Phones that a sound of unknown words shows, with their lengths at `PHONE_RATE`."""
-    if not _has_torch() or not speech.activity.any():
-        return ()
-    from deitalk.pipeline.words.align import PRIOR_POWER
-    from deitalk.pipeline.words.evidence import measure_phones, phone_evidence
-
-    prior = np.float32(PRIOR_POWER) * np.log(phone_evidence().weights["prior"])
-    path = _best_phones(measure_phones(speech) - prior.astype(np.float32))
-    edges = np.flatnonzero(np.diff(path)) + 1
-    starts = [0, *edges.tolist(), len(path)]
-    return tuple((PHONES[path[a]], b - a) for a, b in pairwise(starts) if b > a)
-
-
-def _best_phones(evidence: Float32) -> np.ndarray:
-    """Phone of each row [shape=(R,)] (Viterbi); another one costs `SWITCH`."""
-    score, back = np.zeros(evidence.shape[1]), np.zeros(evidence.shape, np.int64)
-    own = np.arange(evidence.shape[1])
-    for row, logs in enumerate(evidence):
-        best = int(score.argmax())
-        stays = score >= score[best] - SWITCH
-        back[row] = np.where(stays, own, best)
-        score = np.where(stays, score, score[best] - SWITCH) + logs
-    path = np.empty(len(evidence), np.int64)
-    state = int(score.argmax())
-    for row in range(len(evidence) - 1, -1, -1):
-        path[row] = state
-        state = int(back[row, state])
-    return path
-
-
-def _has_torch() -> bool:
-    return find_spec("torch") is not None
+    return Times(old, np.maximum.accumulate(new), begins, ends)
 
 
 def unused_notes(layers: Iterable[Layer], has_head: bool) -> Iterable[str]:

@@ -114,7 +114,13 @@ def animate_mesh(
     recording = recording_of(audio, sample_rate, AudioChoice.of(track, channel, raw))
     network = load_model(model, device=device) if isinstance(model, str | Path) else model
     if getattr(network, "product", None) == "mesh":
-        _check_fields(acted)
+        others = [name for name in acted.settings if name not in TO_MESH_MODELS]
+        if others or acted.emotion == AUTO:
+            raise CheckpointError(
+                f"{', '.join(others) or 'emotion auto'}: a mesh model takes "
+                f"{', '.join(TO_MESH_MODELS)} alone; leave the others out, or use a DEITalk model "
+                "such as default"
+            )
         if isinstance(speaker, Identity):
             raise CheckpointError(
                 f"{speaker.file or speaker.name} is a head for curves, and this model moves faces "
@@ -125,16 +131,6 @@ def animate_mesh(
         )
     act = partial(animate, recording, acting=acted, progress=progress)
     return _by_curves(require_model(network, DEITalk), act, recording, speaker, fps)
-
-
-def _check_fields(acting: Acting) -> None:
-    """Refuse fields that move the curves of a DEITalk model alone."""
-    others = [name for name in acting.settings if name not in TO_MESH_MODELS]
-    if others or acting.emotion == AUTO:
-        raise CheckpointError(
-            f"{', '.join(others) or 'emotion auto'}: a mesh model takes {', '.join(TO_MESH_MODELS)}"
-            " alone; leave the others out, or use a DEITalk model such as default"
-        )
 
 
 def mesh_frames(
@@ -162,24 +158,19 @@ def mesh_coefficients(
 ) -> Iterator[Coefficients]:
     """Coefficients (T, K) of a recording, some frames at a time; arguments as `predict_mesh`."""
     acting, speech = acting or Acting(), Speech.of(waveform)
-    if model.has_emotion:
-        return _head_coefficients(cast("MeshHead", model), speech, speaker, acting)
-    if acting.settings.keys() & {*TO_MESH_MODELS}:
-        raise EmotionError(NO_EMOTION)
-    return cast("SDFA", model).coefficients(torch.from_numpy(speech.sound), speaker)
-
-
-def _head_coefficients(
-    model: MeshHead, speech: Speech, speaker: str | int, acting: Acting
-) -> Iterator[Coefficients]:
-    network = model.encoder.network
+    if not model.has_emotion:
+        if acting.settings.keys() & {*TO_MESH_MODELS}:
+            raise EmotionError(NO_EMOTION)
+        return cast("SDFA", model).coefficients(torch.from_numpy(speech.sound), speaker)
+    head = cast("MeshHead", model)
+    network = head.encoder.network
     analysis = network.analyse(torch.from_numpy(speech.sound), speech.n_frames)
     weights = np.stack(neutral_and_acted(trained_weights(acting.emotion_track.at(speech.times))))
     described = network.describe(analysis, torch.from_numpy(weights).to(network.device))
     scale = measure_intensities(speech, analysis.tracks, acting).scale
     share = torch.from_numpy(speech.share(0.0))  # of the whole face, the mouth as well
     readings = described[0], described[-1]
-    return model.coefficients(*readings, torch.from_numpy(scale), share, speaker)
+    return head.coefficients(*readings, torch.from_numpy(scale), share, speaker)
 
 
 def _by_curves(
@@ -199,10 +190,9 @@ def _by_curves(
     head = build_head(speaker)
     check_length(ceil(recording.duration * rate), len(head.mesh.vertices), most=PREDICTED_BYTES)
     acted = act(model=network)
-    curves = acted.curves
     return MeshPerformance(
         TriMesh(head.mesh.vertices, head.mesh.faces),
-        head.pose((curves if fps is None else curves.resample(fps)).values),
+        head.pose(acted.at(fps)[0].values),
         rate,
         UNIT_MM,
         acted.recording,
@@ -225,6 +215,7 @@ def _by_gradients(
             f"fps={fps:g}: this SDFA model makes {network.fps:g} frames a second; leave it out"
         )
     mesh = network.template(speaker)
+    skin = known_skin(mesh)
     n_frames = ceil(recording.duration * network.fps)
     check_length(n_frames, len(mesh.vertices), most=PREDICTED_BYTES)
     parts: list[Float32] = []
@@ -237,14 +228,8 @@ def _by_gradients(
         network.fps,
         network.unit_mm,
         recording,
-        _known_landmarks(mesh),
+        None if skin is None else skin.landmarks,
     )
-
-
-def _known_landmarks(mesh: TriMesh) -> Mapping[str, int] | None:
-    """Landmarks of a template that is a known skin; None for any other."""
-    skin = known_skin(mesh)
-    return None if skin is None else skin.landmarks
 
 
 def retarget_speech(
@@ -311,6 +296,6 @@ def retarget_speech(
     performance = animate(
         audio, acting=acted, model=require_model(network, DEITalk), progress=progress
     )
-    curves = performance.curves if fps is None else performance.curves.resample(fps)
+    curves, _ = performance.at(fps)
     report = retarget_curves(curves, mesh, out, landmarks=landmarks)
     return report, curves.fps, (*performance.recording.warnings, *report.notes)

@@ -33,6 +33,7 @@ from deitalk.audio.original import write_original
 from deitalk.emotions import EMOTIONS, MOODS, write_intensity_csv
 from deitalk.errors import AudioError
 from deitalk.installed import __version__
+from deitalk.pipeline.exchange_files import exchange_names, write_exchange_files
 from deitalk.postprocess.joins import HANDLES, QUIET, quiet_seconds
 from rig.arrays import Bool, Float32
 from rig.controls import DEFAULT_ID
@@ -44,10 +45,10 @@ from rig.files import check_folder, output_folder
 from rig.formats import write_curves
 
 if TYPE_CHECKING:
+    from deitalk.pipeline.layers import Edited
     from deitalk.pipeline.words.align import WordFit
-    from deitalk.pipeline.words.script import TimedMark
+    from deitalk.pipeline.words.marks import TimedMark
 
-from deitalk.pipeline.exchange_files import exchange_names, write_exchange_files
 
 SCHEMA = "deitalk.pipeline.take/1"
 FILES = {
@@ -101,6 +102,8 @@ class Performance:
         Of the character (`deitalk.postprocess.life.voice.Traits`); takes that follow keep them.
     marks : tuple of TimedMark
         What a script says of the words, with their times: emotions, accents, sounds.
+    edited : deitalk.pipeline.layers.Edited or None
+        The layers of edits that are in the curves.
     """
 
     curves: RigCurves
@@ -116,6 +119,19 @@ class Performance:
     suggestion: Mapping[str, float] | None = None
     traits: Mapping[str, float] = field(default_factory=dict)
     marks: "tuple[TimedMark, ...]" = ()
+    edited: "Edited | None" = field(default=None, repr=False, compare=False)
+
+    def at(self, fps: float | None) -> tuple[RigCurves, RigCurves]:
+        """The curves and their neutral reading at a rate, Hz; None: their own.
+
+        Layers of edits are applied at that rate.
+        """
+        curves, neutral = self.curves, self.neutral
+        if fps is None or fps == curves.fps:
+            return curves, neutral
+        if self.edited is not None and self.edited.readings == (curves, neutral):
+            return self.edited.at(fps)
+        return curves.resample(fps), neutral.resample(fps)
 
     @property
     def emotion(self) -> str:
@@ -138,6 +154,17 @@ class Performance:
         if emotion is None:
             return []
         return [name for k, name in enumerate(MOODS, len(EMOTIONS)) if emotion[:, k].any()]
+
+    @property
+    def summary(self) -> str:
+        """The emotion, and how intense it is, in one line."""
+        if not self.has_emotion:
+            return f"emotion {self.emotion}: the neutral reading"
+        moods = f" ({', '.join(self.moods)}: procedural)" if self.moods else ""
+        return (
+            f"emotion {self.emotion}{moods}, applied intensity {self.mean_applied_intensity:.2f} "
+            f"on average ({self.mean_intensity:.2f} predicted from the voice)"
+        )
 
     @property
     def sound_file(self) -> str:
@@ -214,9 +241,10 @@ class Performance:
         RigError
             If the target must not or cannot be written, or its suffix is unknown.
         """
-        from rig.files import is_folder_name
+        from rig.files import check_file, is_folder_name
         from rig.formats.table import writable_suffixes
 
+        form: dict[str, Any] = {"fps": fps, "start": start, "delay": delay, "handles": handles}
         if is_folder_name(target, writable_suffixes()):
             folder = Path(target)
             from deitalk.models.folder import describe_model
@@ -224,17 +252,10 @@ class Performance:
             about: dict[str, Any] = {"name": "passed in", "control_set": self.curves.control_set}
             if self.model:
                 about = describe_model(self.model)
-            form: dict[str, Any] = {"fps": fps, "start": start, "delay": delay, "handles": handles}
             return write_take(folder, self, model=about, force=force, **form)
-        from rig.files import check_file
-        from rig.formats import write_curves
-
         check_file(target, force=force, inputs=(self.recording.source,))
-        seconds = self.recording.duration
-        write_curves(
-            target, self.curves, fps=fps, sound=self.sound_file, seconds=seconds, start=start,
-            delay=delay, handles=handles,
-        )  # fmt: skip
+        spoken: dict[str, Any] = {"sound": self.sound_file, "seconds": self.recording.duration}
+        write_curves(target, self.at(fps)[0], **spoken, **form)
         return Path(target)
 
     def __repr__(self) -> str:
@@ -304,7 +325,7 @@ def write_take(
     inputs = (performance.recording.source,)
     try:
         with output_folder(folder, kind=KIND, force=force, inputs=inputs) as stage:
-            _fill(stage, performance, model, fps, digits, start, delay, handles, extras)
+            _fill(stage, performance, model, extras, fps, digits, start, delay, handles)
     except OSError as error:
         reason = error.strerror or str(error)
         raise TargetError(
@@ -342,17 +363,14 @@ def _fill(
     folder: Path,
     performance: Performance,
     model: dict[str, Any],
+    extras: tuple[Extra, ...],
     fps: float | None,
     digits: int | None,
     start: float,
     delay: int,
     handles: int,
-    extras: tuple[Extra, ...],
 ) -> None:
-    curves, neutral = (
-        shift(own if fps is None else own.resample(fps), delay, handles)
-        for own in (performance.curves, performance.neutral)
-    )
+    curves, neutral = (shift(own, delay, handles) for own in performance.at(fps))
     lead = handles / curves.fps
     start = start_with_handles(start, handles, curves.fps)
     pad = round(lead * performance.recording.sample_rate)
@@ -360,14 +378,15 @@ def _fill(
     write_curves(folder / "curves.csv", curves, digits=digits)
     write_curves(folder / "curves.json", curves, digits=digits)
     write_curves(folder / "neutral.npz", neutral)
-    times = frame_times(len(performance.curves))
+    emotion, intensity = performance.curves.emotion, performance.curves.intensity
+    assert emotion is not None and intensity is not None, "a performance carries both"
     write_intensity_csv(
         folder / "intensity.csv",
-        times=times,
-        weights=_track(performance.curves.emotion),
+        times=frame_times(len(performance.curves)),
+        weights=emotion,
         saliency=performance.saliency,
         predicted=performance.predicted,
-        intensity=_track(performance.curves.intensity),
+        intensity=intensity,
     )
     write_wav(folder / "audio.wav", waveform, start=start)
     files = FILES | _original(folder, performance, start, lead)
@@ -376,17 +395,25 @@ def _fill(
         files |= write_exchange_files(folder, curves, slate=slate, digits=digits, start=start)
     acting, layers = _with_layers(folder, performance)
     files |= layers
-    shown = performance
+    shown, recording = performance, performance.recording
     if delay or handles:
-        recording = replace(performance.recording, waveform=waveform)
-        shown = replace(performance, curves=curves, neutral=neutral, recording=recording)
+        moved = replace(recording, waveform=waveform)
+        shown = replace(performance, curves=curves, neutral=neutral, recording=moved)
     for extra in extras:
         files |= extra(folder, shown)
     about = {
         "schema": SCHEMA,
         "deitalk": __version__,
         "written": datetime.now(UTC).isoformat(timespec="seconds"),
-        "source": _source(performance),
+        "source": {
+            "name": recording.source,
+            "seconds": round(recording.duration, 4),
+            "sample_rate": recording.source_rate,
+            "channels": recording.channels,
+            "clipped_fraction": recording.clipped_fraction,
+            "warnings": list(recording.warnings),
+            **recording.choice.settings,
+        },
         "model": model,
         "control_set": curves.control_set,
         "fps": curves.fps,
@@ -416,7 +443,7 @@ def _with_layers(folder: Path, performance: Performance) -> tuple[Acting, dict[s
     acting = performance.acting
     if not acting.edit:
         return acting, {}
-    from deitalk.pipeline.layers import with_recording
+    from deitalk.pipeline.layer_sounds import with_recording
     from deitalk.pipeline.speech import Speech
 
     speech = Speech.of_recording(performance.recording)
@@ -447,22 +474,3 @@ def _original(folder: Path, performance: Performance, start: float, lead: float)
     track = "" if choice.track is None else f", track {choice.track}"
     signal = "all its channels" if choice.is_mix else f"channel {choice.channel} alone"
     return {ORIGINAL: f"the recording at 48 kHz{track}, {signal}, in time with the curves"}
-
-
-def _track(values: Float32 | None) -> Float32:
-    """A track that every performance has."""
-    assert values is not None, "a performance carries its emotion and intensity"
-    return values
-
-
-def _source(performance: Performance) -> dict[str, Any]:
-    recording = performance.recording
-    return {
-        "name": recording.source,
-        "seconds": round(recording.duration, 4),
-        "sample_rate": recording.source_rate,
-        "channels": recording.channels,
-        "clipped_fraction": recording.clipped_fraction,
-        "warnings": list(recording.warnings),
-        **recording.choice.settings,
-    }

@@ -28,7 +28,6 @@ from deitalk.audio.voice_activity import (
     speech_activity,
 )
 from deitalk.config.rules import Gates, HoldPose, VoiceIntensity
-from deitalk.emotions.actor import ActorReference
 from deitalk.models.protocol import Tracks
 from deitalk.postprocess.factors import expression_scale
 from deitalk.postprocess.feeling import (
@@ -162,7 +161,9 @@ class Speech:
         return float(self._followed_strength[0])
 
     def strengths(self, effort: Float32 | None = None) -> tuple[float, Float32]:
-        """The same, and that of each frame's phrase [shape=(T,)], which changes little within it.
+        """Strength of the whole voice, and of each frame's phrase [shape=(T,)], dB.
+
+        The latter changes little within a phrase.
 
         Of a short phrase, which is measured badly, it is nearer to the whole. With a network's
         readout of the effort [shape=(T,), dB] the two are averaged.
@@ -206,13 +207,6 @@ def _shared(strength: Any, effort: Any) -> Any:
     return strength + EFFORT_SHARE * (effort - strength)
 
 
-def _usual(actor: ActorReference, tracks: Tracks) -> float:
-    """Usual strength of an actor as a network's takes are measured, dB."""
-    if tracks.effort is None or actor.effort is None:
-        return actor.strength
-    return float(_shared(actor.strength, actor.effort))
-
-
 class Intensities(NamedTuple):
     """Emotional intensity of each frame [shape=(T,)], from the network to the face."""
 
@@ -223,11 +217,11 @@ class Intensities(NamedTuple):
     held: Float32
     """Intensity already in the emotional reading, 0 to 2; by default `network`."""
     voice: Float32
-    """That of the voice, 0 to 1.2."""
+    """Intensity of the voice, 0 to 1.2."""
     share: Float32
     """Share of the expression that is shown, 0 to 1."""
     predicted: Float32
-    """That of the voice in the emotion, times `share`, 0 to 1.2."""
+    """Intensity of the voice in the emotion, times `share`, 0 to 1.2."""
     applied: Float32
     """`predicted`, or the curve that was given, times the factor, 0 to 4.8."""
     scale: Float32
@@ -259,7 +253,11 @@ def measure_intensities(
         network, saliency = tracks.strength, tracks.saliency
     voice, curve = network, acting.intensity_curve
     if rule is not None:
-        usual = 0.0 if acting.voice is None else _usual(acting.voice, tracks)
+        usual = 0.0
+        if acting.voice is not None:  # as the network's takes are measured
+            usual, effort = acting.voice.strength, acting.voice.effort
+            if tracks.effort is not None and effort is not None:
+                usual = float(_shared(usual, effort))
         _, around = speech.strengths(tracks.effort)
         voice = voice_intensity(network, speech.prosody, speech.activity > 0, around - usual, rule)
     share = np.ones(speech.n_frames, np.float32)

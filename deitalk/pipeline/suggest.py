@@ -31,7 +31,7 @@ MODEL = "default"
 WEIGHTS = "suggestion.safetensors"
 NAMED = ("neutral", "angry", "happy", "sad")
 WINDOW_SECONDS, HOP_SECONDS = 3.0, 1.0
-"""Of the track; a window has at least `FEWEST_FRAMES` of speech."""
+"""Windows of the track, each with at least `FEWEST_FRAMES` of speech, and their distance."""
 FEWEST_FRAMES = 15
 FURTHEST = 5.0
 """Standard deviations from the mean; what lies further counts as this."""
@@ -114,10 +114,6 @@ class VoiceFrames(NamedTuple):
         features = network.frontend.encode(sound, speech.n_frames, gain=speech.gain)
         return cls(features.cpu().numpy(), speech.activity)
 
-    def window(self, frames: slice) -> "VoiceFrames":
-        """Some of the frames."""
-        return VoiceFrames(self.features[frames], self.activity[frames])
-
     @property
     def is_enough(self) -> bool:
         """Whether there is speech enough to suggest an emotion."""
@@ -175,7 +171,7 @@ def _track(found: EmotionMap, frames: VoiceFrames) -> EmotionTrack:
     n_frames = len(frames.activity)
     times, rows = [], []
     for start in range(0, max(n_frames - length, 0) + hop, hop):
-        window = frames.window(slice(start, start + length))
+        window = VoiceFrames(*(part[start : start + length] for part in frames))
         if not window.is_enough:
             continue
         probabilities = found.probabilities(window.numbers())

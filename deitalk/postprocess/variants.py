@@ -3,27 +3,31 @@
 A take is between the variants of its emotion. A strong voice is nearer to those of strong voices
 (`rig.emotions.VARIANTS`), a weak one to those of weak voices. A character (its traits are those of
 a style, a voice or the take before) has its own besides, which are drawn from its traits and the
-seed. Of nobody the strength alone decides, or with another seed than 0 the seed too: variants that
-were drawn for each recording hid which of two takes is the stronger one.
+seed, and habits: muscles that show more or less of every emotion, so that two characters of one
+variant are no one mask. Of nobody the strength alone decides, or with another seed than 0 the
+seed too: variants that were drawn for each recording hid which of two takes is the stronger one.
 
-Letters: S emotions, V variants of all of them.
+Letters: S emotions, V variants of all of them, H habits, C controls.
 """
 
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import astuple
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
+from deitalk.config.rules import Expressions
 from deitalk.emotions import LABELS
 from deitalk.emotions.variants import EMOTION_OF
 from deitalk.postprocess.life.voice import Traits
+from rig import ControlSet
 from rig.arrays import Float32, Float64
 from rig.emotions import PLAIN, VARIANTS
 
-SPREAD = 2.0
-"""Standard deviation of the logarithms of the drawn weights: the largest of three is .74 on the
+SPREAD = 3.0
+"""Standard deviation of the logarithms of the drawn weights: the largest of three is .82 on the
 average."""
 HOME, WEAK_HOME, STEEPNESS = 2.0, 1.0, 1.5
 """Most that is added to a variant of strong voices, and to one of weak voices, and how suddenly
@@ -37,6 +41,17 @@ QUIETER = {"sad": 0.6}
 FURTHEST_TRAIT = 10.0
 """More than any trait is below 0."""
 COLUMNS = tuple(EMOTION_OF)
+HABITS = (
+    ("brow_raiseIn",), ("brow_raiseOut",), ("brow_down", "brow_lateral"),
+    ("eye_squintInner", "eye_eyelidD"), ("eye_cheekRaise", "nasolabialDeepen"), ("_nose.",),
+    ("cornerPull", "CornerPull", "dimple"), ("cornerDepress", "ChinRaise"),
+    ("mouth_stretch", "neck_stretch"), ("mouth_tighten", "jaw_clench"),
+)  # fmt: skip
+"""Parts of the names of the controls that a character uses more or less together, as one muscle
+moves them; none of them parts or closes the lips."""
+HABIT_SPREAD, LEAST_HABIT, MOST_HABIT = 0.46, -0.6, 1.0
+"""Standard deviation of the logarithms of the factors, and their limits in standard deviations,
+.76 and 1.58: no muscle of an emotion is missing, a faint smile was none for those who looked."""
 
 
 class Ways(NamedTuple):
@@ -47,6 +62,8 @@ class Ways(NamedTuple):
     side: float
     """1: the left side does what one side does alone, such as the smile of contempt; -1: the right
     one."""
+    habits: Float32
+    """Factors on the expression of the controls of `HABITS` [shape=(H,)]."""
 
 
 def choose_ways(
@@ -68,7 +85,7 @@ def choose_ways(
     weights = np.zeros((len(LABELS), len(COLUMNS)), np.float32)
     side = math.copysign(1.0, traits.side)
     if PLAIN in given:
-        return Ways(weights, side)
+        return Ways(weights, side, np.ones(len(HABITS), np.float32))
     character = (round((value + FURTHEST_TRAIT) * 1000) for value in astuple(traits))
     rng = np.random.default_rng([seed, *(character if traits.own else ())])
     spread = SPREAD * (traits.own or float(seed != 0))
@@ -82,7 +99,46 @@ def choose_ways(
             shares = np.array([given.get(name, 0.0) for name in own])
         columns = [COLUMNS.index(name) for name in own]
         weights[LABELS.index(emotion), columns] = shares
-    return Ways(weights, side)
+    habits = spread / SPREAD * np.clip(rng.standard_normal(len(HABITS)), LEAST_HABIT, MOST_HABIT)
+    return Ways(weights, side, np.exp(HABIT_SPREAD * habits).astype(np.float32))
+
+
+def habit_factors(controls: ControlSet, rule: Expressions | None, habits: Float32) -> Float32:
+    """Factors (..., C) on the expression of all controls, of habits (..., H).
+
+    All are 1 where captures show an actor's emotions.
+    """
+    if rule is None or rule.captured:
+        return np.ones((*habits.shape[:-1], len(controls)), np.float32)
+    factors: Float32 = 1 + (habits - 1) @ _habit_columns(controls.names)
+    return factors
+
+
+@lru_cache(maxsize=8)
+def _habit_columns(names: tuple[str, ...]) -> Float32:
+    """1 where a control is of a habit [shape=(H, C)]."""
+    rows = [[any(part in name for part in parts) for name in names] for parts in HABITS]
+    return np.array(rows, np.float32)
+
+
+def show_habits(
+    shown: Float32, neutral: Float32, controls: ControlSet, factors: Float32
+) -> Float32:
+    """Finished curves whose distance from the neutral ones has these factors, within the ranges.
+
+    Parameters
+    ----------
+    shown, neutral : array [shape=(..., C)]
+        The former is changed in place, and returned.
+    controls : ControlSet
+        Their columns and ranges.
+    factors : array [shape=(..., C)]
+        From `habit_factors`.
+    """
+    if (factors != 1).any():
+        shown += (factors - 1) * (shown - neutral)
+        np.clip(shown, controls.minimum, controls.maximum, out=shown)
+    return shown
 
 
 def unused_variants(given: Mapping[str, float], emotion: Float64) -> Iterator[str]:

@@ -18,11 +18,17 @@ kinds of configurations and its reader of videos are added when it is imported.
 
 from deitalk.config.load import CONFIGS
 from deitalk.data.captures.take import READERS
-from deitalk.research.config import ComparedConfig, ComparedSDFAConfig, TrainingConfig
+from deitalk.research.config import (
+    ComparedConfig,
+    ComparedSDFAConfig,
+    MeshTrainingConfig,
+    TrainingConfig,
+)
 
 CONFIGS |= {
     "training": TrainingConfig,
     "compared": ComparedConfig,
+    "sdfa_training": MeshTrainingConfig,
     "sdfa_compared": ComparedSDFAConfig,
 }
 READERS["video"] = "deitalk.research.video.filmed:read_capture"

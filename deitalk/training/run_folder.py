@@ -31,7 +31,8 @@ import torch
 import yaml
 from torch import Tensor, nn
 
-from deitalk.config.load import AnyConfig, load_config
+from deitalk.config.load import load_config
+from deitalk.config.section import RunConfig
 from deitalk.errors import ConfigError, DataError
 from deitalk.models.folder import ENCODER
 from deitalk.training.journal import truncate_log
@@ -56,7 +57,7 @@ _BEGUN = ("metrics.csv", "development.csv", "state.pt", "best", "last", "meshes"
 
 @contextmanager
 def open_folder(
-    out: Path, config: AnyConfig, *, resume: bool, writes: bool = True
+    out: Path, config: RunConfig, *, resume: bool, writes: bool = True
 ) -> Iterator[None]:
     """Hold a run folder until the block ends, and write the configuration there.
 
@@ -64,7 +65,7 @@ def open_folder(
     ----------
     out : Path
         Run folder.
-    config : Config or SDFAConfig
+    config : RunConfig
         Settings of the run.
     resume : bool
         Continue the run that is there; where there is none, begin it.

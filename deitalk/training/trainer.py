@@ -17,7 +17,7 @@ import torch
 from torch import Tensor, nn
 from torch.utils.data import DataLoader
 
-from deitalk.config.load import AnyConfig
+from deitalk.config.section import RunConfig
 from deitalk.data.seeded_batches import Item, SeededBatches, Share
 from deitalk.errors import DataError
 from deitalk.evaluation.clips_figure import ClipRows, draw_clips
@@ -61,7 +61,7 @@ class Task(ABC, Generic[Item]):
 
     Attributes
     ----------
-    config : Config or SDFAConfig
+    config : RunConfig
         All settings; the trainer itself uses ``config.train``.
     model : Module
         What is trained; set by `build`.
@@ -77,7 +77,7 @@ class Task(ABC, Generic[Item]):
         Whether ``state.pt`` of a run that is over still holds weights and optimiser.
     """
 
-    config: AnyConfig
+    config: RunConfig
     model: nn.Module
     item_size: int = 1
     frozen: Set[str] = frozenset()

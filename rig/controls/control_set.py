@@ -442,12 +442,3 @@ def _indices(places: Sequence[int]) -> Indices:
     array = np.array(places, dtype=np.intp)
     array.setflags(write=False)
     return array
-
-
-__all__ = [
-    "DEFAULT_ID",
-    "Control",
-    "ControlSet",
-    "check_unique",
-    "default_controls",
-]

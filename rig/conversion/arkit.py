@@ -176,6 +176,8 @@ def _knots(text: str) -> tuple[list[float], list[float]]:
 
 
 ARKIT_ID = "arkit-61"
+N_SHAPES = 52
+"""Of ARKit's controls; the others are angles, which few files have."""
 HEAD = ("HeadYaw", "HeadPitch", "HeadRoll")
 ROTATION_LIMIT = 3.2
 """Rotations are radians, within half a turn."""
@@ -248,6 +250,12 @@ def _spellings(name: str) -> tuple[str, ...]:
             found += [f"{stem}_{side}" for side in (letter, letter.lower(), words[-1])]
             found += [f"{stem}.{letter}", f"{stem}{letter}", f"{stem}_{words[-1].lower()}"]
     return tuple(dict.fromkeys(spelling for spelling in found if spelling != name))
+
+
+@cache
+def apple_names() -> tuple[str, ...]:
+    """Return the 52 shapes as Apple spells them, ``eyeBlinkLeft``."""
+    return tuple(name[0].lower() + name[1:] for name in arkit_controls().names[:N_SHAPES])
 
 
 @cache

@@ -27,13 +27,7 @@ from rig.conversion.arkit import (
     board_to_raw,
     raw_controls,
 )
-from rig.conversion.shape_fit import (
-    close_lips,
-    closing_columns,
-    fit_shapes,
-    pose_of,
-    shape_key,
-)
+from rig.conversion.shape_fit import close_lips, closing_columns, fit_shapes, pose_of, shape_key
 from rig.curves import RigCurves, check_clip, n_frames_for, rest_curves
 from rig.errors import ControlError, FormatError, listed, quoted
 from rig.files.reading import rows_of
@@ -107,11 +101,7 @@ class ShapePoses:
         return tuple(n for i, n in enumerate(self.names) if moving[i] or i == close)
 
     def fit(
-        self,
-        raw: RigCurves,
-        given: Mapping[int, Float64] | None = None,
-        *,
-        linear: bool = False,
+        self, raw: RigCurves, given: Mapping[int, Float64] | None = None, *, linear: bool = False
     ) -> ShapeFit:
         """Fit the weights of every frame.
 

@@ -5,6 +5,7 @@ from functools import partial
 
 import numpy as np
 
+from rig.arrays import AnyFloat
 from rig.controls import DEFAULT_ID, ControlSet, default_controls
 from rig.conversion.arkit import (
     ARKIT_ID,
@@ -109,36 +110,47 @@ def best_set(names: Sequence[str]) -> ControlSet:
     return max(sets, key=lambda controls: sum(name in controls for name in names))
 
 
-def shapes_named(
-    names: Sequence[str], where: str, sets: Sequence[ControlSet] = ()
-) -> tuple[ControlSet, list[int | None]]:
-    """Return the set with most of some names of shapes, and the place of each name in it.
+def curves_of_shapes(
+    names: Sequence[str],
+    weights: AnyFloat,
+    fps: float,
+    where: str,
+    controls: ControlSet | None = None,
+) -> RigCurves:
+    """Return the curves of the set with most of some names of shapes; its others rest.
 
     Parameters
     ----------
-    names : sequence of str
-        In any case of letters.
+    names : sequence of str [length K]
+        In any case of letters; unknown ones are left out.
+    weights : array [shape=(T, K)]
+        Of the shapes.
+    fps : float
+        Frames per second.
     where : str
         Beginning of a message.
-    sets : sequence of ControlSet
-        By default ARKit's, those of the avatars, and the raw curves.
+    controls : ControlSet, optional
+        The set; by default ARKit's, one of the avatars, or the raw curves.
 
     Raises
     ------
     FormatError
         If no set has any.
     """
-    best: tuple[int, ControlSet, list[int | None]] | None = None
     keys = [shape_key(name) for name in names]
-    for controls in sets or [KNOWN[known]() for known in (ARKIT_ID, *AVATARS, RAW_ID)]:
-        by_key = {shape_key(name): i for i, name in enumerate(controls.names)}
-        places = [by_key.get(key) for key in keys]
-        count = sum(place is not None for place in places)
-        if best is None or count > best[0]:
-            best = count, controls, places
-    if best is None or not best[0]:
+    sets = [controls] if controls else [KNOWN[id]() for id in (ARKIT_ID, *AVATARS, RAW_ID)]
+    found: list[list[int | None]] = []
+    for known in sets:
+        by_key = {shape_key(name): i for i, name in enumerate(known.names)}
+        found.append([by_key.get(key) for key in keys])
+    chosen, places = min(zip(sets, found, strict=True), key=lambda pair: pair[1].count(None))
+    if places.count(None) == len(keys):
         raise FormatError(f"{where}: {', '.join(names[:4])} … are no shapes of ARKit or an avatar")
-    return best[1], best[2]
+    values = np.tile(chosen.rest, (len(weights), 1))
+    for column, place in enumerate(places):
+        if place is not None:
+            values[:, place] = weights[:, column]
+    return RigCurves(values, chosen.names, fps, control_set=chosen.id)
 
 
 # Board channels that a source of curves can move at all: what a capture can know.

@@ -13,6 +13,14 @@ from rig.curves.layers import HEAD_TARGETS, SEEN, SLACK, Edit, Layer, eased
 from rig.curves.rig_curves import RigCurves
 from rig.errors import listed
 
+FRAME = 1 / 30
+BESIDE = 0.07
+"""Seconds: the frame before an edit in which it begins, and one by which it may miss its word."""
+STEP = 0.05
+"""Longest first or last piece of an edit, in seconds, that is a step and stays as long."""
+APART = 1e-3
+"""Least seconds between keys that were apart."""
+
 
 @dataclass(frozen=True)
 class Closures:
@@ -143,12 +151,7 @@ def _changed(edit: Edit, times: Float64, values: Any, rest: Any) -> Float64:
 
 
 def _met(
-    values: Float64,
-    before: Float32,
-    owned: Bool,
-    columns: Any,
-    closures: Closures,
-    closed: Float64,
+    values: Float64, before: Float32, owned: Bool, columns: Any, closures: Closures, closed: Float64
 ) -> Float64:
     """Values without what parts lips that were closed (T,)."""
     met = values.copy()
@@ -161,8 +164,8 @@ def _met(
     return met
 
 
-def retimed(layer: Layer, old: Float64, new: Float64) -> Layer:
-    """The layer on another time axis.
+def retimed(layer: Layer, old: Float64, new: Float64, begins: Bool, ends: Bool) -> Layer:
+    """The layer on another time axis; times before its beginning are negative.
 
     Parameters
     ----------
@@ -171,32 +174,46 @@ def retimed(layer: Layer, old: Float64, new: Float64) -> Layer:
     old, new : array [shape=(N,)]
         Rising seconds that belong together: linear between them, shifted before the first and
         after the last.
+    begins, ends : array [shape=(N,)]
+        Whether a word begins there, or ends. Of an edit that begins, or ends, up to `BESIDE`
+        beyond it, what is beyond is as long as before.
     """
-    return replace(layer, edits=tuple(_retimed(edit, old, new) for edit in layer.edits))
+    given = old, new, old[begins], old[ends]
+    return replace(layer, edits=tuple(_retimed(edit, *given) for edit in layer.edits))
 
 
-def _retimed(edit: Edit, old: Float64, new: Float64) -> Edit:
-    def place(time: float) -> float:
-        if time <= old[0]:
-            return max(float(time - old[0] + new[0]), 0.0)
-        if time >= old[-1]:
-            return float(time - old[-1] + new[-1])
-        return float(np.interp(time, old, new))
+def _retimed(edit: Edit, old: Float64, new: Float64, begins: Float64, ends: Float64) -> Edit:
+    (start, end), (rise, fall) = edit.span, edit.ease
+    first, last, middle = 0, len(old), (start + end) / 2
+    near = begins[(start <= begins) & (begins <= min(start + BESIDE, middle))]
+    if len(near):
+        begun = near[np.abs(near - start - FRAME).argmin()]
+        first = int(np.searchsorted(old, begun, "right")) - 1
+    near = ends[(max(end - BESIDE, middle) <= ends) & (ends <= end)]
+    if len(near):
+        ended = near[np.abs(near - end + FRAME).argmin()]
+        last = int(np.searchsorted(old, ended)) + 1
+    old, new = old[first:last], new[first:last]
 
-    def stretch(a: float, b: float) -> float:
-        return max(place(b) - place(a), 1e-6) / max(b - a, 1e-6)
+    def place(times: Any) -> Float64:
+        beyond = np.minimum(times - old[0], 0) + np.maximum(times - old[-1], 0)
+        placed: Float64 = np.interp(times, old, new) + beyond
+        return placed
 
-    keys: list[tuple[float, float, float, float]] = []
-    start, end = edit.span
-    times = [key[0] for key in edit.keys]
-    for k, (time, value, arrive, leave) in enumerate(edit.keys):
-        before = stretch(times[k - 1], time) if k else 1.0
-        after = stretch(time, times[k + 1]) if k + 1 < len(times) else 1.0
-        at = place(time)
-        if keys and at <= keys[-1][0]:  # two moments that are one in the other recording
-            at = keys[-1][0] + 1e-3
-        keys.append((at, value, arrive / before, leave / after))
-    (first, last), (rise, fall) = edit.span, edit.ease
-    ease = place(first + rise) - place(first), place(last) - place(last - fall)
-    span = place(start), max(place(end), place(start))
-    return replace(edit, keys=tuple(keys), span=span, ease=(max(ease[0], 0), max(ease[1], 0)))
+    times, values, arrive, leave = np.array(edit.keys, float).T
+    at, gaps = place(times), np.diff(times)
+    if len(gaps) and gaps[0] <= STEP:
+        at[0] = at[1] - gaps[0]
+    if len(gaps) and gaps[-1] <= STEP:
+        at[-1] = at[-2] + gaps[-1]
+    apart = APART * np.arange(len(at))  # two moments may be one in the other recording
+    at = np.maximum.accumulate(at - apart) + apart
+    rates = gaps / np.diff(at)
+    slopes = arrive * np.append(1.0, rates), leave * np.append(rates, 1.0)
+    keys = tuple(zip(*(row.tolist() for row in (at, values, *slopes)), strict=True))
+    moments = place(np.array([start, end, start + rise, end - fall])).tolist()
+    starts = float(at[0]) if start == times[0] else moments[0]
+    stops = max(float(at[-1]) if end == times[-1] else moments[1], starts)
+    risen, falls = moments[2:]
+    ease = max(risen - starts, 0.0) if rise else 0.0, max(stops - falls, 0.0) if fall else 0.0
+    return replace(edit, keys=keys, span=(starts, stops), ease=ease)

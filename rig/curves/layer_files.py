@@ -24,6 +24,8 @@ from rig.curves.layers import (
 from rig.errors import CurveError, quoted
 from rig.files.reading import load_json, read_text
 
+LIST = list | tuple
+
 
 def read_layers(path: Path) -> tuple[Layer, ...]:
     """Read a file of a layer or of a list of layers, or the layers that lie in a take folder.
@@ -60,13 +62,13 @@ def _layer(tree: Any, where: str) -> Layer:
     if not isinstance(tree, Mapping) or tree.get("schema") != SCHEMA:
         raise CurveError(f"{where} is no layer of edits: its schema must be {SCHEMA}")
     _known(tree, ("schema", "name", "muted", "sound", "words", "phones", "edits"), where)
-    edits = _list(tree.get("edits"), f"{where}: edits")
+    edits = _of(LIST, tree.get("edits"), f"{where}: edits")
     if len(edits) > MOST_EDITS:
         raise CurveError(f"{where} has {len(edits)} edits; at most {MOST_EDITS} are read")
     return Layer(
         tuple(_edit(one, f"{where}, edit {k}") for k, one in enumerate(edits, 1)),
-        _text(tree.get("name", ""), f"{where}: name"),
-        _flag(tree.get("muted", False), f"{where}: muted"),
+        _of(str, tree.get("name", ""), f"{where}: name"),
+        _of(bool, tree.get("muted", False), f"{where}: muted"),
         _sound(tree.get("sound"), where),
         _words(tree.get("words", []), where),
         _phones(tree.get("phones", ""), where),
@@ -77,12 +79,12 @@ def _edit(tree: Any, where: str) -> Edit:
     if not isinstance(tree, Mapping):
         raise CurveError(f"{where} is {quoted(tree)}; it must be an object with target and keys")
     _known(tree, ("target", "mode", "span", "ease", "keys", "owns", "words"), where)
-    target, mode = _text(tree.get("target", ""), f"{where}: target"), tree.get("mode", "offset")
+    target, mode = _of(str, tree.get("target", ""), f"{where}: target"), tree.get("mode", "offset")
     if not target:
         raise CurveError(f"{where} has no target; name a control, a region or head.yaw")
     if mode not in MODES:
         raise CurveError(f"{where}: mode {quoted(mode)} must be {', '.join(MODES)}")
-    keys = [_key(key, where) for key in _list(tree.get("keys"), f"{where}: keys")]
+    keys = [_key(key, where) for key in _of(LIST, tree.get("keys"), f"{where}: keys")]
     if not keys:
         raise CurveError(f"{where} has no keys; give at least one [time, value]")
     if len(keys) > limits.KEYS:
@@ -96,8 +98,8 @@ def _edit(tree: Any, where: str) -> Edit:
         raise CurveError(f"{where}: span {span[0]:g} to {span[1]:g} s must rise, from 0 on")
     if min(ease) < 0:
         raise CurveError(f"{where}: ease {min(ease):g} s must be 0 or more")
-    owns = _flag(tree.get("owns", False), f"{where}: owns")
-    words = _text(tree.get("words", ""), f"{where}: words")
+    owns = _of(bool, tree.get("owns", False), f"{where}: owns")
+    words = _of(str, tree.get("words", ""), f"{where}: words")
     return Edit(target, tuple(keys), mode, (span[0], span[1]), (ease[0], ease[1]), owns, words)
 
 
@@ -126,16 +128,16 @@ def _sound(tree: Any, where: str) -> Sound | None:
 
 def _words(given: Any, where: str) -> tuple[tuple[str, float, float], ...]:
     found = []
-    for word in _list(given, f"{where}: words"):
+    for word in _of(LIST, given, f"{where}: words"):
         if not isinstance(word, list | tuple) or len(word) != 3:
             raise CurveError(f"{where}: word {quoted(word)} must be [text, start, end]")
         start, end = _numbers(word[1:], 2, f"{where}: word")
-        found.append((_text(word[0], f"{where}: word"), start, end))
+        found.append((_of(str, word[0], f"{where}: word"), start, end))
     return tuple(found)
 
 
 def _phones(given: Any, where: str) -> tuple[tuple[str, int], ...]:
-    parts = _text(given, f"{where}: phones").split()
+    parts = _of(str, given, f"{where}: phones").split()
     names, lengths = parts[::2], parts[1::2]
     if len(names) != len(lengths) or not all(n.isascii() and n.isdigit() for n in lengths):
         raise CurveError(f"{where}: phones must be names, each with a whole number; leave them out")
@@ -148,21 +150,11 @@ def _known(tree: Mapping[str, Any], names: Sequence[str], where: str) -> None:
             raise CurveError(f"{where}: no field {quoted(name)}; known are {', '.join(names)}")
 
 
-def _list(given: Any, where: str) -> list[Any]:
-    if not isinstance(given, list | tuple):
-        raise CurveError(f"{where} must be a list, not {quoted(given)}")
-    return list(given)
-
-
-def _text(given: Any, where: str) -> str:
-    if not isinstance(given, str):
-        raise CurveError(f"{where} must be a text, not {quoted(given)}")
-    return given
-
-
-def _flag(given: Any, where: str) -> bool:
-    if not isinstance(given, bool):
-        raise CurveError(f"{where} must be true or false, not {quoted(given)}")
+def _of(kind: Any, given: Any, where: str) -> Any:
+    """A value of a kind: a list, a text or a flag."""
+    if not isinstance(given, kind):
+        name = {str: "a text", bool: "true or false"}.get(kind, "a list")
+        raise CurveError(f"{where} must be {name}, not {quoted(given)}")
     return given
 
 

@@ -20,7 +20,8 @@ class Maps:
     `atlas` (A, A, 4) has the sRGB colour, by which vertex colours are multiplied, and the share of
     the surface that is there; `creases` (B, B, 4) tilts normals by its first three channels (128:
     not) and darkens by the fourth (255: not), both by the accent of a vertex; `pores` (C, C, 3),
-    repeated `PORES` times, varies the skin's colour and gloss (128: not).
+    repeated `PORES` times, varies the skin's colour and gloss by its first channel and tilts
+    normals by the others (128: not).
     """
 
     atlas: NDArray[np.uint8]

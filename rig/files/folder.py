@@ -99,11 +99,7 @@ def check_folder(
 
 @contextmanager
 def output_folder(
-    folder: Path | str,
-    *,
-    kind: str,
-    force: bool = False,
-    inputs: Inputs = (),
+    folder: Path | str, *, kind: str, force: bool = False, inputs: Inputs = ()
 ) -> Iterator[Path]:
     """Yield an empty stage; make it, or exchange it for, `folder` if the block succeeds.
 

@@ -16,7 +16,8 @@ import tokenize
 import warnings
 import zipfile
 import zlib
-from collections.abc import Callable, Iterable
+from collections import Counter
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, BinaryIO, NoReturn
 
@@ -35,7 +36,6 @@ _KINDS = (
     (stat.S_ISCHR, "is a device"),
     (stat.S_ISBLK, "is a device"),
 )
-_CHUNK = 1 << 20
 _ARRAY_KINDS = "biufU"
 _ARCHIVE_ERRORS = (
     ValueError,
@@ -227,10 +227,7 @@ def read_json(path: Path, limit: int, *, error: ErrorClass = FormatError) -> Any
 
 
 def read_npz(
-    path: Path,
-    *,
-    limit: int = limits.UNPACKED_BYTES,
-    error: ErrorClass = FormatError,
+    path: Path, *, limit: int = limits.UNPACKED_BYTES, error: ErrorClass = FormatError
 ) -> dict[str, NDArray[Any]]:
     """Return the arrays of an NPZ archive, read-only; nothing is unpickled.
 
@@ -259,9 +256,9 @@ def read_npz(
             names = [entry.filename for entry in entries]
             if len(names) > limits.ARRAYS:
                 raise error(f"{path} holds {len(names)} arrays; at most {limits.ARRAYS} are read")
-            doubled = _doubled(names)
-            if doubled is not None:
-                raise error(f"{path} holds {quoted(doubled)} twice; save it again")
+            for name, count in Counter(names).items():
+                if count > 1:
+                    raise error(f"{path} holds {quoted(name)} twice; save it again")
             total = sum(entry.file_size for entry in entries)
             if total > limit:
                 raise error(f"{path} unpacks to {_size(total)}; at most {_size(limit)} are read")
@@ -303,15 +300,6 @@ def check_expansion(
         )
 
 
-def _doubled(names: Iterable[str]) -> str | None:
-    seen: set[str] = set()
-    for name in names:
-        if name in seen:
-            return name
-        seen.add(name)
-    return None
-
-
 def _array(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> NDArray[Any]:
     """One array of an archive, its header checked before it is allocated."""
     with archive.open(entry) as file:
@@ -327,20 +315,12 @@ def _array(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> NDArray[Any]:
             raise ValueError(
                 f"array {quoted(entry.filename)} is cut short, or longer than its header"
             )
-        flat = np.empty(count, dtype)
-        target = flat.view(np.uint8)
-        done = 0
-        while done < len(target):
-            got = stream.readinto(target[done : done + _CHUNK].data)
-            if not got:
-                raise EOFError("an array is cut short")
-            done += got
-        if stream.read(1):
-            raise ValueError("an array is longer than its header")
-    if dtype.kind == "U" and (flat.view(f"{dtype.byteorder}u4") > sys.maxunicode).any():
+        data = stream.read(n_bytes + 1)
+        if len(data) != n_bytes:
+            raise EOFError("an array is cut short, or longer than its header")
+    if dtype.kind == "U" and (np.frombuffer(data, f"{dtype.byteorder}u4") > sys.maxunicode).any():
         raise ValueError(f"array {quoted(entry.filename)} holds what is no text")
-    array = flat.reshape(shape, order="F" if is_fortran else "C")
-    array.setflags(write=False)
+    array = np.frombuffer(data, dtype).reshape(shape, order="F" if is_fortran else "C")
     return array
 
 

@@ -1,4 +1,4 @@
-"""Angles."""
+"""Angles of head and eyes: degrees or radians, told by how far a face turns."""
 
 from collections.abc import Sequence
 
@@ -17,7 +17,7 @@ EYE_RADIANS = 1.1
 """Turn of an eye that exceeds its reach."""
 
 
-def _angles(values: Float32, names: Sequence[str], where: object) -> tuple[Float32, list[str]]:
+def as_live_link(values: Float32, names: Sequence[str], where: object) -> tuple[Float32, list[str]]:
     """Values with head and eyes as Live Link has them, nearly radians, and notes."""
     head = [i for i, name in enumerate(names) if name in HEAD]
     eyes = [i for i, name in enumerate(names) if "Eye" in name and name not in HEAD
@@ -27,7 +27,7 @@ def _angles(values: Float32, names: Sequence[str], where: object) -> tuple[Float
     by_degrees = [(HEAD.index(names[i]), i) for i in head]
     if head_top > MOST_RADIANS or (eye_top > EYE_RADIANS and head_top > 0):
         values = values.copy()
-        turned = _turns(values[:, head], "the head", where)
+        turned = half_turns(values[:, head], "the head", where)
         per_value = np.abs([HEAD_DEGREES[place] for place, _ in by_degrees])
         values[:, head] = turned / per_value
         notes.append(
@@ -40,7 +40,7 @@ def _angles(values: Float32, names: Sequence[str], where: object) -> tuple[Float
         )
     if eye_top > EYE_RADIANS:
         values = values.copy()
-        values[:, eyes] = np.radians(_turns(values[:, eyes], "an eye", where))
+        values[:, eyes] = np.radians(half_turns(values[:, eyes], "an eye", where))
         notes.append("angles of the eyes are degrees: taken as such")
     return values, notes
 
@@ -49,7 +49,7 @@ def _top(values: Float32, places: Sequence[int]) -> float:
     return float(np.abs(values[:, list(places)]).max(initial=0))
 
 
-def _turns(degrees: Float32, what: str, where: object) -> Float32:
+def half_turns(degrees: Float32, what: str, where: object) -> Float32:
     """Degrees within half a turn; those of 0 to 360 are taken back."""
     is_whole_turn = degrees.min() >= 0 and MOST_DEGREES < degrees.max() <= 360
     turned: Float32 = (degrees + 180) % 360 - 180 if is_whole_turn else degrees

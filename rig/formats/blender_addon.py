@@ -48,6 +48,9 @@ bl_info = {
 }
 MARK = "deitalk"
 """Property of the actions that the add-on makes."""
+RATE = "deitalk_rate"
+"""Property of an action: frames a second of the take, if its times are even within `UNEVEN`."""
+UNEVEN = 1e-3
 PREFIX = "CTRL_expressions_"
 SOUNDS = (".wav", ".flac", ".ogg", ".mp3", ".m4a")
 
@@ -243,7 +246,7 @@ def apply(
         driven += [found.pop(name).name for name in held]
         if not found:
             continue
-        lists = _new_action(shape_keys, os.path.basename(curves.path))
+        lists = _new_action(shape_keys, curves)
         for name, block in found.items():
             values = by_name[name]
             block.slider_min = min(block.slider_min, math.floor(values.min()))
@@ -283,7 +286,7 @@ def apply_board(
         keyed = [(name, *found.groups()) for name, found in channels if found and found[1] in bones]
         if not keyed:
             continue
-        lists = _new_action(board, os.path.basename(candidate), "OBJECT")
+        lists = _new_action(board, curves, "OBJECT")
         frames, count = start + curves.times * rate, 0
         for name, bone, axis in keyed:
             values = curves.values[name]
@@ -363,14 +366,18 @@ def _path(block: Any) -> str:
     return f'key_blocks["{name}"].value'
 
 
-def _new_action(shape_keys: Any, name: str, kind: str = "KEY") -> Any:
+def _new_action(shape_keys: Any, curves: Curves, kind: str = "KEY") -> Any:
     """Return the list of curves of a new action of shape keys; 4.4 and later have it in a slot.
 
-    The action of an earlier import is removed if nothing else uses it.
+    The action knows the rate of the curves, if they have one. The action of an earlier import is
+    removed if nothing else uses it.
     """
+    name, steps = os.path.basename(curves.path), np.diff(curves.times)
     data = shape_keys.animation_data or shape_keys.animation_data_create()
     before, action = data.action, bpy.data.actions.new(name)
     data.action, action[MARK] = action, name
+    if len(steps) and np.ptp(steps) < UNEVEN:
+        action[RATE] = float(1 / steps.mean())
     if before is not None and MARK in before and not before.users:
         bpy.data.actions.remove(before)
     if not hasattr(action, "slots"):
@@ -528,18 +535,18 @@ def keyed(owner: Any) -> list[Any]:
     return [curve for bag in bags if bag for curve in bag.fcurves]
 
 
-def channels_of(objects: list[Any]) -> dict[str, tuple[Any, int, int]]:
+def channels_of(objects: list[Any]) -> dict[str, tuple[Any, int, float]]:
     """Return what has keys, by the name of its control or shape.
 
     Each is what holds the value (a pose bone, or a shape key), the axis of its location (-1 of a
     shape key) and the last frame with a key.
     """
     raw = {shape_key(PREFIX + name): PREFIX + name for name in RAW}
-    found: dict[str, tuple[Any, int, int]] = {}
+    found: dict[str, tuple[Any, int, float]] = {}
     for made in objects:
         owner = made.data.shape_keys if made.type == "MESH" else made
         for curve in keyed(owner) if owner else []:
-            last = math.ceil(curve.range()[1])
+            last = curve.range()[1]
             board = re.fullmatch(r'pose\.bones\["(CTRL_\w+)"\]\.location', curve.data_path)
             if board and made.type == "ARMATURE" and curve.array_index < 2:
                 bone = made.pose.bones.get(board[1])
@@ -555,7 +562,9 @@ def channels_of(objects: list[Any]) -> dict[str, tuple[Any, int, int]]:
 
 
 def export(path: str, objects: list[Any], scene: Any, start: float = 1.0) -> tuple[int, int]:
-    """Write what has keys as a CSV with a row for each frame of the scene's rate.
+    """Write what has keys as a CSV with a row for each frame of the take that was imported.
+
+    Without one, or with takes of several rates, the rows are frames of the scene.
 
     Returns
     -------
@@ -569,15 +578,18 @@ def export(path: str, objects: list[Any], scene: Any, start: float = 1.0) -> tup
     channels = channels_of(objects)
     if not channels:
         raise ValueError("nothing that is selected has keys of a face; select what was imported")
-    rate, was = scene.render.fps / scene.render.fps_base, scene.frame_current
-    frames = range(math.ceil(start), max(last for *_, last in channels.values()) + 1)
+    scene_rate, was = scene.render.fps / scene.render.fps_base, scene.frame_current
+    actions = {held.id_data.animation_data.action for held, *_ in channels.values()}
+    rates = {round(action.get(RATE, scene_rate), 3) for action in actions}
+    rate = rates.pop() if len(rates) == 1 else scene_rate
+    last = max(last for *_, last in channels.values())
     rows = []
-    for frame in frames:
-        scene.frame_set(frame)
+    for row in range(math.ceil((last - start) / scene_rate * rate - 1e-3) + 1):
+        frame = start + row / rate * scene_rate
+        scene.frame_set(math.floor(frame), subframe=frame % 1)
         values = [held.location[axis] if axis >= 0 else held.value
                   for held, axis, _ in channels.values()]  # fmt: skip
-        rows.append([frame - frames[0], f"{(frame - start) / rate:.6f}"]
-                    + [f"{value:.6f}" for value in values])  # fmt: skip
+        rows.append([row, f"{row / rate:.6f}", *(f"{value:.6f}" for value in values)])
     scene.frame_set(was)
     with open(path, "w", newline="", encoding="utf-8") as stream:
         csv.writer(stream).writerows([["frame", "time", *channels], *rows])

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from rig.controls import ControlSet
-from rig.conversion.arkit import ARKIT_ID, PREFIX, arkit_controls
+from rig.conversion.arkit import ARKIT_ID, N_SHAPES, PREFIX, arkit_controls
 from rig.conversion.convert import best_set, controls_of, known_controls
 from rig.curves import RigCurves
 from rig.errors import FormatError, listed, quoted
@@ -24,8 +24,6 @@ DECIMALS = 6
 """Digits of a value: half a millionth of error at most."""
 TIME_DECIMALS = 9
 INDEX_COLUMNS = ("frame", "time")
-N_SHAPES = 52
-"""Of ARKit's controls; the others are angles, which few files have."""
 MISSPELT = 0.9
 """Likeness of a name to that of a missing control from which on it is the same one."""
 LONGEST_NAME = 100
@@ -33,14 +31,20 @@ LONGEST_NAME = 100
 
 def write(path: Path, curves: RigCurves, digits: int = DECIMALS) -> None:
     """Write all controls, so many digits after the point, trailing zeros left out."""
-    frame = np.arange(len(curves)).reshape(-1, 1)
+    write_rows(path, (*INDEX_COLUMNS, *curves.names), curves, digits)
+
+
+def write_rows(
+    path: Path, header: Sequence[str], curves: RigCurves, digits: int = DECIMALS
+) -> None:
+    """Write a header, and a row for each frame: its number, its time and its values."""
     blocks = [
-        Block(frame, 0),
+        Block(np.arange(len(curves)).reshape(-1, 1), 0),
         Block(curves.times.reshape(-1, 1), TIME_DECIMALS),
         Block(curves.values, digits),
     ]
     with path.open("wb") as stream:
-        stream.write(",".join((*INDEX_COLUMNS, *curves.names)).encode() + b"\n")
+        stream.write(",".join(header).encode() + b"\n")
         stream.writelines(rows(blocks))
 
 
@@ -62,7 +66,7 @@ def read(path: Path, controls: ControlSet | None = None, fps: float | None = Non
         If the file is no such table, a control is missing, doubled or unknown, or the times are
         those of no capture.
     """
-    table = _table(path, controls, fps)
+    table = read_table(path, controls, fps)
     if controls is None and best_set(table.names).id == ARKIT_ID:
         return _shapes(path, table)
     controls = controls or controls_of(table.names, where=str(path))
@@ -79,10 +83,11 @@ def read_shapes(
 
     Parameters and errors are those of `read`; other columns are left out, with a note.
     """
-    return _shapes(path, _table(path, controls, fps))
+    return _shapes(path, read_table(path, controls, fps))
 
 
-def _table(path: Path, controls: ControlSet | None, fps: float | None) -> NamedCurves:
+def read_table(path: Path, controls: ControlSet | None, fps: float | None) -> NamedCurves:
+    """Read as `read_named`; a message on the rate names the option of deitalk convert."""
     try:
         return read_named(path, fps, curves=controls or ())
     except FormatError as error:

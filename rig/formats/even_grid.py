@@ -10,10 +10,7 @@ from rig.arrays import Bool, Float64
 from rig.curves import check_clip
 from rig.curves.rig_curves import STANDARD_RATES
 from rig.errors import FormatError
-from rig.limits import (
-    GAP_FRAMES,
-    GAP_SHARE,
-)
+from rig.limits import GAP_FRAMES, GAP_SHARE
 
 UNEVEN = 0.1
 """Share of a step by which steps may differ without being put on an even grid."""

@@ -6,16 +6,17 @@ Opens in Blender, three.js, Windows' viewer and Unreal. For a face of your own, 
 """
 
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from rig.arrays import AnyFloat, Float32, Float64
+from rig.arrays import Float32, Float64
 from rig.controls import ControlSet, default_controls
 from rig.conversion.arkit import ARKIT_ID
-from rig.conversion.convert import shapes_named
+from rig.conversion.convert import curves_of_shapes
 from rig.curves import RigCurves, check_clip
 from rig.curves.edit import hermite
 from rig.errors import FormatError
@@ -94,41 +95,56 @@ def read(path: Path, controls: ControlSet | None, fps: float | None) -> RigCurve
     document, binary = read_container(path)
     with consistent(path):
         shapes = dict(morphing_nodes(document))
-        # Return what the last animation moves, by node and part.
-        moved: dict[tuple[int, str], Track] = {}
-        for animation in document.get("animations", [])[-1:]:
-            for channel in animation["channels"]:
-                sampler = animation["samplers"][channel["sampler"]]
-                times, rows = (
-                    np.atleast_1d(read_accessor(document, binary, sampler[part]))
-                    for part in ("input", "output")
-                )
-                way = sampler.get("interpolation", "LINEAR")
-                if times.ndim != 1 or not len(times) or not np.isfinite(times).all():
-                    raise FormatError("times of keys must be finite numbers")
-                if (np.diff(times) <= 0).any() or not np.isfinite(rows).all():
-                    raise FormatError("times of keys must rise, and their values be finite")
-                keys = (len(times), 3) if way == "CUBICSPLINE" else (len(times),)
-                target = channel["target"]
-                moved[target["node"], target["path"]] = times, rows.reshape(*keys, -1), way
+        moved = tracks_of(document, binary, -1)
         driven = {node: moved[node, "weights"] for node in shapes if (node, "weights") in moved}
         if not driven:
             raise FormatError(f"{path.name} has no animated shapes")
-        tracks = [track for (_, part), track in moved.items() if part != "scale"]
-        steps = [float(np.diff(times).min()) for times, *_ in tracks if len(times) > 1]
-        rate = fps or _rate(min(steps, default=1.0))
-        n_frames = round(max(float(times[-1]) for times, *_ in tracks) * rate) + 1
         names = list(dict.fromkeys(name for node in driven for name in shapes[node]))
-        check_clip(n_frames, len(names))
-        at = np.arange(n_frames) / rate
-        weights = np.zeros((n_frames, len(names)), np.float32)
+        rate, at = grid_of(moved, fps, len(names))
+        weights = np.zeros((len(at), len(names)), np.float32)
         for node, track in driven.items():
-            weights[:, [names.index(name) for name in shapes[node]]] = _sampled(track, at)
-        turns = {n: Rotation.from_quat(_sampled(t, at)) for (n, p), t in moved.items()
+            weights[:, [names.index(name) for name in shapes[node]]] = sampled(track, at)
+        turns = {n: Rotation.from_quat(sampled(t, at)) for (n, p), t in moved.items()
                  if p == "rotation"}  # fmt: skip
         head = _head(document, turns, moved, at)
-    chosen, values = _curves_of(names, weights, controls, path)
-    return RigCurves(values, chosen.names, rate, control_set=chosen.id, head=head)
+    return replace(_curves_of(names, weights, rate, controls, path), head=head)
+
+
+Track = tuple[Float64, Float64, str]
+"""Times (K,) in seconds, rows (K, columns) or (K, 3, columns), interpolation."""
+Tracks = dict[tuple[int, str], Track]
+"""By node and part."""
+
+
+def tracks_of(document: dict[str, Any], binary: bytes, place: int) -> Tracks:
+    """Return what the first (0) or the last (-1) animation of a GLB moves."""
+    moved: Tracks = {}
+    animation = document.get("animations", [])[place:][:1]
+    for channel in animation[0]["channels"] if animation else ():
+        sampler = animation[0]["samplers"][channel["sampler"]]
+        times, rows = (
+            np.atleast_1d(read_accessor(document, binary, sampler[part]))
+            for part in ("input", "output")
+        )
+        way = sampler.get("interpolation", "LINEAR")
+        if times.ndim != 1 or not len(times) or not np.isfinite(times).all():
+            raise FormatError("times of keys must be finite numbers")
+        if (np.diff(times) <= 0).any() or not np.isfinite(rows).all():
+            raise FormatError("times of keys must rise, and their values be finite")
+        keys = (len(times), 3) if way == "CUBICSPLINE" else (len(times),)
+        target = channel["target"]
+        moved[target["node"], target["path"]] = times, rows.reshape(*keys, -1), way
+    return moved
+
+
+def grid_of(moved: Tracks, fps: float | None, n_curves: int) -> tuple[float, Float64]:
+    """Return a rate, by default that of the densest keys, and the times (T,) of its frames."""
+    tracks = [track for (_, part), track in moved.items() if part != "scale"]
+    steps = [float(np.diff(times).min()) for times, *_ in tracks if len(times) > 1]
+    rate = fps or _rate(min(steps, default=1.0))
+    n_frames = round(max(float(times[-1]) for times, *_ in tracks) * rate) + 1
+    check_clip(n_frames, n_curves)
+    return rate, np.arange(n_frames) / rate
 
 
 def _rate(step: float) -> float:
@@ -138,11 +154,7 @@ def _rate(step: float) -> float:
     return float(min(near, key=lambda n: abs(n / rate - 1), default=rate))
 
 
-Track = tuple[Float64, Float64, str]
-"""Times (K,) in seconds, rows (K, columns) or (K, 3, columns), interpolation."""
-
-
-def _sampled(track: Track, at: Float64) -> Float64:
+def sampled(track: Track, at: Float64) -> Float64:
     """Rows at times, seconds [shape=(T, columns)]."""
     times, rows, way = track
     if way == "CUBICSPLINE":
@@ -153,9 +165,9 @@ def _sampled(track: Track, at: Float64) -> Float64:
 
 
 def _curves_of(
-    names: list[str], weights: Float32, controls: ControlSet | None, path: Path
-) -> tuple[ControlSet, AnyFloat]:
-    """Return the control set of names of shapes, and its values."""
+    names: list[str], weights: Float32, rate: float, controls: ControlSet | None, path: Path
+) -> RigCurves:
+    """Return the curves of shapes: of the board, with our correctives, or of another set."""
     board = default_controls()
     halves = [(n, d) for n, d in control_halves(board) if n in names]
     if controls is None and len(halves) > len(names) / 2:
@@ -171,20 +183,12 @@ def _curves_of(
             for row in "UD":
                 lip = board.index(f"CTRL_{side}_mouth_lipsTogether{row}.ty")
                 values[:, lip] = together.clip(0, 1)
-        return board, values
-    chosen, places = shapes_named(names, str(path), (controls,) if controls else ())
-    values = np.tile(chosen.rest, (len(weights), 1)).astype(np.float32)
-    for i, place in enumerate(places):
-        if place is not None:
-            values[:, place] = np.clip(weights[:, i], 0, 1)
-    return chosen, values
+        return RigCurves(values, board.names, rate)
+    return curves_of_shapes(names, weights.clip(0, 1), rate, str(path), controls)
 
 
 def _head(
-    document: dict[str, Any],
-    turns: "dict[int, Rotation]",
-    moved: dict[tuple[int, str], Track],
-    at: Float64,
+    document: dict[str, Any], turns: "dict[int, Rotation]", moved: Tracks, at: Float64
 ) -> Float32 | None:
     """Head track of a mesh's node, or of bones; None if neither turns."""
     from rig.retarget.bones import head_track, turn_of_bones
@@ -192,7 +196,7 @@ def _head(
     for node, turn in turns.items():
         if "mesh" in document["nodes"][node] and "skin" not in document["nodes"][node]:
             place = moved.get((node, "translation"))
-            shift = None if place is None else _sampled(place, at) / METRES_PER_CM
+            shift = None if place is None else sampled(place, at) / METRES_PER_CM
             if (track := head_track(turn, shift)) is not None:
                 return track
     found = turn_of_bones(document, turns)

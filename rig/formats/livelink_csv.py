@@ -32,6 +32,7 @@ from rig.errors import CurveError, FormatError
 from rig.formats.decimal_text import Block, Text, rows
 from rig.formats.even_grid import seen_of, usual_steps
 from rig.formats.wide_csv import read_layout, read_numbers
+from rig.unreal.deitalk_clip import subject_of
 
 DECIMALS = 10
 ENDINGS = ("_cal", "_raw", "_neutral")
@@ -255,8 +256,8 @@ def suffix_note(path: Path) -> str:
     if not point or suffix.lower() not in SUFFIXES:
         return ""
     return (
-        f"Unreal makes the subject {subject_of(path)!r} of this name: call the file "
-        f"{stem}_cal.csv for {subject_of(Path(stem + '_cal.csv'))!r}"
+        f"Unreal makes the subject {subject_of(path.name)!r} of this name: call the file "
+        f"{stem}_cal.csv for {subject_of(stem + '_cal.csv')!r}"
     )
 
 
@@ -341,22 +342,6 @@ def timecode_text(ticks: Int64) -> NDArray[np.uint8]:
     return text
 
 
-def subject_of(path: Path) -> str:
-    """Return the Live Link subject that Unreal's importer takes from a file name.
-
-    An end of `ENDINGS` is left out. If the name then has more than three words between
-    underscores, the subject is what follows the first number (that is not the first word):
-    ``My_Scene_1_anna.csv`` gives ``anna``. Else it is the whole name: ``Speech_1_anna``.
-    """
-    stem = path.stem
-    for ending in ENDINGS:
-        stem = stem.removesuffix(ending)
-    words = stem.split("_")
-    numbers = [i for i, word in enumerate(words) if i and word.isdecimal()]
-    rest = words[numbers[0] + 1 :] if len(words) > 3 and numbers else []
-    return "_".join(rest) or stem
-
-
 def take_name(slate: str, take: int, subject: str) -> str:
     """Return a name whose subject the importer takes, ``<Slate>_take_<Take>_<Subject>.csv``.
 
@@ -366,7 +351,7 @@ def take_name(slate: str, take: int, subject: str) -> str:
         If a part is empty, or the importer would take another subject.
     """
     name = f"{slate}_take_{take}_{subject}.csv"
-    if not slate or not subject or take < 0 or subject_of(Path(name)) != subject:
+    if not slate or not subject or take < 0 or subject_of(name) != subject:
         raise CurveError(
             f"slate {slate!r}, take {take}, subject {subject!r}: none may be empty, the slate may "
             f"hold no number between underscores, the subject may not end in {', '.join(ENDINGS)}"

@@ -34,12 +34,7 @@ from rig.files.reading import open_file, read_json, read_npz
 from rig.formats.even_grid import even, rate_of
 from rig.formats.units import check_rate, seconds_of
 from rig.formats.wide_csv import LARGEST, Layout, read_layout, read_numbers
-from rig.limits import (
-    CONTROLS,
-    CURVES_BYTES,
-    FRAMES,
-    JSON_CURVES_BYTES,
-)
+from rig.limits import CONTROLS, CURVES_BYTES, FRAMES, JSON_CURVES_BYTES
 
 TIMES = frozenset(
     "time times timecode timecodes timestamp timestamps t ts seconds secs sec timeseconds times "

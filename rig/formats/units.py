@@ -16,7 +16,7 @@ from rig.controls import ControlSet
 from rig.conversion.arkit import ARKIT_ID
 from rig.curves import RigCurves
 from rig.errors import FormatError, listed
-from rig.formats.angles import _angles, _turns
+from rig.formats.angles import as_live_link, half_turns
 
 # Times.
 
@@ -153,21 +153,17 @@ def in_units(curves: RigCurves, controls: ControlSet, where: object) -> RigCurve
         values[:, shapes] /= scale
         notes.append(note)
     if angles.any():
-        values, said = _angles(values, curves.names, where)
+        values, said = as_live_link(values, curves.names, where)
         notes += said
     if curves.head is not None and len(curves.head):
-        _turns(curves.head[:, :3], "the head", where)
+        half_turns(curves.head[:, :3], "the head", where)
     if len(notes) == len(curves.notes):
         return curves
     return replace(curves, values=values, notes=tuple(notes))
 
 
 def _scale(
-    curves: RigCurves,
-    controls: ControlSet,
-    shapes: NDArray[np.intp],
-    ends: Float32,
-    where: object,
+    curves: RigCurves, controls: ControlSet, shapes: NDArray[np.intp], ends: Float32, where: object
 ) -> tuple[float, str]:
     """Divisor of the values, 1, 100 or 255, and a note."""
     if not len(shapes):

@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from rig.controls import ControlSet
-from rig.conversion.arkit import ARKIT_ID
-from rig.conversion.convert import shapes_named
+from rig.conversion.arkit import ARKIT_ID, apple_names
+from rig.conversion.convert import curves_of_shapes
 from rig.curves import RigCurves, check_clip
 from rig.curves.edit import hermite
 from rig.errors import FormatError
@@ -22,7 +22,6 @@ from rig.unreal.deitalk_clip import curve_keys
 
 TOLERANCE = 5e-4
 PERCENT = 100.0
-N_SHAPES = 52
 _HEAD = """%YAML 1.1
 %TAG !u! tag:unity3d.com,2011:
 --- !u!74 &7400000
@@ -76,11 +75,10 @@ _TAIL = """  m_PPtrCurves: []
 
 def write(path: Path, curves: RigCurves) -> None:
     """Write one curve a shape; ARKit's rotations are left out."""
-    is_arkit = curves.control_set == ARKIT_ID
-    shapes = list(enumerate(curves.names))[: N_SHAPES if is_arkit else None]
+    names = apple_names() if curves.control_set == ARKIT_ID else curves.names
     with path.open("w", encoding="utf-8", newline="\n") as stream:
         stream.write(_HEAD)
-        for column, name in shapes:
+        for column, name in enumerate(names):
             values = curves.values[:, column].astype(np.float64)
             keys = "".join(
                 _KEY.format(
@@ -91,8 +89,7 @@ def write(path: Path, curves: RigCurves) -> None:
                 )
                 for frame, arrive, leave in curve_keys(values.tolist(), TOLERANCE)
             )
-            shape = name[0].lower() + name[1:] if is_arkit else name
-            stream.write(_CURVE.format(keys=keys, name=shape))
+            stream.write(_CURVE.format(keys=keys, name=name))
         stop = (len(curves) - 1) / curves.fps
         stream.write(_TAIL.format(rate=curves.fps, stop=stop))
 
@@ -119,16 +116,14 @@ def read(path: Path, controls: ControlSet | None = None, fps: float | None = Non
         sound = False
     if not sound or not keyed or not 0 < rate <= 1000:
         raise FormatError(f"{path} has no curves of blend shapes with smooth keys at rising times")
-    chosen, places = shapes_named(list(keyed), str(path), (controls,) if controls else ())
     last = max(keys[-1, 0] for keys in keyed.values())
     if not last * rate < FRAMES:
         raise FormatError(f"{path} ends at {last:g} s; at most {FRAMES} frames are read")
     n_frames = round(last * rate) + 1
-    check_clip(n_frames, len(chosen))
+    check_clip(n_frames, len(keyed))
     at = np.arange(n_frames) / rate
-    values = np.tile(chosen.rest, (n_frames, 1)).astype(np.float32)
-    for keys, place in zip(keyed.values(), places, strict=True):
-        if place is not None:
-            rows, arrive, leave = (keys[:, i : i + 1] / PERCENT for i in (1, 2, 3))
-            values[:, place] = hermite(keys[:, 0], rows, arrive, leave, at)[:, 0].clip(0, 1)
-    return RigCurves(values, chosen.names, rate, control_set=chosen.id)
+    weights = np.empty((n_frames, len(keyed)), np.float32)
+    for column, keys in enumerate(keyed.values()):
+        rows, arrive, leave = (keys[:, i : i + 1] / PERCENT for i in (1, 2, 3))
+        weights[:, column] = hermite(keys[:, 0], rows, arrive, leave, at)[:, 0].clip(0, 1)
+    return curves_of_shapes(list(keyed), weights, rate, str(path), controls)

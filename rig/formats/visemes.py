@@ -6,16 +6,11 @@ from pathlib import Path
 import numpy as np
 
 from rig.controls import ControlSet
-from rig.conversion.avatars import (
-    OCULUS,
-    names,
-    weights,
-    weights_to_curves,
-)
+from rig.conversion.avatars import OCULUS, names, weights, weights_to_curves
 from rig.curves import RigCurves
 from rig.errors import FormatError
-from rig.formats.curves_json import read_object
-from rig.formats.decimal_text import Block, rows
+from rig.formats.curves_json import read_object, write_object
+from rig.formats.decimal_text import Block
 
 SCHEMA = "deitalk.visemes/1"
 DECIMALS = 4
@@ -27,13 +22,7 @@ FASTEST = 1000.0
 def write(path: Path, curves: RigCurves) -> None:
     """Write one row of weights per frame; each row sums to 1."""
     head = {"schema": SCHEMA, "fps": curves.fps, "n_frames": len(curves), "names": names(OCULUS)}
-    with path.open("wb") as stream:
-        stream.write(json.dumps(head, indent=1)[:-2].encode() + b',\n "values": [\n')
-        last = b""
-        for text in rows([Block(weights(curves), DECIMALS)], before=b"  [", after=b"],\n"):
-            stream.write(last + text[:-2])
-            last = text[-2:]
-        stream.write(b"\n ]\n}\n")
+    write_object(path, json.dumps(head, indent=1), {"values": Block(weights(curves), DECIMALS)})
 
 
 def read(path: Path, controls: ControlSet | None = None, fps: float | None = None) -> RigCurves:

@@ -14,20 +14,20 @@ from scipy.spatial.transform import Rotation
 
 from rig.arrays import Float64
 from rig.controls import ControlSet
-from rig.conversion.arkit import ARKIT_ID, arkit_controls
+from rig.conversion.arkit import ARKIT_ID, apple_names, arkit_controls
 from rig.conversion.convert import convert, convert_and_note
-from rig.curves import RigCurves, check_clip
+from rig.curves import RigCurves
 from rig.errors import FormatError
 from rig.face.head_pose import quaternions
+from rig.formats.glb import grid_of, sampled, tracks_of
 from rig.mesh.glb import GlbBuilder, read_container, write_container
-from rig.mesh.glb_reader import read_accessor
 from rig.retarget.bones import gaze_turn, head_track
 
 EXTENSION = "VRMC_vrm_animation"
 BONES = {"hips": 1.0, "spine": 0.1, "chest": 0.15, "neck": 0.25, "head": 0.1}
 """Bones from the hips up, and the height of each above the one before, metres."""
 PRESETS = ("aa", "ih", "ou", "ee", "oh", "blink", "blinkLeft", "blinkRight")
-APPLE = tuple(name[0].lower() + name[1:] for name in arkit_controls().names[:52])
+APPLE = apple_names()
 
 
 def note(path: Path, curves: RigCurves) -> str:
@@ -93,35 +93,25 @@ def read(path: Path, controls: ControlSet | None, fps: float | None) -> RigCurve
     Raises
     ------
     FormatError
-        If it has no such animation, or keys at uneven times.
+        If it has no such animation, or its keys are damaged.
     """
     document, binary = read_container(path)
     try:
-        own, animation = document["extensions"][EXTENSION], document["animations"][0]
+        own, moved = document["extensions"][EXTENSION], tracks_of(document, binary, 0)
         custom = own["expressions"]["custom"]
-        moved = {}
-        for channel in animation["channels"]:
-            sampler = animation["samplers"][channel["sampler"]]
-            moved[channel["target"]["node"]] = [
-                read_accessor(document, binary, sampler[part]) for part in ("input", "output")
-            ]
-        columns = {name: moved[custom[name]["node"]] for name in APPLE if name in custom}
-        times = next(iter(columns.values()), [np.empty(0)])[0]
-        steps = np.diff(times)
-        rate = fps or (1 / float(steps.mean()) if len(steps) else 30.0)
-        if times.ndim != 1 or not len(times) or not np.isfinite(times).all():
+        tracks = {name: moved.get((custom[name]["node"], "translation")) for name in custom}
+        if not any(tracks.get(name) for name in APPLE):
             raise FormatError(f"no {EXTENSION} with Apple's expressions")
-        if len(steps) and not np.ptp(steps) <= 1e-3 * steps.mean():
-            raise FormatError("keys at uneven times; bake them to frames")
-        check_clip(len(times), len(arkit_controls()))
-        values = np.zeros((len(times), len(arkit_controls())), np.float32)
-        for name, (_, output) in columns.items():
-            values[:, APPLE.index(name)] = np.clip(output[:, 0], 0, 1)
-        turn = Rotation.identity(len(times))
+        rate, at = grid_of(moved, fps, len(arkit_controls()))
+        values = np.zeros((len(at), len(arkit_controls())), np.float32)
+        for column, name in enumerate(APPLE):
+            if track := tracks.get(name):
+                values[:, column] = sampled(track, at)[:, 0].clip(0, 1)
+        turn = Rotation.identity(len(at))
         for bone in ("neck", "head"):
             node = own["humanoid"]["humanBones"].get(bone, {}).get("node")
-            if node in moved:
-                turn = turn * Rotation.from_quat(moved[node][1])
+            if (node, "rotation") in moved:
+                turn = turn * Rotation.from_quat(sampled(moved[node, "rotation"], at))
         names, head = arkit_controls().names, head_track(turn)
         return RigCurves(values, names, rate, control_set=ARKIT_ID, head=head)
     except FormatError as error:

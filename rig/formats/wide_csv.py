@@ -327,21 +327,11 @@ def _read_table(path: Path, layout: Layout, dtype: dict[int, type]) -> "pd.DataF
         raise FormatError(f"cannot read {path}: {error.strerror or error}") from error
 
 
-def _as_numbers(column: "pd.Series[Any]") -> Float64:
-    """Return a column as numbers, NaN where a cell is none."""
-    import pandas as pd
-
+def _is_number(cell: Any) -> bool:
     try:
-        return pd.to_numeric(column, errors="coerce").to_numpy(np.float64)
-    except OverflowError:  # a whole number of hundreds of digits
-        return np.array([_as_number(cell) for cell in column])
-
-
-def _as_number(cell: Any) -> float:
-    try:
-        return float(cell)
+        return abs(float(cell)) <= LARGEST
     except (TypeError, ValueError, OverflowError):
-        return float("nan")
+        return False
 
 
 def _bad_cell(
@@ -351,8 +341,7 @@ def _bad_cell(
     import pandas as pd
 
     if usable is None:
-        numbers = np.stack([_as_numbers(table[i]) for i in table.columns], 1)
-        usable = np.abs(numbers) <= LARGEST
+        usable = table.map(_is_number).to_numpy(bool)
     row, place = (int(i) for i in np.argwhere(~usable)[0])
     column = int(table.columns[place])
     cell = table[column].iloc[row]

@@ -4,14 +4,11 @@ Letters: Q query points.
 """
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from rig.arrays import Bool, Float64, Int64
-
-if TYPE_CHECKING:
-    pass
 from rig.mesh.trimesh import TriMesh, triangle_normals
 
 _PENALTY = 1e3
@@ -70,12 +67,7 @@ class ClosestPoints:
         self._sides = np.sign(sides[mesh.faces].sum(axis=1))
 
     def query(
-        self,
-        points: Any,
-        *,
-        normals: Any = None,
-        labels: Any = None,
-        least_cosine: float = 0.3,
+        self, points: Any, *, normals: Any = None, labels: Any = None, least_cosine: float = 0.3
     ) -> SurfacePoints:
         """Closest allowed surface point of each query.
 

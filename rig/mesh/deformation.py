@@ -207,7 +207,6 @@ class DeformationSolver:
         self, template: TriMesh, *, pins: Any = (), parts: Sequence[RigidPart] = ()
     ) -> None:
         from scipy.sparse import csc_array, csr_array
-        from scipy.sparse.linalg import splu
 
         refuse_degenerate(template)
         self.template = template
@@ -234,13 +233,7 @@ class DeformationSolver:
         free_rows = csr_array(weighted[:, self._free].T)
         self._right_hand = free_rows
         self._coupling = csr_array(free_rows @ gradient[:, self.pins])
-        normal_matrix = csc_array(free_rows @ gradient[:, self._free])
-        self._factors = splu(
-            normal_matrix,
-            permc_spec="MMD_AT_PLUS_A",
-            diag_pivot_thresh=0.0,
-            options={"SymmetricMode": True},
-        )
+        self._factors = factored(csc_array(free_rows @ gradient[:, self._free]))
         self._threads = ThreadpoolController()
 
     def solve(self, s: Any, r: Any, *, pin_positions: Any = None) -> Float64:
@@ -333,21 +326,33 @@ class DeformationSolver:
         if len(part.follows) == 0:
             return
         for frame in vertices:
-            rotation, shift = rigid_motion(rest[part.follows], frame[part.follows])
+            moved = frame[part.follows]
+            _, rotation, shift = similarity(rest[part.follows], moved, is_rigid=True)
             frame[part.vertices] = rest[part.vertices] @ rotation.T + shift
 
 
-def rigid_motion(before: Any, after: Any) -> tuple[Float64, Float64]:
-    """Rotation R [shape=(3, 3)] and shift t [shape=(3,)] that best take points to points.
+def factored(matrix: Any) -> Any:
+    """Factors of a symmetric sparse matrix, whose `solve` takes right-hand sides."""
+    from scipy.sparse.linalg import splu
 
-    Least squares over `R x + t` (Kabsch); never a reflection.
+    options = {"SymmetricMode": True}
+    return splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)
+
+
+def similarity(
+    before: Any, after: Any, *, is_rigid: bool = False
+) -> tuple[float, Float64, Float64]:
+    """Scale, rotation and shift that best take points to points: `scale R x + shift`.
+
+    Umeyama's closed form (1991); never a reflection. With `is_rigid` the scale is 1 (Kabsch).
     """
     a, b = np.asarray(before, dtype=np.float64), np.asarray(after, dtype=np.float64)
     centre_a, centre_b = a.mean(axis=0), b.mean(axis=0)
-    u, _, vt = np.linalg.svd((b - centre_b).T @ (a - centre_a))
-    sign = np.sign(np.linalg.det(u @ vt))
-    rotation = (u * [1.0, 1.0, sign]) @ vt
-    return rotation, centre_b - rotation @ centre_a
+    u, stretch, vt = np.linalg.svd((b - centre_b).T @ (a - centre_a))
+    signs = np.array([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
+    rotation = (u * signs) @ vt
+    scale = 1.0 if is_rigid else float((stretch * signs).sum() / ((a - centre_a) ** 2).sum())
+    return scale, rotation, centre_b - scale * rotation @ centre_a
 
 
 def small_parts(template: TriMesh) -> list[RigidPart]:

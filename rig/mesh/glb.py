@@ -238,10 +238,7 @@ def write_glb(
 
 
 def _add_mesh(
-    builder: GlbBuilder,
-    shapes: ShapeSet,
-    colours: NDArray[Any] | None,
-    metres: float,
+    builder: GlbBuilder, shapes: ShapeSet, colours: NDArray[Any] | None, metres: float
 ) -> Int64:
     """Append mesh and material; return the vertices that were kept."""
     mesh, used = shapes.neutral.compact()

@@ -249,11 +249,7 @@ def _local_transform(node: dict[str, Any]) -> Float64:
 
 
 def _piece(
-    document: dict[str, Any],
-    binary: bytes,
-    node: int,
-    primitive: dict[str, Any],
-    world: Float64,
+    document: dict[str, Any], binary: bytes, node: int, primitive: dict[str, Any], world: Float64
 ) -> Piece:
     vertices = _stored(document, binary, primitive["attributes"]["POSITION"], "VEC3")
     if "indices" in primitive:

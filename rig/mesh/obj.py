@@ -14,11 +14,7 @@ import numpy as np
 
 from rig.errors import FormatError, MeshError, TopologyError, quoted
 from rig.files.reading import open_file
-from rig.limits import (
-    MESH_BYTES,
-    TRIANGLES,
-    VERTICES,
-)
+from rig.limits import MESH_BYTES, TRIANGLES, VERTICES
 from rig.mesh.shapes import ShapeSet, check_shape_count
 from rig.mesh.trimesh import TriMesh
 

@@ -80,18 +80,17 @@ def read_header(file: BinaryIO) -> tuple[str, list[Element]]:
                     raise ValueError(f"{count} rows of an element; at most {VERTICES} are read")
                 elements.append(Element(name, int(count), []))
             case ["property", "list", length, kind, name]:
+                if _TYPES[length][0] == "f":
+                    raise ValueError(f"list {quoted(name)} has a length that is no whole number")
                 elements[-1].properties.append(Property(name, _TYPES[kind], _TYPES[length]))
             case ["property", kind, name]:
                 elements[-1].properties.append(Property(name, _TYPES[kind]))
     if order is None:
         raise ValueError("no 'format' line")
-    for element in elements:
-        names = [p.name for p in element.properties]
-        if not names or len(set(names)) < len(names):
-            raise ValueError(f"element {quoted(element.name)} has no properties, or one name twice")
-        for p in element.properties:
-            if p.length_type is not None and p.length_type[0] == "f":
-                raise ValueError(f"list {quoted(p.name)} has a length that is no whole number")
+    named = [(element.name, [p.name for p in element.properties]) for element in elements]
+    wrong = [name for name, own in named if not own or len(set(own)) < len(own)]
+    if wrong:
+        raise ValueError(f"element {quoted(wrong[0])} has no properties, or one name twice")
     return order, elements
 
 
@@ -133,9 +132,10 @@ def read_element(file: BinaryIO, element: Element, order: str, left: int) -> Col
     """
     if element.count * _least_bytes(element, order) > left + 1:  # the last line may have no end
         raise ValueError("the file is cut short")
+    if any(p.length_type for p in element.properties):
+        columns = _equal_lists(file, element, order, left) if order else None
+        return columns or _gathered(element, _rows(file, element, order, left))
     if order == "":
-        if any(p.length_type for p in element.properties):
-            return _gathered(element, _ascii_rows(file, element))
         width, parts = len(element.properties), []
         for start in range(0, element.count, _LINES_AT_ONCE):
             n_rows = min(_LINES_AT_ONCE, element.count - start)
@@ -145,10 +145,6 @@ def read_element(file: BinaryIO, element: Element, order: str, left: int) -> Col
             parts.append(np.array(words, dtype="S").astype(np.float64))
         table = np.concatenate(parts) if parts else np.zeros((0, width))
         return {p.name: table[:, i] for i, p in enumerate(element.properties)}
-    if any(p.length_type for p in element.properties):
-        return _equal_lists(file, element, order, left) or _gathered(
-            element, _rows(file, element, order, left)
-        )
     kind = np.dtype([(p.name, order + p.type) for p in element.properties])
     rows = np.frombuffer(_exactly(file, kind.itemsize * element.count), kind)
     return {p.name: rows[p.name] for p in element.properties}
@@ -168,23 +164,32 @@ def _exactly(file: BinaryIO, size: int) -> bytes:
     return data
 
 
-def _ascii_rows(file: BinaryIO, element: Element) -> Iterator[Row]:
+def _rows(file: BinaryIO, element: Element, order: str, left: int) -> Iterator[Row]:
+    """Read rows one by one: words of a line each, or bytes."""
+    words: list[bytes] = []
+
+    def take(kind: str, count: int) -> Any:
+        dtype = np.dtype(order + kind)
+        if count < 0:
+            raise ValueError(f"a list of {count} values")
+        if order == "":
+            taken = words[:count]
+            del words[:count]
+            values: Any = [float(word) if kind[0] == "f" else int(word) for word in taken]
+        elif dtype.itemsize * count > left:  # before so much memory is taken
+            raise ValueError("the file is cut short")
+        else:
+            values = np.frombuffer(_exactly(file, dtype.itemsize * count), dtype)
+        if len(values) < count:
+            raise ValueError("the file is cut short")
+        return values
+
     for _ in range(element.count):
-        words = file.readline().split()
-        row: Row = []
-        place = 0
-        for p in element.properties:
-            count = 1
-            if p.length_type is not None:
-                count = int(words[place]) if place < len(words) else -1
-                place += 1
-            if not 0 <= count <= len(words) - place:
-                raise ValueError("the file is cut short")
-            convert = float if p.type[0] == "f" else int
-            values = [convert(word) for word in words[place : place + count]]
-            row.append(values[0] if p.length_type is None else values)
-            place += count
-        yield row
+        words[:] = [] if order else file.readline().split()
+        yield [
+            take(p.type, int(take(p.length_type, 1)[0])) if p.length_type else take(p.type, 1)[0]
+            for p in element.properties
+        ]
 
 
 def _equal_lists(file: BinaryIO, element: Element, order: str, left: int) -> Columns | None:
@@ -217,24 +222,6 @@ def _equal_lists(file: BinaryIO, element: Element, order: str, left: int) -> Col
         else:
             columns[p.name] = values
     return columns
-
-
-def _rows(file: BinaryIO, element: Element, order: str, left: int) -> Iterator[Row]:
-    for _ in range(element.count):
-        row: Row = []
-        for p in element.properties:
-            count = 1
-            if p.length_type is not None:
-                length = np.dtype(order + p.length_type)
-                count = int(np.frombuffer(_exactly(file, length.itemsize), length)[0])
-                if count < 0:
-                    raise ValueError(f"a list of {count} values")
-            kind = np.dtype(order + p.type)
-            if kind.itemsize * count > left:  # before so much memory is taken
-                raise ValueError("the file is cut short")
-            values = np.frombuffer(_exactly(file, kind.itemsize * count), kind)
-            row.append(values if p.length_type else values[0].item())
-        yield row
 
 
 def _gathered(element: Element, rows: Iterator[Row]) -> Columns:

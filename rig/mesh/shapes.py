@@ -11,13 +11,7 @@ from numpy.typing import NDArray
 from rig.arrays import Float32, Float64
 from rig.errors import FormatError, MeshError, quoted
 from rig.files.reading import read_npz
-from rig.limits import (
-    COORDINATE,
-    POINT_NAMES,
-    SHAPE_VALUES,
-    SHAPES,
-    UNPACKED_BYTES,
-)
+from rig.limits import COORDINATE, POINT_NAMES, SHAPE_VALUES, SHAPES, UNPACKED_BYTES
 from rig.mesh.trimesh import TriMesh
 
 

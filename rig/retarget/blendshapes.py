@@ -13,11 +13,7 @@ from scipy.spatial import KDTree
 
 from rig.arrays import Float64
 from rig.controls import ControlSet, default_controls
-from rig.conversion.arkit import (
-    RAW_ID,
-    arkit_controls,
-    raw_controls,
-)
+from rig.conversion.arkit import RAW_ID, arkit_controls, raw_controls
 from rig.conversion.avatars import ShapeFit, ShapePoses, poses_of
 from rig.conversion.convert import convert
 from rig.curves import RigCurves
@@ -31,6 +27,7 @@ from rig.retarget.correctives import (
     half_weight,
     own_drivers,
 )
+from rig.retarget.landmarks import nearest
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,10 +127,9 @@ def closing_weight(shapes: ShapeSet, jaw_open: str, mouth_close: str) -> float:
     still = np.flatnonzero(motion < 0.3 * motion.max())
     if motion.max() == 0 or len(moved) == 0 or len(still) == 0:
         return 1.0
-    found = KDTree(rest[still]).query(rest[moved])
-    distance, nearest = np.asarray(found[0]), np.asarray(found[1], dtype=np.int64)
+    distance, index = nearest(KDTree(rest[still]), rest[moved])
     near = distance < 0.02 * size
-    low, high = moved[near], still[nearest[near]]
+    low, high = moved[near], still[index[near]]
     torn, closed = jaw[low] - jaw[high], close[low] - close[high]
     strength = np.einsum("pc,pc->p", torn, torn)
     back = -np.einsum("pc,pc->p", closed, torn)

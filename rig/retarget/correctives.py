@@ -12,10 +12,7 @@ import numpy as np
 
 from rig.arrays import AnyFloat, Float64
 from rig.controls import DEFAULT_ID, default_controls
-from rig.conversion.arkit import (
-    RAW_ID,
-    raw_controls,
-)
+from rig.conversion.arkit import RAW_ID, raw_controls
 from rig.conversion.convert import convert
 from rig.curves import RigCurves
 from rig.retarget.bake import Driver, control_halves, face_correctives
@@ -29,15 +26,15 @@ ARKIT_HALVES: Mapping[str, tuple[str, ...]] = {
 """Shapes whose least weight drives each half."""
 
 
-def half_weight(weights: Sequence[AnyFloat]) -> Float64:
+def half_weight(weights: Sequence[AnyFloat | float]) -> Float64:
     """Weight of a half [shape=(T,), range 0 to 1]: 1 where the least weight is 0.5, 0 at 0 and 1.
 
     Parameters
     ----------
     weights : sequence of array [shape=(T,), range 0 to 1]
-        Of the shapes that drive it.
+        Of the shapes that drive it; numbers, too.
     """
-    least = np.min([np.asarray(weight, np.float64) for weight in weights], axis=0)
+    least = np.min(np.asarray(weights, np.float64), axis=0)
     return np.asarray(np.maximum(1 - np.abs(2 * least - 1), 0.0))
 
 

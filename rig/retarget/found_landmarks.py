@@ -5,8 +5,6 @@ landmarks are read off. The mouth is then found exactly: lips are vertices near 
 along the surface.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components, dijkstra
@@ -15,8 +13,9 @@ from scipy.spatial import KDTree
 from rig.arrays import Float64, Int64
 from rig.errors import MeshError
 from rig.mesh.closest import ClosestPoints
+from rig.mesh.deformation import similarity
 from rig.mesh.trimesh import TriMesh, boundary_edges, components, vertex_normals
-from rig.retarget.landmarks import similarity
+from rig.retarget.landmarks import nearest
 from rig.retarget.registration import Rounds, closest_rounds, edge_lengths
 
 ORIENTATIONS = (
@@ -60,22 +59,7 @@ _FEWEST_PAIRS = 12
 _FEWEST_VERTICES = 100
 
 
-@dataclass(frozen=True)
-class Guess:
-    """Landmarks that were found, and the residual of the fit.
-
-    Parameters
-    ----------
-    landmarks : dict of str to int
-    residual : float
-        Median distance of the laid-over head from the mesh, in outer-eye distances.
-    """
-
-    landmarks: dict[str, int]
-    residual: float
-
-
-def guess_landmarks(mesh: TriMesh, source: TriMesh, landmarks: dict[str, int]) -> Guess:
+def guess_landmarks(mesh: TriMesh, source: TriMesh, landmarks: dict[str, int]) -> dict[str, int]:
     """Find the landmarks of `mesh` from those of a source head.
 
     Parameters
@@ -120,7 +104,7 @@ def guess_landmarks(mesh: TriMesh, source: TriMesh, landmarks: dict[str, int]) -
     placed_marks = {name: surface[v] for name, v in marks.items()}
     found = {n: v for n, v in found.items() if not n.startswith(_VAGUE)}
     found |= _mouth(turned, placed_marks) | _eyes(turned, placed_marks, eyes)
-    return Guess({name: int(used[v]) for name, v in found.items()}, residual)
+    return {name: int(used[v]) for name, v in found.items()}
 
 
 def _largest_part(mesh: TriMesh) -> tuple[TriMesh, Int64]:
@@ -146,24 +130,19 @@ def _fit_rigidly(skin: TriMesh, target: TriMesh, axes: Float64) -> tuple[float, 
         scale = size * width / our_width
         placed = scale * (ours - our_nose) + nose
         for _ in range(_STEPS):
-            distance, nearest = _query(tree, placed[front])
-            facing = np.einsum("vc,vc->v", our_normals[front], normals[nearest]) > 0.3
+            distance, there = nearest(tree, placed[front])
+            facing = np.einsum("vc,vc->v", our_normals[front], normals[there]) > 0.3
             near = facing & (distance <= np.quantile(distance, 0.85))
-            if near.sum() < 20 or len(np.unique(nearest[near])) < 4:  # shrunk to a point
+            if near.sum() < 20 or len(np.unique(there[near])) < 4:  # shrunk to a point
                 break
-            scale, rotation, shift = similarity(ours[front[near]], points[nearest[near]])
+            scale, rotation, shift = similarity(ours[front[near]], points[there[near]])
             placed = scale * ours @ rotation.T + shift
-        distance, nearest = _query(tree, placed[front])
-        facing = np.einsum("vc,vc->v", our_normals[front], normals[nearest]) > 0.3
+        distance, there = nearest(tree, placed[front])
+        facing = np.einsum("vc,vc->v", our_normals[front], normals[there]) > 0.3
         cost = float(np.mean(np.minimum(distance / scale, 2.0) + 1.0 * ~facing))
         if cost < best[0]:
             best = (cost, placed)
     return (*best, axes)
-
-
-def _query(tree: KDTree, points: Float64) -> tuple[Float64, Int64]:
-    distance, nearest = tree.query(points)
-    return np.asarray(distance), np.asarray(nearest, dtype=np.int64)
 
 
 def _nearest_vertex(mesh: TriMesh, point: Float64) -> int:
@@ -203,7 +182,7 @@ def _lid(mesh: TriMesh, loop: Float64, middle: Float64, side: float) -> int:
     Behind the edge the skin turns in and the loop is wider than the visible opening.
     """
     width = float(np.ptp(loop[:, 0]))
-    distance = _query(KDTree(loop), mesh.vertices)[0]
+    distance, _ = nearest(KDTree(loop), mesh.vertices)
     offset = mesh.vertices - middle
     here = (
         (distance < 0.2 * width)

@@ -7,7 +7,6 @@ all 185 controls, use ``deitalk convert take/curves.csv face.glb``.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -16,57 +15,28 @@ import numpy as np
 
 from rig.arrays import Float32, Float64
 from rig.controls import default_controls
-from rig.conversion.arkit import arkit_controls
+from rig.conversion.arkit import apple_names, arkit_controls
 from rig.conversion.convert import convert
 from rig.curves import RigCurves
 from rig.face import Head, build_head
 from rig.face.identity import Identity
-from rig.mesh.glb import (
-    RigidMotion,
-    WeightAnimation,
-    read_container,
-    write_container,
-    write_glb,
-)
+from rig.mesh.glb import RigidMotion, WeightAnimation, read_container, write_container, write_glb
 from rig.mesh.shapes import ShapeSet
 from rig.mesh.trimesh import TriMesh
+from rig.retarget.correctives import ARKIT_HALVES, half_weight
 from rig.retarget.morph_head import METRES_PER_CM, textured
 
-SHAPES = tuple(name[0].lower() + name[1:] for name in arkit_controls().names[:52])
+SHAPES = apple_names()
 """ARKit's 52 blend shapes, by Apple's names."""
 BASES = {"mouthClose": ("jawOpen", 1.0), "tongueOut": ("jawOpen", 0.4)}
 """Shapes that act on an open jaw only, as displacements from it."""
-CORRECTIVES: dict[str, dict[str, float]] = {
-    "jawOpen_half": {"jawOpen": 0.5},
-    "eyeBlinkLeft_half": {"eyeBlinkLeft": 0.5},
-    "eyeBlinkRight_half": {"eyeBlinkRight": 0.5},
-    "mouthClose_half": {"jawOpen": 0.5, "mouthClose": 0.5},
-}
+CORRECTIVES = {half: dict.fromkeys(drivers, 0.5) for half, drivers in ARKIT_HALVES.items()}
 """Pose in which each is fully on; `corrective_weights` fades them in and out."""
 
 
-Weight = Any
-"""A number, or numbers of each frame."""
-
-
-@dataclass(frozen=True)
-class Morphs:
-    """A head's linear shapes.
-
-    Attributes
-    ----------
-    names : tuple of str
-        ARKit's 52, then the correctives.
-    deltas : ndarray [shape=(K, V, 3)], cm
-    """
-
-    names: tuple[str, ...]
-    deltas: Float32
-
-
 @lru_cache(maxsize=1)
-def arkit_morphs(head: Head) -> Morphs:
-    """Shapes of a head under ARKit's names, and correctives."""
+def arkit_morphs(head: Head) -> ShapeSet:
+    """Shapes of a head under ARKit's names, then the correctives, in cm."""
     rest = head.mesh.vertices
     deltas: dict[str, Float64] = {}
     for name in SHAPES:
@@ -74,13 +44,11 @@ def arkit_morphs(head: Head) -> Morphs:
         with_it = {**base, name: 1.0}
         deltas[name] = arkit_pose(head, with_it) - (arkit_pose(head, base) if base else rest)
     for name, pose in CORRECTIVES.items():
-        shown = rest + _added(deltas, {**pose, **corrective_weights(pose)})
-        deltas[name] = arkit_pose(head, pose) - shown
-    return Morphs(tuple(deltas), np.stack(list(deltas.values())).astype(np.float32))
-
-
-def _added(deltas: dict[str, Float64], weights: dict[str, float]) -> Float64:
-    return np.asarray(sum(weights[name] * deltas[name] for name in weights if name in deltas))
+        weights = {**pose, **corrective_weights(pose)}
+        shown = sum(weights[shape] * deltas[shape] for shape in weights if shape in deltas)
+        deltas[name] = arkit_pose(head, pose) - rest - shown
+    neutral = TriMesh(rest, head.mesh.faces)
+    return ShapeSet(neutral, tuple(deltas), np.stack(list(deltas.values())))
 
 
 def arkit_pose(head: Head, pose: dict[str, float]) -> Float64:
@@ -94,17 +62,14 @@ def arkit_pose(head: Head, pose: dict[str, float]) -> Float64:
     return np.asarray(head.pose(board.values[0]), np.float64)
 
 
-def corrective_weights(weights: Mapping[str, Weight]) -> dict[str, Weight]:
+def corrective_weights(weights: Mapping[str, Any]) -> dict[str, Any]:
     """Weights of the correctives for weights of ARKit's shapes, numbers or one of each frame.
 
-    A half is on at 0.5 and off at 0 and 1; ``mouthClose_half`` takes the weight of mouthClose.
+    A half is on at 0.5 and off at 0 and 1; ``mouthClose_half`` takes the lesser of its two.
     """
-    get = {name: weights.get(name, 0.0) for name in ("jawOpen", "mouthClose")}
-    halves = {name.removesuffix("_half"): weights.get(name.removesuffix("_half"), 0.0)
-              for name in CORRECTIVES}  # fmt: skip
-    halves["mouthClose"] = np.minimum(get["jawOpen"], get["mouthClose"])
     return {
-        f"{name}_half": np.maximum(1 - abs(2 * weight - 1), 0) for name, weight in halves.items()
+        half: half_weight([weights.get(name, 0.0) for name in drivers])
+        for half, drivers in ARKIT_HALVES.items()
     }
 
 
@@ -147,7 +112,9 @@ def write_animation(
     write_head(path, build_head(identity), animation=animation)
 
 
-def write_head(path: Path | str, head: Head, *, animation: WeightAnimation | None = None) -> Morphs:
+def write_head(
+    path: Path | str, head: Head, *, animation: WeightAnimation | None = None
+) -> ShapeSet:
     """Write the head, y up, facing +z, in metres, its shapes as sparse morph targets.
 
     Parameters
@@ -161,11 +128,10 @@ def write_head(path: Path | str, head: Head, *, animation: WeightAnimation | Non
 
     Returns
     -------
-    morphs : Morphs
+    shapes : ShapeSet
         What was written.
     """
-    morphs = arkit_morphs(head)
-    shapes = ShapeSet(TriMesh(head.mesh.vertices, head.mesh.faces), morphs.names, morphs.deltas)
+    shapes = arkit_morphs(head)
     colours, surface = textured(head)
     write_glb(
         path, shapes, animation=animation, colours=colours, surface=surface, metres=METRES_PER_CM
@@ -176,4 +142,4 @@ def write_head(path: Path | str, head: Head, *, animation: WeightAnimation | Non
     mesh["name"] = head.identity.name
     mesh["extras"]["correctives"] = {name: {"peak_at": pose} for name, pose in CORRECTIVES.items()}
     write_container(path, document, binary)
-    return morphs
+    return shapes

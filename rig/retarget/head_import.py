@@ -9,6 +9,7 @@ same shapes move, and its light is baked.
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +26,7 @@ from rig.face import build_head
 from rig.face.head import CORRECTIVES
 from rig.face.head_file import GRID, Arrays, write_head
 from rig.limits import HEAD_MOVES, HEAD_VERTICES
+from rig.mesh.deformation import similarity
 from rig.mesh.glb_reader import GlbParts, consistent, read_parts, walk
 from rig.mesh.shapes import ShapeSet
 from rig.mesh.trimesh import TriMesh
@@ -33,7 +35,6 @@ from rig.retarget.blendshapes import match_shapes
 from rig.retarget.bones import bone_named, bones_of
 from rig.retarget.head_glb import SHAPES, arkit_pose
 from rig.retarget.head_surface import surface_of
-from rig.retarget.landmarks import similarity
 
 ANCHORS = (
     "eyeBlinkLeft", "eyeBlinkRight", "eyeSquintLeft", "eyeSquintRight", "browOuterUpLeft",
@@ -157,14 +158,11 @@ def _hangs_on(read: GlbParts, bone: str) -> Float64:
 
 def _placed(shapes: ShapeSet, notes: list[str]) -> tuple[ShapeSet, Any]:
     """The shapes laid over the embedded head, in cm, and what does it."""
-    head, keys = build_head(0), [shape_key(name) for name in shapes.names]
-    own, ours = [], []
-    for name in ANCHORS:
-        if shape_key(name) in keys:
-            delta = shapes.deltas[keys.index(shape_key(name))]
-            if delta.any():
-                own.append(_middle(shapes.neutral.vertices, delta))
-                ours.append(_middle(head.neutral, arkit_pose(head, {name: 1.0}) - head.neutral))
+    keys, own, ours = [shape_key(name) for name in shapes.names], [], []
+    for name, place in _anchors().items():
+        if name in keys and (delta := shapes.deltas[keys.index(name)]).any():
+            own.append(_middle(shapes.neutral.vertices, delta))
+            ours.append(place)
     spread = np.linalg.svd(np.subtract(own, np.mean(own, 0)))[1] if len(own) > 2 else [0, 0]
     if spread[1] < 0.1 * spread[0] or not spread[0]:
         raise MeshError(
@@ -181,6 +179,14 @@ def _placed(shapes: ShapeSet, notes: list[str]) -> tuple[ShapeSet, Any]:
     moved = (scale * shapes.deltas @ rotation.T).astype(np.float32)
     return ShapeSet(TriMesh(to_cm(shapes.neutral.vertices), shapes.neutral.faces),
                     shapes.names, moved), to_cm  # fmt: skip
+
+
+@cache
+def _anchors() -> dict[str, Float64]:
+    """Places that `ANCHORS` move on the embedded head, by `shape_key`."""
+    head = build_head(0)
+    moved = {name: arkit_pose(head, {name: 1.0}) - head.neutral for name in ANCHORS}
+    return {shape_key(name): _middle(head.neutral, delta) for name, delta in moved.items()}
 
 
 def _middle(points: Float64, delta: NDArray[Any]) -> Float64:

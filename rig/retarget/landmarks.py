@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial import KDTree
 
-from rig.arrays import Float64
+from rig.arrays import Float64, Int64
 from rig.errors import FormatError, MeshError, quoted
 from rig.files.reading import load_json, read_text
 from rig.limits import COORDINATE, POINT_NAMES, POINTS_BYTES
@@ -103,7 +103,7 @@ def _vertex(name: str, where: Any, mesh: TriMesh) -> int:
             f"within ±{COORDINATE:g}"
         )
     used = np.unique(mesh.faces)
-    return int(used[KDTree(mesh.vertices[used]).query(point)[1]])
+    return int(used[nearest(KDTree(mesh.vertices[used]), point)[1]])
 
 
 def check_landmarks(landmarks: Mapping[str, int], count: int) -> None:
@@ -124,15 +124,7 @@ def check_names(names: Iterable[str]) -> None:
         raise MeshError(f"unknown landmark {quoted(unknown[0])}; known: {', '.join(LANDMARKS)}")
 
 
-def similarity(before: Any, after: Any) -> tuple[float, Float64, Float64]:
-    """Scale, rotation and shift that best take points to points: `scale R x + shift`.
-
-    Umeyama's closed form (1991); never a reflection.
-    """
-    a, b = np.asarray(before, dtype=np.float64), np.asarray(after, dtype=np.float64)
-    centre_a, centre_b = a.mean(axis=0), b.mean(axis=0)
-    u, stretch, vt = np.linalg.svd((b - centre_b).T @ (a - centre_a))
-    signs = np.array([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
-    rotation = (u * signs) @ vt
-    scale = float((stretch * signs).sum() / ((a - centre_a) ** 2).sum())
-    return scale, rotation, centre_b - scale * rotation @ centre_a
+def nearest(tree: KDTree, points: Float64) -> tuple[Float64, Int64]:
+    """Distance of the nearest point of a tree to each of some, and its number."""
+    distance, index = tree.query(points)
+    return np.asarray(distance), np.asarray(index, dtype=np.int64)

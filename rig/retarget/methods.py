@@ -18,7 +18,7 @@ from rig.mesh.shapes import ShapeSet
 from rig.mesh.trimesh import TriMesh
 from rig.retarget.bake import BakedRig
 from rig.retarget.head_source import source_head
-from rig.retarget.landmarks import CORNERS
+from rig.retarget.landmarks import CORNERS, nearest
 from rig.retarget.lids import fit_lids
 from rig.retarget.registration import POOR_MATCH, Registration, register
 from rig.retarget.transfer import local_jacobians, transfer_displacements, transfer_gradients
@@ -86,8 +86,8 @@ def lip_pairs(mesh: TriMesh, landmarks: Mapping[str, int], labels: Int64) -> Lip
     if len(upper) == 0 or len(lower) == 0:
         raise MeshError("no lips found around the rim landmarks; check upper_rim and lower_rim")
     reach = max(1.5 * gap, _NEAR_SLIT * width)
-    down, below = _nearest(points[lower], points[upper])
-    up, above = _nearest(points[upper], points[lower])
+    down, below = nearest(KDTree(points[lower]), points[upper])
+    up, above = nearest(KDTree(points[upper]), points[lower])
     pairs = [(upper[i], lower[below[i]]) for i in np.flatnonzero(down <= reach)]
     pairs += [(upper[above[i]], lower[i]) for i in np.flatnonzero(up <= reach)]
     chosen = np.unique(np.array(pairs, dtype=np.int64).reshape(-1, 2), axis=0)
@@ -146,11 +146,6 @@ def repair_lips(
     return result
 
 
-def _nearest(points: Float64, queries: Float64) -> tuple[Float64, Int64]:
-    distance, index = KDTree(points).query(queries)
-    return np.asarray(distance), np.asarray(index, dtype=np.int64)
-
-
 def _along_slit(points: Float64, values: Float64, reach: float) -> Float64:
     """Gaussian mean of values [shape=(K, P, 3)] over the pairs about each: no ripples of one pair.
 
@@ -179,33 +174,51 @@ _VERTICES_AT_ONCE = 4_000_000
 
 
 @dataclass(frozen=True, eq=False)
-class Retargeted:
-    """A rig on the user's mesh, and its registration.
+class Carried:
+    """Shapes of one head on another.
 
     Parameters
     ----------
-    rig : BakedRig
-        Shapes on the user's mesh with the drivers of the source.
+    shapes : ShapeSet
+        The source's names over the target's mesh.
     registration : Registration
     source_pairs, target_pairs : LipPairs
         Where the lips meet on each.
-    warnings : tuple of str
-        Warnings for an artist, one line each.
     """
 
-    rig: BakedRig
+    shapes: ShapeSet
     registration: Registration
     source_pairs: LipPairs
     target_pairs: LipPairs
-    warnings: tuple[str, ...]
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Warnings for an artist about the registration, one line each."""
+        found, registration, pairs = [], self.registration, self.target_pairs
+        if registration.residual > POOR_MATCH:
+            off, most = 100 * registration.residual, 100 * POOR_MATCH
+            found.append(
+                f"the source head lies {off:.1f} % of the eye distance off the mesh (over "
+                f"{most:.0f} %): check the landmarks, left is the subject's"
+            )
+        if registration.inside_out:
+            found.append("the mesh's normals point inward; turned over for the matching only")
+        if not 0.5 < registration.scale < 2.0:
+            found.append(
+                f"the mesh is {registration.scale:.3g} x the size of a head in centimetres"
+            )
+        gap = float(np.median(np.abs(pairs.gaps(registration.target.vertices))))
+        if gap > 0.04 * pairs.width:
+            found.append(
+                f"the neutral mouth stands open ({gap / pairs.width:.0%} of its width): "
+                "lips will not meet; give a mesh with its mouth closed"
+            )
+        return tuple(found)
 
 
 def shapes_for(
-    mesh: TriMesh,
-    landmarks: Mapping[str, int],
-    *,
-    method: Method = "displacements",
-) -> Retargeted:
+    mesh: TriMesh, landmarks: Mapping[str, int], *, method: Method = "displacements"
+) -> tuple[BakedRig, Carried]:
     """Bake the rig of the embedded head onto a neutral mesh of any topology.
 
     Parameters
@@ -219,7 +232,9 @@ def shapes_for(
 
     Returns
     -------
-    Retargeted
+    rig : BakedRig
+        Shapes on the user's mesh with the drivers of the source.
+    carried : Carried
 
     Raises
     ------
@@ -229,31 +244,7 @@ def shapes_for(
     source = source_head()
     shapes = replace(source.rig.shapes, landmarks=source.landmarks)
     carried = carry_shapes(shapes, mesh, landmarks, method=method)
-    return Retargeted(
-        source.rig.on(mesh, carried.shapes.deltas).moving(),
-        carried.registration,
-        carried.source_pairs,
-        carried.target_pairs,
-        warnings_of(carried.registration, carried.target_pairs),
-    )
-
-
-@dataclass(frozen=True, eq=False)
-class Carried:
-    """Shapes of one head on another.
-
-    Parameters
-    ----------
-    shapes : ShapeSet
-        The source's names over the target's mesh.
-    registration : Registration
-    source_pairs, target_pairs : LipPairs
-    """
-
-    shapes: ShapeSet
-    registration: Registration
-    source_pairs: LipPairs
-    target_pairs: LipPairs
+    return source.rig.on(mesh, carried.shapes.deltas).moving(), carried
 
 
 def carry_shapes(
@@ -295,24 +286,3 @@ def carry_shapes(
         carried[some] = repair_lips(registration, source_pairs, target_pairs, deltas, moved)
     shapes = ShapeSet(target, source.names, carried, landmarks)
     return Carried(shapes, registration, source_pairs, target_pairs)
-
-
-def warnings_of(registration: Registration, pairs: LipPairs) -> tuple[str, ...]:
-    """Warnings for an artist about a registration, one line each."""
-    found = []
-    if registration.residual > POOR_MATCH:
-        found.append(
-            f"the source head lies {100 * registration.residual:.1f} % of the eye distance off "
-            f"the mesh (over {100 * POOR_MATCH:.0f} %): check the landmarks, left is the subject's"
-        )
-    if registration.inside_out:
-        found.append("the mesh's normals point inward; turned over for the matching only")
-    if not 0.5 < registration.scale < 2.0:
-        found.append(f"the mesh is {registration.scale:.3g} x the size of a head in centimetres")
-    gap = float(np.median(np.abs(pairs.gaps(registration.target.vertices))))
-    if gap > 0.04 * pairs.width:
-        found.append(
-            f"the neutral mouth stands open ({gap / pairs.width:.0%} of its width): "
-            "lips will not meet; give a mesh with its mouth closed"
-        )
-    return tuple(found)

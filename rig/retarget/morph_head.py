@@ -13,9 +13,7 @@ from rig.face import Head, build_head
 from rig.face.head_file import opened
 from rig.face.identity import Identity
 from rig.face.mesh import CLOTH, EYE, HAIR
-from rig.mesh.glb import (
-    Surface,
-)
+from rig.mesh.glb import Surface
 from rig.mesh.trimesh import TriMesh
 from rig.retarget.bake import STILL, BakedRig, bake, control_halves, face_correctives
 

@@ -12,14 +12,14 @@ import numpy as np
 from scipy.interpolate import RBFInterpolator
 from scipy.sparse import coo_array, csc_array, csr_array, diags_array
 from scipy.sparse.csgraph import dijkstra
-from scipy.sparse.linalg import splu
 from scipy.spatial import KDTree
 
 from rig.arrays import Float64, Int64
 from rig.errors import MeshError
 from rig.mesh.closest import ClosestPoints, SurfacePoints
+from rig.mesh.deformation import factored, similarity
 from rig.mesh.trimesh import TriMesh, adjacency, boundary_edges, components, edges, vertex_normals
-from rig.retarget.landmarks import CORNERS, LOWER_RIM, UPPER_RIM, check_landmarks, similarity
+from rig.retarget.landmarks import CORNERS, LOWER_RIM, UPPER_RIM, check_landmarks
 
 Rounds = Sequence[tuple[float, float, float]]
 """Per round: stiffness; furthest match that counts, in distances between the outer eye corners;
@@ -164,17 +164,9 @@ def register(
     matched = search.query(surface, labels=source_labels[skin])
     residual = float(np.median(matched.distances)) / eyes
     return Registration(
-        source,
-        target,
-        carried,
-        source_labels,
-        target_labels,
-        rotation,
-        scale,
-        eyes,
-        residual,
+        source, target, carried, source_labels, target_labels, rotation, scale, eyes, residual,
         inside_out,
-    )
+    )  # fmt: skip
 
 
 def _shared_points(
@@ -290,13 +282,7 @@ def closest_rounds(
         weight[landmarks] += hold
         pull[landmarks] += hold * (goals - points[landmarks])
         system = csc_array(diags_array(weight) + stiffness * bending)
-        factors = splu(
-            system,
-            permc_spec="MMD_AT_PLUS_A",
-            diag_pivot_thresh=0.0,
-            options={"SymmetricMode": True},
-        )
-        points = points + factors.solve(pull)
+        points = points + factored(system).solve(pull)
     return points
 
 

@@ -27,7 +27,7 @@ from rig.retarget.found_landmarks import guess_landmarks
 from rig.retarget.head_source import source_head
 from rig.retarget.landmarks import read_landmarks
 from rig.retarget.mapping_files import read_mapping
-from rig.retarget.methods import Method, carry_shapes, shapes_for, warnings_of
+from rig.retarget.methods import Method, carry_shapes, shapes_for
 
 LEAST_LOST = 1e-3
 """Share of the movement below which nothing is said."""
@@ -152,13 +152,9 @@ def _retarget(
     check_out(out)
     if known_controls(curves.control_set) is None:
         return _drive_by_name(curves, mesh, out, keys)
-    if mesh.suffix.lower() == ".glb" and not as_neutral and morph_names(mesh):
-        # Drive a GLB's own shapes, head, neck and eyes; a GLB that is written keeps the rest.
-        if check_out(out) != "glb":
-            shapes = read_glb(mesh)
-            fit, poses = _fit(curves, shapes, mapping)
-            _write(out, shapes, fit.weights, curves.fps)
-            return _driven(out, fit, poses, len(curves))
+    is_kept = mesh.suffix.lower() == ".glb" and check_out(out) == "glb"
+    if is_kept and not as_neutral and morph_names(mesh):
+        # Drive a GLB's own shapes, head, neck and eyes; the GLB that is written keeps the rest.
         try:
             fit, poses = _fit(curves, read_glb(mesh), mapping)
         except FormatError:
@@ -178,12 +174,10 @@ def _retarget(
         _write(out, shapes, fit.weights, curves.fps, keys)
         return _driven(out, fit, poses, len(curves))
     found, notes = _landmarks(shapes, landmarks)
-    made = shapes_for(shapes.neutral, found, method=method)
-    _write(out, made.rig.shapes, made.rig.weights(curves), curves.fps, keys)
-    notes += made.warnings
-    return RetargetReport(
-        Path(out), "neutral", len(made.rig.shapes.names), len(curves), None, notes
-    )
+    rig, carried = shapes_for(shapes.neutral, found, method=method)
+    _write(out, rig.shapes, rig.weights(curves), curves.fps, keys)
+    notes += carried.warnings
+    return RetargetReport(Path(out), "neutral", len(rig.shapes.names), len(curves), None, notes)
 
 
 def retarget_sequence(
@@ -236,13 +230,13 @@ def retarget_sequence(
     shapes, weights = principal_shapes(template, vertices, tolerance)
     carried = carry_shapes(replace(shapes, landmarks=known), target.neutral, found)
     _write(out, carried.shapes, weights, fps)
-    notes += warnings_of(carried.registration, carried.target_pairs)
+    notes += carried.warnings
     return RetargetReport(Path(out), "sequence", len(shapes.names), len(weights), None, notes)
 
 
 def _guessed(mesh: TriMesh) -> Mapping[str, int]:
     source = source_head()
-    return guess_landmarks(mesh, source.mesh, source.landmarks).landmarks
+    return guess_landmarks(mesh, source.mesh, source.landmarks)
 
 
 def _landmarks(

@@ -13,12 +13,11 @@ from typing import Any
 import numpy as np
 from scipy.sparse import coo_array, csc_array, csr_array, diags_array
 from scipy.sparse.csgraph import connected_components
-from scipy.sparse.linalg import splu
 
 from rig.arrays import Bool, Float64
 from rig.errors import MeshError
 from rig.mesh.closest import ClosestPoints
-from rig.mesh.deformation import DeformationSolver, deformation_gradients, rigid_motion
+from rig.mesh.deformation import DeformationSolver, deformation_gradients, factored, similarity
 from rig.mesh.trimesh import (
     TriMesh,
     adjacency,
@@ -192,12 +191,7 @@ def _fill(target: TriMesh, deltas: Float64, trusted: Bool) -> Float64:
     if len(open_) == 0:
         return result
     laplacian = csc_array(diags_array(np.asarray(links.sum(axis=1)).ravel()) - links)
-    factors = splu(
-        csc_array(laplacian[open_][:, open_]),
-        permc_spec="MMD_AT_PLUS_A",
-        diag_pivot_thresh=0.0,
-        options={"SymmetricMode": True},
-    )
+    factors = factored(csc_array(laplacian[open_][:, open_]))
     coupling = laplacian[open_]
     for delta in result:
         delta[open_] = factors.solve(-(coupling @ delta))
@@ -226,7 +220,7 @@ def _soften(registration: Registration, deltas: Float64) -> Float64:
 
 def _as_one_piece(rest: Float64, delta: Float64) -> Float64:
     """The rigid motion nearest to a displacement; itself where it plainly bends."""
-    turn, shift = rigid_motion(rest, rest + delta)
+    _, turn, shift = similarity(rest, rest + delta, is_rigid=True)
     rigid = rest @ turn.T + shift - rest
     misfit = np.linalg.norm(delta - rigid, axis=1).max()
     return rigid if misfit < _RIGID * np.linalg.norm(delta, axis=1).max() else delta

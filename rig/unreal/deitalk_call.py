@@ -153,11 +153,7 @@ def _environment() -> dict[str, str]:
 
 
 def _by_service(
-    settings: dict[str, Any],
-    recording: str,
-    folder: str,
-    options: dict[str, str],
-    tick: Tick,
+    settings: dict[str, Any], recording: str, folder: str, options: dict[str, str], tick: Tick
 ) -> str:
     address = settings["service"].rstrip("/")
     with open(recording, "rb") as stream:

@@ -24,8 +24,7 @@ import deitalk_unreal as importer  # type: ignore[import-not-found]
 
 RAW_PREFIX = "ctrl_expressions_"
 """Lower case: some versions give names of curves as they were first spelt in the editor."""
-RATES = ((24000, 1001), (24, 1), (25, 1), (30000, 1001), (30, 1), (48, 1), (50, 1),
-         (60000, 1001), (60, 1), (120, 1))  # fmt: skip
+RATES: list[tuple[int, int]] = [rate.as_integer_ratio() for rate in deitalk_clip.RATES]
 DECIMALS = 6
 STILL = 5e-7
 
@@ -190,8 +189,6 @@ def _rate_of(keys: dict[str, tuple[list[float], list[float]]], asset: str) -> tu
 
 def _sampled(times: list[float], values: list[float], grid: list[float]) -> Any:
     """Return values at the times of a grid, linear between keys; one number if they are equal."""
-    if max(values) - min(values) < STILL:
-        return round(values[0], DECIMALS)
     out, place = [], 0
     for t in grid:
         while place < len(times) - 2 and times[place + 1] <= t:
@@ -199,8 +196,8 @@ def _sampled(times: list[float], values: list[float], grid: list[float]) -> Any:
         before, after = times[place], times[min(place + 1, len(times) - 1)]
         share = 0.0 if after <= before else min(max((t - before) / (after - before), 0.0), 1.0)
         last = values[min(place + 1, len(values) - 1)]
-        out.append(round(values[place] + share * (last - values[place]), DECIMALS))
-    return out
+        out.append(values[place] + share * (last - values[place]))
+    return _rounded(out)
 
 
 def _rounded(values: Any) -> Any:
@@ -227,14 +224,12 @@ def _controls(board: Any) -> list[tuple[str, str]]:
 def _sound(sequence: Any) -> tuple[str, int]:
     """Return the file name of the first sound, and the frame at which it starts."""
     unreal = importer.unreal
-    find = getattr(sequence, "find_tracks_by_type", None) or sequence.find_master_tracks_by_type
-    for track in find(unreal.MovieSceneAudioTrack):
+    for track in sequence.find_tracks_by_type(unreal.MovieSceneAudioTrack):
         for section in track.get_sections():
             sound = section.get_editor_property("sound")
             if sound is None:
                 continue
-            source = sound.get_editor_property("asset_import_data")
-            path = str(source.get_first_filename()) if source is not None else ""
+            path = importer.file_of(sound)
             name = path.replace("\\", "/").rsplit("/", 1)[-1] or str(sound.get_name())
             return name, int(section.get_start_frame())
     return "", int(sequence.get_playback_start())

@@ -75,8 +75,7 @@ def find_face(actor: str = "") -> Any:
 
 def skeleton_of(face: Any) -> str:
     """Return the asset path of the skeleton of a face component; empty if it has no mesh."""
-    get_mesh = getattr(face, "get_skeletal_mesh_asset", None)  # 5.1 and later
-    mesh = get_mesh() if get_mesh else face.get_editor_property("skeletal_mesh")
+    mesh = face.get_skeletal_mesh_asset()
     skeleton = mesh.get_editor_property("skeleton") if mesh is not None else None
     return str(skeleton.get_path_name()).split(".")[0] if skeleton is not None else ""
 
@@ -112,15 +111,9 @@ def import_sound(path: str, folder: str = importer.FOLDER, name: str = "") -> An
 
 def _is_sound_of(asset: Any, path: str) -> bool:
     """Whether an asset is a SoundWave that was imported from a file."""
-    if not isinstance(asset, unreal.SoundWave):
-        return False
-    source = asset.get_editor_property("asset_import_data")
-    first = str(source.get_first_filename()) if source is not None else ""
-    return bool(first) and _plain(first) == _plain(path)
-
-
-def _plain(path: str) -> str:
-    return os.path.normcase(os.path.abspath(path))
+    first = importer.file_of(asset) if isinstance(asset, unreal.SoundWave) else ""
+    ours, theirs = (os.path.normcase(os.path.abspath(name)) for name in (path, first))
+    return bool(first) and ours == theirs
 
 
 def export_sound(sound: Any, folder: str) -> str:
@@ -131,8 +124,7 @@ def export_sound(sound: Any, folder: str) -> str:
     DeitalkError
         If there is no such file and Unreal does not write one.
     """
-    source = sound.get_editor_property("asset_import_data")
-    path = str(source.get_first_filename()) if source is not None else ""
+    path: str = importer.file_of(sound)
     if path and os.path.isfile(path):
         return path
     os.makedirs(folder, exist_ok=True)
@@ -347,8 +339,7 @@ def bind(sequence: Any, face: Any) -> Any:
     parents = [b for b in sequence.get_bindings() if _is_of(sequence, b, actor, label)]
     parent = parents[0] if parents else sequence.add_possessable(actor)
     child = sequence.add_possessable(face)
-    if hasattr(child, "set_parent"):
-        child.set_parent(parent)
+    child.set_parent(parent)
     return child
 
 
@@ -363,14 +354,12 @@ def _is_of(sequence: Any, binding: Any, actor: Any, label: str) -> bool:
 
 def _add_sound(sequence: Any, sound: Any, start: int) -> None:
     """Add a sound to a track of its own, unless it is there from that frame already."""
-    find = getattr(sequence, "find_tracks_by_type", None) or sequence.find_master_tracks_by_type
-    for track in find(unreal.MovieSceneAudioTrack):
+    for track in sequence.find_tracks_by_type(unreal.MovieSceneAudioTrack):
         for section in track.get_sections():
             is_same = section.get_editor_property("sound") == sound
             if is_same and _span(section)[0] == start:
                 return
-    add = getattr(sequence, "add_track", None) or sequence.add_master_track  # before 5.2
-    section = add(unreal.MovieSceneAudioTrack).add_section()
+    section = sequence.add_track(unreal.MovieSceneAudioTrack).add_section()
     section.set_sound(sound)
     display = sequence.get_display_rate()
     n_frames = round(_duration(sound) * display.numerator / display.denominator)

@@ -246,8 +246,7 @@ def _fill(sequence: Any, raw: dict[str, list[float]], rate: Fraction, n_frames: 
 
 
 def _rate_of(controller: Any) -> Fraction:
-    get_model = getattr(controller, "get_model_interface", None) or controller.get_model  # < 5.2
-    rate = get_model().get_frame_rate()
+    rate = controller.get_model_interface().get_frame_rate()
     return Fraction(rate.numerator, rate.denominator)
 
 
@@ -334,6 +333,12 @@ def has_control(board: Any, name: str) -> bool:
     """Return whether a control rig has a control."""
     key = unreal.RigElementKey(type=unreal.RigElementType.CONTROL, name=name)
     return bool(board.get_hierarchy().contains(key))
+
+
+def file_of(sound: Any) -> str:
+    """Return the file that a SoundWave was imported from; empty if none is known."""
+    source = sound.get_editor_property("asset_import_data")
+    return str(source.get_first_filename()) if source is not None else ""
 
 
 def display_rate() -> Any:

@@ -9,10 +9,11 @@ from rig.conversion.arkit import ARKIT_ID, PREFIX, arkit_controls
 from rig.conversion.convert import known_controls
 from rig.errors import FormatError
 from rig.files.reading import decode_text, open_file
-from rig.formats.livelink_csv import COUNT, LiveLinkTake, read_take, subject_of, suffix_note
+from rig.formats.livelink_csv import COUNT, LiveLinkTake, read_take, suffix_note
 from rig.formats.units import in_units
 from rig.formats.wide_csv import count_rows, read_header
 from rig.limits import CURVES_BYTES, HEADER_BYTES
+from rig.unreal.deitalk_clip import subject_of
 from rig.validation.findings import Finding, motion
 
 TAKE = re.compile(r"(?P<slate>.+)_(?P<take>\d+)_(?P<subject>[^_]+)")
@@ -41,7 +42,7 @@ def check_live_link(path: Path) -> list[Finding]:
     _check_header(path, _first_line(path))
     highest = _highest_frame_field(path)
     take = read_take(path)
-    subject = subject_of(path)
+    subject = subject_of(path.name)
     text = f"Unreal makes the Live Link subject {subject!r}"
     parts = TAKE.fullmatch(path.stem)
     if parts and subject == path.stem:
@@ -49,10 +50,7 @@ def check_live_link(path: Path) -> list[Finding]:
         text += f", the whole name; {better} gives {parts['subject']!r}"
     if suffix_note(path):
         text = suffix_note(path)
-    findings = [
-        Finding("note", path, _count_of_frames(take)),
-        Finding("note", path, text),
-    ]
+    findings = [Finding("note", path, _count_of_frames(take)), Finding("note", path, text)]
     if take.ticks[0] > 60_000:
         text = "the time code starts late: Unreal places the section at that hour of the timeline"
         findings.append(Finding("warning", path, text))

@@ -51,6 +51,11 @@ def wav(seconds: float = 1.0, rate: int = 16000, channels: int = 1) -> bytes:
     return buffer.getvalue()
 
 
+@pytest.fixture(scope="session", autouse=True)
+def _opened_once(opened_once):
+    """Graphs and the model of phones are opened once in a process."""
+
+
 @pytest.fixture(scope="session")
 def tiny_model(tmp_path_factory):
     """Folder of a small causal model of random weights with two actors."""

@@ -23,7 +23,7 @@ from api.errors import Problem
 from api.guard import protocol
 from api.live import route as live_route
 from api.live.messages import FRAME
-from api.live.session import LiveStream
+from api.live.stream import LiveStream
 from api.serving import server_config
 from api.settings import Settings
 from deitalk import LiveAnimator

@@ -98,8 +98,10 @@ WRITTEN = {
     "early": {"delay": "-2", "fps": "24"},
     "handles": {"handles": "8", "fps": "24", "timecode": "01:00:00:00"},
     "both": {"delay": "2", "handles": "5"},
+    "edits of a film": {"handles": "8", "fps": "24", "edit": "fixes.edit.json"},
+    "edits in frames of 60": {"delay": "3", "fps": "60", "edit": "fixes.edit.json"},
 }
-"""How a take is written."""
+"""How a take is written; edits have steps, which the rate of the take shows as they are."""
 SIGNAL = ("track", "channel", "raw")
 SHIFT = ("delay_frames", "handles_frames")
 SIGNALS = {
@@ -402,7 +404,8 @@ def test_every_door_writes_the_same_shift(here, case, tmp_path, server, monkeypa
     given, fps = WRITTEN[case], float(WRITTEN[case].get("fps", 30))
     whole = {name: int(given[name]) for name in ("delay", "handles") if name in given}
     start, _ = start_of(given.get("timecode", ZERO), fps, None)
-    saved = animate("line.wav", model="tiny").save(tmp_path / "line", fps=fps, start=start, **whole)
+    acted = animate("line.wav", model="tiny", edit=given.get("edit", ()))
+    saved = acted.save(tmp_path / "line", fps=fps, start=start, **whole)
     wanted = take_of(saved)
     assert len(wanted.values) == round(1.5 * fps) + 2 * whole.get("handles", 0)
     assert {wanted.written[f"{name}_frames"] for name in whole} == set(whole.values())
@@ -415,7 +418,7 @@ def test_every_door_writes_the_same_shift(here, case, tmp_path, server, monkeypa
 
 def same_shift(found, wanted):
     close(found.values, wanted.values)
-    assert found.written == wanted.written and found.settings == wanted.settings == {}
+    assert found.written == wanted.written and found.settings == wanted.settings
 
 
 DUBS = {

@@ -13,9 +13,10 @@ from contextlib import contextmanager, suppress
 import pytest
 import sqlalchemy as sql
 
-from api.errors import DISK_FULL, describe, is_disk_full, problem_for
+from api.errors import DISK_FULL, describe, problem_for
 from api.jobs.queue import Queue, new_id
 from api.jobs.versions import open_database
+from deitalk.errors import is_disk_full
 from rig.errors import FormatError
 from tests.api.conftest import wav
 from tests.api.database import serving_postgres

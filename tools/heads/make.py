@@ -23,6 +23,7 @@ from tools.heads.base import Base, triangles
 from tools.heads.parts import Person, eye_of
 from tools.heads.people import PEOPLE
 from tools.heads.shapes import COLUMNS, Shapes
+from tools.heads.strands import Hair, strands
 
 DATA = Path(__file__).parents[2] / "rig/face/data"
 SHIFT = np.array([0.0, -3.6, -1.5])
@@ -43,14 +44,15 @@ SHARED = (
     "lash_L",
     "lash_R",
 )
-OWN = ("brow_L", "brow_R", "hair", "shirt")
+OWN = ("brow_L", "brow_R", "hair", "strands", "shirt")
 KINDS = {"skin": SKIN, "seam": SKIN, "eye_L": EYE, "eye_R": EYE, "hair": HAIR, "brow_L": FINE,
-         "brow_R": FINE, "lash_L": HAIR, "lash_R": HAIR, "shirt": CLOTH}  # fmt: skip
+         "brow_R": FINE, "lash_L": HAIR, "lash_R": HAIR, "strands": HAIR,
+         "shirt": CLOTH}  # fmt: skip
 GLOSS = {"skin": 0.30, "seam": 0.30, "eye_L": 0.9, "eye_R": 0.9, "teeth_upper": 0.55,
-         "teeth_lower": 0.55, "tongue": 0.45, "hair": 0.26, "shirt": 0.03}  # fmt: skip
+         "teeth_lower": 0.55, "tongue": 0.45, "hair": 0.26, "strands": 0.26, "shirt": 0.03}  # fmt: skip
 PICTURE = {"skin": "skin", "seam": "skin", "eye_L": "eye", "eye_R": "eye", "tongue": "tongue",
            "teeth_upper": "teeth", "teeth_lower": "teeth", "lash_L": "lash", "lash_R": "lash",
-           "brow_L": "brow", "brow_R": "brow", "hair": "hair", "shirt": "shirt"}  # fmt: skip
+           "brow_L": "brow", "brow_R": "brow", "hair": "hair", "strands": "strands", "shirt": "shirt"}  # fmt: skip
 OPEN = {"CTRL_C_jaw.ty": 0.55, "CTRL_@_mouth_upperLipRaise.ty": 0.6,
         "CTRL_@_mouth_lowerLipDepress.ty": 0.6}  # fmt: skip
 """A pose in which the inside of the mouth is lit."""
@@ -102,21 +104,24 @@ class Joined:
         self.slices[name] = slice(first, first + len(points))
 
 
-def main(packages: Path) -> None:
-    """Write all files of `DATA`."""
+def main(packages: Path, *names: str) -> None:
+    """Write all files of `DATA`, or those of some people."""
     controls = default_controls()
     base = Base(packages)
     shapes = Shapes(base)
     shapes.names, shapes.deltas = shapes.merged(controls)
     DATA.mkdir(parents=True, exist_ok=True)
-    average = None
     for name, look in PEOPLE.items():
+        if names and name not in names:
+            continue
         person = Person(base, shapes, look)
+        alpha = pictures.hair(base, look)[..., 3]
+        hair = Hair(person, alpha)
+        person.parts["strands"] = strands(person, hair)
         joined = Joined(base, person)
-        if average is None:
-            average = joined
+        if name == next(iter(PEOPLE)):
             write_shared(base, shapes, person, joined)
-        write_person(name, look, base, shapes, person, joined)
+        write_person(name, look, base, shapes, person, joined, hair)
     Image.fromarray(pictures.pores()).save(DATA / "pores.webp", quality=90, method=6)
 
 
@@ -275,7 +280,7 @@ def crease_masks(skin, marks):
     return np.concatenate([front * left, front * (1 - left)])
 
 
-def write_person(name, look, base, shapes, person, joined) -> None:
+def write_person(name, look, base, shapes, person, joined, hair) -> None:
     """Write points, surface and picture of one person."""
     first_own = joined.slices["brow_L"].start
     picture = pictures.atlas(base, look)
@@ -290,11 +295,8 @@ def write_person(name, look, base, shapes, person, joined) -> None:
         colour[slices[part]] *= front[:, None] ** [0.6, 1.2, 1.25]  # by light from the cheeks
         gloss[slices[part]] *= front
     colour[slices["shirt"]] = np.array(look["shirt_colour"]) / 255
-    scalp = _scalp(base, person, picture)
-    tint = np.minimum(np.array(look["hair_colour"]) / 255 / 0.62, 1)
-    skin_colour = 1 - scalp[:, None] * (1 - tint)
-    colour[slices["skin"]] = skin_colour
-    colour[slices["seam"]] = skin_colour[joined.weld[slices["seam"]]]
+    colour[slices["strands"]] = person.parts["strands"].tone[:, None]
+    pictures.paint_scalp(picture, base, person, hair)
     light = _light(base, shapes, person, joined, picture)
     near, weight, follows = [], [], []
     for part in ("lash_L", "lash_R", "brow_L", "brow_R"):
@@ -324,7 +326,7 @@ def write_person(name, look, base, shapes, person, joined) -> None:
         blink=np.float32(_blink(base, shapes, person)),
         creases=np.float32(look["creases"]),
     )  # fmt: skip
-    Image.fromarray(picture).save(DATA / f"{name}.webp", quality=82, method=6)
+    Image.fromarray(picture).save(DATA / f"{name}.webp", quality=82, method=6, exact=True)
     print(name, len(joined.points), len(joined.faces), "size", round(person.size, 3))  # noqa: T201
 
 
@@ -334,24 +336,6 @@ def _blink(base, shapes, person):
     ends = [marks["eye_lower_left"], marks["eye_upper_left"]]
     low, high = shapes.deltas[shapes.names.index("CTRL_L_eye_blink.ty")][ends, 1]
     return np.diff(person.skin[ends, 1])[0] / ((low - high) * person.size)
-
-
-def _scalp(base, person, picture):
-    """Share of the hair's colour on the skin: where hair that is opaque lies closely over it."""
-    part, side = person.parts["hair"], picture.shape[0]
-    x, y = np.clip(side * pictures.placed(part.uv, "hair"), 0, side - 1).astype(int).T
-    hair = part.points[part.drawn][picture[y, x, 3] > 200]
-    distance, near = cKDTree(hair).query(person.skin)
-    over = ((hair[near] - person.skin) * person.normals).sum(1) > 0
-    share = np.clip((0.65 - distance) / 0.35, 0, 1) * over * (person.skin[:, 1] > 1)
-    faces = base.skin_faces
-    for _ in range(4):
-        total, count = np.zeros(len(share)), np.zeros(len(share))
-        for a, b in ((0, 1), (1, 2), (2, 0)):
-            np.add.at(total, faces[:, a], share[faces[:, b]])
-            np.add.at(count, faces[:, a], 1)
-        share = 0.4 * share + 0.6 * total / np.maximum(count, 1)
-    return np.clip((share - 0.4) * 1.6, 0, 1)
 
 
 def _front(points):
@@ -364,7 +348,9 @@ def _light(base, shapes, person, joined, picture):
     side = picture.shape[0]
     middle = joined.uv[joined.faces].mean(1)
     at = np.clip((side * middle).astype(int), 0, side - 1)
-    is_opaque = picture[at[:, 1], at[:, 0], 3] > 100
+    cards = joined.slices["strands"]
+    is_card = (joined.faces[:, 0] >= cards.start) & (joined.faces[:, 0] < cards.stop)
+    is_opaque = (picture[at[:, 1], at[:, 0], 3] > 100) & ~is_card
     weights = {n.replace("@", s): w for n, w in OPEN.items() for s in "LR"}
     moved = joined.points.copy()
     for name, weight in weights.items():
@@ -407,8 +393,11 @@ def _light(base, shapes, person, joined, picture):
         light[own] = (0.40 + 0.60 * pictures._smooth((gap - 0.03) / 0.40))[:, None]
     light[joined.slices["lash_L"].start : joined.slices["brow_R"].stop] = 1
     light[seam] = light[joined.weld[seam]]
+    hair = x[joined.slices["hair"]]  # cards have the light of the hair's outside
+    near = cKDTree(hair).query(x[cards], k=12)[1]
+    light[cards] = np.quantile(light[joined.slices["hair"]][near], 0.8, axis=1)
     return light
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]))
+    main(Path(sys.argv[1]), *sys.argv[2:])

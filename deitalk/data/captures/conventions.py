@@ -17,11 +17,11 @@ from rig import RigCurves, default_controls
 from rig.arrays import Bool, Float32, Float64, Int64
 
 LEAST_TAKES = 2
-"""Of one actor in one emotion."""
+"""Fewest takes of one actor in one emotion that are compared."""
 MOST_TAKES = 100
-"""Beyond them takes are not compared: every one is with every other."""
+"""Most takes that are compared, every one with every other."""
 LEAST_FRAMES = 150
-"""Of a take that is compared: 5 s."""
+"""Fewest frames of a take that is compared: 5 s."""
 LEAST_GAIN = 0.03
 """Share of the error by which conventions must lower it against one map of all takes. Parts of one
 take and takes of one hand gave at most .007, takes of different ones .05 to .2."""
@@ -31,7 +31,7 @@ from its own other half. Takes of one hand gave .99 and 1.01, takes of different
 LEAST_HELP = 0.1
 """Share of the smaller group's error by which a join lowers that of both, where they are alike."""
 PENALTY = 0.03
-"""Of a map, as a share of the squares of its predictors."""
+"""Penalty of a map, as a share of the squares of its predictors."""
 MOVING = 0.02
 """Least standard deviation of a control that counts, where it is not said which do."""
 SHOWN = 2
@@ -101,7 +101,7 @@ class Convention(NamedTuple):
 
     takes: tuple[str, ...]
     controls: tuple[str, ...]
-    """Those that move more in these takes than in the others, most first."""
+    """Controls that move more in these takes than in the others, most first."""
 
     def __str__(self) -> str:
         more = f" (more {', '.join(self.controls)})" if self.controls else ""

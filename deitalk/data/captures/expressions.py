@@ -39,12 +39,7 @@ def style_scores(curves: Float32, speaking: Bool, controls: ControlSet) -> Float
     rows = curves[speaking] if speaking.any() else curves
     face = rows.mean(axis=0) - controls.rest
     scores = [
-        sum(weight * _sides(face, name, controls) for name, weight in rule)
+        sum(w / 2 * face[controls.index(f"CTRL_{s}_{name}")] for name, w in rule for s in "LR")
         for rule in RULE.values()
     ]
     return np.array(scores, np.float32)
-
-
-def _sides(face: Float32, name: str, controls: ControlSet) -> float:
-    left, right = (face[controls.index(f"CTRL_{side}_{name}")] for side in "LR")
-    return float(left + right) / 2

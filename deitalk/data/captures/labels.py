@@ -40,7 +40,7 @@ class Labels:
     emotion: str
     style: str = ""
     split: str = ""
-    """As the table gives it; empty: chosen by `deitalk.data.captures.splits`."""
+    """Split that the table gives; empty: chosen by `deitalk.data.captures.splits`."""
     voice: str = ""
     is_actor_given: bool = True
     is_emotion_given: bool = True
@@ -87,12 +87,25 @@ class Labelling:
             If an emotion or split is unknown, or the pattern is not found in the take's path.
         """
         row = self._row(source, name)
-        groups = self._groups(source)
+        groups: dict[str, str | None] = {}
+        if self.pattern is not None:
+            match = re.search(self.pattern, source.place)
+            if match is None:
+                place = quoted(source.place)
+                raise DataError(
+                    f"{source.curves}: `pattern={self.pattern}` is not found in {place}",
+                    parameter="pattern",
+                )
+            groups = match.groupdict()
         found = {
             name: row.get(name) or getattr(self, name) or groups.get(name) or "" for name in GROUPS
         }
         where = str(source.curves)
-        emotion = emotion_of(found["emotion"], where) if found["emotion"] else _in_path(source)
+        emotion = emotion_of(found["emotion"], where) if found["emotion"] else ""
+        if not emotion:  # the last part of the path that names one
+            words = re.split(r"[^A-Za-z]+", source.place.lower())
+            named = [SPELLINGS.get(word, word) for word in reversed(words)]
+            emotion = next((name for name in named if name in EMOTIONS), "")
         split = row.get("split", "")
         if split and split not in SPLITS:
             raise DataError(f"{where}: split {quoted(split)} must be {', '.join(SPLITS)}")
@@ -126,17 +139,6 @@ class Labelling:
                 return self._rows[key]
         raise DataError(f"{self.table}: has no row of take {quoted(source.stem)}; add one")
 
-    def _groups(self, source: Source) -> dict[str, str]:
-        if self.pattern is None:
-            return {}
-        found = re.search(self.pattern, source.place)
-        if found is None:
-            raise DataError(
-                f"{source.curves}: `pattern={self.pattern}` is not found in {quoted(source.place)}",
-                parameter="pattern",
-            )
-        return {name: text for name, text in found.groupdict().items() if text}
-
 
 def emotion_of(text: str, where: str, *, parameter: str = "") -> str:
     """Return one of the five emotions for a name of one, in any of the known spellings."""
@@ -148,13 +150,6 @@ def emotion_of(text: str, where: str, *, parameter: str = "") -> str:
             parameter=parameter,
         )
     return name
-
-
-def _in_path(source: Source) -> str:
-    """The emotion that a part of the path names; the last one, empty if none."""
-    words = re.split(r"[^A-Za-z]+", source.place.lower())
-    named = [SPELLINGS.get(word, word) for word in words]
-    return next((name for name in reversed(named) if name in EMOTIONS), "")
 
 
 def _check_pattern(pattern: str) -> None:

@@ -95,7 +95,13 @@ def find_takes(
             key = (path.parent, _stem(path))
             if key not in best or rank(path) < rank(best[key]):
                 best[key] = path
-        chosen = sorted(best.values()) or (_videos(source) if columns is None else [])
+        chosen = sorted(best.values())
+        if not chosen and columns is None:
+            chosen = [
+                path
+                for path in sorted(source.rglob("*"))
+                if path.suffix.lower() in VIDEOS and not _is_hidden(path, source) and path.is_file()
+            ]
         if not chosen and columns is not None:
             names = columns.names if isinstance(columns, ControlSet) else columns
             raise DataError(
@@ -116,7 +122,15 @@ def find_files(source: Path) -> list[Path]:
     """Files of a folder, to any depth, that may hold curves; a file itself."""
     if source.is_file():
         return [source]
-    return [path for path in sorted(source.rglob("*")) if _may_hold_curves(path, source)]
+    return [
+        path
+        for path in sorted(source.rglob("*"))
+        if path.suffix.lower() in CURVES
+        and path.name.lower() not in SIDE_FILES
+        and not _without_suffix(path).endswith("_neutral")
+        and not _is_hidden(path, source)
+        and path.is_file()
+    ]
 
 
 def find_sound(
@@ -174,23 +188,8 @@ def _sounds(folder: Path, *, deep: bool = False) -> list[Path]:
     return sorted(p for p in paths if p.suffix.lower() in SOUNDS and p.is_file())
 
 
-def _videos(top: Path) -> list[Path]:
-    """Videos of a folder, to any depth."""
-    return [
-        path
-        for path in sorted(top.rglob("*"))
-        if path.suffix.lower() in VIDEOS and not _is_hidden(path, top) and path.is_file()
-    ]
-
-
 def _is_hidden(path: Path, top: Path) -> bool:
     return any(part.startswith(".") for part in path.relative_to(top).parts)
-
-
-def _may_hold_curves(path: Path, top: Path) -> bool:
-    known = path.suffix.lower() in CURVES and path.name.lower() not in SIDE_FILES
-    is_neutral = _without_suffix(path).endswith("_neutral")
-    return known and not _is_hidden(path, top) and not is_neutral and path.is_file()
 
 
 def _holds_curves(path: Path, columns: ControlSet | AbstractSet[str] | None) -> bool:

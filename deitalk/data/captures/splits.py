@@ -22,7 +22,7 @@ SPLITS = (TRAIN, VALIDATION, TEST, LEFT_OUT)
 APART_SECONDS = 5.0
 """Longer than a training window of 128 frames."""
 SHARE = 1 / 8
-"""Of validation, and of test."""
+"""Share of validation, and of test."""
 LEAST_TAKES = 4
 """Takes of an actor in one emotion from which on whole takes are divided."""
 BLOCK_SECONDS = 90.0
@@ -283,12 +283,12 @@ def _apart(pieces: Sequence[Piece], splits: list[str]) -> list[str]:
     for places in takes.values():
         for mine, others in ((TRAIN, (VALIDATION, TEST)), (VALIDATION, (TEST,))):
             for i in places:
-                near = any(splits[j] in others and _gap(pieces[i], pieces[j]) for j in places)
+                near = any(
+                    max(pieces[i].start - pieces[j].stop, pieces[j].start - pieces[i].stop)
+                    < APART_SECONDS
+                    for j in places
+                    if splits[j] in others
+                )
                 if splits[i] == mine and near:
                     result[i] = LEFT_OUT
     return result
-
-
-def _gap(one: Piece, other: Piece) -> bool:
-    """Whether two clips of a take are neighbours."""
-    return max(one.start - other.stop, other.start - one.stop) < APART_SECONDS

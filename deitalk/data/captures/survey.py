@@ -7,10 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from deitalk.audio.frames import FRAME_RATE, runs
+from deitalk.audio.frames import FRAME_RATE
 from deitalk.audio.load import Recording
 from deitalk.audio.prosody import measure_prosody
 from deitalk.audio.voice_activity import speech_activity
+from deitalk.data.captures.channels import ChannelFaults, asymmetry, channel_faults, swapped_takes
 from deitalk.data.captures.conventions import Relations
 from deitalk.data.captures.expressions import RULE, style_scores
 from deitalk.data.captures.rest_pose import rest_pose
@@ -30,142 +31,6 @@ from rig import ControlSet, RigCurves
 from rig.arrays import Bool, Float32, Float64
 from rig.controls import DEFAULT_ID
 
-MOVES = 1e-3
-CLIPPED_SHARE = 0.05
-"""Of the frames at an end of the range, in stretches of `CLIPPED_SECONDS` and more."""
-CLIPPED_SECONDS = 0.1
-EDGE = 0.995
-JITTER = 0.8
-"""Distance of a frame from the mean of its neighbours, root mean square, by the standard deviation:
-1.22 for white noise, at most .58 for captures and speech curves at 30 frames per second."""
-FROZEN_SECONDS = 0.5
-"""Time of speech in which no channel changes: the tracker lost the face."""
-SWAPPED = -0.5
-"""Correlation of two movements to one side, of real faces clearly positive, from which on one of
-them has its sides swapped."""
-LEAST_MOVEMENT = 0.02
-"""Least standard deviation of a sideways movement whose side can be judged."""
-
-
-@dataclass(frozen=True)
-class ChannelFaults:
-    """Faults of the channels of a clip."""
-
-    clipped: tuple[str, ...]
-    jittering: tuple[str, ...]
-    frozen_seconds: float
-    moving: Bool
-    """Channels that move at all [shape=(C,)]."""
-    gaze: float
-    """Correlation of the sideways gaze of both eyes; NaN where one is still."""
-    sideways: float
-    """Correlation of jaw and mouth to the side; NaN where one is still."""
-    asymmetry: Float64
-    """Mean of left minus right of the pairs [shape=(P,)], 0 where unknown."""
-
-
-def channel_faults(
-    values: Float32, fps: float, known: Bool, controls: ControlSet, speaking: Bool
-) -> ChannelFaults:
-    """Measure the known channels of one clip.
-
-    Parameters
-    ----------
-    values : ndarray [shape=(T, C)]
-        In the order of `controls`.
-    fps : float
-        Frames per second.
-    known : ndarray of bool [shape=(C,)]
-        Channels that the source can know.
-    controls : ControlSet
-        Board.
-    speaking : ndarray of bool [shape=(T,)]
-        Frames with speech: only there a face that stands still is a fault.
-    """
-    moving = known & (np.ptp(values, axis=0) > MOVES)
-    names = controls.names
-    return ChannelFaults(
-        tuple(
-            names[i]
-            for i in np.flatnonzero(moving).tolist()
-            if _is_clipped(values[:, i], i, fps, controls)
-        ),
-        tuple(names[i] for i in np.flatnonzero(moving) if _jitter(values[:, i]) > JITTER),
-        _frozen(values[:, moving], fps, speaking),
-        moving,
-        _together(values, "CTRL_L_eye.tx", "CTRL_R_eye.tx", controls),
-        _together(values, "CTRL_C_jaw.tx", "CTRL_C_mouth.tx", controls),
-        asymmetry(values, known, controls),
-    )
-
-
-def _is_clipped(column: Float32, place: int, fps: float, controls: ControlSet) -> bool:
-    """Whether a channel stays at an end of its range, away from rest, again and again."""
-    low, high, rest = (a[place] for a in (controls.minimum, controls.maximum, controls.rest))
-    at_end = np.zeros(len(column), bool)
-    if high > rest:
-        at_end |= column >= rest + EDGE * (high - rest)
-    if low < rest:
-        at_end |= column <= rest - EDGE * (rest - low)
-    lengths = np.diff(runs(at_end), axis=1)
-    held = int(lengths[lengths >= max(CLIPPED_SECONDS * fps, 2)].sum())
-    return held >= CLIPPED_SHARE * len(column)
-
-
-def _jitter(column: Float32) -> float:
-    if len(column) < 10:
-        return 0.0
-    x = column.astype(np.float64)
-    noise = x[1:-1] - (x[:-2] + x[2:]) / 2
-    return float(np.sqrt((noise**2).mean()) / max(x.std(), 1e-9))
-
-
-def _frozen(values: Float32, fps: float, speaking: Bool) -> float:
-    """Seconds of speech without a change of a moving channel, in stretches of `FROZEN_SECONDS`."""
-    if values.shape[1] < 3 or len(values) < 3:
-        return 0.0
-    still = (np.abs(np.diff(values, axis=0)) < 1e-6).all(axis=1) & speaking[1:]
-    lengths = np.diff(runs(still), axis=1)
-    return float(lengths[lengths >= FROZEN_SECONDS * fps].sum() / fps)
-
-
-def _together(values: Float32, one: str, other: str, controls: ControlSet) -> float:
-    if one not in controls or other not in controls:
-        return float("nan")
-    a, b = (values[:, controls.index(name)].astype(np.float64) for name in (one, other))
-    if min(a.std(), b.std()) < LEAST_MOVEMENT:
-        return float("nan")
-    return float(np.corrcoef(a, b)[0, 1])
-
-
-def asymmetry(values: Float32, known: Bool, controls: ControlSet) -> Float64:
-    """Mean of left minus right of every pair of known channels [shape=(P,)]."""
-    mirror = controls.mirror_index
-    pairs = [(i, int(mirror[i])) for i in range(len(mirror)) if i < mirror[i]]
-    mean = values.mean(axis=0, dtype=np.float64)
-    return np.array([mean[i] - mean[j] if known[i] and known[j] else 0.0 for i, j in pairs])
-
-
-def swapped_takes(takes: Sequence[Float64]) -> list[int]:
-    """Places of an actor's takes whose asymmetry is the mirrored one of most others.
-
-    Parameters
-    ----------
-    takes : sequence of array [shape=(P,)]
-        `asymmetry` of at least three takes; of fewer nothing can be told.
-    """
-    if len(takes) < 3:
-        return []
-    swapped, total = [], np.sum(takes, axis=0)
-    for place, own in enumerate(takes):
-        others = (total - own) / (len(takes) - 1)
-        size = float(np.linalg.norm(own) * np.linalg.norm(others))
-        strong = min(np.linalg.norm(own), np.linalg.norm(others)) > LEAST_MOVEMENT
-        if strong and float(own @ others) / size < SWAPPED:
-            swapped.append(place)
-    return swapped if len(swapped) <= len(takes) // 2 else []
-
-
 AROUND_SPEECH_SECONDS = 0.2
 """Frames so near to speech are not silent: the mouth opens before and shuts after the sound."""
 UNLIKE = 0.1
@@ -183,7 +48,7 @@ class ClipSurvey:
     lags: ClipLags | None
     known: Bool
     scores: Float64
-    """Of happy, sad, angry and surprised during speech [shape=(4,)]."""
+    """Scores of happy, sad, angry and surprised during speech [shape=(4,)]."""
     asymmetry: Float64
     voiced: Float64
     """Pitch of the voiced frames, semitones over 100 Hz."""
@@ -258,19 +123,15 @@ class Survey:
                 channel_faults(values, curves.fps, known, self.controls, speaking),
                 clip_lags(board, recording.waveform, predicted=predicted, **place),
                 known,
-                self._scores(values, speaking),
+                style_scores(values, speaking, self.controls).astype(np.float64)
+                if self.controls.id == DEFAULT_ID
+                else np.zeros(len(RULE)),  # no rule is known of another rig
                 asymmetry(values, known, self.controls),
                 prosody.pitch[prosody.voiced],
                 clip_signals(board, predicted=predicted, **place),
                 None if rate is None else (curves.fps, rate),
             )
         )  # fmt: skip
-
-    def _scores(self, values: Float32, speaking: Bool) -> Float64:
-        """Scores of the expressions; 0 for another rig, of which no rule is known."""
-        if self.controls.id != DEFAULT_ID:
-            return np.zeros(len(RULE))
-        return style_scores(values, speaking, self.controls).astype(np.float64)
 
     def by_take(self) -> dict[str, list[ClipSurvey]]:
         """Clips of every take."""

@@ -17,14 +17,14 @@ from deitalk.installed import imported
 from rig import ControlSet, RigCurves, default_controls, read_curves
 from rig.arrays import Bool
 from rig.controls import DEFAULT_ID
-from rig.conversion.arkit import ARKIT_ID, RAW_ID, arkit_to_raw
+from rig.conversion.arkit import ARKIT_ID, N_SHAPES, RAW_ID, arkit_to_raw
 from rig.conversion.convert import KNOWN, convert, reached_controls
 from rig.curves.edit import clamp
 from rig.curves.timecode import TICKS_PER_SECOND
 from rig.errors import UserError
 from rig.files.reading import open_file, read_npz
 from rig.formats import emoface_txt, livelink_csv, unreal_json
-from rig.formats.curves_csv import N_SHAPES, describe_columns, known_columns
+from rig.formats.curves_csv import describe_columns, known_columns
 from rig.formats.named import NamedCurves, is_face_cap, read_named
 from rig.formats.table import format_of_header
 from rig.formats.units import check_rate, in_units
@@ -44,7 +44,7 @@ LEAST_KNOWN = 3
 """Columns of a known name that make a table a capture."""
 DAY = 24 * 3600.0
 LEAST_SECONDS = 0.5
-"""Of curves and sound of a take."""
+"""Least length of curves and sound of a take."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -222,33 +222,30 @@ def kind_of(path: Path) -> str | None:
     suffix = path.suffix.lower()
     if suffix in VIDEOS:
         return "video"
-    if suffix == ".txt" and not is_face_cap(path):
+    if suffix == ".txt":
+        if is_face_cap(path):
+            return "table"
         with open_file(path, JSON_CURVES_BYTES) as stream:
             columns = stream.readline(1 << 16).count(b",") + 1
         if columns == len(emoface_txt.columns()):
             return "emoface"
     if suffix in (".csv", ".tsv", ".txt"):
-        return "table" if suffix == ".txt" and is_face_cap(path) else _kind_of_table(path)
+        header = read_header(path)
+        form = format_of_header(header)
+        if form == "livelink" or [c.lower() for c in header[:2]] == ["timecode", "blendshapecount"]:
+            return "livelink"
+        return "table" if _best_set(header)[1] >= LEAST_KNOWN or form == "a2f" else None
     if suffix == ".json":
         with open_file(path, JSON_CURVES_BYTES) as stream:
             head = stream.read(4096).replace(b"\0", b"")  # of UTF-16
         if any(schema.encode() in head for schema in unreal_json.SCHEMAS):
             return "unreal"
-        if OWN_SCHEMA in head:
-            return "curves"
-        return "table" if any(mark in head for mark in JSON_MARKS) else None
+        known = "table" if any(mark in head for mark in JSON_MARKS) else None
+        return "curves" if OWN_SCHEMA in head else known
     if suffix == ".npz":
         data = read_npz(path)
         return "video" if "landmarks" in data else "curves" if "schema" in data else "table"
     return None
-
-
-def _kind_of_table(path: Path) -> str | None:
-    header = read_header(path)
-    form = format_of_header(header)
-    if form == "livelink" or [c.lower() for c in header[:2]] == ["timecode", "blendshapecount"]:
-        return "livelink"
-    return "table" if _best_set(header)[1] >= LEAST_KNOWN or form == "a2f" else None
 
 
 def _seen(captured: CapturedCurves, seen: Bool | None) -> CapturedCurves:

@@ -9,19 +9,21 @@ Letters: R rows of evidence, P phones, N states.
 """
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
 from deitalk.pipeline.speech import Speech
 from deitalk.pipeline.words.evidence import RATE, measure_phones, phone_evidence
-from deitalk.pipeline.words.transcript import Transcript, Word
+from deitalk.pipeline.words.pronounced import Word
+from deitalk.pipeline.words.transcript import Transcript
 from deitalk.pipeline.words.viterbi import best_path
 from deitalk.postprocess.known_phones import KnownPhone
 from deitalk.postprocess.phones import PHONES, SILENCE
 from rig.arrays import Float32, Int64
 
 PRIOR_POWER = 0.6
-"""Of the phones' frequency, by which the evidence is divided, so that rare phones are found too."""
+"""Power of the phones' frequency that divides the evidence, so that rare phones are found too."""
 FLOOR = -12.0
 """Least logarithm of a probability on the path: one bad row does not bend it."""
 WORST = -6.0
@@ -29,9 +31,9 @@ WORST = -6.0
 LEAST_FIT = -1.4
 """Mean fit of a recording below which its words are not used."""
 LEAST_WORD = -3.0
-"""The same of one word."""
+"""Mean fit of a word below which it is not used."""
 SLACK_SECONDS = 0.1
-"""By which a phone may lie outside its word's given times."""
+"""Time by which a phone may lie outside its word's given times."""
 _SILENCE = PHONES.index(SILENCE)
 
 
@@ -136,7 +138,12 @@ def fit_words(evidence: Float32, transcript: Transcript, prior: Float32) -> Word
     prior : array [shape=(P,)]
         Share of each phone in speech.
     """
-    states, owners = _chain(transcript.words)
+    # Phone and word of each state; pauses, before each word and last, are of -1.
+    chain, owned = list[int](), list[int]()
+    for number, word in enumerate(transcript.words):
+        chain += [_SILENCE, *(PHONES.index(phone) for phone in word.phones)]
+        owned += [-1, *(number for _ in word.phones)]
+    states, owners = np.array([*chain, _SILENCE], np.int64), np.array([*owned, -1], np.int64)
     optional = states == _SILENCE
     weighed = np.maximum(evidence, FLOOR) - np.float32(PRIOR_POWER) * np.log(prior)
     spans = _spans(transcript.words, owners, len(evidence))
@@ -148,16 +155,29 @@ def fit_words(evidence: Float32, transcript: Transcript, prior: Float32) -> Word
         path, _ = best_path(weighed, states, optional)
     if not len(path):
         return WordFit((), (), -np.inf)
-    return _fitted(evidence, transcript.words, states, owners, path, is_bounded)
-
-
-def _chain(words: tuple[Word, ...]) -> tuple[Int64, Int64]:
-    """Phone and word of each state [shape=(N,)]; pauses, before each word and last, are of -1."""
-    states, owners = [], []
-    for number, word in enumerate(words):
-        states += [_SILENCE, *(PHONES.index(phone) for phone in word.phones)]
-        owners += [-1, *(number for _ in word.phones)]
-    return np.array([*states, _SILENCE], np.int64), np.array([*owners, -1], np.int64)
+    # Times and fits of the path.
+    chosen = states[path]
+    best = evidence.max(axis=1)
+    fits = np.maximum(evidence[np.arange(len(path)), chosen] - best, WORST)
+    speaking = (chosen != _SILENCE) | (evidence[:, _SILENCE] < best)
+    owner = owners[path]
+    found = []
+    for number, word in enumerate(transcript.words):
+        rows = np.flatnonzero(owner == number)
+        times = float(rows[0]) / RATE, float(rows[-1] + 1) / RATE
+        found.append(FittedWord(word.text, *times, float(fits[rows].mean())))
+    edges = [0, *(np.flatnonzero(np.diff(path)) + 1).tolist(), len(path)]
+    phones = tuple(
+        KnownPhone(
+            first / RATE,
+            stop / RATE,
+            PHONES[chosen[first]],
+            owner[first] < 0 or found[owner[first]].fits,
+        )
+        for first, stop in pairwise(edges)
+    )
+    mean = float(fits[speaking].mean()) if speaking.any() else -np.inf
+    return WordFit(tuple(found), phones, mean, is_bounded)
 
 
 def _spans(words: tuple[Word, ...], owners: Int64, n_rows: int) -> Int64 | None:
@@ -171,37 +191,3 @@ def _spans(words: tuple[Word, ...], owners: Int64, n_rows: int) -> Int64 | None:
             first = int(np.floor((word.start - SLACK_SECONDS) * RATE))
             spans[state] = (first, int(np.ceil((word.end + SLACK_SECONDS) * RATE)) + 1)
     return spans
-
-
-def _fitted(
-    evidence: Float32,
-    words: tuple[Word, ...],
-    states: Int64,
-    owners: Int64,
-    path: Int64,
-    is_bounded: bool,
-) -> WordFit:
-    """Times and fits of a path [shape=(R,)]."""
-    chosen = states[path]
-    best = evidence.max(axis=1)
-    fits = np.maximum(evidence[np.arange(len(path)), chosen] - best, WORST)
-    speaking = (chosen != _SILENCE) | (evidence[:, _SILENCE] < best)
-    owner = owners[path]
-    found = []
-    for number, word in enumerate(words):
-        rows = np.flatnonzero(owner == number)
-        times = float(rows[0]) / RATE, float(rows[-1] + 1) / RATE
-        found.append(FittedWord(word.text, *times, float(fits[rows].mean())))
-    edges = np.flatnonzero(np.diff(path)) + 1
-    pieces = zip([0, *edges.tolist()], [*edges.tolist(), len(path)], strict=True)
-    phones = tuple(
-        KnownPhone(
-            first / RATE,
-            stop / RATE,
-            PHONES[chosen[first]],
-            owner[first] < 0 or found[owner[first]].fits,
-        )
-        for first, stop in pieces
-    )
-    mean = float(fits[speaking].mean()) if speaking.any() else -np.inf
-    return WordFit(tuple(found), phones, mean, is_bounded)

@@ -67,9 +67,11 @@ def missed_closures(curves: RigCurves, fit: WordFit) -> list[str]:
         if phone.name in BILABIALS:
             value = highest(lips, curves.fps, phone)
             if value < MET:
+                middle = (phone.start + phone.end) / 2
+                inside = (repr(w.text) for w in fit.words if w.start <= middle < w.end)
                 lines.append(
                     f"{phone.start:.2f} s: the lips do not meet at {phone.name.lower()} of "
-                    f"{_word(fit, phone)} ({value:.2f} of {MET:g})"
+                    f"{next(inside, 'a word')} ({value:.2f} of {MET:g})"
                 )
     return lines
 
@@ -80,9 +82,3 @@ def highest(lips: Float32, fps: float, phone: KnownPhone) -> float:
     slack = WIDEN_FRAMES / FRAME_RATE + 1e-9
     window = lips[(times >= phone.start - slack) & (times <= phone.end + slack)]
     return float(window.max()) if len(window) else 0.0
-
-
-def _word(fit: WordFit, phone: KnownPhone) -> str:
-    """The word of a phone, in quotes."""
-    middle = (phone.start + phone.end) / 2
-    return next((repr(w.text) for w in fit.words if w.start <= middle < w.end), "a word")

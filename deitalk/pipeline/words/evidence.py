@@ -61,7 +61,7 @@ class PhoneEvidence:
         return np.concatenate(parts) if parts else np.zeros((0, len(PHONES)), np.float32)
 
     def _piece(self, features: Float32, rows: Int64) -> Float32:
-        """The same for some rows."""
+        """Logarithms of the probabilities for some rows."""
         w, last = self.weights, len(features) - 1
         beside = [features[np.clip(rows + offset, 0, last)] for offset in CONTEXT]
         scaled = [(part - w["mean"]) / w["spread"] for part in beside]

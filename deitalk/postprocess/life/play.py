@@ -40,7 +40,7 @@ SPOKEN = 0.5
 """Share of it in the neutral reading."""
 EVENT = 0.4
 """Of the difference of the brows' accents."""
-YIELDED, SMILE_YIELDED = 0.75, 2.5
+YIELDED, SMILE_YIELDED = 0.85, 2.5
 """Share of a neutral face's gestures that an emotion at intensity 1 takes away, and of its smiles:
 what it shows must not depend on the seed."""
 SWELL, USUAL_SWELL = 0.3, 0.2

@@ -121,11 +121,11 @@ SYLLABLE_SECONDS = 0.08
 """Sigma of the Gaussian that smooths level and pitch: about a syllable at half its height."""
 ACCENT_DISTANCE = 16
 """Least frames from accent to accent, 0.5 s: brows that rise twice within it rise once."""
-ACCENTS_PER_SECOND = 0.45
+ACCENTS_PER_SECOND = 0.47
 """Most accents of speech: those of the syllables that stand out most."""
-ACCENT_WEIGHTS = (0.5, 1.0, 1.0)
+ACCENT_WEIGHTS = (0.35, 0.7, 1.4)
 """Of level, pitch and sonority; smoothed over a syllable, the latter two are higher in long ones.
-On nine readers a syllable's being chosen so correlates by .5 with the sum of its energy, pitch and
+On 20 readers a syllable's being chosen so correlates by .5 with the sum of its energy, pitch and
 length, measured independently (`tests/deitalk/postprocess/life/test_face.py`)."""
 SONORITY_SPREAD_DB = 7.0
 """Standard deviation of the sonority of speech."""

@@ -7,8 +7,8 @@ import typer
 
 from deitalk.cli.console import console, emit_json
 from deitalk.cli.options import MAX_COUNT, Device, Force, Json
-from deitalk.cli.targets import reserve_picture
 from deitalk.errors import DataError
+from deitalk.research.cli.reports import reserve_picture
 
 if TYPE_CHECKING:
     from deitalk.research.evaluation.attention_figure import AttentionMap

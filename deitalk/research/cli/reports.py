@@ -4,8 +4,8 @@ from pathlib import Path
 from typing import Any
 
 from deitalk.cli.console import emit
-from deitalk.cli.targets import reserve_file, reserve_picture
-from deitalk.errors import DataError
+from deitalk.cli.targets import PICTURES, Inputs, reserve_file
+from deitalk.errors import DataError, DeitalkError
 
 
 def reserve_report(out: Path | None, picture: Path | None, *, force: bool) -> None:
@@ -24,6 +24,13 @@ def reserve_report(out: Path | None, picture: Path | None, *, force: bool) -> No
         reserve_file(out, force=force)
     if picture is not None:
         reserve_picture(picture, force=force)
+
+
+def reserve_picture(path: Path, *, force: bool, inputs: Inputs = ()) -> None:
+    """Reserve a picture that matplotlib writes, as `deitalk.cli.targets.reserve_file` does."""
+    if path.suffix.lower() not in PICTURES:
+        raise DeitalkError(f"{path}: a picture is .png, .svg or .pdf")
+    reserve_file(path, force=force, inputs=inputs)
 
 
 def write_report(report: Any, markdown: str, out: Path | None, *, as_json: bool) -> None:

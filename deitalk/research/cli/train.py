@@ -59,11 +59,12 @@ def train(
 
 def _training(settings: "AnyConfig", start_from: str | None) -> "Callable[..., dict[str, Any]]":
     """The training of the configuration's kind of model."""
-    from deitalk.config.mesh import SDFAConfig
+    from deitalk.config.curves import Config
     from deitalk.errors import ConfigError
     from deitalk.models.folder import model_folder
+    from deitalk.research.config import MeshTrainingConfig
 
-    if isinstance(settings, SDFAConfig):
+    if isinstance(settings, MeshTrainingConfig):
         if start_from is not None:
             raise ConfigError("--from: not for mesh models; leave it out, or use --resume")
         from deitalk.research.meshes.training import train_mesh
@@ -71,6 +72,7 @@ def _training(settings: "AnyConfig", start_from: str | None) -> "Callable[..., d
         return partial(train_mesh, settings)
     from deitalk.research.training.curves import train_curves
 
+    assert isinstance(settings, Config)
     start = None if start_from is None else model_folder(start_from)
     return partial(train_curves, settings, start_from=start)
 

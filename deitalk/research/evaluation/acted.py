@@ -4,7 +4,7 @@ Every recording of an actor in an emotion at two or three strengths is animated 
 users see it, with life, and with its gain removed as always; the mean intensity over speech, the
 mean distance of the curves from rest, of the whole face and of its parts, and the range of the
 opening should be ordered as the strengths. The range of a strong take is also divided by that of
-the actor's neutral takes.
+the actor's neutral takes of the same sentence, which says more of it than any strength.
 
 The takes of an actor and emotion are also joined to one recording, with 0.4 s of silence
 between, at their own gain and each at one level; the mean level of the speech is the baseline.
@@ -47,7 +47,7 @@ from rig.files.reading import check_file
 #     readers   path, speaker[, chapter]         one gain in a chapter; LibriSpeech's file names
 #                                                (speaker-chapter-number) give it otherwise
 #     actors    clip, actor, emotion, level      original gain; level LO, MD, HI or another word,
-#                                                emotion NEU or another word (CREMA-D); or path, and
+#               [, sentence]                     emotion NEU or another word (CREMA-D); or path, and
 #                                                level normal or strong and emotions in full
 #                                                (RAVDESS)
 #
@@ -81,6 +81,8 @@ class StrengthClip:
         Within a group the gain is fixed: a reader's chapter, or an actor.
     emotion, level : str
         As asked of an actor; empty for readers.
+    sentence : str
+        What an actor says; empty if all say the same.
     """
 
     kind: str
@@ -89,6 +91,7 @@ class StrengthClip:
     group: str
     emotion: str = ""
     level: str = ""
+    sentence: str = ""
 
     @property
     def split(self) -> str:
@@ -131,7 +134,8 @@ def _clip(table: Path, kind: str, row: dict[str, str]) -> StrengthClip:
     if kind == ACTORS:
         emotion, level = (_WORDS.get(row[name], row[name]) for name in ("emotion", "level"))
         path = table.parent / (row.get("clip") or row["path"])
-        return StrengthClip(kind, path, row["actor"], row["actor"], emotion, level)
+        said = row.get("sentence", "")
+        return StrengthClip(kind, path, row["actor"], row["actor"], emotion, level, said)
     path = table.parent / row["path"]
     chapter = row.get("chapter") or path.stem.rpartition("-")[0] or row["speaker"]
     return StrengthClip(kind, path, row["speaker"], chapter)
@@ -198,7 +202,9 @@ def evaluate(
     if not clips:
         raise DataError(f"{path}: no actor of the {split} split at the strengths {LEVELS}")
     rows, inside = {}, []
-    neutral = _neutral_openings(model, [clip for clip in every if clip.emotion == NEUTRAL])
+    said = {(clip.speaker, clip.sentence) for clip in clips}
+    calm = [c for c in every if c.emotion == NEUTRAL and (c.speaker, c.sentence) in said]
+    neutral = _neutral_openings(model, calm)
     for number, clip in enumerate(clips, 1):
         performance = animate(clip.path, EMOTIONS[clip.emotion], model=model)
         speaking = speech_activity(performance.recording.waveform) > 0

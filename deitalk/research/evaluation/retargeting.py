@@ -75,7 +75,7 @@ def retargeting(identities: Sequence[int] = (1, 2, 3)) -> Iterator[Row]:
         truth = np.stack([head.rig.shapes.delta(n) for n in shared])
         motion = 10 * np.linalg.norm(truth, axis=-1)  # mm
         lips = lip_labels(neutral, head.landmarks) != 0
-        guessed = guess_landmarks(neutral, source.mesh, source.landmarks).landmarks
+        guessed = guess_landmarks(neutral, source.mesh, source.landmarks)
         for way, marks, method in (
             ("displacements", head.landmarks, "displacements"),
             ("gradients", head.landmarks, "gradients"),

@@ -8,7 +8,8 @@ from deitalk.audio.frames import FRAME_RATE
 from deitalk.pipeline.speech import Speech
 from deitalk.pipeline.words.align import WordFit, align_words
 from deitalk.pipeline.words.alphabets import spoken_words
-from deitalk.pipeline.words.transcript import Transcript, Word
+from deitalk.pipeline.words.pronounced import Word
+from deitalk.pipeline.words.transcript import Transcript
 from deitalk.postprocess.phones import VOWELS
 from deitalk.research.corpus.engines import espeak
 from rig.arrays import Float64

@@ -29,7 +29,8 @@ from deitalk.models.protocol import CurveNetwork
 from deitalk.pipeline.curves import finish, prepare
 from deitalk.pipeline.words.align import fit_words
 from deitalk.pipeline.words.evidence import measure_phones, phone_evidence
-from deitalk.pipeline.words.transcript import Transcript, Word
+from deitalk.pipeline.words.pronounced import Word
+from deitalk.pipeline.words.transcript import Transcript
 from deitalk.postprocess.phones import Phones
 from deitalk.research.arguments import new_file
 from deitalk.research.corpus.engines import espeak

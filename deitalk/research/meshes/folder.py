@@ -30,9 +30,9 @@ import pandas as pd
 
 from deitalk.audio.frames import SAMPLE_RATE
 from deitalk.audio.load import load_audio
-from deitalk.config.mesh import MeshDataConfig
 from deitalk.data.clips import SPLITS, Clip, read_clips, spread_clips
 from deitalk.errors import DataError
+from deitalk.research.config import MeshDataConfig
 from deitalk.research.meshes.frames import read_ply_sequence
 from deitalk.research.meshes.mesh_bases import (
     MeshBases,

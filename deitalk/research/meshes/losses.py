@@ -10,9 +10,9 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from deitalk.config.mesh import MeshTrainConfig
 from deitalk.models.deformation_decoder import Coefficients
 from deitalk.models.mesh_model import MeshModel
+from deitalk.research.config import MeshTrainConfig
 from deitalk.research.meshes.folder import MeshFolder
 from deitalk.research.meshes.segments import Segment, SegmentBatches
 from deitalk.training.several_processes import mean_over_processes

@@ -15,7 +15,7 @@ from torch import Tensor, nn
 from deitalk.acting import Acting
 from deitalk.audio.frames import frame_times
 from deitalk.audio.voice_activity import normalise_level
-from deitalk.config.mesh import SDFAConfig, SDFAModelConfig
+from deitalk.config.mesh import SDFAModelConfig
 from deitalk.data.seeded_batches import Share
 from deitalk.emotions import parse_emotion
 from deitalk.errors import ConfigError, DataError
@@ -29,6 +29,7 @@ from deitalk.models.deformation_decoder import InversePCA
 from deitalk.models.mesh_head import MeshHead
 from deitalk.models.mesh_model import SDFA, DEITalkFeatures, MeshModel
 from deitalk.postprocess.known_phones import check_faces
+from deitalk.research.config import MeshTrainingConfig
 from deitalk.research.meshes.folder import MeshClip, MeshFolder, has_lips, open_meshes
 from deitalk.research.meshes.gradient_bases import GradientBasis
 from deitalk.research.meshes.losses import MeshLoss
@@ -47,7 +48,7 @@ STARTED_RATE = 1 / 3
 
 
 def train_mesh(
-    config: SDFAConfig,
+    config: MeshTrainingConfig,
     data: Path,
     out: Path,
     *,
@@ -59,7 +60,7 @@ def train_mesh(
 
     Parameters
     ----------
-    config : SDFAConfig
+    config : MeshTrainingConfig
         Model, data and schedule.
     data : Path
         A mesh folder, a folder laid out as VOCASET, or a dataset folder whose curves the embedded
@@ -93,10 +94,10 @@ class MeshTask(Task[Segment]):
         As for `train_mesh`.
     """
 
-    config: SDFAConfig
+    config: MeshTrainingConfig
     model: MeshModel
 
-    def __init__(self, config: SDFAConfig, data: Path) -> None:
+    def __init__(self, config: MeshTrainingConfig, data: Path) -> None:
         self.config, self.data = config, data
         self.item_size = config.train.segment_frames
 

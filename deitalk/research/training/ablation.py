@@ -22,7 +22,6 @@ import numpy as np
 from deitalk.config.curves import Config
 from deitalk.config.finetuning import FinetuneConfig
 from deitalk.config.load import AnyConfig, load_config
-from deitalk.config.mesh import SDFAConfig
 from deitalk.config.yaml_files import read_yaml
 from deitalk.data.frozen_features import FrozenFeatures
 from deitalk.errors import ConfigError, DataError
@@ -30,7 +29,7 @@ from deitalk.evaluation.report import as_json
 from deitalk.models.checkpoint import require_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.models.mesh_model import MeshModel
-from deitalk.research.config import read_training
+from deitalk.research.config import MeshTrainingConfig, read_training
 from deitalk.research.evaluation.curves import evaluate
 from deitalk.research.meshes.scores import evaluate_mesh
 from deitalk.research.meshes.training import train_mesh
@@ -182,7 +181,7 @@ def _ablate(
             folder = out / variant.name / f"seed{seed}"
             config = variant.config(seed, steps, overrides)
             meshes = out / variants[0].name / "seed0" / "meshes"
-            source = meshes if isinstance(config, SDFAConfig) and meshes.is_dir() else data
+            source = meshes if isinstance(config, MeshTrainingConfig) and meshes.is_dir() else data
             report = _report(folder, config, source, options, progress, frozen_features)
             reports[variant.name].append(report)
             table[variant.name] = _summary(reports[variant.name])
@@ -214,7 +213,7 @@ def _report(
 def _evaluate(model: Path, config: AnyConfig, options: dict[str, Any]) -> dict[str, Any]:
     data = Path(options["data"])
     chosen = {key: options[key] for key in ("split", "most")}
-    if isinstance(config, SDFAConfig):
+    if isinstance(config, MeshTrainingConfig):
         return evaluate_mesh(require_model(model, MeshModel), data, **chosen)
     return evaluate(require_model(model, DEITalk), data, probes=options["probes"], **chosen)
 
@@ -243,9 +242,10 @@ def _train(
     def report_step(step: int, total: int, _values: Any) -> None:
         progress(step / total)
 
-    if isinstance(config, SDFAConfig):
+    if isinstance(config, MeshTrainingConfig):
         train_mesh(config, data, folder, resume=True, progress=report_step)
         return
+    assert isinstance(config, Config)
     frozen = config.train.frozen_frontend
     features = None if frozen is None else frozen_features(frozen)
     train_curves(config, data, folder, resume=True, frozen_features=features, progress=report_step)

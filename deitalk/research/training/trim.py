@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 from typing import TypeVar
 
-from deitalk.config.load import load_config
+from deitalk.config.load import load_model_config
 from deitalk.config.mesh import SDFAConfig
 from deitalk.errors import CheckpointError
 from deitalk.models.checkpoint import require_model, save_model
@@ -78,7 +78,7 @@ def trim(source: Path | str, out: Path, sizes: dict[str, int]) -> None:
         raise CheckpointError(f"{out}: exists already; name another folder")
     folder = model_folder(source)
     model = trimmed(require_model(source, MeshModel), sizes)
-    config = load_config(folder / "config.yaml")
+    config = load_model_config(folder / "config.yaml")
     assert isinstance(config, SDFAConfig)
     summary = dict(read_about(folder)["training"])
     save_model(out, model, config, summary | {"components": sizes}, half=True)

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from deitalk.config.rig_file import read_controls, rig_of_dataset
+from deitalk.data.captures.import_report import Imported
 from deitalk.data.captures.imported import import_captures as import_takes
 from deitalk.data.captures.labels import Labelling
-from deitalk.data.captures.mend import Imported
 from deitalk.evaluation.captures import beats_loudness, warnings_of
 from deitalk.training.trainer import Progress, silent
 from deitalk.training.tuning.recipe import read_recipe

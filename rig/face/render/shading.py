@@ -79,6 +79,8 @@ WRAPS = np.array(
         [0.35, 0.32, 0.3],
     ]
 )
+PORE_TILT = 0.09
+"""How far pores tilt the normals of skin."""
 SKY, GROUND = (0.24, 0.26, 0.29), (0.11, 0.09, 0.085)
 BACKGROUND_TOP, BACKGROUND_BOTTOM = (0.30, 0.33, 0.37), (0.15, 0.165, 0.19)
 
@@ -125,8 +127,13 @@ void lamp(vec3 d, vec3 c, float seen) {{
   float k = dot(n, d), bleed = kind == {SKIN} ? seen * (1.0 - seen) : 0.0;
   vec3 lit = clamp((k + wrap) / (1.0 + wrap), 0.0, 1.0);
   diffuse += c * lit * (0.72 + 0.28 * lit) * (seen + bleed * vec3(0.3, 0.12, 0.0));
-  float near = clamp((k + facing) / sqrt(max(2.0 + 2.0 * dot(d, v), 1e-6)), 0.0, 1.0);
-  if (k > 0.0) shine += c * near / (power - power * near + near) * strength * seen;
+  float both = sqrt(max(2.0 + 2.0 * dot(d, v), 1e-6)), near = clamp((k + facing) / both, 0.0, 1.0);
+  float gate = k > 0.0 ? 1.0 : 0.0;
+  if (kind == {HAIR}) {{  // a lamp shines across strands, which hang down along the surface
+    float fall = (n.y * (k + facing) - d.y - v.y) / (both * sqrt(max(1.0 - n.y * n.y, 0.05)));
+    near = max(1.0 - fall * fall, 0.0); gate = clamp(0.3 + k, 0.0, 1.0);
+  }}
+  shine += gate * c * near / (power - power * near + near) * strength * seen;
 }}
 void main() {{
   v = normalize(eye - p_); n = normalize(n_); kind = int(light_.z * 5.0 + 0.5);
@@ -137,9 +144,9 @@ void main() {{
   vec3 albedo = paint_.rgb * tint.rgb;
   float shade = 1.0, strand = 1.0, gloss = paint_.a;
   if (kind == {SKIN}) {{
-    vec2 pore = texture(pores, uv_ * {PORES:.1f}).rg * 2.0 - 1.0;
+    vec3 pore = texture(pores, uv_ * {PORES:.1f}).rgb * 2.0 - 1.0;
     vec4 fold = texture(creases, uv_);
-    shade += 0.16 * pore.r; gloss *= 1.0 + 0.7 * pore.g;
+    shade += 0.16 * pore.r; gloss *= 1.0 + 0.7 * pore.r; n.xy += {PORE_TILT} * pore.gb;
     n = normalize(n + accent_ * (2.0 * fold.rgb - 1.0)); shade *= 1.0 - accent_ * (1.0 - fold.a);
   }} else if (kind == {HAIR}) strand = min(3.0 * albedo.r, 1.0);
   else if (kind == {EYE}) shade *= 1.0 - 0.85 * accent_;
@@ -151,8 +158,8 @@ void main() {{
   strength = (0.16 * min(gloss, 0.28) + 0.50 * gloss * gloss * sqrt(max(gloss, 0.0))) * strand;
 {lamps}  if (kind == {EYE}) {{
     vec3 mirror = 2.0 * facing * n - v;
-    float glow = 0.8 * smoothstep(0.955, 0.975, dot(mirror, {_vec(TO_LIGHT[0])}));
-    shine += (glow + 0.10 * clamp(mirror.y, 0.0, 1.0)) * (1.0 - accent_);
+    float glow = 0.9 * smoothstep(0.972, 0.980, dot(mirror, {_vec(TO_LIGHT[0])}));
+    shine += (glow + 0.02 * clamp(mirror.y, 0.0, 1.0)) * clamp(4.0 * (0.7 - accent_), 0.0, 1.0);
   }}
   vec3 linear = albedo * albedo * shade * diffuse + shine;
   float cover = hair && threshold < 0.3 ? tint.a : 1.0;

@@ -8,6 +8,7 @@ import numba.core.config
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
+from PIL import Image
 
 from rig.arrays import Bool, Float32, Float64, Int32, Int64
 from rig.face.mesh import (
@@ -37,7 +38,7 @@ _TO_LIGHT, _COLOR = shading.TO_LIGHT.astype(F), shading.LIGHT_COLORS.astype(F)
 _WRAP = shading.WRAPS.astype(F)
 _SLOPE = 1 / (1 + _WRAP)
 _SKY, _GROUND = np.array(shading.SKY, F), np.array(shading.GROUND, F)
-N_LIGHTS = len(_COLOR)
+N_LIGHTS, _PORE_TILT = len(_COLOR), F(shading.PORE_TILT)
 
 
 def compiled(function: Callable[..., Any]) -> Any:
@@ -67,10 +68,10 @@ PLACES = 512
 NX, NY, NZ, RED, GREEN, BLUE, GLOSS, AMBIENT, SEEN, ACCENT, U, V = (
     PLACES * column for column in range(NORMAL, COLUMNS)
 )
-DEPTH, SHARE, STRAND, KEPT, BLEED, RIM, WINDOW = (
-    PLACES * row for row in range(COLUMNS, COLUMNS + 7)
+DEPTH, SHARE, STRAND, KEPT, BLEED, RIM, WINDOW, IS_HAIR = (
+    PLACES * row for row in range(COLUMNS, COLUMNS + 8)
 )
-TO_EYE, WRAP, SLOPE, ROWS = 21 * PLACES, 24 * PLACES, 27 * PLACES, 30
+TO_EYE, WRAP, SLOPE, ROWS = 22 * PLACES, 25 * PLACES, 28 * PLACES, 31
 
 
 @compiled
@@ -290,7 +291,7 @@ def _paint(
         places[STRAND + i] = min(F(3) * places[RED + i], F(1)) if kind == HAIR else F(1)
         places[KEPT + i] = F(1) if kind != EYE else F(1) - F(0.85) * accent
         places[RIM + i] = F(0) if kind == EYE else F(0.35)
-        places[WINDOW + i] = F(0)
+        places[WINDOW + i], places[IS_HAIR + i] = F(0), F(1) if kind == HAIR else F(0)
         places[BLEED + i] = F(1) if kind == SKIN else F(0)
         places[TO_EYE + i], places[TO_EYE + PLACES + i], places[TO_EYE + 2 * PLACES + i] = (
             vx,
@@ -301,18 +302,21 @@ def _paint(
             places[WRAP + k * PLACES + i] = _WRAP[kind, k]
             places[SLOPE + k * PLACES + i] = _SLOPE[kind, k]
         if kind == EYE:
-            places[WINDOW + i] = _window(nx, ny, nz, vx, vy, vz) * (F(1) - accent)
+            open_ = _limited(F(4) * (F(0.7) - accent))  # a lid cuts the reflection off
+            places[WINDOW + i] = _window(nx, ny, nz, vx, vy, vz) * open_
         elif kind == SKIN:
             side = len(pores)
             y, x = int(v * PORES * side) % side, int(u * PORES * side) % side
             kept = F(1) + F(0.16) * (pores[y, x, 0] / F(127.5) - F(1))
-            places[GLOSS + i] *= F(1) + F(0.7) * (pores[y, x, 1] / F(127.5) - F(1))
+            places[GLOSS + i] *= F(1) + F(0.7) * (pores[y, x, 0] / F(127.5) - F(1))
+            nx += _PORE_TILT * (pores[y, x, 1] / F(127.5) - F(1))
+            ny += _PORE_TILT * (pores[y, x, 2] / F(127.5) - F(1))
             if accent > F(0.01):
                 nx += accent * (_texel(creases, u, v, 0) / F(127.5) - F(1))
                 ny += accent * (_texel(creases, u, v, 1) / F(127.5) - F(1))
                 nz += accent * (_texel(creases, u, v, 2) / F(127.5) - F(1))
                 kept *= F(1) - accent * (F(1) - _texel(creases, u, v, 3) / F(255))
-                nx, ny, nz = _unit(nx, ny, nz)
+            nx, ny, nz = _unit(nx, ny, nz)
             places[KEPT + i] = kept
         places[NX + i], places[NY + i], places[NZ + i] = nx, ny, nz
 
@@ -324,9 +328,9 @@ def _window(nx: Any, ny: Any, nz: Any, vx: Any, vy: Any, vz: Any) -> Any:
     dx, dy, dz = _TO_LIGHT[0, 0], _TO_LIGHT[0, 1], _TO_LIGHT[0, 2]
     toward = dx * vx + dy * vy + dz * vz
     mirror = F(2) * facing * (nx * dx + ny * dy + nz * dz) - toward
-    glow = _limited((mirror - F(0.955)) / F(0.02))
+    glow = _limited((mirror - F(0.972)) / F(0.008))
     sky = _limited(F(2) * facing * ny - vy)
-    return F(0.8) * glow * glow * (F(3) - F(2) * glow) + F(0.10) * sky
+    return F(0.9) * glow * glow * (F(3) - F(2) * glow) + F(0.02) * sky
 
 
 @compiled
@@ -340,6 +344,7 @@ def _light(count: Any, places: Any) -> None:
         facing = nx * vx + ny * vy + nz * vz
         up, away = F(0.5) + F(0.5) * ny, F(1) - max(facing, F(0))
         rim = away * away * away * places[RIM + i]
+        level = np.sqrt(max(F(1) - ny * ny, F(0.05)))  # of the way in which strands hang
         red = (_GROUND[0] + (_SKY[0] - _GROUND[0]) * up + rim * _SKY[0]) * ambient
         green = (_GROUND[1] + (_SKY[1] - _GROUND[1]) * up + rim * _SKY[1]) * ambient
         blue = (_GROUND[2] + (_SKY[2] - _GROUND[2]) * up + rim * _SKY[2]) * ambient
@@ -360,9 +365,14 @@ def _light(count: Any, places: Any) -> None:
             lit = _wrapped(cosine, places[WRAP + 2 * PLACES + i], places[SLOPE + 2 * PLACES + i])
             blue += _COLOR[k, 2] * lit * seen
             along = F(1) + dx * vx + dy * vy + dz * vz
-            half = _limited((cosine + facing) / np.sqrt(max(F(2) * along, F(1e-6))))
+            both = np.sqrt(max(F(2) * along, F(1e-6)))
+            half = _limited((cosine + facing) / both)
             half = half if cosine > F(0) else F(0)
-            shine = half / (power - power * half + half) * strength * seen
+            fall = (ny * (cosine + facing) - dy - vy) / (both * level)
+            strand = max(F(1) - fall * fall, F(0)) * places[IS_HAIR + i]
+            gate = F(1) + places[IS_HAIR + i] * (_limited(F(0.3) + cosine) - F(1))
+            half = max(strand, half * (F(1) - places[IS_HAIR + i]))
+            shine = gate * half / (power - power * half + half) * strength * seen
             shine_r += shine * _COLOR[k, 0]
             shine_g += shine * _COLOR[k, 1]
             shine_b += shine * _COLOR[k, 2]
@@ -507,13 +517,15 @@ class Renderer:
         maps = mesh.maps
 
         def shrunk(picture: Picture, texels_per_cm: float) -> Picture:
-            while texels_per_cm > 1.5 * pixels_per_cm and picture.shape[0] > 2:
-                rows = np.add(picture[::2], picture[1::2], dtype=np.uint16)
-                pairs = rows.reshape(len(rows), -1, 2, picture.shape[2])
-                total = pairs[:, :, 0] + pairs[:, :, 1]
-                picture = ((total + 1 + (total >> 2 & 1)) >> 2).astype(np.uint8)  # half to even
-                texels_per_cm /= 2
-            return np.ascontiguousarray(picture)
+            halvings = int(np.ceil(np.log2(texels_per_cm / (1.5 * pixels_per_cm))))
+            halvings = min(halvings, len(picture).bit_length() - 2)
+            if halvings < 1:
+                return np.ascontiguousarray(picture)
+            mode = "RGB" if picture.shape[2] == 3 else "CMYK"  # RGBA would weigh by alpha
+            image = Image.frombuffer(
+                mode, picture.shape[1::-1], picture.tobytes(), "raw", mode, 0, 1
+            )
+            return np.asarray(image.reduce(2**halvings))
 
         share = TEXELS_PER_CM / 1024
         self._maps = (

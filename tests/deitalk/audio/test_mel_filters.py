@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 from transformers.audio_utils import mel_filter_bank
 
-from deitalk.audio.log_mel import N_FFT, hz_to_mel, log_mel_filters, mel_filters, mel_to_hz
+from deitalk.audio.log_mel import N_FFT, log_mel_filters
+from deitalk.audio.mel_filters import hz_to_mel, mel_filters, mel_to_hz
 
 
 @pytest.mark.parametrize(("hz", "mel"), [(0, 0), (200, 3), (1000, 15), (6400, 42)])

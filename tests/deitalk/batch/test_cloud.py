@@ -30,7 +30,7 @@ def memory(lines, monkeypatch, tmp_path):
 
 def names(system):
     found = (name.removeprefix("/out/") for name in system.find("/out"))
-    return {name for name in found if ".deitalk-batch" not in name}
+    return {name for name in found if not name.startswith(".")}
 
 
 def test_url_gives_the_files_of_a_folder(run, memory):
@@ -53,15 +53,25 @@ def test_another_machine_goes_on_with_the_journal(run, orders, memory, tmp_path)
     assert run("memory://in", "memory://out").counts["unchanged"] == 3 and not orders
 
 
-def test_ended_run_at_a_url_goes_on(run, memory, monkeypatch):
-    def end(self, results):
+def test_ended_run_at_a_url_goes_on_here(run, orders, memory, monkeypatch):
+    def end(*given):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(cloud.CloudOutputs, "place", end)
-    with pytest.raises(KeyboardInterrupt):
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(cloud, "_copy", end)
         run("memory://in", "memory://out")
-    assert len(names(memory)) == 1, "uploaded, and not entered"
-    monkeypatch.undo()
+    assert not names(memory), "nothing of a run that is ended"
+    orders.clear()
+    assert run("memory://in", "memory://out").counts["unchanged"] == 3 and not orders
+    assert SUMMARY in names(memory)
+
+
+def test_what_is_removed_at_a_url_is_made_again(run, orders, memory):
+    run("memory://in", "memory://out")
+    memory.rm_file("/out/c.csv")
+    orders.clear()
+    assert run("memory://in", "memory://out").counts["done"] == 1 and len(orders) == 1
+    assert "c.csv" in names(memory)
 
 
 def test_file_of_the_user_at_a_url_stays(run, memory):

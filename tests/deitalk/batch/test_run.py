@@ -55,8 +55,8 @@ def test_outputs_are_those_of_animate(run, lines, model, tmp_path):
 class OnGpu(Performer):
     """Reads lines together, as on a GPU."""
 
-    def __init__(self, *given):
-        super().__init__(*given)
+    def __init__(self, *given, **named):
+        super().__init__(*given, **named)
         self.together = 100
 
 

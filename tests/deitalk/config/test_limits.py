@@ -56,7 +56,7 @@ FIELDS = [
     (lambda v: {"train": {"seed": v}}, limits.SEED),
     (lambda v: {"train": {"epochs": v}}, limits.TRAINING_PASSES),
     (lambda v: {"kind": "sdfa", "model": {"branch_sizes": [v]}}, limits.WIDTH),
-    (lambda v: {"kind": "sdfa", "data": {"identities": [0] * v}}, limits.SPEAKERS),
+    (lambda v: {"kind": "sdfa_training", "data": {"identities": [0] * v}}, limits.SPEAKERS),
 ]  # fmt: skip
 
 

@@ -5,14 +5,13 @@ from pathlib import Path
 import pytest
 import yaml
 
-import deitalk.research.config  # noqa: F401 - adds the kinds of the recipes
 from deitalk.config.curves import Config, TrainConfig
 from deitalk.config.frontends import MelConfig, Wav2VecConfig
 from deitalk.config.load import load_config, load_model_config, parse_config
-from deitalk.config.mesh import MeshTrainConfig
 from deitalk.config.rules import RulesConfig
 from deitalk.config.section import Optimisation
 from deitalk.errors import ConfigError
+from deitalk.research.config import MeshTrainConfig
 from tests.errors import one_line
 
 FOLDER = Path(__file__).resolve().parents[3] / "configs"

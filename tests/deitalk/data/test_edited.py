@@ -32,15 +32,23 @@ TARGETS = (
 
 
 @pytest.fixture(scope="module")
-def take(tmp_path_factory):
-    return animate(SAMPLE, "happy", seed=3).save(tmp_path_factory.mktemp("edited") / "take")
+def performance():
+    return animate(SAMPLE, "happy", seed=3)
+
+
+@pytest.fixture(scope="module")
+def take(performance, tmp_path_factory):
+    return performance.save(tmp_path_factory.mktemp("edited") / "take")
 
 
 @pytest.fixture(scope="module")
 def wanted(take):
-    """The take with twenty edits by hand."""
-    base, rng = read_curves(take / "curves.json"), np.random.default_rng(4)
-    values = base.values.copy()
+    return by_hand(read_curves(take / "curves.json"))
+
+
+def by_hand(base):
+    """A take with twenty edits by hand, which end in steps from one frame to the next."""
+    values, rng = base.values.copy(), np.random.default_rng(4)
     for k in range(20):
         column, length = BOARD.index(TARGETS[k % len(TARGETS)]), int(rng.integers(4, 25))
         start = int(rng.integers(1, len(base) - length))
@@ -174,6 +182,27 @@ def test_delay_and_handles_are_undone(take, delay, handles, of_take, tmp_path):
     again = animate(SAMPLE, "happy", seed=3, edit=found.layer).save(tmp_path / "again.csv", **form)
     missed = np.abs(read_curves(again).values - values)[2:]
     assert missed.max() < 0.01
+
+
+FILM = {"delay": 2, "handles": 8}
+
+
+@pytest.mark.parametrize("form", [{}, FILM], ids=["plain", "handles"])
+@pytest.mark.parametrize("fps", [24, 25, 29.97, 48, 50, 60])
+def test_edits_come_back_at_the_rate_of_the_take(performance, fps, form, tmp_path):
+    """Every frame but the handles and what a delay holds, steps too: a layer applies at that rate."""
+    take = performance.save(tmp_path / "take", fps=fps, **form)
+    wanted = by_hand(read_curves(take / "curves.json"))
+    write_curves(tmp_path / "edited.csv", wanted)
+    layer = changes_of_take(tmp_path / "edited.csv", take).layer
+    assert len(layer.text.encode()) <= 20_000
+    again = animate(SAMPLE, "happy", seed=3, edit=layer)
+    inside = slice(form.get("handles", 0) + 2, -form.get("handles", 0) - 2)
+    for target in (tmp_path / "again", tmp_path / "again.json"):
+        again.save(target, fps=fps, **form)
+        found = read_curves(target / "curves.json" if target.is_dir() else target)
+        assert found.fps == wanted.fps
+        assert np.abs(found.values - wanted.values)[inside].max() < 0.01
 
 
 def test_another_rate_is_no_change(take, tmp_path):

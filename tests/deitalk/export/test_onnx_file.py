@@ -5,6 +5,7 @@ import os
 import re
 import shutil
 import subprocess
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -38,7 +39,7 @@ REST = 0.5
 """Share of the expression that stays in silence."""
 
 
-LIVE = "live", "small"
+LIVE = "live", pytest.param("small", marks=pytest.mark.thorough)
 """Embedded models of voices that have not ended."""
 
 
@@ -49,23 +50,27 @@ def opened(path):
 
 
 @pytest.fixture(scope="module")
-def files(tmp_path_factory):
-    """Embedded models, exported once."""
+def exported(tmp_path_factory):
+    """File of an embedded model by its name, written once."""
     folder = tmp_path_factory.mktemp("finished")
-    for name in ("default", *LIVE):
+
+    @cache
+    def write(name):
         export_onnx(load_model(name), folder / f"{name}.onnx", name=name)
-    return folder
+        return folder / f"{name}.onnx"
+
+    return write
 
 
 @pytest.fixture(scope="module")
-def clip(files):
-    return opened(files / "default.onnx")
+def clip(exported):
+    return opened(exported("default"))
 
 
 @pytest.fixture(scope="module", params=LIVE)
-def voices(files, request):
+def voices(exported, request):
     """Name of a causal model, and its file."""
-    return request.param, opened(files / f"{request.param}.onnx")
+    return request.param, opened(exported(request.param))
 
 
 def one_hot(emotion, *shape):
@@ -268,10 +273,10 @@ def test_the_live_graph_equals_its_module_in_torch(voices):
 
 
 @pytest.mark.parametrize("name", ["default", *LIVE])
-def test_files_have_standard_operators_without_control_flow(files, name):
-    content = onnx.load(files / f"{name}.onnx")
+def test_files_have_standard_operators_without_control_flow(exported, name):
+    content = onnx.load(exported(name))
     onnx.checker.check_model(content)
-    assert not set(operators(files / f"{name}.onnx")) & CONTROL_FLOW
+    assert not set(operators(exported(name))) & CONTROL_FLOW
     assert [(entry.domain, entry.version) for entry in content.opset_import] == [("", OPSET)]
     texts = {entry.key: entry.value for entry in content.metadata_props}
     assert json.loads(texts["emotions"]) == list(LABELS)
@@ -279,11 +284,11 @@ def test_files_have_standard_operators_without_control_flow(files, name):
 
 
 def test_half_precision_is_half_the_size_and_changes_nothing_of_embedded_models(
-    files, tmp_path, default
+    exported, tmp_path, default
 ):
     """Their weights are kept in it."""
     ran("model", "export", "default", "-o", tmp_path / "half.onnx", "--precision", "float16")
-    whole = (files / "default.onnx").stat().st_size
+    whole = exported("default").stat().st_size
     assert (tmp_path / "half.onnx").stat().st_size < 0.52 * whole
     sound = recorded("amiable")[:64_000]
     made = animate(
@@ -337,7 +342,7 @@ def test_a_model_without_a_graph_is_refused_in_one_line(tmp_path):
 HEADERS = ("/usr/include/onnxruntime", "/usr/local/include/onnxruntime", "/usr/local/include")
 
 
-def test_the_example_in_cpp_gives_the_curves(files, tmp_path, clip):
+def test_the_example_in_cpp_gives_the_curves(exported, tmp_path, clip):
     headers = [Path(os.environ.get("ONNXRUNTIME_INCLUDE", "")), *map(Path, HEADERS)]
     include = next((f for f in headers if (f / "onnxruntime_cxx_api.h").is_file()), None)
     if include is None or shutil.which("g++") is None:
@@ -352,7 +357,7 @@ def test_the_example_in_cpp_gives_the_curves(files, tmp_path, clip):
     subprocess.run(command, cwd=tmp_path, check=True)
     sound = recorded("promise")
     sound.tofile(tmp_path / "sound.f32")
-    arguments = [files / "default.onnx", "sound.f32", "curves.f32"]
+    arguments = [exported("default"), "sound.f32", "curves.f32"]
     subprocess.run([tmp_path / "clip", *arguments], cwd=tmp_path, check=True)
     found = np.fromfile(tmp_path / "curves.f32", np.float32).reshape(-1, 185)
     np.testing.assert_allclose(found, finished(clip, sound, "happy")[0], atol=1e-5)

@@ -70,7 +70,8 @@ def test_equals_the_whole_encoder_under_a_mask(frontend, n_frames):
     windows = windows_of(frontend, voice(n_frames / 30, seed=3), n_frames)
     state = frontend.first_state(1)
     given, _ = levelled(windows, frontend.spectra, state.level)
-    given = torch.cat((state.mel, scaled(frontend.mel.decades(given), PEAK)), dim=2)
+    past = state.mel.transpose(1, 2)
+    given = torch.cat((past, scaled(frontend.mel.decades(given), PEAK)), dim=2)
     silence = scaled(torch.full((1, 1, 16), math.log10(SILENCE)), PEAK)
     count = torch.arange(n_frames + 1)
     after = count - count[:, None]

@@ -64,7 +64,7 @@ def no_gates(monkeypatch):
 def tiny(network, **train):
     return parse_config(
         {
-            "kind": "sdfa",
+            "kind": "sdfa_training",
             "model": {
                 "frontend": {"kind": "deitalk", "model": str(network)},
                 "shared_size": 48,
@@ -189,7 +189,7 @@ def test_folder_stores_the_hash_of_the_decoded_network(tmp_path):
     "section", [{"data": {"fps": 60, "augment": False}}, {"data": {"fps": 30}}]
 )
 def test_configuration_rejects_augmentation_and_other_rates(section):
-    tree = {"kind": "sdfa", "model": {"frontend": {"kind": "deitalk"}}}
+    tree = {"kind": "sdfa_training", "model": {"frontend": {"kind": "deitalk"}}}
     with one_line(ConfigError, match=r"data\.fps=30, data\.augment=false"):
         parse_config(tree | section)
 

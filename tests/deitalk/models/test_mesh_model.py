@@ -9,13 +9,12 @@ import torch
 from deitalk.audio.voice_activity import normalise_level
 from deitalk.config.frontends import SDFAMelConfig
 from deitalk.config.load import load_config, parse_config
-from deitalk.config.mesh import SDFAConfig
 from deitalk.errors import AudioError, CheckpointError, ConfigError
 from deitalk.models import mesh_model as sdfa_module
 from deitalk.models.deformation_decoder import InversePCA
 from deitalk.pipeline.mesh import mesh_coefficients
 from deitalk.pipeline.speech import Speech
-from deitalk.research.config import ComparedSDFAModelConfig
+from deitalk.research.config import ComparedSDFAModelConfig, MeshTrainingConfig
 from deitalk.research.evaluation.attention import weights_of
 from deitalk.research.meshes.folder import Lips
 from deitalk.research.meshes.scores import predict_mesh
@@ -58,7 +57,7 @@ ENCODERS = {
 def tiny(frontend=FRONTEND, motion="gradients", **train):
     return parse_config(
         {
-            "kind": "sdfa" if frontend.get("kind", "mel") == "mel" else "sdfa_compared",
+            "kind": "sdfa_training" if frontend.get("kind", "mel") == "mel" else "sdfa_compared",
             "name": "tiny",
             "model": {
                 "frontend": frontend,
@@ -131,7 +130,7 @@ def noise(seconds, seed=0):
 
 def test_configuration_sdfa_is_the_paper():
     config = load_config(CONFIG)
-    assert isinstance(config, SDFAConfig)
+    assert isinstance(config, MeshTrainingConfig)
     assert config.model.frontend == SDFAMelConfig()  # Tables 1-2 are tested with the frontend
     assert (config.model.shared_size, config.model.branch_sizes) == (512, (512, 256))
     assert config.model.weight_norm
@@ -157,7 +156,7 @@ def test_configuration_sdfa_is_the_paper():
 )
 def test_bad_configuration(tree, said):
     with pytest.raises(ConfigError) as caught:
-        parse_config({"kind": "sdfa", **tree})
+        parse_config({"kind": "sdfa_training", **tree})
     assert said in str(caught.value)
 
 

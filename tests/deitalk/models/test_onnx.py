@@ -109,7 +109,10 @@ def with_random_parts(network):
     return network
 
 
-@pytest.fixture(scope="module", params=["plain", "tuned", "short look-ahead"])
+SHORTER = pytest.param("short look-ahead", marks=pytest.mark.thorough)
+
+
+@pytest.fixture(scope="module", params=["plain", "tuned", SHORTER])
 def causal_pair(request, tmp_path_factory):
     parts = TUNED if request.param == "tuned" else {}
     frontend = CAUSAL | SHORT if request.param == "short look-ahead" else CAUSAL

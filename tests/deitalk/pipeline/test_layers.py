@@ -13,13 +13,16 @@ import soxr
 
 from deitalk import animate
 from deitalk.acting import Acting
+from deitalk.audio.frames import runs
 from deitalk.audio.load import load_audio
-from deitalk.pipeline import layers as module
-from deitalk.pipeline.layers import follow_recording, heard_phones, with_recording
+from deitalk.data.edited import changes_of_take
+from deitalk.pipeline import layer_sounds as module
+from deitalk.pipeline.layer_sounds import heard_phones, with_recording
+from deitalk.pipeline.layers import follow_recording
 from deitalk.pipeline.speech import Speech
 from deitalk.pipeline.words.align import FittedWord, WordFit, align_words
 from deitalk.pipeline.words.transcript import Transcript
-from rig import read_curves
+from rig import read_curves, write_curves
 from rig.curves.layer_files import read_layers
 from rig.curves.layers import Edit, Layer, Sound
 from rig.errors import ControlError
@@ -160,6 +163,37 @@ def test_edits_stay_at_their_words_on_another_reading_of_the_line(readings, by):
         spans = np.array([edit.span for edit in moved.edits])
         off += np.abs(np.round(30 * spans) - np.round(30 * wanted)).ravel().tolist()
     assert max(off) <= 2 and np.mean(off) < 0.5
+
+
+NOSE = "CTRL_L_nose.ty"
+
+
+@pytest.mark.parametrize("by", ["words", "phones"])
+@pytest.mark.parametrize(("old", "new"), [(1, 2), (2, 1)], ids=["quicker", "slower"])
+def test_another_seed_and_reading_have_the_edits_at_the_same_words(
+    readings, by, old, new, tmp_path
+):
+    """A take is edited at every third word, and made again of another voice with another seed."""
+    said = [times_of_words(reading, Transcript.of(SAID)) for reading in readings]
+    places = sorted(said[old].keys() & said[new].keys())[1::3]
+    spoken = {"words": SAID} if by == "words" else {}
+
+    def made(k, **more):
+        return animate(readings[k].waveform, sample_rate=16_000, **spoken, **more)
+
+    take = made(old, seed=3).save(tmp_path / "take")
+    base = read_curves(take / "curves.json")
+    values = base.values.copy()
+    for k in places:
+        first, last = (round(30 * second) for second in said[old][k])
+        values[first : last + 1, base.index(NOSE)] = 0.9
+    write_curves(tmp_path / "edited.csv", replace(base, values=values))
+    layer = changes_of_take(tmp_path / "edited.csv", take).layer
+    change = made(new, seed=9, edit=layer).curves[NOSE] - made(new, seed=9).curves[NOSE]
+    found = runs(change > 0.3)
+    wanted = [[round(30 * second) for second in said[new][k]] for k in places]
+    assert len(places) >= 6 and len(found) == len(places)
+    assert np.abs(found - [0, 1] - wanted).max() <= 2
 
 
 def words(*rows):

@@ -10,11 +10,19 @@ import pytest
 
 from deitalk import animate
 from deitalk.acting import Acting
+from deitalk.config.rules import Expressions
 from deitalk.emotions.variants import EMOTION_OF
 from deitalk.errors import EmotionError
 from deitalk.live.animator import LiveAnimator
 from deitalk.postprocess.life.voice import Seeds, Traits
-from deitalk.postprocess.variants import COLUMNS, USUAL_STATE, choose_ways
+from deitalk.postprocess.variants import (
+    COLUMNS,
+    HABITS,
+    USUAL_STATE,
+    choose_ways,
+    habit_factors,
+    show_habits,
+)
 from deitalk.research.evaluation.benchmark_curves import speechlike
 from rig import default_controls
 from rig.emotions import EMOTIONS, LABELS, VARIANTS
@@ -115,6 +123,36 @@ def drawn(seed=0, actor="anna", sound=0, state=None, **given):
     return choose_ways(given, replace(traits, own=float(actor != "")), seed, state)
 
 
+def test_of_nobody_no_muscle_is_habitual_and_actors_differ_in_all():
+    assert (drawn(actor="").habits == 1).all() and (drawn(plain=1.0).habits == 1).all()
+    found = np.array([drawn(actor=f"actor {k}").habits for k in range(100)])
+    assert 0.75 < found.min() < 0.8 and 1.5 < found.max() < 1.6
+    assert (np.log(found).std(axis=0) > 0.15).all()
+    assert np.abs(np.corrcoef(found.T) - np.eye(len(HABITS))).max() < 0.45
+
+
+def test_habits_are_of_the_expression_alone_and_keep_the_laws_of_intensity():
+    ranges = CONTROLS.minimum, CONTROLS.maximum
+    given = {name: np.clip(rows, *ranges) for name, rows in readings(0).items()}
+    factors = habit_factors(CONTROLS, Expressions(), drawn(seed=4).habits)
+    steps = []
+    for k in (0, 0.3, 0.6, 1):
+        curves = np.clip(shown("hot", k, **given), *ranges)
+        show_habits(curves, given["neutral"], CONTROLS, factors)
+        steps.append(curves - given["neutral"])
+    assert not steps[0].any()
+    for less, more in pairwise(steps):
+        assert (np.abs(more) >= np.abs(less) - 1e-6).all()
+    assert (factors[[*RULES.seals, *RULES.opening]] == 1).all()
+    assert (factors != 1).sum() > 30
+
+
+def test_an_actor_that_captures_show_has_no_habits():
+    rule = Expressions(captured=("angry",))
+    assert (habit_factors(CONTROLS, rule, drawn(seed=4).habits) == 1).all()
+    assert (habit_factors(CONTROLS, None, drawn(seed=4).habits) == 1).all()
+
+
 def rows_of(ways):
     """Weights of each emotion's own variants."""
     table = {}
@@ -128,7 +166,7 @@ def test_a_take_is_between_the_variants_of_each_emotion_and_near_one():
     for name in VARIANTS:
         weights = np.array([rows[name] for rows in found])
         np.testing.assert_allclose(weights.sum(axis=1), 1, rtol=1e-5)
-        assert 0.7 < weights.max(axis=1).mean() < 0.8
+        assert 0.77 < weights.max(axis=1).mean() < 0.87
         assert (np.bincount(weights.argmax(axis=1), minlength=3) > 40).all()
     assert not drawn().weights[LABELS.index("neutral")].any()
 

@@ -179,17 +179,51 @@ def test_a_folder_without_layers_is_refused(tmp_path):
         read_layers(tmp_path)
 
 
+NO_WORDS = np.zeros((2, 2), bool)
+
+
 def test_retimed_edits_keep_their_values_at_the_new_times():
     keys = (1.0, 0.0, 0.0, 0.2), (1.5, 0.3, 0.4, 0.4), (2.0, 0.0, -0.2, 0.0)
     layer = Layer((Edit(BROW, keys, "offset", (1.0, 2.0), (0.1, 0.1)),))
-    (edit,) = retimed(layer, np.array([1.0, 2.0]), np.array([3.0, 5.0])).edits
+    (edit,) = retimed(layer, np.array([1.0, 2.0]), np.array([3.0, 5.0]), *NO_WORDS).edits
     assert edit.span == (3.0, 5.0) and edit.ease == pytest.approx((0.2, 0.2))
     times = np.linspace(1, 2, 20)
     np.testing.assert_allclose(
         edit.curve(3 + 2 * (times - 1)), layer.edits[0].curve(times), atol=1e-9
     )
-    before = retimed(layer, np.array([2.5, 3.0]), np.array([0.5, 1.0])).edits[0]
-    assert before.span == (0.0, 0.0)  # shifted before the recording
+    before = retimed(layer, np.array([2.5, 3.0]), np.array([0.2, 1.0]), *NO_WORDS).edits[0]
+    assert before.span == pytest.approx((-1.3, -0.3))  # shifted before the recording
+    assert np.array_equal(applied(curves(), before).values, curves().values)
+
+
+STEPS = {  # first and last second of an edit that has a step at both ends, and where they are then
+    "word before the pause": ((1.0, 2.0), (1.0, 2.0)),
+    "ends a frame late": ((1.0, 2.033), (1.0, 2.033)),
+    "ends two frames early": ((1.0, 1.933), (1.0, 1.933)),
+    "word after the pause": ((2.0, 3.0), (4.0, 5.0)),
+    "begins a frame early": ((1.967, 3.0), (3.967, 5.0)),
+    "begins two frames late": ((2.067, 3.0), (4.067, 5.0)),
+    "across": ((1.5, 2.5), (1.5, 4.5)),
+    "shorter than the margins": ((1.967, 2.0), (1.967, 2.0)),
+    "beside a phone that is longer now": ((1.5, 3.0), (1.5, 5.0)),
+}
+
+
+@pytest.mark.parametrize("case", STEPS)
+@pytest.mark.parametrize("gap", [0.0, 1e-3])
+def test_an_edit_of_a_word_stays_at_it_where_a_pause_is_new_beside_it(case, gap):
+    """Two words from 1 to 3 s, then 2 s between them; a third from 3.02 s is ten times as long."""
+    frame, ((start, end), wanted) = 1 / 30, STEPS[case]
+    keys = [(start - frame, 0.0), (start, 0.4), (end, 0.4), (end + frame, 0.0)]
+    span = (start - frame, end + frame)
+    layer = Layer((Edit(BROW, tuple((t, v, 0.0, 0.0) for t, v in keys), "offset", span),))
+    old, new = np.array([1, 2, 2 + gap, 3, 3.02]), np.array([1.0, 2.0, 4.0, 5.0, 5.2])
+    begins, ends = np.array([[1, 0, 1, 1, 0], [0, 1, 0, 1, 1]], bool)
+    (edit,) = retimed(layer, old, new, begins, ends).edits
+    found = [key[0] for key in edit.keys]
+    assert found[1:3] == pytest.approx(wanted, abs=2 * frame)
+    assert found[1] - found[0] == pytest.approx(frame) == found[3] - found[2]
+    assert edit.span == (found[0], found[3])
 
 
 @pytest.mark.parametrize(

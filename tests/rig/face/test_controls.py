@@ -301,7 +301,7 @@ ONLY_WITH = {
     **{
         f"CTRL_{side}_mouth_{name}.ty": "closes lips that are apart; at rest they touch already"
         for side in "LR"
-        for name in ("lipsTogetherU", "stickyInnerU", "stickyOuterU")
+        for name in ("lipsTogetherU", *(f"sticky{part}{lip}" for part in ("Inner", "Outer") for lip in "UD"))
     },
     "CTRL_C_mouth_stickyU.ty": "closes lips that are apart; at rest they touch already",
     "CTRL_C_mouth_stickyD.ty": "closes lips that are apart; at rest they touch already",

@@ -77,4 +77,4 @@ except RuntimeError as error:
 out = {"edited": edited, "refused": refused, "version": bpy.app.version_string}
 sys.stdout.write(f"\nOUT {json.dumps(out)}\n")
 sys.stdout.flush()
-os._exit(0)  # a bpy of a Python may hang as it ends
+os._exit(0)  # a bpy of a Python may hang or crash as it ends

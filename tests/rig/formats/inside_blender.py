@@ -7,6 +7,7 @@
 
 import importlib.util
 import json
+import os
 import sys
 
 import bpy
@@ -134,3 +135,5 @@ for wrong in (take + "/curves.json", take + "/.."):
         out["errors"].append(str(error).strip())
 addon.unregister()
 sys.stdout.write(f"\nOUT {json.dumps(out)}\n")
+sys.stdout.flush()
+os._exit(0)  # a bpy of a Python may crash as it ends

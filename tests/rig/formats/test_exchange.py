@@ -5,7 +5,8 @@ import pytest
 from deitalk.pipeline.exchange_files import write_exchange_files
 from rig import rest_curves
 from rig.errors import RigError
-from rig.formats.livelink_csv import read_take, subject_of
+from rig.formats.livelink_csv import read_take
+from rig.unreal.deitalk_clip import subject_of
 from rig.validation.files import validate
 
 
@@ -14,7 +15,7 @@ def test_both_files_are_written_and_described(tmp_path):
     assert set(files) == {"my-speech-1-wav_take_2_deitalk.csv", "my-speech-1-wav.unreal.json"}
     assert {path.name for path in tmp_path.iterdir()} == set(files)
     take = tmp_path / "my-speech-1-wav_take_2_deitalk.csv"
-    assert subject_of(take) == "deitalk" and len(read_take(take).ticks) == 30
+    assert subject_of(take.name) == "deitalk" and len(read_take(take).ticks) == 30
     assert validate(take).ok and "lossy preview" in files[take.name]
     data = json.loads((tmp_path / "my-speech-1-wav.unreal.json").read_text())
     assert data["n_frames"] == 30

@@ -50,10 +50,10 @@ def test_audio2face_json_of_an_avatar_is_recognised_by_its_names(tmp_path, take,
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"facsNames": ["a", 1]}, "list of texts"),
+        ({"facsNames": ["a", 1]}, "no object of names"),
         ({"facsNames": ["qq", "q"]}, "are no shapes of ARKit or an avatar"),
         ({"exportFps": None}, "no rate"),
-        ({"weightMat": [[1]]}, "rows of 2 finite numbers"),
+        ({"weightMat": [[1]]}, "must be frames x 2 names"),
     ],
 )
 def test_damaged_audio2face_json_is_one_line(tmp_path, change, message):

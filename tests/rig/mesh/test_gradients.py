@@ -10,7 +10,7 @@ from rig.mesh.deformation import (
     DeformationSolver,
     RigidPart,
     deformation_gradients,
-    rigid_motion,
+    similarity,
     small_parts,
 )
 from rig.mesh.trimesh import TriMesh, triangle_areas
@@ -164,7 +164,7 @@ def test_a_rigid_part_follows_its_skin():
 
 def test_rigid_motion_never_mirrors(rng):
     points = rng.normal(size=(10, 3))
-    rotation, _ = rigid_motion(points, points * [1, 1, -1])
+    _, rotation, _ = similarity(points, points * [1, 1, -1], is_rigid=True)
     assert np.linalg.det(rotation) == pytest.approx(1.0)
 
 

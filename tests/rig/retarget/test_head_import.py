@@ -138,13 +138,17 @@ def face() -> Face:
 
 @pytest.fixture(autouse=True)
 def light(request, monkeypatch):
-    """No baked light, which takes most of the time, but where a test asks for it."""
+    """No baked light and a small atlas, for time, but where a test asks for them."""
     if "baked" not in request.fixturenames:
-        from rig.retarget import head_light
+        without_light(monkeypatch)
 
-        monkeypatch.setattr(
-            head_light, "occlusion", lambda points, faces, opaque: np.ones((len(points), 2))
-        )
+
+def without_light(patch):
+    from rig.retarget import head_light, head_surface
+
+    patch.setattr(head_surface, "SIDE", 512)  # a small atlas
+    patch.setattr(head_surface, "FIRST", 384)
+    patch.setattr(head_light, "occlusion", lambda points, faces, opaque: np.ones((len(points), 2)))
 
 
 @pytest.fixture
@@ -153,11 +157,17 @@ def baked() -> None:
 
 
 @pytest.fixture(scope="module")
-def sound_head(tmp_path_factory) -> dict[str, Any]:
+def plain(tmp_path_factory) -> tuple[Any, Any]:
+    """Head and report of a face that no test changed."""
+    with pytest.MonkeyPatch.context() as patch:
+        without_light(patch)
+        return imported(Face(), tmp_path_factory.mktemp("plain"))
+
+
+@pytest.fixture(scope="module")
+def sound_head(plain) -> dict[str, Any]:
     """Arrays of the file of an imported head."""
-    folder = tmp_path_factory.mktemp("head")
-    import_head(Face().write(folder / "mine.glb"), folder / "mine.npz")
-    with np.load(folder / "mine.npz") as stored:
+    with np.load(plain[1].path) as stored:
         return dict(stored)
 
 
@@ -183,15 +193,15 @@ def moving(face: Face) -> Any:
 
 
 @pytest.mark.parametrize("name", [name for name in SOME if name not in ("mouthClose", "tongueOut")])
-def test_a_captured_shape_is_the_users_shape(face, tmp_path, name):
-    head, _ = imported(face, tmp_path)
+def test_a_captured_shape_is_the_users_shape(plain, face, name):
+    head, _ = plain
     moved = (posed(head, {name: 1.0}) - head.neutral)[head.slices["skin"]]
     expected = face.skin["deltas"][name][moving(face)]
     assert np.abs(moved - expected).max() < 0.03  # cm, of a head that is fitted to another
 
 
-def test_shapes_add_up_and_lips_close_over_an_open_jaw(face, tmp_path):
-    head, _ = imported(face, tmp_path)
+def test_shapes_add_up_and_lips_close_over_an_open_jaw(plain, face):
+    head, _ = plain
     deltas, skin = {n: d[moving(face)] for n, d in face.skin["deltas"].items()}, head.slices["skin"]
     weights = {"mouthSmileLeft": 0.7, "eyeBlinkRight": 0.5, "jawLeft": 0.3, "browInnerUp": 0.8}
     moved = (posed(head, weights) - head.neutral)[skin]
@@ -208,18 +218,17 @@ def test_shapes_add_up_and_lips_close_over_an_open_jaw(face, tmp_path):
     lambda name: name.replace("Left", "_L").replace("Right", "_R") if name[:3] != "jaw" else name,
     lambda name: name[0].upper() + name[1:],
 ], ids=["lower", "upper", "mesh", "path", "side", "capital"])  # fmt: skip
-def test_other_spellings_are_the_same_head(face, tmp_path, change):
-    import_head(face.write(tmp_path / "a.glb"), tmp_path / "a.npz")
+def test_other_spellings_are_the_same_head(plain, face, tmp_path, change):
     face.rename(change)
     import_head(face.write(tmp_path / "b.glb"), tmp_path / "b.npz")
-    first, second = (read_head(tmp_path / f"{name}.npz") for name in "ab")
+    first, second = (read_head(path) for path in (plain[1].path, tmp_path / "b.npz"))
     for name in FIELDS:
         assert np.array_equal(first[name], second[name]), name
 
 
 @pytest.mark.parametrize(("scale", "degrees"), [(0.01, 0), (1, 180), (10, 90), (0.3, -30)])
-def test_unit_place_and_facing_do_not_count(face, tmp_path, scale, degrees):
-    first, _ = imported(face, tmp_path)
+def test_unit_place_and_facing_do_not_count(plain, face, tmp_path, scale, degrees):
+    first, _ = plain
     angle = np.radians(degrees)
     turn = np.array(
         [[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]]
@@ -233,14 +242,14 @@ def test_unit_place_and_facing_do_not_count(face, tmp_path, scale, degrees):
     assert np.abs(posed(first, jaw) - posed(second, jaw)).max() < 0.02
 
 
-def test_head_of_the_embedded_head_lies_on_it(face, tmp_path):
-    head, report = imported(face, tmp_path)
+def test_head_of_the_embedded_head_lies_on_it(plain, face):
+    head, report = plain
     assert np.abs(head.neutral[head.slices["skin"]] - face.skin["points"][moving(face)]).max() < 0.3
     assert not any("unlike" in note for note in report.notes)
 
 
-def test_meshes_are_joined(face, tmp_path):
-    whole, _ = imported(face, tmp_path)
+def test_meshes_are_joined(plain, face, tmp_path):
+    whole, _ = plain
     skin, low = face.skin, face.skin["points"][:, 1] < -4
     is_low = low[skin["faces"]].all(1)
     cut = {"node": {"name": "Jaw"}, "material": skin["material"]}
@@ -257,8 +266,8 @@ def test_meshes_are_joined(face, tmp_path):
     assert len(np.unique(head.mesh.weld)) < len(head.mesh.weld)  # the cut is no edge
 
 
-def test_quantised_files_are_read(face, tmp_path):
-    first, _ = imported(face, tmp_path)
+def test_quantised_files_are_read(plain, face, tmp_path):
+    first, _ = plain
     face.quantised = True
     face.more["extensionsRequired"] = ["KHR_mesh_quantization"]
     for part in face.parts:
@@ -268,8 +277,8 @@ def test_quantised_files_are_read(face, tmp_path):
     assert np.abs(first.neutral - second.neutral).max() < 0.01
 
 
-def test_eyes_of_their_own_meshes_turn(face, tmp_path):
-    head, report = imported(face, tmp_path)
+def test_eyes_of_their_own_meshes_turn(plain):
+    head, report = plain
     values = BOARD.rest.copy()
     values[BOARD.index("CTRL_C_eye.tx")] = 0.5
     values[BOARD.index("CTRL_C_eye_parallelLook.ty")] = 1

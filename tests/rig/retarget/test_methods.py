@@ -8,10 +8,10 @@ from scipy.spatial.transform import Rotation
 
 from rig.errors import FormatError, MeshError
 from rig.mesh.closest import ClosestPoints, closest_barycentric
-from rig.mesh.deformation import rigid_motion
+from rig.mesh.deformation import similarity
 from rig.mesh.trimesh import TriMesh, components
 from rig.retarget.found_landmarks import guess_landmarks
-from rig.retarget.landmarks import LANDMARKS, NEEDED, check_landmarks, read_landmarks, similarity
+from rig.retarget.landmarks import LANDMARKS, NEEDED, check_landmarks, read_landmarks
 from rig.retarget.lids import fit_lids
 from rig.retarget.methods import _along_slit, lip_pairs
 from rig.retarget.registration import lip_labels, register
@@ -191,7 +191,7 @@ def test_the_head_onto_itself_keeps_eyes_and_teeth_whole(head):
 
 
 def bends(rest, delta):
-    rotation, shift = rigid_motion(rest, rest + delta)
+    _, rotation, shift = similarity(rest, rest + delta, is_rigid=True)
     return bool(np.abs(rest @ rotation.T + shift - rest - delta).max() > 0.01)
 
 
@@ -227,15 +227,15 @@ def test_landmarks_are_found_without_help(head):
     axes = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
     mesh = TriMesh(0.01 * head.mesh.vertices @ axes.T, head.mesh.faces)
     guess = guess_landmarks(mesh, head.mesh, head.landmarks)
-    check_landmarks(guess.landmarks, len(mesh.vertices))
+    check_landmarks(guess, len(mesh.vertices))
     at = head.mesh.vertices
-    apart = {n: np.linalg.norm(at[v] - at[head.landmarks[n]]) for n, v in guess.landmarks.items()}
+    apart = {n: np.linalg.norm(at[v] - at[head.landmarks[n]]) for n, v in guess.items()}
     assert np.mean(list(apart.values())) < 0.25
     for side in ("left", "right"):
         assert apart[f"eye_upper_{side}"] < 0.5 and apart[f"mouth_corner_{side}"] < 0.6
     labels = lip_labels(head.mesh, head.landmarks)
-    assert labels[guess.landmarks["upper_rim"]] == 1
-    assert labels[guess.landmarks["lower_rim"]] == -1
+    assert labels[guess["upper_rim"]] == 1
+    assert labels[guess["lower_rim"]] == -1
 
 
 def test_correction_of_one_pair_is_spread_along_the_slit():

@@ -5,7 +5,8 @@ import pytest
 
 from deitalk.errors import DataError
 from deitalk.models.load import load_network
-from deitalk.pipeline.words.transcript import Transcript, Word
+from deitalk.pipeline.words.pronounced import Word
+from deitalk.pipeline.words.transcript import Transcript
 from deitalk.research.corpus.engines import espeak
 from deitalk.research.evaluation.words import (
     CONDITIONS,

@@ -16,13 +16,13 @@ import yaml
 from typer.testing import CliRunner
 
 from deitalk.config.load import load_config
-from deitalk.config.mesh import SDFAConfig
 from deitalk.errors import ConfigError, DataError
 from deitalk.evaluation.clips_figure import draw_clips
 from deitalk.evaluation.figures import can_draw
 from deitalk.models.checkpoint import load_model, save_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.research.cli import app
+from deitalk.research.config import MeshTrainingConfig
 from deitalk.research.meshes import training as module
 from deitalk.research.meshes.folder import (
     MeshFolder,
@@ -148,7 +148,7 @@ def finished(sequences, tmp_path_factory) -> Path:
     return out
 
 
-def resumable(**train: Any) -> SDFAConfig:
+def resumable(**train: Any) -> MeshTrainingConfig:
     """Four steps, saved at 2 and 4, with everything that a state must hold."""
     settings = {"ema": 0.9, "schedule": "one_cycle", "lip_weight": 0.5, **train}
     config = tiny(SEGMENT, **settings)
@@ -267,7 +267,7 @@ def test_two_processes_build_one_mesh_folder(tmp_path):
 # The task
 
 
-def built(config: SDFAConfig, sequences: Path) -> MeshTask:
+def built(config: MeshTrainingConfig, sequences: Path) -> MeshTask:
     torch.manual_seed(0)
     task = MeshTask(config, sequences)
     task.read(sequences)

@@ -10,10 +10,10 @@ import torch
 from deitalk.audio.mel import MelSpectrogram
 from deitalk.audio.voice_activity import normalise_level
 from deitalk.config.frontends import SDFAMelConfig
-from deitalk.config.mesh import MeshDataConfig
 from deitalk.data.seeded_batches import Share
 from deitalk.errors import DataError
 from deitalk.frontends.sdfa_encoder import SDFAEncoder
+from deitalk.research.config import MeshDataConfig
 from deitalk.research.meshes.folder import (
     Lips,
     MeshSequence,

@@ -9,8 +9,8 @@ import pytest
 import soundfile
 
 from deitalk.data.captures import imported
-from deitalk.data.captures.imported import within_captured
 from deitalk.data.captures.labels import Labelling
+from deitalk.data.captures.segments import within_captured
 from deitalk.data.captures.sources import find_sound, find_takes
 from deitalk.data.captures.take import CapturedCurves, read_capture
 from deitalk.data.clips import read_clips, read_known

@@ -3,14 +3,9 @@
 import numpy as np
 import pytest
 
+from deitalk.data.captures.channels import asymmetry, channel_faults, swapped_takes
 from deitalk.data.captures.rest_pose import rest_pose, without_rest
-from deitalk.data.captures.survey import (
-    MOST_FRAMES,
-    Frames,
-    asymmetry,
-    channel_faults,
-    swapped_takes,
-)
+from deitalk.data.captures.survey import MOST_FRAMES, Frames
 from rig import RigCurves, default_controls
 
 CONTROLS = default_controls()

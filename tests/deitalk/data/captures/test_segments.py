@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from deitalk.data.captures.imported import LISTENING_SECONDS, cut_at_silences
+from deitalk.data.captures.segments import LISTENING_SECONDS, cut_at_silences
 
 RATE = 30
 

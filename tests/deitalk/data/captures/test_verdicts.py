@@ -6,8 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deitalk.data.captures.mend import capture_rows
-from deitalk.data.captures.survey import ChannelFaults, ClipSurvey, Survey
+from deitalk.data.captures.channels import ChannelFaults
+from deitalk.data.captures.survey import ClipSurvey, Survey
+from deitalk.data.captures.verdicts import capture_rows
 from deitalk.data.clips import Clip
 from deitalk.data.offset import LAGS, ClipLags
 from rig import default_controls

@@ -9,7 +9,8 @@ from deitalk import animate
 from deitalk.errors import DeitalkError
 from deitalk.pipeline.words.align import fit_words
 from deitalk.pipeline.words.evidence import RATE, PhoneEvidence, phone_evidence
-from deitalk.pipeline.words.transcript import Transcript, Word
+from deitalk.pipeline.words.pronounced import Word
+from deitalk.pipeline.words.transcript import Transcript
 from deitalk.pipeline.words.viterbi import best_path
 from deitalk.postprocess.phones import PHONES
 from deitalk.research.corpus.engines import espeak

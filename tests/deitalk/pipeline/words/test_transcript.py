@@ -3,10 +3,11 @@
 import pytest
 
 from deitalk.errors import ConfigError, DataError, MissingError
-from deitalk.pipeline.words import transcript
+from deitalk.pipeline.words import pronounced
 from deitalk.pipeline.words.alphabets import spoken_words
+from deitalk.pipeline.words.pronounced import Word
 from deitalk.pipeline.words.textgrid import intervals_of
-from deitalk.pipeline.words.transcript import Transcript, Word
+from deitalk.pipeline.words.transcript import Transcript
 
 LONG = """File type = "ooTextFile"
 Object class = "TextGrid"
@@ -211,7 +212,7 @@ def test_speech_with_stops_is_speech(text):
 
 def test_words_need_espeak(monkeypatch):
     monkeypatch.setattr(
-        transcript, "missing", lambda: "espeak: absent; pip install espeakng-loader"
+        pronounced, "missing", lambda: "espeak: absent; pip install espeakng-loader"
     )
     with pytest.raises(MissingError, match="pip install espeakng-loader"):
         Transcript.of("please")

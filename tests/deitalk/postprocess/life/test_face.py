@@ -132,7 +132,7 @@ def test_a_gesture_moves_what_its_row_says_and_yields_to_an_emotion():
     curves = np.tile(CONTROLS.rest, (4, 1)).astype(np.float32)
     STAGES.play(curves, curves.copy(), tracks)
     left, right = (curves[:, CONTROLS.index(f"CTRL_{s}_brow_down.ty")] for s in "LR")
-    assert left == pytest.approx([0.2, 0.2, 0.125, 0.05], abs=1e-6)
+    assert left == pytest.approx([0.2, 0.2, 0.115, 0.03], abs=1e-6)
     assert right == pytest.approx(left / 2, abs=1e-6)
 
 
