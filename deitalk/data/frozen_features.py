@@ -28,7 +28,7 @@ from rig.files import atomic_write, remove_leftovers
 
 _FILE = re.compile(r"[0-9a-f]{32}\.npy|\d+(\.table)?\.npy")
 """Names of files of features."""
-OPEN_FILES = 256
+OPEN_FILES = 16
 """Features that are mapped at once."""
 
 

@@ -80,12 +80,20 @@ The tests hold: no clip of a built corpus is called shifted, and of those moved 
 at least 90 % are; of real mouths on video, of which the jaw alone is known, at most 7 % are."""
 RATIOS = (0.4, 0.5, 0.8, 5 / 6, 0.96, 25 / 24, 1.2, 1.25, 2.0, 2.5)
 """Ratios of two rates of 24, 25, 30, 48, 50, 60 and 120 Hz."""
-RATIO_GAIN, RATIO_LEAD = 0.12, 0.06
-"""Correlation that another rate must gain over the take's own, and over all others. Five takes of a
-hand-animated rig, 12 s of each, gain .17 to .42 at their own rate and .08 over the next."""
+RATIO_LEAST, RATIO_GAIN, RATIO_LEAD = 0.38, 0.12, 0.06
+"""Correlation at another rate, which it must gain over the take's own, and over all others. Five
+takes of a hand-animated rig, 12 s of each, gain .17 to .42 at their own rate and .08 over the next;
+curves of another sound reached .35."""
 RATIO_SECONDS = 3.0
 FIRST_SECONDS = 2.0
 """Latest start of a clip that is tested at other rates, at which later ones lie elsewhere."""
+FAR_RATE = 30
+"""Frames per second at which a take is laid over its sound at any lag."""
+FAR_OVERLAP_SECONDS = 15.0
+"""Least of both that overlaps."""
+FAR_LEAST, FAR_LEAD = 0.4, 0.08
+"""Least correlation at such a lag, and over that of all others that are a second and more away. Of
+takes moved by 5 and 30 s it was .48 and .50, .1 over the next; of another sound .34, and .04."""
 NTSC_DRIFT = 1 / 1001
 """29.97 against 30, 48 against 48.048 kHz."""
 
@@ -124,6 +132,74 @@ class ClipLags:
     def is_shifted(self) -> bool:
         """Whether the clip by itself is early or late."""
         return abs(self.lag) >= CLIP_SHIFT_SECONDS and self.is_clear
+
+
+@dataclass(frozen=True)
+class ClipSignals:
+    """Groups of a clip, at `FAR_RATE` from its start in the take on."""
+
+    start: float
+    captured: Float32
+    """[shape=(G, T)]; groups that the source cannot know are 0."""
+    wanted: Float32
+    """Of a model's curves of the sound."""
+
+
+def clip_signals(
+    curves: RigCurves, *, predicted: RigCurves | None, known: Bool, offset: float, start: float
+) -> ClipSignals | None:
+    """Signals of a clip; parameters as of `clip_lags`. None of another rig, or without a model."""
+    if predicted is None or curves.control_set != DEFAULT_ID:
+        return None
+    at = np.arange(int(min(curves.duration, predicted.duration) * FAR_RATE)) / FAR_RATE
+    names = {curves.names[i] for i in np.flatnonzero(known)}
+    captured = _signals(curves, names, curves.times + offset, at)
+    wanted = _signals(predicted, names, predicted.times, at)
+    rows = np.zeros((2, len(GROUPS), len(at)), np.float32)
+    for place, group in enumerate(GROUPS):
+        for row, signals in zip(rows, (captured, wanted), strict=True):
+            row[place] = signals.get(group, 0.0)
+    return ClipSignals(start, *rows)
+
+
+def far_lag(clips: Sequence[ClipSignals]) -> float | None:
+    """Lag of a take's curves behind its sound, seconds, of any size; None if none is clear.
+
+    All groups of the whole take are correlated where curves and sound overlap.
+    """
+    from scipy.signal import fftconvolve
+
+    if not clips:
+        return None
+    size = max(round(c.start * FAR_RATE) + c.captured.shape[1] for c in clips)
+    captured, wanted = np.zeros((2, len(GROUPS), size))
+    there = np.zeros(size)
+    for clip in clips:
+        first = round(clip.start * FAR_RATE)
+        part = slice(first, first + clip.captured.shape[1])
+        there[part] = 1
+        for rows, own in ((captured, clip.captured), (wanted, clip.wanted)):
+            rows[:, part] = own - own.mean(axis=1, keepdims=True)
+
+    def over(a: Float64, b: Float64) -> Float64:
+        found: Float64 = fftconvolve(a, b[::-1])
+        return found
+
+    overlap = over(there, there)
+    total, count = np.zeros(2 * size - 1), 0
+    for a, b in zip(captured, wanted, strict=True):
+        if min(a.std(), b.std()) > STILL:
+            size_of = np.sqrt(np.maximum(over(a * a, there) * over(there, b * b), 1e-12))
+            r = over(a, b) / size_of
+            total, count = total + np.sign(r) * r**2, count + 1
+    total[overlap < FAR_OVERLAP_SECONDS * FAR_RATE] = 0
+    if not count:
+        return None
+    found = np.sqrt(np.maximum(total / count, 0))
+    best = int(found.argmax())
+    others = np.delete(found, slice(max(best - FAR_RATE, 0), best + FAR_RATE + 1))
+    is_clear = found[best] >= max(FAR_LEAST, others.max(initial=0.0) + FAR_LEAD)
+    return (best - (size - 1)) / FAR_RATE if is_clear else None
 
 
 @dataclass(frozen=True)
@@ -270,7 +346,7 @@ def fit_rate(
         found[ratio] = 0.0 if lags is None else lags.correlation
     best = max(RATIOS, key=lambda ratio: found[ratio])
     others = max(value for ratio, value in found.items() if ratio != best)
-    is_clear = found[best] >= max(found[1.0] + RATIO_GAIN, others + RATIO_LEAD, LEAST_CORRELATION)
+    is_clear = found[best] >= max(found[1.0] + RATIO_GAIN, others + RATIO_LEAD, RATIO_LEAST)
     return curves.fps / best if is_clear else None
 
 

@@ -235,14 +235,16 @@ class Trainer(Generic[Item]):
         if self.total:
             average = shared_copy(task.model, task.frozen)
             self.average = average.eval().requires_grad_(False)
-        self.optimizer = task.optimizer()
-        self.scheduler = new_scheduler(self.optimizer, self.settings, self.total)
+            self.optimizer = task.optimizer()
+            self.scheduler = new_scheduler(self.optimizer, self.settings, self.total)
         self.step, self.best_score = 0, -math.inf
         self.gradient_norm, self.seconds, self.bad_steps, self.taken = 0.0, 0.0, 0, 0
 
     @property
     def parts(self) -> dict[str, Any]:
-        """What ``state.pt`` keeps."""
+        """What ``state.pt`` keeps; nothing of a run without steps."""
+        if not self.total:
+            return {}
         model, average = (Learnt(m, self.task.frozen) for m in (self.task.model, self.average))
         own = {"model": model, "average": average, "optimizer": self.optimizer}
         return {**own, "scheduler": self.scheduler, **self.task.state}
@@ -258,7 +260,7 @@ class Trainer(Generic[Item]):
         self.progress(self.step, self.total, {})
         if self._is_stale(journal.out):
             return
-        network = self.prepare()
+        network = self.prepare() if self.total else self.task.model
         if self.task.scores_start and not self.step and not (journal.out / "state.pt").is_file():
             self._evaluate(journal)
         batches = self._batches()

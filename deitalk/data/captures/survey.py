@@ -16,7 +16,17 @@ from deitalk.data.captures.conventions import Relations
 from deitalk.data.captures.expressions import RULE, style_scores
 from deitalk.data.captures.rest_pose import rest_pose
 from deitalk.data.clips import Clip, read_known
-from deitalk.data.offset import ClipLags, TakeSync, clip_lags, fit_rate, predicted_curves, take_sync
+from deitalk.data.offset import (
+    ClipLags,
+    ClipSignals,
+    TakeSync,
+    clip_lags,
+    clip_signals,
+    far_lag,
+    fit_rate,
+    predicted_curves,
+    take_sync,
+)
 from rig import ControlSet, RigCurves
 from rig.arrays import Bool, Float32, Float64
 from rig.controls import DEFAULT_ID
@@ -42,6 +52,8 @@ class ClipSurvey:
     asymmetry: Float64
     voiced: Float64
     """Pitch of the voiced frames, semitones over 100 Hz."""
+    signals: ClipSignals | None = None
+    """Of captured and predicted curves, where they can be laid over each other."""
     other_rate: tuple[float, float] | None = None
     """Rate of the curves, and the one at which they follow the sound; None if it is the same."""
 
@@ -116,6 +128,7 @@ class Survey:
                 else np.zeros(len(RULE)),  # no rule is known of another rig
                 asymmetry(values, known, self.controls),
                 prosody.pitch[prosody.voiced],
+                clip_signals(board, predicted=predicted, **place),
                 None if rate is None else (curves.fps, rate),
             )
         )  # fmt: skip
@@ -134,6 +147,11 @@ class Survey:
             take: take_sync([c.lags for c in clips if c.lags is not None], by=self.by)
             for take, clips in self.by_take().items()
         }
+
+    def far(self, take: str) -> float | None:
+        """Lag of a take of more than a second behind its sound, seconds; None if none is clear."""
+        signals = (clip.signals for clip in self.clips if clip.clip.take == take)
+        return far_lag([each for each in signals if each is not None])
 
     def misread(self) -> dict[str, tuple[float, float]]:
         """Takes that follow their sound at another rate: the rate of the curves, and that one."""

@@ -64,10 +64,12 @@ def capture_rows(survey: Survey) -> list[Check]:
 def _sync(survey: Survey) -> list[Check]:
     sync = survey.sync()
     known = {take: s for take, s in sync.items() if s is not None and s.is_known}
+    apart = [take for take in sync if take not in known and take not in survey.misread()]
+    far = {take: lag for take in apart if (lag := survey.far(take)) is not None}
     foreign = [
-        f"{take} (r {0 if s is None else s.correlation:.2f})"
-        for take, s in sync.items()
-        if take not in known and take not in survey.misread()
+        f"{take} (r {0 if (s := sync[take]) is None else s.correlation:.2f})"
+        for take in apart
+        if take not in far
     ]
     late = [f"{take} ({s.lag * 1000:+.0f} ms)" for take, s in known.items()
             if s.is_shifted and abs(s.lag) > 0.01 and take not in survey.misread()]  # fmt: skip
@@ -82,7 +84,7 @@ def _sync(survey: Survey) -> list[Check]:
     rows = [
         verdict("offset", late, well, "takes are early or late, offset_s is to correct"),
         verdict("drift", drift, "none", "takes drift, offset_s of every clip is to correct"),
-    ]
+    ][: 2 if known else 0]
     if misread := survey.misread():
         found = [
             f"{take} ({own:.5g} Hz, the sound fits {fit:.5g})"
@@ -90,6 +92,13 @@ def _sync(survey: Survey) -> list[Check]:
         ]
         text = "takes are at another rate than their sound; mend the files, import them again"
         rows.append(verdict("rate", found, "", text, "error"))
+    if far:
+        found = [f"{take} ({lag:+.2f} s)" for take, lag in far.items()]
+        text = (
+            "takes are seconds early (-) or late (+) against their sound; cut or pad the recording "
+            "by so much, import again"
+        )
+        rows.append(verdict("apart", found, "", text, "error"))
     if foreign:
         text = "takes do not follow their sound; is it the right recording?"
         rows.append(verdict("sound", foreign, "", text))

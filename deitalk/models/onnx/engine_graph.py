@@ -7,6 +7,7 @@ network is a hundredth of them, and another one for a fine-tuned model is not ne
 import base64
 import gzip
 import json
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any, cast
 
@@ -65,12 +66,13 @@ def write_graph(model: DEITalk, folder: Path, path: Path) -> None:
     MissingError
         If the package onnx is not installed.
     """
-    model = model.cpu()
-    content, texts = _causal(model) if model.is_causal else _whole(model)
+    model, types = model.cpu(), stored_types(folder)
+    stored = {WEIGHTS + name for name in types}
+    content, texts = (_causal if model.is_causal else _whole)(model, stored)
     texts[WHOLE] = rules_entry(model)
     if model.is_causal:
         texts[LIVE] = rules_entry(model, grid_of(model).rules_ahead)
-    left = _leave_weights(content.graph, stored_types(folder))
+    left = _leave_weights(content.graph, types)
     for key, value in (metadata(model) | texts).items():
         content.metadata_props.add(key=key, value=value)
     with atomic_write(path) as beside:
@@ -90,8 +92,8 @@ def metadata(model: DEITalk) -> dict[str, str]:
     return texts | {"control_set": model.controls.id, "rig": rig_text(model.controls)}
 
 
-def _whole(model: DEITalk) -> tuple[Any, dict[str, str]]:
-    """Graph of whole recordings of any length; metadata of its frontend."""
+def _whole(model: DEITalk, stored: Collection[str]) -> tuple[Any, dict[str, str]]:
+    """Graph of whole recordings, without weights that are stored; metadata of its frontend."""
     example = (
         torch.zeros(SAMPLE_RATE),
         torch.full((FRAME_RATE, len(EMOTIONS) + len(model.actors)), 0.2),
@@ -102,14 +104,14 @@ def _whole(model: DEITalk) -> tuple[Any, dict[str, str]]:
     outputs = (*OUTPUTS, *[EFFORT] * model.config.effort)
     axes: Axes = {name: {0: "T"} for name in (*inputs, *outputs)} | {"sound": {0: "S"}}
     around = model.decoder.margin + (model.config.saliency_frames or 0) // 2
-    content = traced(CurveGraph(model), example, (*inputs, "peak"), outputs, axes)
+    content = traced(CurveGraph(model), example, (*inputs, "peak"), outputs, axes, stored)
     frontend = cast("WhisperFrontend", model.frontend)
     sizes = {"n_mels": frontend.config.n_mels, "mel_rate": frontend.mel.rate}
     parts = parts_of(around)._asdict() | sizes
     return content, {"schema": SCHEMA, "parts": json.dumps(parts)}
 
 
-def _causal(model: DEITalk) -> tuple[Any, dict[str, str]]:
+def _causal(model: DEITalk, stored: Collection[str]) -> tuple[Any, dict[str, str]]:
     """Graph of any number of frames of any number of streams; its metadata."""
     grid, states, batch, n_frames = grid_of(model), first_states(model), 2, 3
     example = (
@@ -123,7 +125,7 @@ def _causal(model: DEITalk) -> tuple[Any, dict[str, str]]:
     axes["windows"][1] = "S"
     for name in ("emotion", *OUTPUTS, EFFORT):
         axes[name][1] = "T"
-    content = traced(CausalGraph(model), example, inputs, outputs, axes)
+    content = traced(CausalGraph(model), example, inputs, outputs, axes, stored)
     described = [
         {"name": name, "shape": list(first.shape), "first": _first_value(first)}
         for name, first in states.items()
@@ -166,8 +168,6 @@ def _leave_weights(graph: Any, types: dict[str, str]) -> tuple[str, ...]:
             continue
         name = weight.name
         left.append(name.removeprefix(WEIGHTS))
-        weight.ClearField("raw_data")
-        weight.ClearField("float_data")
         weight.data_location = TensorProto.EXTERNAL
         weight.external_data.add(key="location", value=WEIGHTS_FILE)
         if kind == "F16":

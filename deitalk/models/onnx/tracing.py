@@ -2,6 +2,7 @@
 
 import io
 import warnings
+from collections.abc import Collection
 from typing import Any
 
 import torch
@@ -22,8 +23,11 @@ def traced(
     inputs: tuple[str, ...],
     outputs: tuple[str, ...],
     axes: Axes,
+    left: Collection[str] = (),
 ) -> Any:
     """A module as an ONNX model, its weights by their names in the module.
+
+    The values of those that are `left` are not in it.
 
     Raises
     ------
@@ -43,6 +47,7 @@ def traced(
             graph.eval(),
             example,
             file,  # type: ignore[arg-type]
+            export_params=False,  # weights become inputs: the exporter copies values three times
             dynamo=False,  # the newer exporter needs packages more
             opset_version=OPSET,
             do_constant_folding=False,  # runtimes do that; weights keep their names
@@ -50,7 +55,17 @@ def traced(
             output_names=list(outputs),
             dynamic_axes=axes,
         )
-    content = onnx.ModelProto.FromString(file.getbuffer())  # no second copy of the weights
+    content = onnx.ModelProto.FromString(file.getvalue())
+    values = dict(graph.named_parameters()) | dict(graph.named_buffers())
+    given = list(content.graph.input)
+    del content.graph.input[len(inputs) :]
+    for each in given[len(inputs) :]:
+        # The exporter numbers a weight of the name of an input or output.
+        value = values[each.name if each.name in values else each.name.rpartition(".")[0]]
+        weight = content.graph.initializer.add(name=each.name, dims=value.shape)
+        weight.data_type = each.type.tensor_type.elem_type
+        if each.name not in left:
+            weight.raw_data = value.detach().contiguous().numpy().tobytes()
     for node in content.graph.node:
         node.ClearField("name")
         node.ClearField("doc_string")

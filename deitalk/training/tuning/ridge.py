@@ -257,7 +257,7 @@ def _chosen(sums: Sums, n_controls: int, may_stay: bool, new_actors: bool) -> li
     best = None
     if is_one:
         if is_new and len(folds) > 1:
-            best = _best_of_strangers(squares.sum(axis=0), rows.sum(axis=0), n_controls)[None]
+            best = _best_of_strangers(squares, rows.sum(axis=0), n_controls)[None]
         squares = squares.sum(axis=1, keepdims=True)
     total = squares.sum(axis=0), rows.sum(axis=0)
     pairs: list[Pair] = [(shared, shared * each) for shared in SHARED for each in OWN]
@@ -304,7 +304,7 @@ def _with_stranger(
     strange = weight.mean(axis=0), bias.mean(axis=0)
     if is_new and len(weight) > 1:
         shared: list[Pair] = [(each, None) for each in SHARED]
-        chosen = _best_of_strangers(squares, rows, best.shape[1])[None]
+        chosen = _best_of_strangers(squares[None], rows, best.shape[1])[None]
         each, rest = _each_solved(squares, rows, shared, chosen)
         strange = each[0], rest.mean(axis=0)
     return _staying(*_about(weight, bias, *strange), stays)
@@ -331,12 +331,14 @@ def _each_solved(
 def _best_of_strangers(squares: Float64, rows: Float64, n_controls: int) -> Int64:
     """Places in `SHARED` with which groups of actors are best predicted from others [shape=(C,)].
 
-    Offsets have no part in the choice: no speech tells how a stranger's face rests.
+    Of `squares` by fold and group (K, G, R, R), `rows` by actor (A, R). Offsets have no part in
+    the choice: no speech tells how a stranger's face rests.
     """
-    errors, total = np.zeros((len(SHARED), n_controls)), squares.sum(axis=0, keepdims=True)
-    group_of = np.arange(len(rows)) % len(squares)
-    for left, of_group in enumerate(squares):
-        theirs = rows[group_of == left]
+    errors, total = np.zeros((len(SHARED), n_controls)), squares.sum(axis=(0, 1))[None]
+    count = squares.shape[1]
+    group_of = np.arange(len(rows)) % count
+    for left in range(count):
+        of_group, theirs = squares[:, left].sum(axis=0), rows[group_of == left]
         own = of_group - theirs.T @ (theirs / np.maximum(theirs[:, :1], 1))
         for place, shared in enumerate(SHARED):
             others = rows[group_of != left]

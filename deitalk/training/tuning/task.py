@@ -81,14 +81,16 @@ MMAP_THRESHOLD = -3
 """`M_MMAP_THRESHOLD` of glibc's `mallopt`."""
 
 
-def _return_large_blocks() -> None:
-    """Have glibc return blocks from 1 MB on to the system when they are freed; else do nothing.
+def _return_memory() -> None:
+    """Have glibc return what is freed, and later blocks from 1 MB on at once; else do nothing.
 
     It does so at first, but raises the size with every larger block that is freed, and then keeps
     what lies between others: of a tuning a sixth of its memory.
     """
     with suppress(AttributeError, OSError, TypeError):
-        ctypes.CDLL(None).mallopt(MMAP_THRESHOLD, 2**20)
+        library = ctypes.CDLL(None)
+        library.mallopt(MMAP_THRESHOLD, 2**20)
+        library.malloc_trim(0)
 
 
 @torch.no_grad()
@@ -133,7 +135,7 @@ def finetune(
     DataError, ConfigError, MissingError, rig.errors.TargetError
         As `run_training`, and as `FinetuneTask`.
     """
-    _return_large_blocks()
+    _return_memory()
     job = (task or FinetuneTask)(config, data, frozen_features, progress)
     run_training(job, out, resume=resume, track=track, progress=progress)
     scores, complete = job.compare(out), job.config
@@ -260,7 +262,9 @@ class FinetuneTask(CurveTask):
         super().read(out)
         self.features_folder = out / "features"
         self._begin()
-        if self.config.tune.conventions:
+        if self.config.tune.conventions and len({take_of(c) for c in self.clips}) > len(
+            {_group(clip) for clip in self.clips}
+        ):
             self._find_conventions()
         if self.axes:
             self.clips, self.validation_clips, self.test_clips = (
@@ -326,7 +330,9 @@ class FinetuneTask(CurveTask):
         if not hasattr(self, "base"):
             self._begin()
         self._begin_model()
+        _return_memory()
         self._fit_last_layers()
+        _return_memory()
         self.base.to(device)
         # Let only the weights of a part learn.
         decoder, intensity = self.model.rig_decoder, self.model.intensity if self.axes else None
@@ -450,6 +456,8 @@ class FinetuneTask(CurveTask):
         """Write the report of a run; where the start of its steps errs less, deliver that."""
         ridge = copy.deepcopy(self.ridge)
         captures, systems = self.systems(out / "best")
+        self.stays = self.regression.maps.stays
+        del self.base, self.regression  # pictures need as much memory
         scores = self._report(out, captures, systems)
         if ridge is not None and self.test_clips and errs_less(scores, "ridge", "after"):
             self.save(out / "best", ridge, describe_model(out / "best")["training"] | {"step": 0})
@@ -521,7 +529,7 @@ class FinetuneTask(CurveTask):
 
     def delivered(self, best_step: int) -> str:
         """What the result is, by control."""
-        stays = self.learnt & self.regression.maps.stays
+        stays = self.learnt & self.stays
         learnt = int((self.learnt & self.pose.alive & ~stays).sum())
         what = "the regression" if not best_step else f"the weights of step {best_step}"
         kept = f", the base for {int(stays.sum())} that it predicts as well" if stays.any() else ""

@@ -4,13 +4,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter1d
 
 from deitalk.audio.load import load_audio
 from deitalk.data.offset import (
+    FAR_RATE,
     LAGS,
     NTSC_DRIFT,
     ClipLags,
+    ClipSignals,
     clip_lags,
+    far_lag,
     fit_rate,
     sharpest_peak,
     take_sync,
@@ -121,3 +125,36 @@ def test_takes_at_another_rate_than_their_sound_are_found(own, read):
     misread = replace(curves, values=curves.values + noise, fps=read)
     found = fit_rate(misread, recording.waveform, predicted=predicted)
     assert found is None if own == read else found == pytest.approx(own)
+
+
+def _signals(rng, seconds: float) -> np.ndarray:
+    """Groups that move like speech, and one that stands still [shape=(9, T)]."""
+    noise = rng.standard_normal((9, round(seconds * FAR_RATE)))
+    rows = gaussian_filter1d(noise, 2, axis=1)
+    rows[4] = 0.0
+    return rows.astype(np.float32)
+
+
+@pytest.mark.parametrize("lag", [-30.0, -5.0, -1.5, 2.0, 5.0, 30.0, None])
+def test_a_take_that_is_seconds_apart_from_its_sound_is_found(rng, lag):
+    """Clips with pauses between them, on noise; None is the sound of something else."""
+    whole = _signals(rng, 170.0)
+    wanted = whole[:, 40 * FAR_RATE : 130 * FAR_RATE]
+    other = _signals(rng, 90.0)
+    first = (40 * FAR_RATE) if lag is None else round((40 - lag) * FAR_RATE)
+    captured = other if lag is None else whole[:, first : first + wanted.shape[1]]
+    captured = captured + _signals(rng, 90.0)
+    parts = [(0, 14), (16, 30), (30, 45), (50, 64), (64, 78), (79, 90)]
+    slices = [slice(a * FAR_RATE, b * FAR_RATE) for a, b in parts]
+    clips = [
+        ClipSignals(a, captured[:, part], wanted[:, part])
+        for (a, _), part in zip(parts, slices, strict=True)
+    ]
+    found = far_lag(clips)
+    assert found is None if lag is None else found == pytest.approx(lag, abs=0.05)
+
+
+def test_nothing_is_said_of_a_take_of_seconds(rng):
+    short = _signals(rng, 8.0)
+    assert far_lag([ClipSignals(0.0, short, short)]) is None
+    assert far_lag([]) is None
