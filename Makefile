@@ -95,8 +95,8 @@ train-tiny: setup  ## Build a corpus of two minutes and train six steps
 
 pictures: setup-dev page  ## Draw docs/pictures: head, moving picture, architecture, edits, studio
 	mkdir -p docs/pictures
-	$(BIN)/python -m deitalk.research sheet mouth --tile 150 -o docs/pictures/face-mouth.png --force
-	$(BIN)/python -m deitalk.research sheet emotions --columns 5 --tile 150 -o docs/pictures/face-emotions.png --force
+	$(BIN)/python -m deitalk.research sheet mouth --tile 147 -o docs/pictures/face-mouth.png --force
+	$(BIN)/python -m deitalk.research sheet emotions --columns 5 --tile 147 -o docs/pictures/face-emotions.png --force
 	$(BIN)/python docs/make_architecture.py
 	$(if $(CREMA),$(BIN)/python docs/make_talking.py $(CREMA))
 	$(BIN)/python docs/make_edits.py

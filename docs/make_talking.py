@@ -57,7 +57,7 @@ def main(table: Path) -> None:
     frames = range(len(columns[0]))
     pictures = [Image.fromarray(np.hstack(rows)) for rows in zip(*columns, strict=True)]
     pictures[0].save(
-        PICTURE, save_all=True, append_images=pictures[1:], loop=0, quality=38, method=4,
+        PICTURE, save_all=True, append_images=pictures[1:], loop=0, quality=36, method=4,
         duration=[round(STEP * (k + 1) / 0.03) - round(STEP * k / 0.03) for k in frames],
     )  # fmt: skip
 

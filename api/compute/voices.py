@@ -50,6 +50,7 @@ class Voices:
         frames = {  # curves and track of the head [shape=(n, C + 6)]
             voice: np.concatenate((read[model][k], self.animators[model].heads[k]), axis=1)
             for voice, (model, k) in self.places.items()
+            if len(read[model][k])
         }
         return opened, failed, frames
 
@@ -92,7 +93,7 @@ def perform_voices(order: Order, limits: Limits, progress: Any) -> Answer:
     out = Path(OUT) / "frames"
     parts = [rows.astype("<f4").tobytes() for rows in frames.values()]
     out.write_bytes(b"".join(parts))
-    counts = [[voice, len(rows)] for voice, rows in frames.items() if len(rows)]
+    counts = [[voice, len(rows)] for voice, rows in frames.items()]
     errors = [[voice, names_of(error), str(error)] for voice, error in failed.items()]
     facts = {
         "opened": list(opened.items()), "failed": errors, "frames": counts,

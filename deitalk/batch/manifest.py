@@ -181,12 +181,9 @@ class _Reader:
             raise DeitalkError(
                 f"{', '.join(given)} without a performance; name one, or leave it out"
             )
-        for name in DUBBING[:3]:
-            if name in given:
-                given[name] = joined(self.base, given[name])
-        for name in DUBBING[3:]:
-            if name in given:
-                given[name] = number(given[name], name, "column")
+        for name, cell in given.items():
+            is_path = name in DUBBING[:3]
+            given[name] = joined(self.base, cell) if is_path else number(cell, name, "column")
         return replace(line, dubbing=Dubbing(**given))
 
 

@@ -26,7 +26,7 @@ from deitalk.cli.options import (
     Timecode,
     WrittenIdentity,
 )
-from deitalk.cli.targets import PICTURES, reserve_file, reserve_take
+from deitalk.cli.targets import PICTURES, reserve_file, reserve_sound, reserve_take
 from deitalk.errors import DeitalkError
 
 if TYPE_CHECKING:
@@ -123,11 +123,11 @@ def animate(
 
     # Whatever cannot be written is refused before the recording is animated.
     from deitalk.audio.original import start_of
+    from deitalk.batch.lines import TAKE, Written
     from deitalk.pipeline.performance import write_take
-    from rig.curves import snap_fps
     from rig.face.identity import identity_of
     from rig.files import is_folder_name
-    from rig.formats import checked_digits, checked_identity, find_format
+    from rig.formats import checked_identity, find_format
     from rig.formats.table import writable_suffixes
 
     head = identity and identity_of(identity)
@@ -140,19 +140,14 @@ def animate(
             f"--identity {identity} is the head of --preview, or of a .glb or .usda file; the take "
             f"{out} shows none: add --preview, or leave it out"
         )
-    if fps is not None:
-        snap_fps(fps)
-    if digits is not None:
-        checked_digits(digits, file_format)
-    start_of(timecode, fps, 0.0)
+    Written((file_format.suffixes[0] if file_format else TAKE,), **form).checked()
     if preview and not is_take:
         raise DeitalkError(f"--preview goes with a take folder; {out} is one file")
     if is_take:
         reserve_take(target, speech, force=force, inputs=inputs)
     else:
         reserve_file(target, force=force, inputs=inputs)
-        if target.suffix.lower() == ".fbx":  # it holds no sound
-            reserve_file(target.with_suffix(".wav"), force=force, inputs=inputs)
+        reserve_sound(target, force=force, inputs=inputs)
     extras: tuple[Extra, ...] = ()
     if preview:
         from deitalk.preview.page import add_preview, check_player

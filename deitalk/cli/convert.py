@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -18,6 +18,9 @@ from deitalk.cli.options import (
 )
 from deitalk.cli.targets import curves_of, reserve_file, reserve_sound, write_sound
 from deitalk.errors import DeitalkError
+
+if TYPE_CHECKING:
+    from rig.formats.table import Format
 
 
 def convert(
@@ -96,17 +99,10 @@ def convert(
     if source is None or target is None:
         raise typer.BadParameter("give a source and a target (or --list-formats)")
     reserve_file(target, force=force, inputs=(source, curves_of(source)))
-    sound = reserve_sound(target, source / "audio.wav", force=force)
-    # Controls to convert to before writing; None where the format determines them.
-    wanted = None if rig == "as-is" else control_set_of(rig)
+    audio = source / "audio.wav"
+    sound = reserve_sound(target, force=force, inputs=(audio,)) if audio.is_file() else None
     chosen, head = find_format(target, to, writable=True), identity and identity_of(identity)
-    if chosen.control_set is not None and wanted not in chosen.also:
-        if rig not in ("board", "as-is") and chosen.control_set != wanted:
-            raise DeitalkError(
-                f"--rig {rig} does not apply to {chosen.name}, whose curves are "
-                f"{chosen.control_set}; leave it out, or write csv, json, npz, or for arkit glb"
-            )
-        wanted = None
+    wanted = _control_set(rig, chosen)
     curves = read_curves(curves_of(source), format=from_, fps=source_fps, control_set=None)
     if start or end is not None:
         whole, curves = curves.duration, curves.slice_seconds(start, end)
@@ -119,7 +115,7 @@ def convert(
         curves = smoothed(curves.mirror() if mirror else curves, smooth)
     curves, note = convert_and_note(curves, wanted or curves.control_set)
     # The take's recording for a format that has sound, and its length if it is whole.
-    audio, speech = source / "audio.wav", dict[str, Any]()
+    speech: dict[str, Any] = {}
     if "seconds" in chosen.options and audio.is_file():
         speech["sound"] = audio
         if not start and end is None:
@@ -139,7 +135,20 @@ def convert(
     }  # fmt: skip
     emit_outcome(line, summary, report.notes, as_json=as_json)
     if sound is not None:
-        write_sound(sound, source / "audio.wav", start, end, handles / report.fps)
+        write_sound(sound, audio, start, end, handles / report.fps)
+
+
+def _control_set(rig: str, chosen: "Format") -> str | None:
+    """Controls to convert to before writing; None where the format determines them."""
+    wanted = None if rig == "as-is" else control_set_of(rig)
+    if chosen.control_set is None or wanted in chosen.also:
+        return wanted
+    if rig not in ("board", "as-is") and chosen.control_set != wanted:
+        raise DeitalkError(
+            f"--rig {rig} does not apply to {chosen.name}, whose curves are "
+            f"{chosen.control_set}; leave it out, or write csv, json, npz, or for arkit glb"
+        )
+    return None
 
 
 def _pairs(texts: list[str] | None, option: str) -> dict[str, float]:

@@ -141,6 +141,7 @@ def dub(
     deitalk dub take.zip retake.wav -o take2/ --words "My promise is big."
     """
     from deitalk.audio.original import start_of
+    from deitalk.batch.lines import TAKE, Written
     from deitalk.data.captures.columns import read_mapping
     from deitalk.data.dub import dub as dubbed
     from deitalk.models.folder import describe_model
@@ -148,7 +149,7 @@ def dub(
 
     inputs = (str(speech), str(performance), *given.texts)
     reserve_take(out, str(speech), force=force, inputs=inputs)
-    start_of(timecode, fps, 0.0)
+    Written((TAKE,), fps, None, timecode, delay, handles).checked()
     table = None if mapping is None else read_mapping(mapping)
     with bar("animating") as progress:
         found = dubbed(

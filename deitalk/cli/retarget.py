@@ -69,7 +69,8 @@ def retarget(
     if method not in ("displacements", "gradients"):
         raise DeitalkError(f"--method {method!r} is unknown; use displacements or gradients")
     reserve_mesh(out, force=force, inputs=(curves_of(take), mesh, landmarks, mapping), fbx=True)
-    sound = reserve_sound(Path(out), take / "audio.wav", force=force)
+    audio = take / "audio.wav"
+    sound = reserve_sound(Path(out), force=force, inputs=(audio,)) if audio.is_file() else None
     if write_mapping is not None:
         reserve_file(write_mapping, force=force, inputs=(curves_of(take), mesh, mapping))
     curves = read_known_or_own(curves_of(take))
@@ -92,4 +93,4 @@ def retarget(
     summary = asdict(report) | {"path": str(report.path)}
     emit_outcome(line, summary, report.notes, as_json=as_json)
     if sound is not None:
-        write_sound(sound, take / "audio.wav")
+        write_sound(sound, audio)

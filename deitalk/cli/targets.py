@@ -77,15 +77,12 @@ def reserve_mesh(out: str, *, force: bool, inputs: Inputs = (), fbx: bool = Fals
         reserve_file(Path(out), force=force, inputs=inputs)
 
 
-def reserve_sound(out: Path, sound: Path | None, *, force: bool) -> Path | None:
-    """Reserve the ``.wav`` beside an FBX, which holds no sound; None for other files.
-
-    `sound` is that of the take; without one there is nothing to write.
-    """
-    if out.suffix.lower() != ".fbx" or sound is None or not sound.is_file():
+def reserve_sound(out: Path, *, force: bool, inputs: Inputs) -> Path | None:
+    """Reserve the ``.wav`` beside an FBX, which holds no sound; None for other files."""
+    if out.suffix.lower() != ".fbx":
         return None
     beside = out.with_suffix(".wav")
-    reserve_file(beside, force=force, inputs=(sound,))
+    reserve_file(beside, force=force, inputs=inputs)
     return beside
 
 

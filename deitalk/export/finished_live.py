@@ -75,8 +75,9 @@ class FinishedLive(nn.Module):
         self.begins = [bool((part != 0).any()) for part in first]
         for k, part in enumerate(first):
             if self.begins[k]:
-                is_one = bool((part == part.flatten()[0]).all())
-                constant(self, f"begin_{k}", (part.flatten()[:1] if is_one else part).numpy())
+                row = part.reshape(1, -1)
+                is_one = bool((row == row[0, 0]).all())
+                constant(self, f"begin_{k}", (row[:, :1] if is_one else row).numpy())
 
     def first_states(self, batch: int) -> Any:
         """State of streams before their first sample, in its parts.
@@ -132,10 +133,8 @@ class FinishedLive(nn.Module):
         state : Tensor [shape=(B, N)]
         """
         parts = torch.split(state, [math.prod(size) for size in self.sizes], dim=1)
-        shaped = [
-            self._begun(k, part.reshape(-1, *size), state[:, 0] > 0)
-            for k, (part, size) in enumerate(zip(parts, self.sizes, strict=True))
-        ]
+        old = [self._begun(k, part, state[:, :1] > 0) for k, part in enumerate(parts)]
+        shaped = [part.reshape(-1, *size) for part, size in zip(old, self.sizes, strict=True)]
         frame, network, analysed, rules = tree.tree_unflatten(shaped, self.shape)
         # The network: two readings of the frame `delay` before.
         labels, actors = emotion[:, : len(LABELS)], emotion[:, len(LABELS) :]
@@ -146,9 +145,9 @@ class FinishedLive(nn.Module):
             self.model, self._spectra(sound, frame), styles[:, None], before
         )
         # Measures of its voice.
-        begun = frame[:, 0] >= self.delay
+        begun = frame >= self.delay
         factor, rest = intensity.unbind(1)
-        rest = torch.where(begun, rest, torch.zeros_like(rest))
+        rest = torch.where(begun[:, 0], rest, torch.zeros_like(rest))
         window = sound[:, :WINDOW]
         measured = FrameMeasures.of_rows(self.levels(window), self.prosody(window), 1)
         found, measures = self.analysis(measured, rows.strength, rows.effort, rest, analysed)
@@ -177,30 +176,33 @@ class FinishedLive(nn.Module):
         curves, _, _, finished = self.rules(
             rows.neutral, rows.emotional, voice, shown, gain, ruled, rules
         )
-        # Before the first frame only the sound counts.
-        read = tuple(next_network.tensors())
-        decoder, spoken, finished = tree.tree_map(
-            lambda new, old: torch.where(begun.view(-1, *[1] * (new.dim() - 1)), new, old),
-            (read[n_frontend:], measures[N_SOUND:], finished),
-            (tuple(network[n_frontend:]), analysed[N_SOUND:], rules),
-        )
         frame = frame + 1
         frame = torch.where(frame >= WRAP, frame - WRAP // 2, frame)
-        after = (*measures[:N_SOUND], *spoken)
-        carried = (frame, (*read[:n_frontend], *decoder), after, finished)
-        flat = [
+        carried = frame, tuple(next_network.tensors()), measures, finished
+        new = [
             part.flatten(1) if part.dim() > 1 else part[:, None]
             for part in tree.tree_leaves(carried)
         ]
-        new = torch.cat(flat, dim=1)
-        return curves[:, 0], found.intensity[:, 0], new
+        # Before the first frame only the sound counts, not what is read and finished of it.
+        decoder, sound_end = 1 + n_frontend, 1 + len(network) + N_SOUND
+        blocks = []
+        for first, stop, waits in (
+            (0, decoder, False),
+            (decoder, 1 + len(network), True),
+            (1 + len(network), sound_end, False),
+            (sound_end, len(new), True),
+        ):
+            block = torch.cat(new[first:stop], dim=1)
+            if waits:
+                block = torch.where(begun, block, torch.cat(old[first:stop], dim=1))
+            blocks.append(block)
+        return curves[:, 0], found.intensity[:, 0], torch.cat(blocks, dim=1)
 
     def _begun(self, number: int, part: Tensor, has_begun: Tensor) -> Tensor:
-        """A part of the state, with its first value where no frame has come."""
+        """A part of the state (B, ...), with its first value where no frame has come."""
         if not self.begins[number]:
             return part
-        first = cast(Tensor, getattr(self, f"begin_{number}"))
-        return torch.where(has_begun.view(-1, *[1] * (part.dim() - 1)), part, first)
+        return torch.where(has_begun, part, cast(Tensor, getattr(self, f"begin_{number}")))
 
     def _spectra(self, sound: Tensor, frame: Tensor) -> Tensor:
         """Samples of the spectra of the frame (B, P, 400)."""

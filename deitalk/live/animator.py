@@ -127,10 +127,13 @@ class LiveAnimator:
         self.other_analysis = VoiceAnalysis(RulesConfig.none(), grid, device)
         self.state, self.past, self.due, self.other = self._first(streams)
         self.streams = [self._stream(k) for k in range(streams)]
+        self.fed: set[int] = set()
+        """Streams that have been given sound since the last `read`."""
         idle = self.network.rules.idle or Idle()
         self.motion = MotionStreams([self._character(k) for k in range(streams)], idle)
         self.resamplers = [[self._resampler(), self._resampler()] for _ in range(streams)]
-        self.heads = [np.zeros((0, len(HEAD)), np.float32)] * streams
+        self._no_frames = tuple(np.zeros((0, k), np.float32) for k in (len(self.names), len(HEAD)))
+        self.heads = [self._no_frames[1]] * streams
 
     @property
     def head(self) -> Any:
@@ -236,8 +239,10 @@ class LiveAnimator:
 
     def read(self) -> list[Float32]:
         """Frames of every stream that are known now [shape=(n, C)], in one call of the network."""
-        self._advance()
-        given = [stream.collect() for stream in self.streams]
+        self._advance(sorted(self.fed))
+        none = self._no_frames
+        given = [one.collect() if k in self.fed else none for k, one in enumerate(self.streams)]
+        self.fed.clear()
         self.heads = [head for _, head in given]
         return [frames for frames, _ in given]
 
@@ -282,6 +287,7 @@ class LiveAnimator:
         if not one.sound.end:
             return 0
         one.interrupt(samples_within(self.lookahead_seconds), frame)
+        self.fed.add(stream)
         self.resamplers[stream][0] = self._resampler()
         return frame_count(one.sound.end)
 
@@ -368,35 +374,36 @@ class LiveAnimator:
         if resampler is not None:
             samples = resampler.feed(samples, last=last)
         self.streams[number].sound.append(samples)
+        self.fed.add(number)
 
     def _single(self, frames: list[Float32]) -> Any:
         return frames[0] if len(frames) == 1 else frames
 
-    def _advance(self) -> None:
-        """Finish the frames whose sound has come, of as many streams at once as have any."""
-        self._begin()
-        while True:
-            known: dict[tuple[int, int, int | None], int] = {}  # equal streams have equal counts
-            keys = [(one.sound.end, one.groups, one.n_total) for one in self.streams]
-            for key, stream in zip(keys, self.streams, strict=True):
+    def _advance(self, fed: list[int]) -> None:
+        """Finish the frames whose sound has come, of as many of the streams `fed` as have any."""
+        self._begin(fed)
+        known: dict[tuple[int, int, int | None], int] = {}  # equal streams have equal counts
+        waiting = {}
+        for k in fed:
+            one = self.streams[k]
+            if one.groups > 0:
+                key = one.sound.end, one.groups, one.n_total
                 if key not in known:
-                    known[key] = stream.n_ready()
-            counts = [known[key] for key in keys]
-            ready = [k for k, (_, groups, _) in enumerate(keys) if groups > 0 and counts[k] > 0]
-            if not ready:
-                return
-            most = min(BLOCK_FRAMES, *(counts[k] for k in ready))
+                    known[key] = one.n_ready()
+                waiting[k] = known[key]
+        while ready := [k for k, count in waiting.items() if count > 0]:
+            most = min(BLOCK_FRAMES, *(waiting[k] for k in ready))
             # Few sizes, for each of which torch keeps memory: 1 to 8, 16, 32 …
-            self._read(ready, most if most <= FEW_FRAMES else 1 << (most.bit_length() - 1))
+            count = most if most <= FEW_FRAMES else 1 << (most.bit_length() - 1)
+            self._read(ready, count)
+            for k in ready:
+                waiting[k] -= count
 
-    def _begin(self) -> None:
+    def _begin(self, fed: list[int]) -> None:
         """Read the first groups of streams whose first frame is known now."""
         delay = self.network.grid.delay
-        new = [
-            k
-            for k, stream in enumerate(self.streams)
-            if not stream.groups and stream.n_ready() >= delay
-        ]
+        streams = self.streams
+        new = [k for k in fed if not streams[k].groups and streams[k].n_ready() >= delay]
         if new:
             windows, _, _ = self._windows([self.streams[k] for k in new], delay)
             put(self.state, new, self.network.begin(windows, take(self.state, new)))

@@ -65,7 +65,7 @@ class Analysis(NamedTuple):
     effort: Tensor | None = None
     """Strength of the voice [shape=(T,)], dB above the usual."""
     lips: Tensor | None = None
-    """What `deitalk.models.lip_readout` reads [shape=(T, 10)]."""
+    """What `deitalk.models.lip_readout` reads [shape=(T, 11)]."""
 
     @property
     def tracks(self) -> Tracks:
@@ -381,7 +381,7 @@ class DEITalk(nn.Module):
         return Analysis(speech, guidance, saliency, strength, effort, lips)
 
     def _read_lips(self, speech: Tensor) -> Tensor | None:
-        """Readout of a whole clip's features (T, D), piece by piece [shape=(T, 10)]."""
+        """Readout of a whole clip's features (T, D), piece by piece [shape=(T, 11)]."""
         if self.lips is None:
             return None
         parts = [

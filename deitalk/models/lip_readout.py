@@ -13,6 +13,7 @@ corrects the decoder:
   towards those that the readout gives, by controls that change nothing else of the lips; what
   rounding does to them is counted, so that lips are as narrow as measured ones. They
   stay the decoder's where the decoder shuts the mouth: in pauses, breaths and closures.
+- In sounds that are no voice, such as music, dishes or a cat, speech does not move the mouth.
 
 What an emotion adds stays. Of a tuned model it corrects the controls that its base's decoder moves;
 those that captures show are not corrected.
@@ -29,6 +30,7 @@ from torch.nn import functional as F
 
 from deitalk.frontends.flat_kernel import FlatKernel, joined_taps
 from deitalk.models.joined import JoinedClips
+from deitalk.postprocess.control_groups import OPENING, SPEAKING
 from deitalk.postprocess.torch_columns import smoothstep
 from rig.arrays import Float32
 
@@ -36,8 +38,9 @@ CONTACTS = ("lipsTogether", "lipBiteD")
 """Parts of the names of the controls of each contact."""
 POWERS = (0.5, 0.7)
 """Of the decoder's contact and of its probability, whose product is the contact."""
-CHANNELS = ("together", "bite", "out", "tip", "funnel", "purse")
-"""Of the articulation table of the phones, which are read; the first are the contacts."""
+CHANNELS = ("together", "bite", "out", "tip", "funnel", "purse", "voice")
+"""Of the articulation table of the phones, which are read, the contacts first; then whether there
+is speech."""
 MEASURES = ("opening", "width", "lower_lip", "corner")
 """Measures of the embedded head that are corrected."""
 MOST = (0.3, 0.6, 0.25, 0.17)
@@ -54,6 +57,8 @@ OPEN = ((0.05, 0.02, 0.05, 0.02), (0.2, 0.1, 0.2, 0.1))
 the width and the corners less, because rounded lips are hardly open."""
 OUT = (0.08, 0.16)
 """Reading of the tongue from which it comes out, and at which it is out."""
+VOICE = (0.3, 0.6)
+"""Reading of the voice up to which the mouth does not move, and from which it moves as it does."""
 SHOWN = {
     "out": ("tongue_inOut", -0.65, 1.0),
     "tip": ("tongue_tipMove.ty", 0.75, 0.0),
@@ -104,6 +109,8 @@ class LipReadout(nn.Module):
     """Features of silence, which is before and after every recording [shape=(D,)]."""
     opens: Tensor
     """Shares of `OPENERS`, whose sum is 1 [shape=(C,)]."""
+    speaks: Tensor
+    """1 where speech moves a control [shape=(C,)]."""
 
     def __init__(
         self,
@@ -143,6 +150,7 @@ class LipReadout(nn.Module):
             "fade": np.array(OPEN, np.float32),
             "most": np.array(MOST, np.float32),
             "opens": opens / np.maximum(opens.sum(), 1),
+            "speaks": of(*OPENING, *SPEAKING).max(axis=0),
         }
         tables["values"][0] += FLAT * of("tongue_wideNarrow")[0]
         for name, table in tables.items():
@@ -169,7 +177,7 @@ class LipReadout(nn.Module):
 
         Returns
         -------
-        Tensor [shape=(B, T, 10)]
+        Tensor [shape=(B, T, 11)]
             `CHANNELS`, 0 to 1, and the part of the wanted `MEASURES` in cm that is not the
             decoder's.
         """
@@ -201,13 +209,16 @@ class LipReadout(nn.Module):
         ----------
         readings : Tensor [shape=(R, ..., T, C)]
             The first is the neutral one.
-        read : Tensor [shape=(..., T, 10)]
+        read : Tensor [shape=(..., T, 11)]
             From `forward`.
         """
         said, seals = self.articulated(readings, read)
-        curves = readings + said - readings[:1]
+        neutral, least = said, VOICE[0]
         if self.corrects_measures:
-            curves = curves + self._measured(readings, said, read)
+            neutral = said + self._measured(readings, said, read)
+        voice = smoothstep((read[..., len(CHANNELS) - 1, None] - least) / (VOICE[1] - least))
+        neutral = neutral * (1 - self.speaks * (1 - voice))
+        curves = neutral + readings - readings[:1]
         curves = torch.where(self.places.sum(dim=0) > 0, seals, curves)
         return curves if self.corrects is None else torch.where(self.corrects, curves, readings)
 
@@ -230,7 +241,7 @@ class LipReadout(nn.Module):
         seals : Tensor [shape=(R, ..., T, C)]
             Of all readings; they hold in the controls of contacts.
         """
-        together, bite, out, tip, funnel, purse = read[..., : len(CHANNELS), None].unbind(-2)
+        together, bite, out, tip, funnel, purse, _ = read[..., : len(CHANNELS), None].unbind(-2)
         out = smoothstep((out - OUT[0]) / (OUT[1] - OUT[0]))
         likely = torch.cat((together, bite), dim=-1) @ self.places
         both = readings.clamp(0, 1) ** POWERS[0] * likely ** POWERS[1]

@@ -3,6 +3,10 @@
 Letters: T frames, C controls.
 """
 
+from collections.abc import Collection
+from functools import lru_cache
+from typing import Any
+
 from deitalk.array_functions import Array, as_number, library, like, mean_of, single, smoothed
 from deitalk.config.rules import Expressions, ScaleOpening
 from deitalk.postprocess.expressions import expression_table
@@ -93,14 +97,21 @@ def held_intensity(
     """
     if rule is None:
         return network
-    table, xp = expression_table(controls.names, rule.captured), library(network)
-    names = [controls.names[place] for place in table.places]
-    upper = [k for k, name in enumerate(names) if any(part in name for part in UPPER)]
-    if not upper:
+    places, poses, changed = _upper_face(controls.names, rule.captured)
+    if not len(places):
         return network
-    columns = like(table.places[upper], network)
-    usual = xp.abs(weights @ like(rule.size * table.taught[:, upper], network)).sum(-1)
+    columns, xp = like(places, network), library(network)
+    usual = xp.abs(weights @ like(rule.size * poses, network)).sum(-1)
     size = xp.abs(emotional[..., columns] - neutral[..., columns]).sum(-1)
     found = xp.clip(size / xp.clip(usual, 1e-6, None), 0, MOST_HELD)
-    taught = xp.clip(usual / FAINT_SIZE, 0, 1) * (weights @ like(table.changed, network))
+    taught = xp.clip(usual / FAINT_SIZE, 0, 1) * (weights @ like(changed, network))
     return single(network + taught * (found - network))
+
+
+@lru_cache(maxsize=8)
+def _upper_face(names: tuple[str, ...], captured: Collection[str]) -> tuple[Any, Any, Any]:
+    """Places of the controls of the upper face, poses that are taught of them, and `changed`."""
+    table = expression_table(names, captured)
+    moved = [names[place] for place in table.places]
+    upper = [k for k, name in enumerate(moved) if any(part in name for part in UPPER)]
+    return table.places[upper], table.taught[:, upper], table.changed

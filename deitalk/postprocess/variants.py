@@ -49,9 +49,9 @@ HABITS = (
 )  # fmt: skip
 """Parts of the names of the controls that a character uses more or less together, as one muscle
 moves them; none of them parts or closes the lips."""
-HABIT_SPREAD, MOST_HABIT = 0.46, 1.0
-"""Standard deviation of the logarithms of the factors, and their limit in standard deviations: no
-muscle of an emotion is missing."""
+HABIT_SPREAD, LEAST_HABIT, MOST_HABIT = 0.46, -0.6, 1.0
+"""Standard deviation of the logarithms of the factors, and their limits in standard deviations,
+.76 and 1.58: no muscle of an emotion is missing, a faint smile was none for those who looked."""
 
 
 class Ways(NamedTuple):
@@ -99,7 +99,7 @@ def choose_ways(
             shares = np.array([given.get(name, 0.0) for name in own])
         columns = [COLUMNS.index(name) for name in own]
         weights[LABELS.index(emotion), columns] = shares
-    habits = spread / SPREAD * np.clip(rng.standard_normal(len(HABITS)), -MOST_HABIT, MOST_HABIT)
+    habits = spread / SPREAD * np.clip(rng.standard_normal(len(HABITS)), LEAST_HABIT, MOST_HABIT)
     return Ways(weights, side, np.exp(HABIT_SPREAD * habits).astype(np.float32))
 
 

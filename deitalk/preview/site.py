@@ -2,14 +2,16 @@
 
 Page, head, a model for whole recordings and one for live voices, with their rules, and ONNX
 Runtime; any static host serves it, and nothing that a user drops or says leaves the machine. Models
-and runtime are packed, and unpacked in the browser. The live model's file has only the weights that
-the other one lacks.
+and runtime are packed, and unpacked in the browser: of a model first all even bytes, then all odd
+ones, so that the upper halves of its weights, which alone can be made smaller, are together. The
+live model's file has only the weights that the other one lacks, and is of one voice: many of its
+operators are known then before it runs.
 """
 
-import gzip
 import json
 import shutil
 import tempfile
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -21,6 +23,7 @@ from deitalk.export.onnx_file import export_onnx
 from deitalk.models.checkpoint import require_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.postprocess.tracks import N_MOTION, N_VARIANTS
+from deitalk.preview.packing import planes
 from deitalk.preview.page import BUNDLE, check_player, render_site
 from rig.controls import DEFAULT_ID
 from rig.conversion.arkit import raw_controls, raw_knots
@@ -28,7 +31,9 @@ from rig.face.identity import Identity
 from rig.files import output_folder
 from rig.formats.livelink_csv import SUBJECT_REST
 
-WASM, MODEL = "ort-wasm-simd-threaded.wasm", "model.onnx"
+WASM, MODEL, LIVE_MODEL = "ort-wasm-simd-threaded.wasm", "model.onnx", "live.onnx"
+PACKED = ".planes.gz"
+"""After the name of a model in the folder."""
 SHARED_BYTES = 4096
 """Bytes of a weight from which the file of the other model is looked through for it."""
 LIVE = ("window", "before", "delay", "behind", "state")
@@ -86,29 +91,39 @@ def export_site(
         progress("the model")
         facts = _facts(network)
         with tempfile.TemporaryDirectory() as folder:
-            file, live_file = Path(folder) / MODEL, Path(folder) / "live.onnx"
+            file, live_file = Path(folder) / MODEL, Path(folder) / LIVE_MODEL
             export_onnx(network, file, name=Path(model).name, precision="float16")
-            _pack(file, beside / f"{MODEL}.gz")
+            _pack_model(file, beside)
             if live:
                 export_onnx(require_model("live", DEITalk), live_file, precision="float16")
-                facts["live"] = _share_weights(live_file, file)
-                _pack(live_file, beside / "live.onnx.gz")
+                facts["live"] = _reduce_live(live_file, file)
+                _pack_model(live_file, beside)
         progress("the page")
         page = render_site(facts, identity)
         page = page.replace(POLICY, f"{POLICY} 'wasm-unsafe-eval'; worker-src 'self'")
         (beside / "index.html").write_text(page, encoding="utf-8")
         for name in COPIED:
             shutil.copyfile(app / name, beside / name)
-        _pack(app / WASM, beside / f"{WASM}.gz")
+        (beside / f"{WASM}.gz").write_bytes(_gzip((app / WASM).read_bytes()))
         return sum(path.stat().st_size for path in beside.iterdir())
 
 
-def _pack(source: Path, target: Path) -> None:
-    target.write_bytes(gzip.compress(source.read_bytes(), mtime=0))
+def _pack_model(source: Path, folder: Path) -> None:
+    """Write a model of float16 as planes of bytes."""
+    packed = _gzip(planes(source.read_bytes(), 2), zlib.Z_FILTERED)
+    (folder / f"{source.name}{PACKED}").write_bytes(packed)
 
 
-def _share_weights(file: Path, other: Path) -> dict[str, int]:
-    """Have a live model read the weights that another file has too there; return its numbers."""
+def _gzip(content: bytes, strategy: int = zlib.Z_DEFAULT_STRATEGY) -> bytes:
+    packer = zlib.compressobj(9, zlib.DEFLATED, 16 + zlib.MAX_WBITS, strategy=strategy)
+    return packer.compress(content) + packer.flush()
+
+
+def _reduce_live(file: Path, other: Path) -> dict[str, int]:
+    """Have a live model take one voice, and read the weights that another file has too there.
+
+    Returns its numbers that the page must know.
+    """
     import onnx
 
     content, known = onnx.load(str(file)), other.read_bytes()
@@ -121,6 +136,8 @@ def _share_weights(file: Path, other: Path) -> dict[str, int]:
         weight.data_location = onnx.TensorProto.EXTERNAL
         for key, value in at.items():
             weight.external_data.add(key=key, value=str(value))
+    for value in (*content.graph.input, *content.graph.output):
+        value.type.tensor_type.shape.dim[0].dim_value = 1
     file.write_bytes(content.SerializeToString())
     texts = {entry.key: entry.value for entry in content.metadata_props}
     found = {key: json.loads(texts[key]) for key in LIVE}

@@ -80,18 +80,17 @@ def read_header(file: BinaryIO) -> tuple[str, list[Element]]:
                     raise ValueError(f"{count} rows of an element; at most {VERTICES} are read")
                 elements.append(Element(name, int(count), []))
             case ["property", "list", length, kind, name]:
+                if _TYPES[length][0] == "f":
+                    raise ValueError(f"list {quoted(name)} has a length that is no whole number")
                 elements[-1].properties.append(Property(name, _TYPES[kind], _TYPES[length]))
             case ["property", kind, name]:
                 elements[-1].properties.append(Property(name, _TYPES[kind]))
     if order is None:
         raise ValueError("no 'format' line")
-    for element in elements:
-        names = [p.name for p in element.properties]
-        if not names or len(set(names)) < len(names):
-            raise ValueError(f"element {quoted(element.name)} has no properties, or one name twice")
-        for p in element.properties:
-            if p.length_type is not None and p.length_type[0] == "f":
-                raise ValueError(f"list {quoted(p.name)} has a length that is no whole number")
+    named = [(element.name, [p.name for p in element.properties]) for element in elements]
+    wrong = [name for name, own in named if not own or len(set(own)) < len(own)]
+    if wrong:
+        raise ValueError(f"element {quoted(wrong[0])} has no properties, or one name twice")
     return order, elements
 
 

@@ -84,7 +84,7 @@ class Person:
         is_low = np.isin(teeth.proxy.refs, base.group("helper-lower-teeth")).any(1)
         for row, of_row in (("upper", ~is_low), ("lower", is_low)):
             part = teeth.chosen(of_row[teeth.drawn[teeth.faces[:, 0]]])
-            part.points = part.points + _SETTLE[row] - [0, self.look.get("teeth_down", 0), 0]
+            part.points = part.points + _SETTLE[row]
             found[f"teeth_{row}"] = part
         found["tongue"] = self._proxy("tongue/tongue01/tongue01.json")
         found["tongue"].points = _rounded(found["tongue"].points)

@@ -39,9 +39,9 @@ PEOPLE = {
         "shirt_colour": (118, 74, 70), "iris": (46, 31, 23), "lip": (0.88, 0.74, 0.72), "white": (0.70, 0.66, 0.61),
         "mottle": 0.5, "gain": 0.80, "even": 0.4, "saturation": 0.9, "freckles": 0.1, "creases": 0.9,
         "lashes": 0.4,
-        "edge_from": 2.6, "edge": 0.6, "edge_length": 0.4, "edge_cards": 500, "cards": 900,
+        "edge_from": 2.6, "edge": 0.45, "edge_length": 0.4, "edge_cards": 500, "cards": 900,
         "strand": 0.9, "width": 0.5, "lift": 0.5, "stray": 3.0, "hairs": 6, "curl": 3.5, "scalp": 0.9,
-        "hair_close": 0.6, "teeth_down": 0.1,
+        "hair_close": 0.6,
     },
     "Kaya": {
         "mix": [("asian", "female", "child", 0.4), ("caucasian", "female", "child", 0.6)],

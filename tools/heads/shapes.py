@@ -23,7 +23,7 @@ SHARE = {
 }  # fmt: skip
 """Share of the carried shape that is kept, by a part of its name; 1 for the others."""
 MIX = {
-    "mouth_lipBiteD.ty": ("rollD_@:.35 closeD_@:.12", ""),
+    "mouth_lipBiteD.ty": ("rollD_@:.35 closeD_@:.12 mouthUpperUp_@:.28", ""),
     "mouth_cornerPull.ty": ("mouthSmile_@:.42 mouthUpperUp_@:.12", ""),
     "mouth_sharpCornerPull.ty": ("mouthSmile_@:.25 mouthDimple_@:.2", ""),
     "eye_cheekRaise.ty": ("cheekSquint_@:.65 eyeSquint_@:.2", ""),

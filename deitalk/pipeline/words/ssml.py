@@ -124,18 +124,8 @@ def pieces_of(name: str, attributes: dict[str, str]) -> Iterator[Piece]:
             yield unknown_tag(f"emphasis level={level}")
     elif name == "break":
         yield _break(attributes.get("time"), attributes.get("strength", "medium"))
-    elif name == "prosody":  # rate, pitch, range and contour are in the sound
-        volume = attributes.get("volume", "medium")
-        decibels = re.fullmatch(r"([+-]?\d{1,3}(?:\.\d{0,3})?)dB", volume)
-        factor = VOLUMES.get(volume)
-        if decibels is not None:
-            factor = float(np.clip(2 ** (float(decibels[1]) / DECIBELS), 0.25, 2.0))
-        if factor is None:
-            yield unknown_tag(f"prosody volume={volume}")
-        elif "volume" in attributes:
-            yield Piece("begin", f"volume {volume}", "voice", f"{factor:.4g}")
-        others = attributes.keys() - {"volume", "rate", "pitch", "range", "contour", "duration"}
-        yield from (unknown_tag(f"prosody {other}") for other in sorted(others))
+    elif name == "prosody":
+        yield from _prosody(attributes)
     elif name == "sub":
         yield Piece("text", attributes.get("alias", ""))
     elif name in STYLES:  # of a vendor
@@ -146,6 +136,21 @@ def pieces_of(name: str, attributes: dict[str, str]) -> Iterator[Piece]:
         yield Piece("at", f"<{name}>", "other")
     elif name not in SILENT_ELEMENTS:
         yield unknown_tag(f"<{name}>")
+
+
+def _prosody(attributes: dict[str, str]) -> Iterator[Piece]:
+    """Pieces of a volume; rate, pitch, range and contour are in the sound."""
+    volume = attributes.get("volume", "medium")
+    decibels = re.fullmatch(r"([+-]?\d{1,3}(?:\.\d{0,3})?)dB", volume)
+    factor = VOLUMES.get(volume)
+    if decibels is not None:
+        factor = float(np.clip(2 ** (float(decibels[1]) / DECIBELS), 0.25, 2.0))
+    if factor is None:
+        yield unknown_tag(f"prosody volume={volume}")
+    elif "volume" in attributes:
+        yield Piece("begin", f"volume {volume}", "voice", f"{factor:.4g}")
+    others = attributes.keys() - {"volume", "rate", "pitch", "range", "contour", "duration"}
+    yield from (unknown_tag(f"prosody {other}") for other in sorted(others))
 
 
 def _break(time: str | None, strength: str) -> Piece:

@@ -47,8 +47,7 @@ from rig.files.reading import check_file
 #     readers   path, speaker[, chapter]         one gain in a chapter; LibriSpeech's file names
 #                                                (speaker-chapter-number) give it otherwise
 #     actors    clip, actor, emotion, level      original gain; level LO, MD, HI or another word,
-#               [, sentence]
-#                                                emotion NEU or another word (CREMA-D); or path, and
+#               [, sentence]                     emotion NEU or another word (CREMA-D); or path, and
 #                                                level normal or strong and emotions in full
 #                                                (RAVDESS)
 #

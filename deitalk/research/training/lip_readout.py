@@ -1,10 +1,11 @@
 """Readout of the lips from the speech encoder: run it by ``python -m`` and its name.
 
 Writes a model's ``lips.safetensors`` (`deitalk.models.lip_readout`), fitted to the features of its
-frozen encoder. Channels of the articulation table are probabilities, which a small network learns
-from the phones of a dataset folder's training recordings, each clean and once more in noise and
-rooms; measures are ridge regressions on lips of speakers that are not held out. A regression is the
-mean of what it does not know, so that measures are amplified about their mean.
+frozen encoder. Channels are probabilities, which a small network learns from the phones of a
+dataset folder's training recordings, each clean, faster or slower, and once more in noise and
+rooms, and from the noises alone, in which there is nothing. Measures are ridge regressions on lips
+of speakers that are not held out. A regression is the mean of what it does not know, so that
+measures are amplified about their mean.
 """
 
 import argparse
@@ -14,21 +15,22 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+import scipy  # loads its parts at their first use
 import torch
 from safetensors.torch import save
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from deitalk.audio.frames import FRAME_RATE
-from deitalk.audio.load import Recording, load_audio
+from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE, frame_count
+from deitalk.audio.load import load_audio
 from deitalk.audio.voice_activity import normalise_level
-from deitalk.data.augment_waveform import Surroundings, augment
+from deitalk.data.augment_waveform import Surroundings, augment, change_speed, speed_factor
 from deitalk.data.clips import Clip, read_clips, read_phones
 from deitalk.models.checkpoint import load_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.models.folder import LIP_WEIGHTS
 from deitalk.models.lip_readout import CHANNELS, HIDDEN, MEASURES, TAPS, LipReadout
-from deitalk.postprocess.phones import Phones
+from deitalk.postprocess.phones import SILENCE, Phones
 from deitalk.research.arguments import new_file
 from deitalk.research.corpus.articulation import CHANNELS as TABLE_CHANNELS
 from deitalk.research.corpus.articulation import targets
@@ -53,6 +55,12 @@ KEPT = ("lipsTogether", "funnel", "purse")
 """Parts of the names of controls that move for no measure: phones move them."""
 SMOOTHING = (0.25, 0.5, 0.25)
 """Of the measures, over frames."""
+VOICE_FRAMES = 5
+"""Frames around speech that count as its own: the mouth opens before it, and closes after it."""
+NOISE_TIMES, NOISE_RMS = 3, 0.07
+"""How often a noise alone is heard, and its level."""
+HELD_VOWELS = 300
+"""Synthesised; only the voice is taught of them as speech."""
 LEAST = 1e-4
 """Ridge on the curves in the map to the measures of the head, relative to their number."""
 CLIPS = 150
@@ -73,11 +81,10 @@ class Teacher:
         self.chosen = [HEAD_MEASURES.index(name) for name in MEASURES]
 
     @torch.no_grad()
-    def hear(self, recording: Recording, waveform: Float32 | None = None) -> Float32:
-        """Features [shape=(T, D)] of a recording, or of a changed copy."""
-        sound = recording.waveform if waveform is None else waveform
-        sound_tensor = torch.from_numpy(normalise_level(sound))
-        found = self.model.frontend.encode(sound_tensor, recording.n_frames)
+    def hear(self, sound: Float32) -> Float32:
+        """Features [shape=(T, D)] of a sound at 16 kHz."""
+        tensor = torch.from_numpy(normalise_level(sound))
+        found = self.model.frontend.encode(tensor, frame_count(len(sound)))
         return np.asarray(found.float().numpy())
 
     def late(self, features: Float32, frames: int) -> Float32:
@@ -89,16 +96,28 @@ class Teacher:
     def channels(
         self, clips: Sequence[Clip], surroundings: Surroundings | None = None
     ) -> Iterator[Rows]:
-        """Features and channels of recordings, each also changed where there are surroundings."""
+        """Features and channels of recordings, their changed copies, and noises alone."""
         rng = np.random.default_rng(1)
         for clip in clips:
             assert clip.phones is not None
-            recording = load_audio(clip.audio)
-            rows = channel_rows(read_phones(clip.phones), recording.n_frames)
-            yield self.hear(recording), rows
+            sound, phones = load_audio(clip.audio).waveform, read_phones(clip.phones)
+            factor = speed_factor(rng)
+            moved = [(start / factor, end / factor, name) for start, end, name in phones]
+            heard = [(sound, phones)]
+            if factor != 1:
+                heard.append((change_speed(sound, factor), moved))
             if surroundings is not None:
-                changed = augment(recording.waveform, rng, surroundings)
-                yield self.hear(recording, changed), rows
+                heard.append((augment(sound, rng, surroundings), phones))
+            for changed, said in heard:
+                yield self.hear(changed), channel_rows(said, frame_count(len(changed)))
+        for noise in () if surroundings is None else surroundings.noises:
+            features = self.hear(noise * np.float32(NOISE_RMS / noise.std()))
+            yield from [(features, channel_rows((), len(features)))] * NOISE_TIMES
+        for _ in range(HELD_VOWELS):
+            features = self.hear(held_vowel(rng))
+            rows = np.full((len(features), len(CHANNELS)), np.nan, np.float32)
+            rows[:, -1] = 1
+            yield features, rows
 
     def read(self, sound: Path) -> Rows:
         """Features [shape=(T, D)] of a recording, and the network's curves [shape=(T, C)]."""
@@ -115,14 +134,31 @@ class Teacher:
         return self.late(features, TAPS // 2)[:n], wanted.astype(np.float32)
 
 
+def held_vowel(rng: np.random.Generator) -> Float32:
+    """Pulses of some pitch, with vibrato, through three resonances: 2 to 6 s at 16 kHz."""
+    t = np.arange(round(SAMPLE_RATE * rng.uniform(2, 6))) / SAMPLE_RATE
+    swing = rng.uniform(0, 0.03) * np.sin(2 * np.pi * rng.uniform(4.5, 6.5) * t)
+    turns = np.cumsum(rng.uniform(85, 330) * (1 + swing) / SAMPLE_RATE)
+    sound = scipy.signal.lfilter([1, -1], [1, -0.97], np.diff(np.floor(turns), prepend=0))
+    for lowest, highest, width in ((260, 850, 80), (800, 2400, 100), (2300, 3100, 140)):
+        r, centre = np.exp(-np.pi * width / SAMPLE_RATE), rng.uniform(lowest, highest)
+        angle = 2 * np.pi * centre / SAMPLE_RATE
+        sound = scipy.signal.lfilter([1 - r], [1, -2 * r * np.cos(angle), r * r], sound)
+    noise = 10 ** rng.uniform(-3, -1.5) * rng.standard_normal(len(sound))
+    return np.asarray(0.1 * (sound / sound.std() + noise), np.float32)
+
+
 def channel_rows(phones: Phones, n_frames: int) -> Float32:
-    """Values of `CHANNELS` in the articulation table, frame by frame [shape=(T, 6)]."""
+    """Values of `CHANNELS` frame by frame [shape=(T, 7)]; the voice is 1 around speech."""
     times, table = np.arange(n_frames) / FRAME_RATE, targets()
-    chosen = [TABLE_CHANNELS.index(name) for name in CHANNELS]
+    chosen = [TABLE_CHANNELS.index(name) for name in CHANNELS[:-1]]
     rows = np.zeros((n_frames, len(CHANNELS)), np.float32)
+    reach = VOICE_FRAMES / FRAME_RATE
     for start, end, name in phones:
         if name in table:
-            rows[(times >= start) & (times < end)] = table[name][chosen]
+            rows[(times >= start) & (times < end), :-1] = table[name][chosen]
+        if name in table and name != SILENCE:
+            rows[(times >= start - reach) & (times < end + reach), -1] = 1
     return rows
 
 
@@ -155,7 +191,8 @@ def learn_channels(
 ) -> Network:
     """Learn the channels (T, K) of recordings from features (T, D), by their cross entropy.
 
-    Between recordings there is `silence` (D,), as before and after them in the module.
+    NaN teaches nothing. Between recordings there is `silence` (D,), as before and after them in
+    the module.
     """
     torch.manual_seed(seed)
     margin = TAPS - 1 if is_causal else TAPS // 2
@@ -163,8 +200,8 @@ def learn_channels(
     scale = np.concatenate([x[::7] for x, _ in recordings]).std(axis=0, dtype=np.float64) + 1e-3
     scaled = [((x - silence) / scale).astype(np.float16) for x, _ in recordings]
     features = torch.from_numpy(np.concatenate([np.pad(x, around) for x in scaled]))
-    targets = torch.from_numpy(np.concatenate([np.pad(y, around) for _, y in recordings]))
-    known = torch.cat([torch.from_numpy(np.pad(np.ones(len(x)), around[0])) for x in scaled]) > 0
+    wanted = [np.pad(y, around, constant_values=np.nan) for _, y in recordings]
+    targets = torch.from_numpy(np.concatenate(wanted))
     first, last = nn.Conv1d(features.shape[1], HIDDEN, TAPS), nn.Conv1d(HIDDEN, len(CHANNELS), 1)
     network = nn.Sequential(nn.Dropout(DROPOUT), first, nn.ReLU(), nn.Dropout(DROPOUT), last)
     optimiser = torch.optim.AdamW(network.parameters(), RATE, weight_decay=DECAY)
@@ -175,9 +212,8 @@ def learn_channels(
         places = torch.randint(len(features) - len(window) + 1, (BATCH, 1)) + window
         inner = places[:, margin : len(window) - TAPS + 1 + margin]
         logits = network(features[places].float().transpose(1, 2)).transpose(1, 2)
-        loss = F.binary_cross_entropy_with_logits(
-            logits[known[inner]], targets[inner][known[inner]]
-        )
+        taught = targets[inner].isfinite()
+        loss = F.binary_cross_entropy_with_logits(logits[taught], targets[inner][taught])
         optimiser.zero_grad()
         loss.backward()  # type: ignore[no-untyped-call]
         optimiser.step()

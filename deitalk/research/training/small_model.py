@@ -90,7 +90,7 @@ HEAVY = {
 """Weights of controls by parts of their names, of which the largest holds."""
 OTHERS = 0.7
 """Weight of all other controls."""
-CONTACT_WEIGHTS = (4.0, 2.0, 1.0, 1.0, 1.0, 1.0)
+CONTACT_WEIGHTS = (4.0, 2.0, 1.0, 1.0, 1.0, 1.0, 1.0)
 """Of `CHANNELS`, in their cross entropy."""
 
 
@@ -320,7 +320,7 @@ class Lesson(NamedTuple):
     curves: Tensor
     """[shape=(B, T, C)]."""
     lips: Tensor
-    """[shape=(B, T, 10)]."""
+    """[shape=(B, T, 11)]."""
     strength: Tensor
     """[shape=(B, T)]."""
     effort: Tensor
@@ -359,7 +359,7 @@ class Student(NamedTuple):
         return cls(model, cast("CausalWhisperFrontend", frontend), lips)
 
     def answers(self, lesson: Lesson) -> tuple[Output, Tensor, Tensor]:
-        """Output, features (B, T, D), and logits of `CHANNELS` and measures (B, T, 10)."""
+        """Output, features (B, T, D), and logits of `CHANNELS` and measures (B, T, 11)."""
         count, frames = lesson.curves.shape[:2]
         speech, _ = self.frontend.read(lesson.spectra, self.frontend.first_state(count))
         speech = speech[:, self.frontend.delay :]

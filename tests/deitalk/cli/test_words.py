@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 
 from deitalk.cli import app
 from deitalk.errors import DataError
-from deitalk.pipeline.words import transcript as words_espeak
+from deitalk.pipeline.words import pronounced as words_espeak
 from deitalk.research.corpus.engines import espeak
 from rig import read_curves, write_curves
 

@@ -11,7 +11,17 @@ from deitalk.models.causal_model import TorchNetwork
 from deitalk.models.checkpoint import load_model, save_model
 from deitalk.models.curve_model import DECODE_FRAMES
 from deitalk.models.joined import JoinedClips
-from deitalk.models.lip_readout import CHANNELS, MEASURES, MOST, OPEN, OUT, POWERS, TAPS, LipReadout
+from deitalk.models.lip_readout import (
+    CHANNELS,
+    MEASURES,
+    MOST,
+    OPEN,
+    OUT,
+    POWERS,
+    TAPS,
+    VOICE,
+    LipReadout,
+)
 from deitalk.research.evaluation.benchmark_curves import speechlike
 from deitalk.training.tuning.recipe import read_recipe
 from tests.deitalk.models.test_onnx import CAUSAL, WHISPER, of_frontend, weights
@@ -24,8 +34,8 @@ JAW, TOGETHER, BITE, STRETCH, OUT_OF, TIP, FUNNEL, PURSE = range(8)
 
 
 def read_of(**channels):
-    """A readout's row of channels, whose measures are as the curves have them."""
-    values = [channels.get(name, 0.0) for name in CHANNELS]
+    """A readout's row of channels in speech, whose measures are as the curves have them."""
+    values = [({"voice": 1.0} | channels).get(name, 0.0) for name in CHANNELS]
     return torch.tensor([[*values, *[0.0] * len(MEASURES)]])
 
 
@@ -104,6 +114,24 @@ def test_what_rounding_does_to_the_width_is_counted(readout, channels):
     found = readout.correct(curves, row)
     wanted = 0.2 + readout.kept[width] * readout.shown(curves)[..., width]
     np.testing.assert_allclose(readout.shown(found)[..., width], wanted, atol=1e-5)
+
+
+@pytest.mark.parametrize(("voice", "moves"), [(VOICE[0], 0), (np.mean(VOICE), 0.5), (VOICE[1], 1)])
+@torch.no_grad()
+def test_speech_moves_the_mouth_by_the_voice_and_an_emotion_moves_what_it_moves(
+    readout, voice, moves
+):
+    """Contacts stay as they are: a closure begins before the voice is heard."""
+    neutral = torch.full((1, len(NAMES)), 0.5)
+    curves = torch.stack((neutral, neutral + 0.2))
+    whole = readout.correct(curves, read_of(together=1, bite=1, tip=0.4))
+    found = readout.correct(curves, read_of(together=1, bite=1, tip=0.4, voice=float(voice)))
+    spoken = [JAW, OUT_OF, TIP, FUNNEL, PURSE]
+    np.testing.assert_allclose(found[0, 0, spoken], moves * whole[0, 0, spoken], atol=1e-6)
+    np.testing.assert_allclose(found[1, 0, spoken], found[0, 0, spoken] + 0.2, atol=1e-6)
+    contacts = [TOGETHER, BITE]
+    np.testing.assert_allclose(found[:, 0, contacts], whole[:, 0, contacts], atol=1e-6)
+    np.testing.assert_allclose(found[:, 0, STRETCH], whole[:, 0, STRETCH], atol=1e-6)
 
 
 @pytest.mark.parametrize("measure", MEASURES)

@@ -37,10 +37,11 @@ def unpack(text: str) -> tuple[dict, dict]:
     (length,) = struct.unpack("<I", data[:4])
     header = json.loads(data[4 : 4 + length])
     start = -(-(4 + length) // 8) * 8
-    arrays = {
-        e["name"]: np.frombuffer(data, e["kind"], e["length"], start + e["offset"])
-        for e in header["arrays"]
-    }
+    arrays = {}
+    for e in header["arrays"]:
+        size = np.dtype(e["kind"]).itemsize
+        planes = np.frombuffer(data, np.uint8, size * e["length"], start + e["offset"])
+        arrays[e["name"]] = planes.reshape(size, -1).T.copy().view(e["kind"])[:, 0]
     return arrays, header["facts"]
 
 

@@ -12,6 +12,14 @@ async function content(name) {
   return new Uint8Array(await new Response(stream).arrayBuffer());
 }
 
+/** Content of a model, whose even bytes come first. */
+async function joined(name) {
+  const planes = await content(`${name}.planes.gz`), bytes = new Uint8Array(planes.length), odd = (planes.length + 1) >> 1;
+  for (let k = 0; k < odd; k++) bytes[2 * k] = planes[k];
+  for (let k = odd; k < planes.length; k++) bytes[2 * (k - odd) + 1] = planes[k];
+  return bytes;
+}
+
 async function begin() {
   ort.env.wasm.numThreads = 1;
   ort.env.wasm.wasmBinary = (await content("ort-wasm-simd-threaded.wasm.gz")).buffer;
@@ -21,8 +29,8 @@ const runtime = begin();
 
 /** Session of "model", or of "live", whose file has only the weights that the other one lacks. */
 async function open(name) {
-  const names = name === "live" ? ["live.onnx.gz", "model.onnx.gz"] : ["model.onnx.gz"];
-  const [model, weights] = await Promise.all([...names.map(content), runtime]);
+  const names = name === "live" ? ["live.onnx", "model.onnx"] : ["model.onnx"];
+  const [model, weights] = await Promise.all([...names.map(joined), runtime]);
   const options = { executionProviders: ["wasm"], graphOptimizationLevel: "basic" };
   if (name === "live") options.externalData = [{ path: "model.onnx", data: weights }];
   return ort.InferenceSession.create(model, options);

@@ -15,6 +15,7 @@ from deitalk.research.training.lip_readout import (
     GAINS,
     SHARES,
     SMOOTHING,
+    VOICE_FRAMES,
     Teacher,
     channel_rows,
     fill_channels,
@@ -75,7 +76,7 @@ def test_the_module_reads_what_the_regression_reads(rng, causal):
 @pytest.mark.parametrize("causal", [False, True])
 def test_channels_are_learnt_and_silence_is_around_every_recording(rng, monkeypatch, causal):
     """Each channel is on where its own feature is; frames of the edges are as sure as others."""
-    for name, value in {"EPOCHS": 1000, "RATE": 5e-3, "DROPOUT": 0.0, "DECAY": 0.0}.items():
+    for name, value in {"EPOCHS": 1600, "RATE": 5e-3, "DROPOUT": 0.0, "DECAY": 0.0}.items():
         monkeypatch.setattr(lip_readout, name, value)
     silence = rng.normal(size=len(CHANNELS)).astype(np.float32)
     recordings = []
@@ -118,11 +119,18 @@ def test_corrected_curves_show_the_mixed_measures(rng):
 def test_channel_rows_are_those_of_the_articulation_table():
     phones = [(0.0, 0.1, "M"), (0.1, 0.2, "F"), (0.2, 0.3, "TH"), (0.3, 0.4, "W"), (0.4, 0.5, "?")]
     rows = dict(zip(CHANNELS, channel_rows(phones, 15).T, strict=True))
+    rows.pop("voice")
     places = {"together": "M", "bite": "F", "out": "TH", "purse": "W"}
     for name, phone in places.items():
         first = 3 * [p for _, _, p in phones].index(phone)
         assert rows[name].argmax() == first and rows[name][first : first + 3].min() == 1
     assert rows["tip"][6:9].max() < 0.2 and all(row[12:].max() == 0 for row in rows.values())
+
+
+def test_the_voice_is_speech_and_a_few_frames_around_it():
+    phones = [(0.0, 1.0, "SIL"), (1.0, 1.5, "M"), (1.5, 2.5, "SIL"), (2.5, 3.0, "?")]
+    voice = channel_rows(phones, 90)[:, CHANNELS.index("voice")]
+    assert np.flatnonzero(voice).tolist() == list(range(30 - VOICE_FRAMES, 45 + VOICE_FRAMES))
 
 
 def test_the_map_from_curves_to_measures_is_found(rng):

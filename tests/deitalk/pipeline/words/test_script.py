@@ -12,11 +12,14 @@ from deitalk.emotions import LABELS, parse_emotion
 from deitalk.errors import DataError, DeitalkError
 from deitalk.models.checkpoint import load_model
 from deitalk.models.folder import embedded_models
+from deitalk.pipeline.words.align import FittedWord
 from deitalk.pipeline.words.espeak import missing
 from deitalk.pipeline.words.marks import (
     RAMP_SECONDS,
+    Mark,
     TimedMark,
     levels,
+    timed_mark,
     with_accents,
     with_emotions,
 )
@@ -49,6 +52,29 @@ def spans(text, *kinds):
     return [
         (mark.name, words[mark.first : mark.stop]) for mark in found.marks if mark.kind in kinds
     ]
+
+
+# --- times
+
+
+@pytest.mark.parametrize(
+    ("kind", "place", "misfits", "span"),
+    [
+        ("sound", 1, (), (1.25, 1.75)),  # a pause shorter than a sound
+        ("sound", 1, (1,), (1.4, 3.0)),
+        ("sound", 1, (0,), (0.0, 1.6)),
+        ("sound", 0, (0,), (0.0, 1.6)),
+        ("sound", 2, (1,), (1.4, 3.0)),
+        ("sound", 3, (2,), (2.8, 4.8)),  # at most two seconds
+        ("pause", 1, (1,), (1.4, 1.6)),
+    ],
+)
+def test_sound_that_is_no_word_lies_between_words_that_fit(kind, place, misfits, span):
+    """The aligner lays a laugh over a word beside it, which then does not fit."""
+    times = ((0.4, 1.4), (1.6, 2.6), (3.0, 3.6))
+    words = [FittedWord(f"w{k}", *t, -9.0 if k in misfits else 0.0) for k, t in enumerate(times)]
+    found = timed_mark(Mark(kind, "laughs", "happy=0.9", place, place), words, 5.0)
+    assert (found.start, found.end) == pytest.approx(span)
 
 
 # --- tags

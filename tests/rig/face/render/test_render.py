@@ -5,16 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from PIL import Image
-from scipy.spatial import Delaunay
+from scipy.spatial import Delaunay, cKDTree
 
 from deitalk.research.contact_sheet import SHEETS, Tile, draw_sheet, pose_values, sheet_tiles
-from rig.face import build_head
+from rig.face import IDENTITIES, build_head
+from rig.face.accents import accents
 from rig.face.mesh import FINE, HAIR, Mesh
 from rig.face.render import VIEWS, View
 from rig.face.render.picture import text_width, write_png, write_text
 from rig.face.render.shading import background, glsl
 from rig.face.render.software import Renderer, Screen, front_faces, nearest_faces
 
+PEOPLE = [identity.name for identity in IDENTITIES]
 SIZE = (72, 80)
 FROM_FRONT = View((0, 0, 0), (0, 0, 60), 20)
 
@@ -129,6 +131,51 @@ def test_face_is_drawn_as_by_the_shaders_of_the_page(head, parts, most, most_of_
     difference = np.abs(blocks[0] - blocks[1]).mean(2)[inside]
     assert difference.mean() < most
     assert np.percentile(difference, 97) < most_of_97
+
+
+def shown(person: str, view: View, size=(360, 300), **raised):
+    """Brightness (h, w) of a person in a pose, and a function from vertices to (column, row)."""
+    head, values = build_head(person), pose_values(raised)[None]
+    pose = head.pose(values)
+    renderer = Renderer(head.mesh, size, view)
+    picture = renderer.render(pose[0].astype(float), accents=accents(head, values, pose)[0])
+
+    def place(vertices):
+        points = np.c_[pose[0, vertices], np.ones(len(vertices))]
+        x, y, _, w = view.matrix(size[0] / size[1]) @ points.T
+        return np.stack([(x / w + 1) * size[0] / 2, (1 - y / w) * size[1] / 2], 1).astype(int)
+
+    return head, picture.mean(2), place
+
+
+@pytest.mark.parametrize("person", PEOPLE)
+def test_closed_lips_meet_in_one_smooth_line(person):
+    """Lips that pass through one another in front of their contact make steps in the line."""
+    head, light, place = shown(person, VIEWS["mouth"], (540, 450))
+    columns, rows = place(head.lip_rims[0]).T
+    first, last, middle = columns.min() + 25, columns.max() - 25, int(rows.mean())
+    line = light[middle - 15 : middle + 16, first:last].argmin(0)  # darkest row of each column
+    assert np.abs(np.diff(line)).max() <= 2
+
+
+@pytest.mark.parametrize("person", PEOPLE)
+def test_reflections_leave_the_pupils_dark(person):
+    """A sharp reflection lies beside a dark pupil; a wide faint one covers it like a film."""
+    head, light, place = shown(person, VIEWS["eyes"], (600, 500))
+    for column, row in place([head.slices[f"eye_{s}"].start for s in "LR"]):
+        assert np.percentile(light[row - 5 : row + 6, column - 5 : column + 6], 75) < 43
+
+
+@pytest.mark.parametrize("person", PEOPLE)
+def test_hair_has_strands_before_its_edge(person):
+    """Strands that stand on the bare skin of the forehead or the temples make the hairline soft."""
+    head = build_head(person)
+    x = head.mesh.vertices
+    hair, strands = (x[head.slices[name]] for name in ("hair", "strands"))
+    rooted = strands[(strands[:, 2] > 0) & (strands[:, 1] > 0)]
+    on_skin = cKDTree(head.skin.vertices).query(rooted)[0] < 0.3
+    before_hair = cKDTree(hair).query(rooted)[0] > 0.25
+    assert (on_skin & before_hair).sum() > 40
 
 
 def random_screen(rng, count: int = 60, size: int = 48) -> tuple[Screen, np.ndarray]:

@@ -1,4 +1,4 @@
-/** Reads the arrays packed by `deitalk.preview.page.pack`: gzip, base64, one JSON header, then the bytes. */
+/** Reads the arrays packed by `deitalk.preview.page.pack`: gzip, base64, one JSON header, then the bytes in planes. */
 
 type TypedArray = Float32Array | Uint16Array | Uint32Array | Int16Array | Uint8Array;
 
@@ -41,7 +41,12 @@ export async function unpackBytes(packed: Blob): Promise<Packed> {
   const start = Math.ceil((4 + length) / 8) * 8;
   const arrays: Arrays = {};
   for (const { name, kind, length: count, offset } of header.arrays) {
-    arrays[name] = new KINDS[kind](buffer, start + offset, count);
+    const array = new KINDS[kind](count), size = array.BYTES_PER_ELEMENT, own = new Uint8Array(array.buffer);
+    const planes = new Uint8Array(buffer, start + offset, own.length);
+    for (let plane = 0; plane < size; plane++) {
+      for (let k = 0; k < count; k++) own[k * size + plane] = planes[plane * count + k];
+    }
+    arrays[name] = array;
   }
   return { facts: header.facts, arrays };
 }
