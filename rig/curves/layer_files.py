@@ -24,7 +24,7 @@ from rig.curves.layers import (
 from rig.errors import CurveError, quoted
 from rig.files.reading import load_json, read_text
 
-LIST = list | tuple
+LIST = (list, tuple)
 
 
 def read_layers(path: Path) -> tuple[Layer, ...]:
