@@ -35,14 +35,14 @@ def main() -> None:
         _until(tab, "!!window.deitalk?.ready")
         _edit(tab)
         picture = Image.open(io.BytesIO(tab.screenshot()))
-        picture.convert("RGB").save(PICTURE, quality=82, method=6)
+        picture.convert("RGB").save(PICTURE, quality=76, method=6)
         _edit_layers(tab)
         first, last = (tab.locator(f"#{name}").bounding_box() for name in ("edit-target", "layers"))
         lane = tab.locator("#layer-lane").bounding_box()
         top, end = first["y"] - 10, last["y"] + last["height"] + 10
         part = {"x": lane["x"] - 10, "y": top, "width": lane["width"] + 20, "height": end - top}
         picture = Image.open(io.BytesIO(tab.screenshot(clip=part)))
-        picture.convert("RGB").save(LAYERS, quality=82, method=6)
+        picture.convert("RGB").save(LAYERS, quality=76, method=6)
 
 
 def _edit(tab: Any) -> None:

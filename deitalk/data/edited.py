@@ -127,7 +127,9 @@ def _changes(
         found = CapturedCurves(curves.select(base.names), base.names, "rig")
     controls = own or default_controls()
     written = shift(base.resample(found.curves.fps), *shifted)
+    found, notes = _in_time(found, len(written))
     twin = _twin(edited, written, found)
+    found = _only_seen(found, twin)
     about = _about(take)
     settings = dict(about.get("settings", {}))
     rule = KeepContacts() if settings.get("rules", True) else None
@@ -135,7 +137,7 @@ def _changes(
     count = min(len(twin.curves), len(found.curves))
     start = written[:count]
     target = _moved(start, twin, found, controls, tolerance)
-    notes = list(found.notes)
+    notes += found.notes
     if abs(len(twin.curves) - len(found.curves)) > LEAST_FRAMES:
         notes.append(
             f"the edited file has {len(found.curves)} frames, {shown} {len(twin.curves)} at that "
@@ -239,6 +241,51 @@ def _read(path: Path, fps: float | None) -> CapturedCurves:
     names = tuple(n for n in known if n in shown)
     shapes = curves if curves.control_set == ARKIT_ID else None
     return CapturedCurves(board, names, "file", notes=curves.notes, shapes=shapes)
+
+
+def _in_time(found: CapturedCurves, most: int) -> tuple[CapturedCurves, list[str]]:
+    """Curves from the first frame of the take on, whose beginning a file may lack; a note if so.
+
+    `most` is the number of frames of the take. Times of a file that would end after it are those
+    of a program, whose first frame is any number.
+    """
+    late, curves = round(found.first * found.curves.fps), found.curves
+    if not late:
+        return found, []
+    begins = f"its times begin at {found.first:.2f} s: "
+    if not 0 < late <= most + LEAST_FRAMES - len(curves):
+        return found, [f"{begins}its first row is compared with the first frame of the take"]
+    seen = np.ones(len(curves), bool) if found.seen is None else found.seen
+    seen = np.concatenate([np.zeros(late, bool), seen])
+    rows = np.maximum(np.arange(-late, len(curves)), 0)
+
+    def later(own: RigCurves) -> RigCurves:
+        tracks: dict[str, Any] = {name: track[rows] for name, track in own.tracks.items()}
+        return replace(own, values=own.values[rows], **tracks)
+
+    shapes = None if found.shapes is None else later(found.shapes)
+    found = replace(found, curves=later(curves), shapes=shapes, seen=seen)
+    return found, [f"{begins}it is compared from there on"]
+
+
+def _only_seen(found: CapturedCurves, twin: CapturedCurves) -> CapturedCurves:
+    """Curves that are those of the take in frames that the file does not have."""
+    if found.seen is None:
+        return found
+    lost = np.flatnonzero(~found.seen[: len(twin.curves)])
+
+    def filled(own: RigCurves, other: RigCurves | None) -> RigCurves:
+        if other is None:
+            return own
+        values, head = own.values.copy(), own.head
+        values[lost] = other.select(own.names).values[lost]
+        if head is not None and other.head is not None:
+            head = head.copy()
+            head[lost] = other.head[lost]
+        return replace(own, values=values, head=head)
+
+    shapes = None if found.shapes is None else filled(found.shapes, twin.shapes)
+    return replace(found, curves=filled(found.curves, twin.curves), shapes=shapes)
 
 
 def _twin(path: Path, base: RigCurves, found: CapturedCurves) -> CapturedCurves:

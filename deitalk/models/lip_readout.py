@@ -219,7 +219,7 @@ class LipReadout(nn.Module):
         voice = smoothstep((read[..., len(CHANNELS) - 1, None] - least) / (VOICE[1] - least))
         neutral = neutral * (1 - self.speaks * (1 - voice))
         curves = neutral + readings - readings[:1]
-        curves = torch.where(self.places.sum(dim=0) > 0, seals * voice, curves)
+        curves = torch.where(self.places.sum(dim=0) > 0, seals, curves)
         return curves if self.corrects is None else torch.where(self.corrects, curves, readings)
 
     def _measured(self, readings: Tensor, said: Tensor, read: Tensor) -> Tensor:

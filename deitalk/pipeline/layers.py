@@ -5,7 +5,7 @@ the same recording its times hold. On another one of the same line they follow t
 have them, else the phones, which are laid through the new sound.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from difflib import SequenceMatcher
 from typing import TYPE_CHECKING, NamedTuple
@@ -21,14 +21,15 @@ from deitalk.postprocess.phones import PHONES, SILENCE
 from rig import ControlSet, RigCurves
 from rig.arrays import Bool, Float64
 from rig.curves.apply_layers import Closures, apply_layers, retimed
-from rig.curves.layers import Edit, Layer, Sound
+from rig.curves.layers import HEAD_TARGETS, Edit, Layer, Sound
 from rig.errors import listed
 
 if TYPE_CHECKING:
     from deitalk.pipeline.words.align import FittedWord, WordFit
     from deitalk.postprocess.known_phones import KnownPhone
 
-
+BEYOND_SECONDS = 0.5
+"""By which an edit may reach beyond the recording without a note."""
 LEAST_MATCHED = 0.5
 """Share of a layer's words that must be in another recording, for it to follow them."""
 
@@ -85,7 +86,7 @@ def edited(
     closures = None if rule is None else ControlGroups(controls).closures(rule)
     shown, changes = apply_layers(shown, followed, controls, closures)
     neutral, _ = apply_layers(neutral, followed, controls, closures)
-    unused = unused_notes(followed, shown.head is not None)
+    unused = unused_notes(followed, shown)
     said = (*notes, *unused, *changes)
     return Edited((shown, neutral), said, readings, followed, controls, closures)
 
@@ -262,9 +263,22 @@ def _rising(anchors: Sequence[Anchor], words: Sequence[Anchor]) -> Times:
     return Times(old, np.maximum.accumulate(new), begins, ends)
 
 
-def unused_notes(layers: Iterable[Layer], has_head: bool) -> Iterable[str]:
-    """A line on edits of a head that a take does not have."""
-    edits = [edit.target for layer in layers if not layer.muted for edit in layer.edits]
-    of_head = [target for target in dict.fromkeys(edits) if target.startswith("head.")]
-    if of_head and not has_head:
-        yield f"edits of {listed(of_head)} are not used: the head does not move here"
+def unused_notes(layers: Sequence[Layer], curves: RigCurves) -> Iterator[str]:
+    """A line on what of layers changes nothing in curves."""
+    if empty := [layer.name or "without a name" for layer in layers if not layer.edits]:
+        yield f"nothing is changed by layers that hold no edits: {listed(empty)}"
+    edits = [edit for layer in layers if not layer.muted for edit in layer.edits]
+    of_head = dict.fromkeys(edit.target for edit in edits if edit.target in HEAD_TARGETS)
+    if of_head and curves.head is None:
+        yield f"edits of {listed(list(of_head))} are not used: the head does not move here"
+    outside = (max(edit.span[1] - curves.duration, -edit.span[0]) for edit in edits)
+    beyond = dict.fromkeys(
+        edit.target
+        for edit, seconds in zip(edits, outside, strict=True)
+        if seconds > BEYOND_SECONDS
+    )
+    if beyond:
+        yield (
+            f"edits of {listed(list(beyond))} reach beyond the recording, which lasts "
+            f"{curves.duration:.1f} s: what is outside of it is not used"
+        )

@@ -40,7 +40,10 @@ def read_layers(path: Path) -> tuple[Layer, ...]:
         if not files:
             raise CurveError(f"{path} holds no layers (*{SUFFIX}); name a file of edits")
         return tuple(layer for file in files for layer in read_layers(file))
-    return parse_layers(read_text(path, limits.EDIT_BYTES, error=CurveError), path.name)
+    layers = parse_layers(read_text(path, limits.EDIT_BYTES, error=CurveError), path.name)
+    if not layers:
+        raise CurveError(f"{path} is an empty list of layers; name another file of edits")
+    return layers
 
 
 def parse_layers(given: Any, where: str = "edit") -> tuple[Layer, ...]:

@@ -268,10 +268,8 @@ class Head:
         if "cage_faces" in stored:
             self.slices["cage"] = slice(0, int(stored["cage_faces"].max()) + 1)
         self.straight = stored["points"] / GRID
-        self.eyes, self.convergence = (
-            stored["eyes"].astype(np.float64),
-            float(stored["convergence"]),
-        )
+        self.eyes = stored["eyes"].astype(np.float64)
+        self.convergence = float(stored["convergence"])
         marks = zip(stored["landmarks"], stored["landmark_points"], strict=True)
         self.landmarks = {str(name): int(point) for name, point in marks}
         self.creases = stored["crease_mask"] * np.float32(stored["creases"] / 255)

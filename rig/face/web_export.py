@@ -12,14 +12,7 @@ from numpy.typing import NDArray
 from rig.arrays import Float32
 from rig.controls import default_controls
 from rig.face import accents
-from rig.face.head import (
-    ALONG,
-    FINISH,
-    GAZE_DEGREES,
-    UPPER_PART,
-    Head,
-    Motion,
-)
+from rig.face.head import ALONG, FINISH, GAZE_DEGREES, UPPER_PART, Head, Motion
 from rig.face.head_file import GRID
 
 Arrays = dict[str, NDArray[Any]]

@@ -77,6 +77,8 @@ class NamedCurves:
     """Frames that were captured [shape=(T,)]; None: all."""
     start: float | None = None
     """Time of day of the first frame, seconds; None if the file holds no time codes."""
+    first: float = 0.0
+    """Time of the first frame by the file's times or numbers of frames, seconds."""
 
     def __getitem__(self, name: str) -> Float64:
         values: Float64 = self.values[:, self.names.index(name)]
@@ -402,7 +404,7 @@ def _on_even_grid(
     rate = given or table.rate or otherwise
     count = np.arange(len(table.values)) if table.frames is None else table.frames
     seconds: Float64 | None = None if rate is None else (count - count[0]) / rate
-    own = rate
+    own, timed = rate, None
     if table.times is not None:
         try:
             timed, note = seconds_of(table.times, rate, path, is_known=table.start is not None)
@@ -424,7 +426,8 @@ def _on_even_grid(
         raise FormatError(f"{path}: holds no times and no rate; give `fps`", parameter="fps")
     fps = snap_fps(rate if rate is not None and _agree(rate, own) else own)
     values, seen, said = even(path, table.values, seconds, fps)
-    return NamedCurves(table.names, values, fps, (*notes, *said), seen, table.start)
+    first = float(seconds[0]) if seconds is timed else float(count[0]) / own
+    return NamedCurves(table.names, values, fps, (*notes, *said), seen, table.start, first)
 
 
 def _agree(one: float, other: float) -> bool:

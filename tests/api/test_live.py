@@ -21,6 +21,7 @@ from websockets.sync.client import connect
 
 from api.errors import Problem
 from api.guard import protocol
+from api.guard.keys import Places
 from api.live import route as live_route
 from api.live.messages import FRAME
 from api.live.stream import LiveStream
@@ -29,6 +30,7 @@ from api.settings import Settings
 from deitalk import LiveAnimator
 from tests.api.conftest import KEYS, bearer, wav
 from tests.api.server import free_port, wait_for
+from tests.api.test_queue import CALLER
 
 RATE = 16000
 
@@ -335,6 +337,17 @@ def test_client_that_does_not_read_is_cut_off_in_time(monkeypatch):
 class StuckSocket:
     """A WebSocket whose client takes nothing, and whose transport waits for it for ever."""
 
+    def __init__(self):
+        async def check_quota(caller):
+            return None
+
+        service = SimpleNamespace(check_quota=check_quota, live=Places(1))
+        self.scope, self.state = {}, SimpleNamespace(caller=CALLER)
+        self.app = SimpleNamespace(state=SimpleNamespace(service=service))
+
+    async def accept(self, subprotocol=None):
+        return None
+
     async def receive(self):
         return {"type": "websocket.receive", "text": '{"type": "start"}'}
 
@@ -353,7 +366,7 @@ def test_end_of_a_session_does_not_wait_for_its_client(monkeypatch, fault):
 
     monkeypatch.setattr(live_route, "SEND_SECONDS", 0.05)
     monkeypatch.setattr(live_route.Session, "run", run)
-    asyncio.run(asyncio.wait_for(live_route._serve(StuckSocket(), SimpleNamespace(), None), 60))
+    asyncio.run(asyncio.wait_for(live_route.live(StuckSocket()), 60))
 
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"

@@ -25,7 +25,7 @@ from rig.errors import UserError
 from rig.files.reading import open_file, read_npz
 from rig.formats import emoface_txt, livelink_csv, unreal_json
 from rig.formats.curves_csv import describe_columns, known_columns
-from rig.formats.named import NamedCurves, is_face_cap, read_named
+from rig.formats.named import NamedCurves, is_count, is_face_cap, is_time, read_named
 from rig.formats.table import format_of_header
 from rig.formats.units import check_rate, in_units
 from rig.formats.wide_csv import read_header
@@ -41,7 +41,7 @@ OWN_SCHEMA = b"deitalk.curves/1"
 JSON_MARKS = (b"eights", b"hapes", b"facsNames", b"ategory")
 """Text at the beginning of a JSON file of curves: weights, blend shapes, categories."""
 LEAST_KNOWN = 3
-"""Columns of a known name that make a table a capture."""
+"""Columns of a known name that make a table a capture, or all that it has."""
 DAY = 24 * 3600.0
 LEAST_SECONDS = 0.5
 """Least length of curves and sound of a take."""
@@ -65,6 +65,8 @@ class CapturedCurves:
     """Time of day of the first frame, seconds, by the take's time codes; None without."""
     shapes: RigCurves | None = None
     """ARKit shapes of the source, those that it has; None of other controls."""
+    first: float = 0.0
+    """Time of the first frame by the file's own times, seconds."""
 
     def around(self, first: int, last: int, margin: int) -> slice:
         """Frames from first to last (excluded) and a margin on both sides, as far as captured."""
@@ -234,7 +236,7 @@ def kind_of(path: Path) -> str | None:
         form = format_of_header(header)
         if form == "livelink" or [c.lower() for c in header[:2]] == ["timecode", "blendshapecount"]:
             return "livelink"
-        return "table" if _best_set(header)[1] >= LEAST_KNOWN or form == "a2f" else None
+        return "table" if form == "a2f" or _are_known(header) else None
     if suffix == ".json":
         with open_file(path, JSON_CURVES_BYTES) as stream:
             head = stream.read(4096).replace(b"\0", b"")  # of UTF-16
@@ -248,6 +250,11 @@ def kind_of(path: Path) -> str | None:
     return None
 
 
+def _are_known(header: Sequence[str]) -> bool:
+    curves = [name for name in header if not (is_time(name) or is_count(name))]
+    return bool(curves) and _best_set(curves)[1] >= min(LEAST_KNOWN, len(curves))
+
+
 def _seen(captured: CapturedCurves, seen: Bool | None) -> CapturedCurves:
     """The capture with the frames that were captured, and a note on the others."""
     if seen is None or seen.all():
@@ -259,7 +266,7 @@ def _seen(captured: CapturedCurves, seen: Bool | None) -> CapturedCurves:
 
 def _table(path: Path, curves: NamedCurves) -> CapturedCurves:
     control_set, count = _best_set(curves.names)
-    if count < LEAST_KNOWN:
+    if count < min(LEAST_KNOWN, len(curves.names)):
         raise DataError(
             f"{path}: {describe_columns(curves.names)} are no controls of MetaHuman or ARKit; "
             "give `mapping`, a table of target, source, weight, offset",
@@ -273,7 +280,7 @@ def _table(path: Path, curves: NamedCurves) -> CapturedCurves:
         rest = {name: curves[name] for name in livelink_csv.SUBJECT_REST if name in curves.names}
         captured = replace(captured, head=livelink_csv.subject_head(rest))
     found = _from_set(path, captured, _kind_of_set(control_set), present=present, notes=notes)
-    return _seen(replace(found, start=curves.start), curves.seen)
+    return _seen(replace(found, start=curves.start, first=curves.first), curves.seen)
 
 
 def _of_rig(path: Path, rig: ControlSet, fps: float | None) -> CapturedCurves:

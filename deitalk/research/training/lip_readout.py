@@ -15,12 +15,13 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+import scipy  # loads its parts at their first use
 import torch
 from safetensors.torch import save
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from deitalk.audio.frames import FRAME_RATE, frame_count
+from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE, frame_count
 from deitalk.audio.load import load_audio
 from deitalk.audio.voice_activity import normalise_level
 from deitalk.data.augment_waveform import Surroundings, augment, change_speed, speed_factor
@@ -58,6 +59,8 @@ VOICE_FRAMES = 5
 """Frames around speech that count as its own: the mouth opens before it, and closes after it."""
 NOISE_TIMES, NOISE_RMS = 3, 0.07
 """How often a noise alone is heard, and its level."""
+HELD_VOWELS = 300
+"""Synthesised; only the voice is taught of them as speech."""
 LEAST = 1e-4
 """Ridge on the curves in the map to the measures of the head, relative to their number."""
 CLIPS = 150
@@ -110,6 +113,11 @@ class Teacher:
         for noise in () if surroundings is None else surroundings.noises:
             features = self.hear(noise * np.float32(NOISE_RMS / noise.std()))
             yield from [(features, channel_rows((), len(features)))] * NOISE_TIMES
+        for _ in range(HELD_VOWELS):
+            features = self.hear(held_vowel(rng))
+            rows = np.full((len(features), len(CHANNELS)), np.nan, np.float32)
+            rows[:, -1] = 1
+            yield features, rows
 
     def read(self, sound: Path) -> Rows:
         """Features [shape=(T, D)] of a recording, and the network's curves [shape=(T, C)]."""
@@ -124,6 +132,20 @@ class Teacher:
         known = np.isfinite(clip.measures[:n]).all(axis=1, keepdims=True)
         wanted = np.where(known, clip.measures[:n][:, self.chosen], np.nan)
         return self.late(features, TAPS // 2)[:n], wanted.astype(np.float32)
+
+
+def held_vowel(rng: np.random.Generator) -> Float32:
+    """Pulses of some pitch, with vibrato, through three resonances: 2 to 6 s at 16 kHz."""
+    t = np.arange(round(SAMPLE_RATE * rng.uniform(2, 6))) / SAMPLE_RATE
+    swing = rng.uniform(0, 0.03) * np.sin(2 * np.pi * rng.uniform(4.5, 6.5) * t)
+    turns = np.cumsum(rng.uniform(85, 330) * (1 + swing) / SAMPLE_RATE)
+    sound = scipy.signal.lfilter([1, -1], [1, -0.97], np.diff(np.floor(turns), prepend=0))
+    for lowest, highest, width in ((260, 850, 80), (800, 2400, 100), (2300, 3100, 140)):
+        r, centre = np.exp(-np.pi * width / SAMPLE_RATE), rng.uniform(lowest, highest)
+        angle = 2 * np.pi * centre / SAMPLE_RATE
+        sound = scipy.signal.lfilter([1 - r], [1, -2 * r * np.cos(angle), r * r], sound)
+    noise = 10 ** rng.uniform(-3, -1.5) * rng.standard_normal(len(sound))
+    return np.asarray(0.1 * (sound / sound.std() + noise), np.float32)
 
 
 def channel_rows(phones: Phones, n_frames: int) -> Float32:
@@ -169,7 +191,8 @@ def learn_channels(
 ) -> Network:
     """Learn the channels (T, K) of recordings from features (T, D), by their cross entropy.
 
-    Between recordings there is `silence` (D,), as before and after them in the module.
+    NaN teaches nothing. Between recordings there is `silence` (D,), as before and after them in
+    the module.
     """
     torch.manual_seed(seed)
     margin = TAPS - 1 if is_causal else TAPS // 2
@@ -177,8 +200,8 @@ def learn_channels(
     scale = np.concatenate([x[::7] for x, _ in recordings]).std(axis=0, dtype=np.float64) + 1e-3
     scaled = [((x - silence) / scale).astype(np.float16) for x, _ in recordings]
     features = torch.from_numpy(np.concatenate([np.pad(x, around) for x in scaled]))
-    targets = torch.from_numpy(np.concatenate([np.pad(y, around) for _, y in recordings]))
-    known = torch.cat([torch.from_numpy(np.pad(np.ones(len(x)), around[0])) for x in scaled]) > 0
+    wanted = [np.pad(y, around, constant_values=np.nan) for _, y in recordings]
+    targets = torch.from_numpy(np.concatenate(wanted))
     first, last = nn.Conv1d(features.shape[1], HIDDEN, TAPS), nn.Conv1d(HIDDEN, len(CHANNELS), 1)
     network = nn.Sequential(nn.Dropout(DROPOUT), first, nn.ReLU(), nn.Dropout(DROPOUT), last)
     optimiser = torch.optim.AdamW(network.parameters(), RATE, weight_decay=DECAY)
@@ -189,9 +212,8 @@ def learn_channels(
         places = torch.randint(len(features) - len(window) + 1, (BATCH, 1)) + window
         inner = places[:, margin : len(window) - TAPS + 1 + margin]
         logits = network(features[places].float().transpose(1, 2)).transpose(1, 2)
-        loss = F.binary_cross_entropy_with_logits(
-            logits[known[inner]], targets[inner][known[inner]]
-        )
+        taught = targets[inner].isfinite()
+        loss = F.binary_cross_entropy_with_logits(logits[taught], targets[inner][taught])
         optimiser.zero_grad()
         loss.backward()  # type: ignore[no-untyped-call]
         optimiser.step()

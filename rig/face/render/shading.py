@@ -35,14 +35,8 @@ class View:
         look[:3, :3] = [right, np.cross(back, right), back]
         look[:3, 3] = -look[:3, :3] @ eye
         f = 1 / np.tan(np.radians(self.degrees) / 2)
-        lens = np.array(
-            [
-                [f / aspect, 0, 0, 0],
-                [0, f, 0, 0],
-                [0, 0, (FAR + NEAR) / (NEAR - FAR), 2 * FAR * NEAR / (NEAR - FAR)],
-                [0, 0, -1, 0],
-            ]
-        )
+        deep = [0, 0, (FAR + NEAR) / (NEAR - FAR), 2 * FAR * NEAR / (NEAR - FAR)]
+        lens = np.array([[f / aspect, 0, 0, 0], [0, f, 0, 0], deep, [0, 0, -1, 0]])
         return np.asarray(lens @ look)
 
 
@@ -68,17 +62,9 @@ LIGHTS = (
 )
 TO_LIGHT = unit(np.array([direction for direction, _ in LIGHTS]))
 LIGHT_COLORS = np.array([color for _, color in LIGHTS])
-WRAPS = np.array(
-    # PLAIN, SKIN, HAIR, EYE, CLOTH, FINE
-    [
-        [0.2, 0.2, 0.2],
-        [0.42, 0.22, 0.15],
-        [0.35, 0.32, 0.3],
-        [0.25, 0.22, 0.2],
-        [0.1, 0.1, 0.1],
-        [0.35, 0.32, 0.3],
-    ]
-)
+WRAPS = np.array([[0.2, 0.2, 0.2], [0.42, 0.22, 0.15], [0.35, 0.32, 0.3], [0.25, 0.22, 0.2],
+                  [0.1, 0.1, 0.1], [0.35, 0.32, 0.3]])  # fmt: skip
+"""How far red, green and blue light reaches round, of PLAIN, SKIN, HAIR, EYE, CLOTH and FINE."""
 PORE_TILT = 0.09
 """How far pores tilt the normals of skin."""
 SKY, GROUND = (0.24, 0.26, 0.29), (0.11, 0.09, 0.085)
@@ -139,7 +125,10 @@ void main() {{
   v = normalize(eye - p_); n = normalize(n_); kind = int(light_.z * 5.0 + 0.5);
   vec4 tint = texture(atlas, uv_);
   bool hair = kind == {HAIR} || kind == {FINE}, thin = hair || kind == {CLOTH};
-  if (thin ? hair && tint.a < threshold : !gl_FrontFacing) discard;
+  float cut = threshold;  // without soft coverage pixels are left out by a pattern
+  float noise = fract(52.983 * fract(dot(gl_FragCoord.xy, vec2(0.0671, 0.0058))));
+  if (cut > 0.3) cut += 0.6 * noise - 0.3;
+  if (thin ? hair && tint.a < cut : !gl_FrontFacing) discard;
   if (thin && dot(n, v) < 0.0) n = -n;
   vec3 albedo = paint_.rgb * tint.rgb;
   float shade = 1.0, strand = 1.0, gloss = paint_.a;

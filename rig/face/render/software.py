@@ -11,17 +11,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from rig.arrays import Bool, Float32, Float64, Int32, Int64
-from rig.face.mesh import (
-    CLOTH,
-    EYE,
-    FINE,
-    FINE_CM,
-    HAIR,
-    PORES,
-    SKIN,
-    Mesh,
-    unit,
-)
+from rig.face.mesh import CLOTH, EYE, FINE, FINE_CM, HAIR, PORES, SKIN, Mesh, unit
 from rig.face.render import shading
 from rig.face.render.picture import Picture
 from rig.face.render.shading import FAR, NEAR, View, background
@@ -282,8 +272,8 @@ def _paint(
     for i in range(count):
         kind, u, v, accent = kinds[i], places[U + i], places[V + i], places[ACCENT + i]
         nx, ny, nz = _unit(places[NX + i], places[NY + i], places[NZ + i])
-        vx, vy, vz = (to_eye[row, columns[i], 0], to_eye[row, columns[i], 1],
-                      to_eye[row, columns[i], 2])  # fmt: skip
+        away = to_eye[row, columns[i]]
+        vx, vy, vz = away[0], away[1], away[2]
         if (kind == HAIR or kind >= CLOTH) and nx * vx + ny * vy + nz * vz < F(0):
             nx, ny, nz = -nx, -ny, -nz
         for k in range(3):
@@ -293,12 +283,8 @@ def _paint(
         places[RIM + i] = F(0) if kind == EYE else F(0.35)
         places[WINDOW + i], places[IS_HAIR + i] = F(0), F(1) if kind == HAIR else F(0)
         places[BLEED + i] = F(1) if kind == SKIN else F(0)
-        places[TO_EYE + i], places[TO_EYE + PLACES + i], places[TO_EYE + 2 * PLACES + i] = (
-            vx,
-            vy,
-            vz,
-        )
         for k in range(3):
+            places[TO_EYE + k * PLACES + i] = away[k]
             places[WRAP + k * PLACES + i] = _WRAP[kind, k]
             places[SLOPE + k * PLACES + i] = _SLOPE[kind, k]
         if kind == EYE:

@@ -218,6 +218,74 @@ def test_a_shorter_file_is_compared_as_far_as_it_goes(take, wanted, tmp_path):
     assert max(edit.span[1] for edit in found.layer.edits) <= 100 / 30
 
 
+def cell(rows, k, value):
+    rows[k][rows[0].index("CTRL_L_nose.ty")] = value
+    return rows
+
+
+def later(rows, seconds):
+    return [rows[0], *([r[0], f"{float(r[1]) + seconds}", *r[2:]] for r in rows[1:])]
+
+
+def few(rows):
+    return [[row[1], row[rows[0].index("CTRL_L_nose.ty")]] for row in rows]
+
+
+HANDS = {  # what hands and spreadsheets make of a table, and what is said of it
+    "columns in another order": (lambda rows: [row[::-1] for row in rows], ""),
+    "time and one column": (few, "184 controls are not in the file"),
+    "rows are lost": (lambda rows: rows[:120] + rows[150:], "s without a frame, left out"),
+    "the beginning is lost": (lambda rows: rows[:1] + rows[31:], "begin at 1.00 s: it is compared"),
+    "the middle alone": (lambda rows: rows[:1] + rows[31:120], "begin at 1.00 s: it is compared"),
+    "a program's frame 101": (lambda rows: later(rows, 100 / 30), "its first row is compared with"),
+    "times before zero": (lambda rows: later(rows, -1), "its first row is compared with the first"),
+    "empty rows": (lambda rows: [*rows, *([""] * len(rows[0]) for _ in range(9))], ""),
+}
+SHEETS = {  # separator, decimal mark, encoding, first line
+    "plain": (",", ".", "utf-8", ""),
+    "Excel, German": (";", ",", "utf-8-sig", ""),
+    "Excel, sep=": (";", ",", "cp1252", "sep=;\r\n"),
+    "Excel, Unicode text": ("\t", ",", "utf-16", ""),
+}
+
+
+def laid_out(rows, path, sheet):
+    separator, mark, encoding, first = SHEETS[sheet]
+    marked = [rows[0], *([cell.replace(".", mark) for cell in row] for row in rows[1:])]
+    lines = "".join(separator.join(row) + "\r\n" for row in marked)
+    path.write_bytes((first + lines).encode(encoding))
+    return path
+
+
+@pytest.fixture(scope="module")
+def bumped(take, tmp_path_factory):
+    """Cells of the take's table with one edit from 2 to 3 s."""
+    base = read_curves(take / "curves.json")
+    values = base.values.copy()
+    values[60:90, BOARD.index("CTRL_L_nose.ty")] += 0.4
+    path = tmp_path_factory.mktemp("bumped") / "e.csv"
+    write_curves(path, replace(base, values=values))
+    return [line.split(",") for line in path.read_text().splitlines()]
+
+
+@pytest.mark.parametrize("sheet", SHEETS)
+@pytest.mark.parametrize("hands", HANDS)
+def test_what_hands_make_of_a_table_is_the_same_edit(take, bumped, hands, sheet, tmp_path):
+    change, note = HANDS[hands]
+    path = laid_out(change([list(row) for row in bumped]), tmp_path / "e.csv", sheet)
+    found = changes_of_take(path, take)
+    (edit,) = found.layer.edits
+    assert edit.target == "CTRL_L_nose.ty" and edit.span == pytest.approx((59 / 30, 3), abs=1e-3)
+    assert note in " | ".join(found.notes) and (note or not found.notes)
+
+
+@pytest.mark.parametrize("value", ["NaN", "", "x", "#NUM!", "inf"])
+def test_cells_that_are_no_number_are_named(take, bumped, value, tmp_path):
+    path = laid_out(cell([list(row) for row in bumped], 71, value), tmp_path / "e.csv", "plain")
+    with one_line(ValueError, "row 71, column 'CTRL_L_nose.ty'"):
+        changes_of_take(path, take)
+
+
 def test_the_layers_of_the_take_come_first(take, wanted, tmp_path):
     path = written(wanted, ".csv", tmp_path)
     ran("diff", path, take, "-o", tmp_path / "one.edit.json")

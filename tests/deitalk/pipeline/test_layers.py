@@ -18,7 +18,7 @@ from deitalk.audio.load import load_audio
 from deitalk.data.edited import changes_of_take
 from deitalk.pipeline import layer_sounds as module
 from deitalk.pipeline.layer_sounds import heard_phones, with_recording
-from deitalk.pipeline.layers import follow_recording
+from deitalk.pipeline.layers import follow_recording, unused_notes
 from deitalk.pipeline.speech import Speech
 from deitalk.pipeline.words.align import FittedWord, WordFit, align_words
 from deitalk.pipeline.words.transcript import Transcript
@@ -218,6 +218,26 @@ def test_a_sound_of_something_else_keeps_the_times_and_says_so(take):
     noise = np.random.default_rng(0).normal(0, 0.1, 48_000).astype(np.float32)
     (layer,), (note,) = follow_recording(read_layers(take), Speech.of(noise))
     assert layer.edits[0] == BUMP and "its times are kept" in note
+
+
+UNUSED = {
+    "after the end": (((7.0, 0, 0, 0), (9.0, 1, 0, 0)), "reach beyond the recording"),
+    "over the end": (((4.0, 0, 0, 0), (9.0, 1, 0, 0)), "reach beyond the recording"),
+    "to the end": (((4.0, 0, 0, 0), (5.1, 1, 0, 0)), ""),
+}
+
+
+@pytest.mark.parametrize("case", UNUSED)
+def test_what_lies_outside_of_the_recording_is_said(plain, case):
+    keys, said = UNUSED[case]
+    layer = Layer((Edit(BROW, keys, "offset", (keys[0][0], keys[-1][0])),))
+    assert said in " | ".join(unused_notes([layer], plain.curves))
+    assert said or not list(unused_notes([layer], plain.curves))
+
+
+def test_layers_without_edits_are_named(plain):
+    (note,) = unused_notes([Layer((), "fixes")], plain.curves)
+    assert note.endswith("hold no edits: fixes")
 
 
 def test_a_layer_without_a_sound_keeps_its_times(take):

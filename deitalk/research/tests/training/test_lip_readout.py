@@ -100,7 +100,7 @@ def test_corrected_curves_show_the_mixed_measures(rng):
     shown = rng.normal(size=(M, size)), rng.normal(size=M)
     module = LipReadout(5, names)
     measures = filled(module, rng, shown, np.linalg.pinv(shown[0]))
-    for table in (module.places, module.values):
+    for table in (module.places, module.values, module.speaks):
         table.zero_()
     module.own.fill_(1)
     module.fade.copy_(torch.tensor([[-2.0], [-1.0]]).expand(2, M))

@@ -42,7 +42,8 @@ export function parseLayers(text: string, name = ""): Layer[] {
 }
 
 function isEdit(edit: any): boolean {
-  const isKey = (key: any) => Array.isArray(key) && (key.length === 2 || key.length === 4) && key.every(Number.isFinite);
+  const isKey = (key: any, k: number, all: any[]) =>
+    Array.isArray(key) && (key.length === 2 || key.length === 4) && key.every(Number.isFinite) && key[0] >= 0 && (!k || key[0] > all[k - 1][0]);
   return typeof edit?.target === "string" && MODES.includes(edit.mode ?? "offset") && edit.keys?.length > 0 && edit.keys.every(isKey);
 }
 
