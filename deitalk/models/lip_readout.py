@@ -13,7 +13,8 @@ corrects the decoder:
   towards those that the readout gives, by controls that change nothing else of the lips; what
   rounding does to them is counted, so that lips are as narrow as measured ones. They
   stay the decoder's where the decoder shuts the mouth: in pauses, breaths and closures.
-- In sounds that are no voice, such as music, dishes or a cat, speech does not move the mouth.
+- In sounds that are no voice, such as music, dishes or a cat, speech moves the mouth less, or not
+  at all. A causal readout leaves this out: it hears a voice late, and the mouth would jump.
 
 What an emotion adds stays. Of a tuned model it corrects the controls that its base's decoder moves;
 those that captures show are not corrected.
@@ -213,11 +214,13 @@ class LipReadout(nn.Module):
             From `forward`.
         """
         said, seals = self.articulated(readings, read)
-        neutral, least = said, VOICE[0]
+        neutral = said
         if self.corrects_measures:
             neutral = said + self._measured(readings, said, read)
-        voice = smoothstep((read[..., len(CHANNELS) - 1, None] - least) / (VOICE[1] - least))
-        neutral = neutral * (1 - self.speaks * (1 - voice))
+        if not self.causal:
+            heard = read[..., len(CHANNELS) - 1, None]
+            voice = smoothstep((heard - VOICE[0]) / (VOICE[1] - VOICE[0]))
+            neutral = neutral * (1 - self.speaks * (1 - voice))
         curves = neutral + readings - readings[:1]
         curves = torch.where(self.places.sum(dim=0) > 0, seals, curves)
         return curves if self.corrects is None else torch.where(self.corrects, curves, readings)
