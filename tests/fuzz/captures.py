@@ -16,9 +16,6 @@ def _table_seeds(folder: Path) -> list[Seed]:
     frames = [{"time": i / 30, "blendShapes": dict(zip(names, row, strict=True))}
               for i, row in enumerate(rows)]  # fmt: skip
     np.savez(folder / "c.npz", names=names, values=np.array(rows), fps=30.0)
-    mesh = np.random.default_rng(0).uniform(0.3, 0.7, (478, 3)).astype(np.float32)
-    mesh = np.repeat(mesh[None], 20, axis=0)
-    np.savez_compressed(folder / "m.npz", landmarks=mesh, size=np.array([720, 1280]), fps=30.0)
     listed = {
         "names": names,
         "frames": [{"time": i / 30, "weights": r} for i, r in enumerate(rows)],
@@ -51,7 +48,6 @@ def _table_seeds(folder: Path) -> list[Seed]:
         Seed("c.json", json.dumps({"facsNames": names, "weightMat": rows, "exportFps": 30}).encode(),
              mutated_json),
         Seed("c.npz", (folder / "c.npz").read_bytes(), mutated_npz),
-        Seed("m.npz", (folder / "m.npz").read_bytes(), mutated_npz),
     ]  # fmt: skip
 
 

@@ -20,7 +20,8 @@ from .mutate import (
 )
 from .readers_types import Reader, Seed
 
-CONFIGS = Path(__file__).resolve().parents[2] / "configs"
+ROOT = Path(__file__).resolve().parents[2]
+CONFIGS = ROOT / "configs"
 
 
 def input_of(seeds: Sequence[Seed], key: str) -> tuple[str, bytes]:
@@ -246,7 +247,7 @@ def _model_seeds(folder: Path) -> list[Seed]:
     vertices[:] = _mesh().vertices
     stream = io.BytesIO()
     np.savez_compressed(stream, vertices=vertices, faces=_mesh().faces.astype(np.int32))
-    sdfa = (CONFIGS / "sdfa_small.yaml").read_bytes()
+    sdfa = (ROOT / "deitalk/models/weights/sdfa/config.yaml").read_bytes()
     return [
         Seed("config.yaml", (model / "config.yaml").read_bytes(), mutated),
         Seed("config.yaml", sdfa, mutated),

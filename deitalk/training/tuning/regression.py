@@ -197,7 +197,7 @@ class Regression:
         By the area under the curve of frames of speech whose lips touch against the others, because
         a regression is nearer to soft contacts than phones that are heard, and shuts fewer lips.
         """
-        touches, found, of_base = [], [], []
+        touches, found, of_base = list[Float32](), list[Float32](), list[Float32]()
         for clip in spread_clips(list(self.clips), MOST_SCORED):
             example = load_example(clip, self.controls)
             speaks = speaking_frames(example)
