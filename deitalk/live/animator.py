@@ -392,7 +392,7 @@ class LiveAnimator:
                     known[key] = one.n_ready()
                 waiting[k] = known[key]
         while ready := [k for k, count in waiting.items() if count > 0]:
-            most = min(BLOCK_FRAMES, *(waiting[k] for k in ready))
+            most = min(BLOCK_FRAMES, *[waiting[k] for k in ready])
             # Few sizes, for each of which torch keeps memory: 1 to 8, 16, 32 …
             count = most if most <= FEW_FRAMES else 1 << (most.bit_length() - 1)
             self._read(ready, count)

@@ -114,8 +114,8 @@ class Stream:
         self.n_given = -grid.rules_ahead
         """Frame that the rules give next."""
         self.n_total: int | None = None
-        self.frames: list[Float32] = []
-        self.heads: list[Float32] = []
+        self.frames: list[tuple[Float32, Float32]] = []
+        """That were given and not collected, with their tracks of the head."""
         self.shut: tuple[int, int] | None = None
         """First frame of a mouth that is interrupted, and that of the sound that comes after."""
         self.shown = self.last = (controls.rest, np.zeros(len(HEAD), np.float32))
@@ -165,8 +165,7 @@ class Stream:
                 self.shut = None if first + len(frames) >= end + OPENING_FRAMES else self.shut
         if len(frames):
             self.last = frames[-1], heads[-1]
-        self.frames.append(frames)
-        self.heads.append(heads)
+        self.frames.append((frames, heads))
 
     def change(self, acting: Acting) -> None:
         """Change the acting of the sound that comes next; at once before any."""
@@ -243,17 +242,21 @@ class Stream:
         """
         first = self.n_given
         self.n_given += count
+        if first >= 0 and self.n_total is None:
+            return slice(0, count)
         stop = self.n_given if self.n_total is None else min(self.n_given, self.n_total)
         late = min(max(-first, 0), count)
         return slice(late, max(stop - first, late))
 
     def collect(self) -> tuple[Float32, Float32]:
         """Frames since the last call [shape=(n, C)], and their track of the head [shape=(n, 6)]."""
-        frames, heads = self.frames, self.heads
-        self.frames, self.heads = [], []
-        if not frames:
+        given, self.frames = self.frames, []
+        if not given:
             return _none(len(self.controls)), _none(len(HEAD))
-        return np.concatenate(frames), np.concatenate(heads)
+        frames, heads = given[0]
+        if len(given) == 1:
+            return frames.copy(), heads.copy()
+        return np.concatenate([one for one, _ in given]), np.concatenate([one for _, one in given])
 
     def directed(self, count: int) -> tuple[Float32, Float32]:
         """Emotion (count, 9) and intensity (count,) of the acting in the next groups."""

@@ -520,8 +520,9 @@ def test_emotions_are_compared_and_a_take_folder_is_read_back(browser, server, s
         until(tab, "deitalk.page.takes.length === 1")
         assert np.abs(shown_values(tab) - values).max() < 1e-5
         until(tab, "!document.querySelector('#exports button').disabled")
-        again = download(tab, "CSV", tmp_path / "again")  # made anew from the arguments of the take
-        assert np.abs(read_curves(again).values - read_curves(curves).values).max() < 1e-4
+        # made anew from the arguments and the sound of the take, which has 16 bits
+        again = download(tab, "CSV", tmp_path / "again")
+        assert np.abs(read_curves(again).values - read_curves(curves).values).max() < 3e-4
 
 
 @pytest.mark.slow
