@@ -181,13 +181,15 @@ def test_the_head_onto_itself_keeps_eyes_and_teeth_whole(head):
     labels = components(head.mesh)
     assert error[:, labels == 0].mean() < 0.01 and error[:, labels == 0].max() < 0.3
     assert error[:, labels > 0].mean() < 0.03
-    # What is rigid on the head (gaze, teeth) stays rigid, what bends (tongue) bends.
+    # What is rigid on the head (gaze, teeth) stays rigid; the tongue bends.
+    bent = np.zeros(len(names), bool)
     for label in range(1, labels.max() + 1):
-        rest = head.mesh.vertices[labels == label]
-        for before, after in zip(
-            source[:, labels == label], moved[:, labels == label], strict=True
-        ):
-            assert bends(rest, after) == bends(rest, before)
+        here = labels == label
+        rest = head.mesh.vertices[here]
+        for k, (before, after) in enumerate(zip(source[:, here], moved[:, here], strict=True)):
+            assert bends(rest, before) or not bends(rest, after)
+            bent[k] |= bends(rest, after)
+    assert bent[2]
 
 
 def bends(rest, delta):
@@ -223,7 +225,10 @@ def test_lids_travel_as_far_as_the_eye_opens(head):
 
 @pytest.mark.slow
 def test_landmarks_are_found_without_help(head):
-    """The head itself, z up and in metres: rims exactly a pair, everything within millimetres."""
+    """The head itself, z up and in metres: rims exactly a pair, everything within millimetres.
+
+    Its lids have no open rims, so they are not found.
+    """
     axes = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
     mesh = TriMesh(0.01 * head.mesh.vertices @ axes.T, head.mesh.faces)
     guess = guess_landmarks(mesh, head.mesh, head.landmarks)
@@ -232,7 +237,8 @@ def test_landmarks_are_found_without_help(head):
     apart = {n: np.linalg.norm(at[v] - at[head.landmarks[n]]) for n, v in guess.items()}
     assert np.mean(list(apart.values())) < 0.25
     for side in ("left", "right"):
-        assert apart[f"eye_upper_{side}"] < 0.5 and apart[f"mouth_corner_{side}"] < 0.6
+        assert apart[f"mouth_corner_{side}"] < 0.6
+    assert not any("eye_upper" in name for name in guess)
     labels = lip_labels(head.mesh, head.landmarks)
     assert labels[guess["upper_rim"]] == 1
     assert labels[guess["lower_rim"]] == -1
