@@ -14,7 +14,7 @@ from typing import Any
 
 from deitalk.batch.outputs import PRIVATE, STAGE, Outputs, opened_folder
 from deitalk.errors import DataError, MissingError
-from rig.errors import TargetError, UserError, one_line
+from rig.errors import TargetError, UserError, one_line, quoted
 from rig.files import cache_folder, claim
 
 COPIED = f"{PRIVATE}/copied.json"
@@ -116,7 +116,12 @@ def _copy(url: str, folder: Path) -> None:
 
 def _versions(system: Any, root: str) -> dict[str, str]:
     found = system.find(root, detail=True).items()
-    return {name[len(root) + 1 :]: version_of(info) for name, info in found}
+    there = {name[len(root) + 1 :]: version_of(info) for name, info in found}
+    for name in there:
+        path = Path(name)
+        if path.is_absolute() or path.drive or ".." in path.parts:
+            raise DataError(f"{quoted(name)} at {root} names a file outside of it; remove it")
+    return there
 
 
 def _states(folder: Path) -> dict[str, list[int]]:

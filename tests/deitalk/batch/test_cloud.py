@@ -98,6 +98,18 @@ def test_url_that_cannot_be_used_is_one_line(run, memory):
         run("nosuch://nowhere", "memory://out")
 
 
+@pytest.mark.parametrize("name", ["../c.csv", "anna/../../c.csv", "/c.csv"])
+def test_names_at_a_url_stay_in_the_folder(run, memory, tmp_path, monkeypatch, name):
+    """Stores whose names are any text: a key may have `..` as a part."""
+    run(out="memory://out")
+    found = memory.find("/out", detail=True)
+    found[f"/out/{name}"] = dict(next(iter(found.values())), size=7)
+    monkeypatch.setattr(type(memory), "find", lambda *given, **how: found)
+    with pytest.raises(DataError, match="outside of it"):
+        run(out="memory://out")
+    assert not [*tmp_path.glob("cache/batch/c.csv")] and not (tmp_path / "cache/c.csv").exists()
+
+
 def test_missing_ray_is_one_line(run, monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "ray", None)
     with pytest.raises(MissingError, match="pip install"):
