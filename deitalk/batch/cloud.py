@@ -14,7 +14,7 @@ from typing import Any
 
 from deitalk.batch.outputs import PRIVATE, STAGE, Outputs, opened_folder
 from deitalk.errors import DataError, MissingError
-from rig.errors import TargetError, UserError, one_line, quoted
+from rig.errors import TargetError, UserError, listed, one_line, quoted
 from rig.files import cache_folder, claim
 
 COPIED = f"{PRIVATE}/copied.json"
@@ -95,21 +95,35 @@ def _fetch(url: str, folder: Path) -> None:
     known = _copied(folder)
     for name in [name for name in known if name not in there]:
         (folder / name).unlink(missing_ok=True)
-    for name in [name for name, version in there.items() if known.get(name, [""])[0] != version]:
+    for name, version in there.items():
+        if known.get(name, [""])[0] == version and (folder / name).is_file():
+            continue
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         system.get_file(f"{root}/{name}", str(folder / name))
     _note(folder, there)
 
 
 def _copy(url: str, folder: Path) -> None:
-    """Bring a URL to the state of a folder."""
+    """Bring a URL to the state of a folder, if nobody changed there what would be replaced."""
     system, root = file_system(url)
-    known, here = _copied(folder), _states(folder)
-    for name in [name for name, state in here.items() if known.get(name, [])[1:] != state]:
+    system.invalidate_cache()
+    known, here, there = _copied(folder), _states(folder), _versions(system, root)
+    made = [name for name, state in here.items() if known.get(name, [])[1:] != state]
+    gone = [name for name in known if name not in here]
+    changed = [
+        name for name in (*made, *gone) if there.get(name) not in (None, *known.get(name, [])[:1])
+    ]
+    if changed:
+        raise DataError(
+            f"{url}: {listed(changed)} changed there during the run; nothing was copied, the "
+            "results are kept here: run again"
+        )
+    for name in made:
         system.makedirs(f"{root}/{name}".rpartition("/")[0], exist_ok=True)
         system.put_file(str(folder / name), f"{root}/{name}")
-    for name in [name for name in known if name not in here]:
-        system.rm_file(f"{root}/{name}")
+    for name in gone:
+        if name in there:
+            system.rm_file(f"{root}/{name}")
     system.invalidate_cache()
     _note(folder, _versions(system, root))
 
@@ -117,6 +131,7 @@ def _copy(url: str, folder: Path) -> None:
 def _versions(system: Any, root: str) -> dict[str, str]:
     found = system.find(root, detail=True).items()
     there = {name[len(root) + 1 :]: version_of(info) for name, info in found}
+    there.pop(COPIED, None)  # of this machine alone
     for name in there:
         path = Path(name)
         if path.is_absolute() or path.drive or ".." in path.parts:

@@ -98,6 +98,35 @@ def test_url_that_cannot_be_used_is_one_line(run, memory):
         run("nosuch://nowhere", "memory://out")
 
 
+def test_files_that_left_the_cache_stay_at_the_url(run, orders, memory, tmp_path):
+    """Programs that tidy a cache take files by their age."""
+    run("memory://in", "memory://out", formats="csv")
+    memory.pipe_file("/out/notes.txt", b"mine")
+    run("memory://in", "memory://out", formats="csv")
+    before = {name: memory.cat_file(f"/out/{name}") for name in names(memory)}
+    for path in (tmp_path / "cache/batch").rglob("*"):
+        if path.name in ("notes.txt", "c.csv"):
+            path.unlink()
+    orders.clear()
+    run("memory://in", "memory://out", formats="csv")
+    assert memory.cat_file("/out/notes.txt") == b"mine" and not orders
+    assert memory.cat_file("/out/c.csv") == before["c.csv"]
+
+
+def test_file_that_is_edited_at_a_url_during_the_run_is_not_replaced(run, memory, monkeypatch):
+    run("memory://in", "memory://out", formats="csv")
+    copy = cloud._copy
+
+    def edited(url, folder):
+        memory.pipe_file("/out/c.csv", b"mine")
+        copy(url, folder)
+
+    with monkeypatch.context() as patch, pytest.raises(DataError, match=r"c\.csv changed there"):
+        patch.setattr(cloud, "_copy", edited)
+        run("memory://in", "memory://out", formats="csv", emotion="happy")
+    assert memory.cat_file("/out/c.csv") == b"mine"
+
+
 @pytest.mark.parametrize("name", ["../c.csv", "anna/../../c.csv", "/c.csv"])
 def test_names_at_a_url_stay_in_the_folder(run, memory, tmp_path, monkeypatch, name):
     """Stores whose names are any text: a key may have `..` as a part."""
