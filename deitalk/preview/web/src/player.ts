@@ -4,7 +4,8 @@ import { filesOfZip, readCurves, readTake, type TakeFiles } from "./data/curvefi
 import { type Edit, History, NO_EDIT } from "./data/edit";
 import { parseLayers } from "./data/layers";
 import type { Packed } from "./data/packed";
-import { type Board, Take } from "./data/take";
+import type { Board } from "./data/board";
+import { Take } from "./data/take";
 import { $, button } from "./dom";
 import { type Caption, Faces } from "./face/faces";
 import { Opener } from "./face/opener";

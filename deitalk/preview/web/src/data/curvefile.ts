@@ -2,7 +2,7 @@
 
 import type { Packed } from "./packed";
 import schema from "./acting.json";
-import type { Board } from "./take";
+import type { Board } from "./board";
 import { readNpy, unzip } from "./zip";
 
 const EMOTIONS = Object.keys(schema.properties.emotion["x-colors"]);

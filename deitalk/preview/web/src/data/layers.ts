@@ -1,6 +1,6 @@
 /** Layers of edits by hand, as `rig.curves.layers` applies them: `.edit.json` files. */
 
-import type { Board } from "./take";
+import type { Board } from "./board";
 
 export const SCHEMA = "deitalk.edit/1";
 /** Seconds by which a frame may lie outside of a span. */

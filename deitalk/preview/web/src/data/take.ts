@@ -1,24 +1,12 @@
 /** One performance: curves over time, blended between its neutral and its emotional reading. */
 
+import type { Board } from "./board";
 import { type Edit, factorAt, gainsOf, NO_EDIT } from "./edit";
 import { headWithLayers, type Layer, withLayers } from "./layers";
 import type { Packed } from "./packed";
 import { findWarnings, type Warning } from "./warnings";
 
 export const MAX_INTENSITY = 4;
-
-/** Names, ranges, rest values and regions of the controls, from the head's facts. */
-export interface Board {
-  controls: string[];
-  minimum: number[];
-  maximum: number[];
-  rest: number[];
-  regions: string[];
-  /** Columns of the named sets of controls. */
-  sets?: Record<string, number[]>;
-  /** What closes and parts the lips, which layers keep: `rig.curves.layers.Closures`. */
-  closures?: { seals: number[][]; opening: number[]; begin: number; full: number };
-}
 
 /** Curves for the intensity of an edit, computed by the service: they replace the blend. */
 interface Exact {

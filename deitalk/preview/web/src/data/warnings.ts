@@ -1,6 +1,6 @@
 /** Warnings that need no recording: values at their limit for long, jitter, different lengths. */
 
-import type { Board } from "./take";
+import type { Board } from "./board";
 
 export interface Warning {
   time: number;

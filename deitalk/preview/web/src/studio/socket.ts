@@ -1,6 +1,6 @@
 /** A live voice of the service: samples to `/v1/live`, its frames back. */
 
-import type { Board } from "../data/take";
+import type { Board } from "../data/board";
 import { messageOf, notice } from "../dom";
 import type { Listener, Voice } from "./live";
 import { keyOf, request } from "./service";

@@ -2,7 +2,8 @@
 
 import type { History } from "../data/edit";
 import { columnsOf, curveAt, type Key, type Layer, type LayerEdit, layersText, SCHEMA, slopeAt, spanOf, withKeys } from "../data/layers";
-import type { Board, Take } from "../data/take";
+import type { Board } from "../data/board";
+import type { Take } from "../data/take";
 import { $, button, notice, save } from "../dom";
 import { MARGIN, PointLane, type PointOwner, svg } from "./points";
 import type { Span } from "./span";

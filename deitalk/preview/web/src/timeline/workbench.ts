@@ -1,7 +1,8 @@
 /** The timeline of a take: lanes on one span, edits with undo, regions, warnings. */
 
 import type { History } from "../data/edit";
-import type { Board, Take } from "../data/take";
+import type { Board } from "../data/board";
+import type { Take } from "../data/take";
 import { $, button, save, showValue, timeCode } from "../dom";
 import { isText } from "../playback/keys";
 import { CurveLanes } from "./curves";
