@@ -66,10 +66,10 @@ class Clip:
     """Start and stop in the take, seconds."""
 
 
-def spread_clips(clips: list[Clip], most: int | None) -> list[Clip]:
+def spread_clips(clips: Sequence[Clip], most: int | None) -> list[Clip]:
     """Select at most so many clips, evenly spread over the list; None: all."""
     if most is None or len(clips) <= most:
-        return clips
+        return list(clips)
     places = np.linspace(0, len(clips) - 1, most).round().astype(int)
     return [clips[i] for i in places]
 

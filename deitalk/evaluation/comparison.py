@@ -12,9 +12,9 @@ from typing import NamedTuple
 import numpy as np
 import torch
 
-from deitalk.data.clips import Clip
+from deitalk.data.clips import Clip, spread_clips
 from deitalk.data.windows import load_clip
-from deitalk.evaluation.scores import correlation
+from deitalk.evaluation.scores import correlation, mean_of_finite
 from deitalk.evaluation.smoothness import MAX_CLIPS, MOVING, Example, load_example, predict
 from deitalk.models.curve_model import DEITalk
 from rig import ControlSet
@@ -83,8 +83,8 @@ class CaptureSet:
         cls, clips: Sequence[Clip], controls: ControlSet, pose: MeanPose, learnt: Bool
     ) -> "CaptureSet":
         """Read up to 60 clips, evenly spread over the list."""
-        places = np.linspace(0, len(clips) - 1, min(MAX_CLIPS, len(clips))).round().astype(int)
-        return cls(tuple(load_example(clips[i], controls) for i in places), controls, pose, learnt)
+        examples = tuple(load_example(clip, controls) for clip in spread_clips(clips, MAX_CLIPS))
+        return cls(examples, controls, pose, learnt)
 
     @torch.no_grad()
     def score(self, model: DEITalk) -> dict[str, float]:
@@ -128,12 +128,11 @@ class CaptureSet:
                 still += float(np.square(target - self.pose.values[place]).sum())
                 unexplained = 1 - max(np.nan_to_num(_r(target, given)), 0) ** 2
                 left += float(np.square(target - target.mean()).sum() * unexplained)
-        finite = [r for r in rs if np.isfinite(r)]
         share = error / still if still > 0 else float("nan")
         return {
             "error_of_mean_pose": share,
             "error_at_best_gain": left / still if still > 0 else float("nan"),
-            "mean_r": float(np.mean(finite)) if finite else float("nan"),
+            "mean_r": mean_of_finite(rs),
             "range": float(np.nanmedian(ranges)) if np.isfinite(ranges).any() else float("nan"),
             "score": 1 - share if np.isfinite(share) else 0.0,
         }

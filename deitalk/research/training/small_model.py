@@ -36,7 +36,6 @@ from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
 from deitalk.audio.load import load_audio
 from deitalk.audio.running_level import levelled
 from deitalk.config.curves import Config
-from deitalk.config.load import load_config
 from deitalk.data.augment_waveform import Surroundings
 from deitalk.emotions import EMOTIONS
 from deitalk.errors import ConfigError, DataError, DeitalkError
@@ -46,6 +45,7 @@ from deitalk.models.checkpoint import require_model, save_model
 from deitalk.models.curve_model import DEITalk, Output
 from deitalk.models.folder import require_device
 from deitalk.models.lip_readout import CHANNELS, HIDDEN, LipReadout
+from deitalk.research.config import read_training
 from deitalk.research.corpus.performance import split_of
 from deitalk.research.corpus.recordings import recordings
 from deitalk.research.lips.measured import read_lips
@@ -667,7 +667,7 @@ def train(given: argparse.Namespace) -> None:
     check_folder(given.out, kind="model", force=True)
     require_device(given.device)
     torch.manual_seed(given.seed)
-    begun, config = time.monotonic(), load_config(given.config)
+    begun, config = time.monotonic(), read_training(given.config)
     if not isinstance(config, Config):
         raise ConfigError(f"{given.config}: describes a model of meshes; use configs/small.yaml")
     training, judged = prepare(given, config)

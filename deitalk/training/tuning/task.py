@@ -348,7 +348,7 @@ class FinetuneTask(CurveTask):
                     module.requires_grad_(moves)
         moving = {name for name, p in self.model.named_parameters() if p.requires_grad}
         self.frozen = self.model.state_dict().keys() - moving
-        self._loss = CurveLoss(self.config.loss, self.controls, device, hold=tune.hold)
+        self._loss = CurveLoss(self.config.loss, tune.hold)
         self.validation_set = CaptureSet.of(
             self.validation_clips, self.controls, self.pose, self.learnt
         )

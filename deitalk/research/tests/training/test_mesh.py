@@ -22,7 +22,7 @@ from deitalk.evaluation.figures import can_draw
 from deitalk.models.checkpoint import load_model, save_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.research.cli import app
-from deitalk.research.config import MeshTrainingConfig
+from deitalk.research.config import MeshTrainingConfig, read_training
 from deitalk.research.meshes import training as module
 from deitalk.research.meshes.folder import (
     MeshFolder,
@@ -288,7 +288,7 @@ def test_bases_are_frozen_and_the_automatic_weights_are_saved(sequences):
 
 
 def test_encoder_that_begins_as_another_learns_at_a_third(tmp_path, sequences):
-    start = load_config(CONFIGS / "tiny.yaml")
+    start = read_training(CONFIGS / "tiny.yaml")
     save_model(tmp_path / "m", DEITalk(start.model, pretrained=False), start, {})
     sizes = start.model.frontend.model_dump()
     rates = {}
@@ -304,7 +304,7 @@ def test_encoder_that_begins_as_another_learns_at_a_third(tmp_path, sequences):
 
 
 def test_start_encoder_rejects_another_analysis_of_the_sound(sequences, tmp_path):
-    start = load_config(CONFIGS / "tiny.yaml")
+    start = read_training(CONFIGS / "tiny.yaml")
     save_model(tmp_path / "m", DEITalk(start.model, pretrained=False), start, {})
     sizes = start.model.frontend.model_dump()
     for other in ({"tapers": 2}, {"frame_rate": 120.0}, {"window_seconds": 0.03}):
@@ -314,7 +314,7 @@ def test_start_encoder_rejects_another_analysis_of_the_sound(sequences, tmp_path
 
 def test_copied_encoder_keeps_the_parts_that_an_ablation_replaces(tmp_path):
     """All else is the start's; a part of another kind must be named."""
-    start = load_config(CONFIGS / "tiny.yaml", ["model.frontend.rig_layers=1"])
+    start = read_training(CONFIGS / "tiny.yaml", ["model.frontend.rig_layers=1"])
     save_model(tmp_path / "m", DEITalk(start.model, pretrained=False), start, {})
     sizes = start.model.frontend.model_dump() | {"rig_layers": 0}  # which SDFA has none of
     name = str(tmp_path / "m")

@@ -12,9 +12,10 @@ import deitalk.training.trainer
 from deitalk.config.curves import Config
 from deitalk.config.load import load_config
 from deitalk.errors import ConfigError, DataError
+from deitalk.research.config import read_training
 from deitalk.research.meshes.folder import MeshSequence, write_mesh_folder
 from deitalk.research.meshes.training import train_mesh
-from deitalk.training.curves import train_curves
+from deitalk.research.training.curves import train_curves
 from deitalk.training.journal import log, truncate_log
 from rig.errors import TargetError
 from tests.dataset import write_dataset
@@ -23,13 +24,13 @@ from tests.deitalk.models.test_mesh_model import tiny as tiny_sdfa
 from tests.errors import one_line
 from tests.interrupt import count_writes, kill_at_write
 
-TINY = Path(__file__).resolve().parents[3] / "configs" / "tiny.yaml"
+TINY = Path(__file__).resolve().parents[4] / "configs" / "tiny.yaml"
 
 
 def tiny(*overrides: str) -> Config:
     """Two steps; each is logged, scored and saved."""
     mine = ("train.steps=2", "train.evaluate_every=1", "train.batch_size=2", "train.workers=0")
-    return load_config(TINY, (*mine, "model.dropout=0.1", *overrides))
+    return read_training(TINY, (*mine, "model.dropout=0.1", *overrides))
 
 
 @pytest.fixture(scope="module")
