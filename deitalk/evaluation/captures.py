@@ -9,7 +9,6 @@ import soundfile
 
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
 from deitalk.data.clips import Clip, spread_clips
-from deitalk.evaluation.clips_figure import SHOWN_SECONDS
 from deitalk.evaluation.comparison import CaptureSet
 from deitalk.evaluation.figures import can_draw, drawing
 from deitalk.evaluation.report import as_json, table, turned
@@ -35,6 +34,8 @@ from rig import RigCurves, write_curves
 from rig.arrays import Float32
 from rig.files import atomic_write
 
+SHOWN_SECONDS = 8.0
+"""Of longer clips the beginning is shown."""
 COLOURS = {"before": "C0", "after": "C3"}
 
 

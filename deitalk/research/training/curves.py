@@ -19,7 +19,6 @@ from deitalk.data.seeded_batches import SeededBatches, Share
 from deitalk.data.waveforms import read_waveform
 from deitalk.data.windows import Window, WindowBatches
 from deitalk.errors import ConfigError
-from deitalk.evaluation.clips_figure import ClipRows
 from deitalk.models.checkpoint import require_model, save_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.models.rig_decoder import TemporalConv
@@ -29,9 +28,10 @@ from deitalk.research.lips.losses import LipLoss
 from deitalk.research.training.curve_losses import contact_loss, control_weights
 from deitalk.research.training.distillation import Teacher, read_teacher
 from deitalk.research.training.encoded_passes import EncodedPasses
+from deitalk.research.training.pictures import DrawsClips, clip_rows, shown_examples
 from deitalk.research.training.validation import ValidationSet
 from deitalk.training.curve_losses import CurveLoss, start_as
-from deitalk.training.curves import CurveTask, clip_rows, shown_examples
+from deitalk.training.curves import CurveTask
 from deitalk.training.optimizer import new_optimizer
 from deitalk.training.trainer import Progress, run_training, silent
 from rig import ControlSet
@@ -211,7 +211,7 @@ class TrainingLoss(CurveLoss):
         return parts
 
 
-class TrainingTask(CurveTask):
+class TrainingTask(DrawsClips, CurveTask):
     """Training from the start: DEITalk's network, windows of curves, and the loss of Eq. 8.
 
     Parameters
@@ -320,11 +320,11 @@ class TrainingTask(CurveTask):
         """Every part of the loss, and their weighted sum (Eq. 8)."""
         return self._loss(network, batch)
 
-    def validate(self, model: nn.Module) -> tuple[dict[str, float], list[ClipRows]]:
-        """Scores of `ValidationSet`, and the clips that are drawn."""
+    def validate(self, model: nn.Module) -> dict[str, float]:
+        """Scores of `ValidationSet`."""
         curve_model = cast("DEITalk", model)
-        scores = self.validation.score(curve_model)
-        return scores, [clip_rows(name, e, curve_model) for name, e in self.shown.items()]
+        self.rows = [clip_rows(name, e, curve_model) for name, e in self.shown.items()]
+        return self.validation.score(curve_model)
 
     def save(self, folder: Path, model: nn.Module, summary: dict[str, Any]) -> None:
         """Write a model folder."""

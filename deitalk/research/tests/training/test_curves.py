@@ -20,7 +20,7 @@ from deitalk.models.checkpoint import load_model
 from deitalk.models.curve_model import Analysis, DEITalk
 from deitalk.research.config import read_training
 from deitalk.research.training.curves import TrainingLoss, TrainingTask, train_curves
-from deitalk.training.curves import clip_rows, shown_examples
+from deitalk.research.training.pictures import clip_rows, shown_examples
 from rig import default_controls
 from tests.dataset import write_dataset
 from tests.deitalk.training.conftest import killed_at

@@ -17,7 +17,6 @@ from typer.testing import CliRunner
 
 from deitalk.config.load import load_config
 from deitalk.errors import ConfigError, DataError
-from deitalk.evaluation.clips_figure import draw_clips
 from deitalk.evaluation.figures import can_draw
 from deitalk.models.checkpoint import load_model, save_model
 from deitalk.models.curve_model import DEITalk
@@ -32,6 +31,7 @@ from deitalk.research.meshes.folder import (
 )
 from deitalk.research.meshes.scores import predict_mesh
 from deitalk.research.meshes.training import MeshTask, copy_encoder, train_mesh, validate_mesh
+from deitalk.research.training.pictures import draw_clips
 from rig.face.identity import IDENTITIES
 from tests.command import ran
 from tests.dataset import write_dataset
@@ -143,7 +143,9 @@ def test_command_refuses_weights_to_start_from(tmp_path):
 def finished(sequences, tmp_path_factory) -> Path:
     out = tmp_path_factory.mktemp("runs") / "whole"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("deitalk.training.trainer.draw_clips", draw_clips)  # pictures are looked at
+        patch.setattr(
+            "deitalk.research.training.pictures.draw_clips", draw_clips
+        )  # pictures are looked at
         train_mesh(resumable(), sequences, out)
     return out
 

@@ -15,7 +15,7 @@ from deitalk.errors import ConfigError, DataError
 from deitalk.research.config import read_training
 from deitalk.research.meshes.folder import MeshSequence, write_mesh_folder
 from deitalk.research.meshes.training import train_mesh
-from deitalk.research.training.curves import train_curves
+from deitalk.research.training.curves import TrainingTask, train_curves
 from deitalk.training.journal import log, truncate_log
 from rig.errors import TargetError
 from tests.dataset import write_dataset
@@ -224,11 +224,9 @@ def test_tensorboard_holds_every_step_once_after_a_kill(data, tmp_path, monkeypa
     def fails(*_: object) -> None:
         raise KeyboardInterrupt
 
-    for name in (
-        "save_checkpoints",
-        "picture_path",
-    ):  # after the rows of step 1, then after those of step 1
-        monkeypatch.setattr(deitalk.training.trainer, name, fails)
+    # after the rows of step 1, then after those of step 1
+    for home, name in ((deitalk.training.trainer, "save_checkpoints"), (TrainingTask, "draw")):
+        monkeypatch.setattr(home, name, fails)
         with pytest.raises(KeyboardInterrupt):
             train_curves(tiny(), data, tmp_path / "run", resume=True, track=["tensorboard"])
         monkeypatch.undo()
