@@ -10,7 +10,6 @@ from torch.nn import functional as F
 from deitalk.config.curves import LossConfig
 from deitalk.data.windows import Window
 from deitalk.models.curve_model import DEITalk, Output
-from deitalk.training.several_processes import gather_rows
 
 
 @torch.no_grad()
@@ -147,7 +146,7 @@ class CurveLoss:
         known : Tensor [shape=(B, C)]
             1 for controls that a clip's curves hold, else 0.
         """
-        output, config, weights = across_processes(output), self.config, self.weights(known)
+        config, weights = self.config, self.weights(known)
         parts = {
             "position": position_loss(batch.curves, output.curves, weights),
             "velocity": velocity_loss(batch.curves, output.curves, weights),
@@ -163,13 +162,3 @@ class CurveLoss:
             parts["intensity"] = intensity_loss(batch.intensity, found.strength)
         total = [getattr(config, name) * part for name, part in parts.items()]
         return parts | {"total": torch.stack(total).sum()}
-
-
-def across_processes(output: Output) -> Output:
-    """Embeddings of all processes' clips: contrast (Eq. 9-10) is of the whole batch."""
-    if output.intensity is None or output.motion_embedding is None:
-        return output
-    speech, motion = gather_rows(output.intensity.embedding), gather_rows(output.motion_embedding)
-    return output._replace(
-        intensity=output.intensity._replace(embedding=speech), motion_embedding=motion
-    )

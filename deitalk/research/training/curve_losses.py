@@ -3,11 +3,16 @@
 Letters: B batch, T frames, K lips-together controls.
 """
 
+from collections.abc import Callable
+from typing import Any
+
 import torch
 from torch import Tensor
 from torch.nn import functional as F
 
 from deitalk.errors import ConfigError
+from deitalk.models.curve_model import Output
+from deitalk.training.several_processes import are_several
 from rig import ControlSet
 
 
@@ -58,3 +63,39 @@ def control_weights(weights: dict[str, float], controls: ControlSet) -> Tensor:
                 )
             out[matching] = value
     return out
+
+
+def across_processes(output: Output) -> Output:
+    """Embeddings of all processes' clips: contrast (Eq. 9-10) is of the whole batch."""
+    if output.intensity is None or output.motion_embedding is None:
+        return output
+    speech, motion = gather_rows(output.intensity.embedding), gather_rows(output.motion_embedding)
+    return output._replace(
+        intensity=output.intensity._replace(embedding=speech), motion_embedding=motion
+    )
+
+
+def gather_rows(rows: Tensor) -> Tensor:
+    """Rows (B, E) of all processes, one process after another; gradients flow back.
+
+    The gradients of the gathered rows are summed over the processes and then averaged with all
+    others, which gives the gradient of one process with the whole batch.
+    """
+    if not are_several():
+        return rows
+    gather: Callable[[Tensor], Tensor] = _Gather.apply
+    return gather(rows)
+
+
+class _Gather(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, rows: Tensor) -> Tensor:
+        parts = [torch.empty_like(rows) for _ in range(torch.distributed.get_world_size())]
+        torch.distributed.all_gather(parts, rows.contiguous())
+        return torch.cat(parts)
+
+    @staticmethod
+    def backward(ctx: Any, gradient: Tensor) -> Tensor:
+        gradient = gradient.clone()
+        torch.distributed.all_reduce(gradient)
+        return gradient.chunk(torch.distributed.get_world_size())[torch.distributed.get_rank()]

@@ -12,7 +12,6 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from deitalk.data.augment_waveform import Surroundings
 from deitalk.data.clips import MEASURED, Clip, read_clips, spread_clips
 from deitalk.data.frozen_features import FrozenFeatures
 from deitalk.data.seeded_batches import SeededBatches, Share
@@ -25,10 +24,11 @@ from deitalk.models.rig_decoder import TemporalConv
 from deitalk.research.comparison.emotalk import EmoTalk
 from deitalk.research.config import TrainingConfig, TrainingDataConfig, TrainingLossConfig
 from deitalk.research.lips.losses import LipLoss
-from deitalk.research.training.curve_losses import contact_loss, control_weights
+from deitalk.research.training.curve_losses import across_processes, contact_loss, control_weights
 from deitalk.research.training.distillation import Teacher, read_teacher
 from deitalk.research.training.encoded_passes import EncodedPasses
 from deitalk.research.training.pictures import DrawsClips, clip_rows, shown_examples
+from deitalk.research.training.surroundings import read_surroundings
 from deitalk.research.training.validation import ValidationSet
 from deitalk.training.curve_losses import CurveLoss, start_as
 from deitalk.training.curves import CurveTask
@@ -191,7 +191,7 @@ class TrainingLoss(CurveLoss):
             known = known * found[:, None]
         else:
             output = network(*given)
-        parts = self.parts(output, batch, known)
+        parts = self.parts(across_processes(output), batch, known)
         if self.config.contact and len(self.contact):
             parts["contact"] = contact_loss(
                 batch.curves[..., self.contact],
@@ -266,7 +266,7 @@ class TrainingTask(DrawsClips, CurveTask):
         if settings.frozen_frontend is not None:
             self.frozen_features = self.frozen_features or FrozenFeatures(settings.frozen_frontend)
             _copy_frontend(self.model, self.frozen_features.owner, settings.frozen_frontend)
-        self.surroundings = Surroundings.read(config.data.noise_folder, config.data.room_folder)
+        self.surroundings = read_surroundings(config.data.noise_folder, config.data.room_folder)
         self.validation = ValidationSet.of(self.validation_clips, self.controls)
         self.shown = shown_examples(self.validation_clips, self.controls)
         taught = None

@@ -49,6 +49,7 @@ from deitalk.research.config import read_training
 from deitalk.research.corpus.performance import split_of
 from deitalk.research.corpus.recordings import recordings
 from deitalk.research.lips.measured import read_lips
+from deitalk.research.training.surroundings import read_surroundings
 from rig.arrays import Float32
 from rig.files.folder import check_folder
 
@@ -647,7 +648,7 @@ def prepare(given: argparse.Namespace, config: Config) -> tuple[Training, Lesson
         raise ConfigError(f"share {source}: no such source in train; name one of {known}")
     total = size.frames + student.frontend.delay
     length = round((total + 1) * SAMPLE_RATE / FRAME_RATE) + 400
-    surroundings = Surroundings.read(given.noise, given.rooms)
+    surroundings = read_surroundings(given.noise, given.rooms)
     changes = Changes(surroundings, length, Chance(given.seed + 1, device))
     lessons = Lessons(teacher, student, changes, size.frames)
     taught = Sounds(paths["train"], shares, length, device)
