@@ -1,8 +1,8 @@
-"""A model before and after it is tuned, on clips that it was not trained on, beside two baselines.
+"""Scores of curves on captures, for any rig, against the captures' mean pose.
 
-The baselines need no network: the mean pose of the training captures, and loudness, from which
-each control is predicted by a line fitted on them. All curves are those of the network alone,
-before any rule. Letters: T frames, C controls.
+An error in control units says little by itself: a face that does not move errs little on a calm
+actor. So the squared error is divided by that of the mean pose of the training captures: 1 is as
+good as a still face, 0 perfect. Letters: T frames, C controls.
 """
 
 from collections.abc import Iterable, Sequence
@@ -19,12 +19,6 @@ from deitalk.evaluation.smoothness import MAX_CLIPS, MOVING, Example, load_examp
 from deitalk.models.curve_model import DEITalk
 from rig import ControlSet
 from rig.arrays import Bool, Float32
-
-# Scores of a model on captured curves, for any rig, and against the captures' mean pose.
-#
-# An error in control units says little by itself: a face that does not move errs little on a calm
-# actor. So the squared error is divided by that of the mean pose of the training captures: 1 is as
-# good as a still face, 0 perfect. Letters: T frames, C controls.
 
 DEAD = 1e-3
 """Standard deviation over all captures below which a channel is dead."""

@@ -1,4 +1,4 @@
-"""Steps and jerk of curves, for comparison with captured curves.
+"""Whole clips as examples, what a network predicts of them, and steps and jerk of curves.
 
 Letters: T frames, C controls.
 """
