@@ -13,12 +13,10 @@ from deitalk.config.frontends import (
 from deitalk.config.rules import Emotion, RulesConfig
 from deitalk.config.section import (
     AboveZero,
-    Batch,
     Dilation,
     Dropout,
     Odd,
     Optimisation,
-    Passes,
     Section,
     Share,
     Weight,
@@ -156,10 +154,6 @@ class DataConfig(Section):
 class TrainConfig(Optimisation):
     """Optimiser and schedule (DEITalk §4.1)."""
 
-    batch_size: Batch = 32
-    """Windows."""
-    epochs: Passes = 300
-    """Passes over all training windows."""
     optimizer: Literal["adam", "adamw"] = "adam"
     weight_decay: Weight = 0.0
 

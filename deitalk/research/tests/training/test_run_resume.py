@@ -205,14 +205,11 @@ def test_killed_log_has_no_header_without_a_row(tmp_path):
         assert not path.exists() or path.read_text() == "step,total\n25,1\n"
 
 
-@pytest.mark.parametrize(
-    ("data", "message"),
-    [(b"step,total\nmine,1\n", "line 2 does not begin with a step"), (b"\xff\n", "no UTF-8 text")],
-)
-def test_truncation_rejects_a_log_that_no_run_wrote(tmp_path, data, message):
+@pytest.mark.parametrize("data", [b"step,total\nmine,1\n", b"\xff\n"])
+def test_truncation_rejects_a_log_that_no_run_wrote(tmp_path, data):
     path = tmp_path / "metrics.csv"
     path.write_bytes(data)
-    with pytest.raises(DataError, match=message):
+    with pytest.raises(DataError, match="not the log of a run"):
         truncate_log(path, 50)
     assert path.read_bytes() == data
 
