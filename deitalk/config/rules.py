@@ -7,11 +7,14 @@ fine-tuned model has those rules of its base whose work its captures do not show
 """
 
 from collections.abc import Collection
+from pathlib import Path
 from typing import Annotated, Literal
 
 from pydantic import Field
 
-from deitalk.config.section import Inner, Section, Share, Weight
+from deitalk.config.section import Inner, Section, Share, Weight, checked
+from deitalk.config.yaml_files import read_yaml
+from deitalk.errors import ConfigError
 from rig import limits
 
 Emotion = Literal["neutral", "angry", "happy", "sad", "surprised"]
@@ -217,3 +220,19 @@ class RulesConfig(Section):
                 update={"captured": captured, "covers_teeth": covers}
             )
         return self.model_copy(update=held)
+
+
+def read_rules(path: Path) -> RulesConfig | None:
+    """Rules of a model's ``config.yaml``, whose other settings are not read; None of a mesh model.
+
+    Raises
+    ------
+    ConfigError
+        If the file cannot be read, is no mapping, or a rule has an unknown key or a bad value.
+    """
+    tree = read_yaml(path) or {}
+    if not isinstance(tree, dict):
+        raise ConfigError(f"{path}: holds a {type(tree).__name__}; a configuration is a mapping")
+    if tree.get("kind") == "sdfa":
+        return None
+    return checked(RulesConfig.model_validate, tree.get("rules", {}))

@@ -316,12 +316,12 @@ def product_of(name_or_path: str | Path) -> Literal["curves", "mesh"]:
 
 def describe_model(name_or_path: str | Path) -> dict[str, Any]:
     """Content of ``model.json`` but for the control names; rules, hash and size of the weights."""
-    from deitalk.config.load import load_model_config
+    from deitalk.config.rules import read_rules
 
     folder = model_folder(name_or_path)
     about = read_about(folder)
     about.pop("controls", None)
-    if (rules := getattr(load_model_config(folder), "rules", None)) is not None:
+    if (rules := read_rules(folder / "config.yaml")) is not None:
         about["rules"] = rules.model_dump(mode="json")
     return {"name": pinned(name_or_path), **about, **_weights(folder)}
 
