@@ -43,6 +43,7 @@ if TYPE_CHECKING:
     from deitalk.audio.load import Recording, load_audio
     from deitalk.batch.report import BatchReport
     from deitalk.batch.run import animate_batch
+    from deitalk.data.captures.imported import import_captures
     from deitalk.emotions import EMOTIONS, LABELS, EmotionTrack, IntensityCurve
     from deitalk.errors import DeitalkError
     from deitalk.live.animator import LiveAnimator
@@ -53,7 +54,7 @@ if TYPE_CHECKING:
     from deitalk.pipeline.mesh_performance import MeshPerformance
     from deitalk.pipeline.performance import Performance
     from deitalk.pipeline.suggest import Suggestion, suggest_emotion
-    from deitalk.training.tuning.public import Tuned, finetune, import_captures
+    from deitalk.training.tuning.public import Tuned, finetune
 
 _HOMES = {
     "acting": ("Acting",),
@@ -63,6 +64,7 @@ _HOMES = {
     "models.checkpoint": ("load_model",),
     "models.hub": ("push_to_hub",),
     "emotions": ("EMOTIONS", "LABELS", "EmotionTrack", "IntensityCurve"),
+    "data.captures.imported": ("import_captures",),
     "errors": ("DeitalkError",),
     "live.animator": ("LiveAnimator",),
     "pipeline.mesh": ("animate_mesh",),
@@ -71,7 +73,7 @@ _HOMES = {
     "pipeline.curves": ("animate",),
     "pipeline.suggest": ("Suggestion", "suggest_emotion"),
     "audio.arrays": ("recording_from_array",),
-    "training.tuning.public": ("Tuned", "finetune", "import_captures"),
+    "training.tuning.public": ("Tuned", "finetune"),
 }
 
 

@@ -55,7 +55,7 @@ def empty_pictures() -> Iterator[None]:
             beside.write_bytes(b"")
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("deitalk.training.trainer.draw_clips", draw)
+        patch.setattr("deitalk.research.training.pictures.draw_clips", draw)
         patch.setattr("deitalk.evaluation.captures.draw_before_after", draw)
         yield
 

@@ -6,12 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deitalk.config.curves import DataConfig
-from deitalk.config.load import load_config
 from deitalk.data import clips as reader
 from deitalk.data.checks import inspect_dataset
 from deitalk.data.clips import REQUIRED, read_clips, read_intensity, read_phones
 from deitalk.data.windows import WindowBatches
+from deitalk.research.config import TrainingDataConfig, read_training
 from deitalk.research.corpus.build import COLUMNS
 from deitalk.research.evaluation.curves import ADULT_YEARS
 from rig import default_controls
@@ -49,7 +48,7 @@ def test_page_states_the_numbers_of_the_code():
     assert f"−{reader.MAX_OFFSET_SECONDS:g} to {reader.MAX_OFFSET_SECONDS:g}" in PAGE
     assert f"children (under {ADULT_YEARS})" in PAGE
     for option in re.findall(r"`data\.(\w+)`", PAGE):
-        assert option in DataConfig.model_fields
+        assert option in TrainingDataConfig.model_fields
 
 
 def test_example_is_read_as_described(example):
@@ -70,7 +69,7 @@ def test_example_has_no_errors(example):
 
 
 def test_example_gives_training_windows(example):
-    config = load_config(ROOT / "configs/tiny.yaml")
+    config = read_training(ROOT / "configs/tiny.yaml")
     batches = WindowBatches(read_clips(example, "train"), default_controls(), config.data, 0, 2)
     window = next(iter(batches))
     assert window.curves.shape == (2, 32, 185)
@@ -80,9 +79,9 @@ def test_example_gives_training_windows(example):
 
 @pytest.mark.slow
 def test_example_trains(example, tmp_path):
-    from deitalk.training.curves import train_curves
+    from deitalk.research.training.curves import train_curves
 
-    best = train_curves(load_config(ROOT / "configs/tiny.yaml"), example, tmp_path / "run")
+    best = train_curves(read_training(ROOT / "configs/tiny.yaml"), example, tmp_path / "run")
     assert best["step"] in (3, 6)
 
 

@@ -162,9 +162,11 @@ def load_chosen(
     choice: AudioChoice,
     *,
     max_seconds: float = MAX_SECONDS,
+    name: str | None = None,
 ) -> Recording:
-    """Read a recording as `load_audio` does."""
-    name, data = _name_and_data(source)
+    """Read a recording as `load_audio` does; messages call it `name`, if one is given."""
+    own, data = _name_and_data(source)
+    name = name or own
     with open_sound(name, data, choice) as sound:
         start = start_seconds(name if data is None else data)
         return read_sound(name, sound, max_seconds, start, choice)

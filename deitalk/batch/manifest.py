@@ -18,8 +18,6 @@
 Cells are separated by commas, semicolons or tabs; text is UTF-8 or UTF-16.
 """
 
-import csv
-import io
 import os
 import re
 from contextlib import suppress
@@ -35,6 +33,7 @@ from deitalk.errors import DataError, DeitalkError
 from rig import limits
 from rig.errors import UserError, listed, quoted
 from rig.formats.table import writable_suffixes
+from rig.formats.text_rows import Row, rows_of_text
 
 SIGNAL = ("track", "channel", "raw")
 DUBBING = ("performance", "sound", "mapping", "stretch", "source_fps")
@@ -46,9 +45,7 @@ BESIDE = ("after", "into")
 """Columns that name another line, or a take."""
 COLUMNS = (*OWN_COLUMNS, *Acting.model_fields)
 _SETTINGS = COLUMNS[3:]
-_SEPARATORS = ",;\t"
 _SUFFIXES = sorted(writable_suffixes(), key=len, reverse=True)
-Row = dict[str, str]
 
 
 def read_manifest(
@@ -72,7 +69,7 @@ def read_manifest(
     DataError
         If it has no column ``audio``, a column twice, no rows or too many.
     """
-    header, rows = _rows(text, where)
+    header, rows = rows_of_text(text, where, error=DataError, most=limits.BATCH_LINES, lower=True)
     if "audio" not in header:
         raise DataError(
             f"{where}: no column 'audio' among {quoted(', '.join(header))}; a manifest has the "
@@ -89,26 +86,6 @@ def read_manifest(
     unused = [name for name in header if name and name not in COLUMNS]
     notes = (f"columns of the manifest that are not used: {listed(unused)}",) if unused else ()
     return lines, notes
-
-
-def _rows(text: str, where: str) -> tuple[list[str], list[Row]]:
-    """Names of the columns, and the rows that are not empty."""
-    if text.lower().startswith("sep="):  # Excel's own first line
-        text = text.partition("\n")[2]
-    separator = max(_SEPARATORS, key=text.partition("\n")[0].count)
-    reader = csv.reader(io.StringIO(text, newline=""), delimiter=separator)
-    rows: list[Row] = []
-    try:
-        header = [name.strip().lower() for name in next(reader, [])]
-        for cells in reader:
-            if not any(cell.strip() for cell in cells):
-                continue
-            if len(rows) == limits.BATCH_LINES:
-                raise DataError(f"{where}: more than {len(rows):,} rows; divide the manifest")
-            rows.append({name: cell.strip() for name, cell in zip(header, cells, strict=False)})
-    except csv.Error as error:
-        raise DataError(f"{where}, row {len(rows) + 1}: {error}; save it as CSV again") from None
-    return header, rows
 
 
 class _Reader:

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from weakref import finalize
 
 from deitalk.acting import Acting
-from deitalk.audio.choice import AudioChoice
 from deitalk.batch.findings import findings
 from deitalk.batch.lines import TAKE, Dubbing, has_option
 from deitalk.batch.orders import File, Order, Outcome, Target
@@ -106,13 +105,15 @@ class Performer:
 
     def _prepared(self, order: Order) -> tuple[str, "Prepared"] | Outcome:
         """Hash of a line's recording, and the line ready for the network; or its result."""
+        from deitalk.audio.load import load_chosen
         from deitalk.pipeline.actor_voice import measure_voice
         from deitalk.pipeline.curves import prepare
 
         data, sound = read_recording(order.audio)
         if sound == order.known:
             return Outcome(order.output, "unchanged", sound=sound)
-        recording = decoded(order.audio, data, order.choice)
+        source = order.audio if data is None else data
+        recording = load_chosen(source, order.choice, name=order.audio)
         if order.only_voice:
             return Outcome(order.output, "done", voice=measure_voice(recording, self.network))
         acting = order.acting
@@ -231,18 +232,6 @@ def _dubbed(
         perform=lambda *_, **__: made,
     )
     return found.performance, (*found.notes, found.line), (found.write_report,)
-
-
-def decoded(path: str, data: bytes | None, choice: AudioChoice = AudioChoice()) -> Any:
-    """The recording of a file that was read; warnings and errors name its path."""
-    from deitalk.audio.decoding import open_sound
-    from deitalk.audio.load import load_chosen, read_sound
-    from deitalk.audio.original import start_seconds
-
-    if data is None:
-        return load_chosen(path, choice)
-    with open_sound(path, data, choice) as sound:
-        return read_sound(path, sound, start=start_seconds(data), choice=choice)
 
 
 def _files(folder: Path, targets: tuple[Target, ...]) -> Iterator[File]:

@@ -126,11 +126,9 @@ def import_(
 
     deitalk data import mocap/ --rig cc4 --fps 30 -o data/
     """
-    folders = tuple(audio or ())
     reserve_folder(out, kind="dataset", force=force, inputs=(*sources, table, mapping))
     with console().status("loading"):
         from deitalk.data.captures.imported import import_captures
-        from deitalk.data.captures.labels import Labelling
         from deitalk.data.captures.rig_of import rig_of_takes
 
         if rig is not None and rig_from is not None:
@@ -140,11 +138,15 @@ def import_(
         result = import_captures(
             sources,
             out,
-            labels=Labelling(actor, emotion, style, pattern, table),
+            actor=actor,
+            emotion=emotion,
+            style=style,
+            pattern=pattern,
+            table=table,
             mapping=mapping,
             rig=controls,
             fps=fps,
-            audio=folders,
+            audio=audio or (),
             longest=longest,
             keep_listening=keep_listening,
             split_by=split_by,

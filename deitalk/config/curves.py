@@ -13,13 +13,10 @@ from deitalk.config.frontends import (
 from deitalk.config.rules import Emotion, RulesConfig
 from deitalk.config.section import (
     AboveZero,
-    Batch,
     Dilation,
     Dropout,
     Odd,
     Optimisation,
-    Passes,
-    Positive,
     Section,
     Share,
     Weight,
@@ -136,10 +133,6 @@ class LossConfig(Section):
     """Tau of Eq. 10."""
     intensity: Weight = 0.0
     """Weight of labelled intensity on the saliency; not in the paper."""
-    contact: Weight = 0.0
-    """Weight of the lip-contact loss; not in the paper."""
-    control_weights: dict[str, Weight] = Field(default_factory=dict)
-    """Weight of a control or subset in Eq. 12-13 (default 1)."""
 
 
 WindowFrames = Annotated[int, Field(ge=1, le=limits.TRAINING_FRAMES)]
@@ -152,16 +145,8 @@ class DataConfig(Section):
     stride_frames: WindowFrames = 5
     augment: bool = False
     """deitalk.data.augment_waveform on every training window."""
-    noise_folder: str | None = None
-    """Recordings of noise to mix in."""
-    room_folder: str | None = None
-    """Room impulse responses."""
     real_fraction: Share | None = None
     """Share of windows from recorded (not synthetic) speech."""
-    measured_fraction: Share | None = None
-    """Share of windows from clips whose lips were measured, their speakers alike."""
-    clips: Positive | None = None
-    """Clips taken of the training split, evenly spread; null: all."""
     cache_gigabytes: AboveZero = 1.0
     """Clips a loading process keeps in memory; 0.2 an hour."""
 
@@ -169,14 +154,8 @@ class DataConfig(Section):
 class TrainConfig(Optimisation):
     """Optimiser and schedule (DEITalk §4.1)."""
 
-    batch_size: Batch = 32
-    """Windows."""
-    epochs: Passes = 300
-    """Passes over all training windows."""
     optimizer: Literal["adam", "adamw"] = "adam"
     weight_decay: Weight = 0.0
-    frozen_frontend: str | None = None
-    """Model whose frontend is taken and does not learn."""
 
 
 class Config(Section):

@@ -101,11 +101,9 @@ def read_tree(path: Path | str | None, overrides: Sequence[str] = ()) -> dict[st
 def without_paths(config: AnyConfig) -> AnyConfig:
     """A model's configuration without folders of this machine; of a model's the last part stays."""
     tree = config.model_dump(mode="json")
-    sections = [(tree["model"]["frontend"], "checkpoint")]
-    sections += [(tree.get("train", {}), "frozen_frontend")]
-    for section, key in sections:
-        if section.get(key) is not None and Path(section[key]).is_absolute():
-            section[key] = Path(section[key]).name
+    frontend = tree["model"]["frontend"]
+    if Path(frontend.get("checkpoint") or "").is_absolute():
+        frontend["checkpoint"] = Path(frontend["checkpoint"]).name
     return parse_config(tree)
 
 

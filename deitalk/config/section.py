@@ -143,6 +143,7 @@ class Optimisation(Section):
     learning_rate: AboveZero = 1e-4
     schedule: Literal["constant", "one_cycle"] = "constant"
     batch_size: Batch = 32
+    """Windows."""
     epochs: Passes = 300
     """Passes over all training data."""
     steps: Steps | None = None

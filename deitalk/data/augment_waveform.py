@@ -7,14 +7,11 @@ changes its input.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import numpy as np
 import scipy  # loads its parts at their first use, which takes half a second
 
 from deitalk.audio.frames import SAMPLE_RATE
-from deitalk.audio.load import load_audio
-from deitalk.errors import DataError
 from rig.arrays import Float32, Float64
 
 
@@ -24,15 +21,6 @@ class Surroundings:
 
     noises: tuple[Float32, ...] = field(default=(), repr=False)
     rooms: tuple[Float32, ...] = field(default=(), repr=False)
-
-    @classmethod
-    def read(cls, noise_folder: str | None, room_folder: str | None) -> "Surroundings":
-        """Read every audio file of two folders; None for no such folder."""
-        noises, rooms = (
-            () if folder is None else tuple(sound for _, sound in read_recordings(folder))
-            for folder in (noise_folder, room_folder)
-        )
-        return cls(noises, rooms)
 
 
 def speed_factor(rng: np.random.Generator) -> float:
@@ -209,27 +197,3 @@ def _piece(recording: Float32, n: int, rng: np.random.Generator) -> Float64:
     piece = np.resize(recording[start : start + n], n).astype(np.float64)
     scaled: Float64 = piece / (piece.std() + 1e-9)
     return scaled
-
-
-SUFFIXES = (".flac", ".wav", ".ogg")
-
-
-def read_recordings(folder: Path | str, most: int | None = None) -> list[tuple[str, Float32]]:
-    """File names without suffix and recordings of a folder, in alphabetical order.
-
-    Parameters
-    ----------
-    folder : Path or str
-        Only its own files are read, not those of subfolders.
-    most : int, optional
-        Number of files to read; all without it.
-
-    Raises
-    ------
-    DataError
-        If the folder holds no recording.
-    """
-    files = sorted(f for f in Path(folder).glob("*") if f.suffix.lower() in SUFFIXES)
-    if not files:
-        raise DataError(f"{folder}: holds no {', '.join(SUFFIXES)}; name a folder of recordings")
-    return [(file.stem, load_audio(file).waveform) for file in files[:most]]

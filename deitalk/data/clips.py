@@ -18,10 +18,8 @@ emotion the *voice* acts where that differs from the curves'.
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import pandas as pd
 
 from deitalk.emotions import EMOTIONS
 from deitalk.errors import DataError
@@ -29,6 +27,7 @@ from rig import ControlSet
 from rig.arrays import Bool, Float32, Float64
 from rig.errors import ControlError
 from rig.files.reading import read_text
+from rig.formats.text_rows import Row, read_rows
 from rig.limits import CONTROL_SET_BYTES
 
 SPLITS = ("train", "validation", "test")
@@ -66,10 +65,10 @@ class Clip:
     """Start and stop in the take, seconds."""
 
 
-def spread_clips(clips: list[Clip], most: int | None) -> list[Clip]:
+def spread_clips(clips: Sequence[Clip], most: int | None) -> list[Clip]:
     """Select at most so many clips, evenly spread over the list; None: all."""
     if most is None or len(clips) <= most:
-        return clips
+        return list(clips)
     places = np.linspace(0, len(clips) - 1, most).round().astype(int)
     return [clips[i] for i in places]
 
@@ -88,39 +87,22 @@ def read_clips(folder: Path | str, split: str | None = None) -> list[Clip]:
     table = folder / "clips.csv"
     if not table.is_file():
         raise DataError(f"{folder}: holds no clips.csv; docs/dataset.md describes it")
-    frame = _read_table(table, REQUIRED, dtype=str, keep_default_na=False)
+    header, rows = read_rows(table, MAX_BYTES, error=DataError, needed=REQUIRED)
     # Names differ, emotions and splits are known.
-    if (frame["clip"] == "").any():
-        raise DataError(f"{table}: a clip has no name; name every row")
-    doubled = frame["clip"][frame["clip"].duplicated()]
-    if len(doubled):
-        raise DataError(f"{table}: clip {doubled.iloc[0]!r} appears twice; names must differ")
+    names: set[str] = set()
+    for row in rows:
+        if not row["clip"]:
+            raise DataError(f"{table}: a clip has no name; name every row")
+        if row["clip"] in names:
+            raise DataError(f"{table}: clip {row['clip']!r} appears twice; names must differ")
+        names.add(row["clip"])
     known = {"emotion": EMOTIONS, "split": SPLITS, "voice": ("", *EMOTIONS)}
-    for column in known.keys() & set(frame.columns):
-        unknown = frame[column][~frame[column].isin(known[column])]
-        if len(unknown):
-            names = ", ".join(filter(None, known[column]))
-            raise DataError(f"{table}: {column} {unknown.iloc[0]!r} is unknown; known are {names}")
-    rows: list[dict[str, str]] = frame.to_dict("records")  # type: ignore[assignment]
-    clips = [_clip(folder, row) for row in rows if split is None or row["split"] == split]
-    return clips
-
-
-def _read_table(path: Path, columns: Sequence[str], **options: Any) -> pd.DataFrame:
-    """Read a CSV file that must have some columns."""
-    try:
-        if path.stat().st_size > MAX_BYTES:
-            raise DataError(f"{path}: larger than {MAX_BYTES} bytes; divide the dataset")
-        frame: pd.DataFrame = pd.read_csv(path, encoding="utf-8-sig", **options)
-    except (OSError, UnicodeDecodeError, pd.errors.ParserError, pd.errors.EmptyDataError) as error:
-        reason = " ".join(str(error).split())
-        raise DataError(f"{path}: cannot be read as CSV ({reason}); save it as UTF-8") from None
-    missing = [name for name in columns if name not in frame.columns]
-    if missing:
-        raise DataError(
-            f"{path}: lacks the column {', '.join(missing)}; needs {', '.join(columns)}"
-        )
-    return frame
+    for column in known.keys() & set(header):
+        for row in rows:
+            if row[column] not in known[column]:
+                among = ", ".join(filter(None, known[column]))
+                raise DataError(f"{table}: {column} {row[column]!r} is unknown; known are {among}")
+    return [_clip(folder, row) for row in rows if split is None or row["split"] == split]
 
 
 def _clip(folder: Path, row: dict[str, str]) -> Clip:
@@ -173,8 +155,7 @@ def read_intensity(path: Path, times: Float64) -> Float32:
     DataError
         If the file has no rows, its times do not rise, or an intensity is not within 0 to 1.
     """
-    frame = _numbers(path, ("time", "intensity"))
-    known, values = frame["time"].to_numpy(), frame["intensity"].to_numpy()
+    _, (known, values) = _numbers(path, ("time", "intensity"))
     if not len(known) or not (np.diff(known) > 0).all() or values.min() < 0 or values.max() > 1:
         raise DataError(
             f"{path}: needs rows of rising time (seconds) and intensity from 0 to 1; "
@@ -216,14 +197,18 @@ def read_known(path: Path | None, controls: ControlSet) -> Bool:
     return known
 
 
-def _numbers(path: Path, columns: Sequence[str], *text: str) -> pd.DataFrame:
-    """A table whose named columns are finite numbers."""
-    frame = _read_table(path, (*columns, *text), keep_default_na=False)
+def _numbers(path: Path, columns: Sequence[str], *text: str) -> tuple[list[Row], list[Float64]]:
+    """Rows of a table, and its columns of finite numbers."""
+    _, rows = read_rows(path, MAX_BYTES, error=DataError, needed=(*columns, *text))
+    found = []
     for name in columns:
-        frame[name] = pd.to_numeric(frame[name], errors="coerce")
-        if not np.isfinite(frame[name]).all():
+        try:
+            found.append(np.array([float(row[name]) for row in rows]))
+        except ValueError:
+            found.append(np.array([np.nan]))
+        if not np.isfinite(found[-1]).all():
             raise DataError(f"{path}: {name} holds something that is no number; mend the row")
-    return frame
+    return rows, found
 
 
 def read_phones(path: Path) -> list[tuple[float, float, str]]:
@@ -234,7 +219,8 @@ def read_phones(path: Path) -> list[tuple[float, float, str]]:
     DataError
         If a time is no number, or a phone ends before it starts.
     """
-    frame = _numbers(path, ("start", "end"), "phone")
-    if (frame["end"] < frame["start"]).any():
+    rows, (starts, ends) = _numbers(path, ("start", "end"), "phone")
+    if (ends < starts).any():
         raise DataError(f"{path}: a phone ends before it starts; start and end are seconds")
-    return list(zip(frame["start"], frame["end"], frame["phone"], strict=True))
+    names = [row["phone"] for row in rows]
+    return list(zip(starts.tolist(), ends.tolist(), names, strict=True))

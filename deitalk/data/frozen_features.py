@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
 from deitalk.data.clips import Clip
 from deitalk.data.waveforms import read_waveform, recorded_frames
-from deitalk.errors import ConfigError
 from deitalk.models.checkpoint import require_model
 from deitalk.models.curve_model import DEITalk
 from rig.files import atomic_write, remove_leftovers
@@ -76,22 +75,6 @@ class FrozenFeatures:
         self.name, self.folder = name, folder
         self.owner = owner or require_model(name, DEITalk)
         self._features: OrderedDict[Path, NDArray[np.float16]] = OrderedDict()
-
-    def copy_into(self, model: DEITalk) -> None:
-        """Copy the frontend into `model`; no gradient reaches it there.
-
-        Raises
-        ------
-        ConfigError
-            If the model's frontend is built otherwise.
-        """
-        if model.config.frontend != self.owner.config.frontend:
-            raise ConfigError(
-                f"train.frozen_frontend={self.name!r} is built otherwise than model.frontend; "
-                "use that model's own config.yaml"
-            )
-        frontend = model.get_submodule("frontend").requires_grad_(False)
-        frontend.load_state_dict(self.owner.get_submodule("frontend").state_dict())
 
     def features(self, clip: Clip, n_frames: int) -> NDArray[np.float16]:
         """Features of a whole clip, computed once for all clips of its recording.

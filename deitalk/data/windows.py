@@ -15,7 +15,7 @@ from torch import Tensor
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
 from deitalk.config.curves import DataConfig
 from deitalk.data.augment_waveform import Surroundings, augment, change_speed, speed_factor
-from deitalk.data.clips import MEASURED, REHEARSED, Clip, read_intensity, read_known
+from deitalk.data.clips import REHEARSED, Clip, read_intensity, read_known
 from deitalk.data.frozen_features import FrozenFeatures
 from deitalk.data.seeded_batches import SeededBatches, Share
 from deitalk.data.waveforms import n_clip_frames, recorded_frames, sound_of
@@ -155,11 +155,9 @@ def curves_of(
 class WindowBatches(SeededBatches[Window]):
     """Endless batches of random windows of many clips.
 
-    Every clip is as likely as another, whatever its length (those with measured lips by
-    `DataConfig.measured_fraction`, their speakers alike; recorded ones by
+    Every clip is as likely as another, whatever its length (recorded ones by
     `DataConfig.real_fraction`); within a clip the first frame is a random multiple of the stride.
-    The clips used last stay in memory, `DataConfig.cache_gigabytes`
-    of them.
+    The clips used last stay in memory, `DataConfig.cache_gigabytes` of them.
 
     Deviation: §4.1 passes over all windows of all clips; drawing with replacement sees as many
     windows in an epoch, needs no list of them, and can be resumed at any batch.
@@ -179,6 +177,8 @@ class WindowBatches(SeededBatches[Window]):
         without augmentation.
     actors : sequence of str
         Speakers that the emotion's vector tells apart.
+    surroundings : Surroundings
+        Recordings of noise and rooms for the augmentation.
 
     Raises
     ------
@@ -197,26 +197,16 @@ class WindowBatches(SeededBatches[Window]):
         *,
         frozen_features: FrozenFeatures | None = None,
         actors: Sequence[str] = (),
+        surroundings: Surroundings = Surroundings(),
     ) -> None:
         if not clips:
             raise DataError("no clips to train on; the dataset has none in this split")
         super().__init__(seed, batch_size, share)
         self.clips, self.controls, self.config = list(clips), controls, config
-        self.actors = tuple(actors)
+        self.actors, self.surroundings = tuple(actors), surroundings
         self.frozen_features = None if config.augment else frozen_features
         self.needs_sound = self.frozen_features is None
-        # Measured clips by speaker, if they have a share of their own, and the other clips.
-        speakers: dict[str, list[Clip]] = {}
-        for clip in self.clips:
-            if clip.source == MEASURED:
-                speakers.setdefault(clip.speaker, []).append(clip)
-        others = [clip for clip in self.clips if clip.source != MEASURED]
-        if self.config.measured_fraction is None or not others:
-            self.measured, self.others = [], self.clips
-        else:
-            self.measured, self.others = list(speakers.values()), others
-        self.recorded = np.array([clip.source == "recording" for clip in self.others])
-        self.surroundings = Surroundings.read(config.noise_folder, config.room_folder)
+        self.draw_from(self.clips)
         self.cache = ClipCache(controls, int(config.cache_gigabytes * 1e9), sound=self.needs_sound)
 
     def item(self, number: int) -> Window:
@@ -242,6 +232,11 @@ class WindowBatches(SeededBatches[Window]):
             torch.from_numpy(loaded.known.astype(np.float32)),
         )
 
+    def draw_from(self, clips: list[Clip]) -> None:
+        """Draw from some of the clips alone."""
+        self.drawn = clips
+        self.recorded = np.array([clip.source == "recording" for clip in clips])
+
     def speed(self, rng: np.random.Generator, clip: Clip) -> float:
         """Return the speed of a window, of that of the recording."""
         return speed_factor(rng) if self.config.augment else 1.0
@@ -259,15 +254,11 @@ class WindowBatches(SeededBatches[Window]):
         return rows.astype(np.float32)
 
     def _draw(self, rng: np.random.Generator) -> Clip:
-        if self.measured and rng.random() < (self.config.measured_fraction or 0.0):
-            clips = self.measured[rng.integers(len(self.measured))]
-            return clips[rng.integers(len(clips))]
-        fraction = self.config.real_fraction
-        if fraction is None or not (0 < self.recorded.sum() < len(self.others)):
-            return self.others[rng.integers(len(self.others))]
-        wanted = rng.random() < fraction
-        places = np.flatnonzero(self.recorded == wanted)
-        return self.others[int(places[rng.integers(len(places))])]
+        fraction, recorded = self.config.real_fraction, self.recorded
+        if fraction is None or not 0 < recorded.sum() < len(recorded):
+            return self.drawn[rng.integers(len(self.drawn))]
+        places = np.flatnonzero(recorded == (rng.random() < fraction))
+        return self.drawn[int(places[rng.integers(len(places))])]
 
 
 class ClipCache:

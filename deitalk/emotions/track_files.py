@@ -9,9 +9,9 @@ import csv
 import io
 import math
 import re
-from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,7 @@ import numpy as np
 
 from deitalk.errors import EmotionError
 from rig import limits
-from rig.arrays import Float64, Int64
+from rig.arrays import Bool, Float64, Int64
 from rig.errors import quoted
 from rig.files.reading import load_json, read_text
 
@@ -34,6 +34,8 @@ class Columns:
 
     Attributes
     ----------
+    path : object
+        Name of the file or the text, for messages.
     numbers : dict of str to array [shape=(K,)]
         All finite.
     texts : dict of str to list of str
@@ -42,21 +44,35 @@ class Columns:
         Number of each key in its file, from 1: empty rows are left out.
     """
 
+    path: object
     numbers: dict[str, Float64]
     texts: dict[str, list[str]]
     rows: Int64
 
+    def refuse(self, bad: Bool, why: Callable[[int], str]) -> None:
+        """Raise EmotionError for the first bad key (K,): its number, and why, by its place."""
+        if bad.any():
+            place = int(np.argmax(bad))
+            raise EmotionError(f"{self.path}, key {self.rows[place]}: {why(place)}")
 
-class Table(ABC):
-    """Content of a file, of which columns are taken by name."""
+
+@dataclass(frozen=True)
+class Table:
+    """Keys of a file, of which columns are taken by name, once.
+
+    Attributes
+    ----------
+    path : object
+        Name of the file or the text, for messages.
+    names : frozenset of str
+        Of all columns.
+    keys : iterable of (int, mapping)
+        Number of each key in its file, from 1, and its values; those of empty cells are empty.
+    """
 
     path: object
-    """Name of the file or the text, for messages."""
     names: frozenset[str]
-
-    @abstractmethod
-    def cells(self, wanted: Sequence[str]) -> Iterator[tuple[int, list[Any]]]:
-        """Number of each key in its file, from 1, and its values of the wanted columns."""
+    keys: Iterable[tuple[int, Mapping[str, Any]]]
 
     def columns(
         self, numbers: Sequence[str], texts: Sequence[str] = (), **defaults: float
@@ -71,24 +87,25 @@ class Table(ABC):
             if name not in self.names:
                 raise missing(self.path, 1, name, needed)
         rows, cells = [], []
-        for row, values in self.cells(wanted):
-            pairs = list(zip(wanted, values, strict=True))
-            filled = [defaults.get(name, v) if v in ("", None) else v for name, v in pairs]
-            if "" in filled or None in filled:
-                name = next(name for name, v in pairs if v in ("", None) and name not in defaults)
-                raise missing(self.path, row, name, needed)
+        for row, key in self.keys:
+            given = [key.get(name) for name in wanted]
+            if all(value == "" for value in given):
+                continue
+            pairs = zip(wanted, given, strict=True)
+            filled = [defaults.get(name) if v in ("", None) else v for name, v in pairs]
+            if None in filled:
+                raise missing(self.path, row, wanted[filled.index(None)], needed)
             rows.append(row)
             cells.append(filled)
         if not rows:
             raise _no_keys(self.path)
         columns = dict(zip(wanted, zip(*cells, strict=True), strict=True))
-        found = {name: np.array([_number(value) for value in columns[name]]) for name in numbers}
-        for name, column in found.items():
-            if not np.isfinite(column).all():
-                bad = int(np.argmin(np.isfinite(column)))
-                raise _not_finite(columns[name][bad], name, f"{self.path}, key {rows[bad]}")
         words = {name: [str(value).strip().lower() for value in columns[name]] for name in texts}
-        return Columns(found, words, np.array(rows))
+        found = {name: np.array([_number(value) for value in columns[name]]) for name in numbers}
+        table = Columns(self.path, found, words, np.array(rows))
+        for name, column in found.items():
+            table.refuse(~np.isfinite(column), lambda k: _not_finite(columns[name][k], name))  # noqa: B023
+        return table
 
 
 def read_table(path: Path) -> Table:
@@ -130,12 +147,12 @@ def number(value: object, name: str, where: str) -> float:
     """Return a value, with a decimal point or comma, as a finite number; else EmotionError."""
     found = _number(value)
     if not np.isfinite(found):
-        raise _not_finite(value, name, where)
+        raise EmotionError(f"{where}: {_not_finite(value, name)}")
     return found
 
 
-def _not_finite(value: object, name: str, where: str) -> EmotionError:
-    return EmotionError(f"{where}: {name} is {quoted(value)}; it must be a finite number")
+def _not_finite(value: object, name: str) -> str:
+    return f"{name} is {quoted(value)}; it must be a finite number"
 
 
 def _number(value: Any) -> float:
@@ -155,34 +172,22 @@ def missing(path: object, row: int, name: str, needed: Sequence[str]) -> Emotion
     )
 
 
-@dataclass(frozen=True)
-class _Sheet(Table):
-    path: object
-    text: str
-    """Lines under the header."""
-    header: tuple[str, ...]
-    separator: str
-
-    @property
-    def names(self) -> frozenset[str]:  # type: ignore[override]
-        return frozenset(self.header)
-
-    def cells(self, wanted: Sequence[str]) -> Iterator[tuple[int, list[Any]]]:
-        most = len(self.header)
-        places = [self.header.index(n) if n in self.header else most for n in wanted]
-        row = 0
-        for cells in _csv(self.path, self.text, self.separator):
-            if not any(map(str.strip, cells)) and len(cells) < 2:
-                continue
-            row += 1
-            if len(cells) > most and any(map(str.strip, cells[most:])):
-                raise EmotionError(
-                    f"{self.path}, key {row}: more cells than the {most} of the header; quote "
-                    "numbers with decimal commas, or use semicolons between cells"
-                )
-            values = [cells[k].strip() if k < len(cells) else "" for k in places]
-            if any(values):
-                yield row, values
+def _rows(
+    path: object, text: str, separator: str, header: Sequence[str]
+) -> Iterator[tuple[int, dict[str, str]]]:
+    """Keys under a header."""
+    row, most = 0, len(header)
+    for given in _csv(path, text, separator):
+        cells = [cell.strip() for cell in given]
+        if not any(cells) and len(cells) < 2:
+            continue
+        row += 1
+        if any(cells[most:]):
+            raise EmotionError(
+                f"{path}, key {row}: more cells than the {most} of the header; quote "
+                "numbers with decimal commas, or use semicolons between cells"
+            )
+        yield row, dict(zip_longest(header, cells[:most], fillvalue=""))
 
 
 def _csv(path: object, text: str, separator: str) -> Iterator[list[str]]:
@@ -198,8 +203,8 @@ def _no_keys(path: object) -> EmotionError:
     return EmotionError(f"{path} holds no keys; give a list of keys with a 'time' each")
 
 
-def _sheet(path: object, text: str) -> _Sheet:
-    """A spreadsheet's header and separator."""
+def _sheet(path: object, text: str) -> Table:
+    """A spreadsheet."""
     lines = text.count("\n") + text.count("\r") - text.count("\r\n")
     if lines > limits.KEYS + 2:
         raise EmotionError(f"{path} has {lines} lines; at most {limits.KEYS} keys are read")
@@ -218,7 +223,7 @@ def _sheet(path: object, text: str) -> _Sheet:
     doubled = sorted({name for name in header if name and header.count(name) > 1})
     if doubled:
         raise EmotionError(f"{path}: column {quoted(doubled[0])} comes twice; rename one")
-    return _Sheet(path, rest, header, separator)
+    return Table(path, frozenset(header), _rows(path, rest, separator, header))
 
 
 def _first_line(text: str) -> tuple[str, str]:
@@ -228,21 +233,7 @@ def _first_line(text: str) -> tuple[str, str]:
     return text[: min(end.start(), limits.HEADER_BYTES)], text[end.end() :]
 
 
-@dataclass(frozen=True)
-class _Keys(Table):
-    path: object
-    content: list[Mapping[str, Any]]
-
-    @property
-    def names(self) -> frozenset[str]:  # type: ignore[override]
-        return frozenset(name for key in self.content for name in key)
-
-    def cells(self, wanted: Sequence[str]) -> Iterator[tuple[int, list[Any]]]:
-        for row, key in enumerate(self.content, 1):
-            yield row, [key.get(name) for name in wanted]
-
-
-def _keys(path: object, content: Any) -> _Keys:
+def _keys(path: object, content: Any) -> Table:
     """A list of keys, alone or as ``keys``."""
     if isinstance(content, dict):
         content = content.get("keys")
@@ -252,4 +243,5 @@ def _keys(path: object, content: Any) -> _Keys:
         raise EmotionError(f"{path} has {len(content)} keys; at most {limits.KEYS} are read")
     if not all(isinstance(key, dict) for key in content):
         raise _no_keys(path)
-    return _Keys(path, [{str(k).strip().lower(): v for k, v in key.items()} for key in content])
+    keys = [{str(name).strip().lower(): value for name, value in key.items()} for key in content]
+    return Table(path, frozenset(name for key in keys for name in key), enumerate(keys, 1))

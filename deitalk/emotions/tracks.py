@@ -26,7 +26,7 @@ from deitalk.emotions.track_files import (
     table_of,
 )
 from deitalk.errors import EmotionError
-from rig.arrays import Float32, Float64, Int64
+from rig.arrays import Float32, Float64
 from rig.curves.rig_curves import with_moods
 from rig.emotions import LABELS
 from rig.errors import quoted
@@ -185,7 +185,7 @@ def parse_emotion(emotion: "str | Path | Mapping[str, float] | EmotionTrack") ->
         content = load_json(emotion, "emotion", error=EmotionError) if "{" in emotion else emotion
         if isinstance(content, dict) and "keys" not in content:
             return _constant(_weights(content, "emotion weights"))
-        return _track(table_of(content, "emotion"), "emotion")
+        return _track(table_of(content, "emotion"))
     if "=" in emotion:
         return _constant(_weights(_pairs(emotion), f"{emotion!r}"))
     return _constant(_weights({emotion.strip().lower(): 1.0}, f"{emotion!r}"))
@@ -200,17 +200,17 @@ def names_track(given: str | Path) -> bool:
 
 def read_emotion_track(path: str | Path) -> EmotionTrack:
     """Read keyframes; see `parse_emotion` for the formats and errors."""
-    return _track(read_table(Path(path)), path)
+    return _track(read_table(Path(path)))
 
 
-def _track(table: Table, path: object) -> EmotionTrack:
+def _track(table: Table) -> EmotionTrack:
     is_wide = "emotion" not in table.names and bool(set(LABELS) & table.names)
     if is_wide:
-        return _from_weights(path, table)
+        return _from_weights(table)
     others = table.names - {"time", "emotion", ""}
     full = {} if others and "strength" not in others else {"strength": 1.0}  # nothing else is meant
     keys = table.columns(("time", "strength"), ("emotion",), **full)
-    times = _checked_times(path, keys)
+    times = _checked_times(keys)
     # Place of each name in `LABELS`.
     names = keys.texts["emotion"]
     place = {name: i for i, name in enumerate(LABELS)}
@@ -220,64 +220,42 @@ def _track(table: Table, path: object) -> EmotionTrack:
     codes = np.array([place[name] for name in names], np.int64)
     first = np.concatenate([[True], np.diff(times) > 0])
     moment = np.cumsum(first) - 1  # keys at one time mix
-    doubled = _first_doubled(moment * len(LABELS) + codes)
-    if doubled is not None:
-        raise EmotionError(
-            f"{path}, key {keys.rows[doubled]}: {LABELS[codes[doubled]]!r} twice at the same "
-            "time; keep one"
-        )
+    again = np.ones(len(codes), bool)
+    again[np.unique(moment * len(LABELS) + codes, return_index=True)[1]] = False
+    keys.refuse(again, lambda k: f"{LABELS[codes[k]]!r} twice at the same time; keep one")
     weights = np.zeros((int(moment[-1]) + 1, len(LABELS)))
     weights[moment, codes] = keys.numbers["strength"]
-    return EmotionTrack(times[first], _distributions(path, times[first], weights))
+    return EmotionTrack(times[first], _distributions(table.path, times[first], weights))
 
 
-def _from_weights(path: object, table: Table) -> EmotionTrack:
+def _from_weights(table: Table) -> EmotionTrack:
     """A table of weights, one row for each time."""
     present = [name for name in LABELS if name in table.names]
     keys = table.columns(("time", *present))
-    times = _checked_times(path, keys)
-    still = np.diff(times) <= 0
-    if still.any():
-        row = int(np.argmax(still)) + 1
-        raise EmotionError(
-            f"{path}, key {keys.rows[row]}: {present[0]!r} twice at the same time; keep one"
-        )
+    times = _checked_times(keys)
+    still = np.diff(times, prepend=-1.0) <= 0
+    keys.refuse(still, lambda k: f"{present[0]!r} twice at the same time; keep one")
     weights = np.zeros((len(times), len(LABELS)))
     for name in present:
         weights[:, LABELS.index(name)] = keys.numbers[name]
-    return EmotionTrack(times, _distributions(path, times, weights))
+    return EmotionTrack(times, _distributions(table.path, times, weights))
 
 
-def _checked_times(path: object, keys: Columns) -> Float64:
+def _checked_times(keys: Columns) -> Float64:
     """Times of keys, checked to be within a clip and not to fall."""
     times = keys.numbers["time"]
-    outside = ~(np.abs(times) <= SECONDS)
-    if outside.any():
-        row = int(np.argmax(outside))
-        raise EmotionError(
-            f"{path}, key {keys.rows[row]}: time {times[row]:g} s is beyond {SECONDS:g} s, the "
-            "longest clip; times are seconds"
-        )
-    if times.size and times[0] < 0:
-        raise EmotionError(
-            f"{path}, key {keys.rows[0]}: time {times[0]:g} s is before the recording; begin at 0"
-        )
-    falls = np.diff(times) < 0
-    if falls.any():
-        row = int(np.argmax(falls)) + 1
-        raise EmotionError(
-            f"{path}, key {keys.rows[row]}: time {times[row]:g} comes after {times[row - 1]:g}; "
-            "sort the keys"
-        )
+    keys.refuse(
+        np.abs(times) > SECONDS,
+        lambda k: (
+            f"time {times[k]:g} s is beyond {SECONDS:g} s, the longest clip; times are seconds"
+        ),
+    )
+    keys.refuse(times[:1] < 0, lambda k: f"time {times[k]:g} s is before the recording; begin at 0")
+    keys.refuse(
+        np.diff(times, prepend=times[0]) < 0,
+        lambda k: f"time {times[k]:g} comes after {times[k - 1]:g}; sort the keys",
+    )
     return times
-
-
-def _first_doubled(codes: Int64) -> int | None:
-    """Place of the first number that was there before."""
-    _, first = np.unique(codes, return_index=True)
-    again = np.ones(len(codes), bool)
-    again[first] = False
-    return int(np.argmax(again)) if again.any() else None
 
 
 def _distributions(path: object, times: Float64, weights: Float64) -> Float64:
@@ -311,7 +289,7 @@ def read_intensity_curve(path: str | Path) -> IntensityCurve:
     EmotionError
         Missing columns, times that do not rise, or intensities outside 0 … 4.
     """
-    return _curve(read_table(Path(path)), path)
+    return _curve(read_table(Path(path)))
 
 
 def parse_intensity_curve(curve: "str | Path | IntensityCurve") -> IntensityCurve:
@@ -320,34 +298,25 @@ def parse_intensity_curve(curve: "str | Path | IntensityCurve") -> IntensityCurv
         return curve
     if isinstance(curve, Path) or not is_table(curve):
         return read_intensity_curve(curve)
-    return _curve(table_of(curve, "intensity_curve"), "intensity_curve")
+    return _curve(table_of(curve, "intensity_curve"))
 
 
-def _curve(table: Table, path: object) -> IntensityCurve:
+def _curve(table: Table) -> IntensityCurve:
     keys = table.columns(("time", "intensity"))
-    times, values = _checked_times(path, keys), keys.numbers["intensity"]
-    still = np.diff(times) <= 0
-    if still.any():
-        row = int(np.argmax(still)) + 1
-        raise EmotionError(
-            f"{path}, key {keys.rows[row]}: time {times[row]:g} must be after {times[row - 1]:g}; "
-            "sort the rows"
-        )
+    times, values = _checked_times(keys), keys.numbers["intensity"]
+    keys.refuse(
+        np.diff(times, prepend=-1.0) <= 0,
+        lambda k: f"time {times[k]:g} must be after {times[k - 1]:g}; sort the rows",
+    )
     outside = ~((values >= 0) & (values <= MAX_INTENSITY))
-    if outside.any():
-        row = int(np.argmax(outside))
-        check_intensity(float(values[row]), f"{path}, key {keys.rows[row]}")
-    return IntensityCurve(times, values)
-
-
-def check_intensity(value: float, where: str = "intensity") -> float:
-    """Return `value`; EmotionError if it is no intensity (finite, 0 to 4)."""
-    if not 0 <= value <= MAX_INTENSITY:
-        raise EmotionError(
-            f"{where}: intensity {value:g} must be 0 to {MAX_INTENSITY:g}; "
+    keys.refuse(
+        outside,
+        lambda k: (
+            f"intensity {values[k]:g} must be 0 to {MAX_INTENSITY:g}; "
             "0 gives the neutral reading, 1 the intensity of the voice"
-        )
-    return value
+        ),
+    )
+    return IntensityCurve(times, values)
 
 
 def write_intensity_csv(

@@ -1,4 +1,9 @@
-"""Captured curves, and those of a model before and after it was tuned."""
+"""Report of a tuning: captured curves, and those of a model before and after, beside two baselines.
+
+The baselines need no network: the mean pose of the training captures, and loudness, from which
+each control is predicted by a line fitted on them. All curves are those of the network alone,
+before any rule.
+"""
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -9,11 +14,15 @@ import soundfile
 
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
 from deitalk.data.clips import Clip, spread_clips
-from deitalk.evaluation.clips_figure import SHOWN_SECONDS
 from deitalk.evaluation.comparison import CaptureSet
 from deitalk.evaluation.figures import can_draw, drawing
 from deitalk.evaluation.report import as_json, table, turned
-from deitalk.evaluation.scores import correlation, emotion_parameter_error, lip_parameter_error
+from deitalk.evaluation.scores import (
+    correlation,
+    emotion_parameter_error,
+    lip_parameter_error,
+    mean_of_finite,
+)
 from deitalk.evaluation.smoothness import (
     Example,
     knows_contact,
@@ -30,6 +39,8 @@ from rig import RigCurves, write_curves
 from rig.arrays import Float32
 from rig.files import atomic_write
 
+SHOWN_SECONDS = 8.0
+"""Of longer clips the beginning is shown."""
 COLOURS = {"before": "C0", "after": "C3"}
 
 
@@ -218,8 +229,7 @@ def _scores(curves: Sequence[Float32], captures: CaptureSet) -> dict[str, float]
         for example, values in zip(captures.examples, curves, strict=True)
     ]
     for name in dict.fromkeys(name for row in rows for name in row):
-        found = [row[name] for row in rows if np.isfinite(row.get(name, np.nan))]
-        scores[name] = float(np.mean(found)) if found else float("nan")
+        scores[name] = mean_of_finite(row.get(name, np.nan) for row in rows)
     return scores | _closures(curves, captures)
 
 
@@ -230,7 +240,7 @@ def _row(example: Example, values: Float32, captures: CaptureSet) -> dict[str, f
         "epe": emotion_parameter_error(target, values, controls, known),
     } | _steps(values[:, captures.pose.moving])
     upper = [i for i in controls.subset("upper_face") if known[i] and captures.pose.moving[i]]
-    row["upper_face_r"] = _mean([correlation(target[:, i], values[:, i]) for i in upper])
+    row["upper_face_r"] = mean_of_finite([correlation(target[:, i], values[:, i]) for i in upper])
     if JAW in controls.names and known[controls.index(JAW)]:
         jaw = controls.index(JAW)
         row["jaw_r"] = correlation(target[:, jaw], values[:, jaw])
@@ -247,14 +257,14 @@ def _intensity(strengths: Sequence[Float32 | None], captures: CaptureSet) -> dic
         known = np.isfinite(example.intensity) & speaking_frames(example)
         if strength is not None and known.any():
             rs.append(correlation(example.intensity[known], strength[known]))
-    return {"intensity_r": _mean(rs)} if np.isfinite(rs).any() else {}
+    return {"intensity_r": mean_of_finite(rs)} if np.isfinite(rs).any() else {}
 
 
 def _own(captures: CaptureSet) -> dict[str, float]:
     """Scores of the captures themselves, where they are defined."""
     rows = [_steps(example.curves[:, captures.pose.moving]) for example in captures.examples]
     own = {
-        name: _mean([row[name] for row in rows if name in row])
+        name: mean_of_finite([row[name] for row in rows if name in row])
         for name in list(dict.fromkeys(name for row in rows for name in row))
     }
     curves = [example.curves for example in captures.examples]
@@ -303,11 +313,6 @@ def _has_lips(example: Example, captures: CaptureSet) -> bool:
     names = captures.controls.names
     is_there = any("lipsTogether" in name for name in names)
     return is_there and knows_contact(example.known, captures.controls)
-
-
-def _mean(values: Sequence[float]) -> float:
-    finite = [value for value in values if np.isfinite(value)]
-    return float(np.mean(finite)) if finite else float("nan")
 
 
 def _markdown(report: dict[str, Any]) -> str:

@@ -1,8 +1,8 @@
-"""A model before and after it is tuned, on clips that it was not trained on, beside two baselines.
+"""Scores of curves on captures, for any rig, against the captures' mean pose.
 
-The baselines need no network: the mean pose of the training captures, and loudness, from which
-each control is predicted by a line fitted on them. All curves are those of the network alone,
-before any rule. Letters: T frames, C controls.
+An error in control units says little by itself: a face that does not move errs little on a calm
+actor. So the squared error is divided by that of the mean pose of the training captures: 1 is as
+good as a still face, 0 perfect. Letters: T frames, C controls.
 """
 
 from collections.abc import Iterable, Sequence
@@ -12,19 +12,13 @@ from typing import NamedTuple
 import numpy as np
 import torch
 
-from deitalk.data.clips import Clip
+from deitalk.data.clips import Clip, spread_clips
 from deitalk.data.windows import load_clip
-from deitalk.evaluation.scores import correlation
+from deitalk.evaluation.scores import correlation, mean_of_finite
 from deitalk.evaluation.smoothness import MAX_CLIPS, MOVING, Example, load_example, predict
 from deitalk.models.curve_model import DEITalk
 from rig import ControlSet
 from rig.arrays import Bool, Float32
-
-# Scores of a model on captured curves, for any rig, and against the captures' mean pose.
-#
-# An error in control units says little by itself: a face that does not move errs little on a calm
-# actor. So the squared error is divided by that of the mean pose of the training captures: 1 is as
-# good as a still face, 0 perfect. Letters: T frames, C controls.
 
 DEAD = 1e-3
 """Standard deviation over all captures below which a channel is dead."""
@@ -83,8 +77,8 @@ class CaptureSet:
         cls, clips: Sequence[Clip], controls: ControlSet, pose: MeanPose, learnt: Bool
     ) -> "CaptureSet":
         """Read up to 60 clips, evenly spread over the list."""
-        places = np.linspace(0, len(clips) - 1, min(MAX_CLIPS, len(clips))).round().astype(int)
-        return cls(tuple(load_example(clips[i], controls) for i in places), controls, pose, learnt)
+        examples = tuple(load_example(clip, controls) for clip in spread_clips(clips, MAX_CLIPS))
+        return cls(examples, controls, pose, learnt)
 
     @torch.no_grad()
     def score(self, model: DEITalk) -> dict[str, float]:
@@ -128,12 +122,11 @@ class CaptureSet:
                 still += float(np.square(target - self.pose.values[place]).sum())
                 unexplained = 1 - max(np.nan_to_num(_r(target, given)), 0) ** 2
                 left += float(np.square(target - target.mean()).sum() * unexplained)
-        finite = [r for r in rs if np.isfinite(r)]
         share = error / still if still > 0 else float("nan")
         return {
             "error_of_mean_pose": share,
             "error_at_best_gain": left / still if still > 0 else float("nan"),
-            "mean_r": float(np.mean(finite)) if finite else float("nan"),
+            "mean_r": mean_of_finite(rs),
             "range": float(np.nanmedian(ranges)) if np.isfinite(ranges).any() else float("nan"),
             "score": 1 - share if np.isfinite(share) else 0.0,
         }

@@ -3,6 +3,8 @@
 Letters: T frames, C controls, N events.
 """
 
+from collections.abc import Iterable
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -60,6 +62,12 @@ def correlation(a: AnyFloat, b: AnyFloat) -> float:
     a, b = a - a.mean(), b - b.mean()
     norm = float(np.sqrt((a * a).sum() * (b * b).sum()))
     return float((a * b).sum()) / norm if norm > 1e-9 else float("nan")
+
+
+def mean_of_finite(values: Iterable[float]) -> float:
+    """Mean of the values that are finite; NaN without any."""
+    finite = [value for value in values if np.isfinite(value)]
+    return float(np.mean(finite)) if finite else float("nan")
 
 
 def area_under_curve(positive: AnyFloat, negative: AnyFloat) -> float:

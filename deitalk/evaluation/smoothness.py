@@ -1,9 +1,8 @@
-"""Steps and jerk of curves, for comparison with captured curves.
+"""Whole clips as examples, what a network predicts of them, and steps and jerk of curves.
 
 Letters: T frames, C controls.
 """
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -12,16 +11,10 @@ import torch
 from deitalk.audio.frames import FRAME_RATE, frame_centres
 from deitalk.audio.prosody import level_db
 from deitalk.audio.voice_activity import speech_activity
-from deitalk.data.clips import MEASURED, Clip, read_phones
+from deitalk.data.clips import Clip, read_phones
 from deitalk.data.waveforms import n_clip_frames, recorded_frames
 from deitalk.data.windows import cut, load_clip
 from deitalk.emotions import EMOTIONS
-from deitalk.evaluation.scores import (
-    correlation,
-    emotion_parameter_error,
-    lip_parameter_error,
-)
-from deitalk.evaluation.validation import ClosureScores, closure_scores, summarise_closures
 from deitalk.models.curve_model import DEITalk
 from rig import ControlSet
 from rig.arrays import Bool, Float32
@@ -59,21 +52,6 @@ def smoothness(curves: Float32) -> dict[str, float]:
 
 
 MAX_CLIPS = 60
-ARTICULATION = (
-    "CTRL_C_jaw.ty",
-    "CTRL_L_mouth_lipsTogetherD.ty",
-    "CTRL_L_mouth_pressD.ty",
-    "CTRL_L_mouth_lipBiteD.ty",
-    "CTRL_L_mouth_funnelU.ty",
-    "CTRL_L_mouth_purseU.ty",
-    "CTRL_L_mouth_stretch.ty",
-    "CTRL_L_mouth_upperLipRaise.ty",
-    "CTRL_L_mouth_lowerLipDepress.ty",
-    "CTRL_C_tongue_tipMove.ty",
-    "CTRL_C_tongue_bendTwist.ty",
-    "CTRL_C_jaw_fwdBack.ty",
-)
-"""One control for every articulation channel (the left one of a pair)."""
 
 
 class Example(NamedTuple):
@@ -96,71 +74,6 @@ def lips_together(curves: Float32, controls: ControlSet) -> Float32:
     return mean
 
 
-@dataclass(frozen=True)
-class ValidationSet:
-    """Clips and their control set."""
-
-    examples: tuple[Example, ...]
-    controls: ControlSet
-
-    @classmethod
-    def of(cls, clips: list[Clip], controls: ControlSet) -> "ValidationSet":
-        """Choose up to 60 clips: recorded ones first, evenly spread over the list."""
-        recorded = [clip for clip in clips if clip.source in ("recording", MEASURED)]
-        chosen = recorded or clips
-        places = np.linspace(0, len(chosen) - 1, min(MAX_CLIPS, len(chosen))).round().astype(int)
-        return cls(tuple(load_example(chosen[i], controls) for i in places), controls)
-
-    @torch.no_grad()
-    def score(self, model: DEITalk) -> dict[str, float]:
-        """Errors, correlations and closures; ``score`` selects the weights.
-
-        ``score`` is the mean of the closures' window AUC and hit rate, the jaw's r, the mean r
-        over `ARTICULATION`, and the r of the intensity within speech, equally weighted. Data
-        without phones or intensity is scored by the rest; an empty set by 0. Controls that a clip
-        does not know are left out.
-
-        Parameters
-        ----------
-        model : DEITalk
-            On any device, in evaluation mode.
-        """
-        rows: list[dict[str, float]] = []
-        closures: list[ClosureScores] = []
-        for example in self.examples:
-            predicted, strength = predict(model, example)
-            rows.append(self._row(example, predicted, strength))
-            if knows_contact(example.known, self.controls):
-                lips = lips_together(predicted, self.controls)
-                closures.append(closure_scores(lips, example.phones))
-        names = rows[0] if rows else {}
-        means = {name: _mean([row[name] for row in rows]) for name in names}
-        pooled = summarise_closures(closures)
-        means |= {"auc": pooled.window_auc, "hits": pooled.hit_rate}
-        parts = [means.get(name, 0.0) for name in ("auc", "hits", "jaw_r", "mean_r", "intensity_r")]
-        finite = [part for part in parts if np.isfinite(part)]
-        return means | {"score": float(np.mean(finite)) if finite else 0.0}
-
-    def _row(
-        self, example: Example, predicted: Float32, strength: Float32 | None
-    ) -> dict[str, float]:
-        target = example.curves
-        rs = articulation(target, predicted, example.known, self.controls)
-        row = {
-            "lpe": lip_parameter_error(target, predicted, self.controls, example.known),
-            "epe": emotion_parameter_error(target, predicted, self.controls, example.known),
-            "jaw_r": rs[0],
-            "mean_r": _mean(rs),
-        }
-        known = np.isfinite(example.intensity) & speaking_frames(example)
-        row["intensity_r"] = (
-            correlation(example.intensity[known], strength[known])
-            if strength is not None and known.any()
-            else float("nan")
-        )
-        return row
-
-
 def speaking_frames(example: Example) -> Bool:
     """Frames with speech [shape=(T,)]; a last frame that is begun only has none."""
     speaking = np.zeros(len(example.curves), bool)
@@ -172,16 +85,6 @@ def speaking_frames(example: Example) -> Bool:
 def knows_contact(known: Bool, controls: ControlSet) -> bool:
     """Whether curves hold the lips-together controls, so that their contacts can be scored."""
     return bool(all(known[i] for i, name in enumerate(controls.names) if "lipsTogether" in name))
-
-
-def articulation(
-    target: Float32, predicted: Float32, known: Bool, controls: ControlSet
-) -> list[float]:
-    """Pearson's r of each of `ARTICULATION`; NaN where it is not known, or still."""
-    places = [controls.index(name) for name in ARTICULATION]
-    return [
-        correlation(target[:, i], predicted[:, i]) if known[i] else float("nan") for i in places
-    ]
 
 
 def load_example(clip: Clip, controls: ControlSet, *, sound: bool = True) -> Example:
@@ -204,11 +107,6 @@ def predict(model: DEITalk, example: Example) -> tuple[Float32, Float32 | None]:
     styles = model.styles(one_hot.expand(n_frames, -1), example.speaker)
     curves: Float32 = model.decode(analysis, styles).cpu().numpy()
     return curves, None if analysis.strength is None else analysis.strength.cpu().numpy()
-
-
-def _mean(values: list[float]) -> float:
-    finite = [value for value in values if np.isfinite(value)]
-    return float(np.mean(finite)) if finite else float("nan")
 
 
 def loudness(waveform: Float32, n_frames: int) -> Float32:

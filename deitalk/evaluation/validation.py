@@ -1,7 +1,8 @@
-"""Validation clips that select weights in training, closures of lips, tables of reports.
+"""Detection scores of bilabial closures against vowels.
 
-Recordings of people come first, where the data has any: the score is measured on voices and
-microphones that are not in the loss.
+A closure's score is the highest value of the lips-together curve within the closure widened by
+two frames; a vowel's is the same within the vowel, if it stays 67 ms away from every closure and
+every f, v, w. Letters: T frames at 30 per second, N events.
 """
 
 from collections.abc import Sequence
@@ -24,11 +25,7 @@ from deitalk.postprocess.phones import (
 )
 from rig.arrays import Float32
 
-# Detection scores of bilabial closures against vowels.
-#
-# A closure's score is the highest value of the lips-together curve within the closure widened by
-# two frames; a vowel's is the same within the vowel, if it stays 67 ms away from every closure and
-# every f, v, w. Letters: T frames at 30 per second, N events.
+JAW = "CTRL_C_jaw.ty"
 
 
 class ClosureScores(NamedTuple):
@@ -107,6 +104,3 @@ def summarise_closures(scores: Sequence[ClosureScores], held: Sequence[bool] = (
         len(closures),
         len(vowels),
     )
-
-
-JAW = "CTRL_C_jaw.ty"

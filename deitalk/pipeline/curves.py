@@ -1,4 +1,15 @@
-"""The main path: speech and an emotion in, 185 curves out."""
+"""The main path: speech and an emotion in, 185 curves out.
+
+::
+
+    prepare        recording, acting, network              -> Prepared
+    Prepared.read  the network                             -> Reading
+    finish         intensity, words, held sounds, traits   -> Measured   (_measured)
+                   motion, drawn; the rules, block by block              (_ruled, apply_rules)
+                   breaths, takes beside, edits            -> Performance (_performance)
+
+The rules themselves are `deitalk.postprocess.curve_pass.CurvePass.forward`.
+"""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -345,12 +356,12 @@ def finish(
     words : WordFit, optional
         Times of the words, if they are known already.
     """
-    return _finished([_read(prepared, reading, words)], model)[0]
+    return _ruled([_measured(prepared, reading, words)], model)[0]
 
 
 def finish_together(prepared: Sequence[Prepared], readings: Sequence[Reading]) -> list[Performance]:
     """Apply the rules to recordings of one network in one pass, as `finish` does to one."""
-    return _finished([_read(*given) for given in zip(prepared, readings, strict=True)])
+    return _ruled([_measured(*given) for given in zip(prepared, readings, strict=True)])
 
 
 class Unruled(NamedTuple):
@@ -370,8 +381,8 @@ class Unruled(NamedTuple):
     """False leaves the readings as they are, but for gain and range."""
 
 
-class _Read(NamedTuple):
-    """A recording that only lacks its motion and the rules."""
+class Measured(NamedTuple):
+    """What is known of a recording before its motion is drawn and the rules apply."""
 
     prepared: Prepared
     neutral: Float32
@@ -386,7 +397,8 @@ class _Read(NamedTuple):
     words: "WordFit | None"
 
 
-def _read(prepared: Prepared, reading: Reading, words: "WordFit | None" = None) -> _Read:
+def _measured(prepared: Prepared, reading: Reading, words: "WordFit | None" = None) -> Measured:
+    """Intensity, words, held sounds and character of a recording."""
     neutral, emotional, tracks = reading.first(len(prepared.weights))
     speech, rules, acting, clock = prepared.speech, prepared.rules, prepared.acting, prepared.clock
     network, weights = prepared.network, prepared.weights
@@ -427,12 +439,13 @@ def _read(prepared: Prepared, reading: Reading, words: "WordFit | None" = None) 
     moved = _moved(prepared, weights * intensities.applied[:, None], traits)
     values = neutral.copy() if emotional is neutral else emotional
     habits = habit_factors(network.controls, rules.expressions, ways.habits)
-    return _Read(
+    return Measured(
         prepared, neutral, values, voice.columns(), intensities, traits, habits, moved, words
     )
 
 
-def _finished(read: Sequence[_Read], model: str = "") -> list[Performance]:
+def _ruled(read: Sequence[Measured], model: str = "") -> list[Performance]:
+    """Draw the motion of recordings, and apply the rules to all of them at once."""
     # Motion, drawn for all recordings at once.
     takes = [moved for each in read if (moved := each.moved) is not None]
     idle = next((each.prepared.rules.idle for each in read if each.moved is not None), None)
@@ -454,8 +467,9 @@ def _finished(read: Sequence[_Read], model: str = "") -> list[Performance]:
 
 
 def _performance(
-    read: _Read, motion: Motion | None, ruled: Unruled, clipped: int, model: str
+    read: Measured, motion: Motion | None, ruled: Unruled, clipped: int, model: str
 ) -> Performance:
+    """What follows the rules: breaths, the takes beside, edits by hand."""
     prepared, intensities, words, moved = read.prepared, read.intensities, read.words, read.moved
     speech, rules, acting, clock = prepared.speech, prepared.rules, prepared.acting, prepared.clock
     controls = prepared.network.controls

@@ -12,10 +12,10 @@ MAX_SLATE = 100
 """Letters of a slate; file systems take 255 bytes for a whole name."""
 
 
-def exchange_names(slate: str, *, take: int = 1, subject: str = SUBJECT) -> tuple[str, str]:
+def exchange_names(slate: str) -> tuple[str, str]:
     """Names of the Live Link Face CSV and of the file for Unreal; see `write_exchange_files`."""
     slate = re.sub(r"[^0-9A-Za-z]+", "-", slate)[:MAX_SLATE].strip("-") or "take"
-    return take_name(slate, take, subject), f"{slate}.unreal.json"
+    return take_name(slate, 1, SUBJECT), f"{slate}.unreal.json"
 
 
 def write_exchange_files(
@@ -23,8 +23,6 @@ def write_exchange_files(
     curves: RigCurves,
     *,
     slate: str,
-    take: int = 1,
-    subject: str = SUBJECT,
     digits: int | None = None,
     start: float = 0.0,
 ) -> dict[str, str]:
@@ -38,10 +36,6 @@ def write_exchange_files(
         Of the default board.
     slate : str
         Name of the recording; characters other than letters and digits become ``-``.
-    take : int
-        Number of the take.
-    subject : str
-        Live Link subject that Unreal's importer makes of the CSV.
     digits : int, optional
         Of the file for Unreal; see `rig.write_curves`.
     start : float
@@ -52,10 +46,10 @@ def write_exchange_files(
     dict
         File names and a line on each, for ``take.json``.
     """
-    live_link, unreal = exchange_names(slate, take=take, subject=subject)
+    live_link, unreal = exchange_names(slate)
     report = write_curves(folder / live_link, curves, format="livelink", start=start)
     write_curves(folder / unreal, curves, format="unreal", digits=digits, start=start)
     return {
-        live_link: f"Live Link Face CSV, subject {subject}; {report.note}",
+        live_link: f"Live Link Face CSV, subject {SUBJECT}; {report.note}",
         unreal: "raw curves and board keys for rig/unreal/deitalk_unreal.py",
     }

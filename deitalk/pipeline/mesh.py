@@ -12,7 +12,6 @@ emotion, intensity and the closed lips reach it as they reach the rig; a mesh he
 """
 
 from collections.abc import Callable, Iterator, Mapping
-from functools import partial
 from math import ceil
 from pathlib import Path
 from typing import Any, TypeAlias, cast
@@ -36,7 +35,6 @@ from deitalk.models.mesh_model import SDFA, MeshModel
 from deitalk.models.protocol import neutral_and_acted, trained_weights
 from deitalk.pipeline.curves import animate, check_progress
 from deitalk.pipeline.mesh_performance import GLB_TOLERANCE_MM, MeshPerformance
-from deitalk.pipeline.performance import Performance
 from deitalk.pipeline.speech import Speech, measure_intensities
 from deitalk.postprocess.known_phones import known_skin, seal_lips
 from rig.arrays import Float32
@@ -126,11 +124,32 @@ def animate_mesh(
                 f"{speaker.file or speaker.name} is a head for curves, and this model moves faces "
                 "of its own; leave out the identity or the model, or move a mesh of yours"
             )
-        return _by_gradients(
-            require_model(network, MeshModel), recording, speaker, fps, acted, progress
+        mesh_model = require_model(network, MeshModel)
+        if fps not in (None, mesh_model.fps):
+            raise CheckpointError(
+                f"fps={fps:g}: this SDFA model makes {mesh_model.fps:g} frames a second; leave it "
+                "out"
+            )
+        return _by_gradients(mesh_model, recording, speaker, acted, progress)
+    # A head in the poses of the curves.
+    curve_model, rate = require_model(network, DEITalk), float(fps or FRAME_RATE)
+    if curve_model.controls.id != DEFAULT_ID:
+        raise CheckpointError(
+            f"the model is of the rig {curve_model.controls.id}, which has no head here; `deitalk "
+            "retarget` moves your own face by its take"
         )
-    act = partial(animate, recording, acting=acted, progress=progress)
-    return _by_curves(require_model(network, DEITalk), act, recording, speaker, fps)
+    head = build_head(speaker)
+    check_length(ceil(recording.duration * rate), len(head.mesh.vertices), most=PREDICTED_BYTES)
+    performance = animate(recording, acting=acted, model=curve_model, progress=progress)
+    return MeshPerformance(
+        TriMesh(head.mesh.vertices, head.mesh.faces),
+        head.pose(performance.at(fps)[0].values),
+        rate,
+        UNIT_MM,
+        performance.recording,
+        head.landmarks or None,
+        painted_colours(head),
+    )
 
 
 def mesh_frames(
@@ -173,47 +192,14 @@ def mesh_coefficients(
     return head.coefficients(*readings, torch.from_numpy(scale), share, speaker)
 
 
-def _by_curves(
-    network: DEITalk,
-    act: Callable[..., Performance],
-    recording: Recording,
-    speaker: str | int | Identity,
-    fps: float | None,
-) -> MeshPerformance:
-    """A head in the poses of the curves."""
-    if network.controls.id != DEFAULT_ID:
-        raise CheckpointError(
-            f"the model is of the rig {network.controls.id}, which has no head here; `deitalk "
-            "retarget` moves your own face by its take"
-        )
-    rate = float(FRAME_RATE) if fps is None else fps
-    head = build_head(speaker)
-    check_length(ceil(recording.duration * rate), len(head.mesh.vertices), most=PREDICTED_BYTES)
-    acted = act(model=network)
-    return MeshPerformance(
-        TriMesh(head.mesh.vertices, head.mesh.faces),
-        head.pose(acted.at(fps)[0].values),
-        rate,
-        UNIT_MM,
-        acted.recording,
-        head.landmarks or None,
-        painted_colours(head),
-    )
-
-
 def _by_gradients(
     network: MeshModel,
     recording: Recording,
     speaker: str | int,
-    fps: float | None,
     acting: Acting,
     progress: Progress,
 ) -> MeshPerformance:
     """A speaker's template, moved by a mesh model."""
-    if fps is not None and fps != network.fps:
-        raise CheckpointError(
-            f"fps={fps:g}: this SDFA model makes {network.fps:g} frames a second; leave it out"
-        )
     mesh = network.template(speaker)
     skin = known_skin(mesh)
     n_frames = ceil(recording.duration * network.fps)

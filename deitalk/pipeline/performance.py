@@ -325,7 +325,76 @@ def write_take(
     inputs = (performance.recording.source,)
     try:
         with output_folder(folder, kind=KIND, force=force, inputs=inputs) as stage:
-            _fill(stage, performance, model, extras, fps, digits, start, delay, handles)
+            curves, neutral = (shift(own, delay, handles) for own in performance.at(fps))
+            lead = handles / curves.fps
+            start = start_with_handles(start, handles, curves.fps)
+            pad = round(lead * performance.recording.sample_rate)
+            waveform = np.pad(performance.recording.waveform, pad)
+            write_curves(stage / "curves.csv", curves, digits=digits)
+            write_curves(stage / "curves.json", curves, digits=digits)
+            write_curves(stage / "neutral.npz", neutral)
+            emotion, intensity = performance.curves.emotion, performance.curves.intensity
+            assert emotion is not None and intensity is not None, "a performance carries both"
+            write_intensity_csv(
+                stage / "intensity.csv",
+                times=frame_times(len(performance.curves)),
+                weights=emotion,
+                saliency=performance.saliency,
+                predicted=performance.predicted,
+                intensity=intensity,
+            )
+            write_wav(stage / "audio.wav", waveform, start=start)
+            files = FILES | _original(stage, performance, start, lead)
+            slate = Path(performance.recording.source).stem
+            if curves.control_set == DEFAULT_ID:
+                files |= write_exchange_files(
+                    stage, curves, slate=slate, digits=digits, start=start
+                )
+            acting, layers = _with_layers(stage, performance)
+            files |= layers
+            shown, recording = performance, performance.recording
+            if delay or handles:
+                moved = replace(recording, waveform=waveform)
+                shown = replace(performance, curves=curves, neutral=neutral, recording=moved)
+            for extra in extras:
+                files |= extra(stage, shown)
+            about = {
+                "schema": SCHEMA,
+                "deitalk": __version__,
+                "written": datetime.now(UTC).isoformat(timespec="seconds"),
+                "source": {
+                    "name": recording.source,
+                    "seconds": round(recording.duration, 4),
+                    "sample_rate": recording.source_rate,
+                    "channels": recording.channels,
+                    "clipped_fraction": recording.clipped_fraction,
+                    "warnings": list(recording.warnings),
+                    **recording.choice.settings,
+                },
+                "model": model,
+                "control_set": curves.control_set,
+                "fps": curves.fps,
+                "start_seconds": start,
+                DELAY: delay,
+                HANDLES: handles,
+                "marks": [
+                    {**mark._asdict(), "start": round(mark.start, 3), "end": round(mark.end, 3)}
+                    for mark in performance.marks
+                ],
+                "frames": len(curves),
+                "settings": acting.settings,
+                "procedural_emotions": performance.moods,
+                "traits": {name: round(value, 6) for name, value in performance.traits.items()},
+                QUIET: [round(performance.quiet(last=last), 5) for last in (False, True)],
+                "clipped_values": performance.clipped,
+                "timings_seconds": {
+                    name: round(lap, 4) for name, lap in performance.timings.items()
+                },
+                "files": files,
+            }
+            (stage / "take.json").write_text(
+                json.dumps(decodable_values(about), indent=1) + "\n", encoding="utf-8"
+            )
     except OSError as error:
         reason = error.strerror or str(error)
         raise TargetError(
@@ -357,85 +426,6 @@ def check_take(
     """
     names = (*FILES, ORIGINAL, *PREVIEW_FILES, *exchange_names(Path(source).stem))
     check_folder(folder, kind=KIND, force=force, inputs=(source, *inputs), names=names)
-
-
-def _fill(
-    folder: Path,
-    performance: Performance,
-    model: dict[str, Any],
-    extras: tuple[Extra, ...],
-    fps: float | None,
-    digits: int | None,
-    start: float,
-    delay: int,
-    handles: int,
-) -> None:
-    curves, neutral = (shift(own, delay, handles) for own in performance.at(fps))
-    lead = handles / curves.fps
-    start = start_with_handles(start, handles, curves.fps)
-    pad = round(lead * performance.recording.sample_rate)
-    waveform = np.pad(performance.recording.waveform, pad)
-    write_curves(folder / "curves.csv", curves, digits=digits)
-    write_curves(folder / "curves.json", curves, digits=digits)
-    write_curves(folder / "neutral.npz", neutral)
-    emotion, intensity = performance.curves.emotion, performance.curves.intensity
-    assert emotion is not None and intensity is not None, "a performance carries both"
-    write_intensity_csv(
-        folder / "intensity.csv",
-        times=frame_times(len(performance.curves)),
-        weights=emotion,
-        saliency=performance.saliency,
-        predicted=performance.predicted,
-        intensity=intensity,
-    )
-    write_wav(folder / "audio.wav", waveform, start=start)
-    files = FILES | _original(folder, performance, start, lead)
-    slate = Path(performance.recording.source).stem
-    if curves.control_set == DEFAULT_ID:
-        files |= write_exchange_files(folder, curves, slate=slate, digits=digits, start=start)
-    acting, layers = _with_layers(folder, performance)
-    files |= layers
-    shown, recording = performance, performance.recording
-    if delay or handles:
-        moved = replace(recording, waveform=waveform)
-        shown = replace(performance, curves=curves, neutral=neutral, recording=moved)
-    for extra in extras:
-        files |= extra(folder, shown)
-    about = {
-        "schema": SCHEMA,
-        "deitalk": __version__,
-        "written": datetime.now(UTC).isoformat(timespec="seconds"),
-        "source": {
-            "name": recording.source,
-            "seconds": round(recording.duration, 4),
-            "sample_rate": recording.source_rate,
-            "channels": recording.channels,
-            "clipped_fraction": recording.clipped_fraction,
-            "warnings": list(recording.warnings),
-            **recording.choice.settings,
-        },
-        "model": model,
-        "control_set": curves.control_set,
-        "fps": curves.fps,
-        "start_seconds": start,
-        DELAY: delay,
-        HANDLES: handles,
-        "marks": [
-            {**mark._asdict(), "start": round(mark.start, 3), "end": round(mark.end, 3)}
-            for mark in performance.marks
-        ],
-        "frames": len(curves),
-        "settings": acting.settings,
-        "procedural_emotions": performance.moods,
-        "traits": {name: round(value, 6) for name, value in performance.traits.items()},
-        QUIET: [round(performance.quiet(last=last), 5) for last in (False, True)],
-        "clipped_values": performance.clipped,
-        "timings_seconds": {name: round(lap, 4) for name, lap in performance.timings.items()},
-        "files": files,
-    }
-    (folder / "take.json").write_text(
-        json.dumps(decodable_values(about), indent=1) + "\n", encoding="utf-8"
-    )
 
 
 def _with_layers(folder: Path, performance: Performance) -> tuple[Acting, dict[str, str]]:

@@ -5,7 +5,7 @@ beside this file; this module inserts the data.
 """
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from functools import lru_cache
 from pathlib import Path
@@ -26,7 +26,6 @@ from deitalk.preview.source import (
     PreviewError,
     PreviewSource,
     check_board,
-    load_source,
     sound_as_wav,
 )
 from deitalk.preview.speech_warnings import find_warnings
@@ -47,10 +46,9 @@ MAX_TAKES = 6
 
 
 def render_page(
-    sources: Path | str | PreviewSource | list[PreviewSource],
+    sources: PreviewSource | Sequence[PreviewSource],
     out: Path | str,
     *,
-    audio: Path | str | None = None,
     identity: int | str | Identity = 0,
     force: bool = False,
 ) -> Path:
@@ -60,12 +58,10 @@ def render_page(
 
     Parameters
     ----------
-    sources : Path, str, PreviewSource or list of PreviewSource
-        Take folder, file of curves, or one to six loaded takes.
+    sources : PreviewSource or sequence of them
+        One to six takes, from `load_source`.
     out : Path or str
         The ``.html`` to write.
-    audio : Path or str, optional
-        Recording, if the source has none.
     identity : int, str or Identity, optional
         Head of the preview.
     force : bool, optional
@@ -84,9 +80,8 @@ def render_page(
     if out.suffix.lower() not in (".html", ".htm"):
         raise PreviewError(f"{out} has suffix {out.suffix or 'none'!r}; a page is a .html file")
     check_file(out, force=force)
-    if not isinstance(sources, list):
-        is_loaded = isinstance(sources, PreviewSource)
-        sources = [sources if is_loaded else load_source(sources, audio)]  # type: ignore[list-item, arg-type]
+    if isinstance(sources, PreviewSource):
+        sources = [sources]
     if not 1 <= len(sources) <= MAX_TAKES:
         raise PreviewError(f"{len(sources)} takes; a page shows 1 to {MAX_TAKES}")
     if not all(source.is_board for source in sources):

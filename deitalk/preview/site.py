@@ -12,7 +12,6 @@ import json
 import shutil
 import tempfile
 import zlib
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -50,7 +49,6 @@ def export_site(
     *,
     live: bool = True,
     force: bool = False,
-    progress: Callable[[str], None] = lambda step: None,
 ) -> int:
     """Write the folder; return its bytes.
 
@@ -66,8 +64,6 @@ def export_site(
         Animate the microphone too, by the model ``live``.
     force : bool
         Replace a folder of this kind.
-    progress : callable
-        Called with each step's name.
 
     Raises
     ------
@@ -88,7 +84,6 @@ def export_site(
             f"model {model}: a site has a model for whole recordings of the board, such as default"
         )
     with output_folder(out, kind="site", force=force) as beside:
-        progress("the model")
         facts = _facts(network)
         with tempfile.TemporaryDirectory() as folder:
             file, live_file = Path(folder) / MODEL, Path(folder) / LIVE_MODEL
@@ -98,7 +93,6 @@ def export_site(
                 export_onnx(require_model("live", DEITalk), live_file, precision="float16")
                 facts["live"] = _reduce_live(live_file, file)
                 _pack_model(live_file, beside)
-        progress("the page")
         page = render_site(facts, identity)
         page = page.replace(POLICY, f"{POLICY} 'wasm-unsafe-eval'; worker-src 'self'")
         (beside / "index.html").write_text(page, encoding="utf-8")

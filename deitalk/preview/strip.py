@@ -1,7 +1,6 @@
 """The strip under the faces: waveform, emotion, intensity, key curves, playhead and time."""
 
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -9,10 +8,6 @@ from deitalk.preview.source import PreviewSource
 from rig.arrays import Float32
 from rig.emotions import COLORS
 from rig.face.render.picture import Picture, text_width, write_text
-
-if TYPE_CHECKING:
-    pass
-
 
 KEY_CURVES: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("jaw open", ("CTRL_C_jaw.ty",)),

@@ -17,6 +17,7 @@ from deitalk.config.section import (
     Passes,
     Positive,
     Section,
+    Share,
     SpectraRate,
     SpectrumSeconds,
     Weight,
@@ -33,6 +34,10 @@ class TrainingLossConfig(LossConfig):
     """Weight of the lips of the embedded head, which the curves move; not in the paper."""
     range: Weight = 0.0
     """Weight of how far and how fast these lips move, against the target's; not in the paper."""
+    contact: Weight = 0.0
+    """Weight of the lip-contact loss; not in the paper."""
+    control_weights: dict[str, Weight] = Field(default_factory=dict)
+    """Weight of a control or subset in Eq. 12-13 (default 1)."""
     distillation: Weight = 1.0
     """Weight of the distance to the features of train.teacher; not in the paper."""
 
@@ -40,6 +45,14 @@ class TrainingLossConfig(LossConfig):
 class TrainingDataConfig(DataConfig):
     """How clips become windows, or windows of features."""
 
+    noise_folder: str | None = None
+    """Recordings of noise to mix in."""
+    room_folder: str | None = None
+    """Room impulse responses."""
+    measured_fraction: Share | None = None
+    """Share of windows from clips whose lips were measured, their speakers alike."""
+    clips: Positive | None = None
+    """Clips taken of the training split, evenly spread; null: all."""
     encoded_passes: int = Field(default=0, ge=0, le=100)
     """Times that every recording is encoded before training, all but the first changed in speed,
     room and noise; needs a frontend that does not learn."""
@@ -48,6 +61,8 @@ class TrainingDataConfig(DataConfig):
 class TaughtTrainConfig(TrainConfig):
     """Optimiser and schedule, with a teacher."""
 
+    frozen_frontend: str | None = None
+    """Model whose frontend is taken and does not learn."""
     teacher: str | None = None
     """Model (name or folder) whose speech features are learnt; not in the paper."""
 

@@ -123,28 +123,14 @@ def truncate_log(path: Path, step: int) -> None:
     """
     if not path.is_file():
         return
-    header, *rows = _lines(path) or [""]
-    if rows and not rows[-1].endswith("\n"):
-        rows.pop()
-    kept = [row for i, row in enumerate(rows) if _step_of(path, i + 2, row) <= step]
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines(keepends=True)
+        whole = [line for line in lines[1:] if line.endswith("\n")]
+        kept = [row for row in whole if int(row.split(",", 1)[0]) <= step]
+    except ValueError:  # the error of text that is no UTF-8 is one too
+        raise DataError(f"{path}: not the log of a run; correct it, or move it away") from None
     if not kept:
         path.unlink()
-    elif len(kept) < len(rows) or [header, *kept] != _lines(path):
+    elif len(kept) < len(lines) - 1:
         with atomic_write(path) as beside:
-            beside.write_text("".join([header, *kept]), encoding="utf-8")
-
-
-def _lines(path: Path) -> list[str]:
-    try:
-        return path.read_text(encoding="utf-8").splitlines(keepends=True)
-    except UnicodeDecodeError:
-        raise DataError(f"{path}: no UTF-8 text, so no log of a run; move it away") from None
-
-
-def _step_of(path: Path, number: int, row: str) -> int:
-    try:
-        return int(row.split(",", 1)[0])
-    except ValueError:
-        raise DataError(
-            f"{path}: line {number} does not begin with a step; correct it, or move the file away"
-        ) from None
+            beside.write_text("".join([lines[0], *kept]), encoding="utf-8")

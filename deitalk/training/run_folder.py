@@ -6,7 +6,6 @@
     data.sha256          hash of the dataset's clips.csv
     metrics.csv          losses, gradient norm and learning rate, a row every 25 steps
     development.csv      development scores, a row an evaluation
-    curves/<step>.png    fixed clips, targets and predictions, a picture an evaluation
     tensorboard/         both tables as TensorBoard's events, optional
     trackers.json        what other trackers call the run
     features/            of a frontend that does not learn, memory-mapped; may be removed
@@ -43,7 +42,6 @@ from rig.files import (
     claim,
     kind_of,
     recover,
-    remove_leftovers,
     replace_recorded,
 )
 
@@ -97,7 +95,6 @@ def open_folder(
         for folder in (out / "best", out / "last"):
             recover(folder)
             check_folder(folder, kind="model", force=True)
-        remove_leftovers(out / "curves")
         if resume and (out / "config.yaml").is_file():
             before = load_config(out / "config.yaml").model_dump(mode="json")
             settings = config.model_dump(mode="json")
@@ -210,7 +207,7 @@ def resume_run(out: Path, parts: dict[str, Any], *, truncate_logs: bool) -> tupl
     """Bring the parts to where a run stopped; return its step and the best score so far.
 
     Without ``state.pt``, as after a kill before the first evaluation, the parts stay as they are
-    and the run begins at step 0. Rows and pictures beyond the step are dropped by the process that
+    and the run begins at step 0. Rows beyond the step are dropped by the process that
     `truncate_logs`: the run will make them again.
 
     Raises
@@ -226,9 +223,6 @@ def resume_run(out: Path, parts: dict[str, Any], *, truncate_logs: bool) -> tupl
     if truncate_logs:
         for name in ("metrics.csv", "development.csv"):
             truncate_log(out / name, step if is_begun else -1)
-        for picture in (out / "curves").glob("*.png"):
-            if picture.stem.isdecimal() and int(picture.stem) > step:
-                picture.unlink()
     return step, float(numbers["best_score"])
 
 
@@ -277,9 +271,3 @@ def save_checkpoints(
             os.link(best / ENCODER, beside)
     save_state(out, parts, {"step": step, "best_score": best_score})
     return best_score
-
-
-def picture_path(out: Path, step: int) -> Path:
-    """Where an evaluation's curves are drawn; names sort by step."""
-    (out / "curves").mkdir(exist_ok=True)
-    return out / "curves" / f"{step:06d}.png"

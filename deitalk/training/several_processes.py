@@ -3,7 +3,7 @@
 One process is the case of a share that is the whole; nothing is exchanged then.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from datetime import timedelta
 from pathlib import Path
 from typing import Any
@@ -91,38 +91,13 @@ def in_precision(network: nn.Module, precision: str, device: torch.device) -> nn
 
 def mean_over_processes(values: Tensor) -> Tensor:
     """Mean of every number over the processes; no gradient flows through it."""
-    if not _are_several():
+    if not are_several():
         return values
     total = values.detach().clone()
     torch.distributed.all_reduce(total)
     return total / torch.distributed.get_world_size()
 
 
-def gather_rows(rows: Tensor) -> Tensor:
-    """Rows (B, E) of all processes, one process after another; gradients flow back.
-
-    The gradients of the gathered rows are summed over the processes and then averaged with all
-    others, which gives the gradient of one process with the whole batch.
-    """
-    if not _are_several():
-        return rows
-    gather: Callable[[Tensor], Tensor] = _Gather.apply
-    return gather(rows)
-
-
-def _are_several() -> bool:
+def are_several() -> bool:
+    """Whether several processes train together."""
     return torch.distributed.is_available() and torch.distributed.is_initialized()
-
-
-class _Gather(torch.autograd.Function):
-    @staticmethod
-    def forward(ctx: Any, rows: Tensor) -> Tensor:
-        parts = [torch.empty_like(rows) for _ in range(torch.distributed.get_world_size())]
-        torch.distributed.all_gather(parts, rows.contiguous())
-        return torch.cat(parts)
-
-    @staticmethod
-    def backward(ctx: Any, gradient: Tensor) -> Tensor:
-        gradient = gradient.clone()
-        torch.distributed.all_reduce(gradient)
-        return gradient.chunk(torch.distributed.get_world_size())[torch.distributed.get_rank()]

@@ -20,8 +20,6 @@ from torch.utils.data import DataLoader
 from deitalk.config.section import RunConfig
 from deitalk.data.seeded_batches import Item, SeededBatches, Share
 from deitalk.errors import DataError
-from deitalk.evaluation.clips_figure import ClipRows, draw_clips
-from deitalk.evaluation.figures import can_draw
 from deitalk.models.folder import describe_model, read_about
 from deitalk.training.journal import Journal
 from deitalk.training.optimizer import (
@@ -33,7 +31,6 @@ from deitalk.training.optimizer import (
 from deitalk.training.run_folder import (
     Learnt,
     open_folder,
-    picture_path,
     resume_run,
     save_checkpoints,
     save_state,
@@ -117,11 +114,11 @@ class Task(ABC, Generic[Item]):
         """
 
     @abstractmethod
-    def validate(self, model: nn.Module) -> tuple[dict[str, float], Sequence[ClipRows]]:
-        """Scores on the validation clips, and two of these to draw.
+    def validate(self, model: nn.Module) -> dict[str, float]:
+        """Scores on the validation clips; the weights with the highest ``score`` are kept."""
 
-        The weights with the highest ``score`` are kept.
-        """
+    def draw(self, out: Path, step: int) -> None:
+        """Draw what an evaluation shows into the run folder."""
 
     @abstractmethod
     def save(self, folder: Path, model: nn.Module, summary: dict[str, Any]) -> None:
@@ -141,8 +138,6 @@ def run_training(
     progress: Progress = silent,
 ) -> dict[str, Any]:
     """Train to the end of a run.
-
-    Two validation clips are drawn at every evaluation if matplotlib is installed.
 
     Parameters
     ----------
@@ -380,12 +375,11 @@ class Trainer(Generic[Item]):
         update_average(self.average, model, self.step, decay, self.task.frozen)
 
     def evaluate(self, journal: Journal) -> dict[str, float]:
-        """Score and draw the averaged weights, keep them if none were better, save the state."""
-        scores, clips = self.task.validate(self.average.eval())
+        """Score the averaged weights, keep them if none were better, save the state."""
+        scores = self.task.validate(self.average.eval())
         named = {f"dev_{name}": value for name, value in scores.items()}
         journal.write("development", self.step, named)
-        if clips and can_draw():
-            draw_clips(picture_path(journal.out, self.step), clips)
+        self.task.draw(journal.out, self.step)
         self.best_score = save_checkpoints(
             journal.out,
             self.parts,

@@ -231,11 +231,11 @@ def _read_mapping(path: Path) -> object:
 
 def _tiny(folder: Path) -> Path:
     from deitalk.config.curves import Config
-    from deitalk.config.load import load_config
     from deitalk.models.checkpoint import save_model
     from deitalk.models.curve_model import DEITalk
+    from deitalk.research.config import read_training
 
-    config = load_config(CONFIGS / "tiny.yaml")
+    config = read_training(CONFIGS / "tiny.yaml")
     assert isinstance(config, Config)
     save_model(folder / "tiny", DEITalk(config.model), config, {"steps": 1})
     return folder / "tiny"
@@ -300,10 +300,10 @@ def _override_seeds(folder: Path) -> list[Seed]:
 
 
 def _read_override(path: Path) -> object:
-    from deitalk.config.load import load_config
+    from deitalk.research.config import read_training
 
     text = path.read_bytes().decode("utf-8", "surrogateescape")
-    return load_config(CONFIGS / "tiny.yaml", [text])
+    return read_training(CONFIGS / "tiny.yaml", [text])
 
 
 def _datagram_seeds(folder: Path) -> list[Seed]:

@@ -10,8 +10,6 @@ A target is a board channel, a raw curve or an ARKit shape, all rows of one set.
 its rows of weight * source + offset; of sources with ``|`` between them the largest counts.
 """
 
-import csv
-import io
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -22,9 +20,8 @@ from deitalk.errors import DataError
 from rig import RigCurves
 from rig.conversion.convert import KNOWN
 from rig.errors import listed, quoted
-from rig.files.reading import read_text
 from rig.formats.named import NamedCurves
-from rig.formats.wide_csv import separator_of
+from rig.formats.text_rows import read_rows
 from rig.limits import POINTS_BYTES
 
 HEADER = ("target", "source", "weight", "offset")
@@ -99,20 +96,8 @@ def read_mapping(path: Path) -> RigMapping:
         If it lacks a column, holds something that is no number or no control, or targets of
         several sets.
     """
-    text = read_text(path, POINTS_BYTES, error=DataError)
-    lines = csv.DictReader(io.StringIO(text), delimiter=separator_of(text.partition("\n")[0]))
-    try:
-        header = [name.strip() for name in lines.fieldnames or ()]
-        lines.fieldnames = header
-        missing = [name for name in HEADER[:2] if name not in header]
-        if missing:
-            raise DataError(
-                f"{path}: lacks the column {missing[0]}; the header is {','.join(HEADER)}"
-            )
-        read = (_row(path, number, cells) for number, cells in enumerate(lines, 1))
-        rows = [row for row in read if row is not None]
-    except csv.Error as error:
-        raise DataError(f"{path}: is no CSV: {error}") from None
+    _, lines = read_rows(path, POINTS_BYTES, error=DataError, needed=HEADER[:2])
+    rows = [_row(path, number, cells) for number, cells in enumerate(lines, 1)]
     if not rows:
         raise DataError(f"{path}: has no rows; each names a target and a source")
     # The known set that has all targets, or most.
@@ -132,15 +117,13 @@ def read_mapping(path: Path) -> RigMapping:
     return RigMapping(path, control_set, canonical)
 
 
-def _row(path: Path, number: int, cells: dict[str, str]) -> Row | None:
-    target, source = ((cells.get(name) or "").strip() for name in HEADER[:2])
-    if not target and not source:
-        return None
-    sources = tuple(filter(None, (name.strip() for name in source.split("|"))))
+def _row(path: Path, number: int, cells: dict[str, str]) -> Row:
+    target = cells["target"]
+    sources = tuple(filter(None, (name.strip() for name in cells["source"].split("|"))))
     if not target or not sources:
         raise DataError(f"{path}: row {number} needs a target and a source; remove or fill it")
     weight, offset = (
-        _number(path, number, name, (cells.get(name) or "").strip() or default)
+        _number(path, number, name, cells.get(name) or default)
         for name, default in (("weight", "1"), ("offset", "0"))
     )
     return Row(target, sources, weight, offset)

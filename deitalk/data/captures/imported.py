@@ -15,7 +15,7 @@ from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
 from deitalk.audio.load import Recording, load_audio
 from deitalk.audio.prosody import measure_prosody
 from deitalk.audio.voice_activity import speech_activity
-from deitalk.config.rig_file import DATASET_RIG, rig_text
+from deitalk.config.rig_file import DATASET_RIG, read_controls, rig_text
 from deitalk.data.captures.columns import read_mapping
 from deitalk.data.captures.import_report import (
     TAKE_HEADER,
@@ -46,67 +46,83 @@ LENGTH_SECONDS = 0.1
 """Difference of curves and sound that is reported."""
 
 Progress = Callable[[float], None]
+PathLike = str | Path
 
 
 def import_captures(
-    sources: Sequence[Path],
-    out: Path,
+    sources: PathLike | Sequence[PathLike],
+    out: PathLike,
     *,
-    labels: Labelling = Labelling(),
-    mapping: Path | None = None,
-    rig: ControlSet | None = None,
+    actor: str | None = None,
+    emotion: str | None = None,
+    style: str | None = None,
+    pattern: str | None = None,
+    table: PathLike | None = None,
+    mapping: PathLike | None = None,
+    rig: str | ControlSet | None = None,
     fps: float | None = None,
-    audio: Sequence[Path] = (),
+    audio: Sequence[PathLike] = (),
     longest: float = LONGEST_SECONDS,
     keep_listening: bool = False,
     split_by: str = "auto",
     force: bool = False,
     progress: Progress = lambda share: None,
 ) -> Imported:
-    """Write a dataset folder of captured takes.
+    """Write a dataset folder of captured takes, as ``deitalk data import``.
 
     Every take is read, converted to the board, cut in silences into clips, and labelled; `known`
     of a clip lists the channels that its source can know.
 
     Parameters
     ----------
-    sources : sequence of Path
+    sources : path or sequence of paths
         Files of curves with the recordings beside, videos, or folders of them.
-    out : Path
+    out : path
         Dataset folder.
-    labels : Labelling
-        Actor, emotion and style of the takes.
-    mapping : Path or None
+    actor, emotion, style : str, optional
+        Of all takes.
+    pattern : str, optional
+        Regular expression on a take's path, with groups ``(?P<actor>…)``, ``(?P<emotion>…)`` or
+        ``(?P<style>…)``.
+    table : path, optional
+        CSV with a column ``take``, and any of actor, emotion, style, voice, split.
+    mapping : path, optional
         Table of another rig's curves to the board (`deitalk.data.captures.columns`).
-    rig : ControlSet or None
-        Another rig, whose curves stay as they are; the dataset is for models of that rig, and
-        holds its file.
-    fps : float or None
-        Rate of files that hold none.
-    audio : sequence of Path
+    rig : str or ControlSet, optional
+        Another rig, by name, file or its controls, whose curves stay as they are; the dataset is
+        for models of that rig, and holds its file.
+    fps : float, optional
+        Frames per second of files that hold no rate.
+    audio : sequence of paths
         Folders of recordings that lie elsewhere.
     longest : float
-        Most seconds of a clip.
+        Most seconds of a clip, 2 to 60.
     keep_listening : bool
-        Keep long pauses.
+        Keep pauses of more than 1.5 s.
     split_by : {"auto", "actor", "time", "none"}
-        See `deitalk.data.captures.splits.divide`.
+        Clips that are held out, see `deitalk.data.captures.splits.divide`.
     force : bool
         Replace a dataset folder that deitalk wrote.
     progress : callable
-        Given the share done.
+        Given the share done, 0 to 1.
 
     Returns
     -------
     Imported
+        Clips, minutes, notes of every take, and warnings.
 
     Raises
     ------
-    DataError
-        If there are no takes, or some cannot be read: the first ones are named with the reason.
+    DataError, ConfigError
+        If there are no takes, or some cannot be read: the first ones are named with the reason,
+        and nothing is written.
     rig.errors.TargetError, rig.errors.ExistsError
         If `out` may not be written.
     """
+    labels = Labelling(actor, emotion, style, pattern, None if table is None else Path(table))
+    given = [Path(p) for p in ([sources] if isinstance(sources, str | Path) else sources)]
+    controls = read_controls(rig) if isinstance(rig, str) else rig
+    folders = [Path(folder) for folder in audio]
     if not 2.0 <= longest <= 60.0:
         raise DataError(f"`longest={longest:g}` must be from 2 to 60 seconds", parameter="longest")
     check_way(split_by)
@@ -115,13 +131,13 @@ def import_captures(
             "curves of another rig stay as they are: leave `mapping` out, it converts to the board",
             parameter="mapping",
         )
-    table = None if mapping is None else read_mapping(mapping)
-    takes, skipped = find_takes(sources, rig if table is None else table.sources)
+    columns = None if mapping is None else read_mapping(Path(mapping))
+    takes, skipped = find_takes(given, controls if columns is None else columns.sources)
     faults = []
-    with output_folder(out, kind="dataset", force=force, inputs=[*sources, mapping]) as stage:
+    with output_folder(Path(out), kind="dataset", force=force, inputs=[*given, mapping]) as stage:
         writer = _Writer(stage, longest, keep_listening)
-        if rig is not None:
-            (stage / DATASET_RIG).write_text(rig_text(rig), encoding="utf-8")
+        if controls is not None:
+            (stage / DATASET_RIG).write_text(rig_text(controls), encoding="utf-8")
         names = _names(takes)
         for done, (source, name) in enumerate(zip(takes, names, strict=True)):
 
@@ -130,9 +146,9 @@ def import_captures(
 
             try:
                 capture = read_capture(
-                    source.curves, mapping=table, rig=rig, fps=fps, progress=of_take
+                    source.curves, mapping=columns, rig=controls, fps=fps, progress=of_take
                 )
-                sound = load_audio(find_sound(source, capture.audio, audio, takes))
+                sound = load_audio(find_sound(source, capture.audio, folders, takes))
                 writer.take(source, name, labels.of(source, name), *paired(capture, sound))
             except UserError as error:
                 faults.append(error)

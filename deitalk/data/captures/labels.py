@@ -9,14 +9,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-import pandas as pd
-
 from deitalk.data.captures.sources import Source
 from deitalk.data.clips import SPLITS
 from deitalk.emotions import EMOTIONS
 from deitalk.errors import DataError
 from rig.errors import quoted
-from rig.formats.wide_csv import read_layout
+from rig.formats.text_rows import read_rows
 from rig.limits import TRACK_BYTES
 
 GROUPS = ("actor", "emotion", "style")
@@ -169,21 +167,10 @@ def _check_pattern(pattern: str) -> None:
 
 
 def _read_table(path: Path) -> dict[str, dict[str, str]]:
-    try:
-        if path.stat().st_size > TRACK_BYTES:
-            raise DataError(f"{path}: larger than {TRACK_BYTES} bytes; this is no table of takes")
-        layout = read_layout(path)
-        frame = pd.read_csv(
-            path, dtype=str, keep_default_na=False, encoding=layout.encoding, sep=layout.separator,
-            skiprows=layout.skipped, skipinitialspace=True,
-        )  # fmt: skip
-    except (OSError, UnicodeDecodeError, pd.errors.ParserError, pd.errors.EmptyDataError) as error:
-        reason = " ".join(str(error).split())
-        raise DataError(f"{path}: cannot be read as CSV ({reason})") from None
-    if "take" not in frame.columns:
-        raise DataError(f"{path}: lacks the column take, the name of each take's file")
-    doubled = frame["take"][frame["take"].str.lower().duplicated()]
-    if len(doubled):
-        raise DataError(f"{path}: take {doubled.iloc[0]!r} appears twice; names must differ")
-    rows: Sequence[dict[str, str]] = frame.to_dict("records")  # type: ignore[assignment]
-    return {row["take"].strip().lower(): row for row in rows}
+    """Rows by the names of their takes, in lower case."""
+    _, rows = read_rows(path, TRACK_BYTES, error=DataError, needed=("take",))
+    found: dict[str, dict[str, str]] = {}
+    for row in rows:
+        if found.setdefault(row["take"].lower(), row) is not row:
+            raise DataError(f"{path}: take {row['take']!r} appears twice; names must differ")
+    return found

@@ -21,6 +21,7 @@ from deitalk.data.captures.labels import SPELLINGS
 from deitalk.data.captures.rest_pose import without_rest
 from deitalk.data.captures.survey import Survey
 from deitalk.data.captures.verdicts import Check
+from deitalk.data.clips import MAX_BYTES
 from deitalk.emotions import EMOTIONS
 from deitalk.errors import DataError
 from rig import ControlSet, read_curves, write_curves
@@ -35,8 +36,7 @@ from rig.files import (
     remove_leftovers,
     replace_recorded,
 )
-from rig.files.reading import read_text
-from rig.limits import DATASET_TABLE_BYTES
+from rig.formats.text_rows import read_rows
 
 KIND = "dataset"
 REPORT = "check/report.md"
@@ -70,11 +70,11 @@ class Mended:
 def rename_emotions(folder: Path) -> int:
     """Replace other spellings of the five emotions in ``clips.csv``; return how many."""
     with claim(folder):
-        header, rows = _read(folder)
+        header, rows = read_rows(folder / "clips.csv", MAX_BYTES, error=DataError)
         count = 0
         for row in rows:
             for column in {"emotion", "voice"} & set(header):
-                text = (row[column] or "").strip().lower()
+                text = row[column].lower()
                 right = SPELLINGS.get(text, text)
                 if right != row[column] and right in EMOTIONS:
                     row[column] = right
@@ -117,7 +117,7 @@ def mend(folder: Path, survey: Survey, rows: Sequence[Check], *, emotions: int =
     with claim(folder):
         for place in (folder, folder / "check", folder / "mended"):
             remove_leftovers(place)  # of a fix that was killed
-        header, table = _read(folder)
+        header, table = read_rows(folder / "clips.csv", MAX_BYTES, error=DataError)
         by_name = {row["clip"]: row for row in table}
         files: set[str] = set()
         for c in survey.clips:
@@ -169,16 +169,6 @@ def _list_of_known(folder: Path, known: Bool, controls: ControlSet) -> str:
     with atomic_write(folder / target) as beside:
         beside.write_text(text, encoding="utf-8")
     return target
-
-
-def _read(folder: Path) -> tuple[list[str], list[dict[str, str]]]:
-    text = read_text(folder / "clips.csv", DATASET_TABLE_BYTES)
-    reader = csv.DictReader(io.StringIO(text.removeprefix("\ufeff")))
-    try:
-        rows = list(reader)
-    except csv.Error as error:
-        raise DataError(f"{folder / 'clips.csv'}: is no CSV: {error}") from None
-    return list(reader.fieldnames or ()), rows
 
 
 def _write(folder: Path, header: Sequence[str], rows: Sequence[dict[str, str]]) -> None:

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from deitalk.audio.frames import runs
 from deitalk.config.rules import Idle
 from deitalk.data.captures.take import CapturedCurves
 from deitalk.emotions.actor import TRAITS
@@ -74,8 +75,7 @@ def _captured_parts(capture: CapturedCurves) -> list[RigCurves]:
     """Known controls of a take, without frames that were not captured."""
     curves = capture.curves.select(capture.known)
     seen = np.ones(len(curves), bool) if capture.seen is None else capture.seen
-    edges = np.flatnonzero(np.diff(np.pad(seen.astype(np.int8), 1))).tolist()
-    return [curves.slice_frames(*span) for span in zip(edges[::2], edges[1::2], strict=True)]
+    return [curves.slice_frames(*span) for span in runs(seen).tolist()]
 
 
 def _tracks(parts: Sequence[RigCurves], *names: str) -> list[Timed]:
@@ -129,7 +129,6 @@ def _avoids(parts: Sequence[RigCurves]) -> float | None:
         left = SIDE_DEGREES * track - (0.0 if part.head is None else part.head[:, 0])
         aside = gaussian_smooth(left - np.median(left), TRACKER_SECONDS * fps, "mirror")
         for sign in (1.0, -1.0):
-            edges = np.flatnonzero(np.diff(np.pad(sign * aside > AVERTED_DEGREES, 1).astype(int)))
-            lengths = (edges[1::2] - edges[::2]) / fps
+            lengths = np.diff(runs(sign * aside > AVERTED_DEGREES), axis=1) / fps
             looks += [sign] * int((lengths >= AVERTED_SECONDS).sum())
     return float(np.mean(looks)) if len(looks) >= LEAST_LOOKS else None

@@ -26,9 +26,7 @@ from deitalk.evaluation.scores import (
     lip_parameter_error,
 )
 from deitalk.evaluation.smoothness import (
-    ARTICULATION,
     Example,
-    articulation,
     knows_contact,
     lips_together,
     load_example,
@@ -51,6 +49,7 @@ from deitalk.postprocess.phones import (
     Phones,
 )
 from deitalk.research.evaluation.contours import follow
+from deitalk.research.training.validation import ARTICULATION, articulation
 from rig import ControlSet, read_curves
 from rig.arrays import Bool, Float32, Float64
 

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from deitalk.audio.frames import SAMPLE_RATE
 from deitalk.audio.voice_activity import active_level_db
-from deitalk.data.augment_waveform import read_recordings
 from deitalk.errors import DataError
+from deitalk.research.training.surroundings import read_recordings
 from rig.arrays import Float32, Float64
 
 SNRS_DB = (20.0, 10.0, 5.0, 0.0)

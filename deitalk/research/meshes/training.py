@@ -19,7 +19,6 @@ from deitalk.config.mesh import SDFAModelConfig
 from deitalk.data.seeded_batches import Share
 from deitalk.emotions import parse_emotion
 from deitalk.errors import ConfigError, DataError
-from deitalk.evaluation.clips_figure import ClipRows, Row
 from deitalk.frontends.base import Encoder
 from deitalk.frontends.mel_bilstm import MelFrontend
 from deitalk.frontends.sdfa_encoder import SDFAEncoder
@@ -36,6 +35,7 @@ from deitalk.research.meshes.losses import MeshLoss
 from deitalk.research.meshes.mesh_bases import MeshBases
 from deitalk.research.meshes.scores import lip_gap, predict_mesh
 from deitalk.research.meshes.segments import ClipInMemory, Segment, SegmentBatches, Segments
+from deitalk.research.training.pictures import ClipRows, DrawsClips, Row
 from deitalk.training.trainer import Progress, Task, run_training, silent
 from rig.arrays import AnyFloat, Float32
 from rig.mesh.trimesh import TriMesh
@@ -85,7 +85,7 @@ def train_mesh(
     return run_training(task, out, resume=resume, track=track, progress=progress)
 
 
-class MeshTask(Task[Segment]):
+class MeshTask(DrawsClips, Task[Segment]):
     """SDFA's network or the mesh head, segments of frames, and the loss of §4.2.
 
     Parameters
@@ -173,9 +173,10 @@ class MeshTask(Task[Segment]):
         parts: dict[str, Tensor] = self._loss(self.model, network, batch)
         return parts
 
-    def validate(self, model: nn.Module) -> tuple[dict[str, float], list[ClipRows]]:
-        """Vertex errors on the validation clips; the first of them to draw."""
-        return validate_mesh(cast("MeshModel", model), self.folder)
+    def validate(self, model: nn.Module) -> dict[str, float]:
+        """Vertex errors on the validation clips."""
+        scores, self.rows = validate_mesh(cast("MeshModel", model), self.folder)
+        return scores
 
     def save(self, folder: Path, model: nn.Module, summary: dict[str, Any]) -> None:
         """Write a model folder."""

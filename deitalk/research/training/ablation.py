@@ -29,7 +29,7 @@ from deitalk.evaluation.report import as_json
 from deitalk.models.checkpoint import require_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.models.mesh_model import MeshModel
-from deitalk.research.config import MeshTrainingConfig, read_training
+from deitalk.research.config import MeshTrainingConfig, TrainingConfig, read_training
 from deitalk.research.evaluation.curves import evaluate
 from deitalk.research.meshes.scores import evaluate_mesh
 from deitalk.research.meshes.training import train_mesh
@@ -245,7 +245,7 @@ def _train(
     if isinstance(config, MeshTrainingConfig):
         train_mesh(config, data, folder, resume=True, progress=report_step)
         return
-    assert isinstance(config, Config)
+    assert isinstance(config, TrainingConfig)
     frozen = config.train.frozen_frontend
     features = None if frozen is None else frozen_features(frozen)
     train_curves(config, data, folder, resume=True, frozen_features=features, progress=report_step)

@@ -39,6 +39,7 @@ from deitalk.frontends.whisper import LARGEST, WhisperFrontend, encoder_weights,
 from deitalk.research.arguments import new_file
 from deitalk.research.corpus.performance import split_of
 from deitalk.research.corpus.recordings import recordings
+from deitalk.research.training.surroundings import read_surroundings
 from rig.arrays import Float32
 from rig.files import atomic_write
 
@@ -211,7 +212,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         every = [recording for folder in given.speech for recording in recordings(folder)]
         paths = [recording.path for recording in every if split_of(recording.speaker) == "train"]
         config = WhisperConfig(checkpoint=given.checkpoint, layers=tuple(given.layers))
-        task = EncoderNoise(config, paths, Surroundings.read(given.noise, given.rooms), given.seed)
+        task = EncoderNoise(config, paths, read_surroundings(given.noise, given.rooms), given.seed)
         if given.start:
             wanted = task.student.encoder.state_dict()
             task.student.encoder.load_state_dict(encoder_weights(given.start, wanted))

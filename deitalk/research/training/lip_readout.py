@@ -40,6 +40,7 @@ from deitalk.research.lips.fit import TOLERANCE_CM, looseness, neutral_reading
 from deitalk.research.lips.head_lips import MEASURES as HEAD_MEASURES
 from deitalk.research.lips.head_lips import HeadLips
 from deitalk.research.lips.measured import LipClip, read_lips
+from deitalk.research.training.surroundings import read_surroundings
 from rig.arrays import Float32, Float64
 from rig.face.head import build_head
 from rig.files import atomic_write
@@ -355,7 +356,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     model.lips = None
     surroundings = None
     if given.noise or given.rooms:
-        surroundings = Surroundings.read(given.noise, given.rooms)
+        surroundings = read_surroundings(given.noise, given.rooms)
     module = fit(model, given.data, given.lips, given.held_out, surroundings)
     state = {LIP_WEIGHTS + name: value.half() for name, value in module.state_dict().items()}
     with atomic_write(given.out) as beside:

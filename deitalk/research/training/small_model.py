@@ -36,7 +36,6 @@ from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
 from deitalk.audio.load import load_audio
 from deitalk.audio.running_level import levelled
 from deitalk.config.curves import Config
-from deitalk.config.load import load_config
 from deitalk.data.augment_waveform import Surroundings
 from deitalk.emotions import EMOTIONS
 from deitalk.errors import ConfigError, DataError, DeitalkError
@@ -46,9 +45,11 @@ from deitalk.models.checkpoint import require_model, save_model
 from deitalk.models.curve_model import DEITalk, Output
 from deitalk.models.folder import require_device
 from deitalk.models.lip_readout import CHANNELS, HIDDEN, LipReadout
+from deitalk.research.config import read_training
 from deitalk.research.corpus.performance import split_of
 from deitalk.research.corpus.recordings import recordings
 from deitalk.research.lips.measured import read_lips
+from deitalk.research.training.surroundings import read_surroundings
 from rig.arrays import Float32
 from rig.files.folder import check_folder
 
@@ -647,7 +648,7 @@ def prepare(given: argparse.Namespace, config: Config) -> tuple[Training, Lesson
         raise ConfigError(f"share {source}: no such source in train; name one of {known}")
     total = size.frames + student.frontend.delay
     length = round((total + 1) * SAMPLE_RATE / FRAME_RATE) + 400
-    surroundings = Surroundings.read(given.noise, given.rooms)
+    surroundings = read_surroundings(given.noise, given.rooms)
     changes = Changes(surroundings, length, Chance(given.seed + 1, device))
     lessons = Lessons(teacher, student, changes, size.frames)
     taught = Sounds(paths["train"], shares, length, device)
@@ -667,7 +668,7 @@ def train(given: argparse.Namespace) -> None:
     check_folder(given.out, kind="model", force=True)
     require_device(given.device)
     torch.manual_seed(given.seed)
-    begun, config = time.monotonic(), load_config(given.config)
+    begun, config = time.monotonic(), read_training(given.config)
     if not isinstance(config, Config):
         raise ConfigError(f"{given.config}: describes a model of meshes; use configs/small.yaml")
     training, judged = prepare(given, config)

@@ -52,6 +52,7 @@ from deitalk.pipeline.suggest import MODEL, NAMED, EmotionMap, VoiceFrames, stan
 from deitalk.research.arguments import new_file
 from deitalk.research.evaluation.acted import ACTORS, READERS, StrengthClip, read_strength_clips
 from deitalk.research.evaluation.report import identified, write_json
+from deitalk.research.training.surroundings import read_surroundings
 from rig.arrays import Bool, Float32, Float64, Int64
 from rig.files import atomic_write
 
@@ -436,7 +437,7 @@ def main() -> int:
     scores: dict[str, dict[str, float]] = {}
     judged: dict[str, dict[str, float]] = {}
     try:
-        around = Surroundings.read(options.noise, options.rooms)
+        around = read_surroundings(options.noise, options.rooms)
         voices = read_voices(options.actors, options.readers, around, options.split)
         fitted = voices.having("validation")
         level = voices._replace(numbers=voices.levels[:, None])

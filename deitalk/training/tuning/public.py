@@ -1,16 +1,13 @@
-"""Captures to a tuned model from Python: what ``deitalk data import`` and ``finetune`` do."""
+"""A tuned model from Python: what ``deitalk finetune`` does."""
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from deitalk.config.rig_file import read_controls, rig_of_dataset
-from deitalk.data.captures.import_report import Imported
-from deitalk.data.captures.imported import import_captures as import_takes
-from deitalk.data.captures.labels import Labelling
+from deitalk.config.rig_file import rig_of_dataset
 from deitalk.evaluation.captures import beats_loudness, warnings_of
 from deitalk.training.trainer import Progress, silent
 from deitalk.training.tuning.recipe import read_recipe
@@ -25,86 +22,6 @@ NO_GRAPH = (
     "{}: no graph for ONNX Runtime was written, torch evaluates the model; after pip install "
     "'deitalk[onnx]', deitalk model export writes it with one."
 )
-
-
-def import_captures(
-    sources: PathLike | Sequence[PathLike],
-    out: PathLike,
-    *,
-    actor: str | None = None,
-    emotion: str | None = None,
-    style: str | None = None,
-    pattern: str | None = None,
-    table: PathLike | None = None,
-    mapping: PathLike | None = None,
-    rig: str | None = None,
-    fps: float | None = None,
-    audio: Sequence[PathLike] = (),
-    longest: float = 15.0,
-    keep_listening: bool = False,
-    split_by: str = "auto",
-    force: bool = False,
-    progress: Callable[[float], None] = lambda share: None,
-) -> Imported:
-    """Write a dataset folder of captured takes, as ``deitalk data import``.
-
-    Parameters
-    ----------
-    sources : path or sequence of paths
-        Files of curves with the recordings beside, videos, or folders of them.
-    out : path
-        Dataset folder.
-    actor, emotion, style : str, optional
-        Of all takes.
-    pattern : str, optional
-        Regular expression on a take's path, with groups ``(?P<actor>…)``, ``(?P<emotion>…)`` or
-        ``(?P<style>…)``.
-    table : path, optional
-        CSV with a column ``take``, and any of actor, emotion, style, voice, split.
-    mapping : path, optional
-        Table of another rig's curves to the board.
-    rig : str, optional
-        Another rig, by name or file, whose curves stay as they are.
-    fps : float, optional
-        Frames per second of files that hold no rate.
-    audio : sequence of paths
-        Folders of recordings that lie elsewhere.
-    longest : float
-        Most seconds of a clip, 2 to 60.
-    keep_listening : bool
-        Keep pauses of more than 1.5 s.
-    split_by : {"auto", "actor", "time", "none"}
-        Clips that are held out: none, or by whole actors or time.
-    force : bool
-        Replace a dataset folder that deitalk wrote.
-    progress : callable
-        Given the share done, 0 to 1.
-
-    Returns
-    -------
-    Imported
-        Clips, minutes, notes of every take, and warnings.
-
-    Raises
-    ------
-    DataError, ConfigError, rig.errors.TargetError, rig.errors.ExistsError
-        One line each; nothing is written then.
-    """
-    given = [sources] if isinstance(sources, str | Path) else list(sources)
-    return import_takes(
-        [Path(source) for source in given],
-        Path(out),
-        labels=Labelling(actor, emotion, style, pattern, None if table is None else Path(table)),
-        mapping=None if mapping is None else Path(mapping),
-        rig=None if rig is None else read_controls(rig),
-        fps=fps,
-        audio=[Path(folder) for folder in audio],
-        longest=longest,
-        keep_listening=keep_listening,
-        split_by=split_by,
-        force=force,
-        progress=progress,
-    )
 
 
 @dataclass(frozen=True)

@@ -37,7 +37,6 @@ from deitalk.data.windows import Window, WindowBatches
 from deitalk.emotions import EMOTIONS
 from deitalk.errors import ConfigError, DataError
 from deitalk.evaluation.captures import System, by_model, errs_less, write_comparison
-from deitalk.evaluation.clips_figure import ClipRows
 from deitalk.evaluation.comparison import CaptureSet, MeanPose, mean_pose
 from deitalk.evaluation.smoothness import load_example
 from deitalk.models.checkpoint import require_model, save_model
@@ -45,7 +44,7 @@ from deitalk.models.curve_model import DEITalk
 from deitalk.models.folder import describe_model, model_folder, weights_hash
 from deitalk.models.rig_decoder import RigDecoder
 from deitalk.training.curve_losses import CurveLoss, start_as
-from deitalk.training.curves import CurveTask, clip_rows, shown_examples
+from deitalk.training.curves import CurveTask
 from deitalk.training.optimizer import new_optimizer, shared_copy
 from deitalk.training.trainer import Progress, run_training, silent
 from deitalk.training.tuning.expression_strength import expression_axes, label_intensity
@@ -348,11 +347,10 @@ class FinetuneTask(CurveTask):
                     module.requires_grad_(moves)
         moving = {name for name, p in self.model.named_parameters() if p.requires_grad}
         self.frozen = self.model.state_dict().keys() - moving
-        self._loss = CurveLoss(self.config.loss, self.controls, device, hold=tune.hold)
+        self._loss = CurveLoss(self.config.loss, tune.hold)
         self.validation_set = CaptureSet.of(
             self.validation_clips, self.controls, self.pose, self.learnt
         )
-        self.shown = shown_examples(self.validation_clips, self.controls)
 
     def _begin_model(self) -> None:
         self.model = self._network()
@@ -600,13 +598,11 @@ class FinetuneTask(CurveTask):
         curves = torch.where(batch.known[:, None] > 0, batch.curves, base)
         return batch._replace(curves=curves), curves
 
-    def validate(self, model: nn.Module) -> tuple[dict[str, float], list[ClipRows]]:
-        """Scores of `CaptureSet`, and the clips that are drawn; none without steps."""
+    def validate(self, model: nn.Module) -> dict[str, float]:
+        """Scores of `CaptureSet`; none without steps."""
         if not self.config.train.steps:
-            return {"score": 0.0}, []
-        curve_model = cast("DEITalk", model)
-        scores = self.validation_set.score(curve_model)
-        return scores, [clip_rows(name, e, curve_model) for name, e in self.shown.items()]
+            return {"score": 0.0}
+        return self.validation_set.score(cast("DEITalk", model))
 
     def save(self, folder: Path, model: nn.Module, summary: dict[str, Any]) -> None:
         """Write a model folder."""

@@ -5,13 +5,13 @@ import time
 
 import pytest
 
-import deitalk.research.config  # noqa: F401 - adds the kinds of the recipes
 from deitalk.config.curves import Config
 from deitalk.config.load import load_config, parse_config
 from deitalk.errors import CheckpointError, ConfigError
 from deitalk.models.checkpoint import load_model, save_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.models.folder import network_shapes
+from deitalk.research.config import read_training
 from rig import limits
 from tests.errors import one_line
 
@@ -100,7 +100,7 @@ def test_shapes_without_memory_are_those_of_the_network(name):
     from pathlib import Path
 
     path = Path(__file__).resolve().parents[3] / "configs" / f"{name}.yaml"
-    config = load_config(path)
+    config = read_training(path)
     assert isinstance(config, Config)
     real = DEITalk(config.model, pretrained=False).state_dict()
     assert network_shapes(lambda: DEITalk(config.model, pretrained=False)) == {
@@ -123,7 +123,7 @@ def test_override_rejects(tmp_path, override):
 def tiny(tmp_path_factory):
     from pathlib import Path
 
-    config = load_config(Path(__file__).resolve().parents[3] / "configs" / "tiny.yaml")
+    config = read_training(Path(__file__).resolve().parents[3] / "configs" / "tiny.yaml")
     assert isinstance(config, Config)
     folder = tmp_path_factory.mktemp("model") / "tiny"
     save_model(folder, DEITalk(config.model), config, {})

@@ -11,7 +11,7 @@ from deitalk.config.load import load_config, load_model_config, parse_config
 from deitalk.config.rules import RulesConfig
 from deitalk.config.section import Optimisation
 from deitalk.errors import ConfigError
-from deitalk.research.config import MeshTrainConfig
+from deitalk.research.config import MeshTrainConfig, TrainingConfig, read_training
 from tests.errors import one_line
 
 FOLDER = Path(__file__).resolve().parents[3] / "configs"
@@ -32,14 +32,14 @@ def written(tmp_path, text):
 
 @pytest.mark.parametrize("path", FILES)
 def test_every_file_loads_under_its_name(path):
-    config = load_config(path)
+    config = read_training(path)
     assert config.name == path.stem
     assert parse_config(config.model_dump(mode="json")) == config
     assert f"`{path.name}`" in (FOLDER / "README.md").read_text()
 
 
 def test_deitalk_has_the_numbers_of_the_paper():
-    config = load_config(FOLDER / "deitalk.yaml")
+    config = read_training(FOLDER / "deitalk.yaml")
     model, loss, data, train = config.model, config.loss, config.data, config.train
     assert isinstance(model.frontend, Wav2VecConfig)
     assert model.frontend.checkpoint == "facebook/wav2vec2-base-960h"
@@ -66,7 +66,7 @@ def test_deitalk_has_the_numbers_of_the_paper():
 
 
 def test_sdfa_encoder_has_the_numbers_of_the_paper():
-    config = load_config(FOLDER / "sdfa_encoder.yaml")
+    config = read_training(FOLDER / "sdfa_encoder.yaml")
     mel = config.model.frontend
     assert mel == MelConfig()
     assert (mel.window_seconds, 1 / mel.frame_rate) == (0.064, 0.008)  # §4.4
@@ -76,7 +76,7 @@ def test_sdfa_encoder_has_the_numbers_of_the_paper():
     assert mel.spectral_size == 256
     assert (2 * mel.time_hidden, mel.time_layers) == (512, 2)  # Table 2
     assert (mel.recurrence, mel.weight_norm, mel.centre) == ("window", True, False)
-    assert config.model_copy(update={"name": "deitalk"}).loss == Config().loss
+    assert config.model_copy(update={"name": "deitalk"}).loss == TrainingConfig().loss
 
 
 @pytest.mark.parametrize("kind", [TrainConfig, MeshTrainConfig])
@@ -94,7 +94,7 @@ def test_both_trainings_have_the_settings_of_optimisation(kind):
 @pytest.mark.parametrize(("recipe", "model"), [("measured_lips", "mel")])
 def test_embedded_weights_fit_their_recipe(recipe, model):
     embedded = load_model_config(FOLDER.parent / "deitalk/models/weights" / model)
-    wanted = load_config(FOLDER / f"{recipe}.yaml")
+    wanted = read_training(FOLDER / f"{recipe}.yaml")
     assert (wanted.model, wanted.rules) == (embedded.model, embedded.rules)
 
 
@@ -119,7 +119,7 @@ def test_unknown_key_is_in_the_message(tree, key):
         ({"train": {"learning_rate": float("nan")}}, "train.learning_rate=nan"),
         ({"train": {"optimizer": "sgd"}}, "train.optimizer='sgd'"),
         ({"loss": {"temperature": 0}}, "loss.temperature=0"),
-        ({"loss": {"control_weights": {"jaw": -1}}}, "loss.control_weights.jaw=-1"),
+        ({"kind": "training", "loss": {"contact": -1}}, "loss.contact=-1"),
         ({"data": {"real_fraction": 1.5}}, "data.real_fraction=1.5"),
         ({"model": {"kernel_size": 4}}, "model.kernel_size=4: must be odd"),
         ({"model": {"decoder_dilations": []}}, "model.decoder_dilations=[]"),
@@ -138,10 +138,15 @@ def test_overrides_replace_values(tmp_path):
     path = written(tmp_path, "train: {batch_size: 16}")
     config = load_config(
         path,
-        ["train.batch_size=8", "loss.contact=2.5", "model.frontend.kind=mel", "data.augment=true"],
+        [
+            "train.batch_size=8",
+            "loss.intensity=2.5",
+            "model.frontend.kind=mel",
+            "data.augment=true",
+        ],
     )
     assert config.train.batch_size == 8
-    assert config.loss.contact == 2.5
+    assert config.loss.intensity == 2.5
     assert config.model.frontend == MelConfig()
     assert config.data.augment is True
     assert load_config(path, ["train.steps=5", "train.steps=6"]).train.steps == 6
@@ -182,6 +187,6 @@ def test_empty_file_is_the_paper_configuration(tmp_path):
 
 
 def test_configuration_survives_writing_and_reading(tmp_path):
-    config = load_config(FOLDER / "mel.yaml")
+    config = read_training(FOLDER / "mel.yaml")
     path = written(tmp_path, yaml.safe_dump(config.model_dump(mode="json")))
     assert load_config(path) == config

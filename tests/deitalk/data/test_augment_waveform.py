@@ -8,6 +8,7 @@ import soundfile
 
 from deitalk.data.augment_waveform import Surroundings, _coloured, _noise, augment, change_speed
 from deitalk.errors import DataError
+from deitalk.research.training.surroundings import read_surroundings
 
 RATE = 16_000
 
@@ -63,11 +64,11 @@ def test_surroundings_are_read_in_fixed_order_and_reject_an_empty_folder(tmp_pat
     for i, name in enumerate(("b.wav", "a.flac", "b.flac")):
         soundfile.write(tmp_path / name, np.full(100 * (i + 1), 0.1, np.float32), RATE)
     (tmp_path / "notes.txt").write_text("no sound")
-    read = Surroundings.read(str(tmp_path), None)
+    read = read_surroundings(str(tmp_path), None)
     assert [len(noise) for noise in read.noises] == [200, 300, 100] and read.rooms == ()
     (empty := tmp_path / "empty").mkdir()
     with pytest.raises(DataError, match=r"empty: holds no \.flac, \.wav, \.ogg"):
-        Surroundings.read(None, str(empty))
+        read_surroundings(None, str(empty))
 
 
 def bands(sound: np.ndarray) -> np.ndarray:

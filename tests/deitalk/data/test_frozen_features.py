@@ -8,7 +8,6 @@ import torch
 
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
 from deitalk.config.curves import Config
-from deitalk.config.load import load_config
 from deitalk.data.augment_waveform import Surroundings
 from deitalk.data.clips import read_clips
 from deitalk.data.frozen_features import FrozenFeatures
@@ -16,9 +15,10 @@ from deitalk.data.waveforms import recorded_frames
 from deitalk.data.windows import WindowBatches, load_clip
 from deitalk.models.checkpoint import load_model
 from deitalk.models.curve_model import DEITalk
+from deitalk.research.config import read_training
 from deitalk.research.training.ablation import Variant, ablate
+from deitalk.research.training.curves import train_curves
 from deitalk.research.training.encoded_passes import EncodedPasses
-from deitalk.training.curves import train_curves
 from tests.dataset import write_dataset
 
 pytestmark = pytest.mark.usefixtures("empty_pictures")
@@ -40,7 +40,7 @@ def source(data, tmp_path_factory) -> Path:
 
 def tiny(*overrides: str) -> Config:
     mine = ("train.steps=4", "train.evaluate_every=2", "train.batch_size=2", "train.workers=0")
-    config = load_config(TINY, (*mine, *overrides))
+    config = read_training(TINY, (*mine, *overrides))
     assert isinstance(config, Config)
     return config
 

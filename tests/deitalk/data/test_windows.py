@@ -1,6 +1,5 @@
 """Windows: sound and curves stay in time, and batches do not depend on workers and processes."""
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -147,20 +146,6 @@ def test_recorded_speech_has_the_configured_share(folder):
     drawn = batches(folder, config=config(real_fraction=0.8))
     sources = [drawn._draw(np.random.default_rng(i)).source for i in range(400)]
     assert np.mean([s == "recording" for s in sources]) == pytest.approx(0.8, abs=0.06)
-
-
-def test_measured_clips_have_the_configured_share_and_equal_speakers(folder):
-    clips = read_clips(folder, "train")
-    some = [replace(c, source="measured", speaker="few") for c in clips[:1]]
-    many = [replace(c, source="measured", speaker="many", name=f"{c.name}+") for c in clips * 5]
-    share = config(measured_fraction=0.6)
-    drawn = WindowBatches([*some, *many, *clips], CONTROLS, share, 3, 4)
-    found = [drawn._draw(np.random.default_rng(i)) for i in range(600)]
-    measured = [clip.speaker for clip in found if clip.source == "measured"]
-    assert len(measured) / 600 == pytest.approx(0.6, abs=0.06)
-    assert np.mean([who == "few" for who in measured]) == pytest.approx(0.5, abs=0.08)
-    only = WindowBatches(many, CONTROLS, share, 3, 4)
-    assert only._draw(np.random.default_rng(0)).speaker == "many"
 
 
 def test_load_clip_rejects_curves_without_frames_or_controls(folder, tmp_path):

@@ -14,7 +14,6 @@ from deitalk.emotions import (
     LABELS,
     EmotionTrack,
     IntensityCurve,
-    check_intensity,
     parse_emotion,
     parse_intensity_curve,
     read_intensity_curve,
@@ -251,13 +250,6 @@ def test_read_intensity_curve_rejects_in_one_line(tmp_path, rows, words):
     path.write_text("time,intensity\n" + rows + "\n")
     with one_line(EmotionError, match=words):
         read_intensity_curve(path)
-
-
-def test_global_intensity_is_checked_by_the_same_rule():
-    assert check_intensity(4) == 4
-    for bad in (-1, 5, float("nan")):
-        with pytest.raises(EmotionError, match="must be 0 to 4"):
-            check_intensity(bad)
 
 
 def test_unwritable_intensity_leaves_the_old_file(tmp_path):

@@ -23,6 +23,7 @@ from deitalk.models.folder import (
 )
 from deitalk.models.mesh_head import MeshHead
 from deitalk.models.mesh_model import SDFA, MeshModel
+from deitalk.research.config import read_training
 from rig import default_controls
 from tests.errors import one_line
 
@@ -31,7 +32,7 @@ TINY = Path(__file__).resolve().parents[3] / "configs" / "tiny.yaml"
 
 @pytest.fixture(scope="module")
 def config() -> Config:
-    return load_config(TINY)
+    return read_training(TINY)
 
 
 @pytest.fixture(scope="module")
@@ -66,7 +67,7 @@ def test_model_read_again_predicts_the_same_bit_for_bit(folder, model):
         "model.json",
         "model.safetensors",
     ]
-    written, wanted = load_config(folder / "config.yaml"), load_config(TINY)
+    written, wanted = load_config(folder / "config.yaml"), read_training(TINY)
     assert (written.model, written.rules) == (wanted.model, wanted.rules)
     assert yaml.safe_load((folder / "config.yaml").read_text()).keys() == {
         "kind", "name", "model", "rules",

@@ -12,11 +12,11 @@ import deitalk.models.curve_model
 from deitalk.audio.frames import frame_count
 from deitalk.config.curves import ModelConfig
 from deitalk.config.frontends import MelConfig
-from deitalk.config.load import load_config
 from deitalk.models.checkpoint import load_model
 from deitalk.models.curve_model import DECODE_FRAMES, DEITalk
 from deitalk.models.intensity import temporal_maximum
 from deitalk.models.positions import dynamic_positions
+from deitalk.research.config import read_training
 from tests.closeness import assert_same
 
 CONFIGS = Path(__file__).resolve().parents[3] / "configs"
@@ -67,7 +67,7 @@ def count(module):
 def test_default_sizes_are_those_of_section_four():
     """configs/deitalk.yaml without the download, on the meta device."""
     with torch.device("meta"):
-        model = DEITalk(load_config(CONFIGS / "deitalk.yaml").model, pretrained=False).eval()
+        model = DEITalk(read_training(CONFIGS / "deitalk.yaml").model, pretrained=False).eval()
         frames, total = place(15, 100, first=40)
         inputs = torch.randn(1, 8000), styles(3), frames, total, torch.zeros(1, 15, 185)
     assert count(model.frontend) == 94_371_712  # wav2vec 2.0 base

@@ -9,7 +9,7 @@ import torch
 
 from deitalk.acting import Acting
 from deitalk.config.curves import Config
-from deitalk.config.load import load_config, parse_config
+from deitalk.config.load import parse_config
 from deitalk.emotions import EMOTIONS
 from deitalk.errors import CheckpointError, ConfigError
 from deitalk.models.checkpoint import load_model, save_model
@@ -17,6 +17,7 @@ from deitalk.models.curve_model import DEITalk
 from deitalk.models.deformation_decoder import InversePCA
 from deitalk.pipeline import speech as speech_module
 from deitalk.pipeline.mesh import animate_mesh, mesh_coefficients
+from deitalk.research.config import read_training
 from deitalk.research.meshes import scores as expression_module
 from deitalk.research.meshes.folder import (
     MeshSequence,
@@ -41,7 +42,7 @@ STYLES = {"happy": 1.0, "sad": -0.8}
 def write_network(folder, seed=0):
     """A tiny DEITalk model of new weights."""
     torch.manual_seed(seed)
-    config = load_config(CONFIGS / "tiny.yaml")
+    config = read_training(CONFIGS / "tiny.yaml")
     assert isinstance(config, Config)
     save_model(folder, DEITalk(config.model, pretrained=False), config, {})
     return folder

@@ -11,9 +11,9 @@ import pytest
 import torch
 
 from deitalk.config.finetuning import FinetuneConfig
-from deitalk.config.load import load_config
 from deitalk.models.checkpoint import save_model
 from deitalk.models.curve_model import DEITalk
+from deitalk.research.config import read_training
 from deitalk.training.trainer import Trainer
 from deitalk.training.tuning.recipe import read_recipe
 from rig import RigCurves, default_controls, read_curves, write_curves
@@ -55,7 +55,7 @@ def base(tmp_path_factory) -> str:
     """A network of random weights whose curves move."""
     folder = tmp_path_factory.mktemp("base") / "model"
     torch.manual_seed(0)
-    config = load_config(TINY)
+    config = read_training(TINY)
     model = DEITalk(config.model)
     with torch.no_grad():
         model.decoder.output.weight.normal_(std=0.05)

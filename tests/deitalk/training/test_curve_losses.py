@@ -6,16 +6,15 @@ import pytest
 import torch
 
 from deitalk.config.curves import LossConfig
+from deitalk.data.windows import Window
 from deitalk.models.curve_model import Output
 from deitalk.models.intensity import Intensity
-from deitalk.research.lips.losses import LIP_SPREAD_CM, LIP_WEIGHTS, lip_loss, range_loss
 from deitalk.training.curve_losses import (
+    CurveLoss,
     classification_loss,
-    contact_loss,
     contrast_loss,
     intensity_loss,
     position_loss,
-    total_loss,
     velocity_loss,
 )
 
@@ -64,14 +63,6 @@ def test_intensity_counts_labelled_frames_only():
     assert torch.isfinite(strength.grad).all()
 
 
-def test_contact_by_hand():
-    shut, half = torch.ones(1, 1, 1), torch.full((1, 1, 1), 0.5)
-    assert float(contact_loss(shut, half)) == pytest.approx(0.45**2 + 0.1 * math.log(2))
-    assert float(contact_loss(half, half)) == pytest.approx(0.1 * math.log(2))
-    # beyond 0.95 only the cross entropy of 8 (1 - 0.5) = 4 is left
-    assert float(contact_loss(shut, shut)) == pytest.approx(0.1 * math.log1p(math.exp(-4)))
-
-
 def example(labels=(0.2, math.nan)):
     torch.manual_seed(3)
     strength = torch.tensor([[0.6, 0.5]])
@@ -82,27 +73,25 @@ def example(labels=(0.2, math.nan)):
     return output, TARGET, torch.eye(5)[[1]], torch.tensor([labels])
 
 
-def total(config, output, curves, emotion, intensity, known=(1.0, 1.0)):
-    return total_loss(
-        output,
-        curves,
-        emotion,
-        intensity,
-        config=config,
-        known=torch.tensor([known]),
-        weights=torch.ones(2),
-        contact_controls=torch.tensor([1]),
+def window(curves, emotion, intensity, known=(1.0, 1.0)):
+    unused = torch.zeros(0)
+    return Window(
+        unused, curves, emotion, emotion, intensity, unused, unused, torch.tensor([known])
     )
+
+
+def total(config, output, curves, emotion, intensity, known=(1.0, 1.0)):
+    batch = window(curves, emotion, intensity, known)
+    return CurveLoss(config).parts(output, batch, batch.known)
 
 
 def test_unknown_controls_have_no_part_in_the_loss():
     """Of TARGET less PREDICTED, (0, 2) and (3, 0), only the first column is known."""
     output, curves, emotion, intensity = example()
-    config = LossConfig(contact=2.0)
+    config = LossConfig()
     parts = total(config, output, curves, emotion, intensity, known=(1.0, 0.0))
     assert float(parts["position"]) == 9 / 2
     assert float(parts["velocity"]) == 9  # steps 2 and -1
-    assert float(parts["contact"]) == 0
     nothing = total(config, output, curves, emotion, intensity, known=(0.0, 0.0))
     assert float(nothing["position"]) == float(nothing["velocity"]) == 0
 
@@ -123,36 +112,3 @@ def test_every_weight_multiplies_its_part(name, value):
     nothing = dict.fromkeys(("contrast", "classification", "position", "velocity"), 0.0)
     parts = total(LossConfig(**(nothing | {name: 3.0})), *example())
     assert float(parts["total"]) == pytest.approx(3 * value)
-
-
-def test_contact_depends_on_its_controls_only():
-    config = LossConfig(contact=2.0)
-    output, curves, emotion, intensity = example()
-    parts = total(config, output, curves, emotion, intensity)
-    expected = contact_loss(curves[..., 1:], output.curves[..., 1:])
-    assert float(parts["contact"]) == pytest.approx(float(expected))
-    without = total(LossConfig(), output, curves, emotion, intensity)
-    assert "contact" not in without
-    assert float(parts["total"] - without["total"]) == pytest.approx(2 * float(expected), rel=1e-4)
-
-
-def test_lip_loss_by_hand():
-    """Opening alternates by one spread; a prediction twice as wide errs by half a spread."""
-    target = torch.zeros(1, 4, 6)
-    target[0, :, 0] = torch.tensor([0.0, 1.0, 0.0, 1.0]) * LIP_SPREAD_CM[0]
-    assert float(lip_loss(target, target)) == pytest.approx(sum(LIP_WEIGHTS[1:]), abs=0.01)
-    # squares 0 1 0 1 over 4, velocities 1 1 1 over 3 twice, correlation 1
-    expected = LIP_WEIGHTS[0] * (0.5 + 2 * 1.0) + sum(LIP_WEIGHTS[1:])
-    assert float(lip_loss(target, 2 * target)) == pytest.approx(expected, abs=0.01)
-    # measures that do not move correlate with nothing: each lacks 1 by its weight
-
-
-def test_range_loss_by_hand():
-    """All measures move twice as far: ranges and speeds both lack log 2."""
-    torch.manual_seed(4)
-    target = 100 * torch.randn(2, 50, 6)
-    assert float(range_loss(target, target)) == 0
-    assert float(range_loss(target, target + 3)) == pytest.approx(0, abs=1e-6)
-    for twice in (2 * target, target / 2):
-        expected = 2 * math.log(2) ** 2
-        assert float(range_loss(target, twice)) == pytest.approx(expected, rel=1e-3)

@@ -5,11 +5,12 @@ import torch
 from typer.testing import CliRunner
 
 from deitalk.cli import app
-from deitalk.config.load import load_config, parse_config
+from deitalk.config.load import parse_config
 from deitalk.errors import CheckpointError
 from deitalk.models.checkpoint import load_model, save_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.models.folder import describe_model, weights_hash
+from deitalk.research.config import read_training
 from deitalk.training.tuning.mix import mix_models
 from rig.errors import ExistsError
 from tests.command import ran
@@ -18,7 +19,7 @@ from tests.deitalk.training.test_finetuning import TINY
 
 def model(seed: int, **settings) -> DEITalk:
     torch.manual_seed(seed)
-    return DEITalk(load_config(TINY).model.model_copy(update=settings)).eval()
+    return DEITalk(read_training(TINY).model.model_copy(update=settings)).eval()
 
 
 def test_every_weight_lies_on_the_line_between_the_two():
@@ -74,7 +75,7 @@ def test_last_layers_that_a_tuning_widened_begin_at_zero():
 
 
 def test_command_writes_a_model_that_names_both(tmp_path):
-    config = load_config(TINY)
+    config = read_training(TINY)
     other = parse_config({**config.model_dump(), "rules": {"dead_zone": None}})
     for name, seed, settings in (("before", 0, config), ("after", 1, other)):
         save_model(tmp_path / name, model(seed), settings, {"steps": 7, "base": str(tmp_path)})

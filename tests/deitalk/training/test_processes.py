@@ -8,8 +8,8 @@ from torch import Tensor, nn
 
 from deitalk.config.load import parse_config
 from deitalk.errors import ConfigError
+from deitalk.research.training.curve_losses import gather_rows
 from deitalk.training.several_processes import (
-    gather_rows,
     in_precision,
     mean_over_processes,
     new_accelerator,

@@ -8,7 +8,6 @@ import pandas as pd
 import pytest
 import torch
 
-from deitalk.config.load import load_config
 from deitalk.config.rules import SharpenContacts
 from deitalk.data.clips import read_clips
 from deitalk.data.waveforms import read_waveform
@@ -16,6 +15,7 @@ from deitalk.emotions import EMOTIONS
 from deitalk.evaluation.smoothness import lips_together
 from deitalk.models.checkpoint import load_model, save_model
 from deitalk.models.curve_model import DEITalk
+from deitalk.research.config import read_training
 from deitalk.research.evaluation.benchmark_curves import speechlike
 from deitalk.training.tuning.task import finetune
 from rig import RigCurves, default_controls, read_curves, write_curves
@@ -33,7 +33,7 @@ def reader(tmp_path_factory) -> str:
     """A network of random weights with a readout of the lips, whose contacts move."""
     folder = tmp_path_factory.mktemp("reader") / "model"
     torch.manual_seed(0)
-    config = load_config(TINY)
+    config = read_training(TINY)
     config = config.model_copy(
         update={
             "model": config.model.model_copy(update={"lips": True}),

@@ -175,7 +175,7 @@ class Misled(Pulled):
 
     def validate(self, model):
         self.times = getattr(self, "times", 0) + 1
-        return {"score": float(self.times)}, []
+        return {"score": float(self.times)}
 
 
 def test_steps_that_are_worse_on_held_out_clips_are_not_delivered(base, takes, tmp_path):

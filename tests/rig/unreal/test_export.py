@@ -10,7 +10,6 @@ import pytest
 import soundfile
 
 from deitalk.data.captures.imported import import_captures
-from deitalk.data.captures.labels import Labelling
 from deitalk.data.clips import read_clips, read_known
 from rig import read_curves, write_curves
 from rig.conversion.arkit import board_to_raw
@@ -124,7 +123,7 @@ def test_folder_of_performances_becomes_a_dataset(tmp_path, monkeypatch):
     assert len(written) == 2
     for name in ("happy_1", "sad_1"):
         soundfile.write(tmp_path / "out" / f"{name}.wav", bursts(6), 16000)
-    result = import_captures([tmp_path / "out"], tmp_path / "data", labels=Labelling(actor="anna"))
+    result = import_captures([tmp_path / "out"], tmp_path / "data", actor="anna")
     assert {(t.kind, t.emotion) for t in result.takes} == {("unreal", "happy"), ("unreal", "sad")}
     assert read_known(read_clips(tmp_path / "data")[0].known, BOARD).sum() == 174
 

@@ -9,10 +9,9 @@ from torch.nn import functional as F
 from deitalk import animate
 from deitalk.audio.load import Recording
 from deitalk.config.frontends import MelConfig
-from deitalk.config.load import load_config
 from deitalk.models.checkpoint import load_model, network_class, save_model
 from deitalk.research.comparison.emotalk import EmoTalk, emotion_sources
-from deitalk.research.config import ComparedConfig, ComparedModelConfig
+from deitalk.research.config import ComparedConfig, ComparedModelConfig, read_training
 from deitalk.research.evaluation.benchmark_curves import speechlike
 from deitalk.research.training.ablation import read_variants
 from tests.deitalk.models.test_curve_model import MEL
@@ -130,6 +129,6 @@ def test_comparison_differs_in_network_and_its_own_losses_only():
 
 @pytest.mark.parametrize("name", ["faceformer", "emotalk"])
 def test_configurations_have_the_losses_of_their_papers(name):
-    loss = load_config(CONFIGS / f"{name}.yaml").loss
+    loss = read_training(CONFIGS / f"{name}.yaml").loss
     expected = {"faceformer": (0, 0.1, 0, 0), "emotalk": (0.5, 1, 0, 0)}[name]
     assert (loss.velocity, loss.classification, loss.contrast, loss.intensity) == expected

@@ -9,7 +9,6 @@ import pandas as pd
 import pytest
 import torch
 
-from deitalk.config.load import load_config
 from deitalk.data.clips import read_clips
 from deitalk.emotions import EMOTIONS
 from deitalk.errors import DataError
@@ -19,6 +18,7 @@ from deitalk.models.checkpoint import load_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.models.folder import embedded_models
 from deitalk.pipeline.curves import Performance
+from deitalk.research.config import read_training
 from deitalk.research.evaluation.curves import _groups, evaluate
 from deitalk.research.evaluation.report import as_markdown
 from rig import RigCurves, default_controls
@@ -34,7 +34,7 @@ def report(tmp_path_factory):
     folder = write_dataset(tmp_path_factory.mktemp("data"), 1, 2)
     torch.manual_seed(0)
     model = DEITalk(
-        load_config(Path(__file__).resolve().parents[4] / "configs/tiny.yaml").model
+        read_training(Path(__file__).resolve().parents[4] / "configs/tiny.yaml").model
     ).eval()
     seen = []
     scores = evaluate(

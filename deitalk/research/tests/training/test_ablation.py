@@ -10,8 +10,8 @@ import yaml
 import deitalk.research.training.ablation
 import deitalk.training.trainer
 from deitalk.config.curves import Config
-from deitalk.config.load import load_config
 from deitalk.errors import ConfigError, DataError
+from deitalk.research.config import read_training
 from deitalk.research.training.ablation import Variant, ablate, as_markdown, read_variants
 from rig.errors import TargetError
 from tests.dataset import write_dataset
@@ -32,7 +32,7 @@ def flat(tree: dict, prefix: str = "") -> dict:
 
 
 def differences(variant: Variant) -> set[str]:
-    base, ours = (flat(c.model_dump()) for c in (load_config(variant.base), variant.config(0, 7)))
+    base, ours = (flat(c.model_dump()) for c in (read_training(variant.base), variant.config(0, 7)))
     changed = {key for key in base if base[key] != ours[key]}
     return changed - {"kind", "name", "train.steps"}  # networks of other papers have kinds
 
@@ -224,4 +224,4 @@ def test_markdown_table_by_hand():
     assert "## a, the network alone" in raw
     assert "| full | 0.5 ± 0.01 | – |" in raw and "| no_dei | – |" in raw
     assert "| full | – |" in ruled and "| no_dei | 0.5 ± 0.01 | – |" in ruled
-    assert isinstance(load_config(CONFIGS / "mel.yaml"), Config)
+    assert isinstance(read_training(CONFIGS / "mel.yaml"), Config)

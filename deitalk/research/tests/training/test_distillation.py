@@ -7,7 +7,6 @@ import pytest
 import torch
 
 from deitalk.config.curves import Config
-from deitalk.config.load import load_config
 from deitalk.models.checkpoint import load_model, save_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.research.config import read_training
@@ -41,7 +40,7 @@ def data(tmp_path_factory) -> Path:
 
 @pytest.fixture(scope="module")
 def teacher(tmp_path_factory) -> Path:
-    config = load_config(TINY)
+    config = read_training(TINY)
     torch.manual_seed(7)
     folder = tmp_path_factory.mktemp("teacher") / "model"
     save_model(folder, DEITalk(config.model), config, {})
@@ -90,7 +89,7 @@ def test_weights_of_equal_shape_behind_the_frontend_are_copied(teacher):
 
 def test_student_of_the_same_kind_has_equal_features_even_with_more_layers(teacher):
     theirs = load_model(teacher)
-    deep = DEITalk(load_config(TINY, ["model.frontend.rig_layers=1"]).model).eval()
+    deep = DEITalk(read_training(TINY, ["model.frontend.rig_layers=1"]).model).eval()
     assert set(start_as(deep, theirs)) == set(theirs.state_dict())
     sound = torch.randn(1, 16000) * 0.07
     with torch.no_grad():

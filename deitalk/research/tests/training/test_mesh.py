@@ -17,12 +17,11 @@ from typer.testing import CliRunner
 
 from deitalk.config.load import load_config
 from deitalk.errors import ConfigError, DataError
-from deitalk.evaluation.clips_figure import draw_clips
 from deitalk.evaluation.figures import can_draw
 from deitalk.models.checkpoint import load_model, save_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.research.cli import app
-from deitalk.research.config import MeshTrainingConfig
+from deitalk.research.config import MeshTrainingConfig, read_training
 from deitalk.research.meshes import training as module
 from deitalk.research.meshes.folder import (
     MeshFolder,
@@ -32,6 +31,7 @@ from deitalk.research.meshes.folder import (
 )
 from deitalk.research.meshes.scores import predict_mesh
 from deitalk.research.meshes.training import MeshTask, copy_encoder, train_mesh, validate_mesh
+from deitalk.research.training.pictures import draw_clips
 from rig.face.identity import IDENTITIES
 from tests.command import ran
 from tests.dataset import write_dataset
@@ -143,7 +143,9 @@ def test_command_refuses_weights_to_start_from(tmp_path):
 def finished(sequences, tmp_path_factory) -> Path:
     out = tmp_path_factory.mktemp("runs") / "whole"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("deitalk.training.trainer.draw_clips", draw_clips)  # pictures are looked at
+        patch.setattr(
+            "deitalk.research.training.pictures.draw_clips", draw_clips
+        )  # pictures are looked at
         train_mesh(resumable(), sequences, out)
     return out
 
@@ -288,7 +290,7 @@ def test_bases_are_frozen_and_the_automatic_weights_are_saved(sequences):
 
 
 def test_encoder_that_begins_as_another_learns_at_a_third(tmp_path, sequences):
-    start = load_config(CONFIGS / "tiny.yaml")
+    start = read_training(CONFIGS / "tiny.yaml")
     save_model(tmp_path / "m", DEITalk(start.model, pretrained=False), start, {})
     sizes = start.model.frontend.model_dump()
     rates = {}
@@ -304,7 +306,7 @@ def test_encoder_that_begins_as_another_learns_at_a_third(tmp_path, sequences):
 
 
 def test_start_encoder_rejects_another_analysis_of_the_sound(sequences, tmp_path):
-    start = load_config(CONFIGS / "tiny.yaml")
+    start = read_training(CONFIGS / "tiny.yaml")
     save_model(tmp_path / "m", DEITalk(start.model, pretrained=False), start, {})
     sizes = start.model.frontend.model_dump()
     for other in ({"tapers": 2}, {"frame_rate": 120.0}, {"window_seconds": 0.03}):
@@ -314,7 +316,7 @@ def test_start_encoder_rejects_another_analysis_of_the_sound(sequences, tmp_path
 
 def test_copied_encoder_keeps_the_parts_that_an_ablation_replaces(tmp_path):
     """All else is the start's; a part of another kind must be named."""
-    start = load_config(CONFIGS / "tiny.yaml", ["model.frontend.rig_layers=1"])
+    start = read_training(CONFIGS / "tiny.yaml", ["model.frontend.rig_layers=1"])
     save_model(tmp_path / "m", DEITalk(start.model, pretrained=False), start, {})
     sizes = start.model.frontend.model_dump() | {"rig_layers": 0}  # which SDFA has none of
     name = str(tmp_path / "m")

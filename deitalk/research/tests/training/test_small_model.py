@@ -13,6 +13,7 @@ from deitalk.data.augment_waveform import Surroundings
 from deitalk.models.checkpoint import load_model
 from deitalk.models.folder import GRAPH, model_folder
 from deitalk.pipeline.curves import animate
+from deitalk.research.config import read_training
 from deitalk.research.corpus.performance import split_of
 from deitalk.research.training.small_model import (
     RATE,
@@ -63,7 +64,7 @@ def test_two_steps_give_a_folder_that_animates(given, tmp_path, capsys):
     assert (folder / GRAPH).is_file()
     assert "step 2: loss" in capsys.readouterr().out
     model, teacher = load_model(folder), load_model("default")
-    assert model.rules == load_config(CONFIG).rules
+    assert model.rules == read_training(CONFIG).rules
     torch.testing.assert_close(model.lips.shown.weight, teacher.lips.shown.weight)
     assert model.frontend.norms[0].running_var.std() > 0, "measured"
     curves = animate(tmp_path / "speech/one.flac", model=folder).curves
@@ -73,8 +74,8 @@ def test_two_steps_give_a_folder_that_animates(given, tmp_path, capsys):
 
 def test_configuration_is_that_of_the_embedded_model():
     stored = load_config(model_folder("small") / "config.yaml")
-    assert load_config(CONFIG).model == stored.model
-    assert load_config(CONFIG).rules == stored.rules
+    assert read_training(CONFIG).model == stored.model
+    assert read_training(CONFIG).rules == stored.rules
 
 
 @pytest.mark.parametrize(

@@ -8,12 +8,16 @@ from deitalk.data import windows
 from deitalk.data.clips import read_clips
 from deitalk.data.windows import cut, load_clip
 from deitalk.models.curve_model import Output
-from deitalk.research.config import TrainingLossConfig
+from deitalk.research.config import TrainingDataConfig, TrainingLossConfig
 from deitalk.research.training.curves import TaughtWindow, TrainingLoss, TrainingWindows
 from rig import default_controls
-from tests.deitalk.data.test_windows import CONTROLS, config, folder
+from tests.deitalk.data.test_windows import CONTROLS, folder
 
 __all__ = ["folder"]
+
+
+def config(**changes: object) -> TrainingDataConfig:
+    return TrainingDataConfig(window_frames=32, **changes)  # type: ignore[arg-type]
 
 
 def test_windows_for_a_teacher_hold_the_sound_before_augmentation(folder, monkeypatch):

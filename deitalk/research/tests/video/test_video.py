@@ -9,7 +9,6 @@ import pytest
 import soundfile
 
 from deitalk.data.captures import imported
-from deitalk.data.captures.labels import Labelling
 from deitalk.data.captures.segments import within_captured
 from deitalk.data.captures.sources import find_sound, find_takes
 from deitalk.data.captures.take import CapturedCurves, read_capture
@@ -26,7 +25,7 @@ from tests.takes import bursts, is_open
 
 CONTROLS = default_controls()
 JAW = "CTRL_C_jaw.ty"
-ANNA = Labelling(actor="anna", emotion="happy")
+ANNA = dict(actor="anna", emotion="happy")
 
 import_captures = partial(imported.import_captures, split_by="none")
 """Of short takes, whose division `test_splits` tests."""
@@ -49,7 +48,7 @@ def filmed_take(tmp_path_factory):
 
 
 def test_landmarks_become_clips_without_the_part_that_has_no_face(filmed_take, tmp_path):
-    result = import_captures([filmed_take], tmp_path / "data", labels=ANNA)
+    result = import_captures([filmed_take], tmp_path / "data", **ANNA)
     (take,) = result.takes
     assert take.kind == "video" and "no face in 13% of the frames, left out" in take.notes
     clips = read_clips(tmp_path / "data")

@@ -723,9 +723,7 @@ def test_import_says_how_a_take_was_paired(tmp_path):
     (tmp_path / "t").mkdir()
     (tmp_path / "t" / "a.csv").write_text(text(rows))
     broadcast(tmp_path / "t" / "a.wav", 51020.0, 5)
-    result = import_captures(
-        [tmp_path / "t"], tmp_path / "data", labels=Labelling(actor="a"), split_by="none"
-    )
+    result = import_captures([tmp_path / "t"], tmp_path / "data", actor="a", split_by="none")
     (take,) = result.takes
     assert take.notes[0] == (
         "paired by time code (sound 14:10:20.00, curves 14:10:22.00): 2.00 s of sound outside "

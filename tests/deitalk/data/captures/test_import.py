@@ -14,7 +14,6 @@ from typer.testing import CliRunner
 from deitalk.audio.load import load_audio
 from deitalk.config.rig_file import read_controls, rig_of_dataset
 from deitalk.data.captures import imported
-from deitalk.data.captures.labels import Labelling
 from deitalk.data.captures.rig_of import rig_of_takes
 from deitalk.data.clips import read_clips, read_known
 from deitalk.errors import DataError
@@ -29,7 +28,7 @@ from tests.takes import bursts, is_open, write_live_link
 CONTROLS = default_controls()
 JAW = "CTRL_C_jaw.ty"
 LIPS = "CTRL_L_mouth_lipsTogetherU.ty"
-ANNA = Labelling(actor="anna", emotion="happy")
+ANNA = dict(actor="anna", emotion="happy")
 
 import_captures = partial(imported.import_captures, split_by="none")
 """Of short takes, whose division `test_splits` tests."""
@@ -47,7 +46,7 @@ def test_take_of_the_app_becomes_clips_with_the_controls_it_can_know(tmp_path):
     write_sound(csv_path.with_suffix(".mov"), samples[:, None], rate, picture=True)
     (csv_path.parent / "take.json").write_text("{}")
     (csv_path.parent / "frame_log.csv").write_text("V,1,2\n")
-    result = import_captures([tmp_path / "takes"], tmp_path / "data", labels=ANNA)
+    result = import_captures([tmp_path / "takes"], tmp_path / "data", **ANNA)
     clips = read_clips(tmp_path / "data")
     assert len(clips) == result.n_clips >= 2
     assert {(c.speaker, c.emotion, c.source) for c in clips} == {("anna", "happy", "recording")}
@@ -60,7 +59,7 @@ def test_take_of_the_app_becomes_clips_with_the_controls_it_can_know(tmp_path):
 
 def test_curves_and_sound_of_a_clip_are_the_takes(tmp_path):
     write_live_link(tmp_path / "t" / "a.csv", 40)
-    import_captures([tmp_path / "t"], tmp_path / "data", labels=ANNA)
+    import_captures([tmp_path / "t"], tmp_path / "data", **ANNA)
     whole = load_audio(tmp_path / "t" / "a.wav").waveform
     for row in rows_of(tmp_path / "data"):
         sound = load_audio(tmp_path / "data" / row["audio"]).waveform
@@ -84,7 +83,7 @@ def test_lips_of_a_face_at_rest_are_not_together(tmp_path):
     values[:, jaw], values[:, close] = 0.01, 0.012  # noise of a closed mouth
     values[60:90, jaw], values[60:90, close] = 0.2, 0.19  # b with an open jaw
     write_take(path, type(take)(take.ticks, values, take.names))
-    import_captures([tmp_path / "t"], tmp_path / "data", labels=ANNA)
+    import_captures([tmp_path / "t"], tmp_path / "data", **ANNA)
     (row, *_) = rows_of(tmp_path / "data")
     lips = read_curves(tmp_path / "data" / row["curves"])[LIPS]
     first = round((float(row["start_s"]) + float(row["offset_s"])) * 30)
@@ -100,7 +99,7 @@ def test_board_table_without_some_controls_leaves_them_unknown(tmp_path):
     frame.insert(0, "time", curves.times)
     frame.to_csv(tmp_path / "t" / "a.csv", index=False)
     soundfile.write(tmp_path / "t" / "a.wav", bursts(6), 16000)
-    result = import_captures([tmp_path / "t"], tmp_path / "data", labels=ANNA)
+    result = import_captures([tmp_path / "t"], tmp_path / "data", **ANNA)
     known = read_known(read_clips(tmp_path / "data")[0].known, CONTROLS)
     assert list(known) == [False] * 10 + [True] * (len(CONTROLS) - 10)
     assert "lacks 10 columns" in result.takes[0].notes[0]
@@ -115,9 +114,7 @@ def test_foreign_rig_is_imported_by_a_map(tmp_path):
     table = tmp_path / "map.csv"
     table.write_text("target,source,weight,offset\nCTRL_C_jaw.ty,open,0.8,0.1\n"
                      "CTRL_L_mouth_funnelU.ty,lip_l|lip_r,0.5,\n")  # fmt: skip
-    result = import_captures(
-        [tmp_path / "t"], tmp_path / "data", mapping=table, fps=30, labels=ANNA
-    )
+    result = import_captures([tmp_path / "t"], tmp_path / "data", mapping=table, fps=30, **ANNA)
     curves = read_curves(next((tmp_path / "data" / "curves").iterdir()))
     np.testing.assert_allclose(curves[JAW], 0.5 * 0.8 + 0.1, rtol=1e-6)
     np.testing.assert_allclose(curves["CTRL_L_mouth_funnelU.ty"], 0.2, rtol=1e-6)
@@ -134,18 +131,18 @@ def test_shapes_of_audio2face_json_are_read(tmp_path):
     data = {"exportFps": 60, "facsNames": names[:52], "weightMat": rows.tolist()}
     (tmp_path / "t" / "a_bsweight.json").write_text(json.dumps(data))
     soundfile.write(tmp_path / "t" / "a.wav", bursts(6), 16000)
-    result = import_captures([tmp_path / "t"], tmp_path / "data", labels=ANNA)
+    result = import_captures([tmp_path / "t"], tmp_path / "data", **ANNA)
     assert (result.takes[0].kind, result.takes[0].fps) == ("arkit", 60)
     assert read_known(read_clips(tmp_path / "data")[0].known, CONTROLS).sum() == 73
 
 
 def test_import_is_repeatable_with_force_and_refused_without(tmp_path):
     write_live_link(tmp_path / "t" / "a.csv", 6)
-    import_captures([tmp_path / "t"], tmp_path / "data", labels=ANNA)
+    import_captures([tmp_path / "t"], tmp_path / "data", **ANNA)
     before = {p: p.read_bytes() for p in (tmp_path / "data").rglob("*.*")}
     with pytest.raises(UserError, match="exists"):
-        import_captures([tmp_path / "t"], tmp_path / "data", labels=ANNA)
-    import_captures([tmp_path / "t"], tmp_path / "data", labels=ANNA, force=True)
+        import_captures([tmp_path / "t"], tmp_path / "data", **ANNA)
+    import_captures([tmp_path / "t"], tmp_path / "data", **ANNA, force=True)
     assert {p: p.read_bytes() for p in (tmp_path / "data").rglob("*.*")} == before
 
 
@@ -184,7 +181,7 @@ def _short(path):
 def test_fault_of_a_take_is_one_line_and_nothing_is_written(tmp_path, spoil, expected):
     spoil(write_live_link(tmp_path / "t" / "a.csv", 6))
     with one_line(UserError, match=expected):
-        import_captures([tmp_path / "t"], tmp_path / "data", labels=ANNA)
+        import_captures([tmp_path / "t"], tmp_path / "data", **ANNA)
     assert not (tmp_path / "data").exists()
     assert [p.name for p in tmp_path.iterdir() if p.name != "t"] == []
 
@@ -249,18 +246,18 @@ def test_rows_of_a_table_find_takes_of_one_name_or_are_refused(tmp_path):
         write_live_link(tmp_path / "t" / name / "shapes.csv", 6)
     table = tmp_path / "table.csv"
     table.write_text("take,actor\nshapes,anna\nshapes-2,ben\n")
-    import_captures([tmp_path / "t"], tmp_path / "data", labels=Labelling(table=table))
+    import_captures([tmp_path / "t"], tmp_path / "data", table=table)
     actors = {(row["take"], row["speaker"]) for row in rows_of(tmp_path / "data")}
     assert actors == {("shapes", "anna"), ("shapes-2", "ben")}
     table.write_text("take,actor\nshapes,anna\nshapes-3,ben\n")
     with pytest.raises(DataError, match="'shapes-3' is not among the takes shapes, shapes-2;"):
-        import_captures([tmp_path / "t"], tmp_path / "other", labels=Labelling(table=table))
+        import_captures([tmp_path / "t"], tmp_path / "other", table=table)
     assert not (tmp_path / "other").exists()
 
 
 def test_a_short_take_is_all_for_training(tmp_path):
     write_live_link(tmp_path / "t" / "a.csv", 4)
-    imported.import_captures([tmp_path / "t"], tmp_path / "data", labels=ANNA)
+    imported.import_captures([tmp_path / "t"], tmp_path / "data", **ANNA)
     assert {row["split"] for row in rows_of(tmp_path / "data")} == {"train"}
 
 
@@ -290,7 +287,7 @@ def test_curves_of_another_rig_stay_as_they_are(tmp_path, rng):
     soundfile.write(tmp_path / "t" / "a.wav", bursts(8), 16000)
     rig = read_controls(str(tmp_path / "rig.yaml"))
     out = tmp_path / "data"
-    result = import_captures([tmp_path / "t"], out, rig=rig, fps=30, labels=ANNA)
+    result = import_captures([tmp_path / "t"], out, rig=rig, fps=30, **ANNA)
     notes = " ".join(result.takes[0].notes)
     assert "lacks 1 controls, not known: 'hat'" in notes and "left out: 'tail'" in notes
     (clip, *_) = read_clips(out)
@@ -313,7 +310,7 @@ def test_takes_of_one_name_are_told_apart_and_a_copy_is_left_out(tmp_path):
         copy = tmp_path / "t" / "d" / f"copy{suffix}"
         copy.parent.mkdir(exist_ok=True)
         copy.write_bytes(first.with_suffix(suffix).read_bytes())
-    result = import_captures([tmp_path / "t"], tmp_path / "data", labels=ANNA)
+    result = import_captures([tmp_path / "t"], tmp_path / "data", **ANNA)
     assert [take.take for take in result.takes] == ["x", "x-2", "x-2-2", "copy"]
     assert "a copy of x, left out" in result.takes[-1].notes
     assert {clip.take for clip in read_clips(tmp_path / "data")} == {"x", "x-2", "x-2-2"}
@@ -324,7 +321,7 @@ def test_time_without_a_frame_is_in_no_clip(tmp_path):
     whole = read_take(path)
     kept = np.r_[:240, 360:600]  # nothing from 8 to 12 s
     write_take(path, replace(whole, ticks=whole.ticks[kept], values=whole.values[kept]))
-    result = import_captures([path], tmp_path / "data", labels=ANNA)
+    result = import_captures([path], tmp_path / "data", **ANNA)
     assert "4.0 s without a frame, left out" in result.takes[0].notes
     spans = [clip.span for clip in read_clips(tmp_path / "data")]
     assert all(stop <= 8.1 or start >= 11.9 for start, stop in spans)
@@ -335,7 +332,7 @@ def test_speech_beyond_the_curves_does_not_count(tmp_path):
     path = write_live_link(tmp_path / "t" / "a.csv", 20)
     whole = read_take(path)
     write_take(path, replace(whole, ticks=whole.ticks[:180], values=whole.values[:180]))
-    (take,) = import_captures([path], tmp_path / "data", labels=ANNA).takes
+    (take,) = import_captures([path], tmp_path / "data", **ANNA).takes
     assert 0 < take.speech_seconds <= 6
 
 
@@ -343,15 +340,14 @@ def test_percentages_are_told(tmp_path):
     path = write_live_link(tmp_path / "t" / "a.csv", 6)
     take = read_take(path)
     write_take(path, replace(take, values=100 * take.values))
-    result = import_captures([path], tmp_path / "data", labels=ANNA)
+    result = import_captures([path], tmp_path / "data", **ANNA)
     assert "values are percent: divided by 100" in result.takes[0].notes
 
 
 def test_actors_of_whom_nothing_is_learnt_are_told(tmp_path):
     for seconds, actor in ((12, "anna"), (11, "ben"), (10, "carl")):
         write_live_link(tmp_path / "t" / f"{actor}_happy.csv", seconds)
-    labels = Labelling(pattern="(?P<actor>[a-z]+)_")
     result = imported.import_captures(
-        [tmp_path / "t"], tmp_path / "data", labels=labels, split_by="actor"
+        [tmp_path / "t"], tmp_path / "data", pattern="(?P<actor>[a-z]+)_", split_by="actor"
     )
     assert any(line.startswith("ben, carl only validate and test") for line in result.warnings)

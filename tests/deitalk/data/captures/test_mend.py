@@ -10,7 +10,6 @@ from typer.testing import CliRunner
 from deitalk.audio.load import load_audio, write_wav
 from deitalk.cli.data import app
 from deitalk.data.captures.imported import import_captures
-from deitalk.data.captures.labels import Labelling
 from deitalk.data.captures.mend import rename_emotions
 from deitalk.data.checks import inspect_dataset
 from deitalk.data.clips import read_clips, read_known
@@ -50,8 +49,8 @@ def takes(tmp_path_factory) -> Path:
 
 @pytest.fixture
 def data(takes, tmp_path) -> Path:
-    labels = Labelling(actor="anna", emotion="neutral")
-    import_captures([takes], tmp_path / "data", labels=labels, keep_listening=True)
+    labels = {"actor": "anna", "emotion": "neutral"}
+    import_captures([takes], tmp_path / "data", **labels, keep_listening=True)
     return tmp_path / "data"
 
 

@@ -8,8 +8,9 @@ import pytest
 import torch
 
 from deitalk.data.clips import read_clips
-from deitalk.evaluation.smoothness import MAX_CLIPS, ValidationSet, lips_together, load_example
+from deitalk.evaluation.smoothness import MAX_CLIPS, lips_together, load_example
 from deitalk.models.curve_model import Analysis
+from deitalk.research.training.validation import ValidationSet
 from rig import default_controls
 from tests.dataset import JAW, SECONDS, write_dataset
 

@@ -18,14 +18,15 @@ from deitalk.errors import ConfigError, DataError
 from deitalk.evaluation.figures import can_draw
 from deitalk.models.checkpoint import load_model
 from deitalk.models.curve_model import Analysis, DEITalk
-from deitalk.training.curve_losses import CurveLoss, control_weights
-from deitalk.training.curves import CurveTask, clip_rows, shown_examples, train_curves
+from deitalk.research.config import read_training
+from deitalk.research.training.curves import TrainingLoss, TrainingTask, train_curves
+from deitalk.research.training.pictures import clip_rows, shown_examples
 from rig import default_controls
 from tests.dataset import write_dataset
 from tests.deitalk.training.conftest import killed_at
 
 CONTROLS = default_controls()
-TINY = Path(__file__).resolve().parents[3] / "configs" / "tiny.yaml"
+TINY = Path(__file__).resolve().parents[4] / "configs" / "tiny.yaml"
 
 
 @pytest.fixture(scope="module")
@@ -36,7 +37,7 @@ def data(tmp_path_factory) -> Path:
 def tiny(*overrides: str) -> Config:
     """A run of 6 steps that evaluates at 3 and 6."""
     mine = ("train.steps=6", "train.evaluate_every=3", "train.batch_size=4", "train.workers=0")
-    return load_config(TINY, (*mine, *overrides))
+    return read_training(TINY, (*mine, *overrides))
 
 
 @pytest.fixture(scope="module")
@@ -120,7 +121,7 @@ def batches(config: Config, data: Path):
 
 def first_loss(config: Config, data: Path) -> dict[str, float]:
     torch.manual_seed(config.train.seed)
-    loss = CurveLoss(config.loss, CONTROLS, torch.device("cpu"))
+    loss = TrainingLoss(config.loss, CONTROLS, torch.device("cpu"))
     with torch.no_grad():
         parts = loss(DEITalk(config.model), next(batches(config, data)))
     return {name: float(part) for name, part in parts.items()}
@@ -140,7 +141,7 @@ def test_fine_tuning_begins_with_the_given_weights(data, finished, tmp_path):
 
 def test_frozen_frontend_stays_in_evaluation_mode(data, finished):
     config = tiny("model.dropout=0.1", f"train.frozen_frontend={finished / 'last'}")
-    task = CurveTask(config, data)
+    task = TrainingTask(config, data)
     task.build(torch.device("cpu"))
     task.set_training()
     frontend = task.model.get_submodule("frontend")
@@ -154,7 +155,7 @@ def test_optimiser_and_weight_decay_are_those_of_the_settings(data):
         ((), torch.optim.Adam, 0),
         (("train.optimizer=adamw", "train.weight_decay=0.1"), torch.optim.AdamW, 0.1),
     ):
-        task = CurveTask(tiny(*overrides), data)
+        task = TrainingTask(tiny(*overrides), data)
         task.build(torch.device("cpu"))
         optimizer = task.optimizer()
         assert type(optimizer) is kind and optimizer.param_groups[0]["weight_decay"] == decay
@@ -204,16 +205,6 @@ def test_shown_rows_are_targets_and_predictions(data):
     assert without.rows[2].predicted is None
 
 
-def test_control_weights_are_set_by_control_part_or_subset():
-    out = control_weights({"lip": 2.0, "lipsTogether": 3.0, "CTRL_C_jaw.ty": 4.0}, CONTROLS)
-    assert out[CONTROLS.index("CTRL_C_jaw.ty")] == 4
-    assert out[CONTROLS.index("CTRL_L_mouth_lipsTogetherU.ty")] == 3, "later entries win"
-    assert out[CONTROLS.index("CTRL_L_mouth_cornerPull.ty")] == 2
-    assert out[CONTROLS.index("CTRL_L_brow_down.ty")] == 1
-    with pytest.raises(ConfigError, match="'moustache' is no control"):
-        control_weights({"moustache": 1.0}, CONTROLS)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("contrast", ["0.1", "0"])
 def test_two_processes_make_the_weights_of_one(data, tmp_path, contrast):
@@ -244,7 +235,7 @@ def test_two_processes_make_the_weights_of_one(data, tmp_path, contrast):
     assert pd.read_csv(two / "metrics.csv")["step"].tolist() == [4], "one process writes"
     first, second, start = weights(one / "last"), weights(two / "last"), None
     torch.manual_seed(0)
-    start = DEITalk(load_config(config).model).state_dict()
+    start = DEITalk(read_training(config).model).state_dict()
     moved = sum(float((first[k] - start[k]).abs().sum()) for k in first)
     apart = sum(float((first[k] - second[k]).abs().sum()) for k in first)
     assert moved > 0 and apart < 2e-3 * moved

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from deitalk.errors import MissingError
-from deitalk.evaluation.clips_figure import ClipRows, Row, draw_clips
+from deitalk.research.training.pictures import ClipRows, Row, draw_clips
 
 LIMITS = (-0.05, 1.05)
 WAVEFORM = np.sin(np.arange(3 * 16_000) / 20).astype(np.float32)

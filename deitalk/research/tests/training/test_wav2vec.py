@@ -9,13 +9,13 @@ import torch
 from deitalk import animate
 from deitalk.audio.load import Recording
 from deitalk.config.frontends import Wav2VecConfig
-from deitalk.config.load import load_config
 from deitalk.models.checkpoint import load_model
+from deitalk.research.config import read_training
 from deitalk.research.evaluation.benchmark_curves import speechlike
-from deitalk.training.curves import train_curves
+from deitalk.research.training.curves import train_curves
 from tests.dataset import write_dataset
 
-PAPER = Path(__file__).resolve().parents[3] / "configs" / "deitalk.yaml"
+PAPER = Path(__file__).resolve().parents[4] / "configs" / "deitalk.yaml"
 SMALL = (
     "model.decoder_channels=8",
     "model.motion_channels=[8]",
@@ -28,7 +28,7 @@ SMALL = (
 
 
 def test_frontend_without_a_kind_is_the_papers():
-    config = load_config(PAPER, ["model.frontend.checkpoint=some/folder"])
+    config = read_training(PAPER, ["model.frontend.checkpoint=some/folder"])
     assert config.model.frontend == Wav2VecConfig(checkpoint="some/folder")
 
 
@@ -48,7 +48,7 @@ def test_saved_model_needs_no_checkpoint(tmp_path, monkeypatch):
     checkpoint = tmp_path / "checkpoint"
     transformers.Wav2Vec2Model(shape).save_pretrained(checkpoint)
     data = write_dataset(tmp_path / "data", 2, 1)
-    config = load_config(PAPER, [f"model.frontend.checkpoint={checkpoint}", *SMALL])
+    config = read_training(PAPER, [f"model.frontend.checkpoint={checkpoint}", *SMALL])
     train_curves(config, data, tmp_path / "run")
     speech = Recording(speechlike(1.0), "test", 16_000, 1)
     before = animate(speech, "happy", model=tmp_path / "run" / "best").curves.values
