@@ -175,10 +175,9 @@ def require_all(path: Path, controls: ControlSet, names: Sequence[str]) -> None:
     """Raise FormatError if a header lacks controls of the set."""
     missing = controls.missing(names)
     if missing:
-        shown = ", ".join(missing[:3]) + (", …" if len(missing) > 3 else "")
         raise FormatError(
             f"{path} lacks {len(missing)} of the {len(controls)} controls of {controls.id}: "
-            f"{shown}; add these columns, or read it with a control set of its own"
+            f"{listed(missing)}; add these columns, or read it with a control set of its own"
         )
 
 

@@ -141,17 +141,13 @@ def grid_of(moved: Tracks, fps: float | None, n_curves: int) -> tuple[float, Flo
     """Return a rate, by default that of the densest keys, and the times (T,) of its frames."""
     tracks = [track for (_, part), track in moved.items() if part != "scale"]
     steps = [float(np.diff(times).min()) for times, *_ in tracks if len(times) > 1]
-    rate = fps or _rate(min(steps, default=1.0))
+    rate = 1 / min(steps, default=1.0)
+    # Whole, or a 1.001th of it, where that is as near as the times are exact.
+    near = [n for n in (round(rate), round(rate * 1.001) / 1.001) if abs(n / rate - 1) < 2e-4]
+    rate = fps or float(min(near, key=lambda n: abs(n / rate - 1), default=rate))
     n_frames = round(max(float(times[-1]) for times, *_ in tracks) * rate) + 1
     check_clip(n_frames, n_curves)
     return rate, np.arange(n_frames) / rate
-
-
-def _rate(step: float) -> float:
-    """Frames per second of a distance of keys in seconds, whole or a 1.001th of it."""
-    rate = 1 / step
-    near = [n for n in (round(rate), round(rate * 1.001) / 1.001) if abs(n / rate - 1) < 2e-4]
-    return float(min(near, key=lambda n: abs(n / rate - 1), default=rate))
 
 
 def sampled(track: Track, at: Float64) -> Float64:

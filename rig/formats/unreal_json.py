@@ -10,11 +10,11 @@ whose raw curves are always numbers, is read too.
 """
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 
@@ -42,27 +42,36 @@ def write(path: Path, curves: RigCurves, digits: int = DECIMALS, start: float = 
         "n_frames": len(curves),
         "start": start,
     }
+    raw = {
+        name: [json.dumps(function, separators=(",", ":")).encode()]
+        for name, function in _functions().items()
+    }
+    board = {
+        control: _channels(curves, channels, digits) for control, channels in _by_control().items()
+    }
     with path.open("wb") as stream:
         stream.write(json.dumps(head).encode()[:-1])
-        stream.write(b',\n"raw": {')
-        for i, (name, function) in enumerate(_functions().items()):
-            text = json.dumps(function, separators=(",", ":"))
-            stream.write(_key(name, first=i == 0) + text.encode())
-        stream.write(b'\n},\n"board": {')
-        for i, (control, channels) in enumerate(_by_control().items()):
-            stream.write(_key(control, first=i == 0) + b"{")
-            for j, (axis, name) in enumerate(channels.items()):
-                stream.write((b", " if j else b"") + f'"{axis}": '.encode())
-                stream.writelines(_values(curves[name], digits))
-            stream.write(b"}")
-        stream.write(b"\n}")
+        _write_entries(stream, "raw", raw)
+        _write_entries(stream, "board", board)
         if curves.head is not None:
-            stream.write(b',\n"head": {')
-            for i, (name, values) in enumerate(zip(HEAD, curves.head.T, strict=True)):
-                stream.write(_key(name, first=i == 0))
-                stream.writelines(_values(np.ascontiguousarray(values), DECIMALS))
-            stream.write(b"\n}")
+            track = zip(HEAD, np.ascontiguousarray(curves.head.T), strict=True)
+            _write_entries(stream, "head", {name: _values(v, DECIMALS) for name, v in track})
         stream.write(b"}\n")
+
+
+def _write_entries(stream: BinaryIO, key: str, entries: Mapping[str, Iterable[bytes]]) -> None:
+    stream.write(f',\n"{key}": {{'.encode())
+    for i, (name, text) in enumerate(entries.items()):
+        stream.write((b",\n " if i else b"\n ") + json.dumps(name).encode() + b": ")
+        stream.writelines(text)
+    stream.write(b"\n}")
+
+
+def _channels(curves: RigCurves, channels: Mapping[str, str], digits: int) -> Iterator[bytes]:
+    for j, (axis, name) in enumerate(channels.items()):
+        yield (b", " if j else b"{") + f'"{axis}": '.encode()
+        yield from _values(curves[name], digits)
+    yield b"}"
 
 
 def read(path: Path, controls: ControlSet | None = None, fps: float | None = None) -> RigCurves:
@@ -196,10 +205,6 @@ def _by_control() -> dict[str, dict[str, str]]:
         axis = c.axis.lower() if c.type == "Vector2D" else "value"
         controls.setdefault(c.ue_control, {})[axis] = c.name
     return {name: dict(sorted(channels.items())) for name, channels in controls.items()}
-
-
-def _key(name: str, *, first: bool) -> bytes:
-    return (b"\n " if first else b",\n ") + json.dumps(name).encode() + b": "
 
 
 def _values(values: Float32, digits: int) -> Iterator[bytes]:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.arrays import Float32, Int64
-from rig.errors import FormatError, MeshError
+from rig.errors import FormatError
 from rig.files import atomic_write
 from rig.files.reading import check_file, load_json, open_file
 from rig.limits import MESH_BYTES
@@ -60,7 +60,6 @@ class WeightAnimation:
         One column per shape.
     fps : float
         Frame i is at i / fps seconds.
-    name : str
     motion : RigidMotion, optional
         Of the node of the mesh, in as many frames.
     turns : mapping of int to array [shape=(T, 4)]
@@ -72,7 +71,6 @@ class WeightAnimation:
 
     weights: NDArray[Any]
     fps: float = 30.0
-    name: str = "take"
     motion: RigidMotion | None = None
     turns: Mapping[int, NDArray[Any]] = field(default_factory=dict)
     tolerance: float = 0.0
@@ -192,8 +190,8 @@ def write_glb(
 
     Raises
     ------
-    MeshError
-        If the animation's columns are not the shapes, or a value is not finite.
+    OSError
+        If it cannot be written.
     """
     builder = GlbBuilder()
     builder.json["asset"] = {"version": "2.0", "generator": "deitalk"}
@@ -223,16 +221,7 @@ def write_glb(
     builder.json["scenes"] = [{"nodes": [0]}]
     builder.json["scene"] = 0
     if animation is not None:
-        count = len(shapes.names)
         weights = np.asarray(animation.weights, dtype=np.float32)
-        if weights.ndim != 2 or weights.shape[1] != count or len(weights) == 0:
-            raise MeshError(
-                f"animation weights have shape {weights.shape}; they must be (T, {count})"
-            )
-        if not np.isfinite(weights).all():
-            raise MeshError("animation weights hold numbers that are not finite")
-        if not animation.fps > 0:
-            raise MeshError(f"fps is {animation.fps}; it must be above 0")
         add_animation(builder, animation, {0: weights})
     write_container(path, builder.json, builder.binary)
 
@@ -324,7 +313,7 @@ def add_animation(
         for i, (node, path, *_) in enumerate(moved)
     ]
     builder.json.setdefault("animations", []).append(
-        {"name": animation.name, "samplers": samplers, "channels": channels}
+        {"name": "take", "samplers": samplers, "channels": channels}
     )
 
 

@@ -14,7 +14,7 @@ from rig.arrays import Float64, Int64
 from rig.errors import MeshError
 from rig.mesh.closest import ClosestPoints
 from rig.mesh.deformation import similarity
-from rig.mesh.trimesh import TriMesh, boundary_edges, components, vertex_normals
+from rig.mesh.trimesh import TriMesh, boundary_edges, largest_part, vertex_normals
 from rig.retarget.landmarks import nearest
 from rig.retarget.registration import Rounds, closest_rounds, edge_lengths
 
@@ -77,11 +77,11 @@ def guess_landmarks(mesh: TriMesh, source: TriMesh, landmarks: dict[str, int]) -
     MeshError
         If no fit is good enough or no mouth is found; landmarks must be given then.
     """
-    skin, chosen = _largest_part(source)
+    skin, chosen = largest_part(source)
     if len(mesh.vertices) < _FEWEST_VERTICES:
         raise _unrecognised(f"{len(mesh.vertices)} vertices are too few for a face")
     marks = {name: int(np.searchsorted(chosen, v)) for name, v in landmarks.items()}
-    target, used = _largest_part(mesh)
+    target, used = largest_part(mesh)
     fits = [_fit_rigidly(skin, target, axes) for axes in ORIENTATIONS]
     _, placed, axes = min(fits, key=lambda fit: fit[0])
     turned = TriMesh(target.vertices @ axes.T, target.faces)
@@ -105,11 +105,6 @@ def guess_landmarks(mesh: TriMesh, source: TriMesh, landmarks: dict[str, int]) -
     found = {n: v for n, v in found.items() if not n.startswith(_VAGUE)}
     found |= _mouth(turned, placed_marks) | _eyes(turned, placed_marks, eyes)
     return {name: int(used[v]) for name, v in found.items()}
-
-
-def _largest_part(mesh: TriMesh) -> tuple[TriMesh, Int64]:
-    labels = components(mesh)
-    return TriMesh(mesh.vertices, mesh.faces[labels[mesh.faces[:, 0]] == 0]).compact()
 
 
 def _fit_rigidly(skin: TriMesh, target: TriMesh, axes: Float64) -> tuple[float, Float64, Float64]:

@@ -18,7 +18,15 @@ from rig.arrays import Float64, Int64
 from rig.errors import MeshError
 from rig.mesh.closest import ClosestPoints, SurfacePoints
 from rig.mesh.deformation import factored, similarity
-from rig.mesh.trimesh import TriMesh, adjacency, boundary_edges, components, edges, vertex_normals
+from rig.mesh.trimesh import (
+    TriMesh,
+    adjacency,
+    boundary_edges,
+    components,
+    edges,
+    largest_part,
+    vertex_normals,
+)
 from rig.retarget.landmarks import CORNERS, LOWER_RIM, UPPER_RIM, check_landmarks
 
 Rounds = Sequence[tuple[float, float, float]]
@@ -150,11 +158,7 @@ def register(
     facing = target.flipped() if inside_out else target
     search = ClosestPoints(facing, labels=target_labels, candidates=24)
 
-    skin = np.flatnonzero(components(source) == 0)
-    new_index = np.full(len(aligned), -1, dtype=np.int64)
-    new_index[skin] = np.arange(len(skin))
-    inside = (new_index[source.faces] >= 0).all(axis=1)
-    skin_mesh = TriMesh(aligned[skin], new_index[source.faces[inside]])
+    skin_mesh, skin = largest_part(TriMesh(aligned, source.faces))
     position = np.searchsorted(skin, from_)
     on_skin = (position < len(skin)) & (skin[np.minimum(position, len(skin) - 1)] == from_)
     surface = closest_rounds(
