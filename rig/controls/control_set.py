@@ -31,8 +31,6 @@ from rig.errors import ControlError, quoted
 from rig.files.reading import read_text
 from rig.limits import CONTROL_SET_BYTES, CONTROLS
 
-# One control of a face, and tables of them as CSV.
-
 SETS = ("lip", "upper_face", "lip_no_sticky", "upper_face_gaze")
 """Named sets that are columns of the table."""
 NEWER_ONLY = "-"
@@ -130,18 +128,16 @@ def _control_from(row: dict[str, str]) -> Control:
     fields: dict[str, object] = {key: row[key] for key in TEXTS if row.get(key)}
     for column, field in NUMBERS.items():
         if row.get(column):
-            fields[field] = _number(row[column], f"control {row['name']!r}, column {column}")
+            try:
+                fields[field] = float(row[column])
+            except ValueError:
+                raise ControlError(
+                    f"control {row['name']!r}, column {column}: {row[column]!r} is not a number"
+                ) from None
     for column, field in LISTS.items():
         fields[field] = tuple(filter(None, row.get(column, "").split("|")))
     fields["sets"] = frozenset(name for name in SETS if row.get(name) == "1")
     return Control(name=row["name"].strip(), **fields)  # type: ignore[arg-type]
-
-
-def _number(text: str, where: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        raise ControlError(f"{where}: {text!r} is not a number") from None
 
 
 def _spellings(name: str) -> tuple[str, ...]:
@@ -332,12 +328,9 @@ class ControlSet:
         )
 
     @classmethod
-    def from_names(
-        cls, names: Sequence[str], *, id: str, minimum: float = 0.0, maximum: float = 1.0
-    ) -> "ControlSet":
-        """Make a control set from plain names, all with one range and rest value 0 within it."""
-        rest = min(max(0.0, minimum), maximum)
-        return cls(id, tuple(Control(name, minimum, maximum, rest) for name in names))
+    def from_names(cls, names: Sequence[str], *, id: str, minimum: float = 0.0) -> "ControlSet":
+        """Make a control set from plain names, all from a minimum of 0 or less to 1, at rest 0."""
+        return cls(id, tuple(Control(name, minimum) for name in names))
 
     @classmethod
     def from_csv(cls, path: Path | str, *, id: str = "") -> "ControlSet":

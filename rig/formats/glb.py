@@ -43,14 +43,15 @@ def write(path: Path, curves: RigCurves, identity: int | str | Identity = 0) -> 
     The head track turns and shifts the whole mesh about the joint of skull and spine.
     `identity` is a head as of `rig.face.build_head`.
     """
-    if curves.control_set == ARKIT_ID:
-        from rig.retarget.head_glb import write_animation
-
-        write_animation(path, curves, identity, motion=_motion(curves))
-        return
     from rig.face import build_head
 
     head = build_head(identity)
+    if curves.control_set == ARKIT_ID:
+        from rig.retarget.head_glb import arkit_weights, write_head
+
+        weights = WeightAnimation(arkit_weights(curves), curves.fps, motion=_motion(curves))
+        write_head(path, head, animation=weights)
+        return
     head.bare  # noqa: B018, both threads use it
     with ThreadPoolExecutor(1) as pool:  # pictures leave other threads alone
         look = pool.submit(textured, head)

@@ -3,7 +3,7 @@
 import json
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cache, cached_property
 from typing import Protocol
@@ -17,7 +17,6 @@ from rig.conversion.arkit import (
     ARKIT_ID,
     HEAD,
     HEAD_DEGREES,
-    arkit_controls,
     head_values,
     udp_order,
 )
@@ -53,8 +52,6 @@ class LiveLinkFace:
     """Live Link Face packets, version 6 (Unreal's Apple ARKit face source)."""
 
     subject: str = "deitalk"
-    device: str = DEVICE
-    names: Sequence[str] = field(default_factory=lambda: arkit_controls().names)
     control_set: str | None = ARKIT_ID
 
     def datagrams(self, frame: int, seconds: float, fps: float, values: Float32) -> list[bytes]:
@@ -62,7 +59,7 @@ class LiveLinkFace:
         rate = Fraction(fps).limit_denominator(1001)
         timing = (rate.numerator, rate.denominator)
         frame = frame % 2**31
-        return [encode(Packet(self.device, self.subject, frame, 0.0, timing, values[udp_order()]))]
+        return [encode(Packet(DEVICE, self.subject, frame, 0.0, timing, values[udp_order()]))]
 
 
 @dataclass(frozen=True)

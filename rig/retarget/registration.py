@@ -44,6 +44,7 @@ _ROUNDS: Rounds = (
 _LIP_REACH = 0.75
 """Lips are labelled this far from their rims along the surface, in widths of the mouth."""
 _WELD = 1e-7
+UPPER_LIP, LOWER_LIP = (*UPPER_RIM, "upper_lip_top"), (*LOWER_RIM, "lower_lip_bottom")
 
 POOR_MATCH = 0.02
 """A median residual above this share of the eye distance (2 mm on a head) gives a warning."""
@@ -185,7 +186,7 @@ def _shared_points(
     """
     upper, lower = (
         {target_landmarks[n] for n in names if n in target_landmarks}
-        for names in ((*UPPER_RIM, "upper_lip_top"), (*LOWER_RIM, "lower_lip_bottom"))
+        for names in (UPPER_LIP, LOWER_LIP)
     )
     if upper & lower:
         raise MeshError(
@@ -208,17 +209,15 @@ def lip_labels(mesh: TriMesh, landmarks: Mapping[str, int]) -> Int64:
     width = float(np.linalg.norm(np.subtract(*(mesh.vertices[landmarks[c]] for c in CORNERS))))
     reach = _LIP_REACH * width
     upper, lower = (
-        _along_surface(graph, [landmarks[n] for n in (*rim, edge) if n in landmarks], reach)
-        for rim, edge in ((UPPER_RIM, "upper_lip_top"), (LOWER_RIM, "lower_lip_bottom"))
+        dijkstra(graph, directed=False, indices=seeds, limit=reach, min_only=True)
+        for seeds in (
+            [landmarks[n] for n in names if n in landmarks] for names in (UPPER_LIP, LOWER_LIP)
+        )
     )
     labels = np.zeros(len(mesh.vertices), dtype=np.int64)
     labels[(upper < lower) & (upper < reach)] = 1
     labels[(lower < upper) & (lower < reach)] = -1
     return labels
-
-
-def _along_surface(graph: csr_array, seeds: Sequence[int], reach: float) -> Float64:
-    return np.asarray(dijkstra(graph, directed=False, indices=seeds, limit=reach, min_only=True))
 
 
 def edge_lengths(mesh: TriMesh) -> csr_array:

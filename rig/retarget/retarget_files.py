@@ -11,7 +11,7 @@ import numpy as np
 from rig.conversion.avatars import ShapeFit, bare_names
 from rig.conversion.convert import known_controls
 from rig.curves import RigCurves
-from rig.errors import FormatError, RigError
+from rig.errors import FormatError, RigError, listed
 from rig.files import atomic_write
 from rig.mesh.fbx import blender, glb_to_fbx
 from rig.mesh.glb import WeightAnimation, write_glb
@@ -325,11 +325,8 @@ def _drive_by_name(curves: RigCurves, mesh: Path, out: Path | str, keys: float) 
     idle = [
         name for i, name in enumerate(curves.names) if i not in used and np.ptp(curves.values[:, i])
     ]
-    more = " ..." if len(idle) > 4 else ""
-    notes = (f"no shape for {len(idle)} controls that move ({', '.join(idle[:4])}{more})",)
-    return RetargetReport(
-        Path(out), "blendshapes", len(driven), len(curves), None, notes if idle else ()
-    )
+    notes = (f"no shape for {len(idle)} controls that move ({listed(idle, 4)})",) if idle else ()
+    return RetargetReport(Path(out), "blendshapes", len(driven), len(curves), None, notes)
 
 
 def _fit(
@@ -345,8 +342,8 @@ def _driven(out: Path | str, fit: ShapeFit, poses: FacePoses, frames: int) -> Re
     unknown = [name for name in poses.names if name not in poses.understood]
     if unknown:
         notes.append(
-            f"{len(unknown)} shapes of unknown name stay at 0 ({', '.join(unknown[:4])}"
-            f"{' ...' if len(unknown) > 4 else ''}); a mapping file can name them"
+            f"{len(unknown)} shapes of unknown name stay at 0 ({listed(unknown, 4)}); a mapping "
+            "file can name them"
         )
     if fit.lost > LEAST_LOST or fit.unsaid or fit.replaced:
         notes.append(str(fit))

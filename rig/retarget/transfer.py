@@ -67,7 +67,9 @@ def transfer_displacements(registration: Registration, deltas: Float64) -> Float
     labels = components(registration.target)
     if labels.max() == 0:
         return result
-    skin, inner = _searches(registration)
+    loose = np.delete(registration.source.faces, registration.skin_faces, axis=0)
+    skin = ClosestPoints(TriMesh(registration.placed, faces), candidates=8)
+    inner = ClosestPoints(TriMesh(registration.placed, loose)) if len(loose) else None
     source_labels = components(registration.source)
     for label in range(1, int(labels.max()) + 1):
         part = np.flatnonzero(labels == label)
@@ -210,14 +212,3 @@ def _as_one_piece(rest: Float64, delta: Float64) -> Float64:
     rigid = rest @ turn.T + shift - rest
     misfit = np.linalg.norm(delta - rigid, axis=1).max()
     return rigid if misfit < _RIGID * np.linalg.norm(delta, axis=1).max() else delta
-
-
-def _searches(registration: Registration) -> tuple[ClosestPoints, ClosestPoints | None]:
-    """Search over the placed source's skin, and over its loose parts if it has any."""
-    faces = registration.source.faces
-    on_skin = components(registration.source)[faces[:, 0]] == 0
-    skin, inner = faces[on_skin], faces[~on_skin]
-    return (
-        ClosestPoints(TriMesh(registration.placed, skin), candidates=8),
-        ClosestPoints(TriMesh(registration.placed, inner)) if len(inner) else None,
-    )

@@ -69,7 +69,8 @@ def anim_sequence(
     grid = [i * rate[1] / rate[0] for i in range(n_frames)]
     raw = {name: _sampled(times, values, grid) for name, (times, values) in keys.items() if times}
     head = _head(sequence, grid)
-    return _write(folder, _name_of(asset), rate, n_frames, raw=raw, head=head, audio=audio)
+    name = str(importer.asset_name(asset.rsplit("/", 1)[-1]))
+    return _write(folder, name, rate, n_frames, raw=raw, head=head, audio=audio)
 
 
 def anim_folder(content: str, folder: str) -> list[str]:
@@ -117,7 +118,7 @@ def level_sequence(
     importer.need_unreal()
     unreal = importer.unreal
     opened = importer.find_sequence(sequence)
-    board = importer.find_rig(opened, rig)
+    board = importer.find_proxy(opened, rig).control_rig
     display = opened.get_display_rate()
     sound, start = _sound(opened)
     stop = int(opened.get_playback_end())
@@ -126,13 +127,10 @@ def level_sequence(
     frames = [unreal.FrameNumber(i) for i in range(start, stop)]
     library, unit = unreal.ControlRigSequencerLibrary, importer.display_rate()
     channels: dict[str, dict[str, Any]] = {}
+    is_older = not importer.has_control(board, "CTRL_C_tongue_move")
+    present = {old: new for new, old in importer.OLDER_NAMES.items()} if is_older else {}
     for name, kind in _controls(board):
-        # Return the present name of a control of an older board.
-        if importer.has_control(board, "CTRL_C_tongue_move"):
-            spelling = name
-        else:
-            present = {old: new for new, old in importer.OLDER_NAMES.items()}
-            spelling = str(present.get(name, name))
+        spelling = present.get(name, name)
         if kind == "float":
             values = library.get_local_control_rig_floats(opened, board, name, frames, unit)
             channels[spelling] = {"value": _rounded(values)}
@@ -264,7 +262,3 @@ def _write(
     count = len(raw or board or {})
     importer.say(f"{path}: {count} curves, {n_frames} frames, sound {audio or 'not named'}")
     return path
-
-
-def _name_of(asset: str) -> str:
-    return str(importer.asset_name(asset.rsplit("/", 1)[-1]))
