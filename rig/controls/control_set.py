@@ -361,21 +361,15 @@ class ControlSet:
 
     @cached_property
     def _aliases(self) -> dict[str, str]:
-        """Spellings of this board: name, Unreal channel, Maya channel."""
-        aliases: dict[str, str] = {}
-        for control in self.controls:
-            for spelling in control.spellings:
-                aliases.setdefault(spelling, control.name)
-        return aliases | {name: name for name in self.names}
+        """Spellings of this board: name, Unreal channel, Maya channel; the first of a control."""
+        pairs = [(spelling, c.name) for c in self.controls for spelling in c.spellings]
+        return dict(reversed(pairs)) | {name: name for name in self.names}
 
     @cached_property
     def _older_aliases(self) -> dict[str, str]:
         """Spellings of the mh3 board and of EmoFace."""
-        aliases: dict[str, str] = {}
-        for control in self.controls:
-            for spelling in control.older_spellings:
-                aliases.setdefault(spelling, control.name)
-        return aliases
+        pairs = [(spelling, c.name) for c in self.controls for spelling in c.older_spellings]
+        return dict(reversed(pairs))
 
     @cached_property
     def _subsets(self) -> dict[str, Indices]:

@@ -289,11 +289,8 @@ def arkit_to_raw(curves: RigCurves, *, least_jaw: float = 0.0) -> RigCurves:
     shapes = curves.reorder(arkit_controls())
     raw = raw_controls()
     values = shapes.values @ _poses() + raw.rest
-    jaw = shapes["JawOpen"]
-    held = np.maximum(jaw, SMALLEST_JAW)
-    share = shapes["MouthClose"] / held / (1 + (least_jaw / held) ** 2)
-    ratio = np.where(jaw > SMALLEST_JAW, share, 0)
-    values[:, raw.indices(LIPS_TOGETHER)] = np.clip(ratio, 0, 1)[:, None]
+    together = lips_together(shapes["MouthClose"], shapes["JawOpen"], least_jaw)
+    values[:, raw.indices(LIPS_TOGETHER)] = together[:, None]
     values = np.clip(values, 0, 1)
     # The head track of curves, or that of their rotations, if the head turns at all.
     turns = shapes.values[:, arkit_controls().indices(HEAD)]
@@ -302,6 +299,13 @@ def arkit_to_raw(curves: RigCurves, *, least_jaw: float = 0.0) -> RigCurves:
     else:
         head = np.pad(turns * np.array(HEAD_DEGREES, np.float32), ((0, 0), (0, 3)))
     return replace(shapes, values=values, names=raw.names, control_set=RAW_ID, head=head)
+
+
+def lips_together(close: Float32, jaw: Float32, least_jaw: float = 0.0) -> Float32:
+    """Values [shape=(T,), range 0 to 1] of `LIPS_TOGETHER` for a closing shape over an open jaw."""
+    held = np.maximum(jaw, SMALLEST_JAW)
+    share = close / held / (1 + (least_jaw / held) ** 2)
+    return np.clip(np.where(jaw > SMALLEST_JAW, share, 0), 0, 1)
 
 
 def raw_curves_of_shapes(names: Iterable[str]) -> set[str]:

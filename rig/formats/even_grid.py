@@ -90,15 +90,7 @@ def even(
     is_even = not len(steps) or np.ptp(steps) <= UNEVEN * float(np.median(steps))
     if is_even and faces.all():
         return values, None, notes
-    n_frames = int((seconds[-1] - seconds[0]) * fps + 0.5) + 1
-    most = GAP_FRAMES + GAP_SHARE * len(values)
-    if n_frames > most:
-        raise FormatError(
-            f"{path}: {len(values)} frames last {n_frames}; at most {most} are made of them: cut "
-            "the take where nothing was recorded"
-        )
-    check_clip(n_frames, values.shape[1])
-    grid = seconds[0] + np.arange(n_frames) / fps
+    grid = grid_over(seconds, fps, values.shape[1], path)
     known, rows = seconds[faces], values[faces]
     filled = np.stack([np.interp(grid, known, column) for column in rows.T], axis=1)
     if not is_even:
@@ -110,6 +102,25 @@ def even(
     if not faces.all():
         notes.append(f"{int((~faces).sum())} of {len(faces)} rows are without a face")
     return filled, None if seen.all() else seen, notes
+
+
+def grid_over(seconds: Float64, fps: float, n_curves: int, where: object) -> Float64:
+    """Even times [shape=(F,)] from the first to the last of rising ones.
+
+    Raises
+    ------
+    FormatError, CurveError
+        If most of the time has no frame, or there are more frames than `limits.FRAMES`.
+    """
+    n_frames = int((seconds[-1] - seconds[0]) * fps + 0.5) + 1
+    most = GAP_FRAMES + GAP_SHARE * len(seconds)
+    if n_frames > most:
+        raise FormatError(
+            f"{where}: {len(seconds)} frames last {n_frames}; at most {most} are made of them: cut "
+            "the take where nothing was recorded"
+        )
+    check_clip(n_frames, n_curves)
+    return np.asarray(seconds[0] + np.arange(n_frames) / fps)
 
 
 def seen_of(grid: Float64, known: Float64, fps: float) -> Bool:

@@ -21,16 +21,15 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rig import limits
 from rig.arrays import Bool, Float32, Float64, Int64
 from rig.controls import ControlSet, check_unique
 from rig.conversion.arkit import ARKIT_ID, PREFIX, RAW_ID, arkit_controls, raw_controls
-from rig.curves import RigCurves, check_clip, snap_fps
+from rig.curves import RigCurves, snap_fps
 from rig.curves.rig_curves import STANDARD_RATES
 from rig.curves.timecode import TICKS_PER_SECOND, Clock, read_timecodes
 from rig.errors import CurveError, FormatError
 from rig.formats.decimal_text import Block, Text, rows
-from rig.formats.even_grid import seen_of, usual_steps
+from rig.formats.even_grid import grid_over, seen_of, usual_steps
 from rig.formats.wide_csv import read_layout, read_numbers
 from rig.unreal.deitalk_clip import subject_of
 
@@ -112,37 +111,28 @@ class LiveLinkTake:
         names = tuple(name for name in controls.names if name in places)
         fps = snap_fps(fps or self.fps)
         seconds = (self.ticks - self.ticks[0]) / TICKS_PER_SECOND
-        n_frames = int(seconds[-1] * fps + 0.5) + 1
-        most = limits.GAP_FRAMES + limits.GAP_SHARE * len(self.ticks)
-        if n_frames > most:
-            raise FormatError(
-                f"a take of {len(self.ticks)} frames lasts {n_frames}; at most {most} are made of "
-                "it: cut it where nothing was recorded"
-            )
-        check_clip(n_frames, len(controls))
-        grid = np.arange(n_frames) / fps
-        values = np.empty((n_frames, len(names)), np.float32)
+        grid = grid_over(seconds, fps, len(controls), "the take")
+        values = np.empty((len(grid), len(names)), np.float32)
         for column, name in enumerate(names):
             with np.errstate(over="ignore", invalid="ignore"):  # named by RigCurves
                 values[:, column] = np.interp(grid, seconds, self.values[:, places[name]])
         values.setflags(write=False)  # not copied again
         curves = RigCurves(values, names, fps, control_set=controls.id, notes=self.notes)
         curves = curves.reorder(controls)
-        return replace(curves, head=self._head(grid, seconds)) if controls.id == RAW_ID else curves
+        if controls.id != RAW_ID:
+            return curves
+        columns = {
+            name: np.interp(grid, seconds, self.values[:, self.names.index(name)])
+            for name in SUBJECT_REST
+            if name in self.names
+        }
+        return replace(curves, head=subject_head(columns))
 
     def seen(self, curves: RigCurves) -> Bool:
         """Frames of `to_curves` that were captured [shape=(F,)]: not in a gap of over a second."""
         seconds = (self.ticks - self.ticks[0]) / TICKS_PER_SECOND
         known = seconds if self.faces is None else seconds[self.faces]
         return seen_of(curves.times, known, curves.fps)
-
-    def _head(self, grid: Float64, seconds: Float64) -> Float32 | None:
-        columns = {
-            name: np.interp(grid, seconds, self.values[:, self.names.index(name)])
-            for name in SUBJECT_REST
-            if name in self.names
-        }
-        return subject_head(columns)
 
 
 def read_take(path: Path) -> LiveLinkTake:
@@ -173,22 +163,17 @@ def read_take(path: Path) -> LiveLinkTake:
             f"{path}: data row {row} has time code {timecodes[row - 1]}, not after the one before"
         )
     faces = ~np.isnan(numbers[:, 1:]).any(axis=1) & (numbers[:, 0] != 0)
-    values = _without_gaps(path, numbers[:, 1:], clock.ticks, faces)
+    if not faces.any():
+        raise FormatError(f"{path}: no row has a face; {COUNT} is 0, or every cell empty")
+    values = numbers[:, 1:]
+    if not faces.all():
+        known, at = values[faces], clock.ticks[faces]
+        values = np.stack([np.interp(clock.ticks, at, column) for column in known.T], axis=1)
     notes = _clock_notes(clock)
     if faces.all():
         return LiveLinkTake(clock.ticks, values, names, header[1], None, notes)
     lost = f"{int((~faces).sum())} of {len(faces)} rows are without a face"
     return LiveLinkTake(clock.ticks, values, names, header[1], faces, (*notes, lost))
-
-
-def _without_gaps(path: Path, values: Float64, ticks: Int64, faces: Bool) -> Float64:
-    """Values with straight lines where a row has no face."""
-    if not faces.any():
-        raise FormatError(f"{path}: no row has a face; {COUNT} is 0, or every cell empty")
-    if faces.all():
-        return values
-    known = values[faces]
-    return np.stack([np.interp(ticks, ticks[faces], column) for column in known.T], axis=1)
 
 
 def _clock_notes(clock: Clock) -> tuple[str, ...]:
@@ -199,16 +184,9 @@ def _clock_notes(clock: Clock) -> tuple[str, ...]:
         return (f"time codes count {clock.count} frames a second",)
     if clock.is_certain or len(clock.ticks) < 2 or (clock.ticks % TICKS_PER_SECOND == 0).all():
         return ()
-    return (
-        (f"time codes end within a second: FF is taken to count {clock.count} a second",)
-        if clock.count == 30
-        else ()
-    )
-
-
-def counts_thirtieths(ticks: Int64) -> bool:
-    """Return whether no frame field of time codes exceeds 30.0, which Unreal takes as 30 fps."""
-    return bool((ticks % TICKS_PER_SECOND).max(initial=0) <= TICKS_PER_SECOND // 2)
+    if clock.count != 30:
+        return ()
+    return ("time codes end within a second: FF is taken to count 30 a second",)
 
 
 def write_take(path: Path, take: LiveLinkTake) -> None:
@@ -235,7 +213,8 @@ def padding(ticks: Int64) -> Int64:
     Without them the sixtieths of a take that ends within half a second are read as thirtieths.
     """
     none: Int64 = np.empty(0, np.int64)
-    if not counts_thirtieths(ticks) or not (ticks % TICKS_PER_SECOND).any():
+    latest = int((ticks % TICKS_PER_SECOND).max(initial=0))
+    if not 0 < latest <= TICKS_PER_SECOND // 2:  # FF exceeds 30.0, or is always 0
         return none
     step = int(np.median(np.diff(ticks))) if len(ticks) > 1 else 2000
     more = ticks[-1] + step * np.arange(1, TICKS_PER_SECOND // 1000 + 1)
@@ -247,7 +226,12 @@ def padding(ticks: Int64) -> Int64:
 
 def notes(path: Path, curves: RigCurves) -> str:
     """Return notes on a file: its padding, and a subject that its suffix changes."""
-    return "; ".join(note for note in (_padding_note(curves), suffix_note(path)) if note)
+    n_held = len(padding(frame_ticks(len(curves), curves.fps)))
+    held = (
+        f"the last frame is held for {n_held} more rows: Unreal plays a Live Link CSV that ends "
+        "within half a second at half speed"
+    )
+    return "; ".join(filter(None, (held if n_held else "", suffix_note(path))))
 
 
 def suffix_note(path: Path) -> str:
@@ -258,17 +242,6 @@ def suffix_note(path: Path) -> str:
     return (
         f"Unreal makes the subject {subject_of(path.name)!r} of this name: call the file "
         f"{stem}_cal.csv for {subject_of(stem + '_cal.csv')!r}"
-    )
-
-
-def _padding_note(curves: RigCurves) -> str:
-    """Return a line on the padding of a clip; empty if there is none."""
-    n_held = len(padding(frame_ticks(len(curves), curves.fps)))
-    if not n_held:
-        return ""
-    return (
-        f"the last frame is held for {n_held} more rows: Unreal plays a Live Link CSV that ends "
-        "within half a second at half speed"
     )
 
 

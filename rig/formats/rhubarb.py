@@ -10,7 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from rig.controls import ControlSet, default_controls
-from rig.conversion.avatars import Cue, cues, cues_to_curves
+from rig.conversion.visemes import Cue, cues, cues_to_curves
 from rig.curves import RigCurves, n_frames_for
 from rig.errors import FormatError, quoted
 from rig.files.reading import check_expansion, check_file, read_text
