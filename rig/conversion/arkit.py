@@ -25,7 +25,6 @@ from numpy.typing import NDArray
 from rig.arrays import Float32
 from rig.controls import DEFAULT_ID, Control, ControlSet, default_controls
 from rig.curves import RigCurves
-from rig.errors import ControlError
 from rig.files.reading import rows_of
 
 # Board channels to the 251 raw curves ``CTRL_expressions_*`` of a MetaHuman face, and back.
@@ -113,10 +112,8 @@ def raw_to_board(curves: RigCurves) -> RigCurves:
     Raises
     ------
     ControlError
-        If the curves are not raw curves.
+        If a curve is no raw curve.
     """
-    if curves.control_set != RAW_ID:
-        raise ControlError(f"curves are of {curves.control_set!r}; raw curves are {RAW_ID!r}")
     raw = curves.reorder(raw_controls())
     board = default_controls()
     values = np.tile(board.rest, (len(curves), 1))
@@ -282,10 +279,8 @@ def arkit_to_raw(curves: RigCurves, *, least_jaw: float = 0.0) -> RigCurves:
     Raises
     ------
     ControlError
-        If the curves are not ARKit shapes.
+        If a curve is no ARKit shape.
     """
-    if curves.control_set != ARKIT_ID:
-        raise ControlError(f"curves are of {curves.control_set!r}; ARKit shapes are {ARKIT_ID!r}")
     shapes = curves.reorder(arkit_controls())
     raw = raw_controls()
     values = shapes.values @ _poses() + raw.rest
@@ -332,10 +327,8 @@ def raw_to_arkit(curves: RigCurves) -> ArkitFit:
     Raises
     ------
     ControlError
-        If the curves are neither.
+        If a curve is neither.
     """
-    if curves.control_set not in (RAW_ID, DEFAULT_ID):
-        raise ControlError(f"curves are of {curves.control_set!r}; raw curves are {RAW_ID!r}")
     rest, arkit = raw_controls().rest, arkit_controls()
     shapes, missed, total = [], [], 0.0
     for first in range(0, max(len(curves), 1), FRAMES_AT_ONCE):

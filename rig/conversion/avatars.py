@@ -32,7 +32,7 @@ from rig.conversion.arkit import (
 from rig.conversion.shape_fit import close_lips, closing_columns, fit_shapes, pose_of, shape_key
 from rig.conversion.visemes import OCULUS, names, weights_to_curves
 from rig.curves import RigCurves
-from rig.errors import ControlError, listed
+from rig.errors import listed
 from rig.files.reading import rows_of
 
 MOST_NAMED = 6
@@ -205,10 +205,8 @@ def raw_to_avatar(curves: RigCurves, avatar: str) -> tuple[RigCurves, ShapeFit]:
     Raises
     ------
     ControlError
-        If the curves are not raw curves.
+        If a curve is no raw curve.
     """
-    if curves.control_set != RAW_ID:
-        raise ControlError(f"curves are of {curves.control_set!r}; raw curves are {RAW_ID!r}")
     fit = _shapes(avatar).fit(curves)
     return replace(curves, values=fit.weights, names=fit.names, control_set=avatar), fit
 

@@ -7,7 +7,7 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -260,16 +260,6 @@ def read_matrix(path: Path, n_columns: int) -> Float64:
     return read_numbers(path, layout)[0]
 
 
-def read_quietly(path: Path, **options: Any) -> "pd.DataFrame":
-    """Return the table of `pandas.read_csv`, with its ParserWarning as an error."""
-    import pandas as pd  # takes longer to import than a take to write
-
-    with warnings.catch_warnings(), open_file(path, CURVES_BYTES) as stream:
-        warnings.simplefilter("error", pd.errors.ParserWarning)
-        table: pd.DataFrame = pd.read_csv(stream, **options)
-    return table
-
-
 def _read_plain(path: Path, layout: Layout) -> Float64 | None:
     """A small table of finite numbers alone; None of any other, which pandas reads or refuses."""
     if layout.encoding != "utf-8-sig" or layout.decimal != ".":
@@ -296,24 +286,18 @@ def _read_plain(path: Path, layout: Layout) -> Float64 | None:
 
 
 def _read_table(path: Path, layout: Layout, dtype: dict[int, type]) -> "pd.DataFrame":
-    import pandas as pd
+    import pandas as pd  # takes longer to import than a take to write
 
     width = max(len(layout.header), layout.width) + 1  # one more, to catch rows that are too long
     count_rows(path, width)
     try:
-        return read_quietly(
-            path,
-            header=None,
-            sep=layout.separator,
-            decimal=layout.decimal,
-            skiprows=layout.skipped + 1,
-            names=list(range(width)),
-            index_col=False,
-            dtype=dtype,
-            low_memory=False,
-            encoding=layout.encoding,
-            on_bad_lines="error",
-        )
+        with warnings.catch_warnings(), open_file(path, CURVES_BYTES) as stream:
+            warnings.simplefilter("error", pd.errors.ParserWarning)
+            return pd.read_csv(
+                stream, header=None, sep=layout.separator, decimal=layout.decimal,
+                skiprows=layout.skipped + 1, names=list(range(width)), index_col=False, dtype=dtype,
+                low_memory=False, encoding=layout.encoding, on_bad_lines="error",
+            )  # fmt: skip
     except pd.errors.EmptyDataError:
         return pd.DataFrame(columns=list(range(width)))
     except (ValueError, OverflowError, pd.errors.ParserWarning) as error:
@@ -327,13 +311,6 @@ def _read_table(path: Path, layout: Layout, dtype: dict[int, type]) -> "pd.DataF
         raise FormatError(f"cannot read {path}: {error.strerror or error}") from error
 
 
-def _is_number(cell: Any) -> bool:
-    try:
-        return abs(float(cell)) <= LARGEST
-    except (TypeError, ValueError, OverflowError):
-        return False
-
-
 def _bad_cell(
     path: Path, header: Sequence[str], table: "pd.DataFrame", usable: Bool | None = None
 ) -> FormatError:
@@ -341,7 +318,8 @@ def _bad_cell(
     import pandas as pd
 
     if usable is None:
-        usable = table.map(_is_number).to_numpy(bool)
+        numbers = table.apply(pd.to_numeric, errors="coerce").to_numpy(np.float64)
+        usable = np.abs(numbers) <= LARGEST
     row, place = (int(i) for i in np.argwhere(~usable)[0])
     column = int(table.columns[place])
     cell = table[column].iloc[row]

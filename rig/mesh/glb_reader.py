@@ -414,5 +414,5 @@ def animate_glb(
     if not driven:
         raise MeshError(f"{Path(source).name} has none of the morph targets {', '.join(names[:6])}")
     builder = GlbBuilder(document, bytearray(binary))
-    add_animation(builder, animation, driven)
+    add_animation(builder, animation.moves(driven), animation.fps, animation.tolerance)
     write_container(path, document, bytes(builder.binary))

@@ -72,11 +72,6 @@ class TriMesh:
 
     def with_vertices(self, vertices: Any) -> "TriMesh":
         """Return the same triangles over other positions [shape=(V, 3)]."""
-        if np.shape(vertices) != self.vertices.shape:
-            raise TopologyError(
-                f"{np.shape(vertices)} positions for {len(self.vertices)} vertices: "
-                "the deformed mesh must keep the vertex order of the neutral one"
-            )
         return TriMesh(vertices, self.faces)
 
     def flipped(self) -> "TriMesh":

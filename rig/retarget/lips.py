@@ -15,7 +15,7 @@ from rig.arrays import Float64, Int64
 from rig.errors import MeshError
 from rig.mesh.trimesh import TriMesh
 from rig.retarget.landmarks import CORNERS, nearest
-from rig.retarget.registration import Registration
+from rig.retarget.registration import Registration, inverse_distance
 from rig.retarget.transfer import local_jacobians
 
 _NEAR_SLIT = 0.03
@@ -120,7 +120,7 @@ def repair_lips(
     theirs = 0.5 * (placed[source_pairs.upper] + placed[source_pairs.lower])
     rest = registration.target.vertices
     ours = 0.5 * (rest[target_pairs.upper] + rest[target_pairs.lower])
-    wanted = _inverse_distance(theirs, ours, parting)
+    wanted = inverse_distance(theirs, ours, parting)
     error = wanted - (result[:, target_pairs.upper] - result[:, target_pairs.lower])
     error = _along_slit(ours, error, _SMOOTHING * target_pairs.width)
     for vertices, sign, side in ((target_pairs.upper, 0.5, 1), (target_pairs.lower, -0.5, -1)):
@@ -128,7 +128,7 @@ def repair_lips(
         near, reach = KDTree(rest[vertices]), _REPAIR_REACH * target_pairs.width
         distance, _ = near.query(rest[lip])
         spread = np.exp(-((distance / reach) ** 2))
-        correction = _inverse_distance(rest[vertices], rest[lip], sign * error)
+        correction = inverse_distance(rest[vertices], rest[lip], sign * error)
         result[:, lip] += spread[:, None] * correction
     return result
 
@@ -142,13 +142,3 @@ def _along_slit(points: Float64, values: Float64, reach: float) -> Float64:
     apart = np.linalg.norm(points[:, None] - points[None], axis=-1)
     near = np.exp(-((apart / reach) ** 2))
     return np.asarray(np.einsum("pq,kqc->kpc", near / near.sum(axis=1, keepdims=True), values))
-
-
-def _inverse_distance(points: Float64, queries: Float64, values: Float64) -> Float64:
-    """Interpolate values [shape=(K, P, 3)] at points to queries by their four nearest."""
-    count = min(4, len(points))
-    distance, nearest = KDTree(points).query(queries, k=count)
-    distance, nearest = (np.asarray(x).reshape(-1, count) for x in (distance, nearest))
-    weight = 1.0 / np.maximum(distance, 1e-9) ** 2
-    weight /= weight.sum(axis=1, keepdims=True)
-    return np.asarray(np.einsum("qn,kqnc->kqc", weight, values[:, nearest]))

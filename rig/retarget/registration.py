@@ -294,10 +294,18 @@ def _carry_along(aligned: Float64, skin: Int64, surface: Float64) -> Float64:
     placed = aligned.copy()
     placed[skin] = surface
     others = np.setdiff1d(np.arange(len(aligned)), skin)
-    if len(others):
-        distance, nearest = KDTree(aligned[skin]).query(aligned[others], k=8)
-        weight = 1.0 / np.maximum(distance, 1e-9)
-        weight /= weight.sum(axis=1, keepdims=True)
-        moved = (surface - aligned[skin])[nearest]
-        placed[others] += np.einsum("qk,qkc->qc", weight, moved)
+    moved = (surface - aligned[skin])[None]
+    placed[others] += inverse_distance(aligned[skin], aligned[others], moved, count=8, power=1)[0]
     return placed
+
+
+def inverse_distance(
+    points: Float64, queries: Float64, values: Float64, *, count: int = 4, power: int = 2
+) -> Float64:
+    """Interpolate values [shape=(K, P, 3)] at points to queries by their nearest."""
+    count = min(count, len(points))
+    distance, near = KDTree(points).query(queries, k=count)
+    distance, near = (np.asarray(x).reshape(-1, count) for x in (distance, near))
+    weight = 1.0 / np.maximum(distance, 1e-9) ** power
+    weight /= weight.sum(axis=1, keepdims=True)
+    return np.asarray(np.einsum("qn,kqnc->kqc", weight, values[:, near]))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+from bisect import bisect_right
 from fractions import Fraction
 from math import asin, atan2, cos, degrees, gcd, lcm, radians, sin
 from typing import Any
@@ -78,24 +79,25 @@ def _raw_values(curve: Any, board: dict[str, Any]) -> Any:
     if not isinstance(curve, dict):
         return curve
     channels = [board[control][axis] for control, axis in (o.split(".") for o in curve["of"])]
+    places, levels = zip(*curve["knots"])  # noqa: B905  (Python 3.9)
+
+    def value(parts: Any) -> float:
+        return interpolated(places, levels, min(max(sum(parts), -1.0), 1.0))
+
     lists = [values for values in channels if isinstance(values, list)]
     if not lists:
-        return _on_knots(sum(channels), curve["knots"])
-    size, knots = len(lists[0]), curve["knots"]
-    columns = [values if isinstance(values, list) else [values] * size for values in channels]
-    return [_on_knots(sum(values[i] for values in columns), knots) for i in range(size)]
+        return value(channels)
+    columns = [v if isinstance(v, list) else [v] * len(lists[0]) for v in channels]
+    return [value(row) for row in zip(*columns)]  # noqa: B905
 
 
-def _on_knots(place: float, knots: list[list[float]]) -> float:
-    """Value of a piecewise linear function at a place within -1 to 1."""
-    place = min(max(place, -1.0), 1.0)
-    if place <= knots[0][0]:
-        return knots[0][1]
-    for i in range(len(knots) - 1):
-        (left, low), (right, high) = knots[i], knots[i + 1]
-        if place <= right:
-            return low + (place - left) / (right - left) * (high - low)
-    return knots[-1][1]
+def interpolated(places: Any, values: Any, at: float) -> float:
+    """Return a value at a place, linear between rising places and constant beyond them."""
+    if at <= places[0] or at >= places[-1]:
+        return float(values[0] if at <= places[0] else values[-1])
+    i = bisect_right(places, at)
+    share = (at - places[i - 1]) / (places[i] - places[i - 1])
+    return float(values[i - 1] + share * (values[i] - values[i - 1]))
 
 
 def _head_curves(head: Any) -> dict[str, Any]:
@@ -209,12 +211,8 @@ def resampled(data: dict[str, Any], values: Any, fps: Fraction) -> list[float]:
     own = Fraction(*data["frame_rate"])
     if not isinstance(values, list) or own == fps:
         return [float(v) for v in (values if isinstance(values, list) else [values])]
-    step, last, out = float(own / fps), len(values) - 1, []
-    for i in range(frame_count(data, fps)):
-        low = min(int(i * step + 1e-9), last)
-        high = min(low + 1, last)
-        out.append(values[low] + (i * step - low) * (values[high] - values[low]))
-    return out
+    step, places = float(own / fps), range(len(values))
+    return [interpolated(places, values, i * step) for i in range(frame_count(data, fps))]
 
 
 def rate_steps(current: Fraction, wanted: Fraction) -> list[Fraction]:

@@ -31,7 +31,7 @@ def head():
 
 
 def subset(head, *names):
-    chosen = [head.rig.shapes.index(name) for name in names]
+    chosen = [head.rig.shapes.names.index(name) for name in names]
     return head.rig.shapes.deltas[chosen].astype(np.float64)
 
 
