@@ -19,16 +19,8 @@ import numpy as np
 
 from rig.arrays import Bool, Float32, Float64
 from rig.controls import Control, ControlSet, default_controls
-from rig.conversion.arkit import (
-    LIPS_TOGETHER,
-    PREFIX,
-    RAW_ID,
-    arkit_controls,
-    arkit_to_raw,
-    board_to_raw,
-    lips_together,
-    raw_controls,
-)
+from rig.conversion.arkit import LIPS_TOGETHER, arkit_controls, arkit_to_raw, lips_together
+from rig.conversion.raw import PREFIX, RAW_ID, board_to_raw, raw_controls
 from rig.conversion.shape_fit import close_lips, closing_columns, fit_shapes, pose_of, shape_key
 from rig.conversion.visemes import OCULUS, names, weights_to_curves
 from rig.curves import RigCurves

@@ -9,17 +9,13 @@ from rig.arrays import AnyFloat
 from rig.controls import DEFAULT_ID, ControlSet, default_controls
 from rig.conversion.arkit import (
     ARKIT_ID,
-    RAW_ID,
     arkit_controls,
     arkit_to_raw,
-    board_of_raw_curves,
-    board_to_raw,
-    raw_controls,
     raw_curves_of_shapes,
     raw_to_arkit,
-    raw_to_board,
 )
 from rig.conversion.avatars import AVATARS, avatar_controls, avatar_to_raw, raw_to_avatar
+from rig.conversion.raw import RAW_ID, board_of_raw_curves, board_to_raw, raw_controls, raw_to_board
 from rig.conversion.shape_fit import shape_key
 from rig.curves import RigCurves
 from rig.errors import ControlError, FormatError, listed

@@ -13,8 +13,9 @@ from pathlib import Path
 import numpy as np
 
 from rig.controls import ControlSet
-from rig.conversion.arkit import ARKIT_ID, N_SHAPES, PREFIX, arkit_controls
+from rig.conversion.arkit import ARKIT_ID, N_SHAPES, arkit_controls
 from rig.conversion.convert import best_set, controls_of, known_controls
+from rig.conversion.raw import PREFIX
 from rig.curves import RigCurves
 from rig.errors import FormatError, listed, quoted
 from rig.formats.decimal_text import Block, rows

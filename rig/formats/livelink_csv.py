@@ -16,22 +16,22 @@ codes to the last digit; `to_curves` puts it on an even grid.
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rig.arrays import Bool, Float32, Float64, Int64
 from rig.controls import ControlSet, check_unique
-from rig.conversion.arkit import ARKIT_ID, PREFIX, RAW_ID, arkit_controls, raw_controls
-from rig.curves import RigCurves, snap_fps
+from rig.conversion.arkit import ARKIT_ID, arkit_controls
+from rig.conversion.raw import PREFIX, RAW_ID, raw_controls
+from rig.curves import HEAD, RigCurves, snap_fps
 from rig.curves.rig_curves import STANDARD_RATES
 from rig.curves.timecode import TICKS_PER_SECOND, Clock, read_timecodes
 from rig.errors import CurveError, FormatError
 from rig.formats.decimal_text import Block, Text, rows
 from rig.formats.even_grid import grid_over, seen_of, usual_steps
 from rig.formats.wide_csv import read_layout, read_numbers
-from rig.unreal.deitalk_clip import subject_of
+from rig.unreal.deitalk_clip import VERSIONS, head_curves, head_of_curves, subject_of
 
 DECIMALS = 10
 ENDINGS = ("_cal", "_raw", "_neutral")
@@ -45,10 +45,6 @@ SUBJECT_REST = (
 """Properties after the raw curves of every MetaHuman subject since Unreal 5.6, in their order
 (LiveLinkFaceSource.cpp): degrees in the axes of the head's bone (up, forward, right), first about
 the upright one; cm back, left and up."""
-_BONE_TURN: Final = "XZY"
-_HEAD_TURN: Final = "YXZ"
-"""Orders of the angles about the axes left, up and forward, of the bone and of the track."""
-_HEAD_SIGNS = (-1.0, -1.0, 1.0)
 COUNT = "BlendshapeCount"
 """Second column. Unreal ignores case; other readers want the spelling of the app since 2024."""
 
@@ -264,17 +260,11 @@ def write(path: Path, curves: RigCurves, start: float = 0.0) -> None:
 
 def with_subject(curves: RigCurves) -> RigCurves:
     """Raw curves with `SUBJECT_REST` as columns: switch and turn of the head, and constants."""
+    track = None if curves.head is None else dict(zip(HEAD, curves.head.T.tolist(), strict=True))
+    moved = VERSIONS | head_curves(track)
     rest = np.zeros((len(curves), len(SUBJECT_REST)), np.float32)
-    if curves.head is not None:
-        rest[:, 0] = 1
-        # Columns 1 to 6 of `SUBJECT_REST` [shape=(T, 6)]; `subject_head` is the inverse.
-        from scipy.spatial.transform import Rotation
-
-        turn = Rotation.from_euler(_HEAD_TURN, curves.head[:, :3] * _HEAD_SIGNS, degrees=True)
-        left, up, forward = curves.head[:, 3:].T
-        roll_last = turn.as_euler(_BONE_TURN, degrees=True)
-        rest[:, 1:7] = np.column_stack([roll_last[:, ::-1], -forward, left, up])
-    rest[:, 7:] = 1
+    for place, name in enumerate(SUBJECT_REST):
+        rest[:, place] = moved.get(name, 0.0)
     values = np.column_stack([curves.values, rest])
     return replace(curves, values=values, names=(*curves.names, *SUBJECT_REST))
 
@@ -283,12 +273,8 @@ def subject_head(columns: Mapping[str, Float64]) -> Float32 | None:
     """The head track [shape=(T, 6)] of columns of `SUBJECT_REST`; None unless the switch is on."""
     if any(name not in columns for name in SUBJECT_REST[:7]) or not columns[SUBJECT_REST[0]].any():
         return None
-    roll, pitch, yaw, back, left, up = (columns[name] for name in SUBJECT_REST[1:7])
-    from scipy.spatial.transform import Rotation
-
-    turn = Rotation.from_euler(_BONE_TURN, np.column_stack([yaw, pitch, roll]), degrees=True)
-    angles = turn.as_euler(_HEAD_TURN, degrees=True) * _HEAD_SIGNS
-    return np.column_stack([angles, left, up, -back]).astype(np.float32)
+    track = head_of_curves({name: column.tolist() for name, column in columns.items()})
+    return np.column_stack([track[name] for name in HEAD]).astype(np.float32)
 
 
 def frame_ticks(n_frames: int, fps: float) -> Int64:

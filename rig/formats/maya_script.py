@@ -21,7 +21,7 @@ from rig.files.reading import read_text
 from rig.formats.decimal_text import Block, rows
 from rig.formats.unreal_json import keyed_controls
 from rig.limits import CURVES_BYTES
-from rig.unreal.deitalk_clip import curve_keys, fit_segment, key_frames, split_curve
+from rig.unreal.deitalk_clip import KEYS
 
 DECIMALS = 4
 STILL = 5e-5
@@ -85,9 +85,7 @@ def read(path: Path, controls: ControlSet | None = None, fps: float | None = Non
 
 def key_frames_text() -> str:
     """Return the sources of the keys' functions without annotations, as Python 2.7 reads them."""
-    functions = (key_frames, curve_keys, split_curve, fit_segment)
-    bare = [_bare(inspect.getsource(function)) for function in functions]
-    return "\n\n".join(bare)
+    return "\n\n".join(_bare(inspect.getsource(function)) for function in KEYS)
 
 
 def _bare(source: str) -> str:

@@ -20,7 +20,7 @@ import numpy as np
 
 from rig.arrays import Float32
 from rig.controls import DEFAULT_ID, Control, ControlSet, default_controls
-from rig.conversion.arkit import BOTH_EYES, RAW_ID, raw_controls, raw_knots
+from rig.conversion.raw import BOTH_EYES, RAW_ID, raw_controls, raw_knots
 from rig.curves import HEAD, RigCurves
 from rig.errors import CurveError, FormatError, quoted
 from rig.files.reading import check_expansion, read_json

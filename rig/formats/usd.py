@@ -15,7 +15,7 @@ import numpy as np
 
 from rig.arrays import AnyFloat, Float32, Float64
 from rig.controls import ControlSet
-from rig.conversion.arkit import RAW_ID, board_to_raw, raw_controls
+from rig.conversion.raw import RAW_ID, board_to_raw, raw_controls
 from rig.curves import HEAD, RigCurves
 from rig.errors import FormatError, quoted
 from rig.face.head import Head

@@ -1,6 +1,5 @@
 """Wide tables of numbers as CSV: one column per curve, one row per frame."""
 
-import codecs
 import csv
 import re
 import warnings
@@ -13,7 +12,13 @@ import numpy as np
 
 from rig.arrays import Bool, Float64
 from rig.errors import FormatError, quoted, shorten
-from rig.files.reading import check_expansion, check_file, open_file
+from rig.files.reading import (
+    check_expansion,
+    check_file,
+    decode_text,
+    encoding_of,
+    open_file,
+)
 from rig.limits import CONTROLS, CURVES_BYTES, FRAMES, HEADER_BYTES
 
 if TYPE_CHECKING:
@@ -73,9 +78,8 @@ def read_layout(path: Path) -> Layout:
     """
     with open_file(path, CURVES_BYTES) as stream:
         data = stream.read(2 * HEADER_BYTES)
-    encoding = _encoding(data)
     is_whole = len(data) < 2 * HEADER_BYTES
-    text = _decoded(data, encoding, path, is_whole=is_whole)
+    text = decode_text(data, path, is_whole=is_whole)
     lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
     if not is_whole and len(lines) > 1:
         lines.pop()  # cut short
@@ -105,7 +109,7 @@ def read_layout(path: Path) -> Layout:
     has_commas = any(_DECIMAL_COMMA.fullmatch(cell.strip()) for row in rows for cell in row)
     width = min(max((len(row) for row in rows), default=0), MAX_COLUMNS)
     return Layout(
-        encoding,
+        encoding_of(data),
         separator,
         "," if has_commas else ".",
         skipped,
@@ -121,29 +125,6 @@ def read_header(path: Path) -> tuple[str, ...]:
     Errors are those of `read_layout`.
     """
     return read_layout(path).header
-
-
-def _encoding(data: bytes) -> str:
-    """The encoding of a text by its mark, or by the zero bytes of UTF-16 without one."""
-    if data.startswith((b"\xff\xfe", b"\xfe\xff")):
-        return "utf-16"
-    pairs = data[:200]
-    if len(pairs) >= 4 and not data.startswith(b"\0\0"):
-        if not any(pairs[1::2]) and all(pairs[::2]):
-            return "utf-16-le"
-        if not any(pairs[::2]) and all(pairs[1::2]):
-            return "utf-16-be"
-    return "utf-8-sig"
-
-
-def _decoded(data: bytes, encoding: str, path: Path, *, is_whole: bool) -> str:
-    try:
-        return codecs.getincrementaldecoder(encoding)().decode(data, is_whole)
-    except UnicodeDecodeError as problem:
-        name = "UTF-8" if encoding == "utf-8-sig" else "UTF-16"
-        raise FormatError(
-            f"{path} is no {name} text (byte {problem.start}: {problem.reason}); save it as UTF-8"
-        ) from None
 
 
 def separator_of(line: str) -> str:

@@ -13,9 +13,10 @@ from scipy.spatial import KDTree
 
 from rig.arrays import Float64
 from rig.controls import default_controls
-from rig.conversion.arkit import RAW_ID, arkit_controls, raw_controls
+from rig.conversion.arkit import arkit_controls
 from rig.conversion.avatars import ShapeFit, ShapePoses, poses_of
 from rig.conversion.convert import convert
+from rig.conversion.raw import RAW_ID, raw_controls
 from rig.curves import RigCurves
 from rig.errors import ControlError, MeshError
 from rig.mesh.shapes import ShapeSet

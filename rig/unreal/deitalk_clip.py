@@ -55,8 +55,8 @@ def load(path: str) -> dict[str, Any]:
     if not isinstance(rate, list) or [type(n) for n in rate] != [int, int] or min(rate) < 1:
         raise DeitalkError(f"{path}: frame_rate is {rate!r}; it must be two whole numbers above 0")
     try:
-        raw = {name: _raw_values(curve, data["board"]) for name, curve in data["raw"].items()}
-        data["raw"] = {**raw, **VERSIONS, **_head_curves(data.get("head"))}
+        raw = {name: raw_values(curve, data["board"]) for name, curve in data["raw"].items()}
+        data["raw"] = {**raw, **VERSIONS, **head_curves(data.get("head"))}
         channels = [*data["raw"].values()]
         channels += [values for axes in data["board"].values() for values in axes.values()]
         lists = [values if isinstance(values, list) else [values] for values in channels]
@@ -70,8 +70,8 @@ def load(path: str) -> dict[str, Any]:
     return data
 
 
-def _raw_values(curve: Any, board: dict[str, Any]) -> Any:
-    """Numbers of a raw curve: its own, or a function of channels of the board.
+def raw_values(curve: Any, board: dict[str, Any]) -> Any:
+    """Return the numbers of a raw curve: its own, or a function of channels of the board.
 
     ``of`` are the channels, as ``control.axis``; their sum, within -1 to 1, is put into the
     piecewise linear function with the ``knots``, which is constant beyond them.
@@ -100,8 +100,8 @@ def interpolated(places: Any, values: Any, at: float) -> float:
     return float(values[i - 1] + share * (values[i] - values[i - 1]))
 
 
-def _head_curves(head: Any) -> dict[str, Any]:
-    """Curves of a head track and the switch that lets them turn the head; none without a track."""
+def head_curves(head: Any) -> dict[str, Any]:
+    """Return curves of a head track and the switch that lets them turn it, if there is one."""
     if head is None:
         return {}
     curves = {"HeadControlSwitch": 1.0, **turned([head[name] for name in ANGLES], TURNS, _in_bone)}
@@ -295,6 +295,10 @@ def fit_segment(values: list[float], first: int, last: int) -> tuple[float, floa
     a, b = (ra * bb - rb * ab) / det, (rb * aa - ra * ab) / det
     errors = [abs(r - a * p - b * q) for r, p, q in zip(off, left, right)]  # noqa: B905
     return max(errors or [0.0]), slope + a, slope + b
+
+
+KEYS = (key_frames, curve_keys, split_curve, fit_segment)
+"""Functions that scripts for other programs have as text."""
 
 
 def describe(values: Any) -> str:

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from rig.controls import DEFAULT_ID
-from rig.conversion.arkit import PREFIX, RAW_ID
 from rig.conversion.convert import known_controls
+from rig.conversion.raw import PREFIX, RAW_ID
 from rig.curves import RigCurves
 from rig.curves.layer_files import read_layers
 from rig.curves.layers import SUFFIX

@@ -7,8 +7,8 @@ from typing import Literal
 import numpy as np
 
 from rig.arrays import AnyFloat
-from rig.conversion.arkit import PREFIX
 from rig.conversion.convert import known_controls
+from rig.conversion.raw import PREFIX
 
 Level = Literal["error", "warning", "note"]
 

@@ -5,8 +5,9 @@ from pathlib import Path
 
 import numpy as np
 
-from rig.conversion.arkit import ARKIT_ID, PREFIX, arkit_controls
+from rig.conversion.arkit import ARKIT_ID, arkit_controls
 from rig.conversion.convert import known_controls
+from rig.conversion.raw import PREFIX
 from rig.curves.timecode import TICKS_PER_SECOND
 from rig.errors import FormatError
 from rig.files.reading import decode_text, open_file

@@ -11,14 +11,13 @@ from rig import RigCurves, default_controls, rest_curves
 from rig.conversion.arkit import (
     ARKIT_ID,
     LIPS_TOGETHER,
-    RAW_ID,
     arkit_controls,
     arkit_to_raw,
-    raw_controls,
     raw_to_arkit,
     udp_order,
 )
 from rig.conversion.convert import convert
+from rig.conversion.raw import RAW_ID, raw_controls
 from rig.errors import ControlError
 
 ARKIT = arkit_controls()

@@ -14,10 +14,9 @@ from rig.conversion.arkit import (
     GAZE_SIDE_DEGREES,
     GAZE_UP_DEGREES,
     HEAD,
-    RAW_ID,
     arkit_controls,
-    board_to_raw,
 )
+from rig.conversion.raw import RAW_ID, board_to_raw
 from rig.curves.timecode import read_timecodes
 from rig.errors import FormatError
 from rig.face.head_pose import quaternions

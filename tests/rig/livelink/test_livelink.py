@@ -14,8 +14,9 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from rig import RigCurves, default_controls, rest_curves
-from rig.conversion.arkit import ARKIT_ID, RAW_ID, arkit_controls
+from rig.conversion.arkit import ARKIT_ID, arkit_controls
 from rig.conversion.convert import convert
+from rig.conversion.raw import RAW_ID
 from rig.errors import FormatError
 from rig.face.head_pose import quaternions
 from rig.formats.livelink_csv import read_take, with_subject, write_take
