@@ -22,6 +22,7 @@ from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from importlib import resources
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -201,28 +202,28 @@ class ControlSet:
     @cached_property
     def minimum(self) -> Float32:
         """Lower ends of the ranges [shape=(C,)]."""
-        return _floats([control.minimum for control in self.controls])
+        return _frozen([control.minimum for control in self.controls])
 
     @cached_property
     def maximum(self) -> Float32:
         """Upper ends of the ranges [shape=(C,)]."""
-        return _floats([control.maximum for control in self.controls])
+        return _frozen([control.maximum for control in self.controls])
 
     @cached_property
     def rest(self) -> Float32:
         """Values of the face at rest [shape=(C,)]; not all are 0."""
-        return _floats([control.rest for control in self.controls])
+        return _frozen([control.rest for control in self.controls])
 
     @cached_property
     def mirror_index(self) -> Indices:
         """Index of each control's counterpart on the other side [shape=(C,)]."""
         places = [self._places[control.mirror or control.name] for control in self.controls]
-        return _indices(places)
+        return _frozen(places, np.intp)
 
     @cached_property
     def mirror_sign(self) -> Float32:
         """1, or -1 where mirroring changes the sign [shape=(C,)]."""
-        return _floats([control.mirror_sign for control in self.controls])
+        return _frozen([control.mirror_sign for control in self.controls])
 
     @cached_property
     def regions(self) -> tuple[str, ...]:
@@ -380,7 +381,7 @@ class ControlSet:
             groups = {*control.sets, control.region, side_names.get(control.side, ""), control.role}
             for group in sorted(groups - {""}):
                 members.setdefault(group, []).append(i)
-        return {name: _indices(places) for name, places in members.items()}
+        return {name: _frozen(places, np.intp) for name, places in members.items()}
 
 
 @cache
@@ -419,13 +420,7 @@ def _check_control(control: Control, known: set[str]) -> None:
         )
 
 
-def _floats(values: Sequence[float]) -> Float32:
-    array = np.array(values, dtype=np.float32)
-    array.setflags(write=False)
-    return array
-
-
-def _indices(places: Sequence[int]) -> Indices:
-    array = np.array(places, dtype=np.intp)
+def _frozen(values: Sequence[float], dtype: Any = np.float32) -> NDArray[Any]:
+    array = np.array(values, dtype=dtype)
     array.setflags(write=False)
     return array

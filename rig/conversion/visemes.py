@@ -5,6 +5,7 @@ lips together, lip bite …), and each frame gets the viseme with the nearest ge
 (``visemes.csv``) are our interpretation of the two sets.
 """
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
@@ -104,13 +105,12 @@ def cues(curves: RigCurves) -> tuple[Cue, ...]:
     """
     shapes = names(RHUBARB)
     best = [shapes[i] for i in weights(curves, RHUBARB).argmax(axis=1)]
-    runs: list[list[float | str]] = []
-    for i, shape in enumerate(best):
-        if runs and runs[-1][2] == shape:
-            runs[-1][1] = (i + 1) / curves.fps
-        else:
-            runs.append([i / curves.fps, (i + 1) / curves.fps, shape])
-    return _merged([Cue(float(a), float(b), str(shape)) for a, b, shape in runs])
+    runs, first = [], 0
+    for shape, frames in itertools.groupby(best):
+        stop = first + len(list(frames))
+        runs.append(Cue(first / curves.fps, stop / curves.fps, shape))
+        first = stop
+    return _merged(runs)
 
 
 def cues_to_curves(given: Sequence[Cue], fps: float = 30.0) -> RigCurves:

@@ -20,7 +20,7 @@ import numpy as np
 
 from rig.arrays import Float32
 from rig.controls import DEFAULT_ID, Control, ControlSet, default_controls
-from rig.conversion.raw import BOTH_EYES, RAW_ID, raw_controls, raw_knots
+from rig.conversion.raw import BOTH_EYES, raw_controls, raw_knots
 from rig.curves import HEAD, RigCurves
 from rig.errors import CurveError, FormatError, quoted
 from rig.files.reading import check_expansion, read_json
@@ -98,15 +98,19 @@ def read_present(path: Path) -> tuple[RigCurves, str]:
     board, raw = (data.get(key) or {} for key in ("board", "raw"))
     if not isinstance(board, dict) or not isinstance(raw, dict) or not (board or raw):
         raise FormatError(f"{path} holds no curves; export an asset that has some")
-    columns = _board_columns(path, board) if board else _raw_columns(path, raw)
     known = default_controls() if board else raw_controls()
+    spelt = {name.lower(): name for name in known.names}  # Unreal may give names as first spelt
+    columns: dict[str, Any] = {spelt.get(name.lower(), name): raw[name] for name in raw}
+    if board:
+        columns = _board_columns(path, board)
+    elif len(columns) < len(raw):
+        raise FormatError(f"{path}: a curve appears twice, in upper and in lower case")
     names = known.resolve(list(columns))
     n_frames, rate = _length_and_rate(path, data, len(names))
     values = _filled(path, columns, n_frames)
     head = _head(path, data.get("head"), n_frames)
     try:
-        known_set = DEFAULT_ID if board else RAW_ID
-        curves = RigCurves(values, names, rate, control_set=known_set, head=head)
+        curves = RigCurves(values, names, rate, control_set=known.id, head=head)
     except CurveError as error:
         raise FormatError(f"{path}: {error}") from error
     return curves, str(data.get("audio") or "")
@@ -133,15 +137,6 @@ def _filled(path: Path, columns: dict[str, Any], n_frames: int) -> Float32:
         except (TypeError, ValueError, OverflowError):
             raise FormatError(f"{path}: {name} is no list of numbers") from None
     return values
-
-
-def _raw_columns(path: Path, raw: dict[str, Any]) -> dict[str, Any]:
-    """Values by raw curve; Unreal may give names as they were first spelt in the editor."""
-    canonical = {name.lower(): name for name in raw_controls().names}
-    columns = {canonical.get(name.lower(), name): numbers for name, numbers in raw.items()}
-    if len(columns) < len(raw):
-        raise FormatError(f"{path}: a curve appears twice, in upper and in lower case")
-    return columns
 
 
 def _board_columns(path: Path, board: dict[str, Any]) -> dict[str, Any]:

@@ -207,9 +207,7 @@ def _pieces(document: dict[str, Any], binary: bytes) -> list[Piece]:
 
 def walk(document: dict[str, Any]) -> Iterator[tuple[int, Float64]]:
     """Nodes of the default scene with their world transforms; a node is visited once."""
-    nodes = document.get("nodes", [])
-    if len(nodes) > NODES:
-        raise FormatError(f"the scene has {len(nodes)} nodes; at most {NODES} are read")
+    nodes = _nodes(document)
     scenes = document.get("scenes") or [{"nodes": list(range(len(nodes)))}]
     roots = scenes[document.get("scene", 0)].get("nodes", [])
     waiting = deque((i, np.eye(4)) for i in roots)
@@ -222,6 +220,13 @@ def walk(document: dict[str, Any]) -> Iterator[tuple[int, Float64]]:
         world = parent @ _local_transform(nodes[index])
         yield index, world
         waiting.extend((child, world) for child in nodes[index].get("children", []))
+
+
+def _nodes(document: dict[str, Any]) -> list[dict[str, Any]]:
+    nodes: list[dict[str, Any]] = document.get("nodes", [])
+    if len(nodes) > NODES:
+        raise FormatError(f"the scene has {len(nodes)} nodes; at most {NODES} are read")
+    return nodes
 
 
 def _local_transform(node: dict[str, Any]) -> Float64:
@@ -361,10 +366,7 @@ def morph_names(path: Path | str) -> tuple[str, ...]:
 def morphing_nodes(document: dict[str, Any]) -> list[tuple[int, list[str]]]:
     """Return the nodes of meshes with morph targets, and the names of these."""
     found = []
-    nodes = document.get("nodes", [])
-    if len(nodes) > NODES:
-        raise FormatError(f"the scene has {len(nodes)} nodes; at most {NODES} are read")
-    for index, node in enumerate(nodes):
+    for index, node in enumerate(_nodes(document)):
         if "mesh" in node:
             mesh = document["meshes"][node["mesh"]]
             count = len(mesh["primitives"][0].get("targets", []))

@@ -10,7 +10,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components, dijkstra
 from scipy.spatial import KDTree
 
-from rig.arrays import Float64, Int64
+from rig.arrays import Bool, Float64, Int64
 from rig.errors import MeshError
 from rig.mesh.closest import ClosestPoints
 from rig.mesh.deformation import similarity
@@ -121,19 +121,24 @@ def _fit_rigidly(skin: TriMesh, target: TriMesh, axes: Float64) -> tuple[float, 
     our_level = np.abs(ours[:, 1] - our_nose[1]) < 1.0
     our_width = float(np.ptp(ours[our_level, 0]))
     best = (np.inf, ours)
+
+    def matches(placed: Float64) -> tuple[Float64, Int64, Bool]:
+        """Distance and number of each front vertex's nearest point, and whether both face alike."""
+        distance, there = nearest(tree, placed[front])
+        cosine = np.einsum("vc,vc->v", our_normals[front], normals[there])
+        return distance, there, np.asarray(cosine > 0.3)
+
     for size in _SIZES:
         scale = size * width / our_width
         placed = scale * (ours - our_nose) + nose
         for _ in range(_STEPS):
-            distance, there = nearest(tree, placed[front])
-            facing = np.einsum("vc,vc->v", our_normals[front], normals[there]) > 0.3
+            distance, there, facing = matches(placed)
             near = facing & (distance <= np.quantile(distance, 0.85))
             if near.sum() < 20 or len(np.unique(there[near])) < 4:  # shrunk to a point
                 break
             scale, rotation, shift = similarity(ours[front[near]], points[there[near]])
             placed = scale * ours @ rotation.T + shift
-        distance, there = nearest(tree, placed[front])
-        facing = np.einsum("vc,vc->v", our_normals[front], normals[there]) > 0.3
+        distance, _, facing = matches(placed)
         cost = float(np.mean(np.minimum(distance / scale, 2.0) + 1.0 * ~facing))
         if cost < best[0]:
             best = (cost, placed)
