@@ -100,7 +100,7 @@ def read_present(path: Path) -> tuple[RigCurves, str]:
         raise FormatError(f"{path} holds no curves; export an asset that has some")
     known = default_controls() if board else raw_controls()
     spelt = {name.lower(): name for name in known.names}  # Unreal may give names as first spelt
-    columns: dict[str, Any] = {spelt.get(name.lower(), name): raw[name] for name in raw}
+    columns = {spelt.get(str(name).lower(), str(name)): raw[name] for name in raw}
     if board:
         columns = _board_columns(path, board)
     elif len(columns) < len(raw):
