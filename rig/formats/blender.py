@@ -8,7 +8,7 @@ import numpy as np
 from rig.conversion import shape_fit
 from rig.conversion.avatars import bare_names, known_poses
 from rig.conversion.raw import raw_controls
-from rig.unreal.deitalk_clip import KEYS, interpolated, raw_values
+from rig.unreal.deitalk_clip import KEYS
 
 ADDON = Path(__file__).with_name("blender_addon.py")
 RAW = bare_names()
@@ -23,8 +23,7 @@ POSES: dict[str, dict[int, float]] = {
 
 def addon_text() -> str:
     """Return the text of the add-on: its file with the matcher and its table for their imports."""
-    parts = (shape_fit, *KEYS, raw_values, interpolated)
-    own = [_table(), *(inspect.getsource(part) for part in parts)]
+    own = [_table(), *(inspect.getsource(part) for part in (shape_fit, *KEYS))]
     head, rest = ADDON.read_text(encoding="utf-8").split("from rig.", 1)
     return head + "\n\n".join(own) + "\n" + rest[rest.index("\nbl_info") :]
 

@@ -27,7 +27,6 @@ import json
 import math
 import os
 import re
-from bisect import bisect_right  # noqa: F401, of functions from deitalk_clip
 from dataclasses import dataclass
 from typing import Any
 
@@ -37,7 +36,7 @@ from bpy_extras.io_utils import ExportHelper, ImportHelper  # type: ignore[impor
 
 from rig.conversion.shape_fit import close_lips, closing_columns, fit_shapes, pose_of, shape_key
 from rig.formats.blender import POSES, RAW, REST, VISEMES
-from rig.unreal.deitalk_clip import curve_keys, raw_values
+from rig.unreal.deitalk_clip import curve_keys
 
 bl_info = {
     "name": "deitalk curves",
@@ -113,8 +112,7 @@ def _read_json(path: str) -> Curves:
     schema = str(data.get("schema", ""))
     if schema.startswith("deitalk.unreal/"):
         n_frames, (over, under) = data["n_frames"], data["frame_rate"]
-        zeros = np.zeros(n_frames)
-        raw = {name: zeros + raw_values(of, data["board"]) for name, of in data["raw"].items()}
+        raw = {name: _raw(curve, data["board"], n_frames) for name, curve in data["raw"].items()}
         curves = Curves(np.arange(n_frames) * under / over, raw, path)
         curves.turns = any(np.any(values) for values in data.get("head", {}).values())
         return curves
@@ -125,6 +123,16 @@ def _read_json(path: str) -> Curves:
     curves = Curves(np.arange(len(rows)) / data["fps"], values, path)
     curves.turns = bool(np.any(data.get("head", 0)))
     return curves
+
+
+def _raw(curve: Any, board: dict[str, Any], n_frames: int) -> Any:
+    """Return a raw curve: numbers, or a function with knots of a sum of channels of the board."""
+    if not isinstance(curve, dict):
+        return np.zeros(n_frames) + curve
+    channels = [board[control][axis] for control, axis in (of.split(".") for of in curve["of"])]
+    place = np.clip(sum(np.zeros(n_frames) + np.array(values) for values in channels), -1, 1)
+    places, levels = np.array(curve["knots"], float).T
+    return np.interp(place, places, levels)
 
 
 def files_of_take(path: str) -> list[str]:

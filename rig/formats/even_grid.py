@@ -29,7 +29,11 @@ def rate_of(seconds: Float64) -> float:
     median = float(np.median(steps))
     usual = usual_steps(steps)
     rate = 1 / float(usual.mean())
-    resolution = next((d for d in (1e-2, 1e-3, 1e-4, 1e-5) if _multiples(seconds, d)), 0.0)
+    resolution = 0.0
+    for digit in (1e-5, 1e-4, 1e-3, 1e-2):
+        past = (seconds - seconds[0]) / digit
+        if (np.abs(past - np.rint(past)) < 1e-3).all():
+            resolution = digit
     near = float(np.clip(resolution / usual.sum(), 2e-5, 5e-4)) * rate
     if np.ptp(steps) > UNEVEN * median:  # they are put on a grid, whose rate is free
         near = 3e-3 * rate
@@ -45,11 +49,6 @@ def usual_steps(steps: NDArray[np.number[Any]]) -> Float64:
     median = float(np.median(steps))
     near = steps[np.abs(steps - median) <= 0.25 * median]
     return np.asarray(near if len(near) else [median], np.float64)
-
-
-def _multiples(seconds: Float64, resolution: float) -> bool:
-    past = (seconds - seconds[0]) / resolution
-    return bool((np.abs(past - np.rint(past)) < 1e-3).all())
 
 
 def even(

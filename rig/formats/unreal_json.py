@@ -108,21 +108,16 @@ def read_present(path: Path) -> tuple[RigCurves, str]:
     names = known.resolve(list(columns))
     n_frames, rate = _length_and_rate(path, data, len(names))
     values = _filled(path, columns, n_frames)
-    head = _head(path, data.get("head"), n_frames)
+    head = data.get("head")
+    if head is not None:
+        if not isinstance(head, dict) or any(name not in head for name in HEAD):
+            raise FormatError(f"{path}: head needs {', '.join(HEAD)}")
+        head = _filled(path, {name: head[name] for name in HEAD}, n_frames)
     try:
         curves = RigCurves(values, names, rate, control_set=known.id, head=head)
     except CurveError as error:
         raise FormatError(f"{path}: {error}") from error
     return curves, str(data.get("audio") or "")
-
-
-def _head(path: Path, head: Any, n_frames: int) -> Float32 | None:
-    """The head track, if the file has one."""
-    if head is None:
-        return None
-    if not isinstance(head, dict) or any(name not in head for name in HEAD):
-        raise FormatError(f"{path}: head needs {', '.join(HEAD)}")
-    return _filled(path, {name: head[name] for name in HEAD}, n_frames)
 
 
 def _filled(path: Path, columns: dict[str, Any], n_frames: int) -> Float32:

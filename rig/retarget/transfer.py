@@ -146,7 +146,8 @@ def local_jacobians(registration: Registration) -> Float64:
     near = _gaussian(centres, before, reach)
     near /= near.sum(axis=1, keepdims=True)
     mean_before, mean_after = near @ before, near @ after
-    moments = np.stack([_moments(near, x, before) for x in (before, after)])
+    outer = [(x[:, :, None] * before[:, None, :]).reshape(-1, 9) for x in (before, after)]
+    moments = np.stack([(near @ products).reshape(-1, 3, 3) for products in outer])
     moments[0] -= mean_before[:, :, None] * mean_before[:, None, :]
     moments[1] -= mean_after[:, :, None] * mean_before[:, None, :]
     # A patch of skin is nearly flat; along its normal the whole head determines the map.
@@ -161,11 +162,6 @@ def local_jacobians(registration: Registration) -> Float64:
 def _gaussian(centres: Float64, points: Float64, reach: float) -> Float64:
     squared = (centres**2).sum(axis=1)[:, None] - 2 * centres @ points.T + (points**2).sum(axis=1)
     return np.asarray(np.exp(-np.maximum(squared, 0.0) / (2 * reach**2)))
-
-
-def _moments(weights: Float64, values: Float64, points: Float64) -> Float64:
-    outer = (values[:, :, None] * points[:, None, :]).reshape(len(points), 9)
-    return np.asarray((weights @ outer).reshape(-1, 3, 3))
 
 
 def _fill(target: TriMesh, deltas: Float64, trusted: Bool) -> Float64:
