@@ -25,8 +25,9 @@ import yaml
 from scipy.spatial.transform import Rotation
 
 from rig import RigCurves, default_controls, read_curves, write_curves
-from rig.conversion.arkit import ARKIT_ID, HEAD, HEAD_DEGREES, RAW_ID, udp_order
+from rig.conversion.arkit import ARKIT_ID, HEAD, HEAD_DEGREES, udp_order
 from rig.conversion.convert import convert
+from rig.conversion.raw import RAW_ID
 from rig.face.head_pose import quaternions
 from rig.formats.blender import addon_text
 from rig.formats.table import FORMATS

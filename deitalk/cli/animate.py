@@ -127,14 +127,14 @@ def animate(
     from deitalk.pipeline.performance import write_take
     from rig.face.identity import identity_of
     from rig.files import is_folder_name
-    from rig.formats import checked_identity, find_format
+    from rig.formats import check_option, find_format
     from rig.formats.table import writable_suffixes
 
     head = identity and identity_of(identity)
     is_take = is_folder_name(out, writable_suffixes())
     file_format = None if is_take else find_format(target, writable=True)
     if identity is not None and file_format is not None:
-        checked_identity(identity, file_format)
+        check_option("identity", repr(identity), file_format)
     elif identity is not None and not preview:
         raise DeitalkError(
             f"--identity {identity} is the head of --preview, or of a .glb or .usda file; the take "

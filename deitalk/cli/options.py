@@ -88,8 +88,9 @@ def control_set_of(rig: str) -> str:
     """Return the control set of --rig: board, raw, arkit or an avatar; raise for another."""
     from deitalk.errors import DeitalkError
     from rig.controls import DEFAULT_ID
-    from rig.conversion.arkit import ARKIT_ID, RAW_ID
+    from rig.conversion.arkit import ARKIT_ID
     from rig.conversion.avatars import AVATARS
+    from rig.conversion.raw import RAW_ID
 
     sets = {"board": DEFAULT_ID, "raw": RAW_ID, "arkit": ARKIT_ID} | {a: a for a in AVATARS}
     if rig not in sets:

@@ -34,8 +34,9 @@ from deitalk.config.yaml_files import load_yaml, read_yaml
 from deitalk.errors import ConfigError
 from rig import ControlSet, default_controls
 from rig.controls import DEFAULT_ID, Control
-from rig.conversion.arkit import ARKIT_ID, RAW_ID
+from rig.conversion.arkit import ARKIT_ID
 from rig.conversion.convert import known_controls
+from rig.conversion.raw import RAW_ID
 from rig.errors import ControlError, quoted
 
 RIG_SUFFIXES = (".yaml", ".yml")

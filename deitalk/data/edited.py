@@ -22,9 +22,10 @@ from deitalk.postprocess.control_groups import ControlGroups
 from deitalk.postprocess.joins import HANDLES, TAKE_ABOUT, TAKE_CURVES, TAKE_SOUND, opened_take
 from rig import Control, ControlSet, RigCurves, default_controls, read_curves, write_curves
 from rig.controls import DEFAULT_ID
-from rig.conversion.arkit import ARKIT_ID, N_SHAPES, RAW_ID, arkit_controls
+from rig.conversion.arkit import ARKIT_ID, N_SHAPES, arkit_controls
 from rig.conversion.board_of_shapes import board_of_shapes
 from rig.conversion.convert import KNOWN, convert, reached_controls
+from rig.conversion.raw import RAW_ID
 from rig.curves.apply_layers import Closures, apply_layers
 from rig.curves.layer_diff import NOISE_SHARE, TOLERANCE, layer_of_changes
 from rig.curves.layers import Layer

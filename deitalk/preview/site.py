@@ -25,7 +25,7 @@ from deitalk.postprocess.tracks import N_MOTION, N_VARIANTS
 from deitalk.preview.packing import planes
 from deitalk.preview.page import BUNDLE, check_player, render_site
 from rig.controls import DEFAULT_ID
-from rig.conversion.arkit import raw_controls, raw_knots
+from rig.conversion.raw import raw_controls, raw_knots
 from rig.face.identity import Identity
 from rig.files import output_folder
 from rig.formats.livelink_csv import SUBJECT_REST

@@ -22,6 +22,7 @@ from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from importlib import resources
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,8 +31,6 @@ from rig.arrays import Float32
 from rig.errors import ControlError, quoted
 from rig.files.reading import read_text
 from rig.limits import CONTROL_SET_BYTES, CONTROLS
-
-# One control of a face, and tables of them as CSV.
 
 SETS = ("lip", "upper_face", "lip_no_sticky", "upper_face_gaze")
 """Named sets that are columns of the table."""
@@ -130,18 +129,16 @@ def _control_from(row: dict[str, str]) -> Control:
     fields: dict[str, object] = {key: row[key] for key in TEXTS if row.get(key)}
     for column, field in NUMBERS.items():
         if row.get(column):
-            fields[field] = _number(row[column], f"control {row['name']!r}, column {column}")
+            try:
+                fields[field] = float(row[column])
+            except ValueError:
+                raise ControlError(
+                    f"control {row['name']!r}, column {column}: {row[column]!r} is not a number"
+                ) from None
     for column, field in LISTS.items():
         fields[field] = tuple(filter(None, row.get(column, "").split("|")))
     fields["sets"] = frozenset(name for name in SETS if row.get(name) == "1")
     return Control(name=row["name"].strip(), **fields)  # type: ignore[arg-type]
-
-
-def _number(text: str, where: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        raise ControlError(f"{where}: {text!r} is not a number") from None
 
 
 def _spellings(name: str) -> tuple[str, ...]:
@@ -205,28 +202,28 @@ class ControlSet:
     @cached_property
     def minimum(self) -> Float32:
         """Lower ends of the ranges [shape=(C,)]."""
-        return _floats([control.minimum for control in self.controls])
+        return _frozen([control.minimum for control in self.controls])
 
     @cached_property
     def maximum(self) -> Float32:
         """Upper ends of the ranges [shape=(C,)]."""
-        return _floats([control.maximum for control in self.controls])
+        return _frozen([control.maximum for control in self.controls])
 
     @cached_property
     def rest(self) -> Float32:
         """Values of the face at rest [shape=(C,)]; not all are 0."""
-        return _floats([control.rest for control in self.controls])
+        return _frozen([control.rest for control in self.controls])
 
     @cached_property
     def mirror_index(self) -> Indices:
         """Index of each control's counterpart on the other side [shape=(C,)]."""
         places = [self._places[control.mirror or control.name] for control in self.controls]
-        return _indices(places)
+        return _frozen(places, np.intp)
 
     @cached_property
     def mirror_sign(self) -> Float32:
         """1, or -1 where mirroring changes the sign [shape=(C,)]."""
-        return _floats([control.mirror_sign for control in self.controls])
+        return _frozen([control.mirror_sign for control in self.controls])
 
     @cached_property
     def regions(self) -> tuple[str, ...]:
@@ -332,12 +329,9 @@ class ControlSet:
         )
 
     @classmethod
-    def from_names(
-        cls, names: Sequence[str], *, id: str, minimum: float = 0.0, maximum: float = 1.0
-    ) -> "ControlSet":
-        """Make a control set from plain names, all with one range and rest value 0 within it."""
-        rest = min(max(0.0, minimum), maximum)
-        return cls(id, tuple(Control(name, minimum, maximum, rest) for name in names))
+    def from_names(cls, names: Sequence[str], *, id: str, minimum: float = 0.0) -> "ControlSet":
+        """Make a control set from plain names, all from a minimum of 0 or less to 1, at rest 0."""
+        return cls(id, tuple(Control(name, minimum) for name in names))
 
     @classmethod
     def from_csv(cls, path: Path | str, *, id: str = "") -> "ControlSet":
@@ -368,21 +362,15 @@ class ControlSet:
 
     @cached_property
     def _aliases(self) -> dict[str, str]:
-        """Spellings of this board: name, Unreal channel, Maya channel."""
-        aliases: dict[str, str] = {}
-        for control in self.controls:
-            for spelling in control.spellings:
-                aliases.setdefault(spelling, control.name)
-        return aliases | {name: name for name in self.names}
+        """Spellings of this board: name, Unreal channel, Maya channel; the first of a control."""
+        pairs = [(spelling, c.name) for c in self.controls for spelling in c.spellings]
+        return dict(reversed(pairs)) | {name: name for name in self.names}
 
     @cached_property
     def _older_aliases(self) -> dict[str, str]:
         """Spellings of the mh3 board and of EmoFace."""
-        aliases: dict[str, str] = {}
-        for control in self.controls:
-            for spelling in control.older_spellings:
-                aliases.setdefault(spelling, control.name)
-        return aliases
+        pairs = [(spelling, c.name) for c in self.controls for spelling in c.older_spellings]
+        return dict(reversed(pairs))
 
     @cached_property
     def _subsets(self) -> dict[str, Indices]:
@@ -393,7 +381,7 @@ class ControlSet:
             groups = {*control.sets, control.region, side_names.get(control.side, ""), control.role}
             for group in sorted(groups - {""}):
                 members.setdefault(group, []).append(i)
-        return {name: _indices(places) for name, places in members.items()}
+        return {name: _frozen(places, np.intp) for name, places in members.items()}
 
 
 @cache
@@ -432,13 +420,7 @@ def _check_control(control: Control, known: set[str]) -> None:
         )
 
 
-def _floats(values: Sequence[float]) -> Float32:
-    array = np.array(values, dtype=np.float32)
-    array.setflags(write=False)
-    return array
-
-
-def _indices(places: Sequence[int]) -> Indices:
-    array = np.array(places, dtype=np.intp)
+def _frozen(values: Sequence[float], dtype: Any = np.float32) -> NDArray[Any]:
+    array = np.array(values, dtype=dtype)
     array.setflags(write=False)
     return array

@@ -1,4 +1,4 @@
-"""The board to raw MetaHuman curves, these to the shapes of Apple ARKit, and back.
+"""Raw MetaHuman curves to the shapes of Apple ARKit, and back.
 
 Unreal's own pose asset holds the raw curves that each of 51 ARKit shapes moves (``arkit.csv``: its
 weights, without those below 0.04; the 5.7 asset agrees within 0.02). Back from raw
@@ -23,157 +23,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.arrays import Float32
-from rig.controls import DEFAULT_ID, Control, ControlSet, default_controls
+from rig.controls import DEFAULT_ID, Control, ControlSet
+from rig.conversion.raw import PREFIX, RAW_ID, board_to_raw, raw_controls
 from rig.curves import RigCurves
-from rig.errors import ControlError
 from rig.files.reading import rows_of
-
-# Board channels to the 251 raw curves ``CTRL_expressions_*`` of a MetaHuman face, and back.
-#
-# Raw curves are the input of Unreal's RigLogic; an AnimSequence stores them, not the board. Each
-# is a clamped piecewise linear function of one board channel, given by its knots in ``raw.csv``.
-# Ranges and slopes are facts of the mh4 rig: Epic's MetaHuman-DNA-Calibration assembles the rig
-# from them. (A mapper file of Live Link Face disagrees in one: it takes ``mouthRight`` from the
-# positive half of ``CTRL_C_mouth.tx``, which gives negative values; the rig takes it from the
-# negative half.)
-#
-# ``CTRL_C_eye`` moves both eyes: it is added to ``CTRL_L_eye`` and ``CTRL_R_eye``. The way back
-# gives the sum to each eye. Switches, multipliers and ``lipsPressD`` move no raw curve; the way
-# back rests them. ``noseWrinkleUpper`` rests at 1 here as on the board.
-
-
-RAW_ID = "metahuman-raw-251@mh4"
-PREFIX = "CTRL_expressions_"
-BOTH_EYES = {f"CTRL_{side}_eye.t{axis}": f"CTRL_C_eye.t{axis}" for side in "LR" for axis in "xy"}
-OLDER_TONGUE = {
-    "tongueBendUp": "tongueRollUp",
-    "tongueBendDown": "tongueRollDown",
-    "tongueTwistLeft": "tongueRollLeft",
-    "tongueTwistRight": "tongueRollRight",
-}
-"""Names of the mh3 rig for the same movements."""
-
-
-@cache
-def raw_controls() -> ControlSet:
-    """Return the 251 raw curves, all in [0, 1], ``metahuman-raw-251@mh4``.
-
-    Names without the prefix resolve too.
-    """
-    return ControlSet(
-        RAW_ID,
-        tuple(
-            Control(
-                PREFIX + row["name"],
-                rest=float(row["rest"]),
-                aliases=(row["name"],),
-                mh3_name=PREFIX + OLDER_TONGUE[row["name"]] if row["name"] in OLDER_TONGUE else "",
-            )
-            for row in rows_of("conversion/raw.csv")
-        ),
-    )
-
-
-def board_to_raw(curves: RigCurves) -> RigCurves:
-    """Convert board channels to all 251 raw curves.
-
-    Parameters
-    ----------
-    curves : RigCurves
-        Of the default board; channels that are absent rest.
-
-    Returns
-    -------
-    RigCurves
-        Of `raw_controls`, values in [0, 1].
-    """
-    board = curves.reorder(default_controls())
-    raw = raw_controls()
-    values = np.empty((len(curves), len(raw)), np.float32)
-    for driver, (columns, inputs, outputs) in _paths().items():
-        both = BOTH_EYES.get(driver)
-        x = board[driver] if both is None else np.clip(board[driver] + board[both], -1, 1)
-        for column, output in zip(columns, outputs.T, strict=True):
-            values[:, column] = np.interp(x, inputs, output)
-    return replace(board, values=values, names=raw.names, control_set=RAW_ID)
-
-
-def raw_to_board(curves: RigCurves) -> RigCurves:
-    """Convert raw curves to the board channels that come nearest to them.
-
-    The raw curves of one channel trace a path as the channel moves; each frame takes the nearest
-    point of it (least squares). On the path this is the exact inverse, but for two cases:
-    ``CTRL_C_neck_swallow`` at 1 becomes 0, and the gaze of `BOTH_EYES` is added to each eye.
-
-    Parameters
-    ----------
-    curves : RigCurves
-        Raw curves; those that are absent rest.
-
-    Raises
-    ------
-    ControlError
-        If the curves are not raw curves.
-    """
-    if curves.control_set != RAW_ID:
-        raise ControlError(f"curves are of {curves.control_set!r}; raw curves are {RAW_ID!r}")
-    raw = curves.reorder(raw_controls())
-    board = default_controls()
-    values = np.tile(board.rest, (len(curves), 1))
-    for driver, (columns, inputs, outputs) in _paths().items():
-        # Return the input of the nearest point on a path [points shape=(T, curves)].
-        points = raw.values[:, columns]
-        best = np.full(len(points), np.inf, np.float32)
-        x = np.zeros(len(points), np.float32)
-        for i in range(len(inputs) - 1):
-            start, step = outputs[i], outputs[i + 1] - outputs[i]
-            along = np.clip((points - start) @ step / (step @ step), 0, 1)
-            distance = ((points - start - along[:, None] * step) ** 2).sum(axis=1)
-            is_nearer = distance < best
-            best = np.where(is_nearer, distance, best)
-            x = np.where(is_nearer, inputs[i] + along * (inputs[i + 1] - inputs[i]), x)
-        values[:, board.index(driver)] = x
-    return replace(raw, values=values, names=board.names, control_set=DEFAULT_ID)
-
-
-def raw_knots() -> dict[str, tuple[str, tuple[list[float], list[float]]]]:
-    """Return, by raw curve, its board channel and its knots: places there, and values."""
-    return {
-        PREFIX + row["name"]: (row["driver"], _knots(row["knots"]))
-        for row in rows_of("conversion/raw.csv")
-    }
-
-
-def board_of_raw_curves(names: Iterable[str]) -> set[str]:
-    """Return the board channels that move at least one of some raw curves."""
-    raw, wanted = raw_controls(), set(names)
-    return {
-        driver
-        for driver, (columns, _, _) in _paths().items()
-        if any(raw.names[i] in wanted for i in columns)
-    }
-
-
-@cache
-def _paths() -> dict[str, tuple[NDArray[np.intp], Float32, Float32]]:
-    """Return, by board channel: its raw columns, its knots (K,), and their values (K, columns)."""
-    by_driver: dict[str, list[tuple[int, str]]] = {}
-    for column, row in enumerate(rows_of("conversion/raw.csv")):
-        by_driver.setdefault(row["driver"], []).append((column, row["knots"]))
-    paths = {}
-    for driver, curves in by_driver.items():
-        knots = [_knots(text) for _, text in curves]
-        inputs = np.unique(np.concatenate([[0.0], *(x for x, _ in knots)]))
-        outputs = np.stack([np.interp(inputs, x, y) for x, y in knots], axis=1)
-        columns = np.array([column for column, _ in curves], np.intp)
-        paths[driver] = (columns, inputs.astype(np.float32), outputs.astype(np.float32))
-    return paths
-
-
-def _knots(text: str) -> tuple[list[float], list[float]]:
-    pairs = [pair.split(":") for pair in text.split()]
-    return [float(x) for x, _ in pairs], [float(y) for _, y in pairs]
-
 
 ARKIT_ID = "arkit-61"
 N_SHAPES = 52
@@ -282,18 +135,13 @@ def arkit_to_raw(curves: RigCurves, *, least_jaw: float = 0.0) -> RigCurves:
     Raises
     ------
     ControlError
-        If the curves are not ARKit shapes.
+        If a curve is no ARKit shape.
     """
-    if curves.control_set != ARKIT_ID:
-        raise ControlError(f"curves are of {curves.control_set!r}; ARKit shapes are {ARKIT_ID!r}")
     shapes = curves.reorder(arkit_controls())
     raw = raw_controls()
     values = shapes.values @ _poses() + raw.rest
-    jaw = shapes["JawOpen"]
-    held = np.maximum(jaw, SMALLEST_JAW)
-    share = shapes["MouthClose"] / held / (1 + (least_jaw / held) ** 2)
-    ratio = np.where(jaw > SMALLEST_JAW, share, 0)
-    values[:, raw.indices(LIPS_TOGETHER)] = np.clip(ratio, 0, 1)[:, None]
+    together = lips_together(shapes["MouthClose"], shapes["JawOpen"], least_jaw)
+    values[:, raw.indices(LIPS_TOGETHER)] = together[:, None]
     values = np.clip(values, 0, 1)
     # The head track of curves, or that of their rotations, if the head turns at all.
     turns = shapes.values[:, arkit_controls().indices(HEAD)]
@@ -302,6 +150,13 @@ def arkit_to_raw(curves: RigCurves, *, least_jaw: float = 0.0) -> RigCurves:
     else:
         head = np.pad(turns * np.array(HEAD_DEGREES, np.float32), ((0, 0), (0, 3)))
     return replace(shapes, values=values, names=raw.names, control_set=RAW_ID, head=head)
+
+
+def lips_together(close: Float32, jaw: Float32, least_jaw: float = 0.0) -> Float32:
+    """Values [shape=(T,), range 0 to 1] of `LIPS_TOGETHER` for a closing shape over an open jaw."""
+    held = np.maximum(jaw, SMALLEST_JAW)
+    share = close / held / (1 + (least_jaw / held) ** 2)
+    return np.clip(np.where(jaw > SMALLEST_JAW, share, 0), 0, 1)
 
 
 def raw_curves_of_shapes(names: Iterable[str]) -> set[str]:
@@ -328,10 +183,8 @@ def raw_to_arkit(curves: RigCurves) -> ArkitFit:
     Raises
     ------
     ControlError
-        If the curves are neither.
+        If a curve is neither.
     """
-    if curves.control_set not in (RAW_ID, DEFAULT_ID):
-        raise ControlError(f"curves are of {curves.control_set!r}; raw curves are {RAW_ID!r}")
     rest, arkit = raw_controls().rest, arkit_controls()
     shapes, missed, total = [], [], 0.0
     for first in range(0, max(len(curves), 1), FRAMES_AT_ONCE):
@@ -427,13 +280,18 @@ def _turn_eyes(values: Float32, raw: RigCurves) -> None:
     """Write eye rotations in radians: yaw to the character's right and pitch down are positive."""
     arkit = arkit_controls()
     for side, letter in (("Left", "L"), ("Right", "R")):
-        look = {
-            way: raw[f"{PREFIX}eyeLook{way}{letter}"] for way in ("Up", "Down", "Left", "Right")
-        }
-        yaw = GAZE_SIDE_DEGREES * (look["Right"] - look["Left"])
-        pitch = GAZE_DOWN_DEGREES * look["Down"] - GAZE_UP_DEGREES * look["Up"]
-        values[:, arkit.index(f"{side}EyeYaw")] = np.radians(yaw)
-        values[:, arkit.index(f"{side}EyePitch")] = np.radians(pitch)
+        right, up = np.radians(gaze_degrees(raw, letter))
+        values[:, arkit.index(f"{side}EyeYaw")] = right
+        values[:, arkit.index(f"{side}EyePitch")] = -up
+
+
+def gaze_degrees(raw: RigCurves, side: str) -> Float32:
+    """Turn of an eye (``L`` or ``R``) to the character's right, and up [shape=(2, T)]."""
+    up, down, left, right = (
+        raw[f"{PREFIX}eyeLook{way}{side}"] for way in ("Up", "Down", "Left", "Right")
+    )
+    turned = GAZE_SIDE_DEGREES * (right - left), GAZE_UP_DEGREES * up - GAZE_DOWN_DEGREES * down
+    return np.stack(turned)
 
 
 @cache

@@ -9,20 +9,16 @@ from rig.arrays import AnyFloat
 from rig.controls import DEFAULT_ID, ControlSet, default_controls
 from rig.conversion.arkit import (
     ARKIT_ID,
-    RAW_ID,
     arkit_controls,
     arkit_to_raw,
-    board_of_raw_curves,
-    board_to_raw,
-    raw_controls,
     raw_curves_of_shapes,
     raw_to_arkit,
-    raw_to_board,
 )
 from rig.conversion.avatars import AVATARS, avatar_controls, avatar_to_raw, raw_to_avatar
+from rig.conversion.raw import RAW_ID, board_of_raw_curves, board_to_raw, raw_controls, raw_to_board
 from rig.conversion.shape_fit import shape_key
 from rig.curves import RigCurves
-from rig.errors import ControlError, FormatError
+from rig.errors import ControlError, FormatError, listed
 
 KNOWN: dict[str, Callable[[], ControlSet]] = {
     DEFAULT_ID: default_controls,
@@ -81,9 +77,7 @@ def unshown(curves: RigCurves, shown: Iterable[str], target: str) -> str:
     """Return a line on controls of the board that move and that a target does not show, or none."""
     names = set(shown) if curves.control_set == DEFAULT_ID else set(curves.names)
     lost = [name for name in curves.names if name not in names and np.ptp(curves[name]) > 1e-6]
-    more = " …" if len(lost) > 3 else ""
-    listed = ", ".join(lost[:3]) + more
-    return f"{target} does not show {len(lost)} moving controls: {listed}" if lost else ""
+    return f"{target} does not show {len(lost)} moving controls: {listed(lost)}" if lost else ""
 
 
 def controls_of(names: Sequence[str], *, where: str) -> ControlSet:
@@ -95,12 +89,10 @@ def controls_of(names: Sequence[str], *, where: str) -> ControlSet:
         If there is none; the message is that of the set with most of the names.
     """
     best = best_set(names)
-    unknown = next((name for name in names if name not in best), None)
-    if unknown is not None:
-        try:
-            best.canonical(unknown)
-        except ControlError as error:
-            raise ControlError(f"{where}: {error}") from None
+    try:
+        best.indices(names)
+    except ControlError as error:
+        raise ControlError(f"{where}: {error}") from None
     return best
 
 
@@ -153,14 +145,11 @@ def curves_of_shapes(
     return RigCurves(values, chosen.names, fps, control_set=chosen.id)
 
 
-# Board channels that a source of curves can move at all: what a capture can know.
-#
-# A Live Link Face take of all shapes reaches 73 of 185 channels; the tongue, the lip bite and the
-# teeth are not among them, and their values at rest are no measurement.
-
-
 def reached_controls(names: Iterable[str], control_set: str) -> tuple[str, ...]:
     """Return the board channels that some curves move, in the order of the board.
+
+    That is what a capture can know. A Live Link Face take of all shapes reaches 73 of 185 channels;
+    the tongue, the lip bite and the teeth are not among them: their rest is no measurement.
 
     Parameters
     ----------

@@ -98,12 +98,13 @@ def apply_layers(
                 np.arange(rows.start, rows.stop)[:, None],
                 np.searchsorted(columns, targets[edit.target]),
             )
-            values[part] = _changed(edit, times, values[part], controls.rest[targets[edit.target]])
+            rest = controls.rest[targets[edit.target]]
+            values[part] = edit.applied(times, values[part], rest)
             if edit.owns or edit.mode == "own":
                 owned[part] |= edit.weight(times)[:, None] > 0
         elif head is not None:
             place = HEAD_TARGETS.index(edit.target)
-            head[rows, place] = _changed(edit, times, head[rows, [place]], 0.0)[:, 0]
+            head[rows, place] = edit.applied(times, head[rows, [place]], 0.0)[:, 0]
     names, notes = [controls.names[column] for column in columns], []
     if closures is not None:
         met = _met(values, before, owned, columns, closures, closures.closed(curves.values))
@@ -136,18 +137,6 @@ def target_columns(controls: ControlSet, target: str) -> Any:
     if target in HEAD_TARGETS:
         return np.zeros(0, np.intp)
     return members(controls, target)
-
-
-def _changed(edit: Edit, times: Float64, values: Any, rest: Any) -> Float64:
-    """Values (T, N) with an edit."""
-    curve, weight = edit.curve(times)[:, None], edit.weight(times)[:, None]
-    if edit.mode == "offset":
-        changed: Float64 = values + weight * curve
-    elif edit.mode == "scale":
-        changed = rest + (values - rest) * (1 + weight * (curve - 1))
-    else:
-        changed = values + weight * (curve - values)
-    return changed
 
 
 def _met(

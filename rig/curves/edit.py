@@ -8,7 +8,7 @@ from numbers import Real
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.arrays import Bool, Float32, Float64
+from rig.arrays import Float32, Float64
 from rig.controls import ControlSet, default_controls
 from rig.curves import RigCurves
 from rig.errors import CurveError, quoted
@@ -92,7 +92,9 @@ def clamp(
     controls = controls or default_controls()
     places = controls.indices(curves.names)
     low, high = controls.minimum[places], controls.maximum[places]
-    if _are_within(curves.values, low, high):
+    starts = range(0, len(curves), ROWS_AT_ONCE)
+    blocks = (curves.values[k : k + ROWS_AT_ONCE] for k in starts)  # an hour is not copied
+    if all(((rows >= low) & (rows <= high)).all() for rows in blocks):
         return curves, ClampReport()
     clamped = np.clip(curves.values, low, high)
     excess = np.abs(curves.values - clamped)
@@ -114,27 +116,16 @@ def parse_gains(gains: str | Mapping[str, float] | None) -> dict[str, float]:
     if gains is None or isinstance(gains, Mapping):
         found = dict(gains or {})
     else:
-        parts = [part.partition("=") for part in str(gains).split(",")]
-        found = {name.strip(): _factor(name, factor) for name, _, factor in parts}
+        found = {}
+        for part in str(gains).split(","):
+            name, _, factor = part.partition("=")
+            try:
+                found[name.strip()] = float(factor)
+            except ValueError:
+                raise CurveError(
+                    f"gain {quoted(part)} must be NAME=FACTOR of a control or region: brow=0.5"
+                ) from None
     return {name: _finite(factor, f"gain of {name}") for name, factor in found.items()}
-
-
-def _factor(name: str, factor: str) -> float:
-    try:
-        return float(factor)
-    except ValueError:
-        part = f"{name}={factor}" if factor else name
-        raise CurveError(
-            f"gain {quoted(part)} must be NAME=FACTOR of a control or region: brow=0.5"
-        ) from None
-
-
-def _are_within(values: Float32, low: Float32, high: Float32) -> bool:
-    """Whether no value is outside its range; an hour of curves is not copied."""
-    return all(
-        bool(((rows >= low) & (rows <= high)).all())
-        for rows in (values[k : k + ROWS_AT_ONCE] for k in range(0, len(values), ROWS_AT_ONCE))
-    )
 
 
 def gain(
@@ -231,7 +222,12 @@ def smooth(
         chosen = np.array(
             [i for i, name in enumerate(curves.names) if name in wanted], dtype=np.intp
         )
-    from scipy.ndimage import gaussian_filter1d  # slow to import
+    from scipy.ndimage import (  # slow to import
+        distance_transform_edt,
+        gaussian_filter1d,
+        maximum_filter1d,
+        minimum_filter1d,
+    )
 
     smoothed = gaussian_filter1d(values[:, chosen], sigma, axis=0, mode="nearest")
     values[:, chosen] = smoothed
@@ -243,8 +239,6 @@ def smooth(
             original = curves.values[:, column]
             # Return the frames where a moving curve is deepest in its neighbourhood, and deep.
             is_jaw = name == "CTRL_C_jaw.ty"
-            from scipy.ndimage import maximum_filter1d, minimum_filter1d
-
             size = 2 * math.ceil(sigma) + 1
             lowest, highest = minimum_filter1d(original, size), maximum_filter1d(original, size)
             reach = float(np.percentile(original, 95))
@@ -252,21 +246,12 @@ def smooth(
             is_extreme = original == (lowest if is_jaw else highest)
             closed = np.asarray(is_extreme & is_deep & (highest - lowest > 0.05))
             if closed.any():
-                weight = _bump(closed, sigma)
+                # 1 on closed frames, falling as a Gaussian to 0 away from them.
+                distance = distance_transform_edt(~closed)
+                weight = np.exp(-0.5 * (distance / max(sigma / 2, 1e-6)) ** 2)
+                weight[distance > max(1, math.ceil(3 * sigma))] = 0.0
                 values[:, column] = weight * original + (1 - weight) * values[:, column]
     return replace(curves, values=values)
-
-
-def _bump(closed: Bool, sigma: float) -> Float32:
-    """Return 1 on closed frames, falling as a Gaussian to 0 away from them."""
-    radius = max(1, math.ceil(3 * sigma))
-    frames = np.flatnonzero(closed)
-    position = np.arange(len(closed))
-    right = frames[np.minimum(np.searchsorted(frames, position), len(frames) - 1)]
-    left = frames[np.maximum(np.searchsorted(frames, position, side="right") - 1, 0)]
-    distance = np.minimum(np.abs(right - position), np.abs(position - left))
-    weight = np.exp(-0.5 * (distance / max(sigma / 2, 1e-6)) ** 2)
-    return np.where(distance <= radius, weight, 0.0).astype(np.float32)
 
 
 def members(controls: ControlSet, key: str) -> NDArray[np.intp]:

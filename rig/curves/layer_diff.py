@@ -62,7 +62,10 @@ def layer_of_changes(
     count = min(len(base), len(edited))
     base, edited = base[:count], edited[:count]
     found: list[Edit] = []
-    for name, was, now in _columns(base, edited):
+    columns = list(zip(base.names, base.values.T, edited.values.T, strict=True))
+    if base.head is not None and edited.head is not None:
+        columns += zip(HEAD_TARGETS, base.head.T, edited.head.T, strict=True)
+    for name, was, now in columns:
         unit = HEAD_UNITS if name in HEAD_TARGETS else 1.0
         found += _edits(name, now - was, base.fps, tolerance * unit)
     found.sort(key=lambda edit: (edit.span[0], edit.target))
@@ -71,13 +74,13 @@ def layer_of_changes(
         return layer
     applied, _ = apply_layers(base, [layer], controls, closures)
     beyond = np.abs(applied.values - edited.values) > tolerance
-    return replace(layer, edits=tuple(_owning(edit, beyond, base) for edit in layer.edits))
-
-
-def _columns(base: RigCurves, edited: RigCurves) -> Iterator[tuple[str, Float32, Float32]]:
-    yield from zip(base.names, base.values.T, edited.values.T, strict=True)
-    if base.head is not None and edited.head is not None:
-        yield from zip(HEAD_TARGETS, base.head.T, edited.head.T, strict=True)
+    edits = []
+    for edit in found:  # those of which the closures would take a part back own their control
+        first, last = (round(second * base.fps) for second in edit.span)
+        is_of_head = edit.target in HEAD_TARGETS
+        owns = not is_of_head and beyond[first : last + 1, base.index(edit.target)].any()
+        edits.append(replace(edit, owns=bool(owns)))
+    return Layer(tuple(edits))
 
 
 def _edits(name: str, change: Float32, fps: float, tolerance: float) -> Iterator[Edit]:
@@ -108,12 +111,3 @@ def _edit(name: str, change: Float32, first: int, last: int, fps: float, toleran
         for frame, arrive, leave in frames
     )
     return Edit(name, keys, "offset", (start / fps, stop / fps))
-
-
-def _owning(edit: Edit, beyond: np.ndarray, base: RigCurves) -> Edit:
-    """The edit, owning its control if the closures would take a part of it back."""
-    if edit.target in HEAD_TARGETS:
-        return edit
-    first, last = (round(second * base.fps) for second in edit.span)
-    is_taken_back = beyond[first : last + 1, base.index(edit.target)].any()
-    return replace(edit, owns=True) if is_taken_back else edit

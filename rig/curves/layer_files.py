@@ -65,9 +65,7 @@ def _layer(tree: Any, where: str) -> Layer:
     if not isinstance(tree, Mapping) or tree.get("schema") != SCHEMA:
         raise CurveError(f"{where} is no layer of edits: its schema must be {SCHEMA}")
     _known(tree, ("schema", "name", "muted", "sound", "words", "phones", "edits"), where)
-    edits = _of(LIST, tree.get("edits"), f"{where}: edits")
-    if len(edits) > MOST_EDITS:
-        raise CurveError(f"{where} has {len(edits)} edits; at most {MOST_EDITS} are read")
+    edits = _of(LIST, tree.get("edits"), f"{where}: edits", MOST_EDITS)
     return Layer(
         tuple(_edit(one, f"{where}, edit {k}") for k, one in enumerate(edits, 1)),
         _of(str, tree.get("name", ""), f"{where}: name"),
@@ -87,11 +85,10 @@ def _edit(tree: Any, where: str) -> Edit:
         raise CurveError(f"{where} has no target; name a control, a region or head.yaw")
     if mode not in MODES:
         raise CurveError(f"{where}: mode {quoted(mode)} must be {', '.join(MODES)}")
-    keys = [_key(key, where) for key in _of(LIST, tree.get("keys"), f"{where}: keys")]
+    given = _of(LIST, tree.get("keys"), f"{where}: keys", limits.KEYS)
+    keys = [_key(key, where) for key in given]
     if not keys:
         raise CurveError(f"{where} has no keys; give at least one [time, value]")
-    if len(keys) > limits.KEYS:
-        raise CurveError(f"{where} has {len(keys)} keys; at most {limits.KEYS} are read")
     for before, after in pairwise(keys):
         if after[0] <= before[0]:
             raise CurveError(f"{where}: key at {after[0]:g} s comes after {before[0]:g}; sort them")
@@ -153,11 +150,13 @@ def _known(tree: Mapping[str, Any], names: Sequence[str], where: str) -> None:
             raise CurveError(f"{where}: no field {quoted(name)}; known are {', '.join(names)}")
 
 
-def _of(kind: Any, given: Any, where: str) -> Any:
-    """A value of a kind: a list, a text or a flag."""
+def _of(kind: Any, given: Any, where: str, most: int = limits.KEYS) -> Any:
+    """A value of a kind: a list of at most so many, a text or a flag."""
     if not isinstance(given, kind):
         name = {str: "a text", bool: "true or false"}.get(kind, "a list")
         raise CurveError(f"{where} must be {name}, not {quoted(given)}")
+    if kind is LIST and len(given) > most:
+        raise CurveError(f"{where} are {len(given)}; at most {most} are read")
     return given
 
 

@@ -100,6 +100,17 @@ class Edit:
         weight: Float64 = inside * eased(rise) * eased(fall)
         return weight
 
+    def applied(self, times: Float64, values: Any, rest: Any) -> Float64:
+        """Values (T, N) at times [shape=(T,), seconds] with the change; `rest` is theirs."""
+        curve, weight = self.curve(times)[:, None], self.weight(times)[:, None]
+        if self.mode == "offset":
+            changed: Float64 = values + weight * curve
+        elif self.mode == "scale":
+            changed = rest + (values - rest) * (1 + weight * (curve - 1))
+        else:
+            changed = values + weight * (curve - values)
+        return changed
+
     def tree(self) -> dict[str, Any]:
         """What a file holds of it."""
         flat = all(arrive == leave == 0 for _, _, arrive, leave in self.keys)

@@ -299,13 +299,11 @@ def concatenate(parts: Sequence[RigCurves]) -> RigCurves:
             )
         if (part.names, part.control_set) != (first.names, first.control_set):
             raise CurveError(f"part {number} has other controls than part 1; reorder first")
-    return replace(
-        first,
-        values=np.concatenate([part.values for part in parts]),
-        emotion=_joined([part.emotion for part in parts]),
-        intensity=_joined([part.intensity for part in parts]),
-        head=_joined([part.head for part in parts]),
-    )
+    tracks: dict[str, Any] = dict.fromkeys(("emotion", "intensity", "head"))
+    for name in tracks:
+        if all(name in part.tracks for part in parts):
+            tracks[name] = np.concatenate([part.tracks[name] for part in parts])
+    return replace(first, values=np.concatenate([part.values for part in parts]), **tracks)
 
 
 def rest_curves(
@@ -406,8 +404,3 @@ def _track(values: ArrayLike | None, what: str, shape: tuple[int, ...]) -> Float
     if track.size and track.min() < 0:
         raise CurveError(f"{what} falls to {track.min():g}; it must not be negative")
     return track
-
-
-def _joined(tracks: Sequence[Float32 | None]) -> Float32 | None:
-    present = [track for track in tracks if track is not None]
-    return np.concatenate(present) if len(present) == len(tracks) else None

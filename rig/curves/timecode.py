@@ -52,7 +52,7 @@ class Clock:
     is_certain: bool
 
 
-def read_timecodes(texts: Sequence[str], where: object, *, count: int | None = None) -> Clock:
+def read_timecodes(texts: Sequence[str], where: object) -> Clock:
     """Read the time codes of a take.
 
     Parameters
@@ -61,8 +61,6 @@ def read_timecodes(texts: Sequence[str], where: object, *, count: int | None = N
         ``HH:MM:SS:FF`` or ``HH:MM:SS:FF.mmm``; ``;`` before FF is drop frame.
     where : object
         Beginning of a message: a path.
-    count : int, optional
-        Frames that FF counts in a second; by default as the codes show it.
 
     Raises
     ------
@@ -72,8 +70,9 @@ def read_timecodes(texts: Sequence[str], where: object, *, count: int | None = N
     """
     fields = np.array([_fields(text, row, where) for row, text in enumerate(texts, 1)], np.int64)
     seconds, parts = fields[:, 0], fields[:, 1]
-    found = count or counted(seconds, parts)
-    count = found or _by_largest(parts)
+    found = counted(seconds, parts)
+    largest = int(parts.max(initial=0))  # as Unreal infers it: at most 30.0 is thirtieths
+    count = found or (30 if largest <= 30_000 else 60 if largest < 60_000 else 120)
     is_drop = bool(fields[:, 2].any()) or _leaves_out(seconds, parts, count)
     if is_drop and count not in DROPPED:
         raise FormatError(
@@ -122,12 +121,6 @@ def _step(seconds: Int64, parts: Int64) -> float:
     """Median step within a second, thousandths of a frame; 0 if no two codes share a second."""
     steps = np.diff(parts)[np.diff(seconds) == 0]
     return float(np.median(steps)) if len(steps) else 0.0
-
-
-def _by_largest(parts: Int64) -> int:
-    """The count by the largest frame field, as Unreal infers it: at most 30.0 is thirtieths."""
-    largest = int(parts.max(initial=0))
-    return 30 if largest <= 30_000 else 60 if largest < 60_000 else 120
 
 
 def _whole(seconds: Int64, parts: Int64, count: int) -> Int64:

@@ -92,17 +92,10 @@ def remove_leftovers(folder: Path, name: str | None = None) -> int:
     count = 0
     with suppress(OSError), os.scandir(folder) as entries:
         for entry in entries:
-            if pattern.fullmatch(entry.name):
-                count += _remove(entry)
+            if not pattern.fullmatch(entry.name):
+                continue
+            is_folder = entry.is_dir(follow_symlinks=False)
+            with suppress(OSError):
+                (shutil.rmtree if is_folder else os.unlink)(entry.path)
+                count += 1
     return count
-
-
-def _remove(entry: "os.DirEntry[str]") -> bool:
-    try:
-        if entry.is_dir(follow_symlinks=False):
-            shutil.rmtree(entry.path)
-        else:
-            os.unlink(entry.path)
-    except OSError:
-        return False
-    return True

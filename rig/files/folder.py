@@ -216,7 +216,8 @@ def _staged(stage: Path, folder: Path, kind: str, *, is_addition: bool = False) 
 
 
 def _commit(stage: Path, folder: Path, kind: str, is_addition: bool) -> None:
-    files = {name: digest_of(stage / name) for name in _files(stage)}
+    staged = sorted(path for path in stage.rglob("*") if not path.is_dir())
+    files = {path.relative_to(stage).as_posix(): digest_of(path) for path in staged}
     if stage.parent != folder:
         write_manifest(stage, Manifest(kind, files))
         try:
@@ -360,15 +361,6 @@ def _check_kept(folder: Path, own: dict[str, str], names: Iterable[str]) -> None
             f"{listed([str(folder / n) for n in foreign])} was not written by deitalk and would be "
             "replaced; move it away, or name another folder"
         )
-
-
-def _files(folder: Path) -> list[str]:
-    """Paths of all files within a folder, with ``/``."""
-    return sorted(
-        (Path(root) / name).relative_to(folder).as_posix()
-        for root, _, names in os.walk(folder)
-        for name in names
-    )
 
 
 def _visible(folder: Path) -> list[str]:

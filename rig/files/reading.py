@@ -5,6 +5,7 @@ never blocks, and checks sizes before it allocates. Errors are one line; other p
 own class of errors.
 """
 
+import codecs
 import csv
 import json
 import math
@@ -12,10 +13,8 @@ import os
 import re
 import stat
 import sys
-import tokenize
 import warnings
 import zipfile
-import zlib
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
@@ -37,23 +36,6 @@ _KINDS = (
     (stat.S_ISBLK, "is a device"),
 )
 _ARRAY_KINDS = "biufU"
-_ARCHIVE_ERRORS = (
-    ValueError,
-    OSError,
-    EOFError,
-    KeyError,
-    IndexError,
-    SyntaxError,
-    TypeError,
-    OverflowError,
-    MemoryError,
-    RecursionError,
-    NotImplementedError,
-    RuntimeError,
-    zipfile.BadZipFile,
-    zlib.error,
-    tokenize.TokenError,
-)
 
 
 def rows_of(table: str | Path) -> list[dict[str, str]]:
@@ -138,7 +120,7 @@ def read_text(
     errors: str = "strict",
     may_be_empty: bool = False,
 ) -> str:
-    """Return the text of a regular file: UTF-8 with or without mark, UTF-16 with mark.
+    """Return the text of a regular file: UTF-8 or UTF-16, with or without mark.
 
     Parameters
     ----------
@@ -157,18 +139,35 @@ def read_text(
 
 
 def decode_text(
-    data: bytes, where: object, *, error: ErrorClass = FormatError, errors: str = "strict"
+    data: bytes,
+    where: object,
+    *,
+    error: ErrorClass = FormatError,
+    errors: str = "strict",
+    is_whole: bool = True,
 ) -> str:
     """Return bytes as text, see `read_text`; `where` begins the message."""
-    wide = data.startswith((b"\xff\xfe", b"\xfe\xff"))
-    encoding = "utf-16" if wide else "utf-8-sig"
+    encoding = encoding_of(data)
     try:
-        return data.decode(encoding, errors)
+        return codecs.getincrementaldecoder(encoding)(errors).decode(data, is_whole)
     except UnicodeDecodeError as problem:
-        name = "UTF-16" if wide else "UTF-8"
+        name = "UTF-8" if encoding == "utf-8-sig" else "UTF-16"
         raise error(
             f"{where} is no {name} text (byte {problem.start}: {problem.reason}); save it as UTF-8"
         ) from None
+
+
+def encoding_of(data: bytes) -> str:
+    """Encoding of a text by its mark, or by the zero bytes of UTF-16 without one."""
+    if data.startswith((b"\xff\xfe", b"\xfe\xff")):
+        return "utf-16"
+    pairs = data[:200]
+    if len(pairs) >= 4 and not data.startswith(b"\0\0"):
+        if not any(pairs[1::2]) and all(pairs[::2]):
+            return "utf-16-le"
+        if not any(pairs[::2]) and all(pairs[1::2]):
+            return "utf-16-be"
+    return "utf-8-sig"
 
 
 def load_json(data: bytes | str, where: object, *, error: ErrorClass = FormatError) -> Any:
@@ -264,7 +263,7 @@ def read_npz(
                 raise error(f"{path} unpacks to {_size(total)}; at most {_size(limit)} are read")
             check_expansion(total, size, path, error=error)
             return {e.filename.removesuffix(".npy"): _array(archive, e) for e in entries}
-    except _ARCHIVE_ERRORS as problem:
+    except Exception as problem:  # of any kind: numpy and zipfile parse hostile headers
         if type(problem) is error:
             raise
         raise error(f"{path} is no archive of numpy arrays: {_reason(problem)}") from None

@@ -106,8 +106,9 @@ def check_place(folder: Path | str) -> None:
     if mode is not None and not stat.S_ISDIR(mode):
         raise TargetError(f"{folder} is a file; a folder is written, name another")
     real = Path(os.path.realpath(folder))
-    for kept, what in ((Path.cwd(), "the current folder"), (_home(), "the home folder")):
-        if kept is not None and (real == kept or real in kept.parents):
+    home = Path(os.path.realpath(os.path.expanduser("~")))
+    for kept, what in ((Path.cwd(), "the current folder"), (home, "the home folder")):
+        if real == kept or real in kept.parents:
             where = what if real == kept else f"above {what}"
             raise TargetError(f"{folder} is {where}; name a new folder, such as {folder}/take")
     if os.path.ismount(real):
@@ -139,10 +140,3 @@ def _mode(path: Path) -> int | None:
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         raise TargetError(f"cannot write {path}: {reason}; name another path") from None
-
-
-def _home() -> Path | None:
-    try:
-        return Path.home().resolve()
-    except (RuntimeError, OSError):
-        return None

@@ -220,7 +220,9 @@ def write_curves(
     if digits is not None:
         given["digits"] = checked_digits(digits, chosen)
     if identity is not None:
-        given["identity"] = checked_identity(identity, chosen)
+        name = identity.name if isinstance(identity, Identity) else identity
+        check_option("identity", quoted(name), chosen)
+        given["identity"] = identity
     if not len(curves):
         raise FormatError(f"there are no frames to write to {path}")
     if fps is not None:
@@ -253,31 +255,24 @@ def checked_digits(digits: int, chosen: Format | None = None) -> int:
     """
     if type(digits) is not int or not 2 <= digits <= 6:
         raise FormatError(f"digits is {quoted(digits)}; must be 2 to 6", parameter="digits")
-    if chosen is not None and "digits" not in chosen.options:
-        taking = ", ".join(format.name for format in FORMATS if "digits" in format.options)
-        raise FormatError(
-            f"digits={digits} does not apply to {chosen.name}; it does to {taking}",
-            parameter="digits",
-        )
+    if chosen is not None:
+        check_option("digits", digits, chosen)
     return digits
 
 
-def checked_identity(identity: int | str | Identity, chosen: Format) -> int | str | Identity:
-    """Head that a file of the format can show.
+def check_option(name: str, given: object, chosen: Format) -> None:
+    """Refuse an option that the writer of a format does not take.
 
     Raises
     ------
     FormatError
-        If the format shows none.
+        Naming the formats that take it.
     """
-    if "identity" not in chosen.options:
-        taking = ", ".join(format.name for format in FORMATS if "identity" in format.options)
-        given = quoted(identity.name if isinstance(identity, Identity) else identity)
+    if name not in chosen.options:
+        taking = ", ".join(known.name for known in FORMATS if name in known.options)
         raise FormatError(
-            f"identity={given} does not apply to {chosen.name}; it does to {taking}",
-            parameter="identity",
+            f"{name}={given} does not apply to {chosen.name}; it does to {taking}", parameter=name
         )
-    return identity
 
 
 def _prepared(path: Path, curves: RigCurves, chosen: Format) -> tuple[RigCurves, ClampReport, str]:
@@ -324,6 +319,7 @@ __all__ = [
     "FORMATS",
     "Format",
     "WriteReport",
+    "check_option",
     "check_range",
     "checked_digits",
     "find_format",

@@ -6,11 +6,10 @@ from pathlib import Path
 import numpy as np
 
 from rig.conversion import shape_fit
-from rig.conversion.arkit import raw_controls
 from rig.conversion.avatars import bare_names, known_poses
-from rig.unreal.deitalk_clip import curve_keys, fit_segment, key_frames, split_curve
+from rig.conversion.raw import raw_controls
+from rig.unreal.deitalk_clip import KEYS
 
-KEYS = (key_frames, curve_keys, split_curve, fit_segment)
 ADDON = Path(__file__).with_name("blender_addon.py")
 RAW = bare_names()
 REST: list[float] = raw_controls().rest.tolist()
@@ -24,7 +23,7 @@ POSES: dict[str, dict[int, float]] = {
 
 def addon_text() -> str:
     """Return the text of the add-on: its file with the matcher and its table for their imports."""
-    own = [_table(), inspect.getsource(shape_fit), *(inspect.getsource(key) for key in KEYS)]
+    own = [_table(), *(inspect.getsource(part) for part in (shape_fit, *KEYS))]
     head, rest = ADDON.read_text(encoding="utf-8").split("from rig.", 1)
     return head + "\n\n".join(own) + "\n" + rest[rest.index("\nbl_info") :]
 

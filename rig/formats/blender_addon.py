@@ -27,6 +27,7 @@ import json
 import math
 import os
 import re
+from dataclasses import dataclass
 from typing import Any
 
 import bpy  # type: ignore[import-not-found]
@@ -55,6 +56,7 @@ PREFIX = "CTRL_expressions_"
 SOUNDS = (".wav", ".flac", ".ogg", ".mp3", ".m4a")
 
 
+@dataclass
 class Curves:
     """Curves of one file.
 
@@ -64,18 +66,17 @@ class Curves:
     values : dict of str to array [shape=(T,)]
         By name.
     path : str
-
-    Attributes
-    ----------
     lost : float [range 0 to 1]
         Share of the movement that the shapes do not show, where it is known.
     turns : bool
         Whether there is a head track, which no shape shows.
     """
 
-    def __init__(self, times: Any, values: dict[str, Any], path: str) -> None:
-        self.times, self.values, self.path = times, values, path
-        self.lost, self.turns = 0.0, False
+    times: Any
+    values: dict[str, Any]
+    path: str
+    lost: float = 0.0
+    turns: bool = False
 
 
 def read(path: str) -> Curves:

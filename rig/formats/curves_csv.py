@@ -13,8 +13,9 @@ from pathlib import Path
 import numpy as np
 
 from rig.controls import ControlSet
-from rig.conversion.arkit import ARKIT_ID, N_SHAPES, PREFIX, arkit_controls
+from rig.conversion.arkit import ARKIT_ID, N_SHAPES, arkit_controls
 from rig.conversion.convert import best_set, controls_of, known_controls
+from rig.conversion.raw import PREFIX
 from rig.curves import RigCurves
 from rig.errors import FormatError, listed, quoted
 from rig.formats.decimal_text import Block, rows
@@ -175,10 +176,9 @@ def require_all(path: Path, controls: ControlSet, names: Sequence[str]) -> None:
     """Raise FormatError if a header lacks controls of the set."""
     missing = controls.missing(names)
     if missing:
-        shown = ", ".join(missing[:3]) + (", …" if len(missing) > 3 else "")
         raise FormatError(
             f"{path} lacks {len(missing)} of the {len(controls)} controls of {controls.id}: "
-            f"{shown}; add these columns, or read it with a control set of its own"
+            f"{listed(missing)}; add these columns, or read it with a control set of its own"
         )
 
 

@@ -158,11 +158,8 @@ def _array(path: Path, data: dict[str, Any], key: str, empty_shape: tuple[int, .
         ) from error
 
 
-# Curves as a numpy archive: exact, compact, no pickle.
-
-
 def write_archive(path: Path, curves: RigCurves) -> None:
-    """Write ``schema, control_set, fps, names, values`` and the tracks there are."""
+    """Write an exact, compact archive: ``schema, control_set, fps, names, values``, the tracks."""
     arrays: dict[str, Any] = {
         "schema": np.array(SCHEMA),
         "control_set": np.array(curves.control_set),

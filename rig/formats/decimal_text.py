@@ -76,19 +76,12 @@ def rows(
     step = max(1, CHUNK_CELLS // max(n_columns, 1))
     for start in range(0, n_rows, step):
         parts = [_cells(block, start, start + step, separator) for block in blocks]
-        text = np.concatenate([characters for characters, _ in parts], axis=1)
-        keep = np.concatenate([kept for _, kept in parts], axis=1)
-        yield _framed(text[:, :-1], keep[:, :-1], before, after)
-
-
-def _framed(text: NDArray[np.uint8], keep: Bool, before: bytes, after: bytes) -> bytes:
-    """Join the kept characters of each row, with text around each."""
-    n_rows = len(text)
-    head = np.tile(np.frombuffer(before, np.uint8), (n_rows, 1))
-    tail = np.tile(np.frombuffer(after, np.uint8), (n_rows, 1))
-    text = np.concatenate([head, text, tail], axis=1)
-    keep = np.concatenate([np.ones_like(head, bool), keep, np.ones_like(tail, bool)], axis=1)
-    return text[keep].tobytes()
+        cells = np.concatenate([characters for characters, _ in parts], axis=1)[:, :-1]
+        kept = np.concatenate([kept for _, kept in parts], axis=1)[:, :-1]
+        head, tail = (np.tile(np.frombuffer(t, np.uint8), (len(cells), 1)) for t in (before, after))
+        text = np.concatenate([head, cells, tail], axis=1)
+        keep = np.concatenate([np.ones_like(head, bool), kept, np.ones_like(tail, bool)], axis=1)
+        yield text[keep].tobytes()
 
 
 def _cells(

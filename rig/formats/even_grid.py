@@ -29,7 +29,11 @@ def rate_of(seconds: Float64) -> float:
     median = float(np.median(steps))
     usual = usual_steps(steps)
     rate = 1 / float(usual.mean())
-    resolution = next((d for d in (1e-2, 1e-3, 1e-4, 1e-5) if _multiples(seconds, d)), 0.0)
+    resolution = 0.0
+    for digit in (1e-5, 1e-4, 1e-3, 1e-2):
+        past = (seconds - seconds[0]) / digit
+        if (np.abs(past - np.rint(past)) < 1e-3).all():
+            resolution = digit
     near = float(np.clip(resolution / usual.sum(), 2e-5, 5e-4)) * rate
     if np.ptp(steps) > UNEVEN * median:  # they are put on a grid, whose rate is free
         near = 3e-3 * rate
@@ -45,11 +49,6 @@ def usual_steps(steps: NDArray[np.number[Any]]) -> Float64:
     median = float(np.median(steps))
     near = steps[np.abs(steps - median) <= 0.25 * median]
     return np.asarray(near if len(near) else [median], np.float64)
-
-
-def _multiples(seconds: Float64, resolution: float) -> bool:
-    past = (seconds - seconds[0]) / resolution
-    return bool((np.abs(past - np.rint(past)) < 1e-3).all())
 
 
 def even(
@@ -90,15 +89,7 @@ def even(
     is_even = not len(steps) or np.ptp(steps) <= UNEVEN * float(np.median(steps))
     if is_even and faces.all():
         return values, None, notes
-    n_frames = int((seconds[-1] - seconds[0]) * fps + 0.5) + 1
-    most = GAP_FRAMES + GAP_SHARE * len(values)
-    if n_frames > most:
-        raise FormatError(
-            f"{path}: {len(values)} frames last {n_frames}; at most {most} are made of them: cut "
-            "the take where nothing was recorded"
-        )
-    check_clip(n_frames, values.shape[1])
-    grid = seconds[0] + np.arange(n_frames) / fps
+    grid = grid_over(seconds, fps, values.shape[1], path)
     known, rows = seconds[faces], values[faces]
     filled = np.stack([np.interp(grid, known, column) for column in rows.T], axis=1)
     if not is_even:
@@ -110,6 +101,25 @@ def even(
     if not faces.all():
         notes.append(f"{int((~faces).sum())} of {len(faces)} rows are without a face")
     return filled, None if seen.all() else seen, notes
+
+
+def grid_over(seconds: Float64, fps: float, n_curves: int, where: object) -> Float64:
+    """Even times [shape=(F,)] from the first to the last of rising ones.
+
+    Raises
+    ------
+    FormatError, CurveError
+        If most of the time has no frame, or there are more frames than `limits.FRAMES`.
+    """
+    n_frames = int((seconds[-1] - seconds[0]) * fps + 0.5) + 1
+    most = GAP_FRAMES + GAP_SHARE * len(seconds)
+    if n_frames > most:
+        raise FormatError(
+            f"{where}: {len(seconds)} frames last {n_frames}; at most {most} are made of them: cut "
+            "the take where nothing was recorded"
+        )
+    check_clip(n_frames, n_curves)
+    return np.asarray(seconds[0] + np.arange(n_frames) / fps)
 
 
 def seen_of(grid: Float64, known: Float64, fps: float) -> Bool:

@@ -43,14 +43,15 @@ def write(path: Path, curves: RigCurves, identity: int | str | Identity = 0) -> 
     The head track turns and shifts the whole mesh about the joint of skull and spine.
     `identity` is a head as of `rig.face.build_head`.
     """
-    if curves.control_set == ARKIT_ID:
-        from rig.retarget.head_glb import write_animation
-
-        write_animation(path, curves, identity, motion=_motion(curves))
-        return
     from rig.face import build_head
 
     head = build_head(identity)
+    if curves.control_set == ARKIT_ID:
+        from rig.retarget.head_glb import arkit_weights, write_head
+
+        weights = WeightAnimation(arkit_weights(curves), curves.fps, motion=_motion(curves))
+        write_head(path, head, animation=weights)
+        return
     head.bare  # noqa: B018, both threads use it
     with ThreadPoolExecutor(1) as pool:  # pictures leave other threads alone
         look = pool.submit(textured, head)
@@ -141,17 +142,13 @@ def grid_of(moved: Tracks, fps: float | None, n_curves: int) -> tuple[float, Flo
     """Return a rate, by default that of the densest keys, and the times (T,) of its frames."""
     tracks = [track for (_, part), track in moved.items() if part != "scale"]
     steps = [float(np.diff(times).min()) for times, *_ in tracks if len(times) > 1]
-    rate = fps or _rate(min(steps, default=1.0))
+    rate = 1 / min(steps, default=1.0)
+    # Whole, or a 1.001th of it, where that is as near as the times are exact.
+    near = [n for n in (round(rate), round(rate * 1.001) / 1.001) if abs(n / rate - 1) < 2e-4]
+    rate = fps or float(min(near, key=lambda n: abs(n / rate - 1), default=rate))
     n_frames = round(max(float(times[-1]) for times, *_ in tracks) * rate) + 1
     check_clip(n_frames, n_curves)
     return rate, np.arange(n_frames) / rate
-
-
-def _rate(step: float) -> float:
-    """Frames per second of a distance of keys in seconds, whole or a 1.001th of it."""
-    rate = 1 / step
-    near = [n for n in (round(rate), round(rate * 1.001) / 1.001) if abs(n / rate - 1) < 2e-4]
-    return float(min(near, key=lambda n: abs(n / rate - 1), default=rate))
 
 
 def sampled(track: Track, at: Float64) -> Float64:

@@ -16,23 +16,22 @@ codes to the last digit; `to_curves` puts it on an even grid.
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rig import limits
 from rig.arrays import Bool, Float32, Float64, Int64
 from rig.controls import ControlSet, check_unique
-from rig.conversion.arkit import ARKIT_ID, PREFIX, RAW_ID, arkit_controls, raw_controls
-from rig.curves import RigCurves, check_clip, snap_fps
+from rig.conversion.arkit import ARKIT_ID, arkit_controls
+from rig.conversion.raw import PREFIX, RAW_ID, raw_controls
+from rig.curves import HEAD, RigCurves, snap_fps
 from rig.curves.rig_curves import STANDARD_RATES
 from rig.curves.timecode import TICKS_PER_SECOND, Clock, read_timecodes
 from rig.errors import CurveError, FormatError
 from rig.formats.decimal_text import Block, Text, rows
-from rig.formats.even_grid import seen_of, usual_steps
+from rig.formats.even_grid import grid_over, seen_of, usual_steps
 from rig.formats.wide_csv import read_layout, read_numbers
-from rig.unreal.deitalk_clip import subject_of
+from rig.unreal.deitalk_clip import VERSIONS, head_curves, head_of_curves, subject_of
 
 DECIMALS = 10
 ENDINGS = ("_cal", "_raw", "_neutral")
@@ -46,10 +45,6 @@ SUBJECT_REST = (
 """Properties after the raw curves of every MetaHuman subject since Unreal 5.6, in their order
 (LiveLinkFaceSource.cpp): degrees in the axes of the head's bone (up, forward, right), first about
 the upright one; cm back, left and up."""
-_BONE_TURN: Final = "XZY"
-_HEAD_TURN: Final = "YXZ"
-"""Orders of the angles about the axes left, up and forward, of the bone and of the track."""
-_HEAD_SIGNS = (-1.0, -1.0, 1.0)
 COUNT = "BlendshapeCount"
 """Second column. Unreal ignores case; other readers want the spelling of the app since 2024."""
 
@@ -112,37 +107,28 @@ class LiveLinkTake:
         names = tuple(name for name in controls.names if name in places)
         fps = snap_fps(fps or self.fps)
         seconds = (self.ticks - self.ticks[0]) / TICKS_PER_SECOND
-        n_frames = int(seconds[-1] * fps + 0.5) + 1
-        most = limits.GAP_FRAMES + limits.GAP_SHARE * len(self.ticks)
-        if n_frames > most:
-            raise FormatError(
-                f"a take of {len(self.ticks)} frames lasts {n_frames}; at most {most} are made of "
-                "it: cut it where nothing was recorded"
-            )
-        check_clip(n_frames, len(controls))
-        grid = np.arange(n_frames) / fps
-        values = np.empty((n_frames, len(names)), np.float32)
+        grid = grid_over(seconds, fps, len(controls), "the take")
+        values = np.empty((len(grid), len(names)), np.float32)
         for column, name in enumerate(names):
             with np.errstate(over="ignore", invalid="ignore"):  # named by RigCurves
                 values[:, column] = np.interp(grid, seconds, self.values[:, places[name]])
         values.setflags(write=False)  # not copied again
         curves = RigCurves(values, names, fps, control_set=controls.id, notes=self.notes)
         curves = curves.reorder(controls)
-        return replace(curves, head=self._head(grid, seconds)) if controls.id == RAW_ID else curves
+        if controls.id != RAW_ID:
+            return curves
+        columns = {
+            name: np.interp(grid, seconds, self.values[:, self.names.index(name)])
+            for name in SUBJECT_REST
+            if name in self.names
+        }
+        return replace(curves, head=subject_head(columns))
 
     def seen(self, curves: RigCurves) -> Bool:
         """Frames of `to_curves` that were captured [shape=(F,)]: not in a gap of over a second."""
         seconds = (self.ticks - self.ticks[0]) / TICKS_PER_SECOND
         known = seconds if self.faces is None else seconds[self.faces]
         return seen_of(curves.times, known, curves.fps)
-
-    def _head(self, grid: Float64, seconds: Float64) -> Float32 | None:
-        columns = {
-            name: np.interp(grid, seconds, self.values[:, self.names.index(name)])
-            for name in SUBJECT_REST
-            if name in self.names
-        }
-        return subject_head(columns)
 
 
 def read_take(path: Path) -> LiveLinkTake:
@@ -173,22 +159,17 @@ def read_take(path: Path) -> LiveLinkTake:
             f"{path}: data row {row} has time code {timecodes[row - 1]}, not after the one before"
         )
     faces = ~np.isnan(numbers[:, 1:]).any(axis=1) & (numbers[:, 0] != 0)
-    values = _without_gaps(path, numbers[:, 1:], clock.ticks, faces)
+    if not faces.any():
+        raise FormatError(f"{path}: no row has a face; {COUNT} is 0, or every cell empty")
+    values = numbers[:, 1:]
+    if not faces.all():
+        known, at = values[faces], clock.ticks[faces]
+        values = np.stack([np.interp(clock.ticks, at, column) for column in known.T], axis=1)
     notes = _clock_notes(clock)
     if faces.all():
         return LiveLinkTake(clock.ticks, values, names, header[1], None, notes)
     lost = f"{int((~faces).sum())} of {len(faces)} rows are without a face"
     return LiveLinkTake(clock.ticks, values, names, header[1], faces, (*notes, lost))
-
-
-def _without_gaps(path: Path, values: Float64, ticks: Int64, faces: Bool) -> Float64:
-    """Values with straight lines where a row has no face."""
-    if not faces.any():
-        raise FormatError(f"{path}: no row has a face; {COUNT} is 0, or every cell empty")
-    if faces.all():
-        return values
-    known = values[faces]
-    return np.stack([np.interp(ticks, ticks[faces], column) for column in known.T], axis=1)
 
 
 def _clock_notes(clock: Clock) -> tuple[str, ...]:
@@ -199,16 +180,9 @@ def _clock_notes(clock: Clock) -> tuple[str, ...]:
         return (f"time codes count {clock.count} frames a second",)
     if clock.is_certain or len(clock.ticks) < 2 or (clock.ticks % TICKS_PER_SECOND == 0).all():
         return ()
-    return (
-        (f"time codes end within a second: FF is taken to count {clock.count} a second",)
-        if clock.count == 30
-        else ()
-    )
-
-
-def counts_thirtieths(ticks: Int64) -> bool:
-    """Return whether no frame field of time codes exceeds 30.0, which Unreal takes as 30 fps."""
-    return bool((ticks % TICKS_PER_SECOND).max(initial=0) <= TICKS_PER_SECOND // 2)
+    if clock.count != 30:
+        return ()
+    return ("time codes end within a second: FF is taken to count 30 a second",)
 
 
 def write_take(path: Path, take: LiveLinkTake) -> None:
@@ -235,7 +209,8 @@ def padding(ticks: Int64) -> Int64:
     Without them the sixtieths of a take that ends within half a second are read as thirtieths.
     """
     none: Int64 = np.empty(0, np.int64)
-    if not counts_thirtieths(ticks) or not (ticks % TICKS_PER_SECOND).any():
+    latest = int((ticks % TICKS_PER_SECOND).max(initial=0))
+    if not 0 < latest <= TICKS_PER_SECOND // 2:  # FF exceeds 30.0, or is always 0
         return none
     step = int(np.median(np.diff(ticks))) if len(ticks) > 1 else 2000
     more = ticks[-1] + step * np.arange(1, TICKS_PER_SECOND // 1000 + 1)
@@ -247,7 +222,12 @@ def padding(ticks: Int64) -> Int64:
 
 def notes(path: Path, curves: RigCurves) -> str:
     """Return notes on a file: its padding, and a subject that its suffix changes."""
-    return "; ".join(note for note in (_padding_note(curves), suffix_note(path)) if note)
+    n_held = len(padding(frame_ticks(len(curves), curves.fps)))
+    held = (
+        f"the last frame is held for {n_held} more rows: Unreal plays a Live Link CSV that ends "
+        "within half a second at half speed"
+    )
+    return "; ".join(filter(None, (held if n_held else "", suffix_note(path))))
 
 
 def suffix_note(path: Path) -> str:
@@ -258,17 +238,6 @@ def suffix_note(path: Path) -> str:
     return (
         f"Unreal makes the subject {subject_of(path.name)!r} of this name: call the file "
         f"{stem}_cal.csv for {subject_of(stem + '_cal.csv')!r}"
-    )
-
-
-def _padding_note(curves: RigCurves) -> str:
-    """Return a line on the padding of a clip; empty if there is none."""
-    n_held = len(padding(frame_ticks(len(curves), curves.fps)))
-    if not n_held:
-        return ""
-    return (
-        f"the last frame is held for {n_held} more rows: Unreal plays a Live Link CSV that ends "
-        "within half a second at half speed"
     )
 
 
@@ -291,17 +260,11 @@ def write(path: Path, curves: RigCurves, start: float = 0.0) -> None:
 
 def with_subject(curves: RigCurves) -> RigCurves:
     """Raw curves with `SUBJECT_REST` as columns: switch and turn of the head, and constants."""
+    track = None if curves.head is None else dict(zip(HEAD, curves.head.T.tolist(), strict=True))
+    moved = VERSIONS | head_curves(track)
     rest = np.zeros((len(curves), len(SUBJECT_REST)), np.float32)
-    if curves.head is not None:
-        rest[:, 0] = 1
-        # Columns 1 to 6 of `SUBJECT_REST` [shape=(T, 6)]; `subject_head` is the inverse.
-        from scipy.spatial.transform import Rotation
-
-        turn = Rotation.from_euler(_HEAD_TURN, curves.head[:, :3] * _HEAD_SIGNS, degrees=True)
-        left, up, forward = curves.head[:, 3:].T
-        roll_last = turn.as_euler(_BONE_TURN, degrees=True)
-        rest[:, 1:7] = np.column_stack([roll_last[:, ::-1], -forward, left, up])
-    rest[:, 7:] = 1
+    for place, name in enumerate(SUBJECT_REST):
+        rest[:, place] = moved.get(name, 0.0)
     values = np.column_stack([curves.values, rest])
     return replace(curves, values=values, names=(*curves.names, *SUBJECT_REST))
 
@@ -310,12 +273,8 @@ def subject_head(columns: Mapping[str, Float64]) -> Float32 | None:
     """The head track [shape=(T, 6)] of columns of `SUBJECT_REST`; None unless the switch is on."""
     if any(name not in columns for name in SUBJECT_REST[:7]) or not columns[SUBJECT_REST[0]].any():
         return None
-    roll, pitch, yaw, back, left, up = (columns[name] for name in SUBJECT_REST[1:7])
-    from scipy.spatial.transform import Rotation
-
-    turn = Rotation.from_euler(_BONE_TURN, np.column_stack([yaw, pitch, roll]), degrees=True)
-    angles = turn.as_euler(_HEAD_TURN, degrees=True) * _HEAD_SIGNS
-    return np.column_stack([angles, left, up, -back]).astype(np.float32)
+    track = head_of_curves({name: column.tolist() for name, column in columns.items()})
+    return np.column_stack([track[name] for name in HEAD]).astype(np.float32)
 
 
 def frame_ticks(n_frames: int, fps: float) -> Int64:

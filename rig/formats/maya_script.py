@@ -21,7 +21,7 @@ from rig.files.reading import read_text
 from rig.formats.decimal_text import Block, rows
 from rig.formats.unreal_json import keyed_controls
 from rig.limits import CURVES_BYTES
-from rig.unreal.deitalk_clip import curve_keys, fit_segment, key_frames, split_curve
+from rig.unreal.deitalk_clip import KEYS
 
 DECIMALS = 4
 STILL = 5e-5
@@ -33,9 +33,12 @@ def write(path: Path, curves: RigCurves) -> None:
     """Write the script; a curve that never moves is one number."""
     text = TEMPLATE.read_text(encoding="utf-8").replace("KEY_FRAMES\n", key_frames_text())
     head, tail = text.split("CURVES = {}\n")
+    # Names of boards of 2021 to 2023, where they differ; ``-`` of those they lack.
+    names = {c.ue_control: c.mh3_name.partition(".")[0] for c in default_controls().controls}
+    older = {new: old for new, old in names.items() if old and old != new}
     with path.open("wb") as stream:
         stream.write(head.replace("FPS = 30.0", f"FPS = {curves.fps!r}").encode())
-        stream.write(f"OLDER = {json.dumps(_older_names())}\nCURVES = {{\n".encode())
+        stream.write(f"OLDER = {json.dumps(older)}\nCURVES = {{\n".encode())
         for name, control in _attributes().items():
             values = curves[control]
             stream.write(f'"{name}": ['.encode())
@@ -85,9 +88,7 @@ def read(path: Path, controls: ControlSet | None = None, fps: float | None = Non
 
 def key_frames_text() -> str:
     """Return the sources of the keys' functions without annotations, as Python 2.7 reads them."""
-    functions = (key_frames, curve_keys, split_curve, fit_segment)
-    bare = [_bare(inspect.getsource(function)) for function in functions]
-    return "\n\n".join(bare)
+    return "\n\n".join(_bare(inspect.getsource(function)) for function in KEYS)
 
 
 def _bare(source: str) -> str:
@@ -96,9 +97,3 @@ def _bare(source: str) -> str:
     names = [argument.partition(":")[0].strip() for argument in given.split(") ->")[0].split(", ")]
     body = re.sub(r"^( +\w+): [^=\n]+ =", r"\1 =", body, flags=re.MULTILINE)
     return f"{name}({', '.join(names)}):\n{body}"
-
-
-def _older_names() -> dict[str, str]:
-    """Return the names of boards of 2021 to 2023, where they differ; ``-`` of those they lack."""
-    names = {c.ue_control: c.mh3_name.partition(".")[0] for c in default_controls().controls}
-    return {new: old for new, old in names.items() if old and old != new}

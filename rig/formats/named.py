@@ -60,8 +60,8 @@ WEIGHT_KEYS = (
 LABEL_KEYS = ("categoryName", "category_name", "displayName", "name")
 SCORE_KEYS = ("score", "value", "weight")
 FACE_CAP_MARK = b"info,"
-FACE_CAP_LEADING = 12
-"""Cells of Face Cap's rows before the shapes: ``k``, time, place and turn of the head, eyes."""
+FACE_CAP_LEADING = 11
+"""Cells of Face Cap's rows between ``k`` and shapes: time, place and turn of the head, eyes."""
 
 
 @dataclass(frozen=True)
@@ -184,9 +184,6 @@ def _plain(name: str) -> str:
     return re.sub(r"[\W_]", "", name.lower())
 
 
-# CSV and Face Cap.
-
-
 def _read_csv(path: Path, curves: Container[str] = ()) -> Table:
     layout = read_layout(path)
     header = layout.header
@@ -239,43 +236,21 @@ def _read_face_cap(path: Path) -> Table:
     with open_file(path, CURVES_BYTES) as stream:
         lines = stream.read().decode("utf-8", "replace").splitlines()
     names: tuple[str, ...] = ()
-    rows: list[list[float]] = []
-    for number, line in enumerate(lines, 1):
-        mark, *cells = [cell.strip() for cell in line.split(",")]
-        while cells and not cells[-1]:
-            cells.pop()
+    leading: list[list[str]] = []
+    shapes: list[list[Any]] = []
+    for line in lines:
+        mark, *cells = [cell.strip() for cell in line.rstrip(", ").split(",")]
         if mark == "bs":
             names = tuple(cells)
         elif mark == "k":
-            rows.append(_keyed(path, number, cells, len(names)))
-    if not names or not rows:
+            leading.append(cells[:FACE_CAP_LEADING])
+            shapes.append(cells[FACE_CAP_LEADING:] or [np.nan] * len(names))
+    if not names or not leading:
         raise FormatError(f"{path} needs a line 'bs' of names and lines 'k'; Face Cap writes both")
-    numbers = np.array(rows)
-    shift = FACE_CAP_LEADING - 1
-    moved = np.ptp(numbers[:, 1:shift], axis=0).any()
+    numbers = _matrix(path, leading, FACE_CAP_LEADING)
+    moved = np.ptp(numbers[:, 1:], axis=0).any()
     note = ("head and eyes as angles are left out",) if moved else ()
-    return Table(names, numbers[:, shift:], numbers[:, 0], notes=note)
-
-
-def _keyed(path: Path, number: int, cells: Sequence[str], n_shapes: int) -> list[float]:
-    """Numbers of a line `k`; shapes are NaN where it holds none."""
-    leading = FACE_CAP_LEADING - 1
-    try:
-        row = [float(cell) for cell in cells]
-    except ValueError:
-        row = []
-    if len(row) == leading:
-        row += [np.nan] * n_shapes
-    is_finite = np.isfinite(row[:leading]).all() and (np.abs(row) <= LARGEST)[leading:].all()
-    if len(row) != leading + n_shapes or not (is_finite or np.isnan(row[leading:]).all()):
-        raise FormatError(
-            f"{path}: line {number} has {len(cells)} cells; it needs a time, ten of head and eyes, "
-            f"and {n_shapes} finite numbers"
-        )
-    return row
-
-
-# NPZ and JSON.
+    return Table(names, _matrix(path, shapes, len(names)), numbers[:, 0], notes=note)
 
 
 def _read_npz(path: Path) -> Table:
@@ -285,10 +260,12 @@ def _read_npz(path: Path) -> Table:
     names = tuple(str(name) for name in np.atleast_1d(data["names"]))
     rate = np.ravel(data["fps"])[0] if np.size(data.get("fps", ())) else None
     values = _matrix(path, np.atleast_1d(data["values"]), len(names))
-    return Table(names, values, None, None if rate is None else _rate(path, rate))
+    return Table(names, values, None, _rate(path, rate))
 
 
-def _rate(path: Path, value: Any) -> float:
+def _rate(path: Path, value: Any) -> float | None:
+    if value is None:
+        return None
     try:
         rate = float(value)
     except (TypeError, ValueError, OverflowError):
@@ -302,7 +279,7 @@ def _read_json(path: Path) -> Table:
     rate = times = None
     if isinstance(data, dict):
         names, rows, rate = (_first(data, keys) for keys in (NAME_KEYS, VALUE_KEYS, RATE_KEYS))
-        rate = None if rate is None else _rate(path, rate)
+        rate = _rate(path, rate)
         is_named = isinstance(names, list) and all(isinstance(name, str) for name in names)
         if is_named and isinstance(rows, list):
             texts, times = tuple(names), _listed_times(path, data, len(rows))
@@ -313,10 +290,10 @@ def _read_json(path: Path) -> Table:
             return Table(texts, _matrix(path, rows, len(texts)), times, rate)
         times = _listed_times(path, data, len(rows)) if isinstance(rows, list) else None
         data = rows
-    if not (isinstance(data, list) and data and all(isinstance(row, dict | list) for row in data)):
-        raise FormatError(f"{path}: is no JSON of curves; docs/finetuning.md lists what is read")
     # Names, values and times of frames that are objects, or lists of categories.
-    weights = [_weights(path, place, frame) for place, frame in enumerate(data, 1)]
+    frames = data if isinstance(data, list) else []
+    is_known = all(isinstance(frame, dict | list) for frame in frames)
+    weights = [_weights(path, k, frame) for k, frame in enumerate(frames, 1)] if is_known else []
     names = tuple(next((row for row in weights if row), ()))
     if not names:
         raise FormatError(f"{path}: is no JSON of curves; docs/finetuning.md lists what is read")
@@ -326,8 +303,8 @@ def _read_json(path: Path) -> Table:
         if row.keys() != none.keys():
             raise FormatError(f"{path}: frame {place} has other curves than the first frame")
     values = _matrix(path, [[row[name] for name in names] for row in rows], len(names))
-    objects = [frame for frame in data if isinstance(frame, dict)]
-    own = _times(path, objects) if len(objects) == len(data) else None
+    is_object = all(isinstance(frame, dict) for frame in frames)
+    own = _times(path, frames) if is_object else None
     return Table(names, values, times if own is None else own, rate)
 
 

@@ -10,7 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from rig.controls import ControlSet, default_controls
-from rig.conversion.avatars import Cue, cues, cues_to_curves
+from rig.conversion.visemes import Cue, cues, cues_to_curves
 from rig.curves import RigCurves, n_frames_for
 from rig.errors import FormatError, quoted
 from rig.files.reading import check_expansion, check_file, read_text
@@ -53,15 +53,14 @@ def write_json(
 ) -> None:
     """Write ``metadata`` with path and length of the sound, and ``mouthCues``."""
     spoken, end = _spoken_cues(curves, seconds)
-    rows = [
-        f'    {{ "start": {cue.start:.2f}, "end": {cue.end:.2f}, "value": "{cue.shape}" }}'
-        for cue in spoken
-    ]
-    text = (
-        f'{{\n  "metadata": {{\n    "soundFile": {json.dumps(sound)},\n'
-        f'    "duration": {end:.2f}\n  }},\n  "mouthCues": [\n' + ",\n".join(rows) + "\n  ]\n}\n"
-    )
-    path.write_text(text, encoding="utf-8", newline="\n")
+    content = {
+        "metadata": {"soundFile": sound, "duration": round(end, 2)},
+        "mouthCues": [
+            {"start": round(cue.start, 2), "end": round(cue.end, 2), "value": cue.shape}
+            for cue in spoken
+        ],
+    }
+    path.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8", newline="\n")
 
 
 def read_json_cues(

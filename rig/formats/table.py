@@ -11,8 +11,9 @@ from pathlib import Path
 from typing import Any
 
 from rig.controls import DEFAULT_ID, ControlSet
-from rig.conversion.arkit import ARKIT_ID, RAW_ID
+from rig.conversion.arkit import ARKIT_ID
 from rig.conversion.avatars import AVATARS
+from rig.conversion.raw import RAW_ID
 from rig.curves import RigCurves
 from rig.errors import FormatError
 from rig.files.reading import rows_of

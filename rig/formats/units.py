@@ -18,9 +18,6 @@ from rig.curves import RigCurves
 from rig.errors import FormatError, listed
 from rig.formats.angles import as_live_link, half_turns
 
-# Times.
-
-
 FASTEST, SLOWEST = 300.0, 1.0
 """Frames per second of a capture."""
 TIME_UNITS = (
@@ -139,12 +136,8 @@ def in_units(curves: RigCurves, controls: ControlSet, where: object) -> RigCurve
         return curves
     places = controls.indices(curves.names)
     largest = np.maximum(np.abs(controls.minimum), np.abs(controls.maximum))[places]
-    angles = np.array(
-        [
-            (controls.id == ARKIT_ID and name.endswith(("Yaw", "Pitch", "Roll")))
-            for name in curves.names
-        ]
-    )
+    angles = np.array([name.endswith(("Yaw", "Pitch", "Roll")) for name in curves.names])
+    angles &= controls.id == ARKIT_ID
     shapes = np.flatnonzero(~angles & (largest > 0))
     values, notes = curves.values, list(curves.notes)
     scale, note = _scale(curves, controls, shapes, largest[shapes], where)
@@ -208,7 +201,8 @@ def _sides_differ(names: Sequence[str], peaks: Float32) -> bool:
     """Whether a shape of one side is in another unit than its counterpart."""
     by_name = dict(zip(names, peaks.tolist(), strict=True))
     for name, left in by_name.items():
-        right = by_name.get(_other_side(name), left)
+        other = name.replace("Left", "Right") if "Left" in name else name.replace("_L_", "_R_")
+        right = by_name.get(other, left)
         low, high = sorted((left, right))
         if "Look" in name or name.removeprefix("CTRL_expressions_").lower().startswith(ONE_WAY):
             continue  # a side alone is natural
@@ -218,7 +212,3 @@ def _sides_differ(names: Sequence[str], peaks: Float32) -> bool:
 
 
 ONE_WAY = ("jawleft", "jawright", "mouthleft", "mouthright")
-
-
-def _other_side(name: str) -> str:
-    return name.replace("Left", "Right") if "Left" in name else name.replace("_L_", "_R_")

@@ -10,17 +10,17 @@ whose raw curves are always numbers, is read too.
 """
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 
 from rig.arrays import Float32
 from rig.controls import DEFAULT_ID, Control, ControlSet, default_controls
-from rig.conversion.arkit import BOTH_EYES, RAW_ID, raw_controls, raw_knots
+from rig.conversion.raw import BOTH_EYES, raw_controls, raw_knots
 from rig.curves import HEAD, RigCurves
 from rig.errors import CurveError, FormatError, quoted
 from rig.files.reading import check_expansion, read_json
@@ -42,27 +42,36 @@ def write(path: Path, curves: RigCurves, digits: int = DECIMALS, start: float = 
         "n_frames": len(curves),
         "start": start,
     }
+    raw = {
+        name: [json.dumps(function, separators=(",", ":")).encode()]
+        for name, function in _functions().items()
+    }
+    board = {
+        control: _channels(curves, channels, digits) for control, channels in _by_control().items()
+    }
     with path.open("wb") as stream:
         stream.write(json.dumps(head).encode()[:-1])
-        stream.write(b',\n"raw": {')
-        for i, (name, function) in enumerate(_functions().items()):
-            text = json.dumps(function, separators=(",", ":"))
-            stream.write(_key(name, first=i == 0) + text.encode())
-        stream.write(b'\n},\n"board": {')
-        for i, (control, channels) in enumerate(_by_control().items()):
-            stream.write(_key(control, first=i == 0) + b"{")
-            for j, (axis, name) in enumerate(channels.items()):
-                stream.write((b", " if j else b"") + f'"{axis}": '.encode())
-                stream.writelines(_values(curves[name], digits))
-            stream.write(b"}")
-        stream.write(b"\n}")
+        _write_entries(stream, "raw", raw)
+        _write_entries(stream, "board", board)
         if curves.head is not None:
-            stream.write(b',\n"head": {')
-            for i, (name, values) in enumerate(zip(HEAD, curves.head.T, strict=True)):
-                stream.write(_key(name, first=i == 0))
-                stream.writelines(_values(np.ascontiguousarray(values), DECIMALS))
-            stream.write(b"\n}")
+            track = zip(HEAD, np.ascontiguousarray(curves.head.T), strict=True)
+            _write_entries(stream, "head", {name: _values(v, DECIMALS) for name, v in track})
         stream.write(b"}\n")
+
+
+def _write_entries(stream: BinaryIO, key: str, entries: Mapping[str, Iterable[bytes]]) -> None:
+    stream.write(f',\n"{key}": {{'.encode())
+    for i, (name, text) in enumerate(entries.items()):
+        stream.write((b",\n " if i else b"\n ") + json.dumps(name).encode() + b": ")
+        stream.writelines(text)
+    stream.write(b"\n}")
+
+
+def _channels(curves: RigCurves, channels: Mapping[str, str], digits: int) -> Iterator[bytes]:
+    for j, (axis, name) in enumerate(channels.items()):
+        yield (b", " if j else b"{") + f'"{axis}": '.encode()
+        yield from _values(curves[name], digits)
+    yield b"}"
 
 
 def read(path: Path, controls: ControlSet | None = None, fps: float | None = None) -> RigCurves:
@@ -89,27 +98,26 @@ def read_present(path: Path) -> tuple[RigCurves, str]:
     board, raw = (data.get(key) or {} for key in ("board", "raw"))
     if not isinstance(board, dict) or not isinstance(raw, dict) or not (board or raw):
         raise FormatError(f"{path} holds no curves; export an asset that has some")
-    columns = _board_columns(path, board) if board else _raw_columns(path, raw)
     known = default_controls() if board else raw_controls()
+    spelt = {name.lower(): name for name in known.names}  # Unreal may give names as first spelt
+    columns = {spelt.get(str(name).lower(), str(name)): raw[name] for name in raw}
+    if board:
+        columns = _board_columns(path, board)
+    elif len(columns) < len(raw):
+        raise FormatError(f"{path}: a curve appears twice, in upper and in lower case")
     names = known.resolve(list(columns))
     n_frames, rate = _length_and_rate(path, data, len(names))
     values = _filled(path, columns, n_frames)
-    head = _head(path, data.get("head"), n_frames)
+    head = data.get("head")
+    if head is not None:
+        if not isinstance(head, dict) or any(name not in head for name in HEAD):
+            raise FormatError(f"{path}: head needs {', '.join(HEAD)}")
+        head = _filled(path, {name: head[name] for name in HEAD}, n_frames)
     try:
-        known_set = DEFAULT_ID if board else RAW_ID
-        curves = RigCurves(values, names, rate, control_set=known_set, head=head)
+        curves = RigCurves(values, names, rate, control_set=known.id, head=head)
     except CurveError as error:
         raise FormatError(f"{path}: {error}") from error
     return curves, str(data.get("audio") or "")
-
-
-def _head(path: Path, head: Any, n_frames: int) -> Float32 | None:
-    """The head track, if the file has one."""
-    if head is None:
-        return None
-    if not isinstance(head, dict) or any(name not in head for name in HEAD):
-        raise FormatError(f"{path}: head needs {', '.join(HEAD)}")
-    return _filled(path, {name: head[name] for name in HEAD}, n_frames)
 
 
 def _filled(path: Path, columns: dict[str, Any], n_frames: int) -> Float32:
@@ -124,15 +132,6 @@ def _filled(path: Path, columns: dict[str, Any], n_frames: int) -> Float32:
         except (TypeError, ValueError, OverflowError):
             raise FormatError(f"{path}: {name} is no list of numbers") from None
     return values
-
-
-def _raw_columns(path: Path, raw: dict[str, Any]) -> dict[str, Any]:
-    """Values by raw curve; Unreal may give names as they were first spelt in the editor."""
-    canonical = {name.lower(): name for name in raw_controls().names}
-    columns = {canonical.get(name.lower(), name): numbers for name, numbers in raw.items()}
-    if len(columns) < len(raw):
-        raise FormatError(f"{path}: a curve appears twice, in upper and in lower case")
-    return columns
 
 
 def _board_columns(path: Path, board: dict[str, Any]) -> dict[str, Any]:
@@ -196,10 +195,6 @@ def _by_control() -> dict[str, dict[str, str]]:
         axis = c.axis.lower() if c.type == "Vector2D" else "value"
         controls.setdefault(c.ue_control, {})[axis] = c.name
     return {name: dict(sorted(channels.items())) for name, channels in controls.items()}
-
-
-def _key(name: str, *, first: bool) -> bytes:
-    return (b"\n " if first else b",\n ") + json.dumps(name).encode() + b": "
 
 
 def _values(values: Float32, digits: int) -> Iterator[bytes]:

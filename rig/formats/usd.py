@@ -7,7 +7,6 @@ about the joint of skull and spine, and is kept as ``custom:deitalk_head``. Mate
 vertex colours, in a package (``.usdz``) a picture, which more programs know.
 """
 
-from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -16,7 +15,7 @@ import numpy as np
 
 from rig.arrays import AnyFloat, Float32, Float64
 from rig.controls import ControlSet
-from rig.conversion.arkit import RAW_ID, board_to_raw, raw_controls
+from rig.conversion.raw import RAW_ID, board_to_raw, raw_controls
 from rig.curves import HEAD, RigCurves
 from rig.errors import FormatError, quoted
 from rig.face.head import Head
@@ -87,7 +86,13 @@ def write(path: Path, curves: RigCurves, identity: int | str | Identity = 0) -> 
     animation.GetPrim().CreateAttribute(NAMES, types.TokenArray).Set(list(raw.names))
     _samples(pxr, animation.GetPrim().CreateAttribute(VALUES, types.FloatArray), raw.values)
     if curves.head is not None:
-        _add_head(pxr, root, animation.GetPrim(), curves.head)
+        kept = animation.GetPrim().CreateAttribute(HEAD_TRACK, types.FloatArray)
+        _samples(pxr, kept, curves.head)
+        operation = pxr.UsdGeom.Xformable(root).AddTransformOp()
+        for i, (turn, shift) in enumerate(zip(*matrices(curves.head), strict=True)):
+            placed = np.eye(4)  # USD multiplies rows by the matrix
+            placed[:3, :3], placed[3, :3] = turn.T, shift
+            operation.Set(pxr.Gf.Matrix4d(placed.tolist()), i)
     if path.suffix.lower() == ".usdz":
         uv, picture = baked_picture(head)
         _dress(pxr, stage, mesh, head, uv, is_packed=True)
@@ -177,10 +182,8 @@ def read(path: Path, controls: ControlSet | None = None, fps: float | None = Non
         _check_alone(path, layer)
         stage = pxr.Usd.Stage.Open(layer)
         for prim in stage.Traverse():
-            names, values = prim.GetAttribute(NAMES), prim.GetAttribute(VALUES)
-            if names and values:
-                curves = _curves(path, stage, names, values, fps)
-                return replace(curves, head=_head(path, prim, len(curves), stage))
+            if prim.GetAttribute(NAMES) and prim.GetAttribute(VALUES):
+                return _curves(path, stage, prim, fps)
     except (pxr.Tf.ErrorException, TypeError, UnicodeError) as error:
         raise FormatError(f"{path} is no USD file: {_reason(error)}") from None
     raise FormatError(f"{path} has no prim with {NAMES} and {VALUES}")
@@ -209,7 +212,7 @@ def _reason(error: Exception) -> str:
         return "it is damaged"
 
 
-def _curves(path: Path, stage: Any, names: Any, values: Any, fps: float | None) -> RigCurves:
+def _curves(path: Path, stage: Any, prim: Any, fps: float | None) -> RigCurves:
     start, end = stage.GetStartTimeCode(), stage.GetEndTimeCode()
     rate = stage.GetTimeCodesPerSecond()
     n_frames = int(end - start) + 1 if np.isfinite(end - start) else 0
@@ -219,33 +222,20 @@ def _curves(path: Path, stage: Any, names: Any, values: Any, fps: float | None) 
     check_expansion(
         4 * n_frames * len(raw_controls()), size, path, error=FormatError, floor=SPARSE_BYTES
     )
-    rows = [np.asarray(values.Get(start + i) or (), np.float32) for i in range(n_frames)]
-    found = raw_controls().resolve([str(name) for name in names.Get() or ()])
-    if any(len(row) != len(found) for row in rows):
-        raise FormatError(f"{path}: a frame has not one value for each of {len(found)} curves")
-    curves = RigCurves(np.stack(rows), found, fps or rate, control_set=RAW_ID)
+    given = prim.GetAttribute(NAMES).Get() or ()
+    found = raw_controls().resolve([str(name) for name in given])
+
+    def rows(name: str, width: int) -> Float32:
+        attribute = prim.GetAttribute(name)
+        read = [np.asarray(attribute.Get(start + i) or (), np.float32) for i in range(n_frames)]
+        if any(row.shape != (width,) for row in read):
+            raise FormatError(f"{path}: {name} has not {width} values in every frame")
+        return np.stack(read)
+
+    values = rows(VALUES, len(found))
+    head = rows(HEAD_TRACK, len(HEAD)) if prim.GetAttribute(HEAD_TRACK) else None
+    curves = RigCurves(values, found, fps or rate, control_set=RAW_ID, head=head)
     return curves.reorder(raw_controls())
-
-
-def _add_head(pxr: Any, root: Any, prim: Any, head: Float32) -> None:
-    """Turn the root in every frame, and keep the track."""
-    _samples(pxr, prim.CreateAttribute(HEAD_TRACK, pxr.Sdf.ValueTypeNames.FloatArray), head)
-    operation = pxr.UsdGeom.Xformable(root).AddTransformOp()
-    for i, (turn, shift) in enumerate(zip(*matrices(head), strict=True)):
-        rows = np.eye(4)  # USD multiplies rows by the matrix
-        rows[:3, :3], rows[3, :3] = turn.T, shift
-        operation.Set(pxr.Gf.Matrix4d(rows.tolist()), i)
-
-
-def _head(path: Path, prim: Any, n_frames: int, stage: Any) -> Float32 | None:
-    """The head track of the animation, if it has one."""
-    attribute, start = prim.GetAttribute(HEAD_TRACK), stage.GetStartTimeCode()
-    if not attribute:
-        return None
-    rows = [np.asarray(attribute.Get(start + i) or (), np.float32) for i in range(n_frames)]
-    if any(row.shape != (len(HEAD),) for row in rows):
-        raise FormatError(f"{path}: {HEAD_TRACK} has not {len(HEAD)} values in every frame")
-    return np.stack(rows)
 
 
 def _mesh(

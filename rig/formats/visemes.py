@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from rig.controls import ControlSet
-from rig.conversion.avatars import OCULUS, names, weights, weights_to_curves
+from rig.conversion.visemes import OCULUS, names, weights, weights_to_curves
 from rig.curves import RigCurves
 from rig.errors import FormatError
 from rig.formats.curves_json import read_object, write_object

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from rig.arrays import Float64
 from rig.controls import ControlSet
 from rig.conversion.arkit import ARKIT_ID, apple_names, arkit_controls
 from rig.conversion.convert import convert, convert_and_note
@@ -20,7 +19,7 @@ from rig.curves import RigCurves
 from rig.errors import FormatError
 from rig.face.head_pose import quaternions
 from rig.formats.glb import grid_of, sampled, tracks_of
-from rig.mesh.glb import GlbBuilder, read_container, write_container
+from rig.mesh.glb import GlbBuilder, Move, add_animation, read_container, write_container
 from rig.retarget.bones import gaze_turn, head_track
 
 EXTENSION = "VRMC_vrm_animation"
@@ -48,13 +47,13 @@ def write(path: Path, curves: RigCurves) -> None:
     del nodes[-1]["children"]
     first, look = len(nodes), len(nodes) + len(weights)
     nodes += [{"name": name} for name in (*weights, "lookAt")]
-    moves = [(look, "rotation", gaze_turn(curves).as_quat(), "VEC4")]
+    moves: list[Move] = [(look, "rotation", gaze_turn(curves).as_quat())]
     for i, weight in enumerate(weights.values()):
-        moves.append((first + i, "translation", weight[:, None] * [1.0, 0, 0], "VEC3"))
+        moves.append((first + i, "translation", weight[:, None] * [1.0, 0, 0]))
     if curves.head is not None:
         # The head alone: an avatar may have no neck, and would lose its share.
-        moves.append((list(BONES).index("head"), "rotation", quaternions(curves.head), "VEC4"))
-    _animate(builder, moves, np.arange(len(curves)) / curves.fps)
+        moves.append((list(BONES).index("head"), "rotation", quaternions(curves.head)))
+    add_animation(builder, moves, curves.fps)
     named = {name: {"node": first + i} for i, name in enumerate(weights)}
     builder.json |= {
         "nodes": nodes,
@@ -74,17 +73,6 @@ def write(path: Path, curves: RigCurves) -> None:
         },
     }
     write_container(path, builder.json, bytes(builder.binary))
-
-
-def _animate(builder: GlbBuilder, moves: list[Any], times: Float64) -> None:
-    start = builder.dense(times, "SCALAR")
-    samplers: list[dict[str, Any]] = []
-    channels: list[dict[str, Any]] = []
-    for node, path, rows, kind in moves:
-        channels.append({"sampler": len(samplers), "target": {"node": node, "path": path}})
-        output = builder.dense(np.asarray(rows, np.float64), kind)
-        samplers.append({"input": start, "output": output, "interpolation": "LINEAR"})
-    builder.json["animations"] = [{"name": "take", "samplers": samplers, "channels": channels}]
 
 
 def read(path: Path, controls: ControlSet | None, fps: float | None) -> RigCurves:

@@ -1,19 +1,24 @@
 """Wide tables of numbers as CSV: one column per curve, one row per frame."""
 
-import codecs
 import csv
 import re
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from rig.arrays import Bool, Float64
 from rig.errors import FormatError, quoted, shorten
-from rig.files.reading import check_expansion, check_file, open_file
+from rig.files.reading import (
+    check_expansion,
+    check_file,
+    decode_text,
+    encoding_of,
+    open_file,
+)
 from rig.limits import CONTROLS, CURVES_BYTES, FRAMES, HEADER_BYTES
 
 if TYPE_CHECKING:
@@ -73,9 +78,8 @@ def read_layout(path: Path) -> Layout:
     """
     with open_file(path, CURVES_BYTES) as stream:
         data = stream.read(2 * HEADER_BYTES)
-    encoding = _encoding(data)
     is_whole = len(data) < 2 * HEADER_BYTES
-    text = _decoded(data, encoding, path, is_whole=is_whole)
+    text = decode_text(data, path, is_whole=is_whole)
     lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
     if not is_whole and len(lines) > 1:
         lines.pop()  # cut short
@@ -105,7 +109,7 @@ def read_layout(path: Path) -> Layout:
     has_commas = any(_DECIMAL_COMMA.fullmatch(cell.strip()) for row in rows for cell in row)
     width = min(max((len(row) for row in rows), default=0), MAX_COLUMNS)
     return Layout(
-        encoding,
+        encoding_of(data),
         separator,
         "," if has_commas else ".",
         skipped,
@@ -121,29 +125,6 @@ def read_header(path: Path) -> tuple[str, ...]:
     Errors are those of `read_layout`.
     """
     return read_layout(path).header
-
-
-def _encoding(data: bytes) -> str:
-    """The encoding of a text by its mark, or by the zero bytes of UTF-16 without one."""
-    if data.startswith((b"\xff\xfe", b"\xfe\xff")):
-        return "utf-16"
-    pairs = data[:200]
-    if len(pairs) >= 4 and not data.startswith(b"\0\0"):
-        if not any(pairs[1::2]) and all(pairs[::2]):
-            return "utf-16-le"
-        if not any(pairs[::2]) and all(pairs[1::2]):
-            return "utf-16-be"
-    return "utf-8-sig"
-
-
-def _decoded(data: bytes, encoding: str, path: Path, *, is_whole: bool) -> str:
-    try:
-        return codecs.getincrementaldecoder(encoding)().decode(data, is_whole)
-    except UnicodeDecodeError as problem:
-        name = "UTF-8" if encoding == "utf-8-sig" else "UTF-16"
-        raise FormatError(
-            f"{path} is no {name} text (byte {problem.start}: {problem.reason}); save it as UTF-8"
-        ) from None
 
 
 def separator_of(line: str) -> str:
@@ -260,16 +241,6 @@ def read_matrix(path: Path, n_columns: int) -> Float64:
     return read_numbers(path, layout)[0]
 
 
-def read_quietly(path: Path, **options: Any) -> "pd.DataFrame":
-    """Return the table of `pandas.read_csv`, with its ParserWarning as an error."""
-    import pandas as pd  # takes longer to import than a take to write
-
-    with warnings.catch_warnings(), open_file(path, CURVES_BYTES) as stream:
-        warnings.simplefilter("error", pd.errors.ParserWarning)
-        table: pd.DataFrame = pd.read_csv(stream, **options)
-    return table
-
-
 def _read_plain(path: Path, layout: Layout) -> Float64 | None:
     """A small table of finite numbers alone; None of any other, which pandas reads or refuses."""
     if layout.encoding != "utf-8-sig" or layout.decimal != ".":
@@ -296,24 +267,18 @@ def _read_plain(path: Path, layout: Layout) -> Float64 | None:
 
 
 def _read_table(path: Path, layout: Layout, dtype: dict[int, type]) -> "pd.DataFrame":
-    import pandas as pd
+    import pandas as pd  # takes longer to import than a take to write
 
     width = max(len(layout.header), layout.width) + 1  # one more, to catch rows that are too long
     count_rows(path, width)
     try:
-        return read_quietly(
-            path,
-            header=None,
-            sep=layout.separator,
-            decimal=layout.decimal,
-            skiprows=layout.skipped + 1,
-            names=list(range(width)),
-            index_col=False,
-            dtype=dtype,
-            low_memory=False,
-            encoding=layout.encoding,
-            on_bad_lines="error",
-        )
+        with warnings.catch_warnings(), open_file(path, CURVES_BYTES) as stream:
+            warnings.simplefilter("error", pd.errors.ParserWarning)
+            return pd.read_csv(
+                stream, header=None, sep=layout.separator, decimal=layout.decimal,
+                skiprows=layout.skipped + 1, names=list(range(width)), index_col=False, dtype=dtype,
+                low_memory=False, encoding=layout.encoding, on_bad_lines="error",
+            )  # fmt: skip
     except pd.errors.EmptyDataError:
         return pd.DataFrame(columns=list(range(width)))
     except (ValueError, OverflowError, pd.errors.ParserWarning) as error:
@@ -327,13 +292,6 @@ def _read_table(path: Path, layout: Layout, dtype: dict[int, type]) -> "pd.DataF
         raise FormatError(f"cannot read {path}: {error.strerror or error}") from error
 
 
-def _is_number(cell: Any) -> bool:
-    try:
-        return abs(float(cell)) <= LARGEST
-    except (TypeError, ValueError, OverflowError):
-        return False
-
-
 def _bad_cell(
     path: Path, header: Sequence[str], table: "pd.DataFrame", usable: Bool | None = None
 ) -> FormatError:
@@ -341,7 +299,8 @@ def _bad_cell(
     import pandas as pd
 
     if usable is None:
-        usable = table.map(_is_number).to_numpy(bool)
+        numbers = table.apply(pd.to_numeric, errors="coerce").to_numpy(np.float64)
+        usable = np.abs(numbers) <= LARGEST
     row, place = (int(i) for i in np.argwhere(~usable)[0])
     column = int(table.columns[place])
     cell = table[column].iloc[row]

@@ -66,29 +66,12 @@ class Packet:
 
 
 def encode(packet: Packet) -> bytes:
-    """Return the datagram.
-
-    Raises
-    ------
-    FormatError
-        If a text is empty or too long, a rate is not above 0, the frame number does not fit, or
-        there are not 61 finite values.
-    """
-    device = _text_bytes(packet.device, "device id")
-    subject = _text_bytes(packet.subject, "subject")
-    numerator, denominator = packet.rate
-    if numerator <= 0 or denominator <= 0:
-        raise FormatError(f"frame rate {numerator}/{denominator}: both must be above 0")
-    if not (0 <= packet.frame < 2**31 and 0 <= packet.subframe < 1):
-        raise FormatError(
-            f"frame {packet.frame} + {packet.subframe}: the number must be 0 to 2147483647 and the "
-            "sub-frame 0 up to 1"
-        )
-    values = np.asarray(packet.values, np.float32)
-    if values.shape != (N_VALUES,) or not np.isfinite(values).all():
-        raise FormatError(f"values of shape {values.shape} must be {N_VALUES} finite numbers")
-    timing = _TIMING.pack(packet.frame, packet.subframe, numerator, denominator, N_VALUES)
-    return bytes([VERSION]) + device + subject + timing + _VALUES.pack(*values.tolist())
+    """Return the datagram."""
+    texts = [text.encode() for text in (packet.device, packet.subject)]
+    timing = _TIMING.pack(packet.frame, packet.subframe, *packet.rate, N_VALUES)
+    named = [struct.pack("!i", len(text)) + text for text in texts]
+    values = _VALUES.pack(*packet.values.tolist())
+    return b"".join((bytes([VERSION]), *named, timing, values))
 
 
 def decode(data: bytes) -> Packet:
@@ -122,13 +105,6 @@ def decode(data: bytes) -> Packet:
     if not abs(packet.seconds) <= MAX_SECONDS:
         raise FormatError(f"packet's time is {packet.seconds:g} s; at most {MAX_SECONDS:g} s")
     return packet
-
-
-def _text_bytes(text: str, what: str) -> bytes:
-    data = text.encode("utf-8")
-    if not 0 < len(data) <= MAX_TEXT_BYTES:
-        raise FormatError(f"{what} has {len(data)} bytes; 1 to {MAX_TEXT_BYTES} are allowed")
-    return struct.pack("!i", len(data)) + data
 
 
 def _text_from(data: bytes, offset: int, what: str) -> tuple[str, int]:

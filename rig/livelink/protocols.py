@@ -1,9 +1,8 @@
 """Protocols of live curves, frames to datagrams: Live Link Face, JSON, VMC over OSC."""
 
 import json
-import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cache, cached_property
 from typing import Protocol
@@ -17,13 +16,13 @@ from rig.conversion.arkit import (
     ARKIT_ID,
     HEAD,
     HEAD_DEGREES,
-    arkit_controls,
     head_values,
     udp_order,
 )
 from rig.conversion.convert import convert, convert_and_note, known_controls, unshown
 from rig.curves import RigCurves
 from rig.errors import FormatError, quoted
+from rig.face.head_pose import quaternions
 from rig.formats.livelink_csv import SUBJECT_REST
 from rig.livelink.osc import bundles, message
 from rig.livelink.packet import MAX_TEXT_BYTES, PORT, Packet, encode
@@ -53,8 +52,6 @@ class LiveLinkFace:
     """Live Link Face packets, version 6 (Unreal's Apple ARKit face source)."""
 
     subject: str = "deitalk"
-    device: str = DEVICE
-    names: Sequence[str] = field(default_factory=lambda: arkit_controls().names)
     control_set: str | None = ARKIT_ID
 
     def datagrams(self, frame: int, seconds: float, fps: float, values: Float32) -> list[bytes]:
@@ -62,7 +59,7 @@ class LiveLinkFace:
         rate = Fraction(fps).limit_denominator(1001)
         timing = (rate.numerator, rate.denominator)
         frame = frame % 2**31
-        return [encode(Packet(self.device, self.subject, frame, 0.0, timing, values[udp_order()]))]
+        return [encode(Packet(DEVICE, self.subject, frame, 0.0, timing, values[udp_order()]))]
 
 
 @dataclass(frozen=True)
@@ -197,17 +194,8 @@ class Vmc:
         found = [self.names.index(name) for name in HEAD]
         if found[-1] >= len(values) or not values[found].any():
             return []
-        yaw, pitch, roll = (np.radians(values[found] * np.array(HEAD_DEGREES)) / 2).tolist()
-        (sy, sx, sz), (cy, cx, cz) = (
-            [turn(angle) for angle in (yaw, -pitch, -roll)] for turn in (math.sin, math.cos)
-        )
-        rotation = (
-            cy * sx * cz + sy * cx * sz,
-            sy * cx * cz - cy * sx * sz,
-            cy * cx * sz - sy * sx * cz,
-            cy * cx * cz + sy * sx * sz,
-        )
-        return [message("/VMC/Ext/Bone/Pos", "Head", 0.0, HEAD_METRES, 0.0, *rotation)]
+        x, y, z, w = quaternions([values[found] * np.array(HEAD_DEGREES)])[0].tolist()
+        return [message("/VMC/Ext/Bone/Pos", "Head", 0.0, HEAD_METRES, 0.0, x, -y, -z, w)]
 
 
 @dataclass(frozen=True)

@@ -3,11 +3,11 @@
 Bound to the loopback by default, so that no port is open to the network.
 """
 
+import itertools
 import socket
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from types import TracebackType
 
 import numpy as np
 
@@ -105,12 +105,7 @@ class Receiver:
     def __enter__(self) -> "Receiver":
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def close(self) -> None:
@@ -157,7 +152,6 @@ class Receiver:
         subject: str | None = None,
         seconds: float | None = None,
         idle_seconds: float | None = None,
-        n_packets: int = MAX_PACKETS,
         is_over: Callable[[], bool] = lambda: False,
     ) -> Recording:
         """Collect packets of one subject until a limit or an interrupt.
@@ -168,8 +162,6 @@ class Receiver:
             Subject of the packets to take; that of the first packet by default.
         seconds, idle_seconds : float, optional
             See `packets`.
-        n_packets : int
-            Most packets to take.
         is_over : callable
             See `packets`.
         """
@@ -184,23 +176,16 @@ class Receiver:
                         others[packet.subject] = None
                     continue
                 taken.append(packet)
-                if len(taken) >= min(n_packets, MAX_PACKETS):
+                if len(taken) >= MAX_PACKETS:
                     break
         except KeyboardInterrupt:
             pass
-        return _recording(subject or "", taken, self.n_garbage, n_other, tuple(others))
-
-
-def _recording(
-    subject: str, taken: list[Packet], n_garbage: int, n_other: int, others: tuple[str, ...]
-) -> Recording:
-    """Sort packets by time and count lost and late ones."""
-    highest, n_late = -1.0, 0
-    for packet in taken:
-        n_late += packet.seconds < highest
-        highest = max(highest, packet.seconds)
-    by_time = {packet.seconds: packet for packet in taken}
-    packets = tuple(by_time[seconds] for seconds in sorted(by_time))
-    frames = {packet.frame for packet in packets}
-    n_lost = max(frames) - min(frames) + 1 - len(frames) if frames else 0
-    return Recording(subject, packets, n_lost, n_late, n_garbage, n_other, others)
+        by_time = {packet.seconds: packet for packet in taken}
+        packets = tuple(by_time[seconds] for seconds in sorted(by_time))
+        frames = {packet.frame for packet in packets}
+        n_lost = max(frames) - min(frames) + 1 - len(frames) if frames else 0
+        latest = itertools.accumulate((packet.seconds for packet in taken), max)
+        n_late = sum(packet.seconds < last for packet, last in zip(taken, latest, strict=True))
+        return Recording(
+            subject or "", packets, n_lost, n_late, self.n_garbage, n_other, tuple(others)
+        )

@@ -91,7 +91,12 @@ class ClosestPoints:
         for column in near.T:
             corners = self._corners[column]
             barycentric, distance = closest_barycentric(points, corners)
-            refused = self._refused(column, normals, labels, least_cosine)
+            refused = np.zeros(len(points), dtype=bool)
+            if normals is not None:
+                facing = np.einsum("qc,qc->q", self._normals[column], normals)
+                refused |= facing < least_cosine
+            if labels is not None:
+                refused |= self._sides[column] * np.asarray(labels) < 0
             cost = distance + refused * (_PENALTY * self.mesh.size)
             better = cost < best
             best = np.where(better, cost, best)
@@ -100,14 +105,6 @@ class ClosestPoints:
         allowed = best < _PENALTY * self.mesh.size
         surface = np.einsum("qk,qkc->qc", weights, self._corners[triangles])
         return SurfacePoints(triangles, weights, np.linalg.norm(points - surface, axis=1), allowed)
-
-    def _refused(self, triangles: Int64, normals: Any, labels: Any, least_cosine: float) -> Bool:
-        refused = np.zeros(len(triangles), dtype=bool)
-        if normals is not None:
-            refused |= np.einsum("qc,qc->q", self._normals[triangles], normals) < least_cosine
-        if labels is not None:
-            refused |= self._sides[triangles] * np.asarray(labels) < 0
-        return refused
 
 
 def closest_barycentric(points: Float64, corners: Float64) -> tuple[Float64, Float64]:

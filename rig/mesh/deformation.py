@@ -20,8 +20,8 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 from threadpoolctl import ThreadpoolController  # type: ignore[import-untyped]
 
-from rig.arrays import Bool, Float64, Int64
-from rig.errors import MeshError, TopologyError, listed
+from rig.arrays import Float64, Int64
+from rig.errors import MeshError, listed
 from rig.mesh.trimesh import TriMesh, components, degenerate_triangles, triangle_areas
 
 if TYPE_CHECKING:
@@ -110,35 +110,20 @@ def deformation_gradients(rest: TriMesh, deformed: Any) -> Float64:
     ------
     MeshError
         If triangles of the template have no area, or moved ones collapsed to none.
-    TopologyError
-        If the vertex counts differ.
     """
-    points = np.asarray(deformed, dtype=np.float64)
-    if points.shape[-2:] != rest.vertices.shape:
-        raise TopologyError(
-            f"deformed vertices have shape {points.shape}; "
-            f"they must end in {rest.vertices.shape}, the template's"
-        )
     refuse_degenerate(rest)
-    moved = triangle_frames(points, rest.faces)
-    _refuse_collapsed(moved, rest.size)
+    moved = triangle_frames(deformed, rest.faces)
+    doubled_area = np.sum(moved[..., 2] ** 2, axis=-1)  # |v4 - v1|^2 is twice the area
+    where = np.argwhere(doubled_area <= _COLLAPSED * rest.size**2)
+    if len(where):
+        frame = f" of frame {int(where[0][0])}" if where.shape[1] > 1 else ""
+        same = where[(where[:, :-1] == where[0][:-1]).all(axis=1)][:, -1]
+        raise MeshError(
+            f"triangles {listed(same, 8)}{frame} collapse to no area; "
+            "keep a small gap between vertices that meet, or remove those triangles"
+        )
     inverse = np.linalg.inv(triangle_frames(rest.vertices, rest.faces))
     return cast(Float64, moved @ inverse)
-
-
-def _refuse_collapsed(moved: Float64, size: float) -> None:
-    # |v4 - v1|^2 is twice the area.
-    doubled_area = np.sum(moved[..., 2] ** 2, axis=-1)
-    flat = doubled_area <= _COLLAPSED * size**2
-    if not flat.any():
-        return
-    where = np.argwhere(flat)
-    frame = f" of frame {int(where[0][0])}" if where.shape[1] > 1 else ""
-    same = where[(where[:, :-1] == where[0][:-1]).all(axis=1)][:, -1]
-    raise MeshError(
-        f"triangles {listed(same, 8)}{frame} collapse to no area; "
-        "keep a small gap between vertices that meet, or remove those triangles"
-    )
 
 
 def gradient_entries(stretch: Float64, turn: Float64) -> Float64:
@@ -200,7 +185,7 @@ class DeformationSolver:
     Raises
     ------
     MeshError
-        If triangles of the template have no area, or a pin is no free vertex.
+        If triangles of the template have no area.
     """
 
     def __init__(
@@ -211,20 +196,19 @@ class DeformationSolver:
         refuse_degenerate(template)
         self.template = template
         self.parts = tuple(parts)
-        count = len(template.vertices)
-        parts = self.parts
-        in_part = np.zeros(count, dtype=bool)
-        for part in parts:
-            outside = [i for i in (*part.vertices, *part.follows) if not 0 <= i < count]
-            if outside:
-                raise MeshError(f"a rigid part names vertex {outside[0]}; the mesh has {count}")
+        in_part, free = np.zeros((2, len(template.vertices)), dtype=bool)
+        for part in self.parts:
             in_part[part.vertices] = True
         self._solved = np.flatnonzero(~in_part[template.faces].any(axis=1))
-        self.pins = _choose_pins(template, in_part, np.asarray(pins, dtype=np.int64))
-        fixed = in_part.copy()
-        fixed[np.setdiff1d(np.arange(count), template.faces)] = True
-        fixed[self.pins] = True
-        self._free = np.flatnonzero(~fixed)
+        free[template.faces] = True
+        free &= ~in_part
+        given, labels = np.asarray(pins, dtype=np.int64), components(template)
+        depth = np.where(free, template.vertices[:, 2], np.inf)
+        unpinned = np.setdiff1d(labels[free], labels[given])
+        rearmost = [np.argmin(np.where(labels == label, depth, np.inf)) for label in unpinned]
+        self.pins: Int64 = np.unique(np.append(given, np.array(rearmost, dtype=np.int64)))
+        free[self.pins] = False
+        self._free = np.flatnonzero(free)
 
         faces = template.faces[self._solved]
         areas = triangle_areas(template)[self._solved]
@@ -241,78 +225,50 @@ class DeformationSolver:
 
         Parameters
         ----------
-        s : array [shape=(T, 6 N) or (6 N,)]
+        s : array [shape=(T, 6 N)]
             Packed stretch, see `gradient_entries`.
-        r : array [shape=(T, 3 N) or (3 N,), radians]
+        r : array [shape=(T, 3 N), radians]
             Packed rotation.
         pin_positions : array [shape=(T, P, 3) or (P, 3)], optional
             Where the pins are; the template's if not given.
 
         Returns
         -------
-        vertices : array [shape=(T, V, 3) or (V, 3)]
+        vertices : array [shape=(T, V, 3)]
         """
-        s, r = np.asarray(s), np.asarray(r)
-        count = len(self.template.faces)
-        if (
-            s.ndim not in (1, 2)
-            or s.shape[-1] != 6 * count
-            or r.shape != (*s.shape[:-1], 3 * count)
-        ):
-            raise MeshError(
-                f"s has shape {s.shape} and r {r.shape}; the template's {count} triangles need "
-                f"(T, {6 * count}) and (T, {3 * count})"
+        gradients = (
+            gradient_entries(
+                stretch.reshape(-1, 6)[self._solved].T.astype(np.float64),
+                turn.reshape(-1, 3)[self._solved].T.astype(np.float64),
             )
-        s2, r2 = np.atleast_2d(s), np.atleast_2d(r)
+            for stretch, turn in zip(s, r, strict=True)
+        )
+        return self._run(gradients, len(s), pin_positions)
 
-        def gradients() -> Iterator[Float64]:
-            for stretch, turn in zip(s2, r2, strict=True):
-                rows = np.ascontiguousarray(stretch.reshape(-1, 6).T, dtype=np.float64)
-                turns = np.ascontiguousarray(turn.reshape(-1, 3).T, dtype=np.float64)
-                if self.parts:
-                    rows, turns = rows[:, self._solved], turns[:, self._solved]
-                yield gradient_entries(rows, turns)
-
-        solved = self._run(gradients(), len(s2), pin_positions)
-        return solved[0] if s.ndim == 1 else solved
-
-    def solve_gradients(self, gradients: Any, *, pin_positions: Any = None) -> Float64:
-        """Vertices from whole gradients [shape=(T, N, 3, 3) or (N, 3, 3)]; else as `solve`."""
-        t = np.asarray(gradients, dtype=np.float64)
-        if t.ndim not in (3, 4) or t.shape[-3:] != (len(self.template.faces), 3, 3):
-            raise MeshError(
-                f"gradients have shape {t.shape}; "
-                f"the template needs (T, {len(self.template.faces)}, 3, 3)"
-            )
-        frames = t if t.ndim == 4 else t[None]
-        each = (np.moveaxis(frame[self._solved], 0, -1) for frame in frames)
-        solved = self._run(each, len(frames), pin_positions)
-        return solved[0] if t.ndim == 3 else solved
+    def solve_gradients(self, gradients: Float64, *, pin_positions: Any = None) -> Float64:
+        """Vertices from whole gradients [shape=(T, N, 3, 3)]; else as `solve`."""
+        each = (np.moveaxis(frame[self._solved], 0, -1) for frame in gradients)
+        return self._run(each, len(gradients), pin_positions)
 
     def _run(self, gradients: Iterator[Float64], frames: int, pin_positions: Any) -> Float64:
-        vertices = np.tile(self.template.vertices, (frames, 1, 1))
-        given = self.template.vertices[self.pins] if pin_positions is None else pin_positions
-        given = np.asarray(given, dtype=np.float64)
-        if given.shape not in ((len(self.pins), 3), (frames, len(self.pins), 3)):
-            raise TopologyError(
-                f"pin positions have shape {given.shape}; "
-                f"{frames} frames and {len(self.pins)} pins need ({frames}, {len(self.pins)}, 3)"
-            )
+        rest = self.template.vertices
+        vertices = np.tile(rest, (frames, 1, 1))
+        given = rest[self.pins] if pin_positions is None else np.asarray(pin_positions, np.float64)
         pins = np.broadcast_to(given, (frames, len(self.pins), 3))
         vertices[:, self.pins] = pins
         with self._threads.limit(limits=1, user_api="blas"):
             for start in range(0, frames, FRAMES_PER_SOLVE):
                 stop = min(start + FRAMES_PER_SOLVE, frames)
-                right = np.empty((3 * (stop - start), len(self._free)))
-                for i in range(start, stop):
-                    rows = right[3 * (i - start) : 3 * (i - start) + 3]
-                    self._assemble(next(gradients), pins[i], rows)
-                solution = self._factors.solve(right.T)
-                vertices[start:stop, self._free] = solution.T.reshape(
-                    -1, 3, len(self._free)
-                ).swapaxes(1, 2)
-        for part in self.parts:
-            self._move_rigidly(part, vertices)
+                right = np.empty((stop - start, 3, len(self._free)))
+                for rows, pinned in zip(right, pins[start:stop], strict=True):
+                    self._assemble(next(gradients), pinned, rows)
+                solution = self._factors.solve(right.reshape(-1, len(self._free)).T)
+                vertices[start:stop, self._free] = solution.T.reshape(right.shape).swapaxes(1, 2)
+        for part in [part for part in self.parts if len(part.follows)]:
+            for frame in vertices:
+                before, after = rest[part.follows], frame[part.follows]
+                _, rotation, shift = similarity(before, after, is_rigid=True)
+                frame[part.vertices] = rest[part.vertices] @ rotation.T + shift
         return vertices
 
     def _assemble(self, gradient: Float64, pins: Float64, out: Float64) -> None:
@@ -320,15 +276,6 @@ class DeformationSolver:
         for axis in range(3):
             out[axis] = self._right_hand @ np.ascontiguousarray(gradient[axis]).ravel()
         out -= (self._coupling @ pins).T
-
-    def _move_rigidly(self, part: RigidPart, vertices: Float64) -> None:
-        rest = self.template.vertices
-        if len(part.follows) == 0:
-            return
-        for frame in vertices:
-            moved = frame[part.follows]
-            _, rotation, shift = similarity(rest[part.follows], moved, is_rigid=True)
-            frame[part.vertices] = rest[part.vertices] @ rotation.T + shift
 
 
 def factored(matrix: Any) -> Any:
@@ -380,21 +327,6 @@ def small_parts(template: TriMesh) -> list[RigidPart]:
         nearest = np.argsort(distance, kind="stable")[: max(12, len(own))]
         parts.append(RigidPart(own, skin[nearest]))
     return parts
-
-
-def _choose_pins(template: TriMesh, in_part: Bool, pins: Int64) -> Int64:
-    count = len(template.vertices)
-    free = ~in_part
-    free[np.setdiff1d(np.arange(count), template.faces)] = False
-    wrong = [int(p) for p in pins if not 0 <= p < count or not free[p]]
-    if wrong:
-        raise MeshError(f"pin {wrong[0]} is not a vertex of a solved triangle; choose another")
-    labels = components(template)
-    missing = np.setdiff1d(labels[free], labels[pins])
-    depth = np.where(free, template.vertices[:, 2], np.inf)
-    rearmost = [int(np.argmin(np.where(labels == label, depth, np.inf))) for label in missing]
-    chosen: Int64 = np.unique(np.concatenate([pins, np.array(rearmost, dtype=np.int64)]))
-    return chosen
 
 
 def _gradient_operator(vertices: Float64, faces: Int64) -> "csr_array":

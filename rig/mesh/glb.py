@@ -5,7 +5,7 @@ Section numbers are those of the Khronos glTF 2.0 specification.
 
 import json
 import struct
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rig.arrays import Float32, Int64
-from rig.errors import FormatError, MeshError
+from rig.errors import FormatError
 from rig.files import atomic_write
 from rig.files.reading import check_file, load_json, open_file
 from rig.limits import MESH_BYTES
@@ -32,6 +32,12 @@ _STILL = 1e-5
 
 _NORMAL_STILL = 2e-3
 """The same for normals: a tenth of a degree."""
+
+
+Move = tuple[int, str, NDArray[Any]]
+"""A node, what of it moves, and its values over time (T, columns)."""
+_MOVED = {"weights": ("SCALAR", 1.0), "rotation": ("VEC4", 0.1), "translation": ("VEC3", 0.1)}
+"""Type of what moves, and its tolerance in shares of that of weights."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +66,6 @@ class WeightAnimation:
         One column per shape.
     fps : float
         Frame i is at i / fps seconds.
-    name : str
     motion : RigidMotion, optional
         Of the node of the mesh, in as many frames.
     turns : mapping of int to array [shape=(T, 4)]
@@ -72,10 +77,17 @@ class WeightAnimation:
 
     weights: NDArray[Any]
     fps: float = 30.0
-    name: str = "take"
     motion: RigidMotion | None = None
     turns: Mapping[int, NDArray[Any]] = field(default_factory=dict)
     tolerance: float = 0.0
+
+    def moves(self, weights: Mapping[int, NDArray[Any]]) -> list[Move]:
+        """What moves, with morph weights (T, K) by node."""
+        moved: list[Move] = [(node, "weights", rows) for node, rows in weights.items()]
+        if self.motion is not None:
+            moved.append((0, "rotation", self.motion.rotation))
+            moved.append((0, "translation", self.motion.translation))
+        return moved + [(node, "rotation", turn) for node, turn in self.turns.items()]
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,8 +204,8 @@ def write_glb(
 
     Raises
     ------
-    MeshError
-        If the animation's columns are not the shapes, or a value is not finite.
+    OSError
+        If it cannot be written.
     """
     builder = GlbBuilder()
     builder.json["asset"] = {"version": "2.0", "generator": "deitalk"}
@@ -223,17 +235,9 @@ def write_glb(
     builder.json["scenes"] = [{"nodes": [0]}]
     builder.json["scene"] = 0
     if animation is not None:
-        count = len(shapes.names)
         weights = np.asarray(animation.weights, dtype=np.float32)
-        if weights.ndim != 2 or weights.shape[1] != count or len(weights) == 0:
-            raise MeshError(
-                f"animation weights have shape {weights.shape}; they must be (T, {count})"
-            )
-        if not np.isfinite(weights).all():
-            raise MeshError("animation weights hold numbers that are not finite")
-        if not animation.fps > 0:
-            raise MeshError(f"fps is {animation.fps}; it must be above 0")
-        add_animation(builder, animation, {0: weights})
+        moves = animation.moves({0: weights})
+        add_animation(builder, moves, animation.fps, animation.tolerance)
     write_container(path, builder.json, builder.binary)
 
 
@@ -293,39 +297,27 @@ def _moving(delta: Float32, still: float) -> Int64:
 
 
 def add_animation(
-    builder: GlbBuilder, animation: WeightAnimation, weights: dict[int, Float32]
+    builder: GlbBuilder, moves: Iterable[Move], fps: float, tolerance: float = 0.0
 ) -> None:
-    """Append one animation that drives the morph weights of nodes (§3.11)."""
-    frames = len(next(iter(weights.values())))
-    moved: list[tuple[int, str, NDArray[Any], str, float]] = [
-        (node, "weights", columns, "SCALAR", 1.0) for node, columns in weights.items()
-    ]
-    if animation.motion is not None:
-        moved.append((0, "rotation", animation.motion.rotation, "VEC4", 0.1))
-        moved.append((0, "translation", animation.motion.translation, "VEC3", 0.1))
-    moved += [(node, "rotation", turn, "VEC4", 0.1) for node, turn in animation.turns.items()]
+    """Append one animation of nodes (§3.11); with a tolerance as of `WeightAnimation`."""
     samplers: list[dict[str, Any]] = []
+    channels: list[dict[str, Any]] = []
     times = None
-    for _, _, rows, kind, share in moved:
-        if animation.tolerance:
-            keyed, splines = _few_keys(rows, share * animation.tolerance)
-            times, rows = (
-                builder.dense(keyed / animation.fps, "SCALAR"),
-                splines * (np.array([animation.fps, 1.0, animation.fps])[:, None]),
-            )
+    for node, path, rows in moves:
+        kind, share = _MOVED[path]
+        if tolerance:
+            keyed, splines = _few_keys(rows, share * tolerance)
+            times = builder.dense(keyed / fps, "SCALAR")
+            rows = splines * (np.array([fps, 1.0, fps])[:, None])
         elif times is None:
-            times = builder.dense(np.arange(frames, dtype=np.float64) / animation.fps, "SCALAR")
-        width = 1 if kind == "SCALAR" else rows.shape[-1]
-        output = builder.dense(rows.reshape(-1) if width == 1 else rows.reshape(-1, width), kind)
-        way = "CUBICSPLINE" if animation.tolerance else "LINEAR"
+            times = builder.dense(np.arange(len(rows), dtype=np.float64) / fps, "SCALAR")
+        flat = rows.reshape(-1) if kind == "SCALAR" else rows.reshape(-1, rows.shape[-1])
+        channels.append({"sampler": len(samplers), "target": {"node": node, "path": path}})
+        way = "CUBICSPLINE" if tolerance else "LINEAR"
+        output = builder.dense(flat, kind)
         samplers.append({"input": times, "output": output, "interpolation": way})
-    channels = [
-        {"sampler": i, "target": {"node": node, "path": path}}
-        for i, (node, path, *_) in enumerate(moved)
-    ]
-    builder.json.setdefault("animations", []).append(
-        {"name": animation.name, "samplers": samplers, "channels": channels}
-    )
+    animation = {"name": "take", "samplers": samplers, "channels": channels}
+    builder.json.setdefault("animations", []).append(animation)
 
 
 def _few_keys(rows: NDArray[Any], tolerance: float) -> tuple[NDArray[Any], NDArray[Any]]:

@@ -78,7 +78,6 @@ class GlbParts:
         starts = np.cumsum([0, *(len(p.vertices) for p in self.pieces)])
         names = list(dict.fromkeys(name for p in self.pieces for name in p.names))
         place = {name: k for k, name in enumerate(names)}
-        check_shape_count(len(names), int(starts[-1]))
         deltas = np.zeros((len(names), int(starts[-1]), 3), dtype=np.float32)
         for start, piece in zip(starts, self.pieces, strict=False):
             for name, delta in zip(piece.names, piece.deltas, strict=True):
@@ -161,7 +160,7 @@ def read_parts(path: Path | str) -> GlbParts:
                 raise FormatError(
                     f"{path.name} needs the extension {extension}, which is not read here"
                 )
-        pieces = _bounded(_pieces(document, binary))
+        pieces = _pieces(document, binary)
         if not pieces:
             raise FormatError(f"{path.name} holds no triangle mesh")
         return GlbParts(document, binary, pieces)
@@ -178,45 +177,37 @@ def consistent(path: Path) -> Iterator[None]:
         raise FormatError(f"{path.name} is inconsistent: {quoted(error)}") from None
 
 
-def _bounded(found: Iterator[Piece]) -> list[Piece]:
-    """Collect pieces until they are all there, or too many to be held."""
+def _pieces(document: dict[str, Any], binary: bytes) -> list[Piece]:
+    """Collect the primitives of the scene until they are all there, or too many to be held."""
     pieces: list[Piece] = []
     names: set[str] = set()
     vertices = triangles = targets = 0
-    for piece in found:
-        pieces.append(piece)
-        names.update(piece.names)
-        vertices += len(piece.vertices)
-        triangles += len(piece.faces)
-        targets += len(piece.names)
-        if len(pieces) > PRIMITIVES or targets > TARGETS:
-            raise FormatError(
-                f"more than {PRIMITIVES} primitives or {TARGETS} morph targets; join the meshes"
-            )
-        if vertices > VERTICES or triangles > TRIANGLES:
-            raise MeshError(
-                f"more than {VERTICES} vertices or {TRIANGLES} triangles; decimate the mesh"
-            )
-        check_shape_count(len(names), vertices)
+    meshes = [(n, world) for n, world in walk(document) if "mesh" in document["nodes"][n]]
+    for node, world in meshes:
+        for primitive in document["meshes"][document["nodes"][node]["mesh"]]["primitives"]:
+            if primitive.get("mode", _TRIANGLES) != _TRIANGLES:
+                continue
+            piece = _piece(document, binary, node, primitive, world)
+            pieces.append(piece)
+            names.update(piece.names)
+            vertices += len(piece.vertices)
+            triangles += len(piece.faces)
+            targets += len(piece.names)
+            if len(pieces) > PRIMITIVES or targets > TARGETS:
+                raise FormatError(
+                    f"more than {PRIMITIVES} primitives or {TARGETS} morph targets; join the meshes"
+                )
+            if vertices > VERTICES or triangles > TRIANGLES:
+                raise MeshError(
+                    f"more than {VERTICES} vertices or {TRIANGLES} triangles; decimate the mesh"
+                )
+            check_shape_count(len(names), vertices)
     return pieces
-
-
-def _pieces(document: dict[str, Any], binary: bytes) -> Iterator[Piece]:
-    for node_index, transform in walk(document):
-        node = document["nodes"][node_index]
-        if "mesh" not in node:
-            continue
-        mesh = document["meshes"][node["mesh"]]
-        for primitive in mesh["primitives"]:
-            if primitive.get("mode", _TRIANGLES) == _TRIANGLES:
-                yield _piece(document, binary, node_index, primitive, transform)
 
 
 def walk(document: dict[str, Any]) -> Iterator[tuple[int, Float64]]:
     """Nodes of the default scene with their world transforms; a node is visited once."""
-    nodes = document.get("nodes", [])
-    if len(nodes) > NODES:
-        raise FormatError(f"the scene has {len(nodes)} nodes; at most {NODES} are read")
+    nodes = _nodes(document)
     scenes = document.get("scenes") or [{"nodes": list(range(len(nodes)))}]
     roots = scenes[document.get("scene", 0)].get("nodes", [])
     waiting = deque((i, np.eye(4)) for i in roots)
@@ -231,17 +222,19 @@ def walk(document: dict[str, Any]) -> Iterator[tuple[int, Float64]]:
         waiting.extend((child, world) for child in nodes[index].get("children", []))
 
 
+def _nodes(document: dict[str, Any]) -> list[dict[str, Any]]:
+    nodes: list[dict[str, Any]] = document.get("nodes", [])
+    if len(nodes) > NODES:
+        raise FormatError(f"the scene has {len(nodes)} nodes; at most {NODES} are read")
+    return nodes
+
+
 def _local_transform(node: dict[str, Any]) -> Float64:
     if "matrix" in node:
         return np.array(node["matrix"], dtype=np.float64).reshape(4, 4).T
-    x, y, z, w = node.get("rotation", (0.0, 0.0, 0.0, 1.0))
-    rotation = np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
-    )
+    from scipy.spatial.transform import Rotation
+
+    rotation = Rotation.from_quat(node.get("rotation", (0.0, 0.0, 0.0, 1.0))).as_matrix()
     local = np.eye(4)
     local[:3, :3] = rotation * np.array(node.get("scale", (1.0, 1.0, 1.0)))
     local[:3, 3] = node.get("translation", (0.0, 0.0, 0.0))
@@ -261,30 +254,26 @@ def _piece(
         raise FormatError(f"{len(targets)} morph targets; at most {SHAPES} are read")
     check_shape_count(len(targets), len(vertices))
     names = target_names(document["meshes"][document["nodes"][node]["mesh"]], len(targets))
-    turned = [
-        np.asarray(_delta(document, binary, t, len(vertices)) @ world[:3, :3].T, np.float32)
-        for t in targets
-    ]
+    turned = []
+    for target in targets:
+        delta = np.zeros_like(vertices)
+        if "POSITION" in target:
+            delta = _stored(document, binary, target["POSITION"], "VEC3", len(vertices))
+        turned.append(np.asarray(delta @ world[:3, :3].T, np.float32))
     placed = vertices @ world[:3, :3].T + world[:3, 3]
     return Piece(placed, corners.reshape(-1, 3), names, turned, node, primitive)
 
 
-def _stored(document: dict[str, Any], binary: bytes, index: int, kind: str) -> Float64:
-    """Positions or indices: an accessor of one type, whose numbers are all in the file."""
+def _stored(
+    document: dict[str, Any], binary: bytes, index: int, kind: str, moved: int | None = None
+) -> Float64:
+    """Positions or indices, whose numbers are all in the file; or how so many vertices move."""
     accessor = document["accessors"][index]
-    if accessor["type"] != kind or "bufferView" not in accessor:
+    if moved is not None and (accessor["type"] != kind or accessor["count"] != moved):
+        raise FormatError(f"a morph target does not move the {moved} vertices of its mesh")
+    if accessor["type"] != kind or (moved is None and "bufferView" not in accessor):
         raise FormatError(f"accessor {quoted(index)} is no {kind} with data; export it again")
     return read_accessor(document, binary, index)
-
-
-def _delta(document: dict[str, Any], binary: bytes, target: dict[str, Any], count: int) -> Float64:
-    """Displacements of one morph target [shape=(count, 3)]."""
-    if "POSITION" not in target:
-        return np.zeros((count, 3))
-    accessor = document["accessors"][target["POSITION"]]
-    if accessor["type"] != "VEC3" or accessor["count"] != count:
-        raise FormatError(f"a morph target does not move the {count} vertices of its mesh")
-    return read_accessor(document, binary, target["POSITION"])
 
 
 def target_names(mesh: dict[str, Any], count: int) -> list[str]:
@@ -377,10 +366,7 @@ def morph_names(path: Path | str) -> tuple[str, ...]:
 def morphing_nodes(document: dict[str, Any]) -> list[tuple[int, list[str]]]:
     """Return the nodes of meshes with morph targets, and the names of these."""
     found = []
-    nodes = document.get("nodes", [])
-    if len(nodes) > NODES:
-        raise FormatError(f"the scene has {len(nodes)} nodes; at most {NODES} are read")
-    for index, node in enumerate(nodes):
+    for index, node in enumerate(_nodes(document)):
         if "mesh" in node:
             mesh = document["meshes"][node["mesh"]]
             count = len(mesh["primitives"][0].get("targets", []))
@@ -430,5 +416,5 @@ def animate_glb(
     if not driven:
         raise MeshError(f"{Path(source).name} has none of the morph targets {', '.join(names[:6])}")
     builder = GlbBuilder(document, bytearray(binary))
-    add_animation(builder, animation, driven)
+    add_animation(builder, animation.moves(driven), animation.fps, animation.tolerance)
     write_container(path, document, bytes(builder.binary))

@@ -7,7 +7,7 @@ Vertices without a face are kept, so that indices stay.
 
 import itertools
 from array import array
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -40,7 +40,9 @@ def read_obj(path: Path | str) -> TriMesh:
                 x, y, z = line.split()[1:4]
                 vertices.extend((float(x), float(y), float(z)))
             elif line.startswith("f "):
-                triangles.extend(_fan(_corners(line, len(vertices) // 3)))
+                first, *others = _corners(line, len(vertices) // 3)
+                for pair in itertools.pairwise(others):
+                    triangles.extend((first, *pair))
         except (ValueError, OverflowError):
             raise FormatError(
                 f"{path.name} line {number}: cannot read {quoted(line.strip())}"
@@ -76,12 +78,6 @@ def _corners(line: str, count: int) -> list[int]:
     if len(corners) < 3 or 0 in corners:
         raise ValueError("a face needs three corners, counted from 1")
     return [i - 1 if i > 0 else count + i for i in corners]
-
-
-def _fan(corners: Sequence[int]) -> list[int]:
-    """Corners of the triangles of a polygon, one after the other."""
-    pairs = itertools.pairwise(corners[1:])
-    return [corner for pair in pairs for corner in (corners[0], *pair)]
 
 
 def read_obj_folder(folder: Path | str) -> ShapeSet:

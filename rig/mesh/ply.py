@@ -4,8 +4,7 @@ Counts of the header are checked against the file's size. Letters: N rows of an 
 """
 
 from array import array
-from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -27,7 +26,7 @@ _TYPES = {
 }  # fmt: skip
 _ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 _MOST_LINES = 1000
-_LINES_AT_ONCE = 100_000
+CUT_SHORT = "the file is cut short"
 
 
 @dataclass(frozen=True)
@@ -64,8 +63,6 @@ class Lists:
 
 
 Columns = dict[str, "NDArray[Any] | Lists"]
-Row = list[Any]
-"""A number, or a sequence of them, for each property."""
 
 
 def read_header(file: BinaryIO) -> tuple[str, list[Element]]:
@@ -87,9 +84,8 @@ def read_header(file: BinaryIO) -> tuple[str, list[Element]]:
                 elements[-1].properties.append(Property(name, _TYPES[kind]))
     if order is None:
         raise ValueError("no 'format' line")
-    named = [(element.name, [p.name for p in element.properties]) for element in elements]
-    wrong = [name for name, own in named if not own or len(set(own)) < len(own)]
-    if wrong:
+    named = {e.name: [p.name for p in e.properties] for e in elements}
+    if wrong := [name for name, own in named.items() if not own or len(set(own)) < len(own)]:
         raise ValueError(f"element {quoted(wrong[0])} has no properties, or one name twice")
     return order, elements
 
@@ -130,41 +126,63 @@ def read_element(file: BinaryIO, element: Element, order: str, left: int) -> Col
     ValueError
         If the file is cut short or a row cannot be read.
     """
-    if element.count * _least_bytes(element, order) > left + 1:  # the last line may have no end
-        raise ValueError("the file is cut short")
-    if any(p.length_type for p in element.properties):
-        columns = _equal_lists(file, element, order, left) if order else None
-        return columns or _gathered(element, _rows(file, element, order, left))
-    if order == "":
-        width, parts = len(element.properties), []
-        for start in range(0, element.count, _LINES_AT_ONCE):
-            n_rows = min(_LINES_AT_ONCE, element.count - start)
-            words = [line.split(None, width)[:width] for line in islice(file, n_rows)]
-            if len(words) < n_rows or any(len(row) < width for row in words):
-                raise ValueError("the file is cut short")
-            parts.append(np.array(words, dtype="S").astype(np.float64))
-        table = np.concatenate(parts) if parts else np.zeros((0, width))
+    least = 2 * len(element.properties)  # bytes of a row in ASCII: a digit and a space each
+    if order:
+        least = sum(np.dtype(p.length_type or p.type).itemsize for p in element.properties)
+    if element.count * least > left + 1:  # the last line may have no end
+        raise ValueError(CUT_SHORT)
+    if order and element.count:
+        columns = _equal_rows(file, element, order, left)
+        return columns or _row_by_row(file, element, order, left)
+    if element.count and not any(p.length_type for p in element.properties):
+        places = range(len(element.properties))
+        lines = islice(file, element.count)
+        table = np.loadtxt(lines, usecols=places, comments=None, ndmin=2)
+        if len(table) < element.count:
+            raise ValueError(CUT_SHORT)
         return {p.name: table[:, i] for i, p in enumerate(element.properties)}
-    kind = np.dtype([(p.name, order + p.type) for p in element.properties])
+    return _row_by_row(file, element, order, left)
+
+
+def _equal_rows(file: BinaryIO, element: Element, order: str, left: int) -> Columns | None:
+    """Read all rows at once if every list has the length of the first row's; else None."""
+    begin = file.tell()
+    first = _row_by_row(file, replace(element, count=1), order, left)
+    file.seek(begin)
+    fields: list[tuple[str, str, tuple[int, ...]]] = []
+    for i, p in enumerate(element.properties):
+        one = first[p.name]
+        if isinstance(one, Lists):
+            fields.append((f"length{i}", order + str(p.length_type), ()))
+        fields.append(
+            (f"value{i}", order + p.type, one.values.shape if isinstance(one, Lists) else ())
+        )
+    kind = np.dtype(fields)
+    if kind.itemsize * element.count > left:
+        return None
     rows = np.frombuffer(_exactly(file, kind.itemsize * element.count), kind)
-    return {p.name: rows[p.name] for p in element.properties}
-
-
-def _least_bytes(element: Element, order: str) -> int:
-    """Fewest bytes of a row: empty lists, numbers of one digit."""
-    if order == "":
-        return 2 * len(element.properties)
-    return sum(np.dtype(p.length_type or p.type).itemsize for p in element.properties)
+    columns: Columns = {}
+    for i, p in enumerate(element.properties):
+        values = rows[f"value{i}"]
+        if p.length_type is None:
+            columns[p.name] = values
+            continue
+        lengths = rows[f"length{i}"].astype(np.int64)
+        if (lengths != values.shape[1]).any():
+            file.seek(begin)
+            return None
+        columns[p.name] = Lists(lengths, values.ravel())
+    return columns
 
 
 def _exactly(file: BinaryIO, size: int) -> bytes:
     data = file.read(size)
     if len(data) != size:
-        raise ValueError("the file is cut short")
+        raise ValueError(CUT_SHORT)
     return data
 
 
-def _rows(file: BinaryIO, element: Element, order: str, left: int) -> Iterator[Row]:
+def _row_by_row(file: BinaryIO, element: Element, order: str, left: int) -> Columns:
     """Read rows one by one: words of a line each, or bytes."""
     words: list[bytes] = []
 
@@ -177,69 +195,26 @@ def _rows(file: BinaryIO, element: Element, order: str, left: int) -> Iterator[R
             del words[:count]
             values: Any = [float(word) if kind[0] == "f" else int(word) for word in taken]
         elif dtype.itemsize * count > left:  # before so much memory is taken
-            raise ValueError("the file is cut short")
+            raise ValueError(CUT_SHORT)
         else:
             values = np.frombuffer(_exactly(file, dtype.itemsize * count), dtype)
         if len(values) < count:
-            raise ValueError("the file is cut short")
+            raise ValueError(CUT_SHORT)
         return values
 
-    for _ in range(element.count):
-        words[:] = [] if order else file.readline().split()
-        yield [
-            take(p.type, int(take(p.length_type, 1)[0])) if p.length_type else take(p.type, 1)[0]
-            for p in element.properties
-        ]
-
-
-def _equal_lists(file: BinaryIO, element: Element, order: str, left: int) -> Columns | None:
-    """Read all rows at once if every list has the length of the first row's; else None."""
-    begin = file.tell()
-    if not element.count:
-        return None
-    first = next(iter(_rows(file, element, order, left)))
-    file.seek(begin)
-    fields: list[tuple[str, str] | tuple[str, str, tuple[int]]] = []
-    for i, (p, value) in enumerate(zip(element.properties, first, strict=True)):
-        if p.length_type is None:
-            fields.append((f"value{i}", order + p.type))
-        else:
-            fields.append((f"length{i}", order + p.length_type))
-            fields.append((f"value{i}", order + p.type, (len(value),)))
-    kind = np.dtype(fields)
-    if kind.itemsize * element.count > left:
-        return None
-    rows = np.frombuffer(_exactly(file, kind.itemsize * element.count), kind)
-    columns: Columns = {}
-    for i, p in enumerate(element.properties):
-        values = rows[f"value{i}"]
-        if p.length_type is not None:
-            lengths = rows[f"length{i}"].astype(np.int64)
-            if (lengths != values.shape[1]).any():
-                file.seek(begin)
-                return None
-            columns[p.name] = Lists(lengths, values.ravel())
-        else:
-            columns[p.name] = values
-    return columns
-
-
-def _gathered(element: Element, rows: Iterator[Row]) -> Columns:
-    """Columns of rows read one by one."""
     numbers = {p.name: array("d" if p.type[0] == "f" else "q") for p in element.properties}
     lengths = {p.name: array("q") for p in element.properties if p.length_type}
-    for row in rows:
-        for p, value in zip(element.properties, row, strict=True):
-            if p.length_type is None:
-                numbers[p.name].append(value)
-            else:
-                numbers[p.name].extend(value)
-                lengths[p.name].append(len(value))
-    return {
-        name: Lists(np.array(lengths[name]), np.array(values))
-        if name in lengths
-        else np.array(values)
-        for name, values in numbers.items()
+    for _ in range(element.count):
+        words[:] = [] if order else file.readline().split()
+        for p in element.properties:
+            count = 1
+            if p.length_type:
+                count = int(take(p.length_type, 1)[0])
+                lengths[p.name].append(count)
+            numbers[p.name].extend(take(p.type, count))
+    columns: Columns = {name: np.array(values) for name, values in numbers.items()}
+    return columns | {
+        name: Lists(np.array(own), np.array(numbers[name])) for name, own in lengths.items()
     }
 
 

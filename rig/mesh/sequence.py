@@ -10,7 +10,7 @@ from typing import Any, Literal
 import numpy as np
 
 from rig.arrays import Float32, Float64
-from rig.errors import FormatError, TopologyError
+from rig.errors import FormatError
 from rig.files import atomic_write, is_folder_name
 from rig.mesh.glb import WeightAnimation, write_glb
 from rig.mesh.ply import write_ply_sequence
@@ -78,7 +78,7 @@ def write_sequence(
 
     Raises
     ------
-    FormatError, MeshError, TargetError, TopologyError
+    FormatError, MeshError, TargetError
     """
     kind = check_out(out)
     out = Path(out)
@@ -119,22 +119,12 @@ def principal_shapes(mesh: TriMesh, vertices: Any, tolerance: float) -> tuple[Sh
     weights : array [shape=(T, K), range -1 to 1]
         Each column reaches 1 or -1.
 
-    Raises
-    ------
-    TopologyError
-        If the frames have another vertex count.
-
     Notes
     -----
     The shapes come from the frames' Gram matrix. Where evenly chosen frames do not reach
     the bound, the frames with the largest error are added.
     """
     frames = np.asarray(vertices, dtype=np.float32)
-    if frames.ndim != 3 or frames.shape[1:] != mesh.vertices.shape or not len(frames):
-        raise TopologyError(
-            f"a sequence of shape {frames.shape} is not of this mesh; it must be "
-            f"(T, {len(mesh.vertices)}, 3)"
-        )
     moving = np.zeros(len(mesh.vertices), bool)
     for frame in frames:
         moving |= (frame != mesh.vertices.astype(np.float32)).any(axis=1)

@@ -66,23 +66,14 @@ class ShapeSet:
         object.__setattr__(self, "names", names)
         object.__setattr__(self, "deltas", deltas)
 
-    def index(self, name: str) -> int:
-        """Position of a shape; MeshError names the nearest known ones if there is none."""
-        if name not in self.names:
-            raise MeshError(f"no shape {name!r}; known shapes: {', '.join(self.names[:12])} ...")
-        return self.names.index(name)
-
     def delta(self, name: str) -> Float64:
         """Displacement of one shape [shape=(V, 3)] as float64."""
-        return np.asarray(self.deltas[self.index(name)], dtype=np.float64)
+        return np.asarray(self.deltas[self.names.index(name)], dtype=np.float64)
 
     def evaluate(self, weights: Any) -> Float64:
         """Vertices at `weights` [shape=(T, K)] -> [shape=(T, V, 3)]: neutral + sum of deltas."""
-        w = np.asarray(weights, dtype=np.float64)
-        if w.ndim != 2 or w.shape[1] != len(self.names):
-            raise MeshError(f"weights have shape {w.shape}; they must be (T, {len(self.names)})")
-        flat: Float64 = w @ self.deltas.reshape(len(self.names), -1)
-        return np.asarray(self.neutral.vertices + flat.reshape(len(w), -1, 3))
+        flat = np.asarray(weights, np.float64) @ self.deltas.reshape(len(self.names), -1)
+        return np.asarray(self.neutral.vertices + flat.reshape(len(weights), -1, 3))
 
 
 def check_shape_count(n_shapes: int, n_vertices: int) -> None:

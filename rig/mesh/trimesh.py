@@ -72,11 +72,6 @@ class TriMesh:
 
     def with_vertices(self, vertices: Any) -> "TriMesh":
         """Return the same triangles over other positions [shape=(V, 3)]."""
-        if np.shape(vertices) != self.vertices.shape:
-            raise TopologyError(
-                f"{np.shape(vertices)} positions for {len(self.vertices)} vertices: "
-                "the deformed mesh must keep the vertex order of the neutral one"
-            )
         return TriMesh(vertices, self.faces)
 
     def flipped(self) -> "TriMesh":
@@ -137,11 +132,7 @@ def check_length(frames: int, vertices: int, *, most: int = SEQUENCE_BYTES) -> N
 
 def cross_products(mesh: TriMesh) -> Float64:
     """Give each triangle's (v2 - v1) x (v3 - v1) [shape=(N, 3)], twice its area long."""
-    return _cross_products(mesh.vertices, mesh.faces)
-
-
-def _cross_products(vertices: Float64, faces: Int64) -> Float64:
-    a, b, c = (np.take(vertices, faces[:, k], axis=0).T for k in range(3))
+    a, b, c = (np.take(mesh.vertices, mesh.faces[:, k], axis=0).T for k in range(3))
     (x, y, z), (u, v, w) = b - a, c - a
     product: Float64 = np.stack([y * w - z * v, z * u - x * w, x * v - y * u], axis=1)
     return product
@@ -291,6 +282,12 @@ def components(mesh: TriMesh) -> Int64:
     rank[order] = np.arange(count)
     numbered: Int64 = rank[labels]
     return numbered
+
+
+def largest_part(mesh: TriMesh) -> tuple[TriMesh, Int64]:
+    """Return the connected part with most vertices, and their indices in the mesh, ascending."""
+    on_it = components(mesh)[mesh.faces[:, 0]] == 0
+    return TriMesh(mesh.vertices, mesh.faces[on_it]).compact()
 
 
 def boundary_edges(mesh: TriMesh) -> Int64:

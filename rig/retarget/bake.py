@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from rig.arrays import Float32, Float64
 from rig.controls import ControlSet
 from rig.curves import RigCurves
-from rig.errors import MeshError
 from rig.mesh.shapes import ShapeSet
 from rig.mesh.trimesh import TriMesh
 
@@ -158,22 +157,17 @@ def bake(
     -------
     BakedRig
         Shapes that move nothing are left out.
-
-    Raises
-    ------
-    MeshError
-        If the rig's vertices are not the neutral mesh's.
     """
     wanted = [*control_halves(controls), *correctives]
     names, drivers = [name for name, _ in wanted], [driver for _, driver in wanted]
     poses = np.stack([driver.pose(controls) for driver in drivers])
-    rest = _posed(evaluate, controls.rest[None], neutral)[0]
+    rest = np.asarray(evaluate(controls.rest[None]), dtype=np.float32)[0]
     deltas = np.empty((len(poses), *rest.shape), np.float32)
     kept: list[int] = []
     least = STILL * neutral.size
     for k in range(len(drivers)):
         if k % BATCH == 0:
-            posed = _posed(evaluate, poses[k : k + BATCH], neutral)
+            posed = np.asarray(evaluate(poses[k : k + BATCH]), dtype=np.float32)
         delta = np.subtract(posed[k % BATCH], rest, deltas[len(kept)])
         for place, j in enumerate(kept if k >= len(drivers) - len(correctives) else ()):
             weight = float(drivers[j].weight(poses[k : k + 1], controls)[0])
@@ -198,16 +192,6 @@ def control_halves(controls: ControlSet) -> list[tuple[str, Driver]]:
         if low < rest:
             halves.append((f"{name}_negative", Driver(((Half(name, -1),),))))
     return halves
-
-
-def _posed(evaluate: Evaluate, values: Float32, neutral: TriMesh) -> Float32:
-    vertices = np.asarray(evaluate(np.asarray(values, dtype=np.float32)), dtype=np.float32)
-    if vertices.shape != (len(values), *neutral.vertices.shape):
-        raise MeshError(
-            f"the rig gives vertices of shape {vertices.shape}; its neutral mesh needs "
-            f"{(len(values), *neutral.vertices.shape)}"
-        )
-    return vertices
 
 
 def face_correctives() -> list[tuple[str, Driver]]:

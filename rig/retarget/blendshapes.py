@@ -12,10 +12,11 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from rig.arrays import Float64
-from rig.controls import ControlSet, default_controls
-from rig.conversion.arkit import RAW_ID, arkit_controls, raw_controls
+from rig.controls import default_controls
+from rig.conversion.arkit import arkit_controls
 from rig.conversion.avatars import ShapeFit, ShapePoses, poses_of
 from rig.conversion.convert import convert
+from rig.conversion.raw import RAW_ID, raw_controls
 from rig.curves import RigCurves
 from rig.errors import ControlError, MeshError
 from rig.mesh.shapes import ShapeSet
@@ -43,16 +44,19 @@ class FacePoses(ShapePoses):
     drivers: Mapping[int, Driver] = field(default_factory=dict)
 
     @property
+    def driven(self) -> set[str]:
+        """Names of shapes that are driven and not fitted."""
+        return {self.names[i] for i in (*self.drivers, *arkit_halves(self.names))}
+
+    @property
     def understood(self) -> tuple[str, ...]:
         """Names with a known meaning."""
-        driven = {self.names[i] for i in (*self.drivers, *arkit_halves(self.names))}
-        known = driven.union(super().understood)
+        known = self.driven.union(super().understood)
         return tuple(name for name in self.names if name in known)
 
     def mapping(self) -> dict[str, dict[str, float]]:
         """Return the raw curves of each shape by name, but for those that are driven."""
-        driven = {self.names[i] for i in (*self.drivers, *arkit_halves(self.names))}
-        return {name: pose for name, pose in super().mapping().items() if name not in driven}
+        return {name: pose for name, pose in super().mapping().items() if name not in self.driven}
 
     def weights(self, curves: RigCurves, *, linear: bool = False) -> ShapeFit:
         """Weights of every frame of board, raw, ARKit or avatar curves; see `ShapePoses.fit`."""
@@ -142,22 +146,16 @@ def closing_weight(shapes: ShapeSet, jaw_open: str, mouth_close: str) -> float:
 def _own_pose(controls: Mapping[str, float]) -> Float64:
     """Raw change for controls given by board, raw or ARKit names."""
     change = np.zeros(len(raw_controls()))
+    known = default_controls(), raw_controls(), arkit_controls()
     for name, value in controls.items():
-        owner = _owner(name)
+        owner = next((controls for controls in known if name in controls), None)
+        if owner is None:
+            raise ControlError(
+                f"the mapping names control {name!r}, which is no board channel, raw curve or "
+                "ARKit shape"
+            )
         values = owner.rest.copy()[None]
         values[0, owner.index(name)] += value
         raw = convert(RigCurves(values, owner.names, control_set=owner.id), RAW_ID)
         change += raw.reorder(raw_controls()).values[0] - raw_controls().rest
     return change
-
-
-def _owner(name: str) -> ControlSet:
-    for controls in (default_controls(), raw_controls(), arkit_controls()):
-        try:
-            controls.index(name)
-        except ControlError:
-            continue
-        return controls
-    raise ControlError(
-        f"the mapping names control {name!r}, which is no board channel, raw curve or ARKit shape"
-    )

@@ -16,14 +16,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from rig.arrays import Float32, Float64
-from rig.conversion.arkit import (
-    GAZE_DOWN_DEGREES,
-    GAZE_SIDE_DEGREES,
-    GAZE_UP_DEGREES,
-    PREFIX,
-    RAW_ID,
-)
+from rig.conversion.arkit import gaze_degrees
 from rig.conversion.convert import convert
+from rig.conversion.raw import RAW_ID
 from rig.curves import RigCurves
 from rig.face.head_pose import JOINT, quaternions
 from rig.mesh.glb import read_container
@@ -113,14 +108,8 @@ def _part(turn: Rotation, share: float) -> Rotation:
 def gaze_turn(curves: RigCurves, sides: str = "LR") -> Rotation:
     """Rotation of an eye against the head by its raw look curves; the mean of both by default."""
     raw = convert(curves, RAW_ID)
-    look = {
-        way: np.mean([raw[f"{PREFIX}eyeLook{way}{side}"] for side in sides], axis=0)
-        for way in ("Up", "Down", "Left", "Right")
-    }
-    track = np.zeros((len(raw), 6))
-    track[:, 0] = GAZE_SIDE_DEGREES * (look["Right"] - look["Left"])
-    track[:, 1] = GAZE_UP_DEGREES * look["Up"] - GAZE_DOWN_DEGREES * look["Down"]
-    return Rotation.from_quat(quaternions(track))
+    right, up = np.mean([gaze_degrees(raw, side) for side in sides], axis=0)
+    return Rotation.from_quat(quaternions(np.column_stack([right, up, np.zeros(len(raw))])))
 
 
 def bones_of(document: dict[str, Any]) -> dict[str, int]:

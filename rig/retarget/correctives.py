@@ -12,8 +12,8 @@ import numpy as np
 
 from rig.arrays import AnyFloat, Float64
 from rig.controls import DEFAULT_ID, default_controls
-from rig.conversion.arkit import RAW_ID, raw_controls
 from rig.conversion.convert import convert
+from rig.conversion.raw import RAW_ID, raw_controls
 from rig.curves import RigCurves
 from rig.retarget.bake import Driver, control_halves, face_correctives
 

@@ -10,11 +10,11 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components, dijkstra
 from scipy.spatial import KDTree
 
-from rig.arrays import Float64, Int64
+from rig.arrays import Bool, Float64, Int64
 from rig.errors import MeshError
 from rig.mesh.closest import ClosestPoints
 from rig.mesh.deformation import similarity
-from rig.mesh.trimesh import TriMesh, boundary_edges, components, vertex_normals
+from rig.mesh.trimesh import TriMesh, boundary_edges, largest_part, vertex_normals
 from rig.retarget.landmarks import nearest
 from rig.retarget.registration import Rounds, closest_rounds, edge_lengths
 
@@ -77,11 +77,11 @@ def guess_landmarks(mesh: TriMesh, source: TriMesh, landmarks: dict[str, int]) -
     MeshError
         If no fit is good enough or no mouth is found; landmarks must be given then.
     """
-    skin, chosen = _largest_part(source)
+    skin, chosen = largest_part(source)
     if len(mesh.vertices) < _FEWEST_VERTICES:
         raise _unrecognised(f"{len(mesh.vertices)} vertices are too few for a face")
     marks = {name: int(np.searchsorted(chosen, v)) for name, v in landmarks.items()}
-    target, used = _largest_part(mesh)
+    target, used = largest_part(mesh)
     fits = [_fit_rigidly(skin, target, axes) for axes in ORIENTATIONS]
     _, placed, axes = min(fits, key=lambda fit: fit[0])
     turned = TriMesh(target.vertices @ axes.T, target.faces)
@@ -107,11 +107,6 @@ def guess_landmarks(mesh: TriMesh, source: TriMesh, landmarks: dict[str, int]) -
     return {name: int(used[v]) for name, v in found.items()}
 
 
-def _largest_part(mesh: TriMesh) -> tuple[TriMesh, Int64]:
-    labels = components(mesh)
-    return TriMesh(mesh.vertices, mesh.faces[labels[mesh.faces[:, 0]] == 0]).compact()
-
-
 def _fit_rigidly(skin: TriMesh, target: TriMesh, axes: Float64) -> tuple[float, Float64, Float64]:
     """Best similarity of the skin's front over the target in one orientation, of several sizes."""
     points = target.vertices @ axes.T
@@ -126,19 +121,24 @@ def _fit_rigidly(skin: TriMesh, target: TriMesh, axes: Float64) -> tuple[float, 
     our_level = np.abs(ours[:, 1] - our_nose[1]) < 1.0
     our_width = float(np.ptp(ours[our_level, 0]))
     best = (np.inf, ours)
+
+    def matches(placed: Float64) -> tuple[Float64, Int64, Bool]:
+        """Distance and number of each front vertex's nearest point, and whether both face alike."""
+        distance, there = nearest(tree, placed[front])
+        cosine = np.einsum("vc,vc->v", our_normals[front], normals[there])
+        return distance, there, np.asarray(cosine > 0.3)
+
     for size in _SIZES:
         scale = size * width / our_width
         placed = scale * (ours - our_nose) + nose
         for _ in range(_STEPS):
-            distance, there = nearest(tree, placed[front])
-            facing = np.einsum("vc,vc->v", our_normals[front], normals[there]) > 0.3
+            distance, there, facing = matches(placed)
             near = facing & (distance <= np.quantile(distance, 0.85))
             if near.sum() < 20 or len(np.unique(there[near])) < 4:  # shrunk to a point
                 break
             scale, rotation, shift = similarity(ours[front[near]], points[there[near]])
             placed = scale * ours @ rotation.T + shift
-        distance, there = nearest(tree, placed[front])
-        facing = np.einsum("vc,vc->v", our_normals[front], normals[there]) > 0.3
+        distance, _, facing = matches(placed)
         cost = float(np.mean(np.minimum(distance / scale, 2.0) + 1.0 * ~facing))
         if cost < best[0]:
             best = (cost, placed)

@@ -18,9 +18,8 @@ from rig.controls import default_controls
 from rig.conversion.arkit import apple_names, arkit_controls
 from rig.conversion.convert import convert
 from rig.curves import RigCurves
-from rig.face import Head, build_head
-from rig.face.identity import Identity
-from rig.mesh.glb import RigidMotion, WeightAnimation, read_container, write_container, write_glb
+from rig.face import Head
+from rig.mesh.glb import WeightAnimation, read_container, write_container, write_glb
 from rig.mesh.shapes import ShapeSet
 from rig.mesh.trimesh import TriMesh
 from rig.retarget.correctives import ARKIT_HALVES, half_weight
@@ -82,34 +81,8 @@ def arkit_weights(curves: RigCurves) -> Float32:
         If the curves are not ARKit's.
     """
     values = curves.reorder(arkit_controls()).values[:, : len(SHAPES)].clip(0, 1)
-    moving = {name for pose in CORRECTIVES.values() for name in pose}
-    added = corrective_weights({name: values[:, SHAPES.index(name)] for name in moving})
-    columns = [added[name] for name in CORRECTIVES]
-    return np.column_stack([values, *columns]).astype(np.float32)
-
-
-def write_animation(
-    path: Path | str,
-    curves: RigCurves,
-    identity: int | str | Identity = 0,
-    *,
-    motion: RigidMotion | None = None,
-) -> None:
-    """Write an embedded head with an animation of its ARKit shapes.
-
-    Parameters
-    ----------
-    path : Path or str
-        The ``.glb``.
-    curves : RigCurves
-        Of ARKit.
-    identity : int, str or Identity
-        Number or name of the head.
-    motion : RigidMotion, optional
-        Of the head as a whole, in metres.
-    """
-    animation = WeightAnimation(arkit_weights(curves), curves.fps, motion=motion)
-    write_head(path, build_head(identity), animation=animation)
+    added = corrective_weights(dict(zip(SHAPES, values.T, strict=True)))
+    return np.column_stack([values, *added.values()]).astype(np.float32)
 
 
 def write_head(

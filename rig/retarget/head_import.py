@@ -29,7 +29,7 @@ from rig.limits import HEAD_MOVES, HEAD_VERTICES
 from rig.mesh.deformation import similarity
 from rig.mesh.glb_reader import GlbParts, consistent, read_parts, walk
 from rig.mesh.shapes import ShapeSet
-from rig.mesh.trimesh import TriMesh
+from rig.mesh.trimesh import TriMesh, triangle_areas
 from rig.retarget.bake import bake, face_correctives
 from rig.retarget.blendshapes import match_shapes
 from rig.retarget.bones import bone_named, bones_of
@@ -248,16 +248,15 @@ def _kept(shapes: ShapeSet, notes: list[str]) -> tuple[Int64, Int64]:
     """Faces within reach of the head, and their vertices."""
     faces = shapes.neutral.faces
     near = (np.abs(shapes.neutral.vertices) < REACH_CM)[faces].all(axis=(1, 2))
-    a, b, c = (shapes.neutral.vertices[faces[:, k]] for k in range(3))
-    is_whole = np.linalg.norm(np.cross(b - a, c - a), axis=1) > 0
-    kept = np.unique(faces[near & is_whole])
+    near_and_whole = near & (triangle_areas(shapes.neutral) > 0)
+    kept = np.unique(faces[near_and_whole])
     if not near.all():
         notes.append(f"what lies more than {REACH_CM:g} cm from the eyes is left out")
     if not 0 < len(kept) <= HEAD_VERTICES:
         raise MeshError(
             f"has a head of {len(kept)} vertices; 1 to {HEAD_VERTICES} are shown: decimate it"
         )
-    return faces[near & is_whole], kept
+    return faces[near_and_whole], kept
 
 
 def _motion(shapes: ShapeSet) -> Arrays:

@@ -223,6 +223,8 @@ def _picture(read: GlbParts, index: int, notes: list[str]) -> Picture | None:
 
 def _atlas(pictures: list[Picture], uv: list[Float64], faces: list[int]) -> tuple[Picture, Float64]:
     """One picture of all, and the places (V, 2) in it; that with most faces is the largest."""
+    from PIL import Image
+
     known: dict[bytes, int] = {}
     which = [known.setdefault(p.tobytes(), len(known)) for p in pictures]
     different = [pictures[which.index(k)] for k in range(len(known))]
@@ -234,7 +236,8 @@ def _atlas(pictures: list[Picture], uv: list[Float64], faces: list[int]) -> tupl
     boxes = np.zeros((len(ranked), 3))
     for (x, y, side), k in zip(cells, ranked, strict=True):
         inner = side - 2 * EDGE
-        resized = _resized(different[k], inner)
+        picture = Image.fromarray(different[k])
+        resized = np.asarray(picture.resize((inner, inner), Image.Resampling.BICUBIC))
         atlas[y : y + side, x : x + side] = np.pad(resized, ((EDGE,) * 2,) * 2 + ((0, 0),), "edge")
         boxes[k] = x + EDGE, y + EDGE, inner
     placed = [(boxes[k][:2] + places * boxes[k][2]) / SIDE
@@ -254,10 +257,3 @@ def _cells(count: int) -> list[tuple[int, int, int]]:
     across = int(np.ceil(np.sqrt(count)))
     side = SIDE // across
     return [(side * (k % across), side * (k // across), side) for k in range(count)]
-
-
-def _resized(picture: Picture, side: int) -> Picture:
-    from PIL import Image
-
-    image = Image.fromarray(picture)
-    return np.asarray(image.resize((side, side), Image.Resampling.BICUBIC))

@@ -18,7 +18,15 @@ from rig.arrays import Float64, Int64
 from rig.errors import MeshError
 from rig.mesh.closest import ClosestPoints, SurfacePoints
 from rig.mesh.deformation import factored, similarity
-from rig.mesh.trimesh import TriMesh, adjacency, boundary_edges, components, edges, vertex_normals
+from rig.mesh.trimesh import (
+    TriMesh,
+    adjacency,
+    boundary_edges,
+    components,
+    edges,
+    largest_part,
+    vertex_normals,
+)
 from rig.retarget.landmarks import CORNERS, LOWER_RIM, UPPER_RIM, check_landmarks
 
 Rounds = Sequence[tuple[float, float, float]]
@@ -36,6 +44,7 @@ _ROUNDS: Rounds = (
 _LIP_REACH = 0.75
 """Lips are labelled this far from their rims along the surface, in widths of the mouth."""
 _WELD = 1e-7
+UPPER_LIP, LOWER_LIP = (*UPPER_RIM, "upper_lip_top"), (*LOWER_RIM, "lower_lip_bottom")
 
 POOR_MATCH = 0.02
 """A median residual above this share of the eye distance (2 mm on a head) gives a warning."""
@@ -150,11 +159,7 @@ def register(
     facing = target.flipped() if inside_out else target
     search = ClosestPoints(facing, labels=target_labels, candidates=24)
 
-    skin = np.flatnonzero(components(source) == 0)
-    new_index = np.full(len(aligned), -1, dtype=np.int64)
-    new_index[skin] = np.arange(len(skin))
-    inside = (new_index[source.faces] >= 0).all(axis=1)
-    skin_mesh = TriMesh(aligned[skin], new_index[source.faces[inside]])
+    skin_mesh, skin = largest_part(TriMesh(aligned, source.faces))
     position = np.searchsorted(skin, from_)
     on_skin = (position < len(skin)) & (skin[np.minimum(position, len(skin) - 1)] == from_)
     surface = closest_rounds(
@@ -181,7 +186,7 @@ def _shared_points(
     """
     upper, lower = (
         {target_landmarks[n] for n in names if n in target_landmarks}
-        for names in ((*UPPER_RIM, "upper_lip_top"), (*LOWER_RIM, "lower_lip_bottom"))
+        for names in (UPPER_LIP, LOWER_LIP)
     )
     if upper & lower:
         raise MeshError(
@@ -204,17 +209,15 @@ def lip_labels(mesh: TriMesh, landmarks: Mapping[str, int]) -> Int64:
     width = float(np.linalg.norm(np.subtract(*(mesh.vertices[landmarks[c]] for c in CORNERS))))
     reach = _LIP_REACH * width
     upper, lower = (
-        _along_surface(graph, [landmarks[n] for n in (*rim, edge) if n in landmarks], reach)
-        for rim, edge in ((UPPER_RIM, "upper_lip_top"), (LOWER_RIM, "lower_lip_bottom"))
+        dijkstra(graph, directed=False, indices=seeds, limit=reach, min_only=True)
+        for seeds in (
+            [landmarks[n] for n in names if n in landmarks] for names in (UPPER_LIP, LOWER_LIP)
+        )
     )
     labels = np.zeros(len(mesh.vertices), dtype=np.int64)
     labels[(upper < lower) & (upper < reach)] = 1
     labels[(lower < upper) & (lower < reach)] = -1
     return labels
-
-
-def _along_surface(graph: csr_array, seeds: Sequence[int], reach: float) -> Float64:
-    return np.asarray(dijkstra(graph, directed=False, indices=seeds, limit=reach, min_only=True))
 
 
 def edge_lengths(mesh: TriMesh) -> csr_array:
@@ -291,10 +294,18 @@ def _carry_along(aligned: Float64, skin: Int64, surface: Float64) -> Float64:
     placed = aligned.copy()
     placed[skin] = surface
     others = np.setdiff1d(np.arange(len(aligned)), skin)
-    if len(others):
-        distance, nearest = KDTree(aligned[skin]).query(aligned[others], k=8)
-        weight = 1.0 / np.maximum(distance, 1e-9)
-        weight /= weight.sum(axis=1, keepdims=True)
-        moved = (surface - aligned[skin])[nearest]
-        placed[others] += np.einsum("qk,qkc->qc", weight, moved)
+    moved = (surface - aligned[skin])[None]
+    placed[others] += inverse_distance(aligned[skin], aligned[others], moved, count=8, power=1)[0]
     return placed
+
+
+def inverse_distance(
+    points: Float64, queries: Float64, values: Float64, *, count: int = 4, power: int = 2
+) -> Float64:
+    """Interpolate values [shape=(K, P, 3)] at points to queries by their nearest."""
+    count = min(count, len(points))
+    distance, near = KDTree(points).query(queries, k=count)
+    distance, near = (np.asarray(x).reshape(-1, count) for x in (distance, near))
+    weight = 1.0 / np.maximum(distance, 1e-9) ** power
+    weight /= weight.sum(axis=1, keepdims=True)
+    return np.asarray(np.einsum("qn,kqnc->kqc", weight, values[:, near]))

@@ -1,6 +1,7 @@
 """Conversion of a take's curves and a mesh file to an animated file (`deitalk retarget`)."""
 
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -11,7 +12,7 @@ import numpy as np
 from rig.conversion.avatars import ShapeFit, bare_names
 from rig.conversion.convert import known_controls
 from rig.curves import RigCurves
-from rig.errors import FormatError, RigError
+from rig.errors import FormatError, RigError, listed
 from rig.files import atomic_write
 from rig.mesh.fbx import blender, glb_to_fbx
 from rig.mesh.glb import WeightAnimation, write_glb
@@ -153,15 +154,12 @@ def _retarget(
     if known_controls(curves.control_set) is None:
         return _drive_by_name(curves, mesh, out, keys)
     is_kept = mesh.suffix.lower() == ".glb" and check_out(out) == "glb"
-    if is_kept and not as_neutral and morph_names(mesh):
+    if is_kept and not as_neutral and (names := morph_names(mesh)):
         # Drive a GLB's own shapes, head, neck and eyes; the GLB that is written keeps the rest.
-        try:
-            fit, poses = _fit(curves, read_glb(mesh), mapping)
-        except FormatError:
-            # Compressed geometry cannot be measured; its names can be driven all the same.
-            own = None if mapping is None else read_mapping(mapping)
-            poses = match_shapes(morph_names(mesh), mapping=own)
-            fit = poses.weights(curves)
+        shapes = None
+        with suppress(FormatError):  # compressed geometry cannot be measured, its names be driven
+            shapes = read_glb(mesh)
+        fit, poses = _fit(curves, shapes.names if shapes else names, shapes, mapping)
         gaze = [i for i, name in enumerate(bare_names()) if name.startswith("eyeLook")]
         turns = turns_of(mesh, curves, has_gaze=bool(poses.poses[:, gaze].any()))
         animation = WeightAnimation(fit.weights, curves.fps, turns=turns, tolerance=keys)
@@ -170,7 +168,7 @@ def _retarget(
         return replace(report, bones=len(turns), notes=(*report.notes, *_unturned(curves, turns)))
     shapes = read_shapes(mesh)
     if shapes.names and not as_neutral:
-        fit, poses = _fit(curves, shapes, mapping)
+        fit, poses = _fit(curves, shapes.names, shapes, mapping)
         _write(out, shapes, fit.weights, curves.fps, keys)
         return _driven(out, fit, poses, len(curves))
     found, notes = _landmarks(shapes, landmarks)
@@ -325,18 +323,18 @@ def _drive_by_name(curves: RigCurves, mesh: Path, out: Path | str, keys: float) 
     idle = [
         name for i, name in enumerate(curves.names) if i not in used and np.ptp(curves.values[:, i])
     ]
-    more = " ..." if len(idle) > 4 else ""
-    notes = (f"no shape for {len(idle)} controls that move ({', '.join(idle[:4])}{more})",)
-    return RetargetReport(
-        Path(out), "blendshapes", len(driven), len(curves), None, notes if idle else ()
-    )
+    notes = (f"no shape for {len(idle)} controls that move ({listed(idle, 4)})",) if idle else ()
+    return RetargetReport(Path(out), "blendshapes", len(driven), len(curves), None, notes)
 
 
 def _fit(
-    curves: RigCurves, shapes: ShapeSet, mapping: Path | str | None
+    curves: RigCurves,
+    names: tuple[str, ...],
+    shapes: ShapeSet | None,
+    mapping: Path | str | None,
 ) -> tuple[ShapeFit, FacePoses]:
     own = None if mapping is None else read_mapping(mapping)
-    poses = match_shapes(shapes.names, mapping=own, shapes=shapes)
+    poses = match_shapes(names, mapping=own, shapes=shapes)
     return poses.weights(curves), poses
 
 
@@ -345,8 +343,8 @@ def _driven(out: Path | str, fit: ShapeFit, poses: FacePoses, frames: int) -> Re
     unknown = [name for name in poses.names if name not in poses.understood]
     if unknown:
         notes.append(
-            f"{len(unknown)} shapes of unknown name stay at 0 ({', '.join(unknown[:4])}"
-            f"{' ...' if len(unknown) > 4 else ''}); a mapping file can name them"
+            f"{len(unknown)} shapes of unknown name stay at 0 ({listed(unknown, 4)}); a mapping "
+            "file can name them"
         )
     if fit.lost > LEAST_LOST or fit.unsaid or fit.replaced:
         notes.append(str(fit))

@@ -8,14 +8,12 @@ few thin rim triangles displace the whole lip (measured: docs/mesh.md).
 """
 
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 from scipy.sparse import coo_array, csc_array, csr_array, diags_array
 from scipy.sparse.csgraph import connected_components
 
 from rig.arrays import Bool, Float64
-from rig.errors import MeshError
 from rig.mesh.closest import ClosestPoints
 from rig.mesh.deformation import DeformationSolver, deformation_gradients, factored, similarity
 from rig.mesh.trimesh import (
@@ -44,7 +42,7 @@ _SAMPLES = np.array([[4, 1, 1], [1, 4, 1], [1, 1, 4], [2, 2, 2]]) / 6.0
 """Points of a target triangle whose source gradients are averaged."""
 
 
-def transfer_displacements(registration: Registration, deltas: Any) -> Float64:
+def transfer_displacements(registration: Registration, deltas: Float64) -> Float64:
     """Displacements of the target's vertices from those of the source's.
 
     Parameters
@@ -58,9 +56,8 @@ def transfer_displacements(registration: Registration, deltas: Any) -> Float64:
     -------
     moved : array [shape=(K, V_target, 3)]
     """
-    source = _checked(registration, deltas)
     jacobian = local_jacobians(registration)
-    mapped = np.einsum("vab,kvb->kva", jacobian, source)
+    mapped = np.einsum("vab,kvb->kva", jacobian, deltas)
     points = registration.correspondence
     faces = registration.source.faces[registration.skin_faces]
     result = np.stack([points.interpolate(faces, delta) for delta in mapped])
@@ -70,7 +67,9 @@ def transfer_displacements(registration: Registration, deltas: Any) -> Float64:
     labels = components(registration.target)
     if labels.max() == 0:
         return result
-    skin, inner = _searches(registration)
+    loose = np.delete(registration.source.faces, registration.skin_faces, axis=0)
+    skin = ClosestPoints(TriMesh(registration.placed, faces), candidates=8)
+    inner = ClosestPoints(TriMesh(registration.placed, loose)) if len(loose) else None
     source_labels = components(registration.source)
     for label in range(1, int(labels.max()) + 1):
         part = np.flatnonzero(labels == label)
@@ -92,15 +91,14 @@ def transfer_displacements(registration: Registration, deltas: Any) -> Float64:
     return result
 
 
-def transfer_gradients(registration: Registration, deltas: Any) -> Float64:
+def transfer_gradients(registration: Registration, deltas: Float64) -> Float64:
     """Transfer shapes, or frames of a take, by deformation gradients; see `transfer_displacements`.
 
     Vertices whose source stays within 0.1 % of the head through all K are held there; each part
     without one is pinned by its displacement.
     """
-    source = _checked(registration, deltas)
     target = without_degenerate(registration.target)
-    by_displacement = transfer_displacements(registration, source)
+    by_displacement = transfer_displacements(registration, deltas)
     motion = np.linalg.norm(by_displacement, axis=-1).max(axis=0)
     used = np.unique(target.faces)
     quiet = used[motion[used] < 1e-3 * registration.eyes]
@@ -117,25 +115,15 @@ def transfer_gradients(registration: Registration, deltas: Any) -> Float64:
     skin = TriMesh(registration.source.vertices, registration.source.faces[registration.skin_faces])
     rotation = registration.rotation
     result = np.empty_like(by_displacement)
-    for k, delta in enumerate(source):
+    for k, delta in enumerate(deltas):
         gradients = deformation_gradients(skin, skin.vertices + delta)
         local = gradients[where].mean(axis=1)
         turned = rotation @ local @ rotation.T
         pins = target.vertices[solver.pins] + by_displacement[k, solver.pins]
-        result[k] = solver.solve_gradients(turned, pin_positions=pins) - target.vertices
+        result[k] = solver.solve_gradients(turned[None], pin_positions=pins)[0] - target.vertices
     loose = components(registration.target) > 0
     result[:, loose] = by_displacement[:, loose]
     return result
-
-
-def _checked(registration: Registration, deltas: Any) -> Float64:
-    array = np.asarray(deltas, dtype=np.float64)
-    if array.ndim != 3 or array.shape[1:] != registration.source.vertices.shape:
-        raise MeshError(
-            f"deltas have shape {array.shape}; the source needs "
-            f"(K, {len(registration.source.vertices)}, 3)"
-        )
-    return array
 
 
 @lru_cache(maxsize=2)
@@ -158,7 +146,8 @@ def local_jacobians(registration: Registration) -> Float64:
     near = _gaussian(centres, before, reach)
     near /= near.sum(axis=1, keepdims=True)
     mean_before, mean_after = near @ before, near @ after
-    moments = np.stack([_moments(near, x, before) for x in (before, after)])
+    outer = [(x[:, :, None] * before[:, None, :]).reshape(-1, 9) for x in (before, after)]
+    moments = np.stack([(near @ products).reshape(-1, 3, 3) for products in outer])
     moments[0] -= mean_before[:, :, None] * mean_before[:, None, :]
     moments[1] -= mean_after[:, :, None] * mean_before[:, None, :]
     # A patch of skin is nearly flat; along its normal the whole head determines the map.
@@ -173,11 +162,6 @@ def local_jacobians(registration: Registration) -> Float64:
 def _gaussian(centres: Float64, points: Float64, reach: float) -> Float64:
     squared = (centres**2).sum(axis=1)[:, None] - 2 * centres @ points.T + (points**2).sum(axis=1)
     return np.asarray(np.exp(-np.maximum(squared, 0.0) / (2 * reach**2)))
-
-
-def _moments(weights: Float64, values: Float64, points: Float64) -> Float64:
-    outer = (values[:, :, None] * points[:, None, :]).reshape(len(points), 9)
-    return np.asarray((weights @ outer).reshape(-1, 3, 3))
 
 
 def _fill(target: TriMesh, deltas: Float64, trusted: Bool) -> Float64:
@@ -224,14 +208,3 @@ def _as_one_piece(rest: Float64, delta: Float64) -> Float64:
     rigid = rest @ turn.T + shift - rest
     misfit = np.linalg.norm(delta - rigid, axis=1).max()
     return rigid if misfit < _RIGID * np.linalg.norm(delta, axis=1).max() else delta
-
-
-def _searches(registration: Registration) -> tuple[ClosestPoints, ClosestPoints | None]:
-    """Search over the placed source's skin, and over its loose parts if it has any."""
-    faces = registration.source.faces
-    on_skin = components(registration.source)[faces[:, 0]] == 0
-    skin, inner = faces[on_skin], faces[~on_skin]
-    return (
-        ClosestPoints(TriMesh(registration.placed, skin), candidates=8),
-        ClosestPoints(TriMesh(registration.placed, inner)) if len(inner) else None,
-    )

@@ -118,10 +118,12 @@ def animate(
 def _by_command(command: list[str], folder: str, tick: Tick) -> str:
     words = [*command, "-o", folder, "--force"]
     log = folder.rstrip("/\\") + ".log"
+    # Without the paths of Unreal's own Python.
+    clean = {k: v for k, v in os.environ.items() if k not in ("PYTHONHOME", "PYTHONPATH")}
     with open(log, "w+", encoding="utf-8", errors="replace") as output:
         try:
             process = subprocess.Popen(
-                words, stdin=subprocess.DEVNULL, stdout=output, stderr=output, env=_environment(),
+                words, stdin=subprocess.DEVNULL, stdout=output, stderr=output, env=clean,
                 creationflags=getattr(subprocess, "CREATE_NO_WINDOW", 0),
             )  # fmt: skip
         except OSError as error:
@@ -145,11 +147,6 @@ def _by_command(command: list[str], folder: str, tick: Tick) -> str:
     if not found:
         raise DeitalkError(f"{folder} has no *.unreal.json; the model is of another rig")
     return found[0]
-
-
-def _environment() -> dict[str, str]:
-    """Environment without the paths of Unreal's own Python."""
-    return {k: v for k, v in os.environ.items() if k not in ("PYTHONHOME", "PYTHONPATH")}
 
 
 def _by_service(

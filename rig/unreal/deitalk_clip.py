@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+from bisect import bisect_right
 from fractions import Fraction
 from math import asin, atan2, cos, degrees, gcd, lcm, radians, sin
 from typing import Any
@@ -54,8 +55,8 @@ def load(path: str) -> dict[str, Any]:
     if not isinstance(rate, list) or [type(n) for n in rate] != [int, int] or min(rate) < 1:
         raise DeitalkError(f"{path}: frame_rate is {rate!r}; it must be two whole numbers above 0")
     try:
-        raw = {name: _raw_values(curve, data["board"]) for name, curve in data["raw"].items()}
-        data["raw"] = {**raw, **VERSIONS, **_head_curves(data.get("head"))}
+        raw = {name: raw_values(curve, data["board"]) for name, curve in data["raw"].items()}
+        data["raw"] = {**raw, **VERSIONS, **head_curves(data.get("head"))}
         channels = [*data["raw"].values()]
         channels += [values for axes in data["board"].values() for values in axes.values()]
         lists = [values if isinstance(values, list) else [values] for values in channels]
@@ -69,8 +70,8 @@ def load(path: str) -> dict[str, Any]:
     return data
 
 
-def _raw_values(curve: Any, board: dict[str, Any]) -> Any:
-    """Numbers of a raw curve: its own, or a function of channels of the board.
+def raw_values(curve: Any, board: dict[str, Any]) -> Any:
+    """Return the numbers of a raw curve: its own, or a function of channels of the board.
 
     ``of`` are the channels, as ``control.axis``; their sum, within -1 to 1, is put into the
     piecewise linear function with the ``knots``, which is constant beyond them.
@@ -78,28 +79,29 @@ def _raw_values(curve: Any, board: dict[str, Any]) -> Any:
     if not isinstance(curve, dict):
         return curve
     channels = [board[control][axis] for control, axis in (o.split(".") for o in curve["of"])]
+    places, levels = zip(*curve["knots"])  # noqa: B905  (Python 3.9)
+
+    def value(parts: Any) -> float:
+        return interpolated(places, levels, min(max(sum(parts), -1.0), 1.0))
+
     lists = [values for values in channels if isinstance(values, list)]
     if not lists:
-        return _on_knots(sum(channels), curve["knots"])
-    size, knots = len(lists[0]), curve["knots"]
-    columns = [values if isinstance(values, list) else [values] * size for values in channels]
-    return [_on_knots(sum(values[i] for values in columns), knots) for i in range(size)]
+        return value(channels)
+    columns = [v if isinstance(v, list) else [v] * len(lists[0]) for v in channels]
+    return [value(row) for row in zip(*columns)]  # noqa: B905
 
 
-def _on_knots(place: float, knots: list[list[float]]) -> float:
-    """Value of a piecewise linear function at a place within -1 to 1."""
-    place = min(max(place, -1.0), 1.0)
-    if place <= knots[0][0]:
-        return knots[0][1]
-    for i in range(len(knots) - 1):
-        (left, low), (right, high) = knots[i], knots[i + 1]
-        if place <= right:
-            return low + (place - left) / (right - left) * (high - low)
-    return knots[-1][1]
+def interpolated(places: Any, values: Any, at: float) -> float:
+    """Return a value at a place, linear between rising places and constant beyond them."""
+    if at <= places[0] or at >= places[-1]:
+        return float(values[0] if at <= places[0] else values[-1])
+    i = bisect_right(places, at)
+    share = (at - places[i - 1]) / (places[i] - places[i - 1])
+    return float(values[i - 1] + share * (values[i] - values[i - 1]))
 
 
-def _head_curves(head: Any) -> dict[str, Any]:
-    """Curves of a head track and the switch that lets them turn the head; none without a track."""
+def head_curves(head: Any) -> dict[str, Any]:
+    """Return curves of a head track and the switch that lets them turn it, if there is one."""
     if head is None:
         return {}
     curves = {"HeadControlSwitch": 1.0, **turned([head[name] for name in ANGLES], TURNS, _in_bone)}
@@ -209,12 +211,8 @@ def resampled(data: dict[str, Any], values: Any, fps: Fraction) -> list[float]:
     own = Fraction(*data["frame_rate"])
     if not isinstance(values, list) or own == fps:
         return [float(v) for v in (values if isinstance(values, list) else [values])]
-    step, last, out = float(own / fps), len(values) - 1, []
-    for i in range(frame_count(data, fps)):
-        low = min(int(i * step + 1e-9), last)
-        high = min(low + 1, last)
-        out.append(values[low] + (i * step - low) * (values[high] - values[low]))
-    return out
+    step, places = float(own / fps), range(len(values))
+    return [interpolated(places, values, i * step) for i in range(frame_count(data, fps))]
 
 
 def rate_steps(current: Fraction, wanted: Fraction) -> list[Fraction]:
@@ -297,6 +295,10 @@ def fit_segment(values: list[float], first: int, last: int) -> tuple[float, floa
     a, b = (ra * bb - rb * ab) / det, (rb * aa - ra * ab) / det
     errors = [abs(r - a * p - b * q) for r, p, q in zip(off, left, right)]  # noqa: B905
     return max(errors or [0.0]), slope + a, slope + b
+
+
+KEYS = (key_frames, curve_keys, split_curve, fit_segment)
+"""Functions that scripts for other programs have as text."""
 
 
 def describe(values: Any) -> str:

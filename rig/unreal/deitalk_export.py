@@ -60,16 +60,14 @@ def anim_sequence(
         raise importer.DeitalkError(
             f"{asset} has no CTRL_expressions curves; export the performance with face curves"
         )
-    keys = {}
-    for name in names:
-        times, values = library.get_float_keys(sequence, name)
-        keys[name] = ([float(t) for t in times], [float(v) for v in values])
-    rate = frame_rate or _rate_of(keys, asset)
+    times = {name: _keys(sequence, name)[0] for name in names}
+    rate = frame_rate or _rate_of(max(times.values(), key=len), asset)
     n_frames = round(float(library.get_sequence_length(sequence)) * rate[0] / rate[1]) + 1
     grid = [i * rate[1] / rate[0] for i in range(n_frames)]
-    raw = {name: _sampled(times, values, grid) for name, (times, values) in keys.items() if times}
+    raw = {name: _sampled(sequence, name, grid) for name in names if times[name]}
     head = _head(sequence, grid)
-    return _write(folder, _name_of(asset), rate, n_frames, raw=raw, head=head, audio=audio)
+    name = str(importer.asset_name(asset.rsplit("/", 1)[-1]))
+    return _write(folder, name, rate, n_frames, raw=raw, head=head, audio=audio)
 
 
 def anim_folder(content: str, folder: str) -> list[str]:
@@ -117,7 +115,7 @@ def level_sequence(
     importer.need_unreal()
     unreal = importer.unreal
     opened = importer.find_sequence(sequence)
-    board = importer.find_rig(opened, rig)
+    board = importer.find_proxy(opened, rig).control_rig
     display = opened.get_display_rate()
     sound, start = _sound(opened)
     stop = int(opened.get_playback_end())
@@ -126,13 +124,10 @@ def level_sequence(
     frames = [unreal.FrameNumber(i) for i in range(start, stop)]
     library, unit = unreal.ControlRigSequencerLibrary, importer.display_rate()
     channels: dict[str, dict[str, Any]] = {}
+    is_older = not importer.has_control(board, "CTRL_C_tongue_move")
+    present = {old: new for new, old in importer.OLDER_NAMES.items()} if is_older else {}
     for name, kind in _controls(board):
-        # Return the present name of a control of an older board.
-        if importer.has_control(board, "CTRL_C_tongue_move"):
-            spelling = name
-        else:
-            present = {old: new for new, old in importer.OLDER_NAMES.items()}
-            spelling = str(present.get(name, name))
+        spelling = present.get(name, name)
         if kind == "float":
             values = library.get_local_control_rig_floats(opened, board, name, frames, unit)
             channels[spelling] = {"value": _rounded(values)}
@@ -154,9 +149,7 @@ def _head(sequence: Any, grid: list[float]) -> dict[str, Any] | None:
     keys = {}
     for name in ("HeadControlSwitch", *deitalk_clip.TURNS, *deitalk_clip.SHIFTS):
         if name.lower() in spelt:
-            library = importer.unreal.AnimationLibrary
-            times, values = library.get_float_keys(sequence, spelt[name.lower()])
-            keys[name] = _sampled([float(t) for t in times], [float(v) for v in values], grid)
+            keys[name] = _sampled(sequence, spelt[name.lower()], grid)
     switch = keys.pop("HeadControlSwitch", 1.0)
     if "HeadYaw" not in keys or switch == 0:
         return None
@@ -170,34 +163,29 @@ def _curve_names(sequence: Any) -> list[str]:
     return [str(n) for n in unreal.AnimationLibrary.get_animation_curve_names(sequence, kind)]
 
 
-def _rate_of(keys: dict[str, tuple[list[float], list[float]]], asset: str) -> tuple[int, int]:
-    """Return the rate of the curve with most keys: a standard one."""
-    times = max((times for times, _ in keys.values()), key=len)
+def _rate_of(times: list[float], asset: str) -> tuple[int, int]:
+    """Return the rate of a curve's keys: a standard one."""
     if len(times) < 2 or times[-1] <= times[0]:
         raise importer.DeitalkError(f"{asset} has too few keys; give frame_rate=(30, 1)")
     steps = sorted(b - a for a, b in zip(times, times[1:]) if b > a)  # noqa: B905, RUF007
     step = steps[len(steps) // 2]
-    rate = min(RATES, key=lambda r: abs(r[0] / r[1] * step - 1))
     # the mean is finer than one step, where no key was removed
-    if steps[-1] < 1.5 * step:
-        mean = (times[-1] - times[0]) / (len(times) - 1)
-        rate = min(RATES, key=lambda r: abs(r[0] / r[1] * mean - 1))
+    mean = (times[-1] - times[0]) / (len(times) - 1) if steps[-1] < 1.5 * step else step
+    rate = min(RATES, key=lambda r: abs(r[0] / r[1] * mean - 1))
     if abs(rate[0] / rate[1] * step - 1) > 0.02:
         raise importer.DeitalkError(f"{asset}: keys {step:g} s apart; give frame_rate=(30, 1)")
     return rate
 
 
-def _sampled(times: list[float], values: list[float], grid: list[float]) -> Any:
-    """Return values at the times of a grid, linear between keys; one number if they are equal."""
-    out, place = [], 0
-    for t in grid:
-        while place < len(times) - 2 and times[place + 1] <= t:
-            place += 1
-        before, after = times[place], times[min(place + 1, len(times) - 1)]
-        share = 0.0 if after <= before else min(max((t - before) / (after - before), 0.0), 1.0)
-        last = values[min(place + 1, len(values) - 1)]
-        out.append(values[place] + share * (last - values[place]))
-    return _rounded(out)
+def _sampled(sequence: Any, name: str, grid: list[float]) -> Any:
+    """Return a curve's values at the times of a grid; one number if they are equal."""
+    times, values = _keys(sequence, name)
+    return _rounded([deitalk_clip.interpolated(times, values, t) for t in grid])
+
+
+def _keys(sequence: Any, name: str) -> tuple[list[float], list[float]]:
+    times, values = importer.unreal.AnimationLibrary.get_float_keys(sequence, name)
+    return [float(t) for t in times], [float(v) for v in values]
 
 
 def _rounded(values: Any) -> Any:
@@ -264,7 +252,3 @@ def _write(
     count = len(raw or board or {})
     importer.say(f"{path}: {count} curves, {n_frames} frames, sound {audio or 'not named'}")
     return path
-
-
-def _name_of(asset: str) -> str:
-    return str(importer.asset_name(asset.rsplit("/", 1)[-1]))

@@ -95,14 +95,7 @@ def import_sound(path: str, folder: str = importer.FOLDER, name: str = "") -> An
     there = unreal.load_asset(f"{folder}/{name}")
     if there is not None and not _is_sound_of(there, path):
         name = free_name(name, folder)
-    task = unreal.AssetImportTask()
-    task.filename = path
-    task.destination_path = folder
-    task.destination_name = name
-    task.automated = True
-    task.save = True
-    task.replace_existing = True
-    unreal.AssetToolsHelpers.get_asset_tools().import_asset_tasks([task])
+    importer.import_file(path, folder, destination_name=name, replace_existing=True)
     sound = unreal.load_asset(f"{folder}/{name}")
     if not isinstance(sound, unreal.SoundWave):
         raise DeitalkError(f"Unreal does not import {path}; it takes wav, ogg, flac and aiff")

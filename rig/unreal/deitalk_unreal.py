@@ -211,16 +211,20 @@ def live_link_csv(path: str, folder: str = FOLDER, dry_run: bool = False) -> Any
     factory = getattr(unreal, "LiveLinkFaceImporterFactory", None)
     if factory is None:
         raise DeitalkError("enable the plugin Live Link Face Importer, then restart the editor")
-    task = unreal.AssetImportTask()
-    task.filename = path
-    task.destination_path = folder
-    task.factory = factory()
-    task.automated = True
-    task.save = True
-    unreal.AssetToolsHelpers.get_asset_tools().import_asset_tasks([task])
+    task = import_file(path, folder, factory=factory())
     if task.imported_object_paths:
         return list(task.imported_object_paths)
     raise DeitalkError(f"Unreal refuses {path}; run: deitalk validate {path}")
+
+
+def import_file(path: str, folder: str, **options: Any) -> Any:
+    """Import a file into a folder without questions; return the task, whose properties are set."""
+    task = unreal.AssetImportTask()
+    wanted = {"filename": path, "destination_path": folder, "automated": True, "save": True}
+    for name, value in {**wanted, **options}.items():
+        setattr(task, name, value)
+    unreal.AssetToolsHelpers.get_asset_tools().import_asset_tasks([task])
+    return task
 
 
 def _fill(sequence: Any, raw: dict[str, list[float]], rate: Fraction, n_frames: int) -> None:
@@ -378,11 +382,6 @@ def find_sequence(path: str) -> Any:
     if sequence != current and not library.open_level_sequence(sequence):
         raise DeitalkError(f"Sequencer does not open {path}; open it there, then try again")
     return sequence
-
-
-def find_rig(sequence: Any, name: str) -> Any:
-    """Return the control rig of a sequence whose name begins with `name`."""
-    return find_proxy(sequence, name).control_rig
 
 
 def find_proxy(sequence: Any, name: str) -> Any:

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from rig.controls import DEFAULT_ID
-from rig.conversion.arkit import PREFIX, RAW_ID
 from rig.conversion.convert import known_controls
+from rig.conversion.raw import PREFIX, RAW_ID
 from rig.curves import RigCurves
 from rig.curves.layer_files import read_layers
 from rig.curves.layers import SUFFIX
@@ -21,7 +21,7 @@ from rig.errors import FormatError, RigError
 from rig.formats import read_curves
 from rig.formats.curves_json import read_object
 from rig.formats.named import is_face_cap
-from rig.validation.findings import Finding, motion
+from rig.validation.findings import Finding, Rows, motion
 from rig.validation.live_link import check_live_link, is_live_link
 
 CURVE_SUFFIXES = (".csv", ".json", ".npz", ".tsv", ".glb", ".vrma", ".anim")
@@ -66,7 +66,7 @@ def _take_folder(folder: Path) -> list[Finding]:
     findings: list[Finding] = []
     about = folder / "take.json"
     if about.is_file():
-        findings += _take_json(about)
+        findings += _file(about)
     else:
         findings.append(Finding("warning", folder, "no take.json: this is no take of deitalk"))
     durations: dict[str, float] = {}
@@ -77,7 +77,7 @@ def _take_folder(folder: Path) -> list[Finding]:
     for path in sorted(folder.iterdir()):
         is_other = path.name.startswith(".") or path.name in ("take.json", "dub.json", *OTHER_CSV)
         if path.name.endswith(SUFFIX):
-            findings += _layers(path)
+            findings += _file(path)
             continue
         if is_other or path.suffix.lower() not in CURVE_SUFFIXES:
             continue
@@ -99,50 +99,39 @@ def _take_folder(folder: Path) -> list[Finding]:
     return findings
 
 
-def _layers(path: Path) -> list[Finding]:
-    """Check a file of layers of edits."""
-    try:
-        layers = read_layers(path)
-    except RigError as error:
-        return [Finding("error", path, str(error))]
-    count = sum(len(layer.edits) for layer in layers)
-    return [Finding("note", path, f"{count} edits by hand")]
-
-
-def _take_json(path: Path) -> list[Finding]:
-    try:
-        data = read_object(path)
-    except RigError as error:
-        return [Finding("error", path, str(error))]
-    listed = data.get("files", {})
-    names = listed if isinstance(listed, list) else list(listed) if isinstance(listed, dict) else []
-    return [
-        Finding("error", path, f"lists {name}, which is not in the folder")
-        for name in names
-        if isinstance(name, str) and not (path.parent / name).exists()
-    ]
-
-
 def _file(path: Path) -> list[Finding]:
+    """Check one file; what cannot be read is an error."""
     try:
-        if path.suffix.lower() == ".glb":
-            findings = [Finding("note", path, check_glb(path))]
-            try:
-                return [*findings, *_curves(path, read_curves(path, control_set=None))]
-            except RigError as error:  # names of its shapes that are unknown
-                return [*findings, Finding("note", path, f"its values are not checked: {error}")]
-        if path.suffix.lower() == ".csv" and is_live_link(path):
-            return check_live_link(path)
-        if path.suffix.lower() == ".txt" and not is_face_cap(path):  # EmoFace's hold no rate
-            curves = read_curves(path, fps=FRAME_RATE, control_set=None)
-            note = Finding("note", path, f"holds no frame rate: checked at {FRAME_RATE:g} fps")
-            return [note, *_curves(path, curves)]
-        curves = read_curves(path, control_set=None)
-        if path.name.lower().endswith(".unreal.json"):
-            _check_functions(path)
-        return _curves(path, curves)
+        rows = _rows(path)
     except RigError as error:
-        return [Finding("error", path, str(error))]
+        rows = [("error", str(error))]
+    return [Finding(level, path, text) for level, text in rows]
+
+
+def _rows(path: Path) -> Rows:
+    name, suffix = path.name.lower(), path.suffix.lower()
+    if name == "take.json":
+        listed = read_object(path).get("files", {})
+        files = [file for file in listed if isinstance(file, str)] if listed else []
+        missing = [file for file in files if not (path.parent / file).exists()]
+        return [("error", f"lists {file}, which is not in the folder") for file in missing]
+    if name.endswith(SUFFIX):
+        return [("note", f"{sum(len(layer.edits) for layer in read_layers(path))} edits by hand")]
+    if suffix == ".glb":
+        summary: Rows = [("note", check_glb(path))]
+        try:
+            return summary + _curves(read_curves(path, control_set=None))
+        except RigError as error:  # names of its shapes that are unknown
+            return [*summary, ("note", f"its values are not checked: {error}")]
+    if suffix == ".csv" and is_live_link(path):
+        return check_live_link(path)
+    if suffix == ".txt" and not is_face_cap(path):  # EmoFace's hold no rate
+        curves = read_curves(path, fps=FRAME_RATE, control_set=None)
+        return [("note", f"holds no frame rate: checked at {FRAME_RATE:g} fps"), *_curves(curves)]
+    curves = read_curves(path, control_set=None)
+    if name.endswith(".unreal.json"):
+        _check_functions(path)
+    return _curves(curves)
 
 
 def _check_functions(path: Path) -> None:
@@ -163,28 +152,24 @@ def _check_functions(path: Path) -> None:
             raise FormatError(f"{path}: {name} is no function of channels of the board")
 
 
-def _curves(path: Path, curves: RigCurves) -> list[Finding]:
+def _curves(curves: RigCurves) -> Rows:
     """Check values, which are finite and in range after reading."""
     summary = (
         f"{len(curves)} frames at {curves.fps:g} fps, {curves.duration:.2f} s, {len(curves.names)} "
         f"curves of {curves.control_set}"
     )
-    findings = [Finding("note", path, summary)]
-    findings += [Finding("warning", path, note) for note in curves.notes]
-    findings += motion(path, curves.values, curves.names, curves.control_set)
+    findings: Rows = [("note", summary)]
+    findings += [("warning", note) for note in curves.notes]
+    findings += motion(curves.values, curves.names, curves.control_set)
     if curves.control_set == RAW_ID:
         findings += [
-            Finding("warning", path, f"{name} falls to {curves[name].min():g}; it rests at 1")
+            ("warning", f"{name} falls to {curves[name].min():g}; it rests at 1")
             for name in WRINKLES
             if name in curves.names and curves[name].min() < 0.5
         ]
-        findings.append(
-            Finding("note", path, "Unreal takes these as float curves of an AnimSequence")
-        )
+        findings.append(("note", "Unreal takes these as float curves of an AnimSequence"))
     if curves.control_set == DEFAULT_ID:
-        findings.append(
-            Finding("note", path, "Unreal takes these through rig/unreal or deitalk convert")
-        )
+        findings.append(("note", "Unreal takes these through rig/unreal or deitalk convert"))
     return findings
 
 

@@ -7,8 +7,8 @@ from typing import Literal
 import numpy as np
 
 from rig.arrays import AnyFloat
-from rig.conversion.arkit import PREFIX
 from rig.conversion.convert import known_controls
+from rig.conversion.raw import PREFIX
 
 Level = Literal["error", "warning", "note"]
 
@@ -32,6 +32,8 @@ class Finding:
     text: str
 
 
+Rows = list[tuple[Level, str]]
+"""Findings on one file: level and text."""
 OPEN_MOUTH = 0.1
 """Jaw opening at the end of a clip above which a warning is given."""
 JUMP = 0.8
@@ -39,15 +41,15 @@ JUMP = 0.8
 MOUTH_SHAPES = ("JawOpen", "CTRL_C_jaw.ty", f"{PREFIX}jawOpen")
 
 
-def motion(path: Path, values: AnyFloat, names: tuple[str, ...], control_set: str) -> list[Finding]:
+def motion(values: AnyFloat, names: tuple[str, ...], control_set: str) -> Rows:
     """Find curves that never move, jumps, and a mouth that stays open at the end."""
-    findings = []
+    findings: Rows = []
     dead = [name for name, still in zip(names, np.ptp(values, axis=0) < 1e-6, strict=True) if still]
     if len(dead) == len(names):
-        findings.append(Finding("warning", path, "no curve moves at all"))
+        findings.append(("warning", "no curve moves at all"))
     elif dead:
         text = f"{len(dead)} of {len(names)} curves never move ({', '.join(dead[:3])}, …)"
-        findings.append(Finding("note", path, text))
+        findings.append(("note", text))
     controls = known_controls(control_set)
     if controls is not None and len(values) > 1:
         spans = {c.name: c.maximum - c.minimum for c in controls.controls}
@@ -58,9 +60,9 @@ def motion(path: Path, values: AnyFloat, names: tuple[str, ...], control_set: st
             text = (
                 f"{names[column]} jumps by {steps[row, column]:.0%} of its range at frame {row + 1}"
             )
-            findings.append(Finding("warning", path, text))
+            findings.append(("warning", text))
     for name in MOUTH_SHAPES:
         if name in names and values[-1, names.index(name)] > OPEN_MOUTH:
             text = f"the clip ends with the mouth open ({name} {values[-1, names.index(name)]:.2f})"
-            findings.append(Finding("warning", path, text))
+            findings.append(("warning", text))
     return findings

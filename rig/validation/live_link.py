@@ -5,8 +5,10 @@ from pathlib import Path
 
 import numpy as np
 
-from rig.conversion.arkit import ARKIT_ID, PREFIX, arkit_controls
+from rig.conversion.arkit import ARKIT_ID, arkit_controls
 from rig.conversion.convert import known_controls
+from rig.conversion.raw import PREFIX
+from rig.curves.timecode import TICKS_PER_SECOND
 from rig.errors import FormatError
 from rig.files.reading import decode_text, open_file
 from rig.formats.livelink_csv import COUNT, LiveLinkTake, read_take, suffix_note
@@ -14,7 +16,7 @@ from rig.formats.units import in_units
 from rig.formats.wide_csv import count_rows, read_header
 from rig.limits import CURVES_BYTES, HEADER_BYTES
 from rig.unreal.deitalk_clip import subject_of
-from rig.validation.findings import Finding, motion
+from rig.validation.findings import Rows, motion
 
 TAKE = re.compile(r"(?P<slate>.+)_(?P<take>\d+)_(?P<subject>[^_]+)")
 """The app's names, ``<Slate>_<Take>_<Subject>``."""
@@ -31,7 +33,7 @@ def is_live_link(path: Path) -> bool:
     return header == ["timecode", COUNT.lower()]
 
 
-def check_live_link(path: Path) -> list[Finding]:
+def check_live_link(path: Path) -> Rows:
     """Return the findings on a file that `is_live_link`.
 
     Raises
@@ -50,16 +52,18 @@ def check_live_link(path: Path) -> list[Finding]:
         text += f", the whole name; {better} gives {parts['subject']!r}"
     if suffix_note(path):
         text = suffix_note(path)
-    findings = [Finding("note", path, _count_of_frames(take)), Finding("note", path, text)]
-    if take.ticks[0] > 60_000:
+    seconds = (take.ticks[-1] - take.ticks[0]) / TICKS_PER_SECOND
+    size = f"Live Link take, {len(take.ticks)} frames at {take.fps:g} fps over {seconds:.2f} s"
+    findings: Rows = [("note", size), ("note", text)]
+    if take.ticks[0] > TICKS_PER_SECOND:
         text = "the time code starts late: Unreal places the section at that hour of the timeline"
-        findings.append(Finding("warning", path, text))
-    findings += _clock(path, take) or _pace(path, take, highest)
-    findings += _units(path, take) + _metahuman(path, take)
+        findings.append(("warning", text))
+    findings += _clock(take) or _pace(take, highest)
+    findings += _units(path, take) + _metahuman(take)
     missing = [name for name in arkit_controls().names if name not in take.names]
     if missing and not any(name.startswith(PREFIX) for name in take.names):
         text = f"{len(missing)} of 61 columns are missing ({missing[0]}, …): they stay at 0"
-        findings.append(Finding("warning", path, text))
+        findings.append(("warning", text))
     shapes = [i for i, name in enumerate(take.names) if name in arkit_controls().names[:52]]
     values = np.asarray(take.values[:, shapes], np.float64)
     outside = (values < 0) | (values > 1)
@@ -67,8 +71,8 @@ def check_live_link(path: Path) -> list[Finding]:
         worst = float(np.maximum(values - 1, -values).max())
         count = int(outside.sum())
         text = f"{count} values are outside 0 to 1, by {worst:.3g} at most: Unreal keeps them"
-        findings.append(Finding("warning", path, text))
-    return findings + motion(path, take.values, take.names, ARKIT_ID)
+        findings.append(("warning", text))
+    return findings + motion(take.values, take.names, ARKIT_ID)
 
 
 def _first_line(path: Path) -> str:
@@ -119,7 +123,7 @@ def _highest_frame_field(path: Path) -> float:
     return highest
 
 
-def _metahuman(path: Path, take: LiveLinkTake) -> list[Finding]:
+def _metahuman(take: LiveLinkTake) -> Rows:
     """Find raw curves that the face blueprint of Unreal 5.6 and later does not take as such."""
     if not any(name.startswith(PREFIX) for name in take.names):
         return []
@@ -130,24 +134,20 @@ def _metahuman(path: Path, take: LiveLinkTake) -> list[Finding]:
     switch = [i for i, name in enumerate(take.names) if name == SWITCH]
     if take.values[:, turns].any() and not take.values[:, switch].any():
         texts.append(f"the head turns, but {SWITCH} is not 1: Unreal leaves the head still")
-    return [Finding("warning", path, text) for text in texts]
+    return [("warning", text) for text in texts]
 
 
-def _clock(path: Path, take: LiveLinkTake) -> list[Finding]:
+def _clock(take: LiveLinkTake) -> Rows:
     """Find time codes that Unreal takes for others."""
+    taken = "Unreal takes FF for sixtieths, or for thirtieths where it never exceeds 30"
     return [
-        Finding(
-            "error",
-            path,
-            f"{note}: Unreal takes FF for sixtieths, or for thirtieths where it never exceeds 30; "
-            "deitalk convert writes sixtieths",
-        )
+        ("error", f"{note}: {taken}; deitalk convert writes sixtieths")
         for note in take.notes
         if note.startswith(("time codes count", "drop-frame"))
     ]
 
 
-def _units(path: Path, take: LiveLinkTake) -> list[Finding]:
+def _units(path: Path, take: LiveLinkTake) -> Rows:
     """Find percent and degrees, which Unreal takes for shares and nearly radians."""
     try:
         curves = take.to_curves()
@@ -157,36 +157,27 @@ def _units(path: Path, take: LiveLinkTake) -> list[Finding]:
     assert known is not None
     notes = in_units(curves, known, path).notes[len(curves.notes) :]
     return [
-        Finding("error", path, f"{note}; Unreal takes them as they are, deitalk convert mends them")
+        ("error", f"{note}; Unreal takes them as they are, deitalk convert mends them")
         for note in notes
         if "radians" not in note
-    ] + [Finding("warning", path, note) for note in notes if "radians" in note]
+    ] + [("warning", note) for note in notes if "radians" in note]
 
 
-def _pace(path: Path, take: LiveLinkTake, highest: float) -> list[Finding]:
+def _pace(take: LiveLinkTake, highest: float) -> Rows:
     """Find files that Unreal reads at 30 fps, and dropped frames."""
+    if 0 < highest <= 30.0 and take.ticks[-1] - take.ticks[0] <= TICKS_PER_SECOND:
+        text = (
+            "FF never exceeds 30, so Unreal counts thirtieths: if FF are sixtieths, the clip plays "
+            "at half speed; hold the last frame for a second"
+        )
+        return [("warning", text)]
     if 0 < highest <= 30.0:
-        if take.ticks[-1] - take.ticks[0] <= 60_000:
-            text = (
-                "FF never exceeds 30, so Unreal counts thirtieths: if FF are sixtieths, the clip "
-                "plays at half speed; hold the last frame for a second"
-            )
-            return [Finding("warning", path, text)]
         text = (
             "FF never exceeds 30: read as 30 frames a second, as by Unreal since August 2023; an "
             "older importer plays each second in half a second, then freezes"
         )
-        return [Finding("warning", path, text)]
-    if len(take.ticks) < 3:
-        return []
+        return [("warning", text)]
     steps = np.diff(take.ticks)
-    jumps = steps > 1.5 * float(np.median(steps))
-    if jumps.any():
-        text = f"{int(jumps.sum())} gaps in the time codes: frames were dropped there"
-        return [Finding("warning", path, text)]
-    return []
-
-
-def _count_of_frames(take: LiveLinkTake) -> str:
-    seconds = (take.ticks[-1] - take.ticks[0]) / 60_000
-    return f"Live Link take, {len(take.ticks)} frames at {take.fps:g} fps over {seconds:.2f} s"
+    jumps = steps > 1.5 * float(np.median(steps)) if len(steps) > 1 else np.zeros(0)
+    text = f"{int(jumps.sum())} gaps in the time codes: frames were dropped there"
+    return [("warning", text)] if jumps.any() else []

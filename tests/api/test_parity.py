@@ -25,8 +25,8 @@ from deitalk.data.edited import changes_of_take
 from deitalk.live.sources import PacedSound
 from deitalk.research.corpus.engines import espeak
 from rig import read_curves, write_curves
-from rig.conversion.arkit import RAW_ID
 from rig.conversion.convert import convert
+from rig.conversion.raw import RAW_ID
 from rig.curves.edit import clamp
 from rig.curves.layer_files import read_layers
 from rig.face import build_head

@@ -17,8 +17,9 @@ from deitalk.installed import imported
 from rig import ControlSet, RigCurves, default_controls, read_curves
 from rig.arrays import Bool
 from rig.controls import DEFAULT_ID
-from rig.conversion.arkit import ARKIT_ID, N_SHAPES, RAW_ID, arkit_to_raw
+from rig.conversion.arkit import ARKIT_ID, N_SHAPES, arkit_to_raw
 from rig.conversion.convert import KNOWN, convert, reached_controls
+from rig.conversion.raw import RAW_ID
 from rig.curves.edit import clamp
 from rig.curves.timecode import TICKS_PER_SECOND
 from rig.errors import UserError

@@ -14,8 +14,9 @@ from deitalk.data.edited import changes_of_take
 from deitalk.errors import DataError
 from deitalk.postprocess.control_groups import ControlGroups
 from rig import default_controls, read_curves, write_curves
-from rig.conversion.arkit import ARKIT_ID, RAW_ID, arkit_controls
+from rig.conversion.arkit import ARKIT_ID, arkit_controls
 from rig.conversion.convert import convert
+from rig.conversion.raw import RAW_ID
 from rig.curves.apply_layers import apply_layers
 from rig.curves.edit import clamp
 from rig.curves.shift import shift

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from rig import RigCurves
-from rig.conversion.arkit import PREFIX, RAW_ID, arkit_controls, raw_controls
+from rig.conversion.arkit import arkit_controls
 from rig.conversion.avatars import AVATARS, avatar_controls, poses_of
 from rig.conversion.convert import convert, convert_and_note
+from rig.conversion.raw import PREFIX, RAW_ID, raw_controls
 from rig.conversion.shape_fit import bounded_fit, shape_key
 from rig.errors import FormatError
 from rig.retarget.blendshapes import match_shapes

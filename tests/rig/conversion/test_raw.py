@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from rig import RigCurves, default_controls, rest_curves
-from rig.conversion.arkit import RAW_ID, board_to_raw, raw_controls, raw_to_board
+from rig.conversion.raw import RAW_ID, board_to_raw, raw_controls, raw_to_board
 
 BOARD = default_controls()
 

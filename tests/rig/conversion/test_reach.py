@@ -5,8 +5,9 @@ import pytest
 
 from rig import RigCurves, default_controls
 from rig.controls import DEFAULT_ID
-from rig.conversion.arkit import ARKIT_ID, RAW_ID, arkit_controls, raw_controls
+from rig.conversion.arkit import ARKIT_ID, arkit_controls
 from rig.conversion.convert import convert, reached_controls
+from rig.conversion.raw import RAW_ID, raw_controls
 from rig.errors import ControlError
 
 BOARD = default_controls()

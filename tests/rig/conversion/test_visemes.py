@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from rig import read_curves, write_curves
-from rig.conversion.avatars import (
+from rig.conversion.visemes import (
     GESTURES,
     OCULUS,
     RHUBARB,

@@ -17,7 +17,8 @@ import soundfile
 
 from deitalk.pipeline.exchange_files import write_exchange_files
 from rig import RigCurves, default_controls, read_curves, write_curves
-from rig.conversion.arkit import arkit_controls, board_to_raw
+from rig.conversion.arkit import arkit_controls
+from rig.conversion.raw import board_to_raw
 from rig.conversion.shape_fit import shape_key
 from rig.formats.blender import addon_text
 from tests.errors import one_line
@@ -117,7 +118,7 @@ def test_names_of_shape_keys_are_those_of_the_curves(addon, theirs, ours):
 
 
 def test_no_two_curves_of_a_set_have_one_name():
-    from rig.conversion.arkit import raw_controls
+    from rig.conversion.raw import raw_controls
 
     for controls in (arkit_controls(), raw_controls()):
         assert len({shape_key(name) for name in controls.names}) == len(controls)

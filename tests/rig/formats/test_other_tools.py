@@ -5,8 +5,9 @@ import pandas as pd
 import pytest
 
 from rig import RigCurves, default_controls, read_curves, rest_curves, write_curves
-from rig.conversion.arkit import ARKIT_ID, RAW_ID, board_to_raw
+from rig.conversion.arkit import ARKIT_ID
 from rig.conversion.convert import convert
+from rig.conversion.raw import RAW_ID, board_to_raw
 from rig.errors import FormatError
 from rig.formats.emoface_txt import columns
 from rig.validation.files import validate

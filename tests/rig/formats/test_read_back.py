@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from rig import RigCurves, default_controls, read_curves, rest_curves, write_curves
-from rig.conversion.arkit import RAW_ID
 from rig.conversion.convert import convert
+from rig.conversion.raw import RAW_ID
 from rig.errors import FormatError
 from rig.face import build_head
 from rig.formats.table import FORMATS

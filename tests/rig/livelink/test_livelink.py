@@ -14,8 +14,9 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from rig import RigCurves, default_controls, rest_curves
-from rig.conversion.arkit import ARKIT_ID, RAW_ID, arkit_controls
+from rig.conversion.arkit import ARKIT_ID, arkit_controls
 from rig.conversion.convert import convert
+from rig.conversion.raw import RAW_ID
 from rig.errors import FormatError
 from rig.face.head_pose import quaternions
 from rig.formats.livelink_csv import read_take, with_subject, write_take
@@ -71,23 +72,6 @@ def test_packets_survive_encoding_and_decoding(subject, frame, values):
     got = decode(encode(sent))
     assert (got.device, got.subject, got.frame, got.rate) == (DEVICE, subject, frame, (30000, 1001))
     assert got.values.tolist() == values and got.subframe == 0.25
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"rate": (30, 0)}, "frame rate 30/0: both must be above 0"),
-        ({"frame": 2**31}, "must be 0 to 2147483647"),
-        ({"subframe": 1.0}, "sub-frame 0 up to 1"),
-        ({"subject": ""}, "subject has 0 bytes"),
-        ({"subject": "x" * 600}, "subject has 600 bytes"),
-        ({"values": np.zeros(52, np.float32)}, "must be 61 finite"),
-        ({"values": np.full(61, np.nan, np.float32)}, "must be 61 finite"),
-    ],
-)
-def test_encode_rejects_impossible_packets(change, message):
-    with pytest.raises(FormatError, match=message):
-        encode(Packet(**{**vars(packet()), **change}))
 
 
 class FakeTime:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from deitalk.research.meshes.frames import read_ply_sequence
-from rig.errors import FormatError, MeshError, TargetError, TopologyError
+from rig.errors import FormatError, MeshError, TargetError
 from rig.mesh import TriMesh
 from rig.mesh.glb import read_container
 from rig.mesh.glb_reader import read_accessor, read_glb
@@ -88,10 +88,6 @@ def test_failed_write_leaves_no_file(tmp_path):
         write_sequence(tmp_path / "a.fbx", MESH, moving(2), fps=30)
     with pytest.raises(FormatError, match="is not a folder"):
         write_sequence(tmp_path / "none" / "a.npz", MESH, moving(2), fps=30)
-    with pytest.raises(TopologyError, match=r"must be \(T, 4, 3\)"):
-        write_sequence(tmp_path / "a.glb", MESH, moving(2)[:, :3], fps=30)
-    with pytest.raises(MeshError, match="fps is 0"):
-        write_sequence(tmp_path / "a.glb", MESH, moving(2), fps=0)
     with pytest.raises(MeshError, match=r"400000 frames of 1000 vertices are 4\.5 GiB, at most 4 "):
         check_length(400_000, 1000)
     assert not list(tmp_path.iterdir())

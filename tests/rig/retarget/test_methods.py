@@ -13,7 +13,7 @@ from rig.mesh.trimesh import TriMesh, components
 from rig.retarget.found_landmarks import guess_landmarks
 from rig.retarget.landmarks import LANDMARKS, NEEDED, check_landmarks, read_landmarks
 from rig.retarget.lids import fit_lids
-from rig.retarget.methods import _along_slit, lip_pairs
+from rig.retarget.lips import _along_slit, lip_pairs
 from rig.retarget.registration import lip_labels, register
 from rig.retarget.transfer import local_jacobians, transfer_displacements
 
@@ -31,7 +31,7 @@ def head():
 
 
 def subset(head, *names):
-    chosen = [head.rig.shapes.index(name) for name in names]
+    chosen = [head.rig.shapes.names.index(name) for name in names]
     return head.rig.shapes.deltas[chosen].astype(np.float64)
 
 

@@ -12,7 +12,7 @@ import soundfile
 from deitalk.data.captures.imported import import_captures
 from deitalk.data.clips import read_clips, read_known
 from rig import read_curves, write_curves
-from rig.conversion.arkit import board_to_raw
+from rig.conversion.raw import board_to_raw
 from rig.errors import FormatError
 from rig.formats.unreal_json import read_present
 from tests import fake_unreal

@@ -14,7 +14,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from rig import RigCurves, default_controls, read_curves, rest_curves, write_curves
-from rig.conversion.arkit import board_to_raw
+from rig.conversion.raw import board_to_raw
 from rig.face.head_pose import quaternions
 from rig.validation.files import validate
 from tests import fake_unreal

@@ -10,7 +10,7 @@ from deitalk.data.captures.sources import find_sound, find_takes
 from deitalk.data.captures.take import read_capture
 from deitalk.errors import DataError
 from rig import default_controls, rest_curves, write_curves
-from rig.conversion.arkit import raw_controls
+from rig.conversion.raw import raw_controls
 from rig.errors import UserError
 from rig.formats.livelink_csv import SUBJECT_REST
 from rig.formats.named import read_named
