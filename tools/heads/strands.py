@@ -21,6 +21,8 @@ LINE = np.array([
 """Height of the hairline, cm, by degrees round the head from the middle of the forehead."""
 AXIS_Z, ROUND_CM = -0.8, 7.6
 """Depth of the axis of `LINE`, and how far it is from the skin."""
+FINE = 3
+"""Steps in which each part of a card is worked out."""
 DOWN = np.array([0.0, -1.0, 0.0])
 
 
@@ -77,7 +79,11 @@ class Hair:
         weight /= weight.sum(1, keepdims=True)
         skin, normals = self.person.skin[near], self.person.normals[near]
         normal = unit(np.einsum("pkc,pk->pc", normals, weight))
-        return normal, np.einsum("pkc,pc,pk->p", points[:, None] - skin, normal, weight), distance[:, 0]
+        return (
+            normal,
+            np.einsum("pkc,pc,pk->p", points[:, None] - skin, normal, weight),
+            distance[:, 0],
+        )
 
     def roots(self, count, low, high, turns):
         """Random places of the scalp between two distances within the hairline, and two angles round it."""
@@ -86,7 +92,13 @@ class Hair:
         cross = np.cross(b - a, c - a)
         within = self.high[faces].mean(1)
         turn = around(self.average[faces].mean(1))
-        area = np.linalg.norm(cross, axis=1) * (within > low) * (within < high) * (turn > turns[0]) * (turn < turns[1])
+        area = (
+            np.linalg.norm(cross, axis=1)
+            * (within > low)
+            * (within < high)
+            * (turn > turns[0])
+            * (turn < turns[1])
+        )
         face = self.rng.choice(len(faces), count, p=area / area.sum())
         u, v = np.sqrt(self.rng.random((count, 1))), self.rng.random((count, 1))
         place = (1 - u) * a[face] + u * (1 - v) * b[face] + u * v * c[face]
@@ -101,7 +113,15 @@ class Hair:
             side = np.tanh((x - look["parting"]) / 0.25)
             steep = smooth((11.5 - y) / 7.0)
             front = smooth((z - 1.0) / 6)
-            way = np.stack([side * (1.1 - 0.8 * steep), -0.25 - 1.2 * steep, -0.5 - 0.25 * front], 1)
+            way = np.stack(
+                [side * (1.1 - 0.8 * steep), -0.25 - 1.2 * steep, -0.5 - 0.25 * front], 1
+            )
+            near = self.tree.query(points)[1]  # at the forehead away from the hairline
+            back = smooth(1 - self.high[near] / 3.2) * smooth(
+                (70 - around(self.average[near])) / 30
+            )
+            off = np.stack([0.5 * side, 0.3 + 0 * x, -1 + 0 * x], 1)
+            way = way * (1 - back[:, None]) + 1.4 * back[:, None] * off
         elif style == "fringe":  # forward and over the forehead
             way = np.stack([0.07 * x, np.full_like(x, -1.0), np.full_like(x, 0.4)], 1)
         else:  # short: swept over on top, down and back at the sides
@@ -111,15 +131,15 @@ class Hair:
             way = top[:, None] * swept + (1 - top[:, None]) * sides
         return tangent(way, normal)
 
-    def grown(self, points, length, layer, *, way=None, rise=2.0, hold=0.6, steps=9,
-              style=None):
-        """Curves (N, steps + 1, 3) from roots, and the normals along them."""
+    def grown(self, points, heading, length, layer, *, rise, steps, style):
+        """Curves (N, 3 steps + 1, 3) from roots and their headings, and the normals along them.
+
+        They rise to the height `layer` (N,) over the scalp within `rise` cm.
+        """
         normal, _, _ = self.surface(points)
-        heading = self.flow(points, normal, style) if way is None else way
-        fine = 2  # steps of a curve are worked out in two
-        step = (length / (fine * steps))[:, None]
+        step = (length / (FINE * steps))[:, None]
         curve, across, before = [points], [normal], points
-        for k in range(1, fine * steps + 1):
+        for k in range(1, FINE * steps + 1):
             points = points + heading * step
             normal, high, distance = self.surface(points)
             far = k * step[:, 0]
@@ -132,14 +152,13 @@ class Hair:
                 on_scalp[:, None] * self.flow(points, normal, style)
                 + (1 - on_scalp[:, None]) * (DOWN + 0.12 * normal)
             )
-            heading = unit(hold * unit(points - before) + (1 - hold) * target)
+            heading = unit(0.6 * unit(points - before) + 0.4 * target)
             before = points
-            if k % fine == 0:
-                curve.append(points)
-                across.append(normal)
+            curve.append(points)
+            across.append(normal)
         return np.stack(curve, 1), np.stack(across, 1)
 
-    def cards(self, curves, across, width, tone, *, wisps=False, roll=0.25):
+    def cards(self, curves, across, width, tone, wisps, roll):
         """Two strips of triangles along each curve: points, places in the picture, faces, tones."""
         count, n = curves.shape[:2]
         along = unit(np.gradient(curves, axis=1))
@@ -157,7 +176,8 @@ class Hair:
         at = (np.arange(count)[:, None] * n + np.arange(n - 1)).reshape(-1, 1) * 2
         faces = np.concatenate([at + [0, 2, 1], at + [2, 3, 1]])
         far = np.linspace(0, 1, n)[:, None].repeat(2, 1)
-        tones = tone[:, None, None] * (self.look["root"] + (1 - self.look["root"]) * smooth(far / 0.35))
+        root = 1 if wisps else self.look["root"]
+        tones = tone[:, None, None] * (root + (1 - root) * smooth(far / 0.35))
         return points.reshape(-1, 3), uv.reshape(-1, 2), faces, tones.ravel()
 
 
@@ -184,21 +204,19 @@ def grow(person: Person, hair: Hair) -> Part:
         high = s * layer["lift"] * rng.uniform(0.6, 1.2, count)
         high *= np.clip(0.25 + within / 2.0, 0, 1)
         curves, across = hair.grown(
-            points, length, high, way=way, rise=s * layer.get("rise", 2.0),
-            hold=layer.get("hold", 0.6), steps=layer.get("steps", 9),
-            style=style,
+            points, way, length, high, rise=s * layer.get("rise", 2.0), steps=layer["steps"], style=style,
         )  # fmt: skip
         if "wave" in layer:  # neighbours wave together
             far = np.linspace(0, 1, curves.shape[1])[None, :, None] * length[:, None, None]
             turn = (points @ [[0.5, 0.9, 0.2], [0.7, 0.3, 0.6], [0.2, 0.8, 0.5]])[:, None]
             turn = turn + rng.normal(size=turn.shape) * 0.5
             curves = curves + layer["wave"] * np.clip(far / 8, 0, 1) * np.sin(far / 2.4 + turn)
-        if "cut" in layer:
-            curves = _cut(curves, s * (layer["cut"] + rng.normal(size=count) * layer.get("ends", 0.5)))
+        low = s * (layer.get("cut", -99) + rng.normal(size=count) * layer.get("ends", 0.5))
+        curves, across = _cut(curves, across, low)
         width = s * layer["width"] * rng.uniform(0.7, 1.25, count)
         tone = layer.get("tone", 1.0) * rng.uniform(0.76, 1.0, count)
-        pieces.append(hair.cards(curves, across, width, tone, wisps=layer.get("wisps", False),
-                                 roll=layer.get("roll", 0.2)))  # fmt: skip
+        is_wisp = layer.get("wisps", False)
+        pieces.append(hair.cards(curves, across, width, tone, is_wisp, layer.get("roll", 0.2)))
     points, uv, faces, tone, first = [], [], [], [], 0
     for own, places, triangles, tones in pieces:
         points.append(own)
@@ -212,17 +230,14 @@ def grow(person: Person, hair: Hair) -> Part:
     return part
 
 
-
-def _cut(curves, low):
-    """Curves (N, n, 3) that end at heights (N,), with as many points."""
-    count, n = curves.shape[:2]
-    at = np.empty_like(curves)
+def _cut(curves, across, low):
+    """Curves and normals (N, n, 3) that end at heights (N,), with points closer at the roots."""
+    count, last = curves.shape[0], curves.shape[1] - 1
+    share = np.linspace(0, 1, last // FINE + 1) ** 1.35
+    both = np.concatenate([curves, across], 2)
+    found = np.empty((count, len(share), 6))
     for k in range(count):
-        below = np.flatnonzero(curves[k, :, 1] < low[k])
-        end = n - 1.0
-        if len(below) and below[0] > 0:
-            high, under = curves[k, below[0] - 1, 1], curves[k, below[0], 1]
-            end = below[0] - 1 + (high - low[k]) / (high - under)
-        place = np.linspace(0, end, n)
-        at[k] = np.stack([np.interp(place, np.arange(n), axis) for axis in curves[k].T], 1)
-    return at
+        under = np.flatnonzero(curves[k, 1:, 1] < low[k])
+        end = under[0] + 1 if len(under) else last
+        found[k] = np.stack([np.interp(end * share, np.arange(last + 1), v) for v in both[k].T], 1)
+    return found[..., :3], unit(found[..., 3:])
