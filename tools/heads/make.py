@@ -23,7 +23,7 @@ from tools.heads.base import Base, triangles
 from tools.heads.parts import Person, eye_of
 from tools.heads.people import PEOPLE
 from tools.heads.shapes import COLUMNS, Shapes
-from tools.heads.strands import Hair, strands
+from tools.heads.strands import Hair, grow, smooth
 
 DATA = Path(__file__).parents[2] / "rig/face/data"
 SHIFT = np.array([0.0, -3.6, -1.5])
@@ -44,15 +44,14 @@ SHARED = (
     "lash_L",
     "lash_R",
 )
-OWN = ("brow_L", "brow_R", "hair", "strands", "shirt")
+OWN = ("brow_L", "brow_R", "hair", "shirt")
 KINDS = {"skin": SKIN, "seam": SKIN, "eye_L": EYE, "eye_R": EYE, "hair": HAIR, "brow_L": FINE,
-         "brow_R": FINE, "lash_L": HAIR, "lash_R": HAIR, "strands": HAIR,
-         "shirt": CLOTH}  # fmt: skip
+         "brow_R": FINE, "lash_L": HAIR, "lash_R": HAIR, "shirt": CLOTH}  # fmt: skip
 GLOSS = {"skin": 0.30, "seam": 0.30, "eye_L": 0.9, "eye_R": 0.9, "teeth_upper": 0.55,
-         "teeth_lower": 0.55, "tongue": 0.45, "hair": 0.26, "strands": 0.26, "shirt": 0.03}  # fmt: skip
+         "teeth_lower": 0.55, "tongue": 0.45, "shirt": 0.03}  # fmt: skip
 PICTURE = {"skin": "skin", "seam": "skin", "eye_L": "eye", "eye_R": "eye", "tongue": "tongue",
            "teeth_upper": "teeth", "teeth_lower": "teeth", "lash_L": "lash", "lash_R": "lash",
-           "brow_L": "brow", "brow_R": "brow", "hair": "hair", "strands": "strands", "shirt": "shirt"}  # fmt: skip
+           "brow_L": "brow", "brow_R": "brow", "hair": "hair", "shirt": "shirt"}  # fmt: skip
 OPEN = {"CTRL_C_jaw.ty": 0.55, "CTRL_@_mouth_upperLipRaise.ty": 0.6,
         "CTRL_@_mouth_lowerLipDepress.ty": 0.6}  # fmt: skip
 """A pose in which the inside of the mouth is lit."""
@@ -115,9 +114,8 @@ def main(packages: Path, *names: str) -> None:
         if names and name not in names:
             continue
         person = Person(base, shapes, look)
-        alpha = pictures.hair(base, look)[..., 3]
-        hair = Hair(person, alpha)
-        person.parts["strands"] = strands(person, hair)
+        hair = Hair(person)
+        person.parts["hair"] = grow(person, hair)
         joined = Joined(base, person)
         if name == next(iter(PEOPLE)):
             write_shared(base, shapes, person, joined)
@@ -283,7 +281,7 @@ def crease_masks(skin, marks):
 def write_person(name, look, base, shapes, person, joined, hair) -> None:
     """Write points, surface and picture of one person."""
     first_own = joined.slices["brow_L"].start
-    picture = pictures.atlas(base, look)
+    picture = pictures.atlas(base, person)
     slices = joined.slices
     colour, gloss = np.ones((len(joined.points), 3)), np.full(len(joined.points), 0.2)
     kind = np.full(len(joined.points), PLAIN, np.uint8)
@@ -295,8 +293,12 @@ def write_person(name, look, base, shapes, person, joined, hair) -> None:
         colour[slices[part]] *= front[:, None] ** [0.6, 1.2, 1.25]  # by light from the cheeks
         gloss[slices[part]] *= front
     colour[slices["shirt"]] = np.array(look["shirt_colour"]) / 255
-    colour[slices["strands"]] = person.parts["strands"].tone[:, None]
-    pictures.paint_scalp(picture, base, person, hair)
+    colour[slices["hair"]] = person.parts["hair"].tone[:, None]
+    pictures.paint_scalp(picture, base, person)
+    pictures.paint_beard(picture, base, person)
+    gloss[slices["hair"]] = look["shine"]
+    within = smooth(hair.high / 0.8)
+    gloss[slices["skin"]] *= 1 - 0.8 * within  # roots shine less
     light = _light(base, shapes, person, joined, picture)
     near, weight, follows = [], [], []
     for part in ("lash_L", "lash_R", "brow_L", "brow_R"):
@@ -340,7 +342,7 @@ def _blink(base, shapes, person):
 
 def _front(points):
     """How much of a place in the mouth is not in the shadow of the cheeks, 0 to 1."""
-    return 1 - 0.65 * pictures._smooth((np.abs(points[:, 0]) - 1.1) / 1.3)
+    return 1 - 0.8 * pictures._smooth((np.abs(points[:, 0]) - 1.1) / 1.3)
 
 
 def _light(base, shapes, person, joined, picture):
@@ -348,9 +350,7 @@ def _light(base, shapes, person, joined, picture):
     side = picture.shape[0]
     middle = joined.uv[joined.faces].mean(1)
     at = np.clip((side * middle).astype(int), 0, side - 1)
-    cards = joined.slices["strands"]
-    is_card = (joined.faces[:, 0] >= cards.start) & (joined.faces[:, 0] < cards.stop)
-    is_opaque = (picture[at[:, 1], at[:, 0], 3] > 100) & ~is_card
+    is_opaque = picture[at[:, 1], at[:, 0], 3] > 100
     weights = {n.replace("@", s): w for n, w in OPEN.items() for s in "LR"}
     moved = joined.points.copy()
     for name, weight in weights.items():
@@ -371,7 +371,8 @@ def _light(base, shapes, person, joined, picture):
         lips[joined.slices[part]] = True
     light[lips] = opened[lips]
     contact = np.min([shapes.along(ids) for ids in shapes.rims], axis=0)  # a soft dark line
-    light[: base.n_skin] *= 1 - 0.45 * np.exp(-((contact / 0.14) ** 2))[:, None]
+    deep = np.interp(np.abs(shapes.average[: base.n_skin, 0]), [2.0, 2.6], [0.45, 0.12])
+    light[: base.n_skin] *= 1 - (deep * np.exp(-((contact / 0.14) ** 2)))[:, None]
     front = person.skin[shapes.rims[0], 2].max()
     x = joined.points
     depth = 0.02 + 0.98 * pictures._smooth((x[:, 2] - front + 4.2) / 3.3)
@@ -393,9 +394,9 @@ def _light(base, shapes, person, joined, picture):
         light[own] = (0.40 + 0.60 * pictures._smooth((gap - 0.03) / 0.40))[:, None]
     light[joined.slices["lash_L"].start : joined.slices["brow_R"].stop] = 1
     light[seam] = light[joined.weld[seam]]
-    hair = x[joined.slices["hair"]]  # cards have the light of the hair's outside
-    near = cKDTree(hair).query(x[cards], k=12)[1]
-    light[cards] = np.quantile(light[joined.slices["hair"]][near], 0.8, axis=1)
+    hair = joined.slices["hair"]  # cards have the light of those about them
+    near = cKDTree(x[hair]).query(x[hair], k=40)[1]
+    light[hair] = 0.3 + 0.7 * (0.3 * light[hair] + 0.7 * light[hair][near].mean(1))
     return light
 
 

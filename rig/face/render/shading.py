@@ -62,7 +62,7 @@ LIGHTS = (
 )
 TO_LIGHT = unit(np.array([direction for direction, _ in LIGHTS]))
 LIGHT_COLORS = np.array([color for _, color in LIGHTS])
-WRAPS = np.array([[0.2, 0.2, 0.2], [0.42, 0.22, 0.15], [0.35, 0.32, 0.3], [0.25, 0.22, 0.2],
+WRAPS = np.array([[0.2, 0.2, 0.2], [0.42, 0.22, 0.15], [0.8, 0.76, 0.72], [0.25, 0.22, 0.2],
                   [0.1, 0.1, 0.1], [0.35, 0.32, 0.3]])  # fmt: skip
 """How far red, green and blue light reaches round, of PLAIN, SKIN, HAIR, EYE, CLOTH and FINE."""
 PORE_TILT = 0.09

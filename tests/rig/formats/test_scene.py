@@ -387,7 +387,7 @@ def test_usdz_has_the_colours_of_the_glb_on_every_face(package, rng):
     expected = colours * sampled(atlas, place)
     shown = srgb_to_linear(sampled(picture, found * [1, -1] + [0, 1]))
     off = np.abs(shown - expected).max(axis=1)
-    cards = head.slices["strands"]  # share places in the picture: all get the shade of one
+    cards = head.slices["hair"]  # share places in the picture: all get the shade of one
     first = head.mesh.faces[:, 0]
     off = off[(first < cards.start) | (first >= cards.stop)]
     assert off.mean() < 0.02 and np.quantile(off, 0.95) < 0.06
