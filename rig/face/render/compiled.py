@@ -12,13 +12,14 @@ TILE = 8
 """Side of a tile, samples."""
 THRESHOLDS = (40, 168, 216, 96)
 """Least alpha of the four samples of a pixel, of 255."""
-PLACES, ROWS = 512, 31
+EMPTY = 0x7F800000FFFFFFFF
+"""Sample that shows no face, at depth infinity."""
+PLACES, ROWS = 512, 32
 """Most places whose light is worked out together, a power of two, and numbers of each."""
 KERNELS = {
-    "normals": "f42 i42 i41 f42",
-    "fill": "f41 f41 f41 f42 u12 i42 n n n f42 i42 f42",
-    "farthest": "f42 f42",
-    "color": "i42 f42 i42 f42 i11 i41 f43 u13 u13 u13 f41 f42 f41 i41 i41 u13",
+    "normals": "f42 u42 u41 f42",
+    "nearest": "f42 u42 u42 i81 i81 u41 f42 i82",
+    "draw": "f42 u42 u42 i81 i81 u41 f42 i82 u11 i41 f43 u13 u13 u13 f41 f42 f41 u41 u41 u13",
 }
 """Type and dimensions of the arrays that each takes, n of a number."""
 MOST_ALPHA = max(THRESHOLDS)

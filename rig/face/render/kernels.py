@@ -21,7 +21,7 @@ from numba.core import config
 from rig.face import mesh
 from rig.face.mesh import CLOTH, EYE, HAIR, PORES, SKIN
 from rig.face.render import compiled, shading
-from rig.face.render.compiled import FILE, KERNELS, PLACES, THRESHOLDS, TILE
+from rig.face.render.compiled import EMPTY, FILE, KERNELS, PLACES, THRESHOLDS, TILE
 
 F = np.float32
 _TO_LIGHT, _COLOR = shading.TO_LIGHT.astype(F), shading.LIGHT_COLORS.astype(F)
@@ -32,19 +32,21 @@ N_LIGHTS, _PORE_TILT = len(_COLOR), F(shading.PORE_TILT)
 
 kernel = njit(fastmath=True, error_model="numpy", _nrt=False)
 
-_THRESHOLDS = np.array(THRESHOLDS, F)
+_THRESHOLDS = np.array(THRESHOLDS).reshape(2, 2) << 16
 
-# Columns of a vertex: place on the screen (2), normal (3), paint (4), light (2), accent, uv (2).
-X, Y, NORMAL, COLUMNS = 0, 1, 2, 14
+# Columns of a vertex: place on the screen (3), uv (2), normal (3), paint (4), light (2), accent.
+X, Y, Z, LEFT, TOP, COLUMNS = 0, 1, 2, 3, 4, 15
 # Where the rows of numbers of places begin in one array, those of the vertices first. With known
 # distances between rows the compiler can tell that they do not overlap.
-NX, NY, NZ, RED, GREEN, BLUE, GLOSS, AMBIENT, SEEN, ACCENT, U, V = (
-    PLACES * column for column in range(NORMAL, COLUMNS)
+U, V, NX, NY, NZ, RED, GREEN, BLUE, GLOSS, AMBIENT, SEEN, ACCENT = (
+    PLACES * column for column in range(LEFT, COLUMNS)
 )
 DEPTH, SHARE, STRAND, KEPT, BLEED, RIM, WINDOW, IS_HAIR = (
     PLACES * row for row in range(COLUMNS, COLUMNS + 8)
 )
-TO_EYE, WRAP, SLOPE = 22 * PLACES, 25 * PLACES, 28 * PLACES
+_FACE, _EMPTY = 2**32 - 1, EMPTY
+"""Bits of a sample's face; all are set where there is none."""
+TO_EYE, WRAP, SLOPE = 23 * PLACES, 26 * PLACES, 29 * PLACES
 
 
 @kernel
@@ -71,115 +73,187 @@ def _difference(points: Any, a: Any, b: Any) -> Any:
 
 
 @kernel
-def fill(
-    x: Any, y: Any, z: Any, uv: Any, alpha: Any, faces: Any, first: Any, one_sided: Any,
-    solid: Any, far: Any, nearest: Any, depth: Any,
+def draw(
+    table: Any, alpha: Any, faces: Any, stops: Any, starts: Any, listed: Any, far: Any,
+    samples: Any, kind: Any, part: Any, to_eye: Any, atlas: Any, creases: Any, pores: Any,
+    step: Any, empty: Any, places: Any, shown: Any, columns: Any, picture: Any,
 ) -> None:  # fmt: skip
-    """Write the nearest face, from `first` on, and its depth at every sample (H, W).
+    """Write a picture (H, W, 3) of faces at its samples, band by band, which stay in the cache.
 
-    Of the first `one_sided` faces only those that show their outside (counter-clockwise, y
-    downwards) are drawn. Faces from `solid` on cover those samples where `alpha` (A, A) at `uv`
-    (V, 2) is above the threshold of the sample within its pixel, which makes soft edges.
-
-    Neighbours compute a shared edge from its upper to its lower end, with the same numbers: they
-    share no sample and leave none out. Faces behind `far`, the depth of tiles of samples
-    (`farthest`), are left out.
+    `starts`, `listed`, `far`, `samples` of a band, `places`, `shown` and `columns` are room.
     """
-    height, width = nearest.shape
-    for f in range(first, len(faces)):
-        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
-        area = (x[b] - x[a]) * (y[c] - y[a]) - (y[b] - y[a]) * (x[c] - x[a])
-        if area > F(-1e-6) and (f < one_sided or area < F(1e-6)):
-            continue
-        left, right = min(x[a], x[b], x[c]), max(x[a], x[b], x[c])
-        top, bottom = min(y[a], y[b], y[c]), max(y[a], y[b], y[c])
-        if right <= 0 or left >= width or bottom <= 0 or top >= height:
-            continue
-        if _is_behind(left, right, top, bottom, min(z[a], z[b], z[c]), far):
-            continue
-        scale = F(1) / area
-        per_x = _per_x(z[a], z[b], z[c], y, a, b, c) * scale
-        per_y = -_per_x(z[a], z[b], z[c], x, a, b, c) * scale
-        origin = a
-        if y[b] < y[a]:
-            a, b = b, a
-        if y[c] < y[a]:
-            a, c = c, a
-        if y[c] < y[b]:
-            b, c = c, b
-        long, upper, lower = _slope(x, y, a, c), _slope(x, y, a, b), _slope(x, y, b, c)
-        middle = int(np.ceil(y[b] - 0.5))
-        for row in range(max(int(np.ceil(y[a] - 0.5)), 0), min(int(np.ceil(y[c] - 0.5)), height)):
-            at = row + 0.5
-            one = x[a] + long * (at - y[a])
-            other = x[a] + upper * (at - y[a]) if row < middle else x[b] + lower * (at - y[b])
-            start = max(int(np.ceil(min(one, other) - 0.5)), 0)
-            end = min(int(np.ceil(max(one, other) - 0.5)), width)
-            dx, dy = F(start + 0.5 - x[origin]), F(at - y[origin])
-            value = z[origin] + per_y * dy + per_x * dx
-            if f < solid:
-                for column in range(start, end):
-                    if value < depth[row, column]:
-                        depth[row, column] = value
-                        nearest[row, column] = f
-                    value += per_x
-            elif start < end:
-                _fill_thin(x, y, uv, alpha, faces[f], scale, row, start, end, value, per_x, f,
-                           nearest, depth)  # fmt: skip
+    _sort(table, faces, stops[1], 2 * len(picture), samples, starts, listed)
+    for band in range(len(starts) - 2):
+        _fill(table, alpha, faces, stops, listed[starts[band] : starts[band + 1]], far,
+              band * len(samples), samples)  # fmt: skip
+        first = band * len(samples) // 2
+        for row in range(first, min(first + len(samples) // 2, len(picture))):
+            _color(row, samples[2 * (row - first) :], faces, table, kind, part, to_eye[row], atlas,
+                   creases, pores, step[0], empty[row], places, shown, columns, picture[row])  # fmt: skip
 
 
 @kernel
-def _per_x(va: Any, vb: Any, vc: Any, y: Any, a: Any, b: Any, c: Any) -> Any:
-    """How a value changes along a row times twice the face's area."""
-    return (vb - va) * (y[c] - y[a]) - (vc - va) * (y[b] - y[a])
+def nearest(
+    table: Any, alpha: Any, faces: Any, stops: Any, starts: Any, listed: Any, far: Any, samples: Any
+) -> None:
+    """Write the nearest face and its depth at every sample; see `_fill`."""
+    _sort(table, faces, stops[1], len(samples), samples, starts, listed)
+    _fill(table, alpha, faces, stops, listed[: starts[1]], far, 0, samples)
+
+
+@kernel
+def _sort(
+    table: Any, faces: Any, one_sided: Any, height: Any, samples: Any, starts: Any, listed: Any
+) -> None:
+    """List the faces to draw of each band of a picture, in order, from `starts` on.
+
+    Of the first `one_sided` faces those are drawn that show their outside (counter-clockwise, y
+    downwards).
+    """
+    starts[:] = 0
+    for turn in range(2):
+        for f in range(len(faces)):
+            a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+            x, y = table[a, X], table[a, Y]
+            bx, by = table[b, X] - x, table[b, Y] - y
+            cx, cy = table[c, X] - x, table[c, Y] - y
+            area = bx * cy - by * cx
+            if area > F(-1e-6) and (f < one_sided or area < F(1e-6)):
+                continue
+            if x + max(bx, cx, F(0)) <= 0 or x + min(bx, cx, F(0)) >= samples.shape[1]:
+                continue
+            top, bottom = y + min(by, cy, F(0)), y + max(by, cy, F(0))
+            if bottom <= 0 or top >= height:
+                continue
+            first = int(max(top, F(0))) // len(samples)
+            for band in range(first, int(min(bottom, F(height - 1))) // len(samples) + 1):
+                if turn:
+                    listed[starts[band + 1]] = f
+                    starts[band + 1] += 1
+                else:
+                    starts[band + 2] += 1
+        if not turn:
+            for band in range(2, len(starts)):
+                starts[band] += starts[band - 1]
+
+
+@kernel
+def _fill(
+    table: Any, alpha: Any, faces: Any, stops: Any, listed: Any, far: Any, first_row: Any,
+    samples: Any,
+) -> None:  # fmt: skip
+    """Write the nearest of the listed faces and its depth at every sample of a band.
+
+    A sample's bits are those of the depth and, in the lower half, the face: the least is nearest.
+    Faces behind `far`, the depth of tiles of samples, which is found at each of the `stops`, are
+    left out. Faces from the last stop on cover those samples where `alpha` at their uv is above the
+    threshold of the sample within its pixel, which makes soft edges; each number of `alpha`
+    (A + 1, A + 1) has the bytes of four neighbours.
+
+    Neighbours compute a shared edge from its upper to its lower end, with the same numbers: they
+    share no sample and leave none out.
+    """
+    samples[:] = _EMPTY
+    far[:] = np.inf
+    width, stage = samples.shape[1], 0
+    for f in listed:
+        if stage < len(stops) and f >= stops[stage]:
+            _farthest(samples, far)
+            while stage < len(stops) and f >= stops[stage]:
+                stage += 1
+        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+        if _is_behind(table, a, b, c, far, first_row):
+            continue
+        origin, per_x, per_y = a, _slope(table, a, b, c, Z, Y), -_slope(table, a, b, c, Z, X)
+        u_x, u_y, v_x, v_y, u, v = F(0), F(0), F(0), F(0), F(0), F(0)
+        if f >= stops[-1]:  # places in 256ths of texels
+            side = F(256 * (len(alpha) - 1))
+            u_x, u_y = side * _slope(table, a, b, c, LEFT, Y), -side * _slope(table, a, b, c, LEFT, X)
+            v_x, v_y = side * _slope(table, a, b, c, TOP, Y), -side * _slope(table, a, b, c, TOP, X)
+            u, v = side * table[a, LEFT] + F(128), side * table[a, TOP] + F(128)
+        if table[b, Y] < table[a, Y]:
+            a, b = b, a
+        if table[c, Y] < table[a, Y]:
+            a, c = c, a
+        if table[c, Y] < table[b, Y]:
+            b, c = c, b
+        top, middle, bottom = table[a, Y], table[b, Y], table[c, Y]
+        long, upper, lower = _edge(table, a, c), _edge(table, a, b), _edge(table, b, c)
+        first = max(int(np.ceil(top - 0.5)), first_row)
+        last = min(int(np.ceil(bottom - 0.5)), first_row + len(samples))
+        turn = int(np.ceil(middle - 0.5))
+        for row in range(first, last):
+            at = row + 0.5
+            one = table[a, X] + long * (at - top)
+            other = table[b, X] + (upper if row < turn else lower) * (at - middle)
+            start = max(int(np.ceil(min(one, other) - 0.5)), 0)
+            end = min(int(np.ceil(max(one, other) - 0.5)), width)
+            dx, dy = F(start + 0.5 - table[origin, X]), F(at - table[origin, Y])
+            value, line = table[origin, Z] + per_y * dy + per_x * dx, samples[row - first_row]
+            if f < stops[-1]:
+                for column in range(start, end):
+                    key = _key(value + per_x * F(column - start), f)
+                    line[column] = min(line[column], key)
+            else:
+                _fill_thin(line, start, end, value, per_x, f, alpha, u + u_x * dx + u_y * dy, u_x,
+                           v + v_x * dx + v_y * dy, v_x, row % 2)  # fmt: skip
+
+
+@kernel
+def _slope(table: Any, a: Any, b: Any, c: Any, of: Any, along: Any) -> Any:
+    """How a column runs over a face: per x, or less that per y."""
+    x, y = table[a, X], table[a, Y]
+    area = (table[b, X] - x) * (table[c, Y] - y) - (table[b, Y] - y) * (table[c, X] - x)
+    to_b, to_c = table[b, of] - table[a, of], table[c, of] - table[a, of]
+    start = table[a, along]
+    return (to_b * (table[c, along] - start) - to_c * (table[b, along] - start)) / area
+
+
+@kernel
+def _edge(table: Any, top: Any, bottom: Any) -> Any:
+    """Columns per row of an edge; 0 of a level one, which no row crosses."""
+    height = table[bottom, Y] - table[top, Y]
+    return (table[bottom, X] - table[top, X]) / height if height > 0 else F(0)
+
+
+@kernel
+def _key(depth: Any, f: Any) -> Any:
+    return np.int64(F(depth).view(np.int32)) << 32 | f
+
+
+@kernel
+def _depth(key: Any) -> Any:
+    return np.int32(key >> 32).view(F)
 
 
 @kernel
 def _fill_thin(
-    x: Any, y: Any, uv: Any, alpha: Any, face: Any, scale: Any, row: Any, start: Any, end: Any,
-    value: Any, per_x: Any, f: Any, nearest: Any, depth: Any,
+    line: Any, start: Any, end: Any, value: Any, per_x: Any, f: Any, alpha: Any, u: Any, u_x: Any,
+    v: Any, v_x: Any, odd: Any,
 ) -> None:  # fmt: skip
     """Write a face with alpha in one row."""
-    a, b, c = face[0], face[1], face[2]
-    side = F(len(alpha)) * scale
-    u_x = _per_x(uv[a, 0], uv[b, 0], uv[c, 0], y, a, b, c) * side
-    u_y = -_per_x(uv[a, 0], uv[b, 0], uv[c, 0], x, a, b, c) * side
-    v_x = _per_x(uv[a, 1], uv[b, 1], uv[c, 1], y, a, b, c) * side
-    v_y = -_per_x(uv[a, 1], uv[b, 1], uv[c, 1], x, a, b, c) * side
-    dx, dy = F(start + 0.5 - x[a]), F(row + 0.5 - y[a])
-    u = uv[a, 0] * F(len(alpha)) + u_x * dx + u_y * dy
-    v = uv[a, 1] * F(len(alpha)) + v_x * dx + v_y * dy
-    for column in range(start, end):
-        if value < depth[row, column]:
-            step = F(column - start)
-            cover = _cover(alpha, u + u_x * step, v + v_x * step)
-            if cover > _THRESHOLDS[2 * (row % 2) + column % 2]:
-                depth[row, column] = value
-                nearest[row, column] = f
-        value += per_x
-
-
-@kernel
-def _cover(alpha: Any, u: Any, v: Any) -> Any:
-    """Alpha at a place in texels, between the texels."""
     last = len(alpha) - 1
-    u, v = min(max(u - F(0.5), F(0)), F(last)), min(max(v - F(0.5), F(0)), F(last))
-    x, y = int(u), int(v)
-    right, below = min(x + 1, last), min(y + 1, last)
-    across, down = u - F(x), v - F(y)
-    high = _between(F(alpha[y, x]), F(alpha[y, right]), across)
-    low = _between(F(alpha[below, x]), F(alpha[below, right]), across)
-    return _between(high, low, down)
+    for column in range(start, end):
+        step = F(column - start)
+        key = _key(value + per_x * step, f)
+        if key < line[column]:
+            across, down = np.int32(u + u_x * step), np.int32(v + v_x * step)
+            right, below = min(max(across >> 8, 0), last), min(max(down >> 8, 0), last)
+            across, down = across & 255, down & 255
+            four = alpha[below, right]
+            rows = (four & 0xFF00FF) * (256 - across) + (four >> 8 & 0xFF00FF) * across
+            cover = (rows & 0xFFFF) * (256 - down) + (rows >> 16) * down
+            line[column] = key if cover > _THRESHOLDS[odd, column & 1] else line[column]
 
 
 @kernel
-def _between(a: Any, b: Any, share: Any) -> Any:
-    return a + share * (b - a)
-
-
-@kernel
-def _is_behind(left: Any, right: Any, top: Any, bottom: Any, near: Any, far: Any) -> Any:
-    """Whether what lies within bounds lies behind all samples of the tiles that it touches."""
+def _is_behind(table: Any, a: Any, b: Any, c: Any, far: Any, first_row: Any) -> Any:
+    """Whether a face lies behind all samples of the tiles of a band that it touches."""
+    left = min(table[a, X], table[b, X], table[c, X])
+    right = max(table[a, X], table[b, X], table[c, X])
+    top = min(table[a, Y], table[b, Y], table[c, Y]) - F(first_row)
+    bottom = max(table[a, Y], table[b, Y], table[c, Y]) - F(first_row)
+    near = min(table[a, Z], table[b, Z], table[c, Z])
     for row in range(max(int(top) // TILE, 0), min(int(bottom) // TILE + 1, far.shape[0])):
         for column in range(max(int(left) // TILE, 0), min(int(right) // TILE + 1, far.shape[1])):
             if near < far[row, column]:
@@ -188,85 +262,88 @@ def _is_behind(left: Any, right: Any, top: Any, bottom: Any, near: Any, far: Any
 
 
 @kernel
-def farthest(depth: Any, far: Any) -> None:
+def _farthest(samples: Any, far: Any) -> None:
     """Write the largest depth of each tile of `TILE` by `TILE` samples."""
     far[:] = 0
-    for row in range(depth.shape[0]):
-        for column in range(depth.shape[1]):
+    for row in range(samples.shape[0]):
+        for column in range(samples.shape[1]):
             at = row // TILE, column // TILE
-            far[at] = max(far[at], depth[row, column])
+            far[at] = max(far[at], _depth(samples[row, column]))
 
 
 @kernel
-def _slope(x: Any, y: Any, top: Any, bottom: Any) -> Any:
-    """Of an edge: columns per row; 0 of a level one, which no row crosses."""
-    height = y[bottom] - y[top]
-    return (x[bottom] - x[top]) / height if height > 0 else F(0)
-
-
-@kernel
-def color(
-    nearest: Any, depth: Any, faces: Any, table: Any, kind: Any, part: Any, to_eye: Any,
-    atlas: Any, creases: Any, pores: Any, step: Any, empty: Any, places: Any, shown: Any,
-    columns: Any, picture: Any,
+def _color(
+    row: Any, samples: Any, faces: Any, table: Any, kind: Any, part: Any, to_eye: Any, atlas: Any,
+    creases: Any, pores: Any, step: Any, empty: Any, places: Any, shown: Any, columns: Any,
+    picture: Any,
 ) -> None:  # fmt: skip
-    """Write a picture (H, W, 3) of the faces at its samples (2 H, 2 W).
+    """Write a row (W, 3) of the faces at its two rows of samples.
 
     Light is worked out once a pixel for each surface that its samples show (multisampling), of
-    many pixels together: loops that compile to instructions on many numbers. `places`
-    (`ROWS` times `PLACES`), `shown` and `columns` are room for those.
+    many pixels together: loops that compile to instructions on many numbers.
     """
-    height, width = picture.shape[:2]
-    for row in range(height):
-        red_, green_, blue_ = empty[row, 0], empty[row, 1], empty[row, 2]
-        for left in range(0, width, PLACES // 4):
-            right = min(left + PLACES // 4, width)
-            count = _find(row, left, right, nearest, depth, faces, part, step[0], places, shown,
-                          columns)  # fmt: skip
-            _interpolate(count, faces, table, places, shown)
-            _paint(row, count, to_eye, atlas, creases, pores, places, columns, shown, faces, kind)
-            _light(count, places)
-            i = 0
-            for column in range(left, right):
-                red, green, blue = red_, green_, blue_
-                while i < count and columns[i] == column:
-                    share = F(0.25) * places[SHARE + i]
-                    red += share * (places[RED + i] - red_)
-                    green += share * (places[GREEN + i] - green_)
-                    blue += share * (places[BLUE + i] - blue_)
-                    i += 1
-                picture[row, column, 0] = int(red * F(255) + F(0.5))
-                picture[row, column, 1] = int(green * F(255) + F(0.5))
-                picture[row, column, 2] = int(blue * F(255) + F(0.5))
+    for left in range(0, len(picture), PLACES // 4):
+        right = min(left + PLACES // 4, len(picture))
+        count = _find(row, left, right, samples, part, step, places, shown, columns)
+        _interpolate(count, faces, table, places, shown)
+        _paint(count, to_eye, atlas, creases, pores, places, columns, shown, kind)
+        _light(count, places)
+        i = 0
+        for column in range(left, right):
+            red, green, blue = empty[0], empty[1], empty[2]
+            while i < count and columns[i] == column:
+                share = F(0.25) * places[SHARE + i]
+                red += share * (places[RED + i] - empty[0])
+                green += share * (places[GREEN + i] - empty[1])
+                blue += share * (places[BLUE + i] - empty[2])
+                i += 1
+            picture[column, 0] = int(red * F(255) + F(0.5))
+            picture[column, 1] = int(green * F(255) + F(0.5))
+            picture[column, 2] = int(blue * F(255) + F(0.5))
 
 
 @kernel
 def _find(
-    row: Any, left: Any, right: Any, nearest: Any, depth: Any, faces: Any, part: Any, step: Any,
-    places: Any, shown: Any, columns: Any,
+    row: Any, left: Any, right: Any, samples: Any, part: Any, step: Any, places: Any, shown: Any,
+    columns: Any,
 ) -> Any:  # fmt: skip
     """Find the surfaces that some pixels of a row show; return how many places."""
     count = 0
     for column in range(left, right):
         first = count
+        x = 2 * column
+        one, two = samples[0, x] & _FACE, samples[0, x + 1] & _FACE
+        if one == two == samples[1, x] & _FACE == samples[1, x + 1] & _FACE:
+            if one != _FACE:
+                far = _depth(samples[0, x])
+                _add(places, shown, columns, count, one, far, x, 2 * row, column, F(4))
+                count += 1
+            continue
         for sample in range(4):
-            sy, sx = 2 * row + sample // 2, 2 * column + sample % 2
-            f, far = nearest[sy, sx], depth[sy, sx]
-            if f < 0:
+            sy, sx = sample // 2, 2 * column + sample % 2
+            f, far = samples[sy, sx] & _FACE, _depth(samples[sy, sx])
+            if f == _FACE:
                 continue
             i = first
             while i < count and shown[i] != f:
-                is_near = abs(far - places[DEPTH + i]) <= step
-                if is_near and part[faces[f, 0]] == part[faces[shown[i], 0]]:
+                if abs(far - places[DEPTH + i]) <= step and part[f] == part[shown[i]]:
                     break
                 i += 1
             if i == count:
-                places[X * PLACES + i], places[Y * PLACES + i] = F(sx + 0.5), F(sy + 0.5)
-                places[DEPTH + i], places[SHARE + i] = far, F(0)
-                shown[i], columns[i] = f, column
+                _add(places, shown, columns, count, f, far, sx, 2 * row + sy, column, F(0))
                 count += 1
             places[SHARE + i] += F(1)
     return count
+
+
+@kernel
+def _add(
+    places: Any, shown: Any, columns: Any, i: Any, f: Any, depth: Any, sx: Any, sy: Any,
+    column: Any, share: Any,
+) -> None:  # fmt: skip
+    places[PLACES * X + i], places[PLACES * Y + i] = F(sx + 0.5), F(sy + 0.5)
+    places[DEPTH + i], places[SHARE + i] = depth, share
+    shown[i], columns[i] = f, column
 
 
 @kernel
@@ -276,13 +353,13 @@ def _interpolate(count: Any, faces: Any, table: Any, places: Any, shown: Any) ->
         a, b, c = faces[shown[i], 0], faces[shown[i], 1], faces[shown[i], 2]
         ax, ay = table[a, X], table[a, Y]
         bx, by, cx, cy = table[b, X] - ax, table[b, Y] - ay, table[c, X] - ax, table[c, Y] - ay
-        x, y, scale = places[X * PLACES + i] - ax, places[Y * PLACES + i] - ay, F(1)
+        x, y, scale = places[PLACES * X + i] - ax, places[PLACES * Y + i] - ay, F(1)
         scale /= bx * cy - by * cx
         to_b, to_c = (x * cy - y * cx) * scale, (y * bx - x * by) * scale
-        for k in range(NORMAL, COLUMNS):
+        for k in range(LEFT, COLUMNS):
             first = table[a, k]
             rise = to_b * (table[b, k] - first) + to_c * (table[c, k] - first)
-            places[k * PLACES + i] = first + rise
+            places[PLACES * k + i] = first + rise
 
 
 @kernel
@@ -300,6 +377,11 @@ def _corner(side: Any, u: Any, v: Any) -> Any:
 
 
 @kernel
+def _between(a: Any, b: Any, share: Any) -> Any:
+    return a + share * (b - a)
+
+
+@kernel
 def _texel(picture: Any, x: Any, y: Any, across: Any, down: Any, k: Any) -> Any:
     """One channel of a picture between its texels, from `_corner`."""
     high = _between(F(picture[y, x, k]), F(picture[y, x + 1, k]), across)
@@ -309,15 +391,15 @@ def _texel(picture: Any, x: Any, y: Any, across: Any, down: Any, k: Any) -> Any:
 
 @kernel
 def _paint(
-    row: Any, count: Any, to_eye: Any, atlas: Any, creases: Any, pores: Any, places: Any,
-    columns: Any, shown: Any, faces: Any, kinds: Any,
+    count: Any, to_eye: Any, atlas: Any, creases: Any, pores: Any, places: Any, columns: Any,
+    shown: Any, kinds: Any,
 ) -> None:  # fmt: skip
     """Put the maps, and what each kind of surface has, into the places of a row."""
     for i in range(count):
-        kind, u, v = kinds[faces[shown[i], 0]], places[U + i], places[V + i]
+        kind, u, v = kinds[shown[i]], places[U + i], places[V + i]
         accent = places[ACCENT + i]
         nx, ny, nz = _unit(places[NX + i], places[NY + i], places[NZ + i])
-        away = to_eye[row, columns[i]]
+        away = to_eye[columns[i]]
         vx, vy, vz = away[0], away[1], away[2]
         if (kind == HAIR or kind >= CLOTH) and nx * vx + ny * vy + nz * vz < F(0):
             nx, ny, nz = -nx, -ny, -nz

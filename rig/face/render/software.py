@@ -1,7 +1,7 @@
 """Rendering without a graphics card, by compiled loops; four samples a pixel."""
 
 from dataclasses import dataclass
-from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,16 +52,7 @@ def planes(screen: Screen, faces: Int64, values: Float32) -> tuple[Float32, Floa
     return first, per_x, per_y
 
 
-NOWHERE, OPAQUE = np.zeros((1, 2), np.float32), np.full((1, 1), 255, np.uint8)
-
-
-def nearest_faces(
-    screen: Screen,
-    faces: Int64 | Int32,
-    stops: tuple[int, int, int] | None = None,
-    uv: Float32 = NOWHERE,
-    alpha: NDArray[np.uint8] = OPAQUE,
-) -> tuple[Int32, Float32]:
+def nearest_faces(screen: Screen, faces: Int64) -> tuple[Int32, Float32]:
     """Nearest face and its depth (height, width) at every sample; -1 and inf where there is none.
 
     Parameters
@@ -69,31 +60,27 @@ def nearest_faces(
     screen : Screen
         The picture and where vertices fall on it.
     faces : ndarray [shape=(N, 3)]
-        Faces to draw.
-    stops : tuple of int, optional
-        Ends of three groups that are filled first, one after the other, behind which the others are
-        left out early. The first two are drawn only from their outside; those after the last cover
-        what `alpha` says. By default all are drawn from both sides, and cover all their samples.
-    uv : ndarray [shape=(V, 2)], optional
-        Places of vertices in `alpha`.
-    alpha : ndarray of uint8 [shape=(A, A)], optional
-        How much of the faces after the last stop is there.
+        Faces to draw, from both sides.
     """
-    first, one_sided, solid = stops or (0, 0, len(faces))
-    corners = np.ascontiguousarray(faces, np.int32)
-    place = [np.ascontiguousarray(values) for values in (screen.x, screen.y, screen.depth)]
-    nearest = np.full((screen.height, screen.width), -1, np.int32)
-    depth = np.full(nearest.shape, np.inf, np.float32)
-    far = np.full((-(-screen.height // TILE), -(-screen.width // TILE)), np.inf, np.float32)
-    for start, stop in pairwise((0, first, one_sided, solid, len(faces))):
-        if start < stop:
-            if start:
-                run("farthest", depth, far)
-            run("fill", *place, uv, alpha, corners[:stop], start, one_sided, solid, far, nearest,
-                depth)  # fmt: skip
-    return nearest, depth
+    place = np.column_stack([screen.x, screen.y, screen.depth])
+    room = _room(screen.width, screen.height, screen.height, len(faces))
+    samples = room[-1]
+    run("nearest", place, np.zeros((1, 1), np.uint32), np.ascontiguousarray(faces, np.uint32),
+        np.array([0, 0, len(faces)]), *room)  # fmt: skip
+    return samples.view(np.int32)[:, ::2], samples.view(np.float32)[:, 1::2]
 
 
+def _room(width: int, height: int, rows: int, faces: int) -> tuple[NDArray[Any], ...]:
+    """Room for a drawing in bands of rows: ends of their faces, faces, depth of tiles, samples."""
+    bands = -(-height // rows)
+    return (
+        np.empty(bands + 2, np.int64), np.empty(bands * faces, np.uint32),
+        np.empty((-(-rows // TILE), -(-width // TILE)), np.float32), np.empty((rows, width), np.int64),
+    )  # fmt: skip
+
+
+BAND = 64
+"""Rows of samples that are drawn together: they stay in the cache of a core."""
 STEP_CM = 0.2
 """Largest difference of depth between samples of one surface."""
 
@@ -127,22 +114,24 @@ class Renderer:
             shrunk(maps.creases, share * maps.creases.shape[0]),
             shrunk(maps.pores, share * PORES * maps.pores.shape[0]),
         )
-        self._alpha = np.ascontiguousarray(self._maps[0][..., 3])
+        alpha = self._maps[0][..., 3]
+        self._alpha = _neighbours(alpha)
         # Skin, which hides most of the others, before what has one side, two, and soft edges.
         kind = mesh.kind[mesh.faces[:, 0]]
         is_hair = np.isin(kind, (HAIR, FINE))
         group = np.where(kind == SKIN, 0, np.where(is_hair | (kind == CLOTH), 2, 1))
         hair = np.flatnonzero(is_hair)
-        group[hair[~_opaque(self._alpha, mesh.uv[mesh.faces[hair]])]] = 3
-        self._faces = mesh.faces[np.argsort(group, kind="stable")].astype(np.int32)
-        first, one_sided, solid, _ = map(int, np.bincount(group, minlength=4).cumsum())
-        self._stops = first, one_sided, solid
-        self._weld, self._welded = mesh.weld.astype(np.int32), mesh.weld.astype(np.int32)[self._faces]
-        self._kind, self._part = mesh.kind.astype(np.int8), _parts(mesh)
-        self._uv = mesh.uv.astype(np.float32)
-        # Of each vertex: place on the screen (2), normal (3), paint (4), light (2), accent, uv (2).
-        blank = np.zeros((len(mesh.vertices), 5))
-        columns = [blank, mesh.colors, mesh.gloss, mesh.light, blank[:, 0], mesh.uv]
+        group[hair[~_opaque(alpha, mesh.uv[mesh.faces[hair]])]] = 3
+        order = np.argsort(group, kind="stable")
+        self._faces = mesh.faces[order].astype(np.uint32)
+        self._stops = np.bincount(group, minlength=4).cumsum()[:3]
+        self._weld = mesh.weld.astype(np.uint32)
+        self._welded = self._weld[self._faces]
+        self._kind, self._part = kind[order].astype(np.uint8), _parts(mesh)[self._faces[:, 0]]
+        self._fine = np.flatnonzero(mesh.kind == FINE)
+        # Of each vertex: place on the screen (3), uv (2), normal (3), paint (4), light (2), accent.
+        blank = np.zeros((len(mesh.vertices), 3))
+        columns = [blank, mesh.uv.clip(0, 1), blank, mesh.colors, mesh.gloss, mesh.light, blank[:, :2]]
         self._table = np.column_stack(columns).astype(np.float32)
         # Unit vectors (height, width, 3) from what each pixel shows towards the camera.
         back = np.linalg.inv(self._matrix)
@@ -152,8 +141,9 @@ class Renderer:
         away = (view.position - far - up).astype(np.float32)[:, None] - right.astype(np.float32)
         self._to_eye = unit(away)
         self._empty = background(height)[:, 0].astype(np.float32)
-        self._room = (np.zeros(ROWS * PLACES, np.float32), np.zeros(PLACES, np.int32),
-                      np.zeros(PLACES, np.int32))  # fmt: skip
+        self._room = _room(2 * width, 2 * height, BAND, len(self._faces))
+        self._places = (np.zeros(ROWS * PLACES, np.float32), np.zeros(PLACES, np.uint32),
+                        np.zeros(PLACES, np.uint32))  # fmt: skip
 
     def normals(self, vertices: AnyFloat) -> Float32:
         """Unit normals (V, 3) of the mesh with these vertices (V, 3), without a seam."""
@@ -172,21 +162,26 @@ class Renderer:
         `normals` (V, 3) may be given where several views share them; `accents` (V,) are those of
         `rig.face.accents` (none: 0).
         """
-        width, height = 2 * self._size[0], 2 * self._size[1]
+        width, height = self._size
         clip = vertices @ self._matrix[:, :3].T + self._matrix[:, 3]
-        x, y, z = (clip[:, :3] / clip[:, 3:]).astype(np.float32).T
-        depth = np.maximum(z + 1, 0) / 2
-        depth[self._kind == FINE] -= self._step * np.float32(FINE_CM / STEP_CM)
-        screen = Screen(width, height, (x + 1) * (width / 2), (1 - y) * (height / 2), depth)
-        samples = nearest_faces(screen, self._faces, self._stops, self._uv, self._alpha)
+        x, y, z = (clip[:, :3] / clip[:, 3:]).T
+        z[self._fine] -= 2 * self._step * (FINE_CM / STEP_CM)
         table = self._table
-        table[:, 0], table[:, 1] = screen.x, screen.y
-        table[:, 2:5] = self.normals(vertices) if normals is None else normals
-        table[:, 11] = 0 if accents is None else accents
-        picture = np.empty((*self._size[::-1], 3), np.uint8)
-        run("color", *samples, self._faces, table, self._kind, self._part, self._to_eye, *self._maps,
-            self._step, self._empty, *self._room, picture)  # fmt: skip
+        table[:, 0], table[:, 1] = (x + 1) * width, (1 - y) * height
+        table[:, 2] = np.maximum(z + 1, 0) / 2
+        table[:, 5:8] = self.normals(vertices) if normals is None else normals
+        table[:, 14] = 0 if accents is None else accents
+        picture = np.empty((height, width, 3), np.uint8)
+        run("draw", table, self._alpha, self._faces, self._stops, *self._room, self._kind, self._part,
+            self._to_eye, *self._maps, self._step, self._empty, *self._places, picture)  # fmt: skip
         return picture
+
+
+def _neighbours(alpha: Picture) -> NDArray[np.uint32]:
+    """Bytes of the four texels round each corner of texels, row by row."""
+    edged = np.pad(alpha, 1, mode="edge").astype(np.uint32)
+    upper, lower = edged[:-1], edged[1:]
+    return np.asarray(upper[:, :-1] | upper[:, 1:] << 8 | lower[:, :-1] << 16 | lower[:, 1:] << 24)
 
 
 def _opaque(alpha: NDArray[np.uint8], uv: Float64) -> Bool:
