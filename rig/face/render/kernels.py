@@ -177,26 +177,34 @@ def _fill(
             a, c = c, a
         if table[c, Y] < table[b, Y]:
             b, c = c, b
-        top, middle, bottom = table[a, Y], table[b, Y], table[c, Y]
+        x, z, top = table[origin, X] - F(0.5), table[origin, Z], table[origin, Y] - F(0.5)
+        ax, ay, bx, by = table[a, X], table[a, Y], table[b, X], table[b, Y]
         long, upper, lower = _edge(table, a, c), _edge(table, a, b), _edge(table, b, c)
-        first = max(int(np.ceil(top - 0.5)), first_row)
-        last = min(int(np.ceil(bottom - 0.5)), first_row + len(samples))
-        turn = int(np.ceil(middle - 0.5))
+        first = max(_after(ay), first_row)
+        last = min(_after(table[c, Y]), first_row + len(samples))
+        turn = _after(by)
         for row in range(first, last):
-            at = row + 0.5
-            one = table[a, X] + long * (at - top)
-            other = table[b, X] + (upper if row < turn else lower) * (at - middle)
-            start = max(int(np.ceil(min(one, other) - 0.5)), 0)
-            end = min(int(np.ceil(max(one, other) - 0.5)), width)
-            dx, dy = F(start + 0.5 - table[origin, X]), F(at - table[origin, Y])
-            value, line = table[origin, Z] + per_y * dy + per_x * dx, samples[row - first_row]
+            at = F(row) + F(0.5)
+            one = ax + long * (at - ay)
+            other = bx + (upper if row < turn else lower) * (at - by)
+            start = max(_after(min(one, other)), 0)
+            end = min(_after(max(one, other)), width)
+            if start >= end:
+                continue
+            dx, dy = F(start) - x, F(row) - top
+            value, span = z + per_y * dy + per_x * dx, samples[row - first_row, start:end]
             if f < stops[-1]:
-                for column in range(start, end):
-                    key = _key(value + per_x * F(column - start), f)
-                    line[column] = min(line[column], key)
+                for k in range(len(span)):
+                    span[k] = min(span[k], _key(value + per_x * F(k), f))
             else:
-                _fill_thin(line, start, end, value, per_x, f, alpha, u + u_x * dx + u_y * dy, u_x,
-                           v + v_x * dx + v_y * dy, v_x, row % 2)  # fmt: skip
+                _fill_thin(span, value, per_x, f, alpha, u + u_x * dx + u_y * dy, u_x,
+                           v + v_x * dx + v_y * dy, v_x, row, start)  # fmt: skip
+
+
+@kernel
+def _after(place: Any) -> Any:
+    """First sample whose middle is not before a place."""
+    return np.int64(np.ceil(place - F(0.5)))
 
 
 @kernel
@@ -228,22 +236,23 @@ def _depth(key: Any) -> Any:
 
 @kernel
 def _fill_thin(
-    line: Any, start: Any, end: Any, value: Any, per_x: Any, f: Any, alpha: Any, u: Any, u_x: Any,
-    v: Any, v_x: Any, odd: Any,
+    span: Any, value: Any, per_x: Any, f: Any, alpha: Any, u: Any, u_x: Any, v: Any, v_x: Any,
+    row: Any, start: Any,
 ) -> None:  # fmt: skip
     """Write a face with alpha in one row."""
     last = len(alpha) - 1
-    for column in range(start, end):
-        step = F(column - start)
-        key = _key(value + per_x * step, f)
-        if key < line[column]:
-            across, down = np.int32(u + u_x * step), np.int32(v + v_x * step)
+    thresholds = _THRESHOLDS[row & 1, start & 1], _THRESHOLDS[row & 1, ~start & 1]
+    for k in range(len(span)):
+        key = _key(value + per_x * F(k), f)
+        if key < span[k]:
+            across, down = np.int32(u + u_x * F(k)), np.int32(v + v_x * F(k))
             right, below = min(max(across >> 8, 0), last), min(max(down >> 8, 0), last)
             across, down = across & 255, down & 255
-            four = alpha[below, right]
+            four = np.int64(alpha[np.uint32(below), np.uint32(right)])
             rows = (four & 0xFF00FF) * (256 - across) + (four >> 8 & 0xFF00FF) * across
             cover = (rows & 0xFFFF) * (256 - down) + (rows >> 16) * down
-            line[column] = key if cover > _THRESHOLDS[odd, column & 1] else line[column]
+            is_there = cover > (thresholds[1] if k & 1 else thresholds[0])
+            span[k] = key if is_there else span[k]
 
 
 @kernel
