@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 WIDTH, FACE_HEIGHT, PANEL_HEIGHT = 960, 480, 240
 FACE_WIDTH = 540
-BATCH = 32
+BATCH = 64
 Progress = Callable[[float], None]
 
 

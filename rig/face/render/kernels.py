@@ -23,7 +23,7 @@ from rig.face.mesh import CLOTH, EYE, HAIR, PORES, SKIN
 from rig.face.render import compiled, shading
 from rig.face.render.compiled import EMPTY, FILE, KERNELS, PLACES, THRESHOLDS, TILE
 
-F = np.float32
+F, I = np.float32, np.int32
 _TO_LIGHT, _COLOR = shading.TO_LIGHT.astype(F), shading.LIGHT_COLORS.astype(F)
 _WRAP = shading.WRAPS.astype(F)
 _SLOPE = 1 / (1 + _WRAP)
@@ -32,7 +32,7 @@ N_LIGHTS, _PORE_TILT = len(_COLOR), F(shading.PORE_TILT)
 
 kernel = njit(fastmath=True, error_model="numpy", _nrt=False)
 
-_THRESHOLDS = np.array(THRESHOLDS).reshape(2, 2) << 16
+_THRESHOLDS = np.array(THRESHOLDS, I).reshape(2, 2) << 16
 
 # Columns of a vertex: place on the screen (3), uv (2), normal (3), paint (4), light (2), accent.
 X, Y, Z, LEFT, TOP, COLUMNS = 0, 1, 2, 3, 4, 15
@@ -74,14 +74,25 @@ def _difference(points: Any, a: Any, b: Any) -> Any:
 
 @kernel
 def draw(
-    table: Any, alpha: Any, faces: Any, stops: Any, starts: Any, listed: Any, far: Any,
-    samples: Any, kind: Any, part: Any, to_eye: Any, atlas: Any, creases: Any, pores: Any,
+    vertices: Any, normals: Any, accents: Any, matrix: Any, nearer: Any, table: Any, alpha: Any,
+    faces: Any, stops: Any, starts: Any, listed: Any, far: Any, samples: Any, kind: Any, part: Any,
+    to_eye: Any, atlas: Any, creases: Any, pores: Any,
     step: Any, empty: Any, places: Any, shown: Any, columns: Any, picture: Any,
 ) -> None:  # fmt: skip
     """Write a picture (H, W, 3) of faces at its samples, band by band, which stay in the cache.
 
+    `nearer` (V,) is taken from the depth of vertices in clip space, of `matrix` (4, 4).
     `starts`, `listed`, `far`, `samples` of a band, `places`, `shown` and `columns` are room.
     """
+    for v in range(len(table)):
+        x, y, z = vertices[v, 0], vertices[v, 1], vertices[v, 2]
+        far_off = F(1) / _row(matrix[3], x, y, z)
+        table[v, X] = (F(1) + _row(matrix[0], x, y, z) * far_off) * F(picture.shape[1])
+        table[v, Y] = (F(1) - _row(matrix[1], x, y, z) * far_off) * F(picture.shape[0])
+        deep = F(1) + _row(matrix[2], x, y, z) * far_off - nearer[v]
+        table[v, Z], table[v, COLUMNS - 1] = max(F(0.5) * deep, F(0)), accents[v]
+        for k in range(3):
+            table[v, TOP + 1 + k] = normals[v, k]
     _sort(table, faces, stops[1], 2 * len(picture), samples, starts, listed)
     for band in range(len(starts) - 2):
         _fill(table, alpha, faces, stops, listed[starts[band] : starts[band + 1]], far,
@@ -90,6 +101,11 @@ def draw(
         for row in range(first, min(first + len(samples) // 2, len(picture))):
             _color(row, samples[2 * (row - first) :], faces, table, kind, part, to_eye[row], atlas,
                    creases, pores, step[0], empty[row], places, shown, columns, picture[row])  # fmt: skip
+
+
+@kernel
+def _row(row: Any, x: Any, y: Any, z: Any) -> Any:
+    return row[0] * x + row[1] * y + row[2] * z + row[3]
 
 
 @kernel
@@ -240,19 +256,17 @@ def _fill_thin(
     row: Any, start: Any,
 ) -> None:  # fmt: skip
     """Write a face with alpha in one row."""
-    last = len(alpha) - 1
-    thresholds = _THRESHOLDS[row & 1, start & 1], _THRESHOLDS[row & 1, ~start & 1]
+    last = I(len(alpha) - 1)
+    even, odd = _THRESHOLDS[row & 1, start & 1], _THRESHOLDS[row & 1, ~start & 1]
     for k in range(len(span)):
-        key = _key(value + per_x * F(k), f)
-        if key < span[k]:
-            across, down = np.int32(u + u_x * F(k)), np.int32(v + v_x * F(k))
-            right, below = min(max(across >> 8, 0), last), min(max(down >> 8, 0), last)
-            across, down = across & 255, down & 255
-            four = np.int64(alpha[np.uint32(below), np.uint32(right)])
-            rows = (four & 0xFF00FF) * (256 - across) + (four >> 8 & 0xFF00FF) * across
-            cover = (rows & 0xFFFF) * (256 - down) + (rows >> 16) * down
-            is_there = cover > (thresholds[1] if k & 1 else thresholds[0])
-            span[k] = key if is_there else span[k]
+        across, down = I(u + u_x * F(k)), I(v + v_x * F(k))
+        right, below = min(max(I(across >> 8), I(0)), last), min(max(I(down >> 8), I(0)), last)
+        across, down = I(across & 255), I(down & 255)
+        four = I(alpha[np.uint32(below), np.uint32(right)])
+        rows = I(I(four & 0xFF00FF) * I(256 - across)) + I(I(four >> 8 & 0xFF00FF) * across)
+        cover = I(I(rows & 0xFFFF) * I(256 - down)) + I(I(rows >> 16 & 0xFFFF) * down)
+        is_there = I(cover) > (odd if k & 1 else even)
+        span[k] = min(span[k], _key(value + per_x * F(k), f) if is_there else _EMPTY)
 
 
 @kernel

@@ -89,7 +89,8 @@ class Renderer:
     """Draws poses of one mesh, in `size` (width, height), from one view."""
 
     def __init__(self, mesh: Mesh, size: tuple[int, int], view: View) -> None:
-        self._size, self._matrix = size, view.matrix(size[0] / size[1])
+        self._size, matrix = size, view.matrix(size[0] / size[1])
+        self._matrix = matrix.astype(np.float32)
         width, height = size
         distance = float(np.linalg.norm(np.subtract(view.position, view.target)))
         self._step = np.array([STEP_CM * NEAR * FAR / (FAR - NEAR) / distance**2], np.float32)
@@ -128,13 +129,13 @@ class Renderer:
         self._weld = mesh.weld.astype(np.uint32)
         self._welded = self._weld[self._faces]
         self._kind, self._part = kind[order].astype(np.uint8), _parts(mesh)[self._faces[:, 0]]
-        self._fine = np.flatnonzero(mesh.kind == FINE)
+        self._nearer = 2 * self._step * np.float32(FINE_CM / STEP_CM) * (mesh.kind == FINE)
         # Of each vertex: place on the screen (3), uv (2), normal (3), paint (4), light (2), accent.
         blank = np.zeros((len(mesh.vertices), 3))
         columns = [blank, mesh.uv.clip(0, 1), blank, mesh.colors, mesh.gloss, mesh.light, blank[:, :2]]
         self._table = np.column_stack(columns).astype(np.float32)
         # Unit vectors (height, width, 3) from what each pixel shows towards the camera.
-        back = np.linalg.inv(self._matrix)
+        back = np.linalg.inv(matrix)
         back /= back[3, 2:].sum()
         x, y = (2 * np.arange(width) + 1) / width - 1, 1 - (2 * np.arange(height) + 1) / height
         right, up, far = x[:, None] * back[:3, 0], y[:, None] * back[:3, 1], back[:3, 2:].sum(1)
@@ -162,18 +163,15 @@ class Renderer:
         `normals` (V, 3) may be given where several views share them; `accents` (V,) are those of
         `rig.face.accents` (none: 0).
         """
-        width, height = self._size
-        clip = vertices @ self._matrix[:, :3].T + self._matrix[:, 3]
-        x, y, z = (clip[:, :3] / clip[:, 3:]).T
-        z[self._fine] -= 2 * self._step * (FINE_CM / STEP_CM)
-        table = self._table
-        table[:, 0], table[:, 1] = (x + 1) * width, (1 - y) * height
-        table[:, 2] = np.maximum(z + 1, 0) / 2
-        table[:, 5:8] = self.normals(vertices) if normals is None else normals
-        table[:, 14] = 0 if accents is None else accents
-        picture = np.empty((height, width, 3), np.uint8)
-        run("draw", table, self._alpha, self._faces, self._stops, *self._room, self._kind, self._part,
-            self._to_eye, *self._maps, self._step, self._empty, *self._places, picture)  # fmt: skip
+        if normals is None:
+            normals = self.normals(vertices)
+        if accents is None:
+            accents = np.zeros(len(vertices), np.float32)
+        picture = np.empty((*self._size[::-1], 3), np.uint8)
+        run("draw", np.ascontiguousarray(vertices, np.float32), normals, accents, self._matrix,
+            self._nearer, self._table, self._alpha, self._faces, self._stops, *self._room,
+            self._kind, self._part, self._to_eye, *self._maps, self._step, self._empty,
+            *self._places, picture)  # fmt: skip
         return picture
 
 
