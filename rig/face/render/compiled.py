@@ -1,13 +1,12 @@
-"""Machine code of ``kernels.bc``, the loops of `rig.face.render.kernels`, by LLVM."""
+"""Machine code of ``*.bc``, the loops of `rig.face.render.kernels`, by LLVM."""
 
 from ctypes import CFUNCTYPE, c_int, c_int64, c_void_p, create_string_buffer
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-import numpy as np
+from numpy.typing import NDArray
 
-FILE = Path(__file__).with_name("kernels.bc")
 TILE = 8
 """Side of a tile, samples."""
 THRESHOLDS = (40, 168, 216, 96)
@@ -19,20 +18,25 @@ PLACES, ROWS = 512, 32
 KERNELS = {
     "normals": "f42 u42 u41 f42",
     "nearest": "f42 u42 u42 i81 i81 u41 f42 i82",
-    "draw": "f42 f42 f41 f42 f41 f42 u42 u42 i81 i81 u41 f42 i82 u11 i41 f43 u13 u13 u13 f41 f42 f41 "
-    "u41 u41 u13",
+    "draw": "f42 f42 f41 f42 f41 f42 u42 u42 i81 i81 u41 f42 i82 u11 i41 f43 u13 u13 u13 f41 f42 "
+    "f41 u41 u41 u13",
 }
-"""Type and dimensions of the arrays that each takes, n of a number."""
+"""Type and dimensions of the arrays that each takes."""
 MOST_ALPHA = max(THRESHOLDS)
 DIGEST = 32
-"""Bytes of the hash of the source, with which the file begins."""
+"""Bytes of the hash of the source, with which each file begins."""
 _ROOM = create_string_buffer(64)
 """For what numba's functions return."""
 
 
-@lru_cache(maxsize=1)
-def _engine() -> tuple[Any, dict[str, Any]]:
-    """The machine code, which must be kept, and each kernel as a function of C."""
+def file_of(name: str) -> Path:
+    """File of a kernel's bitcode, after the hash of its source."""
+    return Path(__file__).with_name(f"{name}.bc")
+
+
+@lru_cache
+def _function(name: str) -> tuple[Any, Any]:
+    """A kernel as a function of C, and its machine code, which must be kept."""
     import llvmlite.binding as llvm
 
     llvm.initialize_native_target()
@@ -40,30 +44,23 @@ def _engine() -> tuple[Any, dict[str, Any]]:
     machine = llvm.Target.from_default_triple().create_target_machine(
         cpu=llvm.get_host_cpu_name(), features=llvm.get_host_cpu_features().flatten(), jit=True
     )
-    module = llvm.parse_bitcode(FILE.read_bytes()[DIGEST:])
+    module = llvm.parse_bitcode(file_of(name).read_bytes()[DIGEST:])
     engine = llvm.create_mcjit_compiler(module, machine)
     engine.finalize_object()
-    functions = {}
-    for name, kinds in KERNELS.items():
-        # Numba's convention: room for result and error, then of each array its owner and parent,
-        # counts of items and of bytes of each, place, lengths and strides.
-        words: list[Any] = [c_void_p, c_void_p]
-        for kind in kinds.split():
-            sizes = [c_int64] * int(kind[2:] or 0)
-            words += [c_void_p] * 2 + [c_int64] * 2 + [c_void_p] + 2 * sizes if sizes else [c_int64]
-        functions[name] = CFUNCTYPE(c_int, *words)(engine.get_function_address(name))
-    return engine, functions
+    # Numba's convention: room for result and error, then of each array its owner and parent,
+    # counts of items and of bytes of each, place, lengths and strides.
+    words: list[Any] = [c_void_p, c_void_p]
+    for kind in KERNELS[name].split():
+        words += [c_void_p] * 2 + [c_int64] * 2 + [c_void_p] + [c_int64] * (2 * int(kind[2]))
+    return CFUNCTYPE(c_int, *words)(engine.get_function_address(name)), engine
 
 
-def run(name: str, *arguments: Any) -> None:
-    """Run a kernel of `KERNELS` on arrays, which are contiguous, and numbers."""
+def run(name: str, *arguments: NDArray[Any]) -> None:
+    """Run a kernel of `KERNELS` on its arrays, which are contiguous."""
     words: list[Any] = [_ROOM, _ROOM]
     for kind, value in zip(KERNELS[name].split(), arguments, strict=True):
-        if isinstance(value, np.ndarray):
-            is_fit = value.dtype == kind[:2] and value.ndim == int(kind[2])
-            assert is_fit and value.flags.c_contiguous, (name, kind, value.dtype, value.shape)
-            words += [None, None, value.size, value.itemsize, value.ctypes.data]
-            words += [*value.shape, *value.strides]
-        else:
-            words.append(value)
-    _engine()[1][name](*words)
+        is_fit = value.dtype == kind[:2] and value.ndim == int(kind[2])
+        assert is_fit and value.flags.c_contiguous, (name, kind, value.dtype, value.shape)
+        words += [None, None, value.size, value.itemsize, value.ctypes.data]
+        words += [*value.shape, *value.strides]
+    _function(name)[0](*words)

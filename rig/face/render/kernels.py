@@ -1,13 +1,14 @@
-"""Source of ``kernels.bc``, the compiled loops of the software renderer: scan conversion and light.
+"""Source of ``*.bc``, the compiled loops of the software renderer: scan conversion and light.
 
 They take the places of the fragment stage of a graphics card; `shading.glsl()` is the same light.
 ``python -m rig.face.render.kernels`` compiles them by numba to LLVM's bitcode of no particular
-processor; `rig.face.render.compiled` makes machine code of that, in a tenth of a second and without
-numba.
+processor, which must be done after each change of this file, `compiled`, `shading` or `mesh`;
+`rig.face.render.compiled` makes machine code of it without numba.
 """
 
 # mypy: allow-untyped-decorators, allow-untyped-calls, allow-any-generics
 
+import re
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
@@ -21,18 +22,20 @@ from numba.core import config
 from rig.face import mesh
 from rig.face.mesh import CLOTH, EYE, HAIR, PORES, SKIN
 from rig.face.render import compiled, shading
-from rig.face.render.compiled import EMPTY, FILE, KERNELS, PLACES, THRESHOLDS, TILE
+from rig.face.render.compiled import EMPTY, KERNELS, PLACES, THRESHOLDS, TILE, file_of
 
-F, I = np.float32, np.int32
+F, I4 = np.float32, np.int32
 _TO_LIGHT, _COLOR = shading.TO_LIGHT.astype(F), shading.LIGHT_COLORS.astype(F)
 _WRAP = shading.WRAPS.astype(F)
 _SLOPE = 1 / (1 + _WRAP)
 _SKY, _GROUND = np.array(shading.SKY, F), np.array(shading.GROUND, F)
 N_LIGHTS, _PORE_TILT = len(_COLOR), F(shading.PORE_TILT)
 
+PROCESSOR = "skylake"
+"""For whose vectors loops are written."""
 kernel = njit(fastmath=True, error_model="numpy", _nrt=False)
 
-_THRESHOLDS = np.array(THRESHOLDS, I).reshape(2, 2) << 16
+_THRESHOLDS = np.array(THRESHOLDS, I4).reshape(2, 2) << 16
 
 # Columns of a vertex: place on the screen (3), uv (2), normal (3), paint (4), light (2), accent.
 X, Y, Z, LEFT, TOP, COLUMNS = 0, 1, 2, 3, 4, 15
@@ -99,8 +102,9 @@ def draw(
               band * len(samples), samples)  # fmt: skip
         first = band * len(samples) // 2
         for row in range(first, min(first + len(samples) // 2, len(picture))):
-            _color(row, samples[2 * (row - first) :], faces, table, kind, part, to_eye[row], atlas,
-                   creases, pores, step[0], empty[row], places, shown, columns, picture[row])  # fmt: skip
+            _color(row, samples[2 * (row - first) :], faces, table, kind, part, to_eye[row],
+                   atlas, creases, pores, step[0], empty[row], places, shown, columns,
+                   picture[row])  # fmt: skip
 
 
 @kernel
@@ -171,50 +175,61 @@ def _fill(
     """
     samples[:] = _EMPTY
     far[:] = np.inf
-    width, stage = samples.shape[1], 0
+    stage = 0
     for f in listed:
         if stage < len(stops) and f >= stops[stage]:
             _farthest(samples, far)
             while stage < len(stops) and f >= stops[stage]:
                 stage += 1
         a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
-        if _is_behind(table, a, b, c, far, first_row):
+        if not _is_behind(table, a, b, c, far, first_row):
+            _fill_face(table, alpha, a, b, c, f, f >= stops[-1], first_row, samples)
+
+
+@kernel
+def _fill_face(
+    table: Any, alpha: Any, a: Any, b: Any, c: Any, f: Any, is_thin: Any, first_row: Any,
+    samples: Any,
+) -> None:  # fmt: skip
+    """Write a face, with or without alpha, where it is nearest."""
+    origin, per_x, per_y = a, _slope(table, a, b, c, Z, Y), -_slope(table, a, b, c, Z, X)
+    u_x, u_y, v_x, v_y, u, v = F(0), F(0), F(0), F(0), F(0), F(0)
+    if is_thin:  # places in 256ths of texels
+        side = F(256 * (len(alpha) - 1))
+        u_x, u_y = (
+            side * _slope(table, a, b, c, LEFT, Y),
+            -side * _slope(table, a, b, c, LEFT, X),
+        )
+        v_x, v_y = side * _slope(table, a, b, c, TOP, Y), -side * _slope(table, a, b, c, TOP, X)
+        u, v = side * table[a, LEFT] + F(128), side * table[a, TOP] + F(128)
+    if table[b, Y] < table[a, Y]:
+        a, b = b, a
+    if table[c, Y] < table[a, Y]:
+        a, c = c, a
+    if table[c, Y] < table[b, Y]:
+        b, c = c, b
+    x, z, top = table[origin, X] - F(0.5), table[origin, Z], table[origin, Y] - F(0.5)
+    ax, ay, bx, by = table[a, X], table[a, Y], table[b, X], table[b, Y]
+    long, upper, lower = _edge(table, a, c), _edge(table, a, b), _edge(table, b, c)
+    first = max(_after(ay), first_row)
+    last = min(_after(table[c, Y]), first_row + len(samples))
+    turn = _after(by)
+    for row in range(first, last):
+        at = F(row) + F(0.5)
+        one = ax + long * (at - ay)
+        other = bx + (upper if row < turn else lower) * (at - by)
+        start = max(_after(min(one, other)), 0)
+        end = min(_after(max(one, other)), samples.shape[1])
+        if start >= end:
             continue
-        origin, per_x, per_y = a, _slope(table, a, b, c, Z, Y), -_slope(table, a, b, c, Z, X)
-        u_x, u_y, v_x, v_y, u, v = F(0), F(0), F(0), F(0), F(0), F(0)
-        if f >= stops[-1]:  # places in 256ths of texels
-            side = F(256 * (len(alpha) - 1))
-            u_x, u_y = side * _slope(table, a, b, c, LEFT, Y), -side * _slope(table, a, b, c, LEFT, X)
-            v_x, v_y = side * _slope(table, a, b, c, TOP, Y), -side * _slope(table, a, b, c, TOP, X)
-            u, v = side * table[a, LEFT] + F(128), side * table[a, TOP] + F(128)
-        if table[b, Y] < table[a, Y]:
-            a, b = b, a
-        if table[c, Y] < table[a, Y]:
-            a, c = c, a
-        if table[c, Y] < table[b, Y]:
-            b, c = c, b
-        x, z, top = table[origin, X] - F(0.5), table[origin, Z], table[origin, Y] - F(0.5)
-        ax, ay, bx, by = table[a, X], table[a, Y], table[b, X], table[b, Y]
-        long, upper, lower = _edge(table, a, c), _edge(table, a, b), _edge(table, b, c)
-        first = max(_after(ay), first_row)
-        last = min(_after(table[c, Y]), first_row + len(samples))
-        turn = _after(by)
-        for row in range(first, last):
-            at = F(row) + F(0.5)
-            one = ax + long * (at - ay)
-            other = bx + (upper if row < turn else lower) * (at - by)
-            start = max(_after(min(one, other)), 0)
-            end = min(_after(max(one, other)), width)
-            if start >= end:
-                continue
-            dx, dy = F(start) - x, F(row) - top
-            value, span = z + per_y * dy + per_x * dx, samples[row - first_row, start:end]
-            if f < stops[-1]:
-                for k in range(len(span)):
-                    span[k] = min(span[k], _key(value + per_x * F(k), f))
-            else:
-                _fill_thin(span, value, per_x, f, alpha, u + u_x * dx + u_y * dy, u_x,
-                           v + v_x * dx + v_y * dy, v_x, row, start)  # fmt: skip
+        dx, dy = F(start) - x, F(row) - top
+        value, span = z + per_y * dy + per_x * dx, samples[row - first_row, start:end]
+        if not is_thin:
+            for k in range(len(span)):
+                span[k] = min(span[k], _key(value + per_x * F(k), f))
+        else:
+            _fill_thin(span, value, per_x, f, alpha, u + u_x * dx + u_y * dy, u_x,
+                       v + v_x * dx + v_y * dy, v_x, row, start)  # fmt: skip
 
 
 @kernel
@@ -256,16 +271,16 @@ def _fill_thin(
     row: Any, start: Any,
 ) -> None:  # fmt: skip
     """Write a face with alpha in one row."""
-    last = I(len(alpha) - 1)
+    last = I4(len(alpha) - 1)
     even, odd = _THRESHOLDS[row & 1, start & 1], _THRESHOLDS[row & 1, ~start & 1]
     for k in range(len(span)):
-        across, down = I(u + u_x * F(k)), I(v + v_x * F(k))
-        right, below = min(max(I(across >> 8), I(0)), last), min(max(I(down >> 8), I(0)), last)
-        across, down = I(across & 255), I(down & 255)
-        four = I(alpha[np.uint32(below), np.uint32(right)])
-        rows = I(I(four & 0xFF00FF) * I(256 - across)) + I(I(four >> 8 & 0xFF00FF) * across)
-        cover = I(I(rows & 0xFFFF) * I(256 - down)) + I(I(rows >> 16 & 0xFFFF) * down)
-        is_there = I(cover) > (odd if k & 1 else even)
+        across, down = I4(u + u_x * F(k)), I4(v + v_x * F(k))
+        right, below = min(max(I4(across >> 8), I4(0)), last), min(max(I4(down >> 8), I4(0)), last)
+        across, down = I4(across & 255), I4(down & 255)
+        four = I4(alpha[np.uint32(below), np.uint32(right)])
+        rows = I4(I4(four & 0xFF00FF) * I4(256 - across)) + I4(I4(four >> 8 & 0xFF00FF) * across)
+        cover = I4(I4(rows & 0xFFFF) * I4(256 - down)) + I4(I4(rows >> 16 & 0xFFFF) * down)
+        is_there = I4(cover) > (odd if k & 1 else even)
         span[k] = min(span[k], _key(value + per_x * F(k), f) if is_there else _EMPTY)
 
 
@@ -287,11 +302,13 @@ def _is_behind(table: Any, a: Any, b: Any, c: Any, far: Any, first_row: Any) -> 
 @kernel
 def _farthest(samples: Any, far: Any) -> None:
     """Write the largest depth of each tile of `TILE` by `TILE` samples."""
-    far[:] = 0
-    for row in range(samples.shape[0]):
-        for column in range(samples.shape[1]):
-            at = row // TILE, column // TILE
-            far[at] = max(far[at], _depth(samples[row, column]))
+    for row in range(far.shape[0]):
+        for column in range(far.shape[1]):
+            most = F(0)
+            for line in samples[row * TILE : (row + 1) * TILE, column * TILE : (column + 1) * TILE]:
+                for k in range(len(line)):
+                    most = max(most, _depth(line[k]))
+            far[row, column] = most
 
 
 @kernel
@@ -546,41 +563,44 @@ def digest() -> bytes:
     return sha256(text.encode()).digest()
 
 
-def build() -> bytes:
-    """Compile `KERNELS` to bitcode, for instructions on eight numbers, that any processor takes."""
-    config.CPU_NAME, config.CPU_FEATURES = "x86-64-v3", ""
-    whole = llvm.parse_assembly("")
-    for name, kinds in KERNELS.items():
-        signature = tuple(
-            types.Array(numba.from_dtype(np.dtype(kind[:2])), int(kind[2]), "C")
-            if len(kind) > 2
-            else types.int64
-            for kind in kinds.split()
-        )
-        dispatcher = globals()[name]
-        dispatcher.compile(signature)
-        found = dispatcher.overloads[signature]
-        module = llvm.parse_assembly(found.library.get_llvm_str())
-        for function in module.functions:
-            if function.name == found.fndesc.llvm_func_name:
-                function.name = name
-            elif not function.is_declaration:
-                function.linkage = "internal"
-        for variable in module.global_variables:
-            if not variable.is_declaration:
-                variable.linkage = "internal"
-        whole.link_in(module)
+def build(name: str) -> bytes:
+    """Compile one of `KERNELS` to bitcode, which any processor takes."""
+    config.OPT = config._OptLevel(0)  # LLVM below is told that arrays do not overlap
     llvm.initialize_native_target()
-    machine = llvm.Target.from_default_triple().create_target_machine()
+    machine = llvm.Target.from_triple("x86_64-linux").create_target_machine(PROCESSOR, opt=3)
+    options = llvm.create_pipeline_tuning_options(speed_level=3)
+    options.loop_vectorization = options.slp_vectorization = True
+    options.loop_interleaving = False
+    signature = tuple(
+        types.Array(numba.from_dtype(np.dtype(kind[:2])), int(kind[2]), "C")
+        for kind in KERNELS[name].split()
+    )
+    dispatcher = globals()[name]
+    dispatcher.compile(signature)
+    found = dispatcher.overloads[signature]
+    text = re.sub(
+        rf'(define [^\n]*@"?{re.escape(found.fndesc.llvm_func_name)}"?\()([^\n]*)',
+        lambda line: line[1] + re.sub(r"ptr (?!noalias)", "ptr noalias ", line[2]),
+        found.library.get_llvm_str(),
+    )
+    module = llvm.parse_assembly(text)
+    for value in [*module.functions, *module.global_variables]:
+        if value.name == found.fndesc.llvm_func_name:
+            value.name = name
+        elif not value.is_declaration:
+            value.linkage = "internal"
+    builder = llvm.create_pass_builder(machine, options)
+    builder.getModulePassManager().run(module, builder)
     passes = llvm.create_new_module_pass_manager()
     passes.add_global_dead_code_eliminate_pass()
     passes.add_strip_dead_prototype_pass()
-    passes.run(whole, llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options()))
-    unknown = [f.name for f in whole.functions if f.is_declaration and f.name[:5] != "llvm."]
-    assert not unknown, f"not of these kernels: {unknown}"
-    whole.triple, whole.data_layout, whole.name = "", "", "kernels"
-    return bytes(whole.as_bitcode())
+    passes.run(module, builder)
+    unknown = [f.name for f in module.functions if f.is_declaration and f.name[:5] != "llvm."]
+    assert not unknown, f"not of this kernel: {unknown}"
+    module.triple, module.data_layout, module.name = "", "", name
+    return bytes(module.as_bitcode())
 
 
 if __name__ == "__main__":
-    FILE.write_bytes(digest() + build())
+    for kernel_name in KERNELS:
+        file_of(kernel_name).write_bytes(digest() + build(kernel_name))

@@ -52,7 +52,7 @@ def planes(screen: Screen, faces: Int64, values: Float32) -> tuple[Float32, Floa
     return first, per_x, per_y
 
 
-def nearest_faces(screen: Screen, faces: Int64) -> tuple[Int32, Float32]:
+def nearest_faces(screen: Screen, faces: Int64, n_first: int = 0) -> tuple[Int32, Float32]:
     """Nearest face and its depth (height, width) at every sample; -1 and inf where there is none.
 
     Parameters
@@ -61,12 +61,14 @@ def nearest_faces(screen: Screen, faces: Int64) -> tuple[Int32, Float32]:
         The picture and where vertices fall on it.
     faces : ndarray [shape=(N, 3)]
         Faces to draw, from both sides.
+    n_first : int, optional
+        How many are filled first, behind which the others are left out early.
     """
     place = np.column_stack([screen.x, screen.y, screen.depth])
     room = _room(screen.width, screen.height, screen.height, len(faces))
     samples = room[-1]
     run("nearest", place, np.zeros((1, 1), np.uint32), np.ascontiguousarray(faces, np.uint32),
-        np.array([0, 0, len(faces)]), *room)  # fmt: skip
+        np.array([n_first, 0, len(faces)]), *room)  # fmt: skip
     return samples.view(np.int32)[:, ::2], samples.view(np.float32)[:, 1::2]
 
 
@@ -75,7 +77,8 @@ def _room(width: int, height: int, rows: int, faces: int) -> tuple[NDArray[Any],
     bands = -(-height // rows)
     return (
         np.empty(bands + 2, np.int64), np.empty(bands * faces, np.uint32),
-        np.empty((-(-rows // TILE), -(-width // TILE)), np.float32), np.empty((rows, width), np.int64),
+        np.empty((-(-rows // TILE), -(-width // TILE)), np.float32),
+        np.empty((rows, width), np.int64),
     )  # fmt: skip
 
 
@@ -132,7 +135,15 @@ class Renderer:
         self._nearer = 2 * self._step * np.float32(FINE_CM / STEP_CM) * (mesh.kind == FINE)
         # Of each vertex: place on the screen (3), uv (2), normal (3), paint (4), light (2), accent.
         blank = np.zeros((len(mesh.vertices), 3))
-        columns = [blank, mesh.uv.clip(0, 1), blank, mesh.colors, mesh.gloss, mesh.light, blank[:, :2]]
+        columns = [
+            blank,
+            mesh.uv.clip(0, 1),
+            blank,
+            mesh.colors,
+            mesh.gloss,
+            mesh.light,
+            blank[:, :2],
+        ]
         self._table = np.column_stack(columns).astype(np.float32)
         # Unit vectors (height, width, 3) from what each pixel shows towards the camera.
         back = np.linalg.inv(matrix)
