@@ -33,7 +33,8 @@ N_LIGHTS, _PORE_TILT = len(_COLOR), F(shading.PORE_TILT)
 
 PROCESSOR = "skylake"
 """For whose vectors loops are written."""
-kernel = njit(fastmath=True, error_model="numpy", _nrt=False)
+_OPTIONS: dict[str, Any] = {"fastmath": True, "error_model": "numpy", "_nrt": False}
+kernel = njit(**_OPTIONS)
 
 _THRESHOLDS = np.array(THRESHOLDS, I4).reshape(2, 2) << 16
 
@@ -565,7 +566,7 @@ def digest() -> bytes:
 
 def build(name: str) -> bytes:
     """Compile one of `KERNELS` to bitcode, which any processor takes."""
-    config.OPT = config._OptLevel(0)  # LLVM below is told that arrays do not overlap
+    vars(config)["OPT"] = config._OptLevel(0)  # LLVM below is told that arrays do not overlap
     llvm.initialize_native_target()
     machine = llvm.Target.from_triple("x86_64-linux").create_target_machine(PROCESSOR, opt=3)
     options = llvm.create_pipeline_tuning_options(speed_level=3)
