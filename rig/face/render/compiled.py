@@ -1,4 +1,4 @@
-"""Machine code of ``*.bc``, the loops of `rig.face.render.kernels`, by LLVM."""
+"""Machine code of ``*.bc``, the loops of `tools.kernels`, by LLVM."""
 
 from ctypes import CFUNCTYPE, c_int, c_int64, c_void_p, create_string_buffer
 from functools import lru_cache

@@ -11,9 +11,9 @@ from rig.face.render.compiled import DIGEST, KERNELS, file_of, run
 
 @pytest.mark.parametrize("name", KERNELS)
 def test_bitcode_is_of_its_source(name):
-    """After a change: python -m rig.face.render.kernels."""
+    """After a change: python -m tools.kernels."""
     pytest.importorskip("numba")
-    from rig.face.render.kernels import digest
+    from tools.kernels import digest
 
     assert file_of(name).read_bytes()[:DIGEST] == digest()
 

@@ -1,7 +1,7 @@
 """Source of ``*.bc``, the compiled loops of the software renderer: scan conversion and light.
 
 They take the places of the fragment stage of a graphics card; `shading.glsl()` is the same light.
-``python -m rig.face.render.kernels`` compiles them by numba to LLVM's bitcode of no particular
+``python -m tools.kernels`` compiles them by numba to LLVM's bitcode of no particular
 processor, which must be done after each change of this file, `compiled`, `shading` or `mesh`;
 `rig.face.render.compiled` makes machine code of it without numba.
 """
