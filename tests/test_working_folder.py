@@ -27,7 +27,6 @@ NAMES = {
 } - {"__main__"}
 SETTINGS = {
     ".env": "DEITALK_PORT=1\nPYTHONSTARTUP=struct.py\n",
-    ".numba_config.yaml": "cache_dir: cache\ndisable_jit: 1\n",
     "matplotlibrc": "savefig.dpi: 13\nbackend: module://struct\n",
     "alembic.ini": "[alembic]\nscript_location = struct\n",
     "pyproject.toml": "[tool.deitalk]\nport = 1\n",
@@ -232,12 +231,3 @@ def test_pictures_are_the_same_beside_settings_of_matplotlib(tmp_path):
         subprocess.run(command, cwd=tmp_path / folder, env=environment(), check=True)
         pictures.append((tmp_path / folder / "x.png").read_bytes())
     assert pictures[0] == pictures[1]
-
-
-def test_numba_takes_no_cache_from_the_working_folder(folder):
-    code = (
-        "import numba.core.config as c\nassert c.CACHE_DIR == 'cache'\n"
-        "import rig.face.render.software\nassert (c.CACHE_DIR, c.DISABLE_JIT) == ('', 0)"
-    )
-    command = [sys.executable, "-P", "-c", code]
-    subprocess.run(command, cwd=folder, env=environment(), check=True)

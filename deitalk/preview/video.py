@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 WIDTH, FACE_HEIGHT, PANEL_HEIGHT = 960, 480, 240
 FACE_WIDTH = 540
-BATCH = 32
+BATCH = 64
 Progress = Callable[[float], None]
 
 
@@ -99,7 +99,7 @@ def draw_frames(
     second_view: str = "mouth",
 ) -> Iterator[Picture]:
     """Pictures (720, 960, 3) of every frame, in order."""
-    from rig.face.render.software import Renderer  # compiles; half a second to import
+    from rig.face.render.software import Renderer
 
     head = build_head(identity)
     widths = ("face", FACE_WIDTH), (second_view, WIDTH - FACE_WIDTH)
@@ -112,7 +112,7 @@ def draw_frames(
         if source.curves.head is not None:
             poses = turned(poses, source.curves.head[start : start + BATCH], share)
         for k, pose in enumerate(poses):
-            normals = head.mesh.normals(pose)
+            normals = views[0].normals(pose)
             picture = np.empty((FACE_HEIGHT + PANEL_HEIGHT, WIDTH, 3), np.uint8)
             picture[:FACE_HEIGHT, :FACE_WIDTH] = views[0].render(pose, normals, accent[k])
             picture[:FACE_HEIGHT, FACE_WIDTH:] = views[1].render(pose, normals, accent[k])

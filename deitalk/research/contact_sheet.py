@@ -107,7 +107,7 @@ def draw_sheet(
     -------
     picture : ndarray [shape=(rows * height, columns * width, 3)], uint8
     """
-    from rig.face.render.software import Renderer  # compiles; half a second to import
+    from rig.face.render.software import Renderer
 
     renderers: dict[str, Renderer] = {}
     width, height = size

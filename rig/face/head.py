@@ -7,6 +7,7 @@ eyes turned. `Head.motion` has all numbers of it, which the preview page uses as
 
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -27,6 +28,9 @@ from rig.face.identity import Identity, resolve_identity
 from rig.face.mesh import Maps, Mesh, smoothstep
 from rig.files.reading import rows_of
 
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
 UNIT_MM = 10.0
 """The heads are in centimetres."""
 GAZE_DEGREES = {"side": 40.0, "up": 30.0, "down": 35.0}
@@ -40,7 +44,8 @@ ALONG = np.array([0.6, 1.0, 1.0], np.float32)
 """Share of the gap that is closed sideways, up and forward."""
 LID_CLEARANCE = 1.02
 """Least distance of a lid from the middle of the eye, in radii."""
-BATCH = 64
+BATCH, MANY = 64, 16
+"""Frames that are posed together; weights a shape that are worth the import of sparse matrices."""
 Half = tuple[str, ...]
 CORRECTIVES: dict[str, tuple[Half, Half]] = {
     "jaw_half": (("CTRL_C_jaw.ty",), ()),
@@ -377,10 +382,13 @@ class Head:
         halves = motion.halves(frames)
         weights = motion.weights(halves).astype(np.float32)
         out[:] = self._rest
-        for k in np.flatnonzero(weights.any(axis=0)):
-            at = np.flatnonzero(weights[:, k])
-            vertex, delta = motion.shape(int(k))
-            out[at[:, None], vertex] += weights[at, k, None, None] * delta
+        if np.count_nonzero(weights) < MANY * len(motion.names):
+            for k in np.flatnonzero(weights.any(axis=0)):
+                at = np.flatnonzero(weights[:, k])
+                vertex, delta = motion.shape(int(k))
+                out[at[:, None], vertex] += weights[at, k, None, None] * delta
+        else:
+            out += (weights @ self._displacements).reshape(out.shape)
         for ids, eye, least in zip(self.lids, self.eyes, self.lid_least, strict=True):
             away = out[:, ids] - eye[:3].astype(np.float32)
             far = np.sqrt(np.einsum("tvc,tvc->tv", away, away))
@@ -396,6 +404,17 @@ class Head:
             out[:, part] = (out[:, part] - center) @ turn.transpose(0, 2, 1) + center
         seam = self.slices["seam"]
         out[:, seam] = out[:, self._stored["weld"][seam]]
+
+    @cached_property
+    def _displacements(self) -> "csr_array":
+        """Displacements (K, 3 V) of all shapes, cm, without gain."""
+        from scipy.sparse import csr_array
+
+        motion = self.motion
+        columns = (3 * motion.vertex[:, None] + np.arange(3)).ravel()
+        size = len(motion.names), 3 * len(self.straight)
+        values = motion.delta.ravel() * np.float32(motion.step)
+        return csr_array((values, columns, 3 * motion.starts), shape=size)
 
     def _sealed(self, halves: Float64) -> tuple[Float64, Float64]:
         """How far (T, P) the upper and the lower lip are brought to the other, 0 to 1."""

@@ -69,7 +69,9 @@ def turned(poses: AnyFloat, track: ArrayLike, share: Float64) -> AnyFloat:
     share : array [shape=(V,)]
         From `neck_share`.
     """
-    rotation, translation = matrices(track)
-    moved = poses @ rotation.transpose(0, 2, 1) + translation[:, None]
-    mixed: AnyFloat = (poses + share[:, None] * (moved - poses)).astype(poses.dtype)
-    return mixed
+    rotation, translation = (part.astype(poses.dtype) for part in matrices(track))
+    moved: AnyFloat = poses @ rotation.transpose(0, 2, 1)
+    moved += translation[:, None] - poses
+    moved *= share[:, None].astype(poses.dtype)
+    moved += poses
+    return moved

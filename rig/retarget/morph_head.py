@@ -103,7 +103,7 @@ def baked_picture(head: Head) -> tuple[Float64, bytes]:
     from PIL import Image
     from scipy.ndimage import distance_transform_edt
 
-    from rig.face.render.software import Screen, nearest_faces, planes  # compiles
+    from rig.face.render.software import Screen, nearest_faces, planes
 
     x, y = (PICTURE * head.bare.uv.T).astype(np.float32)
     screen = Screen(PICTURE, PICTURE, x, y, np.zeros(len(x), np.float32))

@@ -171,7 +171,7 @@ def _with_curves(source: PreviewSource, values: Float32) -> Clip:
 
 def _pictures(values: Float32, identity: int | str | Identity) -> Iterator[Picture]:
     """The face alone, frame by frame."""
-    from rig.face.render.software import Renderer  # compiles; half a second to import
+    from rig.face.render.software import Renderer
 
     head = build_head(identity)
     renderer = Renderer(head.mesh, SIZE, VIEWS["face"])

@@ -1,12 +1,37 @@
 """Compiled loops of the software renderer."""
 
-from numba.core import caching
+import subprocess
+import sys
 
-from rig.face.render.software import compiled
+import numpy as np
+import pytest
+
+from rig.face.render.compiled import DIGEST, KERNELS, file_of, run
 
 
-def test_loops_run_where_no_folder_can_be_written(monkeypatch):
-    """A read-only installation and home: the machine code is not kept."""
-    monkeypatch.setattr(caching.CacheImpl, "_locator_classes", [])
-    double = compiled(lambda x: 2 * x)
-    assert double(3.0) == 6.0
+@pytest.mark.parametrize("name", KERNELS)
+def test_bitcode_is_of_its_source(name):
+    """After a change: python -m tools.kernels."""
+    pytest.importorskip("numba")
+    from tools.kernels import digest
+
+    assert file_of(name).read_bytes()[:DIGEST] == digest()
+
+
+def test_normals_of_a_cubes_corner_point_along_its_diagonal():
+    corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [0, 0, 0]], np.float32)
+    faces = np.array([[0, 2, 1], [0, 3, 2], [0, 1, 3]], np.uint32)
+    found = np.empty_like(corners)
+    run("normals", corners, faces, np.array([0, 1, 2, 3, 0], np.uint32), found)
+    np.testing.assert_allclose(found[[0, 4]], -(3**-0.5), atol=1e-6)  # and of its copy at a seam
+
+
+def test_arrays_of_another_type_are_refused():
+    with pytest.raises(AssertionError):
+        run("normals", *[np.zeros((1, 3))] * 4)
+
+
+def test_drawing_needs_no_compiler_of_python():
+    code = "import sys, rig.face.render.software; print({'numba', 'scipy'} & set(sys.modules))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "set()\n"

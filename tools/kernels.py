@@ -1,0 +1,607 @@
+"""Source of ``*.bc``, the compiled loops of the software renderer: scan conversion and light.
+
+They take the places of the fragment stage of a graphics card; `shading.glsl()` is the same light.
+``python -m tools.kernels`` compiles them by numba to LLVM's bitcode of no particular
+processor, which must be done after each change of this file, `compiled`, `shading` or `mesh`;
+`rig.face.render.compiled` makes machine code of it without numba.
+"""
+
+# mypy: allow-untyped-decorators, allow-untyped-calls, allow-any-generics
+
+import re
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+import llvmlite.binding as llvm
+import numba
+import numpy as np
+from numba import njit, types
+from numba.core import config
+
+from rig.face import mesh
+from rig.face.mesh import CLOTH, EYE, HAIR, PORES, SKIN
+from rig.face.render import compiled, shading
+from rig.face.render.compiled import EMPTY, KERNELS, PLACES, THRESHOLDS, TILE, file_of
+
+F, I4 = np.float32, np.int32
+_TO_LIGHT, _COLOR = shading.TO_LIGHT.astype(F), shading.LIGHT_COLORS.astype(F)
+_WRAP = shading.WRAPS.astype(F)
+_SLOPE = 1 / (1 + _WRAP)
+_SKY, _GROUND = np.array(shading.SKY, F), np.array(shading.GROUND, F)
+N_LIGHTS, _PORE_TILT = len(_COLOR), F(shading.PORE_TILT)
+
+PROCESSOR = "skylake"
+"""For whose vectors loops are written."""
+_OPTIONS: dict[str, Any] = {"fastmath": True, "error_model": "numpy", "_nrt": False}
+kernel = njit(**_OPTIONS)
+
+_THRESHOLDS = np.array(THRESHOLDS, I4).reshape(2, 2) << 16
+
+# Columns of a vertex: place on the screen (3), uv (2), normal (3), paint (4), light (2), accent.
+X, Y, Z, LEFT, TOP, COLUMNS = 0, 1, 2, 3, 4, 15
+# Where the rows of numbers of places begin in one array, those of the vertices first. With known
+# distances between rows the compiler can tell that they do not overlap.
+U, V, NX, NY, NZ, RED, GREEN, BLUE, GLOSS, AMBIENT, SEEN, ACCENT = (
+    PLACES * column for column in range(LEFT, COLUMNS)
+)
+DEPTH, SHARE, STRAND, KEPT, BLEED, RIM, WINDOW, IS_HAIR = (
+    PLACES * row for row in range(COLUMNS, COLUMNS + 8)
+)
+_FACE, _EMPTY = 2**32 - 1, EMPTY
+"""Bits of a sample's face; all are set where there is none."""
+TO_EYE, WRAP, SLOPE = 23 * PLACES, 26 * PLACES, 29 * PLACES
+
+
+@kernel
+def normals(vertices: Any, faces: Any, weld: Any, found: Any) -> None:
+    """Write unit normals (V, 3), the cross products of welded faces summed at their corners."""
+    found[:] = 0
+    for f in range(len(faces)):
+        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+        bx, by, bz = _difference(vertices, b, a)
+        cx, cy, cz = _difference(vertices, c, a)
+        x, y, z = by * cz - bz * cy, bz * cx - bx * cz, bx * cy - by * cx
+        for corner in (a, b, c):
+            found[corner, 0] += x
+            found[corner, 1] += y
+            found[corner, 2] += z
+    for v in range(len(found)):  # the first vertex of a point comes before the others
+        x, y, z = found[weld[v], 0], found[weld[v], 1], found[weld[v], 2]
+        found[v, 0], found[v, 1], found[v, 2] = _unit(x, y, z)
+
+
+@kernel
+def _difference(points: Any, a: Any, b: Any) -> Any:
+    return points[a, 0] - points[b, 0], points[a, 1] - points[b, 1], points[a, 2] - points[b, 2]
+
+
+@kernel
+def draw(
+    vertices: Any, normals: Any, accents: Any, matrix: Any, nearer: Any, table: Any, alpha: Any,
+    faces: Any, stops: Any, starts: Any, listed: Any, far: Any, samples: Any, kind: Any, part: Any,
+    to_eye: Any, atlas: Any, creases: Any, pores: Any,
+    step: Any, empty: Any, places: Any, shown: Any, columns: Any, picture: Any,
+) -> None:  # fmt: skip
+    """Write a picture (H, W, 3) of faces at its samples, band by band, which stay in the cache.
+
+    `nearer` (V,) is taken from the depth of vertices in clip space, of `matrix` (4, 4).
+    `starts`, `listed`, `far`, `samples` of a band, `places`, `shown` and `columns` are room.
+    """
+    for v in range(len(table)):
+        x, y, z = vertices[v, 0], vertices[v, 1], vertices[v, 2]
+        far_off = F(1) / _row(matrix[3], x, y, z)
+        table[v, X] = (F(1) + _row(matrix[0], x, y, z) * far_off) * F(picture.shape[1])
+        table[v, Y] = (F(1) - _row(matrix[1], x, y, z) * far_off) * F(picture.shape[0])
+        deep = F(1) + _row(matrix[2], x, y, z) * far_off - nearer[v]
+        table[v, Z], table[v, COLUMNS - 1] = max(F(0.5) * deep, F(0)), accents[v]
+        for k in range(3):
+            table[v, TOP + 1 + k] = normals[v, k]
+    _sort(table, faces, stops[1], 2 * len(picture), samples, starts, listed)
+    for band in range(len(starts) - 2):
+        _fill(table, alpha, faces, stops, listed[starts[band] : starts[band + 1]], far,
+              band * len(samples), samples)  # fmt: skip
+        first = band * len(samples) // 2
+        for row in range(first, min(first + len(samples) // 2, len(picture))):
+            _color(row, samples[2 * (row - first) :], faces, table, kind, part, to_eye[row],
+                   atlas, creases, pores, step[0], empty[row], places, shown, columns,
+                   picture[row])  # fmt: skip
+
+
+@kernel
+def _row(row: Any, x: Any, y: Any, z: Any) -> Any:
+    return row[0] * x + row[1] * y + row[2] * z + row[3]
+
+
+@kernel
+def nearest(
+    table: Any, alpha: Any, faces: Any, stops: Any, starts: Any, listed: Any, far: Any, samples: Any
+) -> None:
+    """Write the nearest face and its depth at every sample; see `_fill`."""
+    _sort(table, faces, stops[1], len(samples), samples, starts, listed)
+    _fill(table, alpha, faces, stops, listed[: starts[1]], far, 0, samples)
+
+
+@kernel
+def _sort(
+    table: Any, faces: Any, one_sided: Any, height: Any, samples: Any, starts: Any, listed: Any
+) -> None:
+    """List the faces to draw of each band of a picture, in order, from `starts` on.
+
+    Of the first `one_sided` faces those are drawn that show their outside (counter-clockwise, y
+    downwards).
+    """
+    starts[:] = 0
+    for turn in range(2):
+        for f in range(len(faces)):
+            a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+            x, y = table[a, X], table[a, Y]
+            bx, by = table[b, X] - x, table[b, Y] - y
+            cx, cy = table[c, X] - x, table[c, Y] - y
+            area = bx * cy - by * cx
+            if area > F(-1e-6) and (f < one_sided or area < F(1e-6)):
+                continue
+            if x + max(bx, cx, F(0)) <= 0 or x + min(bx, cx, F(0)) >= samples.shape[1]:
+                continue
+            top, bottom = y + min(by, cy, F(0)), y + max(by, cy, F(0))
+            if bottom <= 0 or top >= height:
+                continue
+            first = int(max(top, F(0))) // len(samples)
+            for band in range(first, int(min(bottom, F(height - 1))) // len(samples) + 1):
+                if turn:
+                    listed[starts[band + 1]] = f
+                    starts[band + 1] += 1
+                else:
+                    starts[band + 2] += 1
+        if not turn:
+            for band in range(2, len(starts)):
+                starts[band] += starts[band - 1]
+
+
+@kernel
+def _fill(
+    table: Any, alpha: Any, faces: Any, stops: Any, listed: Any, far: Any, first_row: Any,
+    samples: Any,
+) -> None:  # fmt: skip
+    """Write the nearest of the listed faces and its depth at every sample of a band.
+
+    A sample's bits are those of the depth and, in the lower half, the face: the least is nearest.
+    Faces behind `far`, the depth of tiles of samples, which is found at each of the `stops`, are
+    left out. Faces from the last stop on cover those samples where `alpha` at their uv is above the
+    threshold of the sample within its pixel, which makes soft edges; each number of `alpha`
+    (A + 1, A + 1) has the bytes of four neighbours.
+
+    Neighbours compute a shared edge from its upper to its lower end, with the same numbers: they
+    share no sample and leave none out.
+    """
+    samples[:] = _EMPTY
+    far[:] = np.inf
+    stage = 0
+    for f in listed:
+        if stage < len(stops) and f >= stops[stage]:
+            _farthest(samples, far)
+            while stage < len(stops) and f >= stops[stage]:
+                stage += 1
+        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+        if not _is_behind(table, a, b, c, far, first_row):
+            _fill_face(table, alpha, a, b, c, f, f >= stops[-1], first_row, samples)
+
+
+@kernel
+def _fill_face(
+    table: Any, alpha: Any, a: Any, b: Any, c: Any, f: Any, is_thin: Any, first_row: Any,
+    samples: Any,
+) -> None:  # fmt: skip
+    """Write a face, with or without alpha, where it is nearest."""
+    origin, per_x, per_y = a, _slope(table, a, b, c, Z, Y), -_slope(table, a, b, c, Z, X)
+    u_x, u_y, v_x, v_y, u, v = F(0), F(0), F(0), F(0), F(0), F(0)
+    if is_thin:  # places in 256ths of texels
+        side = F(256 * (len(alpha) - 1))
+        u_x, u_y = (
+            side * _slope(table, a, b, c, LEFT, Y),
+            -side * _slope(table, a, b, c, LEFT, X),
+        )
+        v_x, v_y = side * _slope(table, a, b, c, TOP, Y), -side * _slope(table, a, b, c, TOP, X)
+        u, v = side * table[a, LEFT] + F(128), side * table[a, TOP] + F(128)
+    if table[b, Y] < table[a, Y]:
+        a, b = b, a
+    if table[c, Y] < table[a, Y]:
+        a, c = c, a
+    if table[c, Y] < table[b, Y]:
+        b, c = c, b
+    x, z, top = table[origin, X] - F(0.5), table[origin, Z], table[origin, Y] - F(0.5)
+    ax, ay, bx, by = table[a, X], table[a, Y], table[b, X], table[b, Y]
+    long, upper, lower = _edge(table, a, c), _edge(table, a, b), _edge(table, b, c)
+    first = max(_after(ay), first_row)
+    last = min(_after(table[c, Y]), first_row + len(samples))
+    turn = _after(by)
+    for row in range(first, last):
+        at = F(row) + F(0.5)
+        one = ax + long * (at - ay)
+        other = bx + (upper if row < turn else lower) * (at - by)
+        start = max(_after(min(one, other)), 0)
+        end = min(_after(max(one, other)), samples.shape[1])
+        if start >= end:
+            continue
+        dx, dy = F(start) - x, F(row) - top
+        value, span = z + per_y * dy + per_x * dx, samples[row - first_row, start:end]
+        if not is_thin:
+            for k in range(len(span)):
+                span[k] = min(span[k], _key(value + per_x * F(k), f))
+        else:
+            _fill_thin(span, value, per_x, f, alpha, u + u_x * dx + u_y * dy, u_x,
+                       v + v_x * dx + v_y * dy, v_x, row, start)  # fmt: skip
+
+
+@kernel
+def _after(place: Any) -> Any:
+    """First sample whose middle is not before a place."""
+    return np.int64(np.ceil(place - F(0.5)))
+
+
+@kernel
+def _slope(table: Any, a: Any, b: Any, c: Any, of: Any, along: Any) -> Any:
+    """How a column runs over a face: per x, or less that per y."""
+    x, y = table[a, X], table[a, Y]
+    area = (table[b, X] - x) * (table[c, Y] - y) - (table[b, Y] - y) * (table[c, X] - x)
+    to_b, to_c = table[b, of] - table[a, of], table[c, of] - table[a, of]
+    start = table[a, along]
+    return (to_b * (table[c, along] - start) - to_c * (table[b, along] - start)) / area
+
+
+@kernel
+def _edge(table: Any, top: Any, bottom: Any) -> Any:
+    """Columns per row of an edge; 0 of a level one, which no row crosses."""
+    height = table[bottom, Y] - table[top, Y]
+    return (table[bottom, X] - table[top, X]) / height if height > 0 else F(0)
+
+
+@kernel
+def _key(depth: Any, f: Any) -> Any:
+    return np.int64(F(depth).view(np.int32)) << 32 | f
+
+
+@kernel
+def _depth(key: Any) -> Any:
+    return np.int32(key >> 32).view(F)
+
+
+@kernel
+def _fill_thin(
+    span: Any, value: Any, per_x: Any, f: Any, alpha: Any, u: Any, u_x: Any, v: Any, v_x: Any,
+    row: Any, start: Any,
+) -> None:  # fmt: skip
+    """Write a face with alpha in one row."""
+    last = I4(len(alpha) - 1)
+    even, odd = _THRESHOLDS[row & 1, start & 1], _THRESHOLDS[row & 1, ~start & 1]
+    for k in range(len(span)):
+        across, down = I4(u + u_x * F(k)), I4(v + v_x * F(k))
+        right, below = min(max(I4(across >> 8), I4(0)), last), min(max(I4(down >> 8), I4(0)), last)
+        across, down = I4(across & 255), I4(down & 255)
+        four = I4(alpha[np.uint32(below), np.uint32(right)])
+        rows = I4(I4(four & 0xFF00FF) * I4(256 - across)) + I4(I4(four >> 8 & 0xFF00FF) * across)
+        cover = I4(I4(rows & 0xFFFF) * I4(256 - down)) + I4(I4(rows >> 16 & 0xFFFF) * down)
+        is_there = I4(cover) > (odd if k & 1 else even)
+        span[k] = min(span[k], _key(value + per_x * F(k), f) if is_there else _EMPTY)
+
+
+@kernel
+def _is_behind(table: Any, a: Any, b: Any, c: Any, far: Any, first_row: Any) -> Any:
+    """Whether a face lies behind all samples of the tiles of a band that it touches."""
+    left = min(table[a, X], table[b, X], table[c, X])
+    right = max(table[a, X], table[b, X], table[c, X])
+    top = min(table[a, Y], table[b, Y], table[c, Y]) - F(first_row)
+    bottom = max(table[a, Y], table[b, Y], table[c, Y]) - F(first_row)
+    near = min(table[a, Z], table[b, Z], table[c, Z])
+    for row in range(max(int(top) // TILE, 0), min(int(bottom) // TILE + 1, far.shape[0])):
+        for column in range(max(int(left) // TILE, 0), min(int(right) // TILE + 1, far.shape[1])):
+            if near < far[row, column]:
+                return False
+    return True
+
+
+@kernel
+def _farthest(samples: Any, far: Any) -> None:
+    """Write the largest depth of each tile of `TILE` by `TILE` samples."""
+    for row in range(far.shape[0]):
+        for column in range(far.shape[1]):
+            most = F(0)
+            for line in samples[row * TILE : (row + 1) * TILE, column * TILE : (column + 1) * TILE]:
+                for k in range(len(line)):
+                    most = max(most, _depth(line[k]))
+            far[row, column] = most
+
+
+@kernel
+def _color(
+    row: Any, samples: Any, faces: Any, table: Any, kind: Any, part: Any, to_eye: Any, atlas: Any,
+    creases: Any, pores: Any, step: Any, empty: Any, places: Any, shown: Any, columns: Any,
+    picture: Any,
+) -> None:  # fmt: skip
+    """Write a row (W, 3) of the faces at its two rows of samples.
+
+    Light is worked out once a pixel for each surface that its samples show (multisampling), of
+    many pixels together: loops that compile to instructions on many numbers.
+    """
+    for left in range(0, len(picture), PLACES // 4):
+        right = min(left + PLACES // 4, len(picture))
+        count = _find(row, left, right, samples, part, step, places, shown, columns)
+        _interpolate(count, faces, table, places, shown)
+        _paint(count, to_eye, atlas, creases, pores, places, columns, shown, kind)
+        _light(count, places)
+        i = 0
+        for column in range(left, right):
+            red, green, blue = empty[0], empty[1], empty[2]
+            while i < count and columns[i] == column:
+                share = F(0.25) * places[SHARE + i]
+                red += share * (places[RED + i] - empty[0])
+                green += share * (places[GREEN + i] - empty[1])
+                blue += share * (places[BLUE + i] - empty[2])
+                i += 1
+            picture[column, 0] = int(red * F(255) + F(0.5))
+            picture[column, 1] = int(green * F(255) + F(0.5))
+            picture[column, 2] = int(blue * F(255) + F(0.5))
+
+
+@kernel
+def _find(
+    row: Any, left: Any, right: Any, samples: Any, part: Any, step: Any, places: Any, shown: Any,
+    columns: Any,
+) -> Any:  # fmt: skip
+    """Find the surfaces that some pixels of a row show; return how many places."""
+    count = 0
+    for column in range(left, right):
+        first = count
+        x = 2 * column
+        one, two = samples[0, x] & _FACE, samples[0, x + 1] & _FACE
+        if one == two == samples[1, x] & _FACE == samples[1, x + 1] & _FACE:
+            if one != _FACE:
+                far = _depth(samples[0, x])
+                _add(places, shown, columns, count, one, far, x, 2 * row, column, F(4))
+                count += 1
+            continue
+        for sample in range(4):
+            sy, sx = sample // 2, 2 * column + sample % 2
+            f, far = samples[sy, sx] & _FACE, _depth(samples[sy, sx])
+            if f == _FACE:
+                continue
+            i = first
+            while i < count and shown[i] != f:
+                if abs(far - places[DEPTH + i]) <= step and part[f] == part[shown[i]]:
+                    break
+                i += 1
+            if i == count:
+                _add(places, shown, columns, count, f, far, sx, 2 * row + sy, column, F(0))
+                count += 1
+            places[SHARE + i] += F(1)
+    return count
+
+
+@kernel
+def _add(
+    places: Any, shown: Any, columns: Any, i: Any, f: Any, depth: Any, sx: Any, sy: Any,
+    column: Any, share: Any,
+) -> None:  # fmt: skip
+    places[PLACES * X + i], places[PLACES * Y + i] = F(sx + 0.5), F(sy + 0.5)
+    places[DEPTH + i], places[SHARE + i] = depth, share
+    shown[i], columns[i] = f, column
+
+
+@kernel
+def _interpolate(count: Any, faces: Any, table: Any, places: Any, shown: Any) -> None:
+    """Write the values of the vertices at each place."""
+    for i in range(count):
+        a, b, c = faces[shown[i], 0], faces[shown[i], 1], faces[shown[i], 2]
+        ax, ay = table[a, X], table[a, Y]
+        bx, by, cx, cy = table[b, X] - ax, table[b, Y] - ay, table[c, X] - ax, table[c, Y] - ay
+        x, y, scale = places[PLACES * X + i] - ax, places[PLACES * Y + i] - ay, F(1)
+        scale /= bx * cy - by * cx
+        to_b, to_c = (x * cy - y * cx) * scale, (y * bx - x * by) * scale
+        for k in range(LEFT, COLUMNS):
+            first = table[a, k]
+            rise = to_b * (table[b, k] - first) + to_c * (table[c, k] - first)
+            places[PLACES * k + i] = first + rise
+
+
+@kernel
+def _unit(x: Any, y: Any, z: Any) -> Any:
+    scale = F(1) / np.sqrt(x * x + y * y + z * z + F(1e-12))
+    return x * scale, y * scale, z * scale
+
+
+@kernel
+def _corner(side: Any, u: Any, v: Any) -> Any:
+    """Texel left of and above a place in a picture, and how far it lies to the next ones."""
+    across, down = _limited(u) * F(side) - F(0.5), _limited(v) * F(side) - F(0.5)
+    x, y = min(max(int(across), 0), side - 2), min(max(int(down), 0), side - 2)
+    return x, y, _limited(across - F(x)), _limited(down - F(y))
+
+
+@kernel
+def _between(a: Any, b: Any, share: Any) -> Any:
+    return a + share * (b - a)
+
+
+@kernel
+def _texel(picture: Any, x: Any, y: Any, across: Any, down: Any, k: Any) -> Any:
+    """One channel of a picture between its texels, from `_corner`."""
+    high = _between(F(picture[y, x, k]), F(picture[y, x + 1, k]), across)
+    low = _between(F(picture[y + 1, x, k]), F(picture[y + 1, x + 1, k]), across)
+    return _between(high, low, down)
+
+
+@kernel
+def _paint(
+    count: Any, to_eye: Any, atlas: Any, creases: Any, pores: Any, places: Any, columns: Any,
+    shown: Any, kinds: Any,
+) -> None:  # fmt: skip
+    """Put the maps, and what each kind of surface has, into the places of a row."""
+    for i in range(count):
+        kind, u, v = kinds[shown[i]], places[U + i], places[V + i]
+        accent = places[ACCENT + i]
+        nx, ny, nz = _unit(places[NX + i], places[NY + i], places[NZ + i])
+        away = to_eye[columns[i]]
+        vx, vy, vz = away[0], away[1], away[2]
+        if (kind == HAIR or kind >= CLOTH) and nx * vx + ny * vy + nz * vz < F(0):
+            nx, ny, nz = -nx, -ny, -nz
+        x, y, across, down = _corner(len(atlas), u, v)
+        for k in range(3):
+            places[RED + k * PLACES + i] *= _texel(atlas, x, y, across, down, k) * F(1 / 255)
+        places[STRAND + i] = min(F(3) * places[RED + i], F(1)) if kind == HAIR else F(1)
+        places[KEPT + i] = F(1) if kind != EYE else F(1) - F(0.85) * accent
+        places[RIM + i] = F(0) if kind == EYE else F(0.35)
+        places[WINDOW + i], places[IS_HAIR + i] = F(0), F(1) if kind == HAIR else F(0)
+        places[BLEED + i] = F(1) if kind == SKIN else F(0)
+        for k in range(3):
+            places[TO_EYE + k * PLACES + i] = away[k]
+            places[WRAP + k * PLACES + i] = _WRAP[kind, k]
+            places[SLOPE + k * PLACES + i] = _SLOPE[kind, k]
+        if kind == EYE:
+            open_ = _limited(F(4) * (F(0.7) - accent))  # a lid cuts the reflection off
+            places[WINDOW + i] = _window(nx, ny, nz, vx, vy, vz) * open_
+        elif kind == SKIN:
+            side = len(pores)
+            y, x = int(v * F(PORES * side)) % side, int(u * F(PORES * side)) % side
+            kept = F(1) + F(0.16) * (F(pores[y, x, 0]) * F(1 / 127.5) - F(1))
+            places[GLOSS + i] *= F(1) + F(0.7) * (F(pores[y, x, 0]) * F(1 / 127.5) - F(1))
+            nx += _PORE_TILT * (F(pores[y, x, 1]) * F(1 / 127.5) - F(1))
+            ny += _PORE_TILT * (F(pores[y, x, 2]) * F(1 / 127.5) - F(1))
+            if accent > F(0.01):
+                x, y, across, down = _corner(len(creases), u, v)
+                tilt = accent * F(1 / 127.5)
+                nx += tilt * _texel(creases, x, y, across, down, 0) - accent
+                ny += tilt * _texel(creases, x, y, across, down, 1) - accent
+                nz += tilt * _texel(creases, x, y, across, down, 2) - accent
+                shade = F(1) - _texel(creases, x, y, across, down, 3) * F(1 / 255)
+                kept *= F(1) - accent * shade
+            nx, ny, nz = _unit(nx, ny, nz)
+            places[KEPT + i] = kept
+        places[NX + i], places[NY + i], places[NZ + i] = nx, ny, nz
+
+
+@kernel
+def _window(nx: Any, ny: Any, nz: Any, vx: Any, vy: Any, vz: Any) -> Any:
+    """Reflection of a large lamp and of the sky on a wet eye."""
+    facing = nx * vx + ny * vy + nz * vz
+    dx, dy, dz = _TO_LIGHT[0, 0], _TO_LIGHT[0, 1], _TO_LIGHT[0, 2]
+    toward = dx * vx + dy * vy + dz * vz
+    mirror = F(2) * facing * (nx * dx + ny * dy + nz * dz) - toward
+    glow = _limited((mirror - F(0.972)) / F(0.008))
+    sky = _limited(F(2) * facing * ny - vy)
+    return F(0.9) * glow * glow * (F(3) - F(2) * glow) + F(0.02) * sky
+
+
+@kernel
+def _light(count: Any, places: Any) -> None:
+    """Put light on the paint of each place: the sRGB colour, 0 to 1, of `shading.glsl()`."""
+    for i in range(count):
+        nx, ny, nz = places[NX + i], places[NY + i], places[NZ + i]
+        vx, vy, vz = (places[TO_EYE + i], places[TO_EYE + PLACES + i],
+                      places[TO_EYE + 2 * PLACES + i])  # fmt: skip
+        gloss, ambient = places[GLOSS + i], places[AMBIENT + i]
+        facing = nx * vx + ny * vy + nz * vz
+        up, away = F(0.5) + F(0.5) * ny, F(1) - max(facing, F(0))
+        rim = away * away * away * places[RIM + i]
+        level = np.sqrt(max(F(1) - ny * ny, F(0.05)))  # of the way in which strands hang
+        red = (_GROUND[0] + (_SKY[0] - _GROUND[0]) * up + rim * _SKY[0]) * ambient
+        green = (_GROUND[1] + (_SKY[1] - _GROUND[1]) * up + rim * _SKY[1]) * ambient
+        blue = (_GROUND[2] + (_SKY[2] - _GROUND[2]) * up + rim * _SKY[2]) * ambient
+        shine_r = shine_g = shine_b = places[WINDOW + i]
+        power = F(14) + F(340) * gloss * gloss
+        strength = F(0.16) * min(gloss, F(0.28))
+        strength += F(0.50) * gloss * gloss * np.sqrt(max(gloss, F(0)))
+        strength *= places[STRAND + i]
+        for k in range(N_LIGHTS):
+            dx, dy, dz = _TO_LIGHT[k, 0], _TO_LIGHT[k, 1], _TO_LIGHT[k, 2]
+            cosine = nx * dx + ny * dy + nz * dz
+            seen = places[SEEN + i] if k == 0 else min(F(0.35) + F(0.65) * ambient, F(3) * ambient)
+            bleed = seen * (F(1) - seen) * places[BLEED + i]
+            lit = _wrapped(cosine, places[WRAP + i], places[SLOPE + i])
+            red += _COLOR[k, 0] * lit * (seen + F(0.3) * bleed)
+            lit = _wrapped(cosine, places[WRAP + PLACES + i], places[SLOPE + PLACES + i])
+            green += _COLOR[k, 1] * lit * (seen + F(0.12) * bleed)
+            lit = _wrapped(cosine, places[WRAP + 2 * PLACES + i], places[SLOPE + 2 * PLACES + i])
+            blue += _COLOR[k, 2] * lit * seen
+            along = F(1) + dx * vx + dy * vy + dz * vz
+            both = np.sqrt(max(F(2) * along, F(1e-6)))
+            half = _limited((cosine + facing) / both)
+            half = half if cosine > F(0) else F(0)
+            fall = (ny * (cosine + facing) - dy - vy) / (both * level)
+            strand = max(F(1) - fall * fall, F(0)) * places[IS_HAIR + i]
+            gate = F(1) + places[IS_HAIR + i] * (_limited(F(0.3) + cosine) - F(1))
+            half = max(strand, half * (F(1) - places[IS_HAIR + i]))
+            shine = gate * half / (power - power * half + half) * strength * seen
+            shine_r += shine * _COLOR[k, 0]
+            shine_g += shine * _COLOR[k, 1]
+            shine_b += shine * _COLOR[k, 2]
+        kept = places[KEPT + i]
+        places[RED + i] = _display(places[RED + i], kept * red, shine_r)
+        places[GREEN + i] = _display(places[GREEN + i], kept * green, shine_g)
+        places[BLUE + i] = _display(places[BLUE + i], kept * blue, shine_b)
+
+
+@kernel
+def _limited(x: Any) -> Any:
+    return min(max(x, F(0)), F(1))
+
+
+@kernel
+def _wrapped(cosine: Any, wrap: Any, slope: Any) -> Any:
+    lit = _limited((cosine + wrap) * slope)
+    return lit * (F(0.72) + F(0.28) * lit)
+
+
+@kernel
+def _display(paint: Any, light: Any, shine: Any) -> Any:
+    linear = paint * paint * light + shine
+    return np.sqrt(_limited(linear * F(1.12) / (F(1) + F(0.12) * linear)))
+
+
+def digest() -> bytes:
+    """Hash of all that the bitcode is made of."""
+    sources = [Path(str(module.__file__)) for module in (mesh, shading, compiled)]
+    text = "".join(path.read_text(encoding="utf-8") for path in [*sources, Path(__file__)])
+    return sha256(text.encode()).digest()
+
+
+def build(name: str) -> bytes:
+    """Compile one of `KERNELS` to bitcode, which any processor takes."""
+    vars(config)["OPT"] = config._OptLevel(0)  # LLVM below is told that arrays do not overlap
+    llvm.initialize_native_target()
+    machine = llvm.Target.from_triple("x86_64-linux").create_target_machine(PROCESSOR, opt=3)
+    options = llvm.create_pipeline_tuning_options(speed_level=3)
+    options.loop_vectorization = options.slp_vectorization = True
+    options.loop_interleaving = False
+    signature = tuple(
+        types.Array(numba.from_dtype(np.dtype(kind[:2])), int(kind[2]), "C")
+        for kind in KERNELS[name].split()
+    )
+    dispatcher = globals()[name]
+    dispatcher.compile(signature)
+    found = dispatcher.overloads[signature]
+    text = re.sub(
+        rf'(define [^\n]*@"?{re.escape(found.fndesc.llvm_func_name)}"?\()([^\n]*)',
+        lambda line: line[1] + re.sub(r"ptr (?!noalias)", "ptr noalias ", line[2]),
+        found.library.get_llvm_str(),
+    )
+    module = llvm.parse_assembly(text)
+    for value in [*module.functions, *module.global_variables]:
+        if value.name == found.fndesc.llvm_func_name:
+            value.name = name
+        elif not value.is_declaration:
+            value.linkage = "internal"
+    builder = llvm.create_pass_builder(machine, options)
+    builder.getModulePassManager().run(module, builder)
+    passes = llvm.create_new_module_pass_manager()
+    passes.add_global_dead_code_eliminate_pass()
+    passes.add_strip_dead_prototype_pass()
+    passes.run(module, builder)
+    unknown = [f.name for f in module.functions if f.is_declaration and f.name[:5] != "llvm."]
+    assert not unknown, f"not of this kernel: {unknown}"
+    module.triple, module.data_layout, module.name = "", "", name
+    return bytes(module.as_bitcode())
+
+
+if __name__ == "__main__":
+    for kernel_name in KERNELS:
+        file_of(kernel_name).write_bytes(digest() + build(kernel_name))
