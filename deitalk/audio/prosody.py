@@ -57,6 +57,11 @@ class Prosody(NamedTuple):
     """Semitones over 100 Hz [shape=(..., T)]."""
     periodicity: Array
     """Largest autocorrelation at the lags of a pitch, -1 to 1 [shape=(..., T)]."""
+    tone: Array
+    """Periodicity where there is a pitch, else 0 [shape=(..., T)].
+
+    That of a rumble, which has none, rises towards lags that are shorter than any of a pitch.
+    """
     bands: Array
     """Power in bands of equal mel width [shape=(..., T, 26)]."""
 
@@ -69,15 +74,6 @@ class Prosody(NamedTuple):
     def sonority(self) -> Array:
         """Power of the bands of the formants, dB [shape=(..., T)]."""
         return 10 * library(self.bands).log10(self.bands[..., SONORANT].sum(-1) + 1e-12)
-
-    @property
-    def tone(self) -> Array:
-        """Periodicity where there is a pitch, else 0 [shape=(..., T)].
-
-        That of a rumble, which has none, is largest at the shortest lag.
-        """
-        highest = 12 * math.log2(SAMPLE_RATE / SHORTEST / 100)
-        return self.periodicity * (self.pitch < highest - 1e-3)
 
     @property
     def active(self) -> Array:
@@ -166,11 +162,14 @@ def prosody_of(power: Array, correlation: Array) -> Prosody:
     sums = power @ like(SUMS, power)
     correlation = correlation / (correlation[:, :1] + 1e-12)
     lag = correlation[:, SHORTEST:].argmax(1) + SHORTEST
+    periodicity = xp.amax(correlation[:, SHORTEST:], axis=1)
+    is_peak = (lag > SHORTEST) | (correlation[:, SHORTEST - 1] < periodicity)
     return Prosody(
         10 * xp.log10(power.mean(1) + 1e-12),
         sums[:, 0],
         sums[:, 1],
         12 * xp.log2(SAMPLE_RATE / 100 / lag),
-        xp.amax(correlation[:, SHORTEST:], axis=1),
+        periodicity,
+        periodicity * is_peak,
         sums[:, 2:],
     )

@@ -58,6 +58,9 @@ OPEN = ((0.05, 0.02, 0.05, 0.02), (0.2, 0.1, 0.2, 0.1))
 the width and the corners less, because rounded lips are hardly open."""
 OUT = (0.08, 0.16)
 """Reading of the tongue from which it comes out, and at which it is out."""
+UNBITTEN = (0.04, 0.1)
+"""Reading of the tongue from which the lower lip leaves the teeth, and at which it is away from
+them: less than the tongue needs to come out, because TH is heard as F in part."""
 VOICE = (0.3, 0.6)
 """Reading of the voice up to which the mouth does not move, and from which it moves as it does."""
 SHOWN = {
@@ -245,10 +248,10 @@ class LipReadout(nn.Module):
             Of all readings; they hold in the controls of contacts.
         """
         together, bite, out, tip, funnel, purse, _ = read[..., : len(CHANNELS), None].unbind(-2)
-        out = smoothstep((out - OUT[0]) / (OUT[1] - OUT[0]))
+        out, free = (smoothstep((out - low) / (high - low)) for low, high in (OUT, UNBITTEN))
         likely = torch.cat((together, bite), dim=-1) @ self.places
         both = readings.clamp(0, 1) ** POWERS[0] * likely ** POWERS[1]
-        seals = both * (1 - out * self.places[1])
+        seals = both * (1 - free * self.places[1])
         funnel = (funnel + PURSED_FUNNEL * purse).clamp_max(1)
         channels = torch.cat((out, tip, funnel, purse), dim=-1)
         said = torch.maximum(readings[:1], self.low) * self.own + channels @ self.values

@@ -26,7 +26,7 @@ from deitalk.pipeline.curves import animate
 from deitalk.research.evaluation.ridge import Readout, Rows, listen, losses
 from deitalk.research.lips.head_lips import MEASURES, HeadLips
 from deitalk.research.lips.measured import LipClip, read_lips
-from rig.arrays import Float32
+from rig.arrays import Float32, Float64
 from rig.face.head import build_head
 
 LOW, HIGH = 5, 95
@@ -65,9 +65,10 @@ def evaluate(
     -------
     dict
         By prediction, and speaker or ``mean`` (over speakers): ``r`` of each measure
-        (mean over recordings), and for predicted curves ``range`` (5th to 95th percentile) and
-        ``speed`` (mean absolute velocity) over those measured. The ridge regressions are
-        ``ridge: own`` and ``ridge: layer N``; there is none in a folder of one speaker.
+        (mean over recordings), and for predicted curves ``range`` (5th to 95th percentile),
+        ``speed`` (mean absolute velocity) and ``jerk`` (RMS of the third derivative over RMS of the
+        first) over those measured. The ridge regressions are ``ridge: own`` and
+        ``ridge: layer N``; there is none in a folder of one speaker.
 
     Raises
     ------
@@ -190,10 +191,18 @@ def _scores(pairs: Sequence[tuple[Float32, Float32]], *, ranges: bool) -> dict[s
             np.mean([np.abs(np.diff(pair[i], axis=0)).mean(axis=0) for pair in pairs], axis=0)
             for i in range(2)
         ]
+        (step, jerk), (steps, jerks) = ([_rms(pairs, i, k) for k in (1, 3)] for i in range(2))
         for i, name in enumerate(MEASURES):
             out[f"{name} range"] = _ratio(reach[0][i], reach[1][i])
             out[f"{name} speed"] = _ratio(speed[0][i], speed[1][i])
+            out[f"{name} jerk"] = _ratio(jerk[i] * steps[i], step[i] * jerks[i])
     return out
+
+
+def _rms(pairs: Sequence[tuple[Float32, Float32]], which: int, order: int) -> Float64:
+    """RMS of differences of an order of the measures of all recordings [shape=(M,)]."""
+    steps = np.concatenate([np.diff(pair[which], order, axis=0) for pair in pairs])
+    return np.asarray(np.sqrt(np.square(steps, dtype=np.float64).mean(axis=0)))
 
 
 def _ratio(given: float, measured: float) -> float:

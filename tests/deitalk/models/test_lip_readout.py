@@ -19,6 +19,7 @@ from deitalk.models.lip_readout import (
     OUT,
     POWERS,
     TAPS,
+    UNBITTEN,
     VOICE,
     LipReadout,
 )
@@ -78,6 +79,8 @@ CASES = {
     "the decoder's tongue stays in": ({}, OUT_OF, 0.0, -0.5),
     "a tongue that is drawn in stays so": ({}, OUT_OF, 0.5, 0.5),
     "a little of the tongue does not show": ({"out": OUT[0]}, OUT_OF, 0.0, -0.1),
+    "the lip leaves the teeth before": ({"out": sum(UNBITTEN) / 2, "bite": 1}, BITE, 0.45, 0.81),
+    "and is away from them": ({"out": UNBITTEN[1], "bite": 1}, BITE, 0.0, 0.81),
     "the tip is that of the phones": ({"tip": 0.8}, TIP, 0.6, 0.1),
     "the funnel too": ({"funnel": 0.4}, FUNNEL, 0.3, 0.9),
     "pursed lips have some funnel": ({"purse": 1}, FUNNEL, 0.75 * 0.35, 0.9),

@@ -405,11 +405,23 @@ def test_scores_of_the_measured_lips_themselves_are_perfect(measured, monkeypatc
         assert report["network"][speaker]["opening range"] == pytest.approx(1)
         assert report["animated"][speaker]["opening range"] == pytest.approx(0.5)
         assert report["animated"][speaker]["opening speed"] == pytest.approx(0.5)
+        assert report["animated"][speaker]["opening jerk"] == pytest.approx(1)
         assert report["loudness"][speaker]["opening r"] == pytest.approx(-1)
     assert report["network"]["mean"]["clips"] == 3
     assert "opening r" in as_markdown(report)
     with pytest.raises(DataError, match="no speaker 'x'"):
         evaluate(None, measured, speakers=["x"])
+
+
+def test_jerk_is_that_of_the_measured_lips_at_any_range():
+    """A wave of n frames has a third derivative of (2 sin(pi / n))^2 times its first."""
+    from deitalk.research.evaluation.lips import _scores
+
+    t = np.arange(240)[:, None]
+    quick, slow = (np.sin(2 * np.pi * t / n) * np.ones(6) for n in (4, 12))
+    expected = (np.sin(np.pi / 4) / np.sin(np.pi / 12)) ** 2
+    scores = _scores([(0.3 * quick, slow)], ranges=True)
+    assert scores["jaw jerk"] == pytest.approx(expected, rel=0.02)
 
 
 def test_model_follows_real_lips_better_than_loudness_does(shared):

@@ -80,7 +80,7 @@ def test_pitch_found_in_a_creaking_end_is_no_question(flaw):
     activity = np.r_[np.zeros(5), np.ones(frames - 5)].astype("f4")
     for track, mask, is_question in ((glide, voiced | (glide != 0), True), (pitch, voiced, False)):
         mask = mask & (np.arange(frames) < frames - 5)
-        prosody = Prosody(calm, calm, calm, track, mask.astype(float), np.ones((frames, 26)))
+        prosody = Prosody(calm, calm, calm, track, *2 * [mask.astype(float)], np.ones((frames, 26)))
         assert [p.is_question for p in measure_voice(activity, prosody).phrases] == [is_question]
 
 
