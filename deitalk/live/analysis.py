@@ -101,12 +101,10 @@ class VoiceAnalysis:
 
     def first(self, batch: int) -> State:
         """State of streams before their first frame."""
-        opens = self.rules.scale_opening
-        usual = (0.0, 0.0) if opens is None else (opens.usual, LEARNT_USUAL)
         intensity = () if self.intensity is None else self.intensity.first(batch)
         measured = np.zeros((batch, self.delay, len(Measures._fields)))
         held = first_held(batch, len(BAND_EDGES_HZ) - 1)
-        means = np.tile(usual, (batch, 1))
+        means = np.full((batch, 2), LEARNT_USUAL)
         return (*self.activity.first(batch), *held, measured, means, *intensity)
 
     def begin(self, windows: Float32, state: State) -> State:

@@ -63,7 +63,7 @@ def opening_factor(rule: ScaleOpening | None, voice: Array, network: Array) -> A
     """
     if rule is None:
         return 0 * voice + 1
-    opened = 1 + rule.gain * (voice - rule.usual)
+    opened = 1 + rule.gain * library(voice).clip(voice - rule.usual, 0, None)
     return single(opened / (1 + LEARNT_GAIN * (network - LEARNT_USUAL)))
 
 

@@ -14,7 +14,7 @@ and ends with the voice.
 
 The intensity that is shown of a named emotion is more than that of the voice, most in weak voices
 (`felt_intensity`): a line that is read plainly, by a calm reader or a synthetic voice, shows a
-moderate expression. The mouth opens by the intensity of the voice.
+moderate expression. The mouth opens further as the voice is stronger than usual.
 
 The *share* is 1 in speech. It rises over the half second before speech, decays over seconds after
 it to the share that stays in silence (`Acting.rest`), and goes to 0 where speech is far, so that a
