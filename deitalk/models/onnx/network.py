@@ -8,7 +8,7 @@ import os
 import subprocess
 import sys
 import zlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple, Self
@@ -39,7 +39,9 @@ from deitalk.models.protocol import (
     State,
     Tracks,
     is_neutral,
+    put,
     styles_of,
+    take,
 )
 from rig import ControlSet, default_controls, limits
 from rig.arrays import Float32
@@ -48,7 +50,7 @@ from rig.errors import quoted
 from rig.files import cache_folder
 from rig.files.reading import check_file
 
-SCHEMA, CAUSAL_SCHEMA = "deitalk.graph/1", "deitalk.graph-live/2"
+SCHEMA, CAUSAL_SCHEMA = "deitalk.graph/1", "deitalk.graph-live/3"
 NEXT = "next_"
 """Before the names of the outputs that are the state for the next call."""
 WEIGHTS, STORED = "model.", "_stored"
@@ -338,7 +340,7 @@ class OnnxCausalNetwork(_Network):
     def _read_metadata(self) -> None:
         self.grid = SpectraGrid(**json.loads(self.metadata["grid"]))
         states = json.loads(self.metadata["state"])
-        self._frontend = int(self.metadata["frontend_states"])
+        self._rings = tuple(map(int, json.loads(self.metadata["rings"])))
         self._reads_effort = self.metadata["effort"] == "true"
         self._names = [str(state["name"]) for state in states]
         self._first = [np.full(state["shape"], state["first"], np.float32) for state in states]
@@ -348,15 +350,25 @@ class OnnxCausalNetwork(_Network):
         kept = (np.repeat(first[None], batch, axis=0) for first in self._first)
         return first_level(batch), *kept
 
-    def begin(self, windows: Float32, state: State) -> State:
+    def begin(self, windows: Float32, state: State, streams: Sequence[int]) -> None:
         """Read the first groups, which change the states of the frontend, the first ones, alone."""
         groups = windows.shape[1] // self.grid.spectra
-        shape = len(windows), groups, 5 + len(self.actors)
-        _, after = self.advance(windows, np.zeros(shape, np.float32), state)
-        return (*after[: self._frontend], *state[self._frontend :])
+        styles = np.zeros((len(windows), groups, 5 + len(self.actors)), np.float32)
+        _, new = self._run(windows, styles, take(state, streams))
+        put(state, streams, new[: len(self._rings)], self._rings)
 
-    def advance(self, windows: Float32, styles: Float32, state: State) -> tuple[NetworkRows, State]:
+    def advance(
+        self, windows: Float32, styles: Float32, state: State, streams: Sequence[int]
+    ) -> NetworkRows:
         """Read the next frames."""
+        rows, new = self._run(windows, styles, take(state, streams))
+        count = len(self._rings)
+        put(state, streams, new[:count], self._rings)
+        put(state[count:], streams, new[count:])
+        return rows
+
+    def _run(self, windows: Float32, styles: Float32, state: State) -> tuple[NetworkRows, State]:
+        """The next frames of streams, and what is new of their state."""
         given, level = levelled(windows, self.grid.spectra, state[0])
         inputs = {"windows": given, "emotion": np.ascontiguousarray(styles)}
         found = self._session.run(None, inputs | dict(zip(self._names, state[1:], strict=True)))
@@ -382,12 +394,12 @@ class OnnxCausalNetwork(_Network):
         padded = np.pad(sound * np.float32(gain), (before, after))
         rows = np.lib.stride_tricks.sliding_window_view(padded, grid.length)
         first = grid.delay * grid.spectra
-        state = self.begin(rows[starts[:first] + before][None], self.first_state(1))
-        parts = []
+        state, parts = self.first_state(1), []
+        self.begin(rows[starts[:first] + before][None], state, [0])
         for start in range(0, total, PROGRESS_FRAMES):
             stop = min(start + PROGRESS_FRAMES, total)
             places = starts[first + start * grid.spectra : first + stop * grid.spectra] + before
-            found, state = self.advance(rows[places][None], styles[:, start:stop], state)
+            found = self.advance(rows[places][None], styles[:, start:stop], state, [0])
             parts.append([part[0] for part in found])
             progress(stop / total)
         neutral, curves, saliency, strength, effort = (
