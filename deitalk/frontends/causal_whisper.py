@@ -261,7 +261,9 @@ def _replaced(ring: Tensor, new: Tensor, axis: int, place: Tensor) -> Tensor:
     """A part of a `CausalState` with new rows, from number `place` (B, 1) on, in their places."""
     first = max(new.shape[axis] - KEPT, 0)
     rows = new.narrow(axis, first, new.shape[axis] - first)
-    places = (place + torch.arange(first, new.shape[axis], device=new.device)).long() % KEPT
-    shape = [-1 if k in (0, axis) else 1 for k in range(new.dim())]
-    shape[0], shape[axis] = places.shape
-    return ring.scatter(axis, places.view(shape).expand_as(rows), rows)
+    number = torch.remainder(torch.arange(KEPT, device=new.device) - place - first, KEPT).long()
+    number = number.view(-1, *[KEPT if k == axis else 1 for k in range(1, new.dim())])
+    is_new = number < rows.shape[axis]
+    if rows.shape[axis] > 1:
+        rows = rows.gather(axis, (number * is_new).expand_as(ring))
+    return torch.where(is_new, rows, ring)

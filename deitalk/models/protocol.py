@@ -271,8 +271,9 @@ def put(state: State, streams: Sequence[int], new: State, rings: Sequence[int] =
     Parameters
     ----------
     state, new : State
-        Of all streams, and what is new of those; the last parts of a longer state stay.
+        Of all streams, and what is new of some; the last parts of a longer state stay.
     streams : sequence of int
+        Which these are.
     rings : sequence of int, optional
         Of each part, the axis on which row n of a stream lies at place n modulo its length, and of
         which `new` has the rows from the stream's `PLACE` on; 0 if all of the part is new.
