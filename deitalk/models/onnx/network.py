@@ -9,7 +9,7 @@ import subprocess
 import sys
 import zlib
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any, NamedTuple, Self
 
@@ -55,6 +55,8 @@ NEXT = "next_"
 """Before the names of the outputs that are the state for the next call."""
 WEIGHTS, STORED = "model.", "_stored"
 """Before the names of weights in a graph; after those that are cast."""
+KEPT_NETWORKS = 2
+"""Networks that `load_onnx` keeps."""
 WEIGHTS_FILE = "model.safetensors"
 """What a graph calls the place of each weight that it is given."""
 
@@ -207,6 +209,7 @@ class _Network:
     def __init__(self, file: OnnxFile) -> None:
         self.path, self.metadata, self._session = file.path, file.metadata, file.session
         self._open = file.open
+        self._passes: dict[str, OnnxPass] = {}
         self.controls, self.rules = file.controls, file.rules
         self.actors, self.emotions = file.actors, file.emotions
         try:
@@ -226,9 +229,13 @@ class _Network:
         return self._open(graph)
 
     def curve_pass(self, *, live: bool = False) -> OnnxPass:
-        """Rules after the network; see `deitalk.models.protocol.Network`."""
+        """Rules after the network, opened once; see `deitalk.models.protocol.Network`."""
+        entry = LIVE if live else WHOLE
         try:
-            return OnnxPass(self.metadata[LIVE if live else WHOLE], self.controls, self._opened)
+            if entry not in self._passes:
+                made = OnnxPass(self.metadata[entry], self.controls, self._opened)
+                self._passes[entry] = made
+            return self._passes[entry]
         except (KeyError, TypeError, ValueError):
             raise damaged(self.path) from None
 
@@ -441,6 +448,9 @@ def load_onnx(
 ) -> OnnxNetwork | OnnxCausalNetwork:
     """Return a network of ONNX Runtime: for whole recordings, or a causal one for those too.
 
+    The last `KEPT_NETWORKS` are kept and returned again, if no file of their folders has changed;
+    threads may share them.
+
     Parameters
     ----------
     model : str or Path
@@ -467,7 +477,17 @@ def load_onnx(
             f"{quoted(str(model))} is for other programs; name the model or its folder"
         )
     folder = model_folder(model)
-    path = ready_graph(folder) or cached_graph(folder, str(model))
+    files = sorted({*folder.iterdir(), *weight_files(folder)})
+    stats = [(path.stat().st_mtime_ns, path.stat().st_size, path.stat().st_ino) for path in files]
+    return _read(folder, str(model), threads, once, (os.getpid(), *files, *stats))
+
+
+@lru_cache(maxsize=KEPT_NETWORKS)
+def _read(
+    folder: Path, name: str, threads: int, once: bool, version: tuple[Any, ...]
+) -> OnnxNetwork | OnnxCausalNetwork:
+    """`load_onnx` from a version of the folder's files, in this process: forks share no threads."""
+    path = ready_graph(folder) or cached_graph(folder, name)
     file = OnnxFile(path, folder, threads, once=once)
     return OnnxCausalNetwork(file) if file.is_causal else OnnxNetwork(file)
 

@@ -7,6 +7,7 @@ import re
 import subprocess
 import sys
 import tomllib
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from importlib.metadata import packages_distributions
 from pathlib import Path
@@ -314,6 +315,22 @@ def test_a_graph_of_other_settings_is_not_used(plain_folder):
     config = plain_folder / "config.yaml"
     config.write_text(config.read_text().replace("peak: 0.25", "peak: 0.3"))
     assert chosen_backend(plain_folder) == "torch"
+
+
+def test_a_network_is_kept_until_its_folder_changes(plain_folder):
+    sound, rows = speechlike(1.0), weights(30, happy=1.0)
+    network = require_model(plain_folder, DEITalk)
+    kept = load_onnx(plain_folder)
+    before = kept.read(sound, rows).emotional
+    assert load_onnx(plain_folder) is kept and kept.curve_pass() is kept.curve_pass()
+    with ThreadPoolExecutor(4) as pool:
+        for found in pool.map(lambda _: load_onnx(plain_folder).read(sound, rows), range(8)):
+            np.testing.assert_array_equal(found.emotional, before)
+    with torch.no_grad():
+        network.decoder.output.bias += 0.25
+    save_model(plain_folder, network, Config(model=network.config, rules=network.rules), {})
+    after = load_onnx(plain_folder).read(sound, rows).emotional
+    np.testing.assert_allclose(after, before + 0.25, atol=1e-3)  # weights have 16 bits
 
 
 HEADER = '{"digest": "", "weights": [], "is_causal": false}'
