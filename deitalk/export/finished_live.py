@@ -139,8 +139,7 @@ class FinishedLive(nn.Module):
         # The network: two readings of the frame `delay` before.
         labels, actors = emotion[:, : len(LABELS)], emotion[:, len(LABELS) :]
         styles = torch.cat((labels @ cast(Tensor, self.trained), actors), dim=1)
-        n_frontend = causal_frontend(self.model).n_states
-        before = TensorState.of(network, n_frontend)
+        before = TensorState.of(network, self.model)
         rows, next_network = advance(
             self.model, self._spectra(sound, frame), styles[:, None], before
         )
@@ -184,7 +183,8 @@ class FinishedLive(nn.Module):
             for part in tree.tree_leaves(carried)
         ]
         # Before the first frame only the sound counts, not what is read and finished of it.
-        decoder, sound_end = 1 + n_frontend, 1 + len(network) + N_SOUND
+        decoder = 1 + len(causal_frontend(self.model).rings)
+        sound_end = 1 + len(network) + N_SOUND
         blocks = []
         for first, stop, waits in (
             (0, decoder, False),

@@ -4,8 +4,9 @@ Not in the papers, whose encoders need the whole clip. The weights are those of
 `deitalk.frontends.whisper`, which were tuned to be read in this way too: a layer attends to
 `PAST_FRAMES` before a frame and `LOOKAHEAD_FRAMES` after it, positions begin anew after `PERIOD`,
 and in place of the loudest spectrum of the clip a fixed peak at a running level gives the floor.
-Keys and values of the past are kept, so that every frame is computed once. State is explicit: a
-clip in one piece and in any pieces gives the same features, to rounding.
+Keys and values of the past are kept, so that every frame is computed once: a call gives those of
+its frames, which take the places of the oldest. State is explicit: a clip in one piece and in any
+pieces gives the same features, to rounding.
 
 With three layers the features of frame t depend on the sound until 135 ms after it: on the spectra
 of three more frames, the last centred at 3 2/3 frames and reaching 12.5 ms further.
@@ -14,6 +15,7 @@ Letters: B streams, W samples of a spectrum, P spectra of a rig frame, G frames 
 bins, D width.
 """
 
+import itertools
 import math
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, cast
@@ -32,12 +34,13 @@ from deitalk.frontends.whisper import Layer, WhisperFrontend, scaled
 
 PAST_FRAMES, LOOKAHEAD_FRAMES = 90, 1
 """Rig frames around one that a layer attends to."""
-KEPT = PAST_FRAMES + LOOKAHEAD_FRAMES
-"""Frames whose keys and values a layer keeps between two calls."""
 PEAK = 1.0
 """Logarithm to base 10 of the loudest mel power of speech at the normal level; .5 to 1.6."""
 PERIOD = 10 * FRAME_RATE
 """Frames after which the positions of a stream begin anew."""
+KEPT = PERIOD // 3
+"""Rows whose keys and values a layer keeps between two calls, at least `PAST_FRAMES` and
+`LOOKAHEAD_FRAMES`: row n of a stream at place n mod `KEPT`."""
 UNSEEN = -1e9
 """Score of a key that a query does not attend to."""
 STEM_SPECTRA = 2
@@ -58,7 +61,8 @@ class CausalState(NamedTuple):
     layers: tuple[Tensor, ...]
     """Of each layer in turn: if it looks ahead, input whose look-ahead is to come
     [shape=(B, LOOKAHEAD_FRAMES, D)]; keys [shape=(B, heads, D / heads, KEPT)] and values
-    [shape=(B, heads, KEPT, D / heads)] of the past, as products of matrices take them."""
+    [shape=(B, heads, KEPT, D / heads)] of the past, as products of matrices take them. Of what
+    `CausalWhisperFrontend.read` returns, those of the new rows in their order."""
 
     def tensors(self) -> tuple[Tensor, ...]:
         """All of them, in a row."""
@@ -88,8 +92,8 @@ class CausalWhisperFrontend(WhisperFrontend):
         Spectra of a frame that lie before it.
     rules_ahead : int
         Frames after a frame that its contacts see.
-    n_states : int
-        Tensors of a `CausalState`.
+    rings : tuple of int
+        Of each tensor of a `CausalState`, its axis of `KEPT` places; 0 if it has none.
     """
 
     is_causal = True
@@ -102,7 +106,8 @@ class CausalWhisperFrontend(WhisperFrontend):
         looking = depth if config.ahead is None else min(config.ahead, depth)
         self.ahead = [LOOKAHEAD_FRAMES] * looking + [0] * (depth - looking)
         self.delay = sum(self.ahead)
-        self.n_states = 3 + 2 * depth + looking
+        each = [(0, 3, 2) if ahead else (3, 2) for ahead in self.ahead]
+        self.rings = (0, 0, 0, *itertools.chain(*each))
         self._flat, self._flat_stem = FlatKernel(), FlatKernel()
 
     def first_state(self, batch: int) -> CausalState:
@@ -158,12 +163,21 @@ class CausalWhisperFrontend(WhisperFrontend):
         state : CausalState
             From `first_state`, or from the call before.
         """
+        features, new = self.hear(windows, state)
+        parts = zip(state.tensors(), new.tensors(), self.rings, strict=True)
+        after = [
+            _replaced(old, part, axis, state.place) if axis else part for old, part, axis in parts
+        ]
+        return features, CausalState.of(tuple(after))
+
+    def hear(self, windows: Tensor, state: CausalState) -> tuple[Tensor, CausalState]:
+        """`advance` that returns keys and values of the new rows alone."""
         given, level = levelled(windows.to(state.mel.device), self.spectra, state.level)
-        features, after = self.read(given, state)
-        return features, after._replace(level=level)
+        features, new = self.read(given, state)
+        return features, new._replace(level=level)
 
     def read(self, windows: Tensor, state: CausalState) -> tuple[Tensor, CausalState]:
-        """`advance` of windows at the usual level; the running level is not looked at."""
+        """`hear` windows at the usual level; the running level is not looked at."""
         spectra = scaled(self.mel.decades(windows), PEAK).transpose(1, 2)
         mel = torch.cat((state.mel, spectra), dim=1)
         # Few frames of many streams: products of matrices, where a convolution is one a stream.
@@ -177,22 +191,24 @@ class CausalWhisperFrontend(WhisperFrontend):
         x = x + self.encoder.positions[(times % PERIOD).long()]
         queries, kept, depth = x, list[Tensor](), len(self.encoder.layers)
         past, behind = list(state.layers), 0
-        # Which key each query attends to (G, KEPT + G), and the frames of the keys (KEPT + G,).
-        keys_at = torch.arange(KEPT + x.shape[1], device=x.device) - KEPT
+        # Numbers of the new rows (B, G), and of all that have keys (B, KEPT + G).
+        last = state.place - 1
+        old = last - torch.remainder(last - torch.arange(KEPT, device=x.device), KEPT)
+        numbers = torch.cat((old, times), dim=1).unsqueeze(1)
+        distance = numbers - times.unsqueeze(2)
         for ahead, layer in zip(
             self.ahead, cast("list[Layer]", list(self.encoder.layers)), strict=True
         ):
-            queries, queries_at = x, keys_at[KEPT:, None] - ahead
+            queries = x
             if ahead:
                 rows = torch.cat((past.pop(0), x), dim=1)
                 queries = rows[:, :-ahead]
                 kept.append(rows[:, -ahead:])
-            after = keys_at - queries_at
-            near = (after <= ahead) & (after >= -PAST_FRAMES)
-            first = (state.place - behind).unsqueeze(2)  # frame of the first new row
-            begun = near & ((keys_at + first >= 0) | (queries_at + first < 0))
-            x, keys, values = _attended(layer, queries, x, (past.pop(0), past.pop(0)), begun)
-            kept += [keys, values]
+            # Which key each query attends to: the layer's rows are `behind` their numbers.
+            near = (distance <= 0) & (distance >= -PAST_FRAMES - ahead)
+            begun = (numbers >= behind) | (times.unsqueeze(2) < behind + ahead)
+            x, *new = _attended(layer, queries, x, (past.pop(0), past.pop(0)), near & begun)
+            kept += new
             behind += ahead
         states = {depth - 1: queries, depth: x}
         mixed = self.mixed({layer: states[layer].flatten(0, 1) for layer in self.layers})
@@ -226,15 +242,28 @@ def _attended(
 ) -> tuple[Tensor, Tensor, Tensor]:
     """A layer's output for queries (B, G, D), which are its new rows (B, G, D) or lie before them.
 
-    `past` are keys and values of the rows before, as in `CausalState`; those to keep now are
+    `past` are keys and values of the rows before, as in `CausalState`; those of the new rows are
     returned. `seen` (B, G, KEPT + G) tells which of the keys a query attends to.
     """
     attention, given = layer.self_attn, layer.self_attn_layer_norm(new)
-    new_keys = attention.by_heads(attention.k_proj(given)).transpose(2, 3)
-    keys = torch.cat((past[0], new_keys), dim=3)
-    values = torch.cat((past[1], attention.by_heads(attention.v_proj(given))), dim=2)
+    keys = attention.by_heads(attention.k_proj(given)).transpose(2, 3)
+    values = attention.by_heads(attention.v_proj(given))
     asked = attention.by_heads(attention.q_proj(layer.self_attn_layer_norm(queries)))
-    scores = (asked * asked.shape[-1] ** -0.5) @ keys
+    asked = asked * asked.shape[-1] ** -0.5
+    scores = torch.cat((asked @ past[0], asked @ keys), dim=3)  # that of the past is not copied
     shares = scores.masked_fill(~seen.unsqueeze(1), UNSEEN).softmax(dim=-1)
-    mixed = attention.out_proj((shares @ values).transpose(1, 2).flatten(2))
-    return layer.after(queries + mixed), keys[..., -KEPT:], values[:, :, -KEPT:]
+    mixed = shares[..., :KEPT] @ past[1] + shares[..., KEPT:] @ values
+    mixed = attention.out_proj(mixed.transpose(1, 2).flatten(2))
+    return layer.after(queries + mixed), keys, values
+
+
+def _replaced(ring: Tensor, new: Tensor, axis: int, place: Tensor) -> Tensor:
+    """A part of a `CausalState` with new rows, from number `place` (B, 1) on, in their places."""
+    first = max(new.shape[axis] - KEPT, 0)
+    rows = new.narrow(axis, first, new.shape[axis] - first)
+    number = torch.remainder(torch.arange(KEPT, device=new.device) - place - first, KEPT).long()
+    number = number.view(-1, *[KEPT if k == axis else 1 for k in range(1, new.dim())])
+    is_new = number < rows.shape[axis]
+    if rows.shape[axis] > 1:
+        rows = rows.gather(axis, (number * is_new).expand_as(ring))
+    return torch.where(is_new, rows, ring)

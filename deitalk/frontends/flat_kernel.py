@@ -23,7 +23,9 @@ class FlatKernel:
 
 
 def joined_taps(rows: Tensor, taps: int, dilation: int = 1) -> Tensor:
-    """Rows (B, T + span, in) that the taps of a causal kernel are given, (B, T, K in)."""
+    """Rows (..., T + span, in) that the taps of a causal kernel are given, (..., T, K in)."""
     span = dilation * (taps - 1)
     ends = range(-span, 0, dilation)
-    return torch.cat([*(rows[:, span + end : end] for end in ends), rows[:, span:]], dim=2)
+    return torch.cat(
+        [*(rows[..., span + end : end, :] for end in ends), rows[..., span:, :]], dim=-1
+    )

@@ -406,7 +406,7 @@ class LiveAnimator:
         new = [k for k in fed if not streams[k].groups and streams[k].n_ready() >= delay]
         if new:
             windows, _, _ = self._windows([self.streams[k] for k in new], delay)
-            put(self.state, new, self.network.begin(windows, take(self.state, new)))
+            self.network.begin(windows, self.state, new)
             starts = np.arange(delay) * SAMPLE_RATE // FRAME_RATE - WINDOW // 2
             sound = np.array([self.streams[k].sound.windows(starts, WINDOW) for k in new])
             put(self.past, new, self.analysis.begin(sound, take(self.past, new)))
@@ -469,14 +469,13 @@ class LiveAnimator:
         actors = np.array([stream.actor for stream in streams])[:, None]
         actors = np.broadcast_to(actors, (*wanted.shape, actors.shape[-1]))
         styles = np.concatenate((trained_weights(emotion), actors), axis=-1)
-        rows, state = self.network.advance(windows, styles, self._taken(self.state, ready))
-        self.state = self._put(self.state, ready, state)
+        rows = self.network.advance(windows, styles, self.state, ready)
         # Intensity, opening and gates of the voices.
-        past = self._taken(self.past, ready)
+        past = take(self.past, ready)
         stays = np.array([stream.acting.rest for stream in streams], np.float32)
         measured = FrameMeasures.of_windows(sound, self.network.device)
         found, past = self.analysis(measured, rows.strength, rows.effort, stays, past)
-        self.past = self._put(self.past, ready, past)
+        put(self.past, ready, past)
         # Factors.
         rules = self.network.rules
         with_rules = ruled[:, None] > 0
@@ -503,7 +502,7 @@ class LiveAnimator:
             scale, opening, holds, phones, emotion, back, kept, variants, side
         ).columns()
         # Gates and motion of the frames that come out.
-        before, mixture, speaking, *cues = self._taken(self.due, ready)
+        before, mixture, speaking, *cues = take(self.due, ready)
         begin = cues[CueState._fields.index("frame")]
         new_cues, known = self.cues(found.measures, found.speaking, CueState(*cues))
         listens = self._listen(ready, others, begin, count)
@@ -530,7 +529,7 @@ class LiveAnimator:
         habits = np.where(with_rules[..., None], habits, np.float32(1))
         curves = show_habits(curves, plain, self.network.controls, habits)
         due = after, mixture[:, count:], speaking[:, count:], *known
-        self.due = self._put(self.due, ready, due)
+        put(self.due, ready, due)
         finished = zip(streams, curves, heads, given, numbers, strict=True)
         for stream, frames, head, which, first in finished:
             stream.give(frames[which], head[which], first + which.start)
@@ -610,17 +609,6 @@ class LiveAnimator:
             shown[places, start:stop, GATES:] = np.concatenate(motion.tracks, axis=-1)
             heads[frames] = motion.head
         return heads
-
-    def _taken(self, state: Arrays, ready: list[int]) -> Arrays:
-        """Select the state of some streams; that of all is not copied."""
-        return state if len(ready) == len(self.streams) else take(state, ready)
-
-    def _put(self, state: Arrays, ready: list[int], new: Arrays) -> Arrays:
-        """Replace the state of some streams in that of all."""
-        if len(ready) == len(self.streams):
-            return new
-        put(state, ready, new)
-        return state
 
 
 def are_plain(rows: Sequence[Any]) -> bool:

@@ -4,6 +4,7 @@ Letters: B streams, G groups of spectra (one a rig frame), P spectra of a group,
 spectrum, C controls.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple, Self, cast
 
 import numpy as np
@@ -20,6 +21,8 @@ from deitalk.models.protocol import (
     Product,
     SpectraGrid,
     State,
+    put,
+    take,
 )
 from deitalk.postprocess.curve_pass import TorchPass
 from rig import ControlSet
@@ -34,25 +37,22 @@ class TensorState(NamedTuple):
     frontend: CausalState
     saliency: Tensor
     """Last emotion features [shape=(B, saliency_frames - 1, E)]; empty without the module."""
-    neutral: tuple[Tensor, ...]
-    """Of the decoder's layers, neutral reading."""
-    emotional: tuple[Tensor, ...]
-    """Of the decoder's layers, emotional reading."""
+    decoder: tuple[Tensor, ...]
+    """Of the decoder's layers, neutral and emotional reading [shape=(B, 2, span, channels)]."""
     lips: tuple[Tensor, ...] = ()
     """Of the readout of the lips, where there is one."""
 
     def tensors(self) -> tuple[Tensor, ...]:
         """All of them, in a row."""
-        decoders = *self.neutral, *self.emotional
-        return (*self.frontend.tensors(), self.saliency, *decoders, *self.lips)
+        return (*self.frontend.tensors(), self.saliency, *self.decoder, *self.lips)
 
     @classmethod
-    def of(cls, tensors: tuple[Tensor, ...], n_frontend: int) -> "TensorState":
-        """The state that `tensors` gave, so many of them of the frontend."""
-        frontend, rest = CausalState.of(tensors[:n_frontend]), tensors[n_frontend + 1 :]
-        layers = len(rest) // 2
-        decoders = rest[:layers], rest[layers : 2 * layers]
-        return cls(frontend, tensors[n_frontend], *decoders, rest[2 * layers :])
+    def of(cls, tensors: tuple[Tensor, ...], model: DEITalk) -> "TensorState":
+        """The state of a model that `tensors` gave."""
+        count = len(causal_frontend(model).rings)
+        frontend, saliency, *rest = CausalState.of(tensors[:count]), *tensors[count:]
+        layers = len(rest) - (model.lips is not None)
+        return cls(frontend, saliency, tuple(rest[:layers]), tuple(rest[layers:]))
 
 
 class TensorRows(NamedTuple):
@@ -100,30 +100,38 @@ class TorchNetwork:
         return tuple(part.clone() for part in first_state(self.model, batch).tensors())
 
     @torch.no_grad()
-    def begin(self, windows: Float32, state: State) -> State:
+    def begin(self, windows: Float32, state: State, streams: Sequence[int]) -> None:
         """Read the first groups."""
-        before, frontend = self._state(state), causal_frontend(self.model)
-        _, kept = frontend.advance(self._given(windows), before.frontend)
-        return before._replace(frontend=kept).tensors()
+        self._hear(windows, state, streams)
 
     @torch.no_grad()
-    def advance(self, windows: Float32, styles: Float32, state: State) -> tuple[NetworkRows, State]:
+    def advance(
+        self, windows: Float32, styles: Float32, state: State, streams: Sequence[int]
+    ) -> NetworkRows:
         """Read the next frames."""
-        given = self._given(windows), self._given(styles)
-        rows, after = advance(self.model, *given, self._state(state))
+        speech = self._hear(windows, state, streams)
+        count = len(causal_frontend(self.model).rings)
+        before = TensorState.of(take(state, streams), self.model)
+        rows, after = decode(self.model, speech, self._given(styles), before)
+        put(state[count:], streams, after.tensors()[count:])
         *curves, saliency, strength, effort = rows
         # One array crosses the bus: columns of the readings, then of the tracks.
         tracks = torch.stack((saliency, strength, effort), dim=-1)
         columns = torch.cat((*curves, tracks), dim=-1).cpu().numpy()
         size = len(self.controls)
         both = columns[..., :size], columns[..., size : 2 * size]
-        return NetworkRows(*both, *np.moveaxis(columns[..., 2 * size :], -1, 0)), after.tensors()
+        return NetworkRows(*both, *np.moveaxis(columns[..., 2 * size :], -1, 0))
+
+    def _hear(self, windows: Float32, state: State, streams: Sequence[int]) -> Tensor:
+        """Features (B, G, D) of the next groups; changes the state of the frontend."""
+        frontend = causal_frontend(self.model)
+        before = take(state[: len(frontend.rings)], streams)
+        speech, new = frontend.hear(self._given(windows), CausalState.of(before))
+        put(state, streams, new.tensors(), frontend.rings)
+        return speech
 
     def _given(self, values: Float32) -> Tensor:
         return torch.from_numpy(values).to(self.model.device)
-
-    def _state(self, state: State) -> TensorState:
-        return TensorState.of(state, causal_frontend(self.model).n_states)
 
 
 def grid_of(model: DEITalk) -> SpectraGrid:
@@ -138,9 +146,9 @@ def first_state(model: DEITalk, batch: int) -> TensorState:
     frontend = causal_frontend(model).first_state(batch)
     module = model.intensity if model.config.intensity else None
     saliency = frontend.level.new_zeros(batch, 0) if module is None else module.first_past(batch)
-    neutral, emotional = (model.rig_decoder.first_past(batch) for _ in range(2))
+    decoder = tuple(torch.stack((x, x), dim=1) for x in model.rig_decoder.first_past(batch))
     lips = () if model.lips is None else (model.lips.first_past(batch),)
-    return TensorState(frontend, saliency, neutral, emotional, lips)
+    return TensorState(frontend, saliency, decoder, lips)
 
 
 def causal_frontend(model: DEITalk) -> CausalWhisperFrontend:
@@ -183,21 +191,22 @@ def decode(
     neutral_style = torch.eye(len(EMOTIONS), device=styles.device)[NEUTRAL]
     plain = 0 * styles[..., : len(EMOTIONS)] + neutral_style
     plain = torch.cat((plain, styles[..., len(EMOTIONS) :]), dim=-1)
-    both = tuple(torch.cat(pair) for pair in zip(state.neutral, state.emotional, strict=True))
     curves, past = model.rig_decoder.advance(
-        torch.cat((speech, speech)),
-        torch.cat((plain, styles)),
-        None if guidance is None else torch.cat((guidance, guidance)),
-        both,
+        _twice(speech),
+        torch.stack((plain, styles), dim=1),
+        None if guidance is None else _twice(guidance),
+        state.decoder,
     )
-    pair = torch.stack(curves.chunk(2))
+    pair = curves.transpose(0, 1)
     lips: tuple[Tensor, ...] = ()
     if model.lips is not None:
         pair = model.lips.correct(pair, model.lips(speech, state.lips[0]))
         lips = (model.lips.next_past(state.lips[0], speech),)
     neutral, emotional = pair
-    halves = tuple(zip(*(part.chunk(2) for part in past), strict=True))
-    return (
-        TensorRows(neutral, emotional, saliency, strength, effort),
-        TensorState(state.frontend, kept, halves[0], halves[1], lips),
-    )
+    rows = TensorRows(neutral, emotional, saliency, strength, effort)
+    return rows, TensorState(state.frontend, kept, past, lips)
+
+
+def _twice(rows: Tensor) -> Tensor:
+    """Rows (B, G, D) for both readings (B, 2, G, D)."""
+    return rows.unsqueeze(1).expand(-1, 2, -1, -1)

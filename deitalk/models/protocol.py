@@ -17,6 +17,7 @@ from typing import Any, Literal, NamedTuple, Protocol, Self, TypeAlias
 
 import numpy as np
 
+from deitalk.array_functions import as_index, like
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
 from deitalk.audio.voice_activity import WINDOW
 from deitalk.config.rules import RulesConfig
@@ -230,13 +231,15 @@ class CausalNetwork(Network, Protocol):
     def first_state(self, batch: int) -> State:
         """State of streams before their first sample."""
 
-    def begin(self, windows: Float32, state: State) -> State:
+    def begin(self, windows: Float32, state: State, streams: Sequence[int]) -> None:
         """Read the first groups of streams, as many as the grid's `delay`: they give no frame.
 
         The decoder begins with the first frame, as on a whole clip. Parameters as for `advance`.
         """
 
-    def advance(self, windows: Float32, styles: Float32, state: State) -> tuple[NetworkRows, State]:
+    def advance(
+        self, windows: Float32, styles: Float32, state: State, streams: Sequence[int]
+    ) -> NetworkRows:
         """Read the next frames of streams in the neutral and in another emotion.
 
         Parameters
@@ -246,21 +249,52 @@ class CausalNetwork(Network, Protocol):
         styles : array [shape=(B, G, 5 + actors)]
             From `styles_of`, of the frames that are read: the grid's `delay` before the groups.
         state : State
-            From `first_state`, or from the call before.
+            Of all streams, from `first_state`; it is changed.
+        streams : sequence of int
+            The B of them that are read.
         """
 
 
+PLACE = 2
+"""Which of the state of a causal network is the number of a stream's next row (B, 1)."""
+
+
 def take(state: State, streams: Sequence[int]) -> State:
-    """State of some streams."""
-    index = list(streams)
+    """State of some streams; of consecutive ones a view."""
+    index = _index(streams)
     return tuple(part[index] for part in state)
 
 
-def put(state: State, streams: Sequence[int], new: State) -> None:
-    """Replace the state of some streams, in place."""
-    index = list(streams)
-    for old, part in zip(state, new, strict=True):
-        old[index] = part
+def put(state: State, streams: Sequence[int], new: State, rings: Sequence[int] = ()) -> None:
+    """Replace the state of some streams, in place.
+
+    Parameters
+    ----------
+    state, new : State
+        Of all streams, and what is new of some; the last parts of a longer state stay.
+    streams : sequence of int
+        Which these are.
+    rings : sequence of int, optional
+        Of each part, the axis on which row n of a stream lies at place n modulo its length, and of
+        which `new` has the rows from the stream's `PLACE` on; 0 if all of the part is new.
+    """
+    index = _index(streams)
+    parts = zip(state, new, rings or [0] * len(new), strict=False)
+    for old, part, axis in reversed(list(parts)):  # the rings before the place of their rows
+        if axis:
+            size, count = old.shape[axis], part.shape[axis]
+            rows = np.arange(max(count - size, 0), count)
+            numbers, rows = (like(x, old) for x in (np.asarray(streams)[:, None], rows))
+            places = as_index(state[PLACE][index] + rows) % size
+            old.swapaxes(1, axis)[as_index(numbers), places] = part.swapaxes(1, axis)[:, -size:]
+        else:
+            old[index] = part
+
+
+def _index(streams: Sequence[int]) -> slice | list[int]:
+    first, last = streams[0], streams[-1]
+    whole = list(streams) == list(range(first, last + 1))
+    return slice(first, last + 1) if whole else list(streams)
 
 
 def check_product(model: Any, wanted: Product) -> None:

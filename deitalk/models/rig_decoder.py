@@ -74,15 +74,15 @@ class TemporalConv(nn.Module):
         return out
 
     def advance(self, x: Tensor, past: Tensor) -> tuple[Tensor, Tensor]:
-        """Map the next rows (B, T, in_channels) of streams by a causal layer.
+        """Map the next rows (..., T, in_channels) of streams by a causal layer.
 
-        `past` (B, span, in_channels) is what it was given before; that of the next call is
-        returned after the rows (B, T, out_channels).
+        `past` (..., span, in_channels) is what it was given before; that of the next call is
+        returned after the rows (..., T, out_channels).
         """
-        rows = torch.cat((past, x), dim=1)
+        rows = torch.cat((past, x), dim=-2)
         taps = joined_taps(rows, self.conv.kernel_size[0], self.conv.dilation[0])
         out: Tensor = self.after(F.linear(taps, self._flat(self.conv.weight), self.conv.bias))
-        return out, rows[:, -self.span :] if self.span else past
+        return out, rows[..., -self.span :, :] if self.span else past
 
     @property
     def reach(self) -> int:
@@ -436,7 +436,7 @@ class RigDecoder(Decoder):
         """Input of the last layer from what is before it (B, T, channels)."""
         if not self.direct:
             return hidden
-        return torch.cat((hidden, speech.expand(hidden.shape[0], -1, -1)), dim=-1)
+        return torch.cat((hidden, speech.expand(*hidden.shape[:-1], -1)), dim=-1)
 
     @torch.no_grad()
     def hidden_readings(
@@ -514,13 +514,13 @@ class RigDecoder(Decoder):
         Parameters
         ----------
         speech, emotion, guidance
-            As for `forward`.
+            As for `forward`, with any axes before the frames.
         past : tuple of Tensor
-            From `first_past`, or from the call before.
+            From `first_past` [shape=(..., span, channels)], or from the call before.
 
         Returns
         -------
-        curves : Tensor [shape=(B, T, C)]
+        curves : Tensor [shape=(..., T, C)]
         past : tuple of Tensor
             For the next call.
         """
@@ -550,7 +550,7 @@ class RigDecoder(Decoder):
         """`advance` of the own layers alone."""
         x, extra, new = speech, self._extra(speech, emotion, guidance), []
         for i, layer in enumerate(cast("list[TemporalConv]", list(self.layers))):
-            out, after = layer.advance(torch.cat((x, extra), dim=2), past[i])
+            out, after = layer.advance(torch.cat((x, extra), dim=-1), past[i])
             x = self._joined(i, x, out)
             new.append(after)
         return self.curves(self.with_speech(x, speech), emotion), tuple(new)

@@ -106,6 +106,6 @@ class ActorLayers(nn.Module):
         actors = emotion[..., len(EMOTIONS) :]
         if not actors.shape[-1]:
             return 0.0
-        each = (hidden @ self.weight.flatten(0, 1).T).view(*hidden.shape[:2], *self.bias.shape)
+        each = (hidden @ self.weight.flatten(0, 1).T).view(*hidden.shape[:-1], *self.bias.shape)
         change: Tensor = (actors.unsqueeze(-2) @ (each + self.bias)).squeeze(-2)
         return change

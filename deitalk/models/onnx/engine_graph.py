@@ -17,7 +17,7 @@ from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
 from deitalk.config.rig_file import rig_text
 from deitalk.emotions import EMOTIONS
 from deitalk.frontends.whisper import WhisperFrontend
-from deitalk.models.causal_model import grid_of
+from deitalk.models.causal_model import causal_frontend, grid_of
 from deitalk.models.curve_model import DEITalk
 from deitalk.models.onnx.network import (
     CAUSAL_SCHEMA,
@@ -123,6 +123,9 @@ def _causal(model: DEITalk, stored: Collection[str]) -> tuple[Any, dict[str, str
     outputs = (*OUTPUTS, EFFORT, *(NEXT + name for name in states))
     axes: Axes = {name: {0: "B"} for name in (*inputs, *outputs)}
     axes["windows"][1] = "S"
+    rings = dict(zip(states, causal_frontend(model).rings[1:], strict=False))
+    for name in (name for name, axis in rings.items() if axis):
+        axes[NEXT + name][rings[name]] = "T"
     for name in ("emotion", *OUTPUTS, EFFORT):
         axes[name][1] = "T"
     content = traced(CausalGraph(model), example, inputs, outputs, axes, stored)
@@ -131,7 +134,7 @@ def _causal(model: DEITalk, stored: Collection[str]) -> tuple[Any, dict[str, str
         for name, first in states.items()
     ]
     texts = {"grid": json.dumps(grid._asdict()), "state": json.dumps(described)}
-    texts["frontend_states"] = str(1 + list(states).index("saliency_past"))
+    texts["rings"] = json.dumps(causal_frontend(model).rings)
     texts["effort"] = json.dumps(model.config.effort)
     return content, texts | {"schema": CAUSAL_SCHEMA}
 

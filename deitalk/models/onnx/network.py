@@ -8,8 +8,8 @@ import os
 import subprocess
 import sys
 import zlib
-from collections.abc import Callable, Mapping
-from functools import partial
+from collections.abc import Callable, Mapping, Sequence
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any, NamedTuple, Self
 
@@ -39,7 +39,9 @@ from deitalk.models.protocol import (
     State,
     Tracks,
     is_neutral,
+    put,
     styles_of,
+    take,
 )
 from rig import ControlSet, default_controls, limits
 from rig.arrays import Float32
@@ -48,11 +50,13 @@ from rig.errors import quoted
 from rig.files import cache_folder
 from rig.files.reading import check_file
 
-SCHEMA, CAUSAL_SCHEMA = "deitalk.graph/1", "deitalk.graph-live/2"
+SCHEMA, CAUSAL_SCHEMA = "deitalk.graph/1", "deitalk.graph-live/3"
 NEXT = "next_"
 """Before the names of the outputs that are the state for the next call."""
 WEIGHTS, STORED = "model.", "_stored"
 """Before the names of weights in a graph; after those that are cast."""
+KEPT_NETWORKS = 2
+"""Networks that `load_onnx` keeps."""
 WEIGHTS_FILE = "model.safetensors"
 """What a graph calls the place of each weight that it is given."""
 
@@ -205,6 +209,7 @@ class _Network:
     def __init__(self, file: OnnxFile) -> None:
         self.path, self.metadata, self._session = file.path, file.metadata, file.session
         self._open = file.open
+        self._passes: dict[str, OnnxPass] = {}
         self.controls, self.rules = file.controls, file.rules
         self.actors, self.emotions = file.actors, file.emotions
         try:
@@ -224,9 +229,13 @@ class _Network:
         return self._open(graph)
 
     def curve_pass(self, *, live: bool = False) -> OnnxPass:
-        """Rules after the network; see `deitalk.models.protocol.Network`."""
+        """Rules after the network, opened once; see `deitalk.models.protocol.Network`."""
+        entry = LIVE if live else WHOLE
         try:
-            return OnnxPass(self.metadata[LIVE if live else WHOLE], self.controls, self._opened)
+            if entry not in self._passes:
+                made = OnnxPass(self.metadata[entry], self.controls, self._opened)
+                self._passes[entry] = made
+            return self._passes[entry]
         except (KeyError, TypeError, ValueError):
             raise damaged(self.path) from None
 
@@ -338,7 +347,7 @@ class OnnxCausalNetwork(_Network):
     def _read_metadata(self) -> None:
         self.grid = SpectraGrid(**json.loads(self.metadata["grid"]))
         states = json.loads(self.metadata["state"])
-        self._frontend = int(self.metadata["frontend_states"])
+        self._rings = tuple(map(int, json.loads(self.metadata["rings"])))
         self._reads_effort = self.metadata["effort"] == "true"
         self._names = [str(state["name"]) for state in states]
         self._first = [np.full(state["shape"], state["first"], np.float32) for state in states]
@@ -348,15 +357,25 @@ class OnnxCausalNetwork(_Network):
         kept = (np.repeat(first[None], batch, axis=0) for first in self._first)
         return first_level(batch), *kept
 
-    def begin(self, windows: Float32, state: State) -> State:
+    def begin(self, windows: Float32, state: State, streams: Sequence[int]) -> None:
         """Read the first groups, which change the states of the frontend, the first ones, alone."""
         groups = windows.shape[1] // self.grid.spectra
-        shape = len(windows), groups, 5 + len(self.actors)
-        _, after = self.advance(windows, np.zeros(shape, np.float32), state)
-        return (*after[: self._frontend], *state[self._frontend :])
+        styles = np.zeros((len(windows), groups, 5 + len(self.actors)), np.float32)
+        _, new = self._run(windows, styles, take(state, streams))
+        put(state, streams, new[: len(self._rings)], self._rings)
 
-    def advance(self, windows: Float32, styles: Float32, state: State) -> tuple[NetworkRows, State]:
+    def advance(
+        self, windows: Float32, styles: Float32, state: State, streams: Sequence[int]
+    ) -> NetworkRows:
         """Read the next frames."""
+        rows, new = self._run(windows, styles, take(state, streams))
+        count = len(self._rings)
+        put(state, streams, new[:count], self._rings)
+        put(state[count:], streams, new[count:])
+        return rows
+
+    def _run(self, windows: Float32, styles: Float32, state: State) -> tuple[NetworkRows, State]:
+        """The next frames of streams, and what is new of their state."""
         given, level = levelled(windows, self.grid.spectra, state[0])
         inputs = {"windows": given, "emotion": np.ascontiguousarray(styles)}
         found = self._session.run(None, inputs | dict(zip(self._names, state[1:], strict=True)))
@@ -382,12 +401,12 @@ class OnnxCausalNetwork(_Network):
         padded = np.pad(sound * np.float32(gain), (before, after))
         rows = np.lib.stride_tricks.sliding_window_view(padded, grid.length)
         first = grid.delay * grid.spectra
-        state = self.begin(rows[starts[:first] + before][None], self.first_state(1))
-        parts = []
+        state, parts = self.first_state(1), []
+        self.begin(rows[starts[:first] + before][None], state, [0])
         for start in range(0, total, PROGRESS_FRAMES):
             stop = min(start + PROGRESS_FRAMES, total)
             places = starts[first + start * grid.spectra : first + stop * grid.spectra] + before
-            found, state = self.advance(rows[places][None], styles[:, start:stop], state)
+            found = self.advance(rows[places][None], styles[:, start:stop], state, [0])
             parts.append([part[0] for part in found])
             progress(stop / total)
         neutral, curves, saliency, strength, effort = (
@@ -429,6 +448,9 @@ def load_onnx(
 ) -> OnnxNetwork | OnnxCausalNetwork:
     """Return a network of ONNX Runtime: for whole recordings, or a causal one for those too.
 
+    The last `KEPT_NETWORKS` are kept and returned again, if no file of their folders has changed;
+    threads may share them.
+
     Parameters
     ----------
     model : str or Path
@@ -455,7 +477,17 @@ def load_onnx(
             f"{quoted(str(model))} is for other programs; name the model or its folder"
         )
     folder = model_folder(model)
-    path = ready_graph(folder) or cached_graph(folder, str(model))
+    files = sorted({*folder.iterdir(), *weight_files(folder)})
+    stats = [(path.stat().st_mtime_ns, path.stat().st_size, path.stat().st_ino) for path in files]
+    return _read(folder, str(model), threads, once, (os.getpid(), *files, *stats))
+
+
+@lru_cache(maxsize=KEPT_NETWORKS)
+def _read(
+    folder: Path, name: str, threads: int, once: bool, version: tuple[Any, ...]
+) -> OnnxNetwork | OnnxCausalNetwork:
+    """`load_onnx` from a version of the folder's files, in this process: forks share no threads."""
+    path = ready_graph(folder) or cached_graph(folder, name)
     file = OnnxFile(path, folder, threads, once=once)
     return OnnxCausalNetwork(file) if file.is_causal else OnnxNetwork(file)
 

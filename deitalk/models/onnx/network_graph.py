@@ -155,12 +155,11 @@ class CausalGraph(nn.Module):
         emotion : Tensor [shape=(B, G, 5 + actors)]
             Weights of the styles.
         state : Tensor
-            From the call before; see `first_states`.
+            From the call before; see `first_states`. Of rings the new rows alone are returned.
         """
-        frontend = causal_frontend(self.model)
-        before = TensorState.of((windows.new_zeros(0), *state), frontend.n_states)
-        speech, kept = frontend.read(windows, before.frontend)
-        rows, after = decode(self.model, speech, emotion, before._replace(frontend=kept))
+        before = TensorState.of((windows.new_zeros(0), *state), self.model)
+        speech, new = causal_frontend(self.model).read(windows, before.frontend)
+        rows, after = decode(self.model, speech, emotion, before._replace(frontend=new))
         frames = (rows.emotional, rows.neutral, rows.saliency, rows.strength, rows.effort)
         return (*frames, *after.tensors()[1:])
 
@@ -173,7 +172,7 @@ def first_states(model: DEITalk) -> dict[str, Tensor]:
     parts = "rows", "keys", "values"
     names += [f"{part}_{k}" for k, ahead in looks for part in parts[0 if ahead else 1 :]]
     names += ["saliency_past"]
-    names += [f"{k}_{i}" for k in ("neutral", "emotional") for i in range(len(state.neutral))]
+    names += [f"decoder_{i}" for i in range(len(state.decoder))]
     names += ["lips_past"] * len(state.lips)
     finite = (part[0].clamp_min(torch.finfo(torch.float32).min) for part in state.tensors()[1:])
     return dict(zip(names, cast("list[Tensor]", list(finite)), strict=True))

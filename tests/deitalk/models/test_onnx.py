@@ -7,6 +7,7 @@ import re
 import subprocess
 import sys
 import tomllib
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from importlib.metadata import packages_distributions
 from pathlib import Path
@@ -231,19 +232,20 @@ def test_live_frames_of_streams_are_those_of_torch(causal, exported_causal):
         assert (np.abs(found - expected[k]) / span).max() <= TOLERANCE
 
 
-@pytest.mark.parametrize("pieces", [(1,) * 12, (3, 3, 3, 3), (5, 1, 6), (12,)])
+@pytest.mark.parametrize("pieces", [(1,) * 12, (60, 48, 22), (3,) * 40, (9, 120, 3)])
 def test_any_number_of_frames_per_call_gives_those_of_torch(causal, exported_causal, pieces, rng):
-    """Frames of three streams, and the state after them."""
-    grid, batch = exported_causal.grid, 3
-    windows = rng.normal(0, 0.05, (batch, 12 * grid.spectra, grid.length)).astype(np.float32)
-    styles = rng.uniform(0, 0.5, (batch, 12, len(EMOTIONS) + 2)).astype(np.float32)
+    """Frames of three of five streams, and the state of all after them."""
+    grid, batch, total = exported_causal.grid, 3, sum(pieces)
+    windows = rng.normal(0, 0.05, (batch, total * grid.spectra, grid.length)).astype(np.float32)
+    styles = rng.uniform(0, 0.5, (batch, total, len(EMOTIONS) + 2)).astype(np.float32)
     torch_network = TorchNetwork(causal)
-    expected, last = torch_network.advance(windows, styles, torch_network.first_state(batch))
-    state, parts, begin = exported_causal.first_state(batch), [], 0
+    last, state = (network.first_state(5) for network in (torch_network, exported_causal))
+    streams, parts, begin = [4, 0, 1], [], 0
+    expected = torch_network.advance(windows, styles, last, streams)
     for count in pieces:
         sound = windows[:, begin * grid.spectra : (begin + count) * grid.spectra]
-        rows, state = exported_causal.advance(sound, styles[:, begin : begin + count], state)
-        parts.append(rows)
+        given = sound, styles[:, begin : begin + count]
+        parts.append(exported_causal.advance(*given, state, streams))
         begin += count
     for found, whole in zip(zip(*parts, strict=True), expected, strict=True):
         np.testing.assert_allclose(np.concatenate(found, axis=1), whole, atol=TOLERANCE)
@@ -313,6 +315,22 @@ def test_a_graph_of_other_settings_is_not_used(plain_folder):
     config = plain_folder / "config.yaml"
     config.write_text(config.read_text().replace("peak: 0.25", "peak: 0.3"))
     assert chosen_backend(plain_folder) == "torch"
+
+
+def test_a_network_is_kept_until_its_folder_changes(plain_folder):
+    sound, rows = speechlike(1.0), weights(30, happy=1.0)
+    network = require_model(plain_folder, DEITalk)
+    kept = load_onnx(plain_folder)
+    before = kept.read(sound, rows).emotional
+    assert load_onnx(plain_folder) is kept and kept.curve_pass() is kept.curve_pass()
+    with ThreadPoolExecutor(4) as pool:
+        for found in pool.map(lambda _: load_onnx(plain_folder).read(sound, rows), range(8)):
+            np.testing.assert_array_equal(found.emotional, before)
+    with torch.no_grad():
+        network.decoder.output.bias += 0.25
+    save_model(plain_folder, network, Config(model=network.config, rules=network.rules), {})
+    after = load_onnx(plain_folder).read(sound, rows).emotional
+    np.testing.assert_allclose(after, before + 0.25, atol=1e-3)  # weights have 16 bits
 
 
 HEADER = '{"digest": "", "weights": [], "is_causal": false}'
