@@ -410,9 +410,8 @@ class Regression:
         factor = np.where(self.learnt & (found > 0), np.clip(raised, 1, MOST_RAISED), 1.0)
         is_shared = layers is not None and not layers.weight.shape[-1]
         factor = np.where(is_shared | ~count.any(axis=1, keepdims=True), factor[0], factor)
-        means = np.where(
-            count > 0, means / np.maximum(count, 1), means[0] / np.maximum(count[0], 1)
-        )
+        means /= np.maximum(count, 1)
+        means = np.where(count > 0, means, means[0])
         self.raised = Raised(factor, means)
         self.raised.scale(self.model.rig_decoder)
 
