@@ -52,8 +52,9 @@ class ModelConfig(Section):
         default=(), max_length=limits.WIDTH
     )
     """Actors whose styles are added to the emotional one; not in the paper."""
-    actor_layers: bool = False
-    """A last layer of each actor, as a change of that of all; not in the paper."""
+    actor_layers: bool | Literal["offsets"] = False
+    """A last layer of each actor, as a change of that of all, or an offset of each; not in the
+    paper."""
     kept_controls: tuple[Annotated[str, Field(min_length=1, max_length=200)], ...] = Field(
         default=(), max_length=limits.CONTROLS
     )

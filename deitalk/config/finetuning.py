@@ -25,9 +25,9 @@ class TuneConfig(Section):
     part: Literal["head", "decoder", "all"] = "decoder"
     """What the steps change: the last layer, the decoder, or every weight."""
     range: Annotated[float, Field(gt=0, le=1)] | None = None
-    """Share of the captured spread to which every control is raised about its mean, its timing
-    unchanged: a regression moves less the less it knows. null: as regressed, with the least error.
-    """
+    """Share of the captured spread to which every control is raised about its mean, in every style,
+    its timing unchanged: a regression moves less the less it knows. null: as regressed, with the
+    least error."""
     hold: Weight = 1.0
     """Weight of the base's curves as the target of controls that a clip does not know."""
     keep: bool = True

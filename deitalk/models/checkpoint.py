@@ -234,7 +234,8 @@ def save_model(
 def _complete(config: Config, model: DEITalk) -> Config:
     """Configuration that needs no file outside the model folder: no checkpoint, no rig file."""
     frontend = model.frontend.described(config.model.frontend)
-    settings = config.model.model_copy(update={"frontend": frontend})
+    changes = {"frontend": frontend, "actor_layers": model.config.actor_layers}
+    settings = config.model.model_copy(update=changes)
     if model.controls.id != DEFAULT_ID:
         settings = settings.model_copy(update={"control_set": RIG_FILE})
     return config.model_copy(update={"model": settings})

@@ -3,7 +3,7 @@
 import itertools
 from collections.abc import Callable, Sequence
 from importlib.metadata import entry_points
-from typing import Any, ClassVar, cast
+from typing import Any, ClassVar, Literal, cast
 
 import torch
 from torch import Tensor, nn
@@ -269,8 +269,8 @@ class RigDecoder(Decoder):
     direct : bool
         The last layer has the speech features of its frame too, and so can be any linear map of
         them (not in the paper).
-    actor_layers : bool
-        Add `ActorLayers`.
+    actor_layers : bool or "offsets"
+        Add `ActorLayers`, or offsets alone.
     """
 
     joins = True
@@ -305,7 +305,7 @@ class RigDecoder(Decoder):
         captured: Sequence[bool] = (),
         n_base: int | None = None,
         direct: bool = False,
-        actor_layers: bool = False,
+        actor_layers: bool | Literal["offsets"] = False,
     ) -> None:
         super().__init__()
         self.residual, self.guidance_size, self.direct = residual, guidance_size, direct
@@ -337,7 +337,8 @@ class RigDecoder(Decoder):
             for width, dilation in zip(widths, dilations, strict=False)
         )
         size = channels + (in_size if direct else 0)
-        self.actor_layers = ActorLayers(n_actors, len(rest), size) if actor_layers else None
+        own = 0 if actor_layers == "offsets" else size
+        self.actor_layers = ActorLayers(n_actors, len(rest), own) if actor_layers else None
         self.output = nn.Linear(size, len(rest))
         nn.init.normal_(self.output.weight, std=0.01)
         with torch.no_grad():

@@ -92,6 +92,7 @@ class ActorLayers(nn.Module):
     Parameters
     ----------
     n_actors, n_controls, channels : int
+        With 0 channels the change is an offset.
     """
 
     def __init__(self, n_actors: int, n_controls: int, channels: int) -> None:
@@ -106,6 +107,8 @@ class ActorLayers(nn.Module):
         actors = emotion[..., len(EMOTIONS) :]
         if not actors.shape[-1]:
             return 0.0
+        if not self.weight.shape[-1]:
+            return actors @ self.bias
         each = (hidden @ self.weight.flatten(0, 1).T).view(*hidden.shape[:-1], *self.bias.shape)
         change: Tensor = (actors.unsqueeze(-2) @ (each + self.bias)).squeeze(-2)
         return change

@@ -1,8 +1,9 @@
 """Files and folders to takes: a file of curves, and the recording beside it.
 
 A Live Link Face take is a folder as the app leaves it: ``<Slate>_<Take>_<Device>.csv`` beside a
-``.mov`` of the same name. Of a calibrated take the ``_cal`` file is read, not ``_raw``; the
-``_neutral`` file, ``frame_log.csv`` and the app's JSON files are no takes.
+``.mov`` of the same name. Of a calibrated take the ``_cal`` file is read, not ``_raw``; its
+``_neutral`` file, ``frame_log.csv`` and the app's JSON files are no takes. A file ``anna_neutral``
+that lies beside no take ``anna``, or has a recording of its name, is a take in that emotion.
 
 A video is a take of its own where it is given by name, or its folder holds no curves.
 """
@@ -127,7 +128,7 @@ def find_files(source: Path) -> list[Path]:
         for path in sorted(source.rglob("*"))
         if path.suffix.lower() in CURVES
         and path.name.lower() not in SIDE_FILES
-        and not _without_suffix(path).endswith("_neutral")
+        and not _is_calibration(path)
         and not _is_hidden(path, source)
         and path.is_file()
     ]
@@ -186,6 +187,21 @@ def _sounds(folder: Path, *, deep: bool = False) -> list[Path]:
         return []
     paths = folder.rglob("*") if deep else folder.iterdir()
     return sorted(p for p in paths if p.suffix.lower() in SOUNDS and p.is_file())
+
+
+def _is_calibration(path: Path) -> bool:
+    """Whether it is the resting face of a take beside it, as Live Link Face writes one."""
+    name = _without_suffix(path)
+    take = name.removesuffix("_neutral")
+    if take == name:
+        return False
+    beside = list(path.parent.iterdir())
+    has_take = any(
+        _without_suffix(p) != name and _stem(p) == take
+        for p in beside
+        if p.suffix.lower() in CURVES
+    )
+    return has_take and not any(p.stem == name for p in beside if p.suffix.lower() in SOUNDS)
 
 
 def _is_hidden(path: Path, top: Path) -> bool:

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import torch
+from torch import nn
 
 from deitalk.data.clips import Clip
 from deitalk.errors import DataError
@@ -158,6 +159,9 @@ def _set_face(model: DEITalk, style: str, gain: Float64, offset: Float64) -> Non
     output, layers = decoder.output, decoder.actor_layers
     slope, shift = (torch.from_numpy(part).to(output.bias) for part in (gain, offset))
     weight, bias = output.weight.clone(), output.bias.clone()
+    if layers is not None and not layers.weight.shape[-1]:  # of offsets: the map of each is theirs
+        layers.weight = nn.Parameter(weight.new_zeros(*layers.bias.shape, weight.shape[1]))
+        model.config = model.config.model_copy(update={"actor_layers": True})
     if style and layers is not None:
         place = model.actors.index(style)
         weight, bias = weight + layers.weight[place], bias + layers.bias[place]

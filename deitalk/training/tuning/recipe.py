@@ -23,6 +23,7 @@ from deitalk.models.lip_readout import CONTACTS
 from deitalk.postprocess.control_groups import LIVELY
 from deitalk.postprocess.life.motion import ADDED_CONTROLS
 from deitalk.training.tuning.carry import carry_matrix
+from deitalk.training.tuning.ridge import MANY
 from rig import ControlSet
 from rig.arrays import Bool, Float64
 
@@ -86,9 +87,16 @@ def with_actors(config: FinetuneConfig, clips: Sequence[Clip]) -> FinetuneConfig
     return config.model_copy(update={"model": model})
 
 
-def with_direct_layers(config: FinetuneConfig) -> FinetuneConfig:
-    """The configuration whose last layers have the speech features, and one of each actor."""
-    layers = {"decoder_direct": True, "actor_layers": bool(config.model.actors)}
+def with_direct_layers(config: FinetuneConfig, clips: Sequence[Clip]) -> FinetuneConfig:
+    """The configuration whose last layers have the speech features, and one of each actor.
+
+    Many actors have offsets alone, unless the base has layers of its own actors.
+    """
+    own: bool | str = bool(config.model.actors)
+    if len({clip.speaker for clip in clips}) >= MANY:
+        given = is_same_rig(config) and _base_config(config).model.actor_layers
+        own = True if given is True else "offsets"
+    layers = {"decoder_direct": True, "actor_layers": own}
     return config.model_copy(update={"model": config.model.model_copy(update=layers)})
 
 

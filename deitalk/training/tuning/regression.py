@@ -5,8 +5,9 @@ predicts clips better from others.
 """
 
 import copy
-from collections import Counter, defaultdict
+from collections import Counter
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -40,7 +41,7 @@ from deitalk.training.tuning.ridge import (
 )
 from rig.arrays import Bool, Float32, Float64
 
-MOST_SCORED = 60
+MOST_SCORED = 40
 """Clips that are predicted from others, of each emotion, evenly spread."""
 MOST_RAISED = 3.0
 """Most by which the spread of a control is raised."""
@@ -82,9 +83,20 @@ def styles_of_clip(model: DEITalk, clip: Clip, n_frames: int, actor: str = "") -
 
 
 def _last_layers(decoder: RigDecoder) -> list[nn.Module]:
-    """Those that maps are added to."""
-    actors = [] if decoder.actor_layers is None else [decoder.actor_layers]
-    return [decoder.output, *actors]
+    """What a regression changes: the layers that maps are added to, then the change by emotions."""
+    layers = (decoder.output, decoder.actor_layers, decoder.change)
+    return [layer for layer in layers if layer is not None]
+
+
+def _states(decoder: RigDecoder) -> list[dict[str, Tensor]]:
+    return copy.deepcopy([layer.state_dict() for layer in _last_layers(decoder)])
+
+
+def _load(decoder: RigDecoder, states: Sequence[dict[str, Tensor]], *, maps: bool = False) -> None:
+    """Load `_states`; with `maps` those alone that maps are added to."""
+    for layer, state in zip(_last_layers(decoder), states, strict=True):
+        if not (maps and layer is decoder.change):
+            layer.load_state_dict(state)
 
 
 def _range(values: Float64 | Float32) -> Float64:
@@ -111,6 +123,43 @@ def _jaw_share(acted: Float64, own: Float32, reference: int) -> tuple[float, Flo
         if start == 1 or (_range(shown) / _range(own) <= most).all():
             break
     return share, pose
+
+
+class Raised(NamedTuple):
+    """Factors on the spread of every control about its mean.
+
+    Attributes
+    ----------
+    factor, means : ndarray [shape=(A + 1, C)]
+        Of a face without a name, then of every actor.
+    """
+
+    factor: Float64
+    means: Float64
+
+    def of(self, layers: Tensor) -> Tensor:
+        """Scale the last layer, then how those of actors differ from it [shape=(A + 1, C, ...)]."""
+        factor = torch.from_numpy(self.factor[: len(layers)]).to(layers)
+        factor = factor.view(*factor.shape, *[1] * (layers.dim() - 2))
+        scaled = factor * torch.cat((layers[:1], layers[:1] + layers[1:]))
+        return torch.cat((scaled[:1], scaled[1:] - scaled[:1]))
+
+    def scale(self, decoder: RigDecoder) -> None:
+        """Scale the last layers of a decoder about the means, in place."""
+        output, layers = decoder.output, decoder.actor_layers
+        weights, biases = output.weight[None], output.bias[None]
+        if layers is not None:
+            biases = torch.cat((biases, layers.bias))
+            weights = torch.cat((weights, layers.weight)) if layers.weight.shape[-1] else weights
+        about = torch.from_numpy(self.means[: len(biases)]).to(biases)
+        about[1:] -= about[:1].clone()
+        weights, biases = self.of(weights), self.of(biases - about) + about
+        output.weight.copy_(weights[0])
+        output.bias.copy_(biases[0])
+        if layers is not None:
+            layers.bias.copy_(biases[1:])
+            if len(weights) > 1:
+                layers.weight.copy_(weights[1:])
 
 
 class Regression:
@@ -150,9 +199,9 @@ class Regression:
         self.new_actors = new_actors
         self.model, self.base, self.clips, self.learnt = model, base, clips, learnt
         self.features, self.progress, self.controls = features, progress, model.controls
-        self.factor: Float64 | None = None
-        """Of the spread of every control [shape=(C,)]; None: as regressed."""
-        self.start = copy.deepcopy([m.state_dict() for m in _last_layers(model.rig_decoder)])
+        self.raised: Raised | None = None
+        """Factors of the spread; None: as regressed."""
+        self.start = _states(model.rig_decoder)
         self.places = {clip.name: place for place, clip in enumerate(clips)}
 
     def fit(self, late: Sequence[Clip] = (), *, may_stay: bool = False) -> Maps | None:
@@ -341,58 +390,60 @@ class Regression:
 
     @torch.no_grad()
     def match_range(self, share: float) -> None:
-        """Raise the spread of every learnt control to a share of the captured one.
+        """Raise the spread of every learnt control to a share of the captured one, in every style.
 
-        The factor is that of clips that are predicted from others, at most `MOST_RAISED`.
+        The factors are those of clips that are predicted from others, at most `MOST_RAISED`; of a
+        face without a name, and of actors that have offsets alone, those of all clips.
         """
-        captured, found = np.zeros((2, len(self.controls)))
-        means: dict[str, list[Float64]] = defaultdict(list)
+        actors, layers = self.model.actors, self.model.rig_decoder.actor_layers
+        captured, found, means, count = np.zeros((4, len(actors) + 1, len(self.controls)))
         for clip in spread_clips(list(self.clips), MOST_SCORED):
             example = load_example(clip, self.controls, sound=False)
             curves = self.predicted(clip, example)
-            captured += example.curves.var(axis=0) * len(curves) * example.known
-            found += curves.var(axis=0) * len(curves) * example.known
-            means[clip.speaker].append(example.curves.mean(axis=0))
+            places = [0, *(k for k, name in enumerate(actors, 1) if name == clip.speaker)]
+            frames = len(curves) * example.known
+            captured[places] += example.curves.var(axis=0) * frames
+            found[places] += curves.var(axis=0) * frames
+            means[places] += example.curves.mean(axis=0) * frames
+            count[places] += frames
         raised = share * np.sqrt(captured / np.maximum(found, 1e-12))
-        moves = self.learnt & (found > 0)
-        self.factor = np.where(moves, np.clip(raised, 1, MOST_RAISED), 1.0)
-        everyone = np.mean([mean for own in means.values() for mean in own], axis=0)
-        self.means = np.stack(
-            [everyone, *(np.mean(means.get(a, [everyone]), axis=0) for a in self.model.actors)]
-        )
-        self._raise(self.model.rig_decoder)
-
-    def _raise(self, decoder: RigDecoder) -> None:
-        """Scale the last layers about the captured means."""
-        assert self.factor is not None
-        factor, means = (torch.from_numpy(x).float() for x in (self.factor, self.means))
-        pairs: list[tuple[Tensor, Tensor, Tensor]] = [
-            (decoder.output.weight, decoder.output.bias, means[0])
-        ]
-        if decoder.actor_layers is not None:
-            layers = decoder.actor_layers
-            pairs.append((layers.weight, layers.bias, means[1:] - means[0]))
-        for weight, bias, about in pairs:
-            weight.mul_(factor[:, None])
-            bias.copy_(factor * bias + (1 - factor) * about)
+        factor = np.where(self.learnt & (found > 0), np.clip(raised, 1, MOST_RAISED), 1.0)
+        is_shared = layers is not None and not layers.weight.shape[-1]
+        factor = np.where(is_shared | ~count.any(axis=1, keepdims=True), factor[0], factor)
+        means /= np.maximum(count, 1)
+        means = np.where(count > 0, means, means[0])
+        self.raised = Raised(factor, means)
+        self.raised.scale(self.model.rig_decoder)
 
     @torch.no_grad()
     def predicted(self, clip: Clip, example: Example) -> Float32:
         """Curves of a clip by the model of the other folds, within the controls' ranges."""
-        model, decoder = self.model.eval(), self.model.rig_decoder
-        layers = _last_layers(decoder)
-        now = copy.deepcopy([layer.state_dict() for layer in layers])
+        decoder = self.model.rig_decoder
+        now = _states(decoder)
         if self.maps.held:
-            for layer, state in zip(layers, self.start, strict=True):
-                layer.load_state_dict(state)
+            _load(decoder, self.start, maps=True)
             self.maps.held[self.maps.folds[self.places[clip.name]]].add_to(decoder)
-            if self.factor is not None:
-                self._raise(decoder)
+            if self.raised is not None:
+                self.raised.scale(decoder)
+        curves = self._decoded(clip, example)
+        _load(decoder, now)
+        return curves
+
+    @torch.no_grad()
+    def before(self, clip: Clip, example: Example) -> Float32:
+        """Curves of a clip by the model without the maps, within the controls' ranges."""
+        decoder = self.model.rig_decoder
+        now = _states(decoder)
+        _load(decoder, self.start)
+        curves = self._decoded(clip, example)
+        _load(decoder, now)
+        return curves
+
+    def _decoded(self, clip: Clip, example: Example) -> Float32:
+        model = self.model.eval()
         analysis = analysed(model, clip, len(example.curves), self.features)
         styles = styles_of_clip(model, clip, len(example.curves), clip.speaker)
         curves = model.decode(analysis, styles).numpy()
-        for layer, state in zip(layers, now, strict=True):
-            layer.load_state_dict(state)
         within: Float32 = np.clip(curves, self.controls.minimum, self.controls.maximum)
         return within
 

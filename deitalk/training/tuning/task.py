@@ -33,6 +33,7 @@ from deitalk.data.captures.splits import divide_clips, last_takes, shortage
 from deitalk.data.clips import REHEARSED, Clip, read_clips, spread_clips
 from deitalk.data.frozen_features import FrozenFeatures, remove_features
 from deitalk.data.seeded_batches import Share
+from deitalk.data.waveforms import sound_of
 from deitalk.data.windows import Window, WindowBatches
 from deitalk.emotions import EMOTIONS
 from deitalk.errors import ConfigError, DataError
@@ -84,8 +85,9 @@ def _return_memory() -> None:
     """Have glibc return what is freed, and later blocks from 1 MB on at once; else do nothing.
 
     It does so at first, but raises the size with every larger block that is freed, and then keeps
-    what lies between others: of a tuning a sixth of its memory.
+    what lies between others: of a tuning a sixth of its memory. Recordings that were read go too.
     """
+    sound_of.cache_clear()
     with suppress(AttributeError, OSError, TypeError):
         library = ctypes.CDLL(None)
         library.mallopt(MMAP_THRESHOLD, 2**20)
@@ -174,10 +176,9 @@ class FinetuneTask(CurveTask):
     features_folder: Path | None = None
     ridge: DEITalk | None = None
     """The model before the first step, whose last layers are a regression."""
-    start: DEITalk | None = None
-    """The base, or what is carried of it to the rig."""
     has_start: bool
-    """Whether there is one: the rig is related to the base's, and the decoder is of its class."""
+    """Whether the model before the regression is the base, or what is carried of it to the rig: the
+    rig is related to the base's, and the decoder is of its class."""
     late: Maps | None = None
     """What validation clips add to the regression; saved models have it, which choosing has not."""
     conventions: dict[str, Convention]
@@ -199,7 +200,7 @@ class FinetuneTask(CurveTask):
             division = division._replace(train=learnt, validation=[], between=[])
         elif not division.validation:
             division = last_takes(division)
-        complete = with_direct_layers(with_actors(config, division.train))
+        complete = with_direct_layers(with_actors(config, division.train), division.train)
         super().__init__(complete, data, frozen_features=frozen_features)
         self.base_actors, config = config.model.actors, self.config
         self.clips, self.validation_clips = division.train, division.validation
@@ -321,7 +322,7 @@ class FinetuneTask(CurveTask):
         actors = {"actors": self.base_actors[: len(self.base.actors)]}
         model = self.config.model.model_copy(update=actors)
         complete = with_actors(self.config.model_copy(update={"model": model}), self.clips)
-        self.config = with_direct_layers(complete)
+        self.config = with_direct_layers(complete, self.clips)
 
     def build(self, device: torch.device) -> None:
         """Build the model with the base's weights; keep the base as the teacher."""
@@ -391,7 +392,7 @@ class FinetuneTask(CurveTask):
                 decoder.actor_layers.parameters(), given.actor_layers.parameters(), strict=True
             )
             for new, old in pairs:
-                new[: len(old)] = old
+                new[: len(old), ..., : old.shape[-1]] = old
 
     def _keep(self, base: DEITalk) -> None:
         """Give the decoder of what captures do not show the base's weights."""
@@ -427,7 +428,6 @@ class FinetuneTask(CurveTask):
             fit.learnt = self.learnt = self.learnt & ~contacts
             self._begin_model()
             fit.model = self.model
-        self.start = self._copy() if self.has_start else None
         fit.maps.add_to(self.model.rig_decoder)
         gain = fit.teach_emotions(scales=self.is_same_rig)
         rules = self.config.rules
@@ -439,8 +439,11 @@ class FinetuneTask(CurveTask):
             self.model.rules = rules
         if self.config.tune.range is not None:
             fit.match_range(self.config.tune.range)
-            if self.late is not None and fit.factor is not None:
-                weight, bias = fit.factor[:, None] * self.late.weight, fit.factor * self.late.bias
+            if self.late is not None and fit.raised is not None:
+                weight, bias = (
+                    fit.raised.of(torch.from_numpy(part)).numpy()
+                    for part in (self.late.weight, self.late.bias)
+                )
                 self.late = self.late._replace(weight=weight, bias=bias)
         fit.size_emotions()
         self.ridge = self._copy() if self.config.train.steps else None
@@ -453,9 +456,12 @@ class FinetuneTask(CurveTask):
     def compare(self, out: Path) -> dict[str, Any]:
         """Write the report of a run; where the start of its steps errs less, deliver that."""
         ridge = copy.deepcopy(self.ridge)
+        _return_memory()
         captures, systems = self.systems(out / "best")
         self.stays = self.regression.maps.stays
-        del self.base, self.regression  # pictures need as much memory
+        del self.base, self.regression, self.model  # pictures need as much memory
+        self.frozen_features = None
+        _return_memory()
         scores = self._report(out, captures, systems)
         if ridge is not None and self.test_clips and errs_less(scores, "ridge", "after"):
             self.save(out / "best", ridge, describe_model(out / "best")["training"] | {"step": 0})
@@ -473,7 +479,7 @@ class FinetuneTask(CurveTask):
         best = describe_model(out / "best")["training"]["step"]
         about = facts | {
             "base_sha256": weights_hash(model_folder(tune.base)),
-            "actors": list(self.model.actors),
+            "actors": list(self.config.model.actors),
             "conventions": {name: list(found.takes) for name, found in self.conventions.items()},
             "best_step": best,
             "delivered": self.delivered(best),
@@ -512,12 +518,10 @@ class FinetuneTask(CurveTask):
         found: dict[int, dict[str, Float32]] = {}
         for clip, example in zip(clips, examples, strict=True):
             curves = {"after": self.regression.predicted(clip, example)}
-            if self.start is not None:
-                analysis = analysed(self.start, clip, len(example.curves), self.frozen_features)
-                styles = styles_of_clip(self.start, clip, len(example.curves), clip.speaker)
-                curves["before"] = self.start.decode(analysis, styles).numpy()
+            if self.has_start:
+                curves["before"] = self.regression.before(clip, example)
             found[id(example)] = curves
-        names = ["before", "after"] if self.start is not None else ["after"]
+        names = ["before", "after"] if self.has_start else ["after"]
 
         def system(name: str) -> System:
             return lambda example: (found[id(example)][name], None)

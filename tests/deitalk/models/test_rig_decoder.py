@@ -81,6 +81,7 @@ def test_style_of_one_frame_acts_near_that_frame_only():
         {"residual": True, "n_actors": 2},
         {"actor_layers": True, "n_actors": 2},
         {"direct": True, "actor_layers": True, "n_actors": 2},
+        {"direct": True, "actor_layers": "offsets", "n_actors": 2},
     ],
 )
 @pytest.mark.parametrize("guidance_size", [0, 4])
@@ -127,6 +128,19 @@ def test_an_actor_has_a_last_layer_and_a_stranger_that_of_all():
     changed = plain(speech, second, guidance)
     changed[..., 1] += plain.hidden(speech, second, guidance)[..., 0] - 0.1
     torch.testing.assert_close(net(speech, second, guidance), changed)
+
+
+def test_an_actor_of_many_has_an_offset():
+    """Half the second actor has half of it."""
+    net, plain = (decoder(actor_layers=how, n_actors=2).eval() for how in ("offsets", False))
+    plain.load_state_dict(net.state_dict(), strict=False)
+    speech, _, guidance = inputs(30)
+    style = torch.eye(7)[2][None] + 0.5 * torch.eye(7)[6]
+    with torch.no_grad():
+        net.actor_layers.bias[1, 1] = -0.1
+    expected = plain(speech, style, guidance)
+    expected[..., 1] -= 0.05
+    torch.testing.assert_close(net(speech, style, guidance), expected)
 
 
 def test_a_direct_last_layer_has_the_speech_of_its_frame():

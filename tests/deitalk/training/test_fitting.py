@@ -10,6 +10,8 @@ import pytest
 from deitalk.data.clips import read_clips
 from deitalk.evaluation.smoothness import load_example, predict
 from deitalk.models.checkpoint import load_model
+from deitalk.training.tuning import recipe as recipes
+from deitalk.training.tuning import ridge
 from deitalk.training.tuning.fitting import fit_model
 from deitalk.training.tuning.task import finetune
 from rig import RigCurves, write_curves
@@ -51,6 +53,27 @@ def test_the_nearest_style_is_found_and_actors_stay(two_actors, actor):
     )
     assert after < 0.9 * before
     assert errors(found.model, clips) == pytest.approx(errors(model, clips), rel=1e-3)
+
+
+def test_actors_of_many_stay_when_their_model_is_fitted(two_actors, base, tmp_path, monkeypatch):
+    """Many actors have offsets alone; a face that is scaled has a map of its own."""
+    for module in (recipes, ridge):
+        monkeypatch.setattr(module, "MANY", 2)
+    finetune(recipe(base, "train.steps=0"), two_actors[1], tmp_path / "run")
+    many, clips = load_model(tmp_path / "run/best"), read_clips(two_actors[1])
+    assert many.config.actor_layers == "offsets"
+    assert many.rig_decoder.actor_layers.weight.numel() == 0
+    bens = [clip for clip in clips if clip.speaker == "ben"][:1]
+    other = tmp_path / "ben"
+    shutil.copytree(two_actors[1], other)
+    table = pd.read_csv(other / "clips.csv", dtype=str, keep_default_na=False)
+    table[table["clip"] == bens[0].name].to_csv(other / "clips.csv", index=False)
+    ran("model", "fit", tmp_path / "run/best", other, "-o", tmp_path / "fitted")
+    fitted = load_model(tmp_path / "fitted")
+    assert errors(fitted, clips) == pytest.approx(errors(many, clips), rel=1e-3)
+    nobody = [predict(m, load_example(bens[0], CONTROLS)._replace(speaker=""))[0]
+              for m in (many, fitted)]  # fmt: skip
+    assert np.abs(nobody[0] - nobody[1]).max() > 0.01
 
 
 @pytest.mark.parametrize(("gain", "offset"), [(1.5, 0.0), (0.6, 0.0), (1.0, 0.15), (1.3, 0.1)])

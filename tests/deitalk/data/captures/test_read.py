@@ -1,6 +1,7 @@
 """Tables of curves and maps of other rigs: what is read, and one line for each fault."""
 
 import json
+import shutil
 
 import numpy as np
 import pytest
@@ -111,6 +112,27 @@ def test_calibrated_variant_is_read_and_neutral_is_no_take(tmp_path):
     assert [t.curves.name for t in takes] == ["S_1_iPhone_cal.csv"]
     assert [p.name for p in skipped] == ["notes.csv"]
     assert find_sound(takes[0], "", (), takes).name == "S_1_iPhone.wav"
+
+
+@pytest.mark.parametrize(
+    ("names", "takes"),
+    [
+        (["anna_neutral.csv"], ["anna_neutral.csv"]),
+        (["anna_happy.csv", "anna_neutral.csv"], ["anna_happy.csv", "anna_neutral.csv"]),
+        (["S.csv", "S_neutral.csv"], ["S.csv"]),
+        (["S_raw.csv", "S_cal.csv", "S_neutral.csv"], ["S_cal.csv"]),
+        (["S.csv", "S_neutral.csv", "S_neutral.wav"], ["S.csv", "S_neutral.csv"]),
+    ],
+)
+def test_a_neutral_take_is_no_resting_face_of_another(tmp_path, names, takes):
+    """A resting face lies beside its take and has no recording."""
+    write_live_link(tmp_path / "some.csv", 1)
+    for name in names:
+        given = "some.wav" if name.endswith(".wav") else "some.csv"
+        shutil.copy(tmp_path / given, tmp_path / name)
+    for given in ("some.csv", "some.wav"):
+        (tmp_path / given).unlink()
+    assert [take.curves.name for take in find_takes([tmp_path])[0]] == takes
 
 
 def test_sound_is_found_in_other_folders_by_name(tmp_path):
