@@ -59,10 +59,9 @@ def train(
 
 def _training(settings: "AnyConfig", start_from: str | None) -> "Callable[..., dict[str, Any]]":
     """The training of the configuration's kind of model."""
-    from deitalk.config.curves import Config
     from deitalk.errors import ConfigError
     from deitalk.models.folder import model_folder
-    from deitalk.research.config import MeshTrainingConfig
+    from deitalk.research.config import MeshTrainingConfig, TrainingConfig
 
     if isinstance(settings, MeshTrainingConfig):
         if start_from is not None:
@@ -72,7 +71,7 @@ def _training(settings: "AnyConfig", start_from: str | None) -> "Callable[..., d
         return partial(train_mesh, settings)
     from deitalk.research.training.curves import train_curves
 
-    assert isinstance(settings, Config)
+    assert isinstance(settings, TrainingConfig)
     start = None if start_from is None else model_folder(start_from)
     return partial(train_curves, settings, start_from=start)
 

@@ -132,7 +132,7 @@ def kept_closures(sounds: Sequence[Float32], lips: HeadLips) -> Rows:
         shut = np.stack([gap.numpy() < GAP for gap in gaps]).all(axis=0)
         met = takes[0].neutral.values[:, SEALS].mean(axis=1) >= MET
         edges = np.flatnonzero(np.diff(np.pad(met.astype(int), 1)))
-        speaking = takes[0].recording.activity > 0
+        speaking = np.asarray(takes[0].recording.activity > 0)
         for start, stop in edges.reshape(-1, 2):
             if speaking[start:stop].all():
                 count += 1
@@ -153,7 +153,7 @@ def apex(sound: Float32, emotion: str, actor: str) -> Float64:
 
 def apex_rows(poses: Mapping[str, Float64]) -> Rows:
     """R of the poses of every two actors."""
-    rows = {}
+    rows: Rows = {}
     for name, columns in (("upper face", UPPER), ("whole face", FACE)):
         pairs = [
             float(np.corrcoef(a[columns], b[columns])[0, 1])
