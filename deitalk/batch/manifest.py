@@ -69,16 +69,14 @@ def read_manifest(
     DataError
         If it has no column ``audio``, a column twice, no rows or too many.
     """
-    header, rows = rows_of_text(text, where, error=DataError, most=limits.BATCH_LINES, lower=True)
+    header, rows = rows_of_text(
+        text, where, error=DataError, once=COLUMNS, most=limits.BATCH_LINES, lower=True
+    )
     if "audio" not in header:
         raise DataError(
             f"{where}: no column 'audio' among {quoted(', '.join(header))}; a manifest has the "
             f"columns {', '.join(COLUMNS)}"
         )
-    known = [name for name in header if name in COLUMNS]
-    doubled = next((name for name in known if known.count(name) > 1), None)
-    if doubled is not None:
-        raise DataError(f"{where}: column {doubled!r} is there twice; keep one")
     read = _Reader(base, defaults)
     lines = read.linked([read.line(i, row) for i, row in enumerate(rows, 1)])
     if not lines:

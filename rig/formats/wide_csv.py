@@ -87,7 +87,7 @@ def read_layout(path: Path) -> Layout:
     for line, below in zip(lines, [*lines[1:], ""], strict=True):
         named = _SEPARATOR_LINE.fullmatch(line)
         is_comment = line.startswith("#") and not re.match(r"\s*[\d.+-]", below)
-        if line.strip() and not named and not is_comment:
+        if line.strip(' ,;\t"') and not named and not is_comment:
             break
         separator = named[1] if named else separator
         skipped += 1
