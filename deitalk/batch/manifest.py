@@ -32,8 +32,8 @@ from deitalk.emotions.track_files import number
 from deitalk.errors import DataError, DeitalkError
 from rig import limits
 from rig.errors import UserError, listed, quoted
+from rig.files.text_rows import Row, rows_of_text
 from rig.formats.table import writable_suffixes
-from rig.formats.text_rows import Row, rows_of_text
 
 SIGNAL = ("track", "channel", "raw")
 DUBBING = ("performance", "sound", "mapping", "stretch", "source_fps")

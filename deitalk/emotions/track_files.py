@@ -22,7 +22,7 @@ from rig import limits
 from rig.arrays import Bool, Float64, Int64
 from rig.errors import quoted
 from rig.files.reading import load_json, read_text
-from rig.formats.text_rows import below_blank_rows
+from rig.files.text_rows import below_blank_rows
 
 SHEET_SUFFIXES = (".csv", ".tsv")
 TRACK_SUFFIXES = (*SHEET_SUFFIXES, ".json", ".yaml", ".yml")

@@ -20,8 +20,8 @@ from deitalk.errors import DataError
 from rig import RigCurves
 from rig.conversion.convert import KNOWN
 from rig.errors import listed, quoted
+from rig.files.text_rows import read_rows
 from rig.formats.named import NamedCurves
-from rig.formats.text_rows import read_rows
 from rig.limits import POINTS_BYTES
 
 HEADER = ("target", "source", "weight", "offset")

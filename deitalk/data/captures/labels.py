@@ -14,7 +14,7 @@ from deitalk.data.clips import SPLITS
 from deitalk.emotions import EMOTIONS
 from deitalk.errors import DataError
 from rig.errors import quoted
-from rig.formats.text_rows import read_rows
+from rig.files.text_rows import read_rows
 from rig.limits import TRACK_BYTES
 
 GROUPS = ("actor", "emotion", "style")

@@ -3,7 +3,7 @@
 import pytest
 
 from rig.errors import FormatError
-from rig.formats.text_rows import read_rows, rows_of_text
+from rig.files.text_rows import read_rows, rows_of_text
 
 
 @pytest.mark.parametrize(

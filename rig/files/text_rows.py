@@ -8,7 +8,6 @@ from pathlib import Path
 
 from rig.errors import FormatError, quoted
 from rig.files.reading import read_text
-from rig.formats.wide_csv import separator_of
 
 Row = dict[str, str]
 _ABOVE = re.compile(r'(?:[ ,;\t"]*+(?:sep=(.)[ ,;\t"]*+)?(?:\r\n|\r|\n))*+', re.IGNORECASE)
@@ -74,8 +73,8 @@ def rows_of_text(
     lower : bool
         Names of columns in lower case.
     """
-    given, text = below_blank_rows(text)
-    separator = given or separator_of(re.split(r"[\r\n]", text, maxsplit=1)[0])
+    named, text = below_blank_rows(text)
+    separator = named or separator_of(re.split(r"[\r\n]", text, maxsplit=1)[0])
     lines = csv.reader(io.StringIO(text, newline=""), delimiter=separator)
     rows: list[Row] = []
     try:
@@ -108,3 +107,12 @@ def below_blank_rows(text: str) -> tuple[str, str]:
     above = _ABOVE.match(text)
     assert above is not None, "it matches no row too"
     return above[1] or "", text[above.end() :]
+
+
+def separator_of(line: str) -> str:
+    """The separator of a header: the most frequent outside quotes, a comma if there is none."""
+    plain = re.sub(r'"[^"]*"', "", line)
+    counts = {mark: plain.count(mark) for mark in ";\t,"}
+    if counts[";"] and re.search(r"\d,\d", plain):  # a row of numbers with decimal commas
+        return ";"
+    return max(counts, key=lambda mark: counts[mark]) if any(counts.values()) else ","
