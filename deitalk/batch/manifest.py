@@ -32,8 +32,8 @@ from deitalk.emotions.track_files import number
 from deitalk.errors import DataError, DeitalkError
 from rig import limits
 from rig.errors import UserError, listed, quoted
+from rig.files.text_rows import Row, rows_of_text
 from rig.formats.table import writable_suffixes
-from rig.formats.text_rows import Row, rows_of_text
 
 SIGNAL = ("track", "channel", "raw")
 DUBBING = ("performance", "sound", "mapping", "stretch", "source_fps")
@@ -69,16 +69,14 @@ def read_manifest(
     DataError
         If it has no column ``audio``, a column twice, no rows or too many.
     """
-    header, rows = rows_of_text(text, where, error=DataError, most=limits.BATCH_LINES, lower=True)
+    header, rows = rows_of_text(
+        text, where, error=DataError, once=COLUMNS, most=limits.BATCH_LINES, lower=True
+    )
     if "audio" not in header:
         raise DataError(
             f"{where}: no column 'audio' among {quoted(', '.join(header))}; a manifest has the "
             f"columns {', '.join(COLUMNS)}"
         )
-    known = [name for name in header if name in COLUMNS]
-    doubled = next((name for name in known if known.count(name) > 1), None)
-    if doubled is not None:
-        raise DataError(f"{where}: column {doubled!r} is there twice; keep one")
     read = _Reader(base, defaults)
     lines = read.linked([read.line(i, row) for i, row in enumerate(rows, 1)])
     if not lines:

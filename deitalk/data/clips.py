@@ -27,7 +27,7 @@ from rig import ControlSet
 from rig.arrays import Bool, Float32, Float64
 from rig.errors import ControlError
 from rig.files.reading import read_text
-from rig.formats.text_rows import Row, read_rows
+from rig.files.text_rows import Row, read_rows
 from rig.limits import CONTROL_SET_BYTES
 
 SPLITS = ("train", "validation", "test")

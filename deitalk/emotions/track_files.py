@@ -22,6 +22,7 @@ from rig import limits
 from rig.arrays import Bool, Float64, Int64
 from rig.errors import quoted
 from rig.files.reading import load_json, read_text
+from rig.files.text_rows import below_blank_rows
 
 SHEET_SUFFIXES = (".csv", ".tsv")
 TRACK_SUFFIXES = (*SHEET_SUFFIXES, ".json", ".yaml", ".yml")
@@ -208,11 +209,9 @@ def _sheet(path: object, text: str) -> Table:
     lines = text.count("\n") + text.count("\r") - text.count("\r\n")
     if lines > limits.KEYS + 2:
         raise EmotionError(f"{path} has {lines} lines; at most {limits.KEYS} keys are read")
-    line, rest = _first_line(text.lstrip("\r\n"))
-    given = re.fullmatch(r'"?sep=(.)"?[,;\t]*', line.strip(" "), re.IGNORECASE)
-    if given:
-        line, rest = _first_line(rest)
-    separator = given[1] if given else max(_SEPARATORS, key=re.sub(r'"[^"]*"?', "", line).count)
+    given, text = below_blank_rows(text)
+    line, rest = _first_line(text)
+    separator = given or max(_SEPARATORS, key=re.sub(r'"[^"]*"?', "", line).count)
     if separator not in _SEPARATORS:
         raise EmotionError(f"{path}: 'sep={separator}' is none of comma, semicolon and tab")
     header = tuple(cell.strip().lower() for cell in next(_csv(path, line, separator), []))

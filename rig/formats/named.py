@@ -360,7 +360,10 @@ def _matrix(path: Path, rows: Any, n_columns: int) -> Float64:
     try:
         values = np.array(rows, dtype=np.float64)
     except (ValueError, TypeError, OverflowError):
-        raise FormatError(f"{path}: values are no rows of {n_columns} numbers each") from None
+        bad = next((k for k, row in enumerate(rows, 1) if not _is_row(row, n_columns)), 1)
+        raise FormatError(
+            f"{path}: values are no rows of {n_columns} numbers each; see frame {bad}"
+        ) from None
     if values.ndim != 2 or values.shape[1] != n_columns or not len(values):
         raise FormatError(
             f"{path}: values have shape {values.shape}; must be frames x {n_columns} names"
@@ -371,6 +374,13 @@ def _matrix(path: Path, rows: Any, n_columns: int) -> Float64:
         row = int(np.argwhere(~usable)[0, 0])
         raise FormatError(f"{path}: frame {row + 1} holds NaN or infinity; mend or cut it")
     return values
+
+
+def _is_row(row: Any, n_columns: int) -> bool:
+    try:
+        return np.array(row, np.float64).shape == (n_columns,)
+    except (ValueError, TypeError, OverflowError):
+        return False
 
 
 def _on_even_grid(

@@ -19,6 +19,7 @@ from rig.files.reading import (
     encoding_of,
     open_file,
 )
+from rig.files.text_rows import separator_of
 from rig.limits import CONTROLS, CURVES_BYTES, FRAMES, HEADER_BYTES
 
 if TYPE_CHECKING:
@@ -87,7 +88,7 @@ def read_layout(path: Path) -> Layout:
     for line, below in zip(lines, [*lines[1:], ""], strict=True):
         named = _SEPARATOR_LINE.fullmatch(line)
         is_comment = line.startswith("#") and not re.match(r"\s*[\d.+-]", below)
-        if line.strip() and not named and not is_comment:
+        if line.strip(' ,;\t"') and not named and not is_comment:
             break
         separator = named[1] if named else separator
         skipped += 1
@@ -125,15 +126,6 @@ def read_header(path: Path) -> tuple[str, ...]:
     Errors are those of `read_layout`.
     """
     return read_layout(path).header
-
-
-def separator_of(line: str) -> str:
-    """The separator of a header: the most frequent outside quotes, a comma if there is none."""
-    plain = re.sub(r'"[^"]*"', "", line)
-    counts = {mark: plain.count(mark) for mark in ";\t,"}
-    if counts[";"] and re.search(r"\d,\d", plain):  # a row of numbers with decimal commas
-        return ";"
-    return max(counts, key=lambda mark: counts[mark]) if any(counts.values()) else ","
 
 
 def count_rows(path: Path, n_columns: int) -> int:

@@ -3,8 +3,6 @@
 Left and right are the subject's; left is +x.
 """
 
-import csv
-import itertools
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -15,6 +13,7 @@ from scipy.spatial import KDTree
 from rig.arrays import Float64, Int64
 from rig.errors import FormatError, MeshError, quoted
 from rig.files.reading import load_json, read_text
+from rig.files.text_rows import rows_of_text
 from rig.limits import COORDINATE, POINT_NAMES, POINTS_BYTES
 from rig.mesh.trimesh import TriMesh
 
@@ -71,8 +70,10 @@ def read_landmarks(path: Path | str, mesh: TriMesh) -> dict[str, int]:
     text = read_text(path, POINTS_BYTES)
     given = load_json(text, path.name) if path.suffix.lower() == ".json" else None
     try:
-        wanted = _from_csv(text) if given is None else {str(k): v for k, v in given.items()}
-    except (ValueError, KeyError, AttributeError, TypeError, csv.Error):
+        wanted = (
+            _from_csv(text, path.name) if given is None else {str(k): v for k, v in given.items()}
+        )
+    except (ValueError, KeyError, AttributeError, TypeError):
         raise FormatError(
             f'{path.name} is no landmark file; write {{"nose_tip": 12, ...}} as JSON, '
             "or CSV with the header name,vertex or name,x,y,z"
@@ -83,11 +84,11 @@ def read_landmarks(path: Path | str, mesh: TriMesh) -> dict[str, int]:
     return landmarks
 
 
-def _from_csv(text: str) -> dict[str, Any]:
-    rows = list(itertools.islice(csv.DictReader(text.splitlines()), POINT_NAMES + 1))
-    if rows and "vertex" in rows[0]:
+def _from_csv(text: str, where: str) -> dict[str, Any]:
+    header, rows = rows_of_text(text, where, needed=("name",), most=POINT_NAMES, lower=True)
+    if "vertex" in header:
         return {row["name"]: int(row["vertex"]) for row in rows}
-    return {row["name"]: [float(row[axis]) for axis in "xyz"] for row in rows}
+    return {row["name"]: [float(row[axis].replace(",", ".")) for axis in "xyz"] for row in rows}
 
 
 def _vertex(name: str, where: Any, mesh: TriMesh) -> int:

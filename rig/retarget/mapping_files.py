@@ -8,11 +8,14 @@ from typing import Any
 from rig.errors import FormatError
 from rig.files import atomic_write
 from rig.files.reading import load_json, read_text
+from rig.files.text_rows import rows_of_text
 from rig.limits import MAPPED_VALUE, POINT_NAMES, POINTS_BYTES
+
+HEADER = ("shape", "control", "value")
 
 
 def read_mapping(path: Path | str) -> dict[str, dict[str, float]]:
-    """Read a mapping file: CSV ``shape,control,value`` or JSON ``{shape: {control: value}}``.
+    """Read a mapping: a spreadsheet ``shape,control,value`` or JSON ``{shape: {control: value}}``.
 
     A row without a control, as `write_mapping` has it for an unknown shape, says nothing.
 
@@ -23,19 +26,18 @@ def read_mapping(path: Path | str) -> dict[str, dict[str, float]]:
     """
     path = Path(path)
     text = read_text(path, POINTS_BYTES, errors="replace")
-    given = load_json(text, path.name) if path.suffix.lower() == ".json" else None
+    is_json = path.suffix.lower() == ".json"
+    given = load_json(text, path.name) if is_json else {}
+    rows = [] if is_json else rows_of_text(text, path.name, once=HEADER, lower=True)[1]
     mapping: dict[str, dict[str, float]] = {}
     try:
-        if given is not None:
-            for shape, controls in given.items():
-                mapping[str(shape)] = {str(c): _value(v) for c, v in controls.items()}
-        else:
-            for row in csv.DictReader(text.splitlines()):
-                if not row["control"]:
-                    continue
-                value = _value(row.get("value") or 1.0)
-                mapping.setdefault(_name(row["shape"]), {})[_name(row["control"])] = value
-    except (ValueError, KeyError, AttributeError, TypeError, OverflowError, csv.Error):
+        for shape, controls in given.items():
+            mapping[str(shape)] = {str(c): _value(v) for c, v in controls.items()}
+        for row in rows:
+            if row["control"]:
+                value = _value((row.get("value") or "1").replace(",", "."))
+                mapping.setdefault(_name(row["shape"]), {})[row["control"]] = value
+    except (ValueError, KeyError, AttributeError, TypeError, OverflowError):
         mapping = {}
     if len(mapping) > POINT_NAMES:
         raise FormatError(f"{path.name} maps {len(mapping)} shapes; at most {POINT_NAMES} are read")
@@ -51,7 +53,7 @@ def write_mapping(path: Path | str, mapping: Mapping[str, Mapping[str, float]]) 
     """Write a mapping as CSV, to be edited and read by `read_mapping`."""
     with atomic_write(path) as beside, open(beside, "w", encoding="utf-8", newline="") as stream:
         rows = csv.writer(stream, lineterminator="\n")
-        rows.writerow(("shape", "control", "value"))
+        rows.writerow(HEADER)
         for shape, controls in mapping.items():
             rows.writerows((shape, *pair) for pair in controls.items() or (("", ""),))
 

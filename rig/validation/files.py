@@ -123,7 +123,7 @@ def _rows(path: Path) -> Rows:
             return summary + _curves(read_curves(path, control_set=None))
         except RigError as error:  # names of its shapes that are unknown
             return [*summary, ("note", f"its values are not checked: {error}")]
-    if suffix == ".csv" and is_live_link(path):
+    if is_live_link(path):
         return check_live_link(path)
     if suffix == ".txt" and not is_face_cap(path):  # EmoFace's hold no rate
         curves = read_curves(path, fps=FRAME_RATE, control_set=None)

@@ -28,7 +28,9 @@ SWITCH = "HeadControlSwitch"
 
 
 def is_live_link(path: Path) -> bool:
-    """Return whether a CSV begins as a Live Link Face CSV, with any separator or quotes."""
+    """Return whether a file is a CSV that begins as those of Live Link Face, quoted or not."""
+    if path.suffix.lower() != ".csv":
+        return False
     header = [cell.lower() for cell in read_header(path)[:2]]
     return header == ["timecode", COUNT.lower()]
 

@@ -20,8 +20,8 @@ from deitalk.errors import DataError
 from rig import RigCurves
 from rig.conversion.convert import KNOWN
 from rig.errors import listed, quoted
+from rig.files.text_rows import read_rows
 from rig.formats.named import NamedCurves
-from rig.formats.text_rows import read_rows
 from rig.limits import POINTS_BYTES
 
 HEADER = ("target", "source", "weight", "offset")
@@ -96,7 +96,9 @@ def read_mapping(path: Path) -> RigMapping:
         If it lacks a column, holds something that is no number or no control, or targets of
         several sets.
     """
-    _, lines = read_rows(path, POINTS_BYTES, error=DataError, needed=HEADER[:2])
+    _, lines = read_rows(
+        path, POINTS_BYTES, error=DataError, needed=HEADER[:2], once=HEADER, lower=True
+    )
     rows = [_row(path, number, cells) for number, cells in enumerate(lines, 1)]
     if not rows:
         raise DataError(f"{path}: has no rows; each names a target and a source")

@@ -14,10 +14,12 @@ from deitalk.data.clips import SPLITS
 from deitalk.emotions import EMOTIONS
 from deitalk.errors import DataError
 from rig.errors import quoted
-from rig.formats.text_rows import read_rows
+from rig.files.text_rows import read_rows
 from rig.limits import TRACK_BYTES
 
 GROUPS = ("actor", "emotion", "style")
+COLUMNS = (*GROUPS, "voice", "split")
+"""Of a table of takes, beside the take."""
 UNNAMED = "actor"
 """Actor of takes that no label names."""
 SPELLINGS = {
@@ -168,7 +170,9 @@ def _check_pattern(pattern: str) -> None:
 
 def _read_table(path: Path) -> dict[str, dict[str, str]]:
     """Rows by the names of their takes, in lower case."""
-    _, rows = read_rows(path, TRACK_BYTES, error=DataError, needed=("take",))
+    _, rows = read_rows(
+        path, TRACK_BYTES, error=DataError, needed=("take",), once=COLUMNS, lower=True
+    )
     found: dict[str, dict[str, str]] = {}
     for row in rows:
         if found.setdefault(row["take"].lower(), row) is not row:

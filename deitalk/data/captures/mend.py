@@ -36,7 +36,7 @@ from rig.files import (
     remove_leftovers,
     replace_recorded,
 )
-from rig.formats.text_rows import read_rows
+from rig.files.text_rows import read_rows
 
 KIND = "dataset"
 REPORT = "check/report.md"

@@ -78,7 +78,14 @@ def test_digits_and_time_code_of_a_row_are_checked():
 
 
 @pytest.mark.parametrize(
-    "text", ["audio\ta\nx.wav\t1\n", "sep=;\naudio;a\nx.wav;1\n", '"audio",a\n"x.wav",1\n\n,\n']
+    "text",
+    [
+        "audio\ta\nx.wav\t1\n",
+        "sep=;\naudio;a\nx.wav;1\n",
+        '"audio",a\n"x.wav",1\n\n,\n',
+        "\r\n;\r\nAudio;a\r\nx.wav;1\r\n",
+        "sep=;\raudio;a\rx.wav;1\r",
+    ],
 )
 def test_any_spreadsheet_is_read_and_unused_columns_are_named(text):
     lines, notes = read_manifest(text, "lines.csv", "", NOTHING)

@@ -47,6 +47,8 @@ KEYS = [(0.0, 0.45), (1.5, 1.25)]
         'sep=;\ntime;intensity\n0;0,45\n1,5;1,25\n',
         '"sep=\t"\ntime\tintensity\n0\t,45\n1,5\t1,25\n',
         "\n\n  TIME ; Intensity  ;\n0;,45;\n1,5;1,25;\n;;\n",
+        ",,\n , \ntime,intensity\n0,0.45\n1.5,1.25\n",
+        ';;\n"sep=;"\n;\ntime;intensity\n0;0,45\n1,5;1,25\n',
         "note;time;intensity\n;0;0,45\n;;\nlouder, please;1,5;1,25\n\n",
         "time,intensity\n 0 , 0.45 \n1.5, 1.25",
         'time;"a;b";intensity\n0;"x\ny";0,45\n1,5;z;1,25\n',

@@ -130,6 +130,21 @@ def test_own_names_are_driven_by_a_mapping(tmp_path):
     assert read_mapping(tmp_path / "m.json") == mapping
 
 
+@pytest.mark.parametrize(
+    "text",
+    [
+        "shape,control,value\ngrin,jaw,0.5\nopen,brow,1\n",
+        "\ufeffshape;control;value\r\ngrin;jaw;0,5\r\n;;\r\nopen;brow;\r\n",
+        "sep=;\nshape;control;value\ngrin;jaw;0,5\nopen;brow;1\n",
+        '\n"Value"\t"Shape"\t"Control"\r"0,5"\tgrin\tjaw\r1\topen\tbrow\r',
+        "shape,control,value\n grin , jaw ,0.5\nopen,brow\nnone,,\n",
+    ],
+)
+def test_a_mapping_of_any_spreadsheet_is_read(tmp_path, text):
+    (tmp_path / "m.csv").write_bytes(text.encode())
+    assert read_mapping(tmp_path / "m.csv") == {"grin": {"jaw": 0.5}, "open": {"brow": 1.0}}
+
+
 def test_match_shapes_rejects_unknown_names_and_mappings(tmp_path):
     with pytest.raises(MeshError, match="none of the shapes"):
         match_shapes(("Key 1", "Key 2"))

@@ -103,6 +103,13 @@ def test_landmarks_from_json_and_csv(tmp_path):
         "name,vertex\n" + "".join(f"{n},{v}\n" for n, v in wanted.items())
     )
     assert read_landmarks(tmp_path / "a.csv", mesh) == wanted
+    (tmp_path / "a.csv").write_text(
+        "\ufeffvertex;Name\r\n;\r\n" + "".join(f"{v};{n}\r\n" for n, v in wanted.items())
+    )
+    assert read_landmarks(tmp_path / "a.csv", mesh) == wanted
+    rows = [f"{n};{';'.join(map(str, mesh.vertices[v]))}\n" for n, v in wanted.items()]
+    (tmp_path / "b.csv").write_text("name;x;y;z\n" + "".join(rows).replace(".", ","))
+    assert read_landmarks(tmp_path / "b.csv", mesh) == wanted
     rows = [f"{n},{','.join(map(str, mesh.vertices[v]))}\n" for n, v in wanted.items()]
     (tmp_path / "b.csv").write_text("name,x,y,z\n" + "".join(rows))
     assert read_landmarks(tmp_path / "b.csv", mesh) == wanted

@@ -187,6 +187,16 @@ def test_take_folder_is_checked_file_by_file(tmp_path):
     assert "files differ in length" in texts(tmp_path, "warning")[0]
 
 
+@pytest.mark.parametrize("n_frames", [1, 2, 17, 18])
+def test_take_of_few_frames_is_checked(tmp_path, n_frames):
+    for name in ("curves.csv", "curves.json", "neutral.npz", "c.glb", "c.anim", "s.unreal.json"):
+        write_curves(tmp_path / name, talking(n_frames))
+    write_curves(tmp_path / "Slate_1_a.csv", talking(n_frames), format="livelink")
+    assert not texts(tmp_path, "error")
+    (tmp_path / "neutral.npz").write_bytes(b"PK")
+    assert len(texts(tmp_path, "error")) == 1
+
+
 def test_exports_are_checked(tmp_path):
     for suffix in ("unreal.json", "visemes.json"):
         path = tmp_path / f"c.{suffix}"

@@ -182,6 +182,7 @@ LAYOUTS = {
     "comma at the end of rows": lambda rows: text(
         [rows[0], *([*r, ""] for r in rows[1:])]
     ).encode(),
+    "empty rows first": lambda rows: b",,,\r\n , \n" + text(rows).encode(),
     "empty lines first": lambda rows: b"\n\n" + text(rows).encode(),
     "a comment": lambda rows: b"# exported by hand, 2 of 3\n" + text(rows).encode(),
     "padded quotes": lambda rows: text([[f'"{c} "' for c in rows[0]], *rows[1:]]).encode(),

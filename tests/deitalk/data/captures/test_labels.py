@@ -64,6 +64,7 @@ def test_fault_is_one_line(given, expected):
     [
         ("name\na\n", "lacks the column take"),
         ("take\nA_1\na_1\n", "appears twice"),
+        ("take,actor,Actor\na_1,x,y\n", "column 'actor' is there twice"),
         ("take\nb\n", "has no row of take 'a_1'"),
         ("take,split\na_1,dev\n", "split 'dev' must be train"),
     ],

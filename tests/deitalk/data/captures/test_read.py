@@ -57,6 +57,8 @@ def test_uneven_times_are_put_on_an_even_grid(tmp_path):
         ("a.json", '{"names": ["a"], "values": [[1, 2]], "fps": 30}', "frames x 1 names"),
         ("a.json", '[{"time": 0, "weights": {"a": 1}}, {"time": 1, "weights": {"b": 1}}]', "frame 2"),
         ("a.json", '{"names": ["a"], "values": [["x"]], "fps": 30}', "no rows of 1 numbers"),
+        ("a.json", '{"names": ["a"], "values": [[1], [2, 3]], "fps": 30}', "see frame 2"),
+        ("a.txt", "info,x\nbs,jawOpen\n" + "k,0,0,0,0,0,0,0,0,0,0,0,1\nk,1,0\n", "see frame 2"),
         ("a.json", "[]", "no JSON of curves"),
         ("a.xlsx", "1 2 3", "no table of curves"),
     ],

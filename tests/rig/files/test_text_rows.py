@@ -3,7 +3,7 @@
 import pytest
 
 from rig.errors import FormatError
-from rig.formats.text_rows import read_rows, rows_of_text
+from rig.files.text_rows import read_rows, rows_of_text
 
 
 @pytest.mark.parametrize(
@@ -13,6 +13,12 @@ from rig.formats.text_rows import read_rows, rows_of_text
         "sep=;\na;b\n1;x y\n2;\n",
         ' a \tb\n1\t"x y"\n2\n',
         "a,b,\r\n1, x y ,\r\n,,\r\n2,,\r\n",
+        "\na,b\n1,x y\n2,\n",
+        ",,\n\r\n , \na,b\n1,x y\n2,\n",
+        ';;\n"sep=;"\n;;\na;b\n1;x y\n2;\n',
+        "sep=;\ra;b\r1;x y\r2;\r",
+        "sep=|\na|b\n1|x y\n2|\n",
+        '"a","b"\r"1","x y"\r\r"2",""\r',
     ],
 )
 def test_cells_are_read_by_the_names_of_their_columns(text):
@@ -26,13 +32,15 @@ def test_cells_are_read_by_the_names_of_their_columns(text):
     [
         ("a\n1\n", "t.csv: lacks the column b; it needs a, b"),
         ("a,b\n1,2\n1,2,3\n", "t.csv, row 2: more cells than the 2 of the header"),
+        ("a,b,c,b\n1,2,3,4\n", "t.csv: column 'b' is there twice; keep one"),
+        ("c,a,b,c\n1,2,3,4\n", "t.csv: column 'c' is there twice; keep one"),
         ("a,b\n1,2\n3,4\n5,6\n", "t.csv: more than 2 rows; divide it"),
         ("a,b\n" + "x" * 200_000, "t.csv, row 1: cannot be read as CSV"),
     ],
 )
 def test_what_is_no_such_table_is_refused_in_one_line(text, message):
     with pytest.raises(FormatError) as caught:
-        rows_of_text(text, "t.csv", needed=("a", "b"), most=2)
+        rows_of_text(text, "t.csv", needed=("a", "b"), once=("c",), most=2)
     assert str(caught.value).startswith(message) and "\n" not in str(caught.value)
 
 

@@ -2,14 +2,16 @@
 
 import csv
 import io
+import re
 from collections.abc import Callable, Collection
 from pathlib import Path
 
 from rig.errors import FormatError, quoted
 from rig.files.reading import read_text
-from rig.formats.wide_csv import separator_of
 
 Row = dict[str, str]
+_ABOVE = re.compile(r'(?:[ ,;\t"]*+(?:sep=(.)[ ,;\t"]*+)?(?:\r\n|\r|\n))*+', re.IGNORECASE)
+"""Rows above a header: empty ones, and Excel's own first line ``sep=;``."""
 
 
 def read_rows(
@@ -18,6 +20,8 @@ def read_rows(
     *,
     error: Callable[[str], Exception] = FormatError,
     needed: Collection[str] = (),
+    once: Collection[str] = (),
+    lower: bool = False,
 ) -> tuple[list[str], list[Row]]:
     """Read a table: names of its columns and its rows, as `rows_of_text`.
 
@@ -25,8 +29,8 @@ def read_rows(
     ----------
     path, limit, error
         As for `rig.files.reading.check_file`.
-    needed : collection of str
-        Columns that must be there.
+    needed, once, lower
+        As for `rows_of_text`.
 
     Raises
     ------
@@ -34,7 +38,7 @@ def read_rows(
         Or what `error` makes: as `rig.files.reading.read_text`, or if it is no such table.
     """
     text = read_text(path, limit, error=error, may_be_empty=True)
-    return rows_of_text(text, path, error=error, needed=needed)
+    return rows_of_text(text, path, error=error, needed=needed, once=once, lower=lower)
 
 
 def rows_of_text(
@@ -43,13 +47,14 @@ def rows_of_text(
     *,
     error: Callable[[str], Exception] = FormatError,
     needed: Collection[str] = (),
+    once: Collection[str] = (),
     most: int | None = None,
     lower: bool = False,
 ) -> tuple[list[str], list[Row]]:
     """Names of the columns and rows of a text: commas, semicolons or tabs between the cells.
 
-    White space around cells is left out, as empty rows and Excel's first line ``sep=;`` are; cells
-    that a row lacks are empty.
+    White space around cells is left out, as empty rows and Excel's first line ``sep=;`` are, which
+    tells the separator; cells that a row lacks are empty.
 
     Parameters
     ----------
@@ -57,23 +62,27 @@ def rows_of_text(
         The table.
     where : object
         Begins the message: a path.
-    error, needed
+    error
         As for `read_rows`.
+    needed : collection of str
+        Columns that must be there.
+    once : collection of str
+        Columns that must not come twice; the needed ones must not either.
     most : int, optional
         Largest number of rows.
     lower : bool
         Names of columns in lower case.
     """
-    if text[:5].lower().strip('"').startswith("sep="):
-        text = text.partition("\n")[2]
-    lines = csv.reader(
-        io.StringIO(text, newline=""), delimiter=separator_of(text.partition("\n")[0])
-    )
+    named, text = below_blank_rows(text)
+    separator = named or separator_of(re.split(r"[\r\n]", text, maxsplit=1)[0])
+    lines = csv.reader(io.StringIO(text, newline=""), delimiter=separator)
     rows: list[Row] = []
     try:
         header = [name.strip().lower() if lower else name.strip() for name in next(lines, [])]
         if missing := ", ".join(name for name in needed if name not in header):
             raise error(f"{where}: lacks the column {missing}; it needs {', '.join(needed)}")
+        if doubled := [name for name in (*needed, *once) if header.count(name) > 1]:
+            raise error(f"{where}: column {doubled[0]!r} is there twice; keep one")
         for given in lines:
             cells = [cell.strip() for cell in given]
             if not any(cells):
@@ -91,3 +100,19 @@ def rows_of_text(
             f"{where}, row {len(rows) + 1}: cannot be read as CSV ({quoted(str(problem))})"
         ) from None
     return header, rows
+
+
+def below_blank_rows(text: str) -> tuple[str, str]:
+    """Separator that a line ``sep=;`` names, else "", and the text from its header on."""
+    above = _ABOVE.match(text)
+    assert above is not None, "it matches no row too"
+    return above[1] or "", text[above.end() :]
+
+
+def separator_of(line: str) -> str:
+    """The separator of a header: the most frequent outside quotes, a comma if there is none."""
+    plain = re.sub(r'"[^"]*"', "", line)
+    counts = {mark: plain.count(mark) for mark in ";\t,"}
+    if counts[";"] and re.search(r"\d,\d", plain):  # a row of numbers with decimal commas
+        return ";"
+    return max(counts, key=lambda mark: counts[mark]) if any(counts.values()) else ","
