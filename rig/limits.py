@@ -66,9 +66,9 @@ EXPANSION = 100
 
 SECONDS = 3 * 3600.0
 """Recording, cue or key: three hours, the longest take."""
-FPS_LOWEST = 0.01
-"""Frames per second; below it the arithmetic of time codes overflows."""
-FPS_HIGHEST = 1000.0
+FPS_LOWEST = 1.0
+"""Frames per second; below it times without a unit could be numbers of frames."""
+FPS_HIGHEST = 300.0
 """Frames per second; the fastest face captures are 240."""
 FRAMES = 1_296_000
 """Frames of a clip: three hours at 120 fps."""

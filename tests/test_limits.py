@@ -69,7 +69,7 @@ def test_frames_are_counted_before_memory_is_taken():
     with pytest.raises(CurveError, match="at most 1296000"):
         rest_curves(10**12)
     with pytest.raises(CurveError, match="at most 1296000"):
-        rest_curves(2000, fps=0.01).resample(1000)
+        rest_curves(5000, fps=1).resample(300)
 
 
 @pytest.mark.parametrize("fps", [limits.FPS_LOWEST, limits.FPS_HIGHEST])
@@ -77,7 +77,7 @@ def test_rates_at_the_limits_are_accepted(fps):
     assert one_curve(1).resample(fps).fps == fps
 
 
-@pytest.mark.parametrize("fps", [0.0099, 1000.1, 1e-300, 1e308])
+@pytest.mark.parametrize("fps", [0.99, 300.1, 1e-300, 1e308])
 def test_rates_beyond_the_limits_are_refused(fps):
-    with pytest.raises(CurveError, match=r"must be from 0\.01 to 1000"):
+    with pytest.raises(CurveError, match=r"must be from 1 to 300"):
         one_curve(1).resample(fps)

@@ -49,7 +49,7 @@ class RigCurves:
     names : sequence of str [length C]
         Canonical control names, none doubled.
     fps : float
-        Frames per second, 0.01 to 1000. 23.976, 29.97 and 59.94 are taken as the exact
+        Frames per second, 1 to 300. 23.976, 29.97 and 59.94 are taken as the exact
         fractions 24000/1001, 30000/1001 and 60000/1001.
     emotion : array [shape=(T, 9), range 0 to 1], optional
         Weights in the order of `rig.emotions.LABELS`; of the five `EMOTIONS` alone, too.
@@ -360,7 +360,7 @@ def snap_fps(fps: float) -> float:
     Raises
     ------
     CurveError
-        If it is not a number from 0.01 to 1000.
+        If it is not a number from 1 to 300.
     """
     fps = float(fps)
     if not FPS_LOWEST <= fps <= FPS_HIGHEST:

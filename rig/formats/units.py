@@ -1,7 +1,7 @@
 """Units of what other programs write: shapes in percent, angles in degrees, times in milliseconds.
 
 A unit is told by what a face can do: a shape goes little beyond its range, a head turns by at most
-90 degrees, a face is captured at 2 to 300 frames a second. What is corrected becomes a note of the
+90 degrees, a face is captured at 1 to 300 frames a second. What is corrected becomes a note of the
 curves; what fits no unit, or two, is an error.
 """
 
@@ -17,15 +17,16 @@ from rig.conversion.arkit import ARKIT_ID
 from rig.curves import RigCurves
 from rig.errors import FormatError, listed
 from rig.formats.angles import as_live_link, half_turns
+from rig.limits import FPS_HIGHEST, FPS_LOWEST
 
-FASTEST, SLOWEST = 300.0, 1.0
-"""Frames per second of a capture."""
 TIME_UNITS = (
     ("seconds", 1.0),
     ("milliseconds", 1e-3),
     ("microseconds", 1e-6),
     ("nanoseconds", 1e-9),
 )
+ROUNDED = 1.001
+"""Factor on a step of rounded times."""
 
 
 def seconds_of(
@@ -70,11 +71,11 @@ def seconds_of(
             )
         return times / rate, f"times are numbers of frames, at {rate:g} Hz"
     for name, unit in TIME_UNITS:
-        if 1 / FASTEST <= step * unit * (1 + 1e-9) and step * unit < 1 / SLOWEST:
+        if 1 / FPS_HIGHEST <= step * unit * ROUNDED and step * unit < 1 / FPS_LOWEST:
             return times * unit, "" if unit == 1 else f"times are taken as {name}"
     raise FormatError(
-        f"{where}: frames are {step:g} apart; captures have {SLOWEST:g} to {FASTEST:g} frames a "
-        "second in seconds, milliseconds, microseconds or nanoseconds: mend the times, or remove "
+        f"{where}: frames are {step:g} apart; captures have {FPS_LOWEST:g} to {FPS_HIGHEST:g} "
+        "frames a second in seconds, milliseconds, microseconds or nanoseconds: mend the times, or remove "
         "them and give `fps`",
         parameter="fps",
     )
@@ -86,12 +87,12 @@ def check_rate(fps: float, where: object) -> None:
     Raises
     ------
     FormatError
-        If it is not from `SLOWEST` to 500.
+        If it is not from `FPS_LOWEST` to `FPS_HIGHEST`.
     """
-    if not SLOWEST <= fps <= 500:
+    if not FPS_LOWEST <= fps <= FPS_HIGHEST:
         raise FormatError(
-            f"{where}: {fps:g} frames a second; a face has {SLOWEST:g} to 500: give the rate "
-            "(deitalk convert: `source_fps`)",
+            f"{where}: {fps:g} frames a second; a face has {FPS_LOWEST:g} to {FPS_HIGHEST:g}: "
+            "give the rate (deitalk convert: `source_fps`)",
             parameter="source_fps",
         )
 

@@ -103,7 +103,7 @@ def test_animate_reads_stdin(tmp_path, model, speech):
         (["--intensity", "-1"], "-1"),
         (["--model", "no-such-model"], "no-such-model"),
         (["--intensity-curve", "no.csv"], "no.csv"),
-        (["--fps", "0"], "fps=0 must be from 0.01 to 1000"),
+        (["--fps", "0"], "fps=0 must be from 1 to 300"),
         (["-o", "take.xyz"], "'.xyz' is no suffix that is written"),
         (["-o", "take.v2"], "a folder with a slash: take.v2/"),
         (["-o", ""], "the name of the output is empty"),

@@ -109,7 +109,7 @@ def test_convert_refuses_to_overwrite_without_force(curves_file, tmp_path):
         (["{curves}", "out.csv", "--gain", "brow"], "--gain 'brow' must be NAME=NUMBER"),
         (["{curves}", "out.csv", "--gain", "nose_=2"], "unknown control 'nose_'"),
         (["{curves}", "out.csv", "--smooth", "-1"], "finite time of 0 or more"),
-        (["{curves}", "out.csv", "--fps", "0"], "fps=0 must be from 0.01 to 1000"),
+        (["{curves}", "out.csv", "--fps", "0"], "fps=0 must be from 1 to 300"),
         (["{curves}", "out.csv", "--start", "9"], "no frame lies in seconds 9 of"),
         (["{emoface}", "out.csv"], "source_fps"),
     ],

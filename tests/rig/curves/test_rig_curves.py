@@ -45,9 +45,9 @@ def test_broadcast_rates_are_exact_fractions(given_fps, meant):
     assert snap_fps(given_fps) == meant
 
 
-@pytest.mark.parametrize("fps", [0, -1, np.nan, np.inf, 1001])
+@pytest.mark.parametrize("fps", [0, -1, np.nan, np.inf, 301])
 def test_curves_reject_invalid_rates(fps):
-    with pytest.raises(CurveError, match=r"must be from 0\.01 to 1000"):
+    with pytest.raises(CurveError, match=r"must be from 1 to 300"):
         jaw([0.0], fps=fps)
 
 
