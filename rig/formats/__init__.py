@@ -22,7 +22,7 @@ from rig.files import atomic_write
 from rig.files.reading import open_file
 from rig.formats.named import is_face_cap
 from rig.formats.table import FORMATS, Format, find_format, format_of_header
-from rig.formats.units import check_rate, in_units
+from rig.formats.units import in_units
 from rig.formats.wide_csv import read_header
 from rig.limits import JSON_CURVES_BYTES
 
@@ -130,8 +130,6 @@ def read_curves(
     assert chosen.read is not None
     curves = chosen.read(path, controls, fps)
     known = controls or known_controls(curves.control_set)
-    if fps is None and len(curves) > 1:
-        check_rate(curves.fps, path)
     if known is not None:
         curves = in_units(curves, known, path)
     if known is not None and known.id != ARKIT_ID:  # calibrated captures exceed their ranges

@@ -19,6 +19,7 @@ from rig.errors import CurveError, FormatError, quoted
 from rig.files.reading import read_json, read_npz
 from rig.formats.curves_csv import DECIMALS, names_of_set
 from rig.formats.decimal_text import Block, rows
+from rig.formats.units import check_rate
 from rig.limits import CONTROLS, JSON_CURVES_BYTES
 
 SCHEMA = "deitalk.curves/1"
@@ -106,6 +107,7 @@ def _curves(
     values = _array(path, data, "values", (0, len(names)))
     try:
         rate = fps or float(_field(path, data, "fps", (int, float)))
+        check_rate(rate, path)
         curves = RigCurves(values, tuple(names), rate, control_set=set_id, **tracks)  # type: ignore[arg-type]
     except (CurveError, OverflowError) as error:
         raise FormatError(f"{path}: {error}") from error

@@ -75,8 +75,8 @@ def seconds_of(
             return times * unit, "" if unit == 1 else f"times are taken as {name}"
     raise FormatError(
         f"{where}: frames are {step:g} apart; captures have {FPS_LOWEST:g} to {FPS_HIGHEST:g} "
-        "frames a second in seconds, milliseconds, microseconds or nanoseconds: mend the times, or remove "
-        "them and give `fps`",
+        "frames a second in seconds, milliseconds, microseconds or nanoseconds: mend the times, or "
+        "remove them and give `fps`",
         parameter="fps",
     )
 

@@ -28,7 +28,7 @@ from rig.formats import emoface_txt, livelink_csv, unreal_json
 from rig.formats.curves_csv import describe_columns, known_columns
 from rig.formats.named import NamedCurves, is_count, is_face_cap, is_time, read_named
 from rig.formats.table import format_of_header
-from rig.formats.units import check_rate, in_units
+from rig.formats.units import in_units
 from rig.formats.wide_csv import read_header
 from rig.limits import JSON_CURVES_BYTES
 
@@ -111,9 +111,7 @@ def read_capture(
     MissingError
         For a video without MediaPipe.
     """
-    capture = _read(path, mapping, rig, fps, progress)
-    check_rate(capture.curves.fps, path)
-    return capture
+    return _read(path, mapping, rig, fps, progress)
 
 
 def _read(

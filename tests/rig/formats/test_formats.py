@@ -247,7 +247,7 @@ def json_of_rest():
         ({"control_set": "arkit-61"}, "in arkit-61"),
         ({"fps": "fast"}, "'fps' is a str"),
         ({"fps": True}, "'fps' is a bool"),
-        ({"fps": 0}, "fps=0 must be from 1 to 300"),
+        ({"fps": 0}, "a face has 1 to 300"),
         ({"names": 7}, "'names' is a int"),
         ({"names": [7] * 185}, "must be text"),
         ({"names": list(CONTROLS.names[1:])}, "lacks 1 of the 185"),

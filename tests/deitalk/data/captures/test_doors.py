@@ -759,17 +759,17 @@ def test_json_with_a_mark(tmp_path, encoding):
 
 
 @pytest.mark.parametrize("fps", [0.1, 1000])
-@pytest.mark.parametrize("suffix", [".json", ".npz", ".csv"])
-def test_clips_of_a_millisecond_or_ten_seconds_a_frame_are_refused(tmp_path, suffix, fps):
+def test_clips_of_a_millisecond_or_ten_seconds_a_frame_are_refused(tmp_path, fps):
     board = read_curves(write_curves_of(tmp_path / "own.csv"))
-    write_curves(tmp_path / f"a{suffix}", replace(board, fps=fps))
-    assert read_curves(tmp_path / f"a{suffix}", fps=30).fps == 30
-    if suffix == ".csv" and fps < 1:  # 10, 20, 30 … in a column of times
-        assert "times are taken as milliseconds" in read_curves(tmp_path / "a.csv").notes
-        return
+    with pytest.raises(UserError, match="must be from 1 to 300"):
+        replace(board, fps=fps)
+    write_curves(tmp_path / "a.json", board)
+    content = json.loads((tmp_path / "a.json").read_text())
+    (tmp_path / "a.json").write_text(json.dumps(content | {"fps": fps}))
+    assert read_curves(tmp_path / "a.json", fps=30).fps == 30
     for read in (read_curves, read_capture):
-        with pytest.raises(UserError, match=r"frames a second|apart"):
-            read(tmp_path / f"a{suffix}")
+        with pytest.raises(UserError, match="frames a second"):
+            read(tmp_path / "a.json")
 
 
 def write_curves_of(path):
