@@ -3,6 +3,7 @@
 import subprocess
 import sys
 
+import llvmlite.binding as llvm
 import numpy as np
 import pytest
 
@@ -16,6 +17,20 @@ def test_bitcode_is_of_its_source(name):
     from tools.kernels import digest
 
     assert file_of(name).read_bytes()[:DIGEST] == digest()
+
+
+@pytest.mark.parametrize("name", KERNELS)
+@pytest.mark.parametrize(
+    "triple", ["arm64-apple-darwin", "aarch64-unknown-linux-gnu", "x86_64-pc-windows-msvc"]
+)
+def test_bitcode_becomes_machine_code_of_other_processors(name, triple):
+    llvm.initialize_all_targets()
+    llvm.initialize_all_asmprinters()
+    module = llvm.parse_bitcode(file_of(name).read_bytes()[DIGEST:])
+    assert not module.triple and not module.data_layout
+    module.triple = triple
+    machine = llvm.Target.from_triple(triple).create_target_machine()
+    assert name.encode() in machine.emit_object(module)
 
 
 def test_normals_of_a_cubes_corner_point_along_its_diagonal():
