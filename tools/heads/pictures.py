@@ -127,7 +127,7 @@ def hair(look, side=1024):
             own = np.exp(
                 -(((x - middle) / (thick * (1.1 - (1.3 - look["ends"]) * y / end).clip(0.25))) ** 2)
             )
-            own = own * np.clip((end - y) / 0.2, 0, 1) * np.clip((y - start) / 0.03, 0, 1)
+            own = own * np.clip((end - y) / look.get("tips", 0.2), 0, 1) * np.clip((y - start) / (look.get("fade", (0.03, 0.03))[is_wisp]), 0, 1)
             shade = rng.uniform(0.72, 1.12) - 0.12 * np.abs(x - middle) / thick
             light = np.where(own > 0.25, shade, light)
             alpha = np.maximum(alpha, own)
@@ -164,6 +164,9 @@ def paint_scalp(picture, base, person):
     stroke = map_coordinates(noise, across, order=1, mode="wrap")
     share = np.zeros(known.shape)
     share[known] = smooth((within + 1.1 * (stroke - 0.55)) / 1.0) * look["scalp"]
+    if look["style"] == "long":  # the parting is lighter
+        line = np.exp(-(((place[..., 0] - look["parting"]) / 0.2) ** 2)) * (place[..., 1] > 8.5)
+        share *= 1 - 0.5 * line * (place[..., 2] > -4)
     share = gaussian_filter(share, 0.6)[..., None]
     colour = np.array(look["hair_colour"]) * 0.75 * look["root"]
     skin = picture[:, :width, :3]
