@@ -88,6 +88,9 @@ class Hair:
         weight /= weight.sum(1, keepdims=True)
         skin, normals = self.skin[near], self.normals[near]
         normal = unit(np.einsum("pkc,pk->pc", normals, weight))
+        if self.is_long:  # no strand gets round an ear
+            aside = 3 * self.ear(points) * np.sign(points[:, 0])
+            normal = unit(normal + aside[:, None] * [1, 0, 0])
         return (
             normal,
             np.einsum("pkc,pc,pk->p", points[:, None] - skin, normal, weight),
@@ -142,12 +145,16 @@ class Hair:
             way = top[:, None] * swept + (1 - top[:, None]) * sides
         return tangent(way, normal)
 
+    def ear(self, points):
+        """1 at the ears, 0 far from them."""
+        _, y, z = points.T / self.scale
+        return np.exp(-(((y - 1.0) / 7.0) ** 2) - ((z + 1.8) / 3.5) ** 2)
+
     def swell(self, points, far, layer):
         """What long hair lies higher over the skin, cm: over ears, and `far` from its roots."""
-        _, y, z = points.T / self.scale
-        ear = np.exp(-(((y - 1.0) / 7.0) ** 2) - ((z + 1.8) / 3.5) ** 2)
+        z = points[:, 2] / self.scale
         side = self.look["volume"] * layer.mean() * smooth((far - 3) / 8) * smooth((3.5 - z) / 4)
-        return smooth(far / 5) * (1.1 * ear + side)
+        return smooth(far / 5) * (1.4 * self.ear(points) + side)
 
     def grown(self, points, heading, length, layer, *, rise, steps, style):
         """Curves (N, 3 steps + 1, 3) from roots and their headings, and the normals along them.
@@ -182,7 +189,7 @@ class Hair:
             curve = gaussian_filter1d(curve, 1.5, axis=1, mode="nearest")
         return curve, across
 
-    def cards(self, curves, across, width, tone, wisps, roll):
+    def cards(self, curves, across, width, tone, wisps, roll, inset):
         """Two strips of triangles along each curve: points, places in the picture, faces, tones."""
         count, n = curves.shape[:2]
         along = unit(np.gradient(curves, axis=1))
@@ -194,7 +201,8 @@ class Hair:
         first = VARIANTS - WISPS if wisps else 0
         variant = self.rng.integers(first, VARIANTS if wisps else VARIANTS - WISPS, size=count)
         turned = self.rng.random(count) < 0.5
-        u = np.stack([variant + turned, variant + 1 - turned], 1) / VARIANTS
+        edge = np.where(turned, 1 - inset, inset)
+        u = np.stack([variant + edge, variant + 1 - edge], 1) / VARIANTS
         uv = np.empty((count, n, 2, 2))
         uv[..., 0], uv[..., 1] = u[:, None], 1 - np.linspace(0, 1, n)[:, None]
         at = (np.arange(count)[:, None] * n + np.arange(n - 1)).reshape(-1, 1) * 2
@@ -240,7 +248,8 @@ def grow(person: Person, hair: Hair) -> Part:
         width = s * layer["width"] * rng.uniform(0.7, 1.25, count)
         tone = layer.get("tone", 1.0) * rng.uniform(look.get("least", 0.76), 1.0, count)
         is_wisp = layer.get("wisps", False)
-        pieces.append(hair.cards(curves, across, width, tone, is_wisp, layer.get("roll", 0.2)))
+        roll, inset = layer.get("roll", 0.2), layer.get("inset", 0)
+        pieces.append(hair.cards(curves, across, width, tone, is_wisp, roll, inset))
     points, uv, faces, tone, first = [], [], [], [], 0
     for own, places, triangles, tones in pieces:
         points.append(own)
