@@ -2,8 +2,11 @@
 
 Hair has a style, a shift of the hairline's front and least height of the sideburns, and layers of
 cards from the outside to the scalp: how many, their length, height over the scalp, width and end
-(``cut``), cm of the average head, and where within the hairline (``from``, ``to``) and round the
-head (``around``, degrees) they are rooted.
+(``cut``), cm of the average head, and where within the hairline (``from``, ``to``), round the
+head (``around``, degrees) and from the parting (``part``) they are rooted. ``inset`` leaves out the
+thin sides of a lock's picture. Strands fade at their roots (``fade``, of locks and wisps) and
+``tips``, shares of their length; ``volume`` is what hair rises at the sides, in lifts; ``least`` is
+the darkest tone of a card.
 """
 
 _SOFT = {"eyes/@-eye-height2-incr": 0.35, "eyes/@-eye-height1-incr": 0.2}

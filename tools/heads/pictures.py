@@ -116,6 +116,7 @@ def hair(look, side=1024):
     for k in range(VARIANTS):
         alpha, light = np.zeros((side, width)), np.full((side, width), 0.8)
         is_wisp = k >= VARIANTS - WISPS
+        tips, fade = look.get("tips", 0.2), look.get("fade", (0.03, 0.03))[is_wisp]
         for _ in range(6 if is_wisp else look["hairs"]):
             turn = rng.uniform(0, 2 * np.pi, 2)
             edge = 0.08 * width
@@ -127,7 +128,7 @@ def hair(look, side=1024):
             own = np.exp(
                 -(((x - middle) / (thick * (1.1 - (1.3 - look["ends"]) * y / end).clip(0.25))) ** 2)
             )
-            own = own * np.clip((end - y) / look.get("tips", 0.2), 0, 1) * np.clip((y - start) / (look.get("fade", (0.03, 0.03))[is_wisp]), 0, 1)
+            own = own * np.clip((end - y) / tips, 0, 1) * np.clip((y - start) / fade, 0, 1)
             shade = rng.uniform(0.72, 1.12) - 0.12 * np.abs(x - middle) / thick
             light = np.where(own > 0.25, shade, light)
             alpha = np.maximum(alpha, own)

@@ -2,7 +2,7 @@
 
 The hairline is a line round the average head (`LINE`). Cards are rooted over it, thinner and
 shorter ones before it; they rise to a layer over the scalp, outer layers first, so that what they
-hide is left out early.
+hide is left out early. Long hair falls from a parting over temples and ears, evenly rooted.
 """
 
 import numpy as np
@@ -164,7 +164,7 @@ class Hair:
         normal, _, _ = self.surface(points)
         step = (length / (FINE * steps))[:, None]
         curve, across, before = [points], [normal], points
-        out, most, turn = (0.03, 0.4 * step, 0.5) if self.is_long else (0.12, np.inf, 0.4)
+        most, turn = (0.4 * step, 0.5) if self.is_long else (np.inf, 0.4)
         for k in range(1, FINE * steps + 1):
             points = points + heading * step
             normal, high, distance = self.surface(points)
@@ -175,7 +175,11 @@ class Hair:
             is_near = distance < (3.0 if self.is_long else 1.6) + wanted
             on_scalp = smooth((points[:, 1] / self.scale - self.look.get("falls", -99)) / 3.0)
             pull = np.where(high < wanted, 1, 0.5 * on_scalp) * is_near
-            points = points + normal * np.clip((wanted - high)[:, None] * pull[:, None], -most, most)
+            rising = ((wanted - high) * pull)[:, None]
+            points = points + normal * np.clip(rising, -most, most)
+            out = 0.12
+            if self.is_long:  # in front of the ears it hangs close to the cheeks
+                out = 0.03 - 0.17 * smooth(points[:, 2:] / self.scale / 3)
             target = unit(
                 on_scalp[:, None] * self.flow(points, normal, style)
                 + (1 - on_scalp[:, None]) * (DOWN + out * normal)
@@ -220,8 +224,9 @@ def grow(person: Person, hair: Hair) -> Part:
     for layer in look["layers"]:  # from the outside to the scalp
         count = layer["count"]
         points, within = hair.roots(
-            count, layer.get("from", 0.25), layer.get("to", 99), layer.get("around", (0, 180)), layer.get("part", 99)
-        )
+            count, layer.get("from", 0.25), layer.get("to", 99), layer.get("around", (0, 180)),
+            layer.get("part", 99),
+        )  # fmt: skip
         style = layer.get("style")
         length = s * layer["length"] * rng.uniform(0.75, 1.15, count)
         if "sides" in layer:  # shorter there
