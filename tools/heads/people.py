@@ -6,7 +6,7 @@ cards from the outside to the scalp: how many, their length, height over the sca
 head (``around``, degrees) and from the parting (``part``) they are rooted. ``inset`` leaves out the
 thin sides of a lock's picture. Strands fade at their roots (``fade``, of locks and wisps) and
 ``tips``, shares of their length; ``volume`` is what hair rises at the sides, in lifts; ``least`` is
-the darkest tone of a card.
+the darkest tone of a card, ``roots`` how far the drawn roots lie before the hairline.
 """
 
 _SOFT = {"eyes/@-eye-height2-incr": 0.35, "eyes/@-eye-height1-incr": 0.2}
@@ -22,7 +22,7 @@ PEOPLE = {
         "shirt_colour": (74, 92, 104), "iris": (66, 72, 58), "lip": (0.93, 0.80, 0.79),
         "mottle": 0.6, "gain": 0.97, "saturation": 0.88, "freckles": 0.35, "creases": 0.8, "lashes": 0.75,
         "style": "long", "ends": 0.9, "tips": 0.1, "line": -0.9, "burns": 3.0, "parting": 1.6, "falls": 2.5, "root": 0.75, "hairs": 48,
-        "curl": 0.6, "scalp": 0.95, "volume": 1.3, "fade": (0.05, 0.4), "least": 0.86,
+        "curl": 0.6, "scalp": 0.95, "volume": 1.3, "fade": (0.05, 0.4), "least": 0.86, "roots": 0.25,
         "layers": [
             {"count": 64, "length": 9, "lift": 0.45, "rise": 2.5, "width": 0.7, "from": 0.8, "part": 0.55, "around": (0, 120), "tone": 0.96,
              "steps": 5, "roll": 0.1, "stray": 0.12},
@@ -86,7 +86,7 @@ PEOPLE = {
         "mottle": 0.35, "gain": 0.95, "saturation": 0.88, "freckles": 0.6, "creases": 0.3,
         "lashes": 0.55, "purse": 0.68, "brow_tilt": 0.05, "brow_share": 0.8, "brow_cut": 0.3,
         "style": "long", "ends": 0.9, "tips": 0.1, "line": -0.5, "burns": 3.0, "parting": 0.0, "falls": 2.5, "root": 0.75, "hairs": 44,
-        "curl": 0.6, "scalp": 0.95, "volume": 1.1, "fade": (0.05, 0.3), "least": 0.84,
+        "curl": 0.6, "scalp": 0.95, "volume": 1.1, "fade": (0.05, 0.3), "least": 0.84, "roots": 0.25,
         "layers": [
             {"count": 170, "length": 6.8, "lift": 0.55, "rise": 1.5, "width": 0.8, "from": 0.5, "to": 3.2, "around": (0, 52),
              "style": "fringe", "steps": 6, "roll": 0.12, "stray": 0.08, "cut": 6.6, "ends": 0.3},

@@ -164,9 +164,10 @@ def paint_scalp(picture, base, person):
     across = [(within / 0.45 + 9) % 64, (turn / 0.028) % 4096]  # strokes are .03 cm wide
     stroke = map_coordinates(noise, across, order=1, mode="wrap")
     share = np.zeros(known.shape)
-    share[known] = smooth((within + 1.1 * (stroke - 0.55)) / 1.0) * look["scalp"]
+    share[known] = smooth(within + look.get("roots", 0) + 1.1 * (stroke - 0.55)) * look["scalp"]
     if look["style"] == "long":  # the parting is lighter
         line = np.exp(-(((place[..., 0] - look["parting"]) / 0.2) ** 2)) * (place[..., 1] > 8.5)
+        line[known] *= smooth(within / 2.0)
         share *= 1 - 0.5 * line * (place[..., 2] > -4)
     share = gaussian_filter(share, 0.6)[..., None]
     colour = np.array(look["hair_colour"]) * 0.75 * look["root"]
