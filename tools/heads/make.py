@@ -300,6 +300,9 @@ def write_person(name, look, base, shapes, person, joined, hair) -> None:
     within = smooth(hair.high / 0.8)
     gloss[slices["skin"]] *= 1 - 0.8 * within  # roots shine less
     light = _light(base, shapes, person, joined, picture)
+    if hair.is_long:  # no black gaps between locks
+        skin = slices["skin"]
+        light[skin] = np.maximum(light[skin], 0.45 * within[:, None])
     near, weight, follows = [], [], []
     for part in ("lash_L", "lash_R", "brow_L", "brow_R"):
         p = person.parts[part]

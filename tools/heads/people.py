@@ -2,8 +2,11 @@
 
 Hair has a style, a shift of the hairline's front and least height of the sideburns, and layers of
 cards from the outside to the scalp: how many, their length, height over the scalp, width and end
-(``cut``), cm of the average head, and where within the hairline (``from``, ``to``) and round the
-head (``around``, degrees) they are rooted.
+(``cut``), cm of the average head, and where within the hairline (``from``, ``to``), round the
+head (``around``, degrees) and from the parting (``part``) they are rooted. ``inset`` leaves out the
+thin sides of a lock's picture. Strands fade at their roots (``fade``, of locks and wisps) and
+``tips``, shares of their length; ``volume`` is what hair rises at the sides, in lifts; ``least`` is
+the darkest tone of a card, ``roots`` how far the drawn roots lie before the hairline.
 """
 
 _SOFT = {"eyes/@-eye-height2-incr": 0.35, "eyes/@-eye-height1-incr": 0.2}
@@ -18,19 +21,21 @@ PEOPLE = {
         "brow": "010", "brow_colour": (74, 54, 42), "shirt": "female_casualsuit01",
         "shirt_colour": (74, 92, 104), "iris": (66, 72, 58), "lip": (0.93, 0.80, 0.79),
         "mottle": 0.6, "gain": 0.97, "saturation": 0.88, "freckles": 0.35, "creases": 0.8, "lashes": 0.75,
-        "style": "long", "ends": 0.84, "line": -0.8, "burns": 3.0, "parting": 1.2, "falls": 3.0, "root": 0.6, "hairs": 30,
-        "curl": 0.6, "scalp": 0.95,
+        "style": "long", "ends": 0.9, "tips": 0.1, "line": -0.9, "burns": 3.0, "parting": 1.6, "falls": 2.5, "root": 0.75, "hairs": 48,
+        "curl": 0.6, "scalp": 0.95, "volume": 1.3, "fade": (0.05, 0.4), "least": 0.86, "roots": 0.25,
         "layers": [
-            {"count": 190, "length": 29, "lift": 0.85, "rise": 3.0, "width": 1.2, "from": 0.7, "wave": 0.3, "steps": 8,
-             "cut": -11.4, "roll": 0.12, "stray": 0.06},
-            {"count": 55, "around": (0, 120), "length": 30, "lift": 0.6, "rise": 3.0, "width": 1.3, "from": 0.4, "wave": 0.25, "tone": 0.93,
-             "steps": 8, "cut": -11.4, "roll": 0.12, "stray": 0.06},
-            {"count": 50, "length": 26, "lift": 0.5, "width": 1.3, "from": 0.3, "around": (48, 110), "tone": 0.9, "steps": 8,
-             "cut": -11.4, "roll": 0.12, "stray": 0.06},
-            {"count": 130, "length": 24, "lift": 0.3, "width": 1.5, "from": 0.2, "tone": 0.86, "steps": 8, "cut": -11,
+            {"count": 64, "length": 9, "lift": 0.45, "rise": 2.5, "width": 0.7, "from": 0.8, "part": 0.55, "around": (0, 120), "tone": 0.96,
+             "steps": 5, "roll": 0.1, "stray": 0.12},
+            {"count": 160, "length": 30, "lift": 0.75, "rise": 3.0, "width": 1.15, "from": 1.0, "wave": 0.18, "steps": 11,
+             "cut": -13, "ends": 0.35, "roll": 0.12, "stray": 0.05},
+            {"count": 112, "around": (0, 65), "length": 30, "lift": 0.65, "rise": 2.5, "width": 1.0, "from": 0.5, "to": 4, "wave": 0.18, "tone": 0.97,
+             "steps": 11, "cut": -13, "ends": 0.35, "roll": 0.12, "stray": 0.06},
+            {"count": 75, "inset": 0.3, "length": 28, "lift": 0.4, "width": 1.0, "from": 0.4, "around": (48, 145), "tone": 0.94, "steps": 9,
+             "cut": -13, "ends": 0.35, "roll": 0.12, "stray": 0.06},
+            {"count": 80, "inset": 0.3, "length": 26, "lift": 0.3, "width": 1.15, "from": 0.5, "tone": 0.9, "steps": 8, "cut": -12.5,
              "roll": 0.1, "stray": 0.05},
-            {"count": 200, "length": 2.4, "lift": 0.12, "width": 0.5, "from": 0.0, "to": 0.7, "steps": 3,
-             "wisps": True, "stray": 0.2},
+            {"count": 280, "length": 3.2, "lift": 0.15, "width": 0.36, "from": -0.15, "to": 0.9, "steps": 3, "around": (0, 90),
+             "wisps": True, "stray": 0.12},
         ],
     },
     "Bruno": {
@@ -80,21 +85,23 @@ PEOPLE = {
         "shirt_colour": (104, 132, 98), "iris": (66, 46, 33), "lip": (0.96, 0.86, 0.85),
         "mottle": 0.35, "gain": 0.95, "saturation": 0.88, "freckles": 0.6, "creases": 0.3,
         "lashes": 0.55, "purse": 0.68, "brow_tilt": 0.05, "brow_share": 0.8, "brow_cut": 0.3,
-        "style": "long", "ends": 0.84, "line": -0.5, "burns": 3.0, "parting": 0.0, "falls": 3.0, "root": 0.65, "hairs": 30,
-        "curl": 0.6, "scalp": 0.95,
+        "style": "long", "ends": 0.9, "tips": 0.1, "line": -0.5, "burns": 3.0, "parting": 0.0, "falls": 2.5, "root": 0.75, "hairs": 44,
+        "curl": 0.6, "scalp": 0.95, "volume": 1.1, "fade": (0.05, 0.3), "least": 0.84, "roots": 0.25,
         "layers": [
-            {"count": 170, "length": 6.6, "lift": 0.55, "rise": 1.5, "width": 0.8, "from": 0.5, "to": 3.2, "around": (0, 50),
-             "style": "fringe", "steps": 6, "roll": 0.12, "stray": 0.1, "cut": 6.7, "ends": 0.35},
-            {"count": 200, "length": 26, "lift": 0.8, "rise": 3.0, "width": 1.2, "from": 2.6, "steps": 8,
-             "cut": -8.6, "ends": 0.4, "roll": 0.12, "stray": 0.06},
-            {"count": 90, "length": 24, "lift": 0.6, "rise": 3.0, "width": 1.3, "from": 1.0, "tone": 0.93,
-             "steps": 8, "cut": -8.4, "ends": 0.4, "roll": 0.12, "stray": 0.06},
-            {"count": 110, "length": 22, "lift": 0.5, "width": 1.3, "from": 0.3, "around": (48, 110), "tone": 0.9, "steps": 8,
-             "cut": -8.4, "ends": 0.4, "roll": 0.12, "stray": 0.06},
-            {"count": 150, "length": 20, "lift": 0.3, "width": 1.4, "from": 0.2, "tone": 0.86, "steps": 8, "cut": -8.2,
+            {"count": 170, "length": 6.8, "lift": 0.55, "rise": 1.5, "width": 0.8, "from": 0.5, "to": 3.2, "around": (0, 52),
+             "style": "fringe", "steps": 6, "roll": 0.12, "stray": 0.08, "cut": 6.6, "ends": 0.3},
+            {"count": 50, "length": 9, "lift": 0.45, "rise": 2.5, "width": 0.7, "from": 2.6, "part": 0.55, "around": (0, 120), "tone": 0.96,
+             "steps": 5, "roll": 0.1, "stray": 0.12},
+            {"count": 160, "length": 26, "lift": 0.75, "rise": 3.0, "width": 1.15, "from": 2.6, "wave": 0.2, "steps": 10,
+             "cut": -10, "ends": 0.3, "roll": 0.12, "stray": 0.05},
+            {"count": 80, "length": 26, "lift": 0.6, "rise": 2.5, "width": 1.1, "from": 0.6, "to": 4, "around": (35, 110), "wave": 0.2, "tone": 0.97,
+             "steps": 10, "cut": -10, "ends": 0.3, "roll": 0.12, "stray": 0.06},
+            {"count": 75, "inset": 0.3, "length": 24, "lift": 0.4, "width": 1.0, "from": 0.4, "around": (48, 145), "tone": 0.94, "steps": 8,
+             "cut": -9.8, "ends": 0.3, "roll": 0.12, "stray": 0.06},
+            {"count": 85, "inset": 0.3, "length": 22, "lift": 0.3, "width": 1.2, "from": 0.5, "tone": 0.9, "steps": 8, "cut": -9.6,
              "ends": 0.3, "roll": 0.1, "stray": 0.05},
-            {"count": 160, "length": 2.6, "lift": 0.12, "width": 0.4, "from": 0.0, "to": 0.9, "steps": 3,
-             "wisps": True, "stray": 0.18},
+            {"count": 260, "length": 3.0, "lift": 0.12, "width": 0.36, "from": -0.1, "to": 0.9, "steps": 3, "around": (0, 90),
+             "wisps": True, "stray": 0.15},
         ],
     },
 }  # fmt: skip

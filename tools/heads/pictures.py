@@ -116,6 +116,7 @@ def hair(look, side=1024):
     for k in range(VARIANTS):
         alpha, light = np.zeros((side, width)), np.full((side, width), 0.8)
         is_wisp = k >= VARIANTS - WISPS
+        tips, fade = look.get("tips", 0.2), look.get("fade", (0.03, 0.03))[is_wisp]
         for _ in range(6 if is_wisp else look["hairs"]):
             turn = rng.uniform(0, 2 * np.pi, 2)
             edge = 0.08 * width
@@ -127,7 +128,7 @@ def hair(look, side=1024):
             own = np.exp(
                 -(((x - middle) / (thick * (1.1 - (1.3 - look["ends"]) * y / end).clip(0.25))) ** 2)
             )
-            own = own * np.clip((end - y) / 0.2, 0, 1) * np.clip((y - start) / 0.03, 0, 1)
+            own = own * np.clip((end - y) / tips, 0, 1) * np.clip((y - start) / fade, 0, 1)
             shade = rng.uniform(0.72, 1.12) - 0.12 * np.abs(x - middle) / thick
             light = np.where(own > 0.25, shade, light)
             alpha = np.maximum(alpha, own)
@@ -163,7 +164,11 @@ def paint_scalp(picture, base, person):
     across = [(within / 0.45 + 9) % 64, (turn / 0.028) % 4096]  # strokes are .03 cm wide
     stroke = map_coordinates(noise, across, order=1, mode="wrap")
     share = np.zeros(known.shape)
-    share[known] = smooth((within + 1.1 * (stroke - 0.55)) / 1.0) * look["scalp"]
+    share[known] = smooth(within + look.get("roots", 0) + 1.1 * (stroke - 0.55)) * look["scalp"]
+    if look["style"] == "long":  # the parting is lighter
+        line = np.exp(-(((place[..., 0] - look["parting"]) / 0.2) ** 2)) * (place[..., 1] > 8.5)
+        line[known] *= smooth(within / 2.0)
+        share *= 1 - 0.5 * line * (place[..., 2] > -4)
     share = gaussian_filter(share, 0.6)[..., None]
     colour = np.array(look["hair_colour"]) * 0.75 * look["root"]
     skin = picture[:, :width, :3]

@@ -2,10 +2,11 @@
 
 The hairline is a line round the average head (`LINE`). Cards are rooted over it, thinner and
 shorter ones before it; they rise to a layer over the scalp, outer layers first, so that what they
-hide is left out early.
+hide is left out early. Long hair falls from a parting over temples and ears, evenly rooted.
 """
 
 import numpy as np
+from scipy.ndimage import gaussian_filter1d
 from scipy.spatial import cKDTree
 
 from tools.heads.parts import Part, Person
@@ -51,9 +52,13 @@ def over_line(points, look):
     slope = np.gradient(line[:, 1], np.radians(line[:, 0]) * ROUND_CM)
     high = points[..., 1] - np.interp(angle, *line.T)
     high = high / np.sqrt(1 + np.interp(angle, line[:, 0], slope) ** 2)
-    far = np.abs(points[..., 0])
-    is_ear = (far > 7.75) & (np.abs(points[..., 1] - 1.5) < 4.4) & (points[..., 1] < 5.4)
-    return np.where(is_ear, -9.0, high)
+    return np.where(is_ear(points), -9.0, high)
+
+
+def is_ear(points):
+    """Which points of the average head are of its ears."""
+    far, high = np.abs(points[..., 0]), points[..., 1]
+    return (far > 7.75) & (np.abs(high - 1.5) < 4.4) & (high < 5.4)
 
 
 def tangent(way, normal):
@@ -69,24 +74,34 @@ class Hair:
         self.rng = np.random.default_rng(8)
         self.average = person.shapes.average[: person.base.n_skin]
         self.high = over_line(self.average, self.look)
-        self.tree = cKDTree(person.skin)
         self.scale = person.size
+        self.is_long = self.look["style"] == "long"
+        kept = ~(is_ear(self.average) & self.is_long)  # long hair lies over ears
+        self.skin, self.normals = person.skin[kept], person.normals[kept]
+        self.inside, self.turn = self.high[kept], around(self.average[kept])
+        self.tree = cKDTree(self.skin)
 
-    def surface(self, points, count=10):
+    def surface(self, points):
         """Smooth normal of the skin near points, and their height over it."""
-        distance, near = self.tree.query(points, k=count)
+        distance, near = self.tree.query(points, k=24 if self.is_long else 10)
         weight = 1 / (distance + 0.3) ** 2
         weight /= weight.sum(1, keepdims=True)
-        skin, normals = self.person.skin[near], self.person.normals[near]
+        skin, normals = self.skin[near], self.normals[near]
         normal = unit(np.einsum("pkc,pk->pc", normals, weight))
+        if self.is_long:  # no strand gets round an ear
+            aside = 3 * self.ear(points) * np.sign(points[:, 0])
+            normal = unit(normal + aside[:, None] * [1, 0, 0])
         return (
             normal,
             np.einsum("pkc,pc,pk->p", points[:, None] - skin, normal, weight),
             distance[:, 0],
         )
 
-    def roots(self, count, low, high, turns):
-        """Random places of the scalp between two distances within the hairline, and two angles round it."""
+    def roots(self, count, low, high, turns, part=99):
+        """Random places of the scalp between two distances within the hairline, and two angles round it.
+
+        They are at most `part` cm of the average head from the parting.
+        """
         faces = self.person.base.skin_faces
         a, b, c = (self.person.skin[faces[:, k]] for k in range(3))
         cross = np.cross(b - a, c - a)
@@ -98,30 +113,29 @@ class Hair:
             * (within < high)
             * (turn > turns[0])
             * (turn < turns[1])
+            * (np.abs(self.average[faces, 0].mean(1) - self.look.get("parting", 0)) < part)
         )
-        face = self.rng.choice(len(faces), count, p=area / area.sum())
-        u, v = np.sqrt(self.rng.random((count, 1))), self.rng.random((count, 1))
+        drawn = 8 * count if self.is_long else count
+        face = self.rng.choice(len(faces), drawn, p=area / area.sum())
+        u, v = np.sqrt(self.rng.random((drawn, 1))), self.rng.random((drawn, 1))
         place = (1 - u) * a[face] + u * (1 - v) * b[face] + u * v * c[face]
-        return place, within[face]
+        kept = _far_apart(place, count)
+        return place[kept], within[face[kept]]
 
     def flow(self, points, normal, style=None):
         """Direction in which hair is combed at points near the scalp."""
         look, s = self.look, self.scale
         x, y, z = points.T / s
         style = style or look["style"]
-        if style == "long":  # away from a parting, back, and down the more the lower
+        if style == "long":  # away from a parting, over the temples, and down the more the lower
             side = np.tanh((x - look["parting"]) / 0.25)
-            steep = smooth((11.5 - y) / 7.0)
-            front = smooth((z - 1.0) / 6)
-            way = np.stack(
-                [side * (1.1 - 0.8 * steep), -0.25 - 1.2 * steep, -0.5 - 0.25 * front], 1
-            )
-            near = self.tree.query(points)[1]  # at the forehead away from the hairline
-            back = smooth(1 - self.high[near] / 3.2) * smooth(
-                (70 - around(self.average[near])) / 30
-            )
-            off = np.stack([0.5 * side, 0.3 + 0 * x, -1 + 0 * x], 1)
-            way = way * (1 - back[:, None]) + 1.4 * back[:, None] * off
+            steep = smooth((11.0 - y) / 7.0)
+            front = smooth((z + 4.5) / 10)
+            way = np.stack([side * (1.1 - 0.75 * steep), -0.2 - 1.2 * steep, -0.5 + 0.6 * front], 1)
+            near = self.tree.query(points)[1]  # at the forehead it rises off the hairline first
+            edge = smooth(1 - self.inside[near] / 1.6) * smooth((55 - self.turn[near]) / 30)
+            off = np.stack([0.9 * side, 0.3 + 0 * x, -0.5 + 0 * x], 1)
+            way = way * (1 - edge[:, None]) + edge[:, None] * off
         elif style == "fringe":  # forward and over the forehead
             way = np.stack([0.07 * x, np.full_like(x, -1.0), np.full_like(x, 0.4)], 1)
         else:  # short: swept over on top, down and back at the sides
@@ -131,6 +145,17 @@ class Hair:
             way = top[:, None] * swept + (1 - top[:, None]) * sides
         return tangent(way, normal)
 
+    def ear(self, points):
+        """1 at the ears, 0 far from them."""
+        _, y, z = points.T / self.scale
+        return np.exp(-(((y - 1.0) / 7.0) ** 2) - ((z + 1.8) / 3.5) ** 2)
+
+    def swell(self, points, far, layer):
+        """What long hair lies higher over the skin, cm: over ears, and `far` from its roots."""
+        z = points[:, 2] / self.scale
+        side = self.look["volume"] * layer.mean() * smooth((far - 3) / 8) * smooth((3.5 - z) / 4)
+        return smooth(far / 5) * (1.4 * self.ear(points) + side)
+
     def grown(self, points, heading, length, layer, *, rise, steps, style):
         """Curves (N, 3 steps + 1, 3) from roots and their headings, and the normals along them.
 
@@ -139,26 +164,36 @@ class Hair:
         normal, _, _ = self.surface(points)
         step = (length / (FINE * steps))[:, None]
         curve, across, before = [points], [normal], points
+        most, turn = (0.4 * step, 0.5) if self.is_long else (np.inf, 0.4)
         for k in range(1, FINE * steps + 1):
             points = points + heading * step
             normal, high, distance = self.surface(points)
             far = k * step[:, 0]
             wanted = layer * smooth(far / rise) + 0.02
-            is_near = distance < 1.6 + layer
+            if self.is_long:
+                wanted = wanted + self.swell(points, far, layer)
+            is_near = distance < (3.0 if self.is_long else 1.6) + wanted
             on_scalp = smooth((points[:, 1] / self.scale - self.look.get("falls", -99)) / 3.0)
             pull = np.where(high < wanted, 1, 0.5 * on_scalp) * is_near
-            points = points + normal * ((wanted - high) * pull)[:, None]
+            rising = ((wanted - high) * pull)[:, None]
+            points = points + normal * np.clip(rising, -most, most)
+            out = 0.12
+            if self.is_long:  # in front of the ears it hangs close to the cheeks
+                out = 0.03 - 0.17 * smooth(points[:, 2:] / self.scale / 3)
             target = unit(
                 on_scalp[:, None] * self.flow(points, normal, style)
-                + (1 - on_scalp[:, None]) * (DOWN + 0.12 * normal)
+                + (1 - on_scalp[:, None]) * (DOWN + out * normal)
             )
-            heading = unit(0.6 * unit(points - before) + 0.4 * target)
+            heading = unit((1 - turn) * unit(points - before) + turn * target)
             before = points
             curve.append(points)
             across.append(normal)
-        return np.stack(curve, 1), np.stack(across, 1)
+        curve, across = np.stack(curve, 1), np.stack(across, 1)
+        if self.is_long:
+            curve = gaussian_filter1d(curve, 1.5, axis=1, mode="nearest")
+        return curve, across
 
-    def cards(self, curves, across, width, tone, wisps, roll):
+    def cards(self, curves, across, width, tone, wisps, roll, inset):
         """Two strips of triangles along each curve: points, places in the picture, faces, tones."""
         count, n = curves.shape[:2]
         along = unit(np.gradient(curves, axis=1))
@@ -170,7 +205,8 @@ class Hair:
         first = VARIANTS - WISPS if wisps else 0
         variant = self.rng.integers(first, VARIANTS if wisps else VARIANTS - WISPS, size=count)
         turned = self.rng.random(count) < 0.5
-        u = np.stack([variant + turned, variant + 1 - turned], 1) / VARIANTS
+        edge = np.where(turned, 1 - inset, inset)
+        u = np.stack([variant + edge, variant + 1 - edge], 1) / VARIANTS
         uv = np.empty((count, n, 2, 2))
         uv[..., 0], uv[..., 1] = u[:, None], 1 - np.linspace(0, 1, n)[:, None]
         at = (np.arange(count)[:, None] * n + np.arange(n - 1)).reshape(-1, 1) * 2
@@ -188,8 +224,9 @@ def grow(person: Person, hair: Hair) -> Part:
     for layer in look["layers"]:  # from the outside to the scalp
         count = layer["count"]
         points, within = hair.roots(
-            count, layer.get("from", 0.25), layer.get("to", 99), layer.get("around", (0, 180))
-        )
+            count, layer.get("from", 0.25), layer.get("to", 99), layer.get("around", (0, 180)),
+            layer.get("part", 99),
+        )  # fmt: skip
         style = layer.get("style")
         length = s * layer["length"] * rng.uniform(0.75, 1.15, count)
         if "sides" in layer:  # shorter there
@@ -214,9 +251,10 @@ def grow(person: Person, hair: Hair) -> Part:
         low = s * (layer.get("cut", -99) + rng.normal(size=count) * layer.get("ends", 0.5))
         curves, across = _cut(curves, across, low)
         width = s * layer["width"] * rng.uniform(0.7, 1.25, count)
-        tone = layer.get("tone", 1.0) * rng.uniform(0.76, 1.0, count)
+        tone = layer.get("tone", 1.0) * rng.uniform(look.get("least", 0.76), 1.0, count)
         is_wisp = layer.get("wisps", False)
-        pieces.append(hair.cards(curves, across, width, tone, is_wisp, layer.get("roll", 0.2)))
+        roll, inset = layer.get("roll", 0.2), layer.get("inset", 0)
+        pieces.append(hair.cards(curves, across, width, tone, is_wisp, roll, inset))
     points, uv, faces, tone, first = [], [], [], [], 0
     for own, places, triangles, tones in pieces:
         points.append(own)
@@ -228,6 +266,17 @@ def grow(person: Person, hair: Hair) -> Part:
     part = Part(points, np.arange(len(points)), np.concatenate(uv), np.concatenate(faces))
     part.tone = np.concatenate(tone)
     return part
+
+
+def _far_apart(points, count):
+    """Indices (count,) of points (N, 3) each of which is the farthest from those before it."""
+    if count == len(points):
+        return np.arange(count)
+    kept, away = [0], np.full(len(points), np.inf)
+    while len(kept) < count:
+        away = np.minimum(away, np.linalg.norm(points - points[kept[-1]], axis=1))
+        kept.append(int(np.argmax(away)))
+    return np.array(kept)
 
 
 def _cut(curves, across, low):
