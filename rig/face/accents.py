@@ -17,9 +17,9 @@ LEAST = (0.02, 0.015, 0.04, 0.10)
 SHADOW_RADIANS, SHADOW = 0.34, 0.85
 """How far below the upper lid its shadow reaches on the eye, and its depth at the rim."""
 
-MOUTH_SHADOW, MOUTH_LIGHT = 0.9, (0.3, 0.3, 0.9, 0.8, 3.0)
-"""Deepest shadow in the mouth, and how light falls into it: its rise from the teeth to the upper lip
-over the way; how far it passes below the lip where all of it does, and how much higher none does;
+MOUTH_SHADOW, MOUTH_LIGHT = 0.9, (0.3, 0.3, 0.9, 0.8, 2.4)
+"""Deepest shadow in the mouth, and how light falls into it: its rise from the teeth to the lip over
+the way; how far it passes below the upper lip where all of it does, and how much higher none does;
 how far behind the lip it begins to fade, and over what way it goes, cm."""
 LIPS = (0.4, 0.8)
 """How far behind the upper lip the shadow on skin begins, and over what way it is whole, cm."""
