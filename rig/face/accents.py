@@ -64,7 +64,7 @@ def accents(head: Head, values: AnyFloat, poses: AnyFloat) -> Float32:
     return found
 
 
-def _mouth(lip: Float32, inside: AnyFloat) -> tuple[Float64, Float64]:
+def _mouth(lip: AnyFloat, inside: AnyFloat) -> tuple[Float64, Float64]:
     """Shadow of points (T, n, 3) in the mouth, and their depth, cm, behind the upper lip (T, P, 3).
 
     Both are (T, n).

@@ -370,7 +370,7 @@ class Head:
         upper, lower = self.lip_columns(poses)
         return np.asarray(np.maximum((upper - lower)[..., 1] * self.motion.fade, 0), np.float64)
 
-    def lip_columns(self, poses: AnyFloat) -> list[Float32]:
+    def lip_columns(self, poses: AnyFloat) -> list[AnyFloat]:
         """Means of the rims of the upper and the lower lip at each column (T, P, 3)."""
         return [lip.weight @ poses[:, lip.rim] for lip in self.motion.lips]
 
