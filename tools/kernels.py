@@ -28,6 +28,10 @@ F, I4 = np.float32, np.int32
 _TO_LIGHT, _COLOR = shading.TO_LIGHT.astype(F), shading.LIGHT_COLORS.astype(F)
 _WRAP = shading.WRAPS.astype(F)
 _SLOPE = 1 / (1 + _WRAP)
+_DEEP, _GLOW = np.array(shading.DEEP, F), np.array(shading.GLOW, F)
+_DIM, _UNDER_LID = F(shading.DIM), F(shading.UNDER_LID)
+_CATCH, _LOW = shading.CATCH.astype(F), shading.LOW.astype(F)
+_CREASE_TILT, _IRIS = F(shading.CREASE_TILT), F(shading.IRIS)
 _SKY, _GROUND = np.array(shading.SKY, F), np.array(shading.GROUND, F)
 N_LIGHTS, _PORE_TILT = len(_COLOR), F(shading.PORE_TILT)
 
@@ -45,12 +49,12 @@ X, Y, Z, LEFT, TOP, COLUMNS = 0, 1, 2, 3, 4, 15
 U, V, NX, NY, NZ, RED, GREEN, BLUE, GLOSS, AMBIENT, SEEN, ACCENT = (
     PLACES * column for column in range(LEFT, COLUMNS)
 )
-DEPTH, SHARE, STRAND, KEPT, BLEED, RIM, WINDOW, IS_HAIR = (
-    PLACES * row for row in range(COLUMNS, COLUMNS + 8)
+DEPTH, SHARE, STRAND, KEPT, BLEED, RIM, WINDOW, IS_HAIR, FLESH = (
+    PLACES * row for row in range(COLUMNS, COLUMNS + 9)
 )
 _FACE, _EMPTY = 2**32 - 1, EMPTY
 """Bits of a sample's face; all are set where there is none."""
-TO_EYE, WRAP, SLOPE = 23 * PLACES, 26 * PLACES, 29 * PLACES
+TO_EYE, WRAP, SLOPE = 24 * PLACES, 27 * PLACES, 30 * PLACES
 
 
 @kernel
@@ -439,6 +443,8 @@ def _paint(
     for i in range(count):
         kind, u, v = kinds[shown[i]], places[U + i], places[V + i]
         accent = places[ACCENT + i]
+        inside = -accent if kind == SKIN else accent
+        dark = max(inside, F(0)) if kind <= SKIN else F(0)  # of the mouth
         nx, ny, nz = _unit(places[NX + i], places[NY + i], places[NZ + i])
         away = to_eye[columns[i]]
         vx, vy, vz = away[0], away[1], away[2]
@@ -446,19 +452,25 @@ def _paint(
             nx, ny, nz = -nx, -ny, -nz
         x, y, across, down = _corner(len(atlas), u, v)
         for k in range(3):
-            places[RED + k * PLACES + i] *= _texel(atlas, x, y, across, down, k) * F(1 / 255)
+            paint = places[RED + k * PLACES + i] * _texel(atlas, x, y, across, down, k) * F(1 / 255)
+            if kind == EYE:
+                paint *= (F(1) - _UNDER_LID * accent) * (F(1) + _IRIS * (F(1) - paint))
+            places[RED + k * PLACES + i] = _between(
+                paint * (F(1) - _DIM * dark), _DEEP[k], dark * dark
+            )
+        places[GLOSS + i] *= F(1) - dark
         places[STRAND + i] = min(F(3) * places[RED + i], F(1)) if kind == HAIR else F(1)
-        places[KEPT + i] = F(1) if kind != EYE else F(1) - F(0.85) * accent
+        places[KEPT + i] = F(1)
         places[RIM + i] = F(0) if kind == EYE else F(0.35)
         places[WINDOW + i], places[IS_HAIR + i] = F(0), F(1) if kind == HAIR else F(0)
         places[BLEED + i] = F(1) if kind == SKIN else F(0)
+        places[FLESH + i] = F(1) if kind <= SKIN else F(0)
         for k in range(3):
             places[TO_EYE + k * PLACES + i] = away[k]
             places[WRAP + k * PLACES + i] = _WRAP[kind, k]
             places[SLOPE + k * PLACES + i] = _SLOPE[kind, k]
         if kind == EYE:
-            open_ = _limited(F(4) * (F(0.7) - accent))  # a lid cuts the reflection off
-            places[WINDOW + i] = _window(nx, ny, nz, vx, vy, vz) * open_
+            places[WINDOW + i] = _window(nx, ny, nz, vx, vy, vz, accent)
         elif kind == SKIN:
             side = len(pores)
             y, x = int(v * F(PORES * side)) % side, int(u * F(PORES * side)) % side
@@ -468,10 +480,11 @@ def _paint(
             ny += _PORE_TILT * (F(pores[y, x, 2]) * F(1 / 127.5) - F(1))
             if accent > F(0.01):
                 x, y, across, down = _corner(len(creases), u, v)
-                tilt = accent * F(1 / 127.5)
-                nx += tilt * _texel(creases, x, y, across, down, 0) - accent
-                ny += tilt * _texel(creases, x, y, across, down, 1) - accent
-                nz += tilt * _texel(creases, x, y, across, down, 2) - accent
+                most = accent * _CREASE_TILT
+                tilt = most * F(1 / 127.5)
+                nx += tilt * _texel(creases, x, y, across, down, 0) - most
+                ny += tilt * _texel(creases, x, y, across, down, 1) - most
+                nz += tilt * _texel(creases, x, y, across, down, 2) - most
                 shade = F(1) - _texel(creases, x, y, across, down, 3) * F(1 / 255)
                 kept *= F(1) - accent * shade
             nx, ny, nz = _unit(nx, ny, nz)
@@ -480,15 +493,15 @@ def _paint(
 
 
 @kernel
-def _window(nx: Any, ny: Any, nz: Any, vx: Any, vy: Any, vz: Any) -> Any:
-    """Reflection of a large lamp and of the sky on a wet eye."""
-    facing = nx * vx + ny * vy + nz * vz
-    dx, dy, dz = _TO_LIGHT[0, 0], _TO_LIGHT[0, 1], _TO_LIGHT[0, 2]
-    toward = dx * vx + dy * vy + dz * vz
-    mirror = F(2) * facing * (nx * dx + ny * dy + nz * dz) - toward
-    glow = _limited((mirror - F(0.972)) / F(0.008))
-    sky = _limited(F(2) * facing * ny - vy)
-    return F(0.9) * glow * glow * (F(3) - F(2) * glow) + F(0.02) * sky
+def _window(nx: Any, ny: Any, nz: Any, vx: Any, vy: Any, vz: Any, accent: Any) -> Any:
+    """Reflections of a window, high and under a lid, and of the sky on a wet eye."""
+    facing = F(2) * (nx * vx + ny * vy + nz * vz)
+    x, y, z = facing * nx - vx, facing * ny - vy, facing * nz - vz
+    glow = _limited((x * _CATCH[0] + y * _CATCH[1] + z * _CATCH[2] - F(0.976)) / F(0.008))
+    low = _limited((x * _LOW[0] + y * _LOW[1] + z * _LOW[2] - F(0.980)) / F(0.008))
+    glow = F(0.9) * glow * glow * (F(3) - F(2) * glow) * _limited(F(4) * (F(0.7) - accent))
+    low = F(0.7) * low * low * (F(3) - F(2) * low) * _limited(F(3) * (accent - F(0.1)))
+    return max(glow, low) + F(0.02) * _limited(y)
 
 
 @kernel
@@ -506,6 +519,8 @@ def _light(count: Any, places: Any) -> None:
         red = (_GROUND[0] + (_SKY[0] - _GROUND[0]) * up + rim * _SKY[0]) * ambient
         green = (_GROUND[1] + (_SKY[1] - _GROUND[1]) * up + rim * _SKY[1]) * ambient
         blue = (_GROUND[2] + (_SKY[2] - _GROUND[2]) * up + rim * _SKY[2]) * ambient
+        glow = (F(1) - ambient) * (F(1) - ambient) * places[FLESH + i]
+        red, green, blue = red + glow * _GLOW[0], green + glow * _GLOW[1], blue + glow * _GLOW[2]
         shine_r = shine_g = shine_b = places[WINDOW + i]
         power = F(14) + F(340) * gloss * gloss
         strength = F(0.16) * min(gloss, F(0.28))

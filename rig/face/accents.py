@@ -1,20 +1,28 @@
-"""Accents of a posed head: how deep creases are, and the shadow of lids on eyes.
+"""Accents of a posed head: depth of creases, and shadow of lids on eyes and of lips in the mouth.
 
-One number a vertex and frame, 0..1. On skin it is the depth of the map of creases, in regions that
-follow controls; on eyes it is shadow. `deitalk/preview/web/src/face/accents.ts` is the same.
+One number a vertex and frame, -1..1. On skin it is the depth of the map of creases, in regions that
+follow controls, or less than 0 the shadow in the mouth; on eyes, teeth and tongue it is shadow.
+`deitalk/preview/web/src/face/accents.ts` is the same.
 """
 
 import numpy as np
 
-from rig.arrays import AnyFloat, Float32
+from rig.arrays import AnyFloat, Float32, Float64
 from rig.face.head import Head
 from rig.face.mesh import smoothstep
 
 REGIONS = ("forehead", "glabella", "eye", "nasolabial")
-LEAST = (0.04, 0.03, 0.05, 0.10)
+LEAST = (0.02, 0.015, 0.04, 0.10)
 """Depth of each region at rest, the same on both sides."""
 SHADOW_RADIANS, SHADOW = 0.34, 0.85
 """How far below the upper lid its shadow reaches on the eye, and its depth at the rim."""
+
+MOUTH_SHADOW, MOUTH_LIGHT = 0.9, (0.3, 0.3, 0.9, 0.8, 2.4)
+"""Deepest shadow in the mouth, and how light falls into it: its rise from the teeth to the lip over
+the way; how far it passes below the upper lip where all of it does, and how much higher none does;
+how far behind the lip it begins to fade, and over what way it goes, cm."""
+LIPS = (0.4, 0.8)
+"""How far behind the upper lip the shadow on skin begins, and over what way it is whole, cm."""
 
 
 def crease_inputs(head: Head) -> list[int]:
@@ -31,6 +39,12 @@ def accents(head: Head, values: AnyFloat, poses: AnyFloat) -> Float32:
     inputs = head.motion.halves(np.asarray(values, np.float64)) @ head.motion.bind
     depth = np.clip(inputs[:, crease_inputs(head)] + np.tile(LEAST, 2), 0, 1).astype(np.float32)
     skin = np.minimum(depth @ head.creases, 1)
+    if len(head.mouth):
+        lip = head.lip_columns(poses)[0]
+        inside = head.teeth
+        found[:, inside] = _mouth(lip, poses[:, inside])[0]
+        shadow, depth = _mouth(lip, poses[:, head.mouth])
+        skin[:, head.mouth] = -shadow * smoothstep((depth - LIPS[0]) / LIPS[1])
     found[:, head.slices["skin"]] = skin
     seam = head.slices["seam"]
     found[:, seam] = skin[:, head.mesh.weld[seam]]
@@ -48,3 +62,16 @@ def accents(head: Head, values: AnyFloat, poses: AnyFloat) -> Float32:
         shadow = SHADOW * smoothstep(1 - (edge - angle) / SHADOW_RADIANS)
         found[:, head.slices[f"eye_{side}"]] = np.asarray(shadow * (ball[..., 2] > 0), np.float32)
     return found
+
+
+def _mouth(lip: AnyFloat, inside: AnyFloat) -> tuple[Float64, Float64]:
+    """Shadow of points (T, n, 3) in the mouth, and their depth, cm, behind the upper lip (T, P, 3).
+
+    Both are (T, n).
+    """
+    rise, clear, soft, begin, fade = MOUTH_LIGHT
+    x, y, z = np.moveaxis(inside, -1, 0)
+    edge = np.stack([np.interp(a, c[:, 0], c[:, 1]) for a, c in zip(x, lip, strict=True)])
+    depth = lip[..., 2].max(1, keepdims=True) - z
+    under = (clear - (edge - y - rise * depth)) / soft
+    return MOUTH_SHADOW * smoothstep(np.maximum(under, (depth - begin) / fade)), depth

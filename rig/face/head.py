@@ -44,6 +44,12 @@ ALONG = np.array([0.6, 1.0, 1.0], np.float32)
 """Share of the gap that is closed sideways, up and forward."""
 LID_CLEARANCE = 1.02
 """Least distance of a lid from the middle of the eye, in radii."""
+MOUTH = ("teeth_upper", "teeth_lower", "tongue")
+"""Parts in the mouth, in their order."""
+MOUTH_LIGHT = 0.45
+"""Most baked light of skin in the mouth."""
+MOUTH_REACH = np.array([[0.6, 1.0, 2.0], [0.6, 1.5, 0.0]])
+"""How far it reaches below and above the box of the parts in it, cm."""
 BATCH, MANY = 64, 16
 """Frames that are posed together; weights a shape that are worth the import of sparse matrices."""
 Half = tuple[str, ...]
@@ -323,6 +329,23 @@ class Head:
         return Mesh(self.neutral[self.slices["skin"]], self._stored["skin_faces"].astype(np.int64))
 
     @cached_property
+    def teeth(self) -> slice:
+        """Vertices of the parts in the mouth, `MOUTH`; none of a user's head."""
+        parts = [self.slices[name] for name in MOUTH if name in self.slices] or [slice(0, 0)]
+        return slice(parts[0].start, parts[-1].stop)
+
+    @cached_property
+    def mouth(self) -> Int64:
+        """Vertices of the skin inside the mouth: dark at rest, and about the teeth."""
+        if not self.teeth.stop:
+            return np.zeros(0, np.int64)
+        teeth = self.straight[self.teeth]
+        skin, low, high = self.straight[self.slices["skin"]], teeth.min(0), teeth.max(0)
+        is_near = (skin > low - MOUTH_REACH[0]) & (skin < high + MOUTH_REACH[1])
+        is_dark = self._stored["light"][self.slices["skin"], 0] < 255 * MOUTH_LIGHT
+        return np.flatnonzero(is_near.all(1) & is_dark)
+
+    @cached_property
     def cage(self) -> Mesh:
         """A quarter of the skin's vertices, neutral, for uses that need no finer mesh."""
         return Mesh(self.neutral[self.slices["cage"]], self._stored["cage_faces"].astype(np.int64))
@@ -344,9 +367,12 @@ class Head:
 
     def lip_gaps(self, poses: AnyFloat) -> Float64:
         """Height of the gap between the lips at each column (T, P), cm, of poses (T, V, 3)."""
-        upper, lower = (lip.weight @ poses[:, lip.rim, 1].T for lip in self.motion.lips)
-        gap = (upper - lower).T * self.motion.fade
-        return np.asarray(np.maximum(gap, 0), np.float64)
+        upper, lower = self.lip_columns(poses)
+        return np.asarray(np.maximum((upper - lower)[..., 1] * self.motion.fade, 0), np.float64)
+
+    def lip_columns(self, poses: AnyFloat) -> list[AnyFloat]:
+        """Means of the rims of the upper and the lower lip at each column (T, P, 3)."""
+        return [lip.weight @ poses[:, lip.rim] for lip in self.motion.lips]
 
     def pose(self, values: ArrayLike) -> Float32:
         """Vertices of the joined mesh for control values.

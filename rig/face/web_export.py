@@ -83,6 +83,7 @@ def _follow_arrays(head: Head) -> Arrays:
         "follow.near": _index(head.near),
         "follow.weight": _real(head.near_weight),
         "creases": _byte(head.creases),
+        "mouth": _index(head.mouth),
     }
     for k in range(2):
         arrays[f"lid{k}.ids"] = _index(head.lids[k])
@@ -115,5 +116,9 @@ def _facts(head: Head) -> dict[str, Any]:
             "least": list(accents.LEAST) * 2,
             "shadow": accents.SHADOW,
             "shadowRadians": accents.SHADOW_RADIANS,
+            "teeth": [head.teeth.start, head.teeth.stop],
+            "mouthShadow": accents.MOUTH_SHADOW,
+            "mouthLight": accents.MOUTH_LIGHT,
+            "lips": accents.LIPS,
         },
     }

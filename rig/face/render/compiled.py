@@ -13,7 +13,7 @@ THRESHOLDS = (40, 168, 216, 96)
 """Least alpha of the four samples of a pixel, of 255."""
 EMPTY = 0x7F800000FFFFFFFF
 """Sample that shows no face, at depth infinity."""
-PLACES, ROWS = 512, 32
+PLACES, ROWS = 512, 33
 """Most places whose light is worked out together, a power of two, and numbers of each."""
 KERNELS = {
     "normals": "f42 u42 u41 f42",

@@ -62,9 +62,20 @@ LIGHTS = (
 )
 TO_LIGHT = unit(np.array([direction for direction, _ in LIGHTS]))
 LIGHT_COLORS = np.array([color for _, color in LIGHTS])
-WRAPS = np.array([[0.2, 0.2, 0.2], [0.42, 0.22, 0.15], [0.8, 0.76, 0.72], [0.25, 0.22, 0.2],
+WRAPS = np.array([[0.90, 0.82, 0.74], [0.42, 0.22, 0.15], [0.8, 0.76, 0.72], [0.25, 0.22, 0.2],
                   [0.1, 0.1, 0.1], [0.35, 0.32, 0.3]])  # fmt: skip
 """How far red, green and blue light reaches round, of PLAIN, SKIN, HAIR, EYE, CLOTH and FINE."""
+DEEP, DIM, UNDER_LID = (0.27, 0.08, 0.07), 0.5, 0.38
+"""Colour of the mouth where its shadow is 1; how much darker that shadow makes what it still shows,
+and that of lids the eye."""
+CREASE_TILT = 0.7
+"""How far creases tilt normals, of what their map says."""
+GLOW = (0.16, 0.040, 0.030)
+"""Light that comes through flesh where no other does."""
+CATCH, LOW = unit(np.array([0.14, 0.48, 0.86])), unit(np.array([0.31, -0.14, 0.94]))
+"""Where eyes reflect a window, and what of it is left in the shadow of a lowered lid."""
+IRIS = 0.3
+"""How much lighter the dark colours of eyes are than painted."""
 PORE_TILT = 0.09
 """How far pores tilt the normals of skin."""
 SKY, GROUND = (0.24, 0.26, 0.29), (0.11, 0.09, 0.085)
@@ -134,21 +145,31 @@ void main() {{
   float shade = 1.0, strand = 1.0, gloss = paint_.a;
   if (kind == {SKIN}) {{
     vec3 pore = texture(pores, uv_ * {PORES:.1f}).rgb * 2.0 - 1.0;
-    vec4 fold = texture(creases, uv_);
+    vec4 fold = texture(creases, uv_); float crease = max(accent_, 0.0);
     shade += 0.16 * pore.r; gloss *= 1.0 + 0.7 * pore.r; n.xy += {PORE_TILT} * pore.gb;
-    n = normalize(n + accent_ * (2.0 * fold.rgb - 1.0)); shade *= 1.0 - accent_ * (1.0 - fold.a);
+    n = normalize(n + {CREASE_TILT} * crease * (2.0 * fold.rgb - 1.0));
+    shade *= 1.0 - crease * (1.0 - fold.a);
   }} else if (kind == {HAIR}) strand = min(3.0 * albedo.r, 1.0);
-  else if (kind == {EYE}) shade *= 1.0 - 0.85 * accent_;
+  else if (kind == {EYE})
+    albedo *= (1.0 - {UNDER_LID} * accent_) * (1.0 + {IRIS} * (1.0 - albedo));
+  if (kind <= {SKIN}) {{  // inside the mouth
+    float dark = max(kind == {SKIN} ? -accent_ : accent_, 0.0);
+    albedo = mix(albedo * (1.0 - {DIM} * dark), {_vec(DEEP)}, dark * dark); gloss *= 1.0 - dark;
+  }}
   facing = dot(n, v); wrap = WRAPS[kind];
   float rim = kind == {EYE} ? 0.0 : pow(1.0 - max(facing, 0.0), 3.0) * 0.35;
   vec3 sky = {_vec(SKY)};
   diffuse = (mix({_vec(GROUND)}, sky, 0.5 + 0.5 * n.y) + rim * sky) * light_.x; shine = vec3(0.0);
+  if (kind <= {SKIN}) diffuse += (1.0 - light_.x) * (1.0 - light_.x) * {_vec(GLOW)};
   power = 14.0 + 340.0 * gloss * gloss;
   strength = (0.16 * min(gloss, 0.28) + 0.50 * gloss * gloss * sqrt(max(gloss, 0.0))) * strand;
 {lamps}  if (kind == {EYE}) {{
     vec3 mirror = 2.0 * facing * n - v;
-    float glow = 0.9 * smoothstep(0.972, 0.980, dot(mirror, {_vec(TO_LIGHT[0])}));
-    shine += (glow + 0.02 * clamp(mirror.y, 0.0, 1.0)) * clamp(4.0 * (0.7 - accent_), 0.0, 1.0);
+    float glow = 0.9 * smoothstep(0.976, 0.984, dot(mirror, {_vec(CATCH)}));
+    glow *= clamp(4.0 * (0.7 - accent_), 0.0, 1.0);
+    float low = 0.7 * smoothstep(0.980, 0.988, dot(mirror, {_vec(LOW)}));
+    low *= clamp(3.0 * (accent_ - 0.1), 0.0, 1.0);
+    shine += max(glow, low) + 0.02 * clamp(mirror.y, 0.0, 1.0);
   }}
   vec3 linear = albedo * albedo * shade * diffuse + shine;
   float cover = hair && threshold < 0.3 ? tint.a : 1.0;

@@ -75,7 +75,9 @@ def test_characters_left_is_on_the_right_of_the_picture(head):
     assert change[:, 80:].sum() > 20 * max(change[:, :80].sum(), 1)
 
 
-def drawn_by_opengl(mesh: Mesh, size: tuple[int, int], view: View) -> np.ndarray:
+def drawn_by_opengl(
+    mesh: Mesh, size: tuple[int, int], view: View, accent: np.ndarray | float = 0
+) -> np.ndarray:
     """The mesh by the shaders of the page, four samples a pixel."""
     moderngl = pytest.importorskip("moderngl")
     try:
@@ -86,7 +88,7 @@ def drawn_by_opengl(mesh: Mesh, size: tuple[int, int], view: View) -> np.ndarray
     program = context.program(vertex_shader=vertex, fragment_shader=fragment)
     n, normals = len(mesh.vertices), mesh.normals(mesh.vertices)
     columns = [mesh.vertices, normals, mesh.colors, mesh.gloss, mesh.light, mesh.kind / 5]
-    table = np.column_stack([*columns, np.zeros(n), mesh.uv]).astype("f4")
+    table = np.column_stack([*columns, np.broadcast_to(accent, n), mesh.uv]).astype("f4")
     names = ("position", "normal", "paint", "light", "accent", "place")
     parts = [(context.buffer(table.tobytes()), "3f 3f 4f 3f 1f 2f", *names)]
     array = context.vertex_array(program, parts, context.buffer(mesh.faces.astype("i4").tobytes()))
@@ -146,6 +148,23 @@ def shown(person: str, view: View, size=(360, 300), **raised):
         return np.stack([(x / w + 1) * size[0] / 2, (1 - y / w) * size[1] / 2], 1).astype(int)
 
     return head, picture.mean(2), place
+
+
+def test_shadows_and_creases_are_drawn_as_by_the_shaders_of_the_page(head):
+    """With eyes half shut, a raised brow and an open mouth, all of which accents darken."""
+    raised = {"*eye_blink.ty": 0.3, "*brow_raiseIn.ty": 1, "CTRL_C_jaw.ty": 0.5}
+    values, size = pose_values(raised)[None], (300, 330)
+    pose = head.pose(values)
+    accent = accents(head, values, pose)[0]
+    is_hair = np.isin(head.mesh.kind[head.mesh.faces[:, 0]], (HAIR, FINE))
+    mesh = replace(head.mesh, vertices=pose[0].astype(float), faces=head.mesh.faces[~is_hair])
+    for view in (VIEWS["eyes"], VIEWS["mouth"]):
+        ours = Renderer(mesh, size, view).render(mesh.vertices, accents=accent)
+        theirs = drawn_by_opengl(mesh, size, view, accent)
+        blocks = [p.astype(int).reshape(110, 3, 100, 3, 3).mean((1, 3)) for p in (ours, theirs)]
+        difference = np.abs(blocks[0] - blocks[1]).mean(2)[theirs.any(2)[::3, ::3]]
+        assert difference.mean() < 1.6
+        assert np.percentile(difference, 97) < 8
 
 
 @pytest.mark.parametrize("person", PEOPLE)

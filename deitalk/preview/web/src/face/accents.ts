@@ -1,9 +1,16 @@
-/** Depth of creases and shadow of lids, the same mathematics as `rig.face.accents` in Python. */
+/** Depth of creases and shadow of lids and lips, the same mathematics as `rig.face.accents` in Python. */
 
 import type { Packed } from "../data/packed";
 import { type Rig, smoothstep } from "./rig";
 
 const clamp = (x: number) => Math.min(Math.max(x, 0), 1);
+
+/** Value at `at` of the line through places `x`, which rise, and values `y`. */
+function between(x: number[], y: number[], at: number): number {
+  let k = 1;
+  while (k < x.length - 1 && at > x[k]) k++;
+  return y[k - 1] + clamp((at - x[k - 1]) / (x[k] - x[k - 1])) * (y[k] - y[k - 1]);
+}
 
 export class Accents {
   /** One number a vertex. */
@@ -24,10 +31,34 @@ export class Accents {
       for (let r = 0; r < depth.length; r++) sum += depth[r] * mask[r * count + v];
       this.values[v] = Math.min(sum / 255, 1);
     }
+    if (arrays.mouth.length) this.inMouth();
     const [start, stop] = facts.slices.seam;
     for (let v = start; v < stop; v++) this.values[v] = this.values[arrays.weld[v]];
     this.underLid(0);
     this.underLid(1);
+  }
+
+  private inMouth(): void {
+    const { facts, arrays } = this.head;
+    const { teeth, mouthShadow, mouthLight, lips } = facts.accents;
+    const [rise, clear, soft, begin, fade] = mouthLight;
+    const lip = this.rig.columns(0), x: number[] = [], y: number[] = [];
+    let front = -Infinity;
+    for (let i = 0; i < lip.length; i += 3) {
+      x.push(lip[i]);
+      y.push(lip[i + 1]);
+      front = Math.max(front, lip[i + 2]);
+    }
+    const { vertices } = this.rig;
+    const depth = (v: number) => front - vertices[3 * v + 2];
+    const shadow = (v: number) => {
+      const under = (clear - (between(x, y, vertices[3 * v]) - vertices[3 * v + 1] - rise * depth(v))) / soft;
+      return mouthShadow * smoothstep(Math.max(under, (depth(v) - begin) / fade));
+    };
+    for (let v = teeth[0]; v < teeth[1]; v++) this.values[v] = shadow(v);
+    arrays.mouth.forEach((v: number) => {
+      this.values[v] = -shadow(v) * smoothstep((depth(v) - lips[0]) / lips[1]);
+    });
   }
 
   private underLid(eye: number): void {
@@ -41,10 +72,7 @@ export class Accents {
     const [start, stop] = facts.slices[eye ? "eye_R" : "eye_L"];
     for (let v = start; v < stop; v++) {
       const px = vertices[3 * v] - cx, py = vertices[3 * v + 1] - cy, pz = vertices[3 * v + 2] - cz;
-      let k = 1;
-      while (k < x.length - 1 && px > x[k]) k++;
-      const edge = high[k - 1] + clamp((px - x[k - 1]) / (x[k] - x[k - 1])) * (high[k] - high[k - 1]);
-      const below = (edge - Math.atan2(py, pz)) / facts.accents.shadowRadians;
+      const below = (between(x, high, px) - Math.atan2(py, pz)) / facts.accents.shadowRadians;
       this.values[v] = pz > 0 ? facts.accents.shadow * smoothstep(1 - below) : 0;
     }
   }

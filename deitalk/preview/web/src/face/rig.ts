@@ -92,7 +92,7 @@ export class Rig {
   }
 
   /** Means of a lip's rim at each column, in threes. */
-  private columns(lip: number): Float64Array {
+  columns(lip: number): Float64Array {
     const rim = this.a[`lip${lip}.rim`], weight = this.a[`lip${lip}.weight`], count = rim.length;
     const out = new Float64Array((3 * weight.length) / count);
     for (let p = 0; p < out.length / 3; p++) {
