@@ -452,13 +452,12 @@ def _paint(
             nx, ny, nz = -nx, -ny, -nz
         x, y, across, down = _corner(len(atlas), u, v)
         for k in range(3):
-            paint = places[RED + k * PLACES + i] * _texel(atlas, x, y, across, down, k) * F(1 / 255)
-            if kind == EYE:
-                paint *= (F(1) - _UNDER_LID * accent) * (F(1) + _IRIS * (F(1) - paint))
-            places[RED + k * PLACES + i] = _between(
-                paint * (F(1) - _DIM * dark), _DEEP[k], dark * dark
-            )
-        places[GLOSS + i] *= F(1) - dark
+            places[RED + k * PLACES + i] *= _texel(atlas, x, y, across, down, k) * F(1 / 255)
+        if dark > F(0):
+            for k in range(3):
+                paint = places[RED + k * PLACES + i] * (F(1) - _DIM * dark)
+                places[RED + k * PLACES + i] = _between(paint, _DEEP[k], dark * dark)
+            places[GLOSS + i] *= F(1) - dark
         places[STRAND + i] = min(F(3) * places[RED + i], F(1)) if kind == HAIR else F(1)
         places[KEPT + i] = F(1)
         places[RIM + i] = F(0) if kind == EYE else F(0.35)
@@ -470,6 +469,10 @@ def _paint(
             places[WRAP + k * PLACES + i] = _WRAP[kind, k]
             places[SLOPE + k * PLACES + i] = _SLOPE[kind, k]
         if kind == EYE:
+            for k in range(3):
+                paint = places[RED + k * PLACES + i]
+                lit = (F(1) - _UNDER_LID * accent) * (F(1) + _IRIS * (F(1) - paint))
+                places[RED + k * PLACES + i] = paint * lit
             places[WINDOW + i] = _window(nx, ny, nz, vx, vy, vz, accent)
         elif kind == SKIN:
             side = len(pores)
