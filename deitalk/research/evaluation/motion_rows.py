@@ -132,7 +132,7 @@ def kept_closures(sounds: Sequence[Float32], lips: HeadLips) -> Rows:
         shut = np.stack([gap.numpy() < GAP for gap in gaps]).all(axis=0)
         met = takes[0].neutral.values[:, SEALS].mean(axis=1) >= MET
         edges = np.flatnonzero(np.diff(np.pad(met.astype(int), 1)))
-        speaking = np.asarray(takes[0].recording.activity > 0)
+        speaking = np.asarray(takes[0].recording.activity) > 0
         for start, stop in edges.reshape(-1, 2):
             if speaking[start:stop].all():
                 count += 1
@@ -159,8 +159,9 @@ def apex_rows(poses: Mapping[str, Float64]) -> Rows:
             float(np.corrcoef(a[columns], b[columns])[0, 1])
             for a, b in combinations(poses.values(), 2)
         ]
-        rows |= {f"apex r, {name}": np.mean(pairs), f"apex r, {name}, p90": np.quantile(pairs, 0.9)}
-    return {name: float(value) for name, value in rows.items()}
+        rows[f"apex r, {name}"] = float(np.mean(pairs))
+        rows[f"apex r, {name}, p90"] = float(np.quantile(pairs, 0.9))
+    return rows
 
 
 def calm_rows(sound: Float32) -> Rows:
