@@ -132,7 +132,7 @@ def kept_closures(sounds: Sequence[Float32], lips: HeadLips) -> Rows:
         shut = np.stack([gap.numpy() < GAP for gap in gaps]).all(axis=0)
         met = takes[0].neutral.values[:, SEALS].mean(axis=1) >= MET
         edges = np.flatnonzero(np.diff(np.pad(met.astype(int), 1)))
-        speaking = np.asarray(takes[0].recording.activity) > 0
+        speaking: Bool = np.greater(takes[0].recording.activity, 0)
         for start, stop in edges.reshape(-1, 2):
             if speaking[start:stop].all():
                 count += 1
