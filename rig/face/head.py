@@ -343,7 +343,16 @@ class Head:
         skin, low, high = self.straight[self.slices["skin"]], teeth.min(0), teeth.max(0)
         is_near = (skin > low - MOUTH_REACH[0]) & (skin < high + MOUTH_REACH[1])
         is_dark = self._stored["light"][self.slices["skin"], 0] < 255 * MOUTH_LIGHT
-        return np.flatnonzero(is_near.all(1) & is_dark)
+        chosen = is_near.all(1) & is_dark
+        faces = self._stored["skin_faces"]
+        faces = faces[chosen[faces].all(1)]
+        found = np.zeros(len(skin), bool)
+        found[np.argmax(np.where(chosen, skin[:, 2], -np.inf))] = True
+        while True:  # from behind the lips on: a shadow on the neck is none of it
+            more = faces[found[faces].any(1)]
+            if found[more].all():
+                return np.flatnonzero(found)
+            found[more] = True
 
     @cached_property
     def cage(self) -> Mesh:

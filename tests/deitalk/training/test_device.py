@@ -34,7 +34,7 @@ def test_losses_and_gradients_stay_on_the_device_of_the_model(base, data):
     batch = next(iter(task.batches(Share())))
     task.model.to(DEVICE)
     task.base.to(DEVICE)
-    task._loss = CurveLoss(task.config.loss, task.controls, DEVICE, hold=task.config.tune.hold)
+    task._loss = CurveLoss(task.config.loss, hold=task.config.tune.hold)
     with OneDevice():
         there = type(batch)(*(part.to(DEVICE) for part in batch))
         with pytest.raises(AssertionError, match=r"on \{"):

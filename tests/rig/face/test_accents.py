@@ -57,3 +57,13 @@ def test_a_lowered_lid_darkens_the_eye(person):
         front = vertices[eye, 2] > vertices[eye, 2].max() - 0.3
         means.append(shadow[eye][front].mean())
     assert means == sorted(means) and means[2] > means[0] + 0.1
+
+
+@pytest.mark.parametrize("person", PEOPLE)
+def test_the_shadow_of_the_mouth_is_on_no_neck(person):
+    head = build_head(person)
+    skin = head.straight[head.slices["skin"]]
+    teeth = head.straight[head.teeth]
+    neck = skin[:, 1] < teeth[:, 1].min() + 0.9
+    neck &= np.abs(skin[:, 0]) > teeth[:, 0].max() + 0.25
+    assert neck.any() and not neck[head.mouth].any()
