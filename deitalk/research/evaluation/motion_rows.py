@@ -129,10 +129,10 @@ def kept_closures(sounds: Sequence[Float32], lips: HeadLips) -> Rows:
         ]
         with torch.no_grad():
             gaps = [lips(torch.from_numpy(take.curves.values.copy()))[:, 0] for take in takes]
-        shut = np.stack([gap.numpy() < GAP for gap in gaps]).all(axis=0)
+        shut: Bool = np.logical_and.reduce([gap.numpy() < GAP for gap in gaps])
         met = takes[0].neutral.values[:, SEALS].mean(axis=1) >= MET
         edges = np.flatnonzero(np.diff(np.pad(met.astype(int), 1)))
-        speaking: Bool = np.greater(takes[0].recording.activity, 0)
+        speaking = takes[0].recording.activity > 0
         for start, stop in edges.reshape(-1, 2):
             if speaking[start:stop].all():
                 count += 1
