@@ -18,7 +18,7 @@ from deitalk.audio.original import start_of
 from deitalk.emotions.track_files import is_table
 from rig.curves.edit import parse_gains
 from rig.curves.layer_diff import TOLERANCE
-from rig.limits import MOST_DELAY, MOST_HANDLES
+from rig.limits import FPS_HIGHEST, FPS_LOWEST, MOST_DELAY, MOST_HANDLES
 
 NAME_PATTERN = r"^[A-Za-z0-9](?:[A-Za-z0-9 _-]{0,62}[A-Za-z0-9])?$"
 TIMECODE_PATTERN = r"^(zero|recording|[0-9]{1,2}:[0-9]{2}:[0-9]{2}([:;][0-9]{2}|\.[0-9]{1,6})?)$"
@@ -51,7 +51,7 @@ class Received(Generic[Options]):
     names: dict[str, str]
 
 
-Rate = Annotated[float | None, Field(ge=1, le=240)]
+Rate = Annotated[float | None, Field(ge=FPS_LOWEST, le=FPS_HIGHEST)]
 Format = Annotated[
     str | None, Field(max_length=32, description="Kind of file; else that of `Accept`.")
 ]

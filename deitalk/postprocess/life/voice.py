@@ -125,10 +125,9 @@ ACCENTS_PER_SECOND = 0.47
 """Most accents of speech: those of the syllables that stand out most."""
 ACCENT_WEIGHTS = (0.35, 0.7, 1.4)
 """Of level, pitch and sonority; smoothed over a syllable, the latter two are higher in long ones.
-A syllable's being chosen so correlates with the sum of its energy, pitch and length, measured
-independently (`tests/deitalk/postprocess/life/test_face.py`): by .50 on eight readers, and by .47
-on twelve on whom nothing was chosen; as many accents that are placed by that sum itself reach .59
-and .57."""
+A syllable's being chosen so correlates by .5 with the sum of its energy, pitch and length, measured
+independently on the readers of `tests/deitalk/postprocess/life/test_face.py`, on whom the numbers
+were chosen."""
 SONORITY_SPREAD_DB = 7.0
 """Standard deviation of the sonority of speech."""
 USUAL_SPREAD, LEAST_SPREAD = 0.72, 0.4
