@@ -17,7 +17,7 @@ from deitalk import animate
 from deitalk.audio.frames import SAMPLE_RATE
 from deitalk.audio.load import load_audio
 from deitalk.preview.strip import label
-from deitalk.research.evaluation.acted import ACTORS, read_strength_clips
+from deitalk.research.evaluation.strength_clips import ACTORS, read_strength_clips
 from rig import RigCurves
 from rig.emotions import COLORS
 from rig.face import build_head

@@ -29,8 +29,8 @@ from deitalk.models.mesh_model import SDFA
 from deitalk.pipeline.speech import Speech
 from deitalk.research.config import ComparedSDFAModelConfig, KarrasConfig, VocaConfig
 from deitalk.research.evaluation.benchmark_curves import TABLE_4_SECONDS, speechlike
-from deitalk.research.meshes.folder import head_templates
-from deitalk.research.meshes.scores import predict_mesh
+from deitalk.research.meshes.predict import predict_mesh
+from deitalk.research.meshes.sources import head_templates
 from deitalk.research.meshes.training import new_mesh_model
 from rig.face.head import UNIT_MM
 from rig.mesh.deformation import mesh_solver

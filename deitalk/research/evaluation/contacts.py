@@ -6,7 +6,7 @@ labial (f v w), release (of a closure), vowel, silence and other; labels, in any
 sounds in the report. Such phones are set by hand, in any language: sets on which a model is
 chosen, not trained.
 
-Curves are scored as by `deitalk.research.evaluation.clip_scores`, beside the ridge regressions of
+Curves are scored as by `deitalk.research.evaluation.gestures`, beside the ridge regressions of
 `deitalk.research.evaluation.ridge`, which the training recordings of a dataset folder teach.
 """
 
@@ -31,7 +31,8 @@ from deitalk.postprocess.phones import (
     WIDEN_FRAMES,
     Phones,
 )
-from deitalk.research.evaluation.clip_scores import SHUT, animated, held_closures
+from deitalk.research.evaluation.clip_scores import animated, held_closures
+from deitalk.research.evaluation.gestures import SHUT
 from deitalk.research.evaluation.ridge import (
     ContactRidge,
     Judged,

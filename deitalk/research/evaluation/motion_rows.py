@@ -42,15 +42,15 @@ from deitalk.pipeline.performance import Performance
 from deitalk.postprocess.life.eyes import SIDE_DEGREES
 from deitalk.research.arguments import new_file
 from deitalk.research.evaluation.acted import (
+    EMOTIONS as ASKED,
+)
+from deitalk.research.evaluation.report import write_json
+from deitalk.research.evaluation.strength_clips import (
     ACTORS,
     NEUTRAL,
     StrengthClip,
     read_strength_clips,
 )
-from deitalk.research.evaluation.acted import (
-    EMOTIONS as ASKED,
-)
-from deitalk.research.evaluation.report import write_json
 from deitalk.research.lips.head_lips import HeadLips
 from rig import default_controls
 from rig.arrays import Bool, Float32, Float64

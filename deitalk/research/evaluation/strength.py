@@ -21,14 +21,13 @@ from deitalk.audio.vocal_strength import (
 )
 from deitalk.audio.voice_activity import speech_activity
 from deitalk.evaluation.scores import correlation
-from deitalk.research.evaluation.acted import (
+from deitalk.research.evaluation.acted import Scores, acted_order
+from deitalk.research.evaluation.strength_clips import (
     ACTORS,
     LEVELS,
     NEUTRAL,
     READERS,
-    Scores,
     StrengthClip,
-    acted_order,
 )
 from rig.arrays import Float32, Float64
 

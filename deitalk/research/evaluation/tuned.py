@@ -132,7 +132,7 @@ def evaluate(
     contacts : Path or None
         Table of phones of `deitalk.research.evaluation.contacts`; for models of the board.
     strengths : Path or None
-        Table of actors of `deitalk.research.evaluation.acted`; for models of the board.
+        Table of actors of `deitalk.research.evaluation.strength_clips`; for models of the board.
     progress : callable
         Called with the share of `sounds` done.
 

@@ -6,8 +6,7 @@ the recordings. Errors are distances in mm on a head of known size.
 Letters: T frames, V vertices, P facing pairs of the lips' rims.
 """
 
-from collections.abc import Callable, Mapping, Sequence
-from functools import partial
+from collections.abc import Callable, Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, cast
@@ -16,21 +15,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deitalk.acting import Acting
-from deitalk.audio.load import Recording, load_audio
 from deitalk.data.clips import Clip, read_phones
 from deitalk.emotions import EMOTIONS
 from deitalk.errors import CheckpointError, DataError
 from deitalk.models.mesh_head import MeshHead
 from deitalk.models.mesh_model import MeshModel
-from deitalk.pipeline.curves import animate
-from deitalk.pipeline.mesh import mesh_frames
 from deitalk.postprocess.known_phones import seal_lips
 from deitalk.postprocess.phones import BILABIALS, CLEAR_SECONDS, NEAR_LIPS, VOWELS, WIDEN_FRAMES
-from deitalk.research.meshes.folder import Lips, act, acted_clips, head_lips
+from deitalk.research.meshes.emotion_scores import (
+    acted_by_curves,
+    expression_probe,
+    expression_table,
+)
+from deitalk.research.meshes.folder import Lips
+from deitalk.research.meshes.predict import predict_mesh
+from deitalk.research.meshes.sources import act, acted_clips, head_lips
 from rig.arrays import Float32, Float64
 from rig.face import build_head
 from rig.face.identity import IDENTITIES
-from rig.mesh.trimesh import TriMesh
 
 Phones = Sequence[tuple[float, float, str]]
 
@@ -303,146 +305,3 @@ def as_markdown(report: dict[str, Any]) -> str:
     if "expression" in report:
         lines += ["", *expression_table(report["expression"])]
     return "\n".join(lines) + "\n"
-
-
-# Emotion on a mesh: a mesh head compared with the rig posed by the same network's curves.
-#
-# Letters: T frames, V vertices.
-
-
-Act = Callable[[str, float], Float32]
-
-INTENSITIES = (0.5, 1.0, 1.5)
-MOST = 3
-"""Recordings that are animated in every emotion."""
-PLACES = {"corners": "mouth_corner", "brows": "brow"}
-"""Landmarks, left and right, whose rise is measured."""
-ACTORS = ("model", "curves")
-
-
-def acted_by_curves(
-    model: MeshHead,
-    audio: Path | Recording,
-    speaker: str,
-    emotion: str,
-    intensity: float = 1.0,
-) -> Float32:
-    """Skin (T, V, 3) of an embedded head posed by the curves of the mesh head's DEITalk model."""
-    performance = animate(
-        audio, emotion, model=model.encoder.network, intensity=intensity, life="off"
-    )
-    head = build_head(speaker)
-    return head.pose(performance.curves.values)[:, head.slices["cage"]]
-
-
-def acted_by_model(
-    model: MeshHead, audio: Recording, speaker: str, emotion: str, intensity: float = 1.0
-) -> Float32:
-    """Skin (T, V, 3) of a mesh head."""
-    acting = Acting.of(emotion=emotion, intensity=intensity)
-    return predict_mesh(model, audio.waveform, speaker, acting)
-
-
-def expression_probe(model: MeshHead, recordings: Sequence[Path]) -> dict[str, Any]:
-    """Rise of the corners of the mouth and of the brows by emotion, at three intensities.
-
-    Parameters
-    ----------
-    model : MeshHead
-        In evaluation mode; it moves the embedded heads.
-    recordings : sequence of Path
-        `MOST` of them, evenly spread, are animated in every emotion.
-
-    Returns
-    -------
-    dict
-        ``corners`` and ``brows``: by emotion, ``model`` and ``curves``: mean rise over the neutral
-        reading at each of `INTENSITIES`, mm.
-    """
-    unique = sorted(set(recordings))
-    places = np.linspace(0, len(unique) - 1, min(MOST, len(unique))).astype(int)
-    found: dict[tuple[str, str, str], list[list[float]]] = {}
-    for i, place in enumerate(places):
-        recording, speaker = load_audio(unique[place]), model.speakers[i % len(model.speakers)]
-        marks = build_head(speaker).landmarks
-        for who, way in zip(ACTORS, (acted_by_model, acted_by_curves), strict=True):
-            one = partial(way, model, recording, speaker)
-            for (where, emotion), rises in _rises(one, marks, model.unit_mm).items():
-                found.setdefault((where, emotion, who), []).append(rises)
-    means = {key: np.mean(rows, axis=0).tolist() for key, rows in found.items()}
-    return {
-        where: {e: {who: means[where, e, who] for who in ACTORS} for e in EMOTIONS[1:]}
-        for where in PLACES
-    }
-
-
-def _rises(
-    act: Act, marks: Mapping[str, int], unit_mm: float
-) -> dict[tuple[str, str], list[float]]:
-    """Mean rise over the neutral reading by place and emotion, at each intensity, mm."""
-    plain = act("neutral", 1.0).mean(axis=0)
-    out = {}
-    for emotion in EMOTIONS[1:]:
-        moved = [act(emotion, amount).mean(axis=0) - plain for amount in INTENSITIES]
-        for where, landmark in PLACES.items():
-            both = [marks[f"{landmark}_{side}"] for side in ("left", "right")]
-            out[where, emotion] = [unit_mm * float(mean[both, 1].mean()) for mean in moved]
-    return out
-
-
-def expression_table(expression: Mapping[str, Any]) -> list[str]:
-    """Lines of a Markdown table: rise by landmark, emotion and intensity."""
-    amounts = " / ".join(f"{amount:g}" for amount in INTENSITIES)
-    lines = [
-        f"Mean rise over the neutral reading at intensity {amounts}, mm.",
-        "",
-        "| | | mesh head | the rig with the curves |",
-        "|---|---|---|---|",
-    ]
-    for where, emotions in expression.items():
-        for emotion, rises in emotions.items():
-            cells = (" / ".join(f"{mm:.2f}" for mm in rises[who]) for who in ACTORS)
-            lines.append(f"| {where} | {emotion} | " + " | ".join(cells) + " |")
-    return lines
-
-
-def predict_mesh(
-    model: MeshModel,
-    waveform: Any,
-    speaker: str | int = 0,
-    acting: Acting | None = None,
-    template: TriMesh | None = None,
-    *,
-    sealed: bool = True,
-) -> Float32:
-    """Vertices of a whole recording, as a mesh model moves them.
-
-    Parameters
-    ----------
-    model : SDFA or MeshHead
-        In evaluation mode.
-    waveform : array [shape=(S,)]
-        16 kHz, any level.
-    speaker : str or int
-        Style, by name or number.
-    acting : Acting, optional
-        Emotion and intensity, for a mesh head only; neutral if not given.
-    template : TriMesh, optional
-        Face to move; it must have the templates' triangles. The speaker's own if not given.
-    sealed : bool
-        Close lips that nearly meet, if the model's `seal_mm` is not 0.
-
-    Returns
-    -------
-    array [shape=(T, V, 3)]
-        In the template's unit; frame i is at i / fps seconds, T = ceil(fps S / 16000).
-
-    Raises
-    ------
-    AudioError
-        If the waveform is not one row of finite samples.
-    EmotionError
-        If the model has no emotion and the acting is not neutral.
-    """
-    frames = mesh_frames(model, waveform, speaker, acting, template, sealed=sealed)
-    return np.concatenate(list(frames))

@@ -13,12 +13,9 @@ import torch
 from torch import Tensor, nn
 
 from deitalk.acting import Acting
-from deitalk.audio.frames import frame_times
-from deitalk.audio.voice_activity import normalise_level
 from deitalk.config.mesh import SDFAModelConfig
 from deitalk.data.seeded_batches import Share
-from deitalk.emotions import parse_emotion
-from deitalk.errors import ConfigError, DataError
+from deitalk.errors import ConfigError
 from deitalk.frontends.base import Encoder
 from deitalk.frontends.mel_bilstm import MelFrontend
 from deitalk.frontends.sdfa_encoder import SDFAEncoder
@@ -29,15 +26,18 @@ from deitalk.models.mesh_head import MeshHead
 from deitalk.models.mesh_model import SDFA, DEITalkFeatures, MeshModel
 from deitalk.postprocess.known_phones import check_faces
 from deitalk.research.config import MeshTrainingConfig
-from deitalk.research.meshes.folder import MeshClip, MeshFolder, has_lips, open_meshes
+from deitalk.research.meshes.feature_segments import FeatureSegments
+from deitalk.research.meshes.folder import MeshClip, MeshFolder
 from deitalk.research.meshes.gradient_bases import GradientBasis
 from deitalk.research.meshes.losses import MeshLoss
 from deitalk.research.meshes.mesh_bases import MeshBases
-from deitalk.research.meshes.scores import lip_gap, predict_mesh
-from deitalk.research.meshes.segments import ClipInMemory, Segment, SegmentBatches, Segments
+from deitalk.research.meshes.predict import predict_mesh
+from deitalk.research.meshes.scores import lip_gap
+from deitalk.research.meshes.segments import Segment, SegmentBatches, Segments
+from deitalk.research.meshes.sources import has_lips, open_meshes
 from deitalk.research.training.pictures import ClipRows, DrawsClips, Row
 from deitalk.training.trainer import Progress, Task, run_training, silent
-from rig.arrays import AnyFloat, Float32
+from rig.arrays import AnyFloat
 from rig.mesh.trimesh import TriMesh
 
 VALIDATION_CLIPS = 8
@@ -64,7 +64,7 @@ def train_mesh(
         Model, data and schedule.
     data : Path
         A mesh folder, a folder laid out as VOCASET, or a dataset folder whose curves the embedded
-        heads act (`deitalk.research.meshes.folder`).
+        heads act (`deitalk.research.meshes.sources`).
     out, resume, track, progress
         As for `deitalk.training.trainer.run_training`.
 
@@ -284,77 +284,6 @@ def _measure(model: MeshModel, folder: MeshFolder, clip: MeshClip) -> tuple[floa
     )
     shown = ClipRows(f"{clip.name} ({clip.speaker})", waveform, rows, folder.fps)
     return float(error.mean()) * unit, float(error[:, lively].mean()) * unit, shown
-
-
-# Segments of features that are computed once per clip, by a frozen DEITalk model.
-#
-# Letters: T frames of a clip or a segment, D features.
-
-
-class FeatureSegments(SegmentBatches):
-    """Segments of a frozen model's features and the motion that belongs to them.
-
-    The recordings are not augmented: the model was trained with noise and rooms.
-
-    Parameters
-    ----------
-    clips : sequence of MeshClip
-        Those of one split; the features of all are kept in memory (some 2 MB a minute).
-    speakers : tuple of str
-        Places of the one-hot label.
-    encoder : DEITalkFeatures
-        The frozen model.
-    **drawing
-        As for `SegmentBatches`.
-
-    Raises
-    ------
-    DataError
-        If a clip has no emotion.
-    """
-
-    def __init__(
-        self,
-        clips: Sequence[MeshClip],
-        speakers: tuple[str, ...],
-        encoder: DEITalkFeatures,
-        **drawing: Any,
-    ) -> None:
-        in_memory = [
-            ClipInMemory(clip_features(clip, encoder), clip.motion(), speakers.index(clip.speaker))
-            for clip in clips
-        ]
-        super().__init__(in_memory, len(speakers), **drawing)
-        self.places = torch.arange(self.n_frames)
-
-    @property
-    def rows(self) -> torch.Tensor:
-        """Features of all clips, one after the other [shape=(T, D)]."""
-        return torch.from_numpy(np.concatenate([clip.speech for clip in self.clips])).float()
-
-    def item(self, number: int) -> Segment:
-        """Cut the segment of a number."""
-        clip, first = self.draw(self.rng(number))
-        frames = first + np.arange(self.n_frames, dtype=np.float64)
-        rows = clip.speech[np.clip(frames.astype(np.int64), 0, len(clip.speech) - 1)]
-        features = torch.from_numpy(rows.astype(np.float32)).T.unsqueeze(0)  # (1, D, T)
-        return self.with_targets(features, clip, frames)
-
-
-@torch.no_grad()
-def clip_features(clip: MeshClip, encoder: DEITalkFeatures) -> Float32:
-    """Features of a clip in its emotion [shape=(T, D), float16]."""
-    if not clip.emotion:
-        raise DataError(
-            f"{clip.folder}: clips.csv has no emotion for {clip.name}; fill the "
-            "column emotion, or build the folder again from a dataset folder"
-        )
-    n_frames = len(clip.motion()["stretch"])
-    sound = torch.from_numpy(normalise_level(clip.waveform()))
-    emotion = torch.from_numpy(parse_emotion(clip.emotion).at(frame_times(n_frames)))
-    network = encoder.network
-    rows = network.describe(network.analyse(sound, n_frames), emotion)
-    return np.asarray(rows.half().numpy())
 
 
 def new_mesh_model(

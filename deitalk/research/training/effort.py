@@ -31,17 +31,16 @@ from deitalk.models.checkpoint import load_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.models.folder import EFFORT_WEIGHTS
 from deitalk.research.arguments import new_file
-from deitalk.research.evaluation.acted import (
+from deitalk.research.evaluation.acted import JOINED as JOINED_GAINS
+from deitalk.research.evaluation.acted import acted_order, joined_takes
+from deitalk.research.evaluation.strength_clips import (
     ACTORS,
     LEVELS,
     NEUTRAL,
     READERS,
     StrengthClip,
-    acted_order,
-    joined_takes,
     read_strength_clips,
 )
-from deitalk.research.evaluation.acted import JOINED as JOINED_GAINS
 from rig.arrays import Bool, Float32, Float64
 from rig.files import atomic_write
 

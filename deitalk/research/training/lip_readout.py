@@ -35,11 +35,11 @@ from deitalk.research.arguments import new_file
 from deitalk.research.corpus.articulation import CHANNELS as TABLE_CHANNELS
 from deitalk.research.corpus.articulation import targets
 from deitalk.research.evaluation.ridge import REACH, Readout, Rows
-from deitalk.research.lips.dataset import SPEAKER_CLIPS
 from deitalk.research.lips.fit import TOLERANCE_CM, looseness, neutral_reading
 from deitalk.research.lips.head_lips import MEASURES as HEAD_MEASURES
 from deitalk.research.lips.head_lips import HeadLips
 from deitalk.research.lips.measured import LipClip, read_lips
+from deitalk.research.lips.transfer import SPEAKER_CLIPS
 from deitalk.research.training.surroundings import read_surroundings
 from rig.arrays import Float32, Float64
 from rig.face.head import build_head

@@ -10,9 +10,10 @@ neutral takes. Without the second a map learns the corpus: then strong joy from 
 neutral. Classes are weighted alike. `NEUTRAL_READERS` of the readers that a fit did not have are
 neutral, by one number that is added to the score of neutral.
 
-Whole speakers are divided as in `deitalk.research.evaluation.acted`. Training and validation
-speakers are fitted together; their scores are those of five fits, each to four fifths of these
-speakers and scored on the rest. One temperature makes those probabilities true (Guo et al. 2017).
+Whole speakers are divided as in `deitalk.research.evaluation.strength_clips`. Training and
+validation speakers are fitted together; their scores are those of five fits, each to four fifths of
+these speakers and scored on the rest. One temperature makes those probabilities true (Guo et al.
+2017).
 
 The command prints the scores of these speakers, with ``--judge`` those of another corpus, which is
 never fitted nor written to the file of scores, and with ``--split test`` also those of the test
@@ -50,8 +51,13 @@ from deitalk.models.curve_model import DEITalk
 from deitalk.pipeline.speech import Speech
 from deitalk.pipeline.suggest import MODEL, NAMED, EmotionMap, VoiceFrames, standardised
 from deitalk.research.arguments import new_file
-from deitalk.research.evaluation.acted import ACTORS, READERS, StrengthClip, read_strength_clips
 from deitalk.research.evaluation.report import identified, write_json
+from deitalk.research.evaluation.strength_clips import (
+    ACTORS,
+    READERS,
+    StrengthClip,
+    read_strength_clips,
+)
 from deitalk.research.training.surroundings import read_surroundings
 from rig.arrays import Bool, Float32, Float64, Int64
 from rig.files import atomic_write

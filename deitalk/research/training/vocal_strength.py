@@ -36,14 +36,14 @@ from deitalk.audio.vocal_strength import (
 )
 from deitalk.errors import DataError, DeitalkError
 from deitalk.research.arguments import new_file
-from deitalk.research.evaluation.acted import (
+from deitalk.research.evaluation.strength import MeasuredClip, measure_clips
+from deitalk.research.evaluation.strength_clips import (
     ACTORS,
     LEVELS,
     NEUTRAL,
     READERS,
     read_strength_clips,
 )
-from deitalk.research.evaluation.strength import MeasuredClip, measure_clips
 from deitalk.research.training.strength_network import Member, StrengthNetwork
 from rig.arrays import Float32
 from rig.files import atomic_write

@@ -18,16 +18,11 @@ from deitalk.models.deformation_decoder import InversePCA
 from deitalk.pipeline import speech as speech_module
 from deitalk.pipeline.mesh import animate_mesh, mesh_coefficients
 from deitalk.research.config import read_training
-from deitalk.research.meshes import scores as expression_module
-from deitalk.research.meshes.folder import (
-    MeshSequence,
-    act,
-    acted_clips,
-    head_templates,
-    read_mesh_folder,
-    write_mesh_folder,
-)
-from deitalk.research.meshes.scores import as_markdown, evaluate_mesh, predict_mesh
+from deitalk.research.meshes import emotion_scores
+from deitalk.research.meshes.folder import MeshSequence, read_mesh_folder, write_mesh_folder
+from deitalk.research.meshes.predict import predict_mesh
+from deitalk.research.meshes.scores import as_markdown, evaluate_mesh
+from deitalk.research.meshes.sources import act, acted_clips, head_templates
 from deitalk.research.meshes.training import new_mesh_model, train_mesh
 from tests.dataset import write_dataset
 from tests.deitalk.models.test_mesh_model import LIPS, RATE, noise, sheet, spoken
@@ -208,8 +203,8 @@ def test_animate_mesh_applies_the_emotion_of_a_mesh_head(network, tmp_path, no_g
 
 def test_evaluation_scores_every_emotion_and_the_curves(network, tmp_path, monkeypatch):
     """A model that never moves: its errors are the motion itself, and no landmark rises."""
-    monkeypatch.setattr(expression_module, "MOST", 1)
-    monkeypatch.setattr(expression_module, "INTENSITIES", (1.0,))
+    monkeypatch.setattr(emotion_scores, "MOST", 1)
+    monkeypatch.setattr(emotion_scores, "INTENSITIES", (1.0,))
     data = write_dataset(tmp_path / "d", 1, 5, 1.1)
     templates = head_templates((0,))
     count = len(next(iter(templates.values())).faces)

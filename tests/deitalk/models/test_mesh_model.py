@@ -17,7 +17,7 @@ from deitalk.pipeline.speech import Speech
 from deitalk.research.config import ComparedSDFAModelConfig, MeshTrainingConfig
 from deitalk.research.evaluation.attention import weights_of
 from deitalk.research.meshes.folder import Lips
-from deitalk.research.meshes.scores import predict_mesh
+from deitalk.research.meshes.predict import predict_mesh
 from deitalk.research.meshes.training import new_mesh_model
 from rig.mesh import TriMesh
 

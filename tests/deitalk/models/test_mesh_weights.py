@@ -9,7 +9,7 @@ from deitalk.models.checkpoint import load_model, require_model, save_model
 from deitalk.models.folder import describe_model
 from deitalk.models.mesh_model import MeshModel
 from deitalk.pipeline.mesh import mesh_coefficients
-from deitalk.research.meshes.scores import predict_mesh
+from deitalk.research.meshes.predict import predict_mesh
 from deitalk.research.training.trim import trimmed
 from tests.deitalk.models.test_mesh_model import model, noise, tiny
 

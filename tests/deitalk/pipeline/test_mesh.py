@@ -17,7 +17,7 @@ from deitalk.pipeline import mesh as module
 from deitalk.pipeline.mesh import animate_mesh, retarget_speech
 from deitalk.postprocess.known_phones import known_skins
 from deitalk.research.meshes.frames import read_ply_sequence
-from deitalk.research.meshes.scores import predict_mesh
+from deitalk.research.meshes.predict import predict_mesh
 from rig import ControlSet, default_controls
 from rig.errors import ExistsError, RigError, TargetError
 from rig.face import build_head

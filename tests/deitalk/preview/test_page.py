@@ -18,7 +18,7 @@ from deitalk.preview.packing import pack
 from deitalk.preview.page import render_page
 from deitalk.preview.source import PreviewError, PreviewSource
 from deitalk.preview.speech_warnings import bilabial_warnings
-from deitalk.research.contact_sheet import EMOTION_POSES, MOUTH_POSES, pose_values
+from deitalk.research.poses import EMOTION_POSES, MOUTH_POSES, pose_values
 from rig import RigCurves, clamp, default_controls, gain
 from rig.errors import TargetError
 from rig.face import build_head

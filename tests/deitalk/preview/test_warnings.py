@@ -14,7 +14,7 @@ from deitalk.preview.speech_warnings import (
     lip_gaps,
     offset_warnings,
 )
-from deitalk.research.contact_sheet import MOUTH_POSES, pose_values
+from deitalk.research.poses import MOUTH_POSES, pose_values
 from rig import RigCurves, default_controls, write_curves
 from rig.face import build_head
 

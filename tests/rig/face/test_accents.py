@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from deitalk.research.contact_sheet import MOUTH_POSES, pose_values
+from deitalk.research.poses import MOUTH_POSES, pose_values
 from rig.face import IDENTITIES, build_head
 from rig.face.accents import accents
 

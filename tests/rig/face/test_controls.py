@@ -5,7 +5,7 @@ import functools
 import numpy as np
 import pytest
 
-from deitalk.research.contact_sheet import pose_values
+from deitalk.research.poses import pose_values
 from rig import default_controls
 from rig.face import build_head
 

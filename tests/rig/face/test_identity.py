@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from deitalk.research.contact_sheet import pose_values
+from deitalk.research.poses import pose_values
 from rig.errors import RigError
 from rig.face import IDENTITIES, build_head
 from rig.face.identity import ROLES, resolve_identity

@@ -5,7 +5,7 @@ import time
 import numpy as np
 import pytest
 
-from deitalk.research.contact_sheet import EMOTION_POSES, MOUTH_POSES, pose_values
+from deitalk.research.poses import EMOTION_POSES, MOUTH_POSES, pose_values
 from rig import default_controls
 from rig.errors import RigError
 from rig.face import IDENTITIES, build_head

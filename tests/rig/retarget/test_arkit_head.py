@@ -5,7 +5,7 @@ import pytest
 from typer.testing import CliRunner
 
 from deitalk.cli import app
-from deitalk.research.contact_sheet import pose_values
+from deitalk.research.poses import pose_values
 from rig.face import build_head
 from rig.mesh.glb_reader import read_glb
 from rig.retarget.head_glb import (

@@ -7,13 +7,8 @@ import soundfile as sf
 from deitalk.errors import DataError
 from deitalk.models.checkpoint import require_model
 from deitalk.models.curve_model import DEITalk
-from deitalk.research.evaluation.acted import (
-    ACTORS,
-    PARTS,
-    StrengthClip,
-    as_markdown,
-    evaluate,
-)
+from deitalk.research.evaluation.acted import PARTS, as_markdown, evaluate
+from deitalk.research.evaluation.strength_clips import ACTORS, StrengthClip
 from tests.deitalk.audio.test_prosody import voice
 
 

@@ -11,21 +11,24 @@ from deitalk.audio.load import Recording
 from deitalk.errors import DataError
 from deitalk.pipeline.curves import Performance
 from deitalk.research.evaluation.clip_scores import (
-    CLOSURE,
     captured_smoothness,
-    gesture_peaks,
     global_lag_ms,
-    jaw_in_contact,
     lag_scores,
     opening_in_silence,
+    unlabelled_speech,
+)
+from deitalk.research.evaluation.contour_scores import contours_report
+from deitalk.research.evaluation.contours import level_curve, spearman
+from deitalk.research.evaluation.gestures import (
+    CLOSURE,
+    gesture_peaks,
+    jaw_in_contact,
     phone_table,
     shut_frames,
     shut_table,
-    unlabelled_speech,
 )
-from deitalk.research.evaluation.contours import contours_report, level_curve, spearman
-from deitalk.research.evaluation.curves import lip_range, style_distances
 from deitalk.research.evaluation.noise import read_noises
+from deitalk.research.evaluation.styles import lip_range, style_distances
 from rig import RigCurves, default_controls, write_curves
 from tests.dataset import waveform
 
@@ -155,7 +158,7 @@ def test_intensity_is_compared_with_level_and_its_error(monkeypatch):
         level = sign * level_curve(take.waveform, take.n_frames)
         return Performance(curves, curves, level, level, take, 0)
 
-    monkeypatch.setattr("deitalk.research.evaluation.contours.animate", follows_the_level)
+    monkeypatch.setattr("deitalk.research.evaluation.contour_scores.animate", follows_the_level)
     model = SimpleNamespace(controls=CONTROLS)
     alone = contours_report(model, [flipped])  # type: ignore[arg-type]
     both = contours_report(model, [syllables(5, 5), flipped])  # type: ignore[arg-type]

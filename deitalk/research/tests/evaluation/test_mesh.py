@@ -12,8 +12,9 @@ from deitalk.models.checkpoint import save_model
 from deitalk.models.deformation_decoder import InversePCA
 from deitalk.research.cli import app
 from deitalk.research.config import ComparedSDFAModelConfig
-from deitalk.research.meshes.folder import Lips, act, acted_clips, head_lips, head_templates
+from deitalk.research.meshes.folder import Lips
 from deitalk.research.meshes.scores import as_markdown, evaluate_mesh, lip_gap, smallest_gaps
+from deitalk.research.meshes.sources import act, acted_clips, head_lips, head_templates
 from deitalk.research.meshes.training import new_mesh_model
 from rig.mesh import TriMesh
 from tests.command import ran

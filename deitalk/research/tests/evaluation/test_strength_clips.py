@@ -5,13 +5,13 @@ import pytest
 import soundfile as sf
 
 from deitalk.errors import DataError
-from deitalk.research.evaluation.acted import (
+from deitalk.research.evaluation.strength import measure_clips
+from deitalk.research.evaluation.strength_clips import (
     ACTORS,
     READERS,
     StrengthClip,
     read_strength_clips,
 )
-from deitalk.research.evaluation.strength import measure_clips
 from tests.deitalk.audio.test_prosody import voice
 from tests.errors import one_line
 

@@ -18,10 +18,11 @@ from deitalk.models.checkpoint import require_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.research.evaluation.lips import as_markdown, evaluate
 from deitalk.research.lips import vocabulary
-from deitalk.research.lips.dataset import CONTACT, LipRidge, LipTransfer, write_lip_dataset
+from deitalk.research.lips.dataset import write_lip_dataset
 from deitalk.research.lips.fit import LOOSENESS, fit_curves, looseness
 from deitalk.research.lips.head_lips import MEASURES, HeadLips
 from deitalk.research.lips.measured import COLUMNS, read_lips
+from deitalk.research.lips.transfer import CONTACT, LipRidge, LipTransfer
 from deitalk.research.lips.vocabulary import halves, keep_half
 from rig import default_controls, limits, read_curves
 from rig.errors import ExistsError

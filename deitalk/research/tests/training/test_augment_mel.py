@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from scipy import signal
 
 from deitalk.audio.mel import MelSpectrogram
-from deitalk.research.meshes.segments import (
+from deitalk.research.meshes.augmentation import (
     SILENCE,
     add_noise,
     pre_emphasise,

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from deitalk.research.evaluation.acted import ACTORS, LEVELS, READERS, StrengthClip
+from deitalk.research.evaluation.strength_clips import ACTORS, LEVELS, READERS, StrengthClip
 from deitalk.research.training.effort import STEP_DB, Heard, fit
 
 D = 12

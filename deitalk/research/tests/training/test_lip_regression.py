@@ -6,7 +6,7 @@ import numpy as np
 import torch
 
 from deitalk.research.meshes.folder import read_mesh_folder
-from deitalk.research.meshes.losses import LipRegression
+from deitalk.research.meshes.lip_regression import LipRegression
 from deitalk.research.tests.training.test_mesh import write_sheets
 from tests.deitalk.models.test_mesh_model import LIPS
 

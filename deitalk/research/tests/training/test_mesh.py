@@ -29,7 +29,7 @@ from deitalk.research.meshes.folder import (
     read_mesh_folder,
     write_mesh_folder,
 )
-from deitalk.research.meshes.scores import predict_mesh
+from deitalk.research.meshes.predict import predict_mesh
 from deitalk.research.meshes.training import MeshTask, copy_encoder, train_mesh, validate_mesh
 from deitalk.research.training.pictures import draw_clips
 from rig.face.identity import IDENTITIES

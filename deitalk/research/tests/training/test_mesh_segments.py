@@ -14,18 +14,12 @@ from deitalk.data.seeded_batches import Share
 from deitalk.errors import DataError
 from deitalk.frontends.sdfa_encoder import SDFAEncoder
 from deitalk.research.config import MeshDataConfig
-from deitalk.research.meshes.folder import (
-    Lips,
-    MeshSequence,
-    head_lips,
-    head_templates,
-    open_meshes,
-    read_mesh_folder,
-    write_mesh_folder,
-)
+from deitalk.research.meshes.augmentation import MelWarp
+from deitalk.research.meshes.folder import Lips, MeshSequence, read_mesh_folder, write_mesh_folder
 from deitalk.research.meshes.mesh_bases import fit_mesh_bases
 from deitalk.research.meshes.packing import pack_vertices
-from deitalk.research.meshes.segments import MelWarp, Segments, Spectra
+from deitalk.research.meshes.segments import Segments, Spectra
+from deitalk.research.meshes.sources import head_lips, head_templates, open_meshes
 from deitalk.workers import DATA_WORKERS
 from rig import default_controls
 from rig.face import build_head

@@ -8,12 +8,18 @@ import pytest
 from deitalk.audio.prosody import BANDS
 from deitalk.audio.vocal_strength import FEATURES, IS_VOICED, PITCH
 from deitalk.errors import DataError
-from deitalk.research.evaluation.acted import ACTORS, LEVELS, NEUTRAL, READERS, StrengthClip
 from deitalk.research.evaluation.strength import (
     MeasuredClip,
     acted_order,
     as_markdown,
     score_strength,
+)
+from deitalk.research.evaluation.strength_clips import (
+    ACTORS,
+    LEVELS,
+    NEUTRAL,
+    READERS,
+    StrengthClip,
 )
 from deitalk.research.training.vocal_strength import main, train
 from tests.errors import one_line

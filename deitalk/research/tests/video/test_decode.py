@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from deitalk.errors import DataError
-from deitalk.research.video import detector as decode
-from deitalk.research.video.detector import read_pictures
+from deitalk.research.video import pictures
+from deitalk.research.video.pictures import read_pictures
 from rig import limits
 from tests.media import write_sound
 
@@ -68,7 +68,7 @@ def test_phone_held_upright_gives_an_upright_picture(tmp_path):
 
 
 def test_large_pictures_are_scaled_down(tmp_path, monkeypatch):
-    monkeypatch.setattr(decode, "LONG_SIDE", 48)
+    monkeypatch.setattr(pictures, "LONG_SIDE", 48)
     assert next(read_pictures(write_video(tmp_path / "a.mp4")))[1].shape == (32, 48, 3)
 
 

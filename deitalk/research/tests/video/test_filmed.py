@@ -5,15 +5,11 @@ import pytest
 import torch
 
 from deitalk.research.tests.filmed_head import SIZE, filmed_mesh
-from deitalk.research.video.filmed import (
-    MEASURES,
-    SIDES,
-    HeadFace,
-    filmed_curves,
-    measure,
-    straightened,
-)
+from deitalk.research.video.filmed import filmed_curves
+from deitalk.research.video.head_face import MEASURES, SIDES, HeadFace
 from deitalk.research.video.landmarks import FaceTrack, pixels
+from deitalk.research.video.proportions import measure
+from deitalk.research.video.straighten import straightened
 from rig import default_controls
 from rig.face.head import build_head
 

@@ -7,7 +7,8 @@ import pytest
 from PIL import Image
 from scipy.spatial import Delaunay, cKDTree
 
-from deitalk.research.contact_sheet import SHEETS, Tile, draw_sheet, pose_values, sheet_tiles
+from deitalk.research.contact_sheet import SHEETS, Tile, draw_sheet, sheet_tiles
+from deitalk.research.poses import pose_values
 from rig.face import IDENTITIES, build_head
 from rig.face.accents import accents
 from rig.face.mesh import FINE, HAIR, Mesh
