@@ -143,6 +143,10 @@ THOROUGH = (
     "tests/api/test_trouble.py",
     "tests/api/test_worker.py::test_memory_of_an_order_serves_the_next",
     "tests/api/test_worker.py::test_order_beyond_the_memory_is_refused",
+    "tests/deitalk/audio/test_held_sound.py::test_the_mouth_stays_open_while_a_vowel_sounds_and_shuts_after[12 s",
+    "tests/deitalk/audio/test_held_sound.py::test_the_mouth_stays_open_while_a_vowel_sounds_and_shuts_after[8 s",
+    "tests/deitalk/audio/test_held_sound.py::test_the_mouth_stays_open_while_a_vowel_sounds_and_shuts_after[high",
+    "tests/deitalk/audio/test_held_sound.py::test_the_mouth_stays_open_while_a_vowel_sounds_and_shuts_after[swell",
     "tests/deitalk/batch/test_processes.py::test_processes_end_with_a_killed_parent",
     "tests/deitalk/batch/test_run.py::test_killed",
     "tests/deitalk/cli/test_dialogue.py::test_two_takes_of_a_dialogue_listen_to_each_other[channels]",
@@ -152,6 +156,11 @@ THOROUGH = (
     "tests/deitalk/data/captures/test_sync.py::test_takes_at_another_rate",
     "tests/deitalk/data/test_dub.py::test_captured_takes_with_sound_speak_another_recording",
     "tests/deitalk/data/test_edited.py::test_delay_and_handles_are_undone",
+    "tests/deitalk/data/test_edited.py::test_edited_arkit_shapes_come_back_as_shapes[2",
+    "tests/deitalk/data/test_edited.py::test_edited_arkit_shapes_come_back_as_shapes[3",
+    "tests/deitalk/data/test_edited.py::test_edits_come_back_at_the_rate_of_the_take[25",
+    "tests/deitalk/data/test_edited.py::test_edits_come_back_at_the_rate_of_the_take[48",
+    "tests/deitalk/data/test_edited.py::test_edits_come_back_at_the_rate_of_the_take[50",
     "tests/deitalk/data/test_offset.py",
     "tests/deitalk/evaluation/",
     "tests/deitalk/export/test_onnx_file.py::test_finished_curves_of_a_recording_are_those_of_animate[many pieces]",
@@ -182,7 +191,7 @@ THOROUGH = (
 """Files and tests of `make test-all` alone, by the start of their names.
 
 They are of browsers, films, servers under attack, kills, fuzzing, and minutes of sound: slow, and seldom broken by a
-change that no test of their part notices."""
+change that no test of their part notices; and rows of a table of equal cases, of which `make test` has others."""
 
 
 def pytest_itemcollected(item: pytest.Item) -> None:

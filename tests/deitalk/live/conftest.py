@@ -42,7 +42,13 @@ def tiny() -> DEITalk:
     return model_that_looks({})
 
 
-@pytest.fixture(scope="session", params=LOOKS.values(), ids=LOOKS)
+@pytest.fixture(
+    scope="session",
+    params=[
+        pytest.param(look, id=name, marks=[pytest.mark.thorough] * (name == "shortest"))
+        for name, look in LOOKS.items()
+    ],
+)
 def looking(request) -> tuple[DEITalk, float]:
     """A tiny model of each look-ahead, and the most of it in seconds."""
     settings, most = request.param

@@ -76,7 +76,7 @@ def test_frame_depends_on_no_sound_beyond_the_look_ahead(looking, voice, rng, se
 def test_frames_are_given_as_soon_as_their_look_ahead_has_come(looking, voice):
     animator = LiveAnimator(looking[0])
     given = 0
-    for stop in range(160, len(voice), 160):
+    for stop in range(160, 3 * RATE // 2, 160):
         given += len(animator.feed(voice[stop - 160 : stop]))
         known = math.floor((stop / RATE - animator.lookahead_seconds) * 30) + 1
         assert given == max(known, 0)
@@ -191,9 +191,9 @@ def test_a_listener_nods_after_the_phrases_it_hears_in_any_pieces(tiny, voice):
     """Phrases of the voice end at 1.2 and 3.1 s."""
     heard = np.concatenate((voice, np.zeros(RATE, np.float32)))
     nods = 0.0
-    for seed in range(2):
-        head = listened(tiny, heard, 1600, seed=seed)
-        alone = listened(tiny, 0 * heard, 1600, seed=seed)
+    for seed, size in enumerate((4801, 1600)):
+        head = listened(tiny, heard, size, seed=seed)
+        alone = listened(tiny, 0 * heard, 4801, seed=seed)
         nods = nods + (head - alone)[:, 1] / 2
     assert not nods[:36].any() and nods[40:60].min() < -0.5 and nods[96:].min() < -0.5
     np.testing.assert_allclose(listened(tiny, heard, 4801, seed=1), head, atol=1e-5)

@@ -33,13 +33,16 @@ def voice(frames=240, every=60):
 
 
 def moved(
-    measures, speaking, *, piece=1000, emotion="neutral", strength=1.0, life=ONLY_BROWS, seed=0
+    measures, speaking, *, piece=None, emotion="neutral", strength=1.0, life=ONLY_BROWS, seed=0
 ):
-    """Curves and head of a face at rest."""
+    """Curves and head of a face at rest; by pieces of so many frames, else with all cues known."""
     running, stream = RunningCues(AHEAD), MotionStreams([Character(Seeds((0, 0, seed)), life)])
     state, count, done, out, heads = running.first(1), len(speaking), 0, [], []
     mixture = np.zeros((count, len(LABELS)), np.float32)
     mixture[:, LABELS.index(emotion)] = strength
+    if piece is None:
+        stream.cue(cues(measures, speaking))
+        return played(stream, speaking[:-AHEAD], mixture[:-AHEAD])
     for start in range(0, count, piece):
         part = slice(start, start + piece)
         found, state = running(
@@ -69,10 +72,17 @@ KINDS = {"start": START, "end": END, "speech": SPEECH, "pause": PAUSE, "accent":
          "stress": STRESS}  # fmt: skip
 
 
+CUES: dict[bytes, Cues] = {}
+"""Of voices that were heard before: faces of many seeds and emotions speak with one voice."""
+
+
 def cues(measures, speaking, kind=None):
-    running = RunningCues(AHEAD)
-    given = Measures(*(track[None] for track in measures)), speaking[None]
-    found = running(*given, running.first(1))[0]
+    heard = b"".join(track.tobytes() for track in (*measures, speaking))
+    if heard not in CUES:
+        running = RunningCues(AHEAD)
+        given = Measures(*(track[None] for track in measures)), speaking[None]
+        CUES[heard] = running(*given, running.first(1))[0]
+    found = CUES[heard]
     return found if kind is None else found.where(found.kind == kind)
 
 

@@ -81,7 +81,7 @@ def test_blocks_of_any_sizes_and_streams_side_by_side_give_the_same(rules, ahead
     numbers = TorchPass(CurvePass(CONTROLS, rules, ahead))
     expected = passed(numbers, given, [60])
     assert expected[0].std(axis=1).max() > 0.05
-    for sizes in ([1], [3], [2, 7, 1], [40]):
+    for sizes in ([1], [2, 7, 1], [40]):
         for ours, theirs in zip(passed(numbers, given, sizes), expected, strict=True):
             np.testing.assert_allclose(ours, theirs, atol=CLOSE)
     for k in range(3):

@@ -61,7 +61,7 @@ def changed(base, folder) -> set[str]:
 
 
 def of_part(base: str, part: str) -> FinetuneConfig:
-    return recipe(base, f"tune.part={part}")
+    return recipe(base, f"tune.part={part}", "train.evaluate_every=2")
 
 
 @pytest.fixture(scope="module")
@@ -191,7 +191,7 @@ def test_run_ends_when_nothing_improves(base, data, tmp_path, monkeypatch):
     falling = iter((1.0, 1.0, 3.0, 2.0, 2.0, 9.0))
     monkeypatch.setattr(CaptureSet, "score", lambda *_: {"score": next(falling)})
     shown = []
-    config = recipe(base, "train.steps=40", "train.patience=2")
+    config = recipe(base, "train.steps=40", "train.evaluate_every=2", "train.patience=2")
     finetune(config, data, tmp_path / "run", progress=lambda *values: shown.append(values))
     assert max(step for step, *_ in shown) == 8
     early = [next(iter(values.items())) for step, total, values in shown if total == 1]

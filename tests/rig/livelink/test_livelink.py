@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 from scipy.spatial.transform import Rotation
 
 from rig import RigCurves, default_controls, rest_curves
@@ -65,13 +66,13 @@ def test_published_test_vector_is_decoded():
 @given(
     st.text(min_size=1, max_size=30),
     st.integers(0, 2**31 - 1),
-    st.lists(st.floats(-4, 4, width=32), min_size=61, max_size=61),
+    arrays(np.float32, 61, elements=st.floats(-4, 4, width=32)),
 )
 def test_packets_survive_encoding_and_decoding(subject, frame, values):
-    sent = Packet(DEVICE, subject, frame, 0.25, (30000, 1001), np.array(values, np.float32))
+    sent = Packet(DEVICE, subject, frame, 0.25, (30000, 1001), values)
     got = decode(encode(sent))
     assert (got.device, got.subject, got.frame, got.rate) == (DEVICE, subject, frame, (30000, 1001))
-    assert got.values.tolist() == values and got.subframe == 0.25
+    assert got.values.tolist() == values.tolist() and got.subframe == 0.25
 
 
 class FakeTime:

@@ -160,14 +160,14 @@ PEOPLE = [
 
 
 @pytest.mark.parametrize("seed", range(6))
-@pytest.mark.parametrize(("shape", "least", "most", "fastest", "still"), PEOPLE)
-def test_a_neutral_face_is_alive_and_mostly_still(shape, least, most, fastest, still, seed):
-    shapes = raw_to_arkit(played(reading(), seed, blinks=0, gaze=0)).curves[shape]
-    low, high = np.percentile(shapes, (5, 95))
-    speed = 30 * np.abs(np.diff(shapes))
-    assert least <= high - low <= most
-    assert np.percentile(speed, 95) <= fastest
-    assert (speed < 0.06).mean() >= still
+def test_a_neutral_face_is_alive_and_mostly_still(seed):
+    shapes = raw_to_arkit(played(reading(), seed, blinks=0, gaze=0)).curves
+    for name, least, most, fastest, still in PEOPLE:
+        low, high = np.percentile(shapes[name], (5, 95))
+        speed = 30 * np.abs(np.diff(shapes[name]))
+        assert least <= high - low <= most, name
+        assert np.percentile(speed, 95) <= fastest, name
+        assert (speed < 0.06).mean() >= still, name
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -201,7 +201,7 @@ def test_a_listening_face_is_never_frozen(seed):
 
 @pytest.mark.parametrize("emotion", ["angry", "happy", "sad", "surprised"])
 def test_seeds_change_an_emotion_less_than_its_strength_does(emotion):
-    """The mean pose above the mouth of 20 seeds: a step of .15 of strength is larger."""
+    """The mean pose above the mouth of 12 seeds: a step of .15 of strength is larger."""
     upper = [CONTROLS.index(f"CTRL_{s}_{name}.ty") for s in "LR" for name in STEMS[:6]]
 
     def size(seed, strength):
@@ -214,7 +214,7 @@ def test_seeds_change_an_emotion_less_than_its_strength_does(emotion):
         STAGES.play(curves, neutral, motion.tracks)
         return np.linalg.norm(curves[:, upper], axis=1).mean()
 
-    calm, strong = (np.array([size(seed, s) for seed in range(20)]) for s in (0.7, 0.85))
+    calm, strong = (np.array([size(seed, s) for seed in range(12)]) for s in (0.7, 0.85))
     assert (strong[:, None] > calm).mean() > 0.97
 
 
