@@ -26,7 +26,7 @@ from api.service import Service
 from api.settings import Settings
 from deitalk.errors import ConfigError
 from deitalk.installed import __version__
-from deitalk.models.folder import require_device
+from deitalk.models.device import require_device
 from rig.errors import one_line
 
 LIVE_MESSAGE_BYTES = 1 << 20

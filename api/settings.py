@@ -18,7 +18,8 @@ from sqlalchemy.exc import ArgumentError
 from deitalk.config.hub import is_hub_name
 from deitalk.config.yaml_files import read_yaml
 from deitalk.errors import ConfigError, DeitalkError
-from deitalk.models.folder import check_device, embedded_models, model_folder
+from deitalk.models.device import check_device
+from deitalk.models.folder import embedded_models, model_folder
 from deitalk.models.load import Backend
 from rig.errors import quoted
 from rig.limits import MIB, SECONDS

@@ -151,7 +151,7 @@ THOROUGH = (
     "tests/deitalk/batch/test_run.py::test_killed",
     "tests/deitalk/cli/test_dialogue.py::test_two_takes_of_a_dialogue_listen_to_each_other[channels]",
     "tests/deitalk/cli/test_dialogue.py::test_two_takes_of_a_dialogue_listen_to_each_other[subtitles]",
-    "tests/deitalk/data/captures/test_doors.py::test_frame_fields_of_every_count",
+    "tests/deitalk/data/captures/test_times.py::test_frame_fields_of_every_count",
     "tests/deitalk/data/captures/test_mend.py",
     "tests/deitalk/data/captures/test_sync.py::test_takes_at_another_rate",
     "tests/deitalk/data/test_dub.py::test_captured_takes_with_sound_speak_another_recording",

@@ -32,7 +32,7 @@ def model_of(name: str, limits: Limits) -> Any:
         _begin_torch(limits)
         models[folder] = load_model(folder)
         return models[folder]
-    from deitalk.models.onnx.network import load_onnx, ready_graph
+    from deitalk.models.onnx.graphs import load_onnx, ready_graph
 
     if product_of(folder) != "curves" or ready_graph(model_folder(folder)) is None:
         raise CheckpointError(
@@ -66,7 +66,7 @@ def _begin_torch(limits: Limits) -> None:
 
 def export_all(limits: Limits, *, only_live: bool = False) -> None:
     """Write graphs that models lack into the cache; torch runs in other processes."""
-    from deitalk.models.onnx.network import cached_graph, ready_graph
+    from deitalk.models.onnx.graphs import cached_graph, ready_graph
 
     for folder in limits["models"].values():
         with suppress(UserError, OSError):  # a request for that model gets the error

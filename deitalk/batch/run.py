@@ -33,14 +33,8 @@ from deitalk.batch.source import SUMMARY, read_source, waves
 from deitalk.emotions import ActorReference, EmotionTrack
 from deitalk.errors import AudioError, CheckpointError, DeitalkError
 from deitalk.installed import __version__
-from deitalk.models.folder import (
-    RIG_FILE,
-    check_device,
-    model_folder,
-    product_of,
-    require_device,
-    weights_hash,
-)
+from deitalk.models.device import check_device, require_device
+from deitalk.models.folder import RIG_FILE, model_folder, product_of, weights_hash
 from deitalk.models.load import Backend, chosen_backend
 from rig.errors import TargetError, UserError, quoted
 

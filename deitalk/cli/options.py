@@ -69,7 +69,7 @@ def finite(value: float | None) -> float | None:
 def usable_device(name: str) -> str:
     """Return the name of a device; raise if torch does not have it."""
     from deitalk.errors import DeitalkError
-    from deitalk.models.folder import check_device
+    from deitalk.models.device import check_device
 
     try:
         return check_device(name)

@@ -18,7 +18,7 @@ from deitalk.config.frontends import Wav2VecConfig
 from deitalk.config.hub import hub_metadata
 from deitalk.config.section import check_encoder
 from deitalk.errors import CheckpointError, ConfigError
-from deitalk.frontends.whisper import StridedFrontend
+from deitalk.frontends.strided import StridedFrontend
 from rig.errors import quoted
 
 if TYPE_CHECKING:

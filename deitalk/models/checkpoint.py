@@ -23,22 +23,17 @@ from deitalk.frontends import build_encoder
 from deitalk.frontends.base import Encoder
 from deitalk.installed import imported
 from deitalk.models.curve_model import DEITalk
+from deitalk.models.device import require_device
 from deitalk.models.folder import (
     ENCODER,
     FORMAT_VERSION,
     GRAPH,
     READOUTS,
     RIG_FILE,
-    Shapes,
-    check_fit,
     model_folder,
-    network_shapes,
     read_about,
-    read_weights,
-    require_device,
     weight_files,
     weights_hash,
-    without_random_numbers,
 )
 from deitalk.models.mesh_folder import (
     FROZEN,
@@ -53,6 +48,13 @@ from deitalk.models.mesh_folder import (
 from deitalk.models.mesh_head import MeshHead
 from deitalk.models.mesh_model import SDFA, DEITalkFeatures, MeshModel
 from deitalk.models.protocol import NEEDED, check_product
+from deitalk.models.weight_file import (
+    Shapes,
+    check_fit,
+    network_shapes,
+    read_weights,
+    without_random_numbers,
+)
 from deitalk.postprocess.known_phones import check_faces
 from rig.controls import DEFAULT_ID
 from rig.errors import quoted, shorten

@@ -14,7 +14,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from deitalk.models.joined import JoinedClips
-from deitalk.models.rig_decoder import TemporalConv
+from deitalk.models.temporal_conv import TemporalConv
 
 
 class Intensity(NamedTuple):

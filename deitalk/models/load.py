@@ -38,7 +38,7 @@ def chosen_backend(
         return "torch" if backend == "torch" else "onnx"
     if device != "cpu" or not isinstance(model, str | Path) or find_spec("onnxruntime") is None:
         return "torch"
-    from deitalk.models.onnx.network import ready_graph
+    from deitalk.models.onnx.graphs import ready_graph
 
     return "onnx" if ready_graph(model_folder(model)) else "torch"
 

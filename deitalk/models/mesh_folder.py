@@ -16,7 +16,7 @@ from deitalk.errors import CheckpointError
 from deitalk.models.deformation_decoder import (
     InversePCA,
 )
-from deitalk.models.folder import Shapes, read_shapes
+from deitalk.models.weight_file import Shapes, read_shapes
 from rig import limits
 from rig.files.reading import check_expansion, check_file, read_npz
 from rig.mesh import TriMesh

@@ -13,7 +13,7 @@ from deitalk.data.frozen_features import FrozenFeatures
 from deitalk.data.windows import Window, count_windows
 from deitalk.models.checkpoint import network_class
 from deitalk.models.curve_model import DEITalk
-from deitalk.models.folder import network_shapes
+from deitalk.models.weight_file import network_shapes
 from deitalk.training.run_folder import record_data
 from deitalk.training.trainer import Task
 

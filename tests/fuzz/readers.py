@@ -259,8 +259,9 @@ def _model_seeds(folder: Path) -> list[Seed]:
 
 def _read_model_file(path: Path) -> object:
     from deitalk.config.load import load_config
-    from deitalk.models.folder import read_about, read_weights
+    from deitalk.models.folder import read_about
     from deitalk.models.mesh_folder import read_templates, whole_shapes
+    from deitalk.models.weight_file import read_weights
 
     if path.name == "config.yaml":
         return load_config(path)

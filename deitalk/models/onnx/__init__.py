@@ -2,7 +2,9 @@
 
 ::
 
-    network.py          name or folder -> `deitalk.models.protocol` networks, without torch
+    graphs.py           name or folder -> its network, without torch where its graph is written
+    network.py          networks of whole recordings: `deitalk.models.protocol.CurveNetwork`
+    causal_network.py   those of voices that have not ended
     rules.py            the rules after them
     engine_graph.py     writes the graphs that these open, in torch
     network_graph.py    the network of a whole clip, or of one frame of a causal model
@@ -10,6 +12,8 @@
     tracing.py          a module as an ONNX model
 """
 
-from deitalk.models.onnx.network import OnnxCausalNetwork, OnnxNetwork, load_onnx
+from deitalk.models.onnx.causal_network import OnnxCausalNetwork
+from deitalk.models.onnx.graphs import load_onnx
+from deitalk.models.onnx.network import OnnxNetwork
 
 __all__ = ["OnnxCausalNetwork", "OnnxNetwork", "load_onnx"]

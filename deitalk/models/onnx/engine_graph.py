@@ -19,6 +19,7 @@ from deitalk.emotions import EMOTIONS
 from deitalk.frontends.whisper import WhisperFrontend
 from deitalk.models.causal_model import causal_frontend, grid_of
 from deitalk.models.curve_model import DEITalk
+from deitalk.models.onnx.graphs import graph_digest
 from deitalk.models.onnx.network import (
     CAUSAL_SCHEMA,
     NEXT,
@@ -27,7 +28,6 @@ from deitalk.models.onnx.network import (
     WEIGHTS,
     WEIGHTS_FILE,
     GraphHeader,
-    graph_digest,
     stored_types,
 )
 from deitalk.models.onnx.network_graph import (

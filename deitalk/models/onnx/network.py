@@ -1,15 +1,11 @@
 """Curve models in ONNX Runtime, without torch."""
 
 import gzip
-import hashlib
 import json
 import math
-import os
-import subprocess
-import sys
 import zlib
-from collections.abc import Callable, Mapping, Sequence
-from functools import lru_cache, partial
+from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple, Self
 
@@ -18,36 +14,24 @@ from pydantic import ValidationError
 
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE, frame_count
 from deitalk.audio.log_mel import loudest
-from deitalk.audio.running_level import first_level, levelled
 from deitalk.config.rig_file import parse_controls
 from deitalk.config.rules import RulesConfig
-from deitalk.errors import CheckpointError, DeitalkError, MissingError
+from deitalk.errors import CheckpointError, MissingError
 from deitalk.models.folder import (
-    GRAPH,
-    RIG_FILE,
-    model_folder,
-    read_about,
     weight_files,
-    weights_hash,
 )
 from deitalk.models.onnx.rules import LIVE, WHOLE, OnnxPass
 from deitalk.models.protocol import (
-    NetworkRows,
     Product,
     Reading,
-    SpectraGrid,
-    State,
     Tracks,
     is_neutral,
-    put,
     styles_of,
-    take,
 )
 from rig import ControlSet, default_controls, limits
 from rig.arrays import Float32
 from rig.controls import DEFAULT_ID
 from rig.errors import quoted
-from rig.files import cache_folder
 from rig.files.reading import check_file
 
 SCHEMA, CAUSAL_SCHEMA = "deitalk.graph/1", "deitalk.graph-live/3"
@@ -55,8 +39,6 @@ NEXT = "next_"
 """Before the names of the outputs that are the state for the next call."""
 WEIGHTS, STORED = "model.", "_stored"
 """Before the names of weights in a graph; after those that are cast."""
-KEPT_NETWORKS = 2
-"""Networks that `load_onnx` keeps."""
 WEIGHTS_FILE = "model.safetensors"
 """What a graph calls the place of each weight that it is given."""
 
@@ -191,7 +173,7 @@ def damaged(path: Path) -> CheckpointError:
     return CheckpointError(f"{path}: damaged metadata; remove it")
 
 
-class _Network:
+class OpenedGraph:
     """What both kinds of models have.
 
     Parameters
@@ -240,7 +222,7 @@ class _Network:
             raise damaged(self.path) from None
 
 
-class OnnxNetwork(_Network):
+class OnnxNetwork(OpenedGraph):
     """A model for whole recordings; a `deitalk.models.protocol.CurveNetwork`."""
 
     is_causal = False
@@ -329,211 +311,3 @@ def _controls(path: Path, metadata: Mapping[str, str]) -> ControlSet:
     if metadata["control_set"] == DEFAULT_ID:
         return default_controls()
     return parse_controls(metadata["rig"], path)
-
-
-# Causal curve models in ONNX Runtime, without torch.
-#
-# Letters: B streams, G frames of a call, P spectra of a frame, W samples of a spectrum.
-
-PROGRESS_FRAMES = 300
-
-
-class OnnxCausalNetwork(_Network):
-    """A causal model; a `CausalNetwork`, and a `CurveNetwork` for whole recordings."""
-
-    is_causal = True
-    device = "cpu"
-
-    def _read_metadata(self) -> None:
-        self.grid = SpectraGrid(**json.loads(self.metadata["grid"]))
-        states = json.loads(self.metadata["state"])
-        self._rings = tuple(map(int, json.loads(self.metadata["rings"])))
-        self._reads_effort = self.metadata["effort"] == "true"
-        self._names = [str(state["name"]) for state in states]
-        self._first = [np.full(state["shape"], state["first"], np.float32) for state in states]
-
-    def first_state(self, batch: int) -> State:
-        """See `CausalNetwork`; so the next two methods."""
-        kept = (np.repeat(first[None], batch, axis=0) for first in self._first)
-        return first_level(batch), *kept
-
-    def begin(self, windows: Float32, state: State, streams: Sequence[int]) -> None:
-        """Read the first groups, which change the states of the frontend, the first ones, alone."""
-        groups = windows.shape[1] // self.grid.spectra
-        styles = np.zeros((len(windows), groups, 5 + len(self.actors)), np.float32)
-        _, new = self._run(windows, styles, take(state, streams))
-        put(state, streams, new[: len(self._rings)], self._rings)
-
-    def advance(
-        self, windows: Float32, styles: Float32, state: State, streams: Sequence[int]
-    ) -> NetworkRows:
-        """Read the next frames."""
-        rows, new = self._run(windows, styles, take(state, streams))
-        count = len(self._rings)
-        put(state, streams, new[:count], self._rings)
-        put(state[count:], streams, new[count:])
-        return rows
-
-    def _run(self, windows: Float32, styles: Float32, state: State) -> tuple[NetworkRows, State]:
-        """The next frames of streams, and what is new of their state."""
-        given, level = levelled(windows, self.grid.spectra, state[0])
-        inputs = {"windows": given, "emotion": np.ascontiguousarray(styles)}
-        found = self._session.run(None, inputs | dict(zip(self._names, state[1:], strict=True)))
-        curves, neutral, *others = found[: len(NetworkRows._fields)]
-        return NetworkRows(neutral, curves, *others), (level, *found[len(NetworkRows._fields) :])
-
-    def read(
-        self,
-        sound: Float32,
-        weights: Float32,
-        actor: str = "",
-        progress: Callable[[float], None] = lambda share: None,
-        gain: float = 1.0,
-    ) -> Reading:
-        """Curves of a whole recording; see `deitalk.models.protocol.CurveNetwork`."""
-        grid, total = self.grid, len(weights)
-        styles = styles_of(weights, self.actors, actor)[None]
-        index = np.arange((total + grid.delay) * grid.spectra) - grid.lead
-        centres = index * SAMPLE_RATE / grid.rate
-        starts = np.round(centres).astype(np.int64) - grid.length // 2
-        after = max(int(starts[-1]) + grid.length - len(sound), 0)
-        before = max(-int(starts[0]), 0)
-        padded = np.pad(sound * np.float32(gain), (before, after))
-        rows = np.lib.stride_tricks.sliding_window_view(padded, grid.length)
-        first = grid.delay * grid.spectra
-        state, parts = self.first_state(1), []
-        self.begin(rows[starts[:first] + before][None], state, [0])
-        for start in range(0, total, PROGRESS_FRAMES):
-            stop = min(start + PROGRESS_FRAMES, total)
-            places = starts[first + start * grid.spectra : first + stop * grid.spectra] + before
-            found = self.advance(rows[places][None], styles[:, start:stop], state, [0])
-            parts.append([part[0] for part in found])
-            progress(stop / total)
-        neutral, curves, saliency, strength, effort = (
-            np.concatenate(part) for part in zip(*parts, strict=True)
-        )
-        emotional = neutral if is_neutral(weights) else curves
-        tracks = Tracks(saliency, strength, effort if self._reads_effort else None)
-        return Reading(neutral, emotional, tracks)
-
-
-# Networks of ONNX Runtime by the names of models.
-
-
-WRITE = """
-import sys
-from pathlib import Path
-from deitalk.models.checkpoint import require_model
-from deitalk.models.curve_model import DEITalk
-from deitalk.models.onnx.engine_graph import write_graph
-from rig.errors import UserError
-folder, path = map(Path, sys.argv[1:])
-try:
-    write_graph(require_model(folder, DEITalk), folder, path)
-except UserError as error:
-    sys.exit(str(error))
-"""
-"""Program of the process that writes the graph of a model."""
-TRACED = (
-    "audio/log_mel.py", "emotions/*.py", "frontends/*.py", "models/causal_model.py",
-    "models/curve_model.py", "models/positions.py", "models/intensity.py",
-    "models/lip_readout.py", "models/rig_decoder.py", "models/tuned_parts.py", "models/onnx/*.py",
-    "postprocess/*.py", "postprocess/*.csv", "postprocess/life/*.py", "../rig/emotions.py",
-)  # fmt: skip
-"""Files of the package that make a graph what it is."""
-
-
-def load_onnx(
-    model: str | Path, *, device: str = "cpu", threads: int = 1, once: bool = False
-) -> OnnxNetwork | OnnxCausalNetwork:
-    """Return a network of ONNX Runtime: for whole recordings, or a causal one for those too.
-
-    The last `KEPT_NETWORKS` are kept and returned again, if no file of their folders has changed;
-    threads may share them.
-
-    Parameters
-    ----------
-    model : str or Path
-        As for `deitalk.models.checkpoint.load_model`. Its graph is that of the folder, else it is
-        written into the cache folder once, with torch.
-    device : str
-        ``cpu``.
-    threads : int
-        Processor threads.
-    once : bool
-        As for `deitalk.models.load.load_network`.
-
-    Raises
-    ------
-    CheckpointError
-        If there is no such model, or it has no graph.
-    DeitalkError
-        If the device is another, or a package is not installed.
-    """
-    if device != "cpu":
-        raise DeitalkError(f"device {quoted(device)}: the backend onnx runs on cpu only")
-    if str(model).endswith(".onnx"):
-        raise CheckpointError(
-            f"{quoted(str(model))} is for other programs; name the model or its folder"
-        )
-    folder = model_folder(model)
-    files = sorted({*folder.iterdir(), *weight_files(folder)})
-    stats = [(path.stat().st_mtime_ns, path.stat().st_size, path.stat().st_ino) for path in files]
-    return _read(folder, str(model), threads, once, (os.getpid(), *files, *stats))
-
-
-@lru_cache(maxsize=KEPT_NETWORKS)
-def _read(
-    folder: Path, name: str, threads: int, once: bool, version: tuple[Any, ...]
-) -> OnnxNetwork | OnnxCausalNetwork:
-    """`load_onnx` from a version of the folder's files, in this process: forks share no threads."""
-    path = ready_graph(folder) or cached_graph(folder, name)
-    file = OnnxFile(path, folder, threads, once=once)
-    return OnnxCausalNetwork(file) if file.is_causal else OnnxNetwork(file)
-
-
-def ready_graph(folder: Path) -> Path | None:
-    """File with the graph of a model, if it was written and is not of other rules or settings."""
-    beside = folder / GRAPH
-    if beside.is_file() and read_graph(beside)[0].digest == graph_digest(folder):
-        return beside
-    path = cached_path(folder)
-    return path if path.is_file() else None
-
-
-def cached_graph(folder: Path, name: str = "") -> Path:
-    """Graph of a model in the cache folder, written if it is not there; errors as `load_onnx`.
-
-    It is written by a process of its own, so that torch is not imported here.
-    """
-    path = cached_path(folder)
-    if not path.is_file():
-        path.parent.mkdir(parents=True, exist_ok=True)
-        command = [sys.executable, "-P", "-c", WRITE, str(folder), str(path)]
-        environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
-        done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
-        if done.returncode:
-            lines = (done.stderr or "it was ended").strip().splitlines()
-            raise CheckpointError(f"model {quoted(name or str(folder))} has no graph: {lines[-1]}")
-    return path
-
-
-def cached_path(folder: Path) -> Path:
-    """Where `cached_graph` keeps the graph of a model folder; another for other weights."""
-    digest = hashlib.sha256(f"{graph_digest(folder)} {weights_hash(folder)}".encode())
-    return cache_folder() / f"graph-{digest.hexdigest()[:20]}.gz"
-
-
-def graph_digest(folder: Path) -> str:
-    """Digest of what the graph of a model folder depends on but its weights' values."""
-    digest = hashlib.sha256(f"{SCHEMA} {CAUSAL_SCHEMA}".encode())
-    about = read_about(folder)
-    digest.update(json.dumps([about["control_set"], about["controls"]]).encode())
-    for name in ("config.yaml", RIG_FILE):
-        if (folder / name).is_file():
-            digest.update((folder / name).read_bytes())
-    package = Path(__file__).parents[2]
-    for pattern in TRACED:  # a checkout whose rules change
-        for path in sorted(package.glob(pattern)):
-            digest.update(path.read_bytes())
-    return digest.hexdigest()[:20]

@@ -120,10 +120,6 @@ def _norm(features: Tensor) -> Tensor:
     return features.square().sum(dim=-1).sqrt().clamp_min(1e-8)
 
 
-# The next frames of a causal model, from sound at the usual level: the running level follows
-# itself from frame to frame (`deitalk.audio.running_level`), for which a graph would need a loop.
-
-
 def causal_graph(model: DEITalk) -> DEITalk:
     """A copy of a causal model, with its weights, whose operators a graph can have."""
     found = copy(model)
@@ -133,7 +129,10 @@ def causal_graph(model: DEITalk) -> DEITalk:
 
 
 class CausalGraph(nn.Module):
-    """A causal curve model, the next G frames of B streams.
+    """A causal curve model, the next G frames of B streams, from sound at the usual level.
+
+    The running level follows itself from frame to frame (`deitalk.audio.running_level`), for which
+    a graph would need a loop.
 
     Parameters
     ----------

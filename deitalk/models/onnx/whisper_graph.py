@@ -1,6 +1,6 @@
 """The Whisper frontend of a whole clip in a graph: its pieces side by side.
 
-`deitalk.frontends.whisper.StridedFrontend.encode` takes pieces of 300 rig frames, 30 of them in
+`deitalk.frontends.strided.StridedFrontend.encode` takes pieces of 300 rig frames, 30 of them in
 common with the one before: piece p begins with frame 270 p. A feature is a rig frame.
 
 Letters: N pieces, W features of the longest, K features of all pieces together, D width.

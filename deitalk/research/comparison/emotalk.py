@@ -23,7 +23,8 @@ from torch.nn import functional as F
 from deitalk.config.rules import RulesConfig
 from deitalk.emotions import EMOTIONS
 from deitalk.models.curve_model import Analysis, Output
-from deitalk.models.rig_decoder import Decoder, TemporalConv
+from deitalk.models.rig_decoder import Decoder
+from deitalk.models.temporal_conv import TemporalConv
 from deitalk.research.comparison.biased_attention import BiasedLayer
 from deitalk.research.comparison.faceformer import CONTEXT_FRAMES, output_layer, style_layers
 from deitalk.research.comparison.network import ComparedNetwork

@@ -24,7 +24,8 @@ from deitalk.config.frontends import WhisperShape
 from deitalk.data.clips import Clip, read_clips, read_phones, spread_clips
 from deitalk.errors import DataError
 from deitalk.evaluation.validation import closure_scores, summarise_closures
-from deitalk.frontends.whisper import LARGEST, WhisperFrontend
+from deitalk.frontends.strided import LARGEST
+from deitalk.frontends.whisper import WhisperFrontend
 from deitalk.models.curve_model import DEITalk
 from deitalk.postprocess.phones import BILABIALS, Phones
 from rig.arrays import Float32, Float64

@@ -20,7 +20,7 @@ from deitalk.data.windows import Window, WindowBatches
 from deitalk.errors import ConfigError
 from deitalk.models.checkpoint import require_model, save_model
 from deitalk.models.curve_model import DEITalk
-from deitalk.models.rig_decoder import TemporalConv
+from deitalk.models.temporal_conv import TemporalConv
 from deitalk.research.comparison.emotalk import EmoTalk
 from deitalk.research.config import TrainingConfig, TrainingDataConfig, TrainingLossConfig
 from deitalk.research.lips.losses import LipLoss

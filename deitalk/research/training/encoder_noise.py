@@ -35,7 +35,8 @@ from deitalk.config.frontends import WhisperConfig
 from deitalk.data.augment_waveform import Surroundings, augment, change_speed, speed_factor
 from deitalk.errors import DeitalkError
 from deitalk.frontends.causal_whisper import LOOKAHEAD_FRAMES, PAST_FRAMES, PEAK, PERIOD
-from deitalk.frontends.whisper import LARGEST, WhisperFrontend, encoder_weights, scaled
+from deitalk.frontends.strided import LARGEST
+from deitalk.frontends.whisper import WhisperFrontend, encoder_weights, scaled
 from deitalk.research.arguments import new_file
 from deitalk.research.corpus.performance import split_of
 from deitalk.research.corpus.recordings import recordings

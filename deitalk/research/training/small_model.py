@@ -40,10 +40,11 @@ from deitalk.data.augment_waveform import Surroundings
 from deitalk.emotions import EMOTIONS
 from deitalk.errors import ConfigError, DataError, DeitalkError
 from deitalk.frontends.causal_whisper import PERIOD, CausalWhisperFrontend
-from deitalk.frontends.whisper import MOMENTUM, LogMel
+from deitalk.frontends.strided import MOMENTUM
+from deitalk.frontends.whisper import LogMel
 from deitalk.models.checkpoint import require_model, save_model
 from deitalk.models.curve_model import DEITalk, Output
-from deitalk.models.folder import require_device
+from deitalk.models.device import require_device
 from deitalk.models.lip_readout import CHANNELS, HIDDEN, LipReadout
 from deitalk.research.config import read_training
 from deitalk.research.corpus.performance import split_of

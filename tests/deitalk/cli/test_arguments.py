@@ -12,7 +12,7 @@ from typer.main import get_command
 from deitalk.audio.load import write_wav
 from deitalk.cli import app, main
 from deitalk.errors import DeitalkError
-from deitalk.models.folder import check_device, require_device
+from deitalk.models.device import check_device, require_device
 from rig import default_controls, rest_curves, write_curves
 from tests.command import ran
 

@@ -10,7 +10,7 @@ from deitalk.config.load import load_config, parse_config
 from deitalk.errors import CheckpointError, ConfigError
 from deitalk.models.checkpoint import load_model, save_model
 from deitalk.models.curve_model import DEITalk
-from deitalk.models.folder import network_shapes
+from deitalk.models.weight_file import network_shapes
 from deitalk.research.config import read_training
 from rig import limits
 from tests.errors import one_line

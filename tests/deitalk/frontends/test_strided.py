@@ -5,7 +5,7 @@ import torch
 from torch import nn
 
 from deitalk.errors import ConfigError
-from deitalk.frontends.whisper import StridedFrontend
+from deitalk.frontends.strided import StridedFrontend
 from tests.errors import one_line
 
 CHUNK, OVERLAP = 60, 15

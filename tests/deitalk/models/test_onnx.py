@@ -29,7 +29,8 @@ from deitalk.models.folder import GRAPH, model_folder
 from deitalk.models.load import chosen_backend, load_network
 from deitalk.models.onnx import OnnxNetwork, load_onnx
 from deitalk.models.onnx import network as network_module
-from deitalk.models.onnx.network import graph_digest, read_graph
+from deitalk.models.onnx.graphs import graph_digest
+from deitalk.models.onnx.network import read_graph
 from deitalk.models.onnx.rules import LIVE, WHOLE
 from deitalk.research.evaluation.benchmark_curves import speechlike
 from deitalk.research.evaluation.clip_scores import live_frames

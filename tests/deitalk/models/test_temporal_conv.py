@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from deitalk.models.rig_decoder import TemporalConv, receptive_margin
+from deitalk.models.temporal_conv import TemporalConv, receptive_margin
 
 DILATIONS = (1, 2, 4, 8, 1, 2, 4, 8)
 

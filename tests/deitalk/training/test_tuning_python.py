@@ -12,7 +12,7 @@ import deitalk
 from deitalk.data.clips import read_clips
 from deitalk.models.checkpoint import load_model
 from deitalk.models.folder import describe_model
-from deitalk.models.onnx.network import ready_graph
+from deitalk.models.onnx.graphs import ready_graph
 from deitalk.training.tuning.regression import Regression
 from deitalk.training.tuning.task import FinetuneTask
 from rig import RigCurves, read_curves, write_curves
