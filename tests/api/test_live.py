@@ -449,9 +449,6 @@ def test_eyes_turn_when_the_listener_moves(server):
     assert side[-10:].min() > 0.2 + side[:30].max()
 
 
-# --- interruption
-
-
 def until_interrupted(session):
     """Records before an interruption, its message, and those after it up to the frame of sound."""
     before, after = [], []

@@ -113,9 +113,6 @@ def test_processes_that_end_while_they_wait_are_replaced_without_an_order(stands
     assert sum(asyncio.run(asyncio.wait_for(run(), 60))) == 7
 
 
-# On a server: signal 9.
-
-
 @pytest.fixture(scope="module")
 def server(tmp_path_factory):
     with serving(

@@ -1,28 +1,24 @@
 """One acting through every door: the same curves to 1e-5, the same settings in take.json."""
 
 import functools
-import importlib
 import io
 import json
 import shutil
 import zipfile
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import soundfile
-from websockets.sync.client import connect
 
-from api.live.messages import FRAME
-from deitalk import LiveAnimator, animate, suggest_emotion
+from deitalk import animate, suggest_emotion
 from deitalk.acting import Acting
 from deitalk.audio.load import load_audio
 from deitalk.audio.original import ZERO, start_of
 from deitalk.data.captures.columns import read_mapping
 from deitalk.data.dub import dub
 from deitalk.data.edited import changes_of_take
-from deitalk.live.sources import PacedSound
 from deitalk.research.corpus.engines import espeak
 from rig import read_curves, write_curves
 from rig.conversion.convert import convert
@@ -30,40 +26,28 @@ from rig.conversion.raw import RAW_ID
 from rig.curves.edit import clamp
 from rig.curves.layer_files import read_layers
 from rig.face import build_head
-from rig.face.head import Head
-from rig.livelink.pace import LiveReport
-from tests.command import ran
+from tests.api.case_files import FILES
+from tests.api.doors import (
+    Made,
+    batch_line,
+    command_line,
+    http,
+    live_line,
+    live_python,
+    manifest,
+    mesh,
+    only_curves,
+    options,
+    post,
+    run,
+    sound,
+    take_of,
+    websocket,
+)
 from tests.deitalk.batch.conftest import InProcess
 from tests.deitalk.live.conftest import RATE
 from tests.media import movie
 
-KEYS = "time,emotion,strength\n0,happy,0.2\n1.0,angry,1\n2.0,contempt,1\n"
-CURVE = "time,intensity\n0,0.3\n1.5,2\n"
-VOICE = json.dumps({
-    "format": "deitalk-actor", "version": 1, "strength": 3.5, "recordings": 4, "seconds": 20.0,
-    "traits": {"side": 0.2, "brow_range": 1.5},
-})  # fmt: skip
-TIMED = "1\n00:00:00,100 --> 00:00:00,900\nPromise big\n"
-SPOKEN = (
-    "1\n00:00:00,100 --> 00:00:00,900\nANNA: [angrily] Promise *big*\n\n"
-    "2\n00:00:01,000 --> 00:00:01,300\nBOB: No.\n"
-)
-EDGE = json.dumps({
-    "format": "deitalk-edge", "version": 1, "pose": {"CTRL_C_jaw.ty": 0.4}, "quiet": 0.2,
-    "speed": {"CTRL_C_jaw.ty": 0.05}, "head": [3, 1, 0, 0, 0, 0], "head_speed": [0] * 6,
-    "traits": {"side": 0.1},
-})  # fmt: skip
-FIXES = json.dumps({
-    "schema": "deitalk.edit/1", "name": "fixes", "edits": [
-        {"target": "brow", "mode": "offset", "keys": [[0.2, 0], [0.6, 0.4], [1.1, 0, -0.3, 0]]},
-        {"target": "CTRL_C_jaw.ty", "mode": "own", "keys": [[0.5, 0.3]], "span": [0.4, 0.8]},
-        {"target": "head.yaw", "mode": "scale", "keys": [[0, 2]], "span": [0, 1], "ease": [0.2, 0.2]},
-    ],
-})  # fmt: skip
-FILES = {
-    "fixes.edit.json": FIXES, "keys.csv": KEYS, "intensity.csv": CURVE, "anna.json": VOICE,
-    "said.srt": TIMED, "spoken.srt": SPOKEN, "edge.json": EDGE,
-}  # fmt: skip
 CASES = {
     "nothing": {},
     "label": {"emotion": "sad"},
@@ -102,8 +86,6 @@ WRITTEN = {
     "edits in frames of 60": {"delay": "3", "fps": "60", "edit": "fixes.edit.json"},
 }
 """How a take is written; edits have steps, which the rate of the take shows as they are."""
-SIGNAL = ("track", "channel", "raw")
-SHIFT = ("delay_frames", "handles_frames")
 SIGNALS = {
     "pair.wav": {"channel": "right"},
     "pair.pcm": {"channel": "2", "raw": f"f32le,{RATE},2"},
@@ -112,16 +94,6 @@ SIGNALS = {
 """Which signal of each file is the sound of line.wav."""
 LIVE = ("nothing", "label", "weights", "keys", "intensity", "style", "life", "life off", "look_at",
         "gain", "network alone", "seed")  # fmt: skip
-
-
-@dataclass
-class Made:
-    """What a door made: curves (T, C), settings and signal of its take, how that is written."""
-
-    values: np.ndarray
-    settings: dict
-    signal: dict
-    written: dict
 
 
 @pytest.fixture(scope="module")
@@ -157,165 +129,6 @@ def fields_of(case):
     if {"words", "script"} & CASES[case].keys() and espeak.missing():
         pytest.skip("needs espeak-ng")
     return CASES[case]
-
-
-def take_of(folder: Path) -> Made:
-    about = json.loads((folder / "take.json").read_text())
-    signal = {name: about["source"][name] for name in SIGNAL if name in about["source"]}
-    written = {name: about[name] for name in SHIFT if name in about}
-    written["seconds"] = soundfile.info(folder / "audio.wav").duration
-    written |= {path.name: start_of_live_link(path) for path in folder.glob("*_take_1_*.csv")}
-    values = read_curves(folder / "curves.json").values
-    return Made(values, about["settings"], signal, written)
-
-
-def start_of_live_link(path: Path) -> str:
-    """Time code of the first frame."""
-    return path.read_text().splitlines()[1].split(",")[0]
-
-
-# --- doors
-
-
-def only_curves(monkeypatch):
-    """Leave out the files for other programs, which take longer than all else."""
-    monkeypatch.setattr("deitalk.pipeline.performance.write_exchange_files", lambda *_, **__: {})
-
-
-def run(*words):
-    done = ran(*[str(word) for word in words])
-    return done.output
-
-
-def options(fields):
-    """A command line's options."""
-    found = []
-    for name, value in fields.items():
-        flag = f"--{name.replace('_', '-')}"
-        found += [f"--no-{name}"] if value == "false" else [flag, value]
-    return found
-
-
-def command_line(fields, tmp_path, monkeypatch, audio="line.wav"):
-    run("animate", audio, "-o", f"{tmp_path}/take/", "--model", "tiny", *options(fields))
-    return take_of(tmp_path / "take")
-
-
-def batch_line(fields, tmp_path, monkeypatch, audio="line.wav"):
-    monkeypatch.setattr("deitalk.batch.run.Workers", InProcess)
-    (tmp_path / "lines").mkdir()
-    (tmp_path / "lines" / "line.wav").write_bytes(Path(audio).read_bytes())
-    run("batch", tmp_path / "lines", "-o", tmp_path / "out", "--model", "tiny", "--format", "take",
-        *options(fields))  # fmt: skip
-    return take_of(tmp_path / "out" / "line")
-
-
-def manifest(fields, tmp_path, monkeypatch, audio="line.wav"):
-    monkeypatch.setattr("deitalk.batch.run.Workers", InProcess)
-    row = {"audio": audio, "output": "line", **fields}
-    table = Path(f"manifest-{tmp_path.name}.csv")
-    quoted = (f'"{cell}"' for cell in row.values())
-    table.write_text(f"{','.join(row)}\n{','.join(quoted)}\n")
-    run("batch", table, "-o", tmp_path / "out", "--model", "tiny", "--format", "take")
-    return take_of(tmp_path / "out" / "line")
-
-
-def http(fields, server, audio="line.wav"):
-    return take_of(post("/v1/animations", fields | {"recording": audio}, server))
-
-
-def post(path, fields, server):
-    """The take that a route answers with; values that are names of files are sent as files."""
-    is_file = {name: Path(value).is_file() for name, value in fields.items()}
-    files = {n: (v, Path(v).read_bytes()) for n, v in fields.items() if is_file[n]}
-    data = {name: value for name, value in fields.items() if not is_file[name]}
-    with server.client() as client:
-        answer = client.post(path, files=files, data=data | {"model": "tiny", "format": "take"})
-    assert answer.status_code == 200, answer.text
-    shutil.rmtree("http", ignore_errors=True)
-    with zipfile.ZipFile(io.BytesIO(answer.content)) as archive:
-        archive.extractall("http")
-    return Path("http")
-
-
-def mesh(fields, tmp_path, monkeypatch, audio="line.wav"):
-    """The curves that a mesh is posed by, and the poses of every tenth frame."""
-    pose, curves = Head.pose, []
-    monkeypatch.setattr(np, "savez_compressed", np.savez)  # for time
-
-    def every_tenth(head, values):  # a table of frames; a single one is a call of its own
-        if np.ndim(values) == 1:
-            return pose(head, values)
-        curves.append(values)
-        return pose(head, values[::10])
-
-    monkeypatch.setattr(Head, "pose", every_tenth)
-    run("animate", audio, "--vertices", "-o", tmp_path / "m.npz", "--model", "tiny",
-        *options(fields))  # fmt: skip
-    monkeypatch.undo()
-    return curves[0], np.load(tmp_path / "m.npz")["vertices"]
-
-
-def live_python(fields, samples):
-    """The reference of the live doors, which differ from `animate` until both have one path."""
-    animator = LiveAnimator("tiny", **fields)
-    return np.concatenate((animator.feed(samples), animator.finish()))
-
-
-def sound():
-    return soundfile.read("line.wav", dtype="float32")[0]
-
-
-class Unpaced(PacedSound):
-    """A recording whose blocks come at once."""
-
-    def read(self, seconds):
-        self.start = -60.0
-        return super().read(seconds)
-
-
-class Kept:
-    """Stands for the network at the end of `deitalk live`; keeps the frames."""
-
-    def __init__(self, *_):
-        self.frames = []
-
-    def push(self, frames, head, **_):
-        self.frames.append(frames)
-
-    def report(self):
-        return LiveReport(0, 0, 0, (0.0, 0.0))
-
-    def __getattr__(self, name):
-        return lambda *_, **__: None
-
-
-def live_line(fields, monkeypatch, audio="line.wav"):
-    kept, command = Kept(), importlib.import_module("deitalk.cli.live")
-    monkeypatch.setattr(command, "sender_of", lambda *_: kept)
-    monkeypatch.setattr("deitalk.live.sources.PacedSound", Unpaced)
-    run("live", audio, "--model", "tiny", *options(fields))
-    return np.concatenate(kept.frames)
-
-
-def websocket(fields, server):
-    given = {name: FILES.get(value, value) for name, value in fields.items()}
-    url = server.url.replace("http", "ws") + "/v1/live"
-    with connect(url, max_size=2**24, proxy=None) as session:
-        start = {"type": "start", "model": "tiny", "head": True, "encoding": "float32"}
-        session.send(json.dumps(start | {"seed": "0"} | given))
-        assert json.loads(session.recv(60))["type"] == "header"
-        session.send(sound().astype("<f4").tobytes())
-        session.send('{"type": "stop"}')
-        rows = []
-        while isinstance(message := session.recv(60), bytes):
-            records = np.frombuffer(message, np.uint8).reshape(-1, FRAME.size + 4 * 191)
-            rows.append(records[:, FRAME.size :].copy().view("<f4")[:, :185])
-    assert json.loads(message)["type"] == "end", message
-    return np.concatenate(rows)
-
-
-# --- parity
 
 
 def close(found, wanted):

@@ -68,9 +68,6 @@ def test_callers_without_keys_are_told_apart_by_their_address():
     assert Caller("farm", SCOPES, 10, 600).holder == "key farm"
 
 
-# On a server, with real sockets.
-
-
 @pytest.fixture(scope="module")
 def keyed(tmp_path_factory):
     keys = [

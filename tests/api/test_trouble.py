@@ -74,9 +74,6 @@ def test_log_has_the_reason_that_an_error_of_the_system_gives():
     assert describe(ValueError("secret")) == "ValueError in "
 
 
-# A small file system.
-
-
 @pytest.fixture
 def disk(tmp_path):
     folder = tmp_path / "disk"
@@ -154,9 +151,6 @@ def test_job_is_tried_again_later_and_later_and_ends_with_the_last_reason(tmp_pa
     assert not waits or (seconds[1] > 0.05 and seconds[2] > 0.35)
     assert DISK_FULL not in json.dumps(job.error)
     queue.engine.dispose()
-
-
-# A database that is away.
 
 
 class Line:

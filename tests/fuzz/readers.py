@@ -32,9 +32,6 @@ def input_of(seeds: Sequence[Seed], key: str) -> tuple[str, bytes]:
     return seed.name, seed.mutate(rng, seed.data, corpus)
 
 
-# --- curves
-
-
 def _curves(n_frames: int = 4) -> Any:
     from rig import RigCurves, default_controls
 
@@ -94,9 +91,6 @@ def _check(path: Path) -> object:
     return texts
 
 
-# --- emotion and intensity
-
-
 def _track_seeds(folder: Path) -> list[Seed]:
     keys = [
         {"time": 0, "emotion": "happy", "strength": 0.7},
@@ -141,9 +135,6 @@ def _read_intensity(path: Path) -> object:
     from deitalk.emotions import read_intensity_curve
 
     return read_intensity_curve(path).at(np.arange(10) / 30)
-
-
-# --- meshes
 
 
 def _mesh() -> Any:
@@ -224,9 +215,6 @@ def _read_mapping(path: Path) -> object:
     from rig.retarget.mapping_files import read_mapping
 
     return match_shapes(("smile", "b", "jawOpen"), mapping=read_mapping(path))
-
-
-# --- models and settings
 
 
 def _tiny(folder: Path) -> Path:
@@ -321,9 +309,6 @@ def _read_datagram(path: Path) -> object:
 
     packet = decode(path.read_bytes())
     return Recording(packet.subject, (packet,)).to_take().to_curves()
-
-
-# --- audio
 
 
 def _audio_seeds(folder: Path) -> list[Seed]:

@@ -48,9 +48,6 @@ def like(found, wanted):
     return np.corrcoef(found[:count], expected[:count])[0, 1] > 0.97
 
 
-# --- tracks
-
-
 @pytest.mark.parametrize(("kind", "codec"), [("matroska", "flac"), ("mp4", "aac"), ("mov", "alac")])
 @pytest.mark.parametrize("before", [quiet, hum])
 def test_the_track_with_speech_is_taken_and_the_others_are_named(voice, before, kind, codec):
@@ -93,9 +90,6 @@ def test_a_track_that_is_not_there_is_refused(voice):
     with one_line(AudioError, "1 sound track;", "no track 2"):
         load_audio(wav(voice), track=2)
     assert load_audio(wav(voice), track=1).duration == 2
-
-
-# --- channels
 
 
 @pytest.mark.parametrize(
@@ -186,9 +180,6 @@ def test_one_voice_on_several_channels_gives_no_note(voice, gains, rng):
     assert not any("different voices" in note for note in recording.warnings)
 
 
-# --- samples without a header
-
-
 @pytest.mark.parametrize("encoding", ENCODINGS)
 @pytest.mark.parametrize("channels", [1, 2])
 def test_samples_without_a_header_are_read_by_their_form(voice, encoding, channels):
@@ -237,9 +228,6 @@ def test_the_form_is_named_where_a_file_is_no_audio():
 def test_a_form_is_the_same_after_its_text():
     form = RawFormat.of(" F32LE , 44100 , 2 ")
     assert RawFormat.of(str(form)) == form == RawFormat("f32le", 44_100, 2)
-
-
-# --- other inputs
 
 
 def test_a_channel_of_an_array(voice):

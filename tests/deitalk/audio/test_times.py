@@ -5,7 +5,6 @@ its encoder the click is late by that delay, which is that of the coding's stand
 """
 
 import io
-import struct
 
 import av
 import numpy as np
@@ -15,7 +14,7 @@ import soundfile
 from deitalk.audio.load import load_audio
 from deitalk.errors import AudioError
 from tests.errors import one_line
-from tests.media import click, click_time, movie, packets_of
+from tests.media import click, click_time, movie
 
 RATE = 48_000
 AAC, AC3, MP2, MP3, OPUS = 1024 / RATE, 256 / RATE, 481 / RATE, 1105 / RATE, 312 / RATE
@@ -166,8 +165,6 @@ def test_the_later_of_two_tracks_keeps_its_time():
     assert click_time(recording.waveform) == pytest.approx(1.7, abs=EXACT)
 
 
-# --- several recordings one after another
-
 JOINED = [
     ("WAV", "PCM_16"), ("WAV", "ULAW"), ("WAV", "GSM610"), ("WAV", "MS_ADPCM"), ("WAVEX", "PCM_24"),
     ("RF64", "PCM_16"), ("W64", "PCM_16"), ("AIFF", "PCM_16"), ("AU", "PCM_16"), ("CAF", "PCM_16"),
@@ -237,186 +234,3 @@ def test_very_many_recordings_in_one_file_are_refused_in_one_line():
     link = written("OGG", "OPUS", np.zeros(480), 48_000)
     with one_line(AudioError, "1000"):
         load_audio(10_000 * link)
-
-
-# --- lengths in headers
-
-LIST = b"LIST" + struct.pack("<I", 26) + b"INFOISFT" + struct.pack("<I", 14) + b"Lavf59.27.100\0"
-SIZES = (0, 1000, 0x7FFFFFFE, 0x7FFFFFFF, 0x80000000, 2_000_000_000, 0xFFFFFFFF - 36, 0xFFFFFFFF)
-
-
-def sized(data, place, form, value):
-    return data[:place] + struct.pack(form, value) + data[place + struct.calcsize(form) :]
-
-
-def with_size(kind, size):
-    """A recording of 2 s whose header states so many bytes of samples."""
-    data = written(kind, "PCM_16")
-    if kind == "WAV":
-        return sized(sized(data, 40, "<I", size), 4, "<I", min(size + 36, 0xFFFFFFFF))
-    if kind == "AU":
-        return sized(data, 8, ">I", size)
-    if kind == "AIFF":
-        frames = sized(data, data.index(b"COMM") + 10, ">I", size)
-        return sized(frames, data.index(b"SSND") + 4, ">I", size)
-    size = -1 if size == 0xFFFFFFFF else size
-    if kind == "RF64":
-        return sized(data, data.index(b"ds64") + 16, "<q", size)
-    if kind == "W64":
-        return sized(data, data.index(b"data\xf3") + 16, "<q", size)
-    return sized(data, data.index(b"data") + 4, ">q", size)
-
-
-@pytest.mark.parametrize("size", SIZES)
-@pytest.mark.parametrize("kind", ["WAV", "RF64", "W64", "AIFF", "AU", "CAF"])
-def test_bytes_are_believed_over_a_size_in_the_header(kind, size):
-    data = with_size(kind, size)
-    recording = load_audio(data)
-    assert recording.duration == 2 and click_time(recording.waveform) == pytest.approx(1, abs=EXACT)
-    assert len(notes(recording)) == 1 and "2.00 s" in notes(recording)[0]
-    twice = load_audio(data + data)
-    assert twice.duration == 4
-    assert click_time(twice.waveform[32_000:]) == pytest.approx(1, abs=EXACT)
-
-
-@pytest.mark.parametrize("size", [*SIZES, 64_000])
-def test_chunks_after_samples_of_unknown_length_are_no_sound(size):
-    recording = load_audio(with_size("WAV", size) + LIST)
-    assert recording.duration == 2
-    assert np.abs(recording.waveform[-1600:]).max() < 1e-4
-
-
-@pytest.mark.parametrize("after", [LIST, b"\0" * 700, b"TAG" + b"a" * 125, b"ID3\3\0\0\0\0\1\0abc"])
-def test_what_follows_samples_of_a_true_length_is_no_sound(after):
-    recording = load_audio(written("WAV", "PCM_16") + after)
-    assert recording.duration == 2 and notes(recording) == []
-
-
-def test_samples_that_look_like_a_chunk_stay_sound():
-    """A name in the samples without a chain of chunks to the end is no chunk."""
-    samples = np.frombuffer(b"LIST" * 8000, "<i2").astype(np.float64) / 32768
-    data = sized(written("WAV", "PCM_16", samples), 40, "<I", 0xFFFFFFFF)
-    assert load_audio(data).duration == 1
-
-
-@pytest.mark.parametrize("total", [0, 1000, 10**6, 2**36 - 1])
-def test_a_flac_is_read_whatever_number_of_samples_it_states(total):
-    data = written("FLAC", "PCM_16")
-    packed = int.from_bytes(data[18:26], "big") >> 36 << 36 | total
-    recording = load_audio(data[:18] + packed.to_bytes(8, "big") + data[26:])
-    assert recording.duration == 2
-    assert bool(notes(recording)) == bool(total)  # 0 is no statement
-
-
-@pytest.mark.parametrize("frames", [0, 1, 40, 0xFFFFFF])
-def test_an_mp3_is_read_whatever_number_of_frames_it_states(frames):
-    data = movie("mp3", [click(RATE)], codec="libmp3lame")
-    mark = max(data.find(b"Xing"), data.find(b"Info"))
-    recording = load_audio(sized(data, mark + 8, ">I", frames))
-    assert recording.duration == pytest.approx(2, abs=PACKET)
-    assert click_time(recording.waveform) == pytest.approx(1, abs=0.025)
-
-
-def test_a_header_of_terabytes_needs_little_memory():
-    data = sized(written("RF64", "PCM_16"), 20, "<Q", 2**42)
-    assert load_audio(data).duration == 2
-    data = movie("matroska", [click(RATE)], codec="flac")
-    at = data.index(b"\x44\x89\x88") + 3  # the element Duration, milliseconds
-    assert load_audio(sized(data, at, ">d", 1e15)).duration == 2
-
-
-# --- clocks
-
-
-def timed(times, length=0.1):
-    """Packets of sound with the given times, seconds; a click within the last one."""
-    file = io.BytesIO()
-    with av.open(file, "w", format="matroska") as container:
-        track = container.add_stream("pcm_s16le", rate=RATE, layout="mono")
-        for number, time in enumerate(times):
-            samples = np.zeros(round(length * RATE), np.float32)
-            if number == len(times) - 1:
-                samples = click(RATE, length, length / 2)
-            for packet in packets_of(track, samples[:, None], RATE, time):
-                container.mux(packet)
-    return file.getvalue()
-
-
-def places(count, *changes):
-    """Times of packets of 0.1 s; each change is a number and what is added from it on."""
-    times = np.arange(count) / 10
-    for number, seconds in changes:
-        times[number:] += seconds
-    return times.tolist()
-
-
-@pytest.mark.parametrize(
-    ("times", "seconds", "note"),
-    [
-        (places(20), 2.0, ""),
-        (places(20, (10, 0.004)), 2.0, ""),  # rounding
-        (places(20, (10, 0.02)), 2.02, "1 hole between its packets, 0.02 s in all, the first at 1.00 s"),
-        (places(20, (5, 1), (10, 2)), 5.0, "2 holes between its packets, 3.00 s in all"),
-        (places(20, (10, -0.05)), 1.95, "overlapped the sound before, 0.05 s in all"),
-        (places(20, (10, 50)), 52.0, "1 hole"),
-        (places(20, (10, 1e6)), 2.0, "1 jump of its clock, the first at 1.00 s"),
-        (places(20, (0, 1e6)), 2.0, ""),  # of the only track
-    ],
-)  # fmt: skip
-def test_times_of_packets_are_kept_within_reason(times, seconds, note):
-    recording = load_audio(timed(times))
-    assert recording.duration == pytest.approx(seconds, abs=EXACT)
-    assert click_time(recording.waveform) == pytest.approx(seconds - 0.05, abs=EXACT)
-    assert note in " ".join(notes(recording)) and bool(note) == bool(notes(recording))
-
-
-def test_silence_by_times_counts_for_the_longest_recording():
-    with one_line(AudioError, "the limit is 60 s"):
-        load_audio(timed(places(20, (10, 3000))), max_seconds=60)
-
-
-# --- edit lists
-
-
-def boxes(data, names, start=0, end=None):
-    """Places of boxes of a movie, each within the one before."""
-    at = start
-    while at < (len(data) if end is None else end):
-        size, name = struct.unpack(">I4s", data[at : at + 8])
-        if name == names[0]:
-            return [at, *(boxes(data, names[1:], at + 8, at + size) if names[1:] else [])]
-        at += size
-    raise AssertionError(names)
-
-
-def with_edits(data, edits):
-    """A movie of one track with other edits: milliseconds, and the first sample or -1."""
-    *around, place = boxes(data, [b"moov", b"trak", b"edts", b"elst"])
-    (size,) = struct.unpack(">I", data[place : place + 4])
-    rows = b"".join(struct.pack(">IiI", *edit, 0x10000) for edit in edits)
-    new = struct.pack(">I4sII", 16 + len(rows), b"elst", 0, len(edits)) + rows
-    made = bytearray(data[:place] + new + data[place + size :])
-    for at in around:
-        (whole,) = struct.unpack(">I", made[at : at + 4])
-        made[at : at + 4] = struct.pack(">I", whole + len(new) - size)
-    return bytes(made)
-
-
-@pytest.mark.parametrize(
-    ("edits", "at", "seconds", "tolerance"),
-    [
-        ([(2000, 0)], 1.5, 2, EXACT),
-        ([(1000, RATE)], 0.5, 1, EXACT),  # the first second is cut off
-        ([(500, -1), (2000, 0)], 2, 2.5, EXACT),
-        ([(500, -1), (1000, RATE)], 1, 1.5, EXACT),
-        ([(1000, 0), (1000, -1), (1000, RATE)], 2.5, 3, 1024 / RATE),  # FFmpeg cuts at packets
-    ],
-)
-@pytest.mark.parametrize("codec", ["pcm_s16le", "aac"])
-def test_edits_of_a_movie_are_kept(codec, edits, at, seconds, tolerance):
-    data = with_edits(movie("mov", [click(RATE, 2, 1.5)], codec=codec), edits)
-    recording = load_audio(data)
-    delay = AAC if codec == "aac" else 0  # these edits do not cut it off
-    assert click_time(recording.waveform) == pytest.approx(at + delay, abs=tolerance)
-    assert recording.duration == pytest.approx(seconds, abs=PACKET)
-    assert not any("header" in note or "cut short" in note for note in notes(recording))

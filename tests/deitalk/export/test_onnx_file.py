@@ -190,9 +190,6 @@ def test_the_graph_equals_its_module_in_torch(clip, default):
     assert np.abs(found[0] - still[0]).max() > 0.1, "motion is played"
 
 
-# Live: a frame a call, one state.
-
-
 def spoken(session, sounds, emotions, factors):
     """Curves of streams side by side [shape=(B, T, C)], by docs/onnx.md."""
     about = session.get_modelmeta().custom_metadata_map
@@ -268,9 +265,6 @@ def test_the_live_graph_equals_its_module_in_torch(voices):
             np.testing.assert_allclose(ours, theirs.numpy(), atol=TOLERANCE)
 
 
-# The files.
-
-
 @pytest.mark.parametrize("name", ["default", *LIVE])
 def test_files_have_standard_operators_without_control_flow(exported, name):
     content = onnx.load(exported(name))
@@ -333,9 +327,6 @@ def test_a_model_without_a_graph_is_refused_in_one_line(tmp_path):
     with pytest.raises(CheckpointError, match="only models with a Whisper frontend"):
         export_onnx(load_model("mel"), tmp_path / "x.onnx")
     assert not (tmp_path / "x.onnx").exists()
-
-
-# The example of docs/onnx.md.
 
 
 HEADERS = ("/usr/include/onnxruntime", "/usr/local/include/onnxruntime", "/usr/local/include")

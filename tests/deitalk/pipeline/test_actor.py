@@ -149,9 +149,6 @@ def test_commands_build_and_use_a_reference(recordings):
     assert run(app, ["data", "voice", sound, "-o", "x.wav"]).exit_code == 1
 
 
-# Traits that captured takes tell.
-
-
 def captured(seconds=60.0, fps=60.0, known=None, head=None, **controls):
     """A take in which some controls, by the end of their names, move with time in seconds."""
     board = default_controls()

@@ -422,9 +422,6 @@ def test_animate_rejects_bad_emotions_in_one_line(network, arguments, message):
         animate(recording(), model=network, **arguments)
 
 
-# On the weights we ship, and a human voice
-
-
 def test_emotions_give_different_faces(default, voice):
     faces = {emotion: values(voice, emotion, model=default, life="off") for emotion in EMOTIONS}
     for i, a in enumerate(EMOTIONS):

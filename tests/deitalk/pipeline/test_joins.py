@@ -59,9 +59,6 @@ def check_join(before, after):
     assert steps(both).max() <= max(MOST_TURN, *(steps(head).max() for head in heads))
 
 
-# --- of speech
-
-
 CUTS = (0.9, 1.42, 1.9, 2.6)
 """Seconds at which a sentence is cut: in words, and in its pauses."""
 
@@ -114,9 +111,6 @@ def test_only_the_beginning_changes(network, first):
     later = slice(HEAD_FRAMES, None)
     assert np.array_equal(joined.curves.values[later], alone.curves.values[later])
     assert not np.array_equal(joined.curves.values[0], alone.curves.values[0])
-
-
-# --- the passage
 
 
 def random_edge(rng, head=True):
@@ -172,9 +166,6 @@ def test_lips_that_meet_in_the_passage_meet(rng):
     lead(values, None, CONTROLS, edge)
     assert values[3:6, together].min() == 1
     assert values[4, CONTROLS.index("CTRL_C_jaw.ty")] < 0.05
-
-
-# --- where an edge is read from
 
 
 def test_every_form_of_a_take_has_one_edge(first, tmp_path):

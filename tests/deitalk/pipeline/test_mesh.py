@@ -139,9 +139,6 @@ def test_a_head_of_your_own_speaks_and_moves_no_other_mesh(sdfa_folder, speech, 
         retarget_speech(speech, tmp_path / "mine.glb", tmp_path / "o.npz", speaker=mine)
 
 
-# --- SDFA
-
-
 @pytest.fixture(scope="module")
 def sdfa_folder(tmp_path_factory):
     """Two sheets that a network of random weights moves."""
@@ -216,9 +213,6 @@ def test_retarget_speech_follows_the_product_of_the_model(
         )
     else:
         assert (calls["curves"].fps, fps) == (60, 60)
-
-
-# --- the command
 
 
 def run(*arguments):

@@ -139,9 +139,6 @@ def test_bad_targets_are_refused(tiny_player, tmp_path, name, message):
         render_page(make_source(), tmp_path / name)
 
 
-# ------------------------------------------------------------------- in a browser
-
-
 @pytest.fixture(scope="module")
 def browser():
     with chromium() as running:

@@ -1,16 +1,12 @@
 """OBJ, PLY, NPZ and GLB: round trips, variants of exporters, and errors of one line."""
 
-import struct
-
 import numpy as np
 import pytest
 
-from deitalk.research.meshes.frames import read_ply_sequence
 from rig.errors import FormatError, MeshError, TopologyError
 from rig.mesh.glb import WeightAnimation, read_container, write_container, write_glb
 from rig.mesh.glb_reader import animate_glb, morph_names, read_accessor, read_glb
 from rig.mesh.obj import read_obj, read_obj_folder
-from rig.mesh.ply import read_ply, write_ply, write_ply_sequence
 from rig.mesh.shapes import ShapeSet, read_shapes_npz
 from rig.mesh.trimesh import (
     TriMesh,
@@ -42,9 +38,6 @@ def shapes(rng):
 def write(path, text):
     path.write_text(text)
     return path
-
-
-# --- meshes
 
 
 def test_cube_has_the_known_size_area_and_normals():
@@ -93,9 +86,6 @@ def test_trimesh_rejects_invalid_arrays(vertices, faces, error, words):
         TriMesh(vertices, faces)
 
 
-# --- OBJ
-
-
 def test_obj_round_trip(tmp_path, rng):
     mesh = CUBE.with_vertices(rng.normal(size=(8, 3)))
     write_obj(tmp_path / "a.obj", mesh)
@@ -140,62 +130,6 @@ def test_obj_folder_round_trip(tmp_path, shapes):
         np.testing.assert_allclose(again.delta(name), shapes.delta(name), atol=1e-7)
 
 
-# --- PLY
-
-
-@pytest.mark.parametrize("ascii", [True, False])
-def test_ply_round_trip(tmp_path, rng, ascii):
-    mesh = CUBE.with_vertices(rng.normal(size=(8, 3)))
-    write_ply(tmp_path / "a.ply", mesh, ascii=ascii)
-    again = read_ply(tmp_path / "a.ply")
-    np.testing.assert_array_equal(again.vertices, mesh.vertices)
-    np.testing.assert_array_equal(again.faces, mesh.faces)
-
-
-def test_ply_big_endian_with_colours_and_a_quad(tmp_path):
-    header = (
-        "ply\nformat binary_big_endian 1.0\ncomment x\nelement vertex 4\nproperty float x\n"
-        "property float y\nproperty float z\nproperty uchar red\nelement face 1\n"
-        "property list uchar int vertex_index\nproperty float quality\nend_header\n"
-    )
-    body = b"".join(
-        struct.pack(">fffB", *p, 7) for p in [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 2)]
-    )
-    body += struct.pack(">Biiiif", 4, 0, 1, 2, 3, 0.5)
-    (tmp_path / "a.ply").write_bytes(header.encode() + body)
-    mesh = read_ply(tmp_path / "a.ply")
-    assert mesh.faces.tolist() == [[0, 1, 2], [0, 2, 3]]
-    assert mesh.vertices[3].tolist() == [0, 1, 2]
-    (tmp_path / "a.ply").write_bytes((header.encode() + body)[:-3])
-    with pytest.raises(FormatError, match="cut short"):
-        read_ply(tmp_path / "a.ply")
-
-
-@pytest.mark.parametrize(
-    "text",
-    ["", "plx\n", "ply\nformat ascii 1.0\nend_header\n", "ply\nformat odd 1.0\nend_header\n",
-     "ply\nformat ascii 1.0\nelement vertex 99999999999\nproperty float x\nend_header\n",
-     "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nend_header\n1\n"],
-)  # fmt: skip
-def test_read_ply_rejects(tmp_path, text):
-    with pytest.raises(FormatError, match=r"a\.ply"):
-        read_ply(write(tmp_path / "a.ply", text))
-
-
-def test_ply_sequence_round_trip(tmp_path, rng):
-    frames = rng.normal(size=(12, 8, 3))
-    write_ply_sequence(tmp_path / "s", CUBE, frames)
-    mesh, again = read_ply_sequence(tmp_path / "s")
-    np.testing.assert_allclose(again, frames, atol=1e-6)
-    np.testing.assert_array_equal(mesh.faces, CUBE.faces)
-    write_ply(tmp_path / "s" / "z.ply", TriMesh(np.eye(3), [[0, 1, 2]]))
-    with pytest.raises(TopologyError, match=r"z\.ply has 3 vertices"):
-        read_ply_sequence(tmp_path / "s")
-
-
-# --- NPZ and shape sets
-
-
 def test_npz_round_trip(tmp_path, shapes):
     write_shapes_npz(tmp_path / "a.npz", shapes)
     again = read_shapes_npz(tmp_path / "a.npz")
@@ -209,9 +143,6 @@ def test_evaluate_adds_weighted_shapes(shapes):
     np.testing.assert_array_equal(moved[0], CUBE.vertices)
     expected = CUBE.vertices + 0.5 * shapes.delta("jawOpen") + shapes.delta("eyeBlink_L")
     np.testing.assert_allclose(moved[1], expected, atol=1e-6)
-
-
-# --- GLB
 
 
 def test_glb_round_trip(tmp_path, shapes):

@@ -51,9 +51,6 @@ def shuffled(mesh, landmarks, rng, matrix, shift):
     return moved, {name: int(new_index[v]) for name, v in landmarks.items()}, order
 
 
-# --- pieces
-
-
 def test_closest_point_against_dense_sampling(rng):
     corners = rng.normal(size=(60, 3, 3))
     points = rng.normal(scale=2, size=(60, 3))
@@ -128,9 +125,6 @@ def test_read_landmarks_rejects(tmp_path, text, error, words):
     (tmp_path / "a.json").write_text(text)
     with pytest.raises(error, match=words):
         read_landmarks(tmp_path / "a.json", PLANES)
-
-
-# --- the embedded head as source
 
 
 def test_head_has_all_landmarks_at_their_places(head):

@@ -172,9 +172,6 @@ def test_meshes_without_shapes_are_read_as_empty_sets(tmp_path, shapes, name):
     np.testing.assert_array_equal(read.neutral.faces, MESH.faces)
 
 
-# --- the command
-
-
 def run(*arguments):
     app = typer.Typer()
     app.command()(retarget)
@@ -205,9 +202,6 @@ def test_command_rejects_invalid_arguments(tmp_path, shapes):
     assert "has no curves" in str(run(tmp_path / "empty", *common).exception)
     odd = run(tmp_path / "none.csv", *common, "--method", "magic")
     assert "'magic' is unknown" in str(odd.exception)
-
-
-# --- our head and the ICT face
 
 
 @pytest.mark.slow

@@ -132,9 +132,6 @@ def test_recording_of_several_clips_counts_once(dataset):
         corpus_attention(network(), dataset, split="test")
 
 
-# --- the command
-
-
 def run(*arguments):
     return CliRunner().invoke(app, ["attention", *map(str, arguments)])
 

@@ -165,9 +165,6 @@ def test_every_loose_part_names_a_control():
         assert any(part in name for name in CONTROLS.names), part
 
 
-# the folder of measured lips
-
-
 def write_measured(folder, openings, *, rate=16000, seconds=2.0):
     """Speakers whose lower lip and jaw go down with a given opening (distances of the eyes)."""
     (folder / "video").mkdir(parents=True)
@@ -311,9 +308,6 @@ def test_lip_dataset_rejects_a_corpus_without_training_speakers(measured, tmp_pa
     assert not (tmp_path / "data").exists()
 
 
-# transfer to other speech
-
-
 def test_ridge_finds_a_linear_law_of_features_in_context(rng):
     weights = rng.normal(size=(6, 3))
     recordings = []
@@ -378,9 +372,6 @@ def test_corrected_clips_keep_contacts_and_all_but_the_lips(measured, tmp_path):
         )
 
 
-# scores
-
-
 def test_scores_of_the_measured_lips_themselves_are_perfect(measured, monkeypatch, lips):
     """A prediction that moves the head as was measured has r and ratios of 1."""
     from deitalk.research.evaluation import lips as scoring
@@ -433,9 +424,6 @@ def test_model_follows_real_lips_better_than_loudness_does(shared):
     for measure in ("opening", "jaw", "lower_lip"):
         ours, level = (report[n]["mean"][f"{measure} r"] for n in ("network", "loudness"))
         assert ours > level + 0.1 and ours > 0.4
-
-
-# words that were never taught
 
 
 def test_frames_of_the_other_half_of_the_words_are_missing(measured, tmp_path):

@@ -78,9 +78,6 @@ def folder(sequences) -> MeshFolder:
     return read_mesh_folder(sequences)
 
 
-# Learning
-
-
 @pytest.mark.parametrize(
     ("frontend", "motion", "steps", "more"),
     [
@@ -134,9 +131,6 @@ def test_command_refuses_weights_to_start_from(tmp_path):
     assert isinstance(result.exception, DataError)
     assert "neither" in str(result.exception)
     assert not (tmp_path / "run/metrics.csv").exists()
-
-
-# Runs
 
 
 @pytest.fixture(scope="module")
@@ -266,9 +260,6 @@ def test_two_processes_build_one_mesh_folder(tmp_path):
     assert pd.read_csv(run / "development.csv")["step"].tolist() == [2]
 
 
-# The task
-
-
 def built(config: MeshTrainingConfig, sequences: Path) -> MeshTask:
     torch.manual_seed(0)
     task = MeshTask(config, sequences)
@@ -335,9 +326,6 @@ def test_copied_encoder_keeps_the_parts_that_an_ablation_replaces(tmp_path):
     copy_encoder(without, name, ())
     recurrent = without.encoder.frontend.recurrent.state_dict()
     assert all(torch.equal(v, wanted[f"recurrent.{k}"]) for k, v in recurrent.items())
-
-
-# Scores
 
 
 @pytest.fixture

@@ -54,9 +54,6 @@ def spans(text, *kinds):
     ]
 
 
-# --- times
-
-
 @pytest.mark.parametrize(
     ("kind", "place", "misfits", "span"),
     [
@@ -75,9 +72,6 @@ def test_sound_that_is_no_word_lies_between_words_that_fit(kind, place, misfits,
     words = [FittedWord(f"w{k}", *t, -9.0 if k in misfits else 0.0) for k, t in enumerate(times)]
     found = timed_mark(Mark(kind, "laughs", "happy=0.9", place, place), words, 5.0)
     assert (found.start, found.end) == pytest.approx(span)
-
-
-# --- tags
 
 
 @pytest.mark.parametrize("tag", known_tags())
@@ -147,9 +141,6 @@ def test_words_that_are_pronounced_as_more_or_fewer_keep_the_places(text):
     found = script(text)
     (mark,) = found.marks
     assert found.transcript.words[mark.first].text == "now"
-
-
-# --- SSML
 
 
 @pytest.mark.parametrize(
@@ -233,9 +224,6 @@ def test_hostile_and_empty_scripts_are_one_line(text, words):
         script(text)
 
 
-# --- speakers
-
-
 DIALOGUE = """1
 00:00:00,000 --> 00:00:02,000
 ANNA: [angrily] One two.
@@ -298,9 +286,6 @@ def test_wrong_scripts_are_one_line(given, words):
         animate(np.zeros(16_000, np.float32), sample_rate=16_000, **given)
 
 
-# --- what the marks change
-
-
 def mark(kind, value, start=1.0, end=2.0):
     return TimedMark(kind, "x", value, start, end)
 
@@ -333,9 +318,6 @@ def test_accent_of_a_mark_is_the_accent_of_its_word(value, before, after):
     voice = Voice(90, np.zeros(90, np.float32), tuple(Accent(*a) for a in before), ())
     found = with_accents(voice, [mark("accent", value)])
     assert [tuple(accent) for accent in found.accents] == after
-
-
-# --- a take
 
 
 SENTENCE = "docs/samples/promise.flac"
