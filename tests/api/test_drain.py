@@ -28,7 +28,8 @@ def server(tmp_path):
 
 
 def is_ready(server):
-    return httpx.get(f"{server.url}/readyz", timeout=60, trust_env=False).status_code == 200
+    with server.client() as client:
+        return client.get("/readyz").status_code == 200
 
 
 class Requests:

@@ -195,13 +195,16 @@ def test_steps_that_are_worse_on_held_out_clips_are_not_delivered(base, takes, t
     assert jaws[0].mean() < jaws[1].mean() - 0.1
 
 
+@pytest.fixture(scope="module")
+def plain(base, takes, tmp_path_factory):
+    """The takes' model by the defaults."""
+    return deitalk.finetune(takes, tmp_path_factory.mktemp("plain") / "run", base=base)
+
+
 @pytest.mark.parametrize("share", [0.5, 0.9])
-def test_range_is_raised_about_the_mean_with_the_same_timing(base, takes, tmp_path, share):
-    place = CONTROLS.index(JAW)
-    plain, raised = (
-        deitalk.finetune(takes, tmp_path / str(number), base=base, settings=settings)
-        for number, settings in enumerate(({}, {"tune.range": share}))
-    )
+def test_range_is_raised_about_the_mean_with_the_same_timing(base, takes, plain, tmp_path, share):
+    place, settings = CONTROLS.index(JAW), {"tune.range": share}
+    raised = deitalk.finetune(takes, tmp_path / "raised", base=base, settings=settings)
     audio = read_clips(takes)[0].audio
     before, after = (
         deitalk.animate(audio, model=tuned.model, rules=False).curves.values[:, place]

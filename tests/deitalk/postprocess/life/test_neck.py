@@ -33,7 +33,7 @@ def test_people_swallow_once_a_minute_and_never_while_they_speak():
     phrases = tuple(Phrase(start, start + 120, False) for start in range(60, 18_000, 180))
     voice = Voice(18_060, np.zeros(18_060, np.float32), (), phrases)
     counts, speaking = [], voice.speaking > 0
-    for tracks in necks(voice, 3):
+    for tracks in necks(voice, 5):
         above = tracks[:, SWALLOW] > 0.5
         counts.append(int((above[1:] & ~above[:-1]).sum()))
         assert not above[speaking].any()
