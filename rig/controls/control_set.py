@@ -22,7 +22,7 @@ from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -193,6 +193,10 @@ class ControlSet:
 
     def __len__(self) -> int:
         return len(self.controls)
+
+    def __deepcopy__(self, memo: object) -> Self:
+        """Return the set itself: it never changes."""
+        return self
 
     @cached_property
     def names(self) -> tuple[str, ...]:

@@ -372,18 +372,21 @@ def test_end_of_a_session_does_not_wait_for_its_client(monkeypatch, fault):
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 
 
+@pytest.mark.parametrize(
+    ("name", "key"),
+    [("server", ""), pytest.param("keyed_server", KEYS["anna"], marks=pytest.mark.thorough)],
+)
 @pytest.mark.parametrize(("is_fast", "rate", "channels"), [(True, 44_100, 2), (False, 16_000, 1)])
 def test_documented_client_in_python_gets_every_frame(
-    server, keyed_server, tmp_path, is_fast, rate, channels
+    name, key, request, tmp_path, is_fast, rate, channels
 ):
-    """With a key; of a file with a header, whose channels are mixed."""
+    """With a key too; of a file with a header, whose channels are mixed."""
     client = runpy.run_path(str(DOCS / "live_client.py"))
     (tmp_path / "a.wav").write_bytes(wav(2.0, rate, channels))
-    for running, key in ((server, ""), (keyed_server, KEYS["anna"])):
-        url = f"{running.url.replace('http', 'ws')}/v1/live"
-        given = list(client["frames"](url, str(tmp_path / "a.wav"), key, is_fast=is_fast))
-        assert [time for time, _ in given] == pytest.approx(np.arange(60) / 30)
-        assert all(len(curves) == 185 for _, curves in given)
+    url = f"{request.getfixturevalue(name).url.replace('http', 'ws')}/v1/live"
+    given = list(client["frames"](url, str(tmp_path / "a.wav"), key, is_fast=is_fast))
+    assert [time for time, _ in given] == pytest.approx(np.arange(60) / 30)
+    assert all(len(curves) == 185 for _, curves in given)
 
 
 def test_documented_client_sends_a_minute_and_says_why_it_is_refused(

@@ -166,7 +166,7 @@ def test_a_listener_moves_by_the_voice_of_the_user(tiny, voice, rate):
         clock = Clock()
         face, heads = AgentFace(tiny, clock=clock, seed=1), []
         sound = pcm(np.tile(at_rate(voice, rate), 2))
-        for k in range(60):
+        for k in range(36):
             clock.now += IDLE_SECONDS
             if hears:
                 step = 2 * round(rate * IDLE_SECONDS)

@@ -232,7 +232,7 @@ def test_recordings_of_any_lengths_read_together_are_as_each_alone(name, rng, mo
 def test_calls_do_not_grow_with_the_recordings_that_are_read_together(rng):
     model, counts = load_model("default"), []
     for count in (4, 64):
-        given = _lines(count, rng, 40_000)
+        given = _lines(count, rng, 16_000)
         with Calls() as calls:
             model.read_together(*given)
         counts.append(calls.count)

@@ -78,7 +78,7 @@ def default():
 
 @pytest.fixture(scope="module")
 def voice(request):
-    """Ten seconds of a human voice that is in no training data (LibriSpeech speaker 2078 or 422)."""
+    """Six seconds of a human voice that is in no training data (LibriSpeech speaker 2078 or 422)."""
     from tests.conftest import SHARED
 
     files = sorted((SHARED / "data/speech/librispeech").glob("2078-*.mp3"))
@@ -87,7 +87,7 @@ def voice(request):
     long = next(file for file in files if load_audio(file).duration > 8)
     loaded = load_audio(long)
     silence = np.zeros(16_000, np.float32)
-    waveform = np.concatenate((silence, loaded.waveform[: 10 * 16_000], silence))
+    waveform = np.concatenate((silence, loaded.waveform[: 6 * 16_000], silence))
     return Recording(waveform, str(long), 16_000, 1)
 
 
@@ -467,7 +467,7 @@ def test_a_shout_that_the_file_cuts_keeps_its_anger(default, voice):
 
     Without sound read on they were .75 of them in eight actors and three readers.
     """
-    cut = replace(voice, waveform=voice.waveform[: 9 * 16_000])
+    cut = replace(voice, waveform=voice.waveform[: 5 * 16_000])
     assert Speech.of_recording(cut).is_cut
     knit = [i for i, name in enumerate(default.controls.names) if "brow_down" in name]
     whole, short = (values(one, "angry", model=default, life="off") for one in (voice, cut))

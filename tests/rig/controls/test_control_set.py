@@ -1,3 +1,5 @@
+import copy
+
 import numpy as np
 import pytest
 
@@ -130,6 +132,11 @@ def test_arrays_of_a_set_cannot_be_changed():
         CONTROLS.rest[0] = 1
     with pytest.raises(ValueError, match="read-only"):
         CONTROLS.subset("lip")[0] = 1
+
+
+def test_copies_of_what_holds_a_set_hold_the_same():
+    """A network is copied at every evaluation of a training."""
+    assert copy.deepcopy([CONTROLS])[0] is CONTROLS
 
 
 def test_set_is_read_from_a_table(tmp_path):
