@@ -13,6 +13,7 @@ import torch
 from deitalk.config.finetuning import FinetuneConfig
 from deitalk.models.checkpoint import save_model
 from deitalk.models.curve_model import DEITalk
+from deitalk.models.rig_decoder import RigDecoder
 from deitalk.research.config import read_training
 from deitalk.training.trainer import Trainer
 from deitalk.training.tuning.recipe import read_recipe
@@ -39,6 +40,15 @@ def killed_at(step: int) -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch, pytest.raises(Killed):
         patch.setattr(Trainer, "update", killed)
         yield
+
+
+def small_decoder(**options: Any) -> RigDecoder:
+    """A decoder of two controls for five emotions and two actors."""
+    sizes: dict[str, Any] = {
+        "in_size": 3, "style_size": 2, "guidance_size": 0, "channels": 4, "dilations": (1,),
+        "kernel_size": 3, "n_emotions": 5, "n_actors": 2,
+    }  # fmt: skip
+    return RigDecoder(**sizes, rest=torch.zeros(2), **options)
 
 
 TINY = Path(__file__).resolve().parents[3] / "configs" / "tiny.yaml"

@@ -4,25 +4,14 @@ import numpy as np
 import pytest
 import torch
 
-from deitalk.models.rig_decoder import RigDecoder
 from deitalk.training.tuning.regression import Raised
+from tests.deitalk.training.conftest import small_decoder
 
 
 @pytest.mark.parametrize("layers", [True, "offsets"])
 def test_every_style_moves_further_about_its_own_mean(rng, layers):
     """Nobody's curves, then those of two actors: factor times the way from the mean."""
-    net = RigDecoder(
-        in_size=3,
-        style_size=2,
-        guidance_size=0,
-        channels=4,
-        dilations=(1,),
-        kernel_size=3,
-        n_emotions=5,
-        rest=torch.zeros(2),
-        n_actors=2,
-        actor_layers=layers,
-    )
+    net = small_decoder(actor_layers=layers)
     for parameter in net.parameters():
         torch.nn.init.normal_(parameter)
     hidden = torch.from_numpy(rng.normal(size=(1, 6, 4)).astype(np.float32))

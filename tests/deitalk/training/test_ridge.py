@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import torch
 
-from deitalk.models.rig_decoder import RigDecoder
 from deitalk.training.tuning import ridge
 from deitalk.training.tuning.ridge import Capture, fit_ridge, take_folds
+from tests.deitalk.training.conftest import small_decoder
 
 EVERY = np.ones(2, bool)
 
@@ -227,19 +227,7 @@ def test_a_control_that_no_map_predicts_better_may_stay_as_it_is(rng):
 
 
 def test_maps_are_added_to_the_last_layers(rng):
-    net = RigDecoder(
-        in_size=3,
-        style_size=2,
-        guidance_size=0,
-        channels=4,
-        dilations=(1,),
-        kernel_size=3,
-        n_emotions=5,
-        rest=torch.zeros(2),
-        n_actors=2,
-        direct=True,
-        actor_layers=True,
-    )
+    net = small_decoder(direct=True, actor_layers=True)
     maps = {name: (rng.normal(size=(7, 2)), rng.normal(size=2)) for name in ("ann", "bob")}
     labels, rows = captures(rng, maps)
     found = fit_ridge(labels, rows.__getitem__, ("ann", "bob"), EVERY)
