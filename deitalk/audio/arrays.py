@@ -78,12 +78,14 @@ def _refuse_choice(audio: Any, settings: dict[str, Any]) -> None:
             )
 
 
+NAME = "<array>"
+"""Name of recordings that are arrays, in messages and in a take."""
+
+
 def recording_from_array(
     samples: Samples,
     sample_rate: float,
     *,
-    name: str = "<array>",
-    max_seconds: float = MAX_SECONDS,
     channel: str | int | None = None,
 ) -> Recording:
     """Read samples as mono 16 kHz; mixed, resampled and described as `load_audio` does.
@@ -94,9 +96,7 @@ def recording_from_array(
         Floating point within ±1, or int8, uint8, int16 or int32 of full scale.
     sample_rate : float
         A whole number of Hz, 4,000 to 768,000.
-    name : str
-        Name of the recording in messages and in a take.
-    max_seconds, channel
+    channel
         As for `load_audio`.
 
     Raises
@@ -110,7 +110,7 @@ def recording_from_array(
         array = array[:, None]
     if array.ndim != 2 or not 1 <= array.shape[1] <= MOST_CHANNELS:
         raise AudioError(
-            f"{name} has shape {np.shape(samples)}; it must be (samples,) or (samples, channels) "
+            f"{NAME} has shape {np.shape(samples)}; it must be (samples,) or (samples, channels) "
             f"with up to {MOST_CHANNELS} channels: transpose it with .T"
         )
     try:
@@ -120,7 +120,7 @@ def recording_from_array(
     if isinstance(sample_rate, bool) or rate != sample_rate:
         raise AudioError(f"sample_rate={sample_rate!r} must be a whole number of Hz, such as 48000")
     source, choice = _ArraySource(array, rate), AudioChoice.of(channel=channel)
-    return read_sound(name, source, max_seconds, choice=choice)
+    return read_sound(NAME, source, MAX_SECONDS, choice=choice)
 
 
 def _array(samples: Any) -> npt.NDArray[Any]:

@@ -107,15 +107,16 @@ def phone_pose(name: str, emotion: str, intensity: float) -> np.ndarray:
     return pose
 
 
+SHEET_INTENSITY = 0.8
+"""e(t) of every picture of `draw_faces`."""
+
+
 def draw_faces(
     path: Path,
     *,
     phones: Sequence[str] = SHEET_PHONES,
     emotions: Sequence[str] = EMOTIONS,
-    intensity: float = 0.8,
-    identity: int | str = 0,
     tile: int = 220,
-    view: str = "face",
 ) -> None:
     """Draw a contact sheet of the embedded head: phones in rows, emotions in columns.
 
@@ -125,14 +126,8 @@ def draw_faces(
         .png.
     phones, emotions : sequence of str
         Rows and columns.
-    intensity : float, range 0 to 1
-        e(t) of every picture.
-    identity : int or str
-        Number or name of the head.
     tile : int
         Height of a picture, pixels.
-    view : str
-        A view of the embedded head, such as ``face`` or ``mouth``.
     """
     from deitalk.research.contact_sheet import Tile, draw_sheet
     from rig.face import build_head
@@ -140,12 +135,12 @@ def draw_faces(
 
     evenly_timed(phones)  # raises for unknown names
     tiles = [
-        Tile(f"{phone} {emotion}", phone_pose(phone, emotion, intensity), view)
+        Tile(f"{phone} {emotion}", phone_pose(phone, emotion, SHEET_INTENSITY), "face")
         for phone in phones
         for emotion in emotions
     ]
     picture = draw_sheet(
-        build_head(identity),
+        build_head(0),
         tiles,
         columns=len(emotions),
         size=(round(tile * 1.12), tile),

@@ -203,10 +203,7 @@ def _spread(clips: list[ClipToScore], most: int | None) -> list[ClipToScore]:
 
 
 def noise_report(
-    model: DEITalk,
-    clips: Sequence[Clip],
-    noises: Sequence[Float32],
-    progress: Callable[[], None] = lambda: None,
+    model: DEITalk, clips: Sequence[Clip], noises: Sequence[Float32]
 ) -> dict[str, dict[str, float]]:
     """Bilabials and jaw, clean and in noise; keys are ``clean`` and decibels."""
     steps: tuple[float | None, ...] = (None, *SNRS_DB)
@@ -224,7 +221,6 @@ def noise_report(
             scores.append(closure_scores(lips_together(curves, model.controls), example.phones))
             place = model.controls.index(JAW)
             jaws.append(correlation(example.curves[: len(curves), place], curves[:, place]))
-            progress()
         found = summarise_closures(scores)
         report["clean" if snr is None else f"{snr:g} dB"] = {
             "bilabial_window_auc": found.window_auc,

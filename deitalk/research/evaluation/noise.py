@@ -6,7 +6,6 @@ Letters: N samples of the noise.
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from deitalk.audio.frames import SAMPLE_RATE
 from deitalk.audio.voice_activity import active_level_db
@@ -130,9 +129,7 @@ def named_noises(source: str) -> dict[str, Float32]:
     return dict(read_recordings(source, MAX_FILES))
 
 
-def mix(
-    speech: Float32, noise: Float32, snr_db: float, activity: NDArray[np.generic] | None = None
-) -> Float32:
+def mix(speech: Float32, noise: Float32, snr_db: float) -> Float32:
     """Add noise, `snr_db` below the level of the speech without its pauses.
 
     Parameters
@@ -141,14 +138,12 @@ def mix(
         16 kHz; the noise is repeated as needed.
     snr_db : float
         Speech over noise, by power.
-    activity : ndarray [shape=(T,)], optional
-        Above 0.5 where there is speech, at 30 Hz; `speech_activity` decides without it.
 
     Returns
     -------
     ndarray [shape=(S,)]
     """
-    return mix_at_level(speech, noise, active_level_db(speech, activity) - snr_db)
+    return mix_at_level(speech, noise, active_level_db(speech) - snr_db)
 
 
 def mix_at_level(waveform: Float32, noise: Float32 | Float64, level_db: float) -> Float32:

@@ -65,10 +65,10 @@ def of_file(path: str) -> dict[str, Iterator[Row]]:
     }
 
 
-def retargeting(identities: Sequence[int] = (1, 2, 3)) -> Iterator[Row]:
+def retargeting() -> Iterator[Row]:
     """Shapes carried from one embedded head to others, against their own."""
     source = source_head(0)
-    for identity in identities:
+    for identity in (1, 2, 3):
         head = source_head(identity)
         neutral = head.rig.shapes.neutral
         shared = [n for n in source.rig.shapes.names if n in head.rig.shapes.names]

@@ -5,7 +5,7 @@ one actor and emotion in which the high strength is above the low one, and the r
 low, middle and high (1 if all three are in order).
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -46,18 +46,15 @@ class MeasuredClip:
     """Power of its speech, at the recording's gain."""
 
 
-def measure_clips(
-    clips: list[StrengthClip], progress: Callable[[float], None] = lambda share: None
-) -> list[MeasuredClip]:
+def measure_clips(clips: list[StrengthClip]) -> list[MeasuredClip]:
     """Features of recordings; those without voice are left out."""
     measured = []
-    for number, clip in enumerate(clips, 1):
+    for clip in clips:
         recording = load_audio(clip.path)
         prosody = measure_prosody(recording.waveform, recording.n_frames)
         if prosody.voiced.any():
             frames = strength_frames(prosody, speech_activity(recording.waveform))
             measured.append(MeasuredClip(clip, frames, without_level(frames)[1]))
-        progress(number / len(clips))
     return measured
 
 

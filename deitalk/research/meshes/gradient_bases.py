@@ -8,7 +8,6 @@ area, and the size is chosen by the error it leaves at the lips of held-out fram
 unweighted variance can be more than 2 mm there: thin triangles on rims rotate a lot.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -138,7 +137,6 @@ def choose_bases(
     lips: Any,
     *,
     bound: float,
-    variances: Sequence[float] = VARIANCES,
 ) -> Bases:
     """Smallest bases that keep the lips of unseen frames within a bound.
 
@@ -152,13 +150,11 @@ def choose_bases(
         Vertices of the lips.
     bound : float
         Largest 99th percentile of their error, in the mesh's unit (0.05 for 0.5 mm in cm).
-    variances : sequence of float
-        Shares tried, rising.
 
     Returns
     -------
     Bases
-        Of the first share within the bound, or of the last one tried.
+        Of the first of `VARIANCES` within the bound, or of the last one tried.
     """
     areas = triangle_areas(template)
     train_s, train_r = pack_vertices(template, training)
@@ -168,7 +164,7 @@ def choose_bases(
     pins = np.asarray(held_out)[:, solver.pins]
     table: list[dict[str, float]] = []
     small_s, small_r = stretch, rotation
-    for share in variances:
+    for share in VARIANCES:
         small_s = stretch.truncated(stretch.size_for(share))
         small_r = rotation.truncated(rotation.size_for(share))
         solved = solver.solve(

@@ -89,6 +89,10 @@ def lip_loss(predicted: Tensor, target: Tensor, rest_parting: Tensor) -> Tensor:
     return place + 4 * parting
 
 
+EPSILON = 1e-8
+"""Keeps the weight of a term of zero finite."""
+
+
 class AutomaticWeights(nn.Module):
     """Scale every term by how large it has lately been (the dynamic scalars of Karras et al. 2017).
 
@@ -111,16 +115,14 @@ class AutomaticWeights(nn.Module):
         Terms that `forward` will be given.
     decay : float
         Karras et al.'s beta_2.
-    epsilon : float
-        Keeps a term of zero finite.
     """
 
     second_moment: Tensor
     steps: Tensor
 
-    def __init__(self, names: tuple[str, ...], decay: float = 0.99, epsilon: float = 1e-8) -> None:
+    def __init__(self, names: tuple[str, ...], decay: float = 0.99) -> None:
         super().__init__()
-        self.names, self.decay, self.epsilon = names, decay, epsilon
+        self.names, self.decay = names, decay
         self.register_buffer("second_moment", torch.zeros(len(names), dtype=torch.float64))
         self.register_buffer("steps", torch.zeros((), dtype=torch.int64))
 
@@ -147,7 +149,7 @@ class AutomaticWeights(nn.Module):
         if not int(self.steps):
             return torch.ones_like(self.second_moment)
         moment = self.second_moment / (1 - self.decay ** int(self.steps))
-        return 1 / (moment.sqrt() + self.epsilon)
+        return 1 / (moment.sqrt() + EPSILON)
 
 
 class MeshLoss(nn.Module):

@@ -72,7 +72,6 @@ def fit_mesh_bases(
     n_frames: int,
     error_mm: float,
     unit_mm: float,
-    seed: int = 0,
     variance: float | None = None,
     weigh_triangles: bool = True,
 ) -> MeshBases:
@@ -91,8 +90,6 @@ def fit_mesh_bases(
         vertices that moves most in held-out frames.
     unit_mm : float
         Millimetres in a unit of the templates.
-    seed : int
-        Which frames.
     variance : float, optional, range 0 to 1
         Share of the variance to keep, whatever it costs: .97 in the paper.
     weigh_triangles : bool
@@ -112,12 +109,12 @@ def fit_mesh_bases(
     """
     areas = np.mean([triangle_areas(t) for t in templates.values()], axis=0)
     areas = areas if weigh_triangles else np.ones_like(areas)
-    drawn = _draw(templates, training, n_frames, seed)
+    drawn = _draw(templates, training, n_frames, 0)
     stretch, rotation = (
         fit_basis(np.concatenate([getattr(d, kind) for d in drawn]), areas) for kind in "sr"
     )
     offsets = fit_basis(np.concatenate([d.offsets for d in drawn]), np.ones(len(_first(templates))))
-    unseen = _draw(templates, held_out, _HELD_OUT_FRAMES, seed + 1)
+    unseen = _draw(templates, held_out, _HELD_OUT_FRAMES, 1)
     solvers = {d.speaker: mesh_solver(templates[d.speaker]) for d in unseen}
     truth = [solvers[d.speaker].solve(d.s, d.r) for d in unseen]
     moving = _lively(truth, [templates[d.speaker] for d in unseen])

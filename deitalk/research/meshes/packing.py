@@ -165,10 +165,10 @@ def unwrap(vectors: Any, reference: Any) -> Float64:
     return cast(Float64, r + 2 * np.pi * turns * axis)
 
 
-def unwrap_sequence(vectors: Any, start: Any = None) -> Float64:
-    """Unwrap frame after frame [shape=(T, N, 3), radians]; the first against `start` or rest."""
+def unwrap_sequence(vectors: Any) -> Float64:
+    """Unwrap frame after frame [shape=(T, N, 3), radians]; the first against rest."""
     frames = np.array(vectors, dtype=np.float64)
-    before = np.zeros_like(frames[0]) if start is None else np.asarray(start, dtype=np.float64)
+    before = np.zeros_like(frames[0])
     for i in range(len(frames)):
         before = frames[i] = unwrap(frames[i], before)
     return frames

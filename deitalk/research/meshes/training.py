@@ -220,10 +220,8 @@ def copy_encoder(model: MeshModel, name: str, new: Sequence[str]) -> None:
         ) from None
 
 
-def validate_mesh(
-    model: MeshModel, folder: MeshFolder, split: str = "validation"
-) -> tuple[dict[str, float], list[ClipRows]]:
-    """Vertex errors on a split, in mm, and the rows of its first clips.
+def validate_mesh(model: MeshModel, folder: MeshFolder) -> tuple[dict[str, float], list[ClipRows]]:
+    """Vertex errors on the validation split, in mm, and the rows of its first clips.
 
     Parameters
     ----------
@@ -232,8 +230,6 @@ def validate_mesh(
     folder : MeshFolder
         Its first `VALIDATION_CLIPS` clips of the split are used; of the training split where it
         has none.
-    split : str
-        Which.
 
     Returns
     -------
@@ -246,7 +242,7 @@ def validate_mesh(
         every frame.
     """
     model.eval()
-    clips = (folder.split(split) or folder.split("train"))[:VALIDATION_CLIPS]
+    clips = (folder.split("validation") or folder.split("train"))[:VALIDATION_CLIPS]
     means, livelies, rows = zip(*(_measure(model, folder, clip) for clip in clips), strict=True)
     lively = float(np.mean(livelies))
     scores = {"score": -lively, "mean_mm": float(np.mean(means)), "lively_mm": lively}

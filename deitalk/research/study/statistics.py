@@ -56,7 +56,7 @@ Choices = Sequence[tuple[Sequence[int], int]]
 """Numbers of the systems side by side, 0 to Q - 1, and of the chosen one."""
 
 
-def strengths(by_rater: Mapping[str, Choices], n_systems: int, seed: int = 0) -> Strengths:
+def strengths(by_rater: Mapping[str, Choices], n_systems: int) -> Strengths:
     """Strengths of the systems by Luce's model of choice, with intervals over raters.
 
     Of systems side by side, i is chosen with probability exp(s_i) over the sum of all exp(s_j); for
@@ -70,8 +70,6 @@ def strengths(by_rater: Mapping[str, Choices], n_systems: int, seed: int = 0) ->
         Choices of every rater, at least one.
     n_systems : int
         Q.
-    seed : int
-        Seed of the drawn raters.
     """
     sets = sorted({tuple(sorted(shown)) for rows in by_rater.values() for shown, _ in rows})
     wins = np.zeros((len(by_rater), n_systems))
@@ -80,7 +78,7 @@ def strengths(by_rater: Mapping[str, Choices], n_systems: int, seed: int = 0) ->
         for shown, chosen in rows:
             wins[rater, chosen] += 1
             counts[rater, sets.index(tuple(sorted(shown)))] += 1
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     often = rng.multinomial(len(wins), np.full(len(wins), 1 / len(wins)), RESAMPLES)
     often = np.vstack((np.ones(len(wins)), often))
     fits = _fit(often @ wins, often @ counts, [list(group) for group in sets])

@@ -180,13 +180,17 @@ def _join_repeats(segments: list[tuple[float, float, str]]) -> list[tuple[float,
     return joined
 
 
+QUIET = 0.004
+"""Largest absolute sample of a silent run."""
+LONGEST_CLOSURE_SECONDS = 0.12
+"""Longest closure; 20 ms of the phone before it stay."""
+
+
 def with_closures(
     waveform: np.ndarray,
     sample_rate: int,
     segments: list[tuple[float, float, str]],
     *,
-    quiet: float = 0.004,
-    longest_seconds: float = 0.12,
     longest_after_pause_seconds: float = 0.06,
 ) -> list[tuple[float, float, str]]:
     """Move the start of every stop back over the silent run before it.
@@ -204,12 +208,8 @@ def with_closures(
         Hz.
     segments : list of (start, end, name)
         Seconds, sorted.
-    quiet : float
-        Largest absolute sample of a silent run.
-    longest_seconds : float
-        Longest closure; 20 ms of the phone before it stay.
     longest_after_pause_seconds : float
-        The same after a pause, where silence does not mark the closing of the lips.
+        The longest closure after a pause, where silence does not mark the closing of the lips.
 
     Returns
     -------
@@ -217,7 +217,7 @@ def with_closures(
     """
     hop = max(1, round(0.002 * sample_rate))
     n_hops = len(waveform) // hop
-    is_quiet = np.abs(waveform[: n_hops * hop].reshape(n_hops, hop)).max(1) < quiet
+    is_quiet = np.abs(waveform[: n_hops * hop].reshape(n_hops, hop)).max(1) < QUIET
     fixed = list(segments)
     for i in range(1, len(fixed)):
         start, end, name = fixed[i]
@@ -225,7 +225,7 @@ def with_closures(
         if name not in STOPS:
             continue
         is_pause = before == "SIL"
-        longest = longest_after_pause_seconds if is_pause else longest_seconds
+        longest = longest_after_pause_seconds if is_pause else LONGEST_CLOSURE_SECONDS
         # Start of the silent run that ends at `hop`; two loud hops at its end are allowed.
         hop_seconds = hop / sample_rate
         first = k = min(int(start * sample_rate / hop), len(is_quiet))
