@@ -75,7 +75,7 @@ def closure_scores(lips: Float32, phones: Phones) -> ClosureScores:
             if window.any():
                 closures.append(lips[window].max())
             inside |= within
-        elif name in VOWELS and within.any() and _clear(start, end, busy):
+        elif name in VOWELS and within.any() and is_clear(start, end, busy):
             vowels.append(lips[within].max())
             outside |= within
     return ClosureScores(
@@ -83,7 +83,8 @@ def closure_scores(lips: Float32, phones: Phones) -> ClosureScores:
     )
 
 
-def _clear(start: float, end: float, busy: Sequence[tuple[float, float]]) -> bool:
+def is_clear(start: float, end: float, busy: Sequence[tuple[float, float]]) -> bool:
+    """Whether times are `CLEAR_SECONDS` and more away from all others."""
     return all(end + CLEAR_SECONDS <= b or start - CLEAR_SECONDS >= e for b, e in busy)
 
 

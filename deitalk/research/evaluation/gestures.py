@@ -13,6 +13,7 @@ import numpy as np
 
 from deitalk.audio.frames import FRAME_RATE
 from deitalk.evaluation.scores import area_under_curve, hit_rate
+from deitalk.evaluation.validation import is_clear
 from deitalk.postprocess.phones import (
     BILABIALS,
     CLEAR_SECONDS,
@@ -87,13 +88,9 @@ def gesture_peaks(curve: Float32, phones: Phones, gesture: Gesture) -> Peaks:
                 peaks[name].append(float(window.max()))
         elif name in gesture.against:
             window = curve[(times >= start) & (times < end)]
-            if len(window) and _clear(start, end, busy):
+            if len(window) and is_clear(start, end, busy):
                 peaks["-"].append(float(window.max()))
     return dict(peaks)
-
-
-def _clear(start: float, end: float, busy: Sequence[tuple[float, float]]) -> bool:
-    return all(end + CLEAR_SECONDS <= b or start - CLEAR_SECONDS >= e for b, e in busy)
 
 
 def phone_table(collected: Sequence[Peaks], gesture: Gesture) -> dict[str, dict[str, float]]:

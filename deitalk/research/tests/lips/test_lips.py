@@ -420,7 +420,7 @@ def test_model_follows_real_lips_better_than_loudness_does(shared):
     folder = shared / "data" / "lips"
     if not folder.is_dir():
         pytest.skip("needs the measured lips in ../shared")
-    report = evaluate(require_model("default", DEITalk), folder, speakers=["s30", "s32"], most=5)
+    report = evaluate(require_model("default", DEITalk), folder, speakers=["s30"], most=5)
     for measure in ("opening", "jaw", "lower_lip"):
         ours, level = (report[n]["mean"][f"{measure} r"] for n in ("network", "loudness"))
         assert ours > level + 0.1 and ours > 0.4
