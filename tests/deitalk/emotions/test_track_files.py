@@ -121,11 +121,11 @@ def test_named_pipe_never_blocks(tmp_path, suffix, read):
 
 
 def test_a_long_table_is_read_in_seconds(tmp_path):
-    """A twelfth of the largest: 2.7 MB of keys in a third of a second, however they are written."""
+    """A twelfth of the largest: 2.7 MB of keys in half a second of CPU, however decimals are written."""
     times = np.arange(100_000) / 30
     rows = "\n".join(f"{t:.6f};{t % 4:.6f}" for t in times).replace(".", ",")
     path = written(tmp_path / "i.csv", f"time;intensity\n{rows}\n")
     read_intensity_curve(written(tmp_path / "warm.csv", "time,intensity\n0,1\n"))
     start = time.process_time()
     assert len(read_intensity_curve(path).times) == 100_000
-    assert time.process_time() - start < 0.7
+    assert time.process_time() - start < 1.2
