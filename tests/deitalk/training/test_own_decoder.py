@@ -72,7 +72,10 @@ UNKNOWN = f"own decoder '{NAME}' is not known; import its module before"
 ENTRY = f"[deitalk.decoders]\nrecurrent = {NAME}\n"
 
 
-@pytest.mark.parametrize(("entry", "first"), [(ENTRY, "Recurrent"), ("", UNKNOWN)])
+@pytest.mark.parametrize(
+    ("entry", "first"),
+    [pytest.param(ENTRY, "Recurrent", id="entry", marks=pytest.mark.thorough), ("", UNKNOWN)],
+)
 def test_its_models_load_where_the_class_is_installed_or_imported(tuned, tmp_path, entry, first):
     """Else nothing is imported: a model folder does not choose what is executed."""
     if entry:
