@@ -132,8 +132,6 @@ export class LayerLane implements PointOwner {
     }
   }
 
-  // --- layers
-
   private get layers(): readonly Layer[] {
     return this.history.edit.layers;
   }
@@ -222,8 +220,6 @@ export class LayerLane implements PointOwner {
     row.append(choose, mute, up, down, drop, count);
     return row;
   }
-
-  // --- values
 
   private get isControl(): boolean {
     return this.board.controls.includes(this.target);
