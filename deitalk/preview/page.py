@@ -34,6 +34,7 @@ from rig.emotions import LABELS
 from rig.face import build_head
 from rig.face.head_pose import JOINT, neck_share
 from rig.face.identity import Identity
+from rig.face.mesh import FINE, HAIR
 from rig.face.render import VIEWS
 from rig.face.render.shading import glsl, glsl_background
 from rig.face.web_export import head_arrays
@@ -203,6 +204,7 @@ def _packed_head(identity: int | str | Identity) -> str:
     facts["shaders"] = {
         "vertex": light[0], "fragment": light[1], "skyVertex": sky[0], "skyFragment": sky[1],
     }  # fmt: skip
+    facts["softKinds"] = [HAIR, FINE]
     facts["views"] = {
         name: {"target": view.target, "position": view.position, "degrees": view.degrees}
         for name, view in VIEWS.items()

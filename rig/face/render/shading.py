@@ -79,6 +79,8 @@ IRIS = 0.3
 PORE_TILT = 0.09
 """How far pores tilt the normals of skin."""
 SKY, GROUND = (0.24, 0.26, 0.29), (0.11, 0.09, 0.085)
+SOLID = 0.75
+"""Coverage above which hair, brows and lashes are drawn solid on a graphics card."""
 BACKGROUND_TOP, BACKGROUND_BOTTOM = (0.30, 0.33, 0.37), (0.15, 0.165, 0.19)
 
 
@@ -106,7 +108,11 @@ void main() {
 
 
 def glsl() -> tuple[str, str]:
-    """Vertex and fragment shader: attributes are those of a mesh, and normals and accents."""
+    """Vertex and fragment shader: attributes are those of a mesh, and normals and accents.
+
+    Two drawings make a picture: what is solid, then with `soft` set, blended and without writing
+    depth, what of hair, brows and lashes lets light through.
+    """
     others = "min(0.35 + 0.65 * light_.x, 3.0 * light_.x)"
     lamps = "".join(
         f"  lamp({_vec(d)}, {_vec(c)}, {'light_.y' if k == 0 else others});\n"
@@ -116,8 +122,9 @@ def glsl() -> tuple[str, str]:
     fragment = f"""#version 330
 centroid in vec3 n_; centroid in vec3 p_; centroid in vec4 paint_; centroid in vec3 light_;
 centroid in float accent_; centroid in vec2 uv_;
-uniform vec3 eye; uniform float threshold; uniform sampler2D atlas, creases, pores;
+uniform vec3 eye; uniform bool soft; uniform sampler2D atlas, creases, pores;
 out vec4 color_;
+const float SOLID = {SOLID};
 const vec3 WRAPS[{len(WRAPS)}] = vec3[{len(WRAPS)}]({wraps});
 vec3 n, v, wrap, diffuse, shine; float power, strength, facing; int kind;
 void lamp(vec3 d, vec3 c, float seen) {{
@@ -136,10 +143,8 @@ void main() {{
   v = normalize(eye - p_); n = normalize(n_); kind = int(light_.z * 5.0 + 0.5);
   vec4 tint = texture(atlas, uv_);
   bool hair = kind == {HAIR} || kind == {FINE}, thin = hair || kind == {CLOTH};
-  float cut = threshold;  // without soft coverage pixels are left out by a pattern
-  float noise = fract(52.983 * fract(dot(gl_FragCoord.xy, vec2(0.0671, 0.0058))));
-  if (cut > 0.3) cut += 0.6 * noise - 0.3;
-  if (thin ? hair && tint.a < cut : !gl_FrontFacing) discard;
+  if (hair ? tint.a < 0.02 || soft == (tint.a > SOLID) : soft) discard;
+  if (!thin && !gl_FrontFacing) discard;
   if (thin && dot(n, v) < 0.0) n = -n;
   vec3 albedo = paint_.rgb * tint.rgb;
   float shade = 1.0, strand = 1.0, gloss = paint_.a;
@@ -172,8 +177,8 @@ void main() {{
     shine += max(glow, low) + 0.02 * clamp(mirror.y, 0.0, 1.0);
   }}
   vec3 linear = albedo * albedo * shade * diffuse + shine;
-  float cover = hair && threshold < 0.3 ? tint.a : 1.0;
-  color_ = vec4(sqrt(clamp(linear * 1.12 / (1.0 + 0.12 * linear), 0.0, 1.0)), cover);
+  linear = sqrt(clamp(linear * 1.12 / (1.0 + 0.12 * linear), 0.0, 1.0));
+  color_ = vec4(linear, soft ? tint.a : 1.0);
 }}
 """
     return _VERTEX, fragment

@@ -105,8 +105,12 @@ def drawn_by_opengl(
     many.use()
     many.clear()
     context.enable(context.DEPTH_TEST)
-    program["threshold"].value = 0.5
-    array.render()
+    for soft in (False, True):
+        program["soft"].value = soft
+        if soft:
+            context.enable(context.BLEND)
+            many.depth_mask = False
+        array.render()
     one = context.simple_framebuffer(size)
     context.copy_framebuffer(one, many)
     raw = np.frombuffer(one.read(components=3, alignment=1), np.uint8)

@@ -47,11 +47,10 @@ export class Face extends Viewport {
       vertexShader: es(shaders.vertex),
       fragmentShader: es(shaders.fragment),
       side: THREE.DoubleSide,
-      alphaToCoverage: this.hasGpu,
       uniforms: {
         view: { value: new THREE.Matrix4() },
         eye: { value: new THREE.Vector3() },
-        threshold: { value: this.hasGpu ? 0.02 : 0.35 },
+        soft: { value: false },
         ...Object.fromEntries(MAPS.map((name) => [name, { value: this.map(name, head) }])),
       },
     });
@@ -65,10 +64,31 @@ export class Face extends Viewport {
       this.geometry.setAttribute(name, new THREE.BufferAttribute(head.arrays[name], size, true));
     }
     this.geometry.setIndex(new THREE.BufferAttribute(this.faces, 1));
-    const mesh = new THREE.Mesh(this.geometry, this.material);
-    mesh.frustumCulled = false;
-    this.scene.add(this.sky(shaders), mesh);
+    this.scene.add(this.sky(shaders), this.mesh(this.geometry, this.material), this.softMesh(head));
     this.look("face");
+  }
+
+  private mesh(geometry: THREE.BufferGeometry, material: THREE.Material): THREE.Mesh {
+    const mesh = new THREE.Mesh(geometry, material);
+    mesh.frustumCulled = false;
+    return mesh;
+  }
+
+  /** The faces of hair, brows and lashes, drawn again for what of them lets light through. */
+  private softMesh(head: Packed): THREE.Mesh {
+    const light = head.arrays.light as Uint8Array;
+    const kinds = head.facts.softKinds as number[];
+    const isSoft = (vertex: number) => kinds.includes(Math.round((light[3 * vertex + 2] / 255) * 5));
+    const geometry = new THREE.BufferGeometry();
+    geometry.attributes = this.geometry.attributes;
+    const faces: number[] = [];
+    for (let f = 0; f < this.faces.length; f += 3)
+      if (isSoft(this.faces[f])) faces.push(...this.faces.subarray(f, f + 3));
+    geometry.setIndex(new THREE.BufferAttribute(new Uint16Array(faces), 1));
+    const material = this.material.clone();
+    Object.assign(material, { transparent: true, depthWrite: false });
+    material.uniforms = { ...this.material.uniforms, soft: { value: true } };
+    return this.mesh(geometry, material);
   }
 
   /** A picture of the surface; flat until it is decoded. */
