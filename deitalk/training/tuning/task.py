@@ -19,7 +19,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
 
-import pandas as pd
 import torch
 from torch import Tensor, nn
 
@@ -46,6 +45,7 @@ from deitalk.models.folder import describe_model, model_folder, weights_hash
 from deitalk.models.rig_decoder import RigDecoder
 from deitalk.training.curve_losses import CurveLoss, start_as
 from deitalk.training.curves import CurveTask
+from deitalk.training.journal import read_log
 from deitalk.training.optimizer import new_optimizer, shared_copy
 from deitalk.training.trainer import Progress, run_training, silent
 from deitalk.training.tuning.expression_strength import expression_axes, label_intensity
@@ -85,9 +85,8 @@ def _return_memory() -> None:
     """Have glibc return what is freed, and later blocks from 1 MB on at once; else do nothing.
 
     It does so at first, but raises the size with every larger block that is freed, and then keeps
-    what lies between others: of a tuning a sixth of its memory. Recordings that were read go too.
+    what lies between others: of a tuning a sixth of its memory.
     """
-    sound_of.cache_clear()
     with suppress(AttributeError, OSError, TypeError):
         library = ctypes.CDLL(None)
         library.mallopt(MMAP_THRESHOLD, 2**20)
@@ -141,6 +140,7 @@ def finetune(
     run_training(job, out, resume=resume, track=track, progress=progress)
     scores, complete = job.compare(out), job.config
     del job  # its networks and clips are not needed for the graph
+    sound_of.cache_clear()
     # Once more, with the graph that ONNX Runtime evaluates.
     tuned, summary = require_model(out / "best", DEITalk), describe_model(out / "best")["training"]
     save_model(out / "best", tuned, complete, summary, graph=True)
@@ -330,6 +330,7 @@ class FinetuneTask(CurveTask):
         if not hasattr(self, "base"):
             self._begin()
         self._begin_model()
+        sound_of.cache_clear()  # no recording is read by the regression
         _return_memory()
         self._fit_last_layers()
         _return_memory()
@@ -426,6 +427,7 @@ class FinetuneTask(CurveTask):
         if self.config.model.lips and (self.learnt & contacts).any() and fit.contacts_are_base():
             self._keep_base(self.learnt & ~contacts)
             fit.learnt = self.learnt = self.learnt & ~contacts
+            del self.model, fit.model  # before there is another
             self._begin_model()
             fit.model = self.model
         fit.maps.add_to(self.model.rig_decoder)
@@ -474,8 +476,8 @@ class FinetuneTask(CurveTask):
         """Compare the systems; the report has the base, the start and the course of the run."""
         tune = self.config.tune
         facts: dict[str, Any] = {name: getattr(tune, name) for name in ABOUT}
-        rows = pd.read_csv(out / "development.csv").to_dict("list")
-        course = {str(name).removeprefix("dev_"): values for name, values in rows.items()}
+        log = read_log(out / "development.csv")
+        course = {name.removeprefix("dev_"): values for name, values in log.items()}
         best = describe_model(out / "best")["training"]["step"]
         about = facts | {
             "base_sha256": weights_hash(model_folder(tune.base)),
