@@ -68,20 +68,25 @@ def emotions_of(
     dict
         By emotion: ``jaw range over neutral``, and that of the base; ``change r with base``,
         Pearson's r of the changes by the emotion of all frames and of all controls that the base's
-        change moves, where anything carries it to the rig.
+        change moves, where anything carries it to the rig, within the ranges of its controls.
     """
+    low, high = model.controls.minimum, model.controls.maximum
     changes: dict[str, list[list[Float32]]] = {name: [[], []] for name in EMOTIONS}
     ranges: dict[str, list[list[float]]] = {name: [[], []] for name in EMOTIONS}
     for done, sound in enumerate(sounds, 1):
         recording = load_audio(sound)
-        for place, network in enumerate((model, base)):
-            jaw, calm = _jaw(network), None
-            for name in EMOTIONS:
-                curves = animated(recording, name, network, raw=True).curves.values
-                calm = curves if calm is None else calm
-                high, low = np.percentile(curves[:, jaw], (OPEN, SHUT))
-                ranges[name][place].append(float(high - low))
-                changes[name][place].append(curves - calm)
+        own, of_base = (
+            [animated(recording, name, network, raw=True).curves.values for name in EMOTIONS]
+            for network in (model, base)
+        )
+        for name, mine, theirs in zip(EMOTIONS, own, of_base, strict=True):
+            for place, (curves, network) in enumerate(((mine, model), (theirs, base))):
+                ends = np.percentile(curves[:, _jaw(network)], (SHUT, OPEN))
+                ranges[name][place].append(float(np.ptp(ends)))
+            changes[name][0].append(mine - own[0])
+            if carry is not None:
+                given = own[0] + (theirs - of_base[0]) @ carry.T.astype(np.float32)
+                changes[name][1].append(np.clip(given, low, high) - own[0])
         progress(done / len(sounds))
     rows = {}
     for name in EMOTIONS[1:]:
@@ -90,10 +95,9 @@ def emotions_of(
             for place, system in enumerate(("jaw range over neutral", "that of the base"))
         }
         if carry is not None:
-            own, of_base = (np.concatenate(part) for part in changes[name])
-            given = of_base @ carry.T.astype(np.float32)
+            mine, given = (np.concatenate(part) for part in changes[name])
             moved = given.std(axis=0) > MOVING
-            row["change r with base"] = correlation(own[:, moved].ravel(), given[:, moved].ravel())
+            row["change r with base"] = correlation(mine[:, moved].ravel(), given[:, moved].ravel())
         rows[name] = row
     return rows
 
@@ -121,8 +125,8 @@ def labelled_errors(
     dict
         By emotion: those of `OVER_NEUTRAL`, of which a constant expression changes the first
         alone, and a mouth that follows the speech less both; and `ALONE`, the first of a face that
-        errs as the neutral one and has the base's change besides, unrelated to its errors, where
-        anything carries that change to the rig.
+        errs as the neutral one and has the base's change besides, of the size that it has in the
+        model and unrelated to its errors, where anything carries it to the rig.
     """
     calm = [clip for clip in clips if clip.emotion == EMOTIONS[0]]
     if not calm:
@@ -133,16 +137,32 @@ def labelled_errors(
     def curves(network: DEITalk, emotion: str) -> list[Float32]:
         return [predict(network, each._replace(emotion=emotion))[0] for each in captures.examples]
 
-    found = {name: captures.score_curves(curves(model, name)) for name in EMOTIONS}
-    plain, before, rows = found[EMOTIONS[0]], curves(base, EMOTIONS[0]), {}
+    calm_curves, before = curves(model, EMOTIONS[0]), curves(base, EMOTIONS[0])
+    plain, rows = captures.score_curves(calm_curves), {}
     for name in EMOTIONS[1:]:
-        rows[name] = {text: found[name][of] / plain[of] for text, of in OVER_NEUTRAL.items()}
+        acted = curves(model, name)
+        found = captures.score_curves(acted)
+        rows[name] = {text: found[of] / plain[of] for text, of in OVER_NEUTRAL.items()}
         if carry is not None:
-            triples = zip(captures.examples, curves(base, name), before, strict=True)
-            shown = [e.curves + (acted - still) @ carry.T for e, acted, still in triples]
+            own, of_base = (
+                [after - still for after, still in zip(*pair, strict=True)]
+                for pair in ((acted, calm_curves), (curves(base, name), before))
+            )
+            given = [change @ carry.T.astype(np.float32) for change in of_base]
+            size = _size(own, given)
+            shown = [
+                example.curves + np.float32(size) * change
+                for example, change in zip(captures.examples, given, strict=True)
+            ]
             alone = captures.score_curves(shown)["error_of_mean_pose"]
             rows[name][ALONE] = 1 + alone / plain["error_of_mean_pose"]
     return rows
+
+
+def _size(own: Sequence[Float32], given: Sequence[Float32]) -> float:
+    """Factor with which changes are nearest to others, by least squares."""
+    x, y = np.concatenate(given), np.concatenate(own)
+    return float((x * y).sum() / max(np.square(x).sum(), 1e-12))
 
 
 def evaluate(

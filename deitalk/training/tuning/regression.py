@@ -59,11 +59,6 @@ LEAST_TOUCHING = 30
 """Frames of speech with a contact, and without, from which on captures tell contacts: 1 s."""
 
 
-def take_of(clip: Clip) -> str:
-    """Name of its take; a clip without one is its own."""
-    return clip.take or clip.name
-
-
 def analysed(
     model: DEITalk, clip: Clip, n_frames: int, features: FrozenFeatures | None
 ) -> Analysis:
@@ -221,7 +216,7 @@ class Regression:
         """What a ridge regression on clips adds to the last layers."""
         captures = [
             Capture(
-                take_of(clip), clip.speaker, read_known(clip.known, self.controls), clip.emotion
+                clip.take_name, clip.speaker, read_known(clip.known, self.controls), clip.emotion
             )
             for clip in clips
         ]

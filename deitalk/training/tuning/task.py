@@ -65,7 +65,6 @@ from deitalk.training.tuning.regression import (
     Regression,
     analysed,
     styles_of_clip,
-    take_of,
 )
 from deitalk.training.tuning.ridge import Maps
 from rig.arrays import Bool, Float32
@@ -262,8 +261,8 @@ class FinetuneTask(CurveTask):
         super().read(out)
         self.features_folder = out / "features"
         self._begin()
-        if self.config.tune.conventions and len({take_of(c) for c in self.clips}) > len(
-            {_group(clip) for clip in self.clips}
+        if self.config.tune.conventions and len({c.take_name for c in self.clips}) > len(
+            {clip.group for clip in self.clips}
         ):
             self._find_conventions()
         if self.axes:
@@ -308,13 +307,13 @@ class FinetuneTask(CurveTask):
             predicted = self.base.decode(
                 analysis, styles_of_clip(self.base, clip, len(example.curves))
             )
-            own = takes[clip.speaker, clip.emotion].setdefault(take_of(clip), TakeProducts())
+            own = takes[clip.group].setdefault(clip.take_name, TakeProducts())
             own.add(predicted.numpy()[:, lip], example.curves, example.known)
-        learnt = {(*_group(clip), take_of(clip)) for clip in self.clips}
+        learnt = {(*clip.group, clip.take_name) for clip in self.clips}
         self.conventions, names = name_styles(takes, learnt, self.controls.names, self.pose.moving)
         self.clips, self.late_clips, self.validation_clips, self.test_clips = (
             [
-                replace(clip, speaker=names.get((*_group(clip), take_of(clip)), clip.speaker))
+                replace(clip, speaker=names.get((*clip.group, clip.take_name), clip.speaker))
                 for clip in part
             ]
             for part in (self.clips, self.late_clips, self.validation_clips, self.test_clips)
@@ -617,7 +616,3 @@ class FinetuneTask(CurveTask):
             whole = copy.deepcopy(whole)
             self.late.add_to(whole.rig_decoder)
         save_model(folder, whole, self.config, summary | {"base": self.config.tune.base})
-
-
-def _group(clip: Clip) -> tuple[str, str]:
-    return clip.speaker, clip.emotion

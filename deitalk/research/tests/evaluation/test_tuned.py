@@ -67,7 +67,7 @@ def test_a_smile_that_captures_lack_is_told_from_a_mouth_that_does_not_follow(so
     error, timing = OVER_NEUTRAL
     assert same[error] == pytest.approx(same[ALONE], rel=0.1) and same[ALONE] > 1.3
     assert same[timing] < other[timing] / 1.15, (same, other)
-    assert other[ALONE] == pytest.approx(same[ALONE]) and other[error] > 1.15 * same[ALONE]
+    assert other[error] > other[ALONE]
     with pytest.raises(DataError, match="none of the 2 clips is neutral"):
         evaluate({"after": base, "before": base}, clips=[replace(c, emotion="sad") for c in clips])
 
