@@ -55,10 +55,9 @@ from deitalk.training.tuning.recipe import (
     contact_controls,
     is_same_rig,
     learnt_controls,
-    with_actors,
     with_base_parts,
     with_captured_intensity,
-    with_direct_layers,
+    with_styles,
 )
 from deitalk.training.tuning.regression import (
     MOST_SCORED,
@@ -199,7 +198,7 @@ class FinetuneTask(CurveTask):
             division = division._replace(train=learnt, validation=[], between=[])
         elif not division.validation:
             division = last_takes(division)
-        complete = with_direct_layers(with_actors(config, division.train), division.train)
+        complete = with_styles(config, division.train, config.model.actors)
         super().__init__(complete, data, frozen_features=frozen_features)
         self.base_actors, config = config.model.actors, self.config
         self.clips, self.validation_clips = division.train, division.validation
@@ -318,10 +317,8 @@ class FinetuneTask(CurveTask):
             ]
             for part in (self.clips, self.late_clips, self.validation_clips, self.test_clips)
         )
-        actors = {"actors": self.base_actors[: len(self.base.actors)]}
-        model = self.config.model.model_copy(update=actors)
-        complete = with_actors(self.config.model_copy(update={"model": model}), self.clips)
-        self.config = with_direct_layers(complete, self.clips)
+        before = self.base_actors[: len(self.base.actors)]
+        self.config = with_styles(self.config, self.clips, before)
 
     def build(self, device: torch.device) -> None:
         """Build the model with the base's weights; keep the base as the teacher."""
