@@ -234,10 +234,11 @@ def _of_the_table(clips: Sequence[Clip]) -> list[Check]:
         fault += ", in takes or blocks that are apart: scores hold for them only"
     wrong = [mixed[who] for who in close or mixed]
     speakers = verdict("speakers", wrong, well, fault, "error" if close else "warning")
+    few = f"of {len(EMOTIONS)} are rare in train; finetune moves as its base there"
     return [
         split,
         speakers,
-        verdict("emotions", rare, shares, f"of {len(EMOTIONS)} are rare in train"),
+        verdict("emotions", rare, shares, few),
     ]
 
 

@@ -64,6 +64,16 @@ class Clip:
     span: tuple[float, float] = (0.0, 0.0)
     """Start and stop in the take, seconds."""
 
+    @property
+    def take_name(self) -> str:
+        """Name of its take; a clip without one is its own."""
+        return self.take or self.name
+
+    @property
+    def group(self) -> tuple[str, str]:
+        """Its actor, and their emotion."""
+        return self.speaker, self.emotion
+
 
 def spread_clips(clips: Sequence[Clip], most: int | None) -> list[Clip]:
     """Select at most so many clips, evenly spread over the list; None: all."""

@@ -254,8 +254,10 @@ def _intensity(strengths: Sequence[Float32 | None], captures: CaptureSet) -> dic
     """Pearson's r of the predicted intensity with the captured expressions' strength in speech."""
     rs = []
     for strength, example in zip(strengths, captures.examples, strict=True):
+        if strength is None or not np.isfinite(example.intensity).any():
+            continue
         known = np.isfinite(example.intensity) & speaking_frames(example)
-        if strength is not None and known.any():
+        if known.any():
             rs.append(correlation(example.intensity[known], strength[known]))
     return {"intensity_r": mean_of_finite(rs)} if np.isfinite(rs).any() else {}
 

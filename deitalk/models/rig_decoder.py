@@ -252,12 +252,10 @@ class RigDecoder(Decoder):
 
         return self._combined(
             emotions,
-            lambda styles: _each_once(own, styles),
+            _EachOnce(own),
             None
             if kept is None
-            else lambda styles: _each_once(
-                lambda s: kept.readings(speech, s, theirs, clips), styles
-            ),
+            else _EachOnce(lambda styles: kept.readings(speech, styles, theirs, clips)),
         )
 
     def _combined(
@@ -438,20 +436,29 @@ class RigDecoder(Decoder):
         return torch.cat((extra, guidance[..., : self.guidance_size]), dim=-1)
 
 
-def _each_once(curves: Callable[[Tensor], Tensor], emotions: Tensor) -> Tensor:
-    """Curves of every reading [shape=(R, T, C)], of equal styles computed once.
+class _EachOnce:
+    """Curves of readings (R, T, C) by their styles (R, T, 5 + A), of equal styles computed once.
 
     On another device all are computed: to compare them would wait for it.
     """
-    if emotions.device.type != "cpu":
-        return curves(emotions)
-    places: list[int] = []
-    for row in emotions:
-        equal = (k for k in range(len(places)) if torch.equal(emotions[k], row))
-        places.append(next(equal, len(places)))
-    once = sorted(set(places))
-    found = curves(emotions[once] if len(once) < len(places) else emotions)
-    return found[[once.index(place) for place in places]] if len(once) < len(places) else found
+
+    def __init__(self, curves: Callable[[Tensor], Tensor]) -> None:
+        self.curves = curves
+        self.styles: list[Tensor] = []
+        self.found: list[Tensor] = []
+
+    def __call__(self, emotions: Tensor) -> Tensor:
+        if emotions.device.type != "cpu":
+            return self.curves(emotions)
+        known, places = len(self.styles), list[int]()
+        for row in emotions:
+            equal = (k for k, style in enumerate(self.styles) if torch.equal(style, row))
+            places.append(next(equal, len(self.styles)))
+            if places[-1] == len(self.styles):
+                self.styles.append(row)
+        if new := self.styles[known:]:
+            self.found += self.curves(torch.stack(new)).unbind()
+        return torch.stack([self.found[place] for place in places])
 
 
 OWN_DECODERS = "deitalk.decoders"

@@ -111,6 +111,13 @@ def log(path: Path, step: int, values: dict[str, float]) -> None:
         beside.write_text(",".join(["step", *values]) + "\n" + row, encoding="utf-8")
 
 
+def read_log(path: Path) -> dict[str, list[float]]:
+    """Columns of a log, by their names."""
+    names, *rows = (line.split(",") for line in path.read_text(encoding="utf-8").splitlines())
+    columns = zip(*rows, strict=True)
+    return {name: [*map(float, column)] for name, column in zip(names, columns, strict=True)}
+
+
 def truncate_log(path: Path, step: int) -> None:
     """Drop a log's rows beyond a step; a resumed run writes them again.
 

@@ -79,8 +79,8 @@ class Relations:
         places = (np.arange(len(rows)) / predicted.fps - clip.offset_seconds) * curves.fps
         within = (places >= 0) & (places <= len(curves) - 1)
         near = np.rint(places[within]).astype(int)
-        take = self.takes.setdefault((clip.speaker, clip.emotion), {})
-        own = take.setdefault(clip.take or clip.name, TakeProducts())
+        take = self.takes.setdefault(clip.group, {})
+        own = take.setdefault(clip.take_name, TakeProducts())
         own.add(rows[within], curves.values[near], known)
 
     def conventions(self, names: Sequence[str]) -> dict[str, "Convention"]:

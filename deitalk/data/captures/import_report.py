@@ -107,9 +107,11 @@ def warnings_of(reports: Sequence[TakeReport]) -> list[str]:
         )
     emotions = {report.emotion for report in reports}
     if len(emotions) == 1:
+        is_other = any(report.kind == "rig" for report in reports)
+        where = ", on a rig of which nothing is known with finetune --map" if is_other else ""
         warnings.append(
-            f"one emotion only ({emotions.pop()}); others change the face as the base model's do, "
-            "on a rig of which nothing is known with finetune --map"
+            f"one emotion only ({emotions.pop()}); others change the face as the base model's do"
+            f"{where}"
         )
     rates = Counter(report.fps for report in reports)
     if len(rates) > 1:

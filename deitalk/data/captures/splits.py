@@ -149,7 +149,7 @@ def divide_clips(clips: Sequence[Clip], leave_out: str | None = None) -> Divisio
     """
     if leave_out is None:
         return Division(*([c for c in clips if c.split == s] for s in SPLITS))
-    is_held = [leave_out in (_take(clip), clip.speaker) for clip in clips]
+    is_held = [leave_out in (clip.take_name, clip.speaker) for clip in clips]
     if not any(is_held) or all(is_held):
         some = ", ".join([*names_of(clips, "takes"), *names_of(clips, "actors")][:6])
         raise DataError(
@@ -158,7 +158,7 @@ def divide_clips(clips: Sequence[Clip], leave_out: str | None = None) -> Divisio
         )
     rest = [clip for clip, held in zip(clips, is_held, strict=True) if not held]
     splits = _apart(
-        [Piece(c.speaker, c.emotion, _take(c), *c.span) for c in rest], _last_of_takes(rest)
+        [Piece(c.speaker, c.emotion, c.take_name, *c.span) for c in rest], _last_of_takes(rest)
     )
     train, validation, _, between = (
         [clip for clip, given in zip(rest, splits, strict=True) if given == split]
@@ -175,14 +175,13 @@ def last_takes(division: Division) -> Division:
     """
     takes: dict[tuple[str, str], list[str]] = defaultdict(list)
     for clip in division.train:
-        takes[clip.speaker, clip.emotion].append(_take(clip))
+        takes[clip.group].append(clip.take_name)
     last = {group: names[-1] for group, names in takes.items() if len(set(names)) > 1}
     splits = [
-        VALIDATION if last.get((clip.speaker, clip.emotion)) == _take(clip) else TRAIN
-        for clip in division.train
+        VALIDATION if last.get(clip.group) == clip.take_name else TRAIN for clip in division.train
     ]
     if not last:
-        pieces = [Piece(c.speaker, c.emotion, _take(c), *c.span) for c in division.train]
+        pieces = [Piece(c.speaker, c.emotion, c.take_name, *c.span) for c in division.train]
         splits = _apart(pieces, _last_of_takes(division.train))
     train, validation, between = (
         [clip for clip, given in zip(division.train, splits, strict=True) if given == split]
@@ -195,20 +194,15 @@ def _last_of_takes(clips: Sequence[Clip]) -> list[str]:
     """Validation for the last clip of every take of three and more, or else the last clip."""
     takes: dict[str, list[Clip]] = defaultdict(list)
     for clip in sorted(clips, key=lambda clip: clip.span):
-        takes[_take(clip)].append(clip)
+        takes[clip.take_name].append(clip)
     chosen = [take[-1] for take in takes.values() if len(take) >= 3] or [clips[-1]]
     return [VALIDATION if clip in chosen else TRAIN for clip in clips]
-
-
-def _take(clip: Clip) -> str:
-    """Name of its take; a clip without one is its own."""
-    return clip.take or clip.name
 
 
 def names_of(clips: Sequence[Clip], kind: str) -> list[str]:
     """Names of all ``takes`` or ``actors``, sorted."""
     of_actors = kind == "actors"
-    return sorted({clip.speaker if of_actors else _take(clip) for clip in clips})
+    return sorted({clip.speaker if of_actors else clip.take_name for clip in clips})
 
 
 def _blocks(pieces: Sequence[Piece]) -> list[str]:

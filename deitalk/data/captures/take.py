@@ -111,16 +111,6 @@ def read_capture(
     MissingError
         For a video without MediaPipe.
     """
-    return _read(path, mapping, rig, fps, progress)
-
-
-def _read(
-    path: Path,
-    mapping: RigMapping | None,
-    rig: ControlSet | None,
-    fps: float | None,
-    progress: Callable[[float], None],
-) -> CapturedCurves:
     if rig is not None:
         return _of_rig(path, rig, fps)
     if mapping is not None:

@@ -22,6 +22,9 @@ def tuned(
     data: Annotated[
         Path | None, typer.Option(help="Dataset folder of other captures: errors by emotion.")
     ] = None,
+    mapping: Annotated[
+        Path | None, typer.Option("--map", help="Of finetune: carries the base's emotions.")
+    ] = None,
     contacts: Annotated[Path | None, typer.Option(help="Table of phones: contacts.")] = None,
     acted: Annotated[
         Path | None, typer.Option(help="Table of actors at two strengths: their order.")
@@ -42,6 +45,7 @@ def tuned(
         raise DataError("nothing to score on; give --speech, --data, --contacts or --acted")
     reserve_report(out, None, force=force)
     with console().status("loading"):
+        from deitalk.data.captures.columns import read_mapping
         from deitalk.data.clips import read_clips
         from deitalk.models.checkpoint import require_model
         from deitalk.models.curve_model import DEITalk
@@ -61,6 +65,7 @@ def tuned(
             clips=() if data is None else read_clips(data),
             contacts=contacts,
             strengths=acted,
+            mapping=None if mapping is None else read_mapping(mapping),
             progress=progress,
         )
     known = {"model": model, "sha256": describe_model(model)["sha256"]}

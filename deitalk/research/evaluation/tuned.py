@@ -2,8 +2,9 @@
 
 Curves are those of the network alone, without rules. Of recordings of calm speech: how each emotion
 changes the curves, against how it changes those of the base, and the range of the jaw. Of captures
-in no emotion that were not learnt from: the error where another emotion is asked for. Of recordings
-with phones: contacts of the lips. Of actors at two strengths: the order of the faces.
+in no emotion that were not learnt from: the error where another emotion is asked for, and how much
+of it is the expression, which neutral captures lack. Of recordings with phones: contacts of the
+lips. Of actors at two strengths: the order of the faces.
 """
 
 from collections.abc import Callable, Sequence
@@ -14,8 +15,10 @@ import numpy as np
 import torch
 
 from deitalk.audio.load import load_audio
+from deitalk.data.captures.columns import RigMapping
 from deitalk.data.clips import Clip
 from deitalk.emotions import EMOTIONS
+from deitalk.errors import DataError
 from deitalk.evaluation.comparison import CaptureSet, mean_pose
 from deitalk.evaluation.report import table
 from deitalk.evaluation.scores import correlation
@@ -27,16 +30,25 @@ from deitalk.research.evaluation.clip_scores import animated
 from deitalk.research.evaluation.contacts import contact_scores, read_table
 from deitalk.training.tuning.carry import carry_matrix
 from deitalk.training.tuning.recipe import learnt_controls
-from rig.arrays import Float32
+from rig.arrays import Float32, Float64
 
 OPEN, SHUT = 95, 5
 """Percentiles between which the range of the jaw lies."""
 ORDERS = ("intensity: high above low", "whole face: high above low")
 """Of `acted`: strength that is predicted, and that of the face."""
+OVER_NEUTRAL = {
+    "error over neutral": "error_of_mean_pose",
+    "error at best gain over neutral": "error_at_best_gain",
+}
+ALONE = "error over neutral by the expression alone"
 
 
 def emotions_of(
-    model: DEITalk, base: DEITalk, sounds: Sequence[Path], progress: Callable[[float], None]
+    model: DEITalk,
+    base: DEITalk,
+    sounds: Sequence[Path],
+    carry: Float64 | None,
+    progress: Callable[[float], None],
 ) -> dict[str, dict[str, float]]:
     """Scores of each emotion but neutral.
 
@@ -46,6 +58,8 @@ def emotions_of(
         After and before the tuning.
     sounds : sequence of Path
         Calm speech.
+    carry : array or None
+        Of `carry_matrix`, from the base to the model's rig.
     progress : callable
         Called with the share done.
 
@@ -54,21 +68,25 @@ def emotions_of(
     dict
         By emotion: ``jaw range over neutral``, and that of the base; ``change r with base``,
         Pearson's r of the changes by the emotion of all frames and of all controls that the base's
-        change moves, where anything carries it to the rig.
+        change moves, where anything carries it to the rig, within the ranges of its controls.
     """
-    carry = carry_matrix(base.controls, model.controls)
+    low, high = model.controls.minimum, model.controls.maximum
     changes: dict[str, list[list[Float32]]] = {name: [[], []] for name in EMOTIONS}
     ranges: dict[str, list[list[float]]] = {name: [[], []] for name in EMOTIONS}
     for done, sound in enumerate(sounds, 1):
         recording = load_audio(sound)
-        for place, network in enumerate((model, base)):
-            jaw, calm = _jaw(network), None
-            for name in EMOTIONS:
-                curves = animated(recording, name, network, raw=True).curves.values
-                calm = curves if calm is None else calm
-                high, low = np.percentile(curves[:, jaw], (OPEN, SHUT))
-                ranges[name][place].append(float(high - low))
-                changes[name][place].append(curves - calm)
+        own, of_base = (
+            [animated(recording, name, network, raw=True).curves.values for name in EMOTIONS]
+            for network in (model, base)
+        )
+        for name, mine, theirs in zip(EMOTIONS, own, of_base, strict=True):
+            for place, (curves, network) in enumerate(((mine, model), (theirs, base))):
+                ends = np.percentile(curves[:, _jaw(network)], (SHUT, OPEN))
+                ranges[name][place].append(float(np.ptp(ends)))
+            changes[name][0].append(mine - own[0])
+            if carry is not None:
+                given = own[0] + (theirs - of_base[0]) @ carry.T.astype(np.float32)
+                changes[name][1].append(np.clip(given, low, high) - own[0])
         progress(done / len(sounds))
     rows = {}
     for name in EMOTIONS[1:]:
@@ -77,10 +95,9 @@ def emotions_of(
             for place, system in enumerate(("jaw range over neutral", "that of the base"))
         }
         if carry is not None:
-            own, of_base = (np.concatenate(part) for part in changes[name])
-            given = of_base @ carry.T.astype(np.float32)
+            mine, given = (np.concatenate(part) for part in changes[name])
             moved = given.std(axis=0) > MOVING
-            row["change r with base"] = correlation(own[:, moved].ravel(), given[:, moved].ravel())
+            row["change r with base"] = correlation(mine[:, moved].ravel(), given[:, moved].ravel())
         rows[name] = row
     return rows
 
@@ -96,18 +113,56 @@ def _jaw(model: DEITalk) -> int:
 
 
 @torch.no_grad()
-def labelled_errors(model: DEITalk, clips: Sequence[Clip]) -> dict[str, float]:
-    """Error of neutral captures by the emotion that is asked for, over that of neutral."""
+def labelled_errors(
+    model: DEITalk, base: DEITalk, clips: Sequence[Clip], carry: Float64 | None
+) -> dict[str, dict[str, float]]:
+    """Errors of neutral captures where each other emotion is asked for.
+
+    No neutral capture smiles, so that `error_of_mean_pose` grows with any expression.
+
+    Returns
+    -------
+    dict
+        By emotion: those of `OVER_NEUTRAL`, of which a constant expression changes the first
+        alone, and a mouth that follows the speech less both; and `ALONE`, the first of a face that
+        errs as the neutral one and has the base's change besides, of the size that it has in the
+        model and unrelated to its errors, where anything carries it to the rig.
+    """
     calm = [clip for clip in clips if clip.emotion == EMOTIONS[0]]
+    if not calm:
+        raise DataError(f"none of the {len(clips)} clips is {EMOTIONS[0]}; give captures that are")
     learnt = learnt_controls(model.rules, model.controls)
     captures = CaptureSet.of(calm, model.controls, mean_pose(calm, model.controls, learnt), learnt)
-    errors = {
-        name: captures.score_curves(
-            [predict(model, each._replace(emotion=name))[0] for each in captures.examples]
-        )["error_of_mean_pose"]
-        for name in EMOTIONS
-    }
-    return {name: errors[name] / errors[EMOTIONS[0]] for name in EMOTIONS[1:]}
+
+    def curves(network: DEITalk, emotion: str) -> list[Float32]:
+        return [predict(network, each._replace(emotion=emotion))[0] for each in captures.examples]
+
+    calm_curves, before = curves(model, EMOTIONS[0]), curves(base, EMOTIONS[0])
+    plain, rows = captures.score_curves(calm_curves), {}
+    for name in EMOTIONS[1:]:
+        acted = curves(model, name)
+        found = captures.score_curves(acted)
+        rows[name] = {text: found[of] / plain[of] for text, of in OVER_NEUTRAL.items()}
+        if carry is not None:
+            own, of_base = (
+                [after - still for after, still in zip(*pair, strict=True)]
+                for pair in ((acted, calm_curves), (curves(base, name), before))
+            )
+            given = [change @ carry.T.astype(np.float32) for change in of_base]
+            size = _size(own, given)
+            shown = [
+                example.curves + np.float32(size) * change
+                for example, change in zip(captures.examples, given, strict=True)
+            ]
+            alone = captures.score_curves(shown)["error_of_mean_pose"]
+            rows[name][ALONE] = 1 + alone / plain["error_of_mean_pose"]
+    return rows
+
+
+def _size(own: Sequence[Float32], given: Sequence[Float32]) -> float:
+    """Factor with which changes are nearest to others, by least squares."""
+    x, y = np.concatenate(given), np.concatenate(own)
+    return float((x * y).sum() / max(np.square(x).sum(), 1e-12))
 
 
 def evaluate(
@@ -117,6 +172,7 @@ def evaluate(
     clips: Sequence[Clip] = (),
     contacts: Path | None = None,
     strengths: Path | None = None,
+    mapping: RigMapping | None = None,
     progress: Callable[[float], None] = lambda share: None,
 ) -> dict[str, Any]:
     """Score a tuned model and its base.
@@ -133,6 +189,8 @@ def evaluate(
         Table of phones of `deitalk.research.evaluation.contacts`; for models of the board.
     strengths : Path or None
         Table of actors of `deitalk.research.evaluation.strength_clips`; for models of the board.
+    mapping : RigMapping or None
+        From curves of the model's own rig to a known one, as it was tuned with.
     progress : callable
         Called with the share of `sounds` done.
 
@@ -143,11 +201,12 @@ def evaluate(
     """
     after, before = models["after"], models["before"]
     report: dict[str, Any] = {}
+    carry = carry_matrix(before.controls, after.controls, mapping)
     if sounds:
-        report["emotions"] = emotions_of(after, before, sounds, progress)
+        report["emotions"] = emotions_of(after, before, sounds, carry, progress)
     if clips:
-        for name, share in labelled_errors(after, clips).items():
-            report.setdefault("emotions", {}).setdefault(name, {})["error over neutral"] = share
+        for name, row in labelled_errors(after, before, clips, carry).items():
+            report.setdefault("emotions", {}).setdefault(name, {}).update(row)
     for name, model in models.items():
         if contacts is not None:
             scored = []

@@ -80,7 +80,7 @@ def expression_axes(
     """
     groups: dict[tuple[str, str], list[Clip]] = defaultdict(list)
     for clip in clips:
-        groups[clip.speaker, clip.emotion].append(clip)
+        groups[clip.group].append(clip)
     found = {}
     for (actor, emotion), takes in groups.items():
         if emotion == NEUTRAL:
@@ -114,7 +114,7 @@ def label_intensity(
     folder.mkdir(parents=True, exist_ok=True)
     labelled = []
     for clip in clips:
-        axis = axes.get((clip.speaker, clip.emotion))
+        axis = axes.get(clip.group)
         is_calm = clip.speaker in actors and clip.emotion == NEUTRAL
         if clip.intensity is not None or not (axis or is_calm):
             labelled.append(clip)

@@ -5,7 +5,8 @@ face rests and how far each control moves: the nearest style, gains and offsets.
 """
 
 import copy
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -20,6 +21,7 @@ from deitalk.evaluation.comparison import CaptureSet, mean_pose
 from deitalk.evaluation.smoothness import load_example, predict
 from deitalk.models.curve_model import DEITalk
 from deitalk.training.tuning.recipe import learnt_controls
+from rig import ControlSet
 from rig.arrays import Bool, Float32, Float64
 from rig.errors import ControlError
 
@@ -66,11 +68,8 @@ def score_model(model: DEITalk, clips: Sequence[Clip], folder: Path) -> dict[str
     if not clips:
         raise DataError("no clips to score on")
     controls, learnt = model.controls, learnt_controls(model.rules, model.controls)
-    try:
+    with _of_one_rig(clips, controls):
         captures = CaptureSet.of(clips, controls, mean_pose(clips, controls, learnt), learnt)
-    except ControlError as error:
-        text = f"{clips[0].curves}: curves of another rig than {controls.id} ({error})"
-        raise DataError(text) from None
     plain = by_model(model)
 
     def styled(name: str) -> System:
@@ -78,6 +77,16 @@ def score_model(model: DEITalk, clips: Sequence[Clip], folder: Path) -> dict[str
 
     systems = {"after": plain} | {f"style {name}": styled(name) for name in model.actors}
     return write_comparison(folder, systems, captures, clips, held="of captures that are given")
+
+
+@contextmanager
+def _of_one_rig(clips: Sequence[Clip], controls: ControlSet) -> Iterator[None]:
+    """Reading of clips, which say so where they are of another rig than some controls."""
+    try:
+        yield
+    except ControlError as error:
+        text = f"{clips[0].curves}: curves of another rig than {controls.id} ({error})"
+        raise DataError(text) from None
 
 
 class _Sums:
@@ -136,11 +145,8 @@ def fit_model(model: DEITalk, clips: Sequence[Clip]) -> Fit:
     names, controls = ("", *model.actors), model.controls
     sums = {name: _Sums(len(controls)) for name in names}
     for clip in clips:
-        try:
+        with _of_one_rig([clip], controls):
             example = load_example(clip, controls)
-        except ControlError as error:
-            text = f"{clip.curves}: curves of another rig than {controls.id} ({error})"
-            raise DataError(text) from None
         for name in names:
             curves, _ = predict(model, example._replace(speaker=name))
             sums[name].add(curves, example.curves, example.known)

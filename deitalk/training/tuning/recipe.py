@@ -77,26 +77,22 @@ def read_recipe(
     return cast("FinetuneConfig", parse_config(tree))
 
 
-def with_actors(config: FinetuneConfig, clips: Sequence[Clip]) -> FinetuneConfig:
-    """The configuration with the speakers of captures as actors, if there are several."""
-    before = config.model.actors
-    speakers = sorted({clip.speaker for clip in clips} - {*before})
-    if len(speakers) + len(before) < 2:
-        return config
-    model = config.model.model_copy(update={"actors": (*before, *speakers)})
-    return config.model_copy(update={"model": model})
+def with_styles(
+    config: FinetuneConfig, clips: Sequence[Clip], before: tuple[str, ...]
+) -> FinetuneConfig:
+    """The configuration with a style, and a last layer with the speech features, of every actor.
 
-
-def with_direct_layers(config: FinetuneConfig, clips: Sequence[Clip]) -> FinetuneConfig:
-    """The configuration whose last layers have the speech features, and one of each actor.
-
-    Many actors have offsets alone, unless the base has layers of its own actors.
+    Speakers of captures are actors after those `before` where that makes several. Many have offsets
+    alone, unless the base has layers of its own actors.
     """
-    own: bool | str = bool(config.model.actors)
-    if len({clip.speaker for clip in clips}) >= MANY:
+    speakers = {clip.speaker for clip in clips}
+    every = (*before, *sorted(speakers - {*before}))
+    actors = every if len(every) > 1 else before
+    own: bool | str = bool(actors)
+    if len(speakers) >= MANY:
         given = is_same_rig(config) and _base_config(config).model.actor_layers
         own = True if given is True else "offsets"
-    layers = {"decoder_direct": True, "actor_layers": own}
+    layers = {"actors": actors, "decoder_direct": True, "actor_layers": own}
     return config.model_copy(update={"model": config.model.model_copy(update=layers)})
 
 

@@ -43,6 +43,8 @@ from rig.arrays import Bool, Float32, Float64
 
 MOST_SCORED = 40
 """Clips that are predicted from others, of each emotion, evenly spread."""
+MOST_SIZED = 20
+"""Clips on which contacts, and the size of emotions, are measured, evenly spread."""
 MOST_RAISED = 3.0
 """Most by which the spread of a control is raised."""
 GAINS = (0.5, 1.5)
@@ -55,13 +57,6 @@ TOUCHING = 0.5
 """Captured value of lips-together from which lips touch."""
 LEAST_TOUCHING = 30
 """Frames of speech with a contact, and without, from which on captures tell contacts: 1 s."""
-MOST_SIZED = 20
-"""Clips on which it is measured, evenly spread."""
-
-
-def take_of(clip: Clip) -> str:
-    """Name of its take; a clip without one is its own."""
-    return clip.take or clip.name
 
 
 def analysed(
@@ -203,6 +198,8 @@ class Regression:
         """Factors of the spread; None: as regressed."""
         self.start = _states(model.rig_decoder)
         self.places = {clip.name: place for place, clip in enumerate(clips)}
+        self.last: tuple[str, Analysis] | None = None
+        """Clip that was decoded last, and its analysis."""
 
     def fit(self, late: Sequence[Clip] = (), *, may_stay: bool = False) -> Maps | None:
         """Fit the maps; return what further clips add to them, if there are any."""
@@ -219,7 +216,7 @@ class Regression:
         """What a ridge regression on clips adds to the last layers."""
         captures = [
             Capture(
-                take_of(clip), clip.speaker, read_known(clip.known, self.controls), clip.emotion
+                clip.take_name, clip.speaker, read_known(clip.known, self.controls), clip.emotion
             )
             for clip in clips
         ]
@@ -247,7 +244,7 @@ class Regression:
         a regression is nearer to soft contacts than phones that are heard, and shuts fewer lips.
         """
         touches, found, of_base = list[Float32](), list[Float32](), list[Float32]()
-        for clip in spread_clips(list(self.clips), MOST_SCORED):
+        for clip in spread_clips(list(self.clips), MOST_SIZED):
             example = load_example(clip, self.controls)
             speaks = speaking_frames(example)
             if not knows_contact(example.known, self.controls) or not speaks.any():
@@ -440,10 +437,11 @@ class Regression:
         return curves
 
     def _decoded(self, clip: Clip, example: Example) -> Float32:
-        model = self.model.eval()
-        analysis = analysed(model, clip, len(example.curves), self.features)
-        styles = styles_of_clip(model, clip, len(example.curves), clip.speaker)
-        curves = model.decode(analysis, styles).numpy()
+        model, count = self.model.eval(), len(example.curves)
+        if self.last is None or self.last[0] != clip.name:
+            self.last = clip.name, analysed(model, clip, count, self.features)
+        styles = styles_of_clip(model, clip, count, clip.speaker)
+        curves = model.decode(self.last[1], styles).numpy()
         within: Float32 = np.clip(curves, self.controls.minimum, self.controls.maximum)
         return within
 

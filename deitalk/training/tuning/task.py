@@ -19,7 +19,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
 
-import pandas as pd
 import torch
 from torch import Tensor, nn
 
@@ -46,6 +45,7 @@ from deitalk.models.folder import describe_model, model_folder, weights_hash
 from deitalk.models.rig_decoder import RigDecoder
 from deitalk.training.curve_losses import CurveLoss, start_as
 from deitalk.training.curves import CurveTask
+from deitalk.training.journal import read_log
 from deitalk.training.optimizer import new_optimizer, shared_copy
 from deitalk.training.trainer import Progress, run_training, silent
 from deitalk.training.tuning.expression_strength import expression_axes, label_intensity
@@ -55,17 +55,15 @@ from deitalk.training.tuning.recipe import (
     contact_controls,
     is_same_rig,
     learnt_controls,
-    with_actors,
     with_base_parts,
     with_captured_intensity,
-    with_direct_layers,
+    with_styles,
 )
 from deitalk.training.tuning.regression import (
     MOST_SCORED,
     Regression,
     analysed,
     styles_of_clip,
-    take_of,
 )
 from deitalk.training.tuning.ridge import Maps
 from rig.arrays import Bool, Float32
@@ -85,9 +83,8 @@ def _return_memory() -> None:
     """Have glibc return what is freed, and later blocks from 1 MB on at once; else do nothing.
 
     It does so at first, but raises the size with every larger block that is freed, and then keeps
-    what lies between others: of a tuning a sixth of its memory. Recordings that were read go too.
+    what lies between others: of a tuning a sixth of its memory.
     """
-    sound_of.cache_clear()
     with suppress(AttributeError, OSError, TypeError):
         library = ctypes.CDLL(None)
         library.mallopt(MMAP_THRESHOLD, 2**20)
@@ -141,6 +138,7 @@ def finetune(
     run_training(job, out, resume=resume, track=track, progress=progress)
     scores, complete = job.compare(out), job.config
     del job  # its networks and clips are not needed for the graph
+    sound_of.cache_clear()
     # Once more, with the graph that ONNX Runtime evaluates.
     tuned, summary = require_model(out / "best", DEITalk), describe_model(out / "best")["training"]
     save_model(out / "best", tuned, complete, summary, graph=True)
@@ -200,7 +198,7 @@ class FinetuneTask(CurveTask):
             division = division._replace(train=learnt, validation=[], between=[])
         elif not division.validation:
             division = last_takes(division)
-        complete = with_direct_layers(with_actors(config, division.train), division.train)
+        complete = with_styles(config, division.train, config.model.actors)
         super().__init__(complete, data, frozen_features=frozen_features)
         self.base_actors, config = config.model.actors, self.config
         self.clips, self.validation_clips = division.train, division.validation
@@ -262,8 +260,8 @@ class FinetuneTask(CurveTask):
         super().read(out)
         self.features_folder = out / "features"
         self._begin()
-        if self.config.tune.conventions and len({take_of(c) for c in self.clips}) > len(
-            {_group(clip) for clip in self.clips}
+        if self.config.tune.conventions and len({c.take_name for c in self.clips}) > len(
+            {clip.group for clip in self.clips}
         ):
             self._find_conventions()
         if self.axes:
@@ -308,21 +306,19 @@ class FinetuneTask(CurveTask):
             predicted = self.base.decode(
                 analysis, styles_of_clip(self.base, clip, len(example.curves))
             )
-            own = takes[clip.speaker, clip.emotion].setdefault(take_of(clip), TakeProducts())
+            own = takes[clip.group].setdefault(clip.take_name, TakeProducts())
             own.add(predicted.numpy()[:, lip], example.curves, example.known)
-        learnt = {(*_group(clip), take_of(clip)) for clip in self.clips}
+        learnt = {(*clip.group, clip.take_name) for clip in self.clips}
         self.conventions, names = name_styles(takes, learnt, self.controls.names, self.pose.moving)
         self.clips, self.late_clips, self.validation_clips, self.test_clips = (
             [
-                replace(clip, speaker=names.get((*_group(clip), take_of(clip)), clip.speaker))
+                replace(clip, speaker=names.get((*clip.group, clip.take_name), clip.speaker))
                 for clip in part
             ]
             for part in (self.clips, self.late_clips, self.validation_clips, self.test_clips)
         )
-        actors = {"actors": self.base_actors[: len(self.base.actors)]}
-        model = self.config.model.model_copy(update=actors)
-        complete = with_actors(self.config.model_copy(update={"model": model}), self.clips)
-        self.config = with_direct_layers(complete, self.clips)
+        before = self.base_actors[: len(self.base.actors)]
+        self.config = with_styles(self.config, self.clips, before)
 
     def build(self, device: torch.device) -> None:
         """Build the model with the base's weights; keep the base as the teacher."""
@@ -330,6 +326,7 @@ class FinetuneTask(CurveTask):
         if not hasattr(self, "base"):
             self._begin()
         self._begin_model()
+        sound_of.cache_clear()  # no recording is read by the regression
         _return_memory()
         self._fit_last_layers()
         _return_memory()
@@ -426,6 +423,7 @@ class FinetuneTask(CurveTask):
         if self.config.model.lips and (self.learnt & contacts).any() and fit.contacts_are_base():
             self._keep_base(self.learnt & ~contacts)
             fit.learnt = self.learnt = self.learnt & ~contacts
+            del self.model, fit.model  # before there is another
             self._begin_model()
             fit.model = self.model
         fit.maps.add_to(self.model.rig_decoder)
@@ -474,8 +472,8 @@ class FinetuneTask(CurveTask):
         """Compare the systems; the report has the base, the start and the course of the run."""
         tune = self.config.tune
         facts: dict[str, Any] = {name: getattr(tune, name) for name in ABOUT}
-        rows = pd.read_csv(out / "development.csv").to_dict("list")
-        course = {str(name).removeprefix("dev_"): values for name, values in rows.items()}
+        log = read_log(out / "development.csv")
+        course = {name.removeprefix("dev_"): values for name, values in log.items()}
         best = describe_model(out / "best")["training"]["step"]
         about = facts | {
             "base_sha256": weights_hash(model_folder(tune.base)),
@@ -615,7 +613,3 @@ class FinetuneTask(CurveTask):
             whole = copy.deepcopy(whole)
             self.late.add_to(whole.rig_decoder)
         save_model(folder, whole, self.config, summary | {"base": self.config.tune.base})
-
-
-def _group(clip: Clip) -> tuple[str, str]:
-    return clip.speaker, clip.emotion

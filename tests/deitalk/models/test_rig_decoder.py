@@ -239,3 +239,24 @@ def test_readings_and_streams_with_a_change_equal_whole_clips(taught, causal, ke
             parts.append(curves)
         found = torch.cat(parts, dim=1)
     torch.testing.assert_close(found, expected, atol=1e-5, rtol=1e-5)
+
+
+def test_equal_readings_of_a_tuned_decoder_are_computed_once(monkeypatch):
+    net = decoder(captured=(True, False, False, False, False)).eval()
+    with torch.no_grad():
+        net.change.carry.normal_()
+    speech, _, guidance = inputs(30)
+    emotions = F.one_hot(torch.tensor([0, 2, 0]), 5).float()[:, None].expand(-1, 30, -1)
+    computed, plain = [], RigDecoder.hidden_readings
+
+    def counted(decoder, speech, emotions, *rest):
+        computed.append((decoder is net, len(emotions)))
+        return plain(decoder, speech, emotions, *rest)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(RigDecoder, "hidden_readings", counted)
+        found = net.readings(speech, emotions, guidance)
+    assert sorted(computed) == [(False, 2), (True, 1)]
+    assert (found[1] - found[0]).abs().max() > 0.01
+    for curves, emotion in zip(found, emotions, strict=True):
+        torch.testing.assert_close(curves, net(speech, emotion[None], guidance)[0])

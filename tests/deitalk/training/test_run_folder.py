@@ -16,7 +16,7 @@ from deitalk.config.curves import Config
 from deitalk.errors import ConfigError, MissingError
 from deitalk.models.folder import ENCODER
 from deitalk.training import run_folder
-from deitalk.training.journal import Journal
+from deitalk.training.journal import Journal, read_log
 from deitalk.training.run_folder import (
     KIND,
     restore_state,
@@ -71,6 +71,7 @@ def test_resuming_drops_rows_beyond_the_state(tmp_path):
     assert (tmp_path / "metrics.csv").read_text().count("\n") == 4, "another process"
     resume_run(tmp_path, parts(), truncate_logs=True)
     assert (tmp_path / "metrics.csv").read_text() == "step,total\n3,0.333333\n6,0.166667\n"
+    assert read_log(tmp_path / "metrics.csv") == {"step": [3, 6], "total": [0.333333, 0.166667]}
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full (Linux)")
