@@ -47,19 +47,19 @@ class HoldPose(Section):
 
 
 class SharpenContacts(Section):
-    """Likely lip contacts are raised, and unlikely ones lowered."""
+    """Likely lip contacts are raised, and unlikely ones lowered, by the means of two frames."""
 
     peak: Inner = 0.25
     """Height of a peak that becomes one half."""
     height: Size = 4.0
     """Factor on the distance from it, in logits: how suddenly peaks become contacts."""
     steepness: Size = 4.0
-    """Factor on the distance of the frames beside a peak."""
+    """Factor on the distance of the means beside a peak."""
     tail: Share = 0.0
     """Share of an S-curve of `deitalk.postprocess.curve_stages.GENTLE` in both: contacts that are
     certain stay higher than those that are likely."""
     shoulder: Inner = 0.7
-    """Share of a peak of 1 at which a frame beside it becomes one half."""
+    """Share of a peak of 1 at which a mean beside it becomes one half."""
     doubt: Share = 0.4
     """How much more as the peak goes to 0."""
     sharpest: Inner = 0.97

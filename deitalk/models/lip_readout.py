@@ -4,9 +4,9 @@ A decoder that is trained on computed faces does not show all that its features 
 is fitted to phones, by a network of one hidden layer, and to measured lips of people, linearly. It
 corrects the decoder:
 
-- A contact, lips together or lower lip on the teeth, becomes the product of powers of the
-  decoder's and of the probability that the readout gives it (`POWERS`): none that either denies,
-  and the decoder's timing.
+- A contact, lips together or lower lip on the teeth, becomes the product of the probability that
+  the readout gives it and of a power of the decoder's (`POWER`): none that either denies, and the
+  decoder's timing.
 - Rounding and the tip of the tongue are those of the phones that are heard; the tongue comes out
   for TH alone, and the lower lip does not touch the teeth meanwhile.
 - The opening and the width of the mouth, the height of the lower lip and of the corners move
@@ -37,8 +37,8 @@ from rig.arrays import Float32
 
 CONTACTS = ("lipsTogether", "lipBiteD")
 """Parts of the names of the controls of each contact."""
-POWERS = (0.5, 0.7)
-"""Of the decoder's contact and of its probability, whose product is the contact."""
+POWER = 0.5
+"""Of the decoder's contact, whose product with its probability is the contact."""
 CHANNELS = ("together", "bite", "out", "tip", "funnel", "purse", "voice")
 """Of the articulation table of the phones, which are read, the contacts first; then whether there
 is speech."""
@@ -250,7 +250,7 @@ class LipReadout(nn.Module):
         together, bite, out, tip, funnel, purse, _ = read[..., : len(CHANNELS), None].unbind(-2)
         out, free = (smoothstep((out - low) / (high - low)) for low, high in (OUT, UNBITTEN))
         likely = torch.cat((together, bite), dim=-1) @ self.places
-        both = readings.clamp(0, 1) ** POWERS[0] * likely ** POWERS[1]
+        both = readings.clamp(0, 1) ** POWER * likely
         seals = both * (1 - free * self.places[1])
         funnel = (funnel + PURSED_FUNNEL * purse).clamp_max(1)
         channels = torch.cat((out, tip, funnel, purse), dim=-1)

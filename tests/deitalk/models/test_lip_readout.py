@@ -17,7 +17,7 @@ from deitalk.models.lip_readout import (
     MOST,
     OPEN,
     OUT,
-    POWERS,
+    POWER,
     TAPS,
     UNBITTEN,
     VOICE,
@@ -55,13 +55,12 @@ def readout():
 
 
 @torch.no_grad()
-def test_a_contact_is_the_product_of_powers_of_the_curve_and_its_probability(readout):
+def test_a_contact_is_its_probability_times_a_power_of_the_curve(readout):
     readout.moves.weight.zero_()
-    power, likely = POWERS
     curves = torch.tensor([[[0.3, 0.81, 0.25, -0.2, 0.1, 0, 0, 0]]])
     found = readout.correct(curves, read_of(together=0.49, bite=1.0))[0, 0]
-    together = 0.81**power * 0.49**likely
-    np.testing.assert_allclose(found[:5], [0.3, together, 0.25**power, -0.2, 0.1], atol=1e-6)
+    together = 0.81**POWER * 0.49
+    np.testing.assert_allclose(found[:5], [0.3, together, 0.25**POWER, -0.2, 0.1], atol=1e-6)
 
 
 @pytest.mark.parametrize("denied", ["decoder", "readout"])

@@ -189,22 +189,33 @@ def test_uncertain_contact_is_sharpened(height, expected):
 
 
 def test_lips_part_between_two_contacts():
-    """Half a peak of 0.9, whose shoulder is at 0.74: odds 26 / 74, to the fourth 0.01524."""
-    first, between, second = decided([0.9, 0.45, 0.9])
-    assert first == second > 0.99
-    assert between == pytest.approx(0.01501 * first, abs=1e-4)
+    """Means of two frames beside the peak of 0.9, whose shoulder is at 0.74, are far below it; the
+    network's own values stay."""
+    _, first, *between, second, _ = decided([0.9, 0.9, 0.2, 0.1, 0.9, 0.9])
+    assert first > 0.99 and second > 0.99
+    np.testing.assert_allclose(between, [0.2, 0.10], atol=1e-3)
 
 
 @pytest.mark.parametrize(
     ("height", "share"),
-    # shoulders at 0.72 and 0.96; odds of 0.8 against theirs are 14/9 and 1/6, to the fourth
-    # 5.855 and 0.00077; a peak of 0.35 becomes (0.35/0.65 * 75/25)^4 = 6.809 to 1, 0.8719
-    [(0.95, 0.8541), (0.35, 0.00077 * 0.8719)],
+    # means of two frames are 0.8 and 1 of the height, shoulders at 0.72 and 0.96; odds of 0.8
+    # against theirs are 14/9 and 1/6, to the fourth 5.855 and 0.00077, which is less than the
+    # 0.6 * 0.35 of the network; a peak of 0.35 becomes (0.35/0.65 * 75/25)^4 = 6.809 to 1, 0.8719
+    [(0.95, 0.8541), (0.35, 0.21 * 0.8719)],
 )
 def test_uncertain_contact_is_brief(height, share):
-    before, peak, after = decided([0.8 * height, height, 0.8 * height])
-    assert peak > 0.8
+    before, peak, same, after = decided([0.6 * height, height, height, 0.6 * height])
+    assert peak == same > 0.8
     assert before == after == pytest.approx(share, rel=0.01)
+
+
+def test_a_contact_that_is_found_is_held_for_two_frames():
+    """Neighbours of a frame of 0.9 have 0.4 and 0.2: means of 0.65 and 0.55, of which the first is
+    the peak; odds of 0.846 against its shoulder, 0.84, to the fourth 1.2. A frame alone is half."""
+    before, peak, after = decided([0.4, 0.9, 0.2])
+    assert before == peak > 0.99
+    assert after == pytest.approx(1.2 / 2.2, abs=0.02)
+    assert decided([0, 0.5, 0])[1] == pytest.approx(0.5, abs=1e-3)
 
 
 def test_lips_start_closing_early_and_keep_their_contact():
