@@ -105,7 +105,7 @@ class Renderer:
             halvings = int(np.ceil(np.log2(texels_per_cm / (1.5 * pixels_per_cm))))
             halvings = min(halvings, len(picture).bit_length() - 2)
             if halvings < 1:
-                return np.ascontiguousarray(picture)
+                return picture
             mode = "RGB" if picture.shape[2] == 3 else "CMYK"  # RGBA would weigh by alpha
             image = Image.frombuffer(
                 mode, picture.shape[1::-1], picture.tobytes(), "raw", mode, 0, 1
@@ -113,12 +113,11 @@ class Renderer:
             return np.asarray(image.reduce(2**halvings))
 
         share = TEXELS_PER_CM / 1024
-        self._maps = (
-            shrunk(maps.atlas, share * maps.atlas.shape[0]),
-            shrunk(maps.creases, share * maps.creases.shape[0]),
-            shrunk(maps.pores, share * PORES * maps.pores.shape[0]),
-        )
-        alpha = self._maps[0][..., 3]
+        atlas = shrunk(maps.atlas, share * maps.atlas.shape[0])
+        creases = shrunk(maps.creases, share * maps.creases.shape[0])
+        pores = shrunk(maps.pores, share * PORES * maps.pores.shape[0])
+        self._maps = (_packed(atlas), _packed(creases), _packed(pores))
+        alpha = atlas[..., 3]
         self._alpha = _neighbours(alpha)
         # Skin, which hides most of the others, before what has one side, two, and soft edges.
         kind = mesh.kind[mesh.faces[:, 0]]
@@ -126,7 +125,8 @@ class Renderer:
         group = np.where(kind == SKIN, 0, np.where(is_hair | (kind == CLOTH), 2, 1))
         hair = np.flatnonzero(is_hair)
         group[hair[~_opaque(alpha, mesh.uv[mesh.faces[hair]])]] = 3
-        order = np.argsort(group, kind="stable")
+        far_off = np.linalg.norm(mesh.vertices - view.position, axis=1)[mesh.faces].max(1)
+        order = np.lexsort((np.where(group == 3, far_off, 0), group))  # soft ones from the front on
         self._faces = mesh.faces[order].astype(np.uint32)
         self._stops = np.bincount(group, minlength=4).cumsum()[:3]
         self._weld = mesh.weld.astype(np.uint32)
@@ -184,6 +184,13 @@ class Renderer:
             self._kind, self._part, self._to_eye, *self._maps, self._step, self._empty,
             *self._places, picture)  # fmt: skip
         return picture
+
+
+def _packed(picture: Picture) -> NDArray[np.uint32]:
+    """Texels (A, A) of a picture of three or four channels, the first one lowest."""
+    four = np.zeros((*picture.shape[:2], 4), np.uint8)
+    four[..., : picture.shape[2]] = picture
+    return four.view("<u4")[..., 0]
 
 
 def _neighbours(alpha: Picture) -> NDArray[np.uint32]:
