@@ -230,29 +230,36 @@ def _fill_face(
             continue
         # Whole vectors, those samples of which count that lie between the edges.
         left = start & ~(TILE - 1)
-        span = samples[row - first_row, left : (end + TILE - 1) & ~(TILE - 1)]
+        count = _whole(end - left)
+        span = samples[row - first_row, left : left + count]
         begin, stop = I4(start - left), I4(end - left)
         dx, dy = F(left) - x, F(row) - top
         value = z + per_y * dy + per_x * dx
         if not is_thin:
-            for k in range(len(span)):
+            for k in range(count):
                 at = I4(k)
                 key = _key(value + per_x * F(at), f)
                 span[k] = min(span[k], key if (begin <= at) & (at < stop) else _EMPTY)
-        elif _is_nearer(span, value, per_x, begin, stop):
-            _fill_thin(span, value, per_x, f, alpha, u + u_x * dx + u_y * dy, u_x,
+        elif _is_nearer(count, span, value, per_x, begin, stop):
+            _fill_thin(count, span, value, per_x, f, alpha, u + u_x * dx + u_y * dy, u_x,
                        v + v_x * dx + v_y * dy, v_x, row, begin, stop)  # fmt: skip
 
 
 @kernel
-def _is_nearer(span: Any, value: Any, per_x: Any, begin: Any, stop: Any) -> Any:
+def _is_nearer(count: Any, span: Any, value: Any, per_x: Any, begin: Any, stop: Any) -> Any:
     """Whether a face is nearer than what is drawn at some sample of a row."""
     found = I4(0)
-    for k in range(len(span)):
+    for k in range(count):
         at = I4(k)
         is_nearer = F(value + per_x * F(at)).view(I4) <= I4(span[k] >> 32)
         found |= I4(is_nearer & (begin <= at) & (at < stop))
     return found
+
+
+@kernel
+def _whole(count: Any) -> Any:
+    """Numbers of the vectors that hold `count`, 1 or more, so that the compiler knows it."""
+    return ((count - 1) & 0xFFFFFF | (TILE - 1)) + 1
 
 
 @kernel
@@ -290,13 +297,13 @@ def _depth(key: Any) -> Any:
 
 @kernel
 def _fill_thin(
-    span: Any, value: Any, per_x: Any, f: Any, alpha: Any, u: Any, u_x: Any, v: Any, v_x: Any,
+    count: Any, span: Any, value: Any, per_x: Any, f: Any, alpha: Any, u: Any, u_x: Any, v: Any, v_x: Any,
     row: Any, begin: Any, stop: Any,
 ) -> None:  # fmt: skip
     """Write a face with alpha in one row."""
     last = I4(len(alpha) - 1)
     even, odd = _THRESHOLDS[row & 1, 0], _THRESHOLDS[row & 1, 1]
-    for k in range(len(span)):
+    for k in range(count):
         at = I4(k)
         across, down = I4(u + u_x * F(at)), I4(v + v_x * F(at))
         right, below = min(max(I4(across >> 8), I4(0)), last), min(max(I4(down >> 8), I4(0)), last)
@@ -350,7 +357,7 @@ def _color(
         right = min(left + PLACES // 4, len(picture))
         count = _find(row, left, right, samples, part, step, places, shown, columns)
         if count:
-            whole = (count + TILE - 1) & ~(TILE - 1)  # vectors, the last one with copies
+            whole = _whole(count)  # the last vector has copies
             for i in range(count, whole):
                 shown[i], columns[i] = shown[count - 1], columns[count - 1]
                 places[PLACES * X + i] = places[PLACES * X + count - 1]

@@ -69,7 +69,8 @@ def nearest_faces(screen: Screen, faces: Int64, n_first: int = 0) -> tuple[Int32
     samples = room[-1]
     run("nearest", place, np.zeros((1, 1), np.uint32), np.ascontiguousarray(faces, np.uint32),
         np.array([n_first, 0, len(faces)]), *room)  # fmt: skip
-    return samples.view(np.int32)[:, ::2], samples.view(np.float32)[:, 1::2]
+    end = 2 * screen.width
+    return samples.view(np.int32)[:, :end:2], samples.view(np.float32)[:, 1:end:2]
 
 
 def _room(width: int, height: int, rows: int, faces: int) -> tuple[NDArray[Any], ...]:
@@ -78,7 +79,7 @@ def _room(width: int, height: int, rows: int, faces: int) -> tuple[NDArray[Any],
     return (
         np.empty(bands + 2, np.int64), np.empty(bands * faces, np.uint32),
         np.empty((-(-rows // TILE), -(-width // TILE)), np.float32),
-        np.empty((rows, width), np.int64),
+        np.empty((rows, -(-width // TILE) * TILE), np.int64),
     )  # fmt: skip
 
 
