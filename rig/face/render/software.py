@@ -90,10 +90,15 @@ STEP_CM = 0.2
 
 
 class Renderer:
-    """Draws poses of one mesh, in `size` (width, height), from one view."""
+    """Draws poses of one mesh, in `size` (width, height), from one view.
 
-    def __init__(self, mesh: Mesh, size: tuple[int, int], view: View) -> None:
-        self._size, matrix = size, view.matrix(size[0] / size[1])
+    `many` is for more than ten pictures: the first comes later, the others sooner.
+    """
+
+    def __init__(
+        self, mesh: Mesh, size: tuple[int, int], view: View, *, many: bool = False
+    ) -> None:
+        self._size, matrix, self._many = size, view.matrix(size[0] / size[1]), many
         self._matrix = matrix.astype(np.float32)
         width, height = size
         distance = float(np.linalg.norm(np.subtract(view.position, view.target)))
@@ -161,7 +166,8 @@ class Renderer:
     def normals(self, vertices: AnyFloat) -> Float32:
         """Unit normals (V, 3) of the mesh with these vertices (V, 3), without a seam."""
         found = np.empty(vertices.shape, np.float32)
-        run("normals", np.ascontiguousarray(vertices, np.float32), self._welded, self._weld, found)
+        run("normals", np.ascontiguousarray(vertices, np.float32), self._welded, self._weld,
+            found, often=self._many)  # fmt: skip
         return found
 
     def render(
@@ -183,7 +189,7 @@ class Renderer:
         run("draw", np.ascontiguousarray(vertices, np.float32), normals, accents, self._matrix,
             self._nearer, self._table, self._alpha, self._faces, self._stops, *self._room,
             self._kind, self._part, self._to_eye, *self._maps, self._step, self._empty,
-            *self._places, picture)  # fmt: skip
+            *self._places, picture, often=self._many)  # fmt: skip
         return picture
 
 
