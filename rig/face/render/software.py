@@ -107,8 +107,10 @@ class Renderer:
         # The maps at about one texel a pixel: means of 2 x 2 texels as often as it takes.
         maps = mesh.maps
 
-        def shrunk(picture: Picture, texels_per_cm: float) -> Picture:
-            halvings = int(np.ceil(np.log2(texels_per_cm / (1.5 * pixels_per_cm))))
+        wanted = 1.5 * pixels_per_cm * 1024 / TEXELS_PER_CM
+
+        def shrunk(picture: Picture, wanted: float) -> Picture:
+            halvings = int(np.ceil(np.log2(len(picture) / wanted)))
             halvings = min(halvings, len(picture).bit_length() - 2)
             if halvings < 1:
                 return picture
@@ -118,10 +120,8 @@ class Renderer:
             )
             return np.asarray(image.reduce(2**halvings))
 
-        share = TEXELS_PER_CM / 1024
-        atlas = shrunk(maps.atlas, share * maps.atlas.shape[0])
-        creases = shrunk(maps.creases, share * maps.creases.shape[0])
-        pores = shrunk(maps.pores, share * PORES * maps.pores.shape[0])
+        atlas = shrunk(maps.atlas_for(wanted), wanted)
+        creases, pores = shrunk(maps.creases, wanted), shrunk(maps.pores, wanted / PORES)
         self._maps = (_packed(atlas), _packed(creases), _packed(pores))
         alpha = atlas[..., 3]
         self._alpha = _neighbours(alpha)
