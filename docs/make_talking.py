@@ -73,7 +73,7 @@ def _joined(paths: list[Path]) -> np.ndarray:
 def _column(curves: RigCurves, emotion: str, name: str, strip: Picture) -> Iterator[Picture]:
     """A picture (height, width, 3) of a take for every second frame, over its strip."""
     head = build_head(name)
-    renderer = Renderer(head.mesh, FACE, VIEW)
+    renderer = Renderer(head.mesh, FACE, VIEW, many=True)
     values = curves.values[::STEP]
     poses = head.pose(values)
     if curves.head is not None:

@@ -49,12 +49,13 @@ X, Y, Z, LEFT, TOP, COLUMNS = 0, 1, 2, 3, 4, 15
 U, V, NX, NY, NZ, RED, GREEN, BLUE, GLOSS, AMBIENT, SEEN, ACCENT = (
     PLACES * column for column in range(LEFT, COLUMNS)
 )
-DEPTH, SHARE, STRAND, KEPT, BLEED, RIM, WINDOW, IS_HAIR, FLESH = (
-    PLACES * row for row in range(COLUMNS, COLUMNS + 9)
+DEPTH, SHARE, STRAND, KEPT, KIND, RIM, WINDOW, CREASE = (
+    PLACES * row for row in range(COLUMNS, COLUMNS + 8)
 )
 _FACE, _EMPTY = 2**32 - 1, EMPTY
 """Bits of a sample's face; all are set where there is none."""
 TO_EYE, WRAP, SLOPE = 24 * PLACES, 27 * PLACES, 30 * PLACES
+_SKIN, _HAIR, _EYE, _CLOTH = F(SKIN), F(HAIR), F(EYE), F(CLOTH)
 
 
 @kernel
@@ -220,21 +221,45 @@ def _fill_face(
     last = min(_after(table[c, Y]), first_row + len(samples))
     turn = _after(by)
     for row in range(first, last):
-        at = F(row) + F(0.5)
-        one = ax + long * (at - ay)
-        other = bx + (upper if row < turn else lower) * (at - by)
+        middle = F(row) + F(0.5)
+        one = ax + long * (middle - ay)
+        other = bx + (upper if row < turn else lower) * (middle - by)
         start = max(_after(min(one, other)), 0)
         end = min(_after(max(one, other)), samples.shape[1])
         if start >= end:
             continue
-        dx, dy = F(start) - x, F(row) - top
-        value, span = z + per_y * dy + per_x * dx, samples[row - first_row, start:end]
+        # Whole vectors, those samples of which count that lie between the edges.
+        left = start & ~(TILE - 1)
+        count = _whole(end - left)
+        span = samples[row - first_row, left : left + count]
+        begin, stop = I4(start - left), I4(end - left)
+        dx, dy = F(left) - x, F(row) - top
+        value = z + per_y * dy + per_x * dx
         if not is_thin:
-            for k in range(len(span)):
-                span[k] = min(span[k], _key(value + per_x * F(k), f))
-        else:
-            _fill_thin(span, value, per_x, f, alpha, u + u_x * dx + u_y * dy, u_x,
-                       v + v_x * dx + v_y * dy, v_x, row, start)  # fmt: skip
+            for k in range(count):
+                at = I4(k)
+                key = _key(value + per_x * F(at), f)
+                span[k] = min(span[k], key if (begin <= at) & (at < stop) else _EMPTY)
+        elif _is_nearer(count, span, value, per_x, begin, stop):
+            _fill_thin(count, span, value, per_x, f, alpha, u + u_x * dx + u_y * dy, u_x,
+                       v + v_x * dx + v_y * dy, v_x, row, begin, stop)  # fmt: skip
+
+
+@kernel
+def _is_nearer(count: Any, span: Any, value: Any, per_x: Any, begin: Any, stop: Any) -> Any:
+    """Whether a face is nearer than what is drawn at some sample of a row."""
+    found = I4(0)
+    for k in range(count):
+        at = I4(k)
+        is_nearer = F(value + per_x * F(at)).view(I4) <= I4(span[k] >> 32)
+        found |= I4(is_nearer & (begin <= at) & (at < stop))
+    return found
+
+
+@kernel
+def _whole(count: Any) -> Any:
+    """Numbers of the vectors that hold `count`, 1 or more, so that the compiler knows it."""
+    return ((count - 1) & 0xFFFFFF | (TILE - 1)) + 1
 
 
 @kernel
@@ -272,21 +297,22 @@ def _depth(key: Any) -> Any:
 
 @kernel
 def _fill_thin(
-    span: Any, value: Any, per_x: Any, f: Any, alpha: Any, u: Any, u_x: Any, v: Any, v_x: Any,
-    row: Any, start: Any,
+    count: Any, span: Any, value: Any, per_x: Any, f: Any, alpha: Any, u: Any, u_x: Any, v: Any, v_x: Any,
+    row: Any, begin: Any, stop: Any,
 ) -> None:  # fmt: skip
     """Write a face with alpha in one row."""
     last = I4(len(alpha) - 1)
-    even, odd = _THRESHOLDS[row & 1, start & 1], _THRESHOLDS[row & 1, ~start & 1]
-    for k in range(len(span)):
-        across, down = I4(u + u_x * F(k)), I4(v + v_x * F(k))
+    even, odd = _THRESHOLDS[row & 1, 0], _THRESHOLDS[row & 1, 1]
+    for k in range(count):
+        at = I4(k)
+        across, down = I4(u + u_x * F(at)), I4(v + v_x * F(at))
         right, below = min(max(I4(across >> 8), I4(0)), last), min(max(I4(down >> 8), I4(0)), last)
         across, down = I4(across & 255), I4(down & 255)
         four = I4(alpha[np.uint32(below), np.uint32(right)])
         rows = I4(I4(four & 0xFF00FF) * I4(256 - across)) + I4(I4(four >> 8 & 0xFF00FF) * across)
         cover = I4(I4(rows & 0xFFFF) * I4(256 - down)) + I4(I4(rows >> 16 & 0xFFFF) * down)
-        is_there = I4(cover) > (odd if k & 1 else even)
-        span[k] = min(span[k], _key(value + per_x * F(k), f) if is_there else _EMPTY)
+        is_there = (I4(cover) > (odd if at & 1 else even)) & (begin <= at) & (at < stop)
+        span[k] = min(span[k], _key(value + per_x * F(at), f) if is_there else _EMPTY)
 
 
 @kernel
@@ -309,11 +335,11 @@ def _farthest(samples: Any, far: Any) -> None:
     """Write the largest depth of each tile of `TILE` by `TILE` samples."""
     for row in range(far.shape[0]):
         for column in range(far.shape[1]):
-            most = F(0)
+            most = I4(0)
             for line in samples[row * TILE : (row + 1) * TILE, column * TILE : (column + 1) * TILE]:
                 for k in range(len(line)):
-                    most = max(most, _depth(line[k]))
-            far[row, column] = most
+                    most = max(most, I4(line[k] >> 32))
+            far[row, column] = I4(most).view(F)
 
 
 @kernel
@@ -330,9 +356,15 @@ def _color(
     for left in range(0, len(picture), PLACES // 4):
         right = min(left + PLACES // 4, len(picture))
         count = _find(row, left, right, samples, part, step, places, shown, columns)
-        _interpolate(count, faces, table, places, shown)
-        _paint(count, to_eye, atlas, creases, pores, places, columns, shown, kind)
-        _light(count, places)
+        if count:
+            whole = _whole(count)  # the last vector has copies
+            for i in range(count, whole):
+                shown[i], columns[i] = shown[count - 1], columns[count - 1]
+                places[PLACES * X + i] = places[PLACES * X + count - 1]
+                places[PLACES * Y + i] = places[PLACES * Y + count - 1]
+            _interpolate(whole, faces, table, kind, places, shown)
+            _paint(whole, to_eye, atlas, creases, pores, places, columns)
+            _light(whole, places)
         i = 0
         for column in range(left, right):
             red, green, blue = empty[0], empty[1], empty[2]
@@ -392,10 +424,13 @@ def _add(
 
 
 @kernel
-def _interpolate(count: Any, faces: Any, table: Any, places: Any, shown: Any) -> None:
+def _interpolate(
+    count: Any, faces: Any, table: Any, kind: Any, places: Any, shown: Any
+) -> None:  # fmt: skip
     """Write the values of the vertices at each place."""
     for i in range(count):
         a, b, c = faces[shown[i], 0], faces[shown[i], 1], faces[shown[i], 2]
+        places[KIND + i] = F(kind[shown[i]])
         ax, ay = table[a, X], table[a, Y]
         bx, by, cx, cy = table[b, X] - ax, table[b, Y] - ay, table[c, X] - ax, table[c, Y] - ay
         x, y, scale = places[PLACES * X + i] - ax, places[PLACES * Y + i] - ay, F(1)
@@ -417,8 +452,8 @@ def _unit(x: Any, y: Any, z: Any) -> Any:
 def _corner(side: Any, u: Any, v: Any) -> Any:
     """Texel left of and above a place in a picture, and how far it lies to the next ones."""
     across, down = _limited(u) * F(side) - F(0.5), _limited(v) * F(side) - F(0.5)
-    x, y = min(max(int(across), 0), side - 2), min(max(int(down), 0), side - 2)
-    return x, y, _limited(across - F(x)), _limited(down - F(y))
+    x, y = min(max(I4(across), I4(0)), I4(side - 2)), min(max(I4(down), I4(0)), I4(side - 2))
+    return np.uint32(x), np.uint32(y), _limited(across - F(x)), _limited(down - F(y))
 
 
 @kernel
@@ -427,71 +462,103 @@ def _between(a: Any, b: Any, share: Any) -> Any:
 
 
 @kernel
-def _texel(picture: Any, x: Any, y: Any, across: Any, down: Any, k: Any) -> Any:
-    """One channel of a picture between its texels, from `_corner`."""
-    high = _between(F(picture[y, x, k]), F(picture[y, x + 1, k]), across)
-    low = _between(F(picture[y + 1, x, k]), F(picture[y + 1, x + 1, k]), across)
-    return _between(high, low, down)
+def _texels(picture: Any, x: Any, y: Any) -> Any:
+    """Four texels, from `_corner`: each is four channels of a byte, the first one lowest."""
+    right, below = x + np.uint32(1), y + np.uint32(1)
+    return picture[y, x], picture[y, right], picture[below, x], picture[below, right]
+
+
+@kernel
+def _channel(texels: Any, across: Any, down: Any, k: Any) -> Any:
+    """One channel between four texels."""
+    a, b, c, d = texels
+    high = _between(_byte(a, k), _byte(b, k), across)
+    return _between(high, _between(_byte(c, k), _byte(d, k), across), down)
+
+
+@kernel
+def _byte(texel: Any, k: Any) -> Any:
+    return F(I4(texel >> np.uint32(8 * k)) & I4(255))
 
 
 @kernel
 def _paint(
-    count: Any, to_eye: Any, atlas: Any, creases: Any, pores: Any, places: Any, columns: Any,
-    shown: Any, kinds: Any,
+    count: Any, to_eye: Any, atlas: Any, creases: Any, pores: Any, places: Any, columns: Any
 ) -> None:  # fmt: skip
     """Put the maps, and what each kind of surface has, into the places of a row."""
     for i in range(count):
-        kind, u, v = kinds[shown[i]], places[U + i], places[V + i]
-        accent = places[ACCENT + i]
-        inside = -accent if kind == SKIN else accent
-        dark = max(inside, F(0)) if kind <= SKIN else F(0)  # of the mouth
+        kind, accent = places[KIND + i], places[ACCENT + i]
+        x, y, across, down = _corner(len(atlas), places[U + i], places[V + i])
+        texels = _texels(atlas, x, y)
+        red = places[RED + i] * _channel(texels, across, down, 0) * F(1 / 255)
+        green = places[GREEN + i] * _channel(texels, across, down, 1) * F(1 / 255)
+        blue = places[BLUE + i] * _channel(texels, across, down, 2) * F(1 / 255)
+        inside = max(-accent if kind == _SKIN else accent, F(0))
+        dark = inside if kind <= _SKIN else F(0)  # of the mouth
+        kept, deep = F(1) - _DIM * dark, dark * dark
+        places[RED + i] = _between(red * kept, _DEEP[0], deep)
+        places[GREEN + i] = _between(green * kept, _DEEP[1], deep)
+        places[BLUE + i] = _between(blue * kept, _DEEP[2], deep)
+        places[GLOSS + i] *= F(1) - dark
+        places[CREASE + i] = max(accent, F(0)) if kind == _SKIN else F(0)
+    has_crease, has_eye = F(0), F(0)
+    for i in range(count):
+        has_crease = max(has_crease, places[CREASE + i])
+        has_eye = max(has_eye, F(1) if places[KIND + i] == _EYE else F(0))
+    for i in range(count):
+        kind, red = places[KIND + i], places[RED + i]
         nx, ny, nz = _unit(places[NX + i], places[NY + i], places[NZ + i])
-        away = to_eye[columns[i]]
-        vx, vy, vz = away[0], away[1], away[2]
-        if (kind == HAIR or kind >= CLOTH) and nx * vx + ny * vy + nz * vz < F(0):
-            nx, ny, nz = -nx, -ny, -nz
-        x, y, across, down = _corner(len(atlas), u, v)
+        vx, vy, vz = to_eye[columns[i], 0], to_eye[columns[i], 1], to_eye[columns[i], 2]
+        is_thin = (kind == _HAIR) | (kind >= _CLOTH)
+        way = F(-1) if is_thin & (nx * vx + ny * vy + nz * vz < F(0)) else F(1)
+        is_skin = F(1) if kind == _SKIN else F(0)
+        u, v, side = places[U + i] * F(PORES), places[V + i] * F(PORES), len(pores)
+        x = np.uint32(min(I4((u - np.floor(u)) * F(side)), I4(side - 1)))
+        y = np.uint32(min(I4((v - np.floor(v)) * F(side)), I4(side - 1)))
+        pore = pores[y, x]
+        rough = is_skin * (_byte(pore, 0) * F(1 / 127.5) - F(1))
+        tilt = is_skin * _PORE_TILT
+        places[NX + i] = way * nx + tilt * (_byte(pore, 1) * F(1 / 127.5) - F(1))
+        places[NY + i] = way * ny + tilt * (_byte(pore, 2) * F(1 / 127.5) - F(1))
+        places[NZ + i] = way * nz
+        places[GLOSS + i] *= F(1) + F(0.7) * rough
+        places[KEPT + i] = F(1) + F(0.16) * rough
+        places[STRAND + i] = min(F(3) * red, F(1)) if kind == _HAIR else F(1)
+        places[RIM + i] = F(0) if kind == _EYE else F(0.35)
+        places[WINDOW + i] = F(0)
+        places[TO_EYE + i], places[TO_EYE + PLACES + i] = vx, vy
+        places[TO_EYE + 2 * PLACES + i] = vz
         for k in range(3):
-            places[RED + k * PLACES + i] *= _texel(atlas, x, y, across, down, k) * F(1 / 255)
-        if dark > F(0):
-            for k in range(3):
-                paint = places[RED + k * PLACES + i] * (F(1) - _DIM * dark)
-                places[RED + k * PLACES + i] = _between(paint, _DEEP[k], dark * dark)
-            places[GLOSS + i] *= F(1) - dark
-        places[STRAND + i] = min(F(3) * places[RED + i], F(1)) if kind == HAIR else F(1)
-        places[KEPT + i] = F(1)
-        places[RIM + i] = F(0) if kind == EYE else F(0.35)
-        places[WINDOW + i], places[IS_HAIR + i] = F(0), F(1) if kind == HAIR else F(0)
-        places[BLEED + i] = F(1) if kind == SKIN else F(0)
-        places[FLESH + i] = F(1) if kind <= SKIN else F(0)
-        for k in range(3):
-            places[TO_EYE + k * PLACES + i] = away[k]
-            places[WRAP + k * PLACES + i] = _WRAP[kind, k]
-            places[SLOPE + k * PLACES + i] = _SLOPE[kind, k]
-        if kind == EYE:
-            for k in range(3):
-                paint = places[RED + k * PLACES + i]
-                lit = (F(1) - _UNDER_LID * accent) * (F(1) + _IRIS * (F(1) - paint))
-                places[RED + k * PLACES + i] = paint * lit
-            places[WINDOW + i] = _window(nx, ny, nz, vx, vy, vz, accent)
-        elif kind == SKIN:
-            side = len(pores)
-            y, x = int(v * F(PORES * side)) % side, int(u * F(PORES * side)) % side
-            kept = F(1) + F(0.16) * (F(pores[y, x, 0]) * F(1 / 127.5) - F(1))
-            places[GLOSS + i] *= F(1) + F(0.7) * (F(pores[y, x, 0]) * F(1 / 127.5) - F(1))
-            nx += _PORE_TILT * (F(pores[y, x, 1]) * F(1 / 127.5) - F(1))
-            ny += _PORE_TILT * (F(pores[y, x, 2]) * F(1 / 127.5) - F(1))
-            if accent > F(0.01):
-                x, y, across, down = _corner(len(creases), u, v)
-                most = accent * _CREASE_TILT
-                tilt = most * F(1 / 127.5)
-                nx += tilt * _texel(creases, x, y, across, down, 0) - most
-                ny += tilt * _texel(creases, x, y, across, down, 1) - most
-                nz += tilt * _texel(creases, x, y, across, down, 2) - most
-                shade = F(1) - _texel(creases, x, y, across, down, 3) * F(1 / 255)
-                kept *= F(1) - accent * shade
-            nx, ny, nz = _unit(nx, ny, nz)
-            places[KEPT + i] = kept
+            places[WRAP + k * PLACES + i] = _WRAP[np.uint32(kind), k]
+            places[SLOPE + k * PLACES + i] = _SLOPE[np.uint32(kind), k]
+    if has_crease > F(0.01):
+        _crease(count, creases, places)
+    if has_eye > F(0):
+        for i in range(count):
+            if places[KIND + i] == _EYE:
+                for k in range(3):
+                    paint = places[RED + k * PLACES + i]
+                    lit = F(1) - _UNDER_LID * places[ACCENT + i]
+                    places[RED + k * PLACES + i] = paint * lit * (F(1) + _IRIS * (F(1) - paint))
+                places[WINDOW + i] = _window(
+                    places[NX + i], places[NY + i], places[NZ + i], places[TO_EYE + i],
+                    places[TO_EYE + PLACES + i], places[TO_EYE + 2 * PLACES + i],
+                    places[ACCENT + i],
+                )  # fmt: skip
+
+
+@kernel
+def _crease(count: Any, creases: Any, places: Any) -> None:
+    """Tilt the normals of a row by the map of creases, and darken what lies in them."""
+    for i in range(count):
+        crease = places[CREASE + i]
+        x, y, across, down = _corner(len(creases), places[U + i], places[V + i])
+        texels, most = _texels(creases, x, y), crease * _CREASE_TILT
+        tilt = most * F(1 / 127.5)
+        nx = places[NX + i] + tilt * _channel(texels, across, down, 0) - most
+        ny = places[NY + i] + tilt * _channel(texels, across, down, 1) - most
+        nz = places[NZ + i] + tilt * _channel(texels, across, down, 2) - most
+        places[KEPT + i] *= F(1) - crease * (F(1) - _channel(texels, across, down, 3) * F(1 / 255))
         places[NX + i], places[NY + i], places[NZ + i] = nx, ny, nz
 
 
@@ -511,7 +578,9 @@ def _window(nx: Any, ny: Any, nz: Any, vx: Any, vy: Any, vz: Any, accent: Any) -
 def _light(count: Any, places: Any) -> None:
     """Put light on the paint of each place: the sRGB colour, 0 to 1, of `shading.glsl()`."""
     for i in range(count):
-        nx, ny, nz = places[NX + i], places[NY + i], places[NZ + i]
+        kind = places[KIND + i]
+        is_hair, is_skin = F(1) if kind == _HAIR else F(0), F(1) if kind == _SKIN else F(0)
+        nx, ny, nz = _unit(places[NX + i], places[NY + i], places[NZ + i])
         vx, vy, vz = (places[TO_EYE + i], places[TO_EYE + PLACES + i],
                       places[TO_EYE + 2 * PLACES + i])  # fmt: skip
         gloss, ambient = places[GLOSS + i], places[AMBIENT + i]
@@ -522,7 +591,7 @@ def _light(count: Any, places: Any) -> None:
         red = (_GROUND[0] + (_SKY[0] - _GROUND[0]) * up + rim * _SKY[0]) * ambient
         green = (_GROUND[1] + (_SKY[1] - _GROUND[1]) * up + rim * _SKY[1]) * ambient
         blue = (_GROUND[2] + (_SKY[2] - _GROUND[2]) * up + rim * _SKY[2]) * ambient
-        glow = (F(1) - ambient) * (F(1) - ambient) * places[FLESH + i]
+        glow = (F(1) - ambient) * (F(1) - ambient) * (F(1) if kind <= _SKIN else F(0))
         red, green, blue = red + glow * _GLOW[0], green + glow * _GLOW[1], blue + glow * _GLOW[2]
         shine_r = shine_g = shine_b = places[WINDOW + i]
         power = F(14) + F(340) * gloss * gloss
@@ -533,7 +602,7 @@ def _light(count: Any, places: Any) -> None:
             dx, dy, dz = _TO_LIGHT[k, 0], _TO_LIGHT[k, 1], _TO_LIGHT[k, 2]
             cosine = nx * dx + ny * dy + nz * dz
             seen = places[SEEN + i] if k == 0 else min(F(0.35) + F(0.65) * ambient, F(3) * ambient)
-            bleed = seen * (F(1) - seen) * places[BLEED + i]
+            bleed = seen * (F(1) - seen) * is_skin
             lit = _wrapped(cosine, places[WRAP + i], places[SLOPE + i])
             red += _COLOR[k, 0] * lit * (seen + F(0.3) * bleed)
             lit = _wrapped(cosine, places[WRAP + PLACES + i], places[SLOPE + PLACES + i])
@@ -545,9 +614,9 @@ def _light(count: Any, places: Any) -> None:
             half = _limited((cosine + facing) / both)
             half = half if cosine > F(0) else F(0)
             fall = (ny * (cosine + facing) - dy - vy) / (both * level)
-            strand = max(F(1) - fall * fall, F(0)) * places[IS_HAIR + i]
-            gate = F(1) + places[IS_HAIR + i] * (_limited(F(0.3) + cosine) - F(1))
-            half = max(strand, half * (F(1) - places[IS_HAIR + i]))
+            strand = max(F(1) - fall * fall, F(0)) * is_hair
+            gate = F(1) + is_hair * (_limited(F(0.3) + cosine) - F(1))
+            half = max(strand, half * (F(1) - is_hair))
             shine = gate * half / (power - power * half + half) * strength * seen
             shine_r += shine * _COLOR[k, 0]
             shine_g += shine * _COLOR[k, 1]

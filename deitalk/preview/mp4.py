@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 ENCODERS: tuple[tuple[str, dict[str, str]], ...] = (
-    ("libx264", {"preset": "veryfast", "crf": "21"}),
+    ("libx264", {"preset": "superfast", "crf": "22"}),
     ("libopenh264", {}),
     ("h264_videotoolbox", {}),
     ("mpeg4", {}),

@@ -103,7 +103,9 @@ def draw_frames(
 
     head = build_head(identity)
     widths = ("face", FACE_WIDTH), (second_view, WIDTH - FACE_WIDTH)
-    views = [Renderer(head.mesh, (width, FACE_HEIGHT), VIEWS[name]) for name, width in widths]
+    views = [
+        Renderer(head.mesh, (width, FACE_HEIGHT), VIEWS[name], many=True) for name, width in widths
+    ]
     panel = Panel(source, (WIDTH, PANEL_HEIGHT))
     values, share = source.curves.values, neck_share(head.mesh.vertices)
     for start in range(0, len(values), BATCH):

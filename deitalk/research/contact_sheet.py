@@ -116,7 +116,7 @@ def draw_sheet(
     picture = np.zeros((rows * height, columns * width, 3), np.uint8)
     for k, tile in enumerate(tiles):
         if tile.view not in renderers:
-            renderers[tile.view] = Renderer(head.mesh, size, VIEWS[tile.view])
+            renderers[tile.view] = Renderer(head.mesh, size, VIEWS[tile.view], many=True)
         values = tile.values[None]
         pose = head.pose(values)
         drawn = renderers[tile.view].render(

@@ -5,7 +5,7 @@ together by the seal, and set apart where they cross; lashes and brows with the 
 eyes turned. `Head.motion` has all numbers of it, which the preview page uses as they are.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING
 
@@ -23,6 +23,7 @@ from rig.face.head_file import (
     embedded_pictures,
     opened,
     read_head,
+    small_atlas,
 )
 from rig.face.identity import Identity, resolve_identity
 from rig.face.mesh import Maps, Mesh, smoothstep
@@ -116,6 +117,30 @@ class Lip:
         weight = self.weight[:, rim] + np.float32(1e-12)
         return Lip(self.rim[rim], weight / weight.sum(1, keepdims=True), self.reach[reach],
                    self.column[reach], self.share[reach])  # fmt: skip
+
+
+class EmbeddedMaps(Maps):
+    """Maps of an embedded head, which take longer to decode than all else: when wanted."""
+
+    name: str
+
+    def __init__(self, name: str) -> None:
+        vars(self)["name"] = name
+
+    def __getattr__(self, name: str) -> NDArray[np.uint8]:
+        if name not in PICTURES:
+            raise AttributeError(name)
+        picture = np.asarray(opened(embedded_pictures(self.name)[name], name))
+        vars(self)[name] = picture
+        return picture
+
+    @cached_property
+    def _small(self) -> NDArray[np.uint8]:
+        return np.asarray(opened(small_atlas(self.name), "atlas"))
+
+    def atlas_for(self, side: float) -> NDArray[np.uint8]:
+        """The atlas, or that of half its side where this is enough."""
+        return self._small if side < 2 * len(self._small) else self.atlas
 
 
 @dataclass(frozen=True)
@@ -298,17 +323,17 @@ class Head:
     @cached_property
     def mesh(self) -> Mesh:
         """All parts joined, neutral; `pose` returns its vertices."""
-        maps = Maps(*(np.asarray(opened(self.pictures[name], name)) for name in PICTURES))
-        return replace(self.bare, maps=maps)
-
-    @cached_property
-    def bare(self) -> Mesh:
-        """The mesh without its pictures, which take longer to decode than all else."""
-        stored = self._stored
+        stored, name = self._stored, self.identity.name
+        maps = (
+            Maps(*(np.asarray(opened(self.pictures[key], key)) for key in PICTURES))
+            if self.identity.file
+            else EmbeddedMaps(name)
+        )
         return Mesh(
             self.neutral, stored["faces"].astype(np.int64), stored["colour"] / 255,
             stored["gloss"] / 255, stored["uv"] / 65535, stored["light"] / 255,
-            stored["kind"].astype(np.int64), weld=stored["weld"].astype(np.int64),
+            stored["kind"].astype(np.int64), maps,
+            stored["weld"].astype(np.int64),
         )  # fmt: skip
 
     @cached_property

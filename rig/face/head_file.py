@@ -27,6 +27,8 @@ CONVERGENCE_DEGREES = 1.6
 """Turn of each embedded eye inwards at rest: an adult's eyes meet 111 cm away."""
 PICTURES = ("atlas", "creases", "pores")
 """Of `rig.face.mesh.Maps`: WebP files."""
+SMALL = "_small"
+"""End of the name of an atlas of half the side."""
 FIELDS = {
     "points": ("int16", "V3"), "uv": ("uint16", "V2"), "weld": ("uint16", "V"),
     "colour": ("uint8", "V3"), "gloss": ("uint8", "V"), "light": ("uint8", "V2"),
@@ -63,6 +65,11 @@ def embedded_pictures(name: str) -> dict[str, bytes]:
     """Files of an embedded head's `PICTURES`."""
     files = zip(PICTURES, (name, "creases", "pores"), strict=True)
     return {key: (DATA / f"{file}.webp").read_bytes() for key, file in files}
+
+
+def small_atlas(name: str) -> bytes:
+    """File of an embedded head's atlas of half the side."""
+    return (DATA / f"{name}{SMALL}.webp").read_bytes()
 
 
 def write_head(path: Path, arrays: Arrays) -> None:
@@ -131,16 +138,17 @@ def opened(data: bytes, name: str) -> "Image.Image":
     FormatError
         If it is no picture, or too large.
     """
-    from PIL import Image
+    from PIL.Image import DecompressionBombError
+    from PIL.WebPImagePlugin import WebPImageFile  # alone: Image.open imports other formats first
 
     try:
-        with Image.open(BytesIO(data), formats=("WEBP",)) as image:
+        with WebPImageFile(BytesIO(data)) as image:
             if image.width != image.height or image.width**2 > PICTURE_PIXELS:
                 raise ValueError("it is too large, or not square")
             image.load()
             mode = "RGB" if name == "pores" else "RGBA"
             return image if image.mode == mode else image.convert(mode)
-    except (OSError, ValueError, Image.DecompressionBombError) as error:
+    except (OSError, ValueError, SyntaxError, DecompressionBombError) as error:
         raise FormatError(f"a head's picture {name!r} cannot be read: {quoted(error)}") from None
 
 

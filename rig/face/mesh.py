@@ -28,6 +28,10 @@ class Maps:
     creases: NDArray[np.uint8]
     pores: NDArray[np.uint8]
 
+    def atlas_for(self, side: float) -> NDArray[np.uint8]:
+        """The atlas, or a smaller one that suffices where `side` texels are wanted."""
+        return self.atlas
+
 
 PORES = 30.0
 NO_MAPS = Maps(

@@ -52,7 +52,7 @@ def write(path: Path, curves: RigCurves, identity: int | str | Identity = 0) -> 
         weights = WeightAnimation(arkit_weights(curves), curves.fps, motion=_motion(curves))
         write_head(path, head, animation=weights)
         return
-    head.bare  # noqa: B018, both threads use it
+    head.mesh  # noqa: B018, both threads use it
     with ThreadPoolExecutor(1) as pool:  # pictures leave other threads alone
         look = pool.submit(textured, head)
         rig = morph_head(identity)

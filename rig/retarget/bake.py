@@ -173,7 +173,8 @@ def bake(
             weight = float(drivers[j].weight(poses[k : k + 1], controls)[0])
             if weight:
                 delta -= weight * deltas[place]
-        if np.abs(delta).max() > least or np.linalg.norm(delta, axis=1).max() > least:
+        farthest = max(delta.max(), -delta.min())  # along an axis, without a new array
+        if farthest > least or np.linalg.norm(delta, axis=1).max() > least:
             kept.append(k)
     deltas = deltas[: len(kept)]
     deltas.setflags(write=False)  # not copied again

@@ -10,7 +10,6 @@ import numpy as np
 from rig.arrays import AnyFloat, Float64
 from rig.controls import default_controls
 from rig.face import Head, build_head
-from rig.face.head_file import opened
 from rig.face.identity import Identity
 from rig.face.mesh import CLOTH, EYE, HAIR
 from rig.mesh.glb import Surface
@@ -35,7 +34,7 @@ def morph_head(identity: int | str | Identity = 0) -> BakedRig:
         Number or name of an embedded head.
     """
     head = build_head(identity)
-    neutral = TriMesh(head.bare.vertices, head.bare.faces)
+    neutral = TriMesh(head.mesh.vertices, head.mesh.faces)
     return bake(neutral, head.pose, default_controls(), correctives=face_correctives())
 
 
@@ -48,7 +47,7 @@ def shown_controls() -> frozenset[str]:
     # Gaze and seals have no shape of their own: whether they move a face at rest.
     others = [driver for name, driver in halves.items() if name not in head.motion.names]
     moved = head.pose(np.stack([driver.pose(controls) for driver in others])) - head.neutral
-    least = STILL * TriMesh(head.neutral, head.bare.faces).size
+    least = STILL * TriMesh(head.neutral, head.mesh.faces).size
     far = np.linalg.norm(moved, axis=-1).max(axis=1) > least
     shown += [driver for driver, is_far in zip(others, far, strict=True) if is_far]
     shown += [driver for _, driver in face_correctives()]
@@ -61,18 +60,20 @@ SKIN_ROUGHNESS, HAIR_ROUGHNESS, EYE_ROUGHNESS = 0.52, 0.6, 0.08
 def painted_colours(head: Head) -> Float64:
     """Linear colours (V, 3) of a head without a texture, its hollows darkened."""
     atlas = np.asarray(_shrunk(head))
-    u, v = np.clip(head.bare.uv * PICTURE, 0, PICTURE - 1).astype(np.int64).T
+    u, v = np.clip(head.mesh.uv * PICTURE, 0, PICTURE - 1).astype(np.int64).T
     return _hollow(head) * srgb_to_linear(atlas[v, u, :3] / 255)
 
 
 def _hollow(head: Head) -> Float64:
     """Linear vertex colours (V, 3), by which a texture is multiplied."""
-    return srgb_to_linear(head.bare.colors) * (0.5 + 0.5 * head.bare.light[:, :1])
+    return srgb_to_linear(head.mesh.colors) * (0.5 + 0.5 * head.mesh.light[:, :1])
 
 
 def _shrunk(head: Head) -> "Image.Image":
-    picture = opened(head.pictures["atlas"], "atlas")
-    return picture.reduce(picture.width // PICTURE)
+    from PIL import Image
+
+    picture = Image.fromarray(head.mesh.maps.atlas_for(PICTURE))
+    return picture.reduce(max(picture.width // PICTURE, 1))
 
 
 def _png(picture: "Image.Image") -> bytes:
@@ -88,10 +89,10 @@ def textured(head: Head) -> tuple[Float64, Surface]:
     side = 64
     rough = np.full((side, side, 3), 255 * SKIN_ROUGHNESS, np.uint8)
     for kind, value in ((HAIR, HAIR_ROUGHNESS), (CLOTH, 0.9), (EYE, EYE_ROUGHNESS)):
-        u, v = np.clip(side * head.bare.uv[head.bare.kind == kind], 0, side - 1).astype(int).T
+        u, v = np.clip(side * head.mesh.uv[head.mesh.kind == kind], 0, side - 1).astype(int).T
         rough[v, u] = round(255 * value)
     return _hollow(head), Surface(
-        head.bare.uv, _png(_shrunk(head)), _png(Image.fromarray(rough)), cutoff=0.5
+        head.mesh.uv, _png(_shrunk(head)), _png(Image.fromarray(rough)), cutoff=0.5
     )
 
 
@@ -105,11 +106,11 @@ def baked_picture(head: Head) -> tuple[Float64, bytes]:
 
     from rig.face.render.software import Screen, nearest_faces, planes
 
-    x, y = (PICTURE * head.bare.uv.T).astype(np.float32)
+    x, y = (PICTURE * head.mesh.uv.T).astype(np.float32)
     screen = Screen(PICTURE, PICTURE, x, y, np.zeros(len(x), np.float32))
-    a, b, c = head.bare.faces.T
+    a, b, c = head.mesh.faces.T
     area = (x[b] - x[a]) * (y[c] - y[a]) - (y[b] - y[a]) * (x[c] - x[a])
-    faces = head.bare.faces[np.abs(area) > 1e-6]
+    faces = head.mesh.faces[np.abs(area) > 1e-6]
     nearest, _ = nearest_faces(screen, faces)
     first, per_x, per_y = planes(screen, faces, _hollow(head).astype(np.float32))
     row, column = np.indices(nearest.shape) + np.float32(0.5)
@@ -120,7 +121,7 @@ def baked_picture(head: Head) -> tuple[Float64, bytes]:
     atlas = np.asarray(_shrunk(head))
     light = found[tuple(place)] * srgb_to_linear(atlas[..., :3] / 255)
     picture = np.round(255 * linear_to_srgb(np.clip(light, 0, 1))).astype(np.uint8)
-    return head.bare.uv[head.bare.faces], _png(Image.fromarray(np.dstack([picture, atlas[..., 3]])))
+    return head.mesh.uv[head.mesh.faces], _png(Image.fromarray(np.dstack([picture, atlas[..., 3]])))
 
 
 def linear_to_srgb(light: AnyFloat) -> Float64:

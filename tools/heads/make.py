@@ -23,6 +23,7 @@ from tools.heads.base import Base, triangles
 from tools.heads.parts import Person, eye_of
 from tools.heads.people import PEOPLE
 from tools.heads.shapes import COLUMNS, Shapes
+from tools.heads.small import write_small
 from tools.heads.strands import Hair, grow, smooth
 
 DATA = Path(__file__).parents[2] / "rig/face/data"
@@ -332,6 +333,7 @@ def write_person(name, look, base, shapes, person, joined, hair) -> None:
         creases=np.float32(look["creases"]),
     )  # fmt: skip
     Image.fromarray(picture).save(DATA / f"{name}.webp", quality=82, method=6, exact=True)
+    write_small(name)
     print(name, len(joined.points), len(joined.faces), "size", round(person.size, 3))  # noqa: T201
 
 

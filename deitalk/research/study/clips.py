@@ -174,7 +174,7 @@ def _pictures(values: Float32, identity: int | str | Identity) -> Iterator[Pictu
     from rig.face.render.software import Renderer
 
     head = build_head(identity)
-    renderer = Renderer(head.mesh, SIZE, VIEWS["face"])
+    renderer = Renderer(head.mesh, SIZE, VIEWS["face"], many=True)
     for start in range(0, len(values), BATCH):
         shown = values[start : start + BATCH]
         poses = head.pose(shown)

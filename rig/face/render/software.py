@@ -69,7 +69,8 @@ def nearest_faces(screen: Screen, faces: Int64, n_first: int = 0) -> tuple[Int32
     samples = room[-1]
     run("nearest", place, np.zeros((1, 1), np.uint32), np.ascontiguousarray(faces, np.uint32),
         np.array([n_first, 0, len(faces)]), *room)  # fmt: skip
-    return samples.view(np.int32)[:, ::2], samples.view(np.float32)[:, 1::2]
+    end = 2 * screen.width
+    return samples.view(np.int32)[:, :end:2], samples.view(np.float32)[:, 1:end:2]
 
 
 def _room(width: int, height: int, rows: int, faces: int) -> tuple[NDArray[Any], ...]:
@@ -78,7 +79,7 @@ def _room(width: int, height: int, rows: int, faces: int) -> tuple[NDArray[Any],
     return (
         np.empty(bands + 2, np.int64), np.empty(bands * faces, np.uint32),
         np.empty((-(-rows // TILE), -(-width // TILE)), np.float32),
-        np.empty((rows, width), np.int64),
+        np.empty((rows, -(-width // TILE) * TILE), np.int64),
     )  # fmt: skip
 
 
@@ -89,10 +90,15 @@ STEP_CM = 0.2
 
 
 class Renderer:
-    """Draws poses of one mesh, in `size` (width, height), from one view."""
+    """Draws poses of one mesh, in `size` (width, height), from one view.
 
-    def __init__(self, mesh: Mesh, size: tuple[int, int], view: View) -> None:
-        self._size, matrix = size, view.matrix(size[0] / size[1])
+    `many` is for more than ten pictures: the first comes later, the others sooner.
+    """
+
+    def __init__(
+        self, mesh: Mesh, size: tuple[int, int], view: View, *, many: bool = False
+    ) -> None:
+        self._size, matrix, self._many = size, view.matrix(size[0] / size[1]), many
         self._matrix = matrix.astype(np.float32)
         width, height = size
         distance = float(np.linalg.norm(np.subtract(view.position, view.target)))
@@ -101,24 +107,23 @@ class Renderer:
         # The maps at about one texel a pixel: means of 2 x 2 texels as often as it takes.
         maps = mesh.maps
 
-        def shrunk(picture: Picture, texels_per_cm: float) -> Picture:
-            halvings = int(np.ceil(np.log2(texels_per_cm / (1.5 * pixels_per_cm))))
+        wanted = 1.5 * pixels_per_cm * 1024 / TEXELS_PER_CM
+
+        def shrunk(picture: Picture, wanted: float) -> Picture:
+            halvings = int(np.ceil(np.log2(len(picture) / wanted)))
             halvings = min(halvings, len(picture).bit_length() - 2)
             if halvings < 1:
-                return np.ascontiguousarray(picture)
+                return picture
             mode = "RGB" if picture.shape[2] == 3 else "CMYK"  # RGBA would weigh by alpha
             image = Image.frombuffer(
                 mode, picture.shape[1::-1], picture.tobytes(), "raw", mode, 0, 1
             )
             return np.asarray(image.reduce(2**halvings))
 
-        share = TEXELS_PER_CM / 1024
-        self._maps = (
-            shrunk(maps.atlas, share * maps.atlas.shape[0]),
-            shrunk(maps.creases, share * maps.creases.shape[0]),
-            shrunk(maps.pores, share * PORES * maps.pores.shape[0]),
-        )
-        alpha = self._maps[0][..., 3]
+        atlas = shrunk(maps.atlas_for(wanted), wanted)
+        creases, pores = shrunk(maps.creases, wanted), shrunk(maps.pores, wanted / PORES)
+        self._maps = (_packed(atlas), _packed(creases), _packed(pores))
+        alpha = atlas[..., 3]
         self._alpha = _neighbours(alpha)
         # Skin, which hides most of the others, before what has one side, two, and soft edges.
         kind = mesh.kind[mesh.faces[:, 0]]
@@ -126,7 +131,8 @@ class Renderer:
         group = np.where(kind == SKIN, 0, np.where(is_hair | (kind == CLOTH), 2, 1))
         hair = np.flatnonzero(is_hair)
         group[hair[~_opaque(alpha, mesh.uv[mesh.faces[hair]])]] = 3
-        order = np.argsort(group, kind="stable")
+        far_off = np.linalg.norm(mesh.vertices - view.position, axis=1)[mesh.faces].max(1)
+        order = np.lexsort((np.where(group == 3, far_off, 0), group))  # soft ones from the front on
         self._faces = mesh.faces[order].astype(np.uint32)
         self._stops = np.bincount(group, minlength=4).cumsum()[:3]
         self._weld = mesh.weld.astype(np.uint32)
@@ -160,7 +166,8 @@ class Renderer:
     def normals(self, vertices: AnyFloat) -> Float32:
         """Unit normals (V, 3) of the mesh with these vertices (V, 3), without a seam."""
         found = np.empty(vertices.shape, np.float32)
-        run("normals", np.ascontiguousarray(vertices, np.float32), self._welded, self._weld, found)
+        run("normals", np.ascontiguousarray(vertices, np.float32), self._welded, self._weld,
+            found, often=self._many)  # fmt: skip
         return found
 
     def render(
@@ -182,8 +189,15 @@ class Renderer:
         run("draw", np.ascontiguousarray(vertices, np.float32), normals, accents, self._matrix,
             self._nearer, self._table, self._alpha, self._faces, self._stops, *self._room,
             self._kind, self._part, self._to_eye, *self._maps, self._step, self._empty,
-            *self._places, picture)  # fmt: skip
+            *self._places, picture, often=self._many)  # fmt: skip
         return picture
+
+
+def _packed(picture: Picture) -> NDArray[np.uint32]:
+    """Texels (A, A) of a picture of three or four channels, the first one lowest."""
+    four = np.zeros((*picture.shape[:2], 4), np.uint8)
+    four[..., : picture.shape[2]] = picture
+    return four.view("<u4")[..., 0]
 
 
 def _neighbours(alpha: Picture) -> NDArray[np.uint32]:

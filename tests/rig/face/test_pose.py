@@ -162,6 +162,17 @@ def test_surface_is_whole(person):
     assert uses.max() == 2  # no edge with more than two faces
 
 
+@pytest.mark.parametrize("person", PEOPLE)
+def test_the_small_atlas_is_half_of_the_large(person):
+    """After a new atlas: python -m tools.heads.small."""
+    maps = build_head(person).mesh.maps
+    large, small = maps.atlas, maps.atlas_for(len(maps.atlas) // 2).astype(float)
+    means = large.reshape(len(small), 2, -1, 2, 4).mean((1, 3))
+    assert maps.atlas_for(len(large)) is large
+    off = np.abs(small - means)
+    assert off[..., :3].mean() < 1.5 and off[..., 3].max() <= 0.5
+
+
 def test_data_are_small():
     assert sum(path.stat().st_size for path in DATA.iterdir()) < 6e6
 
