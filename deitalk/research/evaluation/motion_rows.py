@@ -62,7 +62,6 @@ from deitalk.pipeline.performance import Performance
 from deitalk.pipeline.speech import Speech
 from deitalk.pipeline.suggest import MODEL, NAMED, emotion_map
 from deitalk.postprocess.life.eyes import SIDE_DEGREES
-from deitalk.postprocess.life.face import LEAD_SECONDS as BROW_LEAD
 from deitalk.postprocess.life.voice import measure_voice
 from deitalk.research.arguments import new_file
 from deitalk.research.evaluation.acted import (
@@ -317,15 +316,16 @@ def strengths(table_of: Path, split: str) -> Columns:
     report = {g: {n: v for n, v in rows.items() if n in WANTED} for g, rows in found.items()}
     pairs = [rows["actors and emotions"] for rows in found.values()]
     names = [name for name in next(iter(report.values())) if "above" in name]
-    report["all"] = {
-        name: float(np.average([rows[name] for rows in report.values()], weights=pairs))
-        for name in names
-    }
+    if any(pairs):
+        report["all"] = {
+            name: float(np.average([rows[name] for rows in report.values()], weights=pairs))
+            for name in names
+        }
     return report
 
 
 def reader_rows(clips: Sequence[StrengthClip]) -> Rows:
-    """Brows of readers: peaks in 10 s of speech, and on which syllables; means of recordings."""
+    """Brows of readers: peaks in 10 s, and on which syllables; means of recordings."""
     rows = []
     for clip in clips:
         take = animate(clip.path)
@@ -336,8 +336,8 @@ def reader_rows(clips: Sequence[StrengthClip]) -> Rows:
         accents = np.array([accent.frame for accent in voice.accents]) / FRAME_RATE
         rows.append(
             (
-                len(peaks) * 10 / max(voice.speaking.sum() / FRAME_RATE, 1),
-                syllables.r(peaks + BROW_LEAD),
+                len(peaks) * 10 * FRAME_RATE / speech.n_frames,
+                syllables.r(peaks),
                 syllables.r(accents),
             )
         )
