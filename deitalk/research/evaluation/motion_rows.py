@@ -55,6 +55,7 @@ from deitalk.emotions import EMOTIONS, LABELS, MOODS, IntensityCurve
 from deitalk.emotions.actor import ActorReference
 from deitalk.errors import DeitalkError
 from deitalk.evaluation.report import table
+from deitalk.evaluation.scores import mean_of_finite
 from deitalk.models.checkpoint import require_model
 from deitalk.models.curve_model import DEITalk
 from deitalk.pipeline.curves import animate
@@ -342,7 +343,7 @@ def reader_rows(clips: Sequence[StrengthClip]) -> Rows:
             )
         )
     names = "brow peaks in 10 s", "brow peaks, r with prominence", "accents, r with prominence"
-    return dict(zip(names, map(float, np.nanmean(rows, axis=0)), strict=True))
+    return dict(zip(names, map(mean_of_finite, zip(*rows, strict=True)), strict=True))
 
 
 def suggested(clips: Sequence[StrengthClip]) -> Rows:
