@@ -99,7 +99,7 @@ def test_rows_of_two_actors(table, tmp_path, capsys):
     report = json.loads(out.read_text())
     happy, calm = report["motion"]["happy"], report["motion"]["neutral"]
     assert 0 <= report["readers"]["readers"]["brow peaks in 10 s"] <= 5
-    assert calm["labels named by poses"] > 0.7
+    assert calm["labels named by poses"] > 0.4
     assert happy["in a pause of 2 s over speech"] >= 0.6
     assert happy["in a pause of 2 s over speech, constant curve"] >= 0.95
     assert happy["last frame over mean"] >= 0.5
