@@ -26,6 +26,7 @@ from deitalk.postprocess.life.voice import (
     LEAST_STRESS_DB,
     LISTENING_EVERY,
     LISTENING_SECONDS,
+    MOST_DEVIATION,
     PAUSES,
     SONORITY_DB,
     SONORITY_SPREAD_DB,
@@ -38,8 +39,6 @@ SMOOTHING, SONORITY_SMOOTHING = 0.4, 0.6
 """Share of a new frame in level and pitch, which smooths over a syllable, and in the sonority."""
 LOUDEST_FALLS_DB = 0.75 / FRAME_RATE
 """Decrease per frame of the loudest sonority, from which `SONORITY_DB` counts."""
-MOST_TARGET = 3.0
-"""Limit of each of level, pitch and sonority, standard deviations."""
 EAGER_SECONDS, RELUCTANT = 3.0, 1.2
 """Seconds from an accent on in which another one must stand out more, and how much at first."""
 NONE = -1
@@ -183,7 +182,7 @@ class RunningCues:
         weights = np.where(counts, np.minimum(state.weights + 1, FORGET_FRAMES), state.weights)
         moved = state.means + (values - state.means) / np.maximum(weights, 1)
         means = np.where(counts, moved, state.means)
-        above = np.clip((values - means) / SPREADS, -MOST_TARGET, MOST_TARGET)
+        above = np.clip((values - means) / SPREADS, -MOST_DEVIATION, MOST_DEVIATION)
         weighted = (np.where(counts, above, 0) * ACCENT_WEIGHTS).sum(axis=-1)
         target = np.stack((weighted, sonority), axis=-1)
         # Peaks that stand out, and those that rise far enough above the lowest since the last one.

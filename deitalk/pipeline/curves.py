@@ -615,11 +615,14 @@ def _with_note_on(
 
 
 def _extended(recording: Recording, seconds: float) -> Recording:
-    """The recording with so much silence after it."""
+    """The recording with so much silence after it, which is not the floor of its noise."""
     silence = np.zeros(max(round(seconds * recording.sample_rate), 0), np.float32)
     if not len(silence):
         return recording
-    return replace(recording, waveform=np.concatenate([recording.waveform, silence]))
+    longer = replace(recording, waveform=np.concatenate([recording.waveform, silence]))
+    more = longer.n_frames - recording.n_frames
+    vars(longer)["activity"] = np.pad(recording.activity, (0, more))
+    return longer
 
 
 class _Clock:

@@ -37,8 +37,8 @@ YIELDING_STEP = 1 / 3
 """Share of a mood's pose that yields in a frame, 0.1 s in all: disgust raises the lip by .6."""
 ROUNDED = (0.15, 0.6)
 """Mean of purse, or of funnel, at which an expression begins to yield, and yields fully."""
-YIELDED = 0.34
-"""Share that is taken away by full rounding."""
+YIELDED = 0.25
+"""Share that is taken away by full rounding, so that a smile does not pump with the vowels."""
 NEUTRAL, SHOWN = 0, 1
 """Places of the readings."""
 

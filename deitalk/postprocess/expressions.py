@@ -18,7 +18,8 @@ faint, as in silence.
 Rows with a variant are what it differs by from its emotion: a factor on the emotion's gains, and
 what is added to its poses. Its rows ``upper`` and ``lower`` are factors on all that it shows of
 brows, eyes and nose, and of the rest: with them it is about as large as its emotion's own pose, so
-that a strong take is not smaller than a weak one for its variant. Weights of variants are those of
+that a strong take is not smaller than a weak one for its variant; in sadness, whose strong takes
+were, the variant of strong voices is larger than that of weak ones. Weights are those of
 `deitalk.postprocess.variants`.
 
 A smile yields to rounding: spread corners and a raised upper lip are muscles that act against

@@ -9,8 +9,9 @@ The *state* is slow. In speech it is the strength of the phrase at any gain (`Sp
 a pause that of the phrase before, which passes into that of the phrase after. It is linear in
 decibels and has no bound: a shout is stronger than a loud voice, and `MOST`, which no voice
 reaches, is above 1. The *display* is what a listener sees change within a phrase: level, pitch,
-tilt and the network's prediction about their means. It is small, has a mean of 0 in each phrase,
-and ends with the voice.
+tilt and the network's prediction about their means. It is small, has a mean of about 0 in each
+phrase, and ends with the phrase: the voice falls there, and an expression that fell with it would
+rise again in the pause. (A live voice's ends .2 s later, as its end is not known.)
 
 The intensity that is shown of a named emotion is more than that of the voice, most in weak voices
 (`felt_intensity`): a line that is read plainly, by a calm reader or a synthetic voice, shows a
@@ -220,8 +221,8 @@ def voice_intensity(
     """
     xp, usual = library(network), state_of(0.0, rule)
     state = state_of(strength, rule) + 0 * network
-    near = xp.clip(2 * smoothed(as_number(speaking), SMOOTHING_FRAMES), None, 1)
-    display = rule.display * near * _display(network, prosody, speaking)
+    inside = xp.clip(2 * smoothed(as_number(speaking), SMOOTHING_FRAMES) - 1, 0, None)
+    display = rule.display * inside * _display(network, prosody, speaking)
     found = between(state, speaking) + display
     return intensity_of(xp.where(speaking.any(), found, xp.full_like(found, usual)))
 

@@ -26,8 +26,8 @@ from rig import ControlSet
 from rig.arrays import Float32, Float64
 from rig.emotions import PLAIN, VARIANTS
 
-SPREAD = 3.0
-"""Standard deviation of the logarithms of the drawn weights: the largest of three is .82 on the
+SPREAD = 4.0
+"""Standard deviation of the logarithms of the drawn weights: the largest of three is .86 on the
 average."""
 HOME, WEAK_HOME, STEEPNESS = 2.0, 1.0, 1.5
 """Most that is added to a variant of strong voices, and to one of weak voices, and how suddenly
@@ -49,9 +49,9 @@ HABITS = (
 )  # fmt: skip
 """Parts of the names of the controls that a character uses more or less together, as one muscle
 moves them; none of them parts or closes the lips."""
-HABIT_SPREAD, LEAST_HABIT, MOST_HABIT = 0.46, -0.6, 1.0
+HABIT_SPREAD, LEAST_HABIT, MOST_HABIT = 0.6, -0.6, 1.0
 """Standard deviation of the logarithms of the factors, and their limits in standard deviations,
-.76 and 1.58: no muscle of an emotion is missing, a faint smile was none for those who looked."""
+.70 and 1.82: no muscle of an emotion is missing, a faint smile was none for those who looked."""
 
 
 class Ways(NamedTuple):

@@ -44,8 +44,8 @@ MIRRORED = 1 / 3
 """Share of another one's feeling that a listener shows."""
 MIRROR_SECONDS = 1.2
 """Time constant with which it comes and goes."""
-TALK_SECONDS = 1.5
-"""Time constant with which a face that talks begins to rest."""
+TALK_SECONDS, BEGIN_SECONDS = 1.5, 0.2
+"""Time constants with which a face that talks begins to rest, and one that rests to talk."""
 BLOCK_FRAMES = 1024
 """Frames of a take that are moved at once."""
 _MIRROR = by_emotion(MIRROR)
@@ -116,7 +116,7 @@ class MotionStreams:
         """Where the listener was, and where the eyes turn to: degrees and cm."""
         self.turns = np.zeros(batch, np.int64)
         """Frames from which on they do."""
-        self.speaks, self.talks = np.zeros((2, batch, 1))
+        self.speaks, self.talks, self.begins = np.zeros((3, batch, 1))
         self.mirrored = np.zeros((batch, 1, len(LABELS)))
         """State of the filters."""
         for k, character in enumerate(characters):
@@ -140,7 +140,8 @@ class MotionStreams:
         self.spread[stream] = self.idle.interval_spread
         self.places[stream] = life.look_at
         self.n_frames[stream] = self.turns[stream] = 0
-        self.speaks[stream] = self.talks[stream] = self.mirrored[stream] = 0
+        self.speaks[stream] = self.talks[stream] = self.begins[stream] = 0
+        self.mirrored[stream] = 0
 
     def reset(self, stream: int, character: Character) -> None:
         """Begin a stream again."""
@@ -205,7 +206,10 @@ class MotionStreams:
         lids = self.blinks.play(streams, first, count)
         spoken = speaking.astype(np.float64)
         speaks = _followed(spoken, POSTURE_SECONDS, self.speaks, streams)
-        talks = _followed(spoken, TALK_SECONDS, self.talks, streams)
+        talks = np.maximum(
+            _followed(spoken, TALK_SECONDS, self.talks, streams),
+            _followed(spoken, BEGIN_SECONDS, self.begins, streams),
+        )
         face = self.face.play(streams, first, talks)
         gestures = face.gestures + self._mirror(streams, mixture if felt is None else felt, felt)
         moves = amount * self.head.play(streams, first, speaks)
@@ -232,7 +236,11 @@ class MotionStreams:
 
     def _settle(self, streams: Int64, speaking: AnyFloat | Bool, mixture: Float32) -> None:
         """Begin streams in the state that their first frame holds."""
-        for seconds, states in ((POSTURE_SECONDS, self.speaks), (TALK_SECONDS, self.talks)):
+        for seconds, states in (
+            (POSTURE_SECONDS, self.speaks),
+            (TALK_SECONDS, self.talks),
+            (BEGIN_SECONDS, self.begins),
+        ):
             states[streams] = (1 - 1 / (seconds * FRAME_RATE)) * speaking
         self.head.settle(streams, mixture)
 

@@ -45,8 +45,9 @@ YIELDED, SMILE_YIELDED = 0.85, 2.5
 what it shows must not depend on the seed."""
 SWELL, USUAL_SWELL = 0.3, 0.2
 """Part of an expression above the mouth that comes and goes with the accents, and their mean."""
-HELD_SIDE = 0.25
-"""Share of a character's difference of the sides in an expression that is held."""
+HELD_SIDE = 0.5
+"""Share of a character's difference of the sides in an expression that is held: one side is by so
+much stronger, the other by so much weaker."""
 LOWER_LID = 0.14
 """Inner squint of a whole blink: the muscle that closes the lids draws the lower one up and towards
 the nose (Evinger, Manning and Sibony 1991); amount by eye."""

@@ -1,7 +1,16 @@
-"""How an expression lives in time: ``python -m deitalk.research.evaluation.motion_rows TABLE``.
+r"""How an expression lives in time and with the voice, on actors and readers: one table each.
 
-The table is that of ``evaluate --acted``: actors in emotions. Every measure is of takes as
-`deitalk.animate` makes them:
+::
+
+    python -m deitalk.research.evaluation.motion_rows ACTORS.csv --split validation \
+        --readers LIBRISPEECH.tsv --readers SPEECHOCEAN.tsv
+
+The first table is that of ``evaluate --acted``, the others have columns ``path, speaker``. All is
+measured on takes as `deitalk.animate` makes them.
+
+``strength``: order of acted strengths, from `deitalk.research.evaluation.acted`.
+
+``motion``, by emotion, medians of actors:
 
 - two takes of an actor with two seconds of silence between: the expression in the middle second of
   the pause over that in speech, as predicted and with a constant intensity curve;
@@ -10,9 +19,18 @@ The table is that of ``evaluate --acted``: actors in emotions. Every measure is 
 - lips at double intensity: of the contacts of the neutral reading, the share that is kept in all
   emotions, by the gap of the lips of an embedded head;
 - the mean pose of the strongest third of the frames, of actors with a voice of their own: r between
-  every two, the mean and the highest, of the upper face and of the whole;
-- calm takes: peaks of the brows over .1 in 10 s, saccades a minute, the longest aversion;
+  every two, the mean and the highest, of the upper face and of the whole; and the share of all
+  labels, each shown on the calm take of every actor, whose mean pose is nearest to those of the
+  same label of the other actors: what numbers tell apart, which people need not;
+- calm takes: peaks of the brows over .1 in 10 s, ranges (95th less 5th percentile) in shapes of
+  ARKit, saccades a minute, the longest aversion;
 - 20 s of listening: the share of frames in which no control moves by .06 a second.
+
+``readers``, by table: the same peaks of the brows, and the correlation over syllables of there
+being an accent, or a peak of the brows, with the prominence that
+`deitalk.research.evaluation.prominence` measures.
+
+``auto``: recall of the emotion that the voice suggests, and its mean; neutral of readers.
 
 The expression is the smile in joy, else the distance of brows, eyes, nose and cheeks from the
 neutral reading.
@@ -33,27 +51,36 @@ from scipy.signal import find_peaks
 from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
 from deitalk.audio.load import load_audio
 from deitalk.audio.voice_activity import speech_activity
-from deitalk.emotions import EMOTIONS, MOODS, IntensityCurve
+from deitalk.emotions import EMOTIONS, LABELS, MOODS, IntensityCurve
 from deitalk.emotions.actor import ActorReference
 from deitalk.errors import DeitalkError
 from deitalk.evaluation.report import table
+from deitalk.evaluation.scores import mean_of_finite
+from deitalk.models.checkpoint import require_model
+from deitalk.models.curve_model import DEITalk
 from deitalk.pipeline.curves import animate
 from deitalk.pipeline.performance import Performance
+from deitalk.pipeline.speech import Speech
+from deitalk.pipeline.suggest import MODEL, NAMED, emotion_map
 from deitalk.postprocess.life.eyes import SIDE_DEGREES
+from deitalk.postprocess.life.voice import measure_voice
 from deitalk.research.arguments import new_file
-from deitalk.research.evaluation.acted import (
-    EMOTIONS as ASKED,
-)
-from deitalk.research.evaluation.report import write_json
+from deitalk.research.evaluation.acted import EMOTIONS as ASKED
+from deitalk.research.evaluation.acted import evaluate
+from deitalk.research.evaluation.prominence import find_syllables
+from deitalk.research.evaluation.report import identified, write_json
 from deitalk.research.evaluation.strength_clips import (
     ACTORS,
     NEUTRAL,
+    READERS,
     StrengthClip,
     read_strength_clips,
 )
 from deitalk.research.lips.head_lips import HeadLips
+from deitalk.research.training.suggestion import PLACES, measure, recalls
 from rig import default_controls
-from rig.arrays import Bool, Float32, Float64
+from rig.arrays import Bool, Float32, Float64, Int64
+from rig.conversion.arkit import raw_to_arkit
 from rig.face.head import build_head
 
 CONTROLS = default_controls()
@@ -66,8 +93,39 @@ PAUSE_SECONDS, LAST_SECONDS, LEAD_SECONDS = 2.0, 0.5, 0.4
 CONSTANT = IntensityCurve(np.array([0.0, 60.0]), np.array([0.8, 0.8]))
 MET, GAP = 0.75, 0.02
 """Contact of lips that meet, and the gap that met lips may have, of the eyes' distance."""
+PARTS = ("strength", "motion", "readers", "auto")
 FROZEN = 0.06 / FRAME_RATE
+SHAPES = {
+    "BrowInnerUp": ".10", "BrowDownLeft": ".10", "EyeSquintLeft": ".12", "MouthSmileLeft": ".12",
+    "NoseSneerLeft": ".05",
+}  # fmt: skip
+"""Shapes of ARKit, and the least range of a calm face."""
+SENTENCES = 3
+"""Of a reader."""
 Rows = dict[str, float]
+Columns = dict[str, Rows]
+WANTED = {
+    "whole face: high above low": ".90", "upper face: high above low": ".88",
+    "opening range: high above low": ".80", "intensity: high above low": ".80 in sadness",
+    "joined, intensity: high above low": ".98", "joined, whole face: high above low": ".97",
+    "joined, upper face: high above low": ".95",
+    "joined at one level, intensity: high above low": ".95",
+    "joined at one level, whole face: high above low": ".93",
+    "joined at one level, upper face: high above low": ".92",
+    "opening range: high over neutral, angry": "1.3 to 1.5",
+    "opening range: high over neutral, happy": "1.2 to 1.45",
+    "in a pause of 2 s over speech": ".6", "in a pause of 2 s over speech, constant curve": ".95",
+    ".1 s before the voice over apex": ".7", "frame 0 over apex": ".3",
+    "last frame over mean": ".5", "p5 over p95 in speech": ".6",
+    "apex r, upper face": ".9 at most", "apex r, whole face": ".9 at most",
+    "labels named by poses": ".9", "brow peaks in 10 s": "5 at most", "saccades a minute": "45",
+    "longest aversion, s": "2 at most", "frozen frames while listening": ".05 at most",
+    "closures kept in all emotions, intensity 2": "1", "brow peaks, r with prominence": ".5",
+    "accents, r with prominence": ".5", "unweighted recall": ".70; .55 of another corpus",
+    "readers neutral": ".95",
+    **{f"range of {name}": least for name, least in SHAPES.items()},
+}  # fmt: skip
+"""What a row should be, at least where nothing is said, by its name."""
 
 
 def padded_speech(sound: Float32) -> Float32:
@@ -140,11 +198,23 @@ def kept_closures(sounds: Sequence[Float32], lips: HeadLips) -> Rows:
     return {"closures": count, "closures kept in all emotions, intensity 2": kept / max(count, 1)}
 
 
-def apex(sound: Float32, emotion: str, actor: str) -> Float64:
-    """Mean expression of the strongest third of the frames of speech [shape=(C,)]."""
+def brow_peaks(take: Performance) -> Int64:
+    """Frames at which the brows are raised or lowered most."""
+    columns = (take.curves.values[:, both].mean(axis=1) for both in BROWS)
+    found: Int64 = find_peaks(sum(columns), prominence=0.1)[0]
+    return found
+
+
+def acted_by(sound: Float32, emotion: str, actor: str) -> Performance:
+    """A take of an actor with a character of its own."""
     own = {"own": 1.0, "side": 0.25 * np.sin(sum(map(ord, actor)))}
     voice = ActorReference(0.0, 1, 10.0, traits=own)
-    take = animate(sound, emotion, sample_rate=SAMPLE_RATE, voice=voice)
+    return animate(sound, emotion, sample_rate=SAMPLE_RATE, voice=voice)
+
+
+def apex(sound: Float32, emotion: str, actor: str) -> Float64:
+    """Mean expression of the strongest third of the frames of speech [shape=(C,)]."""
+    take = acted_by(sound, emotion, actor)
     shown = (take.curves.values - take.neutral.values)[take.recording.activity > 0]
     size = np.linalg.norm(shown[:, UPPER], axis=1)
     pose: Float64 = shown[size >= np.quantile(size, 2 / 3)].mean(axis=0, dtype=np.float64)
@@ -164,11 +234,30 @@ def apex_rows(poses: Mapping[str, Float64]) -> Rows:
     return rows
 
 
+def named_rows(sounds: Mapping[str, Float32]) -> Rows:
+    """Share of the labels, on the calm sound of every actor, that their mean poses tell apart."""
+    poses = np.array(
+        [
+            [
+                acted_by(sound, label, actor).curves.values[:, FACE].mean(axis=0, dtype=np.float64)
+                for label in LABELS
+            ]
+            for actor, sound in sounds.items()
+        ]
+    )
+    right = []
+    for own, pose in enumerate(poses):
+        others = np.delete(poses, own, axis=0).mean(axis=0)
+        distances = np.linalg.norm(pose[:, None] - others, axis=2)
+        right.append(distances.argmin(axis=1) == np.arange(len(LABELS)))
+    return {"labels named by poses": float(np.mean(right))}
+
+
 def calm_rows(sound: Float32) -> Rows:
     """Brows and eyes of a calm take, and a listener's frozen frames."""
     take = animate(sound, sample_rate=SAMPLE_RATE)
     values, seconds = take.curves.values, len(sound) / SAMPLE_RATE
-    brows = np.sum([values[:, columns].mean(axis=1) for columns in BROWS], axis=0)
+    shapes = raw_to_arkit(take.curves).curves
     sides = [CONTROLS.index(f"CTRL_{s}_eye.{axis}") for s in "LR" for axis in ("tx", "ty")]
     left_x, left_y, right_x, right_y = values[:, sides].T * SIDE_DEGREES
     looks = np.stack(((left_x + right_x) / 2, (left_y + right_y) / 2), axis=1)
@@ -176,7 +265,8 @@ def calm_rows(sound: Float32) -> Rows:
     away = np.abs(looks[:, 0] - np.median(looks[:, 0])) > 4
     heard = animate(silence(1), sample_rate=SAMPLE_RATE, listen=20).curves.values
     return {
-        "brow peaks in 10 s": len(find_peaks(brows, prominence=0.1)[0]) * 10 / seconds,
+        "brow peaks in 10 s": len(brow_peaks(take)) * 10 / seconds,
+        **{f"range of {n}": float(np.subtract(*np.percentile(shapes[n], (95, 5)))) for n in SHAPES},
         "saccades a minute": 60 * _runs(fast)[1] / seconds,
         "longest aversion, s": _runs(away)[0] / FRAME_RATE,
         "frozen frames while listening": float(
@@ -192,13 +282,11 @@ def _runs(flags: Bool) -> tuple[int, int]:
     return int(lengths.max(initial=0)), len(edges)
 
 
-def measure(clips: Sequence[StrengthClip]) -> dict[str, Rows]:
-    """All rows, by emotion; ``neutral`` has those of calm takes."""
-    report: dict[str, Rows] = {}
+def motion(clips: Sequence[StrengthClip]) -> Columns:
+    """Rows by emotion; ``neutral`` has those of calm takes."""
+    report: Columns = {}
     for code, emotion in ASKED.items():
-        own = {clip.speaker: clip for clip in clips if clip.emotion == code}  # one of an actor
-        sounds = {actor: load_audio(clip.path).waveform for actor, clip in own.items()}
-        heard = {a: padded_speech(s) for a, s in sounds.items() if speech_activity(s).any()}
+        heard = _heard(clips, code)
         if len(heard) < 2:
             continue
         rows = [pause_rows(sound, emotion) | edge_rows(sound, emotion) for sound in heard.values()]
@@ -209,27 +297,116 @@ def measure(clips: Sequence[StrengthClip]) -> dict[str, Rows]:
     if calm:
         lips = HeadLips(build_head("0"))
         report["neutral"] = calm_rows(np.concatenate(calm)) | kept_closures(calm, lips)
+        if len(heard := _heard(clips, NEUTRAL)) > 1:
+            report["neutral"] |= named_rows(heard)
     return report
 
 
+def _heard(clips: Sequence[StrengthClip], code: str) -> dict[str, Float32]:
+    """Speech of one clip of every actor in an emotion."""
+    own = {clip.speaker: clip for clip in clips if clip.emotion == code}
+    sounds = {actor: load_audio(clip.path).waveform for actor, clip in own.items()}
+    return {a: padded_speech(s) for a, s in sounds.items() if speech_activity(s).any()}
+
+
+def strengths(table_of: Path, split: str) -> Columns:
+    """Rows of acted strengths by group of emotions, and over all pairs of takes."""
+    found = evaluate(require_model(MODEL, DEITalk), table_of, split=split)
+    report = {g: {n: v for n, v in rows.items() if n in WANTED} for g, rows in found.items()}
+    pairs = [rows["actors and emotions"] for rows in found.values()]
+    names = [name for name in next(iter(report.values())) if "above" in name]
+    if any(pairs):
+        report["all"] = {
+            name: float(np.average([rows[name] for rows in report.values()], weights=pairs))
+            for name in names
+        }
+    return report
+
+
+def reader_rows(clips: Sequence[StrengthClip]) -> Rows:
+    """Brows of readers: peaks in 10 s, and on which syllables; means of recordings."""
+    rows = []
+    for clip in clips:
+        take = animate(clip.path)
+        speech = Speech.of_recording(take.recording)
+        voice = measure_voice(speech.activity, speech.prosody)
+        syllables = find_syllables(speech.waveform)
+        peaks = brow_peaks(take) / FRAME_RATE
+        accents = np.array([accent.frame for accent in voice.accents]) / FRAME_RATE
+        rows.append(
+            (
+                len(peaks) * 10 * FRAME_RATE / speech.n_frames,
+                syllables.r(peaks),
+                syllables.r(accents),
+            )
+        )
+    names = "brow peaks in 10 s", "brow peaks, r with prominence", "accents, r with prominence"
+    return dict(zip(names, map(mean_of_finite, zip(*rows, strict=True)), strict=True))
+
+
+def suggested(clips: Sequence[StrengthClip]) -> Rows:
+    """Recalls of the most probable emotion of actors, and the share of readers who are neutral."""
+    network, found = require_model(MODEL, DEITalk), emotion_map()
+    rows, truth = [], []
+    for clip in clips:
+        numbers = measure(network, load_audio(clip.path).waveform)
+        if numbers is not None and (clip.kind == READERS or clip.emotion in PLACES):
+            rows.append(found.probabilities(numbers))
+            truth.append(PLACES.get(clip.emotion, 0))
+    scores = recalls(np.stack(rows), np.array(truth, np.int64))
+    if clips[0].kind == READERS:
+        return {"readers neutral": scores[f"recall {NAMED[0]}"]}
+    return scores
+
+
+def read_clips(path: Path, kind: str, split: str, most: int) -> list[StrengthClip]:
+    """Clips of so many speakers of a split; of a reader `SENTENCES`, evenly spread."""
+    clips = [clip for clip in read_strength_clips(path, kind) if split in (clip.split, "all")]
+    by_speaker: dict[str, list[StrengthClip]] = {}
+    for clip in clips:
+        by_speaker.setdefault(clip.speaker, []).append(clip)
+    names = sorted(by_speaker)[:most]
+    if kind == READERS:
+        return [c for n in names for c in by_speaker[n][:: -(-len(by_speaker[n]) // SENTENCES)]]
+    return [clip for clip in clips if clip.speaker in names]
+
+
+def with_wanted(columns: Columns) -> Columns:
+    """Columns after one that says what a row should be."""
+    names = dict.fromkeys(name for rows in columns.values() for name in rows)
+    return {"at least": {name: WANTED.get(name, "") for name in names}, **columns}  # type: ignore[dict-item]
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Print the table."""
+    """Print the tables."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
-    parser.add_argument("table", type=Path, help="recordings of actors")
-    parser.add_argument("--split", default="validation", help="actors; all of another corpus")
-    parser.add_argument("--most", type=int, default=12, help="actors at most")
+    parser.add_argument("actors", type=Path, help="table of recordings of actors")
+    parser.add_argument("--readers", type=Path, action="append", default=[], help="of readers")
+    parser.add_argument("--split", default="validation", help="speakers; all of another corpus")
+    parser.add_argument("--most", type=int, default=12, help="speakers at most, but of strengths")
+    parser.add_argument("--only", action="append", choices=PARTS, help="these rows alone")
     parser.add_argument("--json", type=new_file, help="also write the measures to this file")
     options = parser.parse_args(arguments)
+    chosen, most = options.only or PARTS, max(options.most, 2)
+    report: dict[str, Columns] = {}
     try:
-        clips = read_strength_clips(options.table, ACTORS)
-        clips = [clip for clip in clips if options.split in (clip.split, "all")]
-        some = sorted({clip.speaker for clip in clips})[: max(options.most, 2)]
-        report = measure([clip for clip in clips if clip.speaker in some])
+        actors = read_clips(options.actors, ACTORS, options.split, most)
+        readers = {p.stem: read_clips(p, READERS, options.split, most) for p in options.readers}
+        spoken = {options.actors.stem: actors, **readers}
+        if "strength" in chosen:
+            report["strength"] = strengths(options.actors, options.split)
+        if "motion" in chosen:
+            report["motion"] = motion(actors)
+        if "readers" in chosen and readers:
+            report["readers"] = {name: reader_rows(clips) for name, clips in readers.items()}
+        if "auto" in chosen:
+            report["auto"] = {name: suggested(clips) for name, clips in spoken.items()}
     except DeitalkError as error:
         sys.stderr.write(f"deitalk: {error}\n")
         return 1
-    sys.stdout.write("\n".join(table("", report)) + "\n")
-    write_json(options.json, report)
+    for name, columns in report.items():
+        sys.stdout.write("\n".join(table(name, with_wanted(columns))) + "\n\n")
+    write_json(options.json, identified(MODEL) | report)
     return 0
 
 

@@ -332,6 +332,18 @@ def test_face_listens_in_silence_after_the_speech(network):
             animate(recording(1), model=network, listen=seconds)
 
 
+def test_silence_to_listen_in_is_not_the_floor_of_the_noise_before_it(network):
+    """A voice in a room whose noise is no speech; digital silence follows."""
+    room = 0.003 * np.random.default_rng(0).standard_normal(48_000).astype(np.float32)
+    room[16_000:32_000] += speechlike(1.0)
+    plain, longer = (
+        animate(room, model=network, sample_rate=16_000, listen=seconds).recording.activity
+        for seconds in (0, 1)
+    )
+    assert 0.2 < plain.mean() < 0.7
+    np.testing.assert_array_equal(longer, np.pad(plain, (0, 30)))
+
+
 def test_face_listens_to_another_voice(network, tmp_path):
     """It lasts as long, nods at the ends of phrases, feels with the other, and is the same again."""
     sound = recording(3).waveform.copy()

@@ -9,11 +9,13 @@ import soundfile as sf
 from deitalk.research.evaluation.motion_rows import (
     CONTROLS,
     SMILE,
+    WANTED,
     apex_rows,
     expression,
     main,
     padded_speech,
 )
+from deitalk.research.evaluation.prominence import Syllables, find_syllables
 from tests.deitalk.audio.test_prosody import voice
 
 
@@ -43,6 +45,27 @@ def test_apex_rows_of_equal_and_opposite_poses():
     assert other["apex r, whole face"] == pytest.approx(-1)
 
 
+def test_accents_on_the_prominent_syllables_have_a_higher_r_than_on_others():
+    """Two of four syllables stand out; an event further than .2 s from any is on none."""
+    found = Syllables(np.array([0.5, 1.0, 1.5, 2.0]), np.array([2.0, -2.0, 2.0, -2.0]))
+    assert found.r(np.array([0.6, 1.45])) == pytest.approx(1)
+    assert found.r(np.array([1.0, 2.1])) == pytest.approx(-1)
+    assert found.r(np.array([0.5, 1.5, 2.3])) == pytest.approx(1)
+    assert found.r(np.array([0.5])) == pytest.approx(1 / np.sqrt(3))
+
+
+def test_syllables_that_are_louder_longer_and_higher_stand_out():
+    """Three tones with pauses; the second one has more of all three."""
+    parts = []
+    for hz, size, seconds in ((120, 0.1, 0.15), (180, 0.3, 0.3), (120, 0.1, 0.15)):
+        times = np.arange(round(16_000 * seconds)) / 16_000
+        tone = sum(np.sin(2 * np.pi * hz * k * times) for k in range(1, 12))
+        parts += [np.zeros(3200), size * tone * np.hanning(len(times)) / 6]
+    found = find_syllables(np.concatenate([*parts, np.zeros(3200)]).astype(np.float32))
+    assert found.times == pytest.approx([0.275, 0.7, 1.125], abs=0.03)
+    assert found.prominence.argmax() == 1
+
+
 @pytest.fixture(scope="module")
 def table(tmp_path_factory):
     folder = tmp_path_factory.mktemp("acted")
@@ -66,10 +89,17 @@ def test_speech_has_a_lead_and_an_end(table):
 def test_rows_of_two_actors(table, tmp_path, capsys):
     """A smile is held in a pause and at the end, is there before the voice, and eyes move."""
     out = tmp_path / "rows.json"
-    assert main([str(table), "--split", "all", "--json", str(out)]) == 0
-    assert "frame 0 over apex" in capsys.readouterr().out
+    readers = table.parent / "readers.csv"
+    readers.write_text("path,speaker,chapter\naNEU.wav,a,a\nbNEU.wav,b,b\n")
+    given = [str(table), "--split", "all", "--readers", str(readers), "--json", str(out)]
+    assert main(given) == 0
+    printed = capsys.readouterr().out
+    assert "| frame 0 over apex | .3 |" in printed
+    assert all(row in printed for row in WANTED if not row.startswith("opening range: high over"))
     report = json.loads(out.read_text())
-    happy, calm = report["happy"], report["neutral"]
+    happy, calm = report["motion"]["happy"], report["motion"]["neutral"]
+    assert 0 <= report["readers"]["readers"]["brow peaks in 10 s"] <= 5
+    assert calm["labels named by poses"] > 0.4
     assert happy["in a pause of 2 s over speech"] >= 0.6
     assert happy["in a pause of 2 s over speech, constant curve"] >= 0.95
     assert happy["last frame over mean"] >= 0.5

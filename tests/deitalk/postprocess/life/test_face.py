@@ -4,7 +4,7 @@ import csv
 
 import numpy as np
 import pytest
-from scipy.signal import butter, find_peaks, sosfiltfilt
+from scipy.signal import find_peaks
 
 from deitalk.audio.load import load_audio
 from deitalk.emotions import LABELS
@@ -14,6 +14,7 @@ from deitalk.postprocess.life.face import STEMS, Face, FaceTracks
 from deitalk.postprocess.life.motion import plan_motion
 from deitalk.postprocess.life.voice import Accent, Phrase, Seeds, Voice, measure_voice
 from deitalk.postprocess.tracks import MOTION, MotionTracks
+from deitalk.research.evaluation.prominence import find_syllables
 from rig import RigCurves, default_controls
 from rig.controls import DEFAULT_ID
 from rig.conversion.arkit import raw_to_arkit
@@ -218,49 +219,6 @@ def test_seeds_change_an_emotion_less_than_its_strength_does(emotion):
     assert (strong[:, None] > calm).mean() > 0.97
 
 
-# Prominence of syllables, measured by other means than those of `measure_voice`.
-
-
-def syllables(wave):
-    """Seconds of the nuclei of syllables, and their energy, pitch and length, standardised."""
-    sos = butter(4, [300, 3000], "band", fs=16_000, output="sos")
-    band = sosfiltfilt(sos, wave.astype(float))
-    hop, kernel = 160, np.hanning(11)
-    frames = len(band) // hop
-    energy = np.sqrt((band[: frames * hop].reshape(frames, hop) ** 2).mean(axis=1) + 1e-9)
-    level = 20 * np.log10(np.convolve(energy, kernel / kernel.sum(), "same") + 1e-6)
-    nuclei, _ = find_peaks(level, prominence=3, distance=9)
-    nuclei = nuclei[level[nuclei] > level.max() - 30]
-    pitch, lengths = pitches(wave, hop, frames), []
-    for nucleus in nuclei:
-        quiet = np.flatnonzero(level < level[nucleus] - 4)
-        before, after = quiet[quiet < nucleus], quiet[quiet > nucleus]
-        begin = before[-1] if len(before) else 0
-        lengths.append((after[0] if len(after) else frames) - begin)
-    near = [pitch[max(n - 5, 0) : n + 6] for n in nuclei]
-    tones = np.array([np.median(part[part > 0]) if (part > 0).any() else np.nan for part in near])
-    tones = np.log2(np.where(np.isnan(tones), np.nanmedian(tones), tones))
-
-    def standard(values):
-        return (values - np.mean(values)) / (np.std(values) + 1e-6)
-
-    tall = standard(level[nuclei]) + standard(np.log(lengths))
-    return nuclei / 100, tall + np.clip(standard(tones), -2.5, 2.5)
-
-
-def pitches(wave, hop, count):
-    """Hz by autocorrelation; 0 where there is none [shape=(count,)]."""
-    size = 640
-    padded = np.pad(wave.astype(float), (size // 2, size))
-    windows = np.lib.stride_tricks.sliding_window_view(padded, size)[::hop][:count]
-    windows = windows - windows.mean(axis=1, keepdims=True)
-    power = np.abs(np.fft.rfft(windows, 2048)) ** 2
-    lags = np.fft.irfft(power)[:, 40:229]
-    best = lags.argmax(axis=1)
-    clear = lags[np.arange(len(lags)), best] > 0.45 * (np.fft.irfft(power)[:, 0] + 1e-9)
-    return np.where(clear & (np.abs(windows).max(axis=1) > 0.01), 16_000 / (best + 40), 0)
-
-
 def test_accents_lie_on_prominent_syllables_of_readers(shared):
     """Correlation over syllables of an accent's being there with the prominence, mean of readers."""
     folder = shared / "data/speech"
@@ -272,11 +230,7 @@ def test_accents_lie_on_prominent_syllables_of_readers(shared):
     for path in files:
         speech = Speech.of_recording(load_audio(path))
         voice = measure_voice(speech.activity, speech.prosody)
-        times, prominence = syllables(speech.waveform)
-        there = np.zeros(len(times))
-        for accent in voice.accents:
-            nearest = np.abs(times - accent.frame / 30).argmin()
-            there[nearest] = abs(times[nearest] - accent.frame / 30) < 0.2
-        found.append(np.corrcoef(there, prominence)[0, 1])
-        rates.append(10 * len(voice.accents) / (voice.speaking.sum() / 30))
+        accents = np.array([accent.frame for accent in voice.accents]) / 30
+        found.append(find_syllables(speech.waveform).r(accents))
+        rates.append(10 * len(voice.accents) / (voice.n_frames / 30))
     assert np.mean(found) >= 0.5 and np.mean(rates) <= 5
