@@ -7,7 +7,7 @@
     engine_graph.py     writes the graphs that these open, in torch
     network_graph.py    the network of a whole clip, or of one frame of a causal model
     whisper_graph.py    its Whisper frontend; spectra.py, its Fourier transform
-    tracing.py          a module as an ONNX model
+    tracing.py          a module as an ONNX model; fusing.py, with the operators of ONNX Runtime
 """
 
 from deitalk.models.onnx.network import OnnxCausalNetwork, OnnxNetwork, load_onnx

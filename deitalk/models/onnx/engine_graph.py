@@ -19,6 +19,7 @@ from deitalk.emotions import EMOTIONS
 from deitalk.frontends.whisper import WhisperFrontend
 from deitalk.models.causal_model import causal_frontend, grid_of
 from deitalk.models.curve_model import DEITalk
+from deitalk.models.onnx.fusing import fused
 from deitalk.models.onnx.network import (
     CAUSAL_SCHEMA,
     NEXT,
@@ -72,6 +73,7 @@ def write_graph(model: DEITalk, folder: Path, path: Path) -> None:
     texts[WHOLE] = rules_entry(model)
     if model.is_causal:
         texts[LIVE] = rules_entry(model, grid_of(model).rules_ahead)
+    content = fused(content, stored)
     left = _leave_weights(content.graph, types)
     for key, value in (metadata(model) | texts).items():
         content.metadata_props.add(key=key, value=value)
@@ -156,7 +158,7 @@ def rules_entry(model: DEITalk, ahead: int | None = None) -> str:
     axes: Axes = {name: {0: "B"} for name in (*RULES_INPUTS, *RULES_OUTPUTS)}
     for name in (*RULES_INPUTS[:4], *RULES_OUTPUTS[:3]):
         axes[name][1] = "T"
-    content = traced(rules, example, RULES_INPUTS, RULES_OUTPUTS, axes)
+    content = fused(traced(rules, example, RULES_INPUTS, RULES_OUTPUTS, axes))
     graph = base64.b64encode(content.SerializeToString()).decode()
     return json.dumps({"behind": rules.behind, "ahead": rules.ahead, "graph": graph})
 

@@ -24,7 +24,7 @@ from deitalk.models.mesh_head import MeshHead
 from deitalk.models.mesh_model import MeshModel
 from deitalk.pipeline.curves import animate
 from deitalk.pipeline.mesh import mesh_frames
-from deitalk.postprocess.known_phones import seal_lips
+from deitalk.postprocess.lip_seal import seal_lips
 from deitalk.postprocess.phones import BILABIALS, CLEAR_SECONDS, NEAR_LIPS, VOWELS, WIDEN_FRAMES
 from deitalk.research.meshes.folder import Lips, act, acted_clips, head_lips
 from rig.arrays import Float32, Float64
@@ -169,7 +169,7 @@ def evaluate_mesh(
         rest; `bilabial_closed`, share of /p b m/ with a gap of at most `CLOSED_MM`;
         `bilabial_gap_mm`, median; `after_s...`, of those that follow an /s/; `vowel...`, of
         clear vowels; `unsealed_...`, the same without the model's seal
-        (`deitalk.postprocess.known_phones`), if it has one; `truth_...`, of the ground truth;
+        (`deitalk.postprocess.lip_seal`), if it has one; `truth_...`, of the ground truth;
         `curves_...`, for a mesh head, of the rig posed by the curves of the same DEITalk model.
         ``expression``, of a mesh head: `expression_probe`.
 
