@@ -89,9 +89,11 @@ def load_network(
 
 
 def load_causal(
-    model: str | Path | CurveNetwork | CausalNetwork, *, backend: str = "auto"
+    model: str | Path | CurveNetwork | CausalNetwork, *, backend: str = "auto", lasts: bool = False
 ) -> CausalNetwork:
     """Return a causal network; arguments and errors as for `load_network`.
+
+    One that `lasts` reads for minutes: see `deitalk.models.causal_model.TorchNetwork`.
 
     Raises
     ------
@@ -110,4 +112,4 @@ def load_causal(
         return cast("CausalNetwork", network)
     from deitalk.models.causal_model import TorchNetwork
 
-    return TorchNetwork(cast(Any, network))
+    return TorchNetwork(cast(Any, network), lasts=lasts)

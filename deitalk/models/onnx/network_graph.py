@@ -14,7 +14,7 @@ from torch.nn import functional as F
 
 from deitalk.errors import CheckpointError
 from deitalk.frontends.whisper import WhisperFrontend
-from deitalk.models.causal_model import TensorState, causal_frontend, decode, first_state
+from deitalk.models.causal_model import causal_frontend, first_state
 from deitalk.models.curve_model import DEITalk
 from deitalk.models.intensity import local_maximum
 from deitalk.models.onnx.spectra import with_formulas
@@ -130,38 +130,6 @@ def causal_graph(model: DEITalk) -> DEITalk:
     found._modules = dict(model._modules)
     found.frontend = with_formulas(causal_frontend(model))
     return found
-
-
-class CausalGraph(nn.Module):
-    """A causal curve model, the next G frames of B streams.
-
-    Parameters
-    ----------
-    model : DEITalk
-        With a causal frontend.
-    """
-
-    def __init__(self, model: DEITalk) -> None:
-        super().__init__()
-        self.model = causal_graph(model)
-
-    def forward(self, windows: Tensor, emotion: Tensor, *state: Tensor) -> tuple[Tensor, ...]:
-        """Predict the next frames.
-
-        Parameters
-        ----------
-        windows : Tensor [shape=(B, G P, W)]
-            Samples of the spectra of the frames, at the usual level.
-        emotion : Tensor [shape=(B, G, 5 + actors)]
-            Weights of the styles.
-        state : Tensor
-            From the call before; see `first_states`. Of rings the new rows alone are returned.
-        """
-        before = TensorState.of((windows.new_zeros(0), *state), self.model)
-        speech, new = causal_frontend(self.model).read(windows, before.frontend)
-        rows, after = decode(self.model, speech, emotion, before._replace(frontend=new))
-        frames = (rows.emotional, rows.neutral, rows.saliency, rows.strength, rows.effort)
-        return (*frames, *after.tensors()[1:])
 
 
 def first_states(model: DEITalk) -> dict[str, Tensor]:
