@@ -65,7 +65,7 @@ def load_network(
     threads : int
         Processor threads of ONNX Runtime; those of torch are set for the process.
     once : bool
-        Whether it reads one recording: ONNX Runtime then starts faster, and runs 4 ms longer.
+        Whether it reads one recording: ONNX Runtime then starts faster, and runs 5 ms longer.
 
     Raises
     ------

@@ -318,7 +318,7 @@ def open_session(
 ) -> Any:
     """Session of ONNX Runtime of a graph and its weights; `path` is for messages.
 
-    `once` opens it in two fifths of the time (30 ms for 80), and each run takes 4 ms more.
+    `once` opens it in a third of the time (25 ms for 80), and each run takes 5 ms more.
     """
     try:
         import onnxruntime
