@@ -7,6 +7,8 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+jit: Any = torch.jit
+
 
 def frozen(module: nn.Module, example: tuple[Tensor, ...]) -> Callable[..., Any]:
     """A module as it is now, for any sizes of the axes that its operators take from its inputs.
@@ -25,10 +27,10 @@ def frozen(module: nn.Module, example: tuple[Tensor, ...]) -> Callable[..., Any]
         return module
     with warnings.catch_warnings(), torch.no_grad():
         warnings.simplefilter("ignore")  # the tracer's own, on constants that are meant
-        graph: Any = torch.jit.freeze(torch.jit.trace(module.eval(), example, check_trace=False))
+        graph = jit.freeze(jit.trace(module.eval(), example, check_trace=False))
 
     def run(*inputs: Tensor) -> Any:
-        with torch.jit.optimized_execution(False):  # no search for fusions at each new size
+        with jit.optimized_execution(False):  # no search for fusions at each new size
             return graph(*inputs)
 
     return run
