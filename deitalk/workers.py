@@ -1,9 +1,6 @@
 """Worker processes: one is started, sent messages, waited for, ended and started again.
 
-They end with their parent, and import nothing from the working folder.
-
-Python puts the working folder first where it looks for modules in what `multiprocessing` starts
-(new processes, the fork server, the resource tracker): a ``struct.py`` there would be executed.
+They end with their parent, and import nothing from the working folder (`deitalk.safe_path`).
 """
 
 import multiprocessing
@@ -11,37 +8,14 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from multiprocessing import parent_process
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import BaseContext, SpawnContext, SpawnProcess
 from multiprocessing.process import BaseProcess
 from typing import Any
 
-SAFE_PATH = "PYTHONSAFEPATH"
-"""With this variable Python leaves the working folder out."""
-_lock = threading.Lock()
-_given: list[str | None] = []
-"""Values of `SAFE_PATH` before each of the blocks that are being executed."""
-
-
-@contextmanager
-def safe_path() -> Iterator[None]:
-    """Every Python that is started in the block imports nothing from the working folder."""
-    with _lock:
-        _given.append(os.environ.get(SAFE_PATH))
-        os.environ[SAFE_PATH] = "1"
-    try:
-        yield
-    finally:
-        with _lock:
-            # Blocks of several threads may end in any order; the last one has the first value.
-            given = _given.pop()
-            if given is None:
-                del os.environ[SAFE_PATH]
-            else:
-                os.environ[SAFE_PATH] = given
+from deitalk.safe_path import safe_path
 
 
 class _NewProcess(SpawnProcess):

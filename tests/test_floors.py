@@ -25,6 +25,7 @@ FLOORS = {
         audio emotions
         config array_functions
         installed workers
+        safe_path
         errors
     """,
     "rig": """

@@ -74,7 +74,7 @@ class Voices:
     def _open(self, voice: int, model: str, fields: dict[str, Any], limits: Limits) -> float:
         """Give a voice a place; return the look-ahead of its model."""
         if model not in self.animators:
-            network = load_causal(placed(model_of(model, limits), limits))
+            network = load_causal(placed(model_of(model, limits), limits), lasts=True)
             self.animators[model] = LiveAnimator(network, streams=MOST_VOICES, life="off")
         taken = {place for name, place in self.places.values() if name == model}
         place = min(set(range(MOST_VOICES)) - taken)

@@ -18,7 +18,7 @@ WINDOW = 1024  # samples, 64 ms, centred on the frame's time
 ACTIVE_DB = 25.0  # below the loudest speech; quieter frames are not active
 VOICED = 0.35  # least autocorrelation
 SHORTEST, LONGEST = 36, 230  # samples of a period: 444 to 70 Hz
-PIECE = 512  # frames at once, so that an hour fits
+PIECE = 16  # frames at once, which stay in the cache of a processor
 BANDS = 26
 BAND_EDGES_HZ = 700 * (
     (1 + 80 / 700) ** (1 - np.linspace(0, 1, BANDS + 1))

@@ -205,7 +205,7 @@ def noise_likeness(waveform: npt.ArrayLike, activity: npt.ArrayLike) -> float:
     window = np.hanning(WINDOW + 1)[:-1].astype(np.float32)
     first = LIKENESS_HZ[0] * WINDOW // SAMPLE_RATE
     n_bands = (LIKENESS_HZ[1] - LIKENESS_HZ[0]) * WINDOW // SAMPLE_RATE // LIKENESS_BINS
-    found = [np.zeros(1)]
+    found = []
     for start in range(0, len(active), 2048):
         frames = active[start : start + 2048]
         spectrum = np.fft.rfft(_windows(samples, frames) * window)
@@ -213,7 +213,10 @@ def noise_likeness(waveform: npt.ArrayLike, activity: npt.ArrayLike) -> float:
         bands = power.reshape(len(frames), n_bands, LIKENESS_BINS)
         flatness = np.exp(np.log(bands).mean(axis=2)) / bands.mean(axis=2)
         found.append(flatness.mean(axis=1))
-    return float(np.percentile(np.concatenate(found)[1:], 10)) if len(active) else 0.0
+    if not found:
+        return 0.0
+    flat = np.concatenate(found)
+    return float(percentile(flat, 10, np.isfinite(flat)))
 
 
 def band_levels(waveform: Float32) -> Float32:

@@ -19,7 +19,7 @@ from typing import Any
 from deitalk.batch.orders import Order, Outcome
 from deitalk.batch.processes import Make
 from deitalk.errors import DeitalkError, MissingError
-from deitalk.workers import safe_path
+from deitalk.safe_path import safe_path
 from rig.errors import UserError, one_line
 
 LINES_PER_BLOCK = 16

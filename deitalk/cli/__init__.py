@@ -4,49 +4,52 @@ import gc
 import os
 import sys
 from contextlib import suppress
+from importlib import import_module
 from typing import Annotated, Any, cast
 
 import typer
 
-from deitalk.cli.animate import animate
-from deitalk.cli.batch import batch
 from deitalk.cli.console import emit, escape_what_cannot_be_encoded, name_option
-from deitalk.cli.convert import convert
-from deitalk.cli.data import app as data_app
-from deitalk.cli.edits import diff, dub
-from deitalk.cli.export import app as export_app
-from deitalk.cli.face import app as face_app
-from deitalk.cli.finetune import finetune
-from deitalk.cli.install import app as install_app
-from deitalk.cli.live import live
-from deitalk.cli.model import app as model_app
 from deitalk.cli.options import CheckedCommands
-from deitalk.cli.preview import preview
-from deitalk.cli.retarget import retarget
-from deitalk.cli.serve import app as serve_app
 from deitalk.cli.signals import CTRL_C_CODE, Terminated, catch_signals, received, release_signals
 from deitalk.cli.targets import hold_targets
-from deitalk.cli.validate import validate
 from deitalk.installed import __version__
-from deitalk.workers import safe_path
+from deitalk.safe_path import safe_path
 from rig.errors import UserError, one_line
 
-app = CheckedCommands(
-    name="deitalk",
-    help="MetaHuman facial animation from speech and an emotion.",
-    no_args_is_help=True,
-    pretty_exceptions_enable=False,
-    context_settings={"help_option_names": ["-h", "--help"]},
+VERBS = (
+    *("animate", "batch", "live", "preview", "convert", "diff", "dub", "validate", "retarget"),
+    *("finetune", "face", "install", "serve", "data", "model", "export"),
 )
-for _verb in (animate, batch, live, preview, convert, diff, dub, validate, retarget):
-    app.command()(_verb)
-app.add_typer(face_app, name="face")
-app.add_typer(install_app, name="install")
-app.add_typer(serve_app, name="serve")
-app.add_typer(data_app, name="data")
-app.command()(finetune)
-app.add_typer(model_app, name="model")
-app.add_typer(export_app, name="export")
+"""In the order of the help, each a function or a group in the module of its name."""
+TOGETHER = {"diff": "edits", "dub": "edits"}
+"""Modules of other names."""
+
+
+def commands(asked: str = "") -> CheckedCommands:
+    """The command line; of the verb that is asked for alone, which is built sooner."""
+    app = CheckedCommands(
+        name="deitalk",
+        help="MetaHuman facial animation from speech and an emotion.",
+        no_args_is_help=True,
+        pretty_exceptions_enable=False,
+        context_settings={"help_option_names": ["-h", "--help"]},
+    )
+    app.callback()(root)
+    for verb in (asked,) if asked in VERBS else VERBS:
+        module = import_module(f"deitalk.cli.{TOGETHER.get(verb, verb)}")
+        if hasattr(module, "app"):
+            app.add_typer(module.app, name=verb)
+        else:
+            app.command(verb)(getattr(module, verb))
+    return app
+
+
+def __getattr__(name: str) -> Any:
+    """``app``: the whole command line, which is built when it is asked for."""
+    if name == "app":
+        return commands()
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 def _version(wanted: bool) -> None:
@@ -55,7 +58,6 @@ def _version(wanted: bool) -> None:
         raise typer.Exit
 
 
-@app.callback()
 def root(
     context: typer.Context,
     version: Annotated[
@@ -69,19 +71,21 @@ def root(
 UsageError = cast(type[Exception], typer.BadParameter.__base__)  # typer does not export it
 
 
-def main(commands: typer.Typer = app, name: str = "deitalk") -> None:
+def main(app: typer.Typer | None = None, name: str = "deitalk") -> None:
     """Run a command; an error that a user can correct is one line on stderr.
 
     The exit code is 2 for a wrong command line, 128 and the number of the signal for a command
     that Ctrl-C, SIGTERM or SIGHUP stopped, otherwise 1.
     """
     usual = gc.get_threshold()
-    gc.set_threshold(10_000)  # imports make many objects and few cycles to search for
+    gc.set_threshold(100_000)  # imports make many objects and few cycles to search for
+    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "1")  # a search in all installed packages
     escape_what_cannot_be_encoded()
     try:
         catch_signals()
         with safe_path():
-            code = commands(prog_name=name, standalone_mode=False)
+            app = app or commands(*sys.argv[1:2])
+            code = app(prog_name=name, standalone_mode=False)
         if code == CTRL_C_CODE:
             _fail("stopped", CTRL_C_CODE)
         sys.exit(code)

@@ -125,12 +125,15 @@ def animate(
     from deitalk.audio.original import start_of
     from deitalk.batch.lines import TAKE, Written
     from deitalk.pipeline.performance import write_take
-    from rig.face.identity import identity_of
     from rig.files import is_folder_name
     from rig.formats import check_option, find_format
     from rig.formats.table import writable_suffixes
 
-    head = identity and identity_of(identity)
+    head = None
+    if identity is not None:
+        from rig.face.identity import identity_of
+
+        head = identity_of(identity)
     is_take = is_folder_name(out, writable_suffixes())
     file_format = None if is_take else find_format(target, writable=True)
     if identity is not None and file_format is not None:

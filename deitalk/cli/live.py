@@ -172,7 +172,7 @@ def _speak(
     from deitalk.live.sources import Microphone, PacedSound
     from deitalk.models.load import load_causal
 
-    network = load_causal(model, backend=backend)
+    network = load_causal(model, backend=backend, lasts=True)
     source: Microphone | PacedSound
     if speech is None:
         is_number = source_name is not None and source_name.isdigit()

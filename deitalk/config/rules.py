@@ -13,7 +13,6 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from deitalk.config.section import Inner, Section, Share, Weight, checked
-from deitalk.config.yaml_files import read_yaml
 from deitalk.errors import ConfigError
 from rig import limits
 
@@ -233,6 +232,8 @@ def read_rules(path: Path) -> RulesConfig | None:
     ConfigError
         If the file cannot be read, is no mapping, or a rule has an unknown key or a bad value.
     """
+    from deitalk.config.yaml_files import read_yaml
+
     tree = read_yaml(path) or {}
     if not isinstance(tree, dict):
         raise ConfigError(f"{path}: holds a {type(tree).__name__}; a configuration is a mapping")

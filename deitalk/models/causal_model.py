@@ -4,18 +4,20 @@ Letters: B streams, G groups of spectra (one a rig frame), P spectra of a group,
 spectrum, C controls.
 """
 
-from collections.abc import Sequence
-from typing import NamedTuple, Self, cast
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple, Self, cast
 
 import numpy as np
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from deitalk.audio.log_mel import N_FFT
+from deitalk.audio.running_level import levelled
 from deitalk.config.rules import RulesConfig
 from deitalk.emotions import EMOTIONS
 from deitalk.frontends.causal_whisper import CausalState, CausalWhisperFrontend
 from deitalk.models.curve_model import DEITalk
+from deitalk.models.frozen import frozen
 from deitalk.models.protocol import (
     NetworkRows,
     Product,
@@ -72,18 +74,24 @@ class TorchNetwork:
     ----------
     model : DEITalk
         With a causal frontend, in evaluation mode.
+    lasts : bool
+        Whether it reads for minutes, as it is now: it then begins half a second later, and reads
+        in a sixth less (`deitalk.models.frozen`).
     """
 
     product: Product = "curves"
     is_causal = True
 
-    def __init__(self, model: DEITalk) -> None:
-        self.model = model
+    def __init__(self, model: DEITalk, *, lasts: bool = False) -> None:
+        self.model, self.lasts = model, lasts
         self.controls: ControlSet = model.controls
         self.rules: RulesConfig = model.rules
         self.actors: tuple[str, ...] = model.actors
         self.emotions: tuple[str, ...] = model.emotions
         self.grid, self.device = grid_of(model), str(model.device)
+        self.rings = causal_frontend(model).rings
+        step = CausalStep(model)
+        self.step: Callable[..., Any] = frozen(step, step_example(model)) if lasts else step
 
     def eval(self) -> Self:
         """The network, its model in evaluation mode."""
@@ -92,7 +100,10 @@ class TorchNetwork:
 
     def curve_pass(self, *, live: bool = False) -> TorchPass:
         """Rules after the network."""
-        return self.model.curve_pass(live=live)
+        found = self.model.curve_pass(live=live)
+        if not self.lasts:
+            return found
+        return TorchPass(found.rules, frozen(found.rules, found.rules.example()))
 
     @torch.no_grad()
     def first_state(self, batch: int) -> State:
@@ -102,36 +113,79 @@ class TorchNetwork:
     @torch.no_grad()
     def begin(self, windows: Float32, state: State, streams: Sequence[int]) -> None:
         """Read the first groups."""
-        self._hear(windows, state, streams)
+        groups = windows.shape[1] // self.grid.spectra
+        styles = np.zeros((len(windows), groups, len(EMOTIONS) + len(self.actors)), np.float32)
+        _, new = self._read(windows, styles, state, streams)
+        put(state, streams, new[: len(self.rings)], self.rings)
 
     @torch.no_grad()
     def advance(
         self, windows: Float32, styles: Float32, state: State, streams: Sequence[int]
     ) -> NetworkRows:
         """Read the next frames."""
-        speech = self._hear(windows, state, streams)
-        count = len(causal_frontend(self.model).rings)
-        before = TensorState.of(take(state, streams), self.model)
-        rows, after = decode(self.model, speech, self._given(styles), before)
-        put(state[count:], streams, after.tensors()[count:])
-        *curves, saliency, strength, effort = rows
+        rows, new = self._read(windows, styles, state, streams)
+        count = len(self.rings)
+        put(state, streams, new[:count], self.rings)
+        put(state[count:], streams, new[count:])
+        emotional, neutral, *tracks = rows
         # One array crosses the bus: columns of the readings, then of the tracks.
-        tracks = torch.stack((saliency, strength, effort), dim=-1)
-        columns = torch.cat((*curves, tracks), dim=-1).cpu().numpy()
+        columns = torch.cat((neutral, emotional, torch.stack(tracks, dim=-1)), dim=-1).cpu().numpy()
         size = len(self.controls)
         both = columns[..., :size], columns[..., size : 2 * size]
         return NetworkRows(*both, *np.moveaxis(columns[..., 2 * size :], -1, 0))
 
-    def _hear(self, windows: Float32, state: State, streams: Sequence[int]) -> Tensor:
-        """Features (B, G, D) of the next groups; changes the state of the frontend."""
-        frontend = causal_frontend(self.model)
-        before = take(state[: len(frontend.rings)], streams)
-        speech, new = frontend.hear(self._given(windows), CausalState.of(before))
-        put(state, streams, new.tensors(), frontend.rings)
-        return speech
+    def _read(
+        self, windows: Float32, styles: Float32, state: State, streams: Sequence[int]
+    ) -> tuple[tuple[Tensor, ...], State]:
+        """The next frames of streams, and what is new of their state."""
+        level, *kept = take(state, streams)
+        given, level = levelled(self._given(windows), self.grid.spectra, level)
+        found = self.step(given, self._given(styles), *kept)
+        count = len(TensorRows._fields)
+        return found[:count], (level, *found[count:])
 
     def _given(self, values: Float32) -> Tensor:
         return torch.from_numpy(values).to(self.model.device)
+
+
+class CausalStep(nn.Module):
+    """A causal curve model, the next G frames of B streams.
+
+    Parameters
+    ----------
+    model : DEITalk
+        With a causal frontend.
+    """
+
+    def __init__(self, model: DEITalk) -> None:
+        super().__init__()
+        self.model = model
+
+    def forward(self, windows: Tensor, emotion: Tensor, *state: Tensor) -> tuple[Tensor, ...]:
+        """Predict the next frames.
+
+        Parameters
+        ----------
+        windows : Tensor [shape=(B, G P, W)]
+            Samples of the spectra of the frames, at the usual level.
+        emotion : Tensor [shape=(B, G, 5 + actors)]
+            Weights of the styles.
+        state : Tensor
+            From the call before, but the level. Of rings the new rows alone are returned.
+        """
+        before = TensorState.of((windows.new_zeros(0), *state), self.model)
+        speech, new = causal_frontend(self.model).read(windows, before.frontend)
+        rows, after = decode(self.model, speech, emotion, before._replace(frontend=new))
+        frames = (rows.emotional, rows.neutral, rows.saliency, rows.strength, rows.effort)
+        return (*frames, *after.tensors()[1:])
+
+
+def step_example(model: DEITalk, batch: int = 2, n_frames: int = 3) -> tuple[Tensor, ...]:
+    """Inputs of `CausalStep`, for a trace of it."""
+    grid, state = grid_of(model), first_state(model, batch).tensors()[1:]
+    windows = state[0].new_zeros(batch, n_frames * grid.spectra, grid.length)
+    styles = windows.new_full((batch, n_frames, len(EMOTIONS) + len(model.actors)), 0.2)
+    return windows, styles, *state
 
 
 def grid_of(model: DEITalk) -> SpectraGrid:

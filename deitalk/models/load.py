@@ -65,7 +65,7 @@ def load_network(
     threads : int
         Processor threads of ONNX Runtime; those of torch are set for the process.
     once : bool
-        Whether it reads one recording: ONNX Runtime then starts faster, and runs 4 ms longer.
+        Whether it reads one recording: ONNX Runtime then starts faster, and runs 5 ms longer.
 
     Raises
     ------
@@ -89,9 +89,11 @@ def load_network(
 
 
 def load_causal(
-    model: str | Path | CurveNetwork | CausalNetwork, *, backend: str = "auto"
+    model: str | Path | CurveNetwork | CausalNetwork, *, backend: str = "auto", lasts: bool = False
 ) -> CausalNetwork:
     """Return a causal network; arguments and errors as for `load_network`.
+
+    One that `lasts` reads for minutes: see `deitalk.models.causal_model.TorchNetwork`.
 
     Raises
     ------
@@ -110,4 +112,4 @@ def load_causal(
         return cast("CausalNetwork", network)
     from deitalk.models.causal_model import TorchNetwork
 
-    return TorchNetwork(cast(Any, network))
+    return TorchNetwork(cast(Any, network), lasts=lasts)

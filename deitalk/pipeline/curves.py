@@ -43,9 +43,6 @@ from deitalk.pipeline.layers import edited
 from deitalk.pipeline.performance import Performance
 from deitalk.pipeline.speech import Intensities, Speech, measure_intensities
 from deitalk.pipeline.words.marks import TimedMark, levels, with_accents, with_emotions
-from deitalk.pipeline.words.script import Script
-from deitalk.pipeline.words.subtitles import other_spans
-from deitalk.pipeline.words.transcript import Transcript
 from deitalk.postprocess.factors import held_intensity, mean_around, opening_factor
 from deitalk.postprocess.feeling import state_of_intensity
 from deitalk.postprocess.joins import activity_beside, lead, unknown_controls
@@ -70,6 +67,8 @@ from rig.errors import quoted
 if TYPE_CHECKING:
     from deitalk.models.checkpoint import Model
     from deitalk.pipeline.words.align import WordFit
+    from deitalk.pipeline.words.script import Script
+    from deitalk.pipeline.words.transcript import Transcript
 
 READ_ON_SAMPLES = SAMPLE_RATE // 2
 FADE_SECONDS = 0.005
@@ -163,7 +162,7 @@ class Prepared:
     rules: RulesConfig
     gain: Float32
     """Factor of each control [shape=(C,)]."""
-    words: Transcript | None
+    words: "Transcript | None"
     clock: "_Clock"
     suggestion: Mapping[str, float] | None = None
     said: "WordFit | None" = None
@@ -255,10 +254,14 @@ def read_words(acting: Acting) -> "tuple[Transcript | None, Script | None]":
     if acting.words and acting.script:
         raise DeitalkError("a script has its words; give words or script, not both")
     if acting.script:
+        from deitalk.pipeline.words.script import Script
+
         script = Script.of(acting.script, acting.language, acting.role)
         return script.transcript, script
     if acting.words is None:
         return None, None
+    from deitalk.pipeline.words.transcript import Transcript
+
     return Transcript.of(acting.words, acting.language, acting.role), None
 
 
@@ -272,6 +275,8 @@ def _of_role(recording: Recording, acting: Acting) -> Recording:
             f"role {quoted(acting.role)} needs lines with times; give words or a script as .srt "
             "or .vtt"
         )
+    from deitalk.pipeline.words.subtitles import other_spans
+
     spans = other_spans(given, given.source or "the subtitles", acting.role)
     if not spans:
         return recording

@@ -36,7 +36,7 @@ from deitalk.models.protocol import neutral_and_acted, trained_weights
 from deitalk.pipeline.curves import animate, check_progress
 from deitalk.pipeline.mesh_performance import GLB_TOLERANCE_MM, MeshPerformance
 from deitalk.pipeline.speech import Speech, measure_intensities
-from deitalk.postprocess.known_phones import known_skin, seal_lips
+from deitalk.postprocess.lip_seal import known_skin, seal_lips
 from rig.arrays import Float32
 from rig.controls import DEFAULT_ID
 from rig.curves import snap_fps

@@ -12,6 +12,7 @@ Letters: B streams, T frames of a call, R = 2 readings (neutral, then the one th
 controls, K contacts, W frames around a frame.
 """
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import torch
@@ -43,7 +44,7 @@ from deitalk.postprocess.curve_stages import (
 from deitalk.postprocess.factors import LEAST_PREDICTED
 from deitalk.postprocess.life.play import Play
 from deitalk.postprocess.torch_columns import Columns, constant
-from deitalk.postprocess.tracks import N_MOTION, N_VARIANTS, VOICE, rest_rows
+from deitalk.postprocess.tracks import N_MOTION, N_SHOWN, N_VARIANTS, VOICE, rest_rows
 from rig import ControlSet
 from rig.arrays import Float32
 from rig.controls import DEFAULT_ID
@@ -149,6 +150,13 @@ class CurvePass(nn.Module):
         """
         return self.before.expand(batch, -1, -1).clone()
 
+    def example(self, batch: int = 2, n_frames: int = 3) -> tuple[Tensor, ...]:
+        """Arguments of `forward`, for a trace of it."""
+        face, first = self.rest.expand(batch, n_frames, -1).clone(), self.first(batch)
+        shown = face.new_zeros(batch, n_frames, N_SHOWN)
+        said = first[:, :n_frames, 2 * self.size :]
+        return face, face, said, shown, face[:, 0], face.new_ones(batch), first
+
     def forward(
         self,
         neutral: Tensor,
@@ -252,10 +260,12 @@ class TorchPass:
     Parameters
     ----------
     rules : CurvePass
+    play : callable, optional
+        Does what they do.
     """
 
-    def __init__(self, rules: CurvePass) -> None:
-        self.rules = rules
+    def __init__(self, rules: CurvePass, play: Callable[..., Any] | None = None) -> None:
+        self.rules, self.play = rules, play or rules
         self.behind, self.ahead = rules.behind, rules.ahead
         self.before: Float32 = rules.before.cpu().numpy()
 
@@ -268,7 +278,7 @@ class TorchPass:
         """Finish the next frames; parameters and results are those of `CurvePass.forward`."""
         device = self.rules.rest.device
         given = (torch.as_tensor(array, device=device) for array in arrays)
-        curves, neutral, outside, state = self.rules(*given)
+        curves, neutral, outside, state = self.play(*given)
         # One array crosses the bus.
         columns = torch.cat((curves, neutral, outside.unsqueeze(-1)), dim=-1).cpu().numpy()
         size = self.rules.size

@@ -21,6 +21,7 @@ from deitalk.config.section import RunConfig
 from deitalk.data.seeded_batches import Item, SeededBatches, Share
 from deitalk.errors import DataError
 from deitalk.models.folder import describe_model, read_about
+from deitalk.safe_path import safe_path
 from deitalk.training.journal import Journal
 from deitalk.training.optimizer import (
     new_scheduler,
@@ -36,7 +37,7 @@ from deitalk.training.run_folder import (
     save_state,
 )
 from deitalk.training.several_processes import in_precision, mean_over_processes, new_accelerator
-from deitalk.workers import DATA_WORKERS, end_with_parent, safe_path
+from deitalk.workers import DATA_WORKERS, end_with_parent
 from rig.errors import UserError
 
 LOG_EVERY = 25

@@ -258,10 +258,11 @@ def _fit_group(moved: Float32, poses: Float32) -> Float32:
 @cache
 def _groups() -> list[list[int]]:
     """Return shapes with a pose, those that share raw curves together."""
-    poses = _poses() > 0
+    moved = (_poses() > 0).astype(np.float32)
+    shares = moved @ moved.T > 0
     groups: list[list[int]] = []
-    for shape in np.flatnonzero(poses.any(axis=1)).tolist():
-        touching = [g for g in groups if (poses[g].any(axis=0) & poses[shape]).any()]
+    for shape in np.flatnonzero(shares.diagonal()).tolist():
+        touching = [g for g in groups if shares[shape, g].any()]
         groups = [g for g in groups if g not in touching]
         groups.append(sorted([shape, *(member for g in touching for member in g)]))
     return groups

@@ -142,7 +142,7 @@ def _paths() -> dict[str, tuple[NDArray[np.intp], Float32, Float32]]:
     paths = {}
     for driver, curves in by_driver.items():
         knots = [_knots(text) for _, text in curves]
-        inputs = np.unique(np.concatenate([[0.0], *(x for x, _ in knots)]))
+        inputs = np.array(sorted({0.0, *(place for x, _ in knots for place in x)}))
         outputs = np.stack([np.interp(inputs, x, y) for x, y in knots], axis=1)
         columns = np.array([column for column, _ in curves], np.intp)
         paths[driver] = (columns, inputs.astype(np.float32), outputs.astype(np.float32))

@@ -7,6 +7,7 @@ sizes, ranges, NaN, missing and doubled controls, and a file that is written who
 import os
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,7 +18,6 @@ from rig.curves import RigCurves
 from rig.curves.edit import ClampReport, clamp
 from rig.curves.shift import shift, start_with_handles
 from rig.errors import FormatError, quoted
-from rig.face.identity import Identity
 from rig.files import atomic_write
 from rig.files.reading import open_file
 from rig.formats.named import is_face_cap
@@ -25,6 +25,9 @@ from rig.formats.table import FORMATS, Format, find_format, format_of_header
 from rig.formats.units import in_units
 from rig.formats.wide_csv import read_header
 from rig.limits import JSON_CURVES_BYTES
+
+if TYPE_CHECKING:
+    from rig.face.identity import Identity
 
 JSON_MARKS = (
     (b'"deitalk.curves/', "json"), (b'"mouthCues"', "rhubarb-json"), (b'"facsNames"', "a2f-json"),
@@ -162,7 +165,7 @@ def write_curves(
     sound: Path | str = "",
     seconds: float | None = None,
     start: float = 0.0,
-    identity: int | str | Identity | None = None,
+    identity: "int | str | Identity | None" = None,
     delay: int = 0,
     handles: int = 0,
 ) -> WriteReport:
@@ -218,7 +221,7 @@ def write_curves(
     if digits is not None:
         given["digits"] = checked_digits(digits, chosen)
     if identity is not None:
-        name = identity.name if isinstance(identity, Identity) else identity
+        name = getattr(identity, "name", identity)
         check_option("identity", quoted(name), chosen)
         given["identity"] = identity
     if not len(curves):

@@ -13,6 +13,7 @@ import json
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from fractions import Fraction
+from itertools import islice
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -25,7 +26,7 @@ from rig.curves import HEAD, RigCurves
 from rig.errors import CurveError, FormatError, quoted
 from rig.files.reading import check_expansion, read_json
 from rig.formats.curves_csv import DECIMALS
-from rig.formats.decimal_text import Block, rows
+from rig.formats.decimal_text import CHUNK_CELLS, Block, rows
 from rig.limits import CONTROLS, FRAMES, JSON_CURVES_BYTES
 
 SCHEMA = "deitalk.unreal/2"
@@ -46,16 +47,16 @@ def write(path: Path, curves: RigCurves, digits: int = DECIMALS, start: float = 
         name: [json.dumps(function, separators=(",", ":")).encode()]
         for name, function in _functions().items()
     }
-    board = {
-        control: _channels(curves, channels, digits) for control, channels in _by_control().items()
-    }
+    names = [name for channels in _by_control().values() for name in channels.values()]
+    texts = _texts((curves[name] for name in names), digits)
+    board = {control: _channels(texts, channels) for control, channels in _by_control().items()}
     with path.open("wb") as stream:
         stream.write(json.dumps(head).encode()[:-1])
         _write_entries(stream, "raw", raw)
         _write_entries(stream, "board", board)
         if curves.head is not None:
-            track = zip(HEAD, np.ascontiguousarray(curves.head.T), strict=True)
-            _write_entries(stream, "head", {name: _values(v, DECIMALS) for name, v in track})
+            track = zip(HEAD, _texts(curves.head.T, DECIMALS), strict=True)
+            _write_entries(stream, "head", {name: [text] for name, text in track})
         stream.write(b"}\n")
 
 
@@ -67,10 +68,10 @@ def _write_entries(stream: BinaryIO, key: str, entries: Mapping[str, Iterable[by
     stream.write(b"\n}")
 
 
-def _channels(curves: RigCurves, channels: Mapping[str, str], digits: int) -> Iterator[bytes]:
-    for j, (axis, name) in enumerate(channels.items()):
+def _channels(texts: Iterator[bytes], axes: Iterable[str]) -> Iterator[bytes]:
+    for j, axis in enumerate(axes):
         yield (b", " if j else b"{") + f'"{axis}": '.encode()
-        yield from _values(curves[name], digits)
+        yield next(texts)
     yield b"}"
 
 
@@ -197,8 +198,12 @@ def _by_control() -> dict[str, dict[str, str]]:
     return {name: dict(sorted(channels.items())) for name, channels in controls.items()}
 
 
-def _values(values: Float32, digits: int) -> Iterator[bytes]:
-    if np.ptp(values) < 0.5 * 10.0**-digits:
-        yield f"{round(float(values[0]), digits):g}".encode()
-        return
-    yield from rows([Block(values.reshape(1, -1), digits)], before=b"[", after=b"]")
+def _texts(curves: Iterable[Float32], digits: int) -> Iterator[bytes]:
+    """Text of each curve: its numbers, or one of a curve that never moves."""
+    remaining = iter(curves)
+    for first in remaining:
+        block = np.array([first, *islice(remaining, CHUNK_CELLS // max(len(first), 1))])
+        is_still = np.ptp(block, axis=1) < 0.5 * 10.0**-digits
+        lines = b"".join(rows([Block(block, digits)], before=b"[", after=b"]\n")).splitlines()
+        for text, values, still in zip(lines, block, is_still, strict=True):
+            yield f"{round(float(values[0]), digits):g}".encode() if still else text

@@ -7,9 +7,9 @@
     causal_network.py   those of voices that have not ended
     rules.py            the rules after them
     engine_graph.py     writes the graphs that these open, in torch
-    network_graph.py    the network of a whole clip, or of one frame of a causal model
+    network_graph.py    the network of a whole clip; what a causal one needs for a graph
     whisper_graph.py    its Whisper frontend; spectra.py, its Fourier transform
-    tracing.py          a module as an ONNX model
+    tracing.py          a module as an ONNX model; fusing.py, with the operators of ONNX Runtime
 """
 
 from deitalk.models.onnx.causal_network import OnnxCausalNetwork

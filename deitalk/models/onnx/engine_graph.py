@@ -17,9 +17,13 @@ from deitalk.audio.frames import FRAME_RATE, SAMPLE_RATE
 from deitalk.config.rig_file import rig_text
 from deitalk.emotions import EMOTIONS
 from deitalk.frontends.whisper import WhisperFrontend
-from deitalk.models.causal_model import causal_frontend, grid_of
+from deitalk.models.causal_model import CausalStep, causal_frontend, grid_of
 from deitalk.models.curve_model import DEITalk
+<<<<<<< HEAD
 from deitalk.models.onnx.graphs import graph_digest
+=======
+from deitalk.models.onnx.fusing import fused
+>>>>>>> w-speed
 from deitalk.models.onnx.network import (
     CAUSAL_SCHEMA,
     NEXT,
@@ -33,8 +37,8 @@ from deitalk.models.onnx.network import (
 from deitalk.models.onnx.network_graph import (
     EFFORT,
     OUTPUTS,
-    CausalGraph,
     CurveGraph,
+    causal_graph,
     first_states,
 )
 from deitalk.models.onnx.rules import INPUTS as RULES_INPUTS
@@ -43,7 +47,6 @@ from deitalk.models.onnx.rules import OUTPUTS as RULES_OUTPUTS
 from deitalk.models.onnx.tracing import Axes, traced
 from deitalk.models.onnx.whisper_graph import parts_of
 from deitalk.postprocess.curve_pass import CurvePass
-from deitalk.postprocess.tracks import N_SHOWN
 from rig.files import atomic_write
 
 
@@ -72,6 +75,7 @@ def write_graph(model: DEITalk, folder: Path, path: Path) -> None:
     texts[WHOLE] = rules_entry(model)
     if model.is_causal:
         texts[LIVE] = rules_entry(model, grid_of(model).rules_ahead)
+    content = fused(content, stored)
     left = _leave_weights(content.graph, types)
     for key, value in (metadata(model) | texts).items():
         content.metadata_props.add(key=key, value=value)
@@ -128,7 +132,7 @@ def _causal(model: DEITalk, stored: Collection[str]) -> tuple[Any, dict[str, str
         axes[NEXT + name][rings[name]] = "T"
     for name in ("emotion", *OUTPUTS, EFFORT):
         axes[name][1] = "T"
-    content = traced(CausalGraph(model), example, inputs, outputs, axes, stored)
+    content = traced(CausalStep(causal_graph(model)), example, inputs, outputs, axes, stored)
     described = [
         {"name": name, "shape": list(first.shape), "first": _first_value(first)}
         for name, first in states.items()
@@ -148,15 +152,11 @@ def _first_value(first: torch.Tensor) -> Any:
 def rules_entry(model: DEITalk, ahead: int | None = None) -> str:
     """The rules of a model as a graph for any streams and frames: an entry of the metadata."""
     rules = CurvePass(model.controls, model.rules, ahead)
-    batch, n_frames = 2, 3
-    face = rules.rest.expand(batch, n_frames, -1).clone()
-    shown = torch.zeros(batch, n_frames, N_SHOWN)
-    said = rules.first(batch)[:, :n_frames, 2 * rules.size :]
-    example = face, face, said, shown, face[:, 0], torch.ones(batch), rules.first(batch)
+    example = rules.example()
     axes: Axes = {name: {0: "B"} for name in (*RULES_INPUTS, *RULES_OUTPUTS)}
     for name in (*RULES_INPUTS[:4], *RULES_OUTPUTS[:3]):
         axes[name][1] = "T"
-    content = traced(rules, example, RULES_INPUTS, RULES_OUTPUTS, axes)
+    content = fused(traced(rules, example, RULES_INPUTS, RULES_OUTPUTS, axes))
     graph = base64.b64encode(content.SerializeToString()).decode()
     return json.dumps({"behind": rules.behind, "ahead": rules.ahead, "graph": graph})
 

@@ -14,7 +14,7 @@ from torch.nn import functional as F
 
 from deitalk.errors import CheckpointError
 from deitalk.frontends.whisper import WhisperFrontend
-from deitalk.models.causal_model import TensorState, causal_frontend, decode, first_state
+from deitalk.models.causal_model import causal_frontend, first_state
 from deitalk.models.curve_model import DEITalk
 from deitalk.models.intensity import local_maximum
 from deitalk.models.onnx.spectra import with_formulas
@@ -128,6 +128,7 @@ def causal_graph(model: DEITalk) -> DEITalk:
     return found
 
 
+<<<<<<< HEAD
 class CausalGraph(nn.Module):
     """A causal curve model, the next G frames of B streams, from sound at the usual level.
 
@@ -163,6 +164,8 @@ class CausalGraph(nn.Module):
         return (*frames, *after.tensors()[1:])
 
 
+=======
+>>>>>>> w-speed
 def first_states(model: DEITalk) -> dict[str, Tensor]:
     """Names and first values of a stream's state but its level, without the stream's axis."""
     state = first_state(model, 1)

@@ -11,7 +11,8 @@ from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from multiprocessing.connection import Connection
 
-from deitalk.workers import NEW_PROCESSES, exit_after, safe_path
+from deitalk.safe_path import safe_path
+from deitalk.workers import NEW_PROCESSES, exit_after
 
 
 @contextmanager

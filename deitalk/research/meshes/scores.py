@@ -20,7 +20,13 @@ from deitalk.emotions import EMOTIONS
 from deitalk.errors import CheckpointError, DataError
 from deitalk.models.mesh_head import MeshHead
 from deitalk.models.mesh_model import MeshModel
+<<<<<<< HEAD
 from deitalk.postprocess.known_phones import seal_lips
+=======
+from deitalk.pipeline.curves import animate
+from deitalk.pipeline.mesh import mesh_frames
+from deitalk.postprocess.lip_seal import seal_lips
+>>>>>>> w-speed
 from deitalk.postprocess.phones import BILABIALS, CLEAR_SECONDS, NEAR_LIPS, VOWELS, WIDEN_FRAMES
 from deitalk.research.meshes.emotion_scores import (
     acted_by_curves,
@@ -171,7 +177,7 @@ def evaluate_mesh(
         rest; `bilabial_closed`, share of /p b m/ with a gap of at most `CLOSED_MM`;
         `bilabial_gap_mm`, median; `after_s...`, of those that follow an /s/; `vowel...`, of
         clear vowels; `unsealed_...`, the same without the model's seal
-        (`deitalk.postprocess.known_phones`), if it has one; `truth_...`, of the ground truth;
+        (`deitalk.postprocess.lip_seal`), if it has one; `truth_...`, of the ground truth;
         `curves_...`, for a mesh head, of the rig posed by the curves of the same DEITalk model.
         ``expression``, of a mesh head: `expression_probe`.
 

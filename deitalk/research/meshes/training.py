@@ -24,7 +24,7 @@ from deitalk.models.curve_model import DEITalk
 from deitalk.models.deformation_decoder import InversePCA
 from deitalk.models.mesh_head import MeshHead
 from deitalk.models.mesh_model import SDFA, DEITalkFeatures, MeshModel
-from deitalk.postprocess.known_phones import check_faces
+from deitalk.postprocess.lip_seal import check_faces
 from deitalk.research.config import MeshTrainingConfig
 from deitalk.research.meshes.feature_segments import FeatureSegments
 from deitalk.research.meshes.folder import MeshClip, MeshFolder

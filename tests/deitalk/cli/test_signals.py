@@ -34,7 +34,7 @@ def write(path: Path):
         for _ in range(600):  # Python 3.14 looks for signals between calls only in a loop
             time.sleep(0.1)
 
-main()
+main(app)
 """
 
 

@@ -15,7 +15,7 @@ from deitalk.models.checkpoint import load_model, save_model
 from deitalk.models.folder import embedded_models
 from deitalk.pipeline import mesh as module
 from deitalk.pipeline.mesh import animate_mesh, retarget_speech
-from deitalk.postprocess.known_phones import known_skins
+from deitalk.postprocess.lip_seal import known_skins
 from deitalk.research.meshes.frames import read_ply_sequence
 from deitalk.research.meshes.predict import predict_mesh
 from rig import ControlSet, default_controls

@@ -5,7 +5,7 @@ import pytest
 
 from deitalk.errors import ConfigError
 from deitalk.models.deformation_decoder import InversePCA
-from deitalk.postprocess.known_phones import known_skins, seal_lips
+from deitalk.postprocess.lip_seal import known_skins, seal_lips
 from deitalk.research.config import ComparedSDFAModelConfig
 from deitalk.research.meshes.sources import head_templates
 from deitalk.research.meshes.training import new_mesh_model
