@@ -290,7 +290,8 @@ def write_person(name, look, base, shapes, person, joined, hair) -> None:
         gloss[where] = GLOSS.get(part, 0.1)
     for part in ("teeth_upper", "teeth_lower"):  # side lamps reach no back teeth
         front = _front(joined.points[slices[part]])
-        colour[slices[part]] *= front[:, None] ** [0.6, 1.2, 1.25]  # by light from the cheeks
+        own = person.parts[part]
+        colour[slices[part]] = own.tone[own.drawn] * front[:, None] ** [0.6, 1.2, 1.25]  # by cheeks
         gloss[slices[part]] *= front
     colour[slices["shirt"]] = np.array(look["shirt_colour"]) / 255
     colour[slices["hair"]] = person.parts["hair"].tone[:, None]
