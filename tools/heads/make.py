@@ -346,7 +346,17 @@ def _blink(base, shapes, person):
 
 def _front(points):
     """How much of a place in the mouth is not in the shadow of the cheeks, 0 to 1."""
-    return 1 - 0.8 * pictures._smooth((np.abs(points[:, 0]) - 1.1) / 1.3)
+    return 1 - 0.7 * pictures._smooth((np.abs(points[:, 0]) - 1.3) / 1.5)
+
+
+def _corner_light(shapes, person):
+    """Least light of the skin about the mouth's corners, which open wider than any pose is lit."""
+    found = np.zeros(len(person.skin))
+    for sign in (1, -1):
+        near = np.exp(-((shapes.along([person.corner(sign)]) / 0.6) ** 2))
+        facing = person.normals @ [0.5 * sign, 0, 0.87]
+        found = np.maximum(found, 0.65 * near * pictures._smooth((facing - 0.1) / 0.4))
+    return found
 
 
 def _light(base, shapes, person, joined, picture):
@@ -377,6 +387,7 @@ def _light(base, shapes, person, joined, picture):
     contact = np.min([shapes.along(ids) for ids in shapes.rims], axis=0)  # a soft dark line
     deep = np.interp(np.abs(shapes.average[: base.n_skin, 0]), [2.0, 2.6], [0.45, 0.12])
     light[: base.n_skin] *= 1 - (deep * np.exp(-((contact / 0.14) ** 2)))[:, None]
+    light[: base.n_skin] = np.maximum(light[: base.n_skin], _corner_light(shapes, person)[:, None])
     front = person.skin[shapes.rims[0], 2].max()
     x = joined.points
     depth = 0.02 + 0.98 * pictures._smooth((x[:, 2] - front + 4.2) / 3.3)

@@ -21,13 +21,13 @@ EYE_EDGE = np.radians(105.0)
 RINGS, SPOKES = 22, 36
 BULGE = 0.06
 """Height of the cornea over the ball, in radii."""
-_SETTLE = {"upper": (-0.24, 0.38), "lower": (-0.26, 0.62)}
+_SETTLE = {"upper": (-0.24, 0.35), "lower": (-0.26, 0.60)}
 """Shift of each row of teeth upwards, and how far its front stands behind the middle of the line
-where the lips meet, cm of the average head."""
+where the lips meet, cm."""
 _GUM = 0.05
 """How far gums stand back from where they are beside their teeth, cm."""
 _TEETH = {
-    "upper": [(1.0, 0.17, 0.03, 0), (0.86, 0.10, 0.07, 0), (0.97, 0.15, 0.02, 0.12), (1, 0.1, 0.05, 0.06),
+    "upper": [(1.0, 0.17, 0.02, 0), (0.86, 0.10, 0.05, 0), (0.97, 0.15, 0.02, 0.12), (1, 0.1, 0.05, 0.06),
               (1, 0.05, 0.04, 0.04)],
     "lower": [(0.88, 0.12, 0.02, 0), (0.94, 0.12, 0.03, 0), (0.97, 0.13, 0.02, 0.1), (1, 0.07, 0.04, 0.05)],
 }  # fmt: skip
@@ -72,7 +72,7 @@ class Person:
         self.points = CM * points - base.origin(points)
         known = base.place >= 0
         self.points[known] = self.state[base.place[known]]
-        corners = [np.linalg.norm(s[self._corner(1)] - s[self._corner(-1)])
+        corners = [np.linalg.norm(s[self.corner(1)] - s[self.corner(-1)])
                    for s in (self.state, shapes.rest)]  # fmt: skip
         eyes = [np.linalg.norm(self._middle(s, "l") - self._middle(s, "r"))
                 for s in (self.state, shapes.rest)]  # fmt: skip
@@ -80,7 +80,8 @@ class Person:
         self.eyes = [eye_of(self.state, base, s) for s in "lr"]
         self.parts = self._parts()
 
-    def _corner(self, sign):
+    def corner(self, sign):
+        """Point of the skin at the corner of the mouth, of the left (1) or the right (-1)."""
         x = self.shapes.rest[: self.base.n_skin]
         return int(np.argmin(np.linalg.norm(x - [2.56 * sign, -3.63, 9.49], axis=1)))
 
@@ -100,7 +101,7 @@ class Person:
             forward = self._set_teeth(part, row)
             found[f"teeth_{row}"] = part
         found["tongue"] = self._proxy("tongue/tongue01/tongue01.json")
-        found["tongue"].points = _rounded(found["tongue"].points) + [0, 0, forward]
+        found["tongue"].points = _rounded(found["tongue"].points) + [0, 0, 0.6 * forward]
         lashes = self._proxy("eyelashes/eyelashes02/eyelashes02.json", moves=False)
         brows = self._proxy(
             "eyebrows/eyebrow{0}/eyebrow{0}.json".format(self.look["brow"]), moves=False
@@ -145,14 +146,16 @@ class Person:
                 points[ids] -= (moved + narrower / 2) * along[k] / np.linalg.norm(along[k])
                 moved += narrower
                 part.tone[ids] = _tone(edge, k)
-        points[labels == gum, 2] -= _GUM
-        part.tone[labels == gum] = 0.92
+        gum, depth = np.flatnonzero(labels == gum), points[:, 2].max() - points[:, 2]
+        points[gum, 2] -= _GUM
+        palate = smoothstep((depth - 0.8) / 0.8) * smoothstep((2.0 - np.abs(points[:, 0])) / 0.6)
+        part.tone[gum] = 0.92 - 0.6 * palate[gum, None]
         size = self.size**0.6
         front = max(points[ids, 2].max() for ids in teeth)
         edge = sign * max(sign * points[ids, 1].mean() for ids in teeth)
         points = (points - [0, edge, front]) * size + [0, edge, front]
         rim = self.shapes.rim_weights[0] @ self.state[self.shapes.rims[0]]
-        forward = rim[len(rim) // 2, 2] - back * size - front
+        forward = rim[len(rim) // 2, 2] - back - front
         deep = smoothstep((sign * (edge - points[:, 1]) - 0.7) / 0.9)  # behind the chin, the nose
         part.points = points + [0, up * size, forward] - np.outer(deep, [0, 0, max(forward, 0)])
         return forward

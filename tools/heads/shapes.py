@@ -38,7 +38,7 @@ MIX = {
     "brow_raiseIn.ty": ("browInnerUp_@:1.3", ""),
     "brow_raiseOut.ty": ("browOuterUp_@:1", ""),
     "eye_blink.ty": ("eyeBlink_@:1", "eyeWide_@:1"),
-    "eye_eyelidU.ty": ("lidU_@:.42", "eyeWide_@:.8"),
+    "eye_eyelidU.ty": ("lidU_@:.4", "eyeWide_@:.8"),
     "eye_squintInner.ty": ("eyeSquint_@:.8", ""),
     "eye_eyelidD.ty": ("lidD_@:.8", "lidD_@:-.35"),
     "nose.ty": ("noseSneer_@:.7", ""),
