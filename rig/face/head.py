@@ -48,7 +48,7 @@ MOUTH = ("teeth_upper", "teeth_lower", "tongue")
 """Parts in the mouth, in their order."""
 MOUTH_LIGHT = 0.45
 """Most baked light of skin in the mouth."""
-MOUTH_REACH = np.array([[0.6, 1.0, 2.0], [0.6, 1.5, 0.0]])
+MOUTH_REACH = np.array([[0.6, 1.0, 4.0], [0.6, 1.5, 0.0]])
 """How far it reaches below and above the box of the parts in it, cm."""
 BATCH, MANY = 64, 16
 """Frames that are posed together; weights a shape that are worth the import of sparse matrices."""

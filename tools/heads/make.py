@@ -398,9 +398,10 @@ def _light(base, shapes, person, joined, picture):
     groove = joined.slices["tongue"]
     light[groove] *= 1 - 0.5 * np.exp(-((x[groove, :1] / 0.25) ** 2))
     across, high, far = x[: base.n_skin].T
+    high = high - person.skin[shapes.rims[0], 1].mean()
     inner = np.flatnonzero((away > 0.9) & (away < 14) & (shut[: base.n_skin, 0] < 0.45)
                            & (far < front - 1.2) & (far > front - 14) & (np.abs(across) < 3.2)
-                           & (high > -6.0) & (high < np.where(far < front - 5, 1.0, -1.2)))  # fmt: skip
+                           & (high > -2.4) & (high < np.where(far < front - 5, 4.6, 2.4)))  # fmt: skip
     light[inner] = np.maximum(light[inner], 0.30) * (0.8 * depth[inner])[:, None]
     for k, part in enumerate(("eye_L", "eye_R")):
         own = joined.slices[part]
