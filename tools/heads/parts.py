@@ -27,7 +27,7 @@ where the lips meet, cm."""
 _GUM = 0.05
 """How far gums stand back from where they are beside their teeth, cm."""
 _TEETH = {
-    "upper": [(1.0, 0.17, 0.02, 0), (0.86, 0.10, 0.05, 0), (0.97, 0.15, 0.02, 0.12), (1, 0.1, 0.05, 0.06),
+    "upper": [(1.0, 0.17, 0.012, 0), (0.86, 0.10, 0.035, 0), (0.97, 0.15, 0.02, 0.12), (1, 0.1, 0.05, 0.06),
               (1, 0.05, 0.04, 0.04)],
     "lower": [(0.88, 0.12, 0.02, 0), (0.94, 0.12, 0.03, 0), (0.97, 0.13, 0.02, 0.1), (1, 0.07, 0.04, 0.05)],
 }  # fmt: skip
@@ -255,14 +255,15 @@ def _pieces(part):
 
 def _shaped(tooth, along, sign, shape, tilt):
     """Points of a tooth by a row of `_TEETH`, turned by two small angles; each one's way from the
-    root (0) to the edge (1); how much narrower the tooth is, cm."""
+    root (0) to the edge (1); how much narrower the tooth is, cm.
+    """
     width, longer, rounded, pointed = shape
     middle, along = tooth.mean(0), along / np.linalg.norm(along)
     across = (tooth - middle) @ along
     share = np.abs(across) / np.abs(across).max()
     high = sign * (tooth[:, 1] - middle[1])
     edge = np.clip((high - high.min()) / np.ptp(high), 0, 1)
-    corner = rounded * share**3 * np.where(across > 0, 1, 0.3)  # more away from the middle
+    corner = rounded * share**2 * np.where(across > 0, 1, 0.3)  # more away from the middle
     grown = longer * edge - (corner + pointed * share) * edge**2
     tooth = tooth + np.outer(sign * grown, [0, 1, 0])
     turn = (width - 1) * across + tilt[0] * sign * high + tilt[1] * (tooth - middle)[:, 2]
@@ -274,7 +275,11 @@ def _tone(edge, place):
     warm = np.clip((0.85 - edge) / 0.5, 0, 1)[:, None] ** 1.3
     yellow = {2: 0.07}.get(place, 0.025 * (place > 2))
     tip = np.clip((edge - 0.85) / 0.15, 0, 1)[:, None] * (place < 2)
-    return (1 - warm * [0.16, 0.28, 0.36]) * (1 - tip * [0.10, 0.07, 0.04]) * [1, 1 - 0.4 * yellow, 1 - yellow]
+    return (
+        (1 - warm * [0.16, 0.28, 0.36])
+        * (1 - tip * [0.10, 0.07, 0.04])
+        * [1, 1 - 0.4 * yellow, 1 - yellow]
+    )
 
 
 def _rounded(tongue):

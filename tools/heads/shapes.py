@@ -2,7 +2,9 @@
 
 Most shapes were carried from this project's former procedural head to the new skin
 (`former_shapes.npz`, made once by `rig.retarget.methods.carry_shapes`). Face units replace or join
-them where they look better (`MIX`); formulas move tongue, lower teeth and ears.
+them where they look better (`MIX`); ``flesh.csv`` adds mounds, folds and lids that go with a muscle
+(half of a control, place and radii on the average head, cm, displacement, share kept at the lips);
+formulas move tongue, lower teeth and ears.
 """
 
 from pathlib import Path
