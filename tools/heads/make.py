@@ -19,8 +19,8 @@ from rig.controls import default_controls
 from rig.face.mesh import CLOTH, EYE, FINE, HAIR, PLAIN, SKIN
 from rig.retarget.head_light import occlusion
 from tools.heads import pictures
-from tools.heads.base import Base, triangles
-from tools.heads.parts import Person, eye_of
+from tools.heads.base import Base, eye_of, triangles
+from tools.heads.parts import Person
 from tools.heads.people import PEOPLE
 from tools.heads.shapes import COLUMNS, Shapes
 from tools.heads.strands import Hair, grow, smooth
@@ -385,9 +385,10 @@ def _light(base, shapes, person, joined, picture):
         lips[joined.slices[part]] = True
     light[lips] = opened[lips]
     contact = np.min([shapes.along(ids) for ids in shapes.rims], axis=0)  # a soft dark line
+    least = _corner_light(shapes, person) * pictures._smooth((contact - 0.05) / 0.2)
+    light[: base.n_skin] = np.maximum(light[: base.n_skin], least[:, None])
     deep = np.interp(np.abs(shapes.average[: base.n_skin, 0]), [2.0, 2.6], [0.45, 0.12])
     light[: base.n_skin] *= 1 - (deep * np.exp(-((contact / 0.14) ** 2)))[:, None]
-    light[: base.n_skin] = np.maximum(light[: base.n_skin], _corner_light(shapes, person)[:, None])
     front = person.skin[shapes.rims[0], 2].max()
     x = joined.points
     depth = 0.02 + 0.98 * pictures._smooth((x[:, 2] - front + 4.2) / 3.3)

@@ -12,7 +12,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from rig.face.mesh import smoothstep
-from tools.heads.base import CM, Base, Proxy, normals, split
+from tools.heads.base import CM, Base, Proxy, eye_of, normals, split
 from tools.heads.shapes import Shapes
 
 IRIS = np.radians(26.5)
@@ -23,7 +23,7 @@ BULGE = 0.06
 """Height of the cornea over the ball, in radii."""
 _SETTLE = {"upper": (-0.24, 0.35), "lower": (-0.26, 0.60)}
 """Shift of each row of teeth upwards, and how far its front stands behind the middle of the line
-where the lips meet, cm."""
+where the lips meet, cm; small heads have more, for their lips move as far."""
 _GUM = 0.05
 """How far gums stand back from where they are beside their teeth, cm."""
 _TEETH = {
@@ -132,7 +132,7 @@ class Person:
         gum = np.bincount(labels).argmax()
         teeth = [np.flatnonzero(labels == k) for k in np.unique(labels) if k != gum]
         points, part.tone = part.points.copy(), np.ones((len(part.points), 3))
-        rng = np.random.default_rng(len(self.look["skin"]))
+        rng = np.random.default_rng(self.look["iris"])
         for side in (1, -1):
             own = [ids for ids in teeth if side * points[ids, 0].mean() > 0]
             own.sort(key=lambda ids: -points[ids, 2].max())
@@ -141,7 +141,7 @@ class Person:
             along[0], moved = [side, 0, -0.15], 0.0
             for k, ids in enumerate(own):
                 shape = _TEETH[row][k] if k < len(_TEETH[row]) else (1, 0, 0, 0)
-                tilt = rng.normal(0, [0.02, 0.03]) * (k < 5)
+                tilt = rng.normal(0, [0.02, 0.03]) * (0 < k < 5)
                 points[ids], edge, narrower = _shaped(points[ids], along[k], sign, shape, tilt)
                 points[ids] -= (moved + narrower / 2) * along[k] / np.linalg.norm(along[k])
                 moved += narrower
@@ -155,7 +155,7 @@ class Person:
         edge = sign * max(sign * points[ids, 1].mean() for ids in teeth)
         points = (points - [0, edge, front]) * size + [0, edge, front]
         rim = self.shapes.rim_weights[0] @ self.state[self.shapes.rims[0]]
-        forward = rim[len(rim) // 2, 2] - back - front
+        forward = rim[len(rim) // 2, 2] - back / size - front
         deep = smoothstep((sign * (edge - points[:, 1]) - 0.7) / 0.9)  # behind the chin, the nose
         part.points = points + [0, up * size, forward] - np.outer(deep, [0, 0, max(forward, 0)])
         return forward
@@ -294,14 +294,6 @@ def _rounded(tongue):
     fall = 0.15 + 0.85 * np.clip(back / 0.5, 0, 1) + 0.4 * across**2
     fall = fall + 0.16 * np.exp(-((x / 0.3) ** 2)) * np.clip(back / 0.2, 0.3, 1)
     return tongue - np.outer(np.clip(top, 0.2, 1) * fall, [0, 1, 0])
-
-
-def eye_of(state, base, s):
-    """Centre and radius of the ball of one eye (l or r)."""
-    x = state[base.at(f"helper-{s}-eye")]
-    radius = np.ptp(x[:, 1]) / 2
-    low, high = x.min(0), x.max(0)
-    return np.array([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2] + radius]), radius
 
 
 def _ball(center, radius, pupil, sign):

@@ -270,7 +270,7 @@ def atlas(base, person):
     )
     teeth, _ = _filled(Image.open(proxies / "teeth/Teeth_Base/textures/teeth.png"))
     is_tooth = np.clip(1.5 - 6 * np.ptp(teeth, axis=2), 0, 1)[..., None]
-    teeth = teeth + 0.65 * is_tooth * np.maximum(0.74 - teeth, 0)  # no stains between teeth
+    teeth = teeth + 0.5 * is_tooth * np.maximum(0.66 - teeth, 0)  # no stains between teeth
     put("teeth", np.clip(teeth * [1.22, 1.17, 1.08], 0, 1))
     tongue = Image.open(proxies / "tongue/tongue01/textures/tongue01_diffuse.png").convert("RGB")
     put("tongue", np.asarray(tongue, float) / 255 * [0.62, 0.52, 0.50])

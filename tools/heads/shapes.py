@@ -15,8 +15,9 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
+from rig.face.head import CORRECTIVES, LID_RAISERS
 from rig.files.reading import rows_of
-from tools.heads.base import CM, Base
+from tools.heads.base import CM, Base, eye_of
 
 SHARE = {
     "brow_lateral": 0.7, "mouth_cornerPull": 0.55, "sharpCornerPull": 0.7, "cheekRaise": 0.6,
@@ -233,8 +234,7 @@ class Shapes:
         for delta in deltas:
             delta[: self.n] = self.relax @ delta[: self.n]
         known = {half for name in controls.names for half in (name, f"{name}_negative")}
-        known |= {"jaw_half", "blink_half_L", "blink_half_R", "seal_L", "seal_R", "seal"}
-        known |= {"nose_upper_L", "nose_upper_R"}
+        known |= {*CORRECTIVES, "seal"}
         assert not (wrong := set(names) - known), wrong
         return names, deltas
 
@@ -354,6 +354,12 @@ class Shapes:
             knit = np.exp(-(((x - [0.9 * sign, 3.9, 10.6]) / [0.8, 0.8, 1.2]) ** 2).sum(1))
             knit = np.outer(knit, [-0.06 * sign, -0.16, 0.08])
             found[f"CTRL_{s}_nose.ty"], found[f"nose_upper_{s}"] = knit, -knit
+            center, radius = eye_of(x, self.base, s.lower())
+            above = np.linalg.norm(x[: self.n] - center, axis=1) / radius - 1.1
+            lids = np.exp(-((np.maximum(above, 0) / 0.3) ** 2))[:, None]
+            for stem in LID_RAISERS:
+                moved = found[f"blink_{stem}_{s}"] = np.zeros_like(x)
+                moved[: self.n] = -lids * deltas[place[f"CTRL_{s}_{stem}.ty"]][: self.n]
         up = deltas[place["CTRL_neck_throatUpDown.ty"]]
         down = deltas[place["CTRL_neck_digastricUpDown.ty"]]
         found["CTRL_C_neck_swallow.ty"] = 1.1 * up + 0.5 * down
