@@ -289,7 +289,7 @@ class Shapes:
         share = jaw[chin, 1] / self.units["jawOpen"][chin, 1]
         for name, unit, gain in (
             ("CTRL_C_jaw.ty", "jawOpen", share), ("CTRL_C_jaw_openExtreme.ty", "jawOpen", 0.35 * share),
-            ("CTRL_C_jaw.tx", "jawRight", 1), ("CTRL_C_jaw.tx_negative", "jawLeft", 1),
+            ("CTRL_C_jaw.tx", "jawRight", 0.8), ("CTRL_C_jaw.tx_negative", "jawLeft", 0.8),
             ("CTRL_C_jaw_fwdBack.ty", "jawForward", -0.6),
             ("CTRL_C_jaw_fwdBack.ty_negative", "jawForward", 0.6),
         ):  # fmt: skip
