@@ -49,13 +49,20 @@ MOUTH = ("teeth_upper", "teeth_lower", "tongue")
 """Parts in the mouth, in their order."""
 MOUTH_LIGHT = 0.45
 """Most baked light of skin in the mouth."""
-MOUTH_REACH = np.array([[0.6, 1.0, 2.0], [0.6, 1.5, 0.0]])
+MOUTH_REACH = np.array([[0.6, 1.0, 4.0], [0.6, 1.5, 0.0]])
 """How far it reaches below and above the box of the parts in it, cm."""
 BATCH, MANY = 64, 16
 """Frames that are posed together; weights a shape that are worth the import of sparse matrices."""
 Half = tuple[str, ...]
+LID_RAISERS = ("eye_cheekRaise", "eye_squintInner", "eye_eyelidD", "mouth_cornerPull", "nose")
+"""Controls that raise the lower lid, which a blink takes back so that lids never cross."""
 CORRECTIVES: dict[str, tuple[Half, Half]] = {
     "jaw_half": (("CTRL_C_jaw.ty",), ()),
+    **{
+        f"blink_{stem}_{s}": ((f"CTRL_{s}_eye_blink.ty",), (f"CTRL_{s}_{stem}.ty",))
+        for s in "LR"
+        for stem in LID_RAISERS
+    },
     **{f"blink_half_{s}": ((f"CTRL_{s}_eye_blink.ty",), ()) for s in "LR"},
     **{
         f"seal_{s}": (

@@ -199,6 +199,14 @@ class Base:
         return found
 
 
+def eye_of(state, base, s):
+    """Centre and radius of the ball of one eye (l or r)."""
+    x = state[base.at(f"helper-{s}-eye")]
+    radius = np.ptp(x[:, 1]) / 2
+    low, high = x.min(0), x.max(0)
+    return np.array([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2] + radius]), radius
+
+
 class Proxy:
     """A part that is fitted to the base mesh: each point by three base points and an offset."""
 

@@ -19,8 +19,8 @@ from rig.controls import default_controls
 from rig.face.mesh import CLOTH, EYE, FINE, HAIR, PLAIN, SKIN
 from rig.retarget.head_light import occlusion
 from tools.heads import pictures
-from tools.heads.base import Base, triangles
-from tools.heads.parts import Person, eye_of
+from tools.heads.base import Base, eye_of, triangles
+from tools.heads.parts import Person
 from tools.heads.people import PEOPLE
 from tools.heads.shapes import COLUMNS, Shapes
 from tools.heads.small import write_small
@@ -291,7 +291,8 @@ def write_person(name, look, base, shapes, person, joined, hair) -> None:
         gloss[where] = GLOSS.get(part, 0.1)
     for part in ("teeth_upper", "teeth_lower"):  # side lamps reach no back teeth
         front = _front(joined.points[slices[part]])
-        colour[slices[part]] *= front[:, None] ** [0.6, 1.2, 1.25]  # by light from the cheeks
+        own = person.parts[part]
+        colour[slices[part]] = own.tone[own.drawn] * front[:, None] ** [0.6, 1.2, 1.25]  # by cheeks
         gloss[slices[part]] *= front
     colour[slices["shirt"]] = np.array(look["shirt_colour"]) / 255
     colour[slices["hair"]] = person.parts["hair"].tone[:, None]
@@ -347,7 +348,17 @@ def _blink(base, shapes, person):
 
 def _front(points):
     """How much of a place in the mouth is not in the shadow of the cheeks, 0 to 1."""
-    return 1 - 0.8 * pictures._smooth((np.abs(points[:, 0]) - 1.1) / 1.3)
+    return 1 - 0.7 * pictures._smooth((np.abs(points[:, 0]) - 1.3) / 1.5)
+
+
+def _corner_light(shapes, person):
+    """Least light of the skin about the mouth's corners, which open wider than any pose is lit."""
+    found = np.zeros(len(person.skin))
+    for sign in (1, -1):
+        near = np.exp(-((shapes.along([person.corner(sign)]) / 0.6) ** 2))
+        facing = person.normals @ [0.5 * sign, 0, 0.87]
+        found = np.maximum(found, 0.65 * near * pictures._smooth((facing - 0.1) / 0.4))
+    return found
 
 
 def _light(base, shapes, person, joined, picture):
@@ -376,6 +387,8 @@ def _light(base, shapes, person, joined, picture):
         lips[joined.slices[part]] = True
     light[lips] = opened[lips]
     contact = np.min([shapes.along(ids) for ids in shapes.rims], axis=0)  # a soft dark line
+    least = _corner_light(shapes, person) * pictures._smooth((contact - 0.05) / 0.2)
+    light[: base.n_skin] = np.maximum(light[: base.n_skin], least[:, None])
     deep = np.interp(np.abs(shapes.average[: base.n_skin, 0]), [2.0, 2.6], [0.45, 0.12])
     light[: base.n_skin] *= 1 - (deep * np.exp(-((contact / 0.14) ** 2)))[:, None]
     front = person.skin[shapes.rims[0], 2].max()
@@ -388,9 +401,10 @@ def _light(base, shapes, person, joined, picture):
     groove = joined.slices["tongue"]
     light[groove] *= 1 - 0.5 * np.exp(-((x[groove, :1] / 0.25) ** 2))
     across, high, far = x[: base.n_skin].T
+    high = high - person.skin[shapes.rims[0], 1].mean()
     inner = np.flatnonzero((away > 0.9) & (away < 14) & (shut[: base.n_skin, 0] < 0.45)
                            & (far < front - 1.2) & (far > front - 14) & (np.abs(across) < 3.2)
-                           & (high > -6.0) & (high < np.where(far < front - 5, 1.0, -1.2)))  # fmt: skip
+                           & (high > -2.4) & (high < np.where(far < front - 5, 4.6, 2.4)))  # fmt: skip
     light[inner] = np.maximum(light[inner], 0.30) * (0.8 * depth[inner])[:, None]
     for k, part in enumerate(("eye_L", "eye_R")):
         own = joined.slices[part]

@@ -7,9 +7,12 @@ triangles of those, and where it has any its own displacements.
 from dataclasses import dataclass, field
 
 import numpy as np
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from tools.heads.base import CM, Base, Proxy, normals, split
+from rig.face.mesh import smoothstep
+from tools.heads.base import CM, Base, Proxy, eye_of, normals, split
 from tools.heads.shapes import Shapes
 
 IRIS = np.radians(26.5)
@@ -18,8 +21,18 @@ EYE_EDGE = np.radians(105.0)
 RINGS, SPOKES = 22, 36
 BULGE = 0.06
 """Height of the cornea over the ball, in radii."""
-_SETTLE = {"upper": (0, -0.34, -0.02), "lower": (0, -0.26, -0.10)}
-"""Shift of the rows of teeth so that they meet, cm."""
+_SETTLE = {"upper": (-0.24, 0.35), "lower": (-0.26, 0.60)}
+"""Shift of each row of teeth upwards, and how far its front stands behind the middle of the line
+where the lips meet, cm; small heads have more, for their lips move as far."""
+_GUM = 0.05
+"""How far gums stand back from where they are beside their teeth, cm."""
+_TEETH = {
+    "upper": [(1.0, 0.17, 0.012, 0), (0.86, 0.10, 0.035, 0), (0.97, 0.15, 0.02, 0.12), (1, 0.1, 0.05, 0.06),
+              (1, 0.05, 0.04, 0.04)],
+    "lower": [(0.88, 0.12, 0.02, 0), (0.94, 0.12, 0.03, 0), (0.97, 0.13, 0.02, 0.1), (1, 0.07, 0.04, 0.05)],
+}  # fmt: skip
+"""Teeth from the middle outwards: share of the width, added length, how far the corners of the edge
+are rounded and how far its middle is a point, cm; the others as they are."""
 
 
 @dataclass
@@ -59,7 +72,7 @@ class Person:
         self.points = CM * points - base.origin(points)
         known = base.place >= 0
         self.points[known] = self.state[base.place[known]]
-        corners = [np.linalg.norm(s[self._corner(1)] - s[self._corner(-1)])
+        corners = [np.linalg.norm(s[self.corner(1)] - s[self.corner(-1)])
                    for s in (self.state, shapes.rest)]  # fmt: skip
         eyes = [np.linalg.norm(self._middle(s, "l") - self._middle(s, "r"))
                 for s in (self.state, shapes.rest)]  # fmt: skip
@@ -67,7 +80,8 @@ class Person:
         self.eyes = [eye_of(self.state, base, s) for s in "lr"]
         self.parts = self._parts()
 
-    def _corner(self, sign):
+    def corner(self, sign):
+        """Point of the skin at the corner of the mouth, of the left (1) or the right (-1)."""
         x = self.shapes.rest[: self.base.n_skin]
         return int(np.argmin(np.linalg.norm(x - [2.56 * sign, -3.63, 9.49], axis=1)))
 
@@ -84,10 +98,10 @@ class Person:
         is_low = np.isin(teeth.proxy.refs, base.group("helper-lower-teeth")).any(1)
         for row, of_row in (("upper", ~is_low), ("lower", is_low)):
             part = teeth.chosen(of_row[teeth.drawn[teeth.faces[:, 0]]])
-            part.points = part.points + _SETTLE[row]
+            forward = self._set_teeth(part, row)
             found[f"teeth_{row}"] = part
         found["tongue"] = self._proxy("tongue/tongue01/tongue01.json")
-        found["tongue"].points = _rounded(found["tongue"].points)
+        found["tongue"].points = _rounded(found["tongue"].points) + [0, 0, 0.6 * forward]
         lashes = self._proxy("eyelashes/eyelashes02/eyelashes02.json", moves=False)
         brows = self._proxy(
             "eyebrows/eyebrow{0}/eyebrow{0}.json".format(self.look["brow"]), moves=False
@@ -109,6 +123,42 @@ class Person:
         shirt = shirt.chosen((x[..., 1].min(1) > -34) & (np.abs(x[..., 0]).max(1) < 30))
         shirt.points = self._outside(shirt.points, 0.3, 1.6)
         return found | {"shirt": shirt}
+
+    def _set_teeth(self, part, row):
+        """Shape single teeth and set the row behind the lip; how far it went forward, cm."""
+        up, back = _SETTLE[row]
+        sign = -1 if row == "upper" else 1  # of the way from a tooth's root to its edge
+        labels = _pieces(part)
+        gum = np.bincount(labels).argmax()
+        teeth = [np.flatnonzero(labels == k) for k in np.unique(labels) if k != gum]
+        points, part.tone = part.points.copy(), np.ones((len(part.points), 3))
+        rng = np.random.default_rng(self.look["iris"])
+        for side in (1, -1):
+            own = [ids for ids in teeth if side * points[ids, 0].mean() > 0]
+            own.sort(key=lambda ids: -points[ids, 2].max())
+            ends = np.array([points[ids].mean(0) for ids in own])
+            along = np.gradient(ends * [1, 0, 1], axis=0)
+            along[0], moved = [side, 0, -0.15], 0.0
+            for k, ids in enumerate(own):
+                shape = _TEETH[row][k] if k < len(_TEETH[row]) else (1, 0, 0, 0)
+                tilt = rng.normal(0, [0.02, 0.03]) * (0 < k < 5)
+                points[ids], edge, narrower = _shaped(points[ids], along[k], sign, shape, tilt)
+                points[ids] -= (moved + narrower / 2) * along[k] / np.linalg.norm(along[k])
+                moved += narrower
+                part.tone[ids] = _tone(edge, k)
+        gum, depth = np.flatnonzero(labels == gum), points[:, 2].max() - points[:, 2]
+        points[gum, 2] -= _GUM
+        palate = smoothstep((depth - 0.8) / 0.8) * smoothstep((2.0 - np.abs(points[:, 0])) / 0.6)
+        part.tone[gum] = 0.92 - 0.6 * palate[gum, None]
+        size = self.size**0.6
+        front = max(points[ids, 2].max() for ids in teeth)
+        edge = sign * max(sign * points[ids, 1].mean() for ids in teeth)
+        points = (points - [0, edge, front]) * size + [0, edge, front]
+        rim = self.shapes.rim_weights[0] @ self.state[self.shapes.rims[0]]
+        forward = rim[len(rim) // 2, 2] - back / size - front
+        deep = smoothstep((sign * (edge - points[:, 1]) - 0.7) / 0.9)  # behind the chin, the nose
+        part.points = points + [0, up * size, forward] - np.outer(deep, [0, 0, max(forward, 0)])
+        return forward
 
     def _proxy(self, path, moves=True):
         proxy = Proxy(self.base, path)
@@ -195,6 +245,43 @@ class Person:
             )
 
 
+def _pieces(part):
+    """Number of the connected piece that each point of a part belongs to."""
+    a = part.drawn[part.faces]
+    ends = a.ravel(), np.roll(a, 1, 1).ravel()
+    count = len(part.points)
+    return connected_components(coo_matrix((np.ones(a.size), ends), (count, count)), False)[1]
+
+
+def _shaped(tooth, along, sign, shape, tilt):
+    """Points of a tooth by a row of `_TEETH`, turned by two small angles; each one's way from the
+    root (0) to the edge (1); how much narrower the tooth is, cm.
+    """
+    width, longer, rounded, pointed = shape
+    middle, along = tooth.mean(0), along / np.linalg.norm(along)
+    across = (tooth - middle) @ along
+    share = np.abs(across) / np.abs(across).max()
+    high = sign * (tooth[:, 1] - middle[1])
+    edge = np.clip((high - high.min()) / np.ptp(high), 0, 1)
+    corner = rounded * share**2 * np.where(across > 0, 1, 0.3)  # more away from the middle
+    grown = longer * edge - (corner + pointed * share) * edge**2
+    tooth = tooth + np.outer(sign * grown, [0, 1, 0])
+    turn = (width - 1) * across + tilt[0] * sign * high + tilt[1] * (tooth - middle)[:, 2]
+    return tooth + turn[:, None] * along, edge, (1 - width) * np.ptp(across)
+
+
+def _tone(edge, place):
+    """Colour of a tooth from root (0) to edge (1): warm by the gum, grey and blue at the edge."""
+    warm = np.clip((0.85 - edge) / 0.5, 0, 1)[:, None] ** 1.3
+    yellow = {2: 0.07}.get(place, 0.025 * (place > 2))
+    tip = np.clip((edge - 0.85) / 0.15, 0, 1)[:, None] * (place < 2)
+    return (
+        (1 - warm * [0.16, 0.28, 0.36])
+        * (1 - tip * [0.10, 0.07, 0.04])
+        * [1, 1 - 0.4 * yellow, 1 - yellow]
+    )
+
+
 def _rounded(tongue):
     """A tongue's points at rest: low in the mouth, round across, with a groove in the middle."""
     x, y, z = tongue.T
@@ -207,14 +294,6 @@ def _rounded(tongue):
     fall = 0.15 + 0.85 * np.clip(back / 0.5, 0, 1) + 0.4 * across**2
     fall = fall + 0.16 * np.exp(-((x / 0.3) ** 2)) * np.clip(back / 0.2, 0.3, 1)
     return tongue - np.outer(np.clip(top, 0.2, 1) * fall, [0, 1, 0])
-
-
-def eye_of(state, base, s):
-    """Centre and radius of the ball of one eye (l or r)."""
-    x = state[base.at(f"helper-{s}-eye")]
-    radius = np.ptp(x[:, 1]) / 2
-    low, high = x.min(0), x.max(0)
-    return np.array([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2] + radius]), radius
 
 
 def _ball(center, radius, pupil, sign):

@@ -269,6 +269,8 @@ def atlas(base, person):
         np.dstack([np.array(look["brow_colour"]) / 255 * dark[..., None].clip(0.5, 1.5), alpha]),
     )
     teeth, _ = _filled(Image.open(proxies / "teeth/Teeth_Base/textures/teeth.png"))
+    is_tooth = np.clip(1.5 - 6 * np.ptp(teeth, axis=2), 0, 1)[..., None]
+    teeth = teeth + 0.5 * is_tooth * np.maximum(0.66 - teeth, 0)  # no stains between teeth
     put("teeth", np.clip(teeth * [1.22, 1.17, 1.08], 0, 1))
     tongue = Image.open(proxies / "tongue/tongue01/textures/tongue01_diffuse.png").convert("RGB")
     put("tongue", np.asarray(tongue, float) / 255 * [0.62, 0.52, 0.50])

@@ -2,7 +2,9 @@
 
 Most shapes were carried from this project's former procedural head to the new skin
 (`former_shapes.npz`, made once by `rig.retarget.methods.carry_shapes`). Face units replace or join
-them where they look better (`MIX`); formulas move tongue, lower teeth and ears.
+them where they look better (`MIX`); ``flesh.csv`` adds mounds, folds and lids that go with a muscle
+(half of a control, place and radii on the average head, cm, displacement, share kept at the lips);
+formulas move tongue, lower teeth and ears.
 """
 
 from pathlib import Path
@@ -13,13 +15,15 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
-from tools.heads.base import CM, Base
+from rig.face.head import CORRECTIVES, LID_RAISERS
+from rig.files.reading import rows_of
+from tools.heads.base import CM, Base, eye_of
 
 SHARE = {
     "brow_lateral": 0.7, "mouth_cornerPull": 0.55, "sharpCornerPull": 0.7, "cheekRaise": 0.6,
     "mouth_purse": 0.58, "mouth_funnel": 0.55, "upperLipRaise": 0.3, "lowerLipDepress": 0.5,
     "brow_down": 0.4, "brow_raiseIn": 0.5, "brow_raiseOut": 0.4, "eye_blink": 0, "blink_half": 0,
-    "eye_eyelidU": 0, "squintInner": 0.4, "_nose.ty": 0.6, "eye_eyelidD": 0.3, "eye.t": 0,
+    "eye_eyelidU": 0, "squintInner": 0.4, "_nose.ty": 0.6, "cornerDepress": 0.4, "eye_eyelidD": 0.3, "eye.t": 0,
 }  # fmt: skip
 """Share of the carried shape that is kept, by a part of its name; 1 for the others."""
 MIX = {
@@ -34,21 +38,23 @@ MIX = {
     "mouth_upperLipRaise.ty": ("mouthUpperUp_@:.8", ""),
     "mouth_lowerLipDepress.ty": ("mouthLowerDown_@:.55", ""),
     "brow_down.ty": ("browDown_@:.7", ""),
-    "brow_raiseIn.ty": ("browInnerUp_@:1.8", ""),
+    "brow_raiseIn.ty": ("browInnerUp_@:1.3", ""),
     "brow_raiseOut.ty": ("browOuterUp_@:1", ""),
     "eye_blink.ty": ("eyeBlink_@:1", "eyeWide_@:1"),
-    "eye_eyelidU.ty": ("lidU_@:.38", "eyeWide_@:.8"),
+    "eye_eyelidU.ty": ("lidU_@:.4", "eyeWide_@:.8"),
     "eye_squintInner.ty": ("eyeSquint_@:.8", ""),
     "eye_eyelidD.ty": ("lidD_@:.8", "lidD_@:-.35"),
     "nose.ty": ("noseSneer_@:.7", ""),
     "eye.ty": ("eyeLookUp_@:1", "eyeLookDown_@:1"),
     "mouth_dimple.ty": ("mouthDimple_@:.3", ""),
-    "mouth_cornerDepress.ty": ("mouthFrown_@:.35", ""),
+    "mouth_cornerDepress.ty": ("mouthFrown_@:.5", ""),
 }
 """Face units of the positive and the negative half of ``CTRL_@_`` controls, with factors."""
 COLUMNS = np.linspace(-2.6, 2.6, 53)
 """Places along the lips at which they are sealed, cm of the average head."""
 LIMIT_X = 2.75
+DEPTH = 1.5
+"""Radius forwards of what ``flesh.csv`` moves, cm."""
 TONGUE_UP = 1.0
 
 
@@ -213,6 +219,8 @@ class Shapes:
                 look = 0.7 * self.units[f"eyeLook{way}_{s}"].astype(np.float32)
                 deltas[place[f"CTRL_{s}_eye.tx{end}"]] += look
                 deltas[place[f"CTRL_C_eye.tx{end}"]] += look
+        for name, delta in self._flesh().items():
+            deltas[place[name]] += delta.astype(np.float32)
         added = self._mouth(deltas[place["CTRL_C_jaw.ty"]]) | self._more(deltas, place)
         for name, delta in added.items():
             if name not in place:
@@ -226,10 +234,25 @@ class Shapes:
         for delta in deltas:
             delta[: self.n] = self.relax @ delta[: self.n]
         known = {half for name in controls.names for half in (name, f"{name}_negative")}
-        known |= {"jaw_half", "blink_half_L", "blink_half_R", "seal_L", "seal_R", "seal"}
-        known |= {"nose_upper_L", "nose_upper_R"}
+        known |= {*CORRECTIVES, "seal"}
         assert not (wrong := set(names) - known), wrong
         return names, deltas
+
+    def _flesh(self):
+        """What goes with the muscles: mounds, folds and lids of ``flesh.csv``, of both sides."""
+        lips = np.exp(-((np.minimum(*self.away) / 0.55) ** 2))
+        skin, found = self.average[: self.n], {}
+        for row in rows_of(Path(__file__).with_name("flesh.csv")):
+            what = {key: float(row[key]) for key in list(row)[2:]}
+            size = np.array([what["across"], what["high"], DEPTH])
+            for s, sign in (("L", 1), ("R", -1)):
+                middle = np.array([sign * what["x"], what["y"], what["z"]])
+                share = np.exp(-((((skin - middle) / size) ** 2).sum(1)))
+                share *= 1 - (1 - what["lips"]) * lips
+                moved = np.outer(share, [sign * what["dx"], what["dy"], what["dz"]])
+                half = row["half"] if "CTRL" in row["half"] else f"CTRL_{s}_{row['half']}"
+                found.setdefault(half, np.zeros_like(self.average))[: self.n] += moved
+        return found
 
     def _symmetric(self, names, deltas):
         """Shapes whose left and right, or ends to the left and right, are mirrored."""
@@ -266,7 +289,7 @@ class Shapes:
         share = jaw[chin, 1] / self.units["jawOpen"][chin, 1]
         for name, unit, gain in (
             ("CTRL_C_jaw.ty", "jawOpen", share), ("CTRL_C_jaw_openExtreme.ty", "jawOpen", 0.35 * share),
-            ("CTRL_C_jaw.tx", "jawRight", 1), ("CTRL_C_jaw.tx_negative", "jawLeft", 1),
+            ("CTRL_C_jaw.tx", "jawRight", 0.8), ("CTRL_C_jaw.tx_negative", "jawLeft", 0.8),
             ("CTRL_C_jaw_fwdBack.ty", "jawForward", -0.6),
             ("CTRL_C_jaw_fwdBack.ty_negative", "jawForward", 0.6),
         ):  # fmt: skip
@@ -327,10 +350,16 @@ class Shapes:
             ear = ear * (np.arange(len(x)) < self.n)
             found[f"CTRL_{s}_ear_up.ty"] = np.outer(ear, [0.06 * sign, 0.32, -0.05])
             inner = np.exp(-(((x - [1.5 * sign, 5.1, 10.4]) / [1.3, 1.3, 1.6]) ** 2).sum(1))
-            found[f"CTRL_{s}_brow_raiseIn.ty"] = np.outer(inner, [0, 0.42, 0])
+            found[f"CTRL_{s}_brow_raiseIn.ty"] = np.outer(inner, [0, 0.2, 0])
             knit = np.exp(-(((x - [0.9 * sign, 3.9, 10.6]) / [0.8, 0.8, 1.2]) ** 2).sum(1))
             knit = np.outer(knit, [-0.06 * sign, -0.16, 0.08])
             found[f"CTRL_{s}_nose.ty"], found[f"nose_upper_{s}"] = knit, -knit
+            center, radius = eye_of(x, self.base, s.lower())
+            above = np.linalg.norm(x[: self.n] - center, axis=1) / radius - 1.1
+            lids = np.exp(-((np.maximum(above, 0) / 0.3) ** 2))[:, None]
+            for stem in LID_RAISERS:
+                moved = found[f"blink_{stem}_{s}"] = np.zeros_like(x)
+                moved[: self.n] = -lids * deltas[place[f"CTRL_{s}_{stem}.ty"]][: self.n]
         up = deltas[place["CTRL_neck_throatUpDown.ty"]]
         down = deltas[place["CTRL_neck_digastricUpDown.ty"]]
         found["CTRL_C_neck_swallow.ty"] = 1.1 * up + 0.5 * down

@@ -1,0 +1,104 @@
+"""Cheeks, lids and chin follow the mouth, and the teeth stand right behind the lips."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from deitalk.research.contact_sheet import EMOTION_POSES, pose_values
+from rig.face import IDENTITIES, build_head
+from rig.face.head import LID_RAISERS
+from rig.face.mesh import NO_MAPS, PLAIN
+from rig.face.render import VIEWS
+from rig.face.render.software import Renderer
+
+PEOPLE = [identity.name for identity in IDENTITIES]
+X, Y, Z = 0, 1, 2
+
+
+@pytest.fixture(scope="module")
+def sites():
+    """Points of the skin on the character's left, by name, of the first head."""
+    head = build_head(0)
+    skin = head.skin.vertices
+    mark = {name: skin[point] for name, point in head.landmarks.items()}
+    eye, wing, corner = mark["eye_lower_left"], mark["nose_wing_left"], mark["mouth_corner_left"]
+    places = {
+        "lower lid": eye, "wing": wing, "corner": corner, "chin": mark["chin"],
+        "apple": [eye[X] + 0.3, wing[Y] + 0.4, 8], "fold": [wing[X] + 0.6, wing[Y] - 0.6, 8.5],
+        "cheek": [corner[X] + 1.4, corner[Y] + 1.4, 7],
+        "chin groove": [0, 0.5 * (mark["lower_lip_bottom"] + mark["chin"])[Y] + 0.3, 9],
+    }  # fmt: skip
+    front = np.where(skin[:, Z] > 4, 0, 99)
+    return {
+        name: np.argsort(np.hypot(*(skin[:, :2] - place[:2]).T) + front)[:5]
+        for name, place in places.items()
+    }
+
+
+@pytest.mark.parametrize(
+    ("pose", "name", "axis", "least"),
+    [
+        ("*mouth_cornerPull.ty", "apple", Y, 0.3),  # zygomaticus major lifts the cheek
+        ("*mouth_cornerPull.ty", "apple", Z, 0.2),  # which becomes round
+        ("*mouth_cornerPull.ty", "lower lid", Y, 0.05),
+        ("*mouth_cornerPull.ty", "corner", Z, -0.3),  # the mouth wraps the teeth
+        ("*nose.ty", "wing", Y, 0.4),  # levator labii alaeque nasi
+        ("*nose.ty", "apple", Y, 0.2),
+        ("*nose.ty", "fold", Y, 0.4),
+        ("*mouth_upperLipRaise.ty", "fold", Y, 0.4),  # levator labii
+        ("*mouth_upperLipRaise.ty", "apple", Y, 0.2),
+        ("*mouth_cornerDepress.ty", "fold", Y, -0.15),
+        ("*jaw_ChinRaiseD.ty", "chin", Y, 0.4),  # mentalis
+        ("CTRL_C_jaw.ty", "apple", Y, -0.1),  # a dropped jaw makes the cheeks long
+        ("CTRL_C_jaw.ty", "cheek", Y, -0.3),
+    ],
+)
+def test_flesh_goes_with_the_muscle(sites, pose, name, axis, least):
+    head = build_head(0)
+    moved = (head.pose(pose_values({pose: 1})) - head.mesh.vertices)[sites[name]].mean(0)
+    assert np.sign(least) * moved[axis] > abs(least), moved.round(2)
+
+
+def test_nasolabial_fold_is_deeper_in_a_smile(sites):
+    """The apple comes forward more than the fold between it and the mouth."""
+    head = build_head(0)
+    moved = head.pose(pose_values({"*mouth_cornerPull.ty": 1})) - head.mesh.vertices
+    assert moved[sites["apple"], Z].mean() - moved[sites["fold"], Z].mean() > 0.3
+
+
+@pytest.mark.parametrize("person", PEOPLE)
+def test_teeth_stand_right_behind_the_lips(person):
+    """An incisor is 3 to 5 mm behind the middle of the line of the lips, half of their thickness."""
+    head = build_head(person)
+    rest = head.neutral
+    lip = head.lip_columns(rest[None])[0][0]
+    teeth = rest[head.slices["teeth_upper"]]
+    edge = teeth[:, Y] < np.sort(teeth[np.abs(teeth[:, X]) < 0.5, Y])[:20].mean() + 0.5
+    front = teeth[edge & (np.abs(teeth[:, X]) < 0.6), Z].max()
+    assert 0.3 < lip[len(lip) // 2, Z] - front < 0.5
+
+
+@pytest.mark.parametrize("person", PEOPLE)
+@pytest.mark.parametrize("emotion", [*EMOTION_POSES, "rest"])
+def test_no_tooth_comes_through_shut_lips(person, emotion):
+    """In front of every tooth there is skin when the lips are together."""
+    head = build_head(person)
+    shut = {"*mouth_lipsTogetherU.ty": 1.0, "*mouth_lipsTogetherD.ty": 1.0}
+    pose = head.pose(pose_values({**EMOTION_POSES.get(emotion, {}), **shut})).astype(float)
+    green = np.zeros((len(pose), 3))
+    green[head.slices["teeth_upper"].start : head.slices["teeth_lower"].stop, 1] = 1
+    plain = np.full(len(pose), PLAIN)
+    mesh = replace(head.bare, colors=green, light=np.ones(2), kind=plain, maps=NO_MAPS)
+    drawn = Renderer(mesh, (300, 250), VIEWS["mouth"]).render(pose).astype(int)
+    assert (drawn[..., 1] > drawn[..., [0, 2]].max(-1) + 40).sum() <= 2  # green pixels
+
+
+@pytest.mark.parametrize("person", PEOPLE)
+@pytest.mark.parametrize("raiser", LID_RAISERS)
+def test_lids_meet_in_a_blink_whatever_raises_the_lower_one(person, raiser):
+    """The middle of both lids is one line, 0.6 mm, and not one beyond the other."""
+    head = build_head(person)
+    both = [head.landmarks[f"eye_{lid}_left"] for lid in ("upper", "lower")]
+    pose = head.pose(pose_values({"*eye_blink.ty": 1, f"*{raiser}.ty": 1}))
+    assert abs(np.subtract(*pose[both, Y])) < 0.06
