@@ -23,6 +23,7 @@ from rig.face import mesh
 from rig.face.mesh import CLOTH, EYE, HAIR, PORES, SKIN
 from rig.face.render import compiled, shading
 from rig.face.render.compiled import EMPTY, KERNELS, PLACES, THRESHOLDS, TILE, file_of
+from rig.face.render.shading import CLOTH_PORES
 
 F, I4 = np.float32, np.int32
 _TO_LIGHT, _COLOR = shading.TO_LIGHT.astype(F), shading.LIGHT_COLORS.astype(F)
@@ -33,7 +34,8 @@ _DIM, _UNDER_LID = F(shading.DIM), F(shading.UNDER_LID)
 _CATCH, _LOW = shading.CATCH.astype(F), shading.LOW.astype(F)
 _CREASE_TILT, _IRIS = F(shading.CREASE_TILT), F(shading.IRIS)
 _SKY, _GROUND = np.array(shading.SKY, F), np.array(shading.GROUND, F)
-N_LIGHTS, _PORE_TILT = len(_COLOR), F(shading.PORE_TILT)
+N_LIGHTS, _WINDOW_TURN = len(_COLOR), F(shading.WINDOW_TURN)
+_PORE_TILT, _PORE_SHADE = shading.PORE_TILT.astype(F), shading.PORE_SHADE.astype(F)
 
 PROCESSOR = "skylake"
 """For whose vectors loops are written."""
@@ -474,14 +476,15 @@ def _paint(
                 lit = (F(1) - _UNDER_LID * accent) * (F(1) + _IRIS * (F(1) - paint))
                 places[RED + k * PLACES + i] = paint * lit
             places[WINDOW + i] = _window(nx, ny, nz, vx, vy, vz, accent)
-        elif kind == SKIN:
+        elif kind == SKIN or kind == CLOTH:
             side = len(pores)
-            y, x = int(v * F(PORES * side)) % side, int(u * F(PORES * side)) % side
-            kept = F(1) + F(0.16) * (F(pores[y, x, 0]) * F(1 / 127.5) - F(1))
+            often = F(PORES * side) if kind == SKIN else F(CLOTH_PORES * PORES * side)
+            y, x = int(v * often) % side, int(u * often) % side
+            kept = F(1) + _PORE_SHADE[kind] * (F(pores[y, x, 0]) * F(1 / 127.5) - F(1))
             places[GLOSS + i] *= F(1) + F(0.7) * (F(pores[y, x, 0]) * F(1 / 127.5) - F(1))
-            nx += _PORE_TILT * (F(pores[y, x, 1]) * F(1 / 127.5) - F(1))
-            ny += _PORE_TILT * (F(pores[y, x, 2]) * F(1 / 127.5) - F(1))
-            if accent > F(0.01):
+            nx += _PORE_TILT[kind] * (F(pores[y, x, 1]) * F(1 / 127.5) - F(1))
+            ny += _PORE_TILT[kind] * (F(pores[y, x, 2]) * F(1 / 127.5) - F(1))
+            if kind == SKIN and accent > F(0.01):
                 x, y, across, down = _corner(len(creases), u, v)
                 most = accent * _CREASE_TILT
                 tilt = most * F(1 / 127.5)
@@ -500,10 +503,13 @@ def _window(nx: Any, ny: Any, nz: Any, vx: Any, vy: Any, vz: Any, accent: Any) -
     """Reflections of a window, high and under a lid, and of the sky on a wet eye."""
     facing = F(2) * (nx * vx + ny * vy + nz * vz)
     x, y, z = facing * nx - vx, facing * ny - vy, facing * nz - vz
-    glow = _limited((x * _CATCH[0] + y * _CATCH[1] + z * _CATCH[2] - F(0.976)) / F(0.008))
-    low = _limited((x * _LOW[0] + y * _LOW[1] + z * _LOW[2] - F(0.980)) / F(0.008))
-    glow = F(0.9) * glow * glow * (F(3) - F(2) * glow) * _limited(F(4) * (F(0.7) - accent))
-    low = F(0.7) * low * low * (F(3) - F(2) * low) * _limited(F(3) * (accent - F(0.1)))
+    turn = -_WINDOW_TURN * vx
+    cx, cy, cz = _unit(_CATCH[0] + turn, _CATCH[1], _CATCH[2])
+    lx, ly, lz = _unit(_LOW[0] + turn, _LOW[1], _LOW[2])
+    glow = _limited((x * cx + y * cy + z * cz - F(0.976)) / F(0.008))
+    low = _limited((x * lx + y * ly + z * lz - F(0.980)) / F(0.008))
+    glow = F(0.9) * glow * glow * (F(3) - F(2) * glow) * _limited(F(4) * (F(0.95) - accent))
+    low = F(0.7) * low * low * (F(3) - F(2) * low) * _limited(F(6) * (accent - F(0.06)))
     return max(glow, low) + F(0.02) * _limited(y)
 
 

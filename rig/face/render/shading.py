@@ -62,10 +62,10 @@ LIGHTS = (
 )
 TO_LIGHT = unit(np.array([direction for direction, _ in LIGHTS]))
 LIGHT_COLORS = np.array([color for _, color in LIGHTS])
-WRAPS = np.array([[0.90, 0.82, 0.74], [0.42, 0.22, 0.15], [0.8, 0.76, 0.72], [0.25, 0.22, 0.2],
+WRAPS = np.array([[0.90, 0.82, 0.74], [0.48, 0.24, 0.16], [0.8, 0.76, 0.72], [0.25, 0.22, 0.2],
                   [0.1, 0.1, 0.1], [0.35, 0.32, 0.3]])  # fmt: skip
 """How far red, green and blue light reaches round, of PLAIN, SKIN, HAIR, EYE, CLOTH and FINE."""
-DEEP, DIM, UNDER_LID = (0.27, 0.08, 0.07), 0.5, 0.38
+DEEP, DIM, UNDER_LID = (0.27, 0.08, 0.07), 0.5, 0.46
 """Colour of the mouth where its shadow is 1; how much darker that shadow makes what it still shows,
 and that of lids the eye."""
 CREASE_TILT = 0.7
@@ -74,10 +74,15 @@ GLOW = (0.16, 0.040, 0.030)
 """Light that comes through flesh where no other does."""
 CATCH, LOW = unit(np.array([0.14, 0.48, 0.86])), unit(np.array([0.31, -0.14, 0.94]))
 """Where eyes reflect a window, and what of it is left in the shadow of a lowered lid."""
+WINDOW_TURN = 0.5
+"""How far the window goes to the other side of a camera that goes aside, so that irises show it."""
 IRIS = 0.3
 """How much lighter the dark colours of eyes are than painted."""
-PORE_TILT = 0.09
-"""How far pores tilt the normals of skin."""
+PORE_TILT, PORE_SHADE = np.array([0, 0.09, 0, 0, 0.22, 0]), np.array([0, 0.08, 0, 0, 0.22, 0])
+"""How far pores tilt the normals of each material, and how much they shade it: of skin, and as a
+fabric's grain of cloth."""
+CLOTH_PORES = 6
+"""How often they are repeated on cloth, whose place in the picture is small, for once on skin."""
 SKY, GROUND = (0.24, 0.26, 0.29), (0.11, 0.09, 0.085)
 BACKGROUND_TOP, BACKGROUND_BOTTOM = (0.30, 0.33, 0.37), (0.15, 0.165, 0.19)
 
@@ -90,6 +95,10 @@ def background(height: int) -> Float64:
 
 def _vec(values: Iterable[float]) -> str:
     return f"vec3({', '.join(f'{v:.6f}' for v in values)})"
+
+
+def _vec2(kind: int) -> str:
+    return f"vec2({PORE_TILT[kind]}, {PORE_SHADE[kind]})"
 
 
 _VERTEX = """#version 330
@@ -143,10 +152,12 @@ void main() {{
   if (thin && dot(n, v) < 0.0) n = -n;
   vec3 albedo = paint_.rgb * tint.rgb;
   float shade = 1.0, strand = 1.0, gloss = paint_.a;
-  if (kind == {SKIN}) {{
-    vec3 pore = texture(pores, uv_ * {PORES:.1f}).rgb * 2.0 - 1.0;
-    vec4 fold = texture(creases, uv_); float crease = max(accent_, 0.0);
-    shade += 0.16 * pore.r; gloss *= 1.0 + 0.7 * pore.r; n.xy += {PORE_TILT} * pore.gb;
+  if (kind == {SKIN} || kind == {CLOTH}) {{
+    float often = kind == {SKIN} ? {PORES:.1f} : {CLOTH_PORES * PORES:.1f};
+    vec3 pore = texture(pores, uv_ * often).rgb * 2.0 - 1.0;
+    vec4 fold = texture(creases, uv_); float crease = kind == {SKIN} ? max(accent_, 0.0) : 0.0;
+    vec2 grain = kind == {SKIN} ? {_vec2(SKIN)} : {_vec2(CLOTH)};
+    shade += grain.y * pore.r; gloss *= 1.0 + 0.7 * pore.r; n.xy += grain.x * pore.gb;
     n = normalize(n + {CREASE_TILT} * crease * (2.0 * fold.rgb - 1.0));
     shade *= 1.0 - crease * (1.0 - fold.a);
   }} else if (kind == {HAIR}) strand = min(3.0 * albedo.r, 1.0);
@@ -165,10 +176,11 @@ void main() {{
   strength = (0.16 * min(gloss, 0.28) + 0.50 * gloss * gloss * sqrt(max(gloss, 0.0))) * strand;
 {lamps}  if (kind == {EYE}) {{
     vec3 mirror = 2.0 * facing * n - v;
-    float glow = 0.9 * smoothstep(0.976, 0.984, dot(mirror, {_vec(CATCH)}));
-    glow *= clamp(4.0 * (0.7 - accent_), 0.0, 1.0);
-    float low = 0.7 * smoothstep(0.980, 0.988, dot(mirror, {_vec(LOW)}));
-    low *= clamp(3.0 * (accent_ - 0.1), 0.0, 1.0);
+    vec3 turn = vec3(-{WINDOW_TURN} * v.x, 0.0, 0.0);
+    float glow = 0.9 * smoothstep(0.976, 0.984, dot(mirror, normalize({_vec(CATCH)} + turn)));
+    glow *= clamp(4.0 * (0.95 - accent_), 0.0, 1.0);
+    float low = 0.7 * smoothstep(0.980, 0.988, dot(mirror, normalize({_vec(LOW)} + turn)));
+    low *= clamp(6.0 * (accent_ - 0.06), 0.0, 1.0);
     shine += max(glow, low) + 0.02 * clamp(mirror.y, 0.0, 1.0);
   }}
   vec3 linear = albedo * albedo * shade * diffuse + shine;
