@@ -298,7 +298,7 @@ def _eye(look, side=512):
     colour = colour * (1 - 0.80 * ring)
     pupil = np.clip((share - 0.37) / 0.06, 0, 1)[..., None]
     colour = colour * pupil + 0.012 * (1 - pupil)
-    edge = smooth((share - 0.86) / 0.32)[..., None]
+    edge = smooth((share - 0.88) / 0.25)[..., None]
     return np.clip(colour * (1 - edge) + white * edge, 0, 1)
 
 
