@@ -549,10 +549,10 @@ def _light(count: Any, places: Any) -> None:
             along = F(1) + dx * vx + dy * vy + dz * vz
             both = np.sqrt(max(F(2) * along, F(1e-6)))
             half = _limited((cosine + facing) / both)
-            half = half if cosine > F(0) else F(0)
             fall = (ny * (cosine + facing) - dy - vy) / (both * level)
             strand = max(F(1) - fall * fall, F(0)) * places[IS_HAIR + i]
-            gate = F(1) + places[IS_HAIR + i] * (_limited(F(0.3) + cosine) - F(1))
+            gate = _limited(F(5) * cosine)
+            gate += places[IS_HAIR + i] * (_limited(F(0.3) + cosine) - gate)
             half = max(strand, half * (F(1) - places[IS_HAIR + i]))
             shine = gate * half / (power - power * half + half) * strength * seen
             shine_r += shine * _COLOR[k, 0]

@@ -312,7 +312,8 @@ def write_person(name, look, base, shapes, person, joined, hair) -> None:
     gloss[slices["seam"]] = gloss[joined.weld[slices["seam"]]]
     light = _light(base, shapes, person, joined, picture)
     x, y, z = shapes.average[: base.n_skin].T  # brows that rise take no shadow along
-    brow = smooth((y - 4.0) / 0.8) * smooth((8.0 - y) / 1.5) * (z > 3) * smooth((6.5 - abs(x)) / 1.5)
+    brow = smooth((y - 4.0) / 0.8) * smooth((8.0 - y) / 1.5)
+    brow *= smooth((z - 4) / 3) * smooth((6.5 - abs(x)) / 1.5)
     light[slices["skin"]] += (0.65 * brow)[:, None] * (1 - light[slices["skin"]])
     if hair.is_long:  # no black gaps between locks
         skin = slices["skin"]
@@ -389,7 +390,7 @@ def _light(base, shapes, person, joined, picture):
         lips[joined.slices[part]] = True
     light[lips] = opened[lips]
     contact = np.min([shapes.along(ids) for ids in shapes.rims], axis=0)  # a soft dark line
-    deep = np.interp(np.abs(shapes.average[: base.n_skin, 0]), [2.0, 2.6], [0.45, 0.12])
+    deep = np.interp(np.abs(shapes.average[: base.n_skin, 0]), [2.0, 2.6], [0.52, 0.14])
     light[: base.n_skin] *= 1 - (deep * np.exp(-((contact / 0.14) ** 2)))[:, None]
     front = person.skin[shapes.rims[0], 2].max()
     x = joined.points

@@ -91,7 +91,7 @@ ZONES = (
 SHINE = (
     (0.0, 0.0, 0.9, 1.0, 0.13), (0.0, 2.4, 0.5, 1.8, 0.07), (0.0, 7.2, 3.0, 1.6, 0.06),
     (4.6, 1.0, 1.3, 0.7, 0.06), (0.0, -6.9, 1.2, 0.8, 0.05), (3.2, 4.2, 1.5, 0.5, 0.04),
-    (5.6, -3.0, 1.6, 3.0, -0.07), (0.0, -13.0, 9.0, 3.5, -0.10), (0.0, -3.75, 2.2, 0.75, 0.12),
+    (5.6, -3.0, 1.6, 3.0, -0.07), (0.0, -13.0, 9.0, 3.5, -0.10), (0.0, -3.75, 2.2, 0.75, 0.09),
 )  # fmt: skip
 """Where skin is greasier or drier: x, y, widths in both (cm) and what the gloss has more."""
 
@@ -139,6 +139,7 @@ def skin(base, person):
     plain = gaussian_filter(colour * share[..., None], (40, 40, 0))
     plain = plain / gaussian_filter(share, 40)[..., None]
     fine = colour - gaussian_filter(colour, (9, 9, 0))
+    fine *= smooth((place[..., 1:2] + 9) / 2)  # the picture of the neck is drawn out
     colour = plain + drawn[..., None] * (colour - plain) + (0.2 + 0.25 * drawn[..., None]) * fine
     for *where, tint in ZONES:
         share = look["flush"] * _zone(place, *where) * (1 - lips)
@@ -150,7 +151,7 @@ def skin(base, person):
     lines = 1 + 0.03 * _noise(shape, 1.3, 9) + 0.05 * gaussian_filter(_noise(shape, 2, 8), (4, 0.8))
     share = 0.75 * lips[..., None]
     colour = colour * (1 - share) + red * lines[..., None] * share
-    bare = (1 - 0.7 * lips) * look["mottle"]
+    bare = (1 - 0.9 * lips) * look["mottle"]
     detail = sum(a * _cloud(place, w, s) for a, w, s in
                  ((0.018, 0.04, 1), (0.014, 0.08, 2), (0.012, 0.2, 3), (0.014, 0.8, 4)))  # fmt: skip
     blood = 0.012 * _cloud(place, 0.12, 5) + 0.022 * _cloud(place, 0.5, 6)
@@ -161,10 +162,14 @@ def skin(base, person):
     grey = colour.mean(-1, keepdims=True)
     colour = grey + (colour - grey) * look["saturation"]
     for _, (left, low, right, high) in MOVED[1:]:  # sockets: pale flesh at the corners of the eyes
-        (x0, y0), (x1, y1) = (((np.array(p) - LOW) / SIZE).clip(0, 1) for p in ((left, low), (right, high)))
+        (x0, y0), (x1, y1) = (
+            ((np.array(p) - LOW) / SIZE).clip(0, 1) for p in ((left, low), (right, high))
+        )
         where = np.s_[round((1 - y1) * shape[0]) : round((1 - y0) * shape[0]),
                       round(x0 * shape[1]) : round(x1 * shape[1])]  # fmt: skip
-        colour[where] = 0.35 * colour[where] + 0.65 * np.array(look.get("flesh", (0.80, 0.58, 0.54)))
+        colour[where] = 0.35 * colour[where] + 0.65 * np.array(
+            look.get("flesh", (0.80, 0.58, 0.54))
+        )
     return np.clip(colour, 0, 1) ** look["gain"]
 
 
@@ -185,7 +190,10 @@ def hair(look, side=1024):
             middle = middle + look["gather"] * (lock - middle) * y**1.5
             middle = middle + 0.035 * width * np.sin(3 * y + turn[0])
             middle = middle + look["curl"] * np.sin(rng.uniform(14, 26) * y + turn[1])
-            start, end = rng.uniform(-0.06, look.get("starts", 0.03)), rng.uniform(look["ends"], 1.0)
+            start, end = (
+                rng.uniform(-0.06, look.get("starts", 0.03)),
+                rng.uniform(look["ends"], 1.0),
+            )
             thick = rng.uniform(3.0, 6.0) if is_wisp else rng.uniform(*look["thick"])
             own = np.exp(
                 -(((x - middle) / (thick * (1.1 - (1.3 - look["ends"]) * y / end).clip(0.25))) ** 2)

@@ -134,7 +134,7 @@ void lamp(vec3 d, vec3 c, float seen) {{
   vec3 lit = clamp((k + wrap) / (1.0 + wrap), 0.0, 1.0);
   diffuse += c * lit * (0.72 + 0.28 * lit) * (seen + bleed * vec3(0.3, 0.12, 0.0));
   float both = sqrt(max(2.0 + 2.0 * dot(d, v), 1e-6)), near = clamp((k + facing) / both, 0.0, 1.0);
-  float gate = k > 0.0 ? 1.0 : 0.0;
+  float gate = clamp(5.0 * k, 0.0, 1.0);
   if (kind == {HAIR}) {{  // a lamp shines across strands, which hang down along the surface
     float fall = (n.y * (k + facing) - d.y - v.y) / (both * sqrt(max(1.0 - n.y * n.y, 0.05)));
     near = max(1.0 - fall * fall, 0.0); gate = clamp(0.3 + k, 0.0, 1.0);
