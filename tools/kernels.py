@@ -508,8 +508,8 @@ def _window(nx: Any, ny: Any, nz: Any, vx: Any, vy: Any, vz: Any, accent: Any) -
     lx, ly, lz = _unit(_LOW[0] + turn, _LOW[1], _LOW[2])
     glow = _limited((x * cx + y * cy + z * cz - F(0.976)) / F(0.008))
     low = _limited((x * lx + y * ly + z * lz - F(0.980)) / F(0.008))
-    glow = F(0.9) * glow * glow * (F(3) - F(2) * glow) * _limited(F(4) * (F(0.85) - accent))
-    low = F(0.6) * low * low * (F(3) - F(2) * low) * _limited(F(5) * (accent - F(0.08)))
+    glow = F(0.9) * glow * glow * (F(3) - F(2) * glow) * _limited(F(4) * (F(0.9) - accent))
+    low = F(0.7) * low * low * (F(3) - F(2) * low) * _limited(F(6) * (accent - F(0.07)))
     return max(glow, low) + F(0.02) * _limited(y)
 
 

@@ -29,7 +29,7 @@ PEOPLE = {
         "shirt_colour": (74, 92, 104), "iris": (66, 72, 58), "lip": (0.93, 0.80, 0.79),
         "mottle": 0.75, "gain": 0.97, "saturation": 1.0, "flush": 0.7, "freckles": 0.35, "creases": 0.8, "lashes": 0.75,
         "style": "long", "ends": 0.9, "tips": 0.1, "line": -0.9, "burns": 3.0, "parting": 1.6, "falls": 2.5, "root": 0.75, "hairs": 70, "thick": (2.2, 5.5),
-        "locks": 4, "gather": 0.2, "slant": 1.2, "narrow": 0.4, "starts": 0.07, "soft": 1.5, "part_share": 0.45, "brow_hairs": (1.1, 0.35),
+        "locks": 4, "gather": 0.12, "slant": 1.2, "narrow": 0.4, "starts": 0.07, "soft": 1.5, "part_share": 0.32, "brow_hairs": (1.1, 0.35),
         "curl": 0.6, "scalp": 0.9, "volume": 1.3, "fade": (0.05, 0.4), "least": 0.78, "roots": 0.35,
         "layers": [
             {"count": 70, "length": 9, "lift": 0.7, "rise": 1.5, "width": 0.6, "from": 0.5, "part": 0.5, "around": (0, 120), "tone": 0.98,
@@ -58,7 +58,7 @@ PEOPLE = {
         "mottle": 0.8, "gain": 1.02, "saturation": 0.92, "flush": 0.6, "freckles": 0.3, "creases": 1.0,
         "lashes": 0.35,
         "style": "short", "ends": 0.6, "line": -0.2, "burns": 0.0, "beard": 0.42, "sweep": -1.0, "root": 0.55, "hairs": 30, "thick": (2.0, 5.0), "locks": 2, "gather": 0.6, "tips": 0.35,
-        "slant": 0.3, "soft": 1.2, "brow_hairs": (1.3, 0.3), "narrow": 0.5, "curl": 1.2, "scalp": 0.95,
+        "slant": 0.3, "soft": 1.2, "roots": 0.3, "brow_hairs": (1.3, 0.3), "narrow": 0.5, "curl": 1.2, "scalp": 0.95,
         "layers": [
             {"count": 110, "length": 4.2, "lift": 1.5, "width": 0.4, "sides": 0.4, "wisps": True, "stray": 0.45, "steps": 4, "up": 0.5},
             {"count": 400, "length": 5.0, "lift": 1.25, "width": 0.75, "sides": 0.42, "stray": 0.25, "steps": 5, "from": 0.7, "up": 0.5, "roll": 0.35},

@@ -178,9 +178,9 @@ void main() {{
     vec3 mirror = 2.0 * facing * n - v;
     vec3 turn = vec3(-{WINDOW_TURN} * v.x, 0.0, 0.0);
     float glow = 0.9 * smoothstep(0.976, 0.984, dot(mirror, normalize({_vec(CATCH)} + turn)));
-    glow *= clamp(4.0 * (0.85 - accent_), 0.0, 1.0);
-    float low = 0.6 * smoothstep(0.980, 0.988, dot(mirror, normalize({_vec(LOW)} + turn)));
-    low *= clamp(5.0 * (accent_ - 0.08), 0.0, 1.0);
+    glow *= clamp(4.0 * (0.9 - accent_), 0.0, 1.0);
+    float low = 0.7 * smoothstep(0.980, 0.988, dot(mirror, normalize({_vec(LOW)} + turn)));
+    low *= clamp(6.0 * (accent_ - 0.07), 0.0, 1.0);
     shine += max(glow, low) + 0.02 * clamp(mirror.y, 0.0, 1.0);
   }}
   vec3 linear = albedo * albedo * shade * diffuse + shine;
