@@ -23,7 +23,7 @@ from rig.face import mesh
 from rig.face.mesh import CLOTH, EYE, HAIR, PORES, SKIN
 from rig.face.render import compiled, shading
 from rig.face.render.compiled import EMPTY, KERNELS, PLACES, THRESHOLDS, TILE, file_of
-from rig.face.render.shading import CLOTH_PORES
+from rig.face.render.shading import CLOTH_PORES, CLOTH_SHADE
 
 F, I4 = np.float32, np.int32
 _TO_LIGHT, _COLOR = shading.TO_LIGHT.astype(F), shading.LIGHT_COLORS.astype(F)
@@ -35,7 +35,7 @@ _CATCH, _LOW = shading.CATCH.astype(F), shading.LOW.astype(F)
 _CREASE_TILT, _IRIS = F(shading.CREASE_TILT), F(shading.IRIS)
 _SKY, _GROUND = np.array(shading.SKY, F), np.array(shading.GROUND, F)
 N_LIGHTS, _WINDOW_TURN = len(_COLOR), F(shading.WINDOW_TURN)
-_PORE_TILT, _PORE_SHADE = shading.PORE_TILT.astype(F), shading.PORE_SHADE.astype(F)
+_PORE_TILT, _PORE_SHADE = F(shading.PORE_TILT), F(shading.PORE_SHADE)
 
 PROCESSOR = "skylake"
 """For whose vectors loops are written."""
@@ -476,15 +476,19 @@ def _paint(
                 lit = (F(1) - _UNDER_LID * accent) * (F(1) + _IRIS * (F(1) - paint))
                 places[RED + k * PLACES + i] = paint * lit
             places[WINDOW + i] = _window(nx, ny, nz, vx, vy, vz, accent)
-        elif kind == SKIN or kind == CLOTH:
+        elif kind == CLOTH:
+            often = F(CLOTH_PORES * PORES * len(pores))
+            y, x = int(v * often) % len(pores), int(u * often) % len(pores)
+            grain = F(pores[y, x, 0]) * F(1 / 127.5) - F(1)
+            places[KEPT + i] = F(1) + F(CLOTH_SHADE) * grain
+        elif kind == SKIN:
             side = len(pores)
-            often = F(PORES * side) if kind == SKIN else F(CLOTH_PORES * PORES * side)
-            y, x = int(v * often) % side, int(u * often) % side
-            kept = F(1) + _PORE_SHADE[kind] * (F(pores[y, x, 0]) * F(1 / 127.5) - F(1))
+            y, x = int(v * F(PORES * side)) % side, int(u * F(PORES * side)) % side
+            kept = F(1) + _PORE_SHADE * (F(pores[y, x, 0]) * F(1 / 127.5) - F(1))
             places[GLOSS + i] *= F(1) + F(0.7) * (F(pores[y, x, 0]) * F(1 / 127.5) - F(1))
-            nx += _PORE_TILT[kind] * (F(pores[y, x, 1]) * F(1 / 127.5) - F(1))
-            ny += _PORE_TILT[kind] * (F(pores[y, x, 2]) * F(1 / 127.5) - F(1))
-            if kind == SKIN and accent > F(0.01):
+            nx += _PORE_TILT * (F(pores[y, x, 1]) * F(1 / 127.5) - F(1))
+            ny += _PORE_TILT * (F(pores[y, x, 2]) * F(1 / 127.5) - F(1))
+            if accent > F(0.01):
                 x, y, across, down = _corner(len(creases), u, v)
                 most = accent * _CREASE_TILT
                 tilt = most * F(1 / 127.5)

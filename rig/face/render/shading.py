@@ -78,11 +78,11 @@ WINDOW_TURN = 0.5
 """How far the window goes to the other side of a camera that goes aside, so that irises show it."""
 IRIS = 0.3
 """How much lighter the dark colours of eyes are than painted."""
-PORE_TILT, PORE_SHADE = np.array([0, 0.09, 0, 0, 0.22, 0]), np.array([0, 0.08, 0, 0, 0.22, 0])
-"""How far pores tilt the normals of each material, and how much they shade it: of skin, and as a
-fabric's grain of cloth."""
-CLOTH_PORES = 6
-"""How often they are repeated on cloth, whose place in the picture is small, for once on skin."""
+PORE_TILT, PORE_SHADE = 0.09, 0.08
+"""How far pores tilt the normals of skin, and how much they shade it."""
+CLOTH_PORES, CLOTH_SHADE = 6, 0.28
+"""How often they are repeated on cloth, whose place in the picture is small, for once on skin, and
+how much they shade it as a fabric's grain."""
 SKY, GROUND = (0.24, 0.26, 0.29), (0.11, 0.09, 0.085)
 BACKGROUND_TOP, BACKGROUND_BOTTOM = (0.30, 0.33, 0.37), (0.15, 0.165, 0.19)
 
@@ -95,10 +95,6 @@ def background(height: int) -> Float64:
 
 def _vec(values: Iterable[float]) -> str:
     return f"vec3({', '.join(f'{v:.6f}' for v in values)})"
-
-
-def _vec2(kind: int) -> str:
-    return f"vec2({PORE_TILT[kind]}, {PORE_SHADE[kind]})"
 
 
 _VERTEX = """#version 330
@@ -152,14 +148,14 @@ void main() {{
   if (thin && dot(n, v) < 0.0) n = -n;
   vec3 albedo = paint_.rgb * tint.rgb;
   float shade = 1.0, strand = 1.0, gloss = paint_.a;
-  if (kind == {SKIN} || kind == {CLOTH}) {{
-    float often = kind == {SKIN} ? {PORES:.1f} : {CLOTH_PORES * PORES:.1f};
-    vec3 pore = texture(pores, uv_ * often).rgb * 2.0 - 1.0;
-    vec4 fold = texture(creases, uv_); float crease = kind == {SKIN} ? max(accent_, 0.0) : 0.0;
-    vec2 grain = kind == {SKIN} ? {_vec2(SKIN)} : {_vec2(CLOTH)};
-    shade += grain.y * pore.r; gloss *= 1.0 + 0.7 * pore.r; n.xy += grain.x * pore.gb;
+  if (kind == {SKIN}) {{
+    vec3 pore = texture(pores, uv_ * {PORES:.1f}).rgb * 2.0 - 1.0;
+    vec4 fold = texture(creases, uv_); float crease = max(accent_, 0.0);
+    shade += {PORE_SHADE} * pore.r; gloss *= 1.0 + 0.7 * pore.r; n.xy += {PORE_TILT} * pore.gb;
     n = normalize(n + {CREASE_TILT} * crease * (2.0 * fold.rgb - 1.0));
     shade *= 1.0 - crease * (1.0 - fold.a);
+  }} else if (kind == {CLOTH}) {{
+    shade += {CLOTH_SHADE} * (2.0 * texture(pores, uv_ * {CLOTH_PORES * PORES:.1f}).r - 1.0);
   }} else if (kind == {HAIR}) strand = min(3.0 * albedo.r, 1.0);
   else if (kind == {EYE})
     albedo *= (1.0 - {UNDER_LID} * accent_) * (1.0 + {IRIS} * (1.0 - albedo));
